@@ -1,21 +1,28 @@
 """Outlines from drawings: SVG, DXF, GeoJSON, tables of coordinates; and from shapely's geometries.
 
-A drawing that states its unit is converted to metres; other numbers are metres. Curves are
-flattened to chords. Lines that meet are joined to closed outlines, holes are left out, and of
-several outlines apart from each other the convex hull is taken.
+A drawing that states its unit is converted to metres; other numbers are metres. What is not drawn,
+as on layers that are off, is left out. Curves are flattened to chords. Lines that meet are joined
+to closed outlines; holes are left out, and so are sheets of paper around what is drawn on them. Of
+several outlines apart from each other the convex hull is taken. Notes say so, with sizes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import io
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
 from hitchopt.errors import FileError, HitchoptError, InputError, UnsupportedError
 from hitchopt.storage.files import parsed_json
+from hitchopt.storage.tables import ADVICE, numeric_table, text_lines, with_points
 from hitchopt.values import Array
 
 FLATNESS = 1e-4
@@ -26,7 +33,16 @@ CHORDS = 256
 """Chords of a curve in SVG: they are FLATNESS off a quarter of a circle of 20 m."""
 
 GRID = 1e-6
-"""[m] Ends of lines that are nearer than this are one point."""
+"""[m] Lines are noded on this grid."""
+
+MEET = 1e-3
+"""Ends of lines that are nearer than this share of a drawing, and than FLATNESS, meet."""
+
+GAP = 0.02
+"""Ends that are nearer than this share of a drawing may have been meant to meet."""
+
+LARGER = 1.0 + 1e-6
+"""Ratio of areas from which on an outline without gaps is another one."""
 
 MAX_SIZE = 20_000_000
 """Largest file [B]: a larger one is no drawing of a single part."""
@@ -37,11 +53,38 @@ LARGEST = 20.0
 INCH, PIXELS = 0.0254, 96.0
 """[m] An inch, and pixels on it, by CSS: lengths with units in SVG are converted to pixels."""
 
+SHEETS = np.array(
+    [[0.841 * 2**0.5, 0.841], [0.841, 0.594], [0.594, 0.420], [0.420, 0.297], [0.297, 0.210]]
+    + [[0.210, 0.148], [0.2794, 0.2159], [0.3556, 0.2159], [0.4318, 0.2794], [0.5588, 0.4318]]
+    + [[0.8636, 0.5588], [1.1176, 0.8636]]
+)
+"""[m] Sheets of paper: A0 to A5, letter, legal, and B to E of ANSI."""
+
+SCALES = np.array([0.1, 0.2, 0.5, 1.0, 2.0, 2.5, 5.0, 10.0, 20.0, 50.0])
+"""Sizes of sheets in a drawing over those of paper, where the part is drawn in its own size."""
+
+SAME_SIZE, MARGIN = 5e-4, 0.12
+"""Shares of a sheet that its size may differ by, and that a frame may be within its edge."""
+
+LENGTH = re.compile(
+    r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)\s*(mm|cm|in|pt|pc|px|%|)\s*", re.I
+)
+LENGTHS = ("x", "y", "width", "height", "r", "rx", "ry", "cx", "cy", "x1", "x2", "y1", "y2")
+"""Attributes of shapes in SVG that are lengths, and those that are understood."""
+
 Lines = list[Array]
 
 
-def read_outline(path: str | Path) -> Array:
-    """Return the outline of a drawing, (m, 2) [m], its first point not repeated.
+@dataclass(frozen=True, eq=False)
+class Drawing:
+    """An outline, and what is to be known of how it was taken."""
+
+    outline: Array  # (m, 2) [m], its first point not repeated
+    notes: tuple[str, ...]
+
+
+def read_drawing(path: str | Path) -> Drawing:
+    """Return the outline of a drawing.
 
     Raises
     ------
@@ -54,40 +97,44 @@ def read_outline(path: str | Path) -> Array:
     if kind not in READERS:
         known = ", ".join(READERS)
         raise InputError("outline", path.name, f"a drawing ({known})", "save it as one of these")
+    notes: list[str] = []
     try:
         if path.stat().st_size > MAX_SIZE:
             raise FileError(f"{path}: has more than {MAX_SIZE:.0e} bytes, too many for an outline")
-        lines = READERS[kind](path)
+        lines = READERS[kind](path, notes)
     except HitchoptError:
         raise
     except Exception as error:  # parsers raise their own kinds, and builtin ones
         reason = str(error).splitlines()
         raise FileError(f"{path}: cannot be read: {reason[0] if reason else error!r}") from None
-    outline = _joined(lines, path.name)
-    size = float(np.max(np.ptp(outline, axis=0)))
-    if size > LARGEST:
-        bound = f"at most {LARGEST:g} m across, not {size:.4g} m"
-        remedy = "state the drawing's unit: numbers without one are metres"
-        raise InputError("outline", path.name, bound, remedy)
-    return outline
+    return _joined(lines, path.name, notes)
 
 
-def outline_of_geometry(geometry: Any) -> Array:
-    """Return the outline (m, 2) [m] of a geometry of shapely, or of what shapely can read."""
-    return _joined(_rings(_library("shapely.geometry").shape(geometry)), "geometry")
+def drawing_of_geometry(geometry: Any) -> Drawing:
+    """Return the outline of a geometry of shapely, or of what shapely can read."""
+    return _joined(_rings(_library("shapely.geometry").shape(geometry)), "geometry", [])
 
 
-def _read_svg(path: Path) -> Lines:
-    elements = _library("svgelements")
-    drawing = elements.SVG.parse(str(path), reify=True)
-    sizes = [drawing.values["attributes"].get(name) for name in ("width", "height")]
+def size_in_words(points: Array) -> str:
+    """Return the size of points (m, 2) [m] along the axes."""
+    width, depth = np.ptp(points, axis=0)
+    return f"{width:.4g} x {depth:.4g} m"
+
+
+def _read_svg(path: Path, notes: list[str]) -> Lines:
+    elements, root = _library("svgelements"), ElementTree.fromstring(path.read_bytes())
+    _prepare(root, path.name)
+    sizes = [root.get(name) for name in ("width", "height")]
     stated = {size is not None and size[-2:].isalpha() for size in sizes}
     if len(stated) == 2:
         bound, remedy = "a drawing with both width and height in units", "add the other one"
         raise InputError("outline", path.name, bound, remedy)
     scale = INCH / PIXELS if stated == {True} else 1.0
-    lines: Lines = []
+    drawing = elements.SVG.parse(io.BytesIO(ElementTree.tostring(root)), reify=True)
+    drawn: dict[bool, Lines] = {True: [], False: []}
     for shape in drawing.elements(lambda each: isinstance(each, elements.Shape)):
+        if shape.values.get("visibility") in {"hidden", "collapse"}:
+            continue
         for part in elements.Path(shape).as_subpaths():
             ends = [
                 segment.npoint(np.linspace(0.0, 1.0, CHORDS + 1)[:: CHORDS if straight else 1])
@@ -96,16 +143,56 @@ def _read_svg(path: Path) -> Lines:
                 for straight in [isinstance(segment, elements.Line)]
             ]
             if ends:  # y points down in drawings
-                lines.append(np.concatenate(ends).astype(np.float64) * [scale, -scale])
-    return lines
+                line = np.concatenate(ends).astype(np.float64) * [scale, -scale]
+                drawn[_is_seen(shape)].append(line)
+    if drawn[True] and drawn[False]:
+        size = size_in_words(np.concatenate(drawn[False]))
+        notes.append(f"what has no lines, and is white or not filled, is left out: {size} in all")
+    return drawn[True] or drawn[False]
 
 
-def _read_dxf(path: Path) -> Lines:
-    paths, units = _library("ezdxf.path"), _library("ezdxf.units")
-    drawing = _library("ezdxf").readfile(str(path))
+def _prepare(root: ElementTree.Element, name: str) -> None:
+    """Write lengths as they are understood, and put what is drawn only by reference into defs."""
+    for parent in list(root.iter()):
+        for key in LENGTHS:
+            if (value := parent.get(key)) is not None:
+                if (match := LENGTH.fullmatch(value)) is None:
+                    bound = f"lengths in mm, cm, in, pt, pc or px, and not {key}={value[:30]!r}"
+                    raise InputError("outline", name, bound, "save it in mm, with decimal points")
+                parent.set(key, "".join(match.groups()).lower())
+        for i, child in enumerate(list(parent)):
+            space, _, tag = str(child.tag).rpartition("}")
+            if tag in {"symbol", "marker", "mask"}:
+                parent[i] = ElementTree.Element(f"{space}}}defs" if space else "defs")
+                child.tag = f"{space}}}g" if space else "g"
+                parent[i].append(child)
+
+
+def _is_seen(shape: Any) -> bool:
+    """Return whether a shape is seen on white paper."""
+    stroke, fill = shape.stroke, shape.fill
+    lines = stroke is not None and stroke.value is not None and stroke.alpha > 0
+    lines = lines and shape.stroke_width != 0.0
+    filled = fill is not None and fill.value is not None and fill.alpha > 0
+    seen = lines or (filled and fill.hex != "#ffffff")
+    return bool(seen) and shape.values.get("opacity") not in {"0", "0.0", "0%"}
+
+
+def _read_dxf(path: Path, notes: list[str]) -> Lines:
+    ezdxf, paths, units = map(_library, ("ezdxf", "ezdxf.path", "ezdxf.units"))
+    try:
+        drawing = ezdxf.readfile(str(path))
+    except (OSError, ValueError, ezdxf.DXFError):  # perhaps a byte order mark, or commas
+        text = list(text_lines(path))
+        text[1::2] = map(with_points, text[1::2])  # a code and its value take a line each
+        drawing = ezdxf.read(io.StringIO("\n".join(text)))
+    if not 0 <= drawing.units <= max(units.InsertUnits):
+        bound = f"a drawing in a known unit, and not $INSUNITS = {drawing.units}"
+        raise InputError("outline", path.name, bound, "set it to 4, millimetres, or to 6, metres")
     scale = units.conversion_factor(drawing.units, units.M) if drawing.units else 1.0
     lines: Lines = []
-    for entity in _entities(drawing.modelspace()):
+    hidden: set[str] = set()
+    for entity in _entities(drawing, drawing.modelspace(), "0", hidden):
         try:
             curve = paths.make_path(entity)
         except TypeError:
@@ -113,20 +200,36 @@ def _read_dxf(path: Path) -> Lines:
         points = np.array([[p.x, p.y] for p in curve.flattening(FLATNESS / scale)])
         if len(points) > 1:
             lines.append(scale * points)
+    if hidden:
+        layers = ", ".join(sorted(hidden))
+        notes.append(f"layers that are off, frozen or not plotted are left out: {layers}")
     return lines
 
 
-def _entities(layout: Any) -> Iterator[Any]:
-    """Return the entities of a drawing, blocks taken apart; dimensions and leaders stay whole."""
+def _entities(drawing: Any, layout: Any, around: str, hidden: set[str]) -> Iterator[Any]:
+    """Yield the entities of a drawing that are seen, blocks taken apart.
+
+    Dimensions and leaders stay whole. In blocks layer 0 is that of the block, ``around``; names of
+    layers that are not seen are added to ``hidden``.
+    """
     for entity in layout:
-        if entity.dxftype() == "INSERT":
-            yield from _entities(entity.virtual_entities())
+        layer = around if entity.dxf.layer == "0" else entity.dxf.layer
+        given = drawing.layers.get(layer) if drawing.layers.has_entry(layer) else None
+        block = entity.dxftype() == "INSERT"
+        off = given is not None and (given.is_frozen() or (given.is_off() and not block))
+        off |= given is not None and not given.dxf.plot and not block
+        if off or layer.lower() == "defpoints":
+            hidden.add(layer)
+        elif entity.dxf.get("invisible", 0):
+            continue
+        elif block:
+            yield from _entities(drawing, entity.virtual_entities(), layer, hidden)
         else:
             yield entity
 
 
-def _read_geojson(path: Path) -> Lines:
-    text = path.read_text("utf-8").strip()
+def _read_geojson(path: Path, notes: list[str]) -> Lines:  # noqa: ARG001
+    text = "\n".join(text_lines(path)).strip()
     if text.startswith("["):
         points = np.array(parsed_json(text), dtype=np.float64)
         if points.ndim != 2 or points.shape[1] != 2:
@@ -139,28 +242,13 @@ def _read_geojson(path: Path) -> Lines:
         raise ValueError("it is neither GeoJSON nor a list of points [x, y]") from None
 
 
-def _read_table(path: Path) -> Lines:
-    """Read coordinates: columns are apart by commas, semicolons, tabs or blanks.
-
-    Lines without a number before the first ones are headings; beside semicolons, decimals may have
-    commas.
-    """
-    rows: list[list[float]] = []
-    for number, line in enumerate(path.read_text("utf-8-sig").splitlines(), 1):
-        text = line.partition("#")[0].strip().rstrip(",;")
-        commas = "." if ";" in text else " "
-        words = text.replace(",", commas).replace(";", " ").split()
-        try:
-            row = [float(word) for word in words]
-        except ValueError:
-            if not rows and not any(character.isdigit() for character in text):
-                continue
-            raise ValueError(f"line {number} is not a point x, y: {line.strip()}") from None
-        if row:
-            rows.append(row)
-    if {len(row) for row in rows} != {2}:
-        raise ValueError("an outline is a list of points x, y, one on each line")
-    return [np.array([*rows, rows[0]])]
+def _read_table(path: Path, notes: list[str]) -> Lines:  # noqa: ARG001
+    table = numeric_table(partial(text_lines, path), str(path))
+    if table.width != 2:
+        words = f"an outline is a list of points x, y, one on each line, not {table.width} numbers"
+        raise ValueError(f"{words}; {ADVICE}")
+    points = table.numbers([0, 1])
+    return [np.concatenate([points, points[:1]])]
 
 
 def _rings(geometry: Any) -> Lines:
@@ -171,27 +259,162 @@ def _rings(geometry: Any) -> Lines:
     return [np.array(line.coords, dtype=np.float64)[:, :2]]
 
 
-def _joined(lines: Lines, name: str) -> Array:
-    """Return the outer outline (m, 2) [m] that lines make."""
-    shapely, polygonize = _library("shapely"), _library("shapely.ops").polygonize
-    rings = [np.round(line / GRID) * GRID for line in lines]
-    if not all(np.all(np.isfinite(ring)) for ring in rings):
+def _joined(lines: Lines, name: str, notes: list[str]) -> Drawing:
+    """Return the outer outline that lines make."""
+    shapely = _library("shapely")
+    if not all(np.all(np.isfinite(line)) for line in lines):
         raise InputError("outline", name, "finite", "check its coordinates")
-    usable = [shapely.LineString(ring) for ring in rings if len(ring) > 1]
-    crossing = (each for each in usable if each.is_closed and not each.is_simple)
-    if any(len(list(polygonize(shapely.unary_union(each)))) > 1 for each in crossing):
+    places = np.concatenate([np.zeros((0, 2)), *lines])
+    size = float(np.max(np.ptp(places, axis=0))) if len(places) else 0.0
+    if size > LARGEST:
+        bound = f"at most {LARGEST:g} m across, not {size:.4g} m"
+        remedy = "state the drawing's unit: numbers without one are metres"
+        raise InputError("outline", name, bound, remedy)
+    strings = [shapely.LineString(line) for line in lines if len(line) > 1]
+    crossing = (each for each in strings if each.is_closed and not each.is_simple)
+    if any(len(_faces(each)[0]) > 1 for each in crossing):
         bound, remedy = "an outline that does not cross itself", "check the order of its points"
         raise InputError("outline", name, bound, remedy)
-    areas = list(polygonize(shapely.unary_union(usable)))
-    if not areas:
-        bound, remedy = "a drawing with a closed outline", "join the ends of its lines"
-        raise InputError("outline", name, bound, remedy)
-    whole = shapely.unary_union(areas)
+    near = min(FLATNESS, MEET * size)
+    strings += list(_bridges(strings, near))
+    faces, ends = _faces(strings)
+    _refuse_gaps(strings, faces, ends, name, notes)
+    outlines = _unframed(_geometries(shapely.unary_union(faces)), faces, name, notes)
+    whole = shapely.unary_union(outlines)
     hull = whole.convex_hull
-    one = hasattr(whole, "exterior")
+    one = len(outlines) == 1
     if not one or hull.exterior.hausdorff_distance(whole.exterior) < FLATNESS:
         whole = hull
-    return np.array(whole.simplify(FLATNESS).exterior.coords, dtype=np.float64)[:-1]
+    outline = np.array(whole.simplify(FLATNESS).exterior.coords, dtype=np.float64)[:-1]
+    if not one:
+        each = _sizes(outlines)
+        notes.append(f"{len(outlines)} outlines apart from each other, {each}: their convex hull")
+    return Drawing(outline, tuple(notes))
+
+
+def _faces(lines: Any) -> tuple[list[Any], Array]:
+    """Return the faces between lines, and the ends (k, 2) [m] at which nothing else is."""
+    shapely = _library("shapely")
+    noded = shapely.unary_union(lines, grid_size=GRID)
+    faces = shapely.polygonize_full([noded])[0]
+    each = [np.array(line.coords)[[0, -1]] for line in _geometries(noded) if not line.is_closed]
+    nodes = np.round(np.concatenate([np.zeros((0, 2)), *each]) / GRID)
+    ends, counts = np.unique(nodes, axis=0, return_counts=True)
+    return _geometries(faces), ends[counts == 1] * GRID
+
+
+def _geometries(geometry: Any) -> list[Any]:
+    """Return the lines or polygons that are a geometry, or its parts."""
+    each = getattr(geometry, "geoms", [geometry])
+    return [part for part in each if not part.is_empty]
+
+
+def _bridges(strings: Sequence[Any], near: float) -> Iterator[Any]:
+    """Yield what joins the ends of lines to lines that are nearer to them than a distance [m]."""
+    shapely = _library("shapely")
+    opened = [k for k, string in enumerate(strings) if not string.is_closed]
+    ends = [shapely.Point(strings[k].coords[i]) for k in opened for i in (0, -1)]
+    if not ends:
+        return
+    pairs = shapely.STRtree(strings).query(ends, predicate="dwithin", distance=near)
+    for end, k in pairs.T.tolist():
+        other = ends[end ^ 1] if opened[end // 2] == k else strings[k]
+        bridge = shapely.shortest_line(ends[end], other)
+        if 0.0 < bridge.length <= near:
+            yield bridge
+
+
+def _refuse_gaps(
+    lines: Sequence[Any], faces: Sequence[Any], ends: Array, name: str, notes: Sequence[str]
+) -> None:
+    """Raise InputError if lines close to no outline, or to a larger one without their gaps."""
+    shapely = _library("shapely")
+    size = float(np.max(np.ptp(shapely.get_coordinates(lines), axis=0), initial=0.0))
+    pairs: list[Array] = []
+    if len(ends) > 1:
+        each = shapely.points(ends)
+        other = shapely.STRtree(each).query_nearest(each, exclusive=True, all_matches=False)[1]
+        mutual = [i for i in range(len(ends)) if other[other[i]] == i < other[i]]
+        pairs = sorted((ends[[i, other[i]]] for i in mutual), key=_length)
+    small = [pair for pair in pairs if _length(pair) < GAP * size]
+    if faces and small:
+        closed = _faces([*lines, *map(shapely.LineString, small)])[0]
+        if shapely.unary_union(closed).area <= LARGER * shapely.unary_union(faces).area:
+            return
+        pairs = small
+    if not faces or small:
+        each = (
+            f"{1e3 * _length(p):.3g} mm at {np.mean(p, axis=0).round(4).tolist()} m" for p in pairs
+        )
+        gaps = f": gaps of {', '.join(list(each)[:3])}" if pairs else ""
+        bound, remedy = "a drawing with a closed outline", f"join the ends of its lines{gaps}"
+        raise InputError("outline", name, bound, "; ".join([remedy, *notes]))
+
+
+def _length(pair: Array) -> float:
+    return float(np.hypot(*(pair[1] - pair[0])))
+
+
+def _unframed(outlines: list[Any], faces: Sequence[Any], name: str, notes: list[str]) -> list[Any]:
+    """Return the outlines that are drawn on a sheet, without it; note it, and what is within."""
+    shapely = _library("shapely")
+    rings = [shapely.Polygon(ring) for face in faces for ring in face.interiors]
+    sheets: list[Any] = []
+    while len(outlines) == 1 and (inner := _inside(outlines[0], rings)):
+        if not _is_sheet(outlines[0], sheets):
+            within = f"{len(inner)} outlines within it, up to {_sizes(inner[:1])}, are left out"
+            question = "as holes; if it is a page or a frame around the part, hide it"
+            notes.append(f"{within} {question if _is_box(outlines[0]) else 'as holes'}")
+            break
+        sheets += outlines
+        outlines = [each for each in inner if not _is_table(each, faces)] or inner
+    if sheets:
+        notes.append(f"a sheet of paper around it, {_sizes(sheets)}, is left out")
+    if sheets and len(outlines) > 1:
+        bound = f"one outline on a sheet of {_sizes(sheets[:1])}, not {_sizes(outlines)}"
+        raise InputError("outline", name, bound, "hide or delete the others, or the sheet")
+    return outlines
+
+
+def _inside(outline: Any, rings: Sequence[Any]) -> list[Any]:
+    """Return the rings within an outline that are in no other of them, the largest first."""
+    inner: list[Any] = []
+    for ring in sorted(rings, key=lambda ring: -ring.area):
+        if outline.contains(ring) and ring.area < outline.area:
+            inner += [] if any(other.contains(ring) for other in inner) else [ring]
+    return inner
+
+
+def _is_box(polygon: Any) -> bool:
+    """Return whether a polygon is a rectangle along the axes."""
+    return bool(polygon.area > (1.0 - SAME_SIZE) * polygon.envelope.area)
+
+
+def _is_sheet(polygon: Any, around: Sequence[Any]) -> bool:
+    """Return whether a polygon is as large as a sheet of paper, or a frame within one."""
+    left, low, right, high = polygon.bounds
+    size = np.sort([high - low, right - left])[::-1]
+    sheets = SHEETS * SCALES[:, None, None]
+    if around:
+        margins = np.abs(np.array(polygon.bounds) - around[-1].bounds)
+        alike = np.abs(margins - np.median(margins)) < SAME_SIZE * size[0]
+        framed = np.max(margins) < MARGIN * size[1] and np.sum(alike) > 2
+    else:
+        framed = False
+    return _is_box(polygon) and bool(
+        framed or np.any(np.all(np.abs(size - sheets) < SAME_SIZE * sheets, axis=-1))
+    )
+
+
+def _is_table(outline: Any, faces: Sequence[Any]) -> bool:
+    """Return whether an outline is that of a table of rectangles, as a title block is."""
+    cells = [face for face in faces if outline.covers(face)]
+    return len(cells) > 2 and all(map(_is_box, cells))
+
+
+def _sizes(outlines: Sequence[Any]) -> str:
+    each = [size_in_words(np.array(outline.exterior.coords)) for outline in outlines[:4]]
+    return ", ".join([*each, "…"] if len(outlines) > 4 else each)
 
 
 def _library(name: str) -> Any:
@@ -203,7 +426,7 @@ def _library(name: str) -> Any:
         raise UnsupportedError(message) from None
 
 
-READERS: dict[str, Callable[[Path], Lines]] = {
+READERS: dict[str, Callable[[Path, list[str]], Lines]] = {
     ".svg": _read_svg,
     ".dxf": _read_dxf,
     ".geojson": _read_geojson,
@@ -211,4 +434,4 @@ READERS: dict[str, Callable[[Path], Lines]] = {
     ".csv": _read_table,
     ".txt": _read_table,
 }
-"""Readers by the endings of files' names; each returns lines (points, 2) [m]."""
+"""Readers by the endings of files' names, which return lines (points, 2) [m] and add notes."""

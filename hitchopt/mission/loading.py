@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from hitchopt.errors import FileError, InputError, one_or_all
-from hitchopt.geometry.drawings import read_outline
+from hitchopt.geometry.drawings import read_drawing
 from hitchopt.hitch import Quadrotor, Swarm, Team
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Separation
 from hitchopt.mission.keys import (
@@ -220,7 +220,7 @@ def _object(keys: ObjectKeys, folder: Path | None) -> SolidObject:
     lower, upper = values.pop("from_"), values.pop("to")
     try:
         if file is not None:
-            outline = read_outline(Path(file) if folder is None else folder / file)
+            outline = read_drawing(Path(file) if folder is None else folder / file).outline
         if rim is not None:
             rim = Rim(Section(rim["outline"], rim["circle"]), rim["at"])
         return SolidObject(Section(outline, circle), lower, upper, yaw=yaw, rim=rim, **values)

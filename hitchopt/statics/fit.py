@@ -19,7 +19,7 @@ from scipy.spatial import ConvexHull
 
 from hitchopt.errors import InfeasibleError, InputError, OneLine, Violation
 from hitchopt.geometry import ConvexPolygon
-from hitchopt.geometry.drawings import outline_of_geometry, read_outline
+from hitchopt.geometry.drawings import drawing_of_geometry, read_drawing, size_in_words
 from hitchopt.geometry.vectors import dot, length, unit
 from hitchopt.hitch.hitch import balanced_legs
 from hitchopt.hitch.holding import (
@@ -207,24 +207,29 @@ def fit(
 
 def _section_of(outline: Any) -> tuple[Section, list[str]]:
     """Return the convex section of an outline, and what is to be said of it."""
-    if isinstance(outline, Section):
-        return outline, []
+    notes, source = list[str](), ""
     if isinstance(outline, int | float | np.number) and not isinstance(outline, bool):
-        return Section(radius=float(outline)), []
+        outline = Section(radius=float(outline))
+    if isinstance(outline, Section) and outline.radius is not None:
+        return outline, [f"outline: circle of radius {outline.radius:.4g} m"]
     if isinstance(outline, str | Path):
-        outline = read_outline(outline)
+        drawing, source = read_drawing(outline), f", of {Path(outline).name}"
+        outline, notes = drawing.outline, list(drawing.notes)
     elif hasattr(outline, "__geo_interface__"):
-        outline = outline_of_geometry(outline)
+        drawing = drawing_of_geometry(outline)
+        outline, notes = drawing.outline, list(drawing.notes)
     remedy = "give points in metres, a radius, or a drawing"
-    found = points("outline", outline, (3, 2), "a list of at least 3 points [x, y]", remedy)
+    found = outline.core if isinstance(outline, Section) else outline
+    found = points("outline", found, (3, 2), "a list of at least 3 points [x, y]", remedy)
+    notes = [f"outline: {size_in_words(found)}, {len(found)} corners{source}", *notes]
     try:
-        return Section(found), []
+        return Section(found), notes
     except InputError:
         if np.linalg.matrix_rank(found - found[0]) < 2:  # around no area
             raise
     hull = found[ConvexHull(found).vertices]
     note = f"the outline is concave: its convex hull of {len(hull)} corners is used"
-    return Section(hull), [note]
+    return Section(hull), [*notes, note]
 
 
 def _holding(task: FitTask, robots: int) -> Holding:

@@ -27,6 +27,7 @@ SEPARATORS = {"\t": "tabs", ";": "semicolons", ",": "commas", " ": "blanks"}
 
 MAX_HEAD = 50  # Lines among which that of the columns' names is looked for
 COMMENT, MARK = re.compile(r"^\s*#.*|\s#(?!\d).*"), re.compile(r"^\s*#+\s*")
+COMMA = re.compile(r"\s*[-+]?\d*,\d+(?:[eE][-+]?\d+)?\s*")
 SWAP = str.maketrans(",.", ".,")  # Decimal commas become points; points are no number then
 ADVICE = "decimal commas need semicolons between cells, and no points in numbers"
 
@@ -189,6 +190,11 @@ def headings(lines: Lines) -> Iterator[str]:
         text = MARK.sub("", line[:100_000]).partition("#")[0].strip().lower()
         separator = next((each for each in SEPARATORS if each in text), ",")
         yield ",".join(cell.strip().replace(",", ".") for cell in _cells(text, separator))
+
+
+def with_points(text: str) -> str:
+    """Return a number with a point in place of its decimal comma, any other text as it is."""
+    return text.replace(",", ".") if COMMA.fullmatch(text) else text
 
 
 def _split(texts: Iterable[str], separator: str) -> Iterator[tuple[int, list[str]]]:

@@ -259,13 +259,13 @@ def _with_outlines(
 
     Workers need no drawings then, and digests depend on what these show. ``known`` were read.
     """
-    from hitchopt.geometry.drawings import read_outline  # heavy: readers of drawings
+    from hitchopt.geometry.drawings import read_drawing  # heavy: readers of drawings
 
     objects = problem.get("objects")
     for each in objects.values() if isinstance(objects, dict) else ():
         if isinstance(each, dict) and isinstance(file := each.get("file"), str):
             path = folder / str(each.pop("file"))
             if path not in known:
-                known[path] = read_outline(folder / file).tolist()
+                known[path] = read_drawing(folder / file).outline.tolist()
             each["outline"] = known[path]
     return problem

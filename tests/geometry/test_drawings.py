@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Callable
 from importlib import import_module
 from itertools import pairwise
@@ -14,7 +15,7 @@ import numpy as np
 import pytest
 
 import hitchopt as ho
-from hitchopt.geometry.drawings import FLATNESS, outline_of_geometry, read_outline
+from hitchopt.geometry.drawings import FLATNESS, drawing_of_geometry, read_drawing
 from hitchopt.values import Array
 
 SVG = '<svg xmlns="http://www.w3.org/2000/svg" {size}viewBox="0 0 400 300">{shape}</svg>'
@@ -51,16 +52,16 @@ BOXES: list[tuple[str, str, float]] = [
 def test_boxes_have_their_size(tmp_path: Path, name: str, text: str, size: float) -> None:
     """SVG states its unit or is in metres; tables are as other programs write them."""
     (tmp_path / name).write_text(text, encoding="utf-8")
-    found = size_and_area(read_outline(tmp_path / name))
+    found = size_and_area(read_drawing(tmp_path / name).outline)
     assert found == pytest.approx((0.4 * size, 0.3 * size, 0.12 * size**2), rel=1e-4)
 
 
 def test_svg_is_not_mirrored_and_curves_are_flat_to_a_tenth_of_a_millimetre(tmp_path: Path) -> None:
     drawing = tmp_path / "wedge.svg"
     drawing.write_text(SVG.format(size="", shape='<polygon points="0,0 4,0 0,2"/>'))
-    assert sorted(read_outline(drawing).tolist()) == [[0.0, -2.0], [0.0, 0.0], [4.0, 0.0]]
+    assert sorted(read_drawing(drawing).outline.tolist()) == [[0.0, -2.0], [0.0, 0.0], [4.0, 0.0]]
     drawing.write_text(SVG.format(size="", shape='<circle cx="1" cy="2" r="0.2"/>'))
-    outline = read_outline(drawing) - [1.0, -2.0]
+    outline = read_drawing(drawing).outline - [1.0, -2.0]
     middles = 0.5 * (outline + np.roll(outline, -1, axis=0))
     away = np.hypot(*np.concatenate([outline, middles]).T)
     assert np.max(np.abs(away - 0.2)) < 2.0 * FLATNESS
@@ -102,23 +103,180 @@ def test_dxf_lines_are_joined_and_blocks_taken_apart(
     drawing = import_module("ezdxf").new(units=units, setup=draw is block)
     draw(drawing.modelspace())
     drawing.saveas(tmp_path / "a.dxf")
-    found = size_and_area(read_outline(tmp_path / "a.dxf"))
+    found = size_and_area(read_drawing(tmp_path / "a.dxf").outline)
     assert found == pytest.approx(expected, rel=2e-3 if draw is arcs else 1e-4)
+
+
+def test_dxf_of_other_locales_and_of_no_unit(tmp_path: Path) -> None:
+    path, drawing = tmp_path / "a.dxf", import_module("ezdxf").new(units=4)
+    drawing.modelspace().add_lwpolyline([(0.25, 0.5), (300.75, 0.5), (300.75, 200.75)], close=True)
+    drawing.saveas(path)
+    plain = path.read_text()
+    for text in (plain, re.sub(r"(?m)^(-?\d+)\.(\d+)$", r"\1,\2", plain)):
+        path.write_text(text, encoding="utf-8-sig")
+        assert size_and_area(read_drawing(path).outline)[:2] == pytest.approx((0.3005, 0.20025))
+    path.write_text(re.sub(r"(\$INSUNITS\s+70\s+)4", r"\g<1>77", plain))
+    with pytest.raises(ho.InputError, match="INSUNITS = 77"):
+        read_drawing(path)
+
+
+def sheet(space: Any, *, title: bool, layer: str = "0") -> None:
+    """Draw A3 with a frame, and a title block on it or apart from it."""
+    part = {"layer": layer}
+    for low, high in (((0, 0), (420, 297)), ((20, 10), (410, 287))):
+        box = [low, (high[0], low[1]), high, (low[0], high[1])]
+        space.add_lwpolyline(box, close=True, dxfattribs=part)
+    edge = 10 if title else 15
+    for k in range(4):
+        space.add_line((240, edge + 8 * k), (395, edge + 8 * k), dxfattribs=part)
+    for x in (240, 300, 395):
+        space.add_line((x, edge), (x, edge + 24), dxfattribs=part)
+
+
+PART = [(60, 90), (260, 90), (260, 190), (200, 210), (60, 190)]  # 200 x 120
+HOLE = [(100, 120), (120, 120), (110, 150)]
+
+
+@pytest.mark.parametrize("scale", [1, 5])
+@pytest.mark.parametrize("title", [True, False])
+def test_sheets_frames_and_title_blocks_are_told_from_the_part(
+    title: bool, scale: int, tmp_path: Path
+) -> None:
+    ezdxf, path = import_module("ezdxf"), tmp_path / "a.dxf"
+    drawing = ezdxf.new(units=4)
+    block = drawing.blocks.new("all")
+    sheet(block, title=title)
+    for ring in (PART, HOLE):
+        block.add_lwpolyline(ring, close=True)
+    drawing.modelspace().add_blockref("all", (7, -3), dxfattribs={"xscale": scale, "yscale": scale})
+    drawing.saveas(path)
+    found, size = read_drawing(path), np.array([200, 120]) * scale / 1e3
+    assert size_and_area(found.outline)[:2] == pytest.approx(tuple(size), rel=1e-4)
+    assert f"{0.42 * scale:g} x {0.297 * scale:g} m, {0.39 * scale:g} x" in found.notes[1]
+    assert "1 outlines within it, up to 0" in found.notes[0]
+    block.add_lwpolyline([(x + 210, y) for x, y in HOLE], close=True)
+    drawing.saveas(path)
+    with pytest.raises(ho.InputError, match=r"one outline on a sheet of .* not .*0\.\d+ x"):
+        read_drawing(path)
+
+
+def test_plates_with_holes_are_no_sheets_but_say_what_is_within(tmp_path: Path) -> None:
+    path = tmp_path / "a.svg"
+    shape = '<rect width="4" height="2.9"/><circle cx="1" cy="1" r="0.5"/>'
+    shape += '<circle cx="3" cy="1" r="0.1"/>'
+    path.write_text(SVG.format(size="", shape=shape))
+    found = read_drawing(path)
+    assert size_and_area(found.outline)[:2] == pytest.approx((4.0, 2.9))
+    assert found.notes == (
+        "2 outlines within it, up to 1 x 1 m, are left out as holes; if it is a page or a frame "
+        "around the part, hide it",
+    )
+    path.write_text(
+        SVG.format(size="", shape='<circle cx="3" cy="1" r="0.4"/>' + SMALL.replace("4", "1"))
+    )
+    (note,) = read_drawing(path).notes
+    assert note == "2 outlines apart from each other, 1 x 3 m, 0.8 x 0.8 m: their convex hull"
+
+
+UNSEEN = [
+    '<rect width="100%" height="100%" fill="white"/>',
+    '<path d="M-9 -9h300v300h-300z" style="fill:#ffffff;stroke:none"/>',
+    '<g opacity="0"><rect width="400" height="300"/></g>',
+    '<rect visibility="hidden" width="400" height="300"/>',
+    '<g display="none"><rect width="400" height="300"/></g>',
+    '<rect width="400" height="300" fill="none" stroke="#fff0"/>',
+    '<symbol id="a"><rect width="400" height="300"/></symbol>',
+    '<marker id="a"><rect width="400" height="300"/></marker>',
+]
+
+
+@pytest.mark.parametrize("unseen", UNSEEN)
+def test_svg_that_is_not_seen_is_left_out(unseen: str, tmp_path: Path) -> None:
+    part = '<rect x="20" y="20" width="20 CM" height="120mm" fill="none" stroke="red"/>'
+    for size in ('width="40 cm" height="30CM" ', 'width="400mm" height=" 300.0 Mm " '):
+        path = tmp_path / "a.svg"
+        path.write_text(SVG.format(size=size, shape=unseen + part), encoding="utf-8-sig")
+        found = read_drawing(path)
+        wanted = np.array([0.2, 0.12]) * 3.7795275590551  # pixels in a view of millimetres
+        assert size_and_area(found.outline)[:2] == pytest.approx(tuple(wanted), rel=1e-4)
+        assert len(found.notes) == ("fill" in unseen or "opacity" in unseen)
+
+
+@pytest.mark.parametrize("state", ["off", "freeze", "plot", "entity", "block", "frozen block"])
+def test_dxf_that_is_not_seen_is_left_out(state: str, tmp_path: Path) -> None:
+    drawing = import_module("ezdxf").new(units=4)
+    layer, space = drawing.layers.add("FRAME"), drawing.modelspace()
+    space.add_lwpolyline(PART, close=True)
+    frame = drawing.blocks.new("frame")
+    outer = [(0, 0), (500, 0), (500, 300), (0, 300)]
+    if "block" in state:
+        own = "0" if state == "block" else "seen"  # layer 0 is that of the block
+        frame.add_lwpolyline(outer, close=True, dxfattribs={"layer": own})
+        space.add_blockref("frame", (0, 0), dxfattribs={"layer": "FRAME"})
+    else:
+        line = space.add_lwpolyline(outer, close=True, dxfattribs={"layer": "FRAME"})
+    if state == "entity":
+        line.dxf.invisible = 1
+    elif state == "plot":
+        layer.dxf.plot = 0
+    else:
+        (layer.freeze if "f" in state.replace("off", "") else layer.off)()
+    drawing.saveas(tmp_path / "a.dxf")
+    found = read_drawing(tmp_path / "a.dxf")
+    assert size_and_area(found.outline)[:2] == pytest.approx((0.2, 0.12))
+    assert ("FRAME" in "".join(found.notes)) is (state != "entity")
+
+
+def strokes(gap: float, seed: int, place: tuple[float, float]) -> list[Array]:
+    """The sides of PART as lines of any sense and order, each end off by a gap [m] at most."""
+    chance = np.random.default_rng(seed)
+    ring = np.array(PART) / 1e3 + place
+    sides = np.stack([ring, np.roll(ring, -1, axis=0)], axis=1)
+    angles = chance.uniform(0.0, 2.0 * math.pi, sides.shape[:2])
+    sides += 0.5 * gap * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    return [side[:: chance.choice([-1, 1])] for side in chance.permutation(sides)]
+
+
+@pytest.mark.parametrize("gap", [0.0, 1e-15, 4e-7, 1e-6, 9e-5])
+def test_ends_that_meet_are_joined_wherever_they_are(gap: float) -> None:
+    shapely = import_module("shapely")
+    for seed in range(20):
+        place = (0.5e-6 * seed, 1.0 - 1e-7 * seed)
+        lines = shapely.MultiLineString(strokes(gap, seed, place))
+        width, depth = np.ptp(drawing_of_geometry(lines).outline, axis=0)
+        assert (width, depth) == pytest.approx((0.2, 0.12), abs=2.0 * gap + 1e-5)
+
+
+def test_gaps_are_named_with_place_and_size_if_they_matter() -> None:
+    shapely, ring = import_module("shapely"), np.array([*PART, PART[0]]) / 1e3
+    part, hole = shapely.LineString(ring[:-1]), shapely.Polygon(np.array(HOLE) / 1e3)
+    closing = shapely.LineString([ring[-2], ring[-1] + [0.0, 0.0007]])  # 0.7 mm short of its end
+    for lines in ([part, closing], [part, closing, hole]):
+        words = r"gaps of 0\.7 mm at \[0\.06, 0\.0903\] m"
+        with pytest.raises(ho.InputError, match=words):
+            drawing_of_geometry(shapely.GeometryCollection(lines))
+    whole = shapely.LineString(ring)
+    inside = shapely.LineString([(0.1, 0.1), (0.2, 0.1), (0.2, 0.15), (0.1, 0.15), (0.1, 0.1007)])
+    axes = [shapely.LineString([(x, 0.15), (x + 0.03, 0.15)]) for x in np.arange(0.0, 0.4, 0.033)]
+    for lines in ([whole, inside], [whole, *axes], [part, shapely.LineString(ring[-2:]), *axes]):
+        found = drawing_of_geometry(shapely.GeometryCollection(lines))
+        assert np.ptp(found.outline, axis=0) == pytest.approx((0.2, 0.12), abs=1e-4)
 
 
 def test_holes_of_geometries_are_left_out() -> None:
     shapely = import_module("shapely")
     holed = shapely.box(0, 0, 0.4, 0.3).difference(shapely.box(0.1, 0.1, 0.2, 0.2))
-    assert size_and_area(outline_of_geometry(holed)) == pytest.approx((0.4, 0.3, 0.12))
+    assert size_and_area(drawing_of_geometry(holed).outline) == pytest.approx((0.4, 0.3, 0.12))
 
 
 WRONG = {
     ho.FileError: [
         ("a.svg", "<svg", "cannot be read"),
         ("a.json", "[[0, 0, 0], [1, 0, 0], [1, 1, 0]]", "a list of points"),
-        ("a.csv", "0, 0\n1, 0\nx, 1\n", "line 3 is not a point"),
-        ("a.csv", "O.1,0.2\n0.4,0\n0.4,0.3\n", "line 1 is not a point"),
+        ("a.csv", "0, 0\n1, 0\nx, 1\n", "line 3: column 1 is 'x', no number"),
+        ("a.csv", "O.1,0.2\n0.4,0\n0.4,0.3\n", "line 1: column 1 is 'O.1', no number"),
         ("a.csv", "0, 0, 0\n1, 0, 0\n1, 1, 0\n", "one on each line"),
+        ("a.csv", "0,4,0,3\n0,1,0,2\n", "not 4 numbers; decimal commas need semicolons"),
         ("a.geojson", '{"type": "Polygon", "coordinates": 3}', "neither GeoJSON nor"),
     ],
     ho.InputError: [
@@ -127,6 +285,15 @@ WRONG = {
         ("a.csv", "0, 0\n1, 1\n1, 0\n0, 1", "cross itself"),
         ("a.csv", "0, 0\n400, 0\n400, 300\n", "400 m; state the drawing's unit"),
         ("a.svg", SVG.format(size='width="4cm" ', shape=RECTANGLE), "both"),
+        *(
+            (
+                "a.svg",
+                SVG.format(size=f'width="{x}" height="3cm" ', shape=RECTANGLE),
+                f"width='{x}'",
+            )
+            for x in ("0.4m", "400,5mm", "10em", "1 ft", "40 q", "cm")
+        ),
+        ("a.svg", SVG.format(size="", shape='<rect width="4 m" height="3"/>'), "width='4 m'"),
         ("a.step", "", "a drawing"),
     ],
 }
@@ -139,4 +306,4 @@ def test_what_is_no_outline_is_refused(
     for name, text, words in files:
         (tmp_path / name).write_text(text)
         with pytest.raises(kind, match=words):
-            read_outline(tmp_path / name)
+            read_drawing(tmp_path / name)

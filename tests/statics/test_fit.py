@@ -56,6 +56,19 @@ def test_a_box_is_enclosed_by_a_rectangle_and_a_disc_by_regular_polygons() -> No
         enclosing_polygon(narrow, 7, 0.035)
 
 
+@pytest.mark.parametrize(
+    ("outline", "words"),
+    [
+        (0.2, "circle of radius 0.2 m"),
+        (DISC, "circle of radius 0.3 m"),
+        (BOX, "0.4 x 0.3 m, 4 corners"),
+        ([[0.5, 0.2], [0.2, 0.2], [0.2, 0.41], [0.3, 0.3]], "0.3 x 0.21 m, 4 corners"),
+    ],
+)
+def test_fits_say_which_outline_was_taken(outline: Any, words: str) -> None:
+    assert ho.fit(outline, 3, tension=1.0).notes[0] == f"outline: {words}"
+
+
 def test_cables_are_long_enough_for_the_polygon_from_which_they_close() -> None:
     holding = ho.fit(0.2, 3, tension=1.0).holding
     drum = ho.SolidObject(ho.Section(radius=0.2), 0.0, 0.3, 0.03, at=[2.0, 1.0, 0.0])
