@@ -65,6 +65,7 @@ USUAL = (("speed", "Velocity", 3.0), ("acceleration", "Acceleration", 10.0))
 """Names here and in a show's keys of what has a default limit [m/s], [m/s²], and the limit."""
 
 RADIOED = 32.767  # [m] Largest coordinate in formats of whole millimetres in 16 bits
+SOUND = 340.0  # [m/s] No drone is faster
 WATCHDOG = 0.5  # [s] Longest gap between setpoints before a Crazyflie levels itself
 
 REMEDIES = dict.fromkeys(("separation", DISTANCE), "move them apart") | {"maxAltitude": "fly lower"}
@@ -228,6 +229,9 @@ def _flown_together(
         longest = max(longest, float(np.max(window.durations)))
         last = window.taken(slice(window.pieces - 1, window.pieces))
     values = defaultdict(lambda: math.nan, {name: check.bound for name, check in checks.items()})
+    if (fastest := checks.get("speed")) is not None and fastest.bound > SOUND:
+        words = f"flies at {fastest.bound:.3g} m/s at t = {fastest.time:g} s, faster than sound"
+        raise FileError(f"{fastest.where[0]} {words}; are its times in other units?")
     flight = Flight(
         float(last.breaks[-1]) - start,
         *(values["speed"], values["acceleration"]),

@@ -31,8 +31,9 @@ from hitchopt.values import Array
 WINDOW = 20_000  # Pieces times drones that are read together: about 40 MB with their bounds
 MAX_SPANS = 20_000_000  # Largest number of them with all drones' breaks merged; no show has more
 SAME_TIME = 1e-9  # Largest difference of samples of one time [s]
-LONGEST, LATEST = 1e5, 1e10  # [s] No flight lasts longer, nor ends later after 1970
-SHORTEST = 5e-5  # [s] Samples are no nearer to one another: half of the shortest that are exported
+LONGEST, LATEST = 1e4, 1e10  # [s] No flight lasts longer, nor ends later after 1970
+SHORTEST = 9e-5  # [s] Samples are no nearer to one another: exports have 1e-4 s at least
+RARE = 2.0  # [s] Samples are seldom farther apart
 ALIKE, APART = 0.9, 10.0
 """Cosine of displacements and velocities, and the ratio of their sizes, that units tell apart."""
 
@@ -107,6 +108,7 @@ class Recording:
         window by window: they take no more memory than their files.
         """
         ends = [float(drone.curve.breaks[-1]) for drone in drones]
+        check_times(np.array([0.0, max(ends)]))
         degree = max(drone.curve.degree for drone in drones)
         each = [lasted(drone.curve.elevated(degree), max(ends)) for drone in drones]
         times = [curve.breaks for curve in each]
@@ -156,7 +158,9 @@ class Recording:
                 yield PiecewisePolynomial.hermite(here, ends[:, :-1], ends[:, 1:])
 
         known, facts = frame if frame in AXES else "", tuple(map(DroneFacts, names))
-        return cls(tuple(names), known, len(given) - 1, windows, facts, untold)
+        rare = (step := float(np.median(np.diff(t)))) > RARE
+        found = [note("times", "", f"{step:.3g} apart, read as seconds")] if rare else []
+        return cls(tuple(names), known, len(given) - 1, windows, facts, untold, tuple(found))
 
 
 def check_times(t: Array, source: str = "") -> None:

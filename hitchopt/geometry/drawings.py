@@ -233,7 +233,7 @@ def _read_geojson(path: Path, notes: list[str]) -> Lines:  # noqa: ARG001
     if text.startswith("["):
         points = np.array(parsed_json(text), dtype=np.float64)
         if points.ndim != 2 or points.shape[1] != 2:
-            raise ValueError("an outline is a list of points [x, y]")
+            raise ValueError("an outline is a list of points [x, y], without decimal commas")
         return [np.concatenate([points, points[:1]])]
     shapely = _library("shapely")
     try:
@@ -246,7 +246,7 @@ def _read_table(path: Path, notes: list[str]) -> Lines:  # noqa: ARG001
     table = numeric_table(partial(text_lines, path), str(path))
     if table.width != 2:
         words = f"an outline is a list of points x, y, one on each line, not {table.width} numbers"
-        raise ValueError(f"{words}; {ADVICE}")
+        raise ValueError(f"{words}; {ADVICE}" if table.width == 4 else words)
     points = table.numbers([0, 1])
     return [np.concatenate([points, points[:1]])]
 
@@ -362,9 +362,9 @@ def _unframed(outlines: list[Any], faces: Sequence[Any], name: str, notes: list[
     sheets: list[Any] = []
     while len(outlines) == 1 and (inner := _inside(outlines[0], rings)):
         if not _is_sheet(outlines[0], sheets):
-            within = f"{len(inner)} outlines within it, up to {_sizes(inner[:1])}, are left out"
-            question = "as holes; if it is a page or a frame around the part, hide it"
-            notes.append(f"{within} {question if _is_box(outlines[0]) else 'as holes'}")
+            question = "; if it is a page or a frame around the part, hide it"
+            question = question if _is_box(outlines[0]) else ""
+            notes.append(f"left out as holes within it: {_sizes(inner)}{question}")
             break
         sheets += outlines
         outlines = [each for each in inner if not _is_table(each, faces)] or inner

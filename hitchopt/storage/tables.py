@@ -189,7 +189,7 @@ def headings(lines: Lines) -> Iterator[str]:
     for line in islice(lines(), MAX_HEAD):
         text = MARK.sub("", line[:100_000]).partition("#")[0].strip().lower()
         separator = next((each for each in SEPARATORS if each in text), ",")
-        yield ",".join(cell.strip().replace(",", ".") for cell in _cells(text, separator))
+        yield ",".join(x.strip().replace(",", ".") for x in _cells(text, separator)).lstrip(",")
 
 
 def with_points(text: str) -> str:

@@ -153,7 +153,7 @@ def test_sheets_frames_and_title_blocks_are_told_from_the_part(
     found, size = read_drawing(path), np.array([200, 120]) * scale / 1e3
     assert size_and_area(found.outline)[:2] == pytest.approx(tuple(size), rel=1e-4)
     assert f"{0.42 * scale:g} x {0.297 * scale:g} m, {0.39 * scale:g} x" in found.notes[1]
-    assert "1 outlines within it, up to 0" in found.notes[0]
+    assert "left out as holes within it: 0" in found.notes[0]
     block.add_lwpolyline([(x + 210, y) for x, y in HOLE], close=True)
     drawing.saveas(path)
     with pytest.raises(ho.InputError, match=r"one outline on a sheet of .* not .*0\.\d+ x"):
@@ -168,8 +168,8 @@ def test_plates_with_holes_are_no_sheets_but_say_what_is_within(tmp_path: Path) 
     found = read_drawing(path)
     assert size_and_area(found.outline)[:2] == pytest.approx((4.0, 2.9))
     assert found.notes == (
-        "2 outlines within it, up to 1 x 1 m, are left out as holes; if it is a page or a frame "
-        "around the part, hide it",
+        "left out as holes within it: 1 x 1 m, 0.2 x 0.2 m; if it is a page or a frame around the "
+        "part, hide it",
     )
     path.write_text(
         SVG.format(size="", shape='<circle cx="3" cy="1" r="0.4"/>' + SMALL.replace("4", "1"))
