@@ -87,8 +87,8 @@ def export(directory: Path, output: Path | None, yaw_deg: float, **options: Any)
 @command(
     "path PATH",
     """
-    --speed M/S (float): Limit; by default the show's own, or 3 where it has none.
-    --acceleration M/S² (float): Limit; by default the show's own, or 10 where it has none.
+    --speed M/S (float): Limit; by default the show's own, or a warning from 3 on.
+    --acceleration M/S² (float): Limit; by default the show's own, or a warning from 10 on.
     --radius M (0.12): A drone's ellipsoid, across.
     --height M (0.3): A drone's ellipsoid, up.
     """,

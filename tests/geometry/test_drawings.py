@@ -202,7 +202,10 @@ def test_svg_that_is_not_seen_is_left_out(unseen: str, tmp_path: Path) -> None:
         assert len(found.notes) == ("fill" in unseen or "opacity" in unseen)
 
 
-@pytest.mark.parametrize("state", ["off", "freeze", "plot", "entity", "block", "frozen block"])
+STATES = ["off", "freeze", "plot", "entity", "block", "frozen block", "block of another layer"]
+
+
+@pytest.mark.parametrize("state", STATES)
 def test_dxf_that_is_not_seen_is_left_out(state: str, tmp_path: Path) -> None:
     drawing = import_module("ezdxf").new(units=4)
     layer, space = drawing.layers.add("FRAME"), drawing.modelspace()
@@ -220,9 +223,12 @@ def test_dxf_that_is_not_seen_is_left_out(state: str, tmp_path: Path) -> None:
     elif state == "plot":
         layer.dxf.plot = 0
     else:
-        (layer.freeze if "f" in state.replace("off", "") else layer.off)()
+        (layer.freeze if state.startswith("fr") else layer.off)()
     drawing.saveas(tmp_path / "a.dxf")
     found = read_drawing(tmp_path / "a.dxf")
+    if "another" in state:  # what is in a block on a layer that is off is seen, unless on layer 0
+        assert size_and_area(found.outline)[:2] == pytest.approx((0.5, 0.3))
+        return
     assert size_and_area(found.outline)[:2] == pytest.approx((0.2, 0.12))
     assert ("FRAME" in "".join(found.notes)) is (state != "entity")
 
@@ -245,14 +251,20 @@ def test_ends_that_meet_are_joined_wherever_they_are(gap: float) -> None:
         lines = shapely.MultiLineString(strokes(gap, seed, place))
         width, depth = np.ptp(drawing_of_geometry(lines).outline, axis=0)
         assert (width, depth) == pytest.approx((0.2, 0.12), abs=2.0 * gap + 1e-5)
+    ring = np.array([*PART, PART[0]]) / 1e3
+    ring[-1] += [0.6 * gap, 0.8 * gap]  # one line that comes back to where it began
+    assert np.ptp(drawing_of_geometry(shapely.LineString(ring)).outline, axis=0) == pytest.approx(
+        (0.2, 0.12), abs=2.0 * gap + 1e-5
+    )
 
 
 def test_gaps_are_named_with_place_and_size_if_they_matter() -> None:
     shapely, ring = import_module("shapely"), np.array([*PART, PART[0]]) / 1e3
     part, hole = shapely.LineString(ring[:-1]), shapely.Polygon(np.array(HOLE) / 1e3)
     closing = shapely.LineString([ring[-2], ring[-1] + [0.0, 0.0007]])  # 0.7 mm short of its end
-    for lines in ([part, closing], [part, closing, hole]):
-        words = r"gaps of 0\.7 mm at \[0\.06, 0\.0903\] m"
+    stray = shapely.LineString([(0.057, 0.09), (0.02, 0.09)])  # nearer to the gap than to its ends
+    for lines in ([part, closing], [part, closing, hole], [part, closing, stray]):
+        words = r"gaps of 0\.7 mm at \[0\.06, 0\.0903\] m$"
         with pytest.raises(ho.InputError, match=words):
             drawing_of_geometry(shapely.GeometryCollection(lines))
     whole = shapely.LineString(ring)

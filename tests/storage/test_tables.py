@@ -30,7 +30,7 @@ def test_all_dialects_of_a_table_say_the_same(
 ) -> None:
     path = tmp_path / "a.csv"
     rows = [*written(separator, decimal), "", separator * 2]
-    text = "\r\n".join(["# made by hand", "", f"# {separator.join(LABELS)}", *rows])
+    text = "\r\n".join([f"# {separator.join(LABELS)}", "# made by hand", "", *rows])
     path.write_bytes(text.encode(encoding))
     table = labelled_table(lambda: text_lines(path), ["XSS", "t [s]"], "a.csv")
     assert table.labels == LABELS
