@@ -55,11 +55,11 @@ from hitchopt.values import path as checked_path
 BAG = "metadata.yaml"  # File that makes a folder a bag
 FLEET = "crazyflies.yaml"  # File that says where drones stand
 FARTHEST = 1e6  # [m] Drones are no farther from their origin: squares of such numbers stay finite
-CROSSING = 1e-2  # [s] Times at which drones cross an altitude are told to this
+CROSSING = 1e-2  # [s] Times at which drones cross an altitude are exact to this
 LATE = 1e-3  # [s] Durations may differ by this: formats round to it
 SAME_START = 1e-3  # [m] Drones that begin this close to one another are given relative trajectories
 SAME_PLACE = 1e-2  # [m] Parts of one drone's flight meet as closely as this
-SAME_SPOT = 0.1  # [m] Drones stand as near to below their first points, or they cross ways
+SAME_SPOT = 0.1  # [m] Drones stand within this of the points below their first ones
 SHORTEST = 1e-9  # [s] Shortest piece: rates over shorter times overflow
 USUAL = (("speed", "Velocity", 3.0), ("acceleration", "Acceleration", 10.0))
 """Names here and in a show's keys of what has a default limit [m/s], [m/s²], and the limit."""
@@ -313,7 +313,7 @@ def _above(
 ) -> Iterator[tuple[PiecewisePolynomial, NDArray[np.intp]]]:
     """Yield spans of a window in which two drones or more are above an altitude [m], and which.
 
-    Drones are above or below in the middle of a span; times of crossing are told to CROSSING.
+    Drones are above or below in the middle of a span; times of crossing are exact to CROSSING.
     """
     heights, breaks = window.coefficients[..., 2, :], window.breaks
     mixed = (np.min(heights, axis=-1) <= altitude) & (np.max(heights, axis=-1) > altitude)

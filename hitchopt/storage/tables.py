@@ -134,8 +134,8 @@ class Table:
         name = self.labels[place] if self.labels else f"column {place + 1}"
         words = f"{self.source}: line {number}: {name} is {cell.strip()[:40]!r}, no number"
         words += " among decimal commas" if commas else ""
-        told = commas or "," in cell
-        return _NoNumberError(f"{words}; {ADVICE}" if told else words, comma=told)
+        comma = commas or "," in cell
+        return _NoNumberError(f"{words}; {ADVICE}" if comma else words, comma=comma)
 
     def _fault(self, number: int, words: str) -> FileError:
         found = f"{self.source}: line {self.first - 1 + number} {words}"
