@@ -214,12 +214,14 @@ class Enclosed:
         high = max(self.degree, 2 * order)
         squared = bernstein.elevate(bernstein.multiply(v, v), high)
         residual = np.abs(bernstein.elevate(self.c, high) - squared)[..., 0, :]
-        # | √a - v | = | a - v² | / (√a + v); where v may vanish, 0 <= √a <= √|coefficients|.
+        # | √a - v | = | a - v² | / (√a + v); whatever v is, 0 <= √a <= √(|coefficients| + radius).
         least, most = np.min(v[..., 0, :], axis=-1), np.sqrt((self.size + self.r) * (1.0 + EPS))
-        known = least > 0.0
         error = np.max(residual, axis=-1) + EPS * self.size + self.r
-        error = np.where(known, error / np.where(known, least, 1.0), 0.5 * most)
-        v = np.where(known[..., None, None], v, 0.5 * most[..., None, None])
+        error = np.divide(error, least, out=np.full_like(error, np.inf), where=least > 0.0)
+        # Half of that bound around its middle errs less where a is smaller than its rounding.
+        known, half = error < 0.5 * most, 0.5 * most
+        v = np.where(known[..., None, None], v, half[..., None, None])
+        error = np.where(known, error, half)
         return Enclosed(v, error + EPS * most)
 
     @property

@@ -82,7 +82,7 @@ drawn = given(
     order=st.integers(0, 8),
     spread=st.sampled_from([0.0, 0.02, 0.2, 2.0]),
     scale=st.sampled_from([1e-6, 0.3, 1.0, 1e5]),
-    noise=st.sampled_from([0.0, 1e-9, 1e-3]),
+    noise=st.sampled_from([0.0, 1e-9, 1e-3, 1e9]),
 )
 
 
@@ -128,6 +128,16 @@ def test_a_point_is_its_value_and_halving_narrows(name: str) -> None:
         radii.append(max(np.max(formula(Enclosed(x), Enclosed(y)).r) for x, y in parts))
     assert radii[0] < 0.1
     assert radii[2] < 0.1 * radii[0] or radii[0] < 1e-11
+
+
+@pytest.mark.parametrize("order", [0, 3, 8])
+@pytest.mark.parametrize("size", [0.0, 3e-21, 3e-16, 1e-12, 1e-9])
+def test_a_norm_is_no_farther_off_than_its_vectors_are_long(order: int, size: float) -> None:
+    """Vectors far smaller than their rounding, as legs of a drone that stands at its vertex."""
+    y, _ = balls(5, order, 0.3, size, 0.0)
+    found = y.widened(1e-12).norm
+    assert np.all(found.r <= 0.51 * (y.size + 1e-12))
+    assert np.all(found.above.value <= 2.0 * (y.size + 1e-12))
 
 
 def test_what_may_vanish_has_every_direction_and_a_bounded_norm() -> None:
