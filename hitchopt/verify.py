@@ -42,6 +42,8 @@ G, UP = 9.81, np.array([0.0, 0.0, 1.0])
 BIG, TINY = 1e30, 1e-300
 TOLERANCE, CLOSE = 1e-9, 1e-3  # of limits; how closely the worst is looked for
 STILL, TOUCH, CONTACT, WRAPPED = 1e-9, 1e-6, 1e-4, 2e-5  # [m], as the page of the format has them
+TOUCHING = 1e-4  # [m] what cables keep off at least, or they may pass through each other
+ROLLED = math.cos(math.radians(0.5 * 175.0))  # share of planar legs' contact where clasps open
 WEAK = 1e-3  # [N] less tension than this counts as this where forces are divided by it
 FAR, LINKS = 0.5, 96  # [m] drones farther from a hanging cable are far; links of a hanging cable
 DEGREES = math.degrees(1.0)
@@ -570,6 +572,7 @@ class Plan:
         contacts, both = self._array("contacts", m, n, 2, 3, other=middle), np.stack([T, T], 2)
         pulls = self._array("leg_tensions", m, n, 2, other=both)
         self.bent, self.slid = contacts is not middle, pulls is not both
+        self.laden = bool(self.weight or np.any(self.load) or np.any(self.busy))
         legs = self._array("legs", m, n, 2)
         self.pulls, self.legs = (
             Curve(x.reshape(m, 2 * n, 1, x.shape[-1]), self.h) for x in (pulls, legs)
@@ -592,6 +595,10 @@ class Plan:
         self.parts = np.concatenate([np.stack(row, -1) for row in rows])
         self.kinds = [f"leg of {self.names[j]}" for j in on] + [f"edge {j}" for j in k] * 3
         return [vertices, contacts.reshape(m, 2 * n, 3, contacts.shape[-1])]
+
+    def off(self, key: str) -> float:
+        """Return a limit of distances from cables [m]."""
+        return max(float(self.sep[key]), TOUCHING)
 
     def spans(self, on: Mask, items: Any, *names: Sequence[str]) -> Spans:
         """Whole pieces with items (k,) or (k, c), where on (pieces,) or (pieces, k)."""
@@ -766,7 +773,7 @@ def taut_cables(p: Plan) -> Iterator[Row]:
         (a, b), (first, last) = s.edge(k), (s.point(i) for i in p.edges[1:3, k])
         return largest(a.unit().cross(b.unit()).norm(), (last - first).norm())
 
-    clear, cross = p.sep["cable"], p.sep["crossing"]
+    clear, cross = p.off("cable"), p.off("crossing")
     yield prove(
         "cable_clearance m min", clear, s, lambda s, i, j: distance([s.point(i)], s.part(j))
     )
@@ -776,8 +783,7 @@ def taut_cables(p: Plan) -> Iterator[Row]:
     yield prove("legs m min", lim["leg"], legs, lambda s, i: s.leg(i).norm())
     yield prove("cable_length 1 max", 1e-4, cables, length_error)
     yield prove("equilibrium 1 max", 5e-3, clasps, lacking)
-    if p.weight or np.any(p.load) or np.any(p.busy):
-        yield prove("contact 1 max", 0.0, clasps, contact)
+    yield prove("contact 1 max", 0.0, clasps, contact if p.laden else straightens)
     yield prove("convexity deg min", 0.0, clasps, exterior)
     yield prove("convexity turn min", 0.0, p.spans(on, [0], ["outline"]), room)
     yield prove("tension N max", 1e-4, cables, tension)
@@ -893,12 +899,30 @@ def lacking(s: Spans, c: Index) -> Line:
     return total.norm() * largest(least(P[1], P[3]), WEAK).inverse()
 
 
+def straightens(s: Spans, c: Index) -> Line:
+    """Cables bend around each other: ``|q̂_k + u_k|`` and ``|r̂_{k-1} - u_{k-1}|`` keep a share.
+
+    At equal tensions they are ``|u_k + u_{k-1}| cos(ψ/2)`` of a roll ψ; ``cos 90°`` is straight.
+    """
+    k, j = s.plan.clasps[c], s.plan.behind[c]
+    ahead, behind = s.edge(k)[0].unit(), -s.edge(j)[1].unit()
+    both = (s.toward(2 * k).unit() + ahead).norm(), (s.toward(2 * j + 1).unit() + behind).norm()
+    return (ahead - behind).norm() * ROLLED - least(*both)
+
+
 def contact(s: Spans, c: Index) -> Line:
-    """Cables press: ``C = W_k ẑ - P q̂_k - P_k u_k - ½ w``; C·q̂_k, C·u_k, -C·r̂_{k-1}, … < 0."""
-    u, P, weights, rests = forces(s, c)
+    """Cables press: ``C = W_k ẑ - P q̂_k - P_k u_k - ½ w``; C·q̂_k, C·u_k, -C·r̂_{k-1}, … < 0.
+
+    As far below 0 as they are where an unloaded pair has rolled open; of cables that friction
+    makes unlike, the means of each one's two. On a ramp nothing moves where tensions end.
+    """
+    p, (u, P, weights, rests) = s.plan, forces(s, c)
     C, weakest = weights[0] - u[0] * P[0] - u[1] * P[1] - rests * 0.5, least(P[1], P[3])
-    over = largest(C.dot(u[0]), C.dot(u[1]), -C.dot(u[2]), C.dot(u[3])) * weakest.inverse()
-    strong = weakest.high > WEAK
+    pressing = [C.dot(u[0]), C.dot(u[1]), -C.dot(u[2]), C.dot(u[3])]
+    if p.slid:
+        pressing = [(pressing[i] + pressing[i + 1]) * 0.5 for i in (0, 2)]
+    over = largest(*pressing) * weakest.inverse() + (u[1].dot(u[3]) + 1.0) * ROLLED**2
+    strong = (weakest.high > WEAK) | ~p.ramp[s.piece]
     return over.only(strong) - np.where(strong, 0.0, 1.0)[:, None]
 
 
@@ -915,8 +939,8 @@ def free_cables(p: Plan) -> Iterator[Row]:
     """Distances of cables that lie, hang, clasp or are tightened; from above where they sway."""
     k, ground, ends = range(p.n), p.state == "on the ground", (p.names, p.cables)
     crossing, cable = (
-        ("crossing m min", p.sep["crossing"]),
-        ("cable_clearance m min", p.sep["cable"]),
+        ("crossing m min", p.off("crossing")),
+        ("cable_clearance m min", p.off("cable")),
     )
     pairs, foreign = np.triu_indices(p.n, 1), np.argwhere(np.arange(p.N)[:, None] // 2 != k)
     tied = p.tied[pairs] & ~np.isin(p.state, ("on the ground", "hanging free"))[:, None]
@@ -949,7 +973,7 @@ def clear_objects(p: Plan, b: int) -> Iterator[Row]:
     wound = p.grip[b][:, None] & (p.parts[:, 3] != p.parts[:, 4])  # edges around it, not legs
     off, inside = (p.spans(on, items, p.kinds) for on in (p.formed[:, None] & ~held, held & ~wound))
     free, moving = p.spans(p.free, range(p.n), p.cables), p.spans(p.moving[b], [0], [body.name])
-    clear, enters = ("object_clearance m min", p.sep["object"]), "enters m min"
+    clear, enters = ("object_clearance m min", p.off("object")), "enters m min"
 
     def beside(s: Spans, k: Index, slab: Slab) -> Line:
         """Hanging cables are above it, or their chords beside it as seen from above."""
@@ -1140,8 +1164,9 @@ def jumps(p: Plan) -> Iterator[Row]:
 def interlacing(p: Plan) -> Iterator[Row]:
     """Pairs of cables whose chords pass through each other otherwise than the states of phases say.
 
-    On spans on which chords may touch each must cross the other for certain, seen along their
-    common normal; the sign of ``(q_j - q_i)·((r_i - q_i) × (r_j - q_j))`` then changes with each.
+    A hitch takes its links along: chords are followed there too where cables are let go later. On
+    spans on which chords may touch each must cross the other for certain, seen along their common
+    normal; the sign of ``(q_j - q_i)·((r_i - q_i) × (r_j - q_j))`` then changes with each.
     """
     n, m = p.n, len(p.h)
     passed = np.zeros((n, n, m))
@@ -1166,11 +1191,14 @@ def interlacing(p: Plan) -> Iterator[Row]:
         np.add.at(passed, (*s.item.T, s.piece), 0.5 * (sign(s, 1.0) - sign(s, -1.0)) * sure)
         return Line(s.zero.v, s.zero.g, np.where(apart | sure, 0.0, BIG), s.t)
 
-    pairs = p.spans(p.free, np.column_stack(np.triu_indices(n, 1)), p.cables, p.cables)
+    loose = np.flip(np.logical_or.accumulate(np.flip(p.free)))  # cables are free then, or later
+    pairs = p.spans(loose, np.column_stack(np.triu_indices(n, 1)), p.cables, p.cables)
     row = prove("interlacing 1 min", 0.0, pairs, decided)
     count = np.abs(np.cumsum(np.insert(passed, 0, p.tied * float(p.formed[0]), axis=-1), axis=-1))
     want = np.where(p.tied[..., None], [CROSSED.get(state, -1) for state in p.state], 0)
-    wrong = ((count[..., 1:] != want) | (count[..., :-1] != want)) & (want >= 0)
+    same = np.concatenate([[False], p.formed[1:] & p.formed[:-1], [False]])  # within a hitch
+    wrong = (count[..., 1:] != want) & ~same[1:] | (count[..., :-1] != want) & ~same[:-1]
+    wrong &= want >= 0
     wrong[..., -1] |= (count[..., -1] != 0.0) & ~p.formed[-1]
     bad = np.argwhere(wrong & np.triu(np.ones((n, n), dtype=bool), 1)[..., None])
     places = {f"cable {i} cable {j}" for i, j, _ in bad.tolist()}

@@ -28,19 +28,22 @@ from hitchopt.checks.spans import (
     shared,
     without_shared_zeros,
 )
-from hitchopt.geometry.vectors import column_lengths
+from hitchopt.geometry.vectors import column_lengths, unit
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.forces import chord_pull
 from hitchopt.motion.loads import leg_tensions, object_loads, strut_shares, tautness
 from hitchopt.motion.motion import HITCHED_STATE, Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
-from hitchopt.trajectory.search import worst
+from hitchopt.trajectory.search import Extremum, worst
 from hitchopt.values import Array, Indices
 
 LIMIT = 5e-3  # Relative to the tension: the vertex then stands within millimetres of its place
 BACKWARD = -180.0  # [deg] The smallest angle there is; also that of an edge without direction
 TURN = 1e-6  # [deg] Rounding of the sum of all angles, which of a polygon are whole turns
+ROLLED = 175.0  # [deg] From this roll on a clasp counts as open: at 180° both cables run straight
+LEAST = math.cos(math.radians(0.5 * ROLLED)) ** 2  # share of a product of contact at no roll
+ROUGH = 3  # degree of what is multiplied to tell open clasps: they are far from others
 OWN = np.array([0, 1])  # Legs that are at the clasp: q of the cable ahead, r of that behind
 
 
@@ -181,12 +184,23 @@ class Clasps(MotionSpans):
 
     @cached_property
     def contact(self) -> Enclosed:
-        """``C = W^k ẑ - (P_q q̂_k + P_k u_k)``, with which cable k presses on cable k-1 [N].
+        """``W^k ẑ - (P_q q̂_k + P_k u_k)``: (spans, 2) with what each cable presses on the other [N].
 
         ``W^k`` is the weight on itself and half of the clasp's load.
         """
-        own = chosen(self.carried, 0).upward() - chosen(self.forces, 0)
-        return own - 0.5 * self.pressed
+        if not self.weighed(self.source):
+            return -self.forces
+        pressed = Enclosed(self.pressed.c[:, None], np.asarray(self.pressed.r)[..., None])
+        return self.carried.upward() - self.forces - pressed * 0.5
+
+    def rolls(self) -> Array:
+        """Return the rolls (spans,) [deg] at mid span: 0 where ``q̂_k`` leans towards ``u_k``."""
+        (q, r), (u, back) = (np.moveaxis(each.middle, 1, 0) for each in self.along)
+        pull, other = np.moveaxis(self.pulls[0].middle, 1, 0)
+        axis = unit(pull * q + other * r)
+        upward = np.cross(u - back, axis)
+        level = np.cross(axis, upward)
+        return np.degrees(np.arctan2(np.sum(q * upward, axis=-1), np.sum(q * level, axis=-1)))
 
 
 def _over(force: Enclosed, spans: Clasps) -> Bound:
@@ -202,36 +216,56 @@ def _over(force: Enclosed, spans: Clasps) -> Bound:
 
 
 def _balance(spans: Clasps) -> Bound:
-    """Return the size of the residual over the smaller tension."""
-    return _over(spans.residual, spans)
+    """Return the size of the residual over the smaller tension, infinite where a clasp is open."""
+    found, lifted = _over(spans.residual, spans), _lifted(spans)
+    shut = lifted.value < 0.0
+    return Bound(np.where(shut, found.value, np.inf), np.where(shut, found.x, lifted.x))
 
 
 def _lifted(spans: Clasps) -> Bound:
     """Return the largest product that is negative where a clasp bears, over the smaller tension.
 
-    The clasp bears where ``C·q̂_k < 0``, ``C·u_k < 0``, ``C·r̂_{k-1} > 0`` and ``C·u_{k-1} < 0``.
+    The clasp bears where ``C·q̂_k < 0``, ``C·u_k < 0``, ``C·r̂_{k-1} > 0`` and ``C·u_{k-1} < 0``;
+    with friction, which tilts C along the cables, where that is so of the means of each cable's
+    two. Unloaded, each is ``-2 T cos²(φ/2) cos²(ψ/2)`` of a roll ψ and an exterior angle φ: what it
+    is at ROLLED is added, so that a clasp counts as open from there on.
     """
-    each = [chosen(way, i) * sign for i, sign in ((0, 1.0), (1, -1.0)) for way in spans.along]
-    return largest_of([_over(spans.contact.dot(along), spans) for along in each])
+    legs, edges = (way.reduced(ROUGH) for way in spans.along)
+    ways = [legs, edges] if spans.source.leg_tensions is None else [(legs + edges) * 0.5]
+    products = [spans.contact.reduced(ROUGH).dot(way) for way in ways]
+    most = [np.max(each.c + np.asarray(each.r)[..., None, None], axis=1) for each in products]
+    margin = 0.5 * LEAST * (chosen(edges, 0) - chosen(edges, 1)).norm_above.value ** 2
+    found = _over(Enclosed(np.maximum(most[0], most[-1])), spans)
+    return Bound(found.value + margin, found.x)
 
 
 def _find(motion: Motion, limit: float) -> Finding:
     """Return the largest force residual at a clasp over the smaller of its cables' tensions.
 
     What friction cannot make of a tension counts as unbalanced, and so does what an object lacks.
-    Where there is weight cables have to press on each other as well: a clasp that does not bear is
-    infinitely far from balance.
+    Cables have to press on each other as well, at all times and whatever the weight: otherwise
+    either may have passed through the other, and the clasp is infinitely far from balance.
     """
     names = Clasps.names(motion)
     found = worst(Clasps.of(motion), _balance, "max", target=within(limit, "max"))
-    each = [Finding(found.worst, found.time, (names[found.item],)), unbalanced(motion)]
+    where = (names[found.item],)
+    if math.isinf(found.value):
+        where += _opened(motion, found)
+    each = [Finding(found.worst, found.time, where), unbalanced(motion)]
     if motion.leg_tensions is not None:
         each.append(beyond_friction(motion))
-    if Clasps.weighed(motion):
-        lifted = worst(Clasps.of(motion), _lifted, "max", target=within(0.0, "max"))
-        if lifted.worst >= 0.0:
-            each.append(Finding(math.inf, lifted.time, (names[lifted.item],)))
     return max(each, key=lambda finding: finding.worst)
+
+
+def _opened(motion: Motion, found: Extremum) -> tuple[str, ...]:
+    """Say that a clasp is open, and the roll of its pair, if it is that which is wrong there."""
+    breaks = motion.drones.breaks
+    piece = max(0, int(np.searchsorted(breaks, found.time)) - 1)
+    share = (found.time - breaks[piece]) / motion.drones.durations[piece]
+    point = Clasps(motion, breaks, np.array([piece]), np.array([found.item])).at(np.array([share]))
+    with np.errstate(all="ignore"):
+        open_ = math.isfinite(_over(point.residual, point).value[0])
+        return (f"open at a roll of {point.rolls()[0]:.0f}°",) if open_ else ()
 
 
 def spare_forces(motion: Motion) -> Array:
@@ -240,8 +274,7 @@ def spare_forces(motion: Motion) -> Array:
     Half of what is added to a clasp enters the products of ``contact``.
     """
     spare = LIMIT - _find(motion, LIMIT).worst
-    if Clasps.weighed(motion):
-        spare = min(spare, -2.0 * worst(Clasps.of(motion), _lifted, "max").worst)
+    spare = min(spare, -2.0 * worst(Clasps.of(motion), _lifted, "max").worst)
     weakest: Array = np.min(edge_tensions(motion)[:, both_cables(motion)], axis=(2, 3))
     return spare * weakest
 

@@ -26,6 +26,7 @@ from hitchopt.checks.certificate import within
 from hitchopt.checks.distances import (
     GROUND,
     TALL,
+    TOUCHING,
     Flags,
     Ground,
     Moving,
@@ -361,7 +362,7 @@ CABLE_CLEARANCE = CheckRule(
     "cable_clearance",
     "m",
     "min",
-    lambda motion: motion.requirements.separation.cable,
+    lambda motion: max(motion.requirements.separation.cable, TOUCHING),
     (
         Finder(nearest(_past_taut), HITCHED_STATE, exported=True, shown=(gap,)),
         Finder(nearest(_past_chords), LYING, exported=True),
@@ -453,7 +454,11 @@ OBJECT_CLEARANCE = CheckRule(
     "object_clearance",
     "m",
     "min",
-    lambda motion: motion.requirements.separation.object if motion.requirements.objects else None,
+    lambda motion: (
+        max(motion.requirements.separation.object, TOUCHING)
+        if motion.requirements.objects
+        else None
+    ),
     (
         Finder(nearest(_cables_past), HITCHED_STATE, exported=True, shown=(gap,)),
         Finder(nearest(_hanging_past), FREE_STATES, exported=True, shown=(over,)),

@@ -57,6 +57,9 @@ TIE, SLACK = 1e-6, 1e-9
 # Name of the ground, and half of the size [m] of what stands for it, or for an object as seen from
 # above
 GROUND, TALL = "ground", 1e3
+# [m] Cables that come closer touch, and may pass through each other, whatever a limit says: a
+# hundred times what may jump at a joint
+TOUCHING = 1e-4
 Flags = NDArray[np.bool_]
 
 
@@ -423,7 +426,7 @@ CROSSING = CheckRule(
     "crossing",
     "m",
     "min",
-    lambda motion: motion.requirements.separation.crossing,
+    lambda motion: max(motion.requirements.separation.crossing, TOUCHING),
     (
         Finder(nearest(_taut), HITCHED_STATE, shown=(gap,)),
         Finder(nearest(_hanging), FREE_STATES, exported=True),

@@ -275,13 +275,14 @@ def _wrong(motion: Motion) -> Iterator[tuple[Phase, Indices, Array | float]]:
     numbers = np.full(len(clasped), int(motion.formed[0]), dtype=np.intp)
     for state, run in groupby(phase_parts(motion), lambda part: part.phase.state):
         parts = list(run)
-        first, last = parts[0], parts[-1]
+        first, last, hitched = parts[0], parts[-1], state is CableState.HITCHED
         ends = [float(part.motion.drones.breaks[-1]) for part in parts]
         required = None if state is CableState.CLASPING else int(state not in BEFORE)
         if required is not None:
             start = float(first.motion.drones.breaks[0])
             yield first.phase, clasped[np.abs(numbers) != required], start
-        if state is CableState.HITCHED:
+        at_last = last.pieces.stop == motion.drones.pieces
+        if hitched and at_last:  # clasps that bear, and parts that keep off each other, hold on
             continue
         span = motion.taken(slice(first.pieces.start, last.pieces.stop), [p.phase for p in parts])
         met = chord_crossings(span.drones)
@@ -290,13 +291,15 @@ def _wrong(motion: Motion) -> Iterator[tuple[Phase, Indices, Array | float]]:
         bad = ~met.certain | (~known & (met.count != 0))
         in_part = np.searchsorted(ends[:-1], met.time - JOINT)
         np.add.at(numbers, np.searchsorted(clasped, pairs[known]), met.count[known])
-        if last.pieces.stop == motion.drones.pieces:
+        if at_last:
             required = 0
         if required is not None:
             yield last.phase, clasped[np.abs(numbers) != required], ends[-1]
         for i, part in enumerate(parts):
             here = bad & (in_part == i)
             yield part.phase, pairs[here], met.time[here]
+            if hitched:
+                continue
             yield part.phase, _contradicted(part.motion), float(part.motion.drones.breaks[0])
             if state is not CableState.GROUND:  # there drones keep off cables seen from above
                 drone, cable, time = entered(part.motion)

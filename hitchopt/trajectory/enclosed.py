@@ -219,7 +219,8 @@ class Enclosed:
         error = np.max(residual, axis=-1) + EPS * self.size + self.r
         error = np.divide(error, least, out=np.full_like(error, np.inf), where=least > 0.0)
         # Half of that bound around its middle errs less where a is smaller than its rounding.
-        known, half = error < 0.5 * most, 0.5 * most
+        half = 0.5 * most
+        known = ~(half < error)
         v = np.where(known[..., None, None], v, half[..., None, None])
         error = np.where(known, error, half)
         return Enclosed(v, error + EPS * most)
