@@ -43,7 +43,7 @@ BIG, TINY = 1e30, 1e-300
 TOLERANCE, CLOSE = 1e-9, 1e-3  # of limits; how closely the worst is looked for
 STILL, TOUCH, CONTACT, WRAPPED = 1e-9, 1e-6, 1e-4, 2e-5  # [m], as the page of the format has them
 TOUCHING = 1e-4  # [m] what cables keep off at least, or they may pass through each other
-ROLLED = math.cos(math.radians(0.5 * 175.0))  # share of planar legs' contact where clasps open
+ROLLED = 175.0  # [deg] roll from which on clasps count as open: at 180° cables run straight
 WEAK = 1e-3  # [N] less tension than this counts as this where forces are divided by it
 FAR, LINKS = 0.5, 96  # [m] drones farther from a hanging cable are far; links of a hanging cable
 DEGREES = math.degrees(1.0)
@@ -572,7 +572,6 @@ class Plan:
         contacts, both = self._array("contacts", m, n, 2, 3, other=middle), np.stack([T, T], 2)
         pulls = self._array("leg_tensions", m, n, 2, other=both)
         self.bent, self.slid = contacts is not middle, pulls is not both
-        self.laden = bool(self.weight or np.any(self.load) or np.any(self.busy))
         legs = self._array("legs", m, n, 2)
         self.pulls, self.legs = (
             Curve(x.reshape(m, 2 * n, 1, x.shape[-1]), self.h) for x in (pulls, legs)
@@ -783,7 +782,9 @@ def taut_cables(p: Plan) -> Iterator[Row]:
     yield prove("legs m min", lim["leg"], legs, lambda s, i: s.leg(i).norm())
     yield prove("cable_length 1 max", 1e-4, cables, length_error)
     yield prove("equilibrium 1 max", 5e-3, clasps, lacking)
-    yield prove("contact 1 max", 0.0, clasps, contact if p.laden else straightens)
+    yield prove("contact deg max", ROLLED, clasps, rolled)
+    if p.weight or np.any(p.load) or np.any(p.busy):
+        yield prove("contact 1 max", 0.0, clasps, contact)
     yield prove("convexity deg min", 0.0, clasps, exterior)
     yield prove("convexity turn min", 0.0, p.spans(on, [0], ["outline"]), room)
     yield prove("tension N max", 1e-4, cables, tension)
@@ -899,30 +900,37 @@ def lacking(s: Spans, c: Index) -> Line:
     return total.norm() * largest(least(P[1], P[3]), WEAK).inverse()
 
 
-def straightens(s: Spans, c: Index) -> Line:
-    """Cables bend around each other: ``|q̂_k + u_k|`` and ``|r̂_{k-1} - u_{k-1}|`` keep a share.
+def rolled(s: Spans, c: Index) -> Line:
+    """Angle by which pairs have turned [deg] about what their legs pull with in sum: at 180° open.
 
-    At equal tensions they are ``|u_k + u_{k-1}| cos(ψ/2)`` of a roll ψ; ``cos 90°`` is straight.
+    From ``u_k + u_{k-1}`` to the difference of their pulls, both normal to that sum. On a ramp
+    nothing moves where tensions end.
     """
     k, j = s.plan.clasps[c], s.plan.behind[c]
-    ahead, behind = s.edge(k)[0].unit(), -s.edge(j)[1].unit()
-    both = (s.toward(2 * k).unit() + ahead).norm(), (s.toward(2 * j + 1).unit() + behind).norm()
-    return (ahead - behind).norm() * ROLLED - least(*both)
+    q, r = (s.toward(i).unit() * s.pull(i) for i in (2 * k, 2 * j + 1))
+    axis = (q + r).unit()
+    level = [x - axis * axis.dot(x) for x in (s.edge(k)[0].unit() + s.edge(j)[1].unit(), q - r)]
+    return (angle(*level) * DEGREES).only(pulling(s, k, j))
+
+
+def pulling(s: Spans, *cables: Index) -> Mask:
+    """Return where cables pull (m,), other than at the ends of ramps."""
+    weakest = least(*(s.plan.tensions.on(s, k) for k in cables))
+    return (weakest.high > WEAK) | ~s.plan.ramp[s.piece]
 
 
 def contact(s: Spans, c: Index) -> Line:
     """Cables press: ``C = W_k ẑ - P q̂_k - P_k u_k - ½ w``; C·q̂_k, C·u_k, -C·r̂_{k-1}, … < 0.
 
-    As far below 0 as they are where an unloaded pair has rolled open; of cables that friction
-    makes unlike, the means of each one's two. On a ramp nothing moves where tensions end.
+    Of cables that friction makes unlike, the means of each one's two.
     """
     p, (u, P, weights, rests) = s.plan, forces(s, c)
     C, weakest = weights[0] - u[0] * P[0] - u[1] * P[1] - rests * 0.5, least(P[1], P[3])
+    strong = pulling(s, p.clasps[c], p.behind[c])
     pressing = [C.dot(u[0]), C.dot(u[1]), -C.dot(u[2]), C.dot(u[3])]
     if p.slid:
         pressing = [(pressing[i] + pressing[i + 1]) * 0.5 for i in (0, 2)]
-    over = largest(*pressing) * weakest.inverse() + (u[1].dot(u[3]) + 1.0) * ROLLED**2
-    strong = (weakest.high > WEAK) | ~p.ramp[s.piece]
+    over = largest(*pressing) * weakest.inverse()
     return over.only(strong) - np.where(strong, 0.0, 1.0)[:, None]
 
 

@@ -42,7 +42,6 @@ LIMIT = 5e-3  # Relative to the tension: the vertex then stands within millimetr
 BACKWARD = -180.0  # [deg] The smallest angle there is; also that of an edge without direction
 TURN = 1e-6  # [deg] Rounding of the sum of all angles, which of a polygon are whole turns
 ROLLED = 175.0  # [deg] From this roll on a clasp counts as open: at 180° both cables run straight
-LEAST = math.cos(math.radians(0.5 * ROLLED)) ** 2  # share of a product of contact at no roll
 ROUGH = 3  # degree of what is multiplied to tell open clasps: they are far from others
 OWN = np.array([0, 1])  # Legs that are at the clasp: q of the cable ahead, r of that behind
 
@@ -218,6 +217,8 @@ def _over(force: Enclosed, spans: Clasps) -> Bound:
 def _balance(spans: Clasps) -> Bound:
     """Return the size of the residual over the smaller tension, infinite where a clasp is open."""
     found, lifted = _over(spans.residual, spans), _lifted(spans)
+    if spans.weighed(spans.source):
+        lifted = largest_of([lifted, _rolled(spans)])
     shut = lifted.value < 0.0
     return Bound(np.where(shut, found.value, np.inf), np.where(shut, found.x, lifted.x))
 
@@ -234,9 +235,27 @@ def _lifted(spans: Clasps) -> Bound:
     ways = [legs, edges] if spans.source.leg_tensions is None else [(legs + edges) * 0.5]
     products = [spans.contact.reduced(ROUGH).dot(way) for way in ways]
     most = [np.max(each.c + np.asarray(each.r)[..., None, None], axis=1) for each in products]
-    margin = 0.5 * LEAST * (chosen(edges, 0) - chosen(edges, 1)).norm_above.value ** 2
+    share = math.cos(math.radians(0.5 * ROLLED)) ** 2
+    margin = 0.5 * share * (chosen(edges, 0) - chosen(edges, 1)).norm_above.value ** 2
     found = _over(Enclosed(np.maximum(most[0], most[-1])), spans)
     return Bound(found.value + margin, found.x)
+
+
+def _rolled(spans: Clasps) -> Bound:
+    """Return what is negative where a clasp has rolled by less than ROLLED, whatever it carries.
+
+    With V the sum of what its legs pull with, D their difference and ū = u_k + u_{k-1}, its sine is
+    ``D·(V × ū) |V|`` over the same as its cosine ``(D·ū) V² - (D·V) (ū·V)``. Legs of clasps that
+    carry much could wind around their edges in contact.
+    """
+    pulls = (spans.along[0] * spans.pulls[0]).reduced(ROUGH)
+    q, r = chosen(pulls, 0), chosen(pulls, 1)
+    ahead = (chosen(spans.along[1], 0) - chosen(spans.along[1], 1)).reduced(ROUGH)
+    whole, apart = q + r, q - r
+    cosine = apart.dot(ahead) * whole.dot(whole) - apart.dot(whole) * ahead.dot(whole)
+    sine, least = apart.dot(whole.cross(ahead)).range, cosine.below
+    aside = np.maximum(np.maximum(sine.low, -sine.high), 0.0) * whole.norm_below.value
+    return Bound(math.tan(math.radians(ROLLED)) * least.value - aside, least.x)
 
 
 def _find(motion: Motion, limit: float) -> Finding:
