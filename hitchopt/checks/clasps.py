@@ -183,7 +183,7 @@ class Clasps(MotionSpans):
 
     @cached_property
     def contact(self) -> Enclosed:
-        """``W^k ẑ - (P_q q̂_k + P_k u_k)``: (spans, 2) with what each cable presses on the other [N].
+        """What each cable presses on the other with, such as ``W^k ẑ - (P_q q̂_k + P_k u_k)`` [N].
 
         ``W^k`` is the weight on itself and half of the clasp's load.
         """
