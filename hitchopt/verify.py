@@ -916,7 +916,8 @@ def rolled(s: Spans, c: Index) -> Line:
 def pulling(s: Spans, *cables: Index) -> Mask:
     """Return where cables pull (m,), other than at the ends of ramps."""
     weakest = least(*(s.plan.tensions.on(s, k) for k in cables))
-    return (weakest.high > WEAK) | ~s.plan.ramp[s.piece]
+    found: Mask = (weakest.high > WEAK) | ~s.plan.ramp[s.piece]
+    return found
 
 
 def contact(s: Spans, c: Index) -> Line:

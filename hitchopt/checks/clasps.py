@@ -199,7 +199,8 @@ class Clasps(MotionSpans):
         axis = unit(pull * q + other * r)
         upward = np.cross(u - back, axis)
         level = np.cross(axis, upward)
-        return np.degrees(np.arctan2(np.sum(q * upward, axis=-1), np.sum(q * level, axis=-1)))
+        rise, run = np.sum(q * upward, axis=-1), np.sum(q * level, axis=-1)
+        return np.asarray(np.degrees(np.arctan2(rise, run)))
 
 
 def _over(force: Enclosed, spans: Clasps) -> Bound:
@@ -267,9 +268,8 @@ def _find(motion: Motion, limit: float) -> Finding:
     """
     names = Clasps.names(motion)
     found = worst(Clasps.of(motion), _balance, "max", target=within(limit, "max"))
-    where = (names[found.item],)
-    if math.isinf(found.value):
-        where += _opened(motion, found)
+    words = _opened(motion, found) if math.isinf(found.value) else ()
+    where = (names[found.item], *words)
     each = [Finding(found.worst, found.time, where), unbalanced(motion)]
     if motion.leg_tensions is not None:
         each.append(beyond_friction(motion))
@@ -298,7 +298,7 @@ def spare_forces(motion: Motion) -> Array:
     return spare * weakest
 
 
-FORMULAS = (_balance, Clasps.residual, _lifted, Clasps.contact, slips, lacking)
+FORMULAS = (_balance, Clasps.residual, _lifted, _rolled, Clasps.contact, slips, lacking)
 
 EQUILIBRIUM = CheckRule(
     "equilibrium", "1", "max", LIMIT, (Finder(_find, HITCHED_STATE, shown=FORMULAS),)

@@ -5,7 +5,9 @@ of two cables counts how often their chords have passed through each other, with
 on the ground or hanging, have 0. A hitch is right when neighbours have ±1 (either sense of turning
 holds) and all others 0; so they have while cables are being tightened, and clasping leads from the
 one to the other. A hitch that is there at first is taken to have been tied with every q going up
-first, which is 1. Besides, no drone may fly inside the hanging cable of another.
+first, which is 1. While it stands its cables cannot pass each other (checks ``equilibrium`` and
+``crossing``), but their chords may, so that these are followed wherever cables are let go later.
+Besides, no drone may fly inside the hanging cable of another.
 
 A *chord* is the straight line between a cable's drones. Two chords meet only where the volume
 ``(q_j - q_i) · ((r_i - q_i) × (r_j - q_j))`` vanishes. Time is halved until on every span of it the

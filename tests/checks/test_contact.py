@@ -30,7 +30,7 @@ from hitchopt.values import Array
 
 OUTLINE = np.array([[-0.4, 0.9], [1.0, 0.9], [1.0, -0.5], [-0.4, -0.5]])
 LEGS = np.array([0.36, 0.64, 0.5, 0.5])  # q_1 and r_0 keep off each other where they pass
-KEPT = {"limits": Limits(acceleration=5.0), "separation": Separation(cable=0.05)}
+KEPT = Requirements(Limits(acceleration=5.0), Separation(cable=0.05), None)
 
 
 def turned(motion: Motion, clasp: int, degrees: float) -> Motion:
@@ -61,9 +61,10 @@ def turned(motion: Motion, clasp: int, degrees: float) -> Motion:
 
 def square(clasp: int, degrees: float, load: float = 0.0) -> Motion:
     """Return a square hitch, off the origin, one pair of which turns in 40 s."""
-    legs, options = np.roll(LEGS, clasp - 1), {"seconds": 40.0, "pieces": 48, "order": 3}
+    legs = np.roll(LEGS, clasp - 1)
     team = Team(4, 2.4, load=load)
-    return turned(still(team, OUTLINE, legs, **options, **KEPT), clasp, degrees)
+    held = still(team, OUTLINE, legs, seconds=40.0, pieces=48, order=3)
+    return turned(replace(held, requirements=KEPT), clasp, degrees)
 
 
 def unproven(
@@ -119,12 +120,8 @@ def test_a_clasp_is_open_from_a_roll_of_175_degrees_on(
 
 def test_legs_do_not_wind_around_edges_that_bear_all_along(tmp_path: Path) -> None:
     """Where edges fall steeply a loaded clasp bears at every roll: a turn twists its cables."""
-    u, tension, load = (
-        np.array([[0.92, 0.0, -0.39], [1.0, -0.015, 0.0]]),
-        np.array([1.05, 1.0]),
-        0.047,
-    )
-    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    u, load = unit(np.array([[0.92, 0.0, -0.39], [1.0, -0.015, 0.0]])), 0.047
+    tension = np.array([1.05, 1.0])
     pull = tension[0] * u[0] - tension[1] * u[1] + [0.0, 0.0, 9.81 * load]
     size = float(np.linalg.norm(pull))
     along = (size**2 + tension[1] ** 2 - tension[0] ** 2) / (2.0 * size)
@@ -136,8 +133,9 @@ def test_legs_do_not_wind_around_edges_that_bear_all_along(tmp_path: Path) -> No
     team = Team(2, [1.8, 2.0], topology="open", tension=tension, load=load)
     lengths = np.array([[0.0, 0.4], [0.6, 0.0]])
     breaks, constant = np.linspace(0.0, 40.0, 49), PiecewisePolynomial.constant
-    parts = (constant(breaks, part) for part in (drones, points, lengths, tension))
-    held = Motion(team, Requirements(**KEPT), *parts, (Phase("hold", 0, 0.0, 40.0),))
+    first, *others = (constant(breaks, part) for part in (drones, points, lengths, tension))
+    phases = (Phase("hold", 0, 0.0, 40.0),)
+    held = Motion(team, KEPT, first, others[0], others[1], others[2], phases)
     assert row(held, "equilibrium").bound < 1e-9
     motion = turned(held, 1, 360.0)
     assert worst(clasps.Clasps.of(motion), clasps._lifted, "max").worst < 0.0
@@ -172,8 +170,8 @@ def test_loads_open_a_clasp_sooner(degrees: float, holds: bool, tmp_path: Path) 
 
 def test_parts_touch_whatever_distance_is_asked_of_them(tmp_path: Path) -> None:
     """Legs cross in the plane of a hexagon, and a drone is on a foreign edge: both could pass."""
-    options = {"separation": Separation(cable=0.0, crossing=0.0)}
-    crossed = still(Team(6, 2.0), regular_polygon(6, 0.5).vertices, 0.75, **options)
+    asked = Separation(cable=0.0, crossing=0.0)
+    crossed = still(Team(6, 2.0), regular_polygon(6, 0.5).vertices, 0.75, separation=asked)
     near = np.mean(crossed.vertices.coefficients[:, [2, 3]], axis=1) + [[0.0], [0.0], [5e-5]]
     motion = altered(crossed, "drones", lambda c: c.__setitem__((slice(None), 0), near))
     left = unproven(motion, tmp_path)
