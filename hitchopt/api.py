@@ -61,7 +61,7 @@ def solve(
     with time_limit(seconds, progress) as tell:
         swarm = isinstance(task, SwarmProblem)
         found = solve_swarm(task, tell) if swarm else solve_problem(task, tell)
-    check_asked(task.asked, found.motion, whole=False)
+    check_asked(task.asked, found.motion)
     return Plan(found.motion, found.certificate, task.title)
 
 

@@ -18,7 +18,13 @@ from hitchopt.exports.exporting import Export, export_motion
 from hitchopt.exports.options import ExportOptions
 from hitchopt.hitch import Hitch
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.motion.plan_file import check_asked, read_plan, read_problem_text, read_title
+from hitchopt.motion.plan_file import (
+    check_asked,
+    check_problem_text,
+    read_plan,
+    read_problem_text,
+    read_title,
+)
 from hitchopt.motion.states import States, final_hitch, states_at
 from hitchopt.storage.archive import PLAN
 from hitchopt.storage.files import replace_files
@@ -309,7 +315,8 @@ def read_asked_plan(file: Path) -> tuple[Motion, str]:
         from hitchopt.mission.loading import asked_in  # heavy, as of all files
 
         try:
-            check_asked(asked_in(problem, motion.requirements.objects), motion, whole=False)
+            check_asked(asked_in(problem, motion.requirements.objects), motion)
         except InputError as error:
             raise FileError(f"{file}: the problem in it differs: {error}") from error
+    check_problem_text(file)
     return motion, problem

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
@@ -23,7 +23,9 @@ from hitchopt.hitch.requirements import (
 from hitchopt.motion.plan_file import asked
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import check_placed
-from hitchopt.steps import STEPS, FollowVertex, Step
+from hitchopt.steps import STEPS, FollowVertex, Form, Step, Transport
+from hitchopt.steps.carrying import PullStep
+from hitchopt.steps.holds import LOOSE, moved_to, places
 from hitchopt.steps.moving import MoveStep
 from hitchopt.steps.step import SlackSplit, Stage, slack_split
 from hitchopt.values import Array, coordinate, instance, points, positive, sequence, text
@@ -204,15 +206,55 @@ class Problem(OneLine):
     @property
     def asked(self) -> dict[str, Any]:
         """What its plan is asked, as plan files store it (``hitchopt.motion.plan_file``)."""
-        if isinstance(self.start, DronesStart):
-            return asked(self.team, self.requirements, {"drones": vars(self.start)})
-        hitch = {"polygon": self.start.polygon.vertices, "altitude": self.start.altitude}
-        return asked(self.team, self.requirements, {"hitch": hitch})
+        start: dict[str, Any] = {"drones": self.start}
+        if not isinstance(self.start, DronesStart):
+            altitude = self.start.altitude
+            start = {"hitch": {"polygon": self.start.polygon.vertices, "altitude": altitude}}
+        return asked(self.team, self.requirements, start, [*_asked_steps(self)])
 
     @property
     def start_outline(self) -> Outline | None:
         """The outline at the start; None where cables are free."""
         return None if isinstance(self.start, DronesStart) else self.start.polygon
+
+
+def _asked_steps(problem: Problem) -> Iterator[dict[str, Any]]:
+    """Yield what every step is asked (``motion.plan_file.flown``), as far as no planner decides it.
+
+    The planner decides outlines around objects, and how high they are.
+    """
+    team, requirements = problem.team, problem.requirements
+    outline, held, hold, pulls = problem.start_outline, _Held(), None, None
+    altitude = getattr(problem.start, "altitude", None)  # None where it is not known
+    for step in problem.mission:
+        name, objects = getattr(step, "object", held.name), {**requirements.objects}
+        if isinstance(step, PullStep):
+            pull = [team.tension, team.tension if step.tension is None else step.tension]
+            pulls = min(LOOSE[0], *map(np.min, pull)), max(map(np.max, pull))
+            hold = name, step.held_by(objects[name])
+        outline, held = step.polygon_left(team, outline), held.after(step, objects)
+        if name:
+            moved = {name: moved_to(objects[name], places(step, requirements, name)[1])}
+            requirements = replace(requirements, objects=objects | moved)
+        if isinstance(step, Form | Transport):
+            altitude = step.altitude if isinstance(step, Form) else float(step.to[2])
+        altitude = None if hasattr(step, "object") else altitude
+        asked_step = {
+            "tension": getattr(step, "tension", None) if hold is None else pulls,
+            "holds": [] if hold is None else [hold],
+            "objects": {key: each.pose for key, each in requirements.objects.items()},
+        }
+        if outline is None:
+            asked_step |= {"polygon": None, "altitude": None}
+        elif held.known and not step.blends:
+            asked_step["polygon"] = outline.vertices
+        if outline is not None and altitude is not None:
+            asked_step["altitude"] = altitude
+        if step.given_duration is not None:
+            asked_step["seconds"] = step.given_duration
+        if held.stage in (Stage.FREE, Stage.AROUND):
+            hold = None
+        yield asked_step
 
 
 def fitting_start(team: Team, start: Start) -> Start:
@@ -276,7 +318,11 @@ class SwarmProblem(OneLine):
     @property
     def asked(self) -> dict[str, Any]:
         """What its plan is asked, as plan files store it (``hitchopt.motion.plan_file``)."""
-        return asked(self.team, self.requirements, {"drones": self.start})
+        step: dict[str, Any] = {"drones": self.goal}
+        step["objects"] = {name: each.pose for name, each in self.objects.items()}
+        if self.duration is not None:
+            step["seconds"] = self.duration
+        return asked(self.team, self.requirements, {"drones": self.start}, [step])
 
     def __post_init__(self) -> None:
         instance("team", self.team, Swarm)

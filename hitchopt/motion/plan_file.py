@@ -8,11 +8,12 @@ team, its requirements and the roles of its robots are those.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields, replace
-from itertools import product
+from itertools import groupby, product
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -29,6 +30,7 @@ from hitchopt.objects import Rim, Section, SolidObject
 from hitchopt.objects.placing import STILL, check_apart, poses_of
 from hitchopt.storage.archive import BROKEN, read_arrays
 from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.values import text
 
 T = TypeVar("T")
 
@@ -54,8 +56,17 @@ LARGEST = 1e6
 TOLERANCE = 1e-9
 """Relative difference of numbers that are the same, but for turning angles into degrees."""
 
-AT_START = 1e-6
-"""[m] A plan begins this close to where it was asked to."""
+AT_PLACE = 1e-6
+"""[m] A plan begins, and its steps end, this close to where they were asked to."""
+
+SLACK = 1e-4
+"""[N] Tensions may be so far out of a range, as in the check ``tension``."""
+
+OPTIONAL = frozenset({"control", "objects", "problem", "assignment", *FURTHER})
+"""Settings that are left out where there are none."""
+
+LATER = frozenset({"mission", "problem"})
+"""Keys of ``asked`` that files of earlier releases do not have."""
 
 
 def write_plan(path: Path, motion: Motion, title: str = "", problem: str = "") -> None:
@@ -71,44 +82,67 @@ def write_plan(path: Path, motion: Motion, title: str = "", problem: str = "") -
     ------
     OSError: the file cannot be written.
     """
-    team, requirements = motion.team, motion.requirements
+    team = motion.team
     columns = {
         name: np.array([getattr(kind, name) for kind in team.quadrotor], dtype=np.float64)
         for name in (*PER_KIND, *PER_CONTROLLER)
     }
     columns["stiffness"][np.isnan(columns["stiffness"])] = np.inf  # None
-    pairs = product(team.quadrotor, PER_CONTROLLER)
-    control = any(getattr(kind, name) != getattr(Quadrotor, name) for kind, name in pairs)
-    names = (*PER_KIND, *(PER_CONTROLLER if control else ()))
+    names = (*PER_KIND, *(PER_CONTROLLER if _controlled(team) else ()))
     arrays: Arrays = {name: columns[name] for name in names}
-    own = {field.name: getattr(team, field.name) for field in fields(team)}
     if team.has_cables:
-        arrays |= {name: own.pop(name) for name in PER_ROBOT}
-        own.pop("quadrotor")
-    further = [name for name in FURTHER if getattr(motion, name) is not None]
+        arrays |= {name: getattr(team, name) for name in PER_ROBOT}
+    stored = _settings(motion, title, problem)
+    arrays["breaks"] = motion.drones.breaks
+    further = [name for name in FURTHER if name in stored]
+    for name in (*(POLYNOMIALS if team.has_cables else POLYNOMIALS[:1]), *further):
+        arrays[name] = getattr(motion, name).coefficients
+    text = np.array(json.dumps(stored, allow_nan=False))
+    with path.open("wb") as file:
+        np.savez(file, allow_pickle=False, format=np.array(FORMAT), settings=text, **arrays)
+
+
+def _controlled(team: Team) -> bool:
+    """Return whether any value of any robot's controller is no default."""
+    pairs = product(team.quadrotor, PER_CONTROLLER)
+    return any(getattr(kind, name) != getattr(Quadrotor, name) for kind, name in pairs)
+
+
+def _settings(motion: Motion, title: str, problem: str) -> dict[str, Any]:
+    """Return what a plan file holds besides arrays, as JSON has it."""
+    team, requirements = motion.team, motion.requirements
+    own = {"drones": team.drones}
+    if team.has_cables:
+        arrays = (*PER_ROBOT, "quadrotor")
+        names = (field.name for field in fields(team) if field.name not in arrays)
+        own = {name: getattr(team, name) for name in names}
     settings: dict[str, Any] = {
         "title": title,
-        "team": own if team.has_cables else {"drones": team.drones},
+        "team": own,
         "limits": requirements.limits,
         "separation": requirements.separation,
         "arena": requirements.arena,
         "phases": motion.phases,
         "keep_out": requirements.keep_out,
-        "asked": asked_of(motion),
-        "control": control,
+        "asked": asked_of(motion, problem),
+        "control": _controlled(team),
         "objects": _objects_at_first(motion),
-        **dict.fromkeys(further, True),  # arrays of these names are there
+        **{name: getattr(motion, name) is not None for name in FURTHER},  # arrays that are there
         "problem": problem,
         "assignment": motion.assignment,
     }
-    optional = {"control", "objects", "problem", "assignment"}  # left out where there are none
-    stored = {name: value for name, value in settings.items() if value or name not in optional}
-    arrays["breaks"] = motion.drones.breaks
-    for name in (*(POLYNOMIALS if team.has_cables else POLYNOMIALS[:1]), *further):
-        arrays[name] = getattr(motion, name).coefficients
-    text = np.array(json.dumps(stored, allow_nan=False, default=_plain))
-    with path.open("wb") as file:
-        np.savez(file, allow_pickle=False, format=np.array(FORMAT), settings=text, **arrays)
+    return _said(_written(settings))
+
+
+def _said(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings without those of OPTIONAL that say nothing."""
+    return {name: value for name, value in settings.items() if value or name not in OPTIONAL}
+
+
+def _written(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return values as JSON has them."""
+    plain: dict[str, Any] = json.loads(json.dumps(values, allow_nan=False, default=_plain))
+    return plain
 
 
 def read_plan(path: Path) -> Motion:
@@ -129,6 +163,21 @@ def read_title(path: Path) -> str:
 def read_problem_text(path: Path) -> str:
     """Return the text of a plan's problem file, empty if not known; errors as ``read_plan``."""
     return _read(path, lambda settings, _: str(settings.get("problem", "")))
+
+
+def check_problem_text(path: Path) -> None:
+    """Raise FileError where the text of a plan's problem file is not the one that was asked."""
+
+    def check(settings: dict[str, Any], _: Arrays) -> None:
+        here, asked = _digest(settings.get("problem", "")), settings["asked"]
+        if asked.get("problem", here) != here:
+            raise InputError("problem", "another text", "the one that was asked", REMEDY)
+
+    _read(path, check)
+
+
+def _digest(problem: str) -> str:
+    return hashlib.sha256(problem.encode()).hexdigest()
 
 
 def _read(path: Path, made: Callable[[dict[str, Any], Arrays], T]) -> T:
@@ -188,7 +237,14 @@ def _motion(settings: dict[str, Any], arrays: Arrays) -> Motion:
     if np.max(np.abs(begin - poses_of(objects)), initial=0.0) > STILL:
         raise InputError("poses", begin.tolist(), "where the objects stand", REMEDY)
     check_apart(objects)
-    check_asked(settings["asked"], motion)
+    title, problem = text("title", settings["title"]), text("problem", settings.get("problem", ""))
+    here = _settings(motion, title, problem)
+    wanted, own = dict(settings["asked"]), here.pop("asked")
+    wanted.pop("problem", None)  # whoever reads the text compares it (``check_problem_text``)
+    own = {key: own[key] for key in own if key in wanted or key not in LATER}
+    _check_same("asked", wanted, own, "as asked")
+    given = _said({key: x for key, x in settings.items() if key != "asked"})
+    _check_same("", here, given, "as plans are written")
     return motion
 
 
@@ -242,47 +298,56 @@ def _check_phases(motion: Motion) -> None:
             raise InputError("phases.hold", vars(hold), bound, REMEDY)
 
 
-def asked_of(motion: Motion) -> dict[str, Any]:
+def asked_of(motion: Motion, problem: str = "") -> dict[str, Any]:
     """Return what a motion was asked, in the keys of problem files, with all defaults filled in.
 
-    Values of robots are in the order of the start's robots, which ``assignment`` gives roles.
+    Values of robots are in the order of the start's robots, which ``assignment`` gives roles. The
+    text of its ``problem`` is there by its digest.
     """
     team, first = motion.team, motion.drones.coefficients[0, ..., 0]
     requirements = replace(motion.requirements, objects=_objects_at_first(motion))
-    if not team.has_cables:
-        return asked(team, requirements, {"drones": first})
-    given = motion.assignment or Assignment.fixed(team.robots)
-    role_of = np.argsort(given.robots).tolist()
-    back = Assignment(tuple(role_of), tuple(given.flipped[role] for role in role_of))
-    drones = back.drones(first)
-    start: dict[str, Any] = {"drones": {"q": drones[0::2], "r": drones[1::2]}}
-    if motion.formed[0]:
-        x, y, z = motion.vertices.coefficients[0, ..., 0].T
-        start["hitch"] = {"polygon": np.column_stack([x, y]), "altitude": float(np.mean(z))}
-    return asked(back.team(team), requirements, start)
+    start: dict[str, Any] = {"drones": first}
+    if team.has_cables:
+        given = motion.assignment or Assignment.fixed(team.robots)
+        role_of = np.argsort(given.robots).tolist()
+        back = Assignment(tuple(role_of), tuple(given.flipped[role] for role in role_of))
+        drones, team = back.drones(first), back.team(team)
+        start = {"drones": {"q": drones[0::2], "r": drones[1::2]}}
+        if motion.formed[0]:
+            x, y, z = motion.vertices.coefficients[0, ..., 0].T
+            start["hitch"] = {"polygon": np.column_stack([x, y]), "altitude": float(np.mean(z))}
+    found = asked(team, requirements, start, flown(motion))
+    return found | {"problem": _digest(problem)}
 
 
-def asked(team: Team, requirements: Requirements, start: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a team, requirements and a start as plan files store them.
+def asked(
+    team: Team,
+    requirements: Requirements,
+    start: Mapping[str, Any],
+    mission: Sequence[Mapping[str, Any]],
+) -> dict[str, Any]:
+    """Return a team, requirements, a start and a mission as plan files store them.
 
-    Robots are in the order of the start, of which ``hitch``, ``drones`` or both are known.
+    Robots are in the order of the start, of which ``hitch``, ``drones`` or both are known. Of the
+    mission's steps there is what ``flown`` returns, as far as it is known.
     """
     own = vars(team) if team.has_cables else {"drones": team.drones, "quadrotor": team.quadrotor}
     limits = dict(vars(requirements.limits))
     for name in ("tilt", "body_rate"):
         angle = limits.pop(name)
         limits[f"{name}_deg"] = None if angle is None else math.degrees(angle)
-    values = {
-        "start": start,  # compared first: roles tell the order of all else
-        "team": own,
-        "limits": limits,
-        "separation": requirements.separation,
-        "arena": requirements.arena,
-        "keep_out": requirements.keep_out,
-        "objects": requirements.objects,
-    }
-    plain: dict[str, Any] = json.loads(json.dumps(values, default=_plain))
-    return plain
+    return _written(
+        {
+            "start": start,  # compared first: roles tell the order of all else
+            "team": own,
+            "limits": limits,
+            "separation": requirements.separation,
+            "arena": requirements.arena,
+            "keep_out": requirements.keep_out,
+            "objects": requirements.objects,
+            "mission": mission,
+        }
+    )
 
 
 def _plain(record: Any) -> Any:
@@ -303,20 +368,64 @@ def _objects_at_first(motion: Motion) -> dict[str, SolidObject]:
     }
 
 
-def check_asked(wanted: Any, motion: Motion, *, whole: bool = True) -> None:
-    """Raise InputError, by its key, where a motion differs from what it was asked.
+def _steps(motion: Motion) -> list[list[Phase]]:
+    """Return the phases of every step, in order."""
+    return [list(phases) for _, phases in groupby(motion.phases, lambda phase: phase.step)]
 
-    Parameters
-    ----------
-    wanted: as ``asked_of`` returns it.
-    whole: whether all of that has to be there; else what is missing is not compared.
+
+def flown(motion: Motion) -> list[dict[str, Any]]:
+    """Return what every step does, as ``asked.mission`` in a plan file has it."""
+    breaks, names, found = motion.drones.breaks, motion.requirements.objects, []
+    for phases in _steps(motion):
+        last = max(int(np.argmin(np.abs(breaks - phases[-1].end))) - 1, 0)
+        ranges = [phase.tension for phase in phases if phase.tension is not None]
+        holds = [(phase.hold.object, phase.hold.by) for phase in phases if phase.hold is not None]
+        places = motion.vertices.coefficients[last, ..., -1]
+        poses = motion.object_poses.coefficients[last, ..., -1]
+        step: dict[str, Any] = {
+            "tension": [np.min(ranges), np.max(ranges)] if ranges else None,
+            "holds": [*dict.fromkeys(holds)],
+            "polygon": places[:, :2] if motion.formed[last] else None,
+            "altitude": float(np.mean(places[:, 2])) if motion.formed[last] else None,
+            "objects": dict(zip(names, poses, strict=True)),
+        }
+        if not motion.team.has_cables:
+            step = {"drones": motion.drones.coefficients[last, ..., -1], "objects": step["objects"]}
+        found.append(step)
+    return found
+
+
+def check_asked(wanted: Mapping[str, Any], motion: Motion) -> None:
+    """Raise InputError, by its key, where a motion differs from what a problem asks.
+
+    What the problem leaves open is not compared. A step may use less than the range of tensions
+    that it is asked for.
     """
-    there, here = (dict(_leaves("asked", each)) for each in (wanted, asked_of(motion)))
-    missing = [key for key in here if whole or key.startswith("asked.objects.")]
-    for key in [*there, *missing]:
-        slack = AT_START if key.startswith("asked.start") else 0.0
+    here = asked_of(motion)
+    done, steps = here.pop("mission"), wanted["mission"]
+    del here["problem"]
+    start = {key: here["start"].get(key) for key in wanted["start"]}
+    own = {key: value for key, value in wanted.items() if key != "mission"}
+    _check_same("asked", own, here | {"start": start}, "as asked")
+    if len(steps) != len(done):
+        raise InputError("asked.mission", f"{len(done)} steps", f"{len(steps)} as asked", REMEDY)
+    pairs = zip(_steps(motion), steps, done, strict=True)
+    for i, (phases, want, have) in enumerate(pairs):
+        have["seconds"] = phases[-1].end - phases[0].start
+        (least, most), used = want.get("tension") or (0.0, 0.0), have.get("tension")
+        if used is None or (least - SLACK <= used[0] and used[1] <= most + SLACK):
+            have["tension"] = want.get("tension")
+        known = {key: have.get(key) for key in want}
+        _check_same(f"asked.mission[{i}]", want, known, "as asked")
+
+
+def _check_same(prefix: str, wanted: Any, found: Any, words: str) -> None:
+    """Raise InputError, by its key, where what is found differs from what is wanted."""
+    there, here = (dict(_leaves(prefix, each)) for each in (wanted, found))
+    for key in there | here:
+        slack = AT_PLACE if key.startswith(("asked.start", "asked.mission")) else 0.0
         if key not in there or key not in here or not _same(there[key], here[key], slack):
-            bound = f"{there[key]!r} as asked" if key in there else "left out as asked"
+            bound = f"{there[key]!r} {words}" if key in there else f"left out {words}"
             raise InputError(key, here.get(key, "left out"), bound, REMEDY)
 
 
@@ -324,7 +433,7 @@ def _leaves(key: str, value: Any) -> Iterator[tuple[str, Any]]:
     """Yield single values, and what is empty, by their keys in the file."""
     if isinstance(value, dict) and value:
         for name, each in value.items():
-            yield from _leaves(f"{key}.{name}", each)
+            yield from _leaves(f"{key}.{name}".lstrip("."), each)
     elif isinstance(value, list) and value:
         for i, each in enumerate(value):
             yield from _leaves(f"{key}[{i}]", each)

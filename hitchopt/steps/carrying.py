@@ -14,7 +14,7 @@ from hitchopt.geometry import ConvexPolygon, Outline
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import HoldBy, joined_motions
 from hitchopt.objects import SolidObject
-from hitchopt.objects.placing import TOUCH, footing, poses_of, surface_below
+from hitchopt.objects.placing import TOUCH, footing
 from hitchopt.planners.carrying.grip import check_opens, grip_polygons
 from hitchopt.planners.carrying.rest import ROOM, HeldHitch, HoldPolygons, rest_polygons
 from hitchopt.steps import holds
@@ -37,7 +37,7 @@ from hitchopt.steps.step import (
     eased,
     one_of,
 )
-from hitchopt.values import positive
+from hitchopt.values import Array, positive
 
 AROUND_SPEED, OVER = 0.15, 0.10
 """Speed upright around an object [m/s]; room between drones' lowest places and objects below,
@@ -166,9 +166,14 @@ BALANCE = frozenset({"equilibrium", "keep_out"})
 
 
 class PullStep(Step):
-    """A step that says how hard cables pull from here on."""
+    """A step that says how an object is held, and how hard cables pull from here on."""
 
+    by: By | None
     tension: float | None
+
+    def held_by(self, body: SolidObject) -> By:
+        """Return how it holds an object."""
+        return self.by or ("rest" if body.rim else "grip")
 
     def knobs(self) -> Iterator[Knob]:
         """Yield the tension, and what else repair may change."""
@@ -231,10 +236,13 @@ class Lift(Step):
     by: Annotated[float, Key(Positive, "How far up [m]", (0.5,), check=positive)]
     duration: Seconds = None
 
+    def place_after(self, body: SolidObject, below: float) -> Array:  # noqa: ARG002
+        """Return the place that much higher."""
+        return np.array([*body.at[:2], body.at[2] + self.by, body.yaw])
+
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan straight up."""
-        start = holds.place_of(task.requirements.objects[task.holding.name])
-        to = start + np.array([0.0, 0.0, self.by, 0.0])
+        start, to = holds.places(self, task.requirements, task.holding.name)
         up = holds.carried_move(task, start, to, holds.LIFT_SPEED)
         moves = [holds.transferred(task, 0.0, 1.0), up]
         return holds.held_plan(self, task, replace(task.holding, borne=True), moves)
@@ -250,10 +258,13 @@ class Carry(Step):
     yaw: Yaw = 0.0
     duration: Seconds = None
 
+    def place_after(self, body: SolidObject, below: float) -> Array:  # noqa: ARG002
+        """Return the place that it is given, turned by its yaw."""
+        return np.append(self.to, body.yaw + self.yaw)
+
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan along the line."""
-        start = holds.place_of(task.requirements.objects[self.object])
-        to = np.append(self.to, start[3] + self.yaw)
+        start, to = holds.places(self, task.requirements, self.object)
         move = holds.carried_move(task, start, to, task.requirements.limits.speed)
         return holds.held_plan(self, task, task.holding, [move])
 
@@ -266,13 +277,14 @@ class SetDown(Step):
     object: ObjectOf
     duration: Seconds = None
 
+    def place_after(self, body: SolidObject, below: float) -> Array:
+        """Return the place straight below."""
+        return np.array([*body.at[:2], below - body.lower, body.yaw])
+
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan straight down, to where the object stands well."""
-        objects, floor = task.requirements.objects, task.requirements.floor
-        body = objects[self.object]
-        surface, _ = surface_below(objects, poses_of(objects), self.object, floor)
-        start = holds.place_of(body)
-        to = np.concatenate([start[:2], [surface - body.lower], start[3:]])
+        objects, body = task.requirements.objects, task.requirements.objects[self.object]
+        start, to = holds.places(self, task.requirements, self.object)
         inside = footing({**objects, self.object: holds.moved_to(body, to)}, self.object)
         if inside < INSIDE:
             bound = (
@@ -346,13 +358,17 @@ class TransportObject(PullStep):
         Key(Positive, "How far above the higher of the two places [m]", check=positive),
     ] = 0.3
 
+    def place_after(self, body: SolidObject, below: float) -> Array:  # noqa: ARG002
+        """Return the place that it is given, turned by its yaw."""
+        return np.append(self.to, body.yaw + self.yaw)
+
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of the seven steps; what is below ``to`` has to be as high as it says."""
         body = object_of(task, self.object)
         high = max(float(body.at[2]), float(self.to[2])) + self.lift
         steps = [
             Enclose(self.object),
-            Grasp(self.object, self.by or ("rest" if body.rim else "grip"), self.tension),
+            Grasp(self.object, self.held_by(body), self.tension),
             Lift(high - float(body.at[2])),
             Carry(self.object, np.append(self.to[:2], high), self.yaw),
             SetDown(self.object),

@@ -19,7 +19,7 @@ from hitchopt.hitch.hitch import cable_slack
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Hold, HoldBy, Motion, Phase, joined_motions
 from hitchopt.objects import SolidObject
-from hitchopt.objects.placing import in_world, stacked_on
+from hitchopt.objects.placing import in_world, poses_of, stacked_on, surface_below
 from hitchopt.planners.carrying.grip import GrippedHitch, check_pull, grip_left
 from hitchopt.planners.carrying.moves import CarriedMove, Move, SmoothLaw
 from hitchopt.planners.carrying.rest import HeldHitch
@@ -86,6 +86,14 @@ def polygon_at(body: SolidObject, places: Array) -> ConvexPolygon:
 def place_of(body: SolidObject) -> Array:
     """Return where an object's base is (4,): x, y, z [m] and yaw [rad]."""
     return np.append(body.at, body.yaw)
+
+
+def places(step: Step, requirements: Requirements, name: str) -> tuple[Array, Array]:
+    """Return where a held object's base is (4,) before a step, and after it."""
+    objects, start = requirements.objects, place_of(requirements.objects[name])
+    below, _ = surface_below(objects, poses_of(objects), name, requirements.floor)
+    to = step.place_after(objects[name], below)
+    return start, start if to is None else to
 
 
 def moved_to(body: SolidObject, place: Array) -> SolidObject:

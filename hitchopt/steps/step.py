@@ -541,6 +541,13 @@ class Step(OneLine, ABC):
         own = vars(self).get("polygon", outline)
         return None if own is None else fitting_polygon(team, own)
 
+    def place_after(self, body: SolidObject, below: float) -> Array | None:  # noqa: ARG002
+        """Return where the base of a held object goes: x, y, z [m], yaw [rad]; None if it stays.
+
+        The surface ``below`` it is that high [m].
+        """
+        return None
+
     @abstractmethod
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of the step, from rest to rest.
