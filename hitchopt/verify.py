@@ -18,13 +18,13 @@ only reported.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import sys
-import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from itertools import pairwise
+from itertools import groupby, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -52,6 +52,39 @@ CROSSED = {"on the ground": 0, "hanging free": 0, "being tightened": 1, "hitched
 STATES = {*CROSSED, "clasping", "none"}
 
 
+# What settings are made of: keys and forms; * may be left out, ? be null, [] is a list, [2] of two.
+FORMS = {
+    "settings": "title:text team:any limits:limits separation:separation arena:arena? asked:any "
+    "keep_out:prism[] phases:phase[] objects:any* problem:text* assignment:roles?* control:flag* "
+    "leg_tensions:flag* poses:flag* borne:flag* contacts:flag*",
+    "team": "robots:count topology:text cable_density:0+ cable_friction:0+ load:0+[]",
+    "single": "drones:count",
+    "limits": "speed:+ acceleration:+ jerk:+ tilt:+ body_rate:+? vertex_speed:+ leg:+ duration:+? "
+    "reserve:+",
+    "separation": "radius:+ height:+ cable:0+ crossing:0+ object:0+",
+    "arena": "lower:number[3] upper:number[3]",
+    "prism": "polygon:number[2][] lower:number upper:number",
+    "phase": "name:text step:count remark:text start:number end:number state:text tension:+[2]? "
+    "hold:hold?",
+    "hold": "object:text by:text cables:count[]",
+    "roles": "robots:count[] flipped:flag[]",
+    "body": "section:section lower:number upper:number mass:+ friction:0+ at:number[3] yaw:number "
+    "rim:rim? fixed:flag",
+    "section": "outline:number[2][]? radius:+?",
+    "rim": "section:section height:number",
+}
+KINDS: dict[str, Callable[[Any], bool]] = {
+    "text": lambda x: type(x) is str,
+    "flag": lambda x: type(x) is bool,
+    "count": lambda x: type(x) is int and 0 <= x < 2**31,
+    "number": lambda x: type(x) in (int, float) and abs(x) < BIG,
+    "+": lambda x: KINDS["number"](x) and x > 0,
+    "0+": lambda x: KINDS["number"](x) and x >= 0,
+    "any": lambda _: True,
+}
+PLAIN = {"stiffness": math.inf, "integral": 0.0, "feed_forward": 1.0}  # controllers, unless given
+
+
 class Row(NamedTuple):
     """What was found of a limit: the worst value at a sample, its time [s] and place."""
 
@@ -68,6 +101,26 @@ class Row(NamedTuple):
 
 class UnreadableError(Exception):
     """The file is not a plan."""
+
+
+def fit(key: str, x: Any, form: str) -> None:
+    """Raise ValueError, by its key, for a setting that is not of a form."""
+    if x is None and "?" in form:
+        return
+    kind = form.rstrip("?*")
+    each, _, count = kind.rstrip("]").rpartition("[")
+    if kind in FORMS and isinstance(x, dict):
+        forms = dict(entry.split(":") for entry in FORMS[kind].split())
+        for name in forms | x:
+            if name not in forms or (name not in x and "*" not in forms[name]):
+                raise ValueError(f"{key}.{name} is {'left out' if name in forms else 'unknown'}")
+            if name in x:
+                fit(f"{key}.{name}", x[name], forms[name])
+    elif each and isinstance(x, list) and count in ("", str(len(x))):
+        for i, y in enumerate(x):
+            fit(f"{key}[{i}]", y, each)
+    elif kind not in KINDS or not KINDS[kind](x):
+        raise ValueError(f"{key} is {x!r:.60}, not of the form {form}")
 
 
 class Line:
@@ -406,6 +459,8 @@ class Slab:
         self.sides = np.roll(self.core, -1, 0) - self.core
         self.out = direction(np.stack([-self.sides[:, 1], self.sides[:, 0]], -1))
         turn, area = (np.sum(self.out * np.roll(x, -1, 0), -1) for x in (self.sides, self.core))
+        if lower > upper:
+            raise ValueError("a body's floor is above its ceiling")
         if self.radius <= 0.0 if self.round else self.radius < 0.0 or np.any(turn >= 0.0):
             raise ValueError("a section is a convex, clockwise outline or a circle's radius")
         area = (area * size(self.sides))[:, None]
@@ -453,6 +508,7 @@ class Body:
     """An object: its stem and rim, its first pose and its centre of mass in its own frame."""
 
     def __init__(self, name: str, o: dict[str, Any]) -> None:
+        fit(f"objects.{name}", o, "body")
         self.name, self.fixed, rim = name, bool(o["fixed"]), o["rim"]
         self.mass, self.friction = float(o["mass"]), float(o["friction"])
         self.stem, self.rim = Slab(**o["section"], lower=o["lower"], upper=o["upper"]), None
@@ -474,28 +530,33 @@ class Plan:
 
     def __init__(self, path: Path) -> None:
         try:
-            with np.load(path, allow_pickle=False) as file:
-                self.arrays: dict[str, Array] = {k: file[k] for k in file.files}
-            if str(self.arrays["format"]) != "hitchopt-plan/1":
-                raise ValueError("its format is not hitchopt-plan/1")
-            self.settings: dict[str, Any] = json.loads(str(self.arrays["settings"]))
-            self._read(self.settings)
-        except (OSError, KeyError, ValueError, TypeError, IndexError, AttributeError,
-                zipfile.BadZipFile) as error:  # fmt: skip
-            raise UnreadableError(f"{type(error).__name__}: {error}") from error
+            with np.load(path, allow_pickle=False) as self.file:
+                if str(self.file["format"]) != "hitchopt-plan/1":
+                    raise ValueError("its format is not hitchopt-plan/1")
+                self.settings: dict[str, Any] = json.loads(str(self.file["settings"]))
+                self._read(self.settings)
+            for words in differences("", self.settings["asked"], told(self)):
+                raise ValueError(words)
+        except Exception as error:  # files of strangers raise many
+            words = " ".join(f"{type(error).__name__}: {error}".split())
+            raise UnreadableError(words[:300]) from error
 
-    def _array(self, name: str, *shape: int, other: Array | None = None) -> Array:
+    def _array(
+        self, name: str, *shape: int, other: Array | None = None, most: float = 1e6
+    ) -> Array:
         """Return an array of the file; the other one where the settings do not name it."""
         if 0 in shape or (other is not None and self.settings.get(name) is not True):
             return np.zeros((*shape, 1)) if other is None else other
-        x = self.arrays[name]
+        x: Array = self.file[name]
         fits = (x.shape[:-1] if shape[1:] else x.shape) == shape and x.dtype == np.float64
-        if not fits or not np.all(np.abs(x) <= 1e6):
+        if not fits or not np.all(np.abs(x) <= most) or self.file.files.count(name) != 1:
             raise ValueError(f"{name} has another shape, or numbers that are not finite")
         return x
 
     def _read(self, s: dict[str, Any]) -> None:
-        team, self.breaks, self.phases = s["team"], self.arrays["breaks"], s["phases"]
+        fit("settings", s, "settings")
+        fit("settings.team", s["team"], "team" if "robots" in s["team"] else "single")
+        team, self.breaks, self.phases = s["team"], self.file["breaks"], s["phases"]
         self.limits, self.sep, self.arena = s["limits"], s["separation"], s["arena"]
         self.h, self.n = np.diff(self.breaks), int(team.get("robots", 0))
         m, n, self.closed = len(self.h), self.n, team.get("topology") == "closed"
@@ -503,17 +564,28 @@ class Plan:
         self.N, self.V, self.every = N, slice(N, N + P), np.ones(m, dtype=bool)
         if m < 1 or self.breaks[0] != 0.0 or not np.all(self.h > 0.0):
             raise ValueError("breaks do not rise from 0")
+        self._array("breaks", m + 1, most=BIG)
+        if n and (team["topology"] not in ("closed", "open") or n < 2 + self.closed):
+            raise ValueError("team has too few robots, or another topology than closed or open")
+        if self.limits["reserve"] > 1.0 or self.limits["tilt"] >= 0.5 * math.pi:
+            raise ValueError("limits.reserve is above 1, or limits.tilt no acute angle")
+        box = s["arena"] or {"lower": [], "upper": []}
+        if any(low >= high for low, high in zip(box["lower"], box["upper"], strict=True)):
+            raise ValueError("arena has no room")
+        self.given = {key: self._array(key, n or N) for key in ("mass", "max_thrust")}
+        each = (np.repeat(x[:, None], 1 + (n > 0), axis=0) for x in self.given.values())
+        self.mass, self.max_thrust = each
+        for key, x in PLAIN.items():
+            other = None if s.get("control") is True else np.full(n or N, x)
+            self.given[key] = self._array(key, n or N, other=other, most=math.inf)
         self.names = [f"{'qr'[i % 2]}{i // 2}" if n else f"d{i}" for i in range(N)]
         self.cables = [f"cable {k}" for k in range(n)]
         self.labels = [*self.names, *(f"p{j}" for j in range(P)), *np.repeat(self.cables, 2)]
-        each = (self._array(key, n or N)[:, None] for key in ("mass", "max_thrust"))
-        self.mass, self.max_thrust = (np.repeat(x, 1 + (n > 0), axis=0) for x in each)
         self.floor = 0.0 if self.arena is None else float(self.arena["lower"][2])
         ends = [float(phase["end"]) for phase in self.phases[:-1]]
         self.phase = np.searchsorted(ends, self.breaks[:-1] + 0.5 * self.h)
+        self._check_phases()
         self.state = np.array([phase["state"] for phase in self.phases])[self.phase]
-        if not set(self.state) <= STATES:
-            raise ValueError("phases have states that there are not")
         self.formed, self.free = self.state == "hitched", (self.state != "hitched") & (n > 0)
         self._read_bodies(m, n)
         parts = [self._array("drones", m, N, 3), *self._read_cables(m, n, N, P)]
@@ -528,6 +600,30 @@ class Plan:
             near[1:] |= still[1:] & near[:-1]
             near[:-1] |= still[:-1] & near[1:]
         self.ramp = near & self.formed
+
+    def _check_phases(self) -> None:
+        """Raise ValueError unless phases follow each other, and say what there can be."""
+        end, before, named = 0.0, self.phases[0]["state"], self.settings.get("objects", {})
+        for i, phase in enumerate(self.phases):
+            at, state, low, hold = (phase[key] for key in ("start", "state", "tension", "hold"))
+            follows, end = abs(at - end) <= TOUCH and at < phase["end"], phase["end"]
+            broken, before = state == before or np.min(np.abs(self.breaks - at)) <= TOUCH, state
+            cables = {*range(self.n)}.issuperset(hold["cables"] if hold else ())
+            for good, words in (
+                (follows, "does not follow what is before"),
+                (broken, "begins another state within a piece"),
+                (state in STATES and (state == "none") is (self.n == 0), f"is {state}"),
+                (low is None or low[0] <= low[1], "has no range of tensions"),
+                (
+                    not hold
+                    or (hold["object"] in named and hold["by"] in ("rest", "grip") and cables),
+                    "holds what is not there",
+                ),
+            ):
+                if not good:
+                    raise ValueError(f"phases[{i}] {words}")
+        if abs(end - self.breaks[-1]) > TOUCH:
+            raise ValueError("phases do not end with the plan")
 
     def _read_bodies(self, m: int, n: int) -> None:
         """Read what moves besides; which bodies are held how (o, m), by which cables (o, m, n)."""
@@ -1219,12 +1315,8 @@ def interlacing(p: Plan) -> Iterator[Row]:
 
 
 def story(p: Plan) -> Iterator[Row]:
-    """Count what contradicts the phases, the objects or what was asked."""
+    """Count what contradicts the phases or the objects."""
     found = [(time, words) for time, wrong, words in (*phases(p), *objects(p)) if wrong]
-    try:
-        found += [(0.0, words) for words in differences("", p.settings["asked"], told(p))]
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        found.append((0.0, f"what was asked cannot be read: {error!r}"))
     yield judged("story", "1", 0.0, [(float(len(found)), *min(found))] if found else [])
     if p.limits["duration"] is not None:
         end = float(p.breaks[-1])
@@ -1232,19 +1324,12 @@ def story(p: Plan) -> Iterator[Row]:
 
 
 def phases(p: Plan) -> Iterator[Fault]:
-    """Phases follow each other, and cables are in their states as far as curves tell."""
-    ends, c = [0.0, *(phase["end"] for phase in p.phases)], p.points.c[0][:, : p.N]
-    yield ends[-1], abs(ends[-1] - p.breaks[-1]) > TOUCH, "phases do not end with the plan"
+    """Cables are in the states of phases as far as curves tell."""
+    c = p.points.c[0][:, : p.N]
     for i, phase in enumerate(p.phases):
-        at, state, low, on = phase["start"], phase["state"], phase["tension"], p.phase == i
+        at, state, on = phase["start"], phase["state"], p.phase == i
         s, k = p.spans(on & p.free, range(p.n)), np.tile(np.arange(p.n), np.sum(on & p.free))
-        broken = np.min(np.abs(p.breaks - at)) > TOUCH and state != p.phases[i - 1]["state"]
         pulls = any(np.any(x.c[0][on & p.free]) for x in (p.legs, p.tensions, p.pulls))
-        unlike = abs(at - ends[i]) > TOUCH or not at < phase["end"]
-        yield at, unlike, "phases do not follow each other"
-        yield at, broken, "a state changes within a piece"
-        yield at, (state == "none") is (p.n > 0), f"state {state}"
-        yield at, low is not None and not 0.0 < low[0] <= low[1], "a range of tensions"
         yield at, pulls, "tensions or legs without a hitch"
         if p.n and state == "on the ground":
             with np.errstate(all="ignore"):
@@ -1295,44 +1380,71 @@ def objects(p: Plan) -> Iterator[Fault]:
 
 def told(p: Plan) -> dict[str, Any]:
     """Return what the file says of all that was asked, in the order of robots."""
-    s, a, count = p.settings, p.arrays, p.n or p.N
+    s, count = p.settings, p.n or p.N
     given = s.get("assignment") or {"robots": [*range(count)], "flipped": [False] * count}
     roles = [given["robots"].index(i) for i in range(count)]
     first, team = p.points.c[0][0, ..., 0].tolist(), {**s["team"]}
     start: dict[str, Any] = {"drones": first[: p.N]}
     if p.n:
-        flown = [[2 * k + (end ^ bool(given["flipped"][k])) for k in roles] for end in (0, 1)]
+        flown = [[2 * k + (end ^ given["flipped"][k]) for k in roles] for end in (0, 1)]
         start["drones"] = {"qr"[end]: [first[i] for i in flown[end]] for end in (0, 1)}
-        team |= {key: [float(a[key][k]) for k in roles] for key in ("cable_length", "tension")}
+        team |= {"cable_length": p.length[roles, 0].tolist(), "tension": p.team[roles, 0].tolist()}
         if p.formed[0]:
             x = np.array(first[p.V])
             start["hitch"] = {"polygon": x[:, :2].tolist(), "altitude": float(np.mean(x[:, 2]))}
-    plain = {"stiffness": math.inf, "integral": 0.0, "feed_forward": 1.0}
-    kinds = {key: np.full(count, value) for key, value in plain.items()}
-    kinds |= {key: a[key] for key in ("mass", "max_thrust", *plain) if key in a}
-    team["quadrotor"] = [{key: float(x[k]) for key, x in kinds.items()} for k in roles]
+    said: dict[str, dict[float, Any]] = {"stiffness": {math.inf: None}}  # of numbers
+    said |= {key: {0.0: False, 1.0: True} for key in ("integral", "feed_forward")}
+    rows = [[(key, float(x[k])) for key, x in p.given.items()] for k in roles]
+    team["quadrotor"] = [{key: said.get(key, {}).get(x, x) for key, x in row} for row in rows]
     limits = {**s["limits"]}
     for key in ("tilt", "body_rate"):
         x = limits.pop(key)
         limits[f"{key}_deg"] = None if x is None else math.degrees(x)
-    same = {key: s[key] for key in ("separation", "arena", "keep_out")}
-    return {"objects": s.get("objects", {}), "start": start, "team": team, "limits": limits, **same}
+    found = {"objects": s.get("objects", {}), "start": start, "team": team, "limits": limits}
+    found |= {key: s[key] for key in ("separation", "arena", "keep_out")}
+    found["problem"] = hashlib.sha256(s.get("problem", "").encode()).hexdigest()
+    found["mission"] = [step(p, list(run)) for _, run in groupby(p.phases, lambda x: x["step"])]
+    older = {"problem", "mission"} - s["asked"].keys()  # files of earlier releases
+    return {key: x for key, x in found.items() if key not in older}
+
+
+def step(p: Plan, run: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return what a step does, of all its phases: tensions, what is held, and where it ends."""
+    last = max(int(np.argmin(np.abs(p.breaks - run[-1]["end"]))) - 1, 0)
+    x, poses = p.points.c[0][last, ..., -1], p.poses.c[0][last, ..., -1]
+    found: dict[str, Any] = {
+        "objects": {b.name: y.tolist() for b, y in zip(p.bodies, poses, strict=True)}
+    }
+    if not p.n:
+        return found | {"drones": x.tolist()}
+    ranges, holds = ([y[key] for y in run if y[key] is not None] for key in ("tension", "hold"))
+    on = bool(p.formed[last])
+    return found | {
+        "tension": [min(low for low, _ in ranges), max(high for _, high in ranges)]
+        if ranges
+        else None,
+        "holds": [[*y] for y in dict.fromkeys((y["object"], y["by"]) for y in holds)],
+        "polygon": x[p.V, :2].tolist() if on else None,
+        "altitude": float(np.mean(x[p.V, 2])) if on else None,
+    }
 
 
 def differences(key: str, asked: Any, found: Any) -> Iterator[str]:
     """Where two settings differ, by their keys; numbers beyond rounding, places beyond TOUCH."""
     if isinstance(asked, dict) and isinstance(found, dict):
-        for name in sorted(asked.keys() | found.keys()):
-            yield from differences(f"{key}.{name}", asked.get(name), found.get(name))
+        for name in sorted(asked.keys() ^ found.keys()):
+            yield f"{key}.{name} is {'not ' * (name in found)}asked"[1:]
+        for name in sorted(asked.keys() & found.keys()):
+            yield from differences(f"{key}.{name}", asked[name], found[name])
     elif isinstance(asked, list) and isinstance(found, list) and len(asked) == len(found):
         for i, pair in enumerate(zip(asked, found, strict=True)):
             yield from differences(f"{key}[{i}]", *pair)
-    else:
-        numbers = isinstance(asked, (int, float)) and isinstance(found, (int, float))
-        slack = TOUCH if key.startswith(".start") else 0.0
-        near = numbers and math.isclose(asked, found, rel_tol=TOLERANCE, abs_tol=slack)
-        if not near and asked != found and (asked, found) != (None, math.inf):
+    elif KINDS["number"](asked) and KINDS["number"](found):
+        slack = TOUCH if key.startswith((".start", ".mission")) else 0.0
+        if not math.isclose(asked, found, rel_tol=TOLERANCE, abs_tol=slack):
             yield f"{key[1:]} is {found}, asked {asked}"
+    elif type(asked) is not type(found) or asked != found:
+        yield f"{key[1:]} is {found}, asked {asked}"
 
 
 def checked(p: Plan) -> Iterator[Row]:

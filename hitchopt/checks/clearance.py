@@ -1,4 +1,6 @@
-"""What drones and cables keep off: checks ``cable_clearance``, ``keep_out``, ``object_clearance``.
+"""What drones and cables keep off: walls, other cables, prisms and objects.
+
+Checks ``arena``, ``cable_clearance``, ``keep_out`` and ``object_clearance``.
 
 Taut cables are straight. A cable that hangs between its drones is a catenary. Taking off and
 landing, cables lie on the ground at least in part, in between their drones.
@@ -14,6 +16,7 @@ out of one to the nearest point of what moves, are all that ``hitchopt.checks.di
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -22,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from hitchopt.checks.certificate import within
+from hitchopt.checks.certificate import Check, within
 from hitchopt.checks.distances import (
     GROUND,
     TALL,
@@ -37,19 +40,24 @@ from hitchopt.checks.distances import (
     nearest,
     plan_points,
 )
-from hitchopt.checks.drones import steepness_of
+from hitchopt.checks.drones import Drones, edge_sags, leg_sags, steepness_of
 from hitchopt.checks.objects import placed, seen_from
-from hitchopt.checks.rule import CheckRule, Finder
+from hitchopt.checks.rule import CheckRule, Finder, Finding, Searched
 from hitchopt.checks.spans import (
     ROUNDING,
+    MotionSpans,
     cable_names,
     cable_parts,
+    concatenated,
     magnitude,
+    part_name,
     phase_parts,
     position_margin,
+    shared,
 )
 from hitchopt.geometry.vectors import dot, unit
 from hitchopt.hitch.catenary import SERIES, Catenary, depth_terms, level_length, steepness
+from hitchopt.hitch.requirements import Arena
 from hitchopt.motion.loads import held_pieces
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, HoldBy, Motion
 from hitchopt.objects import Slab, SolidObject
@@ -57,7 +65,13 @@ from hitchopt.objects.placing import STILL, TOUCH, sections_apart, surface_below
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
 from hitchopt.trajectory.piecewise import on_breaks
+from hitchopt.trajectory.search import worst
 from hitchopt.values import Array, Indices
+
+# [m] How far exported curves may pass a wall, as those of a drone at rest on the floor do
+EXPORTED = -1e-4
+SHARES = np.array([0.0, 0.25, 0.5, 0.75, 1.0])[:, None, None]
+"""Places along a span between which it sags: the polygon of these is below a parabola as deep."""
 
 HALVINGS = 25  # Halvings of a segment in search of its nearest point: it is found within 3e-8 of it
 
@@ -473,3 +487,121 @@ OBJECT_CLEARANCE = CheckRule(
 Cables that hold an object come as close as they like, but not into it; where edges that grip are
 wrapped, check ``grip`` says.
 """
+
+
+@shared
+def standing(motion: Motion) -> Flags:
+    """Return (pieces, 2n) whether drones stand on the floor, rise from it or sink to it upright."""
+    c, floor = motion.drones.coefficients, motion.requirements.floor
+    upright = np.all(np.ptp(c[:, :, :2], axis=-1) <= TOUCH, axis=-1)
+    down = upright & np.any(np.abs(c[:, :, 2, [0, -1]] - floor) <= TOUCH, axis=-1)
+    run = np.cumsum(~upright, axis=0) * len(c[0]) + np.arange(len(c[0]))
+    found: Flags = upright & np.isin(run, run[down])
+    return found
+
+
+def _room(spans: MotionSpans, x: Array, lowered: Array | float, reach: float = 0.0) -> Bound:
+    """Return the smallest distance to a wall of points x (spans, points, 3, degree + 1) [m].
+
+    They reach so far from above, and are ``lowered`` (spans, points) further [m].
+    """
+    arena = spans.source.requirements.arena
+    assert arena is not None
+    over, under = x - arena.lower[:, None], arena.upper[:, None] - x
+    over[..., 2, :] -= np.asarray(lowered)[..., None]
+    for wall in (over, under):
+        wall[..., :2, :] -= reach
+    inside = np.concatenate([over, under], axis=2).reshape(len(x), -1, x.shape[-1])
+    size = magnitude(spans.source) + float(np.max(np.abs([arena.lower, arena.upper])))
+    return Enclosed(np.min(inside, axis=1, keepdims=True), ROUNDING * size).below
+
+
+def drones_room(spans: Drones, *, landed: bool = True) -> Bound:
+    """Return the smallest distance of drones to a wall [m].
+
+    The floor counts for those that stand there, take off or land, if they are ``landed``.
+    """
+    x = spans.read(spans.source.drones.coefficients)[:, None]
+    free: Any = 0.0
+    if not landed:
+        free = TALL * standing(spans.source)[spans.piece, spans.item, None]
+    return _room(spans, x, -free)
+
+
+class Parts(MotionSpans):
+    """Spans of the straight parts of taut cables."""
+
+    @classmethod
+    def names(cls, motion: Motion) -> Sequence[str]:
+        """Return the parts' names."""
+        return [part_name(part) for part in cable_parts(motion)[1].tolist()]
+
+
+@shared
+def _part_sags(motion: Motion) -> list[Array]:
+    """Return half of the weight per length of parts [N/m] and their tension [N], (pieces, …)."""
+    cable, kind = np.divmod(cable_parts(motion)[1], 3)
+    of_legs, of_edges = leg_sags(motion), edge_sags(motion)
+    index = np.where(kind == 1, motion.team.drones + cable, 2 * cable + kind // 2)
+    pairs = zip(of_legs, of_edges, strict=True)
+    return [concatenated(pair, axis=1)[:, index] for pair in pairs]
+
+
+def _parts_room(spans: Parts) -> Bound:
+    """Return the smallest distance of taut cables to a wall [m].
+
+    A span of length s sags ``ρ g s² / 8 T`` below its chord, half way.
+    """
+    ends = spans.read(cable_parts(spans.source)[0])
+    first, along = ends[:, :1], ends[:, 1:] - ends[:, :1]
+    deep: Array = np.zeros(len(spans))
+    if spans.source.team.cable_density > 0.0:
+        half, tension = spans.scalars(_part_sags(spans.source))
+        chord = Enclosed(along[:, 0]).norm_above.value
+        deep = half.above.value / tension.below.value * chord**2 / 4.0
+    bent = (SHARES[:, 0, 0] > 0.0) & (SHARES[:, 0, 0] < 1.0)
+    return _room(spans, first + SHARES * along, deep[:, None] * bent)
+
+
+def _held_room(motion: Motion, _: float) -> Finding:
+    """Return the smallest distance of a held object to a wall or the ceiling [m]."""
+    found = [Finding(math.inf, 0.0)]
+    for name, body, pose in _placed(motion):
+        held = held_pieces(motion, name, HoldBy.REST) | held_pieces(motion, name, HoldBy.GRIP)
+        for slab in body.slabs:
+            corners = placed(pose, slab)
+            reach = slab.section.rounding + float(np.max(corners.r))
+
+            def room(spans: MotionSpans, c: Array = corners.c, reach: float = reach) -> Bound:
+                return _room(spans, spans.read(c), -TALL, reach)
+
+            spans = MotionSpans.all_of(motion, motion.drones.breaks, 1, held)
+            least = worst(spans, room, "min")
+            found.append(Finding(least.worst, least.time, (name,)))
+    return min(found, key=lambda each: each.worst)
+
+
+ARENA = CheckRule(
+    "arena",
+    "m",
+    "min",
+    lambda motion: None if motion.requirements.arena is None else 0.0,
+    (
+        Finder(Searched(Drones, drones_room, "min", magnitude), exported=True),
+        Finder(Searched(Parts, _parts_room, "min", magnitude), HITCHED_STATE),
+        Finder(_held_room, HITCHED_STATE),
+    ),
+    "enlarge the arena, or keep the hitch farther from its walls",
+    exported_limit=EXPORTED,
+)
+"""Drones, taut cables and what they hold stay in the arena; ``cable_clearance`` and
+``object_clearance`` hold hanging cables and objects over its floor."""
+
+
+def below_ground(motion: Motion) -> Check | None:
+    """Return how far what flies is over z = 0 [m], where that is below and no arena has a floor."""
+    if motion.requirements.arena is not None:
+        return None
+    open_ = Arena([-TALL, -TALL, 0.0], [TALL, TALL, TALL])
+    check = ARENA.check(motion.altered(requirements=replace(motion.requirements, arena=open_)))
+    return None if check is None or check.bound >= -TOUCH else check

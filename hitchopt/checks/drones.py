@@ -1,4 +1,4 @@
-"""Checks of every drone by itself, from ``speed`` to ``arena``, and ``vertex_speed``.
+"""Checks of every drone by itself, from ``speed`` to ``legs``, and ``vertex_speed``.
 
 A drone of mass m needs the thrust ``f = m (a + g ẑ) - (force of its cable)``. The cable pulls along
 its leg (at a chain's end, along its edge) and leaves it half of the weight of that. A cable that
@@ -40,8 +40,6 @@ from hitchopt.trajectory.enclosed import Bound, Enclosed, Interval, vector
 from hitchopt.trajectory.search import Extremum, Spans, worst
 from hitchopt.values import Array
 
-# [m] How far exported curves may pass a wall, as those of a drone at rest on the floor do
-EXPORTED = -1e-4
 # Degree in which factors of a turning rate are written: on spans that matter they err by 1e-9
 ORDER = 6
 # [m] Drones of a cable that may be one above the other count as this far apart from above: what
@@ -379,27 +377,6 @@ BODY_RATE = CheckRule(
     "raise limits.body_rate_deg",
     ease="time",
     derivative=3,
-)
-
-
-def _walls(spans: Drones) -> Bound:
-    """Return the smallest distance to a wall [m], negative outside."""
-    arena = spans.source.requirements.arena
-    assert arena is not None
-    x = spans.read(spans.source.drones.coefficients)
-    inside = np.concatenate([x - arena.lower[:, None], arena.upper[:, None] - x], axis=1)
-    size = magnitude(spans.source) + float(np.max(np.abs([arena.lower, arena.upper])))
-    return Enclosed(np.min(inside, axis=1, keepdims=True), ROUNDING * size).below
-
-
-ARENA = CheckRule(
-    "arena",
-    "m",
-    "min",
-    lambda motion: None if motion.requirements.arena is None else 0.0,
-    (Finder(Searched(Drones, _walls, "min", magnitude), exported=True),),
-    "enlarge the arena, or keep the hitch farther from its walls",
-    exported_limit=EXPORTED,
 )
 
 

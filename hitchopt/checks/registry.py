@@ -30,7 +30,7 @@ RULES = (
     cables.SPAN,
     clasps.EQUILIBRIUM,
     clasps.CONVEXITY,
-    drones.ARENA,
+    clearance.ARENA,
     clearance.KEEP_OUT,
     cables.TENSION,
     CONTINUITY,

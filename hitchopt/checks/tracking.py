@@ -14,11 +14,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from hitchopt.checks.certificate import Check
-from hitchopt.checks.clearance import moved_by
+from hitchopt.checks.clearance import drones_room, moved_by
 from hitchopt.checks.distances import Moving, smallest
 from hitchopt.checks.drones import Drones
 from hitchopt.checks.rule import Finding, Findings, Found, ReportRule
@@ -39,12 +40,17 @@ def _find(motion: Motion, found: Findings, gamma: float) -> Finding:
     most, terms = max(1.0, gamma), [Finding(math.inf, 0.0)]
     # How far bodies come together per radius, with a hitch and without.
     nearer = {"cable_clearance": (1.0 + most, 2.0), "crossing": (2.0 * most, 2.0)}
-    nearer |= {"legs": (1.0 + gamma, 1.0), "arena": (1.0, 1.0), "keep_out": (1.0, 1.0)}
+    nearer |= {"legs": (1.0 + gamma, 1.0), "arena": (most, 1.0), "keep_out": (1.0, 1.0)}
     for name, factors in nearer.items():
         for each in found[name]:
-            if not (name == "cable_clearance" and _hangs(each)):
+            landed = name == "arena" and each.states != HITCHED_STATE
+            if not (landed or (name == "cable_clearance" and _hangs(each))):
                 left = _left(each.check) / factors[each.states != HITCHED_STATE]
                 terms.append(Finding(left, each.check.time, each.check.where))
+    if motion.requirements.arena is not None:  # drones that stand on its floor may
+        near = worst(Drones.of(motion), partial(drones_room, landed=False), "min")
+        where = (motion.team.drone_names[near.item],)
+        terms.append(Finding(max(near.worst, 0.0), near.time, where))
     for span in motion.spans(FREE_STATES):  # half of what cables are longer than their chords
         tightest = worst(Drones.of(span), _spare, "min")
         cable = f"cable {tightest.item // 2}"

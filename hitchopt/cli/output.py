@@ -141,6 +141,12 @@ def show_plan(title: str, motion: ho.Motion, certificate: ho.Certificate) -> Non
     said = f"{phase_table(motion.phases)}\n\n{certificate_table(certificate)}\n"
     said = f"{title}\n{said}" if title else said
     say(said, title=title, phases=phases, certificate=certificate.to_dict())
+    from hitchopt.checks.clearance import below_ground
+
+    low = below_ground(motion)
+    if low is not None:
+        words = f"{', '.join(low.where)} is {-low.bound:.4g} m below z = 0 at t = {low.time:.4g} s"
+        say(f"warning: {words}; give an arena, whose floor is the ground", err=True)
 
 
 def phase_table(phases: Sequence[ho.Phase]) -> str:

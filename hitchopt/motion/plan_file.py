@@ -53,6 +53,9 @@ REMEDY = "do not edit plan files"
 LARGEST = 1e6
 """[m], [N] No coefficient of a plan is larger; sums of such numbers stay far from overflow."""
 
+MOST_STEPS = 2**31
+"""Steps have smaller indices."""
+
 TOLERANCE = 1e-9
 """Relative difference of numbers that are the same, but for turning angles into degrees."""
 
@@ -282,12 +285,16 @@ def _check_phases(motion: Motion) -> None:
 
     A motion has verified that they follow one another and cover the pieces.
     """
-    spans = [[phase.start, phase.end] for phase in motion.phases]
+    spans, first = [[phase.start, phase.end] for phase in motion.phases], motion.drones.breaks[0]
+    if first != 0.0:
+        raise InputError("breaks", float(first), "rising from 0", REMEDY)
     if not spans or max(abs(spans[0][0]), abs(spans[-1][1] - motion.duration)) > JOINT:
         words = f"one after the other from 0 to {motion.duration:g} s"
         raise InputError("phases", spans, words, REMEDY)
     objects, cables = motion.requirements.objects, range(motion.team.robots)
     for phase in motion.phases:
+        if not 0 <= phase.step < MOST_STEPS:
+            raise InputError("phases.step", phase.step, "an index of a step", REMEDY)
         least, most = phase.tension or (1.0, 1.0)
         if not 0.0 < least <= most < np.inf:
             words = "a smallest and a largest tension, or null"
@@ -445,4 +452,4 @@ def _same(wanted: Any, found: Any, slack: float) -> bool:
     """Return whether single values are the same; numbers within TOLERANCE and ``slack``."""
     if any(isinstance(each, bool) or not isinstance(each, int | float) for each in (wanted, found)):
         return type(wanted) is type(found) and bool(wanted == found)
-    return bool(abs(wanted - found) <= slack + TOLERANCE * max(abs(wanted), abs(found)))
+    return math.isclose(wanted, found, rel_tol=TOLERANCE, abs_tol=slack)

@@ -108,7 +108,10 @@ def sampled(motion: Motion, times: Array) -> dict[str, float]:
     for order, name in enumerate(("speed", "acceleration", "jerk"), start=1):
         found[name] = float(np.max(np.linalg.norm(motion.drones.at(times, order), axis=-1)))
     if kept.arena is not None:
-        found["arena"] = float(np.min(np.minimum(x - kept.arena.lower, kept.arena.upper - x)))
+        tied = motion.team.has_cables and bool(motion.formed.all())
+        there = np.concatenate([x, sagging(Samples(motion, times))], axis=1) if tied else x
+        inside = np.minimum(there - kept.arena.lower, kept.arena.upper - there)
+        found["arena"] = float(np.min(inside))
     if kept.keep_out:
         found["keep_out"] = min(float(np.min(off_prism(x, prism))) for prism in kept.keep_out)
     f = thrusts(motion, times)
@@ -162,6 +165,23 @@ def _taut_distances(s: Samples) -> dict[str, float]:
     between = segment_to_segment(begin[:, i], end[:, i], begin[:, j], end[:, j])
     least = float(np.min(between, initial=math.inf))
     return {"cable_clearance": float(np.min(clear)), "crossing": least}
+
+
+def sagging(s: Samples, count: int = 33) -> Array:
+    """(times, 3 n count, 3): points of legs and edges, parabolas below their chords."""
+    k, share = np.arange(s.n), np.linspace(0.0, 1.0, count)[:, None]
+    parts = [(s.p[:, s.first], s.p[:, s.last], s.T)]
+    for end, own in enumerate((s.first, s.last)):
+        parts.append((s.p[:, own], s.x[:, 2 * k + end], s.P[:, 2 * k + end]))
+    found = []
+    for a, b, pull in parts:
+        with np.errstate(invalid="ignore"):  # at the very end of a ramp nothing pulls
+            ratio = np.nan_to_num(s.half / pull)
+        deep = ratio * np.sum((b - a) ** 2, axis=-1) / 4.0
+        points = a[:, :, None] + share * (b - a)[:, :, None]
+        points[..., 2] -= deep[..., None] * (4.0 * share * (1.0 - share))[:, 0]
+        found.append(points.reshape(len(points), -1, 3))
+    return np.concatenate(found, axis=1)
 
 
 def _free_distances(s: Samples, state: CableState) -> dict[str, float]:
