@@ -207,7 +207,7 @@ def verify(directory: Path) -> None:
 
 def _show_verified(path: Path) -> None:
     """Prove the limits of a plan.npz, report every one, and exit with 3 unless all are proven."""
-    from hitchopt.verify import UnreadableError, line, verdict, verify
+    from hitchopt.verify import GOOD, UnreadableError, line, verdict, verify
 
     rows = []
     try:
@@ -219,7 +219,7 @@ def _show_verified(path: Path) -> None:
         raise FileError(f"{path}: not a plan, or a damaged one: {error}") from error
     said = "\n".join([*map(line, rows), verdict(rows)])
     say(said, verified=[row._asdict() for row in rows])
-    if any(row.verdict != "proven" for row in rows):
+    if any(row.verdict not in GOOD for row in rows):
         unmet()
 
 
