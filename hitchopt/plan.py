@@ -317,6 +317,7 @@ def read_asked_plan(file: Path) -> tuple[Motion, str]:
         try:
             check_asked(asked_in(problem, motion.requirements.objects), motion)
         except InputError as error:
-            raise FileError(f"{file}: the problem in it differs: {error}") from error
+            words = " ".join(str(error).split())
+            raise FileError(f"{file}: the problem in it differs: {words}") from error
     check_problem_text(file)
     return motion, problem

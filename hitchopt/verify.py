@@ -56,7 +56,7 @@ STATES = {*CROSSED, "clasping", "none"}
 # What settings are made of: keys and forms; * may be left out, ? be null, [] is a list, [2] of two.
 FORMS = {
     "settings": "title:text team:any limits:limits separation:separation arena:arena? asked:any "
-    "keep_out:prism[] phases:phase[] objects:any* problem:text* assignment:roles?* control:flag* "
+    "keep_out:prism[] phases:phase[] objects:any* problem:text* assignment:roles* control:flag* "
     "leg_tensions:flag* poses:flag* borne:flag* contacts:flag*",
     "team": "robots:count topology:text cable_density:0+ cable_friction:0+ load:0+[]",
     "single": "drones:count",
@@ -115,6 +115,8 @@ def fit(key: str, x: Any, form: str) -> None:
         for name in forms | x:
             if name not in forms or (name not in x and "*" not in forms[name]):
                 raise ValueError(f"{key}.{name} is {'left out' if name in forms else 'unknown'}")
+            if name in x and "*" in forms[name] and not x[name]:
+                raise ValueError(f"{key}.{name} says nothing")
             if name in x:
                 fit(f"{key}.{name}", x[name], forms[name])
     elif each and isinstance(x, list) and count in ("", str(len(x))):
@@ -459,8 +461,13 @@ class Slab:
     """A convex section between two heights: clockwise corners, and a radius about them."""
 
     def __init__(self, outline: Any, radius: Any, lower: float, upper: float) -> None:
-        self.round, self.radius, self.lower, self.upper = not outline, radius or 0.0, lower, upper
-        self.core = np.array(outline or [[0.0, 0.0]], dtype=float)
+        self.round, self.radius, self.lower, self.upper = (
+            outline is None,
+            radius or 0.0,
+            lower,
+            upper,
+        )
+        self.core = np.array([[0.0, 0.0]] if outline is None else outline, dtype=float)
         self.sides = np.roll(self.core, -1, 0) - self.core
         self.out = direction(np.stack([-self.sides[:, 1], self.sides[:, 0]], -1))
         turn, area = (np.sum(self.out * np.roll(x, -1, 0), -1) for x in (self.sides, self.core))
@@ -515,6 +522,9 @@ class Body:
     def __init__(self, name: str, o: dict[str, Any]) -> None:
         fit(f"objects.{name}", o, "body")
         self.name, self.fixed, rim = name, bool(o["fixed"]), o["rim"]
+        sections = [o["section"], *([rim["section"]] if rim else [])]
+        if any((x["outline"] is None) == (x["radius"] is None) for x in sections):
+            raise ValueError(f"objects.{name} has a section of an outline and a radius, or neither")
         self.mass, self.friction = float(o["mass"]), float(o["friction"])
         self.stem, self.rim = Slab(**o["section"], lower=o["lower"], upper=o["upper"]), None
         self.height = o["lower"] if rim is None else rim["height"]
@@ -550,11 +560,16 @@ class Plan:
         self, name: str, *shape: int, other: Array | None = None, most: float = 1e6
     ) -> Array:
         """Return an array of the file; the other one where the settings do not name it."""
-        if 0 in shape or (other is not None and self.settings.get(name) is not True):
+        if self.settings.get(name) is not True and (0 in shape or other is not None):
             return np.zeros((*shape, 1)) if other is None else other
         x: Array = self.file[name]
         fits = (x.shape[:-1] if shape[1:] else x.shape) == shape and x.dtype == np.float64
-        if not (fits and x.size and np.all(np.abs(x) <= most) and self.file.files.count(name) == 1):
+        if not (
+            fits
+            and (x.size or 0 in shape)
+            and np.all(np.abs(x) <= most)
+            and self.file.files.count(name) == 1
+        ):
             raise ValueError(f"{name} has another shape, or numbers that are not finite")
         return x
 

@@ -134,12 +134,7 @@ def _settings(motion: Motion, title: str, problem: str) -> dict[str, Any]:
         "problem": problem,
         "assignment": motion.assignment,
     }
-    return _said(_written(settings))
-
-
-def _said(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return settings without those of OPTIONAL that say nothing."""
-    return {name: value for name, value in settings.items() if value or name not in OPTIONAL}
+    return {key: x for key, x in _written(settings).items() if x or key not in OPTIONAL}
 
 
 def _written(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -209,6 +204,7 @@ def _read(path: Path, made: Callable[[dict[str, Any], Arrays], T]) -> T:
             reason = f"not a plan that hitchopt wrote: {error} is missing"
         elif isinstance(error, OSError) and error.strerror:
             reason = f"cannot be read: {error.strerror}"
+        reason = " ".join(reason.split())  # arrays are printed over several lines
         raise FileError(f"{path}: {reason}; solve the problem again") from error
 
 
@@ -246,7 +242,7 @@ def _motion(settings: dict[str, Any], arrays: Arrays) -> Motion:
     wanted.pop("problem", None)  # whoever reads the text compares it (``check_problem_text``)
     own = {key: own[key] for key in own if key in wanted or key not in LATER}
     _check_same("asked", wanted, own, "as asked")
-    given = _said({key: x for key, x in settings.items() if key != "asked"})
+    given = {key: x for key, x in settings.items() if key != "asked"}
     _check_same("", here, given, "as plans are written")
     return motion
 

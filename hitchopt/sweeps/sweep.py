@@ -9,6 +9,7 @@ leaves at most one line that is not whole, which is passed over.
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import os
 from collections.abc import Mapping
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
     import pandas
 
 ROWS, STUDY, FORMAT = "rows.jsonl", "study.json", "hitchopt-sweep/1"
+
+SEAL = "sha256"  # of all else in a row
 
 # Beginnings of the columns whose medians are told
 FIGURES = ("duration", "check.", "simulate.", "time.")
@@ -141,14 +144,22 @@ def read_study(directory: Path) -> dict[str, Any]:
 
 
 def _read_rows(directory: Path) -> dict[str, Row]:
-    """Return the rows of a directory by digest; lines that are not whole are left out."""
+    """Return the rows of a directory by digest; lines that are not whole are left out.
+
+    Raises FileError for a row that is not as it was written.
+    """
     found: dict[str, Row] = {}
     try:
         with (directory / ROWS).open(encoding="utf-8", errors="replace") as lines:
-            for line in lines:
+            for number, line in enumerate(lines, 1):
                 with contextlib.suppress(ValueError, KeyError, TypeError):
                     row = json.loads(line)
                     found[row["digest"]] = row
+                    if row.pop(SEAL, None) != _seal(row):
+                        raise FileError(
+                            f"{directory / ROWS}: line {number} was edited, or is of an earlier "
+                            "release; delete it, and run the study again: it is computed anew"
+                        )
     except FileNotFoundError:
         pass
     except OSError as error:
@@ -159,6 +170,7 @@ def _read_rows(directory: Path) -> dict[str, Row]:
 def write_row(directory: Path, row: Row) -> None:
     """Append a row as one line; raises FileError where the disk is full or cannot be written to."""
     values = {name: _scalar(name, value) for name, value in row.items()}
+    values[SEAL] = _seal(values)
     line = f"\n{json.dumps(values)}\n".encode()  # a line of its own after one that is not whole
     try:
         with (directory / ROWS).open("ab", buffering=0) as file:
@@ -169,6 +181,11 @@ def write_row(directory: Path, row: Row) -> None:
             f"{directory}: cannot be written: {error.strerror or error}; free space or permissions "
             "there, then run the same study again: only what is missing is computed"
         ) from error
+
+
+def _seal(row: Row) -> str:
+    """Return the digest by which a row is known to be as it was written."""
+    return hashlib.sha256(json.dumps(row, sort_keys=True).encode()).hexdigest()
 
 
 def _scalar(name: str, value: object) -> object:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import io
 import json
@@ -20,11 +21,15 @@ from exported_plans import hitch_plan, swarm_plan
 from plans import PROBLEMS, planned
 
 import hitchopt as ho
+from hitchopt import verify as second
+from hitchopt.checks import certify
 from hitchopt.cli import main
 from hitchopt.errors import FileError
 from hitchopt.mission.loading import asked_in
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import asked_of, check_asked, read_plan, read_title, write_plan
+from hitchopt.plan import read_asked_plan
+from hitchopt.storage.yaml_file import parse_yaml
 
 TITLE = 'Ein "Dreieck", 三角 \\ \n – with everything'
 
@@ -210,6 +215,59 @@ LIES = [
 ]
 """Changes after which a file is no plan, and what is said of it."""
 
+MISSION = """- morph: {polygon: [[0, -0.5], [-0.4, 0.5], [0.4, 0.5]], tension: {min: 0.3, max: 0.5}}
+- transport: {to: [0.2, 0.1, 1.2], yaw_deg: 30, duration: 4}
+"""
+START = """team: {robots: 3, cable_length: 2.4}
+start: {hitch: {polygon: [[0, -1], [-0.4, 0.5], [0.4, 0.5]], altitude: 1.0}}
+mission:
+"""
+OTHER_MISSIONS = (
+    ("[0, -0.5]", "[0, -0.51]", "asked.mission[0].polygon[0][1]"),
+    ("min: 0.3", "min: 0.4", "asked.mission[0].tension[0]"),
+    (", tension: {min: 0.3, max: 0.5}", "", "asked.mission[0].tension"),
+    ("[0.2, 0.1, 1.2]", "[0.2, 0.1, 1.3]", "asked.mission[1].altitude"),
+    ("yaw_deg: 30", "yaw_deg: 31", "asked.mission[1].polygon"),
+    ("duration: 4", "duration: 5", "asked.mission[1].seconds"),
+    ("- transport: {to: [0.2, 0.1, 1.2], yaw_deg: 30, duration: 4}\n", "", "2 steps"),
+)
+"""Changes of a mission, and the key by which a plan of the first one is refused."""
+
+
+def test_a_plan_is_of_its_own_mission_alone() -> None:
+    motion = ho.solve(ho.problem_from_dict(parse_yaml(START + MISSION, "problem"))).motion
+    pulled = [dataclasses.replace(motion.phases[0], tension=(0.35, 0.45)), *motion.phases[1:]]
+    for each in (motion, dataclasses.replace(motion, phases=tuple(pulled))):  # less is no fault
+        check_asked(asked_in(START + MISSION, {}), each)
+    wild = dataclasses.replace(motion.phases[0], tension=(0.2, 0.5))
+    wilder = dataclasses.replace(motion, phases=(wild, *motion.phases[1:]))
+    with pytest.raises(ho.InputError, match=re.escape("asked.mission[0].tension[0] = 0.2")):
+        check_asked(asked_in(START + MISSION, {}), wilder)
+    for old, new, key in OTHER_MISSIONS:
+        assert old in MISSION
+        used = pulled if old == "min: 0.3" else motion.phases
+        least = [dataclasses.replace(used[0], tension=(0.3, 0.5)), *used[1:]]
+        flown = dataclasses.replace(motion, phases=tuple(least))
+        with pytest.raises(ho.InputError, match=re.escape(key)):
+            check_asked(asked_in(START + MISSION.replace(old, new), {}), flown)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("old", "new", "key"),
+    [
+        ("to: [2.2, 2.4, 0.4]", "to: [2.2, 2.3, 0.4]", "asked.mission[1].objects.box[1]"),
+        ("object: box,", "object: box, yaw_deg: 9,", "asked.mission[1].objects.box[3]"),
+        ("object: box,", "object: box, by: grip,", "asked.mission[1].holds[0][1]"),
+    ],
+)
+def test_what_is_carried_is_carried_as_it_was_asked(old: str, new: str, key: str) -> None:
+    text, motion = (PROBLEMS / "carry_box.yaml").read_text(), planned("carry_box").motion
+    assert old in text
+    with pytest.raises(ho.InputError, match=re.escape(key)):
+        check_asked(asked_in(text.replace(old, new), motion.requirements.objects), motion)
+
+
 ASKED = (
     ("{mass: 0.14}", "{mass: 0.28}", "asked.team.quadrotor[1].mass"),
     ("speed: 0.9", "speed: 0.8", "asked.limits.speed"),
@@ -283,6 +341,94 @@ def test_what_was_not_asked_is_refused_by_its_key(
     changed(tmp_path / "plan.npz", lie)
     with pytest.raises(FileError, match=re.escape(key)):
         ho.load(tmp_path)
+
+
+GONE = object()
+
+
+def entries(value: Any, at: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Yield the paths of all settings; of lists the first and the last entry's."""
+    if at:
+        yield at
+    keys = value if isinstance(value, dict) else range(len(value) if isinstance(value, list) else 0)
+    for key in list(keys)[:: max(1, len(keys) - 1)] if isinstance(keys, range) else keys:
+        yield from entries(value[key], (*at, key))
+
+
+def put(settings: Any, at: tuple[Any, ...], value: object) -> None:
+    """Set an entry of the settings, or take it out."""
+    for key in at[:-1]:
+        settings = settings[key]
+    if value is GONE:
+        del settings[at[-1]]
+    else:
+        settings[at[-1]] = value
+
+
+def codes(path: Path) -> tuple[int, int]:
+    """Exit codes of both readers of a plan file; nothing else is raised."""
+    words = ""
+    try:
+        first = 0 if certify(read_asked_plan(path)[0]).certified else 3
+    except FileError as error:
+        first, words = 2, str(error)
+    try:
+        other = 0 if all(row.verdict in second.GOOD for row in second.verify(path)) else 3
+    except second.UnreadableError as error:
+        other, words = 2, words + str(error)
+    assert "\n" not in words
+    return first, other
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("twice", [False, True], ids=["alone", "asked as well"])
+@pytest.mark.parametrize("value", [GONE, None, True, -1, 1e999, 10**400, "x", [], {}], ids=str)
+def test_both_readers_agree_on_every_edit(value: object, twice: bool, tmp_path: Path) -> None:
+    """Of settings by themselves, and together with what was asked of them."""
+    write_plan(tmp_path / "plan.npz", walled(), TITLE)
+    with np.load(tmp_path / "plan.npz") as file:
+        arrays = dict(file)
+    settings, tried = json.loads(str(arrays["settings"])), 0
+    for at in entries(settings):
+        edited, angle = copy.deepcopy(settings), at[0] == "limits" and at[-1] in ANGLES
+        also = ("asked", *at[:-1], f"{at[-1]}_deg") if angle else ("asked", *at)
+        if twice and at[0] not in settings["asked"]:
+            continue
+        for each in (at, also)[: 1 + twice]:
+            put(edited, each, value)
+        if edited != settings:
+            np.savez(tmp_path / "e.npz", **{**arrays, "settings": np.array(json.dumps(edited))})
+            one, other = codes(tmp_path / "e.npz")
+            assert one == other, (at, value, one, other)
+            tried += 1
+    assert tried > (20 if twice else 100)
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [
+        *(f"a['{name}'] = a['{name}'].{how}" for name in ("breaks", "drones", "mass", "legs")
+          for how in ("astype('f4')", "ravel()[:-1]", "__mul__(np.nan)")),
+        "a['legs'] = a['legs'].__neg__()",
+        *("a['breaks'] += 1e-7", "a['drones'] = a['drones'][..., :0]", "a['poses'] = a['mass']"),
+        *("s['poses'] = True", "s['poses'] = None", "s['extra'] = 1", "s['control'] = True"),
+        "p['tension'] = [0.4, 0.4]", "p['tension'] = [0.1, 9.0]", "p['end'] -= 0.1",
+        "p['hold'] = {'object': 'box', 'by': 'rest', 'cables': [0]}", "p['state'] = 'hanging free'",
+        "s['problem'] = 'team: {}'", "s['asked']['mission'] = []", "del s['asked']['mission']",
+        "a['settings'] = np.array('[' * 100_000)", "s['team']['robots'] = 10**9",
+    ],
+)  # fmt: skip
+def test_both_readers_agree_on_arrays_and_phases(path: Path, edit: str) -> None:
+    assert codes(path) == (0, 0)
+    changed(path, edit)
+    one, other = codes(path)
+    assert (one, other) == ((0, 0) if edit in HARMLESS else (3, 3) if "__neg" in edit else (2, 2))
+
+
+HARMLESS = {"a['poses'] = a['mass']", "del s['asked']['mission']"}
+"""Arrays that no setting names are not read; files of earlier releases have no mission."""
+
+ANGLES = {"tilt", "body_rate"}
 
 
 def with_member(path: Path, name: str, content: bytes, compression: int) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 import os
 import signal
 from collections.abc import Iterator
@@ -184,6 +185,26 @@ def test_what_is_lost_is_computed_again_and_nothing_else(
     again = ho.run_sweep(STUDY, tmp_path, scheduler=cluster.scheduler_address)
     pandas.testing.assert_frame_equal(fixed(again), fixed(rows), check_exact=True)
     assert (tmp_path / ROWS).read_bytes().startswith(torn)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"), [('"infeasible"', '"planned"'), ("1.5", "2.5"), (', "sha256"', ', "sha"')]
+)
+def test_rows_that_were_edited_are_refused_by_their_line(
+    old: str, new: str, tmp_path: Path
+) -> None:
+    for digest in "ab":
+        row = {"digest": digest, "status": "infeasible", "duration": 1.5, "check.speed": math.nan}
+        write_row(tmp_path, row)
+    study = {"format": "hitchopt-sweep/1", "parameters": [], "cases": ["a", "b"]}
+    (tmp_path / "study.json").write_text(json.dumps(study))
+    assert list(load_sweep(tmp_path)["duration"]) == [1.5, 1.5]
+    lines = (tmp_path / ROWS).read_text().splitlines()
+    assert old in lines[3]
+    lines[3] = lines[3].replace(old, new)
+    (tmp_path / ROWS).write_text("\n".join(lines))
+    with pytest.raises(ho.FileError, match="line 4 was edited"):
+        load_sweep(tmp_path)
 
 
 def test_a_full_disk_leaves_whole_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
