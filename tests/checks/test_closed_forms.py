@@ -24,12 +24,15 @@ from motions import (
     random_chain,
     random_motion,
     replaced,
+    row,
     still,
     triangle,
 )
 from refusals import assert_refused
 
 from hitchopt.checks import CertificateError, certify
+from hitchopt.checks.certificate import Check
+from hitchopt.checks.clearance import below_ground
 from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import Hitch, Quadrotor, Team
 from hitchopt.hitch.requirements import Arena, Prism, Separation
@@ -344,3 +347,49 @@ def test_violations_are_told_in_words() -> None:
     assert [check.name for check in certificate.violated] == ["speed"]
     with pytest.raises(CertificateError, match=r"speed: .* m/s is above the limit of 0.001 m/s"):
         certificate.raise_if_violated()
+
+
+WIDE = [[0.0, -1.0], [-0.8, 0.6], [0.8, 0.6]]
+
+
+@pytest.mark.parametrize("density", [0.0, 0.01, 0.02])
+def test_edges_sag_toward_the_floor_and_no_clasp_is_below_it(density: float) -> None:
+    """A level edge of length s is lowest half way, by ``ρ g s² / 8 T``; walls move with a hitch."""
+    team, outline = Team(3, 3.0, cable_density=density, tension=0.5), np.array(WIDE)
+    longest = max(np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1))
+    sag = density * 9.81 * longest**2 / (8.0 * 0.5)
+    for shift in ([0.0, 0.0], [3.0, -2.0]):
+        here = still(team, outline + shift, [0.4] * 3)
+        drones, z = here.drones.coefficients[0, ..., 0], here.vertices.coefficients[0, 0, 2, 0]
+
+        def room(lower: Any, upper: Any, lift: float = 0.0, here: Motion = here) -> Check:
+            vertices = here.vertices.coefficients + np.array([[0.0], [0.0], [lift]])
+            walled = replace(here.requirements, arena=Arena(lower, upper))
+            vertices_ = here.vertices.alike(vertices)
+            return row(replace(here, requirements=walled, vertices=vertices_), "arena")
+
+        floor = room([-9, -9, z - 0.2], [9, 9, 9])
+        assert floor.bound == pytest.approx(0.2 - sag, rel=1e-6)
+        assert floor.holds == (sag < 0.2)
+        assert density == 0.0 or floor.where[0].startswith("edge")
+        assert room([-9, -9, -9], [9, np.max(drones[:, 1]) + 0.07, 9]).bound == pytest.approx(0.07)
+        for lift in (-0.3, 0.3):  # vertices alone
+            assert not room([-9, -9, z - 0.25], [9, 9, z + 0.25], lift).holds
+
+
+def test_what_is_below_the_ground_is_said_where_no_arena_has_a_floor() -> None:
+    motion = still(Team(3, 3.0), np.array(WIDE), [0.4] * 3)
+    assert below_ground(motion) is None
+    down = motion.drones.coefficients[0, 0, 2, 0] + 0.3
+    parts = {
+        name: getattr(motion, name).alike(
+            getattr(motion, name).coefficients - [[0.0], [0.0], [down]]
+        )
+        for name in ("drones", "vertices")
+    }
+    found = below_ground(replace(motion, **parts))
+    assert found is not None
+    assert found.bound == pytest.approx(-0.3)
+    arena = Arena([-9, -9, -1], [9, 9, 9])
+    walled = replace(motion.requirements, arena=arena)
+    assert below_ground(replace(motion, requirements=walled, **parts)) is None

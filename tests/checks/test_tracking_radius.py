@@ -154,6 +154,23 @@ def test_what_binds_is_named() -> None:
     assert radius_of(low).bound == pytest.approx(1e-3, rel=1e-6)
 
 
+def test_the_floor_is_no_distance_for_drones_that_stand_take_off_or_land() -> None:
+    """It is for those that come down to it elsewhere; walls count at all times."""
+    up = np.array([[0.0, 0.0], [0.0, 0.0], [0.0, 1.0]])
+    across = np.array([[0.0, 1.0], [0.0, 0.0], [1.0, 1.0]])
+    low = across * [[1.0], [1.0], [0.0]] + [[0.0], [0.0], [0.02]]
+    down = np.array([[1.0, 1.0], [0.0, 0.0], [1.0, 0.0]])
+    for middle, left in ((across, 0.7), (low, 0.02)):
+        c = np.stack([up * [[1], [1], [middle[2, 0]]], middle, down * [[1], [1], [middle[2, 0]]]])
+        drones = PiecewisePolynomial([0.0, 1.0, 2.0, 3.0], c[:, None])
+        lower, upper = np.array([-0.7, -2.0, 0.0]), np.array([2.0, 2.0, 3.0])
+        for shift in (0.0, 0.4):
+            moved = drones.alike(drones.coefficients + shift)
+            arena = Arena(lower + shift, upper + shift)
+            check = radius_of(single(moved, arena=arena))
+            assert check.bound == pytest.approx(left, rel=1e-6)
+
+
 def test_nothing_counted_is_null() -> None:
     check = radius_of(single(PiecewisePolynomial.constant([0.0, 1.0], np.ones((1, 3)))))
     assert (check.worst, check.holds, check.where) == (None, True, ())
