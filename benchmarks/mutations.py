@@ -67,7 +67,7 @@ MUTATIONS = (
     Mutation("objects.py", "width, sides = 2.0 * rows", "width, sides = 2.2 * rows", "grip_drum", "radius of arcs"),
     Mutation("cables.py", "drones[:, 1::2] - drones[:, 0::2]", "0.9 * (drones[:, 1::2] - drones[:, 0::2])", "form_triangle", "a factor of spans"),
     Mutation("clasps.py", "ahead.cross(behind)", "behind.cross(ahead)", "triangle", "sense of turning"),
-    Mutation("drones.py", "np.concatenate([x - arena.lower[:, None], arena.upper[:, None] - x], axis=1)", "arena.upper[:, None] - x", "tie_carry_untie", "lower walls missed"),
+    Mutation("clearance.py", "np.concatenate([over, under], axis=2)", "under", "tie_carry_untie", "lower walls missed"),
     Mutation("clearance.py", "Solid(slab), pose) for slab in each.slabs)", "Solid(slab), pose) for slab in each.slabs[1:])", "grip_drum", "bodies missed"),
     Mutation("drones.py", "hover = self.mass * GRAVITY", "hover = -self.mass * GRAVITY", "triangle", "sign of gravity"),
     Mutation("drones.py", "return own + self.load if", "return own - self.load if", "transport", "sign of the cable's pull"),
