@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from by_hand import assert_sound
+from by_hand import assert_sound, cable_points, point_to_segment
 from motions import (
     ARENA,
     SQUARE,
@@ -33,6 +33,8 @@ from motions import (
 )
 
 from hitchopt.checks import certify
+from hitchopt.checks.clearance import chains
+from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Separation
 from hitchopt.motion.motion import CableState, Motion
@@ -238,3 +240,20 @@ def test_who_comes_close_is_named() -> None:
     check = certify(inward(0))["convexity"]
     assert (check.where, check.bound < -10.0) == (("p0",), True)
     assert not certify(wrong_chain(0))["cable_length"].holds
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_hanging_cables_are_as_far_from_their_links_as_is_said_at_most(
+    seed: int,
+) -> None:
+    rng = np.random.default_rng(seed)
+    q, length = rng.normal(size=3), rng.uniform(1.0, 3.0)
+    r = q + rng.uniform(0.4, 0.9) * length * unit(rng.normal(size=3) * [1.0, 1.0, 0.4])
+    points, off = chains(q[None, :, None], r[None, :, None], np.array([length]))
+    corners = points[0, ..., 0]
+    there = cable_points([length], np.stack([q, r]), 4001)[0]
+    apart = point_to_segment(there[:, None], corners[None, :-1], corners[None, 1:])
+    nearest = np.argmin(apart, axis=1)
+    links = np.unique(nearest)
+    shares = [np.max(apart[nearest == link, link]) / off[0, link] for link in links]
+    assert 0.9 < max(shares) <= 1.0 + 1e-6
