@@ -162,7 +162,7 @@ def test_the_floor_is_no_distance_for_drones_that_stand_take_off_or_land() -> No
     down = np.array([[1.0, 1.0], [0.0, 0.0], [1.0, 0.0]])
     for middle, left in ((across, 0.7), (low, 0.02)):
         c = np.stack([up * [[1], [1], [middle[2, 0]]], middle, down * [[1], [1], [middle[2, 0]]]])
-        drones = PiecewisePolynomial([0.0, 1.0, 2.0, 3.0], c[:, None])
+        drones = PiecewisePolynomial(np.arange(4.0), c[:, None])
         lower, upper = np.array([-0.7, -2.0, 0.0]), np.array([2.0, 2.0, 3.0])
         for shift in (0.0, 0.4):
             moved = drones.alike(drones.coefficients + shift)

@@ -235,7 +235,8 @@ OTHER_MISSIONS = (
 
 
 def test_a_plan_is_of_its_own_mission_alone() -> None:
-    motion = ho.solve(ho.problem_from_dict(parse_yaml(START + MISSION, "problem"))).motion
+    problem: Any = parse_yaml(START + MISSION, "problem")
+    motion = ho.solve(ho.problem_from_dict(problem)).motion
     pulled = [dataclasses.replace(motion.phases[0], tension=(0.35, 0.45)), *motion.phases[1:]]
     for each in (motion, dataclasses.replace(motion, phases=tuple(pulled))):  # less is no fault
         check_asked(asked_in(START + MISSION, {}), each)
