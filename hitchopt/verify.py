@@ -316,6 +316,10 @@ class Spans:
         """Both drones of cables, as body b sees them."""
         return [self.seen(b, self.point(2 * k + end)) for end in (0, 1)]
 
+    def chord(self, k: Index) -> list[Line]:
+        """Both drones of cables, from above."""
+        return [x[:2] for x in self.ends(k)]
+
     def part(self, j: Index, b: int = -1) -> list[Line]:
         """Both ends of straight parts of taut cables, as body b sees them."""
         return [self.seen(b, self.point(self.plan.parts[j, end])) for end in (0, 1)]
@@ -355,10 +359,8 @@ class Spans:
         if self.plan.weight == 0.0:
             return T
         half = self.loose(T, k) * (0.5 * self.plan.weight)
-        root = (square * half * half).of(
-            lambda x: np.sqrt(1.0 - x), lambda x: -0.5 / np.sqrt(1.0 - x)
-        )
-        return T * root
+        rest = square * half * half
+        return T * rest.of(lambda x: np.sqrt(1.0 - x), lambda x: -0.5 / np.sqrt(1.0 - x))
 
     def pull(self, i: Index) -> Line:
         """``P = (w/2) sin γ + √(T² - (w/2)² cos² γ)``: what legs pull with along their chords."""
@@ -461,12 +463,8 @@ class Slab:
     """A convex section between two heights: clockwise corners, and a radius about them."""
 
     def __init__(self, outline: Any, radius: Any, lower: float, upper: float) -> None:
-        self.round, self.radius, self.lower, self.upper = (
-            outline is None,
-            radius or 0.0,
-            lower,
-            upper,
-        )
+        self.round, self.radius = outline is None, radius or 0.0
+        self.lower, self.upper = lower, upper
         self.core = np.array([[0.0, 0.0]] if outline is None else outline, dtype=float)
         self.sides = np.roll(self.core, -1, 0) - self.core
         self.out = direction(np.stack([-self.sides[:, 1], self.sides[:, 0]], -1))
@@ -564,12 +562,8 @@ class Plan:
             return np.zeros((*shape, 1)) if other is None else other
         x: Array = self.file[name]
         fits = (x.shape[:-1] if shape[1:] else x.shape) == shape and x.dtype == np.float64
-        if not (
-            fits
-            and (x.size or 0 in shape)
-            and np.all(np.abs(x) <= most)
-            and self.file.files.count(name) == 1
-        ):
+        fits &= (x.size > 0 or 0 in shape) and self.file.files.count(name) == 1
+        if not fits or not np.all(np.abs(x) <= most):
             raise ValueError(f"{name} has another shape, or numbers that are not finite")
         return x
 
@@ -578,6 +572,10 @@ class Plan:
         fit("settings.team", s["team"], "team" if "robots" in s["team"] else "single")
         team, self.breaks, self.phases = s["team"], self.file["breaks"], s["phases"]
         self.limits, self.sep, self.arena = s["limits"], s["separation"], s["arena"]
+        self.cable, self.crossing, self.object = (  # limits of distances from cables [m]
+            (f"{name} m min", max(float(self.sep[name.split("_")[0]]), TOUCHING))
+            for name in ("cable_clearance", "crossing", "object_clearance")
+        )
         self.h, self.n = np.diff(self.breaks), int(team.get("robots", 0))
         m, n, self.closed = len(self.h), self.n, team.get("topology") == "closed"
         N, P = 2 * n or int(team["drones"]), n if self.closed else n + (n > 0)
@@ -629,17 +627,14 @@ class Plan:
             at, state, low, hold = (phase[key] for key in ("start", "state", "tension", "hold"))
             follows, end = abs(at - end) <= TOUCH and at < phase["end"], phase["end"]
             broken, before = state == before or np.min(np.abs(self.breaks - at)) <= TOUCH, state
-            cables = {*range(self.n)}.issuperset(hold["cables"] if hold else ())
+            known = not hold or (hold["object"] in named and hold["by"] in ("rest", "grip"))
+            known &= {*range(self.n)}.issuperset(hold["cables"] if hold else ())
             for good, words in (
                 (follows, "does not follow what is before"),
                 (broken, "begins another state within a piece"),
                 (state in STATES and (state == "none") is (self.n == 0), f"is {state}"),
                 (low is None or low[0] <= low[1], "has no range of tensions"),
-                (
-                    not hold
-                    or (hold["object"] in named and hold["by"] in ("rest", "grip") and cables),
-                    "holds what is not there",
-                ),
+                (known, "holds what is not there"),
             ):
                 if not good:
                     raise ValueError(f"phases[{i}] {words}")
@@ -711,10 +706,6 @@ class Plan:
         self.parts = np.concatenate([np.stack(row, -1) for row in rows])
         self.kinds = [f"leg of {self.names[j]}" for j in on] + [f"edge {j}" for j in k] * 3
         return [vertices, contacts.reshape(m, 2 * n, 3, contacts.shape[-1])]
-
-    def off(self, key: str) -> float:
-        """Return a limit of distances from cables [m]."""
-        return max(float(self.sep[key]), TOUCHING)
 
     def spans(self, on: Mask, items: Any, *names: Sequence[str]) -> Spans:
         """Whole pieces with items (k,) or (k, c), where on (pieces,) or (pieces, k)."""
@@ -905,11 +896,8 @@ def taut_cables(p: Plan) -> Iterator[Row]:
     for items in np.split(np.arange(len(p.parts)), [int(np.sum(p.leg))]):
         leg = bool(items[0] == 0)
         yield prove(p.within, 0.0, p.spans(on, items, p.kinds), partial(inside, leg=leg))
-    clear, cross = p.off("cable"), p.off("crossing")
-    yield prove(
-        "cable_clearance m min", clear, s, lambda s, i, j: distance([s.point(i)], s.part(j))
-    )
-    yield prove("crossing m min", cross, pairs, lambda s, i, j: distance(s.part(i), s.part(j)))
+    yield prove(*p.cable, s, lambda s, i, j: distance([s.point(i)], s.part(j)))
+    yield prove(*p.crossing, pairs, lambda s, i, j: distance(s.part(i), s.part(j)))
     speed = "vertex_speed m/s max", lim["vertex_speed"]
     yield prove(*speed, vertices, lambda s, i: s.point(i, 1).norm())
     yield prove("legs m min", lim["leg"], legs, lambda s, i: s.leg(i).norm())
@@ -1080,28 +1068,21 @@ def exterior(s: Spans, c: Index) -> Line:
 def free_cables(p: Plan) -> Iterator[Row]:
     """Distances of cables that lie, hang, clasp or are tightened; from above where they sway."""
     k, ground, ends = range(p.n), p.state == "on the ground", (p.names, p.cables)
-    crossing, cable = (
-        ("crossing m min", p.off("crossing")),
-        ("cable_clearance m min", p.off("cable")),
-    )
     pairs, foreign = np.triu_indices(p.n, 1), np.argwhere(np.arange(p.N)[:, None] // 2 != k)
     tied = p.tied[pairs] & ~np.isin(p.state, ("on the ground", "hanging free"))[:, None]
     both = p.spans(p.free[:, None] & ~tied, np.column_stack(pairs), p.cables, p.cables)
     free, hangs = (p.spans(on, k, p.cables) for on in (p.free, p.free & ~ground))
     lies, tight = p.spans(p.free & ground, foreign, *ends), p.state == "being tightened"
 
-    def chord(s: Spans, k: Index) -> list[Line]:
-        return [x[:2] for x in s.ends(k)]
-
     yield prove("span 1 max", 1.0, free, lambda s, k: s.across(k).norm() * (1.0 / p.length[k]))
-    yield prove(*crossing, both, lambda s, i, j: distance(chord(s, i), chord(s, j)))
-    yield prove(*cable, lies, lambda s, i, k: distance([s.point(i)[:2]], chord(s, k)))
-    yield prove(*cable, hangs, lambda s, k: lowest(s, k) - p.floor)
+    yield prove(*p.crossing, both, lambda s, i, j: distance(s.chord(i), s.chord(j)))
+    yield prove(*p.cable, lies, lambda s, i, k: distance([s.point(i)[:2]], s.chord(k)))
+    yield prove(*p.cable, hangs, lambda s, k: lowest(s, k) - p.floor)
     # No point of a cable is farther from its ends than its length.
     s = p.spans(p.free & ~ground, foreign, *ends)
     far = sum(((s.point(s.item[:, 0]) - x).norm() for x in s.ends(s.item[:, 1])), s.zero)
     s = s.take(far.low < p.length[s.item[:, 1], 0] + 2.0 * (p.sep["cable"] + FAR))
-    yield prove(*cable, s, to_cable)
+    yield prove(*p.cable, s, to_cable)
     yield prove("strands m min", TOUCH, s, to_sheet)
     longer = "cable_length 1 max", 1e-4  # than cables, the ways around their vertices are at most
     s = p.spans(tight, k, p.cables)
@@ -1114,8 +1095,9 @@ def clear_objects(p: Plan, b: int) -> Iterator[Row]:
     held, items = p.holding[b][:, p.parts[:, 2]] & p.formed[:, None], range(len(p.parts))
     wound = p.grip[b][:, None] & (p.parts[:, 3] != p.parts[:, 4])  # edges around it, not legs
     off, inside = (p.spans(on, items, p.kinds) for on in (p.formed[:, None] & ~held, held & ~wound))
-    free, moving = p.spans(p.free, range(p.n), p.cables), p.spans(p.moving[b], [0], [body.name])
-    clear, enters = ("object_clearance m min", p.off("object")), "enters m min"
+    free = p.spans(p.free, range(p.n), p.cables)
+    moving, carried = (p.spans(x[b], [0], [body.name]) for x in (p.moving, p.held))
+    enters = "enters m min"
 
     def beside(s: Spans, k: Index, slab: Slab) -> Line:
         """Hanging cables are above it, or their chords beside it as seen from above."""
@@ -1126,6 +1108,11 @@ def clear_objects(p: Plan, b: int) -> Iterator[Row]:
     def above(over: Line, s: Spans, o: int) -> Line:
         """Large where bodies may touch and one is over the other."""
         return ((over + 2.0 * TOUCH) * 1e6).only(may[s.piece, o])
+
+    def within(s: Spans, _: Index, slab: Slab) -> Line:
+        """Return what is left to walls beside and above; the floor counts as what is touched."""
+        top = [s.place(b, np.append(x, slab.upper)) for x in slab.core]
+        return walls(s, top, -BIG, slab.radius)
 
     def ground(s: Spans, _: Index) -> Line:
         over = p.poses.on(s, b)[2] + (stem.lower - p.floor)
@@ -1138,24 +1125,13 @@ def clear_objects(p: Plan, b: int) -> Iterator[Row]:
         return largest(grown.gap(*seen), above(seen[0][2] - block.upper, s, o))
 
     for slab in body.slabs:
-        yield prove(*clear, off, lambda s, j, slab=slab: slab.gap(*s.part(j, b)))
-        yield prove(*clear, free, partial(beside, slab=slab))
+        yield prove(*p.object, off, lambda s, j, slab=slab: slab.gap(*s.part(j, b)))
+        yield prove(*p.object, free, partial(beside, slab=slab))
         for o, block in p.slabs:
             if o != b:
-                yield prove(*clear, moving, partial(others, o=o, slab=slab, block=block))
-        top, within = (
-            [np.append(x, slab.upper) for x in slab.core],
-            p.spans(p.held[b], [0], [body.name]),
-        )
-        yield prove(
-            p.within,
-            0.0,
-            within,
-            lambda s, _, top=top, slab=slab: walls(
-                s, [s.place(b, x) for x in top], -BIG, slab.radius
-            ),
-        )
-    yield prove(*clear, moving, ground)
+                yield prove(*p.object, moving, partial(others, o=o, slab=slab, block=block))
+        yield prove(p.within, 0.0, carried, partial(within, slab=slab))
+    yield prove(*p.object, moving, ground)
     if body.height != stem.lower or body.rim is None:  # a slim pillar below a tray is none
         yield prove(enters, WRAPPED, inside, lambda s, j: stem.gap(*s.part(j, b)))
     s = p.spans(p.held[b], range(len(p.labels)), p.labels)
@@ -1303,8 +1279,11 @@ def jumps(p: Plan) -> Iterator[Row]:
     s, on = p.spans(p.every, range(p.N)), p.formed[:, None, None, None]
     with np.errstate(all="ignore"):
         thrust = [s.within(end).thrust(s.item[:, 0]).v.reshape(-1, p.N, 3) for end in (-1.0, 1.0)]
-    found = [*jump(np.stack(thrust, -1), p.names)]
-    found += [*jump(p.tensions.c[0] * on, p.cables), *jump(p.pulls.c[0] * on, p.names)]
+    found = [
+        *jump(np.stack(thrust, -1), p.names),
+        *jump(p.tensions.c[0] * on, p.cables),
+        *jump(p.pulls.c[0] * on, p.names),
+    ]
     # Where a range of tensions begins or ends, they are the team's, unless something is held.
     held = np.any(p.held, axis=0)
     for q, end in ((q, end) for q in np.flatnonzero(p.formed & (p.ranged >= 0)) for end in (0, -1)):
@@ -1439,8 +1418,7 @@ def told(p: Plan) -> dict[str, Any]:
         start["drones"] = {"qr"[end]: [first[i] for i in flown[end]] for end in (0, 1)}
         team |= {"cable_length": p.length[roles, 0].tolist(), "tension": p.team[roles, 0].tolist()}
         if p.formed[0]:
-            x = np.array(first[p.V])
-            start["hitch"] = {"polygon": x[:, :2].tolist(), "altitude": float(np.mean(x[:, 2]))}
+            start["hitch"] = outline(p.points.c[0][0, p.V, :, 0])
     said: dict[str, dict[float, Any]] = {"stiffness": {math.inf: None}}  # of numbers
     said |= {key: {0.0: False, 1.0: True} for key in ("integral", "feed_forward")}
     rows = [[(key, float(x[k])) for key, x in p.given.items()] for k in roles]
@@ -1460,22 +1438,20 @@ def told(p: Plan) -> dict[str, Any]:
 def step(p: Plan, run: list[dict[str, Any]]) -> dict[str, Any]:
     """Return what a step does, of all its phases: tensions, what is held, and where it ends."""
     last = max(int(np.argmin(np.abs(p.breaks - run[-1]["end"]))) - 1, 0)
-    x, poses = p.points.c[0][last, ..., -1], p.poses.c[0][last, ..., -1]
-    found: dict[str, Any] = {
-        "objects": {b.name: y.tolist() for b, y in zip(p.bodies, poses, strict=True)}
-    }
+    x, poses = p.points.c[0][last, ..., -1], p.poses.c[0][last, ..., -1].tolist()
+    found: dict[str, Any] = {"objects": {b.name: y for b, y in zip(p.bodies, poses, strict=True)}}
     if not p.n:
         return found | {"drones": x.tolist()}
     ranges, holds = ([y[key] for y in run if y[key] is not None] for key in ("tension", "hold"))
-    on = bool(p.formed[last])
-    return found | {
-        "tension": [min(low for low, _ in ranges), max(high for _, high in ranges)]
-        if ranges
-        else None,
-        "holds": [[*y] for y in dict.fromkeys((y["object"], y["by"]) for y in holds)],
-        "polygon": x[p.V, :2].tolist() if on else None,
-        "altitude": float(np.mean(x[p.V, 2])) if on else None,
-    }
+    whole = [min(low for low, _ in ranges), max(high for _, high in ranges)] if ranges else None
+    found |= {"tension": whole, "polygon": None, "altitude": None}
+    found["holds"] = [[*y] for y in dict.fromkeys((y["object"], y["by"]) for y in holds)]
+    return found | (outline(x[p.V]) if p.formed[last] else {})
+
+
+def outline(vertices: Array) -> dict[str, Any]:
+    """Return the polygon and the altitude of a hitch."""
+    return {"polygon": vertices[:, :2].tolist(), "altitude": float(np.mean(vertices[:, 2]))}
 
 
 def differences(key: str, asked: Any, found: Any) -> Iterator[str]:
@@ -1509,23 +1485,18 @@ def verify(path: str | Path) -> Iterator[Row]:
     """Yield a row for every limit of a plan; raise UnreadableError where the file is none."""
     path = Path(path)
     p = Plan(path / "plan.npz" if path.is_dir() else path)
-    rows = list(checked(p))
-    order = ("violated", "not proven", "warning", "proven")
-    rows = [
-        x._replace(verdict="warning") if x.name == "ground" and x.verdict != "proven" else x
-        for x in rows
-    ]
-    for name, unit in dict.fromkeys((row.name, row.unit) for row in rows if row.samples):
-        same = [row for row in rows if (row.name, row.unit) == (name, unit) and row.samples]
+    rows, order = [row for row in checked(p) if row.samples], ("violated", "not proven", "proven")
+    for name, unit in dict.fromkeys((row.name, row.unit) for row in rows):
+        same = [row for row in rows if (row.name, row.unit) == (name, unit)]
         sign = 1.0 if same[0].sense == "min" else -1.0
         worst = min(same, key=lambda row: (order.index(row.verdict), sign * row.worst))
-        yield worst._replace(samples=sum(row.samples for row in same))
+        verdict = "warning" if name == "ground" and worst.verdict != "proven" else worst.verdict
+        yield worst._replace(verdict=verdict, samples=sum(row.samples for row in same))
 
 
 def line(row: Row) -> str:
     """Say what a row says in a line."""
-    sign = "≥" if row.sense == "min" else "≤"
-    worst = f"{row.worst:12.6g} {sign} {row.limit:<9.6g} {row.unit:6}"
+    worst = f"{row.worst:12.6g} {'≥' if row.sense == 'min' else '≤'} {row.limit:<9.6g} {row.unit:6}"
     place = f"t = {row.time:<9.4f} {row.where:24}"
     return f"{row.name:17} {row.verdict:10} {worst} {place} {row.samples} samples"
 

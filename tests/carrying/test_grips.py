@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from clasp_balance import unit
 from scipy.optimize import brentq
 
 import hitchopt as ho
+from hitchopt.checks.stops import carried_paths
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Hold, HoldBy, Motion
@@ -298,3 +300,75 @@ def test_what_grip_is_left_solves_the_law_of_clasps() -> None:
     found = grip_left(legs, np.array([0.3, 0.2, 0.1]), mu, 0.4)
     assert found == pytest.approx(0.4 * 0.3 * harder(edges) * (3.0 * edges - np.pi), rel=1e-9)
     assert found > 0.06
+
+
+def carried(motion: Motion) -> Motion:
+    """Return the part of the drum's flight on which it is carried."""
+    carry = next(p for p in motion.phases if p.name == "carry")
+    return cut(motion, *np.searchsorted(motion.drones.breaks, [carry.start, carry.end]).tolist())
+
+
+def wound(motion: Motion, turn: float, cut_in: float) -> Motion:
+    """Return the drum's way within an outline of which one edge turns about it by an angle [rad].
+
+    The other edges are straight, and the line of the bent one's first part cuts into the drum [m],
+    before its end or beyond it.
+    """
+    at = 0.5 * np.pi + np.array([0.5, -0.5]) * turn
+    ends = RADIUS * np.column_stack([np.cos(at), np.sin(at)])
+    lean = np.array([math.copysign(math.acos(1.0 - abs(cut_in) / RADIUS), cut_in), 0.0])
+    along = 2.0 * RADIUS * np.column_stack([np.sin(at + lean), -np.cos(at + lean)])
+    p = np.array([ends[0] - along[0], ends[1] + along[1], [0.0, -4.0 * RADIUS]])
+    contacts = np.repeat(0.5 * (p + np.roll(p, -1, axis=0))[:, None], 2, axis=1)
+    contacts[0] = ends
+    pose = carried(motion).object_poses.coefficients[:, 0]
+
+    def placed(x: Array) -> PiecewisePolynomial:
+        level = np.einsum("...i,pk->p...ik", x, pose[:, 3])
+        level += np.einsum("...i,pk->p...ik", x[..., ::-1] * [-1.0, 1.0], pose[:, 4])
+        up = np.full((*level.shape[:-2], 1, level.shape[-1]), 0.15)
+        origin = np.expand_dims(pose[:, :3], tuple(range(1, x.ndim)))
+        return carried(motion).object_poses.alike(np.concatenate([level, up], axis=-2) + origin)
+
+    return carried(motion).altered(vertices=placed(p), contacts=placed(contacts))
+
+
+@pytest.mark.parametrize(
+    ("turn", "cut_in", "holds"),
+    [(t, 0.0, 0.0 < t < 180.0) for t in (-40.0, -4.0, 4.0, 60.0, 176.0, 184.0)]
+    + [(60.0, cut, abs(cut) < 2e-5) for cut in (-3e-5, -1e-5, 1e-5, 3e-5)],
+)
+def test_edges_bend_toward_the_drum_by_half_a_turn_at_most_and_stay_out_of_it(
+    motion: Motion, turn: float, cut_in: float, holds: bool
+) -> None:
+    """Those that bend away would pull it; of symmetric ones the forces balance all the same."""
+    found = check(wound(motion, math.radians(turn), cut_in), "grip").bound
+    assert (found >= 0.0) == holds
+
+
+@pytest.mark.parametrize("size", [0.5, 3.0])
+@pytest.mark.parametrize(("aside", "apart"), [(0.9, 0.0), (1.1, 0.0), (0.0, 0.9), (0.0, 1.1)])
+def test_edges_that_hold_nothing_are_straight(size: float, aside: float, apart: float) -> None:
+    """They pass one point within 0.02 mm of the line between their ends, however long they are."""
+    triangle = ho.regular_polygon(3, size / math.sqrt(3.0))
+    flight = ho.transport(ho.Hitch.spread(ho.Team(3, 1.5 + size), triangle), [0.3, 0.2, 1.0]).motion
+    p = flight.vertices.coefficients
+    onward = np.roll(p, -1, axis=1) - p
+    along = onward[..., :1] / np.linalg.norm(onward[..., :1], axis=2, keepdims=True)
+    off = np.stack([0.0 * along, 2e-5 * apart * along], axis=2)
+    off[..., 2, :] += 2e-5 * aside
+    contacts = (p + 0.5 * onward)[:, :, None] + off
+    found = check(replace(flight, contacts=flight.vertices.alike(contacts)), "grip").bound
+    assert (found >= 0.0) == (max(aside, apart) < 1.0)
+
+
+def test_a_stop_loads_friction_with_no_more_than_is_left(motion: Motion) -> None:
+    """Both by its push and by its turn: friction holds a pushed and a turned drum at once."""
+    flown = carried(motion)
+    ((path, slack),) = carried_paths(flown)
+    for piece, (first, last) in enumerate(pairwise(path.breaks.tolist())):
+        t = np.linspace(first, last, 40)
+        a = flown.object_poses.differentiated(2).at(t)[:, 0, 2]
+        left = (ratios(flown, t) / 1.5 - 1.0) * DRUM * (GRAVITY + a)
+        used = DRUM * (slack[piece, 0] + RADIUS * slack[piece, 1])
+        assert 0.5 * np.min(left) < used + 0.02 <= np.min(left) + 0.02
