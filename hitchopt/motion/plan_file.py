@@ -155,12 +155,12 @@ def read_plan(path: Path) -> Motion:
 
 def read_title(path: Path) -> str:
     """Return the title of the plan in a file, or an empty one; errors are ``read_plan``'s."""
-    return _read(path, lambda settings, _: str(settings["title"]))
+    return _read(path, lambda settings, _: str(settings["title"]), labels=True)
 
 
 def read_problem_text(path: Path) -> str:
     """Return the text of a plan's problem file, empty if not known; errors as ``read_plan``."""
-    return _read(path, lambda settings, _: str(settings.get("problem", "")))
+    return _read(path, lambda settings, _: str(settings.get("problem", "")), labels=True)
 
 
 def check_problem_text(path: Path) -> None:
@@ -171,15 +171,15 @@ def check_problem_text(path: Path) -> None:
         if asked.get("problem", here) != here:
             raise InputError("problem", "another text", "the one that was asked", REMEDY)
 
-    _read(path, check)
+    _read(path, check, labels=True)
 
 
 def _digest(problem: str) -> str:
     return hashlib.sha256(problem.encode()).hexdigest()
 
 
-def _read(path: Path, made: Callable[[dict[str, Any], Arrays], T]) -> T:
-    """Return what ``made`` makes of the settings and arrays in a file."""
+def _read(path: Path, made: Callable[[dict[str, Any], Arrays], T], *, labels: bool = False) -> T:
+    """Return what ``made`` makes of the settings, and unless of ``labels`` the arrays, in a file."""
     try:
         head = read_arrays(path, ("format", "settings"))
         if str(head["format"]) != FORMAT:
@@ -191,7 +191,7 @@ def _read(path: Path, made: Callable[[dict[str, Any], Arrays], T]) -> T:
         names += (*PER_ROBOT, *POLYNOMIALS[1:]) if "robots" in settings["team"] else ()
         names += [name for name in FURTHER if settings.get(name) is True]
         names += PER_CONTROLLER if settings.get("control") is True else ()
-        arrays = read_arrays(path, names)
+        arrays = {} if labels else read_arrays(path, names)
         for name, array in arrays.items():
             if array.dtype != np.float64:
                 raise InputError(name, array.dtype, "of double precision", "do not convert it")
