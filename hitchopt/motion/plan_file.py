@@ -179,7 +179,7 @@ def _digest(problem: str) -> str:
 
 
 def _read(path: Path, made: Callable[[dict[str, Any], Arrays], T], *, labels: bool = False) -> T:
-    """Return what ``made`` makes of the settings, and unless of ``labels`` the arrays, in a file."""
+    """Return what ``made`` makes of a file's settings and arrays; of ``labels`` read no arrays."""
     try:
         head = read_arrays(path, ("format", "settings"))
         if str(head["format"]) != FORMAT:

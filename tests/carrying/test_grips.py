@@ -363,12 +363,13 @@ def test_edges_that_hold_nothing_are_straight(size: float, aside: float, apart: 
 
 
 def test_a_stop_loads_friction_with_no_more_than_is_left(motion: Motion) -> None:
-    """Both by its push and by its turn: friction holds a pushed and a turned drum at once."""
+    """Half by its push and half by its turn: a drum may be pushed and turned at once."""
     flown = carried(motion)
     ((path, slack),) = carried_paths(flown)
     for piece, (first, last) in enumerate(pairwise(path.breaks.tolist())):
         t = np.linspace(first, last, 40)
         a = flown.object_poses.differentiated(2).at(t)[:, 0, 2]
-        left = (ratios(flown, t) / 1.5 - 1.0) * DRUM * (GRAVITY + a)
-        used = DRUM * (slack[piece, 0] + RADIUS * slack[piece, 1])
-        assert 0.5 * np.min(left) < used + 0.02 <= np.min(left) + 0.02
+        half = 0.5 * np.min((ratios(flown, t) / 1.5 - 1.0) * DRUM * (GRAVITY + a))
+        pushed, turned = DRUM * slack[piece, :2]
+        assert 0.0 < pushed <= half
+        assert 0.9 * half < RADIUS * turned <= half
