@@ -209,8 +209,7 @@ class Line:
 
 def size(v: Array) -> Array:
     """Return lengths of vectors."""
-    found: Array = np.linalg.norm(v, axis=-1)
-    return found
+    return np.asarray(np.linalg.norm(v, axis=-1))
 
 
 def direction(v: Array) -> Array:
@@ -266,8 +265,7 @@ class Curve:
         c, x = self.c[k][s.piece, i], s.x[:, None]
         n = c.shape[-1] - 1
         weights = [math.comb(n, j) * x**j * (1.0 - x) ** (n - j) for j in range(n + 1)]
-        found: Array = np.einsum("mdj,mj->md", c, np.hstack(weights))
-        return found
+        return np.asarray(np.einsum("mdj,mj->md", c, np.hstack(weights)))
 
     def on(self, s: Spans, i: Index, k: int = 0) -> Line:
         """Return the k-th derivatives of items i (m,) on spans."""
@@ -1037,8 +1035,7 @@ def rolled(s: Spans, c: Index) -> Line:
 def pulling(s: Spans, *cables: Index) -> Mask:
     """Return where cables pull (m,), other than at the ends of ramps."""
     weakest = least(*(s.plan.tensions.on(s, k) for k in cables))
-    found: Mask = (weakest.high > WEAK) | ~s.plan.ramp[s.piece]
-    return found
+    return np.asarray((weakest.high > WEAK) | ~s.plan.ramp[s.piece])
 
 
 def contact(s: Spans, c: Index) -> Line:
@@ -1311,8 +1308,7 @@ def interlacing(p: Plan) -> Iterator[Row]:
         there = Spans(p, s.piece + later, s.item, np.where(later, 0.0, x), 0.0 * x)
         i, j = s.item.T
         off = (there.point(2 * j) - there.point(2 * i)).v
-        found: Array = np.sign(np.sum(off * np.cross(there.across(i).v, there.across(j).v), -1))
-        return found
+        return np.asarray(np.sign(np.sum(off * np.cross(there.across(i).v, there.across(j).v), -1)))
 
     def decided(s: Spans, i: Index, j: Index) -> Line:
         ends, ways = (s.ends(i), s.ends(j)), (s.across(i), s.across(j))
