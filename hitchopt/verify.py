@@ -12,8 +12,9 @@ follow by the chain rule (class ``Line``). Spans are halved until the limit is p
 Rounding: every polynomial carries an error of ``2**-48`` of its coordinates, of a k-th derivative
 ``2**-48 2^k N!/(N-k)! / h^k`` of its largest difference of neighbouring coefficients (degree N,
 piece of h seconds). As in the certificate a limit holds within 1e-9 of the largest of itself and
-the coordinates. Not looked at: ``tracking_radius``, ``stoppable`` and ``survivable``, which are
-only reported.
+the coordinates. Where ``limits.tracking`` says how far all drones may be off at once, every
+distance is wider by what that can take from it. Not looked at: ``stoppable`` and ``survivable``,
+and that radius where it is only reported.
 """
 
 from __future__ import annotations
@@ -57,17 +58,20 @@ STATES = {*CROSSED, "clasping", "none"}
 FORMS = {
     "settings": "title:text team:any limits:limits separation:separation arena:arena? asked:any "
     "keep_out:prism[] phases:phase[] objects:any* problem:text* assignment:roles* control:flag* "
+    "controllers:named?[]* "
     "leg_tensions:flag* poses:flag* borne:flag* contacts:flag*",
     "team": "robots:count topology:text cable_density:0+ cable_friction:0+ load:0+[]",
     "single": "drones:count",
     "limits": "speed:+ acceleration:+ jerk:+ tilt:+ body_rate:+? vertex_speed:+ leg:+ duration:+? "
-    "reserve:+",
+    "reserve:+ tracking:+*",
     "separation": "radius:+ height:+ cable:0+ crossing:0+ object:0+",
     "arena": "lower:number[3] upper:number[3]",
     "prism": "polygon:number[2][] lower:number upper:number",
     "phase": "name:text step:count remark:text start:number end:number state:text tension:+[2]? "
     "hold:hold?",
     "hold": "object:text by:text cables:count[]",
+    "named": "controller:text gains:gains?",
+    "gains": "kp:+[2]? kd:+[2]? ki:0+[2]?",
     "roles": "robots:count[] flipped:flag[]",
     "body": "section:section lower:number upper:number mass:+ friction:0+ at:number[3] yaw:number "
     "rim:rim? fixed:flag",
@@ -569,7 +573,14 @@ class Plan:
         fit("settings", s, "settings")
         fit("settings.team", s["team"], "team" if "robots" in s["team"] else "single")
         team, self.breaks, self.phases = s["team"], self.file["breaks"], s["phases"]
-        self.limits, self.sep, self.arena = s["limits"], s["separation"], s["arena"]
+        self.limits, self.sep, self.arena = dict(s["limits"]), dict(s["separation"]), s["arena"]
+        self.tracking = float(self.limits.get("tracking") or 0.0)
+        self.limits["leg"] += 2.0 * self.tracking  # vertices are as far off as drones
+        # The ellipsoid around the sum of one and of a ball, no wider than needed.
+        wide, high, off = self.sep["radius"], self.sep["height"], self.tracking
+        self.sep["height"] = math.sqrt((high**2 + wide * off) * (1.0 + off / wide))
+        for key, times in (("radius", 1.0), ("cable", 2.0), ("crossing", 2.0), ("object", 1.0)):
+            self.sep[key] += times * off
         self.cable, self.crossing, self.object = (  # limits of distances from cables [m]
             (f"{name} m min", max(float(self.sep[name.split("_")[0]]), TOUCHING))
             for name in ("cable_clearance", "crossing", "object_clearance")
@@ -788,6 +799,30 @@ def hanging_links(s: Spans, k: Index) -> tuple[list[Line], list[Line], Array]:
     return cable, chord, 0.125 * (sag * size(off.v[:, :2]))[:, None]
 
 
+def sway(s: Spans, k: Index) -> Line:
+    """Return how much farther than ``off`` points of hanging cables move with their ends.
+
+    By ``√(1 + ¼)`` of it, and with σ: ``(coth σ - 1/σ) σ' = (ln √(L² - h²) / s)'``, s and h within
+    twice of it. Depths over L change by ¼ at most, and beyond σ = 1 by ``(1/eσ + e^-σ) / 2``.
+    """
+    ends, L, r = s.point(2 * k + 1) - s.point(2 * k), s.plan.length[k, 0], 2.0 * s.plan.tracking
+
+    def moved(low: Array, high: Array, h: Array) -> Array:
+        whole, flat = (np.sqrt(L**2 - x**2) for x in (h, h + r))
+        g = steepness(flat / (high + r))
+        change = np.log(low / (low - r) * whole / flat) / (1.0 / np.tanh(g) - 1.0 / g)
+        wide = np.maximum(g, 1.0)
+        deeper = L * np.minimum(0.25, 0.5 * (np.exp(-1.0) / wide + np.exp(-wide)))
+        return np.asarray((deeper + 0.25 * (h + r)) * change + 0.06 * r)
+
+    if not r:
+        return s.zero
+    level, h = ends[:2].norm(), np.abs(ends.v[:, 2])
+    x = moved(level.v[:, 0], level.v[:, 0], h)
+    q = (moved(level.low, level.high, h + ends[2].reach) - x) / s.t
+    return Line(x[:, None], 0.0 * x[:, None], q, s.t)
+
+
 def lowest(s: Spans, k: Index) -> Line:
     """Height of the lowest points of hanging cables."""
     cable, _, sag = hanging_links(s, k)
@@ -847,8 +882,9 @@ def walls(s: Spans, x: Sequence[Line], deep: Line | float = 0.0, reach: float = 
     """
     arena = s.plan.arena or {"lower": [-BIG, -BIG, 0.0], "upper": [BIG] * 3}
     lower, upper = np.array(arena["lower"]), np.array(arena["upper"])
-    found = [(each - lower)[k] - reach for each in x for k in range(2)]
-    found += [(-each + upper)[k] - reach * (k < 2) for each in x for k in range(3)]
+    off = s.plan.tracking  # which the floor does not count: drones stand there
+    found = [(each - lower)[k] - reach - off for each in x for k in range(2)]
+    found += [(-each + upper)[k] - reach * (k < 2) - off for each in x for k in range(3)]
     return least(*found, *(each[2] - lower[2] - deep for each in x))
 
 
@@ -1071,15 +1107,20 @@ def free_cables(p: Plan) -> Iterator[Row]:
     free, hangs = (p.spans(on, k, p.cables) for on in (p.free, p.free & ~ground))
     lies, tight = p.spans(p.free & ground, foreign, *ends), p.state == "being tightened"
 
-    yield prove("span 1 max", 1.0, free, lambda s, k: s.across(k).norm() * (1.0 / p.length[k]))
+    yield prove(
+        "span 1 max",
+        1.0,
+        free,
+        lambda s, k: (s.across(k).norm() + 2.0 * p.tracking) * (1.0 / p.length[k]),
+    )
     yield prove(*p.crossing, both, lambda s, i, j: distance(s.chord(i), s.chord(j)))
     yield prove(*p.cable, lies, lambda s, i, k: distance([s.point(i)[:2]], s.chord(k)))
-    yield prove(*p.cable, hangs, lambda s, k: lowest(s, k) - p.floor)
+    yield prove(*p.cable, hangs, lambda s, k: lowest(s, k) - p.floor - sway(s, k))
     # No point of a cable is farther from its ends than its length.
     s = p.spans(p.free & ~ground, foreign, *ends)
     far = sum(((s.point(s.item[:, 0]) - x).norm() for x in s.ends(s.item[:, 1])), s.zero)
     s = s.take(far.low < p.length[s.item[:, 1], 0] + 2.0 * (p.sep["cable"] + FAR))
-    yield prove(*p.cable, s, to_cable)
+    yield prove(*p.cable, s, lambda s, i, k: to_cable(s, i, k) - sway(s, k))
     yield prove("strands m min", TOUCH, s, to_sheet)
     longer = "cable_length 1 max", 1e-4  # than cables, the ways around their vertices are at most
     s = p.spans(tight, k, p.cables)
@@ -1098,7 +1139,7 @@ def clear_objects(p: Plan, b: int) -> Iterator[Row]:
 
     def beside(s: Spans, k: Index, slab: Slab) -> Line:
         """Hanging cables are above it, or their chords beside it as seen from above."""
-        over = lowest(s, k) - p.poses.on(s, b)[2] - slab.upper
+        over = lowest(s, k) - p.poses.on(s, b)[2] - slab.upper - sway(s, k)
         over = over.only(p.state[s.piece] != "on the ground")
         return largest(slab.grown(0.0, -BIG, BIG).gap(*s.ends(k, b)), over)
 
@@ -1358,7 +1399,7 @@ def phases(p: Plan) -> Iterator[Fault]:
         if p.n and state == "on the ground":
             with np.errstate(all="ignore"):
                 depth = [np.min(lowest(s.within(x), k).v) for x in (-1.0, 0.0, 1.0)]
-            high = min(depth) - p.floor > p.sep["cable"] + CLOSE
+            high = min(depth) - p.floor > p.settings["separation"]["cable"] + CLOSE
             high |= np.max(np.ptp(c[on][:, :, :2], axis=(0, -1))) > TOUCH
             yield at, high, "cables do not lie on the ground where they are said to"
         if state == "clasping":
@@ -1417,8 +1458,14 @@ def told(p: Plan) -> dict[str, Any]:
             start["hitch"] = outline(p.points.c[0][0, p.V, :, 0])
     said: dict[str, dict[float, Any]] = {"stiffness": {math.inf: None}}  # of numbers
     said |= {key: {0.0: False, 1.0: True} for key in ("integral", "feed_forward")}
-    rows = [[(key, float(x[k])) for key, x in p.given.items()] for k in roles]
-    team["quadrotor"] = [{key: said.get(key, {}).get(x, x) for key, x in row} for row in rows]
+    named = s.get("controllers") or [None]  # one for all, or one per kind
+    team["quadrotor"] = [
+        {key: said.get(key, {}).get(float(x[k]), float(x[k])) for key, x in p.given.items()}
+        if own is None
+        else {"mass": float(p.given["mass"][k]), "max_thrust": float(p.given["max_thrust"][k])}
+        | own
+        for k, own in ((k, named[k % len(named)]) for k in roles)
+    ]
     limits = {**s["limits"]}
     for key in ("tilt", "body_rate"):
         x = limits.pop(key)

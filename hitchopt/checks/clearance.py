@@ -56,7 +56,13 @@ from hitchopt.checks.spans import (
     shared,
 )
 from hitchopt.geometry.vectors import dot, unit
-from hitchopt.hitch.catenary import SERIES, Catenary, depth_terms, level_length, steepness
+from hitchopt.hitch.catenary import (
+    SERIES,
+    Catenary,
+    depth_terms,
+    level_length,
+    shift_with_ends,
+)
 from hitchopt.hitch.requirements import Arena
 from hitchopt.motion.loads import held_pieces
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, HoldBy, Motion
@@ -209,9 +215,6 @@ TOLERANCE = 1e-3
 # about 0.2 % of its length at most, where it bends the most, and much less elsewhere
 BY_LENGTH, BY_PLACE = 20, 16
 FARTHEST = 0.25  # [m] Pieces on which a drone may go farther are cut before anything else
-# How far a point of a cable moves with its ends, over how far they move: at most √(1 + ¼), since
-# its shares in their level and upward parts differ by up to a half
-SHIFT = 1.12
 
 
 def chains(q: Array, r: Array, length: Array) -> tuple[Array, Array]:
@@ -299,28 +302,14 @@ def above_ground(motion: Motion) -> bool:
 
 
 def moved_by(motion: Motion) -> Callable[[float], float]:
-    """Return how much nearer [m] drones and hanging cables come if every drone is off by r [m].
-
-    A point of a cable (at μ, see ``hitchopt.hitch.catenary``) moves with its two ends, across by
-    shares ``(1 ± μ)/2`` of them, upward by ``(1 ± sinh μσ / sinh σ)/2``, and by ¼ (L + |h|) per
-    change of σ at most. That follows from ``(coth σ - 1/σ) dσ = d ln(Λ/s)``, where s and h change
-    by 2r at most.
-    """
+    """Return how much nearer [m] drones and hanging cables come if every drone is off by r [m]."""
     ends, L = cable_ends(cut(motion.drones).coefficients), motion.team.cable_length
     offset = Enclosed(ends[:, :, 1] - ends[:, :, 0])
     across, height = offset.level.norm_range, offset[2].norm_above.value
 
     def moved(radius: float) -> float:
-        closer, higher = across.low - 2.0 * radius, height + 2.0 * radius
-        if np.any(closer <= 0.0) or np.any(higher >= L):
-            return np.inf
-        flattest = steepness(level_length(higher, L) / (across.high + 2.0 * radius))
-        if np.any(flattest < SERIES):  # nearly taut: how deep it hangs changes without a bound
-            return np.inf
-        ratio = np.log(across.low / closer)
-        ratio = ratio + np.log(level_length(height, L) / level_length(higher, L))
-        steeper = ratio / (1.0 / np.tanh(flattest) - 1.0 / flattest)
-        return radius + SHIFT * radius + float(np.max(0.25 * (L + higher) * steeper))
+        shift = shift_with_ends((across.low, across.high), height, L, radius)
+        return radius + float(np.max(shift))
 
     return moved
 

@@ -71,8 +71,8 @@ def certify(
     motion: the plan.
     progress: called with the name of every check as it starts, and how many are done.
     gamma: how many times farther than drones vertices may be off, for ``tracking_radius``.
-    reports: that are made after the checks; OF_PARTS where ``merged`` computes the others, none
-        where time is short.
+    reports: that are made after the checks, besides those with a limit; OF_PARTS where ``merged``
+        computes the others, none where time is short.
 
     Raises
     ------
@@ -80,14 +80,16 @@ def certify(
     """
     instance("motion", motion, Motion)
     gamma = not_negative("gamma", gamma)
-    reports = sequence("reports", reports)
-    rules = [rule for rule in RULES if rule.limit_of(motion) is not None]
+    told: tuple[ReportRule, ...] = sequence("reports", reports)
+    told = tuple(each for each in REPORTS if each in told or each.limit(motion) is not None)
+    rules = tuple(rule for rule in RULES if rule.limit_of(motion) is not None)
+    every: tuple[CheckRule | ReportRule, ...] = (*rules, *told)
     found: dict[str, Sequence[Found]] = dict.fromkeys(RULE_OF, ())
     checks: list[Check | None] = []
     with shared_values():
-        for i, each in enumerate((*rules, *reports)):
+        for i, each in enumerate(every):
             if progress is not None:
-                progress(f"{each.name}, {i} of {len(rules) + len(reports)}")
+                progress(f"{each.name}, {i} of {len(every)}")
             if isinstance(each, CheckRule):
                 found[each.name] = each.findings(motion)
                 checks.append(most_pressing(span.check for span in found[each.name]))
@@ -108,6 +110,8 @@ def merged(motion: Motion, parts: Sequence[Certificate]) -> Certificate:
     motion: of the parts one after the other, each from where the last one ends.
     parts: their certificates, whatever they say of the duration.
     """
+    if tracking.TRACKING_RADIUS.limit(motion) is not None:
+        return certify(motion)  # parts keep wider distances, of which their certificates tell
     begin = float(motion.drones.breaks[0])
     found: dict[str, list[Check]] = {rule.name: [] for rule in (*RULES, *REPORTS)}
     for part in parts:

@@ -168,7 +168,10 @@ Findings = Mapping[str, Sequence[Found]]
 
 @dataclass(frozen=True, eq=False)
 class ReportRule:
-    """What a certificate reports without a limit: a motion, its findings and ``gamma`` tell it.
+    """What a certificate reports: a motion, its findings and ``gamma`` tell it.
+
+    There is no limit unless a motion's requirements state one, which is always checked then, and
+    has remedies.
 
     A joined motion has to be looked at anew as a ``whole`` where its parts do not tell of what
     begins in one and ends in the next. Such a value assumes no ``gamma``.
@@ -179,7 +182,11 @@ class ReportRule:
     sense: str
     find: Callable[[Motion, Findings, float], Finding]
     whole: bool = False
+    limit: Callable[[Motion], float | None] = lambda _: None
+    remedy: str = ""
+    free_remedy: str = ""
 
     def check(self, motion: Motion, found: Findings, gamma: float) -> Check:
-        """Return the value as a check that holds."""
-        return self.find(motion, found, gamma).check(self, None, None if self.whole else gamma)
+        """Return the value as a check, which holds if it is only reported."""
+        limit, told = self.limit(motion), None if self.whole else gamma
+        return self.find(motion, found, gamma).check(self, limit, told)

@@ -6,6 +6,9 @@ their limits at all times. Two drones have half the shortest shift of their offs
 ellipsoids touch, all others what checks leave beyond their limits over how far both bodies move.
 A hanging cable moves by its ends and by how much deeper or shallower it hangs between them.
 
+Where ``limits.tracking`` states how far they may be off, that is the limit, and the distances of
+cables and of what they carry to objects count, too.
+
 It follows from the bounds of the checks, which hold for all t. Only pairs of drones one of which is
 higher, and hanging cables, need a look of their own.
 """
@@ -13,17 +16,18 @@ higher, and hanging cables, need a look of their own.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from hitchopt.checks.certificate import Check
-from hitchopt.checks.clearance import drones_room, moved_by
+from hitchopt.checks.clearance import CABLE_CLEARANCE, drones_room, moved_by
 from hitchopt.checks.distances import Moving, smallest
 from hitchopt.checks.drones import Drones
 from hitchopt.checks.rule import Finding, Findings, Found, ReportRule
-from hitchopt.checks.spans import ROUNDING, position_margin
+from hitchopt.checks.spans import ROUNDING, phase_parts, position_margin
 from hitchopt.geometry.vectors import unit
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, Motion
 from hitchopt.trajectory.enclosed import Bound
@@ -31,6 +35,7 @@ from hitchopt.trajectory.search import worst
 from hitchopt.values import Array
 
 GAMMA = 1.0  # how many times farther than drones vertices are taken to be off, where nobody says
+HANGING = ("cable_clearance", "object_clearance")  # distances of cables that hang
 HALVINGS = 40  # of the interval in which the radius of hanging cables lies
 NEWTON = 12  # iterations for the nearest point; a normal that is off costs tightness only
 
@@ -41,10 +46,12 @@ def _find(motion: Motion, found: Findings, gamma: float) -> Finding:
     # How far bodies come together per radius, with a hitch and without.
     nearer = {"cable_clearance": (1.0 + most, 2.0), "crossing": (2.0 * most, 2.0)}
     nearer |= {"legs": (1.0 + gamma, 1.0), "arena": (most, 1.0), "keep_out": (1.0, 1.0)}
+    if motion.requirements.limits.tracking:
+        nearer["object_clearance"] = (most, most)
     for name, factors in nearer.items():
         for each in found[name]:
             landed = name == "arena" and each.states != HITCHED_STATE
-            if not (landed or (name == "cable_clearance" and _hangs(each))):
+            if not (landed or (name in HANGING and _hangs(each))):
                 left = _left(each.check) / factors[each.states != HITCHED_STATE]
                 terms.append(Finding(left, each.check.time, each.check.where))
     if motion.requirements.arena is not None:  # drones that stand on its floor may
@@ -55,13 +62,30 @@ def _find(motion: Motion, found: Findings, gamma: float) -> Finding:
         tightest = worst(Drones.of(span), _spare, "min")
         cable = f"cable {tightest.item // 2}"
         terms.append(Finding(max(0.5 * tightest.worst, 0.0), tightest.time, (cable,)))
-    hanging = [each for each in found["cable_clearance"] if _hangs(each)]
-    for each, span in zip(hanging, motion.spans(hanging[0].states) if hanging else (), strict=True):
-        terms.append(Finding(_hanging(span, each.check), each.check.time, each.check.where))
+    for check, span in _while_hanging(motion, found):
+        terms.append(Finding(_hanging(span, check), check.time, check.where))
     least = min(terms, key=lambda term: term.worst)
     for each in found["separation"]:
         least = _least_pair(motion, each.check, least)
     return replace(least, worst=least.worst * (1.0 - ROUNDING))
+
+
+def _while_hanging(motion: Motion, found: Findings) -> Iterator[tuple[Check, Motion]]:
+    """Yield the clearance of hanging cables with its span of time; where limited, of each phase.
+
+    In some they hang close to what is there, in others they move farther with their ends.
+    """
+    limited = bool(motion.requirements.limits.tracking)
+    for name in HANGING if limited else HANGING[:1]:
+        hanging = [each for each in found[name] if _hangs(each)]
+        spans = motion.spans(hanging[0].states) if hanging else ()
+        for each, span in zip(hanging, spans, strict=True):
+            if not limited or name != "cable_clearance":
+                yield each.check, span
+                continue
+            for part in phase_parts(span):
+                (own,) = CABLE_CLEARANCE.findings(part.motion)
+                yield own.check, part.motion
 
 
 def _left(check: Check) -> float:
@@ -70,7 +94,7 @@ def _left(check: Check) -> float:
 
 
 def _hangs(found: Found) -> bool:
-    return found.states.isdisjoint(HITCHED_STATE | {CableState.GROUND})
+    return found.states.isdisjoint(HITCHED_STATE) and found.states != {CableState.GROUND}
 
 
 def _spare(spans: Drones) -> Bound:
@@ -141,4 +165,12 @@ class Ellipsoid:
         return unit(np.where(outside[..., None], offsets / (t[..., None] + self.axes**2), 0.0))
 
 
-TRACKING_RADIUS = ReportRule("tracking_radius", "m", "min", _find)
+TRACKING_RADIUS = ReportRule(
+    "tracking_radius",
+    "m",
+    "min",
+    _find,
+    limit=lambda motion: motion.requirements.limits.tracking or None,
+    remedy="give cables or polygons more room, stiffer gains, or lower limits.tracking",
+    free_remedy="place the robots farther apart, give stiffer gains, or lower limits.tracking",
+)

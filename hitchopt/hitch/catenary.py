@@ -55,6 +55,53 @@ def steepness(ratio: ArrayLike) -> Array:
     return np.where(small < 2.0 * SERIES, small, sigma)
 
 
+def depth_rate(sigma: Array) -> Array:
+    """Return bounds (…) of |dP/dσ| for all μ and all steepness from σ on.
+
+    With ``α = (1+μ)σ/2, β = (1-μ)σ/2`` it is ``(β sinh² α + α sinh² β) / σ sinh² σ``, and
+    ``sinh α ≤ e⁻ᵝ sinh σ``: at most ``(β e⁻²ᵝ + α e⁻²ᵅ)/σ``, of which the first is at most 1/2e,
+    and the second, for the larger of both, ``σ e⁻ˢ/2`` with s = σ from 1 on.
+    """
+    wide = np.maximum(sigma, 1.0)
+    rate: Array = np.minimum(0.25, 0.5 * (np.exp(-1.0) / wide + np.exp(-wide)))
+    return rate
+
+
+SHIFT = 1.12
+"""How far a point of a cable moves with its ends, over how far they move: at most √(1 + ¼), since
+its shares in their level and upward parts differ by up to a half."""
+
+
+def shift_with_ends(
+    across: tuple[Array, Array], rise: Array, length: ArrayLike, radius: float
+) -> Array:
+    """Return bounds (…) of how far points of hanging cables move if both ends do, by a radius [m].
+
+    A point (at μ) moves with its two ends, across by shares ``(1 ± μ)/2`` of them, upward by ``(1 ±
+    sinh μσ / sinh σ)/2``, and by ``depth_rate`` L + ¼ |h| per change of σ at most. How that changes
+    follows from ``(coth σ - 1/σ) dσ = d ln(Λ/s)``, where s and h change by 2r at most. Cables that
+    may be nearly taut move without a bound.
+
+    Parameters
+    ----------
+    across: smallest and largest s (…) [m].
+    rise: largest |h| (…) [m].
+    """
+    closer, higher, L = across[0] - 2.0 * radius, rise + 2.0 * radius, np.asarray(length)
+    far = (closer <= 0.0) | (higher >= L)
+    low, closer = np.where(far, 1.0, across[0]), np.where(far, 1.0, closer)
+    higher = np.where(far, 0.0, higher)
+    flattest = steepness(level_length(higher, L) / (across[1] + 2.0 * radius))
+    far |= flattest < SERIES
+    ratio = np.log(low / closer)
+    ratio = ratio + np.log(level_length(np.minimum(rise, higher), L) / level_length(higher, L))
+    flattest = np.maximum(flattest, SERIES)
+    steeper = ratio / (1.0 / np.tanh(flattest) - 1.0 / flattest)
+    deeper = L * depth_rate(flattest) + 0.25 * higher
+    shift: Array = np.where(far, np.inf, SHIFT * radius + deeper * steeper)
+    return shift
+
+
 @dataclass(frozen=True, eq=False)
 class Catenary:
     """Hanging cables (…), by s, h, L [m], the steepness σ and ``h / Λ``."""
@@ -91,6 +138,13 @@ class Catenary:
         along = start + 2.0 * sigma * np.asarray(share) * self.length / self.across
         mu = (np.arcsinh(along) - np.arcsinh(self.tilt)) / sigma
         return np.where(self.sigma > SERIES, np.clip(mu, -1.0, 1.0), 2.0 * np.asarray(share) - 1.0)
+
+    def sagging(self, off: float) -> Array:
+        """Return by how much more (…) [m] than ``off`` points move if both ends are so far off."""
+        if not off:
+            return np.zeros(self.across.shape)
+        across = self.across, self.across
+        return shift_with_ends(across, np.abs(self.rise), self.length, off) - off
 
     @property
     def lowest(self) -> Array:

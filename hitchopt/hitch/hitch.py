@@ -206,13 +206,14 @@ class Hitch(OneLine):
 
         Parameters
         ----------
-        limits, separation: the default ones if None.
+        limits, separation: the default ones if None; distances are wider for drones that are off.
         roll: one or (clasps,) [rad]; None for none unless legs break a limit without, and then for
             one angle at all clasps, the smallest with which they keep that margin, or else the
             limits.
         """
         outline = fitting_polygon(team, polygon)
-        requirements = Requirements(limits or Limits(), separation or Separation())
+        own = Requirements(limits or Limits(), separation or Separation())
+        requirements = own.flown_by(team).planned
         fixed = None if roll is None else checked_roll(team, roll)
         legs = balanced_legs(team, outline)
         task = _leg_task(team, outline, legs, SPREAD_MARGIN, requirements, fixed)

@@ -12,9 +12,13 @@ from numpy.typing import ArrayLike
 
 from hitchopt.errors import InputError, OneLine
 from hitchopt.geometry import ConvexPolygon
+from hitchopt.hitch.team import Team
 from hitchopt.objects import Clearance, Section, Slab, SolidObject
 from hitchopt.values import Array, finite, instance, positive, sequence, units
 from hitchopt.values.units import check_unit, radians_of, store
+
+WIDER = 1.0 + 2e-9
+"""Factor of ``tracking`` in what planners keep, so that rounding breaks no limit."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +37,8 @@ class Limits(OneLine):
     body_rate: largest turning rate of every drone's thrust vector [rad/s], or None
     reserve: share of acceleration and jerk that plans use, above 0 and up to 1; below 1 a stop on
         the common clock can begin at every time
+    tracking: distance [m] by which all drones may be off their plan at once, every distance kept;
+        None for what the team's flight controllers need, which is none unless they are named
     tilt_deg, body_rate_deg: the same in [°] and [°/s]; give one of the two
 
     Raises
@@ -49,6 +55,7 @@ class Limits(OneLine):
     duration: float | None = None
     body_rate: float | None = None
     reserve: float = 1.0
+    tracking: float | None = None
 
     def __init__(
         self,
@@ -61,6 +68,7 @@ class Limits(OneLine):
         duration: float | None = None,
         body_rate: float | None = None,
         reserve: float = 1.0,
+        tracking: float | None = None,
         *,
         tilt_deg: float | None = None,
         body_rate_deg: float | None = None,
@@ -76,6 +84,7 @@ class Limits(OneLine):
             "duration": duration,
             "body_rate": radians_of("body_rate", body_rate, body_rate_deg, units.BODY_RATE_DEG),
             "reserve": float(reserve),
+            "tracking": tracking,
         }
         if positive("reserve", reserve) > 1.0:
             raise InputError("reserve", reserve, "at most 1", "0.8 leaves a fifth for stops")
@@ -122,6 +131,16 @@ class Separation(OneLine):
         """Factors (3,) [1/m]: ``separation`` is the norm of two drones' offset times these."""
         across, upward = 0.5 / self.radius, 0.5 / self.height
         return np.array([across, across, upward])
+
+    def widened(self, off: float) -> Separation:
+        """Return distances that keep these where all drones and vertices may be off by some [m].
+
+        The ellipsoid is the smallest around its own sum with a ball that is no wider than needed:
+        squares of semi-axes grow by 1 + off/radius, and those of the ball by 1 + radius/off.
+        """
+        height = math.sqrt((self.height**2 + self.radius * off) * (1.0 + off / self.radius))
+        cable, crossing = self.cable + 2.0 * off, self.crossing + 2.0 * off
+        return Separation(self.radius + off, height, cable, crossing, self.object + off)
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,6 +232,8 @@ class Requirements(OneLine):
     arena: the box that the drones stay in, or None.
     keep_out: prisms that the drones stay out of.
     objects: by name, where they stand at first; obstacles to all that does not hold them.
+    off: how far drones may be off [m], for which distances are wide enough but those of cables
+        that hang, as these sag more.
     """
 
     limits: Limits = field(default_factory=Limits)
@@ -220,6 +241,7 @@ class Requirements(OneLine):
     arena: Arena | None = None
     keep_out: tuple[Prism, ...] = ()
     objects: Mapping[str, SolidObject] = field(default_factory=dict)
+    off: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "keep_out", sequence("keep_out", self.keep_out))
@@ -233,9 +255,33 @@ class Requirements(OneLine):
 
     @property
     def planned(self) -> Requirements:
-        """The same requirements with the limits that a plan keeps at full rate."""
-        planned = self.limits.planned
-        return self if planned is self.limits else replace(self, limits=planned)
+        """What planners keep: limits at full rate, and distances wide enough for ``tracking``.
+
+        The arena's floor stays where it is: drones stand there.
+        """
+        limits, off = self.limits.planned, WIDER * (self.limits.tracking or 0.0)
+        if not off:
+            return self if limits is self.limits else replace(self, limits=limits)
+        arena = self.arena
+        if arena is not None:
+            inward = np.array([off, off, 0.0])
+            lower, upper = arena.lower + inward, arena.upper - off
+            arena = Arena(lower, upper) if np.all(lower < upper) else arena
+        limits = replace(limits, leg=limits.leg + 2.0 * off, tracking=0.0)
+        wider = self.separation.widened(off)
+        return replace(self, limits=limits, separation=wider, arena=arena, off=off)
+
+    def flown_by(self, team: Team) -> Requirements:
+        """Return the same requirements with what a team's flight controllers add to them.
+
+        They fly up to their ``tracking`` off, unless that is stated, and tilt no farther than they
+        command.
+        """
+        limits, tilt = self.limits, float(np.min(team.max_tilt))
+        off = team.tracking if limits.tracking is None else limits.tracking
+        if off == limits.tracking and limits.tilt <= tilt:
+            return self
+        return replace(self, limits=replace(limits, tilt=min(limits.tilt, tilt), tracking=off))
 
     @property
     def untimed(self) -> Requirements:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError, OneLine
+from hitchopt.hitch.flight_controller import FlightController, Gains
 from hitchopt.values import (
     Array,
     Indices,
@@ -131,21 +133,63 @@ class Quadrotor(OneLine):
     mass: [kg]
     max_thrust: largest collective thrust [N]
     stiffness: force with which the position loop answers an offset from its set point [N/m]; None
-        is rigid.
-    integral: whether the controller drives the position error to zero, whatever the force.
-    feed_forward: whether the controller adds the cable force that the set points hold.
+        is rigid, or the controller's.
+    integral: whether the position loop drives the position error to zero, whatever the force; None
+        is false, or the controller's.
+    feed_forward: whether the position loop adds the cable force that the set points hold; None is
+        true, or the controller's.
+    controller: ``mellinger``, ``lee``, ``pid`` or ``px4``; None where only these numbers are known.
+    gains: a ``Gains``, or a mapping with some of ``kp``, ``kd`` and ``ki``, each a number or a pair
+        ``[level, upright]``; None for the controller's defaults.
+
+    Raises
+    ------
+    InputError: a number out of its range, an unknown controller, gains without one or too stiff for
+        it, or numbers beside it that follow from it.
     """
 
     mass: float = 0.132
     max_thrust: float = 2.6
     stiffness: float | None = None
-    integral: bool = False
-    feed_forward: bool = True
+    integral: bool | None = None
+    feed_forward: bool | None = None
+    controller: str | None = None
+    gains: Gains | Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
-        flags = {name: flag(name, getattr(self, name)) for name in ("integral", "feed_forward")}
-        store(self, {**vars(self), **flags})
+        values = dict(vars(self))
+        for name in ("integral", "feed_forward"):
+            if values[name] is not None:
+                values[name] = flag(name, values[name])
+        if self.gains is not None:
+            values["gains"] = Gains.of(self.gains)
+        store(self, values)
         check_lift(self.mass, self.max_thrust, GRAVITY)
+        if self.controller is None:
+            if self.gains is not None:
+                bound, remedy = "left out without a controller", "name one, or give stiffness"
+                raise InputError("gains", self.gains, bound, remedy)
+            return
+        for name in ("stiffness", "integral", "feed_forward"):
+            if (value := values[name]) is not None:
+                bound = f"left out beside controller {self.controller}, from which it follows"
+                raise InputError(name, value, bound, "leave it out, or give gains")
+        _loop(self)
+
+    @property
+    def loop(self) -> FlightController:
+        """The position loop: the controller's, or what the numbers say."""
+        return _loop(self)
+
+
+@lru_cache(maxsize=1024)
+def _loop(kind: Quadrotor) -> FlightController:
+    if kind.controller is not None:
+        return FlightController.of(kind.controller, kind.mass, kind.gains)
+    fed = kind.feed_forward is None or kind.feed_forward
+    return FlightController.plain(
+        kind.mass, kind.stiffness, integral=bool(kind.integral), feed_forward=fed
+    )
 
 
 def kinds_of(
@@ -264,19 +308,48 @@ class Team(OneLine):
 
     @property
     def stiffness(self) -> NDArray[np.float64]:
-        """(2n,) [N/m]: stiffness of each drone's position loop, infinite where it is rigid."""
-        given = self._per_drone("stiffness")  # None is nan as a number
-        return np.where(np.isnan(given), np.inf, given)
+        """(2n, 3) [N/m]: stiffness of each drone's position loop, infinite where it is rigid."""
+        return self._per_axis("kp")
 
     @property
-    def integral(self) -> NDArray[np.bool_]:
-        """(2n,): whether each drone's controller drives its position error to zero."""
-        return self._per_drone("integral") > 0.0
+    def damping(self) -> NDArray[np.float64]:
+        """(2n, 3) [N s/m]: damping of each drone's position loop, infinite where it is rigid."""
+        return self._per_axis("kd")
+
+    @property
+    def integral_gain(self) -> NDArray[np.float64]:
+        """(2n, 3) [N/(m s)]: gain of each drone's integral, zero where it has none."""
+        return self._per_axis("ki")
+
+    @property
+    def integral(self) -> NDArray[np.float64]:
+        """(2n, 3) [N]: largest force of each drone's integral, zero where it has none."""
+        return self._per_axis("ki_limit")
 
     @property
     def feed_forward(self) -> NDArray[np.bool_]:
         """(2n,): whether each drone's controller adds the cable force that its set points hold."""
-        return self._per_drone("feed_forward") > 0.0
+        return self._of_loops("feed_forward") > 0.0
+
+    @property
+    def max_tilt(self) -> NDArray[np.float64]:
+        """(2n,) [rad]: largest tilt that each drone's controller commands, π/2 if any."""
+        return self._of_loops("max_tilt")
+
+    @property
+    def tracking(self) -> float | None:
+        """How far off the drones may fly [m], by their controllers; None if none is named."""
+        known = [loop.tracking for kind in self.quadrotor if (loop := kind.loop).name]
+        return max((each for each in known if each is not None), default=None)
+
+    def _per_axis(self, name: str) -> NDArray[np.float64]:
+        """Return a pair of the position loops, level and upright, as (2n, 3)."""
+        return self._of_loops(name)[:, [0, 0, 1]]
+
+    def _of_loops(self, name: str) -> NDArray[np.float64]:
+        """Return one value, or one pair, of the position loops per drone."""
+        values = np.array([getattr(kind.loop, name) for kind in self.quadrotor], dtype=np.float64)
+        return np.repeat(values, self.drones // len(values), axis=0)
 
     def _per_drone(self, name: str) -> NDArray[np.float64]:
         """Return one value per drone; both drones of a robot are of its kind."""

@@ -20,6 +20,7 @@ from pydantic.json_schema import GenerateJsonSchema, models_json_schema
 
 from hitchopt.errors import InputError, one_or_all
 from hitchopt.hitch import Quadrotor
+from hitchopt.hitch.flight_controller import CONTROLLERS
 from hitchopt.hitch.requirements import Limits, Separation
 from hitchopt.hitch.team import MAX_DRONES, MAX_ROBOTS
 from hitchopt.steps import STEPS, Step
@@ -40,6 +41,7 @@ from hitchopt.steps.step import (
     NotNegative,
     Number,
     ObjectName,
+    OneOrEach,
     OutlinePoints,
     PerClasp,
     PerRobot,
@@ -47,6 +49,7 @@ from hitchopt.steps.step import (
     Point3,
     Positive,
     RobotsList,
+    TwoGains,
     fault,
     key,
     keys_of,
@@ -89,14 +92,33 @@ class OneKey(Keys):
         return data
 
 
+Gain = OneOrEach[NotNegative, TwoGains] | None
+
+
+class GainsKeys(Keys):
+    """Gains of the position loop, one for all axes or [level, upright]; null: the default."""
+
+    kp: Gain = key("Force by offset [N/m]", None)
+    kd: Gain = key("Force by velocity [N s/m]", None)
+    ki: Gain = key("Force by offset and time [N/(m s)]", None)
+
+
 class QuadrotorKeys(Keys):
     """One kind of quadrotor."""
 
     mass: Positive = key("Mass [kg]", Quadrotor.mass)
     max_thrust: Positive = key("Largest collective thrust [N]", Quadrotor.max_thrust)
     stiffness: Positive | None = key("Of the position loop [N/m]; null: rigid", Quadrotor.stiffness)
-    integral: bool = key("Whether position errors are driven to zero", Quadrotor.integral)
-    feed_forward: bool = key("Whether cable forces of set points are added", Quadrotor.feed_forward)
+    integral: bool | None = key(
+        "Whether position errors are driven to zero; null: false", Quadrotor.integral
+    )
+    feed_forward: bool | None = key(
+        "Whether cable forces of set points are added; null: true", Quadrotor.feed_forward
+    )
+    controller: Literal[CONTROLLERS] | None = key(  # type: ignore[valid-type]
+        "Flight controller, from which these three follow", Quadrotor.controller
+    )
+    gains: GainsKeys | None = key("Its gains; null: its defaults", Quadrotor.gains)
 
 
 OneKind = Annotated[QuadrotorKeys, Tag(MAPPING)]
@@ -133,6 +155,10 @@ class MotionLimitsKeys(Keys):
     reserve: Annotated[float, Field(ge=MIN_QUANTITY, le=1.0)] = key(
         "Share of acceleration and jerk that the plan uses; below 1 stops can begin at every time",
         Limits.reserve,
+    )
+    tracking: NotNegative | None = key(
+        "How far all drones may be off at once [m]; null: the controllers' own, if named",
+        Limits.tracking,
     )
 
 

@@ -201,7 +201,8 @@ class Problem(OneLine):
     @property
     def requirements(self) -> Requirements:
         """What the plan must satisfy."""
-        return Requirements(self.limits, self.separation, self.arena, objects=self.objects)
+        own = Requirements(self.limits, self.separation, self.arena, objects=self.objects)
+        return own.flown_by(self.team)
 
     @property
     def asked(self) -> dict[str, Any]:
@@ -313,7 +314,8 @@ class SwarmProblem(OneLine):
     @property
     def requirements(self) -> Requirements:
         """What the plan must satisfy."""
-        return Requirements(self.limits, self.separation, self.arena, self.keep_out, self.objects)
+        parts = self.limits, self.separation, self.arena, self.keep_out, self.objects
+        return Requirements(*parts).flown_by(self.team)
 
     @property
     def asked(self) -> dict[str, Any]:

@@ -27,6 +27,7 @@ from hitchopt.errors import (
     time_left,
 )
 from hitchopt.hitch import Quadrotor
+from hitchopt.hitch.flight_controller import RETUNED, stiffest_gains
 from hitchopt.hitch.requirements import Arena
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem
 from hitchopt.mission.solving import solve_problem
@@ -145,8 +146,8 @@ def find_suggestions(
     broken = broken_constraints(error)
     knobs = [knob for knob in _knobs(problem, error.violations) if broken <= knob.covers]
     crowded = broken <= SPACE | {"crossing", "arena"}
-    spread = map(judged, _spread(problem) if crowded else ())
-    found = [verdict for verdict in spread if isinstance(verdict, Suggestion)]
+    named = [*(_spread(problem) if crowded else ()), *_retuned(problem)]
+    found = [verdict for verdict in map(judged, named) if isinstance(verdict, Suggestion)]
     found += _smallest(problem, knobs, judged)
     if not found and error.note:  # the optimiser was needed and may be needed still
         found = _smallest(problem, knobs, partial(judged, optimiser=True))
@@ -276,12 +277,12 @@ def _needed(violations: Iterable[Violation], name: str) -> float:
 
 # What can be changed.
 
-SPACE, RATES, FORCES = eased("length"), eased("time"), eased("tension")
+SPACE, RATES, FORCES = eased("length") | {"tracking_radius"}, eased("time"), eased("tension")
 
 TIMES = frozenset({"duration", PLAN_DURATION})
 """Constraints that a faster plan, or more time, repairs."""
 
-TOO_CLOSE = frozenset({"crossing", "cable_clearance", "separation"})
+TOO_CLOSE = frozenset({"crossing", "cable_clearance", "separation", "tracking_radius"})
 """Constraints that more distance repairs."""
 
 HEAVY, HELD = frozenset({"load"}), frozenset({"grip"})
@@ -395,13 +396,40 @@ def team_edit(problem: Problem, name: str, values: Array) -> Edit:
     """Return what to write for other values of a team: one value where all are the same."""
     rounded: list[Any] = [round(float(value), DECIMALS) for value in values]
     if name == "max_thrust":
-        name, usual = "quadrotor", vars(Quadrotor())
-        for k, kind in enumerate(problem.team.quadrotor):
-            given = {**vars(kind), "max_thrust": rounded[k]}
-            asked = ("mass", "max_thrust")  # and whatever else is not its default
-            rounded[k] = {key: v for key, v in given.items() if key in asked or v != usual[key]}
+        name, kinds = "quadrotor", problem.team.quadrotor
+        thrusts = zip(kinds, rounded, strict=True)
+        rounded = [_keys_of(kind) | {"max_thrust": x} for kind, x in thrusts]
     same = all(value == rounded[0] for value in rounded)
     return Edit(f"team.{name}", rounded[0] if same else rounded)
+
+
+def _keys_of(kind: Quadrotor) -> dict[str, Any]:
+    """Return what to write for a kind of quadrotor: mass, thrust and what is not its default."""
+    asked, usual = ("mass", "max_thrust"), vars(Quadrotor())
+    given = {key: v for key, v in vars(kind).items() if key in asked or v != usual[key]}
+    if kind.gains is not None:
+        gains = {key: pair for key, pair in vars(kind.gains).items() if pair is not None}
+        given["gains"] = {key: list(pair) for key, pair in gains.items()}
+    return given
+
+
+def _retuned(problem: Problem) -> Iterator[Change]:
+    """Yield the change from named controllers to the stiffest gains that fly."""
+    kinds = problem.team.quadrotor
+    named = [kind for kind in kinds if kind.controller is not None]
+    if all(kind.loop.tracking == RETUNED for kind in named):
+        return
+    written = [
+        _keys_of(replace(kind, controller=None, gains=None))
+        | {"controller": "mellinger", "gains": stiffest_gains(kind.mass)}
+        for kind in kinds
+    ]
+    same = all(each == written[0] for each in written)
+    edits = (Edit("team.quadrotor", written[0] if same else written),)
+    changed = with_edits(problem, edits)
+    old = ", ".join(dict.fromkeys(str(kind.controller) for kind in named))
+    new = f"mellinger with gains {written[0]['gains']}".replace("'", "")
+    yield Change("team.quadrotor.controller", "", old, new, "", 0.0, changed, edits)
 
 
 def outlines_scaled(problem: Problem, factor: float) -> Edits:

@@ -7,6 +7,7 @@ import math
 import pickle
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import fields, is_dataclass, replace
 
 import numpy as np
@@ -14,7 +15,8 @@ import numpy as np
 from hitchopt.checks import certify, merged
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import HitchoptError, InfeasibleError, Progress, TimeLimitError, Violation
-from hitchopt.hitch import GRAVITY, Hitch
+from hitchopt.hitch import GRAVITY, Hitch, Team
+from hitchopt.hitch.flight_controller import CONTROLLERS, FlightController
 from hitchopt.hitch.requirements import Prism, Requirements
 from hitchopt.hitch.team import Assignment
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem, SwarmProblem
@@ -39,6 +41,52 @@ from hitchopt.values import Array
 AT_START = "at the start (t = 0)"
 
 
+WIDENED = frozenset(
+    {"separation", "cable_clearance", "crossing", "legs", "arena", "keep_out", "object_clearance"}
+)
+"""Checks of distances that planners keep wider by ``limits.tracking``."""
+
+
+@contextmanager
+def _naming_tracking(requirements: Requirements) -> Iterator[None]:
+    """Let errors say that drones which may be off need the distances that bind."""
+    try:
+        yield
+    except TimeLimitError:
+        raise
+    except InfeasibleError as error:
+        if not (off := requirements.limits.tracking):
+            raise
+        advice = f"let drones be off by less: limits.tracking of {off:.3g} m widens this distance"
+        told = [
+            replace(each, remedy=_remedy(each, advice)) if each.constraint in WIDENED else each
+            for each in error.violations
+        ]
+        raise InfeasibleError(told, error.note) from None
+
+
+def check_controllers(team: Team) -> None:
+    """Raise InfeasibleError unless named flight controllers can hold the cables' tension.
+
+    Without feed-forward drones give way, and an integral drives them back whatever the tension.
+    """
+    unfed = [kind.loop for kind in team.quadrotor if kind.loop.name and not kind.loop.feed_forward]
+    if not unfed:
+        return
+    names = [name for name, fed in zip(team.drone_names, team.feed_forward, strict=True) if not fed]
+    loops = [FlightController.of(name, float(team.mass[0])) for name in CONTROLLERS]
+    fit = ", ".join(loop.name for loop in loops if loop.feed_forward)
+    most = float(np.min(team.mass * GRAVITY * np.tan(team.max_tilt)))
+    remedy = (
+        f"{unfed[0].name} ignores the accelerations that hold the tension, and holds pulls of "
+        f"{most:.2g} N at most by its tilt; set team.quadrotor.controller to one of {fit}"
+    )
+    share = float(np.mean(team.feed_forward))
+    places = (*names[:4], *(["…"] if len(names) > 4 else []))
+    broken = Violation("feed_forward", share, 1.0, "min", "", places, "in all of the plan", remedy)
+    raise InfeasibleError([broken])
+
+
 def solve_problem(
     problem: Problem, progress: Progress | None = None, *, optimiser: bool = True
 ) -> Certified:
@@ -47,6 +95,13 @@ def solve_problem(
     ``progress`` is called with what is being done now. Raises InfeasibleError: what binds, where
     and when; HitchoptError: a planner failed to find what may exist.
     """
+    check_controllers(problem.team)
+    with _naming_tracking(problem.requirements):
+        return _solved(problem, progress, optimiser=optimiser)
+
+
+def _solved(problem: Problem, progress: Progress | None, *, optimiser: bool) -> Certified:
+    """Return the certified plan of all steps."""
     steps, requirements, tell = problem.mission, problem.requirements, progress or (lambda _: None)
     planned = requirements.planned  # stops on the common clock may use the rest
     situation, assignment = _begun(problem, planned, tell)
@@ -174,7 +229,8 @@ def _advised(found: Certified, steps: Sequence[Step]) -> InfeasibleError:
         around = [steps[i] for p in during for i in (p.step - 1, p.step) if i >= 0]
         blends = check.name != "duration" and any(step.blends for step in around)
         timed = any(isinstance(steps[phase.step], FollowVertex) for phase in during)
-        longer = "give the points more time" * (timed and RULE_OF[check.name].derivative > 0)
+        rule = RULE_OF.get(check.name)
+        longer = "give the points more time" * bool(timed and rule and rule.derivative > 0)
         advice = longer or "leave out blend" * blends
         told.append(replace(violation, remedy=_remedy(violation, advice)))
     return InfeasibleError(told, error.note)
@@ -196,6 +252,12 @@ def solve_swarm(problem: SwarmProblem, progress: Progress | None = None) -> Cert
 
     Raises InfeasibleError: what binds, where and when; no plan that breaks a limit is returned.
     """
+    with _naming_tracking(problem.requirements):
+        return _separated(problem, progress)
+
+
+def _separated(problem: SwarmProblem, progress: Progress | None) -> Certified:
+    """Return the certified plan of single drones."""
     longest = problem.limits.duration
     if longest is not None and problem.duration is not None and problem.duration > longest:
         remedy, asked = "lower duration, or raise limits.duration", problem.duration
@@ -251,5 +313,6 @@ def flyable_accelerations(problem: SwarmProblem) -> Array:
             Violation("thrust", weights[i], most[i], "max", "N", (names[i],), "at rest", remedy)
             for i in heavy
         )
-    level = GRAVITY * math.sin(problem.limits.tilt)  # what leans the thrust by the tilt at most
-    return np.minimum(SHARE * np.minimum(spare, level), problem.limits.planned.acceleration)
+    limits = problem.requirements.limits
+    level = GRAVITY * math.sin(limits.tilt)  # what leans the thrust by the tilt at most
+    return np.minimum(SHARE * np.minimum(spare, level), limits.planned.acceleration)

@@ -13,7 +13,7 @@ import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields, replace
-from itertools import groupby, product
+from itertools import groupby
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -41,9 +41,10 @@ FORMAT = "hitchopt-plan/1"
 PER_KIND = ("mass", "max_thrust")
 """Fields of a quadrotor, stored as arrays: (n,), one value a robot; (N,) of single drones."""
 
-PER_CONTROLLER = ("stiffness", "integral", "feed_forward")
-"""Fields of a quadrotor that are stored likewise where one is no default, which a setting
-``control`` says. A rigid loop is an infinite stiffness, a flag 0 or 1."""
+PER_CONTROLLER: Mapping[str, float] = {"stiffness": math.inf, "integral": 0.0, "feed_forward": 1.0}
+"""Numbers of a quadrotor and their defaults, stored likewise where one is another, which a setting
+``control`` says. A rigid loop is an infinite stiffness, a flag 0 or 1. Named controllers are a
+setting ``controllers`` instead, one or one per kind."""
 
 PER_ROBOT = ("cable_length", "tension")
 """Fields of a team that are stored as arrays (n,); the others are settings."""
@@ -65,7 +66,7 @@ AT_PLACE = 1e-6
 SLACK = 1e-4
 """[N] Tensions may be so far out of a range, as in the check ``tension``."""
 
-OPTIONAL = frozenset({"control", "objects", "problem", "assignment", *FURTHER})
+OPTIONAL = frozenset({"control", "controllers", "objects", "problem", "assignment", *FURTHER})
 """Settings that are left out where there are none."""
 
 LATER = frozenset({"mission", "problem"})
@@ -86,13 +87,9 @@ def write_plan(path: Path, motion: Motion, title: str = "", problem: str = "") -
     OSError: the file cannot be written.
     """
     team = motion.team
-    columns = {
-        name: np.array([getattr(kind, name) for kind in team.quadrotor], dtype=np.float64)
-        for name in (*PER_KIND, *PER_CONTROLLER)
-    }
-    columns["stiffness"][np.isnan(columns["stiffness"])] = np.inf  # None
+    columns = _columns(team)
     names = (*PER_KIND, *(PER_CONTROLLER if _controlled(team) else ()))
-    arrays: Arrays = {name: columns[name] for name in names}
+    arrays: Arrays = {name: np.array(columns[name], dtype=np.float64) for name in names}
     if team.has_cables:
         arrays |= {name: getattr(team, name) for name in PER_ROBOT}
     stored = _settings(motion, title, problem)
@@ -105,10 +102,19 @@ def write_plan(path: Path, motion: Motion, title: str = "", problem: str = "") -
         np.savez(file, allow_pickle=False, format=np.array(FORMAT), settings=text, **arrays)
 
 
+def _columns(team: Team) -> dict[str, list[float]]:
+    """Return the numbers of all kinds of quadrotors by name, as files store them."""
+    columns = {name: [getattr(kind, name) for kind in team.quadrotor] for name in PER_KIND}
+    for name, plain in PER_CONTROLLER.items():
+        values = [getattr(kind, name) for kind in team.quadrotor]
+        columns[name] = [plain if each is None else float(each) for each in values]
+    return columns
+
+
 def _controlled(team: Team) -> bool:
-    """Return whether any value of any robot's controller is no default."""
-    pairs = product(team.quadrotor, PER_CONTROLLER)
-    return any(getattr(kind, name) != getattr(Quadrotor, name) for kind, name in pairs)
+    """Return whether any number of any kind's position loop is no default."""
+    columns = _columns(team)
+    return any(set(columns[name]) != {plain} for name, plain in PER_CONTROLLER.items())
 
 
 def _settings(motion: Motion, title: str, problem: str) -> dict[str, Any]:
@@ -119,22 +125,33 @@ def _settings(motion: Motion, title: str, problem: str) -> dict[str, Any]:
         arrays = (*PER_ROBOT, "quadrotor")
         names = (field.name for field in fields(team) if field.name not in arrays)
         own = {name: getattr(team, name) for name in names}
+    limits, named = _limits(requirements), [_controller(kind) for kind in team.quadrotor]
+    controllers = named[:1] if all(each == named[0] for each in named) else named
     settings: dict[str, Any] = {
         "title": title,
         "team": own,
-        "limits": requirements.limits,
+        "limits": limits,
         "separation": requirements.separation,
         "arena": requirements.arena,
         "phases": motion.phases,
         "keep_out": requirements.keep_out,
         "asked": asked_of(motion, problem),
         "control": _controlled(team),
+        "controllers": controllers if any(controllers) else [],
         "objects": _objects_at_first(motion),
         **{name: getattr(motion, name) is not None for name in FURTHER},  # arrays that are there
         "problem": problem,
         "assignment": motion.assignment,
     }
     return {key: x for key, x in _written(settings).items() if x or key not in OPTIONAL}
+
+
+def _limits(requirements: Requirements) -> dict[str, Any]:
+    """Return the limits; without ``tracking`` as in files that do not know it."""
+    limits = dict(vars(requirements.limits))
+    return (
+        limits if limits["tracking"] else {key: limits[key] for key in limits if key != "tracking"}
+    )
 
 
 def _written(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -221,7 +238,7 @@ def _motion(settings: dict[str, Any], arrays: Arrays) -> Motion:
         tuple(Prism(**entry) for entry in settings["keep_out"]),
         {name: _object(**entry) for name, entry in settings.get("objects", {}).items()},
     )
-    given, kinds = settings["team"], _kinds(arrays)
+    given, kinds = settings["team"], _kinds(arrays, settings.get("controllers", []))
     phases = _stored("phases", settings["phases"], tuple[Phase, ...])
     if "robots" in given:
         per_robot: dict[str, Any] = {name: arrays[name] for name in PER_ROBOT}
@@ -253,15 +270,27 @@ def _object(section: dict[str, Any], rim: dict[str, Any] | None, **values: Any) 
     return SolidObject(Section(**section), rim=thin, **values)
 
 
-def _kinds(arrays: Arrays) -> list[Quadrotor]:
+def _controller(kind: Quadrotor) -> dict[str, Any] | None:
+    """Return a kind's controller and gains as files store them; None where it has none."""
+    if kind.controller is None:
+        return None
+    return {"controller": kind.controller, "gains": kind.gains and vars(kind.gains)}
+
+
+def _kinds(arrays: Arrays, controllers: Sequence[Any]) -> list[Quadrotor]:
     """Return the kinds of quadrotors, which check their values themselves."""
-    columns = {name: arrays[name].tolist() for name in PER_KIND + PER_CONTROLLER if name in arrays}
-    if "stiffness" in columns:
-        columns["stiffness"] = [None if x == np.inf else x for x in columns["stiffness"]]
-        for name in ("integral", "feed_forward"):
+    names = [name for name in (*PER_KIND, *PER_CONTROLLER) if name in arrays]
+    columns: dict[str, list[Any]] = {name: arrays[name].tolist() for name in names}
+    for name in PER_CONTROLLER.keys() & columns:
+        columns[name] = [None if x == PER_CONTROLLER[name] else x for x in columns[name]]
+        if name != "stiffness":
             columns[name] = [bool(x) if x in (0.0, 1.0) else x for x in columns[name]]
-    rows = zip(*columns.values(), strict=True)
-    return [Quadrotor(**dict(zip(columns, row, strict=True))) for row in rows]
+    rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+    named = list(controllers) if len(controllers) > 1 else [*controllers, None][:1] * len(rows)
+    for row, each in zip(rows, named, strict=True):
+        if each:
+            row.update({name: None for name in PER_CONTROLLER if name in row}, **each)
+    return [Quadrotor(**row) for row in rows]
 
 
 def _stored(key: str, value: Any, kind: Any) -> Any:
@@ -334,8 +363,9 @@ def asked(
     Robots are in the order of the start, of which ``hitch``, ``drones`` or both are known. Of the
     mission's steps there is what ``flown`` returns, as far as it is known.
     """
-    own = vars(team) if team.has_cables else {"drones": team.drones, "quadrotor": team.quadrotor}
-    limits = dict(vars(requirements.limits))
+    own: dict[str, Any] = dict(vars(team)) if team.has_cables else {"drones": team.drones}
+    own["quadrotor"] = [_asked_kind(kind) for kind in team.quadrotor]
+    limits = _limits(requirements)
     for name in ("tilt", "body_rate"):
         angle = limits.pop(name)
         limits[f"{name}_deg"] = None if angle is None else math.degrees(angle)
@@ -351,6 +381,15 @@ def asked(
             "mission": mission,
         }
     )
+
+
+def _asked_kind(kind: Quadrotor) -> dict[str, Any]:
+    """Return a kind of quadrotor as plan files store it: with a controller, or with numbers."""
+    own: dict[str, Any] = {name: getattr(kind, name) for name in PER_KIND}
+    if named := _controller(kind):
+        return own | named
+    own |= {"stiffness": kind.stiffness, "integral": bool(kind.integral)}
+    return own | {"feed_forward": kind.loop.feed_forward}
 
 
 def _plain(record: Any) -> Any:

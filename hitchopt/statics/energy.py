@@ -13,9 +13,10 @@ With the cable's length L and its stretch ``a (T - T₀)`` the energy of a cable
 of ``Σ E(v, m) - T L - a (T - T₀)²/2``: there arcs and stretch make up the length. T is at least the
 tension at which the cable is slack; below that tension arcs are constant.
 
-Drones of stiffness k add ``½ k |x - x_set|² - F·x``, loads ``-w·x``. Where cables weigh nothing the
-energy is convex, so that its minimum is global. With friction at the clasps legs pull with
-``e^{μθ}`` times what edges do, θ the angle of the bend: forces balance, but there is no energy.
+Drones of stiffness k, level and upright apart, add ``½ k (x - x_set)² - F·x``, loads ``-w·x``. If
+cables weigh nothing the energy is convex, so that its minimum is global. With friction at the
+clasps legs pull with ``e^{μθ}`` times what edges do, θ the angle of the bend: forces balance, but
+there is no energy.
 """
 
 from __future__ import annotations
@@ -49,6 +50,8 @@ DESCENT = 1e-4  # Share of the linear decrease that a step must bring (Armijo)
 ROUNDING = 1e-14  # Of the energies
 LONGEST_STEP, LONGEST_BAND_STEP = 0.3, 0.1  # Of a node [m]: directions change beyond it
 
+DEAD = 1e-4  # Error within which an integral's force is not at its largest [m]
+
 # Shares of the friction at which the hitch settles on its way to an end of its band
 SHARES = np.linspace(0.1, 1.0, 10)
 
@@ -60,9 +63,10 @@ class HitchEnergy:
     nodes: Indices  # (n, 4) that each cable runs over
     exist: NDArray[np.bool_]  # (n, 3), whether q-leg, edge and r-leg exist
     points: Indices  # (points,), the node at each point
-    free: NDArray[np.bool_]  # (nodes,), whether a node moves: all but drones that are held
+    free: NDArray[np.bool_]  # (nodes, 3), whether a node moves along an axis: drones may be held
     start: Array  # (S, nodes, 3) [m], where drones are led, and clasps planned
-    stiffness: Array  # (2n,) [N/m], zero for drones that are held
+    stiffness: Array  # (2n, 3) [N/m], zero for drones that are held
+    integral: Array  # (2n, 3) [N], largest force of integrals, zero likewise
     loads: Array  # (S, nodes, 3) [N], feed-forward on drones and weights at clasps
     lengths: Array  # (S, n) [m], L at the tension T₀
     weight: float  # of cables, per length [N/m]
@@ -143,15 +147,25 @@ class HitchEnergy:
     def values(self, x: Array) -> Array:
         """Return the energies (S,) [J] of nodes x (S, nodes, 3) [m]."""
         energies = np.sum(self.forces(x[:, self.nodes], self.tensions(x))[2], axis=-1)
-        away = (x - self.start)[:, : self.drones]
-        energies += 0.5 * np.einsum("sdi,d,sdi->s", away, self.stiffness, away)
+        energies += np.sum(self.springs(x)[0], axis=(1, 2))
         return np.asarray(energies - np.einsum("sni,sni->s", self.loads, x))
 
     def slopes(self, x: Array, friction: float = 0.0) -> Array:
         """Return minus the force on every node (S, nodes, 3) [N], zero on those that are held."""
         slopes = self.pulls(self.forces(x[:, self.nodes], self.tensions(x), friction)[0])
-        slopes[:, : self.drones] += self.stiffness[:, None] * (x - self.start)[:, : self.drones]
-        return np.where(self.free[:, None], slopes, 0.0)
+        slopes[:, : self.drones] += self.springs(x)[1]
+        return np.where(self.free, slopes, 0.0)
+
+    def springs(self, x: Array) -> tuple[Array, Array, Array]:
+        """Return the energies of position loops, their slopes and curvatures, (S, 2n, 3) each.
+
+        At rest an integral has grown until the error is gone, or it gives its largest force b:
+        energy b |e|, rounded within DEAD of no error.
+        """
+        away = (x - self.start)[:, : self.drones]
+        k, b, round_ = self.stiffness, self.integral, np.hypot(away, DEAD)
+        energies = 0.5 * k * away * away + b * (round_ - DEAD)
+        return energies, (k + b / round_) * away, k + b * DEAD**2 / round_**3
 
     def pulls(self, at_ends: Any) -> Any:
         """Return minus the forces on nodes (S, nodes, 3) [N] but for springs, by the cables'."""
@@ -176,17 +190,18 @@ class HitchEnergy:
         columns[..., :12] += columns[..., 12:] * tensions[..., None, :]
         return columns, tensions, softness
 
-    def matrix(self, blocks: Array, damping: Array | float = LEAST_DAMPING) -> csc_array:
+    def matrix(self, x: Array, blocks: Array, damping: Array | float = LEAST_DAMPING) -> csc_array:
         """Return the derivatives (S N, S N) [N/m] of all forces, N = 3 nodes, sample by sample.
 
-        ``blocks`` are those of cables; ``damping`` (S,) [N/m] is added to the diagonal.
+        Nodes are at x (S, nodes, 3) [m]; ``blocks`` are those of cables; ``damping`` (S,) [N/m] is
+        added to the diagonal.
         """
         samples, size = len(blocks), 3 * len(self.free)
         shift = size * np.arange(samples)[:, None, None]
         own = (3 * self.nodes[:, :, None] + np.arange(3)).reshape(-1, 12) + shift
         rows, columns = np.broadcast_arrays(own[..., :, None], own[..., None, :])
         diagonal = np.zeros((samples, size)) + np.reshape(damping, (-1, 1))
-        diagonal[:, : 3 * self.drones] += np.repeat(self.stiffness, 3)
+        diagonal[:, : 3 * self.drones] += self.springs(x)[2].reshape(samples, -1)
         all_ = np.arange(samples * size)
         entries = np.concatenate([blocks[..., :12].ravel(), diagonal.ravel()])
         places = np.concatenate([[rows.ravel(), columns.ravel()], [all_, all_]], axis=1)
@@ -194,7 +209,7 @@ class HitchEnergy:
 
     def solved(self, matrix: csc_array, forces: Array) -> Array:
         """Return the displacements (S, nodes, 3, …) [m] that forces of this shape [N] cause."""
-        free = np.flatnonzero(np.tile(np.repeat(self.free, 3), len(forces)))
+        free = np.flatnonzero(np.tile(self.free.ravel(), len(forces)))
         found = np.zeros((forces.shape[0] * forces.shape[1] * 3, *forces.shape[3:]))
         # All but symmetric: its diagonal has the pivots.
         order: Any = {"permc_spec": "MMD_AT_PLUS_A", "options": {"SymmetricMode": True}}
@@ -205,7 +220,7 @@ class HitchEnergy:
     def steps(self, x: Array, damping: Array | float, longest: float, friction: float) -> Any:
         """Return Newton's steps (S, nodes, 3) [m], no node's longer than that, and the slopes."""
         slopes = self.slopes(x, friction)
-        steps = self.solved(self.matrix(self.linear(x, friction)[0], damping), -slopes)
+        steps = self.solved(self.matrix(x, self.linear(x, friction)[0], damping), -slopes)
         sizes = np.max(np.linalg.norm(steps, axis=-1), axis=1)
         shares = np.minimum(1.0, longest / np.maximum(sizes, 1e-300))
         return steps * shares[:, None, None], slopes

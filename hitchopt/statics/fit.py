@@ -34,7 +34,7 @@ from hitchopt.hitch.holding import (
 from hitchopt.hitch.leg_program import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
 from hitchopt.hitch.legs import reference_margin, split_slack
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
-from hitchopt.hitch.team import Quadrotor, Team
+from hitchopt.hitch.team import Quadrotor, Swarm, Team
 from hitchopt.objects import Rim, Section, SolidObject
 from hitchopt.planners.carrying.rest import ROOM, STRETCHES, HoldPolygons, rest_polygons
 from hitchopt.values import instance, not_negative, points, positive, whole
@@ -178,8 +178,9 @@ def fit(
     """
     whole("robots", robots, 3, MOST_ROBOTS)
     kind = Quadrotor() if quadrotor is None else quadrotor
-    requirements = Requirements(limits or Limits(), separation or Separation())
     instance("quadrotor", kind, Quadrotor)
+    asked = Requirements(limits or Limits(), separation or Separation())
+    requirements = asked.flown_by(Swarm(1, quadrotor=kind)).planned
     section, notes = _section_of(outline)
     most, binding = largest_tension(requirements, kind)
     if tension is None:

@@ -34,6 +34,9 @@ POSITIVE, LARGEST = (getattr(np.finfo(np.float64), name) for name in ("tiny", "m
 PLANNED = {"t": 0, "positions": 2, "vertices": 2, "tensions": 1, "cable_forces": 2}
 SAMPLED = {"cable_length": 1, "offsets": 2, "forces": 2}
 
+# Conditions of position loops with a value per axis; one for all of a drone's is allowed
+LOOP = ("stiffness", "integral")
+
 # EA of a braided polyethylene line of 1 mm [N], which is all but inextensible; without stretch
 # rigid drones would not determine tensions
 AXIAL_STIFFNESS = 1e4
@@ -49,7 +52,8 @@ SAG_RATIO, SLACK_SHARE = 4.0, 1e-6
 def conditions_of(team: Team, **given: Any) -> dict[str, Any]:
     """Return all conditions of ``settle`` as arrays: one number is for all, others are the team's.
 
-    The stiffness is infinite where a drone stands at its set point whatever the force.
+    The stiffness (2n, 3) is infinite where a drone stands at its set point whatever the force; of
+    integrals there is the largest force (2n, 3) [N].
 
     Raises
     ------
@@ -62,8 +66,8 @@ def conditions_of(team: Team, **given: Any) -> dict[str, Any]:
         "cable_length": ((team.robots,), POSITIVE),
         "cable_density": ((), 0.0),
         "load": ((len(team.layout.clasps),), 0.0),
-        "stiffness": (drones, POSITIVE),
-        "integral": (drones, 0.0),
+        "stiffness": ((*drones, 3), POSITIVE),
+        "integral": ((*drones, 3), 0.0),
         "feed_forward": (drones, 0.0),
         "offsets": ((*drones, 3), -np.inf),
         "forces": ((*drones, 3), -np.inf),
@@ -77,17 +81,21 @@ def conditions_of(team: Team, **given: Any) -> dict[str, Any]:
         if value is None:
             value = own[name] if name in own else getattr(team, name)
         values = np.asarray(value, np.float64)
+        if name == "integral" and value is not None and name in given:  # whether, not how much
+            values = np.where(values > 0.0, np.inf, 0.0)
+        if name in LOOP and values.shape == drones:
+            values = np.repeat(values[:, None], 3, axis=1)
         if values.ndim == 0:
             values = np.broadcast_to(values, shape)
         each = values.shape[values.ndim - len(shape) :] if name in SAMPLED else values.shape
-        largest = np.inf if name == "stiffness" else LARGEST
+        largest = np.inf if name in LOOP else LARGEST
         if each != shape or not np.all((values >= least) & (values <= largest)):
             size = {POSITIVE: "positive ", 0.0: "non-negative "}.get(least, "")
             array = f", or an array (…, {', '.join(map(str, shape))})" if shape else ""
             bound = f"one {size}number{array}"
             raise InputError(name, value, bound, "give plain numbers in SI units")
         found[name] = values
-    found["stiffness"] = np.where(found["integral"] > 0.0, np.inf, found["stiffness"])
+    found["stiffness"] = np.where(np.isinf(found["integral"]), np.inf, found["stiffness"])
     return found
 
 
@@ -165,7 +173,8 @@ def settle(plan: Plan | Motion, t: ArrayLike, **conditions: Any) -> Settled:
     """Return where drones and vertices of a plan's hitch come to rest, and with what tensions.
 
     Drones stand at their set points, offset by ``(F + cable force)/k``: k is the stiffness of their
-    position loops, F the cable force that the set points hold and that is fed forward. Tensions are
+    position loops, F the cable force that the set points hold and that is fed forward. An integral
+    takes up to its largest force from that. Tensions are
     those without friction, which lets a vertex rest anywhere in its ``Settled.band``.
 
     Parameters
@@ -175,9 +184,9 @@ def settle(plan: Plan | Motion, t: ArrayLike, **conditions: Any) -> Settled:
     conditions: what differs from the team, one number or an array, with axes (…) of samples:
         ``cable_length`` (…, n) [m] under the planned tension, ``offsets`` of set points and errors
         of the feed-forward ``forces`` (…, 2n, 3) [m], [N]. Without samples: ``cable_density``
-        [kg/m], ``load`` (clasps,) [kg], ``stiffness`` of position loops (2n,) [N/m], infinite where
-        rigid, ``integral`` and ``feed_forward`` of the controllers (2n,), ``axial_stiffness`` of
-        cables, EA [N], and ``friction``, the coefficient at the clasps.
+        [kg/m], ``load`` (clasps,) [kg], ``stiffness`` of position loops (2n,) or by axis (2n, 3)
+        [N/m], infinite where rigid, ``integral`` and ``feed_forward`` of the controllers (2n,),
+        ``axial_stiffness`` of cables, EA [N], and ``friction``, the coefficient at the clasps.
 
     Raises
     ------
@@ -243,13 +252,16 @@ def energy_of(team: Team, known: Mapping[str, Any], samples: Mapping[str, Array]
     fed = known["feed_forward"][:, None] * samples["cable_forces"]
     loads[:, : team.drones] = samples["forces"] - fed
     loads[:, team.drones :, 2] = -GRAVITY * known["load"]
+    free = np.ones((team.drones + len(clasps), 3), dtype=np.bool_)
+    free[: team.drones] = ~held
     return HitchEnergy(
         nodes,
         exist=np.insert(layout.has_leg, 1, True, axis=1),
         points=points,
-        free=np.append(~held, np.ones(len(clasps), dtype=np.bool_)),
+        free=free,
         start=np.concatenate([drones + samples["offsets"], vertices], axis=1),
         stiffness=np.where(held, 0.0, known["stiffness"]),
+        integral=np.where(held, 0.0, known["integral"]),
         loads=loads,
         lengths=samples["cable_length"],
         weight=weight,

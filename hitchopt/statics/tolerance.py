@@ -99,14 +99,14 @@ def responses(energy: HitchEnergy, x: Array) -> Array:
         seeds[0, nodes[:, k], :, cables] += slopes[:, k]
     for axis in range(3):
         seeds[0, energy.points, axis, np.arange(len(cables) + axis, count, 3)] = 1.0
-    matrix = energy.matrix(blocks)
+    matrix = energy.matrix(x, blocks)
     y = energy.solved(matrix, seeds)
     direct = seeds.reshape(-1, count) - matrix @ y.reshape(-1, count)
     y, direct = y[0].T.swapaxes(1, 2), direct.T.reshape(count, -1, 3)
     pulls = softness[0, :, None] * blocks[0, ..., 12]
     cable = np.einsum("onai,nai->on", y[:, nodes], pulls.reshape(-1, 4, 3))
     cable[cables, cables] -= softness[0]
-    force, soft = y[:, : energy.drones], energy.stiffness[:, None]
+    force, soft = y[:, : energy.drones], energy.springs(x)[2][0]
     position = np.where(soft > 0.0, soft * force, direct[:, : energy.drones])
     first = np.pad(cable[..., None], ((0, 0), (0, 0), (0, 2)))
     return np.concatenate([first, position, force], axis=1)

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from hitchopt.checks import Certificate, Check
 from hitchopt.checks.registry import RULE_OF
+from hitchopt.checks.tracking import TRACKING_RADIUS
 from hitchopt.errors import HitchoptError, InfeasibleError, InputError, TimeLimitError, Violation
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
@@ -101,7 +102,8 @@ def infeasible(certificate: Certificate, motion: Motion, when: str = "") -> Infe
 
 def _remedy(check: Check, phases: Sequence[Phase]) -> str:
     """Return what to change, with a hitch or without."""
-    rule, free = RULE_OF[check.name], phases and not any(phase.formed for phase in phases)
+    rule = RULE_OF.get(check.name, TRACKING_RADIUS)
+    free = phases and not any(phase.formed for phase in phases)
     return (free and rule.free_remedy) or rule.remedy
 
 
@@ -406,12 +408,12 @@ def tying_site(
 
     ``senses`` (clasps,) are those with which it was formed, to be reversed; None to choose them.
     """
-    pre = find_prehitch(hitch, requirements.separation, swap)
+    pre = find_prehitch(hitch, requirements, swap)
     if senses is not None:
         pre = replace(pre, turns=pre.turns.with_senses(senses))
     floor, clearance = requirements.floor, CLEARANCE * requirements.separation.cable
     drawn = (pre.drones + share * (hitch.drones - pre.drones) for share in TIGHTENING)
-    hanging = (hover_altitude(hitch.team, drones, floor, clearance) for drones in drawn)
+    hanging = (hover_altitude(hitch.team, drones, requirements) for drones in drawn)
     altitude = max(hitch.altitude, floor + clearance + pre.lowest, *hanging)
     by = altitude - hitch.altitude
     if by <= SAME_ALTITUDE:

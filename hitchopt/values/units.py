@@ -86,6 +86,7 @@ FIELDS: Mapping[str, tuple[Callable[[str, Any], Any], Quantity]] = {
     "leg": (positive, LEG),
     "duration": (positive, DURATION),
     "body_rate": (positive, BODY_RATE),
+    "tracking": (not_negative, DISTANCE),
     "radius": (positive, ELLIPSOID),
     "height": (positive, ELLIPSOID),
     "cable": (not_negative, DISTANCE),

@@ -11,7 +11,7 @@ from motions import altered, free_motion, random_flight, row, through
 
 import hitchopt as ho
 from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.requirements import Limits, Requirements, Separation
+from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.motion.motion import CableState, Motion, joined_motions
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.planners.forming.prehitch import find_prehitch
@@ -19,7 +19,7 @@ from hitchopt.planners.forming.stages import stage, straight, swap, tied, undone
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
-KEPT = Requirements(Limits(), Separation(), None)
+KEPT = Requirements()
 POLYGONS = {
     3: (2.4, [[0.1, 0.6], [0.5, -0.3], [-0.55, -0.25]]),
     4: (2.0, [[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]]),
@@ -38,7 +38,7 @@ def hitch_of(n: int) -> Hitch:
 def stages_of(n: int, sense: int = 1) -> tuple[Hitch, list[Motion]]:
     """Two swaps, tightening, and the hitch that is held."""
     hitch, settings = hitch_of(n), SwapSettings(sense=sense)
-    return hitch, tied(find_prehitch(hitch, Separation(), settings), hitch, KEPT, settings)
+    return hitch, tied(find_prehitch(hitch, KEPT, settings), hitch, KEPT, settings)
 
 
 def stage_of(hitch: Hitch, name: str, drones: PiecewisePolynomial, state: CableState) -> Motion:
@@ -108,7 +108,7 @@ def test_a_vertex_left_out_is_named(left_out: tuple[int, ...]) -> None:
 
 def test_a_vertex_turned_the_other_way_in_the_second_swap_is_named() -> None:
     hitch, stages = stages_of(5)
-    pre, senses = find_prehitch(hitch, Separation(), SwapSettings()), np.ones(5)
+    pre, senses = find_prehitch(hitch, KEPT, SwapSettings()), np.ones(5)
     senses[3] = -1.0
     turned = pre.turns.with_senses(senses)
     first, second, other = (

@@ -10,7 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hitchopt.hitch import GRAVITY, Team
-from hitchopt.hitch.catenary import Catenary, depth_terms, pull_terms, steepness
+from hitchopt.hitch.catenary import (
+    Catenary,
+    depth_rate,
+    depth_terms,
+    pull_terms,
+    shift_with_ends,
+    steepness,
+)
 from hitchopt.hitch.forces import hanging_forces
 
 # Share of what is left across, height over length, length.
@@ -94,3 +101,32 @@ def test_the_shape_changes_by_a_quarter_per_steepness_at_most() -> None:
     level, skew = np.max(np.abs(above - below), axis=(1, 2)) / 2e-5
     assert 0.249 < level < 0.25 + 1e-6
     assert skew < 0.25
+    depth = np.max(np.abs(above[0] - below[0]), axis=0) / 2e-5
+    share = depth / depth_rate(sigma[0])
+    assert np.max(share) < 1.0 + 1e-6  # of a steeper one by less, and not by half of the bound
+    assert np.min(share) > 0.5
+
+
+@given(SPANS, st.floats(0.001, 0.2), st.integers(0, 2**32 - 1))
+@settings(max_examples=100)
+def test_points_move_with_both_ends_by_no_more_than_the_bound(
+    case: tuple[float, float, float], off: float, seed: int
+) -> None:
+    c, rng = cable(case), np.random.default_rng(seed)
+    mu = np.linspace(-1.0, 1.0, 101)[:, None]
+
+    def points(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        found = first + 0.5 * (1.0 + mu) * (second - first)
+        return np.column_stack([*found.T[:2], found[:, 2] - Catenary.between(
+            first, second, c.length).depth(mu[:, 0])])  # fmt: skip
+
+    ends = np.array([[0.0, 0.0, 0.0], [float(c.across), 0.0, float(c.rise)]])
+    bound = float(shift_with_ends((c.across, c.across), np.abs(c.rise), c.length, off))
+    ways = rng.normal(size=(20, 2, 3))
+    ways[0] = [[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]  # toward each other
+    for way in off * ways / np.linalg.norm(ways, axis=-1, keepdims=True):
+        moved = points(*(ends + way)) - points(*ends)
+        assert np.max(np.linalg.norm(moved, axis=-1)) <= bound * (1.0 + 1e-9)
+    smaller = shift_with_ends((c.across, c.across), np.abs(c.rise), c.length, 0.5 * off)
+    assert smaller <= 0.5 * bound * (1.0 + 1e-9)
+    assert c.sagging(0.0) == 0.0

@@ -10,7 +10,7 @@ import pytest
 
 import hitchopt as ho
 from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.requirements import Limits, Requirements, Separation
+from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.hitch.team import Assignment
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.forming import SwapSettings
@@ -32,7 +32,7 @@ PENTAGON = Hitch(
 
 
 def stages_of(hitch: Hitch) -> list[Motion]:
-    pre = find_prehitch(hitch, Separation(), SwapSettings())
+    pre = find_prehitch(hitch, Requirements(), SwapSettings())
     return tied(pre, hitch, Requirements(), SwapSettings())
 
 

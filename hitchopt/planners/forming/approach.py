@@ -92,10 +92,8 @@ class Approach(ABC):
 
         Its altitude lets cables hang free there, and at all ``others`` (2n, 3) as well.
         """
-        clearance = CLEARANCE * self.requirements.separation.cable
-        floor, here = self.requirements.floor, self.start.copy()
-        places = (self.start, *others)
-        needed = max(hover_altitude(self.team, each, floor, clearance) for each in places)
+        need, here = self.requirements, self.start.copy()
+        needed = max(hover_altitude(self.team, each, need) for each in (self.start, *others))
         if np.min(here[:, 2]) < needed:
             here[:, 2] = np.maximum(here[:, 2], max(needed, float(np.max(self.goal[:, 2]))))
         return here
@@ -136,22 +134,25 @@ class DirectApproach(Approach):
 
     def solve(self) -> list[Motion]:
         """Return the motions of the flight, all of it raised where cables come near the ground."""
-        here, goal, separation = self.problem.start, self.goal, self.requirements.separation
+        here, goal, need = self.problem.start, self.goal, self.requirements
         rise = self._line("take-off", self.start, here, CableState.GROUND)
         if np.max(np.abs(goal - here)) < STILL:
             still = PiecewisePolynomial.constant([0.0, PAUSE], goal)
             return [*rise, self._stage("approach", still)]
         drones = SeparatedFlight(self.problem).solve().drones
         at = np.linspace(drones.breaks[0], drones.breaks[-1], PROBES)
-        lowest = min(float(np.min(_lowest(self.team, places))) for places in drones.at(at))
-        missing = self.requirements.floor + CLEARANCE * separation.cable - lowest
+        lowest = min(float(np.min(_lowest(self.team, x, need.off))) for x in drones.at(at))
+        missing = need.floor + CLEARANCE * need.separation.cable - lowest
         if missing <= 0.0:
             return [*rise, self._stage("approach", drones)]
-        up = np.array([0.0, 0.0, missing + 0.1 * separation.cable])
+        up = np.array([0.0, 0.0, missing + 0.1 * need.separation.cable])
         higher = PiecewisePolynomial(drones.breaks, drones.coefficients + up[:, None])
+        if rise and need.off:  # higher at once, as cables that may sag more are often so low
+            rise = self._line("take-off", self.start, here + up, CableState.GROUND)
+        else:
+            rise += self._line("climb", here, here + up)
         return [
             *rise,
-            *self._line("climb", here, here + up),
             self._stage("approach", higher),
             *self._line("descend", goal + up, goal),
         ]
@@ -218,22 +219,24 @@ class GatheredApproach(Approach):
         return pairs.reshape(*pairs.shape[:-3], -1, 3)
 
 
-def hover_altitude(team: Team, places: Array, ground: float, clearance: float) -> float:
+def hover_altitude(team: Team, places: Array, need: Requirements) -> float:
     """Return how high drones at ``places`` (2n, 3) [m] must be for their cables to hang free [m].
 
-    Parameters
-    ----------
-    places: their heights are not used.
-    clearance: smallest distance of the cables to the ground [m].
+    The heights of these are not used.
     """
     level = places * np.array([1.0, 1.0, 0.0])
-    return ground + clearance - float(np.min(_lowest(team, level)))
+    lowest = float(np.min(_lowest(team, level, need.off)))
+    return need.floor + CLEARANCE * need.separation.cable - lowest
 
 
-def _lowest(team: Team, drones: Array) -> Array:
-    """Return the height of every hanging cable's lowest point (n,) [m]."""
+def _lowest(team: Team, drones: Array, off: float) -> Array:
+    """Return the height of every hanging cable's lowest point (n,) [m].
+
+    If drones may be ``off`` [m], less what cables sag more by than distances are wider.
+    """
     q, r = drones[0::2], drones[1::2]
-    return q[:, 2] + Catenary.between(q, r, team.cable_length).lowest
+    cables = Catenary.between(q, r, team.cable_length)
+    return q[:, 2] + cables.lowest - cables.sagging(off)
 
 
 def assigned(team: Team, drones: Array, outline: Outline, leg: float) -> Assignment:

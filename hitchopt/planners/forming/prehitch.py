@@ -19,7 +19,7 @@ from hitchopt.errors import check_time
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.catenary import Catenary
-from hitchopt.hitch.requirements import Separation
+from hitchopt.hitch.requirements import Requirements, Separation
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.values import Array
 
@@ -133,7 +133,7 @@ class PreHitch:
         return self.turns.drones(0.0)
 
 
-def find_prehitch(hitch: Hitch, separation: Separation, settings: SwapSettings) -> PreHitch:
+def find_prehitch(hitch: Hitch, need: Requirements, settings: SwapSettings) -> PreHitch:
     """Return the first pre-hitch that keeps spans and distances, else the one that comes nearest.
 
     At the hitch's own altitude. The certificate bounds it at every time. Pairs stand as in the
@@ -144,8 +144,8 @@ def find_prehitch(hitch: Hitch, separation: Separation, settings: SwapSettings) 
         if across and all(found.linked for found in looked_at):
             break
         check_time()
-        turns = _turns(hitch, separation, settings, share, scale, across)
-        found = _measured(turns, hitch, separation, share)
+        turns = _turns(hitch, need.separation, settings, share, scale, across)
+        found = _measured(turns, hitch, need, share)
         if found.shortfall <= 0.0:
             return found
         looked_at.append(found)
@@ -195,7 +195,7 @@ def _turns(
     )
 
 
-def _measured(turns: Turns, hitch: Hitch, separation: Separation, share: float) -> PreHitch:
+def _measured(turns: Turns, hitch: Hitch, need: Requirements, share: float) -> PreHitch:
     """Return the pre-hitch with these ellipses, measured over two swaps and on the way out."""
     drones = turns.drones(np.linspace(0.0, 2.0 * math.pi, ANGLES))
     q, r = drones[:, 0::2], drones[:, 1::2]
@@ -204,7 +204,8 @@ def _measured(turns: Turns, hitch: Hitch, separation: Separation, share: float) 
     mu = cables.place(PLACES[:, None, None])
     points = q + (0.5 * (1.0 + mu))[..., None] * (r - q)  # (places, angles, n, 3)
     points[..., 2] -= cables.depth(mu)
-    lowest = float(turns.centres[0, 2]) - float(np.min(points[..., 2]))
+    separation, sagging = need.separation, float(np.max(cables.sagging(need.off)))
+    lowest = float(turns.centres[0, 2]) - float(np.min(points[..., 2])) + sagging
     # From q to r along the edge: pairs would be on the wrong side of each other's cables else.
     opening = float(np.min(np.sum((r[0] - q[0]) * unit(layout.edges(hitch.vertices)), axis=-1)))
     linked, radius = _linked(turns), separation.radius
@@ -218,7 +219,7 @@ def _measured(turns: Turns, hitch: Hitch, separation: Separation, share: float) 
         pairs = (q[:, layout.ahead], layout.behind), (r[:, layout.behind], layout.ahead)
         offsets = [points[:, :, cable] - drone for drone, cable in pairs]
         clear = float(np.min(np.linalg.norm(offsets, axis=-1), initial=np.inf))
-        lacking.append(CLEARANCE * separation.cable / max(clear, 1e-9))
+        lacking.append(CLEARANCE * (separation.cable + sagging) / max(clear, 1e-9))
     if max(lacking) <= 1.0:
         here, out = drones[0], hitch.drones - drones[0]
         lacking.append(1.0 / smallest_separation(here + PLACES[:, None, None] * out, separation))

@@ -1,0 +1,59 @@
+"""Parameters of the extended Kalman filter with which Crazyflies know where they are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hitchopt.errors import OneLine
+from hitchopt.values import positive
+
+
+@dataclass(frozen=True)
+class EstimatorParameters(OneLine):
+    """What the filter believes of its sources; the defaults are those that exports set.
+
+    The filter predicts by the thrust axis and the gyroscope alone: it sees a cable's level pull in
+    nothing but the error of its prediction. Process noise that is small beside that pull lets it
+    explain the pull by a tilt or a velocity that there is not.
+
+    Parameters
+    ----------
+    level_noise, upright_noise: process noise of the acceleration along the body's x and y, and
+        along its z (``kalman.pNAcc_xy``, ``kalman.pNAcc_z``) [m/s²].
+    position_error: standard deviation of captured positions (``locSrv.extPosStdDev``) [m].
+    attitude_error: of captured attitudes (``locSrv.extQuatStdDev``) [rad]; None where drones carry
+        one marker, which has no attitude.
+
+    Raises
+    ------
+    InputError: a number that is not positive.
+    """
+
+    level_noise: float = 20.0
+    upright_noise: float = 20.0
+    position_error: float = 1e-3
+    attitude_error: float | None = 1e-2
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if value is not None:
+                object.__setattr__(self, name, positive(name, value))
+
+    @property
+    def firmware_params(self) -> dict[str, dict[str, float]]:
+        """The firmware's parameters by group and name, as crazyflies.yaml holds them."""
+        kalman = {"pNAcc_xy": self.level_noise, "pNAcc_z": self.upright_noise}
+        errors = {"extPosStdDev": self.position_error}
+        if self.attitude_error is not None:
+            errors["extQuatStdDev"] = self.attitude_error
+        return {"kalman": kalman, "locSrv": errors}
+
+
+HELD = EstimatorParameters()
+"""What exports set, for rigid bodies of several markers: hitches hold with it."""
+
+FIRMWARE = EstimatorParameters(0.5, 1.0, 1e-2, 4.5e-3)
+"""Defaults of the firmware, for rigid bodies."""
+
+ONE_MARKER = EstimatorParameters(0.5, 1.0, 1e-2, None)
+"""Defaults of the firmware, for drones that carry one marker: with it hitches are lost."""

@@ -1,0 +1,104 @@
+"""Flight controllers: gains by mass, what they add, and what does not go together."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import hitchopt as ho
+from hitchopt.errors import InputError
+from hitchopt.hitch.flight_controller import CONTROLLERS, FlightController
+
+RETUNED = {"kp": 4.75, "kd": 1.32, "ki": 0}
+
+
+def loop(controller: str, mass: float = 0.132, **gains: Any) -> FlightController:
+    return ho.Quadrotor(mass, controller=controller, gains=gains or None).loop
+
+
+@pytest.mark.parametrize(
+    ("name", "kp", "after", "tracking"),
+    [  # as the firmwares' benches show them at 132 g
+        ("mellinger", (0.40, 1.25), math.inf, 0.22),
+        ("lee", (0.92, 0.92), math.inf, 0.35),
+        ("pid", (1.3, 1.3), 25.0, 0.52),  # level after 3 s, part of which is the integral's
+        ("px4", (0.23, 0.53), 4.6, 0.22),
+    ],
+)
+def test_defaults_are_those_of_the_public_firmwares(
+    name: str, kp: tuple[float, float], after: float, tracking: float
+) -> None:
+    found = loop(name)
+    level = found.kp[0] + (3.0 * found.ki[0] if name == "pid" else 0.0)
+    assert level == pytest.approx(kp[0], rel=0.03)
+    assert found.kp[1] == pytest.approx(kp[1], rel=0.15)
+    if math.isfinite(after):
+        assert found.kp[0] / found.ki[0] == pytest.approx(after, rel=0.05)
+    assert found.tracking == pytest.approx(tracking)
+    assert found.feed_forward == (name != "pid")
+    tilt = 0.132 * 9.81 * math.tan(loop("pid").max_tilt)
+    assert tilt == pytest.approx(0.47, abs=0.005)  # the largest pull that a PID holds [N]
+
+
+@given(st.sampled_from(CONTROLLERS), st.floats(0.03, 0.5), st.floats(1.2, 3.0))
+def test_gains_scale_with_the_mass_but_for_mellingers(
+    name: str, mass: float, factor: float
+) -> None:
+    light, heavy = loop(name, mass), loop(name, factor * mass)
+    ratio = 1.0 if name == "mellinger" else factor
+    for key in ("kp", "kd", "ki"):
+        np.testing.assert_allclose(getattr(heavy, key), np.multiply(ratio, getattr(light, key)))
+    assert light.tracking is not None
+    assert heavy.tracking is not None
+    assert heavy.tracking >= light.tracking - 1e-12  # no drone of less acceleration is closer
+
+
+def test_mellingers_integral_gives_a_force_at_most() -> None:
+    assert loop("mellinger").ki_limit == pytest.approx((0.10, 0.02))
+    assert loop("mellinger", ki=[0.1, 0]).ki_limit == pytest.approx((0.2, 0.0))
+    assert loop("mellinger", **RETUNED).ki_limit == (0.0, 0.0)
+    assert loop("px4").ki_limit == (math.inf, math.inf)
+
+
+def test_three_flights_with_mellingers_controller_tell_how_far_off_it_flies() -> None:
+    offs: list[Any] = [loop("mellinger", mass).tracking for mass in (0.132, 0.0393)]
+    offs.append(loop("mellinger", **RETUNED).tracking)
+    np.testing.assert_allclose(offs, [0.22, 0.11, 0.053], rtol=0.07)
+
+
+def test_gains_reach_their_drones_and_axes() -> None:
+    named = ho.Quadrotor(0.132, controller="mellinger", gains={"kp": [3.0, 2.0]})
+    kinds = [named, ho.Quadrotor(0.1, stiffness=4.0, integral=True), ho.Quadrotor()]
+    team = ho.Team(3, 2.4, quadrotor=kinds)
+    rows = [[3.0, 3.0, 2.0], [4.0] * 3, [np.inf] * 3]
+    np.testing.assert_array_equal(team.stiffness, np.repeat(rows, 2, axis=0))
+    rows = [[0.2, 0.2, 0.4], [10.0 / 6.0 * math.sqrt(0.4)] * 3, [np.inf] * 3]
+    np.testing.assert_allclose(team.damping, np.repeat(rows, 2, axis=0))
+    np.testing.assert_allclose(team.integral[::2], [[0.1, 0.1, 0.02], [np.inf] * 3, [0.0] * 3])
+    np.testing.assert_allclose(team.integral_gain[::2], [[0.05] * 3, [2.0] * 3, [0.0] * 3])
+    assert team.tracking == named.loop.tracking
+    assert ho.Team(3, 2.4).tracking is None
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"controller": "melinger"}, "controller = 'melinger': must be one of mellinger, lee"),
+        ({"gains": {"kp": 1.0}}, "gains = .*: must be left out without a controller"),
+        ({"controller": "lee", "stiffness": 2.0}, "stiffness = 2.0: .* beside controller lee"),
+        ({"controller": "lee", "integral": False}, "integral = False: .* beside controller lee"),
+        ({"controller": "pid", "feed_forward": True}, "feed_forward = True: .* controller pid"),
+        ({"controller": "lee", "gains": {"kp": 4.75}}, r"gains.kp = 4.75: .* at most 14/s² .*1.85"),
+        ({"controller": "lee", "gains": {"kp": [1, 2, 3]}}, r"gains.kp = .*\[level, upright\]"),
+        ({"controller": "lee", "gains": {"kd": 0.0}}, "gains.kd = 0.0: must be greater than 0"),
+        ({"controller": "lee", "gains": {"p": 0.0}}, "gains = .*: must be a mapping with kp, kd"),
+    ],
+)
+def test_what_does_not_go_together_is_refused(given: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        ho.Quadrotor(**given)

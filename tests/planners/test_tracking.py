@@ -1,0 +1,182 @@
+"""Plans whose drones may be off: every planner keeps distances for it, or says what binds."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from plans import PROBLEMS, planned
+
+import hitchopt as ho
+from hitchopt.checks import certify
+from hitchopt.errors import InfeasibleError
+from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
+from hitchopt.live.abort import Aborts
+from hitchopt.mission.repair import find_suggestions
+from hitchopt.verify import verify
+
+RETUNED = ho.Quadrotor(controller="mellinger", gains={"kp": 4.75, "kd": 1.32, "ki": 0})
+
+
+@given(st.floats(0.05, 0.4), st.floats(0.05, 0.6), st.floats(0.001, 0.4), st.integers(0, 999))
+def test_wider_ellipsoids_hold_all_that_drones_off_may_touch(
+    radius: float, height: float, off: float, seed: int
+) -> None:
+    """One that reaches as far as ellipsoid and ball together in all directions, no wider."""
+    axes, wider = np.array([radius, radius, height]), Separation(radius, height).widened(off)
+    n = np.random.default_rng(seed).normal(size=(50, 3))
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    reach = np.linalg.norm(n * axes, axis=1) + off
+    assert np.all(
+        np.linalg.norm(n * [wider.radius, wider.radius, wider.height], axis=1) >= reach - 1e-12
+    )
+    assert wider.radius == pytest.approx(radius + off)
+    assert wider.height <= height * np.sqrt(1.0 + off / radius) + np.sqrt(off * (radius + off))
+
+
+def test_planners_keep_wider_distances_and_drones_may_stand_on_the_floor() -> None:
+    limits, separation = Limits(tracking=0.05), Separation(cable=0.1, crossing=0.04, object=0.03)
+    need = Requirements(limits, separation, Arena([-2, -1, 0.2], [2, 1, 3])).planned
+    found = need.separation
+    distances = [found.cable, found.crossing, found.object, need.limits.leg, need.off]
+    np.testing.assert_allclose(distances, [0.2, 0.14, 0.08, 0.25, 0.05], atol=1e-8)
+    assert need.arena is not None
+    np.testing.assert_allclose(need.arena.lower, [-1.95, -0.95, 0.2], atol=1e-8)
+    np.testing.assert_allclose(need.arena.upper, [1.95, 0.95, 2.95], atol=1e-8)
+    assert need.flown_by(ho.Team(3, 2.4, quadrotor=RETUNED)) is need  # not twice
+    plain = Requirements(Limits(tracking=0.0))
+    assert plain.planned is not need
+    assert plain.planned.separation == plain.separation
+
+
+def test_controllers_say_how_far_off_and_how_tilted_drones_fly_unless_the_problem_does() -> None:
+    start = ho.HitchStart(ho.regular_polygon(3, 1.0), 1.0)
+    for kind, stated, off, tilt in (
+        (RETUNED, {}, 0.05, 45.0),
+        (RETUNED, {"tracking": 0.02}, 0.02, 45.0),
+        (RETUNED, {"tracking": 0.0}, 0.0, 45.0),
+        (ho.Quadrotor(controller="pid"), {"tilt_deg": 30.0}, 0.52, 20.0),
+        (ho.Quadrotor(stiffness=3.0), {}, None, 45.0),
+    ):
+        team = ho.Team(3, 2.4, quadrotor=kind)
+        need = ho.Problem(team, start, (ho.Hold(1.0),), Limits(**stated)).requirements
+        assert (need.limits.tracking, round(need.limits.tilt_deg, 9)) == (off, tilt)
+
+
+def test_legs_are_spread_for_drones_that_are_off() -> None:
+    team, outline = ho.Team(6, 1.8, quadrotor=RETUNED), ho.regular_polygon(6, 0.9)
+    exact = replace(team, quadrotor=(ho.Quadrotor(),) * 6)
+    need = Requirements(Limits(tracking=0.05)).planned
+    wider = ho.Hitch.spread(exact, outline, 1.2, limits=need.limits, separation=need.separation)
+    found = ho.Hitch.spread(team, outline, 1.2).q_legs
+    np.testing.assert_allclose(found, wider.q_legs, atol=1e-9)
+    assert np.max(np.abs(found - ho.Hitch.spread(exact, outline, 1.2).q_legs)) > 1e-3
+
+
+SQUARE = [[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]]
+
+
+def turned() -> ho.Plan:
+    team = ho.Team(4, [2.4, 2.4, 2.5, 2.5], quadrotor=RETUNED)
+    start = ho.Hitch.spread(team, SQUARE, altitude=1.2)
+    return ho.transport(start, [0.3, -0.2, 1.4], yaw=0.7)
+
+
+def swapped() -> ho.Plan:
+    places = np.array([[-1.0, 0.1, 1.0], [1.0, -0.1, 1.1], [0.0, 1.0, 1.0]])
+    team = ho.Swarm(3, quadrotor=ho.Quadrotor(controller="px4"))
+    return ho.separate(ho.SwarmProblem(team, places, places[[1, 0, 2]]))
+
+
+@pytest.mark.parametrize("name", ["turned", "swapped", "retuned_triangle", "crazyflie_triangle"])
+def test_plans_keep_every_distance_with_all_drones_off(name: str, tmp_path: Path) -> None:
+    plan: ho.Plan = globals()[name]() if name in globals() else planned(name)
+    check, off = plan.certificate["tracking_radius"], plan.motion.team.tracking
+    assert check.limit == off
+    assert check.holds
+    assert plan.certificate.certified
+    plan.save(tmp_path)
+    assert ho.load(tmp_path).motion.requirements.limits.tracking == off
+    rows = list(verify(tmp_path))
+    assert {row.verdict for row in rows} == {"proven"}
+    exact = replace(
+        plan.motion.requirements, limits=replace(plan.motion.requirements.limits, tracking=None)
+    )
+    report = certify(replace(plan.motion, requirements=exact))["tracking_radius"]
+    assert (report.limit, report.holds) == (None, True)
+
+    with np.load(tmp_path / "plan.npz") as file:
+        arrays = dict(file)
+    settings = json.loads(str(arrays["settings"]))
+    for limits in (settings["limits"], settings["asked"]["limits"]):
+        limits["tracking"] = 2.0 * check.bound
+    arrays["settings"] = np.array(json.dumps(settings))
+    np.savez(tmp_path / "plan.npz", **arrays)
+    assert not ho.load(tmp_path).certificate["tracking_radius"].holds
+    assert {row.verdict for row in verify(tmp_path)} != {"proven"}
+
+
+@pytest.mark.parametrize("name", ["retuned_triangle", "crazyflie_triangle"])
+def test_named_controllers_cost_at_most_a_fifth_of_the_time(name: str) -> None:
+    problem: Any = ho.read_problem(PROBLEMS / f"{name}.yaml")
+    exact = ho.solve(replace(problem, limits=replace(problem.limits, tracking=0.0)))
+    assert exact.duration < planned(name).duration <= 1.2 * exact.duration
+
+
+def test_aborts_keep_what_the_plan_keeps() -> None:
+    motion = planned("retuned_triangle").motion
+    for time in (1.0, motion.duration):
+        found = Aborts(motion).found(time, "land")
+        assert found.certificate["tracking_radius"].limit == 0.05
+        assert found.certificate.certified
+
+
+def refusal(**kind: Any) -> tuple[ho.Problem, InfeasibleError]:
+    problem = ho.read_problem(PROBLEMS / "retuned_triangle.yaml")
+    assert isinstance(problem, ho.Problem)
+    other = replace(problem, team=replace(problem.team, quadrotor=(ho.Quadrotor(**kind),) * 3))
+    with pytest.raises(InfeasibleError) as caught:
+        ho.solve(other)
+    return other, caught.value
+
+
+@pytest.mark.parametrize(
+    ("controller", "constraint", "words"),
+    [
+        ("pid", "feed_forward", "to one of mellinger, lee, px4"),
+        ("lee", "cable_clearance", "limits.tracking of 0.35 m widens this distance"),
+    ],
+)
+def test_what_cannot_be_flown_is_refused_and_stiffer_gains_are_suggested(
+    controller: str, constraint: str, words: str
+) -> None:
+    problem, error = refusal(controller=controller)
+    (told,) = [each for each in error.violations if each.constraint == constraint]
+    assert words in str(told)
+    first = find_suggestions(problem, error, 600.0)[0]
+    assert first.change.key == "team.quadrotor.controller"
+    assert all(
+        kind == replace(RETUNED, gains=kind.gains) for kind in first.change.problem.team.quadrotor
+    )
+    (edit,) = first.change.edits
+    assert edit.value == {"mass": 0.132, "max_thrust": 2.6, "controller": "mellinger",
+                          "gains": {"kp": 4.75, "kd": 1.32, "ki": 0.0}}  # fmt: skip
+
+
+@pytest.mark.slow
+def test_objects_count_where_a_limit_is_asked() -> None:
+    """What cables and a held object keep off others is left by as much less."""
+    motion = planned("carry_tray").motion
+    need, bounds = motion.requirements, []
+    for limits in (need.limits, replace(need.limits, tracking=0.01)):
+        found = certify(replace(motion, requirements=replace(need, limits=limits)))
+        bounds.append(found["tracking_radius"].bound)
+    left = found["object_clearance"].bound - need.separation.object
+    assert bounds[1] == pytest.approx(min(bounds[0], left), rel=1e-6)
+    assert bounds[1] < bounds[0]
