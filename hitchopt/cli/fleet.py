@@ -283,15 +283,20 @@ def _outlet_of(
     yaw_deg: float,
 ) -> Outlet:
     """Return the fleet that the options name."""
+    from hitchopt.exports.firmware import refuse_controllers, team_parameters
+    from hitchopt.exports.formats.crazyflie import pilot_checklist
     from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet, read_fleet
     from hitchopt.live.links import CrazyflieOutlet, JsonOutlet, MavlinkOutlet, address
 
     names = team.drone_names
+    kind: Any = {"json": JsonOutlet, "mavlink": MavlinkOutlet, "crazyflie": CrazyflieOutlet}[over]
+    refuse_controllers(team, kind.controllers, f"--over {over}")
     frame = ReferenceFrame("ned" if over == "mavlink" else "enu", origin, math.radians(yaw_deg))
     if over == "crazyflie":
         members = (placeholder_fleet(names) if fleet is None else read_fleet(fleet, names)).members
         robots = [member.name for member in members]
-        return CrazyflieOutlet(names, robots, frame)
+        say(pilot_checklist(cables=team.has_cables))
+        return CrazyflieOutlet(names, robots, frame, team_parameters(team))
     here = address("--listen", listen)
     places = [address("--to", each) for each in targets]
     if not places:
@@ -300,7 +305,8 @@ def _outlet_of(
         words = f"given once, or {len(names)} times", "one for each drone"
         raise InputError("--to", len(places), *words)
     places *= len(names) // len(places)
-    return (JsonOutlet if over == "json" else MavlinkOutlet)(names, places, frame, here)
+    outlet: Outlet = kind(names, places, frame, here)
+    return outlet
 
 
 def _flown_aborts(motion: ho.Motion, how: str | None) -> dict[str, AbortTable]:

@@ -102,16 +102,36 @@ def export_motion(
         kind.rate if options.rate is None else checked_rate(options.rate),
         options,
         undetermined=_undetermined(kind, motion, options),
+        settings=kind.settings(motion.team, options),
     )
+    _refuse_lost_pull(kind, motion, options)
     sealed = _is_file(place) and place.with_name(f"{place.name}.{MANIFEST}").exists()
     if place.exists() and not (place.is_dir() or sealed):
         raise FileError(f"{place}: is there already; an export is a folder, so name another")
     certify(plan, say).raise_if_violated()
     if options.hold_tension:
         held = held_tension(plan, options.stiffness, options.damping)
-        task = replace(task, motion=held.motion, notes=(held.note,))
+        task = replace(task, motion=held.motion, unheld=plan, notes=(held.note,))
     with _scratch(place) as scratch:
         return _put(_written(kind, task, scratch, say), place, kind, task)
+
+
+def _refuse_lost_pull(kind: Format, motion: Motion, options: ExportOptions) -> None:
+    """Raise InputError where a named controller would lose the cables' tension, or fly other gains.
+
+    What controllers do that nobody names is unknown: there the files warn.
+    """
+    named = [each.controller for each in motion.team.quadrotor if each.controller]
+    if not named:
+        return
+    for option in ("stiffness", "damping"):
+        if (value := getattr(options, option)) is not None:
+            bound = f"left out beside controller {named[0]}, whose gains are exported"
+            raise InputError(f"--{option}", value, bound, "set team.quadrotor.gains")
+    if kind.flown_by == "upload" and np.any(motion.formed) and not options.hold_tension:
+        bound = f"given for {kind.name}, which carries no cable force to controller {named[0]}"
+        remedy = "add it, or stream: hitchopt fly, or a format that carries the force"
+        raise InputError("--hold-tension", False, bound, remedy)
 
 
 def _undetermined(kind: Format, motion: Motion, options: ExportOptions) -> tuple[str, ...]:
@@ -119,9 +139,10 @@ def _undetermined(kind: Format, motion: Motion, options: ExportOptions) -> tuple
     team = motion.team
     if not np.any(motion.formed):
         return ()
-    fed_forward = kind.carries_pull and bool(np.all(team.feed_forward))
+    fed_forward = kind.flown_by != "upload" and bool(np.all(team.feed_forward))
+    known = options.stiffness is not None or bool(np.all(np.isfinite(team.stiffness)))
     return undetermined_tension(
-        integral=kind.receiver_integral or bool(np.any(team.integral)),
+        integral=(kind.receiver_integral and not known) or bool(np.any(np.isinf(team.integral))),
         feed_forward=fed_forward or options.hold_tension,
     )
 
@@ -168,6 +189,7 @@ def _part(kind: Format, task: Task, place: Path, say: Progress) -> Export:
             refusals.append(refusal)
             continue
         notes = (*written.notes, *task.notes, *task.undetermined)
+        receiver = {**task.settings, **written.receiver}
         manifest = _head(kind, task) | {
             "heading_rad": task.frame.heading,
             "drones": {member.role: member.name for member in task.fleet.members},
@@ -182,7 +204,7 @@ def _part(kind: Format, task: Task, place: Path, say: Progress) -> Export:
             "notes": list(notes),
             "files": sorted(written.files),
             "digests": {name: digest(folder / name) for name in sorted(written.files)},
-            **({"receiver": dict(written.receiver)} if written.receiver else {}),
+            **({"receiver": receiver} if receiver else {}),
         }
         write_strict_json(folder / MANIFEST, manifest)
         return Export(folder, written.files, verdict, notes, task.begins)
@@ -198,7 +220,8 @@ def _fed_forward(kind: Format, task: Task) -> str:
 
 def _head(kind: Format, task: Task) -> dict[str, Any]:
     head = {"format": MANIFEST_FORMAT, "exported_as": kind.name, "title": task.title}
-    return {**head, **task.frame.to_dict()}
+    names = sorted({name for each in task.motion.team.quadrotor if (name := each.controller)})
+    return {**head, "flown_by": kind.flown_by, "controllers": names, **task.frame.to_dict()}
 
 
 @contextlib.contextmanager

@@ -12,9 +12,12 @@ from typing import Any
 import numpy as np
 
 from hitchopt.errors import InputError
+from hitchopt.exports.firmware import refuse_controllers
 from hitchopt.exports.options import HOMES, STORAGES, ExportOptions
 from hitchopt.exports.placing import Fleet, ReferenceFrame
 from hitchopt.exports.recording import Recording
+from hitchopt.hitch import Team
+from hitchopt.hitch.flight_controller import CONTROLLERS
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import (
     UPWARD,
@@ -42,8 +45,10 @@ class Task:
     begins: float = 0.0  # when in the plan the motion begins [s]; 0 unless the plan was cut
     number: int = 1  # which part of the plan the motion is, from 1 on
     part: str = ""  # description of that part; empty for the whole
+    unheld: Motion | None = None  # the plan, where offsets of the motion hold its tension
     bound: float = 1.0  # error of refits over the usual one
     undetermined: tuple[str, ...] = ()  # why the files leave the cables' tension undetermined
+    settings: Mapping[str, Any] = field(default_factory=dict)  # of receivers, for the manifest
     notes: tuple[str, ...] = ()  # what else the user should know of it
 
     @property
@@ -61,6 +66,15 @@ class Task:
         down, else forward, left, up. Where offsets hold the tension there are no cable forces.
         """
         return self._samples(states_at(self.motion, t))
+
+    def heights(self, t: float) -> Array:
+        """Return the drones' heights (D,) [m] above the floor at a time; set points may be off."""
+        if self.unheld is None:
+            places = self.motion.drones.at(t)
+        else:
+            places = self.unheld.drones.at(min(self.begins + t, self.unheld.duration))
+        heights: Array = places[:, 2] - self.motion.requirements.floor
+        return heights
 
     def blocks(self, rows: int) -> Iterator[tuple[Array, dict[str, Array]]]:
         """Yield times (S,) and samples at the task's rate, so many rows (time, drone) at once."""
@@ -114,10 +128,23 @@ class Format:
     rate: float = 0.0  # samples a second if nothing else is asked [Hz]; 0 where nothing is sampled
     accuracy: float  # the largest position error that it is meant to have [m]
     feed_forward: str  # whether the consumer needs the cable's pull, and what is done about it
-    carries_pull: bool = False  # whether the files hold it, as a force or in an acceleration
+    flown_by: str = "upload"  # or stream, with the pull in it, or nothing where nobody flies it
+    controllers: tuple[str, ...] = CONTROLLERS  # names of those that may fly the files
     streamed: float = 0.0  # least useful rate of samples that are sent in flight [Hz]; 0: none are
-    receiver_integral: bool = False  # whether the controllers that fly the files have an integral
+    receiver_integral: bool = False  # whether controllers have one of which the team says nothing
     bounds: tuple[float, ...] = (1.0,)  # errors of refits over the usual one, tried in a row
+
+    def settings(self, team: Team, options: ExportOptions) -> Mapping[str, Any]:
+        """Return settings of receivers that fly a team.
+
+        InputError tells of a named controller that does not fly the files.
+        """
+        refuse_controllers(team, self.controllers, self.name)
+        return self.parameters(team, options)
+
+    def parameters(self, team: Team, options: ExportOptions) -> Mapping[str, Any]:  # noqa: ARG002
+        """Return what ``settings`` does, for controllers that fly the files."""
+        return {}
 
     def write(self, folder: Path, task: Task) -> Written:
         """Write the files of a task, or raise InfeasibleError: the format cannot hold the plan."""

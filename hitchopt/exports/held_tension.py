@@ -24,6 +24,7 @@ import numpy as np
 from hitchopt.checks.drones import largest_rate
 from hitchopt.errors import InfeasibleError, InputError, UnsupportedError, Violation
 from hitchopt.hitch import Team
+from hitchopt.hitch.flight_controller import DAMPING_RATIO
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import followed, resting
 from hitchopt.motion.states import states_at
@@ -31,7 +32,6 @@ from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.values import Array, positive
 
-DAMPING_RATIO = 5.0 / 6.0  # c/(2 √(k m)) unless it is given: gains of 36 and 10 per mass
 DEGREE = 8  # Degree of the offset's pieces
 LONGEST = 1.5  # Longest piece over √(m/k), the time in which a drone swings by one radian
 HALVINGS = 3  # Number of times that the pieces are halved while the miss is too large
@@ -46,8 +46,8 @@ class HeldTension:
     """A plan's set points that hold its tension, for controllers of some gains."""
 
     motion: Motion  # the plan, prolonged, with the set points in place of the drones
-    stiffness: Array  # (2n,) [N/m]
-    damping: Array  # (2n,) [N s/m]
+    stiffness: Array  # (2n, 3) [N/m]
+    damping: Array  # (2n, 3) [N s/m]
     offset: float  # largest distance of a set point from its drone [m]
     miss: float  # largest distance of a drone from the plan, with these controllers [m]
 
@@ -67,28 +67,34 @@ def held_tension(
 ) -> HeldTension:
     """Return the set points with which controllers fly a plan without feed-forward of the pull.
 
-    Without gains [N/m], [N s/m] they are the team's. InputError tells that it has none,
-    InfeasibleError of forces that change too fast.
+    Without gains [N/m], [N s/m] they are the team's. InputError tells that it has none, or a
+    bounded integral, which would move drones after their set points; InfeasibleError of forces that
+    change too fast.
     """
     team = motion.team
     if not isinstance(team, Team):
         raise UnsupportedError("--hold-tension: single drones carry no cables that could pull")
-    k = team.stiffness
+    k, c, most = team.stiffness, team.damping, team.integral
+    if np.any((most > 0.0) & np.isfinite(most)):
+        bound = "0 for --hold-tension: integrals move drones after their set points"
+        remedy = "set team.quadrotor.gains.ki to 0, there and on board"
+        raise InputError("gains.ki", float(np.max(team.integral_gain)), bound, remedy)
+    masses = team.mass[:, None]
     if stiffness is not None:
-        k = np.full(team.drones, positive("--stiffness", stiffness))
+        k = np.full_like(k, positive("--stiffness", stiffness))
+        c = 2.0 * DAMPING_RATIO * np.sqrt(k * masses)
     if not np.all(np.isfinite(k)):
         bound = "the position loop's [N/m], for --hold-tension"
         remedy = "give --stiffness, or team.quadrotor.stiffness in the problem"
         raise InputError("stiffness", None, bound, remedy)
-    critical = 2.0 * np.sqrt(k * team.mass)
-    c = DAMPING_RATIO * critical
+    critical = 2.0 * np.sqrt(k * masses)
     if damping is not None:
-        c = np.full(team.drones, positive("--damping", damping))
+        c = np.full_like(k, positive("--damping", damping))
     # The largest offset over the largest miss: the integral of the absolute impulse response.
     ratio = min(float(np.min(c / critical)), 1.0 - 1e-9)
     gain = float(1.0 / np.tanh(0.5 * np.pi * ratio / np.sqrt(1.0 - ratio * ratio)))
     whole = followed(motion.untimed, resting(motion.untimed, REST))
-    step = LONGEST * float(np.min(np.sqrt(team.mass / k)))
+    step = LONGEST * float(np.min(np.sqrt(masses / k)))
     for halving in range(HALVINGS + 1):
         spans = [
             (a, b, ceil((b - a) / step * 2**halving)) for a, b in pairwise(whole.drones.breaks)
@@ -133,19 +139,19 @@ def _solved(
     times = breaks[:-1, None] + durations[:, None] * np.append(x, probes)
     times[:, len(x) - 1] = breaks[1:]  # the very time at which the next piece begins
     forces = states_at(motion, times - breaks[0]).cable_forces
-    wanted = np.moveaxis(-forces / stiffness[:, None], 1, 2)  # (pieces, 2n, points, 3)
-    rate, bend = (v / stiffness for v in (damping, motion.team.mass))
+    wanted = np.moveaxis(-forces / stiffness, 1, -1)  # (pieces, 2n, 3, points)
+    rate, bend = damping / stiffness, motion.team.mass[:, None] / stiffness
     found = np.zeros((len(durations), motion.team.drones, 3, DEGREE + 1))
-    value, slope, miss = wanted[0, :, 0], np.zeros_like(wanted[0, :, 0]), 0.0
+    value, slope, miss = wanted[0, ..., 0], np.zeros_like(wanted[0, ..., 0]), 0.0
     for c, h, right in zip(found, durations.tolist(), wanted, strict=True):
-        a, b = (rate / h)[:, None, None], (bend / h**2)[:, None, None]
+        a, b = (rate / h)[..., None, None], (bend / h**2)[..., None, None]
         rows = order[0] + a * order[1] + b * order[2]  # the equation's left side, by coefficients
         c[..., :2] = np.stack([value, value + h * slope / DEGREE], axis=-1)
-        rest = right - np.einsum("dpi,dci->dpc", rows[..., :2], c[..., :2])
-        others = np.linalg.solve(rows[:, : len(x), 2:], rest[:, : len(x)])
-        c[..., 2:] = np.moveaxis(others, 1, 2)
-        missing = (np.einsum("dpi,dci->dpc", rows, c) - right)[:, len(x) :]
-        miss = max(miss, float(np.max(np.linalg.norm(missing, axis=-1))))
+        rest = right - (rows[..., :2] @ c[..., :2, None])[..., 0]
+        others = np.linalg.solve(rows[..., : len(x), 2:], rest[..., : len(x), None])
+        c[..., 2:] = others[..., 0]
+        missing = ((rows @ c[..., None])[..., 0] - right)[..., len(x) :]
+        miss = max(miss, float(np.max(np.linalg.norm(missing, axis=1))))
         value, slope = c[..., -1], DEGREE / h * (c[..., -1] - c[..., -2])
     return PiecewisePolynomial(breaks, found), miss
 

@@ -23,6 +23,7 @@ from hitchopt.checks.drones import largest_rate
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import FileError, InputError
 from hitchopt.exports.directory import digest
+from hitchopt.exports.firmware import SETTINGS, settings_findings
 from hitchopt.exports.format import Format, format_of
 from hitchopt.exports.formats.skybrush import DISTANCE, LOWEST, OWN_LIMITS
 from hitchopt.exports.options import ENDINGS, HOMES
@@ -155,6 +156,7 @@ def _report(path: Path, rules: Rules) -> Report:
         with np.errstate(over="ignore", invalid="ignore"):  # such numbers are refused by name
             kind, recording = load(path)
             flight, found = _flown_together(kind, recording, rules)
+            found += _settings(path)
     except (FileError, InputError) as fault:
         text = str(fault)
         raise FileError(text if text.startswith(str(path)) else f"{path}: {text}") from fault
@@ -418,12 +420,21 @@ def _exported(path: Path, kind: Format, recording: Recording) -> Iterator[Findin
 def _placed(fleet: Path, recording: Recording) -> Iterator[Finding]:
     """Yield the drones that a fleet's file does not place below their first points."""
     starts = next(recording.windows()).coefficients[0, :, :2, 0]
-    with reading(fleet, "file of a fleet's robots"):
-        given: Any = read_yaml(fleet)
-        robots = {n: each["initial_position"][:2] for n, each in given["robots"].items()}
-        for name, start in zip(recording.names, starts, strict=True):
-            if name not in robots:
-                yield error("start", name, f"is no robot of {fleet.name}; name it there")
-            elif (apart := math.dist(robots[name], start)) > SAME_SPOT:
-                words = f"{fleet.name} places it {apart:.3g} m from below its first point, "
-                yield error("start", name, f"{words}{start[0]:.4g}, {start[1]:.4g}; correct it")
+    given: Any = read_yaml(fleet)
+    robots: Any = given.get("robots") if isinstance(given, Mapping) else None
+    for name, start in zip(recording.names, starts, strict=True):
+        robot = robots.get(name) if isinstance(robots, Mapping) else None
+        place = robot.get("initial_position") if isinstance(robot, Mapping) else None
+        if not (
+            isinstance(place, list) and len(place) == 3 and {*map(type, place)} <= {int, float}
+        ):
+            yield error("start", name, f"is nowhere in {fleet.name}; give its initial_position")
+        elif (apart := math.dist(place[:2], start)) > SAME_SPOT:
+            words = f"{fleet.name} places it {apart:.3g} m from below its first point, "
+            yield error("start", name, f"{words}{start[0]:.4g}, {start[1]:.4g}; correct it")
+
+
+def _settings(path: Path) -> Iterator[Finding]:
+    """Yield what is wrong with the parameters of a folder's Crazyflies."""
+    if (path / SETTINGS).is_file() and isinstance(found := read_yaml(path / SETTINGS), Mapping):
+        yield from settings_findings(found, read_manifest(path))

@@ -57,6 +57,7 @@ class Member(Keys):
     role: str = ""  # its name in the plan, such as q0; in a fleet file its key
     enabled: bool = True
     initial_position: list[float] = Field(default_factory=list)  # the plan's is used
+    firmware_params: dict[str, dict[str, int | float]] = Field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -104,7 +105,7 @@ def read_fleet(path: str | Path, roles: Sequence[str]) -> Fleet:
         if not given.enabled:
             continue
         role, name = given.role or own, given.name or own
-        member = Member(role=role, name=name, uri=given.uri, type=given.type)
+        member = given.model_copy(update={"role": role, "name": name, "initial_position": []})
         where = f"{root}.{member.name if root == 'robots' else member.role}"
         if member.role in drones:
             bound = f"of one enabled robot only, and {drones[member.role].name} has it"

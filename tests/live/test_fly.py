@@ -13,7 +13,7 @@ from plans import planned
 
 import hitchopt as ho
 from hitchopt.live.abort import AbortTable, abort_table
-from hitchopt.live.fly import COMMANDS, Course, Flight, Flown
+from hitchopt.live.fly import COMMANDS, LEAD, Course, Flight, Flown
 from hitchopt.live.player import Player
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
@@ -181,6 +181,7 @@ class Rig:
         self.pressed, self.said, self.sent = list[str](), list[str](), list[Flown]()
         self.operator, self.silent, self.off = True, set[str](), np.zeros(3)
         self.now, self.going, self.rate = 100.0, True, rate
+        self.armed = list[int]()  # after how many setpoints
         parts = self.course, self, self.commands, self.names, later, self.said.append
         self.flight = Flight(*parts, rate=rate, patience=PATIENCE)
 
@@ -192,6 +193,9 @@ class Rig:
         places = [p + self.off for p in self.sent[-1].setpoints.positions] if self.sent else []
         found = zip(self.names, places, strict=False)
         return {name: place for name, place in found if name not in self.silent}
+
+    def arm(self) -> None:
+        self.armed.append(len(self.sent))
 
     def close(self, *, landed: bool) -> None:
         raise AssertionError(landed)
@@ -236,6 +240,11 @@ def test_a_plan_is_flown_to_its_end_and_landed(*, swarm: bool) -> None:
     rig.run(LONG, *([] if swarm else ["land"]))
     rig.check(landed=True)
     assert (rig.flight.late, rig.course.descending) == (0, not swarm)
+    # Drones are armed once, while the last setpoints of the start are sent: none hovers there.
+    (armed,) = rig.armed
+    moving = [bool(np.any(flown.setpoints.velocities)) for flown in rig.sent]
+    assert not any(moving[:armed])
+    assert moving.index(True) <= armed + LEAD * rig.rate + 1
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -9,6 +9,7 @@ import socket
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -22,6 +23,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 import hitchopt as ho
 from hitchopt.cli import main
+from hitchopt.exports.firmware import team_parameters
 from hitchopt.exports.placing import ReferenceFrame
 from hitchopt.live.fly import Course, Flown
 from hitchopt.live.links import CrazyflieOutlet, JsonOutlet, MavlinkOutlet, Operator, address
@@ -48,6 +50,7 @@ def moving() -> Flown:
     return course.step(0.7)
 
 
+RETUNED = ho.Quadrotor(controller="mellinger", gains={"kp": 4.75, "kd": 1.32, "ki": 0})
 NAMES = "q0", "r0", "q1", "r1", "q2", "r2"
 
 
@@ -119,6 +122,11 @@ def test_crazyflies_get_full_states_and_are_given_back(monkeypatch: pytest.Monke
     flown, frame = moving(), ReferenceFrame("enu", *PLACE)
     robots = [f"cf{i}" for i in range(6)]
     node = Mock(crazyfliesByName={name: Mock() for name in robots})
+    team = replace(planned("triangle").motion.team, quadrotor=(RETUNED,) * 3)
+    wanted = team_parameters(team)
+    held = {f"{g}.{k}": x for g, named in wanted["q0"].items() for k, x in named.items()}
+    for robot in node.crazyfliesByName.values():
+        robot.getParam.side_effect = held.get
     rows = [frame.points(flown.setpoints.positions)]
     rows += [frame.vectors(each) for each in (flown.setpoints.velocities, flown.feed_forward)]
 
@@ -133,7 +141,18 @@ def test_crazyflies_get_full_states_and_are_given_back(monkeypatch: pytest.Monke
     ros = {"rclpy": SimpleNamespace(spin_once=spin_once), "geometry_msgs.msg": poses}
     for name, module in (ros | {"crazyflie_py": client}).items():
         monkeypatch.setitem(sys.modules, name, module)
-    outlet = CrazyflieOutlet(NAMES, robots, frame)
+    with monkeypatch.context() as patched:
+        patched.setitem(held, "ctrlMel.kp_xy", 0.4)
+        patched.delitem(held, "kalman.pNAcc_z")
+        words = r"cf4: kalman.pNAcc_z is missing, not 20.0, ctrlMel.kp_xy is 0.4, not 4.75(.|\n)*tw"
+        with pytest.raises(ho.UnsupportedError, match=words):
+            CrazyflieOutlet(NAMES, robots, frame, wanted)
+    assert not node.crazyfliesByName["cf4"].setParam.called
+    outlet = CrazyflieOutlet(NAMES, robots, frame, wanted)
+    for robot in node.crazyfliesByName.values():
+        assert {each.args for each in robot.setParam.call_args_list} == set(held.items())
+        assert not robot.arm.called
+        robot.reset_mock()
     outlet.send(flown, 1.0)
     for i, robot in enumerate(node.crazyfliesByName.values()):
         *vectors, yaw, omega = robot.cmdFullState.call_args.args
@@ -144,11 +163,12 @@ def test_crazyflies_get_full_states_and_are_given_back(monkeypatch: pytest.Monke
     measured = outlet.measured()
     assert set(measured) == {"r0"}
     np.testing.assert_allclose(measured["r0"], flown.setpoints.positions[1], atol=1e-12)
+    outlet.arm()
     outlet.close(landed=True)
-    ended = [call.notifySetpointsStop(500), call.land(0.04, 1.0)]
+    ended = [call.arm(True), call.notifySetpointsStop(500), call.land(0.04, 1.0)]
     assert node.crazyfliesByName["cf3"].mock_calls[1:] == ended
     with pytest.raises(ho.InputError, match="fleet = 'cf9'"):
-        CrazyflieOutlet(NAMES, ["cf9"] * 6, frame)
+        CrazyflieOutlet(NAMES, ["cf9"] * 6, frame, wanted)
 
 
 def test_keys_are_read_until_the_terminal_goes(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -173,7 +193,7 @@ def test_what_is_wrong_or_not_here_is_refused() -> None:
         with pytest.raises(ho.InputError, match="--to"):
             address("--to", text)
     with pytest.raises(ho.UnsupportedError, match="ROS 2 workspace"):
-        CrazyflieOutlet(NAMES, NAMES, ReferenceFrame())
+        CrazyflieOutlet(NAMES, NAMES, ReferenceFrame(), {})
     with pytest.raises(ho.UnsupportedError, match="cannot be listened on"):
         JsonOutlet(NAMES, [], ReferenceFrame(), ("192.0.2.1", 0))
 
@@ -194,3 +214,18 @@ def test_the_command_streams_the_start_and_ends_without_an_operator(tmp_path: Pa
     wrong = runner.invoke(main, ["fly", str(tmp_path / "plan"), *options, "--to", f"{host}:9"])
     assert wrong.exit_code == 2
     assert "--to = 2: must be given once, or 6 times" in wrong.output
+
+
+@pytest.mark.parametrize(
+    ("over", "name", "known"),
+    [("crazyflie", "px4", "mellinger, lee"), ("mavlink", "lee", "px4")],
+)
+def test_controllers_that_are_not_streamed_to_are_refused(
+    over: str, name: str, known: str, tmp_path: Path
+) -> None:
+    team = ho.Team(3, 3.4, tension=0.2, quadrotor=ho.Quadrotor(controller=name))
+    ho.hold(ho.Hitch.balanced(team, ho.regular_polygon(3, 1.2), 1.5), 0.5).save(tmp_path / "plan")
+    done = CliRunner().invoke(main, ["fly", str(tmp_path / "plan"), "--over", over])
+    assert done.exit_code == 2, done.output
+    words = f"team.quadrotor.controller = '{name}': must be one of {known} for --over {over}"
+    assert words in " ".join(done.output.split())

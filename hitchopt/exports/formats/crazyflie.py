@@ -1,9 +1,10 @@
 """Formats crazyswarm2 and compressed: trajectories that are uploaded into Crazyflies' memory.
 
-Feed-forward: the drone's own controller (Mellinger's) takes acceleration from the curve and adds
-gravity, so the cable's pull ``F`` cannot be in it, and its integral brings the drone to its place,
-where any tension may be. Stream full states (ros2bag, csv) with ``a_ff = a - F / m``, or turn the
-integral off and export with ``--hold-tension``.
+Feed-forward: the drone's own controller takes acceleration from the curve and adds gravity, so the
+cable's pull ``F`` cannot be in it, and an integral would bring the drone to its place, where any
+tension may be. Export with ``--hold-tension``, without an integral, or stream full states (ros2bag,
+csv) with ``a_ff = a - F / m``. Either way the filter, the controller and its gains are parameters
+of the firmware, which the manifest has for every drone.
 
 **crazyswarm2**: settings of the fleet, how to start, and a CSV file per drone, a header, then 33
 numbers per piece: ``duration,x^0..x^7,y^0..y^7,z^0..z^7,yaw^0..yaw^7``: ascending powers of the
@@ -30,6 +31,7 @@ from dataclasses import replace
 from importlib import resources
 from itertools import pairwise, takewhile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +39,9 @@ from scipy.interpolate import BPoly, PPoly
 from scipy.spatial import cKDTree
 
 from hitchopt.errors import FileError, InfeasibleError, Violation
+from hitchopt.exports.firmware import CONTROLLERS, SETTINGS, team_parameters
 from hitchopt.exports.format import Format, Task, Written
+from hitchopt.exports.options import ExportOptions
 from hitchopt.exports.placing import AXES
 from hitchopt.exports.recording import (
     Recording,
@@ -47,6 +51,7 @@ from hitchopt.exports.recording import (
     warning,
 )
 from hitchopt.exports.refit import Kind, Scale, best_breaks, breaks_within, fitted, rounded
+from hitchopt.hitch import Team
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import cut, rests
 from hitchopt.storage.archive import reading
@@ -63,13 +68,18 @@ class CrazyflieFormat(Format):
     """A format of trajectories that are uploaded into a Crazyflie's memory."""
 
     frames = ("enu", "nwu")
+    controllers = tuple(CONTROLLERS)
     receiver_integral = True
     feed_forward = (
-        "not in these files: the on-board controller knows no cable, and its integral leaves the "
-        "tension to the cables' lengths: stream full states (ros2bag), or export --hold-tension"
+        "not in these files: the on-board controller knows no cable: export --hold-tension for one "
+        "without an integral, or stream full states (hitchopt fly, ros2bag)"
     )
     kind: Kind  # of its pieces
     smooth: int  # highest derivative that does not jump
+
+    def parameters(self, team: Team, options: ExportOptions) -> Mapping[str, Any]:
+        """Return the firmware's parameters of every drone, by its name in the plan."""
+        return {"parameters": team_parameters(team, options.stiffness, options.damping)}
 
     def most_pieces(self, curves: PiecewisePolynomial) -> int:
         """Return how many pieces of some curves memory holds."""
@@ -180,7 +190,11 @@ class Crazyswarm2(CrazyflieFormat):
             (folder / file).write_text(text, encoding="utf-8", newline="\n")
         used = curves.pieces * PIECE_BYTES
         words = f"{curves.pieces} pieces, {used} of {BYTES} bytes of each drone's memory"
-        warnings = (*_stacked(task, first, "take off from"), *_stacked(task, last, "land on"))
+        warnings = (
+            *parameter_notes(task),
+            *_stacked(task, first, "take off from"),
+            *_stacked(task, last, "land on"),
+        )
         return Written((*files, *texts), (words, *warnings))
 
     def upload(self, path: Path) -> Trajectory:
@@ -243,51 +257,106 @@ def write_poly_csv(path: Path, durations: Array, powers: Array, frame: str) -> N
     np.savetxt(path, single, "%.9g", ",", header=header, comments="", encoding="ascii")
 
 
+def settings_text(task: Task, first: Array) -> str:
+    """Return crazyflies.yaml (fileversion 3) for drones on the floor below places (D, 3) [m]."""
+    fleet, usual = task.fleet, json.loads(_template("crazyswarm2.json"))
+    robots = []
+    for member, (x, y, _) in zip(fleet.members, first.tolist(), strict=True):
+        own = _merged(member.firmware_params, task.settings["parameters"][member.role])
+        robots.append(
+            f"  {member.name}:\n    enabled: true\n    uri: {json.dumps(member.uri)}\n"
+            # ROS refuses lists that mix integers and floats, so every number has a point.
+            f"    initial_position: [{x:.6f}, {y:.6f}, 0.0]\n    type: {json.dumps(member.type)}\n"
+            f"    role: {member.role}\n    firmware_params:\n"
+            + "".join(f"      {group}: {_flow(values)}\n" for group, values in own.items())
+        )
+    types = [
+        f"  {json.dumps(name)}: {_flow(_merged(usual['type'], fleet.types.get(name, {})))}\n"
+        for name in dict.fromkeys(member.type for member in fleet.members)
+    ]
+    return _template("crazyflies.txt").format(
+        frame=task.frame.name,
+        robots="".join(robots),
+        types="".join(types),
+        all=_flow(_merged(usual["all"], fleet.settings)),
+    )
+
+
+def pilot_checklist(*, cables: bool) -> str:
+    """Return the pilot's checklist before arming: ten lines, eight without cables."""
+    texts = json.loads(_template("crazyswarm2.json"))
+    return "\n".join(texts["look"] + (texts["look_at_cables"] if cables else []))
+
+
 def start_files(task: Task, first: Array, last: Array, duration: float) -> dict[str, str]:
-    """Return crazyflies.yaml (fileversion 3), fly.py and README.txt by their names.
+    """Return crazyflies.yaml, fly.py and README.txt by their names.
 
     Trajectories lead from ``first`` (D, 3) [m], with drones on the floor below, to ``last``.
     """
-    fleet, frame, texts = task.fleet, task.frame.name, json.loads(_template("crazyswarm2.json"))
-    robots = [
-        # ROS refuses lists that mix integers and floats, so every number has a point.
-        f"  {member.name}: {{enabled: true, uri: {json.dumps(member.uri)}, "
-        f"initial_position: [{x:.6f}, {y:.6f}, 0.0], type: {json.dumps(member.type)}, "
-        f"role: {member.role}}}"
-        for member, (x, y, _) in zip(fleet.members, first.tolist(), strict=True)
-    ]
-    types = [
-        f"  {json.dumps(name)}: {json.dumps(fleet.types.get(name, texts['type']))}"
-        for name in dict.fromkeys(member.type for member in fleet.members)
-    ]
+    texts = json.loads(_template("crazyswarm2.json"))
+    low = task.heights(0.0) < LANDED, task.heights(task.motion.duration) < LANDED
     places = {n: [round(x, 6) for x in p] for n, p in zip(task.names, first.tolist(), strict=True)}
     place = f"This is {task.part}.\n" if task.part else ""
     hint = " (its radio addresses are placeholders: name yours with --fleet when exporting)"
-    common = {"frame": frame, "duration": duration}
+    look = pilot_checklist(cables=task.motion.team.has_cables)
+    common = {"frame": task.frame.name, "duration": duration, "look": look}
     return {
-        "crazyflies.yaml": _template("crazyflies.txt").format(
-            robots="\n".join(robots),
-            types="\n".join(types),
-            all=json.dumps(fleet.settings or texts["all"]),
-            **common,
-        ),
+        SETTINGS: settings_text(task, first),
         "fly.py": _template("fly_script.txt").format(
             title=task.title.replace("\\", " ").replace('"', "'") or "a plan of hitchopt",
             place=place,
             heading=task.frame.heading,
             first=json.dumps(places, indent=4),
-            height=round(float(np.min(first[:, 2])), 3),
+            standing=[name for name, stands in zip(task.names, low[0], strict=True) if stands],
+            landed=bool(np.all(low[1])),
             land=min(LANDED, round(float(np.min(last[:, 2])), 3) + 0.0),
             **common,
         ),
         "README.txt": _template("start_note.txt").format(
             title=task.title or "A plan of hitchopt",
             place=f"\n{place}{texts['parts']}\n" if place else "",
-            placeholders="" if fleet.given else hint,
+            placeholders="" if task.fleet.given else hint,
             pull=_pull(task, texts),
             **common,
         ),
     }
+
+
+def parameter_notes(task: Task) -> Iterator[str]:
+    """Yield what users have to know of the parameters, and which of the fleet's are replaced."""
+    known = {"ctrlMel", "ctrlLee", "posCtlPid"}
+    if all(known & {*groups} for groups in task.settings["parameters"].values()):
+        yield (
+            "the firmware's parameters are those of team.quadrotor, with the attitude gains of a "
+            "drone of the Crazyflie's proportions and max_thrust at full command"
+        )
+    else:
+        yield (
+            "parameters of the firmware's filter alone are exported: for gains, mass and thrust "
+            "name team.quadrotor.controller, or state its stiffness"
+        )
+    names = []
+    for member in task.fleet.members:
+        own = task.settings["parameters"][member.role]
+        for group, values in member.firmware_params.items():
+            others = (k for k, x in values.items() if own.get(group, {}).get(k, x) != x)
+            names += [f"{member.name}: {group}.{key} ({values[key]})" for key in others]
+    if names:
+        yield f"firmware_params of the fleet's file are replaced by the plan's: {', '.join(names)}"
+
+
+def _merged(usual: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return both mappings, and those in them, as one in which what is given goes first."""
+    both = {**usual, **given}
+    for key in {*usual} & {*given}:
+        if isinstance(usual[key], Mapping) and isinstance(given[key], Mapping):
+            both[key] = _merged(usual[key], given[key])
+    return both
+
+
+def _flow(values: Mapping[str, Any]) -> str:
+    """Return values on one line of YAML; numbers that YAML 1.1 takes for texts get a point."""
+    return re.sub(r"([ \[]-?\d+)(e[-+]\d+)", r"\1.0\2", json.dumps(values))
 
 
 def _pull(task: Task, texts: Mapping[str, str]) -> str:
@@ -353,7 +422,7 @@ class CompressedBytes(CrazyflieFormat):
         if most > BYTES:
             raise self.refusal(task.motion)
         note = f"up to {most} of {BYTES} bytes of each drone's memory; velocity jumps at joints"
-        return Written(files, (note,))
+        return Written(files, (note, *parameter_notes(task)))
 
     def upload(self, path: Path) -> Trajectory:
         """Return one drone's trajectory up to its end, or that of the bytes."""

@@ -48,7 +48,7 @@ class Gltf(Format):
     rate = 30.0
     accuracy = 2e-3
     feed_forward = "not in this file: it is a picture that moves, which nobody flies"
-    carries_pull = True  # drones are tilted by it
+    flown_by = ""  # drones are tilted by it
 
     def write(self, folder: Path, task: Task) -> Written:
         """Write the plan's drones, cables and objects at the task's rate."""

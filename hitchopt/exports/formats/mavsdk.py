@@ -14,24 +14,29 @@ the plan begins. Seen from above nothing moves. The cables' pull grows with the 
 
 **Feed-forward.** PX4 adds gravity to the acceleration setpoint and tilts by the sum, but knows no
 cable. So ``ax, ay, az`` are ``a_ff = a - F / m``, with the cable's force F on the drone: thrust is
-then ``m (a_ff + g)``. Use the show with velocity and acceleration feed-forward on.
+then ``m (a_ff + g)``, with MPC_ACC_DECOUPLE = 0 and a hover thrust that was measured without cables
+(MPC_THR_HOVER, MPC_USE_HTE = 0). Use the show with velocity and acceleration feed-forward on.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 from math import ceil, floor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import FileError, InfeasibleError
+from hitchopt.exports.firmware import px4_parameters
 from hitchopt.exports.format import Format, Task, Written
+from hitchopt.exports.options import ExportOptions
 from hitchopt.exports.recording import Recording, told_columns, unusual
+from hitchopt.hitch import Team
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.storage.archive import reading
 from hitchopt.storage.tables import Table, labelled_table, text_lines
@@ -68,8 +73,13 @@ class MavsdkDroneShow(Format):
         "ax, ay, az = a - F/m, the cable's force F and the drone's mass m: PX4 adds gravity itself "
         "and knows no cable; fly it with acceleration feed-forward on"
     )
-    carries_pull = True
+    flown_by = "stream"
+    controllers = ("px4",)
     streamed = 2.0
+
+    def parameters(self, team: Team, options: ExportOptions) -> Mapping[str, Any]:  # noqa: ARG002
+        """Return PX4's parameters of every drone, by its name in the plan."""
+        return {"parameters": px4_parameters(team)}
 
     def write(self, folder: Path, task: Task) -> Written:
         """Write every drone's rows, or raise InfeasibleError where they cannot take off."""
@@ -87,6 +97,7 @@ class MavsdkDroneShow(Format):
             f"src/params.py set {', '.join(f'{key} = {x}' for key, x in settings.items())}",
             f"Drone N.csv in the plan's order: {order}{', …' if len(task.names) > 6 else ''}",
             "launch every drone at px, py of its first row: its rows are counted from there",
+            "of PX4 set the parameters in export.json, and MPC_THR_HOVER, of free drones",
         )
         return Written(files, notes, {"settings": settings, "plan_begins_s": rise.duration})
 

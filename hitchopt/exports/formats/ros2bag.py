@@ -10,14 +10,15 @@ Feed-forward: accelerations of the trajectory are the drone's own, ``a``. Those 
 are ``a_ff = a - F / m`` with the cable's force F on the drone, since the controllers that take them
 (Mellinger's among them) add gravity and know no cable: the thrust is ``m (a_ff + g ẑ)``. Attitudes
 are those of the thrust. Angular velocities of the trajectory are about the frame's axes, those of
-the full states about the body's. Bags are made and read with rosbags, without ROS.
+the full states about the body's. Bags are made and read with rosbags, without ROS. The filter and
+the controller of Crazyflies that are streamed to are set by crazyflies.yaml.
 """
 
 from __future__ import annotations
 
 import math
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -26,9 +27,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hitchopt.errors import FileError
+from hitchopt.exports.firmware import SETTINGS, team_parameters
 from hitchopt.exports.format import Format, Task, Written
-from hitchopt.exports.options import ROS_DISTROS, STORAGES
+from hitchopt.exports.formats.crazyflie import parameter_notes, settings_text
+from hitchopt.exports.options import ROS_DISTROS, STORAGES, ExportOptions
 from hitchopt.exports.recording import Recording, needed
+from hitchopt.hitch import Team
 from hitchopt.storage.archive import reading
 from hitchopt.values import Array
 
@@ -62,11 +66,17 @@ class Ros2Bag(Format):
         "cmd_full_state: acc = a - F/m, the cable's force F and the drone's mass m, with attitude "
         "and body rates to match; trajectory: the drone's own acceleration"
     )
-    carries_pull = True
+    flown_by = "stream"
     streamed = 30.0
 
+    def parameters(self, team: Team, options: ExportOptions) -> Mapping[str, Any]:
+        """Return the Crazyflies' parameters, if none of the drones has another autopilot."""
+        if any(kind.controller == "px4" for kind in team.quadrotor):
+            return {}
+        return {"parameters": team_parameters(team, options.stiffness, options.damping)}
+
     def write(self, folder: Path, task: Task) -> Written:
-        """Write the bag; raise UnsupportedError without rosbags."""
+        """Write the bag, and settings of Crazyflies; raise UnsupportedError without rosbags."""
         (data,), options, bags = self.files(task), task.options, needed("rosbags.rosbag2")
         stage = folder / STEM  # the library makes a directory, and calls the data by its name
         version, plugin = ROS_DISTROS[options.ros_distro], options.storage.upper()
@@ -80,7 +90,11 @@ class Ros2Bag(Format):
             f"ros2 bag play FOLDER sends /{task.names[0]}/cmd_full_state and the like",
             f"{task.rate:g} Hz to every drone: one radio streams to about four Crazyflies",
         )
-        return Written((data, METADATA), notes)
+        if not task.settings:
+            return Written((data, METADATA), notes)
+        text = settings_text(task, task.frame.points(task.motion.drones.at(0.0)))
+        (folder / SETTINGS).write_text(text, encoding="utf-8", newline="\n")
+        return Written((data, METADATA, SETTINGS), (*notes, *parameter_notes(task)))
 
     def load(self, files: Sequence[Path]) -> Recording:
         """Return the curves of all MultiDOFJointTrajectory messages of a bag.

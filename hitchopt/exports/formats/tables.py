@@ -65,7 +65,7 @@ class Table(Format):
         "ff_* or feed_forward = a - F/m, the cable's force F and the drone's mass m: for "
         "controllers that add gravity; cable_* = F for those that take forces; a for others"
     )
-    carries_pull = True
+    flown_by = "stream"
 
     def _write(self, path: Path, task: Task) -> None:
         raise NotImplementedError
