@@ -294,7 +294,8 @@ def simulate(
     perturbations: fields of ``Perturbations`` that differ from those, such as ``wind`` [N].
     progress: called with what is being done now.
     settings: further fields of ``Settings``: ``seed``, ``friction``, ``density``, ``stiffness``,
-        ``pull_test``, ``feedback``.
+        ``pull_test``, ``feedback``; ``controller`` by name, with ``gains``, ``upload`` and an
+        ``estimator``: ``ideal``, ``crazyflie``, ``firmware``, ``one_marker``.
 
     Raises
     ------

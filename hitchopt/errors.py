@@ -76,6 +76,16 @@ class HitchoptError(Exception):
     def __repr__(self) -> str:
         return one_line(type(self).__name__, [repr(str(self))])
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return what makes it anew in another process, whatever it was made of."""
+        return _restored, (type(self), self.args, vars(self))
+
+
+def _restored(kind: type[HitchoptError], told: tuple[object, ...], values: Any) -> HitchoptError:
+    error = kind.__new__(kind, *told)
+    vars(error).update(values)
+    return error
+
 
 class Place(NamedTuple):
     """A place in a file; line and column are counted from 1."""

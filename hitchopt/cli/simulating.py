@@ -62,6 +62,14 @@ MOST_REASONS = 8  # Reasons of a sweep's refusals that are listed
     --stiffness N/M (float): Of position loops; by default the team's, as the following two.
     --friction MU (float): Cable friction.
     --density KG/M (float): Cable density.
+    --controller NAME (text): Flight controller: mellinger, lee, pid or px4, at its own rates, with
+        motors that lag 30 ms; its gains are the team's where it names this controller, else the
+        stiffest that fly. By default a quick one, which is none of these.
+    --estimator ideal|crazyflie|firmware|one_marker (ideal): What it knows of its state: the truth
+        but for --noise and --velocity-noise, or what a Crazyflie's filter makes of motion capture
+        (100 Hz, 10 ms late, 1 mm) and an IMU, with the parameters that are exported, or with the
+        firmware's own, for rigid bodies or for one marker.
+    --upload: It flies exported files, which hold the tension by offsets if it has no integral.
     --feedback: Correct setpoints by measured vertices, as ho.Feedback does.
     --lose DRONE@SECONDS (text): Stop its motors then, such as q0@12.5; the others react.
     --reaction/--no-reaction (True): Or they fly on as if nothing had happened.
@@ -172,7 +180,8 @@ def flight_tables(simulation: Simulation) -> str:
         "drones to their setpoints [cm]": spread_text(spreads["tracking"]),
         "largest tension [N]": known["peak_tension"],
         "largest thrust [N]": known["peak_thrust"],
-        "stiffness of position loops [N/m]": span_text(flight.gains.stiffness, ".3g"),
+        "largest tilt [°]": known["peak_tilt"],
+        "stiffness of position loops [N/m]": span_text(flight.gains.stiffness.ravel(), ".3g"),
         "ropes weigh [g/m]": 1e3 * flight.density,
         "  as the plan knows": 1e3 * team.cable_density,
         "ropes longer for their bends [mm]": f"≤ {1e3 * flight.longer:.1f}",

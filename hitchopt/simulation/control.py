@@ -23,7 +23,7 @@ from hitchopt.live.feedback import Feedback
 from hitchopt.objects import SolidObject
 from hitchopt.simulation.settings import Perturbations, Settings
 from hitchopt.simulation.task import Setpoints, Task
-from hitchopt.simulation.world import BODY_HALF_HEIGHT, BODY_RADIUS, World
+from hitchopt.simulation.world import BODY_HALF_HEIGHT, BODY_RADIUS, Bodies, World
 from hitchopt.values import Array
 
 # Correlation times of errors of measured positions and velocities, and of gusts [s]
@@ -91,11 +91,13 @@ class Disturbances:
     noise, velocity_noise: errors of what drones measure (2n, 3) [m], [m/s].
     wind: gusts (2n, 3) [N].
     steady_wind: (3,) [N], constant and level, alike for all drones.
+    measuring: random numbers of motion capture and IMUs.
     """
 
     def __init__(self, perturbations: Perturbations, robots: int, seed: int) -> None:
-        streams = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(8))
-        cables, start, noise, wind, velocity, direction, self._objects, self._vertices = streams
+        streams = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(9))
+        cables, start, noise, wind, velocity, direction, *others = streams
+        self._objects, self._vertices, self.measuring = others
         given = self._perturbations = perturbations
         drones = (2 * robots, 3)
         self.cable_scale: Array = 1.0 + given.cable_error * cables.standard_normal(robots)
@@ -167,7 +169,7 @@ class PositionGains:
 
     Attributes
     ----------
-    stiffness, damping, integral: (2n,) [N/m], [N s/m], [N/(m s)]
+    stiffness, damping, integral: (2n, 3) [N/m], [N s/m], [N/(m s)]
     feed_forward: (2n,), whether the cable force of the setpoints is added.
     """
 
@@ -178,35 +180,45 @@ class PositionGains:
 
     @classmethod
     def of(cls, team: Team, settings: Settings) -> PositionGains:
-        """Return the gains of a team's drones, the settings replacing their stiffness.
+        """Return the gains of a team's drones; the settings' stiffness scales all of them.
 
         Raise InputError for a stiffness with which errors grow: the characteristic polynomial of a
         drone's loop, lag and attitude included, has a root with a positive real part.
         """
-        stated = np.where(np.isfinite(team.stiffness), team.stiffness, POSITION_GAIN * team.mass)
-        stiffness = np.broadcast_to(settings.stiffness or stated, team.mass.shape)
-        damping = VELOCITY_GAIN * np.sqrt(stiffness * team.mass / POSITION_GAIN)
-        integral = np.where(team.integral, stiffness / INTEGRAL_TIME, 0.0)
-        lag = [settings.perturbations.lag, 1.0, RATE_GAIN, ATTITUDE_GAIN]  # highest power first
-        for mass, *gains in np.unique([team.mass, damping, stiffness, integral], axis=1).T:
+        masses = np.repeat(team.mass[:, None], 3, axis=1)
+        stated = np.where(np.isfinite(team.stiffness), team.stiffness, POSITION_GAIN * masses)
+        stiffness = np.broadcast_to(settings.stiffness or stated, masses.shape)
+        scale = stiffness / stated
+        usual = VELOCITY_GAIN * np.sqrt(stated * masses / POSITION_GAIN)
+        damping = np.where(np.isfinite(team.damping), team.damping, usual) * np.sqrt(scale)
+        gain, wound = team.integral_gain, stated / INTEGRAL_TIME * (team.integral > 0.0)
+        integral = np.where(np.isfinite(gain), gain, wound) * scale
+        lag = [settings.lag, 1.0, RATE_GAIN, ATTITUDE_GAIN]  # highest power first
+        each = [values.ravel() for values in (masses, damping, stiffness, integral)]
+        for mass, *gains in np.unique(each, axis=1).T:
             loop = np.polyadd(np.polymul(lag, [mass / ATTITUDE_GAIN, 0.0, 0.0, 0.0]), gains)
             if np.any(np.roots(loop).real > 0.0):
                 bound = f"lower: thrust lags, a drone of {mass:g} kg oscillates more and more"
                 raise InputError("stiffness", float(gains[1]), bound, "lower it")
-        feeds = np.broadcast_to(team.feed_forward, stiffness.shape)
-        return cls(stiffness, damping, integral, feeds)
+        return cls(stiffness, damping, integral, team.feed_forward)
 
 
 class Pilots:
-    """The drones' controllers and motors, of present thrusts (2n,) [N], which act on a world."""
+    """The drones' quick controllers and their motors.
+
+    Attributes
+    ----------
+    thrusts, moments: present ones, (2n,) [N], (2n, 3) [N m] about the bodies' axes.
+    """
 
     def __init__(self, world: World, team: Team, settings: Settings) -> None:
         self.gains = PositionGains.of(team, settings)
-        self._world, self._lag = world, settings.perturbations.lag
-        self._max_thrust = np.array(team.max_thrust)
+        self._masses, self._inertia = world.masses[:, None], world.inertia
+        self._lag = settings.lag
+        self._max_thrust, self._most_wound = np.array(team.max_thrust), team.integral
         self._wound: Array = np.zeros((team.drones, 3))  # force of the integral action so far
         self._state: Array | None = None
-        self.thrusts = np.zeros(team.drones)
+        self.thrusts, self.moments = np.zeros(team.drones), np.zeros((team.drones, 3))
 
     def stop(self, drone: int) -> None:
         """Stop the motors of a drone, whose thrust fades with their lag."""
@@ -214,33 +226,30 @@ class Pilots:
 
     def wind(self, errors: Array, seconds: float) -> None:
         """Let position errors (2n, 3) [m] act on the integral for some time."""
-        self._wound += seconds * self.gains.integral[:, None] * errors
+        wound = self._wound + seconds * self.gains.integral * errors
+        self._wound = np.clip(wound, -self._most_wound, self._most_wound)
 
-    def command(
-        self, setpoints: Setpoints, positions: Array, velocities: Array, seconds: float, pull: Array
-    ) -> None:
-        """Apply the forces that lead drones back to their setpoints for the next ``seconds``.
+    def command(self, setpoints: Setpoints, bodies: Bodies, seconds: float, pull: Array) -> None:
+        """Run the motors for the next ``seconds``, so that drones are led to their setpoints.
 
-        Positions and velocities are measured (2n, 3) [m], [m/s]; ``pull`` is added (2n, 3) [N].
+        Bodies are as measured; ``pull`` is added (2n, 3) [N].
         """
-        world, most, gains = self._world, self._max_thrust, self.gains
-        error, rate = setpoints.positions - positions, setpoints.velocities - velocities
-        desired: Array = world.masses[:, None] * (setpoints.accelerations + GRAVITY * UP)
-        desired += gains.stiffness[:, None] * error + gains.damping[:, None] * rate + self._wound
+        masses, most, gains = self._masses, self._max_thrust, self.gains
+        error = setpoints.positions - bodies.positions
+        rate = setpoints.velocities - bodies.velocities
+        desired: Array = masses * (setpoints.accelerations + GRAVITY * UP)
+        desired += gains.stiffness * error + gains.damping * rate + self._wound
         desired += pull - gains.feed_forward[:, None] * setpoints.cable_forces
-        attitudes = world.data.xmat[world.drone_bodies].reshape(-1, 3, 3)
-        rates = world.data.qvel[world.drone_dofs + 3]
+        attitudes, rates = bodies.attitudes, bodies.rates
         size = np.einsum("ia,ia->i", desired, attitudes[:, :, 2])
         limit = ARM * BODY_RADIUS * most[:, None] * MOMENT_SHARES
-        turn = desired, world.masses[:, None] * setpoints.jerks, attitudes, rates, world.inertia
+        turn = desired, masses * setpoints.jerks, attitudes, rates, self._inertia
         moments = np.clip(turning_moments(*turn), -limit, limit)
         command = np.column_stack([np.clip(size, 0.0, most), moments])
         remains = np.exp(-seconds / self._lag) if self._lag > 0.0 else 0.0
         before = command if self._state is None else self._state
         state = self._state = command + (before - command) * remains
-        self.thrusts, applied = state[:, 0], world.data.xfrc_applied
-        applied[world.drone_bodies, :3] = self.thrusts[:, None] * attitudes[:, :, 2]
-        applied[world.drone_bodies, 3:] = np.einsum("iab,ib->ia", attitudes, state[:, 1:])
+        self.thrusts, self.moments = state[:, 0], state[:, 1:]
 
 
 def turning_moments(
@@ -272,7 +281,7 @@ def desired_attitudes(desired: Array) -> Array:
 class VertexFeedback:
     """The feedback of a flight: vertices measured with noise and delay, setpoints corrected.
 
-    ``stiffness`` (2n,) [N/m] is that of position loops, ``offsets`` (2n, 3) [m] are corrections.
+    ``stiffness`` (2n, 3) [N/m] is that of position loops, ``offsets`` (2n, 3) [m] are corrections.
     """
 
     def __init__(

@@ -14,9 +14,12 @@ from hitchopt.errors import InputError
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.objects import SolidObject
 from hitchopt.simulation import contacts, control, ropes
+from hitchopt.simulation.autopilots import PERIOD, Autopilots
+from hitchopt.simulation.commands import flown_team, received
+from hitchopt.simulation.estimator import Estimator
 from hitchopt.simulation.settings import Settings
-from hitchopt.simulation.task import RATE, Task
-from hitchopt.simulation.world import BODY_HALF_HEIGHT, InvalidRunError, World, check_valid
+from hitchopt.simulation.task import RATE, Setpoints, Task
+from hitchopt.simulation.world import BODY_HALF_HEIGHT, Bodies, InvalidRunError, World, check_valid
 from hitchopt.values import Array
 
 Progress = Callable[[str], None]
@@ -62,6 +65,7 @@ class Record:
     tensions: means over each cable's length (samples, n) [N].
     peak_tensions: largest values over length and time since the last sample (samples, n) [N].
     thrusts: (samples, 2n) [N]
+    tilts: of the drones (samples, 2n) [rad].
     poses: of the objects (samples, objects, 7): positions of their bases [m], and quaternions.
     touched: whether cables touch an object (samples, objects).
     """
@@ -75,6 +79,7 @@ class Record:
     tensions: Array
     peak_tensions: Array
     thrusts: Array
+    tilts: Array
     poses: Array
     touched: NDArray[np.bool_]
 
@@ -164,8 +169,9 @@ class _Run:
         self._disturbances, self._aside = disturbances, ropes.legs_aside(task, preset.diameter)
         self._longer = ropes.thickness_allowance(task, preset.diameter, preset.segment)
         lengths = team.cable_length * disturbances.cable_scale + self._longer
-        built = ropes.Ropes.of(team, settings, lengths)
-        built.check_tension(float(max(np.max(team.tension), np.max(task.tensions))))
+        tension = float(max(np.max(team.tension), np.max(task.tensions)))
+        built = ropes.Ropes.of(team, settings, lengths, tension)
+        built.check_tension(tension)
         ground, objects = ground_of(task), disturbances.disturbed(task.cargo.objects)
         self._world = world = World(built, team.mass, ground, objects)
         start = task.setpoints.positions[0] + self._aside[0] + disturbances.start_offset
@@ -173,7 +179,7 @@ class _Run:
             world.place(ropes.clasped(built, team.layout, start, task.vertices[0]))
         else:
             world.place(ropes.hanging(built, start, ground))
-        self._pilots = control.Pilots(world, team, settings)
+        self._pilots = self._crew()
         self._loads = contacts.HungLoads(world, team) if np.any(team.load) else None
         self._contacts = contacts.ClaspContacts(world, team)
         self._objects = contacts.ObjectContacts(world, task.cargo)
@@ -183,8 +189,9 @@ class _Run:
         if settings.feedback:
             self._feedback = control.VertexFeedback(task, delay, disturbances, loops)
         self._lost = _lost_drone(task, settings)
-        self._substeps = max(1, round(CONTROL / preset.time_step))
-        self._period = self._substeps * preset.time_step
+        step, period = built.preset.time_step, CONTROL if settings.controller is None else PERIOD
+        self._substeps = max(1, round(period / step))
+        self._period = self._substeps * step
         self._damping = 0.0
         self._starts = world.cable_vertices[:-1] - np.arange(team.robots)  # of each cable's edges
         self._peaks: Array = np.zeros(team.robots)
@@ -194,6 +201,20 @@ class _Run:
         self._touches: dict[tuple[str, str], float] = {}
         self._linking: NDArray[np.int64] | None = None
         self._rested = self._pulled = float("nan")
+
+    def _crew(self) -> control.Pilots | Autopilots:
+        """Return who flies the drones; what is sent to flight controllers is found, too."""
+        task, settings, world = self._task, self._settings, self._world
+        if settings.controller is None:
+            return control.Pilots(world, task.team, settings)
+        team, estimator = flown_team(task.team, settings), None
+        self._sent = received(task, team, settings)
+        if settings.estimator is not None:
+            measuring = self._disturbances.measuring
+            estimator = Estimator(settings.estimator, self._bodies(0), measuring)
+        loops = [kind.loop for kind in team.quadrotor for _ in range(2)]
+        given = team.mass, world.inertia, team.max_thrust, settings.lag, estimator
+        return Autopilots(loops, *given)
 
     def fly(self) -> None:
         """Simulate all of it; raises InvalidRunError where the simulation leaves its range."""
@@ -251,19 +272,21 @@ class _Run:
             fine = FALLING_PARTS if time < self._lost[1] + FALLING else 1
         setpoints = task.setpoints[index]
         setpoints = replace(setpoints, positions=setpoints.positions + offset)
-        measured = self._drones(index) + disturbances.noise.advance(period)
-        velocities = disturbances.velocity_noise.advance(period) + world.data.qvel[world.drone_dofs]
+        bodies = self._bodies(index)
+        if self._settings.estimator is None:
+            measured = bodies.positions + disturbances.noise.advance(period)
+            velocities = bodies.velocities + disturbances.velocity_noise.advance(period)
+            bodies = replace(bodies, positions=measured, velocities=velocities)
+        measured = bodies.positions
         if self._feedback is not None and flying:
             setpoints = self._feedback.corrected(setpoints, time, period, measured)
         pulling = pilots.gains.feed_forward | (pull > 1.0)
         added = (pull - 1.0) * pulling[:, None] * self._outward_pulls(index)
-        pilots.command(setpoints, measured, velocities, period, added)
-        if flying:
-            pilots.wind(setpoints.positions - measured, period)
         push = disturbances.wind.advance(period) + disturbances.steady_wind
+        push = push + self._command(time, index, setpoints, bodies, added)
         if self._settings.perturbations.downwash:
             push = push + control.downwash(world.drones, pilots.thrusts)
-        world.data.xfrc_applied[world.drone_bodies, :3] += push
+        world.push(pilots.thrusts, pilots.moments, push)
         planned = min(pull, 1.0)
         if self._loads is not None:
             self._loads.apply(planned * task.load_shares(index), period)
@@ -271,6 +294,7 @@ class _Run:
         tight = WHIPPING * task.team.tension
         loose = np.any(planned * task.tensions[index] < tight)
         loose = loose or np.mean(world.tensions) < np.mean(tight)  # whatever the plan says
+        fine = max(fine, world.ropes.finer(float(np.max(world.tensions))))  # than the plan's, maybe
         world.step(self._substeps, loose=bool(loose), finer=fine)
         check_valid(world, time)
         self._contacts.gather()
@@ -283,6 +307,30 @@ class _Run:
             self._framed = time
             state = (world.nodes.astype(np.float32), world.poses.astype(np.float32))
             self._frames.append((time, *state))
+
+    def _command(
+        self, time: float, index: int, setpoints: Setpoints, bodies: Bodies, added: Array
+    ) -> Array:
+        """Run the drones' motors for a period; return the forces that they know nothing of.
+
+        ``added`` (2n, 3) [N] is to be pulled besides; the setpoints are those of an index, moved.
+        """
+        pilots, period, plan = self._pilots, self._period, self._task.setpoints[index]
+        if isinstance(pilots, control.Pilots):
+            pilots.command(setpoints, bodies, period, added)
+            if time >= 0.0:
+                pilots.wind(setpoints.positions - bodies.positions, period)
+            return np.zeros_like(added)
+        sent = self._sent[max(0, math.floor(RATE * time + ROUNDING))]
+        positions = sent.positions + (setpoints.positions - plan.positions)
+        velocities = sent.velocities + (setpoints.velocities - plan.velocities)
+        moved = replace(sent, positions=positions, velocities=velocities)
+        pilots.advance(moved, bodies, period)
+        return added
+
+    def _bodies(self, index: int) -> Bodies:
+        """Return the drones' state, beside which legs of thick ropes end."""
+        return replace(self._world.bodies, positions=self._drones(index))
 
     def _drones(self, index: int) -> Array:
         """Return (2n, 3) [m]: positions of the drones, beside which legs of thick ropes end."""
@@ -306,7 +354,8 @@ class _Run:
             commanded = commanded + self._feedback.offsets
             self._feedback.observe(time, touched[0])
         means = np.add.reduceat(world.tensions, self._starts) / world.ropes.segments
-        state = (means, self._peaks.copy(), self._pilots.thrusts.copy())
+        tilts = np.arccos(np.clip(world.bodies.attitudes[:, 2, 2], -1.0, 1.0))
+        state = (means, self._peaks.copy(), self._pilots.thrusts.copy(), tilts)
         places = (time, self._task.index(time), self._drones(index), commanded)
         self._rows.append((*places, *touched, *state, world.poses, self._objects.cables))
         self._peaks[:] = 0.0

@@ -458,14 +458,15 @@ class Simulation(OneLine):
     def figures(self) -> dict[str, float]:
         """Figures by name, nan where there is none, such as ``tracking_mean``.
 
-        Besides spreads ``peak_tension`` and ``peak_thrust`` [N], and the largest ``placed`` [m],
-        ``tilted`` [°] and ``slipped`` [m] of objects.
+        Besides spreads ``peak_tension`` and ``peak_thrust`` [N], ``peak_tilt`` [°], and the largest
+        ``placed`` [m], ``tilted`` [°] and ``slipped`` [m] of objects.
         """
         record = self.flight.record
         spreads = self.spreads.items()
         found = {f"{name}_{key}": v for name, spread in spreads for key, v in vars(spread).items()}
         found["peak_tension"] = float(np.max(record.peak_tensions))
         found["peak_thrust"] = float(np.max(record.thrusts))
+        found["peak_tilt"] = float(np.degrees(np.max(record.tilts)))
         for name in ("placed", "tilted", "slipped"):
             values = [np.nan, *(getattr(each, name) for each in self.outcome.objects)]
             found[name] = float(np.fmax.reduce(values))

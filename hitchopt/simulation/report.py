@@ -70,7 +70,7 @@ def save_simulation(
             "tension": record.tensions, "peak": record.peak_tensions,
         }),
         DRONES: ("drone", team.drone_names, t, {
-            "x,y,z": record.drones, "error": off, "thrust": record.thrusts,
+            "x,y,z": record.drones, "error": off, "thrust": record.thrusts, "tilt": record.tilts,
         }),
         OBJECTS: ("object", cargo.names, t, {
             "x,y,z,qw,qx,qy,qz": record.poses, "touched": record.touched,
@@ -141,6 +141,7 @@ def summary(simulation: Simulation) -> dict[str, Any]:
         ],
         "tracking_error": spreads["tracking"],
         "largest_thrust": figures["peak_thrust"],
+        "largest_tilt": figures["peak_tilt"],
         "duration": flight.task.duration,
         **({} if simulation.loss is None else {"loss": asdict(simulation.loss)}),
     }

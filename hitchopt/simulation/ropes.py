@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -22,7 +22,8 @@ from hitchopt.values import Array
 # Largest ratio of the time step to the time in which a transverse wave passes a segment
 COURANT = 0.7
 
-RESERVE = 2.0  # Tension that a simulation must bear, over the plan's; the pull test takes 1.5
+RESERVE = 2.0  # Tension that steps must bear, over the plan's or present one; pull tests take 1.5
+FINEST = 8  # Most time steps for one of a preset, for light ropes
 ROUNDING = 1e-9  # Tolerance of a count of segments: 2.4 m are 96 of 0.025 m in spite of rounding
 
 # Least distance of the two bends of a clasp that is not yet drawn tight, in diameters and in
@@ -71,11 +72,21 @@ class Ropes:
     preset: Preset
 
     @classmethod
-    def of(cls, team: Team, settings: Settings, lengths: Array) -> Ropes:
-        """Return ropes of some lengths (n,) [m]; density and friction are a team's, or given."""
+    def of(cls, team: Team, settings: Settings, lengths: Array, tension: float = 0.0) -> Ropes:
+        """Return ropes of some lengths (n,) [m]; density and friction are a team's, or given.
+
+        For light ropes under a ``tension`` [N] time steps are smaller than the preset's.
+        """
         density = settings.density or team.cable_density or DENSITY
         friction = team.cable_friction if settings.friction is None else settings.friction
-        return cls(lengths, density, friction, settings.preset)
+        ropes = cls(lengths, density, friction, settings.preset)
+        step = settings.preset.time_step / ropes.finer(tension)
+        return replace(ropes, preset=replace(settings.preset, time_step=step))
+
+    def finer(self, tension: float) -> int:
+        """Return how many time steps a tension [N] needs in place of one, at most FINEST."""
+        needed = math.ceil(math.sqrt(RESERVE * max(tension, 0.0) / self.largest_tension) - ROUNDING)
+        return min(max(needed, 1), FINEST)
 
     @property
     def segments(self) -> NDArray[np.intp]:

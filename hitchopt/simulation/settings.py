@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 from hitchopt.errors import InputError, OneLine
-from hitchopt.values import not_negative, positive
+from hitchopt.hitch.estimator import FIRMWARE, HELD, ONE_MARKER, EstimatorParameters
+from hitchopt.hitch.flight_controller import CONTROLLERS, Gains
+from hitchopt.values import choice, not_negative, positive
 
 # Largest relative deviations; more is most likely a percentage
 LARGEST = {"cable_error": 0.1, "object_mass": 0.9, "object_friction": 0.9}
+
+SHORT_LAG, MOTOR_LAG = 0.02, 0.03  # Time constants of the motors' thrust [s]
 
 DENSITY = 0.01  # Cable density where the team gives none [kg/m]: a cord of 4 mm
 
@@ -62,7 +66,8 @@ class Perturbations(OneLine):
     velocity_noise: standard deviation per axis of the error of the measured velocities [m/s].
     wind: root mean square of the gust force on a drone [N].
     steady_wind: constant level force on every drone, in one direction that the seed gives [N].
-    lag: time constant of the motors' thrust [s]; the attitude loop adds another 60 ms.
+    lag: time constant of the motors' thrust [s]; None: MOTOR_LAG of a named controller, else
+        SHORT_LAG, to which the attitude loop adds another 60 ms.
     cable_error: standard deviation of the cable lengths, relative.
     start_error: standard deviation per axis of the drones' start positions [m].
     downwash: whether drones push down those below them.
@@ -77,7 +82,7 @@ class Perturbations(OneLine):
     velocity_noise: float = 0.0
     wind: float = 0.0
     steady_wind: float = 0.0
-    lag: float = 0.02
+    lag: float | None = None
     cable_error: float = 0.0
     start_error: float = 0.0
     downwash: bool = False
@@ -148,6 +153,14 @@ class Settings(OneLine):
     pull_test: whether the flight ends with a pull test of the hitch, if no drone is lost.
     lost: a drone whose motors stop; None: all fly on.
     feedback: whether setpoints are corrected by measured vertices, as ``Feedback`` does.
+    controller: ``mellinger``, ``lee``, ``pid`` or ``px4``, which flies the drones; None: a quick
+        one, which is none of these.
+    gains: of its position loops, a ``Gains`` or a mapping; None: those of the team's drones that
+        name this controller, for others the stiffest ones that fly.
+    estimator: of drones that know their state from a motion capture and an IMU, in place of
+        ``noise`` and ``velocity_noise``; needs a controller. None: they know it but for these.
+    upload: whether the controller flies the files of an export, which hold the tension by offsets,
+        not what is streamed to it.
     """
 
     preset: Preset = FAST
@@ -159,20 +172,53 @@ class Settings(OneLine):
     pull_test: bool = True
     lost: Loss | None = None
     feedback: bool = False
+    controller: str | None = None
+    gains: Gains | Mapping[str, Any] | None = None
+    estimator: EstimatorParameters | None = None
+    upload: bool = False
 
     def __post_init__(self) -> None:
+        if self.controller is not None:
+            choice("controller", self.controller, CONTROLLERS)
+        else:
+            for name in ("gains", "estimator", "upload"):
+                if value := getattr(self, name):
+                    remedy = f"name one of {', '.join(CONTROLLERS)}"
+                    raise InputError(name, value, "left out without a controller", remedy)
+        if self.gains is not None:
+            object.__setattr__(self, "gains", Gains.of(self.gains))
+        if self.upload and self.feedback:
+            bound = "left out with upload"
+            raise InputError("feedback", True, bound, "uploaded files cannot be corrected")
         if isinstance(self.seed, bool) or self.seed < 0:
             raise InputError("seed", self.seed, "a whole number, at least 0", "0 will do")
         _check(self, not_negative, "friction")
         _check(self, positive, "density", "stiffness")
 
+    @property
+    def lag(self) -> float:
+        """Time constant of the motors' thrust [s]."""
+        usual = SHORT_LAG if self.controller is None else MOTOR_LAG
+        return usual if self.perturbations.lag is None else self.perturbations.lag
+
+
+ESTIMATORS: Mapping[str, EstimatorParameters | None] = {
+    "ideal": None, "crazyflie": HELD, "firmware": FIRMWARE, "one_marker": ONE_MARKER
+}  # fmt: skip
+"""Estimators by name: the truth, what exports set, and defaults of the firmware with a rigid body
+or with one marker."""
+
 
 def settings_of(preset: str, *, perturbed: bool, **given: Any) -> Settings:
     """Return settings by the names of their fields and of perturbations'; None counts as absent.
 
-    Perturbations that are not given are the USUAL ones if ``perturbed``, else CALM.
+    Perturbations that are not given are the USUAL ones if ``perturbed``, else CALM. The estimator
+    may be named, as in ESTIMATORS.
     """
     usual = USUAL if perturbed else CALM
     stated = {name: value for name, value in given.items() if value is not None}
     changes = {name: stated.pop(name) for name in vars(usual) if name in stated}
+    if isinstance(named := stated.get("estimator"), str):
+        choice("estimator", named, tuple(ESTIMATORS))
+        stated["estimator"] = ESTIMATORS[named]
     return Settings(preset=PRESETS[preset], perturbations=replace(usual, **changes), **stated)

@@ -9,6 +9,7 @@ Contacts of drones with cables and with one another are found in ``contacts``.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -71,6 +72,23 @@ LOOSE_CHANGES, TAUT_CHANGES = (0.8, 1.05), (0.95, 1.002)
 # Largest relative change of a segment's length, beyond which the time step is too long; and largest
 # penetration over the diameter: ropes that press deeper are about to pass each other
 MOST_STRAIN, MOST_PENETRATION = 0.02, 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Bodies:
+    """Drones as rigid bodies.
+
+    Attributes
+    ----------
+    positions, velocities: (2n, 3) [m], [m/s]
+    attitudes: (2n, 3, 3), their columns are the bodies' axes.
+    rates: (2n, 3) [rad/s], about these.
+    """
+
+    positions: Array
+    velocities: Array
+    attitudes: Array
+    rates: Array
 
 
 class World:
@@ -178,6 +196,19 @@ class World:
     def drones(self) -> Array:
         """Positions of the drones (2n, 3) [m]."""
         return np.asarray(self.data.qpos[self._drone_qpos])
+
+    @property
+    def bodies(self) -> Bodies:
+        """State of the drones."""
+        moving = self.data.qvel
+        attitudes = self.data.xmat[self.drone_bodies].reshape(-1, 3, 3)
+        return Bodies(self.drones, moving[self.drone_dofs], attitudes, moving[self.drone_dofs + 3])
+
+    def push(self, thrusts: Array, moments: Array, forces: Array) -> None:
+        """Let the drones' motors, about their axes, and forces (2n, 3) [N] act on them."""
+        attitudes, applied = self.bodies.attitudes, self.data.xfrc_applied
+        applied[self.drone_bodies, :3] = forces + thrusts[:, None] * attitudes[:, :, 2]
+        applied[self.drone_bodies, 3:] = np.einsum("iab,ib->ia", attitudes, moments)
 
     @property
     def poses(self) -> Array:

@@ -78,7 +78,7 @@ def flight_of(task: Task, hitch: Hitch, t: Array, **known: Any) -> Flight:
     vertices = np.repeat(hitch.vertices[None], count, axis=0)
     no_poses, index = np.zeros((count, 0, 7)), np.array([task.index(each) for each in t])
     places, others = (t, index, drones, drones, vertices), (no_poses, no_poses[..., 0] > 0.0)
-    record = Record(*places, ones, ones, ones, many, *others)
+    record = Record(*places, ones, ones, ones, many, 0.0 * many, *others)
     share = np.linspace(0.0, 1.0, 12)[:, None]  # cables are drawn straight
     nodes = [(1.0 - share) * q + share * r for q, r in hitch.drones.reshape(n, 2, 3)]
     shapes = np.repeat(np.concatenate(nodes)[None], count, axis=0), 12 * np.arange(n + 1)

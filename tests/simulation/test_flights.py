@@ -81,7 +81,7 @@ def test_drones_carry_the_loads_and_clasps_stay_at_their_heights() -> None:
         record, gains = done.flight.record, done.flight.gains
         rows = (record.t > 0.5) & (record.t < done.flight.rested)
         sunk = np.mean(record.commanded[rows] - record.drones[rows], axis=0)[:, 2]
-        pulls = -task.setpoints.cable_forces[0, :, 2] + gains.stiffness * sunk
+        pulls = -task.setpoints.cable_forces[0, :, 2] + gains.stiffness[:, 2] * sunk
         held.append(float(np.sum(pulls)))
         heights.append(np.nanmean(done.errors.offsets[30:, :, 2], axis=0))
     assert held[0] == pytest.approx(GRAVITY * (np.sum(loads) + 3 * 0.01 * 2.3), rel=0.02)

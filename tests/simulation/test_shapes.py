@@ -39,6 +39,11 @@ def test_too_long_a_time_step_is_refused_with_one_that_works() -> None:
     assert finer.largest_tension >= 1.0
     with pytest.raises(ho.InputError, match="heavier cables"):
         ropes_of(team, density=0.0005).check_tension(0.5)
+    for density, count in ((0.01, 1), (0.001, 2), (0.0005, 3), (0.00002, 8)):
+        light = Ropes.of(team, Settings(density=density), team.cable_length, 0.5)
+        assert light.preset.time_step == pytest.approx(FAST.time_step / count)
+        assert (light.finer(0.5) == 1) is (count < 8)  # at most 8
+        assert light.finer(-0.1) == 1
 
 
 @pytest.mark.parametrize(

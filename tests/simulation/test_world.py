@@ -54,14 +54,16 @@ def test_the_thrust_is_that_of_the_law() -> None:
     place, speed = world.drones + 0.01, 0.02 * np.ones((4, 3))
     errors, added = np.full((4, 3), 0.04), np.full((4, 3), 0.003)
     flying.wind(errors, 0.5)
-    flying.command(given, place, speed, 0.005, added)
+    measured = replace(world.bodies, positions=place, velocities=speed)
+    flying.command(given, measured, 0.005, added)
     mass, k = np.repeat([0.13, 0.21], 2)[:, None], np.repeat([4.0, 9.0], 2)[:, None]
     damping = 10.0 / 6.0 * np.sqrt(k * mass)
     wanted = mass * (given.accelerations + [0.0, 0.0, GRAVITY]) + added
     wanted += k * (given.positions - place) + damping * (given.velocities - speed)
     wanted[:2] += 0.5 * k[:2] / 2.0 * 0.04 - given.cable_forces[:2]
     np.testing.assert_allclose(flying.thrusts, wanted[:, 2])  # of drones that are upright
-    force = world.data.xfrc_applied[world.drone_bodies, :3]
+    world.push(flying.thrusts, flying.moments, added)
+    force = world.data.xfrc_applied[world.drone_bodies, :3] - added
     np.testing.assert_allclose(force, flying.thrusts[:, None] * np.array([[0.0, 0.0, 1.0]]))
 
 
@@ -72,7 +74,7 @@ def test_thrust_follows_a_command_with_the_lag_and_within_its_limit() -> None:
     def command(thrust: float) -> Array:
         up = (thrust / mass - GRAVITY) * [0.0, 0.0, 1.0]
         given = Setpoints(world.drones, zero, up, zero, zero)
-        flying.command(given, world.drones, zero, 0.03, zero)
+        flying.command(given, replace(world.bodies, velocities=zero), 0.03, zero)
         return flying.thrusts
 
     np.testing.assert_allclose(command(1.0), 1.0)  # the first command applies at once
@@ -159,7 +161,7 @@ def test_weight_and_wind_move_drones_by_their_forces_over_the_stiffness() -> Non
 @pytest.mark.parametrize("integral", [False, True])
 def test_a_loop_that_oscillates_more_and_more_is_refused(integral: bool) -> None:
     """The limit is that of the linear system's matrix: position, velocity, wound, then the lag."""
-    mass, lag = 0.132, CALM.lag
+    mass, lag = 0.132, Settings().lag
 
     def growth(stiffness: float) -> float:
         a = np.diag(np.ones(5), 1)
@@ -190,8 +192,9 @@ def test_the_teams_stiffness_is_used_and_an_option_replaces_it(
         ho.Quadrotor(feed_forward=False),
     ]
     gains = PositionGains.of(ho.Team(3, 2.4, quadrotor=kinds), Settings(stiffness=given))
-    np.testing.assert_allclose(gains.stiffness, np.repeat(stiffness, 2))
-    np.testing.assert_allclose(gains.integral, np.repeat([0.0, 0.5 * stiffness[1], 0.0], 2))
+    per_axis = np.repeat([stiffness, [0.0, 0.5 * stiffness[1], 0.0]], 2, axis=1)[..., None]
+    for found, expected in zip((gains.stiffness, gains.integral), per_axis, strict=True):
+        np.testing.assert_allclose(found, np.repeat(expected, 3, axis=1))
     np.testing.assert_array_equal(gains.feed_forward, [True] * 4 + [False] * 2)
 
 

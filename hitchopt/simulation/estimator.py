@@ -1,0 +1,158 @@
+"""What drones know of their state: motion capture, an IMU, and the Kalman filter of Crazyflies.
+
+The filter is the nine-state error-state filter of M. W. Mueller, M. Hamer and R. D'Andrea, "Fusing
+ultra-wideband range measurements with accelerometers and rate gyroscopes for quadrocopter state
+estimation", ICRA 2015: position, velocity in the body's frame and a small rotation of the attitude.
+It predicts by the accelerometer along the body's z axis and the gyroscope alone, as a drone without
+a cable moves, and is corrected by the captured position and, of a rigid body, attitude.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from hitchopt.hitch import GRAVITY
+from hitchopt.hitch.estimator import EstimatorParameters
+from hitchopt.simulation.world import Bodies
+from hitchopt.values import Array
+
+RATE = 100.0  # Predictions of the filter, and frames of the motion capture, per second [Hz]
+DELAY = 1  # Age of a frame when it arrives, in frames: 10 ms
+
+# Standard deviations of captured positions [m] and attitudes [rad], per axis and frame; of the
+# gyroscope [rad/s] and the accelerometer [m/s²], per reading
+CAPTURED, CAPTURED_TURN = 1e-3, 1e-2
+GYRO_NOISE, ACCELEROMETER_NOISE = 0.02, 0.2
+
+# The firmware's process noise of attitudes [rad/s], how often a second process noise is added [Hz],
+# and the least variance that it lets the diagonal have
+TURN_NOISE, NOISE_RATE, LEAST_VARIANCE = 0.1, 1000.0, 1e-6
+
+FIRST_ERRORS = np.repeat([0.01, 0.01, 0.01], 3)  # Of a filter that has converged [m], [m/s], [rad]
+
+EYE = np.eye(3)
+
+
+def skew(v: Array) -> Array:
+    """Return the matrices (…, 3, 3) of cross products with vectors (…, 3)."""
+    return np.asarray(np.cross(v[..., None, :], -EYE))
+
+
+def rotation(turn: Array) -> Array:
+    """Return the matrices (…, 3, 3) of rotations by vectors (…, 3) [rad]."""
+    return np.asarray(Rotation.from_rotvec(turn).as_matrix())
+
+
+class Sensors:
+    """Readings of bodies' IMUs since the last prediction, and frames of a motion capture."""
+
+    def __init__(self, random: np.random.Generator) -> None:
+        self._random = random
+        self._frames: deque[tuple[Array, Array]] = deque(maxlen=DELAY + 1)
+        self._rates: list[Array] = []
+        self._last: Bodies | None = None
+
+    def read(self, bodies: Bodies) -> Array:
+        """Return the gyroscopes' readings (2n, 3) [rad/s] of bodies as they are."""
+        if self._last is None:
+            self._last = bodies
+        noise = GYRO_NOISE * self._random.standard_normal(bodies.rates.shape)
+        self._rates.append(bodies.rates + noise)
+        return self._rates[-1]
+
+    def gathered(self, bodies: Bodies, seconds: float) -> tuple[Array, Array]:
+        """Return mean rates (2n, 3) [rad/s] and accelerations along z (2n,) [m/s²].
+
+        They are over the ``seconds`` since the last call.
+        """
+        before, self._last = self._last or bodies, bodies
+        rates, self._rates = np.mean(self._rates, axis=0), []
+        moved = (bodies.velocities - before.velocities) / seconds + [0.0, 0.0, GRAVITY]
+        upward = 0.5 * (bodies.attitudes + before.attitudes)[..., 2]
+        noise = ACCELEROMETER_NOISE * self._random.standard_normal(len(moved))
+        return rates, np.einsum("ia,ia->i", moved, upward) + noise
+
+    def frame(self, bodies: Bodies) -> tuple[Array, Array]:
+        """Capture; return the positions (2n, 3) [m] and attitudes (2n, 3, 3) that arrive now."""
+        noise = self._random.standard_normal((2, *bodies.positions.shape))
+        turned = bodies.attitudes @ rotation(CAPTURED_TURN * noise[1])
+        self._frames.append((bodies.positions + CAPTURED * noise[0], turned))
+        return self._frames[0]
+
+
+class Estimator:
+    """The Kalman filters of all drones, from their true states on.
+
+    ``variances`` (2n, 9, 9) are of position, velocity and rotation errors [m], [m/s], [rad].
+    """
+
+    def __init__(
+        self, parameters: EstimatorParameters, bodies: Bodies, random: np.random.Generator
+    ) -> None:
+        self._sensors = Sensors(random)
+        self.positions, self.attitudes = bodies.positions, bodies.attitudes
+        self._velocities = np.einsum("iba,ib->ia", bodies.attitudes, bodies.velocities)
+        self.variances = np.tile(np.diag(FIRST_ERRORS**2), (len(bodies.positions), 1, 1))
+        level, upright = parameters.level_noise, parameters.upright_noise
+        accelerations, dt = np.array([level, level, upright]), 1.0 / NOISE_RATE
+        added = np.concatenate([accelerations * dt**2, accelerations * dt, [TURN_NOISE * dt] * 3])
+        self._added = NOISE_RATE / RATE * added**2
+        errors = np.repeat([parameters.position_error, parameters.attitude_error or 0.0], 3)
+        self._seen = np.r_[0:3, 6:9] if parameters.attitude_error else np.r_[0:3]
+        self._errors = np.diag(errors[: len(self._seen)] ** 2)
+
+    @property
+    def velocities(self) -> Array:
+        """Velocities (2n, 3) [m/s] in the world's frame."""
+        return np.asarray(np.einsum("iab,ib->ia", self.attitudes, self._velocities))
+
+    def read(self, bodies: Bodies) -> Array:
+        """Return the gyroscopes' readings (2n, 3) [rad/s] of bodies as they are."""
+        return self._sensors.read(bodies)
+
+    def predict(self, bodies: Bodies) -> None:
+        """Predict by the readings since the last prediction, 1 / RATE ago."""
+        dt = 1.0 / RATE
+        rates, along = self._sensors.gathered(bodies, dt)
+        upward, v = self.attitudes[:, 2], self._velocities  # the world's z axis in the body's frame
+        turning, turn = skew(rates), self.attitudes
+        growth = np.tile(np.eye(9), (len(v), 1, 1))
+        growth[:, 0:3, 3:6] = turn * dt
+        growth[:, 0:3, 6:9] = -turn @ skew(v) * dt
+        growth[:, 3:6, 3:6] -= turning * dt
+        growth[:, 3:6, 6:9] = -GRAVITY * skew(upward) * dt
+        growth[:, 6:9, 6:9] -= turning * dt
+        pushed = -GRAVITY * upward
+        pushed[:, 2] += along
+        step = dt * v + 0.5 * dt**2 * pushed
+        self.positions = self.positions + np.einsum("iab,ib->ia", turn, step)
+        self._velocities = v + dt * (pushed - np.cross(rates, v))
+        self.attitudes = turn @ rotation(dt * rates)
+        self.variances = growth @ self.variances @ growth.transpose(0, 2, 1)
+        self._bound()
+        self.variances[:, range(9), range(9)] += self._added
+
+    def correct(self, bodies: Bodies) -> None:
+        """Correct by the frame that arrives while the bodies are captured anew."""
+        places, turns = self._sensors.frame(bodies)
+        seen, p = self._seen, self.variances
+        missed = places - self.positions
+        if len(seen) > 3:
+            across = self.attitudes.transpose(0, 2, 1) @ turns
+            missed = np.hstack([missed, Rotation.from_matrix(across).as_rotvec()])
+        innovation = p[:, seen][:, :, seen] + self._errors
+        gain = np.linalg.solve(innovation, p[:, seen]).transpose(0, 2, 1)
+        step = np.einsum("iab,ib->ia", gain, missed)
+        self.positions = self.positions + step[:, 0:3]
+        self._velocities = self._velocities + step[:, 3:6]
+        self.attitudes = self.attitudes @ rotation(step[:, 6:9])
+        p = p - gain @ p[:, seen]
+        self.variances = 0.5 * (p + p.transpose(0, 2, 1))
+        self._bound()
+
+    def _bound(self) -> None:
+        diagonal = np.einsum("iaa->ia", self.variances)
+        np.maximum(diagonal, LEAST_VARIANCE, out=diagonal)

@@ -1,0 +1,415 @@
+"""Flight controllers by name and the Crazyflie's filter, in a bench of rigid bodies in the air.
+
+Figures with names of filters and controllers were measured with the firmware itself.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+from scripted import hanging_task, standing
+
+import hitchopt as ho
+from hitchopt.errors import InputError
+from hitchopt.hitch import GRAVITY
+from hitchopt.hitch.estimator import FIRMWARE, HELD, ONE_MARKER, EstimatorParameters
+from hitchopt.hitch.flight_controller import CONTROLLERS, FlightController
+from hitchopt.simulation import estimator as estimators
+from hitchopt.simulation.autopilots import PERIOD, Autopilots
+from hitchopt.simulation.commands import Commands, flown_team, received
+from hitchopt.simulation.estimator import Estimator, rotation
+from hitchopt.simulation.settings import Settings, settings_of
+from hitchopt.simulation.task import Task
+from hitchopt.simulation.world import BODY_RADIUS, RADII_OF_GYRATION, Bodies
+from hitchopt.values import Array
+
+MASS, PULL = 0.132, 0.4
+STEP = 0.5 * PERIOD
+
+
+def inertia_of(masses: Array) -> Array:
+    return np.outer(masses, (BODY_RADIUS * np.array(RADII_OF_GYRATION)) ** 2)
+
+
+def bodies_at_rest(count: int) -> Bodies:
+    none = np.zeros((count, 3))
+    return Bodies(none, none, np.tile(np.eye(3), (count, 1, 1)), none)
+
+
+def flown(
+    loops: list[FlightController],
+    forces: ArrayLike,
+    seconds: float,
+    *,
+    known: EstimatorParameters | None = None,
+    fed: ArrayLike = 0.0,
+    mass: float = MASS,
+    start: ArrayLike = 0.0,
+) -> tuple[Array, Array, Array, Estimator | None]:
+    """Return positions (steps, d, 3) [m] of drones to be at the origin, tilts [°], and filters.
+
+    ``forces`` (d, 3) [N] grow in a second, and a share ``fed`` (d, 1) of them is fed forward. What
+    drones know of themselves is in between, tilts and level velocities (steps, d, 2) [°], [m/s].
+    """
+    pulls, masses = np.array(forces, dtype=np.float64), np.full(len(loops), mass)
+    inertia, none = inertia_of(masses), np.zeros((len(loops), 3))
+    now = replace(bodies_at_rest(len(loops)), positions=none + np.array(start, dtype=np.float64))
+    random = np.random.default_rng(3)
+    estimator = None if known is None else Estimator(known, now, random)
+    pilots = Autopilots(loops, masses, inertia, 20.0 * masses, estimator=estimator)
+    rows = []
+
+    def tilt(attitudes: Array) -> Array:
+        return np.degrees(np.arccos(np.clip(attitudes[:, 2, 2], -1.0, 1.0)))
+
+    for i in range(round(seconds / PERIOD)):
+        grown = min(1.0, i * PERIOD) * pulls
+        pilots.advance(Commands(none, none, -np.array(fed) * grown / mass, none), now, PERIOD)
+        for _ in range(2):
+            push = pilots.thrusts[:, None] * now.attitudes[:, :, 2] + grown
+            velocities = now.velocities + STEP * (push / mass - [0.0, 0.0, GRAVITY])
+            turned = np.cross(now.rates, inertia * now.rates)
+            rates = now.rates + STEP * (pilots.moments - turned) / inertia
+            attitudes = now.attitudes @ rotation(STEP * rates)
+            now = Bodies(now.positions + STEP * velocities, velocities, attitudes, rates)
+        seen = now if estimator is None else estimator
+        known_now = np.column_stack([tilt(seen.attitudes), seen.velocities[:, 0]])
+        rows.append((now.positions, tilt(now.attitudes), known_now))
+    places, tilts, told = (np.array(column) for column in zip(*rows, strict=True))
+    return places, tilts, told, estimator
+
+
+MIXED = EstimatorParameters(0.5, 1.0, 1e-3, 5e-2)
+UNTURNED = EstimatorParameters(50.0, 50.0, 1e-3, None)
+
+
+@pytest.mark.parametrize(
+    ("filter_", "believed", "velocity", "free", "fed"),
+    [
+        pytest.param(ONE_MARKER, 0.2, -0.01, 0.007, -0.43, marks=pytest.mark.slow),
+        pytest.param(FIRMWARE, 17.1, -0.97, 1.15, 0.72, marks=pytest.mark.slow),
+        pytest.param(MIXED, 3.0, -0.20, 0.20, -0.24, marks=pytest.mark.slow),
+        (HELD, 17.1, -0.07, 0.47, 0.035),
+        pytest.param(UNTURNED, 16.3, -0.07, 0.44, 0.003, marks=pytest.mark.slow),
+    ],
+)
+def test_filters_take_a_level_pull_for_what_the_firmware_takes_it_for(
+    filter_: EstimatorParameters, believed: float, velocity: float, free: float, fed: float
+) -> None:
+    loops = [FlightController.of("lee", MASS)] * 2
+    pulls = np.tile([PULL, 0.0, 0.0], (2, 1))
+    places, tilts, seen, known = flown(loops, pulls, 11.0, known=filter_, fed=[[0.0], [1.0]])
+    np.testing.assert_allclose(np.mean(tilts[-500:], axis=0), 17.2, atol=0.3)
+    seen = np.mean(seen[-500:], axis=0)
+    np.testing.assert_allclose(seen[:, 0], believed, rtol=0.1, atol=0.3)
+    np.testing.assert_allclose(seen[:, 1], velocity, rtol=0.1, atol=0.03)
+    off = np.mean(places[-500:, :, 0], axis=0)
+    np.testing.assert_allclose(off, [free, fed], rtol=0.1, atol=0.012)
+    assert known is not None
+    assert np.all(np.linalg.eigvalsh(known.variances) > 0.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "mass", "level", "upright", "wound", "after"),
+    [
+        ("mellinger", MASS, 0.40, 1.25, (0.10, 0.02), 9.0),
+        ("mellinger", 0.0393, 0.40, 1.25, (0.10, 0.02), 25.0),
+        ("lee", MASS, 0.92, 0.92, (0.0, 0.0), 4.0),
+        ("lee", 0.0393, 0.28, 0.28, (0.0, 0.0), 4.0),
+        ("pid", MASS, 1.3, None, (0.0, 0.0), 4.0),
+        ("px4", MASS, 0.23, None, (0.0, 0.0), 3.0),
+    ],
+)
+def test_controllers_are_as_stiff_as_the_firmwares(
+    name: str,
+    mass: float,
+    level: float,
+    upright: float | None,
+    wound: tuple[float, float],
+    after: float,
+) -> None:
+    pull = PULL * mass / MASS
+    loops = [FlightController.of(name, mass)] * 2
+    pulls = [[pull, 0.0, 0.0], [0.0, 0.0, -pull]]
+    places, *_ = flown(loops, pulls, after, mass=mass)
+    off = np.abs(places[-1, [0, 1], [0, 2]])
+    answer = np.maximum(pull - np.array(wound), 0.1 * pull)
+    if name == "mellinger" and mass < MASS:
+        answer[0] = pull - min(wound[0], 0.05 * float(np.sum(places[:, 0, 0])) * PERIOD)
+    assert answer[0] / off[0] == pytest.approx(level, rel=0.1)
+    if upright is not None:
+        assert answer[1] / off[1] == pytest.approx(upright, rel=0.1)
+
+
+def test_integrals_bring_cascades_back() -> None:
+    for name, seconds in (("pid", 8.0), ("px4", 12.0)):
+        loops = [FlightController.of(name, MASS)]
+        places, *_ = flown(loops, [[0.0, 0.0, -PULL]], seconds)
+        worst = np.max(np.abs(places[:, 0, 2]))
+        assert abs(places[-1, 0, 2]) < 0.25 * worst
+
+
+def test_pid_tilts_by_20_degrees_and_knows_no_pull() -> None:
+    loops = [FlightController.of("pid", MASS)] * 3
+    pulls = [[0.44, 0.0, 0.0], [0.52, 0.0, 0.0], [0.2, 0.0, 0.0]]
+    places, tilts, *_ = flown(loops, pulls, 6.0, fed=[[0.0], [0.0], [1.0]])
+    assert np.max(tilts[-500:]) < 21.0
+    assert places[-1, 1, 0] > 5.0  # beyond 0.47 N it drifts away
+    assert 0.05 < places[-1, 2, 0] < places[-1, 0, 0] < 1.0
+    away, *_ = flown(loops[:1], [[0.0, 0.0, 0.0]], 4.0, start=[5.0, 0.0, 0.0])
+    assert -np.min(np.diff(away[:, 0, 0])) / PERIOD == pytest.approx(1.1, rel=0.2)  # its top speed
+
+
+def test_px4_tilts_by_45_degrees_and_lifts_first() -> None:
+    loops = [FlightController.of("px4", MASS)]
+    places, tilts, *_ = flown(loops, [[2.0, 0.0, 0.0]], 2.5, fed=[[1.0]])
+    assert 43.0 < np.max(tilts) < 48.0
+    assert np.max(np.abs(places[:, 0, 2])) < 0.3
+
+
+@pytest.mark.slow
+def test_the_stiffest_gains_fly_and_stiffer_ones_are_lost() -> None:
+    def swaying(name: str, stiffness: float, damping: float) -> float:
+        stock = FlightController.of(name, MASS)
+        stiff = replace(
+            stock,
+            kp=(stiffness * MASS,) * 2,
+            kd=(damping * MASS,) * 2,
+            ki=(0.0, 0.0),
+            ki_limit=(0.0, 0.0),
+        )
+        places, *_ = flown([stiff], [[PULL, 0.0, 0.0]], 8.0, known=HELD, fed=[[1.0]])
+        return float(np.max(np.std(places[-1000:, 0], axis=0)))
+
+    assert swaying("mellinger", 36.0, 10.0) < 0.004
+    assert swaying("lee", 14.0, 6.5) < 0.005 < swaying("lee", 20.0, 8.0) < 0.1
+    assert swaying("lee", 36.0, 10.0) > 0.1
+
+
+def test_mellingers_law_is_that_of_drone_controllers() -> None:
+    """Its commands of thrust are 132000 units per newton, and its motors give 0.9668 of that."""
+    mass, inertia, given = 0.029, np.array([16.57e-6, 16.57e-6, 29.26e-6]), 132000.0 / 65535 * 0.48
+    stock, random, cases = FlightController.of("mellinger", mass), np.random.default_rng(5), []
+    for _ in range(20):
+        place, velocity, error = 0.02 * random.standard_normal((3, 3))
+        acceleration, rates = 0.1 * random.standard_normal((2, 3))
+        attitude = Rotation.from_rotvec(0.02 * random.standard_normal(3)).as_quat()
+        goal = np.concatenate([place + error, np.zeros(3), acceleration, [0.0], np.zeros(3)])
+        faster = rates + 0.002 * random.standard_normal(3)
+        cases.append((place, attitude, velocity, rates, goal, faster))
+    told = subprocess.run(
+        [sys.executable, Path(__file__).with_name("reference_mellinger.py")],
+        input=json.dumps([[each.tolist() for each in case] for case in cases]),
+        env=os.environ | {"SCIPY_ARRAY_API": "1"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    for case, (thrust, *torques) in zip(cases, json.loads(told.stdout), strict=True):
+        place, attitude, velocity, rates, goal, faster = case
+        pilots = Autopilots([stock], np.array([mass]), inertia[None], np.array([0.6]), lag=0.0)
+        parts = goal[None, :9].reshape(3, 1, 3)
+        commands = Commands(parts[0], parts[1], parts[2], np.zeros((1, 3)))
+        turn = Rotation.from_quat(attitude).as_matrix()
+        for each, torque in zip((rates, faster), torques, strict=True):
+            now = Bodies(place[None], velocity[None], turn[None], each[None])
+            pilots.advance(commands, now, PERIOD)
+            if each is rates:
+                assert pilots.thrusts[0] == pytest.approx(thrust / given, rel=0.01)
+            expected = np.array(torque) / given + np.cross(each, inertia * each)
+            np.testing.assert_allclose(pilots.moments[0], expected, rtol=0.03, atol=2e-6)
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_drones_are_flown_each_for_itself(name: str) -> None:
+    masses = np.array([0.05, 0.132, 0.3])
+    loops = [FlightController.of(name, mass) for mass in masses.tolist()]
+    random = np.random.default_rng(1)
+    turns = rotation(0.4 * random.standard_normal((3, 3)))
+    places, speeds, rates = random.standard_normal((3, 3, 3))
+    now = Bodies(places, speeds, turns, rates)
+    commands = Commands(*random.standard_normal((4, 3, 3)))
+
+    def answer(chosen: slice) -> Array:
+        inertia = inertia_of(masses[chosen])
+        pilots = Autopilots(loops[chosen], masses[chosen], inertia, 25.0 * masses[chosen])
+        mine = Bodies(*(values[chosen] for values in vars(now).values()))
+        sent = Commands(*(values[chosen] for values in vars(commands).values()))
+        for _ in range(7):
+            pilots.advance(sent, mine, PERIOD)
+        return np.column_stack([pilots.thrusts, pilots.moments])
+
+    alone = np.vstack([answer(slice(i, i + 1)) for i in range(3)])
+    np.testing.assert_allclose(answer(slice(0, 3)), alone, rtol=1e-12)
+
+
+def test_motors_turn_before_they_lift_and_fade_with_their_lag() -> None:
+    stock = FlightController.of("mellinger", MASS)
+    limit, inertia = np.array([1.6]), inertia_of(np.array([MASS]))
+    pilots = Autopilots([stock], np.array([MASS]), inertia, limit)
+    high, none = np.array([[0.0, 0.0, 3.0]]), np.zeros((1, 3))
+    tilted = replace(bodies_at_rest(1), attitudes=rotation(np.array([[0.2, 0.0, 0.0]])))
+    for _ in range(200):
+        pilots.advance(Commands(high, none, none, none), tilted, PERIOD)
+    assert pilots.thrusts[0] < limit[0]
+    assert pilots.moments[0, 0] < -0.9 * inertia[0, 0] * 1040.0 * 0.2 * 0.9
+    before = pilots.thrusts[0]
+    pilots.stop(0)
+    for _ in range(15):
+        pilots.advance(Commands(high, none, none, none), tilted, PERIOD)
+    assert pilots.thrusts[0] == pytest.approx(before * np.exp(-1.0))
+
+
+def test_without_noise_the_filter_knows_a_free_drone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It moves by its thrust alone, turning: nothing is left for the filter to explain."""
+    for name in ("CAPTURED", "CAPTURED_TURN", "GYRO_NOISE", "ACCELEROMETER_NOISE"):
+        monkeypatch.setattr(estimators, name, 0.0)
+    now = replace(bodies_at_rest(1), velocities=np.array([[0.4, -0.2, 0.1]]))
+    tilted = replace(now, attitudes=rotation(np.array([[0.1, -0.1, 0.0]])))
+    known = [Estimator(each, tilted, np.random.default_rng(0)) for each in (HELD, ONE_MARKER)]
+    for i in range(2000):
+        for each in known:
+            each.read(now)
+            if i % 5 == 0:
+                each.predict(now)
+            elif i % 5 == 2:
+                each.correct(now)
+        t = PERIOD * i
+        rates = np.array([[0.8 * np.cos(3.0 * t), 0.5 * np.sin(2.0 * t), 0.1]])
+        turned = now.attitudes @ rotation(PERIOD * rates)
+        push = (GRAVITY + np.sin(4.0 * t)) * 0.5 * (now.attitudes + turned)[:, :, 2]
+        velocities = now.velocities + PERIOD * (push - [0.0, 0.0, GRAVITY])
+        places = now.positions + 0.5 * PERIOD * (now.velocities + velocities)
+        now = Bodies(places, velocities, turned, rates)
+    for each in known:
+        late = 0.02 * np.linalg.norm(now.velocities)  # by a frame and what is not yet predicted
+        assert np.linalg.norm(each.positions - now.positions) < late
+        assert np.linalg.norm(each.velocities - now.velocities) < 0.1
+        across = Rotation.from_matrix(each.attitudes[0].T @ now.attitudes[0])
+        assert across.magnitude() < 0.02
+
+
+def test_packets_are_rounded_and_hold_the_pull() -> None:
+    hitch = ho.Hitch.balanced(ho.Team(3, 2.4), ho.regular_polygon(3, 1.3), altitude=1.0)
+    task = standing(hitch, 0.1)
+    settings = Settings(controller="mellinger")
+    sent = received(task, flown_team(task.team, settings), settings)
+    for values in vars(sent).values():
+        np.testing.assert_allclose(values, 1e-3 * np.rint(1e3 * values), atol=1e-12)
+    assert 0.0 < np.max(np.abs(sent.positions - task.setpoints.positions)) <= 5.0001e-4
+    pull = -task.setpoints.cable_forces / task.team.mass[:, None]
+    np.testing.assert_allclose(sent.accelerations, pull, atol=5.001e-4)
+    far = np.full((3, 6, 3), 50.0)
+    there = received(hanging_task(hitch.team, far, 0.0 * far), hitch.team, settings)
+    assert np.max(there.positions) == 32.767
+    t = np.arange(200)[:, None, None] / 100.0
+    swung = hanging_task(hitch.team, np.sin(2.0 * t) * np.ones((6, 3)), np.zeros((200, 6, 3)))
+    rates = received(swung, hitch.team, settings).rates[20:-20]  # without ends' differences
+    assert 0.5 < np.max(np.abs(rates)) < 2.0
+    assert not received(swung, hitch.team, Settings(controller="lee")).rates.any()
+
+
+def test_uploads_are_offset_by_the_tension_over_the_stiffness() -> None:
+    kind = ho.Quadrotor(controller="mellinger", gains={"kp": [2.0, 4.0], "kd": 1.0, "ki": 0.0})
+    team = ho.Team(3, 2.4, tension=0.5, cable_density=0.01, quadrotor=kind)
+    plan = ho.hold(ho.Hitch.balanced(team, ho.regular_polygon(3, 1.3), altitude=1.4), seconds=1.0)
+    task = Task.of(plan.motion)
+    settings = Settings(controller="mellinger", upload=True)
+    held = received(task, flown_team(team, settings), settings)
+    offset = held.positions[0] - task.setpoints.positions[0]
+    expected = -task.setpoints.cable_forces[0] / [2.0, 2.0, 4.0]
+    np.testing.assert_allclose(offset, expected, atol=1e-3)
+    assert len(held.positions) > len(task.t)
+    np.testing.assert_allclose(held[10_000].positions, held.positions[-1])
+    np.testing.assert_allclose(held.velocities, 0.0, atol=0.01)
+    with pytest.raises(InputError, match="with a plan"):
+        received(replace(task, motion=None), team, settings)
+
+
+def test_gains_are_the_teams_or_the_stiffest_or_given() -> None:
+    named = ho.Quadrotor(controller="lee", gains={"kp": 0.7})
+    team = ho.Team(3, 2.4, quadrotor=[named, ho.Quadrotor(stiffness=1.0), ho.Quadrotor(0.1, 2.0)])
+
+    def stiffness(**given: Any) -> list[float]:
+        kinds = flown_team(team, Settings(controller="lee", **given)).quadrotor
+        return [kind.loop.kp[0] for kind in kinds]
+
+    assert stiffness() == pytest.approx([0.7, 1.0, 1.4])
+    assert stiffness(gains={}) == pytest.approx([0.924, 0.924, 0.7])
+    assert stiffness(gains={"kp": 0.6}) == pytest.approx([0.6] * 3)
+    assert stiffness(stiffness=0.5) == pytest.approx([0.5] * 3)
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"controller": "bang"}, "controller = 'bang': must be one of mellinger, lee, pid, px4"),
+        ({"upload": True}, "upload = True: must be left out without a controller"),
+        ({"estimator": "crazyflie"}, "estimator = .*left out without a controller"),
+        ({"gains": {"kp": 1.0}}, "gains = .*left out without a controller"),
+        ({"controller": "pid", "estimator": "best"}, "estimator = 'best': must be one of ideal"),
+        ({"controller": "lee", "upload": True, "feedback": True}, "feedback = True"),
+    ],
+)
+def test_settings_that_do_not_fit_are_refused(given: dict[str, Any], told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        settings_of("fast", perturbed=False, **given)
+
+
+def test_motors_of_named_controllers_lag_more() -> None:
+    named = settings_of("fast", perturbed=True, controller="lee", estimator="crazyflie")
+    assert (named.lag, Settings().lag, named.estimator) == (0.03, 0.02, HELD)
+    assert settings_of("fast", perturbed=False, controller="lee", lag=0.01).lag == 0.01
+
+
+@pytest.fixture(scope="module")
+def tied() -> ho.Plan:
+    """Return the plan of a triangle with 0.6 N, tied from the ground; ropes of 10 g/m."""
+    team = ho.Team(3, 2.4, tension=0.6, cable_density=0.01)
+    q = np.array([[-0.5, 1.0, 0.0], [-0.5, 0.0, 0.0], [-0.5, -1.0, 0.0]])
+    polygon = [[0.0, 0.58], [0.5, -0.29], [-0.5, -0.29]]
+    return ho.form(team, q, q + [1.0, 0.0, 0.0], polygon, altitude=1.2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("filter_", "upload", "gains", "holds"),
+    [
+        (HELD, False, None, True),
+        (HELD, True, None, True),
+        (HELD, False, {}, True),
+        (ONE_MARKER, False, {}, False),
+    ],
+)
+def test_hitches_hold_by_the_filter_that_is_exported_and_are_lost_by_the_firmwares(
+    tied: ho.Plan, filter_: EstimatorParameters, upload: bool, gains: Any, holds: bool
+) -> None:
+    flight = ho.simulate(
+        tied,
+        perturbed=True,
+        seed=1,
+        controller="mellinger",
+        gains=gains,
+        estimator=filter_,
+        upload=upload,
+    )
+    record = flight.flight.record
+    tilt = np.degrees(np.max(record.tilts))
+    assert flight.outcome.hitched == holds
+    assert (tilt < 40.0) == holds
+    if holds:
+        rest = record.t > flight.flight.task.duration
+        rest &= record.t <= flight.flight.rested
+        assert np.mean(record.tensions[rest]) == pytest.approx(0.6, rel=0.2)
+        if gains is None:
+            assert np.max(np.linalg.norm(record.drones - record.commanded, axis=-1)[rest]) < 0.06
