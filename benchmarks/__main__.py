@@ -14,11 +14,13 @@ NAMES = (
     "separation",
     "carrying",
     "flights",
+    "recordings",
     "statics",
     "live",
     "views",
     "sweeps",
     "tracking",
+    "controllers",
     "mutations",
 )
 

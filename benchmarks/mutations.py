@@ -77,7 +77,7 @@ MUTATIONS = (
     Mutation("clasps.py", "own = 0.5 * GRAVITY * team.load[", "own = 0.0 * GRAVITY * team.load[", "weight_hexagon", "the load dropped"),
     Mutation("clasps.py", "0.5 * GRAVITY * team.cable_density", "1.0 * GRAVITY * team.cable_density", "weight_hexagon", "a factor of cables' weight"),
     Mutation("clasps.py", "self.size(\"weights\") - self", "self.size(\"weights\") + self", "weight_hexagon", "sign of the other leg's weight"),
-    Mutation("clasps.py", "((0, 1.0), (1, -1.0))", "((0, 1.0), (1, 1.0))", "weight_hexagon", "sign of a contact"),
+    Mutation("clasps.py", "self.carried.upward() - self.forces", "self.carried.upward() + self.forces", "weight_hexagon", "sign of a contact"),
     Mutation("/motion/loads.py", "own = -body.mass * supports.shares", "own = -0.5 * body.mass * supports.shares", "carry_box", "a factor of the object's weight"),
     Mutation("/motion/loads.py", "pulled[:, :, 2] += GRAVITY", "pulled[:, :, 2] -= GRAVITY", "carry_box", "sign of the object's weight"),
     Mutation("/motion/loads.py", "1.0 - np.cos(_rise(team, mass, edges, tensions))", "0.0 * _rise(team, mass, edges, tensions)", "carry_box", "the rim's strut dropped"),

@@ -13,6 +13,7 @@ MODULES = {
     "fleet": ("export", "lint", "abort", "fly"),
     "simulating": ("simulate", "sweep"),
     "estimates": ("statics", "calibrate", "fit"),
+    "measuring": ("evaluate",),
 }
 
 

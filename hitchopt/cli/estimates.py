@@ -51,6 +51,8 @@ def statics(
     friction a vertex rests anywhere in its band, as the clasps' history has it. Writes statics.json
     and statics.png to DIR. Ends with 3 if a cable is slack or a clasp does not hold.
     """
+    import numpy as np
+
     from hitchopt.hitch.forces import undetermined_tension
     from hitchopt.motion.plan_file import read_plan
     from hitchopt.statics.files import save_statics, statics_content
@@ -82,7 +84,9 @@ def statics(
     winds, feeds = (
         conditions_of(motion.team, **chosen)[name] for name in ("integral", "feed_forward")
     )
-    for note in undetermined_tension(integral=bool(winds.any()), feed_forward=bool(feeds.all())):
+    for note in undetermined_tension(
+        integral=bool(np.isinf(winds).any()), feed_forward=bool(feeds.all())
+    ):
         say(f"note: {note}")
     say(f"statics.json and statics.png are in {path.parent}")
     if loose := [*content["slack_cables"], *content["loose_clasps"]]:
@@ -142,9 +146,9 @@ def calibrate(
     """Estimate cable lengths, stiffness and friction from a recorded flight.
 
     RECORDING is a CSV file with the columns t, name, x, y, z: seconds from the plan's start, q0,
-    r0, … or p0, …, and metres; or the results of `hitchopt simulate`, DIR/simulation. Estimates
-    come with standard errors, and what the recording does not determine is said so. Distances to
-    the plan are in three dimensions.
+    r0, … or p0, …, and metres; the results of `hitchopt simulate`, DIR/simulation; or any that
+    `hitchopt evaluate` reads. Estimates come with standard errors, and what the recording does not
+    determine is said so. Distances to the plan are in three dimensions.
     """
     from hitchopt.statics.files import save_team
 
@@ -156,6 +160,7 @@ def calibrate(
         lengths=[vars(estimate) for estimate in found.lengths],
         stiffness=[vars(estimate) for estimate in found.stiffness],
         friction=vars(found.friction),
+        notes=list(found.recording.notes),
     )
     if output is not None:
         save_team(output, found)
@@ -172,7 +177,7 @@ def _calibration_tables(found: ho.Calibration) -> str:
         (f"length of cable {k} [m]", x, team.cable_length[k]) for k, x in enumerate(found.lengths)
     ]
     for k, estimate in enumerate(found.stiffness):
-        named.append((f"stiffness of q{k}, r{k} [N/m]", estimate, team.stiffness[2 * k]))
+        named.append((f"stiffness of q{k}, r{k} [N/m]", estimate, team.stiffness[2 * k, 0]))
     named.append(("friction", found.friction, team.cable_friction))
     rows, remarks = [], []
     for name, estimate, planned in named:
@@ -186,6 +191,7 @@ def _calibration_tables(found: ho.Calibration) -> str:
     columns += zip(team.drone_names, found.drone_errors.T, strict=True)
     distances = [{"of": name, "distance": spread_text(Spread.of(x))} for name, x in columns]
     title = "Distances to the plan [cm], mean ± standard deviation (largest)"
+    remarks += [f"note: {note}" for note in found.recording.notes]
     return "\n\n".join([table("Estimates", rows), *remarks, table(title, distances)]) + "\n"
 
 

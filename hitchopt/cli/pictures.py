@@ -23,8 +23,8 @@ PROBLEM = "problem.yaml"  # Name under which an edited problem is saved beside i
 PATIENCE, DRAWING = 3.0, 1.5
 
 
-@command("directory DIR")
-def report(directory: Path) -> None:
+@command("directory DIR", "--ghost PATH (path): Show another plan, a flight or an evaluation too.")
+def report(directory: Path, ghost: Path | None) -> None:
     """Write DIR/report.html: the plan in one file that needs no network.
 
     It plays the plan in three dimensions, with plots of separation, speed, thrust and tension, the
@@ -32,7 +32,7 @@ def report(directory: Path) -> None:
     """
     place = plan_path(directory).parent
     with ProgressBar("certifying and writing"):
-        path = ho.load(place).report(place)
+        path = ho.load(place).report(place, ghost=ghost)
     say(f"open {path} in a browser", file=str(path))
 
 
@@ -40,7 +40,7 @@ def report(directory: Path) -> None:
     "path DIR|FILE",
     """
     --save FILE (path): Write a page, picture or film; do not serve.
-    --ghost PATH (path): Show another plan, or a simulated flight, at its side.
+    --ghost PATH (path): Show another plan, a simulated flight or an evaluation at its side.
     --host TEXT ('127.0.0.1'): Address to listen on; by default this machine.
     --port INTEGER (8080): Port to listen on, or the next free one.
     --browser/--no-browser (True): Whether to open the browser.
@@ -100,7 +100,7 @@ def _save(file: Path, path: Path, recording: Path | None) -> None:
         if recording is None:
             save_view(file, motion, certificate or ho.certify(motion), title, text, tell)
         else:
-            scene, words = ghost_scene(recording, motion), f"{title} (simulated)".strip()
+            scene, words = ghost_scene(recording, motion), f"{title} (flown)".strip()
             save_film(file, scene, words, lambda done: tell(f"drawing the film, {done:.0%}"))
     say(f"wrote {file}", file=str(file))
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from hitchopt.live.lost import Lost
     from hitchopt.mission.loading import AnyProblem
 
-SUFFIXES = {".yaml", ".yml"}  # Endings of the names of problem files
+SUFFIXES = (".yaml", ".yml")  # Endings of the names of problem files
 # Time limit of the search for changes [s] if no time is left: its end is then reported
 MIN_SEARCH_TIME = 1e-3
 ENDED = "the search for changes ended at the time limit (--limit)"
@@ -257,6 +257,10 @@ def init(name: str | None, example: str | None, *, listing: bool) -> None:
     source = files[example] if example else PACKAGE / "mission" / "template.yaml"
     path = _write_new(name if name is not None else example or "problem", problem_text(source))
     say(f"wrote {path}; try: hitchopt solve {path}", file=str(path))
+    flight = source.with_suffix(".csv")
+    if flight.is_file():
+        flown = _write_new(str(path.with_suffix(".csv")), flight.read_text("utf-8"), (".csv",))
+        say(f"wrote {flown}: a flight of it, simulated and recorded", recording=str(flown))
 
 
 def _title(path: Path) -> str:
@@ -271,13 +275,13 @@ def problem_text(path: Path) -> str:
     return "\n".join([f"{MODELINE}{SCHEMA.as_posix()}", *kept]) + "\n"
 
 
-def _write_new(name: str, text: str) -> Path:
-    """Write a problem file to ``name``, with the suffix .yaml; refuse one that exists."""
+def _write_new(name: str, text: str, suffixes: tuple[str, ...] = SUFFIXES) -> Path:
+    """Write a file to ``name``, with one of the suffixes; refuse one that exists."""
     path = Path(name)
     if not path.name.strip("."):
         raise FileError(f"{name!r}: is no name for a file; give one, such as problem.yaml")
-    if path.suffix not in SUFFIXES:
-        path = path.with_name(f"{path.name}.yaml")
+    if path.suffix not in suffixes:
+        path = path.with_name(path.name + suffixes[0])
     try:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)

@@ -72,16 +72,22 @@ def save_view(
 
 def write_report(
     path: Path, motion: Motion, certificate: Certificate, title: str = "", problem: str = "",
-    directory: Path | None = None,
+    directory: Path | None = None, ghost: Scene | None = None,
 ) -> None:  # fmt: skip
-    """Write the page of a plan: playback, plots and certificate.
+    """Write the page of a plan: playback, plots and certificate, and a ghost's cables beside it.
 
     ``problem`` is the text of its file. The plan's files, whose digests the report states, are in
     ``directory``, by default that of ``path``. A file that cannot be written is an OSError.
     """
     scene, name = scene_of(motion), title or "Plan"
+    beside = (
+        {}
+        if ghost is None
+        else {"ghost": np.stack([ghost.at(time).cables for time in scene.t.tolist()])}
+    )
     entries, samples = packed(
         {
+            **beside,
             "drones": scene.drones,
             "attitudes": scene.quaternions[..., 1:],
             "thrusts": scene.thrusts[..., None],

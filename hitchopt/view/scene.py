@@ -110,7 +110,7 @@ def scene_at(motion: Motion, t: Array, thickness: float = THICKNESS) -> Scene:
 
 
 def ghost_scene(path: Path, motion: Motion) -> Scene:
-    """Return the scene of another plan, or of a simulated flight of ``motion``.
+    """Return the scene of another plan, or of a simulated or evaluated flight of ``motion``.
 
     ``path`` is a recording or a plan, or the directory of either. It is a FileError if there is
     neither, if it is damaged, or if the flight is that of another team.
@@ -125,10 +125,10 @@ def ghost_scene(path: Path, motion: Motion) -> Scene:
     try:
         arrays = read_arrays(path, ("t", "nodes", "cables", "poses"))
     except BROKEN as error:
-        raise FileError(f"{path}: not a recording of a simulated flight: {error}") from error
+        raise FileError(f"{path}: not the recording of a flight: {error}") from error
     first, t = arrays["cables"], arrays["t"]
     if len(first) != motion.team.robots + 1 or np.sum(t >= 0.0) < 2:
-        raise FileError(f"{path}: a flight of {len(first) - 1} cables; simulate this plan")
+        raise FileError(f"{path}: a flight of {len(first) - 1} cables; name one of this plan")
     return recorded_scene(motion, t, arrays["nodes"], first, arrays["poses"])
 
 

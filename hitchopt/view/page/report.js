@@ -40,7 +40,7 @@ class Page {
 
   addSwitches() {
     const few = this.data.names.length <= 24;
-    for (const [name, on] of [["paths", few], ["ellipsoids", false], ["forces", false], ["thrusts", false], ["names", few]]) {
+    for (const [name, on] of [["paths", few], ["ellipsoids", false], ["forces", false], ["thrusts", false], ["names", few], ...(this.arrays.ghost ? [["ghost", true]] : [])]) {
       const label = element("label"), box = Object.assign(element("input"), { type: "checkbox", checked: on });
       box.dataset.name = name;
       box.addEventListener("change", () => this.stage.switch(name, box.checked));

@@ -21,6 +21,7 @@ class Stage {
     this.addDrones();
     this.addObjects();
     this.tubes = new CableTubes(data, this.scene);
+    if (arrays.ghost) this.ghost = new CableTubes({ ...data, colours: data.colours.map(() => "#b4bac0") }, this.scene);
     this.addPaths();
     this.addArrows();
     this.addMarks();
@@ -257,7 +258,12 @@ class Stage {
     this.shells.visible = !!this.on.ellipsoids;
     this.paths.visible = !!this.on.paths;
     this.updateObjects();
-    this.tubes.update(this.arrays.cables.now, Math.max(this.data.radius, 0.0011 * this.distance()));
+    const radius = Math.max(this.data.radius, 0.0011 * this.distance());
+    this.tubes.update(this.arrays.cables.now, radius);
+    if (this.ghost) {
+      this.ghost.mesh.visible = !!this.on.ghost;
+      this.ghost.update(this.arrays.ghost.now, radius);
+    }
     this.updateMarks();
     this.updateLabels();
     this.renderer.render(this.scene, this.camera);

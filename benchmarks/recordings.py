@@ -1,0 +1,309 @@
+"""Recordings with truth: markers on simulated ropes, and what `evaluate` makes of them.
+
+Usage: python -m benchmarks recordings [--flights NAME ...] [--seed S] [--example]
+
+Each plan is flown once, perturbed. Markers are three points in the middle of every edge that stay
+with the rope; they are recorded with noise, losses, offsets from the rope's axis, or in another
+frame. The truth is where the ropes' curves cross, seen from above. ``--example`` writes the
+recording that is shipped, ``problems/friction.csv``, in place of the tables.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+import hitchopt as ho
+from benchmarks.measuring import PROBLEMS, Array, Table, parser
+from hitchopt.flights.flight import Markers, RecordedFlight, Track
+from hitchopt.flights.recordings import planned
+from hitchopt.simulation.task import Task
+
+RATE, EXAMPLE_RATE = 120.0, 25.0  # Of recordings, and of the one that is shipped [Hz]
+SPACING = 0.15  # Distance between the markers of an edge [m]
+
+LIMITATIONS = (
+    "simulated flights (fast preset, perturbed, ropes of 12 mm), shapes of ropes at 25 Hz with "
+    "splines between; markers do not pull on the ropes; one flight a column"
+)
+
+
+@dataclass(frozen=True)
+class Camera:
+    """How markers and bodies are recorded.
+
+    Attributes
+    ----------
+    noise: standard deviation of every coordinate [m].
+    lost, gap: share of the samples that are lost, and mean length of the gaps [frames].
+    aside: distance of markers from the rope's axis [m], in a direction that stays.
+    ghosts: points that are nowhere, in every frame on average.
+    yaw, up, shift: of the recording's frame [rad], ``z`` or ``y``, [m].
+    start, rate: time of the recording at which the plan begins [s], its seconds per second.
+    """
+
+    noise: float = 3e-4
+    lost: float = 0.05
+    gap: float = 3.0
+    aside: float = 0.0
+    ghosts: float = 0.2
+    yaw: float = 0.0
+    up: str = "z"
+    shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    start: float = 2.0
+    rate: float = 1.0
+
+    def recorded(
+        self, t: Array, drones: Array, markers: Array, seed: int, names: Sequence[str] = ()
+    ) -> RecordedFlight:
+        """Return a recording of drones (times, 2n, 3) and markers (times, k, 3) at plan times."""
+        random = np.random.default_rng(seed)
+        c, s = np.cos(self.yaw), np.sin(self.yaw)
+        R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        if self.up == "y":
+            R = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]) @ R
+        aside = random.normal(size=markers.shape[1:])
+        aside *= self.aside / np.linalg.norm(aside, axis=-1, keepdims=True)
+        ghosts = random.uniform(np.min(drones, (0, 1)), np.max(drones, (0, 1)), (len(t), 2, 3))
+        cloud = np.concatenate([markers + aside, ghosts], axis=1)
+        seen = np.concatenate(
+            [self._seen(random, markers.shape[:2]), random.random((len(t), 2)) < 0.5 * self.ghosts],
+            axis=1,
+        )
+        seen_drones = self._seen(random, drones.shape[:2])
+        cloud, drones = (
+            (x + random.normal(0.0, self.noise, x.shape)) @ R.T + self.shift
+            for x in (cloud, drones)
+        )
+        order = np.argsort(random.random(seen.shape), axis=1)  # Points come in any order
+        cloud, seen = (
+            np.take_along_axis(cloud, order[..., None], 1),
+            np.take_along_axis(seen, order, 1),
+        )
+        own = self.start + self.rate * t
+        names = names or [f"cf{i}" for i in random.permutation(90)[: drones.shape[1]]]
+        tracks = {
+            name: Track(own[there], x[there])
+            for name, x, there in zip(names, np.moveaxis(drones, 1, 0), seen_drones.T, strict=True)
+        }
+        return RecordedFlight("synthetic", tracks, Markers(own, np.nonzero(seen)[0], cloud[seen]))
+
+    def _seen(self, random: np.random.Generator, shape: tuple[int, int]) -> Any:
+        """Return what is seen (times, k): gaps begin at random and end at random."""
+        seen = np.ones(shape, np.bool_)
+        begins = self.lost / max(1.0 - self.lost, 1e-9) / self.gap
+        lost = random.random(shape[1]) < self.lost
+        for row in seen:
+            draw = random.random(shape[1])
+            lost = np.where(lost, draw > 1.0 / self.gap, draw < begins)
+            row[:] = ~lost
+        return seen
+
+
+def exact_markers(task: Task, t: Array, count: int = 3) -> Array:
+    """Return markers (times, n count, 3) [m] on the parabolas of a plan's edges."""
+    vertices, layout = planned(task, t, task.vertices), task.team.layout
+    starts, edges = vertices[:, layout.starts], layout.edges(vertices)
+    span = np.linalg.norm(edges[..., :2], axis=-1)
+    curvature = task.team.cable_density * 9.81 / planned(task, t, task.tensions)
+    found = []
+    for place in SPACING * (np.arange(count) - 0.5 * (count - 1)):
+        s = 0.5 * span + place
+        point = starts + (s / span)[..., None] * edges
+        point[..., 2] -= 0.5 * curvature * s * (span - s)
+        found.append(point)
+    return np.concatenate(found, axis=1)
+
+
+def rope_markers(task: Task, film: Any, t: Array, count: int = 3) -> tuple[Array, Array]:
+    """Return markers (times, n count, 3) on simulated ropes, and their crossings (times, n, 3)."""
+    layout, lengths = task.team.layout, task.team.cable_length
+    nodes = CubicSpline(film.t, film.nodes.astype(np.float64))(t)
+    formed = int(np.argmax(task.formed))
+    legs = np.linalg.norm(
+        task.setpoints.positions[:, ::2] - task.vertices[:, layout.starts], axis=-1
+    )
+    edges = np.linalg.norm(layout.edges(task.vertices), axis=-1)
+    markers, middles = [], []
+    for k, (a, b) in enumerate(zip(film.cables[:-1], film.cables[1:], strict=True)):
+        rope, step = nodes[:, a:b], lengths[k] / (b - a - 1)
+        middles.append((rope, int((legs[formed, k] + 0.5 * edges[formed, k]) / step)))
+        for place in SPACING * (np.arange(count) - 0.5 * (count - 1)):
+            at = (legs[formed, k] + 0.5 * edges[formed, k] + place) / step
+            i, share = int(at), at - int(at)
+            markers.append((1.0 - share) * rope[:, i] + share * rope[:, i + 1])
+    crossings = np.full((len(t), layout.points, 3), np.nan)
+    for point, j, k in zip(layout.clasps, layout.behind, layout.ahead, strict=True):
+        (first, i), (second, m) = middles[j], middles[k]
+        crossings[:, point] = _first_crossing(first[:, i:], second[:, m::-1])
+    return np.stack(markers, axis=1), crossings
+
+
+def _first_crossing(a: Array, b: Array) -> Array:
+    """Return where curves (times, nodes, 3) first cross seen from above, heights averaged."""
+    p, r = a[:, :-1, None], np.diff(a, axis=1)[:, :, None]
+    q, s = b[:, None, :-1], np.diff(b, axis=1)[:, None]
+
+    def cross(u: Array, v: Array) -> Array:
+        return np.asarray(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0])
+
+    with np.errstate(divide="ignore", invalid="ignore"):
+        x, y = cross(q - p, s) / cross(r, s), cross(q - p, r) / cross(r, s)
+    inside = (x >= 0.0) & (x < 1.0) & (y >= 0.0) & (y < 1.0)
+    order = np.add.outer(np.arange(inside.shape[1]), np.arange(inside.shape[2]))
+    first = np.argmin(np.where(inside, order, 10**6).reshape(len(a), -1), axis=1)
+    i, j = np.unravel_index(first, inside.shape[1:])
+    k = np.arange(len(a))
+    on_a = a[k, i] + x[k, i, j, None] * (a[k, i + 1] - a[k, i])
+    on_b = b[k, j] + y[k, i, j, None] * (b[k, j + 1] - b[k, j])
+    found = np.where(inside[k, i, j, None], on_a, np.nan)
+    found[:, 2] = 0.5 * (on_a[:, 2] + on_b[:, 2])
+    return found
+
+
+def plan_of(name: str) -> ho.Plan:
+    """Return the plan of a column of the table."""
+    polygons: dict[str, tuple[Any, Any]] = {
+        "triangle": (
+            [[0, 0.6], [0.55, -0.35], [-0.5, -0.3]],
+            [[0, 0.7], [0.45, -0.3], [-0.5, -0.4]],
+        ),
+        "sharp": ([[0, -1], [-0.4, 0.5], [0.4, 0.5]], [[0, -0.7], [-0.4, 0.5], [0.4, 0.5]]),
+        "pentagon": (ho.regular_polygon(5, 0.9).vertices, ho.regular_polygon(5, 0.8).vertices),
+    }
+    first, second = polygons[name]
+    team = ho.Team(
+        len(first), cable_length=2.4, cable_density=0.006, cable_friction=0.1, tension=0.5
+    )
+    start = ho.Hitch.spread(team, first, altitude=1.2)
+    mission = ho.Mission(team, start).hold(2.0).morph(second).hold(2.0)
+    return mission.transport(to=[0.3, 0.2, 1.4]).hold(2.0).solve()
+
+
+# Mean errors that the paper prints: the same for its second and third experiment
+PAPER = {
+    "paper_experiment_2": "0.082, 0.168, 0.762",
+    "paper_experiment_3": "0.082, 0.168, 0.762",
+    "paper_experiment_4": "0.036, 0.026, 0.043",
+}
+ROPES: Any = {"cable_density": 0.006, "cable_friction": 0.1}
+
+ROWS = {
+    "noise 0.3 mm": Camera(),
+    "noise 2 mm, 20 % lost": Camera(noise=2e-3, lost=0.2),
+    "40 % lost, gaps of 20 frames": Camera(lost=0.4, gap=20.0),
+    "markers 3 mm aside": Camera(aside=3e-3),
+    "frame fitted (yaw 37°, y up)": Camera(yaw=np.radians(37.0), up="y", shift=(0.4, 0.1, 0.2)),
+    "2 mm, 40 %, 2 mm aside, clock 1 % slow": Camera(
+        noise=2e-3, lost=0.4, aside=2e-3, rate=84.0 / 85.0
+    ),
+}
+
+
+def fly(plan: ho.Plan, rate: float, seed: int) -> tuple[Array, Array, Array, Array]:
+    """Return times, drones, markers and true crossings of a perturbed flight of a plan."""
+    flown, task = (
+        ho.simulate(plan, perturbed=True, seed=seed, pull_test=False),
+        Task.of(plan.motion),
+    )
+    record = flown.flight.record
+    t = np.arange(0.0, min(task.duration, record.t[-1]), 1.0 / rate)
+    drones = CubicSpline(record.t, record.drones)(t)
+    return t, drones, *rope_markers(task, flown.flight.film, t)
+
+
+def write_example(seed: int) -> None:
+    """Write the recording that is shipped: rows t, name, x, y, z, markers without names."""
+    t, drones, markers, _ = fly(ho.solve(PROBLEMS / "friction.yaml"), EXAMPLE_RATE, seed)
+    flight = Camera(noise=5e-4, lost=0.1).recorded(t, drones, markers, seed)
+    rows = [
+        (seen, name, *place)
+        for name, track in flight.tracks.items()
+        for seen, place in zip(track.t.tolist(), track.positions.tolist(), strict=True)
+    ]
+    cloud = flight.markers
+    points = zip(cloud.t[cloud.frame].tolist(), cloud.positions.tolist(), strict=True)
+    rows += [(seen, "marker", *place) for seen, place in points]
+    lines = [f"{seen:.2f},{name},{x:.4f},{y:.4f},{z:.4f}" for seen, name, x, y, z in sorted(rows)]
+    text = "\n".join(["t,name,x,y,z", *lines, ""])
+    (PROBLEMS / "friction.csv").write_text(text, encoding="utf-8", newline="\n")
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """An evaluation of a recording, the true crossings at its times, and the time it took [s]."""
+
+    found: ho.Evaluation
+    true: Array
+    used: float
+
+    @classmethod
+    def of(cls, task: Task, flown: Any, camera: Camera, seed: int) -> Comparison:
+        """Record a flight with a camera, and evaluate that."""
+        t, drones, markers, crossings = flown
+        recording, began = camera.recorded(t, drones, markers, seed), time.process_time()
+        found = ho.evaluate(recording, task)
+        used = time.process_time() - began
+        columns = [np.interp(found.t, t, x) for x in crossings.reshape(len(t), -1).T]
+        true = np.stack(columns, axis=1).reshape(found.vertices.shape)
+        true[np.isnan(found.planned)] = np.nan
+        return cls(found, true, used)
+
+    def row(self) -> tuple[str, str, float]:
+        """Return distances to the truth, shares found and ratios of errors, and time [s]."""
+        off = np.linalg.norm(self.found.vertices - self.true, axis=-1)
+        there, every = np.isfinite(off), np.isfinite(self.true[..., 0])
+        off, stated = off[there], self.found.standard_errors[there]
+        ratio = np.sqrt(np.mean(off**2) / np.mean(stated**2))
+        distances = f"{1e3 * np.median(off):.1f}; {1e3 * np.percentile(off, 95):.1f}"
+        return distances, f"{there.sum() / every.sum():.2f}; {ratio:.1f}", self.used
+
+
+def experiment(name: str) -> ho.Plan:
+    """Return the plan of an experiment of the paper, of cables with weight and friction."""
+    problem = ho.load_problem(PROBLEMS / f"{name}.yaml")
+    return ho.solve(replace(problem, team=replace(problem.team, **ROPES)))
+
+
+def means(errors: Array) -> str:
+    """Return the mean of every vertex [m]."""
+    return ", ".join(f"{mean:.3f}" for mean in np.nanmean(errors, axis=0))
+
+
+def main() -> None:
+    """Print and write the tables."""
+    options = parser(__doc__)
+    names = ("triangle", "sharp", "pentagon")
+    options.add_argument("--flights", nargs="*", choices=names, default=list(names))
+    options.add_argument("--seed", type=int, default=7)
+    options.add_argument("--example", action="store_true")
+    given = options.parse_args()
+    if given.example:
+        write_example(given.seed)
+        return
+    table = Table(given.output / "recordings.md", "Recordings with truth", LIMITATIONS, ("mujoco",))
+    columns = ("recorded with", "median; 95 % [mm]", "found; actual over stated errors", "CPU [s]")
+    for name in given.flights:
+        plan = plan_of(name)
+        flown = fly(plan, RATE, given.seed)
+        table.section(f"{name}, {plan.duration:.1f} s", *columns)
+        task = Task.of(plan.motion)
+        for words, camera in ROWS.items():
+            table.row(words, *Comparison.of(task, flown, camera, given.seed).row())
+    columns = ("experiment", "evaluated", "true crossings", "the paper's flight")
+    table.section("The paper's experiments: mean errors of the vertices [m]", *columns)
+    for name, paper in PAPER.items():
+        plan = experiment(name)
+        task, flown = Task.of(plan.motion), fly(plan, RATE, given.seed)
+        made = Comparison.of(task, flown, Camera(noise=5e-4, lost=0.1), given.seed)
+        true = np.linalg.norm(made.true - made.found.planned, axis=-1)
+        table.row(name.removeprefix("paper_"), means(made.found.errors), means(true), paper)
+
+
+if __name__ == "__main__":
+    main()

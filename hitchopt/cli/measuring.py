@@ -1,0 +1,126 @@
+"""The command evaluate: a recorded flight against its plan, and markers before a flight."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import hitchopt as ho
+from hitchopt.cli.options import command, plan_path
+from hitchopt.cli.output import ProgressBar, say, table
+from hitchopt.errors import InputError
+
+if TYPE_CHECKING:
+    from hitchopt.simulation.task import Task
+
+RESULTS = "evaluation"  # Default directory of the results, beside the recording
+
+
+@command(
+    "recording [RECORDING]",
+    """
+    --plan DIR (path): Plan that was flown.
+    -o, --output OUT (path): Results; else `evaluation` beside RECORDING.
+    --names NAMES (text): Drones by recorded names, such as cf231=q0,cf7=r0,…
+    --frame FRAME (text): plan, y-up, fit, or a file such as another flight's evaluation.json.
+    --start S (float): Time of the recording at which the plan begins; else fitted.
+    --unit UNIT (text): Of lengths: m, cm, mm, in, ft; else as the file states, or m.
+    --density KG/M (float): Cable density, as weighed.
+    --diameter M (float): Cable diameter: errors are then those of the clasps.
+    --window S (0.1): Time over which markers are averaged.
+    --format png|svg|pdf (png): Of the picture.
+    --markers: Say where markers go on the cables of the plan; needs no recording.
+    """,
+    recording={"required": False},
+    plan={"required": True},
+)
+def evaluate(
+    recording: Path | None,
+    plan: Path,
+    output: Path | None,
+    format: str,
+    *,
+    markers: bool,
+    **given: Any,
+) -> None:
+    """Compare a recorded flight with the plan in DIR: its vertices, from markers, and its drones.
+
+    RECORDING is a table of Motive, Vicon or QTM, C3D, a ROS bag, Crazyflie uSD logs, a PX4 ulog,
+    DIR/simulation, or a CSV file with the columns t, name, x, y, z, whose rows named marker are
+    points without a name. Clock, frame and names are fitted. Writes evaluation.json, vertices.csv,
+    evaluation.tex, a picture, and recording.npz, which `hitchopt view DIR --ghost OUT` shows.
+    """
+    from hitchopt.simulation.task import read_task
+
+    task = read_task(plan_path(plan).parent)
+    if markers:
+        _say_markers(task)
+        return
+    if recording is None:
+        bound = "a recording, or none with --markers"
+        raise InputError("RECORDING", None, bound, "name the file that was recorded")
+    from hitchopt.flights.report import save_evaluation, summary
+
+    with ProgressBar("reading and evaluating"):
+        found = ho.evaluate(recording, task, **given)
+    place = recording.absolute().parent / RESULTS if output is None else output
+    with ProgressBar("writing the results"):
+        save_evaluation(place, found, format)
+    content = summary(found)
+    say(_tables(found), directory=str(place), evaluation=content)
+    for remark in found.remarks:
+        say(f"note: {remark}")
+    say(f"results are in {place}")
+
+
+def _tables(found: ho.Evaluation) -> str:
+    """Return the tables of vertices by phase, and of drones in all."""
+    kind, drones = "crossings" if found.clasps is None else "clasps", found.task.team.drone_names
+    rows: list[dict[str, object]] = []
+    for row in found.short_table:
+        cells: dict[str, object] = {"of": row.name, "phase": row.phase}
+        if row.phase != "all":
+            cells["phase"] = f"{row.phase}, {row.start:.1f} to {row.end:.1f} s"
+        lengths = {"mean": row.mean, "std": row.std, "max": row.max}
+        shown = _millimetres({**lengths, "standard error": row.standard_error})
+        rows.append({**cells, **shown, "found": f"{row.found:.0%}"})
+    lies = found.alignment
+    parts = [
+        table(f"Distances from the plan [mm], {kind} of cables and drones", rows),
+        f"{found.flight.source}: plan time is {lies.rate:.6g} t {lies.offset:+.3f} s, frame "
+        f"{lies.frame}, drones {1e3 * lies.rms:.0f} mm from the plan (root mean square)",
+        "names: " + ", ".join(f"{a}={b}" for a, b in zip(lies.names, drones, strict=True)),
+    ]
+    return "\n\n".join(parts)
+
+
+def _millimetres(lengths: dict[str, float]) -> dict[str, str]:
+    """Return lengths [m] in millimetres, as cells; a dash for nan."""
+    return {k: f"{1e3 * x:.1f}" if not math.isnan(x) else "–" for k, x in lengths.items()}
+
+
+def _say_markers(task: Task) -> None:
+    """Say where markers go on every cable."""
+    from hitchopt.flights.placing import SCATTER, marker_plan
+
+    found, team = marker_plan(task), task.team
+    rows: list[dict[str, object]] = []
+    for k, (lower, upper) in enumerate(found.stretches.tolist()):
+        stays = f"{lower:.2f} to {upper:.2f}" if upper > lower else "nothing"
+        places = ", ".join(f"{place:.2f}" for place in found.places[k])
+        rows.append({"cable": k, "stays on its edge [m]": stays, "markers at [m]": places})
+    errors: list[dict[str, object]] = [
+        {"vertex": team.point_names[p], **_millimetres({"median": median, "largest": most})}
+        for p, (median, most) in enumerate(found.standard_errors.tolist())
+        if not math.isnan(median)
+    ]
+    parts = [table("Markers from q's end of every cable", rows)]
+    parts.append(table("Standard errors [mm]", errors))
+    parts.append(f"of vertices, if markers scatter by {1e3 * SCATTER:g} mm about their lines")
+    content = {name: _plain(value) for name, value in vars(found).items()}
+    say("\n\n".join(parts), markers=content)
+
+
+def _plain(value: Any) -> Any:
+    return [each.tolist() for each in value] if isinstance(value, tuple) else value.tolist()

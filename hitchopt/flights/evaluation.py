@@ -1,0 +1,350 @@
+"""Evaluation of a recorded flight: vertices and drones over time, against its plan."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hitchopt.errors import FileError, InputError, OneLine, UnsupportedError
+from hitchopt.flights.alignment import Alignment, align, sampled
+from hitchopt.flights.flight import Markers, RecordedFlight, Track
+from hitchopt.flights.readers import read_flight
+from hitchopt.flights.recordings import WINDOW_TIGHT, Recording, planned, tight
+from hitchopt.flights.vertices import RATE, WINDOW, Measured, clasps_of, measured_vertices
+from hitchopt.geometry.vectors import length
+from hitchopt.motion.motion import Motion
+from hitchopt.plan import Plan
+from hitchopt.simulation.task import Task, read_task
+from hitchopt.values import Array, finite, not_negative, path, positive, text
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+LONGEST_WINDOW = 1.0  # Largest time over which places are averaged [s]
+FEW = 0.5  # Share of the time below which a vertex is said to be missing
+NAMES = "cf231=q0,cf7=r0,…"  # How names are written
+ROUNDING = 1e-6  # Of times over their step
+
+
+@dataclass(frozen=True)
+class Row:
+    """Errors of a vertex or a drone in a phase, or in all of the flight.
+
+    Attributes
+    ----------
+    name: of the vertex or drone, or ``vertices``: all of them.
+    phase, start, end: its name, and times [s]; ``all``: the whole flight.
+    mean, std, max: of the distances from the plan in three dimensions [m]; nan where there is none.
+    found: share of the samples in which it was found.
+    standard_error: median of those of the places [m]; nan for drones.
+    """
+
+    name: str
+    phase: str
+    start: float
+    end: float
+    mean: float
+    std: float
+    max: float
+    found: float
+    standard_error: float
+
+    @classmethod
+    def of(
+        cls, name: str, span: tuple[str, float, float], errors: Array, stated: Array | None = None
+    ) -> Row:
+        """Return the row of errors [m], nan where there is none, and of standard errors."""
+        off = errors[np.isfinite(errors)]
+        known = np.zeros(0) if stated is None else stated[np.isfinite(stated)]
+        values = (np.mean(off), np.std(off), np.max(off)) if off.size else (np.nan,) * 3
+        mean, std, largest = map(float, values)
+        error = float(np.median(known)) if known.size else np.nan
+        return cls(name, *span, mean, std, largest, off.size / errors.size, error)
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation(OneLine):
+    """A recorded flight in the plan's time and frame, at 20 Hz.
+
+    Attributes
+    ----------
+    task: the plan that was flown.
+    flight: the recording.
+    alignment: clock, frame and names.
+    t: (times,) [s], from the plan's start, as far as it was recorded.
+    vertices: crossings of the cables (times, points, 3) [m]; nan where there is none.
+    clasps: where cables of the stated diameter touch; None without one.
+    planned: vertices of the plan (times, points, 3) [m]; nan where it has no hitch, drawn tight.
+    standard_errors: of the vertices (times, points) [m].
+    drones: (times, 2n, 3) [m], nan where they were not seen.
+    planned_drones: (times, 2n, 3) [m], their set points.
+    density: of every cable (n,) [kg/m], as stated, planned or fitted.
+    cloud: markers while the plan has its hitch.
+    remarks: what was fitted, mended or is missing, and why.
+    """
+
+    task: Task
+    flight: RecordedFlight
+    alignment: Alignment
+    t: Array
+    vertices: Array
+    clasps: Array | None
+    planned: Array
+    standard_errors: Array
+    drones: Array
+    planned_drones: Array
+    density: Array
+    cloud: Markers
+    remarks: tuple[str, ...]
+
+    @property
+    def errors(self) -> Array:
+        """(times, points) [m]: distances of the clasps, or else the crossings, from the plan."""
+        return length((self.vertices if self.clasps is None else self.clasps) - self.planned)
+
+    @property
+    def drone_errors(self) -> Array:
+        """(times, 2n) [m]: distances of the drones from their set points."""
+        return length(self.drones - self.planned_drones)
+
+    @property
+    def motion(self) -> Motion:
+        """The plan; InputError for a task of set points alone."""
+        if self.task.motion is None:
+            raise InputError("plan", "set points", "a plan", "read it with read_task")
+        return self.task.motion
+
+    @property
+    def table(self) -> tuple[Row, ...]:
+        """Errors of every vertex and all of them, and of every drone, by phase and in all."""
+        team, clasps, rows = self.task.team, self.task.team.layout.clasps, []
+        spans = [(phase.name, phase.start, phase.end) for phase in self.motion.phases]
+        whole = ("all", float(self.t[0]), float(self.t[-1]))
+        tight = np.isfinite(self.planned[:, clasps[0], 0])
+        names = [team.point_names[point] for point in clasps]
+        for span in (*spans, whole):
+            here = (self.t >= span[1]) & ((self.t < span[2]) | (span is whole))
+            off, stated = (
+                each[here & tight][:, clasps] for each in (self.errors, self.standard_errors)
+            )
+            if off.size:
+                every = zip(names, off.T, stated.T, strict=True)
+                rows += [Row.of(name, span, *each) for name, *each in every]
+                rows.append(Row.of("vertices", span, off, stated))
+            if np.any(here):
+                drones = zip(team.drone_names, self.drone_errors[here].T, strict=True)
+                rows += [Row.of(name, span, each) for name, each in drones]
+        return tuple(rows)
+
+    @property
+    def short_table(self) -> tuple[Row, ...]:
+        """The table without the drones' rows of single phases."""
+        drones = self.task.team.drone_names
+        return tuple(row for row in self.table if row.phase == "all" or row.name not in drones)
+
+    def to_dataframe(self) -> DataFrame:
+        """Return the table as a pandas data frame; UnsupportedError where pandas is missing."""
+        try:
+            import pandas
+        except ImportError as error:
+            words = f"data frames need pandas ({error}); pip install 'hitchopt[pandas]'"
+            raise UnsupportedError(words) from error
+        return pandas.DataFrame([asdict(row) for row in self.table])
+
+    def to_recording(self) -> Recording:
+        """Return the recording in the plan's time and frame, as calibrate takes it."""
+        layout, facts = self.task.team.layout, self.flight.simulated
+        vertices = (self.vertices if self.clasps is None else self.clasps).copy()
+        ends = np.flatnonzero(~layout.has_leg.ravel())  # Drones that are a chain's points
+        vertices[:, layout.anchors[ends]] = self.drones[:, ends]
+        known: Any = {} if facts is None else dict(vars(facts))
+        known |= {"standard_errors": self.standard_errors, "notes": self.remarks}
+        return Recording(self.t, self.drones, vertices, **known)
+
+    def save(self, directory: Path | str, format: str = "png") -> Path:
+        """Write table, vertices, picture and shapes to a directory; return it.
+
+        The picture is ``evaluation.png``, or ``svg`` or ``pdf``. Raises FileError where the
+        directory cannot be written to.
+        """
+        from hitchopt.flights.report import save_evaluation
+
+        return save_evaluation(path("directory", directory), self, text("format", format))
+
+
+def evaluate(
+    recording: RecordedFlight | Path | str,
+    plan: Task | Plan | Path | str,
+    *,
+    names: Mapping[str, str] | str | None = None,
+    frame: str | Path | None = None,
+    start: float | None = None,
+    unit: str | None = None,
+    density: float | None = None,
+    diameter: float | None = None,
+    window: float = WINDOW,
+) -> Evaluation:
+    """Compare a recorded flight with its plan: clock, frame and names, then vertices and drones.
+
+    Parameters
+    ----------
+    recording: a file or directory that ``read_flight`` reads, or what it has read.
+    plan: the plan that was flown, or its directory.
+    names: drones by recorded names, such as ``cf231=q0,cf7=r0``; None: by where they are.
+    frame: ``plan``, ``y-up``, ``fit``, or a JSON file with rotation and shift, such as another
+        evaluation; None: the plan's or y-up if drones are then near their plan, else fitted.
+    start: time of the recording at which the plan begins [s]; None: fitted, or 0 of a simulation.
+    unit: of the recording's lengths, if the file does not state it.
+    density: of the cables [kg/m]; None: the plan's, or fitted if the plan knows no weight.
+    diameter: of the cables [m]; with it, errors are those of their clasps, not their crossings.
+    window: time over which markers are averaged [s].
+
+    Raises
+    ------
+    FileError: a recording that cannot be read, or is not one of this plan.
+    InputError: an argument that is wrong in itself.
+    """
+    if density is not None:
+        density = not_negative("density", density)
+    if diameter is not None:
+        diameter = positive("diameter", diameter)
+    if start is not None:
+        start = finite("start", start)
+    if positive("window", window) > LONGEST_WINDOW:
+        raise InputError("window", window, f"at most {LONGEST_WINDOW:g} s", "0.1 is usual")
+    drones, stated = _names(names), None if frame is None else str(frame)
+    flight = recording
+    if not isinstance(flight, RecordedFlight):
+        flight = read_flight(path("recording", flight), unit)
+    if isinstance(plan, Plan):
+        task = Task.of(plan.motion)
+    else:
+        task = plan if isinstance(plan, Task) else read_task(path("plan", plan))
+    if flight.simulated is not None and start is None:
+        start = 0.0  # Its clock is the plan's
+    try:
+        found = align(flight, task, names=drones, frame=stated, start=start)
+    except FileError as error:
+        place = "" if flight is recording else f"{recording}: "
+        raise FileError(f"{place}{error}") from None
+    return _evaluated(flight, task, found, density, diameter, window)
+
+
+def _names(names: Mapping[str, str] | str | None) -> dict[str, str]:
+    """Return the drones by recorded names."""
+    pairs: Any = names.items() if isinstance(names, Mapping) else names or ()
+    if isinstance(names, str):
+        pairs = [[part.strip() for part in pair.split("=")] for pair in names.split(",")]
+    try:
+        drones = {str(name): str(drone) for name, drone in pairs}
+    except (TypeError, ValueError):
+        raise InputError("names", names, f"pairs such as {NAMES}", f"write {NAMES}") from None
+    if len(drones) < len(pairs):
+        raise InputError("names", names, "pairs of different names", "name each body once")
+    return drones
+
+
+def _evaluated(
+    flight: RecordedFlight,
+    task: Task,
+    found: Alignment,
+    density: float | None,
+    diameter: float | None,
+    window: float,
+) -> Evaluation:
+    """Return the evaluation of an aligned flight."""
+    team, layout = task.team, task.team.layout
+    tracks = [flight.tracks[name] for name in found.names]
+    clocks = list(zip(tracks, found.offsets.tolist(), strict=True))
+    ends = [found.rate * track.t[[0, -1]] + offset for track, offset in clocks]
+    first = np.ceil(RATE * max(0.0, np.min(ends)) - ROUNDING)
+    last = np.floor(RATE * min(task.duration, np.max(ends)) + ROUNDING)
+    t = np.arange(first, last + 1.0) / RATE + 0.0  # No negative zero
+
+    def at(times: Array, track: Track, offset: float, *, seen: bool = True) -> Array:
+        """Return places of a body at plan times (times, 3) [m]; nan where it was not seen."""
+        places, there = sampled(track, (times - offset) / found.rate)
+        return found.placed(np.where(there[:, None] | (not seen), places, np.nan))
+
+    at_hitch = tight(task, t, WINDOW_TIGHT)
+    vertices = np.full((len(t), layout.points, 3), np.nan)
+    errors = np.full(vertices.shape[:2], np.nan)
+    remarks = [*flight.notes, *_alignment_remarks(found, flight)]
+    weights = np.full(team.robots, team.cable_density if density is None else density)
+    cloud = _hitch_cloud(flight.markers, found, task)
+    known = [name for name in team.point_names if name in flight.tracks]
+    for name in known:
+        places = at(t, flight.tracks[name], found.offset)
+        vertices[:, team.point_names.index(name)] = places
+    vertices[~at_hitch] = np.nan
+    if not known and len(cloud) and np.any(at_hitch):
+        around = np.stack([at(cloud.t, *each, seen=False) for each in clocks], axis=1)
+        options: Any = {"density": density, "window": window}
+        measured = measured_vertices(task, t[at_hitch], cloud, around, **options)
+        vertices[at_hitch] = measured.crossings
+        errors[at_hitch] = np.hypot(measured.standard_errors, found.frame_error)
+        remarks += _vertex_remarks(measured, task)
+        if not np.allclose(measured.density, weights):
+            fitted = ", ".join(f"{1e3 * x:.1f}" for x in measured.density)
+            remarks.append(f"cables' density is fitted, {fitted} g/m: weigh them for --density")
+        weights = measured.density
+    elif not known:
+        remarks.append("no markers on the cables: drones alone are compared with the plan")
+    expected = planned(task, t, task.vertices)
+    expected[~at_hitch] = np.nan
+    return Evaluation(
+        task,
+        flight,
+        found,
+        t,
+        vertices,
+        None if diameter is None else clasps_of(vertices, layout, diameter),
+        expected,
+        errors,
+        np.stack([at(t, *each) for each in clocks], axis=1),
+        planned(task, t, task.setpoints.positions),
+        weights,
+        cloud,
+        tuple(dict.fromkeys(remarks)),
+    )
+
+
+def _hitch_cloud(markers: Markers, found: Alignment, task: Task) -> Markers:
+    """Return the markers in the plan's time and frame, while it has its hitch, drawn tight."""
+    t = found.rate * markers.t + found.offset
+    use = (t >= 0.0) & (t <= task.duration) & tight(task, t, WINDOW_TIGHT)
+    points, index = use[markers.frame], np.cumsum(use) - 1
+    positions = found.placed(markers.positions[points])
+    return Markers(t[use], index[markers.frame[points]], positions)
+
+
+def _alignment_remarks(found: Alignment, flight: RecordedFlight) -> list[str]:
+    """Return what was fitted of clock and frame."""
+    remarks = []
+    if "clock" in found.fitted and not flight.setpoints:
+        error = f" ± {1e3 * found.offset_error:.0f} ms" if np.isfinite(found.offset_error) else ""
+        remarks.append(f"the clock is fitted{error}; a lag that all drones share is part of it")
+    if "rate" in found.fitted:
+        remarks.append(f"the recording's clock runs at {found.rate:.5f} of the plan's")
+    if found.frame == "y-up":
+        remarks.append("y is upright in the recording")
+    if "frame" in found.fitted:
+        remarks.append("the frame is fitted: errors that all drones share are taken away by it")
+    return remarks
+
+
+def _vertex_remarks(measured: Measured, task: Task) -> Iterator[str]:
+    """Yield why vertices are missing."""
+    layout, seen = task.team.layout, measured.markers
+    for behind, point, ahead in zip(layout.behind, layout.clasps, layout.ahead, strict=True):
+        share = float(np.mean(np.isfinite(measured.crossings[:, point, 0])))
+        if share < FEW:
+            yield (
+                f"{task.team.point_names[point]} is found {share:.0%} of the time: markers seen at "
+                f"once are {seen[behind]:.1f} on edge {behind} and {seen[ahead]:.1f} on edge "
+                f"{ahead}; two are needed, some decimetres apart"
+            )

@@ -1,0 +1,425 @@
+"""Evaluation of recorded flights, on recordings whose truth is known: laws, errors, refusals."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+from plans import planned as planned_problem
+
+import hitchopt as ho
+from benchmarks.recordings import RATE, Camera, exact_markers, plan_of
+from hitchopt.cli import main
+from hitchopt.flights.flight import Markers, Track
+from hitchopt.flights.placing import SCATTER, marker_plan
+from hitchopt.flights.recordings import planned
+from hitchopt.flights.vertices import clasps_of
+from hitchopt.simulation.task import Task
+from hitchopt.view.cables import CLASPS
+from hitchopt.view.scene import ghost_scene, scene_at
+
+EXACT = Camera(noise=0.0, lost=0.0, ghosts=0.0)
+
+
+@cache
+def plan(name: str) -> ho.Plan:
+    if name == "moving":
+        return planned_problem("paper_experiment_4")
+    if name != "chain":
+        return plan_of(name)
+    team = ho.Team(3, topology="open", cable_length=2.4, cable_density=0.005)
+    points = [[-1.2, 0.3], [-0.5, 0.7], [0.6, 0.6], [1.1, 0.1]]
+    start = ho.Hitch.spread(team, points, altitude=1.2)
+    return ho.Mission(team, start).transport(to=[0.4, 0.5, 1.5]).solve()
+
+
+@cache
+def task(name: str) -> Task:
+    return Task.of(plan(name).motion)
+
+
+def flown(name: str, camera: Camera, seed: int = 0, **more: Any) -> ho.RecordedFlight:
+    """Return the recording of a flight exactly as planned, but for an offset of every drone."""
+    t = np.arange(-1.0, task(name).duration + 1.0, 1.0 / RATE)
+    inside = np.clip(t, 0.0, task(name).duration)
+    drones = planned(task(name), inside, task(name).setpoints.positions)
+    off = np.random.default_rng(seed).normal(0.0, more.pop("off", 0.01), drones.shape[1:])
+    off -= np.median(off, axis=0)  # The hitch follows the median of its drones
+    markers = exact_markers(more.pop("ropes", task(name)), inside, **more)
+    return camera.recorded(t, drones + off, markers, seed)
+
+
+@cache
+def usual(seed: int = 0) -> ho.RecordedFlight:
+    return flown("triangle", Camera(), seed)
+
+
+def altered(flight: ho.RecordedFlight, **changes: Any) -> ho.RecordedFlight:
+    return replace(flight, **changes)
+
+
+@pytest.mark.parametrize("name", ["triangle", "sharp", "pentagon", "chain", "moving"])
+def test_markers_on_exact_curves_give_the_vertices(name: str) -> None:
+    found = ho.evaluate(flown(name, EXACT, off=0.0), task(name))
+    clasps = task(name).team.layout.clasps
+    assert np.isfinite(found.errors[:, clasps]).mean() > 0.99
+    assert np.nanmax(found.errors) < 1e-4
+    assert np.nanmax(found.drone_errors) < 1e-4
+    assert abs(found.alignment.offset + EXACT.start) < 1e-4
+
+
+def test_the_weight_that_a_plan_does_not_know_is_fitted() -> None:
+    weightless = replace_density(task("triangle"), 0.0)
+    found = ho.evaluate(flown("triangle", EXACT, off=0.0), weightless)
+    assert found.density == pytest.approx(task("triangle").team.cable_density, rel=0.02)
+    assert np.nanmax(found.errors) < 3e-4
+    assert any("weigh them" in remark for remark in found.remarks)
+    stated = ho.evaluate(flown("triangle", EXACT, off=0.0), weightless, density=0.006)
+    assert np.nanmax(stated.errors) < 1e-4
+
+
+def replace_density(given: Task, density: float) -> Task:
+    team = given.team
+    weightless = ho.Team(
+        team.robots, cable_length=2.4, cable_density=density, tension=float(team.tension[0])
+    )
+    return replace(given, team=weightless)
+
+
+def test_standard_errors_cover_two_thirds_of_the_errors() -> None:
+    """Markers beside the axis, other ones in every flight: as many errors as flights are free."""
+    covered = []
+    for seed in range(24):
+        camera = Camera(noise=5e-4, aside=2.5e-3)
+        found = ho.evaluate(flown("triangle", camera, seed, off=0.0), task("triangle"))
+        i = len(found.t) // 2
+        covered.append(found.errors[i] < found.standard_errors[i])
+    assert 0.53 < np.mean(covered) < 0.83
+
+
+@pytest.mark.parametrize("camera", [Camera(noise=2e-3, lost=0.2, gap=10.0), Camera(ghosts=2.0)])
+def test_noise_losses_and_ghosts_cost_a_few_millimetres(camera: Camera) -> None:
+    found = ho.evaluate(flown("sharp", camera, 3), task("sharp"))
+    off = found.errors[np.isfinite(found.planned[..., 0])]
+    assert np.mean(np.isfinite(off)) > 0.9
+    assert np.nanmedian(off) < 5e-3
+    assert np.nanpercentile(off, 95) < 15e-3
+
+
+def shuffled(flight: ho.RecordedFlight) -> ho.RecordedFlight:
+    cloud = flight.markers
+    order = np.lexsort((np.random.default_rng(5).random(len(cloud)), cloud.frame))
+    return altered(flight, markers=Markers(cloud.t, cloud.frame, cloud.positions[order]))
+
+
+def renamed(flight: ho.RecordedFlight) -> ho.RecordedFlight:
+    names, tracks = list(flight.tracks), list(flight.tracks.values())
+    return altered(flight, tracks=dict(zip(names[2:] + names[:2], tracks, strict=True)))
+
+
+def with_a_wand(flight: ho.RecordedFlight) -> ho.RecordedFlight:
+    t = flight.markers.t
+    return altered(flight, tracks={"wand": Track(t, np.full((len(t), 3), 2.0)), **flight.tracks})
+
+
+@pytest.mark.parametrize("change", [shuffled, renamed, with_a_wand])
+def test_names_labels_and_other_bodies_change_nothing(
+    change: Callable[[ho.RecordedFlight], ho.RecordedFlight],
+) -> None:
+    first, second = (ho.evaluate(each, task("triangle")) for each in (usual(), change(usual())))
+    np.testing.assert_allclose(second.vertices, first.vertices, atol=1e-6)
+    np.testing.assert_allclose(second.drones, first.drones, atol=1e-9)
+
+
+@pytest.mark.parametrize("up", ["y", "z"])
+@pytest.mark.parametrize("yaw", [0.0, 0.7, 4.0])
+def test_frames_and_clocks_are_found(up: str, yaw: float) -> None:
+    known = up == "z" and yaw == 0.0
+    camera = Camera(yaw=yaw, up=up, shift=(0.0, 0.0, 0.0) if yaw == 0.0 else (1.0, 0.5, 0.3),
+                    start=40.0, rate=84.0 / 85.0)  # fmt: skip
+    found = ho.evaluate(flown("triangle", camera, 1), task("triangle"))
+    assert found.alignment.frame == ("fit" if yaw else "plan" if known else "y-up")
+    assert found.alignment.rate == pytest.approx(85.0 / 84.0, abs=1e-3)
+    middle = 40.0 + 4.0 * 84.0 / 85.0
+    assert found.alignment.rate * middle + found.alignment.offset == pytest.approx(4.0, abs=0.02)
+    assert np.nanmedian(found.errors) < (15e-3 if yaw else 3e-3)
+    shared = found.alignment.rms / np.sqrt(6) if yaw else 0.0  # A frame's error is in all places
+    assert np.nanmin(found.standard_errors) > shared
+
+
+def test_a_frame_of_another_evaluation_is_taken(tmp_path: Path) -> None:
+    camera = Camera(yaw=0.7, shift=(1.0, 0.5, 0.3))
+    flight = flown("triangle", camera, 1)
+    place = ho.evaluate(flight, task("triangle")).save(tmp_path / "one")
+    again = ho.evaluate(flight, task("triangle"), frame=place / "evaluation.json")
+    first = json.loads((place / "evaluation.json").read_text())["alignment"]
+    np.testing.assert_allclose(again.alignment.rotation, first["rotation"])
+    assert "frame" not in again.alignment.fitted
+
+
+def test_clocks_of_each_drone_are_found() -> None:
+    shifts = np.random.default_rng(2).uniform(-30.0, 30.0, 6)
+    tracks = {
+        name: Track(track.t + shift, track.positions)
+        for (name, track), shift in zip(usual().tracks.items(), shifts, strict=True)
+    }
+    own = ho.RecordedFlight("logs", tracks, one_clock=False)
+    together = ho.evaluate(usual(), task("triangle"))
+    found = ho.evaluate(own, task("triangle"))
+    assert found.alignment.names == together.alignment.names
+    order = [list(tracks).index(name) for name in found.alignment.names]
+    np.testing.assert_allclose(
+        found.alignment.offsets + shifts[order], together.alignment.offset, atol=0.03
+    )
+    assert any("drones alone" in remark for remark in found.remarks)
+    assert [row for row in found.table if row.name == "q0"]
+
+
+def test_set_points_that_were_logged_show_the_lag_of_drones() -> None:
+    late = {name: Track(x.t + 0.15, x.positions) for name, x in usual().tracks.items()}
+    logged = altered(usual(), tracks=late, setpoints=usual().tracks)
+    found = ho.evaluate(logged, task("triangle"))
+    assert found.alignment.offset == pytest.approx(-Camera().start, abs=5e-3)
+    assert not any("lag" in remark for remark in found.remarks)
+    without = ho.evaluate(altered(usual(), tracks=late), task("triangle"))
+    assert without.alignment.offset == pytest.approx(-Camera().start - 0.15, abs=5e-3)
+
+
+def other_plan(altitude: float = 1.2) -> Task:
+    team = ho.Team(3, cable_length=2.4, cable_density=0.006, tension=0.5)
+    start = ho.Hitch.spread(team, [[0, 0.9], [0.75, -0.45], [-0.75, -0.45]], altitude=altitude)
+    return Task.of(ho.Mission(team, start).transport(to=[0.3, 0.2, 1.4]).solve().motion)
+
+
+@cache
+def regular() -> Task:
+    team = ho.Team(3, cable_length=2.4)
+    start = ho.Hitch.spread(team, ho.regular_polygon(3, 1.0).vertices, altitude=1.2)
+    hitch = ho.Mission(team, start)
+    return Task.of(hitch.transport(to=[0.0, 0.0, 1.6]).hold(1.0).solve().motion)
+
+
+def still() -> ho.RecordedFlight:
+    tracks = {
+        name: Track(x.t, 0.0 * x.positions + x.positions[0]) for name, x in usual().tracks.items()
+    }
+    return altered(usual(), tracks=tracks)
+
+
+def cut(flight: ho.RecordedFlight, start: float, end: float) -> ho.RecordedFlight:
+    tracks = {}
+    for name, x in flight.tracks.items():
+        use = (x.t >= start) & (x.t <= end)
+        tracks[name] = Track(x.t[use], x.positions[use])
+    return ho.RecordedFlight("cut", tracks)
+
+
+def turned_regular() -> ho.RecordedFlight:
+    t = np.arange(0.0, regular().duration, 0.02)
+    drones = planned(regular(), t, regular().setpoints.positions)
+    return Camera(yaw=1.0).recorded(t, drones, np.zeros((len(t), 0, 3)), 0)
+
+
+UNTOLD: dict[str, tuple[Callable[[], Any], type[Exception], str]] = {
+    "another plan": (lambda: ho.evaluate(usual(), other_plan()), ho.FileError, "was flown"),
+    "another hitch": (lambda: ho.evaluate(usual(), task("sharp")), ho.FileError, "was flown"),
+    "more robots": (lambda: ho.evaluate(usual(), task("pentagon")), ho.FileError, "6 bodies (cf"),
+    "nothing moves": (lambda: ho.evaluate(still(), task("triangle")), ho.FileError, "--start"),
+    "too short": (
+        lambda: ho.evaluate(cut(usual(), 4.0, 5.5), task("triangle")), ho.FileError, "2.0 s",
+    ),
+    "a third of it in an unknown frame": (
+        lambda: ho.evaluate(cut(flown("triangle", Camera(yaw=0.7, start=0.0)), 0.0, 3.0),
+                            task("triangle")),
+        ho.FileError, "at least 4",
+    ),
+    "two answers": (lambda: ho.evaluate(turned_regular(), regular()), ho.FileError, "--names"),
+    "no such name": (
+        lambda: ho.evaluate(usual(), task("triangle"), names="cf999=q0"), ho.InputError, "cf999",
+    ),
+    "a drone twice": (
+        lambda: ho.evaluate(usual(), task("triangle"), names=dict.fromkeys(usual().tracks, "q0")),
+        ho.InputError, "once",
+    ),
+    "no pairs": (
+        lambda: ho.evaluate(usual(), task("triangle"), names="cf1"), ho.InputError, "pairs",
+    ),
+    "no frame": (
+        lambda: ho.evaluate(usual(), task("triangle"), frame="left"), ho.InputError, "y-up",
+    ),
+    "no window": (
+        lambda: ho.evaluate(usual(), task("triangle"), window=0), ho.InputError, "window",
+    ),
+    "no diameter": (
+        lambda: ho.evaluate(usual(), task("triangle"), diameter=-1), ho.InputError, "diameter",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", UNTOLD)
+def test_what_cannot_be_told_is_refused(case: str) -> None:
+    call, error, words = UNTOLD[case]
+    with pytest.raises(error, match=words.replace("(", r"\(")):
+        call()
+
+
+def test_names_settle_which_of_two_answers_is_true() -> None:
+    flight = turned_regular()
+    names = dict(zip(flight.tracks, regular().team.drone_names, strict=True))
+    found = ho.evaluate(flight, regular(), names=names)
+    assert found.alignment.names == tuple(flight.tracks)
+    assert "names" not in found.alignment.fitted
+
+
+def test_a_stated_start_is_taken() -> None:
+    found = ho.evaluate(usual(), task("triangle"), start=2.013)
+    assert found.alignment.offset == pytest.approx(-2.013)
+    assert found.alignment.fitted == ("names",)
+    on = np.ones(6, np.bool_)
+    camera = replace(EXACT, start=0.02)  # As late as drones may fly: the clock is the plan's
+    simulated = altered(flown("triangle", camera), simulated=ho.SimulatedTeam(0.01, on, on))
+    assert ho.evaluate(simulated, task("triangle")).alignment.offset == 0.0
+
+
+def test_bare_edges_are_said() -> None:
+    cloud = usual().markers
+    p = planned(task("triangle"), np.zeros(1), task("triangle").vertices)[0]
+    middle = 0.5 * (p[0] + p[1])
+    bare = np.linalg.norm(cloud.positions - middle, axis=1) > 0.45
+    few = Markers(cloud.t, cloud.frame[bare], cloud.positions[bare])
+    found = ho.evaluate(cut_markers(few), task("triangle"))
+    seen = np.isfinite(found.vertices[found.t < 1.5, :, 0]).mean(axis=0)
+    assert seen[2] > 0.9
+    assert np.all(seen[:2] == 0.0)
+    assert [remark for remark in found.remarks if remark.startswith("p0 is found")]
+
+
+def cut_markers(cloud: Markers) -> ho.RecordedFlight:
+    return altered(usual(), markers=cloud)
+
+
+def test_vertices_that_were_measured_elsewhere_are_taken_while_there_is_a_hitch() -> None:
+    given = Task.of(planned_problem("tie_carry_untie").motion)
+    t = np.arange(0.0, given.duration, 0.02)
+    drones = planned(given, t, given.setpoints.positions)
+    flight = Camera(lost=0.0).recorded(t, drones, np.zeros((len(t), 0, 3)), 0)
+    places = planned(given, t, given.vertices) + [0.01, 0.0, 0.0]
+    own = {f"p{k}": Track(t + Camera().start, places[:, k]) for k in range(3)}
+    found = ho.evaluate(altered(flight, tracks={**flight.tracks, **own}), given)
+    hitched = np.isfinite(found.planned[:, 0, 0])
+    assert 0.1 < np.mean(hitched) < 0.9
+    np.testing.assert_allclose(found.errors[hitched], 0.01, atol=1e-3)
+    assert np.all(np.isnan(found.vertices[~hitched]))
+    assert np.all(np.isnan(found.standard_errors))
+
+
+def test_clasps_lie_outward_by_the_turn() -> None:
+    diameter, layout = 0.012, task("pentagon").team.layout
+    corners = np.column_stack([ho.regular_polygon(5, 1.0).vertices, np.full(5, 1.3)])
+    found = clasps_of(corners, layout, diameter)
+    outward = corners[:, :2] / np.linalg.norm(corners[:, :2], axis=1, keepdims=True)
+    size = diameter * (0.8 + 0.75 * np.tan(np.radians(36.0)))
+    np.testing.assert_allclose(found[:, :2] - corners[:, :2], size * outward, atol=1e-12)
+    np.testing.assert_array_equal(found[:, 2], corners[:, 2])
+
+
+def test_planned_markers_give_the_errors_that_are_said() -> None:
+    given = regular()
+    advice = marker_plan(given)
+    t = np.array([1.0])
+    p, layout = planned(given, t, given.vertices)[0], given.team.layout
+    edges = layout.edges(p)
+    span = np.linalg.norm(edges, axis=1)
+    legs = np.linalg.norm(
+        planned(given, t, given.setpoints.positions)[0] - p[layout.anchors], axis=1
+    )
+    random, off = np.random.default_rng(0), []
+    lines = []
+    for k in range(3):
+        s = advice.places[k] - legs[2 * k]
+        assert np.all((s > 0.0) & (s < span[k]))
+        noise = random.normal(0.0, SCATTER, (4000, len(s)))
+        fits = np.polyfit(s, noise.T, 1)  # slopes and offsets of lines aside
+        lines.append((fits[1], fits[1] + fits[0] * span[k]))
+    for k in range(3):
+        u, v = edges[k - 1][:2] / span[k - 1], edges[k][:2] / span[k]
+        normals = np.array([[-u[1], u[0]], [-v[1], v[0]]])
+        ends = np.stack([lines[k - 1][1], lines[k][0]])
+        off.append(np.sqrt(np.mean(np.sum(np.linalg.solve(normals, ends) ** 2, axis=0))))
+    level = np.array(off)
+    said = advice.standard_errors[:, 0]
+    assert np.all((said > level) & (said < 1.25 * level))  # heights add a quarter of the squares
+
+
+def test_files_hold_what_was_found(tmp_path: Path) -> None:
+    place = plan("triangle").save(tmp_path / "plan")
+    found = ho.evaluate(usual(), place, diameter=0.01)
+    out = found.save(tmp_path / "out", "svg")
+    names = {"evaluation.json", "evaluation.svg", "evaluation.tex", "recording.npz", "vertices.csv"}
+    assert {path.name for path in out.iterdir()} == names
+    rows = list(csv.DictReader((out / "vertices.csv").read_text().splitlines()))
+    off = np.array([float(row["error"] or "nan") for row in rows if row["vertex"] == "1"])
+    content = json.loads((out / "evaluation.json").read_text())
+    (said,) = (x for x in content["table"] if (x["name"], x["phase"]) == ("p1", "all"))
+    measures = np.nanmean(off), np.nanstd(off), np.nanmax(off), np.isfinite(off).mean()
+    assert [said[name] for name in ("mean", "std", "max", "found")] == pytest.approx(measures)
+    one = next(row for row in rows if row["x"])
+    place_of = [np.array([float(one[f"{a}{c}"]) for c in "xyz"]) for a in ("clasp_", "planned_")]
+    assert float(one["error"]) == pytest.approx(np.linalg.norm(place_of[0] - place_of[1]))
+    frame = found.to_dataframe()
+    assert len(frame) == len(content["table"])
+    assert (
+        f"{1e3 * said['mean']:.1f} & {1e3 * said['std']:.1f}"
+        in (out / "evaluation.tex").read_text()
+    )
+    ghost = ghost_scene(out, plan("triangle").motion)
+    np.testing.assert_allclose(ghost.drones[5], found.drones[5], atol=1e-5)
+    assert found.clasps is not None
+    clean = scene_at(plan("triangle").motion, found.t)
+    bend = ghost.cables[5, 0, CLASPS[0]] - clean.cables[5, 0, CLASPS[0]]
+    np.testing.assert_allclose(bend, found.clasps[5, 0] - found.planned[5, 0], atol=1e-5)
+    page = plan("triangle").report(place, ghost=out).read_text("utf-8")
+    assert '"name":"ghost"' in page
+    recording = found.to_recording()
+    assert recording.standard_errors is found.standard_errors
+    with pytest.raises(ho.InputError, match="format"):
+        found.save(tmp_path / "out", "gif")
+    with pytest.raises(ho.FileError, match=r"holds plan\.npz"):
+        found.save(place)
+
+
+def run(*arguments: str) -> Result:
+    return CliRunner().invoke(main, arguments)
+
+
+def test_commands_evaluate_and_say_where_markers_go(place: Path) -> None:
+    plan("triangle").save(place / "plan")
+    with (place / "flight.csv").open("w") as file:
+        file.write("t,name,x,y,z\n")
+        for name, track in usual().tracks.items():
+            for t, x in zip(track.t, track.positions.tolist(), strict=True):
+                file.write(f"{t:.5f},{name},{x[0]:.5f},{x[1]:.5f},{x[2]:.5f}\n")
+        cloud = usual().markers
+        for t, x in zip(cloud.t[cloud.frame], cloud.positions.tolist(), strict=True):
+            file.write(f"{t:.5f},marker,{x[0]:.5f},{x[1]:.5f},{x[2]:.5f}\n")
+    done = run("evaluate", "flight.csv", "--plan", "plan")
+    assert done.exit_code == 0, done.output
+    assert (place / "evaluation" / "evaluation.png").exists()
+    assert "p2" in done.stdout
+    assert "the clock is fitted" in done.stdout
+    assert run("evaluate", "--plan", "plan").exit_code == 2
+    said = run("evaluate", "--plan", "plan", "--markers")
+    assert said.exit_code == 0
+    assert "markers at [m]" in said.stdout
+    plan("sharp").save(place / "other")
+    wrong = run("evaluate", "flight.csv", "--plan", "other")
+    assert wrong.exit_code == 2
+    assert "flight.csv" in wrong.stderr

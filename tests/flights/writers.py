@@ -1,0 +1,313 @@
+"""Recordings written as labs' programs write them, a writer a format."""
+
+from __future__ import annotations
+
+import csv
+import io
+import struct
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import ezc3d
+import numpy as np
+from rosbags import rosbag1, rosbag2, typesys
+
+import hitchopt as ho
+from hitchopt.flights.flight import Markers
+from hitchopt.flights.onboard import POSE, POSE_TEXT, POSES, POSES_TEXT
+from hitchopt.values import Array, Indices
+
+EPOCH = 1_762_186_375  # Start of bags [s]
+
+
+def frames_of(flight: ho.RecordedFlight) -> Array:
+    """Return the times at which anything is recorded."""
+    return np.unique(np.concatenate([flight.markers.t, *(x.t for x in flight.tracks.values())]))
+
+
+def dense(t: Array, track: ho.Track) -> Array:
+    """Return positions at times (frames, 3); nan where not seen."""
+    places = np.full((len(t), 3), np.nan)
+    places[np.searchsorted(t, track.t)] = track.positions
+    return places
+
+
+def columns_of(t: Array, cloud: Markers, broken: int = 20) -> dict[str, Array]:
+    """Return columns of unlabeled markers, which break off after so many frames."""
+    columns: dict[str, Array] = {}
+    for frame, time in enumerate(cloud.t):
+        for k, place in enumerate(cloud.positions[cloud.frame == frame]):
+            name = f"{1000 + 100 * (frame // broken) + k}"
+            columns.setdefault(name, np.full((len(t), 3), np.nan))[np.searchsorted(t, time)] = place
+    return columns
+
+
+def texts(values: Array, lost: str = "") -> list[str]:
+    return [lost if np.isnan(x) else f"{x:.6f}" for x in values]
+
+
+def write_motive(
+    path: Path,
+    flight: ho.RecordedFlight,
+    version: str = "1.23",
+    rate: float = 100.0,
+    unit: tuple[str, float] = ("Millimeters", 1e-3),
+    space: str = "Global",
+    separator: str = ",",
+) -> Path:
+    """Write a table of Motive: bodies with their markers, and columns that break off."""
+    t, groups = frames_of(flight), list[tuple[str, str, str, str, Array]]()
+    for name, track in flight.tracks.items():
+        places = dense(t, track)
+        turned = np.where(np.isnan(places[:, :1]), np.nan, [[0.0, 0.0, 0.0, 1.0]])
+        groups.append(("Rigid Body", name, "Rotation", "XYZW", turned))
+        groups.append(("Rigid Body", name, "Position", "XYZ", places / unit[1]))
+        groups.append(("Rigid Body", name, "Mean Marker Error", " ", 0.0 * places[:, :1]))
+        for kind, off in (("Rigid Body Marker", 0.03), ("Marker", 0.031)):
+            own = (places + off) / unit[1]
+            groups.append((kind, f"{name}:Marker1", "Position", "XYZ", own))
+    for name, places in columns_of(t, flight.markers).items():
+        groups.append(("Marker", f"Unlabeled {name}", "Position", "XYZ", places / unit[1]))
+    each = [(kind, name, what, axis) for kind, name, what, axes, _ in groups for axis in axes]
+    kinds, names, whats, axes = (list(x) for x in zip(*each, strict=True))
+    code = ["TimeCode"] if version >= "1.24" else []
+    titles = [["Type", *kinds], ["Name", *names], ["ID", *names]]
+    titles += [["Parent", *names]] if version >= "1.25" else []
+    blank = [""] * len(code)
+    number = version if separator == "," else version.replace(".", ",")
+    rows = [
+        ["Format Version", number, "Take Name", "Take, 1", "Export Frame Rate", f"{rate:.6f}"]
+        + ["Length Units", unit[0], "Coordinate Space", space],
+        [],
+        *(["", "" if version == "1.21" else x[0], *blank, *x[1:]] for x in titles),
+        ["", "", *blank, *whats],
+        ["Frame", "Time (Seconds)", *code, *(axis.strip() for axis in axes)],
+    ]
+    first, values = round(t[0] * rate), np.concatenate([each for *_, each in groups], axis=1)
+    for time, row in zip(t, values, strict=True):
+        begin = [str(round(time * rate) - first), f"{int(1000 * time + 1e-6) / 1000:.6f}"]
+        cells = [*begin, *(["15:26:46:12.02"] * len(code)), *texts(row)]
+        rows.append(cells if separator == "," else [cell.replace(".", ",") for cell in cells])
+    text = io.StringIO()
+    csv.writer(text, delimiter=separator, lineterminator="\r\n").writerows(rows)
+    path.write_text(text.getvalue(), encoding="utf-8-sig", newline="")
+    return path
+
+
+def write_vicon(path: Path, flight: ho.RecordedFlight, rate: float = 100.0) -> Path:
+    """Write sections of bodies and of markers; what is not seen is zero."""
+    t, sections = frames_of(flight), []
+    bodies = {f"{name}:{name}": dense(t, track) for name, track in flight.tracks.items()}
+    points = {f"*{name}": places for name, places in columns_of(t, flight.markers).items()}
+    for title, columns, angles in (("Objects", bodies, 3), ("Trajectories", points, 0)):
+        axes = "RX,RY,RZ,TX,TY,TZ" if angles else "X,Y,Z"
+        lines = [title, f"{rate:g}", ",," + "".join(f"{x},,,{',' * angles}" for x in columns)]
+        lines.append(",".join(["Frame", "Sub Frame", *([axes] * len(columns))]))
+        lines.append(",," + ",".join((["rad"] * angles + ["mm"] * 3) * len(columns)))
+        for i, time in enumerate(t):
+            cells = [["0"] * angles + texts(1e3 * x[i], "0") for x in columns.values()]
+            row = [str(round(time * rate)), "0", *(cell for own in cells for cell in own)]
+            lines.append(",".join(row))
+        sections.append("\n".join(lines))
+    path.write_text("\n\n".join(sections) + "\n", encoding="utf-8")
+    return path
+
+
+def points_of(t: Array, flight: ho.RecordedFlight, prefix: str) -> dict[str, Array]:
+    """Return columns of all points, a body being one."""
+    columns = {name: dense(t, track) for name, track in flight.tracks.items()}
+    return columns | {f"{prefix}{n}": x for n, x in columns_of(t, flight.markers).items()}
+
+
+def write_qtm(path: Path, flight: ho.RecordedFlight, rate: float = 100.0) -> Path:
+    """Write a table of QTM with a head and times; what is not seen is zero."""
+    t = frames_of(flight)
+    columns = points_of(t, flight, "Unidentified ")
+    lines = ["FILE_VERSION\t2.0.0", f"NO_OF_FRAMES\t{len(t)}", f"NO_OF_MARKERS\t{len(columns)}"]
+    lines += [
+        f"FREQUENCY\t{rate:g}",
+        "TIME_STAMP\t2026-11-03, 16:12:55\t123.4",
+        "DATA_INCLUDED\t3D",
+    ]
+    lines += ["\t".join(["MARKER_NAMES", *columns])]
+    lines += ["\t".join(["Frame", "Time", *(f"{name} {x}" for name in columns for x in "XYZ")])]
+    for i, time in enumerate(t):
+        row = np.concatenate([places[i] for places in columns.values()])
+        lines.append("\t".join([str(i + 1), f"{time - t[0]:.5f}", *texts(1e3 * row, "0.000")]))
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def write_c3d(path: Path, flight: ho.RecordedFlight, real: bool = True) -> Path:
+    """Write a C3D file in millimetres, of real numbers or of integers."""
+    t, file = frames_of(flight), ezc3d.c3d()
+    columns, point = points_of(t, flight, "*"), file["parameters"]["POINT"]
+    point["RATE"]["value"], point["UNITS"]["value"] = [100.0], ["mm"]
+    point["LABELS"]["value"] = list(columns)
+    places = 1e3 * np.stack(list(columns.values()), axis=0).transpose(2, 0, 1)
+    file["data"]["points"] = np.concatenate([places, np.ones((1, *places.shape[1:]))])
+    file.write(str(path))
+    if not real:
+        path.write_bytes(in_integers(path.read_bytes()))
+    return path
+
+
+def in_integers(data: bytes) -> bytes:
+    """Return a C3D file of real numbers as one of integers, of which each is 0.1 mm."""
+    begin, scale = 512 * (struct.unpack_from("<H", data, 16)[0] - 1), data.find(b"SCALE")
+    points, first, last = (struct.unpack_from("<H", data, k)[0] for k in (2, 6, 8))
+    values = np.frombuffer(data, "<f4", 4 * points * (last - first + 1), begin).reshape(-1, 4)
+    lost = ~np.all(np.isfinite(values[:, :3]), axis=1)
+    zeros = lost & (np.arange(len(lost)) % 2 == 0)  # of others, the residual says so
+    whole = np.nan_to_num(np.rint(10.0 * values), nan=99.0).astype("<i2")
+    whole[:, 3] = np.where(lost, -1, 0)
+    whole[zeros] = 0
+    tenth, at = struct.pack("<f", 0.1), scale + len("SCALE") + 4
+    head = data[:12] + tenth + data[16:begin]
+    return head[:at] + tenth + head[at + 4 :] + whole.tobytes()
+
+
+def write_csv(path: Path, flight: ho.RecordedFlight, separator: str = ",") -> Path:
+    """Write a plain table, rows by time; ``marker`` is a point without a name."""
+    cloud = flight.markers
+    parts = [(x.t, name, x.positions) for name, x in flight.tracks.items()]
+    parts.append((cloud.t[cloud.frame], "marker", cloud.positions))
+    rows = [
+        (time, name, *place)
+        for t, name, places in parts
+        for time, place in zip(t.tolist(), places.tolist(), strict=True)
+    ]
+    lines = [separator.join(["t", "name", "x", "y", "z"])]
+    for t, name, *place in sorted(rows, key=lambda row: row[0]):
+        cells = separator.join([f"{t!r}", name, *map(repr, place)])
+        lines.append(cells if separator == "," else cells.replace(".", ","))
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def write_bag(
+    path: Path,
+    flight: ho.RecordedFlight,
+    kind: str = "sqlite3",
+    bodies: str = "/poses",
+    stamped: bool = True,
+) -> Path:
+    """Write a bag with ``/pointCloud`` and bodies: crazyswarm2's ``/poses``, ``/tf`` or ``pose``.
+
+    ``kind`` is sqlite3 (without definitions of types, as Humble's), mcap or ros1.
+    """
+    ros1 = kind == "ros1"
+    store = typesys.get_typestore(typesys.Stores["ROS1_NOETIC" if ros1 else "ROS2_HUMBLE"])
+    for text, name in ((POSE_TEXT, POSE), (POSES_TEXT, POSES)):
+        store.register(typesys.get_types_from_msg(text, name))
+
+    def made(name: str, *values: Any) -> Any:
+        return store.types[name if "/msg/" in name else f"geometry_msgs/msg/{name}"](*values)
+
+    def header(t: float) -> Any:
+        stamp = made("builtin_interfaces/msg/Time", *divmod(round(1e9 * (EPOCH + t)), 10**9))
+        none = made("builtin_interfaces/msg/Time", 0, 0)
+        counter = (0,) if ros1 else ()
+        return made("std_msgs/msg/Header", *counter, stamp if stamped else none, "world")
+
+    def pose(place: Sequence[float]) -> Any:
+        return made("Pose", made("Point", *place), made("Quaternion", *[np.nan] * 4))
+
+    messages: list[tuple[float, str, Any]] = []  # Clouds arrive late, and not in their order
+    for t in frames_of(flight).tolist():
+        seen = [(name, x.positions[x.t == t]) for name, x in flight.tracks.items()]
+        here = [(name, place[0].tolist()) for name, place in seen if len(place)]
+        if bodies == "/poses":
+            named = [made(POSE, name, pose(place)) for name, place in here]
+            messages.append((t, bodies, made(POSES, header(t), named)))
+        elif bodies == "/tf":
+            turn = made("Quaternion", 0.0, 0.0, 0.0, 1.0)
+            moves = [(name, made("Transform", made("Vector3", *x), turn)) for name, x in here]
+            each = [made("TransformStamped", header(t), name, move) for name, move in moves]
+            messages.append((t, bodies, made("tf2_msgs/msg/TFMessage", each)))
+        else:
+            for name, place in here:
+                messages.append((t, f"/{name}/pose", made("PoseStamped", header(t), pose(place))))
+    fields = [made("sensor_msgs/msg/PointField", x, 4 * i, 7, 1) for i, x in enumerate("xyz")]
+    cloud = flight.markers
+    for i, t in enumerate(cloud.t.tolist()):
+        points = cloud.positions[cloud.frame == i].astype("<f4")
+        data, many = np.frombuffer(points.tobytes(), np.uint8), len(points)
+        facts = header(t), 1, many, fields, False, 12, 12 * many, data, True
+        late = 0.015 * (i % 2) if stamped else 0.0
+        messages.append((t + late, "/pointCloud", made("sensor_msgs/msg/PointCloud2", *facts)))
+    if ros1:
+        writer: Any = rosbag1.Writer(path)
+    else:
+        plugin = rosbag2.StoragePlugin[kind.upper()]
+        writer = rosbag2.Writer(path, version=8, storage_plugin=plugin)
+    with writer as bag:
+        streams: dict[str, Any] = {}
+        for t, topic, message in sorted(messages, key=lambda each: each[0]):
+            name = message.__msgtype__
+            if topic not in streams:
+                streams[topic] = bag.add_connection(topic, name, typestore=store)
+            written = store.serialize_ros1 if ros1 else store.serialize_cdr
+            bag.write(streams[topic], round(1e9 * (EPOCH + t)), bytes(written(message, name)))
+    return path
+
+
+def write_usd(
+    folder: Path, flight: ho.RecordedFlight, version: int = 2, group: str = "stateEstimateZ"
+) -> Path:
+    """Write a log for every drone, in which other events come between positions."""
+    folder.mkdir()
+    kind, scale = ("h", 1e3) if group.endswith("Z") else ("f", 1.0)
+    head, ticks = ("<HI", 1e3) if version == 1 else ("<HQ", 1e6)
+    for name, track in flight.tracks.items():
+        target = flight.setpoints.get(name)
+        variables = [f"{group}.{axis}({kind})" for axis in "xyz"]
+        variables += [f"ctrltargetZ.{axis}(h)" for axis in "xyz" if target]
+        events = {0xFFFF: ("fixedFrequency", variables), 7: ("estPosition", ["source(B)", "d(e)"])}
+        data = struct.pack("<BHH", 0xBC, version, len(events))
+        for number, (title, names) in events.items():
+            data += struct.pack("<H", number) + title.encode() + b"\0"
+            data += struct.pack("<H", len(names)) + b"".join(x.encode() + b"\0" for x in names)
+        for i, (t, place) in enumerate(zip(track.t, track.positions, strict=True)):
+            values = [round(x * scale) if kind == "h" else x for x in place]
+            values += [round(1e3 * x) for x in target.positions[i]] if target else []
+            types = f"{head}{3 * kind}{'hhh' if target else ''}"
+            data += struct.pack(types, 0xFFFF, round(t * ticks), *values)
+            data += struct.pack(f"{head}Be", 7, round(t * ticks), 3, 0.5) if i % 3 == 0 else b""
+        (folder / f"{name}.bin").write_bytes(data + struct.pack("<I", zlib.crc32(data)))
+    return folder
+
+
+def write_ulog(
+    folder: Path, flight: ho.RecordedFlight, topic: str = "vehicle_visual_odometry"
+) -> Path:
+    """Write a ulog for every drone, in axes north, east, down."""
+    folder.mkdir()
+    fields = "float[3] position;" if topic.endswith("odometry") else "float x;float y;float z;"
+
+    def message(kind: bytes, data: bytes) -> bytes:
+        return struct.pack("<Hc", len(data), kind) + data
+
+    for name, track in flight.tracks.items():
+        data = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0) + message(b"B", bytes(40))
+        data += message(b"F", f"{topic}:uint64_t timestamp;{fields}".encode())
+        data += message(b"A", struct.pack("<BH", 0, 1) + topic.encode())
+        for t, (x, y, z) in zip(track.t, track.positions, strict=True):
+            data += message(b"D", struct.pack("<HQfff", 1, round(1e6 * t), y, x, -z))
+        (folder / f"{name}.ulg").write_bytes(data + message(b"O", struct.pack("<H", 250)))
+    return folder
+
+
+def sample(seed: int = 0, drones: int = 4, frames: int = 150, seen: float = 0.9) -> Any:
+    """Return a flight at 100 Hz on a millimetre grid: bodies are lost at times, with markers."""
+    rng, t = np.random.default_rng(seed), np.arange(frames) / 100.0
+    tracks, waves = {}, 0.3 * np.sin(np.outer(t, [1.0, 2.0, 3.0]))
+    for k in range(drones):
+        here = (rng.random(frames) < seen) | (np.arange(frames) % (frames - 1) == 0)
+        places = np.round([0.7 * k - 1.0, 0.4, 1.2] + waves, 3)
+        tracks[f"cf{k + 3}"] = ho.Track(t[here], places[here])
+    frame: Indices = np.repeat(np.arange(frames), rng.integers(0, 5, frames))
+    points = np.round(rng.uniform(-1.0, 1.0, (len(frame), 3)), 3)
+    return ho.RecordedFlight("sample", tracks, Markers(t, frame, points))
