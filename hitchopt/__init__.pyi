@@ -15,9 +15,17 @@ from hitchopt.errors import InfeasibleError as InfeasibleError, InputError as In
 from hitchopt.errors import TimeLimitError as TimeLimitError, UnitWarning as UnitWarning
 from hitchopt.errors import UnsupportedError as UnsupportedError, Violation as Violation
 from hitchopt.exports.lint import lint as lint
+from hitchopt.flights.alignment import Alignment as Alignment
+from hitchopt.flights.evaluation import Evaluation as Evaluation, evaluate as evaluate
+from hitchopt.flights.flight import Markers as Markers, RecordedFlight as RecordedFlight
+from hitchopt.flights.flight import SimulatedTeam as SimulatedTeam, Track as Track
+from hitchopt.flights.readers import read_flight as read_flight
+from hitchopt.flights.recordings import Recording as Recording
 from hitchopt.geometry import ConvexArc as ConvexArc, ConvexPolygon as ConvexPolygon
 from hitchopt.geometry import regular_polygon as regular_polygon
 from hitchopt.hitch import Hitch as Hitch, Quadrotor as Quadrotor, Swarm as Swarm, Team as Team
+from hitchopt.hitch.flight_controller import FlightController as FlightController
+from hitchopt.hitch.flight_controller import Gains as Gains
 from hitchopt.hitch.team import Assignment as Assignment
 from hitchopt.hitch.catenary import hanging_cable as hanging_cable
 from hitchopt.hitch.requirements import Arena as Arena, Limits as Limits, Prism as Prism
@@ -42,7 +50,6 @@ from hitchopt.planners.forming import SwapSettings as SwapSettings
 from hitchopt.statics.calibrate import Calibration as Calibration, Estimate as Estimate
 from hitchopt.statics.calibrate import calibrate as calibrate
 from hitchopt.statics.fit import Fit as Fit, Holding as Holding, fit as fit
-from hitchopt.statics.recordings import Recording as Recording
 from hitchopt.statics.settle import Settled as Settled, settle as settle
 from hitchopt.statics.tolerance import ErrorSize as ErrorSize, Tolerance as Tolerance
 from hitchopt.statics.tolerance import tolerance as tolerance

@@ -170,16 +170,23 @@ class Plan(OneLine):
         told = self.certificate, self.title, rate, pictures, share, self.problem
         return save_plan(folder, motion, *told)
 
-    def _write_report(self, path: Path, directory: Path) -> None:
+    def _write_report(self, file: Path, directory: Path, ghost: Path | str | None = None) -> None:
         """Write the report, with the digests of the plan's files in ``directory``."""
         from hitchopt.view.report import write_report
+        from hitchopt.view.scene import ghost_scene
 
-        write_report(path, self.motion, self.certificate, self.title, self.problem, directory)
+        other = None if ghost is None else ghost_scene(path("ghost", ghost), self.motion)
+        told = self.motion, self.certificate, self.title, self.problem, directory, other
+        write_report(file, *told)
 
-    def report(self, directory: Path | str) -> Path:
-        """Write ``report.html``, one file that needs no network, into the plan's directory."""
+    def report(self, directory: Path | str, *, ghost: Path | str | None = None) -> Path:
+        """Write ``report.html``, one file that needs no network, into the plan's directory.
+
+        A ``ghost`` is shown beside the plan: another plan, a simulated flight or an evaluation, by
+        its file or directory.
+        """
         place = path("directory", directory)
-        writers = {REPORT: lambda path: self._write_report(path, place)}
+        writers = {REPORT: lambda file: self._write_report(file, place, ghost)}
         return replace_files(place, writers, (REPORT,), seal=REPORT) / REPORT
 
     def view(
@@ -200,7 +207,8 @@ class Plan(OneLine):
         ----------
         save: file to write in place of serving: .html is the report; .png, .svg and .pdf are the
             summary, .mp4 and .gif a film in real time.
-        ghost: another plan or a simulated flight that is shown beside it, by its file or directory.
+        ghost: another plan, a simulated flight or an evaluation that is shown beside it, by its
+            file or directory.
         host, port: where to listen; if the port is taken the next free one.
         browser: whether to open the browser.
         progress: called with what is done of a film.

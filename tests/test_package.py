@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import os
+import pickle
 import re
 import subprocess
 import sys
@@ -15,6 +16,8 @@ from plans import ROOT
 
 import hitchopt
 from benchmarks.mutations import MUTATIONS
+from hitchopt.errors import Violation
+from hitchopt.simulation.world import InvalidRunError
 
 PACKAGE = Path(hitchopt.__file__).parent
 TREES = {path: ast.parse(path.read_text("utf-8")) for path in sorted(PACKAGE.rglob("*.py"))}
@@ -124,6 +127,19 @@ def test_nothing_public_is_unused_by_the_package() -> None:
         if name not in known and not name.startswith("_")
     ]
     assert not unused, "\n".join(unused)
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        hitchopt.InputError("team.robots", 2, "at least 3", "add one"),
+        hitchopt.InfeasibleError([Violation("gap", 0.0, 1.0, "min", "m", (), "", "widen")], "cut"),
+        InvalidRunError("strain", "it strains", 1.5, "cable 0"),
+    ],
+)
+def test_errors_come_whole_from_other_processes(error: hitchopt.HitchoptError) -> None:
+    there = pickle.loads(pickle.dumps(error))
+    assert (type(there), str(there), vars(there)) == (type(error), str(error), vars(error))
 
 
 def test_documents_name_files_that_exist() -> None:

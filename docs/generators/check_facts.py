@@ -43,7 +43,9 @@ def _formulas(rule: CheckRule) -> str:
 
 
 def _facts_of_report(rule: ReportRule) -> str:
-    return _table({"`worst`": _unit(rule.unit), "limit": "none: it is only reported"})
+    limit = "`limits.tracking`, if stated; else it is only reported"
+    limit = limit if rule.remedy else "none: it is only reported"
+    return _table({"`worst`": _unit(rule.unit), "limit": limit})
 
 
 def _table(rows: dict[str, str]) -> str:

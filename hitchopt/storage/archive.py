@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from hitchopt.errors import FileError, HitchoptError, UnsupportedError
 
 PLAN = "plan.npz"  # Name of the archive with a plan, in the plan's directory
-RECORDING = "recording.npz"  # Name of the recording of a simulated flight
+RECORDING = "recording.npz"  # Name of the shapes of a simulated or evaluated flight
 
 MODEST = 64 * 2**20
 """[bytes] Members of this size altogether are read whatever they were packed into."""
@@ -81,8 +81,9 @@ def reading(path: Path, what: str, kind: type[Exception] = HitchoptError) -> Ite
             raise
         raise FileError(f"{path}: {error}") from error
     except (*BROKEN, kind) as error:
-        words = repr(error) if isinstance(error, LookupError) else str(error)
-        raise FileError(f"{path}: is no {what}, or a damaged one: {words}") from error
+        words = repr(error) if isinstance(error, LookupError) else str(error).strip()
+        first = (words.splitlines() or [type(error).__name__])[0]
+        raise FileError(f"{path}: is no {what}, or a damaged one: {first}") from error
 
 
 def read_members(

@@ -222,6 +222,6 @@ def test_a_simulated_flight_is_filmed_from_its_directory(tmp_path: Path) -> None
     assert "keep the two together" in CliRunner().invoke(main, [*command, str(film)]).output
     write_plan(tmp_path / "plan.npz", motion, title="Three")
     assert CliRunner().invoke(main, [*command, str(film)]).exit_code == 0
-    save_film(tmp_path / "own.gif", ghost_scene(flight, motion), "Three (simulated)")
+    save_film(tmp_path / "own.gif", ghost_scene(flight, motion), "Three (flown)")
     assert film.read_bytes() == (tmp_path / "own.gif").read_bytes()
     assert CliRunner().invoke(main, [*command, str(film.with_suffix(".png"))]).exit_code == 2
