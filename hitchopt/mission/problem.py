@@ -23,9 +23,9 @@ from hitchopt.hitch.requirements import (
 from hitchopt.motion.plan_file import asked
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import check_placed
+from hitchopt.planners.carrying.planner import LOOSE
 from hitchopt.steps import STEPS, FollowVertex, Form, Step, Transport
-from hitchopt.steps.carrying import PullStep
-from hitchopt.steps.holds import LOOSE, moved_to, places
+from hitchopt.steps.carrying import PullStep, goal_of
 from hitchopt.steps.moving import MoveStep
 from hitchopt.steps.step import SlackSplit, Stage, slack_split
 from hitchopt.values import Array, coordinate, instance, points, positive, sequence, text
@@ -235,7 +235,7 @@ def _asked_steps(problem: Problem) -> Iterator[dict[str, Any]]:
             hold = name, step.held_by(objects[name])
         outline, held = step.polygon_left(team, outline), held.after(step, objects)
         if name:
-            moved = {name: moved_to(objects[name], places(step, requirements, name)[1])}
+            moved = {name: objects[name].moved_to(goal_of(step, requirements, name))}
             requirements = replace(requirements, objects=objects | moved)
         if isinstance(step, Form | Transport):
             altitude = step.altitude if isinstance(step, Form) else float(step.to[2])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -312,8 +312,17 @@ class SolidObject(OneLine):
         return np.append(self.section.centroid, 0.5 * (self.lower + self.upper))
 
     @property
+    def place(self) -> Array:
+        """(4,): x, y, z [m] of its base, and its yaw [rad]."""
+        return np.append(self.at, self.yaw)
+
+    def moved_to(self, place: Array) -> SolidObject:
+        """Return the object with its base at a place (4,), as ``place``."""
+        return replace(self, at=place[:3], yaw=float(place[3]))
+
+    @property
     def pose(self) -> Array:
-        """(5,): where it stands at first, x, y, z [m] of its base, and cosine and sine of yaw."""
+        """(5,): x, y, z [m] of its base, and cosine and sine of its yaw."""
         return np.array([*self.at, np.cos(self.yaw), np.sin(self.yaw)])
 
     @property

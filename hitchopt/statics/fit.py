@@ -22,21 +22,20 @@ from hitchopt.geometry import ConvexPolygon
 from hitchopt.geometry.drawings import drawing_of_geometry, read_drawing, size_in_words
 from hitchopt.geometry.vectors import dot, length, unit
 from hitchopt.hitch.hitch import balanced_legs
-from hitchopt.hitch.holding import (
-    Capacity,
-    Grip,
-    GripTask,
-    best_grip,
-    grip_capacity,
-    largest_tension,
-    rest_capacity,
-)
+from hitchopt.hitch.holding import Capacity, Grip, grip_capacity, largest_tension, rest_capacity
 from hitchopt.hitch.leg_program import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
 from hitchopt.hitch.legs import reference_margin, split_slack
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.hitch.team import Quadrotor, Swarm, Team
 from hitchopt.objects import Rim, Section, SolidObject
-from hitchopt.planners.carrying.rest import ROOM, STRETCHES, HoldPolygons, rest_polygons
+from hitchopt.planners.carrying.polygons import (
+    ROOM,
+    STRETCHES,
+    GripTask,
+    HoldPolygons,
+    best_grip,
+    rest_polygons,
+)
 from hitchopt.values import instance, not_negative, points, positive, whole
 
 GRIP, REST = "grip", "rest"
@@ -271,7 +270,7 @@ def _held(task: FitTask, enclosing: ConvexPolygon, cable: float) -> Holding:
     grip, rest = _attempt(lambda: best_grip(gripping)), _attempt(resting)
     capacities = [grip, rest]
     if isinstance(grip, Grip):
-        capacities[0] = grip_capacity(gripping, grip, task.friction, SAFETY)
+        capacities[0] = grip_capacity(grip, task.kind, task.friction, SAFETY)
     if isinstance(rest, ConvexPolygon):
         load = task.tension, task.kind, requirements, 0.5 * task.height
         capacities[1] = _attempt(lambda: rest_capacity(rest, cable, *load))

@@ -12,16 +12,23 @@ import numpy as np
 from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.geometry import ConvexPolygon, Outline
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.motion.motion import HoldBy, joined_motions
+from hitchopt.motion.motion import Hold, HoldBy, Motion, joined_motions
 from hitchopt.objects import SolidObject
-from hitchopt.objects.placing import TOUCH, footing
-from hitchopt.planners.carrying.grip import check_opens, grip_polygons
-from hitchopt.planners.carrying.rest import ROOM, HeldHitch, HoldPolygons, rest_polygons
-from hitchopt.steps import holds
-from hitchopt.steps.holds import check_held, object_of, one_phase, polygon_at
+from hitchopt.objects.placing import TOUCH, footing, poses_of, stacked_on, surface_below
+from hitchopt.planners.carrying.holds import GripHold, RestHold, polygon_at
+from hitchopt.planners.carrying.moves import Move
+from hitchopt.planners.carrying.planner import (
+    BELOW_RIM,
+    LIFT_SPEED,
+    GraspState,
+    MovePlanner,
+    check_opens,
+    check_pull,
+    one_phase,
+)
+from hitchopt.planners.carrying.polygons import ROOM, HoldPolygons, grip_polygons, rest_polygons
 from hitchopt.steps.moving import Morph, Transport
 from hitchopt.steps.step import (
-    Holding,
     Key,
     Knob,
     ObjectOf,
@@ -40,23 +47,112 @@ from hitchopt.steps.step import (
 from hitchopt.values import Array, positive
 
 AROUND_SPEED, OVER = 0.15, 0.10
-"""Speed upright around an object [m/s]; room between drones' lowest places and objects below,
-besides ``separation.radius`` [m]."""
+"""Vertical speed around an object [m/s]; height of the lowest drone over objects below, besides
+``separation.radius`` [m]."""
 
 SPREAD, MORE_ROLL = 1.03, 1.3
-"""Distances with which legs close below a rim, over those to be kept, since the motion takes some
-of them; and factor of the least roll, since a load brings legs nearer to each other."""
+"""Distances with which legs close below a rim, over their limits, since the motion takes some of
+them; and factor of the least roll, since a load brings legs nearer to each other."""
 
-INSIDE = 0.02
-"""[m] Centres of mass are set down this far within the edges of what is below: so far may an object
-be from where it was planned to be."""
+MIN_FOOTING = 0.02
+"""[m] Smallest distance of centres of mass within the edges of what an object is set down on: the
+error of an object's place."""
 
 SAME = 1e-6
 """[m] Places that differ by less are the same."""
 
+LOAD_LIMITED = frozenset({"load", "thrust", "tilt", "equilibrium", "grip"})
+"""Limits that only less weight, or more capacity, satisfies."""
+
+
+def object_of(task: StepTask, name: str) -> SolidObject:
+    """Return an object, where it is by now; raise InputError unless it can be held."""
+    objects, key = task.requirements.objects, f"objects.{name}"
+    body = objects[name]
+    if not task.before.team.layout.closed:
+        raise InputError("team.topology", "open", "closed where objects are held", "close it")
+    if body.fixed:
+        raise InputError(f"{key}.fixed", True, "false where it is held", "leave it out")
+    if body.friction == 0.0:
+        bound, remedy = "above 0 where it is held", "nothing else takes it along as cables move"
+        raise InputError(f"{key}.friction", 0.0, bound, remedy)
+    for other in stacked_on(objects, name, task.requirements.floor):
+        at, bound = objects[other].at.tolist(), f"off objects.{name}, which is held on its own"
+        raise InputError(f"objects.{other}.at", at, bound, f"carry objects.{other} away before")
+    return body
+
+
+def planner_of(task: StepTask) -> MovePlanner:
+    """Return the planner of moves with the object that the hitch is around, or holds."""
+    return MovePlanner(task.grasp, task.requirements, task.index)
+
+
+def goal_of(step: Step, requirements: Requirements, name: str) -> Array:
+    """Return the place (4,) of a held object's base after a step."""
+    objects = requirements.objects
+    below, _ = surface_below(objects, poses_of(objects), name, requirements.floor)
+    goal = step.place_after(objects[name], below)
+    return objects[name].place if goal is None else goal
+
+
+def joined(step: Step, task: StepTask, parts: Sequence[Motion], hold: Hold | None = None) -> Motion:
+    """Return motions in a row as a step's phase of its duration; an object may be held."""
+    motion = one_phase(parts, task.requirements, task.index, step.name, hold)
+    return step.lasting(task, motion)
+
+
+def held_plan(step: Step, task: StepTask, after: GraspState, moves: Sequence[Move]) -> StepPlan:
+    """Return the plan of moves in a row, slowed together, that ends in a state."""
+    motion = step.lasting(task, planner_of(task).motion(moves, step.name))
+    return plan_to(task, after, motion, moves[-1].end, moves[-1].below[1])
+
+
+def plan_to(
+    task: StepTask, after: GraspState, motion: Motion, place: Array, below: float = 0.0
+) -> StepPlan:
+    """Return the plan of a motion that ends in a state, with the object's base at a place (4,).
+
+    Its clasps are ``below`` its rim [m].
+    """
+    objects = dict(task.requirements.objects)
+    body = objects[after.object] = objects[after.object].moved_to(place)
+    hitch, hold = task.hitch, after.hold
+    if hold is not None:
+        depth = below + float(hold.drop(after.tension, float(after.borne)))
+        hitch = hold.hitch(body, depth)
+    drones = motion.drones.at(motion.duration)
+    return StepPlan(
+        motion, replace(task.before, drones=drones, hitch=hitch, grasp=after, objects=objects)
+    )
+
+
+def check_hold(task: StepTask, planner: MovePlanner) -> None:
+    """Raise InfeasibleError if the hitch breaks limits at rest, or as it rises to a rim."""
+    from hitchopt.steps.certified_motions import checked
+
+    hold, name = planner.hold, f"objects.{planner.state.object}"
+    bearing, when = planner.from_state(borne=True), f"with {name} off its support"
+    try:
+        if isinstance(hold, RestHold):
+            hold.check_unbent(planner.state.tension)
+        checked(StepPlan(bearing.motion([bearing.rest(1.0)], "hold"), task.before), when)
+        if isinstance(hold, RestHold):
+            when = f"as the clasps take {name}"
+            moves = planner.rim_move(planner.gap, 0.0), planner.transfer(0.0, 1.0)
+            checked(StepPlan(planner.motion(moves, "lift"), task.before), when)
+    except InfeasibleError as error:
+        robots = "use more robots, as hitchopt fit counts them"
+        last = robots if hold.by is HoldBy.REST else "use rougher cables, or give it a rim"
+        remedy, violations = f"lower {name}.mass, or ask for another tension, or {last}", []
+        for each in error.violations:
+            more = ", or raise limits.tilt_deg" if each.constraint == "tilt" else ""
+            more += "" if each.constraint in LOAD_LIMITED else f", or {each.remedy}"
+            violations.append(replace(each, when=when, remedy=remedy + more))
+        raise InfeasibleError(violations) from None
+
 
 def in_turn(steps: Sequence[Step], task: StepTask) -> StepPlan:
-    """Return the plan of steps in a row; transports to where the hitch is are left out."""
+    """Return the plan of steps in a row, without transports that change nothing."""
     motions, here = [], task
     for step in steps:
         place = np.append(here.hitch.polygon.centroid, here.hitch.altitude)
@@ -69,7 +165,7 @@ def in_turn(steps: Sequence[Step], task: StepTask) -> StepPlan:
 
 
 def altitude_over(task: StepTask) -> float:
-    """Return the hitch's altitude, or a higher one at which it passes above all objects [m]."""
+    """Return the hitch's altitude [m], or a higher one that clears all objects."""
     requirements, hitch = task.requirements, task.hitch
     tops = [float(each.at[2]) + each.upper for each in requirements.objects.values()]
     sink = max(hitch.altitude - float(np.min(hitch.drones[:, 2])), 0.0)
@@ -78,14 +174,14 @@ def altitude_over(task: StepTask) -> float:
 
 
 def slowly(requirements: Requirements) -> Requirements:
-    """Return requirements with the speed at which hitches come down around objects."""
+    """Return requirements with the speed of hitches that come down around objects."""
     limits = requirements.limits
     speed, vertex_speed = (min(x, AROUND_SPEED) for x in (limits.speed, limits.vertex_speed))
     return replace(requirements, limits=replace(limits, speed=speed, vertex_speed=vertex_speed))
 
 
 def beside(task: StepTask, name: str) -> Requirements:
-    """Return requirements for slow motion beside an object that cables may touch."""
+    """Return requirements of slow motion next to an object that cables may touch."""
     others = {key: each for key, each in task.requirements.objects.items() if key != name}
     return slowly(replace(task.requirements, objects=others))
 
@@ -104,20 +200,21 @@ class Enclose(Step):
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan from anywhere to around the object."""
         requirements, hitch, team = task.requirements, task.hitch, task.before.team
-        body, gap = holds.object_of(task, self.object), requirements.separation.object + ROOM
+        body, gap = object_of(task, self.object), requirements.separation.object + ROOM
         if body.rim is None:
-            found = grip_polygons(self.object, body, team, requirements, gap)
+            polygons = grip_polygons(self.object, body, team, requirements, gap)
             inside = float(body.at[2] + body.centre_of_mass[2])
         else:
-            found = rest_polygons(self.object, body, len(hitch.polygon), gap)
-            inside = float(body.at[2]) + body.rim.height - holds.gap_below(requirements)
+            polygons = rest_polygons(self.object, body, len(hitch.polygon), gap)
+            below = requirements.separation.object + BELOW_RIM
+            inside = float(body.at[2]) + body.rim.height - below
         least, height = requirements.separation.object, inside - requirements.floor
         if height < least - TOUCH:
             name, where = f"objects.{self.object}", ("ground",)
             remedy = f"make {name} or its rim higher, or stand it on something"
-            told = "object_clearance", height, least, "min", "m", where
-            raise InfeasibleError([Violation(*told, f"with the hitch around {name}", remedy)])
-        polygons, polygon = _numbered(found, body, hitch.polygon)
+            given = "object_clearance", height, least, "min", "m", where
+            raise InfeasibleError([Violation(*given, f"with the hitch around {name}", remedy)])
+        polygons, polygon = _numbered(polygons, body, hitch.polygon)
         wide = float(np.max(np.linalg.norm(polygon.vertices - polygon.centroid, axis=1)))
         remedy = f"tie the hitch as large as around objects.{self.object}, {wide:.2g} m in radius"
         check_opens(hitch, polygon.vertices, requirements, remedy)
@@ -126,29 +223,32 @@ class Enclose(Step):
         above = in_turn([up, there, Morph(polygon)], task)
         slow = task.within(slowly(requirements), above.after)
         down = Transport(np.append(polygon.centroid, inside)).plan(slow)
-        motion = holds.one_phase([above.motion, down.motion], task, self.name)
-        holding = Holding(self.object, polygons, team.tension)
-        return StepPlan(self.lasting(task, motion), replace(down.after, holding=holding))
+        grasp = GraspState(self.object, polygons, team.tension)
+        motion = joined(self, task, [above.motion, down.motion])
+        return StepPlan(motion, replace(down.after, grasp=grasp))
 
 
 def _numbered(
-    found: HoldPolygons, body: SolidObject, polygon: Outline
+    polygons: HoldPolygons, body: SolidObject, polygon: Outline
 ) -> tuple[HoldPolygons, ConvexPolygon]:
-    """Return the polygons numbered so that vertices have the shortest paths, and that around."""
+    """Return the polygons numbered for the shortest paths of vertices, and the one around.
+
+    Polygons about a disc are turned for them, too.
+    """
     here = polygon.vertices - polygon.centroid
     if body.rim is None and body.section.radius is not None:
-        there, goal = (points @ np.array([1.0, 1.0j]) for points in (found.around, here))
-        alike = [np.vdot(np.roll(there, -k), goal) for k in range(len(there))]
-        angle = float(np.angle(max(alike, key=abs))) - body.yaw
+        there, goal = (points @ np.array([1.0, 1.0j]) for points in (polygons.around, here))
+        products = [np.vdot(np.roll(there, -k), goal) for k in range(len(there))]
+        angle = float(np.angle(max(products, key=abs))) - body.yaw
         c, s = math.cos(angle), math.sin(angle)
         turn = np.array([[c, s], [-s, c]])
-        found = replace(found, around=found.around @ turn, closed=found.closed @ turn)
-    around = polygon_at(body, found.around)
+        polygons = HoldPolygons(polygons.around @ turn, polygons.closed @ turn)
+    around = polygon_at(body, polygons.around)
     there = around.vertices - around.centroid
-    lengths = [np.sum((np.roll(there, -k, axis=0) - here) ** 2) for k in range(len(there))]
-    best = int(np.argmin(lengths))
-    around_, closed = (np.roll(p, -best, axis=0) for p in (found.around, found.closed))
-    return replace(found, around=around_, closed=closed), around.renumbered(best)
+    squares = [np.sum((np.roll(there, -k, axis=0) - here) ** 2) for k in range(len(there))]
+    best = int(np.argmin(squares))
+    rolled = (np.roll(each, -best, axis=0) for each in (polygons.around, polygons.closed))
+    return HoldPolygons(*rolled), around.renumbered(best)
 
 
 By = Literal["rest", "grip"]
@@ -162,11 +262,11 @@ Pull = Annotated[
 ]
 
 BALANCE = frozenset({"equilibrium", "keep_out"})
-"""Checks that another tension may satisfy as well as forces and distances."""
+"""Checks that a higher or a lower tension may satisfy."""
 
 
 class PullStep(Step):
-    """A step that says how an object is held, and how hard cables pull from here on."""
+    """A step that sets how an object is held, and the tension of all cables."""
 
     by: By | None
     tension: float | None
@@ -199,15 +299,15 @@ class Grasp(PullStep):
         """Return the plan from around the object to clasps below its rim, or edges that grip."""
         from hitchopt.steps.certified_motions import end_of_morph
 
-        body, team = holds.object_of(task, self.object), task.before.team
-        asked = team.tension if self.tension is None else np.full(team.robots, self.tension)
+        body, team = object_of(task, self.object), task.before.team
+        tension = team.tension if self.tension is None else np.full(team.robots, self.tension)
         if self.by == "grip":
-            return holds.grip_closed(self, task, asked)
+            return self._grip(task, body, tension)
         if body.rim is None:
             key, bound = f"objects.{self.object}.rim", "given where it is held by rest"
             raise InputError(key, None, bound, "give it a rim, or grasp it by: grip")
-        polygons = task.holding.polygons
-        below, free = polygon_at(body, polygons.closed), beside(task, self.object)
+        closed = task.grasp.polygons.closed
+        below, free = polygon_at(body, closed), beside(task, self.object)
         far = {key: SPREAD * value for key, value in vars(free.separation).items()}
         spaced = replace(free, separation=replace(free.separation, **far))
         near = end_of_morph(task.hitch, below, None, spaced).hitch  # as near as limits allow
@@ -215,17 +315,33 @@ class Grasp(PullStep):
         closing = Morph(below, legs).plan(task.within(free, task.before))
         hitch = closing.after.hitch
         assert hitch is not None
-        places = np.column_stack([polygons.closed, np.full(team.robots, body.rim.height)])
-        held = HeldHitch(team, body, places, hitch.fractions, hitch.roll)
-        holding = Holding(self.object, polygons, asked, held)
-        here = replace(task, before=replace(closing.after, holding=holding))
-        check_held(here)
-        gap = holds.gap_below(task.requirements)
-        moves = holds.tension_moves(here, team.tension, asked, gap)
-        touching = holds.held_motion(here, [*moves, holds.rim_move(here, gap, 0.0)], self.name)
-        parts, hold = [closing.motion, touching], touching.phases[0].hold
-        motion = self.lasting(task, holds.one_phase(parts, task, self.name, hold))
-        return holds.ended_holding(task, here.holding, motion, holds.place_of(body))
+        hold = RestHold(team, body, closed, body.rim.height, hitch.fractions, hitch.roll)
+        planner = planner_of(task).from_state(tension=tension, hold=hold)
+        check_hold(task, planner)
+        moves = [*planner.retension(team.tension, tension), planner.rim_move(planner.gap, 0.0)]
+        rising = planner.motion(moves, self.name)
+        motion = joined(self, task, [closing.motion, rising], rising.phases[0].hold)
+        return plan_to(task, planner.state, motion, body.place)
+
+    def _grip(self, task: StepTask, body: SolidObject, tension: Array) -> StepPlan:
+        """Return the plan from around the object to cables that grip it with tensions (n,) [N]."""
+        team, polygons = task.before.team, task.grasp.polygons
+        if body.rim is not None:
+            key = f"mission[{task.index}].{self.name}.by"
+            bound = "rest where the object has a rim, which the hitch is below"
+            raise InputError(key, "grip", bound, "leave out the rim")
+        check_pull(float(np.max(tension)), team, task.requirements)
+        height, equal, flat = (
+            float(body.centre_of_mass[2]),
+            np.full(team.robots, 0.5),
+            np.zeros(team.robots),
+        )
+        shape = polygons.closed, height, equal, flat, polygons.around, task.hitch.fractions
+        hold = GripHold(team, body, *shape)
+        planner = planner_of(task).from_state(tension=tension, hold=hold)
+        check_hold(task, planner)
+        motion = self.lasting(task, planner.close_grip(team.tension, self.name))
+        return plan_to(task, planner.state, motion, body.place)
 
 
 @dataclass(frozen=True)
@@ -242,10 +358,10 @@ class Lift(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan straight up."""
-        start, to = holds.places(self, task.requirements, task.holding.name)
-        up = holds.carried_move(task, start, to, holds.LIFT_SPEED)
-        moves = [holds.transferred(task, 0.0, 1.0), up]
-        return holds.held_plan(self, task, replace(task.holding, borne=True), moves)
+        planner = planner_of(task)
+        to = goal_of(self, task.requirements, planner.state.object)
+        moves = [planner.transfer(0.0, 1.0), planner.carry(to, LIFT_SPEED)]
+        return held_plan(self, task, replace(task.grasp, borne=True), moves)
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,14 +375,14 @@ class Carry(Step):
     duration: Seconds = None
 
     def place_after(self, body: SolidObject, below: float) -> Array:  # noqa: ARG002
-        """Return the place that it is given, turned by its yaw."""
+        """Return the given place, turned by its yaw."""
         return np.append(self.to, body.yaw + self.yaw)
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan along the line."""
-        start, to = holds.places(self, task.requirements, self.object)
-        move = holds.carried_move(task, start, to, task.requirements.limits.speed)
-        return holds.held_plan(self, task, task.holding, [move])
+        to = goal_of(self, task.requirements, self.object)
+        move = planner_of(task).carry(to, task.requirements.limits.speed)
+        return held_plan(self, task, task.grasp, [move])
 
 
 @dataclass(frozen=True)
@@ -282,21 +398,21 @@ class SetDown(Step):
         return np.array([*body.at[:2], below - body.lower, body.yaw])
 
     def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan straight down, to where the object stands well."""
-        objects, body = task.requirements.objects, task.requirements.objects[self.object]
-        start, to = holds.places(self, task.requirements, self.object)
-        inside = footing({**objects, self.object: holds.moved_to(body, to)}, self.object)
-        if inside < INSIDE:
+        """Return the plan straight down, to a place in which the object stands well."""
+        objects, planner = task.requirements.objects, planner_of(task)
+        body, to = objects[self.object], goal_of(self, task.requirements, self.object)
+        inside = footing({**objects, self.object: body.moved_to(to)}, self.object)
+        if inside < MIN_FOOTING:
             bound = (
-                f"where the centre of mass of objects.{self.object} is {INSIDE:g} m within the "
-                f"edges of what it stands on, not {max(inside, 0.0):.3g} m"
+                f"where the centre of mass of objects.{self.object} is {MIN_FOOTING:g} m within "
+                f"the edges of what it stands on, not {max(inside, 0.0):.3g} m"
             )
             place = [round(float(x), 9) for x in to[:3]]
             remedy = "set it down farther in, or on something wider"
             raise InputError(f"mission[{task.index}]", place, bound, remedy)
-        down = holds.carried_move(task, start, to, holds.LIFT_SPEED)
-        moves = [down, replace(holds.transferred(task, 1.0, 0.0), start=to, end=to)]
-        return holds.held_plan(self, task, replace(task.holding, borne=False), moves)
+        down = planner.carry(to, LIFT_SPEED)
+        moves = [down, replace(planner.transfer(1.0, 0.0), start=to, end=to)]
+        return held_plan(self, task, replace(task.grasp, borne=False), moves)
 
 
 @dataclass(frozen=True)
@@ -309,20 +425,20 @@ class Loosen(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan from clasps below the rim to a hitch around the object."""
-        body, team, holding = holds.object_of(task, self.object), task.before.team, task.holding
-        assert holding.held is not None
-        if holding.held.by is HoldBy.GRIP:
-            return holds.grip_opened(self, task)
-        gap = holds.gap_below(task.requirements)
-        lower = holds.tension_moves(task, holding.tension, team.tension, gap)
-        sinking = holds.held_motion(task, [holds.rim_move(task, 0.0, gap), *lower], self.name)
-        freed = replace(holding, tension=team.tension)
-        low = holds.ended_holding(task, freed, sinking, holds.place_of(body), gap).after
-        around = Morph(holds.polygon_at(body, holding.polygons.around))
+        body, planner, team = object_of(task, self.object), planner_of(task), task.before.team
+        freed, hold = replace(task.grasp, tension=team.tension, hold=None), planner.hold
+        if isinstance(hold, GripHold):
+            motion = self.lasting(task, planner.open_grip(team.tension, self.name))
+            after = plan_to(task, freed, motion, body.place).after
+            return StepPlan(motion, replace(after, hitch=hold.opened.hitch(body)))
+        lower = planner.retension(planner.state.tension, team.tension)
+        sinking = planner.motion([planner.rim_move(0.0, planner.gap), *lower], self.name)
+        loose = replace(freed, hold=hold)
+        low = plan_to(task, loose, sinking, body.place, planner.gap).after
+        around = Morph(polygon_at(body, freed.polygons.around))
         opening = around.plan(task.within(beside(task, self.object), low))
-        parts, hold = [sinking, opening.motion], sinking.phases[0].hold
-        motion = self.lasting(task, holds.one_phase(parts, task, self.name, hold))
-        return StepPlan(motion, replace(opening.after, holding=replace(freed, held=None)))
+        motion = joined(self, task, [sinking, opening.motion], sinking.phases[0].hold)
+        return StepPlan(motion, replace(opening.after, grasp=freed))
 
 
 @dataclass(frozen=True)
@@ -337,8 +453,8 @@ class Leave(Step):
         """Return the plan straight up."""
         over = Transport(np.append(task.hitch.polygon.centroid, altitude_over(task)))
         planned = over.plan(task.within(slowly(task.requirements), task.before))
-        motion = self.lasting(task, one_phase([planned.motion], task, self.name))
-        return StepPlan(motion, replace(planned.after, holding=None))
+        motion = joined(self, task, [planned.motion])
+        return StepPlan(motion, replace(planned.after, grasp=None))
 
 
 @dataclass(frozen=True, eq=False)
@@ -359,7 +475,7 @@ class TransportObject(PullStep):
     ] = 0.3
 
     def place_after(self, body: SolidObject, below: float) -> Array:  # noqa: ARG002
-        """Return the place that it is given, turned by its yaw."""
+        """Return the given place, turned by its yaw."""
         return np.append(self.to, body.yaw + self.yaw)
 
     def plan(self, task: StepTask) -> StepPlan:

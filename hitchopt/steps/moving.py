@@ -189,10 +189,10 @@ class Hold(HitchStep):
         """Return the plan in which a hitch, or drones on free cables, stay."""
         from hitchopt.steps.certified_motions import hovering
 
-        if task.before.holding is not None and task.before.holding.held is not None:
-            from hitchopt.steps.holds import held_plan, resting_move
+        if task.before.grasp is not None and task.before.grasp.hold is not None:
+            from hitchopt.steps.carrying import held_plan, planner_of
 
-            return held_plan(self, task, task.holding, [resting_move(task, self.seconds)])
+            return held_plan(self, task, task.grasp, [planner_of(task).rest(self.seconds)])
         if task.before.hitch is not None:
             return super().plan(task)
         return StepPlan(hovering(task, self.seconds), task.before)

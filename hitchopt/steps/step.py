@@ -26,8 +26,7 @@ from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import MAX_ROBOTS
 from hitchopt.motion.motion import Motion
 from hitchopt.objects import SolidObject
-from hitchopt.planners.carrying.grip import GrippedHitch
-from hitchopt.planners.carrying.rest import HeldHitch, HoldPolygons
+from hitchopt.planners.carrying.planner import GraspState
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.values import (
     MAX_COORDINATE,
@@ -375,18 +374,6 @@ def outline_edit(key: str, outline: Outline, factor: float) -> Edit:
 
 
 @dataclass(frozen=True, eq=False)
-class Holding:
-    """An object that a hitch is around, or holds."""
-
-    name: str  # of the object
-    polygons: HoldPolygons  # of the hitch, in the object's frame
-    tension: Array  # (n,) [N], what cables pull with from grasping to loosening
-    # the hitch that holds it; None while it is only around it
-    held: HeldHitch | GrippedHitch | None = None
-    borne: bool = False  # whether clasps carry its weight
-
-
-@dataclass(frozen=True, eq=False)
 class Situation:
     """A moment of rest: a hitch, or drones on free cables."""
 
@@ -397,8 +384,8 @@ class Situation:
     # at first is taken to have been formed so
     senses: Array | None = None
     swap: SwapSettings = field(default_factory=SwapSettings)  # the settings of these turns
-    # what the hitch is around or holds; ``hitch`` is then as if it carried nothing
-    holding: Holding | None = None
+    # the object that the hitch is around or holds; ``hitch`` is then as if it carried nothing
+    grasp: GraspState | None = None
     # where objects are by now; None where the problem has them
     objects: Mapping[str, SolidObject] | None = None
 
@@ -452,10 +439,10 @@ class StepTask:
         return self.before.hitch
 
     @property
-    def holding(self) -> Holding:
-        """What the hitch is around or holds, without which a problem has no such step."""
-        assert self.before.holding is not None
-        return self.before.holding
+    def grasp(self) -> GraspState:
+        """The object that the hitch is around or holds; a problem has no such step without it."""
+        assert self.before.grasp is not None
+        return self.before.grasp
 
     def within(self, requirements: Requirements, situation: Situation) -> StepTask:
         """Return the same task in another situation, with other requirements."""

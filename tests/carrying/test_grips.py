@@ -19,12 +19,13 @@ from scipy.optimize import brentq
 import hitchopt as ho
 from hitchopt.checks.stops import carried_paths
 from hitchopt.hitch import GRAVITY
+from hitchopt.hitch.holding import residual_grip
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Hold, HoldBy, Motion
 from hitchopt.motion.plan_file import read_plan, write_plan
 from hitchopt.motion.retiming import cut
 from hitchopt.objects.placing import in_frame
-from hitchopt.planners.carrying.grip import check_opens, grip_left
+from hitchopt.planners.carrying.planner import check_opens
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array
 
@@ -297,7 +298,7 @@ def test_what_grip_is_left_solves_the_law_of_clasps() -> None:
         return math.exp(mu * 0.5 * (edges + between))
 
     edges = brentq(lambda x: harder(x) * np.cos(0.5 * x) - np.cos(0.5 * between), between, np.pi)
-    found = grip_left(legs, np.array([0.3, 0.2, 0.1]), mu, 0.4)
+    found = residual_grip(legs, np.array([0.3, 0.2, 0.1]), mu, 0.4)
     assert found == pytest.approx(0.4 * 0.3 * harder(edges) * (3.0 * edges - np.pi), rel=1e-9)
     assert found > 0.06
 

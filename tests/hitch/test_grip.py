@@ -13,9 +13,9 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.distance import pdist
 
 import hitchopt as ho
-from hitchopt.hitch.holding import GripTask, best_grip, grip_capacity, largest_tension, wraps_around
+from hitchopt.hitch.holding import balanced, grip_capacity, largest_tension, wraps_around
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.planners.carrying.grip import balanced, contacts_of
+from hitchopt.planners.carrying.polygons import GripTask, best_grip
 from hitchopt.values import Array
 
 BOX = ho.Section([[0.2, 0.15], [0.2, -0.15], [-0.2, -0.15], [-0.2, 0.15]])
@@ -91,7 +91,7 @@ def test_capacities_of_a_disc_by_tension_friction_and_thrust() -> None:
 def capacity(tension: float, friction: float) -> tuple[float, str]:
     """What three cables around a disc hold [kg], and what binds."""
     made = task(DISC, 3, 1.6, tension)
-    found = grip_capacity(made, best_grip(made), friction, 1.5)
+    found = grip_capacity(best_grip(made), made.kind, friction, 1.5)
     return found.mass, found.binding
 
 
@@ -152,9 +152,8 @@ def test_moved_clasps_bear_the_load(section: ho.Section, polygon: Array, load: l
     clasps = np.pad(polygon, ((0, 0), (0, 1)))
 
     def arms() -> Array:
-        places = section.centroid + clasps[:, :2]
-        wraps = wraps_around(section, places)
-        return contacts_of(places, wraps, section.core) - section.centroid
+        wraps = wraps_around(section, section.centroid + clasps[:, :2])
+        return wraps.contacts - section.centroid
 
     for _ in range(12):
         before, clasps = clasps, balanced(clasps, tensions, arms(), np.asarray(load))

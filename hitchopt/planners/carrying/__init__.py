@@ -1,1 +1,1 @@
-"""Holding and carrying of objects: polygons around them, and motions of hitches that hold one."""
+"""Holding and carrying of objects: polygons around them, holds, and moves of hitches with one."""
