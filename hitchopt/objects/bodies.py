@@ -33,9 +33,9 @@ class Section(OneLine):
 
     Parameters
     ----------
-    outline: (m, 2) [m], in either sense; stored clockwise as all outlines are. Points between two
-        others on a straight line are left out. None of a circle.
-    radius: of a circle about the origin [m]; None of a polygon.
+    outline: (m, 2) [m], in either sense; stored clockwise, without points between two others on a
+        straight line. None for a circle.
+    radius: of a circle about the origin [m]; None for a polygon.
 
     Raises
     ------
@@ -55,12 +55,12 @@ class Section(OneLine):
 
     @property
     def core(self) -> Array:
-        """(m, 2) [m]: corners, or a circle's centre: the section is all within ``rounding``."""
+        """(m, 2) [m]: corners, or a circle's centre; all within ``rounding`` is the section."""
         return np.zeros((1, 2)) if self.outline is None else self.outline
 
     @property
     def rounding(self) -> float:
-        """Radius [m] of the discs that make the section of its core; 0 of a polygon."""
+        """Radius [m] of the discs about the core that make the section; 0 for a polygon."""
         return 0.0 if self.radius is None else self.radius
 
     @property
@@ -76,18 +76,20 @@ class Section(OneLine):
 
     @property
     def circumradius(self) -> float:
-        """Radius [m] of the smallest circle about the origin that holds all of it."""
+        """Radius [m] of the smallest circle about the origin around all of it."""
         return float(np.max(length(self.core))) + self.rounding
 
     @property
     def sides(self) -> Array:
         """(m, 2, 2) [m]: the core's corners, each with the next one."""
-        return np.stack([self.core, np.roll(self.core, -1, axis=0)], axis=1)
+        core = self.core
+        return np.stack([core, np.concatenate([core[1:], core[:1]])], axis=1)
 
     @property
     def _outward(self) -> Array:
         """(m, 2): unit vectors out of the sides of a polygon."""
-        edges = self.sides[:, 1] - self.sides[:, 0]  # clockwise
+        first, last = np.moveaxis(self.sides, 1, 0)
+        edges = last - first  # clockwise
         return unit(np.stack([-edges[:, 1], edges[:, 0]], axis=-1))
 
     def support(self, directions: Array) -> Array:
@@ -96,20 +98,30 @@ class Section(OneLine):
         return reach + self.rounding * length(directions)
 
     def clearance(self, places: Array) -> tuple[Array, Array]:
-        """Return signed distances (…) [m] of points (…, 2), negative within, and the ways out.
+        """Return signed distances (…) [m] of points (…, 2), negative within, and their gradients.
 
         These are unit vectors (…, 2) along which the distance grows.
         """
         if self.outline is None:
             return length(places) - self.rounding, unit(places, [1.0, 0.0])
-        outward, away = self._outward, places[..., None, :] - self.outline
-        offsets = shortest_offset(places[..., None, None, :] - self.sides)
-        nearest = np.argmin(dot(offsets, offsets), axis=-1)[..., None, None]
-        offset = np.take_along_axis(offsets, nearest, axis=-2)[..., 0, :]
-        depths = dot(away, outward)  # before each side, negative behind it
-        depth, far = np.max(depths, axis=-1), length(offset)
+        # By coordinates, (m, …): products of many short vectors take several times as long.
+        first, last, outward = (
+            each.T.reshape(2, -1, *(1,) * (places.ndim - 1))
+            for each in (*np.moveaxis(self.sides, 1, 0), self._outward)
+        )
+        (first_x, first_y), (last_x, last_y) = (
+            (places[..., 0] - x, places[..., 1] - y) for x, y in (first, last)
+        )
+        depths = first_x * outward[0] + first_y * outward[1]  # before each side, negative behind it
+        u, v = first_x - last_x, first_y - last_y
+        share = np.clip((first_x * u + first_y * v) / (u * u + v * v), 0.0, 1.0)
+        x, y = first_x - share * u, first_y - share * v
+        nearest = np.argmin(x * x + y * y, axis=0)[None]
+        chosen = [np.take_along_axis(each, nearest, axis=0)[0] for each in (x, y)]
+        offset = np.stack(chosen, axis=-1)
+        depth, far = np.max(depths, axis=0), length(offset)
         inside = (depth <= 0.0) | (far == 0.0)
-        shallow = outward[np.argmax(depths, axis=-1)]
+        shallow = outward.reshape(2, -1).T[np.argmax(depths, axis=0)]
         normals = np.where(inside[..., None], shallow, unit(offset))
         return np.where(depth <= 0.0, depth, far), normals
 
@@ -117,27 +129,24 @@ class Section(OneLine):
         """Return distances (…) [m] to the edge from points (…, 2) within, along unit vectors."""
         if self.outline is None:
             along = dot(places, directions)
-            room = self.rounding**2 - dot(places, places) + along**2
-            distance: Array = np.sqrt(np.maximum(room, 0.0)) - along
-            return distance
+            squared = self.rounding**2 - dot(places, places) + along**2
+            return np.asarray(np.sqrt(np.maximum(squared, 0.0)) - along)
         outward = self._outward
         depths = dot(outward, self.outline) - places @ outward.T
         speeds = directions @ outward.T
         reached = np.divide(depths, speeds, out=np.full_like(speeds, np.inf), where=speeds > 0.0)
-        nearest: Array = np.min(reached, axis=-1)
-        return nearest
+        return np.asarray(np.min(reached, axis=-1))
 
     def segment_distance(self, first: Array, last: Array) -> Array:
         """Return distances (…) [m] of segments between points (…, 2), zero where they meet."""
         ends = np.stack([first, last], axis=-2)[..., None, :, :]
         apart = np.min(length(shortest_offset(differences(ends, self.sides))), axis=-1)
         within = self.clearance(first)[0] <= 0.0
-        distance: Array = np.where(within, 0.0, np.maximum(apart - self.rounding, 0.0))
-        return distance
+        return np.where(within, 0.0, np.maximum(apart - self.rounding, 0.0))
 
 
 def _clockwise(outline: ArrayLike) -> Array:
-    """Return the corners of a convex outline, clockwise, from the one that was given first."""
+    """Return the corners of a convex outline, clockwise, beginning with its first one."""
     from scipy.spatial import ConvexHull, QhullError
 
     bound, remedy = "a list of at least 3 points [x, y]", "write [[x, y], …] in metres"
@@ -195,16 +204,18 @@ class Slab:
 
     def clearance(self, places: Array) -> Clearance:
         """Return the distances of points (…, 3) [m] and the directions out of the body."""
-        across, ways = self.section.clearance(places[..., :2])
+        across, gradient = self.section.clearance(places[..., :2])
         below, above = self.lower - places[..., 2], places[..., 2] - self.upper
-        behind = np.stack([across, below, above], axis=-1)  # the side, the floor, the ceiling
-        outside = np.any(behind > 0.0, axis=-1)
-        nearest = np.eye(3)[first_smallest(-behind, np.max(np.abs(behind), axis=-1))]
-        beyond = np.where(outside[..., None], np.maximum(behind, 0.0), nearest)
-        side, floor, ceiling = np.split(beyond, 3, axis=-1)
-        offset = np.concatenate([side * ways, ceiling - floor], axis=-1)
-        distance = np.where(outside, length(offset), np.max(behind, axis=-1))
-        return Clearance(distance, unit(offset))
+        deepest = np.maximum(np.maximum(across, below), above)
+        side, rise = np.maximum(across, 0.0), np.maximum(above, 0.0) - np.maximum(below, 0.0)
+        within = deepest <= 0.0
+        if np.any(within):  # the nearest of side, floor and ceiling
+            behind = np.stack([across, below, above], axis=-1)
+            nearest = first_smallest(-behind, np.max(np.abs(behind), axis=-1))
+            side = np.where(within, nearest == 0, side)
+            rise = np.where(within, np.array([0.0, -1.0, 1.0])[nearest], rise)
+        offset = np.concatenate([side[..., None] * gradient, rise[..., None]], axis=-1)
+        return Clearance(np.where(within, deepest, length(offset)), unit(offset))
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,9 +239,9 @@ class SolidObject(OneLine):
     section: of its body, about its own origin.
     lower, upper: heights of the body's floor and ceiling above its base [m]
     mass: [kg]
-    friction: coefficient between it and cables, and what it stands on.
-    at: (3,) [m], where the origin of its base stands.
-    yaw: by how much it is turned there, counter-clockwise [rad].
+    friction: coefficient between it and cables, and its support.
+    at: (3,) [m], the origin of its base.
+    yaw: its heading there, counter-clockwise [rad].
     rim: its rim, or None. That of a flat tray is its underside.
     fixed: whether it never moves, as tables do; a fixed one may stand on anything or nothing.
 
@@ -302,7 +313,7 @@ class SolidObject(OneLine):
 
     @property
     def stem(self) -> Section | None:
-        """What the clasps below its rim are around: its body, or nothing of a flat tray."""
+        """The section that clasps below its rim are around; None for a flat tray."""
         flat = self.rim is not None and self.rim.height == self.lower
         return None if flat else self.section
 
@@ -327,5 +338,5 @@ class SolidObject(OneLine):
 
     @property
     def circumradius(self) -> float:
-        """Radius [m] of a circle about its origin that holds body and rim, seen from above."""
+        """Radius [m] of a circle about its origin around body and rim, seen from above."""
         return max(slab.section.circumradius for slab in self.slabs)

@@ -1,4 +1,4 @@
-"""What objects stand on, from where they are, and which of them overlap."""
+"""Placed objects: frames, supports, footings and overlaps."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ TOUCH = 1e-6
 """[m] Surfaces that are no farther apart touch."""
 
 STILL = 1e-9
-"""[m] What moves by no more, or whose heading changes by no more, stands still."""
+"""[m] Objects that move by no more, or whose headings change by no more, stand still."""
 
 GRID, DIRECTIONS = 121, 72
-"""Points on a side, and directions, by which it is found how wide an object stands."""
+"""Points on a side, and directions, in which footings are sampled."""
 
 
 def in_frame(pose: Array, points: Array) -> Array:
@@ -44,30 +44,25 @@ def _turned(vectors: Array, c: Array, s: Array) -> Array:
 def surface_below(
     objects: Mapping[str, SolidObject], poses: Array, name: str, floor: float
 ) -> tuple[float, str | None]:
-    """Return the height [m] of what is under an object's centre of mass, and whose it is.
+    """Return the height [m] of the surface below an object's centre of mass, and its object.
 
-    Objects are at poses (objects, 5), the ground is at ``floor`` [m].
+    Objects are at poses (objects, 5), the ground is at ``floor`` [m] and has no name.
     """
     places = dict(zip(objects, poses, strict=True))
-    centre = in_world(places[name], objects[name].centre_of_mass)
-    found: tuple[float, str | None] = (floor, None)
+    centre, height, under = in_world(places[name], objects[name].centre_of_mass), floor, None
     for other, each in objects.items():
-        if other == name:
-            continue
-        seen = in_frame(places[other], centre)
-        top = float(places[other][2]) + each.upper
-        on_it = float(each.section.clearance(seen[:2])[0]) <= 0.0
-        if on_it and found[0] < top <= centre[2] + TOUCH:
-            found = top, other
-    return found
+        seen, top = in_frame(places[other], centre), float(places[other][2]) + each.upper
+        above = height < top <= centre[2] + TOUCH and each.section.clearance(seen[:2])[0] <= 0.0
+        if other != name and above:
+            height, under = top, other
+    return height, under
 
 
 def footing(objects: Mapping[str, SolidObject], name: str) -> float:
-    """Return how far an object's centre of mass is within the edges of what it stands on [m].
+    """Return the distance [m] of an object's centre of mass within the edges of its supports.
 
-    The least distance, from above, to the edge of the hull of all that its base meets, where
-    objects are: of points of a grid, from below to a step of that. Infinity where it stands on no
-    object.
+    It is the least distance, from above, to the edge of the hull of all that its base meets,
+    sampled on a grid and low by up to a step of it; infinite on the ground.
     """
     body = objects[name]
     bottom = float(body.at[2]) + body.lower
@@ -89,23 +84,23 @@ def footing(objects: Mapping[str, SolidObject], name: str) -> float:
     return float(np.min(np.max(along, axis=1)))
 
 
-def stacked_on(objects: Mapping[str, SolidObject], name: str, floor: float) -> list[str]:
-    """Return the names of loose objects that stand on one, where objects are."""
-    loose = [other for other, each in objects.items() if not each.fixed and other != name]
-    found = [(other, _gap_below(objects, other, floor)) for other in loose]
-    return [other for other, (gap, _, under) in found if under == name and abs(gap) <= TOUCH]
-
-
 def _gap_below(
     objects: Mapping[str, SolidObject], name: str, floor: float
 ) -> tuple[float, float, str | None]:
-    """Return the gap [m] below an object, the height [m] of what is there, and whose it is."""
+    """Return the gap [m] below an object, the height [m] of the surface there, and its object."""
     surface, under = surface_below(objects, poses_of(objects), name, floor)
     return float(objects[name].at[2]) + objects[name].lower - surface, surface, under
 
 
+def stacked_on(objects: Mapping[str, SolidObject], name: str, floor: float) -> list[str]:
+    """Return the names of loose objects that stand on one."""
+    loose = [other for other, each in objects.items() if not each.fixed and other != name]
+    gaps = [(other, _gap_below(objects, other, floor)) for other in loose]
+    return [other for other, (gap, _, under) in gaps if under == name and abs(gap) <= TOUCH]
+
+
 def poses_of(objects: Mapping[str, SolidObject]) -> Array:
-    """Return where all objects stand at first (objects, 5)."""
+    """Return the poses of all objects (objects, 5)."""
     return np.array([each.pose for each in objects.values()], dtype=np.float64).reshape(-1, 5)
 
 
@@ -116,9 +111,9 @@ def check_placed(objects: Mapping[str, SolidObject], floor: float) -> None:
             continue
         gap, surface, under = _gap_below(objects, name, floor)
         if abs(gap) > TOUCH:
-            what = "the ground" if under is None else f"objects.{under}"
+            support = "the ground" if under is None else f"objects.{under}"
             heights = f"its floor at {surface:.6g} m not {surface + gap:.6g} m"
-            bound = f"such that it stands on {what}, {heights}"
+            bound = f"such that it stands on {support}, {heights}"
             remedy = f"write {[*each.at[:2].tolist(), round(surface - each.lower, 9)]}"
             raise InputError(f"objects.{name}.at", each.at.tolist(), bound, remedy)
     check_apart(objects)
@@ -139,7 +134,7 @@ def check_apart(objects: Mapping[str, SolidObject]) -> None:
 def sections_apart(first: Section, here: Array, second: Section, there: Array) -> float:
     """Return the distance [m] of two placed sections, seen from above; negative where they meet.
 
-    Where their cores meet it is a depth, which tells no more than that they do.
+    If their cores meet, it is some depth, not the least.
     """
     both = (first, here), (second, there)
     a, b = (in_world(pose, _level(section.sides))[..., :2] for section, pose in both)

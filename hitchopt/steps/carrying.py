@@ -212,8 +212,8 @@ class Enclose(Step):
         if height < least - TOUCH:
             name, where = f"objects.{self.object}", ("ground",)
             remedy = f"make {name} or its rim higher, or stand it on something"
-            given = "object_clearance", height, least, "min", "m", where
-            raise InfeasibleError([Violation(*given, f"with the hitch around {name}", remedy)])
+            margin, when = ("object_clearance", height, least), f"with the hitch around {name}"
+            raise InfeasibleError([Violation(*margin, "min", "m", where, when, remedy)])
         polygons, polygon = _numbered(polygons, body, hitch.polygon)
         wide = float(np.max(np.linalg.norm(polygon.vertices - polygon.centroid, axis=1)))
         remedy = f"tie the hitch as large as around objects.{self.object}, {wide:.2g} m in radius"
@@ -276,7 +276,7 @@ class PullStep(Step):
         return self.by or ("rest" if body.rim else "grip")
 
     def knobs(self) -> Iterator[Knob]:
-        """Yield the tension, and what else repair may change."""
+        """Yield the tension and the knobs of all steps."""
         yield from super().knobs()
         if self.tension is not None:
             pull = Knob("tension", self.tension, "N", covers=BALANCE | {"load", "grip"})
@@ -387,7 +387,7 @@ class Carry(Step):
 
 @dataclass(frozen=True)
 class SetDown(Step):
-    """The object goes straight down until it stands, and its weight passes to what it stands on."""
+    """The object goes straight down until it stands, and its weight passes to its support."""
 
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.LIFTED, Stage.GRASPED)
     object: ObjectOf
@@ -459,7 +459,7 @@ class Leave(Step):
 
 @dataclass(frozen=True, eq=False)
 class TransportObject(PullStep):
-    """An object is taken from where it stands and set down elsewhere, in seven steps."""
+    """The hitch takes an object and sets it down elsewhere, in seven steps."""
 
     object: ObjectOf
     to: Place
@@ -479,7 +479,7 @@ class TransportObject(PullStep):
         return np.append(self.to, body.yaw + self.yaw)
 
     def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan of the seven steps; what is below ``to`` has to be as high as it says."""
+        """Return the plan of the seven steps; ``to`` must be on the surface below it."""
         body = object_of(task, self.object)
         high = max(float(body.at[2]), float(self.to[2])) + self.lift
         steps = [

@@ -42,7 +42,7 @@ MAX_SLOWINGS, SLOWER = 5, 1.5
 
 LOOSE = (0.3, 0.6)
 """[N] Tensions with which grips are opened: the less cables pull, the less they hold each other,
-but the more they sag; with the first they are closed if edges would push what stands."""
+but the more they sag; with the first they are closed if edges would push the object."""
 
 LEADS, LEAD_CHECKS = (0.9, 0.6, 0.3, 0.0), ("separation", "cable_length")
 """Shares of clasp friction that legs overcome while a hitch closes or opens, in order of
@@ -129,7 +129,7 @@ class MovePlanner:
         return one_phase(parts, self.requirements, self.step, name, hold)
 
     def move(self, law: SmoothLaw, **changes: Any) -> Move:
-        """Return a move that changes nothing of the state but what is given."""
+        """Return a move from the state with the given changes."""
         place, share = self.body.place, float(self.state.borne)
         pulls = changes.pop("tension", (self.state.tension, self.state.tension))
         return replace(Move(place, place, np.stack(pulls), (share, share), law), **changes)
