@@ -122,7 +122,7 @@ def landed(found: Abort) -> Array:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("how", ["land", "release_and_land"])
-def test_what_was_lifted_is_set_down_first_and_stays_there(how: str) -> None:
+def test_lifted_objects_are_set_down_first(how: str) -> None:
     aborts = carried()
     found = aborts.found(during(aborts.motion, "carry"), how)
     assert found.rest >= during(aborts.motion, "leave", 0.0)
@@ -138,7 +138,7 @@ def test_before_it_is_lifted_the_hitch_goes_back() -> None:
 
 
 @pytest.mark.slow
-def test_what_the_plan_leaves_in_the_air_is_set_down_where_it_was_taken() -> None:
+def test_objects_left_in_the_air_are_set_down_at_their_start() -> None:
     names = {"enclose": {"object": "tray"}, "grasp": {"object": "tray"}, "lift": {"by": 0.2}}
     problem = {**tray(), "mission": [{name: keys} for name, keys in names.items()]}
     motion = ho.solve(ho.problem_from_dict(problem)).motion
@@ -146,7 +146,7 @@ def test_what_the_plan_leaves_in_the_air_is_set_down_where_it_was_taken() -> Non
     np.testing.assert_allclose(np.ptp(landed(found), axis=0), 0.0, atol=1e-9)
 
 
-def test_an_object_that_jumps_is_found() -> None:
+def test_jumps_of_objects_break_continuity() -> None:
     motion = plan("tray").motion
     poses = motion.object_poses.coefficients.copy()
     poses[-1, 0, 0] += 1e-3

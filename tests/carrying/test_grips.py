@@ -68,7 +68,7 @@ def test_edges_move_the_object(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", OBJECTS)
-def test_cables_are_as_long_as_they_are(name: str) -> None:
+def test_parts_of_cables_add_up_to_their_lengths(name: str) -> None:
     """Legs, tangents and arcs use up the cable; arcs by many chords on the section."""
     motion = plan(name).motion
     t, team = np.linspace(0.0, motion.duration, 700), motion.team
@@ -220,7 +220,7 @@ def test_false_claims_are_refused(
     assert not check(change(motion), contradicted).holds
 
 
-def test_it_is_opened_with_little_tension(motion: Motion) -> None:
+def test_grips_open_with_little_tension(motion: Motion) -> None:
     loosen = next(p for p in motion.phases if p.name == "loosen")
     assert loosen.tension is not None
     assert loosen.tension[0] == pytest.approx(0.3, abs=1e-5)
@@ -288,7 +288,7 @@ def test_the_suggested_friction_is_the_largest_that_opens() -> None:
     assert most == pytest.approx(exact, abs=1e-3)
 
 
-def test_what_grip_is_left_solves_the_law_of_clasps() -> None:
+def test_residual_grip_solves_the_law_of_clasps() -> None:
     """Found by bisection: edges pull e^(mu theta) times as hard as legs where clasps stick."""
     between, mu = np.radians(50.0), 0.15  # between the two legs at a clasp, of unequal lengths
     turned = 0.7 + 2.0 * np.pi * np.arange(3)[:, None] / 3 + [-between / 2.0, between / 2.0]

@@ -115,7 +115,7 @@ REFUSED: list[tuple[dict[str, Any], str, str]] = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("problem", "name", "words"), REFUSED)
-def test_what_cannot_be_held_is_refused(problem: dict[str, Any], name: str, words: str) -> None:
+def test_infeasible_holds_are_refused(problem: dict[str, Any], name: str, words: str) -> None:
     """By the key of the file, or by the limit that binds; with what to change."""
     with pytest.raises(ho.HitchoptError, match=words) as caught:
         solved(problem)
@@ -135,7 +135,7 @@ def test_bends_of_edges_below_the_ground_count() -> None:
 
 
 @pytest.mark.parametrize("away", [0.0, -300.0])
-def test_how_wide_an_object_stands_does_not_depend_on_its_origin(away: float) -> None:
+def test_footings_do_not_depend_on_origins(away: float) -> None:
     square = 0.1 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) + away
     post = ho.SolidObject(ho.Section(radius=0.06), 0.0, 0.5, fixed=True)
     box = ho.SolidObject(ho.Section(square), at=[-away, -away, 0.5])

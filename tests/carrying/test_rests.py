@@ -45,7 +45,7 @@ def pulls_of(motion: Motion, t: Array, directions: int = 3) -> Array:
     return found
 
 
-def test_the_tray_ends_where_it_was_sent(motion: Motion) -> None:
+def test_the_tray_ends_at_its_goal(motion: Motion) -> None:
     pose = motion.object_poses.at(motion.duration)[0]
     angle = np.radians(60.0)
     np.testing.assert_allclose(pose, [*TO, np.cos(angle), np.sin(angle)], atol=1e-9)
@@ -169,7 +169,7 @@ def test_clasps_of_a_rest_are_below_the_rim_and_around(x: float, rim: float, hol
         assert found is None or found.holds == passes
 
 
-def test_a_flat_tray_is_carried_from_below_and_what_is_in_the_way_is_named() -> None:
+def test_flat_trays_are_carried_from_below_and_obstacles_are_named() -> None:
     flat = planned("carry_tray")
     tray = list(flat.motion.requirements.objects).index("tray")
     carry = next(phase for phase in flat.phases if phase.name == "carry")

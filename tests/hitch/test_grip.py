@@ -89,10 +89,10 @@ def test_capacities_of_a_disc_by_tension_friction_and_thrust() -> None:
 
 
 def capacity(tension: float, friction: float) -> tuple[float, str]:
-    """What three cables around a disc hold [kg], and what binds."""
-    made = task(DISC, 3, 1.6, tension)
-    found = grip_capacity(best_grip(made), made.kind, friction, 1.5)
-    return found.mass, found.binding
+    """Return the mass [kg] that three cables around a disc hold, and the limit that binds."""
+    search = task(DISC, 3, 1.6, tension)
+    most = grip_capacity(best_grip(search), search.kind, friction, 1.5)
+    return most.mass, most.binding
 
 
 def test_figures_of_rope_simulations() -> None:
@@ -166,10 +166,10 @@ def test_moved_clasps_bear_the_load(section: ho.Section, polygon: Array, load: l
     np.testing.assert_allclose(np.cross(at, pulls).sum(axis=(0, 1)), 0.0, atol=1e-10)
 
 
-def test_what_does_not_grip_and_what_limits_level_pulls() -> None:
-    with pytest.raises(ho.InfeasibleError, match="no grip by 6 cables") as told:
+def test_failed_searches_and_level_pulls_name_their_limits() -> None:
+    with pytest.raises(ho.InfeasibleError, match="no grip by 6 cables") as caught:
         best_grip(task(DISC, 6, 1.0))
-    (violation,) = told.value.violations
+    (violation,) = caught.value.violations
     assert violation.value < violation.limit
     most, binding = largest_tension(Requirements(), ho.Quadrotor())
     assert binding == "tilt"
