@@ -11,7 +11,7 @@ import pytest
 
 import hitchopt as ho
 from hitchopt.objects.placing import footing
-from hitchopt.planners.carrying.moves import SmoothLaw
+from hitchopt.planners.carrying.moves import Move, SmoothLaw, polynomials
 
 
 def hold(
@@ -158,3 +158,26 @@ def test_the_law_keeps_its_limits_and_uses_them(limits: tuple[float, float, floa
     used = np.max(np.abs([speed, change, jerk]), axis=1) / limits
     assert np.max(used) == pytest.approx(1.0, rel=2e-3)
     assert np.all(jerk[[0, -1]] < 1e-3 * np.max(jerk))
+
+
+@pytest.mark.parametrize(
+    ("changes", "steady"),
+    [
+        ({}, True),
+        ({"start": np.ones(4)}, False),
+        ({"start": np.ones(4), "below": (0.05, 0.0)}, True),
+        ({"end": np.array([1.0, 0.0, 0.0, 0.3])}, False),
+        ({"tension": np.array([[1.0], [1.2]])}, False),
+        ({"borne": (0.0, 1.0)}, False),
+        ({"closed": (0.0, 1.0)}, False),
+        ({"lead": (0.0, 0.3)}, False),
+    ],
+)
+def test_pieces_are_long_only_while_nothing_but_places_changes(
+    changes: dict[str, Any], steady: bool
+) -> None:
+    end = np.ones(4) if "start" in changes else np.array([2.0, 0.0, 0.0, 0.0])
+    move = Move(np.zeros(4), end, np.ones((2, 1)), (1.0, 1.0), SmoothLaw(0.75, 10.0))
+    curve = polynomials(replace(move, **changes), lambda t: {"share": move.law.jet(t)[..., :1]})
+    assert (np.max(np.diff(curve["share"].breaks)) > 1.0) == steady
+    assert curve["share"].at(5.5) == pytest.approx(move.law.jet(np.array(5.5))[:1], abs=1e-6)
