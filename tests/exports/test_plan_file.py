@@ -402,7 +402,11 @@ def codes(path: Path) -> tuple[int, int]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("twice", [False, True], ids=["alone", "asked as well"])
-@pytest.mark.parametrize("value", [GONE, None, True, -1, 1e999, 10**400, "x", [], {}], ids=str)
+@pytest.mark.parametrize(
+    "value",
+    [GONE, None, True, -1, 1e999, 10**400, "x", [], {}],
+    ids=["gone", "null", "true", "negative", "infinite", "huge", "text", "list", "mapping"],
+)
 def test_both_readers_agree_on_every_edit(value: object, twice: bool, tmp_path: Path) -> None:
     """Of settings by themselves, and together with what was asked of them."""
     write_plan(tmp_path / "plan.npz", walled(), TITLE)
