@@ -243,10 +243,10 @@ def _function(kind: type[Step]) -> Callable[..., Plan]:
             team = hitch.team
         optional = {key for key, value in arguments.items() if value is not EMPTY}
         step = kind(**{k: v for k, v in given.items() if v is not None or k not in optional})
-        fitting = step.fitting(team)  # what is wrong in itself is said first
-        fitting.polygon_left(team, start.polygon if isinstance(start, Hitch) else None)
+        resolved = step.resolved_for(team)  # what is wrong in itself is said first
+        resolved.checked_polygon_after(team, start.polygon if isinstance(start, Hitch) else None)
         chosen: dict[str, Any] = {name: part for name, part in kept.items() if part is not None}
-        found = solve_problem(Problem(team, start, (fitting,), **chosen))
+        found = solve_problem(Problem(team, start, (resolved,), **chosen))
         return Plan(found.motion, found.certificate)
 
     words = f"Return the certified plan of this step alone: {_words(kind)}"

@@ -33,7 +33,7 @@ from ruamel.yaml import YAML
 import hitchopt as ho
 from hitchopt.checks.registry import REPORTS, RULES
 from hitchopt.cli import main
-from hitchopt.cli.failures import UNMET, WRONG
+from hitchopt.cli.failures import EXIT_INFEASIBLE, EXIT_USAGE
 from hitchopt.cli.planning import PACKAGE, problem_text
 from hitchopt.storage.interrupts import INTERRUPTED
 from hitchopt.sweeps.study import StudyKeys
@@ -254,7 +254,13 @@ def test_commands_and_options_that_pages_show_exist() -> None:
 
 def test_exit_codes_and_public_names_have_their_places() -> None:
     codes = re.findall(r"^\| (\d+) \|", text_of(DOCS / "reference" / "exit_codes.md"), re.MULTILINE)
-    assert [int(code) for code in codes] == [0, WRONG, UNMET, INTERRUPTED, 128 + signal.SIGTERM]
+    assert [int(code) for code in codes] == [
+        0,
+        EXIT_USAGE,
+        EXIT_INFEASIBLE,
+        INTERRUPTED,
+        128 + signal.SIGTERM,
+    ]
     listed = re.findall(r"^   (\w+)$", text_of(DOCS / "reference" / "api.md"), re.MULTILINE)
     assert sorted(listed) == list(ho.__all__)
 

@@ -70,7 +70,7 @@ def draw_outlines(axes: Axes, problem: ho.Problem) -> None:
     outline = problem.start_outline
     drawn = [outline]
     for step in problem.mission:
-        outline = step.polygon_left(problem.team, outline)
+        outline = step.checked_polygon_after(problem.team, outline)
         drawn.append(outline)
     polygons = [each for each in drawn if each is not None]
     for i, each in enumerate(polygons):

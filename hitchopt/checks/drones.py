@@ -315,8 +315,8 @@ def _norm(spans: MotionSpans, order: int) -> Bound:
 
 
 def _rate_rule(name: str, unit: str, order: int, over: type[MotionSpans] = Drones) -> CheckRule:
-    """Return the rule that holds the norm of a derivative against ``Limits.planned.name``."""
-    limit_of = attrgetter(f"requirements.limits.planned.{name}")
+    """Return the rule that holds the norm of a derivative against ``Limits.with_reserve.name``."""
+    limit_of = attrgetter(f"requirements.limits.with_reserve.{name}")
     find = Searched(over, partial(_norm, order=order), "max", 0.0)
     states = HITCHED_STATE if over is Points else frozenset(CableState)
     finder, remedy = Finder(find, states, order == 1 and over is Drones), f"raise limits.{name}"

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import hitchopt as ho
-from hitchopt.cli.failures import unmet
+from hitchopt.cli.failures import exit_infeasible
 from hitchopt.cli.options import command, plan_path
 from hitchopt.cli.output import ProgressBar, say, span_text, table
 from hitchopt.errors import InputError
@@ -91,7 +91,7 @@ def statics(
     say(f"statics.json and statics.png are in {path.parent}")
     if loose := [*content["slack_cables"], *content["loose_clasps"]]:
         say(f"slack, or without hold: {', '.join(loose)}", err=True)
-        unmet()
+        exit_infeasible()
 
 
 def _lengths(text: str) -> float | list[float]:

@@ -13,9 +13,9 @@ from hitchopt.cli.output import output, record, say
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, UnitWarning
 from hitchopt.storage.interrupts import INTERRUPTED, ending_signals
 
-# Exit codes of a file or usage that is wrong in itself, and of a well-formed request that cannot
-# be met, or whose certificate fails
-WRONG, UNMET = 2, 3
+# Exit codes of invalid files and usage, and of valid requests that are infeasible or whose
+# certificate fails
+EXIT_USAGE, EXIT_INFEASIBLE = 2, 3
 
 
 class SafeGroup(click.Group):
@@ -50,7 +50,7 @@ class SafeGroup(click.Group):
             except click.exceptions.Exit as end:
                 code = end.exit_code
             except HitchoptError as error:
-                complain(error)
+                report_error(error)
                 code = exit_code(error)
             except KeyboardInterrupt:  # raised by a solver that has caught the signal
                 code = INTERRUPTED
@@ -61,23 +61,23 @@ class SafeGroup(click.Group):
             except OSError as error:  # a full disk, a directory that may not be written
                 place = f"{error.filename}: " if error.filename else ""
                 words = f"{place}{error.strerror or error}; check the path and its disk"
-                complain(FileError(words))
-                code = WRONG
+                report_error(FileError(words))
+                code = EXIT_USAGE
             output().finish(str(ctx.invoked_subcommand), code)
             ctx.exit(code)
 
 
 def exit_code(error: HitchoptError) -> int:
-    """Return the exit code: WRONG for a wrong input or file, UNMET otherwise."""
-    return WRONG if isinstance(error, InputError | FileError) else UNMET
+    """Return the exit code: EXIT_USAGE for a wrong input or file, EXIT_INFEASIBLE otherwise."""
+    return EXIT_USAGE if isinstance(error, InputError | FileError) else EXIT_INFEASIBLE
 
 
-def unmet() -> NoReturn:
-    """End the running command with UNMET."""
-    click.get_current_context().exit(UNMET)
+def exit_infeasible() -> NoReturn:
+    """End the running command with EXIT_INFEASIBLE."""
+    click.get_current_context().exit(EXIT_INFEASIBLE)
 
 
-def complain(error: HitchoptError) -> None:
+def report_error(error: HitchoptError) -> None:
     """Write every line of the error's message to stderr; it is a result too."""
     record(errors=_entries(error))
     for line in str(error).splitlines() or [type(error).__name__]:

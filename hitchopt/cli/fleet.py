@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import hitchopt as ho
-from hitchopt.cli.failures import unmet
+from hitchopt.cli.failures import exit_infeasible
 from hitchopt.cli.options import command, completing, plan_path
 from hitchopt.cli.output import ProgressBar, certificate_table, record, say, table
 from hitchopt.errors import InfeasibleError, InputError
@@ -115,7 +115,7 @@ def lint(path: Path, **limits: float | None) -> None:
         _say_report(report)
     record(reports=entries)
     if not all(report.sound for report in reports):
-        unmet()
+        exit_infeasible()
 
 
 def _say_report(report: Report) -> None:
@@ -197,7 +197,7 @@ def abort(directory: Path, how: str | None, every: float) -> None:
     if found.missing:
         spans = ", ".join(f"{a:.4g} s to {b:.4g} s" for a, b in found.missing)
         say(f"no abort was found for commands from {spans}", err=True)
-        unmet()
+        exit_infeasible()
 
 
 def _usual_abort(motion: ho.Motion) -> str:
@@ -270,7 +270,7 @@ def fly(
         say(f"{late} setpoints were late by {1e3 / rate:.0f} ms, as commands took longer")
     say("landed" if landed else "not landed", err=not landed, landed=landed, late=late)
     if not landed:
-        unmet()
+        exit_infeasible()
 
 
 def _outlet_of(

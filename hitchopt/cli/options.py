@@ -1,4 +1,4 @@
-"""How a command is declared: a line of text for each of its options; paths are never empty."""
+"""Declare commands by a line of text for each option; paths are never empty."""
 
 from __future__ import annotations
 

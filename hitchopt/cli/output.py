@@ -1,4 +1,4 @@
-"""What one call of a command prints: tables and progress for people, or one JSON object."""
+"""Output of one command: tables and progress for people, or one JSON object."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ NUMBER = re.compile(r"[-+±≤≥–]? ?\d|–|-?inf|γ = |$")
 
 @dataclass
 class Output:
-    """How much a call prints, and its results so far."""
+    """Verbosity of a call, and its results so far."""
 
     json: bool = False  # results go to stdout as one object, words do not
     quiet: bool = False  # neither results nor progress are printed; errors are

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NoReturn
 import click
 
 import hitchopt as ho
-from hitchopt.cli.failures import complain, exit_code, unmet
+from hitchopt.cli.failures import exit_code, exit_infeasible, report_error
 from hitchopt.cli.options import command, completing, plan_path
 from hitchopt.cli.output import ProgressBar, record, say, show_plan, table
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, TimeLimitError
@@ -117,7 +117,7 @@ def _leave_diagnosis(
     from hitchopt.exports.directory import DIAGNOSIS, diagnosis_content, save_diagnosis
     from hitchopt.storage.files import PREVIOUS
 
-    complain(error)  # first, in case the diagnosis cannot be written
+    report_error(error)  # first, in case the diagnosis cannot be written
     save_diagnosis(place, error)  # the search may be interrupted
     found: tuple[ho.Suggestion, ...] = ()
     if isinstance(problem, ho.Problem) and isinstance(error, InfeasibleError):
@@ -198,7 +198,7 @@ def check(
 
 @command("directory DIR")
 def verify(directory: Path) -> None:
-    """Prove the limits of the plan in DIR by sampling and rates, in code of its own.
+    """Prove the limits of the plan in DIR with an independent verifier.
 
     Ends with 0 where all are proven, with 3 where one is violated or not proven.
     """
@@ -220,7 +220,7 @@ def _show_verified(path: Path) -> None:
     said = "\n".join([*map(line, rows), verdict(rows)])
     say(said, verified=[row._asdict() for row in rows])
     if any(row.verdict not in GOOD for row in rows):
-        unmet()
+        exit_infeasible()
 
 
 def example_files() -> list[Path]:

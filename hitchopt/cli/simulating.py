@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import hitchopt as ho
-from hitchopt.cli.failures import unmet
+from hitchopt.cli.failures import exit_infeasible
 from hitchopt.cli.options import command, plan_path
 from hitchopt.cli.output import ProgressBar, quantities, say, span_text, table
 from hitchopt.errors import InputError
@@ -145,7 +145,7 @@ def _lost(
 
 
 def _simulate_one(task: Task, settings: Settings, place: Path, directory: Path) -> None:
-    """Simulate, save and report one flight; exit with UNMET unless it succeeded."""
+    """Simulate, save and report one flight; exit with EXIT_INFEASIBLE unless it succeeded."""
     from hitchopt.motion.plan_file import read_plan, read_title
     from hitchopt.simulation.judgement import FAILED, NOT_SIMULATED, UNSIMULATED
     from hitchopt.simulation.judgement import simulate as simulated
@@ -162,7 +162,7 @@ def _simulate_one(task: Task, settings: Settings, place: Path, directory: Path) 
         word = NOT_SIMULATED if failure.kind in UNSIMULATED else FAILED
         say(f"{word}: t = {failure.time:.2f} s, {failure.words}", err=True)
     if not done.outcome.succeeded:
-        unmet()
+        exit_infeasible()
 
 
 def flight_tables(simulation: Simulation) -> str:

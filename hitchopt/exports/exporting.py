@@ -33,7 +33,7 @@ from hitchopt.exports.recording import (
     MANIFEST,
     MANIFEST_FORMAT,
     Recording,
-    lasted,
+    held_until,
     listed,
     read_manifest,
 )
@@ -393,7 +393,7 @@ def _planned(motion: Motion, breaks: Array) -> Motion:
     common = merged_breaks([breaks, inner[(inner > start) & (inner < end)]])
 
     def span(part: PiecewisePolynomial) -> PiecewisePolynomial:
-        return on_breaks(lasted(part, end), common)
+        return on_breaks(held_until(part, end), common)
 
     last = motion.phases[-1:]
     phases = motion.phases[:-1] + tuple(replace(p, end=max(p.end, end)) for p in last)

@@ -109,7 +109,7 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class Written:
-    """What a format wrote into a folder."""
+    """Files, notes and facts that a format wrote into a folder."""
 
     files: tuple[str, ...]  # names
     notes: tuple[str, ...] = ()  # what the user should know of them

@@ -53,7 +53,7 @@ class HeldTension:
 
     @property
     def note(self) -> str:
-        """What users have to know."""
+        """Note for users."""
         return (
             f"set points are up to {100.0 * self.offset:.3g} cm off the drones' places, for "
             f"position loops of {_span(self.stiffness)} N/m and {_span(self.damping)} N s/m that "
@@ -112,7 +112,7 @@ def held_tension(
     degree = max(split.drones.degree, DEGREE)
     places = bernstein.elevate(split.drones.coefficients, degree)
     drones = PiecewisePolynomial(breaks, places + bernstein.elevate(offsets.coefficients, degree))
-    limits, share = split.requirements.limits.planned, 1.0 + SPARE
+    limits, share = split.requirements.limits.with_reserve, 1.0 + SPARE
     eased = replace(  # shows state limits, which set points keep
         limits,
         speed=max(limits.speed, share * largest_rate(drones, 1).worst),

@@ -161,9 +161,13 @@ def _report(path: Path, rules: Rules) -> Report:
         text = str(fault)
         raise FileError(text if text.startswith(str(path)) else f"{path}: {text}") from fault
     findings = [*recording.findings, *found, *_exported(path, kind, recording)]
-    if untold := recording.untold:
-        words = "lines" if untold == "velocities" else "cubics through positions and velocities"
-        findings.append(note(untold, "", f"none: joined by {words}"))
+    if missing_derivative := recording.missing_derivative:
+        words = (
+            "lines"
+            if missing_derivative == "velocities"
+            else "cubics through positions and velocities"
+        )
+        findings.append(note(missing_derivative, "", f"none: joined by {words}"))
     if not recording.frame:
         findings.append(note("frame", "", "the files do not state their axes; read as given"))
     findings.sort(key=lambda f: LEVELS.index(f.level))

@@ -1,4 +1,4 @@
-"""What is asked of an export: its format, and how the plan is placed and sampled in it."""
+"""Options of an export: format, placement and sampling."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Who flies a plan, and where: the fleet's file, and the frame of a file.
+"""Fleet file and coordinate frame: which drones fly a plan, and where.
 
 A fleet file is YAML, one entry per drone of the plan::
 

@@ -1,4 +1,4 @@
-"""What files say: text, tables and manifests, and the curves of time that their drones fly.
+"""Contents of exported files: text, tables, manifests, and the drones' curves of time.
 
 Every fault of a file is a FileError. A recording is read off exported numbers, ours or anybody
 else's, after rounding. Windows follow one another without a gap, so that the curves and bounds of
@@ -89,7 +89,9 @@ class Recording:
     smooth: int  # highest derivative by time that does not jump: 0 positions, 1 velocities, …
     windows: Callable[[], Iterator[PiecewisePolynomial]]  # (D, 3) [m], one span after the other
     facts: tuple[DroneFacts, ...]  # one per drone
-    untold: str = ""  # the first derivative that the format has and the files do not hold
+    missing_derivative: str = (
+        ""  # the first derivative that the format has and the files do not hold
+    )
     findings: tuple[Finding, ...] = ()
     own: Mapping[str, float] = field(default_factory=dict)  # a show's own limits, by its keys
 
@@ -110,7 +112,7 @@ class Recording:
         ends = [float(drone.curve.breaks[-1]) for drone in drones]
         check_times(np.array([0.0, max(ends)]))
         degree = max(drone.curve.degree for drone in drones)
-        each = [lasted(drone.curve.elevated(degree), max(ends)) for drone in drones]
+        each = [held_until(drone.curve.elevated(degree), max(ends)) for drone in drones]
         times = [curve.breaks for curve in each]
         if all(np.array_equal(t, times[0]) for t in times):
             times = times[:1]
@@ -148,7 +150,9 @@ class Recording:
         given = np.moveaxis(values.reshape(len(t), len(names), -1, 3), 2, 0)
         if len(given) > 1:
             _check_rates(t, given[0], given[1])
-        untold = ("velocities", "accelerations")[len(given) - 1] if len(given) <= smooth else ""
+        missing_derivative = (
+            ("velocities", "accelerations")[len(given) - 1] if len(given) <= smooth else ""
+        )
         size = max(1, WINDOW // len(names))
 
         def windows() -> Iterator[PiecewisePolynomial]:
@@ -160,7 +164,9 @@ class Recording:
         known, facts = frame if frame in AXES else "", tuple(map(DroneFacts, names))
         rare = (step := float(np.median(np.diff(t)))) > RARE
         found = [note("times", "", f"{step:.3g} apart, read as seconds")] if rare else []
-        return cls(tuple(names), known, len(given) - 1, windows, facts, untold, tuple(found))
+        return cls(
+            tuple(names), known, len(given) - 1, windows, facts, missing_derivative, tuple(found)
+        )
 
 
 def check_times(t: Array, source: str = "") -> None:
@@ -200,7 +206,7 @@ def largest_jump(curves: PiecewisePolynomial, order: int) -> tuple[float, int, f
     return float(sizes[joint, drone]), int(drone), float(curves.breaks[1 + int(joint)])
 
 
-def lasted(curve: PiecewisePolynomial, end: float) -> PiecewisePolynomial:
+def held_until(curve: PiecewisePolynomial, end: float) -> PiecewisePolynomial:
     """Return the curve, staying where it ended until ``end`` [s], if that is later."""
     if end <= curve.breaks[-1]:
         return curve
@@ -209,7 +215,7 @@ def lasted(curve: PiecewisePolynomial, end: float) -> PiecewisePolynomial:
     return PiecewisePolynomial(np.append(curve.breaks, end), np.concatenate([c, rest]))
 
 
-def told_columns(header: Container[str], vectors: Sequence[Sequence[str]]) -> list[str]:
+def present_columns(header: Container[str], vectors: Sequence[Sequence[str]]) -> list[str]:
     """Return the columns that a table tells: places, then whole vectors of rates in a row."""
     told = takewhile(lambda vector: all(name in header for name in vector), vectors[1:])
     return [name for vector in (vectors[0], *told) for name in vector]

@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hitchopt.exports.recording import lasted
+from hitchopt.exports.recording import held_until
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array
 
@@ -55,7 +55,7 @@ class Kind:
 
 def fitted(curves: PiecewisePolynomial, breaks: Array, kind: Kind) -> PiecewisePolynomial:
     """Return the curves (D, 3), from t = 0, on pieces of a kind; at rest after their own end."""
-    curves = lasted(curves, float(breaks[-1]))
+    curves = held_until(curves, float(breaks[-1]))
     pieces = [_piece(curves, kind, start, end)[0].T for start, end in pairwise(breaks.tolist())]
     shape = (len(pieces), *curves.shape, kind.degree + 1)
     return PiecewisePolynomial(breaks, np.reshape(pieces, shape))
@@ -104,7 +104,7 @@ def breaks_within(
     shortest = max(1, ceil(kind.shortest / kind.quantum - 1e-9))
     step = max(1, curves.shape[0] // CROWD)
     some = PiecewisePolynomial(curves.breaks, curves.coefficients[:, ::step])
-    some = lasted(some, last * kind.quantum)
+    some = held_until(some, last * kind.quantum)
     ticks, stride = [0], max(1, last // 8)
 
     def fits(stride: int) -> bool:

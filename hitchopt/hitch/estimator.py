@@ -10,7 +10,7 @@ from hitchopt.values import positive
 
 @dataclass(frozen=True)
 class EstimatorParameters(OneLine):
-    """What the filter believes of its sources; the defaults are those that exports set.
+    """Noise parameters of the estimator; the defaults are those that exports set.
 
     The filter predicts by the thrust axis and the gyroscope alone: it sees a cable's level pull in
     nothing but the error of its prediction. Process noise that is small beside that pull lets it

@@ -52,7 +52,7 @@ def chord_pull(tension: Any, half: Any, level: Any = 1.0, rise: Any = None) -> A
 
 @dataclass(frozen=True, eq=False)
 class ClaspLoads:
-    """What the clasps of a hitch carry, and how far their legs are rolled out of their plane.
+    """Loads of the clasps of a hitch, and roll of their legs out of the plane.
 
     Attributes
     ----------

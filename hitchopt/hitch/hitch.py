@@ -33,7 +33,7 @@ FAR_OFF = 100.0
 """Edge over cable beyond which one of the two is probably in another unit."""
 
 
-def fitting_polygon(team: Team, polygon: Outline | ArrayLike) -> Outline:
+def checked_polygon(team: Team, polygon: Outline | ArrayLike) -> Outline:
     """Return ``polygon`` as an outline of the team's topology and count, or raise InputError."""
     instance("team", team, Team)
     closed, points = team.layout.closed, team.layout.points
@@ -153,7 +153,7 @@ class Hitch(OneLine):
         q_legs: ArrayLike,
         roll: ArrayLike = 0.0,
     ) -> None:
-        outline = fitting_polygon(team, polygon)
+        outline = checked_polygon(team, polygon)
         slack = cable_slack(team, outline)
         d = as_array(q_legs)
         if d.shape != (team.robots,) or not np.all(np.isfinite(d)):
@@ -182,7 +182,7 @@ class Hitch(OneLine):
         At the ends of a chain, the cable's one leg takes all of its slack. Parameters and errors
         are those of the class.
         """
-        outline = fitting_polygon(team, polygon)
+        outline = checked_polygon(team, polygon)
         return cls(team, outline, altitude, balanced_legs(team, outline), roll)
 
     @classmethod
@@ -211,9 +211,9 @@ class Hitch(OneLine):
             one angle at all clasps, the smallest with which they keep that margin, or else the
             limits.
         """
-        outline = fitting_polygon(team, polygon)
+        outline = checked_polygon(team, polygon)
         own = Requirements(limits or Limits(), separation or Separation())
-        requirements = own.flown_by(team).planned
+        requirements = own.flown_by(team).with_reserve
         fixed = None if roll is None else checked_roll(team, roll)
         legs = balanced_legs(team, outline)
         task = _leg_task(team, outline, legs, SPREAD_MARGIN, requirements, fixed)
@@ -239,7 +239,7 @@ class Hitch(OneLine):
         (clasps,) [rad], unless they break a limit with it: then all have the smallest one that is
         found to keep them. Errors are those of the class.
         """
-        outline = fitting_polygon(team, polygon)
+        outline = checked_polygon(team, polygon)
         slack = cable_slack(team, outline)
         wanted = team.layout.q_legs_of(np.asarray(fractions, dtype=np.float64) * slack, slack)
         requirements = Requirements(limits, separation, arena)

@@ -132,10 +132,12 @@ def _refined(bodies: LegBodies, start: Array, first: bool) -> LegLengths:
     return LegLengths(d, margin, float(np.sum((d - task.reference) ** 2)))
 
 
-LADDER = tuple(math.radians(angle) for angle in (5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0))
-"""[rad] Rolls that are tried until one suffices: up to 60° clasps hold in simulated ropes."""
+ROLL_CANDIDATES = tuple(
+    math.radians(angle) for angle in (5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0)
+)
+"""[rad] Rolls in ascending order; the first that suffices is used. Simulated clasps hold to 60°."""
 
-COARSE, LESS = (LADDER[3], LADDER[5]), 0.9
+COARSE, LESS = (ROLL_CANDIDATES[3], ROLL_CANDIDATES[5]), 0.9
 """[rad] Rolls at which other lengths of legs are looked for, which takes longer; and the share of
 the roll that the reference needs at which they have to suffice for that to be worth its time."""
 
@@ -168,7 +170,7 @@ def least_roll(
     task: LegTask,
     sense: float = 1.0,
     margin_of: Callable[[LegTask], float] = reference_margin,
-    ladder: tuple[float, ...] = LADDER,
+    ladder: tuple[float, ...] = ROLL_CANDIDATES,
     halvings: int = 7,
 ) -> float | None:
     """Return the smallest roll [rad] that is found to give the margin wanted, or None.

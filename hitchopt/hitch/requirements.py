@@ -97,8 +97,8 @@ class Limits(OneLine):
         return math.degrees(self.tilt)
 
     @property
-    def planned(self) -> Limits:
-        """The limits that a plan keeps at full rate, without its reserve."""
+    def with_reserve(self) -> Limits:
+        """The limits enforced at full rate: acceleration and jerk times the reserve."""
         if self.reserve == 1.0:
             return self
         less = self.reserve * self.acceleration, self.reserve * self.jerk
@@ -203,7 +203,7 @@ class Prism(OneLine):
 
     @property
     def slab(self) -> Slab:
-        """The same body, as objects are made of."""
+        """Slab of this body, as in objects."""
         return Slab(Section(self.polygon.vertices), self.lower, self.upper)
 
     def clearance(self, points: Array) -> Clearance:
@@ -254,12 +254,12 @@ class Requirements(OneLine):
         return 0.0 if self.arena is None else float(self.arena.lower[2])
 
     @property
-    def planned(self) -> Requirements:
-        """What planners keep: limits at full rate, and distances wide enough for ``tracking``.
+    def with_reserve(self) -> Requirements:
+        """Requirements enforced by planners: limits with reserve, distances wider by ``tracking``.
 
         The arena's floor stays where it is: drones stand there.
         """
-        limits, off = self.limits.planned, WIDER * (self.limits.tracking or 0.0)
+        limits, off = self.limits.with_reserve, WIDER * (self.limits.tracking or 0.0)
         if not off:
             return self if limits is self.limits else replace(self, limits=limits)
         arena = self.arena
@@ -285,7 +285,7 @@ class Requirements(OneLine):
 
     @property
     def untimed(self) -> Requirements:
-        """The same requirements without a limit on the plan's duration."""
+        """These requirements without a limit on the plan's duration."""
         if self.limits.duration is None:
             return self
         return replace(self, limits=replace(self.limits, duration=None))

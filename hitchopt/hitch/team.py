@@ -437,7 +437,8 @@ class Assignment(OneLine):
         for i, robot in enumerate(self.robots):
             whole(f"assignment.robots[{i}]", robot, 0)
         if sorted(self.robots) != list(range(n)):
-            raise InputError("assignment.robots", self.robots, f"0 to {n - 1}, each once", "sort")
+            bound, remedy = f"0 to {n - 1}, each once", f"pass a permutation of 0..{n - 1}"
+            raise InputError("assignment.robots", self.robots, bound, remedy)
         if len(self.flipped) != n:
             bound = f"{n} truth values"
             raise InputError("assignment.flipped", self.flipped, bound, "give one per role")

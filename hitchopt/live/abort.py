@@ -34,7 +34,7 @@ from hitchopt.objects.placing import STILL, in_world
 from hitchopt.planners.forming.stages import stage, straight
 from hitchopt.steps import Release
 from hitchopt.steps.certified_motions import infeasible, lifted
-from hitchopt.steps.step import Situation, StepTask
+from hitchopt.steps.step import RestState, StepTask
 from hitchopt.storage.files import replace_files, write_strict_json
 from hitchopt.values import Array, choice, not_negative, positive
 
@@ -219,8 +219,8 @@ def _landed(whole: Motion, *, untied: bool) -> Motion:
         remedy = "abort earlier or later, or choose hold or back"
         when = f"at rest at t = {whole.duration:.4g} s"
         raise InfeasibleError([], f"{when}: {words}; {remedy}") from None
-    situation = Situation(whole.team, hitch.drones, hitch, _senses(whole))
-    task = StepTask(situation, whole.phases[-1].step + 1, _where_left(whole).planned)
+    state = RestState(whole.team, hitch.drones, hitch, _senses(whole))
+    task = StepTask(state, whole.phases[-1].step + 1, _where_left(whole).with_reserve)
     if untied:
         released = _followed_by(whole, Release().plan(task).motion)
         return _followed_by(released, straight_down(released))
@@ -240,7 +240,7 @@ def straight_down(whole: Motion) -> Motion:
     team, need = whole.team, _where_left(whole)
     drones, index = whole.drones.coefficients[-1, ..., -1], whole.phases[-1].step + 1
     down = drones * [1.0, 1.0, 0.0] + [0.0, 0.0, need.floor]
-    flight = straight(team, need.limits.planned, drones, down)
+    flight = straight(team, need.limits.with_reserve, drones, down)
     state = CableState.GROUND if team.has_cables else CableState.NONE
     return stage("land", flight, team, need, index, state)
 

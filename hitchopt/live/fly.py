@@ -34,7 +34,7 @@ AGAIN = 0.25  # delay before a hold that was refused is tried again [s]
 
 @dataclass(frozen=True, eq=False)
 class Flown:
-    """What drones are sent at one time, in the plan's axes."""
+    """Setpoints sent to drones at one time, in the plan's axes."""
 
     setpoints: Setpoints
     thrusts: Array  # (drones, 3) [N]; the cables' pull is that at the plan time

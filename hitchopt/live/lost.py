@@ -40,16 +40,16 @@ LEAST = 1e-3  # height at which drones are on the ground [m]
 # Time in which survivors let tension go [s]. Cables that stay level are pulled hardest by what
 # falls, slack ones let it gather speed: in simulated flights peaks of tension were larger where all
 # was let go at once, or in twice the time
-LETTING_GO = 0.3
+RELEASE_TIME = 0.3
 
 # How far a lost drone draws its partner toward its clasp [m]: in simulated flights legs of 0.29 m
 # were drawn to their clasps, those of 0.37 m were not; and the leg that remains
 DRAWN, NEAREST_LEG = 0.36, 0.05
 
-# How much sooner than at the height where it began a swing turns back [rad]: cables that run take
-# its energy. Computed swings of legs from 0.3 to 0.8 m, with tensions from none to 0.4 N and
+# Angle lost in a swing [rad]: it turns back below the height where it began, since cables that run
+# take its energy. Computed swings of legs from 0.3 to 0.8 m, with tensions from none to 0.4 N and
 # coefficients of friction up to 0.2, turned back 27° to 52° sooner
-TAKEN = np.radians(25.0)
+SWING_LOSS = np.radians(25.0)
 
 # Numbers of angles of a swing, of lengths to which its cable may run, and of times at which
 # survivors are compared with what lies on the ground; time between samples of a free fall [s]
@@ -102,15 +102,15 @@ class Reactions:
             thrust, nearest = 0.0, self._falling(whole.drones, time, begins, lost)
         thrust = max(largest_at_rest(motion, used_thrust), thrust)
         if thrust > 1.0:
-            raise _none(time, f"{drone} on its cable takes {thrust:.0%} of a thrust")
+            raise _no_reaction(time, f"{drone} on its cable takes {thrust:.0%} of a thrust")
         if nearest < 1.0:
-            raise _none(time, f"a survivor comes to {nearest:.3g} of its distance")
+            raise _no_reaction(time, f"a survivor comes to {nearest:.3g} of its distance")
         return Reaction(drone, begins, whole, thrust, nearest)
 
     def _certified(self, time: float) -> Motion:
         """Return what is flown after a loss at a time [s], all checks kept."""
         if self.motion.team.has_cables and self.motion.requirements.objects:
-            raise _none(time, "the team carries objects, or stands among them")
+            raise _no_reaction(time, "the team carries objects, or stands among them")
         words = list[str]()
         for wait in WAITS:
             motion, broken = _sunk_from(self.motion, time + DELAY + wait)
@@ -118,7 +118,7 @@ class Reactions:
                 return motion
             values = f"{broken.worst:.4g} {broken.unit} ({broken.number:.4g})"
             words.append(f"sinking breaks {broken.name}: {values}")
-        raise _none(time, words[0])
+        raise _no_reaction(time, words[0])
 
     def _hitched(self, lost: int, states: States) -> tuple[float, float]:
         """Return the thrust and the nearest distance of a hitch that has lost a drone."""
@@ -147,7 +147,7 @@ class Reactions:
         leg = states.positions[lost] - clasp
         level = float(np.hypot(*leg[:2]))
         begins = np.arctan2(-leg[2], level)
-        angles = np.linspace(begins, np.pi - begins - TAKEN, SWINGS)[:, None]
+        angles = np.linspace(begins, np.pi - begins - SWING_LOSS, SWINGS)[:, None]
         out = leg * [1.0, 1.0, 0.0] / max(level, 1e-9)
         arcs = np.cos(angles) * out - np.sin(angles) * [0.0, 0.0, 1.0]
         reach = np.linalg.norm(leg) + np.linspace(0.0, gives, RUNS)[:, None, None]
@@ -166,7 +166,7 @@ class Reactions:
             if np.any(taut):
                 height = places[np.argmax(taut), 2] - floor
                 words = f"hangs on its partner {height:.2g} m above the ground"
-                raise _none(time, f"{team.drone_names[lost]} {words}")
+                raise _no_reaction(time, f"{team.drone_names[lost]} {words}")
         later = drones.at(np.linspace(begins, drones.breaks[-1], PLACES))  # nobody lands on it
         there, later = (np.delete(each, lost, axis=1) for each in (there, later))
         return min(self._to_lost(there, places[:, None]), self._to_lost(later, places[-1]))
@@ -181,7 +181,8 @@ class Reactions:
         return float(np.min(distances, initial=np.inf)) / (2.0 * radius)
 
 
-def _none(time: float, words: str) -> InfeasibleError:
+def _no_reaction(time: float, words: str) -> InfeasibleError:
+    """Return the error that a loss at a time [s] has no reaction."""
     return InfeasibleError([], f"no reaction to a loss at t = {time:.4g} s: {words}")
 
 
@@ -233,7 +234,7 @@ def _sunk(motion: Motion) -> Motion:
 def reacting(task: Task, reaction: Reaction) -> Task:
     """Return a plan's task until the survivors react, then what they fly, to the ground."""
     found = Task.of(reaction.motion)
-    gone = np.clip((found.t - reaction.begins) / LETTING_GO, 0.0, 1.0)[:, None, None]
+    gone = np.clip((found.t - reaction.begins) / RELEASE_TIME, 0.0, 1.0)[:, None, None]
     forces = found.setpoints.cable_forces * (1.0 - gone**2 * (3.0 - 2.0 * gone))
     setpoints = replace(found.setpoints, cable_forces=forces)
     parts = task.team, task.t[0] + found.t, setpoints, found.formed, found.vertices, found.tensions

@@ -23,7 +23,9 @@ from hitchopt.trajectory.clock_phases import ClockPhases, together
 from hitchopt.values import Array, finite, not_negative
 
 RATES = (1.0, 0.7, 0.4)  # tried on the way to a plan time
-LADDER = tuple(np.geomspace(SHORTEST, SLOWEST, 27).tolist())  # durations of a change by 1 [s]
+DURATION_CANDIDATES = tuple(
+    np.geomspace(SHORTEST, SLOWEST, 27).tolist()
+)  # durations of a change by 1 [s]
 WAITS = (0.1, 0.2, 0.4, 0.8, 1.6)  # delays before a change that cannot begin at once [s]
 BATCH = 24  # number of changes that are verified together
 
@@ -35,7 +37,7 @@ STILL = 1e-6  # difference of lengths on a piece [m] with which legs do not slid
 
 @dataclass(frozen=True, eq=False)
 class Setpoints(OneLine):
-    """Where a player has its drones be now.
+    """Setpoints of a player at the present time.
 
     Attributes
     ----------
@@ -81,7 +83,7 @@ class Player(OneLine):
         self._begin, self._end = (float(b) for b in motion.drones.breaks[[0, -1]])
         self._check_within("time", time)
         self._course = self._within(Course(float(time), _checked_rate(rate)))
-        self._durations = LADDER  # of changes that are tried
+        self._durations = DURATION_CANDIDATES  # of changes that are tried
 
     def _parts(self) -> Iterator[str]:
         yield f"{len(self.motion.team.drone_names)} drones"
@@ -109,7 +111,7 @@ class Player(OneLine):
 
     @property
     def ahead(self) -> ClockPhases:
-        """What is left of the present change of the clock's rate."""
+        """The rest of the present change of the clock's rate."""
         return self._course.clock
 
     def step(self, seconds: float) -> Setpoints:
@@ -256,7 +258,7 @@ class Player(OneLine):
             raise InfeasibleError([], f"{goal} from t = {self.time:.4g} s: {words}; {remedy}")
         self._course = self._within(found)
         if found.phases:  # what is carried can start as slowly as it has stopped
-            self._durations = (*LADDER, 2.0 * found.phases[-1][0])
+            self._durations = (*DURATION_CANDIDATES, 2.0 * found.phases[-1][0])
         return found.seconds
 
 
@@ -267,7 +269,7 @@ def _checked_rate(rate: float) -> float:
 
 
 class _Known:
-    """What all players of a motion need."""
+    """Data that all players of a motion share."""
 
     def __init__(self, motion: Motion) -> None:
         self.motion = motion
@@ -325,7 +327,7 @@ class Course:
 
     @property
     def seconds(self) -> float:
-        """How long the phases take [s]."""
+        """Duration of the phases [s]."""
         return sum(phase[0] for phase in self.phases)
 
     @property

@@ -25,7 +25,7 @@ from hitchopt.checks import Certificate, certify
 from hitchopt.errors import InfeasibleError, InputError, OneLine, UnsupportedError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import GRAVITY, Hitch, Team
-from hitchopt.hitch.hitch import cable_slack, fitting_polygon
+from hitchopt.hitch.hitch import cable_slack, checked_polygon
 from hitchopt.hitch.leg_program import LIMIT_MARGIN, LegTask
 from hitchopt.hitch.legs import split_slack
 from hitchopt.hitch.model import DroneJets, FlatJets, drone_jets
@@ -150,7 +150,7 @@ class Replanner(OneLine):
         changed = {key: value for key, value in options.items() if value is not None}
         self.requirements = replace(motion.requirements, **changed)
         self.motion, self._goal = replace(motion, requirements=self.requirements), goal
-        self._limits = limits = self.requirements.planned.limits
+        self._limits = limits = self.requirements.with_reserve.limits
         if limits.body_rate is not None:  # with a jerk that turns a hovering drone so fast
             self._limits = replace(limits, jerk=min(limits.jerk, GRAVITY * limits.body_rate))
         self._certificate = certify(self.motion, reports=())
@@ -228,16 +228,16 @@ class Replanner(OneLine):
             remedy = "give a polygon; or a vertex and to; or to alone, (3,), and a yaw"
             raise InputError("polygon", polygon, "exactly one goal", remedy)
         if polygon is not None:
-            return fitting_polygon(team, polygon), goal.altitude, 0.0
+            return checked_polygon(team, polygon), goal.altitude, 0.0
         if vertex is not None:
             moved = own.vertices.copy()
             k = whole("vertex", vertex, 0, len(moved) - 1)
             moved[k] = points("to", [to], (1, 2), "a point [x, y]", "give two numbers [m]")[0]
-            return fitting_polygon(team, moved), goal.altitude, 0.0
+            return checked_polygon(team, moved), goal.altitude, 0.0
         place = points("to", [to], (1, 3), "a point [x, y, z]", "give three numbers [m]")[0]
         c, s = math.cos(yaw), math.sin(yaw)
         turned = (own.vertices - own.centroid) @ np.array([[c, s], [-s, c]]) + place[:2]
-        return fitting_polygon(team, turned), float(place[2]), yaw
+        return checked_polygon(team, turned), float(place[2]), yaw
 
     def _planned(
         self, outline: Outline, altitude: float, yaw: float, at: float

@@ -125,7 +125,7 @@ OneKind = Annotated[QuadrotorKeys, Tag(MAPPING)]
 
 
 class TeamKeys(Keys):
-    """Who flies, on which cables, pulling how hard."""
+    """The team: drones, cables and tensions."""
 
     robots: int = key(
         "Number of cables; each has two quadrotors", ge=2, le=MAX_ROBOTS, examples=[3]
@@ -202,14 +202,14 @@ class HitchKeys(Keys):
 
 
 class DronesKeys(Keys):
-    """Where the drones are of a hitch that is to be formed."""
+    """Start of the drones of a hitch that is to be formed."""
 
     q: RobotsList[Point3] = key("One [x, y, z] [m] per robot", examples=[[[0, 0, 1], [1, 0, 1]]])
     r: RobotsList[Point3] = key("One [x, y, z] [m] per robot", examples=[[[0, 1, 1], [1, 1, 1]]])
 
 
 class StartKeys(OneKey):
-    """Where the plan starts."""
+    """Start of the plan."""
 
     example: ClassVar[str] = "hitch: {polygon: [[x, y], …], altitude: 1.0}"
     hitch: HitchKeys | None = key("A formed hitch, at rest", None)
@@ -319,7 +319,7 @@ Kinds = Annotated[list[QuadrotorKeys], Field(min_length=1, max_length=MAX_DRONES
 
 
 class SwarmTeamKeys(Keys):
-    """Who flies: single drones, without cables."""
+    """The team of single drones without cables."""
 
     drones: int = key("Number of drones", ge=1, le=MAX_DRONES, examples=[2])
     quadrotor: Annotated[OneKind | Annotated[Kinds, Tag(EACH)], FORM] = key(
@@ -471,7 +471,7 @@ def _translated(entry: Any, schema: Schema) -> InputError:
     """Return one of pydantic's errors in this package's words."""
     forms = {ONE, EACH, WORD, MAPPING, FLAG}
     path = [part for part in entry["loc"] if part not in forms]
-    kind, value, told = entry["type"], entry["input"], entry.get("ctx", {})
+    kind, value, context = entry["type"], entry["input"], entry.get("ctx", {})
     kind = ALIKE.get(kind, kind)
     if isinstance(value, float) and not math.isfinite(value):
         kind = "finite_number"
@@ -481,16 +481,16 @@ def _translated(entry: Any, schema: Schema) -> InputError:
         bound, remedy = "given", f"add {path[-1]}: {shown}"
     elif kind == "extra_forbidden":
         known = list(_properties_at(schema, path[:-1]))
-        bound, remedy = "a known key", _meant(str(path[-1]), known)
+        bound, remedy = "a known key", _closest_word(str(path[-1]), known)
     elif kind == "literal_error":
-        bound = told["expected"].replace("'", "")
-        remedy = _meant(str(value), bound.replace(" or ", ", ").split(", "))
+        bound = context["expected"].replace("'", "")
+        remedy = _closest_word(str(value), bound.replace(" or ", ", ").split(", "))
     elif kind == "union_tag_invalid":
-        bound = told["expected_tags"].strip("'").replace("', '", " or ")
+        bound = context["expected_tags"].strip("'").replace("', '", " or ")
         remedy = NUMBER if ONE in bound else f"write {bound}"
     else:
-        bound, remedy = (words.format(**told) for words in WORDS[kind])
-    if kind == "greater_than_equal" and told["ge"] == MIN_QUANTITY and value <= 0:
+        bound, remedy = (words.format(**context) for words in WORDS[kind])
+    if kind == "greater_than_equal" and context["ge"] == MIN_QUANTITY and value <= 0:
         bound, remedy = "greater than 0", "give a positive number"
     elif value is None:
         remedy = "remove the key, or write its value after it"
@@ -501,8 +501,8 @@ def _translated(entry: Any, schema: Schema) -> InputError:
     return InputError(key_path(path) or "problem", value, bound, remedy)
 
 
-def _meant(word: str, known: Sequence[str]) -> str:
-    """Return what was probably meant by a word, or what there is."""
+def _closest_word(word: str, known: Sequence[str]) -> str:
+    """Return the closest valid word, else all of them."""
     close = difflib.get_close_matches(word[:60], known, n=1, cutoff=0.5)
     return f"did you mean {close[0]}?" if close else f"use one of {', '.join(known)}"
 

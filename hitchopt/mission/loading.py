@@ -205,7 +205,7 @@ def _start(keys: StartKeys, team: Team) -> Start:
 
 def _step(name: str, keys: Keys, team: Team) -> Step:
     """Return the record of a step."""
-    return STEP_KINDS[name].from_file(keys.model_dump()).fitting(team)
+    return STEP_KINDS[name].from_file(keys.model_dump()).resolved_for(team)
 
 
 KEYS = {"lower": "from", "upper": "to", "rim.height": "rim.at", "rim.section": "rim"}

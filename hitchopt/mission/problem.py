@@ -11,7 +11,7 @@ import numpy as np
 from hitchopt.errors import InputError, OneLine, UnitWarning
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Swarm, Team
-from hitchopt.hitch.hitch import FAR_OFF, fitting_polygon
+from hitchopt.hitch.hitch import FAR_OFF, checked_polygon
 from hitchopt.hitch.requirements import (
     Arena,
     Limits,
@@ -32,7 +32,7 @@ from hitchopt.values import Array, coordinate, instance, points, positive, seque
 from hitchopt.values.units import HEIGHT, check_unit, warn_of_unit
 
 
-def fitting_steps(problem: Problem, steps: tuple[Step, ...]) -> tuple[Step, ...]:
+def resolved_steps(problem: Problem, steps: tuple[Step, ...]) -> tuple[Step, ...]:
     """Return steps with their polygons as outlines and their legs as arrays.
 
     Raises InputError: a step that does not fit the team, the outline it meets, the object that is
@@ -42,9 +42,9 @@ def fitting_steps(problem: Problem, steps: tuple[Step, ...]) -> tuple[Step, ...]
     fitted, held = list[Step](), _Held()
     for i, given in enumerate(steps):
         try:
-            step = given.fitting(team)
+            step = given.resolved_for(team)
             held = held.after(step, problem.objects)
-            outline = step.polygon_left(team, outline)
+            outline = step.checked_polygon_after(team, outline)
             if step.blends and (problem.complete or i + 1 < len(steps)):
                 _check_blend(steps[i + 1 :])
             if step.blends or (i > 0 and steps[i - 1].blends):
@@ -57,14 +57,14 @@ def fitting_steps(problem: Problem, steps: tuple[Step, ...]) -> tuple[Step, ...]
 
 @dataclass(frozen=True)
 class _Held:
-    """How far a hitch is with which object, and whether its outline is that of an earlier step."""
+    """Stage of a hitch with an object, and whether its outline is that of an earlier step."""
 
     stage: Stage = Stage.FREE
     name: str = ""
     known: bool = True
 
     def after(self, step: Step, objects: Mapping[str, SolidObject]) -> _Held:
-        """Return the same after a step, or raise InputError where that does not fit."""
+        """Return the stage after a step; raise InputError if the step does not follow on it."""
         name = text("object", getattr(step, "object", self.name))
         if name and name not in objects:
             bound = f"one of objects: {', '.join(objects)}" if objects else "an object of the file"
@@ -75,7 +75,7 @@ class _Held:
         if self.stage is not begin:
             kinds = "enclose, grasp, lift, carry, set_down, loosen and leave"
             remedy = f"{kinds} an object, in this order"
-            raise InputError("", f"a hitch {self.stage}", f"one {begin}", remedy)
+            raise InputError("", str(self.stage), f"{begin}, which {step.name} needs", remedy)
         if begin is not Stage.FREE and name != self.name:
             raise InputError("object", name, f"{self.name}, the one enclosed", "leave that before")
         if not self.known and isinstance(step, MoveStep | FollowVertex):
@@ -100,7 +100,7 @@ def _check_untimed(step: Step) -> None:
     """Raise InputError where a step that is blended is to be optimised, or has a duration."""
     for key in ("optimize", "tension", "duration"):
         if vars(step).get(key):
-            bound = "left out of steps that are blended, which are not optimised, nor stop to end"
+            bound = "left out: it is not allowed on blended steps"
             raise InputError(key, vars(step)[key], bound, f"leave out {key} or blend")
 
 
@@ -196,17 +196,17 @@ class Problem(OneLine):
             if not steps:
                 bound = "a list of at least one step"
                 raise InputError("mission", [], bound, "add a morph or a hold")
-        object.__setattr__(self, "mission", fitting_steps(self, steps))
+        object.__setattr__(self, "mission", resolved_steps(self, steps))
 
     @property
     def requirements(self) -> Requirements:
-        """What the plan must satisfy."""
+        """Requirements of the plan."""
         own = Requirements(self.limits, self.separation, self.arena, objects=self.objects)
         return own.flown_by(self.team)
 
     @property
     def asked(self) -> dict[str, Any]:
-        """What its plan is asked, as plan files store it (``hitchopt.motion.plan_file``)."""
+        """The plan's request as plan files store it (``hitchopt.motion.plan_file``)."""
         start: dict[str, Any] = {"drones": self.start}
         if not isinstance(self.start, DronesStart):
             altitude = self.start.altitude
@@ -220,7 +220,7 @@ class Problem(OneLine):
 
 
 def _asked_steps(problem: Problem) -> Iterator[dict[str, Any]]:
-    """Yield what every step is asked (``motion.plan_file.flown``), as far as no planner decides it.
+    """Yield the request of every step (``motion.plan_file.flown``), without choices of planners.
 
     The planner decides outlines around objects, and how high they are.
     """
@@ -233,7 +233,7 @@ def _asked_steps(problem: Problem) -> Iterator[dict[str, Any]]:
             pull = [team.tension, team.tension if step.tension is None else step.tension]
             pulls = min(LOOSE[0], *map(np.min, pull)), max(map(np.max, pull))
             hold = name, step.held_by(objects[name])
-        outline, held = step.polygon_left(team, outline), held.after(step, objects)
+        outline, held = step.checked_polygon_after(team, outline), held.after(step, objects)
         if name:
             moved = {name: objects[name].moved_to(goal_of(step, requirements, name))}
             requirements = replace(requirements, objects=objects | moved)
@@ -269,7 +269,7 @@ def fitting_start(team: Team, start: Start) -> Start:
         return start
     if isinstance(start, HitchStart):
         try:
-            outline, legs = fitting_polygon(team, start.polygon), slack_split(start.legs, team)
+            outline, legs = checked_polygon(team, start.polygon), slack_split(start.legs, team)
         except InputError as error:
             raise error.within("start.hitch") from None
         return replace(start, polygon=outline, legs=legs)
@@ -313,13 +313,13 @@ class SwarmProblem(OneLine):
 
     @property
     def requirements(self) -> Requirements:
-        """What the plan must satisfy."""
+        """Requirements of the plan."""
         parts = self.limits, self.separation, self.arena, self.keep_out, self.objects
         return Requirements(*parts).flown_by(self.team)
 
     @property
     def asked(self) -> dict[str, Any]:
-        """What its plan is asked, as plan files store it (``hitchopt.motion.plan_file``)."""
+        """The plan's request as plan files store it (``hitchopt.motion.plan_file``)."""
         step: dict[str, Any] = {"drones": self.goal}
         step["objects"] = {name: each.pose for name, each in self.objects.items()}
         if self.duration is not None:

@@ -37,7 +37,7 @@ from hitchopt.steps.step import (
     Edits,
     Knob,
     RolledLegs,
-    eased,
+    checks_relaxed_by,
     outline_edit,
     points_scaled,
 )
@@ -56,8 +56,8 @@ SIZES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.5, 3.0, 6.0)
 RESOLUTION = 0.005
 """Resolution of the smallest size, as a share of the new value."""
 
-FAR, ENOUGH = 4.0, 3
-"""Changes that are so many times larger than the smallest are not looked for; most suggestions."""
+MAX_SIZE_RATIO, MAX_SUGGESTIONS = 4.0, 3
+"""Largest size of a change over the smallest one, and largest number of suggestions."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,12 +125,12 @@ def find_suggestions(
     """Return up to three single changes that make a problem feasible, smallest first.
 
     Each has been planned and certified. They are the smallest that were found: no value between
-    the last one that failed and the one suggested is known to do. None proves nothing. ``error``
+    the last one that failed and the one suggested is known to do. No result is no proof. ``error``
     says why the problem cannot be met; after ``budget`` [s] no further plan is begun.
     """
     end = time.monotonic() + budget
 
-    def judged(change: Change | None, *, optimiser: bool = False) -> Verdict | None:
+    def verdict_on(change: Change | None, *, optimiser: bool = False) -> Verdict | None:
         if change is None or time.monotonic() >= end or time_left() <= 0.0:
             return None
         if progress is not None:
@@ -147,11 +147,11 @@ def find_suggestions(
     knobs = [knob for knob in _knobs(problem, error.violations) if broken <= knob.covers]
     crowded = broken <= SPACE | {"crossing", "arena"}
     named = [*(_spread(problem) if crowded else ()), *_retuned(problem)]
-    found = [verdict for verdict in map(judged, named) if isinstance(verdict, Suggestion)]
-    found += _smallest(problem, knobs, judged)
+    found = [verdict for verdict in map(verdict_on, named) if isinstance(verdict, Suggestion)]
+    found += _smallest(problem, knobs, verdict_on)
     if not found and error.note:  # the optimiser was needed and may be needed still
-        found = _smallest(problem, knobs, partial(judged, optimiser=True))
-    return tuple(sorted(found, key=lambda s: abs(s.change.relative))[:ENOUGH])
+        found = _smallest(problem, knobs, partial(verdict_on, optimiser=True))
+    return tuple(sorted(found, key=lambda s: abs(s.change.relative))[:MAX_SUGGESTIONS])
 
 
 def _smallest(problem: Problem, knobs: Sequence[Knob], judge: Judge) -> list[Suggestion]:
@@ -165,7 +165,7 @@ def _smallest(problem: Problem, knobs: Sequence[Knob], judge: Judge) -> list[Sug
     last = 0.0
     for turn, i, size in sorted(tries):
         smallest = min((abs(s.change.relative) for s in found), default=math.inf)
-        if turn > last and (len(found) >= ENOUGH or last >= FAR * smallest):
+        if turn > last and (len(found) >= MAX_SUGGESTIONS or last >= MAX_SIZE_RATIO * smallest):
             break
         last, knob = turn, knobs[i]
         if i in done:
@@ -277,7 +277,11 @@ def _needed(violations: Iterable[Violation], name: str) -> float:
 
 # What can be changed.
 
-SPACE, RATES, FORCES = eased("length") | {"tracking_radius"}, eased("time"), eased("tension")
+SPACE, RATES, FORCES = (
+    checks_relaxed_by("length") | {"tracking_radius"},
+    checks_relaxed_by("time"),
+    checks_relaxed_by("tension"),
+)
 
 TIMES = frozenset({"duration", PLAN_DURATION})
 """Constraints that a faster plan, or more time, repairs."""

@@ -35,7 +35,7 @@ from hitchopt.steps.certified_motions import (
     plan_blended,
     split_hitch,
 )
-from hitchopt.steps.step import Situation, StepPlan, StepTask
+from hitchopt.steps.step import RestState, StepPlan, StepTask
 from hitchopt.values import Array
 
 AT_START = "at the start (t = 0)"
@@ -58,11 +58,11 @@ def _naming_tracking(requirements: Requirements) -> Iterator[None]:
         if not (off := requirements.limits.tracking):
             raise
         advice = f"let drones be off by less: limits.tracking of {off:.3g} m widens this distance"
-        told = [
+        violations = [
             replace(each, remedy=_remedy(each, advice)) if each.constraint in WIDENED else each
             for each in error.violations
         ]
-        raise InfeasibleError(told, error.note) from None
+        raise InfeasibleError(violations, error.note) from None
 
 
 def check_controllers(team: Team) -> None:
@@ -103,12 +103,12 @@ def solve_problem(
 def _solved(problem: Problem, progress: Progress | None, *, optimiser: bool) -> Certified:
     """Return the certified plan of all steps."""
     steps, requirements, tell = problem.mission, problem.requirements, progress or (lambda _: None)
-    planned = requirements.planned  # stops on the common clock may use the rest
-    situation, assignment = _begun(problem, planned, tell)
-    start, parts = situation.hitch, list[StepPlan]()
+    planned = requirements.with_reserve  # stops on the common clock may use the rest
+    state, assignment = _begun(problem, planned, tell)
+    start, parts = state.hitch, list[StepPlan]()
     for first, group in _groups(steps):
         tell(f"planning step {first} ({group[0].name}), {first} of {len(steps)} done")
-        task = StepTask(situation, first, situation.at_objects(planned), optimiser)
+        task = StepTask(state, first, state.at_objects(planned), optimiser)
         try:
             part = _step(group, task, tell)
         except TimeLimitError:
@@ -120,7 +120,7 @@ def _solved(problem: Problem, progress: Progress | None, *, optimiser: bool) -> 
                 raise
             raise _in_step(error, first, group) from None
         parts.append(part)
-        situation = part.after
+        state = part.after
     motion = joined_motions([part.motion for part in parts])
     if motion.requirements is not requirements:
         motion = replace(motion, requirements=requirements)
@@ -135,14 +135,14 @@ def _solved(problem: Problem, progress: Progress | None, *, optimiser: bool) -> 
 
 
 MOST = 32
-"""Number of finished steps that are kept; one of 1000 robots takes 76 MB."""
+"""Capacity of the cache in steps; one of 1000 robots takes 76 MB."""
 
 _FINISHED: dict[bytes, StepPlan] = {}
 """Plans of steps by the digests of all that they depend on, the least recently used first."""
 
 
 def forget() -> None:
-    """Forget the steps planned in this process: the next ones are planned again."""
+    """Clear the cache of steps planned in this process."""
     _FINISHED.clear()
 
 
@@ -161,27 +161,27 @@ def contents(value: object) -> object:
 
 def _begun(
     problem: Problem, requirements: Requirements, tell: Progress
-) -> tuple[Situation, Assignment | None]:
+) -> tuple[RestState, Assignment | None]:
     """Return where a mission starts; from free cables, with the robots' roles for all of it."""
     team, start = problem.team, problem.start
     if isinstance(start, Hitch):
-        return Situation.formed(start), None
+        return RestState.formed(start), None
     if isinstance(start, HitchStart):
         tell("splitting the slack at the start")
         hitch = split_hitch(team, start.polygon, start.altitude, start.legs, requirements)
-        return Situation.formed(hitch), None
-    named = Situation(team, start.drones)  # drones have the file's names
+        return RestState.formed(hitch), None
+    named = RestState(team, start.drones)  # drones have the file's names
     check_start(StepTask(named, 0, requirements))
     assignment = Assignment.fixed(team.robots)
     form = next((step for step in problem.mission if isinstance(step, Form)), None)
     if form is not None and form.assign == "auto":
         tell("assigning robots to edges")
         assignment = assigned(team, start.drones, form.polygon, requirements.limits.leg)
-    return Situation(assignment.team(team), assignment.drones(start.drones)), assignment
+    return RestState(assignment.team(team), assignment.drones(start.drones)), assignment
 
 
 def _step(group: tuple[Step, ...], task: StepTask, tell: Progress) -> StepPlan:
-    """Return the certified plan of steps without a stop, from memory where nothing differs."""
+    """Return the certified plan of steps without a stop, from the cache if nothing differs."""
     key = hashlib.sha256(repr(contents((group, task))).encode()).digest()
     planned = _FINISHED.pop(key, None)
     if planned is None:
@@ -189,7 +189,7 @@ def _step(group: tuple[Step, ...], task: StepTask, tell: Progress) -> StepPlan:
         tell(f"certifying step {task.index} ({group[0].name})")
         _ = planned.certificate  # is kept with the plan
     else:
-        tell("planned before, taken from memory")
+        tell("reused from cache")
     _FINISHED[key] = planned  # as the one used last
     if len(_FINISHED) > MOST:
         del _FINISHED[next(iter(_FINISHED))]
@@ -208,7 +208,7 @@ def _groups(steps: Sequence[Step]) -> Iterator[tuple[int, tuple[Step, ...]]]:
 def _in_step(error: InfeasibleError, first: int, group: Sequence[Step]) -> InfeasibleError:
     """Return the error with the step named as the file has it, wherever it happens."""
     names = " and ".join(f"{i} ({step.name})" for i, step in enumerate(group, first))
-    told = []
+    violations = []
     for violation in error.violations:
         when = violation.when
         if len(group) == 1:  # parts of a step have names of their own
@@ -216,14 +216,14 @@ def _in_step(error: InfeasibleError, first: int, group: Sequence[Step]) -> Infea
         if f"step {first}" not in when and "end of step" not in when:
             when = f"{when} of step {names}".strip()
         remedy = _remedy(violation, "leave out blend" * (len(group) > 1))
-        told.append(replace(violation, when=when, remedy=remedy))
-    return InfeasibleError(told, error.note)
+        violations.append(replace(violation, when=when, remedy=remedy))
+    return InfeasibleError(violations, error.note)
 
 
 def _advised(found: Certified, steps: Sequence[Step]) -> InfeasibleError:
     """Return what a certificate refuses; where steps are blended a stop may help."""
     error = infeasible(found.certificate, found.motion)
-    told = []
+    violations = []
     for violation, check in zip(error.violations, found.certificate.violated, strict=True):
         during = [p for p in found.motion.phases if p.start <= check.time <= p.end]
         around = [steps[i] for p in during for i in (p.step - 1, p.step) if i >= 0]
@@ -232,8 +232,8 @@ def _advised(found: Certified, steps: Sequence[Step]) -> InfeasibleError:
         rule = RULE_OF.get(check.name)
         longer = "give the points more time" * bool(timed and rule and rule.derivative > 0)
         advice = longer or "leave out blend" * blends
-        told.append(replace(violation, remedy=_remedy(violation, advice)))
-    return InfeasibleError(told, error.note)
+        violations.append(replace(violation, remedy=_remedy(violation, advice)))
+    return InfeasibleError(violations, error.note)
 
 
 def _remedy(violation: Violation, advice: str) -> str:
@@ -263,7 +263,7 @@ def _separated(problem: SwarmProblem, progress: Progress | None) -> Certified:
         remedy, asked = "lower duration, or raise limits.duration", problem.duration
         found = Violation("duration", asked, longest, "max", "s", (), "as asked for", remedy)
         raise InfeasibleError([found])
-    planned = problem.requirements.planned
+    planned = problem.requirements.with_reserve
     prisms = [(f"prism {k}", prism) for k, prism in enumerate(planned.keep_out)]
     for name, body in problem.objects.items():
         prisms += [(name, _prism_around(body, slab)) for slab in body.slabs]
@@ -315,4 +315,4 @@ def flyable_accelerations(problem: SwarmProblem) -> Array:
         )
     limits = problem.requirements.limits
     level = GRAVITY * math.sin(limits.tilt)  # what leans the thrust by the tilt at most
-    return np.minimum(SHARE * np.minimum(spare, level), limits.planned.acceleration)
+    return np.minimum(SHARE * np.minimum(spare, level), limits.with_reserve.acceleration)

@@ -179,7 +179,7 @@ def fit(
     kind = Quadrotor() if quadrotor is None else quadrotor
     instance("quadrotor", kind, Quadrotor)
     asked = Requirements(limits or Limits(), separation or Separation())
-    requirements = asked.flown_by(Swarm(1, quadrotor=kind)).planned
+    requirements = asked.flown_by(Swarm(1, quadrotor=kind)).with_reserve
     section, notes = _section_of(outline)
     most, binding = largest_tension(requirements, kind)
     if tension is None:

@@ -41,7 +41,7 @@ from hitchopt.steps.step import (
     StepPlan,
     StepTask,
     Yaw,
-    eased,
+    checks_relaxed_by,
     one_of,
 )
 from hitchopt.values import Array, positive
@@ -281,7 +281,9 @@ class PullStep(Step):
         if self.tension is not None:
             pull = Knob("tension", self.tension, "N", covers=BALANCE | {"load", "grip"})
             yield pull
-            covers = BALANCE | eased("tension") | eased("length") | {"crossing"}
+            covers = (
+                BALANCE | checks_relaxed_by("tension") | checks_relaxed_by("length") | {"crossing"}
+            )
             yield replace(pull, sign=-1, covers=covers)
 
 

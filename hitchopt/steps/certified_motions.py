@@ -28,7 +28,7 @@ from hitchopt.planners.morph.legs import SLIDES, legs_clear
 from hitchopt.planners.morph.morph import SAME, BlendedMorph
 from hitchopt.planners.morph.path import RigidPath, ShapePath
 from hitchopt.planners.timing.flight import Flight, check_duration, fly, needed_stretch
-from hitchopt.steps.step import IDLE, RolledLegs, Situation, SlackSplit, StepPlan, StepTask
+from hitchopt.steps.step import IDLE, RestState, RolledLegs, SlackSplit, StepPlan, StepTask
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -46,14 +46,14 @@ class Certified:
 
 
 def checked(planned: StepPlan, when: str = "") -> StepPlan:
-    """Return a plan; raise InfeasibleError for what it breaks, ``when`` being said for the time."""
+    """Return a certified plan; else raise InfeasibleError, ``when`` naming the time."""
     if not planned.certificate.certified:
         raise infeasible(planned.certificate, planned.motion, when)
     return planned
 
 
-def tried(planned: Callable[[], StepPlan]) -> StepPlan | HitchoptError:
-    """Return a plan that breaks no limit, or why there is none; that time is up is raised."""
+def attempt(planned: Callable[[], StepPlan]) -> StepPlan | HitchoptError:
+    """Return a certified plan or the error that refuses it; raise TimeLimitError."""
     try:
         return checked(planned())
     except TimeLimitError:
@@ -79,7 +79,7 @@ def flying(
 def at_rest(hitch: Hitch, requirements: Requirements) -> StepPlan:
     """Return the plan in which a hitch stays, for as long as limits do not matter."""
     motion = resting(hitch, requirements, 1.0, Phase("hold", 0, 0.0, 1.0))
-    return StepPlan(motion, Situation.formed(hitch))
+    return StepPlan(motion, RestState.formed(hitch))
 
 
 def check_at_rest(hitch: Hitch, requirements: Requirements, when: str) -> None:
@@ -132,8 +132,8 @@ def split_hitch(
     """Return the hitch whose slack is split as ``legs`` says."""
     sharing, roll = (legs.sharing, legs.roll) if isinstance(legs, RolledLegs) else (legs, None)
     if isinstance(sharing, str) and sharing == "spread":
-        kept = {name: getattr(requirements, name) for name in ("limits", "separation")}
-        return Hitch.spread(team, polygon, altitude, roll=roll, **kept)
+        requested = {name: getattr(requirements, name) for name in ("limits", "separation")}
+        return Hitch.spread(team, polygon, altitude, roll=roll, **requested)
     given = 0.0 if roll is None else roll
     if isinstance(sharing, str):
         hitch = Hitch.balanced(team, polygon, altitude, given)
@@ -182,11 +182,13 @@ def _nearest(
     start: Hitch, polygon: Outline, fractions: ArrayLike, requirements: Requirements
 ) -> Hitch:
     """Return the hitch within all limits whose fractions are nearest to those given."""
-    kept = {name: getattr(requirements, name) for name in ("limits", "separation", "arena")}
-    return Hitch.nearest(start.team, polygon, start.altitude, fractions, roll=start.roll, **kept)
+    requested = {name: getattr(requirements, name) for name in ("limits", "separation", "arena")}
+    return Hitch.nearest(
+        start.team, polygon, start.altitude, fractions, roll=start.roll, **requested
+    )
 
 
-SHUT = "the step's own route is infeasible"
+DIRECT_INFEASIBLE = "the step's own route is infeasible"
 SLOWER = "the step's own route takes longer"
 
 
@@ -208,7 +210,7 @@ def optimised(
         flown = replace(phase, end=flight.duration)
         return task.ended(flying(flight, start.team, requirements, [flown]), end)
 
-    def judged(path: ShapePath) -> Flight | None:
+    def certified_flight(path: ShapePath) -> Flight | None:
         """Return the flight along a path, or one on which legs lead and lag, if it is certified."""
         led = leading(path, requirements.limits) if lead else ()
         for each in (*(p for p in led if legs_clear(p, requirements)), path):
@@ -224,7 +226,7 @@ def optimised(
                 return flight
         return None
 
-    found = OptimisedMorph(start, end, requirements, judged, phase.tension).solve()
+    found = OptimisedMorph(start, end, requirements, certified_flight, phase.tension).solve()
     if not found:
         raise HitchoptError("no route was found")
     best, words = found[0].flight, f"on an optimised route, first guess {found[0].name}"
@@ -234,31 +236,31 @@ def optimised(
     return checked(planned(best.lasting(duration)).remarked(words))
 
 
-def refused_both(own: HitchoptError, other: HitchoptError, note: str) -> HitchoptError:
-    """Return why neither of two routes is flown: first of one that only takes too long."""
+def combined_failure(own: HitchoptError, other: HitchoptError, note: str) -> HitchoptError:
+    """Return one error for two refused routes, that of a route that is only too slow if any."""
 
     def late(refusal: InfeasibleError) -> float:
         """Return the time that a route takes at least [s], if that alone is why it is refused."""
         timed = all((v.constraint, v.sense) == ("duration", "min") for v in refusal.violations)
         return max((v.limit for v in refusal.violations if timed), default=math.inf)
 
-    told = [each for each in (own, other) if isinstance(each, InfeasibleError)]
-    if not told:
+    infeasible_routes = [each for each in (own, other) if isinstance(each, InfeasibleError)]
+    if not infeasible_routes:
         return own
-    first = min(told, key=late)  # the own one where none has a time
+    first = min(infeasible_routes, key=late)  # the own one where none has a time
     if first is not own and isinstance(own, InfeasibleError):
-        note = SHUT if late(own) == math.inf else SLOWER
+        note = DIRECT_INFEASIBLE if late(own) == math.inf else SLOWER
     return InfeasibleError(first.violations, first.note or note)
 
 
 SHARES = (1.0, 0.8, 0.65, 0.5, 0.4, 0.3, 0.25)
-"""Shares of the friction to lean against, tried in turn until every limit is satisfied."""
+"""Shares of the friction to lean against; the first of them that is certified is used."""
 
 WHOLE, LONGER = 0.99, 1.5
 """Share of the friction from which on all of it counts as used, and most times as long as without
 friction that a step may last for legs to lean so far."""
 
-NO_ROOM = "legs do not lean against friction: limits leave no room for it"
+NOT_COMPENSATED = "clasp friction is not compensated: limits bind"
 
 
 def against_friction(planned: StepPlan, *, timed: bool) -> StepPlan:
@@ -280,11 +282,11 @@ def against_friction(planned: StepPlan, *, timed: bool) -> StepPlan:
             continue
         words = f"legs lean against friction, by up to {math.degrees(found.turned):.2g}°"
         if share < 1.0:
-            words += f" ({share:.0%} of what would do: limits leave room for no more)"
+            words += f" ({share:.0%} of the friction: limits bind)"
         leant = replace(planned, motion=found.motion).remarked(words)
         if leant.certificate.certified:
             return leant
-    return planned.remarked(NO_ROOM)
+    return planned.remarked(NOT_COMPENSATED)
 
 
 def plan_blended(steps: Sequence[Any], task: StepTask) -> StepPlan:
@@ -295,7 +297,7 @@ def plan_blended(steps: Sequence[Any], task: StepTask) -> StepPlan:
     """
     requirements, hitches = task.requirements, [task.hitch]
     for i, step in enumerate(steps, task.index):
-        here = StepTask(Situation.formed(hitches[-1]), i, requirements)
+        here = StepTask(RestState.formed(hitches[-1]), i, requirements)
         end = step.end(here).hitch
         step.check_end(end, here)
         if np.max(np.abs(end.drones - hitches[-1].drones)) < SAME:
@@ -314,16 +316,18 @@ def plan_blended(steps: Sequence[Any], task: StepTask) -> StepPlan:
     return against_friction(plan, timed=False)
 
 
-def worked(task: StepTask, seconds: float | None, phase: Phase, *, needed: bool = True) -> StepPlan:
-    """Return the plan in which drones swing until the clasps' friction has lost its memory.
+def settling_plan(
+    task: StepTask, seconds: float | None, phase: Phase, *, needed: bool = True
+) -> StepPlan:
+    """Return the plan in which drones swing to remove friction hysteresis at the clasps.
 
     They swing as far as limits allow for ``seconds`` [s], or SWINGS of SWING and longer if need be.
-    Raises InfeasibleError where limits leave no room for it, and it is ``needed``.
+    Raises InfeasibleError if limits bind and the swing is ``needed``.
     """
     from hitchopt.planners.morph.friction import SWING, SWINGS, settling
 
     lasts = SWING * (SWINGS + 0.5) if seconds is None else seconds
-    hitch, requirements, tried = task.hitch, task.requirements, None
+    hitch, requirements, settled = task.hitch, task.requirements, None
     rest = resting(hitch, requirements, lasts, phase)
     for share in SHARES:
         found = settling(rest, share)
@@ -336,16 +340,16 @@ def worked(task: StepTask, seconds: float | None, phase: Phase, *, needed: bool 
         if factor > 1.0 and seconds is None and factor <= LONGER:
             motion = motion.slowed(factor)
         if used < WHOLE:
-            words += f" (at least {used:.0%} of what would do: legs have room for no more)"
-        tried = task.ended(motion, hitch).remarked(words)
-        if tried.certificate.certified:
-            return tried
-    if tried is None:
+            words += f" (at least {used:.0%} of the swing that suffices: legs bind)"
+        settled = task.ended(motion, hitch).remarked(words)
+        if settled.certificate.certified:
+            return settled
+    if settled is None:
         return task.ended(rest, hitch).remarked("no leg can lean against friction")
     if needed:
-        raise infeasible(tried.certificate, tried.motion)
-    left = task.ended(resting(hitch, requirements, IDLE, phase), hitch)
-    return left.remarked("clasps keep their friction: limits leave no room to work them")
+        raise infeasible(settled.certificate, settled.motion)
+    unsettled = task.ended(resting(hitch, requirements, IDLE, phase), hitch)
+    return unsettled.remarked("friction hysteresis is not removed: limits bind")
 
 
 # Motions on free cables, and of hitches that are tied or untied.
@@ -376,7 +380,7 @@ def check_start(task: StepTask) -> None:
         raise InfeasibleError(found, error.note) from None
 
 
-def _span(violation: Violation, before: Situation) -> Violation:
+def _span(violation: Violation, before: RestState) -> Violation:
     """Return the violation with the drones named that are too far apart, and by how much."""
     k = int(violation.where[0].removeprefix("cable "))
     apart = float(np.linalg.norm(before.drones[2 * k + 1] - before.drones[2 * k]))

@@ -13,7 +13,7 @@ import numpy as np
 from hitchopt.errors import HitchoptError, InputError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.hitch import fitting_polygon
+from hitchopt.hitch.hitch import checked_polygon
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.steps.step import (
     IDLE,
@@ -43,7 +43,7 @@ from hitchopt.steps.step import (
     WhichPoint,
     Yaw,
     auto_seconds,
-    eased,
+    checks_relaxed_by,
     key,
     of_shape,
     point,
@@ -99,17 +99,22 @@ class ShapeStep(HitchStep):
         """Return the hitch after the step."""
 
     @abstractmethod
-    def own_motion(self, task: StepTask, end: End) -> Motion:
-        """Return the motion on the step's own route, straight and by its own law of the legs."""
+    def direct_motion(self, task: StepTask, end: End) -> Motion:
+        """Return the motion on the direct route: straight, by the step's own law of the legs."""
 
     def fly(self, task: StepTask) -> StepPlan:
         """Return the step's own plan, or an optimised one where that is needed or asked for."""
-        from hitchopt.steps.certified_motions import SHUT, optimised, refused_both, tried
+        from hitchopt.steps.certified_motions import (
+            DIRECT_INFEASIBLE,
+            attempt,
+            combined_failure,
+            optimised,
+        )
 
         end, duration = self.end(task), self.given_duration
         tension: tuple[float, float] | None = getattr(self, "tension", None)
         lead = bool(getattr(self, "optimize", False))
-        own = tried(lambda: task.ended(self.own_motion(task, end), end.hitch))
+        own = attempt(lambda: task.ended(self.direct_motion(task, end), end.hitch))
         if isinstance(own, StepPlan) and not (task.optimiser and (lead or tension)):
             return own
         if isinstance(own, HitchoptError):
@@ -118,12 +123,12 @@ class ShapeStep(HitchStep):
             if not task.optimiser:
                 raise own
         phase = Phase(self.name, task.index, 0.0, 0.0, tension=tension)
-        other = tried(lambda: optimised(task, end.hitch, phase, duration, lead=lead))
+        other = attempt(lambda: optimised(task, end.hitch, phase, duration, lead=lead))
         if isinstance(own, HitchoptError):
             if isinstance(other, StepPlan):
-                return other.remarked(SHUT)
+                return other.remarked(DIRECT_INFEASIBLE)
             what = "other route" if duration is None else "route that is fast enough either"
-            raise refused_both(own, other, f"the optimiser found no {what}")
+            raise combined_failure(own, other, f"the optimiser found no {what}")
         if isinstance(other, HitchoptError) or own.motion.duration <= other.motion.duration:
             return own
         return other.remarked("faster than the step's own route")
@@ -132,16 +137,17 @@ class ShapeStep(HitchStep):
 class ActionStep(ShapeStep):
     """A step that is an action of the paper, which names the drones that move."""
 
-    told: ClassVar[tuple[str, ...]] = ("vertex",)  # fields that the action is told as well
+    # names of the fields that the action takes besides the start and the polygon
+    action_fields: ClassVar[tuple[str, ...]] = ("vertex",)
 
     def action(self, task: StepTask) -> Action:
         """Return the action, which has the step's name."""
         from hitchopt.planners.morph import actions
 
-        start, told = task.hitch, [getattr(self, name) for name in self.told]
+        start, values = task.hitch, [getattr(self, name) for name in self.action_fields]
         polygon = self.polygon_after(start.team, start.polygon)
         assert polygon is not None
-        found: Action = getattr(actions, self.name)(start, polygon, *told)
+        found: Action = getattr(actions, self.name)(start, polygon, *values)
         return found
 
     def end(self, task: StepTask) -> End:
@@ -150,7 +156,7 @@ class ActionStep(ShapeStep):
 
         return end_of_action(self.action(task), self.legs, task.requirements)
 
-    def own_motion(self, task: StepTask, end: End) -> Motion:
+    def direct_motion(self, task: StepTask, end: End) -> Motion:
         """Return the motion of the action to the hitch that it ends with."""
         from hitchopt.planners.morph.actions import ActionMorph
 
@@ -204,7 +210,7 @@ class Hold(HitchStep):
 
 @dataclass(frozen=True)
 class Settle(Step):
-    """The clasps are worked until their friction has lost its memory.
+    """Swing the drones to remove friction hysteresis at the clasps.
 
     Drones swing about their places, by less and less; vertices stay within the plan.
     """
@@ -220,18 +226,18 @@ class Settle(Step):
         ),
     ] = "auto"
 
-    def fitting(self, team: Team) -> Self:
+    def resolved_for(self, team: Team) -> Self:
         """Return the step, or raise InputError for a team whose cables have no friction."""
         if team.cable_friction == 0.0:
             remedy = "give the team's cable_friction, or leave the step out"
             raise InputError("", "no friction", "a step of a team whose cables have some", remedy)
-        return super().fitting(team)
+        return super().resolved_for(team)
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan in which drones swing about their places."""
-        from hitchopt.steps.certified_motions import worked
+        from hitchopt.steps.certified_motions import settling_plan
 
-        return worked(task, self.given_duration, Phase(self.name, task.index, 0.0, 0.0))
+        return settling_plan(task, self.given_duration, Phase(self.name, task.index, 0.0, 0.0))
 
 
 class TensionKeys(Keys):
@@ -275,9 +281,9 @@ class Morph(ShapeStep):
         tension = values["tension"]
         return cls(**values | {"tension": tension and (tension["min"], tension["max"])})
 
-    def fitting(self, team: Team) -> Self:
+    def resolved_for(self, team: Team) -> Self:
         """Return the step fitting a team, whose tensions lie within the step's own range."""
-        fitted = super().fitting(team)
+        fitted = super().resolved_for(team)
         if self.tension is None:
             return fitted
         least, most = self.tension
@@ -294,7 +300,7 @@ class Morph(ShapeStep):
 
         return end_of_morph(task.hitch, self.polygon, self.legs, task.requirements)
 
-    def own_motion(self, task: StepTask, end: End) -> Motion:
+    def direct_motion(self, task: StepTask, end: End) -> Motion:
         """Return the motion along straight lines."""
         from hitchopt.planners.morph.morph import StraightMorph
 
@@ -341,7 +347,7 @@ class MoveStep(ActionStep):
 def _convex(team: Team, points: Array, key: str, value: Array | None) -> Outline:
     """Return the points as an outline; an error names the step's ``key`` and its ``value``."""
     try:
-        return fitting_polygon(team, points)
+        return checked_polygon(team, points)
     except InputError as error:
         why = f"{error.key} = {error.value} would have to be {error.bound}"
         bound = f"such that the outline stays convex and clockwise ({why})"
@@ -392,7 +398,7 @@ class MoveEdge(MoveStep):
     Edge k runs from vertex k to vertex k + 1. Four drones move, or six where edges turn.
     """
 
-    told: ClassVar[tuple[str, ...]] = ("edge",)
+    action_fields: ClassVar[tuple[str, ...]] = ("edge",)
     edge: WhichPoint
     to: Annotated[Array | None, Key(TwoPoints, _ENDS_TEXT, check=_TWO_PLACES)] = None
     by: By = None
@@ -415,7 +421,7 @@ def _given(key: str, value: Any) -> Any:
 class Adjust(ActionStep):
     """Cables slide through their clasps; the outline stays."""
 
-    told: ClassVar[tuple[str, ...]] = ()
+    action_fields: ClassVar[tuple[str, ...]] = ()
 
     legs: Annotated[SlackSplit, Key(Legs, LEGS_TEXT, ("balanced",), check=_given)] = "balanced"
     duration: Seconds = None
@@ -446,7 +452,7 @@ class FollowVertex(ActionStep):
     """One vertex follows timed points; it meets them at their times, at rest before and after."""
 
     blendable: ClassVar[bool] = False
-    told: ClassVar[tuple[str, ...]] = ("vertex", "path")
+    action_fields: ClassVar[tuple[str, ...]] = ("vertex", "path")
     vertex: WhichPoint
     path: Annotated[Array, Key(TimedPath, _PATH_TEXT, ([[1.0, 0.0, -0.9]],), check=_timed_path)]
     legs: LegsAtEnd = None
@@ -466,7 +472,7 @@ class FollowVertex(ActionStep):
         """Return the plan along the points; there is no other route."""
         end = self.end(task)
         self.check_end(end.hitch, task)
-        return task.ended(self.own_motion(task, end), end.hitch)
+        return task.ended(self.direct_motion(task, end), end.hitch)
 
     def knobs(self) -> Iterator[Knob]:
         """Yield the points' times."""
@@ -475,7 +481,7 @@ class FollowVertex(ActionStep):
             times = points_scaled(self.path[:, 0], factor, np.zeros(1))
             return self._rewritten(times, self.path[:, 1:])
 
-        covers = eased("time") | eased("tension")
+        covers = checks_relaxed_by("time") | checks_relaxed_by("tension")
         longer = Knob("path", 1.0, "times", slower, 1, covers, "times of its points")
         yield longer
         yield replace(longer, sign=-1, covers=frozenset({PLAN_DURATION}))

@@ -1,4 +1,4 @@
-"""What every kind of step is: a record with its keys, its planning and what repair may change."""
+"""Base of all steps: a record with its keys, its planning and the knobs of repair."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from hitchopt.checks.registry import OF_PARTS, RULES
 from hitchopt.errors import InputError, OneLine, UnitWarning
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.hitch import checked_roll, fitting_polygon
+from hitchopt.hitch.hitch import checked_polygon, checked_roll
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import MAX_ROBOTS
 from hitchopt.motion.motion import Motion
@@ -316,18 +316,18 @@ DECIMALS, LEAST_LEFT = 9, 0.1
 """Decimals of numbers in edits, and share of a quantity that is left where it is lowered."""
 
 PLAN_DURATION = "plan duration"
-"""The plan's duration as a constraint, told apart from a step's, which is too short."""
+"""Constraint of the plan's duration, distinct from a step's, which is too short."""
 
 
 @cache
-def eased(by: Literal["length", "time", "tension"]) -> frozenset[str]:
-    """Return the checks that longer legs, slower or shorter motion, or lower tensions ease."""
+def checks_relaxed_by(by: Literal["length", "time", "tension"]) -> frozenset[str]:
+    """Return the checks relaxed by a larger length, a longer time or a lower tension."""
     return frozenset(rule.name for rule in RULES if rule.ease == by)
 
 
 @dataclass(frozen=True)
 class Edit(OneLine):
-    """What to write into a problem file."""
+    """A change of one value in a problem file."""
 
     key: str  # path such as ``mission[0].morph.polygon``; of a step's own edits, within the step
     value: object  # number, word, list or mapping, in the file's units
@@ -374,8 +374,8 @@ def outline_edit(key: str, outline: Outline, factor: float) -> Edit:
 
 
 @dataclass(frozen=True, eq=False)
-class Situation:
-    """A moment of rest: a hitch, or drones on free cables."""
+class RestState:
+    """State at rest between two steps: a hitch, or drones on free cables."""
 
     team: Team  # who flies
     drones: Array  # (2n, 3) [m], in the order q0, r0, q1, r1, …
@@ -390,8 +390,8 @@ class Situation:
     objects: Mapping[str, SolidObject] | None = None
 
     @classmethod
-    def formed(cls, hitch: Hitch) -> Situation:
-        """Return the situation of a hitch that is there at first."""
+    def formed(cls, hitch: Hitch) -> RestState:
+        """Return the state of a hitch that exists at the start."""
         return cls(hitch.team, hitch.drones, hitch)
 
     def at_objects(self, requirements: Requirements) -> Requirements:
@@ -401,10 +401,10 @@ class Situation:
 
 @dataclass(frozen=True, eq=False)
 class StepPlan:
-    """The motion of a step from rest to rest, and the situation after it."""
+    """The motion of a step from rest to rest, and the state after it."""
 
     motion: Motion
-    after: Situation
+    after: RestState
 
     @cached_property
     def certificate(self) -> Certificate:
@@ -417,24 +417,24 @@ class StepPlan:
             replace(phase, remark=f"{phase.remark}; {words}" if phase.remark else words)
             for phase in self.motion.phases
         ]
-        made = StepPlan(self.motion.altered(phases=tuple(phases)), self.after)
-        if "certificate" in vars(self):  # which tells nothing of remarks
-            vars(made)["certificate"] = self.certificate
-        return made
+        plan = StepPlan(self.motion.altered(phases=tuple(phases)), self.after)
+        if "certificate" in vars(self):  # independent of remarks
+            vars(plan)["certificate"] = self.certificate
+        return plan
 
 
 @dataclass(frozen=True, eq=False)
 class StepTask:
-    """What a step is asked to plan."""
+    """The task of planning a step."""
 
-    before: Situation  # where the mission stands
+    before: RestState  # where the mission stands
     index: int  # of the step in its mission
     requirements: Requirements  # what the plan must satisfy
     optimiser: bool = True  # whether the optimiser may be used
 
     @property
     def hitch(self) -> Hitch:
-        """The hitch to start with, without which a problem has no such step."""
+        """The hitch at the start; problems are checked to have one."""
         assert self.before.hitch is not None
         return self.before.hitch
 
@@ -444,9 +444,9 @@ class StepTask:
         assert self.before.grasp is not None
         return self.before.grasp
 
-    def within(self, requirements: Requirements, situation: Situation) -> StepTask:
-        """Return the same task in another situation, with other requirements."""
-        return replace(self, before=situation, requirements=requirements)
+    def within(self, requirements: Requirements, state: RestState) -> StepTask:
+        """Return this task from another state, with other requirements."""
+        return replace(self, before=state, requirements=requirements)
 
     def ended(self, motion: Motion, hitch: Hitch) -> StepPlan:
         """Return the plan of a motion that ends with a hitch."""
@@ -454,12 +454,12 @@ class StepTask:
 
 
 class Stage(StrEnum):
-    """How far a hitch is with an object."""
+    """Stage of a hitch with an object."""
 
-    FREE = "free of objects"
-    AROUND = "around an object"
-    GRASPED = "holding an object that stands"
-    LIFTED = "carrying an object"
+    FREE = "no object"
+    AROUND = "an enclosed object"
+    GRASPED = "a grasped object"
+    LIFTED = "a lifted object"
 
 
 @dataclass(frozen=True, eq=False)
@@ -496,7 +496,7 @@ class Step(OneLine, ABC):
 
     @property
     def given_duration(self) -> float | None:
-        """How long it takes [s], where it was given that, or None."""
+        """The duration that was given [s], or None."""
         found = getattr(self, self.time_key, None)
         return found if isinstance(found, float) else None
 
@@ -505,18 +505,18 @@ class Step(OneLine, ABC):
         """Whether it goes on into the next step without a stop."""
         return bool(getattr(self, "blend", False))
 
-    def fitting(self, team: Team) -> Self:
-        """Return the step with its polygon as an outline and its legs as an array, if they fit."""
+    def resolved_for(self, team: Team) -> Self:
+        """Return the step for a team: polygon as an outline, legs as an array."""
         polygon, legs = (vars(self).get(key) for key in ("polygon", "legs"))
         changed: dict[str, Any] = {}
         if polygon is not None:
-            changed["polygon"] = fitting_polygon(team, polygon)
+            changed["polygon"] = checked_polygon(team, polygon)
         if legs is not None:
             changed["legs"] = slack_split(legs, team)
         return replace(self, **changed) if changed else self
 
-    def polygon_left(self, team: Team, outline: Outline | None) -> Outline | None:
-        """Return the outline after the step, None for no hitch; raise InputError if none fits."""
+    def checked_polygon_after(self, team: Team, outline: Outline | None) -> Outline | None:
+        """Return ``polygon_after`` if the step fits the hitch before it, else raise InputError."""
         if self.needs_hitch is True and outline is None:
             raise InputError("", "no hitch", "given a hitch at that point", "form one before")
         if self.needs_hitch is False and outline is not None:
@@ -527,7 +527,7 @@ class Step(OneLine, ABC):
     def polygon_after(self, team: Team, outline: Any) -> Outline | None:
         """Return the outline that the step makes of ``outline``: its own polygon, if it has one."""
         own = vars(self).get("polygon", outline)
-        return None if own is None else fitting_polygon(team, own)
+        return None if own is None else checked_polygon(team, own)
 
     def place_after(self, body: SolidObject, below: float) -> Array | None:  # noqa: ARG002
         """Return where the base of a held object goes: x, y, z [m], yaw [rad]; None if it stays.

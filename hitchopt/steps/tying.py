@@ -26,16 +26,16 @@ from hitchopt.steps.step import (
     Number,
     Polygon,
     Positive,
+    RestState,
     RolledLegs,
     Seconds,
-    Situation,
     SlackSplit,
     Step,
     StepPlan,
     StepTask,
     altitude,
     auto_seconds,
-    eased,
+    checks_relaxed_by,
     key,
     one_of,
 )
@@ -52,7 +52,7 @@ CABLE_MARGINS = (1.5, 1.25)
 
 
 class SwapKeys(Keys):
-    """How pairs of drones turn about each other as they form a hitch."""
+    """Keys of the turn of drones in pairs as they form a hitch."""
 
     radius: Positive = key("Smallest semi-axis of the ellipses [m]", SwapSettings.radius)
     tilt_deg: Annotated[float, Field(ge=0.0, lt=90.0)] | None = key(
@@ -75,7 +75,7 @@ ASSIGN_TEXT = (
     "auto: which robot takes which edge, and which end is its q, is chosen; fixed: in order"
 )
 SETTLE_TEXT = (
-    "Where cables have friction, how long clasps are worked at the end [s], as by settle; "
+    "Where cables have friction, duration of swinging at the end [s], as by settle; "
     "auto: as far as limits allow; or false"
 )
 
@@ -112,26 +112,26 @@ class Form(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan from drones on free cables to a hitch."""
-        from hitchopt.planners.forming.stages import tied
+        from hitchopt.planners.forming.stages import forming_stages
         from hitchopt.steps import certified_motions as motions
 
         i, requirements = task.index, task.requirements
         wanted = self._wanted(task.before.team, requirements)
         motions.check_at_rest(wanted, requirements, f"at the end of step {i} (form)")
         high, pre = motions.tying_site(wanted, self.swap, None, requirements)
-        tying = joined_motions(tied(pre, high, requirements, self.swap, i))
+        tying = joined_motions(forming_stages(pre, high, requirements, self.swap, i))
         if pre.shortfall > 0.0:  # it is no use to go there if nothing can be tied
             motions.checked(StepPlan(tying, task.before))
         parts = [_approach(task, pre.drones), tying]
         if high is not wanted:
             parts.append(motions.lifted(high, wanted.altitude, "lower", task))
         senses = np.sign(pre.turns.rise)
-        formed = Situation(wanted.team, wanted.drones, wanted, senses, self.swap)
+        formed = RestState(wanted.team, wanted.drones, wanted, senses, self.swap)
         after = replace(formed, objects=task.before.objects)
         if wanted.team.cable_friction > 0.0 and self.settle is not False:
             seconds = None if isinstance(self.settle, str) else self.settle
             phase, tied_task = Phase("settle", i, 0.0, 0.0), replace(task, before=after)
-            settled = motions.worked(tied_task, seconds, phase, needed=seconds is not None)
+            settled = motions.settling_plan(tied_task, seconds, phase, needed=seconds is not None)
             parts.append(settled.motion)
         return StepPlan(self.lasting(task, joined_motions(parts)), after)
 
@@ -160,24 +160,24 @@ class Form(Step):
         """Yield the duration, and the swap's radius where it is larger than it needs to be."""
         yield from super().knobs()
         if self.swap.radius > SwapSettings.radius:
-            covers = eased("length") | {"interlacing", "arena", "crossing"}
+            covers = checks_relaxed_by("length") | {"interlacing", "arena", "crossing"}
             yield Knob("swap.radius", self.swap.radius, "m", sign=-1, covers=covers)
 
 
 def _approach(task: StepTask, goal: Array) -> Motion:
     """Return the first certified route to the pre-hitch, or raise what binds on the first one."""
     from hitchopt.planners.forming.approach import DirectApproach, GatheredApproach
-    from hitchopt.steps.certified_motions import refused_both, tried
+    from hitchopt.steps.certified_motions import attempt, combined_failure
 
     before = task.before
     asked = before.team, before.drones, goal, task.requirements, task.index
     refused = list[HitchoptError]()
     for route in (DirectApproach(*asked), GatheredApproach(*asked)):
-        found = tried(lambda route=route: StepPlan(joined_motions(route.solve()), before))  # type: ignore[misc]
+        found = attempt(lambda route=route: StepPlan(joined_motions(route.solve()), before))  # type: ignore[misc]
         if isinstance(found, StepPlan):
             return found.motion
         refused.append(found)
-    raise refused_both(refused[0], refused[1], "no other route to the pre-hitch was found")
+    raise combined_failure(refused[0], refused[1], "no other route to the pre-hitch was found")
 
 
 @dataclass(frozen=True)
@@ -191,14 +191,14 @@ class Release(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan from a hitch to drones on free cables."""
-        from hitchopt.planners.forming.stages import tied, undone
+        from hitchopt.planners.forming.stages import forming_stages, reversed_stages
         from hitchopt.steps.certified_motions import lifted, tying_site
 
         before, hitch, requirements = task.before, task.hitch, task.requirements
         up = np.ones(len(before.team.layout.clasps))
         senses = up if before.senses is None else before.senses
         high, pre = tying_site(hitch, before.swap, senses, requirements)
-        parts = undone(tied(pre, high, requirements, before.swap, task.index))
+        parts = reversed_stages(forming_stages(pre, high, requirements, before.swap, task.index))
         if high is not hitch:
             parts.insert(0, lifted(hitch, high.altitude, "raise", task))
         after = replace(before, drones=pre.drones, hitch=None, senses=None)

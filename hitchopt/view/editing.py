@@ -129,7 +129,7 @@ def outlines(problem: Problem) -> list[Outline | None]:
     """Return the outline at the start, and after each step; None where there is no hitch."""
     found = [problem.start_outline]
     for step in problem.mission:
-        found.append(step.polygon_left(problem.team, found[-1]))
+        found.append(step.checked_polygon_after(problem.team, found[-1]))
     return found
 
 

@@ -22,7 +22,7 @@ from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.motion.motion import Motion, Phase, joined_motions
 from hitchopt.motion.plan_file import write_plan
-from hitchopt.planners.forming.stages import undone
+from hitchopt.planners.forming.stages import reversed_stages
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.enclosed import Bound
 from hitchopt.trajectory.search import worst
@@ -151,12 +151,12 @@ def test_links_are_followed_through_a_hitch(degrees: float, clasp: int, tmp_path
     """Turns of a pair while the hitch stands are missed or left over where it is let go."""
     _, stages = stages_of(4)
     there, back = (turned(stages[-1], clasp, sign * degrees) for sign in (1.0, -1.0))
-    assert not wrong(*stages, there, back, *undone(stages))
+    assert not wrong(*stages, there, back, *reversed_stages(stages))
     assert not wrong(*stages, there)  # nothing is let go: clasps that bear hold on
-    flown = [*stages, there, *undone(stages)]
+    flown = [*stages, there, *reversed_stages(stages)]
     assert wrong(*flown) == {f"p{clasp}"}
     assert unproven(joined_motions(flown), tmp_path, second.interlacing) == {"interlacing"}
-    joined = joined_motions([*stages, there, back, *undone(stages)])
+    joined = joined_motions([*stages, there, back, *reversed_stages(stages)])
     assert not unproven(joined, tmp_path, second.interlacing)
 
 

@@ -15,7 +15,7 @@ from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.motion.motion import CableState, Motion, joined_motions
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.planners.forming.prehitch import find_prehitch
-from hitchopt.planners.forming.stages import stage, straight, swap, tied, undone
+from hitchopt.planners.forming.stages import forming_stages, reversed_stages, stage, straight, swap
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -38,7 +38,7 @@ def hitch_of(n: int) -> Hitch:
 def stages_of(n: int, sense: int = 1) -> tuple[Hitch, list[Motion]]:
     """Two swaps, tightening, and the hitch that is held."""
     hitch, settings = hitch_of(n), SwapSettings(sense=sense)
-    return hitch, tied(find_prehitch(hitch, KEPT, settings), hitch, KEPT, settings)
+    return hitch, forming_stages(find_prehitch(hitch, KEPT, settings), hitch, KEPT, settings)
 
 
 def stage_of(hitch: Hitch, name: str, drones: PiecewisePolynomial, state: CableState) -> Motion:
@@ -62,9 +62,9 @@ def points(n: int) -> set[str]:
 def test_two_swaps_hold_and_their_way_back_lets_go(n: int, sense: int) -> None:
     _, stages = stages_of(n, sense)
     assert not wrong(*stages)
-    assert not wrong(*stages, *undone(stages))
+    assert not wrong(*stages, *reversed_stages(stages))
     # A hitch that was there at first: tied with every q going up first.
-    assert wrong(*undone(stages)) == (set() if sense == 1 else points(n))
+    assert wrong(*reversed_stages(stages)) == (set() if sense == 1 else points(n))
     if n in {4, 12}:  # chords are parallel there, of which samples say nothing
         return
     met = crossings(joined_motions(stages[:3]).drones, 2_001)

@@ -18,7 +18,7 @@ from hitchopt.cli import main
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.live.abort import Aborts, abort_table
-from hitchopt.live.lost import DELAY, LETTING_GO, Reactions, free_fall, reacting, survivable
+from hitchopt.live.lost import DELAY, RELEASE_TIME, Reactions, free_fall, reacting, survivable
 from hitchopt.motion.motion import CableState
 from hitchopt.motion.plan_file import read_plan
 from hitchopt.simulation.task import Task
@@ -213,12 +213,12 @@ def test_a_flown_reaction_is_the_plan_and_then_lets_go() -> None:
     assert np.max(steps / np.diff(flown.t)[:, None]) <= 1.0 + 1e-3
     forces = np.linalg.norm(flown.setpoints.cable_forces, axis=-1)
     np.testing.assert_allclose(forces[early], 0.5, atol=1e-3)
-    letting_go = (flown.t > found.begins) & (flown.t < found.begins + LETTING_GO)
+    letting_go = (flown.t > found.begins) & (flown.t < found.begins + RELEASE_TIME)
     assert np.all(np.diff(forces[letting_go], axis=0) < 0.0)
-    times = found.begins + np.array([0.1, 0.5, 0.9]) * LETTING_GO
+    times = found.begins + np.array([0.1, 0.5, 0.9]) * RELEASE_TIME
     there = np.interp(times, flown.t, forces[:, 0])
     np.testing.assert_allclose(there + there[::-1], 0.5, atol=5e-3)  # as fast at first as at last
-    assert np.max(forces[flown.t >= found.begins + LETTING_GO]) == 0.0
+    assert np.max(forces[flown.t >= found.begins + RELEASE_TIME]) == 0.0
 
 
 def test_a_lost_drone_that_nobody_can_carry_has_no_reaction() -> None:

@@ -139,7 +139,7 @@ def test_every_key_of_form_arrives() -> None:
     found = problem_from_dict({**triangle(), **drones(), "mission": steps})
     form = ho.Form(**keys, swap=ho.SwapSettings(0.2, math.radians(30), 2.5, -1))
     assert plain(found.start) == plain(ho.DronesStart(**PLACES))
-    assert plain(found.mission[0]) == plain(form.fitting(found.team))
+    assert plain(found.mission[0]) == plain(form.resolved_for(found.team))
     assert [step.name for step in found.mission] == ["form", "release", "hold", "form"]
 
 

@@ -128,7 +128,7 @@ def test_nothing_can_be_written_into_a_plan() -> None:
             array[...] = 7.0
 
 
-KNOWN = "planned before, taken from memory"
+KNOWN = "reused from cache"
 
 
 def test_after_an_edit_only_what_it_changes_is_planned() -> None:

@@ -190,7 +190,7 @@ def test_scaled_outlines_stay_similar_through_all_kinds_of_steps() -> None:
 def outlines(problem: ho.Problem) -> list[Any]:
     found: list[Any] = [hitch_start(problem).polygon]
     for step in problem.mission:
-        found.append(step.polygon_left(problem.team, found[-1]))
+        found.append(step.checked_polygon_after(problem.team, found[-1]))
     return found
 
 

@@ -16,7 +16,7 @@ from hitchopt.motion.motion import Motion
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.planners.forming.approach import assigned
 from hitchopt.planners.forming.prehitch import find_prehitch
-from hitchopt.planners.forming.stages import rise_seconds, straight, tied, undone
+from hitchopt.planners.forming.stages import forming_stages, reversed_stages, rise_seconds, straight
 from hitchopt.values import Array
 from problems.random_morph import random_convex_polygon
 
@@ -33,7 +33,7 @@ PENTAGON = Hitch(
 
 def stages_of(hitch: Hitch) -> list[Motion]:
     pre = find_prehitch(hitch, Requirements(), SwapSettings())
-    return tied(pre, hitch, Requirements(), SwapSettings())
+    return forming_stages(pre, hitch, Requirements(), SwapSettings())
 
 
 def sampled(stage: Motion) -> Array:
@@ -53,7 +53,7 @@ def test_cables_clasp_whose_tensions_differ() -> None:
 
 def test_release_is_form_reversed() -> None:
     stages = stages_of(PENTAGON)
-    back = undone(stages)
+    back = reversed_stages(stages)
     assert [s.phases[0].name for s in back] == ["relax", "loosen", "unswap 1", "unswap 2"]
     for there, again in zip(stages, reversed(back), strict=True):
         np.testing.assert_allclose(sampled(there), sampled(again)[::-1], atol=1e-9)

@@ -1,4 +1,4 @@
-"""Cables with friction: legs lean where they slide, and clasps are worked until they forget."""
+"""Cables with friction: legs lean where they slide, and drones swing to settle clasps."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ def test_remarks_say_whether_legs_lean(
     plan = slid(step, friction=friction, separation=ho.Separation(cable=cable))
     remark = plan.phases[0].remark
     assert LEANING in remark if leans else "lean" not in remark
-    assert "no more" not in remark
+    assert "limits bind" not in remark
     assert (plan.motion.leg_tensions is not None) == leans
 
 
@@ -156,7 +156,7 @@ def test_where_limits_leave_little_room_legs_lean_less() -> None:
     most, least = (p.certificate["tilt"].bound for p in (free, slid(inward, friction=0.0)))
     assert most > least + 0.1
     tight = slid(inward, limits=ho.Limits(tilt=np.radians(0.5 * (most + least))))
-    assert "limits leave room for no more" in tight.phases[0].remark
+    assert "limits bind" in tight.phases[0].remark
     ratios = [np.max(np.abs(plan.motion.pulls.at(t) - 0.5)) for plan in (tight, free)]
     assert 0.0 < ratios[0] < ratios[1]
 
@@ -171,7 +171,7 @@ def test_what_leaning_would_break_is_flown_without_it() -> None:
     assert 0.01 < np.max(away) < 0.2
     places = plain.positions.reshape(-1, 3)
     plan = slid(step, arena=ho.Arena(places.min(axis=0) - 1e-4, places.max(axis=0) + 1e-4))
-    assert "legs do not lean against friction: limits leave no room" in plan.phases[0].remark
+    assert "clasp friction is not compensated: limits bind" in plan.phases[0].remark
     np.testing.assert_array_equal(plan.at(t).positions, plain.positions)
 
 
@@ -231,7 +231,7 @@ def test_limits_make_swings_smaller_or_slower() -> None:
     quick = settled(ho.Settle(12.0), limits=limits)
     assert 17.0 < slow.duration < 25.6
     plans = (free, slow, quick)
-    assert ["no more" in p.phases[0].remark for p in plans] == [False, False, True]
+    assert ["legs bind" in p.phases[0].remark for p in plans] == [False, False, True]
     times = [np.linspace(0.0, plan.duration, 999) for plan in plans]
     paths = [plan.at(t).positions for plan, t in zip(plans, times, strict=True)]
     widest = [np.max(np.ptp(path, axis=0)) for path in paths]
@@ -240,7 +240,7 @@ def test_limits_make_swings_smaller_or_slower() -> None:
     with pytest.raises(ho.InfeasibleError, match="speed"):
         settled(ho.Settle(2.0), limits=limits)
     tight = settled(form(), tied=False, limits=ho.Limits(tilt=np.radians(25.2)))
-    assert "limits leave no room" in tight.phases[-1].remark
+    assert "friction hysteresis is not removed: limits bind" in tight.phases[-1].remark
 
 
 def test_settling_needs_friction() -> None:

@@ -42,7 +42,7 @@ def test_wider_ellipsoids_hold_all_that_drones_off_may_touch(
 
 def test_planners_keep_wider_distances_and_drones_may_stand_on_the_floor() -> None:
     limits, separation = Limits(tracking=0.05), Separation(cable=0.1, crossing=0.04, object=0.03)
-    need = Requirements(limits, separation, Arena([-2, -1, 0.2], [2, 1, 3])).planned
+    need = Requirements(limits, separation, Arena([-2, -1, 0.2], [2, 1, 3])).with_reserve
     found = need.separation
     distances = [found.cable, found.crossing, found.object, need.limits.leg, need.off]
     np.testing.assert_allclose(distances, [0.2, 0.14, 0.08, 0.25, 0.05], atol=1e-8)
@@ -51,8 +51,8 @@ def test_planners_keep_wider_distances_and_drones_may_stand_on_the_floor() -> No
     np.testing.assert_allclose(need.arena.upper, [1.95, 0.95, 2.95], atol=1e-8)
     assert need.flown_by(ho.Team(3, 2.4, quadrotor=RETUNED)) is need  # not twice
     plain = Requirements(Limits(tracking=0.0))
-    assert plain.planned is not need
-    assert plain.planned.separation == plain.separation
+    assert plain.with_reserve is not need
+    assert plain.with_reserve.separation == plain.separation
 
 
 def test_controllers_say_how_far_off_and_how_tilted_drones_fly_unless_the_problem_does() -> None:
@@ -72,7 +72,7 @@ def test_controllers_say_how_far_off_and_how_tilted_drones_fly_unless_the_proble
 def test_legs_are_spread_for_drones_that_are_off() -> None:
     team, outline = ho.Team(6, 1.8, quadrotor=RETUNED), ho.regular_polygon(6, 0.9)
     exact = replace(team, quadrotor=(ho.Quadrotor(),) * 6)
-    need = Requirements(Limits(tracking=0.05)).planned
+    need = Requirements(Limits(tracking=0.05)).with_reserve
     wider = ho.Hitch.spread(exact, outline, 1.2, limits=need.limits, separation=need.separation)
     found = ho.Hitch.spread(team, outline, 1.2).q_legs
     np.testing.assert_allclose(found, wider.q_legs, atol=1e-9)

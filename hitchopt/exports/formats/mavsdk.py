@@ -35,7 +35,7 @@ from hitchopt.errors import FileError, InfeasibleError
 from hitchopt.exports.firmware import px4_parameters
 from hitchopt.exports.format import Format, Task, Written
 from hitchopt.exports.options import ExportOptions
-from hitchopt.exports.recording import Recording, told_columns, unusual
+from hitchopt.exports.recording import Recording, present_columns, unusual
 from hitchopt.hitch import Team
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.storage.archive import reading
@@ -201,7 +201,7 @@ def read_tables(paths: Sequence[Path]) -> Array:
     tables: list[Array] = []
     for path in paths:
         text = _table(path)
-        table = text.numbers(["t", *told_columns(text, FLOWN)], least=2)
+        table = text.numbers(["t", *present_columns(text, FLOWN)], least=2)
         first = tables[0] if tables else table
         if table.shape != first.shape or np.max(np.abs(table[:, 0] - first[:, 0])) > SAME_TIME:
             name = paths[0].stem

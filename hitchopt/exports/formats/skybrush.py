@@ -208,7 +208,7 @@ def write_show(path: Path, task: Task, curves: PiecewisePolynomial, plans: Seque
 
 @dataclass(frozen=True, eq=False)
 class Show:
-    """What a show holds, as far as it is read: by drone, and unchecked but for the curves."""
+    """Contents of a show that are read, by drone; only the curves are checked."""
 
     curves: dict[str, PiecewisePolynomial]  # positions (3,) [m] over the show's time
     validation: Mapping[str, Any]  # the limits that the show sets itself

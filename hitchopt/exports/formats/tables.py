@@ -26,7 +26,7 @@ from hitchopt.errors import FileError
 from hitchopt.exports.directory import ROWS, SAVED, write_rows
 from hitchopt.exports.format import Format, Task, Written
 from hitchopt.exports.placing import AXES
-from hitchopt.exports.recording import Recording, check_times, needed, told_columns
+from hitchopt.exports.recording import Recording, check_times, needed, present_columns
 from hitchopt.storage.archive import read_arrays, reading, refuse_expansion
 from hitchopt.storage.files import parsed_json
 from hitchopt.storage.tables import labelled_table, text_lines
@@ -119,7 +119,7 @@ class CsvTable(Table):
 
     def _read(self, path: Path) -> Recording:
         table = labelled_table(lambda: text_lines(path), ("t", "drone"), str(path))
-        numbers = table.numbers(["t", *told_columns(table, FLOWN)])
+        numbers = table.numbers(["t", *present_columns(table, FLOWN)])
         who = np.array(table.words("drone"), np.str_)
         return _recording_of_rows(who, numbers, path.stem.rpartition("_")[2])
 
@@ -150,7 +150,7 @@ class ParquetTable(Table):
             refuse_expansion(72 * file.metadata.num_rows, path.stat().st_size)
             schema = file.schema_arrow
             frame = (schema.metadata or {}).get(FRAME_KEY, b"").decode("ascii", "replace")
-            who, *rows = file.read(["drone", "t", *told_columns(schema.names, FLOWN)]).columns
+            who, *rows = file.read(["drone", "t", *present_columns(schema.names, FLOWN)]).columns
             numbers = np.column_stack([row.to_numpy() for row in rows]).astype(np.float64)
             return _recording_of_rows(np.array(who.to_pylist(), np.str_), numbers, frame)
 

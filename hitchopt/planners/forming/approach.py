@@ -67,7 +67,7 @@ class Approach(ABC):
     @property
     @abstractmethod
     def problem(self) -> SeparationTask:
-        """What is asked of the separation planner."""
+        """The task of the separation planner."""
 
     @abstractmethod
     def solve(self) -> list[Motion]:
@@ -202,7 +202,7 @@ class GatheredApproach(Approach):
 
     @property
     def _headings(self) -> tuple[Array, Array]:
-        """How robots (n,) [rad] are turned half way through their turn, and at the goal."""
+        """Return headings of robots (n,) [rad] half way through their turn, and at the goal."""
         ends = self.start, self.goal
         first, last = (np.arctan2(*(each[1::2] - each[0::2]).T[[1, 0]]) for each in ends)
         return first + 0.5 * ((last - first + math.pi) % (2.0 * math.pi) - math.pi), last

@@ -110,7 +110,7 @@ class Turns:
 
 @dataclass(frozen=True, eq=False)
 class PreHitch:
-    """Where the swap begins and ends.
+    """A pre-hitch: drones and cables before and after the swap.
 
     Attributes
     ----------

@@ -32,10 +32,10 @@ SMOOTH = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0])
 """Bernstein coefficients of the rise from 0 to 1 with three derivatives zero at both ends."""
 
 BACKWARD = {"swap 1": "unswap 2", "swap 2": "unswap 1", "tighten": "loosen", "tension": "relax"}
-"""Names of the stages of forming when they are undone."""
+"""Names of the stages of forming when they are reversed."""
 
 
-def tied(
+def forming_stages(
     pre: PreHitch, hitch: Hitch, requirements: Requirements, settings: SwapSettings, index: int = 0
 ) -> list[Motion]:
     """Return the motions from the pre-hitch to the hitch, pulled by the team's tension.
@@ -129,8 +129,8 @@ def rise_seconds(team: Team) -> float:
     return max(PULL_SECONDS, PULL_PERIODS * float(np.max(periods)))
 
 
-def undone(stages: Sequence[Motion]) -> list[Motion]:
-    """Return the motions of forming backward in time: the hitch is taken apart."""
+def reversed_stages(stages: Sequence[Motion]) -> list[Motion]:
+    """Return the motions of forming backward in time, which release the hitch."""
     return [
         each.changed(
             lambda part: part.reversed(),

@@ -201,15 +201,15 @@ class BlendedMorph:
         # The distance that vertices and fractions have covered is the same on path and flight.
         t, fine = np.linspace(0.0, flight.duration, FINE), np.linspace(0.0, 1.0, FINE)
         legs = flight.legs.at(t)
-        by_s = _gone(path.vertices.at(fine), path.legs.share.at(fine))
-        by_t = _gone(flight.vertices.at(t), legs[..., 0] / np.sum(legs, axis=-1))
+        by_s = _travelled_share(path.vertices.at(fine), path.legs.share.at(fine))
+        by_t = _travelled_share(flight.vertices.at(t), legs[..., 0] / np.sum(legs, axis=-1))
         times: Array = np.interp(np.interp(self.places[1:-1], fine, by_s), by_t, t)
         return flight, times
 
 
-def _gone(vertices: Array, fractions: Array) -> Array:
+def _travelled_share(vertices: Array, fractions: Array) -> Array:
     """Return (J,): share of the distance covered so far in all coordinates together."""
     rows = np.concatenate([vertices.reshape(len(vertices), -1), fractions], axis=1)
-    gone = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(rows, axis=0), axis=1)))
-    share: Array = gone / gone[-1]
+    travelled = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(rows, axis=0), axis=1)))
+    share: Array = travelled / travelled[-1]
     return share

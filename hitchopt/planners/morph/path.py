@@ -18,13 +18,13 @@ from hitchopt.values import Array
 
 
 class Path(Protocol):
-    """What can be timed and flown; paths are told apart by their identity."""
+    """A path that can be timed and flown; compared by identity."""
 
     def __hash__(self) -> int: ...
 
     @property
     def team(self) -> Team:
-        """Whose cables."""
+        """The team whose cables form the hitch."""
 
     def flat(self, s: Array, count: int = JET) -> FlatJets:
         """Return the flat outputs' jets by s at s (J,), of ``count`` numbers each."""
@@ -203,7 +203,7 @@ class RigidPath:
 
     @property
     def team(self) -> Team:
-        """Whose cables."""
+        """The team whose cables form the hitch."""
         return self.start.team
 
     @property

@@ -216,7 +216,7 @@ class SolverStep:
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """What every path of one search must satisfy.
+    """Constraints of all paths of one search.
 
     Attributes
     ----------

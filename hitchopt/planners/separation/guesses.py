@@ -130,8 +130,8 @@ def routes_around(task: SeparationTask) -> list[Array]:
         if route is None:
             remedy = "widen the gap between the prisms, or between them and the arena"
             when, where = "on every route found from its start to its goal", (task.names[i],)
-            shut = Violation("keep_out", 0.0, radius, "min", "m", where, when, remedy)
-            raise InfeasibleError([shut])
+            blocked = Violation("keep_out", 0.0, radius, "min", "m", where, when, remedy)
+            raise InfeasibleError([blocked])
         routes[i] = route
     return routes
 

@@ -217,7 +217,7 @@ class Setting:
 
     @property
     def trust(self) -> float:
-        """How far one program may move any coefficient along any axis [m]."""
+        """Trust region: largest move of a coefficient along an axis in one program [m]."""
         return TRUST * self.task.requirements.separation.radius
 
 

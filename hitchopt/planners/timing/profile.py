@@ -1,4 +1,4 @@
-"""What motion along a path demands of drones, and its time-optimal speed by toppra's analysis.
+"""Demands of motion along a path on drones, and its time-optimal speed by toppra's analysis.
 
 The passes are toppra's (Pham and Pham, "A new approach to time-optimal path parameterization based
 on reachability analysis", IEEE T-RO 34, 2018), and so is the solver of the small linear programs;
@@ -83,14 +83,14 @@ class Demands:
         factors, many = np.empty(u.shape), max(1, CHUNK // (self.drones.shape[1] * u.shape[1]))
         for first in range(0, len(u), many):
             at = slice(first, first + many)
-            forms, slopes, shut = self._slowness(at)
+            forms, slopes, infeasible_at_rest = self._slowness(at)
             slowest = np.sqrt(np.max(forms[0] @ quadratic[at], axis=1))
             with np.errstate(invalid="ignore"):  # a negative discriminant: that limit ends no ray
                 for form, slope in zip(forms[1:], slopes, strict=True):
                     root = np.sqrt(form @ quadratic[at]) + slope @ linear[at]
                     slowest = np.fmax(slowest, np.fmax.reduce(root, axis=1))
             factors[at] = 1.0 / np.maximum(slowest, 1e-150)
-            factors[at][np.any(shut, axis=1)] = 0.0
+            factors[at][np.any(infeasible_at_rest, axis=1)] = 0.0
         return factors
 
     def _slowness(self, at: slice) -> tuple[Array, Array, NDArray[np.bool_]]:
@@ -109,16 +109,16 @@ class Demands:
         upward = np.stack([q1[..., 2], q2[..., 2]], axis=-1)
         lift, upwards = loads[..., 2, None], _products(upward)
         forms = [squares / (self.share * self.limits.acceleration) ** 2]
-        slopes, shut = [], np.zeros(loads.shape[:-1], dtype=np.bool_)
+        slopes, infeasible_at_rest = [], np.zeros(loads.shape[:-1], dtype=np.bool_)
         rest, cone = dot(loads, loads), 1.0 + math.tan(self.share * self.limits.tilt) ** 2
         thrust = rest - (self.share * self.team.max_thrust) ** 2
         for c, slope2 in ((thrust, 0.0), (rest - cone * loads[..., 2] ** 2, cone)):
-            shut |= c >= 0.0
+            infeasible_at_rest |= c >= 0.0
             inverse = (self.team.mass / np.where(c < 0.0, -c, 1.0))[..., None]
             slopes.append(inverse * (along - slope2 * lift * upward))
             form = self.team.mass[:, None] * inverse * (squares - slope2 * upwards)
             forms.append(form + _products(slopes[-1]))
-        return np.stack(forms), np.stack(slopes), shut
+        return np.stack(forms), np.stack(slopes), infeasible_at_rest
 
     def stretches(self) -> Array:
         """Return how many times slower each drone (2n,) must fly to keep its limits.
@@ -127,7 +127,7 @@ class Demands:
         even the forces at rest are within the limits. Slowed by κ, velocities fall with κ,
         accelerations with κ² and jerks with κ³.
         """
-        forms, slopes, shut = self._slowness(slice(None))
+        forms, slopes, infeasible_at_rest = self._slowness(slice(None))
         squares, slope = forms[..., 2], slopes[..., 1]  # along the ray of ṡ²
         forces = np.where(squares[1:] >= 0.0, slope + np.sqrt(np.maximum(squares[1:], 0.0)), 0.0)
         speeds, jerks = length(self.drones[..., 1]), length(self.drones[..., 3])
@@ -138,7 +138,7 @@ class Demands:
                 np.cbrt(jerks / self.limits.jerk / self.share),
             ]
         )
-        slowest: Array = np.max(np.where(shut, math.inf, slower), axis=0)
+        slowest: Array = np.max(np.where(infeasible_at_rest, math.inf, slower), axis=0)
         return slowest
 
 
@@ -190,8 +190,8 @@ TINY = 1e-8
 HUGE = 1e8
 """Bound of s̈ and ṡ² in toppra's programs."""
 
-RATHER_SLOW = 1e-9
-"""Weight of s̈ beside that of ṡ², which chooses among corners of equal speed."""
+ACCELERATION_WEIGHT = 1e-9
+"""Weight of s̈ relative to ṡ², which chooses among corners of equal speed."""
 
 
 class TimingError(HitchoptError):
@@ -300,7 +300,7 @@ def _fastest_squares(programs: Array) -> Array:
     """
     steps = len(programs)
     lowest, highest = np.array([-HUGE, 0.0]), np.array([HUGE, HUGE])
-    aim, active = np.array([-RATHER_SLOW, 1.0, 0.0]), np.arange(2)
+    aim, active = np.array([-ACCELERATION_WEIGHT, 1.0, 0.0]), np.arange(2)
     most = [0.0] * (steps + 1)
     for i in reversed(range(steps)):
         a, b, c = programs[i]
