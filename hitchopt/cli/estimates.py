@@ -1,4 +1,4 @@
-"""The commands statics, calibrate and fit: what can be said of a hitch without flying it."""
+"""The commands statics, calibrate and fit: estimates of a hitch without a flight."""
 
 from __future__ import annotations
 

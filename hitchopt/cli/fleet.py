@@ -94,7 +94,7 @@ def export(directory: Path, output: Path | None, yaw_deg: float, **options: Any)
     """,
 )
 def lint(path: Path, **limits: float | None) -> None:
-    """Read fleet files back, hitchopt's or anybody else's, and report what would go wrong.
+    """Read fleet files of any origin and report faults.
 
     PATH is a file or a folder of any format that `export` writes. The limits that a show sets
     itself are always held. Ends with 3 if there are errors.

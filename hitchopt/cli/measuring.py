@@ -14,7 +14,7 @@ from hitchopt.errors import InputError
 if TYPE_CHECKING:
     from hitchopt.simulation.task import Task
 
-RESULTS = "evaluation"  # Default directory of the results, beside the recording
+RESULTS = "evaluation"  # Default directory of the results, next to the recording
 
 
 @command(

@@ -98,8 +98,8 @@ def _option(entry: str, more: dict[str, dict[str, Any]]) -> click.Option:
 
 
 def completing(names: Callable[[], Iterable[str]]) -> dict[str, Any]:
-    """Return what click's option is given to complete names in the shell."""
-    return {"shell_complete": lambda _, __, begun: [x for x in names() if x.startswith(begun)]}
+    """Return settings of click's option that complete names in the shell."""
+    return {"shell_complete": lambda _, __, prefix: [x for x in names() if x.startswith(prefix)]}
 
 
 def plan_path(given: Path) -> Path:

@@ -136,11 +136,11 @@ def quantities(title: str, values: Mapping[str, object]) -> str:
 
 def show_plan(title: str, motion: ho.Motion, certificate: ho.Certificate) -> None:
     """Report the phases and the certificate of a plan."""
-    kept = ("name", "step", "start", "end", "remark")
-    phases = [{name: getattr(phase, name) for name in kept} for phase in motion.phases]
-    said = f"{phase_table(motion.phases)}\n\n{certificate_table(certificate)}\n"
-    said = f"{title}\n{said}" if title else said
-    say(said, title=title, phases=phases, certificate=certificate.to_dict())
+    columns = ("name", "step", "start", "end", "remark")
+    phases = [{name: getattr(phase, name) for name in columns} for phase in motion.phases]
+    message = f"{phase_table(motion.phases)}\n\n{certificate_table(certificate)}\n"
+    message = f"{title}\n{message}" if title else message
+    say(message, title=title, phases=phases, certificate=certificate.to_dict())
     from hitchopt.checks.clearance import below_ground
 
     low = below_ground(motion)
@@ -211,7 +211,7 @@ def span_text(values: Iterable[Any], digits: str = ".3f") -> str:
 
 
 def done_of(message: str) -> tuple[float | None, float | None]:
-    """Return what is done, and of how much, as a message says; None of either without a count."""
+    """Return progress and total in a message; None for both without a count."""
     found = COUNT.search(message)
     if found is None:
         return None, None

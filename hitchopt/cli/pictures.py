@@ -17,7 +17,7 @@ from hitchopt.errors import FileError, HitchoptError, InputError
 if TYPE_CHECKING:
     from hitchopt.view.live import LiveView
 
-PROBLEM = "problem.yaml"  # Name under which an edited problem is saved beside its plan
+PROBLEM = "problem.yaml"  # Name under which an edited problem is saved next to its plan
 # Times for which the processor is left to the browser [s]: until it has loaded the page, and
 # after that to draw the first picture, as graphics cards are not everywhere
 PATIENCE, DRAWING = 3.0, 1.5

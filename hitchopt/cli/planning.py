@@ -125,12 +125,12 @@ def _leave_diagnosis(
         if note:
             error = InfeasibleError(error.violations, f"{error.note}\n{note}".strip())
         save_diagnosis(place, error, found)
-    said = f"no plan; the diagnosis is in {place / DIAGNOSIS}"
-    if (kept := place / PREVIOUS).is_dir():
-        record(previous=str(kept))
-        said += f"; the last certified plan is in {kept}"
+    message = f"no plan; the diagnosis is in {place / DIAGNOSIS}"
+    if (previous := place / PREVIOUS).is_dir():
+        record(previous=str(previous))
+        message += f"; the last certified plan is in {previous}"
     content = diagnosis_content(error, found)
-    say(said, err=True, directory=str(place), diagnosis=content)
+    say(message, err=True, directory=str(place), diagnosis=content)
     click.get_current_context().exit(exit_code(error))
 
 
@@ -217,8 +217,8 @@ def _show_verified(path: Path) -> None:
                 progress(f"proven or not: {row.name}")
     except UnreadableError as error:
         raise FileError(f"{path}: not a plan, or a damaged one: {error}") from error
-    said = "\n".join([*map(line, rows), verdict(rows)])
-    say(said, verified=[row._asdict() for row in rows])
+    message = "\n".join([*map(line, rows), verdict(rows)])
+    say(message, verified=[row._asdict() for row in rows])
     if any(row.verdict not in GOOD for row in rows):
         exit_infeasible()
 
@@ -271,8 +271,8 @@ def _title(path: Path) -> str:
 def problem_text(path: Path) -> str:
     """Return the text of a problem file; its first line names the installed schema."""
     lines = path.read_text(encoding="utf-8").splitlines()
-    kept = [line for line in lines if not line.startswith(MODELINE)]
-    return "\n".join([f"{MODELINE}{SCHEMA.as_posix()}", *kept]) + "\n"
+    lines_without_schema = [line for line in lines if not line.startswith(MODELINE)]
+    return "\n".join([f"{MODELINE}{SCHEMA.as_posix()}", *lines_without_schema]) + "\n"
 
 
 def _write_new(name: str, text: str, suffixes: tuple[str, ...] = SUFFIXES) -> Path:

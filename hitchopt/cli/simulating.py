@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from hitchopt.sweeps.sweep import Summary
 
 RESULTS = "simulation"  # Default directory of the results, in DIR
-# What stands in place of vertices' errors in flights of the fast preset
+# Text in place of vertices' errors in flights of the fast preset
 INEXACT = "the fast preset is 1 to 2 cm off; take the accurate one"
-# What is shown of objects; simulation.json has more
+# Columns of objects; simulation.json has more
 SHOWN = ("name", "placed", "tilted", "turned", "slipped", "free")
 # Figures of a flight that the fast preset does not know, and what they are called
 ERRORS = {
@@ -116,9 +116,11 @@ def simulate(
     with ProgressBar("flying") as progress:
         campaign = run_campaign(task, settings, runs, processes, progress)
     save_campaign(place, campaign)
-    told = campaign.to_dict()
+    content = campaign.to_dict()
     say(
-        f"{_campaign_tables(campaign)}\nresults are in {place}", directory=str(place), campaign=told
+        f"{_campaign_tables(campaign)}\nresults are in {place}",
+        directory=str(place),
+        campaign=content,
     )
 
 
@@ -156,8 +158,8 @@ def _simulate_one(task: Task, settings: Settings, place: Path, directory: Path) 
     plan, title = read_plan(plan_path(directory)), read_title(plan_path(directory))
     with ProgressBar("writing the results"):
         save_simulation(place, done, plan, title)
-    said = f"{flight_tables(done)}\n\n{ending(done)}; results are in {place}"
-    say(said, directory=str(place), simulation=summary(done))
+    message = f"{flight_tables(done)}\n\n{ending(done)}; results are in {place}"
+    say(message, directory=str(place), simulation=summary(done))
     for failure in done.outcome.failures:
         word = NOT_SIMULATED if failure.kind in UNSIMULATED else FAILED
         say(f"{word}: t = {failure.time:.2f} s, {failure.words}", err=True)
@@ -257,7 +259,7 @@ def sweep(study: Path, output: Path | None, workers: int | None, scheduler: str 
 
 
 def _sweep_tables(found: Summary) -> str:
-    """Return what a sweep comes to."""
+    """Return the summary of a sweep as tables."""
     binding = [{"limit": name, "rows": count} for name, count in found.binding[:MOST_REASONS]]
     heads = ("median", "smallest", "largest")
     medians = [

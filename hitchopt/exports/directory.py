@@ -71,7 +71,7 @@ def save_plan(
 
 
 def certificate_content(motion: Motion, certificate: Certificate, plan: Path) -> dict[str, Any]:
-    """Return what certificate.json says of the motion in a plan file."""
+    """Read certificate.json of the motion in a plan file."""
     assigned = {} if motion.assignment is None else {"assignment": motion.assignment.to_dict()}
     return {**certificate.to_dict(), **assigned, "plan": digest(plan)}
 
@@ -92,7 +92,7 @@ def refuse_mixture(directory: Path) -> None:
         words = f"{path}: cannot be read: {error}; was a save killed? solve again"
         raise FileError(words) from error
     if named != found:
-        raise FileError(f"{path}: is of another {PLAN} than the one beside it; solve again")
+        raise FileError(f"{path}: is of another {PLAN} than the one next to it; solve again")
 
 
 def save_diagnosis(
@@ -110,7 +110,7 @@ def save_diagnosis(
 def diagnosis_content(
     reason: HitchoptError, suggestions: Sequence[Suggestion] = ()
 ) -> dict[str, Any]:
-    """Return what diagnosis.json says; an InfeasibleError names what binds."""
+    """Read diagnosis.json; an InfeasibleError names the limits that bind."""
     violations = reason.violations if isinstance(reason, InfeasibleError) else ()
     return {
         "format": DIAGNOSIS_FORMAT,

@@ -1,4 +1,4 @@
-"""A certified plan, written as fleets read it, and verified by what was written.
+"""Write a certified plan in fleets' formats, and certify the files as read back.
 
 There is one path: files are written into a hidden folder, read back, verified against the plan, and
 moved to their place. An export that loses a limit by its rounding or refitting is refused, and what
@@ -48,7 +48,7 @@ from hitchopt.values import Array
 Progress = Callable[[str], None]  # Function that is called with what is being done now
 
 SLOWER = (1.02, 1.05)  # Factors of the durations of a plan that loses a limit by being rounded
-SHARES = (1.0, 0.3)  # Of the usual error, within which parts are refitted, tried in a row
+SHARES = (1.0, 0.3)  # Shares of the usual refit error of parts, tried in this order
 HELD = "none: the offsets of the set points hold the tension; nothing is to be fed forward"
 FREE = "none: accelerations are the drones' own, where the files hold them"
 
@@ -76,7 +76,7 @@ def export_motion(
     folder: Path | str,
     progress: Progress | None = None,
 ) -> tuple[Export, ...]:
-    """Write the plan with these options; return what was written, one entry per part.
+    """Write the plan with these options; return the exports, one per part.
 
     The plan is certified first, stretched as the options say. The folder is made if it is missing,
     and only files of an earlier export there are replaced; a name that ends as the format's only
@@ -126,7 +126,7 @@ def _refuse_lost_pull(kind: Format, motion: Motion, options: ExportOptions) -> N
         return
     for option in ("stiffness", "damping"):
         if (value := getattr(options, option)) is not None:
-            bound = f"left out beside controller {named[0]}, whose gains are exported"
+            bound = f"left out with controller {named[0]}, whose gains are exported"
             raise InputError(f"--{option}", value, bound, "set team.quadrotor.gains")
     if kind.flown_by == "upload" and np.any(motion.formed) and not options.hold_tension:
         bound = f"given for {kind.name}, which carries no cable force to controller {named[0]}"
@@ -157,9 +157,11 @@ def _written(kind: Format, task: Task, scratch: Path, say: Progress) -> list[Exp
         rounds = len(kind.bounds) > 1 and not full and not task.options.hold_tension
         for factor in SLOWER if rounds else ():
             slower = stretched(task.motion, factor)
-            said = f"flown {factor - 1.0:.0%} slower than the plan: rounded, it would lose a limit"
+            remark = (
+                f"flown {factor - 1.0:.0%} slower than the plan: rounded, it would lose a limit"
+            )
             if certify(slower).certified:
-                yield (replace(task, motion=slower, notes=(*task.notes, said)),)
+                yield (replace(task, motion=slower, notes=(*task.notes, remark)),)
         yield from filter(None, (kind.parts(task, share) for share in SHARES))
 
     for number, tasks in enumerate(arrangements()):
@@ -171,7 +173,7 @@ def _written(kind: Format, task: Task, scratch: Path, say: Progress) -> list[Exp
 
 
 def _part(kind: Format, task: Task, place: Path, say: Progress) -> Export:
-    """Write the first refit that loses nothing, or raise what the first of all loses."""
+    """Write the first refit that breaks no limit, or raise the errors of the first."""
     folder = place / f"part{task.number}"
     folder.mkdir(parents=True)
     refusals: list[InfeasibleError] = []
@@ -212,7 +214,7 @@ def _part(kind: Format, task: Task, place: Path, say: Progress) -> Export:
 
 
 def _fed_forward(kind: Format, task: Task) -> str:
-    """Return what a manifest says of the cables' pull in the files."""
+    """Return the manifest's entry on the cables' pull in the files."""
     if not task.motion.team.has_cables:
         return FREE
     return HELD if task.options.hold_tension else kind.feed_forward
@@ -288,7 +290,7 @@ def _owned(folder: Path, files: Sequence[str]) -> set[str]:
 
 
 FLOWN = tuple(rule for rule in RULES if any(finder.exported for finder in rule.finders))
-"""Rules of the checks of what is flown, as they are listed."""
+"""Rules of the checks of the exported motion, in their order."""
 
 PLACES = tuple(RULE_OF[name] for name in ("separation", "cable_clearance", "keep_out", "arena"))
 """Rules for set points that hold a tension. They are not where the drones are, of which the plan's
@@ -303,7 +305,7 @@ NOT_CARRIED = (
     "jerk: acceleration jumps between pieces; thrust and tilt are those within the pieces",
     "a smooth jerk: it jumps between pieces",
 )
-"""What is not in files, by the highest derivative that does not jump."""
+"""Quantities that files do not carry, by the highest continuous derivative."""
 
 
 @dataclass(frozen=True)
@@ -331,13 +333,13 @@ class Verdict:
         return tuple(check for check in self.checks if not check.holds)
 
     def violations(self, motion: Motion, accuracy: float) -> list[Violation]:
-        """Return what is lost of a plan; ``accuracy`` is a format's largest position error [m]."""
+        """Return the limits that an export breaks; ``accuracy`` is the format's [m]."""
         found = []
         for check in self.lost:
             rule = RULE_OF[check.name]
             planned = rule.check(motion, exported=True) or check
-            told = f"{planned.bound:.6g}, the export loses {abs(check.bound - planned.bound):.3g}"
-            when = f"at t = {check.time:.4g} s (the plan keeps {told})"
+            values = f"{planned.bound:.6g}, the export loses {abs(check.bound - planned.bound):.3g}"
+            when = f"at t = {check.time:.4g} s (the plan keeps {values})"
             found.append(check.violation(when, EASIER if rule.derivative > 0 else CLEARER))
         worst, when = self.position.worst, f"at t = {self.position.time:.4g} s"
         if worst > accuracy:
@@ -382,8 +384,8 @@ def verify(
     if end < motion.duration - JOINT:
         raise FileError(f"ends at t = {end:g} s, before the plan does, at {motion.duration:g} s")
     position, velocity = (max(each, key=lambda d: d.worst) for each in zip(*apart, strict=True))
-    kept = tuple(filter(None, map(most_pressing, zip(*checks, strict=True))))
-    return Verdict(end, position, velocity, kept, NOT_CARRIED[recording.smooth])
+    worst = tuple(filter(None, map(most_pressing, zip(*checks, strict=True))))
+    return Verdict(end, position, velocity, worst, NOT_CARRIED[recording.smooth])
 
 
 def _planned(motion: Motion, breaks: Array) -> Motion:

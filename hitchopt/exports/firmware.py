@@ -1,4 +1,4 @@
-"""Parameters of flight controllers for a team's drones: what the Crazyflie's firmware and PX4 hold.
+"""Parameters of flight controllers for a team's drones: of the Crazyflie's firmware and PX4.
 
 The Crazyflie's filter explains every sideways acceleration by tilt alone: its accelerometer counts
 along the thrust only. A cable that pulls sideways makes it blind at the firmware's noises, so the
@@ -29,7 +29,7 @@ CONTROLLERS = {"pid": 1, "mellinger": 2, "lee": 5}
 KALMAN = 2  # Value of ``stabilizer.estimator`` for the extended Kalman filter
 FULL = 65535.0  # Command of full thrust
 
-STOCK_INERTIA = 16.57e-6, 16.66e-6, 29.26e-6  # Of a Crazyflie 2.1 [kg m²]
+STOCK_INERTIA = 16.57e-6, 16.66e-6, 29.26e-6  # Inertia of a Crazyflie 2.1 [kg m²]
 STOCK_MASS = 0.0313  # Its mass [kg], with which the radius of gyration is half its arms of 46 mm
 STOCK_THRUST = FULL / 132_000.0  # Its full thrust [N], by the firmware's default of ``massThrust``
 
@@ -171,7 +171,7 @@ def describe_differences(
 def settings_findings(
     settings: Mapping[str, Any], manifest: Mapping[str, Any] | None
 ) -> Iterator[Finding]:
-    """Yield what is wrong with a crazyflies.yaml for drones that cables pull.
+    """Yield faults of a crazyflies.yaml for drones that cables pull.
 
     Its robots have to have the parameters that their manifest says, else those of the filter.
     """

@@ -117,7 +117,7 @@ class Written:
 
 
 class Format:
-    """One file format: what is written, and how files are read, ours or anybody else's."""
+    """One file format: what is written, and how files are read, of any origin."""
 
     name: str  # as given to ``--format``
     file: str  # its name, with ``{frame}``, ``{name}`` or ``{number}`` of the drone, ``{ending}``
@@ -128,7 +128,7 @@ class Format:
     rate: float = 0.0  # samples a second if nothing else is asked [Hz]; 0 where nothing is sampled
     accuracy: float  # the largest position error that it is meant to have [m]
     feed_forward: str  # whether the consumer needs the cable's pull, and what is done about it
-    flown_by: str = "upload"  # or stream, with the pull in it, or nothing where nobody flies it
+    flown_by: str = "upload"  # or stream, with the pull in it, or nothing if it is not flown
     controllers: tuple[str, ...] = CONTROLLERS  # names of those that may fly the files
     streamed: float = 0.0  # least useful rate of samples that are sent in flight [Hz]; 0: none are
     receiver_integral: bool = False  # whether controllers have one of which the team says nothing
@@ -143,7 +143,7 @@ class Format:
         return self.parameters(team, options)
 
     def parameters(self, team: Team, options: ExportOptions) -> Mapping[str, Any]:  # noqa: ARG002
-        """Return what ``settings`` does, for controllers that fly the files."""
+        """Return the effect of ``settings`` on controllers that fly the files."""
         return {}
 
     def write(self, folder: Path, task: Task) -> Written:
@@ -151,11 +151,11 @@ class Format:
         raise NotImplementedError
 
     def load(self, files: Sequence[Path]) -> Recording:
-        """Return what files hold, ours or anybody else's, or raise FileError of damaged ones."""
+        """Read files of any origin; raise FileError if they are damaged."""
         raise NotImplementedError
 
     def read(self, folder: Path, task: Task) -> Recording:
-        """Return what the receiver flies of a task's files.
+        """Return the receiver's motion for a task's files.
 
         InfeasibleError tells that what they hold besides the flight breaks a limit.
         """
@@ -163,9 +163,9 @@ class Format:
 
     def files(self, task: Task) -> tuple[str, ...]:
         """Return the names of the files with the trajectories of a task."""
-        told = {"frame": task.frame.name, "ending": STORAGES[task.options.storage]}
+        fields = {"frame": task.frame.name, "ending": STORAGES[task.options.storage]}
         each = enumerate(task.names, 1)
-        names = (self.file.format(name=name, number=i, **told) for i, name in each)
+        names = (self.file.format(name=name, number=i, **fields) for i, name in each)
         return tuple(dict.fromkeys(names))
 
     def parts(self, task: Task, share: float) -> Sequence[Task]:  # noqa: ARG002

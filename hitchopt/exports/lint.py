@@ -1,4 +1,4 @@
-"""Pre-flight lint: fleet files read back, ours or anybody else's, and what would go wrong.
+"""Pre-flight lint: read fleet files of any origin and report faults.
 
 Files are read by the formats that write them, which find what is wrong with a file; the rules for
 the drones' joint flight are here: limits, jumps, ends in mid-flight, ranges and rates.
@@ -338,11 +338,11 @@ def _above(
 
 
 def _broken(check: Check, *, given: bool) -> Finding:
-    """Return the error that a limit is broken; a warning of a usual limit, which nobody set."""
+    """Return the error that a limit is broken; a warning for a default limit."""
     unit = "" if check.unit == "ratio" else f" {check.unit}"
     relation = "below" if check.sense == "min" else "above"
     words = f"{check.bound:.4g}{unit} at t = {check.time:.4g} s is {relation} "
-    words += f"{check.limit:.4g}{unit}{'' if given else ', a usual limit that nobody set'}; "
+    words += f"{check.limit:.4g}{unit}{'' if given else ', a default limit'}; "
     words += REMEDIES.get(check.name, "fly it more slowly")
     words += "" if given else f", or set --{check.name}"
     return (error if given else warning)(check.name, ", ".join(check.where), words)
@@ -397,13 +397,13 @@ def _sequence(names: Sequence[str], starts: Array, ends: Array) -> Iterator[Find
 
 
 def _exported(path: Path, kind: Format, recording: Recording) -> Iterator[Finding]:
-    """Yield what is not as the manifest of an export says, and why the tension is undetermined."""
+    """Yield differences to an export's manifest, and why the tension is undetermined."""
     if path.is_dir():
         manifest = read_manifest(path)
         files = {name: path / name for name in listed(manifest, "files")}
     else:
-        own, beside = (read_manifest(path.parent, f"{n}{MANIFEST}") for n in (f"{path.name}.", ""))
-        manifest = own or beside
+        own, folder = (read_manifest(path.parent, f"{n}{MANIFEST}") for n in (f"{path.name}.", ""))
+        manifest = own or folder
         files = {name: path for name in listed(manifest, "files") if own or name == path.name}
     if not files:
         return
@@ -439,6 +439,6 @@ def _placed(fleet: Path, recording: Recording) -> Iterator[Finding]:
 
 
 def _settings(path: Path) -> Iterator[Finding]:
-    """Yield what is wrong with the parameters of a folder's Crazyflies."""
+    """Yield faults in the parameters of a folder's Crazyflies."""
     if (path / SETTINGS).is_file() and isinstance(found := read_yaml(path / SETTINGS), Mapping):
         yield from settings_findings(found, read_manifest(path))

@@ -203,6 +203,6 @@ class ReferenceFrame:
         return part.alike(self.rotation.T @ (part.coefficients - self.shift[:, None]))
 
     def to_dict(self) -> dict[str, object]:
-        """Return what a file says of its frame."""
+        """Return the frame as a file states it."""
         origin = np.asarray(self.origin).tolist()
         return {"frame": self.name, "origin_enu": origin, "yaw_deg": math.degrees(self.yaw)}

@@ -217,8 +217,8 @@ def held_until(curve: PiecewisePolynomial, end: float) -> PiecewisePolynomial:
 
 def present_columns(header: Container[str], vectors: Sequence[Sequence[str]]) -> list[str]:
     """Return the columns that a table tells: places, then whole vectors of rates in a row."""
-    told = takewhile(lambda vector: all(name in header for name in vector), vectors[1:])
-    return [name for vector in (vectors[0], *told) for name in vector]
+    complete = takewhile(lambda vector: all(name in header for name in vector), vectors[1:])
+    return [name for vector in (vectors[0], *complete) for name in vector]
 
 
 def unusual(table: Table, where: str) -> list[Finding]:
@@ -240,11 +240,11 @@ def needed(module: str) -> Any:
 
 
 MANIFEST, MANIFEST_FORMAT = "export.json", "hitchopt-export/1"
-"""Name of the file with what an export holds, in which frame, and what was checked; its format."""
+"""Name of an export's manifest (contents, frame and checks), and its format."""
 
 
 def read_manifest(folder: Path, name: str = MANIFEST) -> dict[str, Any]:
-    """Return what a folder's manifest says; nothing where it is none of ours; raise FileError."""
+    """Return a folder's manifest; empty if it is not of this package; raise FileError."""
     path = folder / name
     if not path.is_file():
         return {}

@@ -68,7 +68,7 @@ def depth_rate(sigma: Array) -> Array:
 
 
 SHIFT = 1.12
-"""How far a point of a cable moves with its ends, over how far they move: at most √(1 + ¼), since
+"""Bound of the motion of a point of a cable over the motion of its ends: at most √(1 + ¼), since
 its shares in their level and upward parts differ by up to a half."""
 
 

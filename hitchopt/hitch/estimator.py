@@ -13,7 +13,7 @@ class EstimatorParameters(OneLine):
     """Noise parameters of the estimator; the defaults are those that exports set.
 
     The filter predicts by the thrust axis and the gyroscope alone: it sees a cable's level pull in
-    nothing but the error of its prediction. Process noise that is small beside that pull lets it
+    nothing but the error of its prediction. Process noise that is small against that pull lets it
     explain the pull by a tilt or a velocity that there is not.
 
     Parameters
@@ -50,7 +50,7 @@ class EstimatorParameters(OneLine):
 
 
 HELD = EstimatorParameters()
-"""What exports set, for rigid bodies of several markers: hitches hold with it."""
+"""Value that exports set for rigid bodies of several markers, with which hitches hold."""
 
 FIRMWARE = EstimatorParameters(0.5, 1.0, 1e-2, 4.5e-3)
 """Defaults of the firmware, for rigid bodies."""

@@ -1,4 +1,4 @@
-"""Flight controllers: how stiff their position loops are, and what they do with set points.
+"""Flight controllers: stiffness of their position loops, and treatment of set points.
 
 A drone of mass m that is the error e [m] off its set point s answers with the force
 

@@ -30,7 +30,7 @@ from hitchopt.values import Array
 
 
 def chord_pull(tension: Any, half: Any, level: Any = 1.0, rise: Any = None) -> Any:
-    """Return what a part of a cable pulls with along its chord [N], ``P``.
+    """Return the pull ``P`` of a part of a cable along its chord [N].
 
     Half of the part's weight w is at each of its ends. It puts ``P ê - (w/2) ẑ`` on the end where
     its tension is T, ê along its chord from there, which rises by the angle γ: so ``P = (w/2) sin γ
@@ -99,7 +99,7 @@ def leg_vectors(cables: Array, directions: Array, factors: Array) -> Array:
 
 
 def cable_slack_of(team: Team, edges: Array, tensions: ArrayLike | None = None) -> Array:
-    """Return what cables have left for their legs (…, n) [m], around edges (…, n, 2 or 3) [m].
+    """Return the slack of cables left for their legs (…, n) [m], around edges (…, n, 2 or 3) [m].
 
     With tensions (…, n) [N]; the team's where they are None.
     """
@@ -111,7 +111,7 @@ def cable_slack_of(team: Team, edges: Array, tensions: ArrayLike | None = None) 
 def clasp_loads(
     team: Team, q_legs: Array, slack: Array, roll: ArrayLike | None = None
 ) -> ClaspLoads | None:
-    """Return what the clasps carry in a hitch at its full tension; None where that is nothing.
+    """Return the loads of the clasps in a hitch at full tension; None if they carry nothing.
 
     A clasp carries half of its legs and of its edges, ``W_k = ½ ρ g (d_k + l_k + e_{k-1} +
     l_{k-1}) + g · load``, in lengths of cable: ``d_k + l_k`` is ``L_k - e_k``.

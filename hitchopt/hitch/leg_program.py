@@ -289,8 +289,8 @@ def solve_qp(program: QuadraticProgram) -> Array | None:
     x = np.asarray(solution["x"], dtype=np.float64).reshape(-1)
     values = program.A @ x
     gaps = program.lower - values, values - program.upper, program.least - x, x - program.most
-    kept = np.max(np.concatenate(gaps)) <= RESIDUAL  # not of nan
-    return np.clip(x, program.least, program.most) if kept else None
+    feasible = np.max(np.concatenate(gaps)) <= RESIDUAL  # not of nan
+    return np.clip(x, program.least, program.most) if feasible else None
 
 
 PENALTY = 1e3

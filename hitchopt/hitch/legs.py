@@ -114,7 +114,7 @@ def _merit(task: LegTask, found: LegLengths) -> float:
 def _refined(bodies: LegBodies, start: Array, first: bool) -> LegLengths:
     """Return the leg lengths that repeated convex approximation reaches from ``start``.
 
-    Or the ``first`` ones on the way that keep the margin.
+    Or the ``first`` iterate that keeps the margin.
     """
     task = bodies.task
     d, settled = np.clip(start, *task.bounds), QUICKLY_SETTLED if first else SETTLED

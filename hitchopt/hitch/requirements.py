@@ -18,7 +18,7 @@ from hitchopt.values import Array, finite, instance, positive, sequence, units
 from hitchopt.values.units import check_unit, radians_of, store
 
 WIDER = 1.0 + 2e-9
-"""Factor of ``tracking`` in what planners keep, so that rounding breaks no limit."""
+"""Factor of ``tracking`` in the planners' distances, so that rounding breaks no limit."""
 
 
 @dataclass(frozen=True)

@@ -145,7 +145,7 @@ class Quadrotor(OneLine):
     Raises
     ------
     InputError: a number out of its range, an unknown controller, gains without one or too stiff for
-        it, or numbers beside it that follow from it.
+        it, or numbers that follow from it.
     """
 
     mass: float = 0.132
@@ -172,7 +172,7 @@ class Quadrotor(OneLine):
             return
         for name in ("stiffness", "integral", "feed_forward"):
             if (value := values[name]) is not None:
-                bound = f"left out beside controller {self.controller}, from which it follows"
+                bound = f"left out with controller {self.controller}, from which it follows"
                 raise InputError(name, value, bound, "leave it out, or give gains")
         _loop(self)
 
@@ -207,7 +207,7 @@ def kinds_of(
 
 
 def _loads(given: float | Sequence[float] | ArrayLike, clasps: int) -> NDArray[np.float64]:
-    """Return what hangs at the clasps (clasps,) [kg].
+    """Return the masses that hang at the clasps (clasps,) [kg].
 
     An array of one value holds for any number of clasps, so that a team can be copied with others.
     """
@@ -338,7 +338,7 @@ class Team(OneLine):
 
     @property
     def tracking(self) -> float | None:
-        """How far off the drones may fly [m], by their controllers; None if none is named."""
+        """Largest tracking error [m] of the drones' controllers; None if none is named."""
         known = [loop.tracking for kind in self.quadrotor if (loop := kind.loop).name]
         return max((each for each in known if each is not None), default=None)
 

@@ -58,7 +58,7 @@ DAMPING = 0.3
 # many a piece has at most
 TRAVEL, MOST_CELLS = 0.05, 64
 
-# Largest offset of a drone beside a common shift of all drones, and largest common shift [m]
+# Largest offset of a drone relative to a common shift of all drones, and largest common shift [m]
 LARGEST, FARTHEST = 0.25, 0.4
 
 PASSES = 2  # projections onto broken half-spaces, before all is scaled to hold certainly
@@ -78,7 +78,7 @@ class Feedback(OneLine):
     plan: a plan of a hitch, or its motion.
     rate: largest speed at which corrections change [m/s].
     reserve: [m], see above.
-    delay: age of the measurements, where ``step`` is not told [s].
+    delay: age of the measurements, unless ``step`` receives it [s].
     stiffness: of the drones' position loops [N/m], one, one per drone, or by axis (2n, 3); None for
         the team's, or 36/s² times their masses where these are rigid.
 

@@ -1,6 +1,6 @@
 """A flight by commands: the plan on its clock, after an abort its landing, and lost links.
 
-Nothing here reads a clock: ``Flight.tick`` is told the time.
+Nothing here reads a clock: ``Flight.tick`` receives the time.
 """
 
 from __future__ import annotations

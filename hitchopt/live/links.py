@@ -40,7 +40,7 @@ BEAT = 1.0  # period of heartbeats: autopilots take a sender for lost after some
 VALID = 500  # how long a Crazyflie's last setpoint remains valid when the stream ends [ms]
 DOWN = 1.0  # time in which the firmware puts down landed ones [s]
 
-# What keys ask for; ``toggle`` is pause or resume, ``quit`` ends what has not left its start. Of
+# Commands by key; ``toggle`` is pause or resume, ``quit`` ends what has not left its start. Of
 # signals there is ``end`` as well: land, or quit
 KEYS = {word[0]: word for word in ("pause", "resume", "back", "abort", "land", "quit")}
 KEYS[" "] = "toggle"

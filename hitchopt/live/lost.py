@@ -42,8 +42,8 @@ LEAST = 1e-3  # height at which drones are on the ground [m]
 # was let go at once, or in twice the time
 RELEASE_TIME = 0.3
 
-# How far a lost drone draws its partner toward its clasp [m]: in simulated flights legs of 0.29 m
-# were drawn to their clasps, those of 0.37 m were not; and the leg that remains
+# Distance by which a lost drone draws its partner toward its clasp [m]: in simulated flights legs
+# of 0.29 m were drawn to their clasps, those of 0.37 m were not; and the leg that remains
 DRAWN, NEAREST_LEG = 0.36, 0.05
 
 # Angle lost in a swing [rad]: it turns back below the height where it began, since cables that run
@@ -108,7 +108,7 @@ class Reactions:
         return Reaction(drone, begins, whole, thrust, nearest)
 
     def _certified(self, time: float) -> Motion:
-        """Return what is flown after a loss at a time [s], all checks kept."""
+        """Return the certified motion after a loss at a time [s]."""
         if self.motion.team.has_cables and self.motion.requirements.objects:
             raise _no_reaction(time, "the team carries objects, or stands among them")
         words = list[str]()
@@ -124,7 +124,7 @@ class Reactions:
         """Return the thrust and the nearest distance of a hitch that has lost a drone."""
         team, partner = self.motion.team, lost ^ 1
         points, others = team.layout.pulled_to, np.arange(team.drones) != lost
-        beside = others & ((points == points[lost]) | (np.arange(team.drones) == partner))
+        near_loss = others & ((points == points[lost]) | (np.arange(team.drones) == partner))
         pulled = GRAVITY * np.hypot(team.mass, team.mass[lost]) / team.max_thrust
         leg = states.positions[partner] - states.vertices[points[partner]]
         size = float(np.linalg.norm(leg))
@@ -135,7 +135,7 @@ class Reactions:
         separation = self.motion.requirements.separation
         apart = smallest_separation(moved[None, others], separation)
         nearest = min(self._to_lost(states.positions[others, None], swung), apart)
-        return float(np.max(pulled[beside])), nearest
+        return float(np.max(pulled[near_loss])), nearest
 
     def _swung(self, lost: int, states: States, gives: float) -> Array:
         """Return places (k, 3) [m] of all swings below a clasp, as far as its cable may run.
@@ -167,7 +167,7 @@ class Reactions:
                 height = places[np.argmax(taut), 2] - floor
                 words = f"hangs on its partner {height:.2g} m above the ground"
                 raise _no_reaction(time, f"{team.drone_names[lost]} {words}")
-        later = drones.at(np.linspace(begins, drones.breaks[-1], PLACES))  # nobody lands on it
+        later = drones.at(np.linspace(begins, drones.breaks[-1], PLACES))  # no drone lands on it
         there, later = (np.delete(each, lost, axis=1) for each in (there, later))
         return min(self._to_lost(there, places[:, None]), self._to_lost(later, places[-1]))
 
@@ -234,8 +234,8 @@ def _sunk(motion: Motion) -> Motion:
 def reacting(task: Task, reaction: Reaction) -> Task:
     """Return a plan's task until the survivors react, then what they fly, to the ground."""
     found = Task.of(reaction.motion)
-    gone = np.clip((found.t - reaction.begins) / RELEASE_TIME, 0.0, 1.0)[:, None, None]
-    forces = found.setpoints.cable_forces * (1.0 - gone**2 * (3.0 - 2.0 * gone))
+    released = np.clip((found.t - reaction.begins) / RELEASE_TIME, 0.0, 1.0)[:, None, None]
+    forces = found.setpoints.cable_forces * (1.0 - released**2 * (3.0 - 2.0 * released))
     setpoints = replace(found.setpoints, cable_forces=forces)
     parts = task.team, task.t[0] + found.t, setpoints, found.formed, found.vertices, found.tensions
     return Task(*parts)
@@ -246,7 +246,7 @@ class Lost(OneLine):
     """A span of a plan in which the loss of a drone has no certified reaction."""
 
     drone: str
-    start: float  # half-way to the neighbouring time that was looked at [s]
+    start: float  # half-way to the neighbouring sampled time [s]
     end: float
     reason: str  # why there is none, at its first time
 
@@ -256,7 +256,7 @@ def survivable(
 ) -> tuple[Check, list[Lost]]:
     """Return the share of (drone, time), about ``every`` [s], with a certified reaction to a loss.
 
-    It is sampled, not a bound for all of the time. The spans without one are told as well.
+    It is sampled, not a bound for all times. Spans without a reaction are listed.
     """
     reactions, names, without = Reactions(motion), motion.team.drone_names, list[Lost]()
     count = max(FEWEST, round(motion.duration / positive("every", every)))

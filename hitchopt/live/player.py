@@ -22,7 +22,7 @@ from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.clock_phases import ClockPhases, together
 from hitchopt.values import Array, finite, not_negative
 
-RATES = (1.0, 0.7, 0.4)  # tried on the way to a plan time
+RATES = (1.0, 0.7, 0.4)  # candidates for going to a plan time
 DURATION_CANDIDATES = tuple(
     np.geomspace(SHORTEST, SLOWEST, 27).tolist()
 )  # durations of a change by 1 [s]
@@ -101,7 +101,7 @@ class Player(OneLine):
 
     @property
     def clock_rate(self) -> float:
-        """Plan time per time, 1 where the plan is flown as it is; negative on the way back."""
+        """Plan time per time: 1 for the plan as it is, negative backward."""
         return self._course.now[1]
 
     @property
@@ -156,7 +156,7 @@ class Player(OneLine):
     def back(self) -> float:
         """Fly the plan backward at full rate; return the time until that is reached [s].
 
-        Where legs have leaned against friction on the way, the clock rests after that: flown
+        Where legs have leaned against friction, the clock rests after that: flown
         backward, cables slide the other way and legs would lean wrongly.
 
         Raises
@@ -194,21 +194,21 @@ class Player(OneLine):
         options = []
         for before in self._delays(rate):
             for duration in self._durations:
-                for made in change(before, duration):
-                    tailed = self._tailed(made, rate)
+                for course in change(before, duration):
+                    tailed = self._tailed(course, rate)
                     if not self._known.slides_back(tailed.clock):
-                        options.append((made, made if abs(rate) == 1.0 else tailed))
+                        options.append((course, course if abs(rate) == 1.0 else tailed))
         options.sort(key=lambda option: option[0].seconds)
         for first in range(0, len(options), BATCH):
             batch = options[first : first + BATCH]
             clocks = together([tailed.clock for _, tailed in batch])
-            kept = self._known.limits.keep(clocks, len(batch))
-            if np.any(kept):
-                return batch[int(np.argmax(kept))][0]
+            feasible = self._known.limits.keep(clocks, len(batch))
+            if np.any(feasible):
+                return batch[int(np.argmax(feasible))][0]
         return None
 
     def _delays(self, rate: float) -> Iterator[Course]:
-        """Yield what precedes a change: nothing, the rest of the present one, a wait, a stop."""
+        """Yield courses before a change: none, the rest of the present one, a wait, a stop."""
         left = self._course
         yield Course(*left.now[:3])
         if left.phases:
@@ -218,17 +218,17 @@ class Player(OneLine):
         if rate != 1.0 and not self.resting:
             yield self._certain_stop()
 
-    def _tailed(self, made: Course, rate: float) -> Course:
+    def _tailed(self, course: Course, rate: float) -> Course:
         """Return a change with what follows: a run to the plan's end, or the start from a rest.
 
-        Where nothing is carried any rest will do. The plan's own rate needs no look.
+        Where nothing is carried any rest suffices. The plan's own rate needs no check.
         """
-        if not made.phases:
-            return made
+        if not course.phases:
+            return course
         if rate != 0.0:
-            return self._run(made)
-        carried = self._known.limits.carries(np.array([made.time]))[0]
-        return made.to(1.0, 2.0 * made.phases[-1][0]) if carried else made
+            return self._run(course)
+        carried = self._known.limits.carries(np.array([course.time]))[0]
+        return course.to(1.0, 2.0 * course.phases[-1][0]) if carried else course
 
     def _run(self, course: Course) -> Course:
         """Return a course that goes on at its rate to the end of the plan, or back to the start."""
@@ -236,7 +236,7 @@ class Player(OneLine):
         return course.then(left / course.rate)
 
     def _certain_stop(self) -> Course:
-        """Return a stop that needs no look: what is under way, then one of the table or a run."""
+        """Return a stop that needs no check: the present change, then one of the table or a run."""
         left = self._course
         if left.rate == 0.0:
             return left
@@ -299,10 +299,10 @@ class _Known:
         found: Array = np.stack([breaks[:-1], breaks[1:]], axis=-1)[leans]
         return found
 
-    def slides_back(self, made: ClockPhases) -> bool:
+    def slides_back(self, clock: ClockPhases) -> bool:
         """Whether cables slide back where legs lean."""
-        backward = np.minimum(made.jets[:, 1], made.ends[:, 1]) < -STEADY
-        spans = np.sort(np.stack([made.jets[:, 0], made.ends[:, 0]], axis=-1)[backward], axis=-1)
+        backward = np.minimum(clock.jets[:, 1], clock.ends[:, 1]) < -STEADY
+        spans = np.sort(np.stack([clock.jets[:, 0], clock.ends[:, 0]], axis=-1)[backward], axis=-1)
         begins, ends = self.leaning.T
         return bool(np.any((ends > spans[:, :1]) & (begins < spans[:, 1:])))
 
@@ -367,7 +367,7 @@ class Course:
         return replace(eased, rate=0.0 if abs(steady) <= STEADY else steady, slope=0.0)
 
     def after(self, seconds: float) -> Course:
-        """Return what is left of the course after some time [s]."""
+        """Return the rest of the course after some time [s]."""
         for i, (duration, *jet) in enumerate(self.phases):
             if seconds < duration - BRIEF:
                 first = duration - seconds, *_advanced(tuple(jet), seconds)
@@ -404,13 +404,13 @@ def _to_time(goal: float, course: Course, duration: float) -> Iterator[Course]:
         if wait >= 0.0:
             yield eased.then(wait).to(0.0, duration)
         eased = eased.to(0.0, duration)
-    way = goal - eased.time
-    if abs(way) <= STEADY:
+    change = goal - eased.time
+    if abs(change) <= STEADY:
         yield eased
         return
     for fastest in RATES:
-        rate = math.copysign(min(fastest, abs(way) / duration), way)
-        yield eased.to(rate, duration).then(way / rate - duration).to(0.0, duration)
+        rate = math.copysign(min(fastest, abs(change) / duration), change)
+        yield eased.to(rate, duration).then(change / rate - duration).to(0.0, duration)
 
 
 class Sampler:

@@ -447,8 +447,8 @@ class RetargetPath:
         times = np.outer(BRAKES, BRAKE_PLACES)
         each = np.repeat(BRAKES, times.shape[1])
         found = self.excess(limits, times.ravel(), each, None).reshape(times.shape).max(axis=1)
-        kept = np.flatnonzero(found <= BRAKE_SHARE)
-        return BRAKES[kept[0]] if len(kept) else None
+        feasible = np.flatnonzero(found <= BRAKE_SHARE)
+        return BRAKES[feasible[0]] if len(feasible) else None
 
     def shortest_shift(self, limits: Limits, brake: float) -> float | None:
         """Return the duration [s] of a shift that keeps all limits at samples, or None."""

@@ -1,4 +1,4 @@
-"""The problem file key by key, its JSON Schema, and what is wrong with a file, in words.
+"""The problem file key by key, its JSON Schema, and messages of invalid files.
 
 What one value alone cannot tell (a polygon's shape, one entry per robot) is checked by the records
 that ``loading`` makes of these models. Those of steps are made from the steps' own fields.
@@ -243,7 +243,7 @@ class RimKeys(SectionKeys):
 
 
 class ObjectKeys(SectionKeys):
-    """An upright object that is carried, or stands in the way."""
+    """An upright object, carried or an obstacle."""
 
     file: Annotated[str, Field(min_length=1, max_length=1000)] | None = key(
         "Drawing of its outline, in metres, relative to this file", None
@@ -261,19 +261,19 @@ class ObjectKeys(SectionKeys):
 def step_model(kind: type[Step]) -> type[Keys]:
     """Return the model of a step's keys, made from the annotations of its fields."""
     entries: dict[str, Any] = {}
-    for name, (said, default) in keys_of(kind).items():
-        options: dict[str, Any] = {"examples": list(said.examples)} if said.examples else {}
+    for name, (file_key, default) in keys_of(kind).items():
+        options: dict[str, Any] = {"examples": list(file_key.examples)} if file_key.examples else {}
         if isinstance(default, type):  # a record, which has its own keys
-            options["default_factory"] = said.kind
-        entries[said.name or name] = (
-            said.kind | None if default is None else said.kind,
-            key(said.text, ... if default is MISSING else default, **options),
+            options["default_factory"] = file_key.kind
+        entries[file_key.name or name] = (
+            file_key.kind | None if default is None else file_key.kind,
+            key(file_key.text, ... if default is MISSING else default, **options),
         )
     return create_model(f"{kind.__name__}Keys", __base__=Keys, __doc__=summary(kind), **entries)
 
 
 def summary(kind: type[Step]) -> str:
-    """Return what a kind of step does: the first line of its words."""
+    """Return the summary of a kind of step: the first line of its docstring."""
     return str(kind.__doc__).partition("\n")[0]
 
 
@@ -304,7 +304,7 @@ class ProblemKeys(Keys):
     separation: SeparationKeys = section(SeparationKeys)
     arena: ArenaKeys | None = key(str(ArenaKeys.__doc__), None)
     objects: Annotated[dict[ObjectName, ObjectKeys], Field(max_length=MAX_OBJECTS)] = key(
-        "Objects that are carried or stand in the way, by name", default_factory=dict
+        "Carried objects and obstacles, by name", default_factory=dict
     )
     start: StartKeys = key(
         str(StartKeys.__doc__), examples=[{"hitch": {"polygon": TRIANGLE, "altitude": 1.0}}]
@@ -350,7 +350,7 @@ class SwarmKeys(Keys):
         "Prisms that the drones stay out of", default_factory=list
     )
     objects: Annotated[dict[ObjectName, ObjectKeys], Field(max_length=MAX_OBJECTS)] = key(
-        "Objects that stand in the way, by name", default_factory=dict
+        "Obstacles, by name", default_factory=dict
     )
     start: Points = key(
         "Where the drones are at rest, one [x, y, z] [m] per drone",
@@ -362,10 +362,10 @@ class SwarmKeys(Keys):
     duration: Positive | None = key("Exactly that long [s]; without it as fast as is found", None)
 
 
-# The JSON Schema, and what is wrong, in words.
+# The JSON Schema, and messages of errors.
 
 SCHEMA_FILE = Path(__file__).with_name("problem.schema.json")
-"""Where the package keeps it."""
+"""File of the schema in the package."""
 
 Schema = dict[str, Any]
 
@@ -409,7 +409,7 @@ def _properties_at(schema: Schema, path: Sequence[str | int]) -> dict[str, Schem
 
 
 def _under(form: Schema, key: str) -> Schema:
-    """Return what a schema says of a key, or of all names that users give."""
+    """Return the schema of a key, or of all names that users give."""
     others = [*form.get("patternProperties", {}).values(), form.get("additionalProperties")]
     found: Schema = form.get("properties", {}).get(key) or others[0] or {}
     return found
@@ -455,20 +455,20 @@ WORDS = {
     "less_than_equal": ("at most {le:g}", "give a smaller number"),
     FAULT: ("{bound}", "{remedy}"),
 }
-"""Bound and remedy of pydantic's types of errors, filled with what they tell."""
+"""Bound and remedy of pydantic's types of errors, filled with their contexts."""
 
 ALIKE = {"int_from_float": "int_type", "model_type": "dict_type", "int_parsing": "int_type"}
-"""Types of errors that have the words of others."""
+"""Types of errors that share the message of others."""
 
 
 def translated(error: ValidationError, model: type[Keys] = ProblemKeys) -> InputError:
-    """Return what pydantic found in a file of one of the kinds, in this package's words."""
+    """Return pydantic's errors in a file of one of the kinds as InputError."""
     schema = model.model_json_schema(schema_generator=_Untitled)
     return one_or_all([_translated(entry, schema) for entry in error.errors(include_url=False)])
 
 
 def _translated(entry: Any, schema: Schema) -> InputError:
-    """Return one of pydantic's errors in this package's words."""
+    """Return one of pydantic's errors as an InputError."""
     forms = {ONE, EACH, WORD, MAPPING, FLAG}
     path = [part for part in entry["loc"] if part not in forms]
     kind, value, context = entry["type"], entry["input"], entry.get("ctx", {})

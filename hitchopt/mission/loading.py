@@ -79,7 +79,7 @@ def parse_problem(text: str, name: str = "text", directory: Path = Path()) -> An
 
 
 def asked_in(text: str, objects: Mapping[str, SolidObject]) -> dict[str, Any]:
-    """Return what the text of a problem file asks, as ``hitchopt.motion.plan_file`` has it.
+    """Return the request in the text of a problem file, as ``hitchopt.motion.plan_file`` has it.
 
     The ``objects`` of its plan stand in for drawings, which a text alone does not have.
     """
@@ -133,7 +133,7 @@ def _built(keys: ProblemKeys | SwarmKeys, folder: Path | None) -> AnyProblem:
     faults = list[InputError]()  # gathered, so that one run names them all
 
     def attempt(parent: str, make: Callable[..., T], *args: Any, **kwargs: Any) -> Any:
-        """Return what is made, or None where that is refused."""
+        """Return the built value, or None if it is refused."""
         try:
             with seen_from(parent):
                 return make(*args, **kwargs)

@@ -159,7 +159,7 @@ class Problem(OneLine):
     ----------
     team, start, mission: who, from where, and the steps in order (at least one).
     limits, separation, arena, title: what to keep, and what to call it.
-    objects: by name, those that are carried, or stand in the way.
+    objects: carried objects and obstacles by name.
 
     Raises
     ------

@@ -51,7 +51,7 @@ NO_CHANGE = "no single change was found that makes it feasible"
 """Message where there is no suggestion."""
 
 SIZES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.5, 3.0, 6.0)
-"""Relative sizes tried in turn, those of all knobs before the next size."""
+"""Relative sizes in ascending order; each is tried for all knobs before the next."""
 
 RESOLUTION = 0.005
 """Resolution of the smallest size, as a share of the new value."""
@@ -261,7 +261,7 @@ def broken_constraints(error: InfeasibleError) -> frozenset[str]:
 
 
 def _name(violation: Violation) -> str:
-    """Return the name of the constraint, a step's duration and the plan's told apart."""
+    """Return the name of the constraint, a step's duration distinct from the plan's."""
     whole_plan = violation.constraint == "duration" and violation.sense == "max"
     return PLAN_DURATION if whole_plan else violation.constraint
 
@@ -275,7 +275,7 @@ def _needed(violations: Iterable[Violation], name: str) -> float:
     return max(filter(math.isfinite, sizes), default=0.0)
 
 
-# What can be changed.
+# Knobs: the changes that repair may make.
 
 SPACE, RATES, FORCES = (
     checks_relaxed_by("length") | {"tracking_radius"},
@@ -290,7 +290,7 @@ TOO_CLOSE = frozenset({"crossing", "cable_clearance", "separation", "tracking_ra
 """Constraints that more distance repairs."""
 
 HEAVY, HELD = frozenset({"load"}), frozenset({"grip"})
-"""What tensions are too low for, and what lighter objects, and rougher ones, repair."""
+"""Constraints that a higher tension, and those that lighter or rougher objects repair."""
 
 ROUGHEST, STEEPEST, EASED = 1.0, 80.0, 0.95
 """Largest coefficient of friction, and largest tilt [deg] suggested; share of the largest mass at
@@ -397,7 +397,7 @@ def _values(problem: Problem, name: str, unit: str) -> Knob:
 
 
 def team_edit(problem: Problem, name: str, values: Array) -> Edit:
-    """Return what to write for other values of a team: one value where all are the same."""
+    """Return the edits for other values of a team: one value if all are equal."""
     rounded: list[Any] = [round(float(value), DECIMALS) for value in values]
     if name == "max_thrust":
         name, kinds = "quadrotor", problem.team.quadrotor
@@ -408,7 +408,7 @@ def team_edit(problem: Problem, name: str, values: Array) -> Edit:
 
 
 def _keys_of(kind: Quadrotor) -> dict[str, Any]:
-    """Return what to write for a kind of quadrotor: mass, thrust and what is not its default."""
+    """Return the edits for a quadrotor: mass, thrust and all that differs from its default."""
     asked, usual = ("mass", "max_thrust"), vars(Quadrotor())
     given = {key: v for key, v in vars(kind).items() if key in asked or v != usual[key]}
     if kind.gains is not None:
@@ -460,8 +460,8 @@ def _objects(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob
     shares += [v.limit / v.value for v in violations if v.constraint == "load" and v.value > 0.0]
     share = EASED * min((each for each in shares if 0.0 < each < 1.0), default=1.0 / EASED)
     for name, body in problem.objects.items():
-        told = (f"objects.{name}" in v.when or name in v.where for v in violations)
-        if body.fixed or not any(told):
+        mentions = (f"objects.{name}" in v.when or name in v.where for v in violations)
+        if body.fixed or not any(mentions):
             continue
         covers = HELD | HEAVY | FORCES | TOO_CLOSE | {"equilibrium", "keep_out"}
         least = round(1.0 - share, 9)

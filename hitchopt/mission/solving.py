@@ -104,7 +104,7 @@ def _solved(problem: Problem, progress: Progress | None, *, optimiser: bool) -> 
     """Return the certified plan of all steps."""
     steps, requirements, tell = problem.mission, problem.requirements, progress or (lambda _: None)
     planned = requirements.with_reserve  # stops on the common clock may use the rest
-    state, assignment = _begun(problem, planned, tell)
+    state, assignment = _start_state(problem, planned, tell)
     start, parts = state.hitch, list[StepPlan]()
     for first, group in _groups(steps):
         tell(f"planning step {first} ({group[0].name}), {first} of {len(steps)} done")
@@ -147,7 +147,7 @@ def forget() -> None:
 
 
 def contents(value: object) -> object:
-    """Return what a request holds, of built-in types: equal requests print alike, others do not."""
+    """Return the contents of a request in built-in types; two print alike only if equal."""
     if isinstance(value, np.ndarray):
         return value.dtype.str, value.shape, value.strides, value.tobytes()
     if is_dataclass(value):
@@ -159,7 +159,7 @@ def contents(value: object) -> object:
     return value if isinstance(value, (str, int, float, type(None))) else pickle.dumps(value)
 
 
-def _begun(
+def _start_state(
     problem: Problem, requirements: Requirements, tell: Progress
 ) -> tuple[RestState, Assignment | None]:
     """Return where a mission starts; from free cables, with the robots' roles for all of it."""
@@ -221,7 +221,7 @@ def _in_step(error: InfeasibleError, first: int, group: Sequence[Step]) -> Infea
 
 
 def _advised(found: Certified, steps: Sequence[Step]) -> InfeasibleError:
-    """Return what a certificate refuses; where steps are blended a stop may help."""
+    """Return the error of a failed certificate; of blended steps it suggests a stop."""
     error = infeasible(found.certificate, found.motion)
     violations = []
     for violation, check in zip(error.violations, found.certificate.violated, strict=True):
@@ -241,7 +241,7 @@ def _remedy(violation: Violation, advice: str) -> str:
 
 
 SHARE = 1.0 - 1e-6
-"""Share of what thrust and tilt allow that is used, so that rounding breaks no limit."""
+"""Share of the limits of thrust and tilt in use, so that rounding breaks no limit."""
 
 CORNERS, THIN = 24, 1e-3
 """Corners of the polygon around a circle, and height of the prism around a rim [m]."""

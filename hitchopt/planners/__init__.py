@@ -1,6 +1,6 @@
-"""Planners: each takes hitches and requirements, and returns trajectories or says what binds.
+"""Planners: each takes hitches and requirements, and returns trajectories or the limits that bind.
 
-A planner is a frozen record of what it is given, with ``problem``, what is to be solved, to look
+A planner is a frozen record of its inputs, with ``problem``, the mathematical problem to look
 at, and ``solve()``: ``StraightMorph``, ``BlendedMorph``, ``ActionMorph``, ``OptimisedMorph``,
 ``DirectApproach``, ``GatheredApproach``, ``CarriedMove`` and ``SeparatedFlight``.
 """

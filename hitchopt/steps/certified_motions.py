@@ -88,7 +88,7 @@ def check_at_rest(hitch: Hitch, requirements: Requirements, when: str) -> None:
 
 
 def infeasible(certificate: Certificate, motion: Motion, when: str = "") -> InfeasibleError:
-    """Return what checks of a certificate are broken; ``when`` is said for the time and step."""
+    """Return the violations of a certificate; ``when`` names the time and step."""
     found = []
     for check in certificate.violated:
         phases = [p for p in motion.phases if p.start <= check.time <= p.end]
@@ -101,7 +101,7 @@ def infeasible(certificate: Certificate, motion: Motion, when: str = "") -> Infe
 
 
 def _remedy(check: Check, phases: Sequence[Phase]) -> str:
-    """Return what to change, with a hitch or without."""
+    """Return the remedy, with a hitch or without."""
     rule = RULE_OF.get(check.name, TRACKING_RADIUS)
     free = phases and not any(phase.formed for phase in phases)
     return (free and rule.free_remedy) or rule.remedy
@@ -271,13 +271,13 @@ def against_friction(planned: StepPlan, *, timed: bool) -> StepPlan:
     motion, limits = planned.motion, planned.motion.requirements.limits
     if motion.team.cable_friction == 0.0:
         return planned
-    from hitchopt.planners.morph.friction import leaning, worth_leaning
+    from hitchopt.planners.morph.friction import feedforward_matters, friction_feedforward
 
-    if not worth_leaning(motion):
+    if not feedforward_matters(motion):
         return planned
     slower = not timed and limits.duration is None
     for share in SHARES:
-        found = leaning(motion, limits, share, slower=slower)
+        found = friction_feedforward(motion, limits, share, slower=slower)
         if found is None or found.motion.duration > LONGER * motion.duration:
             continue
         words = f"legs lean against friction, by up to {math.degrees(found.turned):.2g}°"
@@ -324,18 +324,18 @@ def settling_plan(
     They swing as far as limits allow for ``seconds`` [s], or SWINGS of SWING and longer if need be.
     Raises InfeasibleError if limits bind and the swing is ``needed``.
     """
-    from hitchopt.planners.morph.friction import SWING, SWINGS, settling
+    from hitchopt.planners.morph.friction import SWING, SWINGS, settling_swings
 
     lasts = SWING * (SWINGS + 0.5) if seconds is None else seconds
     hitch, requirements, settled = task.hitch, task.requirements, None
     rest = resting(hitch, requirements, lasts, phase)
     for share in SHARES:
-        found = settling(rest, share)
+        found = settling_swings(rest, share)
         if found is None:
             break
-        leaning, used = found
-        motion = leaning.motion
-        words = f"drones swing by up to {math.degrees(leaning.turned):.2g}°"
+        swings, used = found
+        motion = swings.motion
+        words = f"drones swing by up to {math.degrees(swings.turned):.2g}°"
         factor = needed_stretch(motion.team, requirements.limits, motion)
         if factor > 1.0 and seconds is None and factor <= LONGER:
             motion = motion.slowed(factor)
@@ -430,6 +430,6 @@ def lifted(hitch: Hitch, altitude: float, name: str, task: StepTask) -> Motion:
     """Return the motion of the hitch straight up or down, as one phase of a step."""
     to = np.append(hitch.polygon.centroid, altitude)
     flight = fly(RigidPath(hitch, to, 0.0), task.requirements.limits)
-    remark = "cables that hang need more room over the ground than the hitch"
+    remark = "hanging cables need more height over the ground than the hitch"
     phase = Phase(name, task.index, 0.0, flight.duration, remark)
     return flying(flight, hitch.team, task.requirements, [phase])

@@ -59,7 +59,7 @@ class Keys(BaseModel):
 
 
 WORD, FLAG, EACH, MAPPING, ONE = "a word", "true or false", "a list", "a mapping", "a number"
-"""Forms of a value, as messages call them; tags of what a key takes in several forms."""
+"""Forms of a value, as messages call them; tags of keys that take several forms."""
 
 
 def form_of(value: object) -> str:
@@ -116,7 +116,7 @@ TRIANGLE = [[0, -1], [-0.4, 0.5], [0.4, 0.5]]
 """Points [m] of an example."""
 
 AUTO: Final = "auto"
-"""Word for what is chosen: a duration, or a roll that is none unless limits need it."""
+"""Word for an automatic choice: a duration, or a roll that is 0 unless limits need it."""
 
 
 class RolledLegsKeys(Keys):
@@ -151,7 +151,7 @@ these with a roll. Spread legs without one are rolled where they break a limit o
 def slack_split(
     legs: str | Sequence[float] | ArrayLike | Mapping[str, Any] | RolledLegs, team: Team
 ) -> SlackSplit:
-    """Return what a user wrote for ``legs``, checked.
+    """Return the value of ``legs`` after checks.
 
     A mapping has ``sharing`` and ``roll_deg``: ``auto``, one angle, or one per clasp [deg]. A list
     has one positive length per robot, none of them zero but the first of a chain.
@@ -216,7 +216,9 @@ def keys_of(kind: type[Any]) -> dict[str, tuple[Key, object]]:
 
 def parameters(kind: Any, without: str = "") -> str:
     """Return the fields of a kind of step as a docstring lists them, angles in radians."""
-    texts = {name: said.text.replace("°", "rad") for name, (said, _) in keys_of(kind).items()}
+    texts = {
+        name: file_key.text.replace("°", "rad") for name, (file_key, _) in keys_of(kind).items()
+    }
     lines = [f"{name}: {text[0].lower()}{text[1:]}." for name, text in texts.items()]
     return "\n".join(line for line in lines if not line.startswith(f"{without}:"))
 
@@ -307,7 +309,7 @@ Yaw = Annotated[
 Polygon = Annotated[Outline, Key(OutlinePoints, OUTLINE_TEXT, (TRIANGLE,))]
 
 
-# What steps plan with.
+# Records of planning and repair.
 
 IDLE = 0.01
 """Duration [s] of a step that moves nothing and was given none."""
@@ -359,7 +361,7 @@ class Knob:
             object.__setattr__(self, "most", min(self.most, 1.0 - LEAST_LEFT))
 
     def edits(self, value: float) -> Edits:
-        """Return what to write for another value."""
+        """Return the edits for another value."""
         return (Edit(self.key, value),) if self.written is None else self.written(value)
 
 

@@ -120,7 +120,7 @@ class Form(Step):
         motions.check_at_rest(wanted, requirements, f"at the end of step {i} (form)")
         high, pre = motions.tying_site(wanted, self.swap, None, requirements)
         tying = joined_motions(forming_stages(pre, high, requirements, self.swap, i))
-        if pre.shortfall > 0.0:  # it is no use to go there if nothing can be tied
+        if pre.shortfall > 0.0:  # the approach is in vain if nothing can be tied
             motions.checked(StepPlan(tying, task.before))
         parts = [_approach(task, pre.drones), tying]
         if high is not wanted:
@@ -170,9 +170,9 @@ def _approach(task: StepTask, goal: Array) -> Motion:
     from hitchopt.steps.certified_motions import attempt, combined_failure
 
     before = task.before
-    asked = before.team, before.drones, goal, task.requirements, task.index
+    arguments = before.team, before.drones, goal, task.requirements, task.index
     refused = list[HitchoptError]()
-    for route in (DirectApproach(*asked), GatheredApproach(*asked)):
+    for route in (DirectApproach(*arguments), GatheredApproach(*arguments)):
         found = attempt(lambda route=route: StepPlan(joined_motions(route.solve()), before))  # type: ignore[misc]
         if isinstance(found, StepPlan):
             return found.motion

@@ -180,7 +180,7 @@ REFUSED: list[tuple[str, ho.Quadrotor, dict[str, Any], str]] = [
         "compressed",
         RETUNED,
         {"hold_tension": True, "stiffness": 2.0},
-        "--stiffness = 2.0: must be left out beside controller mellinger",
+        "--stiffness = 2.0: must be left out with controller mellinger",
     ),
     (
         "crazyswarm2",

@@ -494,7 +494,7 @@ def test_limits_of_shows_that_are_none_or_overruled(value: object, tmp_path: Pat
     bare = report(two_drones(tmp_path / "bare.skyc"))
     (finding,) = (f for f in bare.findings if f.rule == "speed")  # no limit that anybody set
     assert finding.level == "warning"
-    assert "5 m/s at t = 2 s is above 3 m/s, a usual limit that nobody set" in str(finding)
+    assert "5 m/s at t = 2 s is above 3 m/s, a default limit" in str(finding)
     assert "error speed" in said(report(tmp_path / "bare.skyc", Rules(speed=3.0)))
 
 

@@ -13,7 +13,12 @@ from clasp_balance import unit
 import hitchopt as ho
 from hitchopt import verify
 from hitchopt.motion.motion import Motion
-from hitchopt.planners.morph.friction import FARTHEST, ROOM, Leaning, leaning
+from hitchopt.planners.morph.friction import (
+    FARTHEST,
+    ROOM,
+    FrictionFeedforward,
+    friction_feedforward,
+)
 from hitchopt.steps import Step
 
 POLYGON = np.array([[2.0, 0.3], [1.2, -1.0], [0.1, -0.4], [0.5, 0.6]])
@@ -29,9 +34,9 @@ def morphed() -> Motion:
     return motion
 
 
-def leaned(motion: Motion, friction: float = 0.1, share: float = 1.0) -> Leaning:
+def leaned(motion: Motion, friction: float = 0.1, share: float = 1.0) -> FrictionFeedforward:
     rubbing = replace(motion, team=replace(motion.team, cable_friction=friction))
-    found = leaning(rubbing, motion.requirements.limits, share, slower=True)
+    found = friction_feedforward(rubbing, motion.requirements.limits, share, slower=True)
     assert found is not None
     return found
 

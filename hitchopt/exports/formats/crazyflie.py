@@ -3,7 +3,7 @@
 Feed-forward: the drone's own controller takes acceleration from the curve and adds gravity, so the
 cable's pull ``F`` cannot be in it, and an integral would bring the drone to its place, where any
 tension may be. Export with ``--hold-tension``, without an integral, or stream full states (ros2bag,
-csv) with ``a_ff = a - F / m``. Either way the filter, the controller and its gains are parameters
+csv) with ``a_ff = a - F / m``. The filter, the controller and its gains are parameters
 of the firmware, which the manifest has for every drone.
 
 **crazyswarm2**: settings of the fleet, how to start, and a CSV file per drone, a header, then 33
@@ -86,11 +86,11 @@ class CrazyflieFormat(Format):
         raise NotImplementedError
 
     def upload(self, path: Path) -> Trajectory:
-        """Return what one drone's file holds; raise FileError of a damaged one."""
+        """Read the file of one drone; raise FileError if it is damaged."""
         raise NotImplementedError
 
     def load(self, files: Sequence[Path]) -> Recording:
-        """Return what files hold, one drone each."""
+        """Read files, one per drone."""
         drones, findings = [self.upload(path) for path in files], []
         for drone in drones:
             if drone.size > BYTES:
@@ -126,9 +126,9 @@ class CrazyflieFormat(Format):
         tasks = []
         for i, (first, last) in enumerate(spans if count > 1 else (), 1):
             begins, end = motion.drones.breaks[[first, last]].tolist()
-            told = f"part {i} of {count}, t = {begins:.3f} s to {end:.3f} s of the plan"
+            part = f"part {i} of {count}, t = {begins:.3f} s to {end:.3f} s of the plan"
             here = replace(task, motion=cut(motion, first, last), begins=begins, number=i)
-            tasks.append(replace(here, part=told, notes=(*task.notes, f"{told}: {why}")))
+            tasks.append(replace(here, part=part, notes=(*task.notes, f"{part}: {why}")))
         return tasks
 
     def refusal(self, motion: Motion) -> InfeasibleError:
@@ -323,7 +323,7 @@ def start_files(task: Task, first: Array, last: Array, duration: float) -> dict[
 
 
 def parameter_notes(task: Task) -> Iterator[str]:
-    """Yield what users have to know of the parameters, and which of the fleet's are replaced."""
+    """Yield notes on the parameters, and on those of the fleet that are replaced."""
     known = {"ctrlMel", "ctrlLee", "posCtlPid"}
     if all(known & {*groups} for groups in task.settings["parameters"].values()):
         yield (
@@ -360,14 +360,14 @@ def _flow(values: Mapping[str, Any]) -> str:
 
 
 def _pull(task: Task, texts: Mapping[str, str]) -> str:
-    """Return what the note says of the cables; nothing without them."""
+    """Return the note on the cables; empty without them."""
     if not task.motion.team.has_cables:
         return ""
     return f"\n{texts['held_pull' if task.options.hold_tension else 'pull']}\n{texts['mind']}"
 
 
 def _template(name: str) -> str:
-    """Return the text of a file beside this module, with fields in braces."""
+    """Return the text of a file next to this module, with fields in braces."""
     return (resources.files(__package__) / name).read_text(encoding="utf-8")
 
 

@@ -47,7 +47,7 @@ class Gltf(Format):
     frames = ("enu",)
     rate = 30.0
     accuracy = 2e-3
-    feed_forward = "not in this file: it is a picture that moves, which nobody flies"
+    feed_forward = "not in this file: an animation for viewers"
     flown_by = ""  # drones are tilted by it
 
     def write(self, folder: Path, task: Task) -> Written:

@@ -109,7 +109,7 @@ class MavsdkDroneShow(Format):
         return replace(found, findings=tuple(chain.from_iterable(each)))
 
     def read(self, folder: Path, task: Task) -> Recording:
-        """Return what the receiver flies of the plan, the pull taken out of accelerations."""
+        """Return the receiver's motion, the cables' pull removed from accelerations."""
         tables, rise = read_tables([folder / name for name in self.files(task)]), rise_of(task)
         rows = round(rise.duration * task.rate)
         if len(tables) <= rows + 1:
@@ -154,7 +154,7 @@ def refuse_stacks(task: Task, rise: PiecewisePolynomial) -> None:
 
 
 def _climb(task: Task) -> Array:
-    """Return the way up from the ground to the plan's first places (D, 3) [m]."""
+    """Return the ascent from the ground to the plan's first places (D, 3) [m]."""
     heights = task.motion.drones.coefficients[0, :, 2, :1] - task.motion.requirements.floor
     return heights * [0.0, 0.0, 1.0]
 

@@ -126,9 +126,9 @@ class Ros2Bag(Format):
             if any(not np.array_equal(table[:, 0], tables[0][:, 0]) for table in tables):
                 raise FileError("its trajectories have different times")
             values = np.stack(tables, axis=1)
-            told = values[..., 1:] if np.all(np.isfinite(values)) else values[..., 1:4]
-            smooth = 0 if told.shape[-1] == 3 else 2
-            return Recording.of_samples(tuple(found), values[:, 0, 0], told, frame, smooth)
+            samples = values[..., 1:] if np.all(np.isfinite(values)) else values[..., 1:4]
+            smooth = 0 if samples.shape[-1] == 3 else 2
+            return Recording.of_samples(tuple(found), values[:, 0, 0], samples, frame, smooth)
 
     def read(self, folder: Path, task: Task) -> Recording:  # noqa: ARG002
         """Return the curves of the trajectories, found by the metadata."""
@@ -146,26 +146,26 @@ def _write_messages(bag: Any, task: Task) -> None:
         data = store.serialize_cdr(message, message.__msgtype__)
         bag.write(connection, round(1e9 * t), bytes(data))
 
-    def made(kind: str, *values: Any) -> Any:
+    def message(kind: str, *values: Any) -> Any:
         return store.types[kind if "/msg/" in kind else f"geometry_msgs/msg/{kind}"](*values)
 
     def stamp(kind: str, t: float) -> Any:
-        return made(f"builtin_interfaces/msg/{kind}", *divmod(round(1e9 * t), 1_000_000_000))
+        return message(f"builtin_interfaces/msg/{kind}", *divmod(round(1e9 * t), 1_000_000_000))
 
     def header(t: float) -> Any:
-        return made("std_msgs/msg/Header", stamp("Time", t), frame)
+        return message("std_msgs/msg/Header", stamp("Time", t), frame)
 
     def vector(v: Array, kind: str = "Vector3") -> Any:
-        return made(kind, *v.tolist())
+        return message(kind, *v.tolist())
 
     def twist(v: Array, rates: Array) -> Any:
-        return made("Twist", vector(v), vector(rates))
+        return message("Twist", vector(v), vector(rates))
 
     def turned(q: Array) -> Any:
         return vector(np.roll(q, -1), "Quaternion")
 
     def pose(place: Array, q: Array) -> Any:
-        return made("Pose", vector(place, "Point"), turned(q))
+        return message("Pose", vector(place, "Point"), turned(q))
 
     streams = [topic(f"{name}/cmd_full_state", FULL_STATE) for name in task.names]
     times, blocks = [], []
@@ -180,7 +180,7 @@ def _write_messages(bag: Any, task: Task) -> None:
                     pose(now["positions"], now["quaternions"]),
                     vector(now["feed_forward"]),
                 )
-                send(stream, t, made(FULL_STATE, header(t), there, moved, bent))
+                send(stream, t, message(FULL_STATE, header(t), there, moved, bent))
     still, turn = np.zeros(3), 0.5 * task.frame.heading
     level = np.array([math.cos(turn), 0.0, 0.0, math.sin(turn)])
     for d, name in enumerate(task.names):  # a trajectory is one message of all samples
@@ -189,14 +189,14 @@ def _write_messages(bag: Any, task: Task) -> None:
         rates = Rotation.from_quat(quaternions, scalar_first=True).apply(own["body_rates"])
         points, poses = [], []
         for s, t in enumerate(times):
-            there = made("Transform", vector(own["positions"][s]), turned(quaternions[s]))
+            there = message("Transform", vector(own["positions"][s]), turned(quaternions[s]))
             moved = twist(own["velocities"][s], rates[s])
             bent = twist(own["accelerations"][s], still)
-            points.append(made(POINT, [there], [moved], [bent], stamp("Duration", t)))
-            poses.append(made("PoseStamped", header(t), pose(own["positions"][s], level)))
-        trajectory = made(TRAJECTORY, header(0.0), [name], points)
+            points.append(message(POINT, [there], [moved], [bent], stamp("Duration", t)))
+            poses.append(message("PoseStamped", header(t), pose(own["positions"][s], level)))
+        trajectory = message(TRAJECTORY, header(0.0), [name], points)
         send(topic(f"{name}/trajectory", TRAJECTORY), 0.0, trajectory)
-        send(topic(f"{name}/path", PATH), 0.0, made(PATH, header(0.0), poses))
+        send(topic(f"{name}/path", PATH), 0.0, message(PATH, header(0.0), poses))
 
 
 @lru_cache

@@ -135,7 +135,7 @@ class SkybrushShow(Format):
         return Written((self.file,), (*about, *notes))
 
     def load(self, files: Sequence[Path]) -> Recording:
-        """Return what a ``.skyc`` holds."""
+        """Read the show in a ``.skyc``."""
         show = read_show(files[0])
         own, findings = _limits(show)
         for name, curve in show.curves.items():
@@ -402,8 +402,8 @@ def certify_returns(
             start = np.array([curve.at(min(time, curve.breaks[-1])) for curve in each])
             places = task.frame.planned(start)
             checks = return_checks(task.motion, entries, places, landing, task.frame)
-            told = f"in the return from t = {time:g} s", "plan with a wider margin"
-            broken += [check.violation(*told) for check in checks if not check.holds]
+            context = f"in the return from t = {time:g} s", "plan with a wider margin"
+            broken += [check.violation(*context) for check in checks if not check.holds]
     if broken:
         raise InfeasibleError(broken, "a coordinated return of the show breaks a limit")
 

@@ -45,7 +45,7 @@ FLOWN = COLUMNS[:3], COLUMNS[3:6], COLUMNS[6:9]  # All that readers need; places
 SMOOTH = 2  # Positions, velocities and accelerations are in the table: quintics run through them
 GROUP = 100_000  # Rows of a parquet row group, 23 MB of numbers
 MAX_TEXT = 2_000_000_000  # Size limit of a JSON document that is read [B]
-FRAME_KEY = b"hitchopt.frame"  # Of a parquet schema's metadata
+FRAME_KEY = b"hitchopt.frame"  # Key in a parquet schema's metadata
 JSON_FORMAT = "hitchopt-setpoints/1"
 
 
@@ -71,7 +71,7 @@ class Table(Format):
         raise NotImplementedError
 
     def _read(self, path: Path) -> Recording:
-        """Return what the file says; raise FileError or others of BROKEN if it is damaged."""
+        """Read the file; raise FileError or others of BROKEN if it is damaged."""
         raise NotImplementedError
 
     def write(self, folder: Path, task: Task) -> Written:
@@ -81,7 +81,7 @@ class Table(Format):
         return Written((name,))
 
     def load(self, files: Sequence[Path]) -> Recording:
-        """Return what the file says."""
+        """Read the file."""
         with reading(files[0], f"{self.name} table of hitchopt's columns"):
             return self._read(files[0])
 
@@ -136,8 +136,8 @@ class ParquetTable(Table):
         names, number = arrow.array(task.names), arrow.float64()
         fields = [("t", number), ("drone", arrow.dictionary(arrow.int32(), arrow.string()))]
         fields += [(column, number) for column in COLUMNS]
-        said = {FRAME_KEY: task.frame.name.encode()}
-        with parquet.ParquetWriter(path, arrow.schema(fields, metadata=said)) as writer:
+        metadata = {FRAME_KEY: task.frame.name.encode()}
+        with parquet.ParquetWriter(path, arrow.schema(fields, metadata=metadata)) as writer:
             for t, values in rows_of(task, GROUP):
                 who = np.tile(np.arange(len(names), dtype=np.int32), len(t))
                 drones = arrow.DictionaryArray.from_arrays(who, names)

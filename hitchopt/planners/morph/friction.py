@@ -1,14 +1,14 @@
-"""Legs that lean against friction, so that vertices stay where they are planned.
+"""Friction feed-forward: legs lean against friction, so that vertices stay in place.
 
 A cable that slides through a clasp pulls harder on the side that it is drawn to. With legs where
 they hold without friction the vertex is dragged along until the clasp balances again. Planned for,
-the same balance is found by the legs: they pull with what friction makes of the tension, and lean
+the legs restore the balance: they pull with the tension changed by friction, and lean
 as the force triangle at the clasp requires (``model.evaluation.slipping_drones``).
 
 How hard friction pulls is known only roughly: by ``e^{μ θ}`` if one cable slides about the other
 (θ the angle that it wraps), by less where both do, since then they slide past each other less.
 Counted on is ``ln(P/T) = μ θ v / (|v_q| + |v_r|)`` for the speeds ``v`` at which legs grow: all of
-it for one cable, half for two at the same speed. That law is no theory but what brings simulated
+it for one cable, half for two at the same speed. The law is empirical: it brings simulated
 ropes closest to their plans (``python -m benchmarks flights``). The law by relative velocity of
 ``calibration/clasp_sliding.py`` was fitted later; at turns of 60° it makes this half 0.7.
 """
@@ -46,7 +46,7 @@ FINER = 2
 
 
 @dataclass(frozen=True, eq=False)
-class Leaning:
+class FrictionFeedforward:
     """A motion whose legs lean against friction.
 
     Attributes
@@ -59,8 +59,10 @@ class Leaning:
     turned: float
 
 
-def leaning(motion: Motion, limits: Limits, share: float, *, slower: bool) -> Leaning | None:
-    """Return the same motion with legs that lean against friction; None where none would.
+def friction_feedforward(
+    motion: Motion, limits: Limits, share: float, *, slower: bool
+) -> FrictionFeedforward | None:
+    """Return the motion with friction feed-forward; None if no leg would lean.
 
     Vertices, legs' lengths and edges' tensions stay as they are, but for the pace.
 
@@ -72,7 +74,7 @@ def leaning(motion: Motion, limits: Limits, share: float, *, slower: bool) -> Le
     slower: whether it may last longer; else None is returned where it would have to. So it is where
         legs at rest pull their drones beyond a limit.
     """
-    found = _leaned(motion, counted_on(motion, share))
+    found = _feedforward_of(motion, counted_on(motion, share))
     if found is None or found.turned < SMALLEST:
         return None
     leaned = found.motion
@@ -82,23 +84,23 @@ def leaning(motion: Motion, limits: Limits, share: float, *, slower: bool) -> Le
     return replace(found, motion=leaned.slowed(max(factor, 1.0)))
 
 
-def worth_leaning(motion: Motion) -> bool:
-    """Return whether legs would lean by more than the least, if limits allowed it."""
+def feedforward_matters(motion: Motion) -> bool:
+    """Return whether legs lean by SMALLEST or more, limits aside."""
     slip = counted_on(motion, 1.0)
-    found = _leaned(motion, slip)
+    found = _feedforward_of(motion, slip)
     return slip is not None and (found is None or found.turned >= SMALLEST)
 
 
 SWINGS, SWING = 8, 2.0
-"""How often drones swing to work the clasps, and how long a swing takes [s]. In simulations
+"""Number of swings that settle the clasps, and duration of a swing [s]. In simulations
 (friction 0.1, thin segments, noise and wind) three leave 3 cm of 5, eight 1 to 2 cm."""
 
 USED = 0.98
 """Share of the friction that is used, which leaves room for interpolation."""
 
 
-def settling(rest: Motion, share: float) -> tuple[Leaning, float] | None:
-    """Return a hitch at rest whose drones swing until clasps have no memory of how it was formed.
+def settling_swings(rest: Motion, share: float) -> tuple[FrictionFeedforward, float] | None:
+    """Return a hitch at rest whose drones swing to remove friction hysteresis at the clasps.
 
     Legs lean as friction fully used would have them hold the vertices, ``P = T e^{± μ θ}``, to one
     side and the other by turns, farthest at first and by less and less, as iron is demagnetised.
@@ -108,7 +110,7 @@ def settling(rest: Motion, share: float) -> tuple[Leaning, float] | None:
     Parameters
     ----------
     rest: the hitch, for as long as it is to swing.
-    share: of what legs can bear, in (0, 1].
+    share: of the friction that legs can bear, in (0, 1].
     """
     start, count = float(rest.drones.breaks[0]), 2 * SWINGS + 1
     times = start + rest.duration * np.linspace(0.0, 1.0, count + 1)
@@ -122,14 +124,14 @@ def settling(rest: Motion, share: float) -> tuple[Leaning, float] | None:
     decay = np.linspace(1.0, 0.0, count, endpoint=False) * (-1.0) ** np.arange(count)
     decay = np.concatenate([[0.0], decay[:-1], [0.0]])
     curve = jets.quintic_spline(times, decay[:, None, None] * most, (1, 2))
-    found = _leaned(rest, PiecewisePolynomial.from_spline(curve))
+    found = _feedforward_of(rest, PiecewisePolynomial.from_spline(curve))
     if found is None or found.turned < SMALLEST:
         return None
     return found, float(np.min(borne))
 
 
-def _leaned(motion: Motion, slip: PiecewisePolynomial | None) -> Leaning | None:
-    """Return the motion with pulls ``T e^slip``; None without, or if a clasp cannot balance so."""
+def _feedforward_of(motion: Motion, slip: PiecewisePolynomial | None) -> FrictionFeedforward | None:
+    """Return the motion with pulls ``T e^slip``; None without, or if a clasp is out of balance."""
     if slip is None:
         return None
     layout = motion.team.layout
@@ -167,7 +169,7 @@ def _leaned(motion: Motion, slip: PiecewisePolynomial | None) -> Leaning | None:
         tensions=tensions,
         leg_tensions=_hermite(breaks, pulls),
     )
-    return Leaning(leaned, float(np.max(turned)))
+    return FrictionFeedforward(leaned, float(np.max(turned)))
 
 
 def cables_of_legs(team: Team, chords: Array, lengths: Array, tensions: Array) -> Array | None:
@@ -214,8 +216,8 @@ ROOM = 1.02
 """Factor on the limits of the distances of a clasp's drones from each other and their legs."""
 
 ROUGHEST = 5.0
-"""Coefficient of friction beyond which no more is counted on: legs lean as far as they may by far
-less, and the exponential of more is no number."""
+"""Coefficient of friction above which the excess is ignored: legs reach FARTHEST by far
+less, and the exponential of more overflows."""
 
 TOUCHING = 1e-3
 """[m] Distance of drones from the other leg of their clasp where they have no limit."""

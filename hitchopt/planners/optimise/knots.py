@@ -1,4 +1,4 @@
-"""A path from one hitch to another as knots, which the optimiser moves, and what bounds them."""
+"""A path from one hitch to another as knots, which the optimiser moves, and their bounds."""
 
 from __future__ import annotations
 
@@ -175,7 +175,7 @@ def _knot_spline(values: Array) -> PiecewisePolynomial:
 
 
 INSET = 5e-3
-"""[m] Distance from walls and shortest legs, for what the spline does between knots."""
+"""[m] Distance from walls and shortest legs, for the spline between knots."""
 
 TENSION_INSET = 0.02
 """Share of a range of tensions that stays free at both its ends, for the same reason."""

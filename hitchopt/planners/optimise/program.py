@@ -35,17 +35,17 @@ BEND = 0.1
 """Weight of the knots' second differences in the energy: keeps the spline near its knots."""
 
 TIME_BEND = 0.01
-"""Weight of the second differences beside the time; less leaves corners that cost more time than
-they save."""
+"""Weight of the second differences relative to the time; less leaves corners that cost more time
+than they save."""
 
 TIME_ENERGY = 1e-3
-"""Weight of the energy beside the time, where the time leaves something open."""
+"""Weight of the energy relative to the time, which decides where the time is indifferent."""
 
 TENSION_WEIGHT = 0.02
 """Weight of the tensions' squares where they are free, which gives thrust back to motion."""
 
 TENSION_CHANGE = 0.01
-"""Weight of the tensions' differences beside their squares."""
+"""Weight of the tensions' differences relative to their squares."""
 
 LAGGING = 0.5
 """Share of the longest segment of a step below which others do not tell how long it takes."""
@@ -360,10 +360,10 @@ def answered_later() -> Iterator[None]:
     answered = {n: handler for n, handler in handlers.items() if callable(handler)}
     try:
         for number in answered:
-            signal.signal(number, lambda *told: waiting.append(told))
+            signal.signal(number, lambda *arguments: waiting.append(arguments))
         yield
     finally:
         for number, handler in answered.items():
             signal.signal(number, handler)
-        for told in waiting:  # also where the work has failed
-            answered[signal.Signals(told[0])](*told)
+        for arguments in waiting:  # also where the work has failed
+            answered[signal.Signals(arguments[0])](*arguments)

@@ -66,7 +66,7 @@ SHARPEST_LOSS = 0.1
 """Share of its ends' smallest exterior angle and shortest edge that a guess must exceed."""
 
 WIDEST = 1.1
-"""Largest margin of any round; larger ones need not be told apart."""
+"""Largest margin of any round; larger ones count the same."""
 
 BELOW = 1.0 - 1e-4
 """Factor on an end's own margin: the end is to satisfy it in spite of rounding."""
@@ -197,7 +197,7 @@ def _directions(polygon: ConvexPolygon) -> Array:
 
 
 def _line(first: Array, last: Array, s: Array) -> Array:
-    """Return what changes evenly, at s (J,)."""
+    """Return values that change linearly, at s (J,)."""
     return first + np.multiply.outer(s, last - first)
 
 

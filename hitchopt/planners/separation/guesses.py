@@ -90,8 +90,8 @@ def _progress(s: Array, ramp: float) -> Array:
     fine = np.linspace(0.0, 1.0, 1001)
     rising, falling = (np.clip(x / ramp, 0.0, 1.0) for x in (fine, 1.0 - fine))
     speed = rising**2 * (3.0 - 2.0 * rising) * falling**2 * (3.0 - 2.0 * falling)
-    gone = np.append(0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1])))
-    share: Array = np.interp(s, fine, gone / gone[-1])
+    travelled = np.append(0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1])))
+    share: Array = np.interp(s, fine, travelled / travelled[-1])
     return share
 
 
@@ -102,7 +102,7 @@ HIGH = 1e6
 """[m] Altitude above, and depth below, everything that flies."""
 
 TIGHT = 1e-6
-"""Smallest distance of a route's corners to what they stay out of, relative to the radius."""
+"""Smallest distance of a route's corners to obstacles, relative to the radius."""
 
 
 def points_along(route: Array, shares: Array) -> Array:
@@ -161,7 +161,7 @@ def _route(task: SeparationTask, ends: Array, distance: float) -> Array | None:
     seen = ~_blocked(task, nodes[i], nodes[j])
     i, j = i[seen], j[seen]
     lengths = length(nodes[i] - nodes[j])
-    # Of routes that are equally long, one is preferred by its places.
+    # Among routes of equal length, the places decide.
     places = nodes @ np.array([1.0, GOLDEN, GOLDEN**2])
     places = (places - np.min(places)) / max(float(np.ptp(places)), 1e-9)
     preferred = lengths + TIE * float(np.max(lengths, initial=0.0)) * (places[i] + places[j])

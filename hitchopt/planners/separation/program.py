@@ -59,11 +59,11 @@ def moved_curves(
     ProgramError: no finite point was returned.
     """
     program = build_program(setting, coefficients, duration, planes)
-    kept = np.ones(len(program.q), dtype=np.bool_)
+    mask = np.ones(len(program.q), dtype=np.bool_)
     if not np.all(moving):
-        program, kept = _among(program, np.repeat(moving, 3 * (setting.grid.count - 2 * HELD)))
-    x = np.zeros(len(kept))
-    x[kept] = solve_program(program, HASTY if len(moving) >= CROWD else ITERATIONS)
+        program, mask = _among(program, np.repeat(moving, 3 * (setting.grid.count - 2 * HELD)))
+    x = np.zeros(len(mask))
+    x[mask] = solve_program(program, HASTY if len(moving) >= CROWD else ITERATIONS)
     moved = coefficients.copy()
     inner = moved[:, HELD:-HELD]
     inner += setting.trust * np.clip(x[: inner.size].reshape(inner.shape), -1.0, 1.0)
@@ -81,11 +81,11 @@ def _among(
     there = abs(program.A)
     touched = there[:, : len(moving)] @ moving.astype(np.float64) > 0.0
     slacks = there[:, len(moving) :].T @ touched.astype(np.float64) > 0.0
-    kept = np.append(moving, slacks)
-    columns = sp.csr_array(program.A[:, kept])
+    mask = np.append(moving, slacks)
+    columns = sp.csr_array(program.A[:, mask])
     rows = np.diff(columns.indptr) > 0
-    P, A = sp.csc_array(program.P[:, kept][kept]), sp.csc_array(columns[rows])
-    return QuadraticProgram(P, program.q[kept], A, program.lower[rows], program.upper[rows]), kept
+    P, A = sp.csc_array(program.P[:, mask][mask]), sp.csc_array(columns[rows])
+    return QuadraticProgram(P, program.q[mask], A, program.lower[rows], program.upper[rows]), mask
 
 
 def build_program(
@@ -302,10 +302,10 @@ def planes_between(curves: Array, separation: Separation, cutoff: float, known: 
     differences = scaled[piece, first] - scaled[piece, second]
     nearest = hull_points(differences)
     apart = length(nearest)
-    kept = apart < cutoff
-    kept[index.ravel()[: len(known)]] = True
-    sides, differences = sides[kept], differences[kept]
-    nearest, apart = nearest[kept], apart[kept]
+    mask = apart < cutoff
+    mask[index.ravel()[: len(known)]] = True
+    sides, differences = sides[mask], differences[mask]
+    nearest, apart = nearest[mask], apart[mask]
     # Hulls that hold the origin have no plane yet: the curve's own nearest point gives a first one.
     inside = apart < 1e-6
     points = _points_of(differences[inside])

@@ -35,7 +35,7 @@ from hitchopt.values import Array, Indices
 Progress = Callable[[str], None]
 
 RULES = ((0.5, 1.0), (0.5, 1.5), (-0.5, 1.0), (0.5, 2.0), (0.5, 3.0))
-"""How far drones give way to the right where they meet, and the duration over that of the
+"""Shift of drones to the right where they meet, and the duration over that of the
 slowest flight (above 1, departures are staggered), in the order in which they are tried."""
 
 ROUNDS = 16
@@ -185,7 +185,7 @@ def _last_resort(task: SeparationTask, tried: list[Evaluation], say: Progress) -
     note = f"no route was found from {len(tried)} guesses; the search is local: others may exist"
     if task.duration is None:
         raise InfeasibleError(nearest.broken, note)
-    say("looking for a duration that would do")
+    say("searching for a feasible duration")
     try:
         found = SeparatedFlight(replace(task, duration=None)).solve(say)
     except InfeasibleError:

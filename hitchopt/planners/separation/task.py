@@ -153,7 +153,7 @@ class Grid:
         return self.splines(np.clip(s, 0.0, 1.0), derivative)
 
     def fitting(self, s: Array, stiffness: float = 0.0) -> Array:
-        """Return what maps values at ``s`` to the free coefficients that fit them best.
+        """Return the map of values at ``s`` to the free coefficients that fit them best.
 
         Parameters
         ----------

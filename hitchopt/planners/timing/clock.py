@@ -117,7 +117,7 @@ def jerk_limited(clock: Clock, demands_at: DemandsAt) -> Clock:
         if np.max(ratios) <= LIMIT_SHARE + TOLERANCE:
             break
         drones = np.concatenate([drones, np.argmax(ratios, axis=-1)[..., None]], axis=-1)
-    # What is still broken is slowed by the stretch that follows.
+    # The stretch that follows slows all limits that are still broken.
     return Clock(clock.knots, clock.progress, BSpline(spline.t, rate, DEGREE))
 
 
@@ -339,7 +339,7 @@ class SplineBasis:
         return np.asarray(self.values @ coefficients).reshape(3, -1)
 
     def transposed(self, forces: Array) -> Array:
-        """Return what (3, M) by value and derivatives is by coefficients (count,)."""
+        """Return the gradient by coefficients (count,) of that by value and derivatives (3, M)."""
         return np.asarray(self.values.T @ forces.ravel())
 
     def banded(self, forms: Array) -> Array:

@@ -83,7 +83,7 @@ GRID = 160
 """Number of steps of toppra's grid along the path."""
 
 MODEL_ERROR = 1e-6
-"""Largest relative error of a cable's length: a tenth of what a plan guarantees."""
+"""Largest relative error of a cable's length: a tenth of a plan's guarantee."""
 
 FINEST = 400
 """Number of pieces at which refining for the sake of MODEL_ERROR ends."""
@@ -308,7 +308,7 @@ def _chunks(team: Team, drones: PiecewisePolynomial) -> Iterator[slice]:
 
 
 def _on_spans(part: PiecewisePolynomial, pieces: slice, order: int = 0) -> Array:
-    """Return what encloses a derivative by time: (pieces · SPANS · ENCLOSING, *shape).
+    """Return values that enclose a derivative by time: (pieces · SPANS · ENCLOSING, *shape).
 
     Its coefficients on the spans of pieces, or values at as many places where it has more.
     """

@@ -26,7 +26,7 @@ from hitchopt.planners.morph.path import Path
 from hitchopt.values import Array
 
 LIMIT_SHARE = 0.999
-"""Share of the limits that is planned at samples; the rest is for what happens between them."""
+"""Share of the limits in use at samples; the rest is for the time between them."""
 
 FINAL_SHARE = 1.0 - 0.5 * (1.0 - LIMIT_SHARE)
 """Share of the limits that the polynomials' enclosures may use: half of the rest remains to the
@@ -171,9 +171,9 @@ def check_hover(
         j, i = divmod(int(np.argmax(ratios)), team.drones)
         if ratios[j, i] >= LIMIT_SHARE:
             most = float(np.broadcast_to(limit, team.drones)[i])
-            told = name, float(ratios[j, i]) * most, LIMIT_SHARE * most, "max", unit
+            limit_values = name, float(ratios[j, i]) * most, LIMIT_SHARE * most, "max", unit
             words = f"{when[j]}, {1.0 - LIMIT_SHARE:.1%} of it being reserved to move by"
-            raise InfeasibleError([Violation(*told, (team.drone_names[i],), words, remedy)])
+            raise InfeasibleError([Violation(*limit_values, (team.drone_names[i],), words, remedy)])
 
 
 def _products(pair: Array) -> Array:
@@ -185,7 +185,7 @@ RAYS = 64
 """Directions in the half plane of (s̈, ṡ² ≥ 0): chords cut off 0.03 % of a circle."""
 
 TINY = 1e-8
-"""ṡ² by which toppra stays below what it has found, so that rounding leaves programs feasible."""
+"""Margin of ṡ² below toppra's solution, so that rounding leaves programs feasible."""
 
 HUGE = 1e8
 """Bound of s̈ and ṡ² in toppra's programs."""
