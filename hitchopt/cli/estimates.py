@@ -154,31 +154,32 @@ def calibrate(
 
     place = None if plan is None else plan_path(plan).parent
     with ProgressBar("estimating"):
-        found = ho.calibrate(recording, place, density=density)
+        calibration = ho.calibrate(recording, place, density=density)
     say(
-        _calibration_tables(found),
-        lengths=[vars(estimate) for estimate in found.lengths],
-        stiffness=[vars(estimate) for estimate in found.stiffness],
-        friction=vars(found.friction),
-        notes=list(found.recording.notes),
+        _calibration_tables(calibration),
+        lengths=[vars(estimate) for estimate in calibration.lengths],
+        stiffness=[vars(estimate) for estimate in calibration.stiffness],
+        friction=vars(calibration.friction),
+        notes=list(calibration.recording.notes),
     )
     if output is not None:
-        save_team(output, found)
+        save_team(output, calibration)
         say(f"the team is in {output}")
 
 
-def _calibration_tables(found: ho.Calibration) -> str:
+def _calibration_tables(calibration: ho.Calibration) -> str:
     """Return the tables of estimates and of distances to the plan."""
     from hitchopt.cli.simulating import spread_text
     from hitchopt.simulation.judgement import Spread
 
-    team = found.task.team
+    team = calibration.task.team
     named = [
-        (f"length of cable {k} [m]", x, team.cable_length[k]) for k, x in enumerate(found.lengths)
+        (f"length of cable {k} [m]", x, team.cable_length[k])
+        for k, x in enumerate(calibration.lengths)
     ]
-    for k, estimate in enumerate(found.stiffness):
+    for k, estimate in enumerate(calibration.stiffness):
         named.append((f"stiffness of q{k}, r{k} [N/m]", estimate, team.stiffness[2 * k, 0]))
-    named.append(("friction", found.friction, team.cable_friction))
+    named.append(("friction", calibration.friction, team.cable_friction))
     rows, remarks = [], []
     for name, estimate, planned in named:
         cells = {"value": "not determined", "± error": ""}
@@ -187,11 +188,11 @@ def _calibration_tables(found: ho.Calibration) -> str:
         else:
             remarks.append(f"{name}: {estimate.remark}")
         rows.append({"quantity": name, **cells, "in the plan": float(planned)})
-    columns = [*zip(team.point_names, found.vertex_errors.T, strict=True)]
-    columns += zip(team.drone_names, found.drone_errors.T, strict=True)
+    columns = [*zip(team.point_names, calibration.vertex_errors.T, strict=True)]
+    columns += zip(team.drone_names, calibration.drone_errors.T, strict=True)
     distances = [{"of": name, "distance": spread_text(Spread.of(x))} for name, x in columns]
     title = "Distances to the plan [cm], mean ± standard deviation (largest)"
-    remarks += [f"note: {note}" for note in found.recording.notes]
+    remarks += [f"note: {note}" for note in calibration.recording.notes]
     return "\n\n".join([table("Estimates", rows), *remarks, table(title, distances)]) + "\n"
 
 
@@ -238,15 +239,15 @@ def fit(
     kind = ho.Quadrotor(given.pop("quadrotor_mass"), given.pop("max_thrust"))
     limits = ho.Limits(tilt_deg=tilt_deg)
     with ProgressBar("fitting"):
-        found = ho.fit(_outline(outline), robots, quadrotor=kind, limits=limits, **given)
-        content = fit_as_json(found)
-    notes = [f"note: {note}" for note in found.notes]
+        fit_result = ho.fit(_outline(outline), robots, quadrotor=kind, limits=limits, **given)
+        content = fit_as_json(fit_result)
+    notes = [f"note: {note}" for note in fit_result.notes]
     say("\n\n".join([*notes, *_fit_tables(content)]), fit=content)
     if output is not None:
-        save_fit(output, found)
+        save_fit(output, fit_result)
         say(f"fit.json and fit.png are in {output}", directory=str(output))
     if mass is not None:
-        found.raise_if_too_heavy(mass, by)
+        fit_result.raise_if_too_heavy(mass, by)
         say(f"{1e3 * mass:g} g are held by {by}")
 
 

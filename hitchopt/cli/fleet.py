@@ -142,10 +142,10 @@ def _say_report(report: Report) -> None:
     by_rule: dict[tuple[str, str], list[str]] = {}
     for finding in report.findings:
         by_rule.setdefault((finding.level, finding.rule), []).append(str(finding))
-    for (level, rule), found in by_rule.items():
-        if (more := len(found) - MAX_SHOWN) > 0:
-            found[MAX_SHOWN:] = [f"{level}: {rule}: and {more} more"]
-        say("\n".join(found), err=level == ERROR)
+    for (level, rule), lines in by_rule.items():
+        if (more := len(lines) - MAX_SHOWN) > 0:
+            lines[MAX_SHOWN:] = [f"{level}: {rule}: and {more} more"]
+        say("\n".join(lines), err=level == ERROR)
     levels = [finding.level for finding in report.findings]
     say(f"{levels.count(ERROR)} errors, {levels.count(WARNING)} warnings")
 
@@ -173,9 +173,9 @@ def abort(directory: Path, how: str | None, every: float) -> None:
     motion = read_plan(path)
     chosen = how or _usual_abort(motion)
     with ProgressBar("planning aborts") as progress:
-        found = abort_table(motion, chosen, every, progress)
+        aborts = abort_table(motion, chosen, every, progress)
     rows = []
-    for entry in found.entries:
+    for entry in aborts.entries:
         phase = next((p for p in motion.phases if p.end >= entry.rest - 1e-6), motion.phases[-1])
         times = {"commands until": entry.start, "at rest after": entry.start + entry.seconds}
         times["ends"] = entry.motion.duration
@@ -183,19 +183,19 @@ def abort(directory: Path, how: str | None, every: float) -> None:
     say(table(f"Aborts: {chosen}", rows))
     thrust, lean = (largest_at_rest(motion, each) for each in (used_thrust, tilt))
     say(f"hovering anywhere on the paths takes up to {thrust:.1%} of a drone's thrust, {lean:.2f}°")
-    save_aborts(path.parent, found)
+    save_aborts(path.parent, aborts)
     say(
         f"aborts.json and aborts.zip are in {path.parent}",
         directory=str(path.parent),
-        how=found.how,
-        entries=[{"start": entry.start, "seconds": entry.seconds} for entry in found.entries],
-        longest=found.longest if found.entries else None,
-        missing=[list(span) for span in found.missing],
+        how=aborts.how,
+        entries=[{"start": entry.start, "seconds": entry.seconds} for entry in aborts.entries],
+        longest=aborts.longest if aborts.entries else None,
+        missing=[list(span) for span in aborts.missing],
     )
-    if found.entries:
-        say(f"at rest {found.longest:.3f} s after any command at the latest")
-    if found.missing:
-        spans = ", ".join(f"{a:.4g} s to {b:.4g} s" for a, b in found.missing)
+    if aborts.entries:
+        say(f"at rest {aborts.longest:.3f} s after any command at the latest")
+    if aborts.missing:
+        spans = ", ".join(f"{a:.4g} s to {b:.4g} s" for a, b in aborts.missing)
         say(f"no abort was found for commands from {spans}", err=True)
         exit_infeasible()
 
@@ -314,14 +314,14 @@ def _flown_aborts(motion: ho.Motion, how: str | None) -> dict[str, AbortTable]:
     from hitchopt.live.abort import abort_table
 
     chosen = how or _usual_abort(motion)
-    found = {}
+    aborts = {}
     with ProgressBar("planning aborts") as progress:
         for each in dict.fromkeys(("land", chosen)):
-            found[each] = abort_table(motion, each, progress=progress)
-            if not found[each].entries:
+            aborts[each] = abort_table(motion, each, progress=progress)
+            if not aborts[each].entries:
                 remedy = "a lost link could not end on the ground; choose another --how"
                 raise InfeasibleError([], f"no abort {each} was found; {remedy}")
-    return {"land": found["land"], "abort": found[chosen]}
+    return {"land": aborts["land"], "abort": aborts[chosen]}
 
 
 @contextmanager

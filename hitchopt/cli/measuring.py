@@ -63,32 +63,35 @@ def evaluate(
     from hitchopt.flights.report import save_evaluation, summary
 
     with ProgressBar("reading and evaluating"):
-        found = ho.evaluate(recording, task, **given)
+        result = ho.evaluate(recording, task, **given)
     place = recording.absolute().parent / RESULTS if output is None else output
     with ProgressBar("writing the results"):
-        save_evaluation(place, found, format)
-    content = summary(found)
-    say(_tables(found), directory=str(place), evaluation=content)
-    for remark in found.remarks:
+        save_evaluation(place, result, format)
+    content = summary(result)
+    say(_tables(result), directory=str(place), evaluation=content)
+    for remark in result.remarks:
         say(f"note: {remark}")
     say(f"results are in {place}")
 
 
-def _tables(found: ho.Evaluation) -> str:
+def _tables(evaluation: ho.Evaluation) -> str:
     """Return the tables of vertices by phase, and of drones in all."""
-    kind, drones = "crossings" if found.clasps is None else "clasps", found.task.team.drone_names
+    kind, drones = (
+        "crossings" if evaluation.clasps is None else "clasps",
+        evaluation.task.team.drone_names,
+    )
     rows: list[dict[str, object]] = []
-    for row in found.short_table:
+    for row in evaluation.short_table:
         cells: dict[str, object] = {"of": row.name, "phase": row.phase}
         if row.phase != "all":
             cells["phase"] = f"{row.phase}, {row.start:.1f} to {row.end:.1f} s"
         lengths = {"mean": row.mean, "std": row.std, "max": row.max}
         shown = _millimetres({**lengths, "standard error": row.standard_error})
         rows.append({**cells, **shown, "found": f"{row.found:.0%}"})
-    lies = found.alignment
+    lies = evaluation.alignment
     parts = [
         table(f"Distances from the plan [mm], {kind} of cables and drones", rows),
-        f"{found.flight.source}: plan time is {lies.rate:.6g} t {lies.offset:+.3f} s, frame "
+        f"{evaluation.flight.source}: plan time is {lies.rate:.6g} t {lies.offset:+.3f} s, frame "
         f"{lies.frame}, drones {1e3 * lies.rms:.0f} mm from the plan (root mean square)",
         "names: " + ", ".join(f"{a}={b}" for a, b in zip(lies.names, drones, strict=True)),
     ]
@@ -104,21 +107,21 @@ def _say_markers(task: Task) -> None:
     """Say where markers go on every cable."""
     from hitchopt.flights.placing import SCATTER, marker_plan
 
-    found, team = marker_plan(task), task.team
+    markers, team = marker_plan(task), task.team
     rows: list[dict[str, object]] = []
-    for k, (lower, upper) in enumerate(found.stretches.tolist()):
+    for k, (lower, upper) in enumerate(markers.stretches.tolist()):
         stays = f"{lower:.2f} to {upper:.2f}" if upper > lower else "nothing"
-        places = ", ".join(f"{place:.2f}" for place in found.places[k])
+        places = ", ".join(f"{place:.2f}" for place in markers.places[k])
         rows.append({"cable": k, "stays on its edge [m]": stays, "markers at [m]": places})
     errors: list[dict[str, object]] = [
         {"vertex": team.point_names[p], **_millimetres({"median": median, "largest": most})}
-        for p, (median, most) in enumerate(found.standard_errors.tolist())
+        for p, (median, most) in enumerate(markers.standard_errors.tolist())
         if not math.isnan(median)
     ]
     parts = [table("Markers from q's end of every cable", rows)]
     parts.append(table("Standard errors [mm]", errors))
     parts.append(f"of vertices, if markers scatter by {1e3 * SCATTER:g} mm about their lines")
-    content = {name: _plain(value) for name, value in vars(found).items()}
+    content = {name: _plain(value) for name, value in vars(markers).items()}
     say("\n\n".join(parts), markers=content)
 
 

@@ -75,11 +75,11 @@ def _entries(options: str) -> list[str]:
 
 
 def _option(entry: str, more: dict[str, dict[str, Any]]) -> click.Option:
-    found = LINE.fullmatch(entry)
-    if found is None:
+    match = LINE.fullmatch(entry)
+    if match is None:
         raise ValueError(f"no option: {entry}")
-    flags, metavar, value = found["flags"].split(", "), found["metavar"], found["value"]
-    settings: dict[str, Any] = {"help": found["help"]}
+    flags, metavar, value = match["flags"].split(", "), match["metavar"], match["value"]
+    settings: dict[str, Any] = {"help": match["help"]}
     if metavar is None:
         settings.update({"default": ast.literal_eval(value)} if value else {"is_flag": True})
     elif "|" in metavar:

@@ -52,8 +52,8 @@ def output() -> Output:
     context = click.get_current_context(silent=True)
     if context is None:
         return Output()
-    found: Output = context.meta.setdefault(KEY, Output())
-    return found
+    current: Output = context.meta.setdefault(KEY, Output())
+    return current
 
 
 def say(text: str, *, err: bool = False, **results: Any) -> None:
@@ -100,20 +100,20 @@ def table(title: str, rows: Iterable[Mapping[str, object]]) -> str:
 
     listed = [{head: _cell(value) for head, value in row.items()} for row in rows]
     heads = list(dict.fromkeys(head for row in listed for head in row))
-    found = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    grid = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
     for head in heads:
         cells = [row[head].plain for row in listed if head in row]
         right = head != heads[0] and all(map(NUMBER.match, cells))
-        found.add_column(head, justify="right" if right else "left", overflow="fold")
+        grid.add_column(head, justify="right" if right else "left", overflow="fold")
     for row in listed:
         style = "bold" if len(row) == 1 < len(heads) else None
-        found.add_row(*(row.get(head, "") for head in heads), style=style)
+        grid.add_row(*(row.get(head, "") for head in heads), style=style)
     terminal = sys.stdout is not None and sys.stdout.isatty()  # closed by `>&-`
     width = shutil.get_terminal_size().columns if terminal else DEFAULT_WIDTH
     text = StringIO()
     # No markup: units in brackets are text.
     console = Console(file=text, width=width, force_terminal=terminal, markup=False, emoji=False)
-    console.print(found)
+    console.print(grid)
     return "\n".join(line.rstrip() for line in text.getvalue().rstrip().splitlines())
 
 
@@ -212,10 +212,10 @@ def span_text(values: Iterable[Any], digits: str = ".3f") -> str:
 
 def done_of(message: str) -> tuple[float | None, float | None]:
     """Return progress and total in a message; None for both without a count."""
-    found = COUNT.search(message)
-    if found is None:
+    match = COUNT.search(message)
+    if match is None:
         return None, None
-    done, total, percent = found.groups()
+    done, total, percent = match.groups()
     if percent:
         return float(percent), 100.0
     return (float(done), float(total)) if float(total) > 0.0 else (None, None)

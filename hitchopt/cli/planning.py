@@ -119,17 +119,17 @@ def _leave_diagnosis(
 
     report_error(error)  # first, in case the diagnosis cannot be written
     save_diagnosis(place, error)  # the search may be interrupted
-    found: tuple[ho.Suggestion, ...] = ()
+    suggestions: tuple[ho.Suggestion, ...] = ()
     if isinstance(problem, ho.Problem) and isinstance(error, InfeasibleError):
-        found, note = _suggestions(problem, error, left)
+        suggestions, note = _suggestions(problem, error, left)
         if note:
             error = InfeasibleError(error.violations, f"{error.note}\n{note}".strip())
-        save_diagnosis(place, error, found)
+        save_diagnosis(place, error, suggestions)
     message = f"no plan; the diagnosis is in {place / DIAGNOSIS}"
     if (previous := place / PREVIOUS).is_dir():
         record(previous=str(previous))
         message += f"; the last certified plan is in {previous}"
-    content = diagnosis_content(error, found)
+    content = diagnosis_content(error, suggestions)
     say(message, err=True, directory=str(place), diagnosis=content)
     click.get_current_context().exit(exit_code(error))
 
@@ -141,17 +141,17 @@ def _suggestions(
     from hitchopt.errors import time_left, time_limit
     from hitchopt.mission.repair import NO_CHANGE, find_suggestions
 
-    found: tuple[ho.Suggestion, ...] = ()
+    suggestions: tuple[ho.Suggestion, ...] = ()
     note = ENDED
     with (
         ProgressBar("searching for changes that make it feasible", left) as progress,
         contextlib.suppress(TimeLimitError),
         time_limit(left),
     ):
-        found = find_suggestions(problem, error, progress=progress)
+        suggestions = find_suggestions(problem, error, progress=progress)
         note = ENDED if time_left() <= 0.0 else ""
-    say("\n".join([*map(str, found or (NO_CHANGE,)), *([note] if note else [])]), err=True)
-    return found, note
+    say("\n".join([*map(str, suggestions or (NO_CHANGE,)), *([note] if note else [])]), err=True)
+    return suggestions, note
 
 
 @command(
@@ -188,8 +188,8 @@ def check(
         say(f"{lost.drone}, {lost.start:.4g} s to {lost.end:.4g} s: {lost.reason}")
     if closest or picture is not None:
         with ProgressBar("finding the closest neighbours"):
-            found = ho.closest(ho.Plan(motion, certificate), picture=picture)
-        say(f"Closest neighbours\n{found}\n", closest=str(found).splitlines())
+            neighbours = ho.closest(ho.Plan(motion, certificate), picture=picture)
+        say(f"Closest neighbours\n{neighbours}\n", closest=str(neighbours).splitlines())
         if picture is not None:
             say(f"the closest neighbours over time are drawn in {picture}")
     certificate.raise_if_violated()

@@ -137,13 +137,13 @@ def _lost(
     if not react:
         return settings, task
     with ProgressBar("planning the reaction"):
-        found = Reactions(read_plan(plan_path(directory))).found(loss.drone, loss.time)
+        reaction = Reactions(read_plan(plan_path(directory))).found(loss.drone, loss.time)
     say(
-        f"reaction: tension is let go from t = {found.begins:.3f} s on, all are on the ground at "
-        f"{found.motion.duration:.3f} s; hovering with its weight takes up to {found.thrust:.0%} "
-        "of a thrust"
+        f"reaction: tension is let go from t = {reaction.begins:.3f} s on, all are on the ground "
+        f"at {reaction.motion.duration:.3f} s; hovering with its weight takes up to "
+        f"{reaction.thrust:.0%} of a thrust"
     )
-    return settings, reacting(task, found)
+    return settings, reacting(task, reaction)
 
 
 def _simulate_one(task: Task, settings: Settings, place: Path, directory: Path) -> None:
@@ -171,7 +171,7 @@ def flight_tables(simulation: Simulation) -> str:
     """Return the tables of one flight's vertices, objects and figures."""
     from hitchopt.simulation.report import summary
 
-    found, known, flight = summary(simulation), simulation.figures, simulation.flight
+    content, known, flight = summary(simulation), simulation.figures, simulation.flight
     exact, team = simulation.settings.preset.exact, flight.task.team
     spreads = simulation.spreads
     figures: dict[str, object] = {}
@@ -189,13 +189,13 @@ def flight_tables(simulation: Simulation) -> str:
         "ropes longer for their bends [mm]": f"≤ {1e3 * flight.longer:.1f}",
     }
     parts = []
-    if found["clasps"]:
-        parts.append(table("Vertices after the flight [N, m]", map(dict, found["clasps"])))
-    if loss := found.get("loss"):
+    if content["clasps"]:
+        parts.append(table("Vertices after the flight [N, m]", map(dict, content["clasps"])))
+    if loss := content.get("loss"):
         loss |= {name: [" and ".join(x) for x in loss[name]] for name in ("among", "others")}
         parts.append(quantities("Loss of a drone [s, N, m]", loss))
-    if found["objects"]:
-        rows = [{name: each[name] for name in SHOWN} for each in found["objects"]]
+    if content["objects"]:
+        rows = [{name: each[name] for name in SHOWN} for each in content["objects"]]
         parts.append(table("Objects, to the plan's, and while carried [m, °]", rows))
     parts.append(quantities("Flight, errors as mean ± deviation (largest)", figures))
     return "\n\n".join(parts if exact else [*parts, f"vertex errors: {INEXACT}"])
@@ -253,22 +253,22 @@ def sweep(study: Path, output: Path | None, workers: int | None, scheduler: str 
         with ProgressBar("starting workers") as progress:
             ho.run_sweep(study, place, workers=workers, scheduler=scheduler, progress=progress)
     rows = ho.load_sweep(place)
-    found = summary(rows, len(read_study(place)["cases"]))
-    say(_sweep_tables(found), directory=str(place), summary=asdict(found))
+    sweep = summary(rows, len(read_study(place)["cases"]))
+    say(_sweep_tables(sweep), directory=str(place), summary=asdict(sweep))
     say(f"rows are in {place}; ho.load_sweep returns them for pandas")
 
 
-def _sweep_tables(found: Summary) -> str:
+def _sweep_tables(sweep: Summary) -> str:
     """Return the summary of a sweep as tables."""
-    binding = [{"limit": name, "rows": count} for name, count in found.binding[:MOST_REASONS]]
+    binding = [{"limit": name, "rows": count} for name, count in sweep.binding[:MOST_REASONS]]
     heads = ("median", "smallest", "largest")
     medians = [
         {"column": name, **dict(zip(heads, values, strict=True))}
-        for name, values in found.medians.items()
+        for name, values in sweep.medians.items()
     ]
     parts = [table("What bound", binding)] if binding else []
     parts.append(table("Figures", medians))
-    parts.append(f"{found.planned.rows} of {found.cases} rows; planned: {found.planned}")
-    if found.succeeded is not None:
-        parts.append(f"simulated flights that succeeded: {found.succeeded}")
+    parts.append(f"{sweep.planned.rows} of {sweep.cases} rows; planned: {sweep.planned}")
+    if sweep.succeeded is not None:
+        parts.append(f"simulated flights that succeeded: {sweep.succeeded}")
     return "\n\n".join(parts)

@@ -27,7 +27,7 @@ from hitchopt.hitch.leg_program import (
 )
 from hitchopt.values import Array
 
-ROUNDS, PATH_ROUNDS = 60, 20
+START_ROUNDS, PATH_ROUNDS = 60, 20
 """Maximum numbers of convex programs from one start: on one polygon, and along a path, where ten
 are enough or none are."""
 
@@ -118,7 +118,7 @@ def _refined(bodies: LegBodies, start: Array, first: bool) -> LegLengths:
     """
     task = bodies.task
     d, settled = np.clip(start, *task.bounds), QUICKLY_SETTLED if first else SETTLED
-    for _ in range(ROUNDS if len(d) == 1 else PATH_ROUNDS):
+    for _ in range(START_ROUNDS if len(d) == 1 else PATH_ROUNDS):
         check_time()
         x = solve_qp(leg_program(bodies, d))
         if x is None:

@@ -107,11 +107,11 @@ class Aborts:
         options = [(begin, False) for begin in time + DELAYS if begin < self.motion.duration]
         options += [(each, True) for each in still if each >= time - JOINT]
         for begin, resting_there in sorted(options):
-            found = until_stop(self.motion, float(begin), stop=not resting_there)
-            held = followed(found.motion, resting(found.motion, HOLD))
+            stop_plan = until_stop(self.motion, float(begin), stop=not resting_there)
+            held = followed(stop_plan.motion, resting(stop_plan.motion, HOLD))
             looked = [RULE_OF[name].check(held) for name in RESTS]
             if all(check is None or check.holds for check in looked):
-                yield found
+                yield stop_plan
 
     def _origin(self, stopped: Stopped, how: str) -> float | None:
         """Return the plan time [s] from which to go on; None where a later stop has to be taken."""
@@ -199,8 +199,8 @@ def until_stop(motion: Motion, time: float, *, stop: bool = True) -> Stopped:
         parts.append(before(whole, time))
     if len(clock):
         parts.append(retimed(whole, clock))
-    found = reduce(followed, parts or [resting(whole, HOLD, first=True)])
-    return Stopped(time, float(np.sum(clock.duration)), player.time, found)
+    motion = reduce(followed, parts or [resting(whole, HOLD, first=True)])
+    return Stopped(time, float(np.sum(clock.duration)), player.time, motion)
 
 
 def _refused(when: str, remedy: str = "abort earlier or later") -> InfeasibleError:

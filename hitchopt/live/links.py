@@ -34,7 +34,7 @@ Address = tuple[str, int]
 
 FORMAT = "hitchopt-setpoint/1"
 LARGEST = 65536  # size of the largest datagram [B]
-MOST = 1000  # datagrams that are read at once: a flood must not stop the stream
+MAX_DATAGRAMS = 1000  # datagrams that are read at once: a flood must not stop the stream
 OWN_SYSTEM = 245  # this MAVLink sender, beyond usual fleets and below ground stations
 BEAT = 1.0  # period of heartbeats: autopilots take a sender for lost after some seconds [s]
 VALID = 500  # how long a Crazyflie's last setpoint remains valid when the stream ends [ms]
@@ -150,7 +150,7 @@ class DatagramOutlet(ABC):
         """Return measured positions (3,) [m] in the plan's axes, by the drones' names."""
         hosts = {host for host, _ in self._addresses}
         found: dict[str, Array] = {}
-        for _ in range(MOST):
+        for _ in range(MAX_DATAGRAMS):
             try:
                 data, (host, _) = self._socket.recvfrom(LARGEST)
             except BlockingIOError:

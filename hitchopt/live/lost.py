@@ -233,11 +233,18 @@ def _sunk(motion: Motion) -> Motion:
 
 def reacting(task: Task, reaction: Reaction) -> Task:
     """Return a plan's task until the survivors react, then what they fly, to the ground."""
-    found = Task.of(reaction.motion)
-    released = np.clip((found.t - reaction.begins) / RELEASE_TIME, 0.0, 1.0)[:, None, None]
-    forces = found.setpoints.cable_forces * (1.0 - released**2 * (3.0 - 2.0 * released))
-    setpoints = replace(found.setpoints, cable_forces=forces)
-    parts = task.team, task.t[0] + found.t, setpoints, found.formed, found.vertices, found.tensions
+    reacting_task = Task.of(reaction.motion)
+    released = np.clip((reacting_task.t - reaction.begins) / RELEASE_TIME, 0.0, 1.0)[:, None, None]
+    forces = reacting_task.setpoints.cable_forces * (1.0 - released**2 * (3.0 - 2.0 * released))
+    setpoints = replace(reacting_task.setpoints, cable_forces=forces)
+    parts = (
+        task.team,
+        task.t[0] + reacting_task.t,
+        setpoints,
+        reacting_task.formed,
+        reacting_task.vertices,
+        reacting_task.tensions,
+    )
     return Task(*parts)
 
 

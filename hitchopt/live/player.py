@@ -32,7 +32,7 @@ BATCH = 24  # number of changes that are verified together
 STEADY = 1e-9  # difference of equal rates, and distance [s] at which an end is reached
 BRIEF = 1e-9  # shorter phases are dropped, and those of which less is left are over [s]
 ALIKE = 1e-9  # difference of tensions [N] with which legs do not lean
-STILL = 1e-6  # difference of lengths on a piece [m] with which legs do not slide
+MIN_SLIDE = 1e-6  # difference of lengths on a piece [m] with which legs do not slide
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,11 +147,11 @@ class Player(OneLine):
             where legs lean against friction; the clock goes on as before.
         """
         rate = _checked_rate(rate)
-        found = self._first(partial(_to_rate, rate), rate)
+        course = self._first(partial(_to_rate, rate), rate)
         if rate == 0.0:
             certain = self._certain_stop()
-            found = certain if found is None or certain.seconds <= found.seconds else found
-        return self._adopt(found, f"a rate of {rate:g}")
+            course = certain if course is None or certain.seconds <= course.seconds else course
+        return self._adopt(course, f"a rate of {rate:g}")
 
     def back(self) -> float:
         """Fly the plan backward at full rate; return the time until that is reached [s].
@@ -246,9 +246,9 @@ class Player(OneLine):
         run = left.then(start - left.time)
         return run.to(0.0, duration) if duration > 0.0 else run
 
-    def _adopt(self, found: Course | None, goal: str) -> float:
+    def _adopt(self, course: Course | None, goal: str) -> float:
         """Fly a change from now on; return how long it takes [s]."""
-        if found is None:
+        if course is None:
             words = "no change of the clock was found that keeps all limits"
             if self._known.limits.carried:
                 words += "; what is carried has inertia, rest where the plan does"
@@ -256,10 +256,10 @@ class Player(OneLine):
                 words += "; legs lean against friction, and are not flown backward"
             remedy = "ask later, for another rate or time, or plan with limits.reserve below 1"
             raise InfeasibleError([], f"{goal} from t = {self.time:.4g} s: {words}; {remedy}")
-        self._course = self._within(found)
-        if found.phases:  # what is carried can start as slowly as it has stopped
-            self._durations = (*DURATION_CANDIDATES, 2.0 * found.phases[-1][0])
-        return found.seconds
+        self._course = self._within(course)
+        if course.phases:  # what is carried can start as slowly as it has stopped
+            self._durations = (*DURATION_CANDIDATES, 2.0 * course.phases[-1][0])
+        return course.seconds
 
 
 def _checked_rate(rate: float) -> float:
@@ -293,11 +293,11 @@ class _Known:
         pulls = motion.pulls.coefficients
         apart = np.ptp(pulls.reshape(len(pulls), motion.team.robots, -1), axis=-1)
         leans = np.max(apart, axis=-1) > ALIKE
-        slides = np.max(np.ptp(motion.legs.coefficients, axis=-1), axis=(1, 2)) > STILL
+        slides = np.max(np.ptp(motion.legs.coefficients, axis=-1), axis=(1, 2)) > MIN_SLIDE
         runs = np.cumsum(leans & ~np.concatenate([[False], leans[:-1]]))
         leans &= np.isin(runs, runs[leans & slides])
-        found: Array = np.stack([breaks[:-1], breaks[1:]], axis=-1)[leans]
-        return found
+        spans: Array = np.stack([breaks[:-1], breaks[1:]], axis=-1)[leans]
+        return spans
 
     def slides_back(self, clock: ClockPhases) -> bool:
         """Whether cables slide back where legs lean."""

@@ -66,7 +66,7 @@ PLACES = np.linspace(0.0, 1.0, 16, endpoint=False)
 BRAKE_PLACES = np.append(np.linspace(0.0, 1.0, 8, endpoint=False), 1.0 - SIDE)
 
 # Maximum number of times that a shift is prolonged, and the least factor by which it is
-ROUNDS, GROWTH = 10, 1.04
+SHIFT_ROUNDS, GROWTH = 10, 1.04
 
 
 @dataclass(frozen=True, eq=False)
@@ -453,7 +453,7 @@ class RetargetPath:
     def shortest_shift(self, limits: Limits, brake: float) -> float | None:
         """Return the duration [s] of a shift that keeps all limits at samples, or None."""
         shift = SHORTEST
-        for _ in range(ROUNDS):
+        for _ in range(SHIFT_ROUNDS):
             last = np.array([brake, shift]) * (1.0 - SIDE)
             times = np.concatenate([max(shift, brake) * PLACES, last])
             found = float(self.excess(limits, times, brake, shift).max())

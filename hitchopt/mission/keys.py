@@ -397,22 +397,22 @@ def schema_text() -> str:
 
 def _properties_at(schema: Schema, path: Sequence[str | int]) -> dict[str, Schema]:
     """Return the keys that the mapping at a path may have, with what the schema says of each."""
-    found = list(_forms(schema, schema))
+    forms = list(_forms(schema, schema))
     for part in path:
         inner = [
             form["items"] if isinstance(part, int) else _under(form, part)
-            for form in found
+            for form in forms
             if ("items" in form if isinstance(part, int) else form.get("type") == "object")
         ]
-        found = [form for entry in inner for form in _forms(schema, entry)]
-    return {key: each for form in found for key, each in form.get("properties", {}).items()}
+        forms = [form for entry in inner for form in _forms(schema, entry)]
+    return {key: each for form in forms for key, each in form.get("properties", {}).items()}
 
 
 def _under(form: Schema, key: str) -> Schema:
     """Return the schema of a key, or of all names that users give."""
     others = [*form.get("patternProperties", {}).values(), form.get("additionalProperties")]
-    found: Schema = form.get("properties", {}).get(key) or others[0] or {}
-    return found
+    subschema: Schema = form.get("properties", {}).get(key) or others[0] or {}
+    return subschema
 
 
 def _forms(schema: Schema, entry: Schema) -> Iterator[Schema]:

@@ -186,12 +186,12 @@ def _title(title: str) -> str:
 def _team(kind: type[T], keys: TeamKeys | SwarmTeamKeys) -> T:
     """Return the team that ``keys`` describe."""
     values = keys.model_dump()
-    kinds, found = values["quadrotor"], []
+    kinds, quadrotors = values["quadrotor"], []
     one = isinstance(kinds, dict)
     for k, each in enumerate([kinds] if one else kinds):
         with seen_from("quadrotor" if one else f"quadrotor[{k}]"):
-            found.append(Quadrotor(**each))
-    return kind(**values | {"quadrotor": found[0] if one else found})
+            quadrotors.append(Quadrotor(**each))
+    return kind(**values | {"quadrotor": quadrotors[0] if one else quadrotors})
 
 
 def _start(keys: StartKeys, team: Team) -> Start:

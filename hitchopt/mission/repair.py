@@ -136,22 +136,22 @@ def find_suggestions(
         if progress is not None:
             progress(f"trying {change}")
         try:
-            found = solve_problem(change.problem, optimiser=optimiser)
+            plan = solve_problem(change.problem, optimiser=optimiser)
         except InfeasibleError as refusal:
             return broken_constraints(refusal)
         except (HitchoptError, TimeIsUp):  # no timing found, or no time: larger changes may do
             return frozenset()
-        return Suggestion(change, found.motion.duration)
+        return Suggestion(change, plan.motion.duration)
 
     broken = broken_constraints(error)
     knobs = [knob for knob in _knobs(problem, error.violations) if broken <= knob.covers]
     crowded = broken <= SPACE | {"crossing", "arena"}
     named = [*(_spread(problem) if crowded else ()), *_retuned(problem)]
-    found = [verdict for verdict in map(verdict_on, named) if isinstance(verdict, Suggestion)]
-    found += _smallest(problem, knobs, verdict_on)
-    if not found and error.note:  # the optimiser was needed and may be needed still
-        found = _smallest(problem, knobs, partial(verdict_on, optimiser=True))
-    return tuple(sorted(found, key=lambda s: abs(s.change.relative))[:MAX_SUGGESTIONS])
+    suggestions = [verdict for verdict in map(verdict_on, named) if isinstance(verdict, Suggestion)]
+    suggestions += _smallest(problem, knobs, verdict_on)
+    if not suggestions and error.note:  # the optimiser was needed and may be needed still
+        suggestions = _smallest(problem, knobs, partial(verdict_on, optimiser=True))
+    return tuple(sorted(suggestions, key=lambda s: abs(s.change.relative))[:MAX_SUGGESTIONS])
 
 
 def _smallest(problem: Problem, knobs: Sequence[Knob], judge: Judge) -> list[Suggestion]:
@@ -159,26 +159,28 @@ def _smallest(problem: Problem, knobs: Sequence[Knob], judge: Judge) -> list[Sug
 
     What is needed at the least is tried first, then all knobs with one size before the next one.
     """
-    found, done, failed = list[Suggestion](), set[int](), [knob.least for knob in knobs]
+    suggestions, done, failed = list[Suggestion](), set[int](), [knob.least for knob in knobs]
     sizes = [(i, size) for i, knob in enumerate(knobs) for size in _sizes(knob)]
     tries = [(0.0 if size == knobs[i].least else size, i, size) for i, size in sizes]
     last = 0.0
     for turn, i, size in sorted(tries):
-        smallest = min((abs(s.change.relative) for s in found), default=math.inf)
-        if turn > last and (len(found) >= MAX_SUGGESTIONS or last >= MAX_SIZE_RATIO * smallest):
+        smallest = min((abs(s.change.relative) for s in suggestions), default=math.inf)
+        if turn > last and (
+            len(suggestions) >= MAX_SUGGESTIONS or last >= MAX_SIZE_RATIO * smallest
+        ):
             break
         last, knob = turn, knobs[i]
         if i in done:
             continue
         verdict = judge(change_of(problem, knob, size))
         if isinstance(verdict, Suggestion):
-            found.append(_narrowed(problem, knob, failed[i], size, verdict, judge))
+            suggestions.append(_narrowed(problem, knob, failed[i], size, verdict, judge))
             done.add(i)
         # Where other things are broken beyond the least, larger changes would break them the more.
         elif turn > 0.0 and (verdict is None or not verdict <= knob.covers):
             done.add(i)
         failed[i] = size
-    return found
+    return suggestions
 
 
 def _sizes(knob: Knob) -> list[float]:
@@ -189,21 +191,21 @@ def _sizes(knob: Knob) -> list[float]:
 
 
 def _narrowed(
-    problem: Problem, knob: Knob, failed: float, size: float, found: Suggestion, judge: Judge
+    problem: Problem, knob: Knob, failed: float, size: float, suggestion: Suggestion, judge: Judge
 ) -> Suggestion:
     """Return the smallest change between a size that failed and one that did, by bisection."""
     while size - failed > RESOLUTION * (1.0 + size):
         middle = 0.5 * (failed + size)
         change = change_of(problem, knob, middle)
-        same = change is not None and change.new == found.change.new  # rounded to it
-        verdict = found if same else judge(change)
+        same = change is not None and change.new == suggestion.change.new  # rounded to it
+        verdict = suggestion if same else judge(change)
         if verdict is None:  # no change, or no time
             break
         if isinstance(verdict, Suggestion):
-            size, found = middle, verdict
+            size, suggestion = middle, verdict
         else:
             failed = middle
-    return found
+    return suggestion
 
 
 def change_of(problem: Problem, knob: Knob, size: float) -> Change | None:

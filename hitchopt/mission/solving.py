@@ -134,7 +134,7 @@ def _solved(problem: Problem, progress: Progress | None, *, optimiser: bool) -> 
     return Certified(replace(motion, assignment=assignment), certificate)
 
 
-MOST = 32
+CACHE_SIZE = 32
 """Capacity of the cache in steps; one of 1000 robots takes 76 MB."""
 
 _FINISHED: dict[bytes, StepPlan] = {}
@@ -191,7 +191,7 @@ def _step(group: tuple[Step, ...], task: StepTask, tell: Progress) -> StepPlan:
     else:
         tell("reused from cache")
     _FINISHED[key] = planned  # as the one used last
-    if len(_FINISHED) > MOST:
+    if len(_FINISHED) > CACHE_SIZE:
         del _FINISHED[next(iter(_FINISHED))]
     return planned
 
@@ -220,12 +220,12 @@ def _in_step(error: InfeasibleError, first: int, group: Sequence[Step]) -> Infea
     return InfeasibleError(violations, error.note)
 
 
-def _advised(found: Certified, steps: Sequence[Step]) -> InfeasibleError:
+def _advised(certified: Certified, steps: Sequence[Step]) -> InfeasibleError:
     """Return the error of a failed certificate; of blended steps it suggests a stop."""
-    error = infeasible(found.certificate, found.motion)
+    error = infeasible(certified.certificate, certified.motion)
     violations = []
-    for violation, check in zip(error.violations, found.certificate.violated, strict=True):
-        during = [p for p in found.motion.phases if p.start <= check.time <= p.end]
+    for violation, check in zip(error.violations, certified.certificate.violated, strict=True):
+        during = [p for p in certified.motion.phases if p.start <= check.time <= p.end]
         around = [steps[i] for p in during for i in (p.step - 1, p.step) if i >= 0]
         blends = check.name != "duration" and any(step.blends for step in around)
         timed = any(isinstance(steps[phase.step], FollowVertex) for phase in during)
@@ -261,8 +261,8 @@ def _separated(problem: SwarmProblem, progress: Progress | None) -> Certified:
     longest = problem.limits.duration
     if longest is not None and problem.duration is not None and problem.duration > longest:
         remedy, asked = "lower duration, or raise limits.duration", problem.duration
-        found = Violation("duration", asked, longest, "max", "s", (), "as asked for", remedy)
-        raise InfeasibleError([found])
+        violation = Violation("duration", asked, longest, "max", "s", (), "as asked for", remedy)
+        raise InfeasibleError([violation])
     planned = problem.requirements.with_reserve
     prisms = [(f"prism {k}", prism) for k, prism in enumerate(planned.keep_out)]
     for name, body in problem.objects.items():

@@ -89,15 +89,15 @@ def check_at_rest(hitch: Hitch, requirements: Requirements, when: str) -> None:
 
 def infeasible(certificate: Certificate, motion: Motion, when: str = "") -> InfeasibleError:
     """Return the violations of a certificate; ``when`` names the time and step."""
-    found = []
+    violations = []
     for check in certificate.violated:
         phases = [p for p in motion.phases if p.start <= check.time <= p.end]
         words = when
         if not when and check.name != "duration":
             step = f", in step {phases[0].step} ({phases[0].name})" if phases else ""
             words = f"at t = {check.time:.4g} s{step}"
-        found.append(check.violation(_metres(check, motion) + words, _remedy(check, phases)))
-    return InfeasibleError(found)
+        violations.append(check.violation(_metres(check, motion) + words, _remedy(check, phases)))
+    return InfeasibleError(violations)
 
 
 def _remedy(check: Check, phases: Sequence[Phase]) -> str:
@@ -220,16 +220,16 @@ def optimised(
                 if each is path:
                     raise
                 continue
-            found = planned(flight)
-            if found.certificate.certified:
-                accepted[flight] = found
+            plan = planned(flight)
+            if plan.certificate.certified:
+                accepted[flight] = plan
                 return flight
         return None
 
-    found = OptimisedMorph(start, end, requirements, certified_flight, phase.tension).solve()
-    if not found:
+    candidates = OptimisedMorph(start, end, requirements, certified_flight, phase.tension).solve()
+    if not candidates:
         raise HitchoptError("no route was found")
-    best, words = found[0].flight, f"on an optimised route, first guess {found[0].name}"
+    best, words = candidates[0].flight, f"on an optimised route, first guess {candidates[0].name}"
     if duration is None:
         return accepted[best].remarked(words)
     check_duration(duration, best.duration)
@@ -277,13 +277,13 @@ def against_friction(planned: StepPlan, *, timed: bool) -> StepPlan:
         return planned
     slower = not timed and limits.duration is None
     for share in SHARES:
-        found = friction_feedforward(motion, limits, share, slower=slower)
-        if found is None or found.motion.duration > LONGER * motion.duration:
+        feedforward = friction_feedforward(motion, limits, share, slower=slower)
+        if feedforward is None or feedforward.motion.duration > LONGER * motion.duration:
             continue
-        words = f"legs lean against friction, by up to {math.degrees(found.turned):.2g}°"
+        words = f"legs lean against friction, by up to {math.degrees(feedforward.turned):.2g}°"
         if share < 1.0:
             words += f" ({share:.0%} of the friction: limits bind)"
-        leant = replace(planned, motion=found.motion).remarked(words)
+        leant = replace(planned, motion=feedforward.motion).remarked(words)
         if leant.certificate.certified:
             return leant
     return planned.remarked(NOT_COMPENSATED)
@@ -330,10 +330,10 @@ def settling_plan(
     hitch, requirements, settled = task.hitch, task.requirements, None
     rest = resting(hitch, requirements, lasts, phase)
     for share in SHARES:
-        found = settling_swings(rest, share)
-        if found is None:
+        settling = settling_swings(rest, share)
+        if settling is None:
             break
-        swings, used = found
+        swings, used = settling
         motion = swings.motion
         words = f"drones swing by up to {math.degrees(swings.turned):.2g}°"
         factor = needed_stretch(motion.team, requirements.limits, motion)
@@ -375,9 +375,11 @@ def check_start(task: StepTask) -> None:
     try:
         checked(StepPlan(hovering(task, 1.0), task.before), "at the start (t = 0)")
     except InfeasibleError as error:
-        found = [_span(v, task.before) if v.constraint == "span" else v for v in error.violations]
-        found.sort(key=lambda v: v.constraint != "span")  # what else is broken follows from it
-        raise InfeasibleError(found, error.note) from None
+        violations = [
+            _span(v, task.before) if v.constraint == "span" else v for v in error.violations
+        ]
+        violations.sort(key=lambda v: v.constraint != "span")  # what else is broken follows from it
+        raise InfeasibleError(violations, error.note) from None
 
 
 def _span(violation: Violation, before: RestState) -> Violation:

@@ -147,8 +147,8 @@ class ActionStep(ShapeStep):
         start, values = task.hitch, [getattr(self, name) for name in self.action_fields]
         polygon = self.polygon_after(start.team, start.polygon)
         assert polygon is not None
-        found: Action = getattr(actions, self.name)(start, polygon, *values)
-        return found
+        action: Action = getattr(actions, self.name)(start, polygon, *values)
+        return action
 
     def end(self, task: StepTask) -> End:
         """Return the hitch after the action."""
@@ -161,22 +161,22 @@ class ActionStep(ShapeStep):
         from hitchopt.planners.morph.actions import ActionMorph
 
         action = self.action(task)
-        found = ActionMorph(action, end.hitch, task.requirements, self.given_duration).solve()
-        return self.motion(task, found.flight, end.hitch, self._remark(action, end, found))
+        flying = ActionMorph(action, end.hitch, task.requirements, self.given_duration).solve()
+        return self.motion(task, flying.flight, end.hitch, self._remark(action, end, flying))
 
-    def _remark(self, action: Action, end: End, found: Flying) -> str:
+    def _remark(self, action: Action, end: End, flying: Flying) -> str:
         """Return which drones move that the paper does not name, and why."""
         turned = "tensions differ, so legs turn with both edges at their vertex"
         if action.start.team.loaded and np.ptp(action.start.team.tension) == 0.0:
             turned = "clasps carry weight, so legs rise as it changes"
         slid = ["legs are to change" if self.legs is not None else end.reason]
-        if found.worst is not None:
-            slid.append(f"limits bind at {found.worst:.0%} of the path")
+        if flying.worst is not None:
+            slid.append(f"limits bind at {flying.worst:.0%} of the path")
         reasons = turned, ", and ".join(filter(None, slid))
         return "; ".join(
             f"{', '.join(names)} {verb}{'s' * (len(names) == 1)} as well: {reason}"
             for names, verb, reason in zip(
-                (found.turning, found.sliding), ("turn", "slide"), reasons, strict=True
+                (flying.turning, flying.sliding), ("turn", "slide"), reasons, strict=True
             )
             if names
         )

@@ -499,8 +499,8 @@ class Step(OneLine, ABC):
     @property
     def given_duration(self) -> float | None:
         """The duration that was given [s], or None."""
-        found = getattr(self, self.time_key, None)
-        return found if isinstance(found, float) else None
+        seconds = getattr(self, self.time_key, None)
+        return seconds if isinstance(seconds, float) else None
 
     @property
     def blends(self) -> bool:

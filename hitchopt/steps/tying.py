@@ -173,10 +173,10 @@ def _approach(task: StepTask, goal: Array) -> Motion:
     arguments = before.team, before.drones, goal, task.requirements, task.index
     refused = list[HitchoptError]()
     for route in (DirectApproach(*arguments), GatheredApproach(*arguments)):
-        found = attempt(lambda route=route: StepPlan(joined_motions(route.solve()), before))  # type: ignore[misc]
-        if isinstance(found, StepPlan):
-            return found.motion
-        refused.append(found)
+        outcome = attempt(lambda route=route: StepPlan(joined_motions(route.solve()), before))  # type: ignore[misc]
+        if isinstance(outcome, StepPlan):
+            return outcome.motion
+        refused.append(outcome)
     raise combined_failure(refused[0], refused[1], "no other route to the pre-hitch was found")
 
 

@@ -90,8 +90,8 @@ def test_gains_reach_their_drones_and_axes() -> None:
     [
         ({"controller": "melinger"}, "controller = 'melinger': must be one of mellinger, lee"),
         ({"gains": {"kp": 1.0}}, "gains = .*: must be left out without a controller"),
-        ({"controller": "lee", "stiffness": 2.0}, "stiffness = 2.0: .* beside controller lee"),
-        ({"controller": "lee", "integral": False}, "integral = False: .* beside controller lee"),
+        ({"controller": "lee", "stiffness": 2.0}, "stiffness = 2.0: .* with controller lee"),
+        ({"controller": "lee", "integral": False}, "integral = False: .* with controller lee"),
         ({"controller": "pid", "feed_forward": True}, "feed_forward = True: .* controller pid"),
         ({"controller": "lee", "gains": {"kp": 4.75}}, r"gains.kp = 4.75: .* at most 14/s² .*1.85"),
         ({"controller": "lee", "gains": {"kp": [1, 2, 3]}}, r"gains.kp = .*\[level, upright\]"),

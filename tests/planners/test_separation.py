@@ -240,7 +240,9 @@ def test_the_way_around_a_pillar_is_the_shortest_and_a_low_one_is_flown_over() -
 
 def test_drones_that_nobody_meets_stay(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(import_module(SeparatedFlight.__module__), "LARGE", 40)
-    monkeypatch.setattr("hitchopt.planners.separation.guesses.ROUNDS", 2)  # guesses are not clear
+    monkeypatch.setattr(
+        "hitchopt.planners.separation.guesses.PUSH_ROUNDS", 2
+    )  # guesses are not clear
     ring = antipodal_circle(12)
     x, y = np.meshgrid(np.arange(6) - 2.5, 8.0 + np.arange(5), indexing="ij")
     away = np.column_stack([x.ravel(), y.ravel(), np.full(30, 1.5)])

@@ -150,7 +150,7 @@ piece of a millisecond would have coefficients of 1e12, and their rounding jolts
 POWERS = tuple(f"{axis}^{i}" for axis in ("x", "y", "z", "yaw") for i in range(DEGREE + 1))
 HEADER = ",".join(("duration", *POWERS))
 PIECE_BYTES = 4 * (1 + len(POWERS))  # Size of a piece in the drone's memory [B]
-MOST = BYTES // PIECE_BYTES  # Pieces that a drone's memory holds: 31
+MAX_PIECES = BYTES // PIECE_BYTES  # Pieces that a drone's memory holds: 31
 LEAST = 2  # Rows of a file at least: the usual reader fails on one
 
 LANDED = 0.04  # Height at which landing cuts the motors [m], unless drones hover below it
@@ -169,12 +169,12 @@ class Crazyswarm2(CrazyflieFormat):
 
     def most_pieces(self, curves: PiecewisePolynomial) -> int:  # noqa: ARG002
         """Return 31."""
-        return MOST
+        return MAX_PIECES
 
     def write(self, folder: Path, task: Task) -> Written:
         """Write the best fit of at most 31 pieces, within a millimetre."""
-        breaks = best_breaks(task.motion.drones, POLY, MOST)
-        if len(breaks) - 1 > MOST:
+        breaks = best_breaks(task.motion.drones, POLY, MAX_PIECES)
+        if len(breaks) - 1 > MAX_PIECES:
             raise self.refusal(task.motion)
         if len(breaks) <= LEAST:
             breaks = np.array([0.0, POLY.quantum * (breaks[-1] // (2 * POLY.quantum)), breaks[-1]])
@@ -386,7 +386,7 @@ HEADER_BYTES, START_BYTES = 3, 8
 END = b"\x00\x00\x00"  # The segment of no duration
 
 SEGMENT = Kind(degree=DEGREE, match=3, quantum=MILLI, longest=65.535)
-ROUNDING = Scale(position=2e-4, velocity=1e-2, acceleration=0.2)  # Errors that weigh alike
+EQUAL_ERRORS = Scale(position=2e-4, velocity=1e-2, acceleration=0.2)  # Errors that weigh alike
 
 
 class CompressedBytes(CrazyflieFormat):
@@ -410,7 +410,7 @@ class CompressedBytes(CrazyflieFormat):
         """Write the bytes of every drone, refitted within the task's bound and rounded."""
         breaks = breaks_within(task.motion.drones, SEGMENT, task.bound)
         whole = rounded(
-            task.frame.placed(fitted(task.motion.drones, breaks, SEGMENT)), MILLI, ROUNDING
+            task.frame.placed(fitted(task.motion.drones, breaks, SEGMENT)), MILLI, EQUAL_ERRORS
         )
         durations = np.rint(np.diff(breaks) / MILLI).astype(np.int64)
         points = np.rint(whole.coefficients / MILLI).astype(np.int64)

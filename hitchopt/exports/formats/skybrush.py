@@ -72,7 +72,7 @@ CUBIC = Kind(DEGREE, 2, MILLI, longest=1.0, shortest=0.1, scale=Scale(1e-3, 3e-2
 """Some durations above 1 s lose a millisecond in the server's arithmetic; a millimetre of a
 control point is 30 mm/s of velocity at 0.1 s, and 150 mm/s at 0.02 s."""
 
-ROUNDING, CLOSER = Scale(5e-4, 1e-2, 0.2), Scale(2e-4, 1e-2, 0.2)
+EQUAL_ERRORS, CLOSER_ERRORS = Scale(5e-4, 1e-2, 0.2), Scale(2e-4, 1e-2, 0.2)
 """Errors of rounding that weigh alike: the latter cost less place, as lengths of cables need it."""
 
 NUDGE = 1e-6  # [m] Points lie beyond their millimetres: the server cuts off, binary lies below
@@ -91,7 +91,7 @@ LAND, LEVEL = "land", "goToKeepAlt"  # Actions: down where the drone is, or afte
 SHARE = 0.9  # Share of the speed limit that returns use: their durations are whole seconds
 LANDING = 0.5  # [m/s] Usual speed of a descent
 SPARE = 1.01  # Separation of a return that is planned: rounding to millimetres takes some of it
-MOST = 60  # Number of returns of a plan: with fewer, a command waits longer for the next one
+MAX_RETURNS = 60  # Number of returns of a plan: with fewer, a command waits longer for the next one
 Entries = Sequence[Mapping[str, Any]]  # One entry per drone, all of one time
 
 
@@ -123,7 +123,7 @@ class SkybrushShow(Format):
         quantum = MILLI * storage_scale(fit, 2.0 * MILLI)
         # Rounded one point at a time less velocity is lost where drones rest.
         each = PiecewisePolynomial(fit.breaks, np.rint(fit.coefficients / quantum) * quantum)
-        together = rounded(fit, quantum, ROUNDING if task.bound >= 1.0 else CLOSER)
+        together = rounded(fit, quantum, EQUAL_ERRORS if task.bound >= 1.0 else CLOSER_ERRORS)
         whole = min(together, each, key=lambda curves: largest_jump(curves, 1))
         write_show(folder / self.file, task, whole, plans)
         jump = 1e3 * largest_jump(whole, 1)[0]
@@ -307,7 +307,7 @@ def planned_returns(motion: Motion, frame: ReferenceFrame) -> list[Entries]:
 
     Times from which none was found are left out: a command then waits for the next one.
     """
-    found, every = [], max(1, ceil(motion.duration / MOST))
+    found, every = [], max(1, ceil(motion.duration / MAX_RETURNS))
     for time in range(0, ceil(motion.duration) + every, every):
         start = motion.drones.at(min(float(time), motion.duration))
         for entries in _tries(motion, time, start, frame):

@@ -26,7 +26,7 @@ from hitchopt.hitch.requirements import Requirements, Separation
 from hitchopt.hitch.team import Assignment
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.planners.forming.prehitch import SPAN
-from hitchopt.planners.forming.stages import PAUSE, STILL, stage, straight
+from hitchopt.planners.forming.stages import MIN_FLIGHT, PAUSE, stage, straight
 from hitchopt.planners.separation import SeparatedFlight, SeparationTask
 from hitchopt.planners.timing.profile import LIMIT_SHARE
 from hitchopt.planners.timing.ramps import accelerations
@@ -82,7 +82,7 @@ class Approach(ABC):
         self, name: str, start: Array, end: Array, state: CableState = CableState.FREE
     ) -> list[Motion]:
         """Return the motion of all drones on straight lines; none where they are there."""
-        if np.max(np.abs(end - start)) < STILL:
+        if np.max(np.abs(end - start)) < MIN_FLIGHT:
             return []
         flight = straight(self.team, self.requirements.limits, start, end)
         return [self._stage(name, flight, state)]
@@ -136,7 +136,7 @@ class DirectApproach(Approach):
         """Return the motions of the flight, all of it raised where cables come near the ground."""
         here, goal, need = self.problem.start, self.goal, self.requirements
         rise = self._line("take-off", self.start, here, CableState.GROUND)
-        if np.max(np.abs(goal - here)) < STILL:
+        if np.max(np.abs(goal - here)) < MIN_FLIGHT:
             still = PiecewisePolynomial.constant([0.0, PAUSE], goal)
             return [*rise, self._stage("approach", still)]
         drones = SeparatedFlight(self.problem).solve().drones

@@ -141,15 +141,15 @@ def find_prehitch(hitch: Hitch, need: Requirements, settings: SwapSettings) -> P
     """
     looked_at: list[PreHitch] = []
     for across, scale, share in itertools.product((False, True), SCALES, LEG_SHARES):
-        if across and all(found.linked for found in looked_at):
+        if across and all(candidate.linked for candidate in looked_at):
             break
         check_time()
         turns = _turns(hitch, need.separation, settings, share, scale, across)
-        found = _measured(turns, hitch, need, share)
-        if found.shortfall <= 0.0:
-            return found
-        looked_at.append(found)
-    return min(looked_at, key=lambda found: found.shortfall)
+        candidate = _measured(turns, hitch, need, share)
+        if candidate.shortfall <= 0.0:
+            return candidate
+        looked_at.append(candidate)
+    return min(looked_at, key=lambda candidate: candidate.shortfall)
 
 
 def _turns(
@@ -266,11 +266,11 @@ def clasp_places(turns: Turns, hitch: Hitch) -> Array:
     layout, drones = hitch.team.layout, turns.drones(0.0)
     middles = hitch.vertices.copy()
     middles[layout.clasps] = turns.centres
-    found = [middles + share * (hitch.vertices - middles) for share in SHARES]
+    polygons = [middles + share * (hitch.vertices - middles) for share in SHARES]
     alone = np.flatnonzero(~layout.has_leg.ravel())
-    for points in found:
+    for points in polygons:
         points[layout.anchors[alone]] = drones[alone]
-    return min(found, key=lambda points: _reach(hitch.team, drones, points))
+    return min(polygons, key=lambda points: _reach(hitch.team, drones, points))
 
 
 def _reach(team: Team, drones: Array, points: Array) -> float:

@@ -154,7 +154,7 @@ JERK_SHARE = 0.7
 ANGLES, PROBES = 25, 9
 """Numbers of angles, and of places on a line, at which the drones' reserves are computed."""
 
-STILL = 1e-9
+MIN_FLIGHT = 1e-9
 """[m] Shortest distance that is flown."""
 
 PAUSE = 0.01
@@ -203,7 +203,7 @@ def _share(
     The farthest drone goes ``least`` [m] at least, as far as the clock is concerned.
     """
     distance = float(np.max(np.linalg.norm(end - start, axis=1)))
-    if distance < STILL:
+    if distance < MIN_FLIGHT:
         return PiecewisePolynomial.constant([0.0, PAUSE], 1.0)
     share = np.linspace(0.0, 1.0, PROBES)[:, None, None]
     reserve = float(np.min(accelerations(team, limits, start + share * (end - start))))

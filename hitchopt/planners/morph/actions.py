@@ -144,8 +144,10 @@ def follow_vertex(start: Hitch, polygon: Outline, vertex: int, points: Array) ->
             where, place = (f"p{vertex}",), here.round(9).tolist()
             remedy = f"the path begins at t = 0 at {begin}, the vertex is at {place}: "
             remedy += "begin there, or later"
-            found = Violation("continuity", away, SAME_PLACE, "max", "m", where, "at t = 0", remedy)
-            raise InfeasibleError([found])
+            violation = Violation(
+                "continuity", away, SAME_PLACE, "max", "m", where, "at t = 0", remedy
+            )
+            raise InfeasibleError([violation])
         points = points[1:]
     times = np.append(0.0, points[:, 0])
     track = vertex_track(times, np.vstack([here, points[:, 1:]]))
@@ -281,8 +283,8 @@ def fly_timed(path: ShapePath, seconds: float) -> Flight:
         for i in range(path.vertices.pieces):
             track = path.vertices.taken(slice(i, i + 1))
             breaks = np.linspace(track.breaks[0], track.breaks[1], count + 1)
-            found = path_jets(replace(path, vertices=track), breaks)[:3]
-            parts.append([polynomials_through(breaks, each) for each in found])
+            curves = path_jets(replace(path, vertices=track), breaks)[:3]
+            parts.append([polynomials_through(breaks, each) for each in curves])
         drones, vertices, legs = (joined(list(kind)) for kind in zip(*parts, strict=True))
         tensions = PiecewisePolynomial.constant(drones.breaks, path.team.tension)
         flight = Flight(drones, vertices, legs, tensions)

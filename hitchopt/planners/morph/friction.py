@@ -74,21 +74,21 @@ def friction_feedforward(
     slower: whether it may last longer; else None is returned where it would have to. So it is where
         legs at rest pull their drones beyond a limit.
     """
-    found = _feedforward_of(motion, counted_on(motion, share))
-    if found is None or found.turned < SMALLEST:
+    feedforward = _feedforward_of(motion, counted_on(motion, share))
+    if feedforward is None or feedforward.turned < SMALLEST:
         return None
-    leaned = found.motion
+    leaned = feedforward.motion
     factor = needed_stretch(motion.team, limits, leaned)
     if factor > 1.0 and (not slower or not math.isfinite(factor)):
         return None
-    return replace(found, motion=leaned.slowed(max(factor, 1.0)))
+    return replace(feedforward, motion=leaned.slowed(max(factor, 1.0)))
 
 
 def feedforward_matters(motion: Motion) -> bool:
     """Return whether legs lean by SMALLEST or more, limits aside."""
     slip = counted_on(motion, 1.0)
-    found = _feedforward_of(motion, slip)
-    return slip is not None and (found is None or found.turned >= SMALLEST)
+    feedforward = _feedforward_of(motion, slip)
+    return slip is not None and (feedforward is None or feedforward.turned >= SMALLEST)
 
 
 SWINGS, SWING = 8, 2.0
@@ -117,17 +117,17 @@ def settling_swings(rest: Motion, share: float) -> tuple[FrictionFeedforward, fl
     clasps = _Clasps.of(rest, times[:1])
     friction = USED * min(rest.team.cable_friction, ROUGHEST)
     most = friction * clasps.wrapped
-    for _ in range(ROUNDS):  # legs that close in on each other wrap less
+    for _ in range(ANGLE_ROUNDS):  # legs that close in on each other wrap less
         most = friction * (clasps.upright + np.nan_to_num(clasps.angles(-most)))
     borne = share * np.minimum(clasps.bearable(most), clasps.bearable(-most))
     most *= borne[..., None]
     decay = np.linspace(1.0, 0.0, count, endpoint=False) * (-1.0) ** np.arange(count)
     decay = np.concatenate([[0.0], decay[:-1], [0.0]])
     curve = jets.quintic_spline(times, decay[:, None, None] * most, (1, 2))
-    found = _feedforward_of(rest, PiecewisePolynomial.from_spline(curve))
-    if found is None or found.turned < SMALLEST:
+    swings = _feedforward_of(rest, PiecewisePolynomial.from_spline(curve))
+    if swings is None or swings.turned < SMALLEST:
         return None
-    return found, float(np.min(borne))
+    return swings, float(np.min(borne))
 
 
 def _feedforward_of(motion: Motion, slip: PiecewisePolynomial | None) -> FrictionFeedforward | None:
@@ -153,14 +153,17 @@ def _feedforward_of(motion: Motion, slip: PiecewisePolynomial | None) -> Frictio
     pulls[:, layout.behind, 1] = jets.product(grown[:, :, 0], T[:, layout.behind])
     pulls[:, layout.ahead, 0] = jets.product(grown[:, :, 1], T[:, layout.ahead])
     cables = cables_of_legs(motion.team, d - p[:, layout.anchors], lengths, T)
-    found = slipping_drones(motion.team, p, lengths, T, pulls, d, cables)
-    if not np.all(np.isfinite(found)):
+    drones_in_balance = slipping_drones(motion.team, p, lengths, T, pulls, d, cables)
+    if not np.all(np.isfinite(drones_in_balance)):
         return None
     places = np.stack([d[:, 2 * layout.behind + 1], d[:, 2 * layout.ahead]], axis=2)[..., 0]
     clasps = p[:, layout.clasps][..., 0][:, :, None]
-    before, after = places - clasps, found[..., 0] - clasps
+    before, after = places - clasps, drones_in_balance[..., 0] - clasps
     turned = np.arctan2(length(np.cross(before, after)), dot(before, after))
-    d[:, 2 * layout.behind + 1], d[:, 2 * layout.ahead] = found[:, :, 0], found[:, :, 1]
+    d[:, 2 * layout.behind + 1], d[:, 2 * layout.ahead] = (
+        drones_in_balance[:, :, 0],
+        drones_in_balance[:, :, 1],
+    )
     leaned = replace(
         motion,
         drones=_hermite(breaks, d),
@@ -194,7 +197,7 @@ DEGREE = 5
 SPACING = 0.4
 """[s] Spacing of their knots; friction then reverses within a second."""
 
-FEWEST, MOST = 4, 200
+MIN_INTERVALS, MAX_INTERVALS = 4, 200
 """Bounds of the number of knot intervals: with more, the legs of a short motion would have to lean
 faster than drones fly, and a long one would have ten thousands of pieces."""
 
@@ -205,7 +208,7 @@ at rest, where they hold alone."""
 SLOW = 0.1
 """Share of the largest speed of a leg: legs much slower than that plan for little friction."""
 
-STILL = 1e-5
+MIN_LEG_RATE = 1e-5
 """[m/s] Rate of a leg below which nothing slides."""
 
 FARTHEST = math.radians(12.0)
@@ -222,7 +225,7 @@ less, and the exponential of more overflows."""
 TOUCHING = 1e-3
 """[m] Distance of drones from the other leg of their clasp where they have no limit."""
 
-ROUNDS = 8
+ANGLE_ROUNDS = 8
 """Rounds in which the angle is found that legs wrap with the friction that it gives them."""
 
 HALVINGS = 20
@@ -241,13 +244,13 @@ def counted_on(motion: Motion, share: float) -> PiecewisePolynomial | None:
     """
     layout = motion.team.layout
     start, duration = float(motion.drones.breaks[0]), motion.duration
-    count = min(max(FEWEST, round(duration / SPACING)), MOST)
+    count = min(max(MIN_INTERVALS, round(duration / SPACING)), MAX_INTERVALS)
     inner = np.linspace(0.0, duration, count + 1)
     knots = np.concatenate([np.zeros(DEGREE), inner, np.full(DEGREE, duration)])
     t = start + np.mean(sliding_window_view(knots[1:-1], DEGREE), axis=-1)
     rates = _at_clasps(layout, motion.legs.at(t, 1))
     fastest = float(np.max(np.abs(rates)))
-    if fastest <= STILL:
+    if fastest <= MIN_LEG_RATE:
         return None
     both = np.sum(np.abs(rates), axis=-1, keepdims=True) + SLOW * fastest
     clasps = _Clasps.of(motion, t)

@@ -21,7 +21,7 @@ from hitchopt.values import Array
 PROBES = 65
 """Number of points of the path at which a law is tried, before the certificate verifies it all."""
 
-ROUNDS = ((9, 1.005), (17, 1.005), (17, 1.02), (33, 1.002), (33, 1.01))
+REFINEMENTS = ((9, 1.005), (17, 1.005), (17, 1.02), (33, 1.002), (33, 1.01))
 """Numbers of points of the path at which leg lengths are chosen, and the margins of distances and
 legs there."""
 
@@ -55,8 +55,8 @@ def with_legs_clear(
     """
     if legs_clear(path, requirements):
         return path
-    for found in _laws_nearby(path, requirements, at_rest):
-        for law in (_few_sliding(path, found), found) if few else (found,):
+    for candidate in _laws_nearby(path, requirements, at_rest):
+        for law in (_few_sliding(path, candidate), candidate) if few else (candidate,):
             if legs_clear(law, requirements):
                 return law
     return path
@@ -67,15 +67,15 @@ def _laws_nearby(path: ShapePath, requirements: Requirements, at_rest: bool) -> 
 
     Ends early where no leg lengths at the knots are clear.
     """
-    for count, margin in ROUNDS:
+    for count, margin in REFINEMENTS:
         s = np.linspace(0.0, 1.0, count)
         inward = np.minimum(np.arange(count), np.arange(count)[::-1]) / RAMP
         margins = CLEAR + (margin - CLEAR) * np.minimum(inward, 1.0)
         task = leg_task_along(path, requirements, s, margins)
-        found = split_slack(replace(task, shortest_leg=margin * requirements.limits.leg))
-        if found.margin < CLEAR:
+        split = split_slack(replace(task, shortest_leg=margin * requirements.limits.leg))
+        if split.margin < CLEAR:
             return
-        fractions = found.q_legs / task.slack
+        fractions = split.q_legs / task.slack
         rest = quintic_spline(s, fractions, (1, 2)) if at_rest else None
         spline = rest or make_interp_spline(s, fractions, k=5)
         law = LegLaw.of_fractions(PiecewisePolynomial.from_spline(spline))

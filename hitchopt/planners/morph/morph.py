@@ -108,19 +108,19 @@ def check_shapes_at(s: Array, shapes: Shapes, layout: Layout) -> None:
     if np.min(angles) < FLATTEST:
         k = int(np.argmin(np.min(angles, axis=0)))
         first = int(np.argmax(angles[:, k] < FLATTEST))
-        found = math.degrees(float(np.min(angles)))
+        narrowest = math.degrees(float(np.min(angles)))
         when = f"from {s[first]:.0%} of the path on"
         remedy = "the straight path is blocked: go by a polygon in between, in two morphs"
         where, least = (f"p{layout.clasps[k]}",), math.degrees(FLATTEST)
-        flat = Violation("convexity", found, least, "min", "deg", where, when, remedy)
+        flat = Violation("convexity", narrowest, least, "min", "deg", where, when, remedy)
         raise InfeasibleError([flat])
     legs = np.where(layout.has_leg, shapes.legs, np.inf)
     if np.min(legs) < SHORTEST_LEG:
         j, at, end = np.unravel_index(int(np.argmin(legs)), legs.shape)
         left = legs[j, at][layout.has_leg[at]].sum()
-        name, found = f"{'qr'[end]}{at}", float(legs[j, at, end])
+        name, shortest = f"{'qr'[end]}{at}", float(legs[j, at, end])
         when, remedy = f"at {s[j]:.0%} of the path", f"cable {at} leaves {left:.6g} m there"
-        short = Violation("legs", found, SHORTEST_LEG, "min", "m", (name,), when, remedy)
+        short = Violation("legs", shortest, SHORTEST_LEG, "min", "m", (name,), when, remedy)
         raise InfeasibleError([short])
 
 

@@ -234,6 +234,6 @@ class RigidPath:
 
 def _steady(values: Array, points: int, count: int) -> Array:
     """Return the jets (points, k, count) of what keeps its values (k,)."""
-    found = np.zeros((points, len(values), count))
-    found[..., 0] = values
-    return found
+    constant = np.zeros((points, len(values), count))
+    constant[..., 0] = values
+    return constant

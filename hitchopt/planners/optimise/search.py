@@ -30,7 +30,7 @@ from hitchopt.planners.timing.profile import (
 )
 from hitchopt.values import Array
 
-ROUNDS = ((1, 1.03), (2, 1.05))
+REFINEMENTS = ((1, 1.03), (2, 1.05))
 """Rounds of refinement until a path is clear and the judge accepts it: how many times the first
 knots' steps, and how many times their limits distances are."""
 
@@ -46,7 +46,7 @@ LATER_STRIDE = 0.12
 FIRST_STEPS, LATER_STEPS, FASTEST_STEPS = 12, 5, 3
 """Largest numbers of steps from a guess, in a round, and towards a faster path."""
 
-STILL = 0.15
+MIN_STRIDE = 0.15
 """Share of its stride: a step that moves no vertex by more will not clear a path either."""
 
 LENGTH = 0.9
@@ -125,7 +125,7 @@ class OptimisedMorph:
         polygons: those like one tried before are left out, as are those that come to a path seen
         before.
         """
-        found: list[Candidate] = []
+        candidates: list[Candidate] = []
         seen: list[KnotPath] = []
         fastest, paths = math.inf, self.problem
         if not paths:
@@ -148,9 +148,9 @@ class OptimisedMorph:
                 continue
             flight = _refined(settled, search)
             if flight is not None:
-                found.append(Candidate(settled.name, flight))
+                candidates.append(Candidate(settled.name, flight))
                 fastest = min(fastest, flight.duration)
-        return sorted(found, key=lambda candidate: candidate.flight.duration)
+        return sorted(candidates, key=lambda candidate: candidate.flight.duration)
 
     def _margins(self, path: KnotPath) -> Array:
         """Return how many times their limits the distances at the knots (J + 1,) are."""
@@ -166,7 +166,7 @@ def guesses(first: ConvexPolygon, last: ConvexPolygon, count: int) -> dict[str, 
     does turning the whole polygon while its shape changes, where the shapes are alike.
     """
     s = np.linspace(0.0, 1.0, count)
-    found = {"straight": _line(first.vertices, last.vertices, s)}
+    guesses = {"straight": _line(first.vertices, last.vertices, s)}
     start, goal = (_directions(polygon) for polygon in (first, last))
     # Edges turn by amounts that differ by less than a full turn: one unwrapping serves them all.
     mean = float(np.mean(goal - start))
@@ -177,7 +177,7 @@ def guesses(first: ConvexPolygon, last: ConvexPolygon, count: int) -> dict[str, 
         name = f"turned {math.degrees(angle):.0f}°"
         shape = _rotated(last.vertices - last.centroid, np.array([-angle]))[0]
         shapes = _line(first.vertices - first.centroid, shape, s)
-        found[name] = centres + _rotated(shapes, angle * s)
+        guesses[name] = centres + _rotated(shapes, angle * s)
         sides = _line(start, goal + angle - mean, s)[..., None]
         sides = np.concatenate([np.cos(sides), np.sin(sides)], axis=-1)
         lengths, across = _line(first.edge_lengths, last.edge_lengths, s), np.swapaxes(sides, 1, 2)
@@ -185,8 +185,8 @@ def guesses(first: ConvexPolygon, last: ConvexPolygon, count: int) -> dict[str, 
         if np.all(lengths >= SHORTEST_EDGE * np.minimum(first.edge_lengths, last.edge_lengths)):
             edges = lengths[..., None] * sides
             corners = np.cumsum(edges, axis=1) - edges
-            found[f"edges {name}"] = corners + centres - centroids(corners)[:, None]
-    return found
+            guesses[f"edges {name}"] = corners + centres - centroids(corners)[:, None]
+    return guesses
 
 
 def _directions(polygon: ConvexPolygon) -> Array:
@@ -250,17 +250,17 @@ def _refined(path: KnotPath, search: Search) -> Flight | None:
     none is has its least energy already.
     """
     steps = path.steps
-    for finer, margin in ROUNDS:
+    for finer, margin in REFINEMENTS:
         path = path if finer == 1 else path.resampled(finer * steps)
         closer, step = replace(search, margin=margin), SolverStep(LATER_STRIDE, PARTS)
         as_it_is = [path] if finer == 1 else []
-        for moved in chain(as_it_is, iterates(path, closer, step, LATER_STEPS, STILL)):
+        for moved in chain(as_it_is, iterates(path, closer, step, LATER_STEPS, MIN_STRIDE)):
             path = moved
             if _clear(path, search):
                 break
         else:
             continue
-        quicker = iterates(path, closer, replace(step, fastest=True), FASTEST_STEPS, STILL)
+        quicker = iterates(path, closer, replace(step, fastest=True), FASTEST_STEPS, MIN_STRIDE)
         choices = [*(moved for moved in quicker if _clear(moved, search)), path]
         best = min(choices, key=lambda each: _estimate(each, search.requirements))
         for choice in dict.fromkeys([best, path]):

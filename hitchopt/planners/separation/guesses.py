@@ -167,8 +167,8 @@ def _route(task: SeparationTask, ends: Array, distance: float) -> Array | None:
     preferred = lengths + TIE * float(np.max(lengths, initial=0.0)) * (places[i] + places[j])
     graph = sp.csr_matrix((preferred, (i, j)), shape=(len(nodes), len(nodes)))
     start = np.array([0])
-    found, before = dijkstra(graph, directed=False, indices=start, return_predecessors=True)
-    if not np.isfinite(found[0, 1]):
+    distances, before = dijkstra(graph, directed=False, indices=start, return_predecessors=True)
+    if not np.isfinite(distances[0, 1]):
         return None
     route = [1]
     while route[-1] != 0:
@@ -222,7 +222,7 @@ SAMPLES = 3
 WANTED = 1.15
 """Separation that pushes aim at, larger than 1 as drones also move between samples."""
 
-ROUNDS = 120
+PUSH_ROUNDS = 120
 """Maximum rounds of pushing."""
 
 MOMENTUM = 0.8
@@ -251,10 +251,10 @@ def pushed_apart(setting: Setting, side: float) -> Array:
     basis, rates, smoothing = grid.sampled(s), grid.sampled(s, 1), grid.fitting(s, STIFFNESS)
     coefficients = setting.nominal.copy()
     speed = np.zeros_like(coefficients[:, grid.free])
-    for round_number in range(ROUNDS):
+    for round_number in range(PUSH_ROUNDS):
         check_time()
         points, velocities = (np.swapaxes(each @ coefficients, 0, 1) for each in (basis, rates))
-        fading = max(0.0, 1.0 - round_number / (FADING * ROUNDS))
+        fading = max(0.0, 1.0 - round_number / (FADING * PUSH_ROUNDS))
         pushes = _pushes(setting, points, velocities, fading * side)
         pushes += _other_pushes(setting, points)
         if not np.any(pushes):

@@ -151,15 +151,15 @@ def _add_planes(rows: Rows, setting: Setting, planes: Planes, slack: int) -> Non
     live = np.broadcast_to((index >= 0) & (index < free), entries.shape)
     every = np.arange(m * k)
     local = np.broadcast_to(every.reshape(m, k, 1, 1), live.shape)
-    found: list[tuple[Indices, Indices, Array]] = []
+    parts: list[tuple[Indices, Indices, Array]] = []
     for drone, sign in zip(drones, (1.0, -1.0), strict=True):
         there = live & (drone >= 0)[:, None, None, None]
         columns = 3 * (drone[:, None, None, None] * free + index) + np.arange(3)
         columns = np.broadcast_to(columns, entries.shape)
-        found.append((local[there], columns[there], sign * entries[there]))
+        parts.append((local[there], columns[there], sign * entries[there]))
     # Held coefficients cannot move: their rows have no bound.
     lower = np.where(np.any(live, axis=(2, 3)), 1.0 + MARGIN - planes.gaps, -np.inf).ravel()
-    local, columns, values = (np.concatenate(part) for part in zip(*found, strict=True))
+    local, columns, values = (np.concatenate(part) for part in zip(*parts, strict=True))
     top = rows.add(local, columns, values, lower, np.full(m * k, np.inf))
     rows.extend(top + every, slack + every // k, 1.0)
 
@@ -293,11 +293,11 @@ def planes_between(curves: Array, separation: Separation, cutoff: float, known: 
     cutoff: a separation.
     known: (k, 3), sides that get a plane however far apart they are.
     """
-    found, scaled = [known], curves * separation.scale[:, None]
+    pairs_by_time, scaled = [known], curves * separation.scale[:, None]
     for m, piece in enumerate(scaled):  # as many as the grid has, whatever the number of drones
         pairs = close_pairs(Boxes(np.min(piece, axis=-1), np.max(piece, axis=-1)), None, cutoff)
-        found.append(np.column_stack([np.full(len(pairs), m), pairs.first, pairs.second]))
-    sides, index = np.unique(np.concatenate(found), axis=0, return_inverse=True)
+        pairs_by_time.append(np.column_stack([np.full(len(pairs), m), pairs.first, pairs.second]))
+    sides, index = np.unique(np.concatenate(pairs_by_time), axis=0, return_inverse=True)
     piece, first, second = sides.T
     differences = scaled[piece, first] - scaled[piece, second]
     nearest = hull_points(differences)
@@ -358,8 +358,8 @@ def _of_simplex(start: Array, edges: list[Array]) -> tuple[Array, NDArray[np.boo
     solid = size > (0.0 if len(edges) == 1 else FLAT * a * c)
     weights = [np.divide(part, size, out=np.zeros_like(size), where=solid) for part in parts]
     inside = solid & np.all([weight > 0.0 for weight in weights], axis=0)
-    found = start + sum(weight * edge for weight, edge in zip(weights, edges, strict=True))
-    return found, inside & (sum(weights) < 1.0)
+    point = start + sum(weight * edge for weight, edge in zip(weights, edges, strict=True))
+    return point, inside & (sum(weights) < 1.0)
 
 
 def _dot(a: Array, b: Array) -> Array:

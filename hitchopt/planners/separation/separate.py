@@ -38,7 +38,7 @@ RULES = ((0.5, 1.0), (0.5, 1.5), (-0.5, 1.0), (0.5, 2.0), (0.5, 3.0))
 """Shift of drones to the right where they meet, and the duration over that of the
 slowest flight (above 1, departures are staggered), in the order in which they are tried."""
 
-ROUNDS = 16
+MAX_PROGRAMS = 16
 """Maximum number of programs around one guess."""
 
 FASTER = 0.85
@@ -102,11 +102,13 @@ class SeparatedFlight:
         tried: list[Evaluation] = []
         for own, guess, remark in _guesses(setting):
             say(f"guess: {remark or 'straight'}")
-            found = _improved(own, guess, say)
-            if found.clear and found.duration <= (task.duration or math.inf):
-                curves = own.grid.curves(found.coefficients, task.duration or found.duration)
-                return Separated(curves, found.closest, setting.bound, remark)
-            tried.append(found)
+            evaluation = _improved(own, guess, say)
+            if evaluation.clear and evaluation.duration <= (task.duration or math.inf):
+                curves = own.grid.curves(
+                    evaluation.coefficients, task.duration or evaluation.duration
+                )
+                return Separated(curves, evaluation.closest, setting.bound, remark)
+            tried.append(evaluation)
         return _last_resort(task, tried, say)
 
 
@@ -130,7 +132,7 @@ def _improved(setting: Setting, guess: Array, say: Progress) -> Evaluation:
     task, idle = setting.task, 0
     here = best = evaluate(setting, guess)
     known = np.zeros((0, 3), dtype=np.intp)
-    for round_number in range(ROUNDS):
+    for round_number in range(MAX_PROGRAMS):
         if best.clear and task.drones >= LARGE:
             break
         planes, moving = _planes(setting, here, known)
@@ -143,7 +145,7 @@ def _improved(setting: Setting, guess: Array, say: Progress) -> Evaluation:
             break
         here, before = evaluate(setting, moved), best
         say(f"round {round_number + 1}: {here.duration:.3g} s, separation {here.closest:.3f}")
-        best = min(before, here, key=lambda found: found.merit)
+        best = min(before, here, key=lambda candidate: candidate.merit)
         idle = 0 if best.merit < (1.0 - GAIN) * before.merit else idle + 1
         if idle >= (PATIENCE if best.clear else STALLED):
             break
@@ -187,13 +189,13 @@ def _last_resort(task: SeparationTask, tried: list[Evaluation], say: Progress) -
         raise InfeasibleError(nearest.broken, note)
     say("searching for a feasible duration")
     try:
-        found = SeparatedFlight(replace(task, duration=None)).solve(say)
+        fastest = SeparatedFlight(replace(task, duration=None)).solve(say)
     except InfeasibleError:
         raise InfeasibleError(nearest.broken, note) from None
-    needed = found.drones.duration
+    needed = fastest.drones.duration
     if needed > task.duration:
         raise InfeasibleError([_too_short(task, needed, "the fastest route found takes longer")])
-    return replace(found, drones=found.drones.stretched(task.duration / needed))
+    return replace(fastest, drones=fastest.drones.stretched(task.duration / needed))
 
 
 def _too_short(task: SeparationTask, needed: float, which: str) -> Violation:
@@ -264,7 +266,7 @@ def _checks(task: SeparationTask, curves: PiecewisePolynomial) -> list[Check]:
     """Return the certificate's checks of curves that no duration changes, and of tethers."""
     swarm = Swarm(task.drones)
     motion = Motion.single(swarm, task.requirements, curves, ())
-    found = [RULE_OF[name].check(motion) for name in ("separation", "arena", "keep_out")]
+    checks = [RULE_OF[name].check(motion) for name in ("separation", "arena", "keep_out")]
     if task.tethers:
         first, second, longest = task.tether_arrays
         x = curves.coefficients
@@ -273,7 +275,7 @@ def _checks(task: SeparationTask, curves: PiecewisePolynomial) -> list[Check]:
         bound = largest_rate(PiecewisePolynomial(curves.breaks, offsets), 0, 1.0)
         pair = tuple(swarm.drone_names[ends[bound.item]] for ends in (first, second))
         worst = bound.worst + ROUNDING * size
-        found.append(Check.of("span", worst, 1.0, "max", "ratio", bound.time, pair, size))
+        checks.append(Check.of("span", worst, 1.0, "max", "ratio", bound.time, pair, size))
     names = dict(zip(swarm.drone_names, task.names, strict=True))
 
     def named(check: Check) -> Check:
@@ -286,17 +288,17 @@ def _checks(task: SeparationTask, curves: PiecewisePolynomial) -> list[Check]:
             where.append(task.prisms[int(np.argmin(away))])
         return replace(check, where=tuple(where))
 
-    return [named(check) for check in found if check is not None]
+    return [named(check) for check in checks if check is not None]
 
 
 def _check_ends(task: SeparationTask) -> None:
     """Raise InfeasibleError where starts or goals are too close, outside or within a prism."""
     ends = (task.start, "at the start (t = 0)"), (task.goal, "at the goals (the plan's end)")
-    found = [
+    violations = [
         check.violation(when, "move the drones named there, or ease the limit")
         for points, when in ends
         for check in _checks(task, PiecewisePolynomial.constant([0.0, 1.0], points))
         if not check.holds
     ]
-    if found:
-        raise InfeasibleError(found)
+    if violations:
+        raise InfeasibleError(violations)

@@ -38,7 +38,7 @@ SAMPLES = 5
 NEAREST = 2
 """Number of drones per sample and limit that are rows from the start."""
 
-ROUNDS = 6
+DRONE_ROUNDS = 6
 """Maximum rounds of adding drones that break a limit."""
 
 TOLERANCE = 0.2 * (1.0 - LIMIT_SHARE)
@@ -110,7 +110,7 @@ def jerk_limited(clock: Clock, demands_at: DemandsAt) -> Clock:
     near = -path.ratios(basis.at(spline.c))
     count = min(NEAREST, near.shape[-1])
     drones = np.argpartition(near, count - 1, axis=-1)[..., :count]
-    for _ in range(ROUNDS):
+    for _ in range(DRONE_ROUNDS):
         program = RateProgram(basis, RateRows.of(path, drones), (half * weights).ravel())
         rate = fastest_rate(program, steady)
         ratios = path.ratios(basis.at(rate))

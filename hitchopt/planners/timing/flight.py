@@ -170,7 +170,7 @@ PER_RAMP = 6.0
 SHORTEST = 5e-3
 """[s] Shortest piece: shorter ones lose more digits in third derivatives than they gain speed."""
 
-MOST = 200
+MAX_FIRST_PIECES = 200
 """Approximate number of pieces of the first mesh; where more would be needed, all are wider."""
 
 GRADING = 0.4
@@ -210,7 +210,7 @@ def time_mesh(profile: SpeedProfile, ramp: float, finer: int = 1) -> Array:
     widths = np.maximum(np.minimum(left, right), SHORTEST)
     density = 0.5 * (1.0 / widths[1:] + 1.0 / widths[:-1]) * np.diff(t)
     pieces = np.append(0.0, np.cumsum(density))
-    count = finer * max(int(np.ceil(min(pieces[-1], MOST))), 4)
+    count = finer * max(int(np.ceil(min(pieces[-1], MAX_FIRST_PIECES))), 4)
     knots: Array = np.interp(np.linspace(0.0, pieces[-1], count + 1), pieces, t)
     knots[0], knots[-1] = 0.0, whole
     return knots
