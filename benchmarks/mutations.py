@@ -83,15 +83,15 @@ MUTATIONS = (
     Mutation("/motion/loads.py", "1.0 - np.cos(_rise(team, mass, edges, tensions))", "0.0 * _rise(team, mass, edges, tensions)", "carry_box", "the rim's strut dropped"),
     Mutation("cables.py", "np.exp(self.source.team.cable_friction", "np.exp(-self.source.team.cable_friction", "friction", "sign of friction"),
     Mutation("cables.py", "high.value - most * held", "high.value - 0.9 * most * held", "friction", "a factor of the range of tensions"),
-    Mutation("story.py", "CableState.GROUND, CableState.FREE})", "CableState.GROUND, CableState.FREE, CableState.TIGHTENING})", "form_triangle", "clasped cables taken for free ones"),
-    Mutation("story.py", "here, after - before", "here, after + before", "form_triangle", "sign of crossings"),
+    Mutation("linking.py", "CableState.GROUND, CableState.FREE})", "CableState.GROUND, CableState.FREE, CableState.TIGHTENING})", "form_triangle", "clasped cables taken for free ones"),
+    Mutation("linking.py", "here, after - before", "here, after + before", "form_triangle", "sign of crossings"),
     Mutation("objects.py", "level.dot(inward) * (centre[2] -", "level.dot(inward) * 10.0 * (centre[2] -", "carry_box", "a factor of inertia leaning"),
     Mutation("objects.py", "np.sum(inward * (centre[:2] - places), axis=-1)", "np.sum(inward * (places - centre[:2]), axis=-1)", "carry_box", "sign of the edge's distance"),
     Mutation("objects.py", "slip: Array = self.body.friction * np.sum(", "slip: Array = 2.0 * self.body.friction * np.sum(", "grip_drum", "a factor of slip loads"),
     Mutation("objects.py", "(self.pushed[2] + GRAVITY) * self.share", "self.pushed[2] * self.share", "grip_drum", "the weight dropped"),
     Mutation("objects.py", "* for_each(pull) * -SIGNS", "* for_each(pull)", "grip_drum", "sign of a pull"),
     Mutation("clearance.py", "counted = ~touching[", "counted = touching[", "carry_box", "cables that hold taken for others"),
-    Mutation("story.py", "left, right = part.ends(order)", "right, left = part.ends(order)", "triangle", "ends exchanged"),
+    Mutation("linking.py", "left, right = part.ends(order)", "right, left = part.ends(order)", "triangle", "ends exchanged"),
     Mutation("drones.py", '"vertex_speed", "m/s", 1, Points)', '"vertex_speed", "m/s", 1, Drones)', "triangle", "drones in place of vertices"),
 )  # fmt: skip
 

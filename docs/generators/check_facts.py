@@ -6,7 +6,7 @@ import inspect
 from typing import Any
 
 from hitchopt.checks.registry import REPORTS, RULES
-from hitchopt.checks.rule import CheckRule, ReportRule, Searched
+from hitchopt.checks.rule import CheckRule, ReportRule, WorstOverSpans
 from hitchopt.motion.motion import CableState
 
 SENSES = {"min": "must not fall below the limit", "max": "must not rise above the limit"}
@@ -32,9 +32,11 @@ def _facts_of_check(rule: CheckRule) -> str:
 def _formulas(rule: CheckRule) -> str:
     """Return the code of a check's formulas, each once."""
     found: list[Any] = []
-    for finder in rule.finders:
-        found += [finder.find.formula] if isinstance(finder.find, Searched) else []
-        found += finder.shown
+    for evaluator in rule.evaluators:
+        found += (
+            [evaluator.evaluate.formula] if isinstance(evaluator.evaluate, WorstOverSpans) else []
+        )
+        found += evaluator.shown
     code = [
         inspect.cleandoc("\n" + inspect.getsource(getattr(each, "func", each)))
         for each in dict.fromkeys(found)
@@ -58,14 +60,14 @@ def _unit(unit: str) -> str:
 
 
 def _states(rule: CheckRule) -> str:
-    states = {state for finder in rule.finders for state in finder.states}
+    states = {state for evaluator in rule.evaluators for state in evaluator.states}
     if states == set(CableState):
         return "in any state"
     return ", ".join(state.name.lower() for state in CableState if state in states)
 
 
 def _exports(rule: CheckRule) -> str:
-    if not any(finder.exported for finder in rule.finders):
+    if not any(evaluator.exported for evaluator in rule.evaluators):
         return "no"
     return "yes" if rule.exported_limit is None else f"yes, against {rule.exported_limit:g}"
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hitchopt.checks.drones import Drones, edge_sags
 from hitchopt.checks.objects import arc_lengths, wrapped_arcs
-from hitchopt.checks.rule import CheckRule, Finder, Finding, Searched
+from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase, WorstOverSpans
 from hitchopt.checks.spans import (
     ROUNDING,
     MotionSpans,
@@ -121,8 +121,8 @@ def _size(motion: Motion) -> float:
     return magnitude(motion) / float(np.min(motion.team.cable_length))
 
 
-USED_UP = Finder(
-    Searched(Cables, _used_up, "max"), HITCHED_STATE, True, (Cables.excess, Cables.sag)
+USED_UP = Evaluator(
+    WorstOverSpans(Cables, _used_up, "max"), HITCHED_STATE, True, (Cables.excess, Cables.sag)
 )
 
 CABLE_LENGTH = CheckRule(
@@ -132,7 +132,7 @@ CABLE_LENGTH = CheckRule(
     LENGTH_LIMIT,
     (
         USED_UP,
-        Finder(Searched(Cables, _too_short, "max"), frozenset({CableState.TIGHTENING})),
+        Evaluator(WorstOverSpans(Cables, _too_short, "max"), frozenset({CableState.TIGHTENING})),
     ),
     free_remedy="use a longer cable, or a smaller polygon",
     ease="length",
@@ -145,7 +145,7 @@ SPAN = CheckRule(
     "1",
     "max",
     1.0,
-    (Finder(Searched(Cables, _drawn_out, "max", _size), FREE_STATES, exported=True),),
+    (Evaluator(WorstOverSpans(Cables, _drawn_out, "max", _size), FREE_STATES, exported=True),),
     "use a longer cable, a smaller polygon, or place the drones closer together",
     ease="length",
 )
@@ -185,14 +185,14 @@ def slips(spans: Slides) -> Bound:
     return Bound(value, np.full(len(spans), 0.5))
 
 
-def beyond_friction(motion: Motion) -> Finding:
+def beyond_friction(motion: Motion) -> WorstCase:
     """Return by how much of the tension a leg's pull is more than friction allows, at most."""
     found = worst(Slides.of(motion), slips, "max")
     point = motion.team.layout.anchors[found.item]
-    return Finding(found.worst, found.time, (f"p{point}",))
+    return WorstCase(found.worst, found.time, (f"p{point}",))
 
 
-def _find(motion: Motion, _: float) -> Finding:
+def _find(motion: Motion, _: float) -> WorstCase:
     """Return the largest jump of a tension or thrust, or distance of a tension to its range [N].
 
     While the hitch exists every cable pulls with the team's tension, or within the range that its
@@ -212,7 +212,7 @@ def _find(motion: Motion, _: float) -> Finding:
     return max(found, key=lambda each: each.worst)
 
 
-def _jump_of_pulls(motion: Motion) -> Finding:
+def _jump_of_pulls(motion: Motion) -> WorstCase:
     """Return the largest jump of a cable's tension or of a leg's pull."""
     parts = motion.tensions.coefficients, motion.pulls.coefficients
     each = np.concatenate([part[..., [0, -1]] for part in parts], axis=1)
@@ -222,7 +222,7 @@ def _jump_of_pulls(motion: Motion) -> Finding:
     return _at_joint(np.abs(left[1:] - right[:-1]) + noise, motion.drones.breaks[1:], names)
 
 
-def _jump_of_thrusts(motion: Motion) -> Finding:
+def _jump_of_thrusts(motion: Motion) -> WorstCase:
     """Return the largest jump of a drone's thrust, by its norm."""
     shape, ends = (motion.drones.pieces, motion.team.drones), []
     for x in (0.0, 1.0):
@@ -235,18 +235,18 @@ def _jump_of_thrusts(motion: Motion) -> Finding:
     return _at_joint(jumps, motion.drones.breaks[1:], motion.team.drone_names)
 
 
-def _at_joint(values: Array, times: Array, names: Sequence[str]) -> Finding:
+def _at_joint(values: Array, times: Array, names: Sequence[str]) -> WorstCase:
     """Return the largest of values (joints, items) at times (joints or more,) [s]."""
     if values.size == 0:
-        return Finding(0.0, float(times[0]))
+        return WorstCase(0.0, float(times[0]))
     joint, item = np.unravel_index(int(np.argmax(values)), values.shape)
     worst = float(values[joint, item])
-    return Finding(worst, float(times[joint]), (names[int(item)],) if worst > 0.0 else ())
+    return WorstCase(worst, float(times[joint]), (names[int(item)],) if worst > 0.0 else ())
 
 
 def _outside(
     motion: Motion, over: type[Cables] | type[Slides], pulls: Array, ranges: Array
-) -> Finding:
+) -> WorstCase:
     """Return how far pulls (pieces, items, …) are outside of ranges (2, pieces, items) [N]."""
     margin = ROUNDING * np.max(np.abs(pulls))
 
@@ -262,10 +262,10 @@ def _outside(
     spans = over.all_of(motion, motion.drones.breaks, pulls.shape[1], motion.formed)
     found = worst(spans, beyond, "max")
     where = (over.names(motion)[found.item],) if found.worst > 0.0 else ()
-    return Finding(found.worst, found.time, where)
+    return WorstCase(found.worst, found.time, where)
 
 
-def _off_at_ends(motion: Motion) -> Finding:
+def _off_at_ends(motion: Motion) -> WorstCase:
     """Return how far tensions are from the team's where phases that state a range begin or end.
 
     Not where an object is held before and after: the range is that of a grasp, of all its steps.
@@ -304,7 +304,7 @@ def _ramps(motion: Motion) -> Mask:
     return found
 
 
-JUMPS_AND_RANGES = Finder(
+JUMPS_AND_RANGES = Evaluator(
     _find, FREE_STATES | HITCHED_STATE, shown=(_jump_of_pulls, _jump_of_thrusts, _outside)
 )
 

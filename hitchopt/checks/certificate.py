@@ -14,7 +14,7 @@ from hitchopt.errors import HitchoptError, OneLine, Violation, broken_limit
 FORMAT = "hitchopt-certificate/1"
 
 TOLERANCE = 1e-9
-"""Relative to a limit, or to the largest length that enters: checks hold within that."""
+"""Relative tolerance of checks, to the limit or to the largest length that enters."""
 
 
 GROUPS = {
@@ -25,11 +25,11 @@ GROUPS = {
     "motion": ("speed", "acceleration", "jerk", "vertex_speed", "body_rate"),
     "forces": ("thrust", "tilt", "equilibrium", "tension", "grip", "support"),
     "cables": ("legs", "cable_length", "span", "convexity", "interlacing"),
-    "story": ("continuity", "stoppable", "survivable", "duration"),
+    "timing": ("continuity", "stoppable", "survivable", "duration"),
 }  # fmt: skip
 """Checks under the headings of the certificate's table; others stand under "other"."""
 
-TIE = 1e-9  # by how much a check presses more than another if it does, not by rounding
+TIE = 1e-9  # smallest relative difference of utilization between checks that do not tie
 CLOSEST = 3  # number of checks that a table marks as closest to their limits
 
 
@@ -54,14 +54,14 @@ class Check(OneLine):
     ----------
     name: as in the certificate's table (README).
     holds: whether ``worst`` satisfies the limit, within ``TOLERANCE``.
-    worst: bounds the quantity for all t, rounding included; None where nothing was counted.
-    limit: in the same unit; None where the quantity is only reported.
+    worst: bounds the quantity for all t, rounding included; None if nothing was evaluated.
+    limit: in the same unit; None if the quantity is only reported.
     sense: ``min`` if the quantity must not fall below the limit, ``max`` if not rise above it.
     unit: such as ``m`` or ``ratio``.
     time: [s], when the quantity is about at its worst.
     where: names of the drones, cables or vertices.
     method: ``continuous`` or ``sampled``.
-    gamma: how much farther vertices are off than drones, where the quantity assumes that.
+    gamma: ratio of vertex errors to drone errors, if the quantity assumes one.
     """
 
     name: str
@@ -90,8 +90,8 @@ class Check(OneLine):
     ) -> Check:
         """Return the check; it holds if it is only reported, or ``within`` its limit by ``size``.
 
-        What is beyond all numbers becomes the largest one, and nan the worst: files hold neither.
-        An infinity that holds is that of nothing, so there is no ``worst`` and no place.
+        Infinities become the largest number and nan the worst one: files hold neither. An infinity
+        that holds is the extremum of an empty set: then there is no ``worst`` and no place.
         """
         largest, limit = sys.float_info.max, None if limit is None else float(limit)
         if worst == _nothing(sense):
@@ -109,28 +109,28 @@ class Check(OneLine):
         return "" if self.limit is None else f"{sign} {self.limit:.6g}"
 
     @property
-    def _told(self) -> tuple[str, float, float, str, str, tuple[str, ...]]:
+    def _summary(self) -> tuple[str, float, float, str, str, tuple[str, ...]]:
         return self.name, self.bound, self.number, self.sense, self.unit, self.where
 
     def violation(self, when: str, remedy: str) -> Violation:
         """Return the check, which does not hold, as a violation."""
-        return Violation(*self._told, when, remedy)
+        return Violation(*self._summary, when, remedy)
 
     @property
     def number(self) -> float:
-        """The limit; nan where there is none."""
+        """The limit; nan if there is none."""
         return math.nan if self.limit is None else self.limit
 
     @property
     def bound(self) -> float:
-        """The worst value; an infinity that holds where nothing was counted."""
+        """The worst value; an infinity that holds if nothing was evaluated."""
         return _nothing(self.sense) if self.worst is None else self.worst
 
     @property
-    def pressure(self) -> float:
-        """How far the quantity is beyond its limit, relative to it, or in the unit where it is 0.
+    def utilization(self) -> float:
+        """Excess of the worst value over its limit: relative, or absolute if the limit is 0.
 
-        Below 0 where it holds. Without a limit, how far out it is.
+        Negative if the check holds with a margin. Without a limit, the signed worst value.
         """
         out = -1.0 if self.sense == "min" else 1.0
         if self.limit is None:
@@ -143,14 +143,14 @@ def _nothing(sense: str) -> float:
     return math.inf if sense == "min" else -math.inf
 
 
-def most_pressing(checks: Iterable[Check | None]) -> Check | None:
-    """Return the worst of one quantity's checks over several spans of time; None without any."""
-    found: Check | None = None
+def worst_of(checks: Iterable[Check | None]) -> Check | None:
+    """Return the worst of one quantity's checks over several spans of time; None if empty."""
+    worst: Check | None = None
     for check in filter(None, checks):  # of those that tie the first one
-        tie = TIE * max(1.0, abs(found.pressure)) if found and found.worst is not None else 0.0
-        if found is None or check.pressure > found.pressure + tie:
-            found = check
-    return found
+        tie = TIE * max(1.0, abs(worst.utilization)) if worst and worst.worst is not None else 0.0
+        if worst is None or check.utilization > worst.utilization + tie:
+            worst = check
+    return worst
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ class Certificate(OneLine):
     checks: tuple[Check, ...]
 
     def _repr_html_(self) -> str:
-        """Return what notebooks show: the verdict, and the checks with their worst values."""
+        """Return HTML for notebooks: the verdict, and the checks with their worst values."""
         rows = []
         for check in self.checks:
             worst = "–" if check.worst is None else f"{check.worst:.6g}"
@@ -177,18 +177,18 @@ class Certificate(OneLine):
     def groups(self) -> dict[str, tuple[Check, ...]]:
         """The checks under the headings of the table, in its order."""
         heading = {name: title for title, names in GROUPS.items() for name in names}
-        found: dict[str, tuple[Check, ...]] = {}
+        groups: dict[str, tuple[Check, ...]] = {}
         for title in (*GROUPS, "other"):
             checks = tuple(c for c in self.checks if heading.get(c.name, "other") == title)
-            found |= {title: checks} if checks else {}
-        return found
+            groups |= {title: checks} if checks else {}
+        return groups
 
     @property
     def closest(self) -> tuple[Check, ...]:
-        """The CLOSEST checks that press most on a limit, but counts of which none is allowed."""
-        pressed = [c for c in self.checks if c.limit is not None and c.worst is not None]
-        pressed = [c for c in pressed if c.limit or c.sense == "min" or not c.holds]
-        return tuple(sorted(pressed, key=lambda check: -check.pressure)[:CLOSEST])
+        """The CLOSEST checks of highest utilization, without counts that must be 0 and are."""
+        limited = [c for c in self.checks if c.limit is not None and c.worst is not None]
+        limited = [c for c in limited if c.limit or c.sense == "min" or not c.holds]
+        return tuple(sorted(limited, key=lambda check: -check.utilization)[:CLOSEST])
 
     @property
     def certified(self) -> bool:
@@ -206,12 +206,12 @@ class Certificate(OneLine):
 
     def raise_if_violated(self) -> None:
         """Raise CertificateError naming every check that does not hold."""
-        told = [f"{broken_limit(*c._told)}, t = {c.time:.4g} s" for c in self.violated]
-        if told:
-            raise CertificateError("\n".join(told))
+        lines = [f"{broken_limit(*c._summary)}, t = {c.time:.4g} s" for c in self.violated]
+        if lines:
+            raise CertificateError("\n".join(lines))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what ``certificate.json`` holds."""
+        """Return the content of ``certificate.json``."""
         return {
             "format": FORMAT,
             "certified": self.certified,
@@ -221,13 +221,13 @@ class Certificate(OneLine):
 
 
 def _entry(check: Check) -> dict[str, Any]:
-    """Return a check as ``certificate.json`` holds it; only some have a gamma."""
+    """Return a check's entry in ``certificate.json``; gamma is left out if None."""
     entry = asdict(check) | {"where": list(check.where)}
     return {key: value for key, value in entry.items() if key != "gamma" or value is not None}
 
 
 def html_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a table with its texts escaped."""
+    """Return an HTML table with its texts escaped."""
     lines = ["".join(f"<th>{escape(head)}</th>" for head in heads)]
     lines += ["".join(f"<td>{escape(text)}</td>" for text in row) for row in rows]
     return f"<table>{''.join(f'<tr>{line}</tr>' for line in lines)}</table>"

@@ -17,7 +17,7 @@ import numpy as np
 from hitchopt.checks.cables import beyond_friction, slips
 from hitchopt.checks.certificate import within
 from hitchopt.checks.objects import chosen, lacking, unbalanced
-from hitchopt.checks.rule import CheckRule, Finder, Finding
+from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase
 from hitchopt.checks.spans import (
     MotionSpans,
     bent_edges,
@@ -259,7 +259,7 @@ def _rolled(spans: Clasps) -> Bound:
     return Bound(math.tan(math.radians(ROLLED)) * least.value - aside, least.x)
 
 
-def _find(motion: Motion, limit: float) -> Finding:
+def _find(motion: Motion, limit: float) -> WorstCase:
     """Return the largest force residual at a clasp over the smaller of its cables' tensions.
 
     What friction cannot make of a tension counts as unbalanced, and so does what an object lacks.
@@ -270,7 +270,7 @@ def _find(motion: Motion, limit: float) -> Finding:
     found = worst(Clasps.of(motion), _balance, "max", target=within(limit, "max"))
     words = _opened(motion, found) if math.isinf(found.value) else ()
     where = (names[found.item], *words)
-    each = [Finding(found.worst, found.time, where), unbalanced(motion)]
+    each = [WorstCase(found.worst, found.time, where), unbalanced(motion)]
     if motion.leg_tensions is not None:
         each.append(beyond_friction(motion))
     return max(each, key=lambda finding: finding.worst)
@@ -301,7 +301,7 @@ def spare_forces(motion: Motion) -> Array:
 FORMULAS = (_balance, Clasps.residual, _lifted, _rolled, Clasps.contact, slips, lacking)
 
 EQUILIBRIUM = CheckRule(
-    "equilibrium", "1", "max", LIMIT, (Finder(_find, HITCHED_STATE, shown=FORMULAS),)
+    "equilibrium", "1", "max", LIMIT, (Evaluator(_find, HITCHED_STATE, shown=FORMULAS),)
 )
 
 
@@ -345,7 +345,7 @@ def _exterior(spans: Corners) -> Bound:
     return Bound(np.where(known, added + np.degrees(middle + least), BACKWARD), cross.below.x)
 
 
-def _turns(motion: Motion, _: float) -> Finding:
+def _turns(motion: Motion, _: float) -> WorstCase:
     """Return the smallest exterior angle in degrees, seen from above; ``where`` names the vertex.
 
     Or 360° less all turning at the start where that is negative: of a polygon that goes around its
@@ -360,8 +360,8 @@ def _turns(motion: Motion, _: float) -> Finding:
     room = 360.0 - float(np.sum(np.degrees(np.arctan2(right, np.sum(behind * ahead, axis=-1)))))
     lowest = max(found.worst, BACKWARD)
     if lowest > BACKWARD and room < min(lowest, -TURN):
-        return Finding(room, float(start), ends)
-    return Finding(lowest, found.time, where)
+        return WorstCase(room, float(start), ends)
+    return WorstCase(lowest, found.time, where)
 
 
 CONVEXITY = CheckRule(
@@ -369,6 +369,6 @@ CONVEXITY = CheckRule(
     "deg",
     "min",
     0.0,
-    (Finder(_turns, HITCHED_STATE, shown=(_exterior,)),),
+    (Evaluator(_turns, HITCHED_STATE, shown=(_exterior,)),),
     "go by a polygon in between, in two morphs",
 )

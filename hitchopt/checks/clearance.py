@@ -42,7 +42,7 @@ from hitchopt.checks.distances import (
 )
 from hitchopt.checks.drones import Drones, edge_sags, leg_sags, steepness_of
 from hitchopt.checks.objects import placed, seen_from
-from hitchopt.checks.rule import CheckRule, Finder, Finding, Searched
+from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase, WorstOverSpans
 from hitchopt.checks.spans import (
     ROUNDING,
     MotionSpans,
@@ -367,9 +367,9 @@ CABLE_CLEARANCE = CheckRule(
     "min",
     lambda motion: max(motion.requirements.separation.cable, TOUCHING),
     (
-        Finder(nearest(_past_taut), HITCHED_STATE, exported=True, shown=(gap,)),
-        Finder(nearest(_past_chords), LYING, exported=True),
-        Finder(nearest(_past_hanging), FREE_STATES - LYING, exported=True, shown=(hung_gap,)),
+        Evaluator(nearest(_past_taut), HITCHED_STATE, exported=True, shown=(gap,)),
+        Evaluator(nearest(_past_chords), LYING, exported=True),
+        Evaluator(nearest(_past_hanging), FREE_STATES - LYING, exported=True, shown=(hung_gap,)),
     ),
     "give the drones other leg lengths (of a longer cable or a smaller polygon), "
     "or a smaller separation.cable",
@@ -394,7 +394,7 @@ KEEP_OUT = CheckRule(
     "m",
     "min",
     lambda motion: motion.requirements.separation.radius if _obstacles(motion) else None,
-    (Finder(nearest(_drones_past), exported=True, shown=(gap, Solid.towards)),),
+    (Evaluator(nearest(_drones_past), exported=True, shown=(gap, Solid.towards)),),
     "move the keep-out volumes or objects, fly farther from them, or lower separation.radius",
 )
 """Drones stay off prisms and objects, by the radius of their ellipsoids."""
@@ -463,8 +463,8 @@ OBJECT_CLEARANCE = CheckRule(
         else None
     ),
     (
-        Finder(nearest(_cables_past), HITCHED_STATE, exported=True, shown=(gap,)),
-        Finder(nearest(_hanging_past), FREE_STATES, exported=True, shown=(over,)),
+        Evaluator(nearest(_cables_past), HITCHED_STATE, exported=True, shown=(gap,)),
+        Evaluator(nearest(_hanging_past), FREE_STATES, exported=True, shown=(over,)),
     ),
     "fly higher over objects or farther from them, lift the held one higher, use shorter cables "
     "or stand it higher where the ground is near, or allow a smaller separation.object",
@@ -552,9 +552,9 @@ def _parts_room(spans: Parts) -> Bound:
     return _room(spans, first + SHARES * along, deep[:, None] * bent)
 
 
-def _held_room(motion: Motion, _: float) -> Finding:
+def _held_room(motion: Motion, _: float) -> WorstCase:
     """Return the smallest distance of a held object to a wall or the ceiling [m]."""
-    found = [Finding(math.inf, 0.0)]
+    found = [WorstCase(math.inf, 0.0)]
     for name, body, pose in _placed(motion):
         held = held_pieces(motion, name, HoldBy.REST) | held_pieces(motion, name, HoldBy.GRIP)
         for slab in body.slabs:
@@ -566,7 +566,7 @@ def _held_room(motion: Motion, _: float) -> Finding:
 
             spans = MotionSpans.all_of(motion, motion.drones.breaks, 1, held)
             least = worst(spans, room, "min")
-            found.append(Finding(least.worst, least.time, (name,)))
+            found.append(WorstCase(least.worst, least.time, (name,)))
     return min(found, key=lambda each: each.worst)
 
 
@@ -576,9 +576,9 @@ ARENA = CheckRule(
     "min",
     lambda motion: None if motion.requirements.arena is None else 0.0,
     (
-        Finder(Searched(Drones, drones_room, "min", magnitude), exported=True),
-        Finder(Searched(Parts, _parts_room, "min", magnitude), HITCHED_STATE),
-        Finder(_held_room, HITCHED_STATE),
+        Evaluator(WorstOverSpans(Drones, drones_room, "min", magnitude), exported=True),
+        Evaluator(WorstOverSpans(Parts, _parts_room, "min", magnitude), HITCHED_STATE),
+        Evaluator(_held_room, HITCHED_STATE),
     ),
     "enlarge the arena, or keep the hitch farther from its walls",
     exported_limit=EXPORTED,

@@ -3,11 +3,10 @@
 For a vector u no longer than one, ``|a - b| ≥ u · (a - b)``, a polynomial. With u along the
 shortest connection, turning as that does, its least coefficient over the corners of both bodies
 bounds their distance from below, within the third power of a span's length; at a point it is the
-distance. What is to stay off a body of some shape loses how far that reaches along u, its support
-function.
+distance. The distance from a body of some shape is less by its support function along u.
 
 Of few bodies all pairs are compared, piece by piece, by the boxes that they stay in: those farther
-apart than some distance that is attained are out. Of many, a spatial index lists the close pairs of
+apart than some attained distance are excluded. Of many, a spatial index lists the close pairs of
 several pieces at a time, and spans of which it would list too many are halved.
 """
 
@@ -23,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.checks.certificate import within
-from hitchopt.checks.rule import CheckRule, Finder, Finding
+from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase
 from hitchopt.checks.spans import (
     UPWARD,
     cable_names,
@@ -64,7 +63,7 @@ Flags = NDArray[np.bool_]
 
 
 class Shape(Protocol):
-    """A convex body that stands still: the origin, where it does not say otherwise."""
+    """A convex body at rest; by default the origin."""
 
     def towards(self, corners: Array) -> Array:
         """Return unit vectors (…, 3) out of it to the nearest point of hulls (…, corners, 3)."""
@@ -76,7 +75,7 @@ class Shape(Protocol):
 
 
 class Origin(Shape):
-    """A point: what differences of positions are told from."""
+    """The origin: distances of bodies are those of their Minkowski difference from it."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +114,7 @@ def distance(a: Array, b: Array, shape: Shape = ORIGIN) -> Bound:
     sizes = 0.5 + 0.5 * np.maximum(bernstein.elevate(bernstein.dot(n, n), order), 0.0)
     least = np.maximum(along / sizes, 0.0)
     found = np.min(least, axis=-1)
-    # Of places that tie, as those of bodies that come to rest, an end is told.
+    # Of places that tie, as those of bodies that come to rest, an end is reported.
     start, end = (least[:, i] <= found * (1.0 + TIE) for i in (0, -1))
     inside = np.argmin(least, axis=-1) / order
     return Bound(found, np.where(start, 0.0, np.where(end, 1.0, inside)))
@@ -129,21 +128,21 @@ def gap(spans: PairSpans) -> Bound:
 
 @dataclass(frozen=True, eq=False)
 class Moving:
-    """Bodies in motion, hulls of corners, and which pairs of them count.
+    """Bodies in motion, as hulls of corners, and the pairs of them that are checked.
 
     Attributes
     ----------
     breaks: (pieces + 1,) [s]
     first: (pieces, bodies, corners, 3, degree + 1) [m]
-    second: the same of others; None where pairs i < j within the first group are meant.
-    margin: taken off distances to cover rounding [m].
+    second: corners of the other group; None for pairs i < j within the first group.
+    margin: subtracted from distances to cover rounding [m].
     allowed: which pairs (first, second) count; None for all.
-    shape: what the difference of two positions keeps its distance from.
+    shape: body from which the difference of two positions keeps its distance.
     counted: (pieces, bodies), on which pieces the first group counts; None for all.
     lengths: (bodies,) [m] of cables that hang between both corners of the first group.
     names: of the bodies of both groups; empty ones are not named, hanging cables are named last.
     formula: bounds the distance of pairs.
-    tolerance: how closely distances are bounded; None as closely as a limit asks for [m].
+    tolerance: tightness of bounds of distances [m]; None if the limit determines it.
     """
 
     breaks: Array
@@ -191,7 +190,7 @@ class Moving:
     def boxes(self) -> tuple[Array, Array]:
         """Boxes (2, 3, pieces, bodies) that the bodies of each group stay in.
 
-        As seen from their mean place: what all do together changes no distance.
+        Relative to their mean place: common motion changes no distance.
         """
         drift = np.mean(self.first, axis=(1, 2), keepdims=True)
         own = _boxes(self.first - drift)
@@ -207,7 +206,7 @@ class Moving:
         return np.stack([-self.shape.support(-np.eye(3)), self.shape.support(np.eye(3))])
 
     def gaps(self, pairs: Pairs) -> Array:
-        """Return distances (pieces, pairs) [m] that the boxes of pairs leave at least."""
+        """Return lower bounds (pieces, pairs) [m] of distances, from the boxes of pairs."""
         own, others = self.boxes
         a_lower, a_upper = own.take(pairs.first, axis=3)
         b_lower, b_upper = others.take(pairs.second, axis=3)
@@ -220,7 +219,7 @@ class Moving:
         return gaps
 
     def part(self, start: int, stop: int) -> Moving:
-        """Return the same on a run of pieces."""
+        """Return the bodies on a run of pieces."""
         breaks, cut = self.breaks[start : stop + 1], slice(start, stop)
         second = None if self.second is None else self.second[cut]
         counted = None if self.counted is None else self.counted[cut]
@@ -267,10 +266,10 @@ class PairSpans(Spans):
 
 
 def near(moving: Moving, attained: Callable[[], float], depth: int = 0) -> Iterator[PairSpans]:
-    """Yield spans of all pairs that may be closer than what is attained.
+    """Yield spans of all pairs that may be closer than the smallest distance attained.
 
-    That is asked for again after every yield. Points at which some pairs are near come first. A
-    single piece is halved, to a ``depth``, where the index lists many pairs for all that moves.
+    ``attained`` is called again after every yield. Points at which some pairs are near come first.
+    A single piece is halved, to a ``depth``, if the index lists many pairs because bodies move.
     """
     pairs, pieces = moving.pairs, len(moving.first)
     bodies = moving.first.shape[1] + moving.count
@@ -319,7 +318,7 @@ def _neighbours(moving: Moving, attained: Callable[[], float]) -> Iterator[PairS
 
 
 def smallest(moving: Moving, **options: float) -> Extremum:
-    """Return the smallest distance of all pairs that count; infinite, item -1, where none does.
+    """Return the smallest distance of all pairs that count; infinite, item -1, if there is none.
 
     The ``options`` are of ``Search``.
     """
@@ -331,26 +330,26 @@ def smallest(moving: Moving, **options: float) -> Extremum:
     return search.finish()
 
 
-def nearest(cases: Callable[[Motion], Iterable[Moving]]) -> Callable[[Motion, float], Finding]:
-    """Return a finder of the smallest distance in all cases of what moves past what."""
+def nearest(cases: Callable[[Motion], Iterable[Moving]]) -> Callable[[Motion, float], WorstCase]:
+    """Return a function that finds the smallest distance over all groups of moving bodies."""
 
-    def find(motion: Motion, limit: float) -> Finding:
+    def evaluate(motion: Motion, limit: float) -> WorstCase:
         size = magnitude(motion)
-        aim, best = within(limit, "min", size, 0.5), Finding(math.inf, 0.0, size=size)
+        aim, best = within(limit, "min", size, 0.5), WorstCase(math.inf, 0.0, size=size)
         for moving in cases(motion):
             tolerance = moving.tolerance
             if tolerance is None:
                 found = smallest(moving, target=aim, known=best.worst)
-            else:  # what is found depends on the span of time, and on nothing else
+            else:  # the answer depends on the span of time, and on nothing else
                 found = smallest(moving, relative=tolerance, absolute=tolerance)
             least = max(found.worst, 0.0)
             if least < best.worst and found.item < 0:  # nothing is known to be nearer
                 best = replace(best, worst=least)
             elif least < best.worst:
-                best = Finding(least, found.time, moving.named(found.item), size)
+                best = WorstCase(least, found.time, moving.named(found.item), size)
         return best
 
-    return find
+    return evaluate
 
 
 def scaled_drones(motion: Motion, drones: PiecewisePolynomial) -> Moving:
@@ -368,7 +367,7 @@ SEPARATION = CheckRule(
     "ratio",
     "min",
     lambda motion: 1.0 if motion.team.drones > 1 else None,
-    (Finder(_SEPARATED, exported=True, shown=(gap, distance)),),
+    (Evaluator(_SEPARATED, exported=True, shown=(gap, distance)),),
     "give the drones other leg lengths (of a longer cable or a smaller polygon), "
     "or a smaller separation.radius",
     "place the drones farther apart, use longer cables or a larger polygon, "
@@ -428,8 +427,8 @@ CROSSING = CheckRule(
     "min",
     lambda motion: max(motion.requirements.separation.crossing, TOUCHING),
     (
-        Finder(nearest(_taut), HITCHED_STATE, shown=(gap,)),
-        Finder(nearest(_hanging), FREE_STATES, exported=True),
+        Evaluator(nearest(_taut), HITCHED_STATE, shown=(gap,)),
+        Evaluator(nearest(_hanging), FREE_STATES, exported=True),
     ),
     "shorten the legs that meet (a shorter cable or a larger polygon), "
     "choose other leg lengths, or lower separation.crossing",

@@ -17,7 +17,7 @@ from operator import attrgetter
 import numpy as np
 
 from hitchopt.checks.certificate import within
-from hitchopt.checks.rule import CheckRule, Finder, Searched
+from hitchopt.checks.rule import CheckRule, Evaluator, WorstOverSpans
 from hitchopt.checks.spans import (
     ROUNDING,
     UPWARD,
@@ -317,13 +317,14 @@ def _norm(spans: MotionSpans, order: int) -> Bound:
 def _rate_rule(name: str, unit: str, order: int, over: type[MotionSpans] = Drones) -> CheckRule:
     """Return the rule that holds the norm of a derivative against ``Limits.with_reserve.name``."""
     limit_of = attrgetter(f"requirements.limits.with_reserve.{name}")
-    find = Searched(over, partial(_norm, order=order), "max", 0.0)
+    largest = WorstOverSpans(over, partial(_norm, order=order), "max", 0.0)
     states = HITCHED_STATE if over is Points else frozenset(CableState)
-    finder, remedy = Finder(find, states, order == 1 and over is Drones), f"raise limits.{name}"
-    return CheckRule(name, unit, "max", limit_of, (finder,), remedy, ease="time", derivative=order)
+    evaluators = (Evaluator(largest, states, order == 1 and over is Drones),)
+    remedy = f"raise limits.{name}"
+    return CheckRule(name, unit, "max", limit_of, evaluators, remedy, ease="time", derivative=order)
 
 
-FASTEST = Searched(Drones, partial(_norm, order=1), "max", 0.0)
+FASTEST = WorstOverSpans(Drones, partial(_norm, order=1), "max", 0.0)
 
 SPEED = _rate_rule("speed", "m/s", 1)
 ACCELERATION = _rate_rule("acceleration", "m/s²", 2)
@@ -337,14 +338,16 @@ def used_thrust(spans: Drones) -> Bound:
     return Bound(thrust.value / spans.source.team.max_thrust[spans.item], thrust.x)
 
 
-USED_THRUST = Searched(Drones, used_thrust, "max", share=lambda motion: motion.team.max_thrust)
+USED_THRUST = WorstOverSpans(
+    Drones, used_thrust, "max", item_limits=lambda motion: motion.team.max_thrust
+)
 
 THRUST = CheckRule(
     "thrust",
     "N",
     "max",
     lambda motion: float(np.max(motion.team.max_thrust)),
-    (Finder(USED_THRUST, exported=True, shown=(Drones.thrust, Drones.load)),),
+    (Evaluator(USED_THRUST, exported=True, shown=(Drones.thrust, Drones.load)),),
     "give the drone more thrust, or lower team.tension",
     "give the drone more thrust, or lower team.cable_density",
     "tension",
@@ -358,13 +361,15 @@ TILT = CheckRule(
     "deg",
     "max",
     lambda motion: math.degrees(motion.requirements.limits.tilt),
-    (Finder(Searched(Drones, tilt, "max"), exported=True),),
+    (Evaluator(WorstOverSpans(Drones, tilt, "max"), exported=True),),
     "raise limits.tilt_deg, or lower team.tension",
     "raise limits.tilt_deg, or lower team.cable_density",
     "tension",
     derivative=2,
 )
 
+
+TURNING_RATE = WorstOverSpans(Drones, turning_rate, "max", 0.0)
 
 BODY_RATE = CheckRule(
     "body_rate",
@@ -373,7 +378,7 @@ BODY_RATE = CheckRule(
     lambda motion: (
         None if (limit := motion.requirements.limits.body_rate) is None else math.degrees(limit)
     ),
-    (Finder(Searched(Drones, turning_rate, "max", 0.0), shown=(Drones.turning, Drones.load_rate)),),
+    (Evaluator(TURNING_RATE, shown=(Drones.turning, Drones.load_rate)),),
     "raise limits.body_rate_deg",
     ease="time",
     derivative=3,
@@ -401,7 +406,7 @@ LEGS = CheckRule(
     "m",
     "min",
     lambda motion: motion.requirements.limits.leg,
-    (Finder(Searched(Legs, _length, "min", magnitude), HITCHED_STATE),),
+    (Evaluator(WorstOverSpans(Legs, _length, "min", magnitude), HITCHED_STATE),),
     "use a longer cable, a smaller polygon, or a smaller limits.leg",
     ease="length",
 )

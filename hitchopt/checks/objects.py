@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.checks.certificate import within
-from hitchopt.checks.rule import CheckRule, Finder, Finding
+from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase
 from hitchopt.checks.spans import (
     ROUNDING,
     MotionSpans,
@@ -266,19 +266,19 @@ def spare_friction(motion: Motion, index: int) -> Array:
     return np.concatenate([spans.slip_load / LIMIT - spans.load for spans in parts])
 
 
-def _slipping(motion: Motion, limit: float) -> Finding:
+def _slipping(motion: Motion, limit: float) -> WorstCase:
     """Return the smallest ratio of slip load to load.
 
     It is minus infinity where an edge bends with nothing gripped, or is off the section of what is.
     """
     lost = np.any(~_straight(Enclosed(bends(motion))), axis=1)
-    found = [Finding(math.inf, 0.0)]
+    found = [WorstCase(math.inf, 0.0)]
     for index, name, on in gripping(motion):
         parts, lost = Gripped.of_object(motion, index, on), lost & ~on
         least = worst(parts, slip_ratio, "min", target=within(limit, "min"))
-        found.append(Finding(least.worst, least.time, (name,)))
+        found.append(WorstCase(least.worst, least.time, (name,)))
     if np.any(lost):
-        found.append(Finding(-math.inf, float(motion.drones.breaks[int(np.argmax(lost))])))
+        found.append(WorstCase(-math.inf, float(motion.drones.breaks[int(np.argmax(lost))])))
     return min(found, key=lambda each: each.worst)
 
 
@@ -289,7 +289,7 @@ GRIP = CheckRule(
     "1",
     "min",
     lambda motion: LIMIT if gripping(motion) or motion.contacts is not None else None,
-    (Finder(_slipping, HITCHED_STATE | FREE_STATES, shown=SHOWN),),
+    (Evaluator(_slipping, HITCHED_STATE | FREE_STATES, shown=SHOWN),),
     "lower the object's mass, raise the tension, or use rougher cables",
 )
 
@@ -338,12 +338,12 @@ def _misplaced(spans: Gripped) -> Mask:
     return found
 
 
-def unbalanced(motion: Motion) -> Finding:
+def unbalanced(motion: Motion) -> WorstCase:
     """Return the largest force, or moment over its size, that an object lacks, over the tension."""
-    found = [Finding(0.0, 0.0)]
+    found = [WorstCase(0.0, 0.0)]
     for index, name, on in gripping(motion):
         most = worst(Gripped.of_object(motion, index, on), lacking, "max")
-        found.append(Finding(most.worst, most.time, (name,)))
+        found.append(WorstCase(most.worst, most.time, (name,)))
     return max(found, key=lambda each: each.worst)
 
 
@@ -454,14 +454,14 @@ def force_line(spans: Resting) -> Bound:
     return Bound(least[k] - margin - 2.0 * SETTLED, lean.above.x[k])
 
 
-def _force_lines(motion: Motion, _: float) -> Finding:
+def _force_lines(motion: Motion, _: float) -> WorstCase:
     """Return the smallest distance of a force line to the edge of its supports [m].
 
     It is minus infinity where an object moves, or is borne, and nothing holds it; where it floats;
     and where clasps of a hold are not around it, or not where they bear it, or it would slide off.
     """
     size, begins = magnitude(motion), motion.drones.breaks
-    each = [Finding(math.inf, 0.0, size=size)]
+    each = [WorstCase(math.inf, 0.0, size=size)]
     for index, (name, body) in enumerate(motion.requirements.objects.items()):
         share = motion.object_shares.coefficients[:, index]
         moving = np.any(np.ptp(motion.object_poses.coefficients[:, index], axis=-1) > STILL, -1)
@@ -479,9 +479,9 @@ def _force_lines(motion: Motion, _: float) -> Finding:
             lost[spans.piece] = _misplaced_clasps(spans, carried[spans.piece])
         parts = Resting.of_object(motion, index, resting & carried & whole & ~lost)
         least = worst(parts, force_line, "min")
-        each.append(Finding(least.worst, least.time, (name,), size))
+        each.append(WorstCase(least.worst, least.time, (name,), size))
         if np.any(lost):
-            each.append(Finding(-math.inf, float(begins[int(np.argmax(lost))]), (name,)))
+            each.append(WorstCase(-math.inf, float(begins[int(np.argmax(lost))]), (name,)))
     return min(each, key=lambda found: found.worst)
 
 
@@ -530,6 +530,6 @@ SUPPORT = CheckRule(
     "m",
     "min",
     lambda motion: 0.0 if motion.requirements.objects else None,
-    (Finder(_force_lines, HITCHED_STATE | FREE_STATES, shown=(force_line,)),),
+    (Evaluator(_force_lines, HITCHED_STATE | FREE_STATES, shown=(force_line,)),),
     "carry it more gently, or hold it farther out or closer below its centre of mass",
 )

@@ -1,4 +1,4 @@
-"""All checks, in the order in which a certificate lists them, and certificates made of them."""
+"""All checks in the order of a certificate, and the functions that certify a motion."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from hitchopt.checks import cables, clasps, clearance, distances, drones, objects, stops, tracking
-from hitchopt.checks.certificate import Certificate, Check, most_pressing
-from hitchopt.checks.rule import CheckRule, Found, ReportRule
+from hitchopt.checks.certificate import Certificate, Check, worst_of
+from hitchopt.checks.linking import CONTINUITY, DURATION, INTERLACING
+from hitchopt.checks.rule import CheckRule, ReportRule, SpanResult
 from hitchopt.checks.spans import shared_values
-from hitchopt.checks.story import CONTINUITY, DURATION, INTERLACING
 from hitchopt.checks.tracking import GAMMA
 from hitchopt.motion.motion import Motion
 from hitchopt.values import instance, not_negative, sequence
@@ -43,10 +43,10 @@ RULES = (
 """One rule per check; a new check is one record and one line here."""
 
 REPORTS = (tracking.TRACKING_RADIUS, stops.RULE)
-"""What a certificate reports after its checks, without a limit."""
+"""Quantities that a certificate reports after its checks, without a limit."""
 
-OF_PARTS = tuple(report for report in REPORTS if not report.whole)
-"""What is known of a joined motion if it is known of its parts."""
+MERGEABLE_REPORTS = tuple(report for report in REPORTS if not report.whole)
+"""Reports of a joined motion that follow from those of its parts."""
 
 RULE_OF = {rule.name: rule for rule in RULES}
 """The rules by name."""
@@ -59,7 +59,7 @@ def certify(
     *,
     reports: Sequence[ReportRule] = REPORTS,
 ) -> Certificate:
-    """Check what flies for all of its time.
+    """Check a motion for all t.
 
     No quantity passes its ``worst`` at any t; it comes within ``1e-4`` of it, relative, or ``2e-7``
     in its unit, distances to hanging cables within millimetres. Rounding is covered by a margin. A
@@ -70,9 +70,9 @@ def certify(
     ----------
     motion: the plan.
     progress: called with the name of every check as it starts, and how many are done.
-    gamma: how many times farther than drones vertices may be off, for ``tracking_radius``.
-    reports: that are made after the checks, besides those with a limit; OF_PARTS where ``merged``
-        computes the others, none where time is short.
+    gamma: ratio of vertex errors to drone errors, for ``tracking_radius``.
+    reports: evaluated after the checks, in addition to those with a limit. Pass MERGEABLE_REPORTS
+        if ``merged`` computes the others.
 
     Raises
     ------
@@ -80,49 +80,50 @@ def certify(
     """
     instance("motion", motion, Motion)
     gamma = not_negative("gamma", gamma)
-    told: tuple[ReportRule, ...] = sequence("reports", reports)
-    told = tuple(each for each in REPORTS if each in told or each.limit(motion) is not None)
+    wanted: tuple[ReportRule, ...] = sequence("reports", reports)
+    wanted = tuple(each for each in REPORTS if each in wanted or each.limit(motion) is not None)
     rules = tuple(rule for rule in RULES if rule.limit_of(motion) is not None)
-    every: tuple[CheckRule | ReportRule, ...] = (*rules, *told)
-    found: dict[str, Sequence[Found]] = dict.fromkeys(RULE_OF, ())
+    every: tuple[CheckRule | ReportRule, ...] = (*rules, *wanted)
+    results: dict[str, Sequence[SpanResult]] = dict.fromkeys(RULE_OF, ())
     checks: list[Check | None] = []
     with shared_values():
         for i, each in enumerate(every):
             if progress is not None:
                 progress(f"{each.name}, {i} of {len(every)}")
             if isinstance(each, CheckRule):
-                found[each.name] = each.findings(motion)
-                checks.append(most_pressing(span.check for span in found[each.name]))
+                results[each.name] = each.span_results(motion)
+                checks.append(worst_of(span.check for span in results[each.name]))
             else:
-                checks.append(each.check(motion, found, gamma))
+                checks.append(each.check(motion, results, gamma))
     return Certificate(motion.duration, tuple(filter(None, checks)))
 
 
 def merged(motion: Motion, parts: Sequence[Certificate]) -> Certificate:
-    """Return what ``certify`` says of a joined motion, given what it has said of its parts.
+    """Return the certificate of a joined motion from the certificates of its parts.
 
     A bound for all of the time is the worst of the bounds for its spans: joining changes
-    coefficients by units in the last place, far less than the margins in every ``worst``. Rules of
-    the ``whole`` are applied anew; where a single part has no joints, only duration and stops.
+    coefficients by units in the last place, far less than the margins in every ``worst``. Rules
+    with ``whole`` are evaluated again; for a single part, which has no joints, only duration and
+    stops.
 
     Parameters
     ----------
     motion: of the parts one after the other, each from where the last one ends.
-    parts: their certificates, whatever they say of the duration.
+    parts: their certificates; any check of duration in them is not used.
     """
     if tracking.TRACKING_RADIUS.limit(motion) is not None:
-        return certify(motion)  # parts keep wider distances, of which their certificates tell
+        return certify(motion)  # parts are certified against wider distances
     begin = float(motion.drones.breaks[0])
-    found: dict[str, list[Check]] = {rule.name: [] for rule in (*RULES, *REPORTS)}
+    of_parts: dict[str, list[Check]] = {rule.name: [] for rule in (*RULES, *REPORTS)}
     for part in parts:
         for check in part.checks:
-            found[check.name].append(replace(check, time=begin + check.time))
+            of_parts[check.name].append(replace(check, time=begin + check.time))
         begin += part.duration
     joints, checks = len(parts) > 1, list[Check | None]()
     for rule in RULES:
-        anew = rule.whole and (joints or rule is DURATION)
-        checks.append(rule.check(motion) if anew else most_pressing(found[rule.name]))
+        again = rule.whole and (joints or rule is DURATION)
+        checks.append(rule.check(motion) if again else worst_of(of_parts[rule.name]))
     for report in REPORTS:
-        known = most_pressing(found[report.name])
+        known = worst_of(of_parts[report.name])
         checks.append(report.check(motion, {}, GAMMA) if report.whole else known)
     return Certificate(motion.duration, tuple(filter(None, checks)))

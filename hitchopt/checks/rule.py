@@ -1,4 +1,4 @@
-"""One record per check: its quantity, when it applies, how it is found, and what eases it."""
+"""One record per check: its quantity, when it applies, how it is evaluated, and its remedy."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from hitchopt.checks.certificate import Check, most_pressing, within
+from hitchopt.checks.certificate import Check, within, worst_of
 from hitchopt.checks.spans import MotionSpans
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.trajectory.enclosed import Bound
@@ -19,12 +19,12 @@ S = TypeVar("S", bound=MotionSpans)
 
 
 @dataclass(frozen=True)
-class Finding:
-    """The worst value that a finder has found; it bounds the quantity for all t.
+class WorstCase:
+    """The worst value of a quantity, which bounds it for all t, with its time and place.
 
     The quantity is about at its worst at ``time`` [s] and ``where``: the names of drones, cables or
-    vertices. ``size`` is the largest length that enters it, as in ``within``, and ``limit`` that of
-    whoever is worst where it is not the rule's, as drones have limits of their own.
+    vertices. ``size`` is the largest length that enters it, as in ``within``. ``limit`` replaces
+    the rule's if the worst item has a limit of its own, as drones do.
     """
 
     worst: float
@@ -38,65 +38,66 @@ class Finding:
     ) -> Check:
         """Return the check of a rule."""
         limit = limit if self.limit is None else self.limit
-        found = (self.worst, limit, rule.sense, rule.unit, self.time, self.where, self.size, gamma)
-        return Check.of(rule.name, *found)
+        values = (self.worst, limit, rule.sense, rule.unit, self.time, self.where, self.size, gamma)
+        return Check.of(rule.name, *values)
 
 
 @dataclass(frozen=True, eq=False)
-class Searched(Generic[S]):
-    """A finder of a formula's worst value over spans of a motion.
+class WorstOverSpans(Generic[S]):
+    """Evaluate a formula's worst value over spans of a motion.
 
     On spans of no length the ``formula`` is the quantity's value. ``sense`` and ``size`` are as in
-    ``Check`` and ``Finding``. The items may have limits of their own (items,), of which the formula
-    is the ``share``.
+    ``Check`` and ``WorstCase``. If items have limits of their own, ``item_limits`` (items,), the
+    formula is the quantity's share of them.
     """
 
-    over: type[S]
+    spans: type[S]
     formula: Callable[[S], Bound]
     sense: str
     size: float | Callable[[Motion], float] = 1.0
-    share: Callable[[Motion], Array] | None = None
+    item_limits: Callable[[Motion], Array] | None = None
 
-    def __call__(self, motion: Motion, limit: float) -> Finding:
+    def __call__(self, motion: Motion, limit: float) -> WorstCase:
         """Return the worst value of a motion."""
-        limits = None if self.share is None else self.share(motion)
+        limits = None if self.item_limits is None else self.item_limits(motion)
         size = self.size(motion) if callable(self.size) else self.size
         aim = within(limit if limits is None else 1.0, self.sense, size, 0.5)
-        found = worst(self.over.of(motion), self.formula, self.sense, target=aim)
+        found = worst(self.spans.of(motion), self.formula, self.sense, target=aim)
         if found.item < 0:
-            return Finding(found.worst, 0.0)
+            return WorstCase(found.worst, 0.0)
         own = None if limits is None else float(limits[found.item])
         value = found.worst * (1.0 if own is None else own)
-        return Finding(value, found.time, (self.over.names(motion)[found.item],), size, own)
+        return WorstCase(value, found.time, (self.spans.names(motion)[found.item],), size, own)
 
     def curve(self, motion: Motion, times: Array) -> Array:
         """Return the formula's worst value over all items at times (samples,) [s]."""
-        breaks, items = motion.drones.breaks, len(self.over.names(motion))
+        breaks, items = motion.drones.breaks, len(self.spans.names(motion))
         piece = np.clip(np.searchsorted(breaks, times, side="right") - 1, 0, len(breaks) - 2)
         x = np.clip((times - breaks[piece]) / motion.drones.durations[piece], 0.0, 1.0)
         every = np.tile(np.arange(items), len(times))
-        spans = self.over(motion, breaks, np.repeat(piece, items), every)
+        spans = self.spans(motion, breaks, np.repeat(piece, items), every)
         points = batches(spans.at(np.repeat(x, items)))
         values = np.concatenate([self.formula(batch).value for batch in points])
-        worst_of = np.max if self.sense == "max" else np.min
-        return np.asarray(worst_of(values.reshape(-1, items), axis=1))
+        extreme = np.max if self.sense == "max" else np.min
+        return np.asarray(extreme(values.reshape(-1, items), axis=1))
 
 
 @dataclass(frozen=True, eq=False)
-class Finder:
-    """Finds a check's quantity, against a limit, on each run of pieces with cables in some states.
+class Evaluator:
+    """Evaluate a check's quantity on each run of pieces with cables in some states.
 
-    Where ``exported``, curves in exported files are held against the limit as well. ``shown`` is
-    what the documentation shows of the code besides a formula that is searched.
+    ``evaluate`` takes the motion and the limit. If ``exported``, curves in exported files are held
+    against the limit as well. ``shown`` lists the code that the documentation prints, in addition
+    to a formula of ``WorstOverSpans``.
     """
 
-    find: Callable[[Motion, float], Finding]
+    evaluate: Callable[[Motion, float], WorstCase]
     states: Set[CableState] = frozenset(CableState)
     exported: bool = False
     shown: tuple[object, ...] = ()
 
 
-class Found(NamedTuple):
+class SpanResult(NamedTuple):
     """The check of one span of time, in which cables are in one of ``states``."""
 
     states: Set[CableState]
@@ -105,28 +106,28 @@ class Found(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class CheckRule:
-    """What the certificate checks, and all that others have to know of it.
+    """A check of the certificate, and its metadata.
 
     Attributes
     ----------
     name, unit, sense: as in ``Check``.
-    limit: the limit, or the function that returns a motion's; None where nothing is to be checked.
-    finders: for cables in different states.
-    remedy: what a user can change.
-    free_remedy: the same while there is no hitch, where it differs.
+    limit: the limit, or a function that returns a motion's; None if there is nothing to check.
+    evaluators: for cables in different states.
+    remedy: change to suggest to the user.
+    free_remedy: remedy while there is no hitch, if it differs.
     ease: the kind of change that repairs try: ``time`` (slower or shorter motion), ``length`` (of
         legs) or ``tension`` (lower, or less weight); empty for none.
-    derivative: the highest derivative of positions by time that enters the quantity. It means
-        nothing where the one below jumps, and slower motion eases whatever has one.
-    whole: whether a joined motion has to be checked anew, its parts not telling of the joints.
-    exported_limit: holds for exported curves in place of the limit.
+    derivative: the highest derivative of positions by time that enters the quantity; 0 for none.
+        It is undefined where the derivative below it jumps. Slower motion eases such a quantity.
+    whole: whether a joined motion is checked as a whole, as its parts do not cover the joints.
+    exported_limit: limit for exported curves, if it differs.
     """
 
     name: str
     unit: str
     sense: str
     limit: float | Callable[[Motion], float | None]
-    finders: tuple[Finder, ...]
+    evaluators: tuple[Evaluator, ...]
     remedy: str = "this plan must not be flown; please report it"
     free_remedy: str = ""
     ease: str = ""
@@ -135,58 +136,56 @@ class CheckRule:
     exported_limit: float | None = None
 
     def limit_of(self, motion: Motion) -> float | None:
-        """Return the limit for a motion; None where the rule has nothing to check in it."""
+        """Return the limit for a motion; None if the rule does not apply to it."""
         here = motion.cable_states
-        if all(here.isdisjoint(finder.states) for finder in self.finders):
+        if all(here.isdisjoint(evaluator.states) for evaluator in self.evaluators):
             return None
         return self.limit(motion) if callable(self.limit) else self.limit
 
     def check(self, motion: Motion, *, exported: bool = False) -> Check | None:
-        """Return the worst over all spans of time in which the rule applies; None without any.
+        """Return the worst over all spans of time in which the rule applies; None if it does not.
 
-        Where ``exported``, the finders and the limit for exported curves are applied.
+        If ``exported``, the evaluators and the limit for exported curves are used.
         """
-        return most_pressing(found.check for found in self.findings(motion, exported=exported))
+        return worst_of(result.check for result in self.span_results(motion, exported=exported))
 
-    def findings(self, motion: Motion, *, exported: bool = False) -> tuple[Found, ...]:
-        """Return what is found on all spans of time in which the rule applies."""
+    def span_results(self, motion: Motion, *, exported: bool = False) -> tuple[SpanResult, ...]:
+        """Return the check of every span of time in which the rule applies."""
         limit, here = self.limit_of(motion), motion.cable_states
         if limit is None:
             return ()
         limit = self.exported_limit if exported and self.exported_limit is not None else limit
         return tuple(
-            Found(finder.states, finder.find(span, limit).check(self, limit))
-            for finder in self.finders
-            if (finder.exported or not exported) and not here.isdisjoint(finder.states)
-            for span in ((motion,) if here <= finder.states else motion.spans(finder.states))
+            SpanResult(evaluator.states, evaluator.evaluate(span, limit).check(self, limit))
+            for evaluator in self.evaluators
+            if (evaluator.exported or not exported) and not here.isdisjoint(evaluator.states)
+            for span in ((motion,) if here <= evaluator.states else motion.spans(evaluator.states))
         )
 
 
-Findings = Mapping[str, Sequence[Found]]
-"""What has been found on a motion, by the rules' names."""
+SpanResults = Mapping[str, Sequence[SpanResult]]
+"""Results of a motion's checks, by the rules' names."""
 
 
 @dataclass(frozen=True, eq=False)
 class ReportRule:
-    """What a certificate reports: a motion, its findings and ``gamma`` tell it.
+    """A quantity that a certificate reports, from a motion, its checks' results and ``gamma``.
 
-    There is no limit unless a motion's requirements state one, which is always checked then, and
-    has remedies.
-
-    A joined motion has to be looked at anew as a ``whole`` where its parts do not tell of what
-    begins in one and ends in the next. Such a value assumes no ``gamma``.
+    It has a limit only if the motion's requirements state one; that is then always checked, and
+    has remedies. With ``whole`` a joined motion is evaluated as a whole, since its parts do not
+    cover what begins in one and ends in the next; such a value assumes no ``gamma``.
     """
 
     name: str
     unit: str
     sense: str
-    find: Callable[[Motion, Findings, float], Finding]
+    evaluate: Callable[[Motion, SpanResults, float], WorstCase]
     whole: bool = False
     limit: Callable[[Motion], float | None] = lambda _: None
     remedy: str = ""
     free_remedy: str = ""
 
-    def check(self, motion: Motion, found: Findings, gamma: float) -> Check:
+    def check(self, motion: Motion, results: SpanResults, gamma: float) -> Check:
         """Return the value as a check, which holds if it is only reported."""
-        limit, told = self.limit(motion), None if self.whole else gamma
-        return self.find(motion, found, gamma).check(self, limit, told)
+        limit, assumed = self.limit(motion), None if self.whole else gamma
+        return self.evaluate(motion, results, gamma).check(self, limit, assumed)

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from hitchopt.checks.clasps import spare_forces
 from hitchopt.checks.drones import Drones, Hovering, tilt, turning_rate, used_thrust
 from hitchopt.checks.objects import SUPPORT, heading_error, spare_friction, turning_reach
-from hitchopt.checks.rule import Finding, Findings, ReportRule
+from hitchopt.checks.rule import ReportRule, SpanResults, WorstCase
 from hitchopt.checks.spans import MotionSpans, concatenated, derivative_margin, shared_values
 from hitchopt.errors import check_time
 from hitchopt.geometry.vectors import column_lengths
@@ -385,7 +385,7 @@ def _resting(motion: Motion, index: int, body: SolidObject) -> tuple[PiecewisePo
     level = np.max(np.linalg.norm(pushed[:, :, :2], axis=2), axis=-1)
     pressing = GRAVITY + np.min(pushed[:, :, 2], axis=-1)
     sliding = (body.friction * pressing - level)[:, :-1] / (1.0 + body.friction)
-    inside = SUPPORT.finders[0].find(motion, 0.0).worst
+    inside = SUPPORT.evaluators[0].evaluate(motion, 0.0).worst
     lean = height * (1.0 + level[:, -1] / pressing[:, -1])
     tipping = inside * pressing[:, -1] / (lean + inside)
     whole = np.minimum(tipping, np.min(bearing, axis=1))
@@ -406,12 +406,12 @@ def _gripped(motion: Motion, index: int, body: SolidObject) -> tuple[PiecewisePo
     return motion.drones.alike(paths), np.column_stack(slack) / body.mass
 
 
-def _find(motion: Motion, _: Findings, __: float) -> Finding:
+def _find(motion: Motion, _: SpanResults, __: float) -> WorstCase:
     """Return the longest time [s] over all times of the command, and about when that is."""
     with np.errstate(all="ignore"):  # coefficients may be anything; nan breaks a limit
         longest, begins = stop_table(motion).longest
     worst = int(np.argmax(longest))
-    return Finding(float(longest[worst]), float(begins[worst]))
+    return WorstCase(float(longest[worst]), float(begins[worst]))
 
 
 RULE = ReportRule("stoppable", "s", "max", _find, whole=True)

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from hitchopt.checks import certify
-from hitchopt.checks.certificate import Certificate, Check, most_pressing
+from hitchopt.checks.certificate import Certificate, Check, worst_of
 from hitchopt.checks.drones import largest_rate
 from hitchopt.checks.registry import RULE_OF, RULES
 from hitchopt.checks.rule import CheckRule
@@ -289,7 +289,7 @@ def _owned(folder: Path, files: Sequence[str]) -> set[str]:
     return {*owned, *files}
 
 
-FLOWN = tuple(rule for rule in RULES if any(finder.exported for finder in rule.finders))
+FLOWN = tuple(rule for rule in RULES if any(evaluator.exported for evaluator in rule.evaluators))
 """Rules of the checks of the exported motion, in their order."""
 
 PLACES = tuple(RULE_OF[name] for name in ("separation", "cable_clearance", "keep_out", "arena"))
@@ -384,7 +384,7 @@ def verify(
     if end < motion.duration - JOINT:
         raise FileError(f"ends at t = {end:g} s, before the plan does, at {motion.duration:g} s")
     position, velocity = (max(each, key=lambda d: d.worst) for each in zip(*apart, strict=True))
-    worst = tuple(filter(None, map(most_pressing, zip(*checks, strict=True))))
+    worst = tuple(filter(None, map(worst_of, zip(*checks, strict=True))))
     return Verdict(end, position, velocity, worst, NOT_CARRIED[recording.smooth])
 
 

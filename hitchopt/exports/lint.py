@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.checks.certificate import Check, most_pressing
+from hitchopt.checks.certificate import Check, worst_of
 from hitchopt.checks.drones import largest_rate
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import FileError, InputError
@@ -229,7 +229,7 @@ def _flown_together(
     for window in (last, *windows):
         reach = max(reach, _reach(window, names))
         for check in _checks(recording, window, limits, None if relative else rules.separation):
-            checks[check.name] = most_pressing([checks.get(check.name), check]) or check
+            checks[check.name] = worst_of([checks.get(check.name), check]) or check
         whole = window if window is last else joined([last, window])
         jumps = [max(jump, largest_jump(whole, order)) for order, jump in enumerate(jumps)]
         longest = max(longest, float(np.max(window.durations)))

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
 from pydantic_core import PydanticCustomError
 
 from hitchopt.checks import Certificate, certify
-from hitchopt.checks.registry import OF_PARTS, RULES
+from hitchopt.checks.registry import MERGEABLE_REPORTS, RULES
 from hitchopt.errors import InputError, OneLine, UnitWarning
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
@@ -411,7 +411,7 @@ class StepPlan:
     @cached_property
     def certificate(self) -> Certificate:
         """Certificate of the motion alone, its duration left open; computed when first needed."""
-        return certify(self.motion.untimed, reports=OF_PARTS)
+        return certify(self.motion.untimed, reports=MERGEABLE_REPORTS)
 
     def remarked(self, words: str) -> StepPlan:
         """Return the same plan, the remarks of its phases with these words at their end."""

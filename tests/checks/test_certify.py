@@ -248,4 +248,4 @@ def test_only_an_infinity_that_holds_is_nothing(sense: str) -> None:
         assert math.isfinite(check.worst)
         assert check.where == ("q0",)
     some = Check.of("x", 3.0, 3.0, sense, "m", 0.0, ())
-    assert max((nothing, some), key=lambda each: each.pressure) is some
+    assert max((nothing, some), key=lambda each: each.utilization) is some

@@ -1,23 +1,23 @@
-"""Checks of the story of the plan: ``continuity``, ``interlacing``, ``duration``.
+"""Checks of continuity, linking and duration: ``continuity``, ``interlacing``, ``duration``.
 
 ``interlacing``: cables are in the states that phases state, from paths alone. The *crossing number*
 of two cables counts how often their chords have passed through each other, with signs. Free cables,
-on the ground or hanging, have 0. A hitch is right when neighbours have ±1 (either sense of turning
-holds) and all others 0; so they have while cables are being tightened, and clasping leads from the
-one to the other. A hitch that is there at first is taken to have been tied with every q going up
-first, which is 1. While it stands its cables cannot pass each other (checks ``equilibrium`` and
-``crossing``), but their chords may, so that these are followed wherever cables are let go later.
-Besides, no drone may fly inside the hanging cable of another.
+on the ground or hanging, have 0. In a valid hitch, and while cables are being tightened, neighbours
+have ±1 (either sense of turning holds) and all others 0; clasping leads from the one to the other.
+An initial hitch is assumed to have been tied with every q going up first, which is 1. While it
+exists its cables cannot pass each other (checks ``equilibrium`` and ``crossing``), but their chords
+may: they are followed if cables are released later. Also, no drone may fly inside the hanging
+cable of another.
 
 A *chord* is the straight line between a cable's drones. Two chords meet only where the volume
 ``(q_j - q_i) · ((r_i - q_i) × (r_j - q_j))`` vanishes. Time is halved until on every span of it the
 chords are certainly *apart*, or *across*: seen along one direction each crosses the other between
 its ends. Chords pass through each other only within spans across, as often, in sum, as the volume's
 sign changes; next to a span apart that sign is certain. So no root has to be found: chords that
-touch, rest in one plane at the very moment of crossing, or turn back there are counted rightly.
+touch, rest in one plane at the moment of crossing, or turn back there are counted correctly.
 
-A drone that pulls its cable through the *sheet* between a hanging cable and its chord is caught
-when both come taut, although their chords need never have met.
+The cable of a drone that flies through the *sheet* between a hanging cable and its chord is caught
+when both are drawn taut, although their chords need never have met.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ import numpy as np
 from hitchopt.checks.cables import LENGTH_LIMIT as SLACK
 from hitchopt.checks.clearance import above_ground, cables_and_drones, chains
 from hitchopt.checks.distances import Flags, Moving, PairSpans, cable_ends, near
-from hitchopt.checks.rule import CheckRule, Finder, Finding
+from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase
 from hitchopt.checks.spans import (
     PART_NAMES,
     clasped_pairs,
@@ -59,10 +59,10 @@ MAX_HALVINGS = 30  # spans halved so often, and still open: a chord runs into an
 
 @dataclass(frozen=True, eq=False)
 class Crossings:
-    """What pairs of cables first < second did in some time; those not listed did nothing.
+    """Crossings of the chords of pairs of cables first < second; pairs not listed have none.
 
-    Their chords passed through each other ``count`` times, with signs, the last time about ``time``
-    [s]. That is not ``certain`` where an end ran into a chord, or time is over while they touch.
+    Chords passed through each other ``count`` times, with signs, the last time about ``time`` [s].
+    The count is not ``certain`` if an end ran into a chord, or if they touch at the end of time.
     """
 
     first: Indices
@@ -73,9 +73,9 @@ class Crossings:
 
 
 def _undecided(moving: Moving, decided: Callable[[PairSpans], Flags]) -> tuple[Indices, Array]:
-    """Return pairs, of all that may touch, and times [s] about which nothing is ever decided.
+    """Return the pairs that may touch, and the times [s] near which they stay undecided.
 
-    All other time is halved until it is, but for pairs of which nothing is at mid time itself:
+    Other spans are halved until decided, except of pairs that are undecided at mid time itself:
     chords that overlap for a while would be halved into 2**MAX_HALVINGS spans.
     """
 
@@ -103,7 +103,7 @@ def _undecided(moving: Moving, decided: Callable[[PairSpans], Flags]) -> tuple[I
 
 
 def chord_crossings(drones: PiecewisePolynomial) -> Crossings:
-    """Return what the chords of drones q0, r0, q1, … of shape (2n, 3) [m] did."""
+    """Return the crossings of the chords of drones q0, r0, q1, … of shape (2n, 3) [m]."""
     moving = Moving(drones.breaks, cable_ends(drones.coefficients))
     rows = [np.zeros((5, 0))]  # pairs, when they may have met, and the volume's sign before, after
 
@@ -139,8 +139,8 @@ def _apart(chords: Array) -> Flags:
     """Return on which spans chords certainly do not touch, as seen along one direction."""
     differences = Enclosed(chords[:, [0, 0, 1, 1]]) - Enclosed(chords[:, [2, 3, 2, 3]])
     along = unit(shortest_offset(differences.middle))
-    found: Flags = np.min(differences.dot(along[:, None]).below.value, axis=1) > APART
-    return found
+    apart: Flags = np.min(differences.dot(along[:, None]).below.value, axis=1) > APART
+    return apart
 
 
 def _across(chords: Array) -> Flags:
@@ -164,8 +164,8 @@ def _sign(chords: Array) -> Array:
     return sign
 
 
-def entered(motion: Motion) -> tuple[Indices, Indices, Array]:
-    """Return drones that fly, or may fly, inside foreign cables that hang, which, and when [s]."""
+def drones_inside_hanging_cables(motion: Motion) -> tuple[Indices, Indices, Array]:
+    """Return drones that may fly inside other hanging cables, these cables, and when [s]."""
     moving = cables_and_drones(motion)
     item, time = _undecided(moving, _off)
     pairs, first = np.unique(item, return_index=True)
@@ -174,7 +174,7 @@ def entered(motion: Motion) -> tuple[Indices, Indices, Array]:
 
 
 def _off(spans: PairSpans) -> Flags:
-    """Return on which spans one direction tells a drone from the whole sheet between q and r.
+    """Return on which spans one direction separates a drone from the sheet between q and r.
 
     A sheet is convex: whatever is on one side of all of its corners is off it.
     """
@@ -198,18 +198,18 @@ def _off(spans: PairSpans) -> Flags:
     return sure
 
 
-JUMP = 1e-6  # [m], [m/s], [m/s²] Largest jump: no drone tells a smaller one from none
+JUMP = 1e-6  # [m], [m/s], [m/s²] Largest jump, far below what a drone can follow
 # States in which neighbours have the crossing number 0; in clasping it changes, else it is 1
 BEFORE = frozenset({CableState.GROUND, CableState.FREE})
-MOST_NAMED = 12  # pairs that ``where`` names at most
-STILL = 1e-6  # drones above the ground move sideways by no more while cables lie on it [m]
-CENTRED = 1e-3  # the middle of two drones that turn about each other moves by no more [m]
-MOSTLY = 0.5  # cables at their full length for a larger share of a phase are not being tightened:
+MAX_NAMED = 12  # maximum number of pairs in ``where``
+MAX_SIDEWAYS = 1e-6  # [m] Largest sideways motion of drones while cables lie on the ground
+MAX_DRIFT = 1e-3  # [m] Largest motion of the middle of two drones that turn about each other
+MAX_TAUT_SHARE = 0.5  # largest share of a tightening phase with cables at their full length:
 # tightening comes to rest there, which takes a few hundredths of its time
 PROBES = np.linspace(0.0, 1.0, 9)  # places on a piece, one of which shows that cables are slack
 
 
-def _largest_jump(motion: Motion, _: float) -> Finding:
+def _largest_jump(motion: Motion, _: float) -> WorstCase:
     """Return the largest jump at a joint of position [m], velocity [m/s] or acceleration [m/s²].
 
     Of drones and objects, and of vertices and legs while the hitch exists.
@@ -220,7 +220,7 @@ def _largest_jump(motion: Motion, _: float) -> Finding:
     legs = tuple(f"{name} {k}" for k in range(motion.team.robots) for name in PART_NAMES[0::2])
     for span in motion.spans(HITCHED_STATE):
         parts += [(span.vertices, span.team.point_names), (span.legs.reshaped(-1, 1), legs)]
-    found = Finding(0.0, float(motion.drones.breaks[0]))
+    worst = WorstCase(0.0, float(motion.drones.breaks[0]))
     for part, names in parts:
         if part.pieces == 1:
             continue
@@ -230,15 +230,15 @@ def _largest_jump(motion: Motion, _: float) -> Finding:
             noise = margin[1:] + margin[:-1] if order else position_margin(motion)
             jump = length(left[1:] - right[:-1]) + noise
             joint, item = np.unravel_index(int(np.argmax(jump)), jump.shape)
-            if jump[joint, item] > found.worst:
+            if jump[joint, item] > worst.worst:
                 time = float(part.breaks[joint + 1])
-                found = Finding(float(jump[joint, item]), time, (names[item],))
-    return found
+                worst = WorstCase(float(jump[joint, item]), time, (names[item],))
+    return worst
 
 
-JUMPS = Finder(_largest_jump, shown=(_largest_jump,))
+JUMPS = Evaluator(_largest_jump, shown=(_largest_jump,))
 
-# Nothing jumps where one piece follows another
+# No jumps at joints of pieces
 CONTINUITY = CheckRule("continuity", "m", "max", JUMP, (JUMPS,), whole=True)
 
 
@@ -247,33 +247,33 @@ DURATION = CheckRule(
     "s",
     "max",
     lambda motion: motion.requirements.limits.duration,
-    (Finder(lambda motion, _: Finding(motion.duration, float(motion.drones.breaks[-1]))),),
+    (Evaluator(lambda motion, _: WorstCase(motion.duration, float(motion.drones.breaks[-1]))),),
     "raise limits.duration, or the limits of motion",
     whole=True,
 )
-"""That of the whole plan, without a margin: the difference of two stored numbers."""
+"""Duration of the plan, without a margin: the difference of two stored numbers."""
 
 
-def _interlaced(motion: Motion, _: float) -> Finding:
-    """Return how many pairs of cables, or single ones, are not in the state that a phase states."""
+def _interlaced(motion: Motion, _: float) -> WorstCase:
+    """Return the number of pairs of cables, or single cables, not in the state of their phase."""
     first, index_of = dict[int, tuple[float, int]](), motion.phases.index
     for phase, pairs, times in _wrong(motion):
         for pair, time in zip(pairs.tolist(), np.broadcast_to(times, len(pairs)), strict=True):
             first[pair] = min(first.get(pair, (np.inf, 0)), (float(time), index_of(phase)))
     if not first:
-        return Finding(0.0, float(motion.drones.breaks[-1]))
-    named = sorted(first, key=lambda pair: (first[pair], pair))[:MOST_NAMED]
+        return WorstCase(0.0, float(motion.drones.breaks[-1]))
+    named = sorted(first, key=lambda pair: (first[pair], pair))[:MAX_NAMED]
     time, index = first[named[0]]
     where = [f"phase {index} ({motion.phases[index].name})"]
     where += [name for pair in named for name in _names(motion.team.layout, pair)]
-    return Finding(float(len(first)), time, tuple(where))
+    return WorstCase(float(len(first)), time, tuple(where))
 
 
 def _wrong(motion: Motion) -> Iterator[tuple[Phase, Indices, Array | float]]:
-    """Yield phases, cables ``i n + i`` and pairs ``i n + j`` that are wrong in them, and when."""
+    """Yield phases, their wrong cables ``i n + i`` and pairs ``i n + j``, and times [s]."""
     layout = motion.team.layout
     clasped = np.sort(clasped_pairs(layout))
-    # A hitch that is there at first has been tied with every q going up first: 1 for neighbours.
+    # An initial hitch is assumed to be tied with every q going up first: 1 for neighbours.
     numbers = np.full(len(clasped), int(motion.formed[0]), dtype=np.intp)
     for state, run in groupby(phase_parts(motion), lambda part: part.phase.state):
         parts = list(run)
@@ -284,7 +284,7 @@ def _wrong(motion: Motion) -> Iterator[tuple[Phase, Indices, Array | float]]:
             start = float(first.motion.drones.breaks[0])
             yield first.phase, clasped[np.abs(numbers) != required], start
         at_last = last.pieces.stop == motion.drones.pieces
-        if hitched and at_last:  # clasps that bear, and parts that keep off each other, hold on
+        if hitched and at_last:  # loaded clasps and separated parts stay linked
             continue
         span = motion.taken(slice(first.pieces.start, last.pieces.stop), [p.phase for p in parts])
         met = chord_crossings(span.drones)
@@ -303,8 +303,8 @@ def _wrong(motion: Motion) -> Iterator[tuple[Phase, Indices, Array | float]]:
             if hitched:
                 continue
             yield part.phase, _contradicted(part.motion), float(part.motion.drones.breaks[0])
-            if state is not CableState.GROUND:  # there drones keep off cables seen from above
-                drone, cable, time = entered(part.motion)
+            if state is not CableState.GROUND:  # on the ground drones stay clear as seen from above
+                drone, cable, time = drones_inside_hanging_cables(part.motion)
                 yield part.phase, pair_of(layout, drone // 2, cable), time
 
 
@@ -317,9 +317,9 @@ def _names(layout: Layout, pair: int) -> list[str]:
 def _contradicted(motion: Motion) -> Indices:
     """Return the cables and pairs, in a phase without a hitch, that are not in its state.
 
-    There are neither legs nor tensions. On the ground no drone moves sideways, and some cable comes
-    nearer to it than one that hangs free may. In clasping, drones at a clasp turn about a point at
-    rest, and some chords meet. While tightened, cables are slack for most of the time.
+    Legs and tensions must be zero. On the ground no drone moves sideways, and some cable is closer
+    to it than a hanging cable may be. In clasping, drones at a clasp turn about a point at rest,
+    and some chords meet. While tightened, cables are slack for most of the time.
     """
     state, n = motion.phases[0].state, motion.team.robots
     alone = np.arange(n) * (n + 1)
@@ -329,7 +329,7 @@ def _contradicted(motion: Motion) -> Indices:
     if state is CableState.GROUND:
         level = motion.drones.coefficients[:, :, :2]
         moved = np.ptp(level, axis=(0, -1)).reshape(n, -1)
-        wrong.append(alone[np.any(moved > STILL, axis=1)])
+        wrong.append(alone[np.any(moved > MAX_SIDEWAYS, axis=1)])
         if above_ground(motion):
             wrong.append(alone)
     elif state is CableState.CLASPING:
@@ -338,18 +338,18 @@ def _contradicted(motion: Motion) -> Indices:
         middles = 0.5 * (c[:, 2 * layout.ahead] + c[:, 2 * layout.behind + 1])
         moved = np.max(np.ptp(middles, axis=(0, -1)), axis=-1)
         if np.any(np.isin(met.first * n + met.second, pairs)):
-            pairs = pairs[moved > CENTRED]
+            pairs = pairs[moved > MAX_DRIFT]
         wrong.append(pairs)
-    elif state is CableState.TIGHTENING and _taut_share(motion) > MOSTLY:
+    elif state is CableState.TIGHTENING and _taut_share(motion) > MAX_TAUT_SHARE:
         wrong.append(alone)
     return np.unique(np.concatenate(wrong))
 
 
 def _taut_share(motion: Motion) -> float:
-    """Return the share of time in which cables are not seen to be slack around the vertices.
+    """Return the share of time in which cables are not provably slack around the vertices.
 
-    Lengths count by tensions: their sum is least where taut cables balance, so that no choice of
-    vertices hides cables that are at their full length.
+    Lengths are weighted by tensions: their sum is least where taut cables balance, so that no
+    choice of vertices hides cables at their full length.
     """
     legs, edges = (
         bernstein.evaluate(vectors[None], PROBES[:, None, None, None])
@@ -367,7 +367,7 @@ INTERLACING = CheckRule(
     "1",
     "max",
     lambda motion: None if np.all(motion.formed) else 0.0,
-    (Finder(_interlaced, FREE_STATES | HITCHED_STATE),),
+    (Evaluator(_interlaced, FREE_STATES | HITCHED_STATE),),
     "place the drones so that cables need not pass each other",
     whole=True,
 )
