@@ -22,7 +22,7 @@ from hitchopt.hitch.requirements import Arena, Limits, Separation
 from hitchopt.mission.problem import DronesStart, Problem, Start, SwarmProblem
 from hitchopt.mission.repair import BUDGET, NO_CHANGE, Suggestion, find_suggestions
 from hitchopt.mission.solving import solve_problem, solve_swarm
-from hitchopt.motion.plan_file import check_asked
+from hitchopt.motion.plan_file import check_request
 from hitchopt.plan import Plan, load
 from hitchopt.steps import STEPS, Settle, Step
 from hitchopt.steps.step import Stage, keys_of, parameters
@@ -61,7 +61,7 @@ def solve(
     with time_limit(seconds, progress) as tell:
         swarm = isinstance(task, SwarmProblem)
         found = solve_swarm(task, tell) if swarm else solve_problem(task, tell)
-    check_asked(task.asked, found.motion)
+    check_request(task.asked, found.motion)
     return Plan(found.motion, found.certificate, task.title)
 
 

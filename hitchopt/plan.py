@@ -19,8 +19,8 @@ from hitchopt.exports.options import ExportOptions
 from hitchopt.hitch import Hitch
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.plan_file import (
-    check_asked,
     check_problem_text,
+    check_request,
     read_plan,
     read_problem_text,
     read_title,
@@ -323,7 +323,7 @@ def read_asked_plan(file: Path) -> tuple[Motion, str]:
         from hitchopt.mission.loading import asked_in  # heavy, as of all files
 
         try:
-            check_asked(asked_in(problem, motion.requirements.objects), motion)
+            check_request(asked_in(problem, motion.requirements.objects), motion)
         except InputError as error:
             words = " ".join(str(error).split())
             raise FileError(f"{file}: the problem in it differs: {words}") from error

@@ -592,5 +592,5 @@ def below_ground(motion: Motion) -> Check | None:
     if motion.requirements.arena is not None:
         return None
     open_ = Arena([-TALL, -TALL, 0.0], [TALL, TALL, TALL])
-    check = ARENA.check(motion.altered(requirements=replace(motion.requirements, arena=open_)))
+    check = ARENA.check(motion.replaced(requirements=replace(motion.requirements, arena=open_)))
     return None if check is None or check.bound >= -TOUCH else check

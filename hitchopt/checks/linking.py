@@ -286,7 +286,9 @@ def _wrong(motion: Motion) -> Iterator[tuple[Phase, Indices, Array | float]]:
         at_last = last.pieces.stop == motion.drones.pieces
         if hitched and at_last:  # loaded clasps and separated parts stay linked
             continue
-        span = motion.taken(slice(first.pieces.start, last.pieces.stop), [p.phase for p in parts])
+        span = motion.slice_pieces(
+            slice(first.pieces.start, last.pieces.stop), [p.phase for p in parts]
+        )
         met = chord_crossings(span.drones)
         pairs = pair_of(layout, met.first, met.second)
         known = np.isin(pairs, clasped)

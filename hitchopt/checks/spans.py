@@ -302,4 +302,4 @@ def phase_parts(motion: Motion) -> Iterator[PhasePart]:
         if len(pieces):
             run = slice(int(pieces[0]), int(pieces[-1]) + 1)
             own = replace(phase, start=float(breaks[run.start]), end=float(breaks[run.stop]))
-            yield PhasePart(phase, run, motion.taken(run, (own,)))
+            yield PhasePart(phase, run, motion.slice_pieces(run, (own,)))

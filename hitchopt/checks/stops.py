@@ -90,7 +90,7 @@ class OnClock(MotionSpans):
 
     def take(self, index: Flags | Indices | slice) -> Self:
         """Return the chosen spans."""
-        return self._on(self.cells.taken(index), index)
+        return self._on(self.cells.select(index), index)
 
     def halves(self) -> Self:
         """Return all first halves by time, then all second halves."""
@@ -179,16 +179,16 @@ class Limited:
         breaks = self.path.breaks
         cells, piece = phases.cut(breaks, 0.0)
         flown = (piece >= 0) & (piece < len(breaks) - 1)
-        cells, piece = cells.taken(flown), piece[flown]
+        cells, piece = cells.select(flown), piece[flown]
         count = max(1, BATCH // self.sizes.shape[2])
         for first in range(0, len(piece), count):
             check_time()
             row = np.arange(first, min(first + count, len(piece)))
             row = row[kept[cells.owner[row]]]
-            rates = rates_of(cells.taken(row))
+            rates = rates_of(cells.select(row))
             where, item = np.nonzero(~self.quick(self.sizes[:, piece[row]], piece[row], *rates))
             row = row[where]
-            spans = self.over.passed(self.source, breaks, cells.taken(row), piece[row], item)
+            spans = self.over.passed(self.source, breaks, cells.select(row), piece[row], item)
             self._decide(spans, kept, HALVINGS)
 
     def _decide(self, spans: OnClock, kept: Flags, halvings: int) -> None:
@@ -361,7 +361,7 @@ def carried_paths(motion: Motion) -> Iterator[tuple[PiecewisePolynomial, Array]]
                 if by is HoldBy.REST and body.rim is None:  # which check support refuses
                     continue
                 phases = motion.overlapping(breaks[first], breaks[last])
-                yield parts(motion.taken(slice(first, last), phases), index, body)
+                yield parts(motion.slice_pieces(slice(first, last), phases), index, body)
 
 
 def _resting(motion: Motion, index: int, body: SolidObject) -> tuple[PiecewisePolynomial, Array]:

@@ -400,7 +400,7 @@ def _planned(motion: Motion, breaks: Array) -> Motion:
     last = motion.phases[-1:]
     phases = motion.phases[:-1] + tuple(replace(p, end=max(p.end, end)) for p in last)
     here = tuple(p for p in phases if p.end > start + JOINT and p.start < end - JOINT)
-    return motion.changed(span, here)
+    return motion.map_curves(span, here)
 
 
 def _deviations(flown: PiecewisePolynomial, motion: Motion) -> list[Deviation]:

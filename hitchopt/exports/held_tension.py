@@ -26,7 +26,7 @@ from hitchopt.errors import InfeasibleError, InputError, UnsupportedError, Viola
 from hitchopt.hitch import Team
 from hitchopt.hitch.flight_controller import DAMPING_RATIO
 from hitchopt.motion.motion import Motion
-from hitchopt.motion.retiming import followed, resting
+from hitchopt.motion.retiming import append_motion, resting
 from hitchopt.motion.states import states_at
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.piecewise import on_breaks
@@ -93,7 +93,7 @@ def held_tension(
     # The largest offset over the largest miss: the integral of the absolute impulse response.
     ratio = min(float(np.min(c / critical)), 1.0 - 1e-9)
     gain = float(1.0 / np.tanh(0.5 * np.pi * ratio / np.sqrt(1.0 - ratio * ratio)))
-    whole = followed(motion.untimed, resting(motion.untimed, REST))
+    whole = append_motion(motion.untimed, resting(motion.untimed, REST))
     step = LONGEST * float(np.min(np.sqrt(masses / k)))
     for halving in range(HALVINGS + 1):
         spans = [
@@ -108,7 +108,7 @@ def held_tension(
         remedy = "fly it slower with --stretch"
         broken = Violation("held_tension", miss, LARGEST_MISS, "max", "m", (), "", remedy)
         raise InfeasibleError([broken], "set points that hold the tension are not found")
-    split = whole.changed(lambda part: on_breaks(part, breaks), whole.phases)
+    split = whole.map_curves(lambda part: on_breaks(part, breaks), whole.phases)
     degree = max(split.drones.degree, DEGREE)
     places = bernstein.elevate(split.drones.coefficients, degree)
     drones = PiecewisePolynomial(breaks, places + bernstein.elevate(offsets.coefficients, degree))

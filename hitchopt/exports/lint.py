@@ -233,7 +233,7 @@ def _flown_together(
         whole = window if window is last else joined([last, window])
         jumps = [max(jump, largest_jump(whole, order)) for order, jump in enumerate(jumps)]
         longest = max(longest, float(np.max(window.durations)))
-        last = window.taken(slice(window.pieces - 1, window.pieces))
+        last = window.slice_pieces(slice(window.pieces - 1, window.pieces))
     values = defaultdict(lambda: math.nan, {name: check.bound for name, check in checks.items()})
     if (fastest := checks.get("speed")) is not None and fastest.bound > SOUND:
         words = f"flies at {fastest.bound:.3g} m/s at t = {fastest.time:g} s, faster than sound"
@@ -333,7 +333,7 @@ def _above(
     ends = np.flatnonzero(np.any(high[1:] != high[:-1], axis=1)) + 1
     for first, last in pairwise([0, *ends.tolist(), fine.pieces]):
         if len(drones := np.flatnonzero(high[first])) > 1:
-            here = fine.taken(slice(first, last))
+            here = fine.slice_pieces(slice(first, last))
             yield here.alike(here.coefficients[:, drones]), drones
 
 

@@ -186,7 +186,7 @@ def drawn_evaluation(found: Evaluation) -> Figure:
     bottom.set_xlabel("t [s]")
     start, end = float(t[0]), float(t[-1])
     phases = [
-        each.lasting(max(each.start, start), min(each.end, end))
+        each.retimed(max(each.start, start), min(each.end, end))
         for each in found.motion.overlapping(start, end)
     ]
     draw_phases([top, bottom], phases, end - start)

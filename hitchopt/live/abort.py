@@ -28,7 +28,14 @@ from hitchopt.hitch.requirements import Requirements
 from hitchopt.live.player import Player
 from hitchopt.motion.motion import JOINT, CableState, Motion, Phase
 from hitchopt.motion.plan_file import write_plan
-from hitchopt.motion.retiming import before, beside_objects, followed, resting, rests, retimed
+from hitchopt.motion.retiming import (
+    append_motion,
+    before,
+    on_clock,
+    rest_breaks,
+    resting,
+    with_last_poses,
+)
 from hitchopt.motion.states import final_hitch
 from hitchopt.objects.placing import STILL, in_world
 from hitchopt.planners.forming.stages import stage, straight
@@ -103,12 +110,12 @@ class Aborts:
 
         Where tensions change, or chords of a swap have not met, there is no rest.
         """
-        still = self.motion.drones.breaks[rests(self.motion)]
+        still = self.motion.drones.breaks[rest_breaks(self.motion)]
         options = [(begin, False) for begin in time + DELAYS if begin < self.motion.duration]
         options += [(each, True) for each in still if each >= time - JOINT]
         for begin, resting_there in sorted(options):
             stop_plan = until_stop(self.motion, float(begin), stop=not resting_there)
-            held = followed(stop_plan.motion, resting(stop_plan.motion, HOLD))
+            held = append_motion(stop_plan.motion, resting(stop_plan.motion, HOLD))
             looked = [RULE_OF[name].check(held) for name in RESTS]
             if all(check is None or check.holds for check in looked):
                 yield stop_plan
@@ -131,7 +138,7 @@ class Aborts:
         around = self._around(time)
         if around is None:
             return time
-        still: list[float] = self.motion.drones.breaks[rests(self.motion)].tolist()
+        still: list[float] = self.motion.drones.breaks[rest_breaks(self.motion)].tolist()
         outside = [each for each in still if self._around(each) is None]
         behind, ahead = [each for each in outside if each < time], max(outside, default=0.0) > time
         if behind:
@@ -147,7 +154,7 @@ class Aborts:
         """
         first = self.motion.phases[0]
         if not self.motion.team.has_cables:
-            return first.lasting(first.start, first.start)
+            return first.retimed(first.start, first.start)
         for phase in reversed(self.motion.phases):
             if phase.start < time + JOINT and phase.state in (CableState.FREE, CableState.GROUND):
                 return phase
@@ -176,10 +183,10 @@ class Aborts:
         if abs(origin - time) > JOINT:
             player = Player(self.motion, time, 0.0)
             player.seek(origin)
-            whole = followed(whole, retimed(self.motion, player.ahead))
+            whole = append_motion(whole, on_clock(self.motion, player.ahead))
         if how in ("hold", "back"):
             phase = self._free_before(time) if how == "back" else None
-            return followed(whole, resting(whole, HOLD, phase))
+            return append_motion(whole, resting(whole, HOLD, phase))
         return _landed(whole, untied=how == "release_and_land")
 
 
@@ -194,12 +201,12 @@ def until_stop(motion: Motion, time: float, *, stop: bool = True) -> Stopped:
     player.step(until)
     if len(clock) and not np.any(clock.jets[0, 2:]):  # the plan runs on, at its own rate
         time += float(clock.duration[0])
-        clock = clock.taken(slice(1, None))
+        clock = clock.select(slice(1, None))
     if time > JOINT:
         parts.append(before(whole, time))
     if len(clock):
-        parts.append(retimed(whole, clock))
-    motion = reduce(followed, parts or [resting(whole, HOLD, first=True)])
+        parts.append(on_clock(whole, clock))
+    motion = reduce(append_motion, parts or [resting(whole, HOLD, first=True)])
     return Stopped(time, float(np.sum(clock.duration)), player.time, motion)
 
 
@@ -227,12 +234,12 @@ def _landed(whole: Motion, *, untied: bool) -> Motion:
     lower = hitch.altitude - (float(np.min(hitch.drones[:, 2])) - need.floor)
     motion = lifted(hitch, lower, "land", task)
     phases = tuple(replace(phase, remark="") for phase in motion.phases)
-    return _followed_by(whole, motion.altered(phases=phases))
+    return _followed_by(whole, motion.replaced(phases=phases))
 
 
 def _followed_by(whole: Motion, motion: Motion) -> Motion:
     """Return two motions in a row, objects staying where the first one leaves them."""
-    return followed(whole, beside_objects(whole, motion))
+    return append_motion(whole, with_last_poses(whole, motion))
 
 
 def straight_down(whole: Motion) -> Motion:

@@ -23,7 +23,7 @@ from hitchopt.errors import InfeasibleError, InputError, OneLine, Progress
 from hitchopt.hitch import GRAVITY
 from hitchopt.live.abort import straight_down, until_stop
 from hitchopt.motion.motion import Motion
-from hitchopt.motion.retiming import followed, resting
+from hitchopt.motion.retiming import append_motion, resting
 from hitchopt.motion.states import States, states_at
 from hitchopt.planners.forming.prehitch import smallest_separation
 from hitchopt.planners.timing.ramps import fastest_clock
@@ -211,7 +211,7 @@ def _sunk_from(motion: Motion, time: float) -> tuple[Motion, Check | None]:
     if np.max(_heights(motion)) > LEAST:
         landing = straight_down(motion)
         checks += [RULE_OF[name].check(landing) for name in LANDED]
-        motion = followed(motion, landing)
+        motion = append_motion(motion, landing)
     return motion, next((each for each in checks if each is not None and not each.holds), None)
 
 
@@ -223,12 +223,12 @@ def _sunk(motion: Motion) -> Motion:
     bounds = (SHARE * bound for bound in (limits.speed, limits.acceleration, limits.jerk))
     down = fastest_clock(depth, *bounds)
     still = resting(motion, down.duration)
-    still = still.changed(lambda part: on_breaks(part, down.breaks), still.phases)
+    still = still.map_curves(lambda part: on_breaks(part, down.breaks), still.phases)
     lower = down.coefficients[:, None, None] * np.array([0.0, 0.0, -1.0])[:, None]
     drones, vertices = (
         part.alike(part.coefficients + lower) for part in (still.drones, still.vertices)
     )
-    return followed(motion, still.altered(drones=drones, vertices=vertices))
+    return append_motion(motion, still.replaced(drones=drones, vertices=vertices))
 
 
 def reacting(task: Task, reaction: Reaction) -> Task:

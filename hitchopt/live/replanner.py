@@ -31,7 +31,7 @@ from hitchopt.hitch.legs import split_slack
 from hitchopt.hitch.model import DroneJets, FlatJets, drone_jets
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.motion.retiming import before, beside_objects, cut, followed, resting
+from hitchopt.motion.retiming import append_motion, before, cut, resting, with_last_poses
 from hitchopt.plan import Plan
 from hitchopt.planners.morph import jets
 from hitchopt.planners.timing.flight import Flight
@@ -256,12 +256,12 @@ class Replanner(OneLine):
             raise InfeasibleError([], "no duration keeps all limits on the way to the goal")
         phase = Phase("retarget", past.phases[-1].step + 1, 0.0, max(brake, shift))
         flight = path.flight(_breaks(brake if path.state.moves else 0.0, shift), brake, shift)
-        fresh = beside_objects(past, flying(flight, path.team, self.requirements, [phase]))
-        ahead = followed(recent, fresh)
+        fresh = with_last_poses(past, flying(flight, path.team, self.requirements, [phase]))
+        ahead = append_motion(recent, fresh)
         found = _certificate(ahead)
         if not found.certified:
             raise infeasible(found, ahead)
-        return Retarget(True, past.duration, followed(past, fresh), ahead, found), end
+        return Retarget(True, past.duration, append_motion(past, fresh), ahead, found), end
 
     def _end(self, outline: Outline, altitude: float) -> Hitch:
         """Return the hitch of a goal, its slack split as now where limits allow that."""
@@ -277,7 +277,7 @@ class Replanner(OneLine):
         duration, breaks = self.motion.duration, self.motion.drones.breaks
         if at > duration + LEAST:
             phase = replace(self.motion.phases[-1], name="hold", remark="")
-            return followed(self.motion, resting(self.motion, at - duration, phase))
+            return append_motion(self.motion, resting(self.motion, at - duration, phase))
         if at > duration - 1e-6:
             return self.motion
         piece = max(int(np.searchsorted(breaks, at - 1e-9)) - 1, 0)

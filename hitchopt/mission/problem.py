@@ -20,7 +20,7 @@ from hitchopt.hitch.requirements import (
     Separation,
     check_requirements,
 )
-from hitchopt.motion.plan_file import asked
+from hitchopt.motion.plan_file import request_fields
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import check_placed
 from hitchopt.planners.carrying.planner import LOOSE
@@ -211,7 +211,7 @@ class Problem(OneLine):
         if not isinstance(self.start, DronesStart):
             altitude = self.start.altitude
             start = {"hitch": {"polygon": self.start.polygon.vertices, "altitude": altitude}}
-        return asked(self.team, self.requirements, start, [*_asked_steps(self)])
+        return request_fields(self.team, self.requirements, start, [*_asked_steps(self)])
 
     @property
     def start_outline(self) -> Outline | None:
@@ -220,7 +220,7 @@ class Problem(OneLine):
 
 
 def _asked_steps(problem: Problem) -> Iterator[dict[str, Any]]:
-    """Yield the request of every step (``motion.plan_file.flown``), without choices of planners.
+    """Yield the request of every step (``motion.plan_file.mission_of``), without choices of planners.
 
     The planner decides outlines around objects, and how high they are.
     """
@@ -324,7 +324,7 @@ class SwarmProblem(OneLine):
         step["objects"] = {name: each.pose for name, each in self.objects.items()}
         if self.duration is not None:
             step["seconds"] = self.duration
-        return asked(self.team, self.requirements, {"drones": self.start}, [step])
+        return request_fields(self.team, self.requirements, {"drones": self.start}, [step])
 
     def __post_init__(self) -> None:
         instance("team", self.team, Swarm)

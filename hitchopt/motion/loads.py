@@ -1,4 +1,4 @@
-"""Tensions that a plan states, and what clasps carry of objects, as its polynomials tell it.
+"""Tensions that a plan states, and loads of objects on clasps, from its polynomials.
 
 An object of mass m rests with its rim on all clasps of a hitch that moves with it. Clasp k carries
 the share ``μ_k`` of its mass, with ``Σ μ_k = 1`` and ``Σ μ_k p_k`` its centre of mass seen from
@@ -28,7 +28,7 @@ from hitchopt.trajectory import bernstein
 from hitchopt.values import Array
 
 ROUNDING = 1e-9
-"""Relative: a tension that is this close to the least stated one draws its cable taut."""
+"""Relative: a tension this close to the least stated one draws its cable taut."""
 
 
 def ranged_phases(motion: Motion) -> NDArray[np.intp]:
@@ -59,10 +59,10 @@ def stated_tensions(motion: Motion) -> Array:
 def tautness(motion: Motion) -> Array:
     """Return how far every cable is drawn taut, from 0 (it hangs free) to 1 (all straight parts).
 
-    Weight and level pull of a hanging cable, and every weight that clasps carry, pass to a taut one
-    by this share (``forces.cable_forces``). It is ``T / T_stated``, T_stated the least that the
-    phase states or the team's, coefficient by coefficient clipped to [0, 1], and 0 while there is
-    no hitch: a polynomial, continuous wherever tensions are.
+    Forces fade by this share from those of a hanging cable without load to those of a taut one
+    (``forces.cable_forces``). It is ``T / T_stated``, T_stated the least tension that the phase
+    states or the team's, each coefficient clipped to [0, 1], and 0 while there is no hitch: a
+    polynomial, continuous wherever tensions are.
 
     Returns
     -------
@@ -79,17 +79,17 @@ def leg_tensions(motion: Motion) -> Array:
 
 
 def lowered(coefficients: Array) -> Array:
-    """Return constants written in degree 0, anything else as it is: products get cheaper."""
+    """Return constants written in degree 0, other polynomials unchanged: products get cheaper."""
     constant = np.all(coefficients == coefficients[..., :1])
     return coefficients[..., :1] if constant else coefficients
 
 
 @dataclass(frozen=True, eq=False)
 class Supports:
-    """How the clasps below an object share its weight.
+    """Shares of an object's weight that the clasps below it carry.
 
-    Shares (…, clasps) of its mass, and gains (…, clasps, 2) [1/m], ``G_k``: by how much a clasp's
-    grows as the point in which the force meets the clasps' plane moves, in the object's frame.
+    Shares (…, clasps) of its mass, and gains (…, clasps, 2) [1/m], ``G_k``: the derivative of a
+    share by the point in which the force meets the clasps' plane, in the object's frame.
     """
 
     shares: Array
@@ -105,7 +105,7 @@ class Supports:
 
 
 def supports_of(motion: Motion, index: int, body: SolidObject) -> Supports:
-    """Return how clasps share an object's weight where each piece begins (pieces, clasps)."""
+    """Return the clasps' shares of an object's weight where each piece begins (pieces, clasps)."""
     places = _places(motion, index)[:, motion.team.layout.clasps]
     return Supports.at(places, body.centre_of_mass[:2])
 
@@ -121,13 +121,13 @@ def object_loads(motion: Motion) -> Array | None:
 
     None where clasps carry no objects.
     """
-    found: list[Array] = []
+    loads: list[Array] = []
     for index, body, on, share in _resting(motion):
         pose = motion.object_poses.coefficients[:, index]
         supports = supports_of(motion, index, body)
         lifted = np.any(np.ptp(pose, axis=-1) > STILL, axis=-1)[:, None, None, None]
         moved = motion.vertices.differentiated(2).coefficients[:, motion.team.layout.clasps]
-        moved = np.where(lifted, moved, 0.0)  # what stands does not move
+        moved = np.where(lifted, moved, 0.0)  # a standing object does not move
         order = max(bernstein.degree(moved), bernstein.degree(share))
         pulled = bernstein.elevate(moved, order).copy()
         pulled[:, :, 2] += GRAVITY * bernstein.elevate(share, order)[:, None]
@@ -138,96 +138,105 @@ def object_loads(motion: Motion) -> Array | None:
         height = body.centre_of_mass[2] - (0.0 if body.rim is None else body.rim.height)
         upward = body.mass * height * np.einsum("pkd,pdi->pki", supports.gains, turned)
         tipped = np.stack([0.0 * upward, 0.0 * upward, upward], axis=2)
-        found += [np.where(on[:, None, None, None], part, 0.0) for part in (own, tipped)]
-    return _total(found)
+        loads += [np.where(on[:, None, None, None], part, 0.0) for part in (own, tipped)]
+    return _total(loads)
 
 
 def saved_lengths(motion: Motion) -> Array | None:
-    """Return what rims save cables of their legs (pieces, n, degree + 1) [m]; None if nothing.
+    """Return the leg lengths that rims save (pieces, n, degree + 1) [m]; None if nothing.
 
     It grows with the square of the share that is borne, as ``strut_shares`` does.
     """
-    found = []
-    for index, body, on, borne in _resting(motion):
+    savings = []
+    for index, body, on, load_share in _resting(motion):
         if body.rim is None or not motion.team.layout.closed:
             continue
         most, places = np.zeros((len(on), motion.team.robots)), _places(motion, index)[on]
         pulls = motion.tensions.coefficients[on, ..., 0]
         most[on] = np.sum(rim_savings(motion.team, body, places, pulls), axis=-1)
-        found.append(most[..., None] * bernstein.multiply(borne, borne)[:, None])
-    return _total(found)
+        savings.append(most[..., None] * bernstein.multiply(load_share, load_share)[:, None])
+    return _total(savings)
 
 
 def strut_shares(motion: Motion) -> Array | None:
-    """Return what rims on clasps take of all edges' pulls (pieces, degree + 1); None if nothing.
+    """Return the share of edges' pulls that rims take (pieces, degree + 1); None if nothing.
 
     It grows with the square of the share that is borne, as ``1 - cos`` of the legs' slope does.
     """
     edges = length(motion.team.layout.edges(motion.vertices.coefficients[..., 0], axis=1))
-    pulls, found = motion.tensions.coefficients[..., 0], []
-    for _, body, on, borne in _resting(motion):
+    pulls, shares = motion.tensions.coefficients[..., 0], []
+    for _, body, on, load_share in _resting(motion):
         most = np.ones(len(on))
         most[on] = strut_share(motion.team, body.mass, edges[on], pulls[on])
-        found.append(most[:, None] * bernstein.multiply(borne, borne))
-    return _total(found)
+        shares.append(most[:, None] * bernstein.multiply(load_share, load_share))
+    return _total(shares)
 
 
 def held_pieces(motion: Motion, name: str, by: HoldBy) -> NDArray[np.bool_]:
-    """Return (pieces,) whether an object is held so."""
+    """Return (pieces,) whether an object is held by rest, or by grip."""
     holds = [p.hold is not None and (p.hold.object, p.hold.by) == (name, by) for p in motion.phases]
     return np.array([*holds, False])[motion.phase_of_piece]
 
 
 def _resting(motion: Motion) -> Iterator[tuple[int, SolidObject, NDArray[np.bool_], Array]]:
-    """Yield objects on clasps: index, itself, (pieces,) where, and the share borne there."""
+    """Yield objects on clasps: index, object, (pieces,) whether it rests there, its load share."""
     for index, (name, body) in enumerate(motion.requirements.objects.items()):
         on = held_pieces(motion, name, HoldBy.REST)
-        borne = np.where(on[:, None], motion.object_shares.coefficients[:, index], 0.0)
-        if np.any(borne):
-            yield index, body, on, borne
+        load_share = np.where(on[:, None], motion.object_shares.coefficients[:, index], 0.0)
+        if np.any(load_share):
+            yield index, body, on, load_share
 
 
-def _total(found: list[Array]) -> Array | None:
-    """Return the sum of polynomials of any degrees; None of none."""
-    order = max((bernstein.degree(part) for part in found), default=0)
-    raised = [bernstein.elevate(part, order) for part in found]
+def _total(parts: list[Array]) -> Array | None:
+    """Return the sum of polynomials of any degrees; None if there are none."""
+    order = max((bernstein.degree(part) for part in parts), default=0)
+    raised = [bernstein.elevate(part, order) for part in parts]
     return sum(raised[1:], raised[0]) if raised else None
 
 
 def _rise(
-    team: Team, mass: float, edges: Array, tensions: Array, borne: Array | float = 1.0
+    team: Team, mass: float, edges: Array, tensions: Array, load_share: Array | float = 1.0
 ) -> Array:
     """Return the angle φ (…) [rad] at which the mean leg rises, given edges' lengths (…, n) [m]."""
     weight = GRAVITY * (mass + team.cable_density * np.sum(edges, axis=-1))
-    slope = borne * weight / (2.0 * np.sum(tensions, axis=-1))
+    slope = load_share * weight / (2.0 * np.sum(tensions, axis=-1))
     return np.asarray(np.arcsin(np.minimum(slope, 1.0)))
 
 
 def strut_share(team: Team, mass: float, edges: Array, tensions: Array) -> Array:
-    """Return the share (…) of edges' pulls that the rim of an object of a mass [kg] takes.
+    """Return the share (…) of edges' pulls that the rim of an object takes.
 
-    Of edges' lengths (…, n) [m] and tensions (…, n) [N].
+    Parameters
+    ----------
+    mass: of the object [kg].
+    edges: lengths (…, n) [m].
+    tensions: (…, n) [N].
     """
     share: Array = 1.0 - np.cos(_rise(team, mass, edges, tensions))
     return share
 
 
 def rim_drop(
-    team: Team, body: SolidObject, places: Array, tensions: Array, borne: Array | float = 1.0
+    team: Team, body: SolidObject, places: Array, tensions: Array, load_share: Array | float = 1.0
 ) -> Array:
     """Return how far vertices are below a rim that lies on their legs (…) [m].
 
-    Legs run on along the edges of their vertex's two neighbours. Of vertices (…, n, 2) [m] in the
-    object's frame, clockwise, tensions (…, n) [N] and the share (…) of the weight on the legs.
+    Legs run on along the edges of their vertex's two neighbours.
+
+    Parameters
+    ----------
+    places: vertices (…, n, 2) [m] in the object's frame, clockwise.
+    tensions: (…, n) [N].
+    load_share: share (…) of the weight on the legs.
     """
     onward, back, edges = _to_rim(body, places)
-    rise = _rise(team, body.mass, edges, tensions, borne)
+    rise = _rise(team, body.mass, edges, tensions, load_share)
     drop: Array = np.mean(onward + back, axis=-1) * 0.5 * np.tan(rise)
     return drop
 
 
 def rim_savings(team: Team, body: SolidObject, places: Array, tensions: Array) -> Array:
-    """Return by how much straight legs q and r are longer than those a rim bends (…, n, 2) [m].
+    """Return how much longer straight legs q and r are than legs bent by a rim (…, n, 2) [m].
 
     Cables run level up to the edge of a rim whose whole weight is on the legs, and only then rise.
     Parameters are those of ``rim_drop``.

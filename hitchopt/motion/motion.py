@@ -1,4 +1,4 @@
-"""Motion of a team: the polynomials of a plan, and what they must satisfy."""
+"""Motion of a team: the polynomials of a plan, its phases and its requirements."""
 
 from __future__ import annotations
 
@@ -71,15 +71,15 @@ class Phase(OneLine):
 
     Attributes
     ----------
-    name: such as ``morph`` or ``hold``; a label that nothing depends on.
-    step: index of the mission's step that it belongs to.
+    name: such as ``morph`` or ``hold``; a label without effect.
+    step: index of its step in the mission.
     start, end: [s]
-    remark: what happens that was not asked for, and why; mostly nothing.
+    remark: deviation from the request and its reason; usually empty.
     state: of the cables.
     tension: smallest and largest tension [N] that the step allows during its motion, None for the
         team's. Part of the problem: the check ``tension`` requires it, and the team's tensions at
         both ends.
-    hold: what the hitch holds, while its cables may touch that; None where it holds nothing.
+    hold: the object that the hitch holds, which its cables may touch; None without one.
     """
 
     name: str
@@ -96,8 +96,8 @@ class Phase(OneLine):
         """Whether the hitch exists."""
         return self.state is CableState.HITCHED
 
-    def lasting(self, start: float, end: float) -> Phase:
-        """Return the same phase at other times [s]."""
+    def retimed(self, start: float, end: float) -> Phase:
+        """Return the phase with other times [s]."""
         return replace(self, start=start, end=end)
 
 
@@ -118,11 +118,11 @@ def check_phases(phases: Sequence[Phase], start: float, end: float) -> None:
 POLYNOMIALS = ("drones", "vertices", "legs", "tensions")
 """Fields of every motion that are polynomials."""
 
-FURTHER = ("leg_tensions", "poses", "borne", "contacts")
-"""Fields that are polynomials where cables slide against friction, or objects are held."""
+OPTIONAL_CURVES = ("leg_tensions", "poses", "borne", "contacts")
+"""Fields that are polynomials only if cables slide against friction or objects are held."""
 
-ROUNDED = 2.0**-40
-"""Shares of a weight this close to 0 or 1 are just that: written in another degree they round."""
+SHARE_TOLERANCE = 2.0**-40
+"""Load shares this close to 0 or 1 are taken as 0 or 1: raising the degree rounds them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,21 +135,21 @@ class Motion(OneLine):
     Parameters
     ----------
     team: the robots that fly.
-    requirements: what the motion must satisfy.
+    requirements: limits, distances, and objects that the motion must respect.
     drones: of shape (2n, 3) [m], in the order q0, r0, q1, r1, …; (N, 3) of single drones.
     vertices: of shape (points, 3) [m]: n points of a closed hitch, n + 1 of a chain.
     legs: of shape (n, 2) [m]: ``d_k``, ``e_k``; zero where a chain's end has none.
     tensions: of shape (n,) [N].
     phases: one after the other, covering all of the time.
     assignment: which robots fly which roles, where that was chosen.
-    leg_tensions: of shape (n, 2) [N], what legs pull with where cables slide against friction; None
-        where every leg pulls with its cable's tension.
+    leg_tensions: of shape (n, 2) [N], if cables slide against friction; None if every leg pulls
+        with its cable's tension.
     poses: of shape (objects, 5): x, y, z [m] of the objects' bases, cosine and sine of their yaws;
-        None where all stay where they stand.
+        None if no object moves.
     borne: of shape (objects,), the share of each object's weight that clasps carry, from 0 (it
-        stands) to 1; None where they carry none.
+        stands) to 1; None if they carry none.
     contacts: of shape (n, 2, 3) [m], where edge k meets and leaves the section that it is wrapped
-        around, the same point if straight; None where all edges are straight.
+        around, the same point if straight; None if all edges are straight.
 
     Raises
     ------
@@ -196,7 +196,7 @@ class Motion(OneLine):
         if any((phase.state == CableState.NONE) is self.team.has_cables for phase in self.phases):
             bound = "none without cables, another state with them"
             states = [str(phase.state) for phase in self.phases]
-            raise InputError("phases.state", states, bound, "give what cables do")
+            raise InputError("phases.state", states, bound, "state what cables do")
         changes = [b.start for a, b in pairwise(self.phases) if a.state != b.state]
         if any(np.min(np.abs(time - breaks)) > JOINT for time in changes):
             remedy = "split the pieces there"
@@ -208,7 +208,7 @@ class Motion(OneLine):
     @property
     def _polynomials(self) -> dict[str, PiecewisePolynomial]:
         own = vars(self)
-        return {name: own[name] for name in POLYNOMIALS + FURTHER if own[name] is not None}
+        return {name: own[name] for name in POLYNOMIALS + OPTIONAL_CURVES if own[name] is not None}
 
     @classmethod
     def single(
@@ -220,7 +220,7 @@ class Motion(OneLine):
     ) -> Motion:
         """Return the motion of drones without a hitch.
 
-        The state of its phases becomes ``none`` where there are no cables.
+        The state of its phases becomes ``none`` if there are no cables.
         """
         shapes = (team.layout.points, 3), (team.robots, 2), (team.robots,)
         vertices, legs, tensions = (
@@ -239,7 +239,7 @@ class Motion(OneLine):
     def untimed(self) -> Motion:
         """The same motion without a limit on its duration."""
         needed = self.requirements.untimed
-        return self if needed is self.requirements else self.altered(requirements=needed)
+        return self if needed is self.requirements else self.replaced(requirements=needed)
 
     @property
     def pulls(self) -> PiecewisePolynomial:
@@ -250,26 +250,26 @@ class Motion(OneLine):
 
     @property
     def object_poses(self) -> PiecewisePolynomial:
-        """Where all objects are, as ``poses``, also where they stay."""
+        """Poses of all objects, as ``poses``; constant if none moves."""
         if self.poses is not None:
             return self.poses
         return PiecewisePolynomial.constant(self.drones.breaks, poses_of(self.requirements.objects))
 
     @property
     def object_shares(self) -> PiecewisePolynomial:
-        """The shares of objects' weights that clasps carry, as ``borne``, also where all are 0.
+        """Shares of objects' weights that clasps carry, as ``borne``; 0 if they carry none.
 
-        Those that differ from 0 or 1 by rounding alone are 0 or 1.
+        Shares that differ from 0 or 1 by rounding alone are 0 or 1.
         """
         if self.borne is None:
             none = np.zeros(len(self.requirements.objects))
             return PiecewisePolynomial.constant(self.drones.breaks, none)
         c, nearest = self.borne.coefficients, np.round(self.borne.coefficients)
-        return self.borne.alike(np.where(np.abs(c - nearest) <= ROUNDED, nearest, c))
+        return self.borne.alike(np.where(np.abs(c - nearest) <= SHARE_TOLERANCE, nearest, c))
 
     @property
     def edge_contacts(self) -> PiecewisePolynomial:
-        """Where edges bend, as ``contacts``, also where all are straight."""
+        """Contacts of all edges, as ``contacts``; the edges' middles if all are straight."""
         if self.contacts is not None:
             return self.contacts
         c, layout = self.vertices.coefficients, self.team.layout
@@ -278,7 +278,7 @@ class Motion(OneLine):
 
     @property
     def cable_states(self) -> frozenset[CableState]:
-        """States of the cables in the phases; of no phases, hitched or without cables."""
+        """States of the cables in the phases; without phases hitched, or none without cables."""
         if not self.phases:
             return frozenset({CableState.HITCHED if self.team.has_cables else CableState.NONE})
         return frozenset(phase.state for phase in self.phases)
@@ -293,21 +293,21 @@ class Motion(OneLine):
         here = self.cable_states
         if here <= states or here.isdisjoint(states):
             return np.full(self.drones.pieces, here <= states)
-        found: NDArray[np.bool_] = np.array([p.state in states for p in self.phases])
-        return found[self.phase_of_piece]
+        in_phase: NDArray[np.bool_] = np.array([p.state in states for p in self.phases])
+        return in_phase[self.phase_of_piece]
 
     @property
     def phase_of_piece(self) -> NDArray[np.intp]:
         """(pieces,): index of the phase in which the middle of each piece lies."""
         middles = 0.5 * (self.drones.breaks[1:] + self.drones.breaks[:-1])
         ends = np.array([phase.end for phase in self.phases[:-1]])
-        here: NDArray[np.intp] = np.searchsorted(ends, middles)
-        return here
+        index: NDArray[np.intp] = np.searchsorted(ends, middles)
+        return index
 
     def spans(self, states: Set[CableState]) -> tuple[Motion, ...]:
         """Return the longest runs of pieces on which the cables are in one of the states.
 
-        Each at its own times, as a motion of the phases that it overlaps.
+        Each keeps its times and has the phases that it overlaps.
         """
         wanted = self._in_states(states)
         if np.all(wanted):  # phases may be shorter than any piece
@@ -315,7 +315,7 @@ class Motion(OneLine):
         edges = np.flatnonzero(np.diff(np.concatenate([[False], wanted, [False]])))
         breaks = self.drones.breaks
         return tuple(
-            self.taken(slice(first, last), self.overlapping(breaks[first], breaks[last]))
+            self.slice_pieces(slice(first, last), self.overlapping(breaks[first], breaks[last]))
             for first, last in edges.reshape(-1, 2).tolist()
         )
 
@@ -324,51 +324,54 @@ class Motion(OneLine):
         start, end = start + JOINT, end - JOINT
         return tuple([p for p in self.phases if p.end > start and p.start < end])
 
-    def taken(self, pieces: slice, phases: Sequence[Phase]) -> Motion:
-        """Return the motion on a run of pieces, at the same times, and its phases."""
-        return self.changed(lambda part: part.taken(pieces), phases)
+    def slice_pieces(self, pieces: slice, phases: Sequence[Phase]) -> Motion:
+        """Return the motion on a run of pieces, at the same times, with these phases."""
+        return self.map_curves(lambda part: part.slice_pieces(pieces), phases)
 
-    def changed(
+    def map_curves(
         self, change: Callable[[PiecewisePolynomial], PiecewisePolynomial], phases: Sequence[Phase]
     ) -> Motion:
-        """Return the motion with all of its polynomials changed alike, and other phases."""
+        """Return the motion with ``change`` applied to every polynomial, and other phases."""
         parts = {name: change(part) for name, part in self._polynomials.items()}
-        return self.altered(phases=tuple(phases), **parts)
+        return self.replaced(phases=tuple(phases), **parts)
 
-    def altered(self, **values: Any) -> Motion:
-        """Return the motion with other values of some fields, which fit it.
+    def replaced(self, **values: Any) -> Motion:
+        """Return the motion with other values of some fields, which must fit it.
 
-        They come from motions that were checked when they were made: only phases are, once more.
+        Only phases are checked: polynomials come from motions that were checked on construction.
         """
-        made, own = object.__new__(Motion), vars(self)
-        vars(made).update({name: own[name] for name in self.__dataclass_fields__} | values)
+        motion, own = object.__new__(Motion), vars(self)
+        vars(motion).update({name: own[name] for name in self.__dataclass_fields__} | values)
         if "phases" in values:
-            check_phases(made.phases, float(made.drones.breaks[0]), float(made.drones.breaks[-1]))
-        return made
+            breaks = motion.drones.breaks
+            check_phases(motion.phases, float(breaks[0]), float(breaks[-1]))
+        return motion
 
     def slowed(self, factor: float) -> Motion:
         """Return the same curves, from t = 0, and phases ``factor`` times as slow."""
-        phases = [p.lasting(factor * p.start, factor * p.end) for p in self.phases]
-        return self.changed(lambda part: part.stretched(factor), phases)
+        phases = [p.retimed(factor * p.start, factor * p.end) for p in self.phases]
+        return self.map_curves(lambda part: part.stretched(factor), phases)
 
 
 def joined_motions(motions: Sequence[Motion]) -> Motion:
     """Return one motion of the given ones in a row, with the first one's team and requirements.
 
-    Objects stand in each where its own requirements say.
+    In each motion, objects that do not move stand where its own requirements place them.
     """
     if len(motions) == 1 and motions[0].poses is None and motions[0].borne is None:
         return motions[0]
     ends = np.cumsum([0.0, *(motion.duration for motion in motions)]).tolist()
     phases = tuple(
-        phase.lasting(start + phase.start, start + phase.end)
+        phase.retimed(start + phase.start, start + phase.end)
         for start, motion in zip(ends, motions, strict=False)
         for phase in motion.phases
     )
     parts: dict[str, Any] = {"drones": joined([motion.drones for motion in motions])}
     for name in POLYNOMIALS[1:]:
         parts[name] = joined([getattr(motion, name) for motion in motions], parts["drones"])
-    used = {name for motion in motions for name in FURTHER if getattr(motion, name) is not None}
+    used = {
+        name for motion in motions for name in OPTIONAL_CURVES if getattr(motion, name) is not None
+    }
     if "leg_tensions" in used:
         parts["leg_tensions"] = joined([motion.pulls for motion in motions]).reshaped(-1, 2)
     if used & {"poses", "borne"}:
@@ -376,4 +379,4 @@ def joined_motions(motions: Sequence[Motion]) -> Motion:
         parts["borne"] = joined([motion.object_shares for motion in motions])
     if "contacts" in used:
         parts["contacts"] = joined([motion.edge_contacts for motion in motions])
-    return motions[0].altered(phases=phases, **parts)
+    return motions[0].replaced(phases=phases, **parts)

@@ -1,9 +1,9 @@
-"""Plan files, plan.npz: piecewise polynomials, exact to the last bit, and what was asked of them.
+"""Plan files, plan.npz: piecewise polynomials, exact to the last bit, and the request they meet.
 
 Polynomials are stored as Bernstein coefficients (pieces, *shape, degree + 1) over common
 ``breaks``, without cables the drones' alone; everything else as JSON under ``settings``. There
-``asked`` says what the plan was asked, robot by robot: whoever reads the file can tell that its
-team, its requirements and the roles of its robots are those.
+``asked`` is the request, robot by robot: readers can verify that the plan's team, requirements and
+roles of robots are those requested.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Quadrotor, Swarm, Team
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.hitch.team import Assignment
-from hitchopt.motion.motion import FURTHER, JOINT, POLYNOMIALS, Motion, Phase
+from hitchopt.motion.motion import JOINT, OPTIONAL_CURVES, POLYNOMIALS, Motion, Phase
 from hitchopt.objects import Rim, Section, SolidObject
 from hitchopt.objects.placing import STILL, check_apart, poses_of
 from hitchopt.storage.archive import BROKEN, read_arrays
@@ -42,7 +42,7 @@ PER_KIND = ("mass", "max_thrust")
 """Fields of a quadrotor, stored as arrays: (n,), one value a robot; (N,) of single drones."""
 
 PER_CONTROLLER: Mapping[str, float] = {"stiffness": math.inf, "integral": 0.0, "feed_forward": 1.0}
-"""Numbers of a quadrotor and their defaults, stored likewise where one is another, which a setting
+"""Numbers of a quadrotor and their defaults, stored likewise if any differs, which the setting
 ``control`` says. A rigid loop is an infinite stiffness, a flag 0 or 1. Named controllers are a
 setting ``controllers`` instead, one or one per kind."""
 
@@ -54,20 +54,22 @@ REMEDY = "do not edit plan files"
 LARGEST = 1e6
 """[m], [N] No coefficient of a plan is larger; sums of such numbers stay far from overflow."""
 
-MOST_STEPS = 2**31
-"""Steps have smaller indices."""
+MAX_STEPS = 2**31
+"""Upper bound of a step's index, exclusive."""
 
 TOLERANCE = 1e-9
 """Relative difference of numbers that are the same, but for turning angles into degrees."""
 
 AT_PLACE = 1e-6
-"""[m] A plan begins, and its steps end, this close to where they were asked to."""
+"""[m] Tolerance of a plan's start, and of the ends of its steps, from the request."""
 
 SLACK = 1e-4
-"""[N] Tensions may be so far out of a range, as in the check ``tension``."""
+"""[N] Tolerance of a range of tensions, as in the check ``tension``."""
 
-OPTIONAL = frozenset({"control", "controllers", "objects", "problem", "assignment", *FURTHER})
-"""Settings that are left out where there are none."""
+OPTIONAL = frozenset(
+    {"control", "controllers", "objects", "problem", "assignment", *OPTIONAL_CURVES}
+)
+"""Settings that are left out if empty."""
 
 LATER = frozenset({"mission", "problem"})
 """Keys of ``asked`` that files of earlier releases do not have."""
@@ -94,7 +96,7 @@ def write_plan(path: Path, motion: Motion, title: str = "", problem: str = "") -
         arrays |= {name: getattr(team, name) for name in PER_ROBOT}
     stored = _settings(motion, title, problem)
     arrays["breaks"] = motion.drones.breaks
-    further = [name for name in FURTHER if name in stored]
+    further = [name for name in OPTIONAL_CURVES if name in stored]
     for name in (*(POLYNOMIALS if team.has_cables else POLYNOMIALS[:1]), *further):
         arrays[name] = getattr(motion, name).coefficients
     text = np.array(json.dumps(stored, allow_nan=False))
@@ -112,13 +114,13 @@ def _columns(team: Team) -> dict[str, list[float]]:
 
 
 def _controlled(team: Team) -> bool:
-    """Return whether any number of any kind's position loop is no default."""
+    """Return whether any number of any kind's position loop differs from its default."""
     columns = _columns(team)
     return any(set(columns[name]) != {plain} for name, plain in PER_CONTROLLER.items())
 
 
 def _settings(motion: Motion, title: str, problem: str) -> dict[str, Any]:
-    """Return what a plan file holds besides arrays, as JSON has it."""
+    """Return the settings of a plan file, as JSON values."""
     team, requirements = motion.team, motion.requirements
     own = {"drones": team.drones}
     if team.has_cables:
@@ -135,11 +137,13 @@ def _settings(motion: Motion, title: str, problem: str) -> dict[str, Any]:
         "arena": requirements.arena,
         "phases": motion.phases,
         "keep_out": requirements.keep_out,
-        "asked": asked_of(motion, problem),
+        "asked": request_of(motion, problem),
         "control": _controlled(team),
         "controllers": controllers if any(controllers) else [],
         "objects": _objects_at_first(motion),
-        **{name: getattr(motion, name) is not None for name in FURTHER},  # arrays that are there
+        **{
+            name: getattr(motion, name) is not None for name in OPTIONAL_CURVES
+        },  # arrays that are there
         "problem": problem,
         "assignment": motion.assignment,
     }
@@ -165,7 +169,7 @@ def read_plan(path: Path) -> Motion:
 
     Raises
     ------
-    FileError: it cannot be read, does not hold a plan, or one that differs from what was asked.
+    FileError: it cannot be read, holds no plan, or one that differs from its request.
     """
     return _read(path, _motion)
 
@@ -181,11 +185,11 @@ def read_problem_text(path: Path) -> str:
 
 
 def check_problem_text(path: Path) -> None:
-    """Raise FileError where the text of a plan's problem file is not the one that was asked."""
+    """Raise FileError if the text of a plan's problem file is not the requested one."""
 
     def check(settings: dict[str, Any], _: Arrays) -> None:
-        here, asked = _digest(settings.get("problem", "")), settings["asked"]
-        if asked.get("problem", here) != here:
+        here, request = _digest(settings.get("problem", "")), settings["asked"]
+        if request.get("problem", here) != here:
             raise InputError("problem", "another text", "the one that was asked", REMEDY)
 
     _read(path, check, labels=True)
@@ -195,8 +199,8 @@ def _digest(problem: str) -> str:
     return hashlib.sha256(problem.encode()).hexdigest()
 
 
-def _read(path: Path, made: Callable[[dict[str, Any], Arrays], T], *, labels: bool = False) -> T:
-    """Return what ``made`` makes of a file's settings and arrays; of ``labels`` read no arrays."""
+def _read(path: Path, build: Callable[[dict[str, Any], Arrays], T], *, labels: bool = False) -> T:
+    """Return what ``build`` makes of a file's settings and arrays; of ``labels`` read no arrays."""
     try:
         head = read_arrays(path, ("format", "settings"))
         if str(head["format"]) != FORMAT:
@@ -206,13 +210,13 @@ def _read(path: Path, made: Callable[[dict[str, Any], Arrays], T], *, labels: bo
             raise InputError("settings", settings, "a mapping", "use a plan that hitchopt wrote")
         names = ["breaks", POLYNOMIALS[0], *PER_KIND]
         names += (*PER_ROBOT, *POLYNOMIALS[1:]) if "robots" in settings["team"] else ()
-        names += [name for name in FURTHER if settings.get(name) is True]
+        names += [name for name in OPTIONAL_CURVES if settings.get(name) is True]
         names += PER_CONTROLLER if settings.get("control") is True else ()
         arrays = {} if labels else read_arrays(path, names)
         for name, array in arrays.items():
             if array.dtype != np.float64:
                 raise InputError(name, array.dtype, "of double precision", "do not convert it")
-        return made(settings, arrays)
+        return build(settings, arrays)
     except BROKEN as error:
         reason = f"not a plan that hitchopt wrote, or a damaged one: {error or repr(error)}"
         if isinstance(error, FileNotFoundError):
@@ -227,7 +231,7 @@ def _read(path: Path, made: Callable[[dict[str, Any], Arrays], T], *, labels: bo
 
 def _motion(settings: dict[str, Any], arrays: Arrays) -> Motion:
     parts = {}
-    for name in (name for name in (*POLYNOMIALS, *FURTHER) if name in arrays):
+    for name in (name for name in (*POLYNOMIALS, *OPTIONAL_CURVES) if name in arrays):
         if arrays[name].size and not np.max(np.abs(arrays[name])) <= LARGEST:
             raise InputError(name, "a coefficient", f"within ±{LARGEST:g}", REMEDY)
         parts[name] = PiecewisePolynomial(arrays["breaks"], arrays[name])
@@ -265,13 +269,13 @@ def _motion(settings: dict[str, Any], arrays: Arrays) -> Motion:
 
 
 def _object(section: dict[str, Any], rim: dict[str, Any] | None, **values: Any) -> SolidObject:
-    """Return an object as it is stored."""
+    """Return an object from its stored values."""
     thin = None if rim is None else Rim(Section(**rim["section"]), rim["height"])
     return SolidObject(Section(**section), rim=thin, **values)
 
 
 def _controller(kind: Quadrotor) -> dict[str, Any] | None:
-    """Return a kind's controller and gains as files store them; None where it has none."""
+    """Return a kind's controller and gains as files store them; None if it has none."""
     if kind.controller is None:
         return None
     return {"controller": kind.controller, "gains": kind.gains and vars(kind.gains)}
@@ -306,9 +310,9 @@ def _stored(key: str, value: Any, kind: Any) -> Any:
 
 
 def _check_phases(motion: Motion) -> None:
-    """Raise InputError for phases of other times, impossible ranges, or holds of what is not there.
+    """Raise InputError for phases with wrong times, tension ranges, or holds of missing objects.
 
-    A motion has verified that they follow one another and cover the pieces.
+    The motion has verified that they follow one another and cover the pieces.
     """
     spans, first = [[phase.start, phase.end] for phase in motion.phases], motion.drones.breaks[0]
     if first != 0.0:
@@ -318,7 +322,7 @@ def _check_phases(motion: Motion) -> None:
         raise InputError("phases", spans, words, REMEDY)
     objects, cables = motion.requirements.objects, range(motion.team.robots)
     for phase in motion.phases:
-        if not 0 <= phase.step < MOST_STEPS:
+        if not 0 <= phase.step < MAX_STEPS:
             raise InputError("phases.step", phase.step, "an index of a step", REMEDY)
         least, most = phase.tension or (1.0, 1.0)
         if not 0.0 < least <= most < np.inf:
@@ -330,11 +334,11 @@ def _check_phases(motion: Motion) -> None:
             raise InputError("phases.hold", vars(hold), bound, REMEDY)
 
 
-def asked_of(motion: Motion, problem: str = "") -> dict[str, Any]:
-    """Return what a motion was asked, in the keys of problem files, with all defaults filled in.
+def request_of(motion: Motion, problem: str = "") -> dict[str, Any]:
+    """Return the request of a motion, in the keys of problem files, with all defaults filled in.
 
-    Values of robots are in the order of the start's robots, which ``assignment`` gives roles. The
-    text of its ``problem`` is there by its digest.
+    Values of robots are in the order of the start's robots, which ``assignment`` gives roles. Of
+    the text of its ``problem`` it has the digest.
     """
     team, first = motion.team, motion.drones.coefficients[0, ..., 0]
     requirements = replace(motion.requirements, objects=_objects_at_first(motion))
@@ -348,11 +352,11 @@ def asked_of(motion: Motion, problem: str = "") -> dict[str, Any]:
         if motion.formed[0]:
             x, y, z = motion.vertices.coefficients[0, ..., 0].T
             start["hitch"] = {"polygon": np.column_stack([x, y]), "altitude": float(np.mean(z))}
-    found = asked(team, requirements, start, flown(motion))
-    return found | {"problem": _digest(problem)}
+    request = request_fields(team, requirements, start, mission_of(motion))
+    return request | {"problem": _digest(problem)}
 
 
-def asked(
+def request_fields(
     team: Team,
     requirements: Requirements,
     start: Mapping[str, Any],
@@ -360,18 +364,18 @@ def asked(
 ) -> dict[str, Any]:
     """Return a team, requirements, a start and a mission as plan files store them.
 
-    Robots are in the order of the start, of which ``hitch``, ``drones`` or both are known. Of the
-    mission's steps there is what ``flown`` returns, as far as it is known.
+    Robots are in the order of the start, which has ``hitch``, ``drones`` or both. Steps of the
+    mission have the keys of ``mission_of`` that are known.
     """
     own: dict[str, Any] = dict(vars(team)) if team.has_cables else {"drones": team.drones}
-    own["quadrotor"] = [_asked_kind(kind) for kind in team.quadrotor]
+    own["quadrotor"] = [_quadrotor_fields(kind) for kind in team.quadrotor]
     limits = _limits(requirements)
     for name in ("tilt", "body_rate"):
         angle = limits.pop(name)
         limits[f"{name}_deg"] = None if angle is None else math.degrees(angle)
     return _written(
         {
-            "start": start,  # compared first: roles tell the order of all else
+            "start": start,  # compared first: roles determine the order of all else
             "team": own,
             "limits": limits,
             "separation": requirements.separation,
@@ -383,7 +387,7 @@ def asked(
     )
 
 
-def _asked_kind(kind: Quadrotor) -> dict[str, Any]:
+def _quadrotor_fields(kind: Quadrotor) -> dict[str, Any]:
     """Return a kind of quadrotor as plan files store it: with a controller, or with numbers."""
     own: dict[str, Any] = {name: getattr(kind, name) for name in PER_KIND}
     if named := _controller(kind):
@@ -400,7 +404,7 @@ def _plain(record: Any) -> Any:
 
 
 def _objects_at_first(motion: Motion) -> dict[str, SolidObject]:
-    """Return objects where they are as the motion begins."""
+    """Return objects with their poses at the motion's start."""
     poses = motion.object_poses.coefficients[0, ..., 0]
     return {
         name: each
@@ -415,8 +419,8 @@ def _steps(motion: Motion) -> list[list[Phase]]:
     return [list(phases) for _, phases in groupby(motion.phases, lambda phase: phase.step)]
 
 
-def flown(motion: Motion) -> list[dict[str, Any]]:
-    """Return what every step does, as ``asked.mission`` in a plan file has it."""
+def mission_of(motion: Motion) -> list[dict[str, Any]]:
+    """Return the result of every step, as in ``asked.mission`` of a plan file."""
     breaks, names, found = motion.drones.breaks, motion.requirements.objects, []
     for phases in _steps(motion):
         last = max(int(np.argmin(np.abs(breaks - phases[-1].end))) - 1, 0)
@@ -437,13 +441,13 @@ def flown(motion: Motion) -> list[dict[str, Any]]:
     return found
 
 
-def check_asked(wanted: Mapping[str, Any], motion: Motion) -> None:
-    """Raise InputError, by its key, where a motion differs from what a problem asks.
+def check_request(wanted: Mapping[str, Any], motion: Motion) -> None:
+    """Raise InputError, by its key, if a motion differs from a problem's request.
 
-    What the problem leaves open is not compared. A step may use less than the range of tensions
-    that it is asked for.
+    Keys that the problem leaves open are not compared. A step may use less than the requested
+    range of tensions.
     """
-    here = asked_of(motion)
+    here = request_of(motion)
     done, steps = here.pop("mission"), wanted["mission"]
     del here["problem"]
     start = {key: here["start"].get(key) for key in wanted["start"]}
@@ -462,7 +466,7 @@ def check_asked(wanted: Mapping[str, Any], motion: Motion) -> None:
 
 
 def _check_same(prefix: str, wanted: Any, found: Any, words: str) -> None:
-    """Raise InputError, by its key, where what is found differs from what is wanted."""
+    """Raise InputError, by its key, if a value differs from the wanted one."""
     there, here = (dict(_leaves(prefix, each)) for each in (wanted, found))
     for key in there | here:
         slack = AT_PLACE if key.startswith(("asked.start", "asked.mission")) else 0.0
@@ -472,7 +476,7 @@ def _check_same(prefix: str, wanted: Any, found: Any, words: str) -> None:
 
 
 def _leaves(key: str, value: Any) -> Iterator[tuple[str, Any]]:
-    """Yield single values, and what is empty, by their keys in the file."""
+    """Yield single values and empty containers by their keys in the file."""
     if isinstance(value, dict) and value:
         for name, each in value.items():
             yield from _leaves(f"{key}.{name}".lstrip("."), each)
@@ -484,7 +488,7 @@ def _leaves(key: str, value: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _same(wanted: Any, found: Any, slack: float) -> bool:
-    """Return whether single values are the same; numbers within TOLERANCE and ``slack``."""
+    """Return whether single values are equal; numbers within TOLERANCE and ``slack``."""
     if any(isinstance(each, bool) or not isinstance(each, int | float) for each in (wanted, found)):
         return type(wanted) is type(found) and bool(wanted == found)
     return math.isclose(wanted, found, rel_tol=TOLERANCE, abs_tol=slack)

@@ -1,4 +1,4 @@
-"""A plan flown on a clock, as a motion of its own."""
+"""Motions cut, joined, slowed, and flown on a clock."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ REST = 1e-6
 """Largest speed [m/s] and acceleration [m/s²] at rest."""
 
 
-def rests(motion: Motion) -> NDArray[np.intp]:
+def rest_breaks(motion: Motion) -> NDArray[np.intp]:
     """Return the breaks, first and last included, at which no drone moves or accelerates."""
     still = np.ones(motion.drones.pieces - 1, dtype=np.bool_)
     for order in (1, 2):
@@ -33,10 +33,10 @@ def cut(motion: Motion, first: int, last: int) -> Motion:
     start, end = motion.drones.breaks[[first, last]].tolist()
     breaks = motion.drones.breaks[first : last + 1] - start
     phases = [
-        phase.lasting(max(phase.start, start) - start, min(phase.end, end) - start)
+        phase.retimed(max(phase.start, start) - start, min(phase.end, end) - start)
         for phase in motion.overlapping(start, end)
     ]
-    return motion.changed(lambda part: part.alike(part.coefficients[first:last], breaks), phases)
+    return motion.map_curves(lambda part: part.alike(part.coefficients[first:last], breaks), phases)
 
 
 def stretched(motion: Motion, factor: float) -> Motion:
@@ -47,18 +47,18 @@ def stretched(motion: Motion, factor: float) -> Motion:
 
 
 LONGEST, SHORTEST = 0.1, 4e-3
-"""[s] Longest piece, on which degree 7 differs from what it is fitted to by little more than
-rounding; and how close to a break of the clock a plan's is left out: short pieces' derivatives
+"""[s] Longest piece, on which degree 7 fits the composed curve to little more than rounding; and
+distance from the clock's breaks within which the plan's are dropped, as derivatives on short pieces
 suffer from rounding."""
 
 ORDERS = 4
-"""Number of derivatives, the zeroth included, that are met at both ends of every piece."""
+"""Number of derivatives, the zeroth included, interpolated at both ends of every piece."""
 
 
-def retimed(motion: Motion, clock: ClockPhases) -> Motion:
-    """Return the motion flown on one clock, from t = 0, with three derivatives met at all breaks.
+def on_clock(motion: Motion, clock: ClockPhases) -> Motion:
+    """Return the motion flown on one clock, from t = 0, with three derivatives exact at all breaks.
 
-    The clock's phases are in a row, within the motion's time.
+    The clock's phases are consecutive and within the motion's time.
     """
     cells, pieces = clock.cut(motion.drones.breaks)
     pieces = np.clip(pieces, 0, motion.drones.pieces - 1)
@@ -75,23 +75,23 @@ def retimed(motion: Motion, clock: ClockPhases) -> Motion:
     smooth = np.flatnonzero(states[1:] == states[:-1])  # else legs and tensions may jump
     runs = pairwise(np.flatnonzero(np.diff(index, prepend=-1, append=-1)).tolist())
     phases = [
-        motion.phases[index[first]].lasting(float(breaks[first]), float(breaks[last]))
+        motion.phases[index[first]].retimed(float(breaks[first]), float(breaks[last]))
         for first, last in runs
     ]
 
     def part(whole: PiecewisePolynomial) -> PiecewisePolynomial:
         left, right = (_jets(whole, *side) for side in sides)
         left[:3, smooth + 1] = right[:3, smooth]
-        found = PiecewisePolynomial.hermite(breaks, left, right)
+        fitted = PiecewisePolynomial.hermite(breaks, left, right)
         if whole is motion.borne:  # whose second derivatives may jump: it must not leave [0, 1]
-            found = PiecewisePolynomial(breaks, np.clip(found.coefficients, 0.0, 1.0))
-        return found
+            fitted = PiecewisePolynomial(breaks, np.clip(fitted.coefficients, 0.0, 1.0))
+        return fitted
 
-    return motion.changed(part, phases)
+    return motion.map_curves(part, phases)
 
 
 def _spaced(times: Array, edges: Array) -> Array:
-    """Return the breaks: all edges, other times that are far enough from these, and more."""
+    """Return all edges, the times beyond SHORTEST of them, and breaks of pieces up to LONGEST."""
     near = np.min(np.abs(times[:, None] - edges), axis=1)
     breaks = np.union1d(edges, times[near > SHORTEST])
     parts = [
@@ -120,30 +120,30 @@ def before(motion: Motion, time: float) -> Motion:
     breaks = motion.drones.breaks
     breaks = np.append(breaks[: np.searchsorted(breaks, time - 1e-9)], time)
     phases = [
-        phase.lasting(phase.start, min(phase.end, time))
+        phase.retimed(phase.start, min(phase.end, time))
         for phase in motion.overlapping(breaks[0], time)
     ]
-    return motion.changed(lambda part: on_breaks(part, breaks), phases)
+    return motion.map_curves(lambda part: on_breaks(part, breaks), phases)
 
 
-def followed(first: Motion, second: Motion) -> Motion:
-    """Return two motions in a row; a phase that goes on in the second one remains one phase."""
+def append_motion(first: Motion, second: Motion) -> Motion:
+    """Return two motions in a row; a phase that continues in the second one remains one phase."""
     motion = joined_motions([first, second])
     count = len(first.phases)
     last, following = motion.phases[count - 1 : count + 1]
-    one = last.lasting(last.start, following.end)
-    if following.lasting(last.start, following.end) != one:
+    one = last.retimed(last.start, following.end)
+    if following.retimed(last.start, following.end) != one:
         return motion
     phases = (*motion.phases[: count - 1], one, *motion.phases[count + 1 :])
-    return motion.altered(phases=phases)
+    return motion.replaced(phases=phases)
 
 
 def resting(
     motion: Motion, seconds: float, phase: Phase | None = None, *, first: bool = False
 ) -> Motion:
-    """Return the motion that stays where another one ends, in a phase or else its last one.
+    """Return a motion at rest at another one's end, in ``phase`` or else in its last one.
 
-    With ``first`` it stays where the other one begins.
+    With ``first`` it rests at the other one's start, by default in its first phase.
     """
     end = (0, ..., 0) if first else (-1, ..., -1)
 
@@ -151,12 +151,12 @@ def resting(
         return PiecewisePolynomial.constant([0.0, seconds], whole.coefficients[end])
 
     own = motion.phases[0 if first else -1] if phase is None else phase
-    return motion.changed(part, [own.lasting(0.0, seconds)])
+    return motion.map_curves(part, [own.retimed(0.0, seconds)])
 
 
-def beside_objects(past: Motion, fresh: Motion) -> Motion:
-    """Return a motion in which objects stay where an earlier one has left them."""
+def with_last_poses(past: Motion, fresh: Motion) -> Motion:
+    """Return the motion ``fresh`` with objects at rest at their last poses in ``past``."""
     if past.poses is None:
         return fresh
-    left = past.poses.coefficients[-1, ..., -1]
-    return fresh.altered(poses=PiecewisePolynomial.constant(fresh.drones.breaks, left))
+    last = past.poses.coefficients[-1, ..., -1]
+    return fresh.replaced(poses=PiecewisePolynomial.constant(fresh.drones.breaks, last))

@@ -18,28 +18,28 @@ from hitchopt.motion.motion import Motion
 from hitchopt.values import Array, as_array, not_negative, positive
 
 UPWARD = np.array([0.0, 0.0, GRAVITY])
-"""[m/s²] What thrusts hold against besides accelerations."""
+"""[m/s²] Added to accelerations: thrusts compensate gravity."""
 
 END_TOLERANCE = 1e-6
-"""[s] Distance of a plan's end from the last regular sample below which it is no sample."""
+"""[s] A plan's end closer than this to the last regular sample is not sampled."""
 
 MAX_SAMPLES = 50_000_000
-"""Largest number of samples; more are refused before any memory is spent on them."""
+"""Maximum number of samples; more are refused before memory is allocated."""
 
 TIME_TOLERANCE = 1e-9
-"""[s] Distance by which a time may lie outside the plan: the rounding of sums of durations."""
+"""[s] A time may lie outside the plan by this much: the rounding of sums of durations."""
 
 AT_REST = ("velocities", "accelerations", "jerks", "cable_force_rates", "vertex_velocities")
 """Fields of states that are zero after a plan's end."""
 
 ITERATIONS = 30
-"""Most corrections of the final hitch's legs and roll; without weight the first ones are exact."""
+"""Maximum corrections of the final hitch's legs and roll; without weight the first is exact."""
 
-CLOSE, STEP, LEVEL = 1e-12, 1e-6, 1e-9
-"""[m], [rad] Largest correction with which they end, difference of roll by which its effect is
-found, and roll that is rounding."""
+CONVERGED, ROLL_STEP, ROLL_ROUNDING = 1e-12, 1e-6, 1e-9
+"""[m], [rad] Largest correction at convergence, step of the finite difference by roll, and roll
+that counts as 0."""
 
-SAME = 1e-6
+MAX_DEVIATION = 1e-6
 """[m] Largest distance of a drone from the recovered hitch's, as for joints of a motion."""
 
 BLOCK = 1 << 20
@@ -54,15 +54,15 @@ class States(OneLine):
     Attributes
     ----------
     t: (…) [s], from the plan's start.
-    formed: (…) whether the hitch exists; of a swarm without cables it never does.
+    formed: (…) whether the hitch exists; never of a swarm without cables.
     positions: of the drones q0, r0, q1, r1, … (…, 2n, 3) [m], or of a swarm's d0, d1, ….
     velocities, accelerations, jerks: (…, 2n, 3) [m/s], [m/s²], [m/s³]. Where pieces join, those of
         the later piece.
     cable_forces: (…, 2n, 3) [N], of the cable on each drone: of its leg (of its edge at a chain's
         end), or of a hanging cable while there is no hitch (``forces.cable_forces``).
     cable_force_rates: (…, 2n, 3) [N/s], their derivatives by time.
-    vertices, vertex_velocities: (…, points, 3) [m], [m/s]. These, legs and tensions mean something
-        only where the hitch is formed.
+    vertices, vertex_velocities: (…, points, 3) [m], [m/s]. These, legs and tensions are meaningful
+        only while the hitch is formed.
     legs: (…, n, 2) [m], ``d_k`` and ``e_k``.
     tensions: (…, n) [N].
     object_poses: (…, objects, 5): x, y, z [m] of their bases, cosine and sine of their yaws.
@@ -122,13 +122,13 @@ class Attitudes:
 
 
 def attitudes(thrusts: Array, thrust_rates: Array, yaw: float = 0.0) -> Attitudes:
-    """Return the attitudes that point thrusts (…, 3) [N] where they must, at a constant yaw.
+    """Return the attitudes that produce thrusts (…, 3) [N] at a constant yaw.
 
     A quadrotor thrusts along its body's z axis only, so the thrust vector and the yaw determine the
     attitude, and their derivatives the body rates (differential flatness: D. Mellinger and V.
     Kumar, "Minimum snap trajectory generation and control for quadrotors", ICRA 2011). Yaw is the
-    first of the angles about the axes z, y, x. Rates are nan where there is no thrust, and where it
-    points along the body's y axis at rest.
+    first of the angles about the axes z, y, x. Rates are nan if the thrust is zero or points along
+    the body's y axis at zero roll.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ def attitudes(thrusts: Array, thrust_rates: Array, yaw: float = 0.0) -> Attitude
 def sample_times(duration: float, rate: float) -> Array:
     """Return (samples,) [s]: every multiple of 1/rate [Hz] from 0, and the plan's end.
 
-    The end is left out where it is within 1e-6 s of the last multiple.
+    The end is left out if it is within 1e-6 s of the last multiple.
 
     Raises
     ------
@@ -173,7 +173,7 @@ def sample_times(duration: float, rate: float) -> Array:
     rate = positive("rate", rate)
     if duration * rate > MAX_SAMPLES:
         bound = f"at most {MAX_SAMPLES / duration:g} Hz"
-        raise InputError("rate", rate, bound, "ask for fewer samples")
+        raise InputError("rate", rate, bound, "request fewer samples")
     times: Array = np.arange(int(duration * rate) + 2) / rate
     times = times[times <= duration]
     return times if duration - times[-1] <= END_TOLERANCE else np.append(times, duration)
@@ -188,10 +188,10 @@ def states_at(motion: Motion, t: ArrayLike) -> States:
     ------
     InputError: no time, a time before the start, or one that is not finite.
     """
-    asked = as_array(t)
-    if asked.size == 0 or not np.all((asked >= -TIME_TOLERANCE) & np.isfinite(asked)):
+    requested = as_array(t)
+    if requested.size == 0 or not np.all((requested >= -TIME_TOLERANCE) & np.isfinite(requested)):
         raise InputError("t", t, "finite times from 0 s on", "count from the plan's start")
-    times = np.minimum(asked, motion.duration)
+    times = np.minimum(requested, motion.duration)
     size = max(1, BLOCK // (3 * len(motion.team.drone_names)))
     blocks = list(iterate_states(motion, times.ravel(), size))
     states: dict[str, Any] = {}
@@ -199,8 +199,8 @@ def states_at(motion: Motion, t: ArrayLike) -> States:
         values = np.concatenate([getattr(block, field.name) for block in blocks])
         states[field.name] = values.reshape((*times.shape, *values.shape[1:]))
     for name in AT_REST:
-        states[name][asked > motion.duration + TIME_TOLERANCE] = 0.0
-    return States(**states | {"t": asked})
+        states[name][requested > motion.duration + TIME_TOLERANCE] = 0.0
+    return States(**states | {"t": requested})
 
 
 def iterate_states(motion: Motion, times: Array, size: int) -> Iterator[States]:
@@ -238,7 +238,7 @@ def final_hitch(motion: Motion) -> Hitch:
     Raises
     ------
     InputError: there is no hitch at the end.
-    UnsupportedError: none has its drones there: cables pull with other tensions than the team's.
+    UnsupportedError: no hitch has its drones there, as cables have other tensions than the team's.
     """
     if not (motion.team.has_cables and motion.formed[-1]):
         remedy = "form one, or go on with the drones at plan.at(plan.duration)"
@@ -258,12 +258,12 @@ def final_hitch(motion: Motion) -> Hitch:
     for _ in range(ITERATIONS):
         longer = np.where(layout.has_leg[:, 0], legs[:, 0] - hitch.legs[:, 0], 0.0)
         there = hitch.drones[raised, 2]
-        higher = tied(hitch.q_legs, hitch.roll + STEP).drones[raised, 2]
-        turned = (drones[raised, 2] - there) * STEP / (higher - there)
+        higher = tied(hitch.q_legs, hitch.roll + ROLL_STEP).drones[raised, 2]
+        turned = (drones[raised, 2] - there) * ROLL_STEP / (higher - there)
         hitch = tied(hitch.q_legs + longer, hitch.roll + np.clip(turned, -0.5, 0.5))
-        if max(np.max(np.abs(longer)), np.max(np.abs(turned))) < CLOSE:
+        if max(np.max(np.abs(longer)), np.max(np.abs(turned))) < CONVERGED:
             break
-    hitch = tied(hitch.q_legs, np.where(np.abs(hitch.roll) < LEVEL, 0.0, hitch.roll))
-    if np.max(np.abs(hitch.drones - drones)) > SAME:
+    hitch = tied(hitch.q_legs, np.where(np.abs(hitch.roll) < ROLL_ROUNDING, 0.0, hitch.roll))
+    if np.max(np.abs(hitch.drones - drones)) > MAX_DEVIATION:
         raise UnsupportedError("the plan's end is no hitch with the team's tensions to go on from")
     return hitch

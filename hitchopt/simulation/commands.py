@@ -108,7 +108,7 @@ def uploaded(motion: Motion, team: Team, *, follows: bool) -> Commands:
         options = ExportOptions(kind.name, hold_tension=held)
         try:
             with tempfile.TemporaryDirectory() as folder:
-                parts = export_motion(motion.altered(team=team), "", options, folder)
+                parts = export_motion(motion.replaced(team=team), "", options, folder)
                 curves = [_read(kind, part, team.drone_names) for part in parts]
             break
         except InfeasibleError as error:

@@ -419,7 +419,7 @@ class StepPlan:
             replace(phase, remark=f"{phase.remark}; {words}" if phase.remark else words)
             for phase in self.motion.phases
         ]
-        plan = StepPlan(self.motion.altered(phases=tuple(phases)), self.after)
+        plan = StepPlan(self.motion.replaced(phases=tuple(phases)), self.after)
         if "certificate" in vars(self):  # independent of remarks
             vars(plan)["certificate"] = self.certificate
         return plan

@@ -56,7 +56,7 @@ class ClockPhases:
         """(phases, 4): jets where each ends."""
         return advanced(self.jets, self.duration)
 
-    def taken(self, index: NDArray[np.bool_] | Indices | slice) -> ClockPhases:
+    def select(self, index: NDArray[np.bool_] | Indices | slice) -> ClockPhases:
         """Return the chosen phases."""
         return ClockPhases(self.owner[index], self.jets[index], self.duration[index])
 

@@ -234,7 +234,7 @@ class PiecewisePolynomial(OneLine):
         first = self.breaks[0]
         return PiecewisePolynomial(first + factor * (self.breaks - first), self.coefficients)
 
-    def taken(self, pieces: slice) -> PiecewisePolynomial:
+    def slice_pieces(self, pieces: slice) -> PiecewisePolynomial:
         """Return a run of pieces (at least one), at the same times."""
         first, last, _ = pieces.indices(self.pieces)
         if last <= first:

@@ -15,7 +15,7 @@ from hitchopt.checks.stops import ClockLimits, stop_phases, stop_table
 from hitchopt.live.abort import Abort, Aborts
 from hitchopt.live.player import Player
 from hitchopt.motion.motion import Motion
-from hitchopt.motion.retiming import retimed
+from hitchopt.motion.retiming import on_clock
 from hitchopt.trajectory.clock_phases import ClockPhases
 from hitchopt.values import Array
 
@@ -29,7 +29,7 @@ def during(motion: Motion, name: str, share: float = 0.5) -> float:
 
 def balanced(motion: Motion, clock: ClockPhases) -> bool:
     """Whether the plan flown on a clock keeps the object, by the checks of plans."""
-    flown = retimed(motion, clock)
+    flown = on_clock(motion, clock)
     checks = [RULE_OF[name].check(flown) for name in ("equilibrium", "support", "grip")]
     return all(check is None or check.holds for check in checks)
 

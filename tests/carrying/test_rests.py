@@ -107,7 +107,7 @@ def carried(motion: Motion, pushed: list[float]) -> Motion:
         c[:, :count, :3] += bernstein.elevate(path, c.shape[-1] - 1)
         return part.alike(c)
 
-    return flown.altered(vertices=off(flown.vertices, 3), poses=off(flown.object_poses, 1))
+    return flown.replaced(vertices=off(flown.vertices, 3), poses=off(flown.object_poses, 1))
 
 
 @pytest.mark.parametrize("pushed", [[0.0] * 3, [0.8, -0.4, 3.0], [-0.8, 0.4, -3.0]])

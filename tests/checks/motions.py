@@ -313,10 +313,10 @@ def with_parts(
     """Return the motion, all of whose functions of time are changed alike, and its phases."""
     before, after = motion.drones.breaks[[0, -1]], change(motion.drones).breaks[[0, -1]]
     phases = [
-        phase.lasting(*np.interp([phase.start, phase.end], before, after).tolist())
+        phase.retimed(*np.interp([phase.start, phase.end], before, after).tolist())
         for phase in motion.phases
     ]
-    return motion.changed(change, phases)
+    return motion.map_curves(change, phases)
 
 
 def cut(part: PiecewisePolynomial) -> PiecewisePolynomial:

@@ -148,7 +148,7 @@ def under(_: int) -> Motion:
     places = [[0.0, 0.0, 3.0], [1.0, 0.0, 3.0], [0.5, 0.15, 1.7], [0.5, 0.3, 3.4]]
     at_rest = PiecewisePolynomial.constant(np.linspace(0.0, 1.0, 101), places)
     motion = free_motion(Team(2, [2.8, 1.9], topology="open"), at_rest)
-    return replace(motion, phases=(motion.phases[0].lasting(0.0, 1.0),))
+    return replace(motion, phases=(motion.phases[0].retimed(0.0, 1.0),))
 
 
 def swarm(seed: int) -> Motion:

@@ -85,7 +85,7 @@ def test_the_certificate_and_the_setpoints_follow_one_law(name: str) -> None:
     is theirs all along, but for what legs are longer by sagging; and nothing jumps."""
     motion = tied()
     phase, (piece, *_) = pieces_of(motion, name)
-    ramp = motion.taken(slice(piece, piece + 1), (phase,))
+    ramp = motion.slice_pieces(slice(piece, piece + 1), (phase,))
     start, span = float(ramp.drones.breaks[0]), ramp.duration
     t = start + span * np.linspace(0.0, 0.999, 2_001)
     states = states_at(motion, t)
@@ -99,7 +99,7 @@ def test_the_certificate_and_the_setpoints_follow_one_law(name: str) -> None:
         return PiecewisePolynomial(ends, bernstein.restrict(part.coefficients, 0.4, 0.6))
 
     only = frozenset({"thrust", "tilt", "body_rate"})
-    for run in (ramp, ramp.changed(middle, (phase,))):
+    for run in (ramp, ramp.map_curves(middle, (phase,))):
         assert_sound(replaced(run, body_rate=1.0), 801, 1e-3, 0.0, only)
     steps = []
     for count in (1_001, 8_001):  # over both ends of the ramp
@@ -131,7 +131,7 @@ def test_a_ramp_rests(part: str) -> None:
 
 def test_a_ramp_is_beside_a_span_without_a_hitch() -> None:
     motion, (_, (piece, *_)) = tied(), pieces_of(tied(), "tension")
-    alone = motion.taken(slice(piece, piece + 2), [p for p in motion.phases if p.formed])
+    alone = motion.slice_pieces(slice(piece, piece + 2), [p for p in motion.phases if p.formed])
     assert check(alone).worst == pytest.approx(0.45, abs=1e-3)
     team = motion.team.tension[:, None]
 

@@ -98,7 +98,7 @@ def test_it_rests_after_its_end_but_must_not_end_early() -> None:
     assert verdict.lost == ()
     assert verdict.position.worst < 1e-9
     with pytest.raises(FileError, match="before the plan does"):
-        verified(motion, motion.drones.taken(slice(0, -1)))
+        verified(motion, motion.drones.slice_pieces(slice(0, -1)))
 
 
 @pytest.mark.parametrize(

@@ -155,7 +155,7 @@ def test_a_part_of_a_motion_has_the_states_of_the_whole_and_what_has_ended_does_
     """Counted from the part's own start."""
     motion = planned("weight_hexagon").motion
     start = float(motion.drones.breaks[2])
-    part = motion.taken(slice(2, None), motion.overlapping(start, motion.duration))
+    part = motion.slice_pieces(slice(2, None), motion.overlapping(start, motion.duration))
     t = part.duration * np.linspace(0.013, 0.987, 7)
     here, there = states_at(part, t), states_at(motion, start + t)
     for name in ("positions", "velocities", "vertices", "cable_forces"):

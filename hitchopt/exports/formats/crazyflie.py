@@ -53,7 +53,7 @@ from hitchopt.exports.recording import (
 from hitchopt.exports.refit import Kind, Scale, best_breaks, breaks_within, fitted, rounded
 from hitchopt.hitch import Team
 from hitchopt.motion.motion import Motion
-from hitchopt.motion.retiming import cut, rests
+from hitchopt.motion.retiming import cut, rest_breaks
 from hitchopt.storage.archive import reading
 from hitchopt.storage.tables import ADVICE, numeric_table, text_lines
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
@@ -110,7 +110,7 @@ class CrazyflieFormat(Format):
             part = cut(motion, starts[-1], end)
             return len(breaks_within(part.drones, self.kind, share, most)) - 1 <= most
 
-        at = rests(motion).tolist()
+        at = rest_breaks(motion).tolist()
         starts = at[:1]
         while starts[-1] < at[-1]:
             fitting = list(takewhile(held, (end for end in at if end > starts[-1])))

@@ -132,7 +132,7 @@ def rise_seconds(team: Team) -> float:
 def reversed_stages(stages: Sequence[Motion]) -> list[Motion]:
     """Return the motions of forming backward in time, which release the hitch."""
     return [
-        each.changed(
+        each.map_curves(
             lambda part: part.reversed(),
             [replace(phase, name=BACKWARD[phase.name]) for phase in each.phases],
         )

@@ -281,7 +281,7 @@ def fly_timed(path: ShapePath, seconds: float) -> Flight:
     while True:
         parts = []
         for i in range(path.vertices.pieces):
-            track = path.vertices.taken(slice(i, i + 1))
+            track = path.vertices.slice_pieces(slice(i, i + 1))
             breaks = np.linspace(track.breaks[0], track.breaks[1], count + 1)
             curves = path_jets(replace(path, vertices=track), breaks)[:3]
             parts.append([polynomials_through(breaks, each) for each in curves])
