@@ -68,7 +68,7 @@ MUTATIONS = (
     Mutation("cables.py", "drones[:, 1::2] - drones[:, 0::2]", "0.9 * (drones[:, 1::2] - drones[:, 0::2])", "form_triangle", "a factor of spans"),
     Mutation("clasps.py", "ahead.cross(behind)", "behind.cross(ahead)", "triangle", "sense of turning"),
     Mutation("clearance.py", "np.concatenate([over, under], axis=2)", "under", "tie_carry_untie", "lower walls missed"),
-    Mutation("clearance.py", "Solid(slab), pose) for slab in each.slabs)", "Solid(slab), pose) for slab in each.slabs[1:])", "grip_drum", "bodies missed"),
+    Mutation("clearance.py", "yield pairs_with_shape(motion, points, names, name, Solid(slab), pose)", "yield from ()", "grip_drum", "bodies missed"),
     Mutation("drones.py", "hover = self.mass * GRAVITY", "hover = -self.mass * GRAVITY", "triangle", "sign of gravity"),
     Mutation("drones.py", "return own + self.load if", "return own - self.load if", "transport", "sign of the cable's pull"),
     Mutation("drones.py", "return self.half * self.scalar", "return 4.0 * self.half * self.scalar", "weight_hexagon", "a factor of legs' weight"),

@@ -1,7 +1,7 @@
-"""Errors as types, the limit of time, and short texts of errors and records.
+"""Error types, the time limit, and short representations of errors and records.
 
-``InputError`` is a mistake in what was given; ``InfeasibleError`` is a well-formed request that
-cannot be met and says what binds; the command line turns them into exit codes 2 and 3.
+``InputError`` is an invalid value; ``InfeasibleError`` is a valid request that cannot be met, with
+the limits that bind. The command line turns them into exit codes 2 and 3.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import Any, NamedTuple
 
 LONGEST, LONGEST_TEXT, SMALL = 100, 30, 8
-"""Most characters of a record's text and of a text in it, and most numbers that are written out."""
+"""Maximum characters of a record's text and of a string in it, and numbers written out."""
 
 
 class OneLine:
@@ -28,14 +28,14 @@ class OneLine:
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
         if "__repr__" not in vars(cls):
-            # What is there already, ``dataclass`` does not replace.
+            # ``dataclass`` does not replace methods that exist.
             cls.__repr__ = cls.__repr__  # type: ignore[method-assign]
 
     def __repr__(self) -> str:
         return one_line(type(self).__name__, self._parts())
 
     def _parts(self) -> Iterator[str]:
-        """Yield what stands between the parentheses."""
+        """Yield the parts between the parentheses."""
         assert is_dataclass(self)
         for field in fields(self):
             value = short(getattr(self, field.name))
@@ -77,12 +77,12 @@ class HitchoptError(Exception):
         return one_line(type(self).__name__, [repr(str(self))])
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Return what makes it anew in another process, whatever it was made of."""
+        """Return how to rebuild it in another process, whatever its constructor takes."""
         return _restored, (type(self), self.args, vars(self))
 
 
-def _restored(kind: type[HitchoptError], told: tuple[object, ...], values: Any) -> HitchoptError:
-    error = kind.__new__(kind, *told)
+def _restored(kind: type[HitchoptError], args: tuple[object, ...], values: Any) -> HitchoptError:
+    error = kind.__new__(kind, *args)
     vars(error).update(values)
     return error
 
@@ -99,10 +99,10 @@ class Place(NamedTuple):
 
 
 class InputError(HitchoptError, ValueError):
-    """A value that is wrong in itself: type, count, range, sign, finiteness or shape.
+    """An invalid value: its type, count, range, sign, finiteness or shape.
 
     ``key`` is its path, such as ``mission[0].morph.polygon``, ``bound`` the end of "must be …",
-    ``remedy`` what to write instead, and ``place`` where it is in a file, if that is known.
+    ``remedy`` the change to make, and ``place`` its place in a file, if known.
     """
 
     def __init__(
@@ -117,17 +117,17 @@ class InputError(HitchoptError, ValueError):
         super().__init__(f"{where}{key} = {_shown(value)}: must be {bound}; {remedy}")
 
     def within(self, parent: str) -> InputError:
-        """Return the same error with its key seen from the enclosing mapping ``parent``."""
+        """Return the error with its key prefixed by that of the enclosing mapping ``parent``."""
         key = _joint_key(parent, self.key)
         return InputError(key, self.value, self.bound, self.remedy, self.place)
 
     def located(self, place_of: Callable[[str], Place | None]) -> InputError:
-        """Return the same error with the place in a file that its key has."""
+        """Return the error with the place of its key in a file."""
         return InputError(self.key, self.value, self.bound, self.remedy, place_of(self.key))
 
 
 MAX_LISTED = 20
-"""Most faults listed for one file."""
+"""Maximum number of faults listed for one file."""
 
 
 class JointInputError(InputError):
@@ -143,11 +143,11 @@ class JointInputError(InputError):
         self.args = ("\n".join(lines),)
 
     def within(self, parent: str) -> JointInputError:
-        """Return the same errors with their keys seen from the enclosing mapping ``parent``."""
+        """Return the errors with their keys prefixed by that of the mapping ``parent``."""
         return JointInputError([error.within(parent) for error in self.errors])
 
     def located(self, place_of: Callable[[str], Place | None]) -> JointInputError:
-        """Return the same errors with the places in a file that their keys have."""
+        """Return the errors with the places of their keys in a file."""
         return JointInputError([error.located(place_of) for error in self.errors])
 
 
@@ -165,7 +165,7 @@ class UnitWarning(UserWarning):
         super().__init__(f"{key}: {words}")
 
     def within(self, parent: str) -> UnitWarning:
-        """Return the same warning with its key seen from the enclosing mapping ``parent``."""
+        """Return the warning with its key prefixed by that of the enclosing mapping ``parent``."""
         return UnitWarning(_joint_key(parent, self.key), self.words)
 
 
@@ -174,7 +174,7 @@ class FileError(HitchoptError):
 
 
 class UnsupportedError(HitchoptError):
-    """A request that hitchopt's interface knows and this version cannot plan yet."""
+    """A valid request that this version cannot plan yet."""
 
 
 @dataclass(frozen=True)
@@ -185,13 +185,13 @@ class Violation(OneLine):
     ----------
     constraint: name of the certificate's check.
     value: the quantity's worst value, in ``unit``.
-    limit: the bound that it breaks, in ``unit``.
+    limit: the violated bound, in ``unit``.
     sense: ``min`` if the value must not be below the limit, ``max`` if not above it.
     unit: unit of both, for example ``m`` or ``ratio``.
     where: names of drones, cables or vertices.
-    when: time in words, for example ``at t = 1.25 s of step 0 (morph)``: some violations are found
-        before the timing.
-    remedy: what to change.
+    when: description of the time, for example ``at t = 1.25 s of step 0 (morph)``, as some
+        violations are found before the timing.
+    remedy: suggested change.
     """
 
     constraint: str
@@ -204,12 +204,12 @@ class Violation(OneLine):
     remedy: str
 
     def __str__(self) -> str:
-        told = self.constraint, self.value, self.limit, self.sense, self.unit, self.where
-        return f"{broken_limit(*told)}{self.when and ' '}{self.when}; {self.remedy}"
+        summary = self.constraint, self.value, self.limit, self.sense, self.unit, self.where
+        return f"{broken_limit(*summary)}{self.when and ' '}{self.when}; {self.remedy}"
 
 
 class InfeasibleError(HitchoptError):
-    """A request that cannot be met: ``violations``, the worst first, and what else was tried."""
+    """A request that cannot be met: ``violations``, worst first, and a ``note`` on attempts."""
 
     def __init__(self, violations: Iterable[Violation], note: str = "") -> None:
         self.violations = tuple(violations)
@@ -219,7 +219,7 @@ class InfeasibleError(HitchoptError):
 
 
 class TimeLimitError(InfeasibleError):
-    """Planning that ended at its time limit: it is not known whether a plan exists."""
+    """Planning ended at its time limit: it is not known whether a plan exists."""
 
 
 def broken_limit(
@@ -229,7 +229,7 @@ def broken_limit(
     relation = "below" if sense == "min" else "above"
     words = f" {unit}" if unit not in {"", "1", "ratio"} else ""
     place = f" at {', '.join(where)}" if where else ""
-    if abs(value) >= sys.float_info.max:  # what contradicts itself; files hold no infinity
+    if abs(value) >= sys.float_info.max:  # a contradiction; files hold no infinity
         value = math.copysign(math.inf, value)
     texts = [f"{value:.6g}", f"{limit:.6g}"]
     for digits in (9, 12, 17):
@@ -257,13 +257,13 @@ def _shown(value: object) -> str:
 # thread only. Loops call check_time; solvers in compiled code receive time_left.
 
 Progress = Callable[[str], None]
-"""Told what is being done now."""
+"""Status callback: called with a message about the current work."""
 
 REMEDY = "allow more seconds (--limit, or limit=), or make the problem easier or smaller"
 
 
 class TimeIsUp(BaseException):
-    """Ends all planning, whatever is tried after refusals: it is no Exception."""
+    """End all planning: no Exception, so that code that tries alternatives does not catch it."""
 
 
 _END: ContextVar[float] = ContextVar("end", default=math.inf)
@@ -272,29 +272,29 @@ _END: ContextVar[float] = ContextVar("end", default=math.inf)
 
 @contextmanager
 def time_limit(seconds: float | None, progress: Progress | None = None) -> Iterator[Progress]:
-    """Limit the time of the context to ``seconds``, if any; an earlier end of an outer one stays.
+    """Limit the time of the context to ``seconds``, if any, and to that of outer contexts.
 
-    Yields a callback for messages about the current work, which the TimeLimitError shows.
+    Yields a status callback; the TimeLimitError shows its last message.
     """
     last = ""
 
-    def tell(message: str) -> None:
+    def report(message: str) -> None:
         nonlocal last
         last = message
         if progress is not None:
             progress(message)
 
-    begun = time.monotonic()
-    end = math.inf if seconds is None else begun + seconds
+    start = time.monotonic()
+    end = math.inf if seconds is None else start + seconds
     if seconds is None or _END.get() <= end:  # an outer limit raises its own error
-        yield tell
+        yield report
         return
     token = _END.set(end)
     try:
-        yield tell
+        yield report
     except TimeIsUp:
         when = f"(last: {last})" if last else ""
-        spent = max(time.monotonic() - begun, seconds)
+        spent = max(time.monotonic() - start, seconds)
         violation = Violation("time limit", spent, seconds, "max", "s", (), when, REMEDY)
         raise TimeLimitError([violation]) from None
     finally:

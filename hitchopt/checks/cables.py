@@ -1,9 +1,9 @@
-"""Checks of the cables: ``cable_length``, ``span``, ``tension``, and what friction makes of pulls.
+"""Checks of the cables: ``cable_length``, ``span``, ``tension``, and friction's range of pulls.
 
-While clasped cables are drawn out, none may be torn before the hitch exists. From the second swap
-on neighbours hold each other, so that a cable no longer runs straight between its drones: their
-distance (``span``) says too little. Every cable then has to reach around the plan's vertices, which
-stand for where the clasps may lie: where it does for some places of the clasps, no cable is taut.
+While clasped cables are being tightened, none may be overstretched before the hitch exists. From
+the second swap on neighbours hold each other, so a cable is not straight between its drones: their
+distance (``span``) does not suffice. Every cable must then reach around the plan's vertices, which
+are possible places of the clasps: if all cables do for some places, none is taut.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from hitchopt.checks.spans import (
     MotionSpans,
     bent_edges,
     cable_names,
+    cached,
+    cached_value,
     leg_vectors,
     magnitude,
-    once,
     same_degree,
-    shared,
     without_shared_zeros,
 )
 from hitchopt.motion.loads import ranged_phases, saved_lengths, stated_tensions
@@ -37,13 +37,13 @@ from hitchopt.values import Array, Indices
 
 Mask = NDArray[np.bool_]
 
-# Relative: 0.2 mm of a cable of 2 m, well below what a knot or a strain of 0.5 N takes up
+# Relative: 0.2 mm of a cable of 2 m, well below the length of a knot or a strain of 0.5 N
 LENGTH_LIMIT = 1e-4
-EXPORTED = 1e-3  # Relative: what files that hold millimetres can keep of a plan's 1e-4
-# [N] A quarter of a thousandth of a usual tension, and far below what a drone could tell
+EXPORTED_LIMIT = 1e-3  # Relative: for files that store millimetres, instead of a plan's 1e-4
+# [N] A quarter of a thousandth of a usual tension, far below what a drone can measure
 TENSION_LIMIT = 1e-4
 RATIO_ORDER = 4  # degree of a weight over a tension: both hardly change on spans that matter
-STILL = 1e-9  # what stays within this of one place rests [m]
+REST_TOLERANCE = 1e-9  # [m] Largest motion at rest
 
 
 class Cables(MotionSpans):
@@ -78,7 +78,7 @@ class Cables(MotionSpans):
         if self.source.contacts is not None:
             arcs = self.read(wrapped_arcs(self.source))
             found = found + arc_lengths(arcs * self.scale[..., None])
-        saved = once(self.source, saved_lengths)
+        saved = cached_value(self.source, saved_lengths)
         return found - 1.0 if saved is None else found - self.scaled(saved) - 1.0
 
     @cached_property
@@ -97,8 +97,8 @@ class Cables(MotionSpans):
         return found * (ratio * ratio) * (1.0 / 24.0)
 
 
-def _used_up(spans: Cables) -> Bound:
-    """Return the largest of ``|leg + edge + leg - L| / L`` and of errors of the plan's own legs."""
+def _length_error(spans: Cables) -> Bound:
+    """Return the largest of ``|leg + edge + leg - L| / L`` and of errors of the plan's legs."""
     heavy = spans.source.team.cable_density > 0.0
     excess = spans.excess + spans.sag if heavy else spans.excess
     stored = spans.scaled(spans.source.legs.coefficients)
@@ -106,12 +106,12 @@ def _used_up(spans: Cables) -> Bound:
     return largest_of([each.norm_above for each in (excess, *errors)])
 
 
-def _too_short(spans: Cables) -> Bound:
+def _shortfall(spans: Cables) -> Bound:
     """Return by how much a clasped cable is too short, over its length."""
     return largest_of([spans.excess.above], 0.0)
 
 
-def _drawn_out(spans: Cables) -> Bound:
+def _span_ratio(spans: Cables) -> Bound:
     """Return the distance of a cable's drones over its length."""
     drones = spans.source.drones.coefficients
     return spans.scaled(drones[:, 1::2] - drones[:, 0::2], noise=spans.noise).norm_above
@@ -121,8 +121,8 @@ def _size(motion: Motion) -> float:
     return magnitude(motion) / float(np.min(motion.team.cable_length))
 
 
-USED_UP = Evaluator(
-    WorstOverSpans(Cables, _used_up, "max"), HITCHED_STATE, True, (Cables.excess, Cables.sag)
+LENGTH_ERROR = Evaluator(
+    WorstOverSpans(Cables, _length_error, "max"), HITCHED_STATE, True, (Cables.excess, Cables.sag)
 )
 
 CABLE_LENGTH = CheckRule(
@@ -131,30 +131,30 @@ CABLE_LENGTH = CheckRule(
     "max",
     LENGTH_LIMIT,
     (
-        USED_UP,
-        Evaluator(WorstOverSpans(Cables, _too_short, "max"), frozenset({CableState.TIGHTENING})),
+        LENGTH_ERROR,
+        Evaluator(WorstOverSpans(Cables, _shortfall, "max"), frozenset({CableState.TIGHTENING})),
     ),
     free_remedy="use a longer cable, or a smaller polygon",
     ease="length",
-    exported_limit=EXPORTED,
+    exported_limit=EXPORTED_LIMIT,
 )
-"""How far cables are from being used up; while drawn out, by how much they are too short."""
+"""Relative error of a cable's length; while being tightened, by how much it is too short."""
 
 SPAN = CheckRule(
     "span",
     "1",
     "max",
     1.0,
-    (Evaluator(WorstOverSpans(Cables, _drawn_out, "max", _size), FREE_STATES, exported=True),),
+    (Evaluator(WorstOverSpans(Cables, _span_ratio, "max", _size), FREE_STATES, exported=True),),
     "use a longer cable, a smaller polygon, or place the drones closer together",
     ease="length",
 )
 """The largest distance of a free cable's drones over its length: a longer one hangs."""
 
 
-@shared
+@cached
 def _leg_and_edge(motion: Motion) -> list[Array]:
-    """Return what every drone's leg pulls with, and its cable [N], without their shared factor."""
+    """Return the pull of every drone's leg, and its cable's tension [N], without shared factors."""
     tension = np.repeat(motion.tensions.coefficients, 2, axis=1)
     return without_shared_zeros([motion.pulls.coefficients, tension])
 
@@ -173,7 +173,7 @@ class Slides(Drones):
 
 
 def slips(spans: Slides) -> Bound:
-    """Return by how much of the tension a leg's pull is more than friction allows.
+    """Return the excess of a leg's pull over friction's range, relative to the tension.
 
     It is between ``e^{-μ θ}`` and ``e^{μ θ}`` times the edge's. A quotient of polynomials, the
     divisor positive, lies between those of their coefficients.
@@ -186,7 +186,7 @@ def slips(spans: Slides) -> Bound:
 
 
 def beyond_friction(motion: Motion) -> WorstCase:
-    """Return by how much of the tension a leg's pull is more than friction allows, at most."""
+    """Return the largest excess of a leg's pull over friction's range, relative to the tension."""
     found = worst(Slides.of(motion), slips, "max")
     point = motion.team.layout.anchors[found.item]
     return WorstCase(found.worst, found.time, (f"p{point}",))
@@ -196,8 +196,8 @@ def _find(motion: Motion, _: float) -> WorstCase:
     """Return the largest jump of a tension or thrust, or distance of a tension to its range [N].
 
     While the hitch exists every cable pulls with the team's tension, or within the range that its
-    phase states, and on a ramp from 0 to the team's; legs with what friction makes of it. Without a
-    hitch tensions and pulls count as 0, whatever the plan says of them.
+    phase states, and on a ramp from 0 to the team's; legs within friction's range of it. Without a
+    hitch tensions and pulls count as 0, whatever the plan states.
     """
     found = [_jump_of_pulls(motion), _jump_of_thrusts(motion)]
     if np.any(motion.formed):
@@ -247,7 +247,7 @@ def _at_joint(values: Array, times: Array, names: Sequence[str]) -> WorstCase:
 def _outside(
     motion: Motion, over: type[Cables] | type[Slides], pulls: Array, ranges: Array
 ) -> WorstCase:
-    """Return how far pulls (pieces, items, …) are outside of ranges (2, pieces, items) [N]."""
+    """Return the distance of pulls (pieces, items, …) to ranges (2, pieces, items) [N]."""
     margin = ROUNDING * np.max(np.abs(pulls))
 
     def beyond(spans: MotionSpans) -> Bound:
@@ -268,7 +268,7 @@ def _outside(
 def _off_at_ends(motion: Motion) -> WorstCase:
     """Return how far tensions are from the team's where phases that state a range begin or end.
 
-    Not where an object is held before and after: the range is that of a grasp, of all its steps.
+    Except where an object is held before and after: the range is that of a grasp, of all its steps.
     """
     index = np.concatenate([[-1], ranged_phases(motion), [-1]])
     held = [phase.hold is not None for phase in motion.phases] or [False]
@@ -284,13 +284,15 @@ def _off_at_ends(motion: Motion) -> WorstCase:
 
 
 def _ramps(motion: Motion) -> Mask:
-    """Return (pieces, n) where tensions rise after, or fall before, a span without a hitch.
+    """Return (pieces, n) whether tensions rise after, or fall before, a span without a hitch.
 
-    Nothing moves meanwhile, and it ends where the team's tension is reached.
+    Nothing moves on a ramp, and it ends where the team's tension is reached.
     """
     resting, free = motion.formed, ~motion.formed
     for part in (motion.drones, motion.vertices):
-        resting = resting & (np.max(np.ptp(part.coefficients, axis=-1), axis=(1, 2)) <= STILL)
+        resting = resting & (
+            np.max(np.ptp(part.coefficients, axis=-1), axis=(1, 2)) <= REST_TOLERANCE
+        )
     ends = motion.tensions.coefficients[..., [0, -1]]
     low = motion.team.tension[:, None] - ends > TENSION_LIMIT
     found = np.zeros(low.shape[:2], dtype=np.bool_)

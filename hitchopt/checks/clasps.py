@@ -2,8 +2,8 @@
 
 At clasp k meet the q-leg and the edge of cable k and the r-leg and the edge of cable k-1. Cable k
 is borne by its drones with half of its legs, by clasp k with half of its q-leg and edge, by clasp
-k+1 with half of its edge and r-leg. With all of its length used up (check ``cable_length``) ``d_k +
-l_k = L_k - e_k``, so that norms of legs alone tell the weights.
+k+1 with half of its edge and r-leg. As the parts add up to its length (check ``cable_length``),
+``d_k + l_k = L_k - e_k``: norms of legs alone determine the weights.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase
 from hitchopt.checks.spans import (
     MotionSpans,
     bent_edges,
+    cached,
     derivative_margin,
     edge_vectors,
     leg_vectors,
     same_degree,
-    shared,
     without_shared_zeros,
 )
 from hitchopt.geometry.vectors import column_lengths, unit
@@ -38,20 +38,20 @@ from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
 from hitchopt.trajectory.search import Extremum, worst
 from hitchopt.values import Array, Indices
 
-LIMIT = 5e-3  # Relative to the tension: the vertex then stands within millimetres of its place
+BALANCE_LIMIT = 5e-3  # Relative to the tension: the vertex is then within millimetres of its place
 BACKWARD = -180.0  # [deg] The smallest angle there is; also that of an edge without direction
 TURN = 1e-6  # [deg] Rounding of the sum of all angles, which of a polygon are whole turns
 ROLLED = 175.0  # [deg] From this roll on a clasp counts as open: at 180° both cables run straight
-ROUGH = 3  # degree of what is multiplied to tell open clasps: they are far from others
+ROUGH_ORDER = 3  # degree of factors that detect open clasps, which are far from closed ones
 OWN = np.array([0, 1])  # Legs that are at the clasp: q of the cable ahead, r of that behind
 
 
 def both_cables(motion: Motion) -> Indices:
-    """Return the cables that hold each other at clasps (clasps, 2): that ahead, that behind."""
+    """Return the cables at clasps (clasps, 2): the one ahead, the one behind."""
     return np.stack([motion.team.layout.ahead, motion.team.layout.behind], axis=1)
 
 
-@shared
+@cached
 def clasp_sizes(motion: Motion) -> dict[str, Array]:
     """Return the sizes of forces at clasps, (pieces, clasps, 2, degree + 1) of both cables.
 
@@ -156,12 +156,12 @@ class Clasps(MotionSpans):
 
     @cached_property
     def carried(self) -> Enclosed:
-        """[N] What the clasp carries of both cables."""
+        """[N] Weight of both cables on the clasp."""
         return self.size("weights") - self.size("leg_halves") * self.others
 
     @staticmethod
     def weighed(motion: Motion) -> bool:
-        """Return whether clasps carry anything."""
+        """Return whether clasps carry weight."""
         return any(np.any(clasp_sizes(motion)[name]) for name in ("weights", "loads"))
 
     @cached_property
@@ -175,7 +175,7 @@ class Clasps(MotionSpans):
 
     @cached_property
     def residual(self) -> Enclosed:
-        """``P_q q̂_k + P_k u_k + P_r r̂_{k-1} - P_{k-1} u_{k-1} - W_k ẑ`` and what objects add."""
+        """``P_q q̂_k + P_k u_k + P_r r̂_{k-1} - P_{k-1} u_{k-1} - W_k ẑ`` and loads of objects."""
         found = self.forces.sum()
         if self.weighed(self.source):
             found = found - self.carried.sum().upward() + self.pressed
@@ -183,7 +183,7 @@ class Clasps(MotionSpans):
 
     @cached_property
     def contact(self) -> Enclosed:
-        """What each cable presses on the other with, such as ``W^k ẑ - (P_q q̂_k + P_k u_k)`` [N].
+        """Force of each cable on the other, such as ``W^k ẑ - (P_q q̂_k + P_k u_k)`` [N].
 
         ``W^k`` is the weight on itself and half of the clasp's load.
         """
@@ -204,9 +204,9 @@ class Clasps(MotionSpans):
 
 
 def _over(force: Enclosed, spans: Clasps) -> Bound:
-    """Return what a force, or its size, over the smaller tension does not rise above.
+    """Return the upper bound of a force, or its size, over the smaller tension.
 
-    Infinite where a tension is not positive.
+    It is infinite where a tension is not positive.
     """
     c, tensions = same_degree(force.c, spans.size("edges").c)
     sizes = c if c.shape[1] == 1 else column_lengths(c)[:, None]
@@ -230,11 +230,11 @@ def _lifted(spans: Clasps) -> Bound:
     The clasp bears where ``C·q̂_k < 0``, ``C·u_k < 0``, ``C·r̂_{k-1} > 0`` and ``C·u_{k-1} < 0``;
     with friction, which tilts C along the cables, where that is so of the means of each cable's
     two. Unloaded, each is ``-2 T cos²(φ/2) cos²(ψ/2)`` of a roll ψ and an exterior angle φ: what it
-    is at ROLLED is added, so that a clasp counts as open from there on.
+    is at ROLLED is added, so a clasp counts as open from there on.
     """
-    legs, edges = (way.reduced(ROUGH) for way in spans.along)
+    legs, edges = (way.reduced(ROUGH_ORDER) for way in spans.along)
     ways = [legs, edges] if spans.source.leg_tensions is None else [(legs + edges) * 0.5]
-    products = [spans.contact.reduced(ROUGH).dot(way) for way in ways]
+    products = [spans.contact.reduced(ROUGH_ORDER).dot(way) for way in ways]
     most = [np.max(each.c + np.asarray(each.r)[..., None, None], axis=1) for each in products]
     share = math.cos(math.radians(0.5 * ROLLED)) ** 2
     margin = 0.5 * share * (chosen(edges, 0) - chosen(edges, 1)).norm_above.value ** 2
@@ -243,15 +243,15 @@ def _lifted(spans: Clasps) -> Bound:
 
 
 def _rolled(spans: Clasps) -> Bound:
-    """Return what is negative where a clasp has rolled by less than ROLLED, whatever it carries.
+    """Return a bound that is negative where a clasp has rolled by less than ROLLED, for any load.
 
-    With V the sum of what its legs pull with, D their difference and ū = u_k + u_{k-1}, its sine is
+    With V the sum of its legs' pulls, D their difference and ū = u_k + u_{k-1}, its sine is
     ``D·(V × ū) |V|`` over the same as its cosine ``(D·ū) V² - (D·V) (ū·V)``. Legs of clasps that
     carry much could wind around their edges in contact.
     """
-    pulls = (spans.along[0] * spans.pulls[0]).reduced(ROUGH)
+    pulls = (spans.along[0] * spans.pulls[0]).reduced(ROUGH_ORDER)
     q, r = chosen(pulls, 0), chosen(pulls, 1)
-    ahead = (chosen(spans.along[1], 0) - chosen(spans.along[1], 1)).reduced(ROUGH)
+    ahead = (chosen(spans.along[1], 0) - chosen(spans.along[1], 1)).reduced(ROUGH_ORDER)
     whole, apart = q + r, q - r
     cosine = apart.dot(ahead) * whole.dot(whole) - apart.dot(whole) * ahead.dot(whole)
     sine, least = apart.dot(whole.cross(ahead)).range, cosine.below
@@ -262,9 +262,9 @@ def _rolled(spans: Clasps) -> Bound:
 def _find(motion: Motion, limit: float) -> WorstCase:
     """Return the largest force residual at a clasp over the smaller of its cables' tensions.
 
-    What friction cannot make of a tension counts as unbalanced, and so does what an object lacks.
-    Cables have to press on each other as well, at all times and whatever the weight: otherwise
-    either may have passed through the other, and the clasp is infinitely far from balance.
+    Pulls beyond friction count as unbalanced, and so do forces that an object lacks. Cables must
+    also press on each other at all times, for any weight: otherwise either may have passed through
+    the other, and the residual is infinite.
     """
     names = Clasps.names(motion)
     found = worst(Clasps.of(motion), _balance, "max", target=within(limit, "max"))
@@ -273,11 +273,11 @@ def _find(motion: Motion, limit: float) -> WorstCase:
     each = [WorstCase(found.worst, found.time, where), unbalanced(motion)]
     if motion.leg_tensions is not None:
         each.append(beyond_friction(motion))
-    return max(each, key=lambda finding: finding.worst)
+    return max(each, key=lambda case: case.worst)
 
 
 def _opened(motion: Motion, found: Extremum) -> tuple[str, ...]:
-    """Say that a clasp is open, and the roll of its pair, if it is that which is wrong there."""
+    """Return that a clasp is open, with the roll of its pair, if its forces balance otherwise."""
     breaks = motion.drones.breaks
     piece = max(0, int(np.searchsorted(breaks, found.time)) - 1)
     share = (found.time - breaks[piece]) / motion.drones.durations[piece]
@@ -288,11 +288,11 @@ def _opened(motion: Motion, found: Extremum) -> tuple[str, ...]:
 
 
 def spare_forces(motion: Motion) -> Array:
-    """Return which loads may be added at clasps (pieces, clasps) [N] with all forces balanced.
+    """Return the loads that may be added at clasps (pieces, clasps) [N] with all forces balanced.
 
-    Half of what is added to a clasp enters the products of ``contact``.
+    Half of a load added to a clasp enters the products of ``contact``.
     """
-    spare = LIMIT - _find(motion, LIMIT).worst
+    spare = BALANCE_LIMIT - _find(motion, BALANCE_LIMIT).worst
     spare = min(spare, -2.0 * worst(Clasps.of(motion), _lifted, "max").worst)
     weakest: Array = np.min(edge_tensions(motion)[:, both_cables(motion)], axis=(2, 3))
     return spare * weakest
@@ -301,15 +301,15 @@ def spare_forces(motion: Motion) -> Array:
 FORMULAS = (_balance, Clasps.residual, _lifted, _rolled, Clasps.contact, slips, lacking)
 
 EQUILIBRIUM = CheckRule(
-    "equilibrium", "1", "max", LIMIT, (Evaluator(_find, HITCHED_STATE, shown=FORMULAS),)
+    "equilibrium", "1", "max", BALANCE_LIMIT, (Evaluator(_find, HITCHED_STATE, shown=FORMULAS),)
 )
 
 
-@shared
+@cached
 def _corners(motion: Motion) -> Array:
     """Return the edges behind and ahead of corners, seen from above (pieces, corners, 2, 2, …).
 
-    Besides its clasps a chain has a corner from its last edge to its first one reversed.
+    In addition to its clasps a chain has a corner from its last edge to its first one reversed.
     """
     edges, layout = edge_vectors(motion)[:, :, :2], motion.team.layout
     both = np.stack([edges[:, layout.behind], edges[:, layout.ahead]], axis=2)
@@ -329,8 +329,8 @@ class Corners(MotionSpans):
 def _exterior(spans: Corners) -> Bound:
     """Return the angles [deg] by which the outline turns right.
 
-    Of a chain's ends it is what they leave of once around. Seen from the angle at mid span the
-    others are small; past 180° angles start again at -180°.
+    For a chain's ends it is the rest of a full turn. Relative to the angle at mid span the others
+    are small; beyond 180° angles start again at -180°.
     """
     edges = spans.read(_corners(spans.source))
     behind, ahead = (Enclosed(edges[:, i], spans.noise) for i in (0, 1))
@@ -348,8 +348,8 @@ def _exterior(spans: Corners) -> Bound:
 def _turns(motion: Motion, _: float) -> WorstCase:
     """Return the smallest exterior angle in degrees, seen from above; ``where`` names the vertex.
 
-    Or 360° less all turning at the start where that is negative: of a polygon that goes around its
-    inside more than once, or of a chain, whose ends ``where`` names.
+    If negative, it is 360° less all turning at the start: of a polygon that winds around its inside
+    more than once, or of a chain, whose ends ``where`` names.
     """
     found, start = worst(Corners.of(motion), _exterior, "min"), motion.vertices.breaks[0]
     layout, points = motion.team.layout, motion.team.point_names

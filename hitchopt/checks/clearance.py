@@ -1,14 +1,14 @@
-"""What drones and cables keep off: walls, other cables, prisms and objects.
+"""Clearances of drones and cables from walls, other cables, prisms and objects.
 
 Checks ``arena``, ``cable_clearance``, ``keep_out`` and ``object_clearance``.
 
-Taut cables are straight. A cable that hangs between its drones is a catenary. Taking off and
+Taut cables are straight. A cable that hangs between its drones is a catenary. During take-off and
 landing, cables lie on the ground at least in part, in between their drones.
 
-On a span of time a hanging cable is stood in for by the points of the catenary at fixed μ, its
-steepness taken from mid time and its height difference from the polynomials themselves. The
-catenary is never farther from that chain than a bound on how it bends between the points, plus
-¼ (L + |h|) of how far its steepness is from that of mid time (see ``hitchopt.hitch.catenary``).
+On a span of time a hanging cable is replaced by a chain through points of the catenary at fixed μ,
+with the steepness of mid time and the height difference of the polynomials. The distance of the
+catenary from that chain is at most a bound on its bend between the points, plus ¼ (L + |h|) times
+the deviation of its steepness from that of mid time (see ``hitchopt.hitch.catenary``).
 
 Objects are slabs, convex sections between two heights. Their support functions, and the direction
 out of one to the nearest point of what moves, are all that ``hitchopt.checks.distances`` needs.
@@ -48,12 +48,12 @@ from hitchopt.checks.spans import (
     MotionSpans,
     cable_names,
     cable_parts,
+    cached,
     concatenated,
     magnitude,
     part_name,
     phase_parts,
     position_margin,
-    shared,
 )
 from hitchopt.geometry.vectors import dot, unit
 from hitchopt.hitch.catenary import (
@@ -74,20 +74,20 @@ from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.trajectory.search import worst
 from hitchopt.values import Array, Indices
 
-# [m] How far exported curves may pass a wall, as those of a drone at rest on the floor do
-EXPORTED = -1e-4
+# [m] Exported curves may pass a wall by this much, as of a drone at rest on the floor
+EXPORTED_LIMIT = -1e-4
 SHARES = np.array([0.0, 0.25, 0.5, 0.75, 1.0])[:, None, None]
-"""Places along a span between which it sags: the polygon of these is below a parabola as deep."""
+"""Places along a span: the polygon through its sagged points there is below the parabola."""
 
-HALVINGS = 25  # Halvings of a segment in search of its nearest point: it is found within 3e-8 of it
+HALVINGS = 25  # Halvings of a segment in search of its nearest point, to 3e-8 of its length
 
 
 @dataclass(frozen=True, eq=False)
 class Solid(Shape):
-    """A slab that points, segments and other upright slabs keep off.
+    """A slab, as an obstacle for points, segments and other upright slabs.
 
-    Of another slab, whose ``rounding`` is given, the corners of the core are known, those of its
-    floor first; what is round about that core is added to the slab that stands still.
+    Another slab is given by the corners of its core, those of its floor first; its ``rounding`` is
+    added to this slab.
     """
 
     slab: Slab
@@ -115,7 +115,7 @@ class Solid(Shape):
         return self.slab.clearance(first + share[..., None] * along).normals
 
     def _beside(self, corners: Array, rounding: float) -> Array:
-        """Return the same of upright slabs; level ones are those in which a side is nearest."""
+        """Return the directions out of it to upright slabs, level if a side is nearest."""
         floor = corners[..., : corners.shape[-2] // 2, :2]
         sides = np.stack([floor, np.roll(floor, -1, axis=-2)], axis=-2)
         flat = np.concatenate([sides, np.zeros_like(sides[..., :1])], axis=-1)
@@ -131,11 +131,11 @@ class Solid(Shape):
 
 
 def from_above(slab: Slab) -> Solid:
-    """Return a body as seen from above, where heights do not count."""
+    """Return a body as seen from above, regardless of heights."""
     return Solid(Slab(slab.section, -TALL, TALL))
 
 
-def past(
+def pairs_with_shape(
     motion: Motion,
     points: Enclosed,
     names: Sequence[str],
@@ -144,9 +144,9 @@ def past(
     pose: Enclosed | None = None,
     **further: Any,
 ) -> Moving:
-    """Return what moves past a shape that has a name; ``further`` as in Moving.
+    """Return the pairs of moving points and a named shape; ``further`` as in Moving.
 
-    The shape is that of an object as seen from its pose, if there is one.
+    If a pose is given, the shape is in its frame.
     """
     seen = points if pose is None else seen_from(pose, points)
     size = magnitude(motion) + sum(slab.size for slab in _obstacles(motion))
@@ -157,24 +157,24 @@ def past(
 
 
 def _obstacles(motion: Motion) -> list[Slab]:
-    """Return all prisms and the parts of all objects."""
+    """Return the slabs of all prisms and objects."""
     prisms, objects = motion.requirements.keep_out, motion.requirements.objects.values()
     return [prism.slab for prism in prisms] + [slab for each in objects for slab in each.slabs]
 
 
 def _placed(motion: Motion) -> Iterator[tuple[str, SolidObject, Enclosed]]:
-    """Yield the names of objects, these, and their poses (pieces,)."""
+    """Yield the names of objects, the objects, and their poses (pieces,)."""
     poses = motion.object_poses.coefficients
     for index, (name, each) in enumerate(motion.requirements.objects.items()):
         yield name, each, Enclosed(poses[:, index])
 
 
 def carried(motion: Motion) -> Iterator[Moving]:
-    """Yield objects that move past the ground, and past all others.
+    """Yield pairs of moving objects and the ground, and of moving objects and all others.
 
-    One may touch what it rises from, straight up, or goes down onto, and stays above: in a run of
-    such pieces one of which begins or ends with it standing there, and in the first run what is
-    below it as the motion begins.
+    An object may touch the support that it rises from straight up, or descends to straight down: in
+    a run of such pieces one of which begins or ends with it standing there, and in the first run
+    the support below it at the motion's start.
     """
     objects, floor = motion.requirements.objects, motion.requirements.floor
     places, everything = motion.object_poses.coefficients[0, :, :, 0], [*_placed(motion)]
@@ -204,23 +204,23 @@ def carried(motion: Motion) -> Iterator[Moving]:
                 shapes = [Solid(each, slab.section.rounding) for each in other.slabs]
             for shape in shapes:
                 frame = there if other else None
-                yield past(motion, seen, (name,), label, shape, frame, counted=counted)
+                yield pairs_with_shape(motion, seen, (name,), label, shape, frame, counted=counted)
 
 
-# [m] How far ``worst`` may lie below a distance that is attained, besides what a cable's links are
-# off it: catenaries are no polynomials, and are closed in on only with the length of a span
-TOLERANCE = 1e-3
+# [m] Largest gap of ``worst`` below an attained distance, in addition to the distance of a cable
+# from its links: bounds of catenaries, which are no polynomials, tighten slowly with spans' lengths
+CHAIN_TOLERANCE = 1e-3
 # A chain's points: so many links of equal length, which follow a cable down its steep ends, and
 # so many more points evenly across, which follow it around where it is lowest. It is off them by
 # about 0.2 % of its length at most, where it bends the most, and much less elsewhere
 BY_LENGTH, BY_PLACE = 20, 16
-FARTHEST = 0.25  # [m] Pieces on which a drone may go farther are cut before anything else
+MAX_REACH = 0.25  # [m] Pieces on which a drone may move farther are cut first
 
 
 def chains(q: Array, r: Array, length: Array) -> tuple[Array, Array]:
-    """Return points of chains that stand in for hanging cables, and how far these are off them.
+    """Return points of chains that replace hanging cables, and bounds of their distance.
 
-    Of cables between ends (spans, 3, degree + 1), ``length`` (spans,) [m]: (spans, links + 1, 3,
+    For cables between ends (spans, 3, degree + 1), ``length`` (spans,) [m]: (spans, links + 1, 3,
     degree + 1) and (spans, links) [m], from each link at all times of the span.
     """
     offset = Enclosed(r - q)
@@ -248,9 +248,9 @@ def chains(q: Array, r: Array, length: Array) -> tuple[Array, Array]:
 
 
 def cut(drones: PiecewisePolynomial) -> PiecewisePolynomial:
-    """Return the same curves on pieces so short that no drone goes FARTHEST on any of them."""
+    """Return the curves on pieces so short that no drone moves by MAX_REACH on any of them."""
     reach = np.max(np.linalg.norm(np.ptp(drones.coefficients, axis=-1), axis=-1), axis=1)
-    counts = np.maximum(1, np.ceil(reach / FARTHEST)).astype(np.intp)
+    counts = np.maximum(1, np.ceil(reach / MAX_REACH)).astype(np.intp)
     if np.all(counts == 1):
         return drones
     runs = zip(drones.breaks[:-1], drones.breaks[1:], counts, strict=True)
@@ -259,7 +259,7 @@ def cut(drones: PiecewisePolynomial) -> PiecewisePolynomial:
 
 
 def cables_and_drones(motion: Motion) -> Moving:
-    """Return cables as they hang and the drones that do not carry them."""
+    """Return the pairs of hanging cables and drones of other cables."""
     drones = cut(motion.drones)
     return Moving(
         drones.breaks,
@@ -270,19 +270,19 @@ def cables_and_drones(motion: Motion) -> Moving:
         lengths=motion.team.cable_length,
         names=(cable_names(motion), motion.team.drone_names),
         formula=hung_gap,
-        tolerance=TOLERANCE,
+        tolerance=CHAIN_TOLERANCE,
     )
 
 
 def cables_and_ground(motion: Motion) -> Moving:
-    """Return cables as they hang above the ground."""
+    """Return the pairs of hanging cables and the ground."""
     cables, ground = cables_and_drones(motion), Ground(motion.requirements.floor)
     nowhere, names = np.zeros((len(cables.first), 1, 1, 3, 1)), (cables.names[0], (GROUND,))
     return replace(cables, second=nowhere, names=names, allowed=None, shape=ground)
 
 
 def hung_gap(spans: PairSpans, shape: Shape | None = None) -> Bound:
-    """Return the distances of hanging cables to points, or to what is below a height [m]."""
+    """Return the distances of hanging cables to points, or to a half-space below a height [m]."""
     (ends, point), shape = spans.ends, shape or spans.source.shape
     points, off = chains(ends[:, 0], ends[:, 1], spans.lengths)
     apart = points - point  # (spans, links + 1, 3, degree + 1)
@@ -302,7 +302,7 @@ def above_ground(motion: Motion) -> bool:
 
 
 def moved_by(motion: Motion) -> Callable[[float], float]:
-    """Return how much nearer [m] drones and hanging cables come if every drone is off by r [m]."""
+    """Return by how much drones and hanging cables approach [m] if drones are off by r [m]."""
     ends, L = cable_ends(cut(motion.drones).coefficients), motion.team.cable_length
     offset = Enclosed(ends[:, :, 1] - ends[:, :, 0])
     across, height = offset.level.norm_range, offset[2].norm_above.value
@@ -314,7 +314,7 @@ def moved_by(motion: Motion) -> Callable[[float], float]:
     return moved
 
 
-CONTACT = 2e-5  # [m] Cables that hold an object and are no closer to its body enter it
+CONTACT = 2e-5  # [m] Cables that hold an object enter it if they come closer to its body
 
 
 def entering(spans: PairSpans) -> Bound:
@@ -324,9 +324,9 @@ def entering(spans: PairSpans) -> Bound:
 
 
 def _past_taut(motion: Motion) -> Iterator[Moving]:
-    """Yield drones past all parts of foreign cables, and past their own edge.
+    """Yield pairs of drones and all parts of other cables, and their own edge.
 
-    A drone at a chain's end stands on its own edge.
+    A drone at a chain's end is on its own edge.
     """
     (corners, part), on_leg = cable_parts(motion), motion.team.layout.has_leg.ravel()
 
@@ -342,16 +342,16 @@ def _past_taut(motion: Motion) -> Iterator[Moving]:
 
 
 def _past_chords(motion: Motion) -> Iterator[Moving]:
-    """Yield drones past the chords of cables not their own, as seen from above."""
+    """Yield pairs of drones and the chords of other cables, as seen from above."""
     flat, names = plan_points(motion), (motion.team.drone_names, cable_names(motion))
     breaks, margin = motion.drones.breaks, position_margin(motion)
     yield Moving(breaks, flat, cable_ends(flat), margin, lambda i, k: i // 2 != k, names=names)
 
 
 def _past_hanging(motion: Motion) -> Iterator[Moving]:
-    """Yield drones, and the ground, past hanging cables not their own.
+    """Yield pairs of drones, or the ground, and hanging cables of others.
 
-    Each phase by itself: a search stops within millimetres, so that what it finds depends on the
+    Phases are searched separately: a search stops within millimetres, so its result depends on the
     span of time.
     """
     for part in phase_parts(motion):
@@ -377,16 +377,17 @@ CABLE_CLEARANCE = CheckRule(
     "or allow a smaller separation.cable",
     "length",
 )
-"""Drones, and the ground, stay off cables; drones as seen from above while these lie there."""
+"""Distance of cables from other drones and the ground; while they lie on it, seen from above."""
 
 
 def _drones_past(motion: Motion) -> Iterator[Moving]:
-    """Yield drones past prisms and objects, which have names."""
+    """Yield pairs of drones and prisms, and of drones and objects."""
     points, names = Enclosed(motion.drones.coefficients[:, :, None]), motion.team.drone_names
     for prism in motion.requirements.keep_out:
-        yield past(motion, points, names, "", Solid(prism.slab))
+        yield pairs_with_shape(motion, points, names, "", Solid(prism.slab))
     for name, each, pose in _placed(motion):
-        yield from (past(motion, points, names, name, Solid(slab), pose) for slab in each.slabs)
+        for slab in each.slabs:
+            yield pairs_with_shape(motion, points, names, name, Solid(slab), pose)
 
 
 KEEP_OUT = CheckRule(
@@ -397,22 +398,22 @@ KEEP_OUT = CheckRule(
     (Evaluator(nearest(_drones_past), exported=True, shown=(gap, Solid.towards)),),
     "move the keep-out volumes or objects, fly farther from them, or lower separation.radius",
 )
-"""Drones stay off prisms and objects, by the radius of their ellipsoids."""
+"""Distance of drones from prisms and objects: at least the radius of their ellipsoids."""
 
 
 def _cables_past(motion: Motion) -> Iterator[Moving]:
-    """Yield taut cables past objects that they do not hold, and what is carried past others.
+    """Yield pairs of taut cables and objects that they do not hold, and of objects, one carried.
 
-    The distance is zero where a cable enters what it holds, or the ground.
+    The distance is zero where a cable enters an object that it holds, or the ground.
     """
     corners, part = cable_parts(motion)
     cables, points = part // 3, Enclosed(corners)
     names = [f"cable {k}" for k in cables]
-    # No part is lower than all of its ends, and bends of what is wrapped around an object.
+    # No part is lower than its ends and the bends of edges wrapped around an object.
     holding = np.array([phase.hold is not None for phase in motion.phases] + [False])
     on = np.repeat(holding[motion.phase_of_piece][:, None], len(part), axis=1)
     ground = Ground(motion.requirements.floor - 2.0 * CONTACT)
-    yield past(motion, points, names, GROUND, ground, counted=on, formula=entering)
+    yield pairs_with_shape(motion, points, names, GROUND, ground, counted=on, formula=entering)
     for name, each, pose in _placed(motion):
         held = [p.hold.cables if p.hold and p.hold.object == name else () for p in motion.phases]
         touching = np.array([np.isin(cables, each) for each in [*held, ()]])
@@ -421,16 +422,18 @@ def _cables_past(motion: Motion) -> Iterator[Moving]:
             gripped = held_pieces(motion, name, HoldBy.GRIP)[:, None]  # else edges stay out of it
             inner = (~gripped | (part % 3 != 1)) & ~counted
             body = Solid(each.slabs[0])
-            yield past(motion, points, names, name, body, pose, counted=inner, formula=entering)
+            yield pairs_with_shape(
+                motion, points, names, name, body, pose, counted=inner, formula=entering
+            )
         for slab in each.slabs:
-            yield past(motion, points, names, name, Solid(slab), pose, counted=counted)
+            yield pairs_with_shape(motion, points, names, name, Solid(slab), pose, counted=counted)
     yield from carried(motion)
 
 
 def _hanging_past(motion: Motion) -> Iterator[Moving]:
-    """Yield cables that hang, or lie on the ground, past objects, which nothing moves.
+    """Yield pairs of cables that hang, or lie on the ground, and objects at rest.
 
-    From above, a cable is on its chord; a hanging one is above or below an object besides.
+    Seen from above, a cable is on its chord; a hanging one may also pass above an object.
     """
     for part in phase_parts(motion):
         here, hung = part.motion, cables_and_drones(part.motion)
@@ -438,18 +441,18 @@ def _hanging_past(motion: Motion) -> Iterator[Moving]:
         given: dict[str, Any] = {
             "breaks": hung.breaks,
             "lengths": hung.lengths,
-            "tolerance": TOLERANCE,
+            "tolerance": CHAIN_TOLERANCE,
         }
         for name, each, pose in _placed(here):
             still = Enclosed(pose.c[:1, :, :1])
             for slab in each.slabs:
                 lies = part.phase.state is CableState.GROUND
                 given["formula"] = gap if lies else partial(over, top=slab.upper)
-                yield past(here, ends, names, name, from_above(slab), still, **given)
+                yield pairs_with_shape(here, ends, names, name, from_above(slab), still, **given)
 
 
 def over(spans: PairSpans, top: float) -> Bound:
-    """Return how far hanging cables are off a body, aside of it or above [m]."""
+    """Return the distance of hanging cables from a body, sideways or above [m]."""
     return largest_of([gap(spans), hung_gap(spans, Ground(top))])
 
 
@@ -471,28 +474,28 @@ OBJECT_CLEARANCE = CheckRule(
     "form and release farther from objects or higher above them, or allow a smaller "
     "separation.object",
 )
-"""Cables and held objects keep off objects.
+"""Distance of cables and held objects from other objects.
 
-Cables that hold an object come as close as they like, but not into it; where edges that grip are
-wrapped, check ``grip`` says.
+Cables may touch an object that they hold, but not enter it; the check ``grip`` verifies how edges
+are wrapped.
 """
 
 
-@shared
+@cached
 def standing(motion: Motion) -> Flags:
-    """Return (pieces, 2n) whether drones stand on the floor, rise from it or sink to it upright."""
+    """Return (pieces, 2n) whether drones rest on the floor, rise from it or sink to it upright."""
     c, floor = motion.drones.coefficients, motion.requirements.floor
     upright = np.all(np.ptp(c[:, :, :2], axis=-1) <= TOUCH, axis=-1)
     down = upright & np.any(np.abs(c[:, :, 2, [0, -1]] - floor) <= TOUCH, axis=-1)
     run = np.cumsum(~upright, axis=0) * len(c[0]) + np.arange(len(c[0]))
-    found: Flags = upright & np.isin(run, run[down])
-    return found
+    standing: Flags = upright & np.isin(run, run[down])
+    return standing
 
 
 def _room(spans: MotionSpans, x: Array, lowered: Array | float, reach: float = 0.0) -> Bound:
     """Return the smallest distance to a wall of points x (spans, points, 3, degree + 1) [m].
 
-    They reach so far from above, and are ``lowered`` (spans, points) further [m].
+    Points have a radius ``reach`` seen from above, and are ``lowered`` (spans, points) further [m].
     """
     arena = spans.source.requirements.arena
     assert arena is not None
@@ -508,7 +511,7 @@ def _room(spans: MotionSpans, x: Array, lowered: Array | float, reach: float = 0
 def drones_room(spans: Drones, *, landed: bool = True) -> Bound:
     """Return the smallest distance of drones to a wall [m].
 
-    The floor counts for those that stand there, take off or land, if they are ``landed``.
+    With ``landed``, the floor counts for drones that rest there, take off or land, too.
     """
     x = spans.read(spans.source.drones.coefficients)[:, None]
     free: Any = 0.0
@@ -526,7 +529,7 @@ class Parts(MotionSpans):
         return [part_name(part) for part in cable_parts(motion)[1].tolist()]
 
 
-@shared
+@cached
 def _part_sags(motion: Motion) -> list[Array]:
     """Return half of the weight per length of parts [N/m] and their tension [N], (pieces, …)."""
     cable, kind = np.divmod(cable_parts(motion)[1], 3)
@@ -581,14 +584,14 @@ ARENA = CheckRule(
         Evaluator(_held_room, HITCHED_STATE),
     ),
     "enlarge the arena, or keep the hitch farther from its walls",
-    exported_limit=EXPORTED,
+    exported_limit=EXPORTED_LIMIT,
 )
-"""Drones, taut cables and what they hold stay in the arena; ``cable_clearance`` and
-``object_clearance`` hold hanging cables and objects over its floor."""
+"""Drones, taut cables and held objects stay in the arena; ``cable_clearance`` and
+``object_clearance`` keep hanging cables and objects above its floor."""
 
 
 def below_ground(motion: Motion) -> Check | None:
-    """Return how far what flies is over z = 0 [m], where that is below and no arena has a floor."""
+    """Return the height over z = 0 [m] as a check if it is negative and there is no arena."""
     if motion.requirements.arena is not None:
         return None
     open_ = Arena([-TALL, -TALL, 0.0], [TALL, TALL, TALL])

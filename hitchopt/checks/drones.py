@@ -22,12 +22,12 @@ from hitchopt.checks.spans import (
     ROUNDING,
     UPWARD,
     MotionSpans,
+    cached,
     derivative_margin,
     leg_vectors,
     magnitude,
     pull_vectors,
     rate,
-    shared,
     without_shared_zeros,
 )
 from hitchopt.hitch import GRAVITY
@@ -40,37 +40,37 @@ from hitchopt.trajectory.enclosed import Bound, Enclosed, Interval, vector
 from hitchopt.trajectory.search import Extremum, Spans, worst
 from hitchopt.values import Array
 
-# Degree in which factors of a turning rate are written: on spans that matter they err by 1e-9
+# Degree of the factors of a turning rate: on spans that matter they err by 1e-9
 ORDER = 6
-# [m] Drones of a cable that may be one above the other count as this far apart from above: what
-# their cable's pull changes by has no bound there, and is all but infinite then
+# [m] Drones of a cable that may be one above the other count as this far apart seen from above: the
+# rate of their cable's pull has no bound there, and becomes almost infinite
 NEAREST = 1e-9
 
 
-@shared
+@cached
 def taut_shares(motion: Motion) -> Array:
-    """Return how taut the cable of every drone is (pieces, 2n, degree + 1)."""
+    """Return the tautness of every drone's cable (pieces, 2n, degree + 1)."""
     return np.repeat(lowered(tautness(motion)), 2, axis=1)
 
 
-@shared
+@cached
 def tensions_of_legs(motion: Motion) -> Array:
     """Return the tension of every drone's leg at its clasp (pieces, 2n, degree + 1) [N]."""
     return lowered(leg_tensions(motion))
 
 
-@shared
+@cached
 def edge_sags(motion: Motion) -> list[Array]:
     """Return half of the weight per length of cables [N/m] and their tension [N], (pieces, n, …).
 
-    Without the factor that both share where they rise from zero: it cancels in their ratio.
+    A common factor, as where both rise from zero, is left out: it cancels in their ratio.
     """
     return _sags(motion, tautness(motion), motion.tensions.coefficients)
 
 
-@shared
+@cached
 def leg_sags(motion: Motion) -> list[Array]:
-    """Return the same of legs (pieces, 2n, …)."""
+    """Return half of the weight per length of legs [N/m] and their tension [N], (pieces, 2n, …)."""
     return _sags(motion, taut_shares(motion), leg_tensions(motion))
 
 
@@ -78,7 +78,7 @@ def _sags(motion: Motion, taut: Array, tensions: Array) -> list[Array]:
     return without_shared_zeros([0.5 * GRAVITY * motion.team.cable_density * taut, tensions])
 
 
-@shared
+@cached
 def partners(motion: Motion) -> Array:
     """Return the other drone of each drone's cable, seen from it (pieces, 2n, 3, degree + 1)."""
     c = motion.drones.coefficients
@@ -129,13 +129,13 @@ class Drones(MotionSpans):
 
     @cached_property
     def levelled(self) -> Enclosed:
-        """What the leg pulls with over its tension if its ends were level."""
+        """Pull of the leg over its tension if its ends were level."""
         found: Enclosed = chord_pull(1.0, self.sag, self.level)
         return found.reduced(ORDER)
 
     @cached_property
     def pull(self) -> Enclosed:
-        """[N] What the leg pulls with along its chord: ``chord_pull``, of T factored out."""
+        """[N] Pull of the leg along its chord: ``chord_pull``, with T factored out."""
         tension = self.scalar(tensions_of_legs)
         if not self.heavy:
             return tension
@@ -158,12 +158,12 @@ class Drones(MotionSpans):
 
     @cached_property
     def taut_weight(self) -> Enclosed:
-        """[N/m] Half of the weight per length of what is taut."""
+        """[N/m] Half of the weight per length of taut cables."""
         return self.half * self.scalar(taut_shares)
 
     @cached_property
     def slack_weight(self) -> Enclosed:
-        """[N/m] Half of the weight per length of what hangs."""
+        """[N/m] Half of the weight per length of hanging cables."""
         return self.half - self.taut_weight
 
     @cached_property
@@ -178,7 +178,7 @@ class Drones(MotionSpans):
 
     @cached_property
     def load(self) -> Enclosed:
-        """[N] The force of the cable on the drone, its sign changed."""
+        """[N] Minus the force of the cable on the drone."""
         found = self.along * self.pull
         if self.heavy:
             found = found + (self.leg.norm * self.taut_weight).upward()
@@ -227,7 +227,7 @@ class Drones(MotionSpans):
         return found
 
     def _hanging_rate(self, gained: Enclosed) -> Enclosed:
-        """Return the derivative of what free cables add to the load.
+        """Return the derivative of the load of free cables.
 
         ``(coth σ - 1/σ) σ̇ = Λ̇/Λ - ṡ/s``, s the ends' distance as seen from above, h their height
         difference and ``Λ² = L² - h²``; 1/σ falls by ``σ̇/σ²`` and coth σ by ``σ̇/sinh² σ``.
@@ -266,7 +266,7 @@ def _pulled(offset: Enclosed, inward: Interval, downward: Interval, w: Enclosed)
 
 
 class Hovering(Drones):
-    """Spans of drones that hover where they fly."""
+    """Spans of drones, as if they hovered at their positions."""
 
     moving = False
 
@@ -353,7 +353,7 @@ THRUST = CheckRule(
     "tension",
     derivative=2,
 )
-"""The largest thrust of the drone that is nearest to its own ``max_thrust``."""
+"""The largest thrust of the drone closest to its own ``max_thrust``."""
 
 
 TILT = CheckRule(
@@ -421,7 +421,7 @@ def largest_rate(
 ) -> Extremum:
     """Return the largest norm, or other size, of a derivative by time of points (items, d).
 
-    It is bounded as closely as it takes to tell whether it satisfies the limit.
+    The bound is as tight as needed to decide whether it satisfies the limit.
     """
     derivative, margin = part.differentiated(order).coefficients, derivative_margin(part, order)
 

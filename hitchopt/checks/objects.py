@@ -1,11 +1,11 @@
-"""What is carried: checks ``grip`` and ``support``, and objects as they see what is around them.
+"""Held objects: checks ``grip`` and ``support``, and points in the frames of objects.
 
 Edge k runs straight from ``p_k`` to where it meets the object, along ``â_k``, turns there by
 ``θ_k``, seen from above, and runs straight on to ``p_{k+1}``, along ``b̂_k``. It pulls with ``T_k
 (b̂_k - â_k)``, and friction bears ``μ Σ T_k θ_k``: check ``grip``.
 
-What rests on clasps below its rim: the line of weight and inertia through the centre of mass c
-meets the clasps' plane, h below it, within their polygon. Towards edge k with the inward normal n
+An object with its rim on clasps: the line of weight and inertia through the centre of mass c must
+meet the clasps' plane, h below it, within their polygon. Towards edge k with the inward normal n
 that is ``n·(c - p_k) - h n·a / (g + a_z)``, a the acceleration of c: check ``support``.
 """
 
@@ -24,10 +24,10 @@ from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase
 from hitchopt.checks.spans import (
     ROUNDING,
     MotionSpans,
+    cached,
     concatenated,
     leg_vectors,
     magnitude,
-    shared,
 )
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY
@@ -43,16 +43,16 @@ from hitchopt.values import Array
 
 Mask = NDArray[np.bool_]
 
-LIMIT = 1.5  # Slip load over load
+GRIP_LIMIT = 1.5  # Slip load over load
 CONTACT = 2e-5  # [m] Edges lie on sections, and sections behind edges, this closely
-# [m] Chords that are shorter by far than a circle's radius: such arcs are their chords
-NO_ARC = 1e-9
-# An edge runs towards what it holds before it, and away behind it
+# [m] Arcs with shorter chords, far below a circle's radius, are their chords
+MIN_CHORD = 1e-9
+# An edge runs towards the object before it, and away behind it
 SIGNS = np.array([[1.0], [-1.0]])
 
 
 def for_each(value: Enclosed) -> Enclosed:
-    """Return a value (…) for all items of a new last leading axis (…, 1)."""
+    """Return a value (…) with a new last leading axis (…, 1)."""
     return Enclosed(value.c[..., None, :, :], np.asarray(value.r)[..., None])
 
 
@@ -65,7 +65,7 @@ def chosen(value: Enclosed, items: int | list[int]) -> Enclosed:
 def seen_from(pose: Enclosed, points: Enclosed) -> Enclosed:
     """Return points (…, 3 components) [m] in the frames of objects.
 
-    Their poses are x, y, z [m], cosine and sine of yaw, the same along axes that they do not have.
+    Their poses are x, y, z [m], cosine and sine of yaw, and broadcast along missing axes.
     """
     while pose.c.ndim < points.c.ndim:
         pose = for_each(pose)
@@ -85,7 +85,7 @@ def placed(pose: Enclosed, slab: Slab) -> Enclosed:
 def turned_back(level: Enclosed, heading: Enclosed) -> Enclosed:
     """Return level vectors (…, 2 components) as seen from bodies with headings (…, 2 components).
 
-    A heading of polynomials is no unit vector: by how much it is not goes to the ball.
+    A heading of polynomials is no unit vector: the error is added to the ball.
     """
     heading = Enclosed(lowered(heading.c), heading.r)
     seen = vector(level.dot(heading), heading.cross(level))
@@ -93,11 +93,11 @@ def turned_back(level: Enclosed, heading: Enclosed) -> Enclosed:
 
 
 def heading_error(heading: Enclosed) -> Array:
-    """Return (…) what bounds ``|h| - 1`` of headings, which is less than ``|h|² - 1``."""
+    """Return (…) a bound of ``|h| - 1`` of headings, which is less than ``|h|² - 1``."""
     return (heading.dot(heading) - 1.0).norm_above.value
 
 
-@shared
+@cached
 def centres(motion: Motion) -> PiecewisePolynomial:
     """Return the paths of all objects' centres of mass (objects, 3) [m]."""
     poses, bodies = motion.object_poses, motion.requirements.objects.values()
@@ -136,20 +136,20 @@ class Held(MotionSpans):
 
     @cached_property
     def share(self) -> Enclosed:
-        """The share of its weight that is borne."""
+        """Share of its weight that cables carry."""
         return Enclosed(self.read(self.source.object_shares.coefficients)[:, None])
 
 
 def gripping(motion: Motion) -> list[tuple[int, str, Mask]]:
-    """Return what is gripped: index and name of the object, and on which pieces (pieces,)."""
+    """Return index and name of every gripped object, and (pieces,) whether it is gripped."""
     names = enumerate(motion.requirements.objects)
     held = [(index, name, held_pieces(motion, name, HoldBy.GRIP)) for index, name in names]
     return [each for each in held if np.any(each[2])]
 
 
-@shared
+@cached
 def bends(motion: Motion) -> Array:
-    """Return where edges start, meet and leave what they hold, and end (pieces, n, 4, 3, …) [m]."""
+    """Return start, both contacts and end of edges (pieces, n, 4, 3, …) [m]."""
     layout, vertices = motion.team.layout, motion.vertices.coefficients
     start, end = (vertices[:, points, None] for points in (layout.starts, layout.ends))
     return concatenated([start, motion.edge_contacts.coefficients, end], axis=2)
@@ -160,12 +160,12 @@ class Gripped(Held):
 
     @cached_property
     def corners(self) -> Enclosed:
-        """Each of ``bends`` (spans, n, 4) [m]."""
+        """Corners of edges, as ``bends`` (spans, n, 4) [m]."""
         return Enclosed(self.of_items(bends(self.source)), self.noise)
 
     @property
     def height(self) -> Array:
-        """Where on the object edges meet it when the piece begins (spans, n) [m]."""
+        """Heights on the object of edges' first contacts at the piece's start (spans, n) [m]."""
         poses, first = self.source.object_poses.coefficients, bends(self.source)[:, :, 1, 2, 0]
         found: Array = first[self.piece] - poses[self.piece, self.item, 2, :1]
         return found
@@ -188,9 +188,9 @@ class Gripped(Held):
 
     @cached_property
     def pulls(self) -> Enclosed:
-        """What edges pull the object with, before and behind it (spans, n, 2) [N].
+        """Pulls of edges on the object, before and behind it (spans, n, 2) [N].
 
-        Along their straight parts, by their whole length.
+        They act along the straight parts, with the sag of the whole length.
         """
         team, pull = self.source.team, self.tension
         if team.cable_density > 0.0:
@@ -204,7 +204,7 @@ class Gripped(Held):
     def slip_load(self) -> Array:
         """``μ Σ T_k θ_k`` (spans,) [N], at least.
 
-        ``T_k`` is the least pull of cable k's legs, less what friction takes where it is clasped.
+        ``T_k`` is the least pull of cable k's legs, reduced by friction at its clasps.
         """
         clasped = np.max(_angles(-self.legs, self.ways * SIGNS).high, axis=-1)
         pulls = np.min(self.of_items(self.source.pulls.coefficients), axis=-1)
@@ -216,7 +216,7 @@ class Gripped(Held):
 
     @cached_property
     def load(self) -> Array:
-        """What is borne of ``m (g + a_z)``, and what turns the object (spans,) [N], at most."""
+        """Upper bound (spans,) [N] of the carried ``m (g + a_z)`` plus the load of turning."""
         borne = ((self.pushed[2] + GRAVITY) * self.share).above.value
         turning = self.derivative(self.source.object_poses, 2)
         turned = Enclosed(turning.c[:, 3:], turning.r).norm_above.value
@@ -230,14 +230,14 @@ def _straight_parts(corners: Enclosed) -> Enclosed:
 
 
 def _angles(a: Enclosed, b: Enclosed) -> Interval:
-    """Return between which angles [rad] the one of two vectors stays."""
+    """Return intervals of the angles [rad] between two vectors."""
     cosine = a.direction.dot(b.direction).range
     low, high = (np.arccos(np.clip(x, -1.0, 1.0)) for x in (cosine.high, cosine.low))
     return Interval(low, high)
 
 
 def turning_reach(body: SolidObject) -> float:
-    """Return the load over mass and angular acceleration of an object that is turned [m]."""
+    """Return the load of a turning object over its mass and angular acceleration [m]."""
     section = body.section
     away = np.linalg.norm(section.core - section.centroid, axis=-1)
     arm = section.rounding or float(np.min(away))
@@ -245,7 +245,7 @@ def turning_reach(body: SolidObject) -> float:
 
 
 def slip_ratio(spans: Gripped) -> Bound:
-    """Return slip load over load while that is borne, else infinity.
+    """Return slip load over load while there is a load, else infinity.
 
     It is minus infinity where edges are not wrapped around the object.
     """
@@ -261,15 +261,15 @@ def _ratio(a: Array, b: Array) -> Bound:
 
 
 def spare_friction(motion: Motion, index: int) -> Array:
-    """Return by how much the load of an object that is gripped all the time may grow (pieces,)."""
+    """Return the spare load (pieces,) [N] of an object gripped on all pieces."""
     parts = Gripped.of_object(motion, index, np.ones(motion.drones.pieces, dtype=np.bool_))
-    return np.concatenate([spans.slip_load / LIMIT - spans.load for spans in parts])
+    return np.concatenate([spans.slip_load / GRIP_LIMIT - spans.load for spans in parts])
 
 
 def _slipping(motion: Motion, limit: float) -> WorstCase:
     """Return the smallest ratio of slip load to load.
 
-    It is minus infinity where an edge bends with nothing gripped, or is off the section of what is.
+    It is minus infinity if an edge bends without a gripped object, or off the object's section.
     """
     lost = np.any(~_straight(Enclosed(bends(motion))), axis=1)
     found = [WorstCase(math.inf, 0.0)]
@@ -288,14 +288,14 @@ GRIP = CheckRule(
     "grip",
     "1",
     "min",
-    lambda motion: LIMIT if gripping(motion) or motion.contacts is not None else None,
+    lambda motion: GRIP_LIMIT if gripping(motion) or motion.contacts is not None else None,
     (Evaluator(_slipping, HITCHED_STATE | FREE_STATES, shown=SHOWN),),
     "lower the object's mass, raise the tension, or use rougher cables",
 )
 
 
 def _straight(corners: Enclosed) -> Mask:
-    """Return (pieces, edges) where contacts are one point, on the line between both ends."""
+    """Return (pieces, edges) whether contacts are one point on the line between both ends."""
     start, first, last, end = (chosen(corners, i) for i in range(4))
     aside = (first - start).cross(end - last).norm_above.value
     one_point = (last - first).norm_above.value <= CONTACT
@@ -304,7 +304,7 @@ def _straight(corners: Enclosed) -> Mask:
 
 
 def _misplaced(spans: Gripped) -> Mask:
-    """Return (spans,) which contradict that edges are wrapped around an object.
+    """Return (spans,) whether edges are not wrapped around the object.
 
     Every edge is straight or touches the section at both contacts, which stay at one height on the
     object, all of the section is on its right, and it turns to the right by less than half a turn.
@@ -320,7 +320,7 @@ def _misplaced(spans: Gripped) -> Mask:
     if section.outline is None:
         off = (away.dot(away) - section.rounding**2).norm_above.value / section.rounding
     touching = np.all(np.min(off, axis=-1) <= slack[..., None], axis=-1)
-    # No part of the section is on the left; a part without length says nothing.
+    # No part of the section is on the left; parts without length are not compared.
     left = for_each(ways).cross(section.core - for_each(chosen(exact, [0, 2]).level))
     reach = np.max((left + for_each(ways.norm) * section.rounding).above.value, axis=-1)
     size = ways.norm_range
@@ -348,10 +348,10 @@ def unbalanced(motion: Motion) -> WorstCase:
 
 
 def lacking(spans: Gripped) -> Bound:
-    """Return what an object lacks, over the least tension; infinite where none holds it.
+    """Return an object's missing force over the least tension; infinite if nothing holds it.
 
-    That is ``Σ P_k (b̂_k - â_k) - m (a + ν g ẑ)``, ν the share of its weight that is borne, and
-    moments about its centre. Of both, friction with its support takes what it can.
+    That is ``Σ P_k (b̂_k - â_k) - m (a + ν g ẑ)``, ν the carried share of its weight, and moments
+    about its centre, both reduced by friction with its support.
     """
     body, pulls = spans.body, spans.pulls
     force = pulls.sum().sum() - (spans.share.upward() * GRAVITY + spans.pushed) * body.mass
@@ -364,7 +364,7 @@ def lacking(spans: Gripped) -> Bound:
     return _ratio(found, np.min(spans.tension.below.value, axis=-1))
 
 
-@shared
+@cached
 def wrapped_arcs(motion: Motion) -> Array:
     """Return chords of arcs, the radius of their circle, and the length of polygons' sides.
 
@@ -386,13 +386,13 @@ def wrapped_arcs(motion: Motion) -> Array:
 
 
 def _sides(section: Section, contacts: Array) -> Array:
-    """Return how long the outline is, clockwise, between contacts (…, 2, 2) [m]: (…) [m]."""
+    """Return the length (…) [m] of the outline, clockwise, between contacts (…, 2, 2) [m]."""
     core = section.core
     ring = np.append(0.0, np.cumsum(np.linalg.norm(np.roll(core, -1, axis=0) - core, axis=-1)))
     away = np.linalg.norm(contacts[..., None, :] - core, axis=-1)
     first, last = np.moveaxis(np.argmin(away, axis=-1), -1, 0)
     sides: Array = (ring[last] - ring[first]) % ring[-1]
-    straight = np.linalg.norm(contacts[..., 1, :] - contacts[..., 0, :], axis=-1) < NO_ARC
+    straight = np.linalg.norm(contacts[..., 1, :] - contacts[..., 0, :], axis=-1) < MIN_CHORD
     return np.where(straight, 0.0, sides)
 
 
@@ -416,7 +416,7 @@ def arc_lengths(rows: Array) -> Enclosed:
     return found.widened(np.where(known, width * error, np.where(width > 0.0, np.inf, 0.0)))
 
 
-SETTLED = 1e-4  # [m] Clasps that carry a rim keep their places below it this closely
+PLACE_TOLERANCE = 1e-4  # [m] of clasps that carry a rim, from their places below it
 
 
 class Resting(Held):
@@ -430,14 +430,14 @@ class Resting(Held):
 
     @cached_property
     def places(self) -> Array:
-        """(spans, n, 2) [m] Where they are when the piece begins, seen from above."""
+        """Places of the clasps at the piece's start, seen from above (spans, n, 2) [m]."""
         poses = self.source.object_poses.coefficients[self.piece, self.item, :, 0]
         clasps = self.source.vertices.coefficients[self.piece, ..., 0]
         return in_frame(poses[:, None], clasps)[..., :2]
 
 
 def force_line(spans: Resting) -> Bound:
-    """Return how far from the edges of the clasps' polygon the force line meets its plane [m]."""
+    """Return the distance of the force line from the edges of the clasps' polygon [m]."""
     places, body = spans.places, spans.body
     assert body.rim is not None
     centre = body.centre_of_mass
@@ -451,14 +451,14 @@ def force_line(spans: Resting) -> Bound:
     margin = (ROUNDING + heading_error(heading)) * (magnitude(spans.source) + body.circumradius)
     least = np.where(pressing.low > 0.0, apart - (lean.range * pressing.inverse).high, -np.inf)
     k = np.arange(len(spans)), np.argmin(least, axis=1)
-    return Bound(least[k] - margin - 2.0 * SETTLED, lean.above.x[k])
+    return Bound(least[k] - margin - 2.0 * PLACE_TOLERANCE, lean.above.x[k])
 
 
 def _force_lines(motion: Motion, _: float) -> WorstCase:
     """Return the smallest distance of a force line to the edge of its supports [m].
 
-    It is minus infinity where an object moves, or is borne, and nothing holds it; where it floats;
-    and where clasps of a hold are not around it, or not where they bear it, or it would slide off.
+    It is minus infinity if an object moves, or is carried, and nothing holds it; if it floats; and
+    if clasps of a hold are not around it, or not where they support it, or it would slide off.
     """
     size, begins = magnitude(motion), motion.drones.breaks
     each = [WorstCase(math.inf, 0.0, size=size)]
@@ -482,11 +482,11 @@ def _force_lines(motion: Motion, _: float) -> WorstCase:
         each.append(WorstCase(least.worst, least.time, (name,), size))
         if np.any(lost):
             each.append(WorstCase(-math.inf, float(begins[int(np.argmax(lost))]), (name,)))
-    return min(each, key=lambda found: found.worst)
+    return min(each, key=lambda case: case.worst)
 
 
 def _floating(motion: Motion, index: int, name: str, still: Mask) -> Mask:
-    """Return (pieces,) where an object that is not borne as a whole stands on nothing."""
+    """Return (pieces,) whether an object at rest, not fully carried, has no support below."""
     objects = motion.requirements.objects
     poses = np.round(motion.object_poses.coefficients[..., 0] / STILL) * STILL
     places, which = np.unique(poses, axis=0, return_inverse=True)
@@ -499,16 +499,16 @@ def _floating(motion: Motion, index: int, name: str, still: Mask) -> Mask:
 
 
 def _misplaced_clasps(spans: Resting, carried: Mask) -> Mask:
-    """Return (spans,) where clasps are above a rim, or not around the body as the piece begins.
+    """Return (spans,) whether clasps are above a rim, or not around the body at the piece's start.
 
-    And, of what is ``carried``, not below the rim by ``rim_drop``, or it slides off.
+    If it is ``carried``, also whether they are not ``rim_drop`` below the rim, or it slides off.
     """
     motion, body, rim, places = spans.source, spans.body, spans.body.rim, spans.places
     assert rim is not None
     following, to = np.roll(places, -1, axis=1), body.section.centroid - places
     edges = following - places
     wrong = edges[..., 1] * to[..., 0] - edges[..., 0] * to[..., 1] <= 0.0
-    wrong |= Enclosed(spans.clasps.c)[2].above.value > rim.height + SETTLED
+    wrong |= Enclosed(spans.clasps.c)[2].above.value > rim.height + PLACE_TOLERANCE
     pulls = motion.tensions.coefficients[spans.piece, :, 0]
     drop = rim_drop(motion.team, body, places, pulls)[:, None]
     whole = np.all(spans.share.c == 1.0, axis=(1, 2))[:, None]
@@ -516,9 +516,9 @@ def _misplaced_clasps(spans: Resting, carried: Mask) -> Mask:
     off = (spans.clasps.level - places).norm_above.value
     off = np.maximum(off, rim.height - heights.low - drop)
     off = np.maximum(off, heights.high - rim.height + np.where(whole, drop, 0.0))
-    found = (off > SETTLED) | (rim.section.clearance(places)[0] >= -SETTLED)
+    found = (off > PLACE_TOLERANCE) | (rim.section.clearance(places)[0] >= -PLACE_TOLERANCE)
     if body.stem is not None:
-        found |= body.stem.segment_distance(places, following) <= SETTLED
+        found |= body.stem.segment_distance(places, following) <= PLACE_TOLERANCE
     pushed = Enclosed(spans.of_items(motion.vertices.differentiated(2).coefficients))
     found |= pushed.level.norm_above.value > body.friction * (GRAVITY + pushed[2].below.value)
     lost: Mask = np.any(wrong | (found & carried[:, None]), axis=1)

@@ -9,7 +9,7 @@ from hitchopt.checks import cables, clasps, clearance, distances, drones, object
 from hitchopt.checks.certificate import Certificate, Check, worst_of
 from hitchopt.checks.linking import CONTINUITY, DURATION, INTERLACING
 from hitchopt.checks.rule import CheckRule, ReportRule, SpanResult
-from hitchopt.checks.spans import shared_values
+from hitchopt.checks.spans import value_cache
 from hitchopt.checks.tracking import GAMMA
 from hitchopt.motion.motion import Motion
 from hitchopt.values import instance, not_negative, sequence
@@ -86,7 +86,7 @@ def certify(
     every: tuple[CheckRule | ReportRule, ...] = (*rules, *wanted)
     results: dict[str, Sequence[SpanResult]] = dict.fromkeys(RULE_OF, ())
     checks: list[Check | None] = []
-    with shared_values():
+    with value_cache():
         for i, each in enumerate(every):
             if progress is not None:
                 progress(f"{each.name}, {i} of {len(every)}")

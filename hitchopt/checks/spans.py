@@ -1,7 +1,7 @@
-"""Spans of a plan's time, and what checks read of its polynomials on them.
+"""Spans of a plan's time, and the polynomials that checks read on them.
 
-A check is a formula over spans of drones, points, cables, clasps or pairs. What several formulas
-need is computed once: of a motion within ``shared_values``, of spans as long as they are in use.
+A check is a formula over spans of drones, points, cables, clasps or pairs. Values that several
+formulas need are cached: of a motion within ``value_cache``, of spans as long as they are in use.
 """
 
 from __future__ import annotations
@@ -26,56 +26,55 @@ from hitchopt.trajectory.search import BATCH, Spans
 from hitchopt.values import Array, Indices
 
 ROUNDING = 2.0**-40
-"""Relative to the largest numbers that enter a quantity: what every bound is moved outward by.
+"""Margin of every bound, relative to the largest numbers that enter the quantity.
 
-Coefficients and breaks are taken as exact: they are the plan. What is computed from them errs by a
-few units in the last place; this leaves a factor of a thousand, also for whoever samples the same
-polynomials."""
+Coefficients and breaks are exact: they are the plan. Values computed from them err by a few units
+in the last place; this leaves a factor of a thousand, also for sampling the polynomials."""
 
-LAST_PLACE = 2.0**-50  # what a difference of two numbers errs by at most, relative to it
-MOST_SHARED = 8 * BATCH  # spans of drones up to which checks share what they compute on pieces
+LAST_PLACE = 2.0**-50  # largest relative error of a difference of two numbers
+MAX_CACHED = 8 * BATCH  # maximum spans of drones whose values on pieces are cached
 PART_NAMES = ("q-leg", "edge", "r-leg")
 UPWARD = np.array([0.0, 0.0, 1.0])
 
 F = TypeVar("F", bound=Callable[..., Any])
 T = TypeVar("T")
 
-_SHARED: ContextVar[WeakKeyDictionary[Any, dict[Any, Any]] | None] = ContextVar(
-    "shared", default=None
+_CACHE: ContextVar[WeakKeyDictionary[Any, dict[Any, Any]] | None] = ContextVar(
+    "cache", default=None
 )
 
 
 @contextmanager
-def shared_values() -> Iterator[None]:
-    """Keep values within the outermost context: they take more memory than the motion itself."""
-    kept = _SHARED.get()
-    token = _SHARED.set(WeakKeyDictionary() if kept is None else kept)
+def value_cache() -> Iterator[None]:
+    """Cache values within the outermost context: they take more memory than the motion itself."""
+    cache = _CACHE.get()
+    token = _CACHE.set(WeakKeyDictionary() if cache is None else cache)
     try:
         yield
     finally:
-        _SHARED.reset(token)
+        _CACHE.reset(token)
 
 
-def once(source: Any, value: Callable[..., T], *further: Any) -> T:
-    """Return ``value(source, *further)``, which within ``shared_values`` is computed once.
+def cached_value(source: Any, value: Callable[..., T], *further: Any) -> T:
+    """Return ``value(source, *further)``, computed once within ``value_cache``.
 
-    Nobody may change it.
+    Callers must not modify it.
     """
-    shared = _SHARED.get()
-    if shared is None:
+    cache = _CACHE.get()
+    if cache is None:
         return value(source, *further)
-    kept, key = shared.setdefault(source, {}), (value, *further)
-    if key not in kept:
-        kept[key] = value(source, *further)
-    return cast("T", kept[key])
+    values, key = cache.setdefault(source, {}), (value, *further)
+    if key not in values:
+        values[key] = value(source, *further)
+    return cast("T", values[key])
 
 
-def shared(value: F) -> F:
-    """Return a function that is called by ``once``: its first argument is the source."""
-    return cast("F", wraps(value)(lambda source, *further: once(source, value, *further)))
+def cached(value: F) -> F:
+    """Decorate a function with ``cached_value``: its first argument is the source."""
+    return cast("F", wraps(value)(lambda source, *further: cached_value(source, value, *further)))
 
 
-@shared
+@cached
 def magnitude(motion: Motion) -> float:
     """Return the largest coordinate of the plan [m]."""
     parts = motion.drones.coefficients, motion.vertices.coefficients
@@ -83,11 +82,11 @@ def magnitude(motion: Motion) -> float:
 
 
 def position_margin(motion: Motion) -> float:
-    """Return what rounding adds to positions [m]."""
+    """Return the rounding error of positions [m]."""
     return ROUNDING * magnitude(motion)
 
 
-@shared
+@cached
 def derivative_margin(part: PiecewisePolynomial, order: int) -> Array:
     """Return the margin (pieces, items) of the norm of a derivative by time.
 
@@ -107,7 +106,7 @@ def _largest(coefficients: Array) -> Array:
     return largest
 
 
-@shared
+@cached
 def rate(motion: Motion, table: Callable[[Motion], Array]) -> Array:
     """Return the derivative by time of a table of a motion (pieces, …, degree + 1)."""
     slope = bernstein.differentiate(table(motion))
@@ -125,13 +124,13 @@ class MotionSpans(Spans):
 
     @classmethod
     def of(cls, motion: Motion) -> Iterable[Self]:
-        """Return the spans of whole pieces of every item, in batches that checks share.
+        """Return the spans of whole pieces of every item, in cached batches.
 
-        Of many items they are made anew every time: what they compute would fill the memory.
+        Spans of many items are built on every call: their values would fill the memory.
         """
-        if motion.drones.pieces * motion.team.drones > MOST_SHARED:
+        if motion.drones.pieces * motion.team.drones > MAX_CACHED:
             return cls.all_of(motion, motion.drones.breaks, len(cls.names(motion)))
-        return once(motion, _listed, cls)
+        return cached_value(motion, _listed, cls)
 
     def scalars(self, tables: Sequence[Array]) -> list[Enclosed]:
         """Return scalars of tables (pieces, items, degree + 1), exact as given."""
@@ -140,12 +139,12 @@ class MotionSpans(Spans):
     def derivative(self, part: PiecewisePolynomial, order: int) -> Enclosed:
         """Return the derivative by time of points of a part, rounding included."""
         margin = derivative_margin(part, order)[self.piece, self.item]
-        derivative = once(part, PiecewisePolynomial.differentiated, order)
+        derivative = cached_value(part, PiecewisePolynomial.differentiated, order)
         return Enclosed(self.read(derivative.coefficients), margin)
 
     @cached_property
     def noise(self) -> float:
-        """[m] What rounding adds to differences of positions."""
+        """[m] Rounding error of differences of positions."""
         return position_margin(self.source)
 
 
@@ -168,14 +167,14 @@ def positions(motion: Motion) -> tuple[Array, Array]:
     return drones, vertices
 
 
-@shared
+@cached
 def leg_vectors(motion: Motion) -> Array:
     """Return (pieces, 2n, 3, N+1) [m] from its vertex to each drone q0, r0, q1, …."""
     drones, vertices = positions(motion)
     return drones - vertices[:, motion.team.layout.anchors]
 
 
-@shared
+@cached
 def pull_vectors(motion: Motion) -> Array:
     """Return (pieces, 2n, 3, N+1) [m] to each drone along the straight piece of cable it ends."""
     if motion.team.layout.closed:
@@ -184,7 +183,7 @@ def pull_vectors(motion: Motion) -> Array:
     return drones - vertices[:, motion.team.layout.pulled_to]
 
 
-@shared
+@cached
 def edge_vectors(motion: Motion) -> Array:
     """Return the edges ``p_{k+1} - p_k`` (pieces, n, 3, N+1) [m]."""
     return motion.team.layout.edges(positions(motion)[1], axis=1)
@@ -209,9 +208,9 @@ def bent_edges(motion: Motion) -> tuple[Array, Array]:
     return leaving, vertices[:, layout.ends] - contacts[:, :, 1]
 
 
-@shared
+@cached
 def cable_parts(motion: Motion) -> tuple[Array, Indices]:
-    """Return the cable parts as segments (pieces, bodies, 2, 3, N+1) [m], and which each is.
+    """Return the cable parts as segments (pieces, bodies, 2, 3, N+1) [m], and their indices.
 
     An edge that is wrapped around an object has three: its straight parts and the arc's chord.
     """
@@ -232,7 +231,7 @@ def cable_parts(motion: Motion) -> tuple[Array, Indices]:
 
 
 def part_points(parts: Indices, layout: Layout) -> tuple[Indices, Indices]:
-    """Return the first and last point that each part touches; the same one for a leg."""
+    """Return the first and last point that each part touches; for a leg both are one."""
     k, kind = np.divmod(parts, 3)
     before, following = layout.starts[k], layout.ends[k]
     return np.where(kind == 2, following, before), np.where(kind == 0, before, following)
@@ -249,7 +248,7 @@ def pair_of(layout: Layout, first: Indices, second: Indices) -> Indices:
 
 
 def part_name(part: int) -> str:
-    """Return such as ``q-leg 2`` or ``edge 0``."""
+    """Return a part's name, such as ``q-leg 2`` or ``edge 0``."""
     return f"{PART_NAMES[part % 3]} {part // 3}"
 
 
@@ -294,7 +293,7 @@ class PhasePart(NamedTuple):
 def phase_parts(motion: Motion) -> Iterator[PhasePart]:
     """Yield the phases of a motion, each piece in the phase of its middle.
 
-    Of blended steps, phases end within pieces.
+    Phases of blended steps end within pieces.
     """
     index, breaks = motion.phase_of_piece, motion.drones.breaks
     for i, phase in enumerate(motion.phases):

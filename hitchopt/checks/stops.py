@@ -1,9 +1,9 @@
-"""Stops of the common clock, and the report ``stoppable``: how long until all drones rest.
+"""Stops of the common clock, and the report ``stoppable``: the longest time to rest.
 
 With x(τ) the plan, D its derivatives by plan time and s = dτ/dt, a clock makes the acceleration
 ``s² D²x + ṡ Dx`` and the jerk ``s³ D³x + 3 s ṡ D²x + s̈ Dx``: with these the formulas of the checks
-are those of the drones on that clock. What is carried is pulled along by forces that fit the plan's
-own rate: ``(s² - 1) D²x + ṡ Dx`` times its mass is left unbalanced.
+are those of the drones on that clock. Carried objects are pulled by forces that fit the plan's own
+rate: ``(s² - 1) D²x + ṡ Dx`` times their mass is unbalanced.
 
 A cell is a phase of constant s̈ within one piece. Where norms on whole pieces do not show that it
 keeps all limits, the formulas are enclosed on it, s and ṡ by lines over plan time, and it is halved
@@ -26,7 +26,7 @@ from hitchopt.checks.clasps import spare_forces
 from hitchopt.checks.drones import Drones, Hovering, tilt, turning_rate, used_thrust
 from hitchopt.checks.objects import SUPPORT, heading_error, spare_friction, turning_reach
 from hitchopt.checks.rule import ReportRule, SpanResults, WorstCase
-from hitchopt.checks.spans import MotionSpans, concatenated, derivative_margin, shared_values
+from hitchopt.checks.spans import MotionSpans, concatenated, derivative_margin, value_cache
 from hitchopt.errors import check_time
 from hitchopt.geometry.vectors import column_lengths
 from hitchopt.hitch import GRAVITY
@@ -42,12 +42,12 @@ from hitchopt.values import Array, Indices
 
 Flags = NDArray[np.bool_]
 
-HALVINGS = 7  # of a cell in which a bound is decided; what is undecided then counts as broken
-BATCH = 20_000  # pairs of a cell and a drone that are looked at in one go
+HALVINGS = 7  # of a cell to decide a bound; cells undecided after that count as violations
+BATCH = 20_000  # pairs of a cell and a drone that are evaluated at a time
 SLACK = 1e-9  # relative margin for the clock's rounding
-SHORTEST, SLOWEST, RUNGS = 0.1, 20.0, 19  # durations of stops that are tried [s], a third apart
+SHORTEST, SLOWEST, RUNGS = 0.1, 20.0, 19  # candidate durations of stops [s], a third apart
 SPACING = 0.1  # distance of stops [s]
-STARTS, FEWEST = 20_000, 8  # pairs of a stop and a drone at most, but so many stops at least
+MAX_STARTS, MIN_STOPS = 20_000, 8  # maximum pairs of a stop and a drone; minimum stops
 
 
 def stop_phases(start: Array, duration: Array, rate: float = 1.0) -> ClockPhases:
@@ -77,13 +77,13 @@ class OnClock(MotionSpans):
     def passed(
         cls, source: Any, breaks: Array, cells: ClockPhases, piece: Indices, item: Indices
     ) -> Self:
-        """Return what cells within pieces (spans,) pass of items (spans,)."""
+        """Return the spans of items (spans,) that cells within pieces (spans,) pass."""
         times = np.stack([cells.jets[:, 0], cells.ends[:, 0]])
         x = (times - breaks[piece]) / (breaks[piece + 1] - breaks[piece])
         extent = np.sort(np.clip(x, 0.0, 1.0), axis=0)
-        made = cls(source, breaks, piece, item, extent, points=not np.any(cells.duration))
-        made.cells = cells
-        return made
+        spans = cls(source, breaks, piece, item, extent, points=not np.any(cells.duration))
+        spans.cells = cells
+        return spans
 
     def _on(self, cells: ClockPhases, index: Any = slice(None)) -> Self:
         return self.passed(self.source, self.breaks, cells, self.piece[index], self.item[index])
@@ -127,7 +127,7 @@ class OnClock(MotionSpans):
 
 
 class DronesOnClock(OnClock, Drones):
-    """Spans of drones on clocks: what moves is by time, and all else as the checks have it."""
+    """Spans of drones on clocks: derivatives are by time, all else is as in the checks."""
 
     @cached_property
     def _moved(self) -> tuple[Enclosed, Enclosed]:
@@ -146,13 +146,14 @@ class DronesOnClock(OnClock, Drones):
 
 
 @dataclass(frozen=True, eq=False)
-class Limited:
-    """Items that limit what a clock may do.
+class ClockLimit:
+    """Items whose limits bound a clock's rates.
 
     Attributes
     ----------
-    path: of the items, on pieces of the plan [m]; so many ``orders`` of its derivatives count.
-    over, source: the spans on which shares of limits are bounded, and what these are of.
+    path: of the items, on pieces of the plan [m].
+    orders: number of its derivatives that enter.
+    over, source: the spans on which shares of limits are bounded, and their source.
     quick: whether norms of derivatives (orders, cells, items) keep limits, given the pieces
         (cells,) and the clock's rate and its derivatives there, (cells, 1) each.
     used: the largest share of a limit (spans,).
@@ -175,7 +176,7 @@ class Limited:
         return np.stack(found) * (1.0 + SLACK)
 
     def look(self, phases: ClockPhases, kept: Flags) -> None:
-        """Set ``kept`` (owners,) to False where phases are not shown to keep limits."""
+        """Set ``kept`` (owners,) to False unless phases are shown to keep limits."""
         breaks = self.path.breaks
         cells, piece = phases.cut(breaks, 0.0)
         flown = (piece >= 0) & (piece < len(breaks) - 1)
@@ -192,7 +193,7 @@ class Limited:
             self._decide(spans, kept, HALVINGS)
 
     def _decide(self, spans: OnClock, kept: Flags, halvings: int) -> None:
-        """Set ``kept`` to False where spans break a limit, or stay open however they are halved."""
+        """Set ``kept`` to False where spans violate a limit, or stay undecided when halved."""
         if len(spans):
             middle = self.used(spans.at(np.full(len(spans), 0.5)))
             kept[spans.cells.owner[~(middle <= 1.0)]] = False
@@ -206,23 +207,23 @@ class Limited:
 
 
 class ClockLimits:
-    """The limits of a motion, for clocks, and what is ``carried``."""
+    """The limits of a motion, for clocks; ``carried`` are those of carried objects."""
 
     def __init__(self, motion: Motion) -> None:
         self.motion, self._spare = motion, _spare(motion)
         self.carried = [_inertia(path, slack) for path, slack in carried_paths(motion)]
-        self._drones = Limited(motion.drones, 3, DronesOnClock, motion, self._quick, self._used)
+        self._drones = ClockLimit(motion.drones, 3, DronesOnClock, motion, self._quick, self._used)
 
     def keep(self, phases: ClockPhases, owners: int) -> Flags:
         """Return (owners,) whether phases of each clock, with rates from -1 to 1, keep limits."""
         kept = np.ones(owners, dtype=np.bool_)
-        with shared_values():
+        with value_cache():
             for each in (*self.carried, self._drones):
                 each.look(phases, kept)
         return kept
 
     def carries(self, times: Array) -> Flags:
-        """Return (m,) whether something is carried at plan times (m,) [s]."""
+        """Return (m,) whether an object is carried at plan times (m,) [s]."""
         spans = np.array([each.path.breaks[[0, -1]] for each in self.carried]).reshape(-1, 2)
         within = (spans[:, 0] < times[:, None]) & (times[:, None] < spans[:, 1])
         return np.asarray(np.any(within, axis=1))
@@ -231,7 +232,7 @@ class ClockLimits:
         limits, (v, a, j) = self.motion.requirements.limits, sizes
         fine: Flags = s * s * a + slope * v <= np.minimum(self._spare[piece], limits.acceleration)
         fine &= s * s * s * j + 3.0 * s * slope * a + jerk * v <= limits.jerk
-        return fine & (limits.body_rate is None)  # of turning no quick bound comes close
+        return fine & (limits.body_rate is None)  # no quick bound of turning is tight
 
     def _used(self, spans: DronesOnClock) -> Array:
         """Return the largest share of a limit (spans,), by the formulas of the checks."""
@@ -246,7 +247,7 @@ class ClockLimits:
 
 
 def _spare(motion: Motion) -> Array:
-    """Return (pieces, drones) [m/s²] what drones that hover can accelerate by in any direction."""
+    """Return (pieces, drones) [m/s²] hovering drones' spare acceleration in any direction."""
     spare, most = np.zeros((motion.drones.pieces, motion.team.drones)), motion.team.max_thrust
     for spans in Hovering.of(motion):
         left = math.degrees(motion.requirements.limits.tilt) - tilt(spans).value
@@ -256,8 +257,8 @@ def _spare(motion: Motion) -> Array:
     return spare * (1.0 - SLACK)
 
 
-def _inertia(path: PiecewisePolynomial, slack: Array) -> Limited:
-    """Return what keeps additional accelerations of paths (items, 3) within (pieces, items)."""
+def _inertia(path: PiecewisePolynomial, slack: Array) -> ClockLimit:
+    """Return the limit of additional accelerations of paths (items, 3) to (pieces, items)."""
     slack = np.maximum(np.nan_to_num(slack), 0.0)
 
     def quick(sizes: Array, piece: Indices, s: Array, slope: Array, _: Array) -> Flags:
@@ -269,7 +270,7 @@ def _inertia(path: PiecewisePolynomial, slack: Array) -> Limited:
         added = (spans.accelerated(v, a) - a).norm_above.value
         return np.divide(added, slack[spans.piece, spans.item])
 
-    return Limited(path, 2, OnClock, path, quick, used)
+    return ClockLimit(path, 2, OnClock, path, quick, used)
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,7 +281,7 @@ class StopTable:
     ----------
     end: plan time at which the plan ends [s].
     starts: (stops,) [s], increasing.
-    durations: (stops,) [s]; infinite where no stop was found to begin.
+    durations: (stops,) [s]; infinite where no stop was found.
     """
 
     end: float
@@ -300,7 +301,7 @@ class StopTable:
     def after(self, time: float) -> tuple[float, float]:
         """Return start and duration [s] of the stop that is first at rest for a command at a time.
 
-        Where running on to the end of the plan is sooner, the end and zero.
+        If the end of the plan is sooner, the end and zero.
         """
         first = int(np.searchsorted(self.starts, time))
         rests = self.starts[first:] + self.durations[first:]
@@ -319,7 +320,7 @@ def stop_table(motion: Motion, limits: ClockLimits | None = None) -> StopTable:
     """
     limits = limits or ClockLimits(motion)
     begin, end = (float(each) for each in motion.drones.breaks[[0, -1]])
-    most = max(STARTS // motion.team.drones, FEWEST)
+    most = max(MAX_STARTS // motion.team.drones, MIN_STOPS)
     count = max(2, int(min(np.ceil((end - begin) / SPACING), most)) + 1)
     starts = np.linspace(begin, end, count)[:-1]
     moving = max(np.max(np.abs(motion.drones.ends(order)[1][-1])) for order in (1, 2))
@@ -406,12 +407,12 @@ def _gripped(motion: Motion, index: int, body: SolidObject) -> tuple[PiecewisePo
     return motion.drones.alike(paths), np.column_stack(slack) / body.mass
 
 
-def _find(motion: Motion, _: SpanResults, __: float) -> WorstCase:
-    """Return the longest time [s] over all times of the command, and about when that is."""
+def _longest_stop(motion: Motion, _: SpanResults, __: float) -> WorstCase:
+    """Return the longest time to rest [s] over all times of the command, with its time."""
     with np.errstate(all="ignore"):  # coefficients may be anything; nan breaks a limit
         longest, begins = stop_table(motion).longest
     worst = int(np.argmax(longest))
     return WorstCase(float(longest[worst]), float(begins[worst]))
 
 
-RULE = ReportRule("stoppable", "s", "max", _find, whole=True)
+RULE = ReportRule("stoppable", "s", "max", _longest_stop, whole=True)

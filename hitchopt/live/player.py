@@ -19,7 +19,7 @@ from hitchopt.checks.stops import SHORTEST, SLOWEST, ClockLimits, StopTable, sto
 from hitchopt.errors import InfeasibleError, InputError, OneLine
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.trajectory.clock_phases import ClockPhases, together
+from hitchopt.trajectory.clock_phases import ClockPhases, concatenated_clocks
 from hitchopt.values import Array, finite, not_negative
 
 RATES = (1.0, 0.7, 0.4)  # candidates for going to a plan time
@@ -201,7 +201,7 @@ class Player(OneLine):
         options.sort(key=lambda option: option[0].seconds)
         for first in range(0, len(options), BATCH):
             batch = options[first : first + BATCH]
-            clocks = together([tailed.clock for _, tailed in batch])
+            clocks = concatenated_clocks([tailed.clock for _, tailed in batch])
             feasible = self._known.limits.keep(clocks, len(batch))
             if np.any(feasible):
                 return batch[int(np.argmax(feasible))][0]

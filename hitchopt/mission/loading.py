@@ -36,7 +36,7 @@ from hitchopt.objects import Rim, Section, SolidObject
 from hitchopt.steps import Step
 from hitchopt.steps.step import Keys
 from hitchopt.storage.yaml_file import parse_yaml, plain, read_node, read_text
-from hitchopt.values.units import seen_from
+from hitchopt.values.units import keys_within
 
 T = TypeVar("T")
 
@@ -135,7 +135,7 @@ def _built(keys: ProblemKeys | SwarmKeys, folder: Path | None) -> AnyProblem:
     def attempt(parent: str, make: Callable[..., T], *args: Any, **kwargs: Any) -> Any:
         """Return the built value, or None if it is refused."""
         try:
-            with seen_from(parent):
+            with keys_within(parent):
                 return make(*args, **kwargs)
         except InputError as error:
             faults.append(error)
@@ -189,7 +189,7 @@ def _team(kind: type[T], keys: TeamKeys | SwarmTeamKeys) -> T:
     kinds, quadrotors = values["quadrotor"], []
     one = isinstance(kinds, dict)
     for k, each in enumerate([kinds] if one else kinds):
-        with seen_from("quadrotor" if one else f"quadrotor[{k}]"):
+        with keys_within("quadrotor" if one else f"quadrotor[{k}]"):
             quadrotors.append(Quadrotor(**each))
     return kind(**values | {"quadrotor": quadrotors[0] if one else quadrotors})
 
@@ -198,7 +198,7 @@ def _start(keys: StartKeys, team: Team) -> Start:
     """Return where the plan starts."""
     kinds: dict[str, type[HitchStart | DronesStart]] = {"hitch": HitchStart, "drones": DronesStart}
     ((name, given),) = keys.model_dump(exclude_none=True).items()
-    with seen_from(f"start.{name}"):
+    with keys_within(f"start.{name}"):
         start = kinds[name](**given)
     return fitting_start(team, start)
 

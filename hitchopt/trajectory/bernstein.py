@@ -14,8 +14,8 @@ import numpy as np
 
 from hitchopt.values import Array
 
-MOST_PAIRS = 2**18
-"""Pairs of coefficients that are multiplied in one go, so that they stay within the caches."""
+MAX_PAIRS = 2**18
+"""Maximum pairs of coefficients multiplied at a time, so that they stay within the caches."""
 
 MOST_ALONE = 2**18
 """Multiplications in one product of matrices: larger ones OpenBLAS shares among threads, which
@@ -72,7 +72,7 @@ def differentiate(coefficients: Array) -> Array:
 
 
 def elevate(coefficients: Array, order: int) -> Array:
-    """Return the same polynomials written in degree ``order``, at least their own."""
+    """Return the polynomials written in degree ``order``, at least their own."""
     if order == degree(coefficients):
         return coefficients
     return combined(coefficients, elevation(degree(coefficients), order))
@@ -105,17 +105,17 @@ def dot(a: Array, b: Array) -> Array:
 
 
 def _batched(a: Array, b: Array, axes: int) -> Array:
-    """Return the product of parts of the first axis in a row, as many as MOST_PAIRS allows.
+    """Return the product, computed in parts of the first axis of at most MAX_PAIRS pairs.
 
-    Both arrays have so many ``axes`` that do not broadcast, the last one that of the coefficients.
+    Both arrays have ``axes`` axes that do not broadcast, the last one of the coefficients.
     """
     m, n = a.shape[-1], b.shape[-1]
     pairs = max(a.size * n, b.size * m)
-    if pairs <= MOST_PAIRS:
+    if pairs <= MAX_PAIRS:
         return _product(a, b, axes)
     shape = np.broadcast_shapes(a.shape[:-axes], b.shape[:-axes])
     a, b = (np.broadcast_to(each, (*shape, *each.shape[-axes:])) for each in (a, b))
-    step = max(1, (shape or (1,))[0] * MOST_PAIRS // pairs)
+    step = max(1, (shape or (1,))[0] * MAX_PAIRS // pairs)
     if not shape or step >= shape[0]:
         return _product(a, b, axes)
     parts = [slice(first, first + step) for first in range(0, shape[0], step)]
@@ -123,7 +123,7 @@ def _batched(a: Array, b: Array, axes: int) -> Array:
 
 
 def _product(a: Array, b: Array, axes: int) -> Array:
-    """Return the product, or the scalar product of two ``axes``: few by one product of matrices."""
+    """Return the product, or for two ``axes`` the scalar product; if small by matrices."""
     m, n = a.shape[-1], b.shape[-1]
     pairs = max(a.size * n, b.size * m) // (1 if axes == 1 else a.shape[-2])
     if pairs * (m + n - 1) > MOST_ALONE:
@@ -134,7 +134,7 @@ def _product(a: Array, b: Array, axes: int) -> Array:
 
 
 def _convolved(a: Array, b: Array, axes: int) -> Array:
-    """Return the same of many: sums over all of them at a time, their axes being the last ones."""
+    """Return the product of many polynomials as sums over them, with their axes last."""
     dims = max(a.ndim, b.ndim)
     x, y = (
         np.multiply(c[(None,) * (dims - c.ndim)].T, _column(degree(c), dims), order="C")
@@ -226,7 +226,7 @@ def _derivative(order: int, derivative: int) -> Array:
 
 @lru_cache
 def _collecting(m: int, n: int) -> Array:
-    """((m + 1)(n + 1), m + n + 1): what pairs of coefficients add to those of their product."""
+    """((m + 1)(n + 1), m + n + 1): contributions of pairs of coefficients to their product's."""
     weights = np.zeros((m + 1, n + 1, m + n + 1))
     for i in range(m + 1):
         for j in range(n + 1):

@@ -23,7 +23,7 @@ BISECTIONS = 52
 
 
 def advanced(jets: Array, dt: Array | float) -> Array:
-    """Return the jets (…, 4) of cubics at ``dt`` (…) after they have the given ``jets`` (…, 4)."""
+    """Return the jets (…, 4) of cubics ``dt`` (…) [s] after those given (…, 4)."""
     p, v, a, j = (jets[..., k] for k in range(4))
     change = dt * j
     place = p + dt * (v + dt * (a / 2.0 + change / 6.0))
@@ -39,7 +39,7 @@ class ClockPhases:
 
     Attributes
     ----------
-    owner: (phases,), whose they are where several clocks are looked at.
+    owner: (phases,), index of each phase's clock.
     jets: (phases, 4), plan time τ [s] and its derivatives by time where each begins.
     duration: (phases,) [s]
     """
@@ -92,7 +92,7 @@ class ClockPhases:
         return cells, np.searchsorted(breaks, middle, side="right") - 1
 
     def _passing(self, phase: Indices, target: Array) -> Array:
-        """Return when (m,) each phase passes a plan time [s], its rate being of one sign."""
+        """Return the time (m,) [s] at which each phase passes a plan time [s]."""
         p, v, a, j = self.jets[phase].T
         low, high = np.zeros(len(phase)), self.duration[phase].copy()
         forward = self.ends[phase, 0] >= p
@@ -104,8 +104,8 @@ class ClockPhases:
         return 0.5 * (low + high)
 
 
-def together(clocks: Sequence[ClockPhases]) -> ClockPhases:
-    """Return the phases of several clocks, each the owner of its own."""
+def concatenated_clocks(clocks: Sequence[ClockPhases]) -> ClockPhases:
+    """Return the phases of several clocks, with their indices as owners."""
     return ClockPhases(
         np.repeat(np.arange(len(clocks)), [len(clock) for clock in clocks]),
         np.concatenate([clock.jets for clock in clocks]),

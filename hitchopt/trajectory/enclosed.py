@@ -1,12 +1,12 @@
-"""Arithmetic with functions of time that are known up to a ball: formulas bounded for all t.
+"""Arithmetic with polynomials enclosed by balls: formulas bounded for all t.
 
 An ``Enclosed`` value is, for many spans of time at once, a polynomial in Bernstein form and the
-radius of a ball around it. Sums, products, norms and directions of such values are such values
-again, rounding included, so that a formula written once gives a bound over every span. A point is a
-span of no length: degree 0, whose ball holds rounding alone. So the same formula gives values.
+radius of a ball around it. Sums, products, norms and directions are enclosed values too, rounding
+included, so a formula written once gives a bound over every span. A point is a span of no length:
+degree 0, with a ball for rounding alone. So the same formula gives values.
 
-Roots and inverses are no polynomials. A low interpolant w of 1/a is, and the coefficients of
-``a w - 1`` bound how wrong it is everywhere, whatever w came from; likewise ``a - v²`` for a root.
+Roots and inverses are not polynomials. An interpolant w of 1/a of low degree is, and the
+coefficients of ``a w - 1`` bound its error everywhere; likewise ``a - v²`` for a root.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ then; an inverse enters more products than a root."""
 
 @dataclass(frozen=True, eq=False)
 class Bound:
-    """What a quantity does not pass on each of many spans, (spans,).
+    """Bounds of a quantity on each of many spans, (spans,).
 
-    It comes closest to that at about x (spans,), in [0, 1] on its span.
+    The quantity comes closest to them at about x (spans,), in [0, 1] on its span.
     """
 
     value: Array
@@ -43,7 +43,7 @@ class Bound:
 
 @dataclass(frozen=True, eq=False)
 class Interval:
-    """Numbers between bounds, from below and from above (…)."""
+    """Intervals, with bounds from below and from above (…)."""
 
     low: Array
     high: Array
@@ -70,12 +70,12 @@ class Interval:
 
 @dataclass(frozen=True, eq=False)
 class Enclosed:
-    """Vectors on [0, 1] that are known up to a ball.
+    """Vector polynomials on [0, 1], each enclosed by a ball.
 
     Attributes
     ----------
     c: (…, components, degree + 1), Bernstein coefficients.
-    r: (…), what bounds the Euclidean norm of the error everywhere; infinite where nothing is known.
+    r: (…), bound of the Euclidean norm of the error everywhere; infinite if there is none.
     """
 
     c: Array
@@ -85,7 +85,7 @@ class Enclosed:
 
     @classmethod
     def of(cls, value: Enclosed | ArrayLike) -> Enclosed:
-        """Return a value as it is, and numbers or vectors (…, components) as exact constants."""
+        """Return enclosed values unchanged, numbers and vectors (…, components) as constants."""
         if isinstance(value, Enclosed):
             return value
         numbers = np.asarray(value, dtype=np.float64)
@@ -98,7 +98,7 @@ class Enclosed:
 
     @cached_property
     def size(self) -> Array:
-        """(…): a bound of the polynomials' norm, the ball left out."""
+        """(…): bound of the polynomials' norm, without the ball."""
         sizes = np.abs(self.c[..., 0, :]) if self.c.shape[-2] == 1 else column_lengths(self.c)
         # Along the first axis this takes a tenth of the time.
         most: Array = np.maximum.reduce(np.ascontiguousarray(sizes.T)).T
@@ -110,7 +110,7 @@ class Enclosed:
         return Enclosed(self.c[..., rows, :], self.r)
 
     def widened(self, radius: Array | float) -> Enclosed:
-        """Return the same with a larger ball."""
+        """Return the value with a larger ball."""
         return Enclosed(self.c, self.r + radius)
 
     def __neg__(self) -> Enclosed:
@@ -145,7 +145,7 @@ class Enclosed:
         return Enclosed(c, _error(self, other))
 
     def cross(self, other: Enclosed) -> Enclosed:
-        """Return the cross product of three components; of two, its upward one."""
+        """Return the cross product of three components; of two, its third component."""
         a, b = self.c, other.c
         ahead, behind = ([1, 2, 0], [2, 0, 1]) if a.shape[-2] == 3 else ([0], [1])
         c = bernstein.multiply(a[..., ahead, :], b[..., behind, :])
@@ -158,7 +158,7 @@ class Enclosed:
         return Enclosed(np.sum(self.c, axis=axis - 2), r)
 
     def reduced(self, order: int) -> Enclosed:
-        """Return the same in degree ``order`` at most; what that loses goes to the ball."""
+        """Return the value in degree ``order`` at most; the error is added to the ball."""
         if self.degree <= order:
             return self
         nodal = bernstein.combined(self.c, bernstein.at_nodes(order, self.degree))
@@ -187,7 +187,7 @@ class Enclosed:
 
     @cached_property
     def inverse(self) -> Enclosed:
-        """One over a scalar that is positive; the radius is infinite where it may not be."""
+        """Inverse of a positive scalar; the radius is infinite where it may not be positive."""
         order = INVERSE_ORDER if self.degree else 0
         nodal = bernstein.combined(self.c, bernstein.at_nodes(order, self.degree))
         known = np.min(nodal, axis=(-2, -1)) > 0.0
@@ -227,12 +227,12 @@ class Enclosed:
 
     @property
     def norm_above(self) -> Bound:
-        """What the norm does not rise above: a norm is convex, largest at a coefficient."""
+        """Upper bound of the norm: it is convex, hence largest at a coefficient."""
         return Enclosed((column_lengths(self.c) * (1.0 + EPS))[..., None, :], self.r).above
 
     @property
     def norm_below(self) -> Bound:
-        """What the norm does not fall below: along the direction at mid span, not negative."""
+        """Lower bound of the norm, along the direction at mid span; not negative."""
         along = self.middle
         size = np.sqrt(np.sum(along * along, axis=-1, keepdims=True))
         along = np.divide(along, size, out=np.zeros_like(along), where=size > 0.0)
@@ -241,25 +241,25 @@ class Enclosed:
 
     @property
     def above(self) -> Bound:
-        """What a scalar does not rise above."""
+        """Upper bound of a scalar."""
         index = np.argmax(self.c[..., 0, :], axis=-1)
         most = np.take_along_axis(self.c[..., 0, :], index[..., None], axis=-1)[..., 0]
         return Bound(most + self.r, index / max(1, self.degree))
 
     @property
     def below(self) -> Bound:
-        """What a scalar does not fall below."""
+        """Lower bound of a scalar."""
         found = (-self).above
         return Bound(-found.value, found.x)
 
     @property
     def range(self) -> Interval:
-        """The numbers between which a scalar stays."""
+        """Interval that contains a scalar."""
         return Interval(self.below.value, self.above.value)
 
     @property
     def norm_range(self) -> Interval:
-        """The numbers between which the norm stays."""
+        """Interval that contains the norm."""
         return Interval(self.norm_below.value, self.norm_above.value)
 
     @property
@@ -272,9 +272,9 @@ class Enclosed:
 
 
 def _error(a: Enclosed, b: Enclosed) -> Array:
-    """Return the error of a product no longer than the factors' product, rounding included.
+    """Return the error of a product no larger than the product of norms, rounding included.
 
-    Nothing times a factor without a bound is nothing.
+    Zero times an unbounded factor is zero.
     """
     x, y = a.size, b.size
     error: Array = EPS * (x * y)
@@ -300,7 +300,7 @@ def vector(*parts: Enclosed) -> Enclosed:
 
 
 def largest_of(bounds: list[Bound], least: float = -np.inf) -> Bound:
-    """Return the largest of several bounds, span by span, and of a number."""
+    """Return the largest of several bounds and of a number, span by span."""
     values = np.stack([bound.value for bound in bounds])
     first = np.argmax(values, axis=0)[None]
     x = np.take_along_axis(np.stack([bound.x for bound in bounds]), first, axis=0)[0]

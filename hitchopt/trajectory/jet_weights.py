@@ -1,4 +1,4 @@
-"""Where times are in pieces, and the weights of values and derivatives there."""
+"""Places of times in pieces, and the weights of values and derivatives there."""
 
 from __future__ import annotations
 
@@ -11,15 +11,17 @@ from hitchopt.errors import InputError
 from hitchopt.trajectory import bernstein
 from hitchopt.values import Array
 
-STORED = 500
-"""Times up to which the weights of jets at them are stored: 0.1 MB."""
+MAX_STORED_TIMES = 500
+"""Maximum number of times for which the weights of jets are stored: 0.1 MB."""
 
 
 def places(breaks: Array, times: Array) -> tuple[NDArray[np.intp], Array]:
-    """Return the pieces (…) of times (…), and where in them (…), from 0 to 1."""
+    """Return the pieces (…) of times (…), and their places in them (…), from 0 to 1."""
     first, last = breaks[0], breaks[-1]
     if not np.all((times >= first - 1e-9) & (times <= last + 1e-9)):
-        raise InputError("t", times, f"within [{first:g}, {last:g}] s", "ask within the plan")
+        raise InputError(
+            "t", times, f"within [{first:g}, {last:g}] s", "pass times within the plan"
+        )
     piece = np.clip(np.searchsorted(breaks, times, side="right") - 1, 0, len(breaks) - 2)
     return piece, np.clip((times - breaks[piece]) / np.diff(breaks)[piece], 0.0, 1.0)
 
@@ -27,11 +29,11 @@ def places(breaks: Array, times: Array) -> tuple[NDArray[np.intp], Array]:
 def _weights(
     breaks: bytes, times: bytes, shape: tuple[int, ...], order: int, count: int
 ) -> tuple[NDArray[np.intp], Array, Array]:
-    """Return what ``PiecewisePolynomial.jet`` takes of breaks and times alone.
+    """Return the weights of ``PiecewisePolynomial.jet``, which depend on breaks and times alone.
 
     Parameters
     ----------
-    breaks, times: memory of the arrays, which is quickly compared.
+    breaks, times: memory of the arrays, which is hashable.
     shape: of the times, (…).
     order: degree of the pieces.
     count: of derivatives.
@@ -48,7 +50,7 @@ def _weights(
 
 
 _stored_weights = lru_cache(maxsize=64)(_weights)
-"""The same, stored: a search asks for the same few grids on all of its paths."""
+"""``_weights`` with a cache: a search uses a few grids on all of its paths."""
 
 
 def jet_weights(
@@ -63,5 +65,5 @@ def jet_weights(
     order: degree of the pieces.
     count: of derivatives, the zeroth included.
     """
-    found = _stored_weights if times.size <= STORED else _weights
-    return found(breaks.tobytes(), times.tobytes(), times.shape, order, count)
+    weights = _stored_weights if times.size <= MAX_STORED_TIMES else _weights
+    return weights(breaks.tobytes(), times.tobytes(), times.shape, order, count)

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from scipy.interpolate import BSpline
 
 
-KEPT = 2**16
-"""Numbers up to which a derivative is kept: 0.5 MB."""
+MAX_STORED_SIZE = 2**16
+"""Maximum size of a derivative that is stored: 0.5 MB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,7 @@ class PiecewisePolynomial(OneLine):
 
     Raises
     ------
-    InputError: shapes that do not fit, breaks that do not increase, anything not finite.
+    InputError: shapes that do not fit, breaks that do not increase, values that are not finite.
     """
 
     breaks: Array
@@ -53,20 +53,20 @@ class PiecewisePolynomial(OneLine):
         if not ((breaks[1:] > breaks[:-1]).all() and isfinite(breaks[0]) and isfinite(breaks[-1])):
             raise InputError("breaks", breaks, "finite and strictly increasing", "sort the times")
         if not np.isfinite(coefficients).all():
-            raise InputError("coefficients", "nan or inf", "finite", "check how they were made")
+            raise InputError("coefficients", "nan or inf", "finite", "check how they are computed")
         for name, array in (("breaks", breaks), ("coefficients", coefficients)):
             array.setflags(write=False)
             object.__setattr__(self, name, array)
 
     def alike(self, coefficients: Array, breaks: Array | None = None) -> PiecewisePolynomial:
-        """Return other functions, unchecked and without copies: computed from checked ones."""
-        made = object.__new__(PiecewisePolynomial)
+        """Return other functions on the same breaks by default, without checks and copies."""
+        function = object.__new__(PiecewisePolynomial)
         breaks = self.breaks if breaks is None else breaks
         for array in (coefficients, breaks):
             array.setflags(write=False)
-        object.__setattr__(made, "breaks", breaks)
-        object.__setattr__(made, "coefficients", coefficients)
-        return made
+        object.__setattr__(function, "breaks", breaks)
+        object.__setattr__(function, "coefficients", coefficients)
+        return function
 
     def _parts(self) -> Iterator[str]:
         yield f"{self.pieces} pieces of degree {self.degree}"
@@ -113,7 +113,7 @@ class PiecewisePolynomial(OneLine):
 
     @classmethod
     def from_spline(cls, spline: BSpline) -> PiecewisePolynomial:
-        """Return scipy's spline on the span on which its basis is complete."""
+        """Return a spline of scipy on the span on which its basis is complete."""
         k = spline.k
         breaks = np.unique(spline.t[k : len(spline.t) - k])
         x = breaks[:-1, None] + np.diff(breaks)[:, None] * bernstein.nodes(k)
@@ -174,7 +174,7 @@ class PiecewisePolynomial(OneLine):
         return jets
 
     def _places(self, t: ArrayLike) -> tuple[NDArray[np.intp], Array]:
-        """Return the pieces (…) of times t, and where in them (…, 1, …, 1), from 0 to 1."""
+        """Return the pieces (…) of times t, and their places (…, 1, …, 1) in them, from 0 to 1."""
         times = np.asarray(t, dtype=np.float64)
         piece, x = places(self.breaks, times)
         return piece, x.reshape(*times.shape, *(1,) * len(self.shape))
@@ -183,24 +183,24 @@ class PiecewisePolynomial(OneLine):
         """Return the derivative of the given order by time."""
         if order == 0:
             return self
-        kept = _DERIVATIVES.setdefault(self, {})
-        if order in kept:
-            return kept[order]
+        stored = _DERIVATIVES.setdefault(self, {})
+        if order in stored:
+            return stored[order]
         lower = self.differentiated(order - 1).coefficients
         h = self.durations.reshape(-1, *(1,) * (lower.ndim - 1))
         slope = bernstein.differentiate(lower)
         slope /= h
-        found = self.alike(slope)
-        if lower.size <= KEPT:
-            kept[order] = found
-        return found
+        derivative = self.alike(slope)
+        if lower.size <= MAX_STORED_SIZE:
+            stored[order] = derivative
+        return derivative
 
     def reshaped(self, *shape: int) -> PiecewisePolynomial:
-        """Return the same functions, their values arranged in another shape."""
+        """Return the functions with their values in another shape."""
         return self.alike(self.coefficients.reshape(self.pieces, *shape, self.degree + 1))
 
     def split(self, shapes: Sequence[tuple[int, ...]]) -> list[PiecewisePolynomial]:
-        """Return functions of values (m,) as several in a row, with values of given shapes."""
+        """Return functions with values (m,) split into functions with values of given shapes."""
         found, first, count = [], 0, self.degree + 1
         for shape in shapes:
             part = self.coefficients[:, first : first + prod(shape)]
@@ -209,7 +209,7 @@ class PiecewisePolynomial(OneLine):
         return found
 
     def elevated(self, order: int) -> PiecewisePolynomial:
-        """Return the same functions written in degree ``order``."""
+        """Return the functions written in degree ``order``."""
         if order == self.degree:
             return self
         return self.alike(bernstein.elevate(self.coefficients, order))
@@ -230,7 +230,7 @@ class PiecewisePolynomial(OneLine):
         return found
 
     def stretched(self, factor: float) -> PiecewisePolynomial:
-        """Return the same curves flown ``factor`` times as slowly from the same start."""
+        """Return the curves flown ``factor`` times as slowly from the same start."""
         first = self.breaks[0]
         return PiecewisePolynomial(first + factor * (self.breaks - first), self.coefficients)
 
@@ -242,7 +242,7 @@ class PiecewisePolynomial(OneLine):
         return self.alike(self.coefficients[first:last], self.breaks[first : last + 1])
 
     def reversed(self) -> PiecewisePolynomial:
-        """Return the same curves flown backwards, over the same span of time."""
+        """Return the curves flown backwards over the same span of time."""
         breaks = self.breaks[0] + (self.breaks[-1] - self.breaks[::-1])
         return PiecewisePolynomial(breaks, self.coefficients[::-1, ..., ::-1])
 
@@ -250,7 +250,7 @@ class PiecewisePolynomial(OneLine):
 _DERIVATIVES: WeakKeyDictionary[PiecewisePolynomial, dict[int, PiecewisePolynomial]] = (
     WeakKeyDictionary()
 )
-"""Derivatives by their order, of small polynomials in use: several checks ask for the same."""
+"""Derivatives of small polynomials in use, by order: several checks need the same."""
 
 
 def joined(
@@ -258,7 +258,7 @@ def joined(
 ) -> PiecewisePolynomial:
     """Return the parts one after the other, from the first one's start, in their largest degree.
 
-    ``like`` are other parts with the same breaks, joined before.
+    ``like`` is the result for other parts with the same breaks.
     """
     if len(parts) == 1:
         return parts[0]
@@ -284,11 +284,11 @@ smoothly is off by its jump in jerk times 1e-21 s³, far below rounding."""
 
 
 def merged_breaks(each: Sequence[Array]) -> Array:
-    """Return all breaks in order; of those within SAME_BREAK of an earlier one's, the former.
+    """Return all breaks in order, without those within SAME_BREAK of an earlier array's.
 
     Parameters
     ----------
-    each: (pieces + 1,) [s]; the first of them remain whatever the others are.
+    each: (pieces + 1,) [s]; those of the first array are all in the result.
     """
     merged = np.asarray(each[0], dtype=np.float64)
     for breaks in each[1:]:
@@ -300,9 +300,9 @@ def merged_breaks(each: Sequence[Array]) -> Array:
 
 
 def on_breaks(part: PiecewisePolynomial, breaks: Array) -> PiecewisePolynomial:
-    """Return the same functions on ``breaks`` (within the part's), each within one of its pieces.
+    """Return the functions on ``breaks`` (within the part's), each piece within one of the part's.
 
-    Exact but for rounding, and for what lies within SAME_BREAK of the part's own breaks.
+    Exact except for rounding, and within SAME_BREAK of the part's own breaks.
     """
     middles = 0.5 * (breaks[1:] + breaks[:-1])
     piece = np.clip(np.searchsorted(part.breaks, middles, side="right") - 1, 0, part.pieces - 1)

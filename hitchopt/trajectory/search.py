@@ -1,8 +1,8 @@
 """The smallest or largest value of a formula over continuous time, by branch and bound.
 
-A formula gives, for many spans of time at once, what a quantity does not pass on each of them; on
-spans of no length that is its value. Spans whose bound may still change the answer are halved until
-none does. The answer holds for all t; it is not read off samples.
+A formula bounds a quantity on each of many spans of time at once; on spans of no length the bound
+is its value. Spans whose bound may still change the answer are halved until none does. The answer
+holds for all t; it does not rely on samples.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ quantity's own unit; the larger of the two counts."""
 
 MAX_HALVINGS, MAX_SPANS = 40, 100_000
 """Maximum number of halvings of a piece, and of halves in all (or ten per given span): beyond them
-bounds are taken as they are, valid but less tight."""
+bounds are accepted, valid but less tight."""
 
 BATCH = 4096
-"""Spans bounded in one go, so that what a formula allocates stays within the caches."""
+"""Spans bounded in one call, so that a formula's arrays stay within the caches."""
 
 TIES, TIE = 9, 1e-9
 """Digits of bounds, and share of values, within which the first one in time counts."""
 
-TRIED = 32
+CANDIDATES = 32
 """Spans of a batch, those with the worst bounds, at a point of which the value is computed."""
 
 _ROUGH: ContextVar[bool] = ContextVar("rough", default=False)
@@ -44,7 +44,7 @@ _ROUGH: ContextVar[bool] = ContextVar("rough", default=False)
 
 @contextmanager
 def rough_bounds() -> Iterator[None]:
-    """Take bounds as they are within the context wherever all of them keep a target."""
+    """Accept bounds without tightening within the context if all of them satisfy the target."""
     token = _ROUGH.set(True)
     try:
         yield
@@ -53,14 +53,14 @@ def rough_bounds() -> Iterator[None]:
 
 
 class Spans:
-    """Spans of time within pieces, each that of one item.
+    """Spans of time within pieces, each of one item.
 
     Parameters
     ----------
-    source: what the polynomials are of.
+    source: object that has the polynomials.
     breaks: (pieces + 1,) [s]
     piece, item: (spans,)
-    extent: (2, spans), the parts of their pieces from and to which they go; None of whole pieces.
+    extent: (2, spans), start and end of each within its piece, from 0 to 1; None for whole pieces.
     points: whether the spans have no length.
     """
 
@@ -89,7 +89,7 @@ class Spans:
 
         Parameters
         ----------
-        on: (pieces,) or (pieces, items), which of them; None for all.
+        on: (pieces,) or (pieces, items), mask of the spans to yield; None for all.
         """
         here = np.ones((len(breaks) - 1, items), dtype=np.bool_)
         if on is not None:
@@ -130,7 +130,7 @@ class Spans:
         Parameters
         ----------
         table: (pieces, items, …, degree + 1), coefficients on whole pieces.
-        item: (spans,) or (spans, k), whose; the spans' own by default.
+        item: (spans,) or (spans, k), items to read; the spans' own by default.
         """
         item = self.item if item is None else item
         c = table[self.piece if item.ndim == 1 else self.piece[:, None], item]
@@ -147,16 +147,16 @@ class Spans:
 S = TypeVar("S", bound=Spans)
 
 Formula = Callable[[S], Bound]
-"""What a quantity does not pass on spans; its value where they are points."""
+"""Bound of a quantity on spans; its value if they are points."""
 
 
 @dataclass(frozen=True)
 class Extremum:
     """The smallest or largest value of a quantity.
 
-    ``worst`` is not passed at any time, rounding included; ``value`` is attained by an ``item`` at
-    a ``time`` [s], about as far out (within ``rough_bounds`` a bound that keeps the target). The
-    item is -1 where there was no span at all.
+    ``worst`` bounds it at all times, rounding included; ``value`` is attained by an ``item`` at a
+    ``time`` [s] and close to it (within ``rough_bounds`` a bound that satisfies the target). The
+    item is -1 if there was no span.
     """
 
     worst: float
@@ -166,14 +166,14 @@ class Extremum:
 
 
 class Search(Generic[S]):
-    """Branch and bound for the largest or smallest value; spans may be added bit by bit.
+    """Branch and bound for the largest or smallest value; spans may be added in any portions.
 
     Parameters
     ----------
-    formula: gives the bounds.
+    formula: computes the bounds.
     sense: ``max`` for the largest value, ``min`` for the smallest.
-    target: where all values keep this, spans are halved until ``worst`` does too.
-    known: only worse values matter; the item is -1 where there are none.
+    target: if all values satisfy it, spans are halved until ``worst`` does too.
+    known: only worse values matter; the item is -1 if there are none.
     relative, absolute: how close ``worst`` has to come to an attained value.
     """
 
@@ -188,14 +188,14 @@ class Search(Generic[S]):
         absolute: float = ABSOLUTE,
     ) -> None:
         self.formula = formula
-        self.sign = 1.0 if sense == "max" else -1.0  # the largest of sign · value is looked for
+        self.sign = 1.0 if sense == "max" else -1.0  # the largest of sign · value is searched for
         self.relative, self.absolute = relative, absolute
         self.target = np.inf if math.isnan(target) else self.sign * target
         self.value = -np.inf if math.isnan(known) else self.sign * known
         self.rough = _ROUGH.get() and not math.isnan(target)
         self.item, self.time = -1, 0.0
-        self.ceiling = -np.inf  # largest bound of the spans that are done with
-        self.looked_at = 0
+        self.ceiling = -np.inf  # largest bound of closed spans
+        self.evaluated = 0
         self._open: list[tuple[S, Array, int]] = []
 
     @property
@@ -205,29 +205,29 @@ class Search(Generic[S]):
 
     @property
     def threshold(self) -> float:
-        """Spans bounded by this or less need no closer look."""
+        """Spans bounded by this or less are closed."""
         if not math.isfinite(self.value):
             return self.value
         tight = self.value + max(self.absolute, self.relative * abs(self.value))
         return min(tight, self.target) if self.value <= self.target else tight
 
     def add(self, spans: S) -> None:
-        """Bound the spans once; keep those that may hold the worst value."""
+        """Bound the spans once; those that may contain the worst value stay open."""
         for batch in batches(spans):
             if (left := self._left(batch, self._bounds(batch))) is not None:
                 self._open.append((*left, 0))
 
     def finish(self) -> Extremum:
-        """Halve what is open until nothing is, and return the answer."""
+        """Halve open spans until none is left, and return the answer."""
         # Deepest first: few spans are alive at a time, and the worst values come early.
         self._open.sort(key=lambda entry: float(entry[1].max()))
-        enough = max(MAX_SPANS, 10 * self.looked_at) + self.looked_at
+        enough = max(MAX_SPANS, 10 * self.evaluated) + self.evaluated
         while self._open:
             spans, bounds, depth = self._open.pop()
             if (left := self._left(spans, bounds)) is None:
                 continue
             spans, bounds = left
-            if depth == MAX_HALVINGS or self.looked_at > enough:
+            if depth == MAX_HALVINGS or self.evaluated > enough:
                 self.ceiling = max(self.ceiling, float(bounds.max()))
                 continue
             inherited = np.concatenate([bounds, bounds])
@@ -238,29 +238,31 @@ class Search(Generic[S]):
         return Extremum(self.sign * worst, self.attained, self.item, self.time)
 
     def _bounds(self, batch: S) -> Array:
-        """Return upper bounds (spans,) of sign · quantity, having noted the largest value."""
+        """Return upper bounds (spans,) of sign · quantity, and record the largest value."""
         check_time()
-        self.looked_at += len(batch)
+        self.evaluated += len(batch)
         with np.errstate(all="ignore"):  # coefficients may be anything; see nan below
-            found = self.formula(batch)
-            bounds = _sure(self.sign * found.value)
+            bound = self.formula(batch)
+            bounds = _without_nan(self.sign * bound.value)
             # Of spans that tie the first ones, so that the answer is the same everywhere.
             size = np.max(np.abs(bounds), initial=0.0, where=np.isfinite(bounds)) or 1.0
             rough = np.round(bounds / size, TIES)
-            tried = np.sort(np.argsort(-rough, kind="stable")[:TRIED])
-            if self.item >= 0:  # values beyond their span's bound there are not
-                tried = tried[bounds[tried] >= self.value - TIE * abs(self.value)]
-            if len(tried):
-                points = batch.take(tried).at(found.x[tried])
+            candidates = np.sort(np.argsort(-rough, kind="stable")[:CANDIDATES])
+            if self.item >= 0:  # no value exceeds its span's bound
+                candidates = candidates[bounds[candidates] >= self.value - TIE * abs(self.value)]
+            if len(candidates):
+                points = batch.take(candidates).at(bound.x[candidates])
                 enough = self.rough and bounds.max() <= self.target
                 self._note(
                     points,
-                    bounds[tried] if enough else _sure(self.sign * self.formula(points).value),
+                    bounds[candidates]
+                    if enough
+                    else _without_nan(self.sign * self.formula(points).value),
                 )
         return bounds
 
     def _note(self, points: S, values: Array) -> None:
-        """Keep the largest value, of those that tie the first in time."""
+        """Record the largest value; of values that tie, the first in time."""
         most = float(values.max())
         tie = TIE * abs(most) if math.isfinite(most) else 0.0
         best = int(np.argmax(values >= most - tie))
@@ -270,7 +272,7 @@ class Search(Generic[S]):
             self.value, self.item, self.time = max(value, self.value), int(points.item[best]), time
 
     def _left(self, spans: S, bounds: Array) -> tuple[S, Array] | None:
-        """Return the spans whose bounds need a closer look, if any, and settle all others."""
+        """Return the spans that stay open, if any, and close all others."""
         done = bounds <= self.threshold
         self.ceiling = max(self.ceiling, float(np.max(bounds[done], initial=-np.inf)))
         if done.all():
@@ -278,8 +280,8 @@ class Search(Generic[S]):
         return (spans.take(~done), bounds[~done]) if done.any() else (spans, bounds)
 
 
-def _sure(values: Array) -> Array:
-    """Return values with what is no number as bad as can be: there the check fails."""
+def _without_nan(values: Array) -> Array:
+    """Return values with nan replaced by infinity: there the check fails."""
     return np.where(np.isnan(values), np.inf, values)
 
 

@@ -1,4 +1,4 @@
-"""Checks of single values, with the same messages for all records."""
+"""Checks of single values, with one set of messages for all records."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ def instance(key: str, value: object, *kinds: type) -> None:
     """Raise InputError unless ``value`` is of one of the public classes ``kinds``."""
     if not isinstance(value, kinds):
         names = " or ".join(f"hitchopt.{kind.__name__}" for kind in kinds)
-        raise InputError(key, value, f"a {names}", f"make one with hitchopt.{kinds[0].__name__}")
+        raise InputError(key, value, f"a {names}", f"build one with hitchopt.{kinds[0].__name__}")
 
 
 def flag(key: str, value: object) -> bool:
     """Return ``value``, or raise InputError unless it is true or false."""
     if not isinstance(value, bool | np.bool_):
-        raise InputError(key, value, "true or false", "write True or False")
+        raise InputError(key, value, "true or false", "pass True or False")
     return bool(value)
 
 
 def path(key: str, value: object) -> Path:
-    """Return ``value`` as a path, or raise InputError unless it is one or a text."""
+    """Return ``value`` as a path, or raise InputError unless it is a path or a string."""
     if not isinstance(value, str | Path) or value == "":
-        raise InputError(key, value, "a path", "write its name in quotation marks")
+        raise InputError(key, value, "a path", "pass a string or pathlib.Path")
     return Path(value)
 
 
@@ -50,14 +50,14 @@ def choice(key: str, value: object, names: Sequence[str]) -> None:
 
 
 def text(key: str, value: object) -> str:
-    """Return ``value``, or raise InputError unless it is a text."""
+    """Return ``value``, or raise InputError unless it is a string."""
     if not isinstance(value, str):
-        raise InputError(key, value, "a text", "write it in quotation marks")
+        raise InputError(key, value, "a string", "write it in quotation marks")
     return value
 
 
 def sequence(key: str, value: object) -> tuple[Any, ...]:
-    """Return the entries of a list or the like, or raise InputError where it has none."""
+    """Return the entries of a list or another iterable, or raise InputError if it is none."""
     try:
         return tuple(value)  # type: ignore[arg-type]
     except TypeError:
@@ -65,11 +65,13 @@ def sequence(key: str, value: object) -> tuple[Any, ...]:
 
 
 def whole(key: str, value: object, least: int, most: int | None = None) -> int:
-    """Return ``value``, or raise InputError unless it is a whole number of at least ``least``."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-        raise InputError(key, value, f"a whole number, at least {least}", "count them")
+    """Return ``value``, or raise InputError unless it is an integer from ``least`` to ``most``."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer):
+        raise InputError(key, value, "an integer", f"pass an integer >= {least}")
+    if value < least:
+        raise InputError(key, value, f"at least {least}", f"pass an integer >= {least}")
     if most is not None and value > most:
-        raise InputError(key, value, f"at most {most}", "take fewer")
+        raise InputError(key, value, f"at most {most}", f"pass an integer <= {most}")
     return int(value)
 
 
@@ -121,7 +123,7 @@ def coordinate(key: str, value: object) -> float:
 
 
 def as_array(value: object) -> Array:
-    """Return ``value`` as an array of its own, or one without axes of length where it is none."""
+    """Return a copy of ``value`` as an array; an empty one if it is no array of numbers."""
     try:
         return np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
@@ -129,10 +131,10 @@ def as_array(value: object) -> Array:
 
 
 def points(key: str, value: object, shape: tuple[int, int], bound: str, remedy: str) -> Array:
-    """Return points [m] as a read-only array, or raise InputError for what lies too far off.
+    """Return points [m] as a read-only array, or raise InputError if one exceeds MAX_COORDINATE.
 
-    ``shape`` is the smallest number of points, and their number of coordinates; of another one
-    ``bound`` and ``remedy`` are said.
+    ``shape`` is the minimum number of points, and their number of coordinates; ``bound`` and
+    ``remedy`` are those of the error for another shape.
     """
     array = as_array(value)
     if array.ndim != 2 or array.shape[1] != shape[1] or len(array) < shape[0]:
@@ -153,9 +155,9 @@ def per_robot(
     checked: Callable[[str, object], float] = positive,
     owner: str = "robot",
 ) -> NDArray[np.float64]:
-    """Return ``value`` as a read-only array (robots,); one number holds for all robots.
+    """Return ``value`` as a read-only array (robots,); one number applies to all robots.
 
-    Or for all of what ``owner`` names, of which there are as many. ``checked`` checks every number.
+    ``owner`` names the items in messages if they are not robots. ``checked`` checks every number.
     """
     if isinstance(value, int | float | np.number) and not isinstance(value, bool):
         array = np.full(robots, checked(key, float(value)))

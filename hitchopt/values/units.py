@@ -1,4 +1,4 @@
-"""Values that are probably in another unit: what is usual, what is possible, what was meant."""
+"""Values probably given in another unit: usual and possible ranges, and suggested units."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ class Quantity(NamedTuple):
     """A physical quantity."""
 
     unit: str  # the one expected
-    usual: tuple[float, float]  # smallest and largest value beyond which there is a warning
-    possible: tuple[float, float]  # and beyond which a value is refused
+    usual: tuple[float, float]  # range outside of which a warning is issued
+    possible: tuple[float, float]  # range outside of which a value is refused
     others: tuple[tuple[str, float], ...] = ()  # other units, and their sizes in the one expected
 
 
 LENGTHS = (("millimetres", 1e-3), ("centimetres", 1e-2))
 GRAMS = (("grams", 1e-3),)
-OF_FORCE = (("grams of force", 0.00981),)
+GRAMS_OF_FORCE = (("grams of force", 0.00981),)
 DEGREES = 0.017453292519943295
 """One degree [rad]."""
 
 CABLE_LENGTH = Quantity("m", (0.05, 100.0), (1e-3, 1e4), LENGTHS)
 MASS = Quantity("kg", (0.005, 100.0), (1e-5, 1e4), GRAMS)
 LOAD = Quantity("kg", (0.0, 100.0), (0.0, 1e4), GRAMS)
-THRUST = Quantity("N", (0.05, 5e3), (1e-4, 1e6), OF_FORCE)
-TENSION = Quantity("N", (0.002, 500.0), (1e-6, 1e6), OF_FORCE)
+THRUST = Quantity("N", (0.05, 5e3), (1e-4, 1e6), GRAMS_OF_FORCE)
+TENSION = Quantity("N", (0.002, 500.0), (1e-6, 1e6), GRAMS_OF_FORCE)
 DENSITY = Quantity("kg/m", (0.0, 1.0), (0.0, 100.0), (("grams per metre", 1e-3),))
 FRICTION = Quantity("(a coefficient)", (0.0, 3.0), (0.0, 1e9), (("per cent", 1e-2),))
 STIFFNESS = Quantity("N/m", (0.01, 1e5), (1e-6, 1e9), (("N/mm", 1e3),))
@@ -53,16 +53,19 @@ TILT_DEG = Quantity("°", (1.1, 90.0), (0.0, 90.0), (("radians", 1.0 / DEGREES),
 BODY_RATE = Quantity("rad/s", (0.05, 70.0), (0.0, 1e6), (("degrees per second", DEGREES),))
 BODY_RATE_DEG = Quantity("°/s", (10.0, 4e3), (0.0, 1e8), (("radians per second", 1.0 / DEGREES),))
 
-LEAST_LIFT, MOST_LIFT = 0.01, 100.0
-"""Thrust over weight beyond which one of the two is in another unit."""
+MIN_LIFT, MAX_LIFT = 0.01, 100.0
+"""Range of thrust over weight outside of which one of the two is in another unit."""
 
 
 def check_unit(key: str, value: Any, quantity: Quantity) -> None:
-    """Refuse or warn of a value, or the first of an array, that is probably in another unit."""
+    """Refuse, or warn of, a value (or the first of an array) probably in another unit."""
     values = [value] if isinstance(value, float) else value.ravel().tolist()
     (low, high), (least, most) = quantity.usual, quantity.possible
     for i, number in enumerate(values):
-        name, meant = key if len(set(values)) == 1 else f"{key}[{i}]", _meant(number, quantity)
+        name, meant = (
+            key if len(set(values)) == 1 else f"{key}[{i}]",
+            _unit_remedy(number, quantity),
+        )
         if not least <= number <= most:
             bound = f"from {least:g} to {most:g} {quantity.unit}"
             raise InputError(name, number, bound, meant)
@@ -99,7 +102,7 @@ FIELDS: Mapping[str, tuple[Callable[[str, Any], Any], Quantity]] = {
 def store(record: object, values: Mapping[str, Any], checked: Collection[str] = ()) -> None:
     """Set fields of a frozen record; those of FIELDS to what their checks return.
 
-    None is a value where it is the field's default. Units of ``checked`` fields were looked at.
+    None is accepted if it is the field's default. Units of ``checked`` fields were checked before.
     """
     for name, value in values.items():
         number = value
@@ -114,7 +117,7 @@ def store(record: object, values: Mapping[str, Any], checked: Collection[str] = 
 def radians_of(
     key: str, radians: float | None, degrees: float | None, quantity: Quantity
 ) -> float | None:
-    """Return an angle or a rate that is given in one of two units, not in both, in radians."""
+    """Return an angle or a rate in radians, given in radians or in degrees but not in both."""
     if degrees is None:
         return None if radians is None else positive(key, radians)
     name = f"{key}_deg"
@@ -130,21 +133,21 @@ def radians_of(
 def check_lift(mass: float, max_thrust: float, gravity: float) -> None:
     """Raise InputError for a thrust [N] that is a hundred times off a drone's weight (mass in kg).
 
-    It names the mass if grams fit, else the thrust.
+    It blames the mass if grams fit, else the thrust.
     """
     lift = max_thrust / (mass * gravity)
-    if LEAST_LIFT < lift < MOST_LIFT:
+    if MIN_LIFT < lift < MAX_LIFT:
         return
     weight = f"{mass:g} kg weigh {mass * gravity:.3g} N"
-    if 1.0 < 1e3 * lift < MOST_LIFT:
+    if 1.0 < 1e3 * lift < MAX_LIFT:
         bound = f"in kg, its weight within 100 times of max_thrust {max_thrust:g} N ({weight})"
         raise InputError("mass", mass, bound, f"if grams were meant, {1e-3 * mass:g}")
     bound = f"in N, within 100 times of the weight ({weight})"
-    raise InputError("max_thrust", max_thrust, bound, _meant(max_thrust, THRUST))
+    raise InputError("max_thrust", max_thrust, bound, _unit_remedy(max_thrust, THRUST))
 
 
 def warn_of_unit(warning: UnitWarning) -> None:
-    """Issue the warning at the user's line that gave the value; the package's copies give none."""
+    """Issue the warning at the user's line that passed the value; copies of records issue none."""
     level, frame = 1, sys._getframe(0)
     copied = False
     while frame.f_back and (package := _package(frame)) in OUTSIDE:
@@ -161,22 +164,22 @@ def _package(frame: FrameType) -> str:
 
 
 @contextmanager
-def seen_from(parent: str) -> Iterator[None]:
-    """Let errors and warnings name their keys as seen from the enclosing mapping ``parent``."""
+def keys_within(parent: str) -> Iterator[None]:
+    """Prefix the keys of errors and warnings with that of the enclosing mapping ``parent``."""
     with warnings.catch_warnings(record=True) as caught:
         try:
             yield
         except (InputError, UnitWarning) as error:  # a warning where filters make it an error
             raise error.within(parent) from None
-    for found in caught:
-        if isinstance(found.message, UnitWarning):
-            warn_of_unit(found.message.within(parent))
+    for each in caught:
+        if isinstance(each.message, UnitWarning):
+            warn_of_unit(each.message.within(parent))
         else:
-            warnings.warn_explicit(found.message, found.category, found.filename, found.lineno)
+            warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
 
 
-def _meant(number: float, quantity: Quantity) -> str:
-    """Return what the value would be if it were in another unit, the first that makes it usual."""
+def _unit_remedy(number: float, quantity: Quantity) -> str:
+    """Return a remedy: the value in the first other unit that makes it usual, or the unit."""
     low, high = quantity.usual
     for name, size in quantity.others:
         if low <= number * size <= high and number:

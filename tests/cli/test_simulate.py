@@ -120,7 +120,7 @@ def test_a_flight_that_fails_or_is_invalid_ends_with_3(
         ("simulate --density 0.00001", "time_step = 0.000125: must be at most"),
         ("simulate --upload", "upload = True: must be left out without a controller"),
         ("simulate --controller bang", "controller = 'bang': must be one of mellinger"),
-        ("simulate --runs 0", "runs = 0: must be a whole number, at least 1"),
+        ("simulate --runs 0", "runs = 0: must be at least 1; pass an integer >= 1"),
         ("simulate --lose q0@0.05 --runs 3", "must be of a single flight"),
         ("statics --at -1", "t = "),
         ("statics --samples 0", "--samples = 0: must be from 1 to 1000"),

@@ -98,7 +98,7 @@ def test_products_broadcast_and_may_be_made_in_batches(
     pairs: int | None, alone: int | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if pairs is not None:
-        monkeypatch.setattr(bernstein, "MOST_PAIRS", pairs)
+        monkeypatch.setattr(bernstein, "MAX_PAIRS", pairs)
         monkeypatch.setattr(bernstein, "MOST_ALONE", alone)
     rng = np.random.default_rng(2)
     a, b, v = (rng.normal(size=size) for size in ((7, 5, 3, 6), (5, 1, 4), (1, 5, 3, 4)))
