@@ -63,7 +63,7 @@ class Cables(MotionSpans):
 
     @cached_property
     def parts(self) -> list[Enclosed]:
-        """The q-leg, the r-leg and the edge, or what is straight of it on both sides of an arc."""
+        """The q-leg, the r-leg and the edge, or its straight parts on both sides of an arc."""
         legs, edges = leg_vectors(self.source), bent_edges(self.source)
         found = [self.scaled(legs, 2 * self.item + end, self.noise) for end in (0, 1)]
         straight = edges[:1] if self.source.contacts is None else edges
@@ -71,7 +71,7 @@ class Cables(MotionSpans):
 
     @cached_property
     def excess(self) -> Enclosed:
-        """How much longer legs and edge are than the cable."""
+        """Excess of the length of legs and edge over the cable's."""
         found = self.parts[0].norm + self.parts[1].norm
         for part in self.parts[2:]:
             found = found + part.norm
@@ -83,7 +83,7 @@ class Cables(MotionSpans):
 
     @cached_property
     def sag(self) -> Enclosed:
-        """How much longer spans are than their chords: ``(ρ g / T)² s³ cos²α / 24`` each.
+        """Excess of spans over their chords: ``(ρ g / T)² s³ cos²α / 24`` each.
 
         Both straight parts of an edge sag as one.
         """

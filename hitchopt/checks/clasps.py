@@ -58,7 +58,7 @@ def clasp_sizes(motion: Motion) -> dict[str, Array]:
     A factor ``x^a (1 - x)^b`` that all of them share, as where tensions rise from zero, is left
     out: it cancels in every ratio.
 
-    - ``legs``, ``edges`` [N]: their tensions; those of edges less what a rim takes;
+    - ``legs``, ``edges`` [N]: their tensions; those of edges less the share of a rim;
     - ``leg_halves``, ``edge_halves`` [N/m]: half of their weight per length;
     - ``weights`` [N]: half of the cable's, and its share of the load;
     - ``loads`` (pieces, clasps, 3, degree + 1) [N] of objects.
@@ -81,7 +81,7 @@ def clasp_sizes(motion: Motion) -> dict[str, Array]:
 
 
 def edge_tensions(motion: Motion) -> Array:
-    """Return what edges pull with (pieces, n, degree + 1) [N], less what a rim takes."""
+    """Return the pulls of edges (pieces, n, degree + 1) [N], less the share of a rim."""
     return _kept(motion, motion.tensions.coefficients)
 
 
@@ -133,9 +133,9 @@ class Clasps(MotionSpans):
 
     @cached_property
     def pulls(self) -> tuple[Enclosed, Enclosed]:
-        """What legs and edges pull with along their chords [N].
+        """Pulls of legs and edges along their chords [N].
 
-        An edge that is wrapped around something counts whole: what legs leave of its cable.
+        An edge wrapped around an object counts whole: its cable's length less the legs.
         """
         (leg, edge), team = self.ways, self.source.team
         if team.cable_density == 0.0:

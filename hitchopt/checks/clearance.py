@@ -11,7 +11,7 @@ catenary from that chain is at most a bound on its bend between the points, plus
 the deviation of its steepness from that of mid time (see ``hitchopt.hitch.catenary``).
 
 Objects are slabs, convex sections between two heights. Their support functions, and the direction
-out of one to the nearest point of what moves, are all that ``hitchopt.checks.distances`` needs.
+out of one to the nearest point of a moving body, are all that ``hitchopt.checks.distances`` needs.
 """
 
 from __future__ import annotations
@@ -101,9 +101,9 @@ class Solid(Shape):
         return reach
 
     def towards(self, corners: Array) -> Array:
-        """Return the directions (…, 3) out of it to what has corners (…, 1, 2 or 2 m, 3)."""
+        """Return the directions (…, 3) out of it to bodies with corners (…, 1, 2 or 2 m, 3)."""
         if self.rounding is not None:
-            return self._beside(corners, self.rounding)
+            return self._towards_slab(corners, self.rounding)
         first, along = corners[..., 0, :], corners[..., -1, :] - corners[..., 0, :]
         lower, upper = np.zeros(first.shape[:-1]), np.ones(first.shape[:-1])
         # The distance to a convex body is convex along a segment.
@@ -114,7 +114,7 @@ class Solid(Shape):
         share = np.where(lower == 0.0, 0.0, upper)
         return self.slab.clearance(first + share[..., None] * along).normals
 
-    def _beside(self, corners: Array, rounding: float) -> Array:
+    def _towards_slab(self, corners: Array, rounding: float) -> Array:
         """Return the directions out of it to upright slabs, level if a side is nearest."""
         floor = corners[..., : corners.shape[-2] // 2, :2]
         sides = np.stack([floor, np.roll(floor, -1, axis=-2)], axis=-2)
@@ -418,7 +418,7 @@ def _cables_past(motion: Motion) -> Iterator[Moving]:
         held = [p.hold.cables if p.hold and p.hold.object == name else () for p in motion.phases]
         touching = np.array([np.isin(cables, each) for each in [*held, ()]])
         counted = ~touching[motion.phase_of_piece]
-        if each.stem is not None:  # what is below a flat tray is off it
+        if each.stem is not None:  # below a flat tray a cable is off it
             gripped = held_pieces(motion, name, HoldBy.GRIP)[:, None]  # else edges stay out of it
             inner = (~gripped | (part % 3 != 1)) & ~counted
             body = Solid(each.slabs[0])

@@ -1,4 +1,4 @@
-"""Who is closest to whom, over time: bounds for every span of time and for the closest pairs."""
+"""Closest pairs of drones over time: bounds for every span of time and for the closest pairs."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from hitchopt.errors import InputError, OneLine
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
 
-# Spans of time that a plan is looked at in, and pairs that are followed over all of it
-SPANS, MOST_PAIRS = 48, 12
+# Default number of spans of time, and maximum number of pairs followed over all of it
+SPANS, MAX_PAIRS = 48, 12
 
 
 @dataclass(frozen=True)
 class Closest(OneLine):
     """No separation (ratio) is smaller than ``bound`` from ``start`` to ``end`` [s].
 
-    That holds for any pair, or for this one over the whole plan; its own is about ``value`` at
-    ``time``.
+    ``bound`` holds for any pair, or for ``pair`` over the whole plan; the separation of ``pair`` is
+    about ``value`` at ``time``.
     """
 
     start: float
@@ -34,7 +34,7 @@ class Closest(OneLine):
 
 @dataclass(frozen=True)
 class Closeness(OneLine):
-    """Spans that cover all of the time, and at most MOST_PAIRS closest pairs, closest first."""
+    """Spans that cover all of the time, and at most MAX_PAIRS closest pairs, closest first."""
 
     spans: tuple[Closest, ...]
     pairs: tuple[Closest, ...]
@@ -46,15 +46,15 @@ class Closeness(OneLine):
 
 
 def closeness(motion: Motion, spans: int = SPANS) -> Closeness:
-    """Return who is closest to whom, for all of the time.
+    """Return the closest pairs of drones, for all t.
 
     Every bound holds on all of its span, rounding included, and comes within 1e-4 of an attained
     value, relative.
 
     Parameters
     ----------
-    motion: what flies; at least two drones.
-    spans: equal parts that its time is cut into.
+    motion: of at least two drones.
+    spans: number of equal parts of its time.
 
     Raises
     ------
@@ -74,15 +74,15 @@ def closeness(motion: Motion, spans: int = SPANS) -> Closeness:
         first, second = moving.named(least.item)
         return Closest(start, end, least.worst, least.value, (first, second), least.time)
 
-    found = [
+    by_span = [
         closest(every.part(*np.searchsorted(drones.breaks, (start, end)).tolist()), start, end)
         for start, end in pairwise(edges)
     ]
     pairs = []
-    for pair in list(dict.fromkeys(span.pair for span in sorted(found, key=_bound)))[:MOST_PAIRS]:
+    for pair in list(dict.fromkeys(span.pair for span in sorted(by_span, key=_bound)))[:MAX_PAIRS]:
         both = every.first[:, [names.index(name) for name in pair]]
         pairs.append(closest(replace(every, first=both, names=(pair, pair)), edges[0], edges[-1]))
-    return Closeness(tuple(found), tuple(sorted(pairs, key=_bound)))
+    return Closeness(tuple(by_span), tuple(sorted(pairs, key=_bound)))
 
 
 def _bound(closest: Closest) -> float:

@@ -45,19 +45,18 @@ from hitchopt.trajectory.search import Extremum, Search, Spans
 from hitchopt.values import Array, Indices
 
 # Pairs up to which an index costs more than it saves; pairs times pieces compared at a time
-FEW, GROUP = 8000, 32_768
-# Pairs whose boxes are nearest: their distances at mid span tell which others matter. Where there
-# are many, they are sought among so many neighbours of every body
+MAX_LISTED, GROUP = 8000, 32_768
+# Pairs of the nearest boxes: their distances at mid span exclude others. Of many bodies they are
+# searched for among so many neighbours of each
 SEEDS, NEIGHBOURS = 256, 8
-# Pairs per body above which a span is halved, if motion is to blame, and how often at most
-MOST, MAX_DEPTH = 12, 8
-# Relative: distances that tie differ by less; boxes, and what they are held against, by more
+# Pairs per body above which a span is halved, if bodies move; maximum number of halvings
+MAX_PER_BODY, MAX_DEPTH = 12, 8
+# Relative: largest difference of distances that tie, and margin of comparisons of boxes
 TIE, SLACK = 1e-6, 1e-9
-# Name of the ground, and half of the size [m] of what stands for it, or for an object as seen from
-# above
+# Name of the ground, and half of the size [m] of its model, and of an object seen from above
 GROUND, TALL = "ground", 1e3
-# [m] Cables that come closer touch, and may pass through each other, whatever a limit says: a
-# hundred times what may jump at a joint
+# [m] Cables that come closer touch, and may pass through each other, regardless of limits: a
+# hundred times the largest jump at a joint
 TOUCHING = 1e-4
 Flags = NDArray[np.bool_]
 
@@ -114,7 +113,7 @@ def distance(a: Array, b: Array, shape: Shape = ORIGIN) -> Bound:
     sizes = 0.5 + 0.5 * np.maximum(bernstein.elevate(bernstein.dot(n, n), order), 0.0)
     least = np.maximum(along / sizes, 0.0)
     found = np.min(least, axis=-1)
-    # Of places that tie, as those of bodies that come to rest, an end is reported.
+    # If places tie, as of bodies that come to rest, an end is reported.
     start, end = (least[:, i] <= found * (1.0 + TIE) for i in (0, -1))
     inside = np.argmin(least, axis=-1) / order
     return Bound(found, np.where(start, 0.0, np.where(end, 1.0, inside)))
@@ -177,7 +176,7 @@ class Moving:
     def pairs(self) -> Pairs | None:
         """All pairs that count, unless there are too many to list."""
         total = self.first.shape[1] * self.count
-        return None if total > FEW else self.chosen(*np.divmod(np.arange(total), self.count))
+        return None if total > MAX_LISTED else self.chosen(*np.divmod(np.arange(total), self.count))
 
     def chosen(self, first: Indices, second: Indices) -> Pairs:
         """Return the pairs that count."""
@@ -283,7 +282,7 @@ def near(moving: Moving, attained: Callable[[], float], depth: int = 0) -> Itera
         last = pieces == 1 and (depth == MAX_DEPTH or not moves)
         second = None if moving.second is None else others
         close = few_close_pairs(
-            own, second, float(reach) * (1.0 + SLACK), np.inf if last else MOST * bodies
+            own, second, float(reach) * (1.0 + SLACK), np.inf if last else MAX_PER_BODY * bodies
         )
         pairs = None if close is None else moving.chosen(close.first, close.second)
     if split or pairs is None:
@@ -301,7 +300,7 @@ def _compared(moving: Moving, attained: Callable[[], float], pairs: Pairs) -> It
         piece, pair = np.divmod(nearest[gaps.flat[nearest] < np.inf], len(pairs))
         yield PairSpans(moving, moving.breaks, piece, item[pair]).at(np.array(0.5))
     cutoff = min((attained() + moving.margin) * (1.0 + SLACK), np.finfo(np.float64).max)
-    piece, pair = np.nonzero(~(gaps > cutoff))  # what is no number rules nothing out
+    piece, pair = np.nonzero(~(gaps > cutoff))  # nan excludes nothing
     yield PairSpans(moving, moving.breaks, piece, item[pair])
 
 

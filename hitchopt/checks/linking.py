@@ -176,7 +176,7 @@ def drones_inside_hanging_cables(motion: Motion) -> tuple[Indices, Indices, Arra
 def _off(spans: PairSpans) -> Flags:
     """Return on which spans one direction separates a drone from the sheet between q and r.
 
-    A sheet is convex: whatever is on one side of all of its corners is off it.
+    A sheet is convex: a point on one side of all of its corners is off it.
     """
     ends, drone = spans.ends
     points, off = chains(ends[:, 0], ends[:, 1], spans.lengths)
@@ -212,7 +212,7 @@ PROBES = np.linspace(0.0, 1.0, 9)  # places on a piece, one of which shows that 
 def _largest_jump(motion: Motion, _: float) -> WorstCase:
     """Return the largest jump at a joint of position [m], velocity [m/s] or acceleration [m/s²].
 
-    Of drones and objects, and of vertices and legs while the hitch exists.
+    Drones and objects are compared, and vertices and legs while the hitch exists.
     """
     parts = [(motion.drones, motion.team.drone_names)]
     if motion.poses is not None:

@@ -368,7 +368,7 @@ def carried_paths(motion: Motion) -> Iterator[tuple[PiecewisePolynomial, Array]]
 def _resting(motion: Motion, index: int, body: SolidObject) -> tuple[PiecewisePolynomial, Array]:
     """Return the paths of clasps below a rim and of the centre of mass, and their slack.
 
-    Clasps carry shares of the mass, and what the centre, being higher, moves from clasp to clasp;
+    Clasps carry shares of the mass, and loads that the centre, being higher, moves between clasps;
     friction carries the rim along with them; and the line of weight and inertia meets their plane
     within their polygon.
     """

@@ -3,7 +3,7 @@
 It is the largest r such that, with every drone within r of its plan and every vertex within γ r,
 independently of each other, and taut parts of cables straight between them, all distances keep
 their limits at all times. Two drones have half the shortest shift of their offset that makes their
-ellipsoids touch, all others what checks leave beyond their limits over how far both bodies move.
+ellipsoids touch, all others the slack of checks beyond their limits over the motion of both bodies.
 A hanging cable moves by its ends and by how much deeper or shallower it hangs between them.
 
 If ``limits.tracking`` states how far they may be off, that is the limit, and the distances of
@@ -58,7 +58,7 @@ def _radius(motion: Motion, results: SpanResults, gamma: float) -> WorstCase:
         near = worst(Drones.of(motion), partial(drones_room, landed=False), "min")
         where = (motion.team.drone_names[near.item],)
         terms.append(WorstCase(max(near.worst, 0.0), near.time, where))
-    for span in motion.spans(FREE_STATES):  # half of what cables are longer than their chords
+    for span in motion.spans(FREE_STATES):  # half of the excess of cables over their chords
         tightest = worst(Drones.of(span), _spare, "min")
         cable = f"cable {tightest.item // 2}"
         terms.append(WorstCase(max(0.5 * tightest.worst, 0.0), tightest.time, (cable,)))

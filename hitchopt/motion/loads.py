@@ -7,7 +7,7 @@ centre of mass h above the clasps moves the weight ``m h G_k·a`` to clasp k as 
 
 Clasps are inside of the rim, whose edge bends their legs: below it they run level, beyond it they
 rise, the mean leg by an angle φ with ``sin φ = W / (2 Σ T_k)``, W the weight of object and edges.
-The rim takes the share ``1 - cos φ`` of what edges pull with. Vertices, where straight legs would
+The rim takes the share ``1 - cos φ`` of edges' pulls. Vertices, where straight legs would
 meet, are below the rim by the mean leg's slope times its distance to the rim's edge.
 """
 

@@ -47,7 +47,7 @@ FREE_STATES = frozenset(CableState) - HITCHED_STATE - {CableState.NONE}
 
 
 class HoldBy(StrEnum):
-    """How a hitch holds an object: its rim lies on the clasps, or cables wrap its section."""
+    """Kind of hold: the object's rim rests on the clasps, or cables grip its section."""
 
     REST = "rest"
     GRIP = "grip"
@@ -237,7 +237,7 @@ class Motion(OneLine):
 
     @property
     def untimed(self) -> Motion:
-        """The same motion without a limit on its duration."""
+        """The motion without a limit on its duration."""
         needed = self.requirements.untimed
         return self if needed is self.requirements else self.replaced(requirements=needed)
 

@@ -260,7 +260,7 @@ def _motion(settings: dict[str, Any], arrays: Arrays) -> Motion:
     title, problem = text("title", settings["title"]), text("problem", settings.get("problem", ""))
     here = _settings(motion, title, problem)
     wanted, own = dict(settings["asked"]), here.pop("asked")
-    wanted.pop("problem", None)  # whoever reads the text compares it (``check_problem_text``)
+    wanted.pop("problem", None)  # ``check_problem_text`` compares it
     own = {key: own[key] for key in own if key in wanted or key not in LATER}
     _check_same("asked", wanted, own, "as asked")
     given = {key: x for key, x in settings.items() if key != "asked"}

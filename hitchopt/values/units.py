@@ -100,7 +100,7 @@ FIELDS: Mapping[str, tuple[Callable[[str, Any], Any], Quantity]] = {
 
 
 def store(record: object, values: Mapping[str, Any], checked: Collection[str] = ()) -> None:
-    """Set fields of a frozen record; those of FIELDS to what their checks return.
+    """Set fields of a frozen record; those of FIELDS to the results of their checks.
 
     None is accepted if it is the field's default. Units of ``checked`` fields were checked before.
     """
