@@ -152,8 +152,8 @@ def pairs_with_shape(
     size = magnitude(motion) + sum(slab.size for slab in _obstacles(motion))
     margin = ROUNDING * size + float(np.max(seen.r))
     breaks, nowhere = motion.drones.breaks, np.zeros((len(seen.c), 1, 1, 3, 1))
-    given: dict[str, Any] = {"breaks": breaks, "names": (names, (label,))} | further
-    return Moving(first=seen.c, second=nowhere, margin=margin, shape=shape, **given)
+    options: dict[str, Any] = {"breaks": breaks, "names": (names, (label,))} | further
+    return Moving(first=seen.c, second=nowhere, margin=margin, shape=shape, **options)
 
 
 def _obstacles(motion: Motion) -> list[Slab]:
@@ -438,7 +438,7 @@ def _hanging_past(motion: Motion) -> Iterator[Moving]:
     for part in phase_parts(motion):
         here, hung = part.motion, cables_and_drones(part.motion)
         ends, names = Enclosed(hung.first), hung.names[0]
-        given: dict[str, Any] = {
+        options: dict[str, Any] = {
             "breaks": hung.breaks,
             "lengths": hung.lengths,
             "tolerance": CHAIN_TOLERANCE,
@@ -447,8 +447,8 @@ def _hanging_past(motion: Motion) -> Iterator[Moving]:
             still = Enclosed(pose.c[:1, :, :1])
             for slab in each.slabs:
                 lies = part.phase.state is CableState.GROUND
-                given["formula"] = gap if lies else partial(over, top=slab.upper)
-                yield pairs_with_shape(here, ends, names, name, from_above(slab), still, **given)
+                options["formula"] = gap if lies else partial(over, top=slab.upper)
+                yield pairs_with_shape(here, ends, names, name, from_above(slab), still, **options)
 
 
 def over(spans: PairSpans, top: float) -> Bound:

@@ -175,8 +175,8 @@ class ClockLimit:
             found.append(np.max(norms, axis=-1) + derivative_margin(self.path, order))
         return np.stack(found) * (1.0 + SLACK)
 
-    def look(self, phases: ClockPhases, kept: Flags) -> None:
-        """Set ``kept`` (owners,) to False unless phases are shown to keep limits."""
+    def look(self, phases: ClockPhases, feasible: Flags) -> None:
+        """Set ``feasible`` (owners,) to False unless phases are shown to keep limits."""
         breaks = self.path.breaks
         cells, piece = phases.cut(breaks, 0.0)
         flown = (piece >= 0) & (piece < len(breaks) - 1)
@@ -185,25 +185,25 @@ class ClockLimit:
         for first in range(0, len(piece), count):
             check_time()
             row = np.arange(first, min(first + count, len(piece)))
-            row = row[kept[cells.owner[row]]]
+            row = row[feasible[cells.owner[row]]]
             rates = rates_of(cells.select(row))
             where, item = np.nonzero(~self.quick(self.sizes[:, piece[row]], piece[row], *rates))
             row = row[where]
             spans = self.over.passed(self.source, breaks, cells.select(row), piece[row], item)
-            self._decide(spans, kept, HALVINGS)
+            self._decide(spans, feasible, HALVINGS)
 
-    def _decide(self, spans: OnClock, kept: Flags, halvings: int) -> None:
-        """Set ``kept`` to False where spans violate a limit, or stay undecided when halved."""
+    def _decide(self, spans: OnClock, feasible: Flags, halvings: int) -> None:
+        """Set ``feasible`` to False where spans violate a limit, or stay undecided when halved."""
         if len(spans):
             middle = self.used(spans.at(np.full(len(spans), 0.5)))
-            kept[spans.cells.owner[~(middle <= 1.0)]] = False
-            spans = spans.take(kept[spans.cells.owner])
+            feasible[spans.cells.owner[~(middle <= 1.0)]] = False
+            spans = spans.take(feasible[spans.cells.owner])
         if len(spans):
             open_ = spans.take(~(self.used(spans) * (1.0 + SLACK) <= 1.0))
             if halvings:
-                self._decide(open_.halves(), kept, halvings - 1)
+                self._decide(open_.halves(), feasible, halvings - 1)
             else:
-                kept[open_.cells.owner] = False
+                feasible[open_.cells.owner] = False
 
 
 class ClockLimits:
@@ -216,11 +216,11 @@ class ClockLimits:
 
     def keep(self, phases: ClockPhases, owners: int) -> Flags:
         """Return (owners,) whether phases of each clock, with rates from -1 to 1, keep limits."""
-        kept = np.ones(owners, dtype=np.bool_)
+        feasible = np.ones(owners, dtype=np.bool_)
         with value_cache():
             for each in (*self.carried, self._drones):
-                each.look(phases, kept)
-        return kept
+                each.look(phases, feasible)
+        return feasible
 
     def carries(self, times: Array) -> Flags:
         """Return (m,) whether an object is carried at plan times (m,) [s]."""
@@ -336,17 +336,18 @@ def stop_table(motion: Motion, limits: ClockLimits | None = None) -> StopTable:
             return StopTable(rest, starts, durations)
         # What is carried may allow some stop and no longer one: no bisection then.
         rung = low[left] + 1 if limits.carried else (low[left] + high[left]) // 2
-        kept = _shown(limits, starts[left], ladder[rung])
-        durations[left[kept]] = ladder[rung[kept]]
-        high[left[kept]], low[left[~kept]] = rung[kept], rung[~kept]
+        feasible = _shown(limits, starts[left], ladder[rung])
+        durations[left[feasible]] = ladder[rung[feasible]]
+        high[left[feasible]], low[left[~feasible]] = rung[feasible], rung[~feasible]
 
 
 def _shown(limits: ClockLimits, starts: Array, durations: Array) -> Flags:
     """Return (m,) whether stops keep all limits, and starts from where something is carried."""
-    kept, rests = limits.keep(stop_phases(starts, durations), len(starts)), starts + 0.5 * durations
-    left = np.flatnonzero(kept & limits.carries(rests))
-    kept[left] = limits.keep(stop_phases(rests[left], durations[left], 0.0), len(left))
-    return kept
+    feasible = limits.keep(stop_phases(starts, durations), len(starts))
+    rests = starts + 0.5 * durations
+    left = np.flatnonzero(feasible & limits.carries(rests))
+    feasible[left] = limits.keep(stop_phases(rests[left], durations[left], 0.0), len(left))
+    return feasible
 
 
 def carried_paths(motion: Motion) -> Iterator[tuple[PiecewisePolynomial, Array]]:

@@ -242,15 +242,15 @@ def _motion(settings: dict[str, Any], arrays: Arrays) -> Motion:
         tuple(Prism(**entry) for entry in settings["keep_out"]),
         {name: _object(**entry) for name, entry in settings.get("objects", {}).items()},
     )
-    given, kinds = settings["team"], _kinds(arrays, settings.get("controllers", []))
+    own, kinds = settings["team"], _kinds(arrays, settings.get("controllers", []))
     phases = _stored("phases", settings["phases"], tuple[Phase, ...])
-    if "robots" in given:
+    if "robots" in own:
         per_robot: dict[str, Any] = {name: arrays[name] for name in PER_ROBOT}
-        team = Team(**given, **per_robot, quadrotor=kinds)
+        team = Team(**own, **per_robot, quadrotor=kinds)
         assignment = _stored("assignment", settings.get("assignment"), Assignment | None)
         motion = Motion(team, requirements, **parts, phases=phases, assignment=assignment)
     else:
-        swarm = Swarm(given["drones"], quadrotor=kinds)
+        swarm = Swarm(own["drones"], quadrotor=kinds)
         motion = Motion.single(swarm, requirements, parts["drones"], phases)
     _check_phases(motion)
     begin, objects = motion.object_poses.coefficients[0, ..., 0], requirements.objects
@@ -259,12 +259,12 @@ def _motion(settings: dict[str, Any], arrays: Arrays) -> Motion:
     check_apart(objects)
     title, problem = text("title", settings["title"]), text("problem", settings.get("problem", ""))
     here = _settings(motion, title, problem)
-    wanted, own = dict(settings["asked"]), here.pop("asked")
+    wanted, request = dict(settings["asked"]), here.pop("asked")
     wanted.pop("problem", None)  # ``check_problem_text`` compares it
-    own = {key: own[key] for key in own if key in wanted or key not in LATER}
-    _check_same("asked", wanted, own, "as asked")
-    given = {key: x for key, x in settings.items() if key != "asked"}
-    _check_same("", here, given, "as plans are written")
+    request = {key: x for key, x in request.items() if key in wanted or key not in LATER}
+    _check_same("asked", wanted, request, "as asked")
+    stored = {key: x for key, x in settings.items() if key != "asked"}
+    _check_same("", here, stored, "as plans are written")
     return motion
 
 
@@ -344,9 +344,9 @@ def request_of(motion: Motion, problem: str = "") -> dict[str, Any]:
     requirements = replace(motion.requirements, objects=_objects_at_first(motion))
     start: dict[str, Any] = {"drones": first}
     if team.has_cables:
-        given = motion.assignment or Assignment.fixed(team.robots)
-        role_of = np.argsort(given.robots).tolist()
-        back = Assignment(tuple(role_of), tuple(given.flipped[role] for role in role_of))
+        assignment = motion.assignment or Assignment.fixed(team.robots)
+        role_of = np.argsort(assignment.robots).tolist()
+        back = Assignment(tuple(role_of), tuple(assignment.flipped[role] for role in role_of))
         drones, team = back.drones(first), back.team(team)
         start = {"drones": {"q": drones[0::2], "r": drones[1::2]}}
         if motion.formed[0]:

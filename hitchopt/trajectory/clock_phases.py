@@ -77,9 +77,9 @@ class ClockPhases:
         target = breaks[begin[phase] + which]
         when = self._passing(phase, target)
         whole = self.duration[phase]
-        kept = (when > sliver) & (when < whole - sliver)
-        phase = np.concatenate([np.arange(len(self)), phase[kept]])
-        when = np.concatenate([np.zeros(len(self)), when[kept]])
+        inside = (when > sliver) & (when < whole - sliver)
+        phase = np.concatenate([np.arange(len(self)), phase[inside]])
+        when = np.concatenate([np.zeros(len(self)), when[inside]])
         order = np.lexsort((when, phase))
         phase, when = phase[order], when[order]
         follows = np.append(phase[1:] == phase[:-1], False)

@@ -232,8 +232,8 @@ class Search(Generic[S]):
                 continue
             inherited = np.concatenate([bounds, bounds])
             for i, batch in enumerate(batches(spans.halves())):
-                given = inherited[i * BATCH : i * BATCH + len(batch)]
-                self._open.append((batch, np.minimum(given, self._bounds(batch)), depth + 1))
+                parents = inherited[i * BATCH : i * BATCH + len(batch)]
+                self._open.append((batch, np.minimum(parents, self._bounds(batch)), depth + 1))
         worst = max(self.ceiling, self.value)
         return Extremum(self.sign * worst, self.attained, self.item, self.time)
 

@@ -163,13 +163,13 @@ def per_robot(
         array = np.full(robots, checked(key, float(value)))
     else:
         try:
-            given = list(value)  # type: ignore[arg-type]
+            entries = list(value)  # type: ignore[arg-type]
         except TypeError:
-            given = []
-        if len(given) != robots:
+            entries = []
+        if len(entries) != robots:
             bound = f"one number, or a list of {robots} (one per {owner})"
-            remedy = f"{len(given)} were given; add or remove entries, or change team.robots"
+            remedy = f"{len(entries)} were given; add or remove entries, or change team.robots"
             raise InputError(key, value, bound, remedy)
-        array = np.array([checked(f"{key}[{k}]", x) for k, x in enumerate(given)])
+        array = np.array([checked(f"{key}[{k}]", x) for k, x in enumerate(entries)])
     array.setflags(write=False)
     return array
