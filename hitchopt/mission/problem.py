@@ -220,7 +220,7 @@ class Problem(OneLine):
 
 
 def _asked_steps(problem: Problem) -> Iterator[dict[str, Any]]:
-    """Yield the request of every step (``motion.plan_file.mission_of``), without choices of planners.
+    """Yield the request of every step, as ``plan_file.mission_of``, without choices of planners.
 
     The planner decides outlines around objects, and how high they are.
     """

@@ -331,7 +331,7 @@ def wound(motion: Motion, turn: float, cut_in: float) -> Motion:
         origin = np.expand_dims(pose[:, :3], tuple(range(1, x.ndim)))
         return carried(motion).object_poses.alike(np.concatenate([level, up], axis=-2) + origin)
 
-    return carried(motion).altered(vertices=placed(p), contacts=placed(contacts))
+    return carried(motion).replaced(vertices=placed(p), contacts=placed(contacts))
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from hitchopt.checks.clasps import LIMIT
+from hitchopt.checks.clasps import BALANCE_LIMIT
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.geometry.vectors import length, unit
@@ -136,7 +136,7 @@ class Hold(ABC):
         shares = np.zeros((len(borne), len(requirements.objects), borne.shape[-1]))
         shares[:, index] = np.clip(borne, 0.0, 1.0)  # polynomials overshoot by 1e-6
         parts["poses"], parts["borne"] = (PiecewisePolynomial(breaks, c) for c in (poses, shares))
-        phases = (phase.lasting(0.0, move.law.duration),)
+        phases = (phase.retimed(0.0, move.law.duration),)
         return Motion(self.team, requirements, **parts, phases=phases)
 
 
@@ -456,10 +456,12 @@ def _check_balance(parts: tuple[Array, Array], T: Array, load: Array, borne: Arr
     lacking = np.sum(T[..., None] * (unit(arriving) - unit(leaving)), axis=-2) - load
     lacking[..., :2] *= (borne == 1.0)[..., None]
     worst = float(np.max(length(lacking) / np.min(T, axis=-1)))
-    if worst > LIMIT:
+    if worst > BALANCE_LIMIT:
         remedy = "lower the object's mass, raise the tension, or use more robots"
         when = "where edges bear the object"
-        raise InfeasibleError([Violation("equilibrium", worst, LIMIT, "max", "", (), when, remedy)])
+        raise InfeasibleError(
+            [Violation("equilibrium", worst, BALANCE_LIMIT, "max", "", (), when, remedy)]
+        )
 
 
 def _span(leaving: Array, arriving: Array) -> Array:
