@@ -86,7 +86,7 @@ class SimulatedTeam(OneLine):
 
 @dataclass(frozen=True, eq=False)
 class RecordedFlight(OneLine):
-    """What a recording holds.
+    """Content of a recording.
 
     Attributes
     ----------
