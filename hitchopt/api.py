@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import MISSING, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypedDict
 
@@ -25,8 +25,9 @@ from hitchopt.mission.solving import solve_problem, solve_swarm
 from hitchopt.motion.plan_file import check_request
 from hitchopt.plan import Plan, load
 from hitchopt.steps import STEPS, Settle, Step
-from hitchopt.steps.step import Stage, keys_of, parameters
+from hitchopt.steps.step import Stage
 from hitchopt.values import flag, instance, path, positive, text
+from hitchopt.values.fields import EMPTY, keys_of, parameters
 
 if TYPE_CHECKING:
     from hitchopt.exports.exporting import Export
@@ -172,8 +173,6 @@ class Required(TypedDict, total=False):
     arena: Arena | None
 
 
-EMPTY = inspect.Parameter.empty
-
 BEGUN = {
     "start": "start: the hitch at t = 0.",
     "team": "team: who flies; robot k's drones start at ``q[k]`` and ``r[k]``.\n"
@@ -193,9 +192,7 @@ InfeasibleError: it cannot be met; says what binds, where and when.
 
 def _arguments(kind: type[Step]) -> dict[str, Any]:
     """Return the fields of a kind of step with their defaults, EMPTY for none."""
-    found = {name: default for name, (_, default) in keys_of(kind).items()}
-    made = {name: each() if isinstance(each, type) else each for name, each in found.items()}
-    return {name: EMPTY if each is MISSING else each for name, each in made.items()}
+    return {name: key.default for name, key in keys_of(kind).items()}
 
 
 def _named(

@@ -26,7 +26,7 @@ from generators.check_facts import write_check_facts
 from generators.gallery_page import write_gallery_page
 from generators.page_pictures import KINDS, SCREENSHOTS
 from generators.problem_collection import PICTURES, SECTIONS, caption
-from generators.schema_page import problem_schema, write_schema_page
+from generators.schema_page import write_schema_page
 from plans import PROBLEMS, ROOT
 from ruamel.yaml import YAML
 
@@ -35,8 +35,10 @@ from hitchopt.checks.registry import REPORTS, RULES
 from hitchopt.cli import main
 from hitchopt.cli.failures import EXIT_INFEASIBLE, EXIT_USAGE
 from hitchopt.cli.planning import PACKAGE, problem_text
+from hitchopt.mission.loading import problem_schema
 from hitchopt.storage.interrupts import INTERRUPTED
-from hitchopt.sweeps.study import StudyKeys
+from hitchopt.sweeps.study import STUDY, StudyKeys
+from hitchopt.values.fields import keys_of
 
 FENCE = re.compile(r"^( *)```([^\n]*)\n(.*?)^\1```$", re.DOTALL | re.MULTILINE)
 NUMBER = re.compile(r"[-−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
@@ -196,8 +198,8 @@ def test_every_block_is_executed_or_text_and_links_lead_to_files() -> None:
 def test_yaml_has_keys_of_the_schema(block: Block) -> None:
     yaml = YAML(typ="safe", pure=True)
     given = yaml.load(block.text)
-    if given.keys() <= StudyKeys.model_fields.keys():
-        StudyKeys.model_validate({"problem": "", **given})
+    if given.keys() <= keys_of(StudyKeys).keys():
+        STUDY.check("", {"problem": "", **given})
         return
     template = yaml.load(problem_text(PACKAGE / "mission" / "template.yaml"))
     problem = given if file_name(block) or "goal" in given else {**template, **given}
@@ -226,7 +228,7 @@ def test_every_step_and_key_is_in_the_tables() -> None:
     for written in (ROOT / "README.md", DOCS / "how_to" / "write_a_problem.md"):
         cells = re.findall(r"^\| (`[^|]*)\|", text_of(written), re.MULTILINE)
         names = set(re.findall(r"`(\w+)`", " ".join(cells)))
-        assert set(definitions["StepKeys"]["properties"]) <= names
+        assert set(definitions["Step"]["properties"]) <= names
     page = write_schema_page()
     for definition in definitions.values():
         for key, value in definition.get("properties", {}).items():

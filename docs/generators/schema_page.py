@@ -1,28 +1,24 @@
-"""The reference of the problem file, from its JSON schema."""
+"""The reference of the problem file, from its JSON Schema."""
 
 from __future__ import annotations
 
-import json
-from importlib import resources
-from typing import Any
+from hitchopt.mission.loading import problem_schema
+from hitchopt.values.fields import Schema
 
-Schema = dict[str, Any]
-
-FIRST = ("ProblemKeys", "SwarmKeys")
+FIRST = ("Problem", "SwarmProblem")
 """Definitions of whole files, which open the page."""
 
 INTRODUCTION = """# Problem file
 
-A problem file is YAML with the keys of {ref}`one of two kinds <keys-problemkeys>`: a team with cables and its
-mission, or {ref}`single drones <keys-swarmkeys>`. Every key that is not listed is an error. Lengths are in
+A problem file is YAML with the keys of {ref}`one of two kinds <keys-problem>`: a team with cables and its
+mission, or {ref}`single drones <keys-swarmproblem>`. Every key that is not listed is an error. Lengths are in
 metres, times in seconds, angles in degrees where a key ends in `_deg`. `hitchopt init` writes a file to start
-from, and editors complete and check keys by `hitchopt/mission/problem.schema.json`, from which this page is
-generated.
+from, and `hitchopt init --schema` a JSON Schema by which editors complete and check keys.
 """
 
 HEADINGS = {
-    "ProblemKeys": "A team with cables",
-    "SwarmKeys": "Single drones",
+    "Problem": "A team with cables",
+    "SwarmProblem": "Single drones",
 }
 
 
@@ -32,13 +28,6 @@ def write_schema_page() -> str:
     order = [*FIRST, *sorted(definitions.keys() - set(FIRST))]
     sections = [_section(name, definitions[name]) for name in order]
     return "\n".join([INTRODUCTION, *sections])
-
-
-def problem_schema() -> Schema:
-    """Return the schema that editors use."""
-    path = resources.files("hitchopt.mission") / "problem.schema.json"
-    schema: Schema = json.loads(path.read_text(encoding="utf-8"))
-    return schema
 
 
 def heading(name: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import re
 import time
 from collections.abc import Sequence
@@ -29,8 +30,10 @@ MIN_SEARCH_TIME = 1e-3
 ENDED = "the search for changes ended at the time limit (--limit)"
 
 PACKAGE = Path(ho.__file__).parent
-# The schema with which editors complete and check problem files, and what names it to them
-SCHEMA, MODELINE = PACKAGE / "mission" / "problem.schema.json", "# yaml-language-server: $schema="
+# The schema with which editors complete and check problem files beside it, and the line of such
+# files that names it to them
+SCHEMA = "problem.schema.json"
+MODELINE = f"# yaml-language-server: $schema={SCHEMA}\n"
 
 
 @command(
@@ -235,16 +238,24 @@ def example_files() -> list[Path]:
     """
     --example EXAMPLE (text): Write this example.
     --list: List the examples.
+    --schema: Write problem.schema.json, with which editors complete and check problem files.
     """,
     name={"type": str, "required": False},
     example=completing(lambda: [path.stem for path in example_files()]),
     list={"name": "listing"},
 )
-def init(name: str | None, example: str | None, *, listing: bool) -> None:
+def init(name: str | None, example: str | None, *, listing: bool, schema: bool) -> None:
     """Write a commented problem file to start from, or an example.
 
     NAME is problem.yaml by default, or the example's name.
     """
+    if schema:
+        from hitchopt.mission.loading import problem_schema
+
+        text = json.dumps(problem_schema(), indent=2, ensure_ascii=False)
+        Path(SCHEMA).write_text(f"{text}\n", encoding="utf-8")
+        say(f"wrote {SCHEMA}; editors read it beside the problem files that name it", file=SCHEMA)
+        return
     files = {path.stem: path for path in example_files()}
     if listing:
         rows = [{"name": stem, "title": _title(path)} for stem, path in files.items()]
@@ -269,10 +280,10 @@ def _title(path: Path) -> str:
 
 
 def problem_text(path: Path) -> str:
-    """Return the text of a problem file; its first line names the installed schema."""
-    lines = path.read_text(encoding="utf-8").splitlines()
-    lines_without_schema = [line for line in lines if not line.startswith(MODELINE)]
-    return "\n".join([f"{MODELINE}{SCHEMA.as_posix()}", *lines_without_schema]) + "\n"
+    """Return the text of a problem file, its schema named and sections of the template written."""
+    from hitchopt.mission.template import filled_in
+
+    return MODELINE + filled_in(path.read_text(encoding="utf-8"))
 
 
 def _write_new(name: str, text: str, suffixes: tuple[str, ...] = SUFFIXES) -> Path:

@@ -27,20 +27,28 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field, ValidationError
 
 from hitchopt.errors import InputError
-from hitchopt.mission.keys import translated
-from hitchopt.steps.step import Keys
 from hitchopt.storage.yaml_file import read_yaml
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, finite
+from hitchopt.values.fields import (
+    ANYTHING,
+    FLAGS,
+    Key,
+    listed,
+    mapping_of,
+    named,
+    texts,
+    whole_number,
+)
+from hitchopt.values.units import NUMBER
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}\Z")  # That suits files, ROS topics and YAML
 RESERVED = {"y", "n", "yes", "no", "on", "off", "true", "false", "null"}  # Others in YAML 1.1
@@ -48,16 +56,34 @@ URI = re.compile(r"(radio|usb|udp|tcp|serial)://\S+\Z")  # Addresses of drones' 
 PER_RADIO = 15  # Drones that one radio serves with trajectories uploaded
 
 
-class Member(Keys):
+_WORD = texts(1000)
+
+
+def _number(key: str, value: object) -> int | float:
+    """Return a number of the type in which it is given; raise InputError for others."""
+    NUMBER.check(key, value)
+    return value  # type: ignore[return-value]
+
+
+_NUMBER = replace(NUMBER, check=_number)
+
+
+@dataclass(frozen=True)
+class Member:
     """A drone in a fleet file, or a robot in a crazyflies.yaml."""
 
-    uri: str  # address of its radio
-    name: str = ""  # that files and topics call it by; in a crazyflies.yaml its key
-    type: str = "default"  # its entry in the types
-    role: str = ""  # its name in the plan, such as q0; in a fleet file its key
-    enabled: bool = True
-    initial_position: list[float] = Field(default_factory=list)  # the plan's is used
-    firmware_params: dict[str, dict[str, int | float]] = Field(default_factory=dict)
+    uri: Annotated[str, Key(_WORD, "Address of its radio")]
+    name: Annotated[str, Key(_WORD, "In files and topics; in a crazyflies.yaml its key")] = ""
+    type: Annotated[str, Key(_WORD, "Its entry in the types")] = "default"
+    role: Annotated[str, Key(_WORD, "Its name in the plan; in a fleet file its key")] = ""
+    enabled: Annotated[bool, Key(FLAGS, "Whether it flies")] = True
+    initial_position: Annotated[
+        list[float], Key(listed(NUMBER), "Its place; the plan's is used")
+    ] = field(default_factory=list)
+    firmware_params: Annotated[
+        dict[str, dict[str, int | float]],
+        Key(named(named(_NUMBER, _WORD), _WORD), "Parameters by group and name"),
+    ] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -70,16 +96,22 @@ class Fleet:
     given: bool = False  # whether the user named them; else their addresses are placeholders
 
 
-class FleetKeys(Keys):
+_DRONES = Key(named(mapping_of(Member), _WORD), "Drones, by their keys")
+_TYPES = Key(named(named(ANYTHING, _WORD), _WORD), "Settings of the types")
+_SETTINGS = Key(named(ANYTHING, _WORD), "Settings of all drones")
+
+
+@dataclass(frozen=True)
+class FleetKeys:
     """A fleet file, or a crazyflies.yaml, whose keys are those that stand second."""
 
-    drones: dict[str, Member] = Field(default_factory=dict)
-    robots: dict[str, Member] = Field(default_factory=dict)
-    types: dict[str, dict[str, Any]] = Field(default_factory=dict)
-    robot_types: dict[str, dict[str, Any]] = Field(default_factory=dict)
-    settings: dict[str, Any] = Field(default_factory=dict)
-    all: dict[str, Any] = Field(default_factory=dict)
-    fileversion: int = 3
+    drones: Annotated[dict[str, Member], _DRONES] = field(default_factory=dict)
+    robots: Annotated[dict[str, Member], _DRONES] = field(default_factory=dict)
+    types: Annotated[dict[str, Any], _TYPES] = field(default_factory=dict)
+    robot_types: Annotated[dict[str, Any], _TYPES] = field(default_factory=dict)
+    settings: Annotated[dict[str, Any], _SETTINGS] = field(default_factory=dict)
+    all: Annotated[dict[str, Any], _SETTINGS] = field(default_factory=dict)
+    fileversion: Annotated[int, Key(whole_number(0, 1000), "Version of the format")] = 3
 
 
 def placeholder_fleet(roles: Sequence[str]) -> Fleet:
@@ -94,10 +126,7 @@ def placeholder_fleet(roles: Sequence[str]) -> Fleet:
 
 def read_fleet(path: str | Path, roles: Sequence[str]) -> Fleet:
     """Return the fleet of a file, a fleet file or a crazyflies.yaml, for all drones of a plan."""
-    try:
-        keys = FleetKeys.model_validate(read_yaml(path))
-    except ValidationError as error:
-        raise translated(error, FleetKeys) from None
+    keys: FleetKeys = mapping_of(FleetKeys).check("", read_yaml(path))
     root = "robots" if keys.robots else "drones"
     drones: dict[str, Member] = {}
     seen: set[str] = set()
@@ -105,7 +134,7 @@ def read_fleet(path: str | Path, roles: Sequence[str]) -> Fleet:
         if not given.enabled:
             continue
         role, name = given.role or own, given.name or own
-        member = given.model_copy(update={"role": role, "name": name, "initial_position": []})
+        member = replace(given, role=role, name=name, initial_position=[])
         where = f"{root}.{member.name if root == 'robots' else member.role}"
         if member.role in drones:
             bound = f"of one enabled robot only, and {drones[member.role].name} has it"

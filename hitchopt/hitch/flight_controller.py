@@ -13,12 +13,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, NamedTuple
 
 from hitchopt.errors import InputError, OneLine
-from hitchopt.values import choice, not_negative, positive, units
-from hitchopt.values.units import check_unit
+from hitchopt.values import choice, form_of, units
+from hitchopt.values.fields import Key, Kind, documented, mapping_of, one_or_each, store
 
 Pair = tuple[float, float]
 """One value level (x and y), one upright (z)."""
@@ -36,57 +36,45 @@ EXPONENT = 0.6
 """Power of the stiffness by which drones come closer: 22, 11 and 5 cm at 3.0, 10.2 and 36/s²."""
 
 
+def _pair(quantity: Kind) -> Kind:
+    """Return the kind of gains level and upright; one number holds for both."""
+    both = one_or_each(quantity, 2, 2)
+
+    def check(key: str, value: Any) -> Pair:
+        if form_of(value) not in both.forms:
+            bound, remedy = "a number, or [level, upright]", "give one or two numbers"
+            raise InputError(key, value, bound, remedy)
+        given = both.check(key, value)
+        level, upright = given if isinstance(given, list) else (given, given)
+        return level, upright
+
+    return replace(both, check=check)
+
+
+GAIN = float | Pair | None
+
+
+@documented
 @dataclass(frozen=True)
 class Gains(OneLine):
-    """Gains of a position loop; each is one number, or two: level and upright.
-
-    Parameters
-    ----------
-    kp: force by offset [N/m]; None for the controller's default, as the others.
-    kd: force by velocity [N s/m]
-    ki: force by offset and time [N/(m s)]
+    """Gains of a position loop, one number or [level, upright]; null: the controller's default.
 
     Raises
     ------
     InputError: a gain that is no such number.
     """
 
-    kp: float | Pair | None = None
-    kd: float | Pair | None = None
-    ki: float | Pair | None = None
+    kp: Annotated[GAIN, Key(_pair(units.STIFFNESS), "Force by offset")] = None
+    kd: Annotated[GAIN, Key(_pair(units.DAMPING), "Force by velocity")] = None
+    ki: Annotated[GAIN, Key(_pair(units.INTEGRAL), "Force by offset and time")] = None
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if value is not None:
-                object.__setattr__(self, name, _pair(name, value))
+        store(self, **vars(self))
 
     @classmethod
     def of(cls, given: object) -> Gains:
         """Return gains that are given as such, or as a mapping with their names."""
-        if given is None:
-            return cls()
-        if isinstance(given, Gains):
-            return given
-        known = ", ".join(cls.__dataclass_fields__)
-        if not isinstance(given, Mapping) or not {*given} <= {*cls.__dataclass_fields__}:
-            raise InputError("gains", given, f"a mapping with {known}", "write {kp: 4.75, kd: 1.3}")
-        try:
-            return cls(**given)
-        except InputError as error:
-            raise error.within("gains") from None
-
-
-def _pair(name: str, value: Any) -> Pair:
-    """Return a gain level and upright; one number holds for both."""
-    both = [*value] if isinstance(value, list | tuple) else [value, value]
-    if len(both) != 2:
-        raise InputError(name, value, "a number, or [level, upright]", "give one or two numbers")
-    check = not_negative if name == "ki" else positive
-    level, upright = (check(name, each) for each in both)
-    if name == "kp":
-        for each in (level, upright):
-            check_unit(name, each, units.STIFFNESS)
-    return level, upright
+        return cls() if given is None else mapping_of(Gains).check("gains", given)
 
 
 class _Stock(NamedTuple):

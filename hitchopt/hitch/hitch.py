@@ -22,8 +22,9 @@ from hitchopt.hitch.leg_program import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
 from hitchopt.hitch.legs import least_roll, reference_margin, split_slack, split_with_least_roll
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.hitch.team import Team
-from hitchopt.values import Array, as_array, coordinate, instance
-from hitchopt.values.units import HEIGHT, check_unit, store
+from hitchopt.values import Array, as_array, instance
+from hitchopt.values.fields import store
+from hitchopt.values.units import HEIGHT
 
 FIXED_LEG, SAGGING_LEG = 1e-4, 1e-2
 """Tolerance of a given leg that is not free, relative to its cable's length, as of cable lengths in
@@ -161,11 +162,10 @@ class Hitch(OneLine):
             raise InputError("legs", q_legs, bound, "give one per robot")
         d = checked_legs(team, d, slack)
         d.setflags(write=False)
-        height = coordinate("altitude", altitude)
-        check_unit("altitude", height, HEIGHT)
+        height = HEIGHT.check("altitude", altitude)
         angles = checked_roll(team, roll)
         values = {"team": team, "polygon": outline, "altitude": height, "q_legs": d, "roll": angles}
-        store(self, values)
+        store(self, **values)
         _ = self._directions  # raises where tensions cannot carry the loads
 
     def _parts(self) -> Iterator[str]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import InitVar, dataclass, field, replace
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,87 +14,75 @@ from hitchopt.errors import InputError, OneLine
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch.team import Team
 from hitchopt.objects import Clearance, Section, Slab, SolidObject
-from hitchopt.values import Array, finite, instance, positive, sequence, units
-from hitchopt.values.units import check_unit, radians_of, store
+from hitchopt.values import Array, instance, sequence, units
+from hitchopt.values.fields import (
+    InDegrees,
+    Key,
+    documented,
+    points,
+    store,
+    store_with_degrees,
+)
 
 WIDER = 1.0 + 2e-9
 """Factor of ``tracking`` in the planners' distances, so that rounding breaks no limit."""
 
+MAX_CORNERS = 1000
+"""Largest number of corners of one outline in a file."""
 
+
+@documented
 @dataclass(frozen=True)
 class Limits(OneLine):
     """Limits of motion; all norms are Euclidean.
 
-    Parameters
-    ----------
-    speed: largest speed of every drone [m/s]
-    acceleration: largest acceleration of every drone [m/s²]
-    jerk: largest jerk of every drone [m/s³]
-    tilt: largest angle of the thrust from vertical [rad], below π/2; None for 45°
-    vertex_speed: largest speed of every vertex of the hitch [m/s]
-    leg: shortest leg, vertex to drone, while the hitch holds [m]
-    duration: largest duration of the whole plan [s], or None
-    body_rate: largest turning rate of every drone's thrust vector [rad/s], or None
-    reserve: share of acceleration and jerk that plans use, above 0 and up to 1; below 1 a stop on
-        the common clock can begin at every time
-    tracking: distance [m] by which all drones may be off their plan at once, every distance kept;
-        None for what the team's flight controllers need, which is none unless they are named
-    tilt_deg, body_rate_deg: the same in [°] and [°/s]; give one of the two
+    Angles may be given in degrees instead, as ``tilt_deg`` and ``body_rate_deg``.
 
     Raises
     ------
     InputError: a number out of its range, or an angle given twice.
     """
 
-    speed: float = 1.0
-    acceleration: float = 2.0
-    jerk: float = 20.0
-    tilt: float = math.radians(45.0)
-    vertex_speed: float = 0.5
-    leg: float = 0.15
-    duration: float | None = None
-    body_rate: float | None = None
-    reserve: float = 1.0
-    tracking: float | None = None
+    speed: Annotated[float, Key(units.SPEED, "Largest speed of every drone")] = 1.0
+    acceleration: Annotated[
+        float, Key(units.ACCELERATION, "Largest acceleration of every drone")
+    ] = 2.0
+    jerk: Annotated[float, Key(units.JERK, "Largest jerk of every drone")] = 20.0
+    tilt: Annotated[float, Key(units.TILT, "Largest angle of the thrust from vertical")] = (
+        math.radians(45.0)
+    )
+    vertex_speed: Annotated[
+        float, Key(units.SPEED, "Largest speed of every vertex of the hitch")
+    ] = 0.5
+    leg: Annotated[
+        float, Key(units.LEG, "Shortest leg, vertex to drone, while the hitch holds")
+    ] = 0.15
+    duration: Annotated[
+        float | None, Key(units.DURATION, "Largest duration of the whole plan; null: any")
+    ] = None
+    body_rate: Annotated[
+        float | None, Key(units.BODY_RATE, "Largest turning rate of every thrust; null: any")
+    ] = None
+    reserve: Annotated[
+        float,
+        Key(
+            units.SHARE,
+            "Share of acceleration and jerk that plans use; below 1 stops can begin at every time",
+        ),
+    ] = 1.0
+    tracking: Annotated[
+        float | None,
+        Key(
+            units.DISTANCE,
+            "How far all drones may be off at once, every distance kept; null: as far as the "
+            "team's named flight controllers need",
+        ),
+    ] = None
+    tilt_deg: InitVar[float | None] = field(default=InDegrees("tilt"), kw_only=True)
+    body_rate_deg: InitVar[float | None] = field(default=InDegrees("body_rate"), kw_only=True)
 
-    def __init__(
-        self,
-        speed: float = 1.0,
-        acceleration: float = 2.0,
-        jerk: float = 20.0,
-        tilt: float | None = None,
-        vertex_speed: float = 0.5,
-        leg: float = 0.15,
-        duration: float | None = None,
-        body_rate: float | None = None,
-        reserve: float = 1.0,
-        tracking: float | None = None,
-        *,
-        tilt_deg: float | None = None,
-        body_rate_deg: float | None = None,
-    ) -> None:
-        angle = radians_of("tilt", tilt, tilt_deg, units.TILT_DEG)
-        values = {
-            "speed": speed,
-            "acceleration": acceleration,
-            "jerk": jerk,
-            "tilt": Limits.tilt if angle is None else angle,
-            "vertex_speed": vertex_speed,
-            "leg": leg,
-            "duration": duration,
-            "body_rate": radians_of("body_rate", body_rate, body_rate_deg, units.BODY_RATE_DEG),
-            "reserve": float(reserve),
-            "tracking": tracking,
-        }
-        if positive("reserve", reserve) > 1.0:
-            raise InputError("reserve", reserve, "at most 1", "0.8 leaves a fifth for stops")
-        in_degrees = {"tilt": tilt_deg, "body_rate": body_rate_deg}
-        store(self, values, [name for name, given in in_degrees.items() if given is not None])
-
-    @property
-    def tilt_deg(self) -> float:
-        """Largest angle of the thrust from vertical [°]."""
-        return math.degrees(self.tilt)
+    def __post_init__(self, tilt_deg: float | None, body_rate_deg: float | None) -> None:
+        store_with_degrees(self, tilt=tilt_deg, body_rate=body_rate_deg)
 
     @property
     def with_reserve(self) -> Limits:
@@ -105,26 +93,28 @@ class Limits(OneLine):
         return replace(self, reserve=1.0, acceleration=less[0], jerk=less[1])
 
 
+@documented
 @dataclass(frozen=True)
 class Separation(OneLine):
-    """Smallest distances between drones and cables.
+    """Smallest distances between drones and cables."""
 
-    Parameters
-    ----------
-    radius, height: semi-axes of a drone's ellipsoid [m] (Preiss et al. 2017)
-    cable: distance of a drone to any cable but its own, and to its own edge [m]
-    crossing: distance of taut cable parts that share no clasp [m]
-    object: distance of a cable's centre line, and of a held object, to objects [m]
-    """
-
-    radius: float = 0.12
-    height: float = 0.30
-    cable: float = 0.10
-    crossing: float = 0.05
-    object: float = 0.035
+    radius: Annotated[
+        float,
+        Key(units.ELLIPSOID, "Horizontal semi-axis of a drone's ellipsoid, and distance to prisms"),
+    ] = 0.12
+    height: Annotated[float, Key(units.ELLIPSOID, "Vertical semi-axis (Preiss et al. 2017)")] = 0.30
+    cable: Annotated[
+        float, Key(units.DISTANCE, "Drone to any cable but its own, and to its own edge")
+    ] = 0.10
+    crossing: Annotated[float, Key(units.DISTANCE, "Taut parts of cables that share no clasp")] = (
+        0.05
+    )
+    object: Annotated[
+        float, Key(units.DISTANCE, "Centre lines of cables, and a held object, to objects")
+    ] = 0.035
 
     def __post_init__(self) -> None:
-        store(self, vars(self).copy())
+        store(self, **vars(self))
 
     @property
     def scale(self) -> Array:
@@ -143,53 +133,50 @@ class Separation(OneLine):
         return Separation(self.radius + off, height, cable, crossing, self.object + off)
 
 
+@documented
 @dataclass(frozen=True, eq=False)
 class Arena(OneLine):
-    """A box that the drones stay in.
+    """The box that the drones stay in."""
 
-    Parameters
-    ----------
-    lower, upper: opposite corners (3,) [m]
-    """
-
-    lower: Array
-    upper: Array
+    lower: Annotated[
+        Array, Key(points((3,), "x, y, z"), "Corner (3,) with the least x, y, z [m]", [-4, -4, 0])
+    ]
+    upper: Annotated[
+        Array, Key(points((3,), "x, y, z"), "Corner (3,) with the greatest x, y, z [m]", [4, 4, 3])
+    ]
 
     def __init__(
         self, lower: Sequence[float] | ArrayLike, upper: Sequence[float] | ArrayLike
     ) -> None:
-        for name, corner in (("lower", lower), ("upper", upper)):
-            given = [*corner] if np.iterable(corner) else []
-            if len(given) != 3:
-                raise InputError(name, corner, "a point [x, y, z]", "give three numbers in metres")
-            point = np.array([finite(f"{name}[{i}]", x) for i, x in enumerate(given)])
-            check_unit(name, point, units.HEIGHT)
-            point.setflags(write=False)
-            object.__setattr__(self, name, point)
+        store(self, lower=lower, upper=upper)
+        for name, corner in (("lower", self.lower), ("upper", self.upper)):
+            for i, number in enumerate(corner.tolist()):
+                units.HEIGHT.check(f"{name}[{i}]", number)
         if not np.all(self.lower < self.upper):
             bound = f"greater than lower {self.lower.tolist()} on every axis"
             remedy = "exchange the corners or move them apart"
             raise InputError("upper", self.upper.tolist(), bound, remedy)
 
 
+@documented
 @dataclass(frozen=True, eq=False)
 class Prism(OneLine):
-    """An upright prism to which drones keep a distance of at least ``Separation.radius``.
+    """An upright prism that the drones stay out of, by at least ``Separation.radius``."""
 
-    Parameters
-    ----------
-    polygon: its outline, (m, 2) [m], convex, clockwise seen from above.
-    lower, upper: altitudes of its floor and its ceiling [m]; floor below ceiling.
-    """
-
-    polygon: ConvexPolygon
-    lower: float
-    upper: float
+    polygon: Annotated[
+        ConvexPolygon,
+        Key(
+            points((None, 2), "x, y", 3, MAX_CORNERS, ConvexPolygon),
+            "Corners [x, y] (m, 2) [m] of a convex outline, clockwise seen from above",
+            [[0, 0], [0, 1], [1, 1]],
+        ),
+    ]
+    lower: Annotated[float, Key(units.COORDINATE, "Altitude of its floor", 0.0)]
+    upper: Annotated[float, Key(units.COORDINATE, "Altitude of its ceiling", 3.0)]
 
     def __init__(self, polygon: ConvexPolygon | ArrayLike, lower: float, upper: float) -> None:
         outline = polygon if isinstance(polygon, ConvexPolygon) else ConvexPolygon(polygon)
-        heights = {"lower": finite("lower", lower), "upper": finite("upper", upper)}
-        store(self, {"polygon": outline, **heights})
+        store(self, polygon=outline, lower=lower, upper=upper)
         if self.lower >= self.upper:
             bound = f"greater than lower {self.lower:g}"
             remedy = "exchange the altitudes or move them apart"

@@ -5,28 +5,29 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError, OneLine
-from hitchopt.hitch.flight_controller import FlightController, Gains
-from hitchopt.values import (
-    Array,
-    Indices,
-    choice,
-    flag,
-    instance,
-    not_negative,
-    per_robot,
-    sequence,
-    units,
-    whole,
+from hitchopt.hitch.flight_controller import CONTROLLERS, FlightController, Gains
+from hitchopt.values import Array, Indices, instance, per_robot, sequence, units, whole
+from hitchopt.values.fields import (
+    FLAGS,
+    Key,
+    documented,
+    mapping_of,
+    one_or_each,
+    store,
+    whole_number,
+    words,
 )
-from hitchopt.values.units import check_lift, check_unit, store
+from hitchopt.values.units import check_lift
 
 CLOSED, OPEN = "closed", "open"
+
+PER_ROBOT = "one for all or one per robot"
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,23 +125,10 @@ MAX_ROBOTS = 10_000
 """Largest number of robots, checked before any memory is allocated."""
 
 
+@documented
 @dataclass(frozen=True)
 class Quadrotor(OneLine):
-    """One quadrotor.
-
-    Parameters
-    ----------
-    mass: [kg]
-    max_thrust: largest collective thrust [N]
-    stiffness: force with which the position loop answers an offset from its set point [N/m]; None
-        is rigid, or the controller's.
-    integral: whether the position loop drives the position error to zero, whatever the force; None
-        is false, or the controller's.
-    feed_forward: whether the position loop adds the cable force that the set points hold; None is
-        true, or the controller's.
-    controller: ``mellinger``, ``lee``, ``pid`` or ``px4``; None where only these numbers are known.
-    gains: a ``Gains``, or a mapping with some of ``kp``, ``kd`` and ``ki``, each a number or a pair
-        ``[level, upright]``; None for the controller's defaults.
+    """One kind of quadrotor.
 
     Raises
     ------
@@ -148,22 +136,46 @@ class Quadrotor(OneLine):
         it, or numbers that follow from it.
     """
 
-    mass: float = 0.132
-    max_thrust: float = 2.6
-    stiffness: float | None = None
-    integral: bool | None = None
-    feed_forward: bool | None = None
-    controller: str | None = None
-    gains: Gains | Mapping[str, Any] | None = None
+    mass: Annotated[float, Key(units.MASS, "Mass")] = 0.132
+    max_thrust: Annotated[float, Key(units.THRUST, "Largest collective thrust")] = 2.6
+    stiffness: Annotated[
+        float | None,
+        Key(
+            units.STIFFNESS,
+            "Force with which the position loop answers an offset from its set point; null: rigid, "
+            "or the controller's",
+        ),
+    ] = None
+    integral: Annotated[
+        bool | None,
+        Key(
+            FLAGS,
+            "Whether the position loop drives the position error to zero, whatever the force; "
+            "null: false, or the controller's",
+        ),
+    ] = None
+    feed_forward: Annotated[
+        bool | None,
+        Key(
+            FLAGS,
+            "Whether the position loop adds the cable force that the set points hold; null: true, "
+            "or the controller's",
+        ),
+    ] = None
+    controller: Annotated[
+        str | None,
+        Key(
+            words(*CONTROLLERS),
+            "Flight controller, from which these three follow; null: only these numbers are known",
+        ),
+    ] = None
+    gains: Annotated[
+        Gains | Mapping[str, Any] | None,
+        Key(mapping_of(Gains), "Gains of the controller; null: its defaults"),
+    ] = None
 
     def __post_init__(self) -> None:
-        values = dict(vars(self))
-        for name in ("integral", "feed_forward"):
-            if values[name] is not None:
-                values[name] = flag(name, values[name])
-        if self.gains is not None:
-            values["gains"] = Gains.of(self.gains)
-        store(self, values)
+        store(self, **vars(self))
         check_lift(self.mass, self.max_thrust, GRAVITY)
         if self.controller is None:
             if self.gains is not None:
@@ -171,7 +183,7 @@ class Quadrotor(OneLine):
                 raise InputError("gains", self.gains, bound, remedy)
             return
         for name in ("stiffness", "integral", "feed_forward"):
-            if (value := values[name]) is not None:
+            if (value := getattr(self, name)) is not None:
                 bound = f"left out with controller {self.controller}, from which it follows"
                 raise InputError(name, value, bound, "leave it out, or give gains")
         _loop(self)
@@ -213,38 +225,51 @@ def _loads(given: float | Sequence[float] | ArrayLike, clasps: int) -> NDArray[n
     """
     if isinstance(given, np.ndarray) and given.size > 0 and given.ndim > 0:
         given = float(given[0]) if np.all(given == given[0]) else given
-    return per_robot("load", given, clasps, not_negative, "clasp")
+    return per_robot("load", given, clasps, units.LOAD.check, "clasp")
 
 
+@documented
 @dataclass(frozen=True, eq=False)
 class Team(OneLine):
     """n catenary robots: two quadrotors each, on the ends of one cable.
-
-    Parameters
-    ----------
-    robots: number n of catenary robots.
-    cable_length: one, or one per robot (n,) [m].
-    topology: ``closed`` (a polygon of n points) or ``open`` (a chain along an arc of n + 1).
-    cable_density: [kg/m]
-    cable_friction: coefficient at the clasps, where one cable slides about the other.
-    tension: one, or one per robot (n,) [N].
-    quadrotor: one kind for all, or one per robot, for both of its drones; stored as the latter.
-    load: what hangs at the clasps, one or one per clasp (clasps,) [kg]: at every vertex of a closed
-        hitch, at the inner points of a chain.
 
     Raises
     ------
     InputError: a count, sign or number that is wrong in itself.
     """
 
-    robots: int
-    cable_length: NDArray[np.float64]
-    topology: str
-    cable_density: float
-    cable_friction: float
-    tension: NDArray[np.float64]
-    quadrotor: tuple[Quadrotor, ...] = field(repr=False)
-    load: NDArray[np.float64] = field(repr=False)
+    robots: Annotated[
+        int, Key(whole_number(2, MAX_ROBOTS), "Number n of cables; each has two quadrotors", 3)
+    ]
+    cable_length: Annotated[
+        NDArray[np.float64],
+        Key(one_or_each(units.CABLE_LENGTH, 2, MAX_ROBOTS), f"Lengths of cables, {PER_ROBOT}", 2.4),
+    ]
+    topology: Annotated[
+        str, Key(words(CLOSED, OPEN), "closed: a polygon of n points; open: an arc of n + 1")
+    ]
+    cable_density: Annotated[float, Key(units.DENSITY, "Mass of cables by length")]
+    cable_friction: Annotated[float, Key(units.FRICTION, "Coefficient of friction at the clasps")]
+    tension: Annotated[
+        NDArray[np.float64],
+        Key(one_or_each(units.TENSION, 2, MAX_ROBOTS), f"Tensions of cables, {PER_ROBOT}"),
+    ]
+    quadrotor: Annotated[
+        tuple[Quadrotor, ...],
+        Key(
+            one_or_each(mapping_of(Quadrotor), 2, MAX_ROBOTS),
+            "Kind of quadrotor, one for all or one per robot; stored as the latter; null: the "
+            "default kind",
+        ),
+    ] = field(repr=False)
+    load: Annotated[
+        NDArray[np.float64],
+        Key(
+            one_or_each(units.LOAD, 1, MAX_ROBOTS),
+            "Loads that hang at the clasps, one for all or one per clasp: every vertex of a "
+            "closed hitch, the inner points of a chain",
+        ),
+    ] = field(repr=False)
 
     def __init__(
         self,
@@ -258,23 +283,15 @@ class Team(OneLine):
         quadrotor: Quadrotor | Sequence[Quadrotor] | None = None,
         load: float | Sequence[float] | ArrayLike = 0.0,
     ) -> None:
-        choice("topology", topology, (CLOSED, OPEN))
+        store(self, topology=topology, cable_density=cable_density, cable_friction=cable_friction)
         n = whole("robots", robots, 3 if topology == CLOSED else 2, MAX_ROBOTS)
-        kinds = kinds_of(quadrotor, n, "robot")
-        values: dict[str, object] = {
-            "robots": n,
-            "cable_length": per_robot("cable_length", cable_length, n),
-            "topology": topology,
-            "cable_density": cable_density,
-            "cable_friction": cable_friction,
-            "tension": per_robot("tension", tension, n),
-            "quadrotor": kinds,
-            "load": _loads(load, len(layout_of(n, topology).clasps)),
-        }
-        store(self, values)
-        check_unit("cable_length", self.cable_length, units.CABLE_LENGTH)
-        check_unit("tension", self.tension, units.TENSION)
-        check_unit("load", self.load, units.LOAD)
+        length = per_robot("cable_length", cable_length, n, units.CABLE_LENGTH.check)
+        pull = per_robot("tension", tension, n, units.TENSION.check)
+        arrays = {"robots": n, "cable_length": length, "tension": pull}
+        arrays |= {"quadrotor": kinds_of(quadrotor, n, "robot")}
+        arrays |= {"load": _loads(load, len(layout_of(n, topology).clasps))}
+        for name, value in arrays.items():
+            object.__setattr__(self, name, value)
 
     @property
     def drones(self) -> int:
@@ -398,9 +415,11 @@ class Swarm(Team):
         whole("drones", drones, 1, MAX_DRONES)
         none = np.zeros(0)
         none.setflags(write=False)
-        values = dict.fromkeys(("cable_length", "tension", "load"), none)
-        numbers = {"robots": 0, "topology": CLOSED, "cable_density": 0.0, "cable_friction": 0.0}
-        store(self, {**values, **numbers, "quadrotor": kinds_of(quadrotor, int(drones), "drone")})
+        values: dict[str, object] = dict.fromkeys(("cable_length", "tension", "load"), none)
+        values |= {"robots": 0, "topology": CLOSED, "cable_density": 0.0, "cable_friction": 0.0}
+        values |= {"quadrotor": kinds_of(quadrotor, int(drones), "drone")}
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
 
     @property
     def drones(self) -> int:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
 from hitchopt.errors import InputError, OneLine, UnitWarning
 from hitchopt.geometry import Outline
-from hitchopt.hitch import Hitch, Swarm, Team
+from hitchopt.hitch import Hitch, Quadrotor, Swarm, Team
 from hitchopt.hitch.hitch import FAR_OFF, checked_polygon
 from hitchopt.hitch.requirements import (
     Arena,
@@ -20,16 +20,38 @@ from hitchopt.hitch.requirements import (
     Separation,
     check_requirements,
 )
+from hitchopt.hitch.team import MAX_DRONES, MAX_ROBOTS
+from hitchopt.mission.objects import OBJECTS
 from hitchopt.motion.plan_file import request_fields
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import check_placed
 from hitchopt.planners.carrying.planner import LOOSE
-from hitchopt.steps import STEPS, FollowVertex, Form, Step, Transport
+from hitchopt.steps import STEP_KINDS, STEPS, FollowVertex, Form, Step, Transport
 from hitchopt.steps.carrying import PullStep, goal_of
 from hitchopt.steps.moving import MoveStep
-from hitchopt.steps.step import SlackSplit, Stage, slack_split
-from hitchopt.values import Array, coordinate, instance, points, positive, sequence, text
-from hitchopt.values.units import HEIGHT, check_unit, warn_of_unit
+from hitchopt.steps.step import (
+    LEGS,
+    LEGS_TEXT,
+    TRIANGLE,
+    Polygon,
+    SlackSplit,
+    Stage,
+    slack_split,
+)
+from hitchopt.values import Array, instance, sequence, text
+from hitchopt.values.fields import (
+    Key,
+    documented,
+    listed,
+    mapping_of,
+    one_key,
+    one_or_each,
+    points,
+    store,
+    texts,
+    whole_number,
+)
+from hitchopt.values.units import DURATION, HEIGHT, warn_of_unit
 
 
 def resolved_steps(problem: Problem, steps: tuple[Step, ...]) -> tuple[Step, ...]:
@@ -104,42 +126,36 @@ def _check_untimed(step: Step) -> None:
             raise InputError(key, vars(step)[key], bound, f"leave out {key} or blend")
 
 
+@documented
 @dataclass(frozen=True, eq=False)
 class HitchStart(OneLine):
-    """Start as a formed hitch.
+    """A formed hitch, at rest."""
 
-    Parameters
-    ----------
-    polygon: its outline, or its points (n, 2) [m] until a Problem knows the topology.
-    altitude: [m]
-    legs: ``balanced``, ``spread`` or (n,) ``d_k`` [m].
-    """
-
-    polygon: Outline
-    altitude: float
-    legs: SlackSplit = "spread"
+    polygon: Polygon
+    altitude: Annotated[float, Key(HEIGHT, "Height of the hitch's plane")] = 1.0
+    legs: Annotated[SlackSplit, Key(LEGS, LEGS_TEXT)] = "spread"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "altitude", coordinate("altitude", self.altitude))
-        check_unit("altitude", self.altitude, HEIGHT)
+        store(self, **vars(self))
 
 
+_PLACES = points((None, 3), "x, y, z", 2, MAX_ROBOTS)
+
+
+@documented
 @dataclass(frozen=True, eq=False)
 class DronesStart(OneLine):
-    """Start as drones on free cables, at rest: hovering, or on the ground.
+    """Drones of a hitch that is to be formed, at rest: hovering, or on the ground."""
 
-    Parameters
-    ----------
-    q, r: (n, 3) [m], where the drones of every robot are.
-    """
-
-    q: Array
-    r: Array
+    q: Annotated[
+        Array, Key(_PLACES, "Places (n, 3) [m], [x, y, z] per robot", [[0, 0, 1], [1, 0, 1]])
+    ]
+    r: Annotated[
+        Array, Key(_PLACES, "Places (n, 3) [m], [x, y, z] per robot", [[0, 1, 1], [1, 1, 1]])
+    ]
 
     def __post_init__(self) -> None:
-        for name, place in vars(self).items():
-            given = points(name, place, (2, 3), "(n, 3)", "give one point [x, y, z] a robot")
-            object.__setattr__(self, name, given)
+        store(self, **vars(self))
 
     @property
     def drones(self) -> Array:
@@ -151,15 +167,39 @@ Start = HitchStart | Hitch | DronesStart
 """Start as a hitch to be made, as one that is there, or as drones on free cables."""
 
 
+MAX_TITLE, MAX_STEPS, MAX_PRISMS = 200, 1000, 1000
+"""Largest numbers of characters of a title, and of steps and prisms in a file."""
+
+
+def _printable(key: str, value: object) -> str:
+    """Return a title, or raise InputError where a terminal would obey it."""
+    title: str = texts(MAX_TITLE).check(key, value)
+    if not title.isprintable():
+        raise InputError(key, title, "printable text on one line", "remove such characters")
+    return title
+
+
+START = one_key(
+    "Start",
+    "Start of the plan.",
+    {"hitch": HitchStart, "drones": DronesStart},
+    "hitch: {polygon: [[x, y], …], altitude: 1.0}",
+)
+STEP = one_key(
+    "Step",
+    "One step of the mission.",
+    STEP_KINDS,
+    "one step per list entry, such as hold: {seconds: 1.0}",
+)
+
+Title = Annotated[str, Key(replace(texts(MAX_TITLE), check=_printable), "Title of the plan")]
+ArenaOrNone = Annotated[Arena | None, Key(mapping_of(Arena), "The box that the drones stay in")]
+
+
+@documented
 @dataclass(frozen=True, eq=False)
 class Problem(OneLine):
-    """All that a planner needs to know.
-
-    Parameters
-    ----------
-    team, start, mission: who, from where, and the steps in order (at least one).
-    limits, separation, arena, title: what to keep, and what to call it.
-    objects: carried objects and obstacles by name.
+    """A team of quadrotors, a cable hitch, and what to do with it.
 
     Raises
     ------
@@ -167,20 +207,32 @@ class Problem(OneLine):
     """
 
     complete: ClassVar[bool] = True  # whether no step follows
-    team: Team
-    start: Start
-    mission: tuple[Step, ...]
-    limits: Limits = field(default_factory=Limits)
-    separation: Separation = field(default_factory=Separation)
-    arena: Arena | None = None
-    title: str = ""
-    objects: Mapping[str, SolidObject] = field(default_factory=dict)
+    team: Annotated[Team, Key(mapping_of(Team), "The team", {"robots": 3, "cable_length": 2.4})]
+    start: Annotated[
+        Start,
+        Key(START, "Start of the plan", {"hitch": {"polygon": TRIANGLE, "altitude": 1.0}}),
+    ]
+    mission: Annotated[
+        tuple[Step, ...],
+        Key(listed(STEP, 1, MAX_STEPS), "Steps, one after the other", [{"hold": {"seconds": 1.0}}]),
+    ]
+    limits: Annotated[Limits, Key(mapping_of(Limits), "Limits of motion")] = field(
+        default_factory=Limits
+    )
+    separation: Annotated[Separation, Key(mapping_of(Separation), "Distances to keep")] = field(
+        default_factory=Separation
+    )
+    arena: ArenaOrNone = None
+    title: Title = ""
+    objects: Annotated[
+        Mapping[str, SolidObject], Key(OBJECTS, "Carried objects and obstacles, by name")
+    ] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         instance("team", self.team, Team)
         instance("start", self.start, HitchStart, Hitch, DronesStart)
         check_requirements(self)
-        text("title", self.title)
+        store(self, title=self.title)
         steps = sequence("mission", self.mission)
         for i, step in enumerate(steps):
             instance(f"mission[{i}]", step, Step)
@@ -288,28 +340,67 @@ def fitting_start(team: Team, start: Start) -> Start:
 
 
 @dataclass(frozen=True, eq=False)
+class SwarmTeam:
+    """The team of single drones without cables."""
+
+    drones: Annotated[int, Key(whole_number(1, MAX_DRONES), "Number N of drones", 2)]
+    quadrotor: Annotated[
+        Any,
+        Key(
+            one_or_each(mapping_of(Quadrotor), 1, MAX_DRONES),
+            "Kind of quadrotor, one for all or one per drone; null: the default kind",
+        ),
+    ] = None
+
+    def team(self) -> Swarm:
+        """Return the team."""
+        return Swarm(self.drones, quadrotor=self.quadrotor)
+
+
+_SWARM_PLACES = points((None, 3), "x, y, z", 1, MAX_DRONES)
+_LIMITS = mapping_of(Limits, without=("vertex_speed", "leg"))
+_SEPARATION = mapping_of(Separation, without=("cable", "crossing", "object"))
+
+
+@documented
+@dataclass(frozen=True, eq=False)
 class SwarmProblem(OneLine):
-    """All that the separation planner needs to know.
+    """Single drones that trade places out of each other's downwash."""
 
-    Parameters
-    ----------
-    team: who.
-    start, goal: (N, 3) [m]
-    limits, separation, arena, keep_out, title: what to keep, and what to call it.
-    duration: of the flight, exactly [s], or None: as fast as is found.
-    objects: by name; they stand where they are, and the drones stay off them.
-    """
-
-    team: Swarm
-    start: Array
-    goal: Array
-    limits: Limits = field(default_factory=Limits)
-    separation: Separation = field(default_factory=Separation)
-    arena: Arena | None = None
-    keep_out: tuple[Prism, ...] = ()
-    duration: float | None = None
-    title: str = ""
-    objects: Mapping[str, SolidObject] = field(default_factory=dict)
+    team: Annotated[Swarm, Key(mapping_of(SwarmTeam, SwarmTeam.team), "The team", {"drones": 2})]
+    start: Annotated[
+        Array,
+        Key(
+            _SWARM_PLACES,
+            "Where drones are at rest (N, 3) [m], [x, y, z] per drone",
+            [[-1, 0, 1], [1, 0, 1]],
+        ),
+    ]
+    goal: Annotated[
+        Array,
+        Key(
+            _SWARM_PLACES,
+            "Where they come to rest (N, 3) [m], in the same order",
+            [[1, 0, 1], [-1, 0, 1]],
+        ),
+    ]
+    limits: Annotated[Limits, Key(_LIMITS, "Limits of motion")] = field(default_factory=Limits)
+    separation: Annotated[Separation, Key(_SEPARATION, "Distances to keep")] = field(
+        default_factory=Separation
+    )
+    arena: ArenaOrNone = None
+    keep_out: Annotated[
+        tuple[Prism, ...],
+        Key(listed(mapping_of(Prism), 0, MAX_PRISMS), "Prisms that the drones stay out of"),
+    ] = ()
+    duration: Annotated[
+        float | None, Key(DURATION, "Exactly that long; without it as fast as possible")
+    ] = None
+    title: Title = ""
+    objects: Annotated[
+        Mapping[str, SolidObject],
+        Key(OBJECTS, "Obstacles, by name; they stand where they are, and drones stay off them"),
+    ] = field(default_factory=dict)
 
     @property
     def requirements(self) -> Requirements:
@@ -328,17 +419,12 @@ class SwarmProblem(OneLine):
 
     def __post_init__(self) -> None:
         instance("team", self.team, Swarm)
+        store(self, start=self.start, goal=self.goal, duration=self.duration, title=self.title)
         for name in ("start", "goal"):
-            bound, remedy = "a list of points [x, y, z]", "give three numbers per drone"
-            given = points(name, getattr(self, name), (1, 3), bound, remedy)
-            if len(given) != self.team.drones:
+            if (count := len(getattr(self, name))) != self.team.drones:
                 words = f"{self.team.drones} points, one per drone", "change team.drones, or these"
-                raise InputError(name, f"{len(given)} points", *words)
-            object.__setattr__(self, name, given)
+                raise InputError(name, f"{count} points", *words)
         object.__setattr__(self, "keep_out", sequence("keep_out", self.keep_out))
         check_requirements(self)
         object.__setattr__(self, "objects", dict(self.objects))
         check_placed(self.objects, self.requirements.floor)
-        text("title", self.title)
-        if self.duration is not None:
-            object.__setattr__(self, "duration", positive("duration", self.duration))

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import (
     HitchoptError,
     InfeasibleError,
@@ -28,7 +29,7 @@ from hitchopt.errors import (
 )
 from hitchopt.hitch import Quadrotor
 from hitchopt.hitch.flight_controller import RETUNED, stiffest_gains
-from hitchopt.hitch.requirements import Arena
+from hitchopt.hitch.requirements import Limits
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem
 from hitchopt.mission.solving import solve_problem
 from hitchopt.steps.step import (
@@ -43,6 +44,7 @@ from hitchopt.steps.step import (
 )
 from hitchopt.steps.step import Edit as Edit  # noqa: PLC0414
 from hitchopt.values import Array
+from hitchopt.values.fields import keys_of
 
 BUDGET, DIGITS = 15.0, 3
 """Time [s] after which no further plan is begun, and digits of a suggested value."""
@@ -235,26 +237,29 @@ def with_edits(problem: Problem, edits: Edits) -> Problem:
             del path[0]  # its kind
         elif name == "mission":
             del path[1]
-        parts[name] = _put(parts[name], path, edit.value)
+        if path:
+            parts[name] = _put(parts[name], path, edit.value)
+        else:
+            parts[name] = keys_of(Problem)[name].from_file(name, edit.value)
     return replace(problem, **parts)
 
 
 def _put(record: Any, path: Sequence[str], value: Any) -> Any:
     """Return a record with the value at a path of a problem file's keys."""
-    if not path:
-        return Arena(**value) if isinstance(record, Arena) else value
     key, *rest = path
     if isinstance(record, tuple):
         i = int(key)
         return (*record[:i], _put(record[i], rest, value), *record[i + 1 :])
-    if isinstance(record, Mapping):
-        return {**record, key: _put(record[key], rest, value)}
-    if key == "quadrotor":
-        kinds = [Quadrotor(**kind) for kind in (value if isinstance(value, list) else [value])]
-        return replace(record, quadrotor=tuple(kinds) if isinstance(value, list) else kinds[0])
-    name = key.removesuffix("_deg")
-    changed = _put(getattr(record, name), rest, value)
-    return replace(record, **{name: changed if name == key else math.radians(changed)})
+    known = {each.name: (name, each) for name, each in keys_of(type(record)).items()}
+    name, declared = known.get(key, (key, None))
+    held = record[key] if isinstance(record, Mapping) else getattr(record, name)
+    if rest:
+        value = _put(held, rest, value)
+    elif declared is not None:
+        value = declared.from_file(key, value)
+    return (
+        {**record, key: value} if isinstance(record, Mapping) else replace(record, **{name: value})
+    )
 
 
 def broken_constraints(error: InfeasibleError) -> frozenset[str]:
@@ -298,17 +303,8 @@ ROUGHEST, STEEPEST, EASED = 1.0, 80.0, 0.95
 """Largest coefficient of friction, and largest tilt [deg] suggested; share of the largest mass at
 rest from which on it is tried, as carrying pulls at it too."""
 
-LIMITS = {
-    "speed": ("m/s", "speed"),
-    "acceleration": ("m/s²", "acceleration"),
-    "jerk": ("m/s³", "jerk"),
-    "vertex_speed": ("m/s", "vertex_speed"),
-    "duration": ("s", PLAN_DURATION),
-    "tilt_deg": ("deg", "tilt"),
-    "body_rate_deg": ("deg/s", "body_rate"),
-    "leg": ("m", "legs"),
-}
-"""Limits that may be raised, the last one lowered, with their units and checks."""
+CHECK_OF = {"leg": "legs"}
+"""Checks of limits that do not have their names."""
 
 
 def _knobs(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:
@@ -316,15 +312,15 @@ def _knobs(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:
     yield from _starts(problem)
     yield from _team(problem, violations)
     yield from _objects(problem, violations)
-    for name, (unit, check) in LIMITS.items():
-        value = getattr(problem.limits, name.removesuffix("_deg"))
-        if value is None:
+    for name, limit in keys_of(Limits).items():
+        value, rule = getattr(problem.limits, name), RULE_OF.get(CHECK_OF.get(name, name))
+        if value is None or rule is None:
             continue
-        old = round(math.degrees(value), 9) if name.endswith("_deg") else float(value)
-        covers = frozenset({check} if check in ("legs", PLAN_DURATION) else TIMES | {check})
-        knob = Knob(f"limits.{name}", old, unit, covers=covers)
-        most = STEEPEST / old - 1.0 if name == "tilt_deg" else math.inf
-        if name == "leg":
+        old, check = limit.to_file(value), PLAN_DURATION if name == "duration" else rule.name
+        covers = frozenset({check}) | (TIMES if rule.derivative else frozenset())
+        knob = Knob(f"limits.{limit.name}", old, rule.unit, covers=covers)
+        most = STEEPEST / old - 1.0 if name == "tilt" else math.inf
+        if rule.sense == "min":
             yield replace(knob, sign=-1)
         elif most > 0.0:
             yield replace(knob, least=_needed(violations, check), most=most)

@@ -1,7 +1,5 @@
 """Steps of a mission: classes with their keys, planning and knobs, in one list."""
 
-import inspect
-
 from hitchopt.steps.carrying import Carry as Carry
 from hitchopt.steps.carrying import Enclose as Enclose
 from hitchopt.steps.carrying import Grasp as Grasp
@@ -19,10 +17,10 @@ from hitchopt.steps.moving import MoveVertex as MoveVertex
 from hitchopt.steps.moving import Settle as Settle
 from hitchopt.steps.moving import Transport as Transport
 from hitchopt.steps.step import Step as Step
-from hitchopt.steps.step import parameters
 from hitchopt.steps.tying import Form as Form
 from hitchopt.steps.tying import Land as Land
 from hitchopt.steps.tying import Release as Release
+from hitchopt.values.fields import documented
 
 STEPS: tuple[type[Step], ...] = (
     *(Morph, Hold, MoveVertex, MoveEdge, Adjust, FollowVertex, Transport, Settle),
@@ -31,6 +29,8 @@ STEPS: tuple[type[Step], ...] = (
 )
 """All kinds of steps, in the order in which a problem file's keys are listed."""
 
+STEP_KINDS = {kind.name: kind for kind in STEPS}
+"""Kinds of steps by their keys in a problem file."""
+
 for _kind in STEPS:
-    _words = inspect.cleandoc(_kind.__doc__ or "")
-    _kind.__doc__ = f"{_words}\n\nParameters\n----------\n{parameters(_kind)}"
+    documented(_kind)

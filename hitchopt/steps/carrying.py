@@ -29,11 +29,9 @@ from hitchopt.planners.carrying.planner import (
 from hitchopt.planners.carrying.polygons import ROOM, HoldPolygons, grip_polygons, rest_polygons
 from hitchopt.steps.moving import Morph, Transport
 from hitchopt.steps.step import (
-    Key,
     Knob,
     ObjectOf,
     Place,
-    Positive,
     RolledLegs,
     Seconds,
     Stage,
@@ -42,9 +40,10 @@ from hitchopt.steps.step import (
     StepTask,
     Yaw,
     checks_relaxed_by,
-    one_of,
 )
-from hitchopt.values import Array, positive
+from hitchopt.values import Array
+from hitchopt.values.fields import Key, words
+from hitchopt.values.units import LENGTH, TENSION
 
 AROUND_SPEED, OVER = 0.15, 0.10
 """Vertical speed around an object [m/s]; height of the lowest drone over objects below, besides
@@ -254,11 +253,13 @@ def _numbered(
 By = Literal["rest", "grip"]
 """How an object is held."""
 
+BY = words("rest", "grip")
+
 BY_TEXT = "rest: its rim lies on the clasps; grip: cables are wrapped around it"
 
 Pull = Annotated[
     float | None,
-    Key(Positive, "Of all cables while it is held [N]; without it the team's", check=positive),
+    Key(TENSION, "Of all cables while it is held; without it the team's"),
 ]
 
 BALANCE = frozenset({"equilibrium", "keep_out"})
@@ -293,7 +294,7 @@ class Grasp(PullStep):
 
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.AROUND, Stage.GRASPED)
     object: ObjectOf
-    by: Annotated[By, Key(By, BY_TEXT, check=one_of(By))] = "rest"
+    by: Annotated[By, Key(BY, BY_TEXT)] = "rest"
     tension: Pull = None
     duration: Seconds = None
 
@@ -351,7 +352,7 @@ class Lift(Step):
     """The object's weight passes to the clasps, and it is lifted straight up."""
 
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.GRASPED, Stage.LIFTED)
-    by: Annotated[float, Key(Positive, "How far up [m]", (0.5,), check=positive)]
+    by: Annotated[float, Key(LENGTH, "How far up", 0.5)]
     duration: Seconds = None
 
     def place_after(self, body: SolidObject, below: float) -> Array:  # noqa: ARG002
@@ -465,15 +466,12 @@ class TransportObject(PullStep):
 
     object: ObjectOf
     to: Place
-    by: Annotated[
-        By | None,
-        Key(By, f"{BY_TEXT}; without it rest if it has a rim", check=one_of(By)),
-    ] = None
+    by: Annotated[By | None, Key(BY, f"{BY_TEXT}; without it rest if it has a rim")] = None
     tension: Pull = None
     yaw: Yaw = 0.0
     lift: Annotated[
         float,
-        Key(Positive, "How far above the higher of the two places [m]", check=positive),
+        Key(LENGTH, "How far above the higher of the two places"),
     ] = 0.3
 
     def place_after(self, body: SolidObject, below: float) -> Array:  # noqa: ARG002

@@ -6,7 +6,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 
 import numpy as np
 
@@ -16,41 +16,33 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import checked_polygon
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.steps.step import (
+    AUTO_SECONDS,
     IDLE,
+    LEGS,
     LEGS_TEXT,
     PLAN_DURATION,
-    AutoSeconds,
+    POINT2,
+    POINT3,
     Blend,
     Edit,
     Edits,
-    Key,
-    Keys,
     Knob,
-    Legs,
     LegsAtEnd,
-    Point2,
-    Point3,
     Polygon,
-    Positive,
     Seconds,
     SlackSplit,
     Stage,
     Step,
     StepPlan,
     StepTask,
-    TimedPath,
-    TwoPoints,
     WhichPoint,
     Yaw,
-    auto_seconds,
     checks_relaxed_by,
-    key,
-    of_shape,
-    point,
     points_scaled,
-    seconds,
 )
-from hitchopt.values import Array, flag, points, positive, sequence
+from hitchopt.values import Array
+from hitchopt.values.fields import FLAGS, Key, either, listed, mapping_of, points
+from hitchopt.values.units import DURATION, TENSION
 
 if TYPE_CHECKING:
     from hitchopt.planners.morph.actions import Action, Flying
@@ -189,7 +181,7 @@ class Hold(HitchStep):
     needs_hitch: ClassVar[bool | None] = None
     stages: ClassVar[tuple[Stage, Stage] | None] = None
     time_key: ClassVar[str] = "seconds"
-    seconds: Annotated[float, Key(Positive, "How long [s]", (1.0,), check=seconds)]
+    seconds: Annotated[float, Key(DURATION, "How long", 1.0)]
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan in which a hitch, or drones on free cables, stay."""
@@ -219,10 +211,9 @@ class Settle(Step):
     seconds: Annotated[
         float | Literal["auto"],
         Key(
-            AutoSeconds,
-            "How long [s]; auto: eight swings of two seconds, slower where limits need that",
-            (17,),
-            check=auto_seconds,
+            AUTO_SECONDS,
+            "How long; auto: eight swings of two seconds, slower where limits need that",
+            17,
         ),
     ] = "auto"
 
@@ -240,23 +231,25 @@ class Settle(Step):
         return settling_plan(task, self.given_duration, Phase(self.name, task.index, 0.0, 0.0))
 
 
-class TensionKeys(Keys):
+@dataclass(frozen=True)
+class TensionRange:
     """A range of tensions."""
 
-    min: Positive = key("Smallest [N]", examples=[0.3])
-    max: Positive = key("Largest [N]", examples=[0.6])
+    min: Annotated[float, Key(TENSION, "Smallest", 0.3)]
+    max: Annotated[float, Key(TENSION, "Largest", 0.6)]
 
 
 def _range(key: str, value: object) -> tuple[float, float]:
     """Return a smallest and a largest tension [N], or raise InputError."""
-    given = sequence(key, value)
-    if len(given) != 2:
-        raise InputError(key, value, "a smallest and a largest tension [N]", "write (0.3, 0.6)")
-    least, most = positive(f"{key}.min", given[0]), positive(f"{key}.max", given[1])
+    given = _EITHER_RANGE.check(key, value)
+    least, most = (given.min, given.max) if isinstance(given, TensionRange) else given
     if least > most:
         raise InputError(f"{key}.max", most, f"at least {key}.min, {least:g} N", "exchange the two")
     return least, most
 
+
+_EITHER_RANGE = either(mapping_of(TensionRange), listed(TENSION, 2, 2))
+RANGE = replace(_EITHER_RANGE, check=_range)
 
 OPTIMIZE_TEXT = "Look for a faster route even where the straight one satisfies all limits"
 
@@ -269,17 +262,11 @@ class Morph(ShapeStep):
     legs: LegsAtEnd = None
     duration: Seconds = None
     blend: Blend = False
-    optimize: Annotated[bool, Key(bool, OPTIMIZE_TEXT, check=flag)] = False
+    optimize: Annotated[bool, Key(FLAGS, OPTIMIZE_TEXT)] = False
     tension: Annotated[
         tuple[float, float] | None,
-        Key(TensionKeys, "Within what tensions [N] may change meanwhile", check=_range),
+        Key(RANGE, "Range of tensions meanwhile"),
     ] = None
-
-    @classmethod
-    def from_file(cls, values: dict[str, Any]) -> Self:
-        """Return the step with the values of a problem file."""
-        tension = values["tension"]
-        return cls(**values | {"tension": tension and (tension["min"], tension["max"])})
 
     def resolved_for(self, team: Team) -> Self:
         """Return the step fitting a team, whose tensions lie within the step's own range."""
@@ -361,14 +348,10 @@ def _within(key: str, index: int, count: int) -> int:
     return index
 
 
-_PLACE = of_shape((2,), "a point [x, y]")
-_TWO_PLACES = of_shape((2, 2), "two points [[x, y], [x, y]]")
-_OFFSET = of_shape((2,), "an offset [dx, dy]")
+_ENDS = points((2, 2), "x, y")
 _ENDS_TEXT = "Where its ends go, [[x, y], [x, y]] [m], its first vertex first"
 
-By = Annotated[
-    Array | None, Key(Point2, "By how much, [dx, dy] [m], in place of to", check=_OFFSET)
-]
+By = Annotated[Array | None, Key(POINT2, "By how much, [dx, dy] [m], in place of to")]
 
 
 @dataclass(frozen=True, eq=False)
@@ -380,7 +363,7 @@ class MoveVertex(MoveStep):
     """
 
     vertex: WhichPoint
-    to: Annotated[Array | None, Key(Point2, "Where to, [x, y] [m]", check=_PLACE)] = None
+    to: Annotated[Array | None, Key(POINT2, "Where to, [x, y] [m]")] = None
     by: By = None
     legs: LegsAtEnd = None
     duration: Seconds = None
@@ -400,7 +383,7 @@ class MoveEdge(MoveStep):
 
     action_fields: ClassVar[tuple[str, ...]] = ("edge",)
     edge: WhichPoint
-    to: Annotated[Array | None, Key(TwoPoints, _ENDS_TEXT, check=_TWO_PLACES)] = None
+    to: Annotated[Array | None, Key(_ENDS, _ENDS_TEXT)] = None
     by: By = None
     legs: LegsAtEnd = None
     duration: Seconds = None
@@ -411,19 +394,13 @@ class MoveEdge(MoveStep):
         return [_within("edge", self.edge, team.robots), (self.edge + 1) % count]
 
 
-def _given(key: str, value: Any) -> Any:
-    if value is None:
-        raise InputError(key, None, "balanced, spread or a list of d_k", "write balanced")
-    return value
-
-
 @dataclass(frozen=True, eq=False)
 class Adjust(ActionStep):
     """Cables slide through their clasps; the outline stays."""
 
     action_fields: ClassVar[tuple[str, ...]] = ()
 
-    legs: Annotated[SlackSplit, Key(Legs, LEGS_TEXT, ("balanced",), check=_given)] = "balanced"
+    legs: Annotated[SlackSplit, Key(LEGS, LEGS_TEXT, "balanced")] = "balanced"
     duration: Seconds = None
     blend: Blend = False
 
@@ -437,14 +414,20 @@ _PATH_TEXT = (
 )
 
 
+_POINTS = points((None, 3), "t, x, y")
+
+
 def _timed_path(key: str, value: object) -> Array:
     """Return points (J, 3) whose times increase, or raise InputError."""
-    path = points(key, value, (1, 3), "points [t, x, y]", "give plain numbers in SI units")
+    path: Array = _POINTS.check(key, value)
     gaps = np.diff(path[:, 0], prepend=0.0)[int(path[0, 0] == 0.0) :]
     if len(gaps) == 0 or np.min(gaps) < MIN_GAP:
         bound = f"a path whose times increase from 0 on by {MIN_GAP:g} s or more, and end after it"
         raise InputError(key, path.tolist(), bound, "sort its points by time")
     return path
+
+
+_PATH = replace(_POINTS, check=_timed_path)
 
 
 @dataclass(frozen=True, eq=False)
@@ -454,7 +437,7 @@ class FollowVertex(ActionStep):
     blendable: ClassVar[bool] = False
     action_fields: ClassVar[tuple[str, ...]] = ("vertex", "path")
     vertex: WhichPoint
-    path: Annotated[Array, Key(TimedPath, _PATH_TEXT, ([[1.0, 0.0, -0.9]],), check=_timed_path)]
+    path: Annotated[Array, Key(_PATH, _PATH_TEXT, [[1.0, 0.0, -0.9]])]
     legs: LegsAtEnd = None
 
     @property
@@ -499,10 +482,7 @@ class FollowVertex(ActionStep):
 class Transport(HitchStep):
     """The whole hitch goes elsewhere and turns about its centroid; its shape and legs stay."""
 
-    to: Annotated[
-        Array,
-        Key(Point3, "Where its centroid goes, [x, y, z] [m]", ([0, 0, 1],), check=point),
-    ]
+    to: Annotated[Array, Key(POINT3, "Where its centroid goes, [x, y, z] [m]", [0, 0, 1])]
     yaw: Yaw = 0.0
     duration: Seconds = None
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field
 
 from hitchopt.errors import HitchoptError
 from hitchopt.hitch import Hitch, Team
@@ -17,15 +15,11 @@ from hitchopt.motion.motion import CableState, Motion, Phase, joined_motions
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.steps.step import (
     AUTO,
+    AUTO_SECONDS,
+    LEGS,
     LEGS_TEXT,
-    AutoSecondsOrNot,
-    Key,
-    Keys,
     Knob,
-    Legs,
-    Number,
     Polygon,
-    Positive,
     RestState,
     RolledLegs,
     Seconds,
@@ -33,49 +27,24 @@ from hitchopt.steps.step import (
     Step,
     StepPlan,
     StepTask,
-    altitude,
-    auto_seconds,
     checks_relaxed_by,
-    key,
-    one_of,
 )
-from hitchopt.values import Array, instance
+from hitchopt.values import Array
+from hitchopt.values.fields import Key, either, mapping_of, words
+from hitchopt.values.units import HEIGHT
 
 Assign = Literal["auto", "fixed"]
 """Whether robots are assigned to edges, or robot k takes edge k with its drones as they are."""
 
-SENSES = {"up": 1, "down": -1, "auto": 0}
-"""Senses of a swap, as the file has them."""
-
 CABLE_MARGINS = (1.5, 1.25)
 """Times ``separation.cable`` that drones keep from cables, if they can, as a hitch is tightened."""
-
-
-class SwapKeys(Keys):
-    """Keys of the turn of drones in pairs as they form a hitch."""
-
-    radius: Positive = key("Smallest semi-axis of the ellipses [m]", SwapSettings.radius)
-    tilt_deg: Annotated[float, Field(ge=0.0, lt=90.0)] | None = key(
-        "Of the axis of turning, upward [°]; 45 without it", None
-    )
-    seconds: Positive | None = key("Half a turn takes at least this long [s]", None)
-    sense: Literal["up", "down", "auto"] = key("up: every q goes up first; down; auto: up", "auto")
-
-
-def _settings(key: str, value: object) -> object:
-    instance(key, value, SwapSettings)
-    return value
-
-
-def _settle(key: str, value: object) -> float | str | bool:
-    return False if value is False else auto_seconds(key, value)
 
 
 ASSIGN_TEXT = (
     "auto: which robot takes which edge, and which end is its q, is chosen; fixed: in order"
 )
 SETTLE_TEXT = (
-    "Where cables have friction, duration of swinging at the end [s], as by settle; "
+    "Where cables have friction, duration of swinging at the end, as by settle; "
     "auto: as far as limits allow; or false"
 )
 
@@ -89,26 +58,18 @@ class Form(Step):
 
     needs_hitch: ClassVar[bool | None] = False
     polygon: Polygon
-    altitude: Annotated[float, Key(Number, "Height of the hitch's plane [m]", check=altitude)] = 1.0
+    altitude: Annotated[float, Key(HEIGHT, "Height of the hitch's plane")] = 1.0
     legs: Annotated[
-        SlackSplit | None, Key(Legs, f"{LEGS_TEXT}, at the step's end; spread without it")
+        SlackSplit | None, Key(LEGS, f"{LEGS_TEXT}, at the step's end; spread without it")
     ] = None
-    assign: Annotated[Assign, Key(Assign, ASSIGN_TEXT, check=one_of(Assign))] = AUTO
-    swap: Annotated[SwapSettings, Key(SwapKeys, str(SwapKeys.__doc__), check=_settings)] = field(
-        default_factory=SwapSettings
+    assign: Annotated[Assign, Key(words("auto", "fixed"), ASSIGN_TEXT)] = AUTO
+    swap: Annotated[SwapSettings, Key(mapping_of(SwapSettings), "How drones turn in pairs")] = (
+        field(default_factory=SwapSettings)
     )
     settle: Annotated[
-        float | Literal["auto", False], Key(AutoSecondsOrNot, SETTLE_TEXT, check=_settle)
+        float | Literal["auto", False], Key(either(AUTO_SECONDS, words(False)), SETTLE_TEXT)
     ] = AUTO
     duration: Seconds = None
-
-    @classmethod
-    def from_file(cls, values: dict[str, Any]) -> Self:
-        """Return the step with the values of a problem file."""
-        swap = dict(values["swap"])
-        tilt, sense = swap.pop("tilt_deg"), SENSES[swap.pop("sense")]
-        swap["tilt"] = None if tilt is None else math.radians(tilt)
-        return cls(**values | {"swap": SwapSettings(sense=sense, **swap)})
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan from drones on free cables to a hitch."""

@@ -14,6 +14,7 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import reduce
 from io import StringIO
 from itertools import pairwise
 from pathlib import Path
@@ -23,6 +24,7 @@ import numpy as np
 from ruamel.yaml import YAML, events
 
 from hitchopt.errors import FileError, InputError, Place
+from hitchopt.values.fields import joined
 
 Plain = dict[str, "Plain"] | list["Plain"] | str | int | float | bool | None
 """Data that a problem file is made of."""
@@ -253,19 +255,8 @@ def _unquoted(text: str) -> Plain:
 
 
 def key_path(parts: Iterable[str | int]) -> str:
-    """Return a path as messages show it, such as ``mission[0].morph.legs[1]``.
-
-    Keys that are no names are quoted, so that no control character reaches a terminal.
-    """
-    path = ""
-    for part in parts:
-        if isinstance(part, int):
-            path += f"[{part}]"
-        else:
-            name = part if part.isidentifier() and part.isascii() else repr(part)
-            name = name if len(name) <= 60 else f"{name[:57]}..."
-            path += f".{name}" if path else name
-    return path
+    """Return a path as messages show it, such as ``mission[0].morph.legs[1]``."""
+    return reduce(joined, parts, "")
 
 
 class Budget:

@@ -7,21 +7,31 @@ import itertools
 import json
 from collections.abc import Iterator, Mapping
 from copy import deepcopy
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import cache
 from importlib import metadata
 from math import prod
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import ConfigDict, Field, Tag, ValidationError, model_validator
 
 from hitchopt.errors import FileError, InputError, OneLine, short
-from hitchopt.mission.keys import MAX_TITLE, translated
-from hitchopt.steps.step import EACH, FORM, MAPPING, Keys, NotNegative, Positive, fault
-from hitchopt.steps.step import key as option
+from hitchopt.mission.problem import MAX_TITLE
 from hitchopt.storage.yaml_file import Plain, key_path, plain, read_yaml, split_key
+from hitchopt.values.fields import (
+    ANYTHING,
+    FLAGS,
+    Key,
+    either,
+    listed,
+    mapping_of,
+    named,
+    texts,
+    whole_number,
+    words,
+)
+from hitchopt.values.units import NOT_NEGATIVE, NUMBER, POSITIVE
 
 Point = dict[str, Plain]
 """One value of every parameter, by key path."""
@@ -32,36 +42,34 @@ MAX_CASES = 1_000_000  # Largest number of points of one study; more are a typin
 LIBRARIES = ("hitchopt", "numpy", "scipy", "casadi", "toppra", "osqp", "ruckig", "mujoco")
 
 
-class GridKeys(Keys):
+@dataclass(frozen=True)
+class GridKeys:
     """Values at even distances, the ends among them."""
 
-    model_config = ConfigDict(populate_by_name=True)
-    low: float = option("Lower end", alias="from", examples=[0.2])
-    high: float = option("Upper end", alias="to", examples=[0.6])
-    count: int = option("Number of values", ge=2, le=MAX_CASES, examples=[4])
-    log: bool = option("Even in the logarithm", False)
+    low: Annotated[float, Key(NUMBER, "Lower end", 0.2, "from")]
+    high: Annotated[float, Key(NUMBER, "Upper end", 0.6, "to")]
+    count: Annotated[int, Key(whole_number(2, MAX_CASES), "Number of values", 4)]
+    log: Annotated[bool, Key(FLAGS, "Even in the logarithm")] = False
 
-    @model_validator(mode="after")
-    def _in_order(self) -> Self:
+    def __post_init__(self) -> None:
         if not self.low < self.high:
-            raise fault("from below to", "exchange the two")
+            raise InputError("from", self.low, f"below to, {self.high:g}", "exchange the two")
         if self.log and self.low <= 0.0:
-            raise fault("from above 0 where log is true", "leave out log")
-        return self
+            raise InputError("from", self.low, "above 0 where log is true", "leave out log")
 
 
-class ParameterKeys(Keys):
+@dataclass(frozen=True)
+class ParameterKeys:
     """What values a parameter takes, if they are not listed."""
 
-    grid: GridKeys = option("Values at even distances")
+    grid: Annotated[GridKeys, Key(mapping_of(GridKeys), "Values at even distances")]
 
 
-Listed = Annotated[list[Any], Field(min_length=1), Tag(EACH)]
-Parameter = Annotated[Annotated[ParameterKeys, Tag(MAPPING)] | Listed, FORM]
+PARAMETER = either(mapping_of(ParameterKeys), listed(ANYTHING, 1))
 Values = ParameterKeys | list[Any]
 
 
-def listed(given: Values) -> list[Plain]:
+def values_in(given: Values) -> list[Plain]:
     """Return the values of a parameter in order."""
     if isinstance(given, list):
         return [plain(value) for value in given]
@@ -72,7 +80,7 @@ def listed(given: Values) -> list[Plain]:
 
 def points(parameters: Mapping[str, Values]) -> list[Point]:
     """Return every combination of values, the last one's changing first; MAX_CASES at most."""
-    found = [listed(each) for each in parameters.values()]
+    found = [values_in(each) for each in parameters.values()]
     if (count := prod(map(len, found))) > MAX_CASES:
         raise InputError("parameters", count, f"at most {MAX_CASES} combinations", "take fewer")
     return [dict(zip(parameters, values, strict=True)) for values in itertools.product(*found)]
@@ -129,37 +137,51 @@ def versions() -> dict[str, str]:
     return {name: metadata.version(name) for name in LIBRARIES if name in here}
 
 
-class SimulateKeys(Keys):
+OrNot = float | None
+
+
+@dataclass(frozen=True)
+class SimulateKeys:
     """Every plan is flown in the rope simulation."""
 
-    seeds: int = option("Flights of every plan", 1, ge=1, le=100_000)
-    seed: int = option("Seed of the first of them", 0, ge=0)
-    preset: Literal["fast", "accurate"] = option("Resolution of ropes", "fast")
-    perturbed: bool = option("The usual perturbations", True)
-    noise: NotNegative | None = option("Of measured positions [m]", None)
-    velocity_noise: NotNegative | None = option("Of velocities [m/s]", None)
-    wind: NotNegative | None = option("Force of gusts [N]", None)
-    steady_wind: NotNegative | None = option("Constant level force [N]", None)
-    cable_error: NotNegative | None = option("Of lengths, relative", None)
-    start_error: NotNegative | None = option("Of starts, per axis [m]", None)
-    friction: NotNegative | None = option("Replaces the team's", None)
-    density: Positive | None = option("Replaces the team's [kg/m]", None)
-    stiffness: Positive | None = option("Of position loops [N/m]", None)
+    seeds: Annotated[int, Key(whole_number(1, 100_000), "Flights of every plan")] = 1
+    seed: Annotated[int, Key(whole_number(0, 2**63 - 1), "Seed of the first of them")] = 0
+    preset: Annotated[str, Key(words("fast", "accurate"), "Resolution of ropes")] = "fast"
+    perturbed: Annotated[bool, Key(FLAGS, "The usual perturbations")] = True
+    noise: Annotated[OrNot, Key(NOT_NEGATIVE, "Of measured positions [m]")] = None
+    velocity_noise: Annotated[OrNot, Key(NOT_NEGATIVE, "Of velocities [m/s]")] = None
+    wind: Annotated[OrNot, Key(NOT_NEGATIVE, "Force of gusts [N]")] = None
+    steady_wind: Annotated[OrNot, Key(NOT_NEGATIVE, "Constant level force [N]")] = None
+    cable_error: Annotated[OrNot, Key(NOT_NEGATIVE, "Of lengths, relative")] = None
+    start_error: Annotated[OrNot, Key(NOT_NEGATIVE, "Of starts, per axis [m]")] = None
+    friction: Annotated[OrNot, Key(NOT_NEGATIVE, "Replaces the team's")] = None
+    density: Annotated[OrNot, Key(POSITIVE, "Replaces the team's [kg/m]")] = None
+    stiffness: Annotated[OrNot, Key(POSITIVE, "Of position loops [N/m]")] = None
 
 
-class StudyKeys(Keys):
+@dataclass(frozen=True)
+class StudyKeys:
     """A study: problems, parameters, and what is done with each of their combinations."""
 
-    title: str = option("Title of the study", "", max_length=MAX_TITLE)
-    problem: Any = option(
-        "Path of a problem file, a list of paths, or a problem itself", examples=["triangle.yaml"]
+    problem: Annotated[
+        Any,
+        Key(ANYTHING, "Path of a problem file, a list of paths, or a problem", "triangle.yaml"),
+    ]
+    title: Annotated[str, Key(texts(MAX_TITLE), "Title of the study")] = ""
+    parameters: Annotated[
+        dict[str, Values],
+        Key(
+            named(PARAMETER, texts(1000)),
+            "A list or a grid of values, by a key path in the problem file, or in this one",
+        ),
+    ] = field(default_factory=dict)
+    limit: Annotated[float, Key(POSITIVE, "Time limit of a plan [s]")] = 600.0
+    simulate: Annotated[SimulateKeys | None, Key(mapping_of(SimulateKeys), "Simulated flights")] = (
+        None
     )
-    parameters: dict[str, Parameter] = option(
-        "A list or a grid of values, by a key path in the problem file, or in this one",
-        default_factory=dict,
-    )
-    limit: Positive = option("Time limit of a plan [s]", 600.0)
-    simulate: SimulateKeys | None = option("Simulated flights", None)
+
+
+STUDY = mapping_of(StudyKeys)
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +206,7 @@ class Study(OneLine):
 
     def _at(self, chosen: list[Point]) -> Iterator[tuple[str, Point, dict[str, Plain], Any]]:
         """Yield name, point, keys of the problem, and of its flights, at every chosen point."""
-        flown = None if self.keys.simulate is None else self.keys.simulate.model_dump()
+        flown = None if self.keys.simulate is None else vars(self.keys.simulate)
         outlines: dict[Path, Plain] = {}
         for (name, folder, problem), point in itertools.product(self.problems, chosen):
             whole = with_values(problem if flown is None else {**problem, "simulate": flown}, point)
@@ -201,13 +223,13 @@ class Study(OneLine):
         first = points(self.keys.parameters)[0]
         trials = [first]
         for key, each in self.keys.parameters.items():
-            trials += [{**first, key: value} for value in listed(each)[1:]]
+            trials += [{**first, key: value} for value in values_in(each)[1:]]
             if key.split(".")[0] == "simulate" and self.keys.simulate is None:
                 remedy = "add simulate: to the study"
                 raise InputError(f"parameters.{key}", "simulate", "a section of the study", remedy)
         for _, _, problem, simulate in self._at(trials):
             any_problem_from_dict(problem)
-            _checked({"problem": "", "simulate": simulate})
+            STUDY.check("", {"problem": "", "simulate": simulate})
 
 
 def study_from_dict(data: object, directory: str | Path = ".") -> Study:
@@ -222,18 +244,9 @@ def study_from_dict(data: object, directory: str | Path = ".") -> Study:
     if not isinstance(values, dict):
         bound = "a mapping with the keys problem and parameters"
         raise InputError("study", short(values), bound, "see hitchopt sweep --help")
-    keys = _checked(values)
-    study = Study(keys, tuple(_problems(values["problem"], Path(directory))))
+    study = Study(STUDY.check("", values), tuple(_problems(values["problem"], Path(directory))))
     study.check()
     return study
-
-
-def _checked(values: Plain) -> StudyKeys:
-    """Return the keys of a study; raises InputError for what is wrong."""
-    try:
-        return StudyKeys.model_validate(values)
-    except ValidationError as error:
-        raise translated(error, StudyKeys) from None
 
 
 def _problems(given: Any, directory: Path) -> Iterator[tuple[str, Path, dict[str, Plain]]]:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +24,35 @@ MAX_COORDINATE = 1e5
 """Largest coordinate [m]: double precision does not resolve the tolerances of a plan beyond it."""
 
 
+ONE, EACH, WORD, FLAG, MAPPING = "a number", "a list", "a word", "true or false", "a mapping"
+"""Forms of values."""
+
+_FORMS = (
+    ((bool, np.bool_), FLAG, "write true or false"),
+    ((int, float, np.number), ONE, "give a plain number in SI units"),
+    ((list, tuple, np.ndarray), EACH, "write a list in brackets"),
+    ((str,), WORD, "put it in quotes if it is meant as text"),
+    ((Mapping,), MAPPING, "write its keys indented below it, or in braces"),
+)
+
+
+def form_of(value: object) -> str:
+    """Return the form of a value, empty for others; records are mappings."""
+    if is_dataclass(value):
+        return MAPPING
+    return next((form for kinds, form, _ in _FORMS if isinstance(value, kinds)), "")
+
+
+def misfit(key: str, value: object, *bounds: str) -> InputError:
+    """Return the error of a value that has none of the forms, or other bounds."""
+    remedy = next((remedy for _, form, remedy in _FORMS if form in bounds), "write a list")
+    if value is None:
+        remedy = "remove the key, or write its value after it"
+    elif ONE in bounds and isinstance(value, str) and re.fullmatch(r"[-+.\deE]+", value):
+        remedy = "remove the quotes"
+    return InputError(key, value, " or ".join(bounds), remedy)
+
+
 def instance(key: str, value: object, *kinds: type) -> None:
     """Raise InputError unless ``value`` is of one of the public classes ``kinds``."""
     if not isinstance(value, kinds):
@@ -32,7 +63,7 @@ def instance(key: str, value: object, *kinds: type) -> None:
 def flag(key: str, value: object) -> bool:
     """Return ``value``, or raise InputError unless it is true or false."""
     if not isinstance(value, bool | np.bool_):
-        raise InputError(key, value, "true or false", "pass True or False")
+        raise misfit(key, value, FLAG)
     return bool(value)
 
 
@@ -103,7 +134,7 @@ def acute(key: str, angle: float) -> float:
 def finite(key: str, value: object) -> float:
     """Return ``value`` as a float, or raise InputError unless it is a finite number."""
     if isinstance(value, bool) or not isinstance(value, int | float | np.number):
-        raise InputError(key, value, "a number", "give a plain number in SI units")
+        raise misfit(key, value, ONE)
     try:
         number = float(value)
     except OverflowError:

@@ -20,13 +20,13 @@ import numpy as np
 
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError
 from hitchopt.geometry import Outline
-from hitchopt.mission.keys import STEP_KINDS, step_model
 from hitchopt.mission.loading import parse_problem
 from hitchopt.mission.problem import Problem
 from hitchopt.mission.repair import NO_CHANGE, Edit, Suggestion, find_suggestions
 from hitchopt.mission.solving import solve_problem
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
+from hitchopt.steps import STEP_KINDS
 from hitchopt.steps.certified_motions import Certified
 from hitchopt.steps.step import TRIANGLE
 from hitchopt.storage.yaml_file import (
@@ -39,6 +39,7 @@ from hitchopt.storage.yaml_file import (
     with_value,
 )
 from hitchopt.values import Array
+from hitchopt.values.fields import EMPTY, keys_of
 from hitchopt.view.style import drafted
 
 START = -1  # Index of the start, before the first step
@@ -148,7 +149,7 @@ def new_step(problem: Problem, index: int, kind: str, height: float) -> dict[str
     outline = outlines(problem)[index + 1]
     vertices: Any = TRIANGLE if outline is None else np.round(outline.vertices, 6).tolist()
     centre = np.mean(vertices, axis=0) if outline is None else outline.centroid
-    fields = step_model(STEP_KINDS[kind]).model_fields
+    fields = keys_of(STEP_KINDS[kind])
     usual: dict[str, Any] = {
         "polygon": vertices,
         "to": [*np.round(centre, 6).tolist(), round(height, 6)],
@@ -156,9 +157,9 @@ def new_step(problem: Problem, index: int, kind: str, height: float) -> dict[str
         "object": next(iter(problem.objects), ""),
     }
     values: dict[str, Any] = {
-        name: usual[name] if name in usual else deepcopy((field.examples or [None])[0])
+        name: usual[name] if name in usual else deepcopy(field.example)
         for name, field in fields.items()
-        if field.is_required()
+        if field.default is EMPTY
     }
     if "vertex" in fields and "to" in fields:
         values["to"] = vertices[0]

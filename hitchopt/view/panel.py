@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from hitchopt.errors import HitchoptError
-from hitchopt.mission.keys import STEP_KINDS, step_model
 from hitchopt.mission.repair import Edit
+from hitchopt.steps import STEP_KINDS
 from hitchopt.storage.yaml_file import Plain, flow, parse_yaml, split_key, value_at
+from hitchopt.values.fields import keys_of
 from hitchopt.view.editing import START, Editing, Handle, Stage, Status, step_key
 from hitchopt.view.live import LiveView, plain_words
 from hitchopt.view.style import MARK_COLOUR
@@ -134,7 +135,7 @@ class EditingPanel:
             place = gui.add_vector3("x, y, z [m]", here, step=0.05)
         given = value_at(data, split_key(key))
         kind = STEP_KINDS.get(key.rpartition(".")[2]) if self.step != START else None
-        known = given if kind is None else step_model(kind).model_fields
+        known = given if kind is None else [key.name for key in keys_of(kind).values()]
         typed = {name: flow(given[name]) if name in given else "" for name in known}
         fields = {name: gui.add_text(name, value) for name, value in typed.items()}
 

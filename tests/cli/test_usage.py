@@ -27,8 +27,9 @@ from hitchopt.checks.certificate import GROUPS
 from hitchopt.checks.registry import REPORTS, RULES
 from hitchopt.cli.failures import SafeGroup
 from hitchopt.cli.output import ProgressBar, certificate_table, done_of, phase_table
-from hitchopt.cli.planning import MODELINE, SCHEMA, example_files
+from hitchopt.cli.planning import MODELINE, example_files
 from hitchopt.exports.options import HOMES
+from hitchopt.mission.loading import problem_schema
 from hitchopt.storage import interrupts
 
 pytestmark = pytest.mark.usefixtures("place")
@@ -228,6 +229,9 @@ def test_init_writes_a_problem_that_loads_and_never_overwrites(place: Path) -> N
     said = run("init", code=0).stdout
     assert said.splitlines() == ["wrote problem.yaml; try: hitchopt solve problem.yaml"]
     assert ho.load_problem("problem.yaml").team.robots == 3
+    run("init", "--schema", code=0)
+    schema = Path(MODELINE.partition("=")[2].strip())  # which the written file names
+    assert json.loads(schema.read_text("utf-8")) == problem_schema()
     for name, file in (("a", "a.yaml"), ("b.yml", "b.yml"), ("c.d", "c.d.yaml"), ("ü", "ü.yaml")):
         run("init", name, code=0)
         assert (place / file).exists()
@@ -312,12 +316,9 @@ def test_every_example_is_listed_and_written() -> None:
     assert [entry["name"] for entry in listed] == [path.stem for path in example_files()]
     assert len({entry["name"] for entry in listed}) == len(listed) > 30
     for path, entry in zip(example_files(), listed, strict=True):
-        first = path.read_text(encoding="utf-8").splitlines()[0]
-        assert first.startswith(MODELINE)
-        assert (path.parent / first.removeprefix(MODELINE)).resolve() == SCHEMA
         run("init", "--example", path.stem, code=0)
         written = Path(f"{path.stem}.yaml")
-        assert written.read_text(encoding="utf-8").splitlines()[0] == f"{MODELINE}{SCHEMA}"
+        assert written.read_text(encoding="utf-8").startswith(MODELINE)
         assert ho.read_problem(written).title == entry["title"]
     run("init", "mine", "--example", "triangle", code=0)
     assert ho.read_problem("mine.yaml").title == ho.read_problem(TRIANGLE).title

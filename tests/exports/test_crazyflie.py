@@ -129,7 +129,7 @@ def fleet_of(folder: Path, data: object, roles: Sequence[str]) -> Fleet:
 
 
 def bare(fleet: Fleet) -> list[Member]:
-    return [each.model_copy(update={"firmware_params": {}}) for each in fleet.members]
+    return [replace(each, firmware_params={}) for each in fleet.members]
 
 
 def test_a_fleet_is_read_from_the_settings_that_were_written(tmp_path: Path) -> None:
@@ -200,7 +200,7 @@ MISTAKES: list[tuple[str, str, dict[str, object] | None, str]] = [
     ("drones", "q0", {"uri": DRONES["r0"]["uri"]}, "uri = .* must be of one drone only"),
     ("drones", "q0", {"uri": "E7E7E7E707"}, "drones.q0.uri = 'E7E7E7E707': must be an address"),
     ("drones", "q0", {"channel": 80}, "drones.q0.channel = 80: must be a known key"),
-    ("drones", "q0", {"name": 7}, "drones.q0.name = 7: must be text"),
+    ("drones", "q0", {"name": 7}, "drones.q0.name = 7: must be a string"),
     ("robots", "cf3", {"enabled": True}, "robots = 'cf3': .* a robot's role tells which it"),
     ("robots", "cf3", {"enabled": True, "role": "r0"}, "robots.cf3.role = 'r0': .* and cf7 has"),
     ("robots", "cf7", {"uri": None}, "robots.cf7.uri"),

@@ -207,7 +207,7 @@ def test_what_a_user_may_write_for_the_roll() -> None:
         ({"roll_deg": 90.0}, r"legs\.roll_deg = 90"),
         ({"roll_deg": [1.0, 2.0]}, r"legs\.roll_deg.*one per clasp"),
         ({"roll": 0.1}, r"legs\.roll = 0.1"),
-        ({"sharing": "even"}, "legs = 'even'"),
+        ({"sharing": "even"}, "legs.sharing = 'even'"),
     ):
         with pytest.raises(InputError, match=words):
             slack_split(legs, team)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import jsonschema
 from plans import ROOT
 
-from hitchopt.mission.keys import problem_schema
+from hitchopt.mission.loading import problem_schema
 from hitchopt.mission.problem import HitchStart, Problem
 
 VALIDATOR = jsonschema.Draft202012Validator(problem_schema())

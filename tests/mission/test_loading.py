@@ -22,8 +22,7 @@ from ruamel.yaml import YAML
 
 import hitchopt as ho
 from hitchopt.errors import MAX_LISTED, FileError, HitchoptError, InputError, JointInputError
-from hitchopt.mission.keys import SCHEMA_FILE, problem_schema, schema_text
-from hitchopt.mission.loading import problem_from_dict, read_problem
+from hitchopt.mission.loading import problem_from_dict, problem_schema, read_problem
 from hitchopt.mission.problem import SwarmProblem
 from hitchopt.storage.yaml_file import read_yaml, split_key
 
@@ -124,7 +123,7 @@ def drones(**places: Any) -> dict[str, Any]:
         ({"mission": [{"release": {}}, {"adjust": {"legs": "balanced"}}]}, "form one before"),
         (drones(q=PLACES["q"][:2]), r"start\.drones\.q = '2 points'"),
         (drones(r=[[1e9, 0, 1], *PLACES["r"][1:]]), r"start\.drones\.r\[0\] = .* finite and with"),
-        (drones(r=[[1, 0], *PLACES["r"][1:]]), r"drones\.r\[0\] = .* list of at least 3 entries"),
+        (drones(r=[[1, 0], *PLACES["r"][1:]]), r"drones\.r\[0\] = .* must be a point \[x, y, z\]"),
     ],
 )
 def test_steps_or_starts_that_do_not_fit_are_refused(changes: dict[str, Any], message: str) -> None:
@@ -144,9 +143,9 @@ def test_every_key_of_form_arrives() -> None:
 
 
 FAULTS: list[tuple[str | list[str | int], object, str]] = [
-    ("limits.leg", 1e-300, r"1e-300: must be at least 1e-09; "),
-    ("limits.jerk", 1e300, r"1e+300: must be at most 1e+09; "),
-    ("team.robots", 10**5000, r"inf: must be finite; "),
+    ("limits.leg", 1e-300, r"1e-300: must be from 1e-09 to 10000 m; "),
+    ("limits.jerk", 1e300, r"1e+300: must be from 1e-09 to 1e+09 m/s³; "),
+    ("team.robots", 10**5000, r"inf: must be an integer; "),
     ("team.tensio", 1.0, r"1.0: must be a known key; did you mean tension?"),
     ("team.quadrotor[1].mas", 1, r"1: must be a known key; did "),
     ("team.cable_density", -1e-09, r"-1e-09: must be at least 0; "),
@@ -154,10 +153,10 @@ FAULTS: list[tuple[str | list[str | int], object, str]] = [
     ("mission[2].morph.polygon", None, r"None: must be a list"),
     ("mission[3].move_vertex.blend", 1, r"1: must be true or"),
     ("mission[7].transport.to[0]", 1e6, r"mission[7].transport.to = [1000000.0, 1.2, 1.6]: m"),
-    ("mission[7].transport.yaw_deg", 1801, r"[7].transport.yaw_deg = 1801: must be at most"),
+    ("mission[7].transport.yaw_deg", 1801, r"[7].transport.yaw_deg = 1801: must be from -1800"),
     ("mission", {"hold": {}}, r"{'hold': {}}: must be a list; write a list in bracket"),
     ("title", "x" * 201, r": must be at most 200 characters long; shorten it"),
-    (["a\x1b[31m b"], 1, r"'a\x1b[31m b' = 1: must be a known key; use one of title, team"),
+    (["a\x1b[31m b"], 1, r"'a\x1b[31m b' = 1: must be a known key; use one of team, start"),
 ]
 
 
@@ -298,11 +297,10 @@ def test_what_is_wrong_in_itself_is_told_with_its_place(path: Path) -> None:
         assert VALIDATOR.is_valid(data) is (expected == "accepts")
 
 
-def test_the_shipped_schema_is_current_and_describes_every_key() -> None:
+def test_the_schema_describes_every_key() -> None:
     """And every fault has one file."""
     assert len({header(path, "Fault") for path in BAD}) == len(BAD) >= 25
     VALIDATOR.validate(triangle())
-    assert SCHEMA_FILE.read_text(encoding="utf-8") == schema_text()
     shown: dict[str, Any] = {}
     for model in problem_schema()["$defs"].values():
         assert model["additionalProperties"] is False

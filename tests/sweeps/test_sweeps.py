@@ -22,6 +22,7 @@ from hitchopt.cli import main
 from hitchopt.sweeps.study import Case, ParameterKeys, points, study_from_dict, with_values
 from hitchopt.sweeps.sweep import ROWS, load_sweep, summary, write_row
 from hitchopt.sweeps.work import SETTINGS, row_of
+from hitchopt.values.fields import mapping_of
 
 PROBLEM: dict[str, Any] = {
     "team": {"robots": 3, "cable_length": 2.4},
@@ -34,7 +35,9 @@ LOG = {"from": 0, "to": 2, "count": 3, "log": True}
 def test_every_combination_occurs_once() -> None:
     log = {"grid": {"from": 1.0, "to": 4.0, "count": 3, "log": True}}
     even = {"grid": {"from": -1.0, "to": 1.0, "count": 5}}
-    spans = {key: ParameterKeys.model_validate(each) for key, each in (("b", log), ("c", even))}
+    spans = {
+        key: mapping_of(ParameterKeys).check("", each) for key, each in (("b", log), ("c", even))
+    }
     found = points({"a": [1, 2], **spans})
     wanted = itertools.product((1, 2), (1.0, 2.0, 4.0), (-1.0, -0.5, 0.0, 0.5, 1.0))
     assert [list(point) for point in found] == [["a", "b", "c"]] * 30

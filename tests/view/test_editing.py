@@ -14,8 +14,8 @@ from click.testing import CliRunner
 import hitchopt as ho
 from hitchopt.cli import main
 from hitchopt.errors import Progress
-from hitchopt.mission.keys import StepKeys
 from hitchopt.mission.loading import parse_problem
+from hitchopt.mission.problem import STEP
 from hitchopt.mission.repair import Edit
 from hitchopt.mission.solving import solve_problem
 from hitchopt.motion.states import states_at
@@ -210,7 +210,7 @@ def test_a_new_step_is_one_that_a_file_may_have(kind: str) -> None:
     problem = parse_problem(STEPPED)
     assert isinstance(problem, ho.Problem)
     for index in (START, 0):
-        StepKeys.model_validate(new_step(problem, index, kind, 1.0))
+        STEP.check("", new_step(problem, index, kind, 1.0))
 
 
 def test_a_problem_file_is_planned_and_shown_or_refused(tmp_path: Path) -> None:
