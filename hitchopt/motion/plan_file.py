@@ -151,11 +151,9 @@ def _settings(motion: Motion, title: str, problem: str) -> dict[str, Any]:
 
 
 def _limits(requirements: Requirements) -> dict[str, Any]:
-    """Return the limits; without ``tracking`` as in files that do not know it."""
-    limits = dict(vars(requirements.limits))
-    return (
-        limits if limits["tracking"] else {key: limits[key] for key in limits if key != "tracking"}
-    )
+    """Return the limits, those alone as null that files of all releases have so."""
+    limits = vars(requirements.limits).items()
+    return {name: limit for name, limit in limits if limit or name in ("duration", "body_rate")}
 
 
 def _written(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -488,9 +487,8 @@ class Transport(HitchStep):
 
     def polygon_after(self, team: Team, outline: Outline) -> Outline:
         """Return the outline turned about its centroid, which goes to its new place."""
-        c, s = math.cos(self.yaw), math.sin(self.yaw)
-        turned = (outline.vertices - outline.centroid) @ np.array([[c, s], [-s, c]])
-        return _convex(team, turned + self.to[:2], "to", self.to)
+        turned = outline.translated(-outline.centroid).rotated(self.yaw)
+        return _convex(team, turned.vertices + self.to[:2], "to", self.to)
 
     def fly(self, task: StepTask) -> StepPlan:
         """Return the plan of a rigid motion."""

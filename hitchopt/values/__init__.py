@@ -122,15 +122,6 @@ def not_negative(key: str, value: object) -> float:
     return number
 
 
-def acute(key: str, angle: float) -> float:
-    """Return ``angle`` [rad], or raise InputError unless it is below a right angle."""
-    if angle >= 0.5 * math.pi:
-        meant = angle if angle < 90.0 else 45.0
-        remedy = f"{meant:.6g} degrees are {math.radians(meant):.3g} rad"
-        raise InputError(key, angle, "below π/2 rad", remedy)
-    return angle
-
-
 def finite(key: str, value: object) -> float:
     """Return ``value`` as a float, or raise InputError unless it is a finite number."""
     if isinstance(value, bool) or not isinstance(value, int | float | np.number):
