@@ -40,12 +40,12 @@ def quantity(
     """
     (low, high), (least, most) = usual, possible
 
-    def meant(number: float) -> str:
-        """Return a remedy: the value in the first other unit that makes it usual, or the unit."""
+    def meant(number: float, otherwise: str = "") -> str:
+        """Return a remedy: the value in the first other unit that makes it usual, or another."""
         for name, size in others:
             if low <= number * size <= high and number:
                 return f"if {name} were meant, {number * size:.3g}"
-        return f"give it in {unit}" if unit else "give a plain number"
+        return otherwise or (f"give it in {unit}" if unit else "give a plain number")
 
     def check(key: str, value: object) -> float:
         number = finite(key, value)
@@ -54,7 +54,8 @@ def quantity(
         if number < 0.0 == least:
             raise InputError(key, value, "at least 0", "give zero or a positive number")
         if number >= below:
-            raise InputError(key, value, f"below {below:.4g} {unit}", meant(number))
+            bound, remedy = f"below {below:.4g} {unit}", meant(number, "give a smaller angle")
+            raise InputError(key, value, bound, remedy)
         if not least <= number <= most:
             bound = f"from {least:g} to {most:g} {unit}".strip()
             raise InputError(key, value, bound, meant(number))
