@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import re
 import subprocess
 import sys
 import tracemalloc
@@ -21,10 +22,12 @@ from problem_cases import TEMPLATE, VALIDATOR, hitch_start, triangle
 from ruamel.yaml import YAML
 
 import hitchopt as ho
+from hitchopt.cli.planning import problem_text
 from hitchopt.errors import MAX_LISTED, FileError, HitchoptError, InputError, JointInputError
 from hitchopt.mission.loading import problem_from_dict, problem_schema, read_problem
 from hitchopt.mission.problem import SwarmProblem
-from hitchopt.storage.yaml_file import read_yaml, split_key
+from hitchopt.storage.yaml_file import parse_yaml, read_yaml, split_key
+from hitchopt.values.fields import keys_of
 
 MINIMAL: dict[str, Any] = {
     "team": {"robots": 3, "cable_length": 2.4},
@@ -310,6 +313,21 @@ def test_the_schema_describes_every_key() -> None:
             shown |= {name: entry["default"]} if "default" in entry else {}
     for name, value in {"speed": 1.0, "assign": "auto", "height": 0.3, "jerk": 20.0}.items():
         assert shown[name] == value
+
+
+def test_the_template_shows_every_key_with_its_default() -> None:
+    """Uncommented, its sections are read, and change nothing."""
+    text = problem_text(TEMPLATE)
+    shown = re.sub(
+        r"^(  )?# ?(?=( *)\w+:(  |$))|^(  )?# ?(?=( *)\w+: \S+ +# )", r"\1\4", text, flags=re.M
+    )
+    data: Any = parse_yaml(shown)
+    plain_data: Any = parse_yaml(text)
+    for record, section in ((ho.Limits, "limits"), (ho.Separation, "separation")):
+        assert list(data[section]) == [key.name for key in keys_of(record).values()]
+    assert list(data["team"]) == [key.name for key in keys_of(ho.Team).values()]
+    assert list(data["team"]["quadrotor"]) == [x.name for x in keys_of(ho.Quadrotor).values()]
+    assert plain(problem_from_dict(data)) == plain(problem_from_dict(plain_data))
 
 
 def test_files_are_read_without_solvers() -> None:
