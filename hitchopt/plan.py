@@ -244,7 +244,7 @@ class Plan(OneLine):
     ) -> tuple[Export, ...]:
         """Write the plan in a fleet's format; return what was written, one entry per part.
 
-        The certificate is computed for the files: an export that breaks a limit is refused.
+        The files are read back and certified: an export that breaks a limit is refused.
 
         Parameters
         ----------
@@ -263,7 +263,8 @@ class Plan(OneLine):
         UnsupportedError: a library that the format needs is not installed.
         """
         chosen = ExportOptions(text("format", format), **options)
-        return export_motion(self.motion, self.title, chosen, path("folder", folder), progress)
+        place = path("folder", folder)
+        return export_motion(self.motion, self.title, chosen, place, progress, self.certificate)
 
     def compressed(self, **options: Any) -> tuple[dict[str, bytes], ...]:
         """Return the bytes of every drone's compressed trajectory for Crazyflies, by name.

@@ -402,7 +402,7 @@ KEEP_OUT = CheckRule(
 
 
 def _cables_past(motion: Motion) -> Iterator[Moving]:
-    """Yield pairs of taut cables and objects that they do not hold, and of objects, one carried.
+    """Yield pairs of taut cables and objects that they do not hold.
 
     The distance is zero where a cable enters an object that it holds, or the ground.
     """
@@ -427,7 +427,6 @@ def _cables_past(motion: Motion) -> Iterator[Moving]:
             )
         for slab in each.slabs:
             yield pairs_with_shape(motion, points, names, name, Solid(slab), pose, counted=counted)
-    yield from carried(motion)
 
 
 def _hanging_past(motion: Motion) -> Iterator[Moving]:
@@ -467,6 +466,7 @@ OBJECT_CLEARANCE = CheckRule(
     ),
     (
         Evaluator(nearest(_cables_past), HITCHED_STATE, exported=True, shown=(gap,)),
+        Evaluator(nearest(carried), HITCHED_STATE),
         Evaluator(nearest(_hanging_past), FREE_STATES, exported=True, shown=(over,)),
     ),
     "fly higher over objects or farther from them, lift the held one higher, use shorter cables "

@@ -121,18 +121,18 @@ def _leave_diagnosis(
     from hitchopt.storage.files import PREVIOUS
 
     report_error(error)  # first, in case the diagnosis cannot be written
-    save_diagnosis(place, error)  # the search may be interrupted
-    suggestions: tuple[ho.Suggestion, ...] = ()
+    content = diagnosis_content(error)
+    save_diagnosis(place, content)  # the search may be interrupted
     if isinstance(problem, ho.Problem) and isinstance(error, InfeasibleError):
         suggestions, note = _suggestions(problem, error, left)
         if note:
             error = InfeasibleError(error.violations, f"{error.note}\n{note}".strip())
-        save_diagnosis(place, error, suggestions)
+        content = diagnosis_content(error, [each.to_dict() for each in suggestions])
+        save_diagnosis(place, content)
     message = f"no plan; the diagnosis is in {place / DIAGNOSIS}"
     if (previous := place / PREVIOUS).is_dir():
         record(previous=str(previous))
         message += f"; the last certified plan is in {previous}"
-    content = diagnosis_content(error, suggestions)
     say(message, err=True, directory=str(place), diagnosis=content)
     click.get_current_context().exit(exit_code(error))
 

@@ -6,7 +6,6 @@ time, then drone, as text and as a data frame.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,12 +14,11 @@ import numpy as np
 
 from hitchopt.checks.certificate import Certificate
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, UnsupportedError
-from hitchopt.mission.repair import Suggestion
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.states import States, iterate_states, sample_times, states_at
 from hitchopt.storage.archive import PLAN
-from hitchopt.storage.files import Writer, parsed_json, replace_files, write_strict_json
+from hitchopt.storage.files import Writer, digest, parsed_json, replace_files, write_strict_json
 from hitchopt.values import Array
 
 SETPOINTS, VERTICES = "setpoints.csv", "vertices.csv"
@@ -76,12 +74,6 @@ def certificate_content(motion: Motion, certificate: Certificate, plan: Path) ->
     return {**certificate.to_dict(), **assigned, "plan": digest(plan)}
 
 
-def digest(path: Path) -> str:
-    """Return the SHA-256 of a file's bytes."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
 def refuse_mixture(directory: Path) -> None:
     """Raise FileError unless the certificate is that of the plan: a killed save leaves none."""
     path = directory / CERTIFICATE
@@ -95,29 +87,29 @@ def refuse_mixture(directory: Path) -> None:
         raise FileError(f"{path}: is of another {PLAN} than the one next to it; solve again")
 
 
-def save_diagnosis(
-    directory: Path | str, reason: HitchoptError, suggestions: Sequence[Suggestion] = ()
-) -> Path:
-    """Write why there is no plan, and verified changes that remove the reason, the smallest first.
+def save_diagnosis(directory: Path | str, content: dict[str, Any]) -> Path:
+    """Write ``diagnosis.json`` with the content of ``diagnosis_content``.
 
     The files of the last certified plan move to the subdirectory ``previous``, or stay there.
     """
-    content = diagnosis_content(reason, suggestions)
     writers = {DIAGNOSIS: lambda path: write_strict_json(path, content)}
     return replace_files(directory, writers, OWNED, seal=CERTIFICATE, previous="keep")
 
 
 def diagnosis_content(
-    reason: HitchoptError, suggestions: Sequence[Suggestion] = ()
+    reason: HitchoptError, suggestions: Iterable[dict[str, object]] = ()
 ) -> dict[str, Any]:
-    """Read diagnosis.json; an InfeasibleError names the limits that bind."""
+    """Return why there is no plan, and verified changes that remove the reason, smallest first.
+
+    An InfeasibleError names the limits that bind; ``suggestions`` are changes as plain values.
+    """
     violations = reason.violations if isinstance(reason, InfeasibleError) else ()
     return {
         "format": DIAGNOSIS_FORMAT,
         "feasible": False,
         "message": str(reason),
         "violations": [{**vars(v), "message": str(v)} for v in violations],
-        "suggestions": [suggestion.to_dict() for suggestion in suggestions],
+        "suggestions": [*suggestions],
     }
 
 

@@ -22,9 +22,8 @@ from hitchopt.checks.certificate import Certificate, Check, worst_of
 from hitchopt.checks.drones import largest_rate
 from hitchopt.checks.registry import RULE_OF, RULES
 from hitchopt.checks.rule import CheckRule
-from hitchopt.checks.spans import ROUNDING
+from hitchopt.checks.spans import ROUNDING, value_cache
 from hitchopt.errors import FileError, InfeasibleError, InputError, OneLine, Violation
-from hitchopt.exports.directory import digest
 from hitchopt.exports.format import Format, Task, format_of
 from hitchopt.exports.held_tension import held_tension
 from hitchopt.exports.options import ENDINGS, ExportOptions, checked_rate
@@ -40,7 +39,7 @@ from hitchopt.exports.recording import (
 from hitchopt.hitch.forces import undetermined_tension
 from hitchopt.motion.motion import JOINT, Motion
 from hitchopt.motion.retiming import stretched
-from hitchopt.storage.files import replace_files, write_strict_json
+from hitchopt.storage.files import digest, replace_files, write_strict_json
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
 from hitchopt.values import Array
@@ -75,14 +74,25 @@ def export_motion(
     options: ExportOptions,
     folder: Path | str,
     progress: Progress | None = None,
+    certificate: Certificate | None = None,
 ) -> tuple[Export, ...]:
     """Write the plan with these options; return the exports, one per part.
 
-    The plan is certified first, stretched as the options say. The folder is made if it is missing,
-    and only files of an earlier export there are replaced; a name that ends as the format's only
-    file does is that file, its manifest next to it. ``progress`` is called with what is being done.
-    InfeasibleError tells that the format cannot hold the plan, or loses a limit; nothing is written
-    then, nor where the certificate does not hold or what was asked is wrong.
+    The folder is made if it is missing, and only files of an earlier export there are replaced; a
+    name that ends as the format's only file does is that file, its manifest next to it.
+
+    Parameters
+    ----------
+    motion, title, options: the plan, and how to write it.
+    folder: where to write it.
+    progress: called with the current stage of work.
+    certificate: of this very motion, computed in this process; else it is computed here, and
+        always for a plan that the options stretch.
+
+    Raises
+    ------
+    CertificateError, InputError: the certificate does not hold, or an option is wrong.
+    InfeasibleError: the format cannot hold the plan, or loses a limit. Nothing is written then.
     """
     say = progress or (lambda _: None)
     kind, roles, place = format_of(options.format), motion.team.drone_names, Path(folder)
@@ -108,7 +118,9 @@ def export_motion(
     sealed = _is_file(place) and place.with_name(f"{place.name}.{MANIFEST}").exists()
     if place.exists() and not (place.is_dir() or sealed):
         raise FileError(f"{place}: is there already; an export is a folder, so name another")
-    certify(plan, say).raise_if_violated()
+    if certificate is None or plan is not motion:
+        certificate = certify(plan, say, reports=())
+    certificate.raise_if_violated()
     if options.hold_tension:
         held = held_tension(plan, options.stiffness, options.damping)
         task = replace(task, motion=held.motion, unheld=plan, notes=(held.note,))
@@ -160,33 +172,40 @@ def _written(kind: Format, task: Task, scratch: Path, say: Progress) -> list[Exp
             remark = (
                 f"flown {factor - 1.0:.0%} slower than the plan: rounded, it would lose a limit"
             )
-            if certify(slower).certified:
-                yield (replace(task, motion=slower, notes=(*task.notes, remark)),)
+            yield (replace(task, motion=slower, notes=(*task.notes, remark)),)
         yield from filter(None, (kind.parts(task, share) for share in SHARES))
 
     for number, tasks in enumerate(arrangements()):
-        try:
-            return [_part(kind, each, scratch / str(number), say) for each in tasks]
-        except InfeasibleError as refusal:
-            refusals.append(refusal)
+        with contextlib.suppress(InfeasibleError):
+            done = [_part(kind, each, scratch / str(number), say, refusals) for each in tasks]
+            whole_and_slower = number > 0 and len(tasks) == 1
+            if not whole_and_slower or certify(tasks[0].motion, reports=()).certified:
+                return done
     raise refusals[0]
 
 
-def _part(kind: Format, task: Task, place: Path, say: Progress) -> Export:
-    """Write the first refit that breaks no limit, or raise the errors of the first."""
+def _part(
+    kind: Format, task: Task, place: Path, say: Progress, refusals: list[InfeasibleError]
+) -> Export:
+    """Write the first refit that breaks no limit; else raise InfeasibleError.
+
+    Every refusal is added to ``refusals``, whose limits are verified before all others.
+    """
     folder = place / f"part{task.number}"
     folder.mkdir(parents=True)
-    refusals: list[InfeasibleError] = []
-    for bound in kind.bounds:
-        say(f"writing {kind.name}" + (f", attempt {len(refusals) + 1}" if refusals else ""))
+    rules = PLACES if task.options.hold_tension else FLOWN
+    for attempt, bound in enumerate(kind.bounds, 1):
+        say(f"writing {kind.name}" + (f", attempt {attempt}" if attempt > 1 else ""))
         try:
             written = kind.write(folder, replace(task, bound=bound))
             say(f"reading {kind.name} back")
-            rules = PLACES if task.options.hold_tension else FLOWN
-            verdict = verify(task.motion, kind.read(folder, task), task.frame, task.names, rules)
-            if lost := verdict.violations(task.motion, kind.accuracy):
-                words = "what it rounds or refits costs more than the plan has left"
-                raise InfeasibleError(lost, f"{kind.name} is not written: {words}")
+            recording = kind.read(folder, task)
+            known = {broken.constraint for each in refusals for broken in each.violations}
+            for chosen in filter(None, ([r for r in rules if r.name in known], rules)):
+                verdict = verify(task.motion, recording, task.frame, task.names, chosen)
+                if lost := verdict.violations(task.motion, kind.accuracy):
+                    words = "what it rounds or refits costs more than the plan has left"
+                    raise InfeasibleError(lost, f"{kind.name} is not written: {words}")
         except InfeasibleError as refusal:
             refusals.append(refusal)
             continue
@@ -210,7 +229,7 @@ def _part(kind: Format, task: Task, place: Path, say: Progress) -> Export:
         }
         write_strict_json(folder / MANIFEST, manifest)
         return Export(folder, written.files, verdict, notes, task.begins)
-    raise refusals[0]
+    raise refusals[-1]
 
 
 def _fed_forward(kind: Format, task: Task) -> str:
@@ -380,7 +399,8 @@ def verify(
         flown = on_breaks(frame.in_plan(curves), planned.drones.breaks)
         apart.append(_deviations(flown, planned))
         written = replace(planned, drones=flown)
-        checks.append([rule.check(written, exported=True) for rule in carried])
+        with value_cache():
+            checks.append([rule.check(written, exported=True) for rule in carried])
     if end < motion.duration - JOINT:
         raise FileError(f"ends at t = {end:g} s, before the plan does, at {motion.duration:g} s")
     position, velocity = (max(each, key=lambda d: d.worst) for each in zip(*apart, strict=True))

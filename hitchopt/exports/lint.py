@@ -22,7 +22,6 @@ from hitchopt.checks.certificate import Check, worst_of
 from hitchopt.checks.drones import largest_rate
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import FileError, InputError
-from hitchopt.exports.directory import digest
 from hitchopt.exports.firmware import SETTINGS, settings_findings
 from hitchopt.exports.format import Format, format_of
 from hitchopt.exports.formats.skybrush import DISTANCE, LOWEST, OWN_LIMITS
@@ -45,6 +44,7 @@ from hitchopt.hitch import Swarm
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.motion.motion import Motion
 from hitchopt.storage.archive import PLAN, reading
+from hitchopt.storage.files import digest
 from hitchopt.storage.tables import headings, text_lines
 from hitchopt.storage.yaml_file import read_yaml
 from hitchopt.trajectory import PiecewisePolynomial, joined

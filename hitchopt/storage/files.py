@@ -9,6 +9,7 @@ that it sealed before is whole in ``previous``. So files beside a seal are of on
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import math
 import os
@@ -178,6 +179,12 @@ def locked(directory: Path, *, wait: bool = True) -> Iterator[None]:
                     if isinstance(error, BlockingIOError):
                         raise  # else a file system without locks: better unlocked than not at all
         yield
+
+
+def digest(path: Path) -> str:
+    """Return the SHA-256 of a file's bytes."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def write_strict_json(path: Path, content: dict[str, Any]) -> None:

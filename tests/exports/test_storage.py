@@ -20,7 +20,7 @@ from exported_plans import certificate_of, hitch_plan
 
 from hitchopt.checks.certificate import CertificateError, Check
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, Violation
-from hitchopt.exports.directory import save_diagnosis, save_plan
+from hitchopt.exports.directory import diagnosis_content, save_diagnosis, save_plan
 from hitchopt.motion.plan_file import read_title
 from hitchopt.motion.states import sample_times
 from hitchopt.simulation.task import read_task
@@ -179,7 +179,7 @@ def test_others_files_in_previous_stay(tmp_path: Path) -> None:
         save(tmp_path, title)
         assert names(kept) == {"notes.txt"}
         for reason in ("not found", "not found again"):
-            save_diagnosis(tmp_path, HitchoptError(reason))
+            save_diagnosis(tmp_path, diagnosis_content(HitchoptError(reason)))
             assert names(kept) == {"notes.txt", *FILES}
             assert read_title(kept / "plan.npz") == title
     assert names(tmp_path) == {"diagnosis.json", "previous"}
@@ -201,7 +201,7 @@ def test_files_of_different_plans_are_refused(tmp_path: Path) -> None:
 def test_a_diagnosis_of_what_cannot_be_met(tmp_path: Path) -> None:
     first = Violation("legs", -0.1, 0.15, "min", "m", ("q0", "r2"), "at the start", "lengthen")
     second = Violation("duration", float("inf"), 3.0, "max", "s", (), "", "allow more – länger")
-    save_diagnosis(tmp_path, InfeasibleError([first, second]))
+    save_diagnosis(tmp_path, diagnosis_content(InfeasibleError([first, second])))
     data = strict_json(tmp_path / "diagnosis.json")
     one, other = data["violations"]
     assert (data["format"], data["feasible"]) == ("hitchopt-diagnosis/1", False)

@@ -30,13 +30,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib import resources
 from itertools import pairwise, takewhile
+from math import comb, factorial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BPoly, PPoly
-from scipy.spatial import cKDTree
 
 from hitchopt.errors import FileError, InfeasibleError, Violation
 from hitchopt.exports.firmware import CONTROLLERS, SETTINGS, team_parameters
@@ -156,6 +155,12 @@ LEAST = 2  # Rows of a file at least: the usual reader fails on one
 LANDED = 0.04  # Height at which landing cuts the motors [m], unless drones hover below it
 
 
+OF_POWERS = np.array(
+    [[comb(i, j) / comb(DEGREE, j) for i in range(DEGREE + 1)] for j in range(DEGREE + 1)]
+)
+"""(8, 8): row j has the Bernstein coefficients of ``x^j``."""
+
+
 class Crazyswarm2(CrazyflieFormat):
     """One CSV per drone, crazyflies.yaml, fly.py and a note."""
 
@@ -238,15 +243,15 @@ class Crazyswarm2(CrazyflieFormat):
 
 def to_powers(curves: PiecewisePolynomial) -> Array:
     """Return ascending powers of seconds (pieces, D, 3, 8) of curves (D, 3) of degree 7."""
-    basis = BPoly(np.moveaxis(curves.coefficients, -1, 0), curves.breaks)
-    return np.moveaxis(PPoly.from_bernstein_basis(basis).c[::-1], 0, -1)
+    jet = [curves.ends(order)[0] / factorial(order) for order in range(DEGREE + 1)]
+    return np.stack(jet, axis=-1)
 
 
 def of_powers(durations: Array, powers: Array) -> PiecewisePolynomial:
     """Return the curves (4,) of ascending powers (pieces, 4, 8) of seconds."""
     breaks = np.concatenate([[0.0], np.cumsum(durations)])
-    basis = BPoly.from_power_basis(PPoly(np.moveaxis(powers, -1, 0)[::-1], breaks))
-    return PiecewisePolynomial(breaks, np.moveaxis(basis.c, 0, -1))
+    scale = durations[:, None, None] ** np.arange(DEGREE + 1.0)
+    return PiecewisePolynomial(breaks, (powers * scale) @ OF_POWERS)
 
 
 def write_poly_csv(path: Path, durations: Array, powers: Array, frame: str) -> None:
@@ -374,9 +379,12 @@ def _template(name: str) -> str:
 def _stacked(task: Task, places: Array, what: str) -> Iterator[str]:
     """Give a warning where drones start, or land, below one another: fly.py goes straight up."""
     width = 1.9999 * task.motion.requirements.separation.radius
-    for i, j in sorted(cKDTree(places[:, :2]).query_pairs(width))[:1]:
-        pair = f"{task.names[i]} and {task.names[j]}, perhaps others too,"
-        yield f"{pair} would {what} one place: move them one by one, not with fly.py"
+    for i, place in enumerate(places[:-1, :2]):
+        near = np.linalg.norm(places[i + 1 :, :2] - place, axis=1) < width
+        if np.any(near):
+            pair = f"{task.names[i]} and {task.names[i + 1 + int(np.argmax(near))]}"
+            yield f"{pair}, perhaps others too, would {what} one place: move them one by one"
+            return
 
 
 MILLI = 1e-3  # Unit of durations [s] and control points [m]
