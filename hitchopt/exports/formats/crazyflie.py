@@ -29,7 +29,7 @@ import struct
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib import resources
-from itertools import pairwise, takewhile
+from itertools import pairwise
 from math import comb, factorial
 from pathlib import Path
 from typing import Any
@@ -51,7 +51,7 @@ from hitchopt.exports.recording import (
 )
 from hitchopt.exports.refit import Kind, Scale, best_breaks, breaks_within, fitted, rounded
 from hitchopt.hitch import Team
-from hitchopt.motion.motion import Motion
+from hitchopt.motion.motion import JOINT, Motion
 from hitchopt.motion.retiming import cut, rest_breaks
 from hitchopt.storage.archive import reading
 from hitchopt.storage.tables import ADVICE, numeric_table, text_lines
@@ -104,18 +104,16 @@ class CrazyflieFormat(Format):
     def parts(self, task: Task, share: float) -> Sequence[Task]:
         """Return the task cut at rests into the fewest parts that memory holds; nothing if none."""
         motion, most = task.motion, self.most_pieces(task.motion.drones)
-
-        def held(end: int) -> bool:
-            part = cut(motion, starts[-1], end)
-            return len(breaks_within(part.drones, self.kind, share, most)) - 1 <= most
-
-        at = rest_breaks(motion).tolist()
+        at, times = rest_breaks(motion).tolist(), motion.drones.breaks
         starts = at[:1]
         while starts[-1] < at[-1]:
-            fitting = list(takewhile(held, (end for end in at if end > starts[-1])))
-            if not fitting:
+            remaining = cut(motion, starts[-1], at[-1]).drones
+            pieces = breaks_within(remaining, self.kind, share, most)[: most + 1]
+            reach = times[starts[-1]] + pieces[-1]
+            end = max(each for each in at if times[each] <= reach + JOINT)
+            if end == starts[-1]:
                 return ()
-            starts.append(fitting[-1])
+            starts.append(end)
         spans, count = list(pairwise(starts)), len(starts) - 1
         why = (
             f"the plan is cut into {count} parts at rests, as a drone's memory or a limit asks: "
