@@ -18,13 +18,7 @@ from hitchopt.exports.exporting import Export, export_motion
 from hitchopt.exports.options import ExportOptions
 from hitchopt.hitch import Hitch
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.motion.plan_file import (
-    check_problem_text,
-    check_request,
-    read_plan,
-    read_problem_text,
-    read_title,
-)
+from hitchopt.motion.plan_file import SavedPlan, check_request, read_saved_plan
 from hitchopt.motion.states import States, final_hitch, states_at
 from hitchopt.storage.archive import PLAN
 from hitchopt.storage.files import replace_files
@@ -312,21 +306,20 @@ def load(directory: Path | str) -> Plan:
 
     Raises FileError where there is none, it is damaged, or is not the one that was asked for.
     """
-    file = path("directory", directory) / PLAN
-    motion, problem = read_asked_plan(file)
-    return Plan(motion, certify(motion), read_title(file), problem)
+    saved = read_requested_plan(path("directory", directory) / PLAN)
+    return Plan(saved.motion, certify(saved.motion), saved.title, saved.problem)
 
 
-def read_asked_plan(file: Path) -> tuple[Motion, str]:
-    """Return the motion in a plan file, and its problem's text, which asks for such a motion."""
-    motion, problem = read_plan(file), read_problem_text(file)
-    if problem:
+def read_requested_plan(file: Path) -> SavedPlan:
+    """Return the contents of a plan file, whose motion is what its problem's text requests."""
+    saved = read_saved_plan(file)
+    if saved.problem:
         from hitchopt.mission.loading import asked_in  # heavy, as of all files
 
         try:
-            check_request(asked_in(problem, motion.requirements.objects), motion)
+            request = asked_in(saved.problem, saved.motion.requirements.objects)
+            check_request(request, saved.motion)
         except InputError as error:
             words = " ".join(str(error).split())
             raise FileError(f"{file}: the problem in it differs: {words}") from error
-    check_problem_text(file)
-    return motion, problem
+    return saved

@@ -55,7 +55,7 @@ def export(directory: Path, output: Path | None, yaw_deg: float, **options: Any)
     from hitchopt.exports.exporting import export_motion
     from hitchopt.exports.format import format_of
     from hitchopt.exports.options import ExportOptions
-    from hitchopt.motion.plan_file import read_plan, read_title
+    from hitchopt.motion.plan_file import read_saved_plan
 
     chosen = ExportOptions(yaw=math.radians(yaw_deg), **options)
     format_of(chosen.format)  # a wrong name before a long read
@@ -64,7 +64,8 @@ def export(directory: Path, output: Path | None, yaw_deg: float, **options: Any)
         parent = path.parent / ".." if path.parent.name in {"", ".."} else path.parent.parent
         output = parent / f"{path.parent.resolve().name or 'plan'}-{chosen.format}"
     with ProgressBar("certifying") as progress:
-        done = export_motion(read_plan(path), read_title(path), chosen, output, progress)
+        saved = read_saved_plan(path)
+        done = export_motion(saved.motion, saved.title, chosen, output, progress)
     entries = []
     for part in done:
         verdict, found = part.verdict, asdict(part.verdict)

@@ -107,12 +107,12 @@ def _save(file: Path, path: Path, recording: Path | None) -> None:
 
 def _shown(path: Path) -> tuple[ho.Motion, ho.Certificate | None, str, str]:
     """Return motion, certificate, title and problem's text; one in a directory is not certified."""
-    from hitchopt.motion.plan_file import read_plan, read_problem_text, read_title
+    from hitchopt.motion.plan_file import read_saved_plan
     from hitchopt.storage.yaml_file import read_text
 
     if path.suffix not in SUFFIXES:
-        file = plan_path(path)
-        return read_plan(file), None, read_title(file), read_problem_text(file)
+        saved = read_saved_plan(plan_path(path))
+        return saved.motion, None, saved.title, saved.problem
     problem, text = ho.read_problem(path), read_text(path)[0]
     with ProgressBar("planning") as progress:
         plan = ho.solve(problem, progress)

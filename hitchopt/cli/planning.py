@@ -171,10 +171,10 @@ def check(
 ) -> None:
     """Recompute the certificate of the plan in DIR, or of a plan.npz, from its polynomials only."""
     from hitchopt.exports.directory import certificate_content
-    from hitchopt.plan import read_asked_plan
+    from hitchopt.plan import read_requested_plan
 
     path = plan_path(directory)
-    motion, _ = read_asked_plan(path)
+    motion = read_requested_plan(path).motion
     with ProgressBar("certifying") as progress:
         certificate = ho.certify(motion, progress, gamma)
     without: Sequence[Lost] = ()

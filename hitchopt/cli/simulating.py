@@ -148,16 +148,16 @@ def _lost(
 
 def _simulate_one(task: Task, settings: Settings, place: Path, directory: Path) -> None:
     """Simulate, save and report one flight; exit with EXIT_INFEASIBLE unless it succeeded."""
-    from hitchopt.motion.plan_file import read_plan, read_title
+    from hitchopt.motion.plan_file import read_saved_plan
     from hitchopt.simulation.judgement import FAILED, NOT_SIMULATED, UNSIMULATED
     from hitchopt.simulation.judgement import simulate as simulated
     from hitchopt.simulation.report import ending, save_simulation, summary
 
     with ProgressBar("building ropes") as progress:
         done = simulated(task, settings, progress)
-    plan, title = read_plan(plan_path(directory)), read_title(plan_path(directory))
+    saved = read_saved_plan(plan_path(directory))
     with ProgressBar("writing the results"):
-        save_simulation(place, done, plan, title)
+        save_simulation(place, done, saved.motion, saved.title)
     message = f"{flight_tables(done)}\n\n{ending(done)}; results are in {place}"
     say(message, directory=str(place), simulation=summary(done))
     for failure in done.outcome.failures:

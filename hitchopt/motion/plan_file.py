@@ -11,11 +11,11 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, replace
 from itertools import groupby
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,8 +31,6 @@ from hitchopt.objects.placing import STILL, check_apart, poses_of
 from hitchopt.storage.archive import BROKEN, read_arrays
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import text
-
-T = TypeVar("T")
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -162,43 +160,30 @@ def _written(values: Mapping[str, Any]) -> dict[str, Any]:
     return plain
 
 
+class SavedPlan(NamedTuple):
+    """Contents of a plan file: the plan, its title, and the text of its problem file if known."""
+
+    motion: Motion
+    title: str
+    problem: str
+
+
 def read_plan(path: Path) -> Motion:
-    """Return the plan of a file that hitchopt wrote.
-
-    Raises
-    ------
-    FileError: it cannot be read, holds no plan, or one that differs from its request.
-    """
-    return _read(path, _motion)
-
-
-def read_title(path: Path) -> str:
-    """Return the title of the plan in a file, or an empty one; errors are ``read_plan``'s."""
-    return _read(path, lambda settings, _: str(settings["title"]), labels=True)
-
-
-def read_problem_text(path: Path) -> str:
-    """Return the text of a plan's problem file, empty if not known; errors as ``read_plan``."""
-    return _read(path, lambda settings, _: str(settings.get("problem", "")), labels=True)
-
-
-def check_problem_text(path: Path) -> None:
-    """Raise FileError if the text of a plan's problem file is not the requested one."""
-
-    def check(settings: dict[str, Any], _: Arrays) -> None:
-        here, request = _digest(settings.get("problem", "")), settings["asked"]
-        if request.get("problem", here) != here:
-            raise InputError("problem", "another text", "the one that was asked", REMEDY)
-
-    _read(path, check, labels=True)
+    """Return the plan of a file that hitchopt wrote; errors are those of ``read_saved_plan``."""
+    return read_saved_plan(path).motion
 
 
 def _digest(problem: str) -> str:
     return hashlib.sha256(problem.encode()).hexdigest()
 
 
-def _read(path: Path, build: Callable[[dict[str, Any], Arrays], T], *, labels: bool = False) -> T:
-    """Return what ``build`` makes of a file's settings and arrays; of ``labels`` read no arrays."""
+def read_saved_plan(path: Path) -> SavedPlan:
+    """Return the contents of a plan file.
+
+    Raises
+    ------
+    FileError: it cannot be read, holds no plan, or one that differs from its request.
+    """
     try:
         head = read_arrays(path, ("format", "settings"))
         if str(head["format"]) != FORMAT:
@@ -210,11 +195,11 @@ def _read(path: Path, build: Callable[[dict[str, Any], Arrays], T], *, labels: b
         names += (*PER_ROBOT, *POLYNOMIALS[1:]) if "robots" in settings["team"] else ()
         names += [name for name in OPTIONAL_CURVES if settings.get(name) is True]
         names += PER_CONTROLLER if settings.get("control") is True else ()
-        arrays = {} if labels else read_arrays(path, names)
+        arrays = read_arrays(path, names)
         for name, array in arrays.items():
             if array.dtype != np.float64:
                 raise InputError(name, array.dtype, "of double precision", "do not convert it")
-        return build(settings, arrays)
+        return _saved_plan(settings, arrays)
     except BROKEN as error:
         reason = f"not a plan that hitchopt wrote, or a damaged one: {error or repr(error)}"
         if isinstance(error, FileNotFoundError):
@@ -227,7 +212,7 @@ def _read(path: Path, build: Callable[[dict[str, Any], Arrays], T], *, labels: b
         raise FileError(f"{path}: {reason}; solve the problem again") from error
 
 
-def _motion(settings: dict[str, Any], arrays: Arrays) -> Motion:
+def _saved_plan(settings: dict[str, Any], arrays: Arrays) -> SavedPlan:
     parts = {}
     for name in (name for name in (*POLYNOMIALS, *OPTIONAL_CURVES) if name in arrays):
         if arrays[name].size and not np.max(np.abs(arrays[name])) <= LARGEST:
@@ -258,12 +243,11 @@ def _motion(settings: dict[str, Any], arrays: Arrays) -> Motion:
     title, problem = text("title", settings["title"]), text("problem", settings.get("problem", ""))
     here = _settings(motion, title, problem)
     wanted, request = dict(settings["asked"]), here.pop("asked")
-    wanted.pop("problem", None)  # ``check_problem_text`` compares it
     request = {key: x for key, x in request.items() if key in wanted or key not in LATER}
     _check_same("asked", wanted, request, "as asked")
     stored = {key: x for key, x in settings.items() if key != "asked"}
     _check_same("", here, stored, "as plans are written")
-    return motion
+    return SavedPlan(motion, title, problem)
 
 
 def _object(section: dict[str, Any], rim: dict[str, Any] | None, **values: Any) -> SolidObject:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import hashlib
 import io
 import json
 import random
@@ -27,8 +28,14 @@ from hitchopt.cli import main
 from hitchopt.errors import FileError
 from hitchopt.mission.loading import asked_in
 from hitchopt.motion.motion import Motion
-from hitchopt.motion.plan_file import check_request, read_plan, read_title, request_of, write_plan
-from hitchopt.plan import read_asked_plan
+from hitchopt.motion.plan_file import (
+    check_request,
+    read_plan,
+    read_saved_plan,
+    request_of,
+    write_plan,
+)
+from hitchopt.plan import read_requested_plan
 from hitchopt.storage.yaml_file import parse_yaml
 from hitchopt.verify import Plan, UnreadableError, story
 
@@ -60,7 +67,10 @@ def changed(path: Path, statement: str) -> None:
     with np.load(path) as file:
         arrays = dict(file)
     settings, written = json.loads(str(arrays["settings"])), arrays["settings"]
-    exec(statement, {"s": settings, "a": arrays, "np": np, "p": settings["phases"][0]})
+    exec(
+        statement,
+        {"s": settings, "a": arrays, "np": np, "p": settings["phases"][0], "hashlib": hashlib},
+    )
     if arrays.get("settings") is written:
         arrays["settings"] = np.array(json.dumps(settings))
     np.savez(path, **arrays)
@@ -142,9 +152,8 @@ def test_a_plan_comes_back_bit_by_bit_and_asks_what_its_problem_does(
     else:
         motion = kind()
     write_plan(tmp_path / "plan.npz", motion, TITLE)
-    read = read_plan(tmp_path / "plan.npz")
-    assert bits(read) == bits(motion)
-    assert read_title(tmp_path / "plan.npz") == TITLE
+    read, title, _ = read_saved_plan(tmp_path / "plan.npz")
+    assert (bits(read), title) == (bits(motion), TITLE)
     write_plan(tmp_path / "again.npz", read, TITLE)
     assert (tmp_path / "again.npz").read_bytes() == (tmp_path / "plan.npz").read_bytes()
     with np.load(tmp_path / "plan.npz") as arrays:
@@ -293,6 +302,7 @@ ASKED = (
     ("speed: 0.9", "speed: 0.8", "asked.limits.speed"),
     ("[0.8, 0.9, 1.5]", "[0.8, 0.8, 1.5]", "asked.start.drones.r[2][1]"),
 )
+OTHER_TEXT = "s['problem'] = x = %r; s['asked']['problem'] = hashlib.sha256(x.encode()).hexdigest()"
 OTHERS = [
     ("r = s['assignment']['robots']; r[0], r[1] = r[1], r[0]", "asked.start.drones"),
     ("s['assignment']['flipped'][2] ^= True", "asked.start.drones"),
@@ -315,7 +325,8 @@ OTHERS = [
     ("s['asked'] = {}", "asked"),
     ("del s['asked']['limits']['speed']", "asked.limits.speed"),
     ("del s['asked']", "asked"),
-    *((f"s['problem'] = {FORM.replace(old, new)!r}", key) for old, new, key in ASKED),
+    *((OTHER_TEXT % FORM.replace(old, new), key) for old, new, key in ASKED),
+    ("s['problem'] = 'team: {}'", "asked.problem"),
 ]
 """Changes after which a plan is not what was asked, and the key that is named."""
 
@@ -389,7 +400,7 @@ def codes(path: Path) -> tuple[int, int]:
     """Exit codes of both readers of a plan file; nothing else is raised."""
     words = ""
     try:
-        first = 0 if certify(read_asked_plan(path)[0]).certified else 3
+        first = 0 if certify(read_requested_plan(path).motion).certified else 3
     except FileError as error:
         first, words = 2, str(error)
     try:
@@ -518,12 +529,11 @@ def test_every_byte_edit_is_the_same_plan_or_a_file_error(tmp_path: Path) -> Non
     for damaged in edits(path.read_bytes(), random.Random(13)):
         path.write_bytes(damaged)
         try:
-            read = read_plan(path)
-            assert read_title(path) == TITLE
+            read, title, _ = read_saved_plan(path)
         except FileError:
             refused += 1
         else:
-            assert bits(read) == bits(motion)
+            assert (bits(read), title) == (bits(motion), TITLE)
     assert refused > 400
 
 

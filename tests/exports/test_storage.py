@@ -21,7 +21,7 @@ from exported_plans import certificate_of, hitch_plan
 from hitchopt.checks.certificate import CertificateError, Check
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, Violation
 from hitchopt.exports.directory import diagnosis_content, save_diagnosis, save_plan
-from hitchopt.motion.plan_file import read_title
+from hitchopt.motion.plan_file import read_saved_plan
 from hitchopt.motion.states import sample_times
 from hitchopt.simulation.task import read_task
 from hitchopt.storage.files import Writer, replace_files
@@ -160,7 +160,7 @@ def test_a_certified_plan_leaves_its_files_and_others_are_refused(tmp_path: Path
     pictures = {"summary.png": text("PNG")}
     out = save(tmp_path / "out", "Drei", pictures=pictures, progress=done.append)
     assert names(out) == {*FILES, "summary.png"}
-    assert (done[-1], read_title(out / "plan.npz")) == (1.0, "Drei")
+    assert (done[-1], read_saved_plan(out / "plan.npz").title) == (1.0, "Drei")
     samples = len(sample_times(motion.duration, 5.0))
     for name, rows in (("setpoints.csv", 6), ("vertices.csv", 3)):
         assert (out / name).read_text().count("\n") == 1 + rows * samples
@@ -181,7 +181,7 @@ def test_others_files_in_previous_stay(tmp_path: Path) -> None:
         for reason in ("not found", "not found again"):
             save_diagnosis(tmp_path, diagnosis_content(HitchoptError(reason)))
             assert names(kept) == {"notes.txt", *FILES}
-            assert read_title(kept / "plan.npz") == title
+            assert read_saved_plan(kept / "plan.npz").title == title
     assert names(tmp_path) == {"diagnosis.json", "previous"}
 
 
