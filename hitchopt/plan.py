@@ -257,8 +257,7 @@ class Plan(OneLine):
         UnsupportedError: a library that the format needs is not installed.
         """
         chosen = ExportOptions(text("format", format), **options)
-        place = path("folder", folder)
-        return export_motion(self.motion, self.title, chosen, place, progress, self.certificate)
+        return export_motion(self.motion, self.title, chosen, path("folder", folder), progress)
 
     def compressed(self, **options: Any) -> tuple[dict[str, bytes], ...]:
         """Return the bytes of every drone's compressed trajectory for Crazyflies, by name.

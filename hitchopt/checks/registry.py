@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from weakref import WeakKeyDictionary
 
 from hitchopt.checks import cables, clasps, clearance, distances, drones, objects, stops, tracking
 from hitchopt.checks.certificate import Certificate, Check, worst_of
@@ -51,6 +52,9 @@ MERGEABLE_REPORTS = tuple(report for report in REPORTS if not report.whole)
 RULE_OF = {rule.name: rule for rule in RULES}
 """The rules by name."""
 
+_CERTIFICATES: WeakKeyDictionary[Motion, Certificate] = WeakKeyDictionary()
+"""Certificates that this process has computed, by the very motions that they are of."""
+
 
 def certify(
     motion: Motion,
@@ -95,7 +99,21 @@ def certify(
                 checks.append(worst_of(span.check for span in results[each.name]))
             else:
                 checks.append(each.check(motion, results, gamma))
-    return Certificate(motion.duration, tuple(filter(None, checks)))
+    return _remembered(motion, checks)
+
+
+def certificate_of(motion: Motion, progress: Callable[[str], None] | None = None) -> Certificate:
+    """Return the certificate of this very motion if the process has computed it, else compute it.
+
+    Reports may be missing from it. ``progress`` is that of ``certify``.
+    """
+    return _CERTIFICATES.get(motion) or certify(motion, progress, reports=())
+
+
+def _remembered(motion: Motion, checks: Sequence[Check | None]) -> Certificate:
+    certificate = Certificate(motion.duration, tuple(filter(None, checks)))
+    _CERTIFICATES[motion] = certificate
+    return certificate
 
 
 def merged(motion: Motion, parts: Sequence[Certificate]) -> Certificate:
@@ -126,4 +144,4 @@ def merged(motion: Motion, parts: Sequence[Certificate]) -> Certificate:
     for report in REPORTS:
         known = worst_of(of_parts[report.name])
         checks.append(report.check(motion, {}, GAMMA) if report.whole else known)
-    return Certificate(motion.duration, tuple(filter(None, checks)))
+    return _remembered(motion, checks)

@@ -17,10 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from hitchopt.checks import certify
 from hitchopt.checks.certificate import Certificate, Check, worst_of
 from hitchopt.checks.drones import largest_rate
-from hitchopt.checks.registry import RULE_OF, RULES
+from hitchopt.checks.registry import RULE_OF, RULES, certificate_of
 from hitchopt.checks.rule import CheckRule
 from hitchopt.checks.spans import ROUNDING, value_cache
 from hitchopt.errors import FileError, InfeasibleError, InputError, OneLine, Violation
@@ -74,20 +73,18 @@ def export_motion(
     options: ExportOptions,
     folder: Path | str,
     progress: Progress | None = None,
-    certificate: Certificate | None = None,
 ) -> tuple[Export, ...]:
     """Write the plan with these options; return the exports, one per part.
 
-    The folder is made if it is missing, and only files of an earlier export there are replaced; a
-    name that ends as the format's only file does is that file, its manifest next to it.
+    A plan that this process has not certified, as one from a file, is certified first. The folder
+    is made if it is missing, and only files of an earlier export there are replaced; a name that
+    ends as the format's only file does is that file, its manifest next to it.
 
     Parameters
     ----------
     motion, title, options: the plan, and how to write it.
     folder: where to write it.
     progress: called with the current stage of work.
-    certificate: of this very motion, computed in this process; else it is computed here, and
-        always for a plan that the options stretch.
 
     Raises
     ------
@@ -118,9 +115,7 @@ def export_motion(
     sealed = _is_file(place) and place.with_name(f"{place.name}.{MANIFEST}").exists()
     if place.exists() and not (place.is_dir() or sealed):
         raise FileError(f"{place}: is there already; an export is a folder, so name another")
-    if certificate is None or plan is not motion:
-        certificate = certify(plan, say, reports=())
-    certificate.raise_if_violated()
+    certificate_of(plan, say).raise_if_violated()
     if options.hold_tension:
         held = held_tension(plan, options.stiffness, options.damping)
         task = replace(task, motion=held.motion, unheld=plan, notes=(held.note,))
@@ -179,7 +174,7 @@ def _written(kind: Format, task: Task, scratch: Path, say: Progress) -> list[Exp
         with contextlib.suppress(InfeasibleError):
             done = [_part(kind, each, scratch / str(number), say, refusals) for each in tasks]
             whole_and_slower = number > 0 and len(tasks) == 1
-            if not whole_and_slower or certify(tasks[0].motion, reports=()).certified:
+            if not whole_and_slower or certificate_of(tasks[0].motion).certified:
                 return done
     raise refusals[0]
 

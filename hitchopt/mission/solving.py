@@ -122,8 +122,7 @@ def _solved(problem: Problem, progress: Progress | None, *, optimiser: bool) -> 
         parts.append(part)
         state = part.after
     motion = joined_motions([part.motion for part in parts])
-    if motion.requirements is not requirements:
-        motion = replace(motion, requirements=requirements)
+    motion = replace(motion, requirements=requirements, assignment=assignment)
     certificate = merged(motion, [part.certificate for part in parts])
     if not certificate.certified:
         if start is not None:
@@ -131,7 +130,7 @@ def _solved(problem: Problem, progress: Progress | None, *, optimiser: bool) -> 
         raise _advised(Certified(motion, certificate), steps)
     if isinstance(problem.start, DronesStart):
         check_above_ground(motion)
-    return Certified(replace(motion, assignment=assignment), certificate)
+    return Certified(motion, certificate)
 
 
 CACHE_SIZE = 32

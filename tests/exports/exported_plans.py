@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.checks import Certificate, certify
 from hitchopt.checks.certificate import Check
 from hitchopt.exports.exporting import FLOWN, Export, export_motion
 from hitchopt.exports.format import Task, format_of
@@ -48,11 +47,6 @@ def hitch_plan() -> Motion:
     motion = solve_problem(problem_from_dict(PROBLEM)).motion
     assert isinstance(motion, Motion)
     return motion
-
-
-@lru_cache
-def certificate_of(motion: Motion) -> Certificate:
-    return certify(motion)
 
 
 def flown_checks(motion: Motion) -> dict[str, Check]:

@@ -23,7 +23,6 @@ import pytest
 from cflib.crazyflie.mem.trajectory_memory import CompressedSegment, CompressedStart, Poly4D
 from exported_plans import (
     Array,
-    certificate_of,
     exported,
     hitch_plan,
     restless_plan,
@@ -35,6 +34,7 @@ from plans import ROOT, planned
 from ruamel.yaml import YAML
 
 import hitchopt as ho
+from hitchopt.checks.registry import certificate_of
 from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.exports.exporting import Export
 from hitchopt.exports.formats.crazyflie import POLY

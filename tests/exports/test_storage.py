@@ -16,9 +16,10 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import pytest
-from exported_plans import certificate_of, hitch_plan
+from exported_plans import hitch_plan
 
 from hitchopt.checks.certificate import CertificateError, Check
+from hitchopt.checks.registry import certificate_of
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, Violation
 from hitchopt.exports.directory import diagnosis_content, save_diagnosis, save_plan
 from hitchopt.motion.plan_file import read_saved_plan

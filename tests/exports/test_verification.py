@@ -5,19 +5,25 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from exported_plans import certificate_of, flown_checks, hitch_plan, swarm_plan
+from exported_plans import PROBLEM, exported, flown_checks, hitch_plan, swarm_plan
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import hitchopt as ho
+from hitchopt.checks import Certificate, certify, registry
+from hitchopt.checks.certificate import CertificateError
+from hitchopt.checks.registry import certificate_of
 from hitchopt.errors import FileError, InputError
 from hitchopt.exports.exporting import Verdict, verify
 from hitchopt.exports.placing import AXES, ReferenceFrame
 from hitchopt.exports.recording import Recording, Trajectory
 from hitchopt.motion.motion import CableState, Motion
+from hitchopt.motion.plan_file import read_plan
 from hitchopt.motion.states import sample_times, states_at
 from hitchopt.trajectory import PiecewisePolynomial
 
@@ -48,6 +54,31 @@ def test_the_plan_itself_is_verified_as_its_certificate_says(make: Callable[[], 
             planned = flown_checks(motion)["arena"]
         assert check.worst == pytest.approx(planned.worst, rel=3e-4, abs=1e-6)
         assert check.limit == {"cable_length": 1e-3, "arena": -1e-4}.get(check.name, planned.limit)
+
+
+def test_a_motion_is_certified_once_and_another_one_again(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Exports ask for the certificate of the very motion, whatever a plan says of it."""
+    solved = ho.solve(ho.problem_from_dict(PROBLEM))
+    solved.save(tmp_path / "plan")
+    late = np.array(solved.motion.vertices.coefficients)
+    late[-1, 0] += 0.01  # which no exported file shows
+    moved = solved.motion.replaced(vertices=solved.motion.vertices.alike(late))
+    with pytest.raises(CertificateError, match=r"continuity|cable_length|equilibrium"):
+        replace(solved, motion=moved).export("npz", tmp_path / "moved")
+    read, certified = read_plan(tmp_path / "plan" / "plan.npz"), list[Motion]()
+
+    def counting(motion: Motion, *_: object, **__: object) -> Certificate:
+        certified.append(motion)
+        return certify(motion)
+
+    monkeypatch.setattr(registry, "certify", counting)
+    for motion in (solved.motion, read, read):
+        exported(motion, "npz", tmp_path / "files")
+    assert certified == [read]
+    solved.export("npz", tmp_path / "files", stretch=1.1)
+    assert [motion.duration for motion in certified] == [read.duration, 1.1 * read.duration]
 
 
 @pytest.mark.slow
