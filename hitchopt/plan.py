@@ -126,8 +126,8 @@ class Plan(OneLine):
         """
         from hitchopt.live.abort import Aborts
 
-        found = Aborts(self.motion).found(t, how)
-        return Plan(found.motion, found.certificate, f"{self.title} ({how} at {t:g} s)".strip())
+        entry = Aborts(self.motion).found(t, how)
+        return Plan(entry.motion, entry.certificate, f"{self.title} ({how} at {t:g} s)".strip())
 
     def save(
         self,
@@ -161,8 +161,8 @@ class Plan(OneLine):
         pictures = {SUMMARY: lambda file: save_figure(draw_summary(*shown), file)}
         if flag("report", report):
             pictures[REPORT] = lambda file: self._write_report(file, file.parent)
-        told = self.certificate, self.title, rate, pictures, share, self.problem
-        return save_plan(folder, motion, *told)
+        labels = self.title, rate, pictures, share, self.problem
+        return save_plan(folder, motion, self.certificate, *labels)
 
     def _write_report(self, file: Path, directory: Path, ghost: Path | str | None = None) -> None:
         """Write the report, with the digests of the plan's files in ``directory``."""
@@ -170,8 +170,8 @@ class Plan(OneLine):
         from hitchopt.view.scene import ghost_scene
 
         other = None if ghost is None else ghost_scene(path("ghost", ghost), self.motion)
-        told = self.motion, self.certificate, self.title, self.problem, directory, other
-        write_report(file, *told)
+        labels = self.title, self.problem, directory, other
+        write_report(file, self.motion, self.certificate, *labels)
 
     def report(self, directory: Path | str, *, ghost: Path | str | None = None) -> Path:
         """Write ``report.html``, one file that needs no network, into the plan's directory.
@@ -218,8 +218,8 @@ class Plan(OneLine):
                 raise InputError("ghost", str(ghost), words, "leave out save: it is shown live")
             from hitchopt.view.report import save_view
 
-            told = (self.motion, self.certificate, self.title, self.problem)
-            save_view(path("save", save), *told, progress)
+            shown = self.motion, self.certificate, self.title, self.problem
+            save_view(path("save", save), *shown, progress)
             return None
         import webbrowser
 
@@ -287,23 +287,23 @@ def closest(plan: Plan, spans: int = SPANS, picture: Path | str | None = None) -
     picture: file to draw the result to (PNG), or None.
     """
     instance("plan", plan, Plan)
-    found = closeness(plan.motion, whole("spans", spans, 1))
+    pairs = closeness(plan.motion, whole("spans", spans, 1))
     if picture is not None:
         picture = path("picture", picture)
         from hitchopt.view.pictures import draw_closeness
         from hitchopt.view.style import save_figure
 
         try:
-            save_figure(draw_closeness(plan.motion, found), picture)
+            save_figure(draw_closeness(plan.motion, pairs), picture)
         except OSError as error:
             raise FileError(f"{picture}: cannot be written: {error.strerror}") from error
-    return found
+    return pairs
 
 
 def load(directory: Path | str) -> Plan:
     """Return the plan in a directory; its certificate is recomputed from its polynomials.
 
-    Raises FileError where there is none, it is damaged, or is not the one that was asked for.
+    Raises FileError where there is none, it is damaged, or its motion is not the one requested.
     """
     saved = read_requested_plan(path("directory", directory) / PLAN)
     return Plan(saved.motion, certify(saved.motion), saved.title, saved.problem)

@@ -79,11 +79,11 @@ def refuse_mixture(directory: Path) -> None:
     path = directory / CERTIFICATE
     try:
         named = parsed_json(path.read_bytes()).get("plan")
-        found = digest(directory / PLAN)
+        actual = digest(directory / PLAN)
     except (OSError, ValueError, AttributeError) as error:
         words = f"{path}: cannot be read: {error}; was a save killed? solve again"
         raise FileError(words) from error
-    if named != found:
+    if named != actual:
         raise FileError(f"{path}: is of another {PLAN} than the one next to it; solve again")
 
 

@@ -348,20 +348,20 @@ class Verdict:
 
     def violations(self, motion: Motion, accuracy: float) -> list[Violation]:
         """Return the limits that an export breaks; ``accuracy`` is the format's [m]."""
-        found = []
+        violations = []
         for check in self.lost:
             rule = RULE_OF[check.name]
             planned = rule.check(motion, exported=True) or check
             values = f"{planned.bound:.6g}, the export loses {abs(check.bound - planned.bound):.3g}"
             when = f"at t = {check.time:.4g} s (the plan keeps {values})"
-            found.append(check.violation(when, EASIER if rule.derivative > 0 else CLEARER))
+            violations.append(check.violation(when, EASIER if rule.derivative > 0 else CLEARER))
         worst, when = self.position.worst, f"at t = {self.position.time:.4g} s"
         if worst > accuracy:
             remedy = "choose another format, such as csv, or a higher --rate where it samples"
             where = (self.position.drone,)
             error = Violation("position_error", worst, accuracy, "max", "m", where, when, remedy)
-            found.append(error)
-        return found
+            violations.append(error)
+        return violations
 
 
 def verify(
@@ -420,10 +420,12 @@ def _planned(motion: Motion, breaks: Array) -> Motion:
 
 def _deviations(flown: PiecewisePolynomial, motion: Motion) -> list[Deviation]:
     """Return how far curves on the breaks of a plan are off, in position and in velocity."""
-    degree, found = max(flown.degree, motion.drones.degree), []
+    degree, deviations = max(flown.degree, motion.drones.degree), []
     wanted = bernstein.elevate(motion.drones.coefficients, degree)
     apart = flown.alike(bernstein.elevate(flown.coefficients, degree) - wanted)
     for order, margin in enumerate((ROUNDING * float(np.max(np.abs(wanted))), 0.0)):
         most = largest_rate(apart, order)
-        found.append(Deviation(most.worst + margin, most.time, motion.team.drone_names[most.item]))
-    return found
+        deviations.append(
+            Deviation(most.worst + margin, most.time, motion.team.drone_names[most.item])
+        )
+    return deviations

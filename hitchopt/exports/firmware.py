@@ -157,13 +157,13 @@ def describe_differences(
     words = []
     for group in wanted:
         for name, value in _mapping(wanted, group).items():
-            found = held(group, name)
+            value_held = held(group, name)
             if not (
-                isinstance(found, int | float)
+                isinstance(value_held, int | float)
                 and isinstance(value, int | float)
-                and math.isclose(found, value, rel_tol=SINGLE)
+                and math.isclose(value_held, value, rel_tol=SINGLE)
             ):
-                shown = "missing" if found is None else found
+                shown = "missing" if value_held is None else value_held
                 words.append(f"{group}.{name} is {shown}, not {value}")
     return ", ".join(words)
 
@@ -202,5 +202,5 @@ def settings_findings(
 
 def _mapping(values: Mapping[str, Any], key: str) -> Mapping[str, Any]:
     """Return the mapping at a key, an empty one if there is none."""
-    found = values.get(key)
-    return found if isinstance(found, Mapping) else {}
+    value = values.get(key)
+    return value if isinstance(value, Mapping) else {}

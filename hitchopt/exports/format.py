@@ -93,7 +93,7 @@ class Task:
             turned(mass * states.jerks - force_rates),
         )
         flip = FLIPPED if turned(UPWARD)[2] < 0.0 else np.ones(3)
-        found = attitudes(thrusts * flip, rates * flip, heading * flip[2])
+        attitude = attitudes(thrusts * flip, rates * flip, heading * flip[2])
         return {
             "positions": frame.points(states.positions),
             "velocities": turned(states.velocities),
@@ -102,8 +102,8 @@ class Task:
             "yaw": np.full((*states.positions.shape[:-1], 1), heading),
             "cable_forces": turned(forces),
             "feed_forward": turned(forward),
-            "quaternions": found.quaternions * [1.0, *flip],
-            "body_rates": found.body_rates * flip,
+            "quaternions": attitude.quaternions * [1.0, *flip],
+            "body_rates": attitude.body_rates * flip,
         }
 
 
@@ -183,5 +183,5 @@ def format_of(name: str) -> Format:
         remedy = f"did you mean {near[0]}?" if near else "hitchopt export --help tells them apart"
         raise InputError("--format", name, f"one of {', '.join(HOMES)}", remedy)
     module, _, kind = HOMES[name].partition(":")
-    found: Format = getattr(import_module(f"hitchopt.exports.formats.{module}"), kind)()
-    return found
+    chosen: Format = getattr(import_module(f"hitchopt.exports.formats.{module}"), kind)()
+    return chosen

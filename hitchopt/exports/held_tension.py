@@ -141,9 +141,9 @@ def _solved(
     forces = states_at(motion, times - breaks[0]).cable_forces
     wanted = np.moveaxis(-forces / stiffness, 1, -1)  # (pieces, 2n, 3, points)
     rate, bend = damping / stiffness, motion.team.mass[:, None] / stiffness
-    found = np.zeros((len(durations), motion.team.drones, 3, DEGREE + 1))
+    coefficients = np.zeros((len(durations), motion.team.drones, 3, DEGREE + 1))
     value, slope, miss = wanted[0, ..., 0], np.zeros_like(wanted[0, ..., 0]), 0.0
-    for c, h, right in zip(found, durations.tolist(), wanted, strict=True):
+    for c, h, right in zip(coefficients, durations.tolist(), wanted, strict=True):
         a, b = (rate / h)[..., None, None], (bend / h**2)[..., None, None]
         rows = order[0] + a * order[1] + b * order[2]  # the equation's left side, by coefficients
         c[..., :2] = np.stack([value, value + h * slope / DEGREE], axis=-1)
@@ -153,7 +153,7 @@ def _solved(
         missing = ((rows @ c[..., None])[..., 0] - right)[..., len(x) :]
         miss = max(miss, float(np.max(np.linalg.norm(missing, axis=1))))
         value, slope = c[..., -1], DEGREE / h * (c[..., -1] - c[..., -2])
-    return PiecewisePolynomial(breaks, found), miss
+    return PiecewisePolynomial(breaks, coefficients), miss
 
 
 def _span(values: Array) -> str:

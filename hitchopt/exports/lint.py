@@ -131,12 +131,12 @@ class Rules:
 
     def limits(self, own: Mapping[str, float]) -> dict[str, float]:
         """Return the limits of a show by name, its own among them; inf where these stand alone."""
-        found = dict(own)
+        limits = dict(own)
         for name, key, usual in USUAL:
             alone = {f"max{key}XY", f"max{key}Z"} <= set(own)
             given = getattr(self, name)
-            found[name] = given if given is not None else math.inf if alone else usual
-        return found
+            limits[name] = given if given is not None else math.inf if alone else usual
+        return limits
 
 
 def lint(path: Path | str, rules: Rules | None = None) -> tuple[Report, ...]:
@@ -155,12 +155,12 @@ def _report(path: Path, rules: Rules) -> Report:
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # such numbers are refused by name
             kind, recording = load(path)
-            flight, found = _flown_together(kind, recording, rules)
-            found += _settings(path)
+            flight, findings = _flown_together(kind, recording, rules)
+            findings += _settings(path)
     except (FileError, InputError) as fault:
         text = str(fault)
         raise FileError(text if text.startswith(str(path)) else f"{path}: {text}") from fault
-    findings = [*recording.findings, *found, *_exported(path, kind, recording)]
+    findings = [*recording.findings, *findings, *_exported(path, kind, recording)]
     if missing_derivative := recording.missing_derivative:
         words = (
             "lines"
@@ -249,23 +249,25 @@ def _flown_together(
     )
     unset = [name for name, key, usual in USUAL if getattr(rules, name) is None]
     broken = (check for check in checks.values() if not check.holds)
-    found = [_broken(check, given=check.name not in unset) for check in broken]
-    found += [*_joining(last, names, jumps, rules), *_timing(kind, recording, longest)]
+    findings = [_broken(check, given=check.name not in unset) for check in broken]
+    findings += [*_joining(last, names, jumps, rules), *_timing(kind, recording, longest)]
     if reach[0] > RADIOED:
         words = f"goes {reach[0]:.4g} m from the origin, and 16 bits hold {RADIOED} m; move it"
-        found.append(note("range", reach[1], words))
+        findings.append(note("range", reach[1], words))
     if start != 0.0:
-        found.append(warning("start", "", f"time begins at {start:g} s, not at 0; shift it"))
+        findings.append(warning("start", "", f"time begins at {start:g} s, not at 0; shift it"))
     if relative:
         words = (
             "not checked: all begin at one point, as relative trajectories do; give their starts"
         )
-        found.append(warning("separation", "", words))
+        findings.append(warning("separation", "", words))
     elif kind.several:
-        found += _sequence(names, first, last.coefficients[-1, ..., -1])
+        findings += _sequence(names, first, last.coefficients[-1, ..., -1])
     if {DISTANCE, LOWEST} <= set(own):
-        found.append(note(DISTANCE, "", f"counts above {own[LOWEST]:g} m, where both drones are"))
-    return flight, found
+        findings.append(
+            note(DISTANCE, "", f"counts above {own[LOWEST]:g} m, where both drones are")
+        )
+    return flight, findings
 
 
 def _reach(window: PiecewisePolynomial, names: Sequence[str]) -> tuple[float, str]:
@@ -300,10 +302,10 @@ def _checks(
         most = max(each, key=lambda found: (found.worst, found.item, found.time))
         whose = (names[most.item],)
         yield Check.of(key, most.worst, limits[key], "max", unit, most.time, whose)
-    asked = [] if separation is None else [("separation", separation, 1.0, "ratio")]
-    if asked and least is not None:
-        asked.append((DISTANCE, Separation(0.5 * least, 0.5 * least), least, "m"))
-    for key, distances, ratio, unit in asked:
+    distances_by_key = [] if separation is None else [("separation", separation, 1.0, "ratio")]
+    if distances_by_key and least is not None:
+        distances_by_key.append((DISTANCE, Separation(0.5 * least, 0.5 * least), least, "m"))
+    for key, distances, ratio, unit in distances_by_key:
         requirements = Requirements(Limits(), distances)
         whole = [(window, np.arange(len(names)))]
         lowest = limits.get(LOWEST) if key == DISTANCE else None

@@ -131,8 +131,8 @@ class Recording:
         names = tuple(drone.name for drone in drones)
         pieces, sizes = zip(*((drone.curve.pieces, drone.size) for drone in drones), strict=True)
         facts = tuple(map(DroneFacts, names, pieces, sizes, ends))
-        found = (*(finding for drone in drones for finding in drone.findings), *findings)
-        return cls(names, frame, smooth, windows, facts, findings=found, own=own or {})
+        every = (*(finding for drone in drones for finding in drone.findings), *findings)
+        return cls(names, frame, smooth, windows, facts, findings=every, own=own or {})
 
     @classmethod
     def of_samples(
@@ -163,9 +163,9 @@ class Recording:
 
         known, facts = frame if frame in AXES else "", tuple(map(DroneFacts, names))
         rare = (step := float(np.median(np.diff(t)))) > RARE
-        found = [note("times", "", f"{step:.3g} apart, read as seconds")] if rare else []
+        findings = [note("times", "", f"{step:.3g} apart, read as seconds")] if rare else []
         return cls(
-            tuple(names), known, len(given) - 1, windows, facts, missing_derivative, tuple(found)
+            tuple(names), known, len(given) - 1, windows, facts, missing_derivative, tuple(findings)
         )
 
 

@@ -137,10 +137,10 @@ def best_breaks(curves: PiecewisePolynomial, kind: Kind, most: int) -> Array:
     best, low, high = breaks_within(curves, kind, COARSEST, most), log(FINEST), log(COARSEST)
     for _ in range(BISECTIONS if len(best) - 1 <= most else 0):
         middle = 0.5 * (low + high)
-        if len(found := breaks_within(curves, kind, exp(middle), most)) - 1 > most:
+        if len(breaks := breaks_within(curves, kind, exp(middle), most)) - 1 > most:
             low = middle
         else:
-            best, high = found, middle
+            best, high = breaks, middle
     return best
 
 
@@ -150,12 +150,12 @@ def rounded(curves: PiecewisePolynomial, quantum: float, scale: Scale) -> Piecew
     ``scale`` has the errors of rounding that weigh alike.
     """
     wanted = curves.coefficients / quantum
-    found = np.empty_like(wanted)
+    counts = np.empty_like(wanted)
     last = np.rint(wanted[0, ..., 0])
     for piece, h in enumerate(curves.durations):
-        found[piece] = _nearest(wanted[piece], last, _gram(curves.degree, float(h), scale))
-        last = found[piece, ..., -1]
-    return PiecewisePolynomial(curves.breaks, found * quantum)
+        counts[piece] = _nearest(wanted[piece], last, _gram(curves.degree, float(h), scale))
+        last = counts[piece, ..., -1]
+    return PiecewisePolynomial(curves.breaks, counts * quantum)
 
 
 def _nearest(wanted: Array, first: Array, gram: Array) -> Array:
@@ -166,12 +166,12 @@ def _nearest(wanted: Array, first: Array, gram: Array) -> Array:
     c = wanted[..., ::-1]
     size = c.shape[-1]
     errors = np.zeros_like(c)
-    found = np.empty_like(c)
+    counts = np.empty_like(c)
     for i in range(size - 1, -1, -1):
         aim = c[..., i] - errors[..., i + 1 :] @ factor[i, i + 1 :] / factor[i, i]
-        found[..., i] = first if i == size - 1 else np.rint(aim)
-        errors[..., i] = found[..., i] - c[..., i]
-    return found[..., ::-1]
+        counts[..., i] = first if i == size - 1 else np.rint(aim)
+        errors[..., i] = counts[..., i] - c[..., i]
+    return counts[..., ::-1]
 
 
 def _gram(degree: int, h: float, scale: Scale) -> Array:

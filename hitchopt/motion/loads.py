@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.errors import InputError
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.motion.motion import JOINT, HoldBy, Motion
@@ -250,7 +251,8 @@ def rim_savings(team: Team, body: SolidObject, places: Array, tensions: Array) -
 
 def _to_rim(body: SolidObject, places: Array) -> tuple[Array, Array, Array]:
     """Return how far edges run on to the rim beyond ends and starts, and their lengths (…, n)."""
-    assert body.rim is not None
+    if body.rim is None:
+        raise InputError("rim", None, "given", "rest objects with a rim on clasps")
     onward, reach = np.roll(places, -1, axis=-2), body.rim.section.reach
     along = unit(onward - places)
     return reach(onward, along), reach(places, -along), length(onward - places)

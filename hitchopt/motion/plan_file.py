@@ -403,7 +403,7 @@ def _steps(motion: Motion) -> list[list[Phase]]:
 
 def mission_of(motion: Motion) -> list[dict[str, Any]]:
     """Return the result of every step, as in ``asked.mission`` of a plan file."""
-    breaks, names, found = motion.drones.breaks, motion.requirements.objects, []
+    breaks, names, results = motion.drones.breaks, motion.requirements.objects, []
     for phases in _steps(motion):
         last = max(int(np.argmin(np.abs(breaks - phases[-1].end))) - 1, 0)
         ranges = [phase.tension for phase in phases if phase.tension is not None]
@@ -419,8 +419,8 @@ def mission_of(motion: Motion) -> list[dict[str, Any]]:
         }
         if not motion.team.has_cables:
             step = {"drones": motion.drones.coefficients[last, ..., -1], "objects": step["objects"]}
-        found.append(step)
-    return found
+        results.append(step)
+    return results
 
 
 def check_request(wanted: Mapping[str, Any], motion: Motion) -> None:
@@ -447,9 +447,9 @@ def check_request(wanted: Mapping[str, Any], motion: Motion) -> None:
         _check_same(f"asked.mission[{i}]", want, known, "as asked")
 
 
-def _check_same(prefix: str, wanted: Any, found: Any, words: str) -> None:
-    """Raise InputError, by its key, if a value differs from the wanted one."""
-    there, here = (dict(_leaves(prefix, each)) for each in (wanted, found))
+def _check_same(prefix: str, request: Any, value: Any, words: str) -> None:
+    """Raise InputError, by its key, if a value differs from the request."""
+    there, here = (dict(_leaves(prefix, each)) for each in (request, value))
     for key in there | here:
         slack = AT_PLACE if key.startswith(("asked.start", "asked.mission")) else 0.0
         if key not in there or key not in here or not _same(there[key], here[key], slack):
@@ -469,8 +469,10 @@ def _leaves(key: str, value: Any) -> Iterator[tuple[str, Any]]:
         yield key, value
 
 
-def _same(wanted: Any, found: Any, slack: float) -> bool:
+def _same(request: Any, value: Any, slack: float) -> bool:
     """Return whether single values are equal; numbers within TOLERANCE and ``slack``."""
-    if any(isinstance(each, bool) or not isinstance(each, int | float) for each in (wanted, found)):
-        return type(wanted) is type(found) and bool(wanted == found)
-    return math.isclose(wanted, found, rel_tol=TOLERANCE, abs_tol=slack)
+    if any(
+        isinstance(each, bool) or not isinstance(each, int | float) for each in (request, value)
+    ):
+        return type(request) is type(value) and bool(request == value)
+    return math.isclose(request, value, rel_tol=TOLERANCE, abs_tol=slack)

@@ -66,9 +66,9 @@ def replace_files(
         for path in (target / name for name in owned):
             if path.is_dir() and not path.is_symlink():
                 raise FileError(f"{path}: is a directory where a file is to go; move it away")
-        kept = target / PREVIOUS
-        if previous != "leave" and (kept.is_symlink() or kept.is_file()):
-            raise FileError(f"{kept}: is where hitchopt keeps the last plan; move it away")
+        last = target / PREVIOUS
+        if previous != "leave" and (last.is_symlink() or last.is_file()):
+            raise FileError(f"{last}: is where hitchopt keeps the last plan; move it away")
         missing = [parent for parent in target.parents if not parent.exists()]
         target.parent.mkdir(parents=True, exist_ok=True)
         with _staged(target, owned) as stage:
@@ -132,16 +132,16 @@ def _exchange(
 
 def _keep(target: Path, owned: Collection[str]) -> None:
     """Give the set's files second names in PREVIOUS, in place of the set there."""
-    kept = target / PREVIOUS
-    _remove(kept, owned)
-    kept.mkdir(exist_ok=True)  # others' files may be in it
+    last = target / PREVIOUS
+    _remove(last, owned)
+    last.mkdir(exist_ok=True)  # others' files may be in it
     for name in (name for name in owned if (target / name).is_file()):
         try:
-            os.link(target / name, kept / name)
+            os.link(target / name, last / name)
         except OSError:  # a file system without such links
-            shutil.copy2(target / name, kept / name)
-        sync(kept / name)
-    sync(kept)
+            shutil.copy2(target / name, last / name)
+        sync(last / name)
+    sync(last)
 
 
 def _remove(directory: Path, owned: Collection[str]) -> None:

@@ -97,14 +97,14 @@ class Table:
         """
         places = self._places(columns)
         try:
-            found = self._numbers(places, blanks, commas=False)
+            table = self._numbers(places, blanks, commas=False)
         except _NoNumberError as error:
             if not error.comma:
                 raise
-            found = self._numbers(places, blanks, commas=True)
-        if len(found) < least:
-            raise FileError(f"{self.source}: has {len(found)} rows; {least} are the least")
-        return found
+            table = self._numbers(places, blanks, commas=True)
+        if len(table) < least:
+            raise FileError(f"{self.source}: has {len(table)} rows; {least} are the least")
+        return table
 
     def _numbers(self, places: Sequence[int], blanks: bool, *, commas: bool) -> Array:
         values = array("d")
@@ -138,8 +138,8 @@ class Table:
         return _NoNumberError(f"{words}; {ADVICE}" if comma else words, comma=comma)
 
     def _fault(self, number: int, words: str) -> FileError:
-        found = f"{self.source}: line {self.first - 1 + number} {words}"
-        return FileError(f"{found}; is it cut off, or are its decimals commas? {ADVICE}")
+        line = f"{self.source}: line {self.first - 1 + number} {words}"
+        return FileError(f"{line}; is it cut off, or are its decimals commas? {ADVICE}")
 
 
 class _NoNumberError(FileError):

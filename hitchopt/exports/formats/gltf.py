@@ -174,10 +174,10 @@ def _along(vectors: Array) -> Array:
     x, y, z = np.moveaxis(unit(vectors + [0.0, 1e-12, 0.0]), -1, 0)
     down = np.array([1.0, 0.0, 0.0, 0.0])  # from y to -y, about x
     half = np.stack([z, 0.0 * x, -x, 1.0 + y], axis=-1)
-    found = unit(np.where(half[..., 3:] > 1e-9, half, down))
-    turns = np.sum(found[1:] * found[:-1], axis=-1, keepdims=True) < 0.0
-    found[1:] *= np.cumprod(np.where(turns, -1.0, 1.0), axis=0)
-    return found
+    quaternions = unit(np.where(half[..., 3:] > 1e-9, half, down))
+    turns = np.sum(quaternions[1:] * quaternions[:-1], axis=-1, keepdims=True) < 0.0
+    quaternions[1:] *= np.cumprod(np.where(turns, -1.0, 1.0), axis=0)
+    return quaternions
 
 
 def read_drones(path: Path) -> tuple[tuple[str, ...], Array, Array]:

@@ -104,9 +104,9 @@ class MavsdkDroneShow(Format):
     def load(self, files: Sequence[Path]) -> Recording:
         """Return cubics through positions and velocities: accelerations have an unknown pull."""
         names, tables = tuple(path.stem for path in files), read_tables(files)
-        found = Recording.of_samples(names, tables[:, 0, 0], tables[..., 1:7], "ned", 1)
+        recording = Recording.of_samples(names, tables[:, 0, 0], tables[..., 1:7], "ned", 1)
         each = (unusual(_table(path), path.stem) for path in files)
-        return replace(found, findings=tuple(chain.from_iterable(each)))
+        return replace(recording, findings=tuple(chain.from_iterable(each)))
 
     def read(self, folder: Path, task: Task) -> Recording:
         """Return the receiver's motion, the cables' pull removed from accelerations."""

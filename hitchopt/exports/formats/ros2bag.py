@@ -103,7 +103,7 @@ class Ros2Bag(Format):
         """
         path = files[0].parent if files[0].name == METADATA else files[0]
         highlevel, store = needed("rosbags.highlevel"), message_types()
-        found: dict[str, Array] = {}
+        tables_by_name: dict[str, Array] = {}
         frame = ""
         with (  # many exceptions, without a common root
             reading(path, "bag", Exception),
@@ -117,18 +117,20 @@ class Ros2Bag(Format):
                 message = bag.deserialize(data, connection.msgtype)
                 frame = FRAMES.get(message.header.frame_id, "")
                 for i, name in enumerate(message.joint_names):
-                    if name in found:
+                    if name in tables_by_name:
                         raise FileError(f"holds two trajectories of {name!r}")
-                    found[name] = np.array([_row(point, i) for point in message.points])
-            if not found:
+                    tables_by_name[name] = np.array([_row(point, i) for point in message.points])
+            if not tables_by_name:
                 raise FileError("its trajectories name no joint")
-            tables = list(found.values())
+            tables = list(tables_by_name.values())
             if any(not np.array_equal(table[:, 0], tables[0][:, 0]) for table in tables):
                 raise FileError("its trajectories have different times")
             values = np.stack(tables, axis=1)
             samples = values[..., 1:] if np.all(np.isfinite(values)) else values[..., 1:4]
             smooth = 0 if samples.shape[-1] == 3 else 2
-            return Recording.of_samples(tuple(found), values[:, 0, 0], samples, frame, smooth)
+            return Recording.of_samples(
+                tuple(tables_by_name), values[:, 0, 0], samples, frame, smooth
+            )
 
     def read(self, folder: Path, task: Task) -> Recording:  # noqa: ARG002
         """Return the curves of the trajectories, found by the metadata."""

@@ -305,18 +305,18 @@ def _landing(motion: Motion) -> float:
 def planned_returns(motion: Motion, frame: ReferenceFrame) -> list[Entries]:
     """Return every drone's entry of each return, at whole seconds, the last one after the end.
 
-    Times from which none was found are left out: a command then waits for the next one.
+    Times without such a return are left out: a command then waits for the next one.
     """
-    found, every = [], max(1, ceil(motion.duration / MAX_RETURNS))
+    returns, every = [], max(1, ceil(motion.duration / MAX_RETURNS))
     for time in range(0, ceil(motion.duration) + every, every):
         start = motion.drones.at(min(float(time), motion.duration))
         for entries in _tries(motion, time, start, frame):
             checks = return_checks(motion, entries, start, _landing(motion), frame)
             spare = all(check.bound >= SPARE for check in checks if check.name == "separation")
             if spare and all(check.holds for check in checks):
-                found.append(entries)
+                returns.append(entries)
                 break
-    return found
+    return returns
 
 
 def _tries(motion: Motion, time: int, start: Array, frame: ReferenceFrame) -> Iterator[Entries]:
