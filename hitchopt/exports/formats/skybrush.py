@@ -36,7 +36,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import linear_sum_assignment
 
 from hitchopt.checks.certificate import Check
 from hitchopt.errors import FileError, InfeasibleError, InputError, Violation
@@ -321,6 +320,7 @@ def planned_returns(motion: Motion, frame: ReferenceFrame) -> list[Entries]:
 
 def _tries(motion: Motion, time: int, start: Array, frame: ReferenceFrame) -> Iterator[Entries]:
     """Yield returns: down at once, then to places of the plan, at once or the lower ones first."""
+    from scipy.optimize import linear_sum_assignment  # heavy, and for single drones alone
 
     def entries(goal: Array, duration: int, before: ArrayLike, after: ArrayLike) -> Entries:
         points = np.round(frame.points(np.column_stack([goal, start[:, 2]])), 3) + 0.0
