@@ -218,8 +218,8 @@ class Plan(OneLine):
                 raise InputError("ghost", str(ghost), words, "leave out save: it is shown live")
             from hitchopt.view.report import save_view
 
-            shown = self.motion, self.certificate, self.title, self.problem
-            save_view(path("save", save), *shown, progress)
+            labels = self.title, self.problem
+            save_view(path("save", save), self.motion, self.certificate, *labels, progress)
             return None
         import webbrowser
 

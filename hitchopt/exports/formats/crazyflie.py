@@ -380,8 +380,9 @@ def _stacked(task: Task, places: Array, what: str) -> Iterator[str]:
     for i, place in enumerate(places[:-1, :2]):
         near = np.linalg.norm(places[i + 1 :, :2] - place, axis=1) < width
         if np.any(near):
-            pair = f"{task.names[i]} and {task.names[i + 1 + int(np.argmax(near))]}"
-            yield f"{pair}, perhaps others too, would {what} one place: move them one by one"
+            other = task.names[i + 1 + int(np.argmax(near))]
+            pair = f"{task.names[i]} and {other}, perhaps others too,"
+            yield f"{pair} would {what} one place: move them one by one, not with fly.py"
             return
 
 
