@@ -24,7 +24,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from hitchopt.errors import FileError
 from hitchopt.exports.firmware import SETTINGS, team_parameters
@@ -188,7 +187,9 @@ def _write_messages(bag: Any, task: Task) -> None:
     for d, name in enumerate(task.names):  # a trajectory is one message of all samples
         own = {key: np.concatenate([block[key][:, d] for block in blocks]) for key in blocks[0]}
         quaternions = own["quaternions"]
-        rates = Rotation.from_quat(quaternions, scalar_first=True).apply(own["body_rates"])
+        axes, rates = quaternions[:, 1:], own["body_rates"]  # turned about the frame's axes below
+        across = np.cross(axes, rates) + quaternions[:, :1] * rates
+        rates = rates + 2.0 * np.cross(axes, across)
         points, poses = [], []
         for s, t in enumerate(times):
             there = message("Transform", vector(own["positions"][s]), turned(quaternions[s]))
