@@ -23,6 +23,7 @@ from hitchopt.checks.spans import (
     UPWARD,
     MotionSpans,
     cached,
+    derivative,
     derivative_margin,
     leg_vectors,
     magnitude,
@@ -423,10 +424,10 @@ def largest_rate(
 
     The bound is as tight as needed to decide whether it satisfies the limit.
     """
-    derivative, margin = part.differentiated(order).coefficients, derivative_margin(part, order)
+    rates, margin = derivative(part, order), derivative_margin(part, order)
 
     def formula(spans: Spans) -> Bound:
-        return size(Enclosed(spans.read(derivative), margin[spans.piece, spans.item]))
+        return size(Enclosed(spans.read(rates), margin[spans.piece, spans.item]))
 
     spans = Spans.all_of(part, part.breaks, part.shape[0])
     return worst(spans, formula, "max", target=within(limit, "max", 0.0, 0.5))

@@ -35,6 +35,7 @@ from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase
 from hitchopt.checks.spans import (
     PART_NAMES,
     clasped_pairs,
+    derivative,
     derivative_margin,
     edge_vectors,
     leg_vectors,
@@ -225,7 +226,8 @@ def _largest_jump(motion: Motion, _: float) -> WorstCase:
         if part.pieces == 1:
             continue
         for order in range(3):
-            left, right = part.ends(order)
+            rates = derivative(part, order)
+            left, right = rates[..., 0], rates[..., -1]
             margin = derivative_margin(part, order)
             noise = margin[1:] + margin[:-1] if order else position_margin(motion)
             jump = length(left[1:] - right[:-1]) + noise

@@ -87,6 +87,14 @@ def position_margin(motion: Motion) -> float:
 
 
 @cached
+def derivative(part: PiecewisePolynomial, order: int) -> Array:
+    """Return the coefficients (pieces, …, degree + 1) of a derivative by time."""
+    if order == 0:
+        return part.coefficients
+    return part.alike(derivative(part, order - 1)).differentiated(1).coefficients
+
+
+@cached
 def derivative_margin(part: PiecewisePolynomial, order: int) -> Array:
     """Return the margin (pieces, items) of the norm of a derivative by time.
 
@@ -94,7 +102,7 @@ def derivative_margin(part: PiecewisePolynomial, order: int) -> Array:
     for the k-th of degree N on a piece of h seconds, and ``2**-40`` of the derivative itself.
     """
     gain = 2.0**order * perm(part.degree, order) / part.durations**order
-    size = _largest(part.differentiated(order).coefficients)
+    size = _largest(derivative(part, order))
     jumps = _largest(np.diff(part.coefficients))
     margin: Array = (LAST_PLACE * gain)[:, None] * jumps + ROUNDING * size
     return margin
@@ -102,7 +110,10 @@ def derivative_margin(part: PiecewisePolynomial, order: int) -> Array:
 
 def _largest(coefficients: Array) -> Array:
     """Return the largest magnitudes (pieces, items) of coefficients (pieces, items, d, m)."""
-    largest: Array = np.max(np.abs(coefficients), axis=(2, 3), initial=0.0)
+    flat = coefficients.reshape(*coefficients.shape[:2], -1)
+    largest: Array = np.maximum(
+        np.max(flat, axis=-1, initial=0.0), -np.min(flat, axis=-1, initial=0.0)
+    )
     return largest
 
 
@@ -139,8 +150,7 @@ class MotionSpans(Spans):
     def derivative(self, part: PiecewisePolynomial, order: int) -> Enclosed:
         """Return the derivative by time of points of a part, rounding included."""
         margin = derivative_margin(part, order)[self.piece, self.item]
-        derivative = cached_value(part, PiecewisePolynomial.differentiated, order)
-        return Enclosed(self.read(derivative.coefficients), margin)
+        return Enclosed(self.read(derivative(part, order)), margin)
 
     @cached_property
     def noise(self) -> float:

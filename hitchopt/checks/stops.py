@@ -26,7 +26,13 @@ from hitchopt.checks.clasps import spare_forces
 from hitchopt.checks.drones import Drones, Hovering, tilt, turning_rate, used_thrust
 from hitchopt.checks.objects import SUPPORT, heading_error, spare_friction, turning_reach
 from hitchopt.checks.rule import ReportRule, SpanResults, WorstCase
-from hitchopt.checks.spans import MotionSpans, concatenated, derivative_margin, value_cache
+from hitchopt.checks.spans import (
+    MotionSpans,
+    concatenated,
+    derivative,
+    derivative_margin,
+    value_cache,
+)
 from hitchopt.errors import check_time
 from hitchopt.geometry.vectors import column_lengths
 from hitchopt.hitch import GRAVITY
@@ -171,7 +177,7 @@ class ClockLimit:
         """(orders, pieces, items): bounds of the derivatives' norms by plan time."""
         found = []
         for order in range(1, self.orders + 1):
-            norms = column_lengths(self.path.differentiated(order).coefficients)
+            norms = column_lengths(derivative(self.path, order))
             found.append(np.max(norms, axis=-1) + derivative_margin(self.path, order))
         return np.stack(found) * (1.0 + SLACK)
 
@@ -210,8 +216,9 @@ class ClockLimits:
     """The limits of a motion, for clocks; ``carried`` are those of carried objects."""
 
     def __init__(self, motion: Motion) -> None:
-        self.motion, self._spare = motion, _spare(motion)
-        self.carried = [_inertia(path, slack) for path, slack in carried_paths(motion)]
+        with value_cache():
+            self.motion, self._spare = motion, _spare(motion)
+            self.carried = [_inertia(path, slack) for path, slack in carried_paths(motion)]
         self._drones = ClockLimit(motion.drones, 3, DronesOnClock, motion, self._quick, self._used)
 
     def keep(self, phases: ClockPhases, owners: int) -> Flags:

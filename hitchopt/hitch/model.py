@@ -103,6 +103,10 @@ def clasp_legs(
     return directions, (first, second), e
 
 
+CLASPS_AT_ONCE = 4000
+"""Clasps, over all values of the parameter, whose series stay within the caches."""
+
+
 @dataclass(frozen=True, eq=False)
 class FlatJets:
     """Flat outputs at J values of a parameter, with derivatives by it up to the third.
@@ -115,6 +119,11 @@ class FlatJets:
     q_legs: Array
     tensions: Array
     roll: Array | None = None
+
+    def chosen(self, index: slice) -> FlatJets:
+        """Return the flat outputs at some of the values."""
+        roll = None if self.roll is None else self.roll[index]
+        return FlatJets(self.vertices[index], self.q_legs[index], self.tensions[index], roll)
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,11 +147,21 @@ def drone_jets(team: Team, flat: FlatJets) -> DroneJets:
     Where all tensions are equal legs go on along the neighbouring edges (the paper's class), unless
     clasps carry weight or legs are rolled. Values are nan where tensions cannot carry them.
     """
+    steady = not np.any(flat.tensions[..., 1:])
+    equal = steady and bool(np.all(flat.tensions[..., 0] == flat.tensions[0, 0, 0]))
+    step, count = max(1, CLASPS_AT_ONCE // team.robots), len(flat.vertices)
+    if count <= step:
+        return _drone_jets(team, flat, equal)
+    chunks = [flat.chosen(slice(first, first + step)) for first in range(0, count, step)]
+    parts = [vars(_drone_jets(team, chunk, equal)) for chunk in chunks]
+    return DroneJets(*(np.concatenate([part[name] for part in parts]) for name in parts[0]))
+
+
+def _drone_jets(team: Team, flat: FlatJets, equal: bool) -> DroneJets:
+    """Return drones, forces and thrusts of flat outputs; tensions are all ``equal`` or not."""
     layout = team.layout
     weight = GRAVITY * team.cable_density if team.cable_density > 0.0 else None
     load = np.outer([0.0, 0.0, -GRAVITY], team.load)[:, None] if np.any(team.load) else None
-    steady = not np.any(flat.tensions[..., 1:])
-    equal = steady and bool(np.all(flat.tensions[..., 0] == flat.tensions[0, 0, 0]))
     d = _scalars(flat.q_legs)
     with np.errstate(all="ignore"):  # edges of no length have no direction
         vertices = Series.of_jet(flat.vertices)

@@ -242,9 +242,9 @@ class Enclosed:
     @property
     def above(self) -> Bound:
         """Upper bound of a scalar."""
-        index = np.argmax(self.c[..., 0, :], axis=-1)
-        most = np.take_along_axis(self.c[..., 0, :], index[..., None], axis=-1)[..., 0]
-        return Bound(most + self.r, index / max(1, self.degree))
+        row = self.c[..., 0, :]
+        index = row.argmax(axis=-1)
+        return Bound(np.maximum.reduce(row, axis=-1) + self.r, index / max(1, self.degree))
 
     @property
     def below(self) -> Bound:
@@ -255,7 +255,9 @@ class Enclosed:
     @property
     def range(self) -> Interval:
         """Interval that contains a scalar."""
-        return Interval(self.below.value, self.above.value)
+        row = self.c[..., 0, :]
+        lowest, highest = np.minimum.reduce(row, axis=-1), np.maximum.reduce(row, axis=-1)
+        return Interval(lowest - self.r, highest + self.r)
 
     @property
     def norm_range(self) -> Interval:
@@ -277,15 +279,15 @@ def _error(a: Enclosed, b: Enclosed) -> Array:
     Zero times an unbounded factor is zero.
     """
     x, y = a.size, b.size
-    error: Array = EPS * (x * y)
+    if isinstance(a.r, float) and isinstance(b.r, float) and a.r == b.r == 0.0:
+        return EPS * (x * y)
     with np.errstate(invalid="ignore"):
-        for size, radius in ((x, b.r), (y, a.r), (a.r, b.r)):
-            if isinstance(radius, float) and radius == 0.0:
-                continue
-            part = size * radius
-            if math.isnan(np.add.reduce(part, axis=None)):
-                part = np.where((np.asarray(size) == 0.0) | (radius == 0.0), 0.0, part)
-            error = error + part
+        error: Array = x * (EPS * y + b.r) + a.r * (y + b.r)
+        if math.isnan(np.add.reduce(error, axis=None)):
+            error = EPS * (x * y)
+            for size, radius in ((x, b.r), (y, a.r), (a.r, b.r)):
+                nothing = (np.asarray(size) == 0.0) | (radius == 0.0)
+                error = error + np.where(nothing, 0.0, size * radius)
     return error
 
 
