@@ -63,6 +63,7 @@ from hitchopt.hitch.catenary import (
     level_length,
     shift_with_ends,
 )
+from hitchopt.hitch.pairs import CABLE, PAIRS, Bodies
 from hitchopt.hitch.requirements import Arena
 from hitchopt.motion.loads import held_pieces
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, HoldBy, Motion
@@ -328,12 +329,12 @@ def _past_taut(motion: Motion) -> Iterator[Moving]:
 
     A drone at a chain's end is on its own edge.
     """
-    (corners, part), on_leg = cable_parts(motion), motion.team.layout.has_leg.ravel()
+    (corners, part), bodies = cable_parts(motion), Bodies.of(motion.team.layout)
+    body = bodies.of_parts(part)
 
-    def strange(drones: Indices, bodies: Indices) -> Flags:
-        k, kind = np.divmod(part[bodies], 3)
-        counted: Flags = (drones // 2 != k) | ((kind == 1) & on_leg[drones])
-        return counted
+    def strange(i: Indices, j: Indices) -> Flags:
+        flags: Flags = bodies.kind(i, body[j]) == CABLE
+        return flags
 
     drones = motion.drones.elevated(bernstein.degree(corners)).coefficients
     names = motion.team.drone_names, [f"cable {k}" for k in part // 3]
@@ -365,7 +366,7 @@ CABLE_CLEARANCE = CheckRule(
     "cable_clearance",
     "m",
     "min",
-    lambda motion: max(motion.requirements.separation.cable, TOUCHING),
+    lambda motion: max(PAIRS[CABLE].limit(motion.requirements.separation), TOUCHING),
     (
         Evaluator(nearest(_past_taut), HITCHED_STATE, exported=True, shown=(gap,)),
         Evaluator(nearest(_past_chords), LYING, exported=True),

@@ -31,13 +31,14 @@ from hitchopt.checks.spans import (
     magnitude,
     pair_of,
     part_name,
-    part_points,
     phase_parts,
     position_margin,
 )
 from hitchopt.geometry import differences, shortest_offset
 from hitchopt.geometry.broadphase import Boxes, Pairs, few_close_pairs
 from hitchopt.geometry.vectors import unit
+from hitchopt.hitch.pairs import CROSSING as CROSSING_PAIR
+from hitchopt.hitch.pairs import PAIRS, Bodies
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, Motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.enclosed import Bound
@@ -393,14 +394,14 @@ def _taut(motion: Motion) -> Iterator[Moving]:
     The two legs of one cable count among them: they cross where both pass a star tip.
     """
     corners, part = cable_parts(motion)
-    ends, names = part_points(part, motion.team.layout), [part_name(p) for p in part]
+    bodies, names = Bodies.of(motion.team.layout), [part_name(p) for p in part]
+    body, breaks, margin = bodies.of_parts(part), motion.drones.breaks, position_margin(motion)
 
-    def unclasped(i: Indices, j: Indices) -> Flags:
-        shared: Flags = np.any([a[i] == b[j] for a in ends for b in ends], axis=0)
-        return ~shared
+    def crossing(i: Indices, j: Indices) -> Flags:
+        flags: Flags = bodies.kind(body[i], body[j]) == CROSSING_PAIR
+        return flags
 
-    breaks, margin = motion.drones.breaks, position_margin(motion)
-    yield Moving(breaks, corners, None, margin, unclasped, names=(names, names))
+    yield Moving(breaks, corners, None, margin, crossing, names=(names, names))
 
 
 def _hanging(motion: Motion) -> Iterator[Moving]:
@@ -424,7 +425,7 @@ CROSSING = CheckRule(
     "crossing",
     "m",
     "min",
-    lambda motion: max(motion.requirements.separation.crossing, TOUCHING),
+    lambda motion: max(PAIRS[CROSSING_PAIR].limit(motion.requirements.separation), TOUCHING),
     (
         Evaluator(nearest(_taut), HITCHED_STATE, shown=(gap,)),
         Evaluator(nearest(_hanging), FREE_STATES, exported=True),

@@ -224,27 +224,17 @@ def cable_parts(motion: Motion) -> tuple[Array, Indices]:
 
     An edge that is wrapped around an object has three: its straight parts and the arc's chord.
     """
-    drones, vertices = positions(motion)
-    layout, kinds = motion.team.layout, [0, 1, 2]
-    listed: slice | Indices = slice(None)
-    before, following = vertices[:, layout.starts], vertices[:, layout.ends]
-    ends = [before, drones[:, 0::2], before, following, following, drones[:, 1::2]]
-    if motion.contacts is not None:  # all hitches that are wrapped around something are closed
-        first, last = np.moveaxis(motion.contacts.coefficients, 2, 0)
-        ends[3:3], kinds = [first, first, last, last], [0, 1, 1, 1, 2]
-    elif not layout.closed:
-        listed = layout.parts
-    corners = np.stack(same_degree(*ends), axis=2)
-    corners = corners.reshape(len(corners), -1, 2, *corners.shape[3:])[:, listed]
-    part = 3 * np.arange(layout.robots)[:, None] + kinds
-    return corners, part.ravel()[listed]
-
-
-def part_points(parts: Indices, layout: Layout) -> tuple[Indices, Indices]:
-    """Return the first and last point that each part touches; for a leg both are one."""
-    k, kind = np.divmod(parts, 3)
-    before, following = layout.starts[k], layout.ends[k]
-    return np.where(kind == 2, following, before), np.where(kind == 0, before, following)
+    layout, nodes = motion.team.layout, [motion.vertices.coefficients, motion.drones.coefficients]
+    if motion.contacts is None:
+        return concatenated(nodes, axis=1)[:, layout.part_nodes], layout.parts
+    # All hitches that are wrapped around something are closed: contacts are nodes of their edges.
+    contacts = motion.contacts.coefficients
+    first = layout.points + 2 * layout.robots + 2 * np.arange(layout.robots)[:, None]
+    routes = np.hstack([layout.routes[:, :2], first, first + 1, layout.routes[:, 2:]])
+    nodes.append(contacts.reshape(len(contacts), -1, *contacts.shape[3:]))
+    ends = np.stack([routes[:, :-1], routes[:, 1:]], axis=-1).reshape(-1, 2)
+    part = (3 * np.arange(layout.robots)[:, None] + np.array([0, 1, 1, 1, 2])).ravel()
+    return concatenated(nodes, axis=1)[:, ends], part
 
 
 def clasped_pairs(layout: Layout) -> Indices:

@@ -1,21 +1,18 @@
-"""The convex QP around given leg lengths: bodies, near pairs, and rows that keep them apart.
+"""The convex QP around given leg lengths: near pairs, and rows that keep them apart.
 
-Nodes of a hitch are its points, then the 2n drones (q0, r0, q1, …). Bodies are pairs of nodes: the
-2n drones (both nodes the same), then the taut parts of each cable k: its q-leg ``p_k q_k``, its
-edge ``p_k p_{k+1}``, its r-leg ``p_{k+1} r_k``; a leg that does not exist is no body.
+Nodes, bodies and their pairs are those of ``hitchopt.hitch.pairs``.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.geometry import differences, shortest_offset
-from hitchopt.geometry.broadphase import Boxes, close_pairs
 from hitchopt.geometry.vectors import EAST, length, unit
 from hitchopt.hitch.forces import (
     cable_slack_of,
@@ -24,100 +21,21 @@ from hitchopt.hitch.forces import (
     leg_vectors,
     sag_factors,
 )
+from hitchopt.hitch.pairs import (
+    CROSSING,
+    SEPARATION,
+    Bodies,
+    end_combinations,
+    limits_of,
+    scales_of,
+)
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.hitch.team import CLOSED, Layout, Team, layout_of
+from hitchopt.hitch.team import Team
 from hitchopt.values import Array, Indices
 
 if TYPE_CHECKING:
     import casadi as ca
     import scipy.sparse as sp
-
-SEPARATION, CABLE, CROSSING = 0, 1, 2
-"""Kinds of pairs: drone and drone, drone and cable, cable and cable."""
-
-
-@dataclass(frozen=True, eq=False)
-class Parts:
-    """The bodies of a hitch: their two nodes (bodies, 2), and the cable that each belongs to."""
-
-    layout: Layout
-    nodes: Indices
-    cable: Indices
-
-    @classmethod
-    @lru_cache(maxsize=64)
-    def of(cls, robots: int, topology: str = CLOSED) -> Parts:
-        """Return the bodies of a hitch of that many cables."""
-        layout = layout_of(robots, topology)
-        k, starts, ends = np.arange(layout.robots), layout.starts, layout.ends
-        drones = layout.points + np.arange(2 * layout.robots)
-        q, r = drones[0::2], drones[1::2]
-        parts = np.stack([starts, q, starts, ends, ends, r], axis=1).reshape(-1, 2)
-        nodes = np.concatenate([np.column_stack([drones, drones]), parts[layout.parts]])
-        return cls(layout, nodes, np.concatenate([np.repeat(k, 2), layout.parts // 3]))
-
-    def kind(self, i: Indices, j: Indices) -> Indices:
-        """Return the kind of each pair of bodies (i below j), or -1 where they are free to touch.
-
-        Free are a drone and its own legs, or its edge if it stands at its end, and parts that meet
-        at a clasp.
-        """
-        layout, drones = self.layout, 2 * self.layout.robots
-        i_drone, j_drone = i < drones, j < drones
-        edges = np.append(np.zeros(drones, np.bool_), layout.parts % 3 == 1)
-        on_leg = layout.has_leg.ravel()[np.minimum(i, drones - 1)]
-        apart = (self.cable[i] != self.cable[j]) | (edges[j] & on_leg)
-        # Only vertices are clasps.
-        (a, b) = (np.where(n < layout.points, n, -1) for n in (self.nodes[i], self.nodes[j]))
-        clasped = np.any((a[:, :, None] == b[:, None, :]) & (a[:, :, None] >= 0), axis=(1, 2))
-        kind = np.where(i_drone | clasped, -1, CROSSING)
-        kind[i_drone & ~j_drone & apart] = CABLE
-        kind[i_drone & j_drone] = SEPARATION
-        return kind
-
-    def near(
-        self, lowest: Array, highest: Array, limits: Array, cutoff: float
-    ) -> tuple[Indices, Indices, Indices, Indices]:
-        """Return (frame, body, body, kind) of all pairs whose boxes come near in a frame.
-
-        Parameters
-        ----------
-        lowest, highest: (J, bodies, 2) [m], opposite corners of the boxes in J frames.
-        limits: (3,) [m], distances by kind; pairs of a kind without one are left out.
-        cutoff: [m]
-        """
-        # A third coordinate keeps the frames apart, so that one index serves them all.
-        step = 4.0 * (cutoff + float(np.max(highest) - np.min(lowest)))
-        bodies = len(self.nodes)
-        level = np.repeat(np.arange(len(lowest)) * step, bodies)
-        corners = (np.column_stack([c.reshape(-1, 2), level]) for c in (lowest, highest))
-        pairs = close_pairs(Boxes(*corners), None, cutoff)
-        frame, i = np.divmod(pairs.first, bodies)
-        j = pairs.second % bodies
-        kind = self.kind(i, j)
-        wanted = (kind >= 0) & (limits[kind] > 0.0)
-        return frame[wanted], i[wanted], j[wanted], kind[wanted]
-
-
-def end_combinations(
-    kind: Indices, first: Indices, second: Indices
-) -> tuple[Indices, Indices, Indices]:
-    """Return (pair, node of the first, node of the second) of all ends of pairs against all.
-
-    Bodies whose ends all lie on their sides of a normal are apart by as much. Of kinds of pairs
-    (m,) and the nodes (m, 2) at the ends of their bodies; a drone's are the same.
-    """
-    found: list[tuple[Indices, Indices, Indices]] = []
-    for which, ends, other_ends in (
-        (SEPARATION, (0,), (0,)),
-        (CABLE, (0,), (0, 1)),
-        (CROSSING, (0, 1), (0, 1)),
-    ):
-        pair = np.flatnonzero(kind == which)
-        found += [(pair, first[pair, a], second[pair, b]) for a in ends for b in other_ends]
-    pairs, a, b = (np.concatenate(column) for column in zip(*found, strict=True))
-    return pairs, a, b
-
 
 SPREAD_MARGIN = 1.5
 """Distance over its limit that the leg lengths called ``spread`` keep."""
@@ -322,27 +240,27 @@ class LegBodies:
         self.count = layout.points + 2 * n
         drones = layout.points + np.arange(2 * n)
         self.drones = (self.count * np.arange(J)[:, None] + drones).reshape(-1)
-        self.limits = np.array([2.0 * keep.radius, keep.cable, keep.crossing])
-        self.scale = np.ones((3, self.dimensions))
-        self.scale[SEPARATION, 2:] = keep.radius / keep.height
+        self.limits, self.scale = limits_of(keep), scales_of(keep)[:, : self.dimensions]
         self._lay(task.reference)
         # From above nothing is farther than in space.
         ends = [self.nodes(lowest)[:, :2]]
         if highest is not lowest:
             ends.append(self.nodes(highest)[:, :2])
-        parts = Parts.of(n, task.team.topology)
+        bodies = Bodies.of(layout)
         swept = np.stack(ends).reshape(-1, J, self.count, 2)
-        corners = swept[:, :, parts.nodes].transpose(0, 3, 1, 2, 4).reshape(2 * len(ends), J, -1, 2)
+        corners = (
+            swept[:, :, bodies.nodes].transpose(0, 3, 1, 2, 4).reshape(2 * len(ends), J, -1, 2)
+        )
         # From there on a pair has its margin for certain.
         cutoff = max(task.wanted, 1.0) * float(np.max(self.limits)) * (1.0 + 1e-9)
         cutoff += SWAY if self._turns else 0.0
         boxes = np.min(corners, axis=0), np.max(corners, axis=0)
-        pairs = np.stack(parts.near(*boxes, self.limits, cutoff))
+        pairs = np.stack(bodies.near(*boxes, self.limits, cutoff))
         if task.fixed is not None:  # fixed knots cannot change
             pairs = pairs[:, ~task.fixed[pairs[0]]]
         self.frame, i, j, self.kind = pairs
-        self.first: Indices = parts.nodes[i] + self.count * self.frame[:, None]
-        self.second: Indices = parts.nodes[j] + self.count * self.frame[:, None]
+        self.first: Indices = bodies.nodes[i] + self.count * self.frame[:, None]
+        self.second: Indices = bodies.nodes[j] + self.count * self.frame[:, None]
 
     def _lay(self, d: Array) -> None:
         """Set the lines that drones slide on, as of legs of length d (J, n) [m]."""

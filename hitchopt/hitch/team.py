@@ -65,10 +65,26 @@ class Layout:
         return self.points == self.robots
 
     @cached_property
+    def routes(self) -> Indices:
+        """(n, 4): nodes that each cable runs over; nodes are the points, then drones q0, r0, …."""
+        q, r = self.points + np.arange(2 * self.robots).reshape(-1, 2).T
+        return np.column_stack([q, self.starts, self.ends, r])
+
+    @cached_property
+    def exists(self) -> NDArray[np.bool_]:
+        """(n, 3): whether cables have a q-leg, an edge and an r-leg, between their nodes."""
+        return np.insert(self.has_leg, 1, True, axis=1)
+
+    @cached_property
     def parts(self) -> Indices:
         """(parts,): taut cable parts ``3 k + type``, type 0 a q-leg, 1 an edge, 2 an r-leg."""
-        exists = np.insert(self.has_leg, 1, True, axis=1)
-        return np.flatnonzero(exists)
+        return np.flatnonzero(self.exists)
+
+    @cached_property
+    def part_nodes(self) -> Indices:
+        """(parts, 2): nodes at the ends of taut cable parts."""
+        k, kind = np.divmod(self.parts, 3)
+        return np.stack([self.routes[k, kind], self.routes[k, kind + 1]], axis=1)
 
     def edges(self, points: Array, axis: int = -2) -> Array:
         """Return the edge vectors: points (…, points, d) to (…, n, d), along ``axis``."""

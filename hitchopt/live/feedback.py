@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike
 from hitchopt.checks.spans import positions
 from hitchopt.errors import InputError, OneLine, UnsupportedError
 from hitchopt.geometry.vectors import differences, shortest_offset
-from hitchopt.hitch.leg_program import SEPARATION, Parts, end_combinations
+from hitchopt.hitch.pairs import SEPARATION, Bodies, end_combinations, limits_of, scales_of
 from hitchopt.live.player import Sampler, Setpoints
 from hitchopt.motion.motion import HITCHED_STATE, Motion
 from hitchopt.statics.settle import conditions_of, energy_of, samples_of
@@ -332,23 +332,24 @@ def cells_of(motion: Motion, reserve: float, stiffness: Array) -> tuple[Array, l
 
 
 class _Distances:
-    """The distances that the certificate keeps while the hitch holds, of pairs as in ``Parts``."""
+    """The distances that the certificate keeps while the hitch holds, of pairs as in ``Bodies``."""
 
     def __init__(self, motion: Motion, reserve: float) -> None:
         layout, need = motion.team.layout, motion.requirements
-        parts = Parts.of(motion.team.robots, motion.team.topology)
-        i, j = np.triu_indices(len(parts.nodes), 1)
-        kind = parts.kind(i, j)
+        bodies = Bodies.of(layout)
+        i, j = np.triu_indices(len(bodies.nodes), 1)
+        kind = bodies.kind(i, j)
         i, j, kind = i[kind >= 0], j[kind >= 0], kind[kind >= 0]
         legs = np.flatnonzero(layout.has_leg)  # pairs of a drone and a point as well
         ends = [np.stack([x, x], axis=1) for x in (legs + layout.points, layout.anchors[legs])]
-        first = np.concatenate([parts.nodes[i], ends[0]])
-        second = np.concatenate([parts.nodes[j], ends[1]])
-        limits = np.array([1.0, need.separation.cable, need.separation.crossing])
+        first = np.concatenate([bodies.nodes[i], ends[0]])
+        second = np.concatenate([bodies.nodes[j], ends[1]])
         self._scale = np.ones((len(first), 3))
-        self._scale[: len(kind)][kind == SEPARATION] = need.separation.scale
+        self._scale[: len(kind)] = scales_of(need.separation)[kind]
         kinds = np.append(kind, np.full(len(legs), SEPARATION))
-        self._limit = np.append(limits[kind], np.full(len(legs), need.limits.leg))
+        self._limit = np.append(
+            limits_of(need.separation)[kind], np.full(len(legs), need.limits.leg)
+        )
         self._first, self._second, self._reserve = first, second, reserve
         self._nodes = end_combinations(kinds, first, second)
         self._points, self._arena = layout.points, need.arena

@@ -237,13 +237,12 @@ def samples_of(
 
 def energy_of(team: Team, known: Mapping[str, Any], samples: Mapping[str, Array]) -> HitchEnergy:
     """Return the energy of samples, see ``samples_of``."""
-    layout, cables = team.layout, np.arange(team.robots)
+    layout = team.layout
     clasps = team.drones + np.arange(len(layout.clasps))
     points = np.zeros(layout.points, dtype=np.intp)
     points[-1] = team.drones - 1  # a chain's ends are its outer drones, nodes 0 and this
     points[layout.clasps] = clasps
-    ends = points[layout.starts], points[layout.ends]
-    nodes = np.column_stack([2 * cables, *ends, 2 * cables + 1])
+    nodes = np.append(points, np.arange(team.drones))[layout.routes]
     drones, vertices = samples["positions"], samples["vertices"][:, layout.clasps]
     at = np.concatenate([drones, vertices], axis=1)[:, nodes]
     weight = GRAVITY * float(known["cable_density"])
@@ -256,7 +255,7 @@ def energy_of(team: Team, known: Mapping[str, Any], samples: Mapping[str, Array]
     free[: team.drones] = ~held
     return HitchEnergy(
         nodes,
-        exist=np.insert(layout.has_leg, 1, True, axis=1),
+        exist=layout.exists,
         points=points,
         free=free,
         start=np.concatenate([drones + samples["offsets"], vertices], axis=1),

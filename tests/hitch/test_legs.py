@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from hitchopt import Arena, Hitch, InputError, Limits, Separation, Team
 from hitchopt.geometry import regular_polygon
-from hitchopt.hitch.leg_program import CABLE, CROSSING, SEPARATION, Parts
+from hitchopt.hitch.pairs import CABLE, CROSSING, SEPARATION, Bodies
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.steps.certified_motions import split_hitch
 from hitchopt.steps.step import RolledLegs, slack_split
@@ -118,7 +118,7 @@ def test_kinds_of_pairs_are_those_of_the_definition(n: int) -> None:
         after = (k + 1) % n
         bodies += [("q-leg", k, {k}), ("edge", k, {k, after}), ("r-leg", k, {after})]
     i, j = np.triu_indices(len(bodies), 1)
-    for a, b, kind in zip(i, j, Parts.of(n).kind(i, j), strict=True):
+    for a, b, kind in zip(i, j, Bodies.of(Team(n, 2.0).layout).kind(i, j), strict=True):
         (first, k, clasps), (second, m, others) = bodies[a], bodies[b]
         wanted = CROSSING if not clasps & others else -1
         if first in "qr":

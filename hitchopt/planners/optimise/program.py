@@ -25,9 +25,10 @@ from hitchopt.errors import check_time, time_left
 from hitchopt.geometry import ConvexPolygon, differences, shortest_offset
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import GRAVITY
-from hitchopt.hitch.leg_program import SEPARATION, Parts, end_combinations
 from hitchopt.hitch.model import planar
+from hitchopt.hitch.pairs import SEPARATION, Bodies, end_combinations, limits_of
 from hitchopt.hitch.requirements import Separation
+from hitchopt.hitch.team import CLOSED, layout_of
 from hitchopt.planners.optimise.knots import KnotPath, Search, SolverStep, variable_bounds
 from hitchopt.values import Array, Indices
 
@@ -230,16 +231,15 @@ class NearPairs(NamedTuple):
 
 def _near_pairs(nodes: Array, separation: Separation, margins: Array, reach: Array) -> NearPairs:
     """Return the pairs of nodes (K, 3n, 2) [m] within ``reach`` (K,) [m] of margins (K,)."""
-    parts = Parts.of(nodes.shape[1] // 3)
-    limits = np.array([2.0 * separation.radius, separation.cable, separation.crossing])
-    corners = nodes[:, parts.nodes]
+    bodies, limits = Bodies.of(layout_of(nodes.shape[1] // 3, CLOSED)), limits_of(separation)
+    corners = nodes[:, bodies.nodes]
     cutoff = float(np.max(limits * np.max(margins)) + np.max(reach))
-    frame, i, j, kind = parts.near(corners.min(axis=2), corners.max(axis=2), limits, cutoff)
-    one, other = (nodes[frame[:, None], parts.nodes[body]] for body in (i, j))
+    frame, i, j, kind = bodies.near(corners.min(axis=2), corners.max(axis=2), limits, cutoff)
+    one, other = (nodes[frame[:, None], bodies.nodes[body]] for body in (i, j))
     offset = shortest_offset(differences(one, other))
     normal = unit(offset, unit((one - other).mean(axis=1)), 1e-6)
     enforced = limits[kind] * margins[frame]
-    found = NearPairs(frame, parts.nodes[i], parts.nodes[j], kind, normal, enforced)
+    found = NearPairs(frame, bodies.nodes[i], bodies.nodes[j], kind, normal, enforced)
     return found.chosen(length(offset) < enforced + reach[frame])
 
 
