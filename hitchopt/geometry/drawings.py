@@ -2,8 +2,8 @@
 
 A drawing that states its unit is converted to metres; other numbers are metres. What is not drawn,
 as on layers that are off, is left out. Curves are flattened to chords. Lines that meet are joined
-to closed outlines; holes are left out, and so are sheets of paper around what is drawn on them. Of
-several outlines apart from each other the convex hull is taken. Notes say so, with sizes.
+to closed outlines; holes are left out. Of several outlines apart from each other the convex hull is
+taken. Notes say so, with sizes.
 """
 
 from __future__ import annotations
@@ -53,18 +53,8 @@ LARGEST = 20.0
 INCH, PIXELS = 0.0254, 96.0
 """[m] An inch, and pixels on it, by CSS: lengths with units in SVG are converted to pixels."""
 
-SHEETS = np.array(
-    [[0.841 * 2**0.5, 0.841], [0.841, 0.594], [0.594, 0.420], [0.420, 0.297], [0.297, 0.210]]
-    + [[0.210, 0.148], [0.2794, 0.2159], [0.3556, 0.2159], [0.4318, 0.2794], [0.5588, 0.4318]]
-    + [[0.8636, 0.5588], [1.1176, 0.8636]]
-)
-"""[m] Sheets of paper: A0 to A5, letter, legal, and B to E of ANSI."""
-
-SCALES = np.array([0.1, 0.2, 0.5, 1.0, 2.0, 2.5, 5.0, 10.0, 20.0, 50.0])
-"""Sizes of sheets in a drawing over those of paper, where the part is drawn in its own size."""
-
-SAME_SIZE, MARGIN = 5e-4, 0.12
-"""Shares of a sheet that its size may differ by, and that a frame may be within its edge."""
+SAME_SIZE = 5e-4
+"""Largest share of its box that a rectangle along the axes leaves out."""
 
 LENGTH = re.compile(
     r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)\s*(mm|cm|in|pt|pc|px|%|)\s*", re.I
@@ -279,7 +269,8 @@ def _joined(lines: Lines, name: str, notes: list[str]) -> Drawing:
     strings += list(_bridges(strings, near))
     faces, ends = _faces(strings)
     _refuse_gaps(strings, faces, ends, name, notes)
-    outlines = _unframed(_geometries(shapely.unary_union(faces)), faces, name, notes)
+    outlines = _geometries(shapely.unary_union(faces))
+    _note_holes(outlines, faces, notes)
     whole = shapely.unary_union(outlines)
     hull = whole.convex_hull
     one = len(outlines) == 1
@@ -355,61 +346,18 @@ def _length(pair: Array) -> float:
     return float(np.hypot(*(pair[1] - pair[0])))
 
 
-def _unframed(outlines: list[Any], faces: Sequence[Any], name: str, notes: list[str]) -> list[Any]:
-    """Return the outlines that are drawn on a sheet, without it; note it, and what is within."""
+def _note_holes(outlines: Sequence[Any], faces: Sequence[Any], notes: list[str]) -> None:
+    """Note the largest rings within a single outline, which may be a part on a sheet of paper."""
     shapely = _library("shapely")
     rings = [shapely.Polygon(ring) for face in faces for ring in face.interiors]
-    sheets: list[Any] = []
-    while len(outlines) == 1 and (inner := _inside(outlines[0], rings)):
-        if not _is_sheet(outlines[0], sheets):
-            question = "; if it is a page or a frame around the part, hide it"
-            question = question if _is_box(outlines[0]) else ""
-            notes.append(f"left out as holes within it: {_sizes(inner)}{question}")
-            break
-        sheets += outlines
-        outlines = [each for each in inner if not _is_table(each, faces)] or inner
-    if sheets:
-        notes.append(f"a sheet of paper around it, {_sizes(sheets)}, is left out")
-    if sheets and len(outlines) > 1:
-        bound = f"one outline on a sheet of {_sizes(sheets[:1])}, not {_sizes(outlines)}"
-        raise InputError("outline", name, bound, "hide or delete the others, or the sheet")
-    return outlines
-
-
-def _inside(outline: Any, rings: Sequence[Any]) -> list[Any]:
-    """Return the rings within an outline that are in no other of them, the largest first."""
     inner: list[Any] = []
     for ring in sorted(rings, key=lambda ring: -ring.area):
-        if outline.contains(ring) and ring.area < outline.area:
-            inner += [] if any(other.contains(ring) for other in inner) else [ring]
-    return inner
-
-
-def _is_box(polygon: Any) -> bool:
-    """Return whether a polygon is a rectangle along the axes."""
-    return bool(polygon.area > (1.0 - SAME_SIZE) * polygon.envelope.area)
-
-
-def _is_sheet(polygon: Any, around: Sequence[Any]) -> bool:
-    """Return whether a polygon is as large as a sheet of paper, or a frame within one."""
-    left, low, right, high = polygon.bounds
-    size = np.sort([high - low, right - left])[::-1]
-    sheets = SHEETS * SCALES[:, None, None]
-    if around:
-        margins = np.abs(np.array(polygon.bounds) - around[-1].bounds)
-        alike = np.abs(margins - np.median(margins)) < SAME_SIZE * size[0]
-        framed = np.max(margins) < MARGIN * size[1] and np.sum(alike) > 2
-    else:
-        framed = False
-    return _is_box(polygon) and bool(
-        framed or np.any(np.all(np.abs(size - sheets) < SAME_SIZE * sheets, axis=-1))
-    )
-
-
-def _is_table(outline: Any, faces: Sequence[Any]) -> bool:
-    """Return whether an outline is that of a table of rectangles, as a title block is."""
-    cells = [face for face in faces if outline.covers(face)]
-    return len(cells) > 2 and all(map(_is_box, cells))
+        if not any(other.contains(ring) for other in inner):
+            inner.append(ring)
+    if len(outlines) == 1 and inner:
+        box = outlines[0].area > (1.0 - SAME_SIZE) * outlines[0].envelope.area
+        question = "; if it is a page or a frame around the part, hide it" if box else ""
+        notes.append(f"left out as holes within it: {_sizes(inner)}{question}")
 
 
 def _sizes(outlines: Sequence[Any]) -> str:

@@ -120,47 +120,11 @@ def test_dxf_of_other_locales_and_of_no_unit(tmp_path: Path) -> None:
         read_drawing(path)
 
 
-def sheet(space: Any, *, title: bool, layer: str = "0") -> None:
-    """Draw A3 with a frame, and a title block on it or apart from it."""
-    part = {"layer": layer}
-    for low, high in (((0, 0), (420, 297)), ((20, 10), (410, 287))):
-        box = [low, (high[0], low[1]), high, (low[0], high[1])]
-        space.add_lwpolyline(box, close=True, dxfattribs=part)
-    edge = 10 if title else 15
-    for k in range(4):
-        space.add_line((240, edge + 8 * k), (395, edge + 8 * k), dxfattribs=part)
-    for x in (240, 300, 395):
-        space.add_line((x, edge), (x, edge + 24), dxfattribs=part)
-
-
 PART = [(60, 90), (260, 90), (260, 190), (200, 210), (60, 190)]  # 200 x 120
 HOLE = [(100, 120), (120, 120), (110, 150)]
 
 
-@pytest.mark.parametrize("scale", [1, 5])
-@pytest.mark.parametrize("title", [True, False])
-def test_sheets_frames_and_title_blocks_are_told_from_the_part(
-    title: bool, scale: int, tmp_path: Path
-) -> None:
-    ezdxf, path = import_module("ezdxf"), tmp_path / "a.dxf"
-    drawing = ezdxf.new(units=4)
-    block = drawing.blocks.new("all")
-    sheet(block, title=title)
-    for ring in (PART, HOLE):
-        block.add_lwpolyline(ring, close=True)
-    drawing.modelspace().add_blockref("all", (7, -3), dxfattribs={"xscale": scale, "yscale": scale})
-    drawing.saveas(path)
-    found, size = read_drawing(path), np.array([200, 120]) * scale / 1e3
-    assert size_and_area(found.outline)[:2] == pytest.approx(tuple(size), rel=1e-4)
-    assert f"{0.42 * scale:g} x {0.297 * scale:g} m, {0.39 * scale:g} x" in found.notes[1]
-    assert "left out as holes within it: 0" in found.notes[0]
-    block.add_lwpolyline([(x + 210, y) for x, y in HOLE], close=True)
-    drawing.saveas(path)
-    with pytest.raises(ho.InputError, match=r"one outline on a sheet of .* not .*0\.\d+ x"):
-        read_drawing(path)
-
-
-def test_plates_with_holes_are_no_sheets_but_say_what_is_within(tmp_path: Path) -> None:
+def test_holes_are_left_out_and_noted_with_their_sizes(tmp_path: Path) -> None:
     path = tmp_path / "a.svg"
     shape = '<rect width="4" height="2.9"/><circle cx="1" cy="1" r="0.5"/>'
     shape += '<circle cx="3" cy="1" r="0.1"/>'
