@@ -63,7 +63,7 @@ MUTATIONS = (
     Mutation("spans.py", "PiecewisePolynomial.differentiated, order)", "PiecewisePolynomial.differentiated, 1)", "triangle", "every derivative is the first"),
     Mutation("drones.py", "has_leg.ravel()[spans.item]", "has_leg.ravel()[spans.item] & (spans.item < 1)", "triangle", "legs but the first missed"),
     Mutation("cables.py", "(1.0 / 24.0)", "(1.0 / 12.0)", "weight_hexagon", "a factor of the sag"),
-    Mutation("cables.py", "found - self.scaled(saved)", "found + self.scaled(saved)", "carry_box", "sign of what rims save"),
+    Mutation("cables.py", "length - self.scaled(saved)", "length + self.scaled(saved)", "carry_box", "sign of what rims save"),
     Mutation("objects.py", "width, sides = 2.0 * rows", "width, sides = 2.2 * rows", "grip_drum", "radius of arcs"),
     Mutation("cables.py", "drones[:, 1::2] - drones[:, 0::2]", "0.9 * (drones[:, 1::2] - drones[:, 0::2])", "form_triangle", "a factor of spans"),
     Mutation("clasps.py", "ahead.cross(behind)", "behind.cross(ahead)", "triangle", "sense of turning"),

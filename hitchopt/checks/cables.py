@@ -65,21 +65,21 @@ class Cables(MotionSpans):
     def parts(self) -> list[Enclosed]:
         """The q-leg, the r-leg and the edge, or its straight parts on both sides of an arc."""
         legs, edges = leg_vectors(self.source), bent_edges(self.source)
-        found = [self.scaled(legs, 2 * self.item + end, self.noise) for end in (0, 1)]
+        straight_parts = [self.scaled(legs, 2 * self.item + end, self.noise) for end in (0, 1)]
         straight = edges[:1] if self.source.contacts is None else edges
-        return found + [self.scaled(edge, noise=self.noise) for edge in straight]
+        return straight_parts + [self.scaled(edge, noise=self.noise) for edge in straight]
 
     @cached_property
     def excess(self) -> Enclosed:
         """Excess of the length of legs and edge over the cable's."""
-        found = self.parts[0].norm + self.parts[1].norm
+        length = self.parts[0].norm + self.parts[1].norm
         for part in self.parts[2:]:
-            found = found + part.norm
+            length = length + part.norm
         if self.source.contacts is not None:
             arcs = self.read(wrapped_arcs(self.source))
-            found = found + arc_lengths(arcs * self.scale[..., None])
+            length = length + arc_lengths(arcs * self.scale[..., None])
         saved = cached_value(self.source, saved_lengths)
-        return found - 1.0 if saved is None else found - self.scaled(saved) - 1.0
+        return length - 1.0 if saved is None else length - self.scaled(saved) - 1.0
 
     @cached_property
     def sag(self) -> Enclosed:
@@ -89,12 +89,12 @@ class Cables(MotionSpans):
         """
         q, r, *edges = self.parts
         edge = edges[0] if len(edges) == 1 else edges[0] + edges[1]
-        found = q.norm * q.level.dot(q.level) + r.norm * r.level.dot(r.level)
+        sagging = q.norm * q.level.dot(q.level) + r.norm * r.level.dot(r.level)
         for part in edges:
-            found = found + part.norm * edge.level.dot(edge.level)
+            sagging = sagging + part.norm * edge.level.dot(edge.level)
         weight, tension = self.scalars(edge_sags(self.source))
         ratio = (weight * tension.inverse).reduced(RATIO_ORDER) * (2.0 / self.scale)
-        return found * (ratio * ratio) * (1.0 / 24.0)
+        return sagging * (ratio * ratio) * (1.0 / 24.0)
 
 
 def _length_error(spans: Cables) -> Bound:
@@ -187,9 +187,9 @@ def slips(spans: Slides) -> Bound:
 
 def beyond_friction(motion: Motion) -> WorstCase:
     """Return the largest excess of a leg's pull over friction's range, relative to the tension."""
-    found = worst(Slides.of(motion), slips, "max")
-    point = motion.team.layout.anchors[found.item]
-    return WorstCase(found.worst, found.time, (f"p{point}",))
+    largest = worst(Slides.of(motion), slips, "max")
+    point = motion.team.layout.anchors[largest.item]
+    return WorstCase(largest.worst, largest.time, (f"p{point}",))
 
 
 def _find(motion: Motion, _: float) -> WorstCase:
@@ -199,17 +199,17 @@ def _find(motion: Motion, _: float) -> WorstCase:
     phase states, and on a ramp from 0 to the team's; legs within friction's range of it. Without a
     hitch tensions and pulls count as 0, whatever the plan states.
     """
-    found = [_jump_of_pulls(motion), _jump_of_thrusts(motion)]
+    cases = [_jump_of_pulls(motion), _jump_of_thrusts(motion)]
     if np.any(motion.formed):
         ranges = np.moveaxis(stated_tensions(motion), -1, 0)
         if not np.all(motion.formed):  # ramps are next to spans without a hitch
             ranges[0] = np.where(_ramps(motion), 0.0, ranges[0])
-        found += [_outside(motion, Cables, motion.tensions.coefficients, ranges)]
-        found += [_off_at_ends(motion)]
+        cases += [_outside(motion, Cables, motion.tensions.coefficients, ranges)]
+        cases += [_off_at_ends(motion)]
         if motion.leg_tensions is not None:
             twice = np.repeat(ranges, 2, axis=2)
-            found += [_outside(motion, Slides, motion.pulls.coefficients, twice)]
-    return max(found, key=lambda each: each.worst)
+            cases += [_outside(motion, Slides, motion.pulls.coefficients, twice)]
+    return max(cases, key=lambda each: each.worst)
 
 
 def _jump_of_pulls(motion: Motion) -> WorstCase:
@@ -260,9 +260,9 @@ def _outside(
 
     spans: Iterator[MotionSpans]
     spans = over.all_of(motion, motion.drones.breaks, pulls.shape[1], motion.formed)
-    found = worst(spans, beyond, "max")
-    where = (over.names(motion)[found.item],) if found.worst > 0.0 else ()
-    return WorstCase(found.worst, found.time, where)
+    largest = worst(spans, beyond, "max")
+    where = (over.names(motion)[largest.item],) if largest.worst > 0.0 else ()
+    return WorstCase(largest.worst, largest.time, where)
 
 
 def _off_at_ends(motion: Motion) -> WorstCase:
@@ -295,15 +295,15 @@ def _ramps(motion: Motion) -> Mask:
         )
     ends = motion.tensions.coefficients[..., [0, -1]]
     low = motion.team.tension[:, None] - ends > TENSION_LIMIT
-    found = np.zeros(low.shape[:2], dtype=np.bool_)
+    ramps = np.zeros(low.shape[:2], dtype=np.bool_)
     for flip in (slice(None), slice(None, None, -1)):  # forward in time, and backward
         rests, lows = resting[flip], low[flip, :, flip]
         for first in (np.flatnonzero(rests[1:] & free[flip][:-1]) + 1).tolist():
             run = slice(first, first + int(np.argmin(np.append(rests[first:], False))))
             rising = np.logical_and.accumulate(lows[run, :, 0], axis=0)
             reached = np.any(rising & ~lows[run, :, 1], axis=0)
-            found[flip][run] |= rising & reached
-    return found
+            ramps[flip][run] |= rising & reached
+    return ramps
 
 
 JUMPS_AND_RANGES = Evaluator(

@@ -66,7 +66,7 @@ def clasp_sizes(motion: Motion) -> dict[str, Array]:
     team, cables, taut = motion.team, both_cables(motion), tautness(motion)
     half, loads = 0.5 * GRAVITY * team.cable_density, object_loads(motion)
     own = 0.5 * GRAVITY * team.load[:, None] + half * team.cable_length[cables]
-    found = {
+    tables = {
         "legs": leg_tensions(motion)[:, 2 * cables + OWN],
         "edges": edge_tensions(motion)[:, cables],
         "leg_halves": half * taut[:, cables],
@@ -74,9 +74,9 @@ def clasp_sizes(motion: Motion) -> dict[str, Array]:
         "weights": own[..., None] * taut[:, cables],
         "loads": np.zeros((len(taut), len(cables), 3, 1)) if loads is None else loads,
     }
-    rows = [row for table in found.values() for row in np.moveaxis(table, 2, 0)]
+    rows = [row for table in tables.values() for row in np.moveaxis(table, 2, 0)]
     left = iter(without_shared_zeros(rows))
-    each = {name: [next(left) for _ in range(found[name].shape[2])] for name in found}
+    each = {name: [next(left) for _ in range(tables[name].shape[2])] for name in tables}
     return {name: np.stack(same_degree(*rows), axis=2) for name, rows in each.items()}
 
 
@@ -111,7 +111,7 @@ class Clasps(MotionSpans):
         return Enclosed(self.read(clasp_sizes(self.source)[name])[..., None, :])
 
     @cached_property
-    def ways(self) -> tuple[Enclosed, Enclosed]:
+    def chords(self) -> tuple[Enclosed, Enclosed]:
         """Chords of legs and of edges, from the clasp [m]."""
         leaving, arriving = bent_edges(self.source)
         ahead, behind = self.cables.T
@@ -129,7 +129,7 @@ class Clasps(MotionSpans):
     @cached_property
     def along(self) -> tuple[Enclosed, Enclosed]:
         """Directions of legs, q̂_k and r̂_{k-1}, and of edges, u_k and -u_{k-1}."""
-        return self.ways[0].direction, self.ways[1].direction
+        return self.chords[0].direction, self.chords[1].direction
 
     @cached_property
     def pulls(self) -> tuple[Enclosed, Enclosed]:
@@ -137,7 +137,7 @@ class Clasps(MotionSpans):
 
         An edge wrapped around an object counts whole: its cable's length less the legs.
         """
-        (leg, edge), team = self.ways, self.source.team
+        (leg, edge), team = self.chords, self.source.team
         if team.cable_density == 0.0:
             return self.size("legs"), self.size("edges")
         squared = edge.level.dot(edge.level)
@@ -176,10 +176,10 @@ class Clasps(MotionSpans):
     @cached_property
     def residual(self) -> Enclosed:
         """``P_q q̂_k + P_k u_k + P_r r̂_{k-1} - P_{k-1} u_{k-1} - W_k ẑ`` and loads of objects."""
-        found = self.forces.sum()
+        force = self.forces.sum()
         if self.weighed(self.source):
-            found = found - self.carried.sum().upward() + self.pressed
-        return found
+            force = force - self.carried.sum().upward() + self.pressed
+        return force
 
     @cached_property
     def contact(self) -> Enclosed:
@@ -217,11 +217,11 @@ def _over(force: Enclosed, spans: Clasps) -> Bound:
 
 def _balance(spans: Clasps) -> Bound:
     """Return the size of the residual over the smaller tension, infinite where a clasp is open."""
-    found, lifted = _over(spans.residual, spans), _lifted(spans)
+    residual, lifted = _over(spans.residual, spans), _lifted(spans)
     if spans.weighed(spans.source):
         lifted = largest_of([lifted, _rolled(spans)])
     shut = lifted.value < 0.0
-    return Bound(np.where(shut, found.value, np.inf), np.where(shut, found.x, lifted.x))
+    return Bound(np.where(shut, residual.value, np.inf), np.where(shut, residual.x, lifted.x))
 
 
 def _lifted(spans: Clasps) -> Bound:
@@ -232,14 +232,14 @@ def _lifted(spans: Clasps) -> Bound:
     two. Unloaded, each is ``-2 T cos²(φ/2) cos²(ψ/2)`` of a roll ψ and an exterior angle φ: what it
     is at ROLLED is added, so a clasp counts as open from there on.
     """
-    legs, edges = (way.reduced(ROUGH_ORDER) for way in spans.along)
-    ways = [legs, edges] if spans.source.leg_tensions is None else [(legs + edges) * 0.5]
-    products = [spans.contact.reduced(ROUGH_ORDER).dot(way) for way in ways]
+    legs, edges = (each.reduced(ROUGH_ORDER) for each in spans.along)
+    directions = [legs, edges] if spans.source.leg_tensions is None else [(legs + edges) * 0.5]
+    products = [spans.contact.reduced(ROUGH_ORDER).dot(each) for each in directions]
     most = [np.max(each.c + np.asarray(each.r)[..., None, None], axis=1) for each in products]
     share = math.cos(math.radians(0.5 * ROLLED)) ** 2
     margin = 0.5 * share * (chosen(edges, 0) - chosen(edges, 1)).norm_above.value ** 2
-    found = _over(Enclosed(np.maximum(most[0], most[-1])), spans)
-    return Bound(found.value + margin, found.x)
+    largest = _over(Enclosed(np.maximum(most[0], most[-1])), spans)
+    return Bound(largest.value + margin, largest.x)
 
 
 def _rolled(spans: Clasps) -> Bound:
@@ -267,21 +267,21 @@ def _find(motion: Motion, limit: float) -> WorstCase:
     the other, and the residual is infinite.
     """
     names = Clasps.names(motion)
-    found = worst(Clasps.of(motion), _balance, "max", target=within(limit, "max"))
-    words = _opened(motion, found) if math.isinf(found.value) else ()
-    where = (names[found.item], *words)
-    each = [WorstCase(found.worst, found.time, where), unbalanced(motion)]
+    largest = worst(Clasps.of(motion), _balance, "max", target=within(limit, "max"))
+    words = _opened(motion, largest) if math.isinf(largest.value) else ()
+    where = (names[largest.item], *words)
+    each = [WorstCase(largest.worst, largest.time, where), unbalanced(motion)]
     if motion.leg_tensions is not None:
         each.append(beyond_friction(motion))
     return max(each, key=lambda case: case.worst)
 
 
-def _opened(motion: Motion, found: Extremum) -> tuple[str, ...]:
+def _opened(motion: Motion, at: Extremum) -> tuple[str, ...]:
     """Return that a clasp is open, with the roll of its pair, if its forces balance otherwise."""
     breaks = motion.drones.breaks
-    piece = max(0, int(np.searchsorted(breaks, found.time)) - 1)
-    share = (found.time - breaks[piece]) / motion.drones.durations[piece]
-    point = Clasps(motion, breaks, np.array([piece]), np.array([found.item])).at(np.array([share]))
+    piece = max(0, int(np.searchsorted(breaks, at.time)) - 1)
+    share = (at.time - breaks[piece]) / motion.drones.durations[piece]
+    point = Clasps(motion, breaks, np.array([piece]), np.array([at.item])).at(np.array([share]))
     with np.errstate(all="ignore"):
         open_ = math.isfinite(_over(point.residual, point).value[0])
         return (f"open at a roll of {point.rolls()[0]:.0f}°",) if open_ else ()
@@ -351,17 +351,17 @@ def _turns(motion: Motion, _: float) -> WorstCase:
     If negative, it is 360° less all turning at the start: of a polygon that winds around its inside
     more than once, or of a chain, whose ends ``where`` names.
     """
-    found, start = worst(Corners.of(motion), _exterior, "min"), motion.vertices.breaks[0]
+    smallest, start = worst(Corners.of(motion), _exterior, "min"), motion.vertices.breaks[0]
     layout, points = motion.team.layout, motion.team.point_names
     clasps, ends = np.arange(len(layout.clasps)), () if layout.closed else (points[0], points[-1])
-    where = (points[layout.clasps[found.item]],) if found.item < len(clasps) else ends
+    where = (points[layout.clasps[smallest.item]],) if smallest.item < len(clasps) else ends
     behind, ahead = np.moveaxis(_corners(motion)[0, clasps, :, :, 0], 1, 0)
     right = behind[:, 1] * ahead[:, 0] - behind[:, 0] * ahead[:, 1]
     room = 360.0 - float(np.sum(np.degrees(np.arctan2(right, np.sum(behind * ahead, axis=-1)))))
-    lowest = max(found.worst, BACKWARD)
+    lowest = max(smallest.worst, BACKWARD)
     if lowest > BACKWARD and room < min(lowest, -TURN):
         return WorstCase(room, float(start), ends)
-    return WorstCase(lowest, found.time, where)
+    return WorstCase(lowest, smallest.time, where)
 
 
 CONVEXITY = CheckRule(

@@ -291,15 +291,15 @@ def hung_gap(spans: PairSpans, shape: Shape | None = None) -> Bound:
     along = shape.towards(np.stack([here[:, :-1], here[:, 1:]], axis=2))
     first, last = (np.einsum("sld,sldi->sli", along, c) for c in (apart[:, :-1], apart[:, 1:]))
     least = np.minimum(first, last) - (off + shape.support(along))[..., None]
-    found = Enclosed(np.min(least, axis=1, keepdims=True), spans.source.margin).below
-    return Bound(np.maximum(found.value, 0.0), found.x)
+    lower = Enclosed(np.min(least, axis=1, keepdims=True), spans.source.margin).below
+    return Bound(np.maximum(lower.value, 0.0), lower.x)
 
 
 def above_ground(motion: Motion) -> bool:
     """Return whether cables, if all hung free, would keep ``separation.cable`` off the ground."""
     limit = motion.requirements.separation.cable
-    found = nearest(lambda motion: [cables_and_ground(motion)])(motion, limit)
-    return found.worst >= within(limit, "min", found.size)
+    closest = nearest(lambda motion: [cables_and_ground(motion)])(motion, limit)
+    return closest.worst >= within(limit, "min", closest.size)
 
 
 def moved_by(motion: Motion) -> Callable[[float], float]:
@@ -320,8 +320,8 @@ CONTACT = 2e-5  # [m] Cables that hold an object enter it if they come closer to
 
 def entering(spans: PairSpans) -> Bound:
     """Return zero where bodies come closer than CONTACT, else infinity."""
-    found = gap(spans)
-    return Bound(np.where(found.value < CONTACT, 0.0, np.inf), found.x)
+    distances = gap(spans)
+    return Bound(np.where(distances.value < CONTACT, 0.0, np.inf), distances.x)
 
 
 def _past_taut(motion: Motion) -> Iterator[Moving]:
@@ -558,7 +558,7 @@ def _parts_room(spans: Parts) -> Bound:
 
 def _held_room(motion: Motion, _: float) -> WorstCase:
     """Return the smallest distance of a held object to a wall or the ceiling [m]."""
-    found = [WorstCase(math.inf, 0.0)]
+    cases = [WorstCase(math.inf, 0.0)]
     for name, body, pose in _placed(motion):
         held = held_pieces(motion, name, HoldBy.REST) | held_pieces(motion, name, HoldBy.GRIP)
         for slab in body.slabs:
@@ -570,8 +570,8 @@ def _held_room(motion: Motion, _: float) -> WorstCase:
 
             spans = MotionSpans.all_of(motion, motion.drones.breaks, 1, held)
             least = worst(spans, room, "min")
-            found.append(WorstCase(least.worst, least.time, (name,)))
-    return min(found, key=lambda each: each.worst)
+            cases.append(WorstCase(least.worst, least.time, (name,)))
+    return min(cases, key=lambda each: each.worst)
 
 
 ARENA = CheckRule(

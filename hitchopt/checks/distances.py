@@ -113,17 +113,17 @@ def distance(a: Array, b: Array, shape: Shape = ORIGIN) -> Bound:
     along -= bernstein.elevate(shape.support(np.moveaxis(n, -1, 1)), order)
     sizes = 0.5 + 0.5 * np.maximum(bernstein.elevate(bernstein.dot(n, n), order), 0.0)
     least = np.maximum(along / sizes, 0.0)
-    found = np.min(least, axis=-1)
+    lower = np.min(least, axis=-1)
     # If places tie, as of bodies that come to rest, an end is reported.
-    start, end = (least[:, i] <= found * (1.0 + TIE) for i in (0, -1))
+    start, end = (least[:, i] <= lower * (1.0 + TIE) for i in (0, -1))
     inside = np.argmin(least, axis=-1) / order
-    return Bound(found, np.where(start, 0.0, np.where(end, 1.0, inside)))
+    return Bound(lower, np.where(start, 0.0, np.where(end, 1.0, inside)))
 
 
 def gap(spans: PairSpans) -> Bound:
     """Return the distances of the bodies [m], zero where they meet."""
-    found = distance(*spans.ends, spans.source.shape)
-    return Bound(np.maximum(found.value - spans.source.margin, 0.0), found.x)
+    apart = distance(*spans.ends, spans.source.shape)
+    return Bound(np.maximum(apart.value - spans.source.margin, 0.0), apart.x)
 
 
 @dataclass(frozen=True, eq=False)
@@ -339,14 +339,14 @@ def nearest(cases: Callable[[Motion], Iterable[Moving]]) -> Callable[[Motion, fl
         for moving in cases(motion):
             tolerance = moving.tolerance
             if tolerance is None:
-                found = smallest(moving, target=aim, known=best.worst)
+                pair = smallest(moving, target=aim, known=best.worst)
             else:  # the answer depends on the span of time, and on nothing else
-                found = smallest(moving, relative=tolerance, absolute=tolerance)
-            least = max(found.worst, 0.0)
-            if least < best.worst and found.item < 0:  # nothing is known to be nearer
+                pair = smallest(moving, relative=tolerance, absolute=tolerance)
+            least = max(pair.worst, 0.0)
+            if least < best.worst and pair.item < 0:  # nothing is known to be nearer
                 best = replace(best, worst=least)
             elif least < best.worst:
-                best = WorstCase(least, found.time, moving.named(found.item), size)
+                best = WorstCase(least, pair.time, moving.named(pair.item), size)
         return best
 
     return evaluate

@@ -131,8 +131,8 @@ class Drones(MotionSpans):
     @cached_property
     def levelled(self) -> Enclosed:
         """Pull of the leg over its tension if its ends were level."""
-        found: Enclosed = chord_pull(1.0, self.sag, self.level)
-        return found.reduced(ORDER)
+        pull: Enclosed = chord_pull(1.0, self.sag, self.level)
+        return pull.reduced(ORDER)
 
     @cached_property
     def pull(self) -> Enclosed:
@@ -180,14 +180,14 @@ class Drones(MotionSpans):
     @cached_property
     def load(self) -> Enclosed:
         """[N] Minus the force of the cable on the drone."""
-        found = self.along * self.pull
+        load = self.along * self.pull
         if self.heavy:
-            found = found + (self.leg.norm * self.taut_weight).upward()
+            load = load + (self.leg.norm * self.taut_weight).upward()
         if self.hangs:
             inward, downward = self.pull_terms
-            found = found - _pulled(self.partner, inward, downward, self.slack_weight)
-            found = found + (self.slack_weight * self.length[:, None]).upward()
-        return found
+            load = load - _pulled(self.partner, inward, downward, self.slack_weight)
+            load = load + (self.slack_weight * self.length[:, None]).upward()
+        return load
 
     @cached_property
     def pull_terms(self) -> tuple[Interval, Interval]:
@@ -219,13 +219,13 @@ class Drones(MotionSpans):
             falls = gained * self.level + self.taut_weight * self.leg.level.dot(velocity.level)
             pulled = (pulled - self.sag * falls.reduced(ORDER)) * self.levelled.inverse
             pulled = pulled.reduced(ORDER) + gained * self.leg[2] + self.taut_weight * velocity[2]
-        found = along * pulled + turning * self.pull
+        slope = along * pulled + turning * self.pull
         if self.heavy:
             growing = along.dot(velocity)
-            found = found + (self.leg.norm * gained + growing * self.taut_weight).upward()
+            slope = slope + (self.leg.norm * gained + growing * self.taut_weight).upward()
         if self.hangs:
-            found = found + self._hanging_rate(gained)
-        return found
+            slope = slope + self._hanging_rate(gained)
+        return slope
 
     def _hanging_rate(self, gained: Enclosed) -> Enclosed:
         """Return the derivative of the load of free cables.
@@ -257,8 +257,8 @@ class Drones(MotionSpans):
         own = self.moved(3) * self.mass
         change = own + self.load_rate if self.source.team.has_cables else own
         f, change = self.thrust.reduced(ORDER), change.reduced(ORDER)
-        found = (f.cross(change).reduced(ORDER) * f.norm.inverse).reduced(ORDER)
-        return found * f.norm.inverse
+        ratio = (f.cross(change).reduced(ORDER) * f.norm.inverse).reduced(ORDER)
+        return ratio * f.norm.inverse
 
 
 def _pulled(offset: Enclosed, inward: Interval, downward: Interval, w: Enclosed) -> Enclosed:
@@ -305,8 +305,8 @@ def tilt(spans: Drones) -> Bound:
 
 def turning_rate(spans: Drones) -> Bound:
     """Return the body rate about x and y [deg/s]; infinite where a thrust may vanish."""
-    found, known = spans.turning.norm_above, np.isfinite(spans.thrust.norm.inverse.r)
-    return Bound(np.where(known, np.degrees(found.value) * (1.0 + ROUNDING), np.inf), found.x)
+    rates, known = spans.turning.norm_above, np.isfinite(spans.thrust.norm.inverse.r)
+    return Bound(np.where(known, np.degrees(rates.value) * (1.0 + ROUNDING), np.inf), rates.x)
 
 
 def _norm(spans: MotionSpans, order: int) -> Bound:
@@ -397,9 +397,9 @@ class Legs(MotionSpans):
 
 def _length(spans: Legs) -> Bound:
     """Return the length of ``q_k - p_k`` or ``r_k - p_{k+1}`` [m], infinite at a chain's ends."""
-    found = Enclosed(spans.read(leg_vectors(spans.source)), spans.noise).norm_below
+    lengths = Enclosed(spans.read(leg_vectors(spans.source)), spans.noise).norm_below
     there = spans.source.team.layout.has_leg.ravel()[spans.item]
-    return Bound(np.where(there, found.value, np.inf), found.x)
+    return Bound(np.where(there, lengths.value, np.inf), lengths.x)
 
 
 LEGS = CheckRule(

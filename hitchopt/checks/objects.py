@@ -167,11 +167,11 @@ class Gripped(Held):
     def height(self) -> Array:
         """Heights on the object of edges' first contacts at the piece's start (spans, n) [m]."""
         poses, first = self.source.object_poses.coefficients, bends(self.source)[:, :, 1, 2, 0]
-        found: Array = first[self.piece] - poses[self.piece, self.item, 2, :1]
-        return found
+        heights: Array = first[self.piece] - poses[self.piece, self.item, 2, :1]
+        return heights
 
     @cached_property
-    def ways(self) -> Enclosed:
+    def chords(self) -> Enclosed:
         """Straight parts of edges, before and behind the object (spans, n, 2) [m]."""
         return _straight_parts(self.corners)
 
@@ -198,7 +198,7 @@ class Gripped(Held):
             half = taut * (0.5 * GRAVITY * team.cable_density)
             edge = Enclosed(team.cable_length[:, None, None]) - self.legs.norm.sum()
             pull = chord_pull(pull, half, edge * edge)
-        return self.ways.direction * for_each(pull) * -SIGNS
+        return self.chords.direction * for_each(pull) * -SIGNS
 
     @cached_property
     def slip_load(self) -> Array:
@@ -206,11 +206,11 @@ class Gripped(Held):
 
         ``T_k`` is the least pull of cable k's legs, reduced by friction at its clasps.
         """
-        clasped = np.max(_angles(-self.legs, self.ways * SIGNS).high, axis=-1)
+        clasped = np.max(_angles(-self.legs, self.chords * SIGNS).high, axis=-1)
         pulls = np.min(self.of_items(self.source.pulls.coefficients), axis=-1)
         pulls = np.min(pulls.reshape(len(self), -1, 2), axis=-1)
         pulls = pulls * np.exp(-self.source.team.cable_friction * clasped)
-        before, behind = (chosen(self.ways, i).level for i in (0, 1))
+        before, behind = (chosen(self.chords, i).level for i in (0, 1))
         slip: Array = self.body.friction * np.sum(pulls * _angles(before, behind).low, axis=-1)
         return slip
 
@@ -272,14 +272,14 @@ def _slipping(motion: Motion, limit: float) -> WorstCase:
     It is minus infinity if an edge bends without a gripped object, or off the object's section.
     """
     lost = np.any(~_straight(Enclosed(bends(motion))), axis=1)
-    found = [WorstCase(math.inf, 0.0)]
+    cases = [WorstCase(math.inf, 0.0)]
     for index, name, on in gripping(motion):
         parts, lost = Gripped.of_object(motion, index, on), lost & ~on
         least = worst(parts, slip_ratio, "min", target=within(limit, "min"))
-        found.append(WorstCase(least.worst, least.time, (name,)))
+        cases.append(WorstCase(least.worst, least.time, (name,)))
     if np.any(lost):
-        found.append(WorstCase(-math.inf, float(motion.drones.breaks[int(np.argmax(lost))])))
-    return min(found, key=lambda each: each.worst)
+        cases.append(WorstCase(-math.inf, float(motion.drones.breaks[int(np.argmax(lost))])))
+    return min(cases, key=lambda each: each.worst)
 
 
 SHOWN = (slip_ratio, Gripped.slip_load, Gripped.load)
@@ -313,7 +313,7 @@ def _misplaced(spans: Gripped) -> Mask:
     seen = seen_from(spans.pose, spans.corners)
     slack = CONTACT + np.max(seen.r, axis=-1)
     exact = Enclosed(seen.c)
-    ways, contacts = _straight_parts(exact).level, chosen(exact, [1, 2])
+    straight, contacts = _straight_parts(exact).level, chosen(exact, [1, 2])
     # Contacts are at corners of a polygon, or on a circle.
     away = for_each(contacts.level) - section.core
     off = away.norm_above.value
@@ -321,12 +321,12 @@ def _misplaced(spans: Gripped) -> Mask:
         off = (away.dot(away) - section.rounding**2).norm_above.value / section.rounding
     touching = np.all(np.min(off, axis=-1) <= slack[..., None], axis=-1)
     # No part of the section is on the left; parts without length are not compared.
-    left = for_each(ways).cross(section.core - for_each(chosen(exact, [0, 2]).level))
-    reach = np.max((left + for_each(ways.norm) * section.rounding).above.value, axis=-1)
-    size = ways.norm_range
+    left = for_each(straight).cross(section.core - for_each(chosen(exact, [0, 2]).level))
+    reach = np.max((left + for_each(straight.norm) * section.rounding).above.value, axis=-1)
+    size = straight.norm_range
     before = (reach > slack[..., None] * size.low) & (size.high > CONTACT)
-    right = chosen(ways, 1).cross(chosen(ways, 0)).range
-    along = chosen(ways, 0).dot(chosen(ways, 1)).range
+    right = chosen(straight, 1).cross(chosen(straight, 0)).range
+    along = chosen(straight, 0).dot(chosen(straight, 1)).range
     turned = right.low < -slack * np.maximum(along.high, -along.low)
     turned |= (along.low <= 0.0) & (right.low <= 0.0)
     heights = contacts[2].range
@@ -334,17 +334,17 @@ def _misplaced(spans: Gripped) -> Mask:
     level = drift <= slack[..., None]
     level &= (heights.low >= body.lower) & (heights.high <= body.upper)
     wrong = turned | np.any(before | ~level, axis=-1) | ~(_straight(exact) | touching)
-    found: Mask = np.any(wrong, axis=1)
-    return found
+    misplaced: Mask = np.any(wrong, axis=1)
+    return misplaced
 
 
 def unbalanced(motion: Motion) -> WorstCase:
     """Return the largest force, or moment over its size, that an object lacks, over the tension."""
-    found = [WorstCase(0.0, 0.0)]
+    cases = [WorstCase(0.0, 0.0)]
     for index, name, on in gripping(motion):
         most = worst(Gripped.of_object(motion, index, on), lacking, "max")
-        found.append(WorstCase(most.worst, most.time, (name,)))
-    return max(found, key=lambda each: each.worst)
+        cases.append(WorstCase(most.worst, most.time, (name,)))
+    return max(cases, key=lambda each: each.worst)
 
 
 def lacking(spans: Gripped) -> Bound:
@@ -360,8 +360,8 @@ def lacking(spans: Gripped) -> Bound:
     moment = arms.cross(pulls).sum().sum().norm_above.value / body.section.circumradius
     friction = body.friction * body.mass * GRAVITY * (1.0 - spans.share.above.value)
     level = np.maximum(force.level.norm_above.value, moment) - friction
-    found = np.hypot(np.maximum(level, 0.0), force[2].norm_above.value)
-    return _ratio(found, np.min(spans.tension.below.value, axis=-1))
+    missing = np.hypot(np.maximum(level, 0.0), force[2].norm_above.value)
+    return _ratio(missing, np.min(spans.tension.below.value, axis=-1))
 
 
 @cached
@@ -412,8 +412,8 @@ def arc_lengths(rows: Array) -> Enclosed:
         error = 0.125 * (high - low) ** 2 * high * (1.0 - high**2) ** -1.5  # asin'' grows
     known = (width > 0.0) & np.isfinite(error)
     slope, arc = (np.where(known, x, 0.0)[..., None] for x in (slope, np.arcsin(middle)))
-    found = ((chord - middle[..., None]) * slope + arc) * width[..., None] + sides[..., None]
-    return found.widened(np.where(known, width * error, np.where(width > 0.0, np.inf, 0.0)))
+    lengths = ((chord - middle[..., None]) * slope + arc) * width[..., None] + sides[..., None]
+    return lengths.widened(np.where(known, width * error, np.where(width > 0.0, np.inf, 0.0)))
 
 
 PLACE_TOLERANCE = 1e-4  # [m] of clasps that carry a rim, from their places below it
@@ -516,12 +516,12 @@ def _misplaced_clasps(spans: Resting, carried: Mask) -> Mask:
     off = (spans.clasps.level - places).norm_above.value
     off = np.maximum(off, rim.height - heights.low - drop)
     off = np.maximum(off, heights.high - rim.height + np.where(whole, drop, 0.0))
-    found = (off > PLACE_TOLERANCE) | (rim.section.clearance(places)[0] >= -PLACE_TOLERANCE)
+    unsupported = (off > PLACE_TOLERANCE) | (rim.section.clearance(places)[0] >= -PLACE_TOLERANCE)
     if body.stem is not None:
-        found |= body.stem.segment_distance(places, following) <= PLACE_TOLERANCE
+        unsupported |= body.stem.segment_distance(places, following) <= PLACE_TOLERANCE
     pushed = Enclosed(spans.of_items(motion.vertices.differentiated(2).coefficients))
-    found |= pushed.level.norm_above.value > body.friction * (GRAVITY + pushed[2].below.value)
-    lost: Mask = np.any(wrong | (found & carried[:, None]), axis=1)
+    unsupported |= pushed.level.norm_above.value > body.friction * (GRAVITY + pushed[2].below.value)
+    lost: Mask = np.any(wrong | (unsupported & carried[:, None]), axis=1)
     return lost
 
 

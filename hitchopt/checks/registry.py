@@ -84,10 +84,10 @@ def certify(
     """
     instance("motion", motion, Motion)
     gamma = not_negative("gamma", gamma)
-    wanted: tuple[ReportRule, ...] = sequence("reports", reports)
-    wanted = tuple(each for each in REPORTS if each in wanted or each.limit(motion) is not None)
+    chosen: tuple[ReportRule, ...] = sequence("reports", reports)
+    chosen = tuple(each for each in REPORTS if each in chosen or each.limit(motion) is not None)
     rules = tuple(rule for rule in RULES if rule.limit_of(motion) is not None)
-    every: tuple[CheckRule | ReportRule, ...] = (*rules, *wanted)
+    every: tuple[CheckRule | ReportRule, ...] = (*rules, *chosen)
     results: dict[str, Sequence[SpanResult]] = dict.fromkeys(RULE_OF, ())
     checks: list[Check | None] = []
     with value_cache():

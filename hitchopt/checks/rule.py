@@ -62,12 +62,12 @@ class WorstOverSpans(Generic[S]):
         limits = None if self.item_limits is None else self.item_limits(motion)
         size = self.size(motion) if callable(self.size) else self.size
         aim = within(limit if limits is None else 1.0, self.sense, size, 0.5)
-        found = worst(self.spans.of(motion), self.formula, self.sense, target=aim)
-        if found.item < 0:
-            return WorstCase(found.worst, 0.0)
-        own = None if limits is None else float(limits[found.item])
-        value = found.worst * (1.0 if own is None else own)
-        return WorstCase(value, found.time, (self.spans.names(motion)[found.item],), size, own)
+        most = worst(self.spans.of(motion), self.formula, self.sense, target=aim)
+        if most.item < 0:
+            return WorstCase(most.worst, 0.0)
+        own = None if limits is None else float(limits[most.item])
+        value = most.worst * (1.0 if own is None else own)
+        return WorstCase(value, most.time, (self.spans.names(motion)[most.item],), size, own)
 
     def curve(self, motion: Motion, times: Array) -> Array:
         """Return the formula's worst value over all items at times (samples,) [s]."""

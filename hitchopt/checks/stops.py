@@ -116,15 +116,15 @@ class OnClock(MotionSpans):
         In h seconds plan time is off its chord by time by ``h² |ṡ| / 8``, and s by ``h² |s̈| / 8``.
         """
         begin, end, h = self.cells.jets, self.cells.ends, self.cells.duration
-        way, off = np.abs(end[:, 0] - begin[:, 0]), h**2 / 8.0
+        passed, off = np.abs(end[:, 0] - begin[:, 0]), h**2 / 8.0
         bent = off * np.maximum(np.abs(begin[:, 2]), np.abs(end[:, 2]))
-        share = np.divide(bent, way, out=np.ones_like(way), where=bent < way)
-        back, found = end[:, :1] < begin[:, :1], []
+        share = np.divide(bent, passed, out=np.ones_like(bent), where=bent < passed)
+        back, lines = end[:, :1] < begin[:, :1], []
         for k, own in ((1, off * np.abs(begin[:, 3])), (2, 0.0)):
             line = np.stack([begin[:, k], end[:, k]], axis=-1)
             radius = own + share * np.abs(end[:, k] - begin[:, k])
-            found.append(Enclosed(np.where(back, line[:, ::-1], line)[:, None], radius))
-        return found[0], found[1], Enclosed(begin[:, 3:, None])
+            lines.append(Enclosed(np.where(back, line[:, ::-1], line)[:, None], radius))
+        return lines[0], lines[1], Enclosed(begin[:, 3:, None])
 
     def accelerated(self, v: Enclosed, a: Enclosed) -> Enclosed:
         """Return the acceleration, given derivatives by plan time."""
@@ -175,11 +175,11 @@ class ClockLimit:
     @cached_property
     def sizes(self) -> Array:
         """(orders, pieces, items): bounds of the derivatives' norms by plan time."""
-        found = []
+        bounds = []
         for order in range(1, self.orders + 1):
             norms = column_lengths(derivative(self.path, order))
-            found.append(np.max(norms, axis=-1) + derivative_margin(self.path, order))
-        return np.stack(found) * (1.0 + SLACK)
+            bounds.append(np.max(norms, axis=-1) + derivative_margin(self.path, order))
+        return np.stack(bounds) * (1.0 + SLACK)
 
     def look(self, phases: ClockPhases, feasible: Flags) -> None:
         """Set ``feasible`` (owners,) to False unless phases are shown to keep limits."""
@@ -245,12 +245,12 @@ class ClockLimits:
         """Return the largest share of a limit (spans,), by the formulas of the checks."""
         limits, turns = self.motion.requirements.limits, self.motion.requirements.limits.body_rate
         acceleration, jerk = (spans.moved(order).norm_above.value for order in (2, 3))
-        found = [acceleration / limits.acceleration, jerk / limits.jerk]
+        shares = [acceleration / limits.acceleration, jerk / limits.jerk]
         if turns is not None:
-            found.append(turning_rate(spans).value / math.degrees(turns))
+            shares.append(turning_rate(spans).value / math.degrees(turns))
         if turns is not None or not np.all(acceleration <= self._spare[spans.piece, spans.item]):
-            found += [used_thrust(spans).value, tilt(spans).value / math.degrees(limits.tilt)]
-        return np.asarray(np.max(found, axis=0))
+            shares += [used_thrust(spans).value, tilt(spans).value / math.degrees(limits.tilt)]
+        return np.asarray(np.max(shares, axis=0))
 
 
 def _spare(motion: Motion) -> Array:
@@ -269,8 +269,8 @@ def _inertia(path: PiecewisePolynomial, slack: Array) -> ClockLimit:
     slack = np.maximum(np.nan_to_num(slack), 0.0)
 
     def quick(sizes: Array, piece: Indices, s: Array, slope: Array, _: Array) -> Flags:
-        found: Flags = np.maximum(s * s, 1.0) * sizes[1] + slope * sizes[0] <= slack[piece]
-        return found
+        within_slack: Flags = np.maximum(s * s, 1.0) * sizes[1] + slope * sizes[0] <= slack[piece]
+        return within_slack
 
     def used(spans: OnClock) -> Array:
         v, a = (spans.derivative(path, order) for order in (1, 2))
@@ -288,7 +288,7 @@ class StopTable:
     ----------
     end: plan time at which the plan ends [s].
     starts: (stops,) [s], increasing.
-    durations: (stops,) [s]; infinite where no stop was found.
+    durations: (stops,) [s]; infinite if no stop is feasible.
     """
 
     end: float
@@ -323,7 +323,7 @@ def stop_table(motion: Motion, limits: ClockLimits | None = None) -> StopTable:
 
     Each has the shortest duration of a ladder that bisection finds; one that is over no sooner than
     a later one is of no use. The end counts as rest only if the drones rest there. ``limits`` are
-    those of the motion, where they are known.
+    those of the motion, if known.
     """
     limits = limits or ClockLimits(motion)
     begin, end = (float(each) for each in motion.drones.breaks[[0, -1]])

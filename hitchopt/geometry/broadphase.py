@@ -60,7 +60,7 @@ def close_pairs(first: Boxes, second: Boxes | None, cutoff: float) -> Pairs:
 def few_close_pairs(
     first: Boxes, second: Boxes | None, cutoff: float, most: float = np.inf
 ) -> Pairs | None:
-    """Return what ``close_pairs`` does, or None with more than ``most`` within the index's reach.
+    """Return ``close_pairs``, or None with more than ``most`` within the index's reach.
 
     They are counted first: a list of all pairs of thousands of boxes is what must not happen.
     """
@@ -76,15 +76,15 @@ def few_close_pairs(
         counted = (a.tree.count_neighbors(b.tree, reach, p=np.inf) for a, b, reach in close)
         if sum(map(int, counted)) > most:
             return None
-    found = []
+    rows = []
     for a, b, reach in close:
         if one and a is b:
             i, j = a.tree.query_pairs(reach, p=np.inf, output_type="ndarray").T
         else:
             table = a.tree.sparse_distance_matrix(b.tree, reach, p=np.inf, output_type="ndarray")
             i, j = table["i"], table["j"]
-        found.append((a.members[i], b.members[j]))
-    i, j = (np.concatenate(each) for each in zip(*found, strict=True))
+        rows.append((a.members[i], b.members[j]))
+    i, j = (np.concatenate(each) for each in zip(*rows, strict=True))
     if one:
         i, j = np.minimum(i, j), np.maximum(i, j)
     gaps = np.maximum(first.lower[i] - other.upper[j], other.lower[j] - first.upper[i])

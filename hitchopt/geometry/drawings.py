@@ -26,7 +26,7 @@ from hitchopt.storage.tables import ADVICE, numeric_table, text_lines, with_poin
 from hitchopt.values import Array
 
 FLATNESS = 1e-4
-"""[m] Largest distance of a curve to its chords, of chords to the corners that are kept, and of a
+"""[m] Largest distance of a curve to its chords, of chords to the remaining corners, and of a
 convex outline to its hull."""
 
 CHORDS = 256
@@ -67,7 +67,7 @@ Lines = list[Array]
 
 @dataclass(frozen=True, eq=False)
 class Drawing:
-    """An outline, and what is to be known of how it was taken."""
+    """An outline, and notes on how it was taken."""
 
     outline: Array  # (m, 2) [m], its first point not repeated
     notes: tuple[str, ...]
@@ -101,7 +101,7 @@ def read_drawing(path: str | Path) -> Drawing:
 
 
 def drawing_of_geometry(geometry: Any) -> Drawing:
-    """Return the outline of a geometry of shapely, or of what shapely can read."""
+    """Return the outline of a geometry of shapely, or of data that shapely can read."""
     return _joined(_rings(_library("shapely.geometry").shape(geometry)), "geometry", [])
 
 
@@ -142,7 +142,7 @@ def _read_svg(path: Path, notes: list[str]) -> Lines:
 
 
 def _prepare(root: ElementTree.Element, name: str) -> None:
-    """Write lengths as they are understood, and put what is drawn only by reference into defs."""
+    """Normalise lengths, and move elements that are drawn only by reference into defs."""
     for parent in list(root.iter()):
         for key in LENGTHS:
             if (value := parent.get(key)) is not None:
@@ -301,7 +301,7 @@ def _geometries(geometry: Any) -> list[Any]:
 
 
 def _bridges(strings: Sequence[Any], near: float) -> Iterator[Any]:
-    """Yield what joins the ends of lines to lines that are nearer to them than a distance [m]."""
+    """Yield bridges from the ends of lines to lines within a distance [m]."""
     shapely = _library("shapely")
     opened = [k for k, string in enumerate(strings) if not string.is_closed]
     ends = [shapely.Point(strings[k].coords[i]) for k in opened for i in (0, -1)]

@@ -1,1 +1,1 @@
-"""Statics: where hitches rest, what recorded flights say of teams, and what hitches fit objects."""
+"""Statics: hitches at rest, teams calibrated from recordings, and hitches fitted to objects."""

@@ -52,8 +52,8 @@ from hitchopt.statics.settle import conditions_of, energy_of
 from hitchopt.storage.archive import reading
 from hitchopt.values import Array, Indices, not_negative, path
 
-# Windows in which stiffness, friction, and rates of sliding are found [s]. Tensions of 0.5 s follow
-# the noise of their drones, which makes these seem up to 24 % stiffer
+# Windows in which stiffness, friction, and rates of sliding are estimated [s]. Tensions of 0.5 s
+# follow the noise of their drones, which makes these seem up to 24 % stiffer
 SPAN, WINDOW, RATE_SPAN = 6.0, 0.5, 0.2
 
 ROUNDS = 3  # Solutions of the problem, each with the scatter that the last one left
@@ -61,22 +61,22 @@ MOST_STEPS = 200  # Of each solution
 
 # Least scatter in long and short windows: of displacements [m], in the latter that of the positions
 # that drones measure, and of forces over the tension; first guess of the scatter over it. At clasps
-# the lines of thick ropes cross beside where they touch: balanced to 0.3 %, instead of 4 %, by
+# the lines of thick ropes cross off their contact: balanced to 0.3 %, instead of 4 %, by
 # tensions that are free, forces would tell of displacements that downwash causes, as by drones of
 # twice and more their stiffness
 LONG, SHORT, FIRST = (5e-4, 4e-2), (1e-2, 3e-3), 5.0
 
 GUESS = 5.0  # First guess of a stiffness that the team does not state [N/m]
 
-# Standard deviations that are expected beforehand: of a stiffness' logarithm, of a steady wind's
-# force [N], of a coefficient of friction, and of what is known
+# Prior standard deviations: of a stiffness' logarithm, of a steady wind's force [N], of a
+# coefficient of friction, and of known numbers
 STIFFNESS_RANGE, WIND_SCALE, FRICTION_SCALE, KNOWN = 3.0, 0.2, 10.0, 1e-6
 
 # Standard deviation of the friction that a leg uses where cables do not slide, and of the logarithm
 # of a ratio where they do
 STICKING, SCATTER = 0.5, 0.01
 
-# Relative standard error of a stiffness by what the balance leaves out, such as the ropes'
+# Relative standard error of a stiffness by effects outside the model, such as the ropes'
 # thickness, and of a friction coefficient by the angles below
 MODEL_ERROR, GEOMETRY_ERROR = 0.03, 0.15
 
@@ -132,7 +132,7 @@ class Calibration(OneLine):
     Attributes
     ----------
     task: the plan.
-    recording: what was measured.
+    recording: the measurements.
     density: of the cables [kg/m], as assumed.
     lengths: of each cable [m], between its drones: legs, edge and the arcs of their sag.
     stiffness: of the position loops of each robot's drones, level [N/m].
@@ -162,7 +162,7 @@ def calibrate(
 
     Lengths are the medians of what cables over the measured places have, arcs included. The
     stiffness follows from where drones are on average, friction from cables that slide while drones
-    give way. What a recording does not determine is said so.
+    give way. Estimates that a recording does not determine say why.
 
     Parameters
     ----------
@@ -244,7 +244,7 @@ def calibrate(
 
 
 def _recording_and_task(recording: Any, plan: Any, density: float | None) -> tuple[Recording, Task]:
-    """Return what was recorded, and the plan; InputError if it is of other times or places.
+    """Return the recording, and the plan; InputError if its times or places are others.
 
     Names of the team on a clock of seconds are believed; other recordings are aligned with the
     plan, and their vertices measured from markers.
@@ -381,8 +381,8 @@ class _Balance:
 
         def values(unknown: Any) -> Any:
             own = unknown[g:].reshape(*planned.shape, 3)
-            found = self.residuals(unknown[:g], own, np.hypot(scales[of_nodes], errors))
-            return np.append(found, (unknown[:g] - expected) / spread)
+            residuals = self.residuals(unknown[:g], own, np.hypot(scales[of_nodes], errors))
+            return np.append(residuals, (unknown[:g] - expected) / spread)
 
         # Windows depend on the first unknowns and on their own.
         each = (len(values(unknown)) - g) // count
@@ -391,11 +391,13 @@ class _Balance:
         options: dict[str, Any] = {"loss": "soft_l1", "x_scale": "jac", "tr_solver": "lsmr"}
         options["max_nfev"] = MOST_STEPS
         for _ in range(ROUNDS):  # the scatter that is left weighs the next one
-            found = least_squares(values, unknown, "cs", jac_sparsity=block_array(parts), **options)
-            unknown, left = found.x, found.fun[:-g].reshape(count, -1)
+            solution = least_squares(
+                values, unknown, "cs", jac_sparsity=block_array(parts), **options
+            )
+            unknown, left = solution.x, solution.fun[:-g].reshape(count, -1)
             split = np.split(left, [3 * many, 3 * self.x.shape[1]], axis=1)[:2]
             scales = np.maximum(scales * [_scatter(part) for part in split], lower)
-        J: Any = found.jac
+        J: Any = solution.jac
         errors = np.sqrt(np.diag(splu((J.T @ J).tocsc()).solve(np.eye(len(unknown), g))))
         off = left[:, : 3 * many]
         repeats = float(np.sum(np.sum(off, axis=0) ** 2) / max(float(np.sum(off**2)), 1e-300))
@@ -430,9 +432,12 @@ class _Balance:
 
         rates = rates_of(short.drones, short.vertices)
         pulls, rate = mean(friction_pulls(turns[window], rates, BLURRED)), mean(rates)
-        asked, speed = mean(rates_of(short.positions, short.planned)), _sliding(turns, rate)[1]
-        usable = (total[..., 0] > 1) & (speed > SLIDING) & (_sliding(turns, asked)[1] > PLANNED)
-        usable &= np.sum(rate * asked, axis=-1) > 0.0
+        plan_rate, speed = (
+            mean(rates_of(short.positions, short.planned)),
+            _sliding(turns, rate)[1],
+        )
+        usable = (total[..., 0] > 1) & (speed > SLIDING) & (_sliding(turns, plan_rate)[1] > PLANNED)
+        usable &= np.sum(rate * plan_rate, axis=-1) > 0.0
         self.pulls[:, cable, side] = np.where(usable[..., None], pulls, 0.0)
         return float(np.sum(speed[usable]) * WINDOW)
 

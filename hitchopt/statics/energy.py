@@ -31,7 +31,7 @@ from scipy.sparse.linalg import splu
 
 from hitchopt.values import Array, Indices
 
-CONVERGED = 1e-10  # Relative step at which a cable's tension is found
+CONVERGED = 1e-10  # Relative step at which a cable's tension has converged
 CABLE_STEPS = 100  # Most steps
 IMAGINARY = 1e-30  # Imaginary step by which derivatives are taken [m], [N]: exact to rounding
 
@@ -70,7 +70,7 @@ class HitchEnergy:
     loads: Array  # (S, nodes, 3) [N], feed-forward on drones and weights at clasps
     lengths: Array  # (S, n) [m], L at the tension T₀
     weight: float  # of cables, per length [N/m]
-    compliance: Array  # (n,) [m/N], a: what a cable grows by per tension
+    compliance: Array  # (n,) [m/N], a: growth of a cable per tension
     reference: Array  # (S, n) [N], T₀
     heights: Array  # (S, n) [m], z₀
     least: Array  # (S, n) [N], tension at which a cable is slack
@@ -95,10 +95,9 @@ class HitchEnergy:
     def forces(self, ends: Any, T: Any, friction: Any = 0.0) -> tuple[Any, Any, Any]:
         """Return forces (…, S, n, 4, 3) [N], lengths [m] and energies [J] of cables (…, S, n).
 
-        The forces are what cables pull their nodes with, turned round: without friction, slopes of
-        the energy. Nodes (…, S, n, 4, 3) [m] and tensions T (…, S, n) [N] are real or complex. The
-        friction that is used, of all legs or of each (…, S, n, 2), is positive where legs pull more
-        than edges.
+        The forces are minus those of cables on their nodes: without friction, slopes of the energy.
+        Nodes (…, S, n, 4, 3) [m] and tensions T (…, S, n) [N] are real or complex. The friction
+        that is used, of all legs or of each (…, S, n, 2), is positive if legs pull more than edges.
         """
         chords, sizes, heights = self.spans(ends)
         units = chords / np.where(sizes.real > 0.0, sizes, 1.0)[..., None]
@@ -159,7 +158,7 @@ class HitchEnergy:
     def springs(self, x: Array) -> tuple[Array, Array, Array]:
         """Return the energies of position loops, their slopes and curvatures, (S, 2n, 3) each.
 
-        At rest an integral has grown until the error is gone, or it gives its largest force b:
+        At rest an integral has grown until the error is zero, or it gives its largest force b:
         energy b |e|, rounded within DEAD of no error.
         """
         away = (x - self.start)[:, : self.drones]
@@ -210,12 +209,12 @@ class HitchEnergy:
     def solved(self, matrix: csc_array, forces: Array) -> Array:
         """Return the displacements (S, nodes, 3, …) [m] that forces of this shape [N] cause."""
         free = np.flatnonzero(np.tile(self.free.ravel(), len(forces)))
-        found = np.zeros((forces.shape[0] * forces.shape[1] * 3, *forces.shape[3:]))
+        displacements = np.zeros((forces.shape[0] * forces.shape[1] * 3, *forces.shape[3:]))
         # All but symmetric: its diagonal has the pivots.
         order: Any = {"permc_spec": "MMD_AT_PLUS_A", "options": {"SymmetricMode": True}}
         factors = splu(matrix[free][:, free], diag_pivot_thresh=0.0, **order)
-        found[free] = factors.solve(forces.reshape(found.shape)[free])
-        return found.reshape(forces.shape)
+        displacements[free] = factors.solve(forces.reshape(displacements.shape)[free])
+        return displacements.reshape(forces.shape)
 
     def steps(self, x: Array, damping: Array | float, longest: float, friction: float) -> Any:
         """Return Newton's steps (S, nodes, 3) [m], no node's longer than that, and the slopes."""
@@ -243,19 +242,19 @@ class HitchEnergy:
             falls, before = -np.einsum("sni,sni->s", steps, slopes), values
             shares = np.where(active & (falls > 0.0), 1.0, 0.0)
             for _ in range(HALVINGS):
-                tried = x + shares[:, None, None] * steps
-                values, rounding = self.values(tried), ROUNDING * (1.0 + np.abs(before))
+                trial = x + shares[:, None, None] * steps
+                values, rounding = self.values(trial), ROUNDING * (1.0 + np.abs(before))
                 high = values > before - DESCENT * shares * falls + rounding
                 if not high.any():
                     break
                 shares = np.where(high, 0.5 * shares, shares)
-            x, failed = tried, (shares == 0.0) | high
+            x, failed = trial, (shares == 0.0) | high
             raised = np.clip(10.0 * damping, FIRST_DAMPING, MOST_DAMPING)
             damping = np.where(failed, raised, np.maximum(0.1 * damping, LEAST_DAMPING))
         return x
 
     def rubbing(self, rest: Array, friction: float) -> Array:
-        """Return the nodes (S, nodes, 3) [m] at an end of the band; nan where no rest is found.
+        """Return the nodes (S, nodes, 3) [m] at an end of the band; nan if none is reached.
 
         ``rest`` is where they are without friction, whose coefficient is positive for legs that
         pull more than edges, negative for less.

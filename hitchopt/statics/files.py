@@ -1,4 +1,4 @@
-"""Files and pictures of what settles, of estimated teams, and of fits."""
+"""Files and pictures of hitches at rest, of calibrated teams, and of fits."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ DRAWN_TIMES = 3  # Times at which vertices are drawn
 
 
 def save_statics(directory: Path, settled: Settled, ranges: Tolerance | None) -> Path:
-    """Write what settles at times (S,), and its ranges if there are any, to a plan's directory.
+    """Write a hitch at rest at times (S,), and its ranges if any, to a plan's directory.
 
-    Only files of these two names are replaced; FileError where it cannot be written to.
+    Only files of these two names are replaced; FileError if it cannot be written to.
     """
     content = statics_content(settled, ranges)
     writers = {
@@ -50,10 +50,10 @@ def save_statics(directory: Path, settled: Settled, ranges: Tolerance | None) ->
 
 
 def statics_content(settled: Settled, ranges: Tolerance | None) -> dict[str, Any]:
-    """Return what statics.json says: lists over the times ``t``, in SI units.
+    """Return the content of statics.json: lists over the times ``t``, in SI units.
 
-    ``band`` of a vertex is how far outside of its plan it can rest with friction, least and most;
-    an end without rest is null.
+    ``band`` of a vertex is the range of its rest outside of its plan with friction; an end without
+    rest is null.
     """
     content: dict[str, Any] = {
         "format": STATICS_FORMAT,
@@ -131,7 +131,7 @@ def draw_statics(settled: Settled, ranges: Tolerance | None) -> Figure:
 def save_team(path: Path, calibration: Calibration) -> None:
     """Write the block ``team:`` with the estimates; comments state their standard errors.
 
-    What the recording does not determine is as in the plan.
+    Values that the recording does not determine are the plan's.
     """
     path.write_text(team_text(calibration), encoding="utf-8")
 
@@ -165,14 +165,14 @@ def _yaml(value: object) -> str:
 
 
 def save_fit(directory: Path, fit: Fit) -> None:
-    """Write ``fit.json`` and ``fit.png`` to a directory, which is made if need be."""
+    """Write ``fit.json`` and ``fit.png`` to a directory, created if missing."""
     directory.mkdir(parents=True, exist_ok=True)
     write_strict_json(directory / "fit.json", fit_as_json(fit))
     save_figure(draw_fit(fit), directory / "fit.png")
 
 
 def fit_as_json(fit: Fit) -> dict[str, Any]:
-    """Return the content of ``fit.json``: polygons in metres, masses with what binds."""
+    """Return the content of ``fit.json``: polygons in metres, masses with binding limits."""
     holding, task, grip, rest = fit.holding, fit.holding.task, fit.holding.grip, fit.holding.rest
     content: dict[str, Any] = {
         "format": FIT_FORMAT,
@@ -197,21 +197,21 @@ def fit_as_json(fit: Fit) -> dict[str, Any]:
     if isinstance(rest, ConvexPolygon):
         content["rest"] = {"polygon": rest.vertices.tolist()}
     for by, masses in content["largest_mass"].items():
-        for n, found in fit.capacities(by).items():
-            masses[str(n)] = {"mass": found.mass, "limit": found.binding}
-            masses[str(n)]["suggested change"] = found.suggested
+        for n, capacity in fit.capacities(by).items():
+            masses[str(n)] = {"mass": capacity.mass, "limit": capacity.binding}
+            masses[str(n)]["suggested change"] = capacity.suggested
     return content
 
 
 def draw_fit(fit: Fit) -> Figure:
-    """Return the picture: the object with what encloses it, what grips it, and what it rests on."""
+    """Return the picture: the object with the polygons that enclose it, grip it and support it."""
     figure, holding, section = new_figure(FIT_SIZE), fit.holding, fit.section
     outline = (section.core[:, None] + section.rounding * CIRCLE).reshape(-1, 2)
     titles = [f"enclose: n = {holding.robots}, L = {holding.cable_length:.2f} m"]
     for by in (GRIP, REST):
-        found = holding.capacity(by)
-        mass = f"{1e3 * found.mass:.0f} g" if found.mass > 0.0 else "nothing"
-        titles.append(f"{by}: {mass} ({found.binding} binds)")
+        capacity = holding.capacity(by)
+        mass = f"{1e3 * capacity.mass:.0f} g" if capacity.mass > 0.0 else "nothing"
+        titles.append(f"{by}: {mass} ({capacity.binding} binds)")
     polygons = holding.enclosing, holding.grip, holding.rest
     for axes, polygon, title in zip(figure.subplots(1, 3), polygons, titles, strict=True):
         axes.add_patch(Polygon(outline[ConvexHull(outline).vertices], fc="0.88", ec="0.55", lw=0.8))

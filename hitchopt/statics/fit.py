@@ -1,7 +1,7 @@
-"""``fit``: the hitch polygons for an object's outline, and what they would hold.
+"""``fit``: the hitch polygons for an object's outline, and their capacities.
 
-Around the outline goes a polygon of short edges, much alike, that keep the clearance asked. What
-grips is ``holding.best_grip``; what a rim rests on is the polygon that ``grasp`` takes. Cables are
+Around the outline goes a polygon of short edges, much alike, that keep the clearance. The
+grip is ``holding.best_grip``; a rim rests on the polygon that ``grasp`` takes. Cables are
 the shortest with which drones keep apart.
 """
 
@@ -41,10 +41,10 @@ from hitchopt.values import instance, not_negative, points, positive, whole
 GRIP, REST = "grip", "rest"
 SAFETY = 1.5  # Least slip load over load
 MOST_ROBOTS = 24  # Pairs of parts of a grip are laid out at once
-TABLE_ROBOTS = (3, 4, 5, 6)  # Numbers of robots that are compared, besides the one asked for
+TABLE_ROBOTS = (3, 4, 5, 6)  # Numbers of robots that are compared with the requested one
 
 # Regular polygons are turned by so many parts of their symmetry, and stretched in so many
-# directions besides those of the section's sides, by these ratios over the section's own
+# directions in addition to those of the section's sides, by these ratios over the section's own
 AXES, TURNS, PROPORTIONS = 24, 16, np.geomspace(0.25, 4.0, 41)
 
 LEAST_TURN, LEAST_EDGE = 0.6, 0.5  # Smallest exterior angle and smallest edge, over their means
@@ -52,8 +52,8 @@ LEAST_TURN, LEAST_EDGE = 0.6, 0.5  # Smallest exterior angle and smallest edge, 
 # Sizes and margins that differ by less are the same: drones in one place are not 3e-16 apart
 ROUNDING = 1e-9
 
-# Step of cable lengths [m]; steps between those that are tried with legs that are not balanced; and
-# by how much cables are tried that are longer than legs need [m]
+# Step of cable lengths [m]; steps between candidates with legs that are not balanced; and the
+# longest candidates beyond the length that legs need [m]
 CENTIMETRE, STRIDE, LONGEST = 0.01, 20, 1.0
 
 
@@ -78,8 +78,8 @@ class Holding(OneLine):
 
     Attributes
     ----------
-    task: what they are for.
-    enclosing: the polygon that is lowered around the object, with the clearance asked.
+    task: the request.
+    enclosing: the polygon that is lowered around the object, with the clearance.
     cable_length: of all cables [m].
     grip: the grip with the largest slip load, or why there is none.
     rest: the polygon on which the outline rests, as of a rim, or why there is none.
@@ -106,14 +106,14 @@ class Holding(OneLine):
 
 @dataclass(frozen=True, eq=False)
 class Fit(OneLine):
-    """The hitch polygons for an object, and what they would hold.
+    """The hitch polygons for an object, and their capacities.
 
     Attributes
     ----------
     section: the outline's convex hull, or the circle.
-    holding: polygons for the number of robots asked for.
+    holding: polygons for the requested number of robots.
     others: by numbers of robots, the polygons for these, or why there are none.
-    notes: what was assumed of the outline and the tension.
+    notes: assumptions on the outline and the tension.
     """
 
     section: Section
@@ -127,18 +127,18 @@ class Fit(OneLine):
         return self.holding.enclosing
 
     def capacities(self, by: str) -> dict[int, Capacity]:
-        """Return what each number of robots holds at most, by ``grip`` or ``rest``."""
-        found = self.others.items()
+        """Return the capacity of each number of robots, by ``grip`` or ``rest``."""
         return {
-            n: each.capacity(by) if isinstance(each, Holding) else _none(each) for n, each in found
+            n: each.capacity(by) if isinstance(each, Holding) else _none(each)
+            for n, each in self.others.items()
         }
 
     def raise_if_too_heavy(self, mass: float, by: str = GRIP) -> None:
         """Raise InfeasibleError if a mass [kg] is not held by ``grip`` or ``rest``."""
-        found = self.holding.capacity(by)
-        if mass > found.mass:
-            remedy = f"at {found.mass:.3g} kg {found.binding} binds: {found.suggested}"
-            raise InfeasibleError([Violation(by, mass, found.mass, "max", "kg", (), "", remedy)])
+        capacity = self.holding.capacity(by)
+        if mass > capacity.mass:
+            remedy = f"at {capacity.mass:.3g} kg {capacity.binding} binds: {capacity.suggested}"
+            raise InfeasibleError([Violation(by, mass, capacity.mass, "max", "kg", (), "", remedy)])
 
 
 def fit(
@@ -178,8 +178,8 @@ def fit(
     whole("robots", robots, 3, MOST_ROBOTS)
     kind = Quadrotor() if quadrotor is None else quadrotor
     instance("quadrotor", kind, Quadrotor)
-    asked = Requirements(limits or Limits(), separation or Separation())
-    requirements = asked.flown_by(Swarm(1, quadrotor=kind)).with_reserve
+    own = Requirements(limits or Limits(), separation or Separation())
+    requirements = own.flown_by(Swarm(1, quadrotor=kind)).with_reserve
     section, notes = _section_of(outline)
     most, binding = largest_tension(requirements, kind)
     if tension is None:
@@ -206,7 +206,7 @@ def fit(
 
 
 def _section_of(outline: Any) -> tuple[Section, list[str]]:
-    """Return the convex section of an outline, and what is to be said of it."""
+    """Return the convex section of an outline, and notes on it."""
     notes, source = list[str](), ""
     if isinstance(outline, int | float | np.number) and not isinstance(outline, bool):
         outline = Section(radius=float(outline))
@@ -219,15 +219,15 @@ def _section_of(outline: Any) -> tuple[Section, list[str]]:
         drawing = drawing_of_geometry(outline)
         outline, notes = drawing.outline, list(drawing.notes)
     remedy = "give points in metres, a radius, or a drawing"
-    found = outline.core if isinstance(outline, Section) else outline
-    found = points("outline", found, (3, 2), "a list of at least 3 points [x, y]", remedy)
-    notes = [f"outline: {size_in_words(found)}, {len(found)} corners{source}", *notes]
+    corners = outline.core if isinstance(outline, Section) else outline
+    corners = points("outline", corners, (3, 2), "a list of at least 3 points [x, y]", remedy)
+    notes = [f"outline: {size_in_words(corners)}, {len(corners)} corners{source}", *notes]
     try:
-        return Section(found), notes
+        return Section(corners), notes
     except InputError:
-        if np.linalg.matrix_rank(found - found[0]) < 2:  # around no area
+        if np.linalg.matrix_rank(corners - corners[0]) < 2:  # around no area
             raise
-    hull = found[ConvexHull(found).vertices]
+    hull = corners[ConvexHull(corners).vertices]
     note = f"the outline is concave: its convex hull of {len(hull)} corners is used"
     return Section(hull), [*notes, note]
 
@@ -243,21 +243,21 @@ def _holding(task: FitTask, robots: int) -> Holding:
         remedy = f"use cables of {longest + cable - least:.3g} m or more, or more robots"
         broken = Violation("legs", longest, least, "max", "m", (f"edge {k}",), "", remedy)
         raise InfeasibleError([broken], "the enclosing polygon does not fit the cables")
-    found = _held(task, enclosing, cable)
-    if task.cable_length is None and isinstance(found.grip, Grip):
-        # Where cables close from, ``enclose`` keeps room for where the object really is.
+    holding = _held(task, enclosing, cable)
+    if task.cable_length is None and isinstance(holding.grip, Grip):
+        # ``enclose`` keeps a margin for errors of the object's pose around the closed grip.
         sections, gap = (task.section,), task.clearance + ROOM
-        closed, centre = found.grip.vertices, task.section.centroid
+        closed, centre = holding.grip.vertices, task.section.centroid
         around = ConvexPolygon(HoldPolygons.about(closed, centre, sections, gap, STRETCHES).around)
         needed = _attempt(lambda: shortest_cable(around, task.requirements))
         if isinstance(needed, float) and needed > cable:
             longer = _held(task, enclosing, needed)
-            return longer if isinstance(longer.grip, Grip) else found
-    return found
+            return longer if isinstance(longer.grip, Grip) else holding
+    return holding
 
 
 def _held(task: FitTask, enclosing: ConvexPolygon, cable: float) -> Holding:
-    """Return what cables of a length [m] hold."""
+    """Return the polygons for cables of a length [m]."""
     n, section, requirements = len(enclosing), task.section, task.requirements
     gripping = GripTask(
         section, n, cable, task.tension, task.clasp_friction, requirements, task.kind
@@ -279,12 +279,12 @@ def _held(task: FitTask, enclosing: ConvexPolygon, cable: float) -> Holding:
 
 
 def _none(error: InfeasibleError) -> Capacity:
-    """Return the capacity of what breaks a limit without a load."""
+    """Return the capacity of a hitch that breaks a limit without a load."""
     return Capacity(0.0, error.violations[0].constraint)
 
 
 def _attempt(search: Callable[[], Any]) -> Any:
-    """Return what is found, or why there is none."""
+    """Return the result of a search, or the error that refuses it."""
     try:
         return search()
     except InfeasibleError as error:
@@ -331,25 +331,25 @@ def enclosing_polygon(section: Section, n: int, clearance: float) -> ConvexPolyg
 def shortest_cable(polygon: ConvexPolygon, requirements: Requirements) -> float:
     """Return the shortest cables [m], in whole centimetres, whose balanced legs are ``spread``.
 
-    Where none are, the length that is found with the largest margin, legs split as they may be.
+    If none are, the length with the largest margin over all slack splits.
     InfeasibleError: none of up to a metre more than legs need keep drones apart.
     """
     longest, leg = float(np.max(polygon.edge_lengths)), requirements.limits.leg
     first = math.ceil((longest + 2.0 * LIMIT_MARGIN * leg) / CENTIMETRE)
     lengths = np.arange(first, first + round(LONGEST / CENTIMETRE)) / 100.0
     for cables, balanced in ((lengths, True), (lengths[::STRIDE], False)):
-        best, found = 0.0, 0.0
+        best, shortest = 0.0, 0.0
         for cable in cables.tolist():
             team = Team(len(polygon), cable)
             shape = polygon.vertices[None], balanced_legs(team, polygon)[None]
             task = LegTask(team, requirements, *shape, leg, SPREAD_MARGIN)
             margin = reference_margin(task) if balanced else split_slack(task).margin
             if min(margin, SPREAD_MARGIN) > best + ROUNDING:
-                best, found = min(margin, SPREAD_MARGIN), cable
+                best, shortest = min(margin, SPREAD_MARGIN), cable
             if best >= SPREAD_MARGIN:
                 break
         if best >= LIMIT_MARGIN:
-            return found
+            return shortest
     remedy = f"{'use fewer robots, or ' if len(polygon) > 3 else ''}change the clearance"
     broken = Violation("separation", best, LIMIT_MARGIN, "min", "ratio", (), "", remedy)
     raise InfeasibleError([broken], "no cable length keeps drones around the object apart")

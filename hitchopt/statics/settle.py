@@ -30,7 +30,7 @@ from hitchopt.values import Array, Indices, instance
 # Least positive and largest finite number
 POSITIVE, LARGEST = (getattr(np.finfo(np.float64), name) for name in ("tiny", "max"))
 
-# What the plan says, and conditions that may differ from sample to sample, with their axes
+# Values of the plan, and conditions that may differ from sample to sample, with their axes
 PLANNED = {"t": 0, "positions": 2, "vertices": 2, "tensions": 1, "cable_forces": 2}
 SAMPLED = {"cable_length": 1, "offsets": 2, "forces": 2}
 
@@ -59,7 +59,7 @@ def conditions_of(team: Team, **given: Any) -> dict[str, Any]:
     ------
     InputError: an unknown name, another shape, or a number that is not finite or out of its range.
     """
-    drones, found = (team.drones,), {}
+    drones, conditions = (team.drones,), {}
     own = {"offsets": 0.0, "forces": 0.0, "axial_stiffness": AXIAL_STIFFNESS}
     own["friction"] = team.cable_friction
     table: dict[str, tuple[tuple[int, ...], float]] = {
@@ -94,9 +94,11 @@ def conditions_of(team: Team, **given: Any) -> dict[str, Any]:
             array = f", or an array (…, {', '.join(map(str, shape))})" if shape else ""
             bound = f"one {size}number{array}"
             raise InputError(name, value, bound, "give plain numbers in SI units")
-        found[name] = values
-    found["stiffness"] = np.where(np.isinf(found["integral"]), np.inf, found["stiffness"])
-    return found
+        conditions[name] = values
+    conditions["stiffness"] = np.where(
+        np.isinf(conditions["integral"]), np.inf, conditions["stiffness"]
+    )
+    return conditions
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,12 +112,12 @@ class Settled(OneLine):
     drones: (…, 2n, 3) [m]
     vertices: (…, points, 3) [m], where clasps have no friction.
     rests: (…, 2, points, 3) [m], where vertices rest with clasps' friction fully used, legs pulling
-        less than edges and more; both are ``vertices`` without friction, nan where none is found.
+        less than edges and more; both are ``vertices`` without friction, nan if there is none.
     tensions: (…, n) [N], at the heights of the edges' middles.
     slack: (…, n) whether a cable is slack: it does not pull, or hangs by more than a quarter of its
         longest span.
     bears: (…, clasps) whether the two cables of a clasp press on each other.
-    planned_drones, planned_vertices, planned_tensions: what the plan says at those times.
+    planned_drones, planned_vertices, planned_tensions: the plan's values at those times.
     force_residual: (…) [N], the largest force without balance at a drone or a clasp.
     length_residual: (…) [m], the largest length that a taut cable has too much or too little.
     """
@@ -139,7 +141,7 @@ class Settled(OneLine):
         """(…, points, 2) [m]: how far outside of its plan every vertex can rest, least and most.
 
         Outside is away from the neighbouring vertices, along the bisector; inside is negative. The
-        band is infinite where no rest is found with friction fully used in that sense.
+        band is infinite if there is no rest with friction fully used in that sense.
         """
         planned = self.planned_vertices[..., None, :, :]
         ahead = unit(np.roll(planned, -1, axis=-2) - planned)
@@ -170,7 +172,7 @@ def named(letter: str, flags: NDArray[np.bool_], numbers: Indices) -> tuple[str,
 
 
 def settle(plan: Plan | Motion, t: ArrayLike, **conditions: Any) -> Settled:
-    """Return where drones and vertices of a plan's hitch come to rest, and with what tensions.
+    """Return the rest of a plan's hitch: places of drones and vertices, and tensions.
 
     Drones stand at their set points, offset by ``(F + cable force)/k``: k is the stiffness of their
     position loops, F the cable force that the set points hold and that is fed forward. An integral
@@ -181,7 +183,7 @@ def settle(plan: Plan | Motion, t: ArrayLike, **conditions: Any) -> Settled:
     ----------
     plan: with a hitch at all these times; or its motion.
     t: (…) [s]; its axes broadcast with those of the conditions.
-    conditions: what differs from the team, one number or an array, with axes (…) of samples:
+    conditions: deviations from the team, one number or an array, with axes (…) of samples:
         ``cable_length`` (…, n) [m] under the planned tension, ``offsets`` of set points and errors
         of the feed-forward ``forces`` (…, 2n, 3) [m], [N]. Without samples: ``cable_density``
         [kg/m], ``load`` (clasps,) [kg], ``stiffness`` of position loops (2n,) or by axis (2n, 3)
@@ -192,7 +194,7 @@ def settle(plan: Plan | Motion, t: ArrayLike, **conditions: Any) -> Settled:
     ------
     InputError: a time without hitch, or a condition that is wrong in itself.
     UnsupportedError: single drones, or objects that are carried.
-    InfeasibleError: no rest is found.
+    InfeasibleError: there is no rest.
     """
     instance("plan", plan, Plan, Motion)
     motion = plan.motion if isinstance(plan, Plan) else plan
@@ -203,14 +205,14 @@ def settle(plan: Plan | Motion, t: ArrayLike, **conditions: Any) -> Settled:
         _rest(motion.team, known, {name: v[i : i + size] for name, v in samples.items()})
         for i in range(0, len(samples["t"]), size)
     ]
-    found = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
-    return Settled(motion.team, **{k: v.reshape((*shape, *v.shape[1:])) for k, v in found.items()})
+    arrays = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
+    return Settled(motion.team, **{k: v.reshape((*shape, *v.shape[1:])) for k, v in arrays.items()})
 
 
 def samples_of(
     motion: Motion, t: ArrayLike, known: Mapping[str, Any]
 ) -> tuple[tuple[int, ...], dict[str, Array]]:
-    """Return the shape of times and conditions together, and what all samples (S, …) have.
+    """Return the common shape of times and conditions, and the values of all samples (S, …).
 
     That is by name, as of ``States`` and ``conditions_of``; errors are those of ``settle``.
     """
@@ -312,11 +314,11 @@ def _bearing(team: Team, energy: HitchEnergy, x: Array, tensions: Array) -> NDAr
 
     A cable's two spans pull on the other one, by half of their weight too, into their own bend.
     """
-    found = np.ones((len(x), len(team.layout.clasps)), dtype=np.bool_)
+    bearing = np.ones((len(x), len(team.layout.clasps)), dtype=np.bool_)
     for cables, node, drone in ((team.layout.ahead, 1, 0), (team.layout.behind, 2, 3)):
         clasp, other, end = (x[:, energy.nodes[cables, k]] for k in (node, 3 - node, drone))
         leg, edge = end - clasp, other - clasp
         contact = -tensions[:, cables, None] * (unit(leg) + unit(edge))
         contact[..., 2] += 0.5 * energy.weight * (length(leg) + length(edge))
-        found &= (dot(contact, leg) < 0.0) & (dot(contact, edge) < 0.0)
-    return found
+        bearing &= (dot(contact, leg) < 0.0) & (dot(contact, edge) < 0.0)
+    return bearing

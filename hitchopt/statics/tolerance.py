@@ -1,15 +1,15 @@
-"""Ranges of tensions and vertices for errors that nobody knows, over a plan.
+"""Ranges of tensions and vertices for unknown errors, over a plan.
 
 Derivatives take one linear solve with the Hessian each. At rest the energy's slope is zero for any
-error p, so ``H dx = -∂slope/∂p dp``. A tension's row ``A_k`` of derivatives by the nodes is at the
-same time, turned round, what a longer cable k does to the slope: ``dx = H⁻¹ A_k dL_k``. Rows of
-outputs are found by the adjoint, ``Y = H⁻¹ B`` for the outputs' derivatives B by the nodes. Every
+error p, so ``H dx = -∂slope/∂p dp``. A tension's row ``A_k`` of derivatives by the nodes is,
+with opposite sign, the change of the slope by a longer cable k: ``dx = H⁻¹ A_k dL_k``. Rows of
+outputs follow by the adjoint, ``Y = H⁻¹ B`` for the outputs' derivatives B by the nodes. Every
 output depends on every error, so that work and memory grow with n².
 
 To first order every tension and coordinate is linear in the errors: bounds add, standard deviations
 add in squares and count three times. What is left out is measured: the hitch settles at the errors
 that move some tension or vertex most, both ways, and twice the largest difference to first order
-widens every range. It is infinite where no rest is found there.
+widens every range. It is infinite if there is no rest.
 """
 
 from __future__ import annotations
@@ -118,7 +118,7 @@ class Tolerance(OneLine):
 
     Attributes
     ----------
-    errors: what they are for, of ``cable``, ``position`` and ``force``.
+    errors: sizes of errors, of ``cable``, ``position`` and ``force``.
     settled: where the hitch rests without them, in samples (S,).
     tension_halves: (S, n) [N], half widths of the tensions' ranges, at first order.
     tension_remainders: (S,) [N], what is added to them for what is beyond first order.
@@ -185,7 +185,7 @@ def tolerance(
     ------
     InputError: a time without hitch, a negative size, or a wrong condition.
     UnsupportedError: a plan without a taut hitch.
-    InfeasibleError: no rest is found.
+    InfeasibleError: there is no rest.
     """
     instance("plan", plan, Plan, Motion)
     motion = plan.motion if isinstance(plan, Plan) else plan
@@ -246,12 +246,12 @@ def _range(
     parts[0] = parts[0][..., 0]
     off = {name: known[name] + part for name, part in zip(SAMPLED, parts, strict=True)}
     try:
-        found = settle(motion, settled.t[i], **(conditions | off | {"friction": 0.0}))
+        corners = settle(motion, settled.t[i], **(conditions | off | {"friction": 0.0}))
     except InfeasibleError:  # so far from where it was that first order says nothing
         pulled = moved = np.inf
     else:
         tensions = np.maximum(settled.tensions[i] + change[:, :n], energy.least[0])
         vertices = settled.vertices[i] + change[:, n:].reshape(len(change), -1, 3)
-        pulled = REMAINDER * float(np.max(np.abs(found.tensions - tensions)))
-        moved = REMAINDER * float(np.max(length(found.vertices - vertices)))
+        pulled = REMAINDER * float(np.max(np.abs(corners.tensions - tensions)))
+        moved = REMAINDER * float(np.max(length(corners.vertices - vertices)))
     return halves[:n], pulled, halves[n:].reshape(-1, 3), moved, ellipsoids

@@ -83,13 +83,13 @@ def combined(numbers: Array, rows: Array) -> Array:
     flat = numbers.reshape(-1, numbers.shape[-1])
     count = max(1, MOST_ALONE // max(1, rows.size))
     if len(flat) <= count:
-        found: Array = flat @ rows.T
+        combinations: Array = flat @ rows.T
     else:
-        found = np.empty((len(flat), len(rows)))
+        combinations = np.empty((len(flat), len(rows)))
         for first in range(0, len(flat), count):
             part = slice(first, first + count)
-            np.matmul(flat[part], rows.T, out=found[part])
-    return found.reshape(*numbers.shape[:-1], len(rows))
+            np.matmul(flat[part], rows.T, out=combinations[part])
+    return combinations.reshape(*numbers.shape[:-1], len(rows))
 
 
 def multiply(a: Array, b: Array) -> Array:

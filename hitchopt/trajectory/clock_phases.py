@@ -19,7 +19,7 @@ SLIVER = 1e-8
 its jump in jerk times 1e-25 s³."""
 
 BISECTIONS = 52
-"""Halvings of a phase in which the time of a break is found."""
+"""Halvings of a phase in search of the time of a break."""
 
 
 def advanced(jets: Array, dt: Array | float) -> Array:

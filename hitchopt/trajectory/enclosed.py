@@ -180,10 +180,10 @@ class Enclosed:
     def direction(self) -> Enclosed:
         """Y / |y|; the zero vector and radius 1 where y may vanish."""
         inverse = self.norm.inverse
-        found = self * inverse
-        known = np.asarray(np.isfinite(inverse.r) & (found.r < 1.0))
-        c = np.where(known[..., None, None], found.c, 0.0)
-        return Enclosed(c, np.where(known, found.r, 1.0))
+        unit = self * inverse
+        known = np.asarray(np.isfinite(inverse.r) & (unit.r < 1.0))
+        c = np.where(known[..., None, None], unit.c, 0.0)
+        return Enclosed(c, np.where(known, unit.r, 1.0))
 
     @cached_property
     def inverse(self) -> Enclosed:
@@ -236,8 +236,8 @@ class Enclosed:
         along = self.middle
         size = np.sqrt(np.sum(along * along, axis=-1, keepdims=True))
         along = np.divide(along, size, out=np.zeros_like(along), where=size > 0.0)
-        found = self.dot(along).below
-        return Bound(np.maximum(found.value, 0.0), found.x)
+        lower = self.dot(along).below
+        return Bound(np.maximum(lower.value, 0.0), lower.x)
 
     @property
     def above(self) -> Bound:
@@ -249,8 +249,8 @@ class Enclosed:
     @property
     def below(self) -> Bound:
         """Lower bound of a scalar."""
-        found = (-self).above
-        return Bound(-found.value, found.x)
+        upper = (-self).above
+        return Bound(-upper.value, upper.x)
 
     @property
     def range(self) -> Interval:

@@ -201,12 +201,12 @@ class PiecewisePolynomial(OneLine):
 
     def split(self, shapes: Sequence[tuple[int, ...]]) -> list[PiecewisePolynomial]:
         """Return functions with values (m,) split into functions with values of given shapes."""
-        found, first, count = [], 0, self.degree + 1
+        parts, first, count = [], 0, self.degree + 1
         for shape in shapes:
             part = self.coefficients[:, first : first + prod(shape)]
-            found.append(self.alike(part.reshape(self.pieces, *shape, count).copy()))
+            parts.append(self.alike(part.reshape(self.pieces, *shape, count).copy()))
             first += prod(shape)
-        return found
+        return parts
 
     def elevated(self, order: int) -> PiecewisePolynomial:
         """Return the functions written in degree ``order``."""
@@ -222,12 +222,12 @@ class PiecewisePolynomial(OneLine):
     def end_jet(self, count: int) -> Array:
         """Return the value and derivatives by time at the end of all, ``(*shape, count)``."""
         steps, scale = self.coefficients[-1][..., -count:], 1.0
-        found = np.zeros((*self.shape, count))
+        jet = np.zeros((*self.shape, count))
         for order in range(steps.shape[-1]):
-            found[..., order] = scale * steps[..., -1]
+            jet[..., order] = scale * steps[..., -1]
             steps = steps[..., 1:] - steps[..., :-1]
             scale *= (self.degree - order) / (self.breaks[-1] - self.breaks[-2])
-        return found
+        return jet
 
     def stretched(self, factor: float) -> PiecewisePolynomial:
         """Return the curves flown ``factor`` times as slowly from the same start."""
