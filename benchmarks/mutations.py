@@ -56,11 +56,11 @@ class Mutation(NamedTuple):
 MUTATIONS = (
     Mutation("distances.py", "points, margin=margin, names=(names, names))", "points, margin=margin, names=(names, names), allowed=lambda i, j: j - i < 4)", "triangle", "pairs far apart in the list are missed"),
     Mutation("distances.py", "coefficients * scale[:, None]", "coefficients * scale[::-1, None]", "stack", "axes of the ellipsoid exchanged"),
-    Mutation("clearance.py", "(drones // 2 != k) | (", "(", "triangle", "foreign cables missed"),
-    Mutation("clearance.py", "((kind == 1) & on_leg[drones])", "(drones < 0)", "form_thirty_gon", "own edges missed"),
+    Mutation("/hitch/pairs.py", "(self.cable[i] != self.cable[j]) | (", "(", "triangle", "foreign cables missed"),
+    Mutation("/hitch/pairs.py", "(edges[j] & on_leg)", "(i < 0)", "form_thirty_gon", "own edges missed"),
     Mutation("clearance.py", "points[:, :, 2] -= (length", "points[:, :, 2] -= 0.5 * (length", "form_pentagon", "hanging cables half as deep"),
-    Mutation("distances.py", "return ~shared", "return ~shared & (part[i] // 3 != part[j] // 3)", "grip_drum", "legs of one cable missed"),
-    Mutation("spans.py", "PiecewisePolynomial.differentiated, order)", "PiecewisePolynomial.differentiated, 1)", "triangle", "every derivative is the first"),
+    Mutation("distances.py", "return flags", "return flags & (part[i] // 3 != part[j] // 3)", "grip_drum", "legs of one cable missed"),
+    Mutation("spans.py", "alike(derivative(part, order - 1)).diff", "diff", "triangle", "every derivative is the first"),
     Mutation("drones.py", "has_leg.ravel()[spans.item]", "has_leg.ravel()[spans.item] & (spans.item < 1)", "triangle", "legs but the first missed"),
     Mutation("cables.py", "(1.0 / 24.0)", "(1.0 / 12.0)", "weight_hexagon", "a factor of the sag"),
     Mutation("cables.py", "length - self.scaled(saved)", "length + self.scaled(saved)", "carry_box", "sign of what rims save"),
@@ -91,7 +91,7 @@ MUTATIONS = (
     Mutation("objects.py", "(self.pushed[2] + GRAVITY) * self.share", "self.pushed[2] * self.share", "grip_drum", "the weight dropped"),
     Mutation("objects.py", "* for_each(pull) * -SIGNS", "* for_each(pull)", "grip_drum", "sign of a pull"),
     Mutation("clearance.py", "counted = ~touching[", "counted = touching[", "carry_box", "cables that hold taken for others"),
-    Mutation("linking.py", "left, right = part.ends(order)", "right, left = part.ends(order)", "triangle", "ends exchanged"),
+    Mutation("linking.py", "left, right = rates", "right, left = rates", "triangle", "ends exchanged"),
     Mutation("drones.py", '"vertex_speed", "m/s", 1, Points)', '"vertex_speed", "m/s", 1, Drones)', "triangle", "drones in place of vertices"),
 )  # fmt: skip
 
