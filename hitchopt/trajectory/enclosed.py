@@ -281,7 +281,7 @@ def _error(a: Enclosed, b: Enclosed) -> Array:
     x, y = a.size, b.size
     if isinstance(a.r, float) and isinstance(b.r, float) and a.r == b.r == 0.0:
         return EPS * (x * y)
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):
         error: Array = x * (EPS * y + b.r) + a.r * (y + b.r)
         if math.isnan(np.add.reduce(error, axis=None)):
             error = EPS * (x * y)
