@@ -8,7 +8,7 @@ are possible places of the clasps: if all cables do for some places, none is tau
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import cached_property
 
 import numpy as np
@@ -16,7 +16,13 @@ from numpy.typing import NDArray
 
 from hitchopt.checks.drones import Drones, edge_sags
 from hitchopt.checks.objects import arc_lengths, wrapped_arcs
-from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase, WorstOverSpans
+from hitchopt.checks.rule import (
+    CheckRule,
+    Evaluator,
+    WorstCase,
+    WorstOverSpans,
+    worst_at_joint,
+)
 from hitchopt.checks.spans import (
     ROUNDING,
     MotionSpans,
@@ -219,7 +225,7 @@ def _jump_of_pulls(motion: Motion) -> WorstCase:
     names = [*cable_names(motion), *motion.team.drone_names]
     left, right = np.moveaxis(np.where(motion.formed[:, None, None], each, 0.0), -1, 0)
     noise = ROUNDING * (np.abs(left[1:]) + np.abs(right[:-1]))
-    return _at_joint(np.abs(left[1:] - right[:-1]) + noise, motion.drones.breaks[1:], names)
+    return worst_at_joint(np.abs(left[1:] - right[:-1]) + noise, motion.drones.breaks[1:], names)
 
 
 def _jump_of_thrusts(motion: Motion) -> WorstCase:
@@ -232,16 +238,7 @@ def _jump_of_thrusts(motion: Motion) -> WorstCase:
         ends.append((f, np.concatenate(slop).reshape(shape)))
     (left, before), (right, after) = ends
     jumps = np.linalg.norm(left[1:] - right[:-1], axis=-1) + before[1:] + after[:-1]
-    return _at_joint(jumps, motion.drones.breaks[1:], motion.team.drone_names)
-
-
-def _at_joint(values: Array, times: Array, names: Sequence[str]) -> WorstCase:
-    """Return the largest of values (joints, items) at times (joints or more,) [s]."""
-    if values.size == 0:
-        return WorstCase(0.0, float(times[0]))
-    joint, item = np.unravel_index(int(np.argmax(values)), values.shape)
-    worst = float(values[joint, item])
-    return WorstCase(worst, float(times[joint]), (names[int(item)],) if worst > 0.0 else ())
+    return worst_at_joint(jumps, motion.drones.breaks[1:], motion.team.drone_names)
 
 
 def _outside(
@@ -280,7 +277,7 @@ def _off_at_ends(motion: Motion) -> WorstCase:
         changes &= ~(holding[1:-1] & holding[other])
         joints = np.flatnonzero(changes) + shift
         off[joints] = np.maximum(off[joints], np.abs(c[changes][..., end] - team))
-    return _at_joint(off, motion.drones.breaks, Cables.names(motion))
+    return worst_at_joint(off, motion.drones.breaks, Cables.names(motion))
 
 
 def _ramps(motion: Motion) -> Mask:

@@ -338,15 +338,13 @@ def _past_taut(motion: Motion) -> Iterator[Moving]:
 
     drones = motion.drones.elevated(bernstein.degree(corners)).coefficients
     names = motion.team.drone_names, [f"cable {k}" for k in part // 3]
-    breaks, margin = motion.drones.breaks, position_margin(motion)
-    yield Moving(breaks, drones[:, :, None], corners, margin, strange, names=names)
+    yield Moving.of(motion, drones[:, :, None], corners, allowed=strange, names=names)
 
 
 def _past_chords(motion: Motion) -> Iterator[Moving]:
     """Yield pairs of drones and the chords of other cables, as seen from above."""
     flat, names = plan_points(motion), (motion.team.drone_names, cable_names(motion))
-    breaks, margin = motion.drones.breaks, position_margin(motion)
-    yield Moving(breaks, flat, cable_ends(flat), margin, lambda i, k: i // 2 != k, names=names)
+    yield Moving.of(motion, flat, cable_ends(flat), allowed=lambda i, k: i // 2 != k, names=names)
 
 
 def _past_hanging(motion: Motion) -> Iterator[Moving]:

@@ -16,7 +16,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -156,6 +156,13 @@ class Moving:
     names: tuple[Sequence[str], Sequence[str]] = ((), ())
     formula: Callable[[PairSpans], Bound] = gap
     tolerance: float | None = None
+
+    @classmethod
+    def of(
+        cls, motion: Motion, first: Array, second: Array | None = None, **options: Any
+    ) -> Moving:
+        """Return bodies on the pieces of a motion, whose positions round as it says."""
+        return cls(motion.drones.breaks, first, second, position_margin(motion), **options)
 
     def named(self, item: int) -> tuple[str, ...]:
         """Return the names of a pair."""
@@ -395,13 +402,13 @@ def _taut(motion: Motion) -> Iterator[Moving]:
     """
     corners, part = cable_parts(motion)
     bodies, names = Bodies.of(motion.team.layout), [part_name(p) for p in part]
-    body, breaks, margin = bodies.of_parts(part), motion.drones.breaks, position_margin(motion)
+    body = bodies.of_parts(part)
 
     def crossing(i: Indices, j: Indices) -> Flags:
         flags: Flags = bodies.kind(body[i], body[j]) == CROSSING_PAIR
         return flags
 
-    yield Moving(breaks, corners, None, margin, crossing, names=(names, names))
+    yield Moving.of(motion, corners, allowed=crossing, names=(names, names))
 
 
 def _hanging(motion: Motion) -> Iterator[Moving]:
@@ -416,9 +423,8 @@ def _hanging(motion: Motion) -> Iterator[Moving]:
 
     for part in phase_parts(motion):
         clasped = part.phase.state in (CableState.CLASPING, CableState.TIGHTENING)
-        ends, margin = cable_ends(plan_points(part.motion)), position_margin(part.motion)
-        allowed, breaks = unclasped if clasped else None, part.motion.drones.breaks
-        yield Moving(breaks, ends, None, margin, allowed, names=(names, names))
+        ends, allowed = cable_ends(plan_points(part.motion)), unclasped if clasped else None
+        yield Moving.of(part.motion, ends, allowed=allowed, names=(names, names))
 
 
 CROSSING = CheckRule(

@@ -31,7 +31,7 @@ import numpy as np
 from hitchopt.checks.cables import LENGTH_LIMIT as SLACK
 from hitchopt.checks.clearance import above_ground, cables_and_drones, chains
 from hitchopt.checks.distances import Flags, Moving, PairSpans, cable_ends, near
-from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase
+from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase, worst_at_joint
 from hitchopt.checks.spans import (
     PART_NAMES,
     clasped_pairs,
@@ -221,21 +221,16 @@ def _largest_jump(motion: Motion, _: float) -> WorstCase:
     legs = tuple(f"{name} {k}" for k in range(motion.team.robots) for name in PART_NAMES[0::2])
     for span in motion.spans(HITCHED_STATE):
         parts += [(span.vertices, span.team.point_names), (span.legs.reshaped(-1, 1), legs)]
-    worst = WorstCase(0.0, float(motion.drones.breaks[0]))
+    cases = [WorstCase(0.0, float(motion.drones.breaks[0]))]
     for part, names in parts:
-        if part.pieces == 1:
-            continue
         for order in range(3):
             rates = derivative(part, order)
             left, right = rates[..., 0], rates[..., -1]
             margin = derivative_margin(part, order)
             noise = margin[1:] + margin[:-1] if order else position_margin(motion)
-            jump = length(left[1:] - right[:-1]) + noise
-            joint, item = np.unravel_index(int(np.argmax(jump)), jump.shape)
-            if jump[joint, item] > worst.worst:
-                time = float(part.breaks[joint + 1])
-                worst = WorstCase(float(jump[joint, item]), time, (names[item],))
-    return worst
+            jumps = length(left[1:] - right[:-1]) + noise
+            cases.append(worst_at_joint(jumps, part.breaks[1:], names))
+    return max(cases, key=lambda case: case.worst)
 
 
 JUMPS = Evaluator(_largest_jump, shown=(_largest_jump,))

@@ -42,6 +42,15 @@ class WorstCase:
         return Check.of(rule.name, *values)
 
 
+def worst_at_joint(values: Array, times: Array, names: Sequence[str]) -> WorstCase:
+    """Return the largest of values (joints, items) at times (joints or more,) [s]."""
+    if values.size == 0:
+        return WorstCase(0.0, float(times[0]))
+    joint, item = np.unravel_index(int(np.argmax(values)), values.shape)
+    worst = float(values[joint, item])
+    return WorstCase(worst, float(times[joint]), (names[int(item)],) if worst > 0.0 else ())
+
+
 @dataclass(frozen=True, eq=False)
 class WorstOverSpans(Generic[S]):
     """Evaluate a formula's worst value over spans of a motion.

@@ -27,7 +27,7 @@ from hitchopt.checks.clearance import CABLE_CLEARANCE, drones_room, moved_by
 from hitchopt.checks.distances import Moving, smallest
 from hitchopt.checks.drones import Drones
 from hitchopt.checks.rule import ReportRule, SpanResult, SpanResults, WorstCase
-from hitchopt.checks.spans import ROUNDING, phase_parts, position_margin
+from hitchopt.checks.spans import ROUNDING, phase_parts
 from hitchopt.geometry.vectors import unit
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, Motion
 from hitchopt.trajectory.enclosed import Bound
@@ -124,9 +124,8 @@ def _least_pair(motion: Motion, check: Check, least: WorstCase) -> WorstCase:
     lower = max(min(separation.radius, separation.height) * (check.bound - 1.0), 0.0)
     if least.worst <= lower:
         return least
-    drones, shape = motion.drones, Ellipsoid(1.0 / separation.scale)
-    points, margin = drones.coefficients[:, :, None], position_margin(motion)
-    moving = Moving(drones.breaks, points, margin=margin, shape=shape, names=(names, names))
+    points, shape = motion.drones.coefficients[:, :, None], Ellipsoid(1.0 / separation.scale)
+    moving = Moving.of(motion, points, shape=shape, names=(names, names))
     pair = smallest(moving, known=2.0 * least.worst)
     radius = max(0.5 * pair.worst, lower)
     if radius >= least.worst or pair.item < 0:
