@@ -110,19 +110,25 @@ def test_an_arena_pushes_a_leg_back_and_one_too_small_still_gives_the_best() -> 
     assert margin(hitch) >= 0.9
 
 
+@pytest.mark.parametrize("topology", ["closed", "open"])
 @pytest.mark.parametrize("n", [3, 4, 7])
-def test_kinds_of_pairs_are_those_of_the_definition(n: int) -> None:
-    """By names of parts and sets of clasps, not by indices."""
+def test_kinds_of_pairs_are_those_of_the_definition(n: int, topology: str) -> None:
+    """By names of parts and sets of clasps, not by indices; a chain's ends have no leg."""
+    chain = topology == "open"
+    ends = {("q", 0), ("r", n - 1)} if chain else set()
     bodies: list[tuple[str, int, set[int]]] = [(end, k, set()) for k in range(n) for end in "qr"]
     for k in range(n):
-        after = (k + 1) % n
-        bodies += [("q-leg", k, {k}), ("edge", k, {k, after}), ("r-leg", k, {after})]
+        after = k + 1 if chain else (k + 1) % n
+        parts = [("q-leg", k, {k}), ("edge", k, {k, after}), ("r-leg", k, {after})]
+        bodies += [part for part in parts if (part[0][0], k) not in ends]
+    layout = Team(n, 2.0, topology=topology).layout
     i, j = np.triu_indices(len(bodies), 1)
-    for a, b, kind in zip(i, j, Bodies.of(Team(n, 2.0).layout).kind(i, j), strict=True):
+    for a, b, kind in zip(i, j, Bodies.of(layout).kind(i, j), strict=True):
         (first, k, clasps), (second, m, others) = bodies[a], bodies[b]
         wanted = CROSSING if not clasps & others else -1
         if first in "qr":
-            wanted = CABLE if k != m or second == "edge" else -1
+            own = second == "edge" and (first, k) not in ends
+            wanted = CABLE if k != m or own else -1
         if second in "qr":
             wanted = SEPARATION
         assert kind == wanted, (bodies[a], bodies[b])
