@@ -10,7 +10,7 @@ b_{k-1}`` and ``r̂_{k-1} = -a_k``. Arrays carry any leading axes.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,8 +20,9 @@ from hitchopt.errors import InfeasibleError, OneLine
 from hitchopt.geometry import Outline
 from hitchopt.geometry.vectors import dot, first_smallest, length, unit
 from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.leg_program import LIMIT_MARGIN, LegTask
-from hitchopt.hitch.legs import reference_margin
+from hitchopt.hitch.hitch import balanced_legs
+from hitchopt.hitch.leg_program import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
+from hitchopt.hitch.legs import reference_margin, split_slack
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import GRAVITY, Quadrotor
 from hitchopt.objects import Section
@@ -446,20 +447,20 @@ def rest_capacity(
     inside = np.min(away[:, 1] * u[:, 0] - away[:, 0] * u[:, 1])
     support = float(inside) - height * MAX_ACCELERATION / GRAVITY  # of the force line [m]
     unloaded = Team(n, cable_length, tension=tension, quadrotor=kind)
-    legs = Hitch.spread(unloaded, polygon, limits=limits, separation=requirements.separation).q_legs
+    shape = polygon.vertices[None], balanced_legs(unloaded, polygon)[None]
+    spread = LegTask(unloaded, requirements, *shape, limits.leg, SPREAD_MARGIN)
+    legs = split_slack(spread).q_legs
 
     def worst(mass: float) -> tuple[float, str]:
         """Return the smallest margin with a mass [kg], and the name of its limit."""
         team = Team(n, cable_length, tension=tension, quadrotor=kind, load=mass / n)
         try:
-            hitch = Hitch(team, polygon, 1.0, legs)
+            hitch = Hitch(team, polygon, 1.0, legs[0])
             thrusts = -hitch.cable_forces + [0.0, 0.0, GRAVITY * kind.mass]
         except InfeasibleError as error:
             return -1.0, error.violations[0].constraint
         tilt = np.arctan2(length(thrusts[:, :2]), thrusts[:, 2])
-        task = LegTask(
-            team, requirements, polygon.vertices[None], legs[None], limits.leg, LIMIT_MARGIN
-        )
+        task = replace(spread, team=team, reference=legs, margin=LIMIT_MARGIN)
         margins = {
             "thrust": 1.0 - float(np.max(length(thrusts))) / kind.max_thrust,
             "tilt": 1.0 - float(np.max(tilt)) / limits.tilt,

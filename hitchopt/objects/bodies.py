@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -88,8 +89,7 @@ class Section(OneLine):
     @property
     def _outward(self) -> Array:
         """(m, 2): unit vectors out of the sides of a polygon."""
-        first, last = np.moveaxis(self.sides, 1, 0)
-        edges = last - first  # clockwise
+        edges = self.sides[:, 1] - self.sides[:, 0]  # clockwise
         return unit(np.stack([-edges[:, 1], edges[:, 0]], axis=-1))
 
     def support(self, directions: Array) -> Array:
@@ -105,23 +105,19 @@ class Section(OneLine):
         if self.outline is None:
             return length(places) - self.rounding, unit(places, [1.0, 0.0])
         # By coordinates, (m, …): products of many short vectors take several times as long.
-        first, last, outward = (
-            each.T.reshape(2, -1, *(1,) * (places.ndim - 1))
-            for each in (*np.moveaxis(self.sides, 1, 0), self._outward)
-        )
-        (first_x, first_y), (last_x, last_y) = (
-            (places[..., 0] - x, places[..., 1] - y) for x, y in (first, last)
-        )
-        depths = first_x * outward[0] + first_y * outward[1]  # before each side, negative behind it
-        u, v = first_x - last_x, first_y - last_y
-        share = np.clip((first_x * u + first_y * v) / (u * u + v * v), 0.0, 1.0)
-        x, y = first_x - share * u, first_y - share * v
+        columns, outward = _sides_of(self)
+        columns = columns.reshape(*columns.shape, *(1,) * (places.ndim - 1))
+        x, y, along_x, along_y, squared, out_x, out_y = columns
+        x, y = places[..., 0] - x, places[..., 1] - y
+        depths = x * out_x + y * out_y  # before each side, negative behind it
+        share = np.clip((x * along_x + y * along_y) / squared, 0.0, 1.0)
+        x, y = x - share * along_x, y - share * along_y
         nearest = np.argmin(x * x + y * y, axis=0)[None]
         chosen = [np.take_along_axis(each, nearest, axis=0)[0] for each in (x, y)]
         offset = np.stack(chosen, axis=-1)
         depth, far = np.max(depths, axis=0), length(offset)
         inside = (depth <= 0.0) | (far == 0.0)
-        shallow = outward.reshape(2, -1).T[np.argmax(depths, axis=0)]
+        shallow = outward[np.argmax(depths, axis=0)]
         normals = np.where(inside[..., None], shallow, unit(offset))
         return np.where(depth <= 0.0, depth, far), normals
 
@@ -143,6 +139,16 @@ class Section(OneLine):
         apart = np.min(length(shortest_offset(differences(ends, self.sides))), axis=-1)
         within = self.clearance(first)[0] <= 0.0
         return np.where(within, 0.0, np.maximum(apart - self.rounding, 0.0))
+
+
+@lru_cache(maxsize=256)
+def _sides_of(section: Section) -> tuple[Array, Array]:
+    """Return the columns (7, m) of a polygon's sides, and the unit vectors (m, 2) out of them.
+
+    The columns are first corners, vectors, squared lengths, and the unit vectors.
+    """
+    along, outward = section.sides[:, 1] - section.sides[:, 0], section._outward
+    return np.column_stack([section.core, along, dot(along, along), outward]).T, outward
 
 
 def _clockwise(outline: ArrayLike) -> Array:

@@ -23,7 +23,7 @@ from hitchopt.hitch.holding import Grip, largest_tension, turn
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Quadrotor
 from hitchopt.objects import Section, SolidObject
-from hitchopt.values import Array
+from hitchopt.values import Array, Indices
 
 UNSTRETCHED, STRETCHES = np.ones(1), np.geomspace(0.25, 4.0, 81)
 """Candidate proportions of the polygon around an object that rests, and around one that is gripped,
@@ -144,21 +144,14 @@ class GripTask:
         """
         n, shape, contacts = self.robots, grip.vertices.shape[:-2], grip.wraps.contacts
         drones = grip.drones.reshape(*shape, 2 * n, 2)
-        here, onward, k = grip.vertices, np.roll(grip.vertices, -1, axis=-2), np.arange(n)
+        here, onward = grip.vertices, np.roll(grip.vertices, -1, axis=-2)
         starts = here, here, contacts[..., 1, :], onward  # q-legs, both tangents, r-legs
         ends = grip.drones[..., 0, :], contacts[..., 0, :], onward, grip.drones[..., 1, :]
         parts = np.stack([np.concatenate(each, axis=-2) for each in (starts, ends)], axis=-2)
-        cable, clasp = np.tile(k, 4), np.concatenate([k, k, (k + 1) % n, (k + 1) % n])
-        leg = np.repeat([True, False, False, True], n)
-        one, two = np.triu_indices(2 * n, 1)
+        (one, two), (drone, near), (i, j) = _pairs(n)
         apart = length(drones[..., one, :] - drones[..., two, :])
-        # Own tangents count, as the own edge of any hitch does; own legs do not.
-        near = np.argwhere((np.arange(2 * n)[:, None] // 2 != cable) | ~leg)
-        gaps = _distances(drones[..., near[:, :1], :], parts[..., near[:, 1], :, :])
-        i, j = np.triu_indices(4 * n, 1)
-        both, own = leg[i] & leg[j], cable[i] == cable[j]
-        counts = (clasp[i] != clasp[j]) & (leg[i] | leg[j]) & (both | ~own)
-        crossing = _distances(parts[..., i[counts], :, :], parts[..., j[counts], :, :])
+        gaps = _distances(drones[..., drone, None, :], parts[..., near, :, :])
+        crossing = _distances(parts[..., i, :, :], parts[..., j, :, :])
         clear = self.section.clearance
         distances = {
             "separation": apart,
@@ -201,6 +194,23 @@ class GripTask:
         if lacking > 0.0 or loose >= 0.0:
             return -lacking - max(loose, 0.0)
         return float(grip.slip_load(1.0))
+
+
+@lru_cache
+def _pairs(n: int) -> tuple[Indices, Indices, Indices]:
+    """Return the pairs (2, pairs) that keep off each other: drones, drones and parts, parts.
+
+    Own tangents count for drones, as the own edge of any hitch does; own legs do not.
+    """
+    k = np.arange(n)
+    cable, clasp = np.tile(k, 4), np.concatenate([k, k, (k + 1) % n, (k + 1) % n])
+    leg = np.repeat([True, False, False, True], n)
+    near = np.nonzero((np.arange(2 * n)[:, None] // 2 != cable) | ~leg)
+    i, j = np.triu_indices(4 * n, 1)
+    both, own = leg[i] & leg[j], cable[i] == cable[j]
+    crossing = (clasp[i] != clasp[j]) & (leg[i] | leg[j]) & (both | ~own)
+    drones = np.stack(np.triu_indices(2 * n, 1))
+    return drones, np.stack(near), np.stack([i[crossing], j[crossing]])
 
 
 def _distances(first: Array, second: Array) -> Array:
@@ -284,29 +294,33 @@ def _refined(task: GripTask, start: Array, iterations: int) -> Array:
         return np.concatenate([goal, unbalanced, *margins], axis=-1)
 
     @lru_cache(maxsize=1)
-    def at(x: tuple[float, ...]) -> tuple[Array, Array]:
-        """Return values (rows,) at vertices x (2 n,) [m], and their slopes by differences."""
-        moves = DIFFERENCE * np.eye(len(x))
-        here, *around = values(
-            np.asarray(x) + np.concatenate([np.zeros((1, len(x))), moves, -moves])
-        )
-        after, before = np.split(np.array(around), 2)
-        return here, ((after - before) / (2.0 * DIFFERENCE)).T
+    def at(x: tuple[float, ...]) -> Array:
+        """Return values (rows,) at vertices x (2 n,) [m]."""
+        return values(np.array(x))
 
-    def part(i: int, rows: Any, sign: float = 1.0, least: float = 0.0) -> Callable[[Array], Any]:
-        return lambda x: sign * at(tuple(x))[i][rows] - least
+    @lru_cache(maxsize=1)
+    def slopes(x: tuple[float, ...]) -> Array:
+        """Return the slopes (rows, 2 n) of values at vertices x (2 n,) [m], by differences."""
+        moves = DIFFERENCE * np.eye(len(x))
+        after, before = np.split(values(np.array(x) + np.concatenate([moves, -moves])), 2)
+        return np.asarray((after - before).T / (2.0 * DIFFERENCE))
+
+    def part(
+        of: Callable[[tuple[float, ...]], Array], rows: Any, sign: float = 1.0, least: float = 0.0
+    ) -> Callable[[Array], Any]:
+        return lambda x: sign * of(tuple(x))[rows] - least
 
     check_time()
     kinds = ("eq", slice(1, 4), 0.0), ("ineq", slice(4, None), LIFT_MARGIN)
     constraints: Any = [
-        {"type": kind, "fun": part(0, rows, least=least), "jac": part(1, rows)}
+        {"type": kind, "fun": part(at, rows, least=least), "jac": part(slopes, rows)}
         for kind, rows, least in kinds
     ]
     found = minimize(
-        part(0, 0, -1.0),
+        part(at, 0, -1.0),
         start.ravel(),
         method="SLSQP",
-        jac=part(1, 0, -1.0),
+        jac=part(slopes, 0, -1.0),
         constraints=constraints,
         options={"maxiter": iterations, "ftol": 1e-7},
     )
