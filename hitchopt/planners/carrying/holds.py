@@ -30,13 +30,20 @@ from hitchopt.hitch.forces import (
     sag_factors,
 )
 from hitchopt.hitch.hitch import cable_slack
-from hitchopt.hitch.holding import Bends, balanced, edge_ratios, straight_parts, wraps_around
+from hitchopt.hitch.holding import (
+    Bends,
+    Wraps,
+    balanced,
+    edge_ratios,
+    straight_parts,
+    wraps_around,
+)
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.loads import Supports, rim_drop, rim_savings, strut_share
 from hitchopt.motion.motion import HoldBy, Motion, Phase
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import in_world, poses_of
-from hitchopt.planners.carrying.moves import Move, SmoothLaw, polynomials
+from hitchopt.planners.carrying.moves import Course, Move, SmoothLaw, polynomials
 from hitchopt.planners.carrying.polygons import sides_of
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
@@ -348,85 +355,31 @@ class GripHold(Hold):
         return 0.5 * (spans[-1] - spans[0])
 
     def curves(self, move: Move, t: Array) -> dict[str, Array]:
-        """Return all curves of a move at times t (…) [s]."""
-        course, mass = move.course(t), self.body.mass
-        borne, weight = course.borne, GRAVITY * course.borne
-        pulled = np.zeros((*borne.shape, 2))
-        if move.lifted:
-            centre = course.accelerations(self.body.centre_of_mass[None])[..., 0, :]
-            pulled, weight = mass * centre[..., :2], GRAVITY + centre[..., 2]
-        bends, seam = self._bends(0.5 * sum(move.closed)), np.zeros(len(self.closed))
-        if move.closed[0] != move.closed[1]:
-            before, after = (self._seam(end, bends) for end in move.closed)
-            seam = before + course.share[..., None] * (after - before)
-        share, lead = course.between(*move.closed), course.between(*move.lead)
-        curves = self._statics(
-            share, course.tension, mass * weight, bends, (pulled, borne), lead, seam
-        )
-        if move.lead == (0.0, 0.0):
-            del curves["leg_tensions"]
-        pose = course.pose[..., None, :]
-        for name in ("drones", "vertices"):
-            curves[name] = in_world(pose, curves[name])
-        curves["contacts"] = in_world(pose[..., None, :], curves["contacts"])
-        return curves | {"pose": course.pose, "borne": borne}
-
-    def _statics(
-        self,
-        share: Array,
-        tension: Array,
-        weight: Array,
-        bends: Bends,
-        pulled: tuple[Array, Array],
-        lead: Array,
-        seam: Array,
-    ) -> dict[str, Array]:
-        """Return drones, vertices, legs, tensions and contacts in the object's frame.
+        """Return all curves of a move at times t (…) [s].
 
         Legs that lead pull with the tension, and edges with ``exp(-s μ θ)`` of that: s is the share
         of clasp friction, and θ the angle by which both of its cables turn at a clasp, the mean of
         the angles that edges and legs enclose.
-
-        Parameters
-        ----------
-        share: (…), closure of the hitch.
-        tension: (…, n) [N]
-        weight: (…) [N], on edges.
-        bends: (n,), the corners about which edges bend.
-        pulled: (…, 2) [N], level force on the object, and (…) the share of it on edges, from 0 of
-            an object that stands.
-        lead: (…), as of Move.
-        seam: (…, n) [m³], added to ``_span``.
         """
-        team, section, T = self.team, self.body.section, tension
-        planned = polygon = self._polygon(share)
-        wraps = wraps_around(section, polygon, bends)
-        centre, z = self.body.centre_of_mass[:2], np.zeros(polygon.shape[:-1])
-        force, borne = pulled
-        if np.any(borne):
-            load = np.concatenate([force, weight[..., None]], axis=-1)
-            for _ in range(MAX_PASSES):
-                before = np.concatenate([polygon - centre, z[..., None]], axis=-1)
-                arms = wraps.contacts - centre
-                after = balanced(before, T, arms, load, (planned - centre, borne))
-                polygon, z = centre + after[..., :2], after[..., 2]
-                wraps = wraps_around(section, polygon, bends)
-                if np.max(np.abs(after - before)) < CONVERGED:
-                    break
-            else:
-                _check_balance(straight_parts(polygon, wraps.contacts, z), T, load, borne)
+        course, team = move.course(t), self.team
+        share, T = course.between(*move.closed), course.tension
+        pulls, leading = np.stack([T, T], axis=-1), move.lead != (0.0, 0.0)
+        bends = self._bends(0.5 * sum(move.closed))
+        polygon, z, wraps = self._balanced(move, course, self._polygon(share), bends)
         leaving, arriving = straight_parts(polygon, wraps.contacts, z)
-        pulls = np.stack([tension, tension], axis=-1)
-        leading = bool(np.any(lead))
         if leading:
-            T = tension * edge_ratios(team.cable_friction * lead, wraps.clasp_angles)
+            lead = course.between(*move.lead)
+            T = T * edge_ratios(team.cable_friction * lead, wraps.clasp_angles)
         factors, edges = sag_factors(team, T), wraps.arcs + (length(leaving) + length(arriving))
         if team.cable_density > 0.0:
-            edges = edges + factors * (_span(leaving, arriving) + seam)
+            spans = _span(leaving, arriving)
+            if move.closed[0] != move.closed[1]:
+                before, after = (self._seam(end, bends) for end in move.closed)
+                spans = spans + before + course.share[..., None] * (after - before)
+            edges = edges + factors * spans
         slack = team.cable_length - edges
-        q_legs = (
-            self.open_fractions + share[..., None] * (self.fractions - self.open_fractions)
-        ) * slack
+        split = self.open_fractions + share[..., None] * (self.fractions - self.open_fractions)
+        q_legs = split * slack
         loads, onward = clasp_loads(team, q_legs, slack, None), unit(arriving)
         own = pulls if leading else None
         directions = leg_directions(unit(leaving), T, team.topology, loads, onward, own)
@@ -434,14 +387,46 @@ class GripHold(Hold):
         lengths = np.stack([q_legs, slack - q_legs], axis=-1)
         drones, legs = leg_chords(team, lengths, directions, factors, places)
         level = np.full((*wraps.contacts.shape[:-1], 1), self.height)
+        contacts = np.concatenate([wraps.contacts, level], axis=-1)
+        pose = course.pose[..., None, :]
         return {
-            "drones": drones,
-            "vertices": places,
+            "drones": in_world(pose, drones),
+            "vertices": in_world(pose, places),
             "legs": legs,
             "tensions": T,
-            "leg_tensions": pulls,
-            "contacts": np.concatenate([wraps.contacts, level], axis=-1),
-        }
+            "contacts": in_world(pose[..., None, :], contacts),
+            "pose": course.pose,
+            "borne": course.borne,
+        } | ({"leg_tensions": pulls} if leading else {})
+
+    def _balanced(
+        self, move: Move, course: Course, planned: Array, bends: Bends
+    ) -> tuple[Array, Array, Wraps]:
+        """Return clasps (…, n, 2) [m], their heights (…, n) [m], and edges that bear the load.
+
+        Edges of an object that stands bear level forces in proportion to its weight on them.
+        """
+        section, T, borne = self.body.section, course.tension, course.borne
+        polygon, z = planned, np.zeros(planned.shape[:-1])
+        wraps = wraps_around(section, polygon, bends)
+        if not np.any(borne):
+            return polygon, z, wraps
+        load = np.zeros((*borne.shape, 3))
+        load[..., 2] = GRAVITY * borne
+        if move.lifted:
+            load += course.accelerations(self.body.centre_of_mass[None])[..., 0, :]
+        load, centre = self.body.mass * load, self.body.centre_of_mass[:2]
+        for _ in range(MAX_PASSES):
+            before = np.concatenate([polygon - centre, z[..., None]], axis=-1)
+            arms = wraps.contacts - centre
+            after = balanced(before, T, arms, load, (planned - centre, borne))
+            polygon, z = centre + after[..., :2], after[..., 2]
+            wraps = wraps_around(section, polygon, bends)
+            if np.max(np.abs(after - before)) < CONVERGED:
+                break
+        else:
+            _check_balance(straight_parts(polygon, wraps.contacts, z), T, load, borne)
+        return polygon, z, wraps
 
 
 def _check_balance(parts: tuple[Array, Array], T: Array, load: Array, borne: Array) -> None:

@@ -10,7 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from hitchopt.checks import Check
 from hitchopt.checks.registry import RULE_OF
+from hitchopt.checks.spans import value_cache
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY, Hitch, Team
@@ -88,6 +90,13 @@ def one_phase(
     remark = "; ".join(dict.fromkeys(each.remark for each in motion.phases if each.remark))
     phase = Phase(name, step, 0.0, motion.duration, remark, tension=tension, hold=hold)
     return replace(motion, phases=(phase,))
+
+
+def first_violated(motion: Motion, checks: Sequence[str]) -> Check | None:
+    """Return the first of some checks, by name, that a motion violates; None if all hold."""
+    with value_cache():
+        results = filter(None, (RULE_OF[name].check(motion) for name in checks))
+        return next((check for check in results if not check.holds), None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,19 +196,17 @@ class MovePlanner:
         """Return a move slowed until limits of motion hold, and some checks by name."""
         from hitchopt.planners.timing.flight import needed_stretch
 
-        rules = [RULE_OF[name] for name in checks]
         for _ in range(MAX_SLOWINGS):
             try:
                 motion = self.motion([move])
                 factor = needed_stretch(motion.team, self.requirements.limits, motion)
-                results = (rule.check(motion) for rule in rules)
-                if factor <= 1.0 and any(each and not each.holds for each in results):
+                if factor <= 1.0 and first_violated(motion, checks):
                     factor = math.inf
             except InfeasibleError:
-                if not rules:
+                if not checks:
                     raise
                 factor = math.inf
-            if factor == math.inf and rules:
+            if factor == math.inf and checks:
                 factor = SLOWER
             if not 1.0 < factor < math.inf:
                 break
@@ -259,8 +266,7 @@ class MovePlanner:
             except InfeasibleError as error:  # legs cannot pull so much harder
                 refusals.append(error)
                 continue
-            checks = filter(None, (RULE_OF[each].check(motion) for each in LEAD_CHECKS))
-            broken = next((check for check in checks if not check.holds), None)
+            broken = first_violated(motion, LEAD_CHECKS)
             if broken is None:
                 return motion, moves
             when = (
