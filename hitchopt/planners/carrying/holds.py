@@ -375,7 +375,7 @@ class GripHold(Hold):
             spans = _span(leaving, arriving)
             if move.closed[0] != move.closed[1]:
                 before, after = (self._seam(end, bends) for end in move.closed)
-                spans = spans + before + course.share[..., None] * (after - before)
+                spans = spans + course.between(before, after)
             edges = edges + factors * spans
         slack = team.cable_length - edges
         split = self.open_fractions + share[..., None] * (self.fractions - self.open_fractions)

@@ -121,22 +121,7 @@ class Move:
 
     def course(self, t: Array) -> Course:
         """Return the course of the move at times t (…) [s]."""
-        share, speed, change = np.moveaxis(self.law.jet(t), -1, 0)
-        offset = self.end - self.start
-        place = self.start + share[..., None] * offset
-        yaw = place[..., 3]
-        heading = [np.cos(yaw)[..., None], np.sin(yaw)[..., None]]
-        tension = self.tension[0] + share[..., None] * (self.tension[1] - self.tension[0])
-        back = np.stack([0 * yaw, 0 * yaw, 0 * yaw, np.cos(yaw), -np.sin(yaw)], axis=-1)
-        return Course(
-            share,
-            np.concatenate([place[..., :3], *heading], axis=-1),
-            self.borne[0] + share * (self.borne[1] - self.borne[0]),
-            tension,
-            in_world(back, change[..., None] * offset[:3]),
-            speed * offset[3],
-            change * offset[3],
-        )
+        return Course(self, *np.moveaxis(self.law.jet(t), -1, 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,32 +130,46 @@ class Course:
 
     Attributes
     ----------
-    share: (…), of the move.
-    pose: (…, 5), of the object.
-    borne: (…), share of its weight on clasps.
-    tension: (…, n) [N]
-    linear: (…, 3) [m/s²], acceleration of its base in its frame, without that of turning.
-    yaw_rate, yaw_acceleration: (…) [rad/s], [rad/s²]
+    move: what changes.
+    share, speed, acceleration: (…), of the move, and its derivatives [1/s], [1/s²].
     """
 
+    move: Move
     share: Array
-    pose: Array
-    borne: Array
-    tension: Array
-    linear: Array
-    yaw_rate: Array
-    yaw_acceleration: Array
+    speed: Array
+    acceleration: Array
 
-    def between(self, before: float, after: float) -> Array:
-        """Return (…) the value of what changes from ``before`` to ``after``."""
-        return np.asarray(before + self.share * (after - before))
+    def between(self, before: Array | float, after: Array | float) -> Array:
+        """Return (…) or (…, k) the value of what changes from one value or (k,) to another."""
+        share = self.share if np.ndim(after) == 0 else self.share[..., None]
+        return np.asarray(before + share * (np.asarray(after) - before))
+
+    @property
+    def pose(self) -> Array:
+        """(…, 5): of the object."""
+        place = self.between(self.move.start, self.move.end)
+        yaw = place[..., 3:]
+        return np.concatenate([place[..., :3], np.cos(yaw), np.sin(yaw)], axis=-1)
+
+    @property
+    def borne(self) -> Array:
+        """(…): share of the object's weight on clasps."""
+        return self.between(*self.move.borne)
+
+    @property
+    def tension(self) -> Array:
+        """(…, n) [N]: of cables."""
+        return self.between(*self.move.tension)
 
     def accelerations(self, points: Array) -> Array:
         """Return accelerations (…, k, 3) [m/s²] of points (k, 3) of the object, in its frame."""
-        x, y = points[:, 0], points[:, 1]
-        inward, sideways = (self.yaw_rate**2)[..., None], self.yaw_acceleration[..., None]
+        x, y, offset = points[:, 0], points[:, 1], self.move.end - self.move.start
+        back = self.pose * [0.0, 0.0, 0.0, 1.0, -1.0]
+        linear = in_world(back, self.acceleration[..., None] * offset[:3])
+        inward = (self.speed * offset[3])[..., None] ** 2
+        sideways = (self.acceleration * offset[3])[..., None]
         spin = [-inward * x - sideways * y, sideways * x - inward * y, 0.0 * inward * x]
-        return np.asarray(self.linear[..., None, :] + np.stack(spin, axis=-1))
+        return np.asarray(linear[..., None, :] + np.stack(spin, axis=-1))
 
 
 PROBE = 2e-3
