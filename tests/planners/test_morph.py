@@ -23,6 +23,7 @@ from hitchopt.hitch.requirements import Requirements
 from hitchopt.planners.morph.legs import leg_task_along, with_legs_clear
 from hitchopt.planners.morph.morph import StraightMorph
 from hitchopt.planners.morph.path import ShapePath, shapes_along
+from hitchopt.planners.optimise import program
 from hitchopt.planners.optimise.knots import KnotPath, Search, SolverStep
 from hitchopt.planners.optimise.program import iterates
 from hitchopt.planners.optimise.search import OptimisedMorph, guesses
@@ -134,12 +135,40 @@ def test_the_optimiser_ends_on_ctrl_c_at_the_first_solver(monkeypatch: pytest.Mo
         return solve
 
     monkeypatch.setattr(ca, "nlpsol", disturbed)
+    monkeypatch.setattr(program, "solver_of", program.solver_of.__wrapped__)
     triangle = ho.regular_polygon(3, 1.0)
     start, before = ho.Hitch.spread(ho.Team(3, 2.4), triangle), signal.getsignal(signal.SIGINT)
     with pytest.raises(KeyboardInterrupt):
         ho.morph(start, triangle.rotated(0.5), optimize=True)
     assert built == ["ipopt"]
     assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_solvers_of_one_structure_serve_other_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A second team's cables, places and altitude are parameters: no solver is built for them."""
+    built: list[str] = []
+    build = ca.nlpsol
+
+    def counted(name: str, plugin: str, *given: Any) -> Any:
+        built.append(plugin)
+        return build(name, plugin, *given)
+
+    monkeypatch.setattr(ca, "nlpsol", counted)
+    program.solver_of.cache_clear()
+
+    def morphed(cable: float, moved: float) -> tuple[float, int]:
+        first, last = SQUARE, SQUARE.rotated(0.9).translated([0.4, 0.0])
+        first, last = (polygon.translated([moved, -moved]) for polygon in (first, last))
+        ho.forget()
+        start = Hitch.spread(Team(4, cable), first, 1.0 + moved)
+        return ho.morph(start, last, optimize=True).duration, len(built)
+
+    (first, one), (second, two) = morphed(2.4, 0.0), morphed(2.4001, 3.0)
+    program.solver_of.cache_clear()
+    again, three = morphed(2.4001, 3.0)
+    assert 0 < one == two < three
+    assert abs(second - first) > 1e-6
+    assert again == pytest.approx(second, rel=1e-12)
 
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -59,6 +59,15 @@ class Columns:
     def nodes(self) -> Indices:
         """(3n, 2): vertices, then drones, as in ``hitch.parts``."""
         return np.concatenate([self.vertices, self.drones])
+
+
+@lru_cache(maxsize=64)
+def columns_of(robots: int) -> Columns:
+    """Return the columns of the table of a hitch of that many robots."""
+    n = robots
+    parts = np.split(np.arange(9 * n), np.cumsum([2 * n, n, n, 4 * n]))
+    vertices, q_legs, r_legs, drones, tensions = parts
+    return Columns(vertices.reshape(-1, 2), q_legs, r_legs, drones.reshape(-1, 2), tensions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,13 +145,10 @@ class KnotPath:
             self, polygons=shapes.polygons, q_legs=q_legs, tensions=tensions, roll=shapes.roll
         )
 
-    @cached_property
+    @property
     def columns(self) -> Columns:
         """The columns of its table."""
-        n = self.team.robots
-        parts = np.split(np.arange(9 * n), np.cumsum([2 * n, n, n, 4 * n]))
-        vertices, q_legs, r_legs, drones, tensions = parts
-        return Columns(vertices.reshape(-1, 2), q_legs, r_legs, drones.reshape(-1, 2), tensions)
+        return columns_of(self.team.robots)
 
     @cached_property
     def table(self) -> Array:

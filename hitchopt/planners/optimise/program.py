@@ -13,6 +13,8 @@ import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
 from types import FrameType
 from typing import NamedTuple
 
@@ -29,7 +31,13 @@ from hitchopt.hitch.model import planar
 from hitchopt.hitch.pairs import SEPARATION, Bodies, end_combinations, limits_of
 from hitchopt.hitch.requirements import Separation
 from hitchopt.hitch.team import CLOSED, layout_of
-from hitchopt.planners.optimise.knots import KnotPath, Search, SolverStep, variable_bounds
+from hitchopt.planners.optimise.knots import (
+    KnotPath,
+    Search,
+    SolverStep,
+    columns_of,
+    variable_bounds,
+)
 from hitchopt.values import Array, Indices
 
 BEND = 0.1
@@ -56,90 +64,179 @@ ITERATIONS, FASTEST_ITERATIONS = 100, 40
 20 or, where all drones bind at once, not at all."""
 
 
-class MorphProgram:
-    """A program ``min f(x)`` over ``lbx ≤ x ≤ ubx`` and ``lbg ≤ g(x) ≤ ubg`` around a path.
+@dataclass(frozen=True)
+class Structure:
+    """All that the expressions of programs depend on; their parameters hold the other numbers.
 
-    It is collected row by row. Its variables start with those of the inner knots, and it is given
-    up after so many ``iterations``.
+    Variables are ``x`` of the inner knots, a slack per soft row, and for the fastest path the time
+    of every step. Parameters are the first and the last knot, the columns of ``planar`` that do not
+    vary, a scale per pair of drones, and the linear rows' entries.
+
+    Attributes
+    ----------
+    robots, steps: numbers of robots, and of steps between the knots.
+    loaded, choice: as ``planar`` takes them.
+    slowness: [s/m], of vertices and of drones.
+    tensions: (n,) [N], the team's, where they may change; None where they are fixed.
+    drones: variables x of the first and of the second drone of each pair; y follows x.
+    linear: number of rows, and column pointers and row numbers of their compressed columns.
+    soft: rows among those of drones, and among linear ones, that have a slack.
+    segments: of vertices' and drones' x, flat over the steps, that the step's time exceeds; None
+        for a path of least energy.
     """
 
-    def __init__(self, path: KnotPath, iterations: int) -> None:
-        self.path, self.iterations = path, iterations
-        self._x: list[ca.MX] = []
-        self._g: list[ca.MX] = []
-        self._boxes: list[tuple[Array, Array, Array]] = []
-        self._ranges: list[tuple[Array, Array]] = []
-        self.cost = ca.MX(0.0)
-
-    def variables(self, start: Array, lower: Array, upper: Array) -> ca.MX:
-        """Add variables that start at ``start``; return their symbols."""
-        self._x.append(ca.MX.sym(f"x{len(self._x)}", len(start)))
-        self._boxes.append((start, lower, upper))
-        return self._x[-1]
-
-    def bound(self, value: ca.MX, least: Array, most: Array) -> None:
-        """Add rows that keep a column of values between their bounds (rows,)."""
-        self._g.append(value)
-        self._ranges.append((least, most))
-
-    def soft_bound(self, value: ca.MX, least: Array, now: Array) -> None:
-        """Add rows that keep a column above its bounds (rows,), softly where it is not ``now``."""
-        short, lack = np.flatnonzero(now < least), np.maximum(least - now, 0.0)
-        if len(short):
-            count = len(short)
-            slack = self.variables(lack[short], np.zeros(count), np.full(count, np.inf))
-            self.cost += PENALTY_WEIGHT * ca.sum1(slack)
-            ones = ca.DM.ones(count)
-            value += ca.DM.triplet(short.tolist(), [*range(count)], ones, len(least), count) @ slack
-        self.bound(value, least, np.full(len(least), np.inf))
+    robots: int
+    steps: int
+    loaded: bool
+    choice: bool
+    slowness: tuple[float, float]
+    tensions: tuple[float, ...] | None
+    drones: tuple[tuple[int, ...], tuple[int, ...]]
+    linear: tuple[int, tuple[int, ...], tuple[int, ...]]
+    soft: tuple[tuple[int, ...], tuple[int, ...]]
+    segments: tuple[int, ...] | None
 
     @property
-    def expressions(self) -> dict[str, ca.MX]:
-        """Casadi's x, f and g."""
-        return {"x": ca.vertcat(*self._x), "f": self.cost, "g": ca.vertcat(*self._g)}
+    def iterations(self) -> int:
+        """Number of iterations after which a program is given up."""
+        return ITERATIONS if self.segments is None else FASTEST_ITERATIONS
 
-    @property
-    def numbers(self) -> dict[str, Array]:
-        """The start ``x0`` and all bounds."""
-        columns = (*zip(*self._boxes, strict=True), *zip(*self._ranges, strict=True))
-        names = ("x0", "lbx", "ubx", "lbg", "ubg")
-        return {name: np.concatenate(each) for name, each in zip(names, columns, strict=True)}
+
+@dataclass(frozen=True, eq=False)
+class MorphProgram:
+    """A program ``min f(x, p)`` over ``lbx ≤ x ≤ ubx`` and ``lbg ≤ g(x, p) ≤ ubg`` around a path.
+
+    Attributes
+    ----------
+    path: around which it is, to read the solution.
+    structure: that of its expressions.
+    numbers: the start ``x0``, the parameters ``p``, and all bounds.
+    """
+
+    path: KnotPath
+    structure: Structure
+    numbers: dict[str, Array]
 
 
 def build_program(path: KnotPath, search: Search, step: SolverStep) -> MorphProgram:
     """Return the program around a path: its near pairs and their normals are the path's."""
-    columns, table, n, steps = path.columns, path.table, path.team.robots, path.steps
-    program = MorphProgram(path, FASTEST_ITERATIONS if step.fastest else ITERATIONS)
-    limits = search.requirements.limits
-    x = program.variables(table[1:-1].ravel(), *variable_bounds(path, search, step.stride))
-    _tie_drones(program, x)
-    _keep_apart(program, x, search, step)
+    columns, table, team, steps = path.columns, path.table, path.team, path.steps
+    n, inner, limits = team.robots, table[1:-1].ravel(), search.requirements.limits
+    drones, linear = _near_rows(path, search, step)
+    rolled = team.loaded or path.roll is not None
+    choice = team.cable_density > 0.0 if rolled else bool(np.ptp(team.tension) == 0.0)
+    slowness, segments = (1.0 / limits.vertex_speed, 1.0 / limits.speed), None
+    boxes = [(inner, *variable_bounds(path, search, step.stride))]
+    rows = 5 * n * (steps - 1)
+    ranges = [(np.zeros(rows), np.zeros(rows))]
+    sharpest = min(np.min(ConvexPolygon(path.polygons[end]).exterior_angles) for end in (0, -1))
+    flattest = math.sin(min(FLATTEST, 0.5 * float(sharpest)))
+    ranges.append((np.full(rows // 5, flattest), np.full(rows // 5, np.inf)))
+    # Rows that are broken now, as in a first guess, are kept as far as a step can.
+    soft = []
+    for least, now in ((drones.least, drones.now), (linear.least, linear.now)):
+        short = np.flatnonzero(now < least)
+        slack = np.zeros(len(short))
+        boxes.append(((least - now)[short], slack, slack + np.inf))
+        ranges.append((least, np.full(len(least), np.inf)))
+        soft.append(tuple(short.tolist()))
+    if step.fastest:  # every step takes as long as its longest segment
+        scales = np.repeat(slowness, [n, 2 * n])[:, None]
+        lengths = length(np.diff(table[:, columns.nodes] * scales, axis=0))
+        longest = np.max(lengths, axis=1)
+        boxes.append((1.01 * longest, np.zeros(steps), np.full(steps, np.inf)))
+        flat = np.flatnonzero(lengths > LAGGING * longest[:, None])
+        ranges.append((np.full(len(flat), -np.inf), np.zeros(len(flat))))
+        segments = tuple((2 * flat).tolist())
+    matrix = linear.rows
+    structure = Structure(
+        n,
+        steps,
+        rolled,
+        choice,
+        slowness,
+        None if search.tension is None else tuple(team.tension.tolist()),
+        (tuple(drones.first.tolist()), tuple(drones.second.tolist())),
+        (len(linear.now), tuple(matrix.indptr.tolist()), tuple(matrix.indices.tolist())),
+        (soft[0], soft[1]),
+        segments,
+    )
+    given = (table[0], table[-1], *_clasp_numbers(path, rolled), drones.scale, matrix.data)
+    numbers = (
+        np.concatenate(each) for each in (*zip(*boxes, strict=True), *zip(*ranges, strict=True))
+    )
+    named = dict(zip(("x0", "lbx", "ubx", "lbg", "ubg"), numbers, strict=True))
+    return MorphProgram(path, structure, {**named, "p": np.concatenate(given)})
+
+
+def _clasp_numbers(path: KnotPath, rolled: bool) -> Iterator[Array]:
+    """Yield, flat, the columns of ``planar`` for all robots at the inner knots that do not vary.
+
+    These are cables' lengths; where clasps carry weight or legs are rolled also rolls, loads and
+    weights.
+    """
+    team, n, inner = path.team, path.team.robots, path.steps - 1
+    if not rolled:
+        yield np.tile(team.cable_length, inner)
+        return
+    ends = np.column_stack([team.layout.starts, team.layout.ends])
+    roll = np.zeros((inner, n)) if path.roll is None else path.roll[1:-1]
+    loads = np.zeros((n, 2, 3))
+    loads[..., 2] = -GRAVITY * team.load[ends]
+    yield np.tile(team.cable_length[team.layout.neighbours[:, :2]].ravel(), inner)
+    yield roll[:, ends].ravel()
+    yield np.tile(loads.ravel(), inner)
+    yield np.full(n * inner, GRAVITY * team.cable_density)
+
+
+def expressions(structure: Structure) -> dict[str, ca.MX]:
+    """Return casadi's x, p, f and g of all programs of a structure."""
+    n, steps, inner = structure.robots, structure.steps, structure.steps - 1
+    columns, model = columns_of(n), planar(structure.loaded, structure.choice)
+    widths = [model.size1_in(i) for i in range(3, model.n_in())]
+    rows, pointers, indices = structure.linear
+    slacks = [ca.MX.sym(f"slack{i}", len(short)) for i, short in enumerate(structure.soft)]
+    sizes = [columns.size, columns.size, *(width * n * inner for width in widths)]
+    sizes += [len(structure.drones[0]), len(indices)]
+    p = [ca.MX.sym(f"p{i}", size) for i, size in enumerate(sizes)]
+    x, times = ca.MX.sym("x", columns.size * inner), ca.MX.sym("t", steps)
+    g = _tied_drones(structure, x, p[2:-2])
+    first, second = (np.array(each, np.intp) for each in structure.drones)
+    across, along = (x[(first + i).tolist()] - x[(second + i).tolist()] for i in (0, 1))
+    pattern = ca.Sparsity(rows, columns.size * inner, list(pointers), list(indices))
+    cost = ca.MX(0.0)
+    for value, slack, short in zip(
+        ((across**2 + along**2) * p[-2], ca.MX(pattern, p[-1]) @ x),
+        slacks,
+        structure.soft,
+        strict=True,
+    ):
+        eased = value
+        if short:
+            count, ones = len(short), ca.DM.ones(len(short))
+            eased += ca.DM.triplet(list(short), [*range(count)], ones, value.size1(), count) @ slack
+            cost += PENALTY_WEIGHT * ca.sum1(slack)
+        g.append(eased)
     # Places of vertices and drones at all knots (6n, steps + 1), in units of time.
-    whole = ca.horzcat(ca.DM(table[0]), ca.reshape(x, columns.size, steps - 1), ca.DM(table[-1]))
-    slowness = 1.0 / np.repeat([limits.vertex_speed, limits.speed], [2 * n, 4 * n])
-    places = whole[columns.nodes.ravel().tolist(), :] * ca.repmat(ca.DM(slowness), 1, steps + 1)
+    whole = ca.horzcat(p[0], ca.reshape(x, columns.size, inner), p[1])
+    slowness = ca.DM(np.repeat(structure.slowness, [2 * n, 4 * n]))
+    places = whole[columns.nodes.ravel().tolist(), :] * ca.repmat(slowness, 1, steps + 1)
     energy, bend = _roughness(places, n)
-    if search.tension is not None:
-        usual = ca.repmat(ca.DM(path.team.tension), 1, steps + 1)
+    if structure.tensions is not None:
+        usual = ca.repmat(ca.DM(structure.tensions), 1, steps + 1)
         ratio = whole[columns.tensions.tolist(), :] / usual
         change, bent = _roughness(ratio, 1)
         eased = ca.sumsqr(ratio) / steps + TENSION_CHANGE * (change + BEND * bent)
-        program.cost += TENSION_WEIGHT * eased / n
-    if not step.fastest:
-        program.cost += energy + BEND * bend
-        return program
-    # Every step takes as long as its longest segment.
-    lengths = length(np.diff(table[:, columns.nodes] * slowness.reshape(-1, 2), axis=0))
-    longest = np.max(lengths, axis=1)
-    times = program.variables(1.01 * longest, np.zeros(steps), np.full(steps, np.inf))
-    at_step, node = np.nonzero(lengths > LAGGING * longest[:, None])
-    place = 2 * (3 * n * at_step + node)
-    flat = ca.vec(places[:, 1:] - places[:, :-1])
-    squared = flat[place.tolist()] ** 2 + flat[(place + 1).tolist()] ** 2
-    lags = squared - times[at_step.tolist()] ** 2
-    program.bound(lags, np.full(len(place), -np.inf), np.zeros(len(place)))
-    program.cost += ca.sum1(times) + TIME_ENERGY * energy + TIME_BEND * bend
-    return program
+        cost += TENSION_WEIGHT * eased / n
+    if structure.segments is None:
+        cost += energy + BEND * bend
+        return {"x": ca.vertcat(x, *slacks), "p": ca.vertcat(*p), "f": cost, "g": ca.vertcat(*g)}
+    flat, at = ca.vec(places[:, 1:] - places[:, :-1]), np.array(structure.segments)
+    squared = flat[at.tolist()] ** 2 + flat[(at + 1).tolist()] ** 2
+    g.append(squared - times[(at // (6 * n)).tolist()] ** 2)
+    cost += ca.sum1(times) + TIME_ENERGY * energy + TIME_BEND * bend
+    variables = ca.vertcat(x, *slacks, times)
+    return {"x": variables, "p": ca.vertcat(*p), "f": cost, "g": ca.vertcat(*g)}
 
 
 def _roughness(values: ca.MX, n: int) -> tuple[ca.MX, ca.MX]:
@@ -154,47 +251,26 @@ FLATTEST = math.radians(3.0)
 """[rad] Smallest exterior angle on the path, or half of that at its ends if that is less."""
 
 
-def _tie_drones(program: MorphProgram, x: ca.MX) -> None:
-    """Tie drones and r-legs to the flat outputs, and keep every vertex a corner."""
-    path = program.path
-    layout, n, team, inner = path.columns, path.team.robots, path.team, path.steps - 1
-    starts = layout.size * np.arange(inner)[:, None, None]
+def _tied_drones(structure: Structure, x: ca.MX, constants: list[ca.MX]) -> list[ca.MX]:
+    """Return rows that tie drones and r-legs to the flat outputs, and the turns at all vertices."""
+    columns, n, inner = columns_of(structure.robots), structure.robots, structure.steps - 1
+    starts = columns.size * np.arange(inner)[:, None, None]
 
     def at_knots(places: Indices) -> ca.MX:
         """Return the variables of columns (n, width) at all knots, as (width, inner · n)."""
         numbers = (starts + places).reshape(-1, places.shape[1])
         return ca.reshape(x[numbers.ravel().tolist()], *numbers.T.shape)
 
-    around = np.concatenate([np.roll(layout.vertices, -k, axis=0) for k in (-1, 0, 1, 2)], axis=1)
-    pulls = np.stack([np.roll(layout.tensions, -k) for k in (-1, 0, 1)], axis=1)
-    rolled, legs = team.loaded or path.roll is not None, layout.q_legs[:, None]
-    own: tuple[Array, ...] = (np.tile(team.cable_length, inner)[None],)
-    choice = bool(np.ptp(team.tension) == 0.0)
-    if rolled:
-        legs, own = layout.q_legs[team.layout.neighbours], _clasp_numbers(path)
-        choice = team.cable_density > 0.0
-    given = [*map(at_knots, (around, legs, pulls)), *(ca.MX(ca.DM(values)) for values in own)]
-    place, turn = planar(rolled, choice).map(n * inner).call(given)
-    tied = at_knots(np.column_stack([layout.drones.reshape(n, 4), layout.r_legs]))
-    program.bound(ca.vec(place - tied), *np.zeros((2, 5 * n * inner)))
-    sharpest = min(np.min(ConvexPolygon(path.polygons[end]).exterior_angles) for end in (0, -1))
-    flattest = math.sin(min(FLATTEST, 0.5 * float(sharpest)))
-    program.bound(ca.vec(turn), np.full(n * inner, flattest), np.full(n * inner, np.inf))
-
-
-def _clasp_numbers(path: KnotPath) -> tuple[Array, ...]:
-    """Return cables' lengths, rolls, loads and weights of all robots at the inner knots."""
-    team, n, inner = path.team, path.team.robots, path.steps - 1
-    columns, ends = n * inner, np.column_stack([team.layout.starts, team.layout.ends])
-    roll = np.zeros((inner, n)) if path.roll is None else path.roll[1:-1]
-    loads = np.zeros((n, 2, 3))
-    loads[..., 2] = -GRAVITY * team.load[ends]
-    return (
-        np.tile(team.cable_length[team.layout.neighbours[:, :2]].T, inner),
-        roll[:, ends].reshape(columns, 2).T,
-        np.tile(loads.reshape(n, 6).T, inner),
-        np.full((1, columns), GRAVITY * team.cable_density),
-    )
+    around = np.concatenate([np.roll(columns.vertices, -k, axis=0) for k in (-1, 0, 1, 2)], axis=1)
+    pulls = np.stack([np.roll(columns.tensions, -k) for k in (-1, 0, 1)], axis=1)
+    legs = columns.q_legs[:, None]
+    if structure.loaded:
+        legs = np.stack([np.roll(columns.q_legs, -k) for k in (-1, 0, 1)], axis=1)
+    own = [ca.reshape(each, -1, n * inner) for each in constants]
+    model = planar(structure.loaded, structure.choice).map(n * inner)
+    place, turn = model.call([*map(at_knots, (around, legs, pulls)), *own])
+    tied = at_knots(np.column_stack([columns.drones.reshape(n, 4), columns.r_legs]))
+    return [ca.vec(place - tied), ca.vec(turn)]
 
 
 PENALTY_WEIGHT = 100.0
@@ -243,13 +319,33 @@ def _near_pairs(nodes: Array, separation: Separation, margins: Array, reach: Arr
     return found.chosen(length(offset) < enforced + reach[frame])
 
 
-def _keep_apart(program: MorphProgram, x: ca.MX, search: Search, step: SolverStep) -> None:
-    """Keep all near pairs apart: drones at the knots by squares, all others by their normals.
+class NearDrones(NamedTuple):
+    """Rows ``scale · |a - b|² ≥ least`` of pairs of drones at knots; ``now`` is their left side.
+
+    ``first`` and ``second`` (m,) are the variables x of the two; y follows x.
+    """
+
+    first: Indices
+    second: Indices
+    scale: Array
+    least: Array
+    now: Array
+
+
+class NearBodies(NamedTuple):
+    """Rows ``rows @ x ≥ least`` of all other pairs; ``now`` is their left side."""
+
+    rows: sparse.csc_matrix
+    least: Array
+    now: Array
+
+
+def _near_rows(path: KnotPath, search: Search, step: SolverStep) -> tuple[NearDrones, NearBodies]:
+    """Return rows that keep near pairs apart: drones at the knots by squares, others by normals.
 
     Between the knots the path is its chord from knot to knot and a bow, which is taken to stay.
-    Those that are too near now, as in a first guess, are parted as far as a step can.
     """
-    path, parts = program.path, step.parts
+    parts = step.parts
     columns, inner = path.columns, path.table[1:-1]
     places = np.arange(1, parts * path.steps) / parts
     there = inner if parts == 1 else path.at(places / path.steps).table
@@ -262,10 +358,9 @@ def _keep_apart(program: MorphProgram, x: ca.MX, search: Search, step: SolverSte
     knot = columns.size * (drones.frame[:, None] // parts)
     first, second = (knot + columns.nodes[node[:, 0]] for node in (drones.first, drones.second))
     apart, scale = drones.enforced, 0.5 / drones.enforced  # of squares to about metres
-    across, along = (x[first[:, i].tolist()] - x[second[:, i].tolist()] for i in (0, 1))
     now = inner.ravel()
     squared = np.sum((now[first] - now[second]) ** 2, axis=1)
-    program.soft_bound((across**2 + along**2) * ca.DM(scale), scale * apart**2, scale * squared)
+    squares = NearDrones(first[:, 0], second[:, 0], scale, scale * apart**2, scale * squared)
     # Bodies whose ends all lie on their sides of a normal are apart by as much.
     pair, *ends = end_combinations(others.kind, others.first, others.second)
     nodes = np.concatenate([columns.nodes[end] for end in ends], axis=1)
@@ -275,9 +370,7 @@ def _keep_apart(program: MorphProgram, x: ca.MX, search: Search, step: SolverSte
     share = np.maximum(1.0 - np.abs(places[:, None] - np.arange(1.0, path.steps)), 0.0)
     rows = sparse.csc_matrix(sums @ sparse.kron(share, sparse.eye(columns.size), "csr"))
     bow = sums @ there.ravel() - rows @ now
-    pattern = ca.Sparsity(*rows.shape, rows.indptr.tolist(), rows.indices.tolist())
-    moved = ca.MX(ca.DM(pattern, rows.data)) @ x
-    program.soft_bound(moved, others.enforced[pair] - bow, rows @ now)
+    return squares, NearBodies(rows, others.enforced[pair] - bow, rows @ now)
 
 
 TOLERANCE = 1e-3
@@ -314,28 +407,40 @@ def iterates(
             return
 
 
-def solve_program(program: MorphProgram) -> KnotPath | None:
-    """Return the path that IPOPT finds, or None where it does not converge.
+STORED = 16
+"""Number of solvers that are stored: those of a search or two."""
 
-    The solver's status proves no more than that: distances are measured on the path.
-    """
-    left = time_left()
+
+@lru_cache(maxsize=STORED)
+def solver_of(structure: Structure, seconds: float = math.inf) -> ca.Function:
+    """Return IPOPT for all programs of a structure, given up after so many ``seconds`` [s]."""
     ipopt: dict[str, int | float | str] = {
         **LINEAR_SOLVER,
         "fast_step_computation": "yes",
         "print_level": 0,
         "sb": "yes",
-        "max_iter": program.iterations,
+        "max_iter": structure.iterations,
         "tol": TOLERANCE,
         "mu_strategy": "adaptive",
-        **({"max_wall_time": max(left, LEAST_TIME)} if math.isfinite(left) else {}),
+        **({"max_wall_time": max(seconds, LEAST_TIME)} if math.isfinite(seconds) else {}),
     }
-    solver = ca.nlpsol(
+    return ca.nlpsol(
         "path",
         "ipopt",
-        {**program.expressions},
+        {**expressions(structure)},
         {"print_time": False, "no_nlp_grad": True, "calc_lam_p": False, "ipopt": ipopt},
     )
+
+
+def solve_program(program: MorphProgram) -> KnotPath | None:
+    """Return the path that IPOPT finds, or None where it does not converge.
+
+    The solver's status proves no more than that: distances are measured on the path. Solvers are
+    stored by their structure, but where there is a limit of time, which belongs to them.
+    """
+    left = time_left()
+    build = solver_of.__wrapped__ if math.isfinite(left) else solver_of
+    solver = build(program.structure, left)
     with answered_later():
         solution = solver(**program.numbers)
     check_time()  # what has been cut short is no solution
