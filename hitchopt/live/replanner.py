@@ -34,8 +34,7 @@ from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.retiming import append_motion, before, cut, resting, with_last_poses
 from hitchopt.plan import Plan
 from hitchopt.planners.morph import jets
-from hitchopt.planners.timing.flight import Flight
-from hitchopt.steps.certified_motions import flying, infeasible
+from hitchopt.steps.certified_motions import infeasible
 from hitchopt.steps.certified_motions import resting as rest_of
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.search import rough_bounds
@@ -255,8 +254,10 @@ class Replanner(OneLine):
         if shift is None:
             raise InfeasibleError([], "no duration keeps all limits on the way to the goal")
         phase = Phase("retarget", past.phases[-1].step + 1, 0.0, max(brake, shift))
-        flight = path.flight(_breaks(brake if path.state.moves else 0.0, shift), brake, shift)
-        fresh = with_last_poses(past, flying(flight, path.team, self.requirements, [phase]))
+        breaks = _breaks(brake if path.state.moves else 0.0, shift)
+        drones, vertices, legs, tensions = path.curves(breaks, brake, shift)
+        fresh = Motion(path.team, self.requirements, drones, vertices, legs, tensions, (phase,))
+        fresh = with_last_poses(past, fresh)
         ahead = append_motion(recent, fresh)
         found = _certificate(ahead)
         if not found.certified:
@@ -399,8 +400,8 @@ class RetargetPath:
         tensions[..., 0] = team.tension
         return vertices, drone_jets(team, FlatJets(vertices, q_legs, tensions))
 
-    def flight(self, breaks: Array, brake: float, shift: float) -> Flight:
-        """Return the polynomials, which meet the state itself at their start."""
+    def curves(self, breaks: Array, brake: float, shift: float) -> list[PiecewisePolynomial]:
+        """Return a motion's four polynomials, which meet the state itself at their start."""
         count, h = len(breaks) - 1, SIDE * (breaks[1:] - breaks[:-1])
         sides = np.concatenate([breaks[:-1] + h, breaks[1:] - h])
         vertices, found = self.jets(sides, brake, shift)
@@ -415,7 +416,7 @@ class RetargetPath:
         both = PiecewisePolynomial.hermite(breaks, left, right)
         drones, points, leg_curves = both.split([part.shape[:-1] for part in starts])
         pulls = np.repeat(self.team.tension[None, :, None], count, axis=0)
-        return Flight(drones, points, leg_curves, both.alike(pulls))
+        return [drones, points, leg_curves, both.alike(pulls)]
 
     def excess(self, limits: Limits, t: Array, brake: float | Array, shift: float | None) -> Array:
         """Return how many times slower a motion would have to be at times (J,) [s], at most.

@@ -27,7 +27,7 @@ from hitchopt.planners.morph.actions import Action
 from hitchopt.planners.morph.legs import SLIDES, legs_clear
 from hitchopt.planners.morph.morph import SAME, BlendedMorph
 from hitchopt.planners.morph.path import RigidPath, ShapePath
-from hitchopt.planners.timing.flight import Flight, check_duration, fly, needed_stretch
+from hitchopt.planners.timing.flight import check_duration, fly, in_duration, needed_stretch
 from hitchopt.steps.step import IDLE, RestState, RolledLegs, SlackSplit, StepPlan, StepTask
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
@@ -65,15 +65,11 @@ def attempt(planned: Callable[[], StepPlan]) -> StepPlan | HitchoptError:
 def resting(hitch: Hitch, requirements: Requirements, seconds: float, phase: Phase) -> Motion:
     """Return the motion in which the hitch stays for ``seconds`` [s]; the phase's end is set."""
     values = (hitch.drones, hitch.vertices, hitch.legs, hitch.team.tension)
-    flight = Flight(*(PiecewisePolynomial.constant([0.0, seconds], value) for value in values))
-    return flying(flight, hitch.team, requirements, [replace(phase, start=0.0, end=seconds)])
-
-
-def flying(
-    flight: Flight, team: Team, requirements: Requirements, phases: Sequence[Phase]
-) -> Motion:
-    """Return the motion of a flight, its phases from t = 0."""
-    return Motion(team, requirements, **vars(flight), phases=tuple(phases))
+    drones, vertices, legs, tensions = (
+        PiecewisePolynomial.constant([0.0, seconds], value) for value in values
+    )
+    phases = (phase.retimed(0.0, seconds),)
+    return Motion(hitch.team, requirements, drones, vertices, legs, tensions, phases)
 
 
 def at_rest(hitch: Hitch, requirements: Requirements) -> StepPlan:
@@ -204,36 +200,36 @@ def optimised(
     from hitchopt.planners.optimise.search import OptimisedMorph
 
     start, requirements = task.hitch, task.requirements
-    accepted: dict[Flight, StepPlan] = {}
+    accepted: dict[Motion, StepPlan] = {}
 
-    def planned(flight: Flight) -> StepPlan:
-        flown = replace(phase, end=flight.duration)
-        return task.ended(flying(flight, start.team, requirements, [flown]), end)
+    def planned(motion: Motion) -> StepPlan:
+        flown = replace(phase, end=motion.duration)
+        return task.ended(motion.replaced(phases=(flown,)), end)
 
-    def certified_flight(path: ShapePath) -> Flight | None:
-        """Return the flight along a path, or one on which legs lead and lag, if it is certified."""
+    def certified_motion(path: ShapePath) -> Motion | None:
+        """Return the motion along a path, or one on which legs lead and lag, if it is certified."""
         led = leading(path, requirements.limits) if lead else ()
         for each in (*(p for p in led if legs_clear(p, requirements)), path):
             try:
-                flight = fly(each, requirements.limits)
+                motion = fly(each, requirements)
             except HitchoptError:
                 if each is path:
                     raise
                 continue
-            plan = planned(flight)
+            plan = planned(motion)
             if plan.certificate.certified:
-                accepted[flight] = plan
-                return flight
+                accepted[motion] = plan
+                return motion
         return None
 
-    candidates = OptimisedMorph(start, end, requirements, certified_flight, phase.tension).solve()
+    candidates = OptimisedMorph(start, end, requirements, certified_motion, phase.tension).solve()
     if not candidates:
         raise HitchoptError("no route was found")
-    best, words = candidates[0].flight, f"on an optimised route, first guess {candidates[0].name}"
+    best, words = candidates[0].motion, f"on an optimised route, first guess {candidates[0].name}"
     if duration is None:
         return accepted[best].remarked(words)
     check_duration(duration, best.duration)
-    return checked(planned(best.lasting(duration)).remarked(words))
+    return checked(planned(in_duration(best, duration)).remarked(words))
 
 
 def combined_failure(own: HitchoptError, other: HitchoptError, note: str) -> HitchoptError:
@@ -277,7 +273,7 @@ def against_friction(planned: StepPlan, *, timed: bool) -> StepPlan:
         return planned
     slower = not timed and limits.duration is None
     for share in SHARES:
-        feedforward = friction_feedforward(motion, limits, share, slower=slower)
+        feedforward = friction_feedforward(motion, share, slower=slower)
         if feedforward is None or feedforward.motion.duration > LONGER * motion.duration:
             continue
         words = f"legs lean against friction, by up to {math.degrees(feedforward.turned):.2g}°"
@@ -305,14 +301,14 @@ def plan_blended(steps: Sequence[Any], task: StepTask) -> StepPlan:
             remedy = "leave it out, or leave out blend"
             raise InputError(f"mission[{i}].{step.name}", "no motion", bound, remedy)
         hitches.append(end)
-    flight, passed = BlendedMorph(hitches, requirements).solve()
-    times = [0.0, *passed.tolist(), flight.duration]
+    motion, passed = BlendedMorph(hitches, requirements).solve()
+    times = [0.0, *passed.tolist(), motion.duration]
     remarks = ["goes on without a stop"] * (len(steps) - 1) + [""]
-    phases = [
+    phases = tuple(
         Phase(step.name, task.index + j, times[j], times[j + 1], remarks[j])
         for j, step in enumerate(steps)
-    ]
-    plan = task.ended(flying(flight, task.hitch.team, requirements, phases), hitches[-1])
+    )
+    plan = task.ended(motion.replaced(phases=phases), hitches[-1])
     return against_friction(plan, timed=False)
 
 
@@ -336,7 +332,7 @@ def settling_plan(
         swings, used = settling
         motion = swings.motion
         words = f"drones swing by up to {math.degrees(swings.turned):.2g}°"
-        factor = needed_stretch(motion.team, requirements.limits, motion)
+        factor = needed_stretch(motion)
         if factor > 1.0 and seconds is None and factor <= LONGER:
             motion = motion.slowed(factor)
         if used < WHOLE:
@@ -431,7 +427,7 @@ def tying_site(
 def lifted(hitch: Hitch, altitude: float, name: str, task: StepTask) -> Motion:
     """Return the motion of the hitch straight up or down, as one phase of a step."""
     to = np.append(hitch.polygon.centroid, altitude)
-    flight = fly(RigidPath(hitch, to, 0.0), task.requirements.limits)
+    motion = fly(RigidPath(hitch, to, 0.0), task.requirements)
     remark = "hanging cables need more height over the ground than the hitch"
-    phase = Phase(name, task.index, 0.0, flight.duration, remark)
-    return flying(flight, hitch.team, task.requirements, [phase])
+    phase = Phase(name, task.index, 0.0, motion.duration, remark)
+    return motion.replaced(phases=(phase,))

@@ -45,7 +45,6 @@ from hitchopt.values.units import DURATION, TENSION
 
 if TYPE_CHECKING:
     from hitchopt.planners.morph.actions import Action, Flying
-    from hitchopt.planners.timing.flight import Flight
     from hitchopt.steps.certified_motions import End
 
 
@@ -68,15 +67,17 @@ class HitchStep(Step):
 
         check_at_rest(end, task.requirements, f"at the end of step {task.index} ({self.name})")
 
-    def motion(self, task: StepTask, flight: Flight | None, end: Hitch, remark: str = "") -> Motion:
-        """Return the motion of a flight, or of a rest where nothing moves."""
-        from hitchopt.steps.certified_motions import flying, resting
+    def in_phase(
+        self, task: StepTask, motion: Motion | None, end: Hitch, remark: str = ""
+    ) -> Motion:
+        """Return a planner's motion as the step's phase; None: the hitch at rest."""
+        from hitchopt.steps.certified_motions import resting
 
-        duration = 0.0 if flight is None else flight.duration
-        phase = Phase(self.name, task.index, 0.0, duration, remark)
-        if flight is None:
+        if motion is None:
+            phase = Phase(self.name, task.index, 0.0, 0.0, remark)
             return resting(end, task.requirements, self.given_duration or IDLE, phase)
-        return flying(flight, end.team, task.requirements, [phase])
+        phase = Phase(self.name, task.index, 0.0, motion.duration, remark)
+        return motion.replaced(phases=(phase,))
 
 
 class ShapeStep(HitchStep):
@@ -153,7 +154,7 @@ class ActionStep(ShapeStep):
 
         action = self.action(task)
         flying = ActionMorph(action, end.hitch, task.requirements, self.given_duration).solve()
-        return self.motion(task, flying.flight, end.hitch, self._remark(action, end, flying))
+        return self.in_phase(task, flying.motion, end.hitch, self._remark(action, end, flying))
 
     def _remark(self, action: Action, end: End, flying: Flying) -> str:
         """Return which drones move that the paper does not name, and why."""
@@ -196,7 +197,7 @@ class Hold(HitchStep):
 
     def fly(self, task: StepTask) -> StepPlan:
         """Return the plan in which a hitch stays."""
-        return task.ended(self.motion(task, None, task.hitch), task.hitch)
+        return task.ended(self.in_phase(task, None, task.hitch), task.hitch)
 
 
 @dataclass(frozen=True)
@@ -291,7 +292,7 @@ class Morph(ShapeStep):
         from hitchopt.planners.morph.morph import StraightMorph
 
         morph = StraightMorph(task.hitch, end.hitch, task.requirements, self.duration)
-        return self.motion(task, morph.solve(), end.hitch)
+        return self.in_phase(task, morph.solve(), end.hitch)
 
 
 class MoveStep(ActionStep):
@@ -496,16 +497,16 @@ class Transport(HitchStep):
         from hitchopt.planners.morph.path import RigidPath
         from hitchopt.planners.timing.flight import fly
 
-        start, limits = task.hitch, task.requirements.limits
+        start = task.hitch
         path = RigidPath(start, self.to, self.yaw)
         outline = self.polygon_after(start.team, start.polygon)
         end = Hitch(start.team, outline, float(self.to[2]), start.q_legs, start.roll)
         self.check_end(end, task)
-        flight = None
+        motion = None
         if not path.still:
-            check_loads(path, limits)
-            flight = fly(path, limits, self.duration)
-        return task.ended(self.motion(task, flight, end), end)
+            check_loads(path, task.requirements.limits)
+            motion = fly(path, task.requirements, self.duration)
+        return task.ended(self.in_phase(task, motion, end), end)
 
     def scaled(self, factor: float, centre: Array) -> tuple[Edits, Array]:  # noqa: ARG002
         """Return nothing, and the place that the hitch is carried to."""

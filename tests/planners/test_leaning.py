@@ -36,7 +36,7 @@ def morphed() -> Motion:
 
 def leaned(motion: Motion, friction: float = 0.1, share: float = 1.0) -> FrictionFeedforward:
     rubbing = replace(motion, team=replace(motion.team, cable_friction=friction))
-    found = friction_feedforward(rubbing, motion.requirements.limits, share, slower=True)
+    found = friction_feedforward(rubbing, share, slower=True)
     assert found is not None
     return found
 

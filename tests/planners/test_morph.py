@@ -20,6 +20,7 @@ from hitchopt.geometry import ConvexPolygon, regular_polygon
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.legs import reference_margin
 from hitchopt.hitch.requirements import Requirements
+from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph.legs import leg_task_along, with_legs_clear
 from hitchopt.planners.morph.morph import StraightMorph
 from hitchopt.planners.morph.path import ShapePath, shapes_along
@@ -27,7 +28,7 @@ from hitchopt.planners.optimise import program
 from hitchopt.planners.optimise.knots import KnotPath, Search, SolverStep
 from hitchopt.planners.optimise.program import iterates
 from hitchopt.planners.optimise.search import OptimisedMorph, guesses
-from hitchopt.planners.timing.flight import Flight, fly
+from hitchopt.planners.timing.flight import fly
 from problems.random_morph import random_convex_polygon
 
 FREE, FOUR = Requirements(), Team(4, 2.4)
@@ -79,10 +80,10 @@ def test_renumbering_gives_the_same_duration() -> None:
     assert seconds[1] == pytest.approx(seconds[0], rel=0.01)
 
 
-def found(start: Hitch, end: Hitch, tension: tuple[float, float] | None = None) -> list[Flight]:
+def found(start: Hitch, end: Hitch, tension: tuple[float, float] | None = None) -> list[Motion]:
     """What the optimiser finds where every flight will do, the fastest first."""
-    given = OptimisedMorph(start, end, FREE, lambda path: fly(path, FREE.limits), tension).solve()
-    flights = [candidate.flight for candidate in given]
+    given = OptimisedMorph(start, end, FREE, lambda path: fly(path, FREE), tension).solve()
+    flights = [candidate.motion for candidate in given]
     durations = [flight.duration for flight in flights]
     assert durations == sorted(durations) != []
     return flights

@@ -14,6 +14,7 @@ from plans import PROBLEMS, planned
 import hitchopt as ho
 from hitchopt import Hitch, Limits, Separation, Team
 from hitchopt.hitch import GRAVITY
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Swarm
 from hitchopt.mission.loading import read_problem
 from hitchopt.planners.morph import jets
@@ -88,7 +89,7 @@ def test_a_rigid_shift_takes_the_known_time(distance: float) -> None:
     profile = fastest_profile(path_grid(GRID), Demands.along(path, limits, path_grid(GRID)))
     assert profile.duration == pytest.approx(bang, rel=2e-3)
     optimum = fastest_clock(distance, v, a, j).duration
-    assert optimum <= fly(path, limits).duration <= 1.02 * optimum
+    assert optimum <= fly(path, Requirements(limits)).duration <= 1.02 * optimum
 
 
 @pytest.mark.parametrize(
@@ -120,12 +121,12 @@ def test_flights_take_a_little_longer_than_their_estimates(seed: int) -> None:
     """And forever where a path cannot even be held at rest."""
     for limits in (Limits(), Limits(speed=0.5, vertex_speed=5.0, acceleration=1.0)):
         path = ShapePath.straight(*ends(3 + seed, seed, limits))
-        duration = fly(path, limits).duration
+        duration = fly(path, Requirements(limits)).duration
         assert 0.995 * duration - 0.05 < flight_estimate(path, limits) < duration
     limits = Limits(tilt=math.radians(10.0))
     assert flight_estimate(path, limits) == math.inf
     with pytest.raises(ho.HitchoptError):
-        fly(path, limits)
+        fly(path, Requirements(limits))
 
 
 def clocked(seed: int, samples: int) -> ClockedPath:
@@ -214,7 +215,7 @@ def test_a_flight_that_is_slowed_as_needed_just_keeps_its_limit() -> None:
     rest = math.atan(0.4 / (0.132 * 9.81))
     tilt = 0.5 * (rest + math.radians(planned("triangle").certificate["tilt"].bound))
     tight = replace(motion.requirements, limits=replace(motion.requirements.limits, tilt=tilt))
-    stretch = needed_stretch(motion.team, tight.limits, motion)
+    stretch = needed_stretch(replace(motion, requirements=tight))
     assert stretch > 1.05
     for share, kept in ((1.001, True), (0.98, False)):
         slowed = replace(motion, requirements=tight).slowed(share * stretch)

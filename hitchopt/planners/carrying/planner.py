@@ -199,7 +199,7 @@ class MovePlanner:
         for _ in range(MAX_SLOWINGS):
             try:
                 motion = self.motion([move])
-                factor = needed_stretch(motion.team, self.requirements.limits, motion)
+                factor = needed_stretch(motion)
                 if factor <= 1.0 and first_violated(motion, checks):
                     factor = math.inf
             except InfeasibleError:

@@ -17,6 +17,7 @@ from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.hitch import cable_slack
 from hitchopt.hitch.requirements import Requirements
+from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph.jets import polynomials_through, quintic_spline
 from hitchopt.planners.morph.legs import PROBES, with_legs_clear, worst_place
 from hitchopt.planners.morph.morph import SAME, SHORTEST_LEG, check_loads, check_shapes
@@ -28,7 +29,7 @@ from hitchopt.planners.morph.path import (
     roll_between,
     shapes_along,
 )
-from hitchopt.planners.timing.flight import FINEST, MODEL_ERROR, Flight, cable_error, fly
+from hitchopt.planners.timing.flight import FINEST, MODEL_ERROR, cable_error, fly, in_duration
 from hitchopt.trajectory import PiecewisePolynomial, joined
 from hitchopt.values import Array
 
@@ -191,13 +192,13 @@ class Flying:
 
     Attributes
     ----------
-    flight: None where nothing moves.
+    motion: without phases; None where nothing moves.
     turning: names of the drones that its law moves only as tensions differ, or for weight.
     sliding: names of those that move only because its law could not be kept.
     worst: s where the law broke a limit on the path, or None.
     """
 
-    flight: Flight | None
+    motion: Motion | None
     turning: tuple[str, ...] = ()
     sliding: tuple[str, ...] = ()
     worst: float | None = None
@@ -243,24 +244,27 @@ class ActionMorph:
 
     def solve(self) -> Flying:
         """Return the flight, and who moves in it; raises what a straight morph's ``solve`` does."""
-        action, seconds, limits = self.action, self.action.seconds, self.requirements.limits
+        action, seconds = self.action, self.action.seconds
         team, s = action.start.team, np.linspace(0.0, 1.0, PROBES)
         if seconds is None and np.max(np.abs(self.end.drones - action.start.drones)) < SAME:
             return Flying(None)
         path = self.problem
-        flight = fly(path, limits, self.duration) if seconds is None else fly_timed(path, seconds)
+        if seconds is None:
+            motion = fly(path, self.requirements, self.duration)
+        else:
+            motion = fly_timed(path, self.requirements, seconds)
         # Which drones the action means: those that its law moves if tensions and weights are alike.
         own_law = action.path()
         meant = self.own if action.polygon is action.start.polygon else own_law
         alike = replace(team, tension=np.ones(team.robots), load=0.0 * team.load, cable_density=0.0)
         meant = replace(meant, team=alike, roll=None)
         turned, named = (_moving(each, s) for each in (own_law, meant))
-        hulls = flight.drones.coefficients
+        hulls = motion.drones.coefficients
         away = np.max(np.linalg.norm(hulls - hulls[0, ..., :1], axis=-2), axis=(0, -1))
         names, further = np.array(team.drone_names), (away > SAME) & ~named
         turning, sliding = (tuple(names[further & some].tolist()) for some in (turned, ~turned))
         worst = None if path is self.own else worst_place(self.own, self.requirements)
-        return Flying(flight, turning, sliding, worst)
+        return Flying(motion, turning, sliding, worst)
 
 
 def _moving(path: ShapePath, s: Array) -> NDArray[np.bool_]:
@@ -271,8 +275,8 @@ def _moving(path: ShapePath, s: Array) -> NDArray[np.bool_]:
     return moving
 
 
-def fly_timed(path: ShapePath, seconds: float) -> Flight:
-    """Return the flight on which the path's s is time over ``seconds`` [s].
+def fly_timed(path: ShapePath, requirements: Requirements, seconds: float) -> Motion:
+    """Return the motion on which the path's s is time over ``seconds`` [s].
 
     Pieces of the vertices' path stay apart, so that no polynomial smooths over a joint of them; all
     are halved until the flight fits the model.
@@ -287,7 +291,7 @@ def fly_timed(path: ShapePath, seconds: float) -> Flight:
             parts.append([polynomials_through(breaks, each) for each in curves])
         drones, vertices, legs = (joined(list(kind)) for kind in zip(*parts, strict=True))
         tensions = PiecewisePolynomial.constant(drones.breaks, path.team.tension)
-        flight = Flight(drones, vertices, legs, tensions)
-        if drones.pieces >= FINEST or cable_error(path.team, flight) <= MODEL_ERROR:
-            return flight.lasting(seconds)
+        motion = Motion(path.team, requirements, drones, vertices, legs, tensions, phases=())
+        if drones.pieces >= FINEST or cable_error(motion) <= MODEL_ERROR:
+            return in_duration(motion, seconds)
         count *= 2

@@ -27,7 +27,7 @@ from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.forces import chord_pull
 from hitchopt.hitch.model import slipping_drones
-from hitchopt.hitch.requirements import Limits, Separation
+from hitchopt.hitch.requirements import Separation
 from hitchopt.hitch.series import JET
 from hitchopt.hitch.team import Layout
 from hitchopt.motion.motion import Motion
@@ -60,7 +60,7 @@ class FrictionFeedforward:
 
 
 def friction_feedforward(
-    motion: Motion, limits: Limits, share: float, *, slower: bool
+    motion: Motion, share: float, *, slower: bool
 ) -> FrictionFeedforward | None:
     """Return the motion with friction feed-forward; None if no leg would lean.
 
@@ -68,8 +68,7 @@ def friction_feedforward(
 
     Parameters
     ----------
-    motion: from rest to rest, formed all of the time.
-    limits: that the leaning drones satisfy, by going slower.
+    motion: from rest to rest, formed all of the time; its limits are kept by going slower.
     share: of the friction that is counted on, in (0, 1].
     slower: whether it may last longer; else None is returned where it would have to. So it is where
         legs at rest pull their drones beyond a limit.
@@ -78,7 +77,7 @@ def friction_feedforward(
     if feedforward is None or feedforward.turned < SMALLEST:
         return None
     leaned = feedforward.motion
-    factor = needed_stretch(motion.team, limits, leaned)
+    factor = needed_stretch(leaned)
     if factor > 1.0 and (not slower or not math.isfinite(factor)):
         return None
     return replace(feedforward, motion=leaned.slowed(max(factor, 1.0)))

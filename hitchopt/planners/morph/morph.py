@@ -14,10 +14,11 @@ from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.hitch.team import Layout
+from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph.jets import quintic_spline
 from hitchopt.planners.morph.legs import with_legs_clear
 from hitchopt.planners.morph.path import LegLaw, Path, ShapePath, Shapes, drones_along, shapes_along
-from hitchopt.planners.timing.flight import GRID, Flight, fly
+from hitchopt.planners.timing.flight import GRID, fly
 from hitchopt.planners.timing.profile import check_hover, demands_along, path_grid
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
@@ -58,8 +59,8 @@ class StraightMorph:
         check_loads(path, self.requirements.limits)
         return path
 
-    def solve(self) -> Flight | None:
-        """Return the flight, or None where the hitches are the same.
+    def solve(self) -> Motion | None:
+        """Return the motion, or None where the hitches are the same.
 
         Raises
         ------
@@ -68,7 +69,7 @@ class StraightMorph:
         """
         if np.max(np.abs(self.end.drones - self.start.drones)) < SAME:
             return None
-        return fly(self.problem, self.requirements.limits, self.duration)
+        return fly(self.problem, self.requirements, self.duration)
 
 
 FLATTEST = math.radians(0.01)
@@ -191,20 +192,20 @@ class BlendedMorph:
         check_loads(path, self.requirements.limits)
         return path
 
-    def solve(self) -> tuple[Flight, Array]:
-        """Return the flight, and when (J - 2,) [s] it is at the inner hitches.
+    def solve(self) -> tuple[Motion, Array]:
+        """Return the motion, and when (J - 2,) [s] it is at the inner hitches.
 
         Raises InfeasibleError as ``problem``, or TimingError where no timing was found.
         """
         path = self.problem
-        flight = fly(path, self.requirements.limits)
+        motion = fly(path, self.requirements)
         # The distance that vertices and fractions have covered is the same on path and flight.
-        t, fine = np.linspace(0.0, flight.duration, FINE), np.linspace(0.0, 1.0, FINE)
-        legs = flight.legs.at(t)
+        t, fine = np.linspace(0.0, motion.duration, FINE), np.linspace(0.0, 1.0, FINE)
+        legs = motion.legs.at(t)
         by_s = _travelled_share(path.vertices.at(fine), path.legs.share.at(fine))
-        by_t = _travelled_share(flight.vertices.at(t), legs[..., 0] / np.sum(legs, axis=-1))
+        by_t = _travelled_share(motion.vertices.at(t), legs[..., 0] / np.sum(legs, axis=-1))
         times: Array = np.interp(np.interp(self.places[1:-1], fine, by_s), by_t, t)
-        return flight, times
+        return motion, times
 
 
 def _travelled_share(vertices: Array, fractions: Array) -> Array:

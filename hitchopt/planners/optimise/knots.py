@@ -19,8 +19,8 @@ from hitchopt.hitch.forces import (
     sag_factors,
 )
 from hitchopt.hitch.requirements import Requirements
+from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph.path import LegLaw, ShapePath, shapes_of
-from hitchopt.planners.timing.flight import Flight
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, Indices
 
@@ -192,8 +192,8 @@ STATIC_SHARE = 0.97
 RAMP = 2.0
 """Number of knots in which the margin rises from that of an end: a jump would bend the path."""
 
-Judge = Callable[[ShapePath], Flight | None]
-"""Flies a path and verifies all of the time: the flight if it satisfies every limit, else None."""
+Judge = Callable[[ShapePath], Motion | None]
+"""Flies a path and verifies all of the time: the motion if it satisfies every limit, else None."""
 
 
 @dataclass(frozen=True)

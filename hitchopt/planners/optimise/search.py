@@ -16,11 +16,11 @@ from hitchopt.hitch import Hitch
 from hitchopt.hitch.leg_program import LegTask
 from hitchopt.hitch.legs import reference_margins
 from hitchopt.hitch.requirements import Requirements
+from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph.legs import legs_clear
 from hitchopt.planners.morph.morph import check_shapes, exterior_angles
 from hitchopt.planners.optimise.knots import Judge, KnotPath, Search, SolverStep
 from hitchopt.planners.optimise.program import iterates
-from hitchopt.planners.timing.flight import Flight
 from hitchopt.planners.timing.profile import (
     LIMIT_SHARE,
     TimingError,
@@ -83,10 +83,10 @@ OTHER_TURN = 0.75 * math.pi
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A flight that the judge has accepted, and the name of the guess that it came from."""
+    """A motion that the judge has accepted, and the name of the guess that it came from."""
 
     name: str
-    flight: Flight
+    motion: Motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,11 +146,11 @@ class OptimisedMorph:
             seen.append(settled)
             if _estimate(settled, self.requirements) > WORSE * fastest:
                 continue
-            flight = _refined(settled, search)
-            if flight is not None:
-                candidates.append(Candidate(settled.name, flight))
-                fastest = min(fastest, flight.duration)
-        return sorted(candidates, key=lambda candidate: candidate.flight.duration)
+            motion = _refined(settled, search)
+            if motion is not None:
+                candidates.append(Candidate(settled.name, motion))
+                fastest = min(fastest, motion.duration)
+        return sorted(candidates, key=lambda candidate: candidate.motion.duration)
 
     def _margins(self, path: KnotPath) -> Array:
         """Return how many times their limits the distances at the knots (J + 1,) are."""
@@ -243,8 +243,8 @@ def _settled(guess: KnotPath, search: Search, seen: list[KnotPath]) -> KnotPath 
     return path
 
 
-def _refined(path: KnotPath, search: Search) -> Flight | None:
-    """Return the flight along a path of least energy refined, or a faster one near it.
+def _refined(path: KnotPath, search: Search) -> Motion | None:
+    """Return the motion along a path of least energy refined, or a faster one near it.
 
     Where limits are broken between the knots, rows are added there, then knots; a path on which
     none is has its least energy already.
@@ -265,11 +265,11 @@ def _refined(path: KnotPath, search: Search) -> Flight | None:
         best = min(choices, key=lambda each: _estimate(each, search.requirements))
         for choice in dict.fromkeys([best, path]):
             try:
-                flight = search.judge(choice.path)
+                motion = search.judge(choice.path)
             except (InfeasibleError, TimingError):
                 continue
-            if flight is not None:
-                return flight
+            if motion is not None:
+                return motion
     return None
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -17,7 +17,7 @@ from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch import Team
 from hitchopt.hitch.forces import cable_force_rates, cable_forces, cable_of, sag_factors
-from hitchopt.hitch.requirements import Limits
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph.jets import chained, polynomials_through
 from hitchopt.planners.morph.path import Path, path_jets
@@ -32,42 +32,17 @@ from hitchopt.planners.timing.profile import (
     fastest_profile,
     loads_at_rest,
     path_grid,
+    spare_accelerations,
 )
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
-from hitchopt.values import Array
+from hitchopt.values import Array, Indices
 
 
-@dataclass(frozen=True, eq=False)
-class Flight:
-    """The curves of a formed hitch on common breaks, from rest to rest.
-
-    Attributes
-    ----------
-    drones, vertices, legs, tensions: as in a Motion, from t = 0.
-    """
-
-    drones: PiecewisePolynomial
-    vertices: PiecewisePolynomial
-    legs: PiecewisePolynomial
-    tensions: PiecewisePolynomial
-
-    @property
-    def duration(self) -> float:
-        """Duration from rest to rest [s]."""
-        return self.drones.duration
-
-    @property
-    def pulls(self) -> PiecewisePolynomial:
-        """Pulls of the legs (2n,) [N]: every leg pulls with its cable's tension."""
-        both = np.repeat(self.tensions.coefficients, 2, axis=1)
-        return PiecewisePolynomial(self.tensions.breaks, both)
-
-    def lasting(self, duration: float) -> Flight:
-        """Return the same curves flown in exactly ``duration`` [s]."""
-        breaks = duration / self.duration * self.drones.breaks
-        breaks[-1] = duration
-        parts = (self.drones, self.vertices, self.legs, self.tensions)
-        return Flight(*(PiecewisePolynomial(breaks, part.coefficients) for part in parts))
+def in_duration(motion: Motion, duration: float) -> Motion:
+    """Return the same curves from t = 0 in exactly ``duration`` [s], without phases."""
+    breaks = duration / motion.duration * motion.drones.breaks
+    breaks[-1] = duration
+    return motion.map_curves(lambda part: part.alike(part.coefficients, breaks), ())
 
 
 def check_duration(duration: float, fastest: float, when: str = "") -> None:
@@ -97,13 +72,13 @@ SHORTEST_FLIGHT = 0.05
 above their rounding."""
 
 
-def fly(path: Path, limits: Limits, duration: float | None = None) -> Flight:
-    """Return the flight along a path, from rest to rest.
+def fly(path: Path, requirements: Requirements, duration: float | None = None) -> Motion:
+    """Return the motion along a path, from rest to rest and without phases.
 
     Parameters
     ----------
-    path: what is flown.
-    limits: of which none is broken where the polynomials are sampled.
+    path: to be flown.
+    requirements: of whose limits none is broken where the polynomials are sampled.
     duration: exact duration [s]; None for as fast as the limits allow, SHORTEST_FLIGHT at least.
 
     Raises
@@ -111,7 +86,8 @@ def fly(path: Path, limits: Limits, duration: float | None = None) -> Flight:
     InfeasibleError: ``duration`` is shorter than the limits allow.
     TimingError: no timing was found.
     """
-    demands, aimed = demands_along(path, limits, GRID), limits
+    limits = aimed = requirements.limits
+    demands = demands_along(path, limits, GRID)
     if limits.body_rate is not None:  # thrusts turn with the jerk, and are least at rest
         least = float(np.min(length(demands.loads) / path.team.mass))
         aimed = replace(limits, jerk=min(limits.jerk, limits.body_rate * least))
@@ -121,19 +97,20 @@ def fly(path: Path, limits: Limits, duration: float | None = None) -> Flight:
     finer = 1
     while True:
         clock = first_clock(profile, ramp, time_mesh(profile, ramp, finer))
-        flight = _polynomials(path, jerk_limited(clock, lambda s: Demands.along(path, aimed, s)))
-        if flight.drones.pieces >= FINEST or cable_error(path.team, flight) <= MODEL_ERROR:
+        warped = jerk_limited(clock, lambda s: Demands.along(path, aimed, s))
+        motion = _motion(path, requirements, warped)
+        if motion.drones.pieces >= FINEST or cable_error(motion) <= MODEL_ERROR:
             break
         finer *= 2
-    fastest = needed_stretch(path.team, limits, flight) * flight.duration
+    fastest = needed_stretch(motion) * motion.duration
     if duration is None:
-        return flight.lasting(max(fastest, SHORTEST_FLIGHT))
+        return in_duration(motion, max(fastest, SHORTEST_FLIGHT))
     check_duration(duration, fastest)
-    return flight.lasting(duration)
+    return in_duration(motion, duration)
 
 
-def _polynomials(path: Path, clock: Clock) -> Flight:
-    """Return polynomials that meet value, velocity, acceleration and jerk at every break."""
+def _motion(path: Path, requirements: Requirements, clock: Clock) -> Motion:
+    """Return the motion that meets value, velocity, acceleration and jerk at every break."""
     breaks, progress = clock.breaks, clock.jets()
     s = np.clip(progress[:, 0], 0.0, 1.0)
     s[0], s[-1] = 0.0, 1.0
@@ -147,15 +124,16 @@ def _polynomials(path: Path, clock: Clock) -> Flight:
     steady = not np.any(tensions[..., 1:]) and np.all(tensions == tensions[0])
     constant = PiecewisePolynomial.constant(breaks, tensions[0, :, 0])
     drones, vertices, legs = map(timed, parts)
-    return Flight(drones, vertices, legs, constant if steady else timed(tensions))
+    pulled = constant if steady else timed(tensions)
+    return Motion(path.team, requirements, drones, vertices, legs, pulled, phases=())
 
 
-def cable_error(team: Team, flight: Flight) -> float:
+def cable_error(motion: Motion) -> float:
     """Return the largest relative error of a cable's length at samples between the breaks."""
-    inner, breaks = (np.arange(5) + 0.5) / 5, flight.drones.breaks
+    team, inner, breaks = motion.team, (np.arange(5) + 0.5) / 5, motion.drones.breaks
     times = np.append(breaks[:-1, None] + np.diff(breaks)[:, None] * inner, breaks)
-    p, sag = flight.vertices.at(times), sag_factors(team, flight.tensions.at(times))
-    legs = flight.drones.at(times) - p[:, team.layout.anchors]
+    p, sag = motion.vertices.at(times), sag_factors(team, motion.tensions.at(times))
+    legs = motion.drones.at(times) - p[:, team.layout.anchors]
     spans = (legs[:, 0::2], team.layout.edges(p), legs[:, 1::2])
     cables = np.sum([cable_of(span, sag) for span in spans], axis=0)
     return float(np.max(np.abs(cables / team.cable_length - 1.0)))
@@ -220,6 +198,9 @@ SPANS, ENCLOSING = 8, 8
 """Spans of a piece whose coefficients enclose rates, within about 0.1 %, and how many each has:
 those of the drones' septic pieces."""
 
+SURELY = 0.9
+"""Share of the stretch for rates below which a rough estimate of that for forces is ignored."""
+
 CHUNK = 60_000
 """Number of coefficients of drones that are processed in one go."""
 
@@ -230,17 +211,23 @@ PRECISION = 1e-4
 """Relative precision of a stretch."""
 
 
-def needed_stretch(team: Team, limits: Limits, flight: Flight | Motion) -> float:
-    """Return how many times slower a flight must be to satisfy its limits.
+def needed_stretch(motion: Motion) -> float:
+    """Return how many times slower a formed motion must be to satisfy its limits.
 
     Rates are not sampled but enclosed: a vector polynomial stays within the hull of its
     coefficients, which lie close to it on a short span of time.
     """
-    drones, vertices, pulls = flight.drones, flight.vertices, flight.pulls
+    team, limits = motion.team, motion.requirements.limits
+    drones, vertices, pulls = motion.drones, motion.vertices, motion.pulls
     factor, still = 1e-12, np.zeros(0)
-    for some in _chunks(team, drones):
-        rates = length(_on_spans(vertices, some, 1))
-        fastest = float(np.max(rates, initial=0.0)) / (FINAL_SHARE * limits.vertex_speed)
+    rates = (limits.speed, limits.acceleration, limits.jerk)
+    bounds = [(vertices, 1, limits.vertex_speed)]
+    bounds += [(drones, order, limit) for order, limit in enumerate(rates, 1)]
+    for some in _chunks(team, np.arange(drones.pieces)):
+        for part, order, limit in bounds:
+            rate = float(np.max(length(_on_spans(part, some, order)), initial=0.0))
+            factor = max(factor, (rate / (FINAL_SHARE * limit)) ** (1.0 / order))
+    for some in _chunks(team, np.flatnonzero(_force_stretches(motion) > SURELY * factor)):
         jets = np.stack([_on_spans(drones, some, order) for order in range(4)], axis=-1)
         pull = np.zeros(jets.shape[:-1])
         if team.has_cables:
@@ -248,9 +235,28 @@ def needed_stretch(team: Team, limits: Limits, flight: Flight | Motion) -> float
             pull = cable_forces(team, jets[..., 0], places, values, np.ones(team.robots))
         loads = loads_at_rest(team, pull)
         demands = Demands(jets, still, loads, team, limits, FINAL_SHARE)
-        factor = max(factor, fastest, float(np.max(demands.stretches())))
+        factor = max(factor, float(np.max(demands.stretches())))
     taut = PiecewisePolynomial.constant(drones.breaks, np.ones(team.robots))
     return turning_stretch(team, limits.body_rate, (drones, vertices, pulls, taut), factor)
+
+
+def _force_stretches(motion: Motion) -> Array:
+    """Return about how many times slower each piece (pieces,) must be for thrust and tilt at most.
+
+    As if accelerations pointed to where forces at rest, taken at the breaks, leave the least.
+    """
+    team, limits, drones = motion.team, motion.requirements.limits, motion.drones
+    pull = np.zeros((drones.pieces + 1, team.drones, 3))
+    if team.has_cables:
+        drones_at, vertices, pulls = (
+            part.at(drones.breaks) for part in (drones, motion.vertices, motion.pulls)
+        )
+        pull = cable_forces(team, drones_at, vertices, pulls, np.ones((len(pull), team.robots)))
+    spare = np.maximum(spare_accelerations(team, limits, loads_at_rest(team, pull)), 1e-9)
+    c = bernstein.differentiate(bernstein.differentiate(drones.coefficients))
+    rates = np.max(np.linalg.norm(c, axis=-2), axis=-1) / drones.durations[:, None] ** 2
+    stretches: Array = np.sqrt(np.max(rates / np.minimum(spare[1:], spare[:-1]), axis=1))
+    return stretches
 
 
 def turning_stretch(
@@ -270,11 +276,9 @@ def turning_stretch(
     """
     if limit is None:
         return least
-    factor = least
+    factor, pieces = least, np.arange(curves[0].pieces)
     while math.isfinite(factor):
-        fastest = max(
-            _turning_rate(team, curves, some, factor) for some in _chunks(team, curves[0])
-        )
+        fastest = max(_turning_rate(team, curves, some, factor) for some in _chunks(team, pieces))
         if fastest <= LIMIT_SHARE * limit:
             break
         slower = (1.0 + PRECISION) * (fastest / (LIMIT_SHARE * limit)) ** (1.0 / 3.0)
@@ -283,7 +287,7 @@ def turning_stretch(
 
 
 def _turning_rate(
-    team: Team, curves: Sequence[PiecewisePolynomial], pieces: slice, stretch: float
+    team: Team, curves: Sequence[PiecewisePolynomial], pieces: Indices, stretch: float
 ) -> float:
     """Return the largest turning rate [rad/s] of thrusts on pieces of a flight, slowed."""
     values, rates = ([_on_spans(part, pieces, order) for part in curves] for order in (0, 1))
@@ -301,13 +305,13 @@ def _turning_rate(
     return float(np.max(length(np.cross(thrust, rate)) / squared))
 
 
-def _chunks(team: Team, drones: PiecewisePolynomial) -> Iterator[slice]:
+def _chunks(team: Team, pieces: Indices) -> Iterator[Indices]:
     """Yield pieces of a flight that are few enough to be processed in one go."""
     size = max(1, CHUNK // (SPANS * ENCLOSING * team.drones))
-    return (slice(first, first + size) for first in range(0, drones.pieces, size))
+    return (pieces[first : first + size] for first in range(0, len(pieces), size))
 
 
-def _on_spans(part: PiecewisePolynomial, pieces: slice, order: int = 0) -> Array:
+def _on_spans(part: PiecewisePolynomial, pieces: Indices, order: int = 0) -> Array:
     """Return values that enclose a derivative by time: (pieces · SPANS · ENCLOSING, *shape).
 
     Its coefficients on the spans of pieces, or values at as many places where it has more.

@@ -154,6 +154,14 @@ def rest_ratios(team: Team, limits: Limits, loads: Array) -> Array:
     return np.stack([length(loads) / team.max_thrust, tilt / limits.tilt])
 
 
+def spare_accelerations(team: Team, limits: Limits, loads: Array) -> Array:
+    """Return (J, 2n) [m/s²]: what thrust and tilt leave for accelerations in any direction."""
+    thrust, tilt = LIMIT_SHARE - rest_ratios(team, limits, loads)
+    sideways = length(loads) * np.sin(limits.tilt * tilt)
+    spare: Array = np.minimum(team.max_thrust * thrust, sideways) / team.mass
+    return spare
+
+
 def check_hover(
     team: Team, limits: Limits, loads: Array, when: Sequence[str], remedies: tuple[str, str]
 ) -> None:

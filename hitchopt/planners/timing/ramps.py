@@ -13,7 +13,12 @@ from hitchopt.hitch import Team
 from hitchopt.hitch.forces import hanging_forces
 from hitchopt.hitch.requirements import Limits
 from hitchopt.planners.morph.jets import chained, divided
-from hitchopt.planners.timing.profile import LIMIT_SHARE, check_hover, loads_at_rest, rest_ratios
+from hitchopt.planners.timing.profile import (
+    LIMIT_SHARE,
+    check_hover,
+    loads_at_rest,
+    spare_accelerations,
+)
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.clock_phases import advanced
 from hitchopt.values import Array
@@ -141,8 +146,6 @@ def accelerations(team: Team, limits: Limits, drones: Array) -> Array:
     loads = loads_at_rest(team, hanging_forces(team, drones))
     remedy = "use lighter cables, or stronger drones that may tilt more"
     check_hover(team, limits, loads, ["hovering with a hanging cable"] * len(drones), (remedy,) * 2)
-    thrust_left, tilt_left = LIMIT_SHARE - rest_ratios(team, limits, loads)
-    sideways = length(loads) * np.sin(limits.tilt * tilt_left)
-    free = np.minimum(team.max_thrust * thrust_left, sideways) / team.mass
+    free = spare_accelerations(team, limits, loads)
     reserve: Array = np.minimum(np.min(free, axis=0), LIMIT_SHARE * limits.acceleration)
     return reserve
