@@ -18,9 +18,16 @@ from hitchopt.hitch.forces import (
     sag_factors,
     shortening,
 )
-from hitchopt.hitch.leg_program import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
-from hitchopt.hitch.legs import least_roll, reference_margin, split_slack, split_with_least_roll
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
+from hitchopt.hitch.slack_split import (
+    LIMIT_MARGIN,
+    SPREAD_MARGIN,
+    LegTask,
+    least_roll,
+    reference_margin,
+    split_slack,
+    split_with_least_roll,
+)
 from hitchopt.hitch.team import Team
 from hitchopt.values import Array, as_array, instance
 from hitchopt.values.fields import store

@@ -21,9 +21,14 @@ from hitchopt.geometry import Outline
 from hitchopt.geometry.vectors import dot, first_smallest, length, unit
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import balanced_legs
-from hitchopt.hitch.leg_program import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
-from hitchopt.hitch.legs import reference_margin, split_slack
 from hitchopt.hitch.requirements import Requirements
+from hitchopt.hitch.slack_split import (
+    LIMIT_MARGIN,
+    SPREAD_MARGIN,
+    LegTask,
+    reference_margin,
+    split_slack,
+)
 from hitchopt.hitch.team import GRAVITY, Quadrotor
 from hitchopt.objects import Section
 from hitchopt.values import Array, Indices

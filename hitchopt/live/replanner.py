@@ -26,10 +26,9 @@ from hitchopt.errors import InfeasibleError, InputError, OneLine, UnsupportedErr
 from hitchopt.geometry import Outline
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.hitch import cable_slack, checked_polygon
-from hitchopt.hitch.leg_program import LIMIT_MARGIN, LegTask
-from hitchopt.hitch.legs import split_slack
 from hitchopt.hitch.model import DroneJets, FlatJets, drone_jets
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
+from hitchopt.hitch.slack_split import LIMIT_MARGIN, LegTask, split_slack
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.retiming import append_motion, before, cut, resting, with_last_poses
 from hitchopt.plan import Plan

@@ -23,9 +23,14 @@ from hitchopt.geometry.drawings import drawing_of_geometry, read_drawing, size_i
 from hitchopt.geometry.vectors import dot, length, unit
 from hitchopt.hitch.hitch import balanced_legs
 from hitchopt.hitch.holding import Capacity, Grip, grip_capacity, largest_tension, rest_capacity
-from hitchopt.hitch.leg_program import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
-from hitchopt.hitch.legs import reference_margin, split_slack
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
+from hitchopt.hitch.slack_split import (
+    LIMIT_MARGIN,
+    SPREAD_MARGIN,
+    LegTask,
+    reference_margin,
+    split_slack,
+)
 from hitchopt.hitch.team import Quadrotor, Swarm, Team
 from hitchopt.objects import Rim, Section, SolidObject
 from hitchopt.planners.carrying.polygons import (

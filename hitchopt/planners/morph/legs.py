@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from hitchopt.hitch.leg_program import LIMIT_MARGIN, LegTask
-from hitchopt.hitch.legs import reference_margin, split_slack
 from hitchopt.hitch.requirements import Limits, Requirements
+from hitchopt.hitch.slack_split import LIMIT_MARGIN, LegTask, reference_margin, split_slack
 from hitchopt.planners.morph.jets import quintic_spline
 from hitchopt.planners.morph.path import LegLaw, ShapePath, Shapes, drones_along, shapes_along
 from hitchopt.planners.timing.profile import demands_along, flight_estimate

@@ -57,7 +57,7 @@ class Columns:
 
     @property
     def nodes(self) -> Indices:
-        """(3n, 2): vertices, then drones, as in ``hitch.parts``."""
+        """(3n, 2): vertices, then drones, as in ``hitch.pairs``."""
         return np.concatenate([self.vertices, self.drones])
 
 

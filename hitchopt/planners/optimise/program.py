@@ -288,7 +288,7 @@ class NearPairs(NamedTuple):
     ----------
     frame: (m,), the instant.
     first, second: (m, 2), nodes (of 3n) at the ends of each body; a drone's are the same.
-    kind: (m,), as in ``hitch.parts``.
+    kind: (m,), as in ``hitch.pairs``.
     normal: (m, 2), unit vector from the second body to the first where they are closest.
     enforced: (m,) [m], the distance to enforce.
     """

@@ -13,9 +13,8 @@ from hitchopt.geometry import ConvexPolygon
 from hitchopt.geometry.outline import centroids
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch
-from hitchopt.hitch.leg_program import LegTask
-from hitchopt.hitch.legs import reference_margins
 from hitchopt.hitch.requirements import Requirements
+from hitchopt.hitch.slack_split import LegTask, reference_margins
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph.legs import legs_clear
 from hitchopt.planners.morph.morph import check_shapes, exterior_angles

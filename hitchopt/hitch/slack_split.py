@@ -1,19 +1,25 @@
-"""The convex QP around given leg lengths: near pairs, and rows that keep them apart.
+"""The slack split: the leg lengths of every cable that keep drones and cables apart.
 
-Nodes, bodies and their pairs are those of ``hitchopt.hitch.pairs``.
+On a given polygon every drone slides along a fixed line, so positions are affine in ``d`` and lower
+bounds of distances make a convex QP whose every solution keeps the true distances at least as well
+as it says. Repeated, the penalised deviation never grows (a convex inner approximation, Marks and
+Wright 1978).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.errors import InfeasibleError, check_time
 from hitchopt.geometry import differences, shortest_offset
-from hitchopt.geometry.vectors import EAST, length, unit
+from hitchopt.geometry.vectors import EAST, dot, first_smallest, length, unit
 from hitchopt.hitch.forces import (
     cable_slack_of,
     clasp_loads,
@@ -49,7 +55,7 @@ CROSSING_MARGIN = 1.005
 
 @dataclass(frozen=True, eq=False)
 class LegTask:
-    """Leg lengths of one team to be found on J polygons (one, or the knots of a path) at once.
+    """The choice of a team's leg lengths on J polygons (one, or the knots of a path) at once.
 
     Attributes
     ----------
@@ -86,7 +92,7 @@ class LegTask:
         return np.stack([each, each, np.minimum(each, CROSSING_MARGIN)])
 
     @cached_property
-    def wanted(self) -> float:
+    def largest_margin(self) -> float:
         """The largest of the margins: the margin of leg lengths that keep them all."""
         return float(np.max(self.margins))
 
@@ -112,7 +118,7 @@ class LegTask:
 
 @dataclass(frozen=True, eq=False)
 class LegLengths:
-    """Leg lengths ``d`` (J, n) [m] that were found, their margin, and ``Σ (d - reference)²`` [m²].
+    """Leg lengths ``d`` (J, n) [m], their margin, and ``Σ (d - reference)²`` [m²].
 
     The margin is the smallest distance over its limit, measured on these lengths.
     """
@@ -223,7 +229,7 @@ class LegBodies:
 
     In the plane of level legs two coordinates suffice; else there are three, and heights between
     two drones count as much less as their ellipsoid is higher than wide. The directions of legs
-    whose cables have weight depend on their lengths: they are those of the lengths last asked for.
+    whose cables have weight depend on their lengths: they are those of the given lengths.
     Pairs that never come near between the lengths ``lowest`` and ``highest`` (J, n) are dropped.
     """
 
@@ -241,7 +247,7 @@ class LegBodies:
         drones = layout.points + np.arange(2 * n)
         self.drones = (self.count * np.arange(J)[:, None] + drones).reshape(-1)
         self.limits, self.scale = limits_of(keep), scales_of(keep)[:, : self.dimensions]
-        self._lay(task.reference)
+        self._fixed = None if self._turns else self._lines(task.reference)
         # From above nothing is farther than in space.
         ends = [self.nodes(lowest)[:, :2]]
         if highest is not lowest:
@@ -252,7 +258,7 @@ class LegBodies:
             swept[:, :, bodies.nodes].transpose(0, 3, 1, 2, 4).reshape(2 * len(ends), J, -1, 2)
         )
         # From there on a pair has its margin for certain.
-        cutoff = max(task.wanted, 1.0) * float(np.max(self.limits)) * (1.0 + 1e-9)
+        cutoff = max(task.largest_margin, 1.0) * float(np.max(self.limits)) * (1.0 + 1e-9)
         cutoff += SWAY if self._turns else 0.0
         boxes = np.min(corners, axis=0), np.max(corners, axis=0)
         pairs = np.stack(bodies.near(*boxes, self.limits, cutoff))
@@ -262,8 +268,14 @@ class LegBodies:
         self.first: Indices = bodies.nodes[i] + self.count * self.frame[:, None]
         self.second: Indices = bodies.nodes[j] + self.count * self.frame[:, None]
 
-    def _lay(self, d: Array) -> None:
-        """Set the lines that drones slide on, as of legs of length d (J, n) [m]."""
+    def lines(self, d: Array) -> tuple[Array, Array]:
+        """Return, of legs of length d (J, n) [m], the lines that nodes slide on.
+
+        Their nodes without legs, and by ``d``: (J·count, 2 or 3) [m] and without unit.
+        """
+        return self._fixed or self._lines(d)
+
+    def _lines(self, d: Array) -> tuple[Array, Array]:
         task, team, p = self.task, self.task.team, self._points
         layout, slack, shape = team.layout, task.slack, (len(p), -1, self.dimensions)
         loads = None if task.level else clasp_loads(team, d, slack, task.roll)
@@ -278,13 +290,12 @@ class LegBodies:
         slopes = np.stack([q, -r], axis=2)
         base = np.concatenate([p, ends.reshape(shape)], axis=1)
         slope = np.concatenate([np.zeros_like(p), slopes.reshape(shape)], axis=1)
-        self.base, self.slope = base.reshape(shape[1:]), slope.reshape(shape[1:])
+        return base.reshape(shape[1:]), slope.reshape(shape[1:])
 
     def nodes(self, d: Array) -> Array:
         """Return the nodes' positions (J·count, 2 or 3) [m]."""
-        if self._turns:
-            self._lay(d)
-        nodes: Array = self.base + self.slope * d.reshape(-1)[self.variable][:, None]
+        base, slope = self.lines(d)
+        nodes: Array = base + slope * d.reshape(-1)[self.variable][:, None]
         return nodes
 
     def offsets(self, nodes: Array) -> Array:
@@ -306,7 +317,7 @@ class LegBodies:
         apart = np.where((self.kind == CROSSING) & (ratios >= enough), np.inf, ratios)
         smallest = np.full(len(d), np.inf)
         np.minimum.at(smallest, self.frame, apart / task.margins[SEPARATION, self.frame])
-        return task.wanted * smallest
+        return task.largest_margin * smallest
 
 
 def leg_program(bodies: LegBodies, d: Array) -> QuadraticProgram:
@@ -318,7 +329,7 @@ def leg_program(bodies: LegBodies, d: Array) -> QuadraticProgram:
     these must not leave the rest undecided.
     """
     task, size = bodies.task, d.size + 2
-    nodes = bodies.nodes(d)
+    (base, slope), nodes = bodies.lines(d), bodies.nodes(d)
     middles = nodes[bodies.first].mean(axis=1) - nodes[bodies.second].mean(axis=1)
     normal = unit(bodies.offsets(nodes), unit(middles, EAST[: bodies.dimensions]), 1e-9)
     pair, a, b = end_combinations(bodies.kind, bodies.first, bodies.second)
@@ -327,14 +338,14 @@ def leg_program(bodies: LegBodies, d: Array) -> QuadraticProgram:
     slacks = np.where(kind == CROSSING, size - 1, size - 2)
     # Slightly more than required, so that rounding does not leave it short.
     wanted = task.margins[kind, bodies.frame[pair]] * (1.0 + 1e-7) * limit
-    least = wanted - np.sum(nu * (bodies.base[a] - bodies.base[b]), axis=1)
-    moved = np.sum(nu * bodies.slope[a], axis=1), -np.sum(nu * bodies.slope[b], axis=1)
+    least = wanted - np.sum(nu * (base[a] - base[b]), axis=1)
+    moved = np.sum(nu * slope[a], axis=1), -np.sum(nu * slope[b], axis=1)
     columns = np.concatenate([bodies.variable[a], bodies.variable[b], slacks])
     rows = Rows(size)
     rows.add(np.tile(row, 3), columns, np.concatenate([*moved, limit]), least)
     arena = task.requirements.arena
     if arena is not None:  # every drone between its upright walls
-        base, slope = bodies.base[bodies.drones, :2], bodies.slope[bodies.drones, :2]
+        base, slope = base[bodies.drones, :2], slope[bodies.drones, :2]
         entries = np.concatenate([slope, -slope], axis=1).T.ravel()
         least = np.concatenate([arena.lower[:2] - base, base - arena.upper[:2]], axis=1).T.ravel()
         # No leg length moves a drone along a parallel wall: such a row could only be infeasible.
@@ -366,3 +377,172 @@ def _hessian(task: LegTask, size: int) -> sp.csc_array[np.float64]:
     bend = sp.kron(second, sp.eye_array(n)) @ fractions
     rough = sp.block_diag([task.roughness * (bend.T @ bend), sp.csc_array((2, 2))])
     return sp.csc_array(diagonal + rough)
+
+
+START_ROUNDS, PATH_ROUNDS = 60, 20
+"""Maximum numbers of convex programs from one start: on one polygon, and along a path, where ten
+are enough or none are."""
+
+GAIN = 1e-6
+"""Smallest relative gain of merit that counts: a mirror image gains less."""
+
+SETTLED, QUICKLY_SETTLED = 1e-9, 1e-5
+"""[m] Largest change of a leg in the last round; and where the first split that keeps the margin is
+taken: a round that changes so little does not raise the margin either."""
+
+
+def split_slack(task: LegTask, *, first: bool = False) -> LegLengths:
+    """Return the leg lengths nearest to the reference that keep the margin, else the best found.
+
+    The search is local: it starts from the reference and, where that fails on a single polygon,
+    from a few uneven splits as well (along a path the fixed ends leave little freedom). Its cost
+    is linear in J·n. The ``first`` ones that keep the margin are found many times as fast.
+    """
+    bodies = LegBodies(task, *task.bounds)
+    best = _reference_kept(bodies) or _refined(bodies, task.reference, first)
+    if len(task.reference) > 1 or (_keeps(task, best) and (first or best.deviation <= 1e-12)):
+        return best
+    for fractions in _uneven_fractions(task):
+        found = _refined(bodies, fractions * task.slack, first)
+        if _merit(task, found) < (1.0 - GAIN) * _merit(task, best):
+            best = found
+        if first and _keeps(task, best):
+            break
+    return best
+
+
+def reference_margin(task: LegTask) -> float:
+    """Return the smallest distance over its limit of the reference itself.
+
+    Pairs beyond the wanted margin may be left out.
+    """
+    return float(np.min(reference_margins(task)))
+
+
+def reference_margins(task: LegTask) -> Array:
+    """Return the same (J,) of every polygon by itself."""
+    return LegBodies(task, task.reference, task.reference).margins(task.reference)
+
+
+def _reference_kept(bodies: LegBodies) -> LegLengths | None:
+    """Return the reference if it keeps the margin and all bounds to the last bit, else None."""
+    task, arena = bodies.task, bodies.task.requirements.arena
+    start = np.clip(task.reference, *task.bounds)
+    if task.roughness > 0.0 or not np.array_equal(start, task.reference):
+        return None
+    margin, drones = float(np.min(bodies.margins(start))), bodies.nodes(start)[bodies.drones, :2]
+    if margin < task.largest_margin or (
+        arena and np.any((drones < arena.lower[:2]) | (drones > arena.upper[:2]))
+    ):
+        return None
+    return LegLengths(start, margin, 0.0)
+
+
+def _uneven_fractions(task: LegTask) -> Array:
+    """Return fractions (4 or 6, n): equal ones, or alternating from the sharpest clasp on.
+
+    Counted from there, they are the same for a hitch that is renumbered or mirrored.
+    """
+    layout = task.team.layout
+    along = unit(layout.edges(task.polygons[0]))
+    cosines = dot(along[layout.ahead], along[layout.behind])
+    sharpest = layout.clasps[int(first_smallest(cosines, 1.0))]
+    k = np.arange(layout.robots)
+    onward = (k - sharpest) % layout.robots % 2 == 0
+    back = (sharpest - 1 - k) % layout.robots % 2 == 1
+    alike = np.ones_like(onward)
+    return np.unique(np.where([alike, ~alike, onward, ~onward, back, ~back], 0.3, 0.7), axis=0)
+
+
+def _keeps(task: LegTask, found: LegLengths) -> bool:
+    return found.margin >= task.largest_margin * (1.0 - 1e-9)
+
+
+def _merit(task: LegTask, found: LegLengths) -> float:
+    short = max(0.0, task.largest_margin - found.margin)
+    return PENALTY * task.team.robots * (short if short > 1e-7 else 0.0) + 0.5 * found.deviation
+
+
+def _refined(bodies: LegBodies, start: Array, first: bool) -> LegLengths:
+    """Return the leg lengths that repeated convex approximation reaches from ``start``.
+
+    Or the ``first`` iterate that keeps the margin.
+    """
+    task = bodies.task
+    d, settled = np.clip(start, *task.bounds), QUICKLY_SETTLED if first else SETTLED
+    for _ in range(START_ROUNDS if len(d) == 1 else PATH_ROUNDS):
+        check_time()
+        x = solve_qp(leg_program(bodies, d))
+        if x is None:
+            break
+        before, d = d, x[: d.size].reshape(d.shape)
+        if float(np.max(np.abs(d - before))) < settled:
+            break
+        if first and np.min(bodies.margins(d)) >= task.largest_margin * (1.0 - 1e-9):
+            break
+    margin = float(np.min(bodies.margins(d)))
+    return LegLengths(d, margin, float(np.sum((d - task.reference) ** 2)))
+
+
+ROLL_CANDIDATES = tuple(
+    math.radians(angle) for angle in (5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0)
+)
+"""[rad] Rolls in ascending order; the first that suffices is used. Simulated clasps hold to 60°."""
+
+COARSE, LESS = (ROLL_CANDIDATES[3], ROLL_CANDIDATES[5]), 0.9
+"""[rad] Rolls at which other lengths of legs are looked for, which takes longer; and the share of
+the roll that the reference needs at which they have to suffice for that to be worth its time."""
+
+
+def split_with_least_roll(task: LegTask) -> tuple[LegLengths, Array | float]:
+    """Return leg lengths on one polygon and the roll [rad] that goes with them.
+
+    The task's own, or none, where legs keep all limits with it. Else the smallest one found with
+    which they keep the margin that is wanted, else the limits, as they are or with other lengths;
+    the task's own where no roll helps. Its sense is that of the task's own, upward of q-legs
+    without one.
+    """
+    own = 0.0 if task.roll is None else task.roll
+    without = split_slack(task)
+    if without.margin >= 1.0:
+        return without, own
+    sense = -1.0 if np.sum(own) < 0.0 else 1.0
+    for margin in dict.fromkeys((task.largest_margin, LIMIT_MARGIN)):
+        aim = replace(task, margin=margin)
+        given = least_roll(aim, sense)
+        ladder = COARSE if given is None else (LESS * abs(given),)
+        chosen = least_roll(aim, sense, lambda rolled: split_slack(rolled).margin, ladder, 3)
+        roll = given if chosen is None else chosen
+        if roll is not None:
+            return split_slack(replace(aim, roll=roll)), roll
+    return without, own
+
+
+def least_roll(
+    task: LegTask,
+    sense: float = 1.0,
+    margin_of: Callable[[LegTask], float] = reference_margin,
+    ladder: tuple[float, ...] = ROLL_CANDIDATES,
+    halvings: int = 7,
+) -> float | None:
+    """Return the smallest roll [rad] that is found to give the margin wanted, or None.
+
+    To a hundredth of the step between two rungs of a ladder; a roll that leaves loads no balance
+    gives none.
+    """
+
+    def suffices(angle: float) -> bool:
+        try:
+            rolled = replace(task, roll=sense * angle)
+            return margin_of(rolled) >= task.largest_margin * (1.0 - 5e-7)
+        except InfeasibleError:
+            return False
+
+    upper = next((rung for rung in ladder if suffices(rung)), None)
+    if upper is None:
+        return None
+    lower = max((rung for rung in ladder if rung < upper), default=0.0)
+    for _ in range(halvings):
+        middle = 0.5 * (lower + upper)
+        lower, upper = (lower, middle) if suffices(middle) else (middle, upper)
+    return sense * upper
