@@ -3,7 +3,8 @@
 Usage: python -m benchmarks morphs [--quick] [--limit SECONDS]
 
 Every row is measured in a process of its own. ``straight`` scales and shifts a polygon;
-``optimised`` turns it by 0.3 rad, or less where vertices would go farther than 0.6 m.
+``optimised`` turns it by 0.3 rad, or less where vertices would go farther than 0.6 m; ``half turn``
+turns it by π, for which the straight path is blocked. Second solves are many in one process.
 """
 
 from __future__ import annotations
@@ -16,7 +17,6 @@ import sys
 import tempfile
 import time
 from dataclasses import asdict, dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -80,13 +80,14 @@ def measure(kind: str, n: int, limit: float) -> Measured:
         goal = ho.regular_polygon(n, 1.35).translated([0.3, 0.0])
     else:
         radius = 0.65 / np.sin(np.pi / n)
-        goal = ho.regular_polygon(n, 1.3).rotated(min(TURN, TRAVEL / radius))
+        turn = np.pi if kind == "half turn" else min(TURN, TRAVEL / radius)
+        goal = ho.regular_polygon(n, 1.3).rotated(turn)
     if kind == "rival":
         return _rival(start, goal, limits, separation, limit)
 
     def plan() -> ho.Plan:
         ho.forget()
-        return ho.morph(start, goal, separation=separation, optimize=kind == "optimised")
+        return ho.morph(start, goal, separation=separation, optimize=kind != "straight")
 
     first = seconds(plan)
     second = statistics.median(seconds(plan) for _ in range(3 if n <= 100 else 1))
@@ -143,6 +144,7 @@ def main() -> None:
         return
     cases = [("straight", n) for n in ((3, 10, 30) if given.quick else (3, 10, 30, 100, 300, 1000))]
     cases += [("optimised", n) for n in ((3, 6) if given.quick else (3, 6, 12, 24, 100))]
+    cases += [("half turn", n) for n in ((3, 6) if given.quick else (3, 6, 12))]
     cases += [("rival", n) for n in ((3, 6) if given.quick else (3, 6, 12))]
     table = Table(given.output / "morphs.md", "Morphs", LIMITATIONS)
     columns = ("first [s]", "second [s]", "certify [s]", "write [s]", "flight [s]", "peak [MB]")
@@ -167,23 +169,6 @@ def main() -> None:
         if len(times) == len(large) > 1:
             exponent = slope(list(large), times)
             table.note(f"{kind}: second solves grow as n^{exponent:.2f} from n = 6 on")
-    draw(given.output / "morphs.png", found)
-
-
-def draw(path: Path, found: dict[tuple[str, int], Measured]) -> None:
-    """Draw the times of solves over n."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
-    axes = figure.add_subplot()
-    for kind in ("straight", "optimised", "rival"):
-        points = [(n, one.second or one.first) for (k, n), one in found.items() if k == kind]
-        axes.loglog(*zip(*points, strict=True), "o-", label=kind)
-    axes.set_xlabel("robots n")
-    axes.set_ylabel("processor time of a solve [s]")
-    axes.grid(which="both", alpha=0.3)
-    axes.legend()
-    figure.savefig(path, dpi=110)
 
 
 if __name__ == "__main__":
