@@ -38,7 +38,7 @@ from hitchopt.motion.retiming import (
 )
 from hitchopt.motion.states import final_hitch
 from hitchopt.objects.placing import STILL, in_world
-from hitchopt.planners.forming.stages import stage, straight
+from hitchopt.planners.forming.stages import stage, straight_lines
 from hitchopt.steps import Release
 from hitchopt.steps.certified_motions import infeasible, lifted
 from hitchopt.steps.step import RestState, StepTask
@@ -247,7 +247,7 @@ def straight_down(whole: Motion) -> Motion:
     team, need = whole.team, _where_left(whole)
     drones, index = whole.drones.coefficients[-1, ..., -1], whole.phases[-1].step + 1
     down = drones * [1.0, 1.0, 0.0] + [0.0, 0.0, need.floor]
-    flight = straight(team, need.limits.with_reserve, drones, down)
+    flight = straight_lines(team, need.limits.with_reserve, drones, down)
     state = CableState.GROUND if team.has_cables else CableState.NONE
     return stage("land", flight, team, need, index, state)
 

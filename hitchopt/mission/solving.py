@@ -23,7 +23,7 @@ from hitchopt.mission.problem import DronesStart, HitchStart, Problem, SwarmProb
 from hitchopt.motion.motion import Motion, Phase, joined_motions
 from hitchopt.objects import Slab, SolidObject
 from hitchopt.objects.placing import in_world
-from hitchopt.planners.forming.approach import assigned
+from hitchopt.planners.forming.approach import assign_robots
 from hitchopt.planners.separation import SeparatedFlight, SeparationTask
 from hitchopt.steps import FollowVertex, Form, Step
 from hitchopt.steps.certified_motions import (
@@ -175,7 +175,7 @@ def _start_state(
     form = next((step for step in problem.mission if isinstance(step, Form)), None)
     if form is not None and form.assign == "auto":
         tell("assigning robots to edges")
-        assignment = assigned(team, start.drones, form.polygon, requirements.limits.leg)
+        assignment = assign_robots(team, start.drones, form.polygon, requirements.limits.leg)
     return RestState(assignment.team(team), assignment.drones(start.drones)), assignment
 
 

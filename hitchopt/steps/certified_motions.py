@@ -410,18 +410,18 @@ def tying_site(
 
     ``senses`` (clasps,) are those with which it was formed, to be reversed; None to choose them.
     """
-    pre = find_prehitch(hitch, requirements, swap)
+    prehitch = find_prehitch(hitch, requirements, swap)
     if senses is not None:
-        pre = replace(pre, turns=pre.turns.with_senses(senses))
+        prehitch = replace(prehitch, ellipses=prehitch.ellipses.with_senses(senses))
     floor, clearance = requirements.floor, CLEARANCE * requirements.separation.cable
-    drawn = (pre.drones + share * (hitch.drones - pre.drones) for share in TIGHTENING)
+    drawn = (prehitch.drones + share * (hitch.drones - prehitch.drones) for share in TIGHTENING)
     hanging = (hover_altitude(hitch.team, drones, requirements) for drones in drawn)
-    altitude = max(hitch.altitude, floor + clearance + pre.lowest, *hanging)
+    altitude = max(hitch.altitude, floor + clearance + prehitch.lowest, *hanging)
     by = altitude - hitch.altitude
     if by <= SAME_ALTITUDE:
-        return hitch, pre
+        return hitch, prehitch
     high = Hitch(hitch.team, hitch.polygon, altitude, hitch.q_legs, hitch.roll)
-    return high, replace(pre, turns=pre.turns.raised(by))
+    return high, replace(prehitch, ellipses=prehitch.ellipses.raised(by))
 
 
 def lifted(hitch: Hitch, altitude: float, name: str, task: StepTask) -> Motion:

@@ -77,26 +77,26 @@ class Form(Step):
         from hitchopt.steps import certified_motions as motions
 
         i, requirements = task.index, task.requirements
-        wanted = self._wanted(task.before.team, requirements)
-        motions.check_at_rest(wanted, requirements, f"at the end of step {i} (form)")
-        high, pre = motions.tying_site(wanted, self.swap, None, requirements)
-        tying = joined_motions(forming_stages(pre, high, requirements, self.swap, i))
-        if pre.shortfall > 0.0:  # the approach is in vain if nothing can be tied
+        goal = self._goal(task.before.team, requirements)
+        motions.check_at_rest(goal, requirements, f"at the end of step {i} (form)")
+        raised, prehitch = motions.tying_site(goal, self.swap, None, requirements)
+        tying = joined_motions(forming_stages(prehitch, raised, requirements, self.swap, i))
+        if prehitch.violation > 0.0:  # the approach is in vain if nothing can be tied
             motions.checked(StepPlan(tying, task.before))
-        parts = [_approach(task, pre.drones), tying]
-        if high is not wanted:
-            parts.append(motions.lifted(high, wanted.altitude, "lower", task))
-        senses = np.sign(pre.turns.rise)
-        formed = RestState(wanted.team, wanted.drones, wanted, senses, self.swap)
+        parts = [_approach(task, prehitch.drones), tying]
+        if raised is not goal:
+            parts.append(motions.lifted(raised, goal.altitude, "lower", task))
+        senses = np.sign(prehitch.ellipses.rise)
+        formed = RestState(goal.team, goal.drones, goal, senses, self.swap)
         after = replace(formed, objects=task.before.objects)
-        if wanted.team.cable_friction > 0.0 and self.settle is not False:
+        if goal.team.cable_friction > 0.0 and self.settle is not False:
             seconds = None if isinstance(self.settle, str) else self.settle
             phase, tied_task = Phase("settle", i, 0.0, 0.0), replace(task, before=after)
             settled = motions.settling_plan(tied_task, seconds, phase, needed=seconds is not None)
             parts.append(settled.motion)
         return StepPlan(self.lasting(task, joined_motions(parts)), after)
 
-    def _wanted(self, team: Team, requirements: Requirements) -> Hitch:
+    def _goal(self, team: Team, requirements: Requirements) -> Hitch:
         """Return the hitch to be formed; without ``legs`` spread, with the margins that it can."""
         from hitchopt.steps.certified_motions import at_rest, split_hitch
 
@@ -158,11 +158,13 @@ class Release(Step):
         before, hitch, requirements = task.before, task.hitch, task.requirements
         up = np.ones(len(before.team.layout.clasps))
         senses = up if before.senses is None else before.senses
-        high, pre = tying_site(hitch, before.swap, senses, requirements)
-        parts = reversed_stages(forming_stages(pre, high, requirements, before.swap, task.index))
-        if high is not hitch:
-            parts.insert(0, lifted(hitch, high.altitude, "raise", task))
-        after = replace(before, drones=pre.drones, hitch=None, senses=None)
+        raised, prehitch = tying_site(hitch, before.swap, senses, requirements)
+        parts = reversed_stages(
+            forming_stages(prehitch, raised, requirements, before.swap, task.index)
+        )
+        if raised is not hitch:
+            parts.insert(0, lifted(hitch, raised.altitude, "raise", task))
+        after = replace(before, drones=prehitch.drones, hitch=None, senses=None)
         return StepPlan(self.lasting(task, joined_motions(parts)), after)
 
 
@@ -175,12 +177,12 @@ class Land(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan straight down."""
-        from hitchopt.planners.forming.stages import stage, straight
+        from hitchopt.planners.forming.stages import stage, straight_lines
 
         before, requirements = task.before, task.requirements
         down = before.drones.copy()
         down[:, 2] = requirements.floor
-        flight = straight(before.team, requirements.limits, before.drones, down)
+        flight = straight_lines(before.team, requirements.limits, before.drones, down)
         motion = stage("land", flight, before.team, requirements, task.index, CableState.GROUND)
         after = replace(before, drones=down)
         return StepPlan(self.lasting(task, motion), after)

@@ -15,7 +15,13 @@ from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.motion.motion import CableState, Motion, joined_motions
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.planners.forming.prehitch import find_prehitch
-from hitchopt.planners.forming.stages import forming_stages, reversed_stages, stage, straight, swap
+from hitchopt.planners.forming.stages import (
+    forming_stages,
+    reversed_stages,
+    stage,
+    straight_lines,
+    swap,
+)
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -80,7 +86,7 @@ def test_a_hitch_that_swaps_did_not_tie_is_named_everywhere(n: int) -> None:
     hitch, stages = stages_of(n)
     back = stage_of(hitch, "swap 2", stages[0].drones.reversed(), CLASPING)
     here = stages[0].drones.coefficients[-1, ..., -1]
-    flight = straight(hitch.team, Limits(), here, hitch.drones)
+    flight = straight_lines(hitch.team, Limits(), here, hitch.drones)
     on = stage_of(hitch, "tighten", flight, TIGHTENING)
     there = stage_of(hitch, "hold", stages[-1].drones, FREE)
     for flown in (
@@ -110,10 +116,10 @@ def test_a_vertex_turned_the_other_way_in_the_second_swap_is_named() -> None:
     hitch, stages = stages_of(5)
     pre, senses = find_prehitch(hitch, KEPT, SwapSettings()), np.ones(5)
     senses[3] = -1.0
-    turned = pre.turns.with_senses(senses)
+    turned = pre.ellipses.with_senses(senses)
     first, second, other = (
         stage_of(hitch, "swap", swap(turns, Limits(), i, None), CLASPING)
-        for turns, i in ((pre.turns, 0), (turned, 1), (turned, 0))
+        for turns, i in ((pre.ellipses, 0), (turned, 1), (turned, 0))
     )
     assert wrong(first, second, *stages[2:]) == {"p3"}
     assert not wrong(other, second, *stages[2:])  # mixed senses hold as well
@@ -205,7 +211,7 @@ def test_tightening_beyond_the_hitch_tears_cables(n: int) -> None:
     drones = hitch.drones
     farther = np.mean(drones, axis=0) + 1.1 * (drones - np.mean(drones, axis=0))
     out = [
-        stage_of(hitch, "tighten", straight(hitch.team, Limits(), first, last), TIGHTENING)
+        stage_of(hitch, "tighten", straight_lines(hitch.team, Limits(), first, last), TIGHTENING)
         for first, last in ((drones, farther), (farther, drones))
     ]
     motion = joined_motions([*stages[:3], *out, stages[3]])

@@ -14,9 +14,14 @@ from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.hitch.team import Assignment
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.forming import SwapSettings
-from hitchopt.planners.forming.approach import assigned
+from hitchopt.planners.forming.approach import assign_robots
 from hitchopt.planners.forming.prehitch import find_prehitch
-from hitchopt.planners.forming.stages import forming_stages, reversed_stages, rise_seconds, straight
+from hitchopt.planners.forming.stages import (
+    forming_stages,
+    reversed_stages,
+    rise_seconds,
+    straight_lines,
+)
 from hitchopt.values import Array
 from problems.random_morph import random_convex_polygon
 
@@ -32,8 +37,8 @@ PENTAGON = Hitch(
 
 
 def stages_of(hitch: Hitch) -> list[Motion]:
-    pre = find_prehitch(hitch, Requirements(), SwapSettings())
-    return forming_stages(pre, hitch, Requirements(), SwapSettings())
+    prehitch = find_prehitch(hitch, Requirements(), SwapSettings())
+    return forming_stages(prehitch, hitch, Requirements(), SwapSettings())
 
 
 def sampled(stage: Motion) -> Array:
@@ -90,7 +95,7 @@ def test_heavy_cables_leave_less_to_accelerate_with() -> None:
 
     def seconds(density: float) -> float:
         team = Team(5, LENGTHS, cable_density=density, quadrotor=ho.Quadrotor(0.12, 1.45))
-        return straight(team, Limits(), start, start + [0.0, 1.5, 0.0]).duration
+        return straight_lines(team, Limits(), start, start + [0.0, 1.5, 0.0]).duration
 
     assert seconds(0.01) > 1.05 * seconds(0.0)
     with pytest.raises(ho.InfeasibleError, match=r"^thrust: .* hovering with a hanging cable"):
@@ -110,11 +115,12 @@ def test_the_assignment_is_the_best_of_all(seed: int) -> None:
 
     all_of_them = product(permutations(range(4)), product((False, True), repeat=4))
     best = min(cost(Assignment(*each)) for each in all_of_them)
-    assert cost(assigned(Team(4, 2.0), drones, outline, 0.15)) == pytest.approx(best, rel=1e-12)
+    chosen = assign_robots(Team(4, 2.0), drones, outline, 0.15)
+    assert cost(chosen) == pytest.approx(best, rel=1e-12)
 
 
 def test_long_edges_go_to_long_cables() -> None:
     team = Team(3, [1.5, 2.6, 2.6])
     outline = ho.ConvexPolygon(np.array([[0.0, 1.8], [0.4, 0.0], [-0.4, 0.0]]))
-    found = assigned(team, np.arange(6.0)[:, None] * [1.0, 0.0, 0.0], outline, 0.15)
+    found = assign_robots(team, np.arange(6.0)[:, None] * [1.0, 0.0, 0.0], outline, 0.15)
     assert found.team(team).cable_length[1] == 1.5  # the only edge that it can hold

@@ -26,14 +26,14 @@ from hitchopt.hitch.requirements import Requirements, Separation
 from hitchopt.hitch.team import Assignment
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.planners.forming.prehitch import SPAN
-from hitchopt.planners.forming.stages import MIN_FLIGHT, PAUSE, stage, straight
+from hitchopt.planners.forming.stages import MIN_FLIGHT, PAUSE, stage, straight_lines
 from hitchopt.planners.separation import SeparatedFlight, SeparationTask
 from hitchopt.planners.timing.profile import LIMIT_SHARE
-from hitchopt.planners.timing.ramps import accelerations
+from hitchopt.planners.timing.ramps import usable_accelerations
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
-DRAWN = 1.6
+PAIR_SEPARATION = 1.6
 """Separation [1] of a gathered robot's two drones."""
 
 CLEARANCE = 1.1
@@ -42,7 +42,7 @@ CLEARANCE = 1.1
 PROBES = 101
 """Number of times at which the cables' heights are computed."""
 
-ROOM = 1.15
+DISC_SEPARATION = 1.15
 """Separation [1] of the discs at both ends of their routes."""
 
 
@@ -84,16 +84,18 @@ class Approach(ABC):
         """Return the motion of all drones on straight lines; none where they are there."""
         if np.max(np.abs(end - start)) < MIN_FLIGHT:
             return []
-        flight = straight(self.team, self.requirements.limits, start, end)
+        flight = straight_lines(self.team, self.requirements.limits, start, end)
         return [self._stage(name, flight, state)]
 
-    def _risen(self, *others: Array) -> Array:
+    def _after_take_off(self, *others: Array) -> Array:
         """Return where the drones (2n, 3) [m] are after a take-off, if one is needed.
 
         Its altitude lets cables hang free there, and at all ``others`` (2n, 3) as well.
         """
-        need, here = self.requirements, self.start.copy()
-        needed = max(hover_altitude(self.team, each, need) for each in (self.start, *others))
+        requirements, here = self.requirements, self.start.copy()
+        needed = max(
+            hover_altitude(self.team, each, requirements) for each in (self.start, *others)
+        )
         if np.min(here[:, 2]) < needed:
             here[:, 2] = np.maximum(here[:, 2], max(needed, float(np.max(self.goal[:, 2]))))
         return here
@@ -107,7 +109,7 @@ class Approach(ABC):
         their names and tethers.
         """
         limits = self.requirements.limits
-        own = accelerations(self.team, limits, places).reshape(len(start), -1).min(axis=1)
+        own = usable_accelerations(self.team, limits, places).reshape(len(start), -1).min(axis=1)
         rates = {
             name: LIMIT_SHARE * getattr(limits, name) for name in ("speed", "acceleration", "jerk")
         }
@@ -128,26 +130,26 @@ class DirectApproach(Approach):
         """The flight of all drones, the two of a cable tethered."""
         spans = enumerate((SPAN * self.team.cable_length).tolist())
         tethers = tuple((2 * k, 2 * k + 1, span) for k, span in spans)
-        here, bodies = self._risen(), {"names": self.team.drone_names, "tethers": tethers}
+        here, bodies = self._after_take_off(), {"names": self.team.drone_names, "tethers": tethers}
         places, separation = np.stack([here, self.goal]), self.requirements.separation
         return self._task(places, here, self.goal, separation, **bodies)
 
     def solve(self) -> list[Motion]:
         """Return the motions of the flight, all of it raised where cables come near the ground."""
-        here, goal, need = self.problem.start, self.goal, self.requirements
+        here, goal, requirements = self.problem.start, self.goal, self.requirements
         rise = self._line("take-off", self.start, here, CableState.GROUND)
         if np.max(np.abs(goal - here)) < MIN_FLIGHT:
             still = PiecewisePolynomial.constant([0.0, PAUSE], goal)
             return [*rise, self._stage("approach", still)]
         drones = SeparatedFlight(self.problem).solve().drones
         at = np.linspace(drones.breaks[0], drones.breaks[-1], PROBES)
-        lowest = min(float(np.min(_lowest(self.team, x, need.off))) for x in drones.at(at))
-        missing = need.floor + CLEARANCE * need.separation.cable - lowest
+        lowest = min(float(np.min(_lowest(self.team, x, requirements.off))) for x in drones.at(at))
+        missing = requirements.floor + CLEARANCE * requirements.separation.cable - lowest
         if missing <= 0.0:
             return [*rise, self._stage("approach", drones)]
-        up = np.array([0.0, 0.0, missing + 0.1 * need.separation.cable])
+        up = np.array([0.0, 0.0, missing + 0.1 * requirements.separation.cable])
         higher = PiecewisePolynomial(drones.breaks, drones.coefficients + up[:, None])
-        if rise and need.off:  # higher at once, as cables that may sag more are often so low
+        if rise and requirements.off:  # higher at once: cables that may sag more are often so low
             rise = self._line("take-off", self.start, here + up, CableState.GROUND)
         else:
             rise += self._line("climb", here, here + up)
@@ -170,11 +172,11 @@ class GatheredApproach(Approach):
         """The flight of the discs' middles, (n, 3) [m]."""
         own, (halfway, last) = self.requirements.separation, self._headings
         height = float(np.max(self.team.cable_length))
-        discs = replace(own, radius=(1.0 + DRAWN) * own.radius, height=height)
+        discs = replace(own, radius=(1.0 + PAIR_SEPARATION) * own.radius, height=height)
         start, goal = (0.5 * (each[0::2] + each[1::2]) for each in (self.start, self.goal))
-        here = self._gathering(start, halfway)
+        here = self._before_gathering(start, halfway)
         closest = max(float(np.min(pdist(goal[:, :2]))), 1e-9)
-        wider = max(1.0, 2.0 * ROOM * discs.radius / closest)
+        wider = max(1.0, 2.0 * DISC_SEPARATION * discs.radius / closest)
         goal = np.mean(goal, axis=0) + wider * (goal - np.mean(goal, axis=0))
         start[:, 2] = goal[:, 2] = np.max(here[:, 2])
         names = tuple(f"cable {k}" for k in range(self.team.robots))
@@ -184,7 +186,7 @@ class GatheredApproach(Approach):
     def solve(self) -> list[Motion]:
         """Return the motions: gathering, turning, flying as discs, and opening."""
         task, (halfway, last) = self.problem, self._headings
-        here = self._gathering(task.start, halfway)
+        here = self._before_gathering(task.start, halfway)
         gathered, turned = (self._across(task.start, heading) for heading in (halfway, last))
         opened = self.goal.copy()
         opened[:, 2] = np.maximum(opened[:, 2], task.goal[0, 2])
@@ -207,26 +209,26 @@ class GatheredApproach(Approach):
         first, last = (np.arctan2(*(each[1::2] - each[0::2]).T[[1, 0]]) for each in ends)
         return first + 0.5 * ((last - first + math.pi) % (2.0 * math.pi) - math.pi), last
 
-    def _gathering(self, middles: Array, headings: Array) -> Array:
+    def _before_gathering(self, middles: Array, headings: Array) -> Array:
         """Return where the drones (2n, 3) [m] are when they start to gather about middles."""
-        return self._risen(self._across(middles, headings), self.goal)
+        return self._after_take_off(self._across(middles, headings), self.goal)
 
     def _across(self, middles: Array, headings: Array) -> Array:
         """Return the drones (…, 2n, 3) [m] across circles about middles (…, n, 3) [m]."""
         arms = np.column_stack([np.cos(headings), np.sin(headings), 0.0 * headings])
-        arms *= DRAWN * self.requirements.separation.radius
+        arms *= PAIR_SEPARATION * self.requirements.separation.radius
         pairs = np.stack([middles - arms, middles + arms], axis=-2)
         return pairs.reshape(*pairs.shape[:-3], -1, 3)
 
 
-def hover_altitude(team: Team, places: Array, need: Requirements) -> float:
+def hover_altitude(team: Team, places: Array, requirements: Requirements) -> float:
     """Return how high drones at ``places`` (2n, 3) [m] must be for their cables to hang free [m].
 
     The heights of these are not used.
     """
     level = places * np.array([1.0, 1.0, 0.0])
-    lowest = float(np.min(_lowest(team, level, need.off)))
-    return need.floor + CLEARANCE * need.separation.cable - lowest
+    lowest = float(np.min(_lowest(team, level, requirements.off)))
+    return requirements.floor + CLEARANCE * requirements.separation.cable - lowest
 
 
 def _lowest(team: Team, drones: Array, off: float) -> Array:
@@ -239,7 +241,7 @@ def _lowest(team: Team, drones: Array, off: float) -> Array:
     return q[:, 2] + cables.lowest - cables.sagging(off)
 
 
-def assigned(team: Team, drones: Array, outline: Outline, leg: float) -> Assignment:
+def assign_robots(team: Team, drones: Array, outline: Outline, leg: float) -> Assignment:
     """Return the assignment of robots to edges, and of their drones to the edges' ends.
 
     A cable that leaves less than two legs on an edge does not take it while others do. Costs are

@@ -42,7 +42,7 @@ SPAN = 0.97
 CLEARANCE = 1.05
 """Clearance of drones to cables, over ``Separation.cable``."""
 
-LINKED = 0.05
+MIN_LINK = 0.05
 """[m] Least length of both cables beyond the point where their chords cross at a clasp, seen from
 above, once its pair is exchanged: cables that do not cross there do not clasp."""
 
@@ -54,7 +54,7 @@ PLACES = np.linspace(0.0, 1.0, 41)
 
 
 @dataclass(frozen=True, eq=False)
-class Turns:
+class SwapEllipses:
     """Ellipses at the clasps on which pairs of drones turn about each other, all on one clock.
 
     At clasp k the drones ``q_k`` and ``r_{k-1}`` turn about the middle c of their chord, on
@@ -98,12 +98,12 @@ class Turns:
             places[..., ~layout.has_leg.ravel(), :] = self.ends
         return places
 
-    def raised(self, by: float) -> Turns:
+    def raised(self, by: float) -> SwapEllipses:
         """Return the same ellipses higher up [m]."""
         up = np.array([0.0, 0.0, by])
         return replace(self, centres=self.centres + up, ends=self.ends + up)
 
-    def with_senses(self, senses: Array) -> Turns:
+    def with_senses(self, senses: Array) -> SwapEllipses:
         """Return the same ellipses, q_k going up first where ``senses`` (c,) are 1, down at -1."""
         return replace(self, rise=np.abs(self.rise) * senses)
 
@@ -114,52 +114,52 @@ class PreHitch:
 
     Attributes
     ----------
-    turns: the ellipses, at the altitude of the swap.
+    ellipses: of all pairs, at the altitude of the swap.
     share: of the hitch's legs.
     lowest: largest depth of a cable below the drones' plane during the swaps [m].
     linked: whether cables cross at all clasps once pairs are exchanged.
-    shortfall: relative violation of the requirements; none if at most zero.
+    violation: relative violation of the requirements; none if at most zero.
     """
 
-    turns: Turns
+    ellipses: SwapEllipses
     share: float
     lowest: float
     linked: bool
-    shortfall: float
+    violation: float
 
     @property
     def drones(self) -> Array:
         """(2n, 3) [m]: places of the drones before and after the swaps."""
-        return self.turns.drones(0.0)
+        return self.ellipses.drones(0.0)
 
 
-def find_prehitch(hitch: Hitch, need: Requirements, settings: SwapSettings) -> PreHitch:
+def find_prehitch(hitch: Hitch, requirements: Requirements, settings: SwapSettings) -> PreHitch:
     """Return the first pre-hitch that keeps spans and distances, else the one that comes nearest.
 
     At the hitch's own altitude. The certificate bounds it at every time. Pairs stand as in the
     hitch; if cables of some would not link, across clasps too.
     """
-    looked_at: list[PreHitch] = []
+    candidates: list[PreHitch] = []
     for across, scale, share in itertools.product((False, True), SCALES, LEG_SHARES):
-        if across and all(candidate.linked for candidate in looked_at):
+        if across and all(candidate.linked for candidate in candidates):
             break
         check_time()
-        turns = _turns(hitch, need.separation, settings, share, scale, across)
-        candidate = _measured(turns, hitch, need, share)
-        if candidate.shortfall <= 0.0:
+        ellipses = _ellipses(hitch, requirements.separation, settings, share, scale, across)
+        candidate = _evaluate(ellipses, hitch, requirements, share)
+        if candidate.violation <= 0.0:
             return candidate
-        looked_at.append(candidate)
-    return min(looked_at, key=lambda candidate: candidate.shortfall)
+        candidates.append(candidate)
+    return min(candidates, key=lambda candidate: candidate.violation)
 
 
-def _turns(
+def _ellipses(
     hitch: Hitch,
     separation: Separation,
     settings: SwapSettings,
     share: float,
     scale: float,
     across: bool,
-) -> Turns:
+) -> SwapEllipses:
     """Return the ellipses for a share of the legs and a scale of the polygon.
 
     Where legs at a vertex differ much, or tensions, the chord of its drones may be so oblique that
@@ -184,7 +184,7 @@ def _turns(
     w = separation.scale * [0.0, math.sin(tilt), math.cos(tilt)]
     rise = max(settings.radius, 0.5 * APART / float(np.linalg.norm(w)))
     alone = drones[~layout.has_leg.ravel()]
-    return Turns(
+    return SwapEllipses(
         hitch.team,
         vertices + share * beyond + (scale - 1.0) * (vertices - centre),
         along,
@@ -195,45 +195,47 @@ def _turns(
     )
 
 
-def _measured(turns: Turns, hitch: Hitch, need: Requirements, share: float) -> PreHitch:
+def _evaluate(
+    ellipses: SwapEllipses, hitch: Hitch, requirements: Requirements, share: float
+) -> PreHitch:
     """Return the pre-hitch with these ellipses, measured over two swaps and on the way out."""
-    drones = turns.drones(np.linspace(0.0, 2.0 * math.pi, ANGLES))
+    drones = ellipses.drones(np.linspace(0.0, 2.0 * math.pi, ANGLES))
     q, r = drones[:, 0::2], drones[:, 1::2]
-    layout, length = turns.team.layout, turns.team.cable_length
+    layout, length = ellipses.team.layout, ellipses.team.cable_length
     cables = Catenary.between(q, r, length)
     mu = cables.place(PLACES[:, None, None])
     points = q + (0.5 * (1.0 + mu))[..., None] * (r - q)  # (places, angles, n, 3)
     points[..., 2] -= cables.depth(mu)
-    separation, sagging = need.separation, float(np.max(cables.sagging(need.off)))
-    lowest = float(turns.centres[0, 2]) - float(np.min(points[..., 2])) + sagging
+    separation, sagging = requirements.separation, float(np.max(cables.sagging(requirements.off)))
+    lowest = float(ellipses.centres[0, 2]) - float(np.min(points[..., 2])) + sagging
     # From q to r along the edge: pairs would be on the wrong side of each other's cables else.
     opening = float(np.min(np.sum((r[0] - q[0]) * unit(layout.edges(hitch.vertices)), axis=-1)))
-    linked, radius = _linked(turns), separation.radius
-    lacking = [
+    linked, radius = _link_length(ellipses), separation.radius
+    ratios = [
         float(np.max(np.linalg.norm(r - q, axis=-1) / length)) / SPAN,
         (2.0 * APART * radius - opening + radius) / radius,
-        (LINKED - linked + radius) / radius,
+        (MIN_LINK - linked + radius) / radius,
         0.99 * APART / smallest_separation(drones, separation),
     ]
     if separation.cable > 0.0:
         pairs = (q[:, layout.ahead], layout.behind), (r[:, layout.behind], layout.ahead)
         offsets = [points[:, :, cable] - drone for drone, cable in pairs]
         clear = float(np.min(np.linalg.norm(offsets, axis=-1), initial=np.inf))
-        lacking.append(CLEARANCE * (separation.cable + sagging) / max(clear, 1e-9))
-    if max(lacking) <= 1.0:
+        ratios.append(CLEARANCE * (separation.cable + sagging) / max(clear, 1e-9))
+    if max(ratios) <= 1.0:
         here, out = drones[0], hitch.drones - drones[0]
-        lacking.append(1.0 / smallest_separation(here + PLACES[:, None, None] * out, separation))
-        lacking.append(_reach(hitch.team, here, clasp_places(turns, hitch)))
-    return PreHitch(turns, share, lowest, linked >= LINKED, max(lacking) - 1.0)
+        ratios.append(1.0 / smallest_separation(here + PLACES[:, None, None] * out, separation))
+        ratios.append(_reach(hitch.team, here, clasp_places(ellipses, hitch)))
+    return PreHitch(ellipses, share, lowest, linked >= MIN_LINK, max(ratios) - 1.0)
 
 
-def _linked(turns: Turns) -> float:
+def _link_length(ellipses: SwapEllipses) -> float:
     """Return the least length of two cables beyond where their chords cross at a clasp [m].
 
     Seen from above, half a turn from the beginning; negative where they do not cross.
     """
-    layout = turns.team.layout
-    drones = turns.drones(math.pi)[:, :2]
+    layout = ellipses.team.layout
+    drones = ellipses.drones(math.pi)[:, :2]
     r, q = drones[2 * layout.behind + 1], drones[2 * layout.ahead]
     back, onward = unit(drones[2 * layout.behind] - r), unit(drones[2 * layout.ahead + 1] - q)
     turn = back[:, 0] * onward[:, 1] - back[:, 1] * onward[:, 0]
@@ -257,15 +259,15 @@ SHARES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
 """Shares of the line from pre-hitch to hitch that are tried as places of the clasps."""
 
 
-def clasp_places(turns: Turns, hitch: Hitch) -> Array:
+def clasp_places(ellipses: SwapEllipses, hitch: Hitch) -> Array:
     """Return the places (points, 3) [m] of the clasps that cables reach around most easily.
 
     They are on the lines from the pairs' middles to the hitch's vertices; the ends of chains are
     where their drones are.
     """
-    layout, drones = hitch.team.layout, turns.drones(0.0)
+    layout, drones = hitch.team.layout, ellipses.drones(0.0)
     middles = hitch.vertices.copy()
-    middles[layout.clasps] = turns.centres
+    middles[layout.clasps] = ellipses.centres
     polygons = [middles + share * (hitch.vertices - middles) for share in SHARES]
     alone = np.flatnonzero(~layout.has_leg.ravel())
     for points in polygons:

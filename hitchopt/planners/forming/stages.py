@@ -15,10 +15,10 @@ from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.motion.loads import tautness
 from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.planners.forming import SwapSettings
-from hitchopt.planners.forming.prehitch import PreHitch, Turns, clasp_places
+from hitchopt.planners.forming.prehitch import PreHitch, SwapEllipses, clasp_places
 from hitchopt.planners.timing.flight import turning_stretch
 from hitchopt.planners.timing.profile import LIMIT_SHARE
-from hitchopt.planners.timing.ramps import accelerations, fastest_clock, flown
+from hitchopt.planners.timing.ramps import fastest_clock, timed_curve, usable_accelerations
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -36,7 +36,11 @@ BACKWARD = {"swap 1": "unswap 2", "swap 2": "unswap 1", "tighten": "loosen", "te
 
 
 def forming_stages(
-    pre: PreHitch, hitch: Hitch, requirements: Requirements, settings: SwapSettings, index: int = 0
+    prehitch: PreHitch,
+    hitch: Hitch,
+    requirements: Requirements,
+    settings: SwapSettings,
+    index: int = 0,
 ) -> list[Motion]:
     """Return the motions from the pre-hitch to the hitch, pulled by the team's tension.
 
@@ -49,10 +53,10 @@ def forming_stages(
     """
     team, limits, own = hitch.team, requirements.limits, (hitch.team, requirements, index)
     # No drone goes farther than this, whatever the polygon.
-    shorter = (1.0 - pre.share) * float(np.max(hitch.legs))
-    out = _share(team, limits, pre.drones, hitch.drones, shorter)
-    drawn = _between(out, clasp_places(pre.turns, hitch), hitch.vertices)
-    swaps = [swap(pre.turns, limits, first, settings.seconds) for first in (0, 1)]
+    shorter = (1.0 - prehitch.share) * float(np.max(hitch.legs))
+    out = _progress(team, limits, prehitch.drones, hitch.drones, shorter)
+    drawn = _on_lines(out, clasp_places(prehitch.ellipses, hitch), hitch.vertices)
+    swaps = [swap(prehitch.ellipses, limits, first, settings.seconds) for first in (0, 1)]
     rest = np.array([0.0, rise_seconds(team)])
     still, points, legs = (
         PiecewisePolynomial.constant(rest, value)
@@ -60,7 +64,7 @@ def forming_stages(
     )
     tensions = PiecewisePolynomial(rest, (team.tension[:, None] * SMOOTH)[None])
     hitched: dict[str, Any] = {"vertices": points, "legs": legs, "tensions": tensions}
-    tightened = _between(out, pre.drones, hitch.drones)
+    tightened = _on_lines(out, prehitch.drones, hitch.drones)
     return [
         *(
             stage(
@@ -161,7 +165,9 @@ PAUSE = 0.01
 """[s] Duration of a flight in which no drone moves."""
 
 
-def swap(turns: Turns, limits: Limits, first: int, seconds: float | None) -> PiecewisePolynomial:
+def swap(
+    ellipses: SwapEllipses, limits: Limits, first: int, seconds: float | None
+) -> PiecewisePolynomial:
     """Return the drones (2n, 3) [m] on half a turn, from rest to rest.
 
     As fast as the limits of every drone's speed, acceleration and jerk allow, whatever their
@@ -169,33 +175,35 @@ def swap(turns: Turns, limits: Limits, first: int, seconds: float | None) -> Pie
 
     Parameters
     ----------
-    turns: the ellipses.
+    ellipses: of all pairs.
     limits: of every drone.
     first: 0 for the turn from θ = 0, 1 for the one from θ = π.
     seconds: no faster than this [s], or None.
     """
     start = first * math.pi
     angles = np.linspace(start, start + math.pi, ANGLES)
-    reserve = float(np.min(accelerations(turns.team, limits, turns.drones(angles))))
-    size = float(max(np.max(turns.half), np.max(np.abs(turns.rise))))
+    reserve = float(np.min(usable_accelerations(ellipses.team, limits, ellipses.drones(angles))))
+    size = float(max(np.max(ellipses.half), np.max(np.abs(ellipses.rise))))
 
     def half_turn(share: float) -> PiecewisePolynomial:
         """Return the turn whose angle is limited by the share, slowed to the drones' limits."""
         speed = min(limits.speed / size, math.sqrt(share * reserve / size))
         spare = math.sqrt(max(reserve * reserve - (speed * speed * size) ** 2, 1e-12)) / size
         clock = fastest_clock(math.pi, speed, spare, JERK_SHARE * limits.jerk / size)
-        return flown(lambda at, k: turns.drones(start + at, k), clock, PIECE, limits, reserve)
+        return timed_curve(
+            lambda at, k: ellipses.drones(start + at, k), clock, PIECE, limits, reserve
+        )
 
     best = min(map(half_turn, TURNING_SHARES), key=lambda drones: drones.duration)
     return best.stretched(max(1.0, (seconds or 0.0) / best.duration))
 
 
-def straight(team: Team, limits: Limits, start: Array, end: Array) -> PiecewisePolynomial:
+def straight_lines(team: Team, limits: Limits, start: Array, end: Array) -> PiecewisePolynomial:
     """Return the drones (2n, 3) [m] on straight lines, from rest to rest at the same times."""
-    return _between(_share(team, limits, start, end), start, end)
+    return _on_lines(_progress(team, limits, start, end), start, end)
 
 
-def _share(
+def _progress(
     team: Team, limits: Limits, start: Array, end: Array, least: float = 0.0
 ) -> PiecewisePolynomial:
     """Return the share of straight lines that is flown, from 0 to 1.
@@ -206,7 +214,7 @@ def _share(
     if distance < MIN_FLIGHT:
         return PiecewisePolynomial.constant([0.0, PAUSE], 1.0)
     share = np.linspace(0.0, 1.0, PROBES)[:, None, None]
-    reserve = float(np.min(accelerations(team, limits, start + share * (end - start))))
+    reserve = float(np.min(usable_accelerations(team, limits, start + share * (end - start))))
     clock = fastest_clock(
         max(distance, least), LIMIT_SHARE * limits.speed, reserve, LIMIT_SHARE * limits.jerk
     )
@@ -214,7 +222,7 @@ def _share(
     return PiecewisePolynomial(clock.breaks, np.clip(share, 0.0, 1.0))  # not through the floor
 
 
-def _between(share: PiecewisePolynomial, start: Array, end: Array) -> PiecewisePolynomial:
+def _on_lines(share: PiecewisePolynomial, start: Array, end: Array) -> PiecewisePolynomial:
     """Return points (k, 3) [m] on their lines, by the share of these."""
     s = share.coefficients[:, None, None, :]
     return PiecewisePolynomial(share.breaks, start[..., None] * (1.0 - s) + end[..., None] * s)

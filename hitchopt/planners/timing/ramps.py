@@ -90,7 +90,7 @@ Curve = Callable[[Array, int], Array]
 """Function of parameters (J,) and the order of a derivative by them; gives (J, drones, 3) [m]."""
 
 
-def flown(
+def timed_curve(
     curve: Curve, clock: PiecewisePolynomial, most: float, limits: Limits, reserve: float
 ) -> PiecewisePolynomial:
     """Return drones on a curve, on a clock that is slowed until they keep their limits.
@@ -124,7 +124,7 @@ def flown(
     return drones.stretched(max(factors))
 
 
-def accelerations(team: Team, limits: Limits, drones: Array) -> Array:
+def usable_accelerations(team: Team, limits: Limits, drones: Array) -> Array:
     """Return how much every drone may accelerate in any direction (2n,) [m/s²].
 
     Parameters
