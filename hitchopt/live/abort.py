@@ -40,8 +40,9 @@ from hitchopt.motion.states import final_hitch
 from hitchopt.objects.placing import STILL, in_world
 from hitchopt.planners.forming.stages import stage, straight_lines
 from hitchopt.steps import Release
-from hitchopt.steps.certified_motions import infeasible, lifted
+from hitchopt.steps.certified_motions import infeasible
 from hitchopt.steps.step import RestState, StepTask
+from hitchopt.steps.tying import lifted
 from hitchopt.storage.files import replace_files, write_strict_json
 from hitchopt.values import Array, choice, not_negative, positive
 

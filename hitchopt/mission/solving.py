@@ -23,8 +23,6 @@ from hitchopt.mission.problem import DronesStart, HitchStart, Problem, SwarmProb
 from hitchopt.motion.motion import Motion, Phase, joined_motions
 from hitchopt.objects import Slab, SolidObject
 from hitchopt.objects.placing import in_world
-from hitchopt.planners.forming.approach import assign_robots
-from hitchopt.planners.separation import SeparatedFlight, SeparationTask
 from hitchopt.steps import FollowVertex, Form, Step
 from hitchopt.steps.certified_motions import (
     Certified,
@@ -175,6 +173,8 @@ def _start_state(
     form = next((step for step in problem.mission if isinstance(step, Form)), None)
     if form is not None and form.assign == "auto":
         tell("assigning robots to edges")
+        from hitchopt.planners.forming.approach import assign_robots
+
         assignment = assign_robots(team, start.drones, form.polygon, requirements.limits.leg)
     return RestState(assignment.team(team), assignment.drones(start.drones)), assignment
 
@@ -257,6 +257,8 @@ def solve_swarm(problem: SwarmProblem, progress: Progress | None = None) -> Cert
 
 def _separated(problem: SwarmProblem, progress: Progress | None) -> Certified:
     """Return the certified plan of single drones."""
+    from hitchopt.planners.separation import SeparatedFlight, SeparationTask
+
     longest = problem.limits.duration
     if longest is not None and problem.duration is not None and problem.duration > longest:
         remedy, asked = "lower duration, or raise limits.duration", problem.duration

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,18 +19,15 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import cable_slack
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import CableState, Motion, Phase
-from hitchopt.planners.forming import SwapSettings
-from hitchopt.planners.forming.approach import CLEARANCE, hover_altitude
-from hitchopt.planners.forming.prehitch import PreHitch, find_prehitch
-from hitchopt.planners.forming.stages import stage
-from hitchopt.planners.morph.actions import Action
 from hitchopt.planners.morph.legs import SLIDES, legs_clear
 from hitchopt.planners.morph.morph import SAME, BlendedMorph
-from hitchopt.planners.morph.path import RigidPath, ShapePath
+from hitchopt.planners.morph.path import ShapePath
 from hitchopt.planners.timing.flight import check_duration, fly, in_duration, needed_stretch
 from hitchopt.steps.step import IDLE, RestState, RolledLegs, SlackSplit, StepPlan, StepTask
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.values import Array
+
+if TYPE_CHECKING:
+    from hitchopt.planners.morph.actions import Action
 
 LEVEL = 1e-3
 """[m] Difference of heights up to which drones are level: it adds less than 1e-5 m to a distance of
@@ -353,12 +350,11 @@ def settling_plan(
 SAME_ALTITUDE = 1e-9
 """Altitudes that differ by less are the same [m]."""
 
-TIGHTENING = (0.0, 0.25, 0.5, 0.75, 1.0)
-"""Shares of the move from the pre-hitch to the hitch at which the cables' heights are sampled."""
-
 
 def hovering(task: StepTask, seconds: float) -> Motion:
     """Return the motion in which drones on free cables stay: parked, or hovering."""
+    from hitchopt.planners.forming.stages import stage
+
     team, rest = task.before.team, PiecewisePolynomial.constant([0.0, seconds], task.before.drones)
     motion = stage("parked", rest, team, task.requirements, task.index, CableState.GROUND)
     (phase,) = motion.phases
@@ -401,33 +397,3 @@ def check_above_ground(motion: Motion) -> None:
     when = f"over the ground at about t = {motion.drones.breaks[piece]:.4g} s"
     remedy = "keep altitudes above 0, or give an arena with a lower floor"
     raise InfeasibleError([Violation("arena", lowest, 0.0, "min", "m", (name,), when, remedy)])
-
-
-def tying_site(
-    hitch: Hitch, swap: SwapSettings, senses: Array | None, requirements: Requirements
-) -> tuple[Hitch, PreHitch]:
-    """Return the hitch where it is tied or untied, as much higher as that takes, and its pre-hitch.
-
-    ``senses`` (clasps,) are those with which it was formed, to be reversed; None to choose them.
-    """
-    prehitch = find_prehitch(hitch, requirements, swap)
-    if senses is not None:
-        prehitch = replace(prehitch, ellipses=prehitch.ellipses.with_senses(senses))
-    floor, clearance = requirements.floor, CLEARANCE * requirements.separation.cable
-    drawn = (prehitch.drones + share * (hitch.drones - prehitch.drones) for share in TIGHTENING)
-    hanging = (hover_altitude(hitch.team, drones, requirements) for drones in drawn)
-    altitude = max(hitch.altitude, floor + clearance + prehitch.lowest, *hanging)
-    by = altitude - hitch.altitude
-    if by <= SAME_ALTITUDE:
-        return hitch, prehitch
-    high = Hitch(hitch.team, hitch.polygon, altitude, hitch.q_legs, hitch.roll)
-    return high, replace(prehitch, ellipses=prehitch.ellipses.raised(by))
-
-
-def lifted(hitch: Hitch, altitude: float, name: str, task: StepTask) -> Motion:
-    """Return the motion of the hitch straight up or down, as one phase of a step."""
-    to = np.append(hitch.polygon.centroid, altitude)
-    motion = fly(RigidPath(hitch, to, 0.0), task.requirements)
-    remark = "hanging cables need more height over the ground than the hitch"
-    phase = Phase(name, task.index, 0.0, motion.duration, remark)
-    return motion.replaced(phases=(phase,))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
@@ -32,6 +32,9 @@ from hitchopt.steps.step import (
 from hitchopt.values import Array
 from hitchopt.values.fields import Key, either, mapping_of, words
 from hitchopt.values.units import HEIGHT
+
+if TYPE_CHECKING:
+    from hitchopt.planners.forming.prehitch import PreHitch
 
 Assign = Literal["auto", "fixed"]
 """Whether robots are assigned to edges, or robot k takes edge k with its drones as they are."""
@@ -79,13 +82,13 @@ class Form(Step):
         i, requirements = task.index, task.requirements
         goal = self._goal(task.before.team, requirements)
         motions.check_at_rest(goal, requirements, f"at the end of step {i} (form)")
-        raised, prehitch = motions.tying_site(goal, self.swap, None, requirements)
+        raised, prehitch = tying_site(goal, self.swap, None, requirements)
         tying = joined_motions(forming_stages(prehitch, raised, requirements, self.swap, i))
         if prehitch.violation > 0.0:  # the approach is in vain if nothing can be tied
             motions.checked(StepPlan(tying, task.before))
         parts = [_approach(task, prehitch.drones), tying]
         if raised is not goal:
-            parts.append(motions.lifted(raised, goal.altitude, "lower", task))
+            parts.append(lifted(raised, goal.altitude, "lower", task))
         senses = np.sign(prehitch.ellipses.rise)
         formed = RestState(goal.team, goal.drones, goal, senses, self.swap)
         after = replace(formed, objects=task.before.objects)
@@ -141,6 +144,49 @@ def _approach(task: StepTask, goal: Array) -> Motion:
     raise combined_failure(refused[0], refused[1], "no other route to the pre-hitch was found")
 
 
+SAME_ALTITUDE = 1e-9
+"""[m] A hitch that need not be raised by more is tied where it is."""
+
+TIGHTENING = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Shares of the move from the pre-hitch to the hitch at which the cables' heights are sampled."""
+
+
+def tying_site(
+    hitch: Hitch, swap: SwapSettings, senses: Array | None, requirements: Requirements
+) -> tuple[Hitch, PreHitch]:
+    """Return the hitch where it is tied or untied, as much higher as that takes, and its pre-hitch.
+
+    ``senses`` (clasps,) are those with which it was formed, to be reversed; None to choose them.
+    """
+    from hitchopt.planners.forming.approach import CLEARANCE, hover_altitude
+    from hitchopt.planners.forming.prehitch import find_prehitch
+
+    prehitch = find_prehitch(hitch, requirements, swap)
+    if senses is not None:
+        prehitch = replace(prehitch, ellipses=prehitch.ellipses.with_senses(senses))
+    floor, clearance = requirements.floor, CLEARANCE * requirements.separation.cable
+    drawn = (prehitch.drones + share * (hitch.drones - prehitch.drones) for share in TIGHTENING)
+    hanging = (hover_altitude(hitch.team, drones, requirements) for drones in drawn)
+    altitude = max(hitch.altitude, floor + clearance + prehitch.lowest, *hanging)
+    by = altitude - hitch.altitude
+    if by <= SAME_ALTITUDE:
+        return hitch, prehitch
+    raised = Hitch(hitch.team, hitch.polygon, altitude, hitch.q_legs, hitch.roll)
+    return raised, replace(prehitch, ellipses=prehitch.ellipses.raised(by))
+
+
+def lifted(hitch: Hitch, altitude: float, name: str, task: StepTask) -> Motion:
+    """Return the motion of the hitch straight up or down, as one phase of a step."""
+    from hitchopt.planners.morph.path import RigidPath
+    from hitchopt.planners.timing.flight import fly
+
+    to = np.append(hitch.polygon.centroid, altitude)
+    motion = fly(RigidPath(hitch, to, 0.0), task.requirements)
+    remark = "hanging cables need more height over the ground than the hitch"
+    phase = Phase(name, task.index, 0.0, motion.duration, remark)
+    return motion.replaced(phases=(phase,))
+
+
 @dataclass(frozen=True)
 class Release(Step):
     """The hitch is taken apart as it was formed, backwards, until its cables hang free."""
@@ -153,7 +199,6 @@ class Release(Step):
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan from a hitch to drones on free cables."""
         from hitchopt.planners.forming.stages import forming_stages, reversed_stages
-        from hitchopt.steps.certified_motions import lifted, tying_site
 
         before, hitch, requirements = task.before, task.hitch, task.requirements
         up = np.ones(len(before.team.layout.clasps))
