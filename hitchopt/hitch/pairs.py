@@ -13,13 +13,18 @@ from functools import lru_cache
 
 import numpy as np
 
-from hitchopt.geometry.broadphase import Boxes, close_pairs
+from hitchopt.geometry.broadphase import Boxes, close_pairs, few_close_pairs
+from hitchopt.geometry.vectors import dot
 from hitchopt.hitch.requirements import Separation
 from hitchopt.hitch.team import Layout
 from hitchopt.values import Array, Indices
 
 SEPARATION, CABLE, CROSSING = 0, 1, 2
 """Kinds of pairs: drone and drone, drone and cable, cable and cable."""
+
+
+SWEPT = 20
+"""Most pairs per body, counted both ways, close in any frames, that are looked at in all of them."""
 
 
 @dataclass(frozen=True)
@@ -107,9 +112,18 @@ class Bodies:
         limits: (3,) [m], distances by kind; pairs of a kind without one are left out.
         cutoff: [m]
         """
+        bodies, swept = len(self.nodes), Boxes(np.min(lowest, axis=0), np.max(highest, axis=0))
+        pairs = few_close_pairs(swept, None, cutoff, SWEPT * bodies)
+        if pairs is not None:  # each looked at in every frame
+            kind = self.kind(pairs.first, pairs.second)
+            limited = (kind >= 0) & (limits[kind] > 0.0)
+            first, second, kind = pairs.first[limited], pairs.second[limited], kind[limited]
+            gaps = lowest[:, first] - highest[:, second], lowest[:, second] - highest[:, first]
+            apart = np.maximum(np.maximum(*gaps), 0.0)
+            frame, pair = np.nonzero(dot(apart, apart) <= cutoff * cutoff)
+            return frame, first[pair], second[pair], kind[pair]
         # A third coordinate keeps the frames apart, so that one index serves them all.
         step = 4.0 * (cutoff + float(np.max(highest) - np.min(lowest)))
-        bodies = len(self.nodes)
         level = np.repeat(np.arange(len(lowest)) * step, bodies)
         corners = (np.column_stack([c.reshape(-1, 2), level]) for c in (lowest, highest))
         pairs = close_pairs(Boxes(*corners), None, cutoff)
