@@ -24,7 +24,7 @@ SEPARATION, CABLE, CROSSING = 0, 1, 2
 
 
 SWEPT = 20
-"""Most pairs per body, counted both ways, close in any frames, that are looked at in all of them."""
+"""Most pairs per body, counted both ways, that are close in any frame and looked at in each."""
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from types import FrameType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -134,7 +134,7 @@ def build_program(path: KnotPath, search: Search, step: SolverStep) -> MorphProg
     ranges.append((np.full(rows // 5, flattest), np.full(rows // 5, np.inf)))
     # Rows that are broken now, as in a first guess, are kept as far as a step can.
     soft = []
-    for least, now in ((drones.least, drones.now), (linear.least, linear.now)):
+    for *_, least, now in (drones, linear):
         short = np.flatnonzero(now < least)
         slack = np.zeros(len(short))
         boxes.append(((least - now)[short], slack, slack + np.inf))
@@ -148,7 +148,6 @@ def build_program(path: KnotPath, search: Search, step: SolverStep) -> MorphProg
         flat = np.flatnonzero(lengths > LAGGING * longest[:, None])
         ranges.append((np.full(len(flat), -np.inf), np.zeros(len(flat))))
         segments = tuple((2 * flat).tolist())
-    matrix = linear.rows
     structure = Structure(
         n,
         steps,
@@ -156,12 +155,12 @@ def build_program(path: KnotPath, search: Search, step: SolverStep) -> MorphProg
         choice,
         slowness,
         None if search.tension is None else tuple(team.tension.tolist()),
-        (tuple(drones.first.tolist()), tuple(drones.second.tolist())),
-        (len(linear.now), tuple(matrix.indptr.tolist()), tuple(matrix.indices.tolist())),
+        drones.structure,
+        linear.structure,
         (soft[0], soft[1]),
         segments,
     )
-    given = (table[0], table[-1], *_clasp_numbers(path, rolled), drones.scale, matrix.data)
+    given = (table[0], table[-1], *_clasp_numbers(path, rolled), drones.numbers, linear.numbers)
     numbers = (
         np.concatenate(each) for each in (*zip(*boxes, strict=True), *zip(*ranges, strict=True))
     )
@@ -319,28 +318,19 @@ def _near_pairs(nodes: Array, separation: Separation, margins: Array, reach: Arr
     return found.chosen(length(offset) < enforced + reach[frame])
 
 
-class NearDrones(NamedTuple):
-    """Rows ``scale · |a - b|² ≥ least`` of pairs of drones at knots; ``now`` is their left side.
+class SoftRows(NamedTuple):
+    """Rows whose left sides, ``now`` (rows,), are to reach ``least`` (rows,).
 
-    ``first`` and ``second`` (m,) are the variables x of the two; y follows x.
+    ``structure`` and ``numbers`` are theirs in the program's structure and parameters.
     """
 
-    first: Indices
-    second: Indices
-    scale: Array
+    structure: Any
+    numbers: Array
     least: Array
     now: Array
 
 
-class NearBodies(NamedTuple):
-    """Rows ``rows @ x ≥ least`` of all other pairs; ``now`` is their left side."""
-
-    rows: sparse.csc_matrix
-    least: Array
-    now: Array
-
-
-def _near_rows(path: KnotPath, search: Search, step: SolverStep) -> tuple[NearDrones, NearBodies]:
+def _near_rows(path: KnotPath, search: Search, step: SolverStep) -> tuple[SoftRows, SoftRows]:
     """Return rows that keep near pairs apart: drones at the knots by squares, others by normals.
 
     Between the knots the path is its chord from knot to knot and a bow, which is taken to stay.
@@ -360,7 +350,8 @@ def _near_rows(path: KnotPath, search: Search, step: SolverStep) -> tuple[NearDr
     apart, scale = drones.enforced, 0.5 / drones.enforced  # of squares to about metres
     now = inner.ravel()
     squared = np.sum((now[first] - now[second]) ** 2, axis=1)
-    squares = NearDrones(first[:, 0], second[:, 0], scale, scale * apart**2, scale * squared)
+    variables = tuple(first[:, 0].tolist()), tuple(second[:, 0].tolist())
+    squares = SoftRows(variables, scale, scale * apart**2, scale * squared)
     # Bodies whose ends all lie on their sides of a normal are apart by as much.
     pair, *ends = end_combinations(others.kind, others.first, others.second)
     nodes = np.concatenate([columns.nodes[end] for end in ends], axis=1)
@@ -370,7 +361,8 @@ def _near_rows(path: KnotPath, search: Search, step: SolverStep) -> tuple[NearDr
     share = np.maximum(1.0 - np.abs(places[:, None] - np.arange(1.0, path.steps)), 0.0)
     rows = sparse.csc_matrix(sums @ sparse.kron(share, sparse.eye(columns.size), "csr"))
     bow = sums @ there.ravel() - rows @ now
-    return squares, NearBodies(rows, others.enforced[pair] - bow, rows @ now)
+    pattern = len(pair), tuple(rows.indptr.tolist()), tuple(rows.indices.tolist())
+    return squares, SoftRows(pattern, rows.data, others.enforced[pair] - bow, rows @ now)
 
 
 TOLERANCE = 1e-3
