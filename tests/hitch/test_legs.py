@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from hitchopt import Arena, Hitch, InputError, Limits, Separation, Team
 from hitchopt.geometry import regular_polygon
+from hitchopt.hitch import pairs as pair_table
 from hitchopt.hitch.pairs import CABLE, CROSSING, SEPARATION, Bodies
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.steps.certified_motions import split_hitch
@@ -132,6 +133,26 @@ def test_kinds_of_pairs_are_those_of_the_definition(n: int, topology: str) -> No
         if second in "qr":
             wanted = SEPARATION
         assert kind == wanted, (bodies[a], bodies[b])
+
+
+@pytest.mark.parametrize("swept", [0, 20])
+def test_near_pairs_are_those_of_every_frame(swept: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of boxes that drift, listed once for all frames or by an index of all."""
+    monkeypatch.setattr(pair_table, "SWEPT", swept)
+    bodies, rng, limits = Bodies.of(layout_of(6, "closed")), np.random.default_rng(4), np.array([0.24, 0.0, 0.05])
+    count, cutoff = len(bodies.nodes), 0.3
+    drift = 0.02 * np.arange(7)[:, None, None] * rng.normal(size=(count, 2))
+    lowest = 3.0 * rng.uniform(size=(count, 2)) + drift
+    highest = lowest + rng.uniform(0.0, 0.3, (count, 2))
+    i, j = np.triu_indices(count, 1)
+    gaps = np.maximum(lowest[:, i] - highest[:, j], lowest[:, j] - highest[:, i])
+    close = np.linalg.norm(np.maximum(gaps, 0.0), axis=-1) <= cutoff
+    kind = bodies.kind(i, j)
+    frame, pair = np.nonzero(close & np.isin(kind, (SEPARATION, CROSSING)))
+    expected = set(zip(frame, i[pair], j[pair], kind[pair], strict=True))
+    assert len({pair[0] for pair in expected}) == 7
+    near = bodies.near(lowest, highest, limits, cutoff)
+    assert set(zip(*near, strict=True)) == expected
 
 
 def test_spread_slides_the_free_legs_only() -> None:
