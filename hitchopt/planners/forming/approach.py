@@ -28,8 +28,7 @@ from hitchopt.motion.motion import CableState, Motion
 from hitchopt.planners.forming.prehitch import SPAN
 from hitchopt.planners.forming.stages import MIN_FLIGHT, PAUSE, stage, straight_lines
 from hitchopt.planners.separation import SeparatedFlight, SeparationTask
-from hitchopt.planners.timing.profile import LIMIT_SHARE
-from hitchopt.planners.timing.ramps import usable_accelerations
+from hitchopt.planners.timing.profile import LIMIT_SHARE, usable_accelerations
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 

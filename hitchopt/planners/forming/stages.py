@@ -17,8 +17,8 @@ from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.planners.forming.prehitch import PreHitch, SwapEllipses, clasp_places
 from hitchopt.planners.timing.flight import turning_stretch
-from hitchopt.planners.timing.profile import LIMIT_SHARE
-from hitchopt.planners.timing.ramps import fastest_clock, timed_curve, usable_accelerations
+from hitchopt.planners.timing.profile import LIMIT_SHARE, usable_accelerations
+from hitchopt.planners.timing.ramps import fastest_clock, timed_curve
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 

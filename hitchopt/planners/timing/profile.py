@@ -20,6 +20,7 @@ from toppra.solverwrapper.cy_seidel_solverwrapper import solve_lp2d
 from hitchopt.errors import HitchoptError, InfeasibleError, Violation
 from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch import GRAVITY, Team
+from hitchopt.hitch.forces import hanging_forces
 from hitchopt.hitch.model import drone_jets
 from hitchopt.hitch.requirements import Limits
 from hitchopt.planners.morph.path import Path
@@ -154,14 +155,6 @@ def rest_ratios(team: Team, limits: Limits, loads: Array) -> Array:
     return np.stack([length(loads) / team.max_thrust, tilt / limits.tilt])
 
 
-def spare_accelerations(team: Team, limits: Limits, loads: Array) -> Array:
-    """Return (J, 2n) [m/s²]: what thrust and tilt leave for accelerations in any direction."""
-    thrust, tilt = LIMIT_SHARE - rest_ratios(team, limits, loads)
-    sideways = length(loads) * np.sin(limits.tilt * tilt)
-    spare: Array = np.minimum(team.max_thrust * thrust, sideways) / team.mass
-    return spare
-
-
 def check_hover(
     team: Team, limits: Limits, loads: Array, when: Sequence[str], remedies: tuple[str, str]
 ) -> None:
@@ -182,6 +175,41 @@ def check_hover(
             limit_values = name, float(ratios[j, i]) * most, LIMIT_SHARE * most, "max", unit
             words = f"{when[j]}, {1.0 - LIMIT_SHARE:.1%} of it being reserved to move by"
             raise InfeasibleError([Violation(*limit_values, (team.drone_names[i],), words, remedy)])
+
+
+def spare_accelerations(team: Team, limits: Limits, loads: Array) -> Array:
+    """Return (J, 2n) [m/s²]: what thrust and tilt leave for accelerations in any direction."""
+    thrust, tilt = LIMIT_SHARE - rest_ratios(team, limits, loads)
+    sideways = length(loads) * np.sin(limits.tilt * tilt)
+    spare: Array = np.minimum(team.max_thrust * thrust, sideways) / team.mass
+    return spare
+
+
+def usable_accelerations(team: Team, limits: Limits, drones: Array) -> Array:
+    """Return how much every drone may accelerate in any direction (2n,) [m/s²].
+
+    Parameters
+    ----------
+    drones: (J, 2n, 3) [m], places along the flight.
+
+    Raises
+    ------
+    InfeasibleError: hovering alone takes more thrust or tilt than there is, or a cable with weight
+        is too short for its drones' places.
+    """
+    if team.cable_density > 0.0:  # the pull of a cable that is too short has no bound
+        spans = length(drones[:, 1::2] - drones[:, 0::2]) / team.cable_length
+        cable, worst = int(np.argmax(np.max(spans, axis=0))), float(np.max(spans))
+        if worst >= 1.0:
+            where, when = (f"cable {cable}",), "between its drones' places"
+            remedy = "use a longer cable, a smaller polygon, or place the drones closer together"
+            raise InfeasibleError([Violation("span", worst, 1.0, "max", "1", where, when, remedy)])
+    loads = loads_at_rest(team, hanging_forces(team, drones))
+    remedy = "use lighter cables, or stronger drones that may tilt more"
+    check_hover(team, limits, loads, ["hovering with a hanging cable"] * len(drones), (remedy,) * 2)
+    free = spare_accelerations(team, limits, loads)
+    reserve: Array = np.minimum(np.min(free, axis=0), LIMIT_SHARE * limits.acceleration)
+    return reserve
 
 
 def _products(pair: Array) -> Array:

@@ -7,18 +7,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hitchopt.errors import HitchoptError, InfeasibleError, Violation
-from hitchopt.geometry.vectors import length
-from hitchopt.hitch import Team
-from hitchopt.hitch.forces import hanging_forces
+from hitchopt.errors import HitchoptError
 from hitchopt.hitch.requirements import Limits
 from hitchopt.planners.morph.jets import chained, divided
-from hitchopt.planners.timing.profile import (
-    LIMIT_SHARE,
-    check_hover,
-    loads_at_rest,
-    spare_accelerations,
-)
+from hitchopt.planners.timing.profile import LIMIT_SHARE
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.clock_phases import advanced
 from hitchopt.values import Array
@@ -122,30 +114,3 @@ def timed_curve(
         largest = np.max(np.linalg.norm(drones.differentiated(order).coefficients, axis=-2))
         factors.append((float(largest) / (LIMIT_SHARE * limit)) ** (1.0 / order))
     return drones.stretched(max(factors))
-
-
-def usable_accelerations(team: Team, limits: Limits, drones: Array) -> Array:
-    """Return how much every drone may accelerate in any direction (2n,) [m/s²].
-
-    Parameters
-    ----------
-    drones: (J, 2n, 3) [m], places along the flight.
-
-    Raises
-    ------
-    InfeasibleError: hovering alone takes more thrust or tilt than there is, or a cable with weight
-        is too short for its drones' places.
-    """
-    if team.cable_density > 0.0:  # the pull of a cable that is too short has no bound
-        spans = length(drones[:, 1::2] - drones[:, 0::2]) / team.cable_length
-        cable, worst = int(np.argmax(np.max(spans, axis=0))), float(np.max(spans))
-        if worst >= 1.0:
-            where, when = (f"cable {cable}",), "between its drones' places"
-            remedy = "use a longer cable, a smaller polygon, or place the drones closer together"
-            raise InfeasibleError([Violation("span", worst, 1.0, "max", "1", where, when, remedy)])
-    loads = loads_at_rest(team, hanging_forces(team, drones))
-    remedy = "use lighter cables, or stronger drones that may tilt more"
-    check_hover(team, limits, loads, ["hovering with a hanging cable"] * len(drones), (remedy,) * 2)
-    free = spare_accelerations(team, limits, loads)
-    reserve: Array = np.minimum(np.min(free, axis=0), LIMIT_SHARE * limits.acceleration)
-    return reserve
