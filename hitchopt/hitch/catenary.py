@@ -228,7 +228,7 @@ def hanging_cable(first: ArrayLike, second: ArrayLike, length: float, points: in
         raise InputError("length", length, bound, "lengthen the cable or move its ends")
     cable = Catenary.between(a[..., None, :], b[..., None, :], size)
     places = cable.place(np.linspace(0.0, 1.0, count))[..., None]
-    found: Array = 0.5 * ((1.0 - places) * a[..., None, :] + (1.0 + places) * b[..., None, :])
-    found[..., 2] -= cable.depth(places[..., 0])
-    found[..., 0, :], found[..., -1, :] = a, b
-    return found
+    curve: Array = 0.5 * ((1.0 - places) * a[..., None, :] + (1.0 + places) * b[..., None, :])
+    curve[..., 2] -= cable.depth(places[..., 0])
+    curve[..., 0, :], curve[..., -1, :] = a, b
+    return curve

@@ -247,7 +247,7 @@ def leg_directions(
         rolled, V = Series([loads.roll[None]]), pulled - loads.forces
         halves = Series([loads.halves[None, ..., 0]]), Series([loads.halves[None, ..., 1]])
     with np.errstate(all="ignore"):  # of equal tensions V may be nothing
-        found = closed_triangle(
+        directions = closed_triangle(
             Series.of_vectors(V),
             Series.of_vectors(u + v),
             rolled,
@@ -257,8 +257,8 @@ def leg_directions(
         )
     equal = planar & (own[0] == own[1])[..., None]  # exact there
     q, r = -edges, edges.copy()
-    r[..., before, :] = np.where(equal, -u, np.moveaxis(found[0].value, 0, -1))
-    q[..., here, :] = np.where(equal, v, np.moveaxis(found[1].value, 0, -1))
+    r[..., before, :] = np.where(equal, -u, np.moveaxis(directions[0].value, 0, -1))
+    q[..., here, :] = np.where(equal, v, np.moveaxis(directions[1].value, 0, -1))
     return q, r
 
 
@@ -351,17 +351,17 @@ def cable_force_rates(team: Team, values: tuple[Array, ...], rates: tuple[Array,
 
 def undetermined_tension(*, integral: bool, feed_forward: bool) -> tuple[str, ...]:
     """Return in words why a plan does not determine the tensions; nothing where it does."""
-    found = []
+    reasons = []
     if integral:
-        found.append(
+        reasons.append(
             "an integral in the position loop drives the position error to zero, whatever the "
             "tension: the cables' lengths set it, and a centimetre changes it by a multiple; turn "
             "it off, or measure tensions"
         )
     if not feed_forward:
-        found.append(
+        reasons.append(
             "without feed-forward of the cable force nothing keeps up the planned tension: drones "
             "give way until cables hardly pull; export with --hold-tension, which moves the set "
             "points outward"
         )
-    return tuple(found)
+    return tuple(reasons)

@@ -224,8 +224,8 @@ class Hitch(OneLine):
         fixed = None if roll is None else checked_roll(team, roll)
         legs = balanced_legs(team, outline)
         task = _leg_task(team, outline, legs, SPREAD_MARGIN, requirements, fixed)
-        found, rolled = split_with_least_roll(task) if fixed is None else (split_slack(task), fixed)
-        return cls(team, outline, altitude, found.q_legs[0], rolled)
+        split, rolled = split_with_least_roll(task) if fixed is None else (split_slack(task), fixed)
+        return cls(team, outline, altitude, split.q_legs[0], rolled)
 
     @classmethod
     def nearest(
@@ -252,8 +252,8 @@ class Hitch(OneLine):
         requirements = Requirements(limits, separation, arena)
         own = checked_roll(team, roll)
         task = _leg_task(team, outline, wanted, LIMIT_MARGIN, requirements, own)
-        found, rolled = split_with_least_roll(task)
-        return cls(team, outline, altitude, found.q_legs[0], rolled)
+        split, rolled = split_with_least_roll(task)
+        return cls(team, outline, altitude, split.q_legs[0], rolled)
 
     def least_rolled(self, requirements: Requirements) -> Hitch:
         """Return the hitch with the same lengths of legs, rolled as little as keeps all limits.

@@ -97,12 +97,12 @@ class Series:
 
     def __truediv__(self, divisor: Series) -> Series:
         """Return the quotient by a scalar, from ``q · b = a``."""
-        b, found = divisor.coefficients, list[Any]()
+        b, quotient = divisor.coefficients, list[Any]()
         inverse = 1.0 / b[0]
         for k, a in enumerate(self.coefficients):
-            known = _sum([_times(found[i], b[k - i]) for i in range(k)])
-            found.append(_times(_sum([a, -known]), inverse))
-        return Series(found)
+            known = _sum([_times(quotient[i], b[k - i]) for i in range(k)])
+            quotient.append(_times(_sum([a, -known]), inverse))
+        return Series(quotient)
 
     def __rsub__(self, value: float) -> Series:
         return Series([value - self.value, *(-c for c in self.coefficients[1:])])
@@ -119,12 +119,12 @@ class Series:
     def root(self) -> Series:
         """The root of a positive scalar: from ``r · r = a``."""
         value = self.value
-        found = [np.sqrt(value) if _is_array(value) else value.sqrt()]
-        inverse = 0.5 / found[0]
+        root = [np.sqrt(value) if _is_array(value) else value.sqrt()]
+        inverse = 0.5 / root[0]
         for k, c in enumerate(self.coefficients[1:], start=1):
-            known = _sum([_times(found[i], found[k - i]) for i in range(1, k)])
-            found.append(_times(_sum([c, -known]), inverse))
-        return Series(found)
+            known = _sum([_times(root[i], root[k - i]) for i in range(1, k)])
+            root.append(_times(_sum([c, -known]), inverse))
+        return Series(root)
 
     @property
     def direction(self) -> Series:

@@ -392,20 +392,21 @@ taken: a round that changes so little does not raise the margin either."""
 
 
 def split_slack(task: LegTask, *, first: bool = False) -> LegLengths:
-    """Return the leg lengths nearest to the reference that keep the margin, else the best found.
+    """Return the leg lengths nearest to the reference that keep the margin, else the best ones.
 
     The search is local: it starts from the reference and, where that fails on a single polygon,
     from a few uneven splits as well (along a path the fixed ends leave little freedom). Its cost
-    is linear in J·n. The ``first`` ones that keep the margin are found many times as fast.
+    is linear in J·n. With ``first`` it ends at the first lengths that keep the margin: many times
+    as fast.
     """
     bodies = LegBodies(task, *task.bounds)
     best = _reference_kept(bodies) or _refined(bodies, task.reference, first)
     if len(task.reference) > 1 or (_keeps(task, best) and (first or best.deviation <= 1e-12)):
         return best
     for fractions in _uneven_fractions(task):
-        found = _refined(bodies, fractions * task.slack, first)
-        if _merit(task, found) < (1.0 - GAIN) * _merit(task, best):
-            best = found
+        split = _refined(bodies, fractions * task.slack, first)
+        if _merit(task, split) < (1.0 - GAIN) * _merit(task, best):
+            best = split
         if first and _keeps(task, best):
             break
     return best
@@ -414,7 +415,7 @@ def split_slack(task: LegTask, *, first: bool = False) -> LegLengths:
 def reference_margin(task: LegTask) -> float:
     """Return the smallest distance over its limit of the reference itself.
 
-    Pairs beyond the wanted margin may be left out.
+    Pairs beyond the largest margin may be left out.
     """
     return float(np.min(reference_margins(task)))
 
@@ -454,13 +455,13 @@ def _uneven_fractions(task: LegTask) -> Array:
     return np.unique(np.where([alike, ~alike, onward, ~onward, back, ~back], 0.3, 0.7), axis=0)
 
 
-def _keeps(task: LegTask, found: LegLengths) -> bool:
-    return found.margin >= task.largest_margin * (1.0 - 1e-9)
+def _keeps(task: LegTask, split: LegLengths) -> bool:
+    return split.margin >= task.largest_margin * (1.0 - 1e-9)
 
 
-def _merit(task: LegTask, found: LegLengths) -> float:
-    short = max(0.0, task.largest_margin - found.margin)
-    return PENALTY * task.team.robots * (short if short > 1e-7 else 0.0) + 0.5 * found.deviation
+def _merit(task: LegTask, split: LegLengths) -> float:
+    short = max(0.0, task.largest_margin - split.margin)
+    return PENALTY * task.team.robots * (short if short > 1e-7 else 0.0) + 0.5 * split.deviation
 
 
 def _refined(bodies: LegBodies, start: Array, first: bool) -> LegLengths:
@@ -497,7 +498,7 @@ the roll that the reference needs at which they have to suffice for that to be w
 def split_with_least_roll(task: LegTask) -> tuple[LegLengths, Array | float]:
     """Return leg lengths on one polygon and the roll [rad] that goes with them.
 
-    The task's own, or none, where legs keep all limits with it. Else the smallest one found with
+    The task's own, or none, where legs keep all limits with it. Else the smallest one tried with
     which they keep the margin that is wanted, else the limits, as they are or with other lengths;
     the task's own where no roll helps. Its sense is that of the task's own, upward of q-legs
     without one.
@@ -525,7 +526,7 @@ def least_roll(
     ladder: tuple[float, ...] = ROLL_CANDIDATES,
     halvings: int = 7,
 ) -> float | None:
-    """Return the smallest roll [rad] that is found to give the margin wanted, or None.
+    """Return the smallest roll [rad] tried that gives the largest margin, or None.
 
     To a hundredth of the step between two rungs of a ladder; a roll that leaves loads no balance
     gives none.

@@ -16,6 +16,7 @@ from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import pairs as pair_table
 from hitchopt.hitch.pairs import CABLE, CROSSING, SEPARATION, Bodies
 from hitchopt.hitch.requirements import Requirements
+from hitchopt.hitch.team import layout_of
 from hitchopt.steps.certified_motions import split_hitch
 from hitchopt.steps.step import RolledLegs, slack_split
 from hitchopt.values import Array
@@ -139,7 +140,8 @@ def test_kinds_of_pairs_are_those_of_the_definition(n: int, topology: str) -> No
 def test_near_pairs_are_those_of_every_frame(swept: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of boxes that drift, listed once for all frames or by an index of all."""
     monkeypatch.setattr(pair_table, "SWEPT", swept)
-    bodies, rng, limits = Bodies.of(layout_of(6, "closed")), np.random.default_rng(4), np.array([0.24, 0.0, 0.05])
+    bodies, rng = Bodies.of(layout_of(6, "closed")), np.random.default_rng(4)
+    limits = np.array([0.24, 0.0, 0.05])
     count, cutoff = len(bodies.nodes), 0.3
     drift = 0.02 * np.arange(7)[:, None, None] * rng.normal(size=(count, 2))
     lowest = 3.0 * rng.uniform(size=(count, 2)) + drift

@@ -314,8 +314,8 @@ def _near_pairs(nodes: Array, separation: Separation, margins: Array, reach: Arr
     offset = shortest_offset(differences(one, other))
     normal = unit(offset, unit((one - other).mean(axis=1)), 1e-6)
     enforced = limits[kind] * margins[frame]
-    found = NearPairs(frame, bodies.nodes[i], bodies.nodes[j], kind, normal, enforced)
-    return found.chosen(length(offset) < enforced + reach[frame])
+    pairs = NearPairs(frame, bodies.nodes[i], bodies.nodes[j], kind, normal, enforced)
+    return pairs.chosen(length(offset) < enforced + reach[frame])
 
 
 class SoftRows(NamedTuple):

@@ -383,10 +383,10 @@ def fastest_rate(program: RateProgram, start: Array) -> Array:
     satisfies all rows strictly, so the last one is a solution whatever ended the search. The start
     itself is returned where it is not inside.
     """
-    found = program.slack(start)
-    if found is None:
+    slack = program.slack(start)
+    if slack is None:
         return start
-    c, slack, basis, shape = start, found, program.basis, program.rows.c.shape
+    c, basis, shape = start, program.basis, program.rows.c.shape
     force = CENTRING * program.duration(basis.at(c)) / len(slack) / slack
     for _ in range(STEPS):
         check_time()

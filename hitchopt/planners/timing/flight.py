@@ -317,9 +317,9 @@ def _on_spans(part: PiecewisePolynomial, pieces: Indices, order: int = 0) -> Arr
     Its coefficients on the spans of pieces, or values at as many places where it has more.
     """
     c = part.coefficients[pieces]
-    found = np.moveaxis(c @ _span_rows(bernstein.degree(c), order).T, -1, 1)
-    h = part.durations[pieces].reshape(-1, *(1,) * (found.ndim - 1))
-    values: Array = (found / h**order).reshape(-1, *part.shape)
+    enclosing = np.moveaxis(c @ _span_rows(bernstein.degree(c), order).T, -1, 1)
+    h = part.durations[pieces].reshape(-1, *(1,) * (enclosing.ndim - 1))
+    values: Array = (enclosing / h**order).reshape(-1, *part.shape)
     return values
 
 

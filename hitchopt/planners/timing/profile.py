@@ -167,8 +167,8 @@ def check_hover(
     remedies: for too much thrust and too much tilt.
     """
     kinds = ("thrust", "N", team.max_thrust), ("tilt", "deg", np.degrees([limits.tilt]))
-    found = rest_ratios(team, limits, loads)
-    for (name, unit, limit), ratios, remedy in zip(kinds, found, remedies, strict=True):
+    at_rest = rest_ratios(team, limits, loads)
+    for (name, unit, limit), ratios, remedy in zip(kinds, at_rest, remedies, strict=True):
         j, i = divmod(int(np.argmax(ratios)), team.drones)
         if ratios[j, i] >= LIMIT_SHARE:
             most = float(np.broadcast_to(limit, team.drones)[i])
