@@ -119,7 +119,7 @@ def firmware_parameters(kind: Quadrotor, loop: FlightController | None) -> Param
             **{key: turning * value for key, value in ATTITUDE[name].items()},
         }
     else:
-        if kind.gains is not None:
+        if kind.gains not in (None, Gains()):
             bound = "left out for pid: its gains are not those of a firmware's parameters"
             raise InputError("team.quadrotor.gains", kind.gains, bound, "leave them out")
         parameters["posCtlPid"] = {"thrustBase": round(FULL * mass * GRAVITY / kind.max_thrust)}

@@ -60,7 +60,7 @@ class Task:
         """Return the setpoints at times (S,) [s], in the file's axes, (S, D, 3) each.
 
         Besides the states there are ``yaw`` (S, D, 1) [rad]; ``feed_forward``, the acceleration for
-        controllers that add gravity, ``a_ff = a - F / m``; ``quaternions`` (S, D, 4), w, x, y, z,
+        controllers that add gravity, ``a_ff = a - G F / m`` (G: ``Team.pull_gain``); ``quaternions`` (S, D, 4), w, x, y, z,
         from the body's axes, whose z axis is along the thrust ``m (a_ff + g ẑ)``; and the
         ``body_rates`` [rad/s] about these. Where z points down the body's axes are forward, right,
         down, else forward, left, up. Where offsets hold the tension there are no cable forces.
@@ -87,10 +87,11 @@ class Task:
         turned, heading = frame.vectors, frame.heading
         share = 0.0 if self.options.hold_tension else 1.0
         forces, force_rates = share * states.cable_forces, share * states.cable_force_rates
-        forward = states.accelerations - forces / mass
+        gain = self.motion.team.pull_gain
+        forward = states.accelerations - gain * forces / mass
         thrusts, rates = (
             turned(mass * (forward + UPWARD)),
-            turned(mass * states.jerks - force_rates),
+            turned(mass * states.jerks - gain * force_rates),
         )
         flip = FLIPPED if turned(UPWARD)[2] < 0.0 else np.ones(3)
         attitude = attitudes(thrusts * flip, rates * flip, heading * flip[2])

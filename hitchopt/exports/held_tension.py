@@ -6,7 +6,7 @@ velocity and acceleration moves a drone of mass m under the cable force F by
     m ẍ = m s̈ + c (ṡ - ẋ) + k (s - x) + F.
 
 The drone is where the plan says if ``δ = s - x`` solves ``δ + (c/k) δ' + (m/k) δ'' = -F/k``; at
-rest the set point is moved outward by T/k. The equation is solved forward from rest by collocation:
+rest the set point is moved outward by T/k. F is scaled by ``Team.pull_gain``. The equation is solved forward from rest by collocation:
 piece by piece a polynomial that fulfils it at Lobatto's points, ends included, so that the second
 derivative is as continuous as F. What it misses between these points moves the drone by at most the
 response's gain times the miss, which is measured and reported. The plan lasts a little longer so
@@ -138,7 +138,7 @@ def _solved(
     durations = np.diff(breaks)
     times = breaks[:-1, None] + durations[:, None] * np.append(x, probes)
     times[:, len(x) - 1] = breaks[1:]  # the very time at which the next piece begins
-    forces = states_at(motion, times - breaks[0]).cable_forces
+    forces = motion.team.pull_gain * states_at(motion, times - breaks[0]).cable_forces
     wanted = np.moveaxis(-forces / stiffness, 1, -1)  # (pieces, 2n, 3, points)
     rate, bend = damping / stiffness, motion.team.mass[:, None] / stiffness
     coefficients = np.zeros((len(durations), motion.team.drones, 3, DEGREE + 1))

@@ -32,6 +32,11 @@ INTEGRAL_TIME = 2.0
 RETUNED = 0.05
 """[m] How far off drones of the stiffest loops fly: none is said to be closer."""
 
+PULL_TIME = 0.02
+"""[s] Velocity over acceleration of a steady level pull that the exported filter takes for motion.
+
+A drone of 132 g that 0.4 N pull believes it moves against the pull at 6 cm/s."""
+
 EXPONENT = 0.6
 """Power of the stiffness by which drones come closer: 22, 11 and 5 cm at 3.0, 10.2 and 36/s²."""
 
@@ -90,6 +95,7 @@ class _Stock(NamedTuple):
     stiffest: float = math.inf  # [1/s²], largest level kp over mass that flies
     feed_forward: bool = True
     max_tilt: float = 0.5 * math.pi  # [rad]
+    filtered: bool = True  # whether it flies by the Crazyflie's filter
 
 
 FREE: Pair = (math.inf, math.inf)
@@ -111,7 +117,8 @@ STOCK: Mapping[str, _Stock] = {
         max_tilt=math.radians(20.0),
     ),
     "px4": _Stock(
-        (1.71, 4.0), (1.8, 4.0), (1.71 / 4.6, 2.0), FREE, 0.22, 1.71, max_tilt=math.radians(45.0)
+        (1.71, 4.0), (1.8, 4.0), (1.71 / 4.6, 2.0), FREE, 0.22, 1.71,
+        max_tilt=math.radians(45.0), filtered=False,
     ),
 }  # fmt: skip
 """Default parameters by the controllers' names."""
@@ -141,6 +148,8 @@ class FlightController(OneLine):
     feed_forward: whether streamed accelerations, and with them the cable force, are added.
     max_tilt: largest tilt that it commands [rad], π/2 if any.
     tracking: how far off its drones may fly [m], or None if unknown.
+    pull_gain: force that it has to be given to hold a cable's steady force, over that force: its
+        damping answers the velocity for which the Crazyflie's filter takes a level pull.
     """
 
     name: str
@@ -151,6 +160,7 @@ class FlightController(OneLine):
     feed_forward: bool
     max_tilt: float
     tracking: float | None
+    pull_gain: Pair = (1.0, 1.0)
 
     @classmethod
     def of(
@@ -179,6 +189,7 @@ class FlightController(OneLine):
         return cls(
             name, kp, kd, ki, (level, upright), stock.feed_forward, stock.max_tilt,
             tracking=max(off, RETUNED),
+            pull_gain=(1.0 + PULL_TIME * kd[0] / mass if stock.filtered else 1.0, 1.0),
         )  # fmt: skip
 
     @classmethod

@@ -365,6 +365,11 @@ class Team(OneLine):
         return self._of_loops("feed_forward") > 0.0
 
     @property
+    def pull_gain(self) -> NDArray[np.float64]:
+        """(2n, 3): force that holds a cable's steady force, over that, by each drone's loop."""
+        return self._per_axis("pull_gain")
+
+    @property
     def max_tilt(self) -> NDArray[np.float64]:
         """(2n,) [rad]: largest tilt that each drone's controller commands, π/2 if any."""
         return self._of_loops("max_tilt")

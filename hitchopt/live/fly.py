@@ -39,7 +39,7 @@ class Flown:
     setpoints: Setpoints
     thrusts: Array  # (drones, 3) [N]; the cables' pull is that at the plan time
     thrust_rates: Array  # (drones, 3) [N/s]
-    feed_forward: Array  # (drones, 3) [m/s²], ``a - F / m``, for controllers that know no cable
+    feed_forward: Array  # (drones, 3) [m/s²], ``a - G F / m``, for controllers that know no cable
 
 
 class Course:
@@ -78,12 +78,12 @@ class Course:
             self.descending = True
         motion, setpoints = self._player.motion, self._player.step(seconds)
         states = states_at(motion, [setpoints.time])
-        mass = motion.team.mass[:, None]
-        forward = setpoints.accelerations - states.cable_forces[0] / mass
+        mass, gain = motion.team.mass[:, None], motion.team.pull_gain
+        forward = setpoints.accelerations - gain * states.cable_forces[0] / mass
         return Flown(
             setpoints,
             mass * (forward + [0.0, 0.0, GRAVITY]),
-            mass * setpoints.jerks - setpoints.rate * states.cable_force_rates[0],
+            mass * setpoints.jerks - setpoints.rate * gain * states.cable_force_rates[0],
             forward,
         )
 

@@ -81,17 +81,17 @@ def received(task: Task, team: Team, settings: Settings) -> Commands:
     """
     follows = settings.controller in BODY_RATES
     if not settings.upload:
-        return streamed(task, follows=follows)
+        return streamed(task, team, follows=follows)
     if task.motion is None:
         raise InputError("upload", True, "with a plan", "give the plan's directory")
     return uploaded(task.motion, team, follows=follows)
 
 
-def streamed(task: Task, *, follows: bool) -> Commands:
+def streamed(task: Task, team: Team, *, follows: bool) -> Commands:
     """Return the packets of full states, rounded as they are sent; ``follows``: with body rates."""
-    sent, mass = task.setpoints, task.team.mass[:, None]
-    forward = sent.accelerations - sent.cable_forces / mass
-    rates = _body_rates(mass, forward, follows=follows)
+    sent, mass = task.setpoints, team.mass[:, None]
+    forward = sent.accelerations - team.pull_gain * sent.cable_forces / mass
+    rates = _body_rates(mass, forward, task.t, follows=follows)
     numbers = (sent.positions, sent.velocities, forward, rates)
     return Commands(*(QUANTUM * np.clip(np.rint(x / QUANTUM), -MOST, MOST) for x in numbers))
 
@@ -99,16 +99,18 @@ def streamed(task: Task, *, follows: bool) -> Commands:
 def uploaded(motion: Motion, team: Team, *, follows: bool) -> Commands:
     """Return set points as drones evaluate the files that are uploaded to them.
 
-    They hold the cables' tension by offsets, as controllers add no cable force to them; where
-    these have integrals they cannot, and any tension may be.
+    They hold the cables' tension by offsets, as controllers add no cable force to them. For
+    controllers with integrals they cannot: these fly what is exported for drones of no controller.
     """
     held = not np.any(team.integral_gain > 0.0)
+    kinds = team.quadrotor if held else tuple(Quadrotor(x.mass, x.max_thrust) for x in team.quadrotor)
+    motion = motion.replaced(team=replace(team, quadrotor=kinds))
     refusals = []
     for kind in (Crazyswarm2(), CompressedBytes()):  # the second one holds three times as much
         options = ExportOptions(kind.name, hold_tension=held)
         try:
             with tempfile.TemporaryDirectory() as folder:
-                parts = export_motion(motion.replaced(team=team), "", options, folder)
+                parts = export_motion(motion, "", options, folder)
                 curves = [_read(kind, part, team.drone_names) for part in parts]
             break
         except InfeasibleError as error:
@@ -127,7 +129,7 @@ def uploaded(motion: Motion, team: Team, *, follows: bool) -> Commands:
             found = curve.jet(np.minimum(elapsed, curve.duration), 3)
             jets[:, chosen, d] = np.moveaxis(found, -1, 0)
             jets[1:, chosen & (t > begin + curve.duration), d] = 0.0  # it hovers where it ended
-    rates = _body_rates(team.mass[:, None], jets[2], follows=follows)
+    rates = _body_rates(team.mass[:, None], jets[2], t, follows=follows)
     return Commands(jets[0], jets[1], jets[2], rates)
 
 
@@ -137,9 +139,13 @@ def _read(kind: CrazyflieFormat, part: Export, names: Sequence[str]) -> list[Pie
     return [kind.upload(part.folder / file).curve for file in files]
 
 
-def _body_rates(mass: Array, accelerations: Array, *, follows: bool) -> Array:
-    """Return rates (samples, 2n, 3) [rad/s] of bodies whose thrusts give accelerations alone."""
-    if not follows:
-        return np.zeros_like(accelerations)
-    thrusts = mass * (accelerations + UPWARD)
-    return attitudes(thrusts, RATE * np.gradient(thrusts, axis=0)).body_rates
+def _body_rates(mass: Array, accelerations: Array, t: Array, *, follows: bool) -> Array:
+    """Return rates (samples, 2n, 3) [rad/s] of bodies whose thrusts give accelerations alone.
+
+    They are zero at the last time, whose set point is held from then on.
+    """
+    rates = np.zeros_like(accelerations)
+    if follows:
+        thrusts = mass * (accelerations + UPWARD)
+        rates[:-1] = attitudes(thrusts, np.gradient(thrusts, t, axis=0)).body_rates[:-1]
+    return rates

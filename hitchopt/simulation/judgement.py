@@ -26,8 +26,8 @@ STILL = 1e-6
 TIGHT = 0.5
 
 ROUNDING = 1e-5  # Rounding of sample times [s]
-HELD = 0.10  # Largest movement under the pull test of a vertex that is held [m]
-JUDGED = 1.0  # Time of rest, and of the pull test, over which places and forces are averaged [s]
+HELD = 0.10  # Largest slip along its cables under the pull test of a vertex that is held [m]
+JUDGED = 1.0  # Time of rest, and of the pull test, over which legs and forces are averaged [s]
 
 # Largest distance [m] of an object from where the plan puts it down, and largest angle [°] to its
 # planned attitude
@@ -123,7 +123,7 @@ class Failure:
     """One failure at a time [s] from the flight's start, in words; ``where`` names things.
 
     Kinds are those of UNSIMULATED; ``touch``, ``unlinked``, ``tangled``, ``lost`` (cables that do
-    not bear on each other), ``slipped`` (moved under the pull test); of objects ``dropped``,
+    not bear on each other), ``slipped`` (under the pull test); of objects ``dropped``,
     ``misplaced`` and ``caught`` (not free at the end).
     """
 
@@ -143,7 +143,8 @@ class Clasp:
     linking: Gauss's linking number of its two cables, ±1 for a clasp.
     bearing, least_bearing: contact force at rest, and that from which on it bears [N]: cables that
         merely cross may be linked too.
-    moved: movement under the pull test [m]; nan without one.
+    moved: slip along its cables under the pull test [m], the larger change of its two legs'
+        lengths; nan without one. Soft drones that drift, or draw slack cables tight, are no slip.
     holds: whether it is linked once, bears and is held.
     bears: whether its cables press on each other as those of a clasp do.
     """
@@ -243,7 +244,7 @@ def _clasps(flight: Flight, links: NDArray[np.int64]) -> tuple[Clasp, ...]:
     """Return the state of every vertex."""
     team, layout = flight.task.team, flight.task.team.layout
     before, bearing = _means(flight, flight.rested)
-    moved = length(_means(flight, flight.pulled)[0] - before)
+    moved = np.max(np.abs(_means(flight, flight.pulled)[0] - before), axis=-1)
     held = (moved <= HELD) | np.isnan(flight.pulled)  # without a pull test both are nan
     linking, least = links[layout.behind, layout.ahead], least_bearing(flight.task)[-1]
     bears = (bearing >= least) & (least > 0.0)
@@ -254,14 +255,17 @@ def _clasps(flight: Flight, links: NDArray[np.int64]) -> tuple[Clasp, ...]:
 
 
 def _means(flight: Flight, end: float) -> tuple[Array, Array]:
-    """Return mean vertices and contact forces over the last JUDGED seconds until ``end`` [s]."""
-    record = flight.record
+    """Return means over the last JUDGED seconds until ``end`` [s].
+
+    They are of legs' lengths (clasps, 2) [m], nan without vertices, and contact forces (clasps,).
+    """
+    record, layout = flight.record, flight.task.team.layout
     chosen = (record.t > end - JUDGED) & (record.t <= end + ROUNDING)
-    vertices, bearing = record.vertices[chosen], record.bearing[chosen]
-    there = np.isfinite(vertices)
-    sums, counts = np.nansum(vertices, axis=0), np.sum(there, axis=0)
-    places: Array = np.divide(sums, counts, out=np.full_like(sums, np.nan), where=counts > 0)
-    return places, np.sum(bearing, axis=0) / max(len(bearing), 1)
+    ends = record.drones[chosen][:, np.stack([2 * layout.ahead, 2 * layout.behind + 1], axis=-1)]
+    legs, bearing = length(ends - record.vertices[chosen][:, :, None]), record.bearing[chosen]
+    sums, counts = np.nansum(legs, axis=0), np.sum(np.isfinite(legs), axis=0)
+    means: Array = np.divide(sums, counts, out=np.full_like(sums, np.nan), where=counts > 0)
+    return means, np.sum(bearing, axis=0) / max(len(bearing), 1)
 
 
 def _loose(flight: Flight, linking: NDArray[np.int64], clasps: tuple[Clasp, ...]) -> list[Failure]:
@@ -278,7 +282,7 @@ def _loose(flight: Flight, linking: NDArray[np.int64], clasps: tuple[Clasp, ...]
         cases = (  # of which the first one counts
             (abs(each.linking) != 1, "unlinked", f"is linked {each.linking} times, not once"),
             (not each.bears, "lost", f"presses with {force}, less than {least}: cables cross"),
-            (moved > HELD, "slipped", f"moves {moved:.3f} m under the pull test, more than {HELD}"),
+            (moved > HELD, "slipped", f"slips {moved:.3f} m under the pull test, more than {HELD}"),
         )
         for kind, words in [case for wrong, *case in cases if wrong][:1]:
             when = flight.pulled if kind == "slipped" else rested

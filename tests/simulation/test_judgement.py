@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scripted import flight_of, regular_hitch, standing
 
 import hitchopt as ho
+from hitchopt.geometry.vectors import unit
 from hitchopt.live.lost import Reactions, reacting
 from hitchopt.simulation import judgement
 from hitchopt.simulation.flight import fly
@@ -41,20 +42,25 @@ def flown(
     formed: bool = True,
     pulled: float = 5.0,
     swing: float = 0.0,
+    drift: float = 0.0,
     **known: Any,
 ) -> Simulation:
-    """Return a flight of 2 s, rest, and pull test under which the second vertex moves.
+    """Return a flight of 2 s, rest, and pull test under which the second vertex slips along a leg.
 
-    It swings about its place besides, by ``swing`` to either side.
+    It swings about its place besides, by ``swing`` to either side, and the whole hitch drifts.
     """
     t = np.arange(0.0, known.pop("end", 5.0) + 0.005, 0.01)
     vertices = np.repeat(HITCH.vertices[None], len(t), axis=0)
-    vertices[t > 3.005, 1] += [moved, 0.0, 0.0]
+    vertices[t > 3.005, 1] += moved * unit(HITCH.vertices[1] - HITCH.drones[2])
     vertices[:, 1, 1] += swing * np.sin(1.5 * np.pi * t)  # farthest at 3 and at 5 s
     bearing = np.ones((len(t), 4))
     if lost is not None:
         vertices[:, lost], bearing[:, lost] = np.nan, 0.2
+    drones = np.repeat(HITCH.drones[None], len(t), axis=0)
+    for each in (vertices, drones):
+        each[t > 3.005] += [0.0, drift, 0.1 * drift]
     known |= {"vertices": vertices, "bearing": bearing, "linking": linking, "rested": 3.0}
+    known |= {"drones": drones}
     flight = flight_of(standing(HITCH, 2.0, formed=formed), HITCH, t, pulled=pulled, **known)
     return Simulation(flight, judge(flight), judgement.vertex_errors(flight))
 
@@ -81,6 +87,7 @@ BROKEN = ("invalid", ("cable 3",), 1.25)
         (UNTESTED, SUCCEEDED, [], True),  # no pull test was asked for
         # 14 cm off between two instants, but rest is judged over a second
         ({"moved": 0.0, "swing": 0.07}, SUCCEEDED, [], True),
+        ({"moved": 0.0, "drift": 0.3}, SUCCEEDED, [], True),  # soft drones in a gust
         ({"linking": linked(0, 1, 0)}, FAILED, [("unlinked", ("p1",), 3.0)], False),
         ({"linking": linked(3, 0, 0)}, FAILED, [("unlinked", ("p0",), 3.0)], False),
         ({"linking": linked(1, 2, 2)}, FAILED, [("unlinked", ("p2",), 3.0)], False),
@@ -108,8 +115,9 @@ def test_flights_are_judged_by_links_contact_and_pull(
 def test_clasps_tell_their_movement_and_force() -> None:
     slipped, lost = flown(moved=0.13).outcome, flown(lost=2).outcome
     assert [round(clasp.moved, 9) for clasp in slipped.clasps] == [0.0, 0.13, 0.0, 0.0]
+    assert max(clasp.moved for clasp in flown(moved=0.0, drift=0.3).outcome.clasps) < 1e-9
     assert flown(moved=0.0, swing=0.07).outcome.clasps[1].moved < 0.04
-    assert "moves 0.130 m" in slipped.failures[0].words
+    assert "slips 0.130 m" in slipped.failures[0].words
     assert "presses with 0.200 N, less than 0.212 N" in lost.failures[0].words
     assert [clasp.holds for clasp in lost.clasps] == [True, True, False, True]
     assert all(np.isnan(clasp.moved) for clasp in flown(lost=2, pulled=np.nan).outcome.clasps)
