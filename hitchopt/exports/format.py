@@ -60,10 +60,11 @@ class Task:
         """Return the setpoints at times (S,) [s], in the file's axes, (S, D, 3) each.
 
         Besides the states there are ``yaw`` (S, D, 1) [rad]; ``feed_forward``, the acceleration for
-        controllers that add gravity, ``a_ff = a - G F / m`` (G: ``Team.pull_gain``); ``quaternions`` (S, D, 4), w, x, y, z,
-        from the body's axes, whose z axis is along the thrust ``m (a_ff + g ẑ)``; and the
-        ``body_rates`` [rad/s] about these. Where z points down the body's axes are forward, right,
-        down, else forward, left, up. Where offsets hold the tension there are no cable forces.
+        controllers that add gravity, ``a_ff = a - G F / m``, G being ``Team.pull_gain``;
+        ``quaternions`` (S, D, 4), w, x, y, z, from the body's axes, whose z axis is along the
+        thrust ``m (a_ff + g ẑ)``; and the ``body_rates`` [rad/s] about these. Where z points down
+        the body's axes are forward, right, down, else forward, left, up. Where offsets hold the
+        tension there are no cable forces.
         """
         return self._samples(states_at(self.motion, t))
 

@@ -6,11 +6,11 @@ velocity and acceleration moves a drone of mass m under the cable force F by
     m ẍ = m s̈ + c (ṡ - ẋ) + k (s - x) + F.
 
 The drone is where the plan says if ``δ = s - x`` solves ``δ + (c/k) δ' + (m/k) δ'' = -F/k``; at
-rest the set point is moved outward by T/k. F is scaled by ``Team.pull_gain``. The equation is solved forward from rest by collocation:
-piece by piece a polynomial that fulfils it at Lobatto's points, ends included, so that the second
-derivative is as continuous as F. What it misses between these points moves the drone by at most the
-response's gain times the miss, which is measured and reported. The plan lasts a little longer so
-that set points end at rest, too.
+rest the set point is moved outward by T/k. F is scaled by ``Team.pull_gain``. The equation is
+solved forward from rest by collocation: piece by piece a polynomial that fulfils it at Lobatto's
+points, ends included, so that the second derivative is as continuous as F. What it misses between
+these points moves the drone by at most the response's gain times the miss, which is measured and
+reported. The plan lasts a little longer so that set points end at rest, too.
 """
 
 from __future__ import annotations

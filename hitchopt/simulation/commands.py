@@ -103,7 +103,8 @@ def uploaded(motion: Motion, team: Team, *, follows: bool) -> Commands:
     controllers with integrals they cannot: these fly what is exported for drones of no controller.
     """
     held = not np.any(team.integral_gain > 0.0)
-    kinds = team.quadrotor if held else tuple(Quadrotor(x.mass, x.max_thrust) for x in team.quadrotor)
+    unnamed = tuple(Quadrotor(kind.mass, kind.max_thrust) for kind in team.quadrotor)
+    kinds = team.quadrotor if held else unnamed
     motion = motion.replaced(team=replace(team, quadrotor=kinds))
     refusals = []
     for kind in (Crazyswarm2(), CompressedBytes()):  # the second one holds three times as much

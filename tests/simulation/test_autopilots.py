@@ -119,6 +119,19 @@ def test_filters_take_a_level_pull_for_what_the_firmware_takes_it_for(
     assert np.all(np.linalg.eigvalsh(known.variances) > 0.0)
 
 
+@pytest.mark.parametrize("name", ["mellinger", "lee"])
+def test_pull_gains_hold_drones_in_place_as_the_filter_believes_them(name: str) -> None:
+    """Without the gain, retuned drones would be 2 cm off; PX4 has another filter."""
+    gains = {"kp": 36.0 * MASS, "kd": 10.0 * MASS, "ki": 0.0} if name == "mellinger" else None
+    loop = FlightController.of(name, MASS, gains)
+    assert FlightController.of("px4", MASS).pull_gain == (1.0, 1.0)
+    fed = np.array([[1.0], [loop.pull_gain[0]]])
+    pulls = np.tile([PULL, 0.0, 0.0], (2, 1))
+    places, *_ = flown([loop] * 2, pulls, 6.0, known=HELD, fed=fed)
+    plain, gained = np.abs(np.mean(places[-500:, :, 0], axis=0))
+    assert gained < 0.25 * plain
+
+
 @pytest.mark.parametrize(
     ("name", "mass", "level", "upright", "wound", "after"),
     [
@@ -308,13 +321,16 @@ def test_packets_are_rounded_and_hold_the_pull() -> None:
         np.testing.assert_allclose(values, 1e-3 * np.rint(1e3 * values), atol=1e-12)
     assert 0.0 < np.max(np.abs(sent.positions - task.setpoints.positions)) <= 5.0001e-4
     pull = -task.setpoints.cable_forces / task.team.mass[:, None]
-    np.testing.assert_allclose(sent.accelerations, pull, atol=5.001e-4)
+    gain = [1.2, 1.2, 1.0]  # 1 + 0.02 s times the damping of 10/s
+    np.testing.assert_allclose(sent.accelerations, gain * pull, atol=1e-3)
     far = np.full((3, 6, 3), 50.0)
     there = received(hanging_task(hitch.team, far, 0.0 * far), hitch.team, settings)
     assert np.max(there.positions) == 32.767
     t = np.arange(200)[:, None, None] / 100.0
     swung = hanging_task(hitch.team, np.sin(2.0 * t) * np.ones((6, 3)), np.zeros((200, 6, 3)))
-    rates = received(swung, hitch.team, settings).rates[20:-20]  # without ends' differences
+    rates = received(swung, hitch.team, settings).rates
+    assert not rates[-1].any()  # held from then on
+    rates = rates[20:-20]  # without ends' differences
     assert 0.5 < np.max(np.abs(rates)) < 2.0
     assert not received(swung, hitch.team, Settings(controller="lee")).rates.any()
 
@@ -327,11 +343,16 @@ def test_uploads_are_offset_by_the_tension_over_the_stiffness() -> None:
     settings = Settings(controller="mellinger", upload=True)
     held = received(task, flown_team(team, settings), settings)
     offset = held.positions[0] - task.setpoints.positions[0]
-    expected = -task.setpoints.cable_forces[0] / [2.0, 2.0, 4.0]
+    gain = 1.0 + 0.02 * 1.0 / kind.mass
+    expected = -task.setpoints.cable_forces[0] * [gain, gain, 1.0] / [2.0, 2.0, 4.0]
     np.testing.assert_allclose(offset, expected, atol=1e-3)
     assert len(held.positions) > len(task.t)
     np.testing.assert_allclose(held[10_000].positions, held.positions[-1])
     np.testing.assert_allclose(held.velocities, 0.0, atol=0.01)
+    for name in ("mellinger", "pid"):  # their integrals cannot hold the tension by offsets
+        wound = replace(settings, controller=name, gains={})
+        free = received(task, flown_team(team, wound), wound)
+        np.testing.assert_allclose(free.positions[0], task.setpoints.positions[0], atol=1e-3)
     with pytest.raises(InputError, match="with a plan"):
         received(replace(task, motion=None), team, settings)
 

@@ -62,8 +62,9 @@ class Ros2Bag(Format):
     rate = 100.0
     accuracy = 1e-3
     feed_forward = (
-        "cmd_full_state: acc = a - F/m, the cable's force F and the drone's mass m, with attitude "
-        "and body rates to match; trajectory: the drone's own acceleration"
+        "cmd_full_state: acc = a - G F/m, the cable's force F, the drone's mass m and G, the pull "
+        "gain of a named controller, else 1, with attitude and body rates to match; trajectory: "
+        "the drone's own acceleration"
     )
     flown_by = "stream"
     streamed = 30.0

@@ -62,8 +62,9 @@ class Table(Format):
     rate = 100.0
     accuracy = 1e-3
     feed_forward = (
-        "ff_* or feed_forward = a - F/m, the cable's force F and the drone's mass m: for "
-        "controllers that add gravity; cable_* = F for those that take forces; a for others"
+        "ff_* or feed_forward = a - G F/m, the cable's force F, the drone's mass m and G, the pull "
+        "gain of a named controller, else 1: for controllers that add gravity; cable_* = F for "
+        "those that take forces; a for others"
     )
     flown_by = "stream"
 
