@@ -61,7 +61,7 @@ Case = tuple[str, str, str, str]
 
 @dataclass(frozen=True)
 class Flown:
-    """What a flight comes to; nan where it did not get there."""
+    """Figures of a flight; nan if it did not reach them."""
 
     formed: bool
     failure: str
@@ -74,7 +74,7 @@ class Flown:
 
     @classmethod
     def of(cls, done: Simulation, separation: ho.Separation) -> Flown:
-        """Return what a flight comes to."""
+        """Return the figures of a flight."""
         flight, outcome = done.flight, done.outcome
         record, task = flight.record, flight.task
         ends_formed = bool(task.formed[-1])
@@ -108,7 +108,7 @@ def planned(name: str) -> ho.Plan:
 def fly(
     place: Path, team: ho.Team, case: Case, preset: Literal["fast", "accurate"], seed: int
 ) -> Flown:
-    """Return what a perturbed flight of a saved plan comes to."""
+    """Return the figures of a perturbed flight of a saved plan."""
     _, controller, known, sent = case
     name, gains = CONTROLLERS[controller]
     wind = WIND * min(1.0, (float(np.min(team.mass)) / HEAVY) ** (2.0 / 3.0))

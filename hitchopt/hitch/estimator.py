@@ -1,4 +1,4 @@
-"""Parameters of the extended Kalman filter with which Crazyflies know where they are."""
+"""Parameters of the extended Kalman filter with which Crazyflies estimate their state."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class EstimatorParameters(OneLine):
 
     The filter predicts by the thrust axis and the gyroscope alone: it sees a cable's level pull in
     nothing but the error of its prediction. Process noise that is small against that pull lets it
-    explain the pull by a tilt or a velocity that there is not.
+    explain the pull by a false tilt or velocity.
 
     Parameters
     ----------

@@ -5,7 +5,7 @@ A drone of mass m that is the error e [m] off its set point s answers with the f
     kp e + kd ė + ∫ ki e dt  (+ m s̈ and the cable force of the set points, with feed-forward),
 
 level and upright apart. The values are those of the public firmwares at their default parameters:
-Mellinger's law of the Crazyflie has gains in newtons, whatever the mass; the others' are per mass.
+Mellinger's law of the Crazyflie has gains in newtons, for any mass; the others' are per mass.
 How far off drones fly was measured with the Crazyflie's firmware in a loop with simulated cables.
 """
 
@@ -168,7 +168,7 @@ class FlightController(OneLine):
     ) -> FlightController:
         """Return a controller by its name, for a drone's mass [kg], with its default gains or some.
 
-        InputError tells of an unknown name, or of gains at which drones were lost.
+        Raise InputError for an unknown name, or for gains at which drones were lost.
         """
         choice("controller", name, CONTROLLERS)
         stock, own = STOCK[name], Gains.of(gains)

@@ -135,13 +135,13 @@ class Autopilots:
         """
         estimator = self._estimator
         rates = bodies.rates if estimator is None else estimator.read(bodies)
-        known = bodies if estimator is None else estimator
+        state = bodies if estimator is None else estimator
         phase, self._ticks = self._ticks % TICKS, self._ticks + 1
         if phase in (0, ARRIVAL):
             if estimator is not None:
                 estimator.predict(bodies) if phase == 0 else estimator.correct(bodies)
-            self._aim(commands, known, seconds * (ARRIVAL if phase else TICKS - ARRIVAL))
-        attitudes = known.attitudes
+            self._aim(commands, state, seconds * (ARRIVAL if phase else TICKS - ARRIVAL))
+        attitudes = state.attitudes
         thrust, answer = self._turned(attitudes, rates, commands.rates, seconds)
         moments = self._inertia * answer + np.cross(rates, self._inertia * rates)
         goals = 0.25 * thrust[:, None] + moments @ self._mixer.T
@@ -150,15 +150,15 @@ class Autopilots:
         remains = np.exp(-seconds / self._lag) if self._lag > 0.0 else 0.0
         self._motors = goals + (self._motors - goals) * remains
 
-    def _aim(self, commands: Commands, known: Bodies | Estimator, seconds: float) -> None:
-        """Run the position loops: find directions, and thrusts where they are not along these."""
+    def _aim(self, commands: Commands, state: Bodies | Estimator, seconds: float) -> None:
+        """Run the position loops, which give desired attitudes, and thrusts for cascades."""
         weight = GRAVITY * self._masses
-        push = self._kp * (commands.positions - known.positions)
+        push = self._kp * (commands.positions - state.positions)
         if self._name == "pid":
             push = np.clip(push, -TOP_SPEED * self._kd, TOP_SPEED * self._kd)
         wound = self._wound + seconds * self._ki / self._kp * push
         self._wound = np.clip(wound, -self._most, self._most)
-        force = push + self._wound + weight * UP - self._kd * known.velocities
+        force = push + self._wound + weight * UP - self._kd * state.velocities
         fed = self._masses * commands.accelerations + self._kd * commands.velocities
         force = self._force = force + self._feeds * fed
         level, lift = force[:, :2], force[:, 2:]
@@ -175,14 +175,14 @@ class Autopilots:
         self._goal = desired_attitudes(force)
 
     def _turned(
-        self, attitudes: Array, rates: Array, wanted: Array, seconds: float
+        self, attitudes: Array, rates: Array, desired_rates: Array, seconds: float
     ) -> tuple[Array, Array]:
         """Run the attitude loops: return thrusts (2n,) [N], angular accelerations (2n, 3)."""
         across = self._goal.transpose(0, 2, 1) @ attitudes  # R_d^T R
         error = 0.5 * np.stack(
             [across[:, i, j] - across[:, j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=-1
         )
-        off = rates - wanted
+        off = rates - desired_rates
         stiffness, damping, lead, integral = self._turn
         self._twisted = self._twisted + seconds * integral * error
         answer = stiffness * error + damping * off + self._twisted

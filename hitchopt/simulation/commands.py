@@ -102,13 +102,13 @@ def uploaded(motion: Motion, team: Team, *, follows: bool) -> Commands:
     They hold the cables' tension by offsets, as controllers add no cable force to them. For
     controllers with integrals they cannot: these fly what is exported for drones of no controller.
     """
-    held = not np.any(team.integral_gain > 0.0)
+    hold_tension = not np.any(team.integral_gain > 0.0)
     unnamed = tuple(Quadrotor(kind.mass, kind.max_thrust) for kind in team.quadrotor)
-    kinds = team.quadrotor if held else unnamed
+    kinds = team.quadrotor if hold_tension else unnamed
     motion = motion.replaced(team=replace(team, quadrotor=kinds))
     refusals = []
     for kind in (Crazyswarm2(), CompressedBytes()):  # the second one holds three times as much
-        options = ExportOptions(kind.name, hold_tension=held)
+        options = ExportOptions(kind.name, hold_tension=hold_tension)
         try:
             with tempfile.TemporaryDirectory() as folder:
                 parts = export_motion(motion, "", options, folder)
@@ -127,8 +127,8 @@ def uploaded(motion: Motion, team: Team, *, follows: bool) -> Commands:
         chosen = at == i
         for d, curve in enumerate(part):
             elapsed = t[chosen] - begin
-            found = curve.jet(np.minimum(elapsed, curve.duration), 3)
-            jets[:, chosen, d] = np.moveaxis(found, -1, 0)
+            jet = curve.jet(np.minimum(elapsed, curve.duration), 3)
+            jets[:, chosen, d] = np.moveaxis(jet, -1, 0)
             jets[1:, chosen & (t > begin + curve.duration), d] = 0.0  # it hovers where it ended
     rates = _body_rates(team.mass[:, None], jets[2], t, follows=follows)
     return Commands(jets[0], jets[1], jets[2], rates)

@@ -111,8 +111,8 @@ class HungLoads:
         touching = np.zeros_like(self._on_nodes)
         for end in (0, 1):  # of both elements that touch
             np.add.at(touching, (clasp[:, None], node + end), 0.25 * force[:, None])
-        kept = np.exp(-seconds / SMOOTHING)
-        self._on_nodes = kept * self._on_nodes + (1.0 - kept) * touching
+        remaining = np.exp(-seconds / SMOOTHING)
+        self._on_nodes = remaining * self._on_nodes + (1.0 - remaining) * touching
         added = self._mass @ self._on_nodes * shares[self._cable]
         self._world.model.body_mass[self._bodies] = self._empty + added
 
@@ -120,7 +120,7 @@ class HungLoads:
 def touching(world: World) -> list[tuple[str, str]]:
     """Return all pairs in contact by name: ``q0`` and ``r2``, or ``q0`` and ``cable 2``.
 
-    They pass through each other, such that a flight can be simulated to its end. Drones are
+    They do not collide, so that every flight is simulated to its end. Drones are
     ellipsoids, cables their nodes: between two of them a cable is at most 2 mm closer.
     """
     scale = 1.0 / np.array([BODY_RADIUS, BODY_RADIUS, BODY_HALF_HEIGHT])
@@ -159,7 +159,7 @@ class ObjectContacts:
         self._rank[objects] = np.arange(len(objects))
 
     def wrong(self, index: int) -> list[tuple[str, str]]:
-        """Return what touches objects and should not at a sample of the plan, by name.
+        """Return the forbidden contacts of objects at a sample of the plan, by name.
 
         Cables may touch what the plan holds; objects aloft touch nothing else, drones nothing.
         """

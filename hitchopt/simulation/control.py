@@ -61,7 +61,7 @@ UP = np.array([0.0, 0.0, 1.0])  # Of a thrust that has no direction
 class Drift:
     """Ornstein-Uhlenbeck process: a random walk that is drawn back to zero, with exact steps.
 
-    Its values of a shape have the standard deviation ``spread`` at every time, whatever the step,
+    Its values of a shape have the standard deviation ``spread`` at every time, for any step,
     and the correlation time ``memory`` [s].
     """
 
@@ -301,11 +301,11 @@ class VertexFeedback:
 
         ``seconds`` have passed since the last call; ``drones`` are as measured (2n, 3) [m].
         """
-        seen, told = None, None
+        seen, vertices = None, None
         while self._waiting and self._waiting[0][0] <= time - self._delay + ROUNDING:
-            seen, told = self._waiting.popleft()
+            seen, vertices = self._waiting.popleft()
         measured = None if seen is None else self._start + seen
-        self._feedback.step(self._start + time, seconds, told, drones, measured=measured)
+        self._feedback.step(self._start + time, seconds, vertices, drones, measured=measured)
         self.offsets = self._feedback.offsets
         positions = setpoints.positions + self.offsets
         velocities = setpoints.velocities + self._feedback.velocities

@@ -1,4 +1,4 @@
-"""What drones know of their state: motion capture, an IMU, and the Kalman filter of Crazyflies.
+"""Estimates of the drones' states: motion capture, an IMU, and the Kalman filter of Crazyflies.
 
 The filter is the nine-state error-state filter of M. W. Mueller, M. Hamer and R. D'Andrea, "Fusing
 ultra-wideband range measurements with accelerometers and rate gyroscopes for quadrocopter state

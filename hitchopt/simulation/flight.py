@@ -203,7 +203,7 @@ class _Run:
         self._rested = self._pulled = float("nan")
 
     def _crew(self) -> control.Pilots | Autopilots:
-        """Return who flies the drones; what is sent to flight controllers is found, too."""
+        """Return the drones' controllers; commands for flight controllers are stored."""
         task, settings, world = self._task, self._settings, self._world
         if settings.controller is None:
             return control.Pilots(world, task.team, settings)
@@ -213,8 +213,7 @@ class _Run:
             measuring = self._disturbances.measuring
             estimator = Estimator(settings.estimator, self._bodies(0), measuring)
         loops = [kind.loop for kind in team.quadrotor for _ in range(2)]
-        given = team.mass, world.inertia, team.max_thrust, settings.lag, estimator
-        return Autopilots(loops, *given)
+        return Autopilots(loops, team.mass, world.inertia, team.max_thrust, settings.lag, estimator)
 
     def fly(self) -> None:
         """Simulate all of it; raises InvalidRunError where the simulation leaves its range."""
@@ -222,7 +221,7 @@ class _Run:
         end, formed = task.duration, task.formed[0]
         loose = self._drones(0) - task.setpoints.positions[0] if formed else 0.0
         friction = world.model.flex_friction.copy()
-        world.model.flex_friction[:] = 0.0  # such that the initial state has no history
+        world.model.flex_friction[:] = 0.0  # so that the initial state has no history
         for time in self._times(-SETTLE, 0.0):
             drawn = min(1.0, (time + SETTLE) / DRAWN)
             share = drawn**3 * (10.0 - 15.0 * drawn + 6.0 * drawn**2)
@@ -293,7 +292,7 @@ class _Run:
         world.data.qfrc_applied[world.node_dofs] = control.drag(world, self._damping)
         tight = WHIPPING * task.team.tension
         loose = np.any(planned * task.tensions[index] < tight)
-        loose = loose or np.mean(world.tensions) < np.mean(tight)  # whatever the plan says
+        loose = loose or np.mean(world.tensions) < np.mean(tight)  # in the plan or in fact
         fine = max(fine, world.ropes.finer(float(np.max(world.tensions))))  # than the plan's, maybe
         world.step(self._substeps, loose=bool(loose), finer=fine)
         check_valid(world, time)
@@ -313,7 +312,7 @@ class _Run:
     ) -> Array:
         """Run the drones' motors for a period; return the forces that they know nothing of.
 
-        ``added`` (2n, 3) [N] is to be pulled besides; the setpoints are those of an index, moved.
+        ``added`` (2n, 3) [N] is an external pull; the setpoints are those of an index, corrected.
         """
         pilots, period, plan = self._pilots, self._period, self._task.setpoints[index]
         if isinstance(pilots, control.Pilots):

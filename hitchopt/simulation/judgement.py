@@ -291,7 +291,7 @@ def _loose(flight: Flight, linking: NDArray[np.int64], clasps: tuple[Clasp, ...]
 
 
 def _mishandled(flight: Flight, state: ObjectState) -> list[Failure]:
-    """Return what went wrong with an object."""
+    """Return the failures of an object."""
     cargo, ended, rested = flight.task.cargo, flight.linking is not None, flight.rested
     held, dropped = cargo.held[-1, cargo.names.index(state.name)], bool(np.isfinite(state.dropped))
     off = (
@@ -325,13 +325,13 @@ def object_states(flight: Flight) -> tuple[ObjectState, ...]:
     offsets = poses[..., :3] - plan[..., :3]
     planned = task.vertices[rows][:, task.team.layout.clasps]
     hitch = np.mean(record.vertices[: len(t)] - planned, axis=1)
-    found = []
+    states = []
     for i in np.flatnonzero(cargo.movable):
         name, carried = cargo.names[i], cargo.carried[rows, i]
         turned = Rotation.from_quat(poses[resting, i, 3:], scalar_first=True).mean()
         axes = (Rotation.from_euler("z", -yaws[i]) * turned).as_matrix()
         low = t[carried & (offsets[:, i, 2] < -DROPPED)]
-        found.append(
+        states.append(
             ObjectState(
                 name,
                 placed=float(length(np.mean(offsets[resting, i], axis=0))),
@@ -343,7 +343,7 @@ def object_states(flight: Flight) -> tuple[ObjectState, ...]:
                 round=all(slab.section.radius is not None for slab in cargo.objects[name].slabs),
             )
         )
-    return tuple(found)
+    return tuple(states)
 
 
 def _slipped(offsets: Array, carried: NDArray[np.bool_]) -> float:
@@ -359,7 +359,7 @@ def _slipped(offsets: Array, carried: NDArray[np.bool_]) -> float:
 
 @dataclass(frozen=True)
 class LossOutcome(OneLine):
-    """What became of a team after the loss of a drone at a time [s].
+    """Outcome for a team after the loss of a drone at a time [s].
 
     Attributes
     ----------
@@ -386,7 +386,7 @@ class LossOutcome(OneLine):
 
 
 def loss_outcome(flight: Flight) -> LossOutcome | None:
-    """Return what became of a flight's team after the loss of a drone; None without one."""
+    """Return the outcome for a flight's team after the loss of a drone; None without one."""
     record, team, loss = flight.record, flight.task.team, flight.settings.lost
     if loss is None:
         return None
@@ -412,7 +412,7 @@ def loss_outcome(flight: Flight) -> LossOutcome | None:
 
 @dataclass(frozen=True)
 class Run(OneLine):
-    """What a campaign keeps of a flight: seed, verdict, failures by time, and figures by name.
+    """Row of a campaign for one flight: seed, verdict, failures by time, and figures by name.
 
     A flight that could not begin has no figures. The same seed gives the same flight.
     """
@@ -443,7 +443,7 @@ class Simulation(OneLine):
 
     @property
     def loss(self) -> LossOutcome | None:
-        """What became of the others after the loss of a drone; None where none was lost."""
+        """Outcome for the other drones after a loss; None if no drone was lost."""
         return loss_outcome(self.flight)
 
     @property
@@ -467,23 +467,23 @@ class Simulation(OneLine):
         """
         record = self.flight.record
         spreads = self.spreads.items()
-        found = {f"{name}_{key}": v for name, spread in spreads for key, v in vars(spread).items()}
-        found["peak_tension"] = float(np.max(record.peak_tensions))
-        found["peak_thrust"] = float(np.max(record.thrusts))
-        found["peak_tilt"] = float(np.degrees(np.max(record.tilts)))
+        values = {f"{name}_{key}": v for name, spread in spreads for key, v in vars(spread).items()}
+        values["peak_tension"] = float(np.max(record.peak_tensions))
+        values["peak_thrust"] = float(np.max(record.thrusts))
+        values["peak_tilt"] = float(np.degrees(np.max(record.tilts)))
         for name in ("placed", "tilted", "slipped"):
-            values = [np.nan, *(getattr(each, name) for each in self.outcome.objects)]
-            found[name] = float(np.fmax.reduce(values))
-        return found
+            column = [np.nan, *(getattr(each, name) for each in self.outcome.objects)]
+            values[name] = float(np.fmax.reduce(column))
+        return values
 
     @property
     def run(self) -> Run:
-        """What a campaign keeps of it."""
+        """Row of a campaign for this flight."""
         return Run(self.settings.seed, self.outcome.verdict, self.outcome.failures, self.figures)
 
 
 def warnings(task: Task, settings: Settings) -> tuple[str, ...]:
-    """Return what the user should know of a flight's conditions: friction that is left at 0."""
+    """Return warnings about a flight's conditions: friction that is left at 0."""
     return (NO_FRICTION,) if settings.friction is None and not task.team.cable_friction else ()
 
 

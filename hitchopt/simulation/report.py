@@ -210,7 +210,7 @@ def _draw_over_time(plots: Sequence[Axes], simulation: Simulation, motion: Motio
 
 
 def ending(simulation: Simulation) -> str:
-    """Return in words how a flight ended; a plan that releases its hitch is to end untied."""
+    """Return a flight's ending in words; a plan that releases its hitch ends untied."""
     flight, loss = simulation.flight, simulation.loss
     if loss is not None:
         return "no two survivors touch" if loss.apart else "survivors TOUCH each other"

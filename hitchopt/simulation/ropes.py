@@ -183,7 +183,7 @@ def hanging(ropes: Ropes, drones: Array, ground: float) -> list[Array]:
     They are chains of segments of exactly their length, n of (segments + 1, 3) [m], that end within
     a segment of their drones (2n, 3) [m]: the settling draws these back. ``ground`` is its height.
     """
-    found, floor = [], ground + 0.5 * ropes.preset.diameter
+    chains, floor = [], ground + 0.5 * ropes.preset.diameter
     for k, (count, size) in enumerate(zip(ropes.segments, ropes.segment_lengths, strict=True)):
         q, r, whole = drones[2 * k], drones[2 * k + 1], float(count * size)
         if (apart := float(np.linalg.norm(r - q))) > whole * (1.0 + 1e-6):
@@ -197,8 +197,8 @@ def hanging(ropes: Ropes, drones: Array, ground: float) -> list[Array]:
         chain += 0.5 * (q + r - chain[-1])  # what is left over is shared by both ends
         if lies:
             chain[:, 2] += floor - np.min(chain[:, 2])
-        found.append(chain)
-    return found
+        chains.append(chain)
+    return chains
 
 
 def _lying(q: Array, r: Array, count: int, size: float, floor: float) -> Array:
@@ -324,7 +324,7 @@ def linking_matrix(cables: list[Array]) -> NDArray[np.int64]:
     Each cable is closed by the straight line between its drones. That is meaningful with the drones
     at the hitch or before it is formed, where these lines stay clear of the other cables.
     """
-    found = np.zeros((len(cables),) * 2, dtype=np.int64)
+    matrix = np.zeros((len(cables),) * 2, dtype=np.int64)
     for i, j in combinations(range(len(cables)), 2):
-        found[i, j] = found[j, i] = linking_number(cables[i], cables[j])
-    return found
+        matrix[i, j] = matrix[j, i] = linking_number(cables[i], cables[j])
+    return matrix

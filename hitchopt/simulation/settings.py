@@ -131,9 +131,9 @@ class Loss(OneLine):
     @classmethod
     def parsed(cls, text: str) -> Loss:
         """Return the loss that ``DRONE@SECONDS`` names; InputError where it is none."""
-        if (found := re.fullmatch(r"(\w+)@(\d+(?:\.\d*)?)", text)) is None:
+        if (match := re.fullmatch(r"(\w+)@(\d+(?:\.\d*)?)", text)) is None:
             raise InputError("--lose", text, "DRONE@SECONDS", "write q0@12.5")
-        return cls(found[1], float(found[2]))
+        return cls(match[1], float(match[2]))
 
 
 @dataclass(frozen=True)
@@ -205,8 +205,8 @@ class Settings(OneLine):
 ESTIMATORS: Mapping[str, EstimatorParameters | None] = {
     "ideal": None, "crazyflie": HELD, "firmware": FIRMWARE, "one_marker": ONE_MARKER
 }  # fmt: skip
-"""Estimators by name: the truth, what exports set, and defaults of the firmware with a rigid body
-or with one marker."""
+"""Estimators by name: exact states, the exported parameters, and the firmware's defaults with a
+rigid body or with one marker."""
 
 
 def settings_of(preset: str, *, perturbed: bool, **given: Any) -> Settings:

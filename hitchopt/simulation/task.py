@@ -37,7 +37,7 @@ class Cargo:
     ----------
     objects: by name.
     poses: (samples, objects, 5): x, y, z of their bases [m], cosine and sine of their yaws.
-    held: whether the hitch holds them, such that its cables may touch them (samples, objects).
+    held: whether the hitch holds them, so that its cables may touch them (samples, objects).
     borne: share of its weight that the hitch carries (samples, objects).
     floor: height of the ground on which they stand [m].
     """
@@ -83,8 +83,8 @@ class Cargo:
         for order in (1, -1):  # the last place where it stood, and the next one
             rows = np.where(rests[::order], np.arange(len(rests))[:, None], -1)
             rows = np.maximum.accumulate(rows, axis=0)
-            found = np.take_along_axis(heights[::order], np.maximum(rows, 0), axis=0)
-            supports.append(np.where(rows >= 0, found, -np.inf)[::order])
+            last = np.take_along_axis(heights[::order], np.maximum(rows, 0), axis=0)
+            supports.append(np.where(rows >= 0, last, -np.inf)[::order])
         return ~rests & (heights > np.maximum(*supports) + ALOFT)
 
 
@@ -168,8 +168,8 @@ class Task:
 
     def index(self, elapsed: float) -> int:
         """Return the setpoint that applies ``elapsed`` [s] after the first one."""
-        found = int(np.searchsorted(self.t, self.t[0] + elapsed + SAME_TIME, side="right")) - 1
-        return min(max(found, 0), len(self.t) - 1)
+        index = int(np.searchsorted(self.t, self.t[0] + elapsed + SAME_TIME, side="right")) - 1
+        return min(max(index, 0), len(self.t) - 1)
 
 
 def read_task(directory: Path) -> Task:

@@ -3,7 +3,7 @@
 A rope is a one-dimensional flex: its nodes are bodies that slide in x, y and z, its first and
 last node are the drones themselves (the cable is attached at the centre of mass), and an equality
 constraint keeps the lengths of its edges. It has no bending stiffness and no self-collision.
-Contacts of drones with cables and with one another are found in ``contacts``.
+``contacts`` detects contacts of drones with cables and with one another.
 """
 
 from __future__ import annotations
@@ -259,8 +259,8 @@ def check_valid(world: World, time: float) -> None:
             where = f"cable {world.edge_cables[worst]}"
             if quantity == "penetration":
                 where = f"cables {pairs[worst][0]} and {pairs[worst][1]}"
-            found = f"{quantity} of {values[worst]:.4g} {unit} is beyond {limit:.4g} {unit}"
-            raise InvalidRunError(quantity, f"{found} at {where}", time, where)
+            excess = f"{quantity} of {values[worst]:.4g} {unit} is beyond {limit:.4g} {unit}"
+            raise InvalidRunError(quantity, f"{excess} at {where}", time, where)
 
 
 def _describe(world: World) -> str:
@@ -323,7 +323,7 @@ def _text(values: ArrayLike) -> str:
 def _describe_objects(objects: dict[str, SolidObject]) -> tuple[str, str]:
     """Return the meshes and the bodies of objects where they stand, in MuJoCo's XML.
 
-    An object's friction is that of its contacts, whatever it touches. Its mass is that of an even
+    An object's friction is that of all its contacts. Its mass is that of an even
     prism with the widest of its outlines, which touches nothing: a tray's mass is in its rim.
     """
     meshes, bodies = "", ""
