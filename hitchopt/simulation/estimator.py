@@ -46,45 +46,8 @@ def rotation(turn: Array) -> Array:
     return np.asarray(Rotation.from_rotvec(turn).as_matrix())
 
 
-class Sensors:
-    """Readings of bodies' IMUs since the last prediction, and frames of a motion capture."""
-
-    def __init__(self, random: np.random.Generator) -> None:
-        self._random = random
-        self._frames: deque[tuple[Array, Array]] = deque(maxlen=DELAY + 1)
-        self._rates: list[Array] = []
-        self._last: Bodies | None = None
-
-    def read(self, bodies: Bodies) -> Array:
-        """Return the gyroscopes' readings (2n, 3) [rad/s] of bodies as they are."""
-        if self._last is None:
-            self._last = bodies
-        noise = GYRO_NOISE * self._random.standard_normal(bodies.rates.shape)
-        self._rates.append(bodies.rates + noise)
-        return self._rates[-1]
-
-    def gathered(self, bodies: Bodies, seconds: float) -> tuple[Array, Array]:
-        """Return mean rates (2n, 3) [rad/s] and accelerations along z (2n,) [m/s²].
-
-        They are over the ``seconds`` since the last call.
-        """
-        before, self._last = self._last or bodies, bodies
-        rates, self._rates = np.mean(self._rates, axis=0), []
-        moved = (bodies.velocities - before.velocities) / seconds + [0.0, 0.0, GRAVITY]
-        upward = 0.5 * (bodies.attitudes + before.attitudes)[..., 2]
-        noise = ACCELEROMETER_NOISE * self._random.standard_normal(len(moved))
-        return rates, np.einsum("ia,ia->i", moved, upward) + noise
-
-    def frame(self, bodies: Bodies) -> tuple[Array, Array]:
-        """Capture; return the positions (2n, 3) [m] and attitudes (2n, 3, 3) that arrive now."""
-        noise = self._random.standard_normal((2, *bodies.positions.shape))
-        turned = bodies.attitudes @ rotation(CAPTURED_TURN * noise[1])
-        self._frames.append((bodies.positions + CAPTURED * noise[0], turned))
-        return self._frames[0]
-
-
 class Estimator:
-    """The Kalman filters of all drones, from their true states on.
+    """The Kalman filters of all drones with their sensors, from the true states on.
 
     ``variances`` (2n, 9, 9) are of position, velocity and rotation errors [m], [m/s], [rad].
     """
@@ -92,7 +55,9 @@ class Estimator:
     def __init__(
         self, parameters: EstimatorParameters, bodies: Bodies, random: np.random.Generator
     ) -> None:
-        self._sensors = Sensors(random)
+        self._random, self._last = random, bodies  # state at the last prediction
+        self._gyro: list[Array] = []  # readings since then
+        self._frames: deque[tuple[Array, Array]] = deque(maxlen=DELAY + 1)
         self.positions, self.attitudes = bodies.positions, bodies.attitudes
         self._velocities = np.einsum("iba,ib->ia", bodies.attitudes, bodies.velocities)
         self.variances = np.tile(np.diag(FIRST_ERRORS**2), (len(bodies.positions), 1, 1))
@@ -111,12 +76,19 @@ class Estimator:
 
     def read(self, bodies: Bodies) -> Array:
         """Return the gyroscopes' readings (2n, 3) [rad/s] of bodies as they are."""
-        return self._sensors.read(bodies)
+        noise = GYRO_NOISE * self._random.standard_normal(bodies.rates.shape)
+        self._gyro.append(bodies.rates + noise)
+        return self._gyro[-1]
 
     def predict(self, bodies: Bodies) -> None:
         """Predict by the readings since the last prediction, 1 / RATE ago."""
         dt = 1.0 / RATE
-        rates, along = self._sensors.gathered(bodies, dt)
+        rates, before = np.mean(self._gyro, axis=0), self._last
+        self._gyro, self._last = [], bodies
+        moved = (bodies.velocities - before.velocities) / dt + [0.0, 0.0, GRAVITY]
+        thrust_axis = 0.5 * (bodies.attitudes + before.attitudes)[..., 2]
+        noise = ACCELEROMETER_NOISE * self._random.standard_normal(len(moved))
+        along = np.einsum("ia,ia->i", moved, thrust_axis) + noise
         upward, v = self.attitudes[:, 2], self._velocities  # the world's z axis in the body's frame
         turning, turn = skew(rates), self.attitudes
         growth = np.tile(np.eye(9), (len(v), 1, 1))
@@ -136,8 +108,11 @@ class Estimator:
         self.variances[:, range(9), range(9)] += self._added
 
     def correct(self, bodies: Bodies) -> None:
-        """Correct by the frame that arrives while the bodies are captured anew."""
-        places, turns = self._sensors.frame(bodies)
+        """Capture the bodies, and correct by the frame that arrives now."""
+        noise = self._random.standard_normal((2, *bodies.positions.shape))
+        turned = bodies.attitudes @ rotation(CAPTURED_TURN * noise[1])
+        self._frames.append((bodies.positions + CAPTURED * noise[0], turned))
+        places, turns = self._frames[0]
         seen, p = self._seen, self.variances
         missed = places - self.positions
         if len(seen) > 3:
