@@ -2,7 +2,8 @@
 
 Usage: python -m benchmarks controllers [--problems NAME ...] [--controllers NAME ...]
                                         [--filters NAME ...] [--sent streamed uploaded]
-                                        [--runs N] [--seed S] [--preset NAME] [--processes P]
+                                        [--runs N] [--seed S] [--preset NAME] [--friction MU]
+                                        [--processes P]
 """
 
 from __future__ import annotations
@@ -106,7 +107,12 @@ def planned(name: str) -> ho.Plan:
 
 
 def fly(
-    place: Path, team: ho.Team, case: Case, preset: Literal["fast", "accurate"], seed: int
+    place: Path,
+    team: ho.Team,
+    case: Case,
+    preset: Literal["fast", "accurate"],
+    friction: float | None,
+    seed: int,
 ) -> Flown:
     """Return the figures of a perturbed flight of a saved plan."""
     _, controller, known, sent = case
@@ -118,6 +124,7 @@ def fly(
         perturbed=True,
         perturbations={"wind": wind, "steady_wind": wind},
         seed=seed,
+        friction=friction,
         controller=name,
         gains=gains,
         estimator=known,
@@ -157,17 +164,19 @@ def main() -> None:
     options.add_argument("--runs", type=int, default=1)
     options.add_argument("--seed", type=int, default=1000)
     options.add_argument("--preset", choices=("fast", "accurate"), default="fast")
+    options.add_argument("--friction", type=float)
     options.add_argument("--processes", type=int, default=1)
     given = options.parse_args()
     table = Table(given.output / "controllers.md", "Flight controllers", LIMITATIONS, ("mujoco",))
-    table.note(f"preset {given.preset}, seeds from {given.seed} on")
+    friction = "the team's" if given.friction is None else f"{given.friction:g}"
+    table.note(f"preset {given.preset}, seeds from {given.seed} on, friction {friction}")
     table.section("", *COLUMNS)
     with TemporaryDirectory() as folder, ProcessPoolExecutor(given.processes) as pool:
         for problem in given.problems:
             plan = planned(problem)
             place = plan.save(Path(folder) / problem)
             for case in product([problem], given.controllers, given.filters, given.sent):
-                one = partial(fly, place, plan.motion.team, case, given.preset)
+                one = partial(fly, place, plan.motion.team, case, given.preset, given.friction)
                 seeds = range(given.seed, given.seed + given.runs)
                 try:
                     table.row(*row(case, list(pool.map(one, seeds))))
