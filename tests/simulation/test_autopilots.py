@@ -419,6 +419,7 @@ def test_hitches_hold_by_the_filter_that_is_exported_and_are_lost_by_the_firmwar
         tied,
         perturbed=True,
         seed=1,
+        friction=0.1,  # as the firmware was flown: soft loops alone let cables slide
         controller="mellinger",
         gains=gains,
         estimator=filter_,
@@ -431,6 +432,8 @@ def test_hitches_hold_by_the_filter_that_is_exported_and_are_lost_by_the_firmwar
     if holds:
         rest = record.t > flight.flight.task.duration
         rest &= record.t <= flight.flight.rested
-        assert np.mean(record.tensions[rest]) == pytest.approx(0.6, rel=0.2)
+        assert np.mean(record.tensions[rest]) == pytest.approx(
+            0.6, rel=0.15 if gains is None else 0.2
+        )
         if gains is None:
             assert np.max(np.linalg.norm(record.drones - record.commanded, axis=-1)[rest]) < 0.06
