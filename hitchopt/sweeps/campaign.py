@@ -88,25 +88,25 @@ def run_campaign(
     if processes is not None:
         whole("processes", processes, 1)
     width = min(runs, processes or os.cpu_count() or 1)
-    given = [replace(settings, seed=settings.seed + i) for i in range(runs)]
-    found: list[Run] = []
+    flights = [replace(settings, seed=settings.seed + i) for i in range(runs)]
+    flown: list[Run] = []
     with contextlib.ExitStack() as stack:
-        flown: Iterable[Run] = (one_run(each, task) for each in given)
+        results: Iterable[Run] = (one_run(each, task) for each in flights)
         if width > 1:
-            tasks = {f"flight-{each.seed}": (each,) for each in given}
-            done = finished(one_run, tasks, width, shared=task)
-            stack.enter_context(contextlib.closing(done))
-            flown = (future.result() for _, future in done)
-        for run in flown:
-            found.append(run)
+            tasks = {f"flight-{each.seed}": (each,) for each in flights}
+            futures = finished(one_run, tasks, width, shared=task)
+            stack.enter_context(contextlib.closing(futures))
+            results = (future.result() for _, future in futures)
+        for run in results:
+            flown.append(run)
             if progress is not None:
-                succeeded = sum(run.succeeded for run in found)
-                progress(f"{len(found)} of {runs} flown, {succeeded} succeeded")
-    return Campaign(settings, tuple(sorted(found, key=lambda run: run.seed)))
+                succeeded = sum(run.succeeded for run in flown)
+                progress(f"{len(flown)} of {runs} flown, {succeeded} succeeded")
+    return Campaign(settings, tuple(sorted(flown, key=lambda run: run.seed)))
 
 
 def one_run(settings: Settings, task: Task) -> Run:
-    """Return what is kept of one flight; one that cannot begin is a failure, not an error."""
+    """Return the result of one flight; one that cannot begin is a failure, not an error."""
     try:
         return simulate(task, settings).run
     except (InputError, UnsupportedError):  # which prevents every other flight as well
@@ -122,10 +122,10 @@ def save_campaign(directory: Path | str, campaign: Campaign) -> Path:
         rows = []
         for run in campaign.runs:
             first = run.failures[0] if run.failures else Failure("", (), float("nan"), "")
-            told = {"failure": first.kind, "where": " ".join(first.where), "words": first.words}
             figures = {"time": first.time, **run.figures}
-            known = {name: number(value, 6) for name, value in figures.items()}
-            rows.append({"seed": run.seed, "verdict": run.verdict, **told, **known})
+            row = {"seed": run.seed, "verdict": run.verdict, "failure": first.kind}
+            row |= {"where": " ".join(first.where), "words": first.words}
+            rows.append(row | {name: number(value, 6) for name, value in figures.items()})
         with path.open("w", encoding="utf-8", newline="") as file:
             table = csv.DictWriter(file, max(map(list, rows), key=len), lineterminator="\n")
             table.writeheader()

@@ -7,7 +7,7 @@ import itertools
 import json
 from collections.abc import Iterator, Mapping
 from copy import deepcopy
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cache
 from importlib import metadata
 from math import prod
@@ -73,29 +73,29 @@ def values_in(given: Values) -> list[Plain]:
     """Return the values of a parameter in order."""
     if isinstance(given, list):
         return [plain(value) for value in given]
-    grid = given.grid
-    space = np.geomspace if grid.log else np.linspace
-    return [float(x) for x in space(grid.low, grid.high, grid.count)]
+    space, grid = np.geomspace if given.grid.log else np.linspace, given.grid
+    values: list[Plain] = space(grid.low, grid.high, grid.count).tolist()
+    return values
 
 
 def points(parameters: Mapping[str, Values]) -> list[Point]:
     """Return every combination of values, the last one's changing first; MAX_CASES at most."""
-    found = [values_in(each) for each in parameters.values()]
-    if (count := prod(map(len, found))) > MAX_CASES:
-        raise InputError("parameters", count, f"at most {MAX_CASES} combinations", "take fewer")
-    return [dict(zip(parameters, values, strict=True)) for values in itertools.product(*found)]
+    values = [values_in(each) for each in parameters.values()]
+    if (count := prod(map(len, values))) > MAX_CASES:
+        raise InputError("parameters", count, f"at most {MAX_CASES} combinations", "list fewer")
+    return [dict(zip(parameters, row, strict=True)) for row in itertools.product(*values)]
 
 
 def with_values(base: Mapping[str, Plain], point: Point) -> dict[str, Plain]:
     """Return a copy of a mapping in which the keys have the values of a point.
 
-    Mappings that are missing on the way are made. InputError for what is no key path, or leads
+    Missing mappings on the path are added. InputError for a key that is no key path, or leads
     through a value, or past the end of a list.
     """
-    made: dict[str, Plain] = deepcopy(dict(base))
+    changed: dict[str, Plain] = deepcopy(dict(base))
     for key, value in point.items():
         parts: list[Any] = list(split_key(key))
-        inner: Any = made if key_path(parts) == key else None
+        inner: Any = changed if key_path(parts) == key else None
         holder: Any = None
         try:
             for part in parts:
@@ -108,7 +108,7 @@ def with_values(base: Mapping[str, Plain], point: Point) -> dict[str, Plain]:
             bound = "a path to a key of a mapping or a place in a list"
             remedy = "write it as team.tension or mission[0].form.altitude"
             raise InputError("parameters", key, bound, remedy) from None
-    return made
+    return changed
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,14 +125,17 @@ class Case:
     @property
     def digest(self) -> str:
         """SHA-256 of all that the case's row depends on, versions of the libraries among it."""
-        told = {**asdict(self), "versions": versions()}
-        text = json.dumps(told, sort_keys=True, ensure_ascii=True, allow_nan=True)
-        return hashlib.sha256(text.encode()).hexdigest()
+        return digest_of({**asdict(self), "versions": versions()})
+
+
+def digest_of(content: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of plain data."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 @cache
 def versions() -> dict[str, str]:
-    """Return the versions that a row depends on, by package; those that are not installed lack."""
+    """Return the versions that a row depends on, by installed package."""
     here = {each.name.lower() for each in metadata.distributions() if each.name}
     return {name: metadata.version(name) for name in LIBRARIES if name in here}
 
@@ -199,19 +202,22 @@ class Study(OneLine):
 
     def cases(self) -> Iterator[Case]:
         """Yield all cases in order: problems, points, seeds."""
-        for name, point, problem, flown in self._at(points(self.keys.parameters)):
-            first, count = (flown.pop("seed"), flown.pop("seeds")) if flown else (None, 1)
+        for case in self._at(points(self.keys.parameters)):
+            options = case.simulate
+            first, count = (options.pop("seed"), options.pop("seeds")) if options else (None, 1)
             for seed in [None] if first is None else range(first, first + count):
-                yield Case(name, point, problem, flown, seed, self.keys.limit)
+                yield replace(case, seed=seed)
 
-    def _at(self, chosen: list[Point]) -> Iterator[tuple[str, Point, dict[str, Plain], Any]]:
-        """Yield name, point, keys of the problem, and of its flights, at every chosen point."""
-        flown = None if self.keys.simulate is None else vars(self.keys.simulate)
+    def _at(self, chosen: list[Point]) -> Iterator[Case]:
+        """Yield the cases at every chosen point, without their seeds."""
+        options = None if self.keys.simulate is None else vars(self.keys.simulate)
+        sections = {} if options is None else {"simulate": options}
         outlines: dict[Path, Plain] = {}
-        for (name, folder, problem), point in itertools.product(self.problems, chosen):
-            whole = with_values(problem if flown is None else {**problem, "simulate": flown}, point)
-            simulate = whole.pop("simulate", None)
-            yield name, point, _with_outlines(whole, folder, outlines), simulate
+        for (name, folder, base), point in itertools.product(self.problems, chosen):
+            keys = with_values(base | sections, point)
+            simulate: Any = keys.pop("simulate", None)
+            problem = _with_outlines(keys, folder, outlines)
+            yield Case(name, point, problem, simulate, None, self.keys.limit)
 
     def check(self) -> None:
         """Raise InputError for paths and values that no problem or flight can have.
@@ -227,9 +233,9 @@ class Study(OneLine):
             if key.split(".")[0] == "simulate" and self.keys.simulate is None:
                 remedy = "add simulate: to the study"
                 raise InputError(f"parameters.{key}", "simulate", "a section of the study", remedy)
-        for _, _, problem, simulate in self._at(trials):
-            any_problem_from_dict(problem)
-            STUDY.check("", {"problem": "", "simulate": simulate})
+        for case in self._at(trials):
+            any_problem_from_dict(case.problem)
+            STUDY.check("", {"problem": "", "simulate": case.simulate})
 
 
 def study_from_dict(data: object, directory: str | Path = ".") -> Study:
@@ -270,7 +276,7 @@ def _with_outlines(
 ) -> dict[str, Plain]:
     """Return a problem with outlines in place of its objects' drawings, relative to ``folder``.
 
-    Workers need no drawings then, and digests depend on what these show. ``known`` were read.
+    Workers need no drawings then, and digests depend on the outlines. ``known`` were read before.
     """
     from hitchopt.geometry.drawings import read_drawing  # heavy: readers of drawings
 

@@ -9,7 +9,6 @@ leaves at most one line that is not whole, which is passed over.
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 import os
 from collections.abc import Mapping
@@ -21,7 +20,7 @@ from hitchopt.errors import FileError, InputError, UnsupportedError
 from hitchopt.simulation.flight import Progress
 from hitchopt.storage.files import replace_files, write_strict_json
 from hitchopt.storage.yaml_file import read_yaml
-from hitchopt.sweeps.study import Study, study_from_dict
+from hitchopt.sweeps.study import Study, digest_of, study_from_dict
 from hitchopt.sweeps.work import FAILED, PLANNED, Row, finished, first_columns, row_of
 from hitchopt.values import path as as_path
 from hitchopt.values import text, whole
@@ -33,7 +32,7 @@ ROWS, STUDY, FORMAT = "rows.jsonl", "study.json", "hitchopt-sweep/1"
 
 SEAL = "sha256"  # of all else in a row
 
-# Beginnings of the columns whose medians are told
+# Beginnings of the columns whose medians a summary has
 FIGURES = ("duration", "check.", "simulate.", "time.")
 
 
@@ -77,8 +76,12 @@ def run_sweep(
     elif not isinstance(study, Study):
         raise InputError("study", study, "a Study, its keys, or a path", "see hitchopt.Study")
     cases = {case.digest: case for case in study.cases()}
-    told = {"title": study.keys.title, "parameters": list(study.keys.parameters)}
-    content = {"format": FORMAT, **told, "cases": list(cases)}
+    content = {
+        "format": FORMAT,
+        "title": study.keys.title,
+        "parameters": list(study.keys.parameters),
+        "cases": list(cases),
+    }
     writers = {STUDY: lambda path: write_strict_json(path, content)}
     replace_files(place, writers, (STUDY,), seal=STUDY)
     known, refused = _read_rows(place), 0
@@ -122,11 +125,11 @@ def load_sweep(directory: Path | str) -> pandas.DataFrame:
     except ImportError:
         raise UnsupportedError("sweeps need pandas: pip install 'hitchopt[sweep]'") from None
     place = as_path("directory", directory)
-    told, rows = read_study(place), _read_rows(place)
-    table = pandas.DataFrame([rows[digest] for digest in told["cases"] if digest in rows])
+    study, rows = read_study(place), _read_rows(place)
+    table = pandas.DataFrame([rows[digest] for digest in study["cases"] if digest in rows])
     if table.empty:
         return pandas.DataFrame({"digest": []})
-    first = ["problem", "seed", *(f"parameter.{key}" for key in told["parameters"])]
+    first = ["problem", "seed", *(f"parameter.{key}" for key in study["parameters"])]
     first += ["status", "binding", "message", "duration"]
     return table.reindex(columns=[*first, *sorted(set(table.columns) - set(first))])
 
@@ -135,42 +138,40 @@ def read_study(directory: Path) -> dict[str, Any]:
     """Return title, parameters and cases of the study that was run in a directory, or FileError."""
     path = directory / STUDY
     try:
-        told = json.loads(path.read_text(encoding="utf-8"))
+        study = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise FileError(f"{path}: cannot be read ({error}); run hitchopt sweep first") from None
-    if not isinstance(told, dict) or told.get("format") != FORMAT:
+    if not isinstance(study, dict) or study.get("format") != FORMAT:
         raise FileError(f"{path}: is not of the format {FORMAT}; run hitchopt sweep again")
-    return told
+    return study
 
 
 def _read_rows(directory: Path) -> dict[str, Row]:
     """Return the rows of a directory by digest; lines that are not whole are left out.
 
-    Raises FileError for a row that is not as it was written.
+    Raises FileError for a row that was edited.
     """
-    found: dict[str, Row] = {}
+    path, rows = directory / ROWS, dict[str, Row]()
     try:
-        with (directory / ROWS).open(encoding="utf-8", errors="replace") as lines:
-            for number, line in enumerate(lines, 1):
-                with contextlib.suppress(ValueError, KeyError, TypeError):
-                    row = json.loads(line)
-                    found[row["digest"]] = row
-                    if row.pop(SEAL, None) != _seal(row):
-                        raise FileError(
-                            f"{directory / ROWS}: line {number} was edited, or is of an earlier "
-                            "release; delete it, and run the study again: it is computed anew"
-                        )
-    except FileNotFoundError:
-        pass
+        lines = path.read_text("utf-8", "replace").splitlines() if path.exists() else []
     except OSError as error:
-        raise FileError(f"{directory / ROWS}: cannot be read: {error}") from error
-    return found
+        raise FileError(f"{path}: cannot be read: {error}") from error
+    for number, line in enumerate(lines, 1):
+        with contextlib.suppress(ValueError, KeyError, TypeError):
+            row = json.loads(line)
+            rows[row["digest"]] = row
+            if row.pop(SEAL, None) != digest_of(row):
+                raise FileError(
+                    f"{path}: line {number} was edited, or is of an earlier release; delete it, "
+                    "and run the study again: it is computed anew"
+                )
+    return rows
 
 
 def write_row(directory: Path, row: Row) -> None:
     """Append a row as one line; raises FileError where the disk is full or cannot be written to."""
     values = {name: _scalar(name, value) for name, value in row.items()}
-    values[SEAL] = _seal(values)
+    values[SEAL] = digest_of(values)
     line = f"\n{json.dumps(values)}\n".encode()  # a line of its own after one that is not whole
     try:
         with (directory / ROWS).open("ab", buffering=0) as file:
@@ -181,11 +182,6 @@ def write_row(directory: Path, row: Row) -> None:
             f"{directory}: cannot be written: {error.strerror or error}; free space or permissions "
             "there, then run the same study again: only what is missing is computed"
         ) from error
-
-
-def _seal(row: Row) -> str:
-    """Return the digest by which a row is known to be as it was written."""
-    return hashlib.sha256(json.dumps(row, sort_keys=True).encode()).hexdigest()
 
 
 def _scalar(name: str, value: object) -> object:
@@ -208,8 +204,8 @@ class Share:
         """Wilson's 95 % interval, which suits few rows too."""
         from scipy.stats import binomtest
 
-        found = binomtest(self.count, self.rows).proportion_ci(0.95, method="wilson")
-        return float(found.low), float(found.high)
+        low, high = binomtest(self.count, self.rows).proportion_ci(0.95, method="wilson")
+        return float(low), float(high)
 
     def __str__(self) -> str:
         low, high = self.interval
@@ -224,11 +220,11 @@ class Summary:
     planned: Share  # of rows with a plan
     succeeded: Share | None  # of simulated flights; None where there are none
     binding: tuple[tuple[str, int], ...]  # limits that bound, or other reasons, most frequent first
-    medians: dict[str, tuple[float, float, float]]  # with smallest and largest value, by column
+    medians: dict[str, list[float]]  # with smallest and largest value, by column
 
 
 def summary(rows: pandas.DataFrame, cases: int) -> Summary:
-    """Return what the rows of a sweep come to; InputError without rows."""
+    """Return the summary of a sweep's rows; InputError without rows."""
     if not len(rows):
         raise InputError("rows", 0, "at least 1", "run the sweep first")
     planned, flown, share = rows["status"] == PLANNED, rows.get("simulate.succeeded"), None
@@ -237,8 +233,6 @@ def summary(rows: pandas.DataFrame, cases: int) -> Summary:
     reasons = rows.loc[~planned, "binding"].fillna(rows.loc[~planned, "status"])
     binding = tuple((str(name), int(count)) for name, count in reasons.value_counts().items())
     figures = rows[[name for name in rows.columns if name.startswith(FIGURES)]]
-    medians = {
-        str(name): (float(column.median()), float(column.min()), float(column.max()))
-        for name, column in figures.select_dtypes("float").dropna(axis=1, how="all").items()
-    }
+    numbers = figures.select_dtypes("float").dropna(axis=1, how="all")
+    medians = numbers.agg(["median", "min", "max"]).to_dict("list")
     return Summary(cases, Share(int(planned.sum()), len(rows)), share, binding, medians)

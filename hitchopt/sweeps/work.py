@@ -1,4 +1,4 @@
-"""What a worker does with a case: plan and fly it; and the workers, on dask."""
+"""The row of a case, planned and flown; and the workers that compute rows, on dask."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from hitchopt.plan import Plan
 
 Row = dict[str, Any]
-"""A row of the results, by column; what is not known is None."""
+"""A row of the results, by column; unknown values are None."""
 
 # Values of the column ``status``
 PLANNED, INFEASIBLE, LATE, FAILED, WRONG = "planned", "infeasible", "time limit", "failed", "wrong"
