@@ -203,7 +203,7 @@ class Study(OneLine):
     def cases(self) -> Iterator[Case]:
         """Yield all cases in order: problems, points, seeds."""
         for case in self._at(points(self.keys.parameters)):
-            options = case.simulate
+            options: Any = case.simulate
             first, count = (options.pop("seed"), options.pop("seeds")) if options else (None, 1)
             for seed in [None] if first is None else range(first, first + count):
                 yield replace(case, seed=seed)

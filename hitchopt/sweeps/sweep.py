@@ -234,5 +234,5 @@ def summary(rows: pandas.DataFrame, cases: int) -> Summary:
     binding = tuple((str(name), int(count)) for name, count in reasons.value_counts().items())
     figures = rows[[name for name in rows.columns if name.startswith(FIGURES)]]
     numbers = figures.select_dtypes("float").dropna(axis=1, how="all")
-    medians = numbers.agg(["median", "min", "max"]).to_dict("list")
+    medians: Any = numbers.agg(["median", "min", "max"]).to_dict("list")
     return Summary(cases, Share(int(planned.sum()), len(rows)), share, binding, medians)
