@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,20 +11,21 @@ from numpy.typing import NDArray
 from hitchopt.values import Array
 from hitchopt.view.cables import CLASPS
 from hitchopt.view.scene import Concerned, Scene
-from hitchopt.view.shapes import SPAN, drone_parts, mesh, object_faces, slab_faces, sphere_faces
-from hitchopt.view.style import MARK_COLOUR, cable_colours, drone_colours, object_colours
+from hitchopt.view.shapes import SPAN, Solid, mesh, sphere_faces
+from hitchopt.view.style import MARK_COLOUR, rgb
 
 Server = Any  # A viser server; viser is imported only where it is used
 NEWTON = 0.2  # Length of an arrow of 1 N [m]
 MOST_NAMED = 40  # Number of drones up to which all are named at first: more names hide the scene
 # Colour of a ghost and of an old plan's cables, and opacity of their drones and objects
-PALE, GHOSTLY = (150, 156, 162), 0.4
+PALE, GHOSTLY = "#969ca2", 0.4
 # Time between the corners of drawn paths [s]: they are off by the acceleration times its square
 # over 8, some millimetres. Browsers that draw by software are slow with more segments
 PATH_STEP, MOST_SEGMENTS = 0.1, 4000
 # Width of a path [pixels], as thinner ones have gaps, and of the arena's edges [m]
 PATH_WIDTH, EDGE = 1.2, 0.006
-ARENA_COLOUR, KEEP_OUT_COLOUR = (203, 203, 203), (179, 38, 30)
+ARENA_COLOUR, SHELL_COLOUR = "#cbcbcb", "#2a8c82"
+ARROWS = {"forces": "#c8414f", "thrusts": "#0b3c5d"}  # Colours of the drones' arrows
 
 SWITCHES = ("paths", "downwash ellipsoids", "forces", "thrusts", "names")
 
@@ -39,12 +40,10 @@ class LiveScene:
     def __init__(self, server: Server, scene: Scene, name: str, *, ghost: bool = False) -> None:
         self.scene, self._api, self._name, self._ghost = scene, server.scene, name, ghost
         self._marked, self._pale, self._moment = Concerned(), False, scene.at(0.0)
-        team, few = scene.motion.team, len(scene.motion.team.drone_names) <= MOST_NAMED
+        few = len(scene.motion.team.drone_names) <= MOST_NAMED
         self.shown = {switch: few and switch in ("paths", "names") for switch in SWITCHES}
-        self._cable_colours = _as_bytes(cable_colours(team.robots))
-        if ghost:
-            self._cable_colours[:] = PALE
-        cables = _segments(self._moment.cables)
+        colours, cables = scene.appearance.cable_colours, _segments(self._moment.cables)
+        self._cable_colours = (PALE,) * len(colours) if ghost else colours
         self._cables = self._lines("cables", cables, self._cable_colours, 2.0 * scene.radius)
         self._drones, self._objects = self._add_drones(), self._add_objects()
         if not ghost:
@@ -81,9 +80,10 @@ class LiveScene:
         """Give everything the colours that it has now."""
         for solid in (*self._drones, *self._objects):
             solid.opacity = GHOSTLY if self._pale else None
-        colours = np.where(self._pale, np.array(PALE, np.uint8), self._cable_colours)
-        colours[list(self._marked.cables)] = MARK_COLOUR
-        if len(colours):
+        colours = [PALE if self._pale else colour for colour in self._cable_colours]
+        for k in self._marked.cables:
+            colours[k] = MARK_COLOUR
+        if colours:
             self._cables.colors = self._per_segment(colours, len(self._cables.points))
         self._draw()
 
@@ -125,51 +125,37 @@ class LiveScene:
             self._marks.batched_wxyzs = _upright(len(balls))
 
     def _add_drones(self) -> list[Any]:
-        batches = []
-        for name, (faces, own) in drone_parts(self.scene.motion).items():
-            colours = PALE if self._ghost else _in_linear_light(_as_bytes(own))
-            opacity = GHOSTLY if self._ghost else None
-            batches.append(self._batch(f"drones/{name}", faces, colours, opacity))
+        opacity, batches = GHOSTLY if self._ghost else None, []
+        for part in self.scene.appearance.drone_parts():
+            colours = _as_bytes((PALE,))[0] if self._ghost else _as_bytes(part.colours, linear=True)
+            batches.append(self._batch(f"drones/{part.name}", part.faces, colours, opacity))
         return batches
 
     def _add_objects(self) -> list[Any]:
-        bodies = self.scene.motion.requirements.objects
-        colours = _as_bytes(object_colours(self.scene.motion)).tolist()
-        look: dict[str, Any] = {"flat_shading": True, "side": "double", "cast_shadow": False}
-        if self._ghost:
-            look["opacity"], colours = GHOSTLY, [PALE] * len(colours)
-        return [
-            self._api.add_mesh_simple(
-                f"{self._name}objects/{name}",
-                *mesh(object_faces(body)),
-                color=tuple(colour),
-                **look,
-            )
-            for (name, body), colour in zip(bodies.items(), colours, strict=True)
-        ]
+        opacity, objects = GHOSTLY if self._ghost else None, self.scene.appearance.objects
+        return [self._solid(f"objects/{each.name}", each, opacity=opacity) for each in objects]
 
     def _add_switched(self) -> None:
         """Add what can be switched off, and the balls that mark."""
-        scene, team, drones = self.scene, self.scene.motion.team, self._moment.drones
-        separation = scene.motion.requirements.separation
-        axes = [separation.radius, separation.radius, separation.height]
-        self._shells = self._batch("ellipsoids", sphere_faces(axes), (42, 140, 130), 0.15)
-        reach = sphere_faces(1.5 * SPAN * separation.radius)
-        self._marks = self._batch("marks", reach, MARK_COLOUR, 0.5, count=1)
+        scene, look, drones = self.scene, self.scene.appearance, self._moment.drones
+        shell, marked = _as_bytes((SHELL_COLOUR, MARK_COLOUR))
+        self._shells = self._batch("ellipsoids", sphere_faces(look.ellipsoid), shell, 0.15)
+        reach = sphere_faces(1.5 * SPAN * look.ellipsoid[0])
+        self._marks = self._batch("marks", reach, marked, 0.5, count=1)
         points = np.repeat(drones[:, None], 2, axis=1)
         self._arrows = {
-            kind: self._lines(kind, points, np.tile(np.array(colour, np.uint8), (len(points), 1)))
-            for kind, colour in (("forces", (200, 65, 79)), ("thrusts", (11, 60, 93)))
+            kind: self._lines(kind, points, (colour,)) for kind, colour in ARROWS.items()
         }
         most, end = max(2, MOST_SEGMENTS // len(drones)), scene.t[-1]
         corners = np.linspace(0.0, end, int(np.clip(end / PATH_STEP, 2, most)))
         rows = np.unique(np.searchsorted(scene.t, corners))
-        pale = (0.5 * _as_bytes(drone_colours(team)) + 120.0).astype(np.uint8)
+        pale = 0.5 * rgb(look.drone_colours) + 0.47
+        colours = [f"#{bytes(each).hex()}" for each in np.rint(255.0 * pale).astype(np.uint8)]
         paths = _segments(np.moveaxis(scene.drones[rows], 1, 0))
-        self._paths = self._lines("paths", paths, pale, PATH_WIDTH, "screen")
+        self._paths = self._lines("paths", paths, colours, PATH_WIDTH, "screen")
         self._labels = [
             self._api.add_label(f"{self._name}names/{drone}", drone, position=tuple(place))
-            for drone, place in zip(team.drone_names, drones, strict=True)
+            for drone, place in zip(look.drones, drones, strict=True)
         ]
 
     def _add_surroundings(self) -> None:
@@ -183,18 +169,18 @@ class LiveScene:
             position=(middle[0], middle[1], requirements.floor), cell_color=(205, 209, 213),
             section_color=(175, 180, 186),
         )  # fmt: skip
-        if requirements.arena is not None:
-            ends = np.array([requirements.arena.lower, requirements.arena.upper])
-            corners = [[0, 0, 0], [1, 1, 0], [0, 1, 1], [1, 0, 1]]
-            edges = [[a, [*a[:i], 1 - a[i], *a[i + 1 :]]] for a in corners for i in range(3)]
-            box = ends[np.array(edges), np.arange(3)]
-            shades = np.tile(np.array(ARENA_COLOUR, np.uint8), (len(box), 1))
-            self._lines("arena", box, shades, EDGE)
-        for i, prism in enumerate(requirements.keep_out):
-            self._api.add_mesh_simple(
-                f"{self._name}keep_out/{i}", *mesh(slab_faces(prism.slab)), color=KEEP_OUT_COLOUR,
-                opacity=0.25, side="double", cast_shadow=False,
-            )  # fmt: skip
+        if len(self.scene.appearance.arena):
+            self._lines("arena", self.scene.appearance.arena, (ARENA_COLOUR,), EDGE)
+        for each in self.scene.appearance.keep_outs:
+            self._solid(each.name, each, opacity=0.25)
+
+    def _solid(self, name: str, solid: Solid, opacity: float | None) -> Any:
+        """Add one solid."""
+        (colour,) = _as_bytes((PALE,) if self._ghost else solid.colours).tolist()
+        return self._api.add_mesh_simple(
+            f"{self._name}{name}", *mesh(solid.faces), color=tuple(colour), opacity=opacity,
+            flat_shading=True, side="double", cast_shadow=False,
+        )  # fmt: skip
 
     def _batch(
         self, name: str, faces: Array, colours: Any, opacity: float | None = None, count: int = 0
@@ -208,7 +194,7 @@ class LiveScene:
         )  # fmt: skip
 
     def _lines(
-        self, name: str, points: NDArray[Any], colours: NDArray[np.uint8], thickness: float = 0.01,
+        self, name: str, points: NDArray[Any], colours: Sequence[str], thickness: float = 0.01,
         units: str = "world",
     ) -> Any:  # fmt: skip
         """Add segments (m, 2, 3) [m]; every colour is that of equally many."""
@@ -218,10 +204,12 @@ class LiveScene:
             thickness_units=units,
         )  # fmt: skip
 
-    def _per_segment(self, colours: NDArray[np.uint8], count: int) -> NDArray[np.uint8]:
+    def _per_segment(self, colours: Sequence[str], count: int) -> NDArray[np.uint8]:
         """Return colours (count, 2, 3), each for equally many segments."""
         each = count // max(len(colours), 1)
-        return np.repeat(np.repeat(_in_linear_light(colours), each, axis=0)[:, None], 2, axis=1)
+        return np.repeat(
+            np.repeat(_as_bytes(colours, linear=True), each, axis=0)[:, None], 2, axis=1
+        )
 
 
 def _single(values: Array) -> NDArray[np.float32]:
@@ -239,13 +227,6 @@ def _segments(curves: Array) -> NDArray[np.float32]:
     return _single(np.stack([curves[:, :-1], curves[:, 1:]], axis=2).reshape(-1, 2, 3))
 
 
-def _as_bytes(colours: Iterable[str]) -> NDArray[np.uint8]:
-    """Return colours such as #0b3c5d as bytes (…, 3)."""
-    return np.array([list(bytes.fromhex(each[1:])) for each in colours], np.uint8).reshape(-1, 3)
-
-
-def _in_linear_light(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return colours in linear light: viser takes those of lines and batches to be."""
-    share = colours / 255.0
-    light = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
-    return np.rint(255.0 * light).astype(np.uint8)
+def _as_bytes(colours: Iterable[str], *, linear: bool = False) -> NDArray[np.uint8]:
+    """Return colours as bytes (…, 3); ``linear`` as viser takes those of lines and batches."""
+    return np.rint(255.0 * rgb(colours, linear=linear)).astype(np.uint8)

@@ -24,7 +24,7 @@ from hitchopt.motion.motion import CableState, Motion
 from hitchopt.values import Array
 from hitchopt.view import style
 from hitchopt.view.scene import Moment, Scene, scene_at
-from hitchopt.view.shapes import SEGMENTS, drone_parts, normals, object_faces, split
+from hitchopt.view.shapes import SEGMENTS, normals, split
 
 # Width of a cable with its pale edges over that without, and length by which its segments
 # overlap, in its radii: bends have no gaps
@@ -85,22 +85,22 @@ class Painter:
     def __init__(
         self, scene: Scene, camera: Camera, width: float = 0.0, size: float = 1.0, step: int = 1
     ) -> None:
-        motion, team = scene.motion, scene.motion.team
-        self.camera, self.step, self._floor = camera, step, motion.requirements.floor
+        need, look = scene.motion.requirements, scene.appearance
+        self.camera, self.step, self._floor = camera, step, need.floor
         self._width = width or scene.radius
-        self.cables = to_rgba_array(style.cable_colours(team.robots))
-        corners = max(FEWEST, SEGMENTS // step)
-        parts = drone_parts(motion, size, corners).items()
+        self.cables = to_rgba_array(look.cable_colours)
+        parts = look.drone_parts(size, max(FEWEST, SEGMENTS // step))
         # Of frames, which are solid, only what faces the viewer is painted.
-        self._parts = [(faces, to_rgba_array(own), name == "frame") for name, (faces, own) in parts]
-        bodies = motion.requirements.objects.values()
-        fills = to_rgba_array(style.object_colours(motion))
+        self._parts = [(x.faces, to_rgba_array(x.colours), x.name == "frame") for x in parts]
         # Objects stand on tables, and lie on cables, which are drawn thicker than they are.
         backs = (
-            body.circumradius / 2**SPLITS if body.fixed else -2.0 * self._width for body in bodies
+            body.circumradius / 2**SPLITS if body.fixed else -2.0 * self._width
+            for body in need.objects.values()
         )
-        faces = (split(object_faces(body), SPLITS) for body in bodies)
-        self._objects = list(zip(faces, fills, backs, strict=True))
+        self._objects = [
+            (split(solid.faces, SPLITS), to_rgba_array(solid.colours), back)
+            for solid, back in zip(look.objects, backs, strict=True)
+        ]
 
     def painted(self, moment: Moment) -> Painting:
         """Return a moment: shadows on the ground, then everything else, the farthest first."""
@@ -146,7 +146,7 @@ class Painter:
             outward = normals(there)
             shown = outward @ self.camera.axes[2] > 0.0
             bright = DARKEST + (1.0 - DARKEST) * np.maximum(outward[shown] @ LIGHT, 0.0)
-            shades = np.tile(fill, (len(bright), 1))
+            shades = np.repeat(fill, len(bright), axis=0)
             shades[:, :3] *= bright[:, None]
             layers.append((self.camera.seen(there[shown]), shades, back))
         return layers
@@ -230,7 +230,7 @@ def draw_storyboard(
     for k, (shot, i, middle) in enumerate(zip(shots, moments, middles, strict=True)):
         axes: Axes = grid.figure.add_subplot(grid[k // columns, k % columns])
         lines = np.moveaxis(paths[reached[max(k - 1, 0)] : reached[k] + 1], 1, 0)
-        style.draw_lines(axes, lines, style.drone_colours(team), 0.6, 1, alpha=PALE)
+        style.draw_lines(axes, lines, scene.appearance.drone_colours, 0.6, 1, alpha=PALE)
         draw_painting(axes, painter.painted(scene.at(float(scene.t[i]))))
         (left, low), (right, high) = middle - half, middle + half
         axes.set(aspect="equal", xlim=(left, right), ylim=(low, high), xticks=[], yticks=[])

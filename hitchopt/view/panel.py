@@ -20,7 +20,8 @@ from hitchopt.view.style import MARK_COLOUR
 WIDTH = 330  # Width of the panel [pixels]
 # Radius of a handle, and length of the arrows of the one that is chosen [m]
 SIZE, REACH = 0.04, 0.35
-IDLE_COLOUR = (90, 96, 102)  # Colour of handles that are not chosen
+# Colours of the handle that is chosen, and of the others, as red, green and blue
+CHOSEN_COLOUR, IDLE_COLOUR = tuple(bytes.fromhex(MARK_COLOUR[1:])), (90, 96, 102)
 # Number of handles of a step up to which all are drawn, while a list has all of them; and
 # decimals of what one is dragged by [m]: nobody drags more finely
 MOST, DECIMALS = 80, 4
@@ -182,7 +183,7 @@ class EditingPanel:
             raise
 
     def _ball(self, handle: Handle) -> Any:
-        colour = MARK_COLOUR if handle.name == self.handle else IDLE_COLOUR
+        colour = CHOSEN_COLOUR if handle.name == self.handle else IDLE_COLOUR
         ball = self.live.server.scene.add_icosphere(
             f"/edit/{handle.name}", SIZE, colour, position=tuple(handle.place), cast_shadow=False
         )

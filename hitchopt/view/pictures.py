@@ -32,6 +32,7 @@ from hitchopt.values import Array
 from hitchopt.view import painter, style
 from hitchopt.view.painter import PALE
 from hitchopt.view.scene import scene_at
+from hitchopt.view.shapes import Appearance
 from hitchopt.view.style import COLOURS, DASHES, INK, LIMIT_COLOUR, draw_lines, write
 
 # Width and height [inch], shares of left and right, and on the left of few panels and what is
@@ -267,7 +268,7 @@ def draw_plan_view(axes: Axes, motion: Motion, gap: float = 0.1) -> None:
     ``gap`` is between the axes and the legend below, as a share of the axes' height.
     """
     team, requirements, cables = motion.team, motion.requirements, motion.team.has_cables
-    radius, colours = requirements.separation.radius, style.drone_colours(team)
+    radius, colours = requirements.separation.radius, Appearance.of(motion).drone_colours
     flown = motion.drones.at(motion.drones.breaks[0] + _sampled_times(motion))[..., :2]
     opacity = PALE if cables else 1.0
     draw_lines(axes, np.moveaxis(flown, 1, 0), colours, 0.8, 1, alpha=opacity)

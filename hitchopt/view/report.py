@@ -27,7 +27,7 @@ from hitchopt.view import style
 from hitchopt.view.cables import CLASPS, HOOKED, POINTS
 from hitchopt.view.pictures import draw_summary, panels, sampled_states
 from hitchopt.view.scene import Scene, concerned, scene_of
-from hitchopt.view.shapes import mesh, object_faces
+from hitchopt.view.shapes import Solid, mesh
 
 # Endings of files that a plan can be written to
 PAGE, PICTURES, FILMS = ".html", (".png", ".svg", ".pdf"), (".mp4", ".gif")
@@ -153,10 +153,8 @@ def packed(arrays: Mapping[str, Array]) -> tuple[list[dict[str, Any]], str]:
 def _described(scene: Scene) -> dict[str, Any]:
     """Return what does not change over time, and the phases."""
     motion, team = scene.motion, scene.motion.team
-    requirements, layout = motion.requirements, scene.motion.team.layout
-    arena, separation = requirements.arena, requirements.separation
-    bodies = [mesh(object_faces(body)) for body in requirements.objects.values()]
-    solids = zip(style.object_colours(motion), bodies, strict=True)
+    layout = motion.team.layout
+    look = scene.appearance
     clasps = zip(layout.clasps.tolist(), layout.ahead.tolist(), strict=True)
     return {
         "t": np.round(scene.t, 6).tolist(),
@@ -169,27 +167,30 @@ def _described(scene: Scene) -> dict[str, Any]:
             }
             for phase in motion.phases
         ],
-        "names": list(team.drone_names),
-        "colours": list(style.drone_colours(team)),
-        "cables": team.robots,
+        "names": list(look.drones),
+        "colours": list(look.drone_colours),
+        "cable_colours": list(look.cable_colours),
+        "mark": style.MARK_COLOUR,
         "points": POINTS,
         "radius": scene.radius,
         "clasps": [
             {"name": team.point_names[p], "vertex": p, "point": k * POINTS + CLASPS[0]}
             for p, k in clasps
         ],
-        "objects": [
-            {"colour": colour, "corners": np.round(np.float64(vertices[faces]).ravel(), 6).tolist()}
-            for colour, (vertices, faces) in solids
-        ],
-        "floor": requirements.floor,
-        "ellipsoid": [separation.radius, separation.radius, separation.height],
-        "arena": arena and {"lower": arena.lower.tolist(), "upper": arena.upper.tolist()},
-        "keep_out": [
-            {"polygon": prism.polygon.vertices.tolist(), "lower": prism.lower, "upper": prism.upper}
-            for prism in requirements.keep_out
-        ],
+        "drone_parts": list(map(_solid, look.drone_parts())),
+        "objects": list(map(_solid, look.objects)),
+        "keep_outs": list(map(_solid, look.keep_outs)),
+        "arena": look.arena.ravel().tolist(),
+        "floor": motion.requirements.floor,
+        "ellipsoid": list(look.ellipsoid),
     }
+
+
+def _solid(solid: Solid) -> dict[str, Any]:
+    """Return the colours of a solid, and the corners of its triangles."""
+    vertices, triangles = mesh(solid.faces)
+    corners = np.round(np.float64(vertices[triangles]).ravel(), 6).tolist()
+    return {"colours": list(solid.colours), "corners": corners}
 
 
 def _plots(motion: Motion, certificate: Certificate) -> Iterator[dict[str, Any]]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,6 +23,7 @@ from hitchopt.motion.states import states_at
 from hitchopt.storage.archive import BROKEN, PLAN, RECORDING, read_arrays
 from hitchopt.values import Array
 from hitchopt.view.cables import POINTS, THICKNESS, cable_curves
+from hitchopt.view.shapes import Appearance
 
 # Largest number of coordinates of drones and cables in a scene; least number of times, besides
 # the ends of its phases, whatever that comes to; and most times a second [Hz]
@@ -50,6 +52,11 @@ class Scene(Moment):
     motion: Motion  # the plan, with limits, arena, keep-outs and objects
     t: Array  # (times,) [s], from its start; the ends of all phases among them
     radius: float  # of drawn cables [m]
+
+    @cached_property
+    def appearance(self) -> Appearance:
+        """Names, colours and shapes of all that is drawn."""
+        return Appearance.of(self.motion)
 
     def at(self, time: float) -> Moment:
         """Return the scene at a time [s], interpolated between its samples."""

@@ -1,10 +1,13 @@
-"""Surfaces of drones, objects and spheres.
+"""Surfaces of drones, objects and spheres; names, colours and shapes of all that a plan shows.
 
 Faces are arrays (m, 4, 3) [m] of corners, counter-clockwise seen from outside; a triangle has its
 last corner twice.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,7 +16,15 @@ from hitchopt.geometry.vectors import unit
 from hitchopt.motion.motion import Motion
 from hitchopt.objects import Slab, SolidObject
 from hitchopt.values import Array
-from hitchopt.view.style import FRAME, OPEN, drone_colours
+from hitchopt.view.style import (
+    FRAME,
+    KEEP_OUT_COLOUR,
+    OBJECT_COLOUR,
+    OPEN,
+    TABLE_COLOUR,
+    cable_colours,
+    drone_colours,
+)
 
 SPAN = 0.8  # Reach of a drone's rotors as a share of its ellipsoid's radius
 SEGMENTS, ROUND = 16, 32  # Corners of a rotor, an even number, and of a drawn circle
@@ -41,18 +52,68 @@ def drone_faces(radius: float, segments: int = SEGMENTS) -> tuple[Array, Array, 
     return np.concatenate(boxes), rotors, rims
 
 
-def drone_parts(
-    motion: Motion, size: float = 1.0, segments: int = SEGMENTS
-) -> dict[str, tuple[Array, list[str]]]:
-    """Return faces and a colour for every drone of drones drawn ``size`` times as large.
+class Solid(NamedTuple):
+    """A surface that moves as a whole, at one place or at several."""
 
-    Rotors of drones q are filled, and those of drones r are open.
+    name: str
+    faces: Array  # (m, 4, 3) [m] about its own origin
+    colours: tuple[str, ...]  # one for each of its places
+
+
+@dataclass(frozen=True, eq=False)
+class Appearance:
+    """Names, colours and shapes of a plan's drones, cables and surroundings, at all times.
+
+    Pictures, films, the live view, reports and exported scenes draw these.
     """
-    names, own = motion.team.drone_names, drone_colours(motion.team)
-    fills = [OPEN if name[0] == "r" else colour for name, colour in zip(names, own, strict=True)]
-    colours = [FRAME] * len(own), fills, list(own)
-    faces = drone_faces(size * motion.requirements.separation.radius, segments)
-    return dict(zip(("frame", "rotors", "rims"), zip(faces, colours, strict=True), strict=True))
+
+    drones: tuple[str, ...]  # their names
+    drone_colours: tuple[str, ...]
+    cable_colours: tuple[str, ...]
+    ellipsoid: tuple[float, float, float]  # semi-axes of a drone's ellipsoid [m]
+    objects: tuple[Solid, ...]
+    keep_outs: tuple[Solid, ...]  # about the world's origin, as the arena
+    arena: Array  # edges (12 or 0, 2, 3) [m]
+
+    @classmethod
+    def of(cls, motion: Motion) -> Appearance:
+        """Return the appearance of a plan."""
+        team, need = motion.team, motion.requirements
+        radius, height = need.separation.radius, need.separation.height
+        objects = (
+            Solid(name, object_faces(body), (TABLE_COLOUR if body.fixed else OBJECT_COLOUR,))
+            for name, body in need.objects.items()
+        )
+        keep_outs = (
+            Solid(f"keep_out {i}", slab_faces(prism.slab), (KEEP_OUT_COLOUR,))
+            for i, prism in enumerate(need.keep_out)
+        )
+        arena = np.zeros((0, 2, 3))
+        if need.arena is not None:
+            corners = [[0, 0, 0], [1, 1, 0], [0, 1, 1], [1, 0, 1]]
+            edges = [[a, [*a[:i], 1 - a[i], *a[i + 1 :]]] for a in corners for i in range(3)]
+            ends = np.array([need.arena.lower, need.arena.upper])
+            arena = ends[np.array(edges), np.arange(3)]
+        return cls(
+            team.drone_names,
+            drone_colours(team),
+            cable_colours(team.robots),
+            (radius, radius, height),
+            tuple(objects),
+            tuple(keep_outs),
+            arena,
+        )
+
+    def drone_parts(self, size: float = 1.0, segments: int = SEGMENTS) -> tuple[Solid, ...]:
+        """Return the parts of drones that are drawn ``size`` times as large.
+
+        Rotors of drones q are filled, and those of drones r are open.
+        """
+        own, named = self.drone_colours, zip(self.drones, self.drone_colours, strict=True)
+        fills = tuple(OPEN if name[0] == "r" else colour for name, colour in named)
+        faces = drone_faces(size * self.ellipsoid[0], segments)
+        colours = (FRAME,) * len(own), fills, own
+        return tuple(map(Solid, ("frame", "rotors", "rims"), faces, colours))
 
 
 def object_faces(body: SolidObject) -> Array:
@@ -104,9 +165,9 @@ def mesh(faces: Array) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
     """Return vertices (v, 3) [m] and triangles (f, 3) of faces."""
     corners = np.round(faces.reshape(-1, 3), 9)
     vertices, index = np.unique(corners, axis=0, return_inverse=True)
-    found = index.reshape(-1, 4)[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
-    whole = np.all(found != np.roll(found, 1, axis=1), axis=1)
-    return vertices.astype(np.float32), found[whole].astype(np.uint32)
+    triangles = index.reshape(-1, 4)[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
+    flat = np.any(triangles == np.roll(triangles, 1, axis=1), axis=1)
+    return vertices.astype(np.float32), triangles[~flat].astype(np.uint32)
 
 
 def _circle(corners: int) -> Array:

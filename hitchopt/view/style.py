@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import textwrap
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Literal
@@ -29,11 +29,11 @@ if TYPE_CHECKING:
 # Colours of cables and drones. The first three differ in grey as well (luminance 20, 45 and 70
 # per cent); the last one, of 45 per cent, stands only between the first and the third
 COLOURS = ("#0b3c5d", "#2a8c82", "#e0a526", "#c8414f")
-# Colours of objects that never move, and of those that can be carried
-TABLE_COLOUR, OBJECT_COLOUR = "#d3d8dd", "#e8d3a8"
+# Colours of objects that never move, of those that can be carried, and of keep-outs
+TABLE_COLOUR, OBJECT_COLOUR, KEEP_OUT_COLOUR = "#d3d8dd", "#e8d3a8", "#b3261e"
 # Colours of drones' frames, and of hollow rotors and of cables' edges
 FRAME, OPEN = "#2b2f33", "#ffffff"
-MARK_COLOUR = (232, 89, 12)  # Colour of what a check concerns, as red, green and blue
+MARK_COLOUR = "#e8590c"  # Colour of what a check concerns
 # Colours of curves and of limits, which are dashed and differ from curves in grey as well
 INK, LIMIT_COLOUR, DASHES = "0.1", "#b3261e", (0, (6, 2))
 # Kinds of drawings, and what would make their bytes depend on more than their content
@@ -58,10 +58,16 @@ def drone_colours(team: Team) -> tuple[str, ...]:
     return tuple(COLOURS[i % len(COLOURS)] for i in range(len(team.drone_names)))
 
 
-def object_colours(motion: Motion) -> tuple[str, ...]:
-    """Return a colour for each object."""
-    bodies = motion.requirements.objects.values()
-    return tuple(TABLE_COLOUR if body.fixed else OBJECT_COLOUR for body in bodies)
+def rgb(colours: Iterable[str], *, linear: bool = False) -> Array:
+    """Return colours such as #0b3c5d as red, green and blue (…, 3) from 0 to 1.
+
+    They are encoded as in sRGB, or ``linear`` in the intensity of light.
+    """
+    codes = [list(bytes.fromhex(colour[1:])) for colour in colours]
+    encoded = np.array(codes, np.float64).reshape(-1, 3) / 255.0
+    if not linear:
+        return encoded
+    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
 
 
 def facts(motion: Motion) -> str:

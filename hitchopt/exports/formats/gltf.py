@@ -29,13 +29,13 @@ from hitchopt.storage.archive import reading
 from hitchopt.storage.files import parsed_json
 from hitchopt.values import Array
 from hitchopt.view.scene import scene_at
-from hitchopt.view.shapes import drone_faces, mesh, object_faces, slab_faces
+from hitchopt.view.shapes import Solid, mesh, slab_faces
+from hitchopt.view.style import rgb
 
 FLOAT, UNSIGNED = 5126, 5125  # Types of numbers in accessors, 32 bits each
 KINDS = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}  # Types of rows in accessors
 MAX_BYTES = 2_000_000_000  # Size limit of a file that is read [B]
 SPANS = [0, 3, 6, 10, 14, 17, 21, 24, 28, 32, 35, 38]  # Points of a drawn cable that spans join
-COLOURS = {"drones": (0.04, 0.24, 0.36), "cables": (0.88, 0.65, 0.15), "objects": (0.9, 0.83, 0.66)}
 
 
 class Gltf(Format):
@@ -59,14 +59,13 @@ class Gltf(Format):
         if single[-1] < t[-1]:  # rounded up: the scene holds all of the plan
             single[-1] = np.nextafter(single[-1], np.float32(np.inf))
         times = document.numbers(single)
-        bodies = [
-            (name, drawn.drones[:, i], drawn.quaternions[:, i]) for i, name in enumerate(task.names)
-        ]
-        drone = np.concatenate(drone_faces(motion.requirements.separation.radius))
-        meshes = [document.mesh(drone, "drones")] * len(bodies)
-        for i, (name, body) in enumerate(motion.requirements.objects.items()):
-            meshes.append(document.mesh(object_faces(body), "objects"))
-            bodies.append((name, drawn.objects[:, i, :3], drawn.objects[:, i, 3:]))
+        look, bodies = drawn.appearance, list[tuple[str, Array, Array]]()
+        meshes = document.meshes("drones", look.drone_parts())
+        for i, name in enumerate(task.names):
+            bodies.append((name, drawn.drones[:, i], drawn.quaternions[:, i]))
+        for i, solid in enumerate(look.objects):
+            meshes += document.meshes("objects", [solid])
+            bodies.append((solid.name, drawn.objects[:, i, :3], drawn.objects[:, i, 3:]))
         roots, turn = [], Rotation.from_euler("z", frame.yaw)
         for mesh_, (name, places, quaternions) in zip(meshes, bodies, strict=True):
             turned = (turn * Rotation.from_quat(quaternions, scalar_first=True)).as_quat()
@@ -74,8 +73,9 @@ class Gltf(Format):
             paths = {"translation": y_up(frame.points(places)), "rotation": turned}
             roots.append(document.moved(name, mesh_, times, paths))
         span = slab_faces(Slab(Section(radius=1.0), -0.5, 0.5))
-        shape = document.mesh(span, "cables") if drawn.cables.size else -1
-        for k in range(drawn.cables.shape[1]):
+        cables = Solid("cables", span, look.cable_colours)
+        shapes = document.meshes("cables", [cables] if drawn.cables.size else [])
+        for k, shape in enumerate(shapes):
             points = y_up(frame.points(drawn.cables[:, k, SPANS]))
             apart, middles = np.diff(points, axis=1), 0.5 * (points[:, 1:] + points[:, :-1])
             scales = np.full_like(apart, drawn.radius)
@@ -104,6 +104,7 @@ class _Document:
         kinds = ("accessors", "bufferViews", "meshes", "materials", "nodes")
         self.lists: dict[str, list[Any]] = {kind: [] for kind in kinds}
         self.animation: dict[str, list[Any]] = {"channels": [], "samplers": []}
+        self._materials: dict[str, int] = {}
 
     def added(self, kind: str, **entry: Any) -> int:
         """Append an entry to a list of the document; return its index."""
@@ -126,14 +127,34 @@ class _Document:
             max=stored.max(axis=0).tolist(),
         )
 
-    def mesh(self, faces: Array, colour: str) -> int:
-        """Store faces (m, 4, 3) with z up; return their mesh."""
-        vertices, triangles = mesh(y_up(faces))
-        base = {"baseColorFactor": [*COLOURS[colour], 1.0], "metallicFactor": 0.0}
-        material = self.added("materials", pbrMetallicRoughness=base, doubleSided=True)
-        places, corners = {"POSITION": self.numbers(vertices)}, self.numbers(triangles.ravel())
-        part = {"attributes": places, "indices": corners, "material": material}
-        return self.added("meshes", name=colour, primitives=[part])
+    def meshes(self, name: str, parts: Sequence[Solid]) -> list[int]:
+        """Store solids with z up that move together; return a mesh for each of their places."""
+        surfaces = []
+        for part in parts:
+            vertices, triangles = mesh(y_up(part.faces))
+            places, corners = {"POSITION": self.numbers(vertices)}, self.numbers(triangles.ravel())
+            surfaces.append({"attributes": places, "indices": corners})
+        stored: dict[tuple[str, ...], int] = {}
+        for colours in zip(*(part.colours for part in parts), strict=True):
+            if colours not in stored:
+                primitives = [
+                    {**surface, "material": self.material(colour)}
+                    for surface, colour in zip(surfaces, colours, strict=True)
+                ]
+                stored[colours] = self.added("meshes", name=name, primitives=primitives)
+        return [stored[colours] for colours in zip(*(part.colours for part in parts), strict=True)]
+
+    def material(self, colour: str) -> int:
+        """Return the material of a colour such as #0b3c5d."""
+        if colour not in self._materials:
+            base = {
+                "baseColorFactor": [*rgb((colour,), linear=True)[0], 1.0],
+                "metallicFactor": 0.0,
+            }
+            self._materials[colour] = self.added(
+                "materials", pbrMetallicRoughness=base, doubleSided=True
+            )
+        return self._materials[colour]
 
     def moved(self, name: str, mesh: int, times: int, paths: Mapping[str, Array]) -> int:
         """Add a node that is moved at the times of an accessor along its paths; return it."""

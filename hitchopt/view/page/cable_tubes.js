@@ -1,10 +1,10 @@
-// Cables as tubes of six sides around the points of `data.cables` curves, `data.points` each.
-const MARK = "#e8590c", SIDES = 6;
+// Cables as tubes of six sides around curves of `points` points, one of each of `colours`.
+const SIDES = 6;
 
 class CableTubes {
-  constructor(data, scene) {
-    this.data = data;
-    const { cables, points } = data, geometry = new THREE.BufferGeometry(), rings = cables * points;
+  constructor(scene, points, colours, mark) {
+    Object.assign(this, { points, colours, mark });
+    const cables = colours.length, geometry = new THREE.BufferGeometry(), rings = cables * points;
     for (const [name, size] of [["position", 3], ["normal", 3], ["color", 3]]) {
       geometry.setAttribute(name, new THREE.BufferAttribute(new Float32Array(rings * SIDES * size), size).setUsage(THREE.DynamicDrawUsage));
     }
@@ -22,9 +22,9 @@ class CableTubes {
 
   // Colours all cables, the marked ones otherwise.
   colour(marked) {
-    const { cables, points, colours } = this.data, colour = this.mesh.geometry.attributes.color;
-    for (let c = 0; c < cables; c++) {
-      const { r, g, b } = new THREE.Color(marked.includes(c) ? MARK : colours[2 * c]);
+    const { points, colours, mark } = this, colour = this.mesh.geometry.attributes.color;
+    for (let c = 0; c < colours.length; c++) {
+      const { r, g, b } = new THREE.Color(marked.includes(c) ? mark : colours[c]);
       for (let i = c * points * SIDES; i < (c + 1) * points * SIDES; i++) colour.setXYZ(i, r, g, b);
     }
     colour.needsUpdate = true;
@@ -32,7 +32,7 @@ class CableTubes {
 
   // Lays tubes of a radius around the curves' points `p`.
   update(p, radius) {
-    const { cables, points } = this.data, { position, normal } = this.mesh.geometry.attributes;
+    const cables = this.colours.length, points = this.points, { position, normal } = this.mesh.geometry.attributes;
     for (let c = 0; c < cables; c++) {
       let nx = 0.13, ny = 0.29, nz = 0.95;
       for (let i = 0; i < points; i++) {

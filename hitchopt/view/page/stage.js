@@ -1,5 +1,12 @@
 // The scene in three dimensions; `show()` draws what `arrays` hold now.
 
+// A surface of triangles with these corners, shaded face by face.
+function surface(corners) {
+  const geometry = new THREE.BufferGeometry().setAttribute("position", new THREE.Float32BufferAttribute(corners, 3));
+  geometry.computeVertexNormals();
+  return geometry;
+}
+
 class Stage {
   constructor(data, arrays, place) {
     Object.assign(this, { data, arrays, place, on: {}, marked: { drones: [], cables: [], vertices: [] } });
@@ -20,8 +27,9 @@ class Stage {
     this.addBounds();
     this.addDrones();
     this.addObjects();
-    this.tubes = new CableTubes(data, this.scene);
-    if (arrays.ghost) this.ghost = new CableTubes({ ...data, colours: data.colours.map(() => "#b4bac0") }, this.scene);
+    const { points, cable_colours: colours, mark } = data;
+    this.tubes = new CableTubes(this.scene, points, colours, mark);
+    if (arrays.ghost) this.ghost = new CableTubes(this.scene, points, colours.map(() => "#b4bac0"), mark);
     this.addPaths();
     this.addArrows();
     this.addMarks();
@@ -53,22 +61,16 @@ class Stage {
   }
 
   addBounds() {
-    const { arena, keep_out: prisms } = this.data;
-    const edges = (geometry, colour) => this.scene.add(new THREE.LineSegments(new THREE.EdgesGeometry(geometry), new THREE.LineBasicMaterial({ color: colour })));
-    if (arena) {
-      const size = arena.upper.map((x, i) => x - arena.lower[i]), box = new THREE.BoxGeometry(...size);
-      edges(box.translate(...arena.lower.map((x, i) => x + size[i] / 2)), "#9aa1a8");
-    }
-    for (const prism of prisms) {
-      const shape = new THREE.Shape(prism.polygon.map((p) => new THREE.Vector2(...p)));
-      const solid = new THREE.ExtrudeGeometry(shape, { depth: prism.upper - prism.lower, bevelEnabled: false }).translate(0, 0, prism.lower);
-      this.scene.add(new THREE.Mesh(solid, new THREE.MeshLambertMaterial({ color: "#b3261e", transparent: true, opacity: 0.25, depthWrite: false })));
-      edges(solid, "#b3261e");
+    this.lines(new Float32Array(this.data.arena), new THREE.LineBasicMaterial({ color: "#9aa1a8" }));
+    for (const { colours: [color], corners } of this.data.keep_outs) {
+      const solid = surface(corners), look = { color, transparent: true, opacity: 0.25, depthWrite: false, side: THREE.DoubleSide };
+      this.scene.add(new THREE.Mesh(solid, new THREE.MeshLambertMaterial(look)));
+      this.scene.add(new THREE.LineSegments(new THREE.EdgesGeometry(solid), new THREE.LineBasicMaterial({ color })));
     }
   }
 
   addDrones() {
-    const { names, colours, ellipsoid } = this.data, count = names.length;
+    const { names, drone_parts: parts, ellipsoid } = this.data, count = names.length;
     const instanced = (geometry, material) => {
       const mesh = new THREE.InstancedMesh(geometry, material, count);
       mesh.frustumCulled = false;
@@ -76,31 +78,18 @@ class Stage {
       return mesh;
     };
     this.size = 0.8 * ellipsoid[0];  // from the centre to a rotor's far side, about
-    const rotor = 0.38 * this.size, arm = 0.62 * this.size, dark = new THREE.MeshLambertMaterial({ color: "#2b2f33" });
-    const white = new THREE.MeshLambertMaterial({ color: "#ffffff", side: THREE.DoubleSide });
-    this.bodies = [instanced(new THREE.SphereGeometry(0.3 * this.size, 14, 10).scale(1, 1, 0.6), white)];
-    for (const turn of [45, 135]) {
-      this.bodies.push(instanced(new THREE.BoxGeometry(2 * arm, 0.09 * this.size, 0.07 * this.size).rotateZ(turn * Math.PI / 180), dark));
-    }
-    this.rotors = [];
-    for (let k = 0; k < 4; k++) {
-      const angle = (45 + 90 * k) * Math.PI / 180, x = arm * Math.cos(angle), y = arm * Math.sin(angle), z = 0.08 * this.size;
-      this.rotors.push(instanced(new THREE.CylinderGeometry(rotor, rotor, 0.03 * this.size, 20).rotateX(Math.PI / 2).translate(x, y, z), white));
-      this.rotors.push(instanced(new THREE.TorusGeometry(rotor, 0.06 * this.size, 6, 20).translate(x, y, z), white));
-    }
+    this.bodies = parts.map(({ colours, corners }) => {
+      const mesh = instanced(surface(corners), new THREE.MeshLambertMaterial({ side: THREE.DoubleSide }));
+      colours.forEach((colour, i) => mesh.setColorAt(i, new THREE.Color(colour)));
+      return mesh;
+    });
     this.shells = instanced(new THREE.SphereGeometry(1, 24, 16).scale(...ellipsoid), new THREE.MeshLambertMaterial({ color: "#2a8c82", transparent: true, opacity: 0.16, depthWrite: false }));
-    for (let i = 0; i < count; i++) {
-      const colour = new THREE.Color(colours[i]), open = names[i][0] === "r" ? new THREE.Color("#ffffff") : colour;
-      this.bodies[0].setColorAt(i, colour);
-      this.rotors.forEach((mesh, k) => mesh.setColorAt(i, k % 2 ? colour : open));
-    }
   }
 
   addObjects() {
-    this.objects = this.data.objects.map(({ colour, corners }) => {
-      const geometry = new THREE.BufferGeometry().setAttribute("position", new THREE.Float32BufferAttribute(corners, 3));
-      geometry.computeVertexNormals();
-      const solid = new THREE.Mesh(geometry, new THREE.MeshLambertMaterial({ color: colour, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 }));
+    this.objects = this.data.objects.map(({ colours: [color], corners }) => {
+      const geometry = surface(corners);
+      const solid = new THREE.Mesh(geometry, new THREE.MeshLambertMaterial({ color, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 }));
       solid.add(new THREE.LineSegments(new THREE.EdgesGeometry(geometry, 30), new THREE.LineBasicMaterial({ color: "#7c8288" })));
       this.scene.add(solid);
       return solid;
@@ -152,7 +141,7 @@ class Stage {
 
   addMarks() {
     const most = 64;
-    this.marks = new THREE.InstancedMesh(new THREE.SphereGeometry(1, 16, 12), new THREE.MeshBasicMaterial({ color: MARK, transparent: true, opacity: 0.55, depthTest: false }), most);
+    this.marks = new THREE.InstancedMesh(new THREE.SphereGeometry(1, 16, 12), new THREE.MeshBasicMaterial({ color: this.data.mark, transparent: true, opacity: 0.55, depthTest: false }), most);
     this.marks.frustumCulled = false;
     this.marks.renderOrder = 2;
     this.scene.add(this.marks);
@@ -230,7 +219,7 @@ class Stage {
 
   show() {
     if (!this.labels) return;
-    const { names } = this.data, p = this.arrays.drones.now, q = this.arrays.attitudes.now, all = [...this.bodies, ...this.rotors];
+    const { names } = this.data, p = this.arrays.drones.now, q = this.arrays.attitudes.now;
     const matrix = new THREE.Matrix4(), turn = new THREE.Quaternion(), place = new THREE.Vector3(), unit = new THREE.Vector3(1, 1, 1), scale = new THREE.Vector3();
     const larger = Math.max(1, 0.0035 * this.distance() / this.size);
     const thrusts = this.arrays.thrusts.now, forces = this.arrays.forces.now, tip = new THREE.Vector3(), up = new THREE.Vector3(0, 0, 1), perNewton = 0.2;
@@ -239,7 +228,7 @@ class Stage {
       place.set(p[3 * i], p[3 * i + 1], p[3 * i + 2]);
       turn.set(x, y, z, Math.sqrt(Math.max(0, 1 - x * x - y * y - z * z)));
       matrix.compose(place, turn, scale.setScalar(larger));
-      for (const mesh of all) mesh.setMatrixAt(i, matrix);
+      for (const mesh of this.bodies) mesh.setMatrixAt(i, matrix);
       this.shells.setMatrixAt(i, matrix.compose(place, new THREE.Quaternion(), unit));
       for (const [name, arrow] of Object.entries(this.arrows)) {
         if (name === "forces") tip.set(forces[3 * i], forces[3 * i + 1], forces[3 * i + 2]);
@@ -250,7 +239,7 @@ class Stage {
         arrow.heads.setMatrixAt(i, matrix.compose(tip, along, scale.setScalar(size > 1e-3 ? 1 : 0)));
       }
     }
-    for (const mesh of [...all, this.shells]) mesh.instanceMatrix.needsUpdate = true;
+    for (const mesh of [...this.bodies, this.shells]) mesh.instanceMatrix.needsUpdate = true;
     for (const [name, { shafts, heads }] of Object.entries(this.arrows)) {
       shafts.visible = heads.visible = !!this.on[name];
       shafts.geometry.attributes.position.needsUpdate = heads.instanceMatrix.needsUpdate = true;
