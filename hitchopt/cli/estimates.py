@@ -9,7 +9,7 @@ from typing import Any
 
 import hitchopt as ho
 from hitchopt.cli.failures import exit_infeasible
-from hitchopt.cli.options import command, plan_path
+from hitchopt.cli.options import PATH, command, option, plan_path
 from hitchopt.cli.output import ProgressBar, say, span_text, table
 from hitchopt.errors import InputError
 
@@ -23,24 +23,20 @@ CIRCLE = "circle:"
 
 @command(
     "directory DIR",
-    """
-    --at T: Time [s]; repeatable.
-    --samples N (25): Times without --at.
-    --stiffness N/M (float): Of the position loops; inf is rigid.
-    --integral/--no-integral (None): Position errors are driven to zero.
-    --feed-forward/--no-feed-forward (None): The cable force is fed forward.
-    --cable-length M[,M…] (text): Real lengths: one, or one per cable [m].
-    --density KG/M (float): Real cable density.
-    --load KG (float): Real mass at every clasp.
-    --axial-stiffness N (float): EA of the cables; 10 kN.
-    --friction MU (float): Real friction at the clasps, for the bands of rest.
-    --tolerance: Ranges for errors: cables ±1 cm, drones ±2 cm, or as given.
-    --cable-error M (text): Error of cable lengths: 0.01 bound, sd:0.01.
-    --position-error M (text): Error of drones' positions, likewise.
-    --force-error N (text): Error of the force feed-forward, likewise.
-    """,
-    at={"name": "times", "type": float, "multiple": True},
-    density={"name": "cable_density"},
+    option("--at times", "Time [s]; repeatable.", float, "T", multiple=True),
+    option("--samples", "Times without --at.", 25, "N"),
+    option("--stiffness", "Of the position loops; inf is rigid.", float, "N/M"),
+    option("--integral/--no-integral", "Position errors are driven to zero.", None),
+    option("--feed-forward/--no-feed-forward", "The cable force is fed forward.", None),
+    option("--cable-length", "Real lengths: one, or one per cable [m].", str, "M[,M…]"),
+    option("--density cable_density", "Real cable density.", float, "KG/M"),
+    option("--load", "Real mass at every clasp.", float, "KG"),
+    option("--axial-stiffness", "EA of the cables; 10 kN.", float, "N"),
+    option("--friction", "Real friction at the clasps, for the bands of rest.", float, "MU"),
+    option("--tolerance", "Ranges for errors: cables ±1 cm, drones ±2 cm, or as given."),
+    option("--cable-error", "Error of cable lengths: 0.01 bound, sd:0.01.", str, "M"),
+    option("--position-error", "Error of drones' positions, likewise.", str, "M"),
+    option("--force-error", "Error of the force feed-forward, likewise.", str, "N"),
 )
 def statics(
     directory: Path, times: tuple[float, ...], samples: int, *, tolerance: bool, **given: Any
@@ -134,11 +130,9 @@ def _statics_tables(content: dict[str, Any]) -> str:
 
 @command(
     "recording RECORDING",
-    """
-    --plan DIR (path): Plan flown; else where RECORDING lies.
-    -o, --output FILE (path): Team with the estimates (YAML).
-    --density KG/M (float): Cable density, as weighed.
-    """,
+    option("--plan", "Plan flown; else where RECORDING lies.", PATH, "DIR"),
+    option("-o --output", "Team with the estimates (YAML).", PATH, "FILE"),
+    option("--density", "Cable density, as weighed.", float, "KG/M"),
 )
 def calibrate(
     recording: Path, plan: Path | None, output: Path | None, density: float | None
@@ -198,24 +192,25 @@ def _calibration_tables(calibration: ho.Calibration) -> str:
 
 @command(
     "outline OUTLINE",
-    """
-    --robots N (int): Number of robots.
-    -o, --output DIR (path): Directory for fit.json and fit.png; nothing is written without it.
-    --clearance M (0.035): Of cables, while enclosing.
-    --object-height M (0.3): Height of the object.
-    --mass KG (float): To be held; ends with 3 if it is not.
-    --by grip|rest (grip): How --mass is to be held.
-    --friction FLOAT (0.5): Between cables and object.
-    --clasp-friction FLOAT (0.15): Of cables on each other.
-    --tension N (float): Of all cables; the largest level pull.
-    --cable-length M (float): Of all cables; the shortest.
-    --tilt-deg DEG (45.0): Largest tilt of drones.
-    --quadrotor-mass KG (0.132): Of every drone.
-    --max-thrust N (2.6): Of every drone.
-    """,
-    outline={"type": str},
-    robots={"required": True},
-    object_height={"name": "height"},
+    option("--robots", "Number of robots.", int, "N", required=True),
+    option(
+        "-o --output",
+        "Directory for fit.json and fit.png; nothing is written without it.",
+        PATH,
+        "DIR",
+    ),
+    option("--clearance", "Of cables, while enclosing.", 0.035, "M"),
+    option("--object-height height", "Height of the object.", 0.3, "M"),
+    option("--mass", "To be held; ends with 3 if it is not.", float, "KG"),
+    option("--by", "How --mass is to be held.", "grip", choices=("grip", "rest")),
+    option("--friction", "Between cables and object.", 0.5, "FLOAT"),
+    option("--clasp-friction", "Of cables on each other.", 0.15, "FLOAT"),
+    option("--tension", "Of all cables; the largest level pull.", float, "N"),
+    option("--cable-length", "Of all cables; the shortest.", float, "M"),
+    option("--tilt-deg", "Largest tilt of drones.", 45.0, "DEG"),
+    option("--quadrotor-mass", "Of every drone.", 0.132, "KG"),
+    option("--max-thrust", "Of every drone.", 2.6, "N"),
+    type=str,
 )
 def fit(
     outline: str,

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import hitchopt as ho
 from hitchopt.cli.failures import exit_infeasible
-from hitchopt.cli.options import command, completing, plan_path
+from hitchopt.cli.options import PATH, command, completing, option, plan_path
 from hitchopt.cli.output import ProgressBar, certificate_table, record, say, table
 from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.exports.options import HOMES
@@ -25,30 +25,64 @@ if TYPE_CHECKING:
     from hitchopt.live.fly import Outlet
 
 MAX_SHOWN = 5  # Number of findings of one rule that are shown; the rest are counted
-HOWS = "hold|back|release_and_land|land"  # Aborts; a flight is ended by the last two
+HOWS = ("hold", "back", "release_and_land", "land")  # Aborts; the last two end a flight
 # First port where nothing else is named: PX4's simulated vehicle i listens on 14580 + i
 PORT = {"json": 14600, "mavlink": 14580}
 
 
 @command(
     "directory DIR",
-    f"""
-    --format NAME (text): One of {", ".join(HOMES)}.
-    -o, --output PATH (path): Folder, or the file where there is but one; else DIR-NAME.
-    --frame FRAME (text): enu, nwu or ned; by default the format's usual.
-    --origin X Y Z ((0.0, 0.0, 0.0)): The plan's origin in the file's frame: east, north, up [m].
-    --yaw-deg DEG (0.0): Angle by which the plan is turned there, counter-clockwise from above.
-    --fleet FILE (path): YAML: drones: {{q0: {{name: cf1, uri: radio://…, type: cf21}}, …}}, or a
-        crazyflies.yaml with a role for each robot.
-    --rate HZ (float): Samples per second, where it samples.
-    --stretch FACTOR (1.0): Factor of all durations, from 1 on.
-    --storage mcap|sqlite3 (mcap): Storage of a ros2bag.
-    --ros-distro humble|iron|jazzy (humble): Release that a ros2bag is for; later ones read it too.
-    --hold-tension: Move set points outward, for controllers without feed-forward of cable forces.
-    --stiffness N/M (float): Of these controllers; by default the team's.
-    --damping N·S/M (float): Of these controllers; by default that of a damping ratio of 5/6.
-    """,
-    format={"required": True, **completing(lambda: HOMES)},
+    option(
+        "--format",
+        f"One of {', '.join(HOMES)}.",
+        str,
+        "NAME",
+        required=True,
+        **completing(lambda: HOMES),
+    ),
+    option(
+        "-o --output", "Folder, or the file where there is but one; else DIR-NAME.", PATH, "PATH"
+    ),
+    option("--frame", "enu, nwu or ned; by default the format's usual.", str, "FRAME"),
+    option(
+        "--origin",
+        "The plan's origin in the file's frame: east, north, up [m].",
+        (0.0, 0.0, 0.0),
+        "X Y Z",
+    ),
+    option(
+        "--yaw-deg",
+        "Angle by which the plan is turned there, counter-clockwise from above.",
+        0.0,
+        "DEG",
+    ),
+    option(
+        "--fleet",
+        "YAML: drones: {q0: {name: cf1, uri: radio://…, type: cf21}, …}, or a crazyflies.yaml"
+        " with a role for each robot.",
+        PATH,
+        "FILE",
+    ),
+    option("--rate", "Samples per second, where it samples.", float, "HZ"),
+    option("--stretch", "Factor of all durations, from 1 on.", 1.0, "FACTOR"),
+    option("--storage", "Storage of a ros2bag.", "mcap", choices=("mcap", "sqlite3")),
+    option(
+        "--ros-distro",
+        "Release that a ros2bag is for; later ones read it too.",
+        "humble",
+        choices=("humble", "iron", "jazzy"),
+    ),
+    option(
+        "--hold-tension",
+        "Move set points outward, for controllers without feed-forward of cable forces.",
+    ),
+    option("--stiffness", "Of these controllers; by default the team's.", float, "N/M"),
+    option(
+        "--damping",
+        "Of these controllers; by default that of a damping ratio of 5/6.",
+        float,
+        "N·S/M",
+    ),
 )
 def export(directory: Path, output: Path | None, yaw_deg: float, **options: Any) -> None:
     """Write the plan in DIR as fleets, scripts or viewers read it, and certify what was written."""
@@ -87,12 +121,15 @@ def export(directory: Path, output: Path | None, yaw_deg: float, **options: Any)
 
 @command(
     "path PATH",
-    """
-    --speed M/S (float): Limit; by default the show's own, or a warning from 3 on.
-    --acceleration M/S² (float): Limit; by default the show's own, or a warning from 10 on.
-    --radius M (0.12): A drone's ellipsoid, across.
-    --height M (0.3): A drone's ellipsoid, up.
-    """,
+    option("--speed", "Limit; by default the show's own, or a warning from 3 on.", float, "M/S"),
+    option(
+        "--acceleration",
+        "Limit; by default the show's own, or a warning from 10 on.",
+        float,
+        "M/S²",
+    ),
+    option("--radius", "A drone's ellipsoid, across.", 0.12, "M"),
+    option("--height", "A drone's ellipsoid, up.", 0.3, "M"),
 )
 def lint(path: Path, **limits: float | None) -> None:
     """Read fleet files of any origin and report faults.
@@ -153,11 +190,14 @@ def _say_report(report: Report) -> None:
 
 @command(
     "directory DIR",
-    f"""
-    --how {HOWS}: Stop; fly back until cables hang free; untie and land;
-        straight down. By default release_and_land, land without cables.
-    --every SECONDS (2.0): Distance of the entries.
-    """,
+    option(
+        "--how",
+        "Stop; fly back until cables hang free; untie and land; straight down. By default "
+        "release_and_land, land without cables.",
+        None,
+        choices=HOWS,
+    ),
+    option("--every", "Distance of the entries.", 2.0, "SECONDS"),
 )
 def abort(directory: Path, how: str | None, every: float) -> None:
     """Plan and certify aborts over all of the plan in DIR.
@@ -207,23 +247,50 @@ def _usual_abort(motion: ho.Motion) -> str:
 
 @command(
     "directory DIR",
-    """
-    --over json|mavlink|crazyflie: UDP datagrams; offboard setpoints over UDP (needs pymavlink); or
-        crazyflie_py of Crazyswarm2.
-    --to HOST:PORT: Address of all drones, or once for each; by default this machine, from port
-        14600 (json) or 14580 (mavlink) on, one port for each drone.
-    --listen HOST:PORT ('127.0.0.1:0'): Where the stream comes from and measurements arrive; name
-        this machine's address on the drones' network.
-    --fleet FILE (path): Names of the Crazyflies.
-    --origin X Y Z ((0.0, 0.0, 0.0)): The plan's origin for the drones: east, north, up [m].
-    --yaw-deg DEG (0.0): Angle by which the plan is turned.
-    --rate HZ (50.0): Setpoints per second and drone.
-    --how release_and_land|land: What key a does: by default release_and_land, land without cables.
-    --patience SECONDS (5.0): From a lost link to landing.
-    --measurements/--no-measurements (True): Whether 0.5 s without measurements is a lost link.
-    """,
-    over={"required": True},
-    to={"name": "targets", "multiple": True},
+    option(
+        "--over",
+        "UDP datagrams; offboard setpoints over UDP (needs pymavlink); or crazyflie_py of "
+        "Crazyswarm2.",
+        None,
+        choices=("json", "mavlink", "crazyflie"),
+        required=True,
+    ),
+    option(
+        "--to targets",
+        "Address of all drones, or once for each; by default this machine, from port 14600 "
+        "(json) or 14580 (mavlink) on, one port for each drone.",
+        str,
+        "HOST:PORT",
+        multiple=True,
+    ),
+    option(
+        "--listen",
+        "Where the stream comes from and measurements arrive; name this machine's address on "
+        "the drones' network.",
+        "127.0.0.1:0",
+        "HOST:PORT",
+    ),
+    option("--fleet", "Names of the Crazyflies.", PATH, "FILE"),
+    option(
+        "--origin",
+        "The plan's origin for the drones: east, north, up [m].",
+        (0.0, 0.0, 0.0),
+        "X Y Z",
+    ),
+    option("--yaw-deg", "Angle by which the plan is turned.", 0.0, "DEG"),
+    option("--rate", "Setpoints per second and drone.", 50.0, "HZ"),
+    option(
+        "--how",
+        "What key a does: by default release_and_land, land without cables.",
+        None,
+        choices=HOWS[2:],
+    ),
+    option("--patience", "From a lost link to landing.", 5.0, "SECONDS"),
+    option(
+        "--measurements/--no-measurements",
+        "Whether 0.5 s without measurements is a lost link.",
+        True,
+    ),
 )
 def fly(
     directory: Path,

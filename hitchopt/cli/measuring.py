@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import hitchopt as ho
-from hitchopt.cli.options import command, plan_path
+from hitchopt.cli.options import PATH, command, option, plan_path
 from hitchopt.cli.output import ProgressBar, say, table
 from hitchopt.errors import InputError
 
@@ -19,21 +19,23 @@ RESULTS = "evaluation"  # Default directory of the results, next to the recordin
 
 @command(
     "recording [RECORDING]",
-    """
-    --plan DIR (path): Plan that was flown.
-    -o, --output OUT (path): Results; else `evaluation` beside RECORDING.
-    --names NAMES (text): Drones by recorded names, such as cf231=q0,cf7=r0,…
-    --frame FRAME (text): plan, y-up, fit, or a file such as another flight's evaluation.json.
-    --start S (float): Time of the recording at which the plan begins; else fitted.
-    --unit UNIT (text): Of lengths: m, cm, mm, in, ft; else as the file states, or m.
-    --density KG/M (float): Cable density, as weighed.
-    --diameter M (float): Cable diameter: errors are then those of the clasps.
-    --window S (0.1): Time over which markers are averaged.
-    --format png|svg|pdf (png): Of the picture.
-    --markers: Say where markers go on the cables of the plan; needs no recording.
-    """,
-    recording={"required": False},
-    plan={"required": True},
+    option("--plan", "Plan that was flown.", PATH, "DIR", required=True),
+    option("-o --output", "Results; else `evaluation` beside RECORDING.", PATH, "OUT"),
+    option("--names", "Drones by recorded names, such as cf231=q0,cf7=r0,…", str, "NAMES"),
+    option(
+        "--frame",
+        "plan, y-up, fit, or a file such as another flight's evaluation.json.",
+        str,
+        "FRAME",
+    ),
+    option("--start", "Time of the recording at which the plan begins; else fitted.", float, "S"),
+    option("--unit", "Of lengths: m, cm, mm, in, ft; else as the file states, or m.", str, "UNIT"),
+    option("--density", "Cable density, as weighed.", float, "KG/M"),
+    option("--diameter", "Cable diameter: errors are then those of the clasps.", float, "M"),
+    option("--window", "Time over which markers are averaged.", 0.1, "S"),
+    option("--format", "Of the picture.", "png", choices=("png", "svg", "pdf")),
+    option("--markers", "Say where markers go on the cables of the plan; needs no recording."),
+    required=False,
 )
 def evaluate(
     recording: Path | None,

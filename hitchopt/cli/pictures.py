@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import hitchopt as ho
-from hitchopt.cli.options import command, plan_path
+from hitchopt.cli.options import PATH, command, option, plan_path
 from hitchopt.cli.output import ProgressBar, say
 from hitchopt.cli.planning import SUFFIXES
 from hitchopt.errors import FileError, HitchoptError, InputError
@@ -23,7 +23,10 @@ PROBLEM = "problem.yaml"  # Name under which an edited problem is saved next to 
 PATIENCE, DRAWING = 3.0, 1.5
 
 
-@command("directory DIR", "--ghost PATH (path): Show another plan, a flight or an evaluation too.")
+@command(
+    "directory DIR",
+    option("--ghost", "Show another plan, a flight or an evaluation too.", PATH, "PATH"),
+)
 def report(directory: Path, ghost: Path | None) -> None:
     """Write DIR/report.html: the plan in one file that needs no network.
 
@@ -38,13 +41,16 @@ def report(directory: Path, ghost: Path | None) -> None:
 
 @command(
     "path DIR|FILE",
-    """
-    --save FILE (path): Write a page, picture or film; do not serve.
-    --ghost PATH (path): Show another plan, a simulated flight or an evaluation at its side.
-    --host TEXT ('127.0.0.1'): Address to listen on; by default this machine.
-    --port INTEGER (8080): Port to listen on, or the next free one.
-    --browser/--no-browser (True): Whether to open the browser.
-    """,
+    option("--save", "Write a page, picture or film; do not serve.", PATH, "FILE"),
+    option(
+        "--ghost",
+        "Show another plan, a simulated flight or an evaluation at its side.",
+        PATH,
+        "PATH",
+    ),
+    option("--host", "Address to listen on; by default this machine.", "127.0.0.1", "TEXT"),
+    option("--port", "Port to listen on, or the next free one.", 8080, "INTEGER"),
+    option("--browser/--no-browser", "Whether to open the browser.", True),
 )
 def view(
     path: Path, save: Path | None, ghost: Path | None, host: str, port: int, *, browser: bool

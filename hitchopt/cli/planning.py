@@ -15,7 +15,7 @@ import click
 
 import hitchopt as ho
 from hitchopt.cli.failures import exit_code, exit_infeasible, report_error
-from hitchopt.cli.options import command, completing, plan_path
+from hitchopt.cli.options import PATH, command, completing, option, plan_path
 from hitchopt.cli.output import ProgressBar, record, say, show_plan, table
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, TimeLimitError
 from hitchopt.exports.options import checked_rate
@@ -38,14 +38,18 @@ MODELINE = f"# yaml-language-server: $schema={SCHEMA}\n"
 
 @command(
     "file FILE",
-    """
-    -o, --output DIR (path): Directory to write the plan to; by default ./ and FILE's stem.
-    --rate HZ (100.0): Setpoints per second and drone.
-    --report: Write DIR/report.html as well.
-    --verify: Prove the plan's limits by another method as well.
-    --repair/--no-repair (True): If there is no plan, search for the smallest change that helps.
-    --limit SECONDS (600.0): Time limit, searches included.
-    """,
+    option(
+        "-o --output", "Directory to write the plan to; by default ./ and FILE's stem.", PATH, "DIR"
+    ),
+    option("--rate", "Setpoints per second and drone.", 100.0, "HZ"),
+    option("--report", "Write DIR/report.html as well."),
+    option("--verify", "Prove the plan's limits by another method as well."),
+    option(
+        "--repair/--no-repair",
+        "If there is no plan, search for the smallest change that helps.",
+        True,
+    ),
+    option("--limit", "Time limit, searches included.", 600.0, "SECONDS"),
 )
 def solve(
     file: Path,
@@ -159,12 +163,18 @@ def _suggestions(
 
 @command(
     "directory DIR",
-    """
-    --closest: Report the closest pairs of drones over time.
-    --picture PNG (path): Draw the same to a file.
-    --gamma FLOAT (1.0): For tracking_radius: how many times farther than drones vertices may be.
-    --survivable: Report for how many losses of a drone there is a certified reaction (slow).
-    """,
+    option("--closest", "Report the closest pairs of drones over time."),
+    option("--picture", "Draw the same to a file.", PATH, "PNG"),
+    option(
+        "--gamma",
+        "For tracking_radius: how many times farther than drones vertices may be.",
+        1.0,
+        "FLOAT",
+    ),
+    option(
+        "--survivable",
+        "Report for how many losses of a drone there is a certified reaction (slow).",
+    ),
 )
 def check(
     directory: Path, picture: Path | None, gamma: float, *, closest: bool, survivable: bool
@@ -235,14 +245,20 @@ def example_files() -> list[Path]:
 
 @command(
     "name [NAME]",
-    """
-    --example EXAMPLE (text): Write this example.
-    --list: List the examples.
-    --schema: Write problem.schema.json, with which editors complete and check problem files.
-    """,
-    name={"type": str, "required": False},
-    example=completing(lambda: [path.stem for path in example_files()]),
-    list={"name": "listing"},
+    option(
+        "--example",
+        "Write this example.",
+        str,
+        "EXAMPLE",
+        **completing(lambda: [path.stem for path in example_files()]),
+    ),
+    option("--list listing", "List the examples."),
+    option(
+        "--schema",
+        "Write problem.schema.json, with which editors complete and check problem files.",
+    ),
+    type=str,
+    required=False,
 )
 def init(name: str | None, example: str | None, *, listing: bool, schema: bool) -> None:
     """Write a commented problem file to start from, or an example.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import hitchopt as ho
 from hitchopt.cli.failures import exit_infeasible
-from hitchopt.cli.options import command, plan_path
+from hitchopt.cli.options import PATH, command, option, plan_path
 from hitchopt.cli.output import ProgressBar, quantities, say, span_text, table
 from hitchopt.errors import InputError
 
@@ -37,43 +37,69 @@ MOST_REASONS = 8  # Reasons of a sweep's refusals that are listed
 
 @command(
     "directory DIR",
-    """
-    -o, --output OUT (path): Results; else DIR/simulation.
-    --preset fast|accurate (fast): Whether it holds; or with correct friction, five times slower.
-    --runs N (int): Simulate N flights, with seeds S, S+1, ….
-    --seed S (0): Random seed.
-    --processes P (int): Processes; by default all processors.
-    --perturbed: Downwash, noise of 1 cm and 3 cm/s, 0.05 N each of gusts and of steady wind, cables
-        0.5 % and starts 2 cm off, objects 10 % in mass, 20 % in friction and 2 cm in place; or as
-        given. The team's cable friction always acts.
-    --noise M (float): Error of measured positions per axis [m].
-    --velocity-noise M/S (float): Of velocities, per axis [m/s].
-    --wind N (float): Force of gusts on every drone [N].
-    --steady-wind N (float): Constant level force on drones [N].
-    --lag S (float): Time constant of the thrust [s].
-    --vertex-noise M (float): Of measured vertices, per axis [m].
-    --vertex-delay S (float): Age of measured vertices [s].
-    --cable-error X (float): Relative error of cable lengths.
-    --start-error M (float): Error of starts per axis [m].
-    --downwash/--no-downwash (None): Whether drones push down those below them.
-    --object-mass X (float): Largest error of objects' masses.
-    --object-friction X (float): Of their friction, relative.
-    --object-place M (float): Of where they stand [m].
-    --stiffness N/M (float): Of position loops; by default the team's, as the following two.
-    --friction MU (float): Cable friction.
-    --density KG/M (float): Cable density.
-    --controller NAME (text): Flight controller: mellinger, lee, pid or px4, at its own rates, with
-        motors that lag 30 ms; its gains are the team's where it names this controller, else the
-        stiffest that fly. By default a quick one, which is none of these.
-    --estimator ideal|crazyflie|firmware|one_marker (ideal): What it knows of its state: the truth
-        but for --noise and --velocity-noise, or what a Crazyflie's filter makes of motion capture
-        (100 Hz, 10 ms late, 1 mm) and an IMU, with the parameters that are exported, or with the
-        firmware's own, for rigid bodies or for one marker.
-    --upload: It flies exported files, which hold the tension by offsets if it has no integral.
-    --feedback: Correct setpoints by measured vertices, as ho.Feedback does.
-    --lose DRONE@SECONDS (text): Stop its motors then, such as q0@12.5; the others react.
-    --reaction/--no-reaction (True): Or they fly on as if nothing had happened.
-    """,
+    option("-o --output", "Results; else DIR/simulation.", PATH, "OUT"),
+    option(
+        "--preset",
+        "Whether it holds; or with correct friction, five times slower.",
+        "fast",
+        choices=("fast", "accurate"),
+    ),
+    option("--runs", "Simulate N flights, with seeds S, S+1, ….", int, "N"),
+    option("--seed", "Random seed.", 0, "S"),
+    option("--processes", "Processes; by default all processors.", int, "P"),
+    option(
+        "--perturbed",
+        "Downwash, noise of 1 cm and 3 cm/s, 0.05 N each of gusts and of steady wind, cables "
+        "0.5 % and starts 2 cm off, objects 10 % in mass, 20 % in friction and 2 cm in place;"
+        " or as given. The team's cable friction always acts.",
+    ),
+    option("--noise", "Error of measured positions per axis [m].", float, "M"),
+    option("--velocity-noise", "Of velocities, per axis [m/s].", float, "M/S"),
+    option("--wind", "Force of gusts on every drone [N].", float, "N"),
+    option("--steady-wind", "Constant level force on drones [N].", float, "N"),
+    option("--lag", "Time constant of the thrust [s].", float, "S"),
+    option("--vertex-noise", "Of measured vertices, per axis [m].", float, "M"),
+    option("--vertex-delay", "Age of measured vertices [s].", float, "S"),
+    option("--cable-error", "Relative error of cable lengths.", float, "X"),
+    option("--start-error", "Error of starts per axis [m].", float, "M"),
+    option("--downwash/--no-downwash", "Whether drones push down those below them.", None),
+    option("--object-mass", "Largest error of objects' masses.", float, "X"),
+    option("--object-friction", "Of their friction, relative.", float, "X"),
+    option("--object-place", "Of where they stand [m].", float, "M"),
+    option(
+        "--stiffness",
+        "Of position loops; by default the team's, as the following two.",
+        float,
+        "N/M",
+    ),
+    option("--friction", "Cable friction.", float, "MU"),
+    option("--density", "Cable density.", float, "KG/M"),
+    option(
+        "--controller",
+        "Flight controller: mellinger, lee, pid or px4, at its own rates, with motors that "
+        "lag 30 ms; its gains are the team's where it names this controller, else the "
+        "stiffest that fly. By default a quick one, which is none of these.",
+        str,
+        "NAME",
+    ),
+    option(
+        "--estimator",
+        "What it knows of its state: the truth but for --noise and --velocity-noise, or what "
+        "a Crazyflie's filter makes of motion capture (100 Hz, 10 ms late, 1 mm) and an IMU, "
+        "with the parameters that are exported, or with the firmware's own, for rigid bodies "
+        "or for one marker.",
+        "ideal",
+        choices=("ideal", "crazyflie", "firmware", "one_marker"),
+    ),
+    option(
+        "--upload",
+        "It flies exported files, which hold the tension by offsets if it has no integral.",
+    ),
+    option("--feedback", "Correct setpoints by measured vertices, as ho.Feedback does."),
+    option(
+        "--lose", "Stop its motors then, such as q0@12.5; the others react.", str, "DRONE@SECONDS"
+    ),
+    option("--reaction/--no-reaction", "Or they fly on as if nothing had happened.", True),
 )
 def simulate(
     directory: Path,
@@ -233,11 +259,9 @@ def _campaign_tables(campaign: Campaign) -> str:
 
 @command(
     "study STUDY",
-    """
-    -o, --output DIR (path): Results; else ./ and the stem.
-    --workers N (int): Processes; by default all processors.
-    --scheduler ADDRESS (text): A dask scheduler, such as tcp://host:8786.
-    """,
+    option("-o --output", "Results; else ./ and the stem.", PATH, "DIR"),
+    option("--workers", "Processes; by default all processors.", int, "N"),
+    option("--scheduler", "A dask scheduler, such as tcp://host:8786.", str, "ADDRESS"),
 )
 def sweep(study: Path, output: Path | None, workers: int | None, scheduler: str | None) -> None:
     """Plan or simulate every case of STUDY.yaml (needs dask.distributed).
