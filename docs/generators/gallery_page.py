@@ -7,7 +7,15 @@ from pathlib import Path
 
 import hitchopt as ho
 from generators.page_pictures import KINDS, SCREENSHOTS
-from generators.problem_collection import PICTURES, PROBLEMS, REFUSED, SECTIONS, Section, caption
+from generators.problem_collection import (
+    PICTURES,
+    PROBLEMS,
+    REFUSED,
+    SECTIONS,
+    Section,
+    caption,
+    entry,
+)
 
 INTRODUCTION = """# Gallery of problems
 
@@ -39,7 +47,7 @@ There is nothing to draw.
 def write_gallery_page() -> str:
     """Return the page, one figure for every problem and one row for every refused file."""
     sections = [part for section in SECTIONS for part in _section(section)]
-    rows = [_refused(file) for folder in REFUSED for file in _files(folder)]
+    rows = [_refused(x) for folder in REFUSED for x in sorted((PROBLEMS / folder).glob("*.yaml"))]
     return "\n".join([INTRODUCTION, PAGES, *_screenshots(), *sections, REFUSALS, *rows, ""])
 
 
@@ -54,43 +62,18 @@ def _screenshots() -> list[str]:
 
 
 def _section(section: Section) -> list[str]:
-    lines = [f"## {section.heading}", ""]
-    if not section.solved:
-        lines += [UNSOLVED, ""]
+    lines = [f"## {section.heading}", "", *([] if section.solved else [UNSOLVED, ""])]
     return lines + [_figure(section, file) for file in section.files]
 
 
 def _figure(section: Section, file: Path) -> str:
-    name = file.relative_to(PROBLEMS).as_posix()
-    picture = section.picture(file)
-    shown = f"pictures/{section.folder}/{picture.name}".replace("//", "/")
+    name, title = file.relative_to(PROBLEMS), entry(file, "title", file.stem.replace("_", " "))
+    picture = section.picture(file).relative_to(PICTURES.parent).as_posix()
     text = " ".join(line or "\n\n" for line in caption(file))
-    binds = [] if section.solved else [f"Binds: {_header(file, 'Binds')}."]
-    title = _title(file)
-    lines = [
-        f"### {title}",
-        "",
-        f"![{title}, from above]({shown})",
-        "",
-        f"`problems/{name}`. {_escaped(text)}",
-        *binds,
-        "",
-    ]
-    return "\n".join(lines)
-
-
-def _header(file: Path, word: str) -> str:
-    found = re.search(rf"^# {word}: (.*)$", file.read_text(encoding="utf-8"), re.MULTILINE)
-    return found[1].strip() if found else "see the message"
-
-
-def _title(file: Path) -> str:
-    found = re.search(r"^title: (.*)$", file.read_text(encoding="utf-8"), re.MULTILINE)
-    return found[1].strip().strip("\"'") if found else file.stem.replace("_", " ")
-
-
-def _files(folder: str) -> list[Path]:
-    return sorted((PROBLEMS / folder).glob("*.yaml"))
+    escaped = re.sub(r"([\\*_\[\]<>$])", r"\\\1", text)
+    figure = f"### {title}\n\n![{title}, from above]({picture})\n\n`problems/{name.as_posix()}`. {escaped}\n"
+    binds = "" if section.solved else f"Binds: {entry(file, '# Binds', 'see the message')}.\n"
+    return figure + binds
 
 
 def _refused(file: Path) -> str:
@@ -101,16 +84,7 @@ def _refused(file: Path) -> str:
         message = " ".join(str(error).split()).replace(str(file), file.name)
     else:
         raise AssertionError(f"{name} is read without an error")
-    return f"| `{name}` | {_cell(message)} |"
-
-
-def _cell(message: str) -> str:
-    """Return the beginning of a message as code, as a cell can hold it."""
+    # The beginning of the message as code, as a cell can hold it.
     short = message if len(message) <= 240 else f"{message[:239]}…"
     printable = "".join(c if c.isprintable() else "�" for c in short)
-    return f"`` {printable.replace('|', chr(92) + '|').replace('``', '')} ``"
-
-
-def _escaped(text: str) -> str:
-    """Return text of a comment in which no character is markup."""
-    return re.sub(r"([\\*_\[\]<>$])", r"\\\1", text)
+    return f"| `{name}` | `` {printable.replace('|', chr(92) + '|').replace('``', '')} `` |"

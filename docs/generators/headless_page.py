@@ -5,6 +5,10 @@ from __future__ import annotations
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from threading import Thread
 from typing import Any
 
 from playwright.sync_api import sync_playwright
@@ -31,26 +35,36 @@ def opened_page(size: tuple[int, int] = SIZE) -> Iterator[Any]:
     """Yield a page of a size [pixels]; fail if it logs an error or asks another machine."""
     path = next(filter(None, map(shutil.which, NAMES)), None)
     assert path, f"none of {', '.join(NAMES)} is installed; apt-get install chromium"
-    wrong: list[str] = []
+    faults: list[str] = []
 
-    def asked(address: str) -> None:
-        if not address.startswith(LOCAL):
-            wrong.append(f"asked for {address}")
+    def check(address: str, status: int = 200) -> None:
+        if status >= 400 or not address.startswith(LOCAL):
+            faults.append(f"{address}: {status}")
 
     with sync_playwright() as tool:
         browser = tool.chromium.launch(executable_path=path, args=list(FLAGS))
         page = browser.new_page(viewport={"width": size[0], "height": size[1]})
-        page.on("request", lambda request: asked(request.url))
-        page.on("websocket", lambda socket: asked(socket.url))
+        page.on("request", lambda request: check(request.url))
+        page.on("websocket", lambda socket: check(socket.url))
+        page.on("response", lambda answer: check(answer.url, answer.status))
+        page.on("pageerror", lambda error: faults.append(f"error: {error}"))
         page.on(
-            "response",
-            lambda answer: wrong.append(f"no {answer.url}") if answer.status >= 400 else None,
-        )
-        page.on("pageerror", lambda error: wrong.append(f"error: {error}"))
-        page.on(
-            "console",
-            lambda message: wrong.append(message.text) if message.type == "error" else None,
+            "console", lambda message: faults.extend([message.text] * (message.type == "error"))
         )
         yield page
         browser.close()
-    assert not wrong, "\n".join(wrong)
+    assert not faults, "\n".join(faults)
+
+
+class _Quiet(SimpleHTTPRequestHandler):
+    def log_message(self, format: str, *args: Any) -> None:
+        """Log nothing."""
+
+
+@contextmanager
+def served(folder: Path) -> Iterator[str]:
+    """Serve a folder; yield its address."""
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(_Quiet, directory=str(folder))) as server:
+        Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_port}"
+        server.shutdown()

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -52,10 +54,12 @@ REFUSED = ("bad", "swarms/bad")
 
 def caption(file: Path) -> list[str]:
     """Return the lines of the comment at the head of a problem file, without those for tests."""
-    lines = []
-    for line in file.read_text(encoding="utf-8").splitlines():
-        if not line.startswith("#"):
-            break
-        if not line.startswith(("# Lasts: ", "# Binds: ", "# yaml-language-server")):
-            lines.append(line.removeprefix("#").strip())
-    return lines
+    lines = takewhile(lambda line: line.startswith("#"), file.read_text("utf-8").splitlines())
+    others = ("# Lasts: ", "# Binds: ", "# yaml-language-server")
+    return [line.removeprefix("#").strip() for line in lines if not line.startswith(others)]
+
+
+def entry(file: Path, key: str, default: str) -> str:
+    """Return the text after ``key: `` at the beginning of a line of a problem file."""
+    line = re.search(rf"^{key}: (.*)$", file.read_text("utf-8"), re.MULTILINE)
+    return line[1].strip().strip("\"'") if line else default
