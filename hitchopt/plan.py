@@ -126,7 +126,7 @@ class Plan(OneLine):
         """
         from hitchopt.live.abort import Aborts
 
-        entry = Aborts(self.motion).found(t, how)
+        entry = Aborts(self.motion).plan(t, how)
         return Plan(entry.motion, entry.certificate, f"{self.title} ({how} at {t:g} s)".strip())
 
     def save(

@@ -102,10 +102,10 @@ def export(directory: Path, output: Path | None, yaw_deg: float, **options: Any)
         done = export_motion(saved.motion, saved.title, chosen, output, progress)
     entries = []
     for part in done:
-        verdict, found = part.verdict, asdict(part.verdict)
+        verdict, content = part.verdict, asdict(part.verdict)
         entry = {"folder": str(part.folder), "files": part.files, "begins": part.begins}
-        entry |= {f"{name}_error": found.pop(name) for name in ("position", "velocity")}
-        entries.append({**entry, **found, "notes": part.notes})
+        entry |= {f"{name}_error": content.pop(name) for name in ("position", "velocity")}
+        entries.append({**entry, **content, "notes": part.notes})
         say(certificate_table(ho.Certificate(verdict.duration, verdict.checks)))
         position, velocity = verdict.position, verdict.velocity
         say(
@@ -308,7 +308,7 @@ def fly(
     changes, and the aborts, which are planned first. A lost operator or lost measurements end in a
     hold, then in a landing. Ends with 3 unless the drones have landed.
     """
-    from hitchopt.live.fly import Course, Flight
+    from hitchopt.live.fly import CommandedPlan, Flight
     from hitchopt.live.links import KEYS_HELP, Operator
     from hitchopt.values import positive
 
@@ -320,9 +320,9 @@ def fly(
     outlet = _outlet_of(motion.team, **options)
     tables = _flown_aborts(motion, how)
     watched = motion.team.drone_names if measurements else ()
-    course, steering = Course(motion, tables), Operator()
+    commanded, steering = CommandedPlan(motion, tables), Operator()
     with ThreadPoolExecutor(1) as workers, steering.attached():
-        parts = course, outlet, steering.commands, watched, workers.submit, say
+        parts = commanded, outlet, steering.commands, watched, workers.submit, say
         flight = Flight(*parts, rate=rate, patience=patience)
         say(f"streaming at {rate:g} Hz, at rest at the plan's start; {KEYS_HELP}, Ctrl-C land")
         with _signals(steering.add):

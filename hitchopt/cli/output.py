@@ -40,7 +40,7 @@ class Output:
     content: dict[str, Any] = field(default_factory=dict)  # the results, plain data
 
     def finish(self, command: str, code: int) -> None:
-        """Print the object, if one was asked for, with the command's name and exit code."""
+        """Print the object if ``json`` is set, with the command's name and exit code."""
         if self.json:
             from hitchopt.storage.files import strict_json
 
@@ -164,7 +164,7 @@ def certificate_table(certificate: ho.Certificate) -> str:
     """Return the table of a certificate's checks, each with its worst value over all of time.
 
     Checks stand under the headings of their groups, and those closest to their limits are marked.
-    What is reported without a limit has what it assumes of the vertices in that column.
+    A quantity without a limit has its assumption about the vertices in that column.
     """
     rows: list[dict[str, object]] = []
     closest = certificate.closest

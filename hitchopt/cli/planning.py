@@ -144,7 +144,7 @@ def _leave_diagnosis(
 def _suggestions(
     problem: ho.Problem, error: InfeasibleError, left: float
 ) -> tuple[tuple[ho.Suggestion, ...], str]:
-    """Report the verified changes that make the problem feasible, and what ended the search."""
+    """Report the verified changes that make the problem feasible, and why the search ended."""
     from hitchopt.errors import time_left, time_limit
     from hitchopt.mission.repair import NO_CHANGE, find_suggestions
 

@@ -163,7 +163,7 @@ def _lost(
     if not react:
         return settings, task
     with ProgressBar("planning the reaction"):
-        reaction = Reactions(read_plan(plan_path(directory))).found(loss.drone, loss.time)
+        reaction = Reactions(read_plan(plan_path(directory))).plan(loss.drone, loss.time)
     say(
         f"reaction: tension is let go from t = {reaction.begins:.3f} s on, all are on the ground "
         f"at {reaction.motion.duration:.3f} s; hovering with its weight takes up to "

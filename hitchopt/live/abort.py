@@ -80,12 +80,12 @@ class Abort(Stopped):
 
 
 class Aborts:
-    """The aborts of one plan: what they have in common is computed once."""
+    """The aborts of one plan."""
 
     def __init__(self, motion: Motion) -> None:
         self.motion = motion
 
-    def found(self, time: float, how: str) -> Abort:
+    def plan(self, time: float, how: str) -> Abort:
         """Return the first abort for a command at a plan time [s], as ``Plan.abort`` explains."""
         choice("how", how, get_args(How))
         if not_negative("t", time) > self.motion.duration:
@@ -117,12 +117,12 @@ class Aborts:
         for begin, resting_there in sorted(options):
             stop_plan = until_stop(self.motion, float(begin), stop=not resting_there)
             held = append_motion(stop_plan.motion, resting(stop_plan.motion, HOLD))
-            looked = [RULE_OF[name].check(held) for name in RESTS]
-            if all(check is None or check.holds for check in looked):
+            checks = [RULE_OF[name].check(held) for name in RESTS]
+            if all(check is None or check.holds for check in checks):
                 yield stop_plan
 
     def _origin(self, stopped: Stopped, how: str) -> float | None:
-        """Return the plan time [s] from which to go on; None where a later stop has to be taken."""
+        """Return the plan time [s] from which to go on; None if a later stop is needed."""
         time, state = stopped.rest, stopped.motion.phases[-1].state
         if how == "hold":
             return time
@@ -223,12 +223,12 @@ def _landed(whole: Motion, *, untied: bool) -> Motion:
     try:
         hitch = final_hitch(whole)
     except HitchoptError:
-        words = "legs stand otherwise than those of a hitch at rest, from which steps start"
+        words = "legs differ from those of a hitch at rest, from which steps start"
         remedy = "abort earlier or later, or choose hold or back"
         when = f"at rest at t = {whole.duration:.4g} s"
         raise InfeasibleError([], f"{when}: {words}; {remedy}") from None
     state = RestState(whole.team, hitch.drones, hitch, _senses(whole))
-    task = StepTask(state, whole.phases[-1].step + 1, _where_left(whole).with_reserve)
+    task = StepTask(state, whole.phases[-1].step + 1, _requirements_after(whole).with_reserve)
     if untied:
         released = _followed_by(whole, Release().plan(task).motion)
         return _followed_by(released, straight_down(released))
@@ -245,7 +245,7 @@ def _followed_by(whole: Motion, motion: Motion) -> Motion:
 
 def straight_down(whole: Motion) -> Motion:
     """Return the landing of drones without a hitch, from where a motion ends."""
-    team, need = whole.team, _where_left(whole)
+    team, need = whole.team, _requirements_after(whole)
     drones, index = whole.drones.coefficients[-1, ..., -1], whole.phases[-1].step + 1
     down = drones * [1.0, 1.0, 0.0] + [0.0, 0.0, need.floor]
     flight = straight_lines(team, need.limits.with_reserve, drones, down)
@@ -253,8 +253,8 @@ def straight_down(whole: Motion) -> Motion:
     return stage("land", flight, team, need, index, state)
 
 
-def _where_left(whole: Motion) -> Requirements:
-    """Return a plan's requirements with objects standing where it has left them."""
+def _requirements_after(whole: Motion) -> Requirements:
+    """Return a plan's requirements with objects standing where it ends."""
     need = whole.requirements
     poses = whole.object_poses.coefficients[-1, ..., -1]
     objects = {
@@ -283,7 +283,7 @@ class AbortTable:
 
     @property
     def missing(self) -> list[tuple[float, float]]:
-        """Spans of time [s] from which no abort was found."""
+        """Spans of time [s] without an abort."""
         last = self.entries[-1].start if self.entries else 0.0
         return [(last, self.end)] if not self.entries or last < self.end - JOINT else []
 
@@ -305,7 +305,7 @@ def abort_table(
         while not entries or entries[-1].start < end - JOINT:
             if progress is not None:
                 progress(f"{how} from t = {time:.4g} s")
-            entries.append(aborts.found(time, how))
+            entries.append(aborts.plan(time, how))
             time = min(entries[-1].start + every, end)
     return AbortTable(how, tuple(entries), end)
 

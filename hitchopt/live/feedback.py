@@ -210,22 +210,22 @@ class Feedback(OneLine):
 
     def _correct(self, cell: Cell | None, wanted: Array, seconds: float) -> None:
         """Lead the offsets to those that are wanted, and the integral to what they allow."""
-        asked = goal = np.zeros_like(self._offsets)
+        free = goal = np.zeros_like(self._offsets)
         if cell is not None:
-            asked = (cell.inverse @ wanted.ravel()).reshape(-1, 3)
-            goal = cell.within(asked)
+            free = (cell.inverse @ wanted.ravel()).reshape(-1, 3)
+            goal = cell.within(free)
         change = goal - self._offsets
         largest, reach = math.sqrt(((change * change) @ ONES).max()), self._rate * seconds
         if largest > reach:
             change *= reach / largest
-        found = self._offsets + change
+        offsets = self._offsets + change
         if cell is not None:
             if cell is not self._here:  # else between two offsets that it holds
-                found = cell.within(found)
-            missed = (cell.forward @ (found - asked).ravel()).reshape(-1, 3)
+                offsets = cell.within(offsets)
+            missed = (cell.forward @ (offsets - free).ravel()).reshape(-1, 3)
             self._integral += min(seconds / UNWINDING, 1.0) * missed
-        self._velocities = (found - self._offsets) / seconds
-        self._offsets, self._here = found, cell
+        self._velocities = (offsets - self._offsets) / seconds
+        self._offsets, self._here = offsets, cell
 
     def _authority(self, time: float) -> float:
         """Return the share of the correction that applies: it fades where the hitch is untied."""
@@ -239,10 +239,10 @@ class Feedback(OneLine):
 
 def _shaped(key: str, values: object, shape: tuple[int, ...]) -> Array:
     """Return an array of a shape; nan is allowed."""
-    if (found := as_array(values)).shape != shape:
+    if (array := as_array(values)).shape != shape:
         bound = f"numbers of shape {shape}"
         raise InputError(key, values, bound, "give a row of nan where one is missing")
-    return found
+    return array
 
 
 def vertex_responses(
@@ -255,7 +255,7 @@ def vertex_responses(
     team = motion.team
     clasps = 3 * team.layout.clasps[:, None] + np.arange(3) + team.robots
     conditions = conditions_of(team, stiffness=stiffness, integral=False)
-    found = []
+    matrices = []
     for time in np.atleast_1d(as_array(times)).tolist():
         energy = energy_of(team, conditions, samples_of(motion, [time], conditions)[1])
         arcs = energy.forces(energy.start[:, energy.nodes], energy.reference)[1]
@@ -264,8 +264,8 @@ def vertex_responses(
         rows = responses(energy, energy.start)[clasps.ravel(), by_setpoints]
         forward = rows.reshape(len(rows), -1)
         gram = forward @ forward.T + DAMPING**2 * np.eye(len(forward))
-        found.append((forward, np.ascontiguousarray(np.linalg.solve(gram, forward).T)))
-    return found
+        matrices.append((forward, np.ascontiguousarray(np.linalg.solve(gram, forward).T)))
+    return matrices
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,8 +300,8 @@ class Cell:
         largest = math.sqrt(((each * each) @ ONES).max())
         if largest > LARGEST:
             each = each * (LARGEST / largest)
-        found: Array = each + np.minimum(np.maximum(common, self.lower), self.upper)
-        return found
+        nearest: Array = each + np.minimum(np.maximum(common, self.lower), self.upper)
+        return nearest
 
 
 def cells_of(motion: Motion, reserve: float, stiffness: Array) -> tuple[Array, list[Cell | None]]:
@@ -315,7 +315,7 @@ def cells_of(motion: Motion, reserve: float, stiffness: Array) -> tuple[Array, l
         times.append(np.linspace(breaks[piece], breaks[piece + 1], count + 1)[:-1])
         for k in range(count):
             part = bernstein.restrict(nodes[piece], k / count, (k + 1) / count)
-            spaces.append(distances.kept(part) if there else None)
+            spaces.append(distances.half_spaces(part) if there else None)
     edges = np.append(np.concatenate(times), breaks[-1])
     middles = 0.5 * (edges[1:] + edges[:-1])[[each is not None for each in spaces]]
     responses = iter(vertex_responses(motion, middles, stiffness))
@@ -354,7 +354,7 @@ class _Distances:
         self._nodes = end_combinations(kinds, first, second)
         self._points, self._arena = layout.points, need.arena
 
-    def kept(self, nodes: Array) -> tuple[Array, Array, Array, Array]:
+    def half_spaces(self, nodes: Array) -> tuple[Array, Array, Array, Array]:
         """Return rows, bounds, lower and upper of a cell, from its nodes (…, 3, N + 1)."""
         drones, scale = nodes[self._points :], self._scale
         middle = bernstein.evaluate(nodes, 0.5)

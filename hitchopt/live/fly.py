@@ -33,7 +33,7 @@ AGAIN = 0.25  # delay before a hold that was refused is tried again [s]
 
 
 @dataclass(frozen=True, eq=False)
-class Flown:
+class FleetSetpoints:
     """Setpoints sent to drones at one time, in the plan's axes."""
 
     setpoints: Setpoints
@@ -42,7 +42,7 @@ class Flown:
     feed_forward: Array  # (drones, 3) [m/s²], ``a - G F / m``, for controllers that know no cable
 
 
-class Course:
+class CommandedPlan:
     """A plan at rest at its start, to be flown by commands: ``abort`` and ``land`` by tables."""
 
     def __init__(self, motion: Motion, tables: Mapping[str, AbortTable]) -> None:
@@ -55,7 +55,7 @@ class Course:
         }
         self._landing: Player | None = None
         self.descending = False  # whether the landing itself has begun
-        self.begun = False  # whether the plan has ever left its start
+        self.started = False  # whether the plan has ever left its start
 
     @property
     def resting(self) -> bool:
@@ -71,7 +71,7 @@ class Course:
         heights = motion.drones.coefficients[-1, :, 2, -1]
         return self.descending or bool(np.all(heights <= motion.requirements.floor + JOINT))
 
-    def step(self, seconds: float) -> Flown:
+    def step(self, seconds: float) -> FleetSetpoints:
         """Let time [s] pass and return what drones are sent then."""
         if self._landing is not None and self._player.resting:
             self._player, self._landing = self._landing, None
@@ -80,7 +80,7 @@ class Course:
         states = states_at(motion, [setpoints.time])
         mass, gain = motion.team.mass[:, None], motion.team.pull_gain
         forward = setpoints.accelerations - gain * states.cable_forces[0] / mass
-        return Flown(
+        return FleetSetpoints(
             setpoints,
             mass * (forward + [0.0, 0.0, GRAVITY]),
             mass * setpoints.jerks - setpoints.rate * gain * states.cable_force_rates[0],
@@ -88,9 +88,9 @@ class Course:
         )
 
     def obey(self, command: str) -> str:
-        """Carry out one of COMMANDS; return what is done, in words.
+        """Carry out one of COMMANDS; return its effect in words.
 
-        InfeasibleError is raised where it cannot be done now; what was done before goes on.
+        InfeasibleError is raised if it cannot be done now; the present command goes on.
         """
         if command not in COMMANDS:
             raise InputError("command", command, f"one of {', '.join(COMMANDS)}", "choose one")
@@ -99,7 +99,7 @@ class Course:
         if self.descending and command == "back":
             raise InfeasibleError([], "back: the landing has begun; pause and resume it only")
         seconds = getattr(self._player, command)()
-        self.begun = self.begun or command == "resume"
+        self.started = self.started or command == "resume"
         self._landing = None
         return f"{command}: takes {seconds:.2f} s"
 
@@ -130,7 +130,7 @@ def _ready(motion: Motion, time: float, rate: float) -> Player:
 class Outlet(Protocol):
     """A fleet that is sent setpoints."""
 
-    def send(self, flown: Flown, now: float) -> None:
+    def send(self, targets: FleetSetpoints, now: float) -> None:
         """Send every drone its setpoint at a time [s]; a network that fails is no error."""
 
     def measured(self) -> dict[str, Array]:
@@ -144,7 +144,7 @@ class Outlet(Protocol):
 
 
 class Flight:
-    """A course that is streamed to a fleet, one ``tick`` after the other.
+    """A plan that is streamed to a fleet, one ``tick`` after the other.
 
     ``commands`` returns the operator's commands since the last call, and whether it was heard of;
     ``watched`` drones must be measured. ``later`` starts a command's computation, as
@@ -154,7 +154,7 @@ class Flight:
 
     def __init__(
         self,
-        course: Course,
+        plan: CommandedPlan,
         outlet: Outlet,
         commands: Callable[[], tuple[list[str], bool]],
         watched: tuple[str, ...],
@@ -164,28 +164,28 @@ class Flight:
         rate: float = 50.0,
         patience: float = 5.0,
     ) -> None:
-        self._course, self._outlet, self._commands = course, outlet, commands
+        self._plan, self._outlet, self._commands = plan, outlet, commands
         self._later, self._say = later, say
         self._rate, self._patience = positive("rate", rate), positive("patience", patience)
         self._timeouts = dict.fromkeys(watched, SILENCE) | {OPERATOR: UNATTENDED}
         self._heard = dict.fromkeys(self._timeouts, -math.inf)
         self._measured: dict[str, Array] = {}
-        self._ready: deque[Flown] = deque()
-        self._asked: deque[str] = deque()
+        self._ready: deque[FleetSetpoints] = deque()
+        self._queue: deque[str] = deque()
         self._job: Future[str] | None = None
-        self._last: Flown | None = None
+        self._last: FleetSetpoints | None = None
         self._next = self._reacted = -math.inf
         self._lost_since: float | None = None
         self._quit = self._armed = False
-        self.landed = False  # whether drones are on the ground, all of the course flown
+        self.landed = False  # whether drones are on the ground, all of the plan flown
         self.late = 0  # setpoints that were sent twice, as a command took longer than the lead
 
     def tick(self, now: float) -> bool:
         """Do what is due at a time [s]; return whether the flight goes on."""
-        found = self._outlet.measured()
-        self._measured |= found
+        measured = self._outlet.measured()
+        self._measured |= measured
         commands, heard = self._commands()
-        self._heard |= dict.fromkeys([*found, *([OPERATOR] if heard else [])], now)
+        self._heard |= dict.fromkeys([*measured, *([OPERATOR] if heard else [])], now)
         for command in commands:
             self._ask(command, now)
         self._guard(now)
@@ -200,31 +200,31 @@ class Flight:
 
     def _ask(self, command: str, now: float) -> None:
         """Queue an operator's command, unless it may not be given now."""
-        course = self._course
+        plan = self._plan
         if command == "end":
-            command = "land" if course.begun else "quit"
+            command = "land" if plan.started else "quit"
         if command == "toggle":
-            command = "resume" if course.resting else "pause"
+            command = "resume" if plan.resting else "pause"
         hindrance = ""
         if command == "quit":
-            self._quit = not course.begun and self._job is None and not self._asked
+            self._quit = not plan.started and self._job is None and not self._queue
             hindrance = "" if self._quit else "drones have left their start; land first"
         elif command in ("resume", "back"):
             hindrance = self._hindrance(now)
-        if command not in ("pause", "resume", "quit") and not course.begun:
+        if command not in ("pause", "resume", "quit") and not plan.started:
             hindrance = "the plan has not begun"
         if hindrance:
             self._say(f"{command}: {hindrance}")
         elif command != "quit":
-            self._asked.append(command)
+            self._queue.append(command)
 
     def _hindrance(self, now: float) -> str:
         """Return why the plan may not go on from rest."""
         lost = self._lost(now)
         if lost:
             return f"nothing is heard of {', '.join(lost)}"
-        if self._last is not None and self._course.resting:
-            names = self._course.motion.team.drone_names
+        if self._last is not None and self._plan.resting:
+            names = self._plan.motion.team.drone_names
             for name, place in zip(names, self._last.setpoints.positions, strict=True):
                 off = float(np.linalg.norm(self._measured.get(name, place) - place))
                 if off > NEAR:
@@ -233,48 +233,48 @@ class Flight:
 
     def _guard(self, now: float) -> None:
         """Hold where a link is lost, land where it stays lost."""
-        course, lost = self._course, self._lost(now)
+        plan, lost = self._plan, self._lost(now)
         if not lost:
-            if self._lost_since is not None and course.begun:
+            if self._lost_since is not None and plan.started:
                 self._say("all are heard of again")
             self._lost_since = None
             return
         if self._lost_since is None:
             self._lost_since, self._reacted = now, -math.inf
-            if course.begun:
+            if plan.started:
                 self._say(f"lost: {', '.join(lost)}")
         patient = now - self._lost_since < self._patience
-        if not course.begun:
+        if not plan.started:
             if not patient and OPERATOR in lost:
                 self._say("no operator is heard of, and the plan has not begun: the stream ends")
                 self._quit = True
         elif self._job is None and now - self._reacted >= (AGAIN if patient else self._patience):
-            moving = not (course.descending or course.resting)
-            if moving if patient else course.resting and not course.landed:
+            moving = not (plan.descending or plan.resting)
+            if moving if patient else plan.resting and not plan.landed:
                 self._reacted = now
-                self._asked.append("pause" if patient else "land")
+                self._queue.append("pause" if patient else "land")
 
     def _command(self) -> None:
-        """Begin the next command, or say what has become of the present one."""
+        """Start the next command, or report the result of the present one."""
         if self._job is not None and self._job.done():
             try:
                 self._say(self._job.result())
             except HitchoptError as error:
                 self._say(str(error))
             self._job = None
-            if self._course.begun and not self._armed:  # no hovering on the floor before
+            if self._plan.started and not self._armed:  # no hovering on the floor before
                 self._outlet.arm()
                 self._armed = True
-        if self._job is None and self._asked:
-            command = self._asked.popleft()
-            self._job = self._later(lambda: self._course.obey(command))
+        if self._job is None and self._queue:
+            command = self._queue.popleft()
+            self._job = self._later(lambda: self._plan.obey(command))
 
     def _prepare(self) -> None:
         """Compute setpoints ahead, unless a command is about to change them."""
         while len(self._ready) < max(1, round(LEAD * self._rate)):
-            if self._job is not None or self._course.landed:
+            if self._job is not None or self._plan.landed:
                 return
-            self._ready.append(self._course.step(1.0 / self._rate))
+            self._ready.append(self._plan.step(1.0 / self._rate))
 
     def _send(self, now: float) -> None:
         """Send the setpoint that is due, the last one again where none is ready."""
@@ -290,5 +290,5 @@ class Flight:
             self._last = self._ready.popleft()
         if self._last is not None:
             self._outlet.send(self._last, now)
-        ended = self._course.landed and not self._asked and self._job is None
-        self.landed = ended and not self._ready and self._course.begun
+        ended = self._plan.landed and not self._queue and self._job is None
+        self.landed = ended and not self._ready and self._plan.started

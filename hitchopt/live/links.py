@@ -26,7 +26,7 @@ from hitchopt.exports.firmware import Parameters, describe_differences
 from hitchopt.exports.formats.crazyflie import LANDED
 from hitchopt.exports.placing import ReferenceFrame
 from hitchopt.hitch.flight_controller import CONTROLLERS
-from hitchopt.live.fly import Flown
+from hitchopt.live.fly import FleetSetpoints
 from hitchopt.motion.states import Attitudes, attitudes
 from hitchopt.values import MAX_COORDINATE, Array
 
@@ -66,14 +66,14 @@ class Operator:
 
     def commands(self) -> tuple[list[str], bool]:
         """Return the commands since the last call, and whether the operator was heard of."""
-        found, self._added = self._added, []
+        commands, self._added = self._added, []
         if self._input is not None and select.select([self._input], [], [], 0.0)[0]:
             data = b""
             with suppress(OSError):  # the terminal has gone
                 data = os.read(self._input, 1024)
-            found += [KEYS[key] for key in data.decode("utf-8", "ignore").lower() if key in KEYS]
+            commands += [KEYS[key] for key in data.decode("utf-8", "ignore").lower() if key in KEYS]
             self._input = self._input if data else None
-        return found, self._input is not None
+        return commands, self._input is not None
 
     @contextmanager
     def attached(self) -> Iterator[None]:
@@ -105,9 +105,9 @@ def address(key: str, text: str) -> Address:
         raise InputError(key, text, "a known host", f"write its address ({error})") from None
 
 
-def _turned(flown: Flown, frame: ReferenceFrame) -> Attitudes:
+def _turned(targets: FleetSetpoints, frame: ReferenceFrame) -> Attitudes:
     """Return attitudes and body rates of the thrusts in a frame."""
-    both = frame.vectors(flown.thrusts), frame.vectors(flown.thrust_rates)
+    both = frame.vectors(targets.thrusts), frame.vectors(targets.thrust_rates)
     return attitudes(*both, frame.heading)
 
 
@@ -149,7 +149,7 @@ class DatagramOutlet(ABC):
     def measured(self) -> dict[str, Array]:
         """Return measured positions (3,) [m] in the plan's axes, by the drones' names."""
         hosts = {host for host, _ in self._addresses}
-        found: dict[str, Array] = {}
+        places: dict[str, Array] = {}
         for _ in range(MAX_DATAGRAMS):
             try:
                 data, (host, _) = self._socket.recvfrom(LARGEST)
@@ -159,8 +159,8 @@ class DatagramOutlet(ABC):
                 continue
             for name, point in self._answers(data) if host in hosts else ():
                 if name in self._names and point.shape == (3,) and np.all(np.isfinite(point)):
-                    found[str(name)] = self._frame.planned(point)
-        return found
+                    places[str(name)] = self._frame.planned(point)
+        return places
 
     def arm(self) -> None:  # noqa: B027
         """Leave arming to the pilot."""
@@ -179,15 +179,15 @@ class JsonOutlet(DatagramOutlet):
 
     _number = 0
 
-    def send(self, flown: Flown, now: float) -> None:
+    def send(self, targets: FleetSetpoints, now: float) -> None:
         """Send every drone its setpoint."""
-        frame, at, turned = self._frame, flown.setpoints, _turned(flown, self._frame)
+        frame, at, turned = self._frame, targets.setpoints, _turned(targets, self._frame)
         rows = {
             "position": frame.points(at.positions),
             "velocity": frame.vectors(at.velocities),
             "acceleration": frame.vectors(at.accelerations),
             "jerk": frame.vectors(at.jerks),
-            "feed_forward": frame.vectors(flown.feed_forward),
+            "feed_forward": frame.vectors(targets.feed_forward),
             "quaternion": turned.quaternions,
             "body_rates": turned.body_rates,
         }
@@ -236,9 +236,9 @@ class MavlinkOutlet(DatagramOutlet):
         self._begun: float | None = None
         self._beaten = -math.inf
 
-    def send(self, flown: Flown, now: float) -> None:
+    def send(self, targets: FleetSetpoints, now: float) -> None:
         """Send every autopilot its setpoint, and a heartbeat now and then."""
-        frame, at, link = self._frame, flown.setpoints, self._mavlink
+        frame, at, link = self._frame, targets.setpoints, self._mavlink
         self._begun = now if self._begun is None else self._begun
         if now - self._beaten >= BEAT:
             self._beaten = now
@@ -246,7 +246,7 @@ class MavlinkOutlet(DatagramOutlet):
             beat = self._sender.heartbeat_encode(*kind, 0, 0, link.MAV_STATE_ACTIVE)
             for to in dict.fromkeys(self._addresses):
                 self._send(beat.pack(self._sender), to)
-        velocities, forward = frame.vectors(at.velocities), frame.vectors(flown.feed_forward)
+        velocities, forward = frame.vectors(at.velocities), frame.vectors(targets.feed_forward)
         rows = np.concatenate([frame.points(at.positions), velocities, forward], axis=-1).tolist()
         boot = int(1e3 * (now - self._begun)) % 2**32
         axes = (link.MAV_FRAME_LOCAL_NED, link.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE)
@@ -301,7 +301,7 @@ class CrazyflieOutlet:
         self._robots = [known[robot] for robot in robots]
         self._set(dict(zip(robots, (parameters[name] for name in names), strict=True)))
         self._spin_once = partial(rclpy.spin_once, self._node, timeout_sec=0.0)
-        self._found: dict[str, Array] = {}
+        self._places: dict[str, Array] = {}
         for name, robot in zip(names, robots, strict=True):
             heard = partial(self._heard, name)
             self._node.create_subscription(pose, f"/{robot}/pose", heard, 10)
@@ -331,14 +331,14 @@ class CrazyflieOutlet:
         place = message.pose.position
         point = np.array([place.x, place.y, place.z])
         if np.all(np.isfinite(point)):
-            self._found[name] = self._frame.planned(point)
+            self._places[name] = self._frame.planned(point)
 
-    def send(self, flown: Flown, now: float) -> None:  # noqa: ARG002
+    def send(self, targets: FleetSetpoints, now: float) -> None:  # noqa: ARG002
         """Send every drone its full state."""
-        frame, at = self._frame, flown.setpoints
-        vectors = at.velocities, flown.feed_forward
+        frame, at = self._frame, targets.setpoints
+        vectors = at.velocities, targets.feed_forward
         rows = [frame.points(at.positions), *map(frame.vectors, vectors)]
-        rates = _turned(flown, frame).body_rates.tolist()
+        rates = _turned(targets, frame).body_rates.tolist()
         for robot, row, rate in zip(self._robots, np.stack(rows, 1).tolist(), rates, strict=True):
             robot.cmdFullState(*row, frame.heading, rate)
 
@@ -346,8 +346,8 @@ class CrazyflieOutlet:
         """Return the poses' positions."""
         for _ in range(4 * len(self._robots)):
             self._spin_once()
-        found, self._found = self._found, {}
-        return found
+        places, self._places = self._places, {}
+        return places
 
     def arm(self) -> None:
         """Arm the drones that need it, which the others' client does not know."""

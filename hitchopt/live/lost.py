@@ -78,16 +78,16 @@ class Reaction(OneLine):
 
 
 class Reactions:
-    """The reactions of one plan: what they have in common is computed once."""
+    """The reactions of one plan; motions after a loss are computed once for all drones."""
 
     def __init__(self, motion: Motion) -> None:
         self.motion = motion
         self._flown = lru_cache(maxsize=256)(self._certified)
 
-    def found(self, drone: str, time: float) -> Reaction:
+    def plan(self, drone: str, time: float) -> Reaction:
         """Return the reaction to the loss of a drone at a time [s].
 
-        Where none was found InfeasibleError says what binds.
+        InfeasibleError names the limit that prevents it.
         """
         motion, names = self.motion, self.motion.team.drone_names
         if drone not in names:
@@ -273,7 +273,7 @@ def survivable(
             if progress is not None:
                 progress(f"loss of {name} at t = {start:.4g} s")
             try:
-                reactions.found(name, 0.5 * (start + end))
+                reactions.plan(name, 0.5 * (start + end))
             except InfeasibleError as error:
                 refused += 1
                 last = without[-1] if without else None

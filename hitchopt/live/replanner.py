@@ -77,7 +77,7 @@ class Retarget(OneLine):
     start: time at which the new plan leaves the old one [s].
     motion: what flies now, from the beginning of steering.
     ahead: the part from the last break before ``start`` on, t = 0 there; of a refusal the motion.
-    certificate: of ``ahead``, all checks; what is only reported, that of ``plan`` tells.
+    certificate: of ``ahead``, all checks; quantities without a limit are in that of ``plan``.
     reason: of a refusal, in words.
     """
 
@@ -196,7 +196,7 @@ class Replanner(OneLine):
         InputError: not exactly one goal, or one that is wrong in itself.
         """
         at = not_negative("at", at)
-        goal = self._asked(polygon, vertex, to, yaw)
+        goal = self._requested(polygon, vertex, to, yaw)
         refusal = ""
         for wait in WAITS:
             try:
@@ -211,14 +211,14 @@ class Replanner(OneLine):
             return answer
         return Retarget(False, at, self.motion, self.motion, self._certificate, refusal)
 
-    def _asked(
+    def _requested(
         self,
         polygon: Outline | ArrayLike | None,
         vertex: int | None,
         to: ArrayLike | None,
         yaw: float,
     ) -> tuple[Outline, float, float]:
-        """Return outline, altitude and yaw of the goal that is asked for."""
+        """Return outline, altitude and yaw of the requested goal."""
         goal, team, own, yaw = self._goal, self.motion.team, self._goal.polygon, finite("yaw", yaw)
         given = polygon is not None, vertex is not None, to is not None
         kinds = [(True, False, False), (False, True, True), (False, False, True)]
@@ -258,10 +258,10 @@ class Replanner(OneLine):
         fresh = Motion(path.team, self.requirements, drones, vertices, legs, tensions, (phase,))
         fresh = with_last_poses(past, fresh)
         ahead = append_motion(recent, fresh)
-        found = _certificate(ahead)
-        if not found.certified:
-            raise infeasible(found, ahead)
-        return Retarget(True, past.duration, append_motion(past, fresh), ahead, found), end
+        certificate = _certificate(ahead)
+        if not certificate.certified:
+            raise infeasible(certificate, ahead)
+        return Retarget(True, past.duration, append_motion(past, fresh), ahead, certificate), end
 
     def _end(self, outline: Outline, altitude: float) -> Hitch:
         """Return the hitch of a goal, its slack split as now where limits allow that."""
@@ -300,7 +300,7 @@ class Replanner(OneLine):
 
 
 def _certificate(ahead: Motion) -> Certificate:
-    """Return the certificate of what is ahead, with bounds that are found quickly."""
+    """Return the certificate of the motion ahead, with bounds that are computed quickly."""
     with rough_bounds():
         return certify(ahead.untimed, reports=())
 
@@ -403,19 +403,19 @@ class RetargetPath:
         """Return a motion's four polynomials, which meet the state itself at their start."""
         count, h = len(breaks) - 1, SIDE * (breaks[1:] - breaks[:-1])
         sides = np.concatenate([breaks[:-1] + h, breaks[1:] - h])
-        vertices, found = self.jets(sides, brake, shift)
-        legs = found.legs * self.team.layout.has_leg[..., None]
+        vertices, drones = self.jets(sides, brake, shift)
+        legs = drones.legs * self.team.layout.has_leg[..., None]
         starts = (self.state.drones, self.state.vertices, self.state.legs)
-        each = [part.reshape(2 * count, -1, JET) for part in (found.positions, vertices, legs)]
+        each = [part.reshape(2 * count, -1, JET) for part in (drones.positions, vertices, legs)]
         orders = np.moveaxis(np.concatenate(each, axis=1), -1, 0)
         left, right = orders[:, :count], orders[:, count:]
         left[:STATE, 1:] = right[:STATE, :-1]
         left[:STATE, 0] = np.concatenate([part.reshape(-1, STATE) for part in starts]).T
         right[1:STATE, -1] = 0.0
         both = PiecewisePolynomial.hermite(breaks, left, right)
-        drones, points, leg_curves = both.split([part.shape[:-1] for part in starts])
+        curves, points, leg_curves = both.split([part.shape[:-1] for part in starts])
         pulls = np.repeat(self.team.tension[None, :, None], count, axis=0)
-        return [drones, points, leg_curves, both.alike(pulls)]
+        return [curves, points, leg_curves, both.alike(pulls)]
 
     def excess(self, limits: Limits, t: Array, brake: float | Array, shift: float | None) -> Array:
         """Return how many times slower a motion would have to be at times (J,) [s], at most.
@@ -423,12 +423,12 @@ class RetargetPath:
         Thrust and tilt, which do not scale, count by the square root of their share of the limit.
         At t = 0 only the jerk counts: the state is given.
         """
-        points, found = self.jets(t, brake, shift)
-        rates = np.einsum("jdxk,jdxk->kjd", found.positions, found.positions).max(axis=2) ** 0.5
+        points, drones = self.jets(t, brake, shift)
+        rates = np.einsum("jdxk,jdxk->kjd", drones.positions, drones.positions).max(axis=2) ** 0.5
         moved = np.linalg.norm(points[..., 1], axis=2).max(axis=1)
-        level = np.hypot(found.thrusts[..., 0], found.thrusts[..., 1])
-        used = np.hypot(level, found.thrusts[..., 2]) / self.team.max_thrust
-        tilt = np.arctan2(level, found.thrusts[..., 2])
+        level = np.hypot(drones.thrusts[..., 0], drones.thrusts[..., 1])
+        used = np.hypot(level, drones.thrusts[..., 2]) / self.team.max_thrust
+        tilt = np.arctan2(level, drones.thrusts[..., 2])
         ratios = [
             rates[1] / limits.speed,
             moved / limits.vertex_speed,
@@ -446,8 +446,8 @@ class RetargetPath:
             return BRAKES[0]
         times = np.outer(BRAKES, BRAKE_PLACES)
         each = np.repeat(BRAKES, times.shape[1])
-        found = self.excess(limits, times.ravel(), each, None).reshape(times.shape).max(axis=1)
-        feasible = np.flatnonzero(found <= BRAKE_SHARE)
+        excess = self.excess(limits, times.ravel(), each, None).reshape(times.shape)
+        feasible = np.flatnonzero(excess.max(axis=1) <= BRAKE_SHARE)
         return BRAKES[feasible[0]] if len(feasible) else None
 
     def shortest_shift(self, limits: Limits, brake: float) -> float | None:
@@ -456,12 +456,12 @@ class RetargetPath:
         for _ in range(SHIFT_ROUNDS):
             last = np.array([brake, shift]) * (1.0 - SIDE)
             times = np.concatenate([max(shift, brake) * PLACES, last])
-            found = float(self.excess(limits, times, brake, shift).max())
-            if found <= SHARE:
+            excess = float(self.excess(limits, times, brake, shift).max())
+            if excess <= SHARE:
                 return shift
-            if not math.isfinite(found):
+            if not math.isfinite(excess):
                 return None
-            shift *= max(found / AIM, GROWTH)
+            shift *= max(excess / AIM, GROWTH)
         return None
 
 
@@ -475,8 +475,8 @@ def _to_rest(start: Array, rest: Array, duration: Array, t: Array) -> Array:
     curves = np.stack(np.broadcast_arrays(p, *inner, rest, rest, rest), axis=-1)
     weights = bernstein.jet_basis(np.minimum(t / duration, 1.0), 5, JET)
     weights[t >= duration, :, 1:] = 0.0
-    found: Array = curves @ (weights / h[..., None] ** np.arange(JET))
-    return found
+    result: Array = curves @ (weights / h[..., None] ** np.arange(JET))
+    return result
 
 
 def _turned(shape: Array, angle: Array) -> Array:
@@ -486,10 +486,10 @@ def _turned(shape: Array, angle: Array) -> Array:
     around = jets.chained(np.moveaxis(outer, 2, 0), angle[:, None])
     # (J, points, 2, 2, 4): cosine and sine times x and y.
     parts = jets.product(around[:, None, :, None], shape[:, :, None, :2])
-    found = shape.copy()
-    found[:, :, 0] = parts[:, :, 0, 0] - parts[:, :, 1, 1]
-    found[:, :, 1] = parts[:, :, 1, 0] + parts[:, :, 0, 1]
-    return found
+    turned = shape.copy()
+    turned[:, :, 0] = parts[:, :, 0, 0] - parts[:, :, 1, 1]
+    turned[:, :, 1] = parts[:, :, 1, 0] + parts[:, :, 0, 1]
+    return turned
 
 
 def _turn(first: Array, last: Array) -> float:

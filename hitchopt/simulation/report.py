@@ -157,7 +157,7 @@ def drawn_flight(simulation: Simulation, motion: Motion, title: str = "") -> Fig
         shots = [shot for shot in chosen_shots(motion) if shot.time <= end + SAME_FRAME]
         if np.isfinite(simulation.flight.pulled):
             words = "after the pull test" if simulation.flight.task.formed[-1] else "at rest"
-            shots = [*shots[: max(1, len(shots) - 1)], Shot(words, end, kept=True)]
+            shots = [*shots[: max(1, len(shots) - 1)], Shot(words, end, essential=True)]
         wide = THICKNESS * float(np.linalg.norm(np.ptp(scene.drones, axis=(0, 1))))
         drawn = replace(scene, radius=float(np.clip(wide, scene.radius, THICKEST)))
         draw_storyboard(grid[:, 0], drawn, shots, (scene.t, scene.drones))

@@ -1,4 +1,4 @@
-"""Campaigns of flights of one plan, on several processes: how often it succeeds, and what fails."""
+"""Campaigns of flights of one plan, on several processes: success rate and failures."""
 
 from __future__ import annotations
 

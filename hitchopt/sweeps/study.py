@@ -60,7 +60,7 @@ class GridKeys:
 
 @dataclass(frozen=True)
 class ParameterKeys:
-    """What values a parameter takes, if they are not listed."""
+    """Values of a parameter that are not listed."""
 
     grid: Annotated[GridKeys, Key(mapping_of(GridKeys), "Values at even distances")]
 
@@ -113,7 +113,7 @@ def with_values(base: Mapping[str, Plain], point: Point) -> dict[str, Plain]:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One plan, and what is done with it."""
+    """One plan, and the options of its flight."""
 
     name: str  # of the problem
     point: Point
@@ -164,7 +164,7 @@ class SimulateKeys:
 
 @dataclass(frozen=True)
 class StudyKeys:
-    """A study: problems, parameters, and what is done with each of their combinations."""
+    """A study: problems, parameters, and options of all plans and flights."""
 
     problem: Annotated[
         Any,
@@ -189,7 +189,7 @@ STUDY = mapping_of(StudyKeys)
 
 @dataclass(frozen=True, eq=False)
 class Study(OneLine):
-    """Problems, parameters, and what is done with every combination of them.
+    """Problems, parameters, and options of all plans and flights.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Runs of a study and the rows that they write: what is missing is computed, row by row.
+"""Runs of a study and the rows that they write: missing ones are computed, row by row.
 
 A study's directory holds ``rows.jsonl``, one row a line, and ``study.json``: the digests of the
 study's cases, in order. Rows of other studies that were run in the same directory stay; what is
@@ -53,7 +53,7 @@ def run_sweep(
     Parameters
     ----------
     study: a study, its keys, or the path of its file.
-    directory: made if it is missing.
+    directory: created if it is missing.
     workers: number of processes on this machine; None for one per processor.
     scheduler: address of a dask scheduler that has workers; None for a cluster of this machine.
     progress: called after every row, with the number of rows.

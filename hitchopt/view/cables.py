@@ -72,8 +72,8 @@ def cable_curves(
 def clasp_senses(motion: Motion) -> Array:
     """Return (clasps,) 1 where q went up over r when the clasp was tied, else -1.
 
-    A hitch that is there at first is taken to have been tied with every q going up first, as the
-    check ``interlacing`` takes it.
+    A hitch that is there at first counts as tied with every q going up first, as in the
+    check ``interlacing``.
     """
     layout = motion.team.layout
     for (before, start, end), (after, _, _) in pairwise(_runs(motion)):
@@ -117,7 +117,7 @@ def wrapped_edges(first: Array, last: Array, contacts: Array) -> tuple[Array, Ar
 
 
 def _hooked_times(motion: Motion, t: Array) -> tuple[Array, Array]:
-    """Return at which times vertices are to be taken, and how far cables are hooked (times,).
+    """Return the times of the vertices, and how far cables are hooked (times,).
 
     That is from 0, hanging free, to 1. It rises in the second half of the clasping that leads to a
     hitch, and falls in the first half of the one that undoes it.

@@ -1,4 +1,4 @@
-"""A problem file being edited: its text, what can be dragged, and the plan of the newest text.
+"""A problem file that is edited: its text, its handles, and the plan of the newest text.
 
 The text is the only state. Every change makes another text, which is planned in the background
 while the last plan stays; a plan of a text that is no longer the newest is discarded.
@@ -73,7 +73,7 @@ class Handle:
 
 
 def handles(problem: Problem, data: Plain, index: int, height: float) -> Iterator[Handle]:
-    """Yield what can be dragged of the step of an index, or of the start, in a file's data.
+    """Yield the handles of the step of an index, or of the start, in a file's data.
 
     ``height`` is that of the hitch at the step's end [m], where the file does not tell.
     """
@@ -85,7 +85,7 @@ def handles(problem: Problem, data: Plain, index: int, height: float) -> Iterato
         height = float(keys.get("altitude", HEIGHT))
 
     def handle(name: str, *points: tuple[str | int, ...], first: int = 0) -> Handle:
-        """Return what is in the middle of points, whose coordinates begin with the first."""
+        """Return the handle in the middle of points, whose coordinates begin with the first."""
         values = np.array([value_at(keys, point)[first:] for point in points], float)
         place = np.append(np.mean(values, axis=0), height)[:3]
         axes = range(values.shape[1])
@@ -128,10 +128,10 @@ def step_key(data: Plain, index: int) -> str:
 
 def outlines(problem: Problem) -> list[Outline | None]:
     """Return the outline at the start, and after each step; None where there is no hitch."""
-    found = [problem.start_outline]
+    polygons = [problem.start_outline]
     for step in problem.mission:
-        found.append(step.checked_polygon_after(problem.team, found[-1]))
-    return found
+        polygons.append(step.checked_polygon_after(problem.team, polygons[-1]))
+    return polygons
 
 
 def height_after(motion: Motion, index: int) -> float:
@@ -178,10 +178,10 @@ class Stage(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Status:
-    """What is known of the newest text."""
+    """State of planning the newest text."""
 
     stage: Stage  # how the plan that is there relates to it
-    words: str = ""  # what is being done, or what binds
+    words: str = ""  # the work in progress, or the reason of a refusal
     suggestions: tuple[Suggestion, ...] = ()  # changes that make it feasible, verified
 
 
@@ -197,7 +197,7 @@ class Editing:
 
     Parameters
     ----------
-    text: what the problem file holds; an InputError or FileError if it is no problem of a hitch.
+    text: content of the problem file; an InputError or FileError if it is no problem of a hitch.
     path: where it is saved; outlines of objects are beside it.
     planned: the plan of this text.
     """
@@ -223,15 +223,15 @@ class Editing:
         return self.text == self._on_disk
 
     def now(self) -> tuple[str, Status, Certified]:
-        """Return the text, what is known of it, and the plan that is there, of one moment."""
+        """Return the text, its status, and the plan that is there, of one moment."""
         with self._lock:
             return self.text, self.status, self.planned
 
     def handles(self, index: int) -> dict[str, Handle]:
-        """Return what can be dragged of a step, or of the start, by name."""
+        """Return the handles of a step, or of the start, by name."""
         height = height_after(self.planned.motion, index)
-        found = handles(self.problem, parse_yaml(self.text), index, height)
-        return {handle.name: handle for handle in found}
+        listed = handles(self.problem, parse_yaml(self.text), index, height)
+        return {handle.name: handle for handle in listed}
 
     def change(self, text: str) -> None:
         """Go on with another text; an InputError or FileError if it is no problem of a hitch."""
@@ -264,10 +264,10 @@ class Editing:
 
     def drag(self, index: int, name: str, place: Array) -> None:
         """Put a handle of a step to a place (3,) [m]; errors as of ``change``."""
-        found = self.handles(index)
-        if name not in found:
-            raise InputError("handle", name, f"one of {', '.join(found)}", "choose another step")
-        self.change(found[name].dragged(self.text, place))
+        by_name = self.handles(index)
+        if name not in by_name:
+            raise InputError("handle", name, f"one of {', '.join(by_name)}", "choose another step")
+        self.change(by_name[name].dragged(self.text, place))
 
     def add(self, index: int, kind: str) -> None:
         """Add a step of a kind after another one (START: before all); errors as of ``change``."""
@@ -327,24 +327,24 @@ class Editing:
         """Plan the newest text as soon as the planning of an older one has ended."""
         self.problem, self.status = problem, Status(Stage.PLANNING)
         self._version += 1
-        told = (self._version, problem)
-        self._worker = threading.Thread(target=self._answer, args=told, daemon=True)
+        request = (self._version, problem)
+        self._worker = threading.Thread(target=self._answer, args=request, daemon=True)
         self._worker.start()
 
     def _answer(self, version: int, problem: Problem) -> None:
-        def told(words: str) -> None:
+        def report(words: str) -> None:
             self._publish(version, replace(self.status, words=words))
 
         with self._planning, suppress(_StaleError):
             self._check(version)
             try:
-                planned = solve_problem(problem, told)
+                planned = solve_problem(problem, report)
             except InfeasibleError as error:
                 words = f"{error}\nlooking for changes that make it feasible …"
                 self._publish(version, Status(Stage.REFUSED, words))
-                found = find_suggestions(problem, error, progress=lambda _: self._check(version))
-                words = str(error) if found else f"{error}\n{NO_CHANGE}"
-                self._publish(version, Status(Stage.REFUSED, words, found))
+                changes = find_suggestions(problem, error, progress=lambda _: self._check(version))
+                words = str(error) if changes else f"{error}\n{NO_CHANGE}"
+                self._publish(version, Status(Stage.REFUSED, words, changes))
             except HitchoptError as error:
                 self._publish(version, Status(Stage.REFUSED, str(error)))
             except Exception as error:  # a fault of ours must not end the editing

@@ -32,8 +32,8 @@ def save_film(
     """Write the film of a scene, 1280 × 720, with a title above it.
 
     ``path`` ends in .gif or .mp4, or there is an InputError; ``progress`` is called with the
-    fraction that is done. UnsupportedError says what is not installed, FileError that the file
-    cannot be written.
+    fraction that is done. UnsupportedError names a missing package, FileError a file that cannot be
+    written.
     """
     kind = path.suffix.lower()
     if kind not in RATES:
@@ -52,8 +52,8 @@ def save_film(
         options = {"duration": 1000.0 / rate, "loop": 0}
     times = np.arange(int(np.ceil(scene.t[-1] * rate)) + 1) / rate
     with drafted(path) as draft:
-        made: Any = imageio.get_writer(draft, **options)
-        with made as writer:
+        film: Any = imageio.get_writer(draft, **options)
+        with film as writer:
             for i, frame in enumerate(frames(scene, times, title)):
                 writer.append_data(frame)
                 if progress is not None:

@@ -20,8 +20,7 @@ from hitchopt.view.live_scene import SWITCHES, LiveScene
 from hitchopt.view.scene import Concerned, Scene, concerned, scene_of
 from hitchopt.view.style import facts, verdict
 
-# Where the server listens unless told otherwise: this machine alone; if the port is taken, the
-# next free one
+# Default address of the server: this machine alone; if the port is in use, the next free one
 HOST, PORT = "127.0.0.1", 8080
 WIDTH, FIELD = 380, 0.6  # Width of the panel [pixels], and vertical field of view [rad]
 # Colours of the light from above and from below, and its intensity
@@ -37,7 +36,7 @@ SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 QUIET = "gray"  # Colour of buttons, but for those of checks that do not hold
 # Direction and shortest distance [m] from which the scene is seen at first
 FROM, NEAREST = np.array([-0.35, -0.8, 0.5]), 1.5
-ASPECT = 0.7  # Width over height of what the panels leave of a small window
+ASPECT = 0.7  # Width over height of the part of a small window that panels leave free
 
 
 def open_server(host: str = HOST, port: int = PORT) -> Any:
@@ -138,10 +137,7 @@ class LiveView:
             self._show_checks()
 
     def note(self, words: str) -> None:
-        """Say above the certificate what the plan shown is, which is drawn pale then.
-
-        Nothing is said where it is the plan of the problem.
-        """
+        """Draw the plan pale, under words that say how it relates to the problem; "" ends that."""
         with self._lock:
             self._note = words
             self.live.fade(on=bool(words))
@@ -165,8 +161,8 @@ class LiveView:
             self.play(on=False)
             self.live.mark(concerned(self.motion, check.where))
             where = f": {', '.join(check.where)}" if check.where else ""
-            self.found.content = f"{check.name}{where} at {check.time:.2f} s"
-            self.found.visible = True
+            self.shown_check.content = f"{check.name}{where} at {check.time:.2f} s"
+            self.shown_check.visible = True
             self.seek(check.time)
 
     def play(self, *, on: bool) -> None:
@@ -208,7 +204,7 @@ class LiveView:
         self.scrub = gui.add_slider("time [s]", 0.0, 1.0, STEP, 0.0)
         self.player = gui.add_button("Play")
         speed = gui.add_dropdown("speed", SPEEDS, initial_value=f"{self.speed:g}")
-        self.found = gui.add_markdown("", visible=False)
+        self.shown_check = gui.add_markdown("", visible=False)
 
         def scrubbed(event: Any) -> None:
             if event.client is not None:  # moved by hand, not by the playback
@@ -230,9 +226,9 @@ class LiveView:
         self.checks = Buttons(gui, checks, self._show_check_at)
 
     def _fill_panel(self) -> None:
-        """Say in the panel what the plan is, and show its time."""
+        """Fill the panel with the plan's facts, and show its time."""
         self._show_head()
-        self.found.visible = False
+        self.shown_check.visible = False
         spans = [f"{p.name}: {p.start:.2f} – {p.end:.2f} s" for p in self.motion.phases]
         self.phases.show(spans, [QUIET] * len(spans))
         self._show_checks()
@@ -241,11 +237,11 @@ class LiveView:
         self.scrub.max = round(longest, DECIMALS)
 
     def _show_head(self) -> None:
-        said = "being certified …" if self.certificate is None else verdict(self.certificate)
-        said = f"**{said}**" if not self._note else f"what is shown: {said}"
+        words = "being certified …" if self.certificate is None else verdict(self.certificate)
+        words = f"**{words}**" if not self._note else f"what is shown: {words}"
         note = f"**{plain_words(self._note)}**  \n" if self._note else ""
         title = plain_words(self._title or "Plan")
-        self.head.content = f"### {title}\n{facts(self.motion)}  \n{note}{said}"
+        self.head.content = f"### {title}\n{facts(self.motion)}  \n{note}{words}"
 
     def _show_phase(self) -> None:
         phases, duration = self.motion.phases, self.motion.duration
@@ -278,14 +274,14 @@ class LiveView:
     def _unmark(self) -> None:
         with self._lock:
             self.live.mark(Concerned())
-            self.found.visible = False
+            self.shown_check.visible = False
 
 
 class Buttons:
     """Buttons below one another, whose labels change with the plan; none is ever removed.
 
-    Pages that draw slowly receive what is added and removed at once, and report updates of what
-    is not there as errors. ``clicked`` is called with the index of a button of a tab ``place``.
+    Pages that draw slowly receive additions and removals at once, and report updates of missing
+    buttons as errors. ``clicked`` is called with the index of a button of a tab ``place``.
     """
 
     def __init__(self, gui: Any, place: Any, clicked: Callable[[int], None]) -> None:
@@ -314,5 +310,5 @@ def _words(check: Check) -> str:
 
 
 def plain_words(text: str) -> str:
-    """Return a text without what Markdown or HTML would take for marks."""
+    """Return a text without markup of Markdown or HTML."""
     return "".join(f"&#{ord(char)};" if char in "<>&*_`#[]()!\\|~$" else char for char in text)

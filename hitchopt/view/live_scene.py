@@ -1,4 +1,4 @@
-"""A scene drawn in viser: drones, cables and what stands around, one moment after the other."""
+"""A scene drawn in viser: drones, cables and surroundings, one moment after the other."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ class LiveScene:
         return [self._solid(f"objects/{each.name}", each, opacity=opacity) for each in objects]
 
     def _add_switched(self) -> None:
-        """Add what can be switched off, and the balls that mark."""
+        """Add the parts that have switches, and the balls that mark."""
         scene, look, drones = self.scene, self.scene.appearance, self._moment.drones
         shell, marked = _as_bytes((SHELL_COLOUR, MARK_COLOUR))
         self._shells = self._batch("ellipsoids", sphere_faces(look.ellipsoid), shell, 0.15)
@@ -218,7 +218,7 @@ def _single(values: Array) -> NDArray[np.float32]:
 
 
 def _upright(count: int) -> NDArray[np.float32]:
-    """Return the attitudes (count, 4) of what is not turned."""
+    """Return upright attitudes (count, 4)."""
     return np.tile(np.array([1.0, 0.0, 0.0, 0.0], np.float32), (count, 1))
 
 

@@ -1,7 +1,7 @@
 """A scene as flat polygons, and a plan as a row of panels: the moments that matter, at one scale.
 
-Polygons are painted the farthest first. Cables have pale edges, so that the one that passes over
-another is told apart in grey as well.
+Polygons are painted the farthest first. Cables have pale edges: over and under differ in grey as
+well.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from hitchopt.view.shapes import SEGMENTS, normals, split
 CASING, OVERLAP = 1.8, 0.5
 SHADOW = "#e4e7ea"  # Colour of shadows
 # Least number of a rotor's corners, and how often the sides of an object's faces are halved, so
-# that near and far are told apart
+# that near and far faces are sorted apart
 FEWEST, SPLITS = 4, 3
 # Direction toward the light, and the brightness of a face that is turned away from it
 LIGHT, DARKEST = unit(np.array([-0.35, -0.55, 1.0])), 0.62
@@ -76,7 +76,7 @@ class Painting(NamedTuple):
 
 
 class Painter:
-    """What draws the moments of one scene.
+    """A painter of the moments of one scene.
 
     ``width`` is half of a cable's drawn width [m], 0 for the scene's; ``size`` a factor of the
     drones' sizes; ``step`` that by which rotors and cables have fewer corners, as small ones may.
@@ -154,7 +154,7 @@ class Painter:
     def _strips(self, curves: Array, width: float, longer: float) -> Array:
         """Return the segments of curves (n, points, 3) as seen quadrangles (m, 4, 3) [m].
 
-        ``width`` is half of a segment's, and ``longer`` what it is longer by at either end [m].
+        ``width`` is half of a segment's, and ``longer`` an extension at either end [m].
         """
         seen = self.camera.seen(curves)
         first, last = seen[:, :-1].reshape(-1, 3), seen[:, 1:].reshape(-1, 3)
@@ -169,7 +169,7 @@ class Shot(NamedTuple):
 
     words: str
     time: float  # from the plan's start [s]
-    kept: bool = False  # whether it is shown however many there are, as far as MOST goes
+    essential: bool = False  # whether it comes before others where there are more than MOST
 
 
 def chosen_shots(motion: Motion) -> tuple[Shot, ...]:
@@ -177,23 +177,23 @@ def chosen_shots(motion: Motion) -> tuple[Shot, ...]:
 
     Where there are more than MOST, those with the longest paths before them are chosen.
     """
-    shots = [Shot("start", 0.0, kept=True)]
+    shots = [Shot("start", 0.0, essential=True)]
     for (_, state), same in groupby(motion.phases, lambda phase: (phase.step, phase.state)):
         group = list(same)
         if state is CableState.CLASPING:
             middle = 0.5 * (group[0].start + group[0].end)
-            shots.append(Shot(group[0].name.rstrip(" 0123456789"), middle, kept=True))
+            shots.append(Shot(group[0].name.rstrip(" 0123456789"), middle, essential=True))
         elif state is CableState.HITCHED and group[-1].name == "tension":
-            shots.append(Shot("hitched", group[-1].end, kept=True))
+            shots.append(Shot("hitched", group[-1].end, essential=True))
         elif state in (CableState.HITCHED, CableState.NONE):
             shots += [Shot(phase.name, phase.end) for phase in group if phase.name != "relax"]
-    shots.append(Shot("end", motion.duration, kept=True))
+    shots.append(Shot("end", motion.duration, essential=True))
     times = np.clip([shot.time for shot in shots], 0.0, motion.duration)
     places = motion.drones.at(motion.drones.breaks[0] + times)
-    gone = np.max(np.linalg.norm(np.diff(places, axis=0), axis=-1), axis=-1)
-    gone = np.concatenate([[np.inf], gone])
-    moved = np.flatnonzero(gone > STILL)
-    rank = gone[moved] + np.where([shots[i].kept for i in moved], LONGEST, 0.0)
+    travel = np.max(np.linalg.norm(np.diff(places, axis=0), axis=-1), axis=-1)
+    travel = np.concatenate([[np.inf], travel])
+    moved = np.flatnonzero(travel > STILL)
+    rank = travel[moved] + np.where([shots[i].essential for i in moved], LONGEST, 0.0)
     rank[-1] = np.inf
     return tuple(shots[i] for i in np.sort(moved[np.argsort(-rank, kind="stable")[:MOST]]))
 
@@ -240,7 +240,7 @@ def draw_storyboard(
 
 
 def few_corners(robots: int) -> int:
-    """Return the painter's step for a team: what is small needs fewer corners."""
+    """Return the painter's step for a team: small shapes need fewer corners."""
     return next(step for most, step in STEPS.items() if robots <= most)
 
 

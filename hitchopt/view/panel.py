@@ -23,7 +23,7 @@ SIZE, REACH = 0.04, 0.35
 # Colours of the handle that is chosen, and of the others, as red, green and blue
 CHOSEN_COLOUR, IDLE_COLOUR = tuple(bytes.fromhex(MARK_COLOUR[1:])), (90, 96, 102)
 # Number of handles of a step up to which all are drawn, while a list has all of them; and
-# decimals of what one is dragged by [m]: nobody drags more finely
+# decimals of the distance that one is dragged by [m]: nobody drags more finely
 MOST, DECIMALS = 80, 4
 
 
@@ -45,7 +45,7 @@ class EditingPanel:
         self._tab = window.add_tab("Edit")
         with self._tab:
             self.status = gui.add_markdown("")
-            self.said = gui.add_markdown("", visible=False)
+            self.reply = gui.add_markdown("", visible=False)
             group = gui.add_button_group("file", ("Undo", "Redo", "Save"))
             group.on_click(lambda event: self._do(self._filed, event.target.value))
         self._build()
@@ -53,7 +53,7 @@ class EditingPanel:
         editing.listener = self.refresh
 
     def refresh(self) -> None:
-        """Show what the editing holds now."""
+        """Show the text, status and plan of the editing."""
         with self._lock:
             text, status, planned = self.editing.now()
             if planned is not self._shown:
@@ -74,7 +74,7 @@ class EditingPanel:
             self._build()
 
     def _tell(self, status: Status) -> None:
-        """Show how the plan relates to the problem, and what is suggested."""
+        """Show how the plan relates to the problem, and the suggestions."""
         self.live.note("" if status.stage is Stage.CURRENT else str(status.stage))
         disk = "saved" if self.editing.saved else "not saved"
         words = f"**{plain_words(str(status.stage))}** ({disk})"
@@ -94,7 +94,7 @@ class EditingPanel:
                 ]
 
     def _build(self) -> None:
-        """Build what depends on the text and the step."""
+        """Build the parts that depend on the text and the step."""
         for part in self._parts:
             part.remove()
         self._built = self.editing.text
@@ -211,7 +211,7 @@ class EditingPanel:
         return button
 
     def _do(self, work: Callable[..., None], *args: Any) -> None:
-        """Do what was asked for, or say why not."""
+        """Do the work of a button, or show the error."""
         with self._lock:
             self._say("")
             try:
@@ -220,5 +220,5 @@ class EditingPanel:
                 self._say(str(error))
 
     def _say(self, words: str) -> None:
-        self.said.content = plain_words(words)
-        self.said.visible = bool(words)
+        self.reply.content = plain_words(words)
+        self.reply.visible = bool(words)

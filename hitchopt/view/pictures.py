@@ -119,7 +119,7 @@ def panels(motion: Motion, states: States) -> tuple[Panel, ...]:
 
 
 def draw_summary(motion: Motion, certificate: Certificate, title: str = "") -> Figure:
-    """Return the picture: a storyboard, or single drones from above; what is limited over time.
+    """Return the picture: a storyboard, or single drones from above; limited quantities over time.
 
     The certificate's worst values are marked.
     """
@@ -147,7 +147,7 @@ def draw_summary(motion: Motion, certificate: Certificate, title: str = "") -> F
 
 
 def plan_card(motion: Motion, certificate: Certificate, title: str) -> str:
-    """Return what notebooks show, as HTML without an outside address: picture, phases, checks."""
+    """Return a plan as notebooks show it: picture, phases and checks in HTML without addresses."""
     picture = BytesIO()
     style.save_figure(draw_summary(motion, certificate, title), picture, CARD_RESOLUTION)
     image = b64encode(picture.getvalue()).decode()
@@ -263,7 +263,7 @@ def _label(axes: Axes, text: str, value: float, colour: str, shift: float = 0.0)
 
 
 def draw_plan_view(axes: Axes, motion: Motion, gap: float = 0.1) -> None:
-    """Draw a plan from above: start, paths and end, and what bounds them.
+    """Draw a plan from above: start, paths, end and bounds.
 
     ``gap`` is between the axes and the legend below, as a share of the axes' height.
     """

@@ -32,7 +32,7 @@ from hitchopt.view.shapes import Solid, mesh
 # Endings of files that a plan can be written to
 PAGE, PICTURES, FILMS = ".html", (".png", ".svg", ".pdf"), (".mp4", ".gif")
 PACKAGES = ("numpy", "scipy", "casadi", "toppra", "osqp", "ruckig")
-# What a report states, besides hitchopt's version: of packages versions, of files digests
+# A report states the versions of packages besides hitchopt's, and the digests of files
 DIGESTED = ("plan.npz", "setpoints.csv")
 # Parts of the page's script
 SCRIPTS = ("samples.js", "cable_tubes.js", "stage.js", "plots.js", "report.js")
@@ -49,9 +49,9 @@ def save_view(
 ) -> None:
     """Write a plan as a page, a picture or a film, by the ending of the file's name.
 
-    ``problem`` is the text of its file, ``progress`` is called with what is done of a film. Another
-    ending is an InputError; an UnsupportedError says what a film needs that is not installed, a
-    FileError that the file cannot be written.
+    ``problem`` is the text of its file, ``progress`` is called with the finished share of a film.
+    Another ending is an InputError; a package that a film needs and lacks an UnsupportedError; a
+    file that cannot be written a FileError.
     """
     kind = path.suffix.lower()
     if kind in FILMS:
@@ -151,7 +151,7 @@ def packed(arrays: Mapping[str, Array]) -> tuple[list[dict[str, Any]], str]:
 
 
 def _described(scene: Scene) -> dict[str, Any]:
-    """Return what does not change over time, and the phases."""
+    """Return the appearance, the phases, and all else that does not change over time."""
     motion, team = scene.motion, scene.motion.team
     layout = motion.team.layout
     look = scene.appearance
@@ -194,7 +194,7 @@ def _solid(solid: Solid) -> dict[str, Any]:
 
 
 def _plots(motion: Motion, certificate: Certificate) -> Iterator[dict[str, Any]]:
-    """Yield what is limited over time, and the largest and smallest tension of the hitch."""
+    """Yield limited quantities over time, and the largest and smallest tension of the hitch."""
     states, duration = sampled_states(motion), motion.duration
     for panel in panels(motion, states):
         bound = (np.array([0.0, duration]), np.full(2, panel.limit), f"limit {panel.limit:.4g}")
@@ -219,7 +219,7 @@ def _plot(
     limits: Sequence[tuple[Array, Array, str]],
     worst: tuple[float, float] | None,
 ) -> dict[str, Any]:
-    """Return what the page draws: limits are times, values and words, worst a time and a value."""
+    """Return a plot of the page: limits are times, values and words, worst a time and a value."""
     values = [*curves, *(values for _, values, _ in limits), np.array(worst[1:] if worst else [])]
     return {
         "label": label,

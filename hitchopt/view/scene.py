@@ -1,4 +1,4 @@
-"""What a picture, a film or a page shows of a plan over time: drones, cables, forces, objects.
+"""A plan over time as pictures, films and pages show it: drones, cables, forces, objects.
 
 Everything that draws in three dimensions draws a ``Scene``, so that all of them show the same.
 A ghost, beside a plan, is the scene of another plan or of a flight that was simulated.
@@ -35,7 +35,7 @@ OF_CABLES = ("cable ", "edge ", "c", "q-leg ", "r-leg ")
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """What is seen at a time; at many of them if all arrays have the times before their axes."""
+    """Places and forces at a time; at many of them if all arrays have times before their axes."""
 
     drones: Array  # positions (N, 3) [m]
     quaternions: Array  # attitudes (N, 4), w, x, y, z
@@ -162,7 +162,7 @@ def recorded_scene(
 
 
 class Concerned(NamedTuple):
-    """Indices of what a check names."""
+    """Indices of drones, cables and vertices that a check names."""
 
     drones: tuple[int, ...] = ()
     cables: tuple[int, ...] = ()
@@ -170,7 +170,7 @@ class Concerned(NamedTuple):
 
 
 def concerned(motion: Motion, where: Sequence[str]) -> Concerned:
-    """Return what the names in ``where`` of a check stand for; others are ignored."""
+    """Return the indices that belong to the names in ``where`` of a check; others are ignored."""
     team, named = motion.team, set(where)
     legs = ((i, f"{name[0]}-leg {name[1:]}", name) for i, name in enumerate(team.drone_names))
     cables = ({f"{part}{k}" for part in OF_CABLES} for k in range(team.robots))

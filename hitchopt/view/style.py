@@ -1,4 +1,4 @@
-"""Colours and words that all pictures and scenes share, and how a figure is made and written.
+"""Colours and words that all pictures and scenes share; new figures, and files of them.
 
 Live views need the colours alone: matplotlib is imported by the functions that draw with it.
 """
@@ -33,10 +33,10 @@ COLOURS = ("#0b3c5d", "#2a8c82", "#e0a526", "#c8414f")
 TABLE_COLOUR, OBJECT_COLOUR, KEEP_OUT_COLOUR = "#d3d8dd", "#e8d3a8", "#b3261e"
 # Colours of drones' frames, and of hollow rotors and of cables' edges
 FRAME, OPEN = "#2b2f33", "#ffffff"
-MARK_COLOUR = "#e8590c"  # Colour of what a check concerns
+MARK_COLOUR = "#e8590c"  # Colour of drones, cables and vertices that a check names
 # Colours of curves and of limits, which are dashed and differ from curves in grey as well
 INK, LIMIT_COLOUR, DASHES = "0.1", "#b3261e", (0, (6, 2))
-# Kinds of drawings, and what would make their bytes depend on more than their content
+# Kinds of drawings, and their metadata that would change with the date
 UNDATED: dict[str, dict[str, str | None]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
 # Resolution of every picture [dots per inch], and level of zlib: files are 5 to 12 % larger than
 # with 6, in half to two thirds of the time

@@ -96,7 +96,7 @@ def test_a_hold_begins_where_the_balance_allows(kind: str) -> None:
     """In the lift; its certificate is that of polynomials of its own."""
     motion = plan(kind).motion
     end = during(motion, "lift", 1.0)
-    found = Aborts(motion).found(end - 1.0, "hold")
+    found = Aborts(motion).plan(end - 1.0, "hold")
     assert found.certificate.certified
     assert found.rest < end + 0.2
 
@@ -124,7 +124,7 @@ def landed(found: Abort) -> Array:
 @pytest.mark.parametrize("how", ["land", "release_and_land"])
 def test_lifted_objects_are_set_down_first(how: str) -> None:
     aborts = carried()
-    found = aborts.found(during(aborts.motion, "carry"), how)
+    found = aborts.plan(during(aborts.motion, "carry"), how)
     assert found.rest >= during(aborts.motion, "leave", 0.0)
     np.testing.assert_allclose(landed(found)[1], TO, atol=1e-9)
 
@@ -132,7 +132,7 @@ def test_lifted_objects_are_set_down_first(how: str) -> None:
 @pytest.mark.slow
 def test_before_it_is_lifted_the_hitch_goes_back() -> None:
     aborts = carried()
-    found = aborts.found(during(aborts.motion, "grasp"), "release_and_land")
+    found = aborts.plan(during(aborts.motion, "grasp"), "release_and_land")
     assert found.rest < during(aborts.motion, "grasp", 1.0)
     np.testing.assert_allclose(np.ptp(landed(found), axis=0), 0.0, atol=1e-9)
 
@@ -142,7 +142,7 @@ def test_objects_left_in_the_air_are_set_down_at_their_start() -> None:
     names = {"enclose": {"object": "tray"}, "grasp": {"object": "tray"}, "lift": {"by": 0.2}}
     problem = {**tray(), "mission": [{name: keys} for name, keys in names.items()]}
     motion = ho.solve(ho.problem_from_dict(problem)).motion
-    found = Aborts(motion).found(motion.duration, "release_and_land")
+    found = Aborts(motion).plan(motion.duration, "release_and_land")
     np.testing.assert_allclose(np.ptp(landed(found), axis=0), 0.0, atol=1e-9)
 
 

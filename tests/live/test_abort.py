@@ -68,7 +68,7 @@ def test_commands_end_in_rest_as_they_say(name: str, share: float | CableState, 
     if isinstance(share, CableState):
         phase = next(p for p in plan.phases if p.state is share)
         share = (phase.start + 0.3 * (phase.end - phase.start)) / plan.duration
-    found = aborts_of(name).found(share * plan.duration, how)
+    found = aborts_of(name).plan(share * plan.duration, how)
     whole = found.motion
     assert found.certificate.certified
     assert certify(whole, reports=()).certified
@@ -97,7 +97,7 @@ def test_commands_end_in_rest_as_they_say(name: str, share: float | CableState, 
 def test_no_rest_while_tensions_rise() -> None:
     motion, last = aborts_of("form_triangle").motion, aborts_of("form_triangle").motion.phases[-1]
     assert np.ptp(motion.tensions.at(np.array([last.start, last.end]))) > 0.1
-    found = aborts_of("form_triangle").found(last.start + 0.3, "hold")
+    found = aborts_of("form_triangle").plan(last.start + 0.3, "hold")
     assert (found.rest, found.seconds) == (motion.duration, 0.0)
 
 
@@ -106,12 +106,12 @@ def test_what_cannot_be_is_refused() -> None:
     table = abort_table(aborts_of("swarms/stack").motion, "land", 0.5)
     assert table.missing == [(table.entries[-1].start, table.end)]
     with pytest.raises(ho.InfeasibleError, match="separation"):
-        aborts_of("swarms/stack").found(2.2, "land")
+        aborts_of("swarms/stack").plan(2.2, "land")
     with pytest.raises(ho.InfeasibleError, match="have not hung free before"):
-        aborts_of("triangle").found(1.0, "back")
+        aborts_of("triangle").plan(1.0, "back")
     for time, how, key in ((-1.0, "hold", "t"), (1e3, "hold", "t"), (0.1, "stay", "how")):
         with pytest.raises(ho.InputError, match=f"^{key} "):
-            aborts_of("triangle").found(time, how)
+            aborts_of("triangle").plan(time, how)
 
 
 def test_the_command_writes_a_table_that_can_be_recomputed(tmp_path: Path) -> None:
@@ -147,7 +147,7 @@ def plan_of(altitude: float) -> ho.Plan:
 
 @pytest.mark.parametrize("altitude", [1.0, 2.4])
 def test_survivors_sink_as_a_whole(altitude: float) -> None:
-    plan, found = plan_of(altitude), Reactions(plan_of(altitude).motion).found("q1", TIME)
+    plan, found = plan_of(altitude), Reactions(plan_of(altitude).motion).plan("q1", TIME)
     motion, limits = found.motion, plan.motion.requirements.limits
     t = np.linspace(0.0, motion.duration, 2001)
     places, before = motion.drones.at(t), t <= TIME + DELAY
@@ -185,7 +185,7 @@ def test_survivors_keep_off_the_swing_of_the_lost_drone(lost: int) -> None:
     drawn[lost ^ 1] -= min(0.36, size - 0.05) / size * partner
     drawn = np.delete(drawn, lost, axis=0) / [0.24, 0.24, 0.6]
     between = np.min(np.linalg.norm(drawn[:, None] - drawn, axis=-1) + 9.0 * np.eye(7))
-    found = Reactions(plan.motion).found(team.drone_names[lost], 1.0)
+    found = Reactions(plan.motion).plan(team.drone_names[lost], 1.0)
     assert found.nearest == pytest.approx(min(apart, between), abs=0.02)
 
 
@@ -201,7 +201,7 @@ def test_a_fall_keeps_its_energy_and_ends_on_the_ground() -> None:
 
 @pytest.mark.slow
 def test_a_flown_reaction_is_the_plan_and_then_lets_go() -> None:
-    plan, found = plan_of(2.4), Reactions(plan_of(2.4).motion).found("r2", TIME)
+    plan, found = plan_of(2.4), Reactions(plan_of(2.4).motion).plan("r2", TIME)
     task = Task.of(plan.motion)
     flown = reacting(task, found)
     assert 0.0 < np.min(np.diff(flown.t)) <= np.max(np.diff(flown.t)) <= 0.011
@@ -225,17 +225,17 @@ def test_a_lost_drone_that_nobody_can_carry_has_no_reaction() -> None:
     team = ho.Team(4, 2.2, tension=0.5, quadrotor=ho.Quadrotor(max_thrust=1.7))
     start = ho.Hitch.spread(team, SQUARE, 2.4)
     with pytest.raises(ho.InfeasibleError, match="q1 on its cable takes 108% of a thrust"):
-        Reactions(ho.hold(start, 2.0).motion).found("q1", 1.0)
+        Reactions(ho.hold(start, 2.0).motion).plan("q1", 1.0)
     for drone, time, words in (("d7", 0.5, "one of q0, r0"), ("q0", 1e3, "ask within the plan")):
         with pytest.raises(ho.InputError, match=words):
-            Reactions(plan_of(1.0).motion).found(drone, time)
+            Reactions(plan_of(1.0).motion).plan(drone, time)
 
 
 @pytest.mark.parametrize("share", [0.49, 0.6533])
 def test_survivors_may_wait_until_they_can_stop(share: float) -> None:
     """Just then polynomials do not follow the soonest stop closely enough, later they do."""
     motion = planned("form_triangle").motion
-    assert Reactions(motion).found("q0", share * motion.duration).nearest >= 1.0
+    assert Reactions(motion).plan("q0", share * motion.duration).nearest >= 1.0
 
 
 @pytest.mark.slow
@@ -263,5 +263,5 @@ def test_single_drones_end_on_the_ground_beside_the_lost_one() -> None:
     motion = planned("swarms/head_on").motion
     found, _ = survivable(motion, every=0.5 * motion.duration)
     assert (found.bound, found.method) == (1.0, "sampled")
-    last = Reactions(motion).found("d0", 1.0).motion.drones
+    last = Reactions(motion).plan("d0", 1.0).motion.drones
     assert np.max(last.at(last.breaks[-1])[:, 2]) <= 2e-3

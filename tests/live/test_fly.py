@@ -13,7 +13,7 @@ from plans import planned
 
 import hitchopt as ho
 from hitchopt.live.abort import AbortTable, abort_table
-from hitchopt.live.fly import COMMANDS, LEAD, Course, Flight, Flown
+from hitchopt.live.fly import COMMANDS, LEAD, CommandedPlan, FleetSetpoints, Flight
 from hitchopt.live.player import Player
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
@@ -151,7 +151,7 @@ def test_wrong_arguments_are_named() -> None:
         ("time", lambda: Player(plan_of(), -0.1)),
         ("rate", lambda: player.rate(1.2)),
         ("time", lambda: player.seek(1e3)),
-        ("command = 'dance'", lambda: Course(plan_of().motion, {}).obey("dance")),
+        ("command = 'dance'", lambda: CommandedPlan(plan_of().motion, {}).obey("dance")),
     )
     for key, call in cases:
         with pytest.raises(ho.InputError, match=f"^{key}"):
@@ -177,15 +177,15 @@ class Rig:
     def __init__(self, later: Later = at_once, rate: float = 50.0, *, swarm: bool = False) -> None:
         self.plan = plan_of("swarm" if swarm else "moved")
         self.names = self.plan.motion.team.drone_names
-        self.course = Course(self.plan.motion, tables(swarm=swarm))
-        self.pressed, self.said, self.sent = list[str](), list[str](), list[Flown]()
+        self.course = CommandedPlan(self.plan.motion, tables(swarm=swarm))
+        self.pressed, self.said, self.sent = list[str](), list[str](), list[FleetSetpoints]()
         self.operator, self.silent, self.off = True, set[str](), np.zeros(3)
         self.now, self.going, self.rate = 100.0, True, rate
         self.armed = list[int]()  # after how many setpoints
         parts = self.course, self, self.commands, self.names, later, self.said.append
         self.flight = Flight(*parts, rate=rate, patience=PATIENCE)
 
-    def send(self, flown: Flown, now: float) -> None:
+    def send(self, flown: FleetSetpoints, now: float) -> None:
         assert now == self.now
         self.sent.append(flown)
 
@@ -373,7 +373,7 @@ def test_a_landing_begins_ahead_even_where_a_rest_behind_is_nearer() -> None:
 def test_the_clock_is_led_back_to_where_a_landing_begins() -> None:
     """The last times of a stack have none: drones stand above each other."""
     motion = planned("swarms/stack").motion
-    course = Course(motion, {"land": abort_table(motion, "land", 0.5)})
+    course = CommandedPlan(motion, {"land": abort_table(motion, "land", 0.5)})
     course.obey("resume")
     course.step(3.0)
     assert course.obey("land").startswith("land: begins in ")

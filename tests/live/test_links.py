@@ -25,7 +25,7 @@ import hitchopt as ho
 from hitchopt.cli import main
 from hitchopt.exports.firmware import team_parameters
 from hitchopt.exports.placing import ReferenceFrame
-from hitchopt.live.fly import Course, Flown
+from hitchopt.live.fly import CommandedPlan, FleetSetpoints
 from hitchopt.live.links import CrazyflieOutlet, JsonOutlet, MavlinkOutlet, Operator, address
 
 HOME = "127.0.0.1"
@@ -44,8 +44,8 @@ def receivers(count: int) -> Iterator[tuple[list[socket.socket], list[tuple[str,
 
 
 @cache
-def moving() -> Flown:
-    course = Course(planned("triangle").motion, {})
+def moving() -> FleetSetpoints:
+    course = CommandedPlan(planned("triangle").motion, {})
     course.obey("resume")
     return course.step(0.7)
 

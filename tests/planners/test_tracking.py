@@ -133,7 +133,7 @@ def test_named_controllers_cost_at_most_a_fifth_of_the_time(name: str) -> None:
 def test_aborts_keep_what_the_plan_keeps() -> None:
     motion = planned("retuned_triangle").motion
     for time in (1.0, motion.duration):
-        found = Aborts(motion).found(time, "land")
+        found = Aborts(motion).plan(time, "land")
         assert found.certificate["tracking_radius"].limit == 0.05
         assert found.certificate.certified
 

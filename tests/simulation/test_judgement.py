@@ -200,7 +200,7 @@ def test_a_reaction_lowers_the_tension() -> None:
     team = ho.Team(robots=3, cable_length=2.2, tension=0.5)
     corners = [[0.0, 0.58], [0.5, -0.29], [-0.5, -0.29]]
     plan = ho.hold(ho.Hitch.spread(team, corners, altitude=1.0), 1.2)
-    task = reacting(Task.of(plan.motion), Reactions(plan.motion).found("r1", 0.3))
+    task = reacting(Task.of(plan.motion), Reactions(plan.motion).plan("r1", 0.3))
     flight = fly(task, Settings(lost=Loss("r1", 0.3)))
     after, record = judgement.loss_outcome(flight), flight.record
     assert after is not None
