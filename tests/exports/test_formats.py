@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import json
 import sqlite3
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -16,6 +18,7 @@ import pytest
 import trimesh
 from exported_plans import Array, exported, hitch_plan, swarm_plan, task_of
 from format_readers import READERS, bag_messages, glb_animation, vector
+from matplotlib.colors import to_rgb
 from plans import planned
 from ruamel.yaml import YAML
 from scipy.spatial.transform import Rotation
@@ -32,6 +35,7 @@ from hitchopt.hitch import GRAVITY
 from hitchopt.mission.loading import any_problem_from_dict
 from hitchopt.motion.motion import CableState
 from hitchopt.motion.states import sample_times, states_at
+from hitchopt.view.style import drone_colours
 
 MOTIONS = {"hitch": hitch_plan, "swarm": swarm_plan}
 
@@ -296,6 +300,21 @@ def y_up(points: Array) -> Array:
     return np.stack([points[..., 0], points[..., 2], -points[..., 1]], axis=-1)
 
 
+def shades(path: Path, names: Sequence[str]) -> list[list[list[float]]]:
+    """Return linear red, green and blue of the parts of nodes in a .glb."""
+    data = path.read_bytes()
+    content = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
+    nodes = {node["name"]: node for node in content["nodes"]}
+    materials = [each["pbrMetallicRoughness"]["baseColorFactor"] for each in content["materials"]]
+    parts = (content["meshes"][nodes[name]["mesh"]]["primitives"] for name in names)
+    return [[materials[part["material"]][:3] for part in each] for each in parts]
+
+
+def srgb_to_linear(colour: str) -> list[float]:
+    """Return the intensities of a colour's light, by a power law that is close to sRGB's."""
+    return [((float(x) + 0.055) / 1.055) ** 2.4 for x in to_rgb(colour)]
+
+
 @pytest.mark.parametrize("stem", ["", pytest.param("carry_tray", marks=pytest.mark.slow)])
 def test_nodes_of_a_scene_are_where_the_plan_has_them(stem: str, tmp_path: Path) -> None:
     """Loaded by trimesh; spans of a cable lead from drone to drone and turn smoothly."""
@@ -306,6 +325,9 @@ def test_nodes_of_a_scene_are_where_the_plan_has_them(stem: str, tmp_path: Path)
     cables = [f"cable {k}" for k in range(3)]
     assert {*team.drone_names, *objects, *cables} <= set(graph.nodes)
     moved = glb_animation(tmp_path / "plan.glb")
+    shown = [rim for _, _, rim in shades(tmp_path / "plan.glb", team.drone_names)]
+    expected = [srgb_to_linear(colour) for colour in drone_colours(team)]
+    np.testing.assert_allclose(shown, expected, atol=2e-3)  # the colours of pictures
     t, _ = moved["q0"]["translation"]
     states = states_at(motion, np.minimum(t, motion.duration))
     for i, name in enumerate(team.drone_names):

@@ -124,6 +124,12 @@ def test_samples_are_the_plan_s_and_numbers_the_certificate_s(tmp_path: Path, n:
     drones = motion.drones.at(scene.t).reshape(len(scene.t), -1)
     np.testing.assert_allclose(found["drones"], drones, atol=1e-4)
     np.testing.assert_allclose(found["cables"], scene.cables.reshape(len(scene.t), -1), atol=1e-4)
+    parts_sent, own = {len(each["corners"]) for each in data["drone_parts"]}, data["colours"]
+    assert min(parts_sent) > 0
+    frame, rotors, rims = (each["colours"] for each in data["drone_parts"])
+    assert (len(set(frame)), rims) == (1, own)
+    assert rotors[0::2] == own[0::2] == own[1::2] == data["cable_colours"]
+    assert set(rotors[1::2]) == {"#ffffff"}  # those of drones r are open
     assert data["checks"][0]["concerned"]["drones"] == [0, 3]
     kept = [{k: v for k, v in each.items() if k != "concerned"} for each in data["checks"]]
     assert kept == certificate.to_dict()["checks"]
