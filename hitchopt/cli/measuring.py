@@ -48,7 +48,7 @@ def evaluate(
 ) -> None:
     """Compare a recorded flight with the plan in DIR: its vertices, from markers, and its drones.
 
-    RECORDING is a table of Motive, Vicon or QTM, C3D, a ROS bag, Crazyflie uSD logs, a PX4 ulog,
+    RECORDING is a table of Motive or Vicon, C3D, a ROS bag, Crazyflie uSD logs, a PX4 ulog,
     DIR/simulation, or a CSV file with the columns t, name, x, y, z, whose rows named marker are
     points without a name. Clock, frame and names are fitted. Writes evaluation.json, vertices.csv,
     evaluation.tex, a picture, and recording.npz, which `hitchopt view DIR --ghost OUT` shows.

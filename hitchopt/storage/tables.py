@@ -117,7 +117,7 @@ class Table:
             except ValueError:
                 for place, text in zip(places, texts, strict=True):
                     blank = blanks and not text.strip()
-                    if not (blank or _is_number(text)):
+                    if not (blank or is_number(text)):
                         raise self._no_number(number, place, cells[place], commas=commas) from None
                     values.append(float("nan" if blank else text))
         return np.frombuffer(values, dtype=np.float64).reshape(-1, len(places)).copy()
@@ -221,7 +221,8 @@ def _uncommented(line: str) -> str:
     return COMMENT.sub("", line) if "#" in line else line
 
 
-def _is_number(text: str) -> bool:
+def is_number(text: str) -> bool:
+    """Return whether a text is a number with a point, or without."""
     try:
         float(text)
     except ValueError:
@@ -231,4 +232,4 @@ def _is_number(text: str) -> bool:
 
 def _is_either(text: str) -> bool:
     """Return whether a text is a number with a point, or with a comma."""
-    return _is_number(text) or _is_number(text.translate(SWAP))
+    return is_number(text) or is_number(text.translate(SWAP))

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,8 @@ import writers as w
 
 import hitchopt as ho
 from hitchopt.flights.flight import no_markers
-from hitchopt.flights.mocap import Cells
+from hitchopt.flights.mocap import points_in
+from hitchopt.flights.onboard import points_of
 
 Write = Callable[[Path, ho.RecordedFlight], Path]
 
@@ -27,7 +29,6 @@ FORMATS: dict[str, tuple[Write, bool, bool]] = {
     },
     "Motive CSV 1,23": (partial(w.write_motive, separator=";"), True, False),
     "Vicon CSV": (w.write_vicon, True, False),
-    "QTM TSV": (w.write_qtm, True, True),
     "C3D": (w.write_c3d, True, True),
     "C3D in integers": (partial(w.write_c3d, real=False), True, True),
     "table": (w.write_csv, True, False),
@@ -131,7 +132,7 @@ def repeated(text: str) -> str:
 
 
 REFUSED: dict[str, tuple[Write, str]] = {
-    "no format": (text_of("hello, world\n"), "give a table of Motive, Vicon or QTM, C3D, a ROS"),
+    "no format": (text_of("hello, world\n"), "give a table of Motive, of Vicon, C3D, a ROS"),
     "empty": (text_of(""), "has no line of columns' names"),
     "another table": (text_of("t,drone,x,y,z\n0,q0,0,0,1\n"), "names with t, name, x, y, z"),
     "no bodies": (text_of("t,name,x,y,z\n0,marker,0,0,1\n"), "holds no position of a body"),
@@ -148,15 +149,7 @@ REFUSED: dict[str, tuple[Write, str]] = {
     ),
     "Vicon without a rate": (
         edited(lambda text: text.replace("\n100\n", "\n0\n"), w.write_vicon),
-        "section Objects: a rate of '0' Hz",
-    ),
-    "QTM with an external timebase": (
-        edited(lambda text: text.replace("FREQUENCY\t100", "FREQUENCY\t0"), w.write_qtm),
-        "states a FREQUENCY of 0",
-    ),
-    "QTM without names": (
-        edited(lambda text: text.replace("MARKER_NAMES", "NAMES"), w.write_qtm),
-        "names no MARKER_NAMES",
+        "section Objects: a rate of 0 Hz",
     ),
     "times backward": (edited(repeated, w.write_csv), "is followed by 0 s; give one flight"),
     "millimetres": (
@@ -341,7 +334,6 @@ def test_the_record_holds_what_it_says() -> None:
         (lambda: ho.Markers(ramp, last, places), "ascending indices into 2"),
         (lambda: ho.Markers(twice, last - last, places), "strictly ascending"),
         (lambda: ho.RecordedFlight("", {}, setpoints={"a": track}), "setpoints = 'a'"),
-        (lambda: ho.RecordedFlight("", {}, up="x"), "up = 'x': must be one of z, y"),
         (lambda: ho.RecordedFlight("", {}, cloud, one_clock=False), "markers = Markers"),
     ):
         with pytest.raises(ho.InputError, match=words):
@@ -349,27 +341,20 @@ def test_the_record_holds_what_it_says() -> None:
 
 
 def test_points_are_whole_in_one_row() -> None:
-    cells = Cells.of(["0,1,,", "1,,2,3", "2,4,5,6"], ",", range(1, 4))
-    seen = cells.points([1])
-    assert (seen.row.tolist(), seen.label.tolist()) == ([2], [0])
-    np.testing.assert_array_equal(seen.place, [[4.0, 5.0, 6.0]])
+    head, points = points_in(["0,1,,", "1,,2,3", "2,4, 5,6", ",,", "3,1,1,1"], ",", [0], [1])
+    assert head.tolist() == [[0.0], [1.0], [2.0]]
+    assert (points.row.tolist(), points.label.tolist()) == ([2], [0])
+    np.testing.assert_array_equal(points.positions, [[4.0, 5.0, 6.0]])
 
 
-def test_points_of_other_layouts_are_read() -> None:
-    """Clouds with more fields, in doubles, or of big-endian numbers; nan is no point."""
-    from types import SimpleNamespace
-
-    from hitchopt.flights.onboard import CLOUDS, _points_of
-
+def test_clouds_of_other_layouts_are_read() -> None:
+    """Clouds have more fields, in doubles, or of big-endian numbers."""
     for order, kind, size in ((">", "d", 8), ("<", "f", 4)):
         fields = [
             SimpleNamespace(name=name, offset=size * k, datatype=8 if kind == "d" else 7)
             for k, name in enumerate(("intensity", "z", "y", "x"))
         ]
-        data = struct.pack(f"{order}8{kind}", 9, 3, 2, 1, 9, 3, 2, np.nan)
+        data = struct.pack(f"{order}8{kind}", 9, 3, 2, 1, 9, 6, 5, 4)
         given = {"fields": fields, "point_step": 4 * size, "data": data, "width": 2, "height": 1}
-        message = SimpleNamespace(__msgtype__=CLOUDS[0], is_bigendian=order == ">", **given)
-        np.testing.assert_array_equal(_points_of(message), [[1.0, 2.0, 3.0]])
-    old = [SimpleNamespace(x=1.0, y=2.0, z=3.0)]
-    message = SimpleNamespace(__msgtype__=CLOUDS[1], points=old)
-    np.testing.assert_array_equal(_points_of(message), [[1.0, 2.0, 3.0]])
+        message = SimpleNamespace(is_bigendian=order == ">", **given)
+        np.testing.assert_array_equal(points_of(message), [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])

@@ -121,25 +121,6 @@ def points_of(t: Array, flight: ho.RecordedFlight, prefix: str) -> dict[str, Arr
     return columns | {f"{prefix}{n}": x for n, x in columns_of(t, flight.markers).items()}
 
 
-def write_qtm(path: Path, flight: ho.RecordedFlight, rate: float = 100.0) -> Path:
-    """Write a table of QTM with a head and times; what is not seen is zero."""
-    t = frames_of(flight)
-    columns = points_of(t, flight, "Unidentified ")
-    lines = ["FILE_VERSION\t2.0.0", f"NO_OF_FRAMES\t{len(t)}", f"NO_OF_MARKERS\t{len(columns)}"]
-    lines += [
-        f"FREQUENCY\t{rate:g}",
-        "TIME_STAMP\t2026-11-03, 16:12:55\t123.4",
-        "DATA_INCLUDED\t3D",
-    ]
-    lines += ["\t".join(["MARKER_NAMES", *columns])]
-    lines += ["\t".join(["Frame", "Time", *(f"{name} {x}" for name in columns for x in "XYZ")])]
-    for i, time in enumerate(t):
-        row = np.concatenate([places[i] for places in columns.values()])
-        lines.append("\t".join([str(i + 1), f"{time - t[0]:.5f}", *texts(1e3 * row, "0.000")]))
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return path
-
-
 def write_c3d(path: Path, flight: ho.RecordedFlight, real: bool = True) -> Path:
     """Write a C3D file in millimetres, of real numbers or of integers."""
     t, file = frames_of(flight), ezc3d.c3d()
