@@ -19,12 +19,12 @@ from scipy.interpolate import make_interp_spline
 from scipy.optimize import least_squares, linear_sum_assignment
 
 from hitchopt.errors import FileError, InputError, OneLine
-from hitchopt.flights.flight import RecordedFlight, Track
+from hitchopt.flights.flight import RecordedFlight, sampled
 from hitchopt.simulation.task import Task
 from hitchopt.storage.files import parsed_json
 from hitchopt.values import Array, Indices
 
-STEP, MAX_GAP = 0.05, 0.1  # Of the compared times, and largest distance to a sample there [s]
+STEP = 0.05  # Of the compared times [s]
 # Least difference of a clock's rate from 1, and largest ratio of costs, at which it is not 1
 MIN_DRIFT, GAIN = 2e-3, 0.8
 CLOCK_SCALE, RATE_SCALE = 0.05, 2e-3  # Scales of offsets [s] and of the rate in their solution
@@ -88,8 +88,12 @@ class Alignment(OneLine):
 
     @property
     def frame_error(self) -> float:
-        """Standard error of positions by a frame that is fitted [m]; zero of a known one."""
-        return self.rms / np.sqrt(len(self.names)) if "frame" in self.fitted else 0.0
+        """Standard error of positions by a frame that is fitted [m]; zero of a known one.
+
+        The displacement that drones share is part of the frame; its squares are taken to be half
+        of those in which drones differ.
+        """
+        return self.rms / np.sqrt(2.0) if "frame" in self.fitted else 0.0
 
     def placed(self, positions: Array) -> Array:
         """Return recorded positions (…, 3) [m] in the plan's frame."""
@@ -110,14 +114,6 @@ class _Fit:
     rate: float = 1.0
     cost: float = np.inf  # Mean of robust squares without the displacements of drones
     errors: Array = field(default_factory=lambda: np.full(2, np.nan))  # Of offset and rate
-
-
-def sampled(track: Track, t: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return positions at times (times, 3) [m], linear between samples, and if one is near."""
-    positions = np.column_stack([np.interp(t, track.t, axis) for axis in track.positions.T])
-    i = np.searchsorted(track.t, t)
-    near = track.t[np.clip([i - 1, i], 0, len(track.t) - 1)]
-    return positions, np.min(np.abs(near - t), axis=0) < MAX_GAP
 
 
 def align(

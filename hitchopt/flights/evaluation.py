@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hitchopt.errors import FileError, InputError, OneLine, UnsupportedError
-from hitchopt.flights.alignment import Alignment, align, sampled
-from hitchopt.flights.flight import Markers, RecordedFlight, Track
+from hitchopt.flights.alignment import Alignment, align
+from hitchopt.flights.flight import Markers, RecordedFlight, Track, sampled
 from hitchopt.flights.readers import read_flight
 from hitchopt.flights.recordings import WINDOW_TIGHT, Recording, planned, tight
 from hitchopt.flights.vertices import RATE, WINDOW, Measured, clasps_of, measured_vertices
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 LONGEST_WINDOW = 1.0  # Largest time over which places are averaged [s]
-FEW = 0.5  # Share of the time below which a vertex is said to be missing
+MIN_SHARE = 0.5  # Share of the time below which a remark says why a vertex is missing
 NAMES = "cf231=q0,cf7=r0,…"  # How names are written
 ROUNDING = 1e-6  # Of times over their step
 
@@ -38,9 +38,9 @@ class Row:
     ----------
     name: of the vertex or drone, or ``vertices``: all of them.
     phase, start, end: its name, and times [s]; ``all``: the whole flight.
-    mean, std, max: of the distances from the plan in three dimensions [m]; nan where there is none.
-    found: share of the samples in which it was found.
-    standard_error: median of those of the places [m]; nan for drones.
+    mean, std, max: of the distances from the plan in three dimensions [m]; nan without samples.
+    found: share of the samples in which it was measured.
+    standard_error: median of those of the positions [m]; nan for drones.
     """
 
     name: str
@@ -57,12 +57,12 @@ class Row:
     def of(
         cls, name: str, span: tuple[str, float, float], errors: Array, stated: Array | None = None
     ) -> Row:
-        """Return the row of errors [m], nan where there is none, and of standard errors."""
+        """Return the row of errors and standard errors [m]; missing ones are nan."""
         off = errors[np.isfinite(errors)]
-        known = np.zeros(0) if stated is None else stated[np.isfinite(stated)]
+        finite_errors = np.zeros(0) if stated is None else stated[np.isfinite(stated)]
         values = (np.mean(off), np.std(off), np.max(off)) if off.size else (np.nan,) * 3
         mean, std, largest = map(float, values)
-        error = float(np.median(known)) if known.size else np.nan
+        error = float(np.median(finite_errors)) if finite_errors.size else np.nan
         return cls(name, *span, mean, std, largest, off.size / errors.size, error)
 
 
@@ -72,19 +72,19 @@ class Evaluation(OneLine):
 
     Attributes
     ----------
-    task: the plan that was flown.
+    task: the plan of the flight.
     flight: the recording.
     alignment: clock, frame and names.
     t: (times,) [s], from the plan's start, as far as it was recorded.
-    vertices: crossings of the cables (times, points, 3) [m]; nan where there is none.
-    clasps: where cables of the stated diameter touch; None without one.
-    planned: vertices of the plan (times, points, 3) [m]; nan where it has no hitch, drawn tight.
+    vertices: crossings of the cables (times, points, 3) [m]; nan if not measured.
+    clasps: contacts of cables of the stated diameter; None without one.
+    planned: vertices of the plan (times, points, 3) [m]; nan while its hitch is not drawn tight.
     standard_errors: of the vertices (times, points) [m].
-    drones: (times, 2n, 3) [m], nan where they were not seen.
+    drones: (times, 2n, 3) [m], nan if not visible.
     planned_drones: (times, 2n, 3) [m], their set points.
     density: of every cable (n,) [kg/m], as stated, planned or fitted.
     cloud: markers while the plan has its hitch.
-    remarks: what was fitted, mended or is missing, and why.
+    remarks: fitted quantities, corrections, and reasons of missing vertices.
     """
 
     task: Task
@@ -147,7 +147,7 @@ class Evaluation(OneLine):
         return tuple(row for row in self.table if row.phase == "all" or row.name not in drones)
 
     def to_dataframe(self) -> DataFrame:
-        """Return the table as a pandas data frame; UnsupportedError where pandas is missing."""
+        """Return the table as a pandas data frame; UnsupportedError without pandas."""
         try:
             import pandas
         except ImportError as error:
@@ -156,20 +156,22 @@ class Evaluation(OneLine):
         return pandas.DataFrame([asdict(row) for row in self.table])
 
     def to_recording(self) -> Recording:
-        """Return the recording in the plan's time and frame, as calibrate takes it."""
+        """Return the recording in the plan's time and frame, for ``calibrate``."""
         layout, facts = self.task.team.layout, self.flight.simulated
         vertices = (self.vertices if self.clasps is None else self.clasps).copy()
         ends = np.flatnonzero(~layout.has_leg.ravel())  # Drones that are a chain's points
         vertices[:, layout.anchors[ends]] = self.drones[:, ends]
-        known: Any = {} if facts is None else dict(vars(facts))
-        known |= {"standard_errors": self.standard_errors, "notes": self.remarks}
-        return Recording(self.t, self.drones, vertices, **known)
+        simulated: Any = {} if facts is None else dict(vars(facts))
+        errors, notes = self.standard_errors, self.remarks
+        return Recording(
+            self.t, self.drones, vertices, **simulated, standard_errors=errors, notes=notes
+        )
 
     def save(self, directory: Path | str, format: str = "png") -> Path:
         """Write table, vertices, picture and shapes to a directory; return it.
 
-        The picture is ``evaluation.png``, or ``svg`` or ``pdf``. Raises FileError where the
-        directory cannot be written to.
+        The picture is ``evaluation.png``, or ``svg`` or ``pdf``. Raises FileError if the directory
+        cannot be written to, or holds a plan or a simulation.
         """
         from hitchopt.flights.report import save_evaluation
 
@@ -192,9 +194,9 @@ def evaluate(
 
     Parameters
     ----------
-    recording: a file or directory that ``read_flight`` reads, or what it has read.
-    plan: the plan that was flown, or its directory.
-    names: drones by recorded names, such as ``cf231=q0,cf7=r0``; None: by where they are.
+    recording: a file or directory in a format of ``read_flight``, or the flight that it returns.
+    plan: the plan of the flight, or its directory.
+    names: drones by recorded names, such as ``cf231=q0,cf7=r0``; None: by their positions.
     frame: ``plan``, ``y-up``, ``fit``, or a JSON file with rotation and shift, such as another
         evaluation; None: the plan's or y-up if drones are then near their plan, else fitted.
     start: time of the recording at which the plan begins [s]; None: fitted, or 0 of a simulation.
@@ -205,8 +207,8 @@ def evaluate(
 
     Raises
     ------
-    FileError: a recording that cannot be read, or is not one of this plan.
-    InputError: an argument that is wrong in itself.
+    FileError: a recording that cannot be read, or is of another plan.
+    InputError: an argument outside its bounds.
     """
     if density is not None:
         density = not_negative("density", density)
@@ -227,11 +229,11 @@ def evaluate(
     if flight.simulated is not None and start is None:
         start = 0.0  # Its clock is the plan's
     try:
-        found = align(flight, task, names=drones, frame=stated, start=start)
+        alignment = align(flight, task, names=drones, frame=stated, start=start)
     except FileError as error:
         place = "" if flight is recording else f"{recording}: "
         raise FileError(f"{place}{error}") from None
-    return _evaluated(flight, task, found, density, diameter, window)
+    return _evaluated(flight, task, alignment, density, diameter, window)
 
 
 def _names(names: Mapping[str, str] | str | None) -> dict[str, str]:
@@ -251,55 +253,55 @@ def _names(names: Mapping[str, str] | str | None) -> dict[str, str]:
 def _evaluated(
     flight: RecordedFlight,
     task: Task,
-    found: Alignment,
+    alignment: Alignment,
     density: float | None,
     diameter: float | None,
     window: float,
 ) -> Evaluation:
     """Return the evaluation of an aligned flight."""
-    team, layout = task.team, task.team.layout
-    tracks = [flight.tracks[name] for name in found.names]
-    clocks = list(zip(tracks, found.offsets.tolist(), strict=True))
-    ends = [found.rate * track.t[[0, -1]] + offset for track, offset in clocks]
+    team, layout, rate = task.team, task.team.layout, alignment.rate
+    tracks = [flight.tracks[name] for name in alignment.names]
+    clocks = list(zip(tracks, alignment.offsets.tolist(), strict=True))
+    ends = [rate * track.t[[0, -1]] + offset for track, offset in clocks]
     first = np.ceil(RATE * max(0.0, np.min(ends)) - ROUNDING)
     last = np.floor(RATE * min(task.duration, np.max(ends)) + ROUNDING)
     t = np.arange(first, last + 1.0) / RATE + 0.0  # No negative zero
 
-    def at(times: Array, track: Track, offset: float, *, seen: bool = True) -> Array:
-        """Return places of a body at plan times (times, 3) [m]; nan where it was not seen."""
-        places, there = sampled(track, (times - offset) / found.rate)
-        return found.placed(np.where(there[:, None] | (not seen), places, np.nan))
+    def at(times: Array, track: Track, offset: float, *, through_gaps: bool = False) -> Array:
+        """Return positions of a body at plan times (times, 3) [m]; nan in gaps."""
+        positions, near = sampled(track, (times - offset) / rate)
+        return alignment.placed(np.where(near[:, None] | through_gaps, positions, np.nan))
 
     at_hitch = tight(task, t, WINDOW_TIGHT)
     vertices = np.full((len(t), layout.points, 3), np.nan)
     errors = np.full(vertices.shape[:2], np.nan)
-    remarks = [*flight.notes, *_alignment_remarks(found, flight)]
-    weights = np.full(team.robots, team.cable_density if density is None else density)
-    cloud = _hitch_cloud(flight.markers, found, task)
-    known = [name for name in team.point_names if name in flight.tracks]
-    for name in known:
-        places = at(t, flight.tracks[name], found.offset)
-        vertices[:, team.point_names.index(name)] = places
+    remarks = [*flight.notes, *_alignment_remarks(alignment, flight)]
+    densities = np.full(team.robots, team.cable_density if density is None else density)
+    cloud = _hitch_cloud(flight.markers, alignment, task)
+    named = [name for name in team.point_names if name in flight.tracks]
+    for name in named:
+        positions = at(t, flight.tracks[name], alignment.offset)
+        vertices[:, team.point_names.index(name)] = positions
     vertices[~at_hitch] = np.nan
-    if not known and len(cloud) and np.any(at_hitch):
-        around = np.stack([at(cloud.t, *each, seen=False) for each in clocks], axis=1)
+    if not named and len(cloud) and np.any(at_hitch):
+        drones = np.stack([at(cloud.t, *each, through_gaps=True) for each in clocks], axis=1)
         options: Any = {"density": density, "window": window}
-        measured = measured_vertices(task, t[at_hitch], cloud, around, **options)
+        measured = measured_vertices(task, t[at_hitch], cloud, drones, **options)
         vertices[at_hitch] = measured.crossings
-        errors[at_hitch] = np.hypot(measured.standard_errors, found.frame_error)
+        errors[at_hitch] = np.hypot(measured.standard_errors, alignment.frame_error)
         remarks += _vertex_remarks(measured, task)
-        if not np.allclose(measured.density, weights):
+        if not np.allclose(measured.density, densities):
             fitted = ", ".join(f"{1e3 * x:.1f}" for x in measured.density)
             remarks.append(f"cables' density is fitted, {fitted} g/m: weigh them for --density")
-        weights = measured.density
-    elif not known:
+        densities = measured.density
+    elif not named:
         remarks.append("no markers on the cables: drones alone are compared with the plan")
     expected = planned(task, t, task.vertices)
     expected[~at_hitch] = np.nan
     return Evaluation(
         task,
         flight,
-        found,
+        alignment,
         t,
         vertices,
         None if diameter is None else clasps_of(vertices, layout, diameter),
@@ -307,34 +309,32 @@ def _evaluated(
         errors,
         np.stack([at(t, *each) for each in clocks], axis=1),
         planned(task, t, task.setpoints.positions),
-        weights,
+        densities,
         cloud,
         tuple(dict.fromkeys(remarks)),
     )
 
 
-def _hitch_cloud(markers: Markers, found: Alignment, task: Task) -> Markers:
-    """Return the markers in the plan's time and frame, while it has its hitch, drawn tight."""
-    t = found.rate * markers.t + found.offset
+def _hitch_cloud(markers: Markers, alignment: Alignment, task: Task) -> Markers:
+    """Return the markers in the plan's time and frame, while its hitch is drawn tight."""
+    t = alignment.rate * markers.t + alignment.offset
     use = (t >= 0.0) & (t <= task.duration) & tight(task, t, WINDOW_TIGHT)
     points, index = use[markers.frame], np.cumsum(use) - 1
-    positions = found.placed(markers.positions[points])
+    positions = alignment.placed(markers.positions[points])
     return Markers(t[use], index[markers.frame[points]], positions)
 
 
-def _alignment_remarks(found: Alignment, flight: RecordedFlight) -> list[str]:
-    """Return what was fitted of clock and frame."""
-    remarks = []
-    if "clock" in found.fitted and not flight.setpoints:
-        error = f" ± {1e3 * found.offset_error:.0f} ms" if np.isfinite(found.offset_error) else ""
-        remarks.append(f"the clock is fitted{error}; a lag that all drones share is part of it")
-    if "rate" in found.fitted:
-        remarks.append(f"the recording's clock runs at {found.rate:.5f} of the plan's")
-    if found.frame == "y-up":
-        remarks.append("y is upright in the recording")
-    if "frame" in found.fitted:
-        remarks.append("the frame is fitted: errors that all drones share are taken away by it")
-    return remarks
+def _alignment_remarks(alignment: Alignment, flight: RecordedFlight) -> Iterator[str]:
+    """Yield the fitted quantities of clock and frame."""
+    if "clock" in alignment.fitted and not flight.setpoints:
+        error = f" ± {1e3 * alignment.offset_error:.0f} ms"
+        yield f"the clock is fitted{error}; a lag that all drones share is part of it"
+    if "rate" in alignment.fitted:
+        yield f"the recording's clock runs at {alignment.rate:.5f} of the plan's"
+    if alignment.frame == "y-up":
+        yield "y is upright in the recording"
+    if "frame" in alignment.fitted:
+        yield "the frame is fitted: a displacement that all drones share is part of it"
 
 
 def _vertex_remarks(measured: Measured, task: Task) -> Iterator[str]:
@@ -342,7 +342,7 @@ def _vertex_remarks(measured: Measured, task: Task) -> Iterator[str]:
     layout, seen = task.team.layout, measured.markers
     for behind, point, ahead in zip(layout.behind, layout.clasps, layout.ahead, strict=True):
         share = float(np.mean(np.isfinite(measured.crossings[:, point, 0])))
-        if share < FEW:
+        if share < MIN_SHARE:
             yield (
                 f"{task.team.point_names[point]} is found {share:.0%} of the time: markers seen at "
                 f"once are {seen[behind]:.1f} on edge {behind} and {seen[ahead]:.1f} on edge "

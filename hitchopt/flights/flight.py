@@ -17,6 +17,8 @@ from hitchopt.values import Array, Indices
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
 LONG_UNITS = {"meter": "m", "centimeter": "cm", "millimeter": "mm", "inche": "in", "feet": "ft"}
 
+MAX_GAP = 0.1  # Largest distance to a sample at which a body is visible [s]
+
 
 @dataclass(frozen=True, eq=False)
 class Track(OneLine):
@@ -133,6 +135,14 @@ def metres(unit: str) -> float:
     if scale is None:
         raise FileError(f"its unit of length, {unit!r}, is unknown; state --unit m, cm or mm")
     return scale
+
+
+def sampled(track: Track, t: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Return positions at times (times, 3) [m], linear between samples, and if one is near."""
+    positions = np.column_stack([np.interp(t, track.t, axis) for axis in track.positions.T])
+    i = np.searchsorted(track.t, t)
+    near = track.t[np.clip([i - 1, i], 0, len(track.t) - 1)]
+    return positions, np.min(np.abs(near - t), axis=0) < MAX_GAP
 
 
 def track_of(rows: Array, scale: float = 1.0) -> Track:

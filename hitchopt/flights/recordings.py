@@ -10,19 +10,18 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import make_interp_spline
 
 from hitchopt.errors import FileError, OneLine
-from hitchopt.flights.flight import RecordedFlight
+from hitchopt.flights.flight import RecordedFlight, Track, sampled
 from hitchopt.hitch import Team
 from hitchopt.simulation.task import Task
 from hitchopt.values import Array
 
 WINDOW_TIGHT = 0.9  # Least planned tension over the team's at which a hitch counts in a window
 
-TOGETHER = 0.5  # Least step of all times over a body's at which bodies are seen at the same times
+TOGETHER = 0.5  # Least step of all times over a body's at which bodies share their times
 LONGEST_GAP = 2.5  # Longest gap over which positions are interpolated, over a body's usual step
 
-# Standard error [m] of a vertex that a window lacks, which is taken to be off the plan as it was
-# before and after: 1 cm, and what it varies by; and of means of measured ones, time between samples
-# whose errors are independent [s]
+# Standard error [m] of a vertex that a window lacks, whose displacement is that before and after:
+# 1 cm, besides its standard deviation. Time between samples whose errors are independent [s]
 UNSEEN, INDEPENDENT = 1e-2, 0.1
 
 
@@ -33,12 +32,12 @@ class Recording(OneLine):
     Attributes
     ----------
     t: (samples,) [s], ascending, from the plan's start.
-    drones: (samples, 2n, 3) [m], in the order q0, r0, q1, …; nan where not seen.
-    vertices: (samples, points, 3) [m]; nan where not seen. A chain's ends are its drones.
+    drones: (samples, 2n, 3) [m], in the order q0, r0, q1, …; nan if not visible.
+    vertices: (samples, points, 3) [m]; nan if not visible. A chain's ends are its drones.
     density, feed_forward, integral: of the cables [kg/m], and whether the drones' controllers had
-        these (2n,), where they are known from a simulation.
-    standard_errors: of the vertices (samples, points) [m]; None where they are not known.
-    notes: what was mended while it was read.
+        these (2n,), if they are known from a simulation.
+    standard_errors: of the vertices (samples, points) [m]; None if they are not known.
+    notes: corrections of the reader.
     """
 
     t: Array
@@ -54,7 +53,7 @@ class Recording(OneLine):
 def recording_of(flight: RecordedFlight, team: Team) -> Recording:
     """Return a flight whose bodies have the team's names, and whose clock is the plan's.
 
-    Bodies that are seen at different times are interpolated to those of the first drone.
+    Bodies that are sampled at different times are interpolated to those of the first drone.
 
     Raises
     ------
@@ -63,8 +62,8 @@ def recording_of(flight: RecordedFlight, team: Team) -> Recording:
     names, layout = (*team.drone_names, *team.point_names), team.layout
     for name in team.drone_names:
         if name not in flight.tracks:
-            heard = ", ".join(list(flight.tracks)[:10])
-            raise FileError(f"{name} is not recorded, but {heard}; names are as in the plan")
+            bodies = ", ".join(list(flight.tracks)[:10])
+            raise FileError(f"{name} is not recorded, but {bodies}; names are as in the plan")
     own = {name: flight.tracks[name] for name in names if name in flight.tracks}
     t = np.unique(np.concatenate([track.t for track in own.values()]))
     steps = [np.diff(track.t) for track in own.values() if len(track.t) > 1]
@@ -82,15 +81,14 @@ def recording_of(flight: RecordedFlight, team: Team) -> Recording:
             after = np.clip(np.searchsorted(track.t, t), 1, len(track.t) - 1)
             near = (t >= track.t[0]) & (t <= track.t[-1])
             near &= track.t[after] - track.t[after - 1] <= LONGEST_GAP * usual
-            for axis in range(3):
-                places[near, k, axis] = np.interp(t[near], track.t, track.positions[:, axis])
+            places[near, k] = sampled(track, t[near])[0]
     ends = np.flatnonzero(~layout.has_leg.ravel())  # drones that are a chain's points
     places[:, team.drones + layout.anchors[ends]] = places[:, ends]
     drones, vertices = places[:, : team.drones], places[:, team.drones :]
-    notes, known = flight.notes, vars(flight.simulated) if flight.simulated else {}
+    notes, simulated = flight.notes, vars(flight.simulated) if flight.simulated else {}
     if not together:
         notes += (f"bodies are seen at different times: interpolated to those of {names[0]}",)
-    return Recording(t, drones, vertices, **known, notes=notes)
+    return Recording(t, drones, vertices, **simulated, notes=notes)
 
 
 def planned(task: Task, t: ArrayLike, values: Array) -> Array:
@@ -108,14 +106,14 @@ def tight(task: Task, t: Array, share: float) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """Means over windows (W,) in which the plan has a hitch, drawn tight, and its drones are seen.
+    """Means over windows (W,) in which the plan's hitch is drawn tight and its drones are visible.
 
     Attributes
     ----------
     t: (W,) [s], of the samples that count.
-    drones, vertices: (W, 2n, 3), (W, points, 3) [m]; vertices that are not seen are as far off the
-        plan as before and after.
-    seen: (W, points), vertices that are seen in half of a window.
+    drones, vertices: (W, 2n, 3), (W, points, 3) [m]; vertices that are not visible are as far off
+        the plan as before and after.
+    seen: (W, points), vertices that are visible in half of a window.
     errors: (W, points) [m], standard errors of the vertices.
     positions, planned, cable_forces, tensions: of the plan: set points, vertices [m], forces on
         drones and tensions [N].
@@ -138,7 +136,7 @@ class Windows:
 def windows_of(recording: Recording, task: Task, size: float) -> Windows:
     """Return means over windows of a size [s].
 
-    A window counts in half of which every drone, and half of the vertices, are seen. Means are
+    A window counts if every drone, and half of the vertices, are visible in half of it. Means are
     those of deviations from the plan, added to the plan's: gaps in a movement do not shift them.
     """
     t, setpoints = recording.t, task.setpoints
@@ -158,7 +156,7 @@ def windows_of(recording: Recording, task: Task, size: float) -> Windows:
         return (sums(planned(task, t, values)).T / count).T
 
     def measured(places: Array, plan: Array) -> tuple[Array, Array]:
-        """Return means (windows, items, 3), and how often items were seen."""
+        """Return means (windows, items, 3), and numbers of samples with each item."""
         there = np.all(np.isfinite(places), axis=2)
         off = np.where(there[..., None], places - planned(task, t, plan), 0.0)
         often = sums(there.astype(np.float64))
@@ -180,11 +178,11 @@ def windows_of(recording: Recording, task: Task, size: float) -> Windows:
     off = vertices - plan
     for k in range(seen.shape[1]):
         here, lacks = seen[:, k] & usable, ~seen[:, k]
-        spread = np.linalg.norm(np.std(off[here, k], axis=0)) if np.any(here) else 0.0
-        for axis in range(3):
-            guess = np.interp(middle, middle[here], off[here, k, axis]) if np.any(here) else 0.0
-            off[:, k, axis] = np.where(lacks, guess, off[:, k, axis])
-        errors[lacks, k] = np.hypot(UNSEEN, spread)
+        spread, guess = 0.0, np.zeros(3)
+        if np.any(here):
+            guess, _ = sampled(Track(middle[here], off[here, k]), middle[lacks])
+            spread = float(np.linalg.norm(np.std(off[here, k], axis=0)))
+        off[lacks, k], errors[lacks, k] = guess, np.hypot(UNSEEN, spread)
     commands = mean(setpoints.positions), plan, mean(setpoints.cable_forces), mean(task.tensions)
     values: Any = (middle, drones, plan + off, seen, errors, *commands)
     return Windows(*(each[usable] for each in values))

@@ -26,34 +26,34 @@ from hitchopt.view.scene import scene_at
 FORMAT = "hitchopt-evaluation/1"
 SUMMARY, VERTICES = "evaluation.json", "vertices.csv"
 LATEX, PICTURE = "evaluation.tex", "evaluation."
-OTHERS = (PLAN, "simulation.json")  # Files of directories whose vertices.csv is another one
+OTHERS = (PLAN, "simulation.json")  # Files of directories with a vertices.csv of another kind
 PICTURES = ("png", "svg", "pdf")  # Kinds of pictures
 # Names that belong to hitchopt in the directory; other files are never touched
 OWNED = (SUMMARY, VERTICES, LATEX, RECORDING, *(PICTURE + kind for kind in PICTURES))
 
 # Width and height of the picture [inch], and widths of its columns
 SIZE, WIDTHS = (13.0, 6.4), (1.35, 1.0)
-BESIDE = 0.02  # Distance of means from the plot's right end, and between them, as a share of it
+MARGIN = 0.02  # Distance of means from the plot's right end, and between them, as a share of it
 MAX_NAMED, MOMENT = 8, 0.05  # Most names in a legend; time around a moment [s]
 
 
-def save_evaluation(directory: Path, found: Evaluation, format: str = "png") -> Path:
+def save_evaluation(directory: Path, evaluation: Evaluation, format: str = "png") -> Path:
     """Write all files of an evaluation, or none; return the directory.
 
-    Raises FileError where the directory cannot be written to or holds a plan or a simulation, and
+    Raises FileError if the directory cannot be written to, or holds a plan or a simulation, and
     InputError for another format.
     """
     choice("format", format, PICTURES)
     for name in OTHERS:
         if (directory / name).exists():
             raise FileError(f"{directory}: holds {name}; name a directory of its own for results")
-    picture = drawn_evaluation(found)
+    picture = drawn_evaluation(evaluation)
     writers: dict[str, Writer] = {
-        VERTICES: partial(_write_vertices, found),
-        LATEX: lambda path: _write_text(path, latex_table(found)),
-        RECORDING: lambda path: np.savez_compressed(path, **shapes(found)),  # type: ignore[arg-type]
+        VERTICES: partial(_write_vertices, evaluation),
+        LATEX: lambda path: _write_text(path, latex_table(evaluation)),
+        RECORDING: lambda path: np.savez_compressed(path, **shapes(evaluation)),  # type: ignore[arg-type]
         PICTURE + format: lambda path: style.save_figure(picture, path),
-        SUMMARY: lambda path: write_strict_json(path, summary(found)),
+        SUMMARY: lambda path: write_strict_json(path, summary(evaluation)),
     }
     return replace_files(directory, writers, OWNED, seal=SUMMARY)
 
@@ -62,67 +62,71 @@ def _write_text(path: Path, text: str) -> None:
     path.write_text(text, encoding="utf-8", newline="\n")
 
 
-def summary(found: Evaluation) -> dict[str, Any]:
+def summary(evaluation: Evaluation) -> dict[str, Any]:
     """Return alignment, remarks and table, ready for JSON."""
-    each = {name: _plain(value) for name, value in vars(found.alignment).items()}
+    each = {
+        name: value.tolist() if isinstance(value, np.ndarray) else value
+        for name, value in vars(evaluation.alignment).items()
+    }
     return {
         "format": FORMAT,
-        "source": found.flight.source,
-        "recorded": found.t[[0, -1]].tolist(),
-        "alignment": {"offset": found.alignment.offset, **each},
-        "errors_of": "crossings" if found.clasps is None else "clasps",
-        "density": found.density.tolist(),
-        "remarks": list(found.remarks),
-        "table": [asdict(row) for row in found.table],
+        "source": evaluation.flight.source,
+        "recorded": evaluation.t[[0, -1]].tolist(),
+        "alignment": {"offset": evaluation.alignment.offset, **each},
+        "errors_of": "crossings" if evaluation.clasps is None else "clasps",
+        "density": evaluation.density.tolist(),
+        "remarks": list(evaluation.remarks),
+        "table": [asdict(row) for row in evaluation.table],
     }
 
 
-def _plain(value: Any) -> Any:
-    return value.tolist() if isinstance(value, np.ndarray) else value
-
-
-def _write_vertices(found: Evaluation, path: Path) -> None:
+def _write_vertices(evaluation: Evaluation, path: Path) -> None:
     """Write a row per time at which the plan has its hitch, and vertex."""
-    clasps = found.task.team.layout.clasps
-    parts = [found.vertices, found.planned, found.errors[..., None]]
+    clasps = evaluation.task.team.layout.clasps
+    parts = [evaluation.vertices, evaluation.planned, evaluation.errors[..., None]]
     heads = ["x", "y", "z", "planned_x", "planned_y", "planned_z", "error", "standard_error"]
-    parts.append(found.standard_errors[..., None])
-    if found.clasps is not None:
-        parts, heads = [*parts, found.clasps], [*heads, "clasp_x", "clasp_y", "clasp_z"]
+    parts.append(evaluation.standard_errors[..., None])
+    if evaluation.clasps is not None:
+        parts, heads = [*parts, evaluation.clasps], [*heads, "clasp_x", "clasp_y", "clasp_z"]
     rows = np.concatenate(parts, axis=-1)[:, clasps]
     with path.open("w", encoding="utf-8", newline="") as file:
         table = csv.writer(file, lineterminator="\n")
         table.writerow(["t", "vertex", *heads])
-        for i in np.flatnonzero(np.isfinite(found.planned[:, clasps[0], 0])):
+        for i in np.flatnonzero(np.isfinite(evaluation.planned[:, clasps[0], 0])):
             for c, point in enumerate(clasps.tolist()):
                 table.writerow(
-                    [number(float(found.t[i])), point, *map(number, rows[i, c].tolist())]
+                    [number(float(evaluation.t[i])), point, *map(number, rows[i, c].tolist())]
                 )
 
 
-def shapes(found: Evaluation) -> dict[str, Array]:
-    """Return the cables over time, as the viewer takes them for a ghost.
+def shapes(evaluation: Evaluation) -> dict[str, Array]:
+    """Return the cables over time for a ghost in the viewer.
 
-    They are the plan's, moved with drones and vertices that were measured.
+    They are the plan's, moved with the measured drones and vertices.
     """
-    task, layout = found.task, found.task.team.layout
-    scene = scene_at(found.motion, np.clip(found.t, 0.0, task.duration))
-    measured = found.vertices if found.clasps is None else found.clasps
-    moved = _filled(measured - found.planned)
-    ends = _filled(found.drones - found.planned_drones).reshape(len(moved), -1, 2, 3)
+    task, layout = evaluation.task, evaluation.task.team.layout
+    scene = scene_at(evaluation.motion, np.clip(evaluation.t, 0.0, task.duration))
+    measured = evaluation.vertices if evaluation.clasps is None else evaluation.clasps
+    moved = _filled(measured - evaluation.planned)
+    ends = _filled(evaluation.drones - evaluation.planned_drones).reshape(len(moved), -1, 2, 3)
     knots = np.stack([np.interp(range(4), (0, 3), one) for one in np.eye(2)], axis=1) @ ends
-    hitched = np.isfinite(found.planned[..., 0]).any(axis=1)
+    hitched = np.isfinite(evaluation.planned[..., 0]).any(axis=1)
     inner = np.stack([moved[:, layout.starts], moved[:, layout.ends]], axis=2)
     knots[hitched, :, 1:3] = inner[hitched]
     shares = [np.interp(range(POINTS), (0, *CLASPS, POINTS - 1), one) for one in np.eye(4)]
     nodes = scene.cables + np.einsum("jp,tkjx->tkpx", shares, knots)
     flat = nodes.reshape(len(nodes), -1, 3).astype(np.float32)
     first = POINTS * np.arange(layout.robots + 1)
-    return {"t": found.t, "nodes": flat, "cables": first, "poses": scene.objects.astype(np.float32)}
+    return {
+        "t": evaluation.t,
+        "nodes": flat,
+        "cables": first,
+        "poses": scene.objects.astype(np.float32),
+    }
 
 
 def _filled(values: Array) -> Array:
-    """Return values (times, …) with straight lines through gaps; zero where nothing is known."""
+    """Return values (times, …), linear through gaps, and zero if all are missing."""
     flat = values.reshape(len(values), -1).copy()
     i = np.arange(len(flat))
     for column in flat.T:
@@ -131,12 +135,12 @@ def _filled(values: Array) -> Array:
     return flat.reshape(values.shape)
 
 
-def latex_table(found: Evaluation) -> str:
-    """Return the short table as a LaTeX tabular [mm]; a dash where there is nothing."""
+def latex_table(evaluation: Evaluation) -> str:
+    """Return the short table as a LaTeX tabular [mm]; a dash for missing values."""
     heads = ("mean", "std.", "max.", "std. error")
     lines = ["% Distances from the plan [mm]", r"\begin{tabular}{llrrrrr}"]
     lines.append(" & ".join(("of", "phase", *heads, "found")) + r" \\ \hline")
-    for row in found.short_table:
+    for row in evaluation.short_table:
         lengths = [1e3 * x for x in (row.mean, row.std, row.max, row.standard_error)]
         cells = [f"{x:.1f}" if np.isfinite(x) else "--" for x in lengths]
         words = row.name, row.phase.replace("_", r"\_"), *cells, f"{row.found:.2f}"
@@ -144,22 +148,22 @@ def latex_table(found: Evaluation) -> str:
     return "\n".join([*lines, r"\end{tabular}", ""])
 
 
-def drawn_evaluation(found: Evaluation) -> Figure:
+def drawn_evaluation(evaluation: Evaluation) -> Figure:
     """Return the picture: errors over time with their means, and the hitch from above."""
     figure = style.new_figure(SIZE)
     grid = figure.add_gridspec(2, 2, width_ratios=WIDTHS, height_ratios=(1.6, 1.0))
     top, bottom = (figure.add_subplot(grid[i, 0]) for i in range(2))
-    team, t = found.task.team, found.t
+    team, t = evaluation.task.team, evaluation.t
     colours = style.cable_colours(team.robots)
     clasps = team.layout.clasps.tolist()
     for i, point in enumerate(clasps):
-        colour, off = colours[point % team.robots], 1e3 * found.errors[:, point]
-        error = 1e3 * found.standard_errors[:, point]
+        colour, off = colours[point % team.robots], 1e3 * evaluation.errors[:, point]
+        error = 1e3 * evaluation.standard_errors[:, point]
         top.fill_between(t, off - error, off + error, color=colour, alpha=0.25, lw=0)
         top.plot(t, off, color=colour, lw=1.2, label=team.point_names[point])
         if np.any(there := np.isfinite(off)):
             mean, deviation = np.mean(off[there]), np.std(off[there])
-            at = [1.0 + BESIDE * (i + 1)]
+            at = [1.0 + MARGIN * (i + 1)]
             place: Any = {"transform": top.get_yaxis_transform(), "clip_on": False}
             bar = top.errorbar(
                 at, [mean], [deviation], fmt="o", ms=4, capsize=2, color=colour, **place
@@ -169,9 +173,9 @@ def drawn_evaluation(found: Evaluation) -> Figure:
     for i, name in enumerate(team.drone_names):
         look = "-" if i % 2 == 0 else "--"
         bottom.plot(
-            t, 1e3 * found.drone_errors[:, i], look, lw=0.9, color=colours[i // 2], label=name
+            t, 1e3 * evaluation.drone_errors[:, i], look, lw=0.9, color=colours[i // 2], label=name
         )
-    kind = "crossing" if found.clasps is None else "clasp"
+    kind = "crossing" if evaluation.clasps is None else "clasp"
     for axes, words in (
         (top, f"vertices to the plan [mm]\n({kind}s, ± standard error)"),
         (bottom, "drones to their\nset points [mm]"),
@@ -187,11 +191,11 @@ def drawn_evaluation(found: Evaluation) -> Figure:
     start, end = float(t[0]), float(t[-1])
     phases = [
         each.retimed(max(each.start, start), min(each.end, end))
-        for each in found.motion.overlapping(start, end)
+        for each in evaluation.motion.overlapping(start, end)
     ]
     draw_phases([top, bottom], phases, end - start)
-    _draw_from_above(figure.add_subplot(grid[:, 1]), found)
-    every = next((row for row in reversed(found.table) if row.name == "vertices"), None)
+    _draw_from_above(figure.add_subplot(grid[:, 1]), evaluation)
+    every = next((row for row in reversed(evaluation.table) if row.name == "vertices"), None)
     words = (
         "drones alone"
         if every is None or not np.isfinite(every.mean)
@@ -200,29 +204,31 @@ def drawn_evaluation(found: Evaluation) -> Figure:
             f"found {every.found:.0%} of the time"
         )
     )
-    style.headline(figure, found.flight.source, words)
+    style.headline(figure, evaluation.flight.source, words)
     return figure
 
 
-def _draw_from_above(axes: Axes, found: Evaluation) -> None:
+def _draw_from_above(axes: Axes, evaluation: Evaluation) -> None:
     """Draw both polygons at their last time together, paths, and markers around then."""
-    team, layout = found.task.team, found.task.team.layout
-    measured = found.vertices if found.clasps is None else found.clasps
+    team, layout = evaluation.task.team, evaluation.task.team.layout
+    measured = evaluation.vertices if evaluation.clasps is None else evaluation.clasps
     colours = style.cable_colours(team.robots)
     for i in range(team.drones):
-        axes.plot(*found.drones[:, i, :2].T, color=colours[i // 2], lw=0.6, alpha=0.5)
+        axes.plot(*evaluation.drones[:, i, :2].T, color=colours[i // 2], lw=0.6, alpha=0.5)
     for point in layout.clasps.tolist():
         axes.plot(*measured[:, point, :2].T, color=colours[point % team.robots], lw=0.8)
     whole = np.isfinite(measured[:, layout.clasps, 0]).all(axis=1)
     if np.any(whole):
         i = int(np.flatnonzero(whole)[-1])
         order = np.append(layout.clasps, layout.clasps[:1]) if layout.closed else layout.clasps
-        axes.plot(*found.planned[i, order, :2].T, "--", color=style.LIMIT_COLOUR, label="planned")
+        axes.plot(
+            *evaluation.planned[i, order, :2].T, "--", color=style.LIMIT_COLOUR, label="planned"
+        )
         axes.plot(*measured[i, order, :2].T, color=style.INK, lw=1.4, label="measured")
-        near = np.abs(found.cloud.t - found.t[i])[found.cloud.frame] < MOMENT
+        near = np.abs(evaluation.cloud.t - evaluation.t[i])[evaluation.cloud.frame] < MOMENT
         look: Any = {"s": 6, "color": "0.45", "zorder": 3, "label": "markers"}
-        axes.scatter(*found.cloud.positions[near, :2].T, **look)
-        axes.set_title(f"from above, t = {found.t[i]:.2f} s", fontsize="medium")
+        axes.scatter(*evaluation.cloud.positions[near, :2].T, **look)
+        axes.set_title(f"from above, t = {evaluation.t[i]:.2f} s", fontsize="medium")
         axes.legend(fontsize="small", frameon=False)
     axes.set_aspect("equal", adjustable="datalim")
     axes.set(xlabel="x [m]", ylabel="y [m]")

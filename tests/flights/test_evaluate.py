@@ -151,7 +151,7 @@ def test_frames_and_clocks_are_found(up: str, yaw: float) -> None:
     middle = 40.0 + 4.0 * 84.0 / 85.0
     assert found.alignment.rate * middle + found.alignment.offset == pytest.approx(4.0, abs=0.02)
     assert np.nanmedian(found.errors) < (15e-3 if yaw else 3e-3)
-    shared = found.alignment.rms / np.sqrt(6) if yaw else 0.0  # A frame's error is in all places
+    shared = found.alignment.rms / np.sqrt(2) if yaw else 0.0  # A frame's error is in all places
     assert np.nanmin(found.standard_errors) > shared
 
 
