@@ -27,7 +27,8 @@ from hitchopt.values import Array, Indices
 STEP = 0.05  # Of the compared times [s]
 # Least difference of a clock's rate from 1, and largest ratio of costs, at which it is not 1
 MIN_DRIFT, GAIN = 2e-3, 0.8
-CLOCK_SCALE, RATE_SCALE = 0.05, 2e-3  # Scales of offsets [s] and of the rate in their solution
+# Scales of offsets [s] and of the rate in their solution, and its range over these
+CLOCK_SCALE, RATE_SCALE, RANGE = 0.05, 2e-3, 12.0
 ROBUST = 0.02  # Distance from which on residuals count less [m]
 BLOCK = 2.0  # Time after which displacements of drones count as independent [s]
 # Largest distance of drones from their plan, root mean square, and in a frame that is fitted [m];
@@ -343,7 +344,8 @@ class _Trial:
         def residuals(unknown: Array) -> Array:
             return self._displaced(at(unknown), use).ravel()
 
-        robust: Any = {"loss": "soft_l1", "f_scale": ROBUST, "diff_step": 1e-2}
+        bounds = 1.0 - RANGE, 1.0 + RANGE
+        robust: Any = {"loss": "soft_l1", "f_scale": ROBUST, "diff_step": 1e-2, "bounds": bounds}
         solution: Any = least_squares(residuals, np.ones(len(scale)), **robust)
         steps = 0.1 * np.eye(len(scale))
         J = np.stack([residuals(solution.x + h) - residuals(solution.x - h) for h in steps]) / 0.2

@@ -14,15 +14,18 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 from plans import planned as planned_problem
+from scipy.signal import lfilter
 
 import hitchopt as ho
 from benchmarks.recordings import RATE, Camera, exact_markers, plan_of
 from hitchopt.cli import main
+from hitchopt.flights.alignment import align
 from hitchopt.flights.flight import Markers, Track
 from hitchopt.flights.placing import SCATTER, marker_plan
 from hitchopt.flights.recordings import planned
 from hitchopt.flights.vertices import clasps_of
 from hitchopt.simulation.task import Task
+from hitchopt.values import Array
 from hitchopt.view.cables import CLASPS
 from hitchopt.view.scene import ghost_scene, scene_at
 
@@ -68,20 +71,20 @@ def altered(flight: ho.RecordedFlight, **changes: Any) -> ho.RecordedFlight:
 
 @pytest.mark.parametrize("name", ["triangle", "sharp", "pentagon", "chain", "moving"])
 def test_markers_on_exact_curves_give_the_vertices(name: str) -> None:
-    found = ho.evaluate(flown(name, EXACT, off=0.0), task(name))
+    result = ho.evaluate(flown(name, EXACT, off=0.0), task(name))
     clasps = task(name).team.layout.clasps
-    assert np.isfinite(found.errors[:, clasps]).mean() > 0.99
-    assert np.nanmax(found.errors) < 1e-4
-    assert np.nanmax(found.drone_errors) < 1e-4
-    assert abs(found.alignment.offset + EXACT.start) < 1e-4
+    assert np.isfinite(result.errors[:, clasps]).mean() > 0.99
+    assert np.nanmax(result.errors) < 1e-4
+    assert np.nanmax(result.drone_errors) < 1e-4
+    assert abs(result.alignment.offset + EXACT.start) < 1e-4
 
 
 def test_the_weight_that_a_plan_does_not_know_is_fitted() -> None:
     weightless = replace_density(task("triangle"), 0.0)
-    found = ho.evaluate(flown("triangle", EXACT, off=0.0), weightless)
-    assert found.density == pytest.approx(task("triangle").team.cable_density, rel=0.02)
-    assert np.nanmax(found.errors) < 3e-4
-    assert any("weigh them" in remark for remark in found.remarks)
+    result = ho.evaluate(flown("triangle", EXACT, off=0.0), weightless)
+    assert result.density == pytest.approx(task("triangle").team.cable_density, rel=0.02)
+    assert np.nanmax(result.errors) < 3e-4
+    assert any("weigh them" in remark for remark in result.remarks)
     stated = ho.evaluate(flown("triangle", EXACT, off=0.0), weightless, density=0.006)
     assert np.nanmax(stated.errors) < 1e-4
 
@@ -99,16 +102,16 @@ def test_standard_errors_cover_two_thirds_of_the_errors() -> None:
     covered = []
     for seed in range(24):
         camera = Camera(noise=5e-4, aside=2.5e-3)
-        found = ho.evaluate(flown("triangle", camera, seed, off=0.0), task("triangle"))
-        i = len(found.t) // 2
-        covered.append(found.errors[i] < found.standard_errors[i])
+        result = ho.evaluate(flown("triangle", camera, seed, off=0.0), task("triangle"))
+        i = len(result.t) // 2
+        covered.append(result.errors[i] < result.standard_errors[i])
     assert 0.53 < np.mean(covered) < 0.83
 
 
 @pytest.mark.parametrize("camera", [Camera(noise=2e-3, lost=0.2, gap=10.0), Camera(ghosts=2.0)])
 def test_noise_losses_and_ghosts_cost_a_few_millimetres(camera: Camera) -> None:
-    found = ho.evaluate(flown("sharp", camera, 3), task("sharp"))
-    off = found.errors[np.isfinite(found.planned[..., 0])]
+    result = ho.evaluate(flown("sharp", camera, 3), task("sharp"))
+    off = result.errors[np.isfinite(result.planned[..., 0])]
     assert np.mean(np.isfinite(off)) > 0.9
     assert np.nanmedian(off) < 5e-3
     assert np.nanpercentile(off, 95) < 15e-3
@@ -141,21 +144,21 @@ def test_names_labels_and_other_bodies_change_nothing(
 
 @pytest.mark.parametrize("up", ["y", "z"])
 @pytest.mark.parametrize("yaw", [0.0, 0.7, 4.0])
-def test_frames_and_clocks_are_found(up: str, yaw: float) -> None:
+def test_frames_and_clocks_are_fitted(up: str, yaw: float) -> None:
     known = up == "z" and yaw == 0.0
     camera = Camera(yaw=yaw, up=up, shift=(0.0, 0.0, 0.0) if yaw == 0.0 else (1.0, 0.5, 0.3),
                     start=40.0, rate=84.0 / 85.0)  # fmt: skip
-    found = ho.evaluate(flown("triangle", camera, 1), task("triangle"))
-    assert found.alignment.frame == ("fit" if yaw else "plan" if known else "y-up")
-    assert found.alignment.rate == pytest.approx(85.0 / 84.0, abs=1e-3)
+    result = ho.evaluate(flown("triangle", camera, 1), task("triangle"))
+    assert result.alignment.frame == ("fit" if yaw else "plan" if known else "y-up")
+    assert result.alignment.rate == pytest.approx(85.0 / 84.0, abs=1e-3)
     middle = 40.0 + 4.0 * 84.0 / 85.0
-    assert found.alignment.rate * middle + found.alignment.offset == pytest.approx(4.0, abs=0.02)
-    assert np.nanmedian(found.errors) < (15e-3 if yaw else 3e-3)
-    shared = found.alignment.rms / np.sqrt(2) if yaw else 0.0  # A frame's error is in all places
-    assert np.nanmin(found.standard_errors) > shared
+    assert result.alignment.rate * middle + result.alignment.offset == pytest.approx(4.0, abs=0.02)
+    assert np.nanmedian(result.errors) < (15e-3 if yaw else 3e-3)
+    shared = result.alignment.rms / np.sqrt(2) if yaw else 0.0  # A frame's error is in all places
+    assert np.nanmin(result.standard_errors) > shared
 
 
-def test_a_frame_of_another_evaluation_is_taken(tmp_path: Path) -> None:
+def test_the_frame_of_another_evaluation_is_used(tmp_path: Path) -> None:
     camera = Camera(yaw=0.7, shift=(1.0, 0.5, 0.3))
     flight = flown("triangle", camera, 1)
     place = ho.evaluate(flight, task("triangle")).save(tmp_path / "one")
@@ -165,7 +168,7 @@ def test_a_frame_of_another_evaluation_is_taken(tmp_path: Path) -> None:
     assert "frame" not in again.alignment.fitted
 
 
-def test_clocks_of_each_drone_are_found() -> None:
+def test_every_drone_may_have_its_clock() -> None:
     shifts = np.random.default_rng(2).uniform(-30.0, 30.0, 6)
     tracks = {
         name: Track(track.t + shift, track.positions)
@@ -173,24 +176,80 @@ def test_clocks_of_each_drone_are_found() -> None:
     }
     own = ho.RecordedFlight("logs", tracks, one_clock=False)
     together = ho.evaluate(usual(), task("triangle"))
-    found = ho.evaluate(own, task("triangle"))
-    assert found.alignment.names == together.alignment.names
-    order = [list(tracks).index(name) for name in found.alignment.names]
+    result = ho.evaluate(own, task("triangle"))
+    assert result.alignment.names == together.alignment.names
+    order = [list(tracks).index(name) for name in result.alignment.names]
     np.testing.assert_allclose(
-        found.alignment.offsets + shifts[order], together.alignment.offset, atol=0.03
+        result.alignment.offsets + shifts[order], together.alignment.offset, atol=0.03
     )
-    assert any("drones alone" in remark for remark in found.remarks)
-    assert [row for row in found.table if row.name == "q0"]
+    assert any("drones alone" in remark for remark in result.remarks)
+    assert [row for row in result.table if row.name == "q0"]
 
 
-def test_set_points_that_were_logged_show_the_lag_of_drones() -> None:
+def test_logged_set_points_show_the_lag_of_drones() -> None:
     late = {name: Track(x.t + 0.15, x.positions) for name, x in usual().tracks.items()}
     logged = altered(usual(), tracks=late, setpoints=usual().tracks)
-    found = ho.evaluate(logged, task("triangle"))
-    assert found.alignment.offset == pytest.approx(-Camera().start, abs=5e-3)
-    assert not any("lag" in remark for remark in found.remarks)
+    result = ho.evaluate(logged, task("triangle"))
+    assert result.alignment.offset == pytest.approx(-Camera().start, abs=5e-3)
+    assert not any("lag" in remark for remark in result.remarks)
     without = ho.evaluate(altered(usual(), tracks=late), task("triangle"))
     assert without.alignment.offset == pytest.approx(-Camera().start - 0.15, abs=5e-3)
+
+
+def moved(given: Task, offsets: Array) -> Task:
+    """Return a task whose drones begin as those of another, and then move by (times, 2n, 3)."""
+    start = given.setpoints.positions[:1]
+    return replace(given, setpoints=replace(given.setpoints, positions=start + offsets))
+
+
+@cache
+def small_moves() -> tuple[Task, Array]:
+    """Return a task that moves by a few centimetres, and its movements (times, 2n, 3) [m]."""
+    offsets = 0.25 * (
+        task("triangle").setpoints.positions - task("triangle").setpoints.positions[0]
+    )
+    return moved(task("triangle"), offsets), offsets
+
+
+def swinging(given: Task, seed: int, scatter: float, time: float = 1.0) -> tuple[Array, Array]:
+    """Return times, and positions of drones that swing about their plan, in part all of them."""
+    random, t = np.random.default_rng(seed), np.arange(0.0, given.duration, 0.02)
+    drones = planned(given, t, given.setpoints.positions)
+    decay = np.exp(-0.02 / time)
+    white = random.normal(size=(1000 + len(t), drones.shape[1] + 1, 3))
+    swings = lfilter([scatter * np.sqrt(1.0 - decay**2)], [1.0, -decay], white, axis=0)[1000:]
+    return t, drones + swings[:, :-1] + swings[:, -1:] + random.normal(0.0, 0.01, drones[0].shape)
+
+
+@pytest.mark.parametrize("camera", [Camera(), Camera(yaw=0.7, up="y", shift=(1.0, 0.5, 0.3))])
+def test_other_movements_of_the_same_hitch_are_refused(camera: Camera) -> None:
+    """Twenty plans begin at the same positions and move as far, hence stay within some cm."""
+    flown, offsets = small_moves()
+    t, drones = swinging(flown, 1, 0.003)
+    flight = camera.recorded(t, drones, np.zeros((len(t), 0, 3)), 0)
+    assert align(flight, flown).rms < 0.05
+    size, phases = np.std(offsets), np.linspace(0.0, 1.0, len(offsets))[:, None, None]
+    for seed in range(20):
+        random = np.random.default_rng(seed)
+        shape = (2, *offsets.shape[1:])
+        rate, phase = random.uniform(3.0, 12.0, shape), random.uniform(0.0, 6.3, shape)
+        waves = sum(np.sin(r * phases + p) - np.sin(p) for r, p in zip(rate, phase, strict=True))
+        with pytest.raises(ho.FileError, match="name the plan that was flown"):
+            align(flight, moved(flown, size * np.asarray(waves)))
+
+
+@pytest.mark.parametrize("name", ["small", "triangle"])
+def test_standard_errors_of_clocks_are_those_over_seeds(name: str) -> None:
+    """Drones swing for a second and more, some of them together; little moves in one flight."""
+    given = small_moves()[0] if name == "small" else task(name)
+    off, stated = [], []
+    for seed in range(20):
+        t, drones = swinging(given, seed, 0.004 if name == "small" else 0.01)
+        result = align(Camera().recorded(t, drones, np.zeros((len(t), 0, 3)), seed), given)
+        off.append(result.rate * (2.0 + t[-1] / 2.0) + result.offset - t[-1] / 2.0)
+        stated.append(result.offset_error)
+    ratio = np.sqrt(np.mean(np.square(off)) / np.mean(np.square(stated)))
+    assert 0.4 < ratio < 1.5
 
 
 def other_plan(altitude: float = 1.2) -> Task:
@@ -228,9 +287,9 @@ def turned_regular() -> ho.RecordedFlight:
     return Camera(yaw=1.0).recorded(t, drones, np.zeros((len(t), 0, 3)), 0)
 
 
-UNTOLD: dict[str, tuple[Callable[[], Any], type[Exception], str]] = {
+REFUSALS: dict[str, tuple[Callable[[], Any], type[Exception], str]] = {
     "another plan": (lambda: ho.evaluate(usual(), other_plan()), ho.FileError, "was flown"),
-    "another hitch": (lambda: ho.evaluate(usual(), task("sharp")), ho.FileError, "was flown"),
+    "another polygon": (lambda: ho.evaluate(usual(), task("sharp")), ho.FileError, "was flown"),
     "more robots": (lambda: ho.evaluate(usual(), task("pentagon")), ho.FileError, "6 bodies (cf"),
     "nothing moves": (lambda: ho.evaluate(still(), task("triangle")), ho.FileError, "--start"),
     "too short": (
@@ -264,74 +323,74 @@ UNTOLD: dict[str, tuple[Callable[[], Any], type[Exception], str]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("case", UNTOLD)
-def test_what_cannot_be_told_is_refused(case: str) -> None:
-    call, error, words = UNTOLD[case]
+@pytest.mark.parametrize("case", REFUSALS)
+def test_other_plans_and_requests_are_refused(case: str) -> None:
+    call, error, words = REFUSALS[case]
     with pytest.raises(error, match=words.replace("(", r"\(")):
         call()
 
 
-def test_names_settle_which_of_two_answers_is_true() -> None:
+def test_names_choose_between_two_answers() -> None:
     flight = turned_regular()
     names = dict(zip(flight.tracks, regular().team.drone_names, strict=True))
-    found = ho.evaluate(flight, regular(), names=names)
-    assert found.alignment.names == tuple(flight.tracks)
-    assert "names" not in found.alignment.fitted
+    result = ho.evaluate(flight, regular(), names=names)
+    assert result.alignment.names == tuple(flight.tracks)
+    assert "names" not in result.alignment.fitted
 
 
-def test_a_stated_start_is_taken() -> None:
-    found = ho.evaluate(usual(), task("triangle"), start=2.013)
-    assert found.alignment.offset == pytest.approx(-2.013)
-    assert found.alignment.fitted == ("names",)
+def test_a_stated_start_is_the_clock() -> None:
+    result = ho.evaluate(usual(), task("triangle"), start=2.013)
+    assert result.alignment.offset == pytest.approx(-2.013)
+    assert result.alignment.fitted == ("names",)
     on = np.ones(6, np.bool_)
     camera = replace(EXACT, start=0.02)  # As late as drones may fly: the clock is the plan's
     simulated = altered(flown("triangle", camera), simulated=ho.SimulatedTeam(0.01, on, on))
     assert ho.evaluate(simulated, task("triangle")).alignment.offset == 0.0
 
 
-def test_bare_edges_are_said() -> None:
+def test_remarks_name_bare_edges() -> None:
     cloud = usual().markers
     p = planned(task("triangle"), np.zeros(1), task("triangle").vertices)[0]
     middle = 0.5 * (p[0] + p[1])
     bare = np.linalg.norm(cloud.positions - middle, axis=1) > 0.45
     few = Markers(cloud.t, cloud.frame[bare], cloud.positions[bare])
-    found = ho.evaluate(cut_markers(few), task("triangle"))
-    seen = np.isfinite(found.vertices[found.t < 1.5, :, 0]).mean(axis=0)
+    result = ho.evaluate(cut_markers(few), task("triangle"))
+    seen = np.isfinite(result.vertices[result.t < 1.5, :, 0]).mean(axis=0)
     assert seen[2] > 0.9
     assert np.all(seen[:2] == 0.0)
-    assert [remark for remark in found.remarks if remark.startswith("p0 is found")]
+    assert [remark for remark in result.remarks if remark.startswith("p0 is found")]
 
 
 def cut_markers(cloud: Markers) -> ho.RecordedFlight:
     return altered(usual(), markers=cloud)
 
 
-def test_vertices_that_were_measured_elsewhere_are_taken_while_there_is_a_hitch() -> None:
+def test_recorded_vertices_are_used_while_there_is_a_hitch() -> None:
     given = Task.of(planned_problem("tie_carry_untie").motion)
     t = np.arange(0.0, given.duration, 0.02)
     drones = planned(given, t, given.setpoints.positions)
     flight = Camera(lost=0.0).recorded(t, drones, np.zeros((len(t), 0, 3)), 0)
     places = planned(given, t, given.vertices) + [0.01, 0.0, 0.0]
     own = {f"p{k}": Track(t + Camera().start, places[:, k]) for k in range(3)}
-    found = ho.evaluate(altered(flight, tracks={**flight.tracks, **own}), given)
-    hitched = np.isfinite(found.planned[:, 0, 0])
+    result = ho.evaluate(altered(flight, tracks={**flight.tracks, **own}), given)
+    hitched = np.isfinite(result.planned[:, 0, 0])
     assert 0.1 < np.mean(hitched) < 0.9
-    np.testing.assert_allclose(found.errors[hitched], 0.01, atol=1e-3)
-    assert np.all(np.isnan(found.vertices[~hitched]))
-    assert np.all(np.isnan(found.standard_errors))
+    np.testing.assert_allclose(result.errors[hitched], 0.01, atol=1e-3)
+    assert np.all(np.isnan(result.vertices[~hitched]))
+    assert np.all(np.isnan(result.standard_errors))
 
 
 def test_clasps_lie_outward_by_the_turn() -> None:
     diameter, layout = 0.012, task("pentagon").team.layout
     corners = np.column_stack([ho.regular_polygon(5, 1.0).vertices, np.full(5, 1.3)])
-    found = clasps_of(corners, layout, diameter)
+    result = clasps_of(corners, layout, diameter)
     outward = corners[:, :2] / np.linalg.norm(corners[:, :2], axis=1, keepdims=True)
     size = diameter * (0.8 + 0.75 * np.tan(np.radians(36.0)))
-    np.testing.assert_allclose(found[:, :2] - corners[:, :2], size * outward, atol=1e-12)
-    np.testing.assert_array_equal(found[:, 2], corners[:, 2])
+    np.testing.assert_allclose(result[:, :2] - corners[:, :2], size * outward, atol=1e-12)
+    np.testing.assert_array_equal(result[:, 2], corners[:, 2])
 
 
-def test_planned_markers_give_the_errors_that_are_said() -> None:
+def test_planned_markers_give_the_stated_errors() -> None:
     given = regular()
     advice = marker_plan(given)
     t = np.array([1.0])
@@ -359,10 +418,10 @@ def test_planned_markers_give_the_errors_that_are_said() -> None:
     assert np.all((said > level) & (said < 1.25 * level))  # heights add a quarter of the squares
 
 
-def test_files_hold_what_was_found(tmp_path: Path) -> None:
+def test_files_agree_with_the_evaluation(tmp_path: Path) -> None:
     place = plan("triangle").save(tmp_path / "plan")
-    found = ho.evaluate(usual(), place, diameter=0.01)
-    out = found.save(tmp_path / "out", "svg")
+    result = ho.evaluate(usual(), place, diameter=0.01)
+    out = result.save(tmp_path / "out", "svg")
     names = {"evaluation.json", "evaluation.svg", "evaluation.tex", "recording.npz", "vertices.csv"}
     assert {path.name for path in out.iterdir()} == names
     rows = list(csv.DictReader((out / "vertices.csv").read_text().splitlines()))
@@ -374,33 +433,33 @@ def test_files_hold_what_was_found(tmp_path: Path) -> None:
     one = next(row for row in rows if row["x"])
     place_of = [np.array([float(one[f"{a}{c}"]) for c in "xyz"]) for a in ("clasp_", "planned_")]
     assert float(one["error"]) == pytest.approx(np.linalg.norm(place_of[0] - place_of[1]))
-    frame = found.to_dataframe()
+    frame = result.to_dataframe()
     assert len(frame) == len(content["table"])
     assert (
         f"{1e3 * said['mean']:.1f} & {1e3 * said['std']:.1f}"
         in (out / "evaluation.tex").read_text()
     )
     ghost = ghost_scene(out, plan("triangle").motion)
-    np.testing.assert_allclose(ghost.drones[5], found.drones[5], atol=1e-5)
-    assert found.clasps is not None
-    clean = scene_at(plan("triangle").motion, found.t)
+    np.testing.assert_allclose(ghost.drones[5], result.drones[5], atol=1e-5)
+    assert result.clasps is not None
+    clean = scene_at(plan("triangle").motion, result.t)
     bend = ghost.cables[5, 0, CLASPS[0]] - clean.cables[5, 0, CLASPS[0]]
-    np.testing.assert_allclose(bend, found.clasps[5, 0] - found.planned[5, 0], atol=1e-5)
+    np.testing.assert_allclose(bend, result.clasps[5, 0] - result.planned[5, 0], atol=1e-5)
     page = plan("triangle").report(place, ghost=out).read_text("utf-8")
     assert '"name":"ghost"' in page
-    recording = found.to_recording()
-    assert recording.standard_errors is found.standard_errors
+    recording = result.to_recording()
+    assert recording.standard_errors is result.standard_errors
     with pytest.raises(ho.InputError, match="format"):
-        found.save(tmp_path / "out", "gif")
+        result.save(tmp_path / "out", "gif")
     with pytest.raises(ho.FileError, match=r"holds plan\.npz"):
-        found.save(place)
+        result.save(place)
 
 
 def run(*arguments: str) -> Result:
     return CliRunner().invoke(main, arguments)
 
 
-def test_commands_evaluate_and_say_where_markers_go(place: Path) -> None:
+def test_commands_evaluate_and_place_markers(place: Path) -> None:
     plan("triangle").save(place / "plan")
     with (place / "flight.csv").open("w") as file:
         file.write("t,name,x,y,z\n")

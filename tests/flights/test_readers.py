@@ -1,4 +1,4 @@
-"""Recordings: what writers write is read, and what is doubtful is refused in a line."""
+"""Recordings of every format are read back, and doubtful ones are refused in a line."""
 
 from __future__ import annotations
 
@@ -56,21 +56,21 @@ def suffix(name: str) -> str:
 
 
 @pytest.mark.parametrize("name", FORMATS)
-def test_what_is_written_is_read(name: str, tmp_path: Path) -> None:
+def test_recordings_are_read_back(name: str, tmp_path: Path) -> None:
     write, with_markers, own = FORMATS[name]
     flight = w.sample()
     if not with_markers:
         commands = dict(list(flight.tracks.items())[:2])
         flight = replace(flight, markers=no_markers(), setpoints=commands)
-    found = ho.read_flight(write(tmp_path / f"take{suffix(name)}", flight))
-    assert name.startswith(found.source)
-    assert list(found.tracks) == list(flight.tracks)
+    result = ho.read_flight(write(tmp_path / f"take{suffix(name)}", flight))
+    assert name.startswith(result.source)
+    assert list(result.tracks) == list(flight.tracks)
     epoch = w.EPOCH if "bag" in name else 0.0
-    assert found.epoch == pytest.approx(epoch, abs=1e-6)
+    assert result.epoch == pytest.approx(epoch, abs=1e-6)
     for body, track in flight.tracks.items():
-        np.testing.assert_allclose(found.tracks[body].t, track.t, atol=1e-6)
-        np.testing.assert_allclose(found.tracks[body].positions, track.positions, atol=1e-6)
-    cloud, seen = found.markers, flight.markers
+        np.testing.assert_allclose(result.tracks[body].t, track.t, atol=1e-6)
+        np.testing.assert_allclose(result.tracks[body].positions, track.positions, atol=1e-6)
+    cloud, seen = result.markers, flight.markers
     every = w.frames_of(flight) if own else seen.t
     for time in every if with_markers else ():
         expected = seen.positions[seen.t[seen.frame] == time].tolist()
@@ -79,11 +79,11 @@ def test_what_is_written_is_read(name: str, tmp_path: Path) -> None:
             expected += [x.positions[x.t == time][0].tolist() for x in each if np.any(x.t == time)]
         points = cloud.positions[np.abs(cloud.t[cloud.frame] - time) < 1e-6]
         np.testing.assert_allclose(sorted(points.tolist()), sorted(expected), atol=1e-6)
-    assert found.one_clock == with_markers
+    assert result.one_clock == with_markers
     logged = "uSD" in name
-    assert list(found.setpoints) == (list(flight.setpoints) if logged else [])
+    assert list(result.setpoints) == (list(flight.setpoints) if logged else [])
     for body, track in flight.setpoints.items() if logged else ():
-        np.testing.assert_allclose(found.setpoints[body].positions, track.positions, atol=1e-6)
+        np.testing.assert_allclose(result.setpoints[body].positions, track.positions, atol=1e-6)
 
 
 def edited(change: Callable[[str], str], write: Write = w.write_motive) -> Write:
@@ -175,7 +175,7 @@ REFUSED: dict[str, tuple[Write, str]] = {
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_what_is_doubtful_is_refused(case: str, tmp_path: Path) -> None:
+def test_doubtful_recordings_are_refused(case: str, tmp_path: Path) -> None:
     write, words = REFUSED[case]
     path = write(tmp_path / "take", w.sample())
     with pytest.raises(ho.FileError) as refusal:
@@ -200,7 +200,7 @@ def test_other_paths_and_units_are_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "module"), [("ROS 2 bag", "rosbags.highlevel"), ("PX4 ulog", "pyulog")]
 )
-def test_a_library_that_is_missing_is_named(
+def test_a_missing_library_is_named(
     name: str, module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = FORMATS[name][0](tmp_path / "take", replace(w.sample(), markers=no_markers()))
@@ -211,29 +211,29 @@ def test_a_library_that_is_missing_is_named(
 
 @pytest.mark.parametrize("unit", ["mm", "ft"])
 @pytest.mark.parametrize("name", ["table", "ROS 2 bag", "Vicon CSV", "C3D"])
-def test_a_unit_that_is_given_counts(name: str, unit: str, tmp_path: Path) -> None:
+def test_a_stated_unit_counts(name: str, unit: str, tmp_path: Path) -> None:
     """Files that state millimetres are written by numbers 1000 times as large."""
     flight, scale = w.sample(), {"mm": 1e-3, "ft": 0.3048}[unit]
     large = 1e3 if name in {"Vicon CSV", "C3D"} else 1.0
-    found = ho.read_flight(FORMATS[name][0](tmp_path / f"take{suffix(name)}", flight), unit)
+    result = ho.read_flight(FORMATS[name][0](tmp_path / f"take{suffix(name)}", flight), unit)
     for body, track in flight.tracks.items():
         expected = large * scale * track.positions
-        np.testing.assert_allclose(found.tracks[body].positions, expected, rtol=1e-6)
-    order = np.argsort(np.linalg.norm(found.markers.positions[:3], axis=1))
+        np.testing.assert_allclose(result.tracks[body].positions, expected, rtol=1e-6)
+    order = np.argsort(np.linalg.norm(result.markers.positions[:3], axis=1))
     assert len(order) == 3
 
 
-def test_bodies_are_means_of_subjects_while_all_is_seen(tmp_path: Path) -> None:
+def test_bodies_are_means_of_subjects_while_all_markers_are_visible(tmp_path: Path) -> None:
     """Of C3D and the like, which know no bodies; markers without a name are none."""
     t = np.arange(50) / 100.0
     front, back = np.tile([[0.1, 0.0, 1.0]], (50, 1)), np.tile([[-0.1, 0.2, 1.0]], (50, 1))
     tracks = {"cf1:front": ho.Track(t, front), "cf1:back": ho.Track(t[10:], back[10:])}
     tracks |= {"*7": ho.Track(t, front + 1.0), "Unlabeled 3": ho.Track(t, back + 2.0)}
-    found = ho.read_flight(w.write_c3d(tmp_path / "take.c3d", ho.RecordedFlight("", tracks)))
-    assert list(found.tracks) == ["cf1"]
-    np.testing.assert_allclose(found.tracks["cf1"].t, t[10:])
-    np.testing.assert_allclose(found.tracks["cf1"].positions, [[0.0, 0.1, 1.0]] * 40, atol=1e-6)
-    assert len(found.markers) == 50 + 40 + 50 + 50
+    result = ho.read_flight(w.write_c3d(tmp_path / "take.c3d", ho.RecordedFlight("", tracks)))
+    assert list(result.tracks) == ["cf1"]
+    np.testing.assert_allclose(result.tracks["cf1"].t, t[10:])
+    np.testing.assert_allclose(result.tracks["cf1"].positions, [[0.0, 0.1, 1.0]] * 40, atol=1e-6)
+    assert len(result.markers) == 50 + 40 + 50 + 50
 
 
 def test_stamps_of_a_date_count_from_the_first_position(tmp_path: Path) -> None:
@@ -268,15 +268,15 @@ def test_a_cut_log_is_read_to_its_last_record(tmp_path: Path) -> None:
     for cut in (1, 4, 9, 500, 1000):
         log = tmp_path / "log00"
         log.write_bytes((folder / "cf3.bin").read_bytes()[:-cut])
-        found = ho.read_flight(log)
-        many = len(found.tracks["log00"].t)
+        result = ho.read_flight(log)
+        many = len(result.tracks["log00"].t)
         assert many == 150 if cut <= 4 else 90 < many < 150
         note = f"log00: is cut off or damaged: read to its record at {0.01 * (many - 1):.3f} s"
-        assert note in found.notes
-        assert found.one_clock
+        assert note in result.notes
+        assert result.one_clock
 
 
-# A damaged file's message tells where it is; or the file is read, where what was damaged are values
+# A damaged file is refused with its path, or it is read if values alone were damaged
 DAMAGED = [*(n for n in FORMATS if n not in {"Motive CSV 1.22", "Motive CSV 1.24"})]
 
 
@@ -311,16 +311,16 @@ def test_damaged_files_end_in_a_line(name: str, tmp_path: Path) -> None:
         file.write_bytes(data)
         words = ""
         try:
-            found = ho.read_flight(path)
+            result = ho.read_flight(path)
         except ho.FileError as error:
             words, refused = str(error), refused + 1
         else:
-            assert all(np.all(np.isfinite(x.positions)) for x in found.tracks.values())
+            assert all(np.all(np.isfinite(x.positions)) for x in result.tracks.values())
         assert words == "" or (words.startswith(str(path)) and "\n" not in words), words
     assert refused > 1
 
 
-def test_the_record_holds_what_it_says() -> None:
+def test_records_check_their_fields() -> None:
     once, twice, ramp = np.zeros(1), np.zeros(2), np.arange(2.0)
     places, last = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 2.0]]), np.array([0, 2])
     track, cloud = ho.Track(ramp, places), ho.Markers(once, np.array([0, 0]), places)
