@@ -12,7 +12,7 @@ import re
 import struct
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Sequence
-from itertools import chain, islice, takewhile
+from itertools import chain, compress, islice, takewhile
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -55,8 +55,9 @@ def points_in(
         text = line.replace(" ", "")
         cells = (text if separator == "," else text.replace(",", ".")).split(separator)
         cells += [""] * (width - len(cells))
-        numbers = np.array([float(cell) if cell else np.nan for cell in pick(cells)[:-1]])
-        xyz = numbers[len(head) :].reshape(-1, 3)
+        wanted, numbers = pick(cells), np.full(len(columns) + 1, np.nan)
+        numbers[list(compress(range(len(wanted)), wanted))] = list(map(float, filter(None, wanted)))
+        xyz = numbers[len(head) : -1].reshape(-1, 3)
         visible = np.flatnonzero(np.isfinite(xyz).all(axis=1))
         heads.append(numbers[: len(head)])
         labels.append(visible)

@@ -20,7 +20,7 @@ SCATTER = 1e-3  # Assumed scatter of markers about the lines of cables [m]
 
 @dataclass(frozen=True, eq=False)
 class MarkerPlan(OneLine):
-    """Markers of every cable, and what they tell of the vertices.
+    """Markers of every cable, and the errors of vertices that they give.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ def marker_plan(task: Task) -> MarkerPlan:
     sine = before[..., 0] * after[..., 1] - before[..., 1] * after[..., 0]
     both = SCATTER**2 * (relative[:, 1, layout.behind] + relative[:, 0, layout.ahead])
     each = crossing_errors(both, both, sine)
-    found = np.full((layout.points, 2), np.nan)
+    errors = np.full((layout.points, 2), np.nan)
     if len(each):
-        found[layout.clasps] = np.column_stack([np.median(each, axis=0), np.max(each, axis=0)])
-    return MarkerPlan(stretches, tuple(places), found)
+        errors[layout.clasps] = np.column_stack([np.median(each, axis=0), np.max(each, axis=0)])
+    return MarkerPlan(stretches, tuple(places), errors)

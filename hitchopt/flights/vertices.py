@@ -38,7 +38,7 @@ SMOOTH = 1.0  # Time over which the displacement of all drones is averaged [s]
 LARGEST = 0.05  # Largest standard error of a vertex [m]
 SINE = 0.05  # Least sine of the angle at which edges cross
 # Distance of a vertex' offset from the median of so much time on either side [s], over the scatter,
-# from which on it counts as wrong, and the least scatter [m]
+# from which on it is left out, and the least scatter [m]
 OUTLYING, AROUND, LEAST_SCATTER = 6.0, 0.5, 2e-3
 # Density of a plan below which it knows no weight, and the largest that is fitted [kg/m]
 WEIGHTLESS, DENSEST = 5e-4, 0.1
@@ -53,7 +53,7 @@ class Measured:
 
     Attributes
     ----------
-    crossings: (times, points, 3) [m]; nan where there is none, as at the ends of a chain.
+    crossings: (times, points, 3) [m]; nan if not measured, and at the ends of a chain.
     standard_errors: (times, points) [m]; nan likewise.
     density: of every cable (n,) [kg/m]: as stated, or as fitted.
     markers: markers of every edge within a window, the mean over times (n,).
@@ -101,7 +101,7 @@ class _Edges:
 
 @dataclass(frozen=True, eq=False)
 class _Lines:
-    """Local lines of all edges at some times; nan where there is none."""
+    """Local lines of all edges at some times; nan with fewer than two markers."""
 
     fit: Array  # (t, n, 2, 2): aside and above; offset at the expected start, and slope
     density: Array  # (n,) [kg/m], of the sag besides
@@ -182,14 +182,14 @@ def measured_vertices(
 
 
 def _at(t: Array, values: Array, times: Array) -> Array:
-    """Return values (t, …) at other times, straight between those that are not nan."""
+    """Return values (t, …) at other times, linear between those that are not nan."""
     flat = values.reshape(len(t), -1)
-    found = np.full((len(times), flat.shape[1]), np.nan)
+    curves = np.full((len(times), flat.shape[1]), np.nan)
     for i, column in enumerate(flat.T):
         there = np.isfinite(column)
         if np.any(there):
-            found[:, i] = np.interp(times, t[there], column[there])
-    return found.reshape(len(times), *values.shape[1:])
+            curves[:, i] = np.interp(times, t[there], column[there])
+    return curves.reshape(len(times), *values.shape[1:])
 
 
 def _mean(values: Array) -> Array:
@@ -301,13 +301,13 @@ def _crossings(
     heights = heights + lines.density * edges.sag(crossed)
     relative = line_variances(lines.markers, crossed)
     both = relative[1][:, a] + relative[0][:, b]
-    found = np.full((len(u), layout.points, 3), np.nan)
-    errors = np.full(found.shape[:2], np.nan)
-    found[:, layout.clasps, :2] = base[:, b] + crossed[0][:, b, None] * toward[:, b]
-    found[:, layout.clasps, 2] = 0.5 * (heights[1][:, a] + heights[0][:, b])
+    crossings = np.full((len(u), layout.points, 3), np.nan)
+    errors = np.full(crossings.shape[:2], np.nan)
+    crossings[:, layout.clasps, :2] = base[:, b] + crossed[0][:, b, None] * toward[:, b]
+    crossings[:, layout.clasps, 2] = 0.5 * (heights[1][:, a] + heights[0][:, b])
     aside, above = lines.scatter**2
     errors[:, layout.clasps] = crossing_errors(aside * both, above * both, sine)
-    return found, errors, (crossed[0], crossed[1])
+    return crossings, errors, (crossed[0], crossed[1])
 
 
 def _cross(a: Array, b: Array) -> Array:
@@ -328,13 +328,13 @@ def _outlying(off: Array) -> NDArray[np.bool_]:
 
 
 def clasps_of(crossings: Array, layout: Layout, diameter: float) -> Array:
-    """Return where cables of a diameter [m] touch, outward of crossings (…, points, 3) [m]."""
+    """Return contacts of cables of a diameter [m], outward of crossings (…, points, 3) [m]."""
     along = unit(layout.edges(crossings[..., :2]))
     inward = unit(along[..., layout.ahead, :] - along[..., layout.behind, :])
     cosine = np.sum(along[..., layout.ahead, :] * along[..., layout.behind, :], axis=-1)
     half = np.sqrt((1.0 - cosine) / np.maximum(1.0 + cosine, 1e-9))  # Tangent of half the turn
-    found = np.full_like(crossings, np.nan)
-    found[..., layout.clasps, :] = crossings[..., layout.clasps, :]
+    clasps = np.full_like(crossings, np.nan)
+    clasps[..., layout.clasps, :] = crossings[..., layout.clasps, :]
     off = diameter * (INWARD[0] + INWARD[1] * half)
-    found[..., layout.clasps, :2] -= off[..., None] * inward
-    return found
+    clasps[..., layout.clasps, :2] -= off[..., None] * inward
+    return clasps
