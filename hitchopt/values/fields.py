@@ -403,6 +403,7 @@ def points(
         count, point = shape[0], f"a point [{entry}]"
         bound = f"a list of {count or f'at least {least}'} points [{entry}]"
         bound = point if len(shape) == 1 else bound
+        value = value.tolist() if isinstance(value, np.ndarray) else value
         if not isinstance(value, list | tuple):
             raise misfit(key, value, bound)
         if count is not None and len(value) != count:
@@ -416,8 +417,7 @@ def points(
     def check(key: str, value: Any) -> Any:
         if isinstance(value, passed):
             return value
-        given = value.tolist() if isinstance(value, np.ndarray) else value
-        array: Array = np.array(numbers(key, given, shape), dtype=np.float64)
+        array: Array = np.array(numbers(key, value, shape), dtype=np.float64)
         near = np.all(np.abs(array) <= MAX_COORDINATE, axis=-1)
         if not np.all(near):
             k = int(np.argmin(near))

@@ -114,7 +114,7 @@ RIGHT_ANGLE = 0.5 * math.pi
 TILT = quantity(
     "rad", (1.1 * DEGREE, RIGHT_ANGLE), (LEAST, RIGHT_ANGLE), (("degrees", DEGREE),), RIGHT_ANGLE
 )
-SWING = quantity("rad", ANY, (0.0, RIGHT_ANGLE), (), RIGHT_ANGLE)
+SWING = quantity("rad", ANY, (0.0, RIGHT_ANGLE), (("degrees", DEGREE),), RIGHT_ANGLE)
 ROLL = quantity("rad", ANY, (-RIGHT_ANGLE, RIGHT_ANGLE), (), RIGHT_ANGLE)
 BODY_RATE = quantity("rad/s", (0.17, 70.0), (LEAST, 1e6), (("degrees per second", DEGREE),))
 ANGLE = quantity("rad", ANY, (-MOST, MOST))

@@ -23,7 +23,7 @@ def balanced(polygon: Any = TRIANGLE, **given: Any) -> Hitch:
     return Hitch.balanced(Team(**{"robots": 3, "cable_length": 2.4, **given}), polygon, roll=roll)
 
 
-DEGREES = "must be below π/2 rad; 45 degrees are 0.785 rad"
+DEGREES = "must be below 1.571 rad; if degrees were meant, 0.785"
 REFUSED: list[Refusal] = [
     *[(lambda n=n: Team(n, 2.0), "robots", "") for n in (2, 3.0, True, 10**9)],
     (lambda: Team(1, 2.2, topology="open"), "robots", "at least 2"),
@@ -41,10 +41,10 @@ REFUSED: list[Refusal] = [
     (lambda: Quadrotor(stiffness=0.0), "stiffness", "greater than 0"),
     *[(lambda n=n: Swarm(n), "drones", "") for n in (0, 2.0, True, "3", 10**9)],
     (lambda: Limits(speed=0.0), "speed", "greater than 0"),
-    (lambda: Limits(tilt=45), "tilt", f"tilt = 45.0: {DEGREES}"),
-    (lambda: SwapSettings(tilt=1.6), "tilt", "below π/2 rad; 1.6 degrees are 0.0279 rad"),
+    (lambda: Limits(tilt=45), "tilt", f"tilt = 45: {DEGREES}"),
+    (lambda: SwapSettings(tilt=1.6), "tilt", "below 1.571 rad; if degrees were meant, 0.0279"),
     (lambda: SwapSettings(radius=0.0), "radius", "greater than 0"),
-    (lambda: SwapSettings(sense=2), "sense", "must be 1, -1 or 0"),
+    (lambda: SwapSettings(sense=2), "sense", "must be one of up, down, auto"),
     (lambda: Separation(radius=-0.1), "radius", "greater than 0"),
     (lambda: Separation(cable=-0.1), "cable", "at least 0"),
     (lambda: Arena([0, 0, 0], [1, 1]), "upper", "point"),
