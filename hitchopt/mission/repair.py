@@ -250,16 +250,15 @@ def _put(record: Any, path: Sequence[str], value: Any) -> Any:
     if isinstance(record, tuple):
         i = int(key)
         return (*record[:i], _put(record[i], rest, value), *record[i + 1 :])
+    if isinstance(record, Mapping):  # of objects, by their names
+        return {**record, key: _put(record[key], rest, value)}
     known = {each.name: (name, each) for name, each in keys_of(type(record)).items()}
     name, declared = known.get(key, (key, None))
-    held = record[key] if isinstance(record, Mapping) else getattr(record, name)
     if rest:
-        value = _put(held, rest, value)
+        value = _put(getattr(record, name), rest, value)
     elif declared is not None:
         value = declared.from_file(key, value)
-    return (
-        {**record, key: value} if isinstance(record, Mapping) else replace(record, **{name: value})
-    )
+    return replace(record, **{name: value})
 
 
 def broken_constraints(error: InfeasibleError) -> frozenset[str]:

@@ -31,7 +31,10 @@ def plan() -> ho.Plan:
 
 
 def flown(motion: Motion, held: HeldTension, t: np.ndarray) -> np.ndarray:
-    """Where drones fly by the set points, with the plan's cable forces: m ẍ, integrated."""
+    """Where drones fly by the set points, with the plan's cable forces: m ẍ, integrated.
+
+    What a filter takes for a velocity is a force of the controller, as if cables pulled more.
+    """
     mass = motion.team.mass
     m, c, k = mass[:, None], held.damping, held.stiffness
     count = motion.team.drones
@@ -40,7 +43,8 @@ def flown(motion: Motion, held: HeldTension, t: np.ndarray) -> np.ndarray:
         x, v = y.reshape(2, count, 3)
         at = min(now, held.motion.duration)
         s, ds, dds = (held.motion.drones.at(at, order) for order in range(3))
-        force = m * dds + c * (ds - v) + k * (s - x) + states_at(motion, at).cable_forces
+        pull = motion.team.pull_gain * states_at(motion, at).cable_forces
+        force = m * dds + c * (ds - v) + k * (s - x) + pull
         return np.concatenate([v.ravel(), (force / m).ravel()])
 
     begin = np.concatenate([motion.drones.at(0.0).ravel(), np.zeros(3 * count)])
