@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -118,7 +119,7 @@ class Written:
     receiver: Mapping[str, Any] = field(default_factory=dict)  # its settings, for the manifest
 
 
-class Format:
+class Format(ABC):
     """One file format: what is written, and how files are read, of any origin."""
 
     name: str  # as given to ``--format``
@@ -148,13 +149,13 @@ class Format:
         """Return the effect of ``settings`` on controllers that fly the files."""
         return {}
 
+    @abstractmethod
     def write(self, folder: Path, task: Task) -> Written:
         """Write the files of a task, or raise InfeasibleError: the format cannot hold the plan."""
-        raise NotImplementedError
 
+    @abstractmethod
     def load(self, files: Sequence[Path]) -> Recording:
         """Read files of any origin; raise FileError if they are damaged."""
-        raise NotImplementedError
 
     def read(self, folder: Path, task: Task) -> Recording:
         """Return the receiver's motion for a task's files.

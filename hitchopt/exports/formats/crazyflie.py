@@ -26,6 +26,7 @@ import json
 import math
 import re
 import struct
+from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib import resources
@@ -80,13 +81,13 @@ class CrazyflieFormat(Format):
         """Return the firmware's parameters of every drone, by its name in the plan."""
         return {"parameters": team_parameters(team, options.stiffness, options.damping)}
 
+    @abstractmethod
     def most_pieces(self, curves: PiecewisePolynomial) -> int:
         """Return how many pieces of some curves memory holds."""
-        raise NotImplementedError
 
+    @abstractmethod
     def upload(self, path: Path) -> Trajectory:
         """Read the file of one drone; raise FileError if it is damaged."""
-        raise NotImplementedError
 
     def load(self, files: Sequence[Path]) -> Recording:
         """Read files, one per drone."""

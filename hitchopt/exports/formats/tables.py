@@ -15,6 +15,7 @@ are held.
 from __future__ import annotations
 
 import json
+from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -68,12 +69,13 @@ class Table(Format):
     )
     flown_by = "stream"
 
+    @abstractmethod
     def _write(self, path: Path, task: Task) -> None:
-        raise NotImplementedError
+        """Write the file."""
 
+    @abstractmethod
     def _read(self, path: Path) -> Recording:
         """Read the file; raise FileError or others of BROKEN if it is damaged."""
-        raise NotImplementedError
 
     def write(self, folder: Path, task: Task) -> Written:
         """Write the one file there is."""
