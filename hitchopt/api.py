@@ -178,7 +178,7 @@ BEGUN = {
     "team": "team: who flies; robot k's drones start at ``q[k]`` and ``r[k]``.\n"
     "q, r: (n, 3) [m], at rest: hovering, or on the ground with their cables between them.",
 }
-"""What functions of steps begin with."""
+"""First parameters of the functions of steps."""
 
 PLANNED = """
 limits, separation, arena: what the plan must satisfy; defaults as in a problem file.

@@ -91,7 +91,7 @@ PLAIN = {"stiffness": math.inf, "integral": 0.0, "feed_forward": 1.0}  # control
 
 
 class Row(NamedTuple):
-    """What was found of a limit: the worst value at a sample, its time [s] and place."""
+    """Verdict on a limit: the worst value at a sample, its time [s] and place."""
 
     name: str
     unit: str

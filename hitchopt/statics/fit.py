@@ -64,7 +64,7 @@ CENTIMETRE, STRIDE, LONGEST = 0.01, 20, 1.0
 
 @dataclass(frozen=True)
 class FitTask:
-    """What a hitch is fitted to, as in ``fit``."""
+    """Target and requirements of a fit, as arguments of ``fit``."""
 
     section: Section
     clearance: float  # [m]

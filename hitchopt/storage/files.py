@@ -28,7 +28,7 @@ if sys.platform != "win32":
 PREVIOUS = "previous"  # Name of the subdirectory with the set before
 
 Fate = Literal["leave", "keep", "remove"]
-"""What becomes of the set before: nothing, it stays in PREVIOUS, or only until the new one is
+"""Treatment of the set before: none, it stays in PREVIOUS, or only until the new one is
 whole."""
 
 STAGE, SUFFIX = ".hitchopt-", ".tmp"  # Beginning and end of the names of hidden folders

@@ -55,7 +55,7 @@ _CORE_SCHEMA: tuple[tuple[re.Pattern[str], Callable[[str], Plain]], ...] = (
 """Patterns of plain scalars that are no text, and how to read them; the first match counts."""
 
 TEXT_KEYS = "a mapping whose keys are text", "write the key as a name"
-"""What must be of keys, and what to do."""
+"""Bound and remedy of keys that are not text."""
 
 STDIN = "-"  # Path that stands for standard input
 
