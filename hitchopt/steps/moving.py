@@ -99,6 +99,7 @@ class ShapeStep(HitchStep):
         from hitchopt.steps.certified_motions import (
             DIRECT_INFEASIBLE,
             attempt,
+            checked,
             combined_failure,
             optimised,
         )
@@ -106,24 +107,27 @@ class ShapeStep(HitchStep):
         end, duration = self.end(task), self.given_duration
         tension: tuple[float, float] | None = getattr(self, "tension", None)
         lead = bool(getattr(self, "optimize", False))
-        own = attempt(lambda: task.ended(self.direct_motion(task, end), end.hitch))
-        if isinstance(own, StepPlan) and not (task.optimiser and (lead or tension)):
-            return own
-        if isinstance(own, HitchoptError):
-            for hitch in (task.hitch, end.hitch):
-                self.check_end(hitch, task)
-            if not task.optimiser:
-                raise own
         phase = Phase(self.name, task.index, 0.0, 0.0, tension=tension)
-        other = attempt(lambda: optimised(task, end.hitch, phase, duration, lead=lead))
-        if isinstance(own, HitchoptError):
-            if isinstance(other, StepPlan):
-                return other.remarked(DIRECT_INFEASIBLE)
-            what = "other route" if duration is None else "route that is fast enough either"
-            raise combined_failure(own, other, f"the optimiser found no {what}")
-        if isinstance(other, HitchoptError) or own.motion.duration <= other.motion.duration:
-            return own
-        return other.remarked("faster than the step's own route")
+        own = attempt(lambda: task.ended(self.direct_motion(task, end), end.hitch))
+        other: StepPlan | HitchoptError | None = None
+        if isinstance(own, StepPlan):
+            direct = own
+            if task.optimiser and (lead or tension):
+                other = attempt(lambda: optimised(task, end.hitch, phase, duration, lead=lead))
+                if isinstance(other, StepPlan) and other.motion.duration < own.motion.duration:
+                    return other.remarked("faster than the step's own route")
+            own = attempt(lambda: checked(direct))
+            if isinstance(own, StepPlan):
+                return own
+        for hitch in (task.hitch, end.hitch):
+            self.check_end(hitch, task)
+        if not task.optimiser:
+            raise own
+        other = other or attempt(lambda: optimised(task, end.hitch, phase, duration, lead=lead))
+        if isinstance(other, StepPlan):
+            return other.remarked(DIRECT_INFEASIBLE)
+        what = "other route" if duration is None else "route that is fast enough either"
+        raise combined_failure(own, other, f"the optimiser found no {what}")
 
 
 class ActionStep(ShapeStep):

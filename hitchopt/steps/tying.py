@@ -131,13 +131,15 @@ class Form(Step):
 def _approach(task: StepTask, goal: Array) -> Motion:
     """Return the first certified route to the pre-hitch, or raise what binds on the first one."""
     from hitchopt.planners.forming.approach import DirectApproach, GatheredApproach
-    from hitchopt.steps.certified_motions import attempt, combined_failure
+    from hitchopt.steps.certified_motions import attempt, checked, combined_failure
 
     before = task.before
     arguments = before.team, before.drones, goal, task.requirements, task.index
     refused = list[HitchoptError]()
     for route in (DirectApproach(*arguments), GatheredApproach(*arguments)):
-        outcome = attempt(lambda route=route: StepPlan(joined_motions(route.solve()), before))  # type: ignore[misc]
+        outcome = attempt(
+            lambda route=route: checked(StepPlan(joined_motions(route.solve()), before))  # type: ignore[misc]
+        )
         if isinstance(outcome, StepPlan):
             return outcome.motion
         refused.append(outcome)
