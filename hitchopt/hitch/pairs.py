@@ -13,7 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from hitchopt.geometry.broadphase import Boxes, close_pairs, few_close_pairs
+from hitchopt.geometry.broadphase import Boxes, few_close_pairs
 from hitchopt.geometry.vectors import dot
 from hitchopt.hitch.requirements import Separation
 from hitchopt.hitch.team import Layout
@@ -24,7 +24,7 @@ SEPARATION, CABLE, CROSSING = 0, 1, 2
 
 
 SWEPT = 20
-"""Most pairs per body, counted both ways, that are close in any frame and looked at in each."""
+"""Most pairs per body, counted both ways, that are close in any of the frames looked at at once."""
 
 
 @dataclass(frozen=True)
@@ -101,10 +101,8 @@ class Bodies:
         kind[i_drone & j_drone] = SEPARATION
         return kind
 
-    def near(
-        self, lowest: Array, highest: Array, limits: Array, cutoff: float
-    ) -> tuple[Indices, Indices, Indices, Indices]:
-        """Return (frame, body, body, kind) of all pairs whose boxes come near in a frame.
+    def near(self, lowest: Array, highest: Array, limits: Array, cutoff: float) -> Indices:
+        """Return (4, pairs): frame, both bodies and kind of pairs whose boxes come near in a frame.
 
         Parameters
         ----------
@@ -112,26 +110,22 @@ class Bodies:
         limits: (3,) [m], distances by kind; pairs of a kind without one are left out.
         cutoff: [m]
         """
-        bodies, swept = len(self.nodes), Boxes(np.min(lowest, axis=0), np.max(highest, axis=0))
-        pairs = few_close_pairs(swept, None, cutoff, SWEPT * bodies)
-        if pairs is not None:  # each looked at in every frame
-            kind = self.kind(pairs.first, pairs.second)
-            limited = (kind >= 0) & (limits[kind] > 0.0)
-            first, second, kind = pairs.first[limited], pairs.second[limited], kind[limited]
-            gaps = lowest[:, first] - highest[:, second], lowest[:, second] - highest[:, first]
-            apart = np.maximum(np.maximum(*gaps), 0.0)
-            frame, pair = np.nonzero(dot(apart, apart) <= cutoff * cutoff)
-            return frame, first[pair], second[pair], kind[pair]
-        # A third coordinate keeps the frames apart, so that one index serves them all.
-        step = 4.0 * (cutoff + float(np.max(highest) - np.min(lowest)))
-        level = np.repeat(np.arange(len(lowest)) * step, bodies)
-        corners = (np.column_stack([c.reshape(-1, 2), level]) for c in (lowest, highest))
-        pairs = close_pairs(Boxes(*corners), None, cutoff)
-        frame, i = np.divmod(pairs.first, bodies)
-        j = pairs.second % bodies
-        kind = self.kind(i, j)
+        swept, frames = Boxes(np.min(lowest, axis=0), np.max(highest, axis=0)), len(lowest)
+        most = SWEPT * len(self.nodes) if frames > 1 else np.inf
+        pairs = few_close_pairs(swept, None, cutoff, most)
+        if pairs is None:  # fewer are close in half of the frames
+            half = frames // 2
+            parts = slice(half), slice(half, None)
+            first, last = (self.near(lowest[p], highest[p], limits, cutoff) for p in parts)
+            last[0] += half
+            return np.concatenate([first, last], axis=1)
+        kind = self.kind(pairs.first, pairs.second)
         limited = (kind >= 0) & (limits[kind] > 0.0)
-        return frame[limited], i[limited], j[limited], kind[limited]
+        i, j, kind = pairs.first[limited], pairs.second[limited], kind[limited]
+        gaps = np.maximum(lowest[:, i] - highest[:, j], lowest[:, j] - highest[:, i])
+        apart = np.maximum(gaps, 0.0)
+        frame, pair = np.nonzero(dot(apart, apart) <= cutoff * cutoff)
+        return np.stack([frame, i[pair], j[pair], kind[pair]])
 
 
 def end_combinations(

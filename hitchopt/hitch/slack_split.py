@@ -261,7 +261,7 @@ class LegBodies:
         cutoff = max(task.largest_margin, 1.0) * float(np.max(self.limits)) * (1.0 + 1e-9)
         cutoff += SWAY if self._turns else 0.0
         boxes = np.min(corners, axis=0), np.max(corners, axis=0)
-        pairs = np.stack(bodies.near(*boxes, self.limits, cutoff))
+        pairs = bodies.near(*boxes, self.limits, cutoff)
         if task.fixed is not None:  # fixed knots cannot change
             pairs = pairs[:, ~task.fixed[pairs[0]]]
         self.frame, i, j, self.kind = pairs
