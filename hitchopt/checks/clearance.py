@@ -105,14 +105,20 @@ class Solid(Shape):
         """Return the directions (…, 3) out of it to bodies with corners (…, 1, 2 or 2 m, 3)."""
         if self.rounding is not None:
             return self._towards_slab(corners, self.rounding)
-        first, along = corners[..., 0, :], corners[..., -1, :] - corners[..., 0, :]
-        lower, upper = np.zeros(first.shape[:-1]), np.ones(first.shape[:-1])
-        # The distance to a convex body is convex along a segment.
-        for _ in range(HALVINGS if corners.shape[-2] > 1 else 0):
-            middle = 0.5 * (lower + upper)
-            rising = dot(self.slab.clearance(first + middle[..., None] * along).normals, along) > 0
-            lower, upper = np.where(rising, lower, middle), np.where(rising, middle, upper)
-        share = np.where(lower == 0.0, 0.0, upper)
+        first, last = corners[..., 0, :], corners[..., -1, :]
+        along, share = last - first, np.zeros(first.shape[:-1])
+        if corners.shape[-2] > 1:
+            # The distance to a convex body is convex along a segment: most are nearest at an end.
+            rising = [dot(self.slab.clearance(end).normals, along) > 0.0 for end in (first, last)]
+            inner = ~rising[0] & rising[1]
+            begin, slope = first[inner], along[inner]
+            lower, upper = np.zeros(len(begin)), np.ones(len(begin))
+            for _ in range(HALVINGS if len(begin) else 0):
+                middle = 0.5 * (lower + upper)
+                normals = self.slab.clearance(begin + middle[:, None] * slope).normals
+                passed = dot(normals, slope) > 0.0
+                lower, upper = np.where(passed, lower, middle), np.where(passed, middle, upper)
+            share[~rising[1]], share[inner] = 1.0, upper
         return self.slab.clearance(first + share[..., None] * along).normals
 
     def _towards_slab(self, corners: Array, rounding: float) -> Array:
