@@ -229,14 +229,20 @@ def broken_limit(
     relation = "below" if sense == "min" else "above"
     words = f" {unit}" if unit not in {"", "1", "ratio"} else ""
     place = f" at {', '.join(where)}" if where else ""
+    texts = distinct(value, limit, 6)
+    return f"{name}: {texts[0]}{words} is {relation} the limit of {texts[1]}{words}{place}"
+
+
+def distinct(value: float, other: float, digits: int) -> tuple[str, str]:
+    """Return two numbers in significant digits, in more of them where they would look the same."""
     if abs(value) >= sys.float_info.max:  # a contradiction; files hold no infinity
         value = math.copysign(math.inf, value)
-    texts = [f"{value:.6g}", f"{limit:.6g}"]
-    for digits in (9, 12, 17):
+    texts = "", ""
+    for each in (digits, 6, 9, 12, 17):
+        texts = f"{value:.{each}g}", f"{other:.{each}g}"
         if texts[0] != texts[1]:
             break
-        texts = [f"{value:.{digits}g}", f"{limit:.{digits}g}"]
-    return f"{name}: {texts[0]}{words} is {relation} the limit of {texts[1]}{words}{place}"
+    return texts
 
 
 def _joint_key(parent: str, key: str) -> str:

@@ -9,7 +9,8 @@ from dataclasses import asdict, dataclass
 from html import escape
 from typing import Any
 
-from hitchopt.errors import HitchoptError, OneLine, Violation, broken_limit
+from hitchopt.errors import HitchoptError, OneLine, Violation, broken_limit, distinct
+from hitchopt.values.fields import closest_word
 
 FORMAT = "hitchopt-certificate/1"
 
@@ -30,7 +31,10 @@ GROUPS = {
 """Checks under the headings of the certificate's table; others stand under "other"."""
 
 TIE = 1e-9  # smallest relative difference of utilization between checks that do not tie
-CLOSEST = 3  # number of checks that a table marks as closest to their limits
+# Checks of which faster motion takes more, and how far from its limit one that binds may be: the
+# planners' margins and what the search for the worst value adds
+PACE, BINDING = (*GROUPS["motion"], "thrust", "tilt"), 0.02
+DIGITS, MAX_NAMES = 4, 2  # significant digits of values, and number of names, in a row of a table
 
 
 class CertificateError(HitchoptError):
@@ -103,10 +107,29 @@ class Check(OneLine):
         return cls(name, holds, worst, limit, sense, unit, float(time), where, gamma=gamma)
 
     @property
-    def relation(self) -> str:
-        """The limit and on which side of it values hold, such as ``≤ 1``; empty without one."""
-        sign = "≥" if self.sense == "min" else "≤"
-        return "" if self.limit is None else f"{sign} {self.limit:.6g}"
+    def row(self) -> dict[str, str]:
+        """The row of a table by its columns' heads.
+
+        A worst value within TOLERANCE of 0 is 0; one that breaks its limit differs from it as
+        written. A quantity without a limit has its assumption about the vertices in that column.
+        """
+        worst, limit = "–", "–" if self.gamma is None else f"γ = {self.gamma:g}"
+        if self.worst is not None:
+            rounding = abs(self.worst) <= TOLERANCE * max(1.0, abs(self.limit or 0.0))
+            other = math.nan if self.holds else self.number
+            worst = distinct(0.0 if rounding and self.holds else self.worst, other, DIGITS)[0]
+        if self.limit is not None:
+            limit = f"{'≥' if self.sense == 'min' else '≤'} {self.limit:.{DIGITS}g}"
+        more = len(self.where) - MAX_NAMES
+        timed = self.worst is not None and math.isfinite(self.time)
+        return {
+            "check": self.name,
+            "worst": worst,
+            "limit": limit,
+            "unit": "" if self.unit == "1" else self.unit,
+            "where": ", ".join(self.where[:MAX_NAMES]) + (f" and {more} more" if more > 0 else ""),
+            "when": f"{self.time:.3f} s" if timed else "",
+        }
 
     @property
     def _summary(self) -> tuple[str, float, float, str, str, tuple[str, ...]]:
@@ -162,16 +185,14 @@ class Certificate(OneLine):
 
     def _repr_html_(self) -> str:
         """Return HTML for notebooks: the verdict, and the checks with their worst values."""
-        rows = []
-        for check in self.checks:
-            worst = "–" if check.worst is None else f"{check.worst:.6g}"
-            where = " ".join(check.where[:4]) + (" …" if len(check.where) > 4 else "")
-            when, holds = f"{check.time:.3f} s", "yes" if check.holds else "NO"
-            rows.append((check.name, worst, check.relation, check.unit, where, when, holds))
+        rows = [check.row for check in self.checks]
         violated = ", ".join(check.name for check in self.violated)
         verdict = f"not certified: {violated}" if violated else "certified for all t"
-        heads = ("check", "worst", "limit", "unit", "where", "when", "holds")
-        return f"<p><b>{escape(verdict)}</b></p>{html_table(heads, rows)}"
+        if violated:
+            for check, row in zip(self.checks, rows, strict=True):
+                row["holds"] = "yes" if check.holds else "NO"
+        table = html_table([*rows[0]], [[*row.values()] for row in rows]) if rows else ""
+        return f"<p><b>{escape(verdict)}</b></p>{table}"
 
     @property
     def groups(self) -> dict[str, tuple[Check, ...]]:
@@ -184,11 +205,13 @@ class Certificate(OneLine):
         return groups
 
     @property
-    def closest(self) -> tuple[Check, ...]:
-        """The CLOSEST checks of highest utilization, without counts that must be 0 and are."""
-        limited = [c for c in self.checks if c.limit is not None and c.worst is not None]
-        limited = [c for c in limited if c.limit or c.sense == "min" or not c.holds]
-        return tuple(sorted(limited, key=lambda check: -check.utilization)[:CLOSEST])
+    def binding(self) -> tuple[str, ...]:
+        """Names of the checks that bind, the closest first: the plan is as fast as they allow.
+
+        They are those of PACE whose worst value is within 2 % of its limit.
+        """
+        near = [c for c in self.checks if c.name in PACE and c.utilization >= -BINDING]
+        return tuple(check.name for check in sorted(near, key=lambda check: -check.utilization))
 
     @property
     def certified(self) -> bool:
@@ -202,7 +225,10 @@ class Certificate(OneLine):
 
     def __getitem__(self, name: str) -> Check:
         """Return the check of that name, or raise KeyError."""
-        return {check.name: check for check in self.checks}[name]
+        by_name = {check.name: check for check in self.checks}
+        if name not in by_name:
+            raise KeyError(f"no check {name!r}; {closest_word(str(name), [*by_name])}")
+        return by_name[name]
 
     def raise_if_violated(self) -> None:
         """Raise CertificateError naming every check that does not hold."""

@@ -6,20 +6,24 @@ import click
 
 from hitchopt.cli.failures import SafeGroup
 
-# Where the commands are
-MODULES = {
-    "planning": ("solve", "check", "verify", "init"),
-    "pictures": ("report", "view"),
-    "fleet": ("export", "lint", "abort", "fly"),
-    "simulating": ("simulate", "sweep"),
-    "estimates": ("statics", "calibrate", "fit"),
-    "measuring": ("evaluate",),
+# Commands by the headings of the help, and the modules that they are in
+COMMANDS = {
+    "Plan": {"init": "planning", "solve": "planning", "fit": "estimates"},
+    "Trust": {
+        "check": "planning",
+        "verify": "planning",
+        "simulate": "simulating",
+        "statics": "estimates",
+    },
+    "Look": {"report": "pictures", "view": "pictures"},
+    "Fly": {"export": "fleet", "lint": "fleet", "abort": "fleet", "fly": "fleet"},
+    "Study": {"evaluate": "measuring", "calibrate": "estimates", "sweep": "simulating"},
 }
 
 
 @click.group(
     cls=SafeGroup,
-    modules={name: module for module, names in MODULES.items() for name in names},
+    sections=COMMANDS,
     context_settings={"help_option_names": ["-h", "--help"], "show_default": True},
 )
 @click.version_option(package_name="hitchopt", message="hitchopt, version %(version)s")

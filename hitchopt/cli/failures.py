@@ -16,27 +16,48 @@ from hitchopt.storage.interrupts import INTERRUPTED, ending_signals
 # Exit codes of invalid files and usage, and of valid requests that are infeasible or whose
 # certificate fails
 EXIT_USAGE, EXIT_INFEASIBLE = 2, 3
+MAX_SUMMARY = 200  # Characters of a command's summary in the help
 
 
 class SafeGroup(click.Group):
     """A group of commands whose errors end in a message and an exit code.
 
-    ``modules`` names the module in ``hitchopt.cli`` that registers a command when it is imported.
+    ``sections`` are the headings of the help, each with its commands and the modules in
+    ``hitchopt.cli`` that register them when they are imported.
     """
 
-    def __init__(self, *args: Any, modules: Mapping[str, str] | None = None, **kwargs: Any) -> None:
+    def __init__(
+        self, *args: Any, sections: Mapping[str, Mapping[str, str]] | None = None, **kwargs: Any
+    ) -> None:
         super().__init__(*args, **kwargs)
-        self.modules = modules or {}
+        self.sections = sections or {}
+        self.modules = {k: v for each in self.sections.values() for k, v in each.items()}
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of all commands."""
-        return sorted({*super().list_commands(ctx), *self.modules})
+        return [*dict.fromkeys((*self.modules, *super().list_commands(ctx)))]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Return a command, its module imported."""
-        if cmd_name in self.modules:
-            import_module(f"hitchopt.cli.{self.modules[cmd_name]}")
+        """Return a command, its module imported; all of them for a word that is no command."""
+        for module in {self.modules.get(cmd_name)} - {None} or {*self.modules.values()}:
+            import_module(f"hitchopt.cli.{module}")
         return super().get_command(ctx, cmd_name)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the commands and their whole summaries under their headings."""
+        for heading, names in self.sections.items():
+            found = [(name, self.get_command(ctx, name)) for name in names]
+            rows = [(name, each.get_short_help_str(MAX_SUMMARY)) for name, each in found if each]
+            with formatter.section(heading):
+                formatter.write_dl(rows)
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Return the arguments; a wrong option of the group itself ends like all wrong usage."""
+        try:
+            return super().parse_args(ctx, args)
+        except click.NoSuchOption as error:
+            report_usage(error)
+            ctx.exit(EXIT_USAGE)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command and print its results; turn errors into exit codes."""
@@ -49,6 +70,9 @@ class SafeGroup(click.Group):
                     super().invoke(ctx)
             except click.exceptions.Exit as end:
                 code = end.exit_code
+            except click.UsageError as error:
+                report_usage(error)
+                ctx.exit(EXIT_USAGE)
             except HitchoptError as error:
                 report_error(error)
                 code = exit_code(error)
@@ -75,6 +99,13 @@ def exit_code(error: HitchoptError) -> int:
 def exit_infeasible() -> NoReturn:
     """End the running command with EXIT_INFEASIBLE."""
     click.get_current_context().exit(EXIT_INFEASIBLE)
+
+
+def report_usage(error: click.UsageError) -> None:
+    """Write the usage of the command and what is wrong to stderr."""
+    if error.ctx is not None:
+        say(f"{error.ctx.get_usage()}\nTry '{error.ctx.command_path} --help'.\n", err=True)
+    say(f"error: {error.format_message()}", err=True)
 
 
 def report_error(error: HitchoptError) -> None:

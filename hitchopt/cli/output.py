@@ -8,8 +8,10 @@ import re
 import shutil
 import sys
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import zip_longest
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -18,14 +20,14 @@ import hitchopt as ho
 
 if TYPE_CHECKING:
     from rich.progress import Progress
-    from rich.text import Text
 
 KEY = "hitchopt.output"  # Key of a call's Output in click's contexts
-# Width of tables that are not written to a terminal [characters], and number of drones, cables or
-# vertices that are shown for one check
-DEFAULT_WIDTH, MAX_NAMES = 100, 4
+# Width of tables that are not written to a terminal [characters], unless COLUMNS says another,
+# and what is between columns
+DEFAULT_WIDTH, GAP = 100, "  "
 LINES = 1.0  # Shortest time between lines of percentages [s]
 COUNT = re.compile(r"(\d[\d.]*) of (\d[\d.]*)|(\d[\d.]*)%")  # Count or percentage in a message
+RED = re.compile(r"^error:|(?<=  )NO$", re.MULTILINE)  # Words that are red on a terminal
 # Beginning of a cell that is aligned to the right
 NUMBER = re.compile(r"[-+±≤≥–]? ?\d|–|-?inf|γ = |$")
 
@@ -78,7 +80,8 @@ def echo(text: str, *, err: bool = False) -> None:
         return
     encoding = getattr(stream, "encoding", None) or "utf-8"
     try:
-        click.echo(text.encode(encoding, "replace").decode(encoding), err=err)
+        shown = text.encode(encoding, "replace").decode(encoding)
+        click.echo(RED.sub(lambda word: click.style(word[0], fg="red", bold=True), shown), err=err)
     except BrokenPipeError:
         # The reader has left (`| head`): the exit code stays the same.
         nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -90,43 +93,47 @@ def table(title: str, rows: Iterable[Mapping[str, object]]) -> str:
     """Return a table as lines of text that fit the terminal.
 
     Rows are cells by their columns' heads, plain data: a bool is a verdict, None and nan are
-    dashes, numbers have four significant digits. A row of a single cell is a heading.
+    dashes, numbers have four significant digits. Where the table is too wide its widest column of
+    words wraps at words; numbers and names never do.
     """
-    from io import StringIO
-
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-
     listed = [{head: _cell(value) for head, value in row.items()} for row in rows]
     heads = list(dict.fromkeys(head for row in listed for head in row))
-    grid = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
-    for head in heads:
-        cells = [row[head].plain for row in listed if head in row]
-        right = head != heads[0] and all(map(NUMBER.match, cells))
-        grid.add_column(head, justify="right" if right else "left", overflow="fold")
-    for row in listed:
-        style = "bold" if len(row) == 1 < len(heads) else None
-        grid.add_row(*(row.get(head, "") for head in heads), style=style)
-    terminal = sys.stdout is not None and sys.stdout.isatty()  # closed by `>&-`
-    width = shutil.get_terminal_size().columns if terminal else DEFAULT_WIDTH
-    text = StringIO()
-    # No markup: units in brackets are text.
-    console = Console(file=text, width=width, force_terminal=terminal, markup=False, emoji=False)
-    console.print(grid)
-    return "\n".join(line.rstrip() for line in text.getvalue().rstrip().splitlines())
+    cells = {head: [row[head] for row in listed if head in row] for head in heads}
+    widths = {head: max(map(len, (head, *cells[head]))) for head in heads}
+    right = {h for h in heads[1:] if all(map(NUMBER.match, cells[h]))}
+    across = shutil.get_terminal_size((DEFAULT_WIDTH, 0)).columns
+    excess = sum(widths.values()) + len(GAP) * (len(heads) - 1) - across
+    if excess > 0 and (texts := [head for head in heads if head not in right]):
+        longest = max(texts, key=lambda head: widths[head])
+        words = " ".join((longest, *cells[longest])).split()
+        widths[longest] = max(widths[longest] - excess, *map(len, words))
+    rule = "─" * (sum(widths.values()) + len(GAP) * (len(heads) - 1))
+    lines = [title, *_lines({head: head for head in heads}, widths, right), rule]
+    return "\n".join([*lines, *(line for row in listed for line in _lines(row, widths, right))])
 
 
-def _cell(value: object) -> Text:
-    from rich.text import Text
+def _lines(
+    row: Mapping[str, str], widths: Mapping[str, int], right: Collection[str]
+) -> Iterator[str]:
+    """Yield the lines of a row, in which cells wrap at words if their columns are narrower."""
+    parts = [
+        wrap(row.get(head, ""), width, break_on_hyphens=False) or [""]
+        for head, width in widths.items()
+    ]
+    for line in zip_longest(*parts, fillvalue=""):
+        cells = zip(line, widths.items(), strict=True)
+        padded = (x.rjust(width) if head in right else x.ljust(width) for x, (head, width) in cells)
+        yield GAP.join(padded).rstrip()
 
+
+def _cell(value: object) -> str:
     if isinstance(value, bool):
-        return Text("yes", "green") if value else Text("NO", "bold red")
+        return "yes" if value else "NO"
     if isinstance(value, list | tuple):
-        return Text(", ").join(map(_cell, value)) if value else Text("none")
+        return ", ".join(map(_cell, value)) or "none"
     if isinstance(value, float) and not math.isnan(value):
-        return Text(f"{value:.4g}")
-    return Text(str(value) if isinstance(value, str | int) else "–")
+        return f"{value:.4g}"
+    return str(value) if isinstance(value, str | int) else "–"
 
 
 def quantities(title: str, values: Mapping[str, object]) -> str:
@@ -163,44 +170,21 @@ def phase_table(phases: Sequence[ho.Phase]) -> str:
 def certificate_table(certificate: ho.Certificate) -> str:
     """Return the table of a certificate's checks, each with its worst value over all of time.
 
-    Checks stand under the headings of their groups, and those closest to their limits are marked.
-    A quantity without a limit has its assumption about the vertices in that column.
+    Checks stand under the headings of their groups; a column says which hold unless all do. A line
+    below says what binds.
     """
     rows: list[dict[str, object]] = []
-    closest = certificate.closest
     for heading, checks in certificate.groups.items():
         rows.append({"check": f"{heading}:"})
-        rows += [{**_check_row(check), "": "◂" if check in closest else ""} for check in checks]
+        for check in checks:
+            rows.append({**check.row, "check": f" {check.name}"})
+            rows[-1] |= {} if certificate.certified else {"holds": check.holds}
     shown = table("Certificate", rows)
-    return f"{shown}\n\n ◂ closest to its limit" if closest else shown
-
-
-def _check_row(check: ho.Check) -> dict[str, object]:
-    limit = f"{'≥' if check.sense == 'min' else '≤'} {number(check.limit)}"
-    if check.limit is None:
-        limit = "–" if check.gamma is None else f"γ = {check.gamma:g}"
-    where = ", ".join(check.where[:MAX_NAMES])
-    if len(check.where) > MAX_NAMES:
-        where += f", and {len(check.where) - MAX_NAMES} more"
-    timed = check.worst is not None and math.isfinite(check.time)
-    return {
-        "check": f"  {check.name}",
-        "worst": number(check.worst),
-        "limit": limit,
-        "unit": "" if check.unit == "1" else check.unit,
-        "where": where,
-        "when": f"{check.time:.3f} s" if timed else "",
-        "holds": check.holds,
-    }
-
-
-def number(value: float | None) -> str:
-    """Return ``value`` in six significant digits; infinite beyond all numbers, a dash for None."""
-    if value is None:
-        return "–"
-    if abs(value) >= sys.float_info.max:
-        return "inf" if value > 0 else "-inf"
-    return f"{value:.6g}"
+    if not (certificate.certified and certificate.binding):
+        return shown
+    *names, last = certificate.binding
+    words = f"{', '.join(names)} and {last} allow" if names else f"{last} allows"
+    return f"{shown}\n\nas fast as {words}"
 
 
 def span_text(values: Iterable[Any], digits: str = ".3f") -> str:
