@@ -26,8 +26,8 @@ from hitchopt.motion.plan_file import check_request
 from hitchopt.plan import Plan, load
 from hitchopt.steps import STEPS, Settle, Step
 from hitchopt.steps.step import Stage
-from hitchopt.values import flag, instance, path, positive, text
-from hitchopt.values.fields import EMPTY, keys_of, parameters
+from hitchopt.values import closest_word, flag, instance, path, positive, text
+from hitchopt.values.fields import EMPTY, keys_of, parameters, refuse_unknown
 
 if TYPE_CHECKING:
     from hitchopt.exports.exporting import Export
@@ -215,6 +215,7 @@ def _method(kind: type[Step]) -> Callable[..., Mission]:
     """Return the method of Mission that adds a step of a kind."""
 
     def add(self: Mission, *args: Any, **kwargs: Any) -> Mission:
+        refuse_unknown(kind.name, [*_arguments(kind)], kwargs)
         return self.then(kind(*args, **kwargs))
 
     words = f"Return the mission with this step: {_words(kind)}"
@@ -228,6 +229,7 @@ def _function(kind: type[Step]) -> Callable[..., Plan]:
     begun = ("team", "q", "r") if kind.needs_hitch is False else ("start",)
 
     def planned(*args: Any, **kwargs: Any) -> Plan:
+        refuse_unknown(kind.name, [*every], kwargs)
         given = inspect.signature(planned).bind(*args, **kwargs).arguments
         kept = {name: given.pop(name, None) for name in Required.__annotations__}
         start: Start
@@ -322,7 +324,8 @@ def _known(key: str, given: dict[str, Any], names: dict[str, Any]) -> dict[str, 
     if not isinstance(given, dict):
         raise InputError(key, given, "a dict", f"use the keys {', '.join(names)}")
     for name in given.keys() - names.keys():
-        raise InputError(f"{key}.{name}", given[name], "left out", f"use {', '.join(names)}")
+        remedy = closest_word(str(name), [*names])
+        raise InputError(f"{key}.{name}", given[name], "left out", remedy)
     return given
 
 

@@ -98,6 +98,10 @@ class Place(NamedTuple):
         return f"{self.file}:{self.line}:{self.column}"
 
 
+FILE_WORDS = {"None": "null", "True": "true", "False": "false"}
+"""Words of files for values whose words in Python differ."""
+
+
 class InputError(HitchoptError, ValueError):
     """An invalid value: its type, count, range, sign, finiteness or shape.
 
@@ -114,7 +118,8 @@ class InputError(HitchoptError, ValueError):
         self.remedy = remedy
         self.place = place
         where = "" if place is None else f"{place}: "
-        super().__init__(f"{where}{key} = {_shown(value)}: must be {bound}; {remedy}")
+        shown = _shown(value) if place is None else FILE_WORDS.get(repr(value), _shown(value))
+        super().__init__(f"{where}{key} = {shown}: must be {bound}; {remedy}")
 
     def within(self, parent: str) -> InputError:
         """Return the error with its key prefixed by that of the enclosing mapping ``parent``."""
@@ -265,7 +270,7 @@ def _shown(value: object) -> str:
 Progress = Callable[[str], None]
 """Status callback: called with a message about the current work."""
 
-REMEDY = "allow more seconds (--limit, or limit=), or make the problem easier or smaller"
+REMEDY = "allow more seconds (limit=), or make the problem easier or smaller"
 
 
 class TimeIsUp(BaseException):

@@ -10,7 +10,7 @@ from html import escape
 from typing import Any
 
 from hitchopt.errors import HitchoptError, OneLine, Violation, broken_limit, distinct
-from hitchopt.values.fields import closest_word
+from hitchopt.values import closest_word
 
 FORMAT = "hitchopt-certificate/1"
 

@@ -61,11 +61,11 @@ def statics(
     sizes = {name: chosen.pop(f"{name}_error") for name in KINDS if f"{name}_error" in chosen}
     if tolerance and not sizes:
         sizes = USUAL
-    parsed = {f"{k}_error": ErrorSize.of(f"--{k}-error", text) for k, text in sizes.items()}
+    parsed = {f"{k}_error": ErrorSize.of(f"{k}_error", text) for k, text in sizes.items()}
     if "cable_length" in chosen:
         chosen["cable_length"] = _lengths(chosen["cable_length"])
     if not 0 < max(samples, len(times)) <= MAX_TIMES or samples < 1:
-        raise InputError("--samples", samples, f"from 1 to {MAX_TIMES}", "25 are usual")
+        raise InputError("samples", samples, f"from 1 to {MAX_TIMES}", "25 are usual")
     motion = read_plan(path)
     t = list(times) if times else taut_times(motion, samples)
     with ProgressBar("settling"):
@@ -95,7 +95,7 @@ def _lengths(text: str) -> float | list[float]:
     try:
         lengths = [float(part) for part in text.split(",")]
     except ValueError:
-        raise InputError("--cable-length", text, "numbers with commas", "2.4,2.41,2.39") from None
+        raise InputError("cable_length", text, "numbers with commas", "2.4,2.41,2.39") from None
     return lengths[0] if len(lengths) == 1 else lengths
 
 
@@ -230,7 +230,7 @@ def fit(
     from hitchopt.values import positive
 
     if mass is not None:
-        positive("--mass", mass)
+        positive("mass", mass)
     kind = ho.Quadrotor(given.pop("quadrotor_mass"), given.pop("max_thrust"))
     limits = ho.Limits(tilt_deg=tilt_deg)
     with ProgressBar("fitting"):

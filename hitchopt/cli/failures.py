@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 
 import click
 
-from hitchopt.cli.output import output, record, say
+from hitchopt.cli.output import in_options, options, output, record, say
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, UnitWarning
 from hitchopt.storage.interrupts import INTERRUPTED, ending_signals
 
@@ -110,6 +110,8 @@ def report_usage(error: click.UsageError) -> None:
 
 def report_error(error: HitchoptError) -> None:
     """Write every line of the error's message to stderr; it is a result too."""
+    if isinstance(error, InputError) and error.key in (known := options()):
+        error = InputError(known[error.key], error.value, error.bound, error.remedy)
     record(errors=_entries(error))
     for line in str(error).splitlines() or [type(error).__name__]:
         say(f"error: {line}", err=True)
@@ -121,7 +123,9 @@ def _entries(error: HitchoptError) -> list[dict[str, Any]]:
         parts = getattr(error, "errors", (error,))
         places = [part._asdict() if part else {} for part in (each.place for each in parts)]
         named = zip(parts, places, strict=True)
-        return [{"message": str(part), "key": part.key, **place} for part, place in named]
+        return [
+            {"message": in_options(str(part)), "key": part.key, **place} for part, place in named
+        ]
     if isinstance(error, InfeasibleError) and error.violations:
-        return [{"message": str(v), **vars(v)} for v in error.violations]
-    return [{"message": str(error)}]
+        return [{"message": in_options(str(v)), **vars(v)} for v in error.violations]
+    return [{"message": in_options(str(error))}]

@@ -37,7 +37,6 @@ PORT = {"json": 14600, "mavlink": 14580}
         f"One of {', '.join(HOMES)}.",
         str,
         "NAME",
-        required=True,
         **completing(lambda: HOMES),
     ),
     option(
@@ -83,14 +82,27 @@ PORT = {"json": 14600, "mavlink": 14580}
         float,
         "N·S/M",
     ),
+    required=False,
 )
-def export(directory: Path, output: Path | None, yaw_deg: float, **options: Any) -> None:
-    """Write the plan in DIR as fleets, scripts or viewers read it, and certify what was written."""
+def export(directory: Path | None, output: Path | None, yaw_deg: float, **options: Any) -> None:
+    """Write the plan in DIR as fleets, scripts or viewers read it, and certify what was written.
+
+    Without DIR or --format it lists the formats.
+    """
     from hitchopt.exports.exporting import export_motion
     from hitchopt.exports.format import format_of
     from hitchopt.exports.options import ExportOptions
     from hitchopt.motion.plan_file import read_saved_plan
 
+    if directory is None or options["format"] is None:
+        summaries = {name: type(format_of(name)).__doc__ or "" for name in HOMES}
+        rows = [
+            {"format": k, "what it is": v.partition(".\n")[0].rstrip(".")}
+            for k, v in summaries.items()
+        ]
+        say(table("Formats", rows), err=True)
+        words = "given with DIR", "such as: hitchopt export DIR --format csv"
+        raise InputError("format", options["format"], *words)
     chosen = ExportOptions(yaw=math.radians(yaw_deg), **options)
     format_of(chosen.format)  # a wrong name before a long read
     path = plan_path(directory)
@@ -140,7 +152,7 @@ def lint(path: Path, **limits: float | None) -> None:
     from hitchopt.exports.lint import Rules
     from hitchopt.values import positive
 
-    given = {key: positive(f"--{key}", x) for key, x in limits.items() if x is not None}
+    given = {key: positive(key, x) for key, x in limits.items() if x is not None}
     separation = ho.Separation(given["radius"], given["height"])
     rules = Rules(given.get("speed"), given.get("acceleration"), separation)
     with ProgressBar("reading and checking"):
@@ -251,7 +263,7 @@ def _usual_abort(motion: ho.Motion) -> str:
         "--over",
         "UDP datagrams; offboard setpoints over UDP (needs pymavlink); or crazyflie_py of "
         "Crazyswarm2.",
-        None,
+        str,
         choices=("json", "mavlink", "crazyflie"),
         required=True,
     ),
@@ -312,7 +324,7 @@ def fly(
     from hitchopt.live.links import KEYS_HELP, Operator
     from hitchopt.values import positive
 
-    rate, patience = positive("--rate", rate), positive("--patience", patience)
+    rate, patience = positive("rate", rate), positive("patience", patience)
     with ProgressBar("certifying"):
         plan = ho.load(plan_path(directory).parent)
     plan.certificate.raise_if_violated()
@@ -371,7 +383,7 @@ def _outlet_of(
         places = [("127.0.0.1", PORT[over] + i) for i in range(len(names))]
     if len(places) not in (1, len(names)):
         words = f"given once, or {len(names)} times", "one for each drone"
-        raise InputError("--to", len(places), *words)
+        raise InputError("to", len(places), *words)
     places *= len(names) // len(places)
     outlet: Outlet = kind(names, places, frame, here)
     return outlet

@@ -22,7 +22,7 @@ class GivenPath(click.Path):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the path."""
         if value == "" and param is not None:
-            key = param.opts[0] if isinstance(param, click.Option) else param.human_readable_name
+            key = param.opts[-1] if isinstance(param, click.Option) else param.human_readable_name
             raise InputError(key, "", "a path that is not empty", "name one; . is this directory")
         return super().convert(value, param, ctx)
 

@@ -26,6 +26,7 @@ KEY = "hitchopt.output"  # Key of a call's Output in click's contexts
 # and what is between columns
 DEFAULT_WIDTH, GAP = 100, "  "
 LINES = 1.0  # Shortest time between lines of percentages [s]
+ARGUMENT = re.compile(r"\b([a-z_]+)=(True\b|'?\w*'?)")  # Argument of Python in a message
 COUNT = re.compile(r"(\d[\d.]*) of (\d[\d.]*)|(\d[\d.]*)%")  # Count or percentage in a message
 RED = re.compile(r"^error:|(?<=  )NO$", re.MULTILINE)  # Words that are red on a terminal
 # Beginning of a cell that is aligned to the right
@@ -65,7 +66,28 @@ def say(text: str, *, err: bool = False, **results: Any) -> None:
     """
     record(**results)
     if err or not (output().quiet or output().json):
-        echo(text, err=err)
+        echo(in_options(text), err=err)
+
+
+def options() -> dict[str, str]:
+    """Return the options of the running command by their names in Python."""
+    context = click.get_current_context(silent=True)
+    command = context and context.command
+    if context is not None and isinstance(command, click.Group):
+        command = command.commands.get(str(context.invoked_subcommand))
+    given = [each for each in command.params if isinstance(each, click.Option)] if command else []
+    return {str(each.name): max(each.opts, key=len) for each in given}
+
+
+def in_options(text: str) -> str:
+    """Return a text with options in place of Python's arguments, which end in ``=``."""
+    known = options()
+
+    def option(match: re.Match[str]) -> str:
+        name, value = known.get(match[1]), match[2]
+        return match[0] if name is None else f"{name} {'' if value == 'True' else value}".strip()
+
+    return ARGUMENT.sub(option, text)
 
 
 def record(**content: Any) -> None:

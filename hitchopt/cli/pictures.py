@@ -75,7 +75,7 @@ def view(
     if save is not None:
         if ghost is not None:
             words = "no ghost where a plan is written to a file"
-            raise InputError("--ghost", str(ghost), words, "leave --save out: it is shown live")
+            raise InputError("ghost", str(ghost), words, "leave --save out: it is shown live")
         _save(save, path, recording if flown else None)
         return
     from hitchopt.view.live import open_server, server_address

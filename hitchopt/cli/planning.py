@@ -70,7 +70,7 @@ def solve(
     from hitchopt.values import positive
 
     checked_rate(rate)
-    positive("--limit", limit)
+    positive("limit", limit)
     end = time.monotonic() + limit
     place = _output(output, file)
     problem: AnyProblem | None = None
@@ -92,7 +92,7 @@ def _output(given: Path | None, file: Path) -> Path:
     """Return the directory to write to; refuse the root, which is named only by mistake."""
     place = Path("stdin" if str(file) == "-" else file.stem) if given is None else given
     if given is not None and not given.name and given.resolve().parent == given.resolve():
-        raise InputError("-o", str(given), "a directory of its own", "name one, such as out")
+        raise InputError("output", str(given), "a directory of its own", "name one, such as out")
     if place.exists() and not place.is_dir():
         raise FileError(f"{place}: is not a directory; choose another one with -o")
     return place
@@ -184,7 +184,8 @@ def check(
     from hitchopt.plan import read_requested_plan
 
     path = plan_path(directory)
-    motion = read_requested_plan(path).motion
+    saved = read_requested_plan(path)
+    motion = saved.motion
     with ProgressBar("certifying") as progress:
         certificate = ho.certify(motion, progress, gamma)
     without: Sequence[Lost] = ()
@@ -195,7 +196,7 @@ def check(
             share, without = survived(motion, progress=progress)
         certificate = replace(certificate, checks=(*certificate.checks, share))
         record(without_reaction=[asdict(lost) for lost in without])
-    show_plan("", motion, certificate)
+    show_plan(saved.title, motion, certificate)
     record(certificate=certificate_content(motion, certificate, path))
     for lost in without:
         say(f"{lost.drone}, {lost.start:.4g} s to {lost.end:.4g} s: {lost.reason}")
@@ -272,15 +273,16 @@ def init(name: str | None, example: str | None, *, listing: bool, schema: bool) 
         Path(SCHEMA).write_text(f"{text}\n", encoding="utf-8")
         say(f"wrote {SCHEMA}; editors read it beside the problem files that name it", file=SCHEMA)
         return
+    from hitchopt.values import closest_word
+
     files = {path.stem: path for path in example_files()}
     if listing:
         rows = [{"name": stem, "title": _title(path)} for stem, path in files.items()]
         say(table("Examples", rows), examples=rows)
         return
     if example is not None and example not in files:
-        raise InputError(
-            "--example", example, "an example's name", "hitchopt init --list names them"
-        )
+        remedy = closest_word(example, [*files], "hitchopt init --list names them")
+        raise InputError("example", example, "an example's name", remedy)
     source = files[example] if example else PACKAGE / "mission" / "template.yaml"
     path = _write_new(name if name is not None else example or "problem", problem_text(source))
     say(f"wrote {path}; try: hitchopt solve {path}", file=str(path))

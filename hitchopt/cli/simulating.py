@@ -127,7 +127,7 @@ def simulate(
 
     directory = plan_path(directory).parent
     if lose is not None and runs is not None:
-        raise InputError("--lose", lose, "of a single flight", "leave out --runs")
+        raise InputError("lose", lose, "of a single flight", "leave out --runs")
     settings = settings_of(**options)
     with ProgressBar("reading the plan"):
         task = read_task(directory)

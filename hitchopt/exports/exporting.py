@@ -96,11 +96,11 @@ def export_motion(
     plan = stretched(motion, options.stretch)
     if options.rate is not None and kind.rate == 0.0:
         bound = f"left out for {kind.name}"
-        raise InputError("--rate", options.rate, bound, "it does not sample")
+        raise InputError("rate", options.rate, bound, "it does not sample")
     frame = ReferenceFrame(options.frame or kind.frames[0], options.origin, options.yaw)
     if frame.name not in kind.frames:
         bound = f"one of {', '.join(kind.frames)} for {kind.name}"
-        raise InputError("--frame", frame.name, bound, f"leave it out for {kind.frames[0]}")
+        raise InputError("frame", frame.name, bound, f"leave it out for {kind.frames[0]}")
     task = Task(
         plan,
         title,
@@ -134,11 +134,11 @@ def _refuse_lost_pull(kind: Format, motion: Motion, options: ExportOptions) -> N
     for option in ("stiffness", "damping"):
         if (value := getattr(options, option)) is not None:
             bound = f"left out with controller {named[0]}, whose gains are exported"
-            raise InputError(f"--{option}", value, bound, "set team.quadrotor.gains")
+            raise InputError(option, value, bound, "set team.quadrotor.gains")
     if kind.flown_by == "upload" and np.any(motion.formed) and not options.hold_tension:
         bound = f"given for {kind.name}, which carries no cable force to controller {named[0]}"
         remedy = "add it, or stream: hitchopt fly, or a format that carries the force"
-        raise InputError("--hold-tension", False, bound, remedy)
+        raise InputError("hold_tension", False, bound, remedy)
 
 
 def _undetermined(kind: Format, motion: Motion, options: ExportOptions) -> tuple[str, ...]:
@@ -310,8 +310,8 @@ PLACES = tuple(RULE_OF[name] for name in ("separation", "cable_clearance", "keep
 """Rules for set points that hold a tension. They are not where the drones are, of which the plan's
 certificate says everything; but a drone whose cable breaks or goes slack flies there."""
 
-EASIER = "fly it slower with --stretch, plan below the limit, or choose another format"
-CLEARER = "plan with a wider margin there, sample at a higher --rate, or choose another format"
+EASIER = "fly it slower with stretch=, plan below the limit, or choose another format"
+CLEARER = "plan with a wider margin there, sample at a higher rate=, or choose another format"
 """Remedies for checks that a slower flight eases, and for the others."""
 
 NOT_CARRIED = (
@@ -357,7 +357,7 @@ class Verdict:
             violations.append(check.violation(when, EASIER if rule.derivative > 0 else CLEARER))
         worst, when = self.position.worst, f"at t = {self.position.time:.4g} s"
         if worst > accuracy:
-            remedy = "choose another format, such as csv, or a higher --rate where it samples"
+            remedy = "choose another format, such as csv, or a higher rate= where it samples"
             where = (self.position.drone,)
             error = Violation("position_error", worst, accuracy, "max", "m", where, when, remedy)
             violations.append(error)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from hitchopt.errors import InputError
 from hitchopt.exports.firmware import refuse_controllers
 from hitchopt.exports.options import HOMES, STORAGES, ExportOptions
 from hitchopt.exports.placing import Fleet, ReferenceFrame
@@ -28,7 +26,7 @@ from hitchopt.motion.states import (
     sample_times,
     states_at,
 )
-from hitchopt.values import Array
+from hitchopt.values import Array, choice
 
 FLIPPED = np.array([1.0, -1.0, -1.0])  # Signs of axes that are turned by 180° about x
 
@@ -181,10 +179,7 @@ class Format(ABC):
 
 def format_of(name: str) -> Format:
     """Return the format of that name; raise InputError if there is none."""
-    if name not in HOMES:
-        near = difflib.get_close_matches(name, HOMES, 1)
-        remedy = f"did you mean {near[0]}?" if near else "hitchopt export --help tells them apart"
-        raise InputError("--format", name, f"one of {', '.join(HOMES)}", remedy)
+    choice("format", name, [*HOMES])
     module, _, kind = HOMES[name].partition(":")
     chosen: Format = getattr(import_module(f"hitchopt.exports.formats.{module}"), kind)()
     return chosen

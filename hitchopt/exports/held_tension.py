@@ -73,23 +73,23 @@ def held_tension(
     """
     team = motion.team
     if not isinstance(team, Team):
-        raise UnsupportedError("--hold-tension: single drones carry no cables that could pull")
+        raise UnsupportedError("hold_tension=True: single drones carry no cables that could pull")
     k, c, most = team.stiffness, team.damping, team.integral
     if np.any((most > 0.0) & np.isfinite(most)):
-        bound = "0 for --hold-tension: integrals move drones after their set points"
+        bound = "0 with hold_tension=True: integrals move drones after their set points"
         remedy = "set team.quadrotor.gains.ki to 0, there and on board"
         raise InputError("gains.ki", float(np.max(team.integral_gain)), bound, remedy)
     masses = team.mass[:, None]
     if stiffness is not None:
-        k = np.full_like(k, positive("--stiffness", stiffness))
+        k = np.full_like(k, positive("stiffness", stiffness))
         c = 2.0 * DAMPING_RATIO * np.sqrt(k * masses)
     if not np.all(np.isfinite(k)):
-        bound = "the position loop's [N/m], for --hold-tension"
-        remedy = "give --stiffness, or team.quadrotor.stiffness in the problem"
+        bound = "the position loop's [N/m], with hold_tension=True"
+        remedy = "give stiffness=, or team.quadrotor.stiffness in the problem"
         raise InputError("stiffness", None, bound, remedy)
     critical = 2.0 * np.sqrt(k * masses)
     if damping is not None:
-        c = np.full_like(k, positive("--damping", damping))
+        c = np.full_like(k, positive("damping", damping))
     # The largest offset over the largest miss: the integral of the absolute impulse response.
     ratio = min(float(np.min(c / critical)), 1.0 - 1e-9)
     gain = float(1.0 / np.tanh(0.5 * np.pi * ratio / np.sqrt(1.0 - ratio * ratio)))
@@ -105,7 +105,7 @@ def held_tension(
         if (miss := gain * error) <= LARGEST_MISS:
             break
     else:
-        remedy = "fly it slower with --stretch"
+        remedy = "fly it slower with stretch="
         broken = Violation("held_tension", miss, LARGEST_MISS, "max", "m", (), "", remedy)
         raise InfeasibleError([broken], "set points that hold the tension are not found")
     split = whole.map_curves(lambda part: on_breaks(part, breaks), whole.phases)

@@ -53,16 +53,16 @@ class ExportOptions:
     def __post_init__(self) -> None:
         for name, known in (("storage", STORAGES), ("ros_distro", ROS_DISTROS)):
             if (value := getattr(self, name)) not in known:
-                option, usual = f"--{name.replace('_', '-')}", f"{next(iter(known))} is usual"
-                raise InputError(option, value, " or ".join(known), usual)
+                usual = f"{next(iter(known))} is usual"
+                raise InputError(name, value, " or ".join(known), usual)
         for name in ("stiffness", "damping"):
             if (value := getattr(self, name)) is not None and not self.hold_tension:
-                bound = "left out without --hold-tension"
-                raise InputError(f"--{name}", value, bound, "add --hold-tension")
+                bound = "left out without hold_tension=True"
+                raise InputError(name, value, bound, "add hold_tension=True")
 
 
 def checked_rate(rate: float) -> float:
     """Return the rate [Hz]; raise InputError unless files may be sampled at it."""
     if not (math.isfinite(rate) and 0.0 < rate <= MAX_RATE):
-        raise InputError("--rate", rate, f"above 0 and at most {MAX_RATE:g} Hz", "100 Hz is usual")
+        raise InputError("rate", rate, f"above 0 and at most {MAX_RATE:g} Hz", "100 Hz is usual")
     return rate

@@ -230,7 +230,7 @@ class _Trial:
         """Raise FileError if the plan or the recording stands still, which leaves clocks open."""
         for words, x in (("plan", self._task.setpoints.positions), ("recording", self._through)):
             if np.max(np.ptp(x, axis=0)) < MIN_MOTION:
-                remedy = "say when the plan begins: --start SECONDS"
+                remedy = "say when the plan begins with start="
                 raise self.error(
                     f"nothing moves in the {words}, so no clock can be fitted; {remedy}"
                 )
@@ -402,7 +402,7 @@ class _Trial:
                 "record more of it"
             )
         if fit.rival < ALIKE**2:
-            raise self.error("two assignments of names fit alike: give --names, or --frame plan")
+            raise self.error("two assignments of names fit alike: give names=, or frame='plan'")
         parts = {
             "clock": start is None,
             "rate": fit.rate != 1.0,

@@ -292,7 +292,7 @@ def _evaluated(
         remarks += _vertex_remarks(measured, task)
         if not np.allclose(measured.density, densities):
             fitted = ", ".join(f"{1e3 * x:.1f}" for x in measured.density)
-            remarks.append(f"cables' density is fitted, {fitted} g/m: weigh them for --density")
+            remarks.append(f"cables' density is fitted, {fitted} g/m: weigh them for density=")
         densities = measured.density
     elif not named:
         remarks.append("no markers on the cables: drones alone are compared with the plan")

@@ -102,7 +102,7 @@ def _read(path: Path, unit: str | None) -> RecordedFlight:
     for key, (_, read_logs) in LOGS.items():
         if logs := [file for file in files if re.match(key, heads[file])]:
             if unit is not None:
-                raise FileError("has lengths whose units its format fixes; leave --unit out")
+                raise FileError("has lengths whose units its format fixes; leave unit= out")
             return read_logs(logs)
     for key, (_, read) in FILES.items():
         for file in files:
@@ -188,7 +188,7 @@ def _check_units(flight: RecordedFlight, unit: str | None) -> None:
     far = float(np.median(np.linalg.norm(positions, axis=1)))
     if far > MAX_DISTANCE and unit is None:
         words = f"positions are {far:.4g} m from the origin at the median, over {MAX_DISTANCE:g} m"
-        raise FileError(f"{words}: millimetres? --unit mm")
+        raise FileError(f"{words}: millimetres? unit='mm'")
 
 
 def _counted_from(begin: float, flight: RecordedFlight) -> RecordedFlight:

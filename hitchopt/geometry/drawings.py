@@ -94,6 +94,8 @@ def read_drawing(path: str | Path) -> Drawing:
         lines = READERS[kind](path, notes)
     except HitchoptError:
         raise
+    except FileNotFoundError:
+        raise FileError(f"{path}: there is no such file; give a drawing") from None
     except Exception as error:  # parsers raise their own kinds, and builtin ones
         reason = str(error).splitlines()
         raise FileError(f"{path}: cannot be read: {reason[0] if reason else error!r}") from None

@@ -361,7 +361,7 @@ def undetermined_tension(*, integral: bool, feed_forward: bool) -> tuple[str, ..
     if not feed_forward:
         reasons.append(
             "without feed-forward of the cable force nothing keeps up the planned tension: drones "
-            "give way until cables hardly pull; export with --hold-tension, which moves the set "
+            "give way until cables hardly pull; export with hold_tension, which moves the set "
             "points outward"
         )
     return tuple(reasons)

@@ -297,7 +297,7 @@ class CrazyflieOutlet:
         known = self._node.crazyfliesByName
         for robot in robots:
             if robot not in known:
-                raise InputError("fleet", robot, f"one of {', '.join(known)}", "name it in --fleet")
+                raise InputError("fleet", robot, f"one of {', '.join(known)}", "name it in fleet=")
         self._robots = [known[robot] for robot in robots]
         self._set(dict(zip(robots, (parameters[name] for name in names), strict=True)))
         self._spin_once = partial(rclpy.spin_once, self._node, timeout_sec=0.0)

@@ -16,6 +16,15 @@ from hitchopt.values.fields import Schema, keys_of, record_schema, values_of
 _KINDS = {list: "a list", str: "only text", bool: "true or false"}
 
 
+FOREIGN = {
+    False: {
+        "keep_out": "a hitch keeps off objects: add one with fixed: true to objects",
+        "goal": "a hitch has a mission; goals are for single drones, team: {drones: 2}",
+    },
+    True: {"mission": "single drones have a goal; missions are for hitches, team: {robots: 3}"},
+}
+"""Remedies for keys of the other kind of problem, by whether drones are single."""
+
 AnyProblem = Problem | SwarmProblem
 """A problem of a hitch, or of single drones."""
 
@@ -106,5 +115,5 @@ def any_problem_from_dict(data: Mapping[str, object], folder: Path = Path()) -> 
     single = isinstance(team, dict) and "drones" in team and "robots" not in team
     record = SwarmProblem if single else Problem
     values = with_outlines(values, folder) if isinstance(values, dict) else values
-    problem: AnyProblem = record(**values_of(record, "", values))
+    problem: AnyProblem = record(**values_of(record, "", values, remedies=FOREIGN[single]))
     return problem

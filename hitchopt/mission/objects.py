@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from hitchopt.errors import InputError
+from hitchopt.errors import FileError, InputError
 from hitchopt.geometry.drawings import read_drawing
 from hitchopt.hitch.requirements import MAX_CORNERS
 from hitchopt.objects import Rim, Section, SolidObject
@@ -91,7 +91,7 @@ OBJECTS = named(mapping_of(ObjectKeys, ObjectKeys.body), OBJECT_NAME, MAX_OBJECT
 def with_outlines(data: Mapping[str, Any], folder: Path = Path()) -> dict[str, Any]:
     """Return a problem's mapping with outlines in place of drawings, relative to a folder.
 
-    Raises FileError for a drawing that cannot be read, InputError for one without an outline.
+    Raises InputError for a drawing that cannot be read, or has no outline.
     """
     objects = data.get("objects")
     if not isinstance(objects, Mapping):
@@ -106,6 +106,9 @@ def with_outlines(data: Mapping[str, Any], folder: Path = Path()) -> dict[str, A
             Section(outline)
         except InputError as error:
             words = f"an outline: {error.bound}", error.remedy
+            raise InputError(f"objects.{name}.file", file, *words) from None
+        except FileError as error:
+            words = "a drawing that can be read", str(error)
             raise InputError(f"objects.{name}.file", file, *words) from None
         given = {key: value for key, value in each.items() if key != "file"}
         drawn[name] = given | {"outline": outline.tolist()}

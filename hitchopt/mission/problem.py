@@ -62,11 +62,14 @@ def resolved_steps(problem: Problem, steps: tuple[Step, ...]) -> tuple[Step, ...
     """
     team, outline = problem.team, problem.start_outline
     fitted, held = list[Step](), _Held()
+    since = "start has no hitch" if outline is None else "start is a hitch"
     for i, given in enumerate(steps):
         try:
             step = given.resolved_for(team)
             held = held.after(step, problem.objects)
-            outline = step.checked_polygon_after(team, outline)
+            before, outline = outline, step.checked_polygon_after(team, outline, since)
+            if (before is None) is not (outline is None):
+                since = f"step {i} ({step.name}) {'untied' if outline is None else 'tied'} it"
             if step.blends and (problem.complete or i + 1 < len(steps)):
                 _check_blend(steps[i + 1 :])
             if step.blends or (i > 0 and steps[i - 1].blends):

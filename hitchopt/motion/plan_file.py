@@ -28,7 +28,7 @@ from hitchopt.hitch.team import Assignment
 from hitchopt.motion.motion import JOINT, OPTIONAL_CURVES, POLYNOMIALS, Motion, Phase
 from hitchopt.objects import Rim, Section, SolidObject
 from hitchopt.objects.placing import STILL, check_apart, poses_of
-from hitchopt.storage.archive import BROKEN, read_arrays
+from hitchopt.storage.archive import BROKEN, PLAN, read_arrays
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import text
 
@@ -202,9 +202,11 @@ def read_saved_plan(path: Path) -> SavedPlan:
         return _saved_plan(settings, arrays)
     except BROKEN as error:
         reason = f"not a plan that hitchopt wrote, or a damaged one: {error or repr(error)}"
-        if isinstance(error, FileNotFoundError):
-            reason = "there is no such file"
-        elif isinstance(error, KeyError):
+        if isinstance(error, FileNotFoundError | NotADirectoryError):
+            holds = f", {path.parent} holds no plan" if path.name == PLAN else ""
+            words = f"there is no such file{holds}; name the directory of a plan"
+            raise FileError(f"{path}: {words}") from None
+        if isinstance(error, KeyError):
             reason = f"not a plan that hitchopt wrote: {error} is missing"
         elif isinstance(error, OSError) and error.strerror:
             reason = f"cannot be read: {error.strerror}"

@@ -42,7 +42,7 @@ def cut(motion: Motion, first: int, last: int) -> Motion:
 def stretched(motion: Motion, factor: float) -> Motion:
     """Return the same curves ``factor`` times as slow, and no limit on their duration."""
     if not 1.0 <= factor <= 100.0:
-        raise InputError("--stretch", factor, "from 1 to 100", "1.05 flies 5 % slower")
+        raise InputError("stretch", factor, "from 1 to 100", "1.05 flies 5 % slower")
     return motion if factor == 1.0 else motion.untimed.slowed(factor)
 
 

@@ -39,7 +39,7 @@ SETTLED = 0.5  # Last part of a flight over which it is judged where a lost dron
 
 # Warning of a flight whose cables slide freely
 NO_FRICTION = "friction is left at 0: at 0.1 hitches rest some 5 cm from their plans; "
-NO_FRICTION += "state team.cable_friction, or give --friction"
+NO_FRICTION += "state team.cable_friction, or give friction="
 
 SUCCEEDED, FAILED, NOT_SIMULATED = "succeeded", "failed", "not simulated"
 

@@ -350,13 +350,22 @@ class Step(OneLine, ABC):
             changed["legs"] = slack_split(legs, team)
         return replace(self, **changed) if changed else self
 
-    def checked_polygon_after(self, team: Team, outline: Outline | None) -> Outline | None:
-        """Return ``polygon_after`` if the step fits the hitch before it, else raise InputError."""
+    def checked_polygon_after(
+        self, team: Team, outline: Outline | None, since: str = "start says so"
+    ) -> Outline | None:
+        """Return ``polygon_after`` if the step fits the hitch before it, else raise InputError.
+
+        ``since`` is why there is a hitch before it, or none.
+        """
         if self.needs_hitch is True and outline is None:
-            raise InputError("", "no hitch", "given a hitch at that point", "form one before")
+            bound, remedy = "given a hitch at that point", f"{since}: form one before"
+            raise InputError("", "no hitch", bound, remedy)
         if self.needs_hitch is False and outline is not None:
-            bound = "given drones on free cables at that point"
-            raise InputError("", "a hitch", bound, "release it before")
+            bound, remedy = (
+                "given drones on free cables at that point",
+                f"{since}: release it before",
+            )
+            raise InputError("", "a hitch", bound, remedy)
         return self.polygon_after(team, outline)
 
     def polygon_after(self, team: Team, outline: Any) -> Outline | None:

@@ -97,7 +97,7 @@ def read_text(path: str | Path) -> tuple[str, str]:
             with open(name, "rb") as file:
                 data = file.read(MAX_BYTES + 1)
         except FileNotFoundError:
-            remedy = "check the path, or run `hitchopt init`"
+            remedy = "check the path; `hitchopt init` writes problem files"
             raise FileError(f"{name}: no such file; {remedy}") from None
         except (OSError, ValueError) as error:  # ValueError: a NUL in the path
             reason = getattr(error, "strerror", None) or str(error)

@@ -249,7 +249,7 @@ def study_from_dict(data: object, directory: str | Path = ".") -> Study:
     values = plain(data)
     if not isinstance(values, dict):
         bound = "a mapping with the keys problem and parameters"
-        raise InputError("study", short(values), bound, "see hitchopt sweep --help")
+        raise InputError("study", short(values), bound, "see hitchopt.Study")
     study = Study(STUDY.check("", values), tuple(_problems(values["problem"], Path(directory))))
     study.check()
     return study

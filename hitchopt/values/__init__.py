@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -32,7 +33,7 @@ _FORMS = (
     ((int, float, np.number), ONE, "give a plain number in SI units"),
     ((list, tuple, np.ndarray), EACH, "write a list in brackets"),
     ((str,), WORD, "put it in quotes if it is meant as text"),
-    ((Mapping,), MAPPING, "write its keys indented below it, or in braces"),
+    ((Mapping,), MAPPING, "write {key: value, …}"),
 )
 
 
@@ -47,7 +48,7 @@ def misfit(key: str, value: object, *bounds: str) -> InputError:
     """Return the error of a value that has none of the forms, or other bounds."""
     remedy = next((remedy for _, form, remedy in _FORMS if form in bounds), "write a list")
     if value is None:
-        remedy = "remove the key, or write its value after it"
+        remedy = "give a value, or leave it out"
     elif ONE in bounds and isinstance(value, str) and re.fullmatch(r"[-+.\deE]+", value):
         remedy = "remove the quotes"
     return InputError(key, value, " or ".join(bounds), remedy)
@@ -74,10 +75,49 @@ def path(key: str, value: object) -> Path:
     return Path(value)
 
 
+SYNONYMS = {
+    "hold": "wait sleep pause stay hover",
+    "transport": "move fly goto go translate",
+    "transport_object": "pick place deliver",
+    "morph": "reshape deform shape",
+    "form": "tie takeoff take_off",
+    "release": "untie",
+    "mission": "steps",
+    "robots": "n count size",
+    "cable_length": "cable cables",
+    "to": "height target goal",
+    "by": "height to distance",
+    "altitude": "height z",
+    "circle": "radius diameter",
+    "polygon": "vertices points outline to",
+    "outline": "polygon vertices points",
+    "mass": "weight",
+    "at": "position place origin",
+    "speed": "velocity",
+    "seconds": "duration time",
+    "duration": "seconds time",
+    "friction": "mu",
+    "objects": "obstacles",
+}
+"""Words that users write, by what they may mean where it is known."""
+
+
+def closest_word(word: str, known: Sequence[str], otherwise: str = "") -> str:
+    """Return the question whether a valid word was meant: the closest one, or one of the same sense.
+
+    Where there is none it is ``otherwise``, by default all valid words.
+    """
+    close = [name for name in known if word.lower() in SYNONYMS.get(name, "").split()]
+    close += difflib.get_close_matches(word[:60], known, n=1, cutoff=0.6)
+    listed = otherwise or f"use one of {', '.join(known)}"
+    return f"did you mean {close[0]}?" if close else listed
+
+
 def choice(key: str, value: object, names: Sequence[str]) -> None:
     """Raise InputError unless ``value`` is one of ``names``."""
     if not isinstance(value, str) or value not in names:
-        raise InputError(key, value, f"one of {', '.join(names)}", f"write {names[0]!r}")
+        remedy = closest_word(str(value), names, f"write {names[0]!r}")
+        raise InputError(key, value, f"one of {', '.join(names)}", remedy)
 
 
 def text(key: str, value: object) -> str:

@@ -11,7 +11,7 @@ Angles are in radians in Python and in degrees in files, under names that end in
 
 from __future__ import annotations
 
-import difflib
+import functools
 import inspect
 import json
 import math
@@ -33,6 +33,7 @@ from hitchopt.values import (
     ONE,
     WORD,
     Array,
+    closest_word,
     finite,
     flag,
     form_of,
@@ -188,8 +189,24 @@ def store_with_degrees(record: Any, **degrees: float | None) -> None:
         object.__setattr__(record, name, radians)
 
 
+def refuse_unknown(name: str, known: Sequence[str], given: Iterable[str]) -> None:
+    """Raise TypeError for a keyword that a function does not have, with the one that was meant."""
+    for each in given:
+        if each not in known:
+            raise TypeError(f"{name}() has no argument {each!r}; {closest_word(each, known)}")
+
+
 def documented(record: type[T]) -> type[T]:
-    """Add the list of parameters to a record's docstring."""
+    """Add the list of parameters to a record's docstring; suggest keywords for unknown ones."""
+    build: Callable[..., None] = record.__init__
+    known = [*inspect.signature(record).parameters]
+
+    @functools.wraps(build)
+    def suggesting(self: object, *args: Any, **kwargs: Any) -> None:
+        refuse_unknown(record.__name__, known, kwargs)
+        build(self, *args, **kwargs)
+
+    record.__init__ = suggesting  # type: ignore[method-assign]
     words, raises, errors = inspect.cleandoc(record.__doc__ or "").partition("Raises\n------")
     listed = f"{words.rstrip()}\n\nParameters\n----------\n{parameters(record)}"
     record.__doc__ = f"{listed}\n\n{raises}{errors}" if raises else listed
@@ -217,11 +234,15 @@ class Missing:
 
 
 def values_of(
-    record: type[Any], key: str, data: Any, without: Collection[str] = ()
+    record: type[Any],
+    key: str,
+    data: Any,
+    without: Collection[str] = (),
+    remedies: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:
     """Return the arguments of a record that a mapping holds; all faults are raised at once.
 
-    Keys ``without`` are unknown.
+    Keys ``without`` are unknown; ``remedies`` are those of some unknown keys.
     """
     if not isinstance(data, Mapping):
         raise misfit(key or "problem", data, MAPPING)
@@ -233,16 +254,14 @@ def values_of(
         """Return the name and value of a constructor's argument; no name for a default."""
         path, value = joined(key, name), data.get(name, Missing())
         if name not in fields_by_key:
-            remedy = closest_word(str(name), list(fields_by_key))
+            remedy = (remedies or {}).get(name) or closest_word(str(name), list(fields_by_key))
             raise InputError(path, value, "a known key", remedy)
         field = fields_by_key[name]
         declared = keys_of(record)[field]
-        if isinstance(value, Missing):
-            if declared.default is not EMPTY:
-                return "", None
-            example = "…" if declared.example is None else json.dumps(declared.example)
-            remedy = f"add {name}: {example}".replace('"', "")
-            raise InputError(path, value, "given", remedy)
+        if isinstance(value, Missing) and declared.default is not EMPTY:
+            return "", None
+        if declared.default is EMPTY and (isinstance(value, Missing) or value in (None, [])):
+            raise InputError(path, value, "given", f"add {name}: {_written(declared.example)}")
         if value is None and declared.default is None:
             return field, None
         return field, declared.from_file(path, value)
@@ -250,6 +269,11 @@ def values_of(
     arguments = dict(gathered(argument, dict.fromkeys((*data, *fields_by_key))))
     arguments.pop("", None)
     return arguments
+
+
+def _written(example: Any) -> str:
+    """Return an example as a file has it."""
+    return "…" if example is None else json.dumps(example).replace('"', "")
 
 
 def gathered(read: Callable[[Any], T], given: Iterable[Any]) -> list[T]:
@@ -275,12 +299,6 @@ def joined(path: str, part: str | int) -> str:
     name = part if part.isidentifier() and part.isascii() else repr(part)
     name = name if len(name) <= 60 else f"{name[:57]}..."
     return f"{path}.{name}" if path else name
-
-
-def closest_word(word: str, known: Sequence[str]) -> str:
-    """Return the closest valid word, else all of them."""
-    close = difflib.get_close_matches(word[:60], known, n=1, cutoff=0.5)
-    return f"did you mean {close[0]}?" if close else f"use one of {', '.join(known)}"
 
 
 # The JSON Schema.
@@ -359,7 +377,8 @@ def words(*plain: str | bool, **values: int | None) -> Kind:
         if values and type(value) is int and value in values.values():
             return value
         bound = " or ".join(known) if len(known) < 3 else f"one of {', '.join(known)}"
-        remedy = closest_word(value, known) if isinstance(value, str) else f"write {known[0]}"
+        otherwise = f"write {known[0]}"
+        remedy = closest_word(value, known, otherwise) if isinstance(value, str) else otherwise
         raise InputError(key, value, bound, remedy)
 
     return Kind(tuple(dict.fromkeys(map(form_of, stored))), check, {"enum": list(stored)})
@@ -522,6 +541,11 @@ def one_key(name: str, summary: str, records: Mapping[str, type[Any]], example: 
     """Return the kind of mappings with one key, which says of what record its value is."""
     kinds = {key: mapping_of(record) for key, record in records.items()}
 
+    def written(kind: str) -> str:
+        """Return an example of a kind with the keys that it needs."""
+        keys = keys_of(records[kind]).values()
+        return f"{kind}: {_written({k.name: k.example for k in keys if k.default is EMPTY})}"
+
     def check(key: str, value: Any) -> Any:
         if not isinstance(value, Mapping):
             raise misfit(key, value, MAPPING)
@@ -530,11 +554,12 @@ def one_key(name: str, summary: str, records: Mapping[str, type[Any]], example: 
             raise InputError(key, value, bound, f"write {example}")
         ((kind, given),) = value.items()
         if kind not in kinds:
-            remedy = closest_word(kind, list(kinds))
-            raise InputError(joined(key, kind), given, "a known key", remedy)
-        if given is None:
-            remedy = f"write {kind}: {{…}} with its keys"
-            raise InputError(key, value, f"a mapping, also after {kind}", remedy)
+            meant = closest_word(kind, list(kinds))
+            for each in kinds:
+                meant = meant.replace(f"mean {each}?", f"mean {written(each)}?")
+            raise InputError(joined(key, kind), given, f"a known {name.lower()}", meant)
+        if form_of(given) != MAPPING:
+            raise InputError(joined(key, kind), given, MAPPING, f"write {written(kind)}")
         return kinds[kind].check(joined(key, kind), given)
 
     def schema(definitions: dict[str, Schema]) -> Schema:

@@ -62,7 +62,7 @@ def save_view(
         return
     if kind not in (*PICTURES, PAGE):
         bound = f"a name in {', '.join((PAGE, *PICTURES, *FILMS))}"
-        raise InputError("--save", str(path), bound, "such as plan.html")
+        raise InputError("save", str(path), bound, "such as plan.html")
     with style.drafted(path) as draft:
         if kind == PAGE:
             write_report(draft, motion, certificate, title, problem, path.parent)

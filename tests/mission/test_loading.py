@@ -153,7 +153,7 @@ FAULTS: list[tuple[str | list[str | int], object, str]] = [
     ("team.quadrotor[1].mas", 1, r"1: must be a known key; did "),
     ("team.cable_density", -1e-09, r"-1e-09: must be at least 0; "),
     ("team.tension[2]", math.nan, r"nan: must be finite; "),
-    ("mission[2].morph.polygon", None, r"None: must be a list"),
+    ("mission[2].morph.polygon", None, r"None: must be given; add polygon: [[0, -1]"),
     ("mission[3].move_vertex.blend", 1, r"1: must be true or"),
     ("mission[7].transport.to[0]", 1e6, r"mission[7].transport.to = [1000000.0, 1.2, 1.6]: m"),
     ("mission[7].transport.yaw_deg", 1801, r"[7].transport.yaw_deg = 1801: must be from -1800"),

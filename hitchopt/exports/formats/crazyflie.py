@@ -71,7 +71,7 @@ class CrazyflieFormat(Format):
     controllers = tuple(CONTROLLERS)
     receiver_integral = True
     feed_forward = (
-        "not in these files: the on-board controller knows no cable: export --hold-tension for one "
+        "not in these files: the on-board controller knows no cable: hold_tension is for one "
         "without an integral, or stream full states (hitchopt fly, ros2bag)"
     )
     kind: Kind  # of its pieces
@@ -134,9 +134,7 @@ class CrazyflieFormat(Format):
         pieces = len(breaks_within(motion.drones, self.kind, 1.0)) - 1.0
         when, most = f"in {motion.duration:.4g} s", float(self.most_pieces(motion.drones))
         remedy = "let the plan rest now and then, where it can be cut"
-        words = (
-            "compressed holds three times as much as crazyswarm2; or stream it: --format ros2bag"
-        )
+        words = "compressed holds three times as much as crazyswarm2; or stream it: format=ros2bag"
         broken = Violation("memory", pieces, most, "max", "pieces", (), when, remedy)
         return InfeasibleError([broken], words)
 
@@ -161,7 +159,7 @@ OF_POWERS = np.array(
 
 
 class Crazyswarm2(CrazyflieFormat):
-    """One CSV per drone, crazyflies.yaml, fly.py and a note."""
+    """One CSV of polynomials per drone, crazyflies.yaml, fly.py and a note."""
 
     name = "crazyswarm2"
     file = "{name}.csv"
@@ -301,7 +299,7 @@ def start_files(task: Task, first: Array, last: Array, duration: float) -> dict[
     low = task.heights(0.0) < LANDED, task.heights(task.motion.duration) < LANDED
     places = {n: [round(x, 6) for x in p] for n, p in zip(task.names, first.tolist(), strict=True)}
     place = f"This is {task.part}.\n" if task.part else ""
-    hint = " (its radio addresses are placeholders: name yours with --fleet when exporting)"
+    hint = " (its radio addresses are placeholders: name yours in a fleet file when exporting)"
     look = pilot_checklist(cables=task.motion.team.has_cables)
     common = {"frame": task.frame.name, "duration": duration, "look": look}
     return {
@@ -398,7 +396,7 @@ EQUAL_ERRORS = Scale(position=2e-4, velocity=1e-2, acceleration=0.2)  # Errors t
 
 
 class CompressedBytes(CrazyflieFormat):
-    """One file of bytes per drone, whose name tells the frame as the bytes cannot."""
+    """Bytes for Crazyflies, a file per drone, whose name tells the frame as they cannot."""
 
     name = "compressed"
     file = "{name}_{frame}.bin"
@@ -462,7 +460,7 @@ def encoded(durations: NDArray[np.int64], points: NDArray[np.int64], heading: fl
     ended.
     """
     if (farthest := float(np.max(np.abs(points))) * MILLI) > LARGEST:
-        remedy = "move the plan with --origin"
+        remedy = "move the plan with origin="
         raise InfeasibleError([Violation("range", farthest, LARGEST, "max", "m", (), "", remedy)])
     yaw = round(math.degrees(heading) * 10.0)
     parts = [struct.pack("<hhhh", *points[0, :, 0].tolist(), yaw)]

@@ -39,7 +39,7 @@ SPANS = [0, 3, 6, 10, 14, 17, 21, 24, 28, 32, 35, 38]  # Points of a drawn cable
 
 
 class Gltf(Format):
-    """One scene with one animation."""
+    """A scene with one animation, for Blender and viewers."""
 
     name = "gltf"
     file = "plan.glb"

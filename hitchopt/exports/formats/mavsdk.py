@@ -59,7 +59,7 @@ BELOW = 1.0  # Distance of thresholds below all rows [m]: those are never under 
 
 
 class MavsdkDroneShow(Format):
-    """Setpoints of 20 Hz for PX4, ``Drone N.csv`` from 1 in the plan's order."""
+    """Setpoints of 20 Hz for PX4, Drone N.csv from 1 in the plan's order."""
 
     name = "mavsdk_drone_show"
     file = "Drone {number}.csv"

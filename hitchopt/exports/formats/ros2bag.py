@@ -53,7 +53,7 @@ FRAMES = {"map": "enu", "map_nwu": "nwu", "map_ned": "ned"}  # By names in heade
 
 
 class Ros2Bag(Format):
-    """A bag to play."""
+    """A bag to play: trajectories, paths and full-state setpoints."""
 
     name = "ros2bag"
     file = f"{STEM}{{ending}}"

@@ -95,7 +95,7 @@ Entries = Sequence[Mapping[str, Any]]  # One entry per drone, all of one time
 
 
 class SkybrushShow(Format):
-    """Cubic curves in one show."""
+    """A Skybrush show of cubic curves, .skyc."""
 
     name = "skybrush"
     file = "show.skyc"
@@ -413,7 +413,7 @@ ROW = "%d,%.6f,%.6f,%.6f,255,255,255"
 
 
 class SkybrushCsv(Format):
-    """Positions by the clock."""
+    """A zip of positions by the clock, for Skybrush."""
 
     name = "skybrush_csv"
     file = "show.zip"
@@ -428,7 +428,7 @@ class SkybrushCsv(Format):
     def write(self, folder: Path, task: Task) -> Written:
         """Write the zip, drone by drone; raise InputError for more than 1000 samples a second."""
         if task.rate > 1000.0:
-            raise InputError("--rate", task.rate, "at most 1000 Hz", "the format has milliseconds")
+            raise InputError("rate", task.rate, "at most 1000 Hz", "the format has milliseconds")
         drones = task.motion.drones
         samples = ceil(drones.duration * task.rate - 1e-6)
         milliseconds = np.rint(np.arange(samples + 1) * (1e3 / task.rate))

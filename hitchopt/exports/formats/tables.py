@@ -110,7 +110,7 @@ def _recording_of_rows(who: NDArray[np.str_], table: Array, frame: str) -> Recor
 
 
 class CsvTable(Table):
-    """Text that everything reads."""
+    """A table as text that everything reads."""
 
     name = "csv"
     endings = (".csv",)
@@ -128,7 +128,7 @@ class CsvTable(Table):
 
 
 class ParquetTable(Table):
-    """Columns for data frames."""
+    """A table in columns, for data frames."""
 
     name = "parquet"
     endings = (".parquet",)
