@@ -93,16 +93,14 @@ def export(directory: Path | None, output: Path | None, yaw_deg: float, **option
     from hitchopt.exports.format import format_of
     from hitchopt.exports.options import ExportOptions
     from hitchopt.motion.plan_file import read_saved_plan
+    from hitchopt.values.fields import Missing
 
     if directory is None or options["format"] is None:
-        summaries = {name: type(format_of(name)).__doc__ or "" for name in HOMES}
-        rows = [
-            {"format": k, "what it is": v.partition(".\n")[0].rstrip(".")}
-            for k, v in summaries.items()
-        ]
+        summaries = ((name, type(format_of(name)).__doc__ or "") for name in HOMES)
+        rows = [{"format": name, "what it is": words.splitlines()[0]} for name, words in summaries]
         say(table("Formats", rows), err=True)
-        words = "given with DIR", "such as: hitchopt export DIR --format csv"
-        raise InputError("format", options["format"], *words)
+        bound, remedy = "given with DIR", "choose one, such as --format csv"
+        raise InputError("format", options["format"] or Missing(), bound, remedy)
     chosen = ExportOptions(yaw=math.radians(yaw_deg), **options)
     format_of(chosen.format)  # a wrong name before a long read
     path = plan_path(directory)

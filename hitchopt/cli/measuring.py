@@ -54,6 +54,7 @@ def evaluate(
     evaluation.tex, a picture, and recording.npz, which `hitchopt view DIR --ghost OUT` shows.
     """
     from hitchopt.simulation.task import read_task
+    from hitchopt.values.fields import Missing
 
     task = read_task(plan_path(plan).parent)
     if markers:
@@ -61,7 +62,7 @@ def evaluate(
         return
     if recording is None:
         bound = "a recording, or none with --markers"
-        raise InputError("RECORDING", None, bound, "name the file that was recorded")
+        raise InputError("RECORDING", Missing(), bound, "name the file that was recorded")
     from hitchopt.flights.report import save_evaluation, summary
 
     with ProgressBar("reading and evaluating"):

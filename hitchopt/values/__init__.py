@@ -98,12 +98,13 @@ SYNONYMS = {
     "duration": "seconds time",
     "friction": "mu",
     "objects": "obstacles",
+    "crazyswarm2": "crazyflie crazyfly",
 }
 """Words that users write, by what they may mean where it is known."""
 
 
 def closest_word(word: str, known: Sequence[str], otherwise: str = "") -> str:
-    """Return the question whether a valid word was meant: the closest one, or one of the same sense.
+    """Return the question whether a valid word was meant, one of the same sense or the closest.
 
     Where there is none it is ``otherwise``, by default all valid words.
     """
