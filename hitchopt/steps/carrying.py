@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -9,11 +10,13 @@ from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
+from hitchopt.checks.objects import GRIP_LIMIT
 from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.geometry import ConvexPolygon, Outline
+from hitchopt.hitch.holding import Grip, grip_capacity, rest_capacity
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Hold, HoldBy, Motion, joined_motions
-from hitchopt.objects import SolidObject
+from hitchopt.objects import Rim, SolidObject
 from hitchopt.objects.placing import TOUCH, footing, poses_of, stacked_on, surface_below
 from hitchopt.planners.carrying.holds import GripHold, RestHold, polygon_at
 from hitchopt.planners.carrying.moves import Move
@@ -142,12 +145,33 @@ def check_hold(task: StepTask, planner: MovePlanner) -> None:
     except InfeasibleError as error:
         robots = "use more robots, as hitchopt fit counts them"
         last = robots if hold.by is HoldBy.REST else "use rougher cables, or give it a rim"
+        last += capacities(planner, task.requirements)
         remedy, violations = f"lower {name}.mass, or ask for another tension, or {last}", []
         for each in error.violations:
             more = ", or raise limits.tilt_deg" if each.constraint == "tilt" else ""
             more += "" if each.constraint in LOAD_LIMITED else f", or {each.remedy}"
             violations.append(replace(each, when=when, remedy=remedy + more))
         raise InfeasibleError(violations) from None
+
+
+def capacities(planner: MovePlanner, requirements: Requirements) -> str:
+    """Return in words which masses the hold bears, and a gripped outline as a rim; or nothing."""
+    hold, team, body = planner.hold, planner.hold.team, planner.body
+    tension, kind = float(np.min(planner.state.tension)), team.quadrotor[0]
+    length, texts = float(np.min(team.cable_length)), list[str]()
+    rests, height = hold.closed, float(body.centre_of_mass[2]) - hold.height
+    with contextlib.suppress(InfeasibleError):
+        if isinstance(hold, GripHold):
+            grip = Grip.of(body.section, hold.closed, length, tension, team.cable_friction)
+            bears = grip_capacity(grip, kind, body.friction, GRIP_LIMIT)
+            texts.append(f"a grip holds {bears.mass:.2g} kg")
+            rim = replace(body, rim=Rim(body.section, body.lower))
+            rests = rest_polygons(planner.state.object, rim, team.robots, planner.gap).closed
+            height = float(body.centre_of_mass[2]) - body.lower
+        shape = ConvexPolygon(rests)
+        bears = rest_capacity(shape, length, tension, kind, requirements, height)
+        texts.append(f"a rim {'' if texts else 'holds '}{bears.mass:.2g} kg")
+    return f" ({', '.join(texts)})" if texts else ""
 
 
 def in_turn(steps: Sequence[Step], task: StepTask) -> StepPlan:

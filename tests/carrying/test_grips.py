@@ -374,3 +374,13 @@ def test_a_stop_loads_friction_with_no_more_than_is_left(motion: Motion) -> None
         pushed, turned = DRUM * slack[piece, :2]
         assert 0.0 < pushed <= half
         assert 0.9 * half < RADIUS * turned <= half
+
+
+def test_what_is_too_heavy_is_told_what_fit_knows() -> None:
+    found = ho.fit(
+        RADIUS, 3, cable_length=1.6, tension=1.3, clasp_friction=0.1, limits=ho.Limits(tilt_deg=60)
+    ).holding
+    grip, rim = (found.capacity(by).mass for by in ("grip", "rest"))
+    with pytest.raises(ho.InfeasibleError) as refused:
+        ho.solve(ho.problem_from_dict(drum(mass=1.5)))
+    assert f"(a grip holds {grip:.2g} kg, a rim {rim:.2g} kg)" in str(refused.value)

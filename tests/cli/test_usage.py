@@ -26,7 +26,7 @@ import hitchopt as ho
 from hitchopt.checks.certificate import GROUPS
 from hitchopt.checks.registry import REPORTS, RULES
 from hitchopt.cli.failures import SafeGroup
-from hitchopt.cli.output import ProgressBar, certificate_table, done_of, phase_table
+from hitchopt.cli.output import ProgressBar, certificate_table, done_of, echo, phase_table, table
 from hitchopt.cli.planning import MODELINE, example_files
 from hitchopt.exports.options import HOMES
 from hitchopt.mission.loading import problem_schema
@@ -48,10 +48,10 @@ RATE = "error: --rate = {}: must be above 0 and at most 10000 Hz"
         ("view a --save a.mp4 --ghost b", "--ghost = 'b': must be no ghost"),
         *((f"{SOLVE} --rate {x}", RATE.format(x)) for x in ("0.0", "nan", "1e+300")),
         (f"{SOLVE} --limit inf", "error: --limit = inf: "),
-        (f"{SOLVE} -o ''", "error: -o = '': must be a path that is not empty; name one"),
+        (f"{SOLVE} -o ''", "error: --output = '': must be a path that is not empty; name one"),
         ("solve ''", "error: FILE = '': must be a path that is not empty"),
         ("check ''", "error: DIR = '': must be a path that is not empty"),
-        (f"{SOLVE} -o /", "error: -o = '/': must be a directory of its own"),
+        (f"{SOLVE} -o /", "error: --output = '/': must be a directory of its own"),
         (
             f"solve {FAULTY}",
             f"\nerror: {FAULTY}:8:23: limits.jerk = 0: must be greater than 0; give",
@@ -60,7 +60,19 @@ RATE = "error: --rate = {}: must be above 0 and at most 10000 Hz"
         ("solve .", "Is a directory"),
         ("check nowhere", "error: nowhere/plan.npz: "),
         ("simulate .", "plan.npz: there is no such file"),
-        ("init --example triangl", "hitchopt init --list names them"),
+        ("init --example triangl", "must be an example's name; did you mean triangle?"),
+        ("init --example xyz", "hitchopt init --list names them"),
+        ("sovle x.yaml", "error: No such command 'sovle'. Did you mean 'solve'?"),
+        ("solve x.yaml --repot", "'--report'"),
+        ("export", "\nskybrush_csv       A zip of positions"),
+        ("export out", "error: --format = (missing): must be given with DIR"),
+        ("fly out", "error: Missing option '--over'. Choose from:"),
+        ("view .", "error: plan.npz: there is no such file, . holds no plan"),
+        ("fit none.svg --robots 3", "error: none.svg: there is no such file"),
+        (
+            "export out --format csv --damping 2",
+            "error: --damping = 2.0: must be left out without --h",
+        ),
         *((f"init {name}", "error: ") for name in ("''", ".", "/", "missing/x", "x" * 300)),
     ],
 )
@@ -343,10 +355,12 @@ def test_names_complete_in_the_shell(words: str, expected: list[str]) -> None:
 CERTIFICATE = ho.Certificate(
     12.5,
     (
-        ho.Check.of("speed", 0.95, 1.0, "max", "m/s", 1.0, ("q0",)),
+        ho.Check.of("speed", 0.985, 1.0, "max", "m/s", 1.0, ("q0",)),
+        ho.Check.of("jerk", 19.99, 20.0, "max", "m/s³", 1.0, ("q0",)),
+        ho.Check.of("arena", -8e-12, 0.0, "min", "m", 0.0, ("q0",)),
         ho.Check.of("thrust", 1.3, 2.6, "max", "N", 1.0, ("q0",)),
         ho.Check.of("separation", 1.0625, 1.0, "min", "ratio", 3.25, ("q11", "r3")),
-        ho.Check.of("cable_clearance", 0.0875, 0.1, "min", "m", 4.5, ("q11", "cable 10")),
+        ho.Check.of("cable_clearance", 0.099999, 0.1, "min", "m", 4.5, ("q11", "cable 10")),
         ho.Check.of("crossing", float("inf"), 0.05, "min", "m", 0.0, ()),
         ho.Check.of("tracking_radius", 0.0125, None, "min", "m", 3.5, ("q0", "r1"), gamma=1.5),
         ho.Check.of("span", 0.9, 1.0, "max", "ratio", 1.5, tuple(f"cable {k}" for k in range(99))),
@@ -360,7 +374,8 @@ def cells(text: str) -> list[str]:
     return ["|".join(re.split(r"  +", line.strip())) for line in text.splitlines()]
 
 
-def test_phases_and_checks_are_shown_and_the_closest_three_are_marked() -> None:
+def test_tables_have_four_digits_and_fit_80_columns(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "100")
     rows = cells(
         phase_table((ho.Phase("morph", 0, 0.0, 1.25), ho.Phase("hold [b]", 1, 1.25, 12.5)))
     )
@@ -372,24 +387,54 @@ def test_phases_and_checks_are_shown_and_the_closest_three_are_marked() -> None:
     rows = cells(shown)
     for row in (
         "check|worst|limit|unit|where|when|holds",
-        "separation|1.0625|≥ 1|ratio|q11, r3|3.250 s|yes|◂",
-        "cable_clearance|0.0875|≥ 0.1|m|q11, cable 10|4.500 s|NO|◂",
+        "separation|1.062|≥ 1|ratio|q11, r3|3.250 s|yes",
+        "cable_clearance|0.099999|≥ 0.1|m|q11, cable 10|4.500 s|NO",  # as many as tell them apart
         "crossing|–|≥ 0.05|m|yes",
         "tracking_radius|0.0125|γ = 1.5|m|q0, r1|3.500 s|yes",
+        "span|0.9|≤ 1|ratio|cable 0, cable 1 and 97 more|1.500 s|yes",
+        "arena|0|≥ 0|m|q0|0.000 s|yes",
     ):
         assert row in rows
-    assert "and 95 more" in shown
     checks = {check.name for check in CERTIFICATE.checks}
-    named = [row.split("|")[0] for row in rows[4:]]
+    named = [row.split("|")[0] for row in rows]
     assert " ".join(name for name in named if name.endswith(":") or name in checks) == (
-        "distances: separation cable_clearance crossing tracking_radius motion: speed "
-        "forces: thrust cables: span interlacing other: wobble"
+        "distances: arena separation cable_clearance crossing tracking_radius motion: speed "
+        "jerk forces: thrust cables: span interlacing other: wobble"
     )
-    marked = [row.split("|")[0] for row in rows if row.endswith("|◂")]
-    assert marked == ["separation", "cable_clearance", "speed"]  # 6 %, broken, 5 % of the limit
-    # A pipe gets neither colours nor cuts.
+    # A pipe gets no colours. Nothing binds where something does not hold.
+    monkeypatch.setenv("COLUMNS", "80")
+    shown = certificate_table(CERTIFICATE)
     assert not {"\x1b", "…"} & set(shown)
-    assert all(len(line) <= 100 and line == line.rstrip() for line in shown.splitlines())
+    assert all(len(line) <= 80 and line == line.rstrip() for line in shown.splitlines())
+    assert "as fast as" not in shown
+
+
+def test_what_holds_has_no_column_and_what_binds_is_told() -> None:
+    held = ho.Certificate(1.0, tuple(check for check in CERTIFICATE.checks if check.holds))
+    shown = certificate_table(held)
+    assert held.binding == ("jerk", "speed")
+    assert shown.endswith("\n\nas fast as jerk and speed allow")
+    assert "holds" not in shown
+    assert "holds" not in held._repr_html_()
+    assert "<td>0.099999</td>" in CERTIFICATE._repr_html_()
+    with pytest.raises(KeyError, match=r"no check 'speeed'; did you mean speed\?"):
+        held["speeed"]
+
+
+def test_words_wrap_and_numbers_do_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "30")
+    words = "a q-leg that is too long for its column"
+    lines = table("T", [{"name": "one", "why": words, "of": 1234.5678}]).splitlines()
+    assert max(map(len, lines)) <= 30
+    assert re.fullmatch(r"one   a q-leg .* 1235", lines[3])
+    assert " ".join(" ".join(lines[3:]).replace("1235", "").split()) == f"one {words}"
+
+
+def test_errors_are_red_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    for stream in (Terminal(), io.StringIO()):
+        monkeypatch.setattr("sys.stderr", stream)
+        echo("error: one", err=True)
+        assert ("\x1b[31m" in stream.getvalue()) is stream.isatty()
 
 
 def test_every_check_has_a_heading() -> None:

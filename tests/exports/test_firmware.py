@@ -174,13 +174,13 @@ def test_the_manifest_says_how_and_by_whom_a_plan_is_flown(name: str, tmp_path: 
 
 
 REFUSED: list[tuple[str, ho.Quadrotor, dict[str, Any], str]] = [
-    ("crazyswarm2", RETUNED, {}, "--hold-tension = False: must be given for crazyswarm2"),
-    ("skybrush", RETUNED, {}, "--hold-tension = False"),
+    ("crazyswarm2", RETUNED, {}, "hold_tension = False: must be given for crazyswarm2"),
+    ("skybrush", RETUNED, {}, "hold_tension = False"),
     (
         "compressed",
         RETUNED,
         {"hold_tension": True, "stiffness": 2.0},
-        "--stiffness = 2.0: must be left out with controller mellinger",
+        "stiffness = 2.0: must be left out with controller mellinger",
     ),
     (
         "crazyswarm2",

@@ -128,7 +128,7 @@ def test_an_export_that_enters_a_prism_is_refused(tmp_path: Path) -> None:
     }
     motion = ho.solve(any_problem_from_dict(problem)).motion
     exported(motion, "csv", tmp_path / "csv")
-    with pytest.raises(InfeasibleError, match=r"keep_out.*sample at a higher --rate"):
+    with pytest.raises(InfeasibleError, match=r"keep_out.*sample at a higher rate="):
         exported(motion, "compressed", tmp_path / "compressed")
     assert not (tmp_path / "compressed").exists()
 
@@ -285,10 +285,10 @@ def test_bags_are_what_a_release_reads(distro: str | None, storage: str, tmp_pat
 @pytest.mark.parametrize(
     ("option", "value", "words"),
     [
-        ("ros_distro", "foxy", "--ros-distro = 'foxy': must be humble or iron or jazzy"),
-        ("storage", "tape", "--storage = 'tape': must be mcap or sqlite3"),
-        ("stiffness", 5.0, "--stiffness = 5.0: must be left out without --hold-tension"),
-        ("damping", 5.0, "--damping = 5.0: must be left out without --hold-tension"),
+        ("ros_distro", "foxy", "ros_distro = 'foxy': must be humble or iron or jazzy"),
+        ("storage", "tape", "storage = 'tape': must be mcap or sqlite3"),
+        ("stiffness", 5.0, "stiffness = 5.0: must be left out without hold_tension=True"),
+        ("damping", 5.0, "damping = 5.0: must be left out without hold_tension=True"),
     ],
 )
 def test_wrong_options_are_refused(option: str, value: object, words: str) -> None:

@@ -154,8 +154,8 @@ def test_exports_and_lint_warn_where_the_tension_is_undetermined(
     ("options", "words"),
     [
         ({}, "stiffness = None: must be the position loop's"),
-        ({"stiffness": -1.0}, "--stiffness = -1.0"),
-        ({"stiffness": 5.0, "damping": 0.0}, "--damping = 0.0"),
+        ({"stiffness": -1.0}, "stiffness = -1.0"),
+        ({"stiffness": 5.0, "damping": 0.0}, "damping = 0.0"),
     ],
 )
 def test_wrong_gains_are_refused(

@@ -291,7 +291,7 @@ REFUSALS: dict[str, tuple[Callable[[], Any], type[Exception], str]] = {
     "another plan": (lambda: ho.evaluate(usual(), other_plan()), ho.FileError, "was flown"),
     "another polygon": (lambda: ho.evaluate(usual(), task("sharp")), ho.FileError, "was flown"),
     "more robots": (lambda: ho.evaluate(usual(), task("pentagon")), ho.FileError, "6 bodies (cf"),
-    "nothing moves": (lambda: ho.evaluate(still(), task("triangle")), ho.FileError, "--start"),
+    "nothing moves": (lambda: ho.evaluate(still(), task("triangle")), ho.FileError, "start="),
     "too short": (
         lambda: ho.evaluate(cut(usual(), 4.0, 5.5), task("triangle")), ho.FileError, "2.0 s",
     ),
@@ -300,7 +300,7 @@ REFUSALS: dict[str, tuple[Callable[[], Any], type[Exception], str]] = {
                             task("triangle")),
         ho.FileError, "at least 4",
     ),
-    "two answers": (lambda: ho.evaluate(turned_regular(), regular()), ho.FileError, "--names"),
+    "two answers": (lambda: ho.evaluate(turned_regular(), regular()), ho.FileError, "names="),
     "no such name": (
         lambda: ho.evaluate(usual(), task("triangle"), names="cf999=q0"), ho.InputError, "cf999",
     ),

@@ -193,7 +193,7 @@ def test_other_paths_and_units_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ho.InputError, match="unit = 'miles': must be one of m, cm, mm"):
         ho.read_flight(tmp_path, unit="miles")
     flight = replace(w.sample(), markers=no_markers())
-    with pytest.raises(ho.FileError, match="units its format fixes; leave --unit out"):
+    with pytest.raises(ho.FileError, match="units its format fixes; leave unit= out"):
         ho.read_flight(w.write_usd(tmp_path / "logs", flight), unit="mm")
 
 
