@@ -242,3 +242,18 @@ def test_records_are_written_in_their_own_words() -> None:
 def test_values_just_beyond_a_limit_differ_from_it_in_words(limit: Any, words: str) -> None:
     """What contradicts itself is infinitely far off."""
     assert broken_limit(*limit) == f"{limit[0]}: {words}"
+
+
+@pytest.mark.parametrize(
+    ("call", "given", "words"),
+    [
+        (ho.Limits, "max_speed", "Limits() has no argument 'max_speed'; did you mean speed?"),
+        (ho.Team, "tensoin", "Team() has no argument 'tensoin'; did you mean tension?"),
+        (ho.hold, "time", "hold() has no argument 'time'; did you mean seconds?"),
+        (ho.Mission.morph, "points", "morph() has no argument 'points'; did you mean polygon?"),
+    ],
+)
+def test_unknown_arguments_are_suggested(call: Any, given: str, words: str) -> None:
+    with pytest.raises(TypeError) as refused:
+        call(None, **{given: 1})
+    assert str(refused.value) == words

@@ -123,7 +123,10 @@ def drones(**places: Any) -> dict[str, Any]:
     ("changes", "message"),
     [
         ({"mission": [STAY, FORM]}, r"mission\[1\]\.form = 'a hitch': .* free cables"),
-        ({"mission": [{"release": {}}, {"adjust": {"legs": "balanced"}}]}, "form one before"),
+        (
+            {"mission": [{"release": {}}, {"adjust": {"legs": "balanced"}}]},
+            r"step 0 \(release\) untied it: form one",
+        ),
         (drones(q=PLACES["q"][:2]), r"start\.drones\.q = '2 points'"),
         (drones(r=[[1e9, 0, 1], *PLACES["r"][1:]]), r"start\.drones\.r\[0\] = .* finite and with"),
         (drones(r=[[1, 0], *PLACES["r"][1:]]), r"drones\.r\[0\] = .* must be a point \[x, y, z\]"),
@@ -158,6 +161,19 @@ FAULTS: list[tuple[str | list[str | int], object, str]] = [
     ("mission[7].transport.to[0]", 1e6, r"mission[7].transport.to = [1000000.0, 1.2, 1.6]: m"),
     ("mission[7].transport.yaw_deg", 1801, r"[7].transport.yaw_deg = 1801: must be from -1800"),
     ("mission", {"hold": {}}, r"{'hold': {}}: must be a list; write a list in bracket"),
+    ("mission", [], "[]: must be given; add mission: [{hold: {seconds: 1.0}}]"),
+    (
+        "mission[2]",
+        {"wait": 2},
+        "[2].wait = 2: must be a known step; did you mean hold: {seconds: 1.0}?",
+    ),
+    ("mission[2]", {"hold": 2}, "[2].hold = 2: must be a mapping; write hold: {seconds: 1.0}"),
+    ("mission[7].transport.height", 0.4, "height = 0.4: must be a known key; did you mean to?"),
+    (
+        "keep_out",
+        [],
+        "[]: must be a known key; a hitch keeps off objects: add one with fixed: true",
+    ),
     ("title", "x" * 201, r": must be at most 200 characters long; shorten it"),
     (["a\x1b[31m b"], 1, r"'a\x1b[31m b' = 1: must be a known key; use one of team, start"),
 ]
