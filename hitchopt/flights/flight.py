@@ -133,7 +133,7 @@ def metres(unit: str) -> float:
     word = unit.strip().casefold().replace("metre", "meter")
     scale = UNITS.get(LONG_UNITS.get(word.removesuffix("s"), word))
     if scale is None:
-        raise FileError(f"its unit of length, {unit!r}, is unknown; state unit= m, cm or mm")
+        raise FileError(f"its unit of length, {unit!r}, is unknown; state unit='m', 'cm' or 'mm'")
     return scale
 
 

@@ -141,7 +141,7 @@ REFUSED: dict[str, tuple[Write, str]] = {
     "Motive without titles": (edited(without(slice(2, 5))), "has no titles above a row 'Frame'"),
     "Motive in leagues": (
         partial(w.write_motive, unit=("Leagues", 1e-3)),
-        "'Leagues', is unknown; state --unit m, cm or mm",
+        "'Leagues', is unknown; state unit='m', 'cm' or 'mm'",
     ),
     "Motive's frames backward": (
         edited(lambda text: text + text.split("\n")[20] + "\n"),
@@ -154,7 +154,7 @@ REFUSED: dict[str, tuple[Write, str]] = {
     "times backward": (edited(repeated, w.write_csv), "is followed by 0 s; give one flight"),
     "millimetres": (
         edited(lambda text: text.replace(",1.", ",1000."), w.write_csv),
-        "m from the origin at the median, over 50 m: millimetres? --unit mm",
+        "m from the origin at the median, over 50 m: millimetres? unit='mm'",
     ),
     "milliseconds": (clocked(1e3), "step by 10 s: not in seconds; if they are milliseconds"),
     "nanoseconds": (clocked(1e9, 1.7e9), "if they are nanoseconds, divide by 1e+09"),
