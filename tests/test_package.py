@@ -25,8 +25,8 @@ NODES = [(path, node) for path, tree in TREES.items() for node in ast.walk(tree)
 
 # Methods that the package itself does not call: toppra, click, pydantic and pickle do, or users
 CALLED = frozenset(
-    """compute_constraint_params convert field_title_should_be_set invoke reducer_override
-    abort displacements mirrored pause renumbered resume retarget rotated
+    """compute_constraint_params convert field_title_should_be_set format_commands invoke
+    reducer_override abort displacements mirrored pause renumbered resume retarget rotated
     to_dataframe""".split()  # noqa: SIM905
 )
 CLASS_NAME = r"(?:[\w.]+:)?[A-Z]\w*"  # Strings that name a class, with or without its module
