@@ -35,8 +35,9 @@ from hitchopt.values import Array
 PERIOD = 0.002  # Of the attitude loops [s]
 
 # Periods from one prediction of the filter to the next, and to the frame that arrives in between;
-# position loops run after both
-TICKS, ARRIVAL = round(1.0 / (RATE * PERIOD)), 2
+# position loops run after both. Until a frame corrects it, a velocity that is predicted for a
+# level pull acts: 8 ms agree with what the firmware believed, and where it was, in a bench
+TICKS, ARRIVAL = round(1.0 / (RATE * PERIOD)), 4
 LEAST_LIFT = 0.1  # Least upright force over the weight that px4 asks for
 TINY = 1e-9  # Least level force that is divided by [N]
 TOP_SPEED = 1.1  # Largest velocity with which pid answers an offset, along an axis [m/s]

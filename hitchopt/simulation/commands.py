@@ -29,7 +29,8 @@ QUANTUM, MOST = 1e-3, 32767
 # controller, or another one; of other controllers the stock ones
 STIFFEST = {"mellinger": (36.0, 10.0), "lee": (14.0, 6.5)}
 
-BODY_RATES = ("mellinger",)  # Controllers that follow the body rates of a packet
+# Controllers that follow body rates: those of a packet, and those of curves' jerks
+BODY_RATES, CURVES_RATES = ("mellinger",), ("mellinger", "lee")
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,12 +80,11 @@ def received(task: Task, team: Team, settings: Settings) -> Commands:
     InputError: an upload of set points that are no plan's.
     InfeasibleError: a plan that uploads do not hold.
     """
-    follows = settings.controller in BODY_RATES
     if not settings.upload:
-        return streamed(task, team, follows=follows)
+        return streamed(task, team, follows=settings.controller in BODY_RATES)
     if task.motion is None:
         raise InputError("upload", True, "with a plan", "give the plan's directory")
-    return uploaded(task.motion, team, follows=follows)
+    return uploaded(task.motion, team, follows=settings.controller in CURVES_RATES)
 
 
 def streamed(task: Task, team: Team, *, follows: bool) -> Commands:

@@ -112,7 +112,9 @@ def test_filters_take_a_level_pull_for_what_the_firmware_takes_it_for(
     np.testing.assert_allclose(np.mean(tilts[-500:], axis=0), 17.2, atol=0.3)
     seen = np.mean(seen[-500:], axis=0)
     np.testing.assert_allclose(seen[:, 0], believed, rtol=0.1, atol=0.3)
-    np.testing.assert_allclose(seen[:, 1], velocity, rtol=0.1, atol=0.03)
+    # Without attitudes the firmware's offsets tell 4 to 5 cm/s, its velocity 7
+    exact = filter_ is HELD
+    np.testing.assert_allclose(seen[:, 1], velocity, rtol=0.1, atol=0.0 if exact else 0.03)
     off = np.mean(places[-500:, :, 0], axis=0)
     np.testing.assert_allclose(off, [free, fed], rtol=0.1, atol=0.012)
     assert known is not None
@@ -357,6 +359,22 @@ def test_uploads_are_offset_by_the_tension_over_the_stiffness() -> None:
         received(replace(task, motion=None), team, settings)
 
 
+def test_lees_law_follows_the_turning_of_curves_and_not_of_packets() -> None:
+    """Only uploads hold jerks; without cables' forces bodies turn as their accelerations say."""
+    hitch = ho.Hitch.balanced(ho.Team(3, 2.4), ho.regular_polygon(3, 1.3), altitude=1.4)
+    task = Task.of(ho.transport(hitch, [0.6, 0.0, 1.4]).motion)
+    settings = Settings(controller="lee", gains={"ki": 1e-9})
+    team = flown_team(task.team, settings)
+    assert not received(task, team, settings).rates.any()
+    sent = received(task, team, replace(settings, upload=True))
+    up = sent.accelerations[:, 0] + [0.0, 0.0, GRAVITY]
+    axes = up / np.linalg.norm(up, axis=1, keepdims=True)
+    turning = np.linalg.norm(np.gradient(axes, 0.01, axis=0), axis=1)[1:-2]
+    assert np.max(turning) > 0.1
+    level = np.linalg.norm(sent.rates[1:-2, 0, :2], axis=1)
+    np.testing.assert_allclose(level, turning, atol=0.02 * np.max(turning))
+
+
 def test_gains_are_the_teams_or_the_stiffest_or_given() -> None:
     named = ho.Quadrotor(controller="lee", gains={"kp": 0.7})
     team = ho.Team(3, 2.4, quadrotor=[named, ho.Quadrotor(stiffness=1.0), ho.Quadrotor(0.1, 2.0)])
@@ -394,8 +412,50 @@ def test_motors_of_named_controllers_lag_more() -> None:
 
 
 @pytest.fixture(scope="module")
+def hanging() -> ho.Plan:
+    """Return the plan of a triangle with 0.6 N on threads of 2 g/m, held for 12 s."""
+    team = {"robots": 3, "cable_length": 2.4, "tension": 0.6, "cable_density": 0.002}
+    q, r = ([[x, y, 0] for y in (1, 0, -1)] for x in (-0.5, 0.5))
+    form = {"polygon": [[0, 0.58], [0.5, -0.29], [-0.5, -0.29]], "altitude": 1.2}
+    mission = [{"form": form}, {"hold": {"seconds": 12}}]
+    start = {"drones": {"q": q, "r": r}}
+    return ho.solve(ho.problem_from_dict({"team": team, "start": start, "mission": mission}))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["mellinger", "lee", "pid"])
+def test_with_one_marker_uploads_form_loosely_and_draw_tight_without_end(
+    hanging: ho.Plan, name: str
+) -> None:
+    """The filter takes the pull for no tilt: an integral that nobody bounds."""
+    done = ho.simulate(
+        hanging,
+        perturbed=True,
+        seed=1,
+        friction=0.1,
+        controller=name,
+        gains={"ki": 1e-9} if name == "lee" else {},  # else offsets would hold the tension
+        estimator=ONE_MARKER,
+        upload=True,
+        pull_test=False,  # which most of the firmware's fail
+    )
+    record, end = done.flight.record, done.flight.task.duration
+    assert done.outcome.hitched
+    assert 14.0 < np.degrees(np.max(record.tilts)) < 35.0
+
+    def tension(begin: float) -> float:
+        return float(np.mean(record.tensions[(record.t > begin) & (record.t <= begin + 2.0)]))
+
+    assert 0.12 < tension(end - 2.0) < 0.26  # of 0.6 N
+    assert tension(end - 2.0) > 1.25 * tension(end - 9.0)
+    seen = done.errors.offsets[(done.errors.t > end - 2.0) & (done.errors.t <= end)]
+    off = np.mean(np.linalg.norm(np.nanmean(seen, axis=0), axis=-1))
+    assert 0.05 < off < 0.13
+
+
+@pytest.fixture(scope="module")
 def tied() -> ho.Plan:
-    """Return the plan of a triangle with 0.6 N, tied from the ground; ropes of 10 g/m."""
+    """Return the plan of that triangle with cords of 10 g/m, tied alone."""
     team = ho.Team(3, 2.4, tension=0.6, cable_density=0.01)
     q = np.array([[-0.5, 1.0, 0.0], [-0.5, 0.0, 0.0], [-0.5, -1.0, 0.0]])
     polygon = [[0.0, 0.58], [0.5, -0.29], [-0.5, -0.29]]
