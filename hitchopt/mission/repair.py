@@ -415,7 +415,14 @@ def _keys_of(kind: Quadrotor) -> dict[str, Any]:
 
 
 def _retuned(problem: Problem) -> Iterator[Change]:
-    """Yield the change from named controllers to the stiffest gains that fly."""
+    """Yield the change to the least distance that drones are known to be off, by stated limits.
+
+    And the change from named controllers to the stiffest gains that fly.
+    """
+    if (off := problem.limits.tracking) is not None and off > RETUNED:
+        edits = (Edit("limits.tracking", RETUNED),)
+        share, changed = RETUNED / off - 1.0, with_edits(problem, edits)
+        yield Change("limits.tracking", "", off, RETUNED, "m", share, changed, edits)
     kinds = problem.team.quadrotor
     named = [kind for kind in kinds if kind.controller is not None]
     if all(kind.loop.tracking == RETUNED for kind in named):

@@ -130,6 +130,16 @@ def test_named_controllers_cost_at_most_a_fifth_of_the_time(name: str) -> None:
     assert exact.duration < planned(name).duration <= 1.2 * exact.duration
 
 
+def test_a_stated_distance_that_is_too_large_is_suggested_as_retuned_drones_keep_it() -> None:
+    problem: Any = ho.read_problem(PROBLEMS / "form_triangle.yaml")
+    wide = replace(problem, limits=replace(problem.limits, tracking=0.5))
+    with pytest.raises(InfeasibleError, match="let drones be off by less") as caught:
+        ho.solve(wide)
+    (first, *_) = find_suggestions(wide, caught.value, 600.0)
+    assert (first.change.key, first.change.new) == ("limits.tracking", 0.05)
+    assert first.change.relative == pytest.approx(-0.9)
+
+
 def test_aborts_keep_what_the_plan_keeps() -> None:
     motion = planned("retuned_triangle").motion
     for time in (1.0, motion.duration):
