@@ -35,7 +35,8 @@ RETUNED = 0.05
 PULL_TIME = 0.02
 """[s] Velocity over acceleration of a steady level pull that the exported filter takes for motion.
 
-A drone of 132 g that 0.4 N pull believes it moves against the pull at 6 cm/s."""
+A drone of 132 g that 0.4 N pull believes it moves against the pull at 6 cm/s: 5 to 7, by the time
+from predictions to frames."""
 
 EXPONENT = 0.6
 """Power of the stiffness by which drones come closer: 22, 11 and 5 cm at 3.0, 10.2 and 36/s²."""
