@@ -1,22 +1,20 @@
 """Clock, frame and names of a recorded flight, from its bodies and the drones of the plan.
 
-At every offset of the clock, mean squared distances assign bodies to drones: in the plan's frame or
-with y upright if drones are then near their plan, else in frames turned about the vertical. The
-clock is then refined by robust least squares in which every drone has a constant displacement. A
-lag that all drones share becomes part of the clock.
+Mean squared distances assign bodies to drones at every offset of the clock, in the plan's frame or
+with y upright; if drones are then far from their plan, in frames turned about the vertical. The
+best assignments are refined by Gauss-Newton steps of the clock with robust weights, in which every
+drone has a constant displacement. A lag that all drones share becomes part of the clock.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import make_interp_spline
-from scipy.optimize import least_squares, linear_sum_assignment
+from scipy.optimize import linear_sum_assignment
 
 from hitchopt.errors import FileError, InputError, OneLine
 from hitchopt.flights.flight import RecordedFlight, sampled
@@ -24,11 +22,13 @@ from hitchopt.simulation.task import Task
 from hitchopt.storage.files import parsed_json
 from hitchopt.values import Array, Indices
 
-STEP = 0.05  # Of the compared times [s]
-# Least difference of a clock's rate from 1, and largest ratio of costs, at which it is not 1
-MIN_DRIFT, GAIN = 2e-3, 0.8
-# Scales of offsets [s] and of the rate in their solution, and its range over these
-CLOCK_SCALE, RATE_SCALE, RANGE = 0.05, 2e-3, 12.0
+STEP, COARSE = 0.05, 5  # Of the compared times [s], and as many of them in the search
+TURNS = 36  # Frames about the vertical in the search
+REFINED, STEPS = 8, 10  # Best assignments that are refined, and steps of each
+LONGEST_STEP = 0.25  # Of a clock's offset [s]
+# Least and largest difference of a clock's rate from 1, and the largest ratio of costs, at which it
+# is not 1
+MIN_DRIFT, MAX_DRIFT, GAIN = 2e-3, 0.024, 0.8
 ROBUST = 0.02  # Distance from which on residuals count less [m]
 BLOCK = 2.0  # Time after which displacements of drones count as independent [s]
 # Largest distance of drones from their plan, root mean square, and in a frame that is fitted [m];
@@ -39,9 +39,6 @@ MIN_TIME = 2.0  # Least recorded time of the plan [s]; in a frame that is fitted
 MIN_MOTION = 0.05  # Least distance between positions of a team that moves [m]
 ALIKE = 1.25  # Ratio of distances up to which two assignments fit alike
 LIFTED = 0.05  # Least difference of heights that is fitted [m]
-# Steps of the offset in known frames and in turned ones [s], number of turns and of times in the
-# search, and of turned frames that are refined
-KNOWN_STEP, TURNED_STEP, TURNS, COMPARED, CLOSER = 0.2, 0.5, 36, 60, 40
 EXCLUDED = 1e6  # Cost of a pair that is excluded [m²]
 
 Frame = tuple[Array, Array]
@@ -62,8 +59,8 @@ class Alignment(OneLine):
     ----------
     offsets: of the clock of every drone q0, r0, … (2n,) [s]; equal if they share one.
     rate: seconds of the plan per second of the recording.
-    offset_error, rate_error: standard errors, from the flight without each drone and without each
-        part of its time; nan if not fitted.
+    offset_error, rate_error: standard errors, from how drones and parts of the flight differ; nan
+        if not fitted.
     rotation, shift: from the recording's frame to the plan's (3, 3), (3,) [m].
     names: recorded names of the drones q0, r0, q1, …
     rms: distance of the drones from the plan, root mean square [m].
@@ -110,10 +107,9 @@ class _Fit:
     rotation: Array
     shift: Array
     body: Indices  # (2n,), index of every drone's body
-    score: float = np.inf  # Mean square distance over the plan [m²]
-    rival: float = np.inf  # Score of the next best assignment over the best
+    score: float  # Mean square distance over the plan [m²]
     rate: float = 1.0
-    cost: float = np.inf  # Mean of robust squares without the displacements of drones
+    cost: float = np.inf  # Mean of robust squares without the displacements of drones [m²]
     errors: Array = field(default_factory=lambda: np.full(2, np.nan))  # Of offset and rate
 
 
@@ -141,21 +137,19 @@ def align(
         two assignments that fit alike.
     InputError: names or a frame that do not exist.
     """
-    trial = _Trial(flight, task, dict(names or {}))
-    if start is None:
-        trial.require_motion()
-    elif not flight.one_clock:
-        raise InputError("start", start, "left out: drones have clocks of their own", "omit it")
-    known = frame not in (None, "fit")
-    frames = _stated_frame(str(frame)) if known else UP if frame is None else {}
-    if not flight.one_clock and not frames:
-        raise InputError("frame", frame, "plan or y-up: drones have clocks of their own", "omit it")
-    fit = trial.nearest(frames, start)
-    if not (known or (fit and fit.score < MAX_RMS**2)) and flight.one_clock:
-        fit = trial.nearest_turned(start)
-    if fit is None:
-        raise trial.error(f"is too short; record at least {MIN_TIME:g} s of the plan")
-    return trial.judged(trial.timed(fit) if start is None else trial.framed(fit), start)
+    trial = _Trial(flight, task, names or {}, start)
+    if not flight.one_clock:
+        remedy = "omit it: drones have clocks of their own"
+        if start is not None:
+            raise InputError("start", start, "left out", remedy)
+        if frame == "fit":
+            raise InputError("frame", frame, "plan or y-up", remedy)
+    if frame is not None and frame != "fit":
+        return trial.judged(trial.fits(_stated_frame(frame)))
+    fits = trial.fits(UP) if frame is None else []
+    if flight.one_clock and not (fits and fits[0].score < MAX_RMS**2):
+        fits = trial.fits(UP, turned=True)
+    return trial.judged(fits)
 
 
 def _stated_frame(frame: str) -> dict[str, Frame]:
@@ -177,14 +171,16 @@ def _stated_frame(frame: str) -> dict[str, Frame]:
 class _Trial:
     """A recording and a plan at common times."""
 
-    def __init__(self, flight: RecordedFlight, task: Task, names: dict[str, str]) -> None:
+    def __init__(
+        self, flight: RecordedFlight, task: Task, names: Mapping[str, str], start: float | None
+    ) -> None:
         self._flight, self._task, team = flight, task, task.team
         others = [name for name in flight.tracks if name not in team.point_names]
         self._bodies = others if len(others) >= team.drones else list(flight.tracks)
         if len(self._bodies) < team.drones:
             listed = ", ".join(self._bodies) or "none"
             count = f"holds {len(self._bodies)} bodies ({listed}) of {team.drones} drones"
-            raise self.error(f"{count}; export all rigid bodies")
+            raise self._error(f"{count}; export all rigid bodies")
         self._allowed = self._pairs(names)
         # Set points, if they were logged, have no lag.
         commanded = set(self._bodies) <= set(flight.setpoints)
@@ -197,16 +193,22 @@ class _Trial:
         each = [sampled(x, self._t + o) for x, o in zip(tracks, self._origins, strict=True)]
         self._through = np.stack([positions for positions, _ in each], axis=1)  # Straight in gaps
         self._near = np.stack([near for _, near in each], axis=1)
-        self._curves = [
-            make_interp_spline(task.t - task.t[0], x, k=1)
-            for x in np.moveaxis(task.setpoints.positions, 1, 0)
-        ]
+        for words, x in (("plan", task.setpoints.positions), ("recording", self._through)):
+            if start is None and np.max(np.ptp(x, axis=0)) < MIN_MOTION:
+                remedy = "no clock can be fitted; say when the plan begins with start="
+                raise self._error(f"nothing moves in the {words}, so {remedy}")
+        self._timed, half = start is None, half - 0.5 * MIN_TIME
+        self._offsets = (  # Of the clock, in the search [s]
+            np.arange(-half, task.duration + half, COARSE * STEP)
+            if start is None
+            else np.array([self._origins[0] - start])
+        )
 
-    def error(self, words: str) -> FileError:
+    def _error(self, words: str) -> FileError:
         """Return the error of a recording that cannot be compared with the plan."""
         return FileError(f"{self._flight.source}: {words}")
 
-    def _pairs(self, names: dict[str, str]) -> NDArray[np.bool_]:
+    def _pairs(self, names: Mapping[str, str]) -> NDArray[np.bool_]:
         """Return whether a body may be a drone (m, 2n), by names of the request."""
         drones, bodies = list(self._task.team.drone_names), self._bodies
         allowed = np.ones((len(bodies), len(drones)), np.bool_)
@@ -221,190 +223,143 @@ class _Trial:
             allowed[b, i] = True
         return allowed
 
-    def _planned(self, tau: Array) -> Array:
-        """Return planned positions (times, 2n, 3) [m] at plan times (times, 2n)."""
-        tau = np.clip(tau, 0.0, self._task.duration)
-        return np.stack([at(t) for at, t in zip(self._curves, tau.T, strict=True)], axis=1)
+    def fits(self, frames: Mapping[str, Frame], *, turned: bool = False) -> list[_Fit]:
+        """Return refined fits of the best assignments, best first, in frames or in turned ones."""
+        yaws, drones = np.arange(TURNS if turned else 1), np.arange(self._task.team.drones)
+        turns, best = [_turn(2.0 * np.pi * k / TURNS) for k in yaws], dict[tuple[int, ...], _Fit]()
+        for name, (R, p) in frames.items() if len(self._offsets) else ():
+            x = self._through[::COARSE] @ R.T + p
+            costs = np.stack([self._costs(x, o, turns, turned) for o in self._offsets])
+            clocks = np.broadcast_to(self._offsets[:, None, None, None], costs.shape)
+            if not self._flight.one_clock:
+                clocks = self._offsets[np.argmin(costs, axis=0)][None]
+                costs = np.min(costs, axis=0, keepdims=True)
+            costs = np.where(self._allowed, costs, EXCLUDED)
+            for i, k in np.ndindex(costs.shape[:2]):
+                body = linear_sum_assignment(costs[i, k].T)[1]
+                score = float(np.mean(costs[i, k, body, drones]))
+                if score < (best[key].score if (key := tuple(body.tolist())) in best else np.inf):
+                    frame = "fit" if turned else name, turns[k] @ R, p
+                    best[key] = _Fit(clocks[i, k, body, drones], *frame, body, score)
+        ranked = sorted(best.values(), key=lambda fit: fit.score)[:REFINED]
+        return sorted(map(self._refined, ranked), key=lambda fit: fit.score)
 
-    def require_motion(self) -> None:
-        """Raise FileError if the plan or the recording stands still, which leaves clocks open."""
-        for words, x in (("plan", self._task.setpoints.positions), ("recording", self._through)):
-            if np.max(np.ptp(x, axis=0)) < MIN_MOTION:
-                remedy = "say when the plan begins with start="
-                raise self.error(
-                    f"nothing moves in the {words}, so no clock can be fitted; {remedy}"
-                )
+    def _costs(self, x: Array, offset: float, turns: Sequence[Array], centred: bool) -> Array:
+        """Return mean squared distances of bodies and drones (turns, m, 2n) at an offset.
 
-    def _offsets(self, start: float | None, step: float) -> Array:
-        """Return the offsets of the clock that are compared (k,) [s]."""
-        if start is not None:
-            return np.array([self._origins[0] - start])
-        half = self._t[-1] - 0.5 * MIN_TIME
-        return np.arange(-half, self._task.duration + half, step)
-
-    def nearest(self, frames: Mapping[str, Frame], start: float | None) -> _Fit | None:
-        """Return the best fit in some frames; None if there is none."""
-        fits, drones = list[_Fit](), np.arange(self._task.team.drones)
-        offsets = self._offsets(start, KNOWN_STEP)
-        for frame, (R, p) in frames.items() if len(offsets) else ():
-            costs = np.stack([self._costs(offset, R[None], p)[0] for offset in offsets])
-            if self._flight.one_clock:
-                each = [self._assigned(one) for one in costs]
-                i = np.full(len(drones), np.argmin([score for _, score in each]))
-                body, score = each[i[0]]
-            else:
-                body, score = self._assigned(np.min(costs, axis=0))
-                i = np.argmin(costs, axis=0)[body, drones]
-            fits.append(_Fit(offsets[i], frame, R, p, body, score))
-        return min(fits, key=lambda fit: fit.score, default=None)
-
-    def nearest_turned(self, start: float | None) -> _Fit | None:
-        """Return the best fit in frames turned about the vertical; None if there is none."""
-        yaws = np.linspace(0.0, 2.0 * np.pi, TURNS, endpoint=False)
-        rotations = np.array([_turn(yaw) @ up for up, _ in UP.values() for yaw in yaws])
-        trials = [
-            (score, offset, R, body)
-            for offset in self._offsets(start, TURNED_STEP)
-            for R, costs in zip(rotations, self._costs(offset, rotations, None), strict=True)
-            for body, score in (self._assigned(costs),)
-        ]
-        best = dict[tuple[int, ...], _Fit]()  # By assignment
-        for _, offset, R, body in sorted(trials, key=lambda each: each[0])[:CLOSER]:
-            fit = self.framed(_Fit(np.full(len(body), offset), "fit", R, np.zeros(3), body))
-            best[tuple(body)] = min(best.get(tuple(body), fit), fit, key=lambda each: each.score)
-        fits = sorted(best.values(), key=lambda fit: fit.score)
-        if len(fits) < 2:
-            return fits[0] if fits else None
-        return replace(fits[0], rival=fits[1].score / fits[0].score)
-
-    def _costs(self, offset: float, rotations: Array, p: Array | None) -> Array:
-        """Return mean squared distances of bodies and drones (rotations, m, 2n) at an offset.
-
-        They are those of centred positions if the shift p is None. UNSEEN counts for the part of
-        the plan that is not recorded.
+        Positions x (times, m, 3) are turned, after centring on demand. UNSEEN counts for the part
+        of the plan that is not recorded.
         """
-        tau = offset + self._t
-        rows = np.flatnonzero((tau >= 0.0) & (tau <= self._task.duration))
-        share = min(1.0, len(rows) * STEP / self._task.duration)
-        rows = rows[:: max(1, len(rows) // COMPARED)]
-        if not len(rows):
-            return np.full((len(rotations), *self._allowed.shape), EXCLUDED)
-        plan = self._planned(np.repeat(tau[rows, None], self._task.team.drones, axis=1))
-        x = np.einsum("fij,tbj->ftbi", rotations, self._through[rows])
+        tau = offset + self._t[::COARSE]
+        on = (tau >= 0.0) & (tau <= self._task.duration)
+        if not np.any(on):
+            return np.full((len(turns), *self._allowed.shape), EXCLUDED)
+        share = min(1.0, np.sum(on) * COARSE * STEP / self._task.duration)
+        plan = self._planned(np.repeat(tau[on, None], self._task.team.drones, axis=1))[0]
         middle = np.mean(plan, axis=(0, 1))
-        shift = p - middle if p is not None else -np.mean(x, axis=(1, 2), keepdims=True)
-        x, plan = x + shift, plan - middle
-        squares = np.sum(x**2, axis=-1).mean(axis=1)[..., None] + np.sum(plan**2, axis=-1).mean(0)
-        squares -= 2.0 * np.einsum("ftbi,tki->fbk", x, plan) / len(rows)
+        plan, x = plan - middle, x[on] - (np.mean(x[on], axis=(0, 1)) if centred else middle)
+        squares = np.mean(np.sum(x**2, -1), 0)[:, None] + np.mean(np.sum(plan**2, -1), 0)
+        products = np.tensordot(x, plan, (0, 0)) / len(x)  # (m, 3, 2n, 3)
+        squares = squares - 2.0 * np.einsum("bjki,fij->fbk", products, np.stack(turns))
         return np.asarray(share * squares + (1.0 - share) * UNSEEN**2)
 
-    def _assigned(self, costs: Array) -> tuple[Indices, float]:
-        """Return the body of every drone with the least mean cost, of costs (m, 2n)."""
-        b, i = linear_sum_assignment(np.where(self._allowed, costs, EXCLUDED))
-        return b[np.argsort(i)], float(np.mean(costs[b, i]))
+    def _planned(self, tau: Array) -> tuple[Array, Array]:
+        """Return positions [m] and velocities [m/s] (times, 2n, 3) at plan times (times, 2n)."""
+        t, x = self._task.t - self._task.t[0], self._task.setpoints.positions
+        tau, drones = np.clip(tau, 0.0, t[-1]), np.arange(x.shape[1])
+        i = np.clip(np.searchsorted(t, tau, "right") - 1, 0, len(t) - 2)
+        v = (x[i + 1, drones] - x[i, drones]) / (t[i + 1] - t[i])[..., None]
+        return x[i, drones] + (tau - t[i])[..., None] * v, v
 
-    def _apart(self, fit: _Fit) -> tuple[Array, NDArray[np.bool_], Array]:
-        """Return offsets of drones from the plan (times, 2n, 3) [m], which count, and the plan."""
+    def _apart(self, fit: _Fit) -> tuple[Array, NDArray[np.bool_], Array, Array]:
+        """Return offsets from the plan [m], which count, and positions and velocities of the plan.
+
+        Shapes are (times, 2n, 3) and (times, 2n).
+        """
         tau = fit.rate * self._t[:, None] + fit.offsets
-        plan = self._planned(tau)
-        apart = self._through[:, fit.body] @ fit.rotation.T + fit.shift - plan
-        return apart, (tau >= 0.0) & (tau <= self._task.duration) & self._near[:, fit.body], plan
+        plan, v = self._planned(tau)
+        use = (tau >= 0.0) & (tau <= self._task.duration) & self._near[:, fit.body]
+        return self._through[:, fit.body] @ fit.rotation.T + fit.shift - plan, use, plan, v
 
-    def framed(self, fit: _Fit) -> _Fit:
+    def _framed(self, fit: _Fit) -> _Fit:
         """Return a fit with its score, and with a better frame if that is fitted."""
-        apart, use, plan = self._apart(fit)
+        apart, use, plan, _ = self._apart(fit)
         if fit.frame == "fit" and np.any(use):
             up = min((R for R, _ in UP.values()), key=lambda R: -R[2] @ fit.rotation[2])
             R, p = _fitted_frame(self._through[:, fit.body][use], plan[use], up)
             fit = replace(fit, rotation=R, shift=p)
-            apart, use, _ = self._apart(fit)
+            apart, use, *_ = self._apart(fit)
         total = max(self._task.duration / (STEP * fit.rate) * use.shape[1], np.sum(use))
         squares = np.sum(apart[use] ** 2) + (total - np.sum(use)) * UNSEEN**2
         return replace(fit, score=float(squares / total))
 
-    def timed(self, fit: _Fit) -> _Fit:
+    def _refined(self, fit: _Fit) -> _Fit:
         """Return a fit with better clocks, at a rate of 1 unless another one gains clearly."""
-        plain = self._clocked(self._clocked(fit, with_rate=False), with_rate=False)
-        other = self._clocked(self._clocked(plain, with_rate=True), with_rate=True)
-        clearly = other.cost < GAIN * plain.cost and abs(other.rate - 1.0) > MIN_DRIFT
-        return other if clearly else plain
+        if not self._timed:
+            return self._framed(fit)
+        plain = self._clocked(fit, with_rate=False)
+        other = self._clocked(plain, with_rate=True)
+        drifts = MIN_DRIFT < abs(other.rate - 1.0) < MAX_DRIFT
+        return other if drifts and other.cost < GAIN * plain.cost else plain
 
     def _clocked(self, fit: _Fit, *, with_rate: bool) -> _Fit:
-        """Return a fit with better clocks, their cost and standard errors, and a better frame."""
-        clocks = 1 if self._flight.one_clock else len(fit.body)
-        scale = np.append(np.full(clocks, CLOCK_SCALE), [RATE_SCALE] * with_rate)
+        """Return a fit with better clocks, their cost and standard errors, and a better frame.
 
-        def at(unknown: Array) -> _Fit:
-            change = scale * (unknown - 1.0)  # Differences are taken relative to unknowns
-            rate = fit.rate + float(np.sum(change[clocks:]))
-            return replace(fit, offsets=fit.offsets + change[:clocks], rate=rate)
-
-        use = self._apart(fit)[1]
-
-        def residuals(unknown: Array) -> Array:
-            return self._displaced(at(unknown), use).ravel()
-
-        bounds = 1.0 - RANGE, 1.0 + RANGE
-        robust: Any = {"loss": "soft_l1", "f_scale": ROBUST, "diff_step": 1e-2, "bounds": bounds}
-        solution: Any = least_squares(residuals, np.ones(len(scale)), **robust)
-        steps = 0.1 * np.eye(len(scale))
-        J = np.stack([residuals(solution.x + h) - residuals(solution.x - h) for h in steps]) / 0.2
-        squares = scale**2 * self._variances(J.reshape(-1, *use.shape, 3), solution.fun)
-        errors = np.sqrt([np.mean(squares[:clocks]), *squares[clocks:], np.nan][:2])
-        cost = float(solution.cost / max(1, 3 * np.count_nonzero(use)))
-        return self.framed(replace(at(solution.x), errors=errors, cost=cost))
-
-    def _displaced(self, fit: _Fit, use: NDArray[np.bool_]) -> Array:
-        """Return offsets from the plan (times, 2n, 3) [m] without every drone's median."""
-        apart = np.where(use[..., None], self._apart(fit)[0], np.nan)
-        return np.nan_to_num(apart - _median(apart))
-
-    def _variances(self, J: Array, residuals: Array) -> Array:
-        """Return variances of unknowns by leaving out each drone, and each part of the time.
-
-        ``J`` are derivatives (unknowns, times, 2n, 3). Drones differ for the whole flight, and what
-        displaces all of them lasts for a while: both variances are added.
+        Errors are those of sums over drones and over blocks of time: drones differ for the whole
+        flight, and what displaces all of them lasts for a while.
         """
-        weights = 1.0 / np.sqrt(1.0 + (residuals.reshape(J.shape[1:]) / ROBUST) ** 2)
-        g = np.einsum("utix,tix->uti", J, weights * residuals.reshape(J.shape[1:]))
-        H = np.einsum("utix,vtix,tix->uvti", J, J, weights)
-        parts = np.unique(self._t // BLOCK, return_inverse=True)[1]
-        groups = [np.eye(J.shape[2])] if self._flight.one_clock else []
-        groups.append(np.eye(int(np.max(parts)) + 1)[parts])
-        total = np.zeros(len(J))
-        for group, axis in zip(groups[::-1], "ti", strict=False):
-            own = np.einsum(f"uti,{axis}b->ub", g, group)
-            left = np.sum(H, axis=(2, 3)) - np.einsum(f"uvti,{axis}b->buv", H, group)
-            changes = np.einsum("buv,vb->ub", np.linalg.pinv(left, hermitian=True), own)
-            total += np.sum(changes**2, axis=1) * (1.0 - 1.0 / group.shape[1])
-        return total
+        own = np.ones((1, len(fit.body))) if self._flight.one_clock else np.eye(len(fit.body))
+        blocks = np.unique(self._t // BLOCK, return_inverse=True)[1]
+        weight = self._apart(fit)[1].astype(np.float64)
+        for _ in range(STEPS):
+            fit = self._framed(fit)
+            apart, use, _, v = self._apart(fit)
+            squares = np.sum(_centred(apart, weight) ** 2, axis=-1) / ROBUST**2
+            weight = use / np.sqrt(1.0 + squares)
+            rates = [v * self._t[:, None, None]] if with_rate else []
+            J = _centred(np.stack([*(own[:, None, :, None] * v), *rates]), weight)
+            g = np.einsum("utix,tix,ti->uti", J, _centred(apart, weight), weight)
+            inverse = np.linalg.pinv(np.einsum("utix,vtix,ti->uv", J, J, weight), hermitian=True)
+            step = np.clip(inverse @ np.sum(g, axis=(1, 2)), -LONGEST_STEP, LONGEST_STEP)
+            rate = float(
+                np.clip(fit.rate + np.sum(step[len(own) :]), 1.0 - MAX_DRIFT, 1.0 + MAX_DRIFT)
+            )
+            fit = replace(fit, offsets=fit.offsets + step[: len(own)] @ own, rate=rate)
+        sums = np.sum(g, axis=1), np.stack([np.bincount(blocks, x) for x in np.sum(g, axis=2)])
+        each = [inverse @ x * np.sqrt(x.shape[1] / max(1, x.shape[1] - 1)) for x in sums]
+        variances = np.sum(np.hstack(each) ** 2, axis=1)
+        errors = np.sqrt([np.mean(variances[: len(own)]), *variances[len(own) :], np.nan][:2])
+        cost = float(np.sum(use * (np.sqrt(1.0 + squares) - 1.0)) / max(1, np.sum(use)))
+        return self._framed(replace(fit, errors=errors, cost=cost))
 
-    def judged(self, fit: _Fit, start: float | None) -> Alignment:
+    def judged(self, fits: Sequence[_Fit]) -> Alignment:
         """Return the alignment of the best fit, unless it has to be refused."""
-        apart, use, plan = self._apart(fit)
+        if not fits:
+            raise self._error(f"is too short; record at least {MIN_TIME:g} s of the plan")
+        fit = fits[0]
+        apart, use, plan, _ = self._apart(fit)
         rms = float(np.sqrt(np.mean(np.sum(apart[use] ** 2, axis=-1)))) if use.any() else np.inf
         seen = float(np.max(np.sum(use, axis=0)) * STEP * fit.rate)
         largest, needed = MAX_RMS, MIN_TIME
         if fit.frame == "fit":
             largest, needed = MAX_FITTED_RMS, max(0.5 * self._task.duration, MIN_TIME)
         needed = min(needed, self._task.duration)
-        moved = np.where(use[..., None], plan, np.nan)
-        moved = np.nan_to_num(moved - _median(moved))
-        unplanned = float(np.sum(self._displaced(fit, use) ** 2) / max(np.sum(moved**2), 1e-12))
-        other = start is None and unplanned > MAX_UNPLANNED**2
+        off, moved = (np.sum(_centred(x, use.astype(np.float64))[use] ** 2) for x in (apart, plan))
+        unplanned = float(np.sqrt(off / max(moved, 1e-12)))
+        other = self._timed and unplanned > MAX_UNPLANNED
         if rms > largest or seen < needed - STEP or other:
             words = f"{rms:.2f} m from the plan (root mean square) for {seen:.1f} s of it"
-            words += f", and move {100.0 * np.sqrt(unplanned):.0f} % as much off it as in it"
-            raise self.error(
+            words += f", and move {100.0 * unplanned:.0f} % as much off it as in it"
+            raise self._error(
                 f"its drones are {words if np.any(use) else 'nowhere near the plan'}; its own are "
                 f"within {largest:g} m for at least {needed:.1f} s, and move at most "
                 f"{100.0 * MAX_UNPLANNED:.0f} % as much off it: name the plan that was flown, or "
                 "record more of it"
             )
-        if fit.rival < ALIKE**2:
-            raise self.error("two assignments of names fit alike: give names=, or frame='plan'")
+        if len(fits) > 1 and fits[1].score < ALIKE**2 * fit.score:
+            raise self._error("two assignments of names fit alike: give names=, or frame='plan'")
         parts = {
-            "clock": start is None,
+            "clock": self._timed,
             "rate": fit.rate != 1.0,
             "frame": fit.frame == "fit",
             "names": np.any(np.sum(self._allowed, axis=0) > 1),
@@ -423,10 +378,11 @@ class _Trial:
         )
 
 
-def _median(values: Array) -> Array:
-    """Return medians over the first axis of finite values; zero if there is none."""
-    none = ~np.any(np.isfinite(values), axis=0)
-    return np.asarray(np.nanmedian(np.where(none, 0.0, values), axis=0))
+def _centred(values: Array, weight: Array) -> Array:
+    """Return values (…, times, 2n, 3) without their means over time, of weights (times, 2n)."""
+    total = np.maximum(np.sum(weight, axis=0), 1e-9)[:, None]
+    sums = np.einsum("...tix,ti->...ix", values, weight)
+    return np.asarray(values - sums[..., None, :, :] / total)
 
 
 def _turn(yaw: float) -> Array:

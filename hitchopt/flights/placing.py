@@ -67,7 +67,7 @@ def marker_plan(task: Task) -> MarkerPlan:
     before, after = u[:, layout.behind], u[:, layout.ahead]
     sine = before[..., 0] * after[..., 1] - before[..., 1] * after[..., 0]
     both = SCATTER**2 * (relative[:, 1, layout.behind] + relative[:, 0, layout.ahead])
-    each = crossing_errors(both, both, sine)
+    each = crossing_errors(both, sine)
     errors = np.full((layout.points, 2), np.nan)
     if len(each):
         errors[layout.clasps] = np.column_stack([np.median(each, axis=0), np.max(each, axis=0)])

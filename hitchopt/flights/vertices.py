@@ -1,15 +1,18 @@
 """Vertices of a hitch from markers on its edges: crossings of local lines, seen from above.
 
 A point near an edge belongs to it, whatever its label. In windows of time the points of an edge
-give a line, aside and in height: offset, slope and rate by robust least squares, besides the sag of
-a cable under its tension. Round by round gates and windows shrink. A vertex is where the lines of
-neighbouring edges cross seen from above, at their mean height. Standard errors follow from how
-markers, not samples, scatter about lines: what bends a cable is alike in all samples of a window.
+give a line, aside and in height: offset, slope and rate by least squares, besides the sag of a
+cable under its tension. Round by round gates and windows shrink; within a gate, points count the
+less the farther they are from the last round's line (Tukey's biweight). A vertex is where the lines
+of neighbouring edges cross seen from above, at their mean height. Standard errors follow from how
+markers, not samples, scatter about lines: a marker beside its cable is so in all samples.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -25,15 +28,16 @@ from hitchopt.values import Array, Indices
 
 RATE = 20.0  # Of the times of vertices [Hz]
 BODY = 0.09  # Distance from a drone within which markers are its own [m]
-# Distances from its edge within which a point counts [m], and windows [s], round by round; the last
-# window is the default one. Windows begin one after the other OVERLAP times within each
-GATES, WINDOWS, WINDOW, OVERLAP = (0.30, 0.12, 0.05, 0.03), (1.0, 0.6, 0.3), 0.1, 5
-# Solutions of a window, scatters beyond which points count little, and the least scatter [m]
-REWEIGHTED, FAR, FINEST = 4, 3.0, 1e-4
+WINDOW = 0.1  # Default time over which places are averaged [s]
+# Distance from its edge within which a point counts [m], and window [s], None for the default one,
+# of every round. Windows begin one after the other OVERLAP times within each
+ROUNDS = ((0.30, 1.0), (0.12, 0.6), (0.05, 0.3), (0.03, None), (0.02, None))
+OVERLAP = 5
 RIDGE = np.array([0.0, 1e-6, 1e-6])  # Added to mean squares of places [m²] and times [s²]
 LEAST_SPREAD = 1e-3  # Least sum of squares of the places of an edge's markers [m²]
 SPACING = 0.03  # Distance along an edge from which on points are of different markers [m]
 BENT = 1e-3  # Scatter about lines of ropes that clasps bend, besides that of markers [m]
+COUNTED = 0.25  # Weight from which on a point is of a marker
 SMOOTH = 1.0  # Time over which the displacement of all drones is averaged [s]
 LARGEST = 0.05  # Largest standard error of a vertex [m]
 SINE = 0.05  # Least sine of the angle at which edges cross
@@ -99,6 +103,16 @@ class _Edges:
         return np.asarray(0.5 * self.curvature[time] * s * (s - self.span[time]))
 
 
+class _Points(NamedTuple):
+    """Points by ascending edges and times."""
+
+    edge: Indices  # (k,)
+    time: Array  # (k,) [s]
+    s: Array  # (k,) [m], along the edge
+    values: Array  # (k, 3): aside, above and sag
+    weight: Array  # (k,)
+
+
 @dataclass(frozen=True, eq=False)
 class _Lines:
     """Local lines of all edges at some times; nan with fewer than two markers."""
@@ -106,7 +120,7 @@ class _Lines:
     fit: Array  # (t, n, 2, 2): aside and above; offset at the expected start, and slope
     density: Array  # (n,) [kg/m], of the sag besides
     markers: Array  # (t, n, 3): number, mean place [m], and sum of squares of places [m²]
-    scatter: Array  # (2,) [m], of markers about lines, aside and above
+    scatter: float  # [m], of markers about lines
 
 
 def line_variances(markers: Array, s: Array) -> Array:
@@ -118,12 +132,12 @@ def line_variances(markers: Array, s: Array) -> Array:
     return np.asarray(1.0 / count + (s - mean) ** 2 / squares)
 
 
-def crossing_errors(aside: Array, above: Array, sine: Array) -> Array:
+def crossing_errors(variances: Array, sine: Array) -> Array:
     """Return standard errors (…) [m] of crossings of two lines at an angle.
 
-    ``aside`` and ``above`` are the sums of both lines' variances there (…) [m²].
+    ``variances`` is the sum of both lines' variances there (…) [m²], aside and in height.
     """
-    return np.asarray(np.sqrt(aside / sine**2 + 0.25 * above))
+    return np.asarray(np.sqrt(variances * (1.0 / sine**2 + 0.25)))
 
 
 def measured_vertices(
@@ -147,7 +161,6 @@ def measured_vertices(
     density: of the cables [kg/m]; None: the plan's, or fitted if the plan knows no weight.
     window: time over which places are averaged [s].
     """
-    layout, n = task.team.layout, task.team.robots
     planned_density = task.team.cable_density
     known = planned_density if planned_density >= WEIGHTLESS else None
     known = known if density is None else density
@@ -159,18 +172,18 @@ def measured_vertices(
     time, expected = cloud.t[frame], _Edges.of(task, cloud.t, moved)
     s, values = expected.seen(frame, x)
     ends: list[Array] = [np.zeros(s.shape), expected.span[frame]]
-    off = values[..., :2].copy()
-    off[..., 1] -= (known or 0.0) * values[..., 2]
-    for gate, width in zip(GATES, (*WINDOWS, window), strict=True):
+    off = values[..., :2] - (known or 0.0) * values[..., 2:] * [0.0, 1.0]
+    for gate, width in ((gate, width or window) for gate, width in ROUNDS):
         distance = np.where((s > ends[0]) & (s < ends[1]), length(off), np.inf)
-        edge = np.argmin(distance, axis=1)
-        near = np.flatnonzero(np.min(distance, axis=1) < gate)
-        near = near[np.lexsort((time[near], edge[near]))]
-        grid = np.arange(t[0], t[-1] + width, width / OVERLAP) if gate > GATES[-1] else t
-        given = edge[near], time[near], s[near, edge[near]], values[near, edge[near]]
-        lines = _fitted(grid, width, n, *given, known)
+        edge, share = np.argmin(distance, axis=1), np.min(distance, axis=1) / gate
+        near = np.flatnonzero(share < 1.0)
+        near = near[np.argsort(edge[near], kind="stable")]
+        given = s[near, edge[near]], values[near, edge[near]], (1.0 - share[near] ** 2) ** 2
+        grid = np.arange(t[0], t[-1] + width, width / OVERLAP) if width > window else t
+        points = _Points(edge[near], time[near], *given)
+        lines = _fitted(points, grid, width, s.shape[1], known)
         edges = _Edges.of(task, grid, _at(cloud.t, moved, grid))
-        crossings, errors, crossed = _crossings(edges, lines, layout)
+        crossings, errors, crossed = _crossings(edges, lines, task.team.layout)
         fit = _at(grid, lines.fit, time)
         off = values[..., :2] - np.nan_to_num(fit[..., 0] + s[..., None] * fit[..., 1])
         off[..., 1] -= lines.density * values[..., 2]
@@ -197,86 +210,70 @@ def _mean(values: Array) -> Array:
     return np.asarray(np.mean(np.nan_to_num(values), axis=0))
 
 
-def _fitted(
-    grid: Array, width: float, n: int, edge: Indices, time: Array, s: Array, values: Array,
-    known: float | None,
-) -> _Lines:  # fmt: skip
-    """Return the lines of n edges in windows about times, of points sorted by edge and time.
+def _fitted(points: _Points, grid: Array, width: float, n: int, known: float | None) -> _Lines:
+    """Return the lines of n edges in windows about times (t,).
 
-    ``values`` are aside, above and sag (k, 3); of a cable without ``known`` density it is fitted.
+    They follow from moments of ones, places, times and values, summed over windows. The density of
+    cables is fitted unless it is ``known``.
     """
     size = len(grid)
-    key = 2.0 * (np.max(np.abs(np.append(time, grid))) + width)  # Times of an edge are apart
-    sorted_by = edge * key + time
-    middle = (np.arange(n)[:, None] * key + grid).ravel()
-    first, end = (np.searchsorted(sorted_by, middle + d) for d in (-0.5 * width, 0.5 * width))
-    count = end - first
-    group = np.repeat(np.arange(n * size), count)
-    row = np.arange(len(group)) - np.repeat(np.cumsum(count) - count, count) + first[group]
-
-    def summed(values: Array) -> Array:
-        return np.asarray(np.bincount(group, values, n * size), np.float64)
-
-    along, late = s[row], time[row] - grid[group % size]
-    place = summed(along) / np.maximum(count, 1)
-    A = np.stack([np.ones(len(row)), along - place[group], late], axis=-1)
-    y, weight = values[row], np.ones(len(row))
+    q = np.column_stack([np.ones(len(points.s)), points.s, points.time, points.values])
+    products = points.weight[:, None, None] * q[:, :, None] * q[:, None]
+    total = np.concatenate([np.zeros((1, 6, 6)), np.cumsum(products, axis=0)])
+    bounds = np.searchsorted(points.edge, np.arange(n + 1))
+    first, end = (
+        np.stack([a + np.searchsorted(points.time[a:b], grid + d) for a, b in pairwise(bounds)])
+        for d in (-0.5 * width, 0.5 * width)
+    )
+    moments = total[end] - total[first]  # (n, t, 6, 6)
+    weight = np.maximum(moments[..., 0, 0], 1e-9)
+    shift = np.broadcast_to(np.eye(6), moments.shape).copy()  # To mean places and windows' times
+    shift[..., 1, 0], shift[..., 2, 0] = -moments[..., 0, 1] / weight, -grid
+    moments = shift @ moments @ np.swapaxes(shift, -1, -2)
+    H = moments[..., :3, :3] + weight[..., None, None] * np.diag(RIDGE) + 1e-12 * np.eye(3)
+    fit = np.linalg.solve(H, moments[..., :3, 3:])
     density = np.full(n, known or 0.0)
-    for _ in range(REWEIGHTED):
-        total = np.maximum(summed(weight), 1e-9)
-        H, g = np.empty((n * size, 3, 3)), np.empty((n * size, 3, 3))
-        for i in range(3):
-            for j in range(3):
-                H[:, i, j] = summed(weight * A[:, i] * A[:, j])
-                g[:, i, j] = summed(weight * A[:, i] * y[:, j])
-        H += total[:, None, None] * np.diag(RIDGE) + 1e-12 * np.eye(3)
-        fit = np.linalg.solve(H, g)
-        left = y - np.einsum("ki,kij->kj", A, fit[group])
-        if known is None:
-            each = group // size
-            both = np.bincount(each, weight * left[:, 1] * left[:, 2], n)
-            own = np.bincount(each, weight * left[:, 2] ** 2, n)
-            density = np.clip(both / np.maximum(own, 1e-12), 0.0, DENSEST)
-        left = np.column_stack([left[:, 0], left[:, 1] - density[group // size] * left[:, 2]])
-        off = length(left)
-        far = off / (FAR * max(1.4826 * float(np.median(off)) if len(off) else 0.0, FINEST))
-        weight = 1.0 / (1.0 + far**2) ** 2
-    markers, scatter = _markers(group, n * size, along, left, weight)
-    of = np.arange(n * size) // size
-    lines = np.stack([fit[:, :2, 0], fit[:, :2, 1] - density[of, None] * fit[:, :2, 2]], axis=1)
-    lines[..., 0] -= lines[..., 1] * place[:, None]
-    none = (markers[:, 0] < 2) | (markers[:, 2] < LEAST_SPREAD)
-    lines[none], markers[none] = np.nan, np.nan
-    shaped = (np.moveaxis(x.reshape(n, size, *x.shape[1:]), 0, 1) for x in (lines, markers))
-    return _Lines(next(shaped), density, next(shaped), scatter)
+    if known is None:
+        left = moments[..., 3:, 3:] - np.swapaxes(moments[..., :3, 3:], -1, -2) @ fit
+        both, squares = np.sum(left[..., 1:, 2], axis=1).T
+        density = np.clip(both / np.maximum(squares, 1e-12), 0.0, DENSEST)
+    fit = fit[..., :2] - density[:, None, None, None] * fit[..., 2:] * [0.0, 1.0]
+    count = (end - first).ravel()
+    group = np.repeat(np.arange(n * size), count)
+    row = np.arange(len(group)) - np.repeat(np.cumsum(count) - count - first.ravel(), count)
+    A = np.einsum("kij,kj->ki", shift.reshape(-1, 6, 6)[group, :3, :3], q[row, :3])
+    sag = density[points.edge[row], None] * q[row, 5:] * [0.0, 1.0]
+    left = q[row, 3:5] - sag - np.einsum("kc,kcv->kv", A, fit.reshape(-1, 3, 2)[group])
+    used = points.weight[row] > COUNTED
+    markers, scatter = _markers(group[used], n * size, points.s[row[used]], left[used])
+    markers = markers.reshape(n, size, 3)
+    fit[..., 0, :] += fit[..., 1, :] * shift[..., 1, :1]
+    fit[(markers[..., 0] < 2) | (markers[..., 2] < LEAST_SPREAD)] = np.nan
+    lines = np.swapaxes(np.moveaxis(fit[..., :2, :], 0, 1), -1, -2)
+    return _Lines(lines, density, np.moveaxis(markers, 0, 1), scatter)
 
 
-def _markers(
-    group: Indices, groups: int, s: Array, left: Array, weight: Array
-) -> tuple[Array, Array]:
-    """Return number, mean place and squares of markers in groups of points, and their scatter.
+def _markers(group: Indices, groups: int, s: Array, left: Array) -> tuple[Array, float]:
+    """Return number, mean place and squares of markers in groups of points, and their scatter [m].
 
-    Points of a group that lie close along the edge are those of one marker; the scatter is that of
-    its mean residuals (k, 2) [m].
+    Points of a group that lie close along the edge are those of one marker. The scatter is that of
+    markers' mean residuals, of points (k, 2), aside and in height.
     """
-    used = np.flatnonzero(weight > 0.25)  # As far as FAR scatters
-    used = used[np.lexsort((s[used], group[used]))]
-    group, s, left = group[used], s[used], left[used]
+    order = np.lexsort((s, group))
+    group, s, left = group[order], s[order], left[order]
     new = (np.diff(group, prepend=-1) > 0) | (np.diff(s, prepend=-np.inf) > SPACING)
-    marker = np.cumsum(new) - 1
+    marker, of = np.cumsum(new) - 1, group[new]
     size = np.bincount(marker)
-    place, aside, above = (np.bincount(marker, x) / size for x in (s, *left.T))
-    of = group[new]
+    place, *off = (np.bincount(marker, x) / size for x in (s, *left.T))
     count = np.bincount(of, minlength=groups).astype(np.float64)
     mean = np.bincount(of, place, groups) / np.maximum(count, 1.0)
     squares = np.bincount(of, (place - mean[of]) ** 2, groups)
-    many = count[of] >= 3
-    freedom = np.sum(np.where(count >= 3, count - 2.0, 0.0))
+    freedom = 2.0 * np.sum(np.where(count >= 3, count - 2.0, 0.0))
     if freedom:
-        scatter = [np.sqrt(np.sum(x[many] ** 2) / freedom) for x in (aside, above)]
+        scatter = float(np.sqrt(np.sum(np.square(off)[:, count[of] >= 3]) / freedom))
     else:  # Two markers are always on a line; so their samples' scatter counts
-        scatter = [float(np.std(x)) if len(x) else np.nan for x in left.T]
-    return np.column_stack([count, mean, squares]), np.hypot(scatter, BENT)
+        scatter = float(np.sqrt(np.mean(left**2))) if len(left) else np.nan
+    return np.column_stack([count, mean, squares]), float(np.hypot(scatter, BENT))
 
 
 def _crossings(
@@ -305,8 +302,7 @@ def _crossings(
     errors = np.full(crossings.shape[:2], np.nan)
     crossings[:, layout.clasps, :2] = base[:, b] + crossed[0][:, b, None] * toward[:, b]
     crossings[:, layout.clasps, 2] = 0.5 * (heights[1][:, a] + heights[0][:, b])
-    aside, above = lines.scatter**2
-    errors[:, layout.clasps] = crossing_errors(aside * both, above * both, sine)
+    errors[:, layout.clasps] = crossing_errors(lines.scatter**2 * both, sine)
     return crossings, errors, (crossed[0], crossed[1])
 
 
