@@ -24,7 +24,7 @@ from hitchopt.values import Array, Indices
 
 STEP, COARSE = 0.05, 5  # Of the compared times [s], and as many of them in the search
 TURNS = 36  # Frames about the vertical in the search
-REFINED, STEPS = 8, 10  # Best assignments that are refined, and steps of each
+REFINED, STEPS = 5, 10  # Best assignments that are refined, and steps of each
 LONGEST_STEP = 0.25  # Of a clock's offset [s]
 # Least and largest difference of a clock's rate from 1, and the largest ratio of costs, at which it
 # is not 1
@@ -305,11 +305,10 @@ class _Trial:
     def _clocked(self, fit: _Fit, *, with_rate: bool) -> _Fit:
         """Return a fit with better clocks, their cost and standard errors, and a better frame.
 
-        Errors are those of sums over drones and over blocks of time: drones differ for the whole
+        Errors are the jackknife's over drones and over blocks of time: drones differ for the whole
         flight, and what displaces all of them lasts for a while.
         """
         own = np.ones((1, len(fit.body))) if self._flight.one_clock else np.eye(len(fit.body))
-        blocks = np.unique(self._t // BLOCK, return_inverse=True)[1]
         weight = self._apart(fit)[1].astype(np.float64)
         for _ in range(STEPS):
             fit = self._framed(fit)
@@ -325,9 +324,10 @@ class _Trial:
                 np.clip(fit.rate + np.sum(step[len(own) :]), 1.0 - MAX_DRIFT, 1.0 + MAX_DRIFT)
             )
             fit = replace(fit, offsets=fit.offsets + step[: len(own)] @ own, rate=rate)
-        sums = np.sum(g, axis=1), np.stack([np.bincount(blocks, x) for x in np.sum(g, axis=2)])
-        each = [inverse @ x * np.sqrt(x.shape[1] / max(1, x.shape[1] - 1)) for x in sums]
-        variances = np.sum(np.hstack(each) ** 2, axis=1)
+        begins = np.unique(self._t // BLOCK, return_index=True)[1]
+        in_time = np.einsum("utix,vtix,ti->tuv", J, J, weight), np.sum(g, axis=2).T
+        variances = _left_out(*(np.add.reduceat(x, begins) for x in in_time))
+        variances += _left_out(np.einsum("utix,vtix,ti->iuv", J, J, weight), np.sum(g, axis=1).T)
         errors = np.sqrt([np.mean(variances[: len(own)]), *variances[len(own) :], np.nan][:2])
         cost = float(np.sum(use * (np.sqrt(1.0 + squares) - 1.0)) / max(1, np.sum(use)))
         return self._framed(replace(fit, errors=errors, cost=cost))
@@ -383,6 +383,12 @@ def _centred(values: Array, weight: Array) -> Array:
     total = np.maximum(np.sum(weight, axis=0), 1e-9)[:, None]
     sums = np.einsum("...tix,ti->...ix", values, weight)
     return np.asarray(values - sums[..., None, :, :] / total)
+
+
+def _left_out(H: Array, g: Array) -> Array:
+    """Return the jackknife's variances (u,), of parts of normal equations (b, u, u), (b, u)."""
+    changes = np.linalg.pinv(np.sum(H, axis=0) - H, hermitian=True) @ g[..., None]
+    return np.asarray(np.sum(changes[..., 0] ** 2, axis=0) * (1.0 - 1.0 / len(g)))
 
 
 def _turn(yaw: float) -> Array:

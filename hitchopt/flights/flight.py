@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from importlib import import_module
 from types import MappingProxyType
 from typing import Any
 
@@ -126,6 +127,15 @@ class RecordedFlight(OneLine):
         for name in ("tracks", "setpoints"):
             tracks = {body: each for body, each in getattr(self, name).items() if len(each.t)}
             object.__setattr__(self, name, MappingProxyType(tracks))
+
+
+def library(module: str) -> Any:
+    """Return a module that only some formats need; FileError names the extra to install."""
+    try:
+        return import_module(module)
+    except ImportError as fault:
+        words = f"reading it needs {module.partition('.')[0]} ({fault})"
+        raise FileError(f"{words}; pip install 'hitchopt[logs]'") from fault
 
 
 def metres(unit: str) -> float:

@@ -9,18 +9,17 @@ from __future__ import annotations
 
 import csv
 import re
-import struct
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Sequence
-from itertools import chain, compress, islice, takewhile
-from operator import itemgetter
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from hitchopt.errors import FileError
-from hitchopt.flights.flight import Markers, RecordedFlight, Track, metres
+from hitchopt.flights.flight import Markers, RecordedFlight, Track, library, metres
+from hitchopt.storage.archive import reading
 from hitchopt.storage.tables import text_lines
 from hitchopt.values import Array, Indices
 
@@ -29,7 +28,6 @@ UNLABELED = re.compile(r"\*|unlabel|unidentified|u_?\d+$|marker$", re.IGNORECASE
 MAX_TITLES = 50  # Lines among which the titles of a table of Motive are searched
 CUT = 2e-3  # Largest difference between a frame's time and the printed one [s], by rounding
 BLANK = ' ",;\t'  # Characters of a line without a cell
-INTEL, BLOCK = 84, 512  # Number of Intel's processors in C3D files, and size of a block [B]
 
 
 class Points(NamedTuple):
@@ -48,23 +46,37 @@ def points_in(
     Blank cells are nan, and points with a blank cell are left out. Lines end at one without a cell.
     Raises ValueError for cells that are no numbers.
     """
-    columns = [*head, *(j + i for j in firsts for i in range(3))]
-    pick, width = itemgetter(*columns, columns[0]), max(columns) + 1
+    columns = np.array([*head, *(j + i for j in firsts for i in range(3))])
+    place = np.full(
+        np.max(columns) + 2, -1
+    )  # Of a column among those; of all beyond them, the last
+    place[columns] = np.arange(len(columns))
+    filled = re.compile(f"({separator}*)([^{separator}]+)")  # Few cells of wide tables are
     heads, labels, positions = [], [], []
-    for line in takewhile(lambda line: line.strip(BLANK), lines):
-        text = line.replace(" ", "")
-        cells = (text if separator == "," else text.replace(",", ".")).split(separator)
-        cells += [""] * (width - len(cells))
-        wanted, numbers = pick(cells), np.full(len(columns) + 1, np.nan)
-        numbers[list(compress(range(len(wanted)), wanted))] = list(map(float, filter(None, wanted)))
-        xyz = numbers[len(head) : -1].reshape(-1, 3)
-        visible = np.flatnonzero(np.isfinite(xyz).all(axis=1))
-        heads.append(numbers[: len(head)])
-        labels.append(visible)
-        positions.append(xyz[visible])
+    for line in lines:
+        text = line.replace(" ", "").replace('"', "")
+        text = (text if separator == "," else text.replace(",", ".")).rstrip(separator)
+        cells = filled.findall(text)
+        if not cells:
+            break
+        column = np.cumsum([len(separators) for separators, _ in cells])
+        here = place[np.minimum(column, len(place) - 1)]
+        numbers = np.array(
+            [float(cell) for (_, cell), i in zip(cells, here, strict=True) if i >= 0]
+        )
+        here = here[here >= 0]
+        top = np.full(len(head), np.nan)
+        top[here[here < len(head)]] = numbers[here < len(head)]
+        label, many = np.unique((here[here >= len(head)] - len(head)) // 3, return_counts=True)
+        whole = np.repeat(many == 3, many)
+        xyz = numbers[here >= len(head)][whole].reshape(-1, 3)
+        finite = np.isfinite(xyz).all(axis=1)
+        heads.append(top)
+        labels.append(label[many == 3][finite])
+        positions.append(xyz[finite])
     rows = np.repeat(np.arange(len(labels)), [len(each) for each in labels])
-    label = np.concatenate([np.zeros(0, np.intp), *labels])
-    points = Points(rows, label, np.concatenate([np.zeros((0, 3)), *positions]))
+    all_labels = np.concatenate([np.zeros(0, np.intp), *labels])
+    points = Points(rows, all_labels, np.concatenate([np.zeros((0, 3)), *positions]))
     return np.array(heads).reshape(-1, len(head)), points
 
 
@@ -189,53 +201,20 @@ def read_vicon(path: Path, unit: str | None) -> RecordedFlight:
 
 
 def read_c3d(path: Path, unit: str | None) -> RecordedFlight:
-    """Return the flight in a C3D file of Intel's order of bytes; every subject is a body."""
-    data = path.read_bytes()
-    _, points, analog, first, last, _, scale, start = struct.unpack_from("<6HfH", data)
-    facts = _c3d_parameters(data, BLOCK * (data[0] - 1))
-    rate, scale = float(facts["RATE"][0]), float(facts.get("SCALE", [scale])[0])
-    labels = [label for i in ("", *range(2, 99)) for label in facts.get(f"LABELS{i}", ())]
-    if not (points and rate > 0.0 and len(labels) >= points):
-        raise FileError(f"has {points} points, {len(labels)} labels, {rate:g} Hz; export it again")
-    kind = np.dtype("<f4" if scale < 0.0 else "<i2")
-    begin, width = max(0, BLOCK * (start - 1)), 4 * points + analog
-    frames = int(facts.get("FRAMES", [0])[0]) % 2**16  # The header's count is cut beyond that
-    frames = max(frames, last - first + 1)
-    whole = min(frames, max(0, len(data) - begin) // (width * kind.itemsize))
-    values = np.frombuffer(data, kind, whole * width, begin).reshape(whole, width)
-    with np.errstate(invalid="ignore"):  # Signalling nan
-        numbers = values[:, : 4 * points].astype(np.float64).reshape(whole, points, 4)
-    positions, residuals = numbers[..., :3], numbers[..., 3]
-    visible = (residuals >= 0.0) & np.all(np.isfinite(positions), axis=-1)
-    visible &= np.any(positions != 0.0, axis=-1)
-    factor = metres(unit or facts.get("UNITS", [""])[0]) * (1.0 if scale < 0.0 else scale)
-    notes = (f"is cut off: read to frame {whole} of {frames}",) if whole < frames else ()
-    row, label = np.nonzero(visible)
-    seen = Points(row, label, factor * positions[visible])
-    return flight_of("C3D", np.arange(whole) / rate, seen, labels[:points], notes=notes)
-
-
-def _c3d_parameters(data: bytes, at: int) -> dict[str, list[Any]]:
-    """Return the numbers, or the texts, of every parameter of the group POINT."""
-    if data[at + 3] != INTEL:
-        raise FileError("is of a processor other than Intel's; convert it")
-    groups, parameters = dict[str, int](), dict[tuple[int, str], list[Any]]()
-    at, step = at + 4, 1
-    while data[at] and step:
-        size, group = struct.unpack_from("<bb", data, at)
-        end = at + 2 + abs(size)
-        name = data[at + 2 : end].decode("ascii").upper()
-        step, kind, count = struct.unpack_from("<HbB", data, end)
-        if group < 0:
-            groups[name] = -group
-        else:
-            shape, begin = list(data[end + 4 : end + 4 + count]), end + 4 + count
-            types = {-1: f"S{max(1, *shape[:1], 1)}", 1: "u1", 2: "<i2", 4: "<f4"}
-            many = int(np.prod(shape[1:] if kind == -1 else shape))
-            values = np.frombuffer(data, types[kind], many, begin).tolist()
-            parameters[group, name] = [
-                x.decode("latin-1").strip() if kind == -1 else x for x in values
-            ]
-        at = end + step
-    point = groups.get("POINT")
-    return {name: values for (group, name), values in parameters.items() if group == point}
+    """Return the flight in a C3D file; every subject is a body."""
+    with reading(path, "C3D file", Exception):
+        content = library("ezc3d").c3d(str(path))
+        parameters = content["parameters"]["POINT"]
+        point = {name: each["value"] for name, each in parameters.items() if "value" in each}
+        labels = [label for i in ("", *range(2, 99)) for label in point.get(f"LABELS{i}", ())]
+        positions = np.asarray(content["data"]["points"], np.float64)[:3].transpose(2, 1, 0)
+        _, many, _ = positions.shape
+        rate = float(point["RATE"][0])
+        if not (many and rate > 0.0 and len(labels) >= many):
+            words = f"has {many} points, {len(labels)} labels, {rate:g} Hz; export it again"
+            raise FileError(words)
+        visible = np.all(np.isfinite(positions), axis=-1) & np.any(positions != 0.0, axis=-1)
+        scale = metres(unit or next(iter(point.get("UNITS", ())), ""))
+        row, label = np.nonzero(visible)
+        seen = Points(row, label, scale * positions[visible])
+        return flight_of("C3D", np.arange(len(positions)) / rate, seen, labels[:many])

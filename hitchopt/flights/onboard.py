@@ -9,14 +9,13 @@ import struct
 import zlib
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hitchopt.errors import FileError
-from hitchopt.flights.flight import RecordedFlight, Track, cloud_of, metres, track_of
+from hitchopt.flights.flight import RecordedFlight, Track, cloud_of, library, metres, track_of
 from hitchopt.storage.archive import reading
 from hitchopt.values import Array
 
@@ -36,15 +35,6 @@ USD_POSITIONS = {"stateEstimate": 1.0, "stateEstimateZ": 1e-3, "locSrv": 1.0}
 USD_COMMANDS = {"ctrltarget": 1.0, "ctrltargetZ": 1e-3}
 
 ULOG_POSITIONS = ("vehicle_visual_odometry", "vehicle_local_position")  # By preference
-
-
-def library(module: str) -> Any:
-    """Return a module that only some formats need; FileError names the extra to install."""
-    try:
-        return import_module(module)
-    except ImportError as fault:
-        words = f"reading it needs {module.partition('.')[0]} ({fault})"
-        raise FileError(f"{words}; pip install 'hitchopt[logs]'") from fault
 
 
 def read_bag(path: Path, unit: str | None) -> RecordedFlight:

@@ -248,7 +248,8 @@ def _fitted(points: _Points, grid: Array, width: float, n: int, known: float | N
     markers, scatter = _markers(group[used], n * size, points.s[row[used]], left[used])
     markers = markers.reshape(n, size, 3)
     fit[..., 0, :] += fit[..., 1, :] * shift[..., 1, :1]
-    fit[(markers[..., 0] < 2) | (markers[..., 2] < LEAST_SPREAD)] = np.nan
+    none = (markers[..., 0] < 2) | (markers[..., 2] < LEAST_SPREAD)
+    fit[none], markers[none] = np.nan, np.nan
     lines = np.swapaxes(np.moveaxis(fit[..., :2, :], 0, 1), -1, -2)
     return _Lines(lines, density, np.moveaxis(markers, 0, 1), scatter)
 
