@@ -96,6 +96,8 @@ def _tables(evaluation: ho.Evaluation) -> str:
         table(f"Distances from the plan [mm], {kind} of cables and drones", rows),
         f"{evaluation.flight.source}: plan time is {lies.rate:.6g} t {lies.offset:+.3f} s, frame "
         f"{lies.frame}, drones {1e3 * lies.rms:.0f} mm from the plan (root mean square)",
+        "standard errors hold how markers scatter about the lines of cables; a marker beside its "
+        "cable is so all the flight, hence means over time are no more exact",
         "names: " + ", ".join(f"{a}={b}" for a, b in zip(lies.names, drones, strict=True)),
     ]
     return "\n\n".join(parts)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 import re
+import struct
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Sequence
 from itertools import chain, islice
@@ -216,5 +217,10 @@ def read_c3d(path: Path, unit: str | None) -> RecordedFlight:
         visible = np.all(np.isfinite(positions), axis=-1) & np.any(positions != 0.0, axis=-1)
         scale = metres(unit or next(iter(point.get("UNITS", ())), ""))
         row, label = np.nonzero(visible)
+        first, last = struct.unpack_from("<2H", path.read_bytes(), 6)  # ezc3d states what it read
         seen = Points(row, label, scale * positions[visible])
-        return flight_of("C3D", np.arange(len(positions)) / rate, seen, labels[:many])
+        frames, all_frames = len(positions), last - first + 1
+        notes = (
+            (f"is cut off: read to frame {frames} of {all_frames}",) if frames < all_frames else ()
+        )
+        return flight_of("C3D", np.arange(frames) / rate, seen, labels[:many], notes=notes)

@@ -198,12 +198,14 @@ def test_other_paths_and_units_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "module"), [("ROS 2 bag", "rosbags.highlevel"), ("PX4 ulog", "pyulog")]
+    ("name", "module"),
+    [("ROS 2 bag", "rosbags.highlevel"), ("PX4 ulog", "pyulog"), ("C3D", "ezc3d")],
 )
 def test_a_missing_library_is_named(
     name: str, module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = FORMATS[name][0](tmp_path / "take", replace(w.sample(), markers=no_markers()))
+    flight = replace(w.sample(), markers=no_markers())
+    path = FORMATS[name][0](tmp_path / f"take{suffix(name)}", flight)
     monkeypatch.setitem(__import__("sys").modules, module, None)
     with pytest.raises(ho.FileError, match=r"pip install 'hitchopt\[logs\]'"):
         ho.read_flight(path)
@@ -234,6 +236,12 @@ def test_bodies_are_means_of_subjects_while_all_markers_are_visible(tmp_path: Pa
     np.testing.assert_allclose(result.tracks["cf1"].t, t[10:])
     np.testing.assert_allclose(result.tracks["cf1"].positions, [[0.0, 0.1, 1.0]] * 40, atol=1e-6)
     assert len(result.markers) == 50 + 40 + 50 + 50
+    data, cut = (tmp_path / "take.c3d").read_bytes(), tmp_path / "cut.c3d"
+    begin = 512 * (struct.unpack_from("<H", data, 16)[0] - 1)
+    cut.write_bytes(data[: begin + 40 * 4 * 16])  # Frames of four points
+    short = ho.read_flight(cut)
+    assert short.notes == ("is cut off: read to frame 40 of 50",)
+    np.testing.assert_array_equal(short.tracks["cf1"].t, t[10:40])
 
 
 def test_stamps_of_a_date_count_from_the_first_position(tmp_path: Path) -> None:
