@@ -16,7 +16,7 @@ import click
 import hitchopt as ho
 from hitchopt.cli.failures import exit_code, exit_infeasible, report_error
 from hitchopt.cli.options import PATH, command, completing, option, plan_path
-from hitchopt.cli.output import ProgressBar, record, say, show_plan, table
+from hitchopt.cli.output import ProgressBar, record, say, show_plan, span_text, table
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, TimeLimitError
 from hitchopt.exports.options import checked_rate
 
@@ -108,10 +108,21 @@ def _plan(
     with ProgressBar("planning", limit) as progress:
         plan = ho.solve(problem, progress=progress, limit=limit)
     show_plan(plan.title, plan.motion, plan.certificate)
+    _show_models(problem.team)
     with ProgressBar("writing") as progress:
         replace(plan, problem=text).save(place, rate, progress, report=report)
     content = certificate_content(plan.motion, plan.certificate, place / PLAN)
     say(f"certified; the plan is in {place}", directory=str(place), certificate=content)
+
+
+def _show_models(team: ho.Team) -> None:
+    """Say what is known of the team's models, and how hard their cables pull."""
+    for kind in sorted({kind for kind in team.quadrotor if kind.model}, key=repr):
+        of_robots = [each == kind for each in team.quadrotor]
+        pulls = span_text(team.tension[of_robots], ".3g") if team.has_cables else ""
+        most, binding = kind.usual_pull
+        words = f"; cables pull {pulls} N, of {most:.3g} N held level by {binding}" if pulls else ""
+        say(f"{kind.model}: {1e3 * kind.mass:.3g} g, thrust {kind.max_thrust:.3g} N{words}")
 
 
 def _leave_diagnosis(
@@ -255,13 +266,22 @@ def example_files() -> list[Path]:
     ),
     option("--list listing", "List the examples."),
     option(
+        "--drone",
+        "Write a problem for a model of drones, such as crazyflie_2.1: lengths, distances and "
+        "tension fit.",
+        str,
+        "MODEL",
+    ),
+    option(
         "--schema",
         "Write problem.schema.json, with which editors complete and check problem files.",
     ),
     type=str,
     required=False,
 )
-def init(name: str | None, example: str | None, *, listing: bool, schema: bool) -> None:
+def init(
+    name: str | None, example: str | None, drone: str | None, *, listing: bool, schema: bool
+) -> None:
     """Write a commented problem file to start from, or an example.
 
     NAME is problem.yaml by default, or the example's name.
@@ -283,8 +303,17 @@ def init(name: str | None, example: str | None, *, listing: bool, schema: bool) 
     if example is not None and example not in files:
         remedy = closest_word(example, [*files], "hitchopt init --list names them")
         raise InputError("example", example, "an example's name", remedy)
+    if example and drone:
+        raise InputError("drone", drone, "left out with --example", "give one of the two")
     source = files[example] if example else PACKAGE / "mission" / "template.yaml"
-    path = _write_new(name if name is not None else example or "problem", problem_text(source))
+    text = problem_text(source)
+    if drone:
+        from hitchopt.mission.template import for_drone
+
+        text = for_drone(text, drone)
+    path = _write_new(name if name is not None else example or "problem", text)
+    if drone:
+        _show_models(ho.read_problem(path).team)
     say(f"wrote {path}; try: hitchopt solve {path}", file=str(path))
     flight = source.with_suffix(".csv")
     if flight.is_file():

@@ -489,14 +489,6 @@ def rest_capacity(
     return Capacity(low, name)
 
 
-def largest_tension(requirements: Requirements, kind: Quadrotor) -> tuple[float, str]:
-    """Return the largest level pull [N] that a drone holds at rest, and the limit that binds."""
-    weight = GRAVITY * kind.mass
-    by_tilt = weight * math.tan(requirements.limits.tilt)
-    by_thrust = math.sqrt(max(kind.max_thrust**2 - weight**2, 0.0))
-    return (by_tilt, "tilt") if by_tilt <= by_thrust else (by_thrust, "thrust")
-
-
 def grip_capacity(grip: Grip, kind: Quadrotor, friction: float, factor: float) -> Capacity:
     """Return the largest mass [kg] that a grip lifts, by friction and thrust, and what binds.
 

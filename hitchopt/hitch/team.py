@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError, OneLine
-from hitchopt.hitch.flight_controller import CONTROLLERS, FlightController, Gains
+from hitchopt.hitch.flight_controller import CONTROLLERS, FlightController, Gains, stiffest_gains
 from hitchopt.values import Array, Indices, instance, per_robot, sequence, units, whole
 from hitchopt.values.fields import (
     FLAGS,
     Key,
     documented,
+    either,
     mapping_of,
     one_or_each,
     store,
@@ -141,10 +143,45 @@ MAX_ROBOTS = 10_000
 """Largest number of robots, checked before any memory is allocated."""
 
 
+class Model(NamedTuple):
+    """A drone that is known by its name."""
+
+    mass: float  # [kg], ready to fly
+    max_thrust: float  # [N], of all four motors
+    controller: str
+    separation: tuple[float, float]  # [m], semi-axes that suit its size
+
+
+CRAZYFLIE = (0.12, 0.30)
+
+MODELS: Mapping[str, Model] = {
+    "crazyflie_2.1": Model(0.029, 4 * 0.1125, "mellinger", CRAZYFLIE),
+    "crazyflie_2.1_upgraded": Model(0.0325, 4 * 0.1625, "mellinger", CRAZYFLIE),
+    "crazyflie_2.1_brushless": Model(0.0393, 4 * 0.2, "mellinger", CRAZYFLIE),
+    "x260_bolt": Model(0.32, 4 * 0.28 * GRAVITY, "mellinger", (0.25, 0.60)),
+}
+"""Drones by their names.
+
+Crazyflies have the masses and largest thrusts of the firmware's ``platform_defaults_cf2.h``, with
+the propellers from before 2.1+ or the thrust upgrade kit, and of ``platform_defaults_cf21bl.h``,
+with guards, a 350 mAh battery and a Lighthouse deck. The x260, 260 mm between opposite motors, is
+that of github.com/dennisss/tansa, ``config/models/x260.js``, here with a Crazyflie Bolt. All fly
+Mellinger's controller with the stiffest gains.
+"""
+
+USUAL_TENSION, USUAL_TILT = 0.4, 0.25 * np.pi
+"""[N] Tension where neither it nor a model is given; [rad] tilt up to which models pull level."""
+
+LEVEL_SHARE = 0.31
+"""Tension of a model over the largest level pull: 0.4 N at 132 g, as USUAL_TENSION."""
+
+
 @documented
 @dataclass(frozen=True)
 class Quadrotor(OneLine):
     """One kind of quadrotor.
+
+    What is left at its default is the model's, if one is named.
 
     Raises
     ------
@@ -189,9 +226,20 @@ class Quadrotor(OneLine):
         Gains | Mapping[str, Any] | None,
         Key(mapping_of(Gains), "Gains of the controller; null: its defaults"),
     ] = None
+    model: Annotated[
+        str | None,
+        Key(words(*MODELS), "Known drone, whose numbers are the defaults of the others"),
+    ] = None
 
     def __post_init__(self) -> None:
         store(self, **vars(self))
+        if self.model is not None:
+            known = MODELS[self.model]._asdict()
+            for each in fields(self)[:-1]:
+                if getattr(self, each.name) == each.default and each.name in known:
+                    object.__setattr__(self, each.name, known[each.name])
+            if self.gains is None and self.controller == "mellinger":
+                store(self, gains=stiffest_gains(self.mass))
         check_lift(self.mass, self.max_thrust, GRAVITY)
         if self.controller is None:
             if self.gains is not None:
@@ -209,6 +257,24 @@ class Quadrotor(OneLine):
         """The position loop: the controller's, or what the numbers say."""
         return _loop(self)
 
+    def level_pull(self, tilt: float) -> tuple[float, str]:
+        """Return the largest level pull [N] held at rest up to a tilt [rad], and what binds."""
+        weight = GRAVITY * self.mass
+        by_tilt = weight * math.tan(tilt)
+        by_thrust = math.sqrt(max(self.max_thrust**2 - weight**2, 0.0))
+        return (by_tilt, "tilt") if by_tilt <= by_thrust else (by_thrust, "thrust")
+
+    @property
+    def tension(self) -> float:
+        """Tension [N] of cables where none is given: of a model, a share of its level pull."""
+        share = float(f"{LEVEL_SHARE * self.usual_pull[0]:.2g}")
+        return USUAL_TENSION if self.model is None else share
+
+    @property
+    def usual_pull(self) -> tuple[float, str]:
+        """Largest level pull [N] up to a tilt of 45° or the controller's, and what binds."""
+        return self.level_pull(min(USUAL_TILT, self.loop.max_tilt))
+
 
 @lru_cache(maxsize=1024)
 def _loop(kind: Quadrotor) -> FlightController:
@@ -220,18 +286,29 @@ def _loop(kind: Quadrotor) -> FlightController:
     )
 
 
+NAMED = words(**{name: Quadrotor(model=name) for name in MODELS})
+
+QUADROTOR = either(NAMED, mapping_of(Quadrotor))
+"""Kinds of quadrotors in files: the name of a model, or numbers."""
+
+QuadrotorOrName = Quadrotor | str
+
+
 def kinds_of(
-    given: Quadrotor | Sequence[Quadrotor] | None, count: int, owner: str
+    given: QuadrotorOrName | Sequence[QuadrotorOrName] | None, count: int, owner: str
 ) -> tuple[Quadrotor, ...]:
     """Return one kind per owner; one kind is meant for all, and None for the default kind."""
     kind = Quadrotor() if given is None else given
-    kinds = (kind,) * count if isinstance(kind, Quadrotor) else sequence("quadrotor", kind)
+    one = isinstance(kind, QuadrotorOrName)
+    kinds = [*((kind,) * count if one else sequence("quadrotor", kind))]
     for k, each in enumerate(kinds):
-        instance(f"quadrotor[{k}]", each, Quadrotor)
+        key = "quadrotor" if one else f"quadrotor[{k}]"
+        kinds[k] = NAMED.check(key, each) if isinstance(each, str) else each
+        instance(f"quadrotor[{k}]", kinds[k], Quadrotor)
     if len(kinds) != count:
         bound = f"one kind, or a list of {count}"
         raise InputError("quadrotor", len(kinds), bound, f"give one per {owner}")
-    return kinds
+    return tuple(kinds)
 
 
 def _loads(given: float | Sequence[float] | ArrayLike, clasps: int) -> NDArray[np.float64]:
@@ -268,14 +345,17 @@ class Team(OneLine):
     cable_friction: Annotated[float, Key(units.FRICTION, "Coefficient of friction at the clasps")]
     tension: Annotated[
         NDArray[np.float64],
-        Key(one_or_each(units.TENSION, 2, MAX_ROBOTS), f"Tensions of cables, {PER_ROBOT}"),
+        Key(
+            one_or_each(units.TENSION, 2, MAX_ROBOTS),
+            f"Tensions of cables, {PER_ROBOT}; null: 0.4 N, or of a model 0.31 of its level pull",
+        ),
     ]
     quadrotor: Annotated[
         tuple[Quadrotor, ...],
         Key(
-            one_or_each(mapping_of(Quadrotor), 2, MAX_ROBOTS),
-            "Kind of quadrotor, one for all or one per robot; stored as the latter; null: the "
-            "default kind",
+            one_or_each(QUADROTOR, 2, MAX_ROBOTS),
+            "Kind of quadrotor or name of a model, one for all or one per robot; stored as kinds "
+            "of all; null: the default kind",
         ),
     ] = field(repr=False)
     load: Annotated[
@@ -295,16 +375,17 @@ class Team(OneLine):
         topology: str = CLOSED,
         cable_density: float = 0.0,
         cable_friction: float = 0.0,
-        tension: float | Sequence[float] | ArrayLike = 0.4,
-        quadrotor: Quadrotor | Sequence[Quadrotor] | None = None,
+        tension: float | Sequence[float] | ArrayLike | None = None,
+        quadrotor: QuadrotorOrName | Sequence[QuadrotorOrName] | None = None,
         load: float | Sequence[float] | ArrayLike = 0.0,
     ) -> None:
         store(self, topology=topology, cable_density=cable_density, cable_friction=cable_friction)
         n = whole("robots", robots, 3 if topology == CLOSED else 2, MAX_ROBOTS)
         length = per_robot("cable_length", cable_length, n, units.CABLE_LENGTH.check)
-        pull = per_robot("tension", tension, n, units.TENSION.check)
-        arrays = {"robots": n, "cable_length": length, "tension": pull}
-        arrays |= {"quadrotor": kinds_of(quadrotor, n, "robot")}
+        kinds = kinds_of(quadrotor, n, "robot")
+        asked = [kind.tension for kind in kinds] if tension is None else tension
+        pull = per_robot("tension", asked, n, units.TENSION.check)
+        arrays = {"robots": n, "cable_length": length, "tension": pull, "quadrotor": kinds}
         arrays |= {"load": _loads(load, len(layout_of(n, topology).clasps))}
         for name, value in arrays.items():
             object.__setattr__(self, name, value)
@@ -431,7 +512,7 @@ class Swarm(Team):
     """
 
     def __init__(
-        self, drones: int, *, quadrotor: Quadrotor | Sequence[Quadrotor] | None = None
+        self, drones: int, *, quadrotor: QuadrotorOrName | Sequence[QuadrotorOrName] | None = None
     ) -> None:
         whole("drones", drones, 1, MAX_DRONES)
         none = np.zeros(0)

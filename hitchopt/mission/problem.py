@@ -10,7 +10,7 @@ import numpy as np
 
 from hitchopt.errors import InputError, OneLine, UnitWarning
 from hitchopt.geometry import Outline
-from hitchopt.hitch import Hitch, Quadrotor, Swarm, Team
+from hitchopt.hitch import Hitch, Swarm, Team
 from hitchopt.hitch.hitch import FAR_OFF, checked_polygon
 from hitchopt.hitch.requirements import (
     Arena,
@@ -20,7 +20,7 @@ from hitchopt.hitch.requirements import (
     Separation,
     check_requirements,
 )
-from hitchopt.hitch.team import MAX_DRONES, MAX_ROBOTS
+from hitchopt.hitch.team import MAX_DRONES, MAX_ROBOTS, QUADROTOR
 from hitchopt.mission.objects import OBJECTS
 from hitchopt.motion.plan_file import request_fields
 from hitchopt.objects import SolidObject
@@ -350,8 +350,9 @@ class SwarmTeam:
     quadrotor: Annotated[
         Any,
         Key(
-            one_or_each(mapping_of(Quadrotor), 1, MAX_DRONES),
-            "Kind of quadrotor, one for all or one per drone; null: the default kind",
+            one_or_each(QUADROTOR, 1, MAX_DRONES),
+            "Kind of quadrotor or name of a model, one for all or one per drone; null: the default "
+            "kind",
         ),
     ] = None
 

@@ -5,9 +5,12 @@ from __future__ import annotations
 import re
 import textwrap
 
+import numpy as np
+
 from hitchopt.hitch import Quadrotor, Team
 from hitchopt.hitch.requirements import Limits, Separation
-from hitchopt.storage.yaml_file import flow
+from hitchopt.hitch.team import MODELS
+from hitchopt.storage.yaml_file import flow, parse_yaml, split_key, value_at, with_value
 from hitchopt.values.fields import EMPTY, keys_of
 
 SECTIONS = {"team": (Team, "  #"), "limits": (Limits, "#  "), "separation": (Separation, "#  ")}
@@ -15,6 +18,29 @@ SECTIONS = {"team": (Team, "  #"), "limits": (Limits, "#  "), "separation": (Sep
 
 COLUMN, WIDTH = 26, 96
 """Column of comments, and most characters of a line."""
+
+LENGTHS = (
+    *("team.cable_length", "arena.lower", "arena.upper", "start.drones.q", "start.drones.r"),
+    *("mission[0].form.polygon", "mission[0].form.altitude", "mission[1].morph.polygon"),
+)
+"""Keys of the template's lengths."""
+
+ROOM = 0.22
+"""[m] Radius of drones, and twice how far they may be off, that the template's lengths suit."""
+
+
+def for_drone(text: str, name: str) -> str:
+    """Return the template's text for a model of drones: lengths, distances and tension."""
+    kind, (radius, height) = Quadrotor(model=name), MODELS[name].separation
+    factor, data = (radius + 2.0 * (kind.loop.tracking or 0.0)) / ROOM, parse_yaml(text)
+    values = {key: np.multiply(factor, value_at(data, split_key(key))) for key in LENGTHS}
+    changed = {key: np.round(value, 2).tolist() for key, value in values.items()}
+    changed |= {"team.quadrotor": name, "team.tension": kind.tension}
+    if (radius, height) != (Separation().radius, Separation().height):
+        changed |= {"separation": {"radius": radius, "height": height}}
+    for key, value in changed.items():
+        text = with_value(text, split_key(key), value)
+    return text
 
 
 def filled_in(text: str) -> str:

@@ -22,7 +22,7 @@ from hitchopt.geometry import ConvexPolygon
 from hitchopt.geometry.drawings import drawing_of_geometry, read_drawing, size_in_words
 from hitchopt.geometry.vectors import dot, length, unit
 from hitchopt.hitch.hitch import balanced_legs
-from hitchopt.hitch.holding import Capacity, Grip, grip_capacity, largest_tension, rest_capacity
+from hitchopt.hitch.holding import Capacity, Grip, grip_capacity, rest_capacity
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.hitch.slack_split import (
     LIMIT_MARGIN,
@@ -31,7 +31,7 @@ from hitchopt.hitch.slack_split import (
     reference_margin,
     split_slack,
 )
-from hitchopt.hitch.team import Quadrotor, Swarm, Team
+from hitchopt.hitch.team import Quadrotor, Swarm, Team, kinds_of
 from hitchopt.objects import Rim, Section, SolidObject
 from hitchopt.planners.carrying.polygons import (
     ROOM,
@@ -41,7 +41,7 @@ from hitchopt.planners.carrying.polygons import (
     best_grip,
     rest_polygons,
 )
-from hitchopt.values import instance, not_negative, points, positive, whole
+from hitchopt.values import not_negative, points, positive, whole
 
 GRIP, REST = "grip", "rest"
 SAFETY = 1.5  # Least slip load over load
@@ -156,7 +156,7 @@ def fit(
     tension: float | None = None,
     cable_length: float | None = None,
     clasp_friction: float = 0.15,
-    quadrotor: Quadrotor | None = None,
+    quadrotor: Quadrotor | str | None = None,
     limits: Limits | None = None,
     separation: Separation | None = None,
 ) -> Fit:
@@ -173,7 +173,7 @@ def fit(
     tension: of all cables [N]; None for the largest level pull that tilt and thrust allow.
     cable_length: [m]; None for the shortest that keeps drones apart around the object.
     clasp_friction: coefficient of cables on each other: at its worst it lowers what is gripped.
-    quadrotor, limits, separation: the default ones if None.
+    quadrotor: kind or name of a model; limits, separation: the default ones if None.
 
     Raises
     ------
@@ -181,12 +181,11 @@ def fit(
     InfeasibleError: no hitch encloses the object, or the drones cannot hold the tension.
     """
     whole("robots", robots, 3, MOST_ROBOTS)
-    kind = Quadrotor() if quadrotor is None else quadrotor
-    instance("quadrotor", kind, Quadrotor)
+    (kind,) = kinds_of(quadrotor, 1, "object")
     own = Requirements(limits or Limits(), separation or Separation())
     requirements = own.flown_by(Swarm(1, quadrotor=kind)).with_reserve
     section, notes = _section_of(outline)
-    most, binding = largest_tension(requirements, kind)
+    most, binding = kind.level_pull(requirements.limits.tilt)
     if tension is None:
         tension = most
         notes.append(f"tension {most:.4g} N, the largest level pull: {binding} binds")

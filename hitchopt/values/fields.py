@@ -366,7 +366,7 @@ ANYTHING = Kind((ONE, EACH, WORD, FLAG, MAPPING), lambda _, value: value, {})
 """Any plain data."""
 
 
-def words(*plain: str | bool, **values: int | None) -> Kind:
+def words(*plain: str | bool, **values: Any) -> Kind:
     """Return the kind of some words (or flags); for those of ``values`` these are stored."""
     stored: dict[Any, Any] = {word: word for word in plain} | values
     known = [str(word).lower() for word in stored]

@@ -29,6 +29,7 @@ from hitchopt.cli.failures import SafeGroup
 from hitchopt.cli.output import ProgressBar, certificate_table, done_of, echo, phase_table, table
 from hitchopt.cli.planning import MODELINE, example_files
 from hitchopt.exports.options import HOMES
+from hitchopt.hitch.team import MODELS
 from hitchopt.mission.loading import problem_schema
 from hitchopt.storage import interrupts
 
@@ -73,6 +74,7 @@ RATE = "error: --rate = {}: must be above 0 and at most 10000 Hz"
             "export out --format csv --damping 2",
             "error: --damping = 2.0: must be left out without --h",
         ),
+        ("init --drone crazyfly", "did you mean crazyflie_2.1?"),
         *((f"init {name}", "error: ") for name in ("''", ".", "/", "missing/x", "x" * 300)),
     ],
 )
@@ -253,6 +255,22 @@ def test_init_writes_a_problem_that_loads_and_never_overwrites(place: Path) -> N
     (place / "dangling.yaml").symlink_to("nowhere")
     refused("init", "dangling")
     assert not (place / "nowhere").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("place")
+@pytest.mark.parametrize("name", MODELS)
+def test_a_problem_for_drones_of_a_model_is_planned(name: str) -> None:
+    said = run("init", "mine", "--drone", name, code=0).stdout
+    team = ho.load_problem("mine.yaml").team
+    assert team.quadrotor == ho.Team(3, 2.4, quadrotor=name).quadrotor
+    told = re.search(r"cables pull ([\d.]+) N, of ([\d.]+) N held level by tilt", said)
+    assert told is not None
+    weight = 9.81 * team.mass[0]
+    assert [float(told[1]), float(told[2])] == pytest.approx([team.tension[0], weight], rel=2e-3)
+    solved = run("solve", "mine.yaml", "-o", "out", code=0).stdout
+    assert told[0] in solved
+    assert "error: --drone" in refused("init", "--drone", name, "--example", "triangle")
 
 
 def test_a_reader_that_has_left_changes_nothing(place: Path) -> None:

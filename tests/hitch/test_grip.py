@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.distance import pdist
 
 import hitchopt as ho
-from hitchopt.hitch.holding import balanced, grip_capacity, largest_tension, wraps_around
+from hitchopt.hitch.holding import balanced, grip_capacity, wraps_around
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.planners.carrying.polygons import GripTask, best_grip
 from hitchopt.values import Array
@@ -171,7 +171,7 @@ def test_failed_searches_and_level_pulls_name_their_limits() -> None:
         best_grip(task(DISC, 6, 1.0))
     (violation,) = caught.value.violations
     assert violation.value < violation.limit
-    most, binding = largest_tension(Requirements(), ho.Quadrotor())
+    most, binding = ho.Quadrotor().level_pull(Requirements().limits.tilt)
     assert binding == "tilt"
     assert 1.29 < most < 1.3
-    assert largest_tension(STEEP, ho.Quadrotor())[0] > 1.5
+    assert ho.Quadrotor().level_pull(STEEP.limits.tilt)[0] > 1.5

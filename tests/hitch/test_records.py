@@ -11,7 +11,7 @@ import pytest
 from refusals import Refusal, assert_refused
 
 from hitchopt import Arena, ConvexPolygon, Hitch, InfeasibleError, Limits, Separation, SwapSettings
-from hitchopt.hitch.team import Assignment, Quadrotor, Swarm, Team
+from hitchopt.hitch.team import MODELS, Assignment, Quadrotor, Swarm, Team
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
 HILL = [[-0.6, -0.3], [0.5, 0.5], [1.7, -0.3]]
@@ -34,6 +34,8 @@ REFUSED: list[Refusal] = [
     (lambda: Team(3, 2.0, cable_friction=math.inf), "cable_friction", "finite"),
     (lambda: Team(3, 2.0, topology="ring"), "topology", "one of closed, open"),
     (lambda: Team(3, 2.0, quadrotor=[Quadrotor()] * 2), "quadrotor", "a list of 3"),
+    (lambda: Team(3, 2.0, quadrotor=["x260_bolt", "x26", "x26"]), "quadrotor[1]", "did you mean"),
+    (lambda: Quadrotor(model="crazyfly_2.1"), "model", "did you mean crazyflie_2.1?"),
     (lambda: Team(3, 2.4, load=[0.1, 0.2]), "load", "one per clasp"),
     (lambda: Team(3, 2.4, load=[0.1, -0.2, 0.1]), "load[1]", "at least 0"),
     (lambda: Quadrotor(mass=0.0), "mass", "greater than 0"),
@@ -89,3 +91,31 @@ def test_per_robot_values_reach_their_drones() -> None:
 def test_separation_scale_is_one_where_ellipsoids_touch() -> None:
     scale = Separation(radius=0.12, height=0.3).scale
     np.testing.assert_allclose(scale * [0.24, 0.24, 0.6], 1.0)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_cables_of_a_model_pull_by_a_share_of_what_its_drones_hold(name: str) -> None:
+    team, named = Team(3, 2.4, quadrotor=name), Quadrotor(model=name)
+    assert team.quadrotor == (named,) * 3
+    weight, level = 9.81 * named.mass, team.tension[0] / 0.31
+    assert math.degrees(math.atan2(level, weight)) == pytest.approx(45.0, abs=0.5)  # not 46°
+    assert math.hypot(level, weight) < named.max_thrust
+    assert team.tracking == 0.05
+    own = Team(3, 2.4, quadrotor=[name, Quadrotor(), name], tension=None)
+    assert own.tension.tolist() == [team.tension[0], 0.4, team.tension[0]]
+    assert Team(3, 2.4, quadrotor=name, tension=0.07).tension.tolist() == [0.07] * 3
+
+
+def test_numbers_that_are_given_are_not_the_models() -> None:
+    light, kind = Quadrotor(model="crazyflie_2.1"), Quadrotor(model="crazyflie_2.1", mass=0.035)
+    assert (kind.mass, kind.max_thrust, kind.controller) == (0.035, 0.45, "mellinger")
+    assert kind.loop.kp[0] / light.loop.kp[0] == pytest.approx(0.035 / 0.029, rel=0.01)
+    assert (
+        Quadrotor(model="x260_bolt", controller="px4").loop
+        == Quadrotor(0.32, 11, controller="px4").loop
+    )
+    # It cannot tilt as far as it could pull: √(0.35² - 0.343²) N.
+    weak = Team(3, 2.4, quadrotor=Quadrotor(model="crazyflie_2.1", mass=0.035, max_thrust=0.35))
+    assert weak.tension[0] == pytest.approx(
+        0.31 * math.sqrt(0.35**2 - (0.035 * 9.81) ** 2), rel=0.1
+    )

@@ -331,6 +331,21 @@ def test_the_schema_describes_every_key() -> None:
         assert shown[name] == value
 
 
+def test_models_of_drones_are_named_in_files() -> None:
+    other = {"model": "crazyflie_2.1", "mass": 0.031}
+    kinds = ["crazyflie_2.1_brushless", other, {"mass": 0.04, "max_thrust": 0.8}]
+    team = {"robots": 3, "cable_length": 2.4}
+    read: Any = problem_from_dict({**MINIMAL, "team": {**team, "quadrotor": kinds}}).team
+    own = ho.Quadrotor(model="crazyflie_2.1", mass=0.031), ho.Quadrotor(0.04, 0.8)
+    assert read.quadrotor == (ho.Quadrotor(model="crazyflie_2.1_brushless"), *own)
+    assert read.tension.tolist() == [0.12, own[0].tension, 0.4]
+    drawn = ho.read_problem(PROBLEMS / "crazyflie_triangle.yaml").team
+    named = problem_from_dict({**MINIMAL, "team": {**team, "quadrotor": kinds[0]}}).team
+    assert named.tension.tolist() == drawn.tension.tolist()
+    for name in ("mass", "max_thrust", "stiffness", "damping", "integral_gain", "max_tilt"):
+        np.testing.assert_allclose(getattr(named, name), getattr(drawn, name), rtol=0.01)
+
+
 def test_the_template_shows_every_key_with_its_default() -> None:
     """Uncommented, its sections are read, and change nothing."""
     text = problem_text(TEMPLATE)

@@ -16,7 +16,7 @@ from hitchopt.checks.spans import value_cache
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY, Hitch, Team
-from hitchopt.hitch.holding import largest_tension, residual_grip
+from hitchopt.hitch.holding import residual_grip
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion import motion as motions
 from hitchopt.motion.motion import Motion, Phase, joined_motions
@@ -307,7 +307,7 @@ class MovePlanner:
 
 def check_pull(tension: float, team: Team, requirements: Requirements) -> None:
     """Raise InfeasibleError for a level pull [N] that no drone can hold."""
-    most, binding = largest_tension(requirements, team.quadrotor[0])
+    most, binding = team.quadrotor[0].level_pull(requirements.limits.tilt)
     if tension <= most:
         return
     remedy = f"grasp with a tension of {most:.3g} N or less"

@@ -19,7 +19,7 @@ from hitchopt.errors import InfeasibleError, InputError, Violation, check_time
 from hitchopt.geometry import ConvexPolygon, differences, shortest_offset
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import Team
-from hitchopt.hitch.holding import Grip, largest_tension, turn
+from hitchopt.hitch.holding import Grip, turn
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Quadrotor
 from hitchopt.objects import Section, SolidObject
@@ -365,7 +365,7 @@ def grip_polygons(
             bound = "equal for all robots if they grip an object"
             raise InputError(f"team.{key}", list(values), bound, "use one kind")
     drone, cable = team.quadrotor[0], float(team.cable_length[0])
-    pull = SEARCH_PULL * largest_tension(requirements, drone)[0]
+    pull = SEARCH_PULL * drone.level_pull(requirements.limits.tilt)[0]
     friction, section = team.cable_friction, body.section
     task = GripTask(section, team.robots, cable, pull, friction, requirements, drone)
     try:
