@@ -49,6 +49,9 @@ MODELINE = f"# yaml-language-server: $schema={SCHEMA}\n"
         "If there is no plan, search for the smallest change that helps.",
         True,
     ),
+    option(
+        "--repair-to", "Write FILE with the first change that helps to this file.", PATH, "FILE"
+    ),
     option("--limit", "Time limit, searches included.", 600.0, "SECONDS"),
 )
 def solve(
@@ -56,6 +59,7 @@ def solve(
     output: Path | None,
     rate: float,
     limit: float,
+    repair_to: Path | None,
     *,
     report: bool,
     verify: bool,
@@ -83,7 +87,8 @@ def solve(
     except HitchoptError as error:
         searched = repair and not isinstance(error, TimeLimitError)
         left = max(end - time.monotonic(), MIN_SEARCH_TIME)
-        _leave_diagnosis(place, error, problem if searched else None, left)
+        mended = None if repair_to is None else (text, repair_to)
+        _leave_diagnosis(place, error, problem if searched else None, left, mended)
     if verify:
         _show_verified(plan_path(place))
 
@@ -126,11 +131,16 @@ def _show_models(team: ho.Team) -> None:
 
 
 def _leave_diagnosis(
-    place: Path, error: HitchoptError, problem: AnyProblem | None, left: float
+    place: Path,
+    error: HitchoptError,
+    problem: AnyProblem | None,
+    left: float,
+    mended: tuple[str, Path] | None,
 ) -> NoReturn:
     """Report and write why there is no plan, and exit with the error's code.
 
     If a problem is given, changes that make it feasible are searched for in the time ``left`` [s].
+    The first one is made in the text of ``mended``, and written to its file.
     """
     from hitchopt.exports.directory import DIAGNOSIS, diagnosis_content, save_diagnosis
     from hitchopt.storage.files import PREVIOUS
@@ -144,6 +154,13 @@ def _leave_diagnosis(
             error = InfeasibleError(error.violations, f"{error.note}\n{note}".strip())
         content = diagnosis_content(error, [each.to_dict() for each in suggestions])
         save_diagnosis(place, content)
+        if mended and suggestions:
+            from hitchopt.mission.repair import with_edits_in
+
+            written = _write_new(
+                str(mended[1]), with_edits_in(mended[0], suggestions[0].change.edits)
+            )
+            say(f"wrote {written}, with the first change", err=True, file=str(written))
     message = f"no plan; the diagnosis is in {place / DIAGNOSIS}"
     if (previous := place / PREVIOUS).is_dir():
         record(previous=str(previous))

@@ -1,7 +1,8 @@
-"""Repair: the smallest single changes that make a problem feasible, each verified by planning it.
+"""Repair: the smallest changes that make a problem feasible, each verified by planning it.
 
 A knob is a number of the problem that can be raised or lowered. Those that can repair all that
-binds are tried by the size of their change, and the ones that do are narrowed by bisection.
+binds are tried by the size of their change, and the ones that do are narrowed by bisection. Where
+none does, those are that repair a part of it, and the rest is repaired in the same way.
 """
 
 from __future__ import annotations
@@ -27,11 +28,15 @@ from hitchopt.errors import (
     Violation,
     time_left,
 )
+from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import Quadrotor
 from hitchopt.hitch.flight_controller import RETUNED, stiffest_gains
 from hitchopt.hitch.requirements import Limits
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem
-from hitchopt.mission.solving import solve_problem
+from hitchopt.mission.solving import UNPLANNED, solve_problem
+from hitchopt.objects import SolidObject
+from hitchopt.objects.placing import in_world
+from hitchopt.steps.carrying import PAST, TransportObject
 from hitchopt.steps.step import (
     DECIMALS,
     PLAN_DURATION,
@@ -43,13 +48,14 @@ from hitchopt.steps.step import (
     points_scaled,
 )
 from hitchopt.steps.step import Edit as Edit  # noqa: PLC0414
+from hitchopt.storage.yaml_file import split_key, with_value
 from hitchopt.values import Array
 from hitchopt.values.fields import keys_of
 
 BUDGET, DIGITS = 15.0, 3
 """Time [s] after which no further plan is begun, and digits of a suggested value."""
 
-NO_CHANGE = "no single change was found that makes it feasible"
+NO_CHANGE = "no change was found that makes it feasible, and no two or three together"
 """Message where there is no suggestion."""
 
 SIZES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.5, 3.0, 6.0)
@@ -58,8 +64,9 @@ SIZES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.5, 3.0, 6.0)
 RESOLUTION = 0.005
 """Resolution of the smallest size, as a share of the new value."""
 
-MAX_SIZE_RATIO, MAX_SUGGESTIONS = 4.0, 3
-"""Largest size of a change over the smallest one, and largest number of suggestions."""
+MAX_SIZE_RATIO, MAX_SUGGESTIONS, MAX_CHANGES = 4.0, 3, 3
+"""Largest size of a change over the smallest one, and largest numbers of suggestions, and of
+changes that are made together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +79,7 @@ class Change(OneLine):
     old, new, unit: its values [unit]; ``times`` for a factor, nothing for words.
     relative: size of the change over that of the quantity, with its sign; 0 for words.
     problem, edits: with the change; what to write into the problem's file for it.
+    before: another change that is made with it; ``edits`` has those of both.
     """
 
     key: str
@@ -82,8 +90,24 @@ class Change(OneLine):
     relative: float
     problem: Problem
     edits: Edits
+    before: Change | None = None
 
     def __str__(self) -> str:
+        return f"{self.before} and {self._words}" if self.before else self._words
+
+    def after(self, before: Change) -> Change:
+        """Return the change of a changed problem with the change that was made before."""
+        inner = before if self.before is None else self.before.after(before)
+        return replace(self, before=inner, edits=before.edits + self.edits)
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the change as plain values, for JSON."""
+        plain = {k: v for k, v in vars(self).items() if k not in ("problem", "words", "before")}
+        plain["edits"] = [vars(edit) for edit in self.edits]
+        return plain | ({"before": self.before.to_dict()} if self.before else {})
+
+    @property
+    def _words(self) -> str:
         unit = f" {self.unit}" if self.unit else ""
         values = [v if isinstance(v, str) else f"{v:.6g}" for v in (self.old, self.new)]
         change = f"{self.key} {values[0]} -> {values[1]}{unit}"
@@ -106,9 +130,7 @@ class Suggestion(OneLine):
 
     def to_dict(self) -> dict[str, object]:
         """Return the suggestion as plain values, for JSON."""
-        change = {k: v for k, v in vars(self.change).items() if k not in ("problem", "words")}
-        edits = [vars(edit) for edit in self.change.edits]
-        return {**change, "duration": self.duration, "edits": edits, "message": str(self)}
+        return {**self.change.to_dict(), "duration": self.duration, "message": str(self)}
 
 
 Verdict = Suggestion | frozenset[str]
@@ -124,40 +146,91 @@ def find_suggestions(
     budget: float = BUDGET,
     progress: Progress | None = None,
 ) -> tuple[Suggestion, ...]:
-    """Return up to three single changes that make a problem feasible, smallest first.
+    """Return up to three changes that make a problem feasible, smallest first.
 
     Each has been planned and certified. They are the smallest that were found: no value between
     the last one that failed and the one suggested is known to do. No result is no proof. ``error``
-    says why the problem cannot be met; after ``budget`` [s] no further plan is begun.
+    says why the problem cannot be met; after ``budget`` [s] no further plan is begun. Where no
+    single change does, up to MAX_CHANGES are made together.
     """
     end = time.monotonic() + budget
+    return _found(problem, error, end, progress, MAX_CHANGES)
+
+
+def _found(
+    problem: Problem,
+    error: InfeasibleError,
+    end: float,
+    progress: Progress | None,
+    most: int,
+) -> tuple[Suggestion, ...]:
+    """Return suggestions of at most so many changes together, until a time on the clock [s]."""
+    refusals, alone = dict[Change, InfeasibleError](), list[Suggestion]()
+    others: list[Change] = []  # that repair all these faults, where others are left
+    half = 0.5 * (time.monotonic() + end)  # then more changes are made together, if there are such
 
     def verdict_on(change: Change | None, *, optimiser: bool = False) -> Verdict | None:
-        if change is None or time.monotonic() >= end or time_left() <= 0.0:
+        until = half if others and not alone and most > 1 else end
+        if change is None or time.monotonic() >= until or time_left() <= 0.0:
             return None
         if progress is not None:
             progress(f"trying {change}")
         try:
             plan = solve_problem(change.problem, optimiser=optimiser)
         except InfeasibleError as refusal:
+            refusals[change] = refusal
+            if not faults & _faults(refusal):
+                others.append(change)
             return broken_constraints(refusal)
         except (HitchoptError, TimeIsUp):  # no timing found, or no time: larger changes may do
             return frozenset()
-        return Suggestion(change, plan.motion.duration)
+        alone.append(Suggestion(change, plan.motion.duration))
+        return alone[-1]
 
-    broken = broken_constraints(error)
-    knobs = [knob for knob in _knobs(problem, error.violations) if broken <= knob.covers]
+    def partly(change: Change | None) -> Verdict | None:
+        """Return the verdict, that of a change that repairs some faults as if it repaired all."""
+        verdict = verdict_on(change)
+        if change is None or isinstance(verdict, Suggestion | None) or change not in refusals:
+            return verdict
+        left = _faults(refusals[change])
+        return verdict if faults <= left else Suggestion(change, math.nan)
+
+    broken, faults = broken_constraints(error), _faults(error)
+    every = [*_knobs(problem, error.violations)]
+    knobs = [knob for knob in every if broken <= knob.covers]
     crowded = broken <= SPACE | {"crossing", "arena"}
     named = [*(_spread(problem) if crowded else ()), *_retuned(problem)]
     suggestions = [verdict for verdict in map(verdict_on, named) if isinstance(verdict, Suggestion)]
     suggestions += _smallest(problem, knobs, verdict_on)
-    if not suggestions and error.note:  # the optimiser was needed and may be needed still
+    if broken <= PAST and len(suggestions) < MAX_SUGGESTIONS:
+        ways = map(verdict_on, _around(problem, error.violations))
+        suggestions += [way for way in ways if isinstance(way, Suggestion)][:1]
+    if not suggestions and error.note.partition(UNPLANNED)[0]:  # the optimiser may be needed still
         suggestions = _smallest(problem, knobs, partial(verdict_on, optimiser=True))
+    if not suggestions and most > 1:
+        smallest = sorted(others, key=lambda change: abs(change.relative))[:1]
+        firsts = [Suggestion(change, math.nan) for change in smallest]
+        some = [knob for knob in every if broken & knob.covers]
+        for first in firsts or _smallest(problem, some, partly, 1):
+            if (left := refusals.get(first.change)) is None:
+                suggestions.append(first)
+                continue
+            rest = _found(first.change.problem, left, end, progress, most - 1)
+            suggestions += [replace(x, change=x.change.after(first.change)) for x in rest]
     return tuple(sorted(suggestions, key=lambda s: abs(s.change.relative))[:MAX_SUGGESTIONS])
 
 
-def _smallest(problem: Problem, knobs: Sequence[Knob], judge: Judge) -> list[Suggestion]:
-    """Return the smallest changes of the knobs of which the smallest sizes do.
+def _faults(error: InfeasibleError) -> set[tuple[str, str]]:
+    """Return the constraints that bind, each with the step in which it does."""
+    steps = [re.search(r"step (\d+)", each.when) for each in error.violations]
+    names = map(_name, error.violations)
+    return {(name, step[1] if step else "") for name, step in zip(names, steps, strict=True)}
+
+
+def _smallest(
+    problem: Problem, knobs: Sequence[Knob], judge: Judge, most: int = MAX_SUGGESTIONS
+) -> list[Suggestion]:
+    """Return the smallest changes of the knobs of which the smallest sizes do, at most so many.
 
     What is needed at the least is tried first, then all knobs with one size before the next one.
     """
@@ -167,9 +240,7 @@ def _smallest(problem: Problem, knobs: Sequence[Knob], judge: Judge) -> list[Sug
     last = 0.0
     for turn, i, size in sorted(tries):
         smallest = min((abs(s.change.relative) for s in suggestions), default=math.inf)
-        if turn > last and (
-            len(suggestions) >= MAX_SUGGESTIONS or last >= MAX_SIZE_RATIO * smallest
-        ):
+        if turn > last and (len(suggestions) >= most or last >= MAX_SIZE_RATIO * smallest):
             break
         last, knob = turn, knobs[i]
         if i in done:
@@ -178,6 +249,8 @@ def _smallest(problem: Problem, knobs: Sequence[Knob], judge: Judge) -> list[Sug
         if isinstance(verdict, Suggestion):
             suggestions.append(_narrowed(problem, knob, failed[i], size, verdict, judge))
             done.add(i)
+            if most == 1:
+                break
         # Where other things are broken beyond the least, larger changes would break them the more.
         elif turn > 0.0 and (verdict is None or not verdict <= knob.covers):
             done.add(i)
@@ -242,6 +315,13 @@ def with_edits(problem: Problem, edits: Edits) -> Problem:
         else:
             parts[name] = keys_of(Problem)[name].from_file(name, edit.value)
     return replace(problem, **parts)
+
+
+def with_edits_in(text: str, edits: Edits) -> str:
+    """Return the text of a problem file with edits, and all else as it is, comments too."""
+    for edit in edits:
+        text = with_value(text, split_key(edit.key), edit.value)  # type: ignore[arg-type]
+    return text
 
 
 def _put(record: Any, path: Sequence[str], value: Any) -> Any:
@@ -332,6 +412,11 @@ def _knobs(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:
 
             key = f"mission[{i}].{step.name}.{knob.key}"
             least = own if "duration" in knob.covers else 0.0
+            if isinstance(step, TransportObject) and knob.key == "lift":
+                tops = [x.at[2] + x.upper for x in _in_the_way(problem, step, violations)]
+                low = max(step.to[2], problem.objects[step.object].at[2])
+                over = max(tops, default=0.0) + problem.separation.object - low
+                least = max(0.0, float(over) / step.lift - 1.0)
             yield replace(knob, key=key, written=written, least=least)
     yield from _walls(problem, violations)
 
@@ -474,6 +559,36 @@ def _objects(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob
             least, most = 1.0 / share - 1.0, ROUGHEST / body.friction - 1.0
             key = f"objects.{name}.friction"
             yield Knob(key, body.friction, "", covers=HELD, least=least, most=most)
+
+
+def _in_the_way(
+    problem: Problem, step: TransportObject, violations: Sequence[Violation]
+) -> list[SolidObject]:
+    """Return the objects that violations name, but for the one that is carried."""
+    names = dict.fromkeys(name for each in violations for name in each.where)
+    return [x for name, x in problem.objects.items() if name in names and name != step.object]
+
+
+def _around(problem: Problem, violations: Sequence[Violation]) -> Iterator[Change]:
+    """Yield places beside obstacles, over which objects are carried: nearer ones first."""
+    reach = float(np.max(problem.team.cable_length)) + problem.separation.radius
+    for i, step in enumerate(problem.mission):
+        if not isinstance(step, TransportObject) or step.via is not None:
+            continue
+        start, end = problem.objects[step.object].at, step.to
+        along, high = unit(end[:2] - start[:2]), float(max(start[2], end[2])) + step.lift
+        aside = np.array([-along[1], along[0]])
+        for body in _in_the_way(problem, step, violations):
+            section, centre = body.section, body.section.centroid
+            middle = in_world(body.pose, np.append(centre, 0.0))[:2]
+            far = reach + float(np.max(length(section.core - centre))) + section.rounding
+            onward = (middle - start[:2]) @ along
+            for side in (aside, -aside):
+                level = start[:2] + onward * along + ((middle - start[:2]) @ side + far) * side
+                place = np.round([*level, high], 2).tolist()
+                edits = _in_step(problem, i, (Edit("via", [place]),))
+                changed = with_edits(problem, edits)
+                yield Change(edits[0].key, "", "none", str([place]), "", 0.0, changed, edits)
 
 
 def _walls(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:

@@ -24,6 +24,7 @@ from hitchopt.motion.motion import Motion, Phase, joined_motions
 from hitchopt.objects import Slab, SolidObject
 from hitchopt.objects.placing import in_world
 from hitchopt.steps import FollowVertex, Form, Step
+from hitchopt.steps.carrying import PAST, TransportObject
 from hitchopt.steps.certified_motions import (
     Certified,
     check_above_ground,
@@ -36,7 +37,7 @@ from hitchopt.steps.certified_motions import (
 from hitchopt.steps.step import RestState, StepPlan, StepTask
 from hitchopt.values import Array
 
-AT_START = "at the start (t = 0)"
+AT_START, UNPLANNED = "at the start (t = 0)", "not looked at yet: steps "
 
 
 WIDENED = frozenset(
@@ -116,7 +117,12 @@ def _solved(problem: Problem, progress: Progress | None, *, optimiser: bool) -> 
                 check_at_rest(start, planned, AT_START)
             if not isinstance(error, InfeasibleError):
                 raise
-            raise _in_step(error, first, group) from None
+            broken = _in_step(error, first, group)
+            rest = range(first + len(group), len(steps))
+            later = (
+                f"{UNPLANNED}{', '.join(f'{i} ({steps[i].name})' for i in rest)}" if rest else ""
+            )
+            raise InfeasibleError(broken.violations, f"{broken.note}\n{later}".strip()) from None
         parts.append(part)
         state = part.after
     motion = joined_motions([part.motion for part in parts])
@@ -226,11 +232,15 @@ def _advised(certified: Certified, steps: Sequence[Step]) -> InfeasibleError:
     for violation, check in zip(error.violations, certified.certificate.violated, strict=True):
         during = [p for p in certified.motion.phases if p.start <= check.time <= p.end]
         around = [steps[i] for p in during for i in (p.step - 1, p.step) if i >= 0]
+        carried = [p.step for p in during if isinstance(steps[p.step], TransportObject)]
         blends = check.name != "duration" and any(step.blends for step in around)
         timed = any(isinstance(steps[phase.step], FollowVertex) for phase in during)
         rule = RULE_OF.get(check.name)
         longer = "give the points more time" * bool(timed and rule and rule.derivative > 0)
         advice = longer or "leave out blend" * blends
+        if carried and check.name in PAST:
+            key = f"mission[{carried[0]}].{TransportObject.name}"
+            advice = f"raise {key}.lift, or lead it around by {key}.via"
         violations.append(replace(violation, remedy=_remedy(violation, advice)))
     return InfeasibleError(violations, error.note)
 

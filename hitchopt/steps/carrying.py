@@ -45,7 +45,7 @@ from hitchopt.steps.step import (
     checks_relaxed_by,
 )
 from hitchopt.values import Array
-from hitchopt.values.fields import Key, words
+from hitchopt.values.fields import Key, points, words
 from hitchopt.values.units import LENGTH, TENSION
 
 AROUND_SPEED, OVER = 0.15, 0.10
@@ -62,6 +62,12 @@ error of an object's place."""
 
 SAME = 1e-6
 """[m] Places that differ by less are the same."""
+
+MAX_VIA = 100
+"""Most places on the way of one object."""
+
+PAST = frozenset({"keep_out", "object_clearance"})
+"""Checks of obstacles, which an object is carried over or around."""
 
 LOAD_LIMITED = frozenset({"load", "thrust", "tilt", "equilibrium", "grip"})
 """Limits that only less weight, or more capacity, satisfies."""
@@ -486,7 +492,7 @@ class Leave(Step):
 
 @dataclass(frozen=True, eq=False)
 class TransportObject(PullStep):
-    """The hitch takes an object and sets it down elsewhere, in seven steps."""
+    """The hitch takes an object and sets it down elsewhere, in seven steps, or more by ``via``."""
 
     object: ObjectOf
     to: Place
@@ -497,6 +503,15 @@ class TransportObject(PullStep):
         float,
         Key(LENGTH, "How far above the higher of the two places"),
     ] = 0.3
+    via: Annotated[
+        Array | None,
+        Key(points((None, 3), "x, y, z", 1, MAX_VIA), "Where its base goes between, at rest there"),
+    ] = None
+
+    def knobs(self) -> Iterator[Knob]:
+        """Yield the height of the flight, and the knobs of all such steps."""
+        yield from super().knobs()
+        yield Knob("lift", self.lift, "m", covers=PAST)
 
     def place_after(self, body: SolidObject, below: float) -> Array:  # noqa: ARG002
         """Return the given place, turned by its yaw."""
@@ -510,6 +525,7 @@ class TransportObject(PullStep):
             Enclose(self.object),
             Grasp(self.object, self.held_by(body), self.tension),
             Lift(high - float(body.at[2])),
+            *(Carry(self.object, place) for place in ([] if self.via is None else self.via)),
             Carry(self.object, np.append(self.to[:2], high), self.yaw),
             SetDown(self.object),
             Loosen(self.object),

@@ -22,7 +22,7 @@ from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputErro
 from hitchopt.geometry import Outline
 from hitchopt.mission.loading import parse_problem
 from hitchopt.mission.problem import Problem
-from hitchopt.mission.repair import NO_CHANGE, Edit, Suggestion, find_suggestions
+from hitchopt.mission.repair import NO_CHANGE, Edit, Suggestion, find_suggestions, with_edits_in
 from hitchopt.mission.solving import solve_problem
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
@@ -257,10 +257,7 @@ class Editing:
 
     def put(self, *edits: Edit) -> None:
         """Write values into the file; errors as of ``change``."""
-        text = self.text
-        for edit in edits:
-            text = with_value(text, split_key(edit.key), edit.value)  # type: ignore[arg-type]
-        self.change(text)
+        self.change(with_edits_in(self.text, edits))
 
     def drag(self, index: int, name: str, place: Array) -> None:
         """Put a handle of a step to a place (3,) [m]; errors as of ``change``."""

@@ -152,7 +152,7 @@ def test_what_binds_is_told_and_a_suggestion_can_be_taken(
         return (*repairs,)
 
     monkeypatch.setattr("hitchopt.view.editing.find_suggestions", found)
-    for length, told in ((1.6, "no single change"), (1.61, "")):
+    for length, told in ((1.6, "no change was found"), (1.61, "")):
         editing.put(Edit("team.cable_length", length))
         assert editing.wait()
         _, status, planned = editing.now()
