@@ -82,10 +82,11 @@ def separate(
 def suggestions(
     problem: Problem | str | Path, budget: float = BUDGET, progress: Progress | None = None
 ) -> tuple[Suggestion, ...]:
-    """Return up to three single changes that make a problem feasible, the smallest first.
+    """Return up to three changes that make a problem feasible, the smallest first.
 
     There is none where it is feasible already. Each has been verified by planning the problem with
-    it. None is no proof that there is none.
+    it, and is of one quantity, or of two or three where none does alone. None is no proof that
+    there is none.
 
     Parameters
     ----------
@@ -104,10 +105,10 @@ def suggestions(
 def repair(
     problem: Problem | str | Path, budget: float = BUDGET, progress: Progress | None = None
 ) -> Plan:
-    """Return the certified plan of a problem, by the smallest single change that makes it feasible.
+    """Return the certified plan of a problem, by the smallest change that makes it feasible.
 
     The plan's title names the change; a feasible problem gives the plan of ``solve``. Arguments are
-    those of ``suggestions``; InfeasibleError says what binds where no single change was found.
+    those of ``suggestions``; InfeasibleError says what binds where no change was found.
     """
     task = _loaded(problem, Problem)
     try:

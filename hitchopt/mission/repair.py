@@ -55,7 +55,7 @@ from hitchopt.values.fields import keys_of
 BUDGET, DIGITS = 15.0, 3
 """Time [s] after which no further plan is begun, and digits of a suggested value."""
 
-NO_CHANGE = "no change was found that makes it feasible, and no two or three together"
+NO_CHANGE = "no change was found that makes it feasible"
 """Message where there is no suggestion."""
 
 SIZES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.5, 3.0, 6.0)

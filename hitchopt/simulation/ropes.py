@@ -107,12 +107,12 @@ class Ropes:
         return self.density * wave**2
 
     def check_tension(self, tension: float) -> None:
-        """Raise InputError where the time step is too long for a plan's largest tension [N]."""
-        step, needed = self.preset.time_step, RESERVE * tension
+        """Raise InputError where ropes are too light for a plan's largest tension [N]."""
+        needed = RESERVE * tension
         if self.largest_tension < needed:
-            most = step * math.sqrt(self.largest_tension / needed)
-            bound = f"at most {most:.3g} s for cables of {self.density:g} kg/m with {needed:.3g} N"
-            raise InputError("time_step", step, bound, "shorten it, or simulate heavier cables")
+            least = self.density * needed / self.largest_tension
+            bound = f"at least {least:.3g} kg/m to bear {needed:.3g} N"
+            raise InputError("density", self.density, bound, "simulate heavier cables (--density)")
 
 
 def clasped(ropes: Ropes, layout: Layout, drones: Array, vertices: Array) -> list[Array]:

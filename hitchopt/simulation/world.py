@@ -237,7 +237,7 @@ class InvalidRunError(HitchoptError):
 
     def __init__(self, quantity: str, broken: str, time: float, where: str) -> None:
         self.quantity, self.time, self.where = quantity, time, where
-        words = "ropes may have passed each other; take a finer preset, or fly more gently"
+        words = "ropes may have passed each other; take --preset accurate or a higher --density"
         super().__init__(f"simulation: {broken}, t = {time:.3f} s: {words}")
 
 

@@ -80,6 +80,7 @@ def assert_as_suggested(data: Any, suggestion: ho.Suggestion) -> ho.Plan:
 EDGE = ho.regular_polygon(3, 1.2)
 AT: list[float] = EDGE.vertices[0].tolist()
 LED = {"follow_vertex": {"vertex": 0, "path": [[4.0, AT[0], AT[1] + 0.1], [8.0, *AT]]}}
+CASE = [[0, -1], [-0.4, 0.5], [0.4, 0.5]]
 HEAVY = {"robots": 3, "cable_length": 2.2, "load": 0.05}
 
 
@@ -154,6 +155,64 @@ def test_what_can_be_met_needs_no_repair_and_what_nothing_mends_is_refused_as_be
         ho.repair(path)
     assert after.value.violations == before.value.violations
     assert ho.suggestions(path) == ho.suggestions(CASES["drones_too_close"], budget=0.0) == ()
+
+
+ARENA = {"lower": [-4, -4, 0], "upper": [4, 4, 1.3]}
+
+
+@pytest.mark.slow
+def test_faults_of_several_steps_are_repaired_together_and_the_rest_is_named() -> None:
+    limits, raised = {"duration": 5.0}, {"transport": {"to": [0, 0, 1.5]}}
+    data = small(limits=limits, arena=ARENA, mission=[raised, {"hold": {"seconds": 6.0}}])
+    with pytest.raises(ho.InfeasibleError, match=r"not looked at yet: steps 1 \(hold\)$"):
+        ho.solve(problem_from_dict(data))
+    found = ho.suggestions(problem_from_dict(data), PATIENCE)[0]
+    assert_as_suggested(data, found)
+    before, change = found.change.before, found.change
+    assert before is not None
+    assert before.key == "arena.upper[2]"
+    assert change.key in {"limits.duration", "mission[1].hold.seconds"}
+    assert str(found).startswith(f"suggested change: {before} and {change.key}")
+    told: Any = found.to_dict()
+    assert [each["key"] for each in told["edits"]] == ["arena", change.key]
+    assert told["before"]["key"] == before.key
+
+
+@pytest.mark.slow
+def test_tension_and_cable_are_changed_together() -> None:
+    team = {"robots": 3, "cable_length": 1.9, "tension": 1.4}
+    data = small(team=team, start={"hitch": {"polygon": CASE, "altitude": 1.0}})
+    every = ho.suggestions(problem_from_dict(data), PATIENCE)
+    keys = [(s.change.before and s.change.before.key, s.change.key) for s in every]
+    assert ("limits.tilt_deg", "team.cable_length") in keys
+    assert_as_suggested(data, every[keys.index(("limits.tilt_deg", "team.cable_length"))])
+
+
+@pytest.mark.slow
+def test_obstacles_are_passed_above_or_beside() -> None:
+    tray = {"circle": 0.1, "mass": 0.2, "at": [1.2, 0, 0], "rim": {"circle": 0.3, "at": 0.25}}
+    pole = {"circle": 0.05, "to": 0.8, "at": [3.3, 0, 0], "fixed": True}
+    polygon = [[0.4, 0], [-0.2, -0.35], [-0.2, 0.35]]
+    data: Any = small(
+        team={"robots": 3, "cable_length": 2.2, "cable_density": 0.01, "tension": 1.0},
+        objects={"tray": tray, "pole": pole},
+        start={"hitch": {"polygon": polygon, "altitude": 1.0}},
+        mission=[{"transport_object": {"object": "tray", "to": [5.5, 0.0, 0.0]}}],
+    )
+    key = "mission[0].transport_object"
+    with pytest.raises(ho.InfeasibleError) as told:
+        ho.solve(problem_from_dict(data))
+    assert f"raise {key}.lift, or lead it around by {key}.via" in str(told.value)
+    found = {s.change.key: s for s in ho.suggestions(problem_from_dict(data), PATIENCE)}
+    assert set(found) == {f"{key}.lift", f"{key}.via"}
+    # Its base is as far above the pole as objects are from each other.
+    assert found[f"{key}.lift"].change.new == pytest.approx(0.8 + 0.035, abs=0.01)
+    plan = assert_as_suggested(data, found[f"{key}.via"])
+    (edit,) = found[f"{key}.via"].change.edits
+    (place,) = np.array(edit.value)
+    times = [phase.end for phase in plan.motion.phases if phase.name == "carry"]
+    np.testing.assert_allclose(plan.at(times[0]).object_poses[0, :3], place, atol=1e-9)
+    assert_as_suggested(data, found[f"{key}.lift"])
 
 
 @pytest.mark.slow

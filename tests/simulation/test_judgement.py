@@ -273,7 +273,7 @@ def test_flights_that_cannot_begin_are_failures_of_that_run(tmp_path: Path) -> N
     assert campaign.to_dict()["not_simulated"] == campaign.not_simulated == 2
     save_campaign(tmp_path, campaign)
     assert (tmp_path / "runs.csv").read_text(encoding="utf-8").count("its drones start") == 2
-    with pytest.raises(ho.InputError, match="time_step"):  # nobody could fly this
+    with pytest.raises(ho.InputError, match="density"):  # nobody could fly this
         run_campaign(free, replace(BRIEF, density=1e-6), 2, processes=1)
     for runs, processes, name in ((0, None, "runs"), (1, 0, "processes")):
         with pytest.raises(ho.InputError, match=f"^{name} = 0"):
