@@ -143,6 +143,7 @@ class Mission(_Mission):
         tension: float | None = None,
         yaw: float = 0.0,
         lift: float = 0.3,
+        via: ArrayLike | None = None,
     ) -> Self: ...
 
 def morph(
