@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from weakref import WeakKeyDictionary
 
 from hitchopt.checks import cables, clasps, clearance, distances, drones, objects, stops, tracking
+from hitchopt.checks.across import check_across, radius_across
 from hitchopt.checks.certificate import Certificate, Check, worst_of
+from hitchopt.checks.distances import GROUND
 from hitchopt.checks.linking import CONTINUITY, DURATION, INTERLACING
 from hitchopt.checks.rule import CheckRule, ReportRule, SpanResult
 from hitchopt.checks.spans import value_cache
 from hitchopt.checks.tracking import GAMMA
-from hitchopt.motion.motion import Motion
+from hitchopt.motion.motion import Group, Motion
 from hitchopt.values import instance, not_negative, sequence
 
 RULES = (
@@ -86,6 +89,8 @@ def certify(
     gamma = not_negative("gamma", gamma)
     chosen: tuple[ReportRule, ...] = sequence("reports", reports)
     chosen = tuple(each for each in REPORTS if each in chosen or each.limit(motion) is not None)
+    if len(motion.flying) > 1:
+        return _remembered(motion, list(_checks_of_groups(motion, progress, gamma, chosen)))
     rules = tuple(rule for rule in RULES if rule.limit_of(motion) is not None)
     every: tuple[CheckRule | ReportRule, ...] = (*rules, *chosen)
     results: dict[str, Sequence[SpanResult]] = dict.fromkeys(RULE_OF, ())
@@ -100,6 +105,45 @@ def certify(
             else:
                 checks.append(each.check(motion, results, gamma))
     return _remembered(motion, checks)
+
+
+def _checks_of_groups(
+    motion: Motion,
+    progress: Callable[[str], None] | None,
+    gamma: float,
+    chosen: tuple[ReportRule, ...],
+) -> Iterator[Check | None]:
+    """Yield the checks of all groups together: the worst of each group alone, and across."""
+    radius, own = tracking.TRACKING_RADIUS, dict[str, list[Check]]()
+    for group in motion.groups:
+        alone = group.motion.replaced(others=())
+        tell = None if progress is None else partial(_tell, progress, group.name)
+        reports = tuple(each for each in chosen if each is radius)
+        for check in certify(alone, tell, gamma, reports=reports).checks:
+            own.setdefault(check.name, []).append(_labelled(check, group))
+    across: dict[str, Check | None] = {}
+    with value_cache():
+        for rule in RULES:
+            across[rule.name] = check_across(rule, motion)
+            yield worst_of([*own.get(rule.name, ()), across[rule.name]])
+        for report in chosen:
+            if report is radius:
+                apart = radius_across(motion, across.values(), gamma)
+                checked = apart.check(report, report.limit(motion), gamma)
+                yield worst_of([*own.get(report.name, ()), checked])
+            else:
+                yield report.check(motion, {}, gamma)
+
+
+def _tell(progress: Callable[[str], None], name: str, words: str) -> None:
+    progress(f"{name}: {words}" if name else words)
+
+
+def _labelled(check: Check, group: Group) -> Check:
+    """Return a group's check with its places named among those of all groups."""
+    same = {GROUND, *group.motion.requirements.objects}
+    where = tuple(place if place in same else group.label(place) for place in check.where)
+    return replace(check, where=where)
 
 
 def certificate_of(motion: Motion, progress: Callable[[str], None] | None = None) -> Certificate:
@@ -129,7 +173,7 @@ def merged(motion: Motion, parts: Sequence[Certificate]) -> Certificate:
     motion: of the parts one after the other, each from where the last one ends.
     parts: their certificates; any check of duration in them is not used.
     """
-    if tracking.TRACKING_RADIUS.limit(motion) is not None:
+    if motion.others or tracking.TRACKING_RADIUS.limit(motion) is not None:
         return certify(motion)  # parts are certified against wider distances
     begin = float(motion.drones.breaks[0])
     of_parts: dict[str, list[Check]] = {rule.name: [] for rule in (*RULES, *REPORTS)}

@@ -213,19 +213,21 @@ class ClockLimit:
 
 
 class ClockLimits:
-    """The limits of a motion, for clocks; ``carried`` are those of carried objects."""
+    """The limits of a motion's groups, for clocks; ``carried`` are those of carried objects."""
 
     def __init__(self, motion: Motion) -> None:
+        groups = [group.motion for group in motion.groups]
         with value_cache():
-            self.motion, self._spare = motion, _spare(motion)
-            self.carried = [_inertia(path, slack) for path, slack in carried_paths(motion)]
-        self._drones = ClockLimit(motion.drones, 3, DronesOnClock, motion, self._quick, self._used)
+            self.carried = [
+                _inertia(path, slack) for each in groups for path, slack in carried_paths(each)
+            ]
+            self._drones = [_limit_of_drones(each) for each in groups]
 
     def keep(self, phases: ClockPhases, owners: int) -> Flags:
         """Return (owners,) whether phases of each clock, with rates from -1 to 1, keep limits."""
         feasible = np.ones(owners, dtype=np.bool_)
         with value_cache():
-            for each in (*self.carried, self._drones):
+            for each in (*self.carried, *self._drones):
                 each.look(phases, feasible)
         return feasible
 
@@ -235,22 +237,29 @@ class ClockLimits:
         within = (spans[:, 0] < times[:, None]) & (times[:, None] < spans[:, 1])
         return np.asarray(np.any(within, axis=1))
 
-    def _quick(self, sizes: Array, piece: Indices, s: Array, slope: Array, jerk: Array) -> Flags:
-        limits, (v, a, j) = self.motion.requirements.limits, sizes
-        fine: Flags = s * s * a + slope * v <= np.minimum(self._spare[piece], limits.acceleration)
-        fine &= s * s * s * j + 3.0 * s * slope * a + jerk * v <= limits.jerk
-        return fine & (limits.body_rate is None)  # no quick bound of turning is tight
 
-    def _used(self, spans: DronesOnClock) -> Array:
+def _limit_of_drones(motion: Motion) -> ClockLimit:
+    """Return the limits of a motion's drones."""
+    limits, spare = motion.requirements.limits, _spare(motion)
+    turns = limits.body_rate
+
+    def quick(sizes: Array, piece: Indices, s: Array, slope: Array, jerk: Array) -> Flags:
+        v, a, j = sizes
+        fine: Flags = s * s * a + slope * v <= np.minimum(spare[piece], limits.acceleration)
+        fine &= s * s * s * j + 3.0 * s * slope * a + jerk * v <= limits.jerk
+        return fine & (turns is None)  # no quick bound of turning is tight
+
+    def used(spans: DronesOnClock) -> Array:
         """Return the largest share of a limit (spans,), by the formulas of the checks."""
-        limits, turns = self.motion.requirements.limits, self.motion.requirements.limits.body_rate
         acceleration, jerk = (spans.moved(order).norm_above.value for order in (2, 3))
         shares = [acceleration / limits.acceleration, jerk / limits.jerk]
         if turns is not None:
             shares.append(turning_rate(spans).value / math.degrees(turns))
-        if turns is not None or not np.all(acceleration <= self._spare[spans.piece, spans.item]):
+        if turns is not None or not np.all(acceleration <= spare[spans.piece, spans.item]):
             shares += [used_thrust(spans).value, tilt(spans).value / math.degrees(limits.tilt)]
         return np.asarray(np.max(shares, axis=0))
+
+    return ClockLimit(motion.drones, 3, DronesOnClock, motion, quick, used)
 
 
 def _spare(motion: Motion) -> Array:

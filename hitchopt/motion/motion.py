@@ -21,6 +21,9 @@ from hitchopt.trajectory import PiecewisePolynomial, joined
 JOINT = 1e-6
 """[s] Phases meet within this, and cables change their state within this of a break."""
 
+WAIT = "wait"
+"""Name of phases in which a group rests because others fly."""
+
 
 class CableState(StrEnum):
     """State of the cables in a phase; the certificate verifies it from the polynomials.
@@ -115,6 +118,22 @@ def check_phases(phases: Sequence[Phase], start: float, end: float) -> None:
         raise InputError("phases", spans, bound, remedy)
 
 
+@dataclass(frozen=True, eq=False)
+class Group:
+    """A motion among several on one clock, under its team's name, which is empty if it is alone.
+
+    Of somebody else's plan, ``digest`` is that of its file.
+    """
+
+    name: str
+    motion: Motion
+    digest: str = ""
+
+    def label(self, place: str) -> str:
+        """Return the name of a drone, cable or vertex of it among all groups'."""
+        return f"{self.name}.{place}" if self.name else place
+
+
 POLYNOMIALS = ("drones", "vertices", "legs", "tensions")
 """Fields of every motion that are polynomials."""
 
@@ -150,6 +169,8 @@ class Motion(OneLine):
         stands) to 1; None if they carry none.
     contacts: of shape (n, 2, 3) [m], where edge k meets and leaves the section that it is wrapped
         around, the same point if straight; None if all edges are straight.
+    others: plans of somebody else that fly besides, at their times on this motion's clock; at rest
+        before and after. All distances to them are kept.
 
     Raises
     ------
@@ -168,6 +189,7 @@ class Motion(OneLine):
     poses: PiecewisePolynomial | None = None
     borne: PiecewisePolynomial | None = None
     contacts: PiecewisePolynomial | None = None
+    others: tuple[Group, ...] = ()
 
     def _parts(self) -> Iterator[str]:
         yield f"{self.team.drones} drones"
@@ -229,6 +251,20 @@ class Motion(OneLine):
         if not team.has_cables:
             phases = [replace(phase, state=CableState.NONE) for phase in phases]
         return cls(team, requirements, drones, vertices, legs, tensions, tuple(phases))
+
+    @property
+    def groups(self) -> tuple[Group, ...]:
+        """The motions side by side; itself, unless several were combined."""
+        return (Group("", self),)
+
+    @property
+    def flying(self) -> tuple[Group, ...]:
+        """Its groups and all ``others``."""
+        return self.groups + self.others
+
+    def each_group(self, change: Callable[[Motion], Motion]) -> Motion:
+        """Return the motion with a change of every group's clock applied."""
+        return change(self)
 
     @property
     def duration(self) -> float:
@@ -340,7 +376,7 @@ class Motion(OneLine):
 
         Only phases are checked: polynomials come from motions that were checked on construction.
         """
-        motion, own = object.__new__(Motion), vars(self)
+        motion, own = object.__new__(type(self)), vars(self)
         vars(motion).update({name: own[name] for name in self.__dataclass_fields__} | values)
         if "phases" in values:
             breaks = motion.drones.breaks

@@ -215,7 +215,7 @@ def read_saved_plan(path: Path) -> SavedPlan:
 
 
 def _saved_plan(settings: dict[str, Any], arrays: Arrays) -> SavedPlan:
-    parts = {}
+    parts = dict[str, Any]()
     for name in (name for name in (*POLYNOMIALS, *OPTIONAL_CURVES) if name in arrays):
         if arrays[name].size and not np.max(np.abs(arrays[name])) <= LARGEST:
             raise InputError(name, "a coefficient", f"within ±{LARGEST:g}", REMEDY)

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
-from hitchopt.motion.motion import Motion, Phase, joined_motions
+from hitchopt.motion.motion import JOINT, WAIT, Motion, Phase, joined_motions
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.clock_phases import ClockPhases, advanced
-from hitchopt.trajectory.piecewise import on_breaks
+from hitchopt.trajectory.piecewise import SAME_BREAK, on_breaks
 from hitchopt.values import Array, Indices
 
 REST = 1e-6
@@ -31,19 +32,56 @@ def rest_breaks(motion: Motion) -> NDArray[np.intp]:
 def cut(motion: Motion, first: int, last: int) -> Motion:
     """Return the pieces from break ``first`` to break ``last``, from t = 0 on."""
     start, end = motion.drones.breaks[[first, last]].tolist()
-    breaks = motion.drones.breaks[first : last + 1] - start
+    others = tuple(replace(each, motion=shifted(each.motion, -start)) for each in motion.others)
+    return motion.each_group(lambda own: _between(own, start, end)).replaced(others=others)
+
+
+def _between(motion: Motion, start: float, end: float) -> Motion:
+    """Return the motion between two times [s], from t = 0 on."""
+    inner = motion.drones.breaks
+    inner = inner[(inner > start + SAME_BREAK) & (inner < end - SAME_BREAK)]
+    breaks = np.concatenate([[start], inner, [end]])
     phases = [
-        phase.retimed(max(phase.start, start) - start, min(phase.end, end) - start)
+        phase.retimed(max(phase.start, start), min(phase.end, end))
         for phase in motion.overlapping(start, end)
     ]
-    return motion.map_curves(lambda part: part.alike(part.coefficients[first:last], breaks), phases)
+    return shifted(motion.map_curves(lambda part: on_breaks(part, breaks), phases), -start)
+
+
+def shifted(motion: Motion, by: float) -> Motion:
+    """Return the same motion later by a time [s]."""
+    breaks = motion.drones.breaks + by
+    phases = [phase.retimed(phase.start + by, phase.end + by) for phase in motion.phases]
+    return motion.map_curves(lambda part: part.alike(part.coefficients, breaks), phases)
+
+
+def on_breaks_of(motion: Motion, breaks: Array) -> Motion:
+    """Return the motion on other breaks, with all of its own, as ``on_breaks``."""
+    return motion.map_curves(lambda part: on_breaks(part, breaks), motion.phases)
+
+
+def padded(motion: Motion, start: float, end: float) -> Motion:
+    """Return the motion from ``start`` to ``end`` [s], at rest before its start and after its end.
+
+    While it rests its phases are named WAIT and belong to its first and last step.
+    """
+    first, last = motion.drones.breaks[[0, -1]].tolist()
+    parts = [shifted(motion, -first)]
+    for seconds, at in ((first - start, 0), (end - last, -1)):
+        if seconds > JOINT:
+            wait = replace(motion.phases[at], name=WAIT, tension=None, remark="")
+            rest = resting(motion, seconds, wait, first=at == 0)
+            parts = [*parts, rest] if at else [rest, *parts]
+    return motion if len(parts) == 1 else shifted(joined_motions(parts), min(start, first))
 
 
 def stretched(motion: Motion, factor: float) -> Motion:
     """Return the same curves ``factor`` times as slow, and no limit on their duration."""
     if not 1.0 <= factor <= 100.0:
         raise InputError("stretch", factor, "from 1 to 100", "1.05 flies 5 % slower")
-    return motion if factor == 1.0 else motion.untimed.slowed(factor)
+    if factor == 1.0:
+        return motion
+    return motion.each_group(lambda own: own.untimed.slowed(factor))
 
 
 LONGEST, SHORTEST = 0.1, 4e-3
@@ -60,6 +98,11 @@ def on_clock(motion: Motion, clock: ClockPhases) -> Motion:
 
     The clock's phases are consecutive and within the motion's time.
     """
+    return motion.each_group(lambda own: _on_clock(own, clock))
+
+
+def _on_clock(motion: Motion, clock: ClockPhases) -> Motion:
+    """Return one group's motion flown on a clock."""
     cells, pieces = clock.cut(motion.drones.breaks)
     pieces = np.clip(pieces, 0, motion.drones.pieces - 1)
     times = np.concatenate([[0.0], np.cumsum(cells.duration)])
@@ -117,13 +160,17 @@ def _jets(part: PiecewisePolynomial, pieces: Indices, clock: Array) -> Array:
 
 def before(motion: Motion, time: float) -> Motion:
     """Return the motion up to a time [s], exactly but for rounding."""
-    breaks = motion.drones.breaks
-    breaks = np.append(breaks[: np.searchsorted(breaks, time - 1e-9)], time)
-    phases = [
-        phase.retimed(phase.start, min(phase.end, time))
-        for phase in motion.overlapping(breaks[0], time)
-    ]
-    return motion.map_curves(lambda part: on_breaks(part, breaks), phases)
+
+    def of_group(own: Motion) -> Motion:
+        breaks = own.drones.breaks
+        breaks = np.append(breaks[: np.searchsorted(breaks, time - 1e-9)], time)
+        phases = [
+            phase.retimed(phase.start, min(phase.end, time))
+            for phase in own.overlapping(breaks[0], time)
+        ]
+        return own.map_curves(lambda part: on_breaks(part, breaks), phases)
+
+    return motion.each_group(of_group)
 
 
 def append_motion(first: Motion, second: Motion) -> Motion:

@@ -32,6 +32,17 @@ TIME_TOLERANCE = 1e-9
 AT_REST = ("velocities", "accelerations", "jerks", "cable_force_rates", "vertex_velocities")
 """Fields of states that are zero after a plan's end."""
 
+OF_DRONES = (
+    "positions",
+    "velocities",
+    "accelerations",
+    "jerks",
+    "cable_forces",
+    "cable_force_rates",
+    "masses",
+)
+"""Fields of states with an entry per drone."""
+
 ITERATIONS = 30
 """Maximum corrections of the final hitch's legs and roll; without weight the first is exact."""
 
@@ -204,7 +215,23 @@ def states_at(motion: Motion, t: ArrayLike) -> States:
 
 
 def iterate_states(motion: Motion, times: Array, size: int) -> Iterator[States]:
-    """Yield the states at ``times`` (samples,) [s] in blocks of at most ``size``."""
+    """Yield the states at ``times`` (samples,) [s] in blocks of at most ``size``.
+
+    Those of several groups have the drones of all; what cables do is known to each alone.
+    """
+    if len(motion.groups) > 1:
+        each = [iterate_states(group.motion, times, size) for group in motion.groups]
+        for blocks in zip(*each, strict=True):
+            t = blocks[0].t
+            here: dict[str, Any] = {
+                name: np.concatenate([getattr(block, name) for block in blocks], axis=1)
+                for name in OF_DRONES
+            }
+            for name in ("vertices", "legs", "tensions", "object_poses", "object_shares"):
+                here[name] = getattr(motion, name).at(motion.drones.breaks[0] + t)
+            here |= {"vertex_velocities": here["vertices"], "borne": here.pop("object_shares")}
+            yield States(t=t, formed=np.zeros(len(t), np.bool_), **here)
+        return
     pulls, taut = map(motion.drones.alike, (leg_tensions(motion), tautness(motion)))
     parts = motion.drones, motion.vertices, pulls, taut
     rates, inner = [part.differentiated() for part in parts], motion.drones.breaks[1:-1]

@@ -1,0 +1,262 @@
+"""Several teams in one plan: each planned alone, then begun so that all keep off each other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hitchopt.checks import certify
+from hitchopt.errors import (
+    InfeasibleError,
+    OneLine,
+    Progress,
+    TimeLimitError,
+    Violation,
+)
+from hitchopt.hitch.requirements import Separation
+from hitchopt.mission.problem import Problem, SwarmProblem
+from hitchopt.mission.solving import solve_problem, solve_swarm
+from hitchopt.motion.combined import combined
+from hitchopt.motion.motion import JOINT, WAIT, Group, Motion, Phase, joined_motions
+from hitchopt.motion.retiming import cut, resting
+from hitchopt.planners.schedule import STEP, Blocked, Placed, Schedule, Track
+from hitchopt.steps.certified_motions import Certified, infeasible
+from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.values import Array
+
+PADS = 0.0, 0.02, 0.05, 0.10
+"""[m] By how much wider distances are, until the certificate holds: samples are STEP apart."""
+
+LAYER = 0.6
+"""[m] By how much higher or lower a path is flown where no delay helps."""
+
+RISE = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0])
+"""Coefficients of the polynomial that rises from rest to rest, up to its third derivative."""
+
+PEAKS = 35.0 / 16.0, 7.5132, 52.5
+"""Largest values of its first three derivatives."""
+
+
+@dataclass(frozen=True, eq=False)
+class TeamsProblem(OneLine):
+    """Several teams in one arena, and what each does."""
+
+    problems: Mapping[str, Problem | tuple[SwarmProblem, ...]]
+    items: Sequence[Mapping[str, int]]  # steps of each team in each item of the mission
+    others: tuple[Group, ...] = ()
+    title: str = ""
+
+
+def solve_teams(problem: TeamsProblem, progress: Progress | None = None) -> Certified:
+    """Return the certified plan of all teams.
+
+    Raises InfeasibleError: a team cannot fly alone, or no start of it keeps it off the others.
+    """
+    tell = progress or (lambda _: None)
+    alone = {name: _alone(name, each, tell) for name, each in problem.problems.items()}
+    together = combined([Group(name, each) for name, each in alone.items()]).requirements
+    items = [
+        _Item(index, row, before, together.separation, alone)
+        for index, (row, before) in enumerate(_items(alone, problem.items))
+    ]
+    others = [Track(each, _moved(each.motion)) for each in problem.others]
+    for pad in PADS:
+        tell("finding when each team begins")
+        wider = pad + 2.0 * (together.limits.tracking or 0.0)
+        flown, clock = {name: list[Motion]() for name in alone}, 0.0
+        for item in items:
+            clock += item.fly(flown, [_placed(each, clock) for each in others], wider)
+        groups = [Group(name, _one_wait(joined_motions(each))) for name, each in flown.items()]
+        motion = combined(groups, problem.others)
+        tell("certifying all teams together")
+        certificate = certify(motion)
+        if certificate.certified:
+            break
+    if not certificate.certified:
+        raise infeasible(certificate, motion)
+    return Certified(motion, certificate)
+
+
+def _placed(track: Track, clock: float) -> Placed:
+    """Return a track of others as seen at a time [s] of the plan."""
+    return Placed(track, round((float(track.times[0]) - clock) / STEP))
+
+
+def _alone(name: str, problem: Problem | tuple[SwarmProblem, ...], tell: Progress) -> Motion:
+    """Return the motion of one team alone."""
+
+    def say(words: str) -> None:
+        tell(f"{name}: {words}" if name else words)
+
+    try:
+        if isinstance(problem, Problem):
+            return solve_problem(problem, say).motion
+        motions = []
+        for k, each in enumerate(problem):
+            motion = solve_swarm(each, say).motion
+            motions.append(motion.replaced(phases=tuple(replace(p, step=k) for p in motion.phases)))
+        return joined_motions(motions)
+    except TimeLimitError:
+        raise
+    except InfeasibleError as error:
+        label = Group(name, None).label if name else str  # type: ignore[arg-type]
+        violations = [
+            replace(
+                each, where=tuple(map(label, each.where)), when=f"{each.when} of {name}".strip()
+            )
+            for each in error.violations
+        ]
+        raise InfeasibleError(violations if name else error.violations, error.note) from None
+
+
+def _items(
+    alone: Mapping[str, Motion], items: Sequence[Mapping[str, int]]
+) -> Iterator[tuple[dict[str, Motion], dict[str, Motion]]]:
+    """Yield the motions in each item of the teams that fly there, and of all at rest before it."""
+    done = dict.fromkeys(alone, 0)
+    here = {name: resting(motion, STEP, first=True) for name, motion in alone.items()}
+    for item in items:
+        row = dict[str, Motion]()
+        for name, count in item.items():
+            motion, first, done[name] = alone[name], done[name], done[name] + count
+            phases = [phase for phase in motion.phases if first <= phase.step < done[name]]
+            ends = np.array([phases[0].start, phases[-1].end])
+            nearest = np.argmin(np.abs(motion.drones.breaks - ends[:, None]), axis=1)
+            row[name] = cut(motion, *nearest.tolist())
+        yield row, here
+        here = here | {name: resting(motion, STEP) for name, motion in row.items()}
+
+
+class _Item:
+    """An item of the mission: the motions that begin together, and when each does."""
+
+    def __init__(
+        self,
+        index: int,
+        row: Mapping[str, Motion],
+        before: Mapping[str, Motion],
+        separation: Separation,
+        alone: Mapping[str, Motion],
+    ) -> None:
+        self.index, self.row = index, row
+        self.tracks = [
+            Track(Group(name, row.get(name, before[name])), _moved(motion))
+            for name, motion in alone.items()
+        ]
+        self.schedule = Schedule(self.tracks, separation, self._layer)
+
+    def _layer(self, k: int, layer: int) -> Track | None:
+        name = self.tracks[k].group.name
+        height = LAYER if layer == 1 else -LAYER
+        motion = _layered(self.row[name], height) if name in self.row else None
+        return None if motion is None else Track(Group(name, motion), self.tracks[k].owned)
+
+    def fly(self, flown: Mapping[str, list[Motion]], others: Sequence[Placed], pad: float) -> float:
+        """Add the motions of all teams to those that they have flown; return its duration [s]."""
+        found = self.schedule.solve(others, pad)
+        if isinstance(found, Blocked):
+            raise _blocked(found, self.index)
+        starts = [
+            (each.track.group.name, STEP * each.start, each.track.group.motion) for each in found
+        ]
+        end = max(delay + motion.duration for name, delay, motion in starts if name in self.row)
+        for name, delay, motion in starts:
+            flown[name] += _within(motion, delay, end, flies=name in self.row)
+        return end
+
+
+def _one_wait(motion: Motion) -> Motion:
+    """Return the motion with phases of waiting that follow one another, in one step, as one."""
+    phases = list[Phase]()
+    for phase in motion.phases:
+        last = phases[-1] if phases else None
+        if (
+            last
+            and last.name == WAIT
+            and phase.retimed(last.start, phase.end) == last.retimed(last.start, phase.end)
+        ):
+            phases[-1] = last.retimed(last.start, phase.end)
+        else:
+            phases.append(phase)
+    return motion.replaced(phases=tuple(phases))
+
+
+def _within(motion: Motion, delay: float, end: float, *, flies: bool) -> Iterator[Motion]:
+    """Yield the parts of a motion that begins after a delay, and rests before and until the end."""
+    wait = replace(motion.phases[0], name=WAIT, tension=None, remark="")
+    if not flies:
+        yield resting(motion, end, wait)
+        return
+    if delay > JOINT:
+        yield resting(motion, delay, wait, first=True)
+    yield motion
+    if (left := end - delay - motion.duration) > JOINT:
+        wait = replace(motion.phases[-1], name=WAIT, tension=None, remark="")
+        yield resting(motion, left, wait)
+
+
+def _moved(motion: Motion) -> frozenset[str]:
+    """Return the names of objects that a motion moves."""
+    poses = motion.object_poses.coefficients
+    moves = np.any(poses != poses[:1, ..., :1], axis=(0, 2, 3))
+    return frozenset(np.array(list(motion.requirements.objects), dtype=object)[moves].tolist())
+
+
+def _layered(motion: Motion, height: float) -> Motion | None:
+    """Return the motion flown higher by ``height`` [m]: a climb, the same path, a descent.
+
+    None for paths on which cables or objects are not taken along as they are: with free cables, or
+    an object held; or of several steps, which would end elsewhere.
+    """
+    if any((not (p.formed or p.hold) and motion.team.has_cables) or p.hold for p in motion.phases):
+        return None
+    if motion.phases[0].step != motion.phases[-1].step:
+        return None
+    limits = motion.requirements.with_reserve.limits
+    speed = min(limits.speed, limits.vertex_speed) if motion.team.has_cables else limits.speed
+    rates = speed, 0.5 * limits.acceleration, limits.jerk
+    least = (
+        math.pow(peak * abs(height) / rate, 1.0 / k)
+        for k, (peak, rate) in enumerate(zip(PEAKS, rates, strict=True), 1)
+    )
+    seconds = max(least)
+    climb = resting(motion, seconds, replace(motion.phases[0], name="climb"), first=True)
+    descend = resting(motion, seconds, replace(motion.phases[-1], name="descend"))
+    raised = [
+        _raised(climb, height * RISE),
+        _raised(motion, np.full(1, height)),
+        _raised(descend, height * RISE[::-1]),
+    ]
+    return joined_motions(raised)
+
+
+def _raised(motion: Motion, heights: Array) -> Motion:
+    """Return the motion with a polynomial (degree + 1,) [m] on each piece added to heights."""
+
+    def part(whole: PiecewisePolynomial) -> PiecewisePolynomial:
+        degree = max(whole.degree, len(heights) - 1)
+        coefficients = whole.elevated(degree).coefficients.copy()
+        added = PiecewisePolynomial(whole.breaks[:2], heights[None]).elevated(degree)
+        coefficients[..., 2, :] += added.coefficients[0]
+        return whole.alike(coefficients)
+
+    return motion.replaced(drones=part(motion.drones), vertices=part(motion.vertices))
+
+
+def _blocked(blocked: Blocked, item: int) -> InfeasibleError:
+    """Return the error of two teams that find no times beside each other."""
+    x, y, z = blocked.place
+    one, other = blocked.names
+    where = f"near ({x:.2f}, {y:.2f}, {z:.2f}) m in item {item} of the mission"
+    if blocked.at:
+        when = f"between the {blocked.at} of {one} and {other}, {where}"
+        remedy = f"move the {blocked.at[:-1]} of {one} or {other}; no delay helps"
+    else:
+        when = f"{where}, {blocked.time:.1f} s after it begins, whatever the delay"
+        remedy = f"move the goal of {one} or {other}, or let one of them fly in an item of its own"
+    unit = "ratio" if blocked.check == "separation" else "m"
+    values = blocked.check, blocked.value, blocked.limit, "min", unit, (one, other), when, remedy
+    return InfeasibleError([Violation(*values)])

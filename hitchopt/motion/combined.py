@@ -1,0 +1,184 @@
+"""Several motions side by side on one clock: the drones of all, and each with cables of its own.
+
+A combined motion is a swarm of all drones on the breaks of all motions. What knows drones alone
+takes it as it is; what knows cables takes its ``groups`` one by one: each has its own breaks, as
+derivatives on the short pieces between the breaks of several would suffer from rounding.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import reduce
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from hitchopt.errors import InputError
+from hitchopt.hitch import Swarm, Team
+from hitchopt.hitch.requirements import Limits, Requirements, Separation
+from hitchopt.motion.motion import JOINT, CableState, Group, Motion, Phase
+from hitchopt.motion.retiming import on_breaks_of, padded
+from hitchopt.objects import SolidObject
+from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.trajectory.piecewise import merged_breaks
+
+
+@dataclass(frozen=True, eq=False)
+class Fleet(Swarm):
+    """The drones of several teams, as ``a.q0``: a swarm to all that knows no cables."""
+
+    def __init__(self, teams: Sequence[tuple[str, Team]]) -> None:
+        kinds = [
+            kind
+            for _, team in teams
+            for kind in team.quadrotor
+            for _ in range(team.drones // len(team.quadrotor))
+        ]
+        names = tuple(f"{name}.{drone}" for name, team in teams for drone in team.drone_names)
+        super().__init__(len(kinds), quadrotor=kinds)
+        object.__setattr__(self, "_names", names)
+
+    @property
+    def drone_names(self) -> tuple[str, ...]:
+        """(N,): a.q0, a.r0, …, b.d0, …."""
+        names: tuple[str, ...] = vars(self)["_names"]
+        return names
+
+
+@dataclass(frozen=True, eq=False)
+class CombinedMotion(Motion):
+    """Motions of several teams side by side, as the motion of all drones; see ``combined``."""
+
+    parts: tuple[Group, ...] = ()
+
+    @property
+    def groups(self) -> tuple[Group, ...]:
+        """The motions side by side."""
+        return self.parts
+
+    def each_group(self, change: Callable[[Motion], Motion]) -> Motion:
+        """Return the motion with a change of every group's clock applied."""
+        groups = [replace(each, motion=change(each.motion)) for each in self.parts]
+        return combined(groups, self.others)
+
+    def map_curves(
+        self, change: Callable[[PiecewisePolynomial], PiecewisePolynomial], phases: Sequence[Phase]
+    ) -> Motion:
+        """Refuse: groups have breaks of their own."""
+        raise NotImplementedError("apply it to each of groups")
+
+
+def combined(groups: Sequence[Group], others: Sequence[Group] = ()) -> Motion:
+    """Return the motions of several groups on one clock, all at rest before and after their own.
+
+    Distances between groups are the larger ones of both groups' requirements. A group alone stays
+    what it is.
+
+    Raises
+    ------
+    InputError: two groups of one name, or arenas that differ.
+    """
+    taken = [
+        name
+        for name, count in Counter(each.name for each in (*groups, *others)).items()
+        if count > 1
+    ]
+    if taken:
+        raise InputError("teams", taken[0], "names that differ", "rename one of them")
+    begin = min(float(each.motion.drones.breaks[0]) for each in groups)
+    end = max(float(each.motion.drones.breaks[-1]) for each in groups)
+    groups = tuple(replace(each, motion=padded(each.motion, begin, end)) for each in groups)
+    if len(groups) == 1:
+        return groups[0].motion.replaced(others=tuple(others))
+    breaks = merged_breaks([each.motion.drones.breaks for each in groups])
+    whole = [on_breaks_of(each.motion, breaks) for each in groups]
+    degree = max(each.drones.degree for each in whole)
+    drones = np.concatenate([each.drones.elevated(degree).coefficients for each in whole], axis=1)
+    team = Fleet([(each.name, each.motion.team) for each in groups])
+    requirements, poses = _shared(groups, whole)
+    swarm = Motion.single(
+        team, requirements, PiecewisePolynomial(breaks, drones), _phases(groups, begin, end)
+    )
+    own = {field.name: getattr(swarm, field.name) for field in fields(Motion)}
+    own |= {"others": tuple(others), "poses": poses}
+    return CombinedMotion(**own, parts=groups)
+
+
+def _shared(
+    groups: Sequence[Group], whole: Sequence[Motion]
+) -> tuple[Requirements, PiecewisePolynomial | None]:
+    """Return the requirements that hold between groups, with all objects, and objects' poses.
+
+    An obstacle that several groups have is one; other objects of one name are named by the group.
+    """
+    each = [group.motion.requirements for group in groups]
+    if (
+        len(
+            {
+                None if one.arena is None else one.arena.lower.tobytes() + one.arena.upper.tobytes()
+                for one in each
+            }
+        )
+        > 1
+    ):
+        raise InputError("arena", "several", "the arena of all", "give both plans one arena")
+    separation = reduce(_wider, (one.separation for one in each))
+    tracking = max((one.limits.tracking or 0.0 for one in each), default=0.0) or None
+    limits: Limits = replace(each[0].limits, tracking=tracking)
+    prisms = {prism.corners.tobytes(): prism for one in each for prism in one.keep_out}
+    objects, poses = dict[str, SolidObject](), list[Any]()
+    for group, motion, one in zip(groups, whole, each, strict=True):
+        for index, (name, body) in enumerate(one.objects.items()):
+            pose = motion.object_poses.coefficients[:, index]
+            key = group.label(name) if name in objects else name
+            known = (
+                name in objects
+                and same_object(objects[name], body)
+                and not np.any(np.ptp(pose, axis=-1))
+            )
+            if not known:
+                objects[key] = body
+                poses.append(motion.object_poses.elevated(7).coefficients[:, index])
+    needed = Requirements(limits, separation, each[0].arena, tuple(prisms.values()), objects)
+    if not poses:
+        return needed, None
+    return needed, PiecewisePolynomial(whole[0].drones.breaks, np.stack(poses, axis=1))
+
+
+def same_object(one: SolidObject, other: SolidObject) -> bool:
+    """Return whether two objects are the same body at the same place."""
+    if len(one.slabs) != len(other.slabs) or not np.array_equal(one.pose, other.pose):
+        return False
+    return all(
+        (a.lower, a.upper, a.section.rounding) == (b.lower, b.upper, b.section.rounding)
+        and np.array_equal(a.section.core, b.section.core)
+        for a, b in zip(one.slabs, other.slabs, strict=True)
+    )
+
+
+def _wider(one: Separation, other: Separation) -> Separation:
+    """Return the larger ones of all distances."""
+    return Separation(**{name: max(x, getattr(other, name)) for name, x in vars(one).items()})
+
+
+def _phases(groups: Sequence[Group], begin: float, end: float) -> list[Phase]:
+    """Return the phases of all groups, ended where any of them ends, with the names of all."""
+    ends = [
+        np.array([begin, *(phase.end for phase in each.motion.phases[:-1]), end]) for each in groups
+    ]
+    times = np.unique(np.concatenate(ends))
+    times = times[np.append(True, np.diff(times) > JOINT)]
+    times[-1] = end
+    phases = list[Phase]()
+    for start, stop in pairwise(times.tolist()):
+        middle = 0.5 * (start + stop)
+        here = [next(p for p in each.motion.phases if p.end >= middle) for each in groups]
+        name = ", ".join(
+            f"{group.name} {phase.name}" for group, phase in zip(groups, here, strict=True)
+        )
+        step = max(phase.step for phase in here)
+        phases.append(Phase(name, step, start, stop, state=CableState.NONE))
+    return phases
