@@ -22,6 +22,7 @@ import numpy as np
 from hitchopt.checks.certificate import Check
 from hitchopt.checks.clearance import CHAIN_TOLERANCE, Solid, from_above
 from hitchopt.checks.distances import (
+    TOUCHING,
     Moving,
     PairSpans,
     distance,
@@ -32,6 +33,7 @@ from hitchopt.checks.objects import placed, seen_from
 from hitchopt.checks.rule import CheckRule, WorstCase
 from hitchopt.checks.spans import ROUNDING, cable_parts, cached, magnitude, part_name
 from hitchopt.checks.tracking import Ellipsoid
+from hitchopt.hitch.requirements import Separation
 from hitchopt.motion.combined import same_object
 from hitchopt.motion.motion import Group, Motion
 from hitchopt.motion.retiming import on_breaks_of, padded
@@ -220,14 +222,14 @@ def _beside(
     )
 
 
-ACROSS: dict[str, Callable[[Run], Iterable[Moving]]] = {
-    "separation": separated,
-    "cable_clearance": past_cables,
-    "crossing": crossings,
-    "keep_out": past_objects,
-    "object_clearance": around_objects,
+ACROSS: dict[str, tuple[Callable[[Run], Iterable[Moving]], Callable[[Separation], float]]] = {
+    "separation": (separated, lambda _: 1.0),
+    "cable_clearance": (past_cables, lambda s: max(s.cable, TOUCHING)),
+    "crossing": (crossings, lambda s: max(s.crossing, TOUCHING)),
+    "keep_out": (past_objects, lambda s: s.radius),
+    "object_clearance": (around_objects, lambda s: max(s.object, TOUCHING)),
 }
-"""The pairs across by the checks that they belong to."""
+"""The pairs across and their distances, by the checks that they belong to."""
 
 CLOSER: dict[str, Callable[[float], float]] = {
     "cable_clearance": lambda most: 1.0 + most,
@@ -240,11 +242,11 @@ CLOSER: dict[str, Callable[[float], float]] = {
 
 def check_across(rule: CheckRule, motion: Motion) -> Check | None:
     """Return the check of a rule between groups; None where nothing is compared."""
-    limit = rule.limit(motion) if callable(rule.limit) else rule.limit
-    if rule.name not in ACROSS or limit is None:
+    if rule.name not in ACROSS:
         return None
-    of_run = ACROSS[rule.name]
-    found = nearest(lambda whole: (each for run in runs(whole) for each in of_run(run)))
+    pairs, distance_of = ACROSS[rule.name]
+    limit = distance_of(motion.requirements.separation)
+    found = nearest(lambda whole: (each for run in runs(whole) for each in pairs(run)))
     worst = found(motion, limit)
     return None if math.isinf(worst.worst) else worst.check(rule, limit)
 

@@ -1,0 +1,267 @@
+"""Distances between groups on one clock: samples beat no bound, and laws of combined motions."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from by_hand import cable_points, point_to_segment, segment_to_segment
+from motions import free_motion, lines, random_flight, random_motion
+
+from hitchopt.checks import Certificate, certify
+from hitchopt.errors import InputError
+from hitchopt.hitch.requirements import Separation
+from hitchopt.motion.combined import combined
+from hitchopt.motion.motion import Group, Motion
+from hitchopt.motion.retiming import padded, shifted
+from hitchopt.motion.states import states_at
+from hitchopt.values import Array
+
+SEPARATION = Separation(radius=0.11, height=0.3)
+
+
+def moved(motion: Motion, by: Array) -> Motion:
+    """Return the motion elsewhere."""
+
+    def off(name: str) -> dict[str, object]:
+        part = getattr(motion, name)
+        return {name: part.alike(part.coefficients + by[:, None])}
+
+    return motion.replaced(**off("drones"), **off("vertices"))
+
+
+def taut(seed: int, by: Array) -> Motion:
+    """Return a hitch of three or four robots that moves."""
+    return moved(random_motion(3 + seed % 2, seed, separation=SEPARATION), by)
+
+
+def hanging(seed: int, by: Array) -> Motion:
+    """Return robots that wander with free cables."""
+    return moved(free_motion(*random_flight(seed, 3), separation=SEPARATION), by)
+
+
+def middle(motion: Motion) -> Array:
+    return np.asarray(np.mean(motion.drones.coefficients, axis=(0, 1, 3)))
+
+
+def beside(kinds: str, seed: int) -> tuple[Motion, Motion]:
+    """Return two motions near each other, each taut (t), hanging (h) or of single drones (s)."""
+    rng = np.random.default_rng(seed)
+    made = []
+    for k, kind in enumerate(kinds):
+        if kind == "s":
+            places = rng.uniform(-1.0, 1.0, (4, 3, 3))
+            motion = lines(*places, seconds=3.0, separation=SEPARATION)
+        else:
+            motion = (taut if kind == "t" else hanging)(seed + 7 * k, np.zeros(3))
+        made.append(motion)
+    goal = np.array([4.0, -3.0, 5.0])
+    first, second = (moved(each, goal - middle(each)) for each in made)
+    away = rng.uniform(-1.0, 1.0, 3) * [2.4, 2.4, 1.2]
+    return first, shifted(moved(second, away), float(rng.uniform(0.0, 2.0)))
+
+
+def bodies(motion: Motion, times: Array) -> tuple[Array, Array, bool]:
+    """Return drones (times, N, 3), cables as segments (times, m, 2, 3), and whether these hang."""
+    at = np.clip(times, *motion.drones.breaks[[0, -1]])
+    x, p, n = motion.drones.at(at), motion.vertices.at(at), motion.team.robots
+    if n == 0:
+        return x, np.zeros((len(x), 0, 2, 3)), False
+    if not motion.formed.all():
+        return x, np.stack([x[:, 0::2], x[:, 1::2]], axis=2), True
+    onward = np.roll(p, -1, axis=1)
+    ends = [(x[:, 0::2], p), (p, onward), (onward, x[:, 1::2])]
+    return x, np.concatenate([np.stack(each, axis=2) for each in ends], axis=1), False
+
+
+def sampled(first: Motion, second: Motion, times: Array) -> dict[str, float]:
+    """Return the least distances across by check; hanging cables are sheets, see ``across``."""
+    (x, a, hung), (y, b, also) = (bodies(each, times) for each in (first, second))
+    r = x[:, :, None] - y[:, None]
+    wide, high = 2.0 * SEPARATION.radius, 2.0 * SEPARATION.height
+    ratio = np.hypot(np.linalg.norm(r[..., :2], axis=-1) / wide, r[..., 2] / high)
+    found = {"separation": float(np.min(ratio))}
+    sheets = [(m.team.cable_length if m.team.robots else None) for m in (first, second)]
+    points = x[:, :, None].repeat(2, 2), y[:, :, None].repeat(2, 2)
+    near = [apart(points[0], None, b, sheets[1] if also else None)]
+    near.append(apart(points[1], None, a, sheets[0] if hung else None))
+    found["cable_clearance"] = min(near)
+    found["crossing"] = apart(a, sheets[0] if hung else None, b, sheets[1] if also else None)
+    return found
+
+
+def apart(a: Array, long: Array | None, b: Array, wide: Array | None) -> float:
+    """Return the least distance of segments, or from above and by height if some are sheets."""
+    if not a.shape[1] or not b.shape[1]:
+        return math.inf
+    flat = np.array([1.0, 1.0, 0.0]) if long is not None or wide is not None else 1.0
+    ends = [each * flat + np.zeros(3) for each in (a[:, :, None], b[:, None])]
+    every = [
+        np.broadcast_arrays(ends[0][..., i, :], ends[1][..., j, :]) for i in (0, 1) for j in (0, 1)
+    ]
+    q, r, s, t = every[0][0], every[3][0], every[0][1], every[3][1]
+    with np.errstate(invalid="ignore"):
+        gap = segment_to_segment(*(each + 1e-12 * k for k, each in enumerate((q, r, s, t))))
+    if long is not None or wide is not None:
+        spans = []
+        for each, length in ((a, long), (b, wide)):
+            low, high = each[..., 2].min(-1), each[..., 2].max(-1)
+            if length is not None:
+                low = np.minimum(low, each[..., 2].mean(-1) - 0.5 * length)
+            spans.append((low, high))
+        over = np.maximum(
+            spans[0][0][:, :, None] - spans[1][1][:, None],
+            spans[1][0][:, None] - spans[0][1][:, :, None],
+        )
+        gap = np.maximum(gap, over)
+    return float(np.min(gap))
+
+
+def across(first: Motion, second: Motion) -> Certificate:
+    """Return the certificate of both, of which the checks across are the worst by far."""
+    return certify(combined([Group("a", first), Group("b", second)]), reports=())
+
+
+@pytest.mark.parametrize("kinds", ["tt", "th", "hh", "ts", "sh", "ss"])
+@pytest.mark.parametrize("seed", range(3))
+def test_no_sample_beats_a_bound_across(kinds: str, seed: int) -> None:
+    first, second = beside(kinds, seed)
+    end = max(each.drones.breaks[-1] for each in (first, second))
+    times: Array = np.unique(
+        np.concatenate(
+            [np.linspace(0.0, float(end), 3001), first.drones.breaks, second.drones.breaks]
+        )
+    )
+    found, certificate = sampled(first, second, times), across(first, second)
+    own = {
+        name: min(
+            (
+                check.bound
+                for motion in (first, second)
+                for check in certify(motion, reports=()).checks
+                if check.name == name
+            ),
+            default=math.inf,
+        )
+        for name in found
+    }
+    for name, value in found.items():
+        known = {check.name: check.bound for check in certificate.checks}.get(name, math.inf)
+        least = min(value, own[name])
+        if math.isinf(least):  # no cables
+            assert math.isinf(known)
+            continue
+        assert known <= least + 1e-9
+        assert known >= least - max(2e-2 * abs(least), 3e-3), name
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_hanging_cables_stay_within_their_sheets(seed: int) -> None:
+    """A catenary is below its chord, and no deeper than the sheet that stands for it."""
+    motion = hanging(seed, np.zeros(3))
+    x = motion.drones.at(np.linspace(*motion.drones.breaks[[0, -1]].tolist(), 50))
+    points = cable_points(motion.team.cable_length, x)
+    q, r = x[:, 0::2, None], x[:, 1::2, None]
+    lowest = 0.5 * (q + r)[..., 2] - 0.5 * motion.team.cable_length[:, None]
+    assert np.all(points[..., 2] >= lowest - 1e-9)
+    flat = [each * [1.0, 1.0, 0.0] for each in (points, q + 0.0 * points, r + 0.0 * points)]
+    assert np.max(point_to_segment(*flat)) < 1e-9
+
+
+def worst(certificate: Certificate) -> dict[str, float]:
+    return {check.name: check.bound for check in certificate.checks}
+
+
+@pytest.mark.parametrize("kinds", ["tt", "th", "ts"])
+def test_certificates_do_not_depend_on_place_order_or_names(kinds: str) -> None:
+    first, second = beside(kinds, 5)
+    here = worst(across(first, second))
+    by = np.array([40.0, -30.0, 10.0])
+    assert worst(across(second, first)) == pytest.approx(here, rel=1e-3, abs=1e-6)
+    away = worst(across(moved(first, by), moved(second, by)))
+    for name in here.keys() - {"cable_length", "continuity", "equilibrium"}:  # rounding grows
+        assert away[name] == pytest.approx(here[name], rel=2e-3, abs=2e-3), name
+    later = worst(across(shifted(first, 3.0), shifted(second, 3.0)))
+    assert later == pytest.approx(here, rel=1e-3, abs=1e-6)
+
+
+def test_a_group_alone_is_what_it_was() -> None:
+    motion = taut(3, np.zeros(3))
+    alone = combined([Group("a", motion)])
+    assert alone.drones is motion.drones
+    assert alone.groups[0].name == ""
+    assert worst(certify(alone)) == worst(certify(motion))
+
+
+def test_somebody_elses_plan_counts_before_and_after_it_flies() -> None:
+    """A drone rests in the way before it begins, and one that ends rests there."""
+    mine = lines([[0.0, 0, 1]], [[4.0, 0, 1]], seconds=4.0, separation=SEPARATION)
+    there = lines([[2.0, 0, 1]], [[2.0, 5, 1]], seconds=1.0, separation=SEPARATION)
+    hit = {
+        at: combined([Group("", mine)], [Group("show", shifted(there, at), "abc")])
+        for at in (0.0, 6.0)
+    }
+    assert certify(hit[0.0])["separation"].holds
+    check = certify(hit[6.0])["separation"]
+    assert not check.holds
+    assert check.time == pytest.approx(2.0, abs=1e-3)
+    assert check.where == ("d0", "show.d0")
+    back = lines([[2.0, 5, 1]], [[2.0, 0, 1]], seconds=1.0, separation=SEPARATION)
+    assert not certify(combined([Group("", mine)], [Group("show", back)]))["separation"].holds
+    after = combined(
+        [Group("", mine)], [Group("show", shifted(moved(back, np.array([2.0, 0, 0])), 9.0))]
+    )
+    assert certify(after)["separation"].time == pytest.approx(
+        10.0, abs=1e-3
+    )  # mine rests at its end
+
+
+def test_distances_are_the_larger_ones_of_both() -> None:
+    one = lines([[0.0, 0, 1]], [[1.0, 0, 1]], separation=Separation(radius=0.1, height=0.2))
+    other = lines([[0.0, 1, 1]], [[1.0, 1, 1]], separation=Separation(radius=0.3, height=0.3))
+    for pair in ((one, other), (other, one)):
+        assert across(*pair)["separation"].worst == pytest.approx(1.0 / 0.6, rel=1e-6)
+
+
+def test_states_are_those_of_each_group() -> None:
+    first, second = beside("ts", 2)
+    both = combined([Group("a", first), Group("b", second)])
+    times = np.linspace(0.0, both.duration, 17)
+    here = states_at(both, times)
+    each = [states_at(group.motion, times) for group in both.groups]
+    for name in ("positions", "velocities", "cable_forces", "cable_force_rates", "masses"):
+        expected = np.concatenate([getattr(one, name) for one in each], axis=1)
+        assert np.allclose(getattr(here, name), expected, atol=1e-9), name
+    assert both.team.drone_names[:3] == ("a.q0", "a.r0", "a.q1")
+    assert both.team.drone_names[-1] == "b.d2"
+
+
+def test_padding_rests_and_keeps_the_motion() -> None:
+    motion = shifted(taut(1, np.zeros(3)), 2.0)
+    whole = padded(motion, 0.0, 9.0)
+    assert whole.drones.breaks[[0, -1]].tolist() == [0.0, 9.0]
+    assert [phase.name for phase in whole.phases][:: len(whole.phases) - 1] == ["wait", "wait"]
+    for t in (0.0, 1.9, 2.0, 3.3, motion.drones.breaks[-1], 9.0):
+        at = np.clip(t, *motion.drones.breaks[[0, -1]])
+        assert whole.drones.at(t) == pytest.approx(motion.drones.at(at), abs=1e-9)
+
+
+def test_names_and_arenas_must_fit() -> None:
+    motion = taut(1, np.zeros(3))
+    with pytest.raises(InputError, match="teams"):
+        combined([Group("a", motion), Group("a", motion)])
+
+
+def test_tracking_radius_takes_half_of_what_is_left_across() -> None:
+    one = lines([[0.0, 0, 1]], [[1.0, 0, 1]], separation=SEPARATION)
+    other = lines([[0.0, 1, 1]], [[1.0, 1, 1]], separation=SEPARATION)
+    both = certify(combined([Group("a", one), Group("b", other)]))
+    assert both["tracking_radius"].worst == pytest.approx(0.5 * (1.0 - 0.22), rel=1e-4)
+    stated = replace(one.requirements.limits, tracking=0.5)
+    strict = [
+        each.replaced(requirements=replace(each.requirements, limits=stated))
+        for each in (one, other)
+    ]
+    assert not across(*strict)["tracking_radius"].holds
