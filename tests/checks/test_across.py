@@ -161,7 +161,9 @@ def test_no_sample_beats_a_bound_across(kinds: str, seed: int) -> None:
 def test_hanging_cables_stay_within_their_sheets(seed: int) -> None:
     """A catenary is below its chord, and no deeper than the sheet that stands for it."""
     motion = hanging(seed, np.zeros(3))
-    x = motion.drones.at(np.linspace(*motion.drones.breaks[[0, -1]].tolist(), 50))
+    x = motion.drones.at(
+        np.linspace(float(motion.drones.breaks[0]), float(motion.drones.breaks[-1]), 50)
+    )
     points = cable_points(motion.team.cable_length, x)
     q, r = x[:, 0::2, None], x[:, 1::2, None]
     lowest = 0.5 * (q + r)[..., 2] - 0.5 * motion.team.cable_length[:, None]
