@@ -40,7 +40,7 @@ class LiveScene:
     def __init__(self, server: Server, scene: Scene, name: str, *, ghost: bool = False) -> None:
         self.scene, self._api, self._name, self._ghost = scene, server.scene, name, ghost
         self._marked, self._pale, self._moment = Concerned(), False, scene.at(0.0)
-        few = len(scene.motion.team.drone_names) <= MOST_NAMED
+        few = scene.drones.shape[1] <= MOST_NAMED
         self.shown = {switch: few and switch in ("paths", "names") for switch in SWITCHES}
         colours, cables = scene.appearance.cable_colours, _segments(self._moment.cables)
         self._cable_colours = (PALE,) * len(colours) if ghost else colours
@@ -93,7 +93,7 @@ class LiveScene:
         turns = moment.quaternions / np.linalg.norm(moment.quaternions, axis=-1, keepdims=True)
         for batch in self._drones:
             batch.batched_positions, batch.batched_wxyzs = _single(moment.drones), _single(turns)
-        if self.scene.motion.team.has_cables:
+        if moment.cables.size:
             self._cables.points = _segments(moment.cables)
         for solid, pose in zip(self._objects, moment.objects, strict=True):
             solid.position, solid.wxyz = pose[:3], pose[3:] / np.linalg.norm(pose[3:])
@@ -115,9 +115,9 @@ class LiveScene:
             if shown[name]:
                 ends = [moment.drones, moment.drones + NEWTON * vector]
                 self._arrows[name].points = _single(np.stack(ends, axis=1))
-        layout = self.scene.motion.team.layout
-        clasps = moment.cables[layout.ahead, CLASPS[0]]
-        marked = clasps[np.isin(layout.clasps, self._marked.vertices)]
+        clasps = self.scene.appearance.clasps
+        here = [each.cable for each in clasps if each.vertex in self._marked.vertices]
+        marked = moment.cables[here, CLASPS[0]]
         balls = np.concatenate([moment.drones[list(self._marked.drones)], marked])
         self._marks.visible = len(balls) > 0
         if len(balls):

@@ -17,6 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgba_array
 from matplotlib.gridspec import SubplotSpec
+from matplotlib.patheffects import withStroke
 from scipy.spatial.transform import Rotation
 
 from hitchopt.geometry.vectors import unit
@@ -214,7 +215,7 @@ def draw_storyboard(
     ``flown`` are the paths: times (samples,) [s], the shots' among them, and the drones then
     (samples, drones, 3) [m].
     """
-    team, radius = scene.motion.team, scene.motion.requirements.separation.radius
+    radius = scene.motion.requirements.separation.radius
     count, drones = len(shots), scene.drones.shape[1]
     columns = 2 if count == 4 else min(count, 3)
     grid: Any = place.subgridspec(math.ceil(count / columns), columns)
@@ -224,7 +225,7 @@ def draw_storyboard(
     middles = 0.5 * (np.min(seen, axis=1) + np.max(seen, axis=1))
     half = np.max(np.abs(seen - middles[:, None]), axis=(0, 1)) * (1.0 + 2.0 * MARGIN) + radius
     size = max(1.0, SMALL * min(1.0, 4.0 / math.sqrt(drones)) / radius * 2.0 * half[1])
-    painter = Painter(scene, camera, scene.radius, size, few_corners(team.robots))
+    painter = Painter(scene, camera, scene.radius, size, few_corners(scene.cables.shape[1]))
     paths = camera.seen(flown[1])[..., :2]
     reached = np.searchsorted(flown[0], scene.t[moments])
     for k, (shot, i, middle) in enumerate(zip(shots, moments, middles, strict=True)):
@@ -235,6 +236,14 @@ def draw_storyboard(
         (left, low), (right, high) = middle - half, middle + half
         axes.set(aspect="equal", xlim=(left, right), ylim=(low, high), xticks=[], yticks=[])
         axes.spines[:].set_color("0.85")
+        for group in scene.appearance.groups:
+            above = camera.seen(np.mean(scene.drones[i, group.drones], axis=0))[:2]
+            look: Any = {
+                "color": group.colour,
+                "weight": "bold",
+                "path_effects": [withStroke(linewidth=2.0, foreground="white")],
+            }
+            style.write(axes, group.name, above, (0.0, 0.0), zorder=7, clip_on=True, **look)
         axes.set_title(f"{shot.words}, {shot.time:.1f} s", fontsize="small", parse_math=False)
     _draw_scale(axes, middle + half * [1.0, -1.0], half)
 

@@ -104,16 +104,21 @@ def panels(motion: Motion, states: States) -> tuple[Panel, ...]:
     A single drone has no separation.
     """
     times, requirements = states.t + motion.drones.breaks[0], motion.requirements
-    thrust, kinds = USED_THRUST.curve(motion, times), np.unique(motion.team.max_thrust)
+    each = [USED_THRUST.curve(group.motion, times) for group in motion.groups]
+    thrust, kinds = np.max(each, axis=0), np.unique(motion.team.max_thrust)
     forces = Panel("thrust", "largest thrust\n/ its limit", thrust, 1.0, share=True)
     if len(kinds) == 1:
         limit = float(kinds[0])
         forces = Panel("thrust", "largest\nthrust [N]", limit * thrust, limit)
     speed = FASTEST.curve(motion, times)
     rates = Panel("speed", "largest\nspeed [m/s]", speed, requirements.limits.speed)
-    if len(motion.team.drone_names) < 2:
+    flown = [states.positions]
+    for other in motion.others:
+        path = other.motion.drones
+        flown.append(path.at(np.clip(times, *path.breaks[[0, -1]])))
+    scaled = np.concatenate(flown, axis=1) * requirements.separation.scale
+    if scaled.shape[1] < 2:
         return (rates, forces)
-    scaled = states.positions * requirements.separation.scale
     apart = np.array([np.min(cKDTree(at).query(at, k=[2])[0]) for at in scaled])
     return (Panel("separation", "smallest\nseparation [–]", apart, 1.0), rates, forces)
 
@@ -215,7 +220,7 @@ def draw_closeness(motion: Motion, closest: Closeness) -> Figure:
 
 def _draw_left(figure: Figure, place: SubplotSpec, motion: Motion) -> None:
     """Draw the storyboard, or the plan from above where few moments leave space, or no cables."""
-    shots = painter.chosen_shots(motion) if motion.team.has_cables else ()
+    shots = painter.chosen_shots(motion) if _has_cables(motion) else ()
     if not shots:
         draw_plan_view(figure.add_subplot(place), motion)
     elif len(shots) > painter.FEW:
@@ -224,6 +229,11 @@ def _draw_left(figure: Figure, place: SubplotSpec, motion: Motion) -> None:
         parts = place.subgridspec(2, 1, height_ratios=HEIGHTS, hspace=0.1)
         draw_plan_view(figure.add_subplot(parts[1]), motion, LEGEND_GAP)
         painter.draw_plan_storyboard(parts[0], motion, shots)
+
+
+def _has_cables(motion: Motion) -> bool:
+    """Return whether anything that flies has cables."""
+    return any(group.motion.team.has_cables for group in motion.flying)
 
 
 def _draw_panel(axes: Axes, t: Array, panel: Panel, certificate: Certificate) -> None:
@@ -267,9 +277,12 @@ def draw_plan_view(axes: Axes, motion: Motion, gap: float = 0.1) -> None:
 
     ``gap`` is between the axes and the legend below, as a share of the axes' height.
     """
-    team, requirements, cables = motion.team, motion.requirements, motion.team.has_cables
+    requirements, cables = motion.requirements, _has_cables(motion)
     radius, colours = requirements.separation.radius, Appearance.of(motion).drone_colours
-    flown = motion.drones.at(motion.drones.breaks[0] + _sampled_times(motion))[..., :2]
+    times = motion.drones.breaks[0] + _sampled_times(motion)
+    each = [motion.drones, *(other.motion.drones for other in motion.others)]
+    paths = [part.at(np.clip(times, *part.breaks[[0, -1]])) for part in each]
+    flown = np.concatenate(paths, axis=1)[..., :2]
     opacity = PALE if cables else 1.0
     draw_lines(axes, np.moveaxis(flown, 1, 0), colours, 0.8, 1, alpha=opacity)
     handles: list[Artist] = [
@@ -281,7 +294,7 @@ def draw_plan_view(axes: Axes, motion: Motion, gap: float = 0.1) -> None:
     if cables:
         ends = scene_at(motion, np.array([0.0, motion.duration]))
         draw_lines(axes, ends.cables[0, ..., :2], START_COLOUR, 1.0, 2, linestyles="--")
-        camera, step = painter.Camera.toward(-90.0, 90.0), painter.few_corners(team.robots)
+        camera, step = painter.Camera.toward(-90.0, 90.0), painter.few_corners(ends.cables.shape[1])
         above = painter.Painter(ends, camera, step=step)
         painter.draw_painting(axes, above.painted(ends.at(motion.duration)))
         kinds = (INK, "drones q"), ("white", "drones r")
@@ -317,14 +330,19 @@ def _draw_ellipsoids(axes: Axes, radius: float, points: Array, fill: Any, edge: 
 
 
 def _write_names(axes: Axes, motion: Motion, ends: Array) -> None:
-    """Write the vertices' names inside of the hitch, or the drones' onto their ``ends`` (N, 2)."""
+    """Write groups' names, or vertices' inside of the hitch, or drones' onto ``ends`` (N, 2)."""
+    look: Any = {"va": "center", "zorder": 6}
+    look["path_effects"] = [withStroke(linewidth=2.0, foreground="white")]
+    groups = Appearance.of(motion).groups
+    for group in groups:
+        bold = {"color": group.colour, "weight": "bold", **look}
+        write(axes, group.name, np.mean(ends[group.drones], axis=0), (0.0, 0.0), **bold)
     team = motion.team
     names, places, aside = team.drone_names, ends, np.zeros_like(ends)
     if team.has_cables:
         names, places = team.point_names, motion.vertices.at(motion.vertices.breaks[-1])[:, :2]
         aside = BESIDE * unit(np.mean(places, axis=0) - places)
-    if len(names) > MAX_NAMED or (team.has_cables and not motion.formed[-1]):
+    if groups or len(names) > MAX_NAMED or (team.has_cables and not motion.formed[-1]):
         return
-    halo = [withStroke(linewidth=2.0, foreground="white")]
     for name, place, offset in zip(names, places, aside, strict=True):
-        write(axes, name, place, offset, va="center", path_effects=halo, zorder=6)
+        write(axes, name, place, offset, **look)

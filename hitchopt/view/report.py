@@ -21,7 +21,7 @@ from hitchopt.checks.certificate import Certificate
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InputError, Progress
 from hitchopt.motion.loads import stated_tensions
-from hitchopt.motion.motion import CableState, Motion
+from hitchopt.motion.motion import CableState, Group, Motion
 from hitchopt.values import Array
 from hitchopt.view import style
 from hitchopt.view.cables import CLASPS, HOOKED, POINTS
@@ -152,10 +152,7 @@ def packed(arrays: Mapping[str, Array]) -> tuple[list[dict[str, Any]], str]:
 
 def _described(scene: Scene) -> dict[str, Any]:
     """Return the appearance, the phases, and all else that does not change over time."""
-    motion, team = scene.motion, scene.motion.team
-    layout = motion.team.layout
-    look = scene.appearance
-    clasps = zip(layout.clasps.tolist(), layout.ahead.tolist(), strict=True)
+    motion, look = scene.motion, scene.appearance
     return {
         "t": np.round(scene.t, 6).tolist(),
         "duration": motion.duration,
@@ -174,8 +171,8 @@ def _described(scene: Scene) -> dict[str, Any]:
         "points": POINTS,
         "radius": scene.radius,
         "clasps": [
-            {"name": team.point_names[p], "vertex": p, "point": k * POINTS + CLASPS[0]}
-            for p, k in clasps
+            {"name": each.name, "vertex": each.vertex, "point": each.cable * POINTS + CLASPS[0]}
+            for each in look.clasps
         ],
         "drone_parts": list(map(_solid, look.drone_parts())),
         "objects": list(map(_solid, look.objects)),
@@ -201,14 +198,24 @@ def _plots(motion: Motion, certificate: Certificate) -> Iterator[dict[str, Any]]
         worst = panel.worst_of(certificate)
         sense = RULE_OF[panel.name].sense
         yield _plot(panel.label, sense, states.t, [panel.values], [bound], worst)
-    if motion.team.has_cables and np.any(states.formed):
+    for group in motion.groups:
+        yield from _tensions(group)
+
+
+def _tensions(group: Group) -> Iterator[dict[str, Any]]:
+    """Yield the largest and smallest tension of a group's hitch, if it ever has one."""
+    motion = group.motion
+    if motion.team.has_cables and np.any(motion.formed):
+        states = sampled_states(motion)
         least, most = np.min(states.tensions, axis=1), np.max(states.tensions, axis=1)
         curves = [np.where(states.formed, values, np.nan) for values in (least, most)]
         stated = stated_tensions(motion)
         ends = np.min(stated[..., 0], axis=1), np.max(stated[..., 1], axis=1)
         steps = np.repeat(motion.drones.breaks - motion.drones.breaks[0], 2)[1:-1]
         limits = [(steps, np.repeat(np.where(motion.formed, end, np.nan), 2), "") for end in ends]
-        yield _plot("tension [N],\nas stated", "max", states.t, curves, limits, None)
+        yield _plot(
+            f"{group.label('tension')} [N],\nas stated", "max", states.t, curves, limits, None
+        )
 
 
 def _plot(

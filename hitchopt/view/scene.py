@@ -22,7 +22,7 @@ from hitchopt.motion.plan_file import read_plan
 from hitchopt.motion.states import states_at
 from hitchopt.storage.archive import BROKEN, PLAN, RECORDING, read_arrays
 from hitchopt.values import Array
-from hitchopt.view.cables import POINTS, THICKNESS, cable_curves
+from hitchopt.view.cables import POINTS, THICKNESS, THINNEST, cable_curves
 from hitchopt.view.shapes import Appearance
 
 # Largest number of coordinates of drones and cables in a scene; least number of times, besides
@@ -85,8 +85,8 @@ def scene_of(motion: Motion, samples: int = SAMPLES) -> Scene:
 
     ``samples`` is the largest number of coordinates, from which the number of times follows.
     """
-    team = motion.team
-    each = PER_DRONE * len(team.drone_names) + 3 * POINTS * team.robots
+    teams = [group.motion.team for group in motion.flying]
+    each = sum(PER_DRONE * team.drones + 3 * POINTS * team.robots for team in teams)
     count = int(np.clip(samples // each, FEWEST, RATE * motion.duration + 2))
     ends = [phase.end for phase in motion.phases]
     times = np.concatenate([np.linspace(0.0, motion.duration, count), ends])
@@ -96,24 +96,28 @@ def scene_of(motion: Motion, samples: int = SAMPLES) -> Scene:
 def scene_at(motion: Motion, t: Array, thickness: float = THICKNESS) -> Scene:
     """Return the scene of a plan at ascending times (times,) [s].
 
-    ``thickness`` is the radius of a drawn cable as a share of the scene's extent.
+    ``thickness`` is the radius of a drawn cable as a share of the scene's extent. What others fly
+    besides is part of it, at rest before and after.
     """
-    states = states_at(motion, t)
-    cables, radius = cable_curves(motion, states, thickness)
-    poses = states.object_poses
-    half = 0.5 * np.unwrap(np.arctan2(poses[..., 4], poses[..., 3]), axis=0)[..., None]
+    begin, rows, radii = motion.drones.breaks[0], list[Any](), list[float]()
+    poses = [motion.object_poses.at(begin + np.minimum(t, motion.duration))]
+    for group in motion.flying:
+        own, foreign = group.motion, group in motion.others
+        since = np.clip(begin + t - own.drones.breaks[0], 0.0, own.duration)
+        states = states_at(own, since)
+        cables, radius = cable_curves(own, states, thickness)
+        thrusts = np.linalg.norm(states.thrusts(own.team), axis=-1)
+        rows.append((states.positions, states.quaternions, thrusts, states.cable_forces, cables))
+        radii += [radius] * (own.team.has_cables or len(motion.flying) == 1)
+        poses += [states.object_poses] * foreign
+    at = np.concatenate(poses, axis=1)
+    half = 0.5 * np.unwrap(np.arctan2(at[..., 4], at[..., 3]), axis=0)[..., None]
     turns = [np.cos(half), 0.0 * half, 0.0 * half, np.sin(half)]
-    return Scene(
-        states.positions,
-        states.quaternions,
-        np.linalg.norm(states.thrusts(motion.team), axis=-1),
-        states.cable_forces,
-        cables,
-        np.concatenate([poses[..., :3], *turns], axis=-1),
-        motion,
-        states.t,
-        radius,
+    drones, attitudes, thrust, forces, curves = (
+        np.concatenate(each, axis=1) for each in zip(*rows, strict=True)
     )
+    objects, radius = np.concatenate([at[..., :3], *turns], axis=-1), min(radii, default=THINNEST)
+    return Scene(drones, attitudes, thrust, forces, curves, objects, motion, t, radius)
 
 
 def ghost_scene(path: Path, motion: Motion) -> Scene:
@@ -171,11 +175,11 @@ class Concerned(NamedTuple):
 
 def concerned(motion: Motion, where: Sequence[str]) -> Concerned:
     """Return the indices that belong to the names in ``where`` of a check; others are ignored."""
-    team, named = motion.team, set(where)
-    legs = ((i, f"{name[0]}-leg {name[1:]}", name) for i, name in enumerate(team.drone_names))
-    cables = ({f"{part}{k}" for part in OF_CABLES} for k in range(team.robots))
-    return Concerned(
-        tuple(i for i, *names in legs if named.intersection(names)),
-        tuple(k for k, names in enumerate(cables) if named & names),
-        tuple(k for k, name in enumerate(team.point_names) if name in named),
-    )
+    drones, cables, vertices, named = [], [], [], set(where)
+    for group in motion.flying:
+        team = group.motion.team
+        drones += [{group.label(f"{x[0]}-leg {x[1:]}"), group.label(x)} for x in team.drone_names]
+        cables += [{group.label(f"{x}{k}") for x in OF_CABLES} for k in range(team.robots)]
+        vertices += [{group.label(x)} for x in team.point_names]
+    found = ([k for k, x in enumerate(each) if x & named] for each in (drones, cables, vertices))
+    return Concerned(*map(tuple, found))

@@ -22,8 +22,7 @@ from hitchopt.view.style import (
     OBJECT_COLOUR,
     OPEN,
     TABLE_COLOUR,
-    cable_colours,
-    drone_colours,
+    group_colours,
 )
 
 SPAN = 0.8  # Reach of a drone's rotors as a share of its ellipsoid's radius
@@ -60,6 +59,22 @@ class Solid(NamedTuple):
     colours: tuple[str, ...]  # one for each of its places
 
 
+class Clasp(NamedTuple):
+    """A vertex that is a clasp: its name, its index among all vertices, and a cable there."""
+
+    name: str
+    vertex: int
+    cable: int
+
+
+class GroupName(NamedTuple):
+    """A group's name, its colour, and its drones."""
+
+    name: str
+    colour: str
+    drones: slice
+
+
 @dataclass(frozen=True, eq=False)
 class Appearance:
     """Names, colours and shapes of a plan's drones, cables and surroundings, at all times.
@@ -69,7 +84,10 @@ class Appearance:
 
     drones: tuple[str, ...]  # their names
     drone_colours: tuple[str, ...]
+    hollow: tuple[bool, ...]  # whether a drone's rotors are open, as those of drones r
     cable_colours: tuple[str, ...]
+    clasps: tuple[Clasp, ...]
+    groups: tuple[GroupName, ...]  # none of a team alone
     ellipsoid: tuple[float, float, float]  # semi-axes of a drone's ellipsoid [m]
     objects: tuple[Solid, ...]
     keep_outs: tuple[Solid, ...]  # about the world's origin, as the arena
@@ -77,12 +95,30 @@ class Appearance:
 
     @classmethod
     def of(cls, motion: Motion) -> Appearance:
-        """Return the appearance of a plan."""
-        team, need = motion.team, motion.requirements
+        """Return the appearance of a plan: of its groups, and of what else flies besides."""
+        need, clasps, vertices, cables = motion.requirements, list[Clasp](), 0, 0
+        names, hollow, groups = list[str](), list[bool](), list[GroupName]()
+        looks = group_colours(motion)
+        bodies = list(need.objects.items())
+        for group in motion.flying:
+            team, layout = group.motion.team, group.motion.team.layout
+            first = len(names)
+            names += map(group.label, team.drone_names)
+            hollow += [name[0] == "r" for name in team.drone_names]
+            pairs = zip(layout.clasps.tolist(), layout.ahead.tolist(), strict=True)
+            groups.append(GroupName(group.name, looks[len(groups)][0][0], slice(first, len(names))))
+            clasps += [
+                Clasp(group.label(team.point_names[p]), vertices + p, cables + k) for p, k in pairs
+            ]
+            vertices, cables = vertices + layout.points, cables + team.robots
+        for other in motion.others:
+            theirs = other.motion.requirements.objects.items()
+            bodies += [(other.label(name), body) for name, body in theirs]
+        own, lines = (sum(each, ()) for each in zip(*looks, strict=True))
         radius, height = need.separation.radius, need.separation.height
         objects = (
             Solid(name, object_faces(body), (TABLE_COLOUR if body.fixed else OBJECT_COLOUR,))
-            for name, body in need.objects.items()
+            for name, body in bodies
         )
         keep_outs = (
             Solid(f"keep_out {i}", slab_faces(prism.slab), (KEEP_OUT_COLOUR,))
@@ -95,9 +131,12 @@ class Appearance:
             ends = np.array([need.arena.lower, need.arena.upper])
             arena = ends[np.array(edges), np.arange(3)]
         return cls(
-            team.drone_names,
-            drone_colours(team),
-            cable_colours(team.robots),
+            tuple(names),
+            own,
+            tuple(hollow),
+            lines,
+            tuple(clasps),
+            tuple(each for each in groups if each.name),
             (radius, radius, height),
             tuple(objects),
             tuple(keep_outs),
@@ -109,8 +148,8 @@ class Appearance:
 
         Rotors of drones q are filled, and those of drones r are open.
         """
-        own, named = self.drone_colours, zip(self.drones, self.drone_colours, strict=True)
-        fills = tuple(OPEN if name[0] == "r" else colour for name, colour in named)
+        own, each = self.drone_colours, zip(self.hollow, self.drone_colours, strict=True)
+        fills = tuple(OPEN if hollow else colour for hollow, colour in each)
         faces = drone_faces(size * self.ellipsoid[0], segments)
         colours = (FRAME,) * len(own), fills, own
         return tuple(map(Solid, ("frame", "rotors", "rims"), faces, colours))

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 COLOURS = ("#0b3c5d", "#2a8c82", "#e0a526", "#c8414f")
 # Colours of objects that never move, of those that can be carried, and of keep-outs
 TABLE_COLOUR, OBJECT_COLOUR, KEEP_OUT_COLOUR = "#d3d8dd", "#e8d3a8", "#b3261e"
+OTHERS = "#969ca2"  # Colour of somebody else's drones and cables
 # Colours of drones' frames, and of hollow rotors and of cables' edges
 FRAME, OPEN = "#2b2f33", "#ffffff"
 MARK_COLOUR = "#e8590c"  # Colour of drones, cables and vertices that a check names
@@ -58,6 +59,23 @@ def drone_colours(team: Team) -> tuple[str, ...]:
     return tuple(COLOURS[i % len(COLOURS)] for i in range(len(team.drone_names)))
 
 
+def group_colours(motion: Motion) -> list[tuple[tuple[str, ...], tuple[str, ...]]]:
+    """Return the colours of the drones and cables of each group that flies.
+
+    Each of several groups has one colour; somebody else's are grey.
+    """
+    own = [each.motion.team for each in motion.groups]
+    looks = [(drone_colours(team), cable_colours(team.robots)) for team in own]
+    if len(own) > 1:
+        one = [COLOURS[i % len(COLOURS)] for i in range(len(own))]
+        looks = [_all_of(team, colour) for team, colour in zip(own, one, strict=True)]
+    return looks + [_all_of(each.motion.team, OTHERS) for each in motion.others]
+
+
+def _all_of(team: Team, colour: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    return (colour,) * team.drones, (colour,) * team.robots
+
+
 def rgb(colours: Iterable[str], *, linear: bool = False) -> Array:
     """Return colours such as #0b3c5d as red, green and blue (…, 3) from 0 to 1.
 
@@ -72,9 +90,14 @@ def rgb(colours: Iterable[str], *, linear: bool = False) -> Array:
 
 def facts(motion: Motion) -> str:
     """Return who flies for how long."""
-    drones = f"{len(motion.team.drone_names)} drones"
-    who = f"{motion.team.robots} robots, {drones}" if motion.team.has_cables else drones
-    return f"{who}, {motion.duration:.4g} s"
+    each = []
+    for group in motion.groups:
+        team, name = group.motion.team, f"{group.name}: " if group.name else ""
+        robots = f"{team.robots} robots, " if team.has_cables else ""
+        each.append(f"{name}{robots}{team.drones} drones")
+    if motion.others:
+        each.append(f"beside {', '.join(group.name for group in motion.others)}")
+    return f"{'; '.join(each)}, {motion.duration:.4g} s"
 
 
 def verdict(certificate: Certificate) -> str:

@@ -54,7 +54,7 @@ class Gltf(Format):
         """Write the plan's drones, cables and objects at the task's rate."""
         motion, frame, document = task.motion, task.frame, _Document()
         t = sample_times(motion.duration, task.rate)
-        drawn = scene_at(motion, t)
+        drawn = scene_at(motion.replaced(others=()), t)
         single = t.astype(np.float32)
         if single[-1] < t[-1]:  # rounded up: the scene holds all of the plan
             single[-1] = np.nextafter(single[-1], np.float32(np.inf))
