@@ -18,7 +18,7 @@ import numpy as np
 
 from hitchopt.errors import InputError
 from hitchopt.hitch import Swarm, Team
-from hitchopt.hitch.requirements import Limits, Requirements, Separation
+from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.motion.motion import JOINT, CableState, Group, Motion, Phase
 from hitchopt.motion.retiming import on_breaks_of, padded
 from hitchopt.objects import SolidObject
@@ -79,7 +79,7 @@ def combined(groups: Sequence[Group], others: Sequence[Group] = ()) -> Motion:
 
     Raises
     ------
-    InputError: two groups of one name, or arenas that differ.
+    InputError: two groups of one name.
     """
     taken = [
         name
@@ -115,16 +115,6 @@ def _shared(
     An obstacle that several groups have is one; other objects of one name are named by the group.
     """
     each = [group.motion.requirements for group in groups]
-    if (
-        len(
-            {
-                None if one.arena is None else one.arena.lower.tobytes() + one.arena.upper.tobytes()
-                for one in each
-            }
-        )
-        > 1
-    ):
-        raise InputError("arena", "several", "the arena of all", "give both plans one arena")
     separation = reduce(_wider, (one.separation for one in each))
     tracking = max((one.limits.tracking or 0.0 for one in each), default=0.0) or None
     limits: Limits = replace(each[0].limits, tracking=tracking)
@@ -142,7 +132,12 @@ def _shared(
             if not known:
                 objects[key] = body
                 poses.append(motion.object_poses.elevated(7).coefficients[:, index])
-    needed = Requirements(limits, separation, each[0].arena, tuple(prisms.values()), objects)
+    arenas = [one.arena for one in each if one.arena is not None]
+    arena = None
+    if len(arenas) == len(each):  # each stays in its own
+        lower, upper = (np.array([getattr(one, k) for one in arenas]) for k in ("lower", "upper"))
+        arena = Arena(np.min(lower, axis=0), np.max(upper, axis=0))
+    needed = Requirements(limits, separation, arena, tuple(prisms.values()), objects)
     if not poses:
         return needed, None
     return needed, PiecewisePolynomial(whole[0].drones.breaks, np.stack(poses, axis=1))
