@@ -6,7 +6,7 @@ import contextlib
 import json
 import re
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
@@ -23,6 +23,7 @@ from hitchopt.exports.options import checked_rate
 if TYPE_CHECKING:
     from hitchopt.live.lost import Lost
     from hitchopt.mission.loading import AnyProblem
+    from hitchopt.motion.motion import Motion
 
 SUFFIXES = (".yaml", ".yml")  # Endings of the names of problem files
 # Time limit of the search for changes [s] if no time is left: its end is then reported
@@ -235,7 +236,24 @@ def check(
         if picture is not None:
             say(f"the closest neighbours over time are drawn in {picture}")
     certificate.raise_if_violated()
+    if changed := "\n".join(_changed_others(motion, path)):
+        raise InfeasibleError((), changed)
     say(f"certified; recomputed from {path}")
+
+
+def _changed_others(motion: Motion, path: Path) -> Iterator[str]:
+    """Say which plans that fly beside that in a file are missing, or others by now.
+
+    Their paths are tried from the working directory, from the plan's, and from that around it.
+    """
+    from hitchopt.motion.plan_file import is_of
+
+    for each in motion.others:
+        places = (plan_path(at / each.plan) for at in (Path(), path.parent, path.parent.parent))
+        files = [place for place in places if place.is_file()]
+        if not any(is_of(each, file) for file in files):
+            state = f"{files[0]} is another plan" if files else "its plan is missing"
+            yield f"others: {each.name} ({each.plan}): {state}; solve again beside what flies now"
 
 
 @command("directory DIR")

@@ -7,7 +7,7 @@ derivatives on the short pieces between the breaks of several would suffer from 
 
 from __future__ import annotations
 
-from collections import Counter
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import reduce
@@ -24,6 +24,9 @@ from hitchopt.motion.retiming import on_breaks_of, padded
 from hitchopt.objects import SolidObject
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import merged_breaks
+
+NAME = re.compile(r"[^\W\d][\w-]*")
+"""What a group may be called; groups of a plan that flies besides as plan.group."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,15 +82,15 @@ def combined(groups: Sequence[Group], others: Sequence[Group] = ()) -> Motion:
 
     Raises
     ------
-    InputError: two groups of one name.
+    InputError: names that are none, or given twice.
     """
-    taken = [
-        name
-        for name, count in Counter(each.name for each in (*groups, *others)).items()
-        if count > 1
-    ]
-    if taken:
-        raise InputError("teams", taken[0], "names that differ", "rename one of them")
+    names = [each.name for each in (*groups, *others)]
+    for index, name in enumerate(names):
+        parts = name.split(".", 1) if index >= len(groups) else [name]
+        alone = name == "" and len(groups) == 1 and index == 0
+        if not (alone or all(map(NAME.fullmatch, parts))) or name in ("others", *names[:index]):
+            bound = "a name of its own, of letters, digits, - and _"
+            raise InputError("teams", name, bound, "rename it")
     begin = min(float(each.motion.drones.breaks[0]) for each in groups)
     end = max(float(each.motion.drones.breaks[-1]) for each in groups)
     groups = tuple(replace(each, motion=padded(each.motion, begin, end)) for each in groups)

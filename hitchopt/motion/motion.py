@@ -122,12 +122,13 @@ def check_phases(phases: Sequence[Phase], start: float, end: float) -> None:
 class Group:
     """A motion among several on one clock, under its team's name, which is empty if it is alone.
 
-    Of somebody else's plan, ``digest`` is that of its file.
+    Of somebody else's plan, ``digest`` is that of its file, and ``plan`` its path as written.
     """
 
     name: str
     motion: Motion
     digest: str = ""
+    plan: str = ""
 
     def label(self, place: str) -> str:
         """Return the name of a drone, cable or vertex of it among all groups'."""

@@ -4,6 +4,9 @@ Polynomials are stored as Bernstein coefficients (pieces, *shape, degree + 1) ov
 ``breaks``, without cables the drones' alone; everything else as JSON under ``settings``. There
 ``asked`` is the request, robot by robot: readers can verify that the plan's team, requirements and
 roles of robots are those requested.
+
+Format 1 holds the motion of one team. Format 2 holds several, and plans that fly besides, each with
+the arrays and settings of format 1 under its name.
 """
 
 from __future__ import annotations
@@ -12,6 +15,7 @@ import hashlib
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import fields, replace
 from itertools import groupby
 from pathlib import Path
@@ -25,16 +29,28 @@ from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Quadrotor, Swarm, Team
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.hitch.team import Assignment
-from hitchopt.motion.motion import JOINT, OPTIONAL_CURVES, POLYNOMIALS, Motion, Phase
+from hitchopt.motion.combined import combined
+from hitchopt.motion.motion import (
+    JOINT,
+    OPTIONAL_CURVES,
+    POLYNOMIALS,
+    WAIT,
+    Group,
+    Motion,
+    Phase,
+)
+from hitchopt.motion.retiming import shifted
 from hitchopt.objects import Rim, Section, SolidObject
 from hitchopt.objects.placing import STILL, check_apart, poses_of
 from hitchopt.storage.archive import BROKEN, PLAN, read_arrays
+from hitchopt.storage.files import digest
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import text
 
 Arrays = dict[str, NDArray[Any]]
 
-FORMAT = "hitchopt-plan/1"
+FORMAT, SEVERAL = "hitchopt-plan/1", "hitchopt-plan/2"
+"""Formats of one team alone, and of several groups or with plans that fly besides."""
 
 PER_KIND = ("mass", "max_thrust")
 """Fields of a quadrotor, stored as arrays: (n,), one value a robot; (N,) of single drones."""
@@ -46,6 +62,9 @@ setting ``controllers`` instead, one or one per kind."""
 
 PER_ROBOT = ("cable_length", "tension")
 """Fields of a team that are stored as arrays (n,); the others are settings."""
+
+OTHERS = "others"
+"""Key of plans that fly besides, and the folder of their arrays."""
 
 REMEDY = "do not edit plan files"
 
@@ -86,20 +105,36 @@ def write_plan(path: Path, motion: Motion, title: str = "", problem: str = "") -
     ------
     OSError: the file cannot be written.
     """
+    alone = len(motion.flying) == 1
+    stored = _settings(motion, title, problem) if alone else _of_several(motion, title, problem)
+    arrays: Arrays = {"format": np.array(FORMAT if alone else SEVERAL)}
+    arrays["settings"] = np.array(json.dumps(stored, allow_nan=False))
+    for folder, groups in (("", motion.groups), (OTHERS, motion.others)):
+        for each in groups:
+            own = _arrays(each.motion).items()
+            arrays |= {_path(folder, each.name, name): array for name, array in own}
+    with path.open("wb") as file:
+        np.savez(file, allow_pickle=False, **arrays)
+
+
+def _path(*names: str) -> str:
+    """Return the name of an array in the folders of a group."""
+    return "/".join(filter(None, names))
+
+
+def _arrays(motion: Motion) -> Arrays:
+    """Return the arrays of one team's motion."""
     team = motion.team
     columns = _columns(team)
     names = (*PER_KIND, *(PER_CONTROLLER if _controlled(team) else ()))
     arrays: Arrays = {name: np.array(columns[name], dtype=np.float64) for name in names}
     if team.has_cables:
         arrays |= {name: getattr(team, name) for name in PER_ROBOT}
-    stored = _settings(motion, title, problem)
     arrays["breaks"] = motion.drones.breaks
-    further = [name for name in OPTIONAL_CURVES if name in stored]
+    further = [name for name in OPTIONAL_CURVES if getattr(motion, name) is not None]
     for name in (*(POLYNOMIALS if team.has_cables else POLYNOMIALS[:1]), *further):
         arrays[name] = getattr(motion, name).coefficients
-    text = np.array(json.dumps(stored, allow_nan=False))
-    with path.open("wb") as file:
-        np.savez(file, allow_pickle=False, format=np.array(FORMAT), settings=text, **arrays)
+    return arrays
 
 
 def _columns(team: Team) -> dict[str, list[float]]:
@@ -148,6 +183,29 @@ def _settings(motion: Motion, title: str, problem: str) -> dict[str, Any]:
     return {key: x for key, x in _written(settings).items() if x or key not in OPTIONAL}
 
 
+def _of_several(motion: Motion, title: str, problem: str) -> dict[str, Any]:
+    """Return the settings of format 2: those of every group, and which were asked."""
+    head = {"title": title} | ({"problem": problem} if problem else {})
+
+    def own(groups: Sequence[Group]) -> dict[str, Any]:
+        settings = {each.name: _settings(each.motion, title, problem) for each in groups}
+        return {
+            name: {key: x for key, x in each.items() if key not in head}
+            for name, each in settings.items()
+        }
+
+    asked = {
+        each.name: {
+            "plan": each.plan,
+            "at": float(each.motion.drones.breaks[0]),
+            "digest": each.digest,
+        }
+        for each in motion.others
+    }
+    teams, others = own(motion.groups), own(motion.others)
+    return head | {"teams": teams, OTHERS: others, "asked": {"teams": [*teams], OTHERS: asked}}
+
+
 def _limits(requirements: Requirements) -> dict[str, Any]:
     """Return the limits, those alone as null that files of all releases have so."""
     limits = vars(requirements.limits).items()
@@ -173,8 +231,40 @@ def read_plan(path: Path) -> Motion:
     return read_saved_plan(path).motion
 
 
-def _digest(problem: str) -> str:
-    return hashlib.sha256(problem.encode()).hexdigest()
+def saved_others(name: str, path: Path, plan: str, at: float) -> tuple[Group, ...]:
+    """Return the groups of a plan file as others that fly from a time ``at`` [s] on.
+
+    They are called ``name``, or ``name.a``, ``name.b`` of several teams; ``plan`` is the path as it
+    was written. Plans that fly beside that plan are not among them. Errors are those of
+    ``read_saved_plan``.
+    """
+    return tuple(
+        Group(
+            ".".join(filter(None, (name, each.name))),
+            shifted(each.motion.replaced(others=()), at),
+            digest(path),
+            plan,
+        )
+        for each in read_plan(path).groups
+    )
+
+
+def is_of(other: Group, path: Path) -> bool:
+    """Return whether a plan file holds what flies besides, as ``saved_others`` takes it."""
+    try:
+        at = float(other.motion.drones.breaks[0])
+        groups = saved_others(other.name.partition(".")[0], path, other.plan, at)
+        saved = next(each for each in groups if each.name == other.name)
+        here, there = _arrays(other.motion), _arrays(saved.motion)
+        own, theirs = (_settings(each.motion, "", "") for each in (other, saved))
+        _check_same("", theirs, own, "as in its plan")
+    except (FileError, InputError, StopIteration):
+        return False
+    return saved.digest == other.digest and all(
+        here[name].shape == array.shape
+        and np.allclose(here[name], array, rtol=0.0, atol=TOLERANCE, equal_nan=True)
+        for name, array in there.items()
+    )
 
 
 def read_saved_plan(path: Path) -> SavedPlan:
@@ -186,20 +276,13 @@ def read_saved_plan(path: Path) -> SavedPlan:
     """
     try:
         head = read_arrays(path, ("format", "settings"))
-        if str(head["format"]) != FORMAT:
-            raise InputError("format", str(head["format"]), FORMAT, "use hitchopt's own files")
-        settings = json.loads(str(head["settings"]))
+        version, settings = str(head["format"]), json.loads(str(head["settings"]))
+        if version not in (FORMAT, SEVERAL):
+            bound = f"{FORMAT} or {SEVERAL}"
+            raise InputError("format", version, bound, "use hitchopt's own files")
         if not isinstance(settings, dict):
             raise InputError("settings", settings, "a mapping", "use a plan that hitchopt wrote")
-        names = ["breaks", POLYNOMIALS[0], *PER_KIND]
-        names += (*PER_ROBOT, *POLYNOMIALS[1:]) if "robots" in settings["team"] else ()
-        names += [name for name in OPTIONAL_CURVES if settings.get(name) is True]
-        names += PER_CONTROLLER if settings.get("control") is True else ()
-        arrays = read_arrays(path, names)
-        for name, array in arrays.items():
-            if array.dtype != np.float64:
-                raise InputError(name, array.dtype, "of double precision", "do not convert it")
-        return _saved_plan(settings, arrays)
+        return _saved_plan(path, settings) if version == FORMAT else _saved_several(path, settings)
     except BROKEN as error:
         reason = f"not a plan that hitchopt wrote, or a damaged one: {error or repr(error)}"
         if isinstance(error, FileNotFoundError | NotADirectoryError):
@@ -214,7 +297,76 @@ def read_saved_plan(path: Path) -> SavedPlan:
         raise FileError(f"{path}: {reason}; solve the problem again") from error
 
 
-def _saved_plan(settings: dict[str, Any], arrays: Arrays) -> SavedPlan:
+def _saved_plan(path: Path, settings: dict[str, Any]) -> SavedPlan:
+    """Return the contents of a file of format 1."""
+    motion = _read_motion(path, settings)
+    title, problem = text("title", settings["title"]), text("problem", settings.get("problem", ""))
+    here = _settings(motion, title, problem)
+    wanted, request = dict(settings["asked"]), here.pop("asked")
+    request = {key: x for key, x in request.items() if key in wanted or key not in LATER}
+    _check_same("asked", wanted, request, "as asked")
+    stored = {key: x for key, x in settings.items() if key != "asked"}
+    _check_same("", here, stored, "as plans are written")
+    return SavedPlan(motion, title, problem)
+
+
+def _saved_several(path: Path, settings: dict[str, Any]) -> SavedPlan:
+    """Return the contents of a file of format 2."""
+    groups, others = list[Group](), list[Group]()
+    for name, each in settings["teams"].items():
+        with _named(f"teams.{name}"):
+            motion = _read_motion(path, each, name)
+            groups.append(Group(name, motion))
+            end, duration = motion.duration, groups[0].motion.duration
+            if abs(end - duration) > JOINT:
+                raise InputError("breaks", end, f"up to {duration:g} s, as of all teams", REMEDY)
+            _check_waits(motion)
+    for name, each in settings[OTHERS].items():
+        asked = settings["asked"][OTHERS][name]
+        with _named(f"{OTHERS}.{name}"):
+            motion = _read_motion(path, each, OTHERS, name, begin=asked["at"])
+            written = (text(key, asked[key]) for key in ("digest", "plan"))
+            others.append(Group(name, motion, *written))
+    motion = combined(groups, others)
+    title, problem = text("title", settings["title"]), text("problem", settings.get("problem", ""))
+    here = _of_several(motion, title, problem)
+    if len(motion.flying) == 1:
+        raise InputError("teams", [*settings["teams"]], "several, or others besides", REMEDY)
+    _check_same("", here, settings, "as plans are written")
+    return SavedPlan(motion, title, problem)
+
+
+@contextmanager
+def _named(name: str) -> Iterator[None]:
+    """Give the keys of wrong values within those of a group."""
+    try:
+        yield
+    except InputError as error:
+        raise error.within(name) from error
+
+
+def _check_waits(motion: Motion) -> None:
+    """Raise InputError where anything moves in phases named WAIT."""
+    curves = [getattr(motion, name) for name in (*POLYNOMIALS, *OPTIONAL_CURVES)]
+    for index, phase in enumerate(motion.phases):
+        pieces = motion.phase_of_piece == index
+        for curve in filter(None, curves if phase.name == WAIT and np.any(pieces) else ()):
+            if np.max(np.ptp(curve.coefficients[pieces], axis=(0, -1)), initial=0.0) > STILL:
+                bound = "of a phase in which nothing moves"
+                raise InputError(f"phases[{index}].name", WAIT, bound, REMEDY)
+
+
+def _read_motion(path: Path, settings: dict[str, Any], *folders: str, begin: float = 0.0) -> Motion:
+    """Return the motion of one team, whose arrays are in folders, from ``begin`` [s] on."""
+    names = ["breaks", POLYNOMIALS[0], *PER_KIND]
+    names += (*PER_ROBOT, *POLYNOMIALS[1:]) if "robots" in settings["team"] else ()
+    names += [name for name in OPTIONAL_CURVES if settings.get(name) is True]
+    names += PER_CONTROLLER if settings.get("control") is True else ()
+    stored = read_arrays(path, [_path(*folders, name) for name in names])
+    arrays = dict(zip(names, stored.values(), strict=True))
+    for name, array in arrays.items():
+        if array.dtype != np.float64:
+            raise InputError(name, array.dtype, "of double precision", "do not convert it")
     parts = dict[str, Any]()
     for name in (name for name in (*POLYNOMIALS, *OPTIONAL_CURVES) if name in arrays):
         if arrays[name].size and not np.max(np.abs(arrays[name])) <= LARGEST:
@@ -237,19 +389,12 @@ def _saved_plan(settings: dict[str, Any], arrays: Arrays) -> SavedPlan:
     else:
         swarm = Swarm(own["drones"], quadrotor=kinds)
         motion = Motion.single(swarm, requirements, parts["drones"], phases)
-    _check_phases(motion)
-    begin, objects = motion.object_poses.coefficients[0, ..., 0], requirements.objects
-    if np.max(np.abs(begin - poses_of(objects)), initial=0.0) > STILL:
-        raise InputError("poses", begin.tolist(), "where the objects stand", REMEDY)
+    _check_phases(motion, begin)
+    poses, objects = motion.object_poses.coefficients[0, ..., 0], requirements.objects
+    if np.max(np.abs(poses - poses_of(objects)), initial=0.0) > STILL:
+        raise InputError("poses", poses.tolist(), "where the objects stand", REMEDY)
     check_apart(objects)
-    title, problem = text("title", settings["title"]), text("problem", settings.get("problem", ""))
-    here = _settings(motion, title, problem)
-    wanted, request = dict(settings["asked"]), here.pop("asked")
-    request = {key: x for key, x in request.items() if key in wanted or key not in LATER}
-    _check_same("asked", wanted, request, "as asked")
-    stored = {key: x for key, x in settings.items() if key != "asked"}
-    _check_same("", here, stored, "as plans are written")
-    return SavedPlan(motion, title, problem)
+    return motion
 
 
 def _object(section: dict[str, Any], rim: dict[str, Any] | None, **values: Any) -> SolidObject:
@@ -293,16 +438,17 @@ def _stored(key: str, value: Any, kind: Any) -> Any:
         raise InputError(place, first["input"], f"stored ({first['msg']})", REMEDY) from None
 
 
-def _check_phases(motion: Motion) -> None:
+def _check_phases(motion: Motion, begin: float) -> None:
     """Raise InputError for phases with wrong times, tension ranges, or holds of missing objects.
 
     The motion has verified that they follow one another and cover the pieces.
     """
-    spans, first = [[phase.start, phase.end] for phase in motion.phases], motion.drones.breaks[0]
-    if first != 0.0:
-        raise InputError("breaks", float(first), "rising from 0", REMEDY)
-    if not spans or max(abs(spans[0][0]), abs(spans[-1][1] - motion.duration)) > JOINT:
-        words = f"one after the other from 0 to {motion.duration:g} s"
+    spans = [[phase.start, phase.end] for phase in motion.phases]
+    first, last = motion.drones.breaks[[0, -1]].tolist()
+    if first != begin:
+        raise InputError("breaks", first, f"rising from {begin:g}", REMEDY)
+    if not spans or max(abs(spans[0][0] - first), abs(spans[-1][1] - last)) > JOINT:
+        words = f"one after the other from {first:g} to {last:g} s"
         raise InputError("phases", spans, words, REMEDY)
     objects, cables = motion.requirements.objects, range(motion.team.robots)
     for phase in motion.phases:
@@ -337,7 +483,7 @@ def request_of(motion: Motion, problem: str = "") -> dict[str, Any]:
             x, y, z = motion.vertices.coefficients[0, ..., 0].T
             start["hitch"] = {"polygon": np.column_stack([x, y]), "altitude": float(np.mean(z))}
     request = request_fields(team, requirements, start, mission_of(motion))
-    return request | {"problem": _digest(problem)}
+    return request | {"problem": hashlib.sha256(problem.encode()).hexdigest()}
 
 
 def request_fields(
@@ -429,8 +575,32 @@ def check_request(wanted: Mapping[str, Any], motion: Motion) -> None:
     """Raise InputError, by its key, if a motion differs from a problem's request.
 
     Keys that the problem leaves open are not compared. A step may use less than the requested
-    range of tensions.
+    range of tensions. Of several teams the request has every team's own by its name; there, and of
+    one team, ``others`` has the ``plan`` and the time ``at`` [s] of each plan that flies besides.
     """
+    own = {key: value for key, value in wanted.items() if key != OTHERS}
+    if OTHERS in wanted:
+        beside = {
+            each.name.partition(".")[0]: {
+                "plan": each.plan,
+                "at": float(each.motion.drones.breaks[0]),
+            }
+            for each in motion.others
+        }
+        _check_same(f"asked.{OTHERS}", wanted[OTHERS], beside, "as asked")
+    if len(motion.groups) == 1:
+        _check_team(own, motion)
+        return
+    names = [each.name for each in motion.groups]
+    if own.keys() != set(names):
+        raise InputError("asked", names, f"the teams {sorted(own)}", REMEDY)
+    for each in motion.groups:
+        with _named(each.name):
+            _check_team(own[each.name], each.motion)
+
+
+def _check_team(wanted: Mapping[str, Any], motion: Motion) -> None:
+    """Raise InputError, by its key, if one team's motion differs from its request."""
     here = request_of(motion)
     done, steps = here.pop("mission"), wanted["mission"]
     del here["problem"]
@@ -441,7 +611,7 @@ def check_request(wanted: Mapping[str, Any], motion: Motion) -> None:
         raise InputError("asked.mission", f"{len(done)} steps", f"{len(steps)} as asked", REMEDY)
     pairs = zip(_steps(motion), steps, done, strict=True)
     for i, (phases, want, have) in enumerate(pairs):
-        have["seconds"] = phases[-1].end - phases[0].start
+        have["seconds"] = sum(each.end - each.start for each in phases if each.name != WAIT)
         (least, most), used = want.get("tension") or (0.0, 0.0), have.get("tension")
         if used is None or (least - SLACK <= used[0] and used[1] <= most + SLACK):
             have["tension"] = want.get("tension")
