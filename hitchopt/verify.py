@@ -22,10 +22,11 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from itertools import groupby, pairwise
+from itertools import combinations, groupby, pairwise, product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -60,6 +61,9 @@ FORMS = {
     "keep_out:prism[] phases:phase[] objects:any* problem:text* assignment:roles* control:flag* "
     "controllers:named?[]* "
     "leg_tensions:flag* poses:flag* borne:flag* contacts:flag*",
+    "several": "title:text problem:text* teams:any others:any asked:groups",
+    "groups": "teams:text[] others:any",
+    "other": "plan:text at:number digest:text",
     "team": "robots:count topology:text cable_density:0+ cable_friction:0+ load:0+[]",
     "single": "drones:count",
     "limits": "speed:+ acceleration:+ jerk:+ tilt:+ body_rate:+? vertex_speed:+ leg:+ duration:+? "
@@ -273,8 +277,8 @@ class Curve:
 
     def on(self, s: Spans, i: Index, k: int = 0) -> Line:
         """Return the k-th derivatives of items i (m,) on spans."""
-        q = self.most[k + 2][s.piece, i] * s.t + self.noise[k][s.piece, i] / s.t
-        return Line(self.at(s, i, k), self.at(s, i, k + 1), q, s.t)
+        q = self.most[k + 2][s.piece, i] * s.t * s.moves + self.noise[k][s.piece, i] / s.t
+        return Line(self.at(s, i, k), self.at(s, i, k + 1) * np.c_[s.moves], q, s.t)
 
 
 class Spans:
@@ -289,6 +293,7 @@ class Spans:
     ) -> None:
         self.plan, self.piece, self.item, self.x, self.w = plan, piece, item, x, w
         self.t, self.names = np.maximum(w * plan.h[piece], 1e-12), names
+        self.moves: Array | float = 1.0  # 0 where a plan rests, before and after its time
         self.zero = Line(0.0 * x[:, None], 0.0 * x[:, None], 0.0 * x, self.t)
         self.time = plan.breaks[piece] + x * plan.h[piece]
 
@@ -321,6 +326,11 @@ class Spans:
     def chord(self, k: Index) -> list[Line]:
         """Both drones of cables, from above."""
         return [x[:2] for x in self.ends(k)]
+
+    def sheet(self, k: Index) -> list[Line]:
+        """Corners of the upright sheets within which cables hang: below no point of it is any."""
+        q, r = self.ends(k)
+        return [q, r, (q + r - UP * self.plan.length[k]) * 0.5]
 
     def part(self, j: Index, b: int = -1) -> list[Line]:
         """Both ends of straight parts of taut cables, as body b sees them."""
@@ -543,18 +553,14 @@ class Plan:
     end[k] to r_k. The i-th leg is from vertex anchor[i]; what it pulls at is toward[i].
     """
 
-    def __init__(self, path: Path) -> None:
-        try:
-            with np.load(path, allow_pickle=False) as self.file:
-                if str(self.file["format"]) != "hitchopt-plan/1":
-                    raise ValueError("its format is not hitchopt-plan/1")
-                self.settings: dict[str, Any] = json.loads(str(self.file["settings"]))
-                self._read(self.settings)
-            for words in differences("", self.settings["asked"], told(self)):
-                raise ValueError(words)
-        except Exception as error:  # files of strangers raise many
-            words = " ".join(f"{type(error).__name__}: {error}".split())
-            raise UnreadableError(words[:300]) from error
+    def __init__(
+        self, file: Any, settings: dict[str, Any], name: str = "", folder: str = "", at: float = 0.0
+    ) -> None:
+        self.file, self.folder, self.label = file, folder, f"{name}." if name else ""
+        self.settings = settings
+        self._read(settings, at)
+        for words in differences("", settings["asked"], told(self)):
+            raise ValueError(f"{self.label}{words}")
 
     def _array(
         self, name: str, *shape: int, other: Array | None = None, most: float = 1e6
@@ -562,6 +568,7 @@ class Plan:
         """Return an array of the file; the other one where the settings do not name it."""
         if self.settings.get(name) is not True and (0 in shape or other is not None):
             return np.zeros((*shape, 1)) if other is None else other
+        name = self.folder + name
         x: Array = self.file[name]
         fits = (x.shape[:-1] if shape[1:] else x.shape) == shape and x.dtype == np.float64
         fits &= (x.size > 0 or 0 in shape) and self.file.files.count(name) == 1
@@ -569,28 +576,33 @@ class Plan:
             raise ValueError(f"{name} has another shape, or numbers that are not finite")
         return x
 
-    def _read(self, s: dict[str, Any]) -> None:
-        fit("settings", s, "settings")
-        fit("settings.team", s["team"], "team" if "robots" in s["team"] else "single")
-        team, self.breaks, self.phases = s["team"], self.file["breaks"], s["phases"]
-        self.limits, self.sep, self.arena = dict(s["limits"]), dict(s["separation"]), s["arena"]
-        self.tracking = float(self.limits.get("tracking") or 0.0)
-        self.limits["leg"] += 2.0 * self.tracking  # vertices are as far off as drones
+    def _keep(self, separation: dict[str, float], off: float) -> None:
+        """Take distances, wider by what drones that are so far off can take from them [m]."""
+        self.sep, self.tracking = dict(separation), off
         # The ellipsoid around the sum of one and of a ball, no wider than needed.
-        wide, high, off = self.sep["radius"], self.sep["height"], self.tracking
+        wide, high = self.sep["radius"], self.sep["height"]
         self.sep["height"] = math.sqrt((high**2 + wide * off) * (1.0 + off / wide))
         for key, times in (("radius", 1.0), ("cable", 2.0), ("crossing", 2.0), ("object", 1.0)):
             self.sep[key] += times * off
+        self.scale = 0.5 / np.array([self.sep["radius"], self.sep["radius"], self.sep["height"]])
         self.cable, self.crossing, self.object = (  # limits of distances from cables [m]
             (f"{name} m min", max(float(self.sep[name.split("_")[0]]), TOUCHING))
             for name in ("cable_clearance", "crossing", "object_clearance")
         )
+
+    def _read(self, s: dict[str, Any], at: float) -> None:
+        fit("settings", s, "settings")
+        fit("settings.team", s["team"], "team" if "robots" in s["team"] else "single")
+        team, self.breaks, self.phases = s["team"], self.file[f"{self.folder}breaks"], s["phases"]
+        self.limits, self.arena, label = dict(s["limits"]), s["arena"], self.label
+        self._keep(s["separation"], float(self.limits.get("tracking") or 0.0))
+        self.limits["leg"] += 2.0 * self.tracking  # vertices are as far off as drones
         self.h, self.n = np.diff(self.breaks), int(team.get("robots", 0))
         m, n, self.closed = len(self.h), self.n, team.get("topology") == "closed"
         N, P = 2 * n or int(team["drones"]), n if self.closed else n + (n > 0)
         self.N, self.V, self.every = N, slice(N, N + P), np.ones(m, dtype=bool)
-        if m < 1 or self.breaks[0] != 0.0 or not np.all(self.h > 0.0):
-            raise ValueError("breaks do not rise from 0")
+        if m < 1 or self.breaks[0] != at or not np.all(self.h > 0.0):
+            raise ValueError(f"{label}breaks do not rise from {at:g}")
         self._array("breaks", m + 1, most=BIG)
         if n and (team["topology"] not in ("closed", "open") or n < 2 + self.closed):
             raise ValueError("team has too few robots, or another topology than closed or open")
@@ -605,9 +617,10 @@ class Plan:
         for key, x in PLAIN.items():
             other = None if s.get("control") is True else np.full(n or N, x)
             self.given[key] = self._array(key, n or N, other=other, most=math.inf)
-        self.names = [f"{'qr'[i % 2]}{i // 2}" if n else f"d{i}" for i in range(N)]
-        self.cables = [f"cable {k}" for k in range(n)]
-        self.labels = [*self.names, *(f"p{j}" for j in range(P)), *np.repeat(self.cables, 2)]
+        self.names = [f"{label}{'qr'[i % 2]}{i // 2}" if n else f"{label}d{i}" for i in range(N)]
+        self.cables = [f"{label}cable {k}" for k in range(n)]
+        vertices = [f"{label}p{j}" for j in range(P)]
+        self.labels = [*self.names, *vertices, *np.repeat(self.cables, 2)]
         self.floor = 0.0 if self.arena is None else float(self.arena["lower"][2])
         self.within = "ground m min" if self.arena is None else "arena m min"
         ends = [float(phase["end"]) for phase in self.phases[:-1]]
@@ -631,7 +644,8 @@ class Plan:
 
     def _check_phases(self) -> None:
         """Raise ValueError unless phases follow each other, and say what there can be."""
-        end, before, named = 0.0, self.phases[0]["state"], self.settings.get("objects", {})
+        end, before = self.breaks[0], self.phases[0]["state"]
+        named = self.settings.get("objects", {})
         for i, phase in enumerate(self.phases):
             at, state, low, hold = (phase[key] for key in ("start", "state", "tension", "hold"))
             follows, end = abs(at - end) <= TOUCH and at < phase["end"], phase["end"]
@@ -646,7 +660,7 @@ class Plan:
                 (known, "holds what is not there"),
             ):
                 if not good:
-                    raise ValueError(f"phases[{i}] {words}")
+                    raise ValueError(f"{self.label}phases[{i}] {words}")
         if abs(end - self.breaks[-1]) > TOUCH:
             raise ValueError("phases do not end with the plan")
 
@@ -713,7 +727,8 @@ class Plan:
         rows = [(self.anchor[on], on, on // 2, self.anchor[on], self.anchor[on])]
         rows += [(a, b, k, self.begin, self.end) for a, b in pairwise(stops)]
         self.parts = np.concatenate([np.stack(row, -1) for row in rows])
-        self.kinds = [f"leg of {self.names[j]}" for j in on] + [f"edge {j}" for j in k] * 3
+        edges = [f"{self.label}edge {j}" for j in k] * (len(rows) - 1)
+        self.kinds = [f"leg of {self.names[j]}" for j in on] + edges
         return [vertices, contacts.reshape(m, 2 * n, 3, contacts.shape[-1])]
 
     def spans(self, on: Mask, items: Any, *names: Sequence[str]) -> Spans:
@@ -850,8 +865,6 @@ def to_sheet(s: Spans, i: Index, k: Index) -> Line:
 def drones(p: Plan) -> Iterator[Row]:
     """Distances, rates and forces of drones."""
     s, lim, sep = p.spans(p.every, range(p.N), p.names), p.limits, p.sep
-    scale = 0.5 / np.array([sep["radius"], sep["radius"], sep["height"]])
-    near = Curve(p.points.c[0][:, : p.N] * scale[:, None], p.h)
     pairs = p.spans(p.every, np.column_stack(np.triu_indices(p.N, 1)), p.names, p.names)
 
     def turning(s: Spans, i: Index) -> Line:
@@ -860,7 +873,7 @@ def drones(p: Plan) -> Iterator[Row]:
         return Line(size(u.g)[:, None], s.zero.g, u.q / s.t, s.t) * DEGREES
 
     apart = "separation ratio min", 1.0
-    yield prove(*apart, pairs, lambda s, i, j: (near.on(s, i) - near.on(s, j)).norm())
+    yield prove(*apart, pairs, lambda s, i, j: ((s.point(i) - s.point(j)) * p.scale).norm())
     for k, what in enumerate(("speed m/s max", "acceleration m/s² max", "jerk m/s³ max"), 1):
         most = lim[what.split()[0]] * (lim["reserve"] if k > 1 else 1.0)  # the rest is for stops
         yield prove(what, most, s, lambda s, i, k=k: s.point(i, k).norm())
@@ -891,7 +904,7 @@ def walls(s: Spans, x: Sequence[Line], deep: Line | float = 0.0, reach: float = 
 def taut_cables(p: Plan) -> Iterator[Row]:
     """Distances, lengths and shape of hitches; tensions, and what lacks at clasps."""
     on, lim, owner, ties = p.formed, p.limits, p.parts[:, 2], p.parts[:, 3:]
-    clasps = p.spans(on, range(len(p.clasps)), [f"p{c}" for c in p.clasps])
+    clasps = p.spans(on, range(len(p.clasps)), [p.labels[p.V][c] for c in p.clasps])
     legs = p.spans(on, np.flatnonzero(p.leg), p.names)
     cables = p.spans(on, range(p.n), p.cables)
     vertices = p.spans(on, range(p.V.start, p.V.stop), p.labels)
@@ -1157,10 +1170,8 @@ def clear_objects(p: Plan, b: int) -> Iterator[Row]:
         return largest(over, above(over, s, -1))
 
     def others(s: Spans, _: Index, o: int, slab: Slab, block: Slab) -> Line:
-        corners = (s.place(b, np.append(x, slab.lower)) for x in (*slab.core, slab.core[0]))
-        seen = [s.seen(o, x) for x in corners]
-        grown = block.grown(slab.radius, block.lower - slab.upper + slab.lower, block.upper)
-        return largest(grown.gap(*seen), above(seen[0][2] - block.upper, s, o))
+        seen = corners(s, s, b, slab, o)
+        return largest(lowered(block, slab).gap(*seen), above(seen[0][2] - block.upper, s, o))
 
     for slab in body.slabs:
         yield prove(*p.object, off, lambda s, j, slab=slab: slab.gap(*s.part(j, b)))
@@ -1174,6 +1185,16 @@ def clear_objects(p: Plan, b: int) -> Iterator[Row]:
         yield prove(enters, WRAPPED, inside, lambda s, j: stem.gap(*s.part(j, b)))
     s = p.spans(p.held[b], range(len(p.labels)), p.labels)
     yield prove(enters, -WRAPPED, s, lambda s, i: s.point(i)[2] - p.floor)
+
+
+def corners(s: Spans, t: Spans, b: int, slab: Slab, o: int) -> list[Line]:
+    """Lower corners of a slab of body b of s, around, as body o of t sees them."""
+    return [t.seen(o, s.place(b, np.append(x, slab.lower))) for x in (*slab.core, slab.core[0])]
+
+
+def lowered(block: Slab, slab: Slab) -> Slab:
+    """Return where no lower corner of a slab may be for it to keep off a block."""
+    return block.grown(slab.radius, block.lower - slab.upper + slab.lower, block.upper)
 
 
 def touching(p: Plan, b: int) -> Mask:
@@ -1285,6 +1306,109 @@ def gripped(p: Plan, b: int) -> Iterator[Row]:
     yield prove("grip wrap max", 3 * WRAPPED, p.spans(on, cables, p.cables), wrapped)
 
 
+# Several plans on one clock.
+
+
+class Pair(Plan):
+    """Two plans on the breaks of both, each at rest before and after its own time.
+
+    Items of its spans are one of each plan. Distances are the larger ones of all own plans.
+    """
+
+    def __init__(self, p: Plan, q: Plan, separation: dict[str, float], off: float) -> None:
+        self.plans, self.size = (p, q), max(p.size, q.size)
+        self.breaks = np.unique(np.concatenate([p.breaks, q.breaks]))
+        self.h = np.diff(self.breaks)
+        self._keep(separation, off)
+
+    def pieces(self, time: Array) -> Iterator[Items]:
+        """Yield the pieces of each plan at times (m,): its first or last one beyond its own."""
+        for p in self.plans:
+            yield np.clip(np.searchsorted(p.breaks, time) - 1, 0, len(p.h) - 1)
+
+    def both(self, s: Spans) -> Iterator[Spans]:
+        """Yield spans of each plan."""
+        for p, piece in zip(self.plans, self.pieces(s.time), strict=True):
+            x = (s.time - p.breaks[piece]) / p.h[piece]
+            own = Spans(p, piece, s.item, np.clip(x, 0.0, 1.0), 0.0 * x)
+            own.t, own.zero, own.moves = s.t, s.zero, 1.0 * ((x > 0.0) & (x < 1.0))
+            yield own
+
+    def items(self, first: Solid, second: Solid) -> Spans:
+        """Return spans of what each plan has, all with all."""
+        one, two = self.pieces(self.breaks[:-1] + 0.5 * self.h)
+        items = np.indices((len(first[1]), len(second[1]))).reshape(2, -1).T
+        return self.spans(first[0][one] & second[0][two], items, first[1], second[1])
+
+
+Solid = tuple[Mask, Sequence[str], Callable[..., list[Line]]]
+
+
+def solids(p: Plan) -> list[Solid]:
+    """Drones, straight parts of taut cables, and sheets: on which pieces, names, and corners."""
+    drones = p.every, p.names, lambda s, i: [s.point(i)]
+    return [drones, (p.formed, p.kinds, Spans.part), (p.free, p.cables, Spans.sheet)]
+
+
+def across(pair: Pair) -> Iterator[Row]:
+    """Distances between drones and cables of two plans.
+
+    Cables that hang or lie are in the sheets below their chords. What is compared with a sheet is
+    beside it, as seen from above, or over or under all of it.
+    """
+
+    def aside(a: list[Line], b: list[Line]) -> Line:
+        heights = [[x[2] for x in corners] for corners in (a, b)]
+        (low, floor), (high, top) = ([f(*z) for z in heights] for f in (least, largest))
+        beside = distance([x[:2] for x in a[:2]], [x[:2] for x in b[:2]])
+        return largest(beside, low - top, floor - high)
+
+    def ratio(a: list[Line], b: list[Line]) -> Line:
+        return ((a[0] - b[0]) * pair.scale).norm()
+
+    def apart(s: Spans, *items: Index, of: Sequence[Solid], how: Callable[..., Line]) -> Line:
+        return how(*(x[2](t, k) for x, t, k in zip(of, pair.both(s), items, strict=True)))
+
+    for (i, one), (j, two) in product(*(enumerate(solids(p)) for p in pair.plans)):
+        how, what = aside if 2 in (i, j) else distance, pair.cable if 0 in (i, j) else pair.crossing
+        if i == j == 0:
+            how, what = ratio, ("separation ratio min", 1.0)
+        yield prove(*what, pair.items(one, two), partial(apart, of=(one, two), how=how))
+
+
+def beside_objects(pair: Pair) -> Iterator[Row]:
+    """Distances of what the first plan has from objects of the second, unless both avoid them.
+
+    Hanging cables keep off objects as seen from above.
+    """
+    p, q = pair.plans
+
+    def foreign(p: Plan, q: Plan) -> Iterator[tuple[int, Slab, Solid]]:
+        mine, theirs = (x.settings.get("objects", {}) for x in (p, q))
+        for b, slab in p.slabs:
+            name = p.bodies[b].name
+            if np.any(p.moving[b]) or mine[name] != theirs.get(name):
+                yield b, slab, (p.every, [name], corners)
+
+    def gap(s: Spans, *i: Index, b: int, slab: Slab, how: Any) -> Line:
+        mine, theirs = pair.both(s)
+        return slab.gap(*(theirs.seen(b, x) for x in how(mine, i[0])[:2]))
+
+    def between(s: Spans, *_: Index, b: int, slab: Slab, o: int, block: Slab) -> Line:
+        mine, theirs = pair.both(s)
+        return lowered(slab, block).gap(*corners(mine, theirs, o, block, b))
+
+    room = pair.object[0], pair.object[1] + pair.tracking  # objects are as far off as drones
+    for b, slab, body in foreign(q, p):
+        for i, one in enumerate(solids(p)):
+            what = room if i else ("keep_out m min", pair.sep["radius"] + pair.tracking)
+            high = slab.grown(0.0, -BIG, BIG) if i == 2 else slab
+            yield prove(*what, pair.items(one, body), partial(gap, b=b, slab=high, how=one[2]))
+        for o, block, other in foreign(p, q):
+            formula = partial(between, b=b, slab=slab, o=o, block=block)
+            yield prove(*room, pair.items(other, body), formula)
+
+
 # What is told of single times: joints, crossings, and the story.
 
 
@@ -1371,7 +1495,7 @@ def interlacing(p: Plan) -> Iterator[Row]:
     wrong &= want >= 0
     wrong[..., -1] |= (count[..., -1] != 0.0) & ~p.formed[-1]
     bad = np.argwhere(wrong & np.triu(np.ones((n, n), dtype=bool), 1)[..., None])
-    places = {f"cable {i} cable {j}" for i, j, _ in bad.tolist()}
+    places = {f"{p.cables[i]} {p.cables[j]}" for i, j, _ in bad.tolist()}
     places |= {row.where} if row.verdict != "proven" else set()
     time = float(p.breaks[bad[0, 2]]) if len(bad) else row.time
     if np.any(p.free):
@@ -1524,15 +1648,77 @@ def checked(p: Plan) -> Iterator[Row]:
             yield from check_of(p, b)
 
 
+def read(path: Path) -> tuple[list[Plan], list[Plan]]:
+    """Return the plans of a file: its own, of every team, and others that fly besides."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            form, s = str(file["format"]), json.loads(str(file["settings"]))
+            if form == "hitchopt-plan/1":
+                return [Plan(file, s)], []
+            if form != "hitchopt-plan/2":
+                raise ValueError("its format is neither hitchopt-plan/1 nor hitchopt-plan/2")
+            return several(file, s)
+    except Exception as error:  # files of strangers raise many
+        words = " ".join(f"{type(error).__name__}: {error}".split())
+        raise UnreadableError(words[:300]) from error
+
+
+def several(file: Any, s: dict[str, Any]) -> tuple[list[Plan], list[Plan]]:
+    """Return the plans of a file of format 2."""
+    fit("settings", s, "several")
+    teams, others, asked = s["teams"], s["others"], s["asked"]["others"]
+    names, plans = [*teams, *others], list[Plan]()
+    if s["asked"]["teams"] != [*teams] or asked.keys() != others.keys() or not teams:
+        raise ValueError("other groups are there than were asked")
+    if len(names) < 2 or len({*names, "others"}) <= len(names):
+        raise ValueError("groups are too few, or share a name")
+    head = {key: s[key] for key in ("title", "problem") if key in s}
+    for name, x in (*teams.items(), *others.items()):
+        form = r"[^\W\d][\w-]*" + r"(\.[^\W\d][\w-]*)?" * (name in others)
+        known = re.fullmatch(form, name) or (name == "" and [*teams] == [""])
+        if not known or head.keys() & x.keys():
+            raise ValueError(f"{name!r:.60} is no name, or has a title of its own")
+        folder, at = f"{name}/" if name else "", 0.0
+        if name in others:
+            fit(f"asked.others.{name}", asked[name], "other")
+            folder, at = f"others/{name}/", asked[name]["at"]
+        plans.append(Plan(file, head | x, name, folder, at))
+    own = plans[: len(teams)]
+    if max(abs(p.breaks[-1] - own[0].breaks[-1]) for p in own) > TOUCH:
+        raise ValueError("teams do not cover the same time")
+    for p in own:
+        waits(p)
+    return own, plans[len(teams) :]
+
+
+def waits(p: Plan) -> None:
+    """Raise ValueError where anything moves while a team waits."""
+    for i in (i for i, phase in enumerate(p.phases) if phase["name"] == "wait"):
+        for x in (p.points, p.poses, p.legs, p.pulls, p.tensions, p.borne):
+            c = x.c[0][p.phase == i]
+            if c.size and np.max(np.ptp(c, axis=(0, -1))) > STILL:
+                raise ValueError(f"{p.label}phases[{i}] waits, but something moves")
+
+
 def verify(path: str | Path) -> Iterator[Row]:
     """Yield a row for every limit of a plan; raise UnreadableError where the file is none."""
     path = Path(path)
-    p = Plan(path / "plan.npz" if path.is_dir() else path)
-    rows, order = [row for row in checked(p) if row.samples], ("violated", "not proven", "proven")
+    own, others = read(path / "plan.npz" if path.is_dir() else path)
+    rows, order = [row for p in own for row in checked(p)], ("violated", "not proven", "proven")
+    keys, off = own[0].settings["separation"], max(p.tracking for p in own)
+    wide = {key: max(p.settings["separation"][key] for p in own) for key in keys}
+    for p, q in (x for x in combinations([*own, *others], 2) if x[0] in own):
+        one, two = Pair(p, q, wide, off), Pair(q, p, wide, off)
+        rows += [*across(one), *beside_objects(one), *beside_objects(two)]
+    rows = [row for row in rows if row.samples]
     for name, unit in dict.fromkeys((row.name, row.unit) for row in rows):
         same = [row for row in rows if (row.name, row.unit) == (name, unit)]
         sign = 1.0 if same[0].sense == "min" else -1.0
-        worst = min(same, key=lambda row: (order.index(row.verdict), sign * row.worst))
+
+        def left(row: Row, sign: float = sign) -> tuple[int, float]:  # limits of teams may differ
+            return order.index(row.verdict), sign * (row.worst - row.limit) / abs(row.limit or 1.0)
+
+        worst = min(same, key=left)
         verdict = "warning" if name == "ground" and worst.verdict != "proven" else worst.verdict
         yield worst._replace(verdict=verdict, samples=sum(row.samples for row in same))
 
