@@ -74,7 +74,7 @@ def unproven(
 ) -> set[str]:
     """Return the limits that ``verify`` does not prove."""
     write_plan(path / "plan.npz", motion)
-    rows = check(second.Plan(path / "plan.npz"))
+    rows = check(second.read(path / "plan.npz")[0][0])
     return {row.name for row in rows if row.verdict != "proven"}
 
 

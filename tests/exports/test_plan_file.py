@@ -37,7 +37,7 @@ from hitchopt.motion.plan_file import (
 )
 from hitchopt.plan import read_requested_plan
 from hitchopt.storage.yaml_file import parse_yaml
-from hitchopt.verify import Plan, UnreadableError, story
+from hitchopt.verify import UnreadableError, read, story
 
 TITLE = 'Ein "Dreieck", 三角 \\ \n – with everything'
 
@@ -171,10 +171,10 @@ def test_controllers_come_back_by_name_and_gains(tmp_path: Path, *, alike: bool)
     team = dataclasses.replace(motion.team, quadrotor=kinds)
     write_plan(tmp_path / "plan.npz", dataclasses.replace(motion, team=team))
     assert read_plan(tmp_path / "plan.npz").team.quadrotor == kinds
-    assert next(story(Plan(tmp_path / "plan.npz"))).verdict == "proven"
+    assert next(story(read(tmp_path / "plan.npz")[0][0])).verdict == "proven"
     changed(tmp_path / "plan.npz", "s['controllers'][0]['gains']['kp'][1] = 2.5")
     with pytest.raises(UnreadableError, match="gains"):
-        Plan(tmp_path / "plan.npz")
+        read(tmp_path / "plan.npz")
     refused(tmp_path / "plan.npz", r"asked.team.quadrotor\[0\].gains.kp\[1\]")
 
 
@@ -208,7 +208,7 @@ ARRAYS = (
 SPANS = "e = a['breaks'][-1]; s['phases'] = [p | {'start': e * x, 'end': e * y} for x, y in %s]"
 
 LIES = [
-    ("a['format'] = np.array('hitchopt-plan/2')", "hitchopt-plan/2"),
+    ("a['format'] = np.array('hitchopt-plan/9')", "hitchopt-plan/9"),
     ("a['drones'][1, 2, 0, 3] = np.nan", ""),
     ("a['breaks'][-1] = np.inf", ""),
     ("a['breaks'] = a['breaks'][::-1]", ""),

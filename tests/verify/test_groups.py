@@ -1,0 +1,337 @@
+"""Files of several groups come back bit by bit, are proven twice, and their lies are refused."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from groups import beside, crossing, moved, with_swarm
+from plans import planned
+
+import hitchopt as ho
+from hitchopt import verify as second
+from hitchopt.checks import certify
+from hitchopt.checks.across import ACROSS, check_across
+from hitchopt.checks.registry import RULE_OF
+from hitchopt.cli import main
+from hitchopt.errors import FileError, InputError
+from hitchopt.motion.combined import combined
+from hitchopt.motion.motion import Group, Motion
+from hitchopt.motion.plan_file import check_request, read_plan, request_of, write_plan
+from hitchopt.trajectory import PiecewisePolynomial
+
+OWN = {"story", "strands", "contact", "enters", "rim", "ground"}
+Change = Callable[[dict[str, Any], dict[str, Any]], object]
+
+
+def pillar(x: float, *, slides: float = 0.0) -> Motion:
+    """Return two single drones far away, with a pillar that stands in the way, or slides."""
+    whole = planned("form_square").motion
+    body = ho.SolidObject(ho.Section(radius=0.1), 0.0, 1.0, at=[x, 2.0, 0.0], mass=0.1)
+    start = np.array([[x + 9.0, 0.0, 1.0], [x + 9.0, 2.0, 1.0]])
+    drones = PiecewisePolynomial.constant(whole.drones.breaks[[0, -1]], start)
+    requirements = replace(whole.requirements, objects={"pillar": body})
+    phases = [replace(whole.phases[0], start=0.0, end=whole.duration)]
+    single = Motion.single(ho.Swarm(2), requirements, drones, phases)
+    poses = np.stack([body.pose, body.pose + [0.0, slides, 0.0, 0.0, 0.0]], axis=-1)[None, None]
+    return single.replaced(poses=PiecewisePolynomial(drones.breaks, poses))
+
+
+OBJECTS = {"pillars near each other": 2.4, "pillars near cables": -2.0}
+"""Where the second one stands [m]."""
+
+
+def plan(name: str, folder: Path) -> Motion:
+    """Return a motion by its name."""
+    if name == "beside":
+        return beside(folder)
+    if name in OBJECTS:
+        groups = [Group("a", pillar(1.9)), Group("b", pillar(OBJECTS[name], slides=0.4))]
+        return combined([*groups, Group("tied", planned("form_square").motion)])
+    return with_swarm() if name == "swarm" else crossing(2.3 if name == "layers" else 1.5)
+
+
+@pytest.mark.parametrize("name", ["crossing", "layers", "beside", "swarm"])
+def test_files_come_back_to_the_last_bit(name: str, tmp_path: Path) -> None:
+    motion, paths = plan(name, tmp_path), (tmp_path / "plan.npz", tmp_path / "again.npz")
+    write_plan(paths[0], motion, "title", "text")
+    again = read_plan(paths[0])
+    write_plan(paths[1], again, "title", "text")
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+    for one, two in zip(motion.flying, again.flying, strict=True):
+        assert (one.name, one.digest, one.plan) == (two.name, two.digest, two.plan)
+        assert one.motion.phases == two.motion.phases
+        for curve in ("drones", "vertices", "legs", "tensions"):
+            own, back = getattr(one.motion, curve), getattr(two.motion, curve)
+            np.testing.assert_array_equal(own.breaks, back.breaks)
+            np.testing.assert_array_equal(own.coefficients, back.coefficients)
+    assert motion.phases == again.phases
+    np.testing.assert_array_equal(motion.drones.coefficients, again.drones.coefficients)
+
+
+@pytest.mark.parametrize(
+    "name", ["crossing", "layers", "beside", pytest.param("swarm", marks=pytest.mark.slow)]
+)
+def test_it_agrees_with_the_certificate(name: str, tmp_path: Path) -> None:
+    motion = plan(name, tmp_path)
+    write_plan(tmp_path / "plan.npz", motion)
+    rows = [row for row in second.verify(tmp_path) if row.unit != "turn"]
+    assert {row.verdict for row in rows} == {"proven"}
+    found = {row.name: row for row in rows}
+    for check in certify(motion, reports=()).checks:
+        row = found.pop(check.name)
+        worst = row.worst * (check.limit or 1.0) if row.unit == "share" else row.worst
+        assert worst == pytest.approx(check.worst, rel=0.002, abs=0.002 * (check.limit or 1e-3))
+    assert found.keys() <= OWN
+
+
+@pytest.mark.parametrize("name", ["crossing", "layers", "beside", "swarm", *OBJECTS])
+def test_distances_across_agree(name: str, tmp_path: Path) -> None:
+    motion = plan(name, tmp_path)
+    write_plan(tmp_path / "plan.npz", motion)
+    if name in OBJECTS:  # one of which moves without being carried: a file that no plan has
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(second, "differences", lambda *_: iter(()))
+            own, others = second.read(tmp_path / "plan.npz")
+    else:
+        own, others = second.read(tmp_path / "plan.npz")
+    found: dict[str, float] = {}
+    separation = vars(motion.requirements.separation)
+    for p, q in combinations([*own, *others], 2):
+        for one, two in ((p, q), (q, p)) if p in own else ():
+            pair = second.Pair(one, two, separation, 0.0)
+            for row in (*second.across(pair), *second.beside_objects(pair)):
+                if row.samples:
+                    found[row.name] = min(found.get(row.name, np.inf), row.worst)
+    checks = {rule: check_across(RULE_OF[rule], motion) for rule in ACROSS}
+    worst = {rule: check.worst for rule, check in checks.items() if check is not None}
+    assert found.keys() == worst.keys()
+    assert len(worst) == (2 if name == "swarm" else 4 if name in OBJECTS else 3)
+    for rule, value in worst.items():
+        assert found[rule] == pytest.approx(value, rel=0.01)
+
+
+def shifted(entry: dict[str, Any], by: float) -> None:
+    """Move the phases of a group in time."""
+    for phase in entry["phases"]:
+        phase["start"], phase["end"] = phase["start"] + by, phase["end"] + by
+
+
+def later(settings: dict[str, Any], arrays: dict[str, Any]) -> None:
+    shifted(settings["teams"]["b"], 1.0)
+    arrays["b/breaks"] = arrays["b/breaks"] + 1.0
+
+
+def longer(settings: dict[str, Any], arrays: dict[str, Any]) -> None:
+    settings["teams"]["b"]["phases"][-1]["end"] += 1.0
+    arrays["b/breaks"] = arrays["b/breaks"] + np.append(np.zeros(len(arrays["b/breaks"]) - 1), 1.0)
+
+
+def drifts(_: dict[str, Any], arrays: dict[str, Any]) -> None:
+    """Let a team that waits for its start move aside, and back."""
+    first = arrays["b/drones"][0].copy()
+    first[:, 0, 3:-3] += 0.01
+    arrays["b/drones"] = np.concatenate([first[None], arrays["b/drones"][1:]])
+
+
+def swapped(settings: dict[str, Any], _: dict[str, Any]) -> None:
+    teams = settings["teams"]
+    settings["teams"] = {"a": teams["b"], "b": teams["a"]}
+
+
+def stricter(key: str, name: str, value: float) -> Change:
+    """Set a limit of team b, as it is and as it was asked."""
+
+    def change(settings: dict[str, Any], _: dict[str, Any]) -> None:
+        team = settings["teams"]["b"]
+        team[key][name] = team["asked"][key][name] = value
+
+    return change
+
+
+def renamed(name: str) -> Change:
+    """Give team b another name wherever it is."""
+
+    def change(settings: dict[str, Any], arrays: dict[str, Any]) -> None:
+        settings["teams"][name] = settings["teams"].pop("b")
+        settings["asked"]["teams"] = ["a", name]
+        for key in [key for key in arrays if key.startswith("b/")]:
+            arrays[f"{name}/{key[2:]}".lstrip("/")] = arrays.pop(key)
+
+    return change
+
+
+def both(*changes: Change) -> Change:
+    """Make several changes."""
+    return lambda settings, arrays: [change(settings, arrays) for change in changes]
+
+
+def asked(**values: Any) -> Change:
+    """Change what was asked of a plan that flies besides."""
+    return lambda settings, _: settings["asked"]["others"]["show"].update(values)
+
+
+LIES: dict[str, Change] = {
+    "teams have each other's names": swapped,
+    "a hitch is missing": lambda s, _: s["teams"].pop("b"),
+    "a hitch is missing, and was not asked": both(
+        lambda s, _: s["teams"].pop("b"), lambda s, _: s["asked"]["teams"].remove("b")
+    ),
+    "a team that was not asked": lambda s, _: s["asked"]["teams"].remove("b"),
+    "a team flies later": later,
+    "a team flies longer": longer,
+    "what waits moves": drifts,
+    "a flight is called a wait": lambda s, _: s["teams"]["a"]["phases"][0].update(name="wait"),
+    "a team's limits are wider": lambda s, _: s["teams"]["b"]["limits"].update(speed=9.0),
+    "an unknown key": lambda s, _: s.update(colour="red"),
+    "an unknown key of a team": lambda s, _: s["teams"]["a"].update(colour="red"),
+    "a team has a title": lambda s, _: s["teams"]["a"].update(title="red"),
+    "no others are told": lambda s, _: s.pop("others"),
+    "an array is missing": lambda _, a: a.pop("b/vertices"),
+    "single precision": lambda _, a: a.update({"b/legs": np.float32(a["b/legs"])}),
+    "a name with a stroke": renamed("b/c"),
+    "a name with a dot": renamed("b.c"),
+    "no name": renamed(""),
+    "a name of others": renamed("others"),
+    "another problem": lambda s, _: s.update(problem="another"),
+}
+LIES_BESIDE: dict[str, Change] = {
+    "an other flies elsewhere": lambda _, a: a.update(
+        {"others/show/drones": a["others/show/drones"] + 9.0}
+    ),
+    "an other is left out": lambda s, _: s["others"].pop("show"),
+    "an other that was not asked": lambda s, _: s["asked"]["others"].pop("show"),
+    "nothing is left": lambda s, _: s.update(others={}, asked={"teams": [""], "others": {}}),
+    "an other flies at another time": asked(at=0.0),
+    "an other without its digest": lambda s, _: s["asked"]["others"]["show"].pop("digest"),
+    "a digest that is none": asked(digest=3),
+    "a path that is none": asked(plan=None),
+    "a time that is none": asked(at="now"),
+    "an other's path twice": asked(path="show"),
+}
+BROKEN = {
+    "speed": stricter("limits", "speed", 0.4),
+    "separation": stricter("separation", "radius", 0.2),
+    "crossing": stricter("separation", "crossing", 0.3),
+    "cable_clearance": stricter("separation", "cable", 0.26),
+}
+"""Limits that are stricter in one team, which both then break."""
+
+
+def told(name: str, change: Change, folder: Path) -> Path:
+    """Write a plan, change its file, and return it."""
+    path = folder / "plan.npz"
+    write_plan(path, plan(name, folder), problem="text")
+    with np.load(path) as file:
+        arrays = dict(file)
+    settings = json.loads(str(arrays["settings"]))
+    change(settings, arrays)
+    np.savez(path, **{**arrays, "settings": np.array(json.dumps(settings))})
+    return path
+
+
+@pytest.mark.parametrize("lie", [*LIES, *LIES_BESIDE])
+def test_lies_about_groups_are_refused(lie: str, tmp_path: Path) -> None:
+    name, lies = ("crossing", LIES) if lie in LIES else ("beside", LIES_BESIDE)
+    path = told(name, lies[lie], tmp_path)
+    with pytest.raises(FileError):
+        read_plan(path)
+    with pytest.raises(second.UnreadableError):
+        second.read(path)
+
+
+@pytest.mark.parametrize("limit", BROKEN)
+def test_broken_limits_of_one_team_are_found(limit: str, tmp_path: Path) -> None:
+    path = told("crossing", BROKEN[limit], tmp_path)
+    assert limit in {check.name for check in certify(read_plan(path)).violated}
+    assert limit in {row.name for row in second.verify(path) if row.verdict == "violated"}
+
+
+def test_paths_that_collide_are_found(tmp_path: Path) -> None:
+    """Both fly at once at one height."""
+    lower = moved(crossing(2.3).groups[1].motion, 0.0, 0.0, -0.8)
+    motion = combined([crossing().groups[0], Group("b", lower)])
+    write_plan(tmp_path / "plan.npz", motion)
+    broken = {row.name for row in second.verify(tmp_path) if row.verdict == "violated"}
+    assert broken == {check.name for check in certify(motion, reports=()).violated}
+    assert broken == {"separation", "cable_clearance", "crossing"}
+
+
+def asked_of(motion: Motion) -> dict[str, Any]:
+    """Return the request of a motion as a problem's text gives it."""
+    request = request_of(motion)
+    flight = next(phase for phase in motion.phases if phase.name != "wait")
+    request["mission"][0]["seconds"] = flight.end - flight.start
+    return {key: value for key, value in request.items() if key != "problem"}
+
+
+def test_every_team_is_compared_with_its_own_request(tmp_path: Path) -> None:
+    motion, besides = crossing(), beside(tmp_path)
+    a, b = motion.groups
+    exchanged = combined([replace(b, name="a"), replace(a, name="b")])
+    teams = {each.name: asked_of(each.motion) for each in motion.groups}
+    show, pair = {"plan": "show", "at": 1.7}, {"plan": "pair", "at": -2.1}
+    alone = {**asked_of(besides), "others": {"show": show, "pair": pair}}
+    check_request(teams, motion)
+    check_request(alone, besides)
+    wrong: list[tuple[dict[str, Any], Motion]] = [
+        (teams, exchanged),
+        ({"a": teams["a"]}, motion),
+        ({**teams, "c": teams["b"]}, motion),
+        ({**teams, "others": {"show": show}}, motion),
+        (alone, besides.replaced(others=besides.others[1:])),
+        ({**alone, "others": {"show": show}}, besides),
+        ({**alone, "others": {"show": {**show, "at": 2.0}, "pair": pair}}, besides),
+    ]
+    for wanted, flown in wrong:
+        with pytest.raises(InputError, match="asked"):
+            check_request(wanted, flown)
+
+
+def test_check_looks_up_what_flies_besides(tmp_path: Path) -> None:
+    motion, folder = beside(tmp_path), tmp_path / "plan"
+
+    def checked(motion: Motion) -> tuple[int, str]:
+        folder.mkdir(exist_ok=True)
+        write_plan(folder / "plan.npz", motion)
+        run = CliRunner().invoke(main, ["check", str(folder)])
+        return run.exit_code, run.output
+
+    assert checked(motion)[0] == 0
+    show, *pair = motion.others
+    higher = replace(show, motion=moved(show.motion, 0.0, 0.0, 0.5))
+    for other in (replace(show, digest="0" * 64), higher):
+        code, words = checked(motion.replaced(others=(other, *pair)))
+        assert code == 3
+        assert "show (show): " in words
+        assert "is another plan" in words
+    shutil.rmtree(tmp_path / "pair")
+    code, words = checked(motion)
+    assert code == 3
+    assert words.count("its plan is missing") == 2  # groups of it
+    assert "pair.b (pair): " in words
+
+
+def test_one_team_alone_is_written_as_ever(tmp_path: Path) -> None:
+    path = tmp_path / "plan.npz"
+    write_plan(path, combined([Group("a", planned("triangle").motion)]))
+    with np.load(path) as file:
+        assert str(file["format"]) == "hitchopt-plan/1"
+        assert not [name for name in file.files if "/" in name]
+
+
+@pytest.mark.parametrize(
+    "names", [("a", "a"), ("a", ""), ("a", "b c"), ("others", "b"), ("a", "b.c")]
+)
+def test_groups_have_names_of_their_own(names: tuple[str, str]) -> None:
+    groups = [replace(each, name=name) for each, name in zip(crossing().groups, names, strict=True)]
+    with pytest.raises(InputError, match="teams"):
+        combined(groups)
