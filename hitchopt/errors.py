@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from typing import Any, NamedTuple
 
 LONGEST, LONGEST_TEXT, SMALL = 100, 30, 8
@@ -221,6 +221,20 @@ class InfeasibleError(HitchoptError):
         self.note = note
         lines = [str(v) for v in self.violations] + ([note] if note else [])
         super().__init__("\n".join(lines))
+
+    def of_group(self, name: str) -> InfeasibleError:
+        """Return the error as that of one of several groups; itself without a name."""
+        if not name:
+            return self
+        violations = [
+            replace(
+                each,
+                where=tuple(f"{name}.{place}" for place in each.where),
+                when=f"{each.when} of {name}".strip(),
+            )
+            for each in self.violations
+        ]
+        return InfeasibleError(violations, self.note and f"{name}: {self.note}")
 
 
 class TimeLimitError(InfeasibleError):

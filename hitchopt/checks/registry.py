@@ -135,6 +135,15 @@ def _checks_of_groups(
                 yield report.check(motion, {}, gamma)
 
 
+def check_of(rule: CheckRule, motion: Motion, *, exported: bool = False) -> Check | None:
+    """Return the check of one rule of all groups together: of each alone, and across."""
+    if len(motion.flying) == 1:
+        return rule.check(motion, exported=exported)
+    own = [(rule.check(each.motion, exported=exported), each) for each in motion.groups]
+    alone = [None if check is None else _labelled(check, each) for check, each in own]
+    return worst_of([*alone, check_across(rule, motion)])
+
+
 def _tell(progress: Callable[[str], None], name: str, words: str) -> None:
     progress(f"{name}: {words}" if name else words)
 

@@ -232,7 +232,10 @@ def abort(directory: Path, how: str | None, every: float) -> None:
         times["ends"] = entry.motion.duration
         rows.append({"phase": phase.name, **{name: f"{t:.3f} s" for name, t in times.items()}})
     say(table(f"Aborts: {chosen}", rows))
-    thrust, lean = (largest_at_rest(motion, each) for each in (used_thrust, tilt))
+    thrust, lean = (
+        max(largest_at_rest(group.motion, each) for group in motion.groups)
+        for each in (used_thrust, tilt)
+    )
     say(f"hovering anywhere on the paths takes up to {thrust:.1%} of a drone's thrust, {lean:.2f}°")
     save_aborts(path.parent, aborts)
     say(
@@ -252,7 +255,7 @@ def abort(directory: Path, how: str | None, every: float) -> None:
 
 
 def _usual_abort(motion: ho.Motion) -> str:
-    return "release_and_land" if motion.team.has_cables else "land"
+    return "release_and_land" if motion.has_cables else "land"
 
 
 @command(
@@ -327,7 +330,7 @@ def fly(
         plan = ho.load(plan_path(directory).parent)
     plan.certificate.raise_if_violated()
     motion = plan.motion
-    outlet = _outlet_of(motion.team, **options)
+    outlet = _outlet_of(motion, **options)
     tables = _flown_aborts(motion, how)
     watched = motion.team.drone_names if measurements else ()
     commanded, steering = CommandedPlan(motion, tables), Operator()
@@ -352,7 +355,7 @@ def fly(
 
 
 def _outlet_of(
-    team: ho.Team | ho.Swarm,
+    motion: ho.Motion,
     over: str,
     targets: tuple[str, ...],
     listen: str,
@@ -366,14 +369,14 @@ def _outlet_of(
     from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet, read_fleet
     from hitchopt.live.links import CrazyflieOutlet, JsonOutlet, MavlinkOutlet, address
 
-    names = team.drone_names
+    team, names = motion.team, motion.team.drone_names
     kind: Any = {"json": JsonOutlet, "mavlink": MavlinkOutlet, "crazyflie": CrazyflieOutlet}[over]
     refuse_controllers(team, kind.controllers, f"--over {over}")
     frame = ReferenceFrame("ned" if over == "mavlink" else "enu", origin, math.radians(yaw_deg))
     if over == "crazyflie":
         members = (placeholder_fleet(names) if fleet is None else read_fleet(fleet, names)).members
         robots = [member.name for member in members]
-        say(pilot_checklist(cables=team.has_cables))
+        say(pilot_checklist(cables=motion.has_cables))
         return CrazyflieOutlet(names, robots, frame, team_parameters(team))
     here = address("--listen", listen)
     places = [address("--to", each) for each in targets]

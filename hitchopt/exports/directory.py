@@ -60,7 +60,7 @@ def save_plan(
         SETPOINTS: lambda path: write_setpoints(path, motion, rate, progress),
         **(pictures or {}),
     }
-    if motion.team.has_cables:
+    if motion.has_cables:
         writers[VERTICES] = lambda path: write_vertices(path, motion, rate)
     writers[CERTIFICATE] = lambda path: write_strict_json(
         path, certificate_content(motion, certificate, path.with_name(PLAN))
@@ -156,43 +156,50 @@ def write_setpoints(
             if progress is not None:
                 progress(min(float(states.t[-1]) / float(times[-1] or 1.0), 1.0))
 
-    write_rows(path, HEADER, names, blocks())
+    write_rows(path, HEADER, (names, blocks()))
 
 
 def write_vertices(path: Path, motion: Motion, rate: float) -> None:
     """Write one row per sample and vertex, while the hitch exists; row k has cable k's tension.
 
-    The last row of an open chain, which has one point more than cables, leaves it empty.
+    The last row of an open chain, which has one point more than cables, leaves it empty. Vertices
+    of several groups are called as ``b.p2``, one group after the other.
     """
-    times, points = sample_times(motion.duration, rate), motion.team.layout.points
+    times = sample_times(motion.duration, rate)
 
-    def blocks() -> Iterator[tuple[Array, Array]]:
-        for states in iterate_states(motion, times, max(1, ROWS // points)):
+    def blocks(own: Motion, points: int) -> Iterator[tuple[Array, Array]]:
+        for states in iterate_states(own, times, max(1, ROWS // points)):
             values = np.full((len(states.t), points, 4), np.nan)
             values[..., :3] = states.vertices
-            values[:, : motion.team.robots, 3] = states.tensions
+            values[:, : own.team.robots, 3] = states.tensions
             yield states.t[states.formed], values[states.formed] + 0.0  # no negative zeros
 
-    write_rows(path, VERTICES_HEADER, tuple(map(str, range(points))), blocks())
+    tables = []
+    for each in motion.groups:
+        if points := each.motion.team.layout.points:
+            names = [each.label(f"p{k}") if each.name else str(k) for k in range(points)]
+            tables.append((names, blocks(each.motion, points)))
+    write_rows(path, VERTICES_HEADER, *tables)
 
 
 def write_rows(
-    path: Path, header: str, names: Sequence[str], blocks: Iterable[tuple[Array, Array]]
+    path: Path, header: str, *tables: tuple[Sequence[str], Iterable[tuple[Array, Array]]]
 ) -> None:
     """Write a header and one line per sample and item: the time, the item's name, the numbers.
 
-    ``blocks`` are times (S,) [s] and numbers (S, D, C) of ``names`` (D,), one block after the
-    other; where these are nan nothing is written.
+    Tables, one after the other, have the names (D,) of items and blocks of times (S,) [s] and
+    numbers (S, D, C); where these are nan nothing is written.
     """
     numbers = f",{NUMBER}" * (header.count(",") - 1) + "\n"
-    lines = "".join(f"{NUMBER},{name.replace('%', '%%')}{numbers}" for name in names)
     with path.open("w", encoding="utf-8", newline="") as file:
         file.write(header + "\n")
-        for t, values in blocks:
-            times = np.broadcast_to(t[:, None, None], (*values.shape[:2], 1))
-            flat = np.concatenate([times, values], -1).ravel()
-            text = lines * len(t) % tuple(flat.tolist())
-            file.write(text.replace(",nan\n", ",\n") if np.isnan(flat).any() else text)
+        for names, blocks in tables:
+            lines = "".join(f"{NUMBER},{name.replace('%', '%%')}{numbers}" for name in names)
+            for t, values in blocks:
+                times = np.broadcast_to(t[:, None, None], (*values.shape[:2], 1))
+                flat = np.concatenate([times, values], -1).ravel()
+                text = lines * len(t) % tuple(flat.tolist())
+                file.write(text.replace(",nan\n", ",\n") if np.isnan(flat).any() else text)
 
 
 def data_frame(motion: Motion, rate: float) -> DataFrame:

@@ -19,7 +19,7 @@ import numpy as np
 
 from hitchopt.checks.certificate import Certificate, Check, worst_of
 from hitchopt.checks.drones import largest_rate
-from hitchopt.checks.registry import RULE_OF, RULES, certificate_of
+from hitchopt.checks.registry import RULE_OF, RULES, certificate_of, check_of
 from hitchopt.checks.rule import CheckRule
 from hitchopt.checks.spans import ROUNDING, value_cache
 from hitchopt.errors import FileError, InfeasibleError, InputError, OneLine, Violation
@@ -35,9 +35,11 @@ from hitchopt.exports.recording import (
     listed,
     read_manifest,
 )
+from hitchopt.hitch import Team
 from hitchopt.hitch.forces import undetermined_tension
-from hitchopt.motion.motion import JOINT, Motion
-from hitchopt.motion.retiming import stretched
+from hitchopt.motion.combined import combined
+from hitchopt.motion.motion import JOINT, Group, Motion
+from hitchopt.motion.retiming import between, stretched
 from hitchopt.storage.files import digest, replace_files, write_strict_json
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
@@ -105,11 +107,18 @@ def export_motion(
         plan,
         title,
         frame,
-        placeholder_fleet(roles) if options.fleet is None else read_fleet(options.fleet, roles),
+        placeholder_fleet(roles, dotted=kind.dotted)
+        if options.fleet is None
+        else read_fleet(options.fleet, roles),
         kind.rate if options.rate is None else checked_rate(options.rate),
         options,
         undetermined=_undetermined(kind, motion, options),
         settings=kind.settings(motion.team, options),
+        notes=tuple(
+            f"certified beside {each.name}, which begins at t = {each.motion.drones.breaks[0]:.4g} "
+            "s of this plan: fly both on one clock"
+            for each in plan.others
+        ),
     )
     _refuse_lost_pull(kind, motion, options)
     sealed = _is_file(place) and place.with_name(f"{place.name}.{MANIFEST}").exists()
@@ -118,7 +127,7 @@ def export_motion(
     certificate_of(plan, say).raise_if_violated()
     if options.hold_tension:
         held = held_tension(plan, options.stiffness, options.damping)
-        task = replace(task, motion=held.motion, unheld=plan, notes=(held.note,))
+        task = replace(task, motion=held.motion, unheld=plan, notes=(*task.notes, held.note))
     with _scratch(place) as scratch:
         return _put(_written(kind, task, scratch, say), place, kind, task)
 
@@ -128,30 +137,40 @@ def _refuse_lost_pull(kind: Format, motion: Motion, options: ExportOptions) -> N
 
     What controllers do that nobody names is unknown: there the files warn.
     """
-    named = [each.controller for each in motion.team.quadrotor if each.controller]
-    if not named:
-        return
+    named = _controllers(motion.team)
     for option in ("stiffness", "damping"):
-        if (value := getattr(options, option)) is not None:
+        if named and (value := getattr(options, option)) is not None:
             bound = f"left out with controller {named[0]}, whose gains are exported"
             raise InputError(option, value, bound, "set team.quadrotor.gains")
-    if kind.flown_by == "upload" and np.any(motion.formed) and not options.hold_tension:
-        bound = f"given for {kind.name}, which carries no cable force to controller {named[0]}"
+    pulled = [name for team in _hitched(motion) for name in _controllers(team)]
+    if kind.flown_by == "upload" and pulled and not options.hold_tension:
+        bound = f"given for {kind.name}, which carries no cable force to controller {pulled[0]}"
         remedy = "add it, or stream: hitchopt fly, or a format that carries the force"
         raise InputError("hold_tension", False, bound, remedy)
 
 
 def _undetermined(kind: Format, motion: Motion, options: ExportOptions) -> tuple[str, ...]:
     """Return why the files leave the tension undetermined; nothing without a hitch."""
-    team = motion.team
-    if not np.any(motion.formed):
-        return ()
-    fed_forward = kind.flown_by != "upload" and bool(np.all(team.feed_forward))
-    known = options.stiffness is not None or bool(np.all(np.isfinite(team.stiffness)))
-    return undetermined_tension(
-        integral=(kind.receiver_integral and not known) or bool(np.any(np.isinf(team.integral))),
-        feed_forward=fed_forward or options.hold_tension,
-    )
+    reasons = list[str]()
+    for team in _hitched(motion):
+        fed_forward = kind.flown_by != "upload" and bool(np.all(team.feed_forward))
+        known = options.stiffness is not None or bool(np.all(np.isfinite(team.stiffness)))
+        unknown = kind.receiver_integral and not known
+        reasons += undetermined_tension(
+            integral=unknown or bool(np.any(np.isinf(team.integral))),
+            feed_forward=fed_forward or options.hold_tension,
+        )
+    return tuple(dict.fromkeys(reasons))
+
+
+def _hitched(motion: Motion) -> list[Team]:
+    """Return the teams that ever form a hitch."""
+    return [each.motion.team for each in motion.groups if np.any(each.motion.formed)]
+
+
+def _controllers(team: Team) -> list[str]:
+    """Return the names of a team's controllers."""
+    return sorted({name for each in team.quadrotor if (name := each.controller)})
 
 
 def _written(kind: Format, task: Task, scratch: Path, say: Progress) -> list[Export]:
@@ -229,14 +248,14 @@ def _part(
 
 def _fed_forward(kind: Format, task: Task) -> str:
     """Return the manifest's entry on the cables' pull in the files."""
-    if not task.motion.team.has_cables:
+    if not task.motion.has_cables:
         return FREE
     return HELD if task.options.hold_tension else kind.feed_forward
 
 
 def _head(kind: Format, task: Task) -> dict[str, Any]:
     head = {"format": MANIFEST_FORMAT, "exported_as": kind.name, "title": task.title}
-    names = sorted({name for each in task.motion.team.quadrotor if (name := each.controller)})
+    names = _controllers(task.motion.team)
     return {**head, "flown_by": kind.flown_by, "controllers": names, **task.frame.to_dict()}
 
 
@@ -351,7 +370,7 @@ class Verdict:
         violations = []
         for check in self.lost:
             rule = RULE_OF[check.name]
-            planned = rule.check(motion, exported=True) or check
+            planned = check_of(rule, motion, exported=True) or check
             values = f"{planned.bound:.6g}, the export loses {abs(check.bound - planned.bound):.3g}"
             when = f"at t = {check.time:.4g} s (the plan keeps {values})"
             violations.append(check.violation(when, EASIER if rule.derivative > 0 else CLEARER))
@@ -381,6 +400,7 @@ def verify(
         reason = f"{missing[0]} is missing" if missing else "there are more of them"
         raise FileError(f"its drones are not those of the plan: {reason}")
     index = [recording.names.index(name) for name in names]
+    firsts = np.cumsum([len(each.motion.team.drone_names) for each in motion.groups])[:-1]
     carried = [rule for rule in rules if rule.derivative <= recording.smooth + 1]
     checks: list[list[Check | None]] = []
     apart: list[list[Deviation]] = []
@@ -389,13 +409,18 @@ def verify(
         if abs(float(window.breaks[0]) - end) > JOINT:
             raise FileError(f"begins at t = {window.breaks[0]:g} s, not at {end:g} s")
         end = float(window.breaks[-1])
-        curves = PiecewisePolynomial(window.breaks, window.coefficients[:, index])
-        planned = _planned(motion, window.breaks)
-        flown = on_breaks(frame.in_plan(curves), planned.drones.breaks)
-        apart.append(_deviations(flown, planned))
-        written = replace(planned, drones=flown)
+        curves = frame.in_plan(window.alike(window.coefficients[:, index]))
+        groups = list[Group]()
+        for group, places in zip(
+            motion.groups, np.split(curves.coefficients, firsts, axis=1), strict=True
+        ):
+            planned = _planned(group.motion, window.breaks)
+            flown = on_breaks(curves.alike(places), planned.drones.breaks)
+            apart.append(_deviations(flown, planned, group))
+            groups.append(replace(group, motion=replace(planned, drones=flown)))
+        written = combined(groups, [_at_window(each, window.breaks) for each in motion.others])
         with value_cache():
-            checks.append([rule.check(written, exported=True) for rule in carried])
+            checks.append([check_of(rule, written, exported=True) for rule in carried])
     if end < motion.duration - JOINT:
         raise FileError(f"ends at t = {end:g} s, before the plan does, at {motion.duration:g} s")
     position, velocity = (max(each, key=lambda d: d.worst) for each in zip(*apart, strict=True))
@@ -418,14 +443,18 @@ def _planned(motion: Motion, breaks: Array) -> Motion:
     return motion.map_curves(span, here)
 
 
-def _deviations(flown: PiecewisePolynomial, motion: Motion) -> list[Deviation]:
+def _at_window(other: Group, breaks: Array) -> Group:
+    """Return a plan that flies besides over the span of ``breaks``."""
+    return replace(other, motion=between(other.motion, float(breaks[0]), float(breaks[-1])))
+
+
+def _deviations(flown: PiecewisePolynomial, motion: Motion, group: Group) -> list[Deviation]:
     """Return how far curves on the breaks of a plan are off, in position and in velocity."""
     degree, deviations = max(flown.degree, motion.drones.degree), []
     wanted = bernstein.elevate(motion.drones.coefficients, degree)
     apart = flown.alike(bernstein.elevate(flown.coefficients, degree) - wanted)
     for order, margin in enumerate((ROUNDING * float(np.max(np.abs(wanted))), 0.0)):
         most = largest_rate(apart, order)
-        deviations.append(
-            Deviation(most.worst + margin, most.time, motion.team.drone_names[most.item])
-        )
+        drone = group.label(motion.team.drone_names[most.item])
+        deviations.append(Deviation(most.worst + margin, most.time, drone))
     return deviations

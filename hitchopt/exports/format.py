@@ -132,6 +132,7 @@ class Format(ABC):
     flown_by: str = "upload"  # or stream, with the pull in it, or nothing if it is not flown
     controllers: tuple[str, ...] = CONTROLLERS  # names of those that may fly the files
     streamed: float = 0.0  # least useful rate of samples that are sent in flight [Hz]; 0: none are
+    dotted: bool = False  # whether drones of several teams may be called a.q0, not a_q0
     receiver_integral: bool = False  # whether controllers have one of which the team says nothing
     bounds: tuple[float, ...] = (1.0,)  # errors of refits over the usual one, tried in a row
 

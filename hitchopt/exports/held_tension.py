@@ -23,8 +23,8 @@ import numpy as np
 
 from hitchopt.checks.drones import largest_rate
 from hitchopt.errors import InfeasibleError, InputError, UnsupportedError, Violation
-from hitchopt.hitch import Team
 from hitchopt.hitch.flight_controller import DAMPING_RATIO
+from hitchopt.motion.combined import combined
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import append_motion, resting
 from hitchopt.motion.states import states_at
@@ -71,9 +71,29 @@ def held_tension(
     bounded integral, which would move drones after their set points; InfeasibleError of forces that
     change too fast.
     """
-    team = motion.team
-    if not isinstance(team, Team):
+    if not motion.has_cables:
         raise UnsupportedError("hold_tension=True: single drones carry no cables that could pull")
+    if len(motion.groups) == 1:
+        return _held_tension(motion, stiffness, damping)
+    held = {
+        each.name: _held_tension(each.motion, stiffness, damping)
+        for each in motion.groups
+        if each.motion.has_cables
+    }
+    groups = [
+        replace(each, motion=held[each.name].motion if each.name in held else each.motion.untimed)
+        for each in motion.groups
+    ]
+    k, c = (
+        np.concatenate([getattr(h, x) for h in held.values()]) for x in ("stiffness", "damping")
+    )
+    offset, miss = (max(getattr(each, x) for each in held.values()) for x in ("offset", "miss"))
+    return HeldTension(combined(groups, motion.others), k, c, offset, miss)
+
+
+def _held_tension(motion: Motion, stiffness: float | None, damping: float | None) -> HeldTension:
+    """Return the set points of one group with cables."""
+    team = motion.team
     k, c, most = team.stiffness, team.damping, team.integral
     if np.any((most > 0.0) & np.isfinite(most)):
         bound = "0 with hold_tension=True: integrals move drones after their set points"

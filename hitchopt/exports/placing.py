@@ -114,14 +114,18 @@ class FleetKeys:
     fileversion: Annotated[int, Key(whole_number(0, 1000), "Version of the format")] = 3
 
 
-def placeholder_fleet(roles: Sequence[str]) -> Fleet:
-    """Return drones called as in the plan, at addresses counted up from E7E7E7E701."""
+def placeholder_fleet(roles: Sequence[str], *, dotted: bool = False) -> Fleet:
+    """Return drones called as in the plan, at addresses counted up from E7E7E7E701.
+
+    Unless names may be ``dotted``, a drone ``a.q0`` of several teams is called ``a_q0``.
+    """
 
     def uri(i: int) -> str:
         return f"radio://{i // PER_RADIO}/80/2M/{0xE7E7E7E701 + i:010X}"
 
-    each = enumerate(roles)
-    return Fleet(tuple(Member(role=role, name=role, uri=uri(i)) for i, role in each))
+    names = roles if dotted else [role.replace(".", "_") for role in roles]
+    each = enumerate(zip(roles, names, strict=True))
+    return Fleet(tuple(Member(role=role, name=name, uri=uri(i)) for i, (role, name) in each))
 
 
 def read_fleet(path: str | Path, roles: Sequence[str]) -> Fleet:

@@ -21,7 +21,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from hitchopt.checks import Certificate, certify
-from hitchopt.checks.registry import RULE_OF
+from hitchopt.checks.registry import RULE_OF, check_of
 from hitchopt.errors import HitchoptError, InfeasibleError, InputError, Progress
 from hitchopt.exports.directory import ABORT_PLANS, ABORTS
 from hitchopt.hitch.requirements import Requirements
@@ -83,7 +83,8 @@ class Aborts:
     """The aborts of one plan."""
 
     def __init__(self, motion: Motion) -> None:
-        self.motion = motion
+        self.others = motion.others  # who fly on, whatever this plan's clock does
+        self.motion = motion.replaced(others=()) if motion.others else motion
 
     def plan(self, time: float, how: str) -> Abort:
         """Return the first abort for a command at a plan time [s], as ``Plan.abort`` explains."""
@@ -96,7 +97,7 @@ class Aborts:
             if origin is None:
                 continue
             try:
-                motion = self._continued(stopped, how, origin)
+                motion = self._continued(stopped, how, origin).replaced(others=self.others)
                 certificate = certify(motion)
                 if not certificate.certified:
                     raise infeasible(certificate, motion)
@@ -117,66 +118,33 @@ class Aborts:
         for begin, resting_there in sorted(options):
             stop_plan = until_stop(self.motion, float(begin), stop=not resting_there)
             held = append_motion(stop_plan.motion, resting(stop_plan.motion, HOLD))
-            checks = [RULE_OF[name].check(held) for name in RESTS]
+            checks = [check_of(RULE_OF[name], held) for name in RESTS]
             if all(check is None or check.holds for check in checks):
                 yield stop_plan
 
     def _origin(self, stopped: Stopped, how: str) -> float | None:
         """Return the plan time [s] from which to go on; None if a later stop is needed."""
-        time, state = stopped.rest, stopped.motion.phases[-1].state
+        time = stopped.rest
         if how == "hold":
             return time
         if how == "back":
-            return min(time, self._free_before(time).end)
-        if state not in PASSING:
-            return self._clear_of_objects(time)
-        after = (phase for phase in self.motion.phases if phase.end > time + JOINT)
-        free = (phase.start for phase in after if phase.state not in PASSING)
-        return next(free, self.motion.duration)  # of a hitch that is being untied
+            return self._all_free_before(time)
+        each = zip(self.motion.groups, stopped.motion.groups, strict=True)
+        origins = {_landing_from(own.motion, time, there.motion) for own, there in each}
+        # Groups have one clock: of several each lands from the rest, or a later one
+        return origins.pop() if len(self.motion.groups) == 1 or origins == {time} else None
 
-    def _clear_of_objects(self, time: float) -> float | None:
-        """Return the time, or the rest from which a hitch lands that is around an object then."""
-        around = self._around(time)
-        if around is None:
-            return time
-        still: list[float] = self.motion.drones.breaks[rest_breaks(self.motion)].tolist()
-        outside = [each for each in still if self._around(each) is None]
-        behind, ahead = [each for each in outside if each < time], max(outside, default=0.0) > time
-        if behind:
-            poses = self.motion.object_poses.at(np.array([behind[-1], time]))[:, around]
-            if np.max(np.abs(poses[1] - poses[0])) <= STILL or not ahead:
-                return behind[-1]
-        return None if ahead else time
+    def _all_free_before(self, time: float) -> float:
+        """Return the last plan time [s], up to one, at which the cables of all groups hang free.
 
-    def _free_before(self, time: float) -> Phase:
-        """Return the last phase, up to a plan time [s], in which cables hang free.
-
-        Without cables, that is the place where the plan begins.
+        Without cables, that is the time at which the plan begins.
         """
-        first = self.motion.phases[0]
-        if not self.motion.team.has_cables:
-            return first.retimed(first.start, first.start)
-        for phase in reversed(self.motion.phases):
-            if phase.start < time + JOINT and phase.state in (CableState.FREE, CableState.GROUND):
-                return phase
-        words = f"back from t = {time:.4g} s: cables have not hung free before"
-        raise _refused(words, "choose hold, land or release_and_land")
-
-    def _around(self, time: float) -> int | None:
-        """Return the index of an object that the hitch goes around, below its top."""
-        motion = self.motion
-        phase = next(p for p in reversed(motion.phases) if p.start < time + JOINT)
-        if not (motion.requirements.objects and phase.formed and motion.team.layout.closed):
-            return None
-        vertices, poses = motion.vertices.at(time), motion.object_poses.at(time)
-        for index, body in enumerate(motion.requirements.objects.values()):
-            top = body.upper if body.rim is None else max(body.upper, body.rim.height)
-            middle = in_world(poses[index], np.append(body.section.centroid, top))
-            away = (vertices - middle)[:, :2] @ [1.0, 1.0j]
-            inside = np.all((np.roll(away, -1) * away.conj()).imag < 0.0)  # convex and clockwise
-            if not body.fixed and inside and np.min(vertices[:, 2]) < middle[2]:
-                return index
-        return None
+        groups = [each.motion for each in self.motion.groups if each.motion.has_cables]
+        if not groups:
+            return 0.0
+        while (free := min(min(time, _free_before(each, time).end) for each in groups)) < time:
+            time = free
+        return time
 
     def _continued(self, stopped: Stopped, how: str, origin: float) -> Motion:
         """Return the continuation of a plan at rest from a plan time [s], not certified yet."""
@@ -185,10 +153,72 @@ class Aborts:
             player = Player(self.motion, time, 0.0)
             player.seek(origin)
             whole = append_motion(whole, on_clock(self.motion, player.ahead))
-        if how in ("hold", "back"):
-            phase = self._free_before(time) if how == "back" else None
-            return append_motion(whole, resting(whole, HOLD, phase))
-        return _landed(whole, untied=how == "release_and_land")
+        planned = iter(self.motion.groups)
+
+        def of_group(own: Motion) -> Motion:
+            here = next(planned)
+            if how in ("hold", "back"):
+                phase = _free_before(here.motion, origin) if how == "back" else None
+                return append_motion(own, resting(own, HOLD, phase))
+            try:
+                return _landed(own, untied=how == "release_and_land")
+            except InfeasibleError as error:
+                raise error.of_group(here.name) from None
+
+        return whole.each_group(of_group)
+
+
+def _landing_from(motion: Motion, time: float, stopped: Motion) -> float | None:
+    """Return the plan time [s] from which a group lands; None if a later stop is needed."""
+    if stopped.phases[-1].state not in PASSING:
+        return _clear_of_objects(motion, time)
+    after = (phase for phase in motion.phases if phase.end > time + JOINT)
+    free = (phase.start for phase in after if phase.state not in PASSING)
+    return next(free, motion.duration)  # of a hitch that is being untied
+
+
+def _clear_of_objects(motion: Motion, time: float) -> float | None:
+    """Return the time, or the rest from which a hitch lands that is around an object then."""
+    around = _around(motion, time)
+    if around is None:
+        return time
+    still: list[float] = motion.drones.breaks[rest_breaks(motion)].tolist()
+    outside = [each for each in still if _around(motion, each) is None]
+    behind, ahead = [each for each in outside if each < time], max(outside, default=0.0) > time
+    if behind:
+        poses = motion.object_poses.at(np.array([behind[-1], time]))[:, around]
+        if np.max(np.abs(poses[1] - poses[0])) <= STILL or not ahead:
+            return behind[-1]
+    return None if ahead else time
+
+
+def _free_before(motion: Motion, time: float) -> Phase:
+    """Return the last phase of a group, up to a plan time [s], in which cables hang free.
+
+    Without cables, that is the phase then.
+    """
+    for phase in reversed(motion.phases):
+        free = phase.state in (CableState.FREE, CableState.GROUND, CableState.NONE)
+        if phase.start < time + JOINT and free:
+            return phase
+    words = f"back from t = {time:.4g} s: cables have not hung free before"
+    raise _refused(words, "choose hold, land or release_and_land")
+
+
+def _around(motion: Motion, time: float) -> int | None:
+    """Return the index of an object that a group's hitch goes around, below its top."""
+    phase = next(p for p in reversed(motion.phases) if p.start < time + JOINT)
+    if not (motion.requirements.objects and phase.formed and motion.team.layout.closed):
+        return None
+    vertices, poses = motion.vertices.at(time), motion.object_poses.at(time)
+    for index, body in enumerate(motion.requirements.objects.values()):
+        top = body.upper if body.rim is None else max(body.upper, body.rim.height)
+        middle = in_world(poses[index], np.append(body.section.centroid, top))
+        away = (vertices - middle)[:, :2] @ [1.0, 1.0j]
+        inside = np.all((np.roll(away, -1) * away.conj()).imag < 0.0)  # convex and clockwise
+        if not body.fixed and inside and np.min(vertices[:, 2]) < middle[2]:
+            return index
+    return None
 
 
 def until_stop(motion: Motion, time: float, *, stop: bool = True) -> Stopped:

@@ -98,8 +98,9 @@ class Feedback(OneLine):
         stiffness: ArrayLike | None = None,
     ) -> None:
         motion = getattr(plan, "motion", plan)
-        if not isinstance(motion, Motion) or not motion.team.has_cables:
+        if not isinstance(motion, Motion) or not motion.has_cables:
             raise InputError("plan", plan, "a Plan or Motion of a hitch", "solve or load one")
+        motion.refuse_several("feedback")
         if motion.requirements.keep_out or motion.requirements.objects:
             words = "feedback keeps no distance to keep-outs and objects: fly without them"
             raise UnsupportedError(words)

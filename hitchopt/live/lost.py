@@ -81,6 +81,7 @@ class Reactions:
     """The reactions of one plan; motions after a loss are computed once for all drones."""
 
     def __init__(self, motion: Motion) -> None:
+        motion.refuse_several("a reaction to a lost drone")
         self.motion = motion
         self._flown = lru_cache(maxsize=256)(self._certified)
 

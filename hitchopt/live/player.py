@@ -16,7 +16,7 @@ from math import comb
 import numpy as np
 
 from hitchopt.checks.stops import SHORTEST, SLOWEST, ClockLimits, StopTable, stop_table
-from hitchopt.errors import InfeasibleError, InputError, OneLine
+from hitchopt.errors import InfeasibleError, InputError, OneLine, UnsupportedError
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.clock_phases import ClockPhases, concatenated_clocks
@@ -72,12 +72,18 @@ class Player(OneLine):
     Raises
     ------
     InputError: a time outside the plan, or a rate out of its range.
+    UnsupportedError: a plan beside others, whose clock is not this one.
     """
 
     def __init__(self, plan: object, time: float = 0.0, rate: float = 1.0) -> None:
         motion = getattr(plan, "motion", plan)
         if not isinstance(motion, Motion):
             raise InputError("plan", plan, "a Plan or a Motion", "solve or load one")
+        if motion.others:
+            words = (
+                f"a clock that can be slowed, beside {motion.others[0].name}, which does not wait"
+            )
+            raise UnsupportedError(f"{words}; plan without others, or use aborts alone")
         self.motion: Motion = motion
         self._known = _known(motion)
         self._begin, self._end = (float(b) for b in motion.drones.breaks[[0, -1]])
@@ -125,7 +131,8 @@ class Player(OneLine):
         if not self._begin <= self.time <= self._end:
             self._course = self._within(Course(self.time, self.clock_rate))
         time, rate, slope, jerk = self._course.now
-        return Setpoints(time, rate, *self._known.sampler.values(time, rate, slope, jerk))
+        each = [one.values(time, rate, slope, jerk) for one in self._known.samplers]
+        return Setpoints(time, rate, *np.concatenate(each, axis=1))
 
     def pause(self) -> float:
         """Stop as soon as the limits allow; return the time until rest [s]."""
@@ -274,7 +281,7 @@ class _Known:
     def __init__(self, motion: Motion) -> None:
         self.motion = motion
         self.limits = ClockLimits(motion)
-        self.sampler = Sampler(motion.drones)
+        self.samplers = [Sampler(each.motion.drones) for each in motion.groups]
 
     @cached_property
     def stops(self) -> StopTable:
@@ -287,17 +294,7 @@ class _Known:
 
         Where drones swing to work the clasps none slides: that may be flown backward.
         """
-        motion, breaks = self.motion, self.motion.drones.breaks
-        if motion.leg_tensions is None:
-            return np.zeros((0, 2))
-        pulls = motion.pulls.coefficients
-        apart = np.ptp(pulls.reshape(len(pulls), motion.team.robots, -1), axis=-1)
-        leans = np.max(apart, axis=-1) > ALIKE
-        slides = np.max(np.ptp(motion.legs.coefficients, axis=-1), axis=(1, 2)) > MIN_SLIDE
-        runs = np.cumsum(leans & ~np.concatenate([[False], leans[:-1]]))
-        leans &= np.isin(runs, runs[leans & slides])
-        spans: Array = np.stack([breaks[:-1], breaks[1:]], axis=-1)[leans]
-        return spans
+        return np.concatenate([_leaning(each.motion) for each in self.motion.groups])
 
     def slides_back(self, clock: ClockPhases) -> bool:
         """Whether cables slide back where legs lean."""
@@ -305,6 +302,20 @@ class _Known:
         spans = np.sort(np.stack([clock.jets[:, 0], clock.ends[:, 0]], axis=-1)[backward], axis=-1)
         begins, ends = self.leaning.T
         return bool(np.any((ends > spans[:, :1]) & (begins < spans[:, 1:])))
+
+
+def _leaning(motion: Motion) -> Array:
+    """Return the runs of pieces (m, 2) [s] on which one group's legs lean and cables slide."""
+    if motion.leg_tensions is None:
+        return np.zeros((0, 2))
+    breaks, pulls = motion.drones.breaks, motion.pulls.coefficients
+    apart = np.ptp(pulls.reshape(len(pulls), motion.team.robots, -1), axis=-1)
+    leans = np.max(apart, axis=-1) > ALIKE
+    slides = np.max(np.ptp(motion.legs.coefficients, axis=-1), axis=(1, 2)) > MIN_SLIDE
+    runs = np.cumsum(leans & ~np.concatenate([[False], leans[:-1]]))
+    leans &= np.isin(runs, runs[leans & slides])
+    spans: Array = np.stack([breaks[:-1], breaks[1:]], axis=-1)[leans]
+    return spans
 
 
 _known = lru_cache(maxsize=4)(_Known)

@@ -136,6 +136,7 @@ class Replanner(OneLine):
         for (key, value), kind in zip(options.items(), (Limits, Separation, Arena), strict=True):
             instance(key, value, kind, type(None))
         if isinstance(start, Plan):
+            start.motion.refuse_several("a replanner")
             motion, goal = start.motion, start.end
         else:
             phase = Phase("hold", 0, 0.0, HOLD)

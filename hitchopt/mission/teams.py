@@ -102,14 +102,7 @@ def _alone(name: str, problem: Problem | tuple[SwarmProblem, ...], tell: Progres
     except TimeLimitError:
         raise
     except InfeasibleError as error:
-        label = Group(name, None).label if name else str  # type: ignore[arg-type]
-        violations = [
-            replace(
-                each, where=tuple(map(label, each.where)), when=f"{each.when} of {name}".strip()
-            )
-            for each in error.violations
-        ]
-        raise InfeasibleError(violations if name else error.violations, error.note) from None
+        raise error.of_group(name) from None
 
 
 def _items(

@@ -67,6 +67,11 @@ class CombinedMotion(Motion):
         groups = [replace(each, motion=change(each.motion)) for each in self.parts]
         return combined(groups, self.others)
 
+    @property
+    def untimed(self) -> Motion:
+        """The motion without a limit on any group's duration."""
+        return self.each_group(lambda own: own.untimed)
+
     def map_curves(
         self, change: Callable[[PiecewisePolynomial], PiecewisePolynomial], phases: Sequence[Phase]
     ) -> Motion:

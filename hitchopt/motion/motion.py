@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.errors import InputError, OneLine
+from hitchopt.errors import InputError, OneLine, UnsupportedError
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Assignment
@@ -266,6 +266,18 @@ class Motion(OneLine):
     def each_group(self, change: Callable[[Motion], Motion]) -> Motion:
         """Return the motion with a change of every group's clock applied."""
         return change(self)
+
+    @property
+    def has_cables(self) -> bool:
+        """Whether any of its teams has cables."""
+        return any(each.motion.team.has_cables for each in self.groups)
+
+    def refuse_several(self, what: str) -> None:
+        """Raise UnsupportedError for several groups, or others, which ``what`` does not know."""
+        if len(self.flying) > 1:
+            names = ", ".join(each.name or "the team" for each in self.flying)
+            words = f"{what} knows one team alone, and here fly {names}"
+            raise UnsupportedError(f"{words}; plan that team in a file of its own")
 
     @property
     def duration(self) -> float:

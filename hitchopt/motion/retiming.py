@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +22,9 @@ REST = 1e-6
 def rest_breaks(motion: Motion) -> NDArray[np.intp]:
     """Return the breaks, first and last included, at which no drone moves or accelerates."""
     still = np.ones(motion.drones.pieces - 1, dtype=np.bool_)
-    for order in (1, 2):
-        left, right = motion.drones.ends(order)
+    for group, order in product(motion.groups, (1, 2)):  # by breaks of its own: others are near
+        rates = group.motion.drones.differentiated(order)
+        left, right = on_breaks(rates, motion.drones.breaks).ends()
         for here in (right[:-1], left[1:]):
             still &= np.max(np.linalg.norm(here, axis=-1), axis=-1) <= REST
     return np.concatenate([[0], 1 + np.flatnonzero(still), [motion.drones.pieces]])
@@ -33,11 +34,13 @@ def cut(motion: Motion, first: int, last: int) -> Motion:
     """Return the pieces from break ``first`` to break ``last``, from t = 0 on."""
     start, end = motion.drones.breaks[[first, last]].tolist()
     others = tuple(replace(each, motion=shifted(each.motion, -start)) for each in motion.others)
-    return motion.each_group(lambda own: _between(own, start, end)).replaced(others=others)
+    parted = motion.each_group(lambda own: shifted(between(own, start, end), -start))
+    return parted.replaced(others=others)
 
 
-def _between(motion: Motion, start: float, end: float) -> Motion:
-    """Return the motion between two times [s], from t = 0 on."""
+def between(motion: Motion, start: float, end: float) -> Motion:
+    """Return the motion between two times [s], at its times, at rest before and after its own."""
+    motion = padded(motion, start, end)
     inner = motion.drones.breaks
     inner = inner[(inner > start + SAME_BREAK) & (inner < end - SAME_BREAK)]
     breaks = np.concatenate([[start], inner, [end]])
@@ -45,7 +48,7 @@ def _between(motion: Motion, start: float, end: float) -> Motion:
         phase.retimed(max(phase.start, start), min(phase.end, end))
         for phase in motion.overlapping(start, end)
     ]
-    return shifted(motion.map_curves(lambda part: on_breaks(part, breaks), phases), -start)
+    return motion.map_curves(lambda part: on_breaks(part, breaks), phases)
 
 
 def shifted(motion: Motion, by: float) -> Motion:
@@ -174,7 +177,15 @@ def before(motion: Motion, time: float) -> Motion:
 
 
 def append_motion(first: Motion, second: Motion) -> Motion:
-    """Return two motions in a row; a phase that continues in the second one remains one phase."""
+    """Return two motions in a row; a phase that continues in the second one remains one phase.
+
+    Of several groups each goes on with that of its place in the second one.
+    """
+    following = iter(second.groups)
+    return first.each_group(lambda own: _appended(own, next(following).motion))
+
+
+def _appended(first: Motion, second: Motion) -> Motion:
     motion = joined_motions([first, second])
     count = len(first.phases)
     last, following = motion.phases[count - 1 : count + 1]
@@ -197,8 +208,11 @@ def resting(
     def part(whole: PiecewisePolynomial) -> PiecewisePolynomial:
         return PiecewisePolynomial.constant([0.0, seconds], whole.coefficients[end])
 
-    own = motion.phases[0 if first else -1] if phase is None else phase
-    return motion.map_curves(part, [own.retimed(0.0, seconds)])
+    def of_group(own: Motion) -> Motion:
+        here = own.phases[0 if first else -1] if phase is None else phase
+        return own.map_curves(part, [here.retimed(0.0, seconds)])
+
+    return motion.each_group(of_group)
 
 
 def with_last_poses(past: Motion, fresh: Motion) -> Motion:

@@ -265,8 +265,11 @@ def final_hitch(motion: Motion) -> Hitch:
     Raises
     ------
     InputError: there is no hitch at the end.
-    UnsupportedError: no hitch has its drones there, as cables have other tensions than the team's.
+    UnsupportedError: no hitch has its drones there, as cables have other tensions than the team's;
+        or there are several.
     """
+    if len(motion.groups) > 1:
+        raise UnsupportedError("several teams end; go on with one of them, of plan.motion.groups")
     if not (motion.team.has_cables and motion.formed[-1]):
         remedy = "form one, or go on with the drones at plan.at(plan.duration)"
         raise InputError("end", "free cables", "a hitch", remedy)

@@ -103,8 +103,13 @@ class CrazyflieFormat(Format):
         return Recording.of_curves(drones, frame, self.smooth, findings)
 
     def parts(self, task: Task, share: float) -> Sequence[Task]:
-        """Return the task cut at rests into the fewest parts that memory holds; nothing if none."""
+        """Return the task cut at rests into the fewest parts that memory holds; nothing if none.
+
+        Beside others nothing is cut: they fly on while drones wait for the next part.
+        """
         motion, most = task.motion, self.most_pieces(task.motion.drones)
+        if motion.others:
+            return ()
         at, times = rest_breaks(motion).tolist(), motion.drones.breaks
         starts = at[:1]
         while starts[-1] < at[-1]:
@@ -300,7 +305,7 @@ def start_files(task: Task, first: Array, last: Array, duration: float) -> dict[
     places = {n: [round(x, 6) for x in p] for n, p in zip(task.names, first.tolist(), strict=True)}
     place = f"This is {task.part}.\n" if task.part else ""
     hint = " (its radio addresses are placeholders: name yours in a fleet file when exporting)"
-    look = pilot_checklist(cables=task.motion.team.has_cables)
+    look = pilot_checklist(cables=task.motion.has_cables)
     common = {"frame": task.frame.name, "duration": duration, "look": look}
     return {
         SETTINGS: settings_text(task, first),
@@ -363,7 +368,7 @@ def _flow(values: Mapping[str, Any]) -> str:
 
 def _pull(task: Task, texts: Mapping[str, str]) -> str:
     """Return the note on the cables; empty without them."""
-    if not task.motion.team.has_cables:
+    if not task.motion.has_cables:
         return ""
     return f"\n{texts['held_pull' if task.options.hold_tension else 'pull']}\n{texts['mind']}"
 

@@ -73,10 +73,16 @@ class Gltf(Format):
             paths = {"translation": y_up(frame.points(places)), "rotation": turned}
             roots.append(document.moved(name, mesh_, times, paths))
         span = slab_faces(Slab(Section(radius=1.0), -0.5, 0.5))
-        cables = Solid("cables", span, look.cable_colours)
-        shapes = document.meshes("cables", [cables] if drawn.cables.size else [])
-        for k, shape in enumerate(shapes):
-            points = y_up(frame.points(drawn.cables[:, k, SPANS]))
+        cables = list[tuple[str, int, Array]]()
+        for group in motion.groups:
+            own = drawn if group.motion is motion else scene_at(group.motion, t)
+            solid = Solid("cables", span, own.appearance.cable_colours)
+            shapes = document.meshes("cables", [solid] if own.cables.size else [])
+            for k, shape in enumerate(shapes):
+                name = group.label(f"cable {k}").replace(".", "_")
+                cables.append((name, shape, own.cables[:, k, SPANS]))
+        for name, shape, places in cables:
+            points = y_up(frame.points(places))
             apart, middles = np.diff(points, axis=1), 0.5 * (points[:, 1:] + points[:, :-1])
             scales = np.full_like(apart, drawn.radius)
             scales[..., 1] = np.linalg.norm(apart, axis=-1)
@@ -84,8 +90,8 @@ class Gltf(Format):
             spans = []
             for i in range(len(SPANS) - 1):
                 here = {path: values[:, i] for path, values in paths.items()}
-                spans.append(document.moved(f"cable {k} span {i}", shape, times, here))
-            roots.append(document.added("nodes", name=f"cable {k}", children=spans))
+                spans.append(document.moved(f"{name} span {i}", shape, times, here))
+            roots.append(document.added("nodes", name=name, children=spans))
         extras = {"drones": list(task.names), **frame.to_dict()}
         (folder / self.file).write_bytes(document.packed(roots, task.title or "plan", extras))
         return Written((self.file,))

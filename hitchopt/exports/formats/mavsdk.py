@@ -88,7 +88,7 @@ class MavsdkDroneShow(Format):
         settings, files = receiver_settings(task), self.files(task)
         for name, table in zip(files, np.moveaxis(rows_of(task, rise), 1, 0), strict=True):
             np.savetxt(folder / name, table, ROW, header=COLUMNS, comments="", encoding="ascii")
-        unseen = ", with cables not looked at" if task.motion.team.has_cables else ""
+        unseen = ", with cables not looked at" if task.motion.has_cables else ""
         order = ", ".join(f"{i + 1} {name}" for i, name in enumerate(task.names[:6]))
         notes = (
             f"the plan begins {rise.duration:g} s after the show: until then drones wait and "
@@ -125,14 +125,15 @@ class MavsdkDroneShow(Format):
 
 def rise_of(task: Task) -> PiecewisePolynomial:
     """Return the share of the rise to a plan's first places, 0 to 1, over whole rows before it."""
-    limits = task.motion.requirements.limits
+    limits = [each.motion.requirements.limits for each in task.motion.groups]
     highest = float(np.max(np.abs(_climb(task))))
     # The quintic at rest at both ends is fastest by 15/8, and accelerates most by 10/√3.
     lasts = max(
         LEAST,
-        1.875 * highest / min(SPEED, limits.speed),
-        (10.0 / 3.0**0.5 * highest / min(ACCELERATION, limits.acceleration)) ** 0.5,
-        (60.0 * highest / limits.jerk) ** (1.0 / 3.0),
+        1.875 * highest / min(SPEED, *(each.speed for each in limits)),
+        (10.0 / 3.0**0.5 * highest / min(ACCELERATION, *(each.acceleration for each in limits)))
+        ** 0.5,
+        (60.0 * highest / min(each.jerk for each in limits)) ** (1.0 / 3.0),
     )
     ends = np.zeros((3, 4))
     ends[0, 2:] = 1.0

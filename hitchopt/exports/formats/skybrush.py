@@ -112,7 +112,7 @@ class SkybrushShow(Format):
     def write(self, folder: Path, task: Task) -> Written:
         """Write the show, refitted within the task's bound and rounded."""
         motion, plans, notes = task.motion, list[Any]([None] * len(task.names)), []
-        if not motion.team.has_cables:
+        if _returning(motion):
             returns = planned_returns(motion, task.frame)
             head = {"version": 1, "landingSpeed": _landing(motion)}
             plans = [{**head, "entries": [e[i] for e in returns]} for i in range(len(plans))]
@@ -148,7 +148,7 @@ class SkybrushShow(Format):
         """Return the curves of the show as Skybrush's server stores them; certify its returns."""
         show = read_show(folder / self.file)
         drones = [Trajectory(name, stored(curve)) for name, curve in show.curves.items()]
-        if not task.motion.team.has_cables:
+        if _returning(task.motion):
             curves = {drone.name: drone.curve for drone in drones}
             certify_returns(folder / self.file, show, curves, task)
         return Recording.of_curves(drones, "nwu", SMOOTH)
@@ -172,9 +172,8 @@ def write_show(path: Path, task: Task, curves: PiecewisePolynomial, plans: Seque
 
     ``plans`` has ``rthPlan`` of every drone, or None; the plan's limits are for Skybrush's checks.
     """
-    requirements = task.motion.requirements
-    speed = requirements.limits.speed
-    validation = {"minDistance": 2.0 * requirements.separation.radius}
+    speed = max(each.motion.requirements.limits.speed for each in task.motion.groups)
+    validation = {"minDistance": 2.0 * task.motion.requirements.separation.radius}
     validation |= {"maxVelocityXY": speed, "maxVelocityZ": speed}
     times = [round(t, 3) for t in curves.breaks.tolist()]
     points = curves.coefficients
@@ -296,8 +295,18 @@ def stored(curve: PiecewisePolynomial) -> PiecewisePolynomial:
     return PiecewisePolynomial(first + np.concatenate([[0.0], np.cumsum(lasting)]), points)
 
 
+def _returning(motion: Motion) -> bool:
+    """Whether drones have coordinated returns: without cables, and others that fly besides."""
+    return not (motion.has_cables or motion.others)
+
+
+def _speed(motion: Motion) -> float:
+    """Return the speed of returns that all groups keep [m/s]."""
+    return SHARE * min(each.motion.requirements.limits.speed for each in motion.groups)
+
+
 def _landing(motion: Motion) -> float:
-    return min(LANDING, SHARE * motion.requirements.limits.speed)  # [m/s]
+    return min(LANDING, _speed(motion))  # [m/s]
 
 
 @lru_cache(maxsize=1)
@@ -341,7 +350,7 @@ def _tries(motion: Motion, time: int, start: Array, frame: ReferenceFrame) -> It
         squares = np.sum((level[:, None] - place) ** 2, axis=-1)
         goal = place[linear_sum_assignment(squares)[1]]
         far = float(np.max(np.linalg.norm(goal - level, axis=-1)))
-        duration = max(1, ceil(far / (SHARE * motion.requirements.limits.speed)))
+        duration = max(1, ceil(far / _speed(motion)))
         yield entries(goal, duration, zero, zero)
         yield entries(goal, duration, zero, fall * turn)
         yield entries(goal, duration, (fall + duration) * turn, zero)

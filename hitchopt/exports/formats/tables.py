@@ -68,6 +68,7 @@ class Table(Format):
         "those that take forces; a for others"
     )
     flown_by = "stream"
+    dotted = True
 
     @abstractmethod
     def _write(self, path: Path, task: Task) -> None:
@@ -118,7 +119,7 @@ class CsvTable(Table):
     header = "t,drone"
 
     def _write(self, path: Path, task: Task) -> None:
-        write_rows(path, HEADER, task.names, rows_of(task, ROWS))
+        write_rows(path, HEADER, (task.names, rows_of(task, ROWS)))
 
     def _read(self, path: Path) -> Recording:
         table = labelled_table(lambda: text_lines(path), ("t", "drone"), str(path))
