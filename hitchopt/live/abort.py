@@ -26,7 +26,7 @@ from hitchopt.errors import HitchoptError, InfeasibleError, InputError, Progress
 from hitchopt.exports.directory import ABORT_PLANS, ABORTS
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.live.player import Player
-from hitchopt.motion.motion import JOINT, CableState, Motion, Phase
+from hitchopt.motion.motion import JOINT, CableState, Group, Motion, Phase
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.retiming import (
     append_motion,
@@ -139,7 +139,7 @@ class Aborts:
 
         Without cables, that is the time at which the plan begins.
         """
-        groups = [each.motion for each in self.motion.groups if each.motion.has_cables]
+        groups = [each for each in self.motion.groups if each.motion.has_cables]
         if not groups:
             return 0.0
         while (free := min(min(time, _free_before(each, time).end) for each in groups)) < time:
@@ -158,7 +158,7 @@ class Aborts:
         def of_group(own: Motion) -> Motion:
             here = next(planned)
             if how in ("hold", "back"):
-                phase = _free_before(here.motion, origin) if how == "back" else None
+                phase = _free_before(here, origin) if how == "back" else None
                 return append_motion(own, resting(own, HOLD, phase))
             try:
                 return _landed(own, untied=how == "release_and_land")
@@ -192,16 +192,17 @@ def _clear_of_objects(motion: Motion, time: float) -> float | None:
     return None if ahead else time
 
 
-def _free_before(motion: Motion, time: float) -> Phase:
+def _free_before(group: Group, time: float) -> Phase:
     """Return the last phase of a group, up to a plan time [s], in which cables hang free.
 
     Without cables, that is the phase then.
     """
-    for phase in reversed(motion.phases):
+    for phase in reversed(group.motion.phases):
         free = phase.state in (CableState.FREE, CableState.GROUND, CableState.NONE)
         if phase.start < time + JOINT and free:
             return phase
-    words = f"back from t = {time:.4g} s: cables have not hung free before"
+    cables = f"cables of {group.name}" if group.name else "cables"
+    words = f"back from t = {time:.4g} s: {cables} have not hung free before"
     raise _refused(words, "choose hold, land or release_and_land")
 
 

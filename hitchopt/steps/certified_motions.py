@@ -104,8 +104,15 @@ def _metres(check: Check, motion: Motion) -> str:
     """Return how far apart drones are and should be, where they are at one height."""
     if check.name != "separation":
         return ""
-    drones = [motion.team.drone_names.index(name) for name in check.where]
-    if np.ptp(motion.drones.at([check.time])[0, drones, 2]) > LEVEL:
+    heights = []
+    for each in motion.flying:
+        drones = each.motion.drones
+        places = drones.at(float(np.clip(check.time, *drones.breaks[[0, -1]])))
+        names = map(each.label, each.motion.team.drone_names)
+        heights += [
+            place[2] for name, place in zip(names, places, strict=True) if name in check.where
+        ]
+    if np.ptp(heights) > LEVEL:
         return ""
     wide = 2.0 * motion.requirements.separation.radius
     needed, apart = wide * check.number, wide * check.bound

@@ -1,0 +1,195 @@
+"""Several groups are exported as one fleet: each as if it flew alone, on one clock."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from exported_plans import exported, task_of
+from fleets import alone, beside, far, hitch_and_swarm, two_hitches
+from format_readers import READERS
+
+import hitchopt as ho
+from hitchopt.checks import certify
+from hitchopt.exports.firmware import team_parameters
+from hitchopt.exports.format import format_of
+from hitchopt.exports.held_tension import held_tension
+from hitchopt.exports.lint import lint
+from hitchopt.exports.options import HOMES
+from hitchopt.exports.recording import read_manifest
+from hitchopt.motion.combined import combined
+from hitchopt.motion.motion import Motion
+from hitchopt.motion.retiming import cut, rest_breaks, stretched
+from hitchopt.motion.states import States, states_at
+
+MOTIONS = {"two hitches": two_hitches, "hitch and swarm": hitch_and_swarm}
+
+
+def options_of(name: str, kind: str) -> dict[str, object]:
+    """Uploaded set points hold the tension where hitches are not too near to each other for it."""
+    held = name in {"crazyswarm2", "compressed"} and kind == "hitch and swarm"
+    return {"hold_tension": held} if held else {"rate": 20.0} if format_of(name).rate else {}
+
+
+@pytest.mark.parametrize("kind", MOTIONS)
+@pytest.mark.parametrize("name", HOMES)
+def test_all_drones_are_in_the_files(name: str, kind: str, tmp_path: Path) -> None:
+    motion = MOTIONS[kind]()
+    roles = motion.team.drone_names
+    (part,) = exported(motion, name, tmp_path, **options_of(name, kind))
+    manifest = read_manifest(tmp_path)
+    names = [role if format_of(name).dotted else role.replace(".", "_") for role in roles]
+    assert manifest["drones"] == dict(zip(roles, names, strict=True))
+    assert part.verdict.lost == ()
+    read = READERS[name](tmp_path, names, np.linspace(0.0, motion.duration, 60))
+    slower = manifest["plan_span"][1] / motion.duration  # as rounding would break a limit
+    states = states_at(motion, np.minimum(read.t / slower, motion.duration))
+    if "hold_tension" not in options_of(name, kind):
+        east, north, up = np.moveaxis(states.positions, -1, 0)
+        axes = {"enu": (east, north, up), "nwu": (north, -east, up), "ned": (north, east, -up)}
+        there = np.stack(axes[format_of(name).frames[0]], axis=-1)
+        off = np.linalg.norm(read.places - there, axis=-1)
+        assert np.max(off) <= part.verdict.position.worst + 1e-6
+    if read.forward is not None and name != "mavsdk_drone_show":
+        mass, gain = motion.team.mass[:, None], motion.team.pull_gain
+        np.testing.assert_allclose(
+            read.forward, states.accelerations - gain * states.cable_forces / mass, atol=1e-6
+        )
+    (linted,) = lint(tmp_path)
+    assert {finding.level for finding in linted.findings} <= {"warning", "note"}
+    assert len(linted.facts) == len(roles)
+
+
+@pytest.mark.parametrize("kind", MOTIONS)
+def test_states_are_those_of_each_group(kind: str) -> None:
+    motion, first = MOTIONS[kind](), 0
+    t = np.linspace(0.0, motion.duration, 25)
+    whole = states_at(motion, t)
+    for group in motion.groups:
+        own, count = states_at(group.motion, t), group.motion.team.drones
+        here = slice(first, first + count)
+        for name in ("positions", "accelerations", "cable_forces", "quaternions", "body_rates"):
+            np.testing.assert_array_equal(getattr(whole, name)[:, here], getattr(own, name))
+        thrusts = States.thrusts(whole, motion.team)[:, here]
+        np.testing.assert_array_equal(thrusts, own.thrusts(group.motion.team))
+        first += count
+
+
+def test_a_group_is_exported_as_if_it_flew_alone(tmp_path: Path) -> None:
+    """The rows of a drone are those of its own plan, and so are its set points and parameters."""
+    motion = two_hitches()
+    exported(motion, "csv", tmp_path / "all", rate=20.0)
+    exported(alone(motion, "b"), "csv", tmp_path / "b", rate=20.0)
+
+    def rows(folder: str) -> dict[tuple[str, str], list[str]]:
+        with (tmp_path / folder / "setpoints_enu.csv").open() as file:
+            return {(row[0], row[1]): row[2:] for row in csv.reader(file)}
+
+    whole, own = rows("all"), rows("b")
+    assert {(t, name): whole[t, f"b.{name}"] for t, name in own if t != "t"} == {
+        key: row for key, row in own.items() if key[0] != "t"
+    }
+    held, by_itself = held_tension(motion), held_tension(alone(motion, "b"))
+    times = np.linspace(0.0, by_itself.motion.duration, 50)
+    places = alone(held.motion, "b").drones.at(times)
+    np.testing.assert_array_equal(places, by_itself.motion.drones.at(times))
+    parameters = team_parameters(motion.team)
+    for name, values in team_parameters(alone(motion, "b").team).items():
+        assert parameters[f"b.{name}"] == values
+    gains = [parameters[name]["ctrlMel"]["kp_xy"] for name in ("a.q0", "b.q0")]
+    assert gains == [4.75, 4.0]
+
+
+def test_what_is_read_back_is_certified_by_groups(tmp_path: Path) -> None:
+    """Of exact samples each check is the plan's, with the names of its groups."""
+    motion = two_hitches()
+    (part,) = exported(motion, "npz", tmp_path)
+    planned = {check.name: check for check in certify(motion).checks}
+    for check in part.verdict.checks:
+        if check.name in ("separation", "speed", "thrust", "tilt", "crossing"):
+            assert check.bound == pytest.approx(planned[check.name].bound, rel=1e-3)
+        assert all(place[:2] in ("a.", "b.") for place in check.where)
+    assert {"cable_clearance", "crossing", "cable_length"} <= {c.name for c in part.verdict.checks}
+
+
+def test_tables_have_all_groups(tmp_path: Path) -> None:
+    plan = ho.Plan(two_hitches(), certify(two_hitches()), "Two")
+    plan.save(tmp_path, rate=5.0)
+    with (tmp_path / "vertices.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert {row["vertex"] for row in rows} == {f"a.p{i}" for i in range(3)} | {
+        f"b.p{i}" for i in range(4)
+    }
+    for name, k in (("a", 1), ("b", 3)):
+        own = [row for row in rows if row["vertex"] == f"{name}.p{k}"]
+        t = np.array([float(row["t"]) for row in own])
+        found = np.array([[float(row[c]) for c in ("x", "y", "z", "tension")] for row in own])
+        group = alone(plan.motion, name)
+        np.testing.assert_allclose(found[:, :3], group.vertices.at(t)[:, k], atol=1e-11)
+        np.testing.assert_allclose(found[:, 3], group.tensions.at(t)[:, k], atol=1e-11)
+    frame = plan.to_dataframe(2.0)
+    assert set(frame["drone"]) == set(plan.motion.team.drone_names)
+    assert {phase.rpartition(" (")[0] for phase in frame["phase"].unique()} == {
+        "a transport, b wait",
+        "a transport, b transport",
+        "a wait, b transport",
+    }
+
+
+def test_parts_are_cut_where_all_rest() -> None:
+    """A rests while b flies on, so that only starts and ends are rests of both."""
+    motion = two_hitches()
+    times = motion.drones.breaks[rest_breaks(motion)]
+    np.testing.assert_allclose(times, [0.0, motion.duration], atol=1e-9)
+    own = alone(motion, "b")
+    assert len(rest_breaks(own)) == 3  # it waits, then flies
+    half = cut(motion, 0, motion.drones.pieces // 2)
+    assert [each.name for each in half.groups] == ["a", "b"]
+
+
+def test_stretching_slows_all_groups_but_not_others(tmp_path: Path) -> None:
+    motion = hitch_and_swarm()
+    slow, t = stretched(motion, 1.5), np.linspace(0.0, motion.duration, 9)
+    np.testing.assert_allclose(slow.drones.at(1.5 * t), motion.drones.at(t), atol=1e-12)
+    with_others = beside(motion, far(alone(motion, "hitch")), 2.0)
+    later = stretched(with_others, 1.5)
+    assert later.others[0].motion is with_others.others[0].motion
+    (part,) = exported(with_others, "npz", tmp_path, stretch=1.5)
+    assert "beside show, which begins at t = 2 s" in part.notes[0]
+    near = beside(motion, alone(motion, "camera"), 0.5)
+    with pytest.raises(ho.CertificateError, match="separation"):
+        exported(near, "npz", tmp_path / "near")
+
+
+def test_addresses_are_by_names_of_groups(tmp_path: Path) -> None:
+    motion = hitch_and_swarm()
+    roles = motion.team.drone_names
+    members = {role: {"name": f"cf{i}", "uri": f"udp://10.0.0.{i}"} for i, role in enumerate(roles)}
+    (tmp_path / "fleet.yaml").write_text(json.dumps({"drones": members}))
+    exported(motion, "npz", tmp_path / "out", fleet=tmp_path / "fleet.yaml")
+    assert read_manifest(tmp_path / "out")["drones"]["camera.d1"] == members["camera.d1"]["name"]
+    assert task_of(motion).names == tuple(role.replace(".", "_") for role in roles)
+
+
+def test_controllers_count_where_cables_pull(tmp_path: Path) -> None:
+    """A controller that carries no force is refused for drones of a hitch alone."""
+    motion = hitch_and_swarm()
+
+    def named(name: str) -> Motion:
+        own = alone(motion, name)
+        kind = ho.Quadrotor(controller="mellinger")
+        cables = own.team.has_cables
+        team = replace(own.team, quadrotor=(kind,) * 3) if cables else ho.Swarm(2, quadrotor=kind)
+        groups = [
+            replace(each, motion=own.replaced(team=team)) if each.name == name else each
+            for each in motion.groups
+        ]
+        return combined(groups)
+
+    with pytest.raises(ho.InputError, match="hold-tension"):
+        exported(named("hitch"), "compressed", tmp_path)
+    exported(named("camera"), "compressed", tmp_path)

@@ -1,0 +1,125 @@
+"""Several groups fly on one clock: it stops, seeks and aborts for all of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from fleets import alone, beside, far, hitch_and_swarm, two_hitches
+
+import hitchopt as ho
+from hitchopt.checks import certify
+from hitchopt.live.abort import Aborts, AbortTable
+from hitchopt.live.fly import CommandedPlan
+from hitchopt.live.lost import Reactions
+from hitchopt.motion.states import states_at
+
+MOTIONS = {"two hitches": two_hitches, "hitch and swarm": hitch_and_swarm}
+
+
+@pytest.mark.parametrize("kind", MOTIONS)
+def test_the_clock_is_that_of_all(kind: str) -> None:
+    """Set points of each group are those of its own plan at the common plan time and rate."""
+    motion = MOTIONS[kind]()
+    player = ho.Player(motion)
+    player.step(0.5 * motion.duration)
+    for seconds in (0.5 * player.pause(), 20.0):
+        target = player.step(seconds)
+        first = 0
+        for group in motion.groups:
+            own, count = ho.Player(group.motion, target.time), group.motion.team.drones
+            there = own.step(0.0)
+            here = slice(first, first + count)
+            np.testing.assert_allclose(target.positions[here], there.positions, atol=1e-12)
+            np.testing.assert_allclose(
+                target.velocities[here], target.rate * there.velocities, atol=1e-12
+            )
+            first += count
+    assert player.resting
+    player.seek(0.1)
+    assert player.step(60.0).time == pytest.approx(0.1)
+    player.resume()
+    assert player.step(60.0).time == motion.duration
+
+
+@pytest.mark.parametrize("kind", MOTIONS)
+@pytest.mark.parametrize("how", ["hold", "land"])
+def test_aborts_hold_for_all(kind: str, how: str) -> None:
+    motion = MOTIONS[kind]()
+    plan = ho.Plan(motion, certify(motion), kind).abort(0.5 * motion.duration, how)
+    whole = plan.motion
+    assert plan.certificate.certified
+    assert [each.name for each in whole.groups] == [each.name for each in motion.groups]
+    t = np.linspace(0.0, 0.5 * motion.duration, 9)
+    np.testing.assert_allclose(whole.drones.at(t), motion.drones.at(t), atol=1e-12)
+    assert np.max(np.abs(states_at(whole, [whole.duration]).velocities)) < 1e-9
+    if how == "land":
+        for each in whole.groups:
+            assert np.min(each.motion.drones.at(whole.duration)[:, 2]) == pytest.approx(
+                0.0, abs=1e-9
+            )
+            named = [phase.name for phase in each.motion.phases if phase.name != "wait"]
+            assert named[-1] == "land"
+
+
+def test_an_abort_unties_each_hitch() -> None:
+    whole = Aborts(hitch_and_swarm()).plan(1.0, "release_and_land").motion
+    names = {each.name: [phase.name for phase in each.motion.phases] for each in whole.groups}
+    assert names["hitch"][-1] == "land"
+    assert "unswap 1" in names["hitch"]
+    assert "unswap 1" not in names["camera"]
+
+
+def test_back_leads_to_where_all_hang_free() -> None:
+    with pytest.raises(ho.InfeasibleError, match="cables of hitch have not hung free"):
+        Aborts(hitch_and_swarm()).plan(1.0, "back")
+
+
+def test_aborts_keep_off_others() -> None:
+    """A hitch that stops where somebody else passes later does not stay there."""
+    motion, passing = (alone(two_hitches(), name) for name in "ab")
+    asked = 0.5 * 10.0
+    held = Aborts(beside(motion, far(passing), 0.0)).plan(asked, "hold")
+    assert held.start == asked
+    assert [each.name for each in held.motion.others] == ["show"]
+    crossed = beside(motion, passing, 0.0)
+    assert certify(crossed, reports=()).certified
+    found = Aborts(crossed).plan(asked, "hold")
+    assert found.certificate.certified
+    assert found.start > asked + 0.5
+    stays = held.motion.replaced(others=crossed.others)
+    assert not certify(stays, reports=()).certified
+
+
+def test_a_fleet_flies_by_commands() -> None:
+    motion = hitch_and_swarm()
+    land = AbortTable("land", (Aborts(motion).plan(1.0, "land"),), motion.duration)
+    plan = CommandedPlan(motion, {"land": land, "abort": land})
+    plan.obey("resume")
+    sent = plan.step(1.5)
+    state = states_at(motion, [sent.setpoints.time])
+    assert sent.setpoints.rate == pytest.approx(1.0)
+    np.testing.assert_allclose(sent.thrusts, state.thrusts(motion.team)[0], atol=1e-9)
+    plan.obey("land")
+    for _ in range(400):
+        plan.step(0.1)
+    assert plan.landed
+
+
+def test_what_knows_one_team_is_refused_by_name() -> None:
+    motion = hitch_and_swarm()
+    plan, show = (
+        ho.Plan(motion, certify(motion)),
+        beside(alone(motion, "camera"), far(motion.groups[0].motion), 0.0),
+    )
+    with pytest.raises(
+        ho.UnsupportedError, match=r"lost drone knows one team alone.*hitch, camera"
+    ):
+        Reactions(motion)
+    with pytest.raises(ho.UnsupportedError, match="feedback knows one team"):
+        ho.Feedback(plan)
+    with pytest.raises(ho.UnsupportedError, match="replanner knows one team"):
+        ho.Replanner(alone(motion, "hitch").team, plan)
+    with pytest.raises(ho.UnsupportedError, match="several teams"):
+        _ = plan.end
+    with pytest.raises(ho.UnsupportedError, match="beside show"):
+        ho.Player(show)
