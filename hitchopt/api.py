@@ -21,7 +21,8 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Arena, Limits, Separation
 from hitchopt.mission.problem import DronesStart, Problem, Start, SwarmProblem
 from hitchopt.mission.repair import BUDGET, NO_CHANGE, Suggestion, find_suggestions
-from hitchopt.mission.solving import solve_problem, solve_swarm
+from hitchopt.mission.solving import solve_problem
+from hitchopt.mission.teams import AnyProblem, TeamsProblem, solve_any
 from hitchopt.motion.plan_file import check_request
 from hitchopt.plan import Plan, load
 from hitchopt.steps import STEPS, Settle, Step
@@ -38,7 +39,7 @@ Legs = str | Sequence[float] | ArrayLike | Mapping[str, Any]
 
 
 def solve(
-    problem: Problem | SwarmProblem | str | Path,
+    problem: AnyProblem | str | Path,
     progress: Progress | None = None,
     *,
     limit: float | None = None,
@@ -57,12 +58,13 @@ def solve(
     InfeasibleError: it cannot be met; says what binds, where and when.
     TimeLimitError: no plan within ``limit``.
     """
-    task = _loaded(problem, Problem, SwarmProblem)
+    task = _loaded(problem, Problem, SwarmProblem, TeamsProblem)
     seconds = None if limit is None else positive("limit", limit)
     with time_limit(seconds, progress) as tell:
-        swarm = isinstance(task, SwarmProblem)
-        found = solve_swarm(task, tell) if swarm else solve_problem(task, tell)
-    check_request(task.asked, found.motion)
+        found = solve_any(task, tell)
+    asked = task.asked if isinstance(task, TeamsProblem) else {"": task.asked}
+    for group in found.motion.groups:
+        check_request(asked[group.name], group.motion)
     return Plan(found.motion, found.certificate, task.title)
 
 
@@ -96,7 +98,7 @@ def suggestions(
     """
     task = _loaded(problem, Problem)
     try:
-        solve_problem(task, progress)
+        solve_any(task, progress)
     except InfeasibleError as error:
         return find_suggestions(task, error, budget, progress)
     return ()

@@ -9,6 +9,7 @@ from typing import Any
 from hitchopt.errors import FileError, InputError
 from hitchopt.mission.objects import with_outlines
 from hitchopt.mission.problem import Problem, SwarmProblem
+from hitchopt.mission.teams import AnyProblem, TeamsProblem
 from hitchopt.objects import SolidObject
 from hitchopt.storage.yaml_file import parse_yaml, plain, read_node, read_text
 from hitchopt.values.fields import Schema, keys_of, record_schema, values_of
@@ -25,14 +26,11 @@ FOREIGN = {
 }
 """Remedies for keys of the other kind of problem, by whether drones are single."""
 
-AnyProblem = Problem | SwarmProblem
-"""A problem of a hitch, or of single drones."""
-
 
 def problem_schema() -> Schema:
-    """Return the JSON Schema (draft 2020-12) of a problem file: of a hitch, or of single drones."""
+    """Return the JSON Schema (draft 2020-12) of problem files of all kinds."""
     definitions = dict[str, Schema]()
-    forms = [record_schema(kind, definitions) for kind in (Problem, SwarmProblem)]
+    forms = [record_schema(kind, definitions) for kind in (Problem, SwarmProblem, TeamsProblem)]
     dialect = "https://json-schema.org/draft/2020-12/schema"
     head = {"$schema": dialect, "title": "hitchopt problem file"}
     return {**head, "anyOf": forms, "$defs": definitions}
@@ -77,6 +75,8 @@ def asked_in(text: str, objects: Mapping[str, SolidObject]) -> dict[str, Any]:
     """
     data: Any = parse_yaml(text, "problem")
     given = data.get("objects") if isinstance(data, dict) else None
+    if isinstance(data, dict):
+        data.pop("others", None)  # no part of the request: the plan has their motions
     for name, each in (given or {}).items():
         if isinstance(each, dict) and "file" in each and name in objects:
             del each["file"]
@@ -93,7 +93,7 @@ def load_swarm(path: str | Path) -> SwarmProblem:
     """Return the problem of single drones in a YAML file; errors as ``read_problem``."""
     problem = read_problem(path)
     if not isinstance(problem, SwarmProblem):
-        raise InputError("team", "robots", "a team of single drones", "use load_problem")
+        raise InputError("team", "robots", "a team of single drones", "use read_problem")
     return problem
 
 
@@ -104,7 +104,7 @@ def problem_from_dict(data: Mapping[str, object]) -> Problem:
 
 def _of_a_hitch(problem: AnyProblem) -> Problem:
     if not isinstance(problem, Problem):
-        raise InputError("team", "drones", "a team of catenary robots", "use load_swarm")
+        raise InputError("team", "drones or teams", "a team of catenary robots", "use read_problem")
     return problem
 
 
@@ -113,7 +113,13 @@ def any_problem_from_dict(data: Mapping[str, object], folder: Path = Path()) -> 
     values: Any = plain(data)
     team = values.get("team") if isinstance(values, dict) else None
     single = isinstance(team, dict) and "drones" in team and "robots" not in team
-    record = SwarmProblem if single else Problem
-    values = with_outlines(values, folder) if isinstance(values, dict) else values
-    problem: AnyProblem = record(**values_of(record, "", values, remedies=FOREIGN[single]))
+    record: type[Any] = SwarmProblem if single else Problem
+    if isinstance(values, dict):
+        record = TeamsProblem if "teams" in values else record
+        values = with_outlines(values, folder)
+        for other in (values.get("others") or {}).values():
+            if isinstance(other, dict) and isinstance(other.get("plan"), str) and other["plan"]:
+                other["plan"] = str(folder / other["plan"])
+    remedies = {} if record is TeamsProblem else FOREIGN[single]
+    problem: AnyProblem = record(**values_of(record, "", values, remedies=remedies))
     return problem

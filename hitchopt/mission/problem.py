@@ -22,6 +22,7 @@ from hitchopt.hitch.requirements import (
 )
 from hitchopt.hitch.team import MAX_DRONES, MAX_ROBOTS, QUADROTOR
 from hitchopt.mission.objects import OBJECTS
+from hitchopt.mission.others import OTHERS, Other
 from hitchopt.motion.plan_file import request_fields
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import check_placed
@@ -187,6 +188,7 @@ START = one_key(
     "Start of the plan.",
     {"hitch": HitchStart, "drones": DronesStart},
     "hitch: {polygon: [[x, y], …], altitude: 1.0}",
+    (Hitch,),
 )
 STEP = one_key(
     "Step",
@@ -195,6 +197,9 @@ STEP = one_key(
     "one step per list entry, such as hold: {seconds: 1.0}",
 )
 
+Others = Annotated[
+    Mapping[str, Other], Key(OTHERS, "Plans that fly besides, by name, at rest before and after")
+]
 Title = Annotated[str, Key(replace(texts(MAX_TITLE), check=_printable), "Title of the plan")]
 ArenaOrNone = Annotated[Arena | None, Key(mapping_of(Arena), "The box that the drones stay in")]
 
@@ -230,12 +235,13 @@ class Problem(OneLine):
     objects: Annotated[
         Mapping[str, SolidObject], Key(OBJECTS, "Carried objects and obstacles, by name")
     ] = field(default_factory=dict)
+    others: Others = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         instance("team", self.team, Team)
         instance("start", self.start, HitchStart, Hitch, DronesStart)
         check_requirements(self)
-        store(self, title=self.title)
+        store(self, title=self.title, others=self.others)
         steps = sequence("mission", self.mission)
         for i, step in enumerate(steps):
             instance(f"mission[{i}]", step, Step)
@@ -361,7 +367,8 @@ class SwarmTeam:
         return Swarm(self.drones, quadrotor=self.quadrotor)
 
 
-_SWARM_PLACES = points((None, 3), "x, y, z", 1, MAX_DRONES)
+SWARM_TEAM = mapping_of(SwarmTeam, SwarmTeam.team)
+SWARM_PLACES = points((None, 3), "x, y, z", 1, MAX_DRONES)
 _LIMITS = mapping_of(Limits, without=("vertex_speed", "leg"))
 _SEPARATION = mapping_of(Separation, without=("cable", "crossing", "object"))
 
@@ -371,11 +378,11 @@ _SEPARATION = mapping_of(Separation, without=("cable", "crossing", "object"))
 class SwarmProblem(OneLine):
     """Single drones that trade places out of each other's downwash."""
 
-    team: Annotated[Swarm, Key(mapping_of(SwarmTeam, SwarmTeam.team), "The team", {"drones": 2})]
+    team: Annotated[Swarm, Key(SWARM_TEAM, "The team", {"drones": 2})]
     start: Annotated[
         Array,
         Key(
-            _SWARM_PLACES,
+            SWARM_PLACES,
             "Where drones are at rest (N, 3) [m], [x, y, z] per drone",
             [[-1, 0, 1], [1, 0, 1]],
         ),
@@ -383,7 +390,7 @@ class SwarmProblem(OneLine):
     goal: Annotated[
         Array,
         Key(
-            _SWARM_PLACES,
+            SWARM_PLACES,
             "Where they come to rest (N, 3) [m], in the same order",
             [[1, 0, 1], [-1, 0, 1]],
         ),
@@ -405,6 +412,7 @@ class SwarmProblem(OneLine):
         Mapping[str, SolidObject],
         Key(OBJECTS, "Obstacles, by name; they stand where they are, and drones stay off them"),
     ] = field(default_factory=dict)
+    others: Others = field(default_factory=dict)
 
     @property
     def requirements(self) -> Requirements:
@@ -423,7 +431,10 @@ class SwarmProblem(OneLine):
 
     def __post_init__(self) -> None:
         instance("team", self.team, Swarm)
-        store(self, start=self.start, goal=self.goal, duration=self.duration, title=self.title)
+        values = vars(self)
+        store(
+            self, **{key: values[key] for key in ("start", "goal", "duration", "title", "others")}
+        )
         for name in ("start", "goal"):
             if (count := len(getattr(self, name))) != self.team.drones:
                 words = f"{self.team.drones} points, one per drone", "change team.drones, or these"

@@ -33,7 +33,8 @@ from hitchopt.hitch import Quadrotor
 from hitchopt.hitch.flight_controller import RETUNED, stiffest_gains
 from hitchopt.hitch.requirements import Limits
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem
-from hitchopt.mission.solving import UNPLANNED, solve_problem
+from hitchopt.mission.solving import UNPLANNED
+from hitchopt.mission.teams import solve_any
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import in_world
 from hitchopt.steps.carrying import PAST, TransportObject
@@ -176,7 +177,7 @@ def _found(
         if progress is not None:
             progress(f"trying {change}")
         try:
-            plan = solve_problem(change.problem, optimiser=optimiser)
+            plan = solve_any(change.problem, optimiser=optimiser)
         except InfeasibleError as refusal:
             refusals[change] = refusal
             if not faults & _faults(refusal):

@@ -24,7 +24,7 @@ from typing import Any, TypeVar, get_type_hints
 
 import numpy as np
 
-from hitchopt.errors import InputError, JointInputError, UnitWarning, one_or_all
+from hitchopt.errors import FileError, InputError, JointInputError, UnitWarning, one_or_all
 from hitchopt.values import (
     EACH,
     FLAG,
@@ -514,6 +514,8 @@ def mapping_of(
             return made if build is None else build(made)
         except InputError as error:
             raise error.within(key) from None
+        except FileError as error:
+            raise FileError(f"{key}: {error}") from None
 
     return Kind((MAPPING,), check, lambda definitions: record_schema(record, definitions, without))
 
@@ -537,9 +539,12 @@ def named(kind: Kind, names: Kind, most: int | None = None) -> Kind:
     return Kind((MAPPING,), check, schema | ({} if most is None else {"maxProperties": most}))
 
 
-def one_key(name: str, summary: str, records: Mapping[str, type[Any]], example: str) -> Kind:
-    """Return the kind of mappings with one key, which says of what record its value is."""
-    kinds = {key: mapping_of(record) for key, record in records.items()}
+def by_key(kinds: Mapping[str, Kind]) -> Kind:
+    """Return the kind of mappings that a key tells apart: the first that is there, else the first.
+
+    Values that are no mappings are of the first kind.
+    """
+    first = next(iter(kinds))
 
     def written(kind: str) -> str:
         """Return an example of a kind with the keys that it needs."""
@@ -547,6 +552,29 @@ def one_key(name: str, summary: str, records: Mapping[str, type[Any]], example: 
         return f"{kind}: {_written({k.name: k.example for k in keys if k.default is EMPTY})}"
 
     def check(key: str, value: Any) -> Any:
+        there = (name for name in kinds if isinstance(value, Mapping) and name in value)
+        return kinds[next(there, first)].check(key, value)
+
+    return Kind((MAPPING,), check, {"anyOf": list(kinds.values())})
+
+
+def one_key(
+    name: str,
+    summary: str,
+    records: Mapping[str, type[Any]],
+    example: str,
+    passed: tuple[type[Any], ...] = (),
+) -> Kind:
+    """Return the kind of mappings with one key, which says of what record its value is.
+
+    Such records, and those of the types ``passed``, are values already.
+    """
+    kinds = {key: mapping_of(record) for key, record in records.items()}
+    types = (*records.values(), *passed)
+
+    def check(key: str, value: Any) -> Any:
+        if isinstance(value, types):
+            return value
         if not isinstance(value, Mapping):
             raise misfit(key, value, MAPPING)
         if len(value) != 1:

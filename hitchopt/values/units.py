@@ -109,6 +109,7 @@ LENGTH_OR_ZERO = quantity("m", ANY, (0.0, MOST))
 HEIGHT = quantity("m", (-2e3, 2e3), (-1e5, 1e5), LENGTHS)
 COORDINATE = quantity("m", ANY, (-MOST, MOST))
 DURATION = quantity("s", (1e-3, 1e5), (LEAST, 1e9), (("milliseconds", 1e-3),))
+START_TIME = quantity("s", (0.0, 1e5), (0.0, 1e9), (("milliseconds", 1e-3),))
 SHARE = quantity("", ANY, (LEAST, 1.0))
 RIGHT_ANGLE = 0.5 * math.pi
 TILT = quantity(

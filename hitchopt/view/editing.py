@@ -23,7 +23,7 @@ from hitchopt.geometry import Outline
 from hitchopt.mission.loading import parse_problem
 from hitchopt.mission.problem import Problem
 from hitchopt.mission.repair import NO_CHANGE, Edit, Suggestion, find_suggestions, with_edits_in
-from hitchopt.mission.solving import solve_problem
+from hitchopt.mission.teams import solve_any
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
 from hitchopt.steps import STEP_KINDS
@@ -335,7 +335,7 @@ class Editing:
         with self._planning, suppress(_StaleError):
             self._check(version)
             try:
-                planned = solve_problem(problem, report)
+                planned = solve_any(problem, report)
             except InfeasibleError as error:
                 words = f"{error}\nlooking for changes that make it feasible …"
                 self._publish(version, Status(Stage.REFUSED, words))

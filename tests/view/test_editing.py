@@ -92,7 +92,7 @@ def test_while_a_plan_is_made_the_old_one_is_called_old_and_stale_ones_go(
         progress("going on")
         return solve_problem(problem, progress)
 
-    monkeypatch.setattr("hitchopt.view.editing.solve_problem", waiting)
+    monkeypatch.setattr("hitchopt.view.editing.solve_any", waiting)
     editing.listener = lambda: seen.append(editing.status.stage)
     assert [height_after(first.motion, i) for i in (START, 1)] == pytest.approx([1.2, 1.2])
     editing.put(Edit(SECONDS, 5.0))
