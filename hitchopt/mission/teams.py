@@ -340,8 +340,13 @@ def solve_teams(
         tell("finding when each team begins")
         wider = pad + 2.0 * (together.limits.tracking or 0.0)
         flown, clock = {name: list[Motion]() for name in alone}, 0.0
-        for item in items:
-            clock += item.fly(flown, [_placed(each, clock) for each in others], wider)
+        try:
+            for item in items:
+                clock += item.fly(flown, [_placed(each, clock) for each in others], wider)
+        except InfeasibleError:
+            if pad == 0.0:
+                raise
+            break  # what the narrower distances broke is said
         groups = [Group(name, _one_wait(joined_motions(each))) for name, each in flown.items()]
         motion = combined(groups, others)
         tell("certifying all teams together")

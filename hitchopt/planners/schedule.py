@@ -173,11 +173,11 @@ def _excess(
     least = np.full(len(i), np.inf)
     touching = limit + first.radii[:, None] + second.radii
     wide = touching[..., None] * axes + REACH
-    a, b = first.segments[i][:, :, None], second.segments[j][:, None]
-    low, high = (np.moveaxis(each.heights[k], -1, 0) for each, k in ((first, i), (second, j)))
-    over = np.maximum(low[0][:, :, None] - high[1][:, None], high[0][:, None] - low[1][:, :, None])
-    gaps = np.maximum(np.min(a, 3) - np.max(b, 3), np.min(b, 3) - np.max(a, 3))[..., :2]
-    near = (over < wide[..., 2]) & np.all(gaps < wide[..., :2], axis=-1)
+    a, b = (np.sort(each.segments[k], axis=2) for each, k in ((first, i), (second, j)))
+    over = _gaps(first.heights[i], second.heights[j])
+    near = over < wide[..., 2]
+    for axis in range(2):
+        near &= _gaps(a[..., axis], b[..., axis]) < wide[..., axis]
     pair, one, other = np.nonzero(near)
     upright = (first.upright[i] | second.upright[j])[pair]
     scale = np.where(upright[:, None], [1.0, 1.0, 0.0], 1.0)[:, None] / axes
@@ -187,6 +187,12 @@ def _excess(
     apart[apart * np.min(axes) > REACH] = np.inf
     np.minimum.at(least, pair, apart)
     return least
+
+
+def _gaps(a: Array, b: Array) -> Array:
+    """Return (m, bodies, bodies) the gaps between intervals (m, bodies, 2), negative if none."""
+    a, b = a[:, :, None], b[:, None]
+    return np.maximum(a[..., 0] - b[..., 1], b[..., 0] - a[..., 1])
 
 
 @dataclass(eq=False)
@@ -286,7 +292,9 @@ class Schedule:
         own = np.clip(clock - starts[:, None], 0, len(track) - 1)
         for each in placed:
             where = np.clip(clock - each.start, 0, len(each.track) - 1)
-            close = self._table(track, each.track)[own, where] < pad
+            table = self._table(track, each.track)
+            resting = table[np.ix_([0, -1], [0, -1])]  # distances at rest need no sample between
+            close = table[own, where] < np.clip(np.min(resting), 0.0, pad)
             left = free & ~np.any(close, axis=1)
             if not np.any(left):
                 row = int(np.flatnonzero(free)[-1])
