@@ -38,14 +38,16 @@ from hitchopt.live.replanner import Replanner as Replanner, Retarget as Retarget
 from hitchopt.mission.loading import load_problem as load_problem, load_swarm as load_swarm
 from hitchopt.mission.loading import problem_from_dict as problem_from_dict
 from hitchopt.mission.loading import read_problem as read_problem
+from hitchopt.mission.others import Other as Other
 from hitchopt.mission.problem import DronesStart as DronesStart, HitchStart as HitchStart
 from hitchopt.mission.problem import Problem as Problem, SwarmProblem as SwarmProblem
 from hitchopt.mission.repair import Change as Change, Suggestion as Suggestion
 from hitchopt.mission.solving import forget as forget
+from hitchopt.mission.teams import Fly as Fly, TeamsProblem as TeamsProblem
 from hitchopt.motion.motion import Motion as Motion, Phase as Phase
 from hitchopt.motion.states import States as States
 from hitchopt.objects import Rim as Rim, Section as Section, SolidObject as SolidObject
-from hitchopt.plan import Plan as Plan, closest as closest, load as load
+from hitchopt.plan import Plan as Plan, closest as closest, combine as combine, load as load
 from hitchopt.planners.forming import SwapSettings as SwapSettings
 from hitchopt.statics.calibrate import Calibration as Calibration, Estimate as Estimate
 from hitchopt.statics.calibrate import calibrate as calibrate

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,12 +17,15 @@ from hitchopt.exports.directory import REPORT, SUMMARY, save_plan
 from hitchopt.exports.exporting import Export, export_motion
 from hitchopt.exports.options import ExportOptions
 from hitchopt.hitch import Hitch
+from hitchopt.mission.others import NAME, groups_of
+from hitchopt.motion.combined import combined
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.plan_file import SavedPlan, check_request, read_saved_plan
+from hitchopt.motion.retiming import shifted
 from hitchopt.motion.states import States, final_hitch, states_at
 from hitchopt.storage.archive import PLAN
 from hitchopt.storage.files import replace_files
-from hitchopt.values import flag, instance, path, text, whole
+from hitchopt.values import flag, instance, not_negative, path, text, whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -298,6 +301,33 @@ def closest(plan: Plan, spans: int = SPANS, picture: Path | str | None = None) -
         except OSError as error:
             raise FileError(f"{picture}: cannot be written: {error.strerror}") from error
     return pairs
+
+
+def combine(plan: Plan, other: Plan, at: float = 0.0, names: tuple[str, str] = ("a", "b")) -> Plan:
+    """Return two finished plans as one, certified: all limits of both, and distances across.
+
+    Nothing is planned and nothing refused: the certificate says what does not hold, and
+    ``closest`` which pairs of drones come near.
+
+    Parameters
+    ----------
+    plan, other: the plans, at rest before and after their own time.
+    at: when the other one begins on the clock of ``plan``, from 0 on [s].
+    names: of both, which begin the names of their drones: ``a.q0``, ``b.q0``.
+
+    Raises
+    ------
+    InputError: arguments that are wrong in themselves, or arenas that differ.
+    """
+    instance("plan", plan, Plan)
+    instance("other", other, Plan)
+    at = not_negative("at", at)
+    first, second = (NAME.check(f"names[{k}]", name) for k, name in enumerate(names))
+    groups = [*groups_of(first, plan.motion), *groups_of(second, other.motion, at)]
+    besides = [replace(each, motion=shifted(each.motion, at)) for each in other.motion.others]
+    motion = combined(groups, [*plan.motion.others, *besides])
+    title = " and ".join(filter(None, (plan.title, other.title)))
+    return Plan(motion, certify(motion), title)
 
 
 def load(directory: Path | str) -> Plan:

@@ -44,9 +44,13 @@ def draw(file: Path, *, solved: bool) -> Figure:
     return figure
 
 
-def draw_task(axes: Axes, problem: ho.Problem | ho.SwarmProblem) -> None:
+def draw_task(axes: Axes, problem: ho.Problem | ho.SwarmProblem | ho.TeamsProblem) -> None:
     """Draw the start and all outlines or goals that are asked for, the last one in colour."""
-    if isinstance(problem, ho.SwarmProblem):
+    if isinstance(problem, ho.TeamsProblem):
+        for flights in problem.problems.values():
+            for each in (flights,) if isinstance(flights, ho.Problem) else flights:
+                draw_task(axes, each)
+    elif isinstance(problem, ho.SwarmProblem):
         for prism in problem.keep_out:
             axes.add_patch(Polygon(prism.polygon.vertices, fc="0.88", ec="0.4", hatch="////"))
         ways = [[a[:2], b[:2]] for a, b in zip(problem.start, problem.goal, strict=True)]

@@ -199,6 +199,7 @@ class TeamsProblem(OneLine):
     def _check_named(self, name: str) -> None:
         """Raise InputError for a team whose start or steps are missing, or of the other kind."""
         single, start = isinstance(self.teams[name], Swarm), self.start.get(name, Missing())
+        kind = "single drones" if single else "a team of robots"
         form = (
             "a list of places [x, y, z], one per drone" if single else "a hitch, or drones q and r"
         )
@@ -213,8 +214,8 @@ class TeamsProblem(OneLine):
             raise InputError("mission", f"no step of {name}", bound, f"add {name}: {{{example}}}")
         for key, step, last in self._steps(name):
             if isinstance(step, Fly) is not single:
-                bound = "fly, the step of single drones" if single else "a step of a team of robots"
-                raise InputError(f"{key}.{step.name}", "a step", bound, f"{name} has {form[:6]}")
+                bound = f"a step of {kind}"
+                raise InputError(f"{key}.{step.name}", "a step", bound, f"{name} is {kind}")
             if last and step.blends:
                 bound = "false in the last step of an item"
                 remedy = "leave it out: the next item begins when all rest"

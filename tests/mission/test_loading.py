@@ -25,7 +25,6 @@ import hitchopt as ho
 from hitchopt.cli.planning import problem_text
 from hitchopt.errors import MAX_LISTED, FileError, HitchoptError, InputError, JointInputError
 from hitchopt.mission.loading import problem_from_dict, problem_schema, read_problem
-from hitchopt.mission.problem import SwarmProblem
 from hitchopt.storage.yaml_file import parse_yaml, read_yaml, split_key
 from hitchopt.values.fields import keys_of
 
@@ -295,8 +294,10 @@ def test_what_can_be_planned_is_read_and_valid(path: Path) -> None:
     VALIDATOR.validate(data)
     problem = read_problem(path)
     assert problem.title
-    drones = problem.team.drones if isinstance(problem, SwarmProblem) else problem.team.robots
-    assert drones == data["team"].get("robots", data["team"].get("drones"))
+    teams = problem.teams if isinstance(problem, ho.TeamsProblem) else {"": problem.team}
+    for name, own in data.get("teams", {"": data.get("team")}).items():
+        assert own.get("robots", 0) == teams[name].robots
+        assert own.get("drones", 2 * teams[name].robots) == teams[name].drones
 
 
 @pytest.mark.parametrize("path", REFUSED, ids=lambda path: path.stem)

@@ -1,0 +1,205 @@
+"""Several teams in one problem, plans that fly besides, and two finished plans on one clock."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from plans import PROBLEMS, planned
+
+import hitchopt as ho
+from hitchopt.mission.loading import any_problem_from_dict
+from hitchopt.motion.motion import WAIT
+from hitchopt.motion.plan_file import write_plan
+from hitchopt.storage.files import digest
+
+TRIANGLE = [[0, 0.75], [0.65, -0.375], [-0.65, -0.375]]
+FILE: dict[str, Any] = {
+    "teams": {"a": {"robots": 3, "cable_length": 2.3}, "b": {"drones": 2}},
+    "start": {
+        "a": {"hitch": {"polygon": TRIANGLE, "altitude": 1.5}},
+        "b": [[3, 0, 1], [3, 1, 1]],
+    },
+    "mission": [
+        {"a": {"hold": {"seconds": 1}}, "b": {"fly": {"goal": [[3, 0, 2], [3, 1, 2]]}}},
+        {"a": [{"transport": {"to": [0, 0, 1.6]}}, {"hold": {"seconds": 2}}]},
+        {"b": [{"fly": {"goal": [[3, 0, 1], [3, 1, 1]], "duration": 4}}]},
+    ],
+}
+
+
+def teams(data: dict[str, Any]) -> ho.TeamsProblem:
+    problem = any_problem_from_dict(data)
+    assert isinstance(problem, ho.TeamsProblem)
+    return problem
+
+
+def changed(path: tuple[str | int, ...], value: object) -> dict[str, Any]:
+    data: Any = deepcopy(FILE)
+    place = data
+    for part in path[:-1]:
+        place = place[part]
+    if value is None:
+        del place[path[-1]]
+    else:
+        place[path[-1]] = value
+    return dict(data)
+
+
+def test_the_problem_of_every_team_has_its_steps_of_all_items() -> None:
+    problem = teams(FILE)
+    assert problem.items == [{"a": 1, "b": 1}, {"a": 2}, {"b": 1}]
+    a, b = problem.problems.values()
+    assert isinstance(a, ho.Problem)
+    assert [step.name for step in a.mission] == ["hold", "transport", "hold"]
+    assert isinstance(b, tuple)
+    assert [flight.duration for flight in b] == [None, 4.0]
+    np.testing.assert_array_equal(b[0].goal, b[1].start)
+    assert {name: len(asked["mission"]) for name, asked in problem.asked.items()} == {
+        "a": 3,
+        "b": 2,
+    }
+
+
+def test_records_make_the_problem_of_the_file() -> None:
+    fly = [ho.Fly([[3, 0, 2], [3, 1, 2]]), ho.Fly([[3, 0, 1], [3, 1, 1]], duration=4)]
+    problem = ho.TeamsProblem(
+        {"a": ho.Team(3, 2.3), "b": ho.Swarm(2)},
+        {"a": ho.HitchStart(TRIANGLE, 1.5), "b": [[3, 0, 1], [3, 1, 1]]},
+        [
+            {"a": ho.Hold(1), "b": fly[0]},
+            {"a": [ho.Transport([0, 0, 1.6]), ho.Hold(2)]},
+            {"b": [fly[1]]},
+        ],
+    )
+    assert problem.asked == teams(FILE).asked
+    assert problem.items == teams(FILE).items
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "key"),
+    [
+        (("teams", "b"), None, "teams"),
+        (("teams", "a", "cable_length"), -1, "teams.a.cable_length"),
+        (("teams", "two words"), {"drones": 1}, "teams.'two words'"),
+        (("teams", "a_name_of_more_than_20"), {"drones": 1}, "teams.a_name_of_more_than_20"),
+        (("teams", "c"), {"drones": 1}, "start.c"),
+        (("start", "a"), None, "start.a"),
+        (("start", "a"), [[0, 0, 1]], "start.a"),
+        (("start", "a", "hitch", "polygon"), TRIANGLE[:2], "start.a.hitch.polygon"),
+        (("start", "b"), [[0, 0, 1]], "start.b"),
+        (("start", "c"), [[0, 0, 1]], "start.c"),
+        (("mission", 0), {}, "mission[0]"),
+        (("mission", 0, "c"), {"hold": {"seconds": 1}}, "mission[0].c"),
+        (("mission", 0, "a"), {"fly": {"goal": [[0, 0, 1]]}}, "mission[0].a.fly"),
+        (("mission", 0, "b"), {"hold": {"seconds": 1}}, "mission[0].b.hold"),
+        (("mission", 0, "b", "fly", "goal"), [[3, 0, 2]], "mission[0].b.fly.goal"),
+        (("mission", 1, "a", 0, "transport", "to"), 1, "mission[1].a[0].transport.to"),
+        (("mission", 1, "a", 1), {"form": {"polygon": TRIANGLE}}, "mission[1].a[1].form"),
+        (("mission", 1, "a"), {"morph": {"polygon": TRIANGLE, "blend": True}}, "mission[1].a.morph.blend"),
+        (("mission",), [{"a": {"hold": {"seconds": 1}}}], "mission"),
+        (("others",), {"a": {"plan": str(PROBLEMS / "show")}}, "others.a"),
+        (("others",), {"c": {"plan": str(PROBLEMS / "show"), "at": -1}}, "others.c.at"),
+        (("team",), {"drones": 2}, "team"),
+    ],
+)  # fmt: skip
+def test_mistakes_are_told_with_their_keys(
+    path: tuple[str | int, ...], value: object, key: str
+) -> None:
+    with pytest.raises(ho.InputError) as caught:
+        any_problem_from_dict(changed(path, value))
+    assert caught.value.key == key
+
+
+def test_an_object_that_a_step_names_belongs_to_that_team_alone() -> None:
+    data = changed(("teams", "c"), FILE["teams"]["a"])
+    hitch = {"polygon": [[5, 0.75], [5.65, -0.375], [4.35, -0.375]], "altitude": 1.5}
+    data["start"]["c"] = {"hitch": hitch}
+    box = {"circle": 0.1, "to": 0.3, "mass": 0.05}
+    data["objects"] = {name: box | {"at": [0, y, 0]} for y, name in enumerate(("box", "post"))}
+    data["mission"].append({"a": {"enclose": {"object": "box"}}, "c": {"hold": {"seconds": 1}}})
+    objects = {name: [*each["objects"]] for name, each in teams(data).asked.items()}
+    assert objects == {"a": ["box", "post"], "b": ["post"], "c": ["post"]}
+    data["mission"].append({"c": {"enclose": {"object": "box"}}})
+    with pytest.raises(ho.InputError, match="that a does not name") as caught:
+        teams(data)
+    assert caught.value.key == "mission[4].c.enclose.object"
+
+
+def starts(plan: ho.Plan) -> dict[str, list[float]]:
+    """When each group begins to fly, phase by phase."""
+    return {
+        each.name: [phase.start for phase in each.motion.phases if phase.name != WAIT]
+        for each in plan.motion.groups
+    }
+
+
+def test_two_teams_cross_one_after_the_other_on_one_level_and_at_once_on_two() -> None:
+    crossing, layers = planned("two_teams"), planned("two_layers")
+    assert starts(crossing) == {"a": [0.0], "b": [pytest.approx(7.0)]}
+    assert starts(layers) == {"a": [0.0], "b": [0.0]}
+    assert crossing.certificate["separation"].worst == pytest.approx(1.056, abs=1e-3)
+    assert layers.certificate["separation"].worst == pytest.approx(1.333, abs=1e-3)
+    states = crossing.at(np.linspace(0.0, crossing.duration, 2001)).positions
+    apart = (states[:, :6, None] - states[:, None, 6:]) / [0.24, 0.24, 0.6]
+    sampled = np.min(np.linalg.norm(apart, axis=-1))
+    assert sampled == pytest.approx(crossing.certificate["separation"].worst, rel=1e-3)
+
+
+def test_teams_with_one_goal_are_refused_with_both_named() -> None:
+    with pytest.raises(ho.InfeasibleError, match=r"goals of b and a, near \(2.50, 0.00, 1.50\) m"):
+        ho.solve(PROBLEMS / "infeasible" / "same_goal.yaml")
+
+
+def test_a_team_waits_for_a_plan_that_flies_besides() -> None:
+    plan = planned("beside_a_show")
+    (show,) = plan.motion.others
+    assert show.digest == digest(PROBLEMS / "show" / "plan.npz")
+    assert show.motion.drones.breaks[0] == 8.0
+    assert [phase.name for phase in plan.phases] == ["transport", WAIT, "transport"]
+    times = np.linspace(0.0, plan.duration, 1001)
+    theirs = show.motion.drones.at(np.clip(times, *show.motion.drones.breaks[[0, -1]]))
+    apart = (plan.at(times).positions[:, :, None] - theirs[:, None]) / [0.24, 0.24, 0.6]
+    worst = plan.certificate["separation"].worst
+    assert np.min(np.linalg.norm(apart, axis=-1)) == pytest.approx(worst, rel=1e-2)
+
+
+def test_the_plan_of_the_show_is_that_of_its_problem() -> None:
+    stored, found = ho.load(PROBLEMS / "show"), planned("swarms/show")
+    assert stored.problem == (PROBLEMS / "swarms" / "show.yaml").read_text()
+    times = np.linspace(0.0, found.duration, 11)
+    np.testing.assert_allclose(stored.at(times).positions, found.at(times).positions, atol=1e-6)
+
+
+def test_other_plans_are_read_beside_the_file_and_must_be_certified(tmp_path: Path) -> None:
+    data = changed(("others",), {"show": {"plan": "show", "at": 2}})
+    with pytest.raises(ho.FileError, match=r"^others\.show: .*there is no such file"):
+        any_problem_from_dict(data, tmp_path)
+    motion = planned("swarms/show").motion
+    (tmp_path / "show").mkdir()
+    write_plan(tmp_path / "show" / "plan.npz", motion)
+    show = any_problem_from_dict(data, tmp_path).others["show"]
+    assert [each.motion.drones.breaks[0] for each in show.groups("show")] == [2.0]
+    write_plan(tmp_path / "show" / "plan.npz", motion.slowed(0.5))
+    with pytest.raises(ho.InputError, match="whose own certificate holds, not without") as caught:
+        any_problem_from_dict(data, tmp_path)
+    assert caught.value.key == "others.show.plan"
+
+
+def test_two_finished_plans_on_one_clock_have_the_certificate_of_the_teams_together() -> None:
+    together = planned("two_teams")
+    problems = ho.read_problem(PROBLEMS / "two_teams.yaml")
+    assert isinstance(problems, ho.TeamsProblem)
+    each = [ho.solve(one) for one in problems.problems.values() if isinstance(one, ho.Problem)]
+    combined = ho.combine(each[0], each[1], at=7.0)
+    for check in combined.certificate.checks:
+        assert check.worst == pytest.approx(together.certificate[check.name].worst, abs=1e-6)
+    at_once = ho.combine(each[0], each[1], names=("first", "second")).certificate
+    assert {check.name for check in at_once.violated} >= {"separation", "crossing"}
+    assert {name.partition(".")[0] for name in at_once["crossing"].where} == {"first", "second"}
+    assert "a.q2, b.r0" in str(ho.closest(combined))
+    with pytest.raises(ho.InputError, match="names that differ"):
+        ho.combine(each[0], each[1], names=("a", "a"))
