@@ -43,7 +43,7 @@ from hitchopt.mission.problem import DronesStart as DronesStart, HitchStart as H
 from hitchopt.mission.problem import Problem as Problem, SwarmProblem as SwarmProblem
 from hitchopt.mission.repair import Change as Change, Suggestion as Suggestion
 from hitchopt.mission.solving import forget as forget
-from hitchopt.mission.teams import Fly as Fly, TeamsProblem as TeamsProblem
+from hitchopt.mission.teams_problem import Fly as Fly, TeamsProblem as TeamsProblem
 from hitchopt.motion.motion import Motion as Motion, Phase as Phase
 from hitchopt.motion.states import States as States
 from hitchopt.objects import Rim as Rim, Section as Section, SolidObject as SolidObject

@@ -22,7 +22,8 @@ from hitchopt.hitch.requirements import Arena, Limits, Separation
 from hitchopt.mission.problem import DronesStart, Problem, Start, SwarmProblem
 from hitchopt.mission.repair import BUDGET, NO_CHANGE, Suggestion, find_suggestions
 from hitchopt.mission.solving import solve_problem
-from hitchopt.mission.teams import AnyProblem, TeamsProblem, solve_any
+from hitchopt.mission.teams import solve_any
+from hitchopt.mission.teams_problem import AnyProblem, TeamsProblem
 from hitchopt.motion.plan_file import check_request
 from hitchopt.plan import Plan, load
 from hitchopt.steps import STEPS, Settle, Step

@@ -22,7 +22,7 @@ from hitchopt.exports.options import checked_rate
 
 if TYPE_CHECKING:
     from hitchopt.live.lost import Lost
-    from hitchopt.mission.teams import AnyProblem
+    from hitchopt.mission.teams_problem import AnyProblem
     from hitchopt.motion.motion import Motion
 
 SUFFIXES = (".yaml", ".yml")  # Endings of the names of problem files

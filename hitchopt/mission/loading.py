@@ -9,7 +9,7 @@ from typing import Any
 from hitchopt.errors import FileError, InputError
 from hitchopt.mission.objects import with_outlines
 from hitchopt.mission.problem import Problem, SwarmProblem
-from hitchopt.mission.teams import AnyProblem, TeamsProblem
+from hitchopt.mission.teams_problem import AnyProblem, TeamsProblem
 from hitchopt.objects import SolidObject
 from hitchopt.storage.yaml_file import parse_yaml, plain, read_node, read_text
 from hitchopt.values.fields import Schema, keys_of, record_schema, values_of

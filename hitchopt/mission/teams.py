@@ -3,69 +3,25 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import replace
 from itertools import pairwise
-from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
 from hitchopt.checks import certify
-from hitchopt.errors import (
-    InfeasibleError,
-    InputError,
-    JointInputError,
-    OneLine,
-    Progress,
-    TimeLimitError,
-    Violation,
-)
-from hitchopt.hitch import Swarm, Team
-from hitchopt.hitch.requirements import Limits, Separation
-from hitchopt.mission.objects import OBJECTS
-from hitchopt.mission.others import MAX_GROUPS, NAME
-from hitchopt.mission.problem import (
-    MAX_STEPS,
-    START,
-    SWARM_PLACES,
-    SWARM_TEAM,
-    ArenaOrNone,
-    Others,
-    Problem,
-    Start,
-    SwarmProblem,
-    Title,
-)
+from hitchopt.errors import InfeasibleError, Progress, TimeLimitError, Violation
+from hitchopt.hitch.requirements import Separation
+from hitchopt.mission.problem import Problem, SwarmProblem
 from hitchopt.mission.solving import solve_problem, solve_swarm
+from hitchopt.mission.teams_problem import AnyProblem, TeamsProblem
 from hitchopt.motion.combined import combined
 from hitchopt.motion.motion import JOINT, WAIT, Group, Motion, Phase, joined_motions
 from hitchopt.motion.retiming import cut, padded, resting
-from hitchopt.objects import SolidObject
-from hitchopt.objects.placing import check_placed
 from hitchopt.planners.schedule import STEP, Blocked, Placed, Schedule, Track
-from hitchopt.steps import STEP_KINDS, Step
 from hitchopt.steps.certified_motions import Certified, infeasible
-from hitchopt.steps.step import TRIANGLE
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
-from hitchopt.values.fields import (
-    Key,
-    Missing,
-    by_key,
-    closest_word,
-    documented,
-    either,
-    gathered,
-    listed,
-    mapping_of,
-    named,
-    one_key,
-    one_or_each,
-    store,
-)
-from hitchopt.values.units import DURATION
 
 PADS = 0.0, 0.02, 0.05, 0.10
 """[m] By how much wider distances are, until the certificate holds: samples are STEP apart."""
@@ -78,231 +34,6 @@ RISE = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0])
 
 PEAKS = 35.0 / 16.0, 7.5132, 52.5
 """Largest values of its first three derivatives."""
-
-
-@documented
-@dataclass(frozen=True, eq=False)
-class Fly(OneLine):
-    """A flight of single drones beside teams with cables."""
-
-    name: ClassVar[str] = "fly"
-    blends: ClassVar[bool] = False
-    goal: Annotated[
-        Array,
-        Key(
-            SWARM_PLACES,
-            "Where they come to rest (N, 3) [m], [x, y, z] per drone",
-            [[1, 0, 1], [-1, 0, 1]],
-        ),
-    ]
-    duration: Annotated[
-        float | None, Key(DURATION, "Exactly that long; without it as fast as possible")
-    ] = None
-
-    def __post_init__(self) -> None:
-        store(self, **vars(self))
-
-
-ANY_STEP = one_key(
-    "TeamStep",
-    "One step of a team, or of single drones.",
-    STEP_KINDS | {Fly.name: Fly},
-    "one step, or a list of steps, such as hold: {seconds: 1.0}",
-)
-
-EXAMPLES: Mapping[str, Any] = {
-    "teams": {name: {"robots": 3, "cable_length": 2.4} for name in "ab"},
-    "start": {
-        "a": {"hitch": {"polygon": TRIANGLE, "altitude": 1.0}},
-        "b": {"hitch": {"polygon": TRIANGLE, "altitude": 2.5}},
-    },
-    "mission": [{"a": {"hold": {"seconds": 1.0}}, "b": {"hold": {"seconds": 1.0}}}],
-}
-
-
-@documented
-@dataclass(frozen=True, eq=False)
-class TeamsProblem(OneLine):
-    """Several teams in one arena: teams with a hitch, or single drones, and what each does.
-
-    The steps of an item of the mission begin together, or as soon after that as all keep off each
-    other; the next item begins when all are done. A team alone carries an object that a step of it
-    names; all others are obstacles of all teams.
-
-    Raises
-    ------
-    InputError: names, objects or steps that do not fit one another or a team.
-    """
-
-    teams: Annotated[
-        Mapping[str, Team],
-        Key(
-            named(by_key({"robots": mapping_of(Team), "drones": SWARM_TEAM}), NAME, MAX_GROUPS),
-            "The teams by name, of robots or of single drones",
-            EXAMPLES["teams"],
-        ),
-    ]
-    start: Annotated[
-        Mapping[str, Start | Array],
-        Key(
-            named(either(START, SWARM_PLACES), NAME, MAX_GROUPS),
-            "The start of every team; of single drones their places [x, y, z] [m]",
-            EXAMPLES["start"],
-        ),
-    ]
-    mission: Annotated[
-        Sequence[Mapping[str, Any]],
-        Key(
-            listed(named(one_or_each(ANY_STEP, 1, MAX_STEPS), NAME, MAX_GROUPS), 1, MAX_STEPS),
-            "Items, one after the other: a step, or a list of steps, of some teams",
-            EXAMPLES["mission"],
-        ),
-    ]
-    limits: Annotated[Limits, Key(mapping_of(Limits), "Limits of motion of all teams")] = field(
-        default_factory=Limits
-    )
-    separation: Annotated[
-        Separation, Key(mapping_of(Separation), "Distances to keep, between teams too")
-    ] = field(default_factory=Separation)
-    arena: ArenaOrNone = None
-    title: Title = ""
-    objects: Annotated[
-        Mapping[str, SolidObject], Key(OBJECTS, "Carried objects and obstacles, by name")
-    ] = field(default_factory=dict)
-    others: Others = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        stored = ("teams", "start", "mission", "title", "others")
-        store(self, **{name: value for name, value in vars(self).items() if name in stored})
-        names = list(self.teams)
-        if len(names) < 2:
-            remedy = "with one team write team, and its start and steps without a name"
-            raise InputError("teams", names, "at least two teams", remedy)
-        gathered(self._check_named, names)
-        for name in self.start.keys() - self.teams.keys():
-            bound = "the start of one of teams"
-            raise InputError(f"start.{name}", "a start", bound, closest_word(name, names))
-        for name in self.others.keys() & self.teams.keys():
-            raise InputError(f"others.{name}", name, "a name that no team has", "rename it")
-        for i, item in enumerate(self.mission):
-            if not item:
-                remedy = f"write a step, such as {names[0]}: {{hold: {{seconds: 1.0}}}}"
-                raise InputError(f"mission[{i}]", {}, "steps of one team at least", remedy)
-            for name in item.keys() - self.teams.keys():
-                bound = "a step of one of teams"
-                remedy = closest_word(name, names)
-                raise InputError(f"mission[{i}].{name}", "a step", bound, remedy)
-        first = next(iter(self.problems.values()))
-        requirements = first.requirements if isinstance(first, Problem) else first[0].requirements
-        check_placed(self.objects, requirements.floor)
-
-    def _check_named(self, name: str) -> None:
-        """Raise InputError for a team whose start or steps are missing, or of the other kind."""
-        single, start = isinstance(self.teams[name], Swarm), self.start.get(name, Missing())
-        kind = "single drones" if single else "a team of robots"
-        form = (
-            "a list of places [x, y, z], one per drone" if single else "a hitch, or drones q and r"
-        )
-        if isinstance(start, Missing) or isinstance(start, np.ndarray) is not single:
-            example = "[[x, y, z], …]" if single else "{hitch: {polygon: [[x, y], …], altitude: 1}}"
-            raise InputError(f"start.{name}", start, form, f"write {name}: {example}")
-        if not self._steps(name):
-            bound, example = (
-                "of an item at least",
-                "fly: {goal: …}" if single else "hold: {seconds: 1}",
-            )
-            raise InputError("mission", f"no step of {name}", bound, f"add {name}: {{{example}}}")
-        for key, step, last in self._steps(name):
-            if isinstance(step, Fly) is not single:
-                bound = f"a step of {kind}"
-                raise InputError(f"{key}.{step.name}", "a step", bound, f"{name} is {kind}")
-            if last and step.blends:
-                bound = "false in the last step of an item"
-                remedy = "leave it out: the next item begins when all rest"
-                raise InputError(f"{key}.{step.name}.blend", True, bound, remedy)
-
-    def _steps(self, name: str) -> list[tuple[str, Any, bool]]:
-        """Return the steps of a team with their keys, and whether each is its item's last."""
-        steps = list[tuple[str, Any, bool]]()
-        for i, item in enumerate(self.mission):
-            key, given = f"mission[{i}].{name}", item.get(name, ())
-            if isinstance(given, Step | Fly):
-                steps.append((key, given, True))
-            else:
-                last = len(given) - 1
-                steps += [(f"{key}[{j}]", step, j == last) for j, step in enumerate(given)]
-        return steps
-
-    @cached_property
-    def owners(self) -> dict[str, str]:
-        """The team that carries each object, by the object's name; obstacles have none."""
-        owners = dict[str, str]()
-        for name in self.teams:
-            for key, step, _ in self._steps(name):
-                body = getattr(step, "object", None)
-                if body is not None and owners.setdefault(body, name) != name:
-                    bound = f"an object that {owners[body]} does not name"
-                    remedy = "let one team carry it"
-                    raise InputError(f"{key}.{step.name}.object", body, bound, remedy)
-        return owners
-
-    @cached_property
-    def problems(self) -> dict[str, Problem | tuple[SwarmProblem, ...]]:
-        """The problem of every team alone; those of all flights of single drones."""
-        return dict(gathered(lambda name: (name, self._problem(name)), self.teams))
-
-    def _problem(self, name: str) -> Problem | tuple[SwarmProblem, ...]:
-        team, steps, flights = self.teams[name], self._steps(name), list[SwarmProblem]()
-        start: Any = self.start[name]
-        parts: dict[str, Any] = {
-            key: getattr(self, key) for key in ("limits", "separation", "arena")
-        }
-        parts["objects"] = {
-            key: body for key, body in self.objects.items() if self.owners.get(key, name) == name
-        }
-        try:
-            if not isinstance(team, Swarm):
-                return Problem(team, start, tuple(step for _, step, _ in steps), **parts)
-            for _, step, _ in steps:
-                begin = flights[-1].goal if flights else start
-                flights += [SwarmProblem(team, begin, step.goal, duration=step.duration, **parts)]
-            return tuple(flights)
-        except InputError as error:
-
-            def renamed(one: InputError) -> InputError:
-                key = re.sub(r"^(goal|duration)", f"mission[{len(flights)}].fly.\\1", one.key)
-                key = re.sub(r"^mission\[(\d+)\]", lambda found: steps[int(found[1])][0], key)
-                key = re.sub(r"^start\b", f"start.{name}", re.sub(r"^team\b", f"teams.{name}", key))
-                return InputError(key, one.value, one.bound, one.remedy, one.place)
-
-            if isinstance(error, JointInputError):
-                raise JointInputError(list(map(renamed, error.errors))) from None
-            raise renamed(error) from None
-
-    @property
-    def items(self) -> list[dict[str, int]]:
-        """Number of steps of each team in each item of the mission."""
-        return [
-            {
-                name: 1 if isinstance(given, Step | Fly) else len(given)
-                for name, given in row.items()
-            }
-            for row in self.mission
-        ]
-
-    @property
-    def asked(self) -> dict[str, Any]:
-        """The request of every team, by name, as ``Problem.asked``."""
-        asked = dict[str, Any]()
-        for name, each in self.problems.items():
-            flights = (each,) if isinstance(each, Problem) else each
-            steps = [step for flight in flights for step in flight.asked["mission"]]
-            asked[name] = flights[0].asked | {"mission": steps}
-        return asked
-
-
-AnyProblem = Problem | SwarmProblem | TeamsProblem
-"""A problem of a hitch, of single drones, or of several teams."""
 
 
 def solve_any(

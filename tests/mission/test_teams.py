@@ -17,6 +17,7 @@ from hitchopt.motion.plan_file import write_plan
 from hitchopt.storage.files import digest
 
 TRIANGLE = [[0, 0.75], [0.65, -0.375], [-0.65, -0.375]]
+BLENDED = {"morph": {"polygon": TRIANGLE, "blend": True}}
 FILE: dict[str, Any] = {
     "teams": {"a": {"robots": 3, "cable_length": 2.3}, "b": {"drones": 2}},
     "start": {
@@ -65,13 +66,17 @@ def test_the_problem_of_every_team_has_its_steps_of_all_items() -> None:
 
 
 def test_records_make_the_problem_of_the_file() -> None:
-    fly = [ho.Fly([[3, 0, 2], [3, 1, 2]]), ho.Fly([[3, 0, 1], [3, 1, 1]], duration=4)]
+    array: Any = np.array
+    fly = [
+        ho.Fly(array([[3, 0, 2], [3, 1, 2]])),
+        ho.Fly(array([[3, 0, 1], [3, 1, 1]]), duration=4),
+    ]
     problem = ho.TeamsProblem(
         {"a": ho.Team(3, 2.3), "b": ho.Swarm(2)},
-        {"a": ho.HitchStart(TRIANGLE, 1.5), "b": [[3, 0, 1], [3, 1, 1]]},
+        {"a": ho.HitchStart(array(TRIANGLE), 1.5), "b": array([[3, 0, 1], [3, 1, 1]])},
         [
             {"a": ho.Hold(1), "b": fly[0]},
-            {"a": [ho.Transport([0, 0, 1.6]), ho.Hold(2)]},
+            {"a": [ho.Transport(array([0, 0, 1.6])), ho.Hold(2)]},
             {"b": [fly[1]]},
         ],
     )
@@ -99,7 +104,7 @@ def test_records_make_the_problem_of_the_file() -> None:
         (("mission", 0, "b", "fly", "goal"), [[3, 0, 2]], "mission[0].b.fly.goal"),
         (("mission", 1, "a", 0, "transport", "to"), 1, "mission[1].a[0].transport.to"),
         (("mission", 1, "a", 1), {"form": {"polygon": TRIANGLE}}, "mission[1].a[1].form"),
-        (("mission", 1, "a"), {"morph": {"polygon": TRIANGLE, "blend": True}}, "mission[1].a.morph.blend"),
+        (("mission", 1, "a"), BLENDED, "mission[1].a.morph.blend"),
         (("mission",), [{"a": {"hold": {"seconds": 1}}}], "mission"),
         (("others",), {"a": {"plan": str(PROBLEMS / "show")}}, "others.a"),
         (("others",), {"c": {"plan": str(PROBLEMS / "show"), "at": -1}}, "others.c.at"),
