@@ -8,8 +8,9 @@ from functools import lru_cache
 import numpy as np
 
 import hitchopt as ho
-from hitchopt.mission.problem import HitchStart, Problem, SwarmProblem
-from hitchopt.mission.teams import TeamsProblem, solve_teams
+from hitchopt.mission.problem import HitchStart, Problem
+from hitchopt.mission.teams import solve_teams
+from hitchopt.mission.teams_problem import Fly, TeamsProblem
 from hitchopt.motion.motion import Group, Motion
 from hitchopt.motion.retiming import shifted
 from hitchopt.steps import Transport
@@ -31,16 +32,19 @@ def two_hitches() -> Motion:
     """The hitch b waits until a has passed."""
     a = crossing("a", 3, 1.3, [-2.5, 0.0], [2.5, 0.0])
     b = crossing("b", 4, 1.1, [0.0, -2.5], [0.0, 2.5])
-    return solve_teams(TeamsProblem({"a": a, "b": b}, [{"a": 1, "b": 1}])).motion
+    teams, start = {"a": a.team, "b": b.team}, {"a": a.start, "b": b.start}
+    item = {"a": a.mission[0], "b": b.mission[0]}
+    return solve_teams(TeamsProblem(teams, start, [item])).motion
 
 
 @lru_cache
 def hitch_and_swarm() -> Motion:
     hitch = crossing("a", 3, 1.3, [0.0, 0.0], [0.5, -0.5])
     start = np.array([[-1.5, 1.6, 1.2], [-1.5, 1.0, 1.2]])
-    cameras = SwarmProblem(ho.Swarm(2), start, start + [3.0, 0.0, 0.0])
-    problems: dict[str, Problem | tuple[SwarmProblem, ...]] = {"hitch": hitch, "camera": (cameras,)}
-    return solve_teams(TeamsProblem(problems, [{"hitch": 1, "camera": 1}])).motion
+    teams: dict[str, ho.Team] = {"hitch": hitch.team, "camera": ho.Swarm(2)}
+    item = {"hitch": hitch.mission[0], "camera": Fly(start + [3.0, 0.0, 0.0])}
+    starts = {"hitch": hitch.start, "camera": start}
+    return solve_teams(TeamsProblem(teams, starts, [item])).motion
 
 
 def beside(motion: Motion, other: Motion, at: float) -> Motion:

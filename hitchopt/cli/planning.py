@@ -114,7 +114,8 @@ def _plan(
     with ProgressBar("planning", limit) as progress:
         plan = ho.solve(problem, progress=progress, limit=limit)
     show_plan(plan.title, plan.motion, plan.certificate)
-    _show_models(problem.team)
+    for group in plan.motion.groups:
+        _show_models(group.motion.team)
     with ProgressBar("writing") as progress:
         replace(plan, problem=text).save(place, rate, progress, report=report)
     content = certificate_content(plan.motion, plan.certificate, place / PLAN)
@@ -348,7 +349,7 @@ def init(
         text = for_drone(text, drone)
     path = _write_new(name if name is not None else example or "problem", text)
     if drone:
-        _show_models(ho.read_problem(path).team)
+        _show_models(ho.load_problem(path).team)
     say(f"wrote {path}; try: hitchopt solve {path}", file=str(path))
     flight = source.with_suffix(".csv")
     if flight.is_file():

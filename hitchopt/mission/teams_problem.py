@@ -31,12 +31,11 @@ from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import check_placed
 from hitchopt.steps import STEP_KINDS, Step
 from hitchopt.steps.step import TRIANGLE
-from hitchopt.values import Array
+from hitchopt.values import Array, closest_word
 from hitchopt.values.fields import (
     Key,
     Missing,
     by_key,
-    closest_word,
     documented,
     either,
     gathered,

@@ -546,11 +546,6 @@ def by_key(kinds: Mapping[str, Kind]) -> Kind:
     """
     first = next(iter(kinds))
 
-    def written(kind: str) -> str:
-        """Return an example of a kind with the keys that it needs."""
-        keys = keys_of(records[kind]).values()
-        return f"{kind}: {_written({k.name: k.example for k in keys if k.default is EMPTY})}"
-
     def check(key: str, value: Any) -> Any:
         there = (name for name in kinds if isinstance(value, Mapping) and name in value)
         return kinds[next(there, first)].check(key, value)
@@ -571,6 +566,11 @@ def one_key(
     """
     kinds = {key: mapping_of(record) for key, record in records.items()}
     types = (*records.values(), *passed)
+
+    def written(kind: str) -> str:
+        """Return an example of a kind with the keys that it needs."""
+        keys = keys_of(records[kind]).values()
+        return f"{kind}: {_written({k.name: k.example for k in keys if k.default is EMPTY})}"
 
     def check(key: str, value: Any) -> Any:
         if isinstance(value, types):

@@ -340,7 +340,7 @@ def test_models_of_drones_are_named_in_files() -> None:
     own = ho.Quadrotor(model="crazyflie_2.1", mass=0.031), ho.Quadrotor(0.04, 0.8)
     assert read.quadrotor == (ho.Quadrotor(model="crazyflie_2.1_brushless"), *own)
     assert read.tension.tolist() == [0.12, own[0].tension, 0.4]
-    drawn = ho.read_problem(PROBLEMS / "crazyflie_triangle.yaml").team
+    drawn = ho.load_problem(PROBLEMS / "crazyflie_triangle.yaml").team
     named = problem_from_dict({**MINIMAL, "team": {**team, "quadrotor": kinds[0]}}).team
     assert named.tension.tolist() == drawn.tension.tolist()
     for name in ("mass", "max_thrust", "stiffness", "damping", "integral_gain", "max_tilt"):

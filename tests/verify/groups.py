@@ -10,7 +10,8 @@ from plans import planned
 
 import hitchopt as ho
 from hitchopt.mission.problem import HitchStart, Problem
-from hitchopt.mission.teams import TeamsProblem, solve_teams
+from hitchopt.mission.teams import solve_teams
+from hitchopt.mission.teams_problem import TeamsProblem
 from hitchopt.motion.combined import combined
 from hitchopt.motion.motion import Group, Motion
 from hitchopt.motion.plan_file import saved_others, write_plan
@@ -39,7 +40,9 @@ def crossing(height: float = 1.5) -> Motion:
     """Return a triangle and a square that cross, the square at a height [m]."""
     a = team(3, 2.3, 1.3, [-2.5, 0.0, 1.5], [2.5, 0.0, 1.5])
     b = team(4, 2.0, 1.1, [0.0, -2.5, height], [0.0, 2.5, height])
-    return solve_teams(TeamsProblem({"a": a, "b": b}, [{"a": 1, "b": 1}])).motion
+    teams, start = {"a": a.team, "b": b.team}, {"a": a.start, "b": b.start}
+    item = {"a": a.mission[0], "b": b.mission[0]}
+    return solve_teams(TeamsProblem(teams, start, [item])).motion
 
 
 @cache
