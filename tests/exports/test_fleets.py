@@ -193,3 +193,15 @@ def test_controllers_count_where_cables_pull(tmp_path: Path) -> None:
     with pytest.raises(ho.InputError, match="hold-tension"):
         exported(named("hitch"), "compressed", tmp_path)
     exported(named("camera"), "compressed", tmp_path)
+
+
+def test_a_scene_names_the_cables_of_all_groups(tmp_path: Path) -> None:
+    motion = beside(hitch_and_swarm(), far(alone(hitch_and_swarm(), "hitch")), 0.0)
+    exported(motion, "gltf", tmp_path)
+    data = (tmp_path / "plan.glb").read_bytes()
+    size = int.from_bytes(data[12:16], "little")
+    nodes = [node["name"] for node in json.loads(data[20 : 20 + size])["nodes"]]
+    assert [name for name in nodes if name.startswith("hitch_cable") and "span" not in name] == [
+        f"hitch_cable {k}" for k in range(3)
+    ]
+    assert not any("show" in name for name in nodes)

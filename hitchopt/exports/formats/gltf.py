@@ -73,16 +73,15 @@ class Gltf(Format):
             paths = {"translation": y_up(frame.points(places)), "rotation": turned}
             roots.append(document.moved(name, mesh_, times, paths))
         span = slab_faces(Slab(Section(radius=1.0), -0.5, 0.5))
-        cables = list[tuple[str, int, Array]]()
-        for group in motion.groups:
-            own = drawn if group.motion is motion else scene_at(group.motion, t)
-            solid = Solid("cables", span, own.appearance.cable_colours)
-            shapes = document.meshes("cables", [solid] if own.cables.size else [])
-            for k, shape in enumerate(shapes):
-                name = group.label(f"cable {k}").replace(".", "_")
-                cables.append((name, shape, own.cables[:, k, SPANS]))
-        for name, shape, places in cables:
-            points = y_up(frame.points(places))
+        cables = Solid("cables", span, look.cable_colours)
+        shapes = document.meshes("cables", [cables] if drawn.cables.size else [])
+        labels = [
+            group.label(f"cable {k}").replace(".", "_")
+            for group in motion.groups
+            for k in range(group.motion.team.robots)
+        ]
+        for k, (name, shape) in enumerate(zip(labels, shapes, strict=True)):
+            points = y_up(frame.points(drawn.cables[:, k, SPANS]))
             apart, middles = np.diff(points, axis=1), 0.5 * (points[:, 1:] + points[:, :-1])
             scales = np.full_like(apart, drawn.radius)
             scales[..., 1] = np.linalg.norm(apart, axis=-1)
