@@ -12,6 +12,7 @@ NAMES = (
     "hard_morphs",
     "forming",
     "separation",
+    "teams",
     "carrying",
     "flights",
     "recordings",

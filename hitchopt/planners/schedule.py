@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import islice, permutations
+from itertools import permutations
 from typing import NamedTuple
 
 import numpy as np
@@ -244,18 +244,34 @@ class Schedule:
     def solve(self, fixed: Sequence[Placed], pad: float) -> list[Placed] | Blocked:
         """Return the starts, in the order of the file, or what none is found for in that order.
 
+        Where a group finds no start beside another one, it is tried before that one; else all
+        orders follow one another.
+
         Parameters
         ----------
         fixed: what flies anyway.
         pad: by how much distances are wider [m].
         """
         first: Blocked | None = None
+        names = [track.group.name for track in self.tracks]
         for layers in (1, 3):
-            for order in islice(permutations(range(len(self.tracks))), ORDERS):
+            orders, tried = permutations(range(len(names))), set[tuple[int, ...]]()
+            promoted: tuple[int, ...] | None = None
+            for _ in range(ORDERS):
+                order = promoted or next((each for each in orders if each not in tried), None)
+                if order is None:
+                    break
+                tried.add(order)
                 placed = self._placed(fixed, order, layers, pad)
                 if not isinstance(placed, Blocked):
                     return [placed[k] for k in range(len(self.tracks))]
-                first = first or placed
+                first, promoted = first or placed, None
+                if placed.names[1] in names:  # not somebody else's
+                    late, early = map(names.index, placed.names)
+                    rest = [k for k in order if k != late]
+                    place = rest.index(early)
+                    moved = (*rest[:place], late, *rest[place:])
+                    promoted = None if moved in tried else moved
         assert first is not None
         return first
 
