@@ -190,7 +190,7 @@ def test_controllers_count_where_cables_pull(tmp_path: Path) -> None:
         ]
         return combined(groups)
 
-    with pytest.raises(ho.InputError, match="hold-tension"):
+    with pytest.raises(ho.InputError, match="hold_tension"):
         exported(named("hitch"), "compressed", tmp_path)
     exported(named("camera"), "compressed", tmp_path)
 
