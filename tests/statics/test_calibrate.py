@@ -451,7 +451,7 @@ def test_what_is_doubtful_is_mended_with_a_note_or_refused(solved: Path, tmp_pat
         "bodies are seen at different times": changed(rows, lambda k, t: t + 0.003 * (k % 9)),
     }
     refused = {
-        "millimetres? --unit mm": changed(rows, same, lambda _, x: 1e3 * x),
+        "millimetres? unit='mm'": changed(rows, same, lambda _, x: 1e3 * x),
         "drones 0.9": changed(rows, same, lambda _, x: x + [0.0, 0.95, 0.0]),
         "give metres, z upward": changed(rows, same, lambda _, x: x[[0, 2, 1]] * [1, 1, -1]),
         "milliseconds, divide by 1e+03": changed(rows, lambda _, t: 1e3 * t),
