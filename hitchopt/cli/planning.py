@@ -285,10 +285,14 @@ def _show_verified(path: Path) -> None:
 
 
 def example_files() -> list[Path]:
-    """Return the examples: in the package where it is installed, else in the checkout."""
+    """Return the examples: in the package where it is installed, else in the checkout.
+
+    One that flies beside another plan is none: alone it cannot be planned.
+    """
     packed = PACKAGE / "examples"
     place = packed if packed.is_dir() else PACKAGE.parent / "problems"
-    return sorted([*place.glob("*.yaml"), *(place / "swarms").glob("*.yaml")])
+    files = sorted([*place.glob("*.yaml"), *(place / "swarms").glob("*.yaml")])
+    return [path for path in files if "\nothers:" not in path.read_text("utf-8")]
 
 
 @command(

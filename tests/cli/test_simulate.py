@@ -113,7 +113,7 @@ def test_a_flight_that_fails_or_is_invalid_ends_with_3(
         ("simulate --preste fast", "No such option"),
         ("simulate --noise -1", "noise = -1.0: must be at least 0"),
         ("simulate --stiffness 0", "stiffness = 0.0: must be"),
-        ("simulate --cable-error 0.5", "cable_error = 0.5: must be at most 0.1"),
+        ("simulate --cable-error 0.5", "--cable-error = 0.5: must be at most 0.1"),
         ("simulate --friction -0.1", "friction = -0.1: must be at least 0"),
         ("simulate --lag nan", "lag = nan"),
         ("simulate --stiffness 60", "oscillates more and more; lower it"),
@@ -171,7 +171,7 @@ def test_what_rests_is_what_python_says(settling: Path, options: str, conditions
     assert ("band of rest" in result.stdout) is ("friction" in conditions)
     assert ("range [N]" in result.stdout) is (ranges is not None)
     if not conditions:  # it rests where the plan says
-        assert result.stdout.count("0.500         0.500   no") == 3
+        assert len(re.findall(r"0\.500? +0\.500? +no", result.stdout)) == 3
         assert "note" not in result.stdout
     if "load" in conditions:  # vertices hang lower by as much
         lower = 1e3 * (plan.at(0.5).vertices - found.vertices[0])[:, 2]
