@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -26,8 +26,8 @@ from hitchopt.values import Array
 PADS = 0.0, 0.02, 0.05, 0.10
 """[m] By how much wider distances are, until the certificate holds: samples are STEP apart."""
 
-LAYER = 0.6
-"""[m] By how much higher or lower a path is flown where no delay helps."""
+LAYER = 2.2
+"""By how much higher or lower a path is flown where no delay helps, in ``separation.height``."""
 
 RISE = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0])
 """Coefficients of the polynomial that rises from rest to rest, up to its third derivative."""
@@ -63,8 +63,14 @@ def solve_teams(
     problems, counts = _of_teams(problem)
     alone = {name: _alone(name, each, tell, optimiser) for name, each in problems.items()}
     together = combined([Group(name, each) for name, each in alone.items()]).requirements
+    timed = {
+        (name, k)
+        for name, each in problems.items()
+        for k, step in enumerate(each.mission if isinstance(each, Problem) else each)
+        if getattr(step, "duration", getattr(step, "given_duration", None)) is not None
+    }
     items = [
-        _Item(index, row, before, together.separation, alone)
+        _Item(index, row, before, together.separation, alone, timed)
         for index, (row, before) in enumerate(_items(alone, counts))
     ]
     others = [group for name, other in problem.others.items() for group in other.groups(name)]
@@ -163,8 +169,9 @@ class _Item:
         before: Mapping[str, Motion],
         separation: Separation,
         alone: Mapping[str, Motion],
+        timed: Collection[tuple[str, int]],
     ) -> None:
-        self.index, self.row = index, row
+        self.index, self.row, self.timed = index, row, timed
         self.tracks = [
             Track(Group(name, row.get(name, before[name])), _moved(motion))
             for name, motion in alone.items()
@@ -173,9 +180,12 @@ class _Item:
 
     def _layer(self, k: int, layer: int) -> Track | None:
         name = self.tracks[k].group.name
-        height = LAYER if layer == 1 else -LAYER
-        motion = _layered(self.row[name], height) if name in self.row else None
-        return None if motion is None else Track(Group(name, motion), self.tracks[k].owned)
+        height = LAYER * self.schedule.separation.height * (1.0 if layer == 1 else -1.0)
+        motion = self.row.get(name)
+        if motion is None or (name, motion.phases[0].step) in self.timed:
+            return None  # a layer takes longer
+        layered = _layered(motion, height)
+        return None if layered is None else Track(Group(name, layered), self.tracks[k].owned)
 
     def fly(self, flown: Mapping[str, list[Motion]], others: Sequence[Placed], pad: float) -> float:
         """Add the motions of all teams to those that they have flown; return its duration [s]."""
