@@ -138,7 +138,9 @@ class Task:
 
     @classmethod
     def of(cls, motion: Motion) -> Task:
-        """Return the task of a plan; UnsupportedError for drones without cables."""
+        """Return the task of a plan; UnsupportedError for several teams, or without cables."""
+        if len(motion.groups) > 1:
+            raise UnsupportedError("several teams in one plan; solve and simulate each team alone")
         if not motion.team.has_cables:
             raise UnsupportedError("single drones have no cables; simulate a hitch's plan")
         t = sample_times(motion.duration, RATE)
