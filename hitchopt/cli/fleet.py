@@ -384,7 +384,7 @@ def _outlet_of(
         places = [("127.0.0.1", PORT[over] + i) for i in range(len(names))]
     if len(places) not in (1, len(names)):
         words = f"given once, or {len(names)} times", "one for each drone"
-        raise InputError("to", len(places), *words)
+        raise InputError("targets", len(places), *words)
     places *= len(names) // len(places)
     outlet: Outlet = kind(names, places, frame, here)
     return outlet

@@ -99,7 +99,7 @@ def test_what_rests_takes_two_rows_and_no_bytes(tmp_path: Path) -> None:
 def test_what_memory_does_not_hold_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InfeasibleError, match=r"range: 3.* limit of 32\.767 m"):
         exported(swarm_plan(), "compressed", tmp_path / "out", origin=[31.0, 0.0, 0.0])
-    with pytest.raises(InfeasibleError, match=r"limit of 31 pieces(.|\n)*it: --format ros2bag"):
+    with pytest.raises(InfeasibleError, match=r"limit of 31 pieces(.|\n)*it: format=ros2bag"):
         exported(restless_plan(), "crazyswarm2", tmp_path / "out")
     assert not (tmp_path / "out").exists()
 

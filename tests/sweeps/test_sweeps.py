@@ -72,7 +72,7 @@ def test_values_are_set_in_a_copy() -> None:
         ({"simulate": {}, "parameters": {"simulate.wnd": [0.1]}}, "simulate.wnd"),
         ({"paramters": {}}, "did you mean parameters"),
         ({"limit": 0}, "limit"),
-        ({"problem": []}, "write triangle.yaml"),
+        ({"problem": []}, "add problem: triangle.yaml"),
         ({"problem": [3]}, "problem = "),
         ({"problem": "no_such_file.yaml"}, "no such file"),
     ],
