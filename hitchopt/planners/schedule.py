@@ -281,8 +281,9 @@ class Schedule:
         done = dict[int, Placed]()
         for k in order:
             blocked = None
-            for track in filter(None, (self._path(k, layer) for layer in range(layers))):
-                start = self._earliest(track, [*fixed, *done.values()], pad)
+            besides = [*fixed, *done.values()]
+            for track, earlier in self._options(k, layers, earlier=layers > 1 and not fixed):
+                start = self._earliest(track, besides, pad, earlier=earlier)
                 if isinstance(start, int):
                     done[k] = Placed(track, start)
                     break
@@ -290,7 +291,14 @@ class Schedule:
             if k not in done:
                 assert blocked is not None
                 return blocked
-        return done
+        begin = min([0, *(each.start for each in done.values())])
+        return {k: Placed(each.track, each.start - begin) for k, each in done.items()}
+
+    def _options(self, k: int, layers: int, *, earlier: bool) -> Iterator[tuple[Track, bool]]:
+        """Yield the paths of a group, and whether it is to begin before those placed already."""
+        for before in (False, True)[: 1 + earlier]:
+            for track in filter(None, (self._path(k, layer) for layer in range(layers))):
+                yield track, before
 
     def _path(self, k: int, layer: int) -> Track | None:
         if layer == 0:
@@ -299,12 +307,19 @@ class Schedule:
             self.layered[k, layer] = self.further(k, layer)
         return self.layered[k, layer]
 
-    def _earliest(self, track: Track, placed: Sequence[Placed], pad: float) -> int | Blocked:
-        """Return the earliest start of a track that keeps off all that are placed."""
-        last = max((each.start + len(each.track) for each in placed), default=0)
-        starts = np.arange(max(last, 0) + 1 if len(track) > 1 else 1)
+    def _earliest(
+        self, track: Track, placed: Sequence[Placed], pad: float, *, earlier: bool
+    ) -> int | Blocked:
+        """Return the earliest start of a track that keeps off all that are placed.
+
+        ``earlier``: the latest one below 0; the item then begins with it, and the others wait.
+        """
+        last = max([0, *(each.start + len(each.track) for each in placed)])
+        starts = -np.arange(1, len(track) + 1) if earlier else np.arange(last + 1)
+        starts = starts if len(track) > 1 else np.zeros(1, np.intp)
         free = np.ones(len(starts), np.bool_)
-        clock = np.arange(max(last, 0) + len(track) + 1)
+        begin = min([0, int(np.min(starts)), *(each.start for each in placed)])
+        clock = np.arange(begin, last + len(track) + 1)
         own = np.clip(clock - starts[:, None], 0, len(track) - 1)
         for each in placed:
             where = np.clip(clock - each.start, 0, len(each.track) - 1)
@@ -314,9 +329,10 @@ class Schedule:
             left = free & ~np.any(close, axis=1)
             if not np.any(left):
                 row = int(np.flatnonzero(free)[-1])
-                return self._blocked(track, each, int(np.argmax(close[row])), row)
+                sample = int(clock[np.argmax(close[row])])
+                return self._blocked(track, each, sample, int(starts[row]))
             free = left
-        return int(np.argmax(free))
+        return int(starts[np.argmax(free)])
 
     def _table(self, a: Track, b: Track) -> Array:
         if (a, b) not in self.tables:

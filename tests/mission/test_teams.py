@@ -208,3 +208,20 @@ def test_two_finished_plans_on_one_clock_have_the_certificate_of_the_teams_toget
     assert "a.q2, b.r0" in str(ho.closest(combined))
     with pytest.raises(ho.InputError, match="a name of its own"):
         ho.combine(each[0], each[1], names=("a", "a"))
+
+
+def test_teams_change_places_in_layers_but_for_steps_of_a_given_duration() -> None:
+    polygon: Any = np.array(TRIANGLE)
+    teams = {name: ho.Team(3, 2.3) for name in "ab"}
+    places = {"a": [-1.5, 0.0], "b": [1.5, 0.0]}
+    start: Any = {name: ho.HitchStart(polygon + at, 1.5) for name, at in places.items()}
+    ends = {"a": np.array([1.5, 0, 1.5]), "b": np.array([-1.5, 0, 1.5])}
+
+    def exchanged(duration: float | None) -> ho.Plan:
+        item = {name: ho.Transport(end, duration=duration) for name, end in ends.items()}
+        return ho.solve(ho.TeamsProblem(teams, start, [item]))
+
+    names = {phase.name for each in exchanged(None).motion.groups for phase in each.motion.phases}
+    assert names >= {"climb", "descend", WAIT}
+    with pytest.raises(ho.InfeasibleError, match="whatever the delay"):
+        exchanged(9.0)
