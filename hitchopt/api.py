@@ -63,9 +63,7 @@ def solve(
     seconds = None if limit is None else positive("limit", limit)
     with time_limit(seconds, progress) as tell:
         found = solve_any(task, tell)
-    asked = task.asked if isinstance(task, TeamsProblem) else {"": task.asked}
-    for group in found.motion.groups:
-        check_request(asked[group.name], group.motion)
+    check_request(task.asked, found.motion)
     return Plan(found.motion, found.certificate, task.title)
 
 

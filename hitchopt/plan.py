@@ -17,7 +17,7 @@ from hitchopt.exports.directory import REPORT, SUMMARY, save_plan
 from hitchopt.exports.exporting import Export, export_motion
 from hitchopt.exports.options import ExportOptions
 from hitchopt.hitch import Hitch
-from hitchopt.mission.others import NAME, groups_of
+from hitchopt.mission.others import NAME, named_groups
 from hitchopt.motion.combined import combined
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.plan_file import SavedPlan, check_request, read_saved_plan
@@ -323,8 +323,11 @@ def combine(plan: Plan, other: Plan, at: float = 0.0, names: tuple[str, str] = (
     instance("other", other, Plan)
     at = not_negative("at", at)
     first, second = (NAME.check(f"names[{k}]", name) for k, name in enumerate(names))
-    groups = [*groups_of(first, plan.motion), *groups_of(second, other.motion, at)]
-    besides = [replace(each, motion=shifted(each.motion, at)) for each in other.motion.others]
+    later, besides = (
+        [replace(each, motion=shifted(each.motion, at)) for each in some]
+        for some in (other.motion.groups, other.motion.others)
+    )
+    groups = [*named_groups(first, plan.motion.groups), *named_groups(second, later)]
     motion = combined(groups, [*plan.motion.others, *besides])
     title = " and ".join(filter(None, (plan.title, other.title)))
     return Plan(motion, certify(motion), title)

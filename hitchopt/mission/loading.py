@@ -93,7 +93,9 @@ def load_swarm(path: str | Path) -> SwarmProblem:
     """Return the problem of single drones in a YAML file; errors as ``read_problem``."""
     problem = read_problem(path)
     if not isinstance(problem, SwarmProblem):
-        raise InputError("team", "robots", "a team of single drones", "use read_problem")
+        raise InputError(
+            "team", "robots", "a team of single drones", "use load_problem or read_problem"
+        )
     return problem
 
 
@@ -104,7 +106,10 @@ def problem_from_dict(data: Mapping[str, object]) -> Problem:
 
 def _of_a_hitch(problem: AnyProblem) -> Problem:
     if not isinstance(problem, Problem):
-        raise InputError("team", "drones or teams", "a team of catenary robots", "use read_problem")
+        single = isinstance(problem, SwarmProblem)
+        given = ("team", "drones") if single else ("teams", "several")
+        remedy = "use load_swarm" if single else "use read_problem"
+        raise InputError(*given, "a team of catenary robots", remedy)
     return problem
 
 

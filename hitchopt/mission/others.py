@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated
 
 from hitchopt.checks import certify
 from hitchopt.errors import InputError, OneLine
-from hitchopt.motion.motion import Group, Motion
-from hitchopt.motion.plan_file import read_plan
-from hitchopt.motion.retiming import shifted
-from hitchopt.storage import files
+from hitchopt.motion.combined import combined
+from hitchopt.motion.motion import Group
+from hitchopt.motion.plan_file import saved_others
 from hitchopt.storage.archive import PLAN
 from hitchopt.values.fields import Key, documented, mapping_of, named, store, texts
 from hitchopt.values.units import START_TIME
@@ -25,12 +24,9 @@ NAME = texts(20, 1, "[A-Za-z_][A-Za-z0-9_]*", "of letters, digits and _, a lette
 """Names of teams and of other plans."""
 
 
-def groups_of(name: str, motion: Motion, at: float = 0.0, digest: str = "") -> Sequence[Group]:
-    """Return the groups of a motion that begins at a time [s], their names after ``name``."""
-    return [
-        Group(f"{name}.{each.name}" if each.name else name, shifted(each.motion, at), digest)
-        for each in motion.groups
-    ]
+def named_groups(name: str, groups: Sequence[Group]) -> list[Group]:
+    """Return groups with their names after ``name``: ``name.a``, or ``name`` of one without."""
+    return [replace(each, name=".".join(filter(None, (name, each.name)))) for each in groups]
 
 
 @documented
@@ -53,29 +49,19 @@ class Other(OneLine):
 
     def __post_init__(self) -> None:
         store(self, plan=str(self.plan), at=self.at)
-        certificate = certify(self._motion, reports=())
+        certificate = certify(combined(self._groups), reports=())
         if not certificate.certified:
             names = ", ".join(check.name for check in certificate.violated)
             bound = f"a plan whose own certificate holds, not without {names}"
             raise InputError("plan", self.plan, bound, "solve its problem again")
 
-    @property
-    def file(self) -> Path:
-        """The plan's file."""
-        return Path(self.plan) / PLAN
-
     @cached_property
-    def _motion(self) -> Motion:
-        return read_plan(self.file)
-
-    @cached_property
-    def digest(self) -> str:
-        """The SHA-256 of the plan's file."""
-        return files.digest(self.file)
+    def _groups(self) -> Sequence[Group]:
+        return saved_others("", Path(self.plan) / PLAN, str(self.plan), self.at)
 
     def groups(self, name: str) -> Sequence[Group]:
         """Return its groups under a name, at their times on the clock of this plan."""
-        return groups_of(name, self._motion, self.at, self.digest)
+        return named_groups(name, self._groups)
 
 
 OTHERS = named(mapping_of(Other), NAME, MAX_GROUPS)

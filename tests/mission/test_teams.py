@@ -13,7 +13,7 @@ from plans import PROBLEMS, planned
 import hitchopt as ho
 from hitchopt.mission.loading import any_problem_from_dict
 from hitchopt.motion.motion import WAIT
-from hitchopt.motion.plan_file import write_plan
+from hitchopt.motion.plan_file import is_of, write_plan
 from hitchopt.storage.files import digest
 
 TRIANGLE = [[0, 0.75], [0.65, -0.375], [-0.65, -0.375]]
@@ -164,6 +164,7 @@ def test_a_team_waits_for_a_plan_that_flies_besides() -> None:
     (show,) = plan.motion.others
     assert show.digest == digest(PROBLEMS / "show" / "plan.npz")
     assert show.motion.drones.breaks[0] == 8.0
+    assert is_of(show, PROBLEMS / "show" / "plan.npz")
     assert [phase.name for phase in plan.phases] == ["transport", WAIT, "transport"]
     times = np.linspace(0.0, plan.duration, 1001)
     theirs = show.motion.drones.at(np.clip(times, *show.motion.drones.breaks[[0, -1]]))
@@ -188,6 +189,12 @@ def test_other_plans_are_read_beside_the_file_and_must_be_certified(tmp_path: Pa
     write_plan(tmp_path / "show" / "plan.npz", motion)
     show = any_problem_from_dict(data, tmp_path).others["show"]
     assert [each.motion.drones.breaks[0] for each in show.groups("show")] == [2.0]
+    write_plan(tmp_path / "show" / "plan.npz", planned("two_teams").motion)
+    hall = any_problem_from_dict(data, tmp_path).others["show"].groups("hall")
+    assert [(each.name, each.motion.drones.breaks[0]) for each in hall] == [
+        ("hall.a", 2.0),
+        ("hall.b", 2.0),
+    ]
     write_plan(tmp_path / "show" / "plan.npz", motion.slowed(0.5))
     with pytest.raises(ho.InputError, match="whose own certificate holds, not without") as caught:
         any_problem_from_dict(data, tmp_path)
