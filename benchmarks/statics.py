@@ -141,7 +141,7 @@ def calibrated(seed: int) -> tuple[object, ...]:
     )
     noisy = ho.Recording(record.t[rows], drones, vertices)
     with tempfile.TemporaryDirectory() as place:
-        found = ho.calibrate(noisy, plan.save(Path(place) / "plan"), density=flight.density)
+        found = ho.calibrate(noisy, plan.save(Path(place) / "plan"), density=float(flight.density))
     lengths = effective_lengths(flight)
     off = np.array([one.value for one in found.lengths]) - lengths
     worst, estimate = int(np.argmax(np.abs(off))), found.stiffness[0]

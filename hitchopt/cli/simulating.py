@@ -198,7 +198,7 @@ def flight_tables(simulation: Simulation) -> str:
     from hitchopt.simulation.report import summary
 
     content, known, flight = summary(simulation), simulation.figures, simulation.flight
-    exact, team = simulation.settings.preset.exact, flight.task.team
+    exact, near = simulation.settings.preset.exact, content["nearest"]
     spreads = simulation.spreads
     figures: dict[str, object] = {}
     if exact:
@@ -210,8 +210,9 @@ def flight_tables(simulation: Simulation) -> str:
         "largest thrust [N]": known["peak_thrust"],
         "largest tilt [°]": known["peak_tilt"],
         "stiffness of position loops [N/m]": span_text(flight.gains.stiffness.ravel(), ".3g"),
-        "ropes weigh [g/m]": 1e3 * flight.density,
-        "  as the plan knows": 1e3 * team.cable_density,
+        "nearest drones [m]": f"{near['distance']:.3f}, {' and '.join(near['drones'])}",
+        "ropes weigh [g/m]": _grams(content["density"]["simulated"]),
+        "  as the plan knows": _grams(content["density"]["planned"]),
         "ropes longer for their bends [mm]": f"≤ {1e3 * flight.longer:.1f}",
     }
     parts = []
@@ -225,6 +226,13 @@ def flight_tables(simulation: Simulation) -> str:
         parts.append(table("Objects, to the plan's, and while carried [m, °]", rows))
     parts.append(quantities("Flight, errors as mean ± deviation (largest)", figures))
     return "\n\n".join(parts if exact else [*parts, f"vertex errors: {INEXACT}"])
+
+
+def _grams(densities: float | list[float]) -> float | str:
+    """Return densities [kg/m] in grams per metre."""
+    if isinstance(densities, float):
+        return 1e3 * densities
+    return span_text((1e3 * x for x in densities), ".4g")
 
 
 def spread_text(spread: Spread) -> str:

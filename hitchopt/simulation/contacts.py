@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ SMOOTHING = 0.05  # Time constant with which a load passes from nodes to others 
 LEAST_FORCE = 1e-9  # Normal force below which cables do not touch [N]
 OWN = 2.0  # Part of its own cable that a drone cannot touch, next to it, over the drone's radius
 LANDED = 0.2  # Height above the ground [m] below which a drone may stand beside its own cable
+NONE = np.zeros((0, 3))  # No places
 GROUND, DRONE, CABLE, OBJECT = range(4)  # Kinds of things in contact
 
 
@@ -32,12 +34,14 @@ def least_bearing(task: Task) -> Array:
     It is a share of the force with which a clasp presses without friction, which is
     ``|T (u_{k-1} + u_k)|`` where both its cables pull alike; 0 where one does not.
     """
-    team = task.team
-    least = np.zeros((len(task.t), len(team.layout.clasps)))
-    pulled = np.all(task.tensions > 0.0, axis=-1)
-    edges = unit(team.layout.edges(task.vertices[pulled]))
-    least[pulled] = BEARING_SHARE * contact_forces(edges, task.tensions[pulled], team.topology)
-    return least
+    each = []
+    for part in task.parts:
+        team, least = part.team, np.zeros((len(task.t), len(part.team.layout.clasps)))
+        pulled = np.all(part.tensions > 0.0, axis=-1)
+        edges = unit(team.layout.edges(part.vertices[pulled]))
+        least[pulled] = BEARING_SHARE * contact_forces(edges, part.tensions[pulled], team.topology)
+        each.append(least)
+    return np.concatenate(each, axis=1)
 
 
 class ClaspContacts:
@@ -117,14 +121,18 @@ class HungLoads:
         self._world.model.body_mass[self._bodies] = self._empty + added
 
 
-def touching(world: World) -> list[tuple[str, str]]:
+def touching(
+    world: World, names: Sequence[str] = (), passing: Array = NONE
+) -> list[tuple[str, str]]:
     """Return all pairs in contact by name: ``q0`` and ``r2``, or ``q0`` and ``cable 2``.
 
-    They do not collide, so that every flight is simulated to its end. Drones are
-    ellipsoids, cables their nodes: between two of them a cable is at most 2 mm closer.
+    They do not collide, so that every flight is simulated to its end; nor do drones that are
+    ``passing`` (m, 3) [m] under names. Drones are ellipsoids, cables their nodes: between two of
+    them a cable is at most 2 mm closer. Cables of different groups do collide.
     """
     scale = 1.0 / np.array([BODY_RADIUS, BODY_RADIUS, BODY_HALF_HEIGHT])
-    drones, names = world.drones * scale, world.drone_names
+    count, names = len(world.drones), [*world.drone_names, *names]
+    drones = np.concatenate([world.drones, passing]) * scale
     near: Any = cKDTree(world.nodes * scale).query_ball_point(drones, 1.0)  # a list per drone
     drone = np.repeat(np.arange(len(drones)), [len(entry) for entry in near])
     node = np.array([i for entry in near for i in entry], dtype=np.intp)
@@ -132,12 +140,17 @@ def touching(world: World) -> list[tuple[str, str]]:
     rank = node - world.cable_vertices[cable]
     from_end = np.where(drone % 2 == 0, rank, world.ropes.segments[cable] - rank)
     far = from_end * world.ropes.segment_lengths[cable] > OWN * BODY_RADIUS
-    far &= world.drones[drone, 2] > world.ground + LANDED
+    far &= drones[drone, 2] / scale[2] > world.ground + LANDED
     foreign = (drone // 2 != cable) | far  # on another cable, or far along the own one
     pairs = np.unique(np.column_stack([drone, cable])[foreign], axis=0)
+    flexes = world.data.contact.flex
+    between = flexes[np.all(flexes >= 0, axis=1)]
+    across = between[world.groups[between[:, 0]] != world.groups[between[:, 1]]]
+    near = sorted(cKDTree(drones).query_pairs(2.0))  # i < j; ellipsoids
     return [
-        *((names[i], names[j]) for i, j in sorted(cKDTree(drones).query_pairs(2.0))),  # ellipsoids
-        *((names[i], f"cable {k}") for i, k in pairs),
+        *((names[i], names[j]) for i, j in near if i < count),
+        *((names[i], world.cable_names[k]) for i, k in pairs),
+        *((world.cable_names[i], world.cable_names[j]) for i, j in np.unique(across, axis=0)),
     ]
 
 
@@ -146,17 +159,20 @@ class ObjectContacts:
 
     def __init__(self, world: World, cargo: Cargo) -> None:
         self._world, self._cargo, self._aloft = world, cargo, cargo.aloft
-        cables = [f"cable {k}" for k in range(len(world.ropes.lengths))]
         bodies, objects = world.model.nbody, world.object_bodies
+        counts = np.diff(world.cable_vertices)
         self._kind, self._rank = np.full(bodies, GROUND), np.full(bodies, -1)
         self._names = np.full(bodies, "the ground", dtype=object)
         for kind, chosen, names in (
-            (CABLE, world.model.flex_vertbodyid, np.repeat(cables, np.diff(world.cable_vertices))),
+            (CABLE, world.model.flex_vertbodyid, np.repeat(world.cable_names, counts)),
             (DRONE, world.drone_bodies, world.drone_names),  # the ends of cables
             (OBJECT, objects, cargo.names),
         ):
             self._kind[chosen], self._names[chosen] = kind, names
         self._rank[objects] = np.arange(len(objects))
+        self._group = np.full(bodies, "", dtype=object)
+        self._group[world.model.flex_vertbodyid] = np.repeat(world.groups, counts)
+        self._holder = np.array([cargo.holders.get(name, "") for name in cargo.names], dtype=object)
 
     def wrong(self, index: int) -> list[tuple[str, str]]:
         """Return the forbidden contacts of objects at a sample of the plan, by name.
@@ -168,7 +184,8 @@ class ObjectContacts:
             return []
         held, aloft = self._cargo.held[index], np.append(self._aloft[index], False)
         kind, above = self._kind[body], aloft[thing] | aloft[self._rank[body]]
-        chosen = np.where(kind == CABLE, ~held[thing], (kind == DRONE) | above)
+        held = held[thing] & (self._holder[thing] == self._group[body])
+        chosen = np.where(kind == CABLE, ~held, (kind == DRONE) | above)
         named = zip(self._names[body[chosen]], thing[chosen], strict=True)
         return sorted({(str(other), self._cargo.names[i]) for other, i in named})
 

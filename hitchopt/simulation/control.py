@@ -139,7 +139,8 @@ def drag(world: World, damping: float = 0.0) -> Array:
     """
     velocities, ropes = world.data.qvel[world.node_dofs], world.ropes
     segments = np.repeat(ropes.segment_lengths, ropes.segments - 1)
-    area, mass = ropes.preset.diameter * segments, ropes.density * segments
+    density = np.repeat(np.broadcast_to(ropes.density, ropes.lengths.shape), ropes.segments - 1)
+    area, mass = ropes.preset.diameter * segments, density * segments
     rate = 0.5 * AIR_DENSITY * DRAG_COEFFICIENT * area * length(velocities) + damping * mass
     return np.asarray(-rate[:, None] * velocities)
 

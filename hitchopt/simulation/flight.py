@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -12,14 +12,22 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.geometry.vectors import length, unit
+from hitchopt.hitch import GRAVITY
 from hitchopt.objects import SolidObject
 from hitchopt.simulation import contacts, control, ropes
 from hitchopt.simulation.autopilots import PERIOD, Autopilots
-from hitchopt.simulation.commands import flown_team, received
+from hitchopt.simulation.commands import Commands, flown_team, received
 from hitchopt.simulation.estimator import Estimator
 from hitchopt.simulation.settings import Settings
 from hitchopt.simulation.task import RATE, Setpoints, Task
-from hitchopt.simulation.world import BODY_HALF_HEIGHT, Bodies, InvalidRunError, World, check_valid
+from hitchopt.simulation.world import (
+    BODY_HALF_HEIGHT,
+    Bodies,
+    InvalidRunError,
+    World,
+    cable_names,
+    check_valid,
+)
 from hitchopt.values import Array
 
 Progress = Callable[[str], None]
@@ -115,7 +123,7 @@ class Flight:
     linking: linking numbers (n, n) of all pairs of cables after the rest; None if not reached.
     rested, pulled: times [s] at which rest and pull test ended; nan if they did not.
     gains: of the drones' position loops.
-    density: of the simulated cables [kg/m].
+    density: of the simulated cables [kg/m], of each (n,) if there are several groups.
     longer: largest length that a rope has more than its cable [m], as bends of thick ropes use up.
     aside: largest distance of a rope's end from its drone's position [m], so that legs of thick
         ropes point as those of thin cables do.
@@ -132,11 +140,16 @@ class Flight:
     rested: float
     pulled: float
     gains: control.PositionGains
-    density: float
+    density: Array | float
     longer: float
     aside: float
     objects: dict[str, SolidObject]
     error: InvalidRunError | None
+
+    @property
+    def cable_names(self) -> list[str]:
+        """(n,): cable 0, cable 1, …, or a.cable 0, … of several groups."""
+        return cable_names(self.task.team.drone_names)
 
 
 def fly(task: Task, settings: Settings, progress: Progress | None = None) -> Flight:
@@ -149,7 +162,7 @@ def fly(task: Task, settings: Settings, progress: Progress | None = None) -> Fli
     ------
     InputError: a preset that cannot bear the team's tension, or an unstable position loop.
     ShapeError: cables that cannot hang between the first setpoints.
-    UnsupportedError: mujoco is not installed.
+    UnsupportedError: mujoco is not installed, or several groups with feedback or a lost drone.
     """
     run = _Run(task, settings, progress)
     try:
@@ -164,21 +177,36 @@ class _Run:
 
     def __init__(self, task: Task, settings: Settings, progress: Progress | None) -> None:
         team, preset = task.team, settings.preset
+        if task.motion is not None and settings.lost is not None:
+            task.motion.refuse_several("the simulated loss of a drone")
         self._task, self._settings, self._progress = task, settings, progress
         disturbances = control.Disturbances(settings.perturbations, team.robots, settings.seed)
-        self._disturbances, self._aside = disturbances, ropes.legs_aside(task, preset.diameter)
-        self._longer = ropes.thickness_allowance(task, preset.diameter, preset.segment)
-        lengths = team.cable_length * disturbances.cable_scale + self._longer
-        tension = float(max(np.max(team.tension), np.max(task.tensions)))
-        built = ropes.Ropes.of(team, settings, lengths, tension)
-        built.check_tension(tension)
-        ground, objects = ground_of(task), disturbances.disturbed(task.cargo.objects)
-        self._world = world = World(built, team.mass, ground, objects)
+        self._disturbances, parts = disturbances, task.parts
+        aside = [ropes.legs_aside(part, preset.diameter) for part in parts]
+        longer = [ropes.thickness_allowance(p, preset.diameter, preset.segment) for p in parts]
+        self._aside, self._longer = np.concatenate(aside, axis=1), np.concatenate(longer)
+        first = np.cumsum([part.team.robots for part in parts])[:-1]
+        lengths = np.split(team.cable_length * disturbances.cable_scale + self._longer, first)
+        each = list[ropes.Ropes]()
+        for part, sizes in zip(parts, lengths, strict=True):
+            tension = float(max(np.max(part.team.tension), np.max(part.tensions)))
+            each.append(ropes.Ropes.of(part.team, settings, sizes, tension))
+            each[-1].check_tension(tension)
+        built, ground = ropes.Ropes.joined(each), ground_of(task)
+        objects = disturbances.disturbed(task.cargo.objects)
+        self._world = world = World(built, team.mass, ground, objects, team.drone_names)
         start = task.setpoints.positions[0] + self._aside[0] + disturbances.start_offset
-        if task.formed[0]:
-            world.place(ropes.clasped(built, team.layout, start, task.vertices[0]))
-        else:
-            world.place(ropes.hanging(built, start, ground))
+        world.place(
+            [
+                cable
+                for part, own, drones in zip(parts, each, np.split(start, 2 * first), strict=True)
+                for cable in (
+                    ropes.clasped(own, part.team.layout, drones, part.vertices[0])
+                    if part.formed[0]
+                    else ropes.hanging(own, drones, ground)
+                )
+            ]
+        )
         self._pilots = self._crew()
         self._loads = contacts.HungLoads(world, team) if np.any(team.load) else None
         self._contacts = contacts.ClaspContacts(world, team)
@@ -207,26 +235,29 @@ class _Run:
         task, settings, world = self._task, self._settings, self._world
         if settings.controller is None:
             return control.Pilots(world, task.team, settings)
-        team, estimator = flown_team(task.team, settings), None
-        self._sent = received(task, team, settings)
+        teams, estimator = [flown_team(part.team, settings) for part in task.parts], None
+        both = zip(task.parts, teams, strict=True)
+        self._sent = [received(part, team, settings) for part, team in both]
         if settings.estimator is not None:
             measuring = self._disturbances.measuring
             estimator = Estimator(settings.estimator, self._bodies(0), measuring)
-        loops = [kind.loop for kind in team.quadrotor for _ in range(2)]
-        return Autopilots(loops, team.mass, world.inertia, team.max_thrust, settings.lag, estimator)
+        loops = [kind.loop for team in teams for kind in team.quadrotor for _ in range(2)]
+        most = task.team.max_thrust
+        return Autopilots(loops, world.masses, world.inertia, most, settings.lag, estimator)
 
     def fly(self) -> None:
         """Simulate all of it; raises InvalidRunError where the simulation leaves its range."""
         task, world = self._task, self._world
-        end, formed = task.duration, task.formed[0]
-        loose = self._drones(0) - task.setpoints.positions[0] if formed else 0.0
+        end = task.duration
+        tied = np.concatenate([np.full(part.team.drones, part.formed[0]) for part in task.parts])
+        loose = tied[:, None] * (self._drones(0) - task.setpoints.positions[0])
         friction = world.model.flex_friction.copy()
         world.model.flex_friction[:] = 0.0  # so that the initial state has no history
         for time in self._times(-SETTLE, 0.0):
             drawn = min(1.0, (time + SETTLE) / DRAWN)
             share = drawn**3 * (10.0 - 15.0 * drawn + 6.0 * drawn**2)
             self._damping = DAMPING * (1.0 - share)
-            self._step(time, 0, share if formed else 1.0, (1.0 - share) * loose)
+            self._step(time, 0, np.where(tied, share, 1.0), (1.0 - share) * loose)
         world.model.flex_friction[:] = friction
         self._contacts.collect()
         self._peaks[:] = 0.0
@@ -258,20 +289,23 @@ class _Run:
         count = max(0, round((end - begin) / self._period))
         return begin + self._period * np.arange(count, dtype=np.float64)
 
-    def _step(self, time: float, index: int, pull: float, offset: Array | float = 0.0) -> None:
+    def _step(
+        self, time: float, index: int, pull: Array | float, offset: Array | float = 0.0
+    ) -> None:
         """Command the drones by a setpoint, moved by an offset [m], and advance by one period.
 
-        ``pull`` is a factor of the plan's tension: less than 1 while a hitch is drawn tight, more
-        in the pull test, whose force every drone adds.
+        ``pull`` is a factor of the plan's tension, of all or by drone (2n,): less than 1 while a
+        hitch is drawn tight, more in the pull test, whose force every drone adds.
         """
         world, task, period, flying = self._world, self._task, self._period, time >= 0.0
+        pull = np.broadcast_to(pull, task.team.drones)
         disturbances, pilots, fine = self._disturbances, self._pilots, 1
         if self._lost is not None and time >= self._lost[1]:
             pilots.stop(self._lost[0])
             fine = FALLING_PARTS if time < self._lost[1] + FALLING else 1
         setpoints = task.setpoints[index]
         setpoints = replace(setpoints, positions=setpoints.positions + offset)
-        bodies = self._bodies(index)
+        bodies, passing = self._bodies(index), task.passing.at(index)
         if self._settings.estimator is None:
             measured = bodies.positions + disturbances.noise.advance(period)
             velocities = bodies.velocities + disturbances.velocity_noise.advance(period)
@@ -280,13 +314,15 @@ class _Run:
         if self._feedback is not None and flying:
             setpoints = self._feedback.corrected(setpoints, time, period, measured)
         pulling = pilots.gains.feed_forward | (pull > 1.0)
-        added = (pull - 1.0) * pulling[:, None] * self._outward_pulls(index)
+        added = ((pull - 1.0) * pulling)[:, None] * self._outward_pulls(index)
         push = disturbances.wind.advance(period) + disturbances.steady_wind
         push = push + self._command(time, index, setpoints, bodies, added)
         if self._settings.perturbations.downwash:
-            push = push + control.downwash(world.drones, pilots.thrusts)
+            drones = np.concatenate([world.drones, passing])
+            thrusts = np.concatenate([pilots.thrusts, GRAVITY * task.passing.masses])
+            push = push + control.downwash(drones, thrusts)[: len(push)]
         world.push(pilots.thrusts, pilots.moments, push)
-        planned = min(pull, 1.0)
+        planned = np.minimum(pull[::2], 1.0)  # by cable
         if self._loads is not None:
             self._loads.apply(planned * task.load_shares(index), period)
         world.data.qfrc_applied[world.node_dofs] = control.drag(world, self._damping)
@@ -300,7 +336,8 @@ class _Run:
         np.maximum(self._peaks, np.maximum.reduceat(world.tensions, self._starts), out=self._peaks)
         if flying and time - self._searched >= TOUCH_PERIOD - ROUNDING:
             self._searched = time
-            for pair in (*contacts.touching(world), *self._objects.wrong(index)):
+            touching = contacts.touching(world, task.passing.names, passing)
+            for pair in (*touching, *self._objects.wrong(index)):
                 self._touches.setdefault(pair, time)
         if time - self._framed >= FRAME_PERIOD - ROUNDING:
             self._framed = time
@@ -320,7 +357,8 @@ class _Run:
             if time >= 0.0:
                 pilots.wind(setpoints.positions - bodies.positions, period)
             return np.zeros_like(added)
-        sent = self._sent[max(0, math.floor(RATE * time + ROUNDING))]
+        now = [vars(sent[max(0, math.floor(RATE * time + ROUNDING))]) for sent in self._sent]
+        sent = Commands(*(np.concatenate([each[x.name] for each in now]) for x in fields(Commands)))
         positions = sent.positions + (setpoints.positions - plan.positions)
         velocities = sent.velocities + (setpoints.velocities - plan.velocities)
         moved = replace(sent, positions=positions, velocities=velocities)

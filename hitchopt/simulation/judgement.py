@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from hitchopt.errors import OneLine
@@ -13,7 +14,7 @@ from hitchopt.geometry.vectors import length
 from hitchopt.simulation.contacts import least_bearing
 from hitchopt.simulation.flight import Flight, Progress, fly, ground_of
 from hitchopt.simulation.settings import Settings
-from hitchopt.simulation.task import Task
+from hitchopt.simulation.task import Task, group_of
 from hitchopt.simulation.world import BODY_HALF_HEIGHT
 from hitchopt.values import Array
 
@@ -40,6 +41,9 @@ SETTLED = 0.5  # Last part of a flight over which it is judged where a lost dron
 # Warning of a flight whose cables slide freely
 NO_FRICTION = "friction is left at 0: at 0.1 hitches rest some 5 cm from their plans; "
 NO_FRICTION += "state team.cable_friction, or give friction="
+
+# Warning of what flies besides
+BESIDES = "drones are on their set points, without cables; only hitches are simulated"
 
 SUCCEEDED, FAILED, NOT_SIMULATED = "succeeded", "failed", "not simulated"
 
@@ -70,7 +74,7 @@ class VertexErrors:
     Attributes
     ----------
     t, rows: times [s] and places in the flight's record (samples,).
-    planned: planned vertices (samples, clasps, 3) [m].
+    planned: planned vertices (samples, clasps, 3) [m]; nan where a group has none, drawn tight.
     offsets: (samples, clasps, 3) [m], from these; nan where cables do not bear on each other.
     moving: whether the plan moves any vertex or changes any tension (samples,).
     """
@@ -98,15 +102,22 @@ def vertex_errors(flight: Flight) -> VertexErrors:
     The first sample does not count either: no contact forces were gathered before it.
     """
     task, record = flight.task, flight.record
-    tight = task.formed & np.all(task.tensions >= TIGHT * task.team.tension, axis=-1)
-    shifts = length(np.diff(task.vertices, axis=0))
-    changes = np.abs(np.diff(task.tensions, axis=0)) / task.team.tension
-    still = np.all(np.concatenate([shifts, changes], axis=-1) <= STILL, axis=-1)
-    moves = np.append(False, ~still & task.formed[1:] & task.formed[:-1])
+    tight, moves = list[Array](), np.zeros(len(task.t), np.bool_)
+    for part in task.parts:
+        tension, formed = part.team.tension, part.formed
+        tight.append(formed & np.all(part.tensions >= TIGHT * tension, axis=-1))
+        shifts = length(np.diff(part.vertices, axis=0))
+        changes = np.abs(np.diff(part.tensions, axis=0)) / tension
+        still = np.all(np.concatenate([shifts, changes], axis=-1) <= STILL, axis=-1)
+        moves[1:] |= ~still & formed[1:] & formed[:-1]
+    there = task.clasped(tight)
     end = np.fmax(task.duration, flight.rested) + ROUNDING
-    rows = np.flatnonzero((record.t > ROUNDING) & (record.t <= end) & tight[record.index])
+    rows = np.flatnonzero(
+        (record.t > ROUNDING) & (record.t <= end) & there[record.index].any(axis=-1)
+    )
     t, index = record.t[rows], record.index[rows]
     planned = task.vertices[index][:, task.team.layout.clasps]
+    planned = np.where(there[index, :, None], planned, np.nan)
     moving = moves[index] & (t <= task.duration + ROUNDING)
     return VertexErrors(t, rows, planned, record.vertices[rows] - planned, moving)
 
@@ -241,8 +252,9 @@ def judge(flight: Flight) -> Outcome:
 
 
 def _clasps(flight: Flight, links: NDArray[np.int64]) -> tuple[Clasp, ...]:
-    """Return the state of every vertex."""
+    """Return the state of every vertex that the plan ends with."""
     team, layout = flight.task.team, flight.task.team.layout
+    last = flight.task.clasped([part.formed[-1] for part in flight.task.parts])
     before, bearing = _means(flight, flight.rested)
     moved = np.max(np.abs(_means(flight, flight.pulled)[0] - before), axis=-1)
     held = (moved <= HELD) | np.isnan(flight.pulled)  # without a pull test both are nan
@@ -251,7 +263,8 @@ def _clasps(flight: Flight, links: NDArray[np.int64]) -> tuple[Clasp, ...]:
     holds = (np.abs(linking) == 1) & bears & held & (flight.error is None)
     names = [team.point_names[point] for point in layout.clasps]
     columns = (column.tolist() for column in (linking, bearing, least, moved, holds, bears))
-    return tuple(Clasp(*values) for values in zip(names, *columns, strict=True))
+    each = zip(names, *columns, strict=True)
+    return tuple(Clasp(*values) for values, there in zip(each, last, strict=True) if there)
 
 
 def _means(flight: Flight, end: float) -> tuple[Array, Array]:
@@ -270,13 +283,15 @@ def _means(flight: Flight, end: float) -> tuple[Array, Array]:
 
 def _loose(flight: Flight, linking: NDArray[np.int64], clasps: tuple[Clasp, ...]) -> list[Failure]:
     """Return cables that are not linked as the plan's end requires, and clasps that do not hold."""
-    layout, rested, failures = flight.task.team.layout, flight.rested, []
+    task, layout, rested, failures = flight.task, flight.task.team.layout, flight.rested, []
     apart = np.triu(linking, 1)
-    if clasps:
-        apart[layout.behind, layout.ahead] = apart[layout.ahead, layout.behind] = 0
+    last = task.clasped([part.formed[-1] for part in task.parts])
+    ahead, behind = layout.ahead[last], layout.behind[last]
+    apart[behind, ahead] = apart[ahead, behind] = 0
     for i, j in np.argwhere(apart).tolist():
-        words = f"cables {i} and {j} are linked {linking[i, j]} times, and should not be"
-        failures.append(Failure("tangled", (f"cable {i}", f"cable {j}"), rested, words))
+        one, other = cables = (flight.cable_names[i], flight.cable_names[j])
+        words = f"{one} and {other} are linked {linking[i, j]} times, and should not be"
+        failures.append(Failure("tangled", cables, rested, words))
     for each in clasps:
         force, least, moved = f"{each.bearing:.3f} N", f"{each.least_bearing:.3f} N", each.moved
         cases = (  # of which the first one counts
@@ -324,10 +339,11 @@ def object_states(flight: Flight) -> tuple[ObjectState, ...]:
     yaws = np.arctan2(plan[-1, :, 4], plan[-1, :, 3])
     offsets = poses[..., :3] - plan[..., :3]
     planned = task.vertices[rows][:, task.team.layout.clasps]
-    hitch = np.mean(record.vertices[: len(t)] - planned, axis=1)
-    states = []
+    vertices, states = record.vertices[: len(t)] - planned, []
+    groups = np.array([group_of(task.team.point_names[p]) for p in task.team.layout.clasps])
     for i in np.flatnonzero(cargo.movable):
         name, carried = cargo.names[i], cargo.carried[rows, i]
+        hitch = np.mean(vertices[:, groups == cargo.holders.get(name, "")], axis=1)
         turned = Rotation.from_quat(poses[resting, i, 3:], scalar_first=True).mean()
         axes = (Rotation.from_euler("z", -yaws[i]) * turned).as_matrix()
         low = t[carried & (offsets[:, i, 2] < -DROPPED)]
@@ -482,9 +498,34 @@ class Simulation(OneLine):
         return Run(self.settings.seed, self.outcome.verdict, self.outcome.failures, self.figures)
 
 
+def nearest(flight: Flight) -> tuple[tuple[str, str], float, float]:
+    """Return the two drones that come nearest, by name, their distance [m], and when [s].
+
+    Those that are not simulated count with the others; two of them do not.
+    """
+    task, record = flight.task, flight.record
+    names = (*task.team.drone_names, *task.passing.names)
+    drones = np.concatenate([record.drones, task.passing.at(record.index)], axis=1)
+    pairs, least = list[int](), list[float]()
+    count = task.team.drones
+    for row in drones:
+        between = cdist(row[:count], row)
+        np.fill_diagonal(between, np.inf)
+        pairs.append(int(np.argmin(between)))
+        least.append(float(np.min(between)))
+    first = int(np.argmin(least))
+    i, j = divmod(pairs[first], len(names))
+    return (names[i], names[j]), least[first], float(record.t[first])
+
+
 def warnings(task: Task, settings: Settings) -> tuple[str, ...]:
-    """Return warnings about a flight's conditions: friction that is left at 0."""
-    return (NO_FRICTION,) if settings.friction is None and not task.team.cable_friction else ()
+    """Return warnings about a flight: friction that is left at 0, and what is not simulated."""
+    free = any(not part.team.cable_friction for part in task.parts)
+    found = [NO_FRICTION] if settings.friction is None and free else []
+    if task.passing.names:
+        names = dict.fromkeys(map(group_of, task.passing.names))
+        found.append(f"{', '.join(names)}: {BESIDES}")
+    return tuple(found)
 
 
 def simulate(task: Task, settings: Settings, progress: Progress | None = None) -> Simulation:

@@ -16,7 +16,14 @@ from matplotlib.figure import Figure
 
 from hitchopt.geometry.vectors import length
 from hitchopt.motion.motion import Motion
-from hitchopt.simulation.judgement import Simulation, Spread, tracking_errors, warnings
+from hitchopt.simulation.flight import Flight
+from hitchopt.simulation.judgement import (
+    Simulation,
+    Spread,
+    nearest,
+    tracking_errors,
+    warnings,
+)
 from hitchopt.storage.archive import RECORDING
 from hitchopt.storage.files import Writer, replace_files, write_strict_json
 from hitchopt.values import Array
@@ -56,9 +63,12 @@ def save_simulation(
     flight, errors = simulation.flight, simulation.errors
     record, team, cargo = flight.record, flight.task.team, flight.task.cargo
     rows, t, off = errors.rows, record.t, length(record.drones - record.commanded)
+    vertices: Iterable[object] = team.layout.clasps
+    if flight.task.groups:
+        vertices = [team.point_names[point] for point in team.layout.clasps]
     # Kind and names of the rows, their times (times,), and columns (times, names[, columns])
     tables: dict[str, tuple[str, Iterable[object], Array, dict[str, Any]]] = {
-        VERTICES: ("vertex", team.layout.clasps, errors.t, {
+        VERTICES: ("vertex", vertices, errors.t, {
             "x,y,z": record.vertices[rows],
             "planned_x,planned_y,planned_z": errors.planned,
             "height_error": errors.offsets[..., 2],
@@ -66,7 +76,7 @@ def save_simulation(
             "error_without_sag": errors.without_sag,
             "bearing": record.bearing[rows],
         }),
-        CABLES: ("cable", range(team.robots), t, {
+        CABLES: ("cable", _cables(flight), t, {
             "tension": record.tensions, "peak": record.peak_tensions,
         }),
         DRONES: ("drone", team.drone_names, t, {
@@ -83,6 +93,11 @@ def save_simulation(
     writers[PICTURE] = lambda path: style.save_figure(drawn_flight(simulation, motion, title), path)
     writers[SUMMARY] = lambda path: write_strict_json(path, summary(simulation))
     return replace_files(directory, writers, OWNED, seal=SUMMARY)
+
+
+def _cables(flight: Flight) -> Sequence[object]:
+    """Return what files call cables: numbers, and names if there are several groups."""
+    return flight.cable_names if flight.task.groups else range(flight.task.team.robots)
 
 
 def _write_table(
@@ -115,13 +130,20 @@ def summary(simulation: Simulation) -> dict[str, Any]:
     }
     each = {name: asdict(Spread.of(errors.errors[:, c])) for c, name in enumerate(clasps)}
     means, peaks = np.mean(record.tensions, axis=0), np.max(record.peak_tensions, axis=0)
+    tensions = zip(_cables(flight), means.tolist(), peaks.tolist(), strict=True)
+    planned = [part.team.cable_density for part in flight.task.parts for _ in part.team.tension]
+    pair, apart, when = nearest(flight)
     return {
         "format": FORMAT,
         "settings": asdict(simulation.settings),
         "warnings": list(warnings(flight.task, simulation.settings)),
         "position_loops": {name: gains.tolist() for name, gains in vars(flight.gains).items()},
         "compensation": {"cables_longer": flight.longer, "legs_aside": flight.aside},
-        "density": {"simulated": flight.density, "planned": team.cable_density},
+        "density": {
+            "simulated": np.asarray(flight.density).tolist(),
+            "planned": planned if flight.task.groups else planned[0],
+        },
+        "nearest": {"drones": pair, "distance": apart, "time": when},
         "verdict": outcome.verdict,
         "succeeded": outcome.succeeded,
         "hitched": outcome.hitched,
@@ -135,10 +157,7 @@ def summary(simulation: Simulation) -> dict[str, Any]:
             "all_without_sag": spreads["without_sag"],
             **each,
         },
-        "tension": [
-            {"cable": k, "mean": mean, "peak": peak}
-            for k, (mean, peak) in enumerate(zip(means.tolist(), peaks.tolist(), strict=True))
-        ],
+        "tension": [{"cable": cable, "mean": mean, "peak": peak} for cable, mean, peak in tensions],
         "tracking_error": spreads["tracking"],
         "largest_thrust": figures["peak_thrust"],
         "largest_tilt": figures["peak_tilt"],
@@ -179,18 +198,18 @@ def _draw_over_time(plots: Sequence[Axes], simulation: Simulation, motion: Motio
     flight, errors = simulation.flight, simulation.errors
     record, task = flight.record, flight.task
     team, end = task.team, float(record.t[-1]) or 1.0
-    colours = style.cable_colours(team.robots)
+    groups = style.group_colours(motion)[: len(motion.groups)]
+    colours = [colour for _, cables in groups for colour in cables]
     top, middle, bottom = plots
-    for c, point in enumerate(team.layout.clasps):
-        colour = colours[int(point) % team.robots]
+    for c, (point, k) in enumerate(zip(team.layout.clasps, team.layout.ahead, strict=True)):
         values = 100.0 * errors.errors[:, c]
-        top.plot(errors.t, values, color=colour, lw=1.2, label=team.point_names[point])
+        top.plot(errors.t, values, color=colours[k], lw=1.2, label=team.point_names[point])
     if errors.t.size and len(team.layout.clasps) <= LABELLED:
         top.legend(fontsize="small", ncols=3, frameon=False)
     for k, colour in enumerate(colours):
         middle.plot(record.t, record.tensions[:, k], color=colour, lw=1.2)
-    planned = np.where(task.formed[:, None], task.tensions, np.nan)
-    for tension in np.unique(planned.T, axis=0):
+    planned = [np.where(part.formed[:, None], part.tensions, np.nan) for part in task.parts]
+    for tension in np.unique(np.concatenate(planned, axis=1).T, axis=0):
         middle.plot(task.t - task.t[0], tension, color=style.LIMIT_COLOUR, lw=1.2, ls=style.DASHES)
     tracking = 100.0 * np.max(tracking_errors(flight), axis=-1)
     bottom.plot(record.t[: len(tracking)], tracking, color=style.INK, lw=1.2)
@@ -216,9 +235,12 @@ def ending(simulation: Simulation) -> str:
         return "no two survivors touch" if loss.apart else "survivors TOUCH each other"
     if flight.linking is None:
         return "not simulated to its end"
-    if flight.task.formed[-1]:
-        words = "every vertex holds" if simulation.outcome.hitched else "not hitched"
-    else:
-        words = "not untied" if flight.linking.any() else "untied, as planned"
+    ends, each = [part.formed[-1] for part in flight.task.parts], list[str]()
+    if any(ends):
+        each.append("every vertex holds" if simulation.outcome.hitched else "not hitched")
+    if not all(ends):
+        tangled = any(failure.kind == "tangled" for failure in simulation.outcome.failures)
+        each.append("not untied" if tangled else "untied, as planned")
+    words = " and ".join(each)
     wrong = [each.words for each in simulation.outcome.failures if each.kind in ELSE_WRONG]
     return f"{words}, but {wrong[0]}" if wrong else words

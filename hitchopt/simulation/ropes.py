@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -61,14 +62,14 @@ class Ropes:
     Parameters
     ----------
     lengths: cable lengths (n,) [m].
-    density: mass per length [kg/m].
-    friction: coefficient between cables, and with the ground.
+    density: mass per length [kg/m], of all or of each (n,).
+    friction: coefficient between cables, and with the ground, likewise.
     preset: resolution.
     """
 
     lengths: Array
-    density: float
-    friction: float
+    density: Array | float
+    friction: Array | float
     preset: Preset
 
     @classmethod
@@ -82,6 +83,22 @@ class Ropes:
         ropes = cls(lengths, density, friction, settings.preset)
         step = settings.preset.time_step / ropes.finer(tension)
         return replace(ropes, preset=replace(settings.preset, time_step=step))
+
+    @classmethod
+    def joined(cls, each: Sequence[Ropes]) -> Ropes:
+        """Return the ropes of several teams, with the shortest of their time steps."""
+        if len(each) == 1:
+            return each[0]
+        lengths, density, friction = (
+            np.concatenate([np.broadcast_to(getattr(x, name), x.lengths.shape) for x in each])
+            for name in ("lengths", "density", "friction")
+        )
+        return cls(
+            lengths,
+            density,
+            friction,
+            min((x.preset for x in each), key=lambda preset: preset.time_step),
+        )
 
     def finer(self, tension: float) -> int:
         """Return how many time steps a tension [N] needs in place of one, at most FINEST."""
@@ -103,8 +120,8 @@ class Ropes:
     @property
     def largest_tension(self) -> float:
         """Largest tension at which waves and contacts are resolved [N]; beyond it ropes pass."""
-        wave = COURANT * float(np.min(self.segment_lengths)) / self.preset.time_step
-        return self.density * wave**2
+        wave = COURANT * self.segment_lengths / self.preset.time_step
+        return float(np.min(self.density * wave**2))
 
     def check_tension(self, tension: float) -> None:
         """Raise InputError where ropes are too light for a plan's largest tension [N]."""

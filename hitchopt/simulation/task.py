@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +13,10 @@ from numpy.typing import NDArray
 from hitchopt.errors import UnsupportedError
 from hitchopt.exports.directory import refuse_mixture
 from hitchopt.hitch import Team
+from hitchopt.hitch.team import Layout
+from hitchopt.motion.combined import Fleet
 from hitchopt.motion.loads import tautness
-from hitchopt.motion.motion import Motion
+from hitchopt.motion.motion import Group, Motion
 from hitchopt.motion.plan_file import read_plan
 from hitchopt.motion.states import sample_times, states_at
 from hitchopt.objects import SolidObject
@@ -26,6 +29,8 @@ Flags = NDArray[np.bool_]
 RATE = 100.0  # Setpoints per second [Hz]
 ALOFT = 0.03  # Height over where it stood and will stand from which on an object is aloft [m]
 CARRIED = 1.0 - 1e-6  # Share of its weight from which on a hitch carries all of an object
+POINTS = ("starts", "ends", "clasps", "anchors", "pulled_to")  # Tables of a layout: of points
+CABLES = ("ahead", "behind", "neighbours")  # … and of cables
 SAME_TIME = 1e-6  # Tolerance of a time that falls on a sample [s]: rounding of sums of periods
 
 
@@ -40,6 +45,7 @@ class Cargo:
     held: whether the hitch holds them, so that its cables may touch them (samples, objects).
     borne: share of its weight that the hitch carries (samples, objects).
     floor: height of the ground on which they stand [m].
+    holders: by name the group whose hitch may hold it, if there are several.
     """
 
     objects: Mapping[str, SolidObject] = field(default_factory=dict)
@@ -47,6 +53,7 @@ class Cargo:
     held: Flags = field(default_factory=lambda: np.zeros((1, 0), dtype=np.bool_))
     borne: Array = field(default_factory=lambda: np.zeros((1, 0)))
     floor: float = 0.0
+    holders: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(cls, motion: Motion, t: Array) -> Cargo:
@@ -59,6 +66,21 @@ class Cargo:
                 held[during, list(objects).index(phase.hold.object)] = True
         poses, borne = motion.object_poses.at(t), motion.object_shares.at(t)
         return cls(objects, poses, held, borne, motion.requirements.floor)
+
+    @classmethod
+    def joined(cls, motion: Motion, groups: Sequence[Group], t: Array) -> Cargo:
+        """Return the objects of a combined motion, and how its groups hold them."""
+        whole, holders = cls.of(motion, t), dict[str, str]()
+        for group in groups:
+            part = cls.of(group.motion, t)
+            for j, name in enumerate(part.names):
+                key = group.label(name) if group.label(name) in whole.objects else name
+                i, held = whole.names.index(key), part.held[:, j]
+                whole.held[:, i] |= held
+                whole.borne[:, i] = np.maximum(whole.borne[:, i], part.borne[:, j])
+                if held.any() or key not in holders:
+                    holders[key] = group.name
+        return replace(whole, holders=holders)
 
     @property
     def names(self) -> list[str]:
@@ -109,21 +131,99 @@ class Setpoints:
         return Setpoints(*(values[index] for values in vars(self).values()))
 
 
+def group_of(name: str) -> str:
+    """Return the group in the name of a drone, point or cable; empty for a team alone."""
+    return name.rpartition(".")[0]
+
+
+class Passing(NamedTuple):
+    """Drones that are not simulated, but are where a plan has them: names (m,), places and masses.
+
+    Places are (samples, m, 3) [m], masses (m,) [kg].
+    """
+
+    names: tuple[str, ...] = ()
+    positions: Array = np.zeros((1, 0, 3))
+    masses: Array = np.zeros(0)
+
+    @classmethod
+    def of(cls, groups: Sequence[Group], start: float, t: Array) -> Passing:
+        """Return the drones of groups at times (samples,) [s] after a ``start`` on their clock."""
+        named, places, masses = list[str](), [np.zeros((len(t), 0, 3))], [np.zeros(0)]
+        for group in groups:
+            drones, team = group.motion.drones, group.motion.team
+            named += map(group.label, team.drone_names)
+            places.append(drones.at(np.clip(start + t, *drones.breaks[[0, -1]])))
+            masses.append(team.mass)
+        return cls(tuple(named), np.concatenate(places, axis=1), np.concatenate(masses))
+
+    def at(self, index: Any) -> Array:
+        """Return the places (…, m, 3) [m] at samples (…)."""
+        places: Array = np.take(self.positions, index, axis=0, mode="clip")
+        return places
+
+
+class Crew(Fleet):
+    """Teams with cables as one: their arrays and indices in a row, under the groups' names."""
+
+    def __init__(self, groups: Sequence[Group]) -> None:
+        teams = [(group.name, group.motion.team) for group in groups]
+        super().__init__(teams)
+        layouts = [team.layout for _, team in teams]
+        cables = np.cumsum([0, *(each.robots for each in layouts)]).tolist()
+        points = np.cumsum([0, *(each.points for each in layouts)]).tolist()
+        offsets: dict[str, list[int]] = dict.fromkeys(POINTS, points) | dict.fromkeys(
+            CABLES, cables
+        )
+        tables: dict[str, Any] = {
+            name: np.concatenate(
+                [getattr(each, name) + first for each, first in zip(layouts, firsts, strict=False)]
+            )
+            for name, firsts in offsets.items()
+        }
+        tables["has_leg"] = np.concatenate([each.has_leg for each in layouts])
+        own: dict[str, Any] = {
+            name: np.concatenate([getattr(team, name) for _, team in teams])
+            for name in ("cable_length", "tension", "load")
+        }
+        own |= {"robots": cables[-1], "_layout": Layout(cables[-1], points[-1], **tables)}
+        own["_points"] = tuple(
+            group.label(name) for group in groups for name in group.motion.team.point_names
+        )
+        vars(self).update(own)
+
+    @property
+    def layout(self) -> Layout:
+        """Indices of all points, cables and drones that belong together."""
+        layout: Layout = vars(self)["_layout"]
+        return layout
+
+    @property
+    def point_names(self) -> tuple[str, ...]:
+        """(points,): a.p0, a.p1, …, b.p0, …."""
+        names: tuple[str, ...] = vars(self)["_points"]
+        return names
+
+
 @dataclass(frozen=True, eq=False)
 class Task:
     """Setpoints of a flight, and the plan's hitch at their times.
+
+    Of several groups it holds the drones, vertices and cables of all that have cables.
 
     Attributes
     ----------
     team: that flies them.
     t: (samples,) [s]
     setpoints: (samples, …).
-    formed: whether the plan has a hitch (samples,).
+    formed: whether the plan has a hitch (samples,), of several groups in any.
     vertices, tensions: of the hitch (samples, points, 3) [m], (samples, n) [N]; zero without.
     taut: share of its part of the clasps' loads that a cable carries (samples, n); None: all where
         it is under tension.
     cargo: objects.
     motion: the plan, which feedback and gripped cables need; None where setpoints are made by hand.
+    groups: the tasks of several groups.
+    passing: drones that fly besides.
     """
 
     team: Team
@@ -135,15 +235,45 @@ class Task:
     taut: Array | None = None
     cargo: Cargo = field(default_factory=Cargo)
     motion: Motion | None = None
+    groups: tuple[Task, ...] = ()
+    passing: Passing = field(default_factory=Passing)
 
     @classmethod
     def of(cls, motion: Motion) -> Task:
-        """Return the task of a plan; UnsupportedError for several teams, or without cables."""
-        if len(motion.groups) > 1:
-            raise UnsupportedError("several teams in one plan; solve and simulate each team alone")
-        if not motion.team.has_cables:
+        """Return the task of a plan; UnsupportedError for drones without cables."""
+        if not motion.has_cables:
             raise UnsupportedError("single drones have no cables; simulate a hitch's plan")
         t = sample_times(motion.duration, RATE)
+        tied = [group for group in motion.groups if group.motion.team.has_cables]
+        besides = [group for group in motion.flying if group not in tied]
+        passing = Passing.of(besides, float(motion.drones.breaks[0]), t)
+        if len(motion.groups) == 1:
+            return replace(cls._alone(motion, t), passing=passing)
+        parts = tuple(cls._alone(group.motion, t) for group in tied)
+
+        def row(name: str) -> Array:
+            return np.concatenate([getattr(part, name) for part in parts], axis=1)
+
+        sent = [vars(part.setpoints).values() for part in parts]
+        setpoints = Setpoints(*(np.concatenate(x, axis=1) for x in zip(*sent, strict=True)))
+        formed = np.any([part.formed for part in parts], axis=0)
+        return cls(
+            Crew(tied),
+            t,
+            setpoints,
+            formed,
+            row("vertices"),
+            row("tensions"),
+            row("taut"),
+            Cargo.joined(motion, tied, t),
+            motion,
+            parts,
+            passing,
+        )
+
+    @classmethod
+    def _alone(cls, motion: Motion, t: Array) -> Task:
+        """Return the task of one team at times (samples,) [s]."""
         states = states_at(motion, t)
         formed = np.asarray(states.formed, np.bool_)
         taut = PiecewisePolynomial(motion.drones.breaks, tautness(motion))
@@ -158,6 +288,17 @@ class Task:
             Cargo.of(motion, t),
             motion,
         )
+
+    @property
+    def parts(self) -> tuple[Task, ...]:
+        """Tasks of all groups; itself if there are not several."""
+        return self.groups or (self,)
+
+    def clasped(self, flags: Sequence[Array]) -> Flags:
+        """Return flags (…) of every group as those of its clasps (…, clasps)."""
+        counts = [len(part.team.layout.clasps) for part in self.parts]
+        each = zip(flags, counts, strict=True)
+        return np.concatenate([np.repeat(x[..., None], count, axis=-1) for x, count in each], -1)
 
     @property
     def duration(self) -> float:

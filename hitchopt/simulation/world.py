@@ -9,6 +9,7 @@ constraint keeps the lengths of its edges. It has no bending stiffness and no se
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +21,7 @@ from hitchopt.geometry.vectors import length
 from hitchopt.hitch import GRAVITY
 from hitchopt.objects import Section, SolidObject
 from hitchopt.simulation.ropes import ROUNDING, Ropes
+from hitchopt.simulation.task import group_of
 from hitchopt.values import Array
 
 Index = NDArray[np.intp]
@@ -116,15 +118,23 @@ class World:
     """
 
     def __init__(
-        self, ropes: Ropes, masses: Array, ground: float, objects: dict[str, SolidObject]
+        self,
+        ropes: Ropes,
+        masses: Array,
+        ground: float,
+        objects: dict[str, SolidObject],
+        names: Sequence[str] = (),
     ) -> None:
         mujoco = self._mujoco = _imported_mujoco()
         self.ropes, self.ground, self.objects = ropes, ground, objects
         self.masses = np.array(masses, dtype=np.float64)
         self.inertia: Array = np.outer(masses, (BODY_RADIUS * np.array(RADII_OF_GYRATION)) ** 2)
+        count = len(ropes.lengths)
+        self.drone_names = list(names) or [f"{end}{k}" for k in range(count) for end in "qr"]
+        self.groups = np.array([group_of(name) for name in self.drone_names[::2]])
+        self.cable_names = cable_names(self.drone_names)
         self.model = model = mujoco.MjModel.from_xml_string(_describe(self))
         self.data = mujoco.MjData(model)
-        self.drone_names = [f"{end}{k}" for k in range(len(ropes.lengths)) for end in "qr"]
         things = [f"{PREFIX}{name}" for name in self.objects]
         self.drone_bodies, self.object_bodies = (
             np.array([model.body(name).id for name in names], dtype=np.intp)
@@ -217,6 +227,11 @@ class World:
         return np.concatenate([data.xpos[bodies], data.xquat[bodies]], axis=-1)
 
 
+def cable_names(drones: Sequence[str]) -> list[str]:
+    """Return the names (n,) of the cables between drones q0, r0, …: cable 0, …, or a.cable 0, …."""
+    return ["cable ".join(name.rsplit("q", 1)) for name in drones[::2]]
+
+
 def _imported_mujoco() -> Any:
     """Return the module; its warnings, which end a run, are not written to a file as well."""
     try:
@@ -256,9 +271,10 @@ def check_valid(world: World, time: float) -> None:
         ("penetration", depths, MOST_PENETRATION * ropes.preset.diameter, "m"),
     ):
         if len(values) and values[worst := int(np.argmax(values))] > limit:
-            where = f"cable {world.edge_cables[worst]}"
-            if quantity == "penetration":
-                where = f"cables {pairs[worst][0]} and {pairs[worst][1]}"
+            which = (
+                pairs[worst] if quantity == "penetration" else world.edge_cables[worst : worst + 1]
+            )
+            where = " and ".join(world.cable_names[k] for k in which)
             excess = f"{quantity} of {values[worst]:.4g} {unit} is beyond {limit:.4g} {unit}"
             raise InvalidRunError(quantity, f"{excess} at {where}", time, where)
 
@@ -275,10 +291,13 @@ def _describe(world: World) -> str:
     axes = _text([BODY_RADIUS, BODY_RADIUS, BODY_HALF_HEIGHT])
     meets = f'contype="0" conaffinity="{GROUND | OBJECTS}"'
     ellipsoid = f'<geom type="ellipsoid" size="{axes}" {meets}/>'
+    frictions = np.broadcast_to(ropes.friction, ropes.lengths.shape)
+    masses = ropes.density * ropes.segment_lengths
     for k, (count, size) in enumerate(zip(ropes.segments, ropes.segment_lengths, strict=True)):
-        names = [f"q{k}", *(f"c{k}_{i}" for i in range(1, count)), f"r{k}"]
+        q, r = world.drone_names[2 * k : 2 * k + 2]
+        names = [q, *(f"c{k}_{i}" for i in range(1, count)), r]
         for i, name in enumerate(names):
-            mass, turning, moves, shape = ropes.density * size, TINY_INERTIA, SLIDES, ball
+            mass, turning, moves, shape = masses[k], TINY_INERTIA, SLIDES, ball
             if i in (0, count):  # a drone, and half of the last segment
                 drone, moves, shape = 2 * k + (i == count), "<freejoint/>", ellipsoid
                 mass = world.masses[drone] + 0.5 * mass
@@ -293,11 +312,11 @@ def _describe(world: World) -> str:
             f'<flex name="cable{k}" dim="1" radius="{radius}" '
             f'body="{" ".join(names)}" element="{elements}"><contact contype="{ROPES}" '
             f'conaffinity="{ROPES | GROUND}" condim="3" '
-            f'friction="{_text(ropes.friction)} 0 0" {CONTACT_SOLVER} '
+            f'friction="{_text(frictions[k])} 0 0" {CONTACT_SOLVER} '
             f'selfcollide="none" margin="0"/></flex>'
         )
         equalities += f'<flex flex="cable{k}" solref="{edge} 1" {EDGE_IMPEDANCE}/>'
-    ground_friction = _text(max(ropes.friction, LEAST_GROUND_FRICTION))
+    ground_friction = _text(max(np.max(frictions), LEAST_GROUND_FRICTION))
     meshes, things = _describe_objects(objects)
     step, ratio = _text(ropes.preset.time_step), FIRM if objects else 1
     return f"""<mujoco>

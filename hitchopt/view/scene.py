@@ -7,7 +7,7 @@ A ghost, beside a plan, is the scene of another plan or of a flight that was sim
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -138,7 +138,10 @@ def ghost_scene(path: Path, motion: Motion) -> Scene:
     except BROKEN as error:
         raise FileError(f"{path}: not the recording of a flight: {error}") from error
     first, t = arrays["cables"], arrays["t"]
-    if len(first) != motion.team.robots + 1 or np.sum(t >= 0.0) < 2:
+    if (
+        len(first) != sum(group.motion.team.robots for group in motion.groups) + 1
+        or np.sum(t >= 0.0) < 2
+    ):
         raise FileError(f"{path}: a flight of {len(first) - 1} cables; name one of this plan")
     return recorded_scene(motion, t, arrays["nodes"], first, arrays["poses"])
 
@@ -147,6 +150,8 @@ def recorded_scene(
     motion: Motion, t: Array, nodes: NDArray[Any], first: NDArray[Any], poses: NDArray[Any]
 ) -> Scene:
     """Return the scene of a simulated flight, whose drones' attitudes are not recorded.
+
+    Groups without cables, and what flies besides, are where the plan has them.
 
     Parameters
     ----------
@@ -158,11 +163,16 @@ def recorded_scene(
     flown = t >= 0.0
     places = [np.linspace(a, b - 1, POINTS).round().astype(int) for a, b in pairwise(first)]
     curves = np.stack([nodes[flown][:, each] for each in places], axis=1).astype(np.float64)
-    drones = curves[:, :, [0, -1]].reshape(len(curves), -1, 3)
-    upright = np.broadcast_to([1.0, 0.0, 0.0, 0.0], (*drones.shape[:2], 4))
-    thrusts, forces = np.zeros(drones.shape[:2]), np.zeros_like(drones)
-    objects, radius = poses[flown].astype(np.float64), scene_of(motion, 0).radius
-    return Scene(drones, upright, thrusts, forces, curves, objects, motion, t[flown], radius)
+    plan = scene_at(motion, t[flown])
+    own = [group.motion.team.robots * (group not in motion.others) for group in motion.flying]
+    each = [(group.motion.team, n) for group, n in zip(motion.flying, own, strict=True)]
+    drones = np.concatenate([np.full(team.drones, n > 0) for team, n in each])
+    cables = np.concatenate([np.full(team.robots, n > 0) for team, n in each])
+    plan.drones[:, drones] = curves[:, :, [0, -1]].reshape(len(curves), -1, 3)
+    plan.quaternions[:, drones] = [1.0, 0.0, 0.0, 0.0]
+    plan.thrusts[:, drones], plan.cable_forces[:, drones] = 0.0, 0.0
+    plan.cables[:, cables], plan.objects[:, : poses.shape[1]] = curves, poses[flown]
+    return replace(plan, radius=scene_of(motion, 0).radius)
 
 
 class Concerned(NamedTuple):
