@@ -10,7 +10,7 @@ from typing import Any
 import hitchopt as ho
 from hitchopt.cli.failures import exit_infeasible
 from hitchopt.cli.options import PATH, command, option, plan_path
-from hitchopt.cli.output import ProgressBar, say, span_text, table
+from hitchopt.cli.output import ProgressBar, record, say, span_text, table
 from hitchopt.errors import InputError
 
 # [m] Bounds of errors if --tolerance stands alone: cables cut to a centimetre, drones flown by
@@ -45,7 +45,8 @@ def statics(
 
     What is not given is the plan's: lengths, density, friction, and the drones' controllers. With
     friction a vertex rests anywhere in its band, as the clasps' history has it. Writes statics.json
-    and statics.png to DIR. Ends with 3 if a cable is slack or a clasp does not hold.
+    and statics.png to DIR, of several teams to DIR/TEAM. Ends with 3 if a cable is slack or a clasp
+    does not hold.
     """
     import numpy as np
 
@@ -66,26 +67,32 @@ def statics(
         chosen["cable_length"] = _lengths(chosen["cable_length"])
     if not 0 < max(samples, len(times)) <= MAX_TIMES or samples < 1:
         raise InputError("samples", samples, f"from 1 to {MAX_TIMES}", "25 are usual")
-    motion = read_plan(path)
-    t = list(times) if times else taut_times(motion, samples)
-    with ProgressBar("settling"):
-        if parsed:
-            ranges = ranges_of(motion, t, **parsed, **chosen)
-            settled = ranges.settled
-        else:
-            ranges, settled = None, settle(motion, t, **chosen)
-        save_statics(path.parent, settled, ranges)
-    content = statics_content(settled, ranges)
-    say(_statics_tables(content), directory=str(path.parent), statics=content)
-    winds, feeds = (
-        conditions_of(motion.team, **chosen)[name] for name in ("integral", "feed_forward")
-    )
-    for note in undetermined_tension(
-        integral=bool(np.isinf(winds).any()), feed_forward=bool(feeds.all())
-    ):
-        say(f"note: {note}")
-    say(f"statics.json and statics.png are in {path.parent}")
-    if loose := [*content["slack_cables"], *content["loose_clasps"]]:
+    motion, contents, loose = read_plan(path), dict[str, Any](), list[str]()
+    tied = [group for group in motion.groups if group.motion.team.has_cables]
+    for group in tied or motion.groups:
+        own, place = group.motion, path.parent / group.name
+        t = list(times) if times else taut_times(own, samples)
+        with ProgressBar("settling"):
+            if parsed:
+                ranges = ranges_of(own, t, **parsed, **chosen)
+                settled = ranges.settled
+            else:
+                ranges, settled = None, settle(own, t, **chosen)
+            save_statics(place, settled, ranges)
+        content = contents[group.name] = statics_content(settled, ranges)
+        tables = _statics_tables(content)
+        say(f"Team {group.name}\n{tables}" if group.name else tables)
+        winds, feeds = (
+            conditions_of(own.team, **chosen)[name] for name in ("integral", "feed_forward")
+        )
+        for note in undetermined_tension(
+            integral=bool(np.isinf(winds).any()), feed_forward=bool(feeds.all())
+        ):
+            say(f"note: {note}")
+        say(f"statics.json and statics.png are in {place}")
+        loose += map(group.label, (*content["slack_cables"], *content["loose_clasps"]))
+    record(directory=str(path.parent), statics=contents.get("", contents))
+    if loose:
         say(f"slack, or without hold: {', '.join(loose)}", err=True)
         exit_infeasible()
 

@@ -58,6 +58,7 @@ def evaluate(
 
     task = read_task(plan_path(plan).parent)
     if markers:
+        task.refuse_several("evaluate")
         _say_markers(task)
         return
     if recording is None:

@@ -226,6 +226,7 @@ def evaluate(
         task = Task.of(plan.motion)
     else:
         task = plan if isinstance(plan, Task) else read_task(path("plan", plan))
+    task.refuse_several("evaluate")
     if flight.simulated is not None and start is None:
         start = 0.0  # Its clock is the plan's
     try:

@@ -272,10 +272,11 @@ class Motion(OneLine):
         """Whether any of its teams has cables."""
         return any(each.motion.team.has_cables for each in self.groups)
 
-    def refuse_several(self, what: str) -> None:
+    def refuse_several(self, what: str, *, others: bool = True) -> None:
         """Raise UnsupportedError for several groups, or others, which ``what`` does not know."""
-        if len(self.flying) > 1:
-            names = ", ".join(each.name or "the team" for each in self.flying)
+        flying = self.flying if others else self.groups
+        if len(flying) > 1:
+            names = ", ".join(each.name or "the team" for each in flying)
             words = f"{what} knows one team alone, and here fly {names}"
             raise UnsupportedError(f"{words}; plan that team in a file of its own")
 

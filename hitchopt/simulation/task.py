@@ -294,6 +294,11 @@ class Task:
         """Tasks of all groups; itself if there are not several."""
         return self.groups or (self,)
 
+    def refuse_several(self, what: str) -> None:
+        """Raise UnsupportedError for several groups, which ``what`` does not know."""
+        if self.motion is not None:
+            self.motion.refuse_several(what, others=False)
+
     def clasped(self, flags: Sequence[Array]) -> Flags:
         """Return flags (…) of every group as those of its clasps (…, clasps)."""
         counts = [len(part.team.layout.clasps) for part in self.parts]

@@ -193,11 +193,12 @@ def settle(plan: Plan | Motion, t: ArrayLike, **conditions: Any) -> Settled:
     Raises
     ------
     InputError: a time without hitch, or a condition that is wrong in itself.
-    UnsupportedError: single drones, or objects that are carried.
+    UnsupportedError: single drones, several teams, or objects that are carried.
     InfeasibleError: there is no rest.
     """
     instance("plan", plan, Plan, Motion)
     motion = plan.motion if isinstance(plan, Plan) else plan
+    motion.refuse_several("settle", others=False)
     known = conditions_of(motion.team, **conditions)
     shape, samples = samples_of(motion, t, known)
     size = max(1, BLOCK // motion.team.robots)

@@ -184,11 +184,12 @@ def tolerance(
     Raises
     ------
     InputError: a time without hitch, a negative size, or a wrong condition.
-    UnsupportedError: a plan without a taut hitch.
+    UnsupportedError: a plan without a taut hitch, or of several teams.
     InfeasibleError: there is no rest.
     """
     instance("plan", plan, Plan, Motion)
     motion = plan.motion if isinstance(plan, Plan) else plan
+    motion.refuse_several("tolerance", others=False)
     given = {"cable": cable_error, "position": position_error, "force": force_error}
     errors = {name: ErrorSize.of(f"{name}_error", size) for name, size in given.items()}
     times = taut_times(motion) if t is None else np.atleast_1d(as_array(t))

@@ -217,7 +217,7 @@ def test_ropes_that_become_firmer_do_not_jerk() -> None:
     ("pull", "shift", "steps", "words", "where"),
     [
         (12.0, 0.0, 2000, "of .* ropes may have passed each other", "cable 1"),  # strain, tension
-        (0.0, 0.006, 1, r"penetration of 0\.00", "cables 0 and 1"),
+        (0.0, 0.006, 1, r"penetration of 0\.00", "cable 0 and cable 1"),
         (1e12, 0.0, 1, r"its state is no longer finite, t = 0\.250 s", "all"),
     ],
 )
