@@ -245,8 +245,8 @@ class Task:
             raise UnsupportedError("single drones have no cables; simulate a hitch's plan")
         t = sample_times(motion.duration, RATE)
         tied = [group for group in motion.groups if group.motion.team.has_cables]
-        besides = [group for group in motion.flying if group not in tied]
-        passing = Passing.of(besides, float(motion.drones.breaks[0]), t)
+        single = [group for group in motion.groups if not group.motion.team.has_cables]
+        passing = Passing.of([*single, *motion.others], float(motion.drones.breaks[0]), t)
         if len(motion.groups) == 1:
             return replace(cls._alone(motion, t), passing=passing)
         parts = tuple(cls._alone(group.motion, t) for group in tied)

@@ -1,0 +1,173 @@
+"""Hitches of several groups in one world: each is judged as alone, and named by its group."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from groups import beside, crossing, moved, with_swarm
+from plans import planned
+from scipy.spatial.distance import pdist
+from scripted import world_of
+
+import hitchopt as ho
+from hitchopt.checks import certify
+from hitchopt.cli import main
+from hitchopt.errors import UnsupportedError
+from hitchopt.mission.problem import HitchStart, Problem
+from hitchopt.motion.combined import combined
+from hitchopt.motion.motion import Group, Motion
+from hitchopt.plan import Plan
+from hitchopt.simulation.contacts import touching
+from hitchopt.simulation.judgement import nearest, simulate
+from hitchopt.simulation.report import ending, save_simulation, summary
+from hitchopt.simulation.settings import CALM, Loss, Settings
+from hitchopt.simulation.task import Task
+from hitchopt.view.scene import ghost_scene
+
+BRIEF = Settings(pull_test=False, friction=0.1)
+
+
+def waiting(robots: int, edge: float, **of_team: float) -> Motion:
+    """Return a regular hitch with legs of 0.5 m that hovers for 0.2 s."""
+    own = ho.Team(robots, edge + 1.0, **of_team)  # type: ignore[arg-type]
+    start = HitchStart(ho.regular_polygon(robots, edge), 2.0)
+    return ho.solve(Problem(own, start, (ho.Hold(0.2),))).motion
+
+
+@pytest.mark.slow
+def test_a_group_flies_as_it_does_alone() -> None:
+    """The other group is 30 m away, with other cables."""
+    ring, square = waiting(3, 1.3), waiting(4, 1.1, cable_density=0.02, tension=0.6)
+    far = moved(square, 30.0, 0.0, 0.0)
+    both = simulate(Task.of(combined([Group("a", ring), Group("b", far)])), BRIEF)
+    record, drones = both.flight.record, slice(0, 0)
+    clasps = cables = slice(0, 0)
+    for name, motion in (("a", ring), ("b", far)):
+        alone = simulate(Task.of(motion), BRIEF)
+        n, own = motion.team.robots, alone.flight.record
+        drones = slice(drones.stop, drones.stop + 2 * n)
+        clasps = cables = slice(cables.stop, cables.stop + n)
+        np.testing.assert_allclose(record.drones[:, drones], own.drones, atol=2e-3)
+        np.testing.assert_allclose(record.vertices[-50:, clasps], own.vertices[-50:], atol=5e-3)
+        means = [np.mean(x[-50:], axis=0) for x in (record.tensions[:, cables], own.tensions)]
+        np.testing.assert_allclose(means[0], means[1], rtol=0.02)
+        for one, other in zip(both.outcome.clasps[clasps], alone.outcome.clasps, strict=True):
+            assert one.name == f"{name}.{other.name}"
+            assert (one.holds, one.linking) == (True, other.linking)
+            assert one.least_bearing == pytest.approx(other.least_bearing, rel=1e-9)
+    assert both.outcome.succeeded
+    assert ending(both) == "every vertex holds"
+    (first, second), apart, time = nearest(both.flight)
+    least = [np.min(pdist(row)) for row in record.drones]
+    assert (apart, time) == (min(least), record.t[np.argmin(least)])
+    names = both.flight.task.team.drone_names
+    row = record.drones[np.argmin(least)]
+    assert np.linalg.norm(row[names.index(first)] - row[names.index(second)]) == apart
+    content = summary(both)
+    assert content["density"] == {
+        "simulated": [0.01] * 3 + [0.02] * 4,
+        "planned": [0] * 3 + [0.02] * 4,
+    }
+    assert [each["cable"] for each in content["tension"]][2:4] == ["a.cable 2", "b.cable 0"]
+    assert {"a.p2", "b.p3"} < content["vertex_error"].keys()
+
+
+def test_cables_and_drones_of_two_groups_touch() -> None:
+    ropes = world_of(1.0, 1.0).ropes
+    world = type(world_of(1.0))(ropes, np.full(4, 0.13), 0.0, {}, ("a.q0", "a.r0", "b.q0", "b.r0"))
+    line = np.linspace(-0.5, 0.5, int(ropes.segments[0]) + 1)[:, None]
+    high = np.array([0.0, 0.0, 1.0])
+    for height, pairs in ((0.008, [("a.cable 0", "b.cable 0")]), (0.1, [])):
+        world.place([line * [1.0, 0.0, 0.0] + high, line * [0.0, 1.0, 0.0] + high * (1.0 + height)])
+        assert touching(world) == pairs
+    there = high + [[0.5, 0.0, 0.02], [0.0, 0.5, 0.9], [0.0, 0.5, 0.9]]
+    found = touching(world, ("show.d0", "show.d1", "show.d2"), there)
+    assert found == [("a.r0", "show.d0"), ("show.d0", "a.cable 0")]  # two that pass do not count
+
+
+def test_what_has_no_cables_flies_where_it_is_planned(tmp_path: Path) -> None:
+    swarm, tied = with_swarm(), beside(tmp_path)
+    for motion, first in ((swarm, "swarm.d0"), (tied, "show.d0")):
+        task = Task.of(motion)
+        own = [group for group in motion.groups if group.motion.team.has_cables]
+        names = [g.label(x) for g in motion.flying for x in g.motion.team.drone_names]
+        assert (*task.team.drone_names, *task.passing.names) == tuple(names)
+        assert task.passing.names[0] == first
+        assert len(task.team.drone_names) == sum(g.motion.team.drones for g in own)
+    task = Task.of(swarm)
+    t = task.t[[0, 100, -1]]
+    np.testing.assert_allclose(
+        np.concatenate([task.setpoints.positions, task.passing.positions], axis=1)[[0, 100, -1]],
+        swarm.drones.at(t),
+        atol=1e-9,
+    )
+    show = tied.others[0].motion.drones
+    task = Task.of(tied)
+    np.testing.assert_allclose(task.passing.positions[0, :6], show.at(show.breaks[0]), atol=1e-9)
+    with pytest.raises(UnsupportedError, match="single drones"):
+        Task.of(planned("swarms/circle_6").motion)
+
+
+@pytest.mark.slow
+def test_objects_are_held_by_their_own_group() -> None:
+    carry, far = planned("carry_box").motion, moved(planned("triangle").motion, 0.0, 9.0, 0.0)
+    both = Task.of(combined([Group("far", far), Group("a", carry)])).cargo
+    alone = Task.of(carry).cargo
+    assert both.names == alone.names
+    assert set(both.holders.values()) == {"a"}
+    count = len(alone.held)
+    np.testing.assert_array_equal(both.held[:count], alone.held)
+    np.testing.assert_allclose(both.borne[:count], alone.borne, atol=1e-9)
+    np.testing.assert_allclose(both.poses[:count], alone.poses, atol=1e-9)
+
+
+def test_what_knows_one_team_refuses_several(tmp_path: Path) -> None:
+    motion = crossing()
+    plan = Plan(motion, certify(motion), "")
+    folder = plan.save(tmp_path / "plan")
+    recording = tmp_path / "flight.csv"
+    rows = "".join(f"{0.01 * i:.2f},q0,0,0,1\n" for i in range(100))
+    recording.write_text(f"t,name,x,y,z\n{rows}", encoding="utf-8")
+    task = Task.of(motion)
+    for call in (
+        lambda: ho.settle(plan, 0.5),
+        lambda: ho.tolerance(plan, cable_error=0.01),
+        lambda: ho.evaluate(recording, folder),
+        lambda: ho.calibrate(recording, folder),
+        lambda: simulate(task, replace(BRIEF, feedback=True)),
+        lambda: simulate(task, replace(BRIEF, lost=Loss("a.q0", 1.0))),
+    ):
+        with pytest.raises(UnsupportedError, match="one team alone, and here fly a, b"):
+            call()
+    result = CliRunner().invoke(main, ["statics", str(folder), "--at", "8", "--stiffness", "40"])
+    assert result.exit_code == 0, result.output
+    for group in motion.groups:
+        found = ho.settle(group.motion, 8.0, stiffness=40.0)
+        content = json.loads((folder / group.name / "statics.json").read_text())
+        tensions = [cable["tension"][0] for cable in content["cables"]]
+        np.testing.assert_allclose(tensions, found.tensions, rtol=1e-9)
+        assert f"Team {group.name}" in result.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("given", [{}, {"controller": "mellinger"}])
+def test_two_teams_cross_in_one_hall(given: dict[str, str], tmp_path: Path) -> None:
+    motion = crossing()
+    done = simulate(Task.of(motion), Settings(perturbations=CALM, friction=0.1, **given))  # type: ignore[arg-type]
+    assert done.outcome.hitched
+    assert done.outcome.failures == ()
+    assert {clasp.name[0] for clasp in done.outcome.clasps} == {"a", "b"}
+    assert all(0.0 < clasp.moved < 0.1 for clasp in done.outcome.clasps)
+    assert nearest(done.flight)[1] > 0.25
+    save_simulation(tmp_path, done, motion)
+    rows = csv.DictReader((tmp_path / "drones.csv").open(encoding="utf-8"))
+    assert {row["drone"] for row in rows} == set(motion.team.drone_names)
+    scene = ghost_scene(tmp_path, motion)
+    reached = scene.at(motion.duration).drones
+    np.testing.assert_allclose(reached, motion.drones.at(motion.duration), atol=0.1)
