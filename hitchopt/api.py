@@ -289,7 +289,8 @@ def simulate(
 
     Parameters
     ----------
-    plan: a plan of a team with cables, or the directory that one was saved to.
+    plan: a plan with cables, or the directory that one was saved to. The hitches of several teams
+        fly in one world; single drones beside them, and others, are on their set points.
     preset: ``fast``: whether it holds; ``accurate``: with correct friction, five times slower.
     perturbed: whether there are the usual disturbances of a flight indoors.
     perturbations: fields of ``Perturbations`` that differ from those, such as ``wind`` [N].
@@ -302,7 +303,7 @@ def simulate(
     ------
     InputError: an argument that is wrong in itself.
     CertificateError: the plan's certificate does not hold.
-    UnsupportedError: mujoco is not installed, or single drones.
+    UnsupportedError: mujoco is not installed, single drones alone, or several teams with feedback.
     """
     from hitchopt.simulation.judgement import simulate as simulated
     from hitchopt.simulation.settings import CALM, PRESETS, Settings, settings_of

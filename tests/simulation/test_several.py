@@ -166,8 +166,8 @@ def test_two_teams_cross_in_one_hall(given: dict[str, str], tmp_path: Path) -> N
     assert all(0.0 < clasp.moved < 0.1 for clasp in done.outcome.clasps)
     assert nearest(done.flight)[1] > 0.25
     save_simulation(tmp_path, done, motion)
-    rows = csv.DictReader((tmp_path / "drones.csv").open(encoding="utf-8"))
-    assert {row["drone"] for row in rows} == set(motion.team.drone_names)
+    lines = (tmp_path / "drones.csv").read_text(encoding="utf-8").splitlines()
+    assert {row["drone"] for row in csv.DictReader(lines)} == set(motion.team.drone_names)
     scene = ghost_scene(tmp_path, motion)
     reached = scene.at(motion.duration).drones
     np.testing.assert_allclose(reached, motion.drones.at(motion.duration), atol=0.1)
