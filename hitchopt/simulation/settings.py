@@ -131,7 +131,7 @@ class Loss(OneLine):
     @classmethod
     def parsed(cls, text: str) -> Loss:
         """Return the loss that ``DRONE@SECONDS`` names; InputError where it is none."""
-        if (match := re.fullmatch(r"(\w+)@(\d+(?:\.\d*)?)", text)) is None:
+        if (match := re.fullmatch(r"([\w.-]+)@(\d+(?:\.\d*)?)", text)) is None:
             raise InputError("lose", text, "DRONE@SECONDS", "write q0@12.5")
         return cls(match[1], float(match[2]))
 
