@@ -5,13 +5,13 @@ from __future__ import annotations
 from hitchopt.mission.loading import problem_schema
 from hitchopt.values.fields import Schema
 
-FIRST = ("Problem", "SwarmProblem")
+FIRST = ("Problem", "SwarmProblem", "TeamsProblem")
 """Definitions of whole files, which open the page."""
 
 INTRODUCTION = """# Problem file
 
-A problem file is YAML with the keys of {ref}`one of two kinds <keys-problem>`: a team with cables and its
-mission, or {ref}`single drones <keys-swarmproblem>`. Every key that is not listed is an error. Lengths are in
+A problem file is YAML with the keys of {ref}`one of three kinds <keys-problem>`: a team with cables and its
+mission, {ref}`single drones <keys-swarmproblem>`, or {ref}`several teams <keys-teamsproblem>`. Every key that is not listed is an error. Lengths are in
 metres, times in seconds, angles in degrees where a key ends in `_deg`. `hitchopt init` writes a file to start
 from, and `hitchopt init --schema` a JSON Schema by which editors complete and check keys.
 """
@@ -19,6 +19,7 @@ from, and `hitchopt init --schema` a JSON Schema by which editors complete and c
 HEADINGS = {
     "Problem": "A team with cables",
     "SwarmProblem": "Single drones",
+    "TeamsProblem": "Several teams",
 }
 
 
