@@ -317,7 +317,7 @@ def combine(plan: Plan, other: Plan, at: float = 0.0, names: tuple[str, str] = (
 
     Raises
     ------
-    InputError: arguments that are wrong in themselves, or arenas that differ.
+    InputError: arguments that are wrong in themselves.
     """
     instance("plan", plan, Plan)
     instance("other", other, Plan)

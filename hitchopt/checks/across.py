@@ -38,6 +38,7 @@ from hitchopt.motion.combined import same_object
 from hitchopt.motion.motion import Group, Motion
 from hitchopt.motion.retiming import on_breaks_of, padded
 from hitchopt.objects import SolidObject
+from hitchopt.objects.placing import STILL
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
 from hitchopt.trajectory.piecewise import merged_breaks
@@ -170,8 +171,8 @@ def _objects(one: Group, other: Group) -> Iterator[tuple[str, SolidObject, Enclo
     shared = other.motion.requirements.objects
     for index, (name, body) in enumerate(one.motion.requirements.objects.items()):
         pose = one.motion.object_poses.coefficients[:, index]
-        moves = np.any(pose != pose[:1, :, :1])
-        if moves or name not in shared or not same_object(body, shared[name]):
+        away = np.max(np.abs(pose - body.pose[:, None])) > STILL  # where the other looks for it
+        if away or name not in shared or not same_object(body, shared[name]):
             yield name, body, Enclosed(pose)
 
 

@@ -8,11 +8,14 @@ from typing import Any
 
 from hitchopt.errors import FileError, InputError
 from hitchopt.mission.objects import with_outlines
+from hitchopt.mission.others import NAME
 from hitchopt.mission.problem import Problem, SwarmProblem
 from hitchopt.mission.teams_problem import AnyProblem, TeamsProblem
 from hitchopt.objects import SolidObject
 from hitchopt.storage.yaml_file import parse_yaml, plain, read_node, read_text
-from hitchopt.values.fields import Schema, keys_of, record_schema, values_of
+from hitchopt.values import MAPPING, misfit
+from hitchopt.values.fields import Kind, Schema, keys_of, named, record_schema, values_of
+from hitchopt.values.units import START_TIME
 
 _KINDS = {list: "a list", str: "only text", bool: "true or false"}
 
@@ -75,13 +78,23 @@ def asked_in(text: str, objects: Mapping[str, SolidObject]) -> dict[str, Any]:
     """
     data: Any = parse_yaml(text, "problem")
     given = data.get("objects") if isinstance(data, dict) else None
-    if isinstance(data, dict):
-        data.pop("others", None)  # no part of the request: the plan has their motions
+    others = data.pop("others", None) if isinstance(data, dict) else None  # files may be gone
     for name, each in (given or {}).items():
         if isinstance(each, dict) and "file" in each and name in objects:
             del each["file"]
             each["outline"] = objects[name].section.core.tolist()
-    return any_problem_from_dict(data).asked
+    begins = BEGINS.check("others", others or {})
+    return any_problem_from_dict(data).asked | {"others": begins}
+
+
+def _begins(key: str, value: Any) -> dict[str, float]:
+    """Return when a plan that flies besides begins [s], in a problem's text."""
+    if not isinstance(value, dict):
+        raise misfit(key, value, MAPPING)
+    return {"at": START_TIME.check(f"{key}.at", value.get("at", 0.0))}
+
+
+BEGINS = named(Kind((MAPPING,), _begins, {}), NAME)
 
 
 def load_problem(path: str | Path) -> Problem:
@@ -122,7 +135,8 @@ def any_problem_from_dict(data: Mapping[str, object], folder: Path = Path()) -> 
     if isinstance(values, dict):
         record = TeamsProblem if "teams" in values else record
         values = with_outlines(values, folder)
-        for other in (values.get("others") or {}).values():
+        others = values.get("others")
+        for other in others.values() if isinstance(others, dict) else ():
             if isinstance(other, dict) and isinstance(other.get("plan"), str) and other["plan"]:
                 other["plan"] = str(folder / other["plan"])
     remedies = {} if record is TeamsProblem else FOREIGN[single]

@@ -16,8 +16,8 @@ from hitchopt.mission.problem import Problem, SwarmProblem
 from hitchopt.mission.solving import solve_problem, solve_swarm
 from hitchopt.mission.teams_problem import AnyProblem, TeamsProblem
 from hitchopt.motion.combined import combined
-from hitchopt.motion.motion import JOINT, WAIT, Group, Motion, Phase, joined_motions
-from hitchopt.motion.retiming import cut, padded, resting
+from hitchopt.motion.motion import WAIT, Group, Motion, Phase, joined_motions
+from hitchopt.motion.retiming import cut, padded, resting, shifted
 from hitchopt.planners.schedule import STEP, Blocked, Placed, Schedule, Track
 from hitchopt.steps.certified_motions import Certified, infeasible
 from hitchopt.trajectory import PiecewisePolynomial
@@ -43,9 +43,7 @@ def solve_any(
 
     Beside plans of somebody else a team may wait before every step, so as to keep off.
     """
-    if isinstance(problem, TeamsProblem):
-        return solve_teams(problem, progress, optimiser=optimiser)
-    if problem.others:
+    if isinstance(problem, TeamsProblem) or problem.others:
         return solve_teams(problem, progress, optimiser=optimiser)
     if isinstance(problem, SwarmProblem):
         return solve_swarm(problem, progress)
@@ -197,7 +195,11 @@ class _Item:
         ]
         end = max(delay + motion.duration for name, delay, motion in starts if name in self.row)
         for name, delay, motion in starts:
-            flown[name] += _within(motion, delay, end, flies=name in self.row)
+            if name in self.row:
+                flown[name].append(padded(shifted(motion, delay), 0.0, end))
+            else:
+                wait = replace(motion.phases[0], name=WAIT, tension=None, remark="")
+                flown[name].append(resting(motion, end, wait))
         return end
 
 
@@ -215,20 +217,6 @@ def _one_wait(motion: Motion) -> Motion:
         else:
             phases.append(phase)
     return motion.replaced(phases=tuple(phases))
-
-
-def _within(motion: Motion, delay: float, end: float, *, flies: bool) -> Iterator[Motion]:
-    """Yield the parts of a motion that begins after a delay, and rests before and until the end."""
-    wait = replace(motion.phases[0], name=WAIT, tension=None, remark="")
-    if not flies:
-        yield resting(motion, end, wait)
-        return
-    if delay > JOINT:
-        yield resting(motion, delay, wait, first=True)
-    yield motion
-    if (left := end - delay - motion.duration) > JOINT:
-        wait = replace(motion.phases[-1], name=WAIT, tension=None, remark="")
-        yield resting(motion, left, wait)
 
 
 def _moved(motion: Motion) -> frozenset[str]:

@@ -22,11 +22,12 @@ from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.motion.motion import JOINT, CableState, Group, Motion, Phase
 from hitchopt.motion.retiming import on_breaks_of, padded
 from hitchopt.objects import SolidObject
+from hitchopt.objects.placing import STILL
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import merged_breaks
 
 NAME = re.compile(r"[^\W\d][\w-]*")
-"""What a group may be called; groups of a plan that flies besides as plan.group."""
+"""Names of groups; one of a plan that flies besides is plan.group."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,18 +129,15 @@ def _shared(
     limits: Limits = replace(each[0].limits, tracking=tracking)
     prisms = {prism.corners.tobytes(): prism for one in each for prism in one.keep_out}
     objects, poses = dict[str, SolidObject](), list[Any]()
+    degree = max(motion.object_poses.degree for motion in whole)
     for group, motion, one in zip(groups, whole, each, strict=True):
         for index, (name, body) in enumerate(one.objects.items()):
-            pose = motion.object_poses.coefficients[:, index]
+            pose = motion.object_poses.elevated(degree).coefficients[:, index]
             key = group.label(name) if name in objects else name
-            known = (
-                name in objects
-                and same_object(objects[name], body)
-                and not np.any(np.ptp(pose, axis=-1))
-            )
-            if not known:
+            obstacle = np.max(np.abs(pose - body.pose[:, None])) <= STILL
+            if not (obstacle and name in objects and same_object(objects[name], body)):
                 objects[key] = body
-                poses.append(motion.object_poses.elevated(7).coefficients[:, index])
+                poses.append(pose)
     arenas = [one.arena for one in each if one.arena is not None]
     arena = None
     if len(arenas) == len(each):  # each stays in its own

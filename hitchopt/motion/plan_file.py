@@ -576,17 +576,17 @@ def check_request(wanted: Mapping[str, Any], motion: Motion) -> None:
 
     Keys that the problem leaves open are not compared. A step may use less than the requested
     range of tensions. Of several teams the request has every team's own by its name; there, and of
-    one team, ``others`` has the ``plan`` and the time ``at`` [s] of each plan that flies besides.
+    one team, ``others`` has each plan that flies besides by name: the time ``at`` [s] at which it
+    begins, and its ``plan`` unless left open.
     """
     own = {key: value for key, value in wanted.items() if key != OTHERS}
     if OTHERS in wanted:
-        beside = {
-            each.name.partition(".")[0]: {
-                "plan": each.plan,
-                "at": float(each.motion.drones.breaks[0]),
-            }
-            for each in motion.others
-        }
+        beside = dict[str, dict[str, Any]]()
+        for each in motion.others:
+            name = each.name.partition(".")[0]
+            facts = {"plan": each.plan, "at": float(each.motion.drones.breaks[0])}
+            keys = wanted[OTHERS].get(name, facts)
+            beside[name] = {key: fact for key, fact in facts.items() if key in keys}
         _check_same(f"asked.{OTHERS}", wanted[OTHERS], beside, "as asked")
     if len(motion.groups) == 1:
         _check_team(own, motion)

@@ -10,6 +10,7 @@ import pytest
 from by_hand import cable_points, point_to_segment, segment_to_segment
 from motions import free_motion, lines, random_flight, random_motion
 
+import hitchopt as ho
 from hitchopt.checks import Certificate, certify
 from hitchopt.errors import InputError
 from hitchopt.hitch.requirements import Separation
@@ -17,6 +18,7 @@ from hitchopt.motion.combined import combined
 from hitchopt.motion.motion import Group, Motion
 from hitchopt.motion.retiming import padded, shifted
 from hitchopt.motion.states import states_at
+from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
 SEPARATION = Separation(radius=0.11, height=0.3)
@@ -248,6 +250,27 @@ def test_padding_rests_and_keeps_the_motion() -> None:
     for t in (0.0, 1.9, 2.0, 3.3, motion.drones.breaks[-1], 9.0):
         at = np.clip(t, *motion.drones.breaks[[0, -1]])
         assert whole.drones.at(t) == pytest.approx(motion.drones.at(at), abs=1e-9)
+
+
+@pytest.mark.parametrize("moved_first", [False, True])
+def test_an_object_counts_where_it_rests_after_it_was_moved(*, moved_first: bool) -> None:
+    """The other group has it as an obstacle where it stood before."""
+    body = ho.SolidObject(ho.Section(radius=0.1), 0.0, 1.0, at=[3.0, 1.0, 0.0], mass=0.1)
+    mine = lines([[0.0, 0, 0.5]], [[4.0, 0, 0.5]], seconds=4.0, separation=SEPARATION)
+    theirs = lines([[3.0, 9, 0.5]], [[3.0, 8, 0.5]], seconds=4.0, separation=SEPARATION)
+    both = [
+        each.replaced(requirements=replace(each.requirements, objects={"post": body}))
+        for each in (mine, theirs)
+    ]
+    assert across(*both)["keep_out"].holds
+    rests = body.moved_to(np.array([2.0, 0.3, 0.0, 0.0])).pose
+    there = PiecewisePolynomial.constant(both[1].drones.breaks, rests[None])
+    both[1] = both[1].replaced(poses=there)
+    if moved_first:
+        both.reverse()
+    check = across(*both)["keep_out"]
+    assert check.bound == pytest.approx(0.3 - 0.1, abs=1e-4)  # of radius 0.1, passed 0.3 m away
+    assert {name[2:] for name in check.where} == {"d0", "post"} or "post" in check.where
 
 
 def test_names_and_arenas_must_fit() -> None:
