@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
-from hitchopt.motion.motion import JOINT, WAIT, Motion, Phase, joined_motions
+from hitchopt.motion.motion import JOINT, WAIT, CableState, Motion, Phase, joined_motions
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.clock_phases import ClockPhases, advanced
 from hitchopt.trajectory.piecewise import SAME_BREAK, on_breaks
@@ -201,7 +201,8 @@ def resting(
 ) -> Motion:
     """Return a motion at rest at another one's end, in ``phase`` or else in its last one.
 
-    With ``first`` it rests at the other one's start, by default in its first phase.
+    With ``first`` it rests at the other one's start, by default in its first phase. Cables hang
+    free before and after a phase in which they are clasped.
     """
     end = (0, ..., 0) if first else (-1, ..., -1)
 
@@ -210,6 +211,8 @@ def resting(
 
     def of_group(own: Motion) -> Motion:
         here = own.phases[0 if first else -1] if phase is None else phase
+        if here.state is CableState.CLASPING:
+            here = replace(here, state=CableState.FREE)
         return own.map_curves(part, [here.retimed(0.0, seconds)])
 
     return motion.each_group(of_group)

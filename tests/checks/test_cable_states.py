@@ -14,6 +14,7 @@ from hitchopt.checks import Certificate, certify
 from hitchopt.checks.registry import RULES
 from hitchopt.hitch import Team
 from hitchopt.motion.motion import CableState, Motion
+from hitchopt.motion.retiming import cut, padded
 
 TYING = ("tie_carry_untie", "form_triangle")
 CABLES = tuple(state for state in CableState if state is not CableState.NONE)
@@ -95,6 +96,20 @@ def test_what_is_at_full_length_is_not_being_tightened() -> None:
     moved = altered(told, "vertices", plus((slice(None), 0, 0), 0.02))
     for each in (whole, told, moved):
         assert refused(each) == ALL
+
+
+@pytest.mark.slow
+def test_cables_hang_free_while_drones_rest_after_they_are_unclasped() -> None:
+    motion = planned("tie_carry_untie").motion
+    states = [phase.state for phase in motion.phases]
+    last = len(states) - 1 - states[::-1].index(CableState.CLASPING)
+    begin = len(states) - 1 - states[::-1].index(CableState.HITCHED)
+    ends = np.array([motion.phases[begin].start, motion.phases[last].end])
+    nearest = np.argmin(np.abs(motion.drones.breaks - ends[:, None]), axis=1)
+    released = cut(motion, *nearest.tolist())
+    whole = padded(released, 0.0, released.duration + 2.0)
+    assert whole.phases[-1].state is CableState.FREE
+    assert certify(whole).certified
 
 
 def test_drones_with_cables_on_the_ground_do_not_fly_sideways() -> None:
