@@ -221,6 +221,7 @@ def swinging(given: Task, seed: int, scatter: float, time: float = 1.0) -> tuple
     return t, drones + swings[:, :-1] + swings[:, -1:] + random.normal(0.0, 0.01, drones[0].shape)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("camera", [Camera(), Camera(yaw=0.7, up="y", shift=(1.0, 0.5, 0.3))])
 def test_other_movements_of_the_same_hitch_are_refused(camera: Camera) -> None:
     """Twenty plans begin at the same positions and move as far, hence stay within some cm."""

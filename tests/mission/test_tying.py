@@ -155,6 +155,7 @@ def test_a_cable_through_which_another_robot_would_have_to_be_pulled_is_refused(
     assert told.value.violations[0].constraint in {"cable_clearance", "crossing"}
 
 
+@pytest.mark.slow
 def test_nobody_flies_below_the_ground() -> None:
     """Which is where an arena has its floor."""
     for low, altitude in ((0.0, -1.0), (-1.0, 1.2)):

@@ -210,6 +210,7 @@ def form(settle: Any = "auto") -> Step:
     return ho.Form(WORKED, 1.2, settle=settle)
 
 
+@pytest.mark.slow
 def test_a_hitch_that_is_formed_of_cables_with_friction_ends_with_it() -> None:
     worked, left, given = (settled(form(each), tied=False) for each in ("auto", False, 20.0))
     smooth = settled(form(), tied=False, friction=0.0)

@@ -95,7 +95,13 @@ def swapped() -> ho.Plan:
     return ho.separate(ho.SwarmProblem(team, places, places[[1, 0, 2]]))
 
 
-@pytest.mark.parametrize("name", ["turned", "swapped", "retuned_triangle", "crazyflie_triangle"])
+SLOW = [
+    pytest.param(name, marks=pytest.mark.slow)
+    for name in ("retuned_triangle", "crazyflie_triangle")
+]
+
+
+@pytest.mark.parametrize("name", ["turned", "swapped", *SLOW])
 def test_plans_keep_every_distance_with_all_drones_off(name: str, tmp_path: Path) -> None:
     plan: ho.Plan = globals()[name]() if name in globals() else planned(name)
     check, off = plan.certificate["tracking_radius"], plan.motion.team.tracking

@@ -166,6 +166,7 @@ def test_controllers_are_as_stiff_as_the_firmwares(
         assert answer[1] / off[1] == pytest.approx(upright, rel=0.1)
 
 
+@pytest.mark.slow
 def test_integrals_bring_cascades_back() -> None:
     for name, seconds in (("pid", 8.0), ("px4", 12.0)):
         loops = [FlightController.of(name, MASS)]

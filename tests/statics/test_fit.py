@@ -62,7 +62,11 @@ def test_a_box_is_enclosed_by_a_rectangle_and_a_disc_by_regular_polygons() -> No
         (0.2, "circle of radius 0.2 m"),
         (DISC, "circle of radius 0.3 m"),
         (BOX, "0.4 x 0.3 m, 4 corners"),
-        ([[0.5, 0.2], [0.2, 0.2], [0.2, 0.41], [0.3, 0.3]], "0.3 x 0.21 m, 4 corners"),
+        pytest.param(
+            [[0.5, 0.2], [0.2, 0.2], [0.2, 0.41], [0.3, 0.3]],
+            "0.3 x 0.21 m, 4 corners",
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_fits_say_which_outline_was_taken(outline: Any, words: str) -> None:
@@ -124,6 +128,7 @@ def test_fit_of_a_cylinder() -> None:
         found.raise_if_too_heavy(0.2)
 
 
+@pytest.mark.slow
 def test_a_concave_outline_is_held_by_its_hull() -> None:
     found = ho.fit([[0, 0], [0.4, 0], [0.4, 0.3], [0.2, 0.1], [0, 0.3]], 3, cable_length=1.8)
     assert any("concave" in note for note in found.notes)
