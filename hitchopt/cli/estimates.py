@@ -246,7 +246,7 @@ def fit(
     notes = [f"note: {note}" for note in fit_result.notes]
     say("\n\n".join([*notes, *_fit_tables(content)]), fit=content)
     if output is not None:
-        save_fit(output, fit_result)
+        save_fit(output, fit_result, mass, by)
         say(f"fit.json and fit.png are in {output}", directory=str(output))
     if mass is not None:
         fit_result.raise_if_too_heavy(mass, by)

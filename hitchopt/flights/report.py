@@ -182,8 +182,7 @@ def drawn_evaluation(evaluation: Evaluation) -> Figure:
     ):
         axes.set_ylabel(words)
         axes.set_xlim(t[0], t[-1])
-        axes.set_ylim(bottom=0.0)
-        axes.grid(axis="y", color="0.9", linewidth=0.6)
+        style.from_zero(axes, 0.3)
         if len(clasps) <= MAX_NAMED:
             axes.legend(fontsize="small", ncols=4, frameon=False)
     top.tick_params(labelbottom=False)

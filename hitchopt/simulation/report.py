@@ -218,9 +218,7 @@ def _draw_over_time(plots: Sequence[Axes], simulation: Simulation, motion: Motio
     for axes, words in zip(plots, (*titles, "farthest drone\nfrom setpoint [cm]"), strict=True):
         axes.set_ylabel(words)
         axes.set_xlim(0.0, end)
-        axes.set_ylim(bottom=0.0)
-        axes.grid(axis="y", color="0.9", linewidth=0.6)
-        axes.set_axisbelow(True)
+        style.from_zero(axes, 0.3 if axes.get_legend() else 0.1)
         axes.tick_params(labelbottom=axes is bottom)
         if end > task.duration:
             axes.axvspan(task.duration, end, facecolor="none", edgecolor="0.8", hatch="////", lw=0)

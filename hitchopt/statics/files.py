@@ -9,31 +9,43 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.patches import Polygon
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, Polygon
 from scipy.spatial import ConvexHull
 
 from hitchopt.errors import InfeasibleError
 from hitchopt.exports.directory import STATICS, STATICS_PICTURE
 from hitchopt.geometry import ConvexPolygon
-from hitchopt.hitch import Team
+from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.holding import Grip
 from hitchopt.statics.calibrate import Calibration
 from hitchopt.statics.fit import GRIP, REST, Fit
 from hitchopt.statics.settle import Settled
 from hitchopt.statics.tolerance import Tolerance
 from hitchopt.storage.files import replace_files, write_strict_json
-from hitchopt.view.style import COLOURS, DASHES, INK, LIMIT_COLOUR, new_figure, save_figure
+from hitchopt.view.style import (
+    COLOURS,
+    DASHES,
+    INK,
+    LIMIT_COLOUR,
+    cable_colours,
+    from_zero,
+    new_figure,
+    save_figure,
+)
 
 STATICS_FORMAT, FIT_FORMAT = "hitchopt-statics/1", "hitchopt-fit/1"
 
 # Widths and heights [inch]
-STATICS_SIZE, FIT_SIZE = (10.0, 4.8), (12.0, 4.6)
+STATICS_SIZE, FIT_SIZE = (12.5, 4.8), (12.0, 5.0)
 
 # Lines of the plan, and points of a circle
 PLANNED: dict[str, Any] = {"color": INK, "linestyle": DASHES, "linewidth": 0.8}
 CIRCLE = np.exp(2j * np.pi * np.linspace(0.0, 1.0, 121)).view(np.float64).reshape(-1, 2)
 
-DRAWN_TIMES = 3  # Times at which vertices are drawn
+# Colours of the times at which vertices are drawn, and most cables that a legend names
+SHADES, MAX_NAMED = ("#9ecae1", "#4292c6", "#08306b"), 8
+TOP = 3.0  # Largest tension of a range that is drawn, over the largest at rest
 
 
 def save_statics(directory: Path, settled: Settled, ranges: Tolerance | None) -> Path:
@@ -95,36 +107,43 @@ def draw_statics(settled: Settled, ranges: Tolerance | None) -> Figure:
     """Return the picture: tensions over time, and vertices from above."""
     figure = new_figure(STATICS_SIZE)
     left, right = figure.subplots(1, 2)
-    t, layout = settled.t, settled.team.layout
+    t, layout, cables = settled.t, settled.team.layout, settled.team.robots
     if ranges is not None:
         low, high = np.min(ranges.tensions[..., 0], 1), np.max(ranges.tensions[..., 1], 1)
-        finite = np.where(np.isfinite(high), high, 2.0 * np.max(settled.tensions))
-        left.fill_between(t, low, finite, color="0.87", label="range of any cable", zorder=1)
-    left.set_prop_cycle(color=COLOURS)
-    marker = "o" if len(t) == 1 else None
-    left.plot(t, settled.tensions, marker=marker, linewidth=1.2, zorder=3)[0].set_label("at rest")
-    left.plot(t, settled.planned_tensions, **PLANNED)[0].set_label("planned")
-    left.set(ylim=(0.0, None), xlabel="t [s]", ylabel="tension [N]")
+        drawn = np.minimum(high, TOP * np.max(settled.tensions))
+        beyond = f", up to {np.max(high):.3g} N" if np.any(drawn < high) else ""
+        words = f"range of any cable{beyond}"
+        left.fill_between(t, low, drawn, color="0.87", label=words, zorder=1)
+    look: dict[str, Any] = {"marker": "o" if len(t) == 1 else None, "zorder": 3}
+    for k, colour in enumerate(cable_colours(cables)):  # the first ones wider, seen below others
+        label = f"cable {k} at rest" if cables <= MAX_NAMED else ""
+        wide = 1.2 + 2.4 * (1.0 - (k + 1) / cables)
+        left.plot(t, settled.tensions[:, k], color=colour, lw=wide, label=label, **look)
+    left.plot(t, settled.planned_tensions, zorder=4, **PLANNED)[0].set_label("planned")
+    left.set(xlabel="t [s]", ylabel="tension [N]")
+    from_zero(left, 0.1 + 0.06 * min(cables, MAX_NAMED))
     ring = np.append(np.arange(layout.points), [0] * layout.closed)
-    times = np.unique(np.linspace(0, len(t) - 1, DRAWN_TIMES).round().astype(np.intp))
-    for colour, i in zip(COLOURS, times, strict=False):
-        when = f"t = {t[i]:.2f} s"
+    times = np.unique(np.linspace(0, len(t) - 1, len(SHADES)).round().astype(np.intp))
+    said, areas = dict[str, Any](planned=Line2D([], [], **PLANNED)), dict[str, Any]()
+    areas["drone"] = Line2D([], [], color=INK, marker="x", ls="none", ms=4)
+    for colour, i in zip(SHADES[-len(times) :], times, strict=True):
+        path = right.plot(*settled.vertices[i, ring, :2].T, color=colour, marker=".", lw=1.8)
+        said[f"vertices at rest, t = {t[i]:.2f} s"] = path[0]
         right.plot(*settled.planned_vertices[i, ring, :2].T, **PLANNED)
-        right.plot(*settled.vertices[i, ring, :2].T, color=colour, marker=".", lw=1.2, label=when)
         right.plot(*settled.drones[i, :, :2].T, color=colour, marker="x", linestyle="none", ms=4)
         if np.ptp(settled.band[i]) > 0.0:
-            bands = settled.rests[i, ..., :2].swapaxes(0, 1)
-            lines = [right.plot(*ends.T, color=colour, lw=4.0, alpha=0.35) for ends in bands]
-            lines[0][0].set_label(f"band of rest, {when}")
+            for ends in settled.rests[i, ..., :2].swapaxes(0, 1):
+                areas["band of rest"] = right.plot(*ends.T, color=colour, lw=5.0, alpha=0.35)[0]
         shapes = () if ranges is None else ranges.ellipsoids[i, :, :2, :2]
         for centre, shape in zip(settled.vertices[i, :, :2], shapes, strict=False):
             squares, directions = np.linalg.eigh(shape)
             ellipse = centre + CIRCLE * np.sqrt(np.maximum(squares, 0.0)) @ directions.T
-            right.fill(*ellipse.T, color=colour, alpha=0.35)
+            areas["range of a vertex"] = right.fill(*ellipse.T, color=colour, alpha=0.35)[0]
     right.set_aspect("equal", adjustable="datalim")
     right.set(xlabel="x [m]", ylabel="y [m]")
-    for axes in (left, right):
-        axes.legend(frameon=False, fontsize="small")
+    left.legend(loc="upper right", frameon=False, fontsize="small", ncols=2)
+    said |= areas
+    figure.legend(said.values(), said, loc="outside right upper", frameon=False, fontsize="small")
     return figure
 
 
@@ -164,11 +183,14 @@ def _yaml(value: object) -> str:
     return json.dumps(value, default=lambda array: np.round(array, 9).tolist())
 
 
-def save_fit(directory: Path, fit: Fit) -> None:
-    """Write ``fit.json`` and ``fit.png`` to a directory, created if missing."""
+def save_fit(directory: Path, fit: Fit, mass: float | None = None, by: str = GRIP) -> None:
+    """Write ``fit.json`` and ``fit.png`` to a directory, created if missing.
+
+    ``mass`` [kg] is that to be held, ``by`` grip or rest.
+    """
     directory.mkdir(parents=True, exist_ok=True)
     write_strict_json(directory / "fit.json", fit_as_json(fit))
-    save_figure(draw_fit(fit), directory / "fit.png")
+    save_figure(draw_fit(fit, mass, by), directory / "fit.png")
 
 
 def fit_as_json(fit: Fit) -> dict[str, Any]:
@@ -203,20 +225,32 @@ def fit_as_json(fit: Fit) -> dict[str, Any]:
     return content
 
 
-def draw_fit(fit: Fit) -> Figure:
-    """Return the picture: the object with the polygons that enclose it, grip it and support it."""
+def draw_fit(fit: Fit, mass: float | None = None, by: str = GRIP) -> Figure:
+    """Return the picture: the object with the polygons that enclose it, grip it and support it.
+
+    Drones that enclose and support it are where they are without a load; ``mass`` [kg] is to be
+    held.
+    """
     figure, holding, section = new_figure(FIT_SIZE), fit.holding, fit.section
     outline = (section.core[:, None] + section.rounding * CIRCLE).reshape(-1, 2)
-    titles = [f"enclose: n = {holding.robots}, L = {holding.cable_length:.2f} m"]
-    for by in (GRIP, REST):
-        capacity = holding.capacity(by)
-        mass = f"{1e3 * capacity.mass:.0f} g" if capacity.mass > 0.0 else "nothing"
-        titles.append(f"{by}: {mass} ({capacity.binding} binds)")
+    titles = [f"enclose: {holding.robots} cables of {holding.cable_length:.2f} m"]
+    for each in (GRIP, REST):
+        capacity = holding.capacity(each)
+        words = f"at most {1e3 * capacity.mass:.0f} g" if capacity.mass > 0.0 else "nothing"
+        titles.append(f"{each}: {words}, {capacity.binding} binds")
+        if mass is not None and each == by:
+            held = "held" if mass <= capacity.mass else "NOT held"
+            titles[-1] += f", {1e3 * mass:.0f} g {held}"
     polygons = holding.enclosing, holding.grip, holding.rest
-    for axes, polygon, title in zip(figure.subplots(1, 3), polygons, titles, strict=True):
+    need, kind = holding.task.requirements, holding.task.kind
+    length, tension = holding.cable_length, holding.task.tension
+    team = Team(holding.robots, length, tension=tension, quadrotor=kind)
+    panels = figure.subplots(1, 3, sharex=True, sharey=True)
+    for axes, polygon, title in zip(panels, polygons, titles, strict=True):
         axes.add_patch(Polygon(outline[ConvexHull(outline).vertices], fc="0.88", ec="0.55", lw=0.8))
         axes.set_aspect("equal")
-        axes.set(xlabel="x [m]", ylabel="y [m]", title=title)
+        axes.set_title(title, fontsize="medium")
+        axes.set(xlabel="x [m]")
         if isinstance(polygon, InfeasibleError):
             continue
         vertices = polygon.vertices[:, :2]
@@ -224,9 +258,23 @@ def draw_fit(fit: Fit) -> Figure:
         inside = polygon is not holding.rest
         places = np.vstack([vertices, outline]) if inside else vertices
         axes.add_patch(Polygon(places[ConvexHull(places).vertices], fill=False, ec=COLOURS[0]))
-        axes.plot(*vertices.T, "o", color=LIMIT_COLOUR, markersize=3)
+        axes.plot(*vertices.T, "o", color=LIMIT_COLOUR, markersize=3, zorder=3)
         if isinstance(polygon, Grip):
-            ends = np.stack([vertices, np.roll(vertices, -1, axis=0)], axis=1)
-            legs = np.stack([ends, polygon.drones[..., :2]], axis=-2).reshape(-1, 2, 2)
-            axes.plot(*legs.T, color=COLOURS[0], marker="o", markevery=[1])
+            drones = polygon.drones[..., :2]
+        else:
+            try:
+                hitch = Hitch.spread(team, polygon, limits=need.limits, separation=need.separation)
+            except InfeasibleError:
+                continue
+            drones = hitch.drones.reshape(-1, 2, 3)[..., :2]
+        ends = np.stack([vertices, np.roll(vertices, -1, axis=0)], axis=1)
+        legs = np.stack([ends, drones], axis=-2).reshape(-1, 2, 2)
+        axes.plot(*legs.T, color=COLOURS[0], lw=1.2)
+        axes.plot(*drones.reshape(-1, 2).T, "o", color=COLOURS[0], markersize=4)
+        for x, y in drones.reshape(-1, 2):
+            axes.add_patch(Circle((x, y), need.separation.radius, fill=False, ec=COLOURS[0]))
+    panels[0].set_ylabel("y [m]")
+    panels[0].locator_params(nbins=5)
+    words = "object grey, cables and drones blue, as wide as their ellipsoids, clasps red"
+    figure.suptitle(words, fontsize="medium")
     return figure

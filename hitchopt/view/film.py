@@ -10,6 +10,8 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from scipy.interpolate import interp1d
+from scipy.ndimage import gaussian_filter1d
 
 from hitchopt.errors import InputError, UnsupportedError
 from hitchopt.values import Array
@@ -21,9 +23,10 @@ SIZE, DOTS = (12.8, 7.2), 100  # Size of a frame [in], and its resolution [1/in]
 # Frames a second [Hz]; a gif counts in hundredths of a second, and is large
 RATES = {".mp4": 30.0, ".gif": 100.0 / 6.0}
 AZIMUTH, ELEVATION = -115.0, 32.0  # Where a film is seen from [deg]
-# Margin around everything [m]; as shares of a frame's height, the part above it for words, the
-# least half width of a cable, and the least reach of a drone
-MARGIN, HEAD, THIN, SMALL = 0.3, 0.09, 0.0022, 0.012
+# Margin around drones and cables [m]; as shares of a frame's height, the part above it for words,
+# the least half width of a cable, and the least reach of a drone
+MARGIN, HEAD, THIN, SMALL = 0.2, 0.09, 0.0022, 0.012
+SMOOTH = 1.5  # Time over which the camera's motion is smoothed, a standard deviation [s]
 
 
 def save_film(
@@ -61,18 +64,21 @@ def save_film(
 
 
 def frames(scene: Scene, times: Array, title: str) -> Iterator[NDArray[np.uint8]]:
-    """Yield a frame (720, 1280, 3) for every time [s]."""
+    """Yield a frame (720, 1280, 3) for every time [s]; the camera follows what flies."""
     camera = Camera.toward(AZIMUTH, ELEVATION)
     figure: Any = Figure(SIZE, dpi=DOTS)
     canvas: Any = FigureCanvasAgg(figure)
     axes: Any = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set_axis_off()
-    seen = camera.seen(scene.extent_points)[..., :2]
-    lower, upper = np.min(seen, axis=(0, 1)) - MARGIN, np.max(seen, axis=(0, 1)) + MARGIN
-    height = max(upper[1] - lower[1], (upper[0] - lower[0]) * SIZE[1] / SIZE[0]) / (1.0 - HEAD)
+    flying = [scene.drones, scene.cables.reshape(len(scene.t), -1, 3)]
+    seen = camera.seen(np.concatenate(flying, axis=1))[..., :2]
+    even = np.linspace(0.0, scene.t[-1], max(2, int(10.0 * scene.t[-1])))
+    ends = np.stack([np.min(seen, axis=1), np.max(seen, axis=1)], axis=-1)
+    corners = interp1d(scene.t, ends, axis=0)(even)
+    middles = gaussian_filter1d(np.mean(corners, axis=-1), SMOOTH / even[1], axis=0, mode="nearest")
+    reach = np.max(np.abs(corners - middles[..., None]), axis=(0, 2)) + MARGIN
+    height = 2.0 * max(reach[1], reach[0] * SIZE[1] / SIZE[0]) / (1.0 - HEAD)
     width = height * SIZE[0] / SIZE[1]
-    middle, bottom = 0.5 * (lower + upper) - [0.0, 0.5 * height * (1.0 - HEAD)]
-    axes.set(xlim=middle + [-0.5 * width, 0.5 * width], ylim=(bottom, bottom + height))
     draw_lines(axes, camera.seen(_ground(scene))[..., :2], "0.9", 0.7, 1)
     size = max(1.0, SMALL * height / scene.motion.requirements.separation.radius)
     painter = Painter(scene, camera, max(scene.radius, THIN * height), size)
@@ -82,6 +88,9 @@ def frames(scene: Scene, times: Array, title: str) -> Iterator[NDArray[np.uint8]
     clock = figure.text(0.98, 0.945, "", ha="right", va="center", **words)
     phases = scene.motion.phases
     for time in times:
+        x, y = (np.interp(time, even, values) for values in middles.T)
+        bottom = y - 0.5 * height * (1.0 - HEAD)
+        axes.set(xlim=(x - 0.5 * width, x + 0.5 * width), ylim=(bottom, bottom + height))
         painting = painter.painted(scene.at(float(time)))
         shapes.set_verts(painting.polygons)
         shapes.set_facecolor(painting.colours)

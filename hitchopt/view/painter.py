@@ -17,7 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgba_array
 from matplotlib.gridspec import SubplotSpec
-from matplotlib.patheffects import withStroke
+from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from scipy.spatial.transform import Rotation
 
 from hitchopt.geometry.vectors import unit
@@ -217,35 +217,39 @@ def draw_storyboard(
     """
     radius = scene.motion.requirements.separation.radius
     count, drones = len(shots), scene.drones.shape[1]
-    columns = 2 if count == 4 else min(count, 3)
-    grid: Any = place.subgridspec(math.ceil(count / columns), columns)
     camera = Camera.toward(AZIMUTH, ELEVATION)
     moments = [int(np.argmin(np.abs(scene.t - shot.time))) for shot in shots]
     seen = camera.seen(scene.extent_points)[moments, : 2 * drones, :2]
+    seen[:, drones:] = 0.5 * (seen[:, :drones] + seen[:, drones:])  # down to half of their height
     middles = 0.5 * (np.min(seen, axis=1) + np.max(seen, axis=1))
     half = np.max(np.abs(seen - middles[:, None]), axis=(0, 1)) * (1.0 + 2.0 * MARGIN) + radius
+    layout: Any = place.get_gridspec()
+    figure = layout.figure
+    room = figure.get_size_inches() * place.get_position(figure).size / half
+    scales = [min(room[0] / c, room[1] / math.ceil(count / c)) for c in range(1, count + 1)]
+    columns = 1 + int(np.argmax(scales))
+    rows = math.ceil(count / columns)
+    grid: Any = place.subgridspec(rows, columns, wspace=0.04, hspace=0.05 * rows)
     size = max(1.0, SMALL * min(1.0, 4.0 / math.sqrt(drones)) / radius * 2.0 * half[1])
     painter = Painter(scene, camera, scene.radius, size, few_corners(scene.cables.shape[1]))
     paths = camera.seen(flown[1])[..., :2]
     reached = np.searchsorted(flown[0], scene.t[moments])
     for k, (shot, i, middle) in enumerate(zip(shots, moments, middles, strict=True)):
-        axes: Axes = grid.figure.add_subplot(grid[k // columns, k % columns])
+        axes: Axes = figure.add_subplot(grid[k // columns, k % columns])
         lines = np.moveaxis(paths[reached[max(k - 1, 0)] : reached[k] + 1], 1, 0)
         style.draw_lines(axes, lines, scene.appearance.drone_colours, 0.6, 1, alpha=PALE)
         draw_painting(axes, painter.painted(scene.at(float(scene.t[i]))))
-        (left, low), (right, high) = middle - half, middle + half
-        axes.set(aspect="equal", xlim=(left, right), ylim=(low, high), xticks=[], yticks=[])
+        axes.set(xticks=[], yticks=[], xmargin=0.0, ymargin=0.0)
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.update_datalim([middle - half, middle + half])
+        axes.autoscale_view()
         axes.spines[:].set_color("0.85")
-        for group in scene.appearance.groups:
-            above = camera.seen(np.mean(scene.drones[i, group.drones], axis=0))[:2]
-            look: Any = {
-                "color": group.colour,
-                "weight": "bold",
-                "path_effects": [withStroke(linewidth=2.0, foreground="white")],
-            }
-            style.write(axes, group.name, above, (0.0, 0.0), zorder=7, clip_on=True, **look)
+        style.write_groups(axes, scene.appearance.groups, camera.seen(scene.drones[i])[:, :2])
         axes.set_title(f"{shot.words}, {shot.time:.1f} s", fontsize="small", parse_math=False)
-    _draw_scale(axes, middle + half * [1.0, -1.0], half)
+    length = 10.0 ** math.floor(math.log10(float(half[0])))
+    words: Any = {"loc": "lower right", "frameon": False, "borderpad": 0.7}
+    words |= {"prop": {"size": "x-small"}, "size_vertical": 0.01 * float(half[1]), "color": "0.3"}
+    axes.add_artist(AnchoredSizeBar(axes.transData, length, f"{length:g} m", **words))
 
 
 def few_corners(robots: int) -> int:
@@ -261,12 +265,3 @@ def draw_painting(axes: Axes, painting: Painting) -> PolyCollection:
     shapes = PolyCollection(polygons, **look)
     axes.add_collection(shapes, autolim=False)
     return shapes
-
-
-def _draw_scale(axes: Axes, corner: Array, half: Array) -> None:
-    """Draw a bar of a round length in the lower right corner."""
-    length = 10.0 ** math.floor(math.log10(float(half[0])))
-    right, up = corner - 0.06 * half[0] * np.array([1.0, -1.0])
-    axes.plot([right - length, right], [up, up], color="0.3", linewidth=1.6, zorder=3)
-    middle = (right - 0.5 * length, up)
-    style.write(axes, f"{length:g} m", middle, (0, 3), fontsize="x-small", zorder=3)

@@ -15,11 +15,10 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
 from matplotlib.figure import Figure
-from matplotlib.gridspec import SubplotSpec
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon, Rectangle
 from matplotlib.patheffects import withStroke
-from scipy.spatial import cKDTree
+from scipy.spatial import ConvexHull, cKDTree
 
 from hitchopt.checks.certificate import Certificate, html_table
 from hitchopt.checks.closeness import Closeness
@@ -35,11 +34,12 @@ from hitchopt.view.scene import scene_at
 from hitchopt.view.shapes import Appearance
 from hitchopt.view.style import COLOURS, DASHES, INK, LIMIT_COLOUR, draw_lines, write
 
-# Width and height [inch], shares of left and right, and on the left of few panels and what is
-# below them
-SIZE, WIDTHS, HEIGHTS = (13.0, 7.2), (1.25, 1.0), (1.0, 1.25)
-# Edges of what is drawn as shares of the figure, and its gaps as shares of the drawings
-MARGINS = {"left": 0.055, "right": 0.935, "bottom": 0.15, "top": 0.9, "wspace": 0.2, "hspace": 0.1}
+# Width and height [inch], and shares of few panels and of the plan below them
+SIZE, HEIGHTS = (13.0, 7.2), (1.0, 1.7)
+# Edges of the plots, of a plan on their left, and of a storyboard there, as shares of the figure
+PLOTS = {"left": 0.585, "right": 0.935, "bottom": 0.15, "top": 0.85, "hspace": 0.1}
+PLAN = {"left": 0.055, "right": 0.505, "bottom": 0.15, "top": 0.85}
+SHOTS = {"left": 0.012, "right": 0.515, "bottom": 0.03, "top": 0.85}
 # Distance of the legend from a plan below panels, as a share of its height, and where the plots'
 # labels stand, as a share of their width
 LEGEND_GAP, LABEL_AT = 0.17, -0.1
@@ -53,7 +53,8 @@ FORBIDDEN: Any = {"facecolor": "none", "edgecolor": "0.8", "hatch": "////", "lin
 CURVE, LINE, HEIGHT = 1.4, 11.0, 110.0
 # Largest worst value that is drawn: larger ones say that nothing was counted or bounded
 ENDLESS = 1e9
-CHARACTER = 0.013  # Width of a character of a phase's name as a share of the axes' width
+# Width of a character of a phase's name, and of a line at 45°, as shares of the axes' width
+CHARACTER, SLANTED = 0.013, 0.038
 # Figure of the closest neighbours: width and height [inch], points of a curve, and the largest
 # separation that is shown; larger ones are of no concern
 CLOSE_SIZE, CLOSE_SAMPLES, CLOSE_TOP = (10.0, 4.8), 800, 4.0
@@ -131,9 +132,9 @@ def draw_summary(motion: Motion, certificate: Certificate, title: str = "") -> F
     figure = style.new_figure(SIZE, None)  # finding margins takes as long as drawing
     states = sampled_states(motion)
     shown = panels(motion, states)
-    grid = figure.add_gridspec(len(shown), 2, width_ratios=WIDTHS, **MARGINS)
-    _draw_left(figure, grid[:, 0], motion)
-    axes = [figure.add_subplot(grid[row, 1]) for row in range(len(shown))]
+    _draw_left(figure, motion)
+    grid = figure.add_gridspec(len(shown), 1, **PLOTS)
+    axes = [figure.add_subplot(grid[row]) for row in range(len(shown))]
     for each, panel in zip(axes, shown, strict=True):
         _draw_panel(each, states.t, panel, certificate)
         each.yaxis.set_label_coords(LABEL_AT, 0.5)
@@ -178,18 +179,28 @@ def plot_from_above(motion: Motion, axes: Axes | None) -> Axes:
 
 
 def draw_phases(axes: Sequence[Axes], phases: Sequence[Phase], duration: float) -> None:
-    """Shade every other phase on all axes, and name those whose names fit on the first.
+    """Shade every other phase on all axes, and name phases above the first; slanted where short.
 
-    ``duration`` is the plan's [s].
+    Of slanted names that would overlap, those of longer phases are written. ``duration`` is the
+    plan's [s].
     """
+    level = all(p.end - p.start > CHARACTER * (len(p.name) + 1) * duration for p in phases)
+    written: list[float] = []
     for i, phase in enumerate(phases):
         for each in axes if i else ():
             each.axvline(phase.start, color="0.6", linewidth=0.7, linestyle=":", zorder=1)
             if i % 2:
                 each.axvspan(phase.start, phase.end, color="0.93", linewidth=0, zorder=-1)
-        if (phase.end - phase.start) / duration > CHARACTER * (len(phase.name) + 1):
-            middle, where = (0.5 * (phase.start + phase.end), 1.0), axes[0].get_xaxis_transform()
-            write(axes[0], phase.name, middle, (0, 4), xycoords=where, parse_math=False)
+    look: Any = {"xycoords": axes[0].get_xaxis_transform(), "parse_math": False}
+    if not level:
+        angle = 30 if any(", " in phase.name for phase in phases) else 45  # of several groups
+        look |= {"rotation": angle, "ha": "left", "rotation_mode": "anchor"}
+    for phase in sorted(phases, key=lambda phase: phase.start - phase.end):
+        words = phase.name if level else phase.name.replace(", ", "\n")
+        middle, wide = 0.5 * (phase.start + phase.end), SLANTED * (1 + words.count("\n")) * duration
+        if level or all(abs(middle - other) > wide for other in written):
+            written.append(middle)
+            write(axes[0], words, (middle, 1.0), (0, 4), **look)
 
 
 def draw_closeness(motion: Motion, closest: Closeness) -> Figure:
@@ -218,15 +229,17 @@ def draw_closeness(motion: Motion, closest: Closeness) -> Figure:
     return figure
 
 
-def _draw_left(figure: Figure, place: SubplotSpec, motion: Motion) -> None:
+def _draw_left(figure: Figure, motion: Motion) -> None:
     """Draw the storyboard, or the plan from above where few moments leave space, or no cables."""
     shots = painter.chosen_shots(motion) if _has_cables(motion) else ()
+    margins = SHOTS if len(shots) > painter.FEW else PLAN
+    place = figure.add_gridspec(1, 1, **margins)[0]
     if not shots:
         draw_plan_view(figure.add_subplot(place), motion)
     elif len(shots) > painter.FEW:
         painter.draw_plan_storyboard(place, motion, shots)
     else:
-        parts = place.subgridspec(2, 1, height_ratios=HEIGHTS, hspace=0.1)
+        parts = place.subgridspec(2, 1, height_ratios=HEIGHTS, hspace=0.04)
         draw_plan_view(figure.add_subplot(parts[1]), motion, LEGEND_GAP)
         painter.draw_plan_storyboard(parts[0], motion, shots)
 
@@ -277,8 +290,9 @@ def draw_plan_view(axes: Axes, motion: Motion, gap: float = 0.1) -> None:
 
     ``gap`` is between the axes and the legend below, as a share of the axes' height.
     """
-    requirements, cables = motion.requirements, _has_cables(motion)
-    radius, colours = requirements.separation.radius, Appearance.of(motion).drone_colours
+    requirements, cables, look = motion.requirements, _has_cables(motion), Appearance.of(motion)
+    radius, colours = requirements.separation.radius, list(look.drone_colours)
+    ends = scene_at(motion, np.array([0.0, motion.duration]))
     times = motion.drones.breaks[0] + _sampled_times(motion)
     each = [motion.drones, *(other.motion.drones for other in motion.others)]
     paths = [part.at(np.clip(times, *part.breaks[[0, -1]])) for part in each]
@@ -292,7 +306,6 @@ def draw_plan_view(axes: Axes, motion: Motion, gap: float = 0.1) -> None:
     fill = "white" if cables else INK
     handles.append(style.marker("o", fill, INK, "end, as wide as its ellipsoid", 9.0))
     if cables:
-        ends = scene_at(motion, np.array([0.0, motion.duration]))
         draw_lines(axes, ends.cables[0, ..., :2], START_COLOUR, 1.0, 2, linestyles="--")
         camera, step = painter.Camera.toward(-90.0, 90.0), painter.few_corners(ends.cables.shape[1])
         above = painter.Painter(ends, camera, step=step)
@@ -304,8 +317,14 @@ def draw_plan_view(axes: Axes, motion: Motion, gap: float = 0.1) -> None:
     _draw_ellipsoids(axes, radius, flown[-1], *end)
     shown = flown.reshape(-1, 2)
     for prism in requirements.keep_out:
-        look: Any = {"fc": "0.88", "ec": "0.4", "hatch": "////", "label": "keep out"}
-        handles.append(axes.add_artist(Polygon(prism.polygon.vertices, **look)))
+        hatched: Any = {"fc": "0.88", "ec": "0.4", "hatch": "////", "label": "keep out"}
+        handles.append(axes.add_artist(Polygon(prism.polygon.vertices, **hatched)))
+    for solid, (x, y, *_) in zip(look.objects, () if cables else ends.objects[-1], strict=False):
+        corners = solid.faces.reshape(-1, 3)[:, :2] + [x, y]  # single drones move none
+        outline = corners[ConvexHull(corners).vertices]
+        axes.add_artist(Polygon(outline, fc=solid.colours[0], ec="0.4", zorder=0))
+        handles.append(Patch(fc=solid.colours[0], ec="0.4", label=solid.name))
+        shown = np.vstack([shown, outline])
     if (arena := requirements.arena) is not None and not cables:
         shown = np.vstack([shown, arena.lower[:2], arena.upper[:2]])
         (x, y), (width, depth) = arena.lower[:2], arena.upper[:2] - arena.lower[:2]
@@ -334,9 +353,7 @@ def _write_names(axes: Axes, motion: Motion, ends: Array) -> None:
     look: Any = {"va": "center", "zorder": 6}
     look["path_effects"] = [withStroke(linewidth=2.0, foreground="white")]
     groups = Appearance.of(motion).groups
-    for group in groups:
-        bold = {"color": group.colour, "weight": "bold", **look}
-        write(axes, group.name, np.mean(ends[group.drones], axis=0), (0.0, 0.0), **bold)
+    style.write_groups(axes, groups, ends)
     team = motion.team
     names, places, aside = team.drone_names, ends, np.zeros_like(ends)
     if team.has_cables:

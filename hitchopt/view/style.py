@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
+    from hitchopt.view.shapes import GroupName
+
 # Colours of cables and drones. The first three differ in grey as well (luminance 20, 45 and 70
 # per cent); the last one, of 45 per cent, stands only between the first and the third
 COLOURS = ("#0b3c5d", "#2a8c82", "#e0a526", "#c8414f")
@@ -123,7 +125,8 @@ def new_figure(
 def headline(figure: Figure, title: str, words: str) -> None:
     """Write a plan's title, and words below it, above a figure."""
     name = textwrap.shorten(title, 100, placeholder=" …")
-    figure.suptitle(f"{name}\n{words}".strip(), fontsize="large", parse_math=False)
+    look: Any = {"x": 0.012, "ha": "left", "fontsize": "large", "parse_math": False}
+    figure.suptitle(f"{name}\n{words}".strip(), **look)
 
 
 def save_figure(figure: Figure, file: Path | str | IO[bytes], dpi: int = RESOLUTION) -> None:
@@ -174,8 +177,16 @@ def draw_lines(
     """Draw lines (m, points, 2) of a width [points] in one layer."""
     from matplotlib.collections import LineCollection
 
-    style = {"colors": colours, "linewidths": width, "zorder": order, **more}
+    shades = colours if isinstance(colours, str) else list(colours)  # two are not colour and alpha
+    style = {"colors": shades, "linewidths": width, "zorder": order, **more}
     axes.add_collection(LineCollection(list(np.asarray(lines)), **style), autolim=False)
+
+
+def from_zero(axes: Axes, headroom: float = 0.1) -> None:
+    """Show values from zero to the largest that is drawn, and a share of it beyond."""
+    axes.set_ylim(0.0, (1.0 + headroom) * (axes.dataLim.y1 if axes.dataLim.y1 > 0.0 else 1.0))
+    axes.grid(axis="y", color="0.9", linewidth=0.6)
+    axes.set_axisbelow(True)
 
 
 def legend_below(axes: Axes, handles: Sequence[Artist], gap: float, columns: int) -> None:
@@ -188,3 +199,18 @@ def write(axes: Axes, text: str, place: Any, offset: Any, **more: Any) -> None:
     """Write a small text at an offset [points] from a place of the axes."""
     look = {"textcoords": "offset points", "ha": "center", "fontsize": "small", **more}
     axes.annotate(text, place, offset, **look)
+
+
+def write_groups(axes: Axes, groups: Sequence[GroupName], seen: Array) -> None:
+    """Write groups' names above their highest drones or below their lowest, as they alternate.
+
+    All drones are ``seen`` (N, 2) there.
+    """
+    from matplotlib.patheffects import withStroke
+
+    for i, group in enumerate(groups):
+        side = 1.0 - 2.0 * (i % 2)
+        place = max(seen[group.drones].tolist(), key=lambda place: side * place[1])
+        look: Any = {"color": group.colour, "weight": "bold", "zorder": 7, "va": "center"}
+        look |= {"clip_on": True, "path_effects": [withStroke(linewidth=2.0, foreground="white")]}
+        write(axes, group.name, place, (0.0, 12.0 * side), **look)

@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 import numpy as np
+from matplotlib.transforms import Bbox
 from plans import planned
 
 import hitchopt as ho
@@ -14,6 +15,8 @@ from hitchopt.checks import certify
 from hitchopt.motion.combined import combined
 from hitchopt.motion.motion import Group, Motion
 from hitchopt.motion.retiming import shifted
+from hitchopt.view.painter import chosen_shots
+from hitchopt.view.pictures import draw_summary
 from hitchopt.view.scene import concerned, scene_at
 from hitchopt.view.style import OTHERS
 
@@ -71,6 +74,17 @@ def test_names_of_checks_are_found_in_their_group() -> None:
     motion = pair()
     found = concerned(motion, ["b.q1", "a.cable 2", "b.edge 1", "b.p0", "q0"])
     assert (found.drones, found.cables, found.vertices) == ((8,), (2, 4), (3,))
+
+
+def test_names_of_groups_around_the_same_centre_are_apart() -> None:
+    plan = planned("hitch_and_swarm")
+    figure = draw_summary(plan.motion, plan.certificate)
+    figure.draw_without_rendering()
+    named = [[t for t in axes.texts if t.get_fontweight() == "bold"] for axes in figure.axes]
+    pairs = [[text.get_window_extent() for text in texts] for texts in named if texts]
+    assert len(pairs) == len(chosen_shots(plan.motion))
+    for first, second in pairs:
+        assert Bbox.intersection(first, second) is None
 
 
 def test_reports_and_pictures_show_all_groups(tmp_path: Path) -> None:
