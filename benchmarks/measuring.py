@@ -97,8 +97,9 @@ class Table:
     _lines: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self._say(f"# {self.title}, {datetime.date.today()}", "")
-        self._say(f"- {environment(self.libraries)}", f"- limitations: {self.limitations}")
+        self._say(f"# {self.title}", "")
+        self._say(f"- {datetime.date.today()}, {environment(self.libraries)}")
+        self._say(f"- limitations: {self.limitations}")
 
     def section(self, title: str, *columns: str) -> None:
         """Begin a table with a heading, or without one where the title is empty."""
