@@ -19,6 +19,7 @@ from scipy.interpolate import BSpline
 
 import hitchopt as ho
 from benchmarks.measuring import Table, parser, slope
+from hitchopt.mission.loading import any_problem_from_dict
 from hitchopt.planners.timing.ramps import fastest_ramps
 from problems.swarm import antipodal_circle, random_crowd, random_team
 
@@ -35,7 +36,7 @@ DEGREE, POINTS, KNOTS, FIXED = 5, 14, 24, 3
 
 def problem_of(data: dict[str, object]) -> ho.SwarmProblem:
     """Return a problem of single drones."""
-    found = ho.problem_from_dict(data)
+    found = any_problem_from_dict(data)
     if not isinstance(found, ho.SwarmProblem):
         raise TypeError("not a problem of single drones")
     return found
