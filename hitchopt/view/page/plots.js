@@ -1,5 +1,5 @@
 // Plots over time with limits, the certificate's worst values, and a cursor in step with the scene.
-const SVG = "http://www.w3.org/2000/svg", HEIGHT = 74, LEFT = 92, RIGHT = 86, TOP = 6, BOTTOM = 6;
+const SVG = "http://www.w3.org/2000/svg", HEIGHT = 76, LEFT = 40, RIGHT = 78, TOP = 18, BOTTOM = 5, AXIS = 14;
 
 class Plots {
   constructor(data, place, seek) {
@@ -13,12 +13,13 @@ class Plots {
   draw() {
     this.width = this.place.clientWidth || 800;
     this.place.replaceChildren();
-    this.cursors = this.data.plots.map((plot) => this.plot(plot));
+    this.cursors = this.data.plots.map((plot, i) => this.plot(plot, i === this.data.plots.length - 1));
     this.at(this.time ?? 0);
   }
 
-  plot({ label, t, curves, limits, worst, top, sense }) {
+  plot({ label, t, curves, limits, worst, top, sense }, last) {
     const svg = document.createElementNS(SVG, "svg"), y = (value) => HEIGHT - BOTTOM - (HEIGHT - TOP - BOTTOM) * Math.min(value, top) / top;
+    svg.style.height = `${HEIGHT + (last ? AXIS : 0)}px`;
     const node = (kind, attributes, text) => {
       const made = document.createElementNS(SVG, kind);
       for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
@@ -34,17 +35,21 @@ class Plots {
       });
       node("path", { d: path, class: name });
     };
-    const right = this.width - RIGHT;
-    node("rect", { x: LEFT, y: TOP, width: Math.max(0, right - LEFT), height: HEIGHT - TOP - BOTTOM, class: "axis" });
+    const right = this.width - RIGHT, bottom = HEIGHT - BOTTOM;
+    node("rect", { x: LEFT, y: TOP, width: Math.max(0, right - LEFT), height: bottom - TOP, class: "axis" });
+    for (const value of ticks(top, 3)) node("text", { x: LEFT - 4, y: y(value) + 4, "text-anchor": "end", class: "tick" }, value);
+    for (const time of ticks(this.data.duration, Math.max(2, (right - LEFT) / 90))) {
+      node("path", { d: `M${this.x(time)},${bottom}v${last ? 4 : -3}`, class: "axis" });
+      if (last) node("text", { x: this.x(time), y: bottom + 14, "text-anchor": "middle", class: "tick" }, `${time} s`);
+    }
     for (const limit of limits) {
       line(limit.t, limit.values, "limit");
       if (limit.t.length === 2) {
-        const from = sense === "min" ? HEIGHT - BOTTOM : TOP, at = y(limit.values[0]);
+        const from = sense === "min" ? bottom : TOP, at = y(limit.values[0]);
         node("rect", { x: LEFT, y: Math.min(from, at), width: Math.max(0, right - LEFT), height: Math.abs(from - at), class: "forbidden" });
       }
     }
     for (const values of curves) line(t, values, "curve");
-    label.split("\n").forEach((text, i) => node("text", { x: LEFT - 6, y: 26 + 14 * i, "text-anchor": "end" }, text));
     const written = [];
     const write = (text, value, name) => {
       let at = y(value) + 4;
@@ -59,22 +64,39 @@ class Plots {
       node("path", { d: `M${a - 4},${b}L${a},${b - 4}L${a + 4},${b}L${a},${b + 4}Z`, class: "worst" });
       write(`worst ${significant(worst.value)}`, worst.value, "");
     }
-    svg.addEventListener("pointerdown", (event) => {
+    const seek = (event) => {
       const x = event.clientX - svg.getBoundingClientRect().left;
-      this.seek(Math.min(1, Math.max(0, (x - LEFT) / (right - LEFT))) * this.data.duration);
-    });
-    const cursor = node("line", { y1: TOP, y2: HEIGHT - BOTTOM, class: "now" });
+      if (event.buttons) this.seek(Math.min(1, Math.max(0, (x - LEFT) / (right - LEFT))) * this.data.duration);
+    };
+    for (const kind of ["pointerdown", "pointermove"]) svg.addEventListener(kind, seek);
+    const head = node("text", { x: LEFT, y: TOP - 6 }, `${label.replace("\n", " ")}: `), value = head.appendChild(document.createElementNS(SVG, "tspan"));
+    value.setAttribute("class", "value");
+    const cursor = node("line", { y1: TOP, y2: bottom, class: "now" });
     this.place.append(svg);
-    return cursor;
+    return { cursor, value, t, curves };
   }
 
   at(time) {
     this.time = time;
-    for (const cursor of this.cursors) {
+    for (const { cursor, value, t, curves } of this.cursors) {
       cursor.setAttribute("x1", this.x(time));
       cursor.setAttribute("x2", this.x(time));
+      const values = [...new Set(curves.map((curve) => significant(between(t, curve, time), 3)))];
+      value.textContent = values.join(" to ");
     }
   }
+}
+
+// Round numbers from 0 to an end, about as many as `count`.
+function ticks(end, count) {
+  const rough = end / count, power = 10 ** Math.floor(Math.log10(rough || 1)), step = power * [1, 2, 5, 10].find((k) => k * power >= 0.999 * rough);
+  return Array.from({ length: Math.floor(end / step) + 1 }, (_, i) => Number((i * step).toPrecision(6)));
+}
+
+// The value of a curve at a time, null where there is none.
+function between(t, values, time) {
+  const i = Math.max(1, t.findIndex((each) => each >= time)), a = values[i - 1], b = values[i];
+  return a === null || b === null ? null : a + (b - a) * Math.min(1, Math.max(0, (time - t[i - 1]) / (t[i] - t[i - 1])));
 }
 
 function significant(value, digits = 4) {

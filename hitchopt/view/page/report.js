@@ -40,7 +40,7 @@ class Page {
 
   addSwitches() {
     const few = this.data.names.length <= 24;
-    for (const [name, on] of [["paths", few], ["ellipsoids", false], ["forces", false], ["thrusts", false], ["names", few], ...(this.arrays.ghost ? [["ghost", true]] : [])]) {
+    for (const [name, on] of [["trails", few], ["paths", false], ["ellipsoids", false], ["forces", false], ["thrusts", false], ["names", few], ["follow", false], ...(this.arrays.ghost ? [["ghost", true]] : [])]) {
       const label = element("label"), box = Object.assign(element("input"), { type: "checkbox", checked: on });
       box.dataset.name = name;
       box.addEventListener("change", () => this.stage.switch(name, box.checked));
@@ -99,6 +99,7 @@ class Page {
   addControls() {
     const play = byId("play"), scrub = byId("scrub"), speed = byId("speed");
     play.addEventListener("click", () => this.play(!this.playing));
+    scrub.addEventListener("change", () => scrub.blur());
     scrub.max = this.data.duration;
     scrub.addEventListener("input", () => this.seek(Number(scrub.value)));
     for (const factor of [0.1, 0.25, 0.5, 1, 2, 4]) {
@@ -108,8 +109,11 @@ class Page {
     for (const button of document.querySelectorAll("[data-view]")) {
       button.addEventListener("click", () => { this.stage.view(button.dataset.view); this.stage.show(); });
     }
+    byId("png").addEventListener("click", () => this.stage.picture(`${this.data.title} ${this.time.toFixed(2)} s.png`));
+    // What is clicked with a mouse does not keep the keys: Space plays.
+    document.addEventListener("click", (event) => { if (event.detail) document.activeElement.blur(); });
     document.addEventListener("keydown", (event) => {
-      if (event.target !== document.body) return;
+      if (event.target.matches("input, select, button, summary")) return;
       const steps = { ArrowLeft: -0.1, ArrowRight: 0.1 };
       if (event.key === " ") { event.preventDefault(); this.play(!this.playing); }
       if (event.key in steps) this.seek(this.time + steps[event.key]);
@@ -134,6 +138,7 @@ class Page {
   seek(time) {
     const { duration, phases } = this.data;
     this.time = Math.min(duration, Math.max(0, time));
+    this.stage.time = this.time;
     interpolate(this.data, this.arrays, this.time);
     let now = phases.findIndex(({ end }) => this.time < end);
     if (now < 0) now = phases.length - 1;
@@ -150,6 +155,7 @@ class Page {
 }
 
 (async () => {
+  for (const each of document.querySelectorAll("details.wide")) each.open = window.innerWidth > 600;
   const data = JSON.parse(byId("data").textContent);
   const arrays = await decoded(data, byId("samples").textContent);
   window.hitchopt = new Page(data, arrays);

@@ -1,5 +1,9 @@
 // The scene in three dimensions; `show()` draws what `arrays` hold now.
 
+const DARK = window.matchMedia("(prefers-color-scheme: dark)").matches, TRAIL = 5;  // [s]
+const GROUND = new THREE.Color(DARK ? "#23282d" : "#f3f4f5"), WHITE = new THREE.Color("#ffffff");
+const shade = (colour) => new THREE.Color(colour).lerp(WHITE, DARK ? 0.16 : 0);
+
 // A surface of triangles with these corners, shaded face by face.
 function surface(corners) {
   const geometry = new THREE.BufferGeometry().setAttribute("position", new THREE.Float32BufferAttribute(corners, 3));
@@ -9,12 +13,12 @@ function surface(corners) {
 
 class Stage {
   constructor(data, arrays, place) {
-    Object.assign(this, { data, arrays, place, on: {}, marked: { drones: [], cables: [], vertices: [] } });
+    Object.assign(this, { data, arrays, place, time: 0, on: {}, marked: { drones: [], cables: [], vertices: [] } });
     this.renderer = new THREE.WebGLRenderer({ antialias: true, preserveDrawingBuffer: true });
     this.renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
     place.prepend(this.renderer.domElement);
     this.scene = new THREE.Scene();
-    this.scene.background = new THREE.Color("#f3f4f5");
+    this.scene.background = GROUND;
     this.camera = new THREE.PerspectiveCamera(35, 1, 0.01, 5000);
     this.camera.up.set(0, 0, 1);
     this.controls = new THREE.OrbitControls(this.camera, this.renderer.domElement);
@@ -28,7 +32,7 @@ class Stage {
     this.addDrones();
     this.addObjects();
     const { points, cable_colours: colours, mark } = data;
-    this.tubes = new CableTubes(this.scene, points, colours, mark);
+    this.tubes = new CableTubes(this.scene, points, colours.map(shade), mark);
     if (arrays.ghost) this.ghost = new CableTubes(this.scene, points, colours.map(() => "#b4bac0"), mark);
     this.addPaths();
     this.addArrows();
@@ -54,7 +58,7 @@ class Stage {
 
   addGround() {
     const step = 10 ** Math.round(Math.log10(this.extent / 4)), cells = 2 * Math.ceil(1.6 * this.extent / step);
-    const grid = new THREE.GridHelper(cells * step, cells, "#c2c7cc", "#d9dcdf");
+    const grid = new THREE.GridHelper(cells * step, cells, DARK ? "#4a5158" : "#c2c7cc", DARK ? "#353b41" : "#d9dcdf");
     grid.rotation.x = Math.PI / 2;
     grid.position.set(Math.round(this.centre.x / step) * step, Math.round(this.centre.y / step) * step, this.data.floor - 0.002);
     this.scene.add(grid);
@@ -80,7 +84,7 @@ class Stage {
     this.size = 0.8 * ellipsoid[0];  // from the centre to a rotor's far side, about
     this.bodies = parts.map(({ colours, corners }) => {
       const mesh = instanced(surface(corners), new THREE.MeshLambertMaterial({ side: THREE.DoubleSide }));
-      colours.forEach((colour, i) => mesh.setColorAt(i, new THREE.Color(colour)));
+      colours.forEach((colour, i) => mesh.setColorAt(i, shade(colour)));
       return mesh;
     });
     this.shells = instanced(new THREE.SphereGeometry(1, 24, 16).scale(...ellipsoid), new THREE.MeshLambertMaterial({ color: "#2a8c82", transparent: true, opacity: 0.16, depthWrite: false }));
@@ -106,11 +110,12 @@ class Stage {
 
   addPaths() {
     const { names, colours, t } = this.data, p = this.arrays.drones, corners = [], shades = [];
-    const stride = Math.max(1, Math.ceil(names.length * t.length / 200000));
-    for (let d = 0; d < names.length; d++) {
-      const { r, g, b } = new THREE.Color(colours[d]).lerp(new THREE.Color("#f3f4f5"), 0.45);
-      for (let i = 0; i < t.length - 1; i += stride) {
-        const a = i * p.columns + 3 * d, z = Math.min(i + stride, t.length - 1) * p.columns + 3 * d;
+    const stride = Math.max(1, Math.ceil(names.length * t.length / 200000)), pale = colours.map((colour) => shade(colour).lerp(GROUND, 0.45));
+    this.pathTimes = [];  // time after time, so that trails are a part
+    for (let i = 0; i < t.length - 1; i += stride) {
+      this.pathTimes.push(t[i]);
+      for (let d = 0; d < names.length; d++) {
+        const a = i * p.columns + 3 * d, z = Math.min(i + stride, t.length - 1) * p.columns + 3 * d, { r, g, b } = pale[d];
         corners.push(...p.values.subarray(a, a + 3), ...p.values.subarray(z, z + 3));
         shades.push(r, g, b, r, g, b);
       }
@@ -163,7 +168,34 @@ class Stage {
 
   switch(name, on) {
     this.on[name] = on;
+    if (name === "follow") {
+      this.view(this.looking);
+      if (on) this.camera.position.lerp(this.controls.target, 1 - Math.min(1, 4 * this.spread() / this.distance()));
+    }
     this.show();
+  }
+
+  // The middle of all drones now, and how far they are from it.
+  middle() {
+    const p = this.arrays.drones.now, sum = new THREE.Vector3();
+    for (let i = 0; i < p.length; i += 3) sum.add(new THREE.Vector3(p[i], p[i + 1], p[i + 2]));
+    return sum.multiplyScalar(3 / p.length);
+  }
+
+  spread() {
+    const p = this.arrays.drones.now, middle = this.middle();
+    let far = 0.2;
+    for (let i = 0; i < p.length; i += 3) far = Math.max(far, middle.distanceTo(new THREE.Vector3(p[i], p[i + 1], p[i + 2])));
+    return far;
+  }
+
+  // Saves what is drawn as a file.
+  picture(name) {
+    this.renderer.domElement.toBlob((blob) => {
+      const link = Object.assign(document.createElement("a"), { href: URL.createObjectURL(blob), download: name });
+      link.click();
+      URL.revokeObjectURL(link.href);
+    });
   }
 
   // Looks at all places where drones ever are, from one of the usual directions.
@@ -219,6 +251,12 @@ class Stage {
 
   show() {
     if (!this.labels) return;
+    if (this.on.follow) {
+      const moved = this.middle().sub(this.controls.target);
+      this.controls.target.add(moved);
+      this.camera.position.add(moved);
+      this.camera.updateMatrixWorld();
+    }
     const { names } = this.data, p = this.arrays.drones.now, q = this.arrays.attitudes.now;
     const matrix = new THREE.Matrix4(), turn = new THREE.Quaternion(), place = new THREE.Vector3(), unit = new THREE.Vector3(1, 1, 1), scale = new THREE.Vector3();
     const larger = Math.max(1, 0.0035 * this.distance() / this.size);
@@ -245,7 +283,10 @@ class Stage {
       shafts.geometry.attributes.position.needsUpdate = heads.instanceMatrix.needsUpdate = true;
     }
     this.shells.visible = !!this.on.ellipsoids;
-    this.paths.visible = !!this.on.paths;
+    const n = 2 * this.data.names.length, ahead = (time) => { const i = this.pathTimes.findIndex((t) => t >= time); return i < 0 ? this.pathTimes.length : i; };
+    const first = this.on.paths ? 0 : ahead(this.time - TRAIL), last = this.on.paths ? this.pathTimes.length : ahead(this.time);
+    this.paths.visible = !!(this.on.paths || this.on.trails);
+    this.paths.geometry.setDrawRange(n * first, n * (last - first));
     this.updateObjects();
     const radius = Math.max(this.data.radius, 0.0011 * this.distance());
     this.tubes.update(this.arrays.cables.now, radius);
