@@ -216,6 +216,59 @@ class TestReport:
         report.locator("#play").click()
         assert not report.evaluate("hitchopt.playing")
 
+    def test_space_plays_whatever_was_clicked_and_follow_keeps_the_drones_in_the_middle(
+        self, report: Any
+    ) -> None:
+        report.locator("#strip button").first.click(force=True)
+        report.keyboard.press("Space")
+        waited(report, lambda: bool(report.evaluate("hitchopt.playing && hitchopt.time > 0.2")))
+        report.locator("#scrub").click()
+        report.keyboard.press("Space")
+        assert not report.evaluate("hitchopt.playing")
+        report.evaluate("hitchopt.stage.switch('follow', true)")
+        for share in (0.2, 0.9):
+            time = share * tied_plan().duration
+            report.evaluate(f"hitchopt.seek({time})")
+            middle = np.mean(tied_plan().at(time).positions, axis=0)
+            target = report.evaluate("hitchopt.stage.controls.target.toArray()")
+            np.testing.assert_allclose(target, middle, atol=0.01)
+        report.evaluate("hitchopt.stage.switch('follow', false)")
+
+    def test_plots_say_the_value_at_the_cursor_and_trails_last_5_s(self, report: Any) -> None:
+        time = 0.6 * tied_plan().duration
+        report.evaluate(f"hitchopt.seek({time})")
+        (speed,) = report.evaluate(
+            "[...document.querySelectorAll('#plots .value')].slice(1, 2).map((e) => e.textContent)"
+        )
+        fastest = np.max(np.linalg.norm(tied_plan().at(time).velocities, axis=-1))
+        assert float(speed) == pytest.approx(fastest, abs=0.01)
+        first, count = report.evaluate(
+            "(({ start, count }) => [start, count])(hitchopt.stage.paths.geometry.drawRange)"
+        )
+        drones, times = 2 * tied_plan().motion.team.drones, report.evaluate("hitchopt.data.t")
+        assert times[first // drones] == pytest.approx(time - 5.0, abs=0.1)
+        assert times[(first + count) // drones] == pytest.approx(time, abs=0.1)
+
+    def test_panels_leave_the_scene_its_space_and_fold_on_small_pages(self, report: Any) -> None:
+        def width() -> float:
+            return float(report.locator("#stage").bounding_box()["width"])
+
+        report.set_viewport_size({"width": 1280, "height": 480})
+        assert width() >= 0.7 * 1280
+        assert report.locator("#strip").is_visible()
+        strip = report.locator("#strip").bounding_box()
+        assert strip["y"] + strip["height"] <= 480
+        report.set_viewport_size({"width": 400, "height": 800})
+        report.reload()
+        waited(report, lambda: bool(report.evaluate("Boolean(window.hitchopt)")))
+        assert width() == 400
+        assert not report.locator("#checks").is_visible()
+        strip = report.locator("#strip").bounding_box()
+        assert strip["y"] + strip["height"] <= 800
+        report.set_viewport_size({"width": 1200, "height": 800})
+        report.reload()
+        waited(report, lambda: bool(report.evaluate("Boolean(window.hitchopt)")))
+
 
 class TestLiveView:
     """The live view of a plan."""
