@@ -18,7 +18,7 @@ from hitchopt.errors import UnsupportedError
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.view.live_scene import SWITCHES, LiveScene
 from hitchopt.view.scene import Concerned, Scene, concerned, scene_of
-from hitchopt.view.style import facts, verdict
+from hitchopt.view.style import COLOURS, LIMIT_COLOUR, facts, verdict
 
 # Default address of the server: this machine alone; if the port is in use, the next free one
 HOST, PORT = "127.0.0.1", 8080
@@ -33,7 +33,12 @@ SIDE, SIDE_BRIGHTNESS = (-1.0, -0.3, 0.3), 1.0
 FRAME, STEP, DECIMALS = 1.0 / 30.0, 0.001, 3
 SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 
-QUIET = "gray"  # Colour of buttons, but for those of checks that do not hold
+# Colours of buttons, and of the current phase; those of checks that do not hold are red
+QUIET, CURRENT = "gray", "blue"
+PLOT_HEIGHT = 150  # Height of a plot with its legend [pixels]
+CLOSE = (
+    4.0  # Distance from which a followed team is seen, over the farthest drone's from its middle
+)
 # Direction and shortest distance [m] from which the scene is seen at first
 FROM, NEAREST = np.array([-0.35, -0.8, 0.5]), 1.5
 ASPECT = 0.7  # Width over height of the part of a small window that panels leave free
@@ -59,12 +64,16 @@ def open_server(host: str = HOST, port: int = PORT) -> Any:
         "/light/sky", sky_color=SKY, ground_color=GROUND, intensity=BRIGHTNESS, wxyz=Z_FROM_Y
     )
     scene.add_light_directional("/light/side", intensity=SIDE_BRIGHTNESS, position=SIDE)
-    # Without the button that shares the page through a server elsewhere.
-    gui.configure_theme(show_logo=False, show_share_button=False)
+    _theme(gui, dark=False)
     gui.main_panel.dock_right()
     gui.main_panel.set_width(WIDTH)
     server.initial_camera.fov = FIELD
     return server
+
+
+def _theme(gui: Any, *, dark: bool) -> None:
+    """Set the page's colours, without the button that shares it through a server elsewhere."""
+    gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=dark)
 
 
 def server_address(server: Any) -> str:
@@ -91,7 +100,7 @@ class LiveView:
         ghost: Scene | None = None,
     ) -> None:
         self.server = server
-        self.time, self.playing, self.speed = 0.0, False, 1.0
+        self.time, self.playing, self.speed, self.following = 0.0, False, 1.0, False
         self.motion, self.certificate = motion, certificate
         self._note, self._title = "", title
         self._lock, self._open = threading.RLock(), True
@@ -135,6 +144,7 @@ class LiveView:
             self.certificate = certificate
             self._show_head()
             self._show_checks()
+            self._show_plots()
 
     def note(self, words: str) -> None:
         """Draw the plan pale, under words that say how it relates to the problem; "" ends that."""
@@ -151,6 +161,8 @@ class LiveView:
                 self.live.show(self.time)
                 if self._ghost is not None:
                     self._ghost.show(self.time)
+                if self.following:
+                    self._follow()
             self._show_phase()
             if abs(self.scrub.value - self.time) > 0.5 * FRAME:
                 self.scrub.value = round(self.time, DECIMALS)
@@ -172,6 +184,35 @@ class LiveView:
                 self.seek(0.0)
             self.playing = on
             self.player.label = "Pause" if on else "Play"
+
+    def follow(self, *, on: bool) -> None:
+        """Let the cameras of all pages follow the drones, or leave them where they are."""
+        with self._lock:
+            self.following = on
+            if on:
+                self._follow(closer=True)
+
+    def _follow(self, *, closer: bool = False) -> None:
+        drones = self.live.scene.at(self.time).drones
+        middle = np.mean(drones, axis=0)
+        spread = max(float(np.max(np.linalg.norm(drones - middle, axis=1))), NEAREST / CLOSE)
+        for client in self.server.get_clients().values():
+            camera = client.camera
+            if camera.update_timestamp > 0.0:  # else the page has not said yet where it is
+                away = camera.position - camera.look_at
+                if closer:
+                    away *= min(1.0, CLOSE * spread / float(np.linalg.norm(away)))
+                camera.position, camera.look_at = middle + away, middle
+
+    def _send_picture(self, client: Any) -> None:
+        """Send what a page shows of the scene to it, as a file."""
+        import imageio.v3 as imageio
+
+        camera = client.camera
+        picture = client.get_render(camera.image_height, camera.image_width)
+        name = f"{self._title or 'plan'} {self.time:.2f} s.png"
+        content = imageio.imwrite("<bytes>", picture[..., :3], extension=".png")
+        client.send_file_download(name, content, save_immediately=True)
 
     def _play(self) -> None:
         """Advance the time while the plan is played."""
@@ -203,6 +244,8 @@ class LiveView:
         self.head, self.now = gui.add_markdown(""), gui.add_markdown("")
         self.scrub = gui.add_slider("time [s]", 0.0, 1.0, STEP, 0.0)
         self.player = gui.add_button("Play")
+        space = gui.add_command("Play or pause", hotkey="space")
+        space.on_trigger(lambda _: self.play(on=not self.playing))
         speed = gui.add_dropdown("speed", SPEEDS, initial_value=f"{self.speed:g}")
         self.shown_check = gui.add_markdown("", visible=False)
 
@@ -213,10 +256,14 @@ class LiveView:
         self.scrub.on_update(scrubbed)
         self.player.on_click(lambda _: self.play(on=not self.playing))
         speed.on_update(lambda event: setattr(self, "speed", float(event.target.value)))
-        with gui.add_folder("Show", expand_by_default=True):
+        with gui.add_folder("Show", expand_by_default=False):
             for name in SWITCHES:
                 box = gui.add_checkbox(name, self.live.shown[name])
                 box.on_update(lambda event, name=name: self._switch(name, on=event.target.value))
+            follow, dark = gui.add_checkbox("follow", False), gui.add_checkbox("dark", False)
+            follow.on_update(lambda event: self.follow(on=event.target.value))
+            dark.on_update(lambda event: _theme(gui, dark=event.target.value))
+            gui.add_button("PNG").on_click(lambda event: self._send_picture(event.client))
         tabs = gui.add_tab_group()
         self.phases = Buttons(gui, tabs.add_tab("Phases"), self._show_phase_at)
         checks = tabs.add_tab("Certificate")
@@ -224,6 +271,7 @@ class LiveView:
             gui.add_markdown("Every worst value holds for all t. A click shows where and when.")
             gui.add_button("no highlight", color=QUIET).on_click(lambda _: self._unmark())
         self.checks = Buttons(gui, checks, self._show_check_at)
+        self._plots_tab, self._plots = tabs.add_tab("Plots"), list[Any]()
 
     def _fill_panel(self) -> None:
         """Fill the panel with the plan's facts, and show its time."""
@@ -232,6 +280,7 @@ class LiveView:
         spans = [f"{p.name}: {p.start:.2f} – {p.end:.2f} s" for p in self.motion.phases]
         self.phases.show(spans, [QUIET] * len(spans))
         self._show_checks()
+        self._show_plots()
         self.seek(self.time)
         longest = math.ceil(max(self.motion.duration, FRAME) / STEP) * STEP
         self.scrub.max = round(longest, DECIMALS)
@@ -245,7 +294,11 @@ class LiveView:
 
     def _show_phase(self) -> None:
         phases, duration = self.motion.phases, self.motion.duration
-        phase = next((phase for phase in phases if self.time < phase.end), phases[-1])
+        now = next((i for i, phase in enumerate(phases) if self.time < phase.end), len(phases) - 1)
+        phase = phases[now]
+        for i, button in enumerate(self.phases.buttons[: len(phases)]):
+            if button.color != (colour := CURRENT if i == now else QUIET):
+                button.color = colour
         state = "" if phase.state is CableState.NONE else f" ({phase.state})"
         words = f"**{self.time:.2f} s** of {duration:.2f} s: **{phase.name}**{state}"
         remark = plain_words(phase.remark)
@@ -255,6 +308,33 @@ class LiveView:
         checks = self.certificate.checks if self.certificate else ()
         colours = [QUIET if check.holds else "red" for check in checks]
         self.checks.show([_words(check) for check in checks], colours)
+
+    def _show_plots(self) -> None:
+        """Show the report's plots once the plan is certified; their legends say values."""
+        if self.certificate is None:
+            return
+        from hitchopt.view.report import plots_of  # drawn with matplotlib there, which loads late
+
+        for plot in self._plots:
+            plot.remove()
+        self._plots.clear()
+        for plot in plots_of(self.motion, self.certificate):
+            t = np.array(plot["t"])
+            columns, series = [t], list[dict[str, Any]]([{"label": "t [s]"}])
+            for k, curve in enumerate(plot["curves"]):
+                columns.append(np.array(curve, np.float64))
+                label = ("smallest", "largest")[k] if len(plot["curves"]) > 1 else "worst drone"
+                series.append({"label": label, "stroke": COLOURS[1], "width": 1.5})
+            for each in plot["limits"]:
+                columns.append(np.interp(t, each["t"], np.array(each["values"], np.float64)))
+                series.append({"label": "limit", "stroke": LIMIT_COLOUR, "dash": (6, 3)})
+            scales = {"x": {"time": False}, "y": {"range": (0.0, plot["top"])}}
+            with self._plots_tab:
+                shown = self.server.gui.add_uplot(
+                    tuple(columns), tuple(series), title=plot["label"].replace("\n", " "),
+                    scales=scales, height=PLOT_HEIGHT, legend={"show": True},
+                )  # fmt: skip
+            self._plots.append(shown)
 
     def _show_phase_at(self, index: int) -> None:
         with self._lock:

@@ -19,15 +19,15 @@ NEWTON = 0.2  # Length of an arrow of 1 N [m]
 MOST_NAMED = 40  # Number of drones up to which all are named at first: more names hide the scene
 # Colour of a ghost and of an old plan's cables, and opacity of their drones and objects
 PALE, GHOSTLY = "#969ca2", 0.4
-# Time between the corners of drawn paths [s]: they are off by the acceleration times its square
-# over 8, some millimetres. Browsers that draw by software are slow with more segments
-PATH_STEP, MOST_SEGMENTS = 0.1, 4000
-# Width of a path [pixels], as thinner ones have gaps, and of the arena's edges [m]
-PATH_WIDTH, EDGE = 1.2, 0.006
+# Time that a trail lasts [s], its corners, and the most segments of all trails: browsers that draw
+# by software are slow with more
+TRAIL, CORNERS, MOST_SEGMENTS = 5.0, 41, 4000
+# Width of a trail [pixels], as thinner ones have gaps, and of the arena's edges [m]
+TRAIL_WIDTH, EDGE = 1.2, 0.006
 ARENA_COLOUR, SHELL_COLOUR = "#cbcbcb", "#2a8c82"
 ARROWS = {"forces": "#c8414f", "thrusts": "#0b3c5d"}  # Colours of the drones' arrows
 
-SWITCHES = ("paths", "downwash ellipsoids", "forces", "thrusts", "names")
+SWITCHES = ("trails", "downwash ellipsoids", "forces", "thrusts", "names")
 
 
 class LiveScene:
@@ -39,9 +39,10 @@ class LiveScene:
 
     def __init__(self, server: Server, scene: Scene, name: str, *, ghost: bool = False) -> None:
         self.scene, self._api, self._name, self._ghost = scene, server.scene, name, ghost
-        self._marked, self._pale, self._moment = Concerned(), False, scene.at(0.0)
+        self._marked, self._pale = Concerned(), False
+        self._time, self._moment = 0.0, scene.at(0.0)
         few = scene.drones.shape[1] <= MOST_NAMED
-        self.shown = {switch: few and switch in ("paths", "names") for switch in SWITCHES}
+        self.shown = {switch: few and switch in ("trails", "names") for switch in SWITCHES}
         colours, cables = scene.appearance.cable_colours, _segments(self._moment.cables)
         self._cable_colours = (PALE,) * len(colours) if ghost else colours
         self._cables = self._lines("cables", cables, self._cable_colours, 2.0 * scene.radius)
@@ -53,7 +54,7 @@ class LiveScene:
 
     def show(self, time: float) -> None:
         """Draw the scene at a time [s]."""
-        self._moment = self.scene.at(time)
+        self._time, self._moment = time, self.scene.at(time)
         self._draw()
 
     def remove(self) -> None:
@@ -61,7 +62,7 @@ class LiveScene:
         self._api.remove_by_name(self._name.rstrip("/"))
 
     def switch(self, name: str, *, on: bool) -> None:
-        """Show or hide paths, ellipsoids, forces, thrusts or names."""
+        """Show or hide trails, ellipsoids, forces, thrusts or names."""
         self.shown[name] = on
         self._draw()
 
@@ -71,7 +72,7 @@ class LiveScene:
         self._paint()
 
     def fade(self, *, on: bool) -> None:
-        """Draw drones and cables pale, without their paths, or as they are again."""
+        """Draw drones and cables pale, without their trails, or as they are again."""
         if on != self._pale:
             self._pale = on
             self._paint()
@@ -99,7 +100,9 @@ class LiveScene:
             solid.position, solid.wxyz = pose[:3], pose[3:] / np.linalg.norm(pose[3:])
         if self._ghost:
             return
-        self._paths.visible = shown["paths"] and not self._pale
+        self._trails.visible = shown["trails"] and not self._pale
+        if self._trails.visible:
+            self._trails.points = self._trail()
         self._shells.visible = shown["downwash ellipsoids"]
         if self._shells.visible:
             self._shells.batched_positions = _single(moment.drones)
@@ -137,7 +140,7 @@ class LiveScene:
 
     def _add_switched(self) -> None:
         """Add the parts that have switches, and the balls that mark."""
-        scene, look, drones = self.scene, self.scene.appearance, self._moment.drones
+        look, drones = self.scene.appearance, self._moment.drones
         shell, marked = _as_bytes((SHELL_COLOUR, MARK_COLOUR))
         self._shells = self._batch("ellipsoids", sphere_faces(look.ellipsoid), shell, 0.15)
         reach = sphere_faces(1.5 * SPAN * look.ellipsoid[0])
@@ -146,17 +149,21 @@ class LiveScene:
         self._arrows = {
             kind: self._lines(kind, points, (colour,)) for kind, colour in ARROWS.items()
         }
-        most, end = max(2, MOST_SEGMENTS // len(drones)), scene.t[-1]
-        corners = np.linspace(0.0, end, int(np.clip(end / PATH_STEP, 2, most)))
-        rows = np.unique(np.searchsorted(scene.t, corners))
         pale = 0.5 * rgb(look.drone_colours) + 0.47
         colours = [f"#{bytes(each).hex()}" for each in np.rint(255.0 * pale).astype(np.uint8)]
-        paths = _segments(np.moveaxis(scene.drones[rows], 1, 0))
-        self._paths = self._lines("paths", paths, colours, PATH_WIDTH, "screen")
+        self._trails = self._lines("trails", self._trail(), colours, TRAIL_WIDTH, "screen")
         self._labels = [
             self._api.add_label(f"{self._name}names/{drone}", drone, position=tuple(place))
             for drone, place in zip(look.drones, drones, strict=True)
         ]
+
+    def _trail(self) -> NDArray[np.float32]:
+        """Return the segments of all drones' paths until now."""
+        count = min(CORNERS, max(2, MOST_SEGMENTS // self.scene.drones.shape[1]))
+        times = np.maximum(np.linspace(self._time - TRAIL, self._time, count), 0.0)
+        corners = self.scene.drones[np.searchsorted(self.scene.t[:-1], times)]
+        corners[-1] = self._moment.drones
+        return _segments(np.moveaxis(corners, 1, 0))
 
     def _add_surroundings(self) -> None:
         """Add ground, arena and keep-outs."""

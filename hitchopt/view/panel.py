@@ -17,7 +17,6 @@ from hitchopt.view.editing import START, Editing, Handle, Stage, Status, step_ke
 from hitchopt.view.live import LiveView, plain_words
 from hitchopt.view.style import MARK_COLOUR
 
-WIDTH = 330  # Width of the panel [pixels]
 # Radius of a handle, and length of the arrows of the one that is chosen [m]
 SIZE, REACH = 0.04, 0.35
 # Colours of the handle that is chosen, and of the others, as red, green and blue
@@ -40,8 +39,7 @@ class EditingPanel:
         self._offered: tuple[Any, ...] = ()
         gui = live.server.gui
         window = gui.add_panel()
-        window.dock_left()
-        window.set_width(WIDTH)
+        window.dock_below(gui.main_panel)
         self._tab = window.add_tab("Edit")
         with self._tab:
             self.status = gui.add_markdown("")

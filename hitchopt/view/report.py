@@ -106,7 +106,7 @@ def write_report(
         "verdict": style.verdict(certificate),
         "certified": certificate.certified,
         "arrays": entries,
-        "plots": list(_plots(motion, certificate)),
+        "plots": list(plots_of(motion, certificate)),
         "checks": checks,
         "problem": problem,
         "origin": _origin(problem, directory or path.parent),
@@ -190,7 +190,7 @@ def _solid(solid: Solid) -> dict[str, Any]:
     return {"colours": list(solid.colours), "corners": corners}
 
 
-def _plots(motion: Motion, certificate: Certificate) -> Iterator[dict[str, Any]]:
+def plots_of(motion: Motion, certificate: Certificate) -> Iterator[dict[str, Any]]:
     """Yield limited quantities over time, and the largest and smallest tension of the hitch."""
     states, duration = sampled_states(motion), motion.duration
     for panel in panels(motion, states):

@@ -322,6 +322,11 @@ class TestLiveView:
         waited(page, lambda: live.time > 0.3)
         page.get_by_role("button", name="Pause").click()
         waited(page, lambda: not live.playing)
+        page.locator("canvas").first.click(position={"x": 5, "y": 700})
+        for playing in (True, False):
+            page.keyboard.press("Space")
+            waited(page, lambda playing=playing: live.playing is playing)  # type: ignore[misc]
+        assert page.locator("canvas").first.bounding_box()["width"] >= 1200 - 385
         live.live.mark(Concerned())
         live.seek(0.6 * tied_plan().duration)
         box = page.locator("canvas").first.bounding_box()

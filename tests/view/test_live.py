@@ -22,7 +22,8 @@ import hitchopt as ho
 from hitchopt.cli import main
 from hitchopt.values import Array
 from hitchopt.view.live import ASPECT, Buttons, LiveView, open_server
-from hitchopt.view.report import write_report
+from hitchopt.view.live_scene import TRAIL
+from hitchopt.view.report import plots_of, write_report
 from hitchopt.view.scene import scene_of
 
 
@@ -41,12 +42,15 @@ def test_drones_and_cables_are_sent_where_the_plan_has_them(live: LiveView, time
     for part in ("frame", "rotors", "rims"):
         found = sent[f"/plan/drones/{part}"].batched_positions
         np.testing.assert_allclose(found, drones, atol=2e-3)
-    paths = sent["/plan/paths"].points.reshape(8, -1, 2, 3)
-    whole = np.moveaxis(live.motion.drones.at([0.0, live.motion.duration]), 0, 1)
-    np.testing.assert_allclose(paths[:, [0, -1], [0, 1]], whole, atol=1e-6)
-    np.testing.assert_array_equal(paths[:, 1:, 0], paths[:, :-1, 1])
-    apart = np.min(np.linalg.norm(paths[:, :, 0] - drones[:, None], axis=-1), axis=1)
-    assert np.max(apart) < 0.1  # some 0.1 s apart, below 1 m/s
+    trails = sent["/plan/trails"].points.reshape(8, -1, 2, 3)
+    begin = live.motion.drones.at(max(0.0, time - TRAIL))
+    np.testing.assert_allclose(trails[:, 0, 0], begin, atol=0.05)
+    np.testing.assert_allclose(trails[:, -1, 1], drones, atol=2e-3)
+    np.testing.assert_array_equal(trails[:, 1:, 0], trails[:, :-1, 1])
+    now = [button.color == "blue" for button in live.phases.buttons]
+    assert now == [
+        phase.start <= time < phase.end or phase.end == time for phase in live.motion.phases
+    ]
     ends = sent["/plan/cables"].points.reshape(4, -1, 2, 3)
     np.testing.assert_allclose(ends[:, 0, 0], drones[0::2], atol=2e-3)
     np.testing.assert_allclose(ends[:, -1, 1], drones[1::2], atol=2e-3)
@@ -73,6 +77,9 @@ def test_a_certificate_that_is_late_and_another_plan_keep_panel_and_switches() -
     view.show_certificate(made_certificate())
     assert "certified for all t" in view.head.content
     assert len(labels(view.checks)) == len(made_certificate().checks)
+    plots = list(plots_of(view.motion, made_certificate()))
+    assert [each.title for each in view._plots] == [p["label"].replace("\n", " ") for p in plots]
+    np.testing.assert_allclose(view._plots[1].data[1], plots[1]["curves"][0])
     view.live.switch("thrusts", on=True)
     view.play(on=True)
     head = view.head
