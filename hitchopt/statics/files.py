@@ -131,7 +131,7 @@ def draw_statics(settled: Settled, ranges: Tolerance | None) -> Figure:
         said[f"vertices at rest, t = {t[i]:.2f} s"] = path[0]
         right.plot(*settled.planned_vertices[i, ring, :2].T, **PLANNED)
         right.plot(*settled.drones[i, :, :2].T, color=colour, marker="x", linestyle="none", ms=4)
-        if np.ptp(settled.band[i]) > 0.0:
+        if np.ptp(settled.band[i]) > 1e-4:  # finer than is seen [m]
             for ends in settled.rests[i, ..., :2].swapaxes(0, 1):
                 areas["band of rest"] = right.plot(*ends.T, color=colour, lw=5.0, alpha=0.35)[0]
         shapes = () if ranges is None else ranges.ellipsoids[i, :, :2, :2]
