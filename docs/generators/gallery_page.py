@@ -48,7 +48,7 @@ def write_gallery_page() -> str:
     """Return the page, one figure for every problem and one row for every refused file."""
     sections = [part for section in SECTIONS for part in _section(section)]
     rows = [_refused(x) for folder in REFUSED for x in sorted((PROBLEMS / folder).glob("*.yaml"))]
-    return "\n".join([INTRODUCTION, PAGES, *_screenshots(), *sections, REFUSALS, *rows, ""])
+    return "\n".join([INTRODUCTION, *sections, PAGES, *_screenshots(), REFUSALS, *rows, ""])
 
 
 def _screenshots() -> list[str]:
@@ -63,17 +63,23 @@ def _screenshots() -> list[str]:
 
 def _section(section: Section) -> list[str]:
     lines = [f"## {section.heading}", "", *([] if section.solved else [UNSOLVED, ""])]
-    return lines + [_figure(section, file) for file in section.files]
+    return [
+        *lines,
+        "::::{grid} 1 2 3 3",
+        *(_card(section, file) for file in section.files),
+        "::::\n",
+    ]
 
 
-def _figure(section: Section, file: Path) -> str:
+def _card(section: Section, file: Path) -> str:
     name, title = file.relative_to(PROBLEMS), entry(file, "title", file.stem.replace("_", " "))
     picture = section.picture(file).relative_to(PICTURES.parent).as_posix()
     text = " ".join(line or "\n\n" for line in caption(file))
     escaped = re.sub(r"([\\*_\[\]<>$])", r"\\\1", text)
-    figure = f"### {title}\n\n![{title}, from above]({picture})\n\n`problems/{name.as_posix()}`. {escaped}\n"
-    binds = "" if section.solved else f"Binds: {entry(file, '# Binds', 'see the message')}.\n"
-    return figure + binds
+    binds = "" if section.solved else f"\n\nBinds: {entry(file, '# Binds', 'see the message')}."
+    head = f":::{{grid-item-card}} {title}\n:img-top: {picture}\n:img-alt: {title}, from above\n\n"
+    path = name.as_posix()
+    return f"{head}{escaped}{binds}\n+++\n{{download}}`problems/{path} </../problems/{path}>`\n:::"
 
 
 def _refused(file: Path) -> str:

@@ -23,6 +23,10 @@ SEARCHES = {
     "fly faster": "how_to/fly_faster",
     "exit code 3": "how_to/exit_code_3",
     "crazyflie": "how_to/crazyflie",
+    "takeoff": "how_to/faq",
+    "obstacle": "how_to/get_past_an_obstacle",
+    "battery": "how_to/faq",
+    "cite": "reference/cite",
 }
 """Words that readers look for, and the page that explains them: among the first FIRST results."""
 
