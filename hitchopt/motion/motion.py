@@ -31,7 +31,9 @@ class CableState(StrEnum):
     While cables are not hitched, vertices, legs and tensions have no meaning, except that
     vertices are where the clasps may lie while cables are being tightened. On the ground, cables
     lie there at least in part and drones fly straight up or down; in clasping, drones of
-    neighbouring cables turn about each other.
+    neighbouring cables turn about each other. Cables that are laid are taut by themselves and move
+    without turning; where they roll, they lie across each other at some clasps, or turn there from
+    that into a clasp or back, with all vertices at rest.
     """
 
     NONE = "none"
@@ -39,11 +41,13 @@ class CableState(StrEnum):
     FREE = "hanging free"
     CLASPING = "clasping"
     TIGHTENING = "being tightened"
+    LAYING = "being laid"
+    ROLLING = "rolling"
     HITCHED = "hitched"
 
 
-HITCHED_STATE = frozenset({CableState.HITCHED})
-"""The state in which the hitch exists, as a set."""
+HITCHED_STATE = frozenset({CableState.HITCHED, CableState.ROLLING})
+"""The states in which the hitch exists: vertices, legs and tensions have a meaning."""
 
 FREE_STATES = frozenset(CableState) - HITCHED_STATE - {CableState.NONE}
 """States of cables without a hitch."""
@@ -97,7 +101,7 @@ class Phase(OneLine):
     @property
     def formed(self) -> bool:
         """Whether the hitch exists."""
-        return self.state is CableState.HITCHED
+        return self.state in HITCHED_STATE
 
     def retimed(self, start: float, end: float) -> Phase:
         """Return the phase with other times [s]."""
@@ -336,9 +340,9 @@ class Motion(OneLine):
     @property
     def formed(self) -> NDArray[np.bool_]:
         """(pieces,): whether the hitch exists on each piece."""
-        return self._in_states(HITCHED_STATE)
+        return self.in_states(HITCHED_STATE)
 
-    def _in_states(self, states: Set[CableState]) -> NDArray[np.bool_]:
+    def in_states(self, states: Set[CableState]) -> NDArray[np.bool_]:
         """Return (pieces,) whether the cables are in one of the states on each piece."""
         here = self.cable_states
         if here <= states or here.isdisjoint(states):
@@ -359,7 +363,7 @@ class Motion(OneLine):
 
         Each keeps its times and has the phases that it overlaps.
         """
-        wanted = self._in_states(states)
+        wanted = self.in_states(states)
         if np.all(wanted):  # phases may be shorter than any piece
             return (self,)
         edges = np.flatnonzero(np.diff(np.concatenate([[False], wanted, [False]])))
