@@ -24,8 +24,7 @@ from hitchopt.checks.clearance import CHAIN_TOLERANCE, Solid, from_above
 from hitchopt.checks.distances import (
     TOUCHING,
     Moving,
-    PairSpans,
-    distance,
+    aside,
     nearest,
     smallest,
 )
@@ -40,11 +39,9 @@ from hitchopt.motion.retiming import on_breaks_of, padded
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import STILL
 from hitchopt.trajectory import bernstein
-from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
+from hitchopt.trajectory.enclosed import Enclosed
 from hitchopt.trajectory.piecewise import merged_breaks
 from hitchopt.values import Array
-
-FLAT = np.array([1.0, 1.0, 0.0])[:, None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,18 +128,6 @@ def cables_of(group: Group, *, parts: bool = False) -> Bodies | None:
     lowest[:, :, 2] -= 0.5 * motion.team.cable_length[:, None]
     names = tuple(group.label(f"cable {k}") for k in range(motion.team.robots))
     return Bodies(np.stack([q, r, lowest], axis=2), names, upright=True)
-
-
-def aside(spans: PairSpans) -> Bound:
-    """Return the distance of bodies from above, or the difference of their heights if larger."""
-    a, b = spans.ends
-    from_above_ = distance(*(c[:, : min(2, c.shape[1])] * FLAT for c in (a, b)))
-    margin = spans.source.margin
-    plan = Bound(np.maximum(from_above_.value - margin, 0.0), from_above_.x)
-    apart = a[:, :, None, 2] - b[:, None, :, 2]  # (spans, k, l, degree + 1)
-    apart = apart.reshape(len(apart), -1, apart.shape[-1])
-    over, under = (np.min(sign * apart, axis=1, keepdims=True) for sign in (1.0, -1.0))
-    return largest_of([plan, *(Enclosed(each, margin).below for each in (over, under))])
 
 
 def separated(run: Run) -> Iterator[Moving]:

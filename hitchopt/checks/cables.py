@@ -35,6 +35,7 @@ from hitchopt.checks.spans import (
     same_degree,
     without_shared_zeros,
 )
+from hitchopt.hitch.forces import sag_factors
 from hitchopt.motion.loads import ranged_phases, saved_lengths, stated_tensions
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, Motion
 from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
@@ -123,6 +124,15 @@ def _span_ratio(spans: Cables) -> Bound:
     return spans.scaled(drones[:, 1::2] - drones[:, 0::2], noise=spans.noise).norm_above
 
 
+def _taut_error(spans: Cables) -> Bound:
+    """Return by how much the chord of a taut cable is off its length less its sag, over that."""
+    team, drones = spans.source.team, spans.source.drones.coefficients
+    chord = spans.scaled(drones[:, 1::2] - drones[:, 0::2], noise=spans.noise)
+    sag = sag_factors(team, team.tension) * team.cable_length**2
+    longer = chord.norm * chord.level.dot(chord.level) * sag[spans.item, None]
+    return (chord.norm + longer - 1.0).norm_above
+
+
 def _size(motion: Motion) -> float:
     return magnitude(motion) / float(np.min(motion.team.cable_length))
 
@@ -139,12 +149,14 @@ CABLE_LENGTH = CheckRule(
     (
         LENGTH_ERROR,
         Evaluator(WorstOverSpans(Cables, _shortfall, "max"), frozenset({CableState.TIGHTENING})),
+        Evaluator(WorstOverSpans(Cables, _taut_error, "max"), frozenset({CableState.LAYING})),
     ),
     free_remedy="use a longer cable, or a smaller polygon",
     ease="length",
     exported_limit=EXPORTED_LIMIT,
 )
-"""Relative error of a cable's length; while being tightened, by how much it is too short."""
+"""Relative error of a cable's length; while being tightened, by how much it is too short; of cables
+that are laid, that of their chords with the sag at the team's tension."""
 
 SPAN = CheckRule(
     "span",

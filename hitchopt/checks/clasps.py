@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -32,7 +33,7 @@ from hitchopt.geometry.vectors import column_lengths, unit
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.forces import chord_pull
 from hitchopt.motion.loads import leg_tensions, object_loads, strut_shares, tautness
-from hitchopt.motion.motion import HITCHED_STATE, Motion
+from hitchopt.motion.motion import HITCHED_STATE, CableState, Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
 from hitchopt.trajectory.search import Extremum, worst
@@ -42,6 +43,7 @@ BALANCE_LIMIT = 5e-3  # Relative to the tension: the vertex is then within milli
 BACKWARD = -180.0  # [deg] The smallest angle there is; also that of an edge without direction
 TURN = 1e-6  # [deg] Rounding of the sum of all angles, which of a polygon are whole turns
 ROLLED = 175.0  # [deg] From this roll on a clasp counts as open: at 180° both cables run straight
+ROLLING = frozenset({CableState.ROLLING})
 ROUGH_ORDER = 3  # degree of factors that detect open clasps, which are far from closed ones
 OWN = np.array([0, 1])  # Legs that are at the clasp: q of the cable ahead, r of that behind
 
@@ -192,6 +194,20 @@ class Clasps(MotionSpans):
         pressed = Enclosed(self.pressed.c[:, None], np.asarray(self.pressed.r)[..., None])
         return self.carried.upward() - self.forces - pressed * 0.5
 
+    @cached_property
+    def turn(self) -> tuple[Enclosed, Enclosed, Enclosed]:
+        """Cosine of the roll, sine over the size of V, times a common positive factor; V.
+
+        With V the sum of its legs' pulls, D their difference and ū = u_k + u_{k-1} cosine and sine
+        go as ``(D·ū) V² - (D·V) (ū·V)`` and ``D·(ū × V) |V|``.
+        """
+        pulls = (self.along[0] * self.pulls[0]).reduced(ROUGH_ORDER)
+        q, r = chosen(pulls, 0), chosen(pulls, 1)
+        ahead = (chosen(self.along[1], 0) - chosen(self.along[1], 1)).reduced(ROUGH_ORDER)
+        whole, apart = q + r, q - r
+        cosine = apart.dot(ahead) * whole.dot(whole) - apart.dot(whole) * ahead.dot(whole)
+        return cosine, apart.dot(ahead.cross(whole)), whole
+
     def rolls(self) -> Array:
         """Return the rolls (spans,) [deg] at mid span: 0 where ``q̂_k`` leans towards ``u_k``."""
         (q, r), (u, back) = (np.moveaxis(each.middle, 1, 0) for each in self.along)
@@ -216,11 +232,16 @@ def _over(force: Enclosed, spans: Clasps) -> Bound:
 
 
 def _balance(spans: Clasps) -> Bound:
-    """Return the size of the residual over the smaller tension, infinite where a clasp is open."""
+    """Return the size of the residual over the smaller tension, infinite where a clasp is open.
+
+    Where pairs roll, what bears is a matter of the angle alone, which ``turns`` follows: near 180°
+    the weights that cables leave to one another are more than their contact.
+    """
     residual, lifted = _over(spans.residual, spans), _lifted(spans)
     if spans.weighed(spans.source):
         lifted = largest_of([lifted, _rolled(spans)])
     shut = lifted.value < 0.0
+    shut |= spans.source.in_states(ROLLING)[spans.piece]
     return Bound(np.where(shut, residual.value, np.inf), np.where(shut, residual.x, lifted.x))
 
 
@@ -245,18 +266,31 @@ def _lifted(spans: Clasps) -> Bound:
 def _rolled(spans: Clasps) -> Bound:
     """Return a bound that is negative where a clasp has rolled by less than ROLLED, for any load.
 
-    With V the sum of its legs' pulls, D their difference and ū = u_k + u_{k-1}, its sine is
-    ``D·(V × ū) |V|`` over the same as its cosine ``(D·ū) V² - (D·V) (ū·V)``. Legs of clasps that
-    carry much could wind around their edges in contact.
+    Legs of clasps that carry much could wind around their edges in contact.
     """
-    pulls = (spans.along[0] * spans.pulls[0]).reduced(ROUGH_ORDER)
-    q, r = chosen(pulls, 0), chosen(pulls, 1)
-    ahead = (chosen(spans.along[1], 0) - chosen(spans.along[1], 1)).reduced(ROUGH_ORDER)
-    whole, apart = q + r, q - r
-    cosine = apart.dot(ahead) * whole.dot(whole) - apart.dot(whole) * ahead.dot(whole)
-    sine, least = apart.dot(whole.cross(ahead)).range, cosine.below
-    aside = np.maximum(np.maximum(sine.low, -sine.high), 0.0) * whole.norm_below.value
-    return Bound(math.tan(math.radians(ROLLED)) * least.value - aside, least.x)
+    cosine, sine, whole = spans.turn
+    aside, least = sine.range, cosine.below
+    most = np.maximum(np.maximum(aside.low, -aside.high), 0.0) * whole.norm_below.value
+    return Bound(math.tan(math.radians(ROLLED)) * least.value - most, least.x)
+
+
+def turns(motion: Motion) -> tuple[Array, Array]:
+    """Return rolls at the start and their changes (clasps,) [deg], which are followed throughout.
+
+    Changes are nan where a piece is too long to follow a roll on it.
+    """
+    first, total = np.zeros((2, len(motion.team.layout.clasps)))
+    for spans in Clasps.of(motion):
+        rolls = [spans.at(np.full(len(spans), x)).rolls() for x in (0.0, 0.5, 1.0)]
+        cosine, sine, whole = spans.turn
+        here = np.radians(rolls[1])[:, None]
+        along = cosine * np.cos(here) + sine * whole.norm * np.sin(here)
+        followed = along.below.value > 0.0  # within a right angle of that at mid span
+        steps = sum((b - a + 180.0) % 360.0 - 180.0 for a, b in pairwise(rolls))
+        np.add.at(total, spans.item, np.where(followed, steps, np.nan))
+        begin = spans.piece == 0
+        first[spans.item[begin]] = rolls[0][begin]
+    return first, total
 
 
 def _find(motion: Motion, limit: float) -> WorstCase:

@@ -37,11 +37,12 @@ from hitchopt.checks.spans import (
 from hitchopt.geometry import differences, shortest_offset
 from hitchopt.geometry.broadphase import Boxes, Pairs, few_close_pairs
 from hitchopt.geometry.vectors import unit
+from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.pairs import CROSSING as CROSSING_PAIR
 from hitchopt.hitch.pairs import PAIRS, Bodies
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, Motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
-from hitchopt.trajectory.enclosed import Bound
+from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
 from hitchopt.trajectory.search import Extremum, Search, Spans
 from hitchopt.values import Array, Indices
 
@@ -96,6 +97,7 @@ class Ground(Shape):
 
 
 ORIGIN = Origin()
+FLAT = np.array([1.0, 1.0, 0.0])[:, None]
 
 
 def distance(a: Array, b: Array, shape: Shape = ORIGIN) -> Bound:
@@ -124,6 +126,18 @@ def gap(spans: PairSpans) -> Bound:
     """Return the distances of the bodies [m], zero where they meet."""
     apart = distance(*spans.ends, spans.source.shape)
     return Bound(np.maximum(apart.value - spans.source.margin, 0.0), apart.x)
+
+
+def aside(spans: PairSpans) -> Bound:
+    """Return the distance of bodies from above, or the difference of their heights if larger."""
+    a, b = spans.ends
+    from_above_ = distance(*(c[:, : min(2, c.shape[1])] * FLAT for c in (a, b)))
+    margin = spans.source.margin
+    plan = Bound(np.maximum(from_above_.value - margin, 0.0), from_above_.x)
+    apart = a[:, :, None, 2] - b[:, None, :, 2]  # (spans, k, l, degree + 1)
+    apart = apart.reshape(len(apart), -1, apart.shape[-1])
+    over, under = (np.min(sign * apart, axis=1, keepdims=True) for sign in (1.0, -1.0))
+    return largest_of([plan, *(Enclosed(each, margin).below for each in (over, under))])
 
 
 @dataclass(frozen=True, eq=False)
@@ -386,7 +400,7 @@ SEPARATION = CheckRule(
 
 def plan_points(motion: Motion) -> Array:
     """Return the drones (pieces, 2n, 1, 3, degree + 1) as seen from above, at height 0 [m]."""
-    flat: Array = motion.drones.coefficients * np.array([1.0, 1.0, 0.0])[:, None]
+    flat: Array = motion.drones.coefficients * FLAT
     return flat[:, :, None]
 
 
@@ -422,9 +436,47 @@ def _hanging(motion: Motion) -> Iterator[Moving]:
         return ~np.isin(pair_of(layout, i, j), clasped_pairs(layout))
 
     for part in phase_parts(motion):
-        clasped = part.phase.state in (CableState.CLASPING, CableState.TIGHTENING)
+        clasped = part.phase.state not in (CableState.GROUND, CableState.FREE)
         ends, allowed = cable_ends(plan_points(part.motion)), unclasped if clasped else None
         yield Moving.of(part.motion, ends, allowed=allowed, names=(names, names))
+        if part.phase.state is CableState.LAYING:
+            yield _over_each_other(part.motion)
+
+
+UPRIGHT_TOLERANCE = 1e-3
+"""[m] Tightness of bounds of distances from above, or of heights."""
+
+SIDEWAYS = 1e-6
+"""[m] Largest sideways motion of drones that go straight up or down."""
+
+
+def upright_pieces(motion: Motion) -> Flags:
+    """Return (pieces,) whether all drones go straight up or down, or rest."""
+    level = motion.drones.coefficients[:, :, :2]
+    upright: Flags = np.max(np.ptp(level, axis=-1), axis=(1, 2)) <= SIDEWAYS
+    return upright
+
+
+def _over_each_other(motion: Motion) -> Moving:
+    """Return the pairs of neighbours that move over each other, while any drone moves sideways.
+
+    Cables that are laid keep their shape: each is within the upright strip from its chord to the
+    level of its largest sag below that.
+    """
+    names, layout, c = cable_names(motion), motion.team.layout, motion.drones.coefficients
+    first = c[0, ..., 0].reshape(-1, 2, 3)
+    cables = Catenary.between(first[:, 0], first[:, 1], motion.team.cable_length)
+    deepest = cables.depth(0.0) + 0.25 * cables.sigma**2 * np.abs(cables.rise)
+    strips = np.concatenate([cable_ends(c)] * 2, axis=2)
+    strips[:, :, 2:, 2] -= deepest[:, None, None]
+
+    def neighbours(i: Indices, j: Indices) -> Flags:
+        return np.isin(pair_of(layout, i, j), clasped_pairs(layout))
+
+    counted = np.repeat(~upright_pieces(motion)[:, None], layout.robots, axis=1)
+    options: dict[str, Any] = {"formula": aside, "tolerance": UPRIGHT_TOLERANCE}
+    options |= {"allowed": neighbours, "counted": counted, "names": (names, names)}
+    return Moving.of(motion, strips, **options)
 
 
 CROSSING = CheckRule(
@@ -443,5 +495,6 @@ CROSSING = CheckRule(
 """Cable parts that share no clasp stay apart.
 
 Hanging cables keep off each other as seen from above, where they are straight lines: in space they
-are no closer.
+are no closer. Neighbours that are laid may be over each other; as they come down on one another the
+check ``interlacing`` compares them.
 """

@@ -29,8 +29,20 @@ from itertools import groupby
 import numpy as np
 
 from hitchopt.checks.cables import LENGTH_LIMIT as SLACK
+from hitchopt.checks.cables import TENSION_LIMIT
+from hitchopt.checks.clasps import ROLLED, turns
 from hitchopt.checks.clearance import above_ground, cables_and_drones, chains
-from hitchopt.checks.distances import Flags, Moving, PairSpans, cable_ends, near
+from hitchopt.checks.distances import (
+    CROSSING,
+    SIDEWAYS,
+    TOUCHING,
+    Flags,
+    Moving,
+    PairSpans,
+    cable_ends,
+    near,
+    upright_pieces,
+)
 from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase, worst_at_joint
 from hitchopt.checks.spans import (
     PART_NAMES,
@@ -46,6 +58,7 @@ from hitchopt.checks.spans import (
 from hitchopt.errors import check_time
 from hitchopt.geometry import shortest_offset
 from hitchopt.geometry.vectors import length, unit
+from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.forces import cable_of, sag_factors
 from hitchopt.hitch.team import Layout
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, JOINT, CableState, Motion, Phase
@@ -199,12 +212,13 @@ def _off(spans: PairSpans) -> Flags:
     return sure
 
 
+LAID = 0.02  # [m] Largest distance of cables that lie on one another: their sags differ
 JUMP = 1e-6  # [m], [m/s], [m/s²] Largest jump, far below what a drone can follow
 # States in which neighbours have the crossing number 0; in clasping it changes, else it is 1
 BEFORE = frozenset({CableState.GROUND, CableState.FREE})
 MAX_NAMED = 12  # maximum number of pairs in ``where``
-MAX_SIDEWAYS = 1e-6  # [m] Largest sideways motion of drones while cables lie on the ground
-MAX_DRIFT = 1e-3  # [m] Largest motion of the middle of two drones that turn about each other
+MAX_DRIFT = 1e-3  # [m] Largest motion of the middle of two drones that turn about each other, and
+# change of legs, which sag, while they roll
 MAX_TAUT_SHARE = 0.5  # largest share of a tightening phase with cables at their full length:
 # tightening comes to rest there, which takes a few hundredths of its time
 PROBES = np.linspace(0.0, 1.0, 9)  # places on a piece, one of which shows that cables are slack
@@ -272,20 +286,34 @@ def _wrong(motion: Motion) -> Iterator[tuple[Phase, Indices, Array | float]]:
     clasped = np.sort(clasped_pairs(layout))
     # An initial hitch is assumed to be tied with every q going up first: 1 for neighbours.
     numbers = np.full(len(clasped), int(motion.formed[0]), dtype=np.intp)
-    for state, run in groupby(phase_parts(motion), lambda part: part.phase.state):
-        parts = list(run)
+    ties = _Ties(np.argsort(clasped_pairs(layout)), numbers, numbers.copy(), 0 * numbers)
+    runs = [
+        (state, list(run)) for state, run in groupby(phase_parts(motion), lambda p: p.phase.state)
+    ]
+    around = [None, *(state for state, _ in runs), None]
+    for i, (state, parts) in enumerate(runs):
         first, last, hitched = parts[0], parts[-1], state is CableState.HITCHED
         ends = [float(part.motion.drones.breaks[-1]) for part in parts]
         required = None if state is CableState.CLASPING else int(state not in BEFORE)
-        if required is not None:
+        rolls = {CableState.LAYING, CableState.ROLLING} & {around[i], state}
+        if required is not None and not rolls:
             start = float(first.motion.drones.breaks[0])
             yield first.phase, clasped[np.abs(numbers) != required], start
         at_last = last.pieces.stop == motion.drones.pieces
+        if hitched and around[i] is not CableState.ROLLING:
+            ties.senses[:] = numbers
         if hitched and at_last:  # loaded clasps and separated parts stay linked
             continue
         span = motion.slice_pieces(
             slice(first.pieces.start, last.pieces.stop), [p.phase for p in parts]
         )
+        if state in {CableState.LAYING, CableState.ROLLING}:
+            follow = ties.laid if state is CableState.LAYING else ties.rolled
+            wrong = follow(span, around[i], around[i + 2])
+            yield last.phase, clasped[wrong], ends[-1]
+            for part in parts:
+                yield part.phase, _contradicted(part.motion), float(part.motion.drones.breaks[0])
+            continue
         met = chord_crossings(span.drones)
         pairs = pair_of(layout, met.first, met.second)
         known = np.isin(pairs, clasped)
@@ -296,8 +324,8 @@ def _wrong(motion: Motion) -> Iterator[tuple[Phase, Indices, Array | float]]:
             required = 0
         if required is not None:
             yield last.phase, clasped[np.abs(numbers) != required], ends[-1]
-        for i, part in enumerate(parts):
-            here = bad & (in_part == i)
+        for index, part in enumerate(parts):
+            here = bad & (in_part == index)
             yield part.phase, pairs[here], met.time[here]
             if hitched:
                 continue
@@ -307,6 +335,98 @@ def _wrong(motion: Motion) -> Iterator[tuple[Phase, Indices, Array | float]]:
                 yield part.phase, pair_of(layout, drone // 2, cable), time
 
 
+@dataclass(frozen=True, eq=False)
+class _Ties:
+    """Ties of neighbours, each (clasps,) in the ``order`` of pairs; they change along a plan.
+
+    Crossing numbers; the sense of a clasp, 1 or -1; and ``lying``, 1 where the cable ahead lies on
+    the one behind, -1 below it, 0 where they are apart or clasped. Pairs that lie across roll by
+    half a turn in the sense of that sign, which is then their crossing number.
+    """
+
+    order: Indices
+    numbers: Indices
+    senses: Indices
+    lying: Indices
+
+    def laid(self, motion: Motion, before: CableState | None, after: CableState | None) -> Flags:
+        """Return (clasps,) the pairs that are not laid, or lifted, on a run of its pieces.
+
+        Where cables go straight up or down all neighbours cross, seen from above. They come down to
+        where they roll, or rise from there; the one that is above is so all the time.
+        """
+        upright, least = upright_pieces(motion), max(CROSSING.limit_of(motion) or 0.0, TOUCHING)
+        ties = before is CableState.ROLLING, after is CableState.ROLLING
+        wrong = np.full(len(self.order), np.any(self.lying != 0) and not ties[0])
+        wrong |= (ties[0] and not upright[0]) or (ties[1] and not upright[-1])
+        signs = 0 * self.lying
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], upright, [False]])))
+        for start, stop in edges.reshape(-1, 2).tolist():
+            gaps = _gaps(motion.slice_pieces(slice(start, stop), motion.phases))[self.order]
+            rises, comes = ties[0] and start == 0, ties[1] and stop == len(upright)
+            there, away = gaps[:, 0, 0], gaps[:, -1, -1]
+            there, away = (there, away) if rises else (away, there)
+            over = np.sign(np.nan_to_num(away)).astype(np.intp)
+            wrong |= ~(np.abs(away) >= least)
+            floor = np.full(len(away), least)
+            if rises or comes:
+                wrong |= (rises and comes) | ~(np.abs(there) <= LAID)
+                wrong |= rises & (over != self.lying)
+                floor, signs = over * there - JUMP, signs if rises else over
+            wrong |= ~(np.min(over[:, None, None] * gaps, axis=(1, 2)) >= floor)
+        self.numbers[:], self.lying[:] = 0, signs
+        return wrong
+
+    def rolled(self, motion: Motion, before: CableState | None, after: CableState | None) -> Flags:
+        """Return (clasps,) the pairs that roll otherwise than by half a turn in the right sense.
+
+        Pairs that are open when a plan begins are assumed to lie as they roll.
+        """
+        start, change = (each[self.order] for each in turns(motion))
+        lies, wrong = np.abs(start) >= ROLLED, np.isnan(change)
+        change = np.nan_to_num(change)
+        if before is None:
+            self.lying[:] = np.where(lies, np.sign(change), 0)
+        wrong |= lies != (self.lying != 0)
+        self.senses[:] = np.where(lies, self.lying, self.senses)
+        opened = -180.0 * self.senses  # roll of a pair that lies across
+        start = np.where(lies, opened + (start - opened + 180.0) % 360.0 - 180.0, start)
+        across = np.abs(start + change - opened) <= 180.0 - ROLLED
+        wrong |= ~across & (np.abs(start + change) >= ROLLED)
+        wrong |= {CableState.LAYING: ~across, CableState.HITCHED: across}.get(after, False)  # type: ignore[arg-type]
+        self.numbers[:] = np.where(lies, self.senses, self.numbers)
+        self.lying[:] = np.where(across, self.senses, 0)
+        return wrong
+
+
+def _gaps(motion: Motion) -> Array:
+    """Return by how much the cable ahead is above the one behind (clasps, pieces, degree + 1) [m].
+
+    At the crossing of their chords, seen from above, of cables that go straight up or down; nan
+    where they do not cross.
+    """
+    layout, c = motion.team.layout, motion.drones.coefficients
+    q, r = c[0, 0::2, :, 0], c[0, 1::2, :, 0]
+    cables = Catenary.between(q, r, motion.team.cable_length)
+    ahead, behind = layout.ahead, layout.behind
+    u, v, apart = (
+        (x[:, 0], x[:, 1]) for x in ((r - q)[ahead], (r - q)[behind], (q[behind] - q[ahead]))
+    )
+    turn = u[0] * v[1] - u[1] * v[0]
+    with np.errstate(all="ignore"):
+        shares = [(apart[0] * w[1] - apart[1] * w[0]) / turn for w in (v, u)]
+    rises = c[:, 0::2, 2] - c[:1, 0::2, 2, :1]  # (pieces, n, degree + 1)
+    heights = []
+    for cable, share in zip((ahead, behind), shares, strict=True):
+        mu = 2.0 * np.where((share > 0.0) & (share < 1.0), share, np.nan) - 1.0
+        whole = np.full(motion.team.robots, np.nan)
+        whole[cable] = mu
+        level = (q[:, 2] + 0.5 * (1.0 + whole) * (r - q)[:, 2] - cables.depth(whole))[cable]
+        heights.append(level[:, None, None] + np.moveaxis(rises[:, cable], 1, 0))
+    difference: Array = heights[0] - heights[1]
+    return difference
+
+
 def _names(layout: Layout, pair: int) -> list[str]:
     if pair in (pairs := clasped_pairs(layout)):
         return [f"p{layout.clasps[int(np.argmax(pairs == pair))]}"]
@@ -314,21 +434,24 @@ def _names(layout: Layout, pair: int) -> list[str]:
 
 
 def _contradicted(motion: Motion) -> Indices:
-    """Return the cables and pairs, in a phase without a hitch, that are not in its state.
+    """Return the cables and pairs, in a phase of one state, that are not in it.
 
-    Legs and tensions must be zero. On the ground no drone moves sideways, and some cable is closer
-    to it than a hanging cable may be. In clasping, drones at a clasp turn about a point at rest,
-    and some chords meet. While tightened, cables are slack for most of the time.
+    Legs and tensions are zero without a hitch. On the ground no drone moves sideways, and some
+    cable is closer to it than a hanging cable may be. In clasping, drones at a clasp turn about a
+    point at rest, and some chords meet. While tightened, cables are slack for most of the time.
+    Cables that are laid do not turn. Where they roll, vertices and legs rest, and unequal tensions,
+    loads and objects are not allowed.
     """
     state, n = motion.phases[0].state, motion.team.robots
     alone = np.arange(n) * (n + 1)
     parts = [motion.legs.coefficients, motion.tensions.coefficients, motion.pulls.coefficients]
     sizes = [np.max(np.abs(c), axis=(0, -1)).reshape(n, -1) for c in parts]
-    wrong = [alone[np.any(np.concatenate(sizes, axis=1) > 0.0, axis=1)]]
+    told = np.any(np.concatenate(sizes, axis=1) > 0.0, axis=1) & ~motion.formed[0]
+    wrong = [alone[told]]
     if state is CableState.GROUND:
         level = motion.drones.coefficients[:, :, :2]
         moved = np.ptp(level, axis=(0, -1)).reshape(n, -1)
-        wrong.append(alone[np.any(moved > MAX_SIDEWAYS, axis=1)])
+        wrong.append(alone[np.any(moved > SIDEWAYS, axis=1)])
         if above_ground(motion):
             wrong.append(alone)
     elif state is CableState.CLASPING:
@@ -339,6 +462,17 @@ def _contradicted(motion: Motion) -> Indices:
         if np.any(np.isin(met.first * n + met.second, pairs)):
             pairs = pairs[moved > MAX_DRIFT]
         wrong.append(pairs)
+    elif state is CableState.LAYING:
+        offsets = motion.drones.coefficients[:, 1::2] - motion.drones.coefficients[:, 0::2]
+        wrong.append(alone[np.max(np.ptp(offsets, axis=(0, -1)), axis=-1) > SIDEWAYS])
+    elif state is CableState.ROLLING:
+        pulled = motion.pulls.coefficients.reshape(len(motion.drones.durations), n, 2, -1)
+        loaded = any(phase.hold is not None for phase in motion.phases) or np.any(motion.team.load)
+        moved = np.max(np.ptp(motion.vertices.coefficients, axis=(0, -1))) > SIDEWAYS
+        moved |= np.max(np.ptp(motion.legs.coefficients, axis=(0, -1))) > MAX_DRIFT
+        moved |= np.max(np.abs(pulled - motion.tensions.coefficients[:, :, None])) > TENSION_LIMIT
+        if moved or loaded or np.ptp(motion.team.tension) > 0.0:
+            wrong.append(alone)
     elif state is CableState.TIGHTENING and _taut_share(motion) > MAX_TAUT_SHARE:
         wrong.append(alone)
     return np.unique(np.concatenate(wrong))

@@ -144,14 +144,16 @@ class Laying:
     def above(self) -> Array:
         """(2n, 3) [m]: the drones over these places, by level."""
         rise = np.repeat(self.spacing * self.levels, 2)
-        return self.laid + rise[:, None] * [0.0, 0.0, 1.0]
+        places: Array = self.laid + rise[:, None] * [0.0, 0.0, 1.0]
+        return places
 
     @property
     def outside(self) -> Array:
         """(2n, 3) [m]: the drones where no cable crosses another, taut."""
         assert self.away is not None
         shift = np.column_stack([self.away, np.zeros(len(self.away))])
-        return self.above + np.repeat(shift, 2, axis=0)
+        places: Array = self.above + np.repeat(shift, 2, axis=0)
+        return places
 
     @property
     def slack(self) -> Array:
@@ -160,7 +162,7 @@ class Laying:
         middle = np.mean(pairs, axis=1, keepdims=True)
         share = SPAN * length / np.linalg.norm(pairs[:, 1] - pairs[:, 0], axis=-1)
         nearer: Array = middle + share[:, None, None] * (pairs - middle)
-        return nearer.reshape(-1, 3)
+        return np.asarray(nearer.reshape(-1, 3))
 
     def at_altitude(self, altitude: float) -> Laying:
         """Return it at another altitude."""
@@ -171,9 +173,9 @@ class Laying:
 def split_for_rolling(
     team: Team, polygon: Outline, altitude: float, senses: Array, requirements: Requirements
 ) -> Hitch:
-    """Return the hitch whose slack split is nearest to one half among those that clear as they roll.
+    """Return the hitch with the slack split nearest to one half whose drones clear as they roll.
 
-    The one whose drones are farthest apart then, if none does.
+    The one with drones farthest apart, if none does.
     """
     best, apart = None, -np.inf
     slack = Hitch.balanced(team, polygon, altitude).slack
@@ -192,7 +194,7 @@ def split_for_rolling(
 
 
 def find_laying(hitch: Hitch, levels: Indices, requirements: Requirements) -> Laying:
-    """Return how a hitch is laid: the first one whose drones keep apart, else the one that nearly does.
+    """Return how a hitch is laid: the first candidate whose drones keep apart, else the best one.
 
     Levels are as far apart as cables sag and distances need; robots begin as near as cables can
     without crossing.
@@ -200,7 +202,7 @@ def find_laying(hitch: Hitch, levels: Indices, requirements: Requirements) -> La
     team, separation = hitch.team, requirements.separation
     layout, bare = team.layout, Laying(hitch, levels)
     q, r = bare.laid[0::2], bare.laid[1::2]
-    sag = float(np.max(Catenary.between(q, r, team.cable_length).depth(0.0)))
+    sag = float(np.max(Catenary.between(q, r, team.cable_length).depth(0.0) + np.abs(r - q)[:, 2]))
     keep = MARGIN * max(separation.cable, separation.crossing) + ROOM
     u = hitch.polygon.edge_directions
     out, step = np.column_stack([-u[:, 1], u[:, 0]]), STEP * float(np.mean(team.cable_length))

@@ -1,0 +1,192 @@
+"""Hitches tied by laying: what is right, and lies about order, sense and states."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from motions import altered, plus, row
+
+import hitchopt as ho
+from hitchopt.checks import certify
+from hitchopt.checks.clasps import turns
+from hitchopt.hitch import Team
+from hitchopt.hitch.requirements import Requirements
+from hitchopt.motion.motion import CableState, Motion, Phase, joined_motions
+from hitchopt.planners.forming.laying import (
+    Laying,
+    RollPath,
+    find_laying,
+    laying_stages,
+    levels_of,
+    rolling,
+    senses_of,
+    split_for_rolling,
+)
+from hitchopt.planners.forming.stages import reversed_stages, stage, straight_lines
+
+KEPT = Requirements()
+RINGS = {3: (1.3, 2.3), 6: (1.0, 1.9)}
+LAYING, ROLLING = CableState.LAYING, CableState.ROLLING
+
+
+@cache
+def laying_of(n: int, order: tuple[int, ...] | None = None) -> Laying:
+    """A ring off the origin, of cables of 10 g/m."""
+    edge, length = RINGS[n]
+    team = Team(n, length, tension=0.7, cable_density=0.01)
+    polygon = ho.regular_polygon(n, edge, angle=0.3).vertices + [4.0, -3.0]
+    levels = levels_of(team.layout, order)
+    outline = ho.ConvexPolygon(polygon)
+    hitch = split_for_rolling(team, outline, 1.8, senses_of(team.layout, levels), KEPT)
+    return find_laying(hitch, levels, KEPT)
+
+
+@cache
+def stages_of(n: int, order: tuple[int, ...] | None = None) -> list[Motion]:
+    return laying_stages(laying_of(n, order), KEPT)
+
+
+def wrong(motions: Sequence[Motion]) -> set[str]:
+    found = row(joined_motions(motions), "interlacing")
+    assert (found.worst == 0.0) is found.holds is (not found.where)
+    return {name for name in found.where if not name.startswith("phase ")}
+
+
+def clasps(n: int) -> set[str]:
+    return {f"p{k}" for k in range(n)}
+
+
+def lowered(laying: Laying, start: np.ndarray, end: np.ndarray) -> Motion:
+    """Cables that are laid on straight lines."""
+    team = laying.hitch.team
+    return stage("lay", straight_lines(team, KEPT.limits, start, end), team, KEPT, 0, LAYING)
+
+
+def rolled(laying: Laying, start: np.ndarray, end: np.ndarray) -> Motion:
+    return rolling(RollPath(laying.hitch, start, end), KEPT, Phase("roll", 0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(("n", "order"), [(3, None), (3, (2, 0, 1)), (6, None)])
+def test_laid_hitches_hold_for_all_times_and_come_apart_backwards(
+    n: int, order: tuple[int, ...] | None
+) -> None:
+    stages = stages_of(n, order)
+    certificate = certify(joined_motions([*stages, *reversed_stages(stages)]))
+    assert certificate.certified, certificate
+    assert certificate["equilibrium"].bound < 1e-4
+
+
+@pytest.mark.parametrize("n", RINGS)
+def test_every_roll_is_in_balance_and_opens_at_half_a_turn(n: int) -> None:
+    laying = laying_of(n)
+    start, change = turns(rolled(laying, laying.path.start, laying.path.end))
+    assert np.abs(start) == pytest.approx(180.0, abs=1e-6)
+    assert change == pytest.approx(180.0 * laying.senses, abs=1e-6)
+    # Both cables run straight through their vertices, but for what they sag.
+    drones, vertices = laying.laid, laying.hitch.vertices
+    legs = drones - vertices[laying.hitch.team.layout.anchors]
+    u = laying.hitch.polygon.edge_directions
+    along = legs[0::2, :2] / np.linalg.norm(legs[0::2], axis=1)[:, None]
+    assert np.sum(along * u, axis=1) == pytest.approx(-1.0, abs=0.02)
+
+
+def test_levels_follow_the_order_and_neighbours_differ() -> None:
+    layout = laying_of(6).hitch.team.layout
+    assert levels_of(layout, None).tolist() == [0, 1, 0, 1, 0, 1]
+    assert levels_of(layout, [0, 1, 2, 3, 4, 5]).tolist() == [0, 1, 2, 3, 4, 5]
+    assert levels_of(layout, [1, 3, 5, 0, 2, 4]).tolist() == [1, 0, 1, 0, 1, 0]
+    three = laying_of(3).hitch.team.layout
+    assert levels_of(three, None).tolist() == [0, 1, 2]
+    assert senses_of(three, np.array([0, 1, 2])).tolist() == [-1.0, 1.0, 1.0]
+
+
+@pytest.mark.parametrize("n", RINGS)
+def test_rolling_in_the_wrong_sense_holds_nothing(n: int) -> None:
+    laying, stages = laying_of(n), stages_of(n)
+    turned = rolled(laying, -laying.path.start, laying.path.end)
+    assert wrong([*stages[:-1], turned]) == clasps(n)
+    one = laying.path.start.copy()
+    one[1] *= -1.0
+    assert wrong([*stages[:-1], rolled(laying, one, laying.path.end)]) == {"p1"}
+    # The right half turn, but of cables that were laid in another order.
+    other = find_laying(laying.hitch, laying.levels[::-1].copy(), KEPT)
+    assert wrong([*laying_stages(other, KEPT)[:-1], stages[-1]]) == (
+        {f"p{k}" for k in np.flatnonzero(laying.senses != other.senses)}
+    )
+
+
+def test_half_a_turn_too_little_or_too_much_holds_nothing() -> None:
+    laying, stages = laying_of(3), stages_of(3)
+    path = laying.path
+    hold = stages[-1].slice_pieces(slice(-1, None), ())
+    hold = hold.replaced(phases=(Phase("hold", 0, *hold.drones.breaks[[0, -1]].tolist()),))
+    through = rolled(laying, path.start, -path.start)
+    assert wrong([*stages[:-1], through]) == clasps(3)
+    back = rolled(laying, path.end, path.start)
+    assert not wrong([*stages, back])
+    resting = replace(stages[-2], phases=(replace(stages[-2].phases[0], state=CableState.HITCHED),))
+    assert wrong([*stages, back, resting]) == clasps(3)
+    assert not row(joined_motions([*stages, back, resting]), "equilibrium").holds
+    # Opened to the other side, cables are wound around each other by a full turn.
+    assert wrong([*stages, rolled(laying, path.end, -path.start)]) == clasps(3)
+
+
+def test_an_open_clasp_is_refused_where_pairs_do_not_roll() -> None:
+    phase = replace(stages_of(3)[-1].phases[0], state=CableState.HITCHED)
+    assert not row(stages_of(3)[-1].replaced(phases=(phase,)), "equilibrium").holds
+
+
+def test_who_is_above_must_have_come_from_above() -> None:
+    laying, (taut, slide, _, tension, roll) = laying_of(3), stages_of(3)
+    # Cable 2, at the top, comes from below instead: it would pass through both others.
+    below = replace(laying, levels=np.array([0, 1, -1]))
+    under = [lowered(below, below.outside, below.above), lowered(below, below.above, laying.laid)]
+    assert wrong([*under, tension, roll]) == {"p0", "p2"}
+    # Cables that stay 5 cm apart are not laid.
+    apart = laying.laid + np.repeat(0.05 * laying.levels, 2)[:, None] * [0.0, 0.0, 1.0]
+    assert {"p0", "p1", "p2"} <= wrong([taut, slide, lowered(laying, laying.above, apart), roll])
+    # The lowest one is lifted first, through the others.
+    path = straight_lines(laying.hitch.team, KEPT.limits, laying.laid, laying.above)
+    down = laying.laid[:2] + [0.0, 0.0, 0.9]
+    up = np.concatenate([down, laying.above[2:]])
+    lifted = lowered(laying, laying.laid, up)
+    assert path.duration < lifted.duration
+    unroll, relax = reversed_stages([tension, roll])
+    assert wrong([taut, slide, stages_of(3)[2], tension, roll, unroll, relax, lifted]) == {
+        "p0",
+        "p1",
+    }
+
+
+def test_states_are_not_believed() -> None:
+    taut, slide, lay, tension, roll = stages_of(3)
+    free = [
+        each.replaced(phases=(replace(each.phases[0], state=CableState.FREE),))
+        for each in (slide, lay)
+    ]
+    assert not row(joined_motions([taut, *free]), "crossing").holds
+    phase = replace(taut.phases[0], state=LAYING)
+    hanging = taut.replaced(phases=(phase,))
+    assert not row(hanging, "cable_length").holds
+    assert wrong([hanging]) == {f"cable {k}" for k in range(3)}
+    # Vertices that move, and legs and tensions where there is no hitch.
+    shifted = altered(roll, "vertices", plus((0, 0, 0, -1), 1e-3))
+    assert wrong([taut, slide, lay, tension, shifted]) >= {"cable 0"}
+    pulled = altered(lay, "tensions", plus((), 0.7))
+    assert wrong([taut, slide, pulled, tension, roll]) >= {"cable 0", "cable 1", "cable 2"}
+    # Laying that begins with cables that cross.
+    assert wrong([lay, tension, roll]) == set()
+    assert "crossing" not in {check.name for check in certify(slide).violated}
+
+
+def test_loads_and_unequal_tensions_do_not_roll() -> None:
+    laying, roll = laying_of(3), stages_of(3)[-1]
+    for team in (
+        replace(laying.hitch.team, load=0.01),
+        replace(laying.hitch.team, tension=[0.7, 0.7, 0.71]),
+    ):
+        assert "cable 0" in row(roll.replaced(team=team), "interlacing").where
