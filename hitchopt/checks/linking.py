@@ -499,7 +499,7 @@ INTERLACING = CheckRule(
     "interlacing",
     "1",
     "max",
-    lambda motion: None if np.all(motion.formed) else 0.0,
+    lambda motion: None if motion.cable_states <= {CableState.HITCHED} else 0.0,
     (Evaluator(_interlaced, FREE_STATES | HITCHED_STATE),),
     "place the drones so that cables need not pass each other",
     whole=True,

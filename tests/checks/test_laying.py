@@ -186,7 +186,7 @@ def test_states_are_not_believed() -> None:
 def test_loads_and_unequal_tensions_do_not_roll() -> None:
     laying, roll = laying_of(3), stages_of(3)[-1]
     for team in (
-        replace(laying.hitch.team, load=0.01),
-        replace(laying.hitch.team, tension=[0.7, 0.7, 0.71]),
+        replace(laying.hitch.team, load=np.full(3, 0.01)),
+        replace(laying.hitch.team, tension=np.array([0.7, 0.7, 0.71])),
     ):
         assert "cable 0" in row(roll.replaced(team=team), "interlacing").where

@@ -53,16 +53,6 @@ STEP, STEPS = 0.05, 60
 TENSION_SECONDS = 0.3
 """[s] Time in which cables that lie taut pass from pulling alone to the hitch's tensions."""
 
-BACKWARD = {
-    "draw taut": "slacken",
-    "slide in": "slide out",
-    "lay": "lift",
-    "tension": "relax",
-    "roll": "unroll",
-}
-"""Names of the stages of laying when they are reversed."""
-
-
 @dataclass(frozen=True, eq=False)
 class RollPath:
     """Legs that turn about their clasps while vertices stay: the roll (clasps,) is linear in s."""

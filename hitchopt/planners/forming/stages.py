@@ -32,6 +32,7 @@ SMOOTH = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0])
 """Bernstein coefficients of the rise from 0 to 1 with three derivatives zero at both ends."""
 
 BACKWARD = {"swap 1": "unswap 2", "swap 2": "unswap 1", "tighten": "loosen", "tension": "relax"}
+BACKWARD |= {"draw taut": "slacken", "slide in": "slide out", "lay": "lift", "roll": "unroll"}
 """Names of the stages of forming when they are reversed."""
 
 
