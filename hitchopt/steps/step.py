@@ -26,7 +26,7 @@ from hitchopt.motion.motion import Motion
 from hitchopt.objects import SolidObject
 from hitchopt.planners.carrying.planner import GraspState
 from hitchopt.planners.forming import SwapSettings
-from hitchopt.values import Array, finite, per_robot
+from hitchopt.values import Array, Indices, finite, per_robot
 from hitchopt.values.fields import (
     FLAGS,
     Key,
@@ -232,6 +232,10 @@ class RestState:
     # at first is taken to have been formed so
     senses: Array | None = None
     swap: SwapSettings = field(default_factory=SwapSettings)  # the settings of these turns
+    # (n,), levels of cables that were laid, 0 the lowest; None of a hitch tied by turns
+    levels: Indices | None = None
+    # (clasps,) roll [rad], where one lies open; ``hitch`` is then as if it were closed
+    opened: Array | None = None
     # the object that the hitch is around or holds; ``hitch`` is then as if it carried nothing
     grasp: GraspState | None = None
     # where objects are by now; None where the problem has them

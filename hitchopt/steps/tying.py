@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from hitchopt.errors import HitchoptError
+from hitchopt.errors import HitchoptError, InputError, UnsupportedError
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Requirements
+from hitchopt.hitch.team import MAX_ROBOTS
 from hitchopt.motion.motion import CableState, Motion, Phase, joined_motions
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.steps.step import (
     AUTO,
     AUTO_SECONDS,
+    INDEX,
     LEGS,
     LEGS_TEXT,
     Knob,
@@ -29,11 +31,12 @@ from hitchopt.steps.step import (
     StepTask,
     checks_relaxed_by,
 )
-from hitchopt.values import Array
-from hitchopt.values.fields import Key, either, mapping_of, words
+from hitchopt.values import Array, Indices
+from hitchopt.values.fields import Key, either, listed, mapping_of, words
 from hitchopt.values.units import HEIGHT
 
 if TYPE_CHECKING:
+    from hitchopt.planners.forming.laying import Laying
     from hitchopt.planners.forming.prehitch import PreHitch
 
 Assign = Literal["auto", "fixed"]
@@ -50,6 +53,13 @@ SETTLE_TEXT = (
     "Where cables have friction, duration of swinging at the end, as by settle; "
     "auto: as far as limits allow; or false"
 )
+
+
+BY_TEXT = (
+    "swaps: pairs of drones exchange places; laying: taut cables are laid on one another, and "
+    "every pair rolls by half a turn"
+)
+ORDER_TEXT = "Order of laying, robots from bottom to top; auto: in turns"
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,10 +82,26 @@ class Form(Step):
     settle: Annotated[
         float | Literal["auto", False], Key(either(AUTO_SECONDS, words(False)), SETTLE_TEXT)
     ] = AUTO
+    by: Annotated[Literal["swaps", "laying"], Key(words("swaps", "laying"), BY_TEXT)] = "swaps"
+    order: Annotated[
+        Array | Literal["auto"],
+        Key(either(words("auto"), listed(INDEX, 3, MAX_ROBOTS)), ORDER_TEXT),
+    ] = AUTO
     duration: Seconds = None
+
+    def resolved_for(self, team: Team) -> Self:
+        """Return the step for a team, or raise InputError for an order that does not fit it."""
+        if not isinstance(self.order, str):
+            given = np.asarray(self.order).tolist()
+            if self.by != "laying" or sorted(given) != list(range(team.robots)):
+                bound = f"with by: laying, every robot 0 to {team.robots - 1} once"
+                raise InputError("order", given, bound, "leave it out, or list all robots")
+        return super().resolved_for(team)
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan from drones on free cables to a hitch."""
+        if self.by == "laying":
+            return self._laid(task)
         from hitchopt.planners.forming.stages import forming_stages
         from hitchopt.steps import certified_motions as motions
 
@@ -92,9 +118,39 @@ class Form(Step):
         senses = np.sign(prehitch.ellipses.rise)
         formed = RestState(goal.team, goal.drones, goal, senses, self.swap)
         after = replace(formed, objects=task.before.objects)
-        if goal.team.cable_friction > 0.0 and self.settle is not False:
+        return self._settled(task, parts, after)
+
+    def _laid(self, task: StepTask) -> StepPlan:
+        """Return the plan from drones on free cables to a hitch that is laid."""
+        from hitchopt.planners.forming import laying
+        from hitchopt.steps import certified_motions as motions
+
+        i, requirements, team = task.index, task.requirements, task.before.team
+        refuse_rolls(team, requirements)
+        order = None if isinstance(self.order, str) else np.asarray(self.order).tolist()
+        levels = laying.levels_of(team.layout, order)
+        senses = laying.senses_of(team.layout, levels)
+        if self.legs is None:
+            goal = laying.split_for_rolling(team, self.polygon, self.altitude, senses, requirements)
+        else:
+            goal = motions.split_hitch(team, self.polygon, self.altitude, self.legs, requirements)
+        motions.check_at_rest(goal, requirements, f"at the end of step {i} (form)")
+        site = laying_site(goal, levels, requirements)
+        tying = joined_motions(laying.laying_stages(site, requirements, i))
+        motions.checked(StepPlan(tying, task.before))
+        parts = [_approach(task, site.slack), tying]
+        if site.hitch is not goal:
+            parts.append(lifted(site.hitch, goal.altitude, "lower", task))
+        formed = RestState(team, goal.drones, goal, senses, self.swap, levels)
+        return self._settled(task, parts, replace(formed, objects=task.before.objects))
+
+    def _settled(self, task: StepTask, parts: list[Motion], after: RestState) -> StepPlan:
+        """Return the plan of motions in a row, settled at the end where cables have friction."""
+        from hitchopt.steps import certified_motions as motions
+
+        if after.team.cable_friction > 0.0 and self.settle is not False:
             seconds = None if isinstance(self.settle, str) else self.settle
-            phase, tied_task = Phase("settle", i, 0.0, 0.0), replace(task, before=after)
+            phase, tied_task = Phase("settle", task.index, 0.0, 0.0), replace(task, before=after)
             settled = motions.settling_plan(tied_task, seconds, phase, needed=seconds is not None)
             parts.append(settled.motion)
         return StepPlan(self.lasting(task, joined_motions(parts)), after)
@@ -177,6 +233,32 @@ def tying_site(
     return raised, replace(prehitch, ellipses=prehitch.ellipses.raised(by))
 
 
+def refuse_rolls(team: Team, requirements: Requirements) -> None:
+    """Raise UnsupportedError for teams whose pairs cannot roll, or whose cables cannot be laid."""
+    tension = team.tension
+    for unfit, reason in (
+        (not team.layout.closed, "an open chain: laying ties rings; use by: swaps"),
+        (team.cable_density == 0.0, "cables without weight: give team.cable_density, from which "
+         "the pull of a taut cable follows"),
+        (np.ptp(tension) > 0.0, "unequal tensions: give one team.tension"),
+        (np.any(team.load), "loads on clasps, which do not roll: leave out team.load"),
+        (requirements.limits.tracking, "limits.tracking, which taut cables alone do not allow"),
+    ):  # fmt: skip
+        if unfit:
+            raise UnsupportedError(f"laying and rolling do not know {reason}")
+
+
+def laying_site(hitch: Hitch, levels: Indices, requirements: Requirements) -> Laying:
+    """Return how a hitch is laid, as much higher as its cables need to hang before."""
+    from hitchopt.planners.forming.approach import hover_altitude
+    from hitchopt.planners.forming.laying import find_laying
+
+    site = find_laying(hitch, levels, requirements)
+    lowest = float(np.min(site.slack[:, 2]))
+    by = hover_altitude(hitch.team, site.slack, requirements) - lowest
+    return site if by <= SAME_ALTITUDE else site.at_altitude(hitch.altitude + by)
+
+
 def lifted(hitch: Hitch, altitude: float, name: str, task: StepTask) -> Motion:
     """Return the motion of the hitch straight up or down, as one phase of a step."""
     from hitchopt.planners.morph.path import RigidPath
@@ -203,6 +285,8 @@ class Release(Step):
         from hitchopt.planners.forming.stages import forming_stages, reversed_stages
 
         before, hitch, requirements = task.before, task.hitch, task.requirements
+        if before.levels is not None:
+            return self._unlaid(task, before.levels)
         up = np.ones(len(before.team.layout.clasps))
         senses = up if before.senses is None else before.senses
         raised, prehitch = tying_site(hitch, before.swap, senses, requirements)
@@ -212,6 +296,19 @@ class Release(Step):
         if raised is not hitch:
             parts.insert(0, lifted(hitch, raised.altitude, "raise", task))
         after = replace(before, drones=prehitch.drones, hitch=None, senses=None)
+        return StepPlan(self.lasting(task, joined_motions(parts)), after)
+
+    def _unlaid(self, task: StepTask, levels: Indices) -> StepPlan:
+        """Return the plan that lays a hitch backward: unrolled, and lifted from the top."""
+        from hitchopt.planners.forming.laying import laying_stages
+        from hitchopt.planners.forming.stages import reversed_stages
+
+        before, hitch, requirements = task.before, task.hitch, task.requirements
+        site = laying_site(hitch, levels, requirements)
+        parts = reversed_stages(laying_stages(site, requirements, task.index))
+        if site.hitch is not hitch:
+            parts.insert(0, lifted(hitch, site.hitch.altitude, "raise", task))
+        after = replace(before, drones=site.slack, hitch=None, senses=None, levels=None)
         return StepPlan(self.lasting(task, joined_motions(parts)), after)
 
 

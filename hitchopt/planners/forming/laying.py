@@ -53,6 +53,7 @@ STEP, STEPS = 0.05, 60
 TENSION_SECONDS = 0.3
 """[s] Time in which cables that lie taut pass from pulling alone to the hitch's tensions."""
 
+
 @dataclass(frozen=True, eq=False)
 class RollPath:
     """Legs that turn about their clasps while vertices stay: the roll (clasps,) is linear in s."""
@@ -134,8 +135,7 @@ class Laying:
     def above(self) -> Array:
         """(2n, 3) [m]: the drones over these places, by level."""
         rise = np.repeat(self.spacing * self.levels, 2)
-        places: Array = self.laid + rise[:, None] * [0.0, 0.0, 1.0]
-        return places
+        return np.asarray(self.laid + rise[:, None] * [0.0, 0.0, 1.0])
 
     @property
     def outside(self) -> Array:
