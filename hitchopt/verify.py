@@ -52,7 +52,9 @@ DEGREES = math.degrees(1.0)
 BUDGET, CHUNK, DEPTH = 6_000_000, 8192, 46  # samples a limit, in one go, halvings
 GOOD = {"proven", "warning"}  # without an arena nothing says where the ground is
 CROSSED = {"on the ground": 0, "hanging free": 0, "being tightened": 1, "hitched": 1}
-STATES = {*CROSSED, "clasping", "none"}
+LAID, ROLLING = "being laid", "rolling"  # taut alone; lying across, or turning from it into clasps
+STATES = {*CROSSED, "clasping", LAID, ROLLING, "none"}
+SAGS = 0.02  # [m] how far cables that lie on one another may be apart: their sags differ
 
 
 # What settings are made of: keys and forms; * may be left out, ? be null, [] is a list, [2] of two.
@@ -627,7 +629,8 @@ class Plan:
         self.phase = np.searchsorted(ends, self.breaks[:-1] + 0.5 * self.h)
         self._check_phases()
         self.state = np.array([phase["state"] for phase in self.phases])[self.phase]
-        self.formed, self.free = self.state == "hitched", (self.state != "hitched") & (n > 0)
+        self.formed = np.isin(self.state, ("hitched", ROLLING))
+        self.free = ~self.formed & (n > 0)
         self._read_bodies(m, n)
         parts = [self._array("drones", m, N, 3), *self._read_cables(m, n, N, P)]
         most = max(x.shape[-1] for x in parts)
@@ -950,9 +953,10 @@ def taut_cables(p: Plan) -> Iterator[Row]:
     yield prove("legs m min", lim["leg"], legs, lambda s, i: s.leg(i).norm())
     yield prove("cable_length 1 max", 1e-4, cables, length_error)
     yield prove("equilibrium 1 max", 5e-3, clasps, lacking)
-    yield prove("contact deg max", ROLLED, clasps, rolled)
+    shut = clasps.take(p.state[clasps.piece] == "hitched")
+    yield prove("contact deg max", ROLLED, shut, rolled)
     if p.weight or np.any(p.load) or np.any(p.busy):
-        yield prove("contact 1 max", 0.0, clasps, contact)
+        yield prove("contact 1 max", 0.0, shut, contact)
     yield prove("convexity deg min", 0.0, clasps, exterior)
     yield prove("convexity turn min", 0.0, p.spans(on, [0], ["outline"]), room)
     yield prove("tension N max", 1e-4, cables, tension)
@@ -1138,6 +1142,148 @@ def free_cables(p: Plan) -> Iterator[Row]:
     longer = "cable_length 1 max", 1e-4  # than cables, the ways around their vertices are at most
     s = p.spans(tight, k, p.cables)
     yield prove(*longer, s, lambda s, k: s.around(k) * (1.0 / p.length[k]) - 1.0)
+    yield from laid_cables(p)
+
+
+def laid_cables(p: Plan) -> Iterator[Row]:
+    """Lengths of cables taut by themselves, and distances of neighbours that are laid."""
+    laid, upright = p.state == LAID, upright_pieces(p)
+    s = p.spans(laid, range(p.n), p.cables)
+    sag = (p.weight / p.team) ** 2 * p.length**2 / 24.0
+
+    def off(s: Spans, k: Index) -> Line:
+        """``|c (1 + (ρ g L / T)² cos² α / 24) - L| / L`` of chords c."""
+        way = s.across(k)
+        x = way.norm() * (1.0 / p.length[k])
+        x = x + x * way[:2].dot(way[:2]) * (sag[k] / p.length[k] ** 2) - 1.0
+        return largest(x, -x)
+
+    def beside(s: Spans, k: Index, j: Index) -> Line:
+        """From above, or one is over all of the other."""
+        over = [lowest(s, a) - largest(*(x[2] for x in s.ends(b))) for a, b in ((k, j), (j, k))]
+        return largest(distance(s.chord(k), s.chord(j)), *over)
+
+    yield prove("cable_length 1 max", 1e-4, s, off)
+    pairs = np.column_stack([p.clasps, p.behind])
+    yield prove(*p.crossing, p.spans(laid & ~upright, pairs, p.cables, p.cables), beside)
+    _, sign, end = crossed(p, np.zeros((p.n, p.n, len(p.h))))
+    s = p.spans(laid & upright, range(len(p.clasps)), p.labels[p.V])
+
+    def above(s: Spans, c: Index) -> Line:
+        """How much higher the upper one is than where it lies, or than it has to be."""
+        z = s.point(2 * p.clasps[c])[2] - s.point(2 * p.behind[c])[2]
+        return z * sign[s.piece, c, None] - end[s.piece, c, None]
+
+    yield prove("laid m min", -TOUCH, s, above)
+
+
+def upright_pieces(p: Plan) -> Mask:
+    """Return (m,) whether all drones go straight up or down, or rest."""
+    level = p.points.c[0][:, : p.N, :2]
+    return np.asarray(np.max(np.ptp(level, axis=-1), axis=(1, 2)) <= TOUCH)
+
+
+def heights(p: Plan, q: int, x: float) -> Array:
+    """By how much cables are over those behind them where they cross from above (c,), or nan."""
+    k = np.arange(p.n)
+    s = Spans(p, 0 * k + q, k[:, None], 0.0 * k + x, 0.0 * k)
+    with np.errstate(all="ignore"):
+        off, g = (each.v for each in hanging(s, 2 * k))
+    at, g, z = s.point(2 * k).v, g[:, 0], list[Array]()
+    a, b = p.clasps, p.behind
+    apart, turn = at[b] - at[a], off[a, 0] * off[b, 1] - off[a, 1] * off[b, 0]
+    for cable, other in ((a, b), (b, a)):
+        w = off[other]
+        share = (apart[:, 0] * w[:, 1] - apart[:, 1] * w[:, 0]) / np.where(turn == 0.0, TINY, turn)
+        share = np.where((share > 0.0) & (share < 1.0), share, np.nan)
+        mu, y, h = 2.0 * share - 1.0, g[cable], off[cable, 2]
+        depth = np.sinh(share * y) * np.sinh((1.0 - share) * y) / np.sinh(y) * p.length[cable, 0]
+        depth = depth + 0.5 * h * (mu - np.sinh(mu * y) / np.sinh(y))
+        z.append(at[cable, 2] + share * h - depth)
+    return np.asarray(z[0] - z[1])
+
+
+def followed(p: Plan, run: Items) -> tuple[Array, Array, Mask]:
+    """Return rolls at the start of a run, how far they go (c,) [deg], and where they are followed.
+
+    At a few places a piece: legs turn by much less than a right angle from one to the next.
+    """
+    count, parts = len(p.clasps), 6
+    places = np.repeat((np.arange(parts) + 0.5) / parts, count)
+    q, x = np.repeat(run, len(places)), np.tile(places, len(run))
+    c = np.tile(np.arange(count), parts * len(run))
+    s = Spans(p, q, c[:, None], x, 0.0 * x + 0.5 / parts)
+    k, j = p.clasps[c], p.behind[c]
+    q_, r = (s.toward(i).unit() for i in (2 * k, 2 * j + 1))
+    axis, u = (q_ + r).unit(), s.edge(k)[0].unit() + s.edge(j)[1].unit()
+    m, m0 = (y - axis * axis.dot(y) for y in (q_ - r, u))
+    known = (m.reach < 0.5 * size(m.v)) & (m0.reach < 0.1 * size(m0.v))
+    sine = np.sum(np.cross(m0.v, axis.v) * m.v, -1)
+    angles = np.degrees(np.arctan2(sine, np.sum(m0.v * m.v, -1))).reshape(-1, count)
+    steps = (np.diff(angles, axis=0) + 180.0) % 360.0 - 180.0
+    return angles[0], np.sum(steps, axis=0), np.all(known.reshape(-1, count), axis=0)
+
+
+def crossed(p: Plan, passed: Array) -> tuple[list[Fault], Array, Array]:
+    """Replay half crossings of neighbours that are laid and roll; ``passed`` (n, n, m) gets them.
+
+    Faults; and on pieces with cables that go straight up or down, the sign (m, c) of who is above,
+    and how high its q is to be at least over the other one's, times that.
+    """
+    m, count, faults = len(p.h), len(p.clasps), list[Fault]()
+    sign, end = np.zeros((m, count)), np.full((m, count), -BIG)
+    upright, lies = upright_pieces(p), np.zeros(count)
+    sense = np.ones(count) * p.formed[0]
+    runs = [(s, np.array([*q])) for s, q in groupby(range(m), lambda q: str(p.state[q]))]
+    names = ["", *(s for s, _ in runs), ""]
+    i, j = np.minimum(p.clasps, p.behind), np.maximum(p.clasps, p.behind)
+
+    def wrong(q: int, bad: Any, words: str) -> None:
+        faults.append((float(p.breaks[q]), bool(np.any(bad)), words))
+
+    for at, (state, run) in enumerate(runs):
+        before, after, q = names[at], names[at + 2], int(run[0])
+        if state == LAID:
+            wrong(q, before != ROLLING and np.any(lies), "cables that lie across are let go")
+            for straight, part in groupby(run.tolist(), lambda q: bool(upright[q])):
+                pieces = [*part]
+                ups, downs = before == ROLLING and pieces[0] == q, after == ROLLING
+                downs = downs and pieces[-1] == run[-1]
+                wrong(q, (ups or downs) and not straight, "cables that lie are moved aside")
+                if not straight:
+                    continue
+                ends = heights(p, pieces[0], 0.0), heights(p, pieces[-1], 1.0)
+                there, away = ends if ups else ends[::-1]
+                over = np.sign(np.nan_to_num(away))
+                wrong(q, ~(np.abs(away) >= p.crossing[1]), "cables are not over each other")
+                wrong(q, ups and downs, "cables lie on each other at both ends of a lift")
+                x = p.points.c[0][pieces[0 if ups else -1], :, 2, 0 if ups else -1]
+                rise = (x[2 * p.clasps] - x[2 * p.behind]) * over
+                floor = rise if ups or downs else rise - over * there + p.crossing[1]
+                sign[pieces], end[pieces] = over, floor
+                wrong(q, (ups or downs) and ~(np.abs(there) <= SAGS), "cables do not lie")
+                wrong(q, ups and over != lies, "a cable is lifted through another one")
+                lies = over if downs else 0.0 * over
+            if before == ROLLING:
+                passed[i, j, q] -= sense
+        elif state == ROLLING:
+            start, change, known = followed(p, run)
+            opened = np.abs(start) >= ROLLED
+            lies = np.where(opened, np.sign(change), 0.0) if not before else lies
+            wrong(q, ~known | (opened != (lies != 0.0)), "cables that roll do not lie across")
+            if before == LAID:
+                passed[i, j, run[-1]] += lies
+            sense = np.where(lies != 0.0, lies, sense)
+            left = start + 180.0 * sense  # from where they lie across
+            left = np.where(opened, (left + 180.0) % 360.0 - 180.0, left) + change
+            across = np.abs(left) <= 180.0 - ROLLED
+            wrong(q, ~across & (np.abs(left - 180.0 * sense) >= ROLLED), "pairs roll wrongly")
+            wrong(q, after == LAID and np.any(~across), "clasped cables are lifted")
+            wrong(q, after == "hitched" and np.any(across), "cables that lie across hold nothing")
+            lies = np.where(across, sense, 0.0)
+        elif state == "hitched" and before not in ("", ROLLING):
+            sense = np.sum(passed[i, j, :q], axis=-1) + float(p.formed[0])
+    return faults, sign, end
 
 
 def clear_objects(p: Plan, b: int) -> Iterator[Row]:
@@ -1486,8 +1632,12 @@ def interlacing(p: Plan) -> Iterator[Row]:
         return Line(s.zero.v, s.zero.g, np.where(apart | sure, 0.0, BIG), s.t)
 
     loose = np.flip(np.logical_or.accumulate(np.flip(p.free)))  # cables are free then, or later
-    pairs = p.spans(loose, np.column_stack(np.triu_indices(n, 1)), p.cables, p.cables)
+    # Neighbours that are laid, or roll, are compared otherwise.
+    both, laid = np.triu_indices(n, 1), np.isin(p.state, (LAID, ROLLING))
+    loose = loose[:, None] & ~(laid[:, None] & p.tied[both])
+    pairs = p.spans(loose, np.column_stack(both), p.cables, p.cables)
     row = prove("interlacing 1 min", 0.0, pairs, decided)
+    faults = [each for each in crossed(p, passed)[0] if each[1]] if np.any(laid) else []
     count = np.abs(np.cumsum(np.insert(passed, 0, p.tied * float(p.formed[0]), axis=-1), axis=-1))
     want = np.where(p.tied[..., None], [CROSSED.get(state, -1) for state in p.state], 0)
     same = np.concatenate([[False], p.formed[1:] & p.formed[:-1], [False]])  # within a hitch
@@ -1497,8 +1647,9 @@ def interlacing(p: Plan) -> Iterator[Row]:
     bad = np.argwhere(wrong & np.triu(np.ones((n, n), dtype=bool), 1)[..., None])
     places = {f"{p.cables[i]} {p.cables[j]}" for i, j, _ in bad.tolist()}
     places |= {row.where} if row.verdict != "proven" else set()
+    places |= {words for _, _, words in faults}
     time = float(p.breaks[bad[0, 2]]) if len(bad) else row.time
-    if np.any(p.free):
+    if np.any(p.free) or np.any(laid):
         where = ", ".join(sorted(places)[:6])
         yield judged("interlacing", "1", 0.0, [(float(len(places)), time, where)])
 
@@ -1520,6 +1671,19 @@ def phases(p: Plan) -> Iterator[Fault]:
         s, k = p.spans(on & p.free, range(p.n)), np.tile(np.arange(p.n), np.sum(on & p.free))
         pulls = any(np.any(x.c[0][on & p.free]) for x in (p.legs, p.tensions, p.pulls))
         yield at, pulls, "tensions or legs without a hitch"
+        if state in (LAID, ROLLING) and np.any(on):
+            way = c[on][:, 1::2] - c[on][:, 0::2]
+            turned = np.max(np.ptp(way, axis=(0, -1))) > TOUCH
+            yield at, state == LAID and bool(turned), "cables turn as they are laid"
+        if state == ROLLING and np.any(on):
+            still = p.points.c[0][on][:, p.V]
+            moved = np.max(np.ptp(still, axis=(0, -1))) > TOUCH
+            moved |= np.max(np.ptp(p.legs.c[0][on], axis=(0, -1))) > CLOSE
+            yield at, bool(moved), "vertices or legs move as pairs roll"
+            T, pulled = p.tensions.c[0][on], p.pulls.c[0][on]
+            other = np.ptp(p.team) > 0.0 or np.max(np.abs(pulled - np.repeat(T, 2, 1))) > 1e-4
+            busy = np.any(p.load) or np.any(p.held[:, on]) or other
+            yield at, bool(busy), "pairs with loads or unequal tensions roll"
         if p.n and state == "on the ground":
             with np.errstate(all="ignore"):
                 depth = [np.min(lowest(s.within(x), k).v) for x in (-1.0, 0.0, 1.0)]

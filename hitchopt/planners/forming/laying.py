@@ -129,7 +129,7 @@ class Laying:
     @cached_property
     def laid(self) -> Array:
         """(2n, 3) [m]: the drones with all cables on one another."""
-        return self.path.drones(np.zeros(1))[0]
+        return np.asarray(self.path.drones(np.zeros(1))[0])
 
     @property
     def above(self) -> Array:
