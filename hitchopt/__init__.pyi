@@ -55,7 +55,8 @@ from hitchopt.statics.fit import Fit as Fit, Holding as Holding, fit as fit
 from hitchopt.statics.settle import Settled as Settled, settle as settle
 from hitchopt.statics.tolerance import ErrorSize as ErrorSize, Tolerance as Tolerance
 from hitchopt.statics.tolerance import tolerance as tolerance
-from hitchopt.steps import Adjust as Adjust, Carry as Carry, Enclose as Enclose
+from hitchopt.steps import Adjust as Adjust, Carry as Carry, CloseVertex as CloseVertex
+from hitchopt.steps import Enclose as Enclose, OpenVertex as OpenVertex
 from hitchopt.steps import FollowVertex as FollowVertex, Form as Form, Grasp as Grasp, Hold as Hold
 from hitchopt.steps import Land as Land, Leave as Leave, Lift as Lift, Loosen as Loosen
 from hitchopt.steps import Morph as Morph, MoveEdge as MoveEdge, MoveVertex as MoveVertex
@@ -122,8 +123,12 @@ class Mission(_Mission):
         assign: _Assign = "auto",
         swap: SwapSettings = ...,
         settle: _Settle = "auto",
+        by: Literal["swaps", "laying"] = "swaps",
+        order: ArrayLike | Literal["auto"] = "auto",
         duration: _Seconds = None,
     ) -> Self: ...
+    def open_vertex(self, vertex: int, duration: _Seconds = None) -> Self: ...
+    def close_vertex(self, vertex: int, duration: _Seconds = None) -> Self: ...
     def release(self, duration: _Seconds = None) -> Self: ...
     def land(self, duration: _Seconds = None) -> Self: ...
     def enclose(self, object: str, duration: _Seconds = None) -> Self: ...
@@ -203,8 +208,13 @@ def form(
     assign: _Assign = "auto",
     swap: SwapSettings | None = ...,
     settle: _Settle = "auto",
+    by: Literal["swaps", "laying"] = "swaps",
+    order: ArrayLike | Literal["auto"] = "auto",
     duration: _Seconds = None,
     **required: Unpack[_Required],
+) -> Plan: ...
+def open_vertex(
+    start: Hitch, vertex: int, duration: _Seconds = None, **required: Unpack[_Required]
 ) -> Plan: ...
 def release(start: Hitch, duration: _Seconds = None, **required: Unpack[_Required]) -> Plan: ...
 def land(

@@ -1186,7 +1186,7 @@ def upright_pieces(p: Plan) -> Mask:
 def heights(p: Plan, q: int, x: float) -> Array:
     """By how much cables are over those behind them where they cross from above (c,), or nan."""
     k = np.arange(p.n)
-    s = Spans(p, 0 * k + q, k[:, None], 0.0 * k + x, 0.0 * k)
+    s = Spans(p, 0 * k + q, k[:, None], np.full(p.n, x), np.zeros(p.n))
     with np.errstate(all="ignore"):
         off, g = (each.v for each in hanging(s, 2 * k))
     at, g, z = s.point(2 * k).v, g[:, 0], list[Array]()
@@ -1210,7 +1210,7 @@ def followed(p: Plan, run: Items) -> tuple[Array, Array, Mask]:
     """
     count, parts = len(p.clasps), 6
     places = np.repeat((np.arange(parts) + 0.5) / parts, count)
-    q, x = np.repeat(run, len(places)), np.tile(places, len(run))
+    q, x = np.repeat(run, len(places)), np.asarray(np.tile(places, len(run)), np.float64)
     c = np.tile(np.arange(count), parts * len(run))
     s = Spans(p, q, c[:, None], x, 0.0 * x + 0.5 / parts)
     k, j = p.clasps[c], p.behind[c]

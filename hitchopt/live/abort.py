@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import reduce
+from itertools import pairwise
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -26,7 +27,7 @@ from hitchopt.errors import HitchoptError, InfeasibleError, InputError, Progress
 from hitchopt.exports.directory import ABORT_PLANS, ABORTS
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.live.player import Player
-from hitchopt.motion.motion import JOINT, CableState, Group, Motion, Phase
+from hitchopt.motion.motion import FREE_STATES, JOINT, CableState, Group, Motion, Phase
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.retiming import (
     append_motion,
@@ -56,7 +57,9 @@ EVERY = 2.0  # usual distance of the entries of a table [s]
 DELAYS = np.cumsum([0.0, *0.1 * 1.5 ** np.arange(7)])
 
 # States between hanging and hitched cables, that nothing but the clock leads out of
-PASSING = frozenset({CableState.CLASPING, CableState.TIGHTENING})
+PASSING = FREE_STATES - {CableState.FREE, CableState.GROUND} | {CableState.ROLLING}
+
+LAYING = CableState.LAYING
 
 # Checks that refuse rests while tensions rise or fall, or before the chords of a swap have met
 RESTS = ("tension", "interlacing")
@@ -297,11 +300,16 @@ def _requirements_after(whole: Motion) -> Requirements:
 
 def _senses(whole: Motion) -> Array | None:
     """Return how pairs have turned to form the hitch (clasps,): 1 where q went up first."""
-    tied = next((phase for phase in whole.phases if phase.state is CableState.CLASPING), None)
+    layout, phases = whole.team.layout, whole.phases
+    laid = [i for i, (a, b) in enumerate(pairwise(phases)) if a.state is LAYING and b.formed]
+    tied = next((phase for phase in phases if phase.state is CableState.CLASPING), None)
+    if laid:  # after a rest on one another the pairs roll: those above go down
+        tied = phases[laid[0] + 2]
     if tied is None:
         return None
-    heights, layout = whole.drones.at(0.5 * (tied.start + tied.end))[:, 2], whole.team.layout
-    return np.where(heights[2 * layout.ahead] >= heights[2 * layout.behind + 1], 1.0, -1.0)
+    heights = whole.drones.at(0.5 * (tied.start + tied.end))[:, 2]
+    above = heights[2 * layout.ahead] >= heights[2 * layout.behind + 1]
+    return np.where(above == (not laid), 1.0, -1.0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -101,6 +101,8 @@ class _Held:
         if self.stage is not begin:
             kinds = "enclose, grasp, lift, carry, set_down, loosen and leave"
             remedy = f"{kinds} an object, in this order"
+            if Stage.OPEN in (self.stage, begin):
+                remedy = "open_vertex, then hold or close_vertex"
             raise InputError("", str(self.stage), f"{begin}, which {step.name} needs", remedy)
         if begin is not Stage.FREE and name != self.name:
             raise InputError("object", name, f"{self.name}, the one enclosed", "leave that before")

@@ -17,14 +17,16 @@ from hitchopt.steps.moving import MoveVertex as MoveVertex
 from hitchopt.steps.moving import Settle as Settle
 from hitchopt.steps.moving import Transport as Transport
 from hitchopt.steps.step import Step as Step
+from hitchopt.steps.tying import CloseVertex as CloseVertex
 from hitchopt.steps.tying import Form as Form
 from hitchopt.steps.tying import Land as Land
+from hitchopt.steps.tying import OpenVertex as OpenVertex
 from hitchopt.steps.tying import Release as Release
 from hitchopt.values.fields import documented
 
 STEPS: tuple[type[Step], ...] = (
     *(Morph, Hold, MoveVertex, MoveEdge, Adjust, FollowVertex, Transport, Settle),
-    *(Form, Release, Land),
+    *(Form, OpenVertex, CloseVertex, Release, Land),
     *(Enclose, Grasp, Lift, Carry, SetDown, Loosen, Leave, TransportObject),
 )
 """All kinds of steps, in the order in which a problem file's keys are listed."""

@@ -13,7 +13,7 @@ from hitchopt.errors import HitchoptError, InputError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import checked_polygon
-from hitchopt.motion.motion import Motion, Phase
+from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.steps.step import (
     AUTO_SECONDS,
     IDLE,
@@ -39,6 +39,7 @@ from hitchopt.steps.step import (
     checks_relaxed_by,
     points_scaled,
 )
+from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 from hitchopt.values.fields import FLAGS, Key, either, listed, mapping_of, points
 from hitchopt.values.units import DURATION, TENSION
@@ -195,6 +196,11 @@ class Hold(HitchStep):
             from hitchopt.steps.carrying import held_plan, planner_of
 
             return held_plan(self, task, task.grasp, [planner_of(task).rest(self.seconds)])
+        if task.before.opened is not None:
+            own = self.in_phase(task, None, task.hitch)
+            drones = PiecewisePolynomial.constant(own.drones.breaks, task.before.drones)
+            phases = tuple(replace(each, state=CableState.ROLLING) for each in own.phases)
+            return StepPlan(own.replaced(drones=drones, phases=phases), task.before)
         if task.before.hitch is not None:
             return super().plan(task)
         return StepPlan(hovering(task, self.seconds), task.before)

@@ -306,9 +306,10 @@ class StepTask:
 
 
 class Stage(StrEnum):
-    """Stage of a hitch with an object."""
+    """Stage of a hitch with an object, or with a vertex that is open."""
 
     FREE = "no object"
+    OPEN = "an open vertex"
     AROUND = "an enclosed object"
     GRASPED = "a grasped object"
     LIFTED = "a lifted object"

@@ -26,9 +26,11 @@ from hitchopt.steps.step import (
     RolledLegs,
     Seconds,
     SlackSplit,
+    Stage,
     Step,
     StepPlan,
     StepTask,
+    WhichPoint,
     checks_relaxed_by,
 )
 from hitchopt.values import Array, Indices
@@ -269,6 +271,71 @@ def lifted(hitch: Hitch, altitude: float, name: str, task: StepTask) -> Motion:
     remark = "hanging cables need more height over the ground than the hitch"
     phase = Phase(name, task.index, 0.0, motion.duration, remark)
     return motion.replaced(phases=(phase,))
+
+
+class RollStep(Step):
+    """A step that turns the pair of one vertex about it by half a turn; no vertex moves."""
+
+    vertex: int
+    duration: float | None
+
+    def rolls(self, task: StepTask) -> Array:
+        """Return the roll (clasps,) [rad] after the step."""
+        raise NotImplementedError
+
+    def plan(self, task: StepTask) -> StepPlan:
+        """Return the plan of the roll."""
+        from hitchopt.planners.forming.laying import RollPath, rolling
+
+        before, hitch = task.before, task.hitch
+        refuse_rolls(before.team, task.requirements)
+        if not self.vertex < before.team.robots:
+            bound = f"0 to {before.team.robots - 1}"
+            raise InputError("vertex", self.vertex, bound, "name a vertex of the polygon")
+        start = hitch.roll if before.opened is None else before.opened
+        end = self.rolls(task)
+        phase = Phase(self.name, task.index, 0.0, 0.0)
+        motion = rolling(RollPath(hitch, start, end), task.requirements, phase)
+        opened = None if np.array_equal(end, hitch.roll) else end
+        drones = motion.drones.coefficients[-1, ..., -1]
+        after = replace(before, drones=drones, opened=opened)
+        return StepPlan(self.lasting(task, motion), after)
+
+
+@dataclass(frozen=True)
+class OpenVertex(RollStep):
+    """The pair of a vertex rolls until both cables run straight through and lie on one another.
+
+    What is left is a chain on the same lines: all other vertices hold.
+    """
+
+    stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.FREE, Stage.OPEN)
+    vertex: WhichPoint
+    duration: Seconds = None
+
+    def rolls(self, task: StepTask) -> Array:
+        """Return the roll after the step: back from where it was tied."""
+        senses, end = task.before.senses, task.hitch.roll.copy()
+        end[self.vertex] = -np.pi * (1.0 if senses is None else senses[self.vertex])
+        return end
+
+
+@dataclass(frozen=True)
+class CloseVertex(RollStep):
+    """The pair of an open vertex rolls back into its clasp."""
+
+    stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.OPEN, Stage.FREE)
+    vertex: WhichPoint
+    duration: Seconds = None
+
+    def rolls(self, task: StepTask) -> Array:
+        """Return the roll of the hitch."""
+        opened = task.before.opened
+        away = np.flatnonzero(task.hitch.roll - (0.0 if opened is None else opened))
+        if self.vertex not in away:
+            bound = f"the open one, {', '.join(map(str, away.tolist()))}"
+            raise InputError("vertex", self.vertex, bound, "close the vertex that was opened")
+        return task.hitch.roll
 
 
 @dataclass(frozen=True)

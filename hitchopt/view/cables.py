@@ -19,7 +19,7 @@ import numpy as np
 from hitchopt.geometry.vectors import dot, length, unit
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.team import Layout
-from hitchopt.motion.motion import CableState, Motion
+from hitchopt.motion.motion import HITCHED_STATE, CableState, Motion
 from hitchopt.motion.states import States
 from hitchopt.values import Array
 
@@ -36,7 +36,7 @@ BEND_RADIUS, REACH, LEG_SHARE = 2.2, 3.0, 0.2
 # Share of its length by which a weightless cable may exceed its parts and still be straight
 NO_SLACK = 1e-4
 SHORTEST = 1e-9  # Least length of a span [m], as a chain's ends have legs of none
-HOOKED = frozenset({CableState.TIGHTENING, CableState.HITCHED})
+HOOKED = HITCHED_STATE | {CableState.TIGHTENING}
 
 
 def cable_curves(
