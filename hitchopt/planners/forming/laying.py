@@ -201,7 +201,10 @@ def find_laying(hitch: Hitch, levels: Indices, requirements: Requirements) -> La
         direction = out + slant * u
         for i in range(STEPS):
             away = (i * step) * direction
-            if _cables_apart(layout, bare.laid[:, :2] + np.repeat(away, 2, axis=0)) >= keep:
+            if _cables_apart(layout, bare.laid[:, :2] + np.repeat(away, 2, axis=0)) < keep:
+                continue
+            level = replace(bare, away=away).slack * [1.0, 1.0, 0.0]  # where they land
+            if smallest_separation(level[None], separation) >= APART:
                 break
         for factor in SPACINGS:
             check_time()
