@@ -52,14 +52,14 @@ def test_a_hitch_that_is_there_opens_and_a_vertex_that_is_closed_does_not_close(
     hitch = ho.Hitch(TEAM, TRIANGLE, 1.5, np.full(3, 0.64))
     plan = ho.open_vertex(hitch, 1)
     assert plan.certificate.certified
-    team = {"team": TEAM, "start": hitch}
-    opened = ho.Mission(**team).open_vertex(1)
+    mission = ho.Mission(team=TEAM, start=hitch)
+    opened = mission.open_vertex(1)
     with pytest.raises(InputError, match="the open one, 1"):
         opened.close_vertex(2).solve()
     with pytest.raises(InputError, match="open_vertex, then hold or close_vertex"):
         opened.morph(TRIANGLE)
     with pytest.raises(InputError, match="open_vertex, then hold or close_vertex"):
-        ho.Mission(**team).close_vertex(1)
+        mission.close_vertex(1)
     with pytest.raises(InputError, match="0 to 2"):
         ho.open_vertex(hitch, 3)
     assert opened.hold(0.5).close_vertex(1).morph(1.05 * TRIANGLE).solve().certificate.certified

@@ -9,18 +9,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from plans import planned
 
 from hitchopt import verify as second
-from hitchopt.values import Array
+
+Flags = NDArray[np.bool_]
 
 NAMES = [phase.name for phase in planned("lay_triangle").phases]
 
 
-def at(names: tuple[str, ...]) -> Array:
+def at(names: tuple[str, ...]) -> Flags:
     """Which pieces are in phases of these names."""
     motion = planned("lay_triangle").motion
-    found: Array = np.isin(np.array(NAMES)[motion.phase_of_piece], names)
+    found: Flags = np.isin(np.array(NAMES)[motion.phase_of_piece], names)
     return found
 
 
