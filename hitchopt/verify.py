@@ -1243,8 +1243,9 @@ def crossed(p: Plan, passed: Array) -> tuple[list[Fault], Array, Array]:
 
     for at, (state, run) in enumerate(runs):
         before, after, q = names[at], names[at + 2], int(run[0])
+        tied = np.abs(np.sum(passed[i, j, :q], axis=-1) + float(p.formed[0])) == 1.0
         if state == LAID:
-            wrong(q, before != ROLLING and np.any(lies), "cables that lie across are let go")
+            wrong(q, before != ROLLING and np.any(tied | (lies != 0.0)), "tied cables are laid")
             for straight, part in groupby(run.tolist(), lambda q: bool(upright[q])):
                 pieces = [*part]
                 ups, downs = before == ROLLING and pieces[0] == q, after == ROLLING
@@ -1270,7 +1271,7 @@ def crossed(p: Plan, passed: Array) -> tuple[list[Fault], Array, Array]:
             start, change, known = followed(p, run)
             opened = np.abs(start) >= ROLLED
             lies = np.where(opened, np.sign(change), 0.0) if not before else lies
-            wrong(q, ~known | (opened != (lies != 0.0)), "cables that roll do not lie across")
+            wrong(q, ~known | (opened != (lies != 0.0)) | ~(opened | tied), "untied cables roll")
             if before == LAID:
                 passed[i, j, run[-1]] += lies
             sense = np.where(lies != 0.0, lies, sense)
@@ -1278,8 +1279,7 @@ def crossed(p: Plan, passed: Array) -> tuple[list[Fault], Array, Array]:
             left = np.where(opened, (left + 180.0) % 360.0 - 180.0, left) + change
             across = np.abs(left) <= 180.0 - ROLLED
             wrong(q, ~across & (np.abs(left - 180.0 * sense) >= ROLLED), "pairs roll wrongly")
-            wrong(q, after == LAID and np.any(~across), "clasped cables are lifted")
-            wrong(q, after == "hitched" and np.any(across), "cables that lie across hold nothing")
+            wrong(q, {LAID: ~across, "hitched": across}.get(after, False), "half a roll is missing")
             lies = np.where(across, sense, 0.0)
         elif state == "hitched" and before not in ("", ROLLING):
             sense = np.sum(passed[i, j, :q], axis=-1) + float(p.formed[0])

@@ -216,6 +216,7 @@ LAID = 0.02  # [m] Largest distance of cables that lie on one another: their sag
 JUMP = 1e-6  # [m], [m/s], [m/s²] Largest jump, far below what a drone can follow
 # States in which neighbours have the crossing number 0; in clasping it changes, else it is 1
 BEFORE = frozenset({CableState.GROUND, CableState.FREE})
+LAID_STATES = frozenset({CableState.LAYING, CableState.ROLLING})  # followed by half crossings
 MAX_NAMED = 12  # maximum number of pairs in ``where``
 MAX_DRIFT = 1e-3  # [m] Largest motion of the middle of two drones that turn about each other, and
 # change of legs, which sag, while they roll
@@ -295,8 +296,7 @@ def _wrong(motion: Motion) -> Iterator[tuple[Phase, Indices, Array | float]]:
         first, last, hitched = parts[0], parts[-1], state is CableState.HITCHED
         ends = [float(part.motion.drones.breaks[-1]) for part in parts]
         required = None if state is CableState.CLASPING else int(state not in BEFORE)
-        rolls = {CableState.LAYING, CableState.ROLLING} & {around[i], state}
-        if required is not None and not rolls:
+        if required is not None and state not in LAID_STATES:
             start = float(first.motion.drones.breaks[0])
             yield first.phase, clasped[np.abs(numbers) != required], start
         at_last = last.pieces.stop == motion.drones.pieces
@@ -307,7 +307,7 @@ def _wrong(motion: Motion) -> Iterator[tuple[Phase, Indices, Array | float]]:
         span = motion.slice_pieces(
             slice(first.pieces.start, last.pieces.stop), [p.phase for p in parts]
         )
-        if state in {CableState.LAYING, CableState.ROLLING}:
+        if state in LAID_STATES:
             follow = ties.laid if state is CableState.LAYING else ties.rolled
             wrong = follow(span, around[i], around[i + 2])
             yield last.phase, clasped[wrong], ends[-1]
@@ -357,7 +357,7 @@ class _Ties:
         """
         upright, least = upright_pieces(motion), max(CROSSING.limit_of(motion) or 0.0, TOUCHING)
         ties = before is CableState.ROLLING, after is CableState.ROLLING
-        wrong = np.full(len(self.order), np.any(self.lying != 0) and not ties[0])
+        wrong: Flags = (self.numbers != 0) & (not ties[0])
         wrong |= (ties[0] and not upright[0]) or (ties[1] and not upright[-1])
         signs = 0 * self.lying
         edges = np.flatnonzero(np.diff(np.concatenate([[False], upright, [False]])))
@@ -387,7 +387,7 @@ class _Ties:
         change = np.nan_to_num(change)
         if before is None:
             self.lying[:] = np.where(lies, np.sign(change), 0)
-        wrong |= lies != (self.lying != 0)
+        wrong |= (lies != (self.lying != 0)) | (~lies & (np.abs(self.numbers) != 1))
         self.senses[:] = np.where(lies, self.lying, self.senses)
         opened = -180.0 * self.senses  # roll of a pair that lies across
         start = np.where(lies, opened + (start - opened + 180.0) % 360.0 - 180.0, start)

@@ -16,6 +16,7 @@ from hitchopt.checks.clasps import turns
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import CableState, Motion, Phase, joined_motions
+from hitchopt.motion.retiming import resting as at_rest
 from hitchopt.planners.forming.laying import (
     Laying,
     RollPath,
@@ -133,6 +134,27 @@ def test_half_a_turn_too_little_or_too_much_holds_nothing() -> None:
     assert not row(joined_motions([*stages, back, resting]), "equilibrium").holds
     # Opened to the other side, cables are wound around each other by a full turn.
     assert wrong([*stages, rolled(laying, path.end, -path.start)]) == clasps(3)
+
+
+def resting(motion: Motion, state: CableState) -> Motion:
+    """At rest at the end of a motion, in another state."""
+    return at_rest(motion, 1.0, Phase("rest", 0, 0.0, 1.0, state=state))
+
+
+def test_what_was_never_tied_does_not_roll_and_what_is_tied_is_not_laid() -> None:
+    laying, roll = laying_of(3), stages_of(3)[-1]
+    team, closed = laying.hitch.team, laying.hitch.drones
+    pairs = closed.reshape(-1, 2, 3)
+    slack = np.mean(pairs, axis=1, keepdims=True) + 0.9 * (
+        pairs - np.mean(pairs, axis=1, keepdims=True)
+    )
+    lines = straight_lines(team, KEPT.limits, slack.reshape(-1, 3), closed)
+    pulled = stage("draw", lines, team, KEPT, 0, CableState.FREE)
+    hitched = resting(roll, CableState.HITCHED)
+    assert wrong([pulled, resting(roll, ROLLING), hitched]) == clasps(3)
+    assert wrong([hitched, resting(roll, ROLLING)]) == set()
+    aside = lowered(laying, closed, closed + [1.0, 0.0, 0.0])
+    assert wrong([hitched, aside]) == clasps(3)
 
 
 def test_an_open_clasp_is_refused_where_pairs_do_not_roll() -> None:
