@@ -38,6 +38,7 @@ nb_execution_raise_on_error = True
 nb_execution_timeout = 300
 nb_execution_in_temp = True
 nb_merge_streams = True
+nb_render_markdown_format = "myst"
 
 autodoc_typehints = "signature"
 autodoc_typehints_format = "short"

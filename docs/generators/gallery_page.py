@@ -79,7 +79,9 @@ def _card(section: Section, file: Path) -> str:
     binds = "" if section.solved else f"\n\nBinds: {entry(file, '# Binds', 'see the message')}."
     head = f":::{{grid-item-card}} {title}\n:img-top: {picture}\n:img-alt: {title}, from above\n\n"
     path = name.as_posix()
-    return f"{head}{escaped}{binds}\n\n{{download}}`problems/{path} </../problems/{path}>`\n:::"
+    return (
+        f"{head}{escaped}{binds}\n\n`problems/{path}` {{download}}`YAML </../problems/{path}>`\n:::"
+    )
 
 
 def _refused(file: Path) -> str:
