@@ -17,6 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgba_array
 from matplotlib.gridspec import SubplotSpec
+from matplotlib.patheffects import withStroke
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from scipy.spatial.transform import Rotation
 
@@ -25,7 +26,7 @@ from hitchopt.motion.motion import CableState, Motion
 from hitchopt.values import Array
 from hitchopt.view import style
 from hitchopt.view.scene import Moment, Scene, scene_at
-from hitchopt.view.shapes import SEGMENTS, normals, split
+from hitchopt.view.shapes import SEGMENTS, GroupName, normals, split
 
 # Width of a cable with its pale edges over that without, and length by which its segments
 # overlap, in its radii: bends have no gaps
@@ -244,7 +245,7 @@ def draw_storyboard(
         axes.update_datalim([middle - half, middle + half])
         axes.autoscale_view()
         axes.spines[:].set_color("0.85")
-        style.write_groups(axes, scene.appearance.groups, camera.seen(scene.drones[i])[:, :2])
+        write_groups(axes, scene.appearance.groups, camera.seen(scene.drones[i])[:, :2])
         axes.set_title(f"{shot.words}, {shot.time:.1f} s", fontsize="small", parse_math=False)
     length = 10.0 ** math.floor(math.log10(float(half[0])))
     words: Any = {"loc": "lower right", "frameon": False, "borderpad": 0.7}
@@ -265,3 +266,16 @@ def draw_painting(axes: Axes, painting: Painting) -> PolyCollection:
     shapes = PolyCollection(polygons, **look)
     axes.add_collection(shapes, autolim=False)
     return shapes
+
+
+def write_groups(axes: Axes, groups: Sequence[GroupName], seen: Array) -> None:
+    """Write groups' names above their highest drones or below their lowest, as they alternate.
+
+    All drones are ``seen`` (N, 2) there.
+    """
+    for i, group in enumerate(groups):
+        side = 1.0 - 2.0 * (i % 2)
+        place = max(seen[group.drones].tolist(), key=lambda place: side * place[1])
+        look: Any = {"color": group.colour, "weight": "bold", "zorder": 7, "va": "center"}
+        look |= {"clip_on": True, "path_effects": [withStroke(linewidth=2.0, foreground="white")]}
+        style.write(axes, group.name, place, (0.0, 12.0 * side), **look)

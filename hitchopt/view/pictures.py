@@ -353,7 +353,7 @@ def _write_names(axes: Axes, motion: Motion, ends: Array) -> None:
     look: Any = {"va": "center", "zorder": 6}
     look["path_effects"] = [withStroke(linewidth=2.0, foreground="white")]
     groups = Appearance.of(motion).groups
-    style.write_groups(axes, groups, ends)
+    painter.write_groups(axes, groups, ends)
     team = motion.team
     names, places, aside = team.drone_names, ends, np.zeros_like(ends)
     if team.has_cables:

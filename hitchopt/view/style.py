@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
-    from hitchopt.view.shapes import GroupName
-
 # Colours of cables and drones. The first three differ in grey as well (luminance 20, 45 and 70
 # per cent); the last one, of 45 per cent, stands only between the first and the third
 COLOURS = ("#0b3c5d", "#2a8c82", "#e0a526", "#c8414f")
@@ -199,18 +197,3 @@ def write(axes: Axes, text: str, place: Any, offset: Any, **more: Any) -> None:
     """Write a small text at an offset [points] from a place of the axes."""
     look = {"textcoords": "offset points", "ha": "center", "fontsize": "small", **more}
     axes.annotate(text, place, offset, **look)
-
-
-def write_groups(axes: Axes, groups: Sequence[GroupName], seen: Array) -> None:
-    """Write groups' names above their highest drones or below their lowest, as they alternate.
-
-    All drones are ``seen`` (N, 2) there.
-    """
-    from matplotlib.patheffects import withStroke
-
-    for i, group in enumerate(groups):
-        side = 1.0 - 2.0 * (i % 2)
-        place = max(seen[group.drones].tolist(), key=lambda place: side * place[1])
-        look: Any = {"color": group.colour, "weight": "bold", "zorder": 7, "va": "center"}
-        look |= {"clip_on": True, "path_effects": [withStroke(linewidth=2.0, foreground="white")]}
-        write(axes, group.name, place, (0.0, 12.0 * side), **look)
