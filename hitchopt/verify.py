@@ -1684,6 +1684,9 @@ def phases(p: Plan) -> Iterator[Fault]:
             other = np.ptp(p.team) > 0.0 or np.max(np.abs(pulled - np.repeat(T, 2, 1))) > 1e-4
             busy = np.any(p.load) or np.any(p.held[:, on]) or other
             yield at, bool(busy), "pairs with loads or unequal tensions roll"
+            start, change, _ = followed(p, np.flatnonzero(on))
+            shut = np.abs([start, start + change]) < ROLLED
+            yield at, bool(np.all(shut)), "no pair rolls, or lies across"
         if p.n and state == "on the ground":
             with np.errstate(all="ignore"):
                 depth = [np.min(lowest(s.within(x), k).v) for x in (-1.0, 0.0, 1.0)]

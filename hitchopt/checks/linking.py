@@ -471,6 +471,8 @@ def _contradicted(motion: Motion) -> Indices:
         moved = np.max(np.ptp(motion.vertices.coefficients, axis=(0, -1))) > SIDEWAYS
         moved |= np.max(np.ptp(motion.legs.coefficients, axis=(0, -1))) > MAX_DRIFT
         moved |= np.max(np.abs(pulled - motion.tensions.coefficients[:, :, None])) > TENSION_LIMIT
+        start, change = turns(motion)
+        moved |= not np.any(np.abs([start, start + change]) >= ROLLED)  # nothing opens, or is open
         if moved or loaded or np.ptp(motion.team.tension) > 0.0:
             wrong.append(alone)
     elif state is CableState.TIGHTENING and _taut_share(motion) > MAX_TAUT_SHARE:
