@@ -5,17 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 from motions import altered, plus, row
 
 import hitchopt as ho
+from hitchopt import verify as second
 from hitchopt.checks import certify
 from hitchopt.checks.clasps import turns
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import CableState, Motion, Phase, joined_motions
+from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.retiming import resting as at_rest
 from hitchopt.planners.forming.laying import (
     Laying,
@@ -141,7 +144,12 @@ def resting(motion: Motion, state: CableState) -> Motion:
     return at_rest(motion, 1.0, Phase("rest", 0, 0.0, 1.0, state=state))
 
 
-def test_what_was_never_tied_does_not_roll_and_what_is_tied_is_not_laid() -> None:
+def second_opinion(motions: Sequence[Motion], path: Path) -> str:
+    write_plan(path / "plan.npz", joined_motions(motions))
+    return " ".join(str(each) for each in second.verify(path) if each.verdict != "proven")
+
+
+def test_what_was_never_tied_does_not_roll_and_what_is_tied_is_not_laid(tmp_path: Path) -> None:
     laying, roll = laying_of(3), stages_of(3)[-1]
     team, closed = laying.hitch.team, laying.hitch.drones
     pairs = closed.reshape(-1, 2, 3)
@@ -155,6 +163,12 @@ def test_what_was_never_tied_does_not_roll_and_what_is_tied_is_not_laid() -> Non
     assert wrong([hitched, resting(roll, ROLLING)]) == {f"cable {k}" for k in range(3)}
     aside = lowered(laying, closed, closed + [1.0, 0.0, 0.0])
     assert wrong([hitched, aside]) == clasps(3)
+    untied = [pulled, resting(roll, ROLLING)]
+    assert wrong(untied) >= clasps(3)
+    assert "untied cables roll" in second_opinion(untied, tmp_path)
+    assert "tied cables are laid" in second_opinion([hitched, aside], tmp_path)
+    shut = [hitched, resting(roll, ROLLING)]
+    assert "no pair rolls, or lies across" in second_opinion(shut, tmp_path)
 
 
 def test_an_open_clasp_is_refused_where_pairs_do_not_roll() -> None:
