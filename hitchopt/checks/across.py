@@ -27,14 +27,16 @@ from hitchopt.checks.distances import (
     aside,
     nearest,
     smallest,
+    taut_strips,
 )
+from hitchopt.checks.joining import lowered_over
 from hitchopt.checks.objects import placed, seen_from
 from hitchopt.checks.rule import CheckRule, WorstCase
-from hitchopt.checks.spans import ROUNDING, cable_parts, cached, magnitude, part_name
+from hitchopt.checks.spans import ROUNDING, cable_names, cable_parts, cached, magnitude, part_names
 from hitchopt.checks.tracking import Ellipsoid
 from hitchopt.hitch.requirements import Separation
 from hitchopt.motion.combined import same_object
-from hitchopt.motion.motion import Group, Motion
+from hitchopt.motion.motion import CableState, Group, Motion
 from hitchopt.motion.retiming import on_breaks_of, padded
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import STILL
@@ -98,7 +100,9 @@ def _runs(first: Group, second: Group, scale: Array) -> Iterator[Run]:
     both = [padded(each.motion, begin, end) for each in (first, second)]
     breaks = merged_breaks([each.drones.breaks for each in both])
     one, other = (on_breaks_of(each, breaks) for each in both)
-    changes = np.flatnonzero(np.diff(2 * one.formed + other.formed)) + 1
+    taut = frozenset({CableState.LAYING})
+    kinds = [each.formed + 2 * each.in_states(taut) for each in (one, other)]
+    changes = np.flatnonzero(np.diff(3 * kinds[0] + kinds[1])) + 1
     edges = [0, *changes.tolist(), len(breaks) - 1]
     for start, stop in pairwise(edges):
         a, b = (
@@ -121,12 +125,15 @@ def cables_of(group: Group, *, parts: bool = False) -> Bodies | None:
         return None
     if motion.formed[0]:
         corners, part = cable_parts(motion)
-        named = [part_name(k) if parts else f"cable {k // 3}" for k in part.tolist()]
+        whole = cable_names(motion)
+        named = part_names(motion, part) if parts else [whole[k // 3] for k in part.tolist()]
         return Bodies(corners, tuple(map(group.label, named)))
+    if CableState.LAYING in motion.cable_states:
+        return Bodies(taut_strips(motion), tuple(map(group.label, cable_names(motion))), True)
     q, r = motion.drones.coefficients[:, 0::2], motion.drones.coefficients[:, 1::2]
     lowest = 0.5 * (q + r)
     lowest[:, :, 2] -= 0.5 * motion.team.cable_length[:, None]
-    names = tuple(group.label(f"cable {k}") for k in range(motion.team.robots))
+    names = tuple(map(group.label, cable_names(motion)))
     return Bodies(np.stack([q, r, lowest], axis=2), names, upright=True)
 
 
@@ -145,10 +152,21 @@ def past_cables(run: Run) -> Iterator[Moving]:
 
 
 def crossings(run: Run) -> Iterator[Moving]:
-    """Yield the pairs of cables."""
+    """Yield the pairs of cables.
+
+    Edges on which a robot's taut cable comes straight down are no pairs with it then: they are
+    compared as it joins (``checks.joining``).
+    """
     first, second = (cables_of(each, parts=True) for each in (run.first, run.second))
-    if first is not None and second is not None:
-        yield run.moving(first, second)
+    if first is None or second is None:
+        return
+    one, other = run.first.motion, run.second.motion
+    counted = np.ones(first.corners.shape[:2], dtype=np.bool_)
+    if other.team.robots == 1 and one.formed[0]:
+        part = cable_parts(one)[1]
+        for each in lowered_over(one, other):
+            counted[each.pieces, np.isin(part, 3 * each.edges + 1)] = False
+    yield run.moving(first, second, counted=None if np.all(counted) else counted)
 
 
 def _objects(one: Group, other: Group) -> Iterator[tuple[str, SolidObject, Enclosed]]:

@@ -50,6 +50,7 @@ EXPORTED_LIMIT = 1e-3  # Relative: for files that store millimetres, instead of 
 # [N] A quarter of a thousandth of a usual tension, far below what a drone can measure
 TENSION_LIMIT = 1e-4
 RATIO_ORDER = 4  # degree of a weight over a tension: both hardly change on spans that matter
+LYING = frozenset({CableState.LYING})
 REST_TOLERANCE = 1e-9  # [m] Largest motion at rest
 
 
@@ -105,12 +106,21 @@ class Cables(MotionSpans):
 
 
 def _length_error(spans: Cables) -> Bound:
-    """Return the largest of ``|leg + edge + leg - L| / L`` and of errors of the plan's legs."""
+    """Return the largest of ``|leg + edge + leg - L| / L`` and of errors of the plan's legs.
+
+    Less the sag of the whole cable, ``(ρ g L / T)² / 24``, where cables pass weight to one another.
+    """
     heavy = spans.source.team.cable_density > 0.0
     excess = spans.excess + spans.sag if heavy else spans.excess
     stored = spans.scaled(spans.source.legs.coefficients)
     errors = [stored[i] - spans.parts[i].norm for i in (0, 1)]
-    return largest_of([each.norm_above for each in (excess, *errors)])
+    largest = largest_of([each.norm_above for each in (excess, *errors)])
+    lying = spans.source.in_states(LYING)[spans.piece]
+    if not np.any(lying):
+        return largest
+    team = spans.source.team
+    sag = (sag_factors(team, team.tension) * team.cable_length**2)[spans.item]
+    return Bound(largest.value - np.where(lying, sag, 0.0), largest.x)
 
 
 def _shortfall(spans: Cables) -> Bound:
@@ -242,15 +252,18 @@ def _jump_of_pulls(motion: Motion) -> WorstCase:
 
 def _jump_of_thrusts(motion: Motion) -> WorstCase:
     """Return the largest jump of a drone's thrust, by its norm."""
-    shape, ends = (motion.drones.pieces, motion.team.drones), []
-    for x in (0.0, 1.0):
-        batches = [spans.at(np.full(len(spans), x)).thrust for spans in Drones.of(motion)]
-        f = np.concatenate([each.c[..., 0] for each in batches]).reshape(*shape, 3)
-        slop = [np.broadcast_to(each.r, len(each.c)) for each in batches]
-        ends.append((f, np.concatenate(slop).reshape(shape)))
-    (left, before), (right, after) = ends
+    (left, before), (right, after) = (end_thrusts(motion, x) for x in (0.0, 1.0))
     jumps = np.linalg.norm(left[1:] - right[:-1], axis=-1) + before[1:] + after[:-1]
     return worst_at_joint(jumps, motion.drones.breaks[1:], motion.team.drone_names)
+
+
+def end_thrusts(motion: Motion, x: float) -> tuple[Array, Array]:
+    """Return the thrusts (pieces, 2n, 3) [N] at a share of every piece, and errors (pieces, 2n)."""
+    shape = motion.drones.pieces, motion.team.drones
+    batches = [spans.at(np.full(len(spans), x)).thrust for spans in Drones.of(motion)]
+    f = np.concatenate([each.c[..., 0] for each in batches]).reshape(*shape, 3)
+    slop = [np.broadcast_to(each.r, len(each.c)) for each in batches]
+    return f, np.concatenate(slop).reshape(shape)
 
 
 def _outside(

@@ -12,6 +12,7 @@ import math
 from collections.abc import Sequence
 from functools import cached_property
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from hitchopt.checks.spans import (
     MotionSpans,
     bent_edges,
     cached,
+    cached_value,
     derivative_margin,
     edge_vectors,
     leg_vectors,
@@ -43,7 +45,8 @@ BALANCE_LIMIT = 5e-3  # Relative to the tension: the vertex is then within milli
 BACKWARD = -180.0  # [deg] The smallest angle there is; also that of an edge without direction
 TURN = 1e-6  # [deg] Rounding of the sum of all angles, which of a polygon are whole turns
 ROLLED = 175.0  # [deg] From this roll on a clasp counts as open: at 180° both cables run straight
-ROLLING = frozenset({CableState.ROLLING})
+OPEN_STATES = frozenset({CableState.ROLLING, CableState.LYING})
+LYING = frozenset({CableState.LYING})
 ROUGH_ORDER = 3  # degree of factors that detect open clasps, which are far from closed ones
 OWN = np.array([0, 1])  # Legs that are at the clasp: q of the cable ahead, r of that behind
 
@@ -235,14 +238,20 @@ def _balance(spans: Clasps) -> Bound:
     """Return the size of the residual over the smaller tension, infinite where a clasp is open.
 
     Where pairs roll, what bears is a matter of the angle alone, which ``turns`` follows: near 180°
-    the weights that cables leave to one another are more than their contact.
+    the weights that cables leave to one another are more than their contact. Where they pass weight
+    to one another, that of both cables may be borne elsewhere.
     """
     residual, lifted = _over(spans.residual, spans), _lifted(spans)
     if spans.weighed(spans.source):
         lifted = largest_of([lifted, _rolled(spans)])
     shut = lifted.value < 0.0
-    shut |= spans.source.in_states(ROLLING)[spans.piece]
-    return Bound(np.where(shut, residual.value, np.inf), np.where(shut, residual.x, lifted.x))
+    shut |= spans.source.in_states(OPEN_STATES)[spans.piece]
+    value, lying = residual.value, spans.source.in_states(LYING)[spans.piece]
+    if np.any(lying):
+        team = spans.source.team
+        weight = GRAVITY * team.cable_density * np.sum(team.cable_length[spans.cables], axis=1)
+        value = value - np.where(lying, weight / np.min(team.tension[spans.cables], axis=1), 0.0)
+    return Bound(np.where(shut, value, np.inf), np.where(shut, residual.x, lifted.x))
 
 
 def _lifted(spans: Clasps) -> Bound:
@@ -291,6 +300,63 @@ def turns(motion: Motion) -> tuple[Array, Array]:
         begin = spans.piece == 0
         first[spans.item[begin]] = rolls[0][begin]
     return first, total
+
+
+class Corner(NamedTuple):
+    """Where the legs of two cables lie across each other beyond the edge of a robot between them.
+
+    On ``pieces`` they may touch: from where the robot has joined until one of them has rolled away,
+    or before it leaves. ``clasps`` are those of the robot with the cables ``behind`` and ``ahead``.
+    """
+
+    pieces: slice
+    clasps: tuple[int, int]
+    behind: int
+    ahead: int
+
+
+def cut_corners(motion: Motion) -> tuple[Corner, ...]:
+    """Return the corners that are cut off where a ring begins or ends by passing weight."""
+    lying, rolling = motion.in_states(LYING), motion.in_states(OPEN_STATES - LYING)
+    if not np.any(lying):
+        return ()
+    return cached_value(motion, _corners_cut, tuple(lying.tolist()), tuple(rolling.tolist()))
+
+
+def _corners_cut(
+    motion: Motion, lying: Sequence[bool], rolling: Sequence[bool]
+) -> tuple[Corner, ...]:
+    corners, count = list[Corner](), len(lying)
+    index = motion.phase_of_piece
+    for first, last in ((0, 1), (count - 1, count)):
+        if not lying[first]:
+            continue
+        step = 1 if first == 0 else -1
+        start, stop = first, last
+        while start > 0 and step < 0 and lying[start - 1]:
+            start -= 1
+        while stop < count and step > 0 and lying[stop]:
+            stop += 1
+        at = stop if step > 0 else start - 1
+        while (
+            0 <= at < count and rolling[at] and index[at] == index[stop if step > 0 else start - 1]
+        ):
+            at += step
+        span = slice(start, stop)
+        rolls = turns(motion.slice_pieces(span, motion.phases))[0]
+        open_ = np.flatnonzero(np.abs(rolls) >= ROLLED)
+        layout = motion.team.layout
+        pairs = [
+            (j, k)
+            for j in open_.tolist()
+            for k in open_.tolist()
+            if layout.ahead[j] == layout.behind[k]
+        ]
+        if len(open_) == 2 and len(pairs) == 1:
+            ((j, k),) = pairs
+            pieces = slice(0, at) if step > 0 else slice(at + 1, count)
+            corners.append(Corner(pieces, (j, k), int(layout.behind[j]), int(layout.ahead[k])))
+    return tuple(corners)
 
 
 def _find(motion: Motion, limit: float) -> WorstCase:

@@ -51,7 +51,7 @@ from hitchopt.checks.spans import (
     cached,
     concatenated,
     magnitude,
-    part_name,
+    part_names,
     phase_parts,
     position_margin,
 )
@@ -343,7 +343,8 @@ def _past_taut(motion: Motion) -> Iterator[Moving]:
         return flags
 
     drones = motion.drones.elevated(bernstein.degree(corners)).coefficients
-    names = motion.team.drone_names, [f"cable {k}" for k in part // 3]
+    cables = cable_names(motion)
+    names = motion.team.drone_names, [cables[k] for k in part // 3]
     yield Moving.of(motion, drones[:, :, None], corners, allowed=strange, names=names)
 
 
@@ -413,7 +414,8 @@ def _cables_past(motion: Motion) -> Iterator[Moving]:
     """
     corners, part = cable_parts(motion)
     cables, points = part // 3, Enclosed(corners)
-    names = [f"cable {k}" for k in cables]
+    whole = cable_names(motion)
+    names = [whole[k] for k in cables]
     # No part is lower than its ends and the bends of edges wrapped around an object.
     holding = np.array([phase.hold is not None for phase in motion.phases] + [False])
     on = np.repeat(holding[motion.phase_of_piece][:, None], len(part), axis=1)
@@ -531,7 +533,7 @@ class Parts(MotionSpans):
     @classmethod
     def names(cls, motion: Motion) -> Sequence[str]:
         """Return the parts' names."""
-        return [part_name(part) for part in cable_parts(motion)[1].tolist()]
+        return part_names(motion, cable_parts(motion)[1])
 
 
 @cached

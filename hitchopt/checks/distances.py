@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.checks.certificate import within
+from hitchopt.checks.clasps import cut_corners
 from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase
 from hitchopt.checks.spans import (
     UPWARD,
@@ -30,7 +31,7 @@ from hitchopt.checks.spans import (
     clasped_pairs,
     magnitude,
     pair_of,
-    part_name,
+    part_names,
     phase_parts,
     position_margin,
 )
@@ -412,17 +413,33 @@ def cable_ends(drones: Array) -> Array:
 def _taut(motion: Motion) -> Iterator[Moving]:
     """Yield the pairs of parts that share no clasp.
 
-    The two legs of one cable count among them: they cross where both pass a star tip.
+    The two legs of one cable count among them: they cross where both pass a star tip. Legs that lie
+    across each other at a corner which is cut off do not, as long as they may touch.
     """
     corners, part = cable_parts(motion)
-    bodies, names = Bodies.of(motion.team.layout), [part_name(p) for p in part]
+    bodies, names = Bodies.of(motion.team.layout), part_names(motion, part)
     body = bodies.of_parts(part)
 
     def crossing(i: Indices, j: Indices) -> Flags:
         flags: Flags = bodies.kind(body[i], body[j]) == CROSSING_PAIR
         return flags
 
-    yield Moving.of(motion, corners, allowed=crossing, names=(names, names))
+    corners_cut = cut_corners(motion)
+    counted, whole = np.ones((len(corners), len(part)), dtype=np.bool_), (names, names)
+    for corner in corners_cut:
+        counted[corner.pieces] = False
+        meeting = 3 * corner.behind + 2, 3 * corner.ahead
+
+        def others(i: Indices, j: Indices, meeting: tuple[int, int] = meeting) -> Flags:
+            both = np.isin(part[i], meeting) & np.isin(part[j], meeting)
+            return crossing(i, j) & ~both
+
+        here = np.zeros_like(counted)
+        here[corner.pieces] = True
+        yield Moving.of(motion, corners, allowed=others, counted=here, names=whole)
+    yield Moving.of(
+        motion, corners, allowed=crossing, counted=counted if corners_cut else None, names=whole
+    )
 
 
 def _hanging(motion: Motion) -> Iterator[Moving]:
@@ -457,18 +474,24 @@ def upright_pieces(motion: Motion) -> Flags:
     return upright
 
 
-def _over_each_other(motion: Motion) -> Moving:
-    """Return the pairs of neighbours that move over each other, while any drone moves sideways.
+def taut_strips(motion: Motion) -> Array:
+    """Return the corners (pieces, n, 4, 3, degree + 1) [m] of strips around cables that are laid.
 
-    Cables that are laid keep their shape: each is within the upright strip from its chord to the
-    level of its largest sag below that.
+    They keep their shape: each is within the upright strip from its chord to the level of its
+    largest sag below that.
     """
-    names, layout, c = cable_names(motion), motion.team.layout, motion.drones.coefficients
+    c = motion.drones.coefficients
     first = c[0, ..., 0].reshape(-1, 2, 3)
     cables = Catenary.between(first[:, 0], first[:, 1], motion.team.cable_length)
     deepest = cables.depth(0.0) + 0.25 * cables.sigma**2 * np.abs(cables.rise)
     strips = np.concatenate([cable_ends(c)] * 2, axis=2)
     strips[:, :, 2:, 2] -= deepest[:, None, None]
+    return strips
+
+
+def _over_each_other(motion: Motion) -> Moving:
+    """Return the pairs of neighbours that move over each other, while any drone moves sideways."""
+    names, layout, strips = cable_names(motion), motion.team.layout, taut_strips(motion)
 
     def neighbours(i: Indices, j: Indices) -> Flags:
         return np.isin(pair_of(layout, i, j), clasped_pairs(layout))

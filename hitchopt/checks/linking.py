@@ -22,7 +22,7 @@ when both are drawn taut, although their chords need never have met.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
@@ -30,7 +30,7 @@ import numpy as np
 
 from hitchopt.checks.cables import LENGTH_LIMIT as SLACK
 from hitchopt.checks.cables import TENSION_LIMIT
-from hitchopt.checks.clasps import ROLLED, turns
+from hitchopt.checks.clasps import OPEN_STATES, ROLLED, turns
 from hitchopt.checks.clearance import above_ground, cables_and_drones, chains
 from hitchopt.checks.distances import (
     CROSSING,
@@ -58,9 +58,9 @@ from hitchopt.checks.spans import (
 from hitchopt.errors import check_time
 from hitchopt.geometry import shortest_offset
 from hitchopt.geometry.vectors import length, unit
+from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.forces import cable_of, sag_factors
-from hitchopt.hitch.team import Layout
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, JOINT, CableState, Motion, Phase
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.enclosed import Enclosed
@@ -216,10 +216,11 @@ LAID = 0.02  # [m] Largest distance of cables that lie on one another: their sag
 JUMP = 1e-6  # [m], [m/s], [m/s²] Largest jump, far below what a drone can follow
 # States in which neighbours have the crossing number 0; in clasping it changes, else it is 1
 BEFORE = frozenset({CableState.GROUND, CableState.FREE})
-LAID_STATES = frozenset({CableState.LAYING, CableState.ROLLING})  # followed by half crossings
+LAID_STATES = OPEN_STATES | {CableState.LAYING}  # followed by half crossings
 MAX_NAMED = 12  # maximum number of pairs in ``where``
 MAX_DRIFT = 1e-3  # [m] Largest motion of the middle of two drones that turn about each other, and
 # change of legs, which sag, while they roll
+MAX_PASSED = 0.02  # [m] Largest change of legs as cables that lie across pass weight
 MAX_TAUT_SHARE = 0.5  # largest share of a tightening phase with cables at their full length:
 # tightening comes to rest there, which takes a few hundredths of its time
 PROBES = np.linspace(0.0, 1.0, 9)  # places on a piece, one of which shows that cables are slack
@@ -233,9 +234,16 @@ def _largest_jump(motion: Motion, _: float) -> WorstCase:
     parts = [(motion.drones, motion.team.drone_names)]
     if motion.poses is not None:
         parts.append((motion.poses, tuple(motion.requirements.objects)))
-    legs = tuple(f"{name} {k}" for k in range(motion.team.robots) for name in PART_NAMES[0::2])
+    legs = tuple(f"{name} {k}" for k in motion.team.labels for name in PART_NAMES[0::2])
     for span in motion.spans(HITCHED_STATE):
         parts += [(span.vertices, span.team.point_names), (span.legs.reshaped(-1, 1), legs)]
+    return jump_of(motion, parts)
+
+
+def jump_of(
+    motion: Motion, parts: Sequence[tuple[PiecewisePolynomial, Sequence[str]]]
+) -> WorstCase:
+    """Return the largest jump of curves on the breaks of a motion, whose items have names."""
     cases = [WorstCase(0.0, float(motion.drones.breaks[0]))]
     for part, names in parts:
         for order in range(3):
@@ -269,29 +277,41 @@ DURATION = CheckRule(
 def _interlaced(motion: Motion, _: float) -> WorstCase:
     """Return the number of pairs of cables, or single cables, not in the state of their phase."""
     first, index_of = dict[int, tuple[float, int]](), motion.phases.index
-    for phase, pairs, times in _wrong(motion):
-        for pair, time in zip(pairs.tolist(), np.broadcast_to(times, len(pairs)), strict=True):
-            first[pair] = min(first.get(pair, (np.inf, 0)), (float(time), index_of(phase)))
+    for phase, pair, time in wrong_cables(motion, Ties.at_start(motion)):
+        first[pair] = min(first.get(pair, (np.inf, 0)), (time, index_of(phase)))
     if not first:
         return WorstCase(0.0, float(motion.drones.breaks[-1]))
     named = sorted(first, key=lambda pair: (first[pair], pair))[:MAX_NAMED]
     time, index = first[named[0]]
     where = [f"phase {index} ({motion.phases[index].name})"]
-    where += [name for pair in named for name in _names(motion.team.layout, pair)]
+    where += [name for pair in named for name in _names(motion.team, pair)]
     return WorstCase(float(len(first)), time, tuple(where))
 
 
-def _wrong(motion: Motion) -> Iterator[tuple[Phase, Indices, Array | float]]:
-    """Yield phases, their wrong cables ``i n + i`` and pairs ``i n + j``, and times [s]."""
-    layout = motion.team.layout
+def wrong_cables(
+    motion: Motion, ties: Ties, before: CableState | None = None, after: CableState | None = None
+) -> Iterator[tuple[Phase, int, float]]:
+    """Yield phases, their wrong cables ``i n + i`` and pairs ``i n + j``, and times [s].
+
+    ``ties`` are those at the start, and become those at the end; ``before`` and ``after`` are the
+    states of cables before and after the motion, None if nothing is known of it.
+    """
+    for phase, pairs, times in _wrong(motion, ties, before, after):
+        for pair, time in zip(pairs.tolist(), np.broadcast_to(times, len(pairs)), strict=True):
+            yield phase, pair, float(time)
+
+
+def _wrong(
+    motion: Motion, ties: Ties, before: CableState | None, after: CableState | None
+) -> Iterator[tuple[Phase, Indices, Array | float]]:
+    """Yield phases, and for each all pairs that are wrong at once."""
+    layout, numbers = motion.team.layout, ties.numbers
     clasped = np.sort(clasped_pairs(layout))
-    # An initial hitch is assumed to be tied with every q going up first: 1 for neighbours.
-    numbers = np.full(len(clasped), int(motion.formed[0]), dtype=np.intp)
-    ties = _Ties(np.argsort(clasped_pairs(layout)), numbers, numbers.copy(), 0 * numbers)
     runs = [
-        (state, list(run)) for state, run in groupby(phase_parts(motion), lambda p: p.phase.state)
+        (state, list(run))
+        for state, run in groupby(phase_parts(motion), lambda p: _followed(p.phase))
     ]
-    around = [None, *(state for state, _ in runs), None]
+    around = [before, *(state for state, _ in runs), after]
     for i, (state, parts) in enumerate(runs):
         first, last, hitched = parts[0], parts[-1], state is CableState.HITCHED
         ends = [float(part.motion.drones.breaks[-1]) for part in parts]
@@ -335,8 +355,13 @@ def _wrong(motion: Motion) -> Iterator[tuple[Phase, Indices, Array | float]]:
                 yield part.phase, pair_of(layout, drone // 2, cable), time
 
 
+def _followed(phase: Phase) -> CableState:
+    """Return the state as whose phases it is followed: lying across is a part of rolling."""
+    return CableState.ROLLING if phase.state is CableState.LYING else phase.state
+
+
 @dataclass(frozen=True, eq=False)
-class _Ties:
+class Ties:
     """Ties of neighbours, each (clasps,) in the ``order`` of pairs; they change along a plan.
 
     Crossing numbers; the sense of a clasp, 1 or -1; and ``lying``, 1 where the cable ahead lies on
@@ -348,6 +373,16 @@ class _Ties:
     numbers: Indices
     senses: Indices
     lying: Indices
+
+    @classmethod
+    def at_start(cls, motion: Motion) -> Ties:
+        """Return the ties as a plan begins.
+
+        An initial hitch is assumed to be tied with every q going up first: 1 for neighbours.
+        """
+        order = np.argsort(clasped_pairs(motion.team.layout))
+        numbers = np.full(len(order), int(motion.formed[0]), dtype=np.intp)
+        return cls(order, numbers, numbers.copy(), 0 * numbers)
 
     def laid(self, motion: Motion, before: CableState | None, after: CableState | None) -> Flags:
         """Return (clasps,) the pairs that are not laid, or lifted, on a run of its pieces.
@@ -427,10 +462,11 @@ def _gaps(motion: Motion) -> Array:
     return difference
 
 
-def _names(layout: Layout, pair: int) -> list[str]:
+def _names(team: Team, pair: int) -> list[str]:
+    layout = team.layout
     if pair in (pairs := clasped_pairs(layout)):
         return [f"p{layout.clasps[int(np.argmax(pairs == pair))]}"]
-    return [f"cable {k}" for k in sorted({*divmod(pair, layout.robots)})]
+    return [f"cable {team.labels[k]}" for k in sorted({*divmod(pair, layout.robots)})]
 
 
 def _contradicted(motion: Motion) -> Indices:
@@ -465,14 +501,17 @@ def _contradicted(motion: Motion) -> Indices:
     elif state is CableState.LAYING:
         offsets = motion.drones.coefficients[:, 1::2] - motion.drones.coefficients[:, 0::2]
         wrong.append(alone[np.max(np.ptp(offsets, axis=(0, -1)), axis=-1) > SIDEWAYS])
-    elif state is CableState.ROLLING:
+    elif state in OPEN_STATES:
         pulled = motion.pulls.coefficients.reshape(len(motion.drones.durations), n, 2, -1)
         loaded = any(phase.hold is not None for phase in motion.phases) or np.any(motion.team.load)
         moved = np.max(np.ptp(motion.vertices.coefficients, axis=(0, -1))) > SIDEWAYS
-        moved |= np.max(np.ptp(motion.legs.coefficients, axis=(0, -1))) > MAX_DRIFT
+        lying = state is CableState.LYING
+        drift = MAX_PASSED if lying else MAX_DRIFT
+        moved |= np.max(np.ptp(motion.legs.coefficients, axis=(0, -1))) > drift
         moved |= np.max(np.abs(pulled - motion.tensions.coefficients[:, :, None])) > TENSION_LIMIT
         start, change = turns(motion)
         moved |= not np.any(np.abs([start, start + change]) >= ROLLED)  # nothing opens, or is open
+        moved |= lying and bool(np.any(np.abs(change) >= 180.0 - ROLLED))
         if moved or loaded or np.ptp(motion.team.tension) > 0.0:
             wrong.append(alone)
     elif state is CableState.TIGHTENING and _taut_share(motion) > MAX_TAUT_SHARE:
@@ -501,7 +540,9 @@ INTERLACING = CheckRule(
     "interlacing",
     "1",
     "max",
-    lambda motion: None if motion.cable_states <= {CableState.HITCHED} else 0.0,
+    lambda motion: (
+        None if motion.cable_states <= {CableState.HITCHED} or motion.team.robots == 1 else 0.0
+    ),
     (Evaluator(_interlaced, FREE_STATES | HITCHED_STATE),),
     "place the drones so that cables need not pass each other",
     whole=True,

@@ -11,10 +11,12 @@ from hitchopt.checks import cables, clasps, clearance, distances, drones, object
 from hitchopt.checks.across import check_across, radius_across
 from hitchopt.checks.certificate import Certificate, Check, worst_of
 from hitchopt.checks.distances import GROUND
+from hitchopt.checks.joining import interlaced, jumps, jumps_of_thrust
 from hitchopt.checks.linking import CONTINUITY, DURATION, INTERLACING
 from hitchopt.checks.rule import CheckRule, ReportRule, SpanResult
 from hitchopt.checks.spans import value_cache
 from hitchopt.checks.tracking import GAMMA
+from hitchopt.motion.chapters import chapters
 from hitchopt.motion.motion import Group, Motion
 from hitchopt.values import instance, not_negative, sequence
 
@@ -51,6 +53,9 @@ REPORTS = (tracking.TRACKING_RADIUS, stops.RULE)
 
 MERGEABLE_REPORTS = tuple(report for report in REPORTS if not report.whole)
 """Reports of a joined motion that follow from those of its parts."""
+
+SEAMS = {"continuity": jumps, "tension": jumps_of_thrust}
+"""What is checked where a robot joins or leaves, in addition to all chapters."""
 
 RULE_OF = {rule.name: rule for rule in RULES}
 """The rules by name."""
@@ -89,6 +94,8 @@ def certify(
     gamma = not_negative("gamma", gamma)
     chosen: tuple[ReportRule, ...] = sequence("reports", reports)
     chosen = tuple(each for each in REPORTS if each in chosen or each.limit(motion) is not None)
+    if motion.changes:
+        return _remembered(motion, list(_checks_of_chapters(motion, progress, gamma, chosen)))
     if len(motion.flying) > 1:
         return _remembered(motion, list(_checks_of_groups(motion, progress, gamma, chosen)))
     rules = tuple(rule for rule in RULES if rule.limit_of(motion) is not None)
@@ -105,6 +112,37 @@ def certify(
             else:
                 checks.append(each.check(motion, results, gamma))
     return _remembered(motion, checks)
+
+
+def _checks_of_chapters(
+    motion: Motion,
+    progress: Callable[[str], None] | None,
+    gamma: float,
+    chosen: tuple[ReportRule, ...],
+) -> Iterator[Check | None]:
+    """Yield the checks of all chapters together, and of the seams between them."""
+    parts, own = chapters(motion), dict[str, list[Check]]()
+    for part in parts:
+        for check in certify(part, progress, gamma, reports=chosen).checks:
+            own.setdefault(check.name, []).append(check)
+    with value_cache():
+        for rule in RULES:
+            if rule is DURATION:
+                yield rule.check(motion)
+            elif rule is INTERLACING:
+                yield interlaced(parts).check(rule, 0.0)
+            else:
+                yield worst_of([*own.get(rule.name, ()), _at_seams(rule, motion)])
+    for report in chosen:
+        yield worst_of(own.get(report.name, ()))
+
+
+def _at_seams(rule: CheckRule, motion: Motion) -> Check | None:
+    """Return the check of a rule at the seams of chapters; None if it is not of them."""
+    limit = rule.limit_of(motion)
+    if rule.name not in SEAMS or limit is None:
+        return None
+    return SEAMS[rule.name](motion, chapters(motion)).check(rule, limit)
 
 
 def _checks_of_groups(
@@ -137,6 +175,9 @@ def _checks_of_groups(
 
 def check_of(rule: CheckRule, motion: Motion, *, exported: bool = False) -> Check | None:
     """Return the check of one rule of all groups together: of each alone, and across."""
+    if motion.changes:
+        parts = [check_of(rule, part, exported=exported) for part in chapters(motion)]
+        return worst_of([*parts, _at_seams(rule, motion)])
     if len(motion.flying) == 1:
         return rule.check(motion, exported=exported)
     own = [(rule.check(each.motion, exported=exported), each) for each in motion.groups]
@@ -182,7 +223,7 @@ def merged(motion: Motion, parts: Sequence[Certificate]) -> Certificate:
     motion: of the parts one after the other, each from where the last one ends.
     parts: their certificates; any check of duration in them is not used.
     """
-    if motion.others or tracking.TRACKING_RADIUS.limit(motion) is not None:
+    if motion.changes or motion.others or tracking.TRACKING_RADIUS.limit(motion) is not None:
         return certify(motion)  # parts are certified against wider distances
     begin = float(motion.drones.breaks[0])
     of_parts: dict[str, list[Check]] = {rule.name: [] for rule in (*RULES, *REPORTS)}

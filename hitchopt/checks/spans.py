@@ -165,7 +165,7 @@ def _listed(motion: Motion, over: type[MotionSpans]) -> tuple[Any, ...]:
 
 def cable_names(motion: Motion) -> Sequence[str]:
     """Return the cables' names."""
-    return [f"cable {k}" for k in range(motion.team.robots)]
+    return [f"cable {k}" for k in motion.team.labels]
 
 
 def positions(motion: Motion) -> tuple[Array, Array]:
@@ -247,9 +247,10 @@ def pair_of(layout: Layout, first: Indices, second: Indices) -> Indices:
     return np.minimum(first, second) * layout.robots + np.maximum(first, second)
 
 
-def part_name(part: int) -> str:
-    """Return a part's name, such as ``q-leg 2`` or ``edge 0``."""
-    return f"{PART_NAMES[part % 3]} {part // 3}"
+def part_names(motion: Motion, parts: Indices) -> list[str]:
+    """Return the names of cable parts, such as ``q-leg 2`` or ``edge 0``."""
+    labels = motion.team.labels
+    return [f"{PART_NAMES[part % 3]} {labels[part // 3]}" for part in parts.tolist()]
 
 
 def same_degree(*parts: Array) -> list[Array]:

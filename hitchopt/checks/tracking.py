@@ -27,7 +27,7 @@ from hitchopt.checks.clearance import CABLE_CLEARANCE, drones_room, moved_by
 from hitchopt.checks.distances import Moving, smallest
 from hitchopt.checks.drones import Drones
 from hitchopt.checks.rule import ReportRule, SpanResult, SpanResults, WorstCase
-from hitchopt.checks.spans import ROUNDING, phase_parts
+from hitchopt.checks.spans import ROUNDING, cable_names, phase_parts
 from hitchopt.geometry.vectors import unit
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, Motion
 from hitchopt.trajectory.enclosed import Bound
@@ -60,7 +60,7 @@ def _radius(motion: Motion, results: SpanResults, gamma: float) -> WorstCase:
         terms.append(WorstCase(max(near.worst, 0.0), near.time, where))
     for span in motion.spans(FREE_STATES):  # half of the excess of cables over their chords
         tightest = worst(Drones.of(span), _spare, "min")
-        cable = f"cable {tightest.item // 2}"
+        cable = cable_names(span)[tightest.item // 2]
         terms.append(WorstCase(max(0.5 * tightest.worst, 0.0), tightest.time, (cable,)))
     for check, span in _while_hanging(motion, results):
         terms.append(WorstCase(_hanging(span, check), check.time, check.where))

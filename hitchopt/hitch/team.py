@@ -478,12 +478,17 @@ class Team(OneLine):
     @property
     def point_names(self) -> tuple[str, ...]:
         """(points,): p0, p1, …, names of the vertices or of a chain's points."""
-        return _names("p", self.layout.points)
+        return _names("p", range(self.layout.points))
+
+    @property
+    def labels(self) -> tuple[int, ...]:
+        """(n,): numbers of the robots, by which drones and cables are named."""
+        return tuple(range(self.robots))
 
     @property
     def drone_names(self) -> tuple[str, ...]:
         """(2n,): q0, r0, q1, r1, …."""
-        return _names("qr", self.robots)
+        return _names("qr", self.labels)
 
     @property
     def cable_weight(self) -> NDArray[np.float64]:
@@ -492,8 +497,36 @@ class Team(OneLine):
 
 
 @lru_cache(maxsize=64)
-def _names(kinds: str, count: int) -> tuple[str, ...]:
-    return tuple(f"{kind}{k}" for k in range(count) for kind in kinds)
+def _names(kinds: str, labels: Sequence[int]) -> tuple[str, ...]:
+    return tuple(f"{kind}{k}" for k in labels for kind in kinds)
+
+
+@dataclass(frozen=True, eq=False)
+class PartTeam(Team):
+    """Some robots of a team, which keep their numbers: a ring in this order, or one by itself."""
+
+    members: tuple[int, ...] = ()
+
+    def __init__(self, whole: Team, members: Sequence[int]) -> None:
+        order = list(members)
+        topology = CLOSED if len(order) > 1 else OPEN
+        clasps = len(layout_of(len(order), topology).clasps)
+        values: dict[str, Any] = vars(whole) | {
+            "robots": len(order),
+            "topology": topology,
+            "cable_length": whole.cable_length[order],
+            "tension": whole.tension[order],
+            "quadrotor": tuple(whole.quadrotor[k] for k in order),
+            "load": np.zeros(clasps),
+            "members": tuple(whole.labels[k] for k in order),
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def labels(self) -> tuple[int, ...]:
+        """(n,): numbers of the robots in the whole team."""
+        return self.members
 
 
 MAX_DRONES = 2 * MAX_ROBOTS
@@ -531,7 +564,7 @@ class Swarm(Team):
     @property
     def drone_names(self) -> tuple[str, ...]:
         """(N,): d0, d1, …."""
-        return _names("d", self.drones)
+        return _names("d", range(self.drones))
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from hitchopt.hitch.requirements import (
     Separation,
     check_requirements,
 )
-from hitchopt.hitch.team import MAX_DRONES, MAX_ROBOTS, QUADROTOR
+from hitchopt.hitch.team import MAX_DRONES, MAX_ROBOTS, QUADROTOR, PartTeam
 from hitchopt.mission.objects import OBJECTS
 from hitchopt.mission.others import OTHERS, Other
 from hitchopt.motion.plan_file import request_fields
@@ -61,11 +61,12 @@ def resolved_steps(problem: Problem, steps: tuple[Step, ...]) -> tuple[Step, ...
     Raises InputError: a step that does not fit the team, the outline it meets, the object that is
     held, or the next step; its key is that of the problem file, from ``mission`` on.
     """
-    team, outline = problem.team, problem.start_outline
+    outline, ring = problem.start_outline, problem.team.labels
     fitted, held = list[Step](), _Held()
     since = "start has no hitch" if outline is None else "start is a hitch"
     for i, given in enumerate(steps):
         try:
+            team, ring = _team_and_ring(problem.team, given, ring)
             step = given.resolved_for(team)
             held = held.after(step, problem.objects)
             before, outline = outline, step.checked_polygon_after(team, outline, since)
@@ -79,6 +80,13 @@ def resolved_steps(problem: Problem, steps: tuple[Step, ...]) -> tuple[Step, ...
             raise error.within(f"mission[{i}].{given.name}") from None
         fitted.append(step)
     return tuple(fitted)
+
+
+def _team_and_ring(whole: Team, step: Step, ring: tuple[int, ...]) -> tuple[Team, tuple[int, ...]]:
+    """Return the team of the ring before a step, or that it forms, and the ring after it."""
+    after = step.ring_after(ring, whole)
+    flies = after if isinstance(step, Form) else ring
+    return whole if flies == whole.labels else PartTeam(whole, flies), after
 
 
 @dataclass(frozen=True)
@@ -277,6 +285,20 @@ class Problem(OneLine):
         return request_fields(self.team, self.requirements, start, [*_asked_steps(self)])
 
     @property
+    def rings(self) -> tuple[tuple[int, ...], ...]:
+        """The robots that hold the edges, in order, after every step; all where none changes."""
+        rings, ring = list[tuple[int, ...]](), self.team.labels
+        for step in self.mission:
+            ring = step.ring_after(ring, self.team)
+            rings.append(ring)
+        return tuple(rings)
+
+    @property
+    def changes(self) -> bool:
+        """Whether some robots are in no hitch at some time of it."""
+        return any(ring != self.team.labels for ring in self.rings)
+
+    @property
     def start_outline(self) -> Outline | None:
         """The outline at the start; None where cables are free."""
         return None if isinstance(self.start, DronesStart) else self.start.polygon
@@ -287,10 +309,11 @@ def _asked_steps(problem: Problem) -> Iterator[dict[str, Any]]:
 
     The planner decides outlines around objects, and how high they are.
     """
-    team, requirements = problem.team, problem.requirements
+    requirements, ring = problem.requirements, problem.team.labels
     outline, held, hold, pulls = problem.start_outline, _Held(), None, None
     altitude = getattr(problem.start, "altitude", None)  # None where it is not known
     for step in problem.mission:
+        team, ring = _team_and_ring(problem.team, step, ring)
         name, objects = getattr(step, "object", held.name), {**requirements.objects}
         if isinstance(step, PullStep):
             pull = [team.tension, team.tension if step.tension is None else step.tension]
@@ -314,6 +337,8 @@ def _asked_steps(problem: Problem) -> Iterator[dict[str, Any]]:
             asked_step["polygon"] = outline.vertices
         if outline is not None and altitude is not None:
             asked_step["altitude"] = altitude
+        if problem.changes:
+            asked_step["ring"] = ring
         if step.given_duration is not None:
             asked_step["seconds"] = step.given_duration
         if held.stage in (Stage.FREE, Stage.AROUND):

@@ -104,9 +104,11 @@ def _solved(problem: Problem, progress: Progress | None, *, optimiser: bool) -> 
     steps, requirements, tell = problem.mission, problem.requirements, progress or (lambda _: None)
     planned = requirements.with_reserve  # stops on the common clock may use the rest
     state, assignment = _start_state(problem, planned, tell)
-    start, parts = state.hitch, list[StepPlan]()
+    start, parts, motions = state.hitch, list[StepPlan](), list[Motion]()
     for first, group in _groups(steps):
         tell(f"planning step {first} ({group[0].name}), {first} of {len(steps)} done")
+        if isinstance(group[0], Form):
+            state = state.regrouped(problem.rings[first])
         task = StepTask(state, first, state.at_objects(planned), optimiser)
         try:
             part = _step(group, task, tell)
@@ -124,8 +126,9 @@ def _solved(problem: Problem, progress: Progress | None, *, optimiser: bool) -> 
             )
             raise InfeasibleError(broken.violations, f"{broken.note}\n{later}".strip()) from None
         parts.append(part)
+        motions.append(state.with_waiting(part.motion, planned))
         state = part.after
-    motion = joined_motions([part.motion for part in parts])
+    motion = joined_motions(motions)
     motion = replace(motion, requirements=requirements, assignment=assignment)
     certificate = merged(motion, [part.certificate for part in parts])
     if not certificate.certified:
@@ -167,16 +170,19 @@ def _start_state(
 ) -> tuple[RestState, Assignment | None]:
     """Return where a mission starts; from free cables, with the robots' roles for all of it."""
     team, start = problem.team, problem.start
+    whole = team if problem.changes else None
     if isinstance(start, Hitch):
-        return RestState.formed(start), None
+        return replace(RestState.formed(start), whole=whole), None
     if isinstance(start, HitchStart):
         tell("splitting the slack at the start")
         hitch = split_hitch(team, start.polygon, start.altitude, start.legs, requirements)
-        return RestState.formed(hitch), None
-    named = RestState(team, start.drones)  # drones have the file's names
+        return replace(RestState.formed(hitch), whole=whole), None
+    named = RestState(team, start.drones, whole=whole)  # drones have the file's names
     check_start(StepTask(named, 0, requirements))
     assignment = Assignment.fixed(team.robots)
     form = next((step for step in problem.mission if isinstance(step, Form)), None)
+    if whole is not None:
+        return named, None
     if form is not None and form.assign == "auto":
         tell("assigning robots to edges")
         from hitchopt.planners.forming.approach import assign_robots

@@ -41,7 +41,11 @@ class Fleet(Swarm):
             for kind in team.quadrotor
             for _ in range(team.drones // len(team.quadrotor))
         ]
-        names = tuple(f"{name}.{drone}" for name, team in teams for drone in team.drone_names)
+        names = tuple(
+            f"{name}.{drone}" if name else drone
+            for name, team in teams
+            for drone in team.drone_names
+        )
         super().__init__(len(kinds), quadrotor=kinds)
         object.__setattr__(self, "_names", names)
 
@@ -102,6 +106,12 @@ def combined(groups: Sequence[Group], others: Sequence[Group] = ()) -> Motion:
     groups = tuple(replace(each, motion=padded(each.motion, begin, end)) for each in groups)
     if len(groups) == 1:
         return groups[0].motion.replaced(others=tuple(others))
+    return side_by_side(groups, others)
+
+
+def side_by_side(groups: Sequence[Group], others: Sequence[Group]) -> Motion:
+    """Return the motions of groups that cover the same time, as ``combined``, whatever names."""
+    begin, end = groups[0].motion.drones.breaks[[0, -1]].tolist()
     breaks = merged_breaks([each.motion.drones.breaks for each in groups])
     whole = [on_breaks_of(each.motion, breaks) for each in groups]
     degree = max(each.drones.degree for each in whole)
@@ -113,7 +123,7 @@ def combined(groups: Sequence[Group], others: Sequence[Group] = ()) -> Motion:
     )
     own = {field.name: getattr(swarm, field.name) for field in fields(Motion)}
     own |= {"others": tuple(others), "poses": poses}
-    return CombinedMotion(**own, parts=groups)
+    return CombinedMotion(**own, parts=tuple(groups))
 
 
 def _shared(

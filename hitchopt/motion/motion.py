@@ -33,7 +33,8 @@ class CableState(StrEnum):
     lie there at least in part and drones fly straight up or down; in clasping, drones of
     neighbouring cables turn about each other. Cables that are laid are taut by themselves and move
     without turning; where they roll, they lie across each other at some clasps, or turn there from
-    that into a clasp or back, with all vertices at rest.
+    that into a clasp or back, with all vertices at rest. Lying across, they pass weight to one
+    another as a robot has joined them, or is about to leave.
     """
 
     NONE = "none"
@@ -42,11 +43,12 @@ class CableState(StrEnum):
     CLASPING = "clasping"
     TIGHTENING = "being tightened"
     LAYING = "being laid"
+    LYING = "lying across"
     ROLLING = "rolling"
     HITCHED = "hitched"
 
 
-HITCHED_STATE = frozenset({CableState.HITCHED, CableState.ROLLING})
+HITCHED_STATE = frozenset({CableState.HITCHED, CableState.ROLLING, CableState.LYING})
 """The states in which the hitch exists: vertices, legs and tensions have a meaning."""
 
 FREE_STATES = frozenset(CableState) - HITCHED_STATE - {CableState.NONE}
@@ -87,6 +89,9 @@ class Phase(OneLine):
         team's. Part of the problem: the check ``tension`` requires it, and the team's tensions at
         both ends.
     hold: the object that the hitch holds, which its cables may touch; None without one.
+    ring: the robots that hold the edges, in order; None for all of the team, by their numbers.
+        Vertices are counted along it.
+    waiting: the robots that are not among them, each with the state of its cable.
     """
 
     name: str
@@ -97,6 +102,8 @@ class Phase(OneLine):
     state: CableState = CableState.HITCHED
     tension: tuple[float, float] | None = None
     hold: Hold | None = None
+    ring: tuple[int, ...] | None = None
+    waiting: tuple[tuple[int, CableState], ...] = ()
 
     @property
     def formed(self) -> bool:
@@ -258,6 +265,11 @@ class Motion(OneLine):
         return cls(team, requirements, drones, vertices, legs, tensions, tuple(phases))
 
     @property
+    def changes(self) -> bool:
+        """Whether some of its robots are, at some time, in no ring (``motion.chapters``)."""
+        return any(phase.ring is not None for phase in self.phases)
+
+    @property
     def groups(self) -> tuple[Group, ...]:
         """The motions side by side; itself, unless several were combined."""
         return (Group("", self),)
@@ -277,7 +289,13 @@ class Motion(OneLine):
         return any(each.motion.team.has_cables for each in self.groups)
 
     def refuse_several(self, what: str, *, others: bool = True) -> None:
-        """Raise UnsupportedError for several groups, or others, which ``what`` does not know."""
+        """Raise UnsupportedError for several groups, or others, which ``what`` does not know.
+
+        Neither does it know hitches that change their robots.
+        """
+        if self.changes:
+            words = f"{what} knows hitches of the same robots all the time"
+            raise UnsupportedError(f"{words}; plan what is before or after in a file of its own")
         flying = self.flying if others else self.groups
         if len(flying) > 1:
             names = ", ".join(each.name or "the team" for each in flying)

@@ -530,6 +530,8 @@ def _plain(record: Any) -> Any:
     """Return a record's fields, an outline's points, or an array's entries, as json takes them."""
     if isinstance(record, ConvexPolygon):
         return record.vertices.tolist()
+    if isinstance(record, Phase) and record.ring is None:
+        return {key: x for key, x in vars(record).items() if key not in ("ring", "waiting")}
     return record.tolist() if isinstance(record, np.ndarray) else vars(record)
 
 
@@ -556,7 +558,8 @@ def mission_of(motion: Motion) -> list[dict[str, Any]]:
         last = max(int(np.argmin(np.abs(breaks - phases[-1].end))) - 1, 0)
         ranges = [phase.tension for phase in phases if phase.tension is not None]
         holds = [(phase.hold.object, phase.hold.by) for phase in phases if phase.hold is not None]
-        places = motion.vertices.coefficients[last, ..., -1]
+        ring = phases[-1].ring
+        places = motion.vertices.coefficients[last, : None if ring is None else len(ring), ..., -1]
         poses = motion.object_poses.coefficients[last, ..., -1]
         step: dict[str, Any] = {
             "tension": [np.min(ranges), np.max(ranges)] if ranges else None,
@@ -565,6 +568,8 @@ def mission_of(motion: Motion) -> list[dict[str, Any]]:
             "altitude": float(np.mean(places[:, 2])) if motion.formed[last] else None,
             "objects": dict(zip(names, poses, strict=True)),
         }
+        if ring is not None:
+            step["ring"] = ring
         if not motion.team.has_cables:
             step = {"drones": motion.drones.coefficients[last, ..., -1], "objects": step["objects"]}
         results.append(step)

@@ -8,6 +8,9 @@ from hitchopt.steps.carrying import Lift as Lift
 from hitchopt.steps.carrying import Loosen as Loosen
 from hitchopt.steps.carrying import SetDown as SetDown
 from hitchopt.steps.carrying import TransportObject as TransportObject
+from hitchopt.steps.joining import Join as Join
+from hitchopt.steps.joining import Replace as Replace
+from hitchopt.steps.joining import Withdraw as Withdraw
 from hitchopt.steps.moving import Adjust as Adjust
 from hitchopt.steps.moving import FollowVertex as FollowVertex
 from hitchopt.steps.moving import Hold as Hold
@@ -26,7 +29,7 @@ from hitchopt.values.fields import documented
 
 STEPS: tuple[type[Step], ...] = (
     *(Morph, Hold, MoveVertex, MoveEdge, Adjust, FollowVertex, Transport, Settle),
-    *(Form, OpenVertex, CloseVertex, Release, Land),
+    *(Form, OpenVertex, CloseVertex, Join, Withdraw, Replace, Release, Land),
     *(Enclose, Grasp, Lift, Carry, SetDown, Loosen, Leave, TransportObject),
 )
 """All kinds of steps, in the order in which a problem file's keys are listed."""

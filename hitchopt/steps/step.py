@@ -21,7 +21,7 @@ from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import checked_polygon, checked_roll
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.hitch.team import MAX_ROBOTS
+from hitchopt.hitch.team import MAX_ROBOTS, PartTeam
 from hitchopt.motion.motion import Motion
 from hitchopt.objects import SolidObject
 from hitchopt.planners.carrying.planner import GraspState
@@ -236,6 +236,9 @@ class RestState:
     levels: Indices | None = None
     # (clasps,) roll [rad], where one lies open; ``hitch`` is then as if it were closed
     opened: Array | None = None
+    # all robots, and (2, 3) [m] the drones of those in no hitch, by their numbers, where any change
+    whole: Team | None = None
+    waiting: Mapping[int, Array] = field(default_factory=dict)
     # the object that the hitch is around or holds; ``hitch`` is then as if it carried nothing
     grasp: GraspState | None = None
     # where objects are by now; None where the problem has them
@@ -245,6 +248,46 @@ class RestState:
     def formed(cls, hitch: Hitch) -> RestState:
         """Return the state of a hitch that exists at the start."""
         return cls(hitch.team, hitch.drones, hitch)
+
+    @property
+    def whole_team(self) -> Team:
+        """All robots."""
+        return self.team if self.whole is None else self.whole
+
+    @property
+    def known_senses(self) -> Array:
+        """(clasps,): how pairs have turned, or are taken to have."""
+        return np.ones(len(self.team.layout.clasps)) if self.senses is None else self.senses
+
+    def followed_by(self, formed: RestState) -> RestState:
+        """Return the state of a hitch that some robots have formed, all else as it is here."""
+        return replace(formed, objects=self.objects, whole=self.whole, waiting=self.waiting)
+
+    def part(self, ring: Sequence[int]) -> PartTeam:
+        """Return the team of some robots."""
+        return PartTeam(self.whole_team, ring)
+
+    def regrouped(self, ring: Sequence[int]) -> RestState:
+        """Return drones on free cables of which other robots are to form a hitch."""
+        if self.whole is None or self.team.labels == tuple(ring):
+            return self
+        own = zip(self.team.labels, self.drones.reshape(-1, 2, 3), strict=True)
+        pairs = {**self.waiting, **dict(own)}
+        drones = np.concatenate([pairs.pop(robot) for robot in ring])
+        return replace(self, team=self.part(ring), drones=drones, waiting=pairs)
+
+    def with_waiting(self, motion: Motion, requirements: Requirements) -> Motion:
+        """Return a motion that starts from here with the robots that wait besides."""
+        from hitchopt.motion.chapters import with_waiting
+        from hitchopt.planners.forming.joining import at_rest
+
+        if self.whole is None or motion.changes:
+            return motion
+        waiting = {
+            robot: at_rest(self.part((robot,)), places, requirements)
+            for robot, places in self.waiting.items()
+        }
+        return with_waiting(motion, self.whole, waiting, motion.requirements)
 
     def at_objects(self, requirements: Requirements) -> Requirements:
         """Return requirements with objects where they are by now."""
@@ -344,6 +387,13 @@ class Step(OneLine, ABC):
     def blends(self) -> bool:
         """Whether it goes on into the next step without a stop."""
         return bool(getattr(self, "blend", False))
+
+    def ring_after(self, ring: tuple[int, ...], team: Team) -> tuple[int, ...]:  # noqa: ARG002
+        """Return the robots that hold the edges, in order, after the step.
+
+        Raises InputError for robots that cannot.
+        """
+        return ring
 
     def resolved_for(self, team: Team) -> Self:
         """Return the step for a team: polygon as an outline, legs as an array."""

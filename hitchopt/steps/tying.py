@@ -11,7 +11,7 @@ import numpy as np
 from hitchopt.errors import HitchoptError, InputError, UnsupportedError
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.hitch.team import MAX_ROBOTS
+from hitchopt.hitch.team import MAX_ROBOTS, OPEN
 from hitchopt.motion.motion import CableState, Motion, Phase, joined_motions
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.steps.step import (
@@ -89,14 +89,32 @@ class Form(Step):
         Array | Literal["auto"],
         Key(either(words("auto"), listed(INDEX, 3, MAX_ROBOTS)), ORDER_TEXT),
     ] = AUTO
+    robots: Annotated[
+        Array | None,
+        Key(
+            listed(INDEX, 3, MAX_ROBOTS),
+            "Robots that hold the edges, in order; the others wait, and may join; null: all",
+        ),
+    ] = None
     duration: Seconds = None
+
+    def ring_after(self, ring: tuple[int, ...], team: Team) -> tuple[int, ...]:  # noqa: ARG002
+        """Return the robots that form the hitch."""
+        if self.robots is None:
+            return team.labels
+        given = tuple(np.asarray(self.robots).tolist())
+        if len({*given}) != len(given) or not {*given} <= {*team.labels} or team.topology == OPEN:
+            bound = f"some of 0 to {team.robots - 1}, each once, of a closed hitch"
+            raise InputError("robots", given, bound, "leave it out for all")
+        return given
 
     def resolved_for(self, team: Team) -> Self:
         """Return the step for a team, or raise InputError for an order that does not fit it."""
         if not isinstance(self.order, str):
             given = np.asarray(self.order).tolist()
-            if self.by != "laying" or sorted(given) != list(range(team.robots)):
-                bound = f"with by: laying, every robot 0 to {team.robots - 1} once"
+            if self.by != "laying" or sorted(given) != sorted(team.labels):
+                members = ", ".join(map(str, sorted(team.labels)))
+                bound = f"with by: laying, each of the robots {members} once"
                 raise InputError("order", given, bound, "leave it out, or list all robots")
         return super().resolved_for(team)
 
@@ -119,7 +137,7 @@ class Form(Step):
             parts.append(lifted(raised, goal.altitude, "lower", task))
         senses = np.sign(prehitch.ellipses.rise)
         formed = RestState(goal.team, goal.drones, goal, senses, self.swap)
-        after = replace(formed, objects=task.before.objects)
+        after = task.before.followed_by(formed)
         return self._settled(task, parts, after)
 
     def _laid(self, task: StepTask) -> StepPlan:
@@ -129,7 +147,9 @@ class Form(Step):
 
         i, requirements, team = task.index, task.requirements, task.before.team
         refuse_rolls(team, requirements)
-        order = None if isinstance(self.order, str) else np.asarray(self.order).tolist()
+        order = None
+        if not isinstance(self.order, str):
+            order = [team.labels.index(k) for k in np.asarray(self.order).tolist()]
         levels = laying.levels_of(team.layout, order)
         senses = laying.senses_of(team.layout, levels)
         if self.legs is None:
@@ -144,7 +164,7 @@ class Form(Step):
         if site.hitch is not goal:
             parts.append(lifted(site.hitch, goal.altitude, "lower", task))
         formed = RestState(team, goal.drones, goal, senses, self.swap, levels)
-        return self._settled(task, parts, replace(formed, objects=task.before.objects))
+        return self._settled(task, parts, task.before.followed_by(formed))
 
     def _settled(self, task: StepTask, parts: list[Motion], after: RestState) -> StepPlan:
         """Return the plan of motions in a row, settled at the end where cables have friction."""
@@ -391,9 +411,16 @@ class Land(Step):
         from hitchopt.planners.forming.stages import stage, straight_lines
 
         before, requirements = task.before, task.requirements
-        down = before.drones.copy()
-        down[:, 2] = requirements.floor
+        flat = np.array([1.0, 1.0, 0.0])
+        floor = requirements.floor * np.array([0.0, 0.0, 1.0])
+        down = before.drones * flat + floor
         flight = straight_lines(before.team, requirements.limits, before.drones, down)
         motion = stage("land", flight, before.team, requirements, task.index, CableState.GROUND)
         after = replace(before, drones=down)
+        if before.waiting:
+            from hitchopt.planners.forming.joining import landed
+
+            motion = landed(motion, before.whole_team, before.waiting, requirements)
+            lying = {robot: places * flat + floor for robot, places in before.waiting.items()}
+            after = replace(after, waiting=lying)
         return StepPlan(self.lasting(task, motion), after)
