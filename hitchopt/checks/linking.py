@@ -218,8 +218,8 @@ JUMP = 1e-6  # [m], [m/s], [m/s²] Largest jump, far below what a drone can foll
 BEFORE = frozenset({CableState.GROUND, CableState.FREE})
 LAID_STATES = OPEN_STATES | {CableState.LAYING}  # followed by half crossings
 MAX_NAMED = 12  # maximum number of pairs in ``where``
-MAX_DRIFT = 1e-3  # [m] Largest motion of the middle of two drones that turn about each other, and
-# change of legs, which sag, while they roll
+MAX_DRIFT = 1e-3  # [m] Largest motion of the middle of two drones that turn about each other
+LAST_DRIFT = 1e-4  # [m] Largest change of legs beyond that of their sag, while they roll
 MAX_PASSED = 0.02  # [m] Largest change of legs as cables that lie across pass weight
 MAX_TAUT_SHARE = 0.5  # largest share of a tightening phase with cables at their full length:
 # tightening comes to rest there, which takes a few hundredths of its time
@@ -505,9 +505,10 @@ def _contradicted(motion: Motion) -> Indices:
         pulled = motion.pulls.coefficients.reshape(len(motion.drones.durations), n, 2, -1)
         loaded = any(phase.hold is not None for phase in motion.phases) or np.any(motion.team.load)
         moved = np.max(np.ptp(motion.vertices.coefficients, axis=(0, -1))) > SIDEWAYS
-        lying = state is CableState.LYING
-        drift = MAX_PASSED if lying else MAX_DRIFT
-        moved |= np.max(np.ptp(motion.legs.coefficients, axis=(0, -1))) > drift
+        lying, legs = state is CableState.LYING, motion.legs.coefficients
+        sags = sag_factors(motion.team, motion.team.tension)[:, None] * np.max(legs, (0, -1)) ** 3
+        drift = MAX_PASSED if lying else sags + LAST_DRIFT
+        moved |= bool(np.any(np.ptp(legs, axis=(0, -1)) > drift))
         moved |= np.max(np.abs(pulled - motion.tensions.coefficients[:, :, None])) > TENSION_LIMIT
         start, change = turns(motion)
         moved |= not np.any(np.abs([start, start + change]) >= ROLLED)  # nothing opens, or is open

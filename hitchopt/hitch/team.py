@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -366,6 +366,7 @@ class Team(OneLine):
             "closed hitch, the inner points of a chain",
         ),
     ] = field(repr=False)
+    least_open: ClassVar[int] = 2  # robots of an open chain, at least
 
     def __init__(
         self,
@@ -380,7 +381,7 @@ class Team(OneLine):
         load: float | Sequence[float] | ArrayLike = 0.0,
     ) -> None:
         store(self, topology=topology, cable_density=cable_density, cable_friction=cable_friction)
-        n = whole("robots", robots, 3 if topology == CLOSED else 2, MAX_ROBOTS)
+        n = whole("robots", robots, 3 if topology == CLOSED else self.least_open, MAX_ROBOTS)
         length = per_robot("cable_length", cable_length, n, units.CABLE_LENGTH.check)
         kinds = kinds_of(quadrotor, n, "robot")
         asked = [kind.tension for kind in kinds] if tension is None else tension
@@ -506,22 +507,33 @@ class PartTeam(Team):
     """Some robots of a team, which keep their numbers: a ring in this order, or one by itself."""
 
     members: tuple[int, ...] = ()
+    least_open: ClassVar[int] = 1
 
-    def __init__(self, whole: Team, members: Sequence[int]) -> None:
+    def __init__(
+        self,
+        robots: int,
+        cable_length: float | Sequence[float] | ArrayLike,
+        *,
+        members: Sequence[int],
+        **values: Any,
+    ) -> None:
+        super().__init__(robots, cable_length, **values)
+        object.__setattr__(self, "members", tuple(members))
+
+    @classmethod
+    def of(cls, whole: Team, members: Sequence[int]) -> PartTeam:
+        """Return the team of some members of another one, by their places in it."""
         order = list(members)
-        topology = CLOSED if len(order) > 1 else OPEN
-        clasps = len(layout_of(len(order), topology).clasps)
-        values: dict[str, Any] = vars(whole) | {
-            "robots": len(order),
-            "topology": topology,
-            "cable_length": whole.cable_length[order],
-            "tension": whole.tension[order],
-            "quadrotor": tuple(whole.quadrotor[k] for k in order),
-            "load": np.zeros(clasps),
-            "members": tuple(whole.labels[k] for k in order),
-        }
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
+        return cls(
+            len(order),
+            whole.cable_length[order],
+            topology=CLOSED if len(order) > 1 else OPEN,
+            cable_density=whole.cable_density,
+            cable_friction=whole.cable_friction,
+            tension=whole.tension[order],
+            quadrotor=[whole.quadrotor[k] for k in order],
+            members=[whole.labels[k] for k in order],
+        )
 
     @property
     def labels(self) -> tuple[int, ...]:

@@ -86,7 +86,7 @@ def _team_and_ring(whole: Team, step: Step, ring: tuple[int, ...]) -> tuple[Team
     """Return the team of the ring before a step, or that it forms, and the ring after it."""
     after = step.ring_after(ring, whole)
     flies = after if isinstance(step, Form) else ring
-    return whole if flies == whole.labels else PartTeam(whole, flies), after
+    return whole if flies == whole.labels else PartTeam.of(whole, flies), after
 
 
 @dataclass(frozen=True)

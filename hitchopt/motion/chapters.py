@@ -109,7 +109,7 @@ def _ring(motion: Motion, members: tuple[int, ...]) -> Motion:
     rows = list(members)
     pulls = motion.leg_tensions
     return motion.replaced(
-        team=PartTeam(motion.team, rows),
+        team=PartTeam.of(motion.team, rows),
         drones=_rows(motion.drones, rows, 2),
         vertices=_rows(motion.vertices, list(range(len(rows)))),
         legs=_rows(motion.legs, rows),
@@ -127,7 +127,7 @@ def _alone(motion: Motion, robot: int) -> Motion:
     for phase in motion.phases:
         own = replace(phase, state=dict(phase.waiting)[robot], ring=None, waiting=(), tension=None)
         phases.append(own)
-    team, drones = PartTeam(motion.team, [robot]), _rows(motion.drones, [robot], 2)
+    team, drones = PartTeam.of(motion.team, [robot]), _rows(motion.drones, [robot], 2)
     return Motion.single(team, motion.requirements, drones, phases)
 
 

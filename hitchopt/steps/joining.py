@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import product
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
 from hitchopt.checks.linking import INTERLACING
-from hitchopt.errors import InfeasibleError, InputError, Violation
-from hitchopt.geometry import Outline
+from hitchopt.errors import HitchoptError, InfeasibleError, InputError, Violation
+from hitchopt.geometry import ConvexPolygon, Outline
 from hitchopt.hitch import Team
 from hitchopt.motion.motion import Motion, joined_motions
+from hitchopt.steps.moving import Adjust, Morph
 from hitchopt.steps.step import INDEX, RestState, Step, StepPlan, StepTask, WhichPoint
 from hitchopt.steps.tying import refuse_rolls
 from hitchopt.values import Array
@@ -64,29 +67,35 @@ class Join(Step):
             raise InputError("vertex", self.vertex, bound, "name a vertex of the polygon")
         return (*ring[: self.vertex], self.robot, *ring[self.vertex :])
 
-    def polygon_after(self, team: Team, outline: Any) -> Outline:  # noqa: ARG002
+    def polygon_after(self, team: Team, outline: Any) -> ConvexPolygon:  # noqa: ARG002
         """Return the outline with the vertex cut off."""
         from hitchopt.planners.forming.joining import corner_cut
 
         return corner_cut(outline, self.vertex, self.cut)
 
     def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan of the robot's way, and of its tying."""
-        from hitchopt.planners.forming.joining import Joins, joining
-        from hitchopt.steps.certified_motions import check_at_rest
+        """Return the plan of the robot's way, and of its tying from above."""
+        return joined_plan(self, task, 1.0)
 
-        before, hitch, requirements = task.before, task.hitch, task.requirements
-        refuse_rolls(before.whole_team, requirements)
-        ring = self.ring_after(before.team.labels, before.whole_team)
-        outline, team = self.polygon_after(before.team, hitch.polygon), before.part(ring)
-        joined = joining(hitch, team, self.vertex, outline, before.known_senses, requirements)  # type: ignore[arg-type]
-        check_at_rest(joined.after, requirements, f"at the end of step {task.index} (join)")
-        waiting = dict(before.waiting)
-        start = waiting.pop(self.robot)
-        joins = Joins(joined, before.whole_team, waiting, requirements, task.index)
-        parts = [joins.opening(start), *joins.arrival(start), *joins.tying()]
-        after = joined_state(before, joined, waiting)
-        return _clear(StepPlan(joined_motions(parts), after))
+
+def joined_plan(step: Join, task: StepTask, side: float) -> StepPlan:
+    """Return the plan of a robot that comes from above, ``side`` 1, or from below, -1."""
+    from hitchopt.planners.forming.joining import Joins, joining
+    from hitchopt.steps.certified_motions import check_at_rest
+
+    before, hitch, requirements = task.before, task.hitch, task.requirements
+    refuse_rolls(before.whole_team, requirements)
+    team = before.part(step.ring_after(before.team.labels, before.whole_team))
+    outline = step.polygon_after(before.team, hitch.polygon)
+    joined = joining(hitch, team, step.vertex, outline, before.known_senses, side, requirements)
+    check_at_rest(joined.after, requirements, f"at the end of step {task.index} (join)")
+    waiting = dict(before.waiting)
+    start = waiting.pop(step.robot)
+    joins = Joins(joined, before.whole_team, waiting, requirements, task.index)
+    parts = [joins.opening(start), *joins.arrival(start), *joins.tying()]
+    after = joined_state(before, joined, waiting)
+    motion = joined_motions([*_adjusted(task, joined.before.q_legs), *parts])
+    return _clear(StepPlan(motion, after))
 
 
 def _clear(planned: StepPlan) -> StepPlan:
@@ -118,9 +127,10 @@ def joined_state(before: RestState, joined: Joining, waiting: Mapping[int, Array
 
 @dataclass(frozen=True)
 class Withdraw(Step):
-    """A robot leaves the hitch in flight, upward, and waits over it; its neighbours' lines meet.
+    """A robot leaves the hitch in flight, and waits over or below it; its neighbours' lines meet.
 
-    It can be lifted out only if its cable is on top of both neighbours', as of one that has joined.
+    It is lifted out if its cable is on top of both neighbours', as of one that has joined, or let
+    down if it is below both.
     """
 
     robot: WhichRobot
@@ -144,51 +154,54 @@ class Withdraw(Step):
         """Return the plan of its leaving, which is its joining backward."""
         from hitchopt.planners.forming.joining import Joins, corner_restored, leaving
         from hitchopt.planners.forming.stages import reversed_stages
-        from hitchopt.steps.certified_motions import attempt, check_at_rest
+        from hitchopt.steps.certified_motions import check_at_rest
 
         before, hitch, requirements = task.before, task.hitch, task.requirements
         refuse_rolls(before.whole_team, requirements)
         ring = before.team.labels
         place = _place("robot", self.robot, ring)
         senses = before.known_senses
-        _check_on_top(self.robot, place, senses, task.index)
+        _check_free(self.robot, place, senses, task.index)
         outline, grown = corner_restored(hitch.polygon, place, self.robot)
         team = before.part(self.ring_after(ring, before.team))
 
-        def planned(side: float) -> StepPlan:
-            """Return the plan with the cable ahead on top of the one behind, or under it."""
-            joined = leaving(hitch, team, place, outline, grown, senses, side)
-            when = f"at the end of step {task.index} (withdraw)"
-            check_at_rest(joined.before, requirements, when)
-            over = joined.raised(requirements)[0]
-            joins = Joins(joined, before.whole_team, before.waiting, requirements, task.index)
-            motion = joined_motions(reversed_stages([joins.opening(over), *joins.tying()]))
-            after = replace(
-                before,
-                team=team,
-                hitch=joined.before,
-                drones=joined.before.drones,
-                senses=joined.senses,
-                levels=None,
-                waiting={**before.waiting, self.robot: over},
-            )
-            return _clear(StepPlan(motion, after))
-
-        first = attempt(lambda: planned(1.0))
-        return first if isinstance(first, StepPlan) else planned(-1.0)
+        joined = leaving(hitch, team, place, outline, grown, senses, requirements)
+        check_at_rest(joined.before, requirements, f"at the end of step {task.index} (withdraw)")
+        over = joined.raised(requirements)[0]
+        joins = Joins(joined, before.whole_team, before.waiting, requirements, task.index)
+        parts = reversed_stages([joins.opening(over), *joins.tying()])
+        after = replace(
+            before,
+            team=team,
+            hitch=joined.before,
+            drones=joined.before.drones,
+            senses=joined.senses,
+            levels=None,
+            waiting={**before.waiting, self.robot: over},
+        )
+        motion = joined_motions([*_adjusted(task, joined.after.q_legs), *parts])
+        return _clear(StepPlan(motion, after))
 
 
-def _check_on_top(robot: int, place: int, senses: Array, index: int) -> None:
-    """Raise InfeasibleError unless a robot's cable lies on both of its neighbours'."""
-    over = np.array([senses[place], -senses[(place + 1) % len(senses)]]) > 0.0
-    if np.all(over):
-        return
-    words = "under both" if not np.any(over) else "over one of them and under the other"
-    remedy = f"its cable is {words}: release and lay in another order, or withdraw another robot"
-    names, when = (f"cable {robot}",), f"of step {index} (withdraw)"
-    count = float(np.sum(over))
-    broken = Violation("cables under it", count, 2.0, "min", "", names, when, remedy)
-    raise InfeasibleError([broken])
+def _adjusted(task: StepTask, q_legs: Array) -> list[Motion]:
+    """Return the motion in which legs become as long as joining or leaving needs; none if so."""
+    if np.array_equal(q_legs, task.hitch.q_legs):
+        return []
+    motion = Adjust(legs=q_legs).plan(task).motion
+    return [task.before.with_waiting(motion, task.requirements)]
+
+
+def _check_free(robot: int, place: int, senses: Array, index: int) -> None:
+    """Raise InfeasibleError unless a robot's cable is on top of both neighbours', or below."""
+    over = senses[place] > 0.0, senses[(place + 1) % len(senses)] < 0.0
+    if over[0] != over[1]:
+        remedy = (
+            "its cable is over one of them and under the other: it can neither be lifted nor let "
+            "down; release and lay in another order, or replace it"
+        )
+        names, when = (f"cable {robot}",), f"of step {index} (withdraw)"
+        broken = Violation("cables under it", 1.0, 2.0, "min", "", names, when, remedy)
+        raise InfeasibleError([broken])
 
 
 @dataclass(frozen=True)
@@ -210,36 +223,66 @@ class Replace(Step):
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of a join, a withdrawal and a morph, at the first cut that fits."""
         from hitchopt.steps.certified_motions import attempt
-        from hitchopt.steps.moving import Morph
 
-        before, polygon = task.before, task.hitch.polygon
-        place = _place("robot", self.robot, before.team.labels)
-        lengths, n = polygon.edge_lengths, len(polygon.vertices)
-        refused = list[Exception]()
-        for vertex, share in ((v, s) for s in CUTS for v in (place, (place + 1) % n)):
-            cut = share * float(min(lengths[vertex - 1], lengths[vertex]))
-            steps: Sequence[Step] = (
-                Join(self.by, vertex, cut),
-                Withdraw(self.robot),
-                Morph(polygon=polygon),
+        before, hitch = task.before, task.hitch
+        place, senses = _place("robot", self.robot, before.team.labels), before.known_senses
+        ways = [
+            (vertex, outline, side)
+            for rest in RESTS
+            for (vertex, outline), side in zip(
+                _beside(hitch.polygon, place, rest), _sides(senses, place), strict=True
             )
-            found = attempt(lambda steps=steps: _in_a_row(steps, task))  # type: ignore[misc]
+        ]
+        refused = list[HitchoptError]()
+        for (vertex, polygon, side), share in product(ways, CUTS):
+            cut = share * float(np.min(hitch.polygon.edge_lengths[[vertex - 1, vertex]]))
+            join = partial(joined_plan, Join(self.by, vertex, cut), side=side)
+            plans = join, Morph(polygon=polygon).plan, Withdraw(self.robot).plan
+            found = attempt(lambda plans=plans: _in_a_row(plans, task))  # type: ignore[misc]
             if isinstance(found, StepPlan):
                 return found
             refused.append(found)
         raise refused[0]
 
 
-CUTS = (0.35, 0.25, 0.5)
+def _sides(senses: Array, place: int) -> tuple[float, float]:
+    """Return from which side another robot joins behind an edge, or ahead of it.
+
+    So that the robot of the edge is then on top of both neighbours, or below both.
+    """
+    return float(senses[(place + 1) % len(senses)]), -float(senses[place])
+
+
+def _beside(polygon: Outline, place: int, share: float) -> Iterator[tuple[int, Outline]]:
+    """Yield vertices at which another robot may join beside an edge, and outlines after that.
+
+    There the other robot holds the edge, and the one to be replaced cuts off a ``share`` of it at
+    the corner, which is restored as it leaves.
+    """
+    points, u, n = polygon.vertices, polygon.edge_directions, len(polygon.vertices)
+    last = (place + 1) % n
+    start, end, half = points[place], points[last], share * polygon.edge_lengths
+    before, after = min(half[place - 1], half[place]), min(half[place], half[last])
+    cut = np.insert(points, place + 1, end - after * u[place], axis=0)
+    cut[(place + 2) % (n + 1)] = end + after * u[last]
+    yield place, ConvexPolygon(cut)
+    cut = np.insert(points, last, start + before * u[place], axis=0)
+    cut[place if last > place else n] = start - before * u[place - 1]
+    yield last, ConvexPolygon(cut)
+
+
+RESTS = (0.35, 0.5)
+"""Shares of an edge that its robot holds at last, before another one has it all."""
+
+CUTS = (0.5, 0.4, 0.6)
 """Shares of the shorter edge that a robot which takes another's place cuts off."""
 
 
-def _in_a_row(steps: Sequence[Step], task: StepTask) -> StepPlan:
+def _in_a_row(plans: Sequence[Callable[[StepTask], StepPlan]], task: StepTask) -> StepPlan:
     """Return the plan of steps one after the other, as one step."""
     state, motions = task.before, list[Motion]()
-    for step in steps:
-        here = replace(task, before=state)
-        planned = step.plan(here)
+    for plan in plans:
+        planned = plan(replace(task, before=state))
         motions.append(state.with_waiting(planned.motion, task.requirements))
         state = planned.after
     return StepPlan(joined_motions(motions), state)

@@ -265,7 +265,7 @@ class RestState:
 
     def part(self, ring: Sequence[int]) -> PartTeam:
         """Return the team of some robots."""
-        return PartTeam(self.whole_team, ring)
+        return PartTeam.of(self.whole_team, ring)
 
     def regrouped(self, ring: Sequence[int]) -> RestState:
         """Return drones on free cables of which other robots are to form a hitch."""

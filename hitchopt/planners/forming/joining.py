@@ -1,41 +1,61 @@
 """Robots that join a hitch in flight, or leave it, while all others stay tied.
 
 A vertex is opened: both of its cables run straight through. The newcomer comes down on their lines,
-taut by itself, on top of both, and cuts off the corner: where it crosses them are two vertices, at
-rolls of ±180°. As the cables lie across each other, drones move by centimetres to where they are in
-balance with the weights that the new vertices carry. Then its pairs roll, first the one whose leg
-lies on top of the other one at the corner, as it rises. Leaving is the same backward.
+taut by itself, on top of both, or up from below both, and cuts off the corner: where it crosses
+them are two vertices, at rolls of ±180°. As the cables lie across each other, drones move by
+centimetres to where they are in balance with the weights that the new vertices carry. Then its
+pairs roll, first the one whose leg lies, at the corner, on the side to which it rolls: up if the
+newcomer is on top, else down. Leaving is the same backward.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
+from itertools import chain, product
 from typing import Any
 
 import numpy as np
 
 from hitchopt.errors import InfeasibleError, InputError, Violation, check_time
-from hitchopt.geometry import ConvexPolygon, shortest_offset
+from hitchopt.geometry import ConvexPolygon
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.forces import sag_factors
-from hitchopt.hitch.requirements import Requirements, Separation
+from hitchopt.hitch.requirements import Arena, Requirements
+from hitchopt.hitch.slack_split import SPREAD_MARGIN, LegTask, reference_margin
 from hitchopt.hitch.team import PartTeam
 from hitchopt.motion.chapters import Waiting, with_waiting
 from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.motion.retiming import padded, resting
 from hitchopt.planners.forming.approach import DirectApproach, hover_altitude
-from hitchopt.planners.forming.laying import ANGLES, MARGIN, ROOM, SHARES, RollPath, rolling
+from hitchopt.planners.forming.laying import MARGIN, ROOM, SHARES, RollPath, rolling
 from hitchopt.planners.forming.prehitch import APART, SPAN, smallest_separation
 from hitchopt.planners.forming.stages import MIN_FLIGHT, PAUSE, stage, straight_lines
+from hitchopt.planners.morph.path import shapes_along
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
 GAP = 0.005
 """[m] Height of the newcomer's cable over those on which it is laid, as it becomes part of them."""
+
+SPLITS = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
+"""Slack splits that are tried where no split of the robot's legs alone clears."""
+
+APART_AT = 0.35
+"""Share of its roll from which on the first leg is expected to be clear of the one it lay on."""
+
+PROBES, ENOUGH = 13, 1.05
+"""Number of rolls at which distances are measured, and the factor on them that is enough."""
+
+FAR, ALOFT = 100.0, 0.02
+"""[m] Half the size of space without an arena; and how far a robot on its way may leave its level
+towards the ring."""
+
+NARROW = 0.95
+"""Distance of a robot's drones on its way over its cable's length: it hangs, but not deep."""
 
 NEWTON = 8
 """Iterations for the chord of a taut cable, which converge quadratically."""
@@ -94,12 +114,14 @@ class Joining:
     before, after: the ring without the robot, and with it.
     vertex: place of the robot in the ring after; its edge cuts off the corner of the one before.
     senses: (n,) of the clasps before, 1 where the cable ahead is on top.
+    side: 1 if the robot is on top of both neighbours, -1 if it is below both.
     """
 
     before: Hitch
     after: Hitch
     vertex: int
     senses: Array
+    side: float
 
     @property
     def robot(self) -> int:
@@ -118,9 +140,9 @@ class Joining:
 
     @property
     def senses_after(self) -> Array:
-        """(n + 1,): those of the clasps after; the robot is on top of both neighbours."""
+        """(n + 1,): those of the clasps after."""
         senses = np.insert(self.senses, self.vertex, 0.0)
-        senses[self.ends] = [1.0, -1.0]
+        senses[self.ends] = [self.side, -self.side]
         return senses
 
     @cached_property
@@ -132,42 +154,47 @@ class Joining:
 
     @cached_property
     def rolls(self) -> tuple[RollPath, RollPath]:
-        """Both rolls, of the robot's two pairs, that of the upper leg at the corner first."""
+        """Both rolls, of the robot's two pairs, first that of the leg which is free to roll."""
         start = self.after.roll.copy()
-        start[self.ends] = [-np.pi, np.pi]
-        first = self.ends[int(self.senses[self.corner] > 0.0)]
+        start[self.ends] = [-np.pi * self.side, np.pi * self.side]
+        first = self.ends[int(self.side * self.senses[self.corner] > 0.0)]
         middle = start.copy()
         middle[first] = self.after.roll[first]
         return RollPath(self.after, start, middle), RollPath(self.after, middle, self.after.roll)
 
-    def margin(self, separation: Separation) -> float:
-        """Return by what factor distances are kept along both rolls, at least.
+    def margin(self, requirements: Requirements) -> float:
+        """Return by what factor all distances and legs are kept at some rolls of all, at least.
 
-        Of all drones, and of each of the robot's legs to that of the other neighbour, which it
-        rolls under or over.
+        At first the legs that lie across each other at the corner touch.
         """
-        s, n = np.linspace(0.0, 1.0, ANGLES), self.after.team.robots
-        places = np.concatenate([path.drones(s) for path in self.rolls])
-        points, (first, last), k = self.after.vertices, self.ends, self.vertex
-        behind, ahead = (k - 1) % n, (k + 1) % n
-        least = smallest_separation(places, separation)
-        keep = max(separation.cable, separation.crossing)
-        for mine, at, other, there in (
-            (2 * k, first, 2 * ahead, last),
-            (2 * k + 1, last, 2 * behind + 1, first),
+        separation, least = replace(requirements.separation, crossing=0.0), np.inf
+        touching, (first, second) = replace(requirements, separation=separation), self.rolls
+        for path, start, end, needed in (
+            (self.opened, 0.0, 1.0, requirements),
+            (first, 0.0, APART_AT, touching),
+            (first, APART_AT, 1.0, requirements),
+            (second, 0.0, 1.0, requirements),
         ):
-            leg, its = (
-                np.stack([np.broadcast_to(points[p], places[:, 0].shape), places[:, drone]], axis=1)
-                for p, drone in ((at, mine), (there, other))
-            )
-            apart = shortest_offset(leg[:, [0, 0, 1, 1]] - its[:, [0, 1, 0, 1]])
-            least = min(least, float(np.min(np.linalg.norm(apart, axis=-1))) / keep)
+            shapes = shapes_along(path, np.linspace(start, end, PROBES))
+            least = min(least, float(np.min(shapes.legs)) / requirements.limits.leg)
+            if least >= 1.0:
+                q_legs, leg = shapes.legs[..., 0], requirements.limits.leg
+                places = (path.team, needed, shapes.polygons, q_legs, leg, SPREAD_MARGIN)
+                least = min(least, reference_margin(LegTask(*places, roll=shapes.roll)))
+        if least >= 1.0:
+            least = min(least, smallest_separation(self.seam[None], requirements.separation))
         return least
+
+    @cached_property
+    def seam(self) -> Array:
+        """(2n, 3) [m]: drones as the robot's cable lies on both others."""
+        k, before = 2 * self.vertex, self.opened.drones(np.ones(1))[0]
+        return np.concatenate([before[:k], self.laid, before[k:]])
 
     @property
     def alone(self) -> Team:
         """The robot by itself."""
-        return PartTeam(self.after.team, [self.vertex])
+        return PartTeam.of(self.after.team, [self.vertex])
 
     @cached_property
     def laid(self) -> Array:
@@ -185,7 +212,11 @@ class Joining:
         cable = Catenary.between(places[:1], places[1:], team.cable_length)
         at = np.linalg.norm(points - q, axis=1) / (share * length)
         depth = np.array([float(cable.depth(2.0 * x - 1.0)[0]) for x in at])
-        places[:, 2] += float(np.max(depth - self._sags)) + GAP
+        level = depth - self._sags + self.side * GAP
+        rise = np.linalg.solve(np.stack([1.0 - at, at], axis=1), level)
+        places[:, 2] += rise
+        shorter = 1.0 - np.sqrt(1.0 - ((rise[1] - rise[0]) / (share * length)) ** 2)
+        places[1] -= shorter * share * length * along
         return places
 
     @property
@@ -199,17 +230,27 @@ class Joining:
         return sags
 
     def clear(self, requirements: Requirements) -> float:
-        """Return an altitude [m] at which its cable hangs clear over all others."""
+        """Return an altitude [m] at which its drones and cable are clear of all others.
+
+        Over them its cable may hang as deep as half of its length; below them its drones are on
+        top.
+        """
         separation = requirements.separation
         keep = MARGIN * max(separation.cable, separation.crossing) + ROOM
-        hangs = 0.5 * float(self.after.team.cable_length[self.vertex]) + keep
-        highest = float(np.max(self.opened.drones(np.ones(1))[..., 2]))
-        return highest + max(hangs, 2.0 * APART * separation.height)
+        heights = self.opened.drones(np.ones(1))[..., 2]
+        if self.side > 0.0:
+            hangs = 0.5 * float(self.after.team.cable_length[self.vertex]) + keep
+            return float(np.max(heights)) + max(hangs, 2.0 * APART * separation.height)
+        team = self.before.team
+        sags = sag_factors(team, team.tension) * 3.0 * self.before.polygon.edge_lengths**2
+        lowest = min(float(np.min(heights)), self.before.altitude - float(np.max(np.sqrt(sags))))
+        return lowest - max(keep, 2.0 * APART * separation.height)
 
     def raised(self, requirements: Requirements) -> tuple[Array, Array]:
         """Return the robot's drones (2, 3) [m] over its place, hanging and taut."""
         taut = self.laid.copy()
-        taut[:, 2] = self.clear(requirements)
+        edge = np.min if self.side > 0.0 else np.max
+        taut[:, 2] += self.clear(requirements) - edge(taut[:, 2])
         middle, length = np.mean(taut, axis=0), float(self.after.team.cable_length[self.vertex])
         share = SPAN * length / float(np.linalg.norm(taut[1] - taut[0]))
         return middle + share * (taut - middle), taut
@@ -221,29 +262,61 @@ def joining(
     vertex: int,
     outline: ConvexPolygon,
     senses: Array,
+    side: float,
     requirements: Requirements,
 ) -> Joining:
-    """Return a robot's joining, with its legs split so that drones clear as its pairs roll.
+    """Return a robot's joining, with legs split so that all keep their distances.
 
-    ``team`` is the ring with it, ``outline`` its polygon. Legs of other cables end where they did.
+    ``team`` is the ring with it, ``outline`` its polygon. If no split of its own legs does, its
+    neighbours' legs are split otherwise as well, before it comes.
     """
     k, n = vertex, team.robots
     cut = np.linalg.norm(outline.vertices[[k, (k + 1) % n]] - before.polygon.vertices[k], axis=1)
     slack = Hitch.balanced(team, outline, before.altitude).slack
-    q_legs = np.insert(before.q_legs, k, 0.0)
-    q_legs[(k + 1) % n] += cut[1]
+    neighbours = [(k - 1) % before.team.robots, k]
+    fractions, whole = before.fractions[neighbours], before.slack[neighbours]
+
+    def tried(share: float, split: Array) -> Joining:
+        """Return the joining with a split of the robot's legs and of its neighbours'."""
+        q_legs = before.q_legs.copy()
+        q_legs[neighbours] = np.where(split == fractions, q_legs[neighbours], split * whole)
+        start = Hitch(before.team, before.polygon, before.altitude, q_legs, before.roll)
+        q_legs = np.insert(q_legs, k, share * slack[k])
+        q_legs[(k + 1) % n] += cut[1]
+        roll = np.insert(before.roll, k, 0.0)
+        after = Hitch(team, outline, before.altitude, q_legs, roll)
+        return Joining(start, after, vertex, senses, side)
+
+    as_they_are = ((share, fractions) for share in SHARES)
+    return _widest(tried, chain(as_they_are, _splits(fractions)), requirements)
+
+
+def _splits(fractions: Array) -> Iterator[tuple[float, Array]]:
+    """Yield splits of a robot's legs and of its neighbours', the nearest to these (2,) first."""
+    grid = np.array(list(product(SPLITS, SPLITS)))
+    nearest = np.argsort(np.sum((grid - fractions) ** 2, axis=1), kind="stable")
+    yield from ((share, split) for split in grid[nearest] for share in SPLITS)
+
+
+def _widest(
+    tried: Callable[[float, Array], Joining | None],
+    splits: Iterable[tuple[float, Array]],
+    requirements: Requirements,
+) -> Joining:
+    """Return the first joining that keeps distances with a margin, else that with the largest."""
     best, apart = None, -np.inf
-    for share in SHARES:
+    for share, split in splits:
         check_time()
-        q_legs[k] = share * slack[k]
-        after = Hitch(team, outline, before.altitude, q_legs.copy(), np.insert(before.roll, k, 0.0))
-        each = Joining(before, after, vertex, senses)
-        here = each.margin(requirements.separation)
+        each = tried(share, split)
+        here = -np.inf if each is None else each.margin(requirements)
         if here > apart:
             best, apart = each, here
-        if apart >= APART:
+        if apart >= ENOUGH:
             break
-    assert best is not None
+    if best is None:
+        remedy = "cut off less, or give longer cables"
+        when = "where the lines of its neighbours meet"
+        raise InfeasibleError([Violation("legs", 0.0, 0.0, "min", "m", (), when, remedy)])
     return best
 
 
@@ -254,34 +327,41 @@ def leaving(
     outline: ConvexPolygon,
     grown: Array,
     senses: Array,
-    side: float,
+    requirements: Requirements,
 ) -> Joining:
-    """Return a robot's leaving, as its joining backward.
+    """Return a robot's leaving, as its joining backward, with legs split as in ``joining``.
 
     ``team`` is the ring without it, ``outline`` its polygon, and ``grown`` (2,) [m] by how much the
-    edges of its neighbours grow; ``senses`` (n,) are those of the clasps after, and ``side`` that
-    of the new one, 1 where the cable ahead comes to lie on top.
+    edges of its neighbours grow; ``senses`` (n,) are those of the clasps after.
 
     Raises
     ------
     InfeasibleError: legs of its neighbours that are too short for the corner.
     """
     k, n = vertex, after.team.robots
-    left = {
-        f"r-leg {after.team.labels[k - 1]}": float(after.r_legs[k - 1]) - grown[0],
-        f"q-leg {after.team.labels[(k + 1) % n]}": float(after.q_legs[(k + 1) % n]) - grown[1],
-    }
-    where, least = min(left.items(), key=lambda each: each[1])
-    if least <= 0.0:
-        remedy = "give its neighbours longer legs there by adjust, or longer cables"
-        when = "where the lines of its neighbours meet"
-        raise InfeasibleError([Violation("legs", least, 0.0, "min", "m", (where,), when, remedy)])
-    q_legs = after.q_legs.copy()
-    q_legs[(k + 1) % n] -= grown[1]
-    own = np.delete(senses, k)
-    before = Hitch(team, outline, after.altitude, np.delete(q_legs, k), np.delete(after.roll, k))
-    own[k % team.robots] = side
-    return Joining(before, after, k, own)
+    own = [k, (k - 1) % n, (k + 1) % n]
+    fractions, slack = after.fractions[own], after.slack
+
+    def tried(share: float, split: Array, corner: float) -> Joining | None:
+        """Return the leaving with a split of the robot's legs and of its neighbours'."""
+        left = np.delete(senses, k)
+        left[k % team.robots] = corner
+        q_legs, chosen = after.q_legs.copy(), np.append(share, split)
+        q_legs[own] = np.where(chosen == fractions, q_legs[own], chosen * slack[own])
+        ends = slack[k - 1] - q_legs[k - 1] - grown[0], q_legs[own[2]] - grown[1]
+        if min(ends) < requirements.limits.leg:
+            return None
+        there = Hitch(after.team, after.polygon, after.altitude, q_legs, after.roll)
+        q_legs = q_legs.copy()
+        q_legs[own[2]] -= grown[1]
+        own_legs = np.delete(q_legs, k), np.delete(after.roll, k)
+        start = Hitch(team, outline, after.altitude, *own_legs)
+        return Joining(start, there, k, left, float(senses[k]))
+
+    as_they_are = (float(fractions[0]), fractions[1:])
+    splits = list(chain([as_they_are], _splits(fractions[1:])))
+    both = [_widest(partial(tried, corner=x), splits, requirements) for x in (1.0, -1.0)]
+    return max(both, key=lambda each: each.margin(requirements))
 
 
 def at_rest(team: Team, places: Array, requirements: Requirements) -> Waiting:
@@ -297,7 +377,7 @@ def landed(
     floor = requirements.floor
     flights = dict[int, Motion]()
     for robot, places in waiting.items():
-        team, down = PartTeam(whole, [robot]), places.copy()
+        team, down = PartTeam.of(whole, [robot]), places.copy()
         down[:, 2] = floor
         lines = straight_lines(team, requirements.limits, places, down)
         flights[robot] = stage("land", lines, team, requirements, 0, CableState.GROUND)
@@ -337,7 +417,7 @@ class Joins:
     def _motion(self, ring: Motion, own: Waiting | None = None) -> Motion:
         """Return the motion of a ring as the robot moves, or waits, besides."""
         waiting = {
-            robot: at_rest(PartTeam(self.whole, [robot]), places, self.requirements)
+            robot: at_rest(PartTeam.of(self.whole, [robot]), places, self.requirements)
             for robot, places in self.waiting.items()
         }
         if own is not None:
@@ -365,19 +445,38 @@ class Joins:
         goal = self.joined.raised(self.requirements)[0]
         motions, here = list[Motion](), start
         hovers = float(hover_altitude(team, start, self.requirements))
-        for name, height, state in (
-            ("take-off", hovers, CableState.GROUND),
-            ("climb", float(goal[0, 2]), CableState.FREE),
+        aloft = start.copy()
+        aloft[:, 2] = np.maximum(start[:, 2], hovers)
+        middle, length = np.mean(aloft, axis=0), float(team.cable_length[0])
+        spread = middle + NARROW * length * (aloft - middle) / np.linalg.norm(aloft[1] - aloft[0])
+        level = spread * [1.0, 1.0, 0.0] + goal * [0.0, 0.0, 1.0]
+        for name, to, state in (
+            ("take-off", aloft, CableState.GROUND),
+            ("spread", spread, CableState.FREE),
+            ("climb" if self.joined.side > 0.0 else "descend", level, CableState.FREE),
         ):
-            over = here.copy()
-            over[:, 2] = np.maximum(here[:, 2], height)
-            if np.max(over - here) >= MIN_FLIGHT:
-                lines = straight_lines(team, self.requirements.limits, here, over)
+            if np.max(np.abs(to - here)) >= MIN_FLIGHT:
+                lines = straight_lines(team, self.requirements.limits, here, to)
                 motions.append(stage(name, lines, team, *own, state))
-            here = over
+            here = to
         if np.max(np.abs(here - goal)) >= MIN_FLIGHT:
-            motions += DirectApproach(team, here, goal, *own).solve()
+            clear = replace(self.requirements, arena=self._clear_of_ring(goal))
+            for each in DirectApproach(team, here, goal, clear, self.index).solve():
+                motions.append(each.replaced(requirements=self.requirements))
         return [self._beside(each) for each in motions]
+
+    def _clear_of_ring(self, goal: Array) -> Arena:
+        """Return the arena above its place, or below it."""
+        arena = self.requirements.arena
+        lower, upper = (
+            (np.full(3, -FAR), np.full(3, FAR)) if arena is None else (arena.lower, arena.upper)
+        )
+        lower, upper = lower.copy(), upper.copy()
+        if self.joined.side > 0.0:
+            lower[2] = float(np.min(goal[:, 2])) - ALOFT
+        else:
+            upper[2] = float(np.max(goal[:, 2])) + ALOFT
+        return Arena(lower, upper)
 
     def tying(self) -> list[Motion]:
         """Return the motions from there to the ring with the robot."""
@@ -396,9 +495,7 @@ class Joins:
             rolling(path, self.requirements, Phase("roll", self.index, 0.0, 0.0))
             for path in joined.rolls
         )
-        before, k = self._opening.drones.coefficients[-1, ..., -1], 2 * joined.vertex
-        start = np.concatenate([before[:k], joined.laid, before[k:]])
-        passing = _passing(joined.after, start, first.drones.coefficients[0, ..., 0], *own)
+        passing = _passing(joined.after, joined.seam, first.drones.coefficients[0, ..., 0], *own)
         return [*map(self._beside, alone), *map(self._motion, (passing, first, second))]
 
 
