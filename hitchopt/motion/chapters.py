@@ -7,7 +7,7 @@ in the order of its edges, side by side with every robot that waits.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -24,7 +24,7 @@ from hitchopt.motion.motion import FREE_STATES, JOINT, CableState, Group, Motion
 from hitchopt.motion.retiming import between
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
-from hitchopt.values import Array
+from hitchopt.values import Array, Indices
 
 REMEDY = "give ring and waiting of every phase, or of none"
 
@@ -60,6 +60,23 @@ def parts_of(motion: Motion) -> tuple[Group, ...]:
     if not motion.changes:
         return motion.groups
     return tuple(group for chapter in chapters(motion) for group in chapter.groups)
+
+
+def parts_at(motion: Motion, t: Array) -> Iterator[tuple[Motion, Indices, Indices]]:
+    """Yield the parts of one group at times (times,) [s] from its start, which and whose they are.
+
+    Those are every motion whose cables are known by itself, indices of the times within its own,
+    and its robots, in its order. Where chapters join it is the later one, at their end the last.
+    """
+    if not motion.changes:
+        yield motion, np.arange(len(t)), np.arange(motion.team.robots)
+        return
+    seams = [chapter.drones.breaks[0] for chapter in chapters(motion)[1:]]
+    index = np.searchsorted(seams, motion.drones.breaks[0] + t, side="right")
+    for i, chapter in enumerate(chapters(motion)):
+        if len(here := np.flatnonzero(index == i)):
+            for part in chapter.groups:
+                yield part.motion, here, np.array(part.motion.team.labels)
 
 
 def _check(motion: Motion) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from hitchopt.errors import InputError, OneLine, UnsupportedError
 from hitchopt.hitch import GRAVITY, Hitch, Swarm, Team
 from hitchopt.hitch.forces import cable_force_rates, cable_forces
+from hitchopt.motion.chapters import parts_at
 from hitchopt.motion.loads import leg_tensions, tautness
 from hitchopt.motion.motion import Motion
 from hitchopt.values import Array, as_array, not_negative, positive
@@ -217,7 +218,8 @@ def states_at(motion: Motion, t: ArrayLike) -> States:
 def iterate_states(motion: Motion, times: Array, size: int) -> Iterator[States]:
     """Yield the states at ``times`` (samples,) [s] in blocks of at most ``size``.
 
-    Those of several groups have the drones of all; what cables do is known to each alone.
+    Those of several groups have the drones of all; what cables do is known to each alone. Where a
+    hitch changes its robots, vertices are counted along the ring of the time.
     """
     if len(motion.groups) > 1:
         each = [iterate_states(group.motion, times, size) for group in motion.groups]
@@ -231,6 +233,18 @@ def iterate_states(motion: Motion, times: Array, size: int) -> Iterator[States]:
                 here[name] = getattr(motion, name).at(motion.drones.breaks[0] + t)
             here |= {"vertex_velocities": here["vertices"], "borne": here.pop("object_shares")}
             yield States(t=t, formed=np.zeros(len(t), np.bool_), **here)
+        return
+    if motion.changes:
+        own = [replace(phase, ring=None, waiting=()) for phase in motion.phases]
+        whole = motion.replaced(phases=tuple(own))
+        for block in iterate_states(whole, times, size):
+            for part, index, robots in parts_at(motion, block.t):
+                since = motion.drones.breaks[0] - part.drones.breaks[0] + block.t[index]
+                (known,) = iterate_states(part, np.maximum(since, 0.0), len(index))
+                rows = np.add.outer(2 * robots, [0, 1]).ravel()
+                for name in ("cable_forces", "cable_force_rates"):
+                    getattr(block, name)[np.ix_(index, rows)] = getattr(known, name)
+            yield block
         return
     pulls, taut = map(motion.drones.alike, (leg_tensions(motion), tautness(motion)))
     parts = motion.drones, motion.vertices, pulls, taut
@@ -266,10 +280,12 @@ def final_hitch(motion: Motion) -> Hitch:
     ------
     InputError: there is no hitch at the end.
     UnsupportedError: no hitch has its drones there, as cables have other tensions than the team's;
-        or there are several.
+        there are several; or it changes its robots.
     """
     if len(motion.groups) > 1:
         raise UnsupportedError("several teams end; go on with one of them, of plan.motion.groups")
+    if motion.changes:
+        motion.refuse_several("going on from a plan's end", others=False)
     if not (motion.team.has_cables and motion.formed[-1]):
         remedy = "form one, or go on with the drones at plan.at(plan.duration)"
         raise InputError("end", "free cables", "a hitch", remedy)

@@ -4,7 +4,8 @@ A free cable is the catenary of its length. A hooked one consists of leg, bend, 
 what its length exceeds the chords by hangs in the spans as equal tension would have it, in
 proportion to their cubed lengths. At a clasp both cables turn on half circles about the vertex, in
 planes at right angles, each open to its own side, like links of a chain. Which strand passes over
-the other follows from the drones' turning when the hitch was tied (``clasp_senses``).
+the other follows from how drones turned when the hitch was tied (``turned_senses``). Where a pair
+rolls open, bends fade until both cables run straight, one just over the other.
 
 While neighbours turn about each other the contact of their cables is not known: there the drawn
 curve passes gradually from the one shape to the other.
@@ -12,13 +13,16 @@ curve passes gradually from the one shape to the other.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import groupby, pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import dot, length, unit
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.team import Layout
+from hitchopt.motion.chapters import parts_at, parts_of
 from hitchopt.motion.motion import HITCHED_STATE, CableState, Motion
 from hitchopt.motion.states import States
 from hitchopt.values import Array
@@ -35,8 +39,15 @@ THICKNESS, THINNEST, THICKEST = 0.0035, 0.004, 0.03
 BEND_RADIUS, REACH, LEG_SHARE = 2.2, 3.0, 0.2
 # Share of its length by which a weightless cable may exceed its parts and still be straight
 NO_SLACK = 1e-4
+UP = np.array([0.0, 0.0, 1.0])
 SHORTEST = 1e-9  # Least length of a span [m], as a chain's ends have legs of none
 HOOKED = HITCHED_STATE | {CableState.TIGHTENING}
+OPENING = HITCHED_STATE - {CableState.HITCHED}  # States in which clasps may be open
+# Share of a clasp's contact from which on its bends are drawn whole, and reach, in their radii, of
+# what replaces them without any; least change of heights where a pair rolls [m], and times probed
+WHOLE, LONGER, ROLLED, PROBES = 0.5, 2.0, 0.01, 17
+
+Senses = dict[tuple[int, int], float]  # 1 where the edge ahead is on top, else -1
 
 
 def cable_curves(
@@ -48,40 +59,90 @@ def cable_curves(
     """
     n, extent = motion.team.robots, float(np.max(np.ptp(states.positions, axis=(0, 1)), initial=0))
     radius = float(np.clip(thickness * extent, THINNEST, THICKEST))
+    points = np.zeros((len(states.t), n, POINTS, 3))
     if n == 0:
-        return np.zeros((len(states.t), 0, POINTS, 3)), radius
-    times, hooked = _hooked_times(motion, states.t)
-    points = _hanging(motion, states.positions, np.linspace(0.0, 1.0, POINTS))
-    some = np.flatnonzero(hooked > 0.0)
-    if len(some):
-        at = motion.drones.breaks[0] + times[some]
-        drones, vertices = states.positions[some], motion.vertices.at(at)
-        contacts = None if motion.contacts is None else motion.contacts.at(at)
-        radius = min(radius, _largest_radius(motion.team.layout, drones, vertices))
-        bent = _bent(motion, drones, vertices, BEND_RADIUS * radius, contacts)
-        along = np.cumsum(np.linalg.norm(np.diff(bent, axis=-2), axis=-1), axis=-1)
-        along = np.concatenate([np.zeros_like(along[..., :1]), along], axis=-1)
-        free = _hanging(motion, drones, along / along[..., -1:])
-        share = hooked[some, None, None, None]
-        points[some] = share * bent + (1.0 - share) * free
+        return points, radius
+    pairs = states.positions.reshape(-1, n, 2, 3)
+    known: Senses = {}
+    for each in parts_of(motion):
+        known |= turned_senses(each.motion)
+    for part, here, robots in parts_at(motion, states.t):
+        drones = pairs[np.ix_(here, robots)].reshape(len(here), -1, 3)
+        at = motion.drones.breaks[0] + states.t[here]
+        points[np.ix_(here, robots)], radius = _curves(part, at, drones, radius, known)
     floor = motion.requirements.floor + radius
     points[..., 2] = np.maximum(points[..., 2], np.minimum(floor, np.min(states.positions[..., 2])))
     return points, radius
 
 
-def clasp_senses(motion: Motion) -> Array:
-    """Return (clasps,) 1 where q went up over r when the clasp was tied, else -1.
+@dataclass(frozen=True, eq=False)
+class _Bending:
+    """How cables bend at clasps: over one another, on circles."""
 
-    A hitch that is there at first counts as tied with every q going up first, as in the
-    check ``interlacing``.
+    radius: float  # [m]
+    senses: Array  # (clasps,) 1 where the edge ahead is on top, else -1
+    rolls: NDArray[np.bool_]  # (times,) whether clasps may be open, and cables straight there
+
+
+def _curves(
+    motion: Motion, t: Array, drones: Array, radius: float, known: Senses
+) -> tuple[Array, float]:
+    """Return the cables of a part of a plan at times on its clock, and their drawn radius.
+
+    That is at most the given one; ``known`` are the senses of clasps that do not turn in it.
     """
-    layout = motion.team.layout
+    times, hooked = _hooked_times(motion, t)
+    points = _hanging(motion, drones, np.linspace(0.0, 1.0, POINTS))
+    some = np.flatnonzero(hooked > 0.0)
+    if len(some):
+        at = times[some]
+        drones, vertices = drones[some], motion.vertices.at(at)
+        contacts = None if motion.contacts is None else motion.contacts.at(at)
+        radius = min(radius, _largest_radius(motion.team.layout, drones, vertices))
+        piece = np.searchsorted(motion.drones.breaks[1:-1], at, side="right")
+        own = known | turned_senses(motion)
+        senses = np.array([own.get(pair, 1.0) for pair in _clasped(motion)])
+        bending = _Bending(BEND_RADIUS * radius, senses, motion.in_states(OPENING)[piece])
+        bent = _bent(motion, drones, vertices, bending, contacts)
+        along = np.cumsum(np.linalg.norm(np.diff(bent, axis=-2), axis=-1), axis=-1)
+        along = np.concatenate([np.zeros_like(along[..., :1]), along], axis=-1)
+        free = _hanging(motion, drones, along / along[..., -1:])
+        share = hooked[some, None, None, None]
+        points[some] = share * bent + (1.0 - share) * free
+    return points, radius
+
+
+def turned_senses(motion: Motion) -> Senses:
+    """Return 1 where the edge ahead of a clasp is on top, else -1, by the robots of its r and q.
+
+    It is where q goes up over r as they clasp, or down under it as they roll, be it back; clasps
+    that do not turn are left out.
+    """
+    layout, ends = motion.team.layout, motion.drones.breaks[[0, -1]]
+    senses = np.zeros(len(layout.clasps))
+
+    def rises(times: Array) -> Array:
+        heights = motion.drones.at(np.clip(times, *ends))[..., 2]
+        return np.asarray(heights[:, 2 * layout.ahead] - heights[:, 2 * layout.behind + 1])
+
     for (before, start, end), (after, _, _) in pairwise(_runs(motion)):
         if (before, after) == (CableState.CLASPING, CableState.HITCHED):
-            heights = motion.drones.at([start, start + 0.25 * (end - start)])[..., 2]
-            apart = heights[:, 2 * layout.ahead] - heights[:, 2 * layout.behind + 1]
-            return np.where(apart[1] >= apart[0], 1.0, -1.0)
-    return np.ones(len(layout.clasps))
+            first, later = rises(np.array([start, start + 0.25 * (end - start)]))
+            senses = np.where(later >= first, 1.0, -1.0)
+            break
+    for phase in motion.phases:
+        if phase.state is CableState.ROLLING:
+            rise = rises(np.linspace(phase.start, phase.end, PROBES))
+            most = np.take_along_axis(rise, np.argmax(np.abs(rise), axis=0)[None], axis=0)[0]
+            senses = np.where(np.ptp(rise, axis=0) > ROLLED, -np.sign(most), senses)
+    return {pair: x for pair, x in zip(_clasped(motion), senses.tolist(), strict=True) if x}
+
+
+def _clasped(motion: Motion) -> list[tuple[int, int]]:
+    """Return the robots of r and q at every clasp."""
+    layout, labels = motion.team.layout, np.array(motion.team.labels)
+    both = labels[layout.behind].tolist(), labels[layout.ahead].tolist()
+    return list(zip(*both, strict=True))
 
 
 def _runs(motion: Motion) -> list[tuple[CableState, float, float]]:
@@ -134,7 +195,13 @@ def _hooked_times(motion: Motion, t: Array) -> tuple[Array, Array]:
             share = np.interp(t, [start - rise, start, end, end + fall], [0.0, 1.0, 1.0, 0.0])
             more = share > hooked
             hooked[more], times[more] = share[more], np.clip(t, start, end)[more]
-    return times, hooked**2 * (3.0 - 2.0 * hooked)
+    return times, _smooth(hooked)
+
+
+def _smooth(share: Array) -> Array:
+    """Return shares that rise from 0 to 1 as they do, at rest at both ends."""
+    x = np.minimum(share, 1.0)
+    return np.asarray(x * x * (3.0 - 2.0 * x))
 
 
 def _hanging(motion: Motion, drones: Array, share: Array) -> Array:
@@ -158,13 +225,13 @@ def _sagging(first: Array, second: Array, size: Array, share: Array, *, of_chord
 
 
 def _bent(
-    motion: Motion, drones: Array, vertices: Array, radius: float, contacts: Array | None
+    motion: Motion, drones: Array, vertices: Array, bending: _Bending, contacts: Array | None
 ) -> Array:
-    """Return hooked cables (times, n, POINTS, 3); bends have a radius [m].
+    """Return hooked cables (times, n, POINTS, 3).
 
     Contacts (times, n, 2, 3) [m] are where edges are wrapped around something.
     """
-    team, layout = motion.team, motion.team.layout
+    team, layout, radius = motion.team, motion.team.layout, bending.radius
     a, b = vertices[:, layout.starts], vertices[:, layout.ends]
     corners = np.stack([drones[:, 0::2], a, b, drones[:, 1::2]], axis=2)
     chords = length(np.diff(corners, axis=2))
@@ -190,25 +257,27 @@ def _bent(
         around = wrapped_edges(first, last, contacts)[1]
         wrapped = np.any(start != 0.5 * (a + b), axis=-1)
         parts[1] = np.where(wrapped[..., None, None], around, parts[1])
-    q_side, r_side = _bends(motion, drones, vertices, radius)
+    q_side, r_side = _bends(motion, drones, vertices, bending)
     return np.concatenate([parts[0], q_side, parts[1], r_side, parts[2]], axis=2)
 
 
-def _bends(motion: Motion, drones: Array, vertices: Array, radius: float) -> tuple[Array, Array]:
+def _bends(
+    motion: Motion, drones: Array, vertices: Array, bending: _Bending
+) -> tuple[Array, Array]:
     """Return the bends of every cable at its edge's start and end, (times, n, BEND, 3) each.
 
     At a chain's ends there is none, and all of its points are the vertex.
     """
-    layout = motion.team.layout
+    layout, radius = motion.team.layout, bending.radius
     edges = unit(layout.edges(vertices))
     p, k, j = vertices[:, layout.clasps], layout.ahead, layout.behind
     q_leg = unit(drones[:, 2 * k] - p)
     r_leg = unit(drones[:, 2 * j + 1] - p)
-    sense = clasp_senses(motion)[:, None]
+    sense, full = bending.senses[:, None], length(edges[:, k] + edges[:, j])
     turn = np.linspace(0.5 * np.pi, -0.5 * np.pi, BEND)
     q_side = np.repeat(vertices[:, layout.starts, None], BEND, axis=2)
     r_side = np.repeat(vertices[:, layout.ends, None], BEND, axis=2)
-    # Seen from above, the cable that goes up first is over at its edge and under at its leg.
+    # Seen from above, the cable that is over at its edge is under at its leg.
     for legs, along, under, where, bends, order in (
         (q_leg, edges[:, k], -sense, k, q_side, turn),
         (r_leg, -edges[:, j], sense, j, r_side, turn[::-1]),
@@ -217,9 +286,13 @@ def _bends(motion: Motion, drones: Array, vertices: Array, radius: float) -> tup
         across = unit(np.cross(opening, aside))
         across = across * np.where(across[..., 2:] < 0.0, -1.0, 1.0)
         leg_side = unit(aside + under * across)
-        arc = np.sin(order)[:, None] * leg_side[..., None, :]
-        arc = arc - np.cos(order)[:, None] * opening[..., None, :]
-        bends[:, where] = p[..., None, :] + radius * arc
+        side, out = np.sin(order)[:, None], np.cos(order)[:, None]
+        arc = side * leg_side[..., None, :] - out * opening[..., None, :]
+        contact = length(legs + along) / np.maximum(WHOLE * full, SHORTEST)
+        bent = _smooth(np.where(bending.rolls[:, None], contact, 1.0))[..., None, None]
+        line = np.where(side > 0.0, side * legs[..., None, :], -side * along[..., None, :])
+        line = LONGER * line - (under / BEND_RADIUS * UP)[:, None] * out**4
+        bends[:, where] = p[..., None, :] + radius * (bent * arc + (1.0 - bent) * line)
     return q_side, r_side
 
 

@@ -25,6 +25,7 @@ from hitchopt.checks.closeness import Closeness
 from hitchopt.checks.drones import FASTEST, USED_THRUST
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.geometry.vectors import unit
+from hitchopt.motion.chapters import parts_at
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.states import States, states_at
 from hitchopt.values import Array
@@ -105,8 +106,10 @@ def panels(motion: Motion, states: States) -> tuple[Panel, ...]:
     A single drone has no separation.
     """
     times, requirements = states.t + motion.drones.breaks[0], motion.requirements
-    each = [USED_THRUST.curve(group.motion, times) for group in motion.groups]
-    thrust, kinds = np.max(each, axis=0), np.unique(motion.team.max_thrust)
+    thrust, kinds = np.zeros(len(times)), np.unique(motion.team.max_thrust)
+    for group in motion.groups:
+        for part, here, _ in parts_at(group.motion, states.t):
+            thrust[here] = np.maximum(thrust[here], USED_THRUST.curve(part, times[here]))
     forces = Panel("thrust", "largest thrust\n/ its limit", thrust, 1.0, share=True)
     if len(kinds) == 1:
         limit = float(kinds[0])
@@ -357,7 +360,8 @@ def _write_names(axes: Axes, motion: Motion, ends: Array) -> None:
     team = motion.team
     names, places, aside = team.drone_names, ends, np.zeros_like(ends)
     if team.has_cables:
-        names, places = team.point_names, motion.vertices.at(motion.vertices.breaks[-1])[:, :2]
+        names = team.point_names[: len(motion.phases[-1].ring or team.point_names)]
+        places = motion.vertices.at(motion.vertices.breaks[-1])[: len(names), :2]
         aside = BESIDE * unit(np.mean(places, axis=0) - places)
     if groups or len(names) > MAX_NAMED or (team.has_cables and not motion.formed[-1]):
         return

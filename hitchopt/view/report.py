@@ -9,7 +9,7 @@ import json
 import math
 import platform
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib import metadata
 from importlib.resources import files
 from pathlib import Path
@@ -20,6 +20,7 @@ import numpy as np
 from hitchopt.checks.certificate import Certificate
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InputError, Progress
+from hitchopt.motion.chapters import parts_at
 from hitchopt.motion.loads import stated_tensions
 from hitchopt.motion.motion import CableState, Group, Motion
 from hitchopt.values import Array
@@ -204,15 +205,21 @@ def plots_of(motion: Motion, certificate: Certificate) -> Iterator[dict[str, Any
 
 def _tensions(group: Group) -> Iterator[dict[str, Any]]:
     """Yield the largest and smallest tension of a group's hitch, if it ever has one."""
-    motion = group.motion
+    motion, limits = group.motion, list[tuple[Array, Array, str]]()
     if motion.team.has_cables and np.any(motion.formed):
         states = sampled_states(motion)
-        least, most = np.min(states.tensions, axis=1), np.max(states.tensions, axis=1)
-        curves = [np.where(states.formed, values, np.nan) for values in (least, most)]
-        stated = stated_tensions(motion)
-        ends = np.min(stated[..., 0], axis=1), np.max(stated[..., 1], axis=1)
-        steps = np.repeat(motion.drones.breaks - motion.drones.breaks[0], 2)[1:-1]
-        limits = [(steps, np.repeat(np.where(motion.formed, end, np.nan), 2), "") for end in ends]
+        curves = np.full((2, len(states.t)), np.nan)
+        for part, index, robots in parts_at(motion, states.t):
+            if not np.any(part.formed):
+                continue
+            here = index[states.formed[index]]
+            pulls = states.tensions[np.ix_(here, robots)]
+            curves[:, here] = np.min(pulls, axis=1), np.max(pulls, axis=1)
+            stated = stated_tensions(part)
+            ends = np.min(stated[..., 0], axis=1), np.max(stated[..., 1], axis=1)
+            steps = np.repeat(part.drones.breaks - motion.drones.breaks[0], 2)[1:-1]
+            drawn = [np.repeat(np.where(part.formed, end, np.nan), 2) for end in ends]
+            limits += [(steps, values, "") for values in drawn]
         yield _plot(
             f"{group.label('tension')} [N],\nas stated", "max", states.t, curves, limits, None
         )
@@ -222,7 +229,7 @@ def _plot(
     label: str,
     sense: str,
     t: Array,
-    curves: Sequence[Array],
+    curves: Iterable[Array],
     limits: Sequence[tuple[Array, Array, str]],
     worst: tuple[float, float] | None,
 ) -> dict[str, Any]:

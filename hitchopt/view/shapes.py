@@ -86,7 +86,7 @@ class Appearance:
     drone_colours: tuple[str, ...]
     hollow: tuple[bool, ...]  # whether a drone's rotors are open, as those of drones r
     cable_colours: tuple[str, ...]
-    clasps: tuple[Clasp, ...]
+    clasps: tuple[Clasp, ...]  # none of a hitch that changes its robots
     groups: tuple[GroupName, ...]  # none of a team alone
     ellipsoid: tuple[float, float, float]  # semi-axes of a drone's ellipsoid [m]
     objects: tuple[Solid, ...]
@@ -108,7 +108,9 @@ class Appearance:
             pairs = zip(layout.clasps.tolist(), layout.ahead.tolist(), strict=True)
             groups.append(GroupName(group.name, looks[len(groups)][0][0], slice(first, len(names))))
             clasps += [
-                Clasp(group.label(team.point_names[p]), vertices + p, cables + k) for p, k in pairs
+                Clasp(group.label(team.point_names[p]), vertices + p, cables + k)
+                for p, k in pairs
+                if not group.motion.changes  # then every ring has its own
             ]
             vertices, cables = vertices + layout.points, cables + team.robots
         for other in motion.others:

@@ -10,12 +10,13 @@ import pytest
 from plans import planned
 from scipy.spatial.transform import Rotation
 
-from hitchopt.errors import InputError
+from hitchopt.errors import InputError, UnsupportedError
 from hitchopt.hitch import Hitch, Swarm, Team
 from hitchopt.hitch.requirements import Requirements
+from hitchopt.motion.chapters import chapters
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, Motion, Phase
 from hitchopt.motion.retiming import cut
-from hitchopt.motion.states import attitudes, states_at
+from hitchopt.motion.states import attitudes, final_hitch, states_at
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -130,10 +131,10 @@ def test_attitudes_carry_the_thrust_at_the_yaw_given_and_turn_at_the_body_rates(
     np.testing.assert_allclose(by_differences, found.body_rates, rtol=1e-6, atol=1e-6)
 
 
-@pytest.mark.parametrize("formed", [False, True])
-def test_states_turn_as_their_body_rates_say(formed: bool) -> None:
-    """A morph, and a hitch being formed of cables with weight: hanging, tightened, hitched."""
-    motion = planned("form_hanging_to_the_floor" if formed else "weight_hexagon").motion
+@pytest.mark.parametrize("stem", ["weight_hexagon", "form_hanging_to_the_floor", "join_a_fourth"])
+def test_states_turn_as_their_body_rates_say(stem: str) -> None:
+    """A morph, and hitches being formed of cables with weight: hanging, tightened, hitched."""
+    motion = planned(stem).motion
     breaks, h = motion.drones.breaks, 1e-6
     share = np.random.default_rng(6).uniform(0.1, 0.9, motion.drones.pieces)
     t = breaks[:-1] - breaks[0] + share * np.diff(breaks)
@@ -149,6 +150,32 @@ def test_states_turn_as_their_body_rates_say(formed: bool) -> None:
     thrusts = now.thrusts(motion.team).reshape(-1, 3)
     third = rotation_of(now.quaternions).apply(np.linalg.norm(thrusts, axis=1)[:, None] * [0, 0, 1])
     np.testing.assert_allclose(third, thrusts, atol=1e-12)
+
+
+def test_forces_on_a_hitch_and_a_robot_that_joins_it_carry_all_cables() -> None:
+    motion = planned("join_a_fourth").motion
+    times = np.linspace(0.0, motion.duration, 100)
+    lies = [p for p in motion.phases if p.state is CableState.LYING]  # weights pass there
+    times = times[[all(not p.start <= t <= p.end for p in lies) for t in times]]
+    states = states_at(motion, times)
+    weight = [0.0, 0.0, -np.sum(motion.team.cable_weight)]
+    total = np.sum(states.cable_forces, axis=1)
+    np.testing.assert_allclose(total, np.tile(weight, (len(times), 1)), atol=5e-4)
+    starts = [chapter.drones.breaks[0] for chapter in chapters(motion)]
+    names = motion.team.drone_names
+    for start, chapter in zip(starts, chapters(motion), strict=True):
+        t = np.linspace(0.0, 0.99 * chapter.duration, 9)
+        whole = states_at(motion, start + t)
+        for part in (group.motion for group in chapter.groups):
+            rows, own = [names.index(name) for name in part.team.drone_names], states_at(part, t)
+            np.testing.assert_allclose(
+                whole.cable_forces[:, rows], own.cable_forces, rtol=0.0, atol=1e-9
+            )
+        assert whole.formed.tolist() == states_at(chapter.groups[0].motion, t).formed.tolist()
+    after = states_at(motion, motion.duration + 1.0)
+    np.testing.assert_allclose(after.cable_forces, states.cable_forces[-1], atol=1e-12)
+    with pytest.raises(UnsupportedError, match="going on from a plan's end knows hitches of the"):
+        final_hitch(motion)
 
 
 def test_a_part_of_a_motion_has_the_states_of_the_whole_and_what_has_ended_does_not_turn() -> None:

@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pytest
 from matplotlib.transforms import Bbox
 from plans import planned
 
@@ -16,9 +17,9 @@ from hitchopt.motion.combined import combined
 from hitchopt.motion.motion import Group, Motion
 from hitchopt.motion.retiming import shifted
 from hitchopt.view.painter import chosen_shots
-from hitchopt.view.pictures import draw_summary
+from hitchopt.view.pictures import draw_summary, panels, plot_from_above, sampled_states
 from hitchopt.view.scene import concerned, scene_at
-from hitchopt.view.style import OTHERS
+from hitchopt.view.style import OTHERS, new_figure
 
 
 def raised(motion: Motion, by: float) -> Motion:
@@ -85,6 +86,28 @@ def test_names_of_groups_around_the_same_centre_are_apart() -> None:
     assert len(pairs) == len(chosen_shots(plan.motion))
     for first, second in pairs:
         assert Bbox.intersection(first, second) is None
+
+
+def test_a_robot_that_joins_is_shown_in_pictures_and_reports(tmp_path: Path) -> None:
+    plan = planned("join_a_fourth")
+    words = [shot.words for shot in chosen_shots(plan.motion)]
+    assert words == ["start", "roll", "lower", "roll", "unroll", "close"]
+    shown = panels(plan.motion, sampled_states(plan.motion))
+    worst = {check.name: check.bound for check in plan.certificate.checks}
+    for panel in shown[1:]:  # of speed and thrust: never beyond what the certificate found
+        assert 0.95 * worst[panel.name] < np.max(panel.values) < worst[panel.name] + 1e-9
+    plan.view(save=tmp_path / "plan.html")
+    text = (tmp_path / "plan.html").read_text(encoding="utf-8")
+    data = json.loads(next(iter(re.findall(r"<script[^>]*json[^>]*>(\{.*?)</script>", text, re.S))))
+    assert data["names"][-1] == "r3"
+    assert data["clasps"] == []  # every ring has its own
+    (tension,) = [plot for plot in data["plots"] if plot["label"].startswith("tension")]
+    least = [value for value in tension["curves"][0] if value is not None]
+    assert least[-1] == pytest.approx(0.7)  # of the ring: the robot that waits has none
+    axes = draw_summary(plan.motion, plan.certificate).axes
+    assert len(axes) == len(words) + len(shown)
+    above = plot_from_above(plan.motion, new_figure((5.0, 5.0)).add_subplot())
+    assert {text.get_text() for text in above.texts} == {"p0", "p1", "p2"}
 
 
 def test_reports_and_pictures_show_all_groups(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from pictured import CORNERS, make_motion, with_box
+from plans import planned
 
 import hitchopt as ho
 from hitchopt.cli import main
@@ -22,7 +23,7 @@ from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.states import states_at
 from hitchopt.objects.placing import in_world
 from hitchopt.simulation.ropes import linking_matrix
-from hitchopt.view.cables import CLASPS, clasp_senses, wrapped_edges
+from hitchopt.view.cables import CLASPS, POINTS, turned_senses, wrapped_edges
 from hitchopt.view.film import frames, save_film
 from hitchopt.view.painter import Camera, Painter
 from hitchopt.view.scene import Scene, concerned, ghost_scene, scene_at, scene_of
@@ -83,8 +84,9 @@ def test_turning_the_other_way_links_the_other_way(tied: ho.Motion) -> None:
         name: dataclasses.replace(curves, coefficients=curves.coefficients * flip)
         for name, curves in (("drones", tied.drones), ("vertices", tied.vertices))
     }
-    np.testing.assert_array_equal(clasp_senses(tied), 1.0)  # every q goes up first
-    np.testing.assert_array_equal(clasp_senses(dataclasses.replace(tied, **mirrored)), -1.0)
+    pairs = (2, 0), (0, 1), (1, 2)
+    assert turned_senses(tied) == dict.fromkeys(pairs, 1.0)  # every q goes up first
+    assert turned_senses(dataclasses.replace(tied, **mirrored)) == dict.fromkeys(pairs, -1.0)
 
 
 def test_bends_are_at_the_vertices() -> None:
@@ -94,6 +96,48 @@ def test_bends_are_at_the_vertices() -> None:
     for which, points in zip(CLASPS, (vertices, np.roll(vertices, -1, axis=0)), strict=True):
         apart = np.linalg.norm(scene.cables[0, :, which] - points, axis=-1)
         np.testing.assert_allclose(apart, 2.2 * scene.radius, rtol=1e-6)
+
+
+def test_cables_of_an_open_clasp_run_straight_the_one_that_was_laid_on_top_above() -> None:
+    motion = planned("lay_hexagon").motion
+    ends = {phase.name: phase.end for phase in motion.phases}
+    before = motion.drones.at(next(p.start for p in motion.phases if p.name == "lay"))
+    heights = before[:, 2].reshape(6, 2).mean(axis=1)
+    scene = scene_at(motion, np.array([ends["tension"], ends["roll"], ends["hold"]]))
+    laid, tied, opened = scene.cables
+    ahead, behind = laid[:, CLASPS[0]], np.roll(laid[:, CLASPS[1]], 1, axis=0)
+    rise = np.sign(heights - np.roll(heights, 1))
+    apart = np.column_stack([np.zeros((6, 2)), 2.0 * scene.radius * rise])
+    np.testing.assert_allclose(ahead - behind, apart, atol=0.1 * scene.radius)
+    apart = (np.arange(6)[:, None] - np.arange(6)) % 6
+    neighbours = np.isin(apart, (1, 5)).astype(int)
+    np.testing.assert_array_equal(np.abs(linking_matrix(list(tied))), neighbours)
+    neighbours[1, 2] = neighbours[2, 1] = 0  # p2 is open
+    np.testing.assert_array_equal(np.abs(linking_matrix(list(opened))), neighbours)
+    for cable, bend in ((1, CLASPS[1]), (2, CLASPS[0])):
+        steps = np.diff(opened[cable, bend - 6 : bend + 7], axis=0)
+        along = steps / np.linalg.norm(steps, axis=1)[:, None]
+        assert np.min(along @ along[0]) > np.cos(0.5)  # it is lifted over the other, by a radius
+
+
+def test_a_robot_that_joins_lies_on_top_and_is_linked_to_its_neighbours() -> None:
+    motion = planned("join_a_fourth").motion
+    times = [next(p.end for p in motion.phases if p.name == name) for name in ("lower", "hold")]
+    scene = scene_at(motion, np.array([*times, motion.duration]))
+    states = states_at(motion, scene.t)
+    np.testing.assert_allclose(scene.cables[:, :, 0], scene.drones[:, 0::2], atol=1e-9)
+    np.testing.assert_allclose(scene.cables[:, :, -1], scene.drones[:, 1::2], atol=1e-9)
+    lying, joined, left = scene.cables
+    for vertex, bend in zip(states.vertices[0, :2], CLASPS, strict=True):
+        assert lying[3, bend, 2] == pytest.approx(vertex[2] + scene.radius, abs=0.1 * scene.radius)
+    ring = np.zeros((4, 4), int)
+    for one, other in ((3, 0), (0, 1), (1, 2), (2, 3)):
+        ring[one, other] = ring[other, one] = 1
+    np.testing.assert_array_equal(np.abs(linking_matrix(list(joined))), ring)
+    triangle = 1 - np.eye(4, dtype=int)
+    triangle[3] = triangle[:, 3] = 0
+    np.testing.assert_array_equal(np.abs(linking_matrix(list(left))), triangle)
+    assert left[3, POINTS // 2, 2] < scene.drones[-1, 6:, 2].min() - 0.1  # it hangs free
 
 
 def test_edges_around_a_circle_are_its_tangents_and_arc() -> None:
