@@ -56,12 +56,13 @@ from hitchopt.statics.settle import Settled as Settled, settle as settle
 from hitchopt.statics.tolerance import ErrorSize as ErrorSize, Tolerance as Tolerance
 from hitchopt.statics.tolerance import tolerance as tolerance
 from hitchopt.steps import Adjust as Adjust, Carry as Carry, CloseVertex as CloseVertex
-from hitchopt.steps import Enclose as Enclose, OpenVertex as OpenVertex
+from hitchopt.steps import Enclose as Enclose, Join as Join, OpenVertex as OpenVertex
 from hitchopt.steps import FollowVertex as FollowVertex, Form as Form, Grasp as Grasp, Hold as Hold
 from hitchopt.steps import Land as Land, Leave as Leave, Lift as Lift, Loosen as Loosen
 from hitchopt.steps import Morph as Morph, MoveEdge as MoveEdge, MoveVertex as MoveVertex
 from hitchopt.steps import Release as Release, SetDown as SetDown, Settle as Settle
-from hitchopt.steps import Transport as Transport, TransportObject as TransportObject
+from hitchopt.steps import Replace as Replace, Transport as Transport
+from hitchopt.steps import TransportObject as TransportObject, Withdraw as Withdraw
 from hitchopt.sweeps.study import Study as Study
 from hitchopt.sweeps.sweep import load_sweep as load_sweep, run_sweep as run_sweep
 from hitchopt.sweeps.work import SweepError as SweepError
@@ -125,10 +126,14 @@ class Mission(_Mission):
         settle: _Settle = "auto",
         by: Literal["swaps", "laying"] = "swaps",
         order: ArrayLike | Literal["auto"] = "auto",
+        robots: ArrayLike | None = None,
         duration: _Seconds = None,
     ) -> Self: ...
     def open_vertex(self, vertex: int, duration: _Seconds = None) -> Self: ...
     def close_vertex(self, vertex: int, duration: _Seconds = None) -> Self: ...
+    def join(self, robot: int, vertex: int, cut: float) -> Self: ...
+    def withdraw(self, robot: int) -> Self: ...
+    def replace(self, robot: int, by: int) -> Self: ...
     def release(self, duration: _Seconds = None) -> Self: ...
     def land(self, duration: _Seconds = None) -> Self: ...
     def enclose(self, object: str, duration: _Seconds = None) -> Self: ...
@@ -210,6 +215,7 @@ def form(
     settle: _Settle = "auto",
     by: Literal["swaps", "laying"] = "swaps",
     order: ArrayLike | Literal["auto"] = "auto",
+    robots: ArrayLike | None = None,
     duration: _Seconds = None,
     **required: Unpack[_Required],
 ) -> Plan: ...

@@ -26,7 +26,7 @@ from hitchopt.mission.teams import solve_any
 from hitchopt.mission.teams_problem import AnyProblem, TeamsProblem
 from hitchopt.motion.plan_file import check_request
 from hitchopt.plan import Plan, load
-from hitchopt.steps import STEPS, Settle, Step
+from hitchopt.steps import STEPS, Join, Replace, Settle, Step, Withdraw
 from hitchopt.steps.step import Stage
 from hitchopt.values import closest_word, flag, instance, path, positive, text
 from hitchopt.values.fields import EMPTY, keys_of, parameters, refuse_unknown
@@ -266,10 +266,10 @@ ALONE = tuple(
     for kind in STEPS
     if (kind.stages is None or kind.stages[0] is Stage.FREE)
     and "object" not in keys_of(kind)
-    and kind is not Settle
+    and kind not in (Settle, Join, Withdraw, Replace)
 )
-"""Kinds of steps that are functions too: those that need no object, and whose name is free
-(``hitchopt.settle`` tells where drones that give way come to rest)."""
+"""Kinds of steps that are functions too: those that need neither object nor waiting robot, and
+whose name is free (``hitchopt.settle`` tells where drones that give way come to rest)."""
 
 for _kind in STEPS:
     setattr(Mission, _kind.name, _method(_kind))

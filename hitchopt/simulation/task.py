@@ -14,6 +14,7 @@ from hitchopt.errors import UnsupportedError
 from hitchopt.exports.directory import refuse_mixture
 from hitchopt.hitch import Team
 from hitchopt.hitch.team import Layout
+from hitchopt.motion.chapters import chapters
 from hitchopt.motion.combined import Fleet
 from hitchopt.motion.loads import tautness
 from hitchopt.motion.motion import Group, Motion
@@ -247,9 +248,12 @@ class Task:
         tied = [group for group in motion.groups if group.motion.team.has_cables]
         single = [group for group in motion.groups if not group.motion.team.has_cables]
         passing = Passing.of([*single, *motion.others], float(motion.drones.breaks[0]), t)
-        if len(motion.groups) == 1:
+        if motion.changes:
+            tied, parts = cls._of_rings(motion, t)
+        elif len(motion.groups) == 1:
             return replace(cls._alone(motion, t), passing=passing)
-        parts = tuple(cls._alone(group.motion, t) for group in tied)
+        else:
+            parts = tuple(cls._alone(group.motion, t) for group in tied)
 
         def row(name: str) -> Array:
             return np.concatenate([getattr(part, name) for part in parts], axis=1)
@@ -265,11 +269,34 @@ class Task:
             row("vertices"),
             row("tensions"),
             row("taut"),
-            Cargo.joined(motion, tied, t),
+            Cargo() if motion.changes else Cargo.joined(motion, tied, t),
             motion,
             parts,
             passing,
         )
+
+    @classmethod
+    def _of_rings(cls, motion: Motion, t: Array) -> tuple[list[Group], tuple[Task, ...]]:
+        """Return the groups of a plan's last chapter, and their tasks for all of its time.
+
+        Before its last ring is tied it has no hitch: what earlier ones do is not judged.
+        """
+        last, states = chapters(motion)[-1], states_at(motion, t)
+        if states.formed[0]:
+            words = "simulation begins with free cables, where robots join or leave"
+            raise UnsupportedError(f"{words}; form the hitch in the plan")
+        begun, parts = t >= last.drones.breaks[0] - motion.drones.breaks[0], list[Task]()
+        for team in (group.motion.team for group in last.groups):
+            rows, closed = list(team.labels), team.layout.closed
+            drones = np.repeat(2 * np.array(rows), 2) + np.tile([0, 1], len(rows))
+            formed = np.asarray(states.formed & begun & closed, np.bool_)
+            points = states.vertices[:, : team.layout.points]
+            vertices = np.where(formed[:, None, None], points, 0.0)
+            tensions = np.where(formed[:, None], states.tensions[:, rows], 0.0)
+            sent = Setpoints(*(getattr(states, x.name)[:, drones] for x in fields(Setpoints)))
+            taut = (tensions > 0.0).astype(np.float64)
+            parts.append(cls(team, t, sent, formed, vertices, tensions, taut, motion=motion))
+        return list(last.groups), tuple(parts)
 
     @classmethod
     def _alone(cls, motion: Motion, t: Array) -> Task:

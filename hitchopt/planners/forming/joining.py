@@ -182,14 +182,14 @@ class Joining:
                 places = (path.team, needed, shapes.polygons, q_legs, leg, SPREAD_MARGIN)
                 least = min(least, reference_margin(LegTask(*places, roll=shapes.roll)))
         if least >= 1.0:
-            least = min(least, smallest_separation(self.seam[None], requirements.separation))
+            laid = self.with_robot(self.opened.drones(np.ones(1))[0])
+            least = min(least, smallest_separation(laid[None], requirements.separation))
         return least
 
-    @cached_property
-    def seam(self) -> Array:
-        """(2n, 3) [m]: drones as the robot's cable lies on both others."""
-        k, before = 2 * self.vertex, self.opened.drones(np.ones(1))[0]
-        return np.concatenate([before[:k], self.laid, before[k:]])
+    def with_robot(self, opened: Array) -> Array:
+        """Return the drones (2n, 3) [m] as the robot's cable lies on both others."""
+        k = 2 * self.vertex
+        return np.concatenate([opened[:k], self.laid, opened[k:]])
 
     @property
     def alone(self) -> Team:
@@ -495,7 +495,8 @@ class Joins:
             rolling(path, self.requirements, Phase("roll", self.index, 0.0, 0.0))
             for path in joined.rolls
         )
-        passing = _passing(joined.after, joined.seam, first.drones.coefficients[0, ..., 0], *own)
+        start = joined.with_robot(self._opening.drones.coefficients[-1, ..., -1])
+        passing = _passing(joined.after, start, first.drones.coefficients[0, ..., 0], *own)
         return [*map(self._beside, alone), *map(self._motion, (passing, first, second))]
 
 

@@ -18,6 +18,9 @@ from hitchopt.values import Array
 SHORTEST = 1e-9
 """[s] Phases of a profile that are shorter are dropped."""
 
+BRIEF, SLOWER = 5e-4, (1.0, 0.98, 0.96)
+"""[s] Phases that are shorter are too brief; shares of limits that are tried then."""
+
 
 def fastest_ramps(
     distance: ArrayLike, speed: float, acceleration: ArrayLike, jerk: float
@@ -49,7 +52,8 @@ def fastest_clock(
 ) -> PiecewisePolynomial:
     """Return the fastest profile from 0 to ``goal``, from rest to rest, a cubic per phase.
 
-    The phases are exact: ruckig's jerks and durations, integrated. No waypoints are used.
+    The phases are exact: ruckig's jerks and durations, integrated. No waypoints are used. Where one
+    would be so brief that derivatives on it suffer from rounding, limits are SLOWER.
 
     Parameters
     ----------
@@ -60,14 +64,18 @@ def fastest_clock(
 
     task = InputParameter(1)
     task.current_position, task.target_position = [0.0], [goal]
-    task.max_velocity, task.max_acceleration, task.max_jerk = [speed], [acceleration], [jerk]
-    trajectory = Trajectory(1)
-    result = Ruckig(1).calculate(task, trajectory)
-    if result not in {Result.Working, Result.Finished}:
-        raise HitchoptError(f"ruckig: {result} from 0 to {goal:g}; please report it")
-    profile = trajectory.profiles[0][0]
-    seconds, jerks = np.array([profile.t, profile.j], dtype=np.float64)
-    lasting = seconds > SHORTEST
+    for share in SLOWER:
+        limits = share * speed, share * acceleration, jerk
+        task.max_velocity, task.max_acceleration, task.max_jerk = ([limit] for limit in limits)
+        trajectory = Trajectory(1)
+        result = Ruckig(1).calculate(task, trajectory)
+        if result not in {Result.Working, Result.Finished}:
+            raise HitchoptError(f"ruckig: {result} from 0 to {goal:g}; please report it")
+        profile = trajectory.profiles[0][0]
+        seconds, jerks = np.array([profile.t, profile.j], dtype=np.float64)
+        lasting = seconds > SHORTEST
+        if np.min(seconds[lasting]) >= BRIEF:
+            break
     jets = [np.zeros(4)]
     for each, constant in zip(seconds[lasting], jerks[lasting], strict=True):
         jets[-1][3] = constant
