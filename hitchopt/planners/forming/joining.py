@@ -29,9 +29,16 @@ from hitchopt.hitch.slack_split import SPREAD_MARGIN, LegTask, reference_margin
 from hitchopt.hitch.team import PartTeam
 from hitchopt.motion.chapters import Waiting, with_waiting
 from hitchopt.motion.motion import CableState, Motion, Phase
-from hitchopt.motion.retiming import padded, resting
+from hitchopt.motion.retiming import append_motion, padded, resting
 from hitchopt.planners.forming.approach import DirectApproach, hover_altitude
-from hitchopt.planners.forming.laying import MARGIN, ROOM, SHARES, RollPath, rolling
+from hitchopt.planners.forming.laying import (
+    MARGIN,
+    ROOM,
+    SHARES,
+    TENSION_SECONDS,
+    RollPath,
+    rolling,
+)
 from hitchopt.planners.forming.prehitch import APART, SPAN, smallest_separation
 from hitchopt.planners.forming.stages import MIN_FLIGHT, PAUSE, stage, straight_lines
 from hitchopt.planners.morph.path import shapes_along
@@ -497,6 +504,7 @@ class Joins:
         )
         start = joined.with_robot(self._opening.drones.coefficients[-1, ..., -1])
         passing = _passing(joined.after, start, first.drones.coefficients[0, ..., 0], *own)
+        passing = append_motion(resting(passing, TENSION_SECONDS, first=True), passing)
         return [*map(self._beside, alone), *map(self._motion, (passing, first, second))]
 
 
