@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from hitchopt.checks.certificate import Check, within
+from hitchopt.checks.certificate import Check, within, worst_of
 from hitchopt.checks.distances import (
     GROUND,
     TALL,
@@ -65,6 +65,7 @@ from hitchopt.hitch.catenary import (
 )
 from hitchopt.hitch.pairs import CABLE, PAIRS, Bodies
 from hitchopt.hitch.requirements import Arena
+from hitchopt.motion.chapters import parts_of
 from hitchopt.motion.loads import held_pieces
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, HoldBy, Motion
 from hitchopt.objects import Slab, SolidObject
@@ -602,5 +603,7 @@ def below_ground(motion: Motion) -> Check | None:
     if motion.requirements.arena is not None:
         return None
     open_ = Arena([-TALL, -TALL, 0.0], [TALL, TALL, TALL])
-    check = ARENA.check(motion.replaced(requirements=replace(motion.requirements, arena=open_)))
+    needed = replace(motion.requirements, arena=open_)
+    parts = [each.motion for each in parts_of(motion)] if motion.changes else [motion]
+    check = worst_of(ARENA.check(part.replaced(requirements=needed)) for part in parts)
     return None if check is None or check.bound >= -TOUCH else check

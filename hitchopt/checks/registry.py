@@ -122,8 +122,9 @@ def _checks_of_chapters(
 ) -> Iterator[Check | None]:
     """Yield the checks of all chapters together, and of the seams between them."""
     parts, own = chapters(motion), dict[str, list[Check]]()
+    radius = tuple(each for each in chosen if each is tracking.TRACKING_RADIUS)
     for part in parts:
-        for check in certify(part, progress, gamma, reports=chosen).checks:
+        for check in certify(part, progress, gamma, reports=radius).checks:
             own.setdefault(check.name, []).append(check)
     with value_cache():
         for rule in RULES:
@@ -133,8 +134,9 @@ def _checks_of_chapters(
                 yield interlaced(parts).check(rule, 0.0)
             else:
                 yield worst_of([*own.get(rule.name, ()), _at_seams(rule, motion)])
-    for report in chosen:
-        yield worst_of(own.get(report.name, ()))
+        for report in chosen:
+            known = own.get(report.name, ())
+            yield worst_of(known) if report in radius else report.check(motion, {}, gamma)
 
 
 def _at_seams(rule: CheckRule, motion: Motion) -> Check | None:

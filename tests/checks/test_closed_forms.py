@@ -28,6 +28,7 @@ from motions import (
     still,
     triangle,
 )
+from plans import planned
 from refusals import assert_refused
 
 from hitchopt.checks import CertificateError, certify
@@ -393,3 +394,4 @@ def test_what_is_below_the_ground_is_said_where_no_arena_has_a_floor() -> None:
     arena = Arena([-9, -9, -1], [9, 9, 9])
     walled = replace(motion.requirements, arena=arena)
     assert below_ground(replace(motion, requirements=walled, **parts)) is None
+    assert below_ground(planned("join_a_fourth").motion) is None  # it has no vertices 3 at first

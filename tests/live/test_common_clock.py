@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from fleets import alone, beside, far, hitch_and_swarm, two_hitches
+from plans import planned
 
 import hitchopt as ho
 from hitchopt.checks import certify
-from hitchopt.live.abort import Aborts, AbortTable
+from hitchopt.live.abort import Aborts, AbortTable, until_stop
 from hitchopt.live.fly import CommandedPlan
 from hitchopt.live.lost import Reactions
 from hitchopt.motion.states import states_at
@@ -123,3 +124,21 @@ def test_what_knows_one_team_is_refused_by_name() -> None:
         _ = plan.end
     with pytest.raises(ho.UnsupportedError, match="beside show"):
         ho.Player(show)
+    joins, same = planned("join_a_fourth"), "knows hitches of the same robots all the time; plan"
+    for refused, words in (
+        (lambda: Reactions(joins.motion), "a reaction to a lost drone"),
+        (lambda: ho.Feedback(joins), "feedback"),
+        (lambda: ho.Replanner(joins.motion.team, joins), "a replanner"),
+        (lambda: joins.end, "going on from a plan's end"),
+    ):
+        with pytest.raises(ho.UnsupportedError, match=f"{words} {same}"):
+            refused()
+
+
+@pytest.mark.parametrize("time", [20.0, 27.0, 43.0])
+def test_a_plan_stopped_while_a_robot_joins_keeps_its_rings(time: float) -> None:
+    motion = planned("join_a_fourth").motion
+    stopped = until_stop(motion, time, stop=True)
+    ring = next(phase.ring for phase in motion.phases if phase.end > stopped.rest)
+    assert stopped.motion.phases[-1].ring == ring
+    assert certify(stopped.motion, reports=()).certified
