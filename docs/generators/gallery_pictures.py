@@ -18,6 +18,7 @@ from PIL import Image
 import hitchopt as ho
 from generators.problem_collection import SECTIONS
 from hitchopt.values import Array
+from hitchopt.view.editing import outlines
 from hitchopt.view.pictures import draw_plan_view
 from hitchopt.view.style import COLOURS, INK, new_figure, save_figure
 
@@ -71,12 +72,7 @@ def draw_task(axes: Axes, problem: ho.Problem | ho.SwarmProblem | ho.TeamsProble
 
 def draw_outlines(axes: Axes, problem: ho.Problem) -> None:
     """Draw the cables at the start and every step's outline, the last one in colour."""
-    outline = problem.start_outline
-    drawn = [outline]
-    for step in problem.mission:
-        outline = step.checked_polygon_after(problem.team, outline)
-        drawn.append(outline)
-    polygons = [each for each in drawn if each is not None]
+    polygons = [each for each in outlines(problem) if each is not None]
     for i, each in enumerate(polygons):
         last = i == len(polygons) - 1
         x, y = np.vstack([each.vertices, each.vertices[:1]][: 1 + problem.team.layout.closed]).T

@@ -66,7 +66,7 @@ def resolved_steps(problem: Problem, steps: tuple[Step, ...]) -> tuple[Step, ...
     since = "start has no hitch" if outline is None else "start is a hitch"
     for i, given in enumerate(steps):
         try:
-            team, ring = _team_and_ring(problem.team, given, ring)
+            team, ring = team_and_ring(problem.team, given, ring)
             step = given.resolved_for(team)
             held = held.after(step, problem.objects)
             before, outline = outline, step.checked_polygon_after(team, outline, since)
@@ -82,7 +82,7 @@ def resolved_steps(problem: Problem, steps: tuple[Step, ...]) -> tuple[Step, ...
     return tuple(fitted)
 
 
-def _team_and_ring(whole: Team, step: Step, ring: tuple[int, ...]) -> tuple[Team, tuple[int, ...]]:
+def team_and_ring(whole: Team, step: Step, ring: tuple[int, ...]) -> tuple[Team, tuple[int, ...]]:
     """Return the team of the ring before a step, or that it forms, and the ring after it."""
     after = step.ring_after(ring, whole)
     flies = after if isinstance(step, Form) else ring
@@ -313,7 +313,7 @@ def _asked_steps(problem: Problem) -> Iterator[dict[str, Any]]:
     outline, held, hold, pulls = problem.start_outline, _Held(), None, None
     altitude = getattr(problem.start, "altitude", None)  # None where it is not known
     for step in problem.mission:
-        team, ring = _team_and_ring(problem.team, step, ring)
+        team, ring = team_and_ring(problem.team, step, ring)
         name, objects = getattr(step, "object", held.name), {**requirements.objects}
         if isinstance(step, PullStep):
             pull = [team.tension, team.tension if step.tension is None else step.tension]

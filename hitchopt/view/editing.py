@@ -21,7 +21,7 @@ import numpy as np
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError
 from hitchopt.geometry import Outline
 from hitchopt.mission.loading import parse_problem
-from hitchopt.mission.problem import Problem
+from hitchopt.mission.problem import Problem, team_and_ring
 from hitchopt.mission.repair import NO_CHANGE, Edit, Suggestion, find_suggestions, with_edits_in
 from hitchopt.mission.teams import solve_any
 from hitchopt.motion.motion import Motion
@@ -105,7 +105,7 @@ def handles(problem: Problem, data: Plain, index: int, height: float) -> Iterato
         yield replace(whole, numbers=(*whole.numbers, *altitude))
     elif "path" in keys:
         yield from (handle(f"point {j}", ("path", j), first=1) for j in range(len(keys["path"])))
-    elif "vertex" in keys or "edge" in keys:
+    elif ("vertex" in keys or "edge" in keys) and ("to" in keys or "by" in keys):
         name = "vertex" if "vertex" in keys else "edge"
         moved = f"{name} {keys[name]}"
         after = outlines(problem)[index + 1]
@@ -128,17 +128,20 @@ def step_key(data: Plain, index: int) -> str:
 
 def outlines(problem: Problem) -> list[Outline | None]:
     """Return the outline at the start, and after each step; None where there is no hitch."""
-    polygons = [problem.start_outline]
+    polygons, ring = [problem.start_outline], problem.team.labels
     for step in problem.mission:
-        polygons.append(step.checked_polygon_after(problem.team, polygons[-1]))
+        team, ring = team_and_ring(problem.team, step, ring)
+        polygons.append(step.checked_polygon_after(team, polygons[-1]))
     return polygons
 
 
 def height_after(motion: Motion, index: int) -> float:
     """Return how high the hitch is when a step ends [m], or at the start."""
-    ends = [phase.end for phase in motion.phases if phase.step == index]
-    state = states_at(motion, 0.0 if index == START else max(ends, default=motion.duration))
-    return float(np.mean(state.vertices[:, 2])) if bool(state.formed) else HEIGHT
+    own = [phase for phase in motion.phases if phase.step == index] or motion.phases[-1:]
+    state = states_at(motion, 0.0 if index == START else own[-1].end)
+    ring = (motion.phases[0] if index == START else own[-1]).ring
+    points = state.vertices if ring is None else state.vertices[: len(ring)]
+    return float(np.mean(points[:, 2])) if bool(state.formed) else HEIGHT
 
 
 def new_step(problem: Problem, index: int, kind: str, height: float) -> dict[str, Plain]:

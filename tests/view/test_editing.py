@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from plans import PROBLEMS, planned
 
 import hitchopt as ho
 from hitchopt.cli import main
@@ -30,6 +31,7 @@ from hitchopt.view.editing import (
     handles,
     height_after,
     new_step,
+    outlines,
 )
 
 TEXT = """\
@@ -52,6 +54,20 @@ def editing(tmp_path: Path) -> Iterator[Editing]:
     made = Editing(TEXT, path, Certified(plan.motion, plan.certificate))
     yield made
     made.close()
+
+
+@pytest.mark.parametrize("stem", ["lay_hexagon", "join_a_fourth"])
+def test_steps_that_open_vertices_or_change_robots_have_no_handles(stem: str) -> None:
+    text, plan = (PROBLEMS / f"{stem}.yaml").read_text(), planned(stem)
+    editing = Editing(text, PROBLEMS / f"{stem}.yaml", Certified(plan.motion, plan.certificate))
+    steps = range(len(editing.problem.mission))
+    assert [bool(editing.handles(index)) for index in steps] == [True, *[False] * (len(steps) - 1)]
+    corners = [outline and len(outline.vertices) for outline in outlines(editing.problem)]
+    tied = [6, 6, 6, 6] if stem == "lay_hexagon" else [3, 4, 4, 3]
+    assert corners[: len(tied) + 1] == [None, *tied]
+    heights = [height_after(plan.motion, index) for index in range(len(tied))]
+    np.testing.assert_allclose(heights, 1.5, atol=1e-9)
+    editing.close()
 
 
 SECONDS = "mission[1].hold.seconds"
