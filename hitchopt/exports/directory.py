@@ -14,6 +14,7 @@ import numpy as np
 
 from hitchopt.checks.certificate import Certificate
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, UnsupportedError
+from hitchopt.motion.chapters import parts_at
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.states import States, iterate_states, sample_times, states_at
@@ -163,22 +164,26 @@ def write_vertices(path: Path, motion: Motion, rate: float) -> None:
     """Write one row per sample and vertex, while the hitch exists; row k has cable k's tension.
 
     The last row of an open chain, which has one point more than cables, leaves it empty. Vertices
-    of several groups are called as ``b.p2``, one group after the other.
+    of several groups are called as ``b.p2``, one group after the other. Where a hitch changes its
+    robots, vertices are counted along the ring of the time, and so are tensions.
     """
     times = sample_times(motion.duration, rate)
 
-    def blocks(own: Motion, points: int) -> Iterator[tuple[Array, Array]]:
-        for states in iterate_states(own, times, max(1, ROWS // points)):
+    def blocks(own: Motion, t: Array, points: int) -> Iterator[tuple[Array, Array]]:
+        begin = own.drones.breaks[0] - motion.drones.breaks[0]
+        for states in iterate_states(own, np.maximum(t - begin, 0.0), max(1, ROWS // points)):
             values = np.full((len(states.t), points, 4), np.nan)
             values[..., :3] = states.vertices
             values[:, : own.team.robots, 3] = states.tensions
-            yield states.t[states.formed], values[states.formed] + 0.0  # no negative zeros
+            here = states.formed
+            yield begin + states.t[here], values[here] + 0.0  # no negative zeros
 
     tables = []
     for each in motion.groups:
-        if points := each.motion.team.layout.points:
-            names = [each.label(f"p{k}") if each.name else str(k) for k in range(points)]
-            tables.append((names, blocks(each.motion, points)))
+        for part, index, _ in parts_at(each.motion, times):
+            if points := part.team.layout.points:
+                names = [each.label(f"p{k}") if each.name else str(k) for k in range(points)]
+                tables.append((names, blocks(part, times[index], points)))
     write_rows(path, VERTICES_HEADER, *tables)
 
 

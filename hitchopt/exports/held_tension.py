@@ -71,6 +71,8 @@ def held_tension(
     bounded integral, which would move drones after their set points; InfeasibleError of forces that
     change too fast.
     """
+    if motion.changes:
+        motion.refuse_several("hold_tension=True")
     if not motion.has_cables:
         raise UnsupportedError("hold_tension=True: single drones carry no cables that could pull")
     if len(motion.groups) == 1:

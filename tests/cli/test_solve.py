@@ -92,6 +92,22 @@ def test_check_repeats_the_certificate_from_the_plan_alone(place: Path) -> None:
     assert (place / "out-csv").is_dir()
 
 
+def test_a_robot_that_joins_is_checked_and_what_knows_one_ring_is_refused() -> None:
+    planned("join_a_fourth").save("out", rate=5.0)
+    told = run("check", "out", "--closest", code=0)
+    assert told.stderr == ""  # no drone is below the ground
+    assert "q3, r3" in told.stdout
+    same = "knows hitches of the same robots all the time"
+    for words, *command in (
+        ("settle", "statics", "out"),
+        ("tolerance", "statics", "out", "--tolerance"),
+        ("a reaction to a lost drone", "check", "out", "--survivable"),
+        ("evaluate", "evaluate", "--plan", "out", "--markers"),
+        ("--hold-tension", "export", "out", "--format", "csv", "--hold-tension"),
+    ):
+        assert f"{words} {same}" in " ".join(refused(*command, code=3).split())
+
+
 def test_a_limit_ends_solve_and_search_with_a_diagnosis(monkeypatch: pytest.MonkeyPatch) -> None:
     told = run("solve", TRIANGLE, "-o", "out", "--limit", "1e-9", code=3).stderr
     assert "s is above the limit of 1e-09 s (last: " in told

@@ -116,6 +116,25 @@ def test_refitted_problems_lose_nothing(stem: str, name: str, tmp_path: Path) ->
     assert part.verdict.lost == ()
 
 
+@pytest.mark.parametrize(
+    "name", [pytest.param("crazyswarm2", marks=pytest.mark.slow), "skybrush_csv", "gltf"]
+)
+def test_a_robot_that_joins_is_exported_over_the_whole_time(name: str, tmp_path: Path) -> None:
+    motion = planned("join_a_fourth").motion
+    parts = exported(motion, name, tmp_path)
+    for part in parts:
+        assert part.verdict.lost == ()
+        assert len(read_manifest(part.folder)["drones"]) == 8
+    assert "crossing" in {check.name for part in parts for check in part.verdict.checks}
+    assert parts[-1].begins + parts[-1].verdict.duration == pytest.approx(motion.duration, abs=0.05)
+    assert all(report.sound for report in lint(tmp_path)) or name == "gltf"
+
+
+def test_a_hitch_that_changes_its_robots_holds_no_tension_by_set_points(tmp_path: Path) -> None:
+    with pytest.raises(UnsupportedError, match="hold_tension=True knows hitches of the same robot"):
+        exported(planned("join_a_fourth").motion, "csv", tmp_path, hold_tension=True)
+
+
 def test_an_export_that_enters_a_prism_is_refused(tmp_path: Path) -> None:
     """The path keeps 0.12009 m; in whole millimetres it begins at 0.1196 m."""
     y = 0.12049
