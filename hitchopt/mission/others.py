@@ -40,6 +40,7 @@ class Other(OneLine):
     ------
     InputError: a time before the start, or a plan whose own certificate does not hold.
     FileError: no plan there, or a damaged one.
+    UnsupportedError: a hitch that changes its robots.
     """
 
     plan: Annotated[
@@ -49,6 +50,8 @@ class Other(OneLine):
 
     def __post_init__(self) -> None:
         store(self, plan=str(self.plan), at=self.at)
+        for each in self._groups:
+            each.motion.refuse_several("a plan beside another one", others=False)
         certificate = certify(combined(self._groups), reports=())
         if not certificate.certified:
             names = ", ".join(check.name for check in certificate.violated)

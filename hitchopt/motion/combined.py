@@ -93,6 +93,7 @@ def combined(groups: Sequence[Group], others: Sequence[Group] = ()) -> Motion:
     Raises
     ------
     InputError: names that are none, or given twice.
+    UnsupportedError: among several, a hitch that changes its robots.
     """
     names = [each.name for each in (*groups, *others)]
     for index, name in enumerate(names):
@@ -101,6 +102,8 @@ def combined(groups: Sequence[Group], others: Sequence[Group] = ()) -> Motion:
         if not (alone or all(map(NAME.fullmatch, parts))) or name in ("others", *names[:index]):
             bound = "a name of its own, of letters, digits, - and _"
             raise InputError("teams", name, bound, "rename it")
+    for each in (*(groups if len(groups) > 1 else ()), *others):
+        each.motion.refuse_several("a plan of several teams", others=False)
     begin = min(float(each.motion.drones.breaks[0]) for each in groups)
     end = max(float(each.motion.drones.breaks[-1]) for each in groups)
     groups = tuple(replace(each, motion=padded(each.motion, begin, end)) for each in groups)

@@ -130,6 +130,7 @@ def test_what_knows_one_team_is_refused_by_name() -> None:
         (lambda: ho.Feedback(joins), "feedback"),
         (lambda: ho.Replanner(joins.motion.team, joins), "a replanner"),
         (lambda: joins.end, "going on from a plan's end"),
+        (lambda: ho.combine(joins, joins), "a plan of several teams"),
     ):
         with pytest.raises(ho.UnsupportedError, match=f"{words} {same}"):
             refused()
