@@ -8,10 +8,9 @@ steps' records; ``__init__.pyi`` lists them for type checkers and completion.
 
 from __future__ import annotations
 
-import dataclasses
 import inspect
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypedDict
 
@@ -122,7 +121,7 @@ def repair(
             raise InfeasibleError(error.violations, note) from None
     change = found[0].change
     found_plan = solve(change.problem, progress)
-    return dataclasses.replace(found_plan, title=f"{task.title} with {change}".strip())
+    return replace(found_plan, title=f"{task.title} with {change}".strip())
 
 
 def _loaded(problem: Any, *kinds: type) -> Any:
@@ -161,7 +160,7 @@ class Mission(Problem):
     def then(self, step: Step) -> Self:
         """Return the mission with one more step, given as its record, if it fits."""
         instance("step", step, Step)
-        return dataclasses.replace(self, mission=(*self.mission, step))
+        return replace(self, mission=(*self.mission, step))
 
     def solve(self, progress: Progress | None = None, *, limit: float | None = None) -> Plan:
         """Return the certified plan; arguments and errors are those of ``hitchopt.solve``."""

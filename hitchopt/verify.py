@@ -26,7 +26,7 @@ import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from itertools import combinations, groupby, pairwise, product
+from itertools import chain, combinations, groupby, pairwise, product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -53,14 +53,15 @@ BUDGET, CHUNK, DEPTH = 6_000_000, 8192, 46  # samples a limit, in one go, halvin
 GOOD = {"proven", "warning"}  # without an arena nothing says where the ground is
 CROSSED = {"on the ground": 0, "hanging free": 0, "being tightened": 1, "hitched": 1}
 LAID, ROLLING = "being laid", "rolling"  # taut alone; lying across, or turning from it into clasps
-STATES = {*CROSSED, "clasping", LAID, ROLLING, "none"}
+LYING, LOOSE = "lying across", {"on the ground", "hanging free"}  # passing weight; without ties
+STATES = {*CROSSED, "clasping", LAID, ROLLING, LYING, "none"}
 SAGS = 0.02  # [m] how far cables that lie on one another may be apart: their sags differ
 
 
 # What settings are made of: keys and forms; * may be left out, ? be null, [] is a list, [2] of two.
 FORMS = {
     "settings": "title:text team:any limits:limits separation:separation arena:arena? asked:any "
-    "keep_out:prism[] phases:phase[] objects:any* problem:text* assignment:roles* control:flag* "
+    "keep_out:prism[] phases:any[] objects:any* problem:text* assignment:roles* control:flag* "
     "controllers:named?[]* "
     "leg_tensions:flag* poses:flag* borne:flag* contacts:flag*",
     "several": "title:text problem:text* teams:any others:any asked:groups",
@@ -84,6 +85,7 @@ FORMS = {
     "section": "outline:number[2][]? radius:+?",
     "rim": "section:section height:number",
 }
+FORMS["member"] = f"{FORMS['phase']} ring:count[] waiting:any[2][]"  # where robots join and leave
 KINDS: dict[str, Callable[[Any], bool]] = {
     "text": lambda x: type(x) is str,
     "flag": lambda x: type(x) is bool,
@@ -334,6 +336,17 @@ class Spans:
         q, r = self.ends(k)
         return [q, r, (q + r - UP * self.plan.length[k]) * 0.5]
 
+    def strip(self, k: Index) -> list[Line]:
+        """Corners of the upright strips below chords within which cables are that are laid.
+
+        Nothing of a cable is farther below a chord c, level s, than ``½ √(L² - c²) c / s``.
+        """
+        q, r = self.ends(k)
+        short = 1.0 - self.plan.sag[k] - 1e-4  # chords over lengths, at least
+        deep = (r - q).norm() * (r - q)[:2].norm().inverse() * self.plan.length[k]
+        deep = deep * (0.5 * np.sqrt(1.0 - short**2))
+        return [q, r, q - deep * UP, r - deep * UP]
+
     def part(self, j: Index, b: int = -1) -> list[Line]:
         """Both ends of straight parts of taut cables, as body b sees them."""
         return [self.seen(b, self.point(self.plan.parts[j, end])) for end in (0, 1)]
@@ -553,16 +566,22 @@ class Plan:
     Points are N drones, then P vertices, then two of every edge where it meets and leaves what it
     is wrapped around; of a straight one, its middle. Cable k runs from q_k by vertices begin[k] and
     end[k] to r_k. The i-th leg is from vertex anchor[i]; what it pulls at is toward[i].
+
+    Where robots join and leave, a plan has ``chapters``, else it is its only one: runs of pieces
+    with one ring, as plans of that ring and of every robot that waits ``beside`` it, ``since`` and
+    ``until`` when. Their ``guests`` are who joins, or leaves, as they begin and end: its place.
     """
 
     def __init__(
-        self, file: Any, settings: dict[str, Any], name: str = "", folder: str = "", at: float = 0.0
+        self, file: Any, s: dict[str, Any], label: str = "", folder: str = "", robots: Any = ()
     ) -> None:
-        self.file, self.folder, self.label = file, folder, f"{name}." if name else ""
-        self.settings = settings
-        self._read(settings, at)
-        for words in differences("", settings["asked"], told(self)):
-            raise ValueError(f"{self.label}{words}")
+        self.file, self.folder, self.label, self.settings = file, folder, label, s
+        self.arrays, self.robots, self.guests = dict[str, Array](), np.array(robots), [-1, -1]
+        self.since, self.until, self.beside = -math.inf, math.inf, self
+        self._read(s)
+        for words in () if robots else differences("", s["asked"], told(self)):
+            raise ValueError(f"{label}{words}")
+        self.chapters = [[self]] if "ring" not in self.phases[0] else chapters(self)
 
     def _array(
         self, name: str, *shape: int, other: Array | None = None, most: float = 1e6
@@ -570,10 +589,10 @@ class Plan:
         """Return an array of the file; the other one where the settings do not name it."""
         if self.settings.get(name) is not True and (0 in shape or other is not None):
             return np.zeros((*shape, 1)) if other is None else other
-        name = self.folder + name
-        x: Array = self.file[name]
+        x: Array = self.file[self.folder + name]
+        self.arrays[name] = x
         fits = (x.shape[:-1] if shape[1:] else x.shape) == shape and x.dtype == np.float64
-        fits &= (x.size > 0 or 0 in shape) and self.file.files.count(name) == 1
+        fits &= (x.size > 0 or 0 in shape) and [*self.file].count(self.folder + name) == 1
         if not fits or not np.all(np.abs(x) <= most):
             raise ValueError(f"{name} has another shape, or numbers that are not finite")
         return x
@@ -592,9 +611,11 @@ class Plan:
             for name in ("cable_clearance", "crossing", "object_clearance")
         )
 
-    def _read(self, s: dict[str, Any], at: float) -> None:
+    def _read(self, s: dict[str, Any]) -> None:
         fit("settings", s, "settings")
         fit("settings.team", s["team"], "team" if "robots" in s["team"] else "single")
+        for i, phase in enumerate(s["phases"]):
+            fit(f"settings.phases[{i}]", phase, "member" if "ring" in s["phases"][0] else "phase")
         team, self.breaks, self.phases = s["team"], self.file[f"{self.folder}breaks"], s["phases"]
         self.limits, self.arena, label = dict(s["limits"]), s["arena"], self.label
         self._keep(s["separation"], float(self.limits.get("tracking") or 0.0))
@@ -603,38 +624,41 @@ class Plan:
         m, n, self.closed = len(self.h), self.n, team.get("topology") == "closed"
         N, P = 2 * n or int(team["drones"]), n if self.closed else n + (n > 0)
         self.N, self.V, self.every = N, slice(N, N + P), np.ones(m, dtype=bool)
-        if m < 1 or self.breaks[0] != at or not np.all(self.h > 0.0):
-            raise ValueError(f"{label}breaks do not rise from {at:g}")
+        if m < 1 or not np.all(self.h > 0.0):
+            raise ValueError(f"{label}breaks do not rise")
         self._array("breaks", m + 1, most=BIG)
-        if n and (team["topology"] not in ("closed", "open") or n < 2 + self.closed):
+        few = n < 2 + self.closed and not len(self.robots)
+        if n and (team["topology"] not in ("closed", "open") or few):
             raise ValueError("team has too few robots, or another topology than closed or open")
         if self.limits["reserve"] > 1.0 or self.limits["tilt"] >= 0.5 * math.pi:
             raise ValueError("limits.reserve is above 1, or limits.tilt no acute angle")
-        box = s["arena"] or {"lower": [], "upper": []}
-        if any(low >= high for low, high in zip(box["lower"], box["upper"], strict=True)):
+        box = s["arena"] or {"lower": [0.0], "upper": [1.0]}
+        if np.any(np.array(box["lower"]) >= box["upper"]):
             raise ValueError("arena has no room")
         self.given = {key: self._array(key, n or N) for key in ("mass", "max_thrust")}
-        each = (np.repeat(x[:, None], 1 + (n > 0), axis=0) for x in self.given.values())
-        self.mass, self.max_thrust = each
+        self.mass, self.max_thrust = (
+            np.repeat(x[:, None], 1 + (n > 0), axis=0) for x in self.given.values()
+        )
         for key, x in PLAIN.items():
             other = None if s.get("control") is True else np.full(n or N, x)
             self.given[key] = self._array(key, n or N, other=other, most=math.inf)
-        self.names = [f"{label}{'qr'[i % 2]}{i // 2}" if n else f"{label}d{i}" for i in range(N)]
-        self.cables = [f"{label}cable {k}" for k in range(n)]
-        vertices = [f"{label}p{j}" for j in range(P)]
-        self.labels = [*self.names, *vertices, *np.repeat(self.cables, 2)]
+        self.robots = self.robots if len(self.robots) else np.arange(n)
+        self.names = [f"{label}{end}{k}" for k in self.robots for end in "qr"]
+        self.names += [f"{label}d{i}" for i in range(N - 2 * n)]
+        self.cables = [f"{label}cable {k}" for k in self.robots]
+        self.labels = [*self.names, *(f"{label}p{j}" for j in range(P)), *np.repeat(self.cables, 2)]
         self.floor = 0.0 if self.arena is None else float(self.arena["lower"][2])
         self.within = "ground m min" if self.arena is None else "arena m min"
         ends = [float(phase["end"]) for phase in self.phases[:-1]]
         self.phase = np.searchsorted(ends, self.breaks[:-1] + 0.5 * self.h)
         self._check_phases()
         self.state = np.array([phase["state"] for phase in self.phases])[self.phase]
-        self.formed = np.isin(self.state, ("hitched", ROLLING))
+        self.formed = np.isin(self.state, ("hitched", ROLLING, LYING))
         self.free = ~self.formed & (n > 0)
         self._read_bodies(m, n)
         parts = [self._array("drones", m, N, 3), *self._read_cables(m, n, N, P)]
-        most = max(x.shape[-1] for x in parts)
-        self.points = Curve(np.concatenate([elevated(x, most) for x in parts], axis=1), self.h)
+        parts = [elevated(x, max(y.shape[-1] for y in parts)) for x in parts]
+        self.points = Curve(np.concatenate(parts, axis=1), self.h)
         self.size = float(np.max(np.abs(self.points.c[0])))
         self.saved, self.taken, self.depth, self.shares = loads(self)
         # Ramps: tensions rise from 0, or fall to it, at rest next to a span without a hitch.
@@ -647,17 +671,24 @@ class Plan:
 
     def _check_phases(self) -> None:
         """Raise ValueError unless phases follow each other, and say what there can be."""
-        end, before = self.breaks[0], self.phases[0]["state"]
-        named = self.settings.get("objects", {})
+        end, before = self.breaks[0], dict[str, Any]()
+        named, team = self.settings.get("objects", {}), self.settings["team"]
+        moving = self.settings.keys() & {"poses", "borne", "contacts"}
         for i, phase in enumerate(self.phases):
             at, state, low, hold = (phase[key] for key in ("start", "state", "tension", "hold"))
             follows, end = abs(at - end) <= TOUCH and at < phase["end"], phase["end"]
-            broken, before = state == before or np.min(np.abs(self.breaks - at)) <= TOUCH, state
+            alike = all(phase.get(x) == before.get(x) for x in ("state", "ring", "waiting"))
+            broken, before = alike or np.min(np.abs(self.breaks - at)) <= TOUCH, phase
+            ring, waiting = phase.get("ring"), phase.get("waiting", [])
+            whole = sorted([*(ring or ()), *(k for k, _ in waiting)]) == [*range(self.n)]
+            whole &= len(ring or ()) > 2 and self.closed and not (any(team["load"]) or hold)
+            whole &= not moving and {*LOOSE, LAID}.issuperset(x for _, x in waiting)
             known = not hold or (hold["object"] in named and hold["by"] in ("rest", "grip"))
             known &= {*range(self.n)}.issuperset(hold["cables"] if hold else ())
             for good, words in (
                 (follows, "does not follow what is before"),
                 (broken, "begins another state within a piece"),
+                (ring is None or whole, "has a ring, or robots that wait, that cannot be"),
                 (state in STATES and (state == "none") is (self.n == 0), f"is {state}"),
                 (low is None or low[0] <= low[1], "has no range of tensions"),
                 (known, "holds what is not there"),
@@ -725,6 +756,9 @@ class Plan:
                 within &= self.breaks[1:] <= phase["end"] + TOUCH
                 self.ranged[within], self.range[within] = i, phase["tension"]
         self.least = np.minimum(self.range[..., :1], self.team)
+        self.sag: Array = (
+            self.weight * self.length / self.team
+        ) ** 2 / 24.0  # of a cable over its length
         # Straight parts of taut cables: both points, cable, and vertices at the ends (k, 5).
         stops, on = self.edges if self.bent else self.edges[[0, 3]], np.flatnonzero(self.leg)
         rows = [(self.anchor[on], on, on // 2, self.anchor[on], self.anchor[on])]
@@ -734,6 +768,15 @@ class Plan:
         self.kinds = [f"leg of {self.names[j]}" for j in on] + edges
         return [vertices, contacts.reshape(m, 2 * n, 3, contacts.shape[-1])]
 
+    @property
+    def pair(self) -> Items:
+        """Cables at clasps (2, c): the one behind, the one ahead."""
+        return np.stack([self.behind, self.clasps])
+
+    def follows(self, q: int) -> str:
+        """Return the state as which a piece is followed: what lies across may roll next."""
+        return ROLLING if self.state[q] == LYING else str(self.state[q])
+
     def spans(self, on: Mask, items: Any, *names: Sequence[str]) -> Spans:
         """Whole pieces with items (k,) or (k, c), where on (pieces,) or (pieces, k)."""
         items = np.array(items, dtype=int)
@@ -741,6 +784,46 @@ class Plan:
         piece, k = np.nonzero(np.broadcast_to(on.reshape(len(on), -1), (len(on), len(items))))
         half = np.full(len(k), 0.5)
         return Spans(self, piece, items[k], half, half, names)
+
+
+def chapters(p: Plan) -> list[list[Plan]]:
+    """Return the plans of rings, each with those of the robots that wait beside it."""
+    found, first = list[list[Plan]](), 0
+    for ring, run in groupby(p.phases[i]["ring"] for i in p.phase):
+        pieces = slice(first, first := first + len([*run]))
+        alone = [[k] for k in range(p.n) if k not in ring]
+        found.append([chapter(p, pieces, robots) for robots in (ring, *alone)])
+        if np.any(p.arrays["vertices"][pieces, len(ring) :]):
+            raise ValueError("vertices has more of them than a ring")
+        for x in found[-1]:
+            x.beside = found[-1][0]
+    for one, other in pairwise(found):
+        at, changed = float(other[0].breaks[0]), {*one[0].robots} ^ {*other[0].robots}
+        for x in one + other:
+            x.since, x.until = (x.since, at) if x in one else (at, x.until)
+            if len(changed) == 1 and changed <= {*x.robots}:
+                x.guests[x in one] = x.robots.tolist().index(*changed)
+    return found
+
+
+def chapter(p: Plan, pieces: slice, robots: list[int]) -> Plan:
+    """Return the plan of a ring of some robots, or of one that waits, on a run of pieces."""
+    arrays, n = dict[str, Array](), len(robots)
+    rows = {"drones": [2 * k + end for k in robots for end in (0, 1)], "vertices": [*range(n), n]}
+    for name, x in p.arrays.items():
+        each = rows.get(name, robots)[: None if name == "drones" else max(n, 2)]
+        arrays[name] = x[robots] if x.ndim == 1 else x[pieces, each]
+    arrays["breaks"] = p.breaks[pieces.start : pieces.stop + 1]
+    clasps, topology = (n, "closed") if n > 1 else (0, "open")
+    team = {"robots": n, "topology": topology, "load": [0.0] * clasps}
+    phases = list[dict[str, Any]]()
+    for i in dict.fromkeys(p.phase[pieces].tolist()):
+        phase = {key: x for key, x in p.phases[i].items() if key not in ("ring", "waiting")}
+        states = dict(p.phases[i]["waiting"])
+        own = {} if n > 1 else {"state": states[robots[0]], "tension": None}
+        phases.append(phase | own)
+    settings = p.settings | {"team": p.settings["team"] | team, "phases": phases}
+    return Plan(arrays, settings, p.label, "", robots)
 
 
 def elevated(c: Array, count: int) -> Array:
@@ -794,6 +877,12 @@ def hanging_pull(s: Spans, i: Index) -> Line:
     return joined(off[:2] * sigma.inverse(), rise) * 0.5
 
 
+def depth(L: Array, h: Array, sigma: Array, mu: Array) -> Array:
+    """How far cables are below their chords at μ from -1 to 1."""
+    arch = L * np.sinh(0.5 * (1.0 + mu) * sigma) * np.sinh(0.5 * (1.0 - mu) * sigma)
+    return np.asarray((arch - 0.5 * h * np.sinh(mu * sigma)) / np.sinh(sigma) + 0.5 * h * mu)
+
+
 def hanging_links(s: Spans, k: Index) -> tuple[list[Line], list[Line], Array]:
     """Points of cables, points of their chords above, and how far they sag below links (m, 1).
 
@@ -809,10 +898,9 @@ def hanging_links(s: Spans, k: Index) -> tuple[list[Line], list[Line], Array]:
     rate = 0.25 * (L + np.abs(h) + off.reach) * sigma.rate + 0.5 * off[2].rate
     cable, chord = [], []
     for mu in places:
-        depth = L * np.sinh(0.5 * (1.0 + mu) * g) * np.sinh(0.5 * (1.0 - mu) * g) / np.sinh(g)
-        depth = (depth + 0.5 * h * (mu - np.sinh(mu * g) / np.sinh(g)))[:, None]
+        deep = depth(L, h, g, mu)[:, None]
         chord.append(s.point(2 * k) + off * (0.5 * (1.0 + mu))[:, None])
-        cable.append(chord[-1] - Line(depth, 0.0 * depth, rate, s.t) * UP)
+        cable.append(chord[-1] - Line(deep, 0.0 * deep, rate, s.t) * UP)
     sag = np.max(np.diff(slopes, axis=0) * np.diff(places, axis=0), axis=0)
     return cable, chord, 0.125 * (sag * size(off.v[:, :2]))[:, None]
 
@@ -915,7 +1003,9 @@ def taut_cables(p: Plan) -> Iterator[Row]:
     foreign = np.argwhere((i // 2 != owner) | (edge & p.leg[:, None]))
     shared = np.any(ties[:, None, :, None] == ties[None, :, None, :], axis=(2, 3))
     s = p.spans(on, foreign, p.names, p.kinds)
-    pairs = p.spans(on, np.argwhere(np.triu(~shared, 1)), p.kinds, p.kinds)
+    both, cut = np.argwhere(np.triu(~shared, 1)), [*corners_cut(p).values()]
+    meeting = [mask[:, None] & np.all(both == sorted(legs), axis=1) for mask, legs, _ in cut]
+    pairs = p.spans(on[:, None] & ~sum(meeting, ~p.every[:, None]), both, p.kinds, p.kinds)
 
     def room(s: Spans, _: Index) -> Line:
         """Check that a closed outline turns once around (not twice), a chain less."""
@@ -967,6 +1057,44 @@ def taut_cables(p: Plan) -> Iterator[Row]:
         yield prove("grip bend max", 2 * WRAPPED, straight, bend)
 
 
+def corners_cut(p: Plan) -> dict[int, tuple[Mask, list[int], float]]:
+    """Return where legs lie across each other beyond the edge of who has joined (0), or leaves (1).
+
+    Pieces on which they may touch: as cables lie, and in the phase of rolling before or after; the
+    r-leg of the cable behind, the q-leg of the one ahead; and 1 where that is on top, -1 below.
+    """
+    found = dict[int, tuple[Mask, list[int], float]]()
+    for end, k in enumerate(p.guests):
+        step = slice(None, None, 1 - 2 * end)
+        lying = np.logical_and.accumulate(p.state[step] == LYING)
+        if k >= 0 and lying[0] and p.n > 1:
+            after = p.phase[step][np.append(lying, False).argmin() :][:1]
+            mask = (lying | np.isin(p.phase[step], after) & (p.state[step] == ROLLING))[step]
+            legs = [2 * ((k - 1) % p.n) + 1, 2 * ((k + 1) % p.n)]
+            s = p.spans(mask, [legs])
+            x = np.concatenate([over(s.within(x), *legs).v for x in (-1.0, 0.0, 1.0)])
+            found[end] = mask, legs, float(np.sign(x.flat[np.argmax(np.abs(x))]))
+    return found
+
+
+def over(s: Spans, i: Index, j: Index) -> Line:
+    """How much higher legs j are than legs i: the signed distance of their lines."""
+    n = s.leg(i).cross(s.leg(j)).unit()
+    return (s.point(s.plan.anchor[j]) - s.point(s.plan.anchor[i])).dot(n)
+
+
+def cut_legs(p: Plan) -> Iterator[Row]:
+    """How much higher the upper leg at a corner that is cut is, until both are apart."""
+
+    def above(s: Spans, i: Index, j: Index, sign: float) -> Line:
+        a, b = ([s.point(k), s.point(p.anchor[k])] for k in (i, j))
+        return largest(over(s, i, j) * sign, distance(a, b) - SAGS - p.crossing[1])
+
+    for mask, legs, sign in corners_cut(p).values():
+        s = p.spans(mask, [legs], p.names, p.names)
+        yield prove("laid m min", -SAGS, s, partial(above, sign=sign))
+
+
 def capstan(s: Spans, i: Index) -> Line:
     """``e^{μθ}``, θ the angle from leg to edge that cables wrap at the clasps of drones i."""
     leaving, arriving = s.edge(i // 2)
@@ -988,7 +1116,8 @@ def length_error(s: Spans, k: Index) -> Line:
         total = total + chord + chord * way[:2].dot(way[:2]) * pulled * pulled * (1.0 / 24.0)
     for b in range(len(p.bodies)):
         total = total - p.borne.on(s, b) * p.borne.on(s, b) * p.saved[b, s.piece, k, None]
-    return largest(total, *off, -total, *(-x for x in off)) * (1.0 / p.length[k])
+    most = largest(total, *off, -total, *(-x for x in off)) * (1.0 / p.length[k])
+    return most.only(p.state[s.piece] != LYING) + (most - p.sag[k]).only(p.state[s.piece] == LYING)
 
 
 def arc(s: Spans, k: Index) -> Line:
@@ -1066,10 +1195,17 @@ def forces(s: Spans, c: Index) -> tuple[list[Line], list[Line], list[Line], Line
 
 
 def lacking(s: Spans, c: Index) -> Line:
-    """Return the force that a clasp lacks, to the smaller tension of its cables."""
+    """Return the force that a clasp lacks, to the smaller tension of its cables.
+
+    Where cables lie across each other, their weights may be borne elsewhere.
+    """
     u, P, (a, b), rests = forces(s, c)
     total = u[0] * P[0] + u[1] * P[1] + u[2] * P[2] - u[3] * P[3] - a - b + rests
-    return total.norm() * largest(least(P[1], P[3]), WEAK).inverse()
+    p, lies = s.plan, s.plan.state[s.piece] == LYING
+    both, most = np.stack([p.clasps[c], p.behind[c]]), largest(least(P[1], P[3]), WEAK)
+    passed: Array = p.weight * np.sum(p.length[both], axis=0) / np.min(p.team[both], axis=0)
+    lacks = total.norm() * most.inverse()
+    return lacks.only(~lies) + (lacks - passed).only(lies)
 
 
 def rolled(s: Spans, c: Index) -> Line:
@@ -1149,13 +1285,12 @@ def laid_cables(p: Plan) -> Iterator[Row]:
     """Lengths of cables taut by themselves, and distances of neighbours that are laid."""
     laid, upright = p.state == LAID, upright_pieces(p)
     s = p.spans(laid, range(p.n), p.cables)
-    sag = (p.weight / p.team) ** 2 * p.length**2 / 24.0
 
     def off(s: Spans, k: Index) -> Line:
         """``|c (1 + (ρ g L / T)² cos² α / 24) - L| / L`` of chords c."""
         way = s.across(k)
         x = way.norm() * (1.0 / p.length[k])
-        x = x + x * way[:2].dot(way[:2]) * (sag[k] / p.length[k] ** 2) - 1.0
+        x = x + x * way[:2].dot(way[:2]) * (p.sag[k] / p.length[k] ** 2) - 1.0
         return largest(x, -x)
 
     def beside(s: Spans, k: Index, j: Index) -> Line:
@@ -1166,7 +1301,8 @@ def laid_cables(p: Plan) -> Iterator[Row]:
     yield prove("cable_length 1 max", 1e-4, s, off)
     pairs = np.column_stack([p.clasps, p.behind])
     yield prove(*p.crossing, p.spans(laid & ~upright, pairs, p.cables, p.cables), beside)
-    _, sign, end = crossed(p, np.zeros((p.n, p.n, len(p.h))))
+    ties = np.zeros((3, len(p.clasps)))
+    _, sign, end = crossed(p, np.zeros((p.n, p.n, len(p.h))), ties, ("", ""))
     s = p.spans(laid & upright, range(len(p.clasps)), p.labels[p.V])
 
     def above(s: Spans, c: Index) -> Line:
@@ -1183,24 +1319,70 @@ def upright_pieces(p: Plan) -> Mask:
     return np.asarray(np.max(np.ptp(level, axis=-1), axis=(1, 2)) <= TOUCH)
 
 
+def meet(a: Array, u: Array, b: Array, w: Array) -> tuple[Array, Array]:
+    """Shares of ways u from a, and w from b, at which they cross from above, or nan."""
+    apart, turn = b - a, u[..., 0] * w[..., 1] - u[..., 1] * w[..., 0]
+    x, y = (apart[..., 0] * v[..., 1] - apart[..., 1] * v[..., 0] for v in (w, u))
+    x, y = (z / np.where(turn == 0.0, TINY, turn) for z in (x, y))
+    inside = (x > 0.0) & (x < 1.0) & (y > 0.0) & (y < 1.0)
+    return np.where(inside, x, np.nan), np.where(inside, y, np.nan)
+
+
+def level(p: Plan, q: int, x: float, k: Items, share: Array) -> Array:
+    """Heights (k,) of cables that hang, at shares of their chords."""
+    s = Spans(p, 0 * k + q, k[:, None], np.full(len(k), x), np.zeros(len(k)))
+    with np.errstate(all="ignore"):
+        off, g = (each.v for each in hanging(s, 2 * k))
+        deep = depth(p.length[k, 0], off[:, 2], g[:, 0], 2.0 * share - 1.0)
+    return np.asarray(s.point(2 * k).v[:, 2] + share * off[:, 2] - deep)
+
+
 def heights(p: Plan, q: int, x: float) -> Array:
     """By how much cables are over those behind them where they cross from above (c,), or nan."""
     k = np.arange(p.n)
     s = Spans(p, 0 * k + q, k[:, None], np.full(p.n, x), np.zeros(p.n))
-    with np.errstate(all="ignore"):
-        off, g = (each.v for each in hanging(s, 2 * k))
-    at, g, z = s.point(2 * k).v, g[:, 0], list[Array]()
-    a, b = p.clasps, p.behind
-    apart, turn = at[b] - at[a], off[a, 0] * off[b, 1] - off[a, 1] * off[b, 0]
-    for cable, other in ((a, b), (b, a)):
-        w = off[other]
-        share = (apart[:, 0] * w[:, 1] - apart[:, 1] * w[:, 0]) / np.where(turn == 0.0, TINY, turn)
-        share = np.where((share > 0.0) & (share < 1.0), share, np.nan)
-        mu, y, h = 2.0 * share - 1.0, g[cable], off[cable, 2]
-        depth = np.sinh(share * y) * np.sinh((1.0 - share) * y) / np.sinh(y) * p.length[cable, 0]
-        depth = depth + 0.5 * h * (mu - np.sinh(mu * y) / np.sinh(y))
-        z.append(at[cable, 2] + share * h - depth)
-    return np.asarray(z[0] - z[1])
+    at, way, a, b = s.point(2 * k).v, s.across(k).v, p.clasps, p.behind
+    shares = meet(at[a], way[a], at[b], way[b])
+    over, under = (level(p, q, x, *each) for each in zip((a, b), shares, strict=True))
+    return over - under
+
+
+class Lowered(NamedTuple):
+    """A taut cable that goes straight up, or down, over edges of a ring at rest, or under them.
+
+    Mask of pieces; edges that it crosses, and where (k, 2); by how much it is higher where it lies
+    on them, and at the other end of these pieces (k,); 1 if it is above, -1 below; its height.
+    """
+
+    pieces: Mask
+    edges: Items
+    places: Array
+    lies: Array
+    away: Array
+    side: Array
+    at: float
+
+
+def laid_on(alone: Plan) -> dict[int, Lowered]:
+    """Return how a robot's cable is lifted as it has left (0), and laid as it joins (1)."""
+    ring, found = alone.beside, dict[int, Lowered]()
+    still = np.max(np.ptp(ring.points.c[0][:, : ring.V.stop], axis=-1), axis=(1, 2)) <= TOUCH
+    down = (alone.state == LAID) & upright_pieces(alone) & ring.formed & still
+    for end in (end for end in (0, 1) if alone.guests[end] >= 0 and down[-end]):
+        step = slice(None, None, 1 - 2 * end)
+        run = np.logical_and.accumulate(down[step])[step]
+        c, points = (each.points.c[0][-end, ..., -end] for each in (alone, ring))
+        a, way = points[ring.begin], points[ring.end] - points[ring.begin]
+        here, there = meet(c[:1], c[1:2] - c[:1], a, way)
+        k = np.flatnonzero(~np.isnan(here))
+        a, way, y = a[k], way[k], there[k]
+        sag = 0.5 * ring.weight / ring.team[k, 0] * y * (1.0 - y) * size(way) ** 2
+        gaps = level(alone, -end % len(run), float(end), 0 * k, here[k])
+        gaps += sag - a[:, 2] - y * way[:, 2]
+        far = gaps + alone.points.c[0][np.flatnonzero(run)[end - 1], 0, 2, end - 1] - c[0, 2]
+        places = a[:, :2] + y[:, None] * way[:, :2]
+        found[end] = Lowered(run, k, places, gaps, far, np.sign(far), float(c[0, 2]))
+    return found
 
 
 def followed(p: Plan, run: Items) -> tuple[Array, Array, Mask]:
@@ -1224,18 +1406,22 @@ def followed(p: Plan, run: Items) -> tuple[Array, Array, Mask]:
     return angles[0], np.sum(steps, axis=0), np.all(known.reshape(-1, count), axis=0)
 
 
-def crossed(p: Plan, passed: Array) -> tuple[list[Fault], Array, Array]:
+def crossed(
+    p: Plan, passed: Array, ties: Array, around: Sequence[str]
+) -> tuple[list[Fault], Array, Array]:
     """Replay half crossings of neighbours that are laid and roll; ``passed`` (n, n, m) gets them.
+
+    ``ties`` (3, c) are crossings, senses, and who lies on whom: as it begins, then as it ends, but
+    for crossings. ``around`` are the states before and after.
 
     Faults; and on pieces with cables that go straight up or down, the sign (m, c) of who is above,
     and how high its q is to be at least over the other one's, times that.
     """
     m, count, faults = len(p.h), len(p.clasps), list[Fault]()
     sign, end = np.zeros((m, count)), np.full((m, count), -BIG)
-    upright, lies = upright_pieces(p), np.zeros(count)
-    sense = np.ones(count) * p.formed[0]
-    runs = [(s, np.array([*q])) for s, q in groupby(range(m), lambda q: str(p.state[q]))]
-    names = ["", *(s for s, _ in runs), ""]
+    upright, (number, sense, lies) = upright_pieces(p), ties.copy()
+    runs = [(s, np.array([*q])) for s, q in groupby(range(m), p.follows)]
+    names = [around[0], *(s for s, _ in runs), around[1]]
     i, j = np.minimum(p.clasps, p.behind), np.maximum(p.clasps, p.behind)
 
     def wrong(q: int, bad: Any, words: str) -> None:
@@ -1243,7 +1429,7 @@ def crossed(p: Plan, passed: Array) -> tuple[list[Fault], Array, Array]:
 
     for at, (state, run) in enumerate(runs):
         before, after, q = names[at], names[at + 2], int(run[0])
-        tied = np.abs(np.sum(passed[i, j, :q], axis=-1) + float(p.formed[0])) == 1.0
+        tied = np.abs(np.sum(passed[i, j, :q], axis=-1) + number) == 1.0
         if state == LAID:
             wrong(q, before != ROLLING and np.any(tied | (lies != 0.0)), "tied cables are laid")
             for straight, part in groupby(run.tolist(), lambda q: bool(upright[q])):
@@ -1272,8 +1458,7 @@ def crossed(p: Plan, passed: Array) -> tuple[list[Fault], Array, Array]:
             opened = np.abs(start) >= ROLLED
             lies = np.where(opened, np.sign(change), 0.0) if not before else lies
             wrong(q, ~known | (opened != (lies != 0.0)) | ~(opened | tied), "untied cables roll")
-            if before == LAID:
-                passed[i, j, run[-1]] += lies
+            passed[i, j, run[-1]] += np.where(tied, 0.0, lies)
             sense = np.where(lies != 0.0, lies, sense)
             left = start + 180.0 * sense  # from where they lie across
             left = np.where(opened, (left + 180.0) % 360.0 - 180.0, left) + change
@@ -1282,7 +1467,8 @@ def crossed(p: Plan, passed: Array) -> tuple[list[Fault], Array, Array]:
             wrong(q, {LAID: ~across, "hitched": across}.get(after, False), "half a roll is missing")
             lies = np.where(across, sense, 0.0)
         elif state == "hitched" and before not in ("", ROLLING):
-            sense = np.sum(passed[i, j, :q], axis=-1) + float(p.formed[0])
+            sense = np.sum(passed[i, j, :q], axis=-1) + number
+    ties[1:] = sense, lies
     return faults, sign, end
 
 
@@ -1456,14 +1642,15 @@ def gripped(p: Plan, b: int) -> Iterator[Row]:
 
 
 class Pair(Plan):
-    """Two plans on the breaks of both, each at rest before and after its own time.
+    """Two plans on the breaks of both, each at rest before and after its own time, if it is whole.
 
     Items of its spans are one of each plan. Distances are the larger ones of all own plans.
     """
 
     def __init__(self, p: Plan, q: Plan, separation: dict[str, float], off: float) -> None:
         self.plans, self.size = (p, q), max(p.size, q.size)
-        self.breaks = np.unique(np.concatenate([p.breaks, q.breaks]))
+        breaks = np.concatenate([p.breaks, q.breaks])
+        self.breaks = np.unique(breaks.clip(max(p.since, q.since), min(p.until, q.until)))
         self.h = np.diff(self.breaks)
         self._keep(separation, off)
 
@@ -1491,17 +1678,21 @@ Solid = tuple[Mask, Sequence[str], Callable[..., list[Line]]]
 
 
 def solids(p: Plan) -> list[Solid]:
-    """Drones, straight parts of taut cables, and sheets: on which pieces, names, and corners."""
-    drones = p.every, p.names, lambda s, i: [s.point(i)]
-    return [drones, (p.formed, p.kinds, Spans.part), (p.free, p.cables, Spans.sheet)]
+    """Drones, straight parts of taut cables, sheets and strips: on which pieces, names, corners."""
+    drones, laid = (p.every, p.names, lambda s, i: [s.point(i)]), p.state == LAID
+    sheets = (p.free & ~laid, p.cables, Spans.sheet), (laid, p.cables, Spans.strip)
+    return [drones, (p.formed, p.kinds, Spans.part), *sheets]
 
 
 def across(pair: Pair) -> Iterator[Row]:
     """Distances between drones and cables of two plans.
 
     Cables that hang or lie are in the sheets below their chords. What is compared with a sheet is
-    beside it, as seen from above, or over or under all of it.
+    beside it, as seen from above, or over or under all of it. A cable that is laid on edges, or
+    lifted from them, is only not to pass through these.
     """
+    p, q = pair.plans
+    low = [*laid_on(q).values()] if q.beside is p else []
 
     def aside(a: list[Line], b: list[Line]) -> Line:
         heights = [[x[2] for x in corners] for corners in (a, b)]
@@ -1516,10 +1707,21 @@ def across(pair: Pair) -> Iterator[Row]:
         return how(*(x[2](t, k) for x, t, k in zip(of, pair.both(s), items, strict=True)))
 
     for (i, one), (j, two) in product(*(enumerate(solids(p)) for p in pair.plans)):
-        how, what = aside if 2 in (i, j) else distance, pair.cable if 0 in (i, j) else pair.crossing
+        how = aside if max(i, j) > 1 else distance
+        what, s = pair.cable if 0 in (i, j) else pair.crossing, pair.items(one, two)
         if i == j == 0:
             how, what = ratio, ("separation ratio min", 1.0)
-        yield prove(*what, pair.items(one, two), partial(apart, of=(one, two), how=how))
+        if (i, j) == (1, 3):
+            for x in low:
+                s = s.take(~(x.pieces[s.piece] & np.isin(s.item[:, 0], 2 * p.n + x.edges)))
+        yield prove(*what, s, partial(apart, of=(one, two), how=how))
+    for x in low:
+
+        def above(s: Spans, k: Index, x: Lowered = x) -> Line:
+            return (s.point(0 * k)[2] - x.at + x.lies[k, None]) * x.side[k, None]
+
+        edges = [p.kinds[2 * p.n + k] for k in x.edges]
+        yield prove("laid m min", -TOUCH, q.spans(x.pieces, range(len(x.edges)), edges), above)
 
 
 def beside_objects(pair: Pair) -> Iterator[Row]:
@@ -1548,7 +1750,7 @@ def beside_objects(pair: Pair) -> Iterator[Row]:
     for b, slab, body in foreign(q, p):
         for i, one in enumerate(solids(p)):
             what = room if i else ("keep_out m min", pair.sep["radius"] + pair.tracking)
-            high = slab.grown(0.0, -BIG, BIG) if i == 2 else slab
+            high = slab.grown(0.0, -BIG, BIG) if i > 1 else slab
             yield prove(*what, pair.items(one, body), partial(gap, b=b, slab=high, how=one[2]))
         for o, block, other in foreign(p, q):
             formula = partial(between, b=b, slab=slab, o=o, block=block)
@@ -1567,16 +1769,23 @@ def judged(name: str, unit: str, limit: float, found: Sequence[tuple[float, floa
 
 
 def jumps(p: Plan) -> Iterator[Row]:
-    """Jumps where pieces meet: positions, velocities, accelerations; tensions, pulls, thrusts."""
+    """Jumps where pieces meet: positions, velocities, accelerations; tensions, pulls, thrusts.
 
-    def jump(c: Array, names: Sequence[str], on: Any = True) -> Iterator[tuple[float, float, str]]:
-        x = size(c[1:, ..., 0] - c[:-1, ..., -1]) * on
+    Where rings change thrusts may jump by their cables' weights, as these lie on one another.
+    """
+    parts, bodies = [*chain(*p.chapters)], [body.name for body in p.bodies]
+    same = ~np.isin(p.breaks[1:-1], [x.since for x in parts])[:, None]
+    both = (p.formed[1:] & p.formed[:-1])[:, None] & same
+
+    def jump(
+        c: Array, names: Sequence[str], on: Any = True, less: Any = 0.0
+    ) -> Iterator[tuple[float, float, str]]:
+        x = (size(c[1:, ..., 0] - c[:-1, ..., -1]) - less) * on
         if x.size:
             q, i = np.unravel_index(np.argmax(x), x.shape)
             yield float(x[q, i]), float(p.breaks[q + 1]), names[int(i)]
 
     found: list[tuple[float, float, str]] = []
-    both, bodies = (p.formed[1:] & p.formed[:-1])[:, None], [body.name for body in p.bodies]
     for k in range(3):
         found += [*jump(p.points.c[k][:, : p.N], p.names), *jump(p.poses.c[k], bodies)]
         found += jump(p.points.c[k][:, p.V], p.labels[p.V], both)
@@ -1584,26 +1793,51 @@ def jumps(p: Plan) -> Iterator[Row]:
     yield judged("continuity", "m", 1e-6, found)
     if not p.n:
         return
-    s, on = p.spans(p.every, range(p.N)), p.formed[:, None, None, None]
-    with np.errstate(all="ignore"):
-        thrust = [s.within(end).thrust(s.item[:, 0]).v.reshape(-1, p.N, 3) for end in (-1.0, 1.0)]
+    f = np.zeros((len(p.h), p.n, 2, 3, 2))  # thrusts as pieces begin and end
+    for x in parts:
+        s, pieces = x.spans(x.every, range(x.N)), np.isin(p.breaks[:-1], x.breaks[:-1])
+        with np.errstate(all="ignore"):
+            ends = [s.within(end).thrust(s.item[:, 0]).v for end in (-1.0, 1.0)]
+        f[np.ix_(pieces, x.robots)] = np.stack(ends, -1).reshape(-1, x.n, 2, 3, 2)
+    on, less = p.formed[:, None, None, None], p.weight * np.repeat(p.length[:, 0], 2) * ~same
     found = [
-        *jump(np.stack(thrust, -1), p.names),
-        *jump(p.tensions.c[0] * on, p.cables),
-        *jump(p.pulls.c[0] * on, p.names),
+        *jump(f.reshape(-1, p.N, 3, 2), p.names, less=less),
+        *jump(p.tensions.c[0] * on, p.cables, same),
+        *jump(p.pulls.c[0] * on, p.names, same),
     ]
     # Where a range of tensions begins or ends, they are the team's, unless something is held.
-    held = np.any(p.held, axis=0)
-    for q, end in ((q, end) for q in np.flatnonzero(p.formed & (p.ranged >= 0)) for end in (0, -1)):
-        o = q - 1 - 2 * end
-        if not 0 <= o < len(p.h) or (p.ranged[o] != p.ranged[q] and not (held[q] and held[o])):
-            off = np.max(np.abs(p.tensions.c[0][q, :, :, end] - p.team))
-            found.append((float(off), float(p.breaks[q - end]), "range"))
+    for x in (rings[0] for rings in p.chapters):
+        held = np.append(np.any(x.held, axis=0), False)
+        ranged = np.append(x.ranged, -1)  # no range before and after
+        for q, end in product(np.flatnonzero(x.formed & (x.ranged >= 0)), (0, -1)):
+            o = q - 1 - 2 * end
+            if ranged[o] != ranged[q] and not (held[q] and held[o]):
+                off = np.max(np.abs(x.tensions.c[0][q, :, :, end] - x.team))
+                found.append((float(off), float(x.breaks[q - end]), "range"))
     yield judged("tension", "N", 1e-4, found)
 
 
 def interlacing(p: Plan) -> Iterator[Row]:
-    """Pairs of cables whose chords pass through each other otherwise than the states of phases say.
+    """Pairs of cables that pass through each other otherwise than the states of phases say."""
+    faults, rings, first = list[Fault](), [chapter[0] for chapter in p.chapters], 0
+    known = np.zeros((3, p.n, p.n))  # crossings, senses, and who lies on whom, [behind, ahead]
+    known[:2, *rings[0].robots[rings[0].pair]] = float(p.formed[0])
+    later = np.flip(np.logical_or.accumulate(np.flip(p.free)))  # cables are free then, or later
+    names = ["", "", *(x.follows(end) for x in rings for end in (0, -1)), "", ""]
+    for at, ring in enumerate(rings):
+        loose = later[first : (first := first + len(ring.h))]
+        faults += linked(ring, known, loose, names[2 * at + 1 : 2 * at + 5 : 3])
+        if ring is not rings[-1]:
+            faults += seam(p.chapters[at], p.chapters[at + 1], known)
+    faults = sorted(each for each in faults if each[1])
+    places = [*dict.fromkeys(words for _, _, words in faults)]
+    time, where = faults[0][0] if faults else float(p.breaks[-1]), ", ".join(places[:6])
+    if np.any(p.free) or np.any(np.isin(p.state, (LAID, ROLLING, LYING))):
+        yield judged("interlacing", "1", 0.0, [(float(len(places)), time, where)])
+
+
+def linked(p: Plan, known: Array, loose: Mask, around: Sequence[str]) -> Iterator[Fault]:
+    """Follow the chords of a chapter where they are ``loose``, and what is known of all ties.
 
     A hitch takes its links along: chords are followed there too where cables are let go later. On
     spans on which chords may touch each must cross the other for certain, seen along their common
@@ -1631,27 +1865,71 @@ def interlacing(p: Plan) -> Iterator[Row]:
         np.add.at(passed, (*s.item.T, s.piece), 0.5 * (sign(s, 1.0) - sign(s, -1.0)) * sure)
         return Line(s.zero.v, s.zero.g, np.where(apart | sure, 0.0, BIG), s.t)
 
-    loose = np.flip(np.logical_or.accumulate(np.flip(p.free)))  # cables are free then, or later
-    # Neighbours that are laid, or roll, are compared otherwise.
-    both, laid = np.triu_indices(n, 1), np.isin(p.state, (LAID, ROLLING))
+    # Neighbours that are laid, or roll, are compared otherwise, and those beyond a guest's edge.
+    both, laid = np.triu_indices(n, 1), np.isin(p.state, (LAID, ROLLING, LYING))
     loose = loose[:, None] & ~(laid[:, None] & p.tied[both])
+    for mask, legs, _ in corners_cut(p).values():
+        loose[mask] &= np.any(np.stack(both, -1) != sorted(k // 2 for k in legs), axis=1)
     pairs = p.spans(loose, np.column_stack(both), p.cables, p.cables)
     row = prove("interlacing 1 min", 0.0, pairs, decided)
-    faults = [each for each in crossed(p, passed)[0] if each[1]] if np.any(laid) else []
-    count = np.abs(np.cumsum(np.insert(passed, 0, p.tied * float(p.formed[0]), axis=-1), axis=-1))
+    yield row.time, row.verdict != "proven", row.where
+    i, j, ties = np.minimum(*p.pair), np.maximum(*p.pair), known[:, *p.robots[p.pair]]
+    if np.any(laid):
+        yield from crossed(p, passed, ties, around)[0]
+    passed = np.insert(passed, 0, 0.0, axis=-1)
+    passed[i, j, 0] = ties[0]
+    count = np.cumsum(passed, axis=-1)
+    known[:, *p.robots[p.pair]] = count[i, j, -1], *ties[1:]
     want = np.where(p.tied[..., None], [CROSSED.get(state, -1) for state in p.state], 0)
     same = np.concatenate([[False], p.formed[1:] & p.formed[:-1], [False]])  # within a hitch
-    wrong = (count[..., 1:] != want) & ~same[1:] | (count[..., :-1] != want) & ~same[:-1]
-    wrong &= want >= 0
+    wrong = (np.abs(count[..., 1:]) != want) & ~same[1:]
+    wrong = (wrong | (np.abs(count[..., :-1]) != want) & ~same[:-1]) & (want >= 0)
     wrong[..., -1] |= (count[..., -1] != 0.0) & ~p.formed[-1]
-    bad = np.argwhere(wrong & np.triu(np.ones((n, n), dtype=bool), 1)[..., None])
-    places = {f"{p.cables[i]} {p.cables[j]}" for i, j, _ in bad.tolist()}
-    places |= {row.where} if row.verdict != "proven" else set()
-    places |= {words for _, _, words in faults}
-    time = float(p.breaks[bad[0, 2]]) if len(bad) else row.time
-    if np.any(p.free) or np.any(laid):
-        where = ", ".join(sorted(places)[:6])
-        yield judged("interlacing", "1", 0.0, [(float(len(places)), time, where)])
+    for k, o, q in np.argwhere(wrong & np.triu(np.ones((n, n), dtype=bool), 1)[..., None]):
+        yield float(p.breaks[q]), True, f"{p.cables[k]} {p.cables[o]}"
+
+
+def seam(one: list[Plan], other: list[Plan], known: Array) -> Iterator[Fault]:
+    """Carry what is known of ties into the next chapter, whose ring has one robot more, or less.
+
+    It has come straight down on both neighbours, which lie across each other, on top of both, or
+    up from below both, and goes as it came; who is on top at their corner stays so. Free cables may
+    be those of any robots next.
+    """
+    a, b, time = one[0], other[0], float(other[0].breaks[0])
+    states = a.follows(-1), b.follows(0)
+    if LOOSE.issuperset(states):
+        known[:] = 0.0
+        laid = [*(x.state[-1] for x in one), *(x.state[0] for x in other)]
+        yield time, LAID in laid, "a robot that waits is laid beside free cables"
+        return
+    joins = b.n > a.n
+    less, more, end = (a, b, -1) if joins else (b, a, 0)
+    k = more.guests[not joins]
+    robot, *rest = np.roll(more.robots, -k).tolist()
+    turned = [np.roll(less.robots, x).tolist() for x in range(less.n)]
+    passes = more.state[-1 - end] == LYING and less.state[end] == ROLLING
+    if k < 0 or not passes or rest not in turned:
+        yield time, True, "rings differ otherwise than by a robot between neighbours that lie"
+        return
+    behind, ahead, alone = rest[-1], rest[0], (one if joins else other)[1:]
+    low = laid_on(next(x for x in alone if x.robots == robot)).get(int(joins))
+    corner, side, ends = corners_cut(more)[int(not joins)][2], 0.0, [more.begin[k], more.end[k]]
+    if low is not None and {*less.robots[low.edges].tolist()} == {behind, ahead}:
+        new = more.points.c[0][-1 - end, :, :2, -1 - end][ends]
+        off = size(low.places - new[(less.robots[low.edges] == ahead).astype(int)])
+        near = (low.side * low.lies >= -TOUCH) & (np.abs(low.lies) <= SAGS) & (off <= SAGS)
+        near &= (np.abs(low.away) >= more.crossing[1]) & (low.side == low.side[0])
+        side = float(low.side[0] * np.all(near))
+    goes, comes = {(behind, ahead): corner}, {(behind, robot): side, (robot, ahead): -side}
+    goes, comes = (goes, comes) if joins else (comes, goes)
+    for pair, lies in (goes | comes).items():
+        wrong = lies == 0.0 or (pair in goes and known[2, *pair] != lies)
+        yield time, wrong, f"cables {pair[0]} and {pair[1]} do not lie as a robot joins or leaves"
+        known[:, *pair] = 0.0, 0.0, lies * (pair in comes)
+    (x, last), (y, first) = ((r.robots[r.pair].T, r.points.c[0][:, r.begin]) for r in (a, b))
+    moved = size(last[-1, :, None, :, -1] - first[0, None, :, :, 0]) > TOUCH
+    yield time, bool(np.any(moved & np.all(x[:, None] == y, axis=-1))), "a vertex moves"
 
 
 def story(p: Plan) -> Iterator[Row]:
@@ -1671,14 +1949,15 @@ def phases(p: Plan) -> Iterator[Fault]:
         s, k = p.spans(on & p.free, range(p.n)), np.tile(np.arange(p.n), np.sum(on & p.free))
         pulls = any(np.any(x.c[0][on & p.free]) for x in (p.legs, p.tensions, p.pulls))
         yield at, pulls, "tensions or legs without a hitch"
-        if state in (LAID, ROLLING) and np.any(on):
+        if state == LAID and np.any(on):
             way = c[on][:, 1::2] - c[on][:, 0::2]
             turned = np.max(np.ptp(way, axis=(0, -1))) > TOUCH
-            yield at, state == LAID and bool(turned), "cables turn as they are laid"
-        if state == ROLLING and np.any(on):
+            yield at, bool(turned), "cables turn as they are laid"
+        if state in (ROLLING, LYING) and np.any(on):
             still = p.points.c[0][on][:, p.V]
             moved = np.max(np.ptp(still, axis=(0, -1))) > TOUCH
-            moved |= np.max(np.ptp(p.legs.c[0][on], axis=(0, -1))) > CLOSE
+            drift = SAGS if state == LYING else CLOSE
+            moved |= np.max(np.ptp(p.legs.c[0][on], axis=(0, -1))) > drift
             yield at, bool(moved), "vertices or legs move as pairs roll"
             T, pulled = p.tensions.c[0][on], p.pulls.c[0][on]
             other = np.ptp(p.team) > 0.0 or np.max(np.abs(pulled - np.repeat(T, 2, 1))) > 1e-4
@@ -1687,6 +1966,9 @@ def phases(p: Plan) -> Iterator[Fault]:
             start, change, _ = followed(p, np.flatnonzero(on))
             shut = np.abs([start, start + change]) < ROLLED
             yield at, bool(np.all(shut)), "no pair rolls, or lies across"
+            passing = [mask for mask, *_ in corners_cut(p).values()]
+            ends = np.all(np.any([*passing, ~on], axis=0)) and np.max(np.abs(change)) < 180 - ROLLED
+            yield at, state == LYING and not ends, "cables pass weight as none joins or leaves"
         if p.n and state == "on the ground":
             with np.errstate(all="ignore"):
                 depth = [np.min(lowest(s.within(x), k).v) for x in (-1.0, 0.0, 1.0)]
@@ -1746,7 +2028,7 @@ def told(p: Plan) -> dict[str, Any]:
         start["drones"] = {"qr"[end]: [first[i] for i in flown[end]] for end in (0, 1)}
         team |= {"cable_length": p.length[roles, 0].tolist(), "tension": p.team[roles, 0].tolist()}
         if p.formed[0]:
-            start["hitch"] = outline(p.points.c[0][0, p.V, :, 0])
+            start["hitch"] = outline(p, 0, 0)
     said: dict[str, dict[float, Any]] = {"stiffness": {math.inf: None}}  # of numbers
     said |= {key: {0.0: False, 1.0: True} for key in ("integral", "feed_forward")}
     named = s.get("controllers") or [None]  # one for all, or one per kind
@@ -1780,11 +2062,14 @@ def step(p: Plan, run: list[dict[str, Any]]) -> dict[str, Any]:
     whole = [min(low for low, _ in ranges), max(high for _, high in ranges)] if ranges else None
     found |= {"tension": whole, "polygon": None, "altitude": None}
     found["holds"] = [[*y] for y in dict.fromkeys((y["object"], y["by"]) for y in holds)]
-    return found | (outline(x[p.V]) if p.formed[last] else {})
+    found |= {key: x for key, x in run[-1].items() if key == "ring"}
+    return found | (outline(p, last, -1) if p.formed[last] else {})
 
 
-def outline(vertices: Array) -> dict[str, Any]:
-    """Return the polygon and the altitude of a hitch."""
+def outline(p: Plan, q: int, end: int) -> dict[str, Any]:
+    """Return the polygon and the altitude of a hitch as a piece begins or ends."""
+    count = len(p.phases[p.phase[q]].get("ring", range(p.V.stop)))
+    vertices = p.points.c[0][q, p.V, :, end][:count]
     return {"polygon": vertices[:, :2].tolist(), "altitude": float(np.mean(vertices[:, 2]))}
 
 
@@ -1808,11 +2093,14 @@ def differences(key: str, asked: Any, found: Any) -> Iterator[str]:
 
 def checked(p: Plan) -> Iterator[Row]:
     """Yield the rows of all checks one after the other, several for some limits."""
-    for check in (story, jumps, interlacing, drones, *((taut_cables, free_cables) if p.n else ())):
-        yield from check(p)
-    for check_of in (resting, gripped, clear_objects):
-        for b in range(len(p.bodies)):
-            yield from check_of(p, b)
+    for part in chain(*p.chapters):
+        taut = (taut_cables, cut_legs) if np.any(part.formed) else ()
+        for check in (story, drones, *taut, *((free_cables,) if p.n else ())):
+            yield from check(part)
+        for check_of in (resting, gripped, clear_objects):
+            for b in range(len(p.bodies)):
+                yield from check_of(part, b)
+    yield from (*jumps(p), *interlacing(p))
 
 
 def read(path: Path) -> tuple[list[Plan], list[Plan]]:
@@ -1821,7 +2109,7 @@ def read(path: Path) -> tuple[list[Plan], list[Plan]]:
         with np.load(path, allow_pickle=False) as file:
             form, s = str(file["format"]), json.loads(str(file["settings"]))
             if form == "hitchopt-plan/1":
-                return [Plan(file, s)], []
+                return [begun(Plan(file, s), 0.0)], []
             if form != "hitchopt-plan/2":
                 raise ValueError("its format is neither hitchopt-plan/1 nor hitchopt-plan/2")
             return several(file, s)
@@ -1849,13 +2137,20 @@ def several(file: Any, s: dict[str, Any]) -> tuple[list[Plan], list[Plan]]:
         if name in others:
             fit(f"asked.others.{name}", asked[name], "other")
             folder, at = f"others/{name}/", asked[name]["at"]
-        plans.append(Plan(file, head | x, name, folder, at))
+        plans.append(begun(Plan(file, head | x, f"{name}." if name else "", folder), at))
     own = plans[: len(teams)]
     if max(abs(p.breaks[-1] - own[0].breaks[-1]) for p in own) > TOUCH:
         raise ValueError("teams do not cover the same time")
     for p in own:
         waits(p)
     return own, plans[len(teams) :]
+
+
+def begun(p: Plan, at: float) -> Plan:
+    """Return a plan; raise ValueError where it does not begin when it is said to."""
+    if p.breaks[0] != at:
+        raise ValueError(f"{p.label}breaks do not rise from {at:g}")
+    return p
 
 
 def waits(p: Plan) -> None:
@@ -1872,11 +2167,15 @@ def verify(path: str | Path) -> Iterator[Row]:
     path = Path(path)
     own, others = read(path / "plan.npz" if path.is_dir() else path)
     rows, order = [row for p in own for row in checked(p)], ("violated", "not proven", "proven")
+    parts, besides = (
+        [x for p in plans for each in p.chapters for x in each] for plans in (own, others)
+    )
     keys, off = own[0].settings["separation"], max(p.tracking for p in own)
     wide = {key: max(p.settings["separation"][key] for p in own) for key in keys}
-    for p, q in (x for x in combinations([*own, *others], 2) if x[0] in own):
-        one, two = Pair(p, q, wide, off), Pair(q, p, wide, off)
-        rows += [*across(one), *beside_objects(one), *beside_objects(two)]
+    for p, q in combinations([*parts, *besides], 2):
+        if p in parts and max(p.since, q.since) < min(p.until, q.until):
+            one, two = Pair(p, q, wide, off), Pair(q, p, wide, off)
+            rows += [*across(one), *beside_objects(one), *beside_objects(two)]
     rows = [row for row in rows if row.samples]
     for name, unit in dict.fromkeys((row.name, row.unit) for row in rows):
         same = [row for row in rows if (row.name, row.unit) == (name, unit)]

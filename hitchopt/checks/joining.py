@@ -133,28 +133,41 @@ def _wrong(chapters: Sequence[Motion]) -> Iterator[tuple[float, str]]:
         for _, pair, time in wrong_cables(ring, ties, before, after):
             k, j = divmod(pair, ring.team.robots)
             yield time, f"cable {ring.team.labels[k]}, cable {ring.team.labels[j]}"
+        passing, breaks = ring.in_states(frozenset({CableState.LYING})), ring.drones.breaks
         for corner in cut_corners(ring):
             if not corner_side(ring, corner):
-                yield float(ring.drones.breaks[corner.pieces.start]), names[corner.clasps[0]]
-        yield from _beside(chapters[i])
+                yield float(breaks[corner.pieces.start]), names[corner.clasps[0]]
+            seam = i > 0 if corner.pieces.start == 0 else i < last
+            passing[corner.pieces] &= not seam
+        for piece in np.flatnonzero(passing).tolist():
+            yield float(breaks[piece]), "ring"
+        yield from _beside(chapters[i], (i > 0, i < last))
         if i < last:
             time = float(ring.drones.breaks[-1])
             ties, places = _over_seam(chapters[i], chapters[i + 1], ties)
             yield from ((time, place) for place in places)
 
 
-def _beside(chapter: Motion) -> Iterator[tuple[float, str]]:
-    """Yield robots whose cable meets an edge that it goes straight up or down to."""
+def _beside(chapter: Motion, seams: tuple[bool, bool]) -> Iterator[tuple[float, str]]:
+    """Yield robots that wait otherwise than said, or whose cable meets an edge.
+
+    It may touch edges over, or under, which it goes straight up or down next to a seam.
+    """
     ring = chapter.groups[0].motion
     least = max(CROSSING.limit_of(ring) or 0.0, TOUCHING)
     for alone in (each.motion for each in chapter.groups[1:]):
+        name = f"cable {alone.team.labels[0]}"
+        for _, _, time in wrong_cables(alone, Ties.at_start(alone)):
+            yield time, name
         for each in lowered_over(ring, alone):
             away = np.where(_far_first(each), each.gaps[:, 0, 0], each.gaps[:, -1, -1])
-            side = np.sign(away)
+            side, pieces = np.sign(away), each.pieces
             low = np.min(side[:, None, None] * each.gaps, axis=(1, 2), initial=np.inf)
-            if np.any(np.abs(away) < least) or np.any(low < -JUMP):
-                time = float(alone.drones.breaks[each.pieces.start])
-                yield time, f"cable {alone.team.labels[0]}"
+            lies = (seams[0] and not pieces.start) or (
+                seams[1] and pieces.stop == alone.drones.pieces
+            )
+            if np.any(np.abs(away) < least) or np.any(low < (-JUMP if lies else least)):
+                yield float(alone.drones.breaks[pieces.start]), name
 
 
 def _far_first(each: Lowered) -> Flags:

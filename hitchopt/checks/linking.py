@@ -277,7 +277,10 @@ DURATION = CheckRule(
 def _interlaced(motion: Motion, _: float) -> WorstCase:
     """Return the number of pairs of cables, or single cables, not in the state of their phase."""
     first, index_of = dict[int, tuple[float, int]](), motion.phases.index
-    for phase, pair, time in wrong_cables(motion, Ties.at_start(motion)):
+    passing = [each for each in motion.phases if each.state is CableState.LYING]  # none joins here
+    alone = range(0, motion.team.robots**2, motion.team.robots + 1)
+    wrong = [*wrong_cables(motion, Ties.at_start(motion))]
+    for phase, pair, time in (*wrong, *((each, k, each.start) for each in passing for k in alone)):
         first[pair] = min(first.get(pair, (np.inf, 0)), (time, index_of(phase)))
     if not first:
         return WorstCase(0.0, float(motion.drones.breaks[-1]))

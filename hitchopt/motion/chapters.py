@@ -20,11 +20,14 @@ from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import PartTeam
 from hitchopt.motion.combined import side_by_side
-from hitchopt.motion.motion import FREE_STATES, JOINT, CableState, Group, Motion, Phase
+from hitchopt.motion.motion import JOINT, CableState, Group, Motion, Phase
 from hitchopt.motion.retiming import between
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
 from hitchopt.values import Array, Indices
+
+WAITING_STATES = frozenset({CableState.GROUND, CableState.FREE, CableState.LAYING})
+"""What cables of robots may do that are in no ring."""
 
 REMEDY = "give ring and waiting of every phase, or of none"
 
@@ -39,7 +42,7 @@ def chapters(motion: Motion) -> tuple[Motion, ...]:
     InputError: rings that are none, robots twice or missing, or objects that move.
     """
     if motion not in _CHAPTERS:
-        _check(motion)
+        check_rings(motion)
         index, breaks = motion.phase_of_piece, motion.drones.breaks
         rings = [motion.phases[i].ring for i in index.tolist()]
         ends = [i for i, (a, b) in enumerate(pairwise(rings), 1) if a != b]
@@ -79,16 +82,30 @@ def parts_at(motion: Motion, t: Array) -> Iterator[tuple[Motion, Indices, Indice
                 yield part.motion, here, np.array(part.motion.team.labels)
 
 
-def _check(motion: Motion) -> None:
-    """Raise InputError for phases whose robots are not those of the team, each once."""
+def check_rings(motion: Motion) -> None:
+    """Raise InputError for phases whose robots are not those of the team, each once.
+
+    Robots that wait have no legs and tensions, and a ring has as many vertices as robots.
+    """
     team, breaks = motion.team, motion.drones.breaks
     for i, phase in enumerate(motion.phases):
         ring, waiting = phase.ring or (), [robot for robot, _ in phase.waiting]
         if len(ring) < 3 or sorted((*ring, *waiting)) != list(range(team.robots)):
             bound = f"at least 3 in the ring, and all of 0 to {team.robots - 1} once"
             raise InputError(f"phases[{i}].ring", [*ring, *waiting], bound, REMEDY)
-        if any(state not in FREE_STATES for _, state in phase.waiting):
-            bound = "of a cable without a hitch"
+        if any(state not in WAITING_STATES for _, state in phase.waiting):
+            bound = f"one of {', '.join(sorted(WAITING_STATES))}"
+            raise InputError(f"phases[{i}].waiting", phase.waiting, bound, REMEDY)
+        if phase.hold is not None:
+            bound = "null where robots join or leave"
+            raise InputError(f"phases[{i}].hold", vars(phase.hold), bound, "hold with all robots")
+        on = motion.phase_of_piece == i
+        parts = [motion.vertices.coefficients[on, len(ring) :]]
+        parts += [
+            c[on][:, waiting] for c in (motion.legs.coefficients, motion.tensions.coefficients)
+        ]
+        if any(np.any(part) for part in parts):
+            bound = "0 of robots that are in no ring"
             raise InputError(f"phases[{i}].waiting", phase.waiting, bound, REMEDY)
     for one, other in pairwise(motion.phases):
         changed = (one.ring, one.waiting) != (other.ring, other.waiting)

@@ -29,6 +29,7 @@ from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Quadrotor, Swarm, Team
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.hitch.team import Assignment
+from hitchopt.motion.chapters import check_rings
 from hitchopt.motion.combined import combined
 from hitchopt.motion.motion import (
     JOINT,
@@ -439,7 +440,7 @@ def _stored(key: str, value: Any, kind: Any) -> Any:
 
 
 def _check_phases(motion: Motion, begin: float) -> None:
-    """Raise InputError for phases with wrong times, tension ranges, or holds of missing objects.
+    """Raise InputError for phases with wrong times, ranges, rings, or holds of missing objects.
 
     The motion has verified that they follow one another and cover the pieces.
     """
@@ -450,6 +451,8 @@ def _check_phases(motion: Motion, begin: float) -> None:
     if not spans or max(abs(spans[0][0] - first), abs(spans[-1][1] - last)) > JOINT:
         words = f"one after the other from {first:g} to {last:g} s"
         raise InputError("phases", spans, words, REMEDY)
+    if motion.changes:
+        check_rings(motion)
     objects, cables = motion.requirements.objects, range(motion.team.robots)
     for phase in motion.phases:
         if not 0 <= phase.step < MAX_STEPS:
@@ -480,7 +483,8 @@ def request_of(motion: Motion, problem: str = "") -> dict[str, Any]:
         drones, team = back.drones(first), back.team(team)
         start = {"drones": {"q": drones[0::2], "r": drones[1::2]}}
         if motion.formed[0]:
-            x, y, z = motion.vertices.coefficients[0, ..., 0].T
+            points = len(motion.phases[0].ring or motion.team.point_names)
+            x, y, z = motion.vertices.coefficients[0, :points, ..., 0].T
             start["hitch"] = {"polygon": np.column_stack([x, y]), "altitude": float(np.mean(z))}
     request = request_fields(team, requirements, start, mission_of(motion))
     return request | {"problem": hashlib.sha256(problem.encode()).hexdigest()}

