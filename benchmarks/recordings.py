@@ -20,8 +20,7 @@ from scipy.interpolate import CubicSpline
 
 import hitchopt as ho
 from benchmarks.measuring import PROBLEMS, Array, Table, parser
-from hitchopt.flights.flight import Markers, RecordedFlight, Track
-from hitchopt.flights.recordings import planned
+from hitchopt.flights.recordings import RecordedFlight, Track, planned
 from hitchopt.simulation.task import Task
 
 RATE, EXAMPLE_RATE = 120.0, 25.0  # Of recordings, and of the one that is shipped [Hz]
@@ -91,7 +90,7 @@ class Camera:
             name: Track(own[there], x[there])
             for name, x, there in zip(names, np.moveaxis(drones, 1, 0), seen_drones.T, strict=True)
         }
-        return RecordedFlight("synthetic", tracks, Markers(own, np.nonzero(seen)[0], cloud[seen]))
+        return RecordedFlight("synthetic", tracks, Track(own[np.nonzero(seen)[0]], cloud[seen]))
 
     def _seen(self, random: np.random.Generator, shape: tuple[int, int]) -> Any:
         """Return what is seen (times, k): gaps begin at random and end at random."""
@@ -227,7 +226,7 @@ def write_example(seed: int) -> None:
         for seen, place in zip(track.t.tolist(), track.positions.tolist(), strict=True)
     ]
     cloud = flight.markers
-    points = zip(cloud.t[cloud.frame].tolist(), cloud.positions.tolist(), strict=True)
+    points = zip(cloud.t.tolist(), cloud.positions.tolist(), strict=True)
     rows += [(seen, "marker", *place) for seen, place in points]
     lines = [f"{seen:.2f},{name},{x:.4f},{y:.4f},{z:.4f}" for seen, name, x, y, z in sorted(rows)]
     text = "\n".join(["t,name,x,y,z", *lines, ""])

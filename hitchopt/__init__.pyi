@@ -17,10 +17,9 @@ from hitchopt.errors import UnsupportedError as UnsupportedError, Violation as V
 from hitchopt.exports.lint import lint as lint
 from hitchopt.flights.alignment import Alignment as Alignment
 from hitchopt.flights.evaluation import Evaluation as Evaluation, evaluate as evaluate
-from hitchopt.flights.flight import Markers as Markers, RecordedFlight as RecordedFlight
-from hitchopt.flights.flight import SimulatedTeam as SimulatedTeam, Track as Track
 from hitchopt.flights.readers import read_flight as read_flight
-from hitchopt.flights.recordings import Recording as Recording
+from hitchopt.flights.recordings import RecordedFlight as RecordedFlight, Recording as Recording
+from hitchopt.flights.recordings import Track as Track
 from hitchopt.geometry import ConvexArc as ConvexArc, ConvexPolygon as ConvexPolygon
 from hitchopt.geometry import regular_polygon as regular_polygon
 from hitchopt.hitch import Hitch as Hitch, Quadrotor as Quadrotor, Swarm as Swarm, Team as Team

@@ -2,30 +2,31 @@
 
 Mean squared distances assign bodies to drones at every offset of the clock, in the plan's frame or
 with y upright; if drones are then far from their plan, in frames turned about the vertical. The
-best assignments are refined by Gauss-Newton steps of the clock with robust weights, in which every
-drone has a constant displacement. A lag that all drones share becomes part of the clock.
+best assignments are refined by robust least squares of the clock, in which every drone has a
+constant displacement. A lag that all drones share becomes part of the clock.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
+from scipy.interpolate import make_interp_spline
+from scipy.optimize import least_squares, linear_sum_assignment
 
 from hitchopt.errors import FileError, InputError, OneLine
-from hitchopt.flights.flight import RecordedFlight, sampled
+from hitchopt.flights.recordings import RecordedFlight
 from hitchopt.simulation.task import Task
 from hitchopt.storage.files import parsed_json
 from hitchopt.values import Array, Indices
 
 STEP, COARSE = 0.05, 5  # Of the compared times [s], and as many of them in the search
 TURNS = 36  # Frames about the vertical in the search
-REFINED, STEPS = 5, 10  # Best assignments that are refined, and steps of each
-LONGEST_STEP = 0.25  # Of a clock's offset [s]
+REFINED = 5  # Best assignments that are refined
 # Least and largest difference of a clock's rate from 1, and the largest ratio of costs, at which it
 # is not 1
 MIN_DRIFT, MAX_DRIFT, GAIN = 2e-3, 0.024, 0.8
@@ -109,8 +110,8 @@ class _Fit:
     body: Indices  # (2n,), index of every drone's body
     score: float  # Mean square distance over the plan [m²]
     rate: float = 1.0
-    cost: float = np.inf  # Mean of robust squares without the displacements of drones [m²]
-    errors: Array = field(default_factory=lambda: np.full(2, np.nan))  # Of offset and rate
+    cost: float = np.inf  # Mean of robust squares without the displacements of drones
+    errors: tuple[float, float] = (np.nan, np.nan)  # Of offset and rate
 
 
 def align(
@@ -137,13 +138,10 @@ def align(
         two assignments that fit alike.
     InputError: names or a frame that do not exist.
     """
+    for name, value in (("start", start), ("frame", frame if frame == "fit" else None)):
+        if value is not None and not flight.one_clock:
+            raise InputError(name, value, "left out", "drones have clocks of their own")
     trial = _Trial(flight, task, names or {}, start)
-    if not flight.one_clock:
-        remedy = "omit it: drones have clocks of their own"
-        if start is not None:
-            raise InputError("start", start, "left out", remedy)
-        if frame == "fit":
-            raise InputError("frame", frame, "plan or y-up", remedy)
     if frame is not None and frame != "fit":
         return trial.judged(trial.fits(_stated_frame(frame)))
     fits = trial.fits(UP) if frame is None else []
@@ -175,43 +173,12 @@ class _Trial:
         self, flight: RecordedFlight, task: Task, names: Mapping[str, str], start: float | None
     ) -> None:
         self._flight, self._task, team = flight, task, task.team
-        others = [name for name in flight.tracks if name not in team.point_names]
-        self._bodies = others if len(others) >= team.drones else list(flight.tracks)
-        if len(self._bodies) < team.drones:
-            listed = ", ".join(self._bodies) or "none"
-            count = f"holds {len(self._bodies)} bodies ({listed}) of {team.drones} drones"
-            raise self._error(f"{count}; export all rigid bodies")
-        self._allowed = self._pairs(names)
-        # Set points, if they were logged, have no lag.
-        commanded = set(self._bodies) <= set(flight.setpoints)
-        tracks = [(flight.setpoints if commanded else flight.tracks)[b] for b in self._bodies]
-        ends = np.array([[track.t[0], track.t[-1]] for track in tracks])
-        if flight.one_clock:
-            ends[:] = np.min(ends), np.max(ends)
-        self._origins, half = np.mean(ends, axis=1), 0.5 * float(np.max(np.ptp(ends, axis=1)))
-        self._t = np.linspace(-half, half, int(2.0 * half / STEP) + 2)
-        each = [sampled(x, self._t + o) for x, o in zip(tracks, self._origins, strict=True)]
-        self._through = np.stack([positions for positions, _ in each], axis=1)  # Straight in gaps
-        self._near = np.stack([near for _, near in each], axis=1)
-        for words, x in (("plan", task.setpoints.positions), ("recording", self._through)):
-            if start is None and np.max(np.ptp(x, axis=0)) < MIN_MOTION:
-                remedy = "no clock can be fitted; say when the plan begins with start="
-                raise self._error(f"nothing moves in the {words}, so {remedy}")
-        self._timed, half = start is None, half - 0.5 * MIN_TIME
-        self._offsets = (  # Of the clock, in the search [s]
-            np.arange(-half, task.duration + half, COARSE * STEP)
-            if start is None
-            else np.array([self._origins[0] - start])
-        )
-
-    def _error(self, words: str) -> FileError:
-        """Return the error of a recording that cannot be compared with the plan."""
-        return FileError(f"{self._flight.source}: {words}")
-
-    def _pairs(self, names: Mapping[str, str]) -> NDArray[np.bool_]:
-        """Return whether a body may be a drone (m, 2n), by names of the request."""
-        drones, bodies = list(self._task.team.drone_names), self._bodies
-        allowed = np.ones((len(bodies), len(drones)), np.bool_)
+        bodies = [name for name in flight.tracks if name not in team.point_names]
+        if len(bodies) < team.drones:
+            count = f"holds {len(bodies)} bodies ({', '.join(bodies) or 'none'})"
+            raise self._error(f"{count} of {team.drones} drones; export all rigid bodies")
+        self._bodies, drones = bodies, team.drone_names
+        self._allowed = np.ones((len(bodies), len(drones)), np.bool_)  # Pairs, by the request
         for name, drone in names.items():
             if name not in bodies:
                 raise InputError("names", name, f"one of {', '.join(bodies)}", "write cf231=q0,…")
@@ -219,16 +186,40 @@ class _Trial:
                 bound = f"one of {', '.join(drones)}, once"
                 raise InputError(f"names.{name}", drone, bound, "write cf231=q0,…")
             b, i = bodies.index(name), drones.index(drone)
-            allowed[b], allowed[:, i] = False, False
-            allowed[b, i] = True
-        return allowed
+            self._allowed[b], self._allowed[:, i] = False, False
+            self._allowed[b, i] = True
+        # Set points, if they were logged, have no lag.
+        commanded = set(bodies) <= set(flight.setpoints)
+        tracks = [(flight.setpoints if commanded else flight.tracks)[name] for name in bodies]
+        ends = np.array([track.t[[0, -1]] for track in tracks])
+        if flight.one_clock:
+            ends[:] = np.min(ends), np.max(ends)
+        self._origins, half = np.mean(ends, axis=1), 0.5 * float(np.max(np.ptp(ends, axis=1)))
+        self._t = np.linspace(-half, half, int(2.0 * half / STEP) + 2)
+        each = [track.at(self._t + o) for track, o in zip(tracks, self._origins, strict=True)]
+        self._x = np.stack([x for x, _ in each], axis=1)  # Straight in gaps
+        self._near = np.stack([near for _, near in each], axis=1)
+        plan = task.setpoints.positions
+        curves = [make_interp_spline(task.t - task.t[0], x, 1) for x in np.moveaxis(plan, 1, 0)]
+        self._curves = curves
+        for words, places in (("plan", plan), ("recording", self._x)):
+            if start is None and np.max(np.ptp(places, axis=0)) < MIN_MOTION:
+                remedy = "no clock can be fitted; say when the plan begins with start="
+                raise self._error(f"nothing moves in the {words}, so {remedy}")
+        self._timed, half = start is None, half - 0.5 * MIN_TIME
+        offsets = np.arange(-half, task.duration + half, COARSE * STEP)
+        self._offsets = offsets if start is None else np.array([self._origins[0] - start])
+
+    def _error(self, words: str) -> FileError:
+        """Return the error of a recording that cannot be compared with the plan."""
+        return FileError(f"{self._flight.source}: {words}")
 
     def fits(self, frames: Mapping[str, Frame], *, turned: bool = False) -> list[_Fit]:
         """Return refined fits of the best assignments, best first, in frames or in turned ones."""
-        yaws, drones = np.arange(TURNS if turned else 1), np.arange(self._task.team.drones)
-        turns, best = [_turn(2.0 * np.pi * k / TURNS) for k in yaws], dict[tuple[int, ...], _Fit]()
+        yaws, drones = 2.0 * np.pi * np.arange(TURNS if turned else 1) / TURNS, len(self._curves)
+        turns, best = np.stack([_turn(yaw) for yaw in yaws]), dict[tuple[int, ...], _Fit]()
         for name, (R, p) in frames.items() if len(self._offsets) else ():
-            x = self._through[::COARSE] @ R.T + p
+            x = self._x[::COARSE] @ R.T + p
             costs = np.stack([self._costs(x, o, turns, turned) for o in self._offsets])
             clocks = np.broadcast_to(self._offsets[:, None, None, None], costs.shape)
             if not self._flight.one_clock:
@@ -237,14 +228,15 @@ class _Trial:
             costs = np.where(self._allowed, costs, EXCLUDED)
             for i, k in np.ndindex(costs.shape[:2]):
                 body = linear_sum_assignment(costs[i, k].T)[1]
-                score = float(np.mean(costs[i, k, body, drones]))
+                pairs = i, k, body, np.arange(drones)
+                score = float(np.mean(costs[pairs]))
                 if score < (best[key].score if (key := tuple(body.tolist())) in best else np.inf):
                     frame = "fit" if turned else name, turns[k] @ R, p
-                    best[key] = _Fit(clocks[i, k, body, drones], *frame, body, score)
+                    best[key] = _Fit(clocks[pairs], *frame, body, score)
         ranked = sorted(best.values(), key=lambda fit: fit.score)[:REFINED]
         return sorted(map(self._refined, ranked), key=lambda fit: fit.score)
 
-    def _costs(self, x: Array, offset: float, turns: Sequence[Array], centred: bool) -> Array:
+    def _costs(self, x: Array, offset: float, turns: Array, centred: bool) -> Array:
         """Return mean squared distances of bodies and drones (turns, m, 2n) at an offset.
 
         Positions x (times, m, 3) are turned, after centring on demand. UNSEEN counts for the part
@@ -255,101 +247,91 @@ class _Trial:
         if not np.any(on):
             return np.full((len(turns), *self._allowed.shape), EXCLUDED)
         share = min(1.0, np.sum(on) * COARSE * STEP / self._task.duration)
-        plan = self._planned(np.repeat(tau[on, None], self._task.team.drones, axis=1))[0]
+        plan = np.stack([curve(tau[on]) for curve in self._curves], axis=1)
         middle = np.mean(plan, axis=(0, 1))
         plan, x = plan - middle, x[on] - (np.mean(x[on], axis=(0, 1)) if centred else middle)
         squares = np.mean(np.sum(x**2, -1), 0)[:, None] + np.mean(np.sum(plan**2, -1), 0)
         products = np.tensordot(x, plan, (0, 0)) / len(x)  # (m, 3, 2n, 3)
-        squares = squares - 2.0 * np.einsum("bjki,fij->fbk", products, np.stack(turns))
+        squares = squares - 2.0 * np.einsum("bjki,fij->fbk", products, turns)
         return np.asarray(share * squares + (1.0 - share) * UNSEEN**2)
 
-    def _planned(self, tau: Array) -> tuple[Array, Array]:
-        """Return positions [m] and velocities [m/s] (times, 2n, 3) at plan times (times, 2n)."""
-        t, x = self._task.t - self._task.t[0], self._task.setpoints.positions
-        tau, drones = np.clip(tau, 0.0, t[-1]), np.arange(x.shape[1])
-        i = np.clip(np.searchsorted(t, tau, "right") - 1, 0, len(t) - 2)
-        v = (x[i + 1, drones] - x[i, drones]) / (t[i + 1] - t[i])[..., None]
-        return x[i, drones] + (tau - t[i])[..., None] * v, v
+    def _apart(self, fit: _Fit) -> tuple[Frame, Array, NDArray[np.bool_], Array]:
+        """Return the frame, fitted on demand, offsets from the plan [m], which count, and the plan.
 
-    def _apart(self, fit: _Fit) -> tuple[Array, NDArray[np.bool_], Array, Array]:
-        """Return offsets from the plan [m], which count, and positions and velocities of the plan.
-
-        Shapes are (times, 2n, 3) and (times, 2n).
+        Shapes of the latter are (times, 2n, 3) and (times, 2n).
         """
-        tau = fit.rate * self._t[:, None] + fit.offsets
-        plan, v = self._planned(tau)
-        use = (tau >= 0.0) & (tau <= self._task.duration) & self._near[:, fit.body]
-        return self._through[:, fit.body] @ fit.rotation.T + fit.shift - plan, use, plan, v
-
-    def _framed(self, fit: _Fit) -> _Fit:
-        """Return a fit with its score, and with a better frame if that is fitted."""
-        apart, use, plan, _ = self._apart(fit)
+        tau, x = fit.rate * self._t[:, None] + fit.offsets, self._x[:, fit.body]
+        inside = np.clip(tau, 0.0, self._task.duration)
+        plan = np.stack([at(t) for at, t in zip(self._curves, inside.T, strict=True)], axis=1)
+        use, frame = (tau == inside) & self._near[:, fit.body], (fit.rotation, fit.shift)
         if fit.frame == "fit" and np.any(use):
             up = min((R for R, _ in UP.values()), key=lambda R: -R[2] @ fit.rotation[2])
-            R, p = _fitted_frame(self._through[:, fit.body][use], plan[use], up)
-            fit = replace(fit, rotation=R, shift=p)
-            apart, use, *_ = self._apart(fit)
-        total = max(self._task.duration / (STEP * fit.rate) * use.shape[1], np.sum(use))
-        squares = np.sum(apart[use] ** 2) + (total - np.sum(use)) * UNSEEN**2
-        return replace(fit, score=float(squares / total))
+            frame = _fitted_frame(x[use], plan[use], up)
+        return frame, (x @ frame[0].T + frame[1] - plan) * use[..., None], use, plan
 
     def _refined(self, fit: _Fit) -> _Fit:
         """Return a fit with better clocks, at a rate of 1 unless another one gains clearly."""
-        if not self._timed:
-            return self._framed(fit)
-        plain = self._clocked(fit, with_rate=False)
-        other = self._clocked(plain, with_rate=True)
-        drifts = MIN_DRIFT < abs(other.rate - 1.0) < MAX_DRIFT
-        return other if drifts and other.cost < GAIN * plain.cost else plain
+        if self._timed:
+            fit = self._clocked(fit, 0)
+            other = self._clocked(fit, 1)
+            drifts = MIN_DRIFT < abs(other.rate - 1.0) < MAX_DRIFT
+            fit = other if drifts and other.cost < GAIN * fit.cost else fit
+        (R, p), apart, use, _ = self._apart(fit)
+        total = max(self._task.duration / (STEP * fit.rate) * use.shape[1], np.sum(use))
+        squares = np.sum(apart**2) + (total - np.sum(use)) * UNSEEN**2
+        return replace(fit, rotation=R, shift=p, score=float(squares / total))
 
-    def _clocked(self, fit: _Fit, *, with_rate: bool) -> _Fit:
-        """Return a fit with better clocks, their cost and standard errors, and a better frame.
+    def _clocked(self, fit: _Fit, rates: int) -> _Fit:
+        """Return a fit with better clocks, their cost and standard errors.
 
         Errors are the jackknife's over drones and over blocks of time: drones differ for the whole
         flight, and what displaces all of them lasts for a while.
         """
-        own = np.ones((1, len(fit.body))) if self._flight.one_clock else np.eye(len(fit.body))
-        weight = self._apart(fit)[1].astype(np.float64)
-        for _ in range(STEPS):
-            fit = self._framed(fit)
-            apart, use, _, v = self._apart(fit)
-            squares = np.sum(_centred(apart, weight) ** 2, axis=-1) / ROBUST**2
-            weight = use / np.sqrt(1.0 + squares)
-            rates = [v * self._t[:, None, None]] if with_rate else []
-            J = _centred(np.stack([*(own[:, None, :, None] * v), *rates]), weight)
-            g = np.einsum("utix,tix,ti->uti", J, _centred(apart, weight), weight)
-            inverse = np.linalg.pinv(np.einsum("utix,vtix,ti->uv", J, J, weight), hermitian=True)
-            step = np.clip(inverse @ np.sum(g, axis=(1, 2)), -LONGEST_STEP, LONGEST_STEP)
-            rate = float(
-                np.clip(fit.rate + np.sum(step[len(own) :]), 1.0 - MAX_DRIFT, 1.0 + MAX_DRIFT)
-            )
-            fit = replace(fit, offsets=fit.offsets + step[: len(own)] @ own, rate=rate)
-        begins = np.unique(self._t // BLOCK, return_index=True)[1]
-        in_time = np.einsum("utix,vtix,ti->tuv", J, J, weight), np.sum(g, axis=2).T
-        variances = _left_out(*(np.add.reduceat(x, begins) for x in in_time))
-        variances += _left_out(np.einsum("utix,vtix,ti->iuv", J, J, weight), np.sum(g, axis=1).T)
-        errors = np.sqrt([np.mean(variances[: len(own)]), *variances[len(own) :], np.nan][:2])
-        cost = float(np.sum(use * (np.sqrt(1.0 + squares) - 1.0)) / max(1, np.sum(use)))
-        return self._framed(replace(fit, errors=errors, cost=cost))
+        many = len(fit.body)
+        own = np.ones((1, many)) if self._flight.one_clock else np.eye(many)
+
+        def moved(u: Array) -> _Fit:
+            offsets = fit.offsets + u[: len(own)] @ own
+            return replace(fit, offsets=offsets, rate=fit.rate + float(np.sum(u[len(own) :])))
+
+        def residuals(u: Array) -> Array:  # Squares are 2 ((1 + d²)^½ - 1) of distances d
+            _, apart, use, _ = self._apart(moved(u))
+            off = _centred(apart, use) / ROBUST
+            root = np.sqrt(1.0 + np.sum(off**2, axis=-1, keepdims=True))
+            return np.asarray(off * np.sqrt(2.0 / (1.0 + root))).ravel()
+
+        scales = [STEP] * len(own) + [MIN_DRIFT] * rates
+        found = least_squares(residuals, np.zeros(len(scales)), x_scale=scales)
+        jac: Any = found.jac
+        J = jac.reshape(len(self._t), many, 3, -1)
+        g = np.einsum("tixu,tix->tiu", J, found.fun.reshape(J.shape[:3]))
+        H, begins = (
+            np.einsum("tixu,tixv->tiuv", J, J),
+            np.unique(self._t // BLOCK, return_index=True)[1],
+        )
+        variances = _left_out(*(np.add.reduceat(each.sum(axis=1), begins) for each in (H, g)))
+        variances += _left_out(H.sum(axis=0), g.sum(axis=0))
+        errors = [np.mean(variances[: len(own)]), *variances[len(own) :], np.nan]
+        fit = moved(found.x)
+        count = max(1, int(np.sum(self._apart(fit)[2])))
+        return replace(fit, cost=found.cost / count, errors=tuple(np.sqrt(errors[:2]).tolist()))
 
     def judged(self, fits: Sequence[_Fit]) -> Alignment:
         """Return the alignment of the best fit, unless it has to be refused."""
         if not fits:
             raise self._error(f"is too short; record at least {MIN_TIME:g} s of the plan")
-        fit = fits[0]
-        apart, use, plan, _ = self._apart(fit)
-        rms = float(np.sqrt(np.mean(np.sum(apart[use] ** 2, axis=-1)))) if use.any() else np.inf
+        fit, (_, apart, use, plan) = fits[0], self._apart(fits[0])
+        rms = float(np.sqrt(np.sum(apart**2) / np.sum(use))) if np.any(use) else np.inf
         seen = float(np.max(np.sum(use, axis=0)) * STEP * fit.rate)
         largest, needed = MAX_RMS, MIN_TIME
         if fit.frame == "fit":
             largest, needed = MAX_FITTED_RMS, max(0.5 * self._task.duration, MIN_TIME)
         needed = min(needed, self._task.duration)
-        off, moved = (np.sum(_centred(x, use.astype(np.float64))[use] ** 2) for x in (apart, plan))
-        unplanned = float(np.sqrt(off / max(moved, 1e-12)))
-        other = self._timed and unplanned > MAX_UNPLANNED
-        if rms > largest or seen < needed - STEP or other:
-            words = f"{rms:.2f} m from the plan (root mean square) for {seen:.1f} s of it"
-            words += f", and move {100.0 * unplanned:.0f} % as much off it as in it"
+        off, moves = (np.sum(_centred(x, use) ** 2) for x in (apart, plan))
+        unplanned = float(np.sqrt(off / max(moves, 1e-12)))
+        if rms > largest or seen < needed - STEP or (self._timed and unplanned > MAX_UNPLANNED):
+            words = f"{rms:.2f} m from the plan (root mean square) for {seen:.1f} s of it, and move"
+            words = f"{words} {100.0 * unplanned:.0f} % as much off it as in it"
             raise self._error(
                 f"its drones are {words if np.any(use) else 'nowhere near the plan'}; its own are "
                 f"within {largest:g} m for at least {needed:.1f} s, and move at most "
@@ -367,8 +349,7 @@ class _Trial:
         return Alignment(
             fit.offsets - fit.rate * self._origins[fit.body],
             fit.rate,
-            float(fit.errors[0]),
-            float(fit.errors[1]),
+            *fit.errors,
             fit.rotation,
             fit.shift,
             tuple(self._bodies[b] for b in fit.body),
@@ -378,11 +359,11 @@ class _Trial:
         )
 
 
-def _centred(values: Array, weight: Array) -> Array:
-    """Return values (…, times, 2n, 3) without their means over time, of weights (times, 2n)."""
-    total = np.maximum(np.sum(weight, axis=0), 1e-9)[:, None]
-    sums = np.einsum("...tix,ti->...ix", values, weight)
-    return np.asarray(values - sums[..., None, :, :] / total)
+def _centred(values: Array, use: NDArray[np.bool_]) -> Array:
+    """Return values (times, 2n, 3) without their means over the times that count, else zero."""
+    total = np.maximum(np.sum(use, axis=0), 1)[:, None]
+    means = np.sum(values * use[..., None], axis=0) / total
+    return np.asarray((values - means) * use[..., None])
 
 
 def _left_out(H: Array, g: Array) -> Array:

@@ -11,9 +11,15 @@ import numpy as np
 
 from hitchopt.errors import FileError, InputError, OneLine, UnsupportedError
 from hitchopt.flights.alignment import Alignment, align
-from hitchopt.flights.flight import Markers, RecordedFlight, Track, sampled
 from hitchopt.flights.readers import read_flight
-from hitchopt.flights.recordings import WINDOW_TIGHT, Recording, planned, tight
+from hitchopt.flights.recordings import (
+    WINDOW_TIGHT,
+    RecordedFlight,
+    Recording,
+    Track,
+    planned,
+    tight,
+)
 from hitchopt.flights.vertices import RATE, WINDOW, Measured, clasps_of, measured_vertices
 from hitchopt.geometry.vectors import length
 from hitchopt.motion.motion import Motion
@@ -54,15 +60,12 @@ class Row:
     standard_error: float
 
     @classmethod
-    def of(
-        cls, name: str, span: tuple[str, float, float], errors: Array, stated: Array | None = None
-    ) -> Row:
+    def of(cls, name: str, span: tuple[str, float, float], errors: Array, stated: Array) -> Row:
         """Return the row of errors and standard errors [m]; missing ones are nan."""
-        off = errors[np.isfinite(errors)]
-        finite_errors = np.zeros(0) if stated is None else stated[np.isfinite(stated)]
+        off, known = errors[np.isfinite(errors)], stated[np.isfinite(stated)]
         values = (np.mean(off), np.std(off), np.max(off)) if off.size else (np.nan,) * 3
         mean, std, largest = map(float, values)
-        error = float(np.median(finite_errors)) if finite_errors.size else np.nan
+        error = float(np.median(known)) if known.size else np.nan
         return cls(name, *span, mean, std, largest, off.size / errors.size, error)
 
 
@@ -98,7 +101,7 @@ class Evaluation(OneLine):
     drones: Array
     planned_drones: Array
     density: Array
-    cloud: Markers
+    cloud: Track
     remarks: tuple[str, ...]
 
     @property
@@ -121,23 +124,27 @@ class Evaluation(OneLine):
     @property
     def table(self) -> tuple[Row, ...]:
         """Errors of every vertex and all of them, and of every drone, by phase and in all."""
-        team, clasps, rows = self.task.team, self.task.team.layout.clasps, []
+        team, points, rows = self.task.team, self.task.team.layout.clasps, list[Row]()
         spans = [(phase.name, phase.start, phase.end) for phase in self.motion.phases]
-        whole = ("all", float(self.t[0]), float(self.t[-1]))
-        tight = np.isfinite(self.planned[:, clasps[0], 0])
-        names = [team.point_names[point] for point in clasps]
+        whole, always = ("all", float(self.t[0]), float(self.t[-1])), np.ones(len(self.t), np.bool_)
+        hitched = np.isfinite(self.planned[:, points[0], 0])
+        of_drones, none = self.drone_errors, np.full(len(self.t), np.nan)
+        columns = [
+            *(
+                (team.point_names[p], hitched, self.errors[:, p], self.standard_errors[:, p])
+                for p in points
+            ),
+            ("vertices", hitched, self.errors[:, points], self.standard_errors[:, points]),
+            *(
+                (name, always, off, none)
+                for name, off in zip(team.drone_names, of_drones.T, strict=True)
+            ),
+        ]
         for span in (*spans, whole):
-            here = (self.t >= span[1]) & ((self.t < span[2]) | (span is whole))
-            off, stated = (
-                each[here & tight][:, clasps] for each in (self.errors, self.standard_errors)
-            )
-            if off.size:
-                every = zip(names, off.T, stated.T, strict=True)
-                rows += [Row.of(name, span, *each) for name, *each in every]
-                rows.append(Row.of("vertices", span, off, stated))
-            if np.any(here):
-                drones = zip(team.drone_names, self.drone_errors[here].T, strict=True)
-                rows += [Row.of(name, span, each) for name, each in drones]
+            during = (self.t >= span[1]) & ((self.t < span[2]) | (span is whole))
+            for name, use, off, stated in columns:
+                if np.any(here := during & use):
+                    rows.append(Row.of(name, span, off[here], stated[here]))
         return tuple(rows)
 
     @property
@@ -157,15 +164,13 @@ class Evaluation(OneLine):
 
     def to_recording(self) -> Recording:
         """Return the recording in the plan's time and frame, for ``calibrate``."""
-        layout, facts = self.task.team.layout, self.flight.simulated
+        layout = self.task.team.layout
         vertices = (self.vertices if self.clasps is None else self.clasps).copy()
         ends = np.flatnonzero(~layout.has_leg.ravel())  # Drones that are a chain's points
         vertices[:, layout.anchors[ends]] = self.drones[:, ends]
-        simulated: Any = {} if facts is None else dict(vars(facts))
-        errors, notes = self.standard_errors, self.remarks
-        return Recording(
-            self.t, self.drones, vertices, **simulated, standard_errors=errors, notes=notes
-        )
+        facts: Any = dict(self.flight.simulated)
+        facts |= {"standard_errors": self.standard_errors, "notes": self.remarks}
+        return Recording(self.t, self.drones, vertices, **facts)
 
     def save(self, directory: Path | str, format: str = "png") -> Path:
         """Write table, vertices, picture and shapes to a directory; return it.
@@ -227,7 +232,7 @@ def evaluate(
     else:
         task = plan if isinstance(plan, Task) else read_task(path("plan", plan))
     task.refuse_several("evaluate")
-    if flight.simulated is not None and start is None:
+    if flight.simulated and start is None:
         start = 0.0  # Its clock is the plan's
     try:
         alignment = align(flight, task, names=drones, frame=stated, start=start)
@@ -244,10 +249,11 @@ def _names(names: Mapping[str, str] | str | None) -> dict[str, str]:
         pairs = [[part.strip() for part in pair.split("=")] for pair in names.split(",")]
     try:
         drones = {str(name): str(drone) for name, drone in pairs}
+        if len(drones) < len(pairs):
+            raise ValueError
     except (TypeError, ValueError):
-        raise InputError("names", names, f"pairs such as {NAMES}", f"write {NAMES}") from None
-    if len(drones) < len(pairs):
-        raise InputError("names", names, "pairs of different names", "name each body once")
+        bound = f"pairs such as {NAMES}, each of another name"
+        raise InputError("names", names, bound, f"write {NAMES}") from None
     return drones
 
 
@@ -270,26 +276,27 @@ def _evaluated(
 
     def at(times: Array, track: Track, offset: float, *, through_gaps: bool = False) -> Array:
         """Return positions of a body at plan times (times, 3) [m]; nan in gaps."""
-        positions, near = sampled(track, (times - offset) / rate)
+        positions, near = track.at((times - offset) / rate)
         return alignment.placed(np.where(near[:, None] | through_gaps, positions, np.nan))
 
-    at_hitch = tight(task, t, WINDOW_TIGHT)
+    hitched = tight(task, t, WINDOW_TIGHT)
     vertices = np.full((len(t), layout.points, 3), np.nan)
     errors = np.full(vertices.shape[:2], np.nan)
-    remarks = [*flight.notes, *_alignment_remarks(alignment, flight)]
     densities = np.full(team.robots, team.cable_density if density is None else density)
-    cloud = _hitch_cloud(flight.markers, alignment, task)
+    remarks = [*flight.notes, *_alignment_remarks(alignment, flight)]
+    seen = rate * flight.markers.t + alignment.offset
+    use = (seen >= 0.0) & (seen <= task.duration) & tight(task, seen, WINDOW_TIGHT)
+    cloud = Track(seen[use], alignment.placed(flight.markers.positions[use]))
     named = [name for name in team.point_names if name in flight.tracks]
     for name in named:
-        positions = at(t, flight.tracks[name], alignment.offset)
-        vertices[:, team.point_names.index(name)] = positions
-    vertices[~at_hitch] = np.nan
-    if not named and len(cloud) and np.any(at_hitch):
-        drones = np.stack([at(cloud.t, *each, through_gaps=True) for each in clocks], axis=1)
-        options: Any = {"density": density, "window": window}
-        measured = measured_vertices(task, t[at_hitch], cloud, drones, **options)
-        vertices[at_hitch] = measured.crossings
-        errors[at_hitch] = np.hypot(measured.standard_errors, alignment.frame_error)
+        places = at(t, flight.tracks[name], alignment.offset)
+        vertices[hitched, team.point_names.index(name)] = places[hitched]
+    if not named and len(cloud.t) and np.any(hitched):
+        frames = np.unique(cloud.t)
+        drones = np.stack([at(frames, *each, through_gaps=True) for each in clocks], axis=1)
+        measured = measured_vertices(task, t[hitched], cloud, drones, density, window)
+        vertices[hitched] = measured.crossings
+        errors[hitched] = np.hypot(measured.standard_errors, alignment.frame_error)
         remarks += _vertex_remarks(measured, task)
         if not np.allclose(measured.density, densities):
             fitted = ", ".join(f"{1e3 * x:.1f}" for x in measured.density)
@@ -298,7 +305,7 @@ def _evaluated(
     elif not named:
         remarks.append("no markers on the cables: drones alone are compared with the plan")
     expected = planned(task, t, task.vertices)
-    expected[~at_hitch] = np.nan
+    expected[~hitched] = np.nan
     return Evaluation(
         task,
         flight,
@@ -314,15 +321,6 @@ def _evaluated(
         cloud,
         tuple(dict.fromkeys(remarks)),
     )
-
-
-def _hitch_cloud(markers: Markers, alignment: Alignment, task: Task) -> Markers:
-    """Return the markers in the plan's time and frame, while its hitch is drawn tight."""
-    t = alignment.rate * markers.t + alignment.offset
-    use = (t >= 0.0) & (t <= task.duration) & tight(task, t, WINDOW_TIGHT)
-    points, index = use[markers.frame], np.cumsum(use) - 1
-    positions = alignment.placed(markers.positions[points])
-    return Markers(t[use], index[markers.frame[points]], positions)
 
 
 def _alignment_remarks(alignment: Alignment, flight: RecordedFlight) -> Iterator[str]:

@@ -5,29 +5,42 @@ A bag has one clock. Logs are one a drone, each with a clock of its own that sta
 
 from __future__ import annotations
 
+import itertools
 import struct
 import zlib
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hitchopt.errors import FileError
-from hitchopt.flights.flight import RecordedFlight, Track, cloud_of, library, metres, track_of
+from hitchopt.flights.recordings import MARKER, RecordedFlight, flight_of, library
 from hitchopt.storage.archive import reading
 from hitchopt.values import Array
 
-POSES = "motion_capture_tracking_interfaces/msg/NamedPoseArray"  # Message of crazyswarm2
-POSES_TEXT = "std_msgs/Header header\nmotion_capture_tracking_interfaces/NamedPose[] poses\n"
-POSE = "motion_capture_tracking_interfaces/msg/NamedPose"
-POSE_TEXT = "string name\ngeometry_msgs/Pose pose\n"
+POSE = "motion_capture_tracking_interfaces/msg/NamedPose"  # Messages of crazyswarm2
+MESSAGES = {
+    POSE: "string name\ngeometry_msgs/Pose pose\n",
+    f"{POSE}Array": (
+        "std_msgs/Header header\nmotion_capture_tracking_interfaces/NamedPose[] poses\n"
+    ),
+}
 
-# Messages with positions of bodies, of which the first in a bag is read; and with markers
-POSE_STAMPED, TRANSFORM = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped"
-TRANSFORMS = "tf2_msgs/msg/TFMessage"
-BODIES = (POSES, POSE_STAMPED, TRANSFORM, TRANSFORMS, "nav_msgs/msg/Odometry")
+# Messages with bodies, of which the first kind in a bag is read: name, header and position of each,
+# from topic and message. Names are those before the end of a topic. Message with markers
+BODIES: dict[str, Callable[[Sequence[str], Any], list[tuple[str, Any, Any]]]] = {
+    f"{POSE}Array": lambda _, m: [(x.name, m.header, x.pose.position) for x in m.poses],
+    "geometry_msgs/msg/PoseStamped": lambda topic, m: [(topic[-2:][0], m.header, m.pose.position)],
+    "geometry_msgs/msg/TransformStamped": lambda _, m: [
+        (m.child_frame_id, m.header, m.transform.translation)
+    ],
+    "tf2_msgs/msg/TFMessage": lambda _, m: [
+        (x.child_frame_id, x.header, x.transform.translation) for x in m.transforms
+    ],
+    "nav_msgs/msg/Odometry": lambda topic, m: [(topic[-2:][0], m.header, m.pose.pose.position)],
+}
 CLOUD = "sensor_msgs/msg/PointCloud2"
 
 # Variables of a uSD log with positions and with commands, by preference, and their units [m]
@@ -41,9 +54,9 @@ def read_bag(path: Path, unit: str | None) -> RecordedFlight:
     """Return the flight in a bag of ROS 1 or 2, with definitions of its types or without."""
     highlevel, typesys = library("rosbags.highlevel"), library("rosbags.typesys")
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-    for text, kind in ((POSE_TEXT, POSE), (POSES_TEXT, POSES)):
+    for kind, text in MESSAGES.items():
         store.register(typesys.get_types_from_msg(text, kind))
-    rows, points = defaultdict[str, list[list[float]]](list), [np.zeros((0, 4))]
+    names, rows, notes = list[str](), [np.zeros((0, 4))], list[str]()
     path = path.parent if (path.parent / "metadata.yaml").is_file() else path
     with (  # Its exceptions have no common root
         reading(path, "bag", Exception),
@@ -54,43 +67,22 @@ def read_bag(path: Path, unit: str | None) -> RecordedFlight:
         if chosen is None:
             raise FileError(f"holds none of {', '.join(BODIES)}, but {', '.join(sorted(kinds))}")
         clouds = sorted({c.topic for c in bag.connections if c.msgtype == CLOUD})
+        if clouds[1:]:
+            notes.append(f"markers are of {clouds[0]}, not of {', '.join(clouds[1:])}")
         used = [c for c in bag.connections if c.msgtype == chosen or c.topic in clouds[:1]]
         for connection, received, data in bag.messages(used):
             message = bag.deserialize(data, connection.msgtype)
             if connection.msgtype == CLOUD:
-                each = points_of(message)
-                t = np.full((len(each), 1), _stamp(message.header, received))
-                points.append(np.hstack([t, each]))
+                each = [(MARKER, message.header, points_of(message))]
             else:
-                for name, header, p in _bodies_of(connection.topic, message):
-                    rows[name].append([_stamp(header, received), p.x, p.y, p.z])
-    notes = [f"markers are of {clouds[0]}, not of {', '.join(clouds[1:])}"] if clouds[1:] else []
-    scale = metres(unit or "m")
-    tracks = {name: track_of(np.array(own), scale) for name, own in rows.items()}
-    lost = sum(map(len, rows.values())) - sum(len(each.t) for each in tracks.values())
-    if lost:
-        notes.append(f"{lost} poses repeat the time before, or are nan: left out")
-    source, cloud = f"ROS {'2' if bag.is2 else '1'} bag", cloud_of(np.concatenate(points), scale)
-    return RecordedFlight(source, tracks, cloud, notes=tuple(notes))
-
-
-def _bodies_of(topic: str, message: Any) -> Iterator[tuple[str, Any, Any]]:
-    """Yield names, headers and positions of the bodies of a message."""
-    kind = message.__msgtype__
-    if kind == POSES:
-        yield from ((each.name, message.header, each.pose.position) for each in message.poses)
-    elif kind in (TRANSFORM, TRANSFORMS):
-        for each in [message] if kind == TRANSFORM else message.transforms:
-            yield each.child_frame_id, each.header, each.transform.translation
-    else:
-        pose = message.pose if kind == POSE_STAMPED else message.pose.pose
-        yield topic.strip("/").split("/")[-2:][0], message.header, pose.position
-
-
-def _stamp(header: Any, received: int) -> float:
-    """Return the time of a message [s], or that of its arrival if its header has none."""
-    stamp = 1_000_000_000 * header.stamp.sec + header.stamp.nanosec
-    return 1e-9 * (stamp or received)
+                bodies = BODIES[chosen](connection.topic.strip("/").split("/"), message)
+                each = [(name, header, np.array([[p.x, p.y, p.z]])) for name, header, p in bodies]
+            for name, header, positions in each:
+                t = 1e-9 * (10**9 * header.stamp.sec + header.stamp.nanosec or received)
+                rows.append(np.insert(positions, 0, t, axis=1))
+                names += [name] * len(positions)
+    source = f"ROS {'2' if bag.is2 else '1'} bag"
+    return flight_of(source, names, np.concatenate(rows), unit or "m", notes=notes)
 
 
 def points_of(message: Any) -> Array:
@@ -104,33 +96,41 @@ def points_of(message: Any) -> Array:
     return np.stack([cloud[axis].astype(np.float64) for axis in "xyz"], axis=1)
 
 
-def read_usd(paths: Sequence[Path]) -> RecordedFlight:
-    """Return the flight in logs of Crazyflies' uSD cards, a file each, named as the drone.
+def flight_of_logs(
+    source: str, rows: Mapping[str, Array], notes: Sequence[str], commands: Mapping[str, Array]
+) -> RecordedFlight:
+    """Return the flight of rows (time, x, y, z) (m, 4) of every log, in metres."""
+    names = [name for name, own in rows.items() for _ in own]
+    more: Any = {"one_clock": len(rows) == 1, "notes": notes, "setpoints": commands}
+    return flight_of(source, names, np.concatenate(list(rows.values())), **more)
 
-    A log has events of several kinds, each with a time and variables ``group.name(type)``.
-    """
-    tracks, commands, notes = {}, {}, list[str]()
+
+def read_usd(paths: Sequence[Path]) -> RecordedFlight:
+    """Return the flight in logs of Crazyflies' uSD cards, a file each, named as the drone."""
+    rows, commands, notes = dict[str, Array](), dict[str, Array](), list[str]()
     for path in paths:
         with reading(path, "uSD log"):
             events, note = usd_events(path.read_bytes())
-            group, track = _usd_track(events, USD_POSITIONS)
-            if track is None:
-                names = sorted({name for event in events for name in event})
-                expected = ", ".join(f"{each}.x" for each in USD_POSITIONS)
-                raise FileError(f"logs none of {expected}, but {', '.join(names)[:200]}")
-            tracks[path.stem] = track
             notes += [f"{path.stem}: {note}"] if note else []
-            notes.append(f"{path.stem}: positions are of {group}")
-            if (target := _usd_track(events, USD_COMMANDS)[1]) is not None:
-                commands[path.stem] = target
-    options: Any = {"one_clock": len(paths) == 1, "notes": tuple(notes)}
-    return RecordedFlight("Crazyflie uSD log", tracks, setpoints=commands, **options)
+            for groups, found in ((USD_POSITIONS, rows), (USD_COMMANDS, commands)):
+                for group, event in itertools.product(groups, events):
+                    axes = [f"{group}.{axis}" for axis in "xyz"]
+                    if path.stem not in found and all(axis in event for axis in axes):
+                        positions = [groups[group] * event[axis] for axis in axes]
+                        found[path.stem] = np.stack([event["t"], *positions], axis=1)
+                        notes += [f"{path.stem}: positions are of {group}"] * (found is rows)
+            if path.stem not in rows:
+                logged = ", ".join(sorted({name for event in events for name in event}))
+                expected = ", ".join(f"{each}.x" for each in USD_POSITIONS)
+                raise FileError(f"logs none of {expected}, but {logged[:200]}")
+    return flight_of_logs("Crazyflie uSD log", rows, notes, commands)
 
 
 def usd_events(data: bytes) -> tuple[list[dict[str, Array]], str]:
     """Return the variables of every kind of event, ``t`` [s] among them, and a note on damage.
 
-    The header numbers kinds of events; their records follow, and a checksum.
+    The header numbers kinds of events, each with a time and variables ``group.name(type)``; their
+    records follow, and a checksum.
     """
     version, count = struct.unpack_from("<HH", data, 1)
     if version not in {1, 2}:
@@ -154,25 +154,12 @@ def usd_events(data: bytes) -> tuple[list[dict[str, Array]], str]:
             break
         rows[number].append(kinds[number][1].unpack_from(data, at)[1:])
         at += kinds[number][1].size
-    events = []
+    events, tick = list[dict[str, Array]](), 1e-3 if version == 1 else 1e-6
     for number, own in rows.items():
-        values = np.array(own, np.float64)
-        values[:, 0] *= 1e-3 if version == 1 else 1e-6
-        events.append(dict(zip(kinds[number][0], values.T, strict=True)))
+        t, *others = np.array(own, np.float64).T
+        events.append(dict(zip(kinds[number][0], [tick * t, *others], strict=True)))
     last = max((event["t"][-1] for event in events), default=0.0)
     return events, "" if whole else f"is cut off or damaged: read to its record at {last:.3f} s"
-
-
-def _usd_track(
-    events: Sequence[dict[str, Array]], groups: dict[str, float]
-) -> tuple[str, Track | None]:
-    """Return the first of some groups of variables x, y, z in a log, and its track."""
-    for group, scale in groups.items():
-        names = ["t", *(f"{group}.{axis}" for axis in "xyz")]
-        for event in events:
-            if all(name in event for name in names):
-                return group, track_of(np.stack([event[name] for name in names], axis=1), scale)
-    return "", None
 
 
 def read_ulog(paths: Sequence[Path]) -> RecordedFlight:
@@ -181,7 +168,7 @@ def read_ulog(paths: Sequence[Path]) -> RecordedFlight:
     They count from each drone's own origin unless they log the poses of motion capture. Axes are
     turned from north, east, down to the plan's.
     """
-    tracks, notes = {}, list[str]()
+    rows, notes = dict[str, Array](), list[str]()
     for path in paths:
         with reading(path, "ulog", Exception), path.open("rb") as file:
             log = library("pyulog").ULog(file, list(ULOG_POSITIONS))
@@ -190,12 +177,12 @@ def read_ulog(paths: Sequence[Path]) -> RecordedFlight:
             if topic is None:
                 raise FileError(f"logs none of {', '.join(ULOG_POSITIONS)}")
             values = topics[topic]
-            t = 1e-6 * values.get("timestamp_sample", values["timestamp"]).astype(np.float64)
             axes = "xyz" if "x" in values else [f"position[{i}]" for i in range(3)]
             north, east, down = (values[axis].astype(np.float64) for axis in axes)
-            tracks[path.stem] = track_of(np.stack([t, east, north, -down], axis=1))
+            t = 1e-6 * values.get("timestamp_sample", values["timestamp"]).astype(np.float64)
+            rows[path.stem] = np.stack([t, east, north, -down], axis=1)
             own = ", from the drone's own origin" if topic != ULOG_POSITIONS[0] else ""
             notes.append(f"{path.stem}: positions are of {topic}{own}")
             if lost := sum(gap.duration for gap in log.dropouts):
                 notes.append(f"{path.stem}: {1e-3 * lost:.1f} s were not logged")
-    return RecordedFlight("PX4 ulog", tracks, one_clock=len(paths) == 1, notes=tuple(notes))
+    return flight_of_logs("PX4 ulog", rows, notes, {})

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections import defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -15,16 +13,7 @@ import numpy as np
 
 from hitchopt.errors import FileError
 from hitchopt.flights import mocap, onboard
-from hitchopt.flights.flight import (
-    UNITS,
-    Markers,
-    RecordedFlight,
-    SimulatedTeam,
-    Track,
-    cloud_of,
-    metres,
-    track_of,
-)
+from hitchopt.flights.recordings import UNITS, RecordedFlight, flight_of
 from hitchopt.storage.archive import reading
 from hitchopt.storage.files import parsed_json
 from hitchopt.storage.tables import is_number, labelled_table, text_lines
@@ -46,19 +35,18 @@ LOGS: dict[bytes, tuple[str, Callable[[Sequence[Path]], RecordedFlight]]] = {
 
 # Columns of a plain table, in any order and among others: time [s], a body (q0, r0, …, a vertex
 # p0, …, or any name) or MARKER, a point without a name, and its position [m]
-HEADER, MARKER = "t,name,x,y,z", "marker"
+HEADER = "t,name,x,y,z"
 NAMES = ", ".join(name for name, _ in (*FILES.values(), *LOGS.values()))
 KNOWN = f"{NAMES}, the directory of a simulated flight, or a table with the columns {HEADER}"
 
-# Files of a simulated flight, whose tables have "drone" and "vertex" in place of "name"
-DRONES, VERTICES, SUMMARY = "drones.csv", "vertices.csv", "simulation.json"
+# Files of a simulated flight, whose tables have "vertex" and "drone" in place of "name"
+TABLES, SUMMARY = {"vertices.csv": ("vertex", "p"), "drones.csv": ("drone", "")}, "simulation.json"
 
 MAX_BYTES = 2_000_000_000  # Size limit of a file [B]
 MAX_DISTANCE = 50.0  # Median distance from the origin beyond which lengths are no metres [m]
 MAX_STEP = 1.0  # Median step of times from which on they are no seconds [s]
 CLOCKS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
 RATES = (4.0, 3000.0)  # Rates at which flights are recorded [Hz]
-ABSOLUTE = 1e7  # Times from which on they are a date, or those of a computer [s]
 
 
 def read_flight(path: Path | str, unit: str | None = None) -> RecordedFlight:
@@ -81,16 +69,28 @@ def read_flight(path: Path | str, unit: str | None = None) -> RecordedFlight:
         flight = _read(path, unit)
         if not flight.tracks:
             raise FileError("holds no position of a body; record the drones")
-        _check_units(flight, unit)
-        begin = min(float(track.t[0]) for track in flight.tracks.values())
-        dated = abs(begin) >= ABSOLUTE and flight.one_clock
-        return _counted_from(begin, flight) if dated else flight
+        for name, track in flight.tracks.items():
+            step = float(np.median(np.diff(track.t))) if len(track.t) > 1 else 0.0
+            if step >= MAX_STEP:
+                units = [
+                    f"{each}, divide by {many:.0e}"
+                    for each, many in CLOCKS.items()
+                    if step / many * RATES[0] <= 1.0 <= step / many * RATES[1]
+                ]
+                words = f"times of {name} step by {step:.4g} s: not in seconds"
+                raise FileError(f"{words}; if they are {' or if '.join(units) or 'other units'}")
+        positions = np.concatenate([track.positions for track in flight.tracks.values()])
+        far = float(np.median(np.linalg.norm(positions, axis=1)))
+        if far > MAX_DISTANCE and unit is None:
+            words = f"positions are {far:.4g} m from the origin at the median"
+            raise FileError(f"{words}, over {MAX_DISTANCE:g} m: millimetres? unit='mm'")
+        return flight
 
 
 def _read(path: Path, unit: str | None) -> RecordedFlight:
     if not path.exists():
         raise FileError(f"{path}: there is no such file; give a recording")
-    if (path / DRONES).is_file():
+    if all((path / name).is_file() for name in TABLES):
         return read_simulated(path)
     files = sorted(x for x in path.iterdir() if x.is_file()) if path.is_dir() else [path]
     heads = dict[Path, bytes]()
@@ -125,85 +125,26 @@ def read_table(path: Path, unit: str | None) -> RecordedFlight:
     except FileError as error:
         raise FileError(f"{error}; give {KNOWN}") from None
     rows = table.numbers(["t", "x", "y", "z"], blanks=True)
-    return _of_rows("table", rows, table.words("name"), metres(unit or "m"))
-
-
-def _of_rows(source: str, rows: Array, names: Sequence[str], scale: float = 1.0) -> RecordedFlight:
-    """Return the flight of rows (time, x, y, z) (k, 4) of names; of each name, times ascend."""
-    indices = defaultdict[str, list[int]](list)
-    for i, name in enumerate(names):
-        indices[name].append(i)
-    cloud = cloud_of(rows[indices.pop(MARKER, [])], scale)
-    blank, tracks = 0, dict[str, Track]()
-    for name, own in indices.items():
-        values = rows[own]
-        if not np.all(np.isfinite(values[:, 0])):
-            raise FileError("a time is not finite; leave out rows without a time")
-        visible = int(np.sum(np.all(np.isfinite(values), axis=1)))
-        tracks[name] = track_of(values, scale)
-        if len(tracks[name].t) < visible:
-            raise FileError(f"holds {name} twice at the same time; record it once")
-        blank += len(own) - visible
-    notes = (f"{blank} of {len(rows)} rows have no position: left out",) if blank else ()
-    return RecordedFlight(source, tracks, cloud, notes=notes)
+    return flight_of("table", table.words("name"), rows, unit or "m")
 
 
 def read_simulated(path: Path) -> RecordedFlight:
     """Return the flight in the results of ``hitchopt simulate``."""
     parts, names, end = list[Array](), list[str](), np.inf
-    for file, kind, prefix in ((VERTICES, "vertex", "p"), (DRONES, "drone", "")):
-        source = path / file
-        table = labelled_table(partial(text_lines, source), ("t", kind, "x"), str(source))
+    for file, (kind, prefix) in TABLES.items():
+        table = labelled_table(partial(text_lines, path / file), ("t", kind, "x"), file)
         rows = table.numbers(["t", "x", "y", "z"], blanks=True)
-        common = rows[:, 0] <= end  # Drones alone are recorded longer
+        common = (rows[:, 0] <= end) & np.isfinite(rows).all(axis=1)  # Drones are recorded longer
         end = float(np.max(rows[:, 0], initial=-np.inf))
         parts.append(rows[common])
-        labels = zip(table.words(kind), common.tolist(), strict=True)
-        names += [f"{prefix}{label}" for label, here in labels if here]
+        names += [prefix + label for label in np.array(table.words(kind))[common].tolist()]
     try:
         content = parsed_json((path / SUMMARY).read_text(encoding="utf-8"))
-        loops = (content["position_loops"][name] for name in ("feed_forward", "integral"))
-        on = [np.asarray(np.any(np.reshape(each, (len(each), -1)), axis=1)) for each in loops]
-        simulated = SimulatedTeam(float(content["density"]["simulated"]), *on)
+        simulated = {
+            name: np.array([np.any(drone) for drone in content["position_loops"][name]])
+            for name in ("feed_forward", "integral")
+        } | {"density": float(content["density"]["simulated"])}
     except (OSError, ValueError, KeyError, TypeError) as error:
         words = f"not a summary of this flight; simulate again ({error})"
         raise FileError(f"{path / SUMMARY}: {words}") from error
-    flight = _of_rows("simulated flight", np.concatenate(parts), names)
-    return replace(flight, notes=(), simulated=simulated)
-
-
-def _check_units(flight: RecordedFlight, unit: str | None) -> None:
-    """Raise FileError for times that are not in seconds, or lengths that are not in metres."""
-    for name, track in flight.tracks.items():
-        step = float(np.median(np.diff(track.t))) if len(track.t) > 1 else 0.0
-        if step >= MAX_STEP:
-            units = [
-                f"{each}, divide by {many:.0e}"
-                for each, many in CLOCKS.items()
-                if step / many * RATES[0] <= 1.0 <= step / many * RATES[1]
-            ]
-            words = f"times of {name} step by {step:.4g} s: not in seconds"
-            raise FileError(f"{words}; if they are {' or if '.join(units) or 'other units'}")
-    positions = np.concatenate([track.positions for track in flight.tracks.values()])
-    far = float(np.median(np.linalg.norm(positions, axis=1)))
-    if far > MAX_DISTANCE and unit is None:
-        words = f"positions are {far:.4g} m from the origin at the median, over {MAX_DISTANCE:g} m"
-        raise FileError(f"{words}: millimetres? unit='mm'")
-
-
-def _counted_from(begin: float, flight: RecordedFlight) -> RecordedFlight:
-    """Return a flight whose times count from one of its own clock [s]."""
-    tracks, setpoints = (
-        {name: Track(each.t - begin, each.positions) for name, each in part.items()}
-        for part in (flight.tracks, flight.setpoints)
-    )
-    markers = Markers(flight.markers.t - begin, flight.markers.frame, flight.markers.positions)
-    note = f"times count from the first position, at {begin:.3f} s of the recording's clock"
-    return replace(
-        flight,
-        tracks=tracks,
-        setpoints=setpoints,
-        markers=markers,
-        notes=(*flight.notes, note),
-        epoch=begin,
-    )
+    return flight_of("simulated flight", names, np.concatenate(parts), simulated=simulated)

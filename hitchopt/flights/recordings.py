@@ -1,28 +1,96 @@
-"""Recordings of a team: its drones and vertices on one clock, and their means over windows."""
+"""Records of flights: as a file has them, and with drones and vertices on the plan's clock."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib import import_module
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import make_interp_spline
 
-from hitchopt.errors import FileError, OneLine
-from hitchopt.flights.flight import RecordedFlight, Track, sampled
-from hitchopt.hitch import Team
+from hitchopt.errors import FileError, InputError, OneLine
 from hitchopt.simulation.task import Task
 from hitchopt.values import Array
 
-WINDOW_TIGHT = 0.9  # Least planned tension over the team's at which a hitch counts in a window
+# Units of length [m], by the names that files and users give them
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
+LONG_UNITS = {"meter": "m", "centimeter": "cm", "millimeter": "mm", "inche": "in", "feet": "ft"}
 
-TOGETHER = 0.5  # Least step of all times over a body's at which bodies share their times
-LONGEST_GAP = 2.5  # Longest gap over which positions are interpolated, over a body's usual step
+MARKER = "marker"  # Label of a point without a name
+ABSOLUTE = 1e7  # Times from which on they are a date, or those of a computer [s]
+MAX_GAP = 0.1  # Least distance to a sample beyond which a body is not visible [s]
+WINDOW_TIGHT = 0.9  # Least planned tension over the team's at which a hitch counts in a window
 
 # Standard error [m] of a vertex that a window lacks, whose displacement is that before and after:
 # 1 cm, besides its standard deviation. Time between samples whose errors are independent [s]
 UNSEEN, INDEPENDENT = 1e-2, 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Track(OneLine):
+    """Positions of a body, or of all markers, at the times at which they are visible.
+
+    Attributes
+    ----------
+    t: (m,) [s], ascending; times of markers repeat.
+    positions: (m, 3) [m], finite.
+    """
+
+    t: Array
+    positions: Array
+
+    def __post_init__(self) -> None:
+        t, x = np.array(self.t, np.float64), np.array(self.positions, np.float64)
+        if t.ndim != 1 or x.shape != (len(t), 3) or not np.isfinite(np.column_stack([t, x])).all():
+            bound = f"of shape (m, 3) and finite, as are its times, of shape {t.shape}"
+            raise InputError("positions", x, bound, "give a row per sample")
+        if np.any(np.diff(t) < 0.0):
+            raise InputError("t", t, "ascending", "sort the samples")
+        for name, values in (("t", t), ("positions", x)):
+            values.setflags(write=False)
+            object.__setattr__(self, name, values)
+
+    def at(self, t: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Return positions at times (times, 3) [m], linear between samples, and if one is near."""
+        x = np.column_stack([np.interp(t, self.t, axis) for axis in self.positions.T])
+        i = np.searchsorted(self.t, t)
+        near = np.abs(self.t[np.clip([i - 1, i], 0, len(self.t) - 1)] - t).min(axis=0)
+        step = np.median(np.diff(self.t)) if len(self.t) > 1 else 0.0
+        return x, near < max(MAX_GAP, step)
+
+
+NOTHING = Track(np.zeros(0), np.zeros((0, 3)))
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedFlight(OneLine):
+    """Content of a recording, with the names, the frame and the clock of its file.
+
+    Attributes
+    ----------
+    source: the file's format, such as ``Motive CSV 1.23``.
+    tracks: by the file's own names, the bodies: drones, and vertices if a file names them.
+    markers: points without identity, on the clock of ``tracks``.
+    setpoints: by name, commanded positions, on the clock of the track of that name.
+    epoch: time of its own clock [s] from which its times count; 0 if they are as recorded.
+    one_clock: whether all tracks share one clock; else each counts from an origin of its own.
+    notes: corrections and omissions, a sentence each.
+    simulated: of a simulated flight the cables' ``density`` [kg/m], and whether the drones'
+        controllers had ``feed_forward`` and ``integral`` (2n,); empty of a real one.
+    """
+
+    source: str
+    tracks: Mapping[str, Track]
+    markers: Track = NOTHING
+    setpoints: Mapping[str, Track] = field(default_factory=dict)
+    epoch: float = 0.0
+    one_clock: bool = True
+    notes: tuple[str, ...] = ()
+    simulated: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,45 +118,83 @@ class Recording(OneLine):
     notes: tuple[str, ...] = ()
 
 
-def recording_of(flight: RecordedFlight, team: Team) -> Recording:
-    """Return a flight whose bodies have the team's names, and whose clock is the plan's.
+def metres(unit: str) -> float:
+    """Return a unit of length [m]; FileError for one that is not known."""
+    word = unit.strip().casefold().replace("metre", "meter")
+    scale = UNITS.get(LONG_UNITS.get(word.removesuffix("s"), word))
+    if scale is None:
+        raise FileError(f"its unit of length, {unit!r}, is unknown; state unit='m', 'cm' or 'mm'")
+    return scale
 
-    Bodies that are sampled at different times are interpolated to those of the first drone.
 
-    Raises
-    ------
-    FileError: a drone that is not recorded.
+def library(module: str) -> Any:
+    """Return a module that only some formats need; FileError names the extra to install."""
+    try:
+        return import_module(module)
+    except ImportError as fault:
+        words = f"reading it needs {module.partition('.')[0]} ({fault})"
+        raise FileError(f"{words}; pip install 'hitchopt[logs]'") from fault
+
+
+def flight_of(
+    source: str,
+    labels: Sequence[str],
+    values: Array,
+    unit: str = "m",
+    *,
+    notes: Sequence[str] = (),
+    setpoints: Mapping[str, Array] | None = None,
+    one_clock: bool = True,
+    simulated: Mapping[str, Any] | None = None,
+) -> RecordedFlight:
+    """Return the flight of rows in a file's order, each a position of a body or a MARKER.
+
+    Parameters
+    ----------
+    source, notes, one_clock, simulated: as in ``RecordedFlight``.
+    labels, values: (k,) of the bodies, and (k, 4) their times [s] and positions [unit].
+    unit: of lengths.
+    setpoints: by label, rows (m, 4) of commanded positions.
+
+    Raises FileError for an unknown unit, or times that do not ascend.
     """
-    names, layout = (*team.drone_names, *team.point_names), team.layout
-    for name in team.drone_names:
-        if name not in flight.tracks:
-            bodies = ", ".join(list(flight.tracks)[:10])
-            raise FileError(f"{name} is not recorded, but {bodies}; names are as in the plan")
-    own = {name: flight.tracks[name] for name in names if name in flight.tracks}
-    t = np.unique(np.concatenate([track.t for track in own.values()]))
-    steps = [np.diff(track.t) for track in own.values() if len(track.t) > 1]
-    usual = float(np.median(np.concatenate(steps))) if steps else np.inf
-    together = len(t) < 2 or float(np.median(np.diff(t))) >= TOGETHER * usual
-    t = t if together else own[names[0]].t
-    places = np.full((len(t), len(names), 3), np.nan)
-    for k, name in enumerate(names):
-        track = own.get(name)
-        if track is None or (len(track.t) < 2 and not together):
-            continue
-        if together:
-            places[np.searchsorted(t, track.t), k] = track.positions
-        else:
-            after = np.clip(np.searchsorted(track.t, t), 1, len(track.t) - 1)
-            near = (t >= track.t[0]) & (t <= track.t[-1])
-            near &= track.t[after] - track.t[after - 1] <= LONGEST_GAP * usual
-            places[near, k] = sampled(track, t[near])[0]
-    ends = np.flatnonzero(~layout.has_leg.ravel())  # drones that are a chain's points
-    places[:, team.drones + layout.anchors[ends]] = places[:, ends]
-    drones, vertices = places[:, : team.drones], places[:, team.drones :]
-    notes, simulated = flight.notes, vars(flight.simulated) if flight.simulated else {}
-    if not together:
-        notes += (f"bodies are seen at different times: interpolated to those of {names[0]}",)
-    return Recording(t, drones, vertices, **simulated, notes=notes)
+    scale, epoch = metres(unit), 0.0
+    if not np.isfinite(values[:, 0]).all():
+        raise FileError("a time is not finite; leave out rows without a time")
+    rows = defaultdict[str, list[int]](list)
+    for i, label in enumerate(labels):
+        rows[label].append(i)
+    cloud = values[rows.pop(MARKER, [])]
+    count = len(values) - len(cloud)
+    begin = min((float(values[own[0], 0]) for own in rows.values()), default=0.0)
+    if one_clock and abs(begin) >= ABSOLUTE:
+        epoch, words = begin, f"times count from the first position, at {begin:.3f} s"
+        notes = [*notes, f"{words} of the recording's clock"]
+
+    def track(own: Array) -> Track:
+        own = own[np.isfinite(own).all(axis=1)]
+        steps = np.diff(own[:, 0], prepend=-np.inf)
+        if np.any(steps < 0.0):
+            a, b = own[(i := int(np.argmax(steps < 0.0))) - 1 : i + 1, 0]
+            words = f"times do not ascend: {a:.9g} s is followed by {b:.9g} s"
+            raise FileError(f"{words}; give one flight, in the order in which it was recorded")
+        return Track(own[steps > 0.0, 0] - epoch, scale * own[steps > 0.0, 1:])
+
+    tracks = {label: track(values[own]) for label, own in rows.items()}
+    if lost := count - sum(len(each.t) for each in tracks.values()):
+        notes = [*notes, f"{lost} of {count} rows have no position, or the same time: left out"]
+    cloud = cloud[np.isfinite(cloud).all(axis=1)]
+    cloud = cloud[np.argsort(cloud[:, 0], kind="stable")]
+    return RecordedFlight(
+        source,
+        {label: each for label, each in tracks.items() if len(each.t)},
+        Track(cloud[:, 0] - epoch, scale * cloud[:, 1:]),
+        {label: track(own) for label, own in (setpoints or {}).items()},
+        epoch,
+        one_clock,
+        tuple(notes),
+        simulated or {},
+    )
 
 
 def planned(task: Task, t: ArrayLike, values: Array) -> Array:
@@ -142,47 +248,42 @@ def windows_of(recording: Recording, task: Task, size: float) -> Windows:
     t, setpoints = recording.t, task.setpoints
     inside = tight(task, t, WINDOW_TIGHT) & (t >= 0.0)
     window = np.unique(np.floor(t / size), return_inverse=True)[1]
-    many = int(window.max(initial=-1)) + 1
-    half = 0.5 * np.median(np.bincount(window)) if many else 0.0
+    half = 0.5 * np.median(np.bincount(window)) if len(t) else 0.0
 
     def sums(values: Array) -> Array:
-        total = np.zeros((many, *values.shape[1:]))
+        total = np.zeros((int(window.max(initial=-1)) + 1, *values.shape[1:]))
         np.add.at(total, window[inside], values[inside])
         return total
 
-    count = np.maximum(sums(np.ones(len(t))), 1.0)
+    count = sums(np.ones(len(t)))
 
     def mean(values: Array) -> Array:
-        return (sums(planned(task, t, values)).T / count).T
+        return (sums(planned(task, t, values)).T / np.maximum(count, 1.0)).T
 
     def measured(places: Array, plan: Array) -> tuple[Array, Array]:
-        """Return means (windows, items, 3), and numbers of samples with each item."""
+        """Return means off the plan (windows, items, 3), and numbers of samples with each item."""
         there = np.all(np.isfinite(places), axis=2)
         off = np.where(there[..., None], places - planned(task, t, plan), 0.0)
         often = sums(there.astype(np.float64))
-        means = sums(off) / np.maximum(often, 1.0)[..., None]
-        return means + mean(plan), often
+        return sums(off) / np.maximum(often, 1.0)[..., None], often
 
-    drones, drones_seen = measured(recording.drones, setpoints.positions)
-    vertices, often = measured(recording.vertices, task.vertices)
-    seen = (often >= half) & (often > 0.0)
-    usable = np.all((drones_seen >= half) & (drones_seen > 0.0), axis=1)
+    drones, drones_often = measured(recording.drones, setpoints.positions)
+    off, often = measured(recording.vertices, task.vertices)
+    seen = often >= max(half, 1.0)
+    usable = np.all(drones_often >= max(half, 1.0), axis=1) & (count >= half)
     usable &= 2 * np.sum(seen, axis=1) >= seen.shape[1]
-    usable &= sums(np.ones(len(t))) >= half
-    middle, plan = sums(t) / count, mean(task.vertices)
-    squares = np.zeros(recording.vertices.shape[:2])
-    if recording.standard_errors is not None:
-        squares = np.nan_to_num(recording.standard_errors) ** 2
-    errors = np.sqrt(sums(squares) / np.maximum(often, 1.0))
-    errors /= np.sqrt(np.maximum(often / (2.0 * max(half, 0.5)) * size / INDEPENDENT, 1.0))
-    off = vertices - plan
+    middle, stated = sums(t) / np.maximum(count, 1.0), recording.standard_errors
+    squares = np.zeros(off.shape[:2]) if stated is None else sums(np.nan_to_num(stated) ** 2)
+    free = np.maximum(often / (2.0 * max(half, 0.5)) * size / INDEPENDENT, 1.0)
+    errors = np.sqrt(squares / np.maximum(often, 1.0) / free)
     for k in range(seen.shape[1]):
         here, lacks = seen[:, k] & usable, ~seen[:, k]
         spread, guess = 0.0, np.zeros(3)
         if np.any(here):
-            guess, _ = sampled(Track(middle[here], off[here, k]), middle[lacks])
+            guess = Track(middle[here], off[here, k]).at(middle[lacks])[0]
             spread = float(np.linalg.norm(np.std(off[here, k], axis=0)))
         off[lacks, k], errors[lacks, k] = guess, np.hypot(UNSEEN, spread)
-    commands = mean(setpoints.positions), plan, mean(setpoints.cable_forces), mean(task.tensions)
-    values: Any = (middle, drones, plan + off, seen, errors, *commands)
-    return Windows(*(each[usable] for each in values))
+    positions, plan = mean(setpoints.positions), mean(task.vertices)
+    values: Any = (middle, positions + drones, plan + off, seen, errors, positions, plan)
+    more = mean(setpoints.cable_forces), mean(task.tensions)
+    return Windows(*(each[usable] for each in (*values, *more)))

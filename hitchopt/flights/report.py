@@ -224,7 +224,7 @@ def _draw_from_above(axes: Axes, evaluation: Evaluation) -> None:
             *evaluation.planned[i, order, :2].T, "--", color=style.LIMIT_COLOUR, label="planned"
         )
         axes.plot(*measured[i, order, :2].T, color=style.INK, lw=1.4, label="measured")
-        near = np.abs(evaluation.cloud.t - evaluation.t[i])[evaluation.cloud.frame] < MOMENT
+        near = np.abs(evaluation.cloud.t - evaluation.t[i]) < MOMENT
         look: Any = {"s": 6, "color": "0.45", "zorder": 3, "label": "markers"}
         axes.scatter(*evaluation.cloud.positions[near, :2].T, **look)
         axes.set_title(f"from above, t = {evaluation.t[i]:.2f} s", fontsize="medium")

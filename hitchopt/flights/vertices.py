@@ -11,16 +11,15 @@ markers, not samples, scatter about lines: a marker beside its cable is so in al
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
+from scipy.special import stdtrit
 
-from hitchopt.flights.flight import Markers
-from hitchopt.flights.recordings import planned
+from hitchopt.flights.recordings import Track, planned
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch.team import GRAVITY, Layout
 from hitchopt.simulation.task import Task
@@ -37,6 +36,7 @@ RIDGE = np.array([0.0, 1e-6, 1e-6])  # Added to mean squares of places [m²] and
 LEAST_SPREAD = 1e-3  # Least sum of squares of the places of an edge's markers [m²]
 SPACING = 0.03  # Distance along an edge from which on points are of different markers [m]
 BENT = 1e-3  # Scatter about lines of ropes that clasps bend, besides that of markers [m]
+ONE_SIGMA = 0.8413  # Share of a normal distribution below its mean and a standard deviation
 COUNTED = 0.25  # Weight from which on a point is of a marker
 SMOOTH = 1.0  # Time over which the displacement of all drones is averaged [s]
 LARGEST = 0.05  # Largest standard error of a vertex [m]
@@ -103,26 +103,6 @@ class _Edges:
         return np.asarray(0.5 * self.curvature[time] * s * (s - self.span[time]))
 
 
-class _Points(NamedTuple):
-    """Points by ascending edges and times."""
-
-    edge: Indices  # (k,)
-    time: Array  # (k,) [s]
-    s: Array  # (k,) [m], along the edge
-    values: Array  # (k, 3): aside, above and sag
-    weight: Array  # (k,)
-
-
-@dataclass(frozen=True, eq=False)
-class _Lines:
-    """Local lines of all edges at some times; nan with fewer than two markers."""
-
-    fit: Array  # (t, n, 2, 2): aside and above; offset at the expected start, and slope
-    density: Array  # (n,) [kg/m], of the sag besides
-    markers: Array  # (t, n, 3): number, mean place [m], and sum of squares of places [m²]
-    scatter: float  # [m], of markers about lines
-
-
 def line_variances(markers: Array, s: Array) -> Array:
     """Return variances of lines at places along (…) [m] over that of markers about them.
 
@@ -141,13 +121,7 @@ def crossing_errors(variances: Array, sine: Array) -> Array:
 
 
 def measured_vertices(
-    task: Task,
-    t: Array,
-    cloud: Markers,
-    drones: Array,
-    *,
-    density: float | None = None,
-    window: float = WINDOW,
+    task: Task, t: Array, cloud: Track, drones: Array, density: float | None, window: float
 ) -> Measured:
     """Return the vertices at times at which the plan has its hitch.
 
@@ -157,41 +131,52 @@ def measured_vertices(
     t: (times,) [s], ascending.
     cloud: points in the plan's time and frame, at times at which the plan has its hitch; those of
         the drones' own markers may be among them.
-    drones: places of the drones at the cloud's times (frames, 2n, 3) [m].
+    drones: places of the drones at the cloud's times, each once (frames, 2n, 3) [m].
     density: of the cables [kg/m]; None: the plan's, or fitted if the plan knows no weight.
     window: time over which places are averaged [s].
     """
-    planned_density = task.team.cable_density
+    planned_density, layout = task.team.cable_density, task.team.layout
     known = planned_density if planned_density >= WEIGHTLESS else None
     known = known if density is None else density
-    moved = np.median(drones - planned(task, cloud.t, task.setpoints.positions), axis=1)
-    frames = max(1, round(SMOOTH * len(cloud.t) / max(np.ptp(cloud.t), SMOOTH)))
+    times, frame = np.unique(cloud.t, return_inverse=True)
+    moved = np.median(drones - planned(task, times, task.setpoints.positions), axis=1)
+    frames = max(1, round(SMOOTH * len(times) / max(np.ptp(times), SMOOTH)))
     moved = uniform_filter1d(moved, frames, axis=0, mode="nearest")
-    nearest = np.min(length(cloud.positions[:, None] - drones[cloud.frame]), axis=1)
-    frame, x = cloud.frame[nearest > BODY], cloud.positions[nearest > BODY]
-    time, expected = cloud.t[frame], _Edges.of(task, cloud.t, moved)
-    s, values = expected.seen(frame, x)
+    own = np.min(length(cloud.positions[:, None] - drones[frame]), axis=1) < BODY
+    frame, time = frame[~own], cloud.t[~own]
+    expected = _Edges.of(task, times, moved)
+    s, values = expected.seen(frame, cloud.positions[~own])
     ends: list[Array] = [np.zeros(s.shape), expected.span[frame]]
     off = values[..., :2] - (known or 0.0) * values[..., 2:] * [0.0, 1.0]
     for gate, width in ((gate, width or window) for gate, width in ROUNDS):
         distance = np.where((s > ends[0]) & (s < ends[1]), length(off), np.inf)
         edge, share = np.argmin(distance, axis=1), np.min(distance, axis=1) / gate
-        near = np.flatnonzero(share < 1.0)
-        near = near[np.argsort(edge[near], kind="stable")]
-        given = s[near, edge[near]], values[near, edge[near]], (1.0 - share[near] ** 2) ** 2
         grid = np.arange(t[0], t[-1] + width, width / OVERLAP) if width > window else t
-        points = _Points(edge[near], time[near], *given)
-        lines = _fitted(points, grid, width, s.shape[1], known)
-        edges = _Edges.of(task, grid, _at(cloud.t, moved, grid))
-        crossings, errors, crossed = _crossings(edges, lines, task.team.layout)
-        fit = _at(grid, lines.fit, time)
-        off = values[..., :2] - np.nan_to_num(fit[..., 0] + s[..., None] * fit[..., 1])
-        off[..., 1] -= lines.density * values[..., 2]
+        lines = []
+        for k in range(s.shape[1]):
+            near = (share < 1.0) & (edge == k)
+            given = time[near], s[near, k], values[near, k], (1.0 - share[near] ** 2) ** 2
+            lines.append(_fitted(*given, grid, width, known))
+        fit, markers = (np.stack(each, axis=1) for each in list(zip(*lines, strict=True))[:2])
+        densities, squares, freedom = np.array([line[2:] for line in lines]).T
+        edges = _Edges.of(task, grid, _at(times, moved, grid))
+        crossings, crossed, sine = _crossings(edges, fit, densities, layout)
+        there = _at(grid, fit, time)
+        off = values[..., :2] - np.nan_to_num(there[..., 0, :] + s[..., None] * there[..., 1, :])
+        off[..., 1] -= densities * values[..., 2]
         within = (_at(grid, each, time) for each in crossed)
         ends = [np.where(np.isnan(a), b, a) for a, b in zip(within, ends, strict=True)]
+    # Markers are the same in all windows: as many squares are free as in one of them
+    free = float(np.sum(freedom))
+    scatter = np.sqrt(np.sum(squares) / max(free, 1e-9)) * float(stdtrit(max(free, 1.0), ONE_SIGMA))
+    scatter = np.hypot(scatter, BENT)
+    both = line_variances(markers, crossed)
+    errors = np.full(crossings.shape[:2], np.nan)
+    both = both[1][:, layout.behind] + both[0][:, layout.ahead]
+    errors[:, layout.clasps] = crossing_errors(scatter**2 * both, sine)
     wrong = ~(errors < LARGEST) | _outlying(crossings - planned(task, t, task.vertices))
     crossings[wrong], errors[wrong] = np.nan, np.nan
-    return Measured(crossings, errors, lines.density, _mean(lines.markers[..., 0]))
+    return Measured(crossings, errors, densities, np.mean(np.nan_to_num(markers[..., 0]), axis=0))
 
 
 def _at(t: Array, values: Array, times: Array) -> Array:
@@ -205,106 +190,85 @@ def _at(t: Array, values: Array, times: Array) -> Array:
     return curves.reshape(len(times), *values.shape[1:])
 
 
-def _mean(values: Array) -> Array:
-    """Return the means over the first axis, nan counting as zero."""
-    return np.asarray(np.mean(np.nan_to_num(values), axis=0))
+def _fitted(
+    time: Array, s: Array, values: Array, weight: Array, grid: Array, width: float, known: Any
+) -> tuple[Array, Array, float, float, float]:
+    """Return the lines of an edge in windows about times ``grid`` (t,), and of their markers.
 
+    Lines follow from moments of ones, places, times and values (k, 3) of the edge's points, summed
+    over windows. The density of the cable is fitted unless it is ``known``.
 
-def _fitted(points: _Points, grid: Array, width: float, n: int, known: float | None) -> _Lines:
-    """Return the lines of n edges in windows about times (t,).
-
-    They follow from moments of ones, places, times and values, summed over windows. The density of
-    cables is fitted unless it is ``known``.
+    Returns
+    -------
+    Offset and slope (t, 2, 2), aside and above; nan with fewer than two markers. Number, mean place
+    [m] and squares of places [m²] of markers (t, 3). Density [kg/m]. Mean over windows of the
+    squares of markers' distances from lines [m²], and how many of these are free.
     """
-    size = len(grid)
-    q = np.column_stack([np.ones(len(points.s)), points.s, points.time, points.values])
-    products = points.weight[:, None, None] * q[:, :, None] * q[:, None]
-    total = np.concatenate([np.zeros((1, 6, 6)), np.cumsum(products, axis=0)])
-    bounds = np.searchsorted(points.edge, np.arange(n + 1))
-    first, end = (
-        np.stack([a + np.searchsorted(points.time[a:b], grid + d) for a, b in pairwise(bounds)])
-        for d in (-0.5 * width, 0.5 * width)
-    )
-    moments = total[end] - total[first]  # (n, t, 6, 6)
-    weight = np.maximum(moments[..., 0, 0], 1e-9)
-    shift = np.broadcast_to(np.eye(6), moments.shape).copy()  # To mean places and windows' times
-    shift[..., 1, 0], shift[..., 2, 0] = -moments[..., 0, 1] / weight, -grid
-    moments = shift @ moments @ np.swapaxes(shift, -1, -2)
-    H = moments[..., :3, :3] + weight[..., None, None] * np.diag(RIDGE) + 1e-12 * np.eye(3)
-    fit = np.linalg.solve(H, moments[..., :3, 3:])
-    density = np.full(n, known or 0.0)
-    if known is None:
-        left = moments[..., 3:, 3:] - np.swapaxes(moments[..., :3, 3:], -1, -2) @ fit
-        both, squares = np.sum(left[..., 1:, 2], axis=1).T
-        density = np.clip(both / np.maximum(squares, 1e-12), 0.0, DENSEST)
-    fit = fit[..., :2] - density[:, None, None, None] * fit[..., 2:] * [0.0, 1.0]
-    count = (end - first).ravel()
-    group = np.repeat(np.arange(n * size), count)
-    row = np.arange(len(group)) - np.repeat(np.cumsum(count) - count - first.ravel(), count)
-    A = np.einsum("kij,kj->ki", shift.reshape(-1, 6, 6)[group, :3, :3], q[row, :3])
-    sag = density[points.edge[row], None] * q[row, 5:] * [0.0, 1.0]
-    left = q[row, 3:5] - sag - np.einsum("kc,kcv->kv", A, fit.reshape(-1, 3, 2)[group])
-    used = points.weight[row] > COUNTED
-    markers, scatter = _markers(group[used], n * size, points.s[row[used]], left[used])
-    markers = markers.reshape(n, size, 3)
-    fit[..., 0, :] += fit[..., 1, :] * shift[..., 1, :1]
-    none = (markers[..., 0] < 2) | (markers[..., 2] < LEAST_SPREAD)
+    q = np.column_stack([np.ones(len(s)), s, time, values])
+    products = np.cumsum(weight[:, None, None] * q[:, :, None] * q[:, None], axis=0)
+    total = np.concatenate([np.zeros((1, 6, 6)), products])
+    first, end = (np.searchsorted(time, grid + share * width) for share in (-0.5, 0.5))
+    moments = total[end] - total[first]  # (t, 6, 6)
+    size = np.maximum(moments[:, 0, 0], 1e-9)
+    middle = moments[:, 0, 1] / size
+    shift = np.tile(np.eye(6), (len(grid), 1, 1))  # To mean places and windows' times
+    shift[:, 1, 0], shift[:, 2, 0] = -middle, -grid
+    moments = shift @ moments @ np.swapaxes(shift, 1, 2)
+    H = moments[:, :3, :3] + size[:, None, None] * np.diag(RIDGE) + 1e-12 * np.eye(3)
+    fit, density = np.linalg.solve(H, moments[:, :3, 3:]), known
+    if density is None:
+        left = moments[:, 3:, 3:] - np.swapaxes(moments[:, :3, 3:], 1, 2) @ fit
+        both, squares = np.sum(left[:, 1:, 2], axis=0)
+        density = float(np.clip(both / max(squares, 1e-12), 0.0, DENSEST))
+    fit = fit[..., :2] - density * fit[..., 2:] * [0.0, 1.0]
+    window = np.repeat(np.arange(len(grid)), end - first)
+    row = np.concatenate([np.arange(a, b) for a, b in zip(first, end, strict=True)])
+    window, row = window[counted := weight[row] > COUNTED], row[counted]
+    at = np.stack([np.ones(len(row)), s[row] - middle[window], time[row] - grid[window]], axis=1)
+    left = values[row, :2] - density * values[row, 2:] * [0.0, 1.0]
+    left = left - np.einsum("kc,kcv->kv", at, fit[window])
+    # Points of a window that lie close along the edge are those of one marker
+    order = np.lexsort((s[row], window))
+    window, places, left = window[order], s[row[order]], left[order]
+    new = (np.diff(window, prepend=-1) > 0) | (np.diff(places, prepend=-np.inf) > SPACING)
+    marker, of = np.cumsum(new) - 1, window[new]
+    place, *off = (np.bincount(marker, x) / np.bincount(marker) for x in (places, *left.T))
+    count = np.bincount(of, minlength=len(grid))
+    mean = np.bincount(of, place, len(grid)) / np.maximum(count, 1)
+    squares = np.bincount(of, (place - mean[of]) ** 2, len(grid))
+    markers = np.column_stack([count, mean, squares])
+    fit[:, 0] -= fit[:, 1] * middle[:, None]
+    none = (count < 2) | (squares < LEAST_SPREAD)
     fit[none], markers[none] = np.nan, np.nan
-    lines = np.swapaxes(np.moveaxis(fit[..., :2, :], 0, 1), -1, -2)
-    return _Lines(lines, density, np.moveaxis(markers, 0, 1), scatter)
-
-
-def _markers(group: Indices, groups: int, s: Array, left: Array) -> tuple[Array, float]:
-    """Return number, mean place and squares of markers in groups of points, and their scatter [m].
-
-    Points of a group that lie close along the edge are those of one marker. The scatter is that of
-    markers' mean residuals, of points (k, 2), aside and in height.
-    """
-    order = np.lexsort((s, group))
-    group, s, left = group[order], s[order], left[order]
-    new = (np.diff(group, prepend=-1) > 0) | (np.diff(s, prepend=-np.inf) > SPACING)
-    marker, of = np.cumsum(new) - 1, group[new]
-    size = np.bincount(marker)
-    place, *off = (np.bincount(marker, x) / size for x in (s, *left.T))
-    count = np.bincount(of, minlength=groups).astype(np.float64)
-    mean = np.bincount(of, place, groups) / np.maximum(count, 1.0)
-    squares = np.bincount(of, (place - mean[of]) ** 2, groups)
-    freedom = 2.0 * np.sum(np.where(count >= 3, count - 2.0, 0.0))
-    if freedom:
-        scatter = float(np.sqrt(np.sum(np.square(off)[:, count[of] >= 3]) / freedom))
-    else:  # Two markers are always on a line; so their samples' scatter counts
-        scatter = float(np.sqrt(np.mean(left**2))) if len(left) else np.nan
-    return np.column_stack([count, mean, squares]), float(np.hypot(scatter, BENT))
+    free = 2.0 * np.mean(np.maximum(count - 2, 0))
+    scatter = np.sum(np.square(off)[:, count[of] > 2]) / len(grid)
+    return fit[:, :2], markers, density, float(scatter), float(free)
 
 
 def _crossings(
-    edges: _Edges, lines: _Lines, layout: Layout
-) -> tuple[Array, Array, tuple[Array, Array]]:
-    """Return crossings (t, points, 3) and standard errors (t, points) [m] of neighbouring lines.
+    edges: _Edges, fit: Array, density: Array, layout: Layout
+) -> tuple[Array, Array, Array]:
+    """Return crossings (t, points, 3) [m] of neighbouring lines (t, n, 2, 2).
 
-    Then places along every edge (t, n) at which it is crossed at its start and its end, or nan.
+    Then places at which every edge is crossed at its start and its end (2, t, n) [m], nan where it
+    is not, and sines of angles (t, clasps).
     """
     u, (a, b) = edges.along, (layout.behind, layout.ahead)
     normal = np.stack([-u[..., 1], u[..., 0]], axis=-1)
-    base = edges.origin[..., :2] + lines.fit[..., 0, :1] * normal
-    toward = u + lines.fit[..., 0, 1:] * normal
+    base = edges.origin[..., :2] + fit[..., 0, :1] * normal
+    toward = u + fit[..., 1, :1] * normal
     sine = _cross(toward[:, a], toward[:, b])
     sine = np.where(np.abs(sine) < SINE, np.nan, sine)
-    crossed = np.full((2, *edges.span.shape), np.nan)  # At their starts, and at their ends
+    crossed = np.full((2, *edges.span.shape), np.nan)
     between = base[:, b] - base[:, a]
     crossed[0][:, b] = _cross(between, toward[:, a]) / sine
     crossed[1][:, a] = _cross(between, toward[:, b]) / sine
-    heights = edges.origin[..., 2] + lines.fit[..., 1, 0]
-    heights = heights + crossed * (edges.slope + lines.fit[..., 1, 1])
-    heights = heights + lines.density * edges.sag(crossed)
-    relative = line_variances(lines.markers, crossed)
-    both = relative[1][:, a] + relative[0][:, b]
+    heights = edges.origin[..., 2] + fit[..., 0, 1] + crossed * (edges.slope + fit[..., 1, 1])
+    heights = heights + density * edges.sag(crossed)
     crossings = np.full((len(u), layout.points, 3), np.nan)
-    errors = np.full(crossings.shape[:2], np.nan)
     crossings[:, layout.clasps, :2] = base[:, b] + crossed[0][:, b, None] * toward[:, b]
     crossings[:, layout.clasps, 2] = 0.5 * (heights[1][:, a] + heights[0][:, b])
-    errors[:, layout.clasps] = crossing_errors(lines.scatter**2 * both, sine)
-    return crossings, errors, (crossed[0], crossed[1])
+    return crossings, crossed, sine
 
 
 def _cross(a: Array, b: Array) -> Array:

@@ -34,13 +34,12 @@ from scipy.sparse.linalg import splu
 
 from hitchopt.errors import InputError, OneLine
 from hitchopt.flights.evaluation import evaluate
-from hitchopt.flights.flight import RecordedFlight
 from hitchopt.flights.readers import read_flight
 from hitchopt.flights.recordings import (
+    RecordedFlight,
     Recording,
     Windows,
     planned,
-    recording_of,
     tight,
     windows_of,
 )
@@ -278,11 +277,13 @@ def _recording_and_task(recording: Any, plan: Any, density: float | None) -> tup
 
 def _measured(flight: RecordedFlight, task: Task, density: float | None) -> Recording:
     """Return the drones and vertices of a recorded flight in the plan's time and frame."""
-    own, plain = set(flight.tracks), flight.one_clock and not flight.epoch
-    vertices = bool(own & set(task.team.point_names)) or not len(flight.markers)
-    if plain and vertices and own & set(task.team.drone_names):
-        return recording_of(flight, task.team)
-    return evaluate(flight, task, density=density).to_recording()
+    team, own = task.team, set(flight.tracks)
+    named = bool(own & set(team.point_names)) or not len(flight.markers.t)
+    stated: dict[str, Any] = {}
+    if flight.one_clock and not flight.epoch and named and own & set(team.drone_names):
+        names = {name: name for name in team.drone_names}
+        stated = {"names": names, "frame": "plan", "start": 0.0}
+    return evaluate(flight, task, density=density, **stated).to_recording()
 
 
 def _judged(value: float, error: float, model: float, largest: float, remedy: str) -> Estimate:

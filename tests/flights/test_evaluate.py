@@ -20,9 +20,8 @@ import hitchopt as ho
 from benchmarks.recordings import RATE, Camera, exact_markers, plan_of
 from hitchopt.cli import main
 from hitchopt.flights.alignment import align
-from hitchopt.flights.flight import Markers, Track
 from hitchopt.flights.placing import SCATTER, marker_plan
-from hitchopt.flights.recordings import planned
+from hitchopt.flights.recordings import Track, planned
 from hitchopt.flights.vertices import clasps_of
 from hitchopt.simulation.task import Task
 from hitchopt.values import Array
@@ -119,8 +118,8 @@ def test_noise_losses_and_ghosts_cost_a_few_millimetres(camera: Camera) -> None:
 
 def shuffled(flight: ho.RecordedFlight) -> ho.RecordedFlight:
     cloud = flight.markers
-    order = np.lexsort((np.random.default_rng(5).random(len(cloud)), cloud.frame))
-    return altered(flight, markers=Markers(cloud.t, cloud.frame, cloud.positions[order]))
+    order = np.lexsort((np.random.default_rng(5).random(len(cloud.t)), cloud.t))
+    return altered(flight, markers=Track(cloud.t, cloud.positions[order]))
 
 
 def renamed(flight: ho.RecordedFlight) -> ho.RecordedFlight:
@@ -129,7 +128,7 @@ def renamed(flight: ho.RecordedFlight) -> ho.RecordedFlight:
 
 
 def with_a_wand(flight: ho.RecordedFlight) -> ho.RecordedFlight:
-    t = flight.markers.t
+    t = np.unique(flight.markers.t)
     return altered(flight, tracks={"wand": Track(t, np.full((len(t), 3), 2.0)), **flight.tracks})
 
 
@@ -345,7 +344,9 @@ def test_a_stated_start_is_the_clock() -> None:
     assert result.alignment.fitted == ("names",)
     on = np.ones(6, np.bool_)
     camera = replace(EXACT, start=0.02)  # As late as drones may fly: the clock is the plan's
-    simulated = altered(flown("triangle", camera), simulated=ho.SimulatedTeam(0.01, on, on))
+    simulated = altered(
+        flown("triangle", camera), simulated={"density": 0.01, "feed_forward": on, "integral": on}
+    )
     assert ho.evaluate(simulated, task("triangle")).alignment.offset == 0.0
 
 
@@ -354,7 +355,7 @@ def test_remarks_name_bare_edges() -> None:
     p = planned(task("triangle"), np.zeros(1), task("triangle").vertices)[0]
     middle = 0.5 * (p[0] + p[1])
     bare = np.linalg.norm(cloud.positions - middle, axis=1) > 0.45
-    few = Markers(cloud.t, cloud.frame[bare], cloud.positions[bare])
+    few = Track(cloud.t[bare], cloud.positions[bare])
     result = ho.evaluate(cut_markers(few), task("triangle"))
     seen = np.isfinite(result.vertices[result.t < 1.5, :, 0]).mean(axis=0)
     assert seen[2] > 0.9
@@ -362,7 +363,7 @@ def test_remarks_name_bare_edges() -> None:
     assert [remark for remark in result.remarks if remark.startswith("p0 is found")]
 
 
-def cut_markers(cloud: Markers) -> ho.RecordedFlight:
+def cut_markers(cloud: Track) -> ho.RecordedFlight:
     return altered(usual(), markers=cloud)
 
 
@@ -468,7 +469,7 @@ def test_commands_evaluate_and_place_markers(place: Path) -> None:
             for t, x in zip(track.t, track.positions.tolist(), strict=True):
                 file.write(f"{t:.5f},{name},{x[0]:.5f},{x[1]:.5f},{x[2]:.5f}\n")
         cloud = usual().markers
-        for t, x in zip(cloud.t[cloud.frame], cloud.positions.tolist(), strict=True):
+        for t, x in zip(cloud.t, cloud.positions.tolist(), strict=True):
             file.write(f"{t:.5f},marker,{x[0]:.5f},{x[1]:.5f},{x[2]:.5f}\n")
     done = run("evaluate", "flight.csv", "--plan", "plan")
     assert done.exit_code == 0, done.output

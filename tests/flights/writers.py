@@ -15,8 +15,7 @@ import numpy as np
 from rosbags import rosbag1, rosbag2, typesys
 
 import hitchopt as ho
-from hitchopt.flights.flight import Markers
-from hitchopt.flights.onboard import POSE, POSE_TEXT, POSES, POSES_TEXT
+from hitchopt.flights.onboard import MESSAGES, POSE
 from hitchopt.values import Array, Indices
 
 EPOCH = 1_762_186_375  # Start of bags [s]
@@ -34,11 +33,11 @@ def dense(t: Array, track: ho.Track) -> Array:
     return places
 
 
-def columns_of(t: Array, cloud: Markers, broken: int = 20) -> dict[str, Array]:
+def columns_of(t: Array, cloud: ho.Track, broken: int = 20) -> dict[str, Array]:
     """Return columns of unlabeled markers, which break off after so many frames."""
     columns: dict[str, Array] = {}
-    for frame, time in enumerate(cloud.t):
-        for k, place in enumerate(cloud.positions[cloud.frame == frame]):
+    for frame, time in enumerate(np.unique(cloud.t)):
+        for k, place in enumerate(cloud.positions[cloud.t == time]):
             name = f"{1000 + 100 * (frame // broken) + k}"
             columns.setdefault(name, np.full((len(t), 3), np.nan))[np.searchsorted(t, time)] = place
     return columns
@@ -154,7 +153,7 @@ def write_csv(path: Path, flight: ho.RecordedFlight, separator: str = ",") -> Pa
     """Write a plain table, rows by time; ``marker`` is a point without a name."""
     cloud = flight.markers
     parts = [(x.t, name, x.positions) for name, x in flight.tracks.items()]
-    parts.append((cloud.t[cloud.frame], "marker", cloud.positions))
+    parts.append((cloud.t, "marker", cloud.positions))
     rows = [
         (time, name, *place)
         for t, name, places in parts
@@ -181,7 +180,7 @@ def write_bag(
     """
     ros1 = kind == "ros1"
     store = typesys.get_typestore(typesys.Stores["ROS1_NOETIC" if ros1 else "ROS2_HUMBLE"])
-    for text, name in ((POSE_TEXT, POSE), (POSES_TEXT, POSES)):
+    for name, text in MESSAGES.items():
         store.register(typesys.get_types_from_msg(text, name))
 
     def made(name: str, *values: Any) -> Any:
@@ -202,7 +201,7 @@ def write_bag(
         here = [(name, place[0].tolist()) for name, place in seen if len(place)]
         if bodies == "/poses":
             named = [made(POSE, name, pose(place)) for name, place in here]
-            messages.append((t, bodies, made(POSES, header(t), named)))
+            messages.append((t, bodies, made(f"{POSE}Array", header(t), named)))
         elif bodies == "/tf":
             turn = made("Quaternion", 0.0, 0.0, 0.0, 1.0)
             moves = [(name, made("Transform", made("Vector3", *x), turn)) for name, x in here]
@@ -213,8 +212,8 @@ def write_bag(
                 messages.append((t, f"/{name}/pose", made("PoseStamped", header(t), pose(place))))
     fields = [made("sensor_msgs/msg/PointField", x, 4 * i, 7, 1) for i, x in enumerate("xyz")]
     cloud = flight.markers
-    for i, t in enumerate(cloud.t.tolist()):
-        points = cloud.positions[cloud.frame == i].astype("<f4")
+    for i, t in enumerate(np.unique(cloud.t).tolist()):
+        points = cloud.positions[cloud.t == t].astype("<f4")
         data, many = np.frombuffer(points.tobytes(), np.uint8), len(points)
         facts = header(t), 1, many, fields, False, 12, 12 * many, data, True
         late = 0.015 * (i % 2) if stamped else 0.0
@@ -291,4 +290,4 @@ def sample(seed: int = 0, drones: int = 4, frames: int = 150, seen: float = 0.9)
         tracks[f"cf{k + 3}"] = ho.Track(t[here], places[here])
     frame: Indices = np.repeat(np.arange(frames), rng.integers(0, 5, frames))
     points = np.round(rng.uniform(-1.0, 1.0, (len(frame), 3)), 3)
-    return ho.RecordedFlight("sample", tracks, Markers(t, frame, points))
+    return ho.RecordedFlight("sample", tracks, ho.Track(t[frame], points))
