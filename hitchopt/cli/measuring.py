@@ -111,7 +111,7 @@ def _millimetres(lengths: dict[str, float]) -> dict[str, str]:
 
 def _say_markers(task: Task) -> None:
     """Say where markers go on every cable."""
-    from hitchopt.flights.placing import SCATTER, marker_plan
+    from hitchopt.flights.vertices import BENT, marker_plan
 
     markers, team = marker_plan(task), task.team
     rows: list[dict[str, object]] = []
@@ -126,7 +126,7 @@ def _say_markers(task: Task) -> None:
     ]
     parts = [table("Markers from q's end of every cable", rows)]
     parts.append(table("Standard errors [mm]", errors))
-    parts.append(f"of vertices, if markers scatter by {1e3 * SCATTER:g} mm about their lines")
+    parts.append(f"of vertices, if markers scatter by {1e3 * BENT:g} mm about their lines")
     content = {name: _plain(value) for name, value in vars(markers).items()}
     say("\n\n".join(parts), markers=content)
 

@@ -22,7 +22,7 @@ from hitchopt.errors import FileError, InputError, OneLine
 from hitchopt.flights.recordings import RecordedFlight
 from hitchopt.simulation.task import Task
 from hitchopt.storage.files import parsed_json
-from hitchopt.values import Array, Indices
+from hitchopt.values import Array
 
 STEP, COARSE = 0.05, 5  # Of the compared times [s], and as many of them in the search
 TURNS = 36  # Frames about the vertical in the search
@@ -99,21 +99,6 @@ class Alignment(OneLine):
         return np.asarray(positions @ self.rotation.T + self.shift)
 
 
-@dataclass(frozen=True, eq=False)
-class _Fit:
-    """Clock, frame and assignment under trial; clocks count from the middle of the recording."""
-
-    offsets: Array  # (2n,) of every drone [s]
-    frame: str
-    rotation: Array
-    shift: Array
-    body: Indices  # (2n,), index of every drone's body
-    score: float  # Mean square distance over the plan [m²]
-    rate: float = 1.0
-    cost: float = np.inf  # Mean of robust squares without the displacements of drones
-    errors: tuple[float, float] = (np.nan, np.nan)  # Of offset and rate
-
-
 def align(
     flight: RecordedFlight,
     task: Task,
@@ -122,15 +107,7 @@ def align(
     frame: str | None = None,
     start: float | None = None,
 ) -> Alignment:
-    """Return clock, frame and names of a recorded flight of a plan.
-
-    Parameters
-    ----------
-    flight, task: the recording, and the plan.
-    names: drones of the plan by recorded names; None: by their positions.
-    frame: ``plan``, ``y-up``, ``fit``, or a JSON file with ``rotation`` and ``shift``, such as the
-        evaluation of another flight; None: the first of these that brings drones near their plan.
-    start: time in the recording at which the plan begins [s]; None: fitted.
+    """Return clock, frame and names of a recorded flight of a plan; see ``evaluate``.
 
     Raises
     ------
@@ -145,7 +122,7 @@ def align(
     if frame is not None and frame != "fit":
         return trial.judged(trial.fits(_stated_frame(frame)))
     fits = trial.fits(UP) if frame is None else []
-    if flight.one_clock and not (fits and fits[0].score < MAX_RMS**2):
+    if flight.one_clock and not (fits and trial.score(fits[0]) < MAX_RMS**2):
         fits = trial.fits(UP, turned=True)
     return trial.judged(fits)
 
@@ -167,57 +144,56 @@ def _stated_frame(frame: str) -> dict[str, Frame]:
 
 
 class _Trial:
-    """A recording and a plan at common times."""
+    """A recording and a plan at common times; offsets of fits count from the recording's middle."""
 
     def __init__(
         self, flight: RecordedFlight, task: Task, names: Mapping[str, str], start: float | None
     ) -> None:
-        self._flight, self._task, team = flight, task, task.team
-        bodies = [name for name in flight.tracks if name not in team.point_names]
-        if len(bodies) < team.drones:
+        self._flight, self._task, drones = flight, task, task.team.drone_names
+        bodies = [name for name in flight.tracks if name not in task.team.point_names]
+        if len(bodies) < len(drones):
             count = f"holds {len(bodies)} bodies ({', '.join(bodies) or 'none'})"
-            raise self._error(f"{count} of {team.drones} drones; export all rigid bodies")
-        self._bodies, drones = bodies, team.drone_names
+            raise self._error(f"{count} of {len(drones)} drones; export all rigid bodies")
+        self._bodies, remedy = bodies, "write cf231=q0,…"
         self._allowed = np.ones((len(bodies), len(drones)), np.bool_)  # Pairs, by the request
         for name, drone in names.items():
             if name not in bodies:
-                raise InputError("names", name, f"one of {', '.join(bodies)}", "write cf231=q0,…")
+                raise InputError("names", name, f"one of {', '.join(bodies)}", remedy)
             if drone not in drones or list(names.values()).count(drone) > 1:
-                bound = f"one of {', '.join(drones)}, once"
-                raise InputError(f"names.{name}", drone, bound, "write cf231=q0,…")
+                raise InputError(
+                    f"names.{name}", drone, f"one of {', '.join(drones)}, once", remedy
+                )
             b, i = bodies.index(name), drones.index(drone)
             self._allowed[b], self._allowed[:, i] = False, False
             self._allowed[b, i] = True
-        # Set points, if they were logged, have no lag.
-        commanded = set(bodies) <= set(flight.setpoints)
-        tracks = [(flight.setpoints if commanded else flight.tracks)[name] for name in bodies]
+        # Set points, if they were logged, have no lag
+        logged = flight.setpoints if set(bodies) <= set(flight.setpoints) else flight.tracks
+        tracks = [logged[name] for name in bodies]
         ends = np.array([track.t[[0, -1]] for track in tracks])
         if flight.one_clock:
             ends[:] = np.min(ends), np.max(ends)
         self._origins, half = np.mean(ends, axis=1), 0.5 * float(np.max(np.ptp(ends, axis=1)))
         self._t = np.linspace(-half, half, int(2.0 * half / STEP) + 2)
         each = [track.at(self._t + o) for track, o in zip(tracks, self._origins, strict=True)]
-        self._x = np.stack([x for x, _ in each], axis=1)  # Straight in gaps
-        self._near = np.stack([near for _, near in each], axis=1)
-        plan = task.setpoints.positions
-        curves = [make_interp_spline(task.t - task.t[0], x, 1) for x in np.moveaxis(plan, 1, 0)]
-        self._curves = curves
+        self._x, self._near = (np.stack(part, axis=1) for part in zip(*each, strict=True))
+        plan, self._timed = task.setpoints.positions, start is None
+        self._curves = [make_interp_spline(task.t - task.t[0], x, 1) for x in plan.swapaxes(0, 1)]
         for words, places in (("plan", plan), ("recording", self._x)):
-            if start is None and np.max(np.ptp(places, axis=0)) < MIN_MOTION:
+            if self._timed and np.max(np.ptp(places, axis=0)) < MIN_MOTION:
                 remedy = "no clock can be fitted; say when the plan begins with start="
                 raise self._error(f"nothing moves in the {words}, so {remedy}")
-        self._timed, half = start is None, half - 0.5 * MIN_TIME
-        offsets = np.arange(-half, task.duration + half, COARSE * STEP)
+        half -= 0.5 * MIN_TIME
+        offsets = np.arange(-half, task.duration + half, COARSE * STEP)  # In the search [s]
         self._offsets = offsets if start is None else np.array([self._origins[0] - start])
 
     def _error(self, words: str) -> FileError:
         """Return the error of a recording that cannot be compared with the plan."""
         return FileError(f"{self._flight.source}: {words}")
 
-    def fits(self, frames: Mapping[str, Frame], *, turned: bool = False) -> list[_Fit]:
+    def fits(self, frames: Mapping[str, Frame], *, turned: bool = False) -> list[Alignment]:
         """Return refined fits of the best assignments, best first, in frames or in turned ones."""
         yaws, drones = 2.0 * np.pi * np.arange(TURNS if turned else 1) / TURNS, len(self._curves)
-        turns, best = np.stack([_turn(yaw) for yaw in yaws]), dict[tuple[int, ...], _Fit]()
+        turns, best = np.stack([_turn(yaw) for yaw in yaws]), dict[Any, tuple[float, Alignment]]()
         for name, (R, p) in frames.items() if len(self._offsets) else ():
             x = self._x[::COARSE] @ R.T + p
             costs = np.stack([self._costs(x, o, turns, turned) for o in self._offsets])
@@ -228,13 +204,13 @@ class _Trial:
             costs = np.where(self._allowed, costs, EXCLUDED)
             for i, k in np.ndindex(costs.shape[:2]):
                 body = linear_sum_assignment(costs[i, k].T)[1]
-                pairs = i, k, body, np.arange(drones)
+                pairs, key = (i, k, body, np.arange(drones)), tuple(self._bodies[b] for b in body)
                 score = float(np.mean(costs[pairs]))
-                if score < (best[key].score if (key := tuple(body.tolist())) in best else np.inf):
-                    frame = "fit" if turned else name, turns[k] @ R, p
-                    best[key] = _Fit(clocks[pairs], *frame, body, score)
-        ranked = sorted(best.values(), key=lambda fit: fit.score)[:REFINED]
-        return sorted(map(self._refined, ranked), key=lambda fit: fit.score)
+                if key not in best or score < best[key][0]:
+                    placed = turns[k] @ R, p, key, np.nan, (), "fit" if turned else name
+                    best[key] = score, Alignment(clocks[pairs], 1.0, np.nan, np.nan, *placed)
+        ranked = sorted(best.values(), key=lambda each: each[0])[:REFINED]
+        return sorted((self._refined(fit) for _, fit in ranked), key=self.score)
 
     def _costs(self, x: Array, offset: float, turns: Array, centred: bool) -> Array:
         """Return mean squared distances of bodies and drones (turns, m, 2n) at an offset.
@@ -255,44 +231,50 @@ class _Trial:
         squares = squares - 2.0 * np.einsum("bjki,fij->fbk", products, turns)
         return np.asarray(share * squares + (1.0 - share) * UNSEEN**2)
 
-    def _apart(self, fit: _Fit) -> tuple[Frame, Array, NDArray[np.bool_], Array]:
+    def _apart(self, fit: Alignment) -> tuple[Frame, Array, NDArray[np.bool_], Array]:
         """Return the frame, fitted on demand, offsets from the plan [m], which count, and the plan.
 
-        Shapes of the latter are (times, 2n, 3) and (times, 2n).
+        Shapes of the latter are (times, 2n, 3) and (times, 2n). Offsets that do not count are zero.
         """
-        tau, x = fit.rate * self._t[:, None] + fit.offsets, self._x[:, fit.body]
-        inside = np.clip(tau, 0.0, self._task.duration)
+        tau, index = (
+            fit.rate * self._t[:, None] + fit.offsets,
+            list(map(self._bodies.index, fit.names)),
+        )
+        inside, x = np.clip(tau, 0.0, self._task.duration), self._x[:, index]
         plan = np.stack([at(t) for at, t in zip(self._curves, inside.T, strict=True)], axis=1)
-        use, frame = (tau == inside) & self._near[:, fit.body], (fit.rotation, fit.shift)
+        use, frame = (tau == inside) & self._near[:, index], (fit.rotation, fit.shift)
         if fit.frame == "fit" and np.any(use):
             up = min((R for R, _ in UP.values()), key=lambda R: -R[2] @ fit.rotation[2])
             frame = _fitted_frame(x[use], plan[use], up)
         return frame, (x @ frame[0].T + frame[1] - plan) * use[..., None], use, plan
 
-    def _refined(self, fit: _Fit) -> _Fit:
-        """Return a fit with better clocks, at a rate of 1 unless another one gains clearly."""
-        if self._timed:
-            fit = self._clocked(fit, 0)
-            other = self._clocked(fit, 1)
-            drifts = MIN_DRIFT < abs(other.rate - 1.0) < MAX_DRIFT
-            fit = other if drifts and other.cost < GAIN * fit.cost else fit
-        (R, p), apart, use, _ = self._apart(fit)
+    def score(self, fit: Alignment) -> float:
+        """Return the mean squared distance over the plan [m²]."""
+        _, apart, use, _ = self._apart(fit)
         total = max(self._task.duration / (STEP * fit.rate) * use.shape[1], np.sum(use))
-        squares = np.sum(apart**2) + (total - np.sum(use)) * UNSEEN**2
-        return replace(fit, rotation=R, shift=p, score=float(squares / total))
+        return float((np.sum(apart**2) + (total - np.sum(use)) * UNSEEN**2) / total)
 
-    def _clocked(self, fit: _Fit, rates: int) -> _Fit:
-        """Return a fit with better clocks, their cost and standard errors.
+    def _refined(self, fit: Alignment) -> Alignment:
+        """Return a fit with better clocks, at a rate of 1 unless another one gains clearly."""
+        if not self._timed:
+            return fit
+        fit, cost = self._clocked(fit, 0)
+        other, least = self._clocked(fit, 1)
+        drifts = MIN_DRIFT < abs(other.rate - 1.0) < MAX_DRIFT
+        return other if drifts and least < GAIN * cost else fit
+
+    def _clocked(self, fit: Alignment, rates: int) -> tuple[Alignment, float]:
+        """Return a fit with better clocks and their standard errors, and the mean robust square.
 
         Errors are the jackknife's over drones and over blocks of time: drones differ for the whole
         flight, and what displaces all of them lasts for a while.
         """
-        many = len(fit.body)
-        own = np.ones((1, many)) if self._flight.one_clock else np.eye(many)
+        own = np.ones((1, len(fit.names))) if self._flight.one_clock else np.eye(len(fit.names))
+        many = len(own)
 
-        def moved(u: Array) -> _Fit:
-            offsets = fit.offsets + u[: len(own)] @ own
-            return replace(fit, offsets=offsets, rate=fit.rate + float(np.sum(u[len(own) :])))
+        def moved(u: Array) -> Alignment:
+            rate = fit.rate + float(np.sum(u[many:]))
+            return replace(fit, offsets=fit.offsets + u[:many] @ own, rate=rate)
 
         def residuals(u: Array) -> Array:  # Squares are 2 ((1 + d²)^½ - 1) of distances d
             _, apart, use, _ = self._apart(moved(u))
@@ -300,10 +282,9 @@ class _Trial:
             root = np.sqrt(1.0 + np.sum(off**2, axis=-1, keepdims=True))
             return np.asarray(off * np.sqrt(2.0 / (1.0 + root))).ravel()
 
-        scales = [STEP] * len(own) + [MIN_DRIFT] * rates
-        found = least_squares(residuals, np.zeros(len(scales)), x_scale=scales)
-        jac: Any = found.jac
-        J = jac.reshape(len(self._t), many, 3, -1)
+        scales = [STEP] * many + [MIN_DRIFT] * rates
+        found: Any = least_squares(residuals, np.zeros(len(scales)), x_scale=scales)
+        J = found.jac.reshape(len(self._t), len(fit.names), 3, -1)
         g = np.einsum("tixu,tix->tiu", J, found.fun.reshape(J.shape[:3]))
         H, begins = (
             np.einsum("tixu,tixv->tiuv", J, J),
@@ -311,16 +292,15 @@ class _Trial:
         )
         variances = _left_out(*(np.add.reduceat(each.sum(axis=1), begins) for each in (H, g)))
         variances += _left_out(H.sum(axis=0), g.sum(axis=0))
-        errors = [np.mean(variances[: len(own)]), *variances[len(own) :], np.nan]
-        fit = moved(found.x)
-        count = max(1, int(np.sum(self._apart(fit)[2])))
-        return replace(fit, cost=found.cost / count, errors=tuple(np.sqrt(errors[:2]).tolist()))
+        errors = np.sqrt([np.mean(variances[:many]), *variances[many:], np.nan])
+        fit = replace(moved(found.x), offset_error=float(errors[0]), rate_error=float(errors[1]))
+        return fit, found.cost / max(1, int(np.sum(self._apart(fit)[2])))
 
-    def judged(self, fits: Sequence[_Fit]) -> Alignment:
-        """Return the alignment of the best fit, unless it has to be refused."""
+    def judged(self, fits: Sequence[Alignment]) -> Alignment:
+        """Return the best fit, unless it has to be refused."""
         if not fits:
             raise self._error(f"is too short; record at least {MIN_TIME:g} s of the plan")
-        fit, (_, apart, use, plan) = fits[0], self._apart(fits[0])
+        fit, ((R, p), apart, use, plan) = fits[0], self._apart(fits[0])
         rms = float(np.sqrt(np.sum(apart**2) / np.sum(use))) if np.any(use) else np.inf
         seen = float(np.max(np.sum(use, axis=0)) * STEP * fit.rate)
         largest, needed = MAX_RMS, MIN_TIME
@@ -338,7 +318,7 @@ class _Trial:
                 f"{100.0 * MAX_UNPLANNED:.0f} % as much off it: name the plan that was flown, or "
                 "record more of it"
             )
-        if len(fits) > 1 and fits[1].score < ALIKE**2 * fit.score:
+        if len(fits) > 1 and self.score(fits[1]) < ALIKE**2 * self.score(fit):
             raise self._error("two assignments of names fit alike: give names=, or frame='plan'")
         parts = {
             "clock": self._timed,
@@ -346,17 +326,10 @@ class _Trial:
             "frame": fit.frame == "fit",
             "names": np.any(np.sum(self._allowed, axis=0) > 1),
         }
-        return Alignment(
-            fit.offsets - fit.rate * self._origins[fit.body],
-            fit.rate,
-            *fit.errors,
-            fit.rotation,
-            fit.shift,
-            tuple(self._bodies[b] for b in fit.body),
-            rms,
-            tuple(name for name, fitted in parts.items() if fitted),
-            fit.frame,
-        )
+        origins = self._origins[[self._bodies.index(name) for name in fit.names]]
+        fitted = tuple(name for name, there in parts.items() if there)
+        placed: Any = {"rotation": R, "shift": p, "rms": rms, "fitted": fitted}
+        return replace(fit, offsets=fit.offsets - fit.rate * origins, **placed)
 
 
 def _centred(values: Array, use: NDArray[np.bool_]) -> Array:

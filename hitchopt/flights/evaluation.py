@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 
 LONGEST_WINDOW = 1.0  # Largest time over which places are averaged [s]
 MIN_SHARE = 0.5  # Share of the time below which a remark says why a vertex is missing
-NAMES = "cf231=q0,cf7=r0,…"  # How names are written
 ROUNDING = 1e-6  # Of times over their step
 
 
@@ -58,15 +57,6 @@ class Row:
     max: float
     found: float
     standard_error: float
-
-    @classmethod
-    def of(cls, name: str, span: tuple[str, float, float], errors: Array, stated: Array) -> Row:
-        """Return the row of errors and standard errors [m]; missing ones are nan."""
-        off, known = errors[np.isfinite(errors)], stated[np.isfinite(stated)]
-        values = (np.mean(off), np.std(off), np.max(off)) if off.size else (np.nan,) * 3
-        mean, std, largest = map(float, values)
-        error = float(np.median(known)) if known.size else np.nan
-        return cls(name, *span, mean, std, largest, off.size / errors.size, error)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,9 +95,14 @@ class Evaluation(OneLine):
     remarks: tuple[str, ...]
 
     @property
+    def measured(self) -> Array:
+        """The clasps, or else the crossings (times, points, 3) [m]."""
+        return self.vertices if self.clasps is None else self.clasps
+
+    @property
     def errors(self) -> Array:
         """(times, points) [m]: distances of the clasps, or else the crossings, from the plan."""
-        return length((self.vertices if self.clasps is None else self.clasps) - self.planned)
+        return length(self.measured - self.planned)
 
     @property
     def drone_errors(self) -> Array:
@@ -124,27 +119,22 @@ class Evaluation(OneLine):
     @property
     def table(self) -> tuple[Row, ...]:
         """Errors of every vertex and all of them, and of every drone, by phase and in all."""
-        team, points, rows = self.task.team, self.task.team.layout.clasps, list[Row]()
+        team, t, rows = self.task.team, self.t, list[Row]()
+        points, off, stated = team.layout.clasps, self.errors, self.standard_errors
+        hitched, none = np.isfinite(self.planned[:, points[0], 0]), np.full(len(t), np.nan)
+        columns = [(team.point_names[p], hitched, off[:, p], stated[:, p]) for p in points]
+        columns.append(("vertices", hitched, off[:, points], stated[:, points]))
+        drones = zip(team.drone_names, self.drone_errors.T, strict=True)
+        columns += [(name, t >= 0.0, each, none) for name, each in drones]
         spans = [(phase.name, phase.start, phase.end) for phase in self.motion.phases]
-        whole, always = ("all", float(self.t[0]), float(self.t[-1])), np.ones(len(self.t), np.bool_)
-        hitched = np.isfinite(self.planned[:, points[0], 0])
-        of_drones, none = self.drone_errors, np.full(len(self.t), np.nan)
-        columns = [
-            *(
-                (team.point_names[p], hitched, self.errors[:, p], self.standard_errors[:, p])
-                for p in points
-            ),
-            ("vertices", hitched, self.errors[:, points], self.standard_errors[:, points]),
-            *(
-                (name, always, off, none)
-                for name, off in zip(team.drone_names, of_drones.T, strict=True)
-            ),
-        ]
-        for span in (*spans, whole):
-            during = (self.t >= span[1]) & ((self.t < span[2]) | (span is whole))
-            for name, use, off, stated in columns:
-                if np.any(here := during & use):
-                    rows.append(Row.of(name, span, off[here], stated[here]))
+        for span in [*spans, ("all", float(t[0]), float(t[-1]))]:
+            during = (t >= span[1]) & ((t < span[2]) | (span[0] == "all"))
+            for name, use, each, error in columns:
+                if np.any(here := use & during):
+                    x, known = (y[here][np.isfinite(y[here])] for y in (each, error))
+                    values: Any = (x.mean(), x.std(), x.max()) if x.size else (np.nan,) * 3
+                    values += x.size / each[here].size, np.median(known) if known.size else np.nan
+                    rows.append(Row(name, *span, *map(float, values)))
         return tuple(rows)
 
     @property
@@ -165,7 +155,7 @@ class Evaluation(OneLine):
     def to_recording(self) -> Recording:
         """Return the recording in the plan's time and frame, for ``calibrate``."""
         layout = self.task.team.layout
-        vertices = (self.vertices if self.clasps is None else self.clasps).copy()
+        vertices = self.measured.copy()
         ends = np.flatnonzero(~layout.has_leg.ravel())  # Drones that are a chain's points
         vertices[:, layout.anchors[ends]] = self.drones[:, ends]
         facts: Any = dict(self.flight.simulated)
@@ -223,8 +213,10 @@ def evaluate(
         start = finite("start", start)
     if positive("window", window) > LONGEST_WINDOW:
         raise InputError("window", window, f"at most {LONGEST_WINDOW:g} s", "0.1 is usual")
-    drones, stated = _names(names), None if frame is None else str(frame)
-    flight = recording
+    if isinstance(names, str):
+        pairs = names.replace(" ", "").split(",")
+        names = {name: drone for name, _, drone in (pair.partition("=") for pair in pairs)}
+    flight, stated = recording, None if frame is None else str(frame)
     if not isinstance(flight, RecordedFlight):
         flight = read_flight(path("recording", flight), unit)
     if isinstance(plan, Plan):
@@ -235,34 +227,19 @@ def evaluate(
     if flight.simulated and start is None:
         start = 0.0  # Its clock is the plan's
     try:
-        alignment = align(flight, task, names=drones, frame=stated, start=start)
+        alignment = align(flight, task, names=names, frame=stated, start=start)
     except FileError as error:
         place = "" if flight is recording else f"{recording}: "
         raise FileError(f"{place}{error}") from None
     return _evaluated(flight, task, alignment, density, diameter, window)
 
 
-def _names(names: Mapping[str, str] | str | None) -> dict[str, str]:
-    """Return the drones by recorded names."""
-    pairs: Any = names.items() if isinstance(names, Mapping) else names or ()
-    if isinstance(names, str):
-        pairs = [[part.strip() for part in pair.split("=")] for pair in names.split(",")]
-    try:
-        drones = {str(name): str(drone) for name, drone in pairs}
-        if len(drones) < len(pairs):
-            raise ValueError
-    except (TypeError, ValueError):
-        bound = f"pairs such as {NAMES}, each of another name"
-        raise InputError("names", names, bound, f"write {NAMES}") from None
-    return drones
-
-
 def _evaluated(
     flight: RecordedFlight,
     task: Task,
     alignment: Alignment,
-    density: float | None,
-    diameter: float | None,
+    density: Any,
+    diameter: Any,
     window: float,
 ) -> Evaluation:
     """Return the evaluation of an aligned flight."""
@@ -283,21 +260,21 @@ def _evaluated(
     vertices = np.full((len(t), layout.points, 3), np.nan)
     errors = np.full(vertices.shape[:2], np.nan)
     densities = np.full(team.robots, team.cable_density if density is None else density)
-    remarks = [*flight.notes, *_alignment_remarks(alignment, flight)]
+    remarks = [*flight.notes, *_remarks(alignment, flight)]
     seen = rate * flight.markers.t + alignment.offset
     use = (seen >= 0.0) & (seen <= task.duration) & tight(task, seen, WINDOW_TIGHT)
     cloud = Track(seen[use], alignment.placed(flight.markers.positions[use]))
     named = [name for name in team.point_names if name in flight.tracks]
     for name in named:
-        places = at(t, flight.tracks[name], alignment.offset)
-        vertices[hitched, team.point_names.index(name)] = places[hitched]
+        point = at(t, flight.tracks[name], alignment.offset)
+        vertices[hitched, team.point_names.index(name)] = point[hitched]
     if not named and len(cloud.t) and np.any(hitched):
         frames = np.unique(cloud.t)
         drones = np.stack([at(frames, *each, through_gaps=True) for each in clocks], axis=1)
         measured = measured_vertices(task, t[hitched], cloud, drones, density, window)
         vertices[hitched] = measured.crossings
         errors[hitched] = np.hypot(measured.standard_errors, alignment.frame_error)
-        remarks += _vertex_remarks(measured, task)
+        remarks += _missing(measured, task)
         if not np.allclose(measured.density, densities):
             fitted = ", ".join(f"{1e3 * x:.1f}" for x in measured.density)
             remarks.append(f"cables' density is fitted, {fitted} g/m: weigh them for density=")
@@ -306,44 +283,34 @@ def _evaluated(
         remarks.append("no markers on the cables: drones alone are compared with the plan")
     expected = planned(task, t, task.vertices)
     expected[~hitched] = np.nan
-    return Evaluation(
-        task,
-        flight,
-        alignment,
-        t,
-        vertices,
-        None if diameter is None else clasps_of(vertices, layout, diameter),
-        expected,
-        errors,
-        np.stack([at(t, *each) for each in clocks], axis=1),
-        planned(task, t, task.setpoints.positions),
-        densities,
-        cloud,
-        tuple(dict.fromkeys(remarks)),
-    )
+    contacts = None if diameter is None else clasps_of(vertices, layout, diameter)
+    places = np.stack([at(t, *each) for each in clocks], axis=1)
+    of_drones = places, planned(task, t, task.setpoints.positions)
+    more: Any = (errors, *of_drones, densities, cloud, tuple(dict.fromkeys(remarks)))
+    return Evaluation(task, flight, alignment, t, vertices, contacts, expected, *more)
 
 
-def _alignment_remarks(alignment: Alignment, flight: RecordedFlight) -> Iterator[str]:
+def _remarks(alignment: Alignment, flight: RecordedFlight) -> Iterator[str]:
     """Yield the fitted quantities of clock and frame."""
+    shared = "that all drones share is part of it"
     if "clock" in alignment.fitted and not flight.setpoints:
-        error = f" ± {1e3 * alignment.offset_error:.0f} ms"
-        yield f"the clock is fitted{error}; a lag that all drones share is part of it"
+        yield f"the clock is fitted ± {1e3 * alignment.offset_error:.0f} ms; a lag {shared}"
     if "rate" in alignment.fitted:
         yield f"the recording's clock runs at {alignment.rate:.5f} of the plan's"
     if alignment.frame == "y-up":
         yield "y is upright in the recording"
     if "frame" in alignment.fitted:
-        yield "the frame is fitted: a displacement that all drones share is part of it"
+        yield f"the frame is fitted: a displacement {shared}"
 
 
-def _vertex_remarks(measured: Measured, task: Task) -> Iterator[str]:
+def _missing(measured: Measured, task: Task) -> Iterator[str]:
     """Yield why vertices are missing."""
     layout, seen = task.team.layout, measured.markers
-    for behind, point, ahead in zip(layout.behind, layout.clasps, layout.ahead, strict=True):
+    for a, point, b in zip(layout.behind, layout.clasps, layout.ahead, strict=True):
         share = float(np.mean(np.isfinite(measured.crossings[:, point, 0])))
         if share < MIN_SHARE:
             yield (
                 f"{task.team.point_names[point]} is found {share:.0%} of the time: markers seen at "
-                f"once are {seen[behind]:.1f} on edge {behind} and {seen[ahead]:.1f} on edge "
-                f"{ahead}; two are needed, some decimetres apart"
+                f"once are {seen[a]:.1f} on edge {a} and {seen[b]:.1f} on edge {b}; two are "
+                "needed, some decimetres apart"
             )

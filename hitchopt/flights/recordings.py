@@ -2,26 +2,18 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from importlib import import_module
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import make_interp_spline
 
-from hitchopt.errors import FileError, InputError, OneLine
+from hitchopt.errors import InputError, OneLine
 from hitchopt.simulation.task import Task
 from hitchopt.values import Array
 
-# Units of length [m], by the names that files and users give them
-UNITS = {"m": 1.0, "cm": 0.01, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
-LONG_UNITS = {"meter": "m", "centimeter": "cm", "millimeter": "mm", "inche": "in", "feet": "ft"}
-
-MARKER = "marker"  # Label of a point without a name
-ABSOLUTE = 1e7  # Times from which on they are a date, or those of a computer [s]
 MAX_GAP = 0.1  # Least distance to a sample beyond which a body is not visible [s]
 WINDOW_TIGHT = 0.9  # Least planned tension over the team's at which a hitch counts in a window
 
@@ -116,85 +108,6 @@ class Recording(OneLine):
     integral: NDArray[np.bool_] | None = None
     standard_errors: Array | None = None
     notes: tuple[str, ...] = ()
-
-
-def metres(unit: str) -> float:
-    """Return a unit of length [m]; FileError for one that is not known."""
-    word = unit.strip().casefold().replace("metre", "meter")
-    scale = UNITS.get(LONG_UNITS.get(word.removesuffix("s"), word))
-    if scale is None:
-        raise FileError(f"its unit of length, {unit!r}, is unknown; state unit='m', 'cm' or 'mm'")
-    return scale
-
-
-def library(module: str) -> Any:
-    """Return a module that only some formats need; FileError names the extra to install."""
-    try:
-        return import_module(module)
-    except ImportError as fault:
-        words = f"reading it needs {module.partition('.')[0]} ({fault})"
-        raise FileError(f"{words}; pip install 'hitchopt[logs]'") from fault
-
-
-def flight_of(
-    source: str,
-    labels: Sequence[str],
-    values: Array,
-    unit: str = "m",
-    *,
-    notes: Sequence[str] = (),
-    setpoints: Mapping[str, Array] | None = None,
-    one_clock: bool = True,
-    simulated: Mapping[str, Any] | None = None,
-) -> RecordedFlight:
-    """Return the flight of rows in a file's order, each a position of a body or a MARKER.
-
-    Parameters
-    ----------
-    source, notes, one_clock, simulated: as in ``RecordedFlight``.
-    labels, values: (k,) of the bodies, and (k, 4) their times [s] and positions [unit].
-    unit: of lengths.
-    setpoints: by label, rows (m, 4) of commanded positions.
-
-    Raises FileError for an unknown unit, or times that do not ascend.
-    """
-    scale, epoch = metres(unit), 0.0
-    if not np.isfinite(values[:, 0]).all():
-        raise FileError("a time is not finite; leave out rows without a time")
-    rows = defaultdict[str, list[int]](list)
-    for i, label in enumerate(labels):
-        rows[label].append(i)
-    cloud = values[rows.pop(MARKER, [])]
-    count = len(values) - len(cloud)
-    begin = min((float(values[own[0], 0]) for own in rows.values()), default=0.0)
-    if one_clock and abs(begin) >= ABSOLUTE:
-        epoch, words = begin, f"times count from the first position, at {begin:.3f} s"
-        notes = [*notes, f"{words} of the recording's clock"]
-
-    def track(own: Array) -> Track:
-        own = own[np.isfinite(own).all(axis=1)]
-        steps = np.diff(own[:, 0], prepend=-np.inf)
-        if np.any(steps < 0.0):
-            a, b = own[(i := int(np.argmax(steps < 0.0))) - 1 : i + 1, 0]
-            words = f"times do not ascend: {a:.9g} s is followed by {b:.9g} s"
-            raise FileError(f"{words}; give one flight, in the order in which it was recorded")
-        return Track(own[steps > 0.0, 0] - epoch, scale * own[steps > 0.0, 1:])
-
-    tracks = {label: track(values[own]) for label, own in rows.items()}
-    if lost := count - sum(len(each.t) for each in tracks.values()):
-        notes = [*notes, f"{lost} of {count} rows have no position, or the same time: left out"]
-    cloud = cloud[np.isfinite(cloud).all(axis=1)]
-    cloud = cloud[np.argsort(cloud[:, 0], kind="stable")]
-    return RecordedFlight(
-        source,
-        {label: each for label, each in tracks.items() if len(each.t)},
-        Track(cloud[:, 0] - epoch, scale * cloud[:, 1:]),
-        {label: track(own) for label, own in (setpoints or {}).items()},
-        epoch,
-        one_clock,
-        tuple(notes),
-        simulated or {},
-    )
 
 
 def planned(task: Task, t: ArrayLike, values: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import csv
+from collections.abc import Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 
 from hitchopt.errors import FileError
 from hitchopt.flights.evaluation import Evaluation
+from hitchopt.flights.vertices import through_gaps
 from hitchopt.simulation.report import number
 from hitchopt.storage.archive import PLAN, RECORDING
 from hitchopt.storage.files import Writer, replace_files, write_strict_json
@@ -33,7 +34,6 @@ OWNED = (SUMMARY, VERTICES, LATEX, RECORDING, *(PICTURE + kind for kind in PICTU
 
 # Width and height of the picture [inch], and widths of its columns
 SIZE, WIDTHS = (13.0, 6.4), (1.35, 1.0)
-MARGIN = 0.02  # Distance of means from the plot's right end, and between them, as a share of it
 MAX_NAMED, MOMENT = 8, 0.05  # Most names in a legend; time around a moment [s]
 
 
@@ -82,21 +82,18 @@ def summary(evaluation: Evaluation) -> dict[str, Any]:
 
 def _write_vertices(evaluation: Evaluation, path: Path) -> None:
     """Write a row per time at which the plan has its hitch, and vertex."""
-    clasps = evaluation.task.team.layout.clasps
-    parts = [evaluation.vertices, evaluation.planned, evaluation.errors[..., None]]
     heads = ["x", "y", "z", "planned_x", "planned_y", "planned_z", "error", "standard_error"]
-    parts.append(evaluation.standard_errors[..., None])
+    parts = [evaluation.vertices, evaluation.planned]
+    parts += [each[..., None] for each in (evaluation.errors, evaluation.standard_errors)]
     if evaluation.clasps is not None:
         parts, heads = [*parts, evaluation.clasps], [*heads, "clasp_x", "clasp_y", "clasp_z"]
-    rows = np.concatenate(parts, axis=-1)[:, clasps]
-    with path.open("w", encoding="utf-8", newline="") as file:
-        table = csv.writer(file, lineterminator="\n")
-        table.writerow(["t", "vertex", *heads])
-        for i in np.flatnonzero(np.isfinite(evaluation.planned[:, clasps[0], 0])):
-            for c, point in enumerate(clasps.tolist()):
-                table.writerow(
-                    [number(float(evaluation.t[i])), point, *map(number, rows[i, c].tolist())]
-                )
+    rows, points = np.concatenate(parts, axis=-1), evaluation.task.team.layout.clasps
+    lines = [",".join(["t", "vertex", *heads])]
+    for i in np.flatnonzero(np.isfinite(evaluation.planned[:, points[0], 0])):
+        for point in points.tolist():
+            cells = map(number, rows[i, point].tolist())
+            lines.append(",".join([number(float(evaluation.t[i])), str(point), *cells]))
+    _write_text(path, "\n".join([*lines, ""]))
 
 
 def shapes(evaluation: Evaluation) -> dict[str, Array]:
@@ -104,35 +101,28 @@ def shapes(evaluation: Evaluation) -> dict[str, Array]:
 
     They are the plan's, moved with the measured drones and vertices.
     """
-    task, layout = evaluation.task, evaluation.task.team.layout
-    scene = scene_at(evaluation.motion, np.clip(evaluation.t, 0.0, task.duration))
-    measured = evaluation.vertices if evaluation.clasps is None else evaluation.clasps
-    moved = _filled(measured - evaluation.planned)
-    ends = _filled(evaluation.drones - evaluation.planned_drones).reshape(len(moved), -1, 2, 3)
+    t, task, layout = evaluation.t, evaluation.task, evaluation.task.team.layout
+    scene = scene_at(evaluation.motion, np.clip(t, 0.0, task.duration))
+    moved, ends = (
+        np.nan_to_num(through_gaps(t, off, t))
+        for off in (
+            evaluation.measured - evaluation.planned,
+            evaluation.drones - evaluation.planned_drones,
+        )
+    )
+    ends = ends.reshape(len(t), -1, 2, 3)
     knots = np.stack([np.interp(range(4), (0, 3), one) for one in np.eye(2)], axis=1) @ ends
     hitched = np.isfinite(evaluation.planned[..., 0]).any(axis=1)
     inner = np.stack([moved[:, layout.starts], moved[:, layout.ends]], axis=2)
     knots[hitched, :, 1:3] = inner[hitched]
     shares = [np.interp(range(POINTS), (0, *CLASPS, POINTS - 1), one) for one in np.eye(4)]
     nodes = scene.cables + np.einsum("jp,tkjx->tkpx", shares, knots)
-    flat = nodes.reshape(len(nodes), -1, 3).astype(np.float32)
-    first = POINTS * np.arange(layout.robots + 1)
     return {
-        "t": evaluation.t,
-        "nodes": flat,
-        "cables": first,
+        "t": t,
+        "nodes": nodes.reshape(len(t), -1, 3).astype(np.float32),
+        "cables": POINTS * np.arange(layout.robots + 1),
         "poses": scene.objects.astype(np.float32),
     }
-
-
-def _filled(values: Array) -> Array:
-    """Return values (times, …), linear through gaps, and zero if all are missing."""
-    flat = values.reshape(len(values), -1).copy()
-    i = np.arange(len(flat))
-    for column in flat.T:
-        there = np.isfinite(column)
-        column[:] = np.interp(i, i[there], column[there]) if np.any(there) else 0.0
-    return flat.reshape(values.shape)
 
 
 def latex_table(evaluation: Evaluation) -> str:
@@ -153,37 +143,31 @@ def drawn_evaluation(evaluation: Evaluation) -> Figure:
     figure = style.new_figure(SIZE)
     grid = figure.add_gridspec(2, 2, width_ratios=WIDTHS, height_ratios=(1.6, 1.0))
     top, bottom = (figure.add_subplot(grid[i, 0]) for i in range(2))
-    team, t = evaluation.task.team, evaluation.t
-    colours = style.cable_colours(team.robots)
-    clasps = team.layout.clasps.tolist()
-    for i, point in enumerate(clasps):
-        colour, off = colours[point % team.robots], 1e3 * evaluation.errors[:, point]
-        error = 1e3 * evaluation.standard_errors[:, point]
-        top.fill_between(t, off - error, off + error, color=colour, alpha=0.25, lw=0)
-        top.plot(t, off, color=colour, lw=1.2, label=team.point_names[point])
-        if np.any(there := np.isfinite(off)):
-            mean, deviation = np.mean(off[there]), np.std(off[there])
-            at = [1.0 + MARGIN * (i + 1)]
-            place: Any = {"transform": top.get_yaxis_transform(), "clip_on": False}
-            bar = top.errorbar(
-                at, [mean], [deviation], fmt="o", ms=4, capsize=2, color=colour, **place
-            )
-            for part in (*bar[1], *bar[2]):
-                part.set_clip_on(False)
-    for i, name in enumerate(team.drone_names):
-        look = "-" if i % 2 == 0 else "--"
-        bottom.plot(
-            t, 1e3 * evaluation.drone_errors[:, i], look, lw=0.9, color=colours[i // 2], label=name
+    team, t, points = evaluation.task.team, evaluation.t, evaluation.task.team.layout.clasps
+    colours, summaries = style.cable_colours(team.robots), {}
+    for row in evaluation.short_table:
+        if row.phase == "all" and np.isfinite(row.mean):
+            summaries[row.name] = f"{1e3 * row.mean:.0f} ± {1e3 * row.std:.0f} mm"
+    for point in points.tolist():
+        colour, name = colours[point % team.robots], team.point_names[point]
+        off, error = (
+            1e3 * each[:, point] for each in (evaluation.errors, evaluation.standard_errors)
         )
+        top.fill_between(t, off - error, off + error, color=colour, alpha=0.25, lw=0)
+        top.plot(
+            t, off, color=colour, lw=1.2, label=f"{name}: {summaries.get(name, 'not measured')}"
+        )
+    for i, name in enumerate(team.drone_names):
+        look: Any = {"ls": "-" if i % 2 == 0 else "--", "lw": 0.9, "color": colours[i // 2]}
+        bottom.plot(t, 1e3 * evaluation.drone_errors[:, i], label=name, **look)
     kind = "crossing" if evaluation.clasps is None else "clasp"
     for axes, words in (
         (top, f"vertices to the plan [mm]\n({kind}s, ± standard error)"),
         (bottom, "drones to their\nset points [mm]"),
     ):
-        axes.set_ylabel(words)
-        axes.set_xlim(t[0], t[-1])
+        axes.set(ylabel=words, xlim=(t[0], t[-1]))
         style.from_zero(axes, 0.3)
-        if len(clasps) <= MAX_NAMED:
+        if len(points) <= MAX_NAMED:
             axes.legend(fontsize="small", ncols=4, frameon=False)
     top.tick_params(labelbottom=False)
     bottom.set_xlabel("t [s]")
@@ -193,40 +177,29 @@ def drawn_evaluation(evaluation: Evaluation) -> Figure:
         for each in evaluation.motion.overlapping(start, end)
     ]
     draw_phases([top, bottom], phases, end - start)
-    _draw_from_above(figure.add_subplot(grid[:, 1]), evaluation)
-    every = next((row for row in reversed(evaluation.table) if row.name == "vertices"), None)
-    words = (
-        "drones alone"
-        if every is None or not np.isfinite(every.mean)
-        else (
-            f"vertices {1e3 * every.mean:.0f} ± {1e3 * every.std:.0f} mm from the plan, "
-            f"found {every.found:.0%} of the time"
-        )
-    )
+    _draw_from_above(figure.add_subplot(grid[:, 1]), evaluation, colours)
+    words = f"vertices to the plan: {summaries.get('vertices', 'not measured')}"
     style.headline(figure, evaluation.flight.source, words)
     return figure
 
 
-def _draw_from_above(axes: Axes, evaluation: Evaluation) -> None:
+def _draw_from_above(axes: Axes, evaluation: Evaluation, colours: Sequence[str]) -> None:
     """Draw both polygons at their last time together, paths, and markers around then."""
-    team, layout = evaluation.task.team, evaluation.task.team.layout
-    measured = evaluation.vertices if evaluation.clasps is None else evaluation.clasps
-    colours = style.cable_colours(team.robots)
+    team, measured = evaluation.task.team, evaluation.measured
+    points, cloud = team.layout.clasps, evaluation.cloud
     for i in range(team.drones):
         axes.plot(*evaluation.drones[:, i, :2].T, color=colours[i // 2], lw=0.6, alpha=0.5)
-    for point in layout.clasps.tolist():
+    for point in points.tolist():
         axes.plot(*measured[:, point, :2].T, color=colours[point % team.robots], lw=0.8)
-    whole = np.isfinite(measured[:, layout.clasps, 0]).all(axis=1)
-    if np.any(whole):
-        i = int(np.flatnonzero(whole)[-1])
-        order = np.append(layout.clasps, layout.clasps[:1]) if layout.closed else layout.clasps
-        axes.plot(
-            *evaluation.planned[i, order, :2].T, "--", color=style.LIMIT_COLOUR, label="planned"
-        )
-        axes.plot(*measured[i, order, :2].T, color=style.INK, lw=1.4, label="measured")
-        near = np.abs(evaluation.cloud.t - evaluation.t[i]) < MOMENT
+    whole = np.flatnonzero(np.isfinite(measured[:, points, 0]).all(axis=1))
+    if len(whole):
+        i, order = whole[-1], np.append(points, points[: team.layout.closed])
+        plan, polygon = (x[i, order, :2].T for x in (evaluation.planned, measured))
+        axes.plot(*plan, "--", color=style.LIMIT_COLOUR, label="planned")
+        axes.plot(*polygon, color=style.INK, lw=1.4, label="measured")
+        near = np.abs(cloud.t - evaluation.t[i]) < MOMENT
         look: Any = {"s": 6, "color": "0.45", "zorder": 3, "label": "markers"}
-        axes.scatter(*evaluation.cloud.positions[near, :2].T, **look)
+        axes.scatter(*cloud.positions[near, :2].T, **look)
         axes.set_title(f"from above, t = {evaluation.t[i]:.2f} s", fontsize="medium")
         axes.legend(fontsize="small", frameon=False)
     axes.set_aspect("equal", adjustable="datalim")

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.special import stdtrit
 
-from hitchopt.flights.recordings import Track, planned
+from hitchopt.errors import OneLine
+from hitchopt.flights.recordings import WINDOW_TIGHT, Track, planned, tight
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch.team import GRAVITY, Layout
 from hitchopt.simulation.task import Task
@@ -35,7 +36,7 @@ OVERLAP = 5
 RIDGE = np.array([0.0, 1e-6, 1e-6])  # Added to mean squares of places [m²] and times [s²]
 LEAST_SPREAD = 1e-3  # Least sum of squares of the places of an edge's markers [m²]
 SPACING = 0.03  # Distance along an edge from which on points are of different markers [m]
-BENT = 1e-3  # Scatter about lines of ropes that clasps bend, besides that of markers [m]
+BENT = 1e-3  # Scatter of ropes that clasps bend about lines, besides that of markers [m]
 ONE_SIGMA = 0.8413  # Share of a normal distribution below its mean and a standard deviation
 COUNTED = 0.25  # Weight from which on a point is of a marker
 SMOOTH = 1.0  # Time over which the displacement of all drones is averaged [s]
@@ -49,6 +50,8 @@ WEIGHTLESS, DENSEST = 5e-4, 0.1
 # Distance from the crossing of two cables to where they touch, over their diameter: a + b tan(φ/2)
 # of the turn φ; from simulated flights with ropes of 12 mm
 INWARD = (0.8, 0.75)
+# Of planned markers: distance to clasps, shortest stretch [m], and number on an edge
+CLEAR, SHORTEST, MARKERS = 0.05, 0.1, 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,21 +106,16 @@ class _Edges:
         return np.asarray(0.5 * self.curvature[time] * s * (s - self.span[time]))
 
 
-def line_variances(markers: Array, s: Array) -> Array:
-    """Return variances of lines at places along (…) [m] over that of markers about them.
+def relative_errors(markers: Array, ends: Array, sine: Array, layout: Layout) -> Array:
+    """Return standard errors of clasps (t, clasps) over the scatter of markers about lines.
 
-    ``markers`` has their number, mean place [m] and sum of squares of places [m²] (…, 3).
+    ``markers`` has number, mean place [m] and sum of squares of places [m²] of edges (t, n, 3);
+    ``ends`` places at which they are crossed (2, t, n) [m], at angles whose ``sine`` is given.
     """
     count, mean, squares = np.moveaxis(markers, -1, 0)
-    return np.asarray(1.0 / count + (s - mean) ** 2 / squares)
-
-
-def crossing_errors(variances: Array, sine: Array) -> Array:
-    """Return standard errors (…) [m] of crossings of two lines at an angle.
-
-    ``variances`` is the sum of both lines' variances there (…) [m²], aside and in height.
-    """
-    return np.asarray(np.sqrt(variances * (1.0 / sine**2 + 0.25)))
+    variances = 1.0 / count + (ends - mean) ** 2 / squares
+    both = variances[1][:, layout.behind] + variances[0][:, layout.ahead]
+    return np.asarray(np.sqrt(both * (1.0 / sine**2 + 0.25)))  # Aside, and mean heights
 
 
 def measured_vertices(
@@ -135,9 +133,10 @@ def measured_vertices(
     density: of the cables [kg/m]; None: the plan's, or fitted if the plan knows no weight.
     window: time over which places are averaged [s].
     """
-    planned_density, layout = task.team.cable_density, task.team.layout
-    known = planned_density if planned_density >= WEIGHTLESS else None
-    known = known if density is None else density
+    team, layout = task.team, task.team.layout
+    known = density
+    if density is None and team.cable_density >= WEIGHTLESS:
+        known = team.cable_density
     times, frame = np.unique(cloud.t, return_inverse=True)
     moved = np.median(drones - planned(task, times, task.setpoints.positions), axis=1)
     frames = max(1, round(SMOOTH * len(times) / max(np.ptp(times), SMOOTH)))
@@ -159,27 +158,24 @@ def measured_vertices(
             lines.append(_fitted(*given, grid, width, known))
         fit, markers = (np.stack(each, axis=1) for each in list(zip(*lines, strict=True))[:2])
         densities, squares, freedom = np.array([line[2:] for line in lines]).T
-        edges = _Edges.of(task, grid, _at(times, moved, grid))
+        edges = _Edges.of(task, grid, through_gaps(times, moved, grid))
         crossings, crossed, sine = _crossings(edges, fit, densities, layout)
-        there = _at(grid, fit, time)
+        there = through_gaps(grid, fit, time)
         off = values[..., :2] - np.nan_to_num(there[..., 0, :] + s[..., None] * there[..., 1, :])
         off[..., 1] -= densities * values[..., 2]
-        within = (_at(grid, each, time) for each in crossed)
+        within = (through_gaps(grid, each, time) for each in crossed)
         ends = [np.where(np.isnan(a), b, a) for a, b in zip(within, ends, strict=True)]
     # Markers are the same in all windows: as many squares are free as in one of them
-    free = float(np.sum(freedom))
-    scatter = np.sqrt(np.sum(squares) / max(free, 1e-9)) * float(stdtrit(max(free, 1.0), ONE_SIGMA))
-    scatter = np.hypot(scatter, BENT)
-    both = line_variances(markers, crossed)
+    free = max(float(np.sum(freedom)), 1.0)
+    scatter = np.hypot(np.sqrt(np.sum(squares) / free) * float(stdtrit(free, ONE_SIGMA)), BENT)
     errors = np.full(crossings.shape[:2], np.nan)
-    both = both[1][:, layout.behind] + both[0][:, layout.ahead]
-    errors[:, layout.clasps] = crossing_errors(scatter**2 * both, sine)
+    errors[:, layout.clasps] = scatter * relative_errors(markers, crossed, sine, layout)
     wrong = ~(errors < LARGEST) | _outlying(crossings - planned(task, t, task.vertices))
     crossings[wrong], errors[wrong] = np.nan, np.nan
     return Measured(crossings, errors, densities, np.mean(np.nan_to_num(markers[..., 0]), axis=0))
 
 
-def _at(t: Array, values: Array, times: Array) -> Array:
+def through_gaps(t: Array, values: Array, times: Array) -> Array:
     """Return values (t, …) at other times, linear between those that are not nan."""
     flat = values.reshape(len(t), -1)
     curves = np.full((len(times), flat.shape[1]), np.nan)
@@ -299,3 +295,53 @@ def clasps_of(crossings: Array, layout: Layout, diameter: float) -> Array:
     off = diameter * (INWARD[0] + INWARD[1] * half)
     clasps[..., layout.clasps, :2] -= off[..., None] * inward
     return clasps
+
+
+@dataclass(frozen=True, eq=False)
+class MarkerPlan(OneLine):
+    """Markers of every cable, and the errors of vertices that they give.
+
+    Attributes
+    ----------
+    stretches: (n, 2) [m], from q's end: the part of each cable that stays on its edge while the
+        hitch is drawn tight; its end is before its beginning if there is none.
+    places: of each cable, where its markers go [m] from q's end.
+    standard_errors: (points, 2) [m], median and largest over time, of markers that scatter by
+        BENT; nan at the ends of a chain, infinite without two markers on both edges.
+    """
+
+    stretches: Array
+    places: tuple[Array, ...]
+    standard_errors: Array
+
+
+def marker_plan(task: Task) -> MarkerPlan:
+    """Return where markers go on the cables of a plan's hitch.
+
+    On a stretch that never leaves the edge there are three, as far apart as can be. If a cable
+    slides too far for that, markers follow one another such that three are on the edge at any time.
+    """
+    layout, hitched = task.team.layout, tight(task, task.t - task.t[0], WINDOW_TIGHT)
+    vertices, drones = task.vertices[hitched], task.setpoints.positions[hitched]
+    edges, starts = layout.edges(vertices), length(drones - vertices[:, layout.anchors])[:, ::2]
+    begins, ends = starts + CLEAR, starts + length(edges) - CLEAR
+    stretches = np.column_stack([np.max(begins, axis=0), np.min(ends, axis=0)])
+    places, markers = [], np.full((*begins.shape, 3), np.nan)
+    for k, (lower, upper) in enumerate(stretches):
+        step = max(float(np.min(ends[:, k] - begins[:, k])), SHORTEST) / MARKERS
+        each = np.arange(np.min(begins[:, k]), np.max(ends[:, k]) + 0.5 * step, step)
+        each = np.linspace(lower, upper, MARKERS) if upper - lower >= SHORTEST else each
+        on = (each >= begins[:, k, None]) & (each <= ends[:, k, None])
+        count, s = np.sum(on, axis=1), each - starts[:, k, None]
+        mean = np.sum(s * on, axis=1) / np.maximum(count, 1)
+        squares = np.sum((s - mean[:, None]) ** 2 * on, axis=1)
+        markers[:, k] = np.where(count > 1, [count, mean, squares], np.nan).T
+        places.append(each)
+    u, crossed = unit(edges[..., :2]), np.stack([0.0 * starts, length(edges)])
+    sine = _cross(u[:, layout.behind], u[:, layout.ahead])
+    of_clasps = np.nan_to_num(relative_errors(markers, crossed, sine, layout), nan=np.inf)
+    errors = np.full((layout.points, 2), np.nan)
+    if np.any(hitched):
+        medians = np.median(of_clasps, axis=0), np.max(of_clasps, axis=0)
+        errors[layout.clasps] = BENT * np.column_stack(medians)
+    return MarkerPlan(stretches, tuple(places), errors)

@@ -20,9 +20,8 @@ import hitchopt as ho
 from benchmarks.recordings import RATE, Camera, exact_markers, plan_of
 from hitchopt.cli import main
 from hitchopt.flights.alignment import align
-from hitchopt.flights.placing import SCATTER, marker_plan
 from hitchopt.flights.recordings import Track, planned
-from hitchopt.flights.vertices import clasps_of
+from hitchopt.flights.vertices import BENT, clasps_of, marker_plan
 from hitchopt.simulation.task import Task
 from hitchopt.values import Array
 from hitchopt.view.cables import CLASPS
@@ -309,7 +308,7 @@ REFUSALS: dict[str, tuple[Callable[[], Any], type[Exception], str]] = {
         ho.InputError, "once",
     ),
     "no pairs": (
-        lambda: ho.evaluate(usual(), task("triangle"), names="cf1"), ho.InputError, "pairs",
+        lambda: ho.evaluate(usual(), task("triangle"), names="cf1"), ho.InputError, "cf231=q0",
     ),
     "no frame": (
         lambda: ho.evaluate(usual(), task("triangle"), frame="left"), ho.InputError, "y-up",
@@ -407,7 +406,7 @@ def test_planned_markers_give_the_stated_errors() -> None:
     for k in range(3):
         s = advice.places[k] - legs[2 * k]
         assert np.all((s > 0.0) & (s < span[k]))
-        noise = random.normal(0.0, SCATTER, (4000, len(s)))
+        noise = random.normal(0.0, BENT, (4000, len(s)))
         fits = np.polyfit(s, noise.T, 1)  # slopes and offsets of lines aside
         lines.append((fits[1], fits[1] + fits[0] * span[k]))
     for k in range(3):

@@ -15,8 +15,7 @@ import pytest
 import writers as w
 
 import hitchopt as ho
-from hitchopt.flights.mocap import points_in
-from hitchopt.flights.onboard import points_of
+from hitchopt.flights.readers import points_of, table_of
 from hitchopt.flights.recordings import NOTHING
 
 Write = Callable[[Path, ho.RecordedFlight], Path]
@@ -132,12 +131,18 @@ def repeated(text: str) -> str:
 
 
 REFUSED: dict[str, tuple[Write, str]] = {
-    "no format": (text_of("hello, world\n"), "give a table of Motive, of Vicon, C3D, a ROS"),
+    "no format": (
+        text_of("hello, world\n"),
+        "give a table of Motive with its header, of Vicon, C3D, a ROS",
+    ),
     "empty": (text_of(""), "has no line of columns' names"),
     "another table": (text_of("t,drone,x,y,z\n0,q0,0,0,1\n"), "names with t, name, x, y, z"),
     "no bodies": (text_of("t,name,x,y,z\n0,marker,0,0,1\n"), "holds no position of a body"),
     "local space": (partial(w.write_motive, space="Local"), "export it in Global space"),
-    "Motive without its header": (edited(without(slice(0, 7))), "with Motive, export it with its"),
+    "Motive without its header": (
+        edited(without(slice(0, 7))),
+        "a table of Motive with its header",
+    ),
     "Motive without titles": (edited(without(slice(2, 5))), "has no titles above a row 'Frame'"),
     "Motive in leagues": (
         partial(w.write_motive, unit=("Leagues", 1e-3)),
@@ -342,9 +347,11 @@ def test_records_check_their_fields() -> None:
 
 
 def test_points_are_whole_in_one_row() -> None:
-    head, points = points_in(["0,1,,", "1,,2,3", "2,4, 5,6", ",,", "3,1,1,1"], ",", [1])
-    assert head[:, 0].tolist() == [0.0, 1.0, 2.0]
-    np.testing.assert_array_equal(points, [[2.0, 0.0, 4.0, 5.0, 6.0]])
+    lines = ["0;1;;;", "1;;;2,5;3", '2;"4"; 5,5;6;7', ";;;", "3;1;1;1;1"]
+    head, places = table_of(lines, ";", [2])
+    np.testing.assert_array_equal(head, [[0.0, 1.0], [1.0, np.nan], [2.0, 4.0]])
+    np.testing.assert_array_equal(places[2], [[5.5, 6.0, 7.0]])
+    assert np.isnan(places[:2]).any(axis=2).all()
 
 
 def test_clouds_of_other_layouts_are_read() -> None:
