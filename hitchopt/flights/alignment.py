@@ -149,11 +149,11 @@ class _Trial:
     def __init__(
         self, flight: RecordedFlight, task: Task, names: Mapping[str, str], start: float | None
     ) -> None:
-        self._flight, self._task, drones = flight, task, task.team.drone_names
+        self._task, self._one_clock, drones = task, flight.one_clock, task.team.drone_names
         bodies = [name for name in flight.tracks if name not in task.team.point_names]
         if len(bodies) < len(drones):
             count = f"holds {len(bodies)} bodies ({', '.join(bodies) or 'none'})"
-            raise self._error(f"{count} of {len(drones)} drones; export all rigid bodies")
+            raise FileError(f"{count} of {len(drones)} drones; export all rigid bodies")
         self._bodies, remedy = bodies, "write cf231=q0,…"
         self._allowed = np.ones((len(bodies), len(drones)), np.bool_)  # Pairs, by the request
         for name, drone in names.items():
@@ -181,14 +181,10 @@ class _Trial:
         for words, places in (("plan", plan), ("recording", self._x)):
             if self._timed and np.max(np.ptp(places, axis=0)) < MIN_MOTION:
                 remedy = "no clock can be fitted; say when the plan begins with start="
-                raise self._error(f"nothing moves in the {words}, so {remedy}")
+                raise FileError(f"nothing moves in the {words}, so {remedy}")
         half -= 0.5 * MIN_TIME
         offsets = np.arange(-half, task.duration + half, COARSE * STEP)  # In the search [s]
         self._offsets = offsets if start is None else np.array([self._origins[0] - start])
-
-    def _error(self, words: str) -> FileError:
-        """Return the error of a recording that cannot be compared with the plan."""
-        return FileError(f"{self._flight.source}: {words}")
 
     def fits(self, frames: Mapping[str, Frame], *, turned: bool = False) -> list[Alignment]:
         """Return refined fits of the best assignments, best first, in frames or in turned ones."""
@@ -198,7 +194,7 @@ class _Trial:
             x = self._x[::COARSE] @ R.T + p
             costs = np.stack([self._costs(x, o, turns, turned) for o in self._offsets])
             clocks = np.broadcast_to(self._offsets[:, None, None, None], costs.shape)
-            if not self._flight.one_clock:
+            if not self._one_clock:
                 clocks = self._offsets[np.argmin(costs, axis=0)][None]
                 costs = np.min(costs, axis=0, keepdims=True)
             costs = np.where(self._allowed, costs, EXCLUDED)
@@ -269,7 +265,7 @@ class _Trial:
         Errors are the jackknife's over drones and over blocks of time: drones differ for the whole
         flight, and what displaces all of them lasts for a while.
         """
-        own = np.ones((1, len(fit.names))) if self._flight.one_clock else np.eye(len(fit.names))
+        own = np.ones((1, len(fit.names))) if self._one_clock else np.eye(len(fit.names))
         many = len(own)
 
         def moved(u: Array) -> Alignment:
@@ -299,7 +295,7 @@ class _Trial:
     def judged(self, fits: Sequence[Alignment]) -> Alignment:
         """Return the best fit, unless it has to be refused."""
         if not fits:
-            raise self._error(f"is too short; record at least {MIN_TIME:g} s of the plan")
+            raise FileError(f"is too short; record at least {MIN_TIME:g} s of the plan")
         fit, ((R, p), apart, use, plan) = fits[0], self._apart(fits[0])
         rms = float(np.sqrt(np.sum(apart**2) / np.sum(use))) if np.any(use) else np.inf
         seen = float(np.max(np.sum(use, axis=0)) * STEP * fit.rate)
@@ -312,14 +308,14 @@ class _Trial:
         if rms > largest or seen < needed - STEP or (self._timed and unplanned > MAX_UNPLANNED):
             words = f"{rms:.2f} m from the plan (root mean square) for {seen:.1f} s of it, and move"
             words = f"{words} {100.0 * unplanned:.0f} % as much off it as in it"
-            raise self._error(
+            raise FileError(
                 f"its drones are {words if np.any(use) else 'nowhere near the plan'}; its own are "
                 f"within {largest:g} m for at least {needed:.1f} s, and move at most "
                 f"{100.0 * MAX_UNPLANNED:.0f} % as much off it: name the plan that was flown, or "
                 "record more of it"
             )
         if len(fits) > 1 and self.score(fits[1]) < ALIKE**2 * self.score(fit):
-            raise self._error("two assignments of names fit alike: give names=, or frame='plan'")
+            raise FileError("two assignments of names fit alike: give names=, or frame='plan'")
         parts = {
             "clock": self._timed,
             "rate": fit.rate != 1.0,

@@ -229,8 +229,8 @@ def evaluate(
     try:
         alignment = align(flight, task, names=names, frame=stated, start=start)
     except FileError as error:
-        place = "" if flight is recording else f"{recording}: "
-        raise FileError(f"{place}{error}") from None
+        place = flight.source if flight is recording else f"{recording}: {flight.source}"
+        raise FileError(f"{place}: {error}") from None
     return _evaluated(flight, task, alignment, density, diameter, window)
 
 

@@ -158,45 +158,45 @@ def windows_of(recording: Recording, task: Task, size: float) -> Windows:
     A window counts if every drone, and half of the vertices, are visible in half of it. Means are
     those of deviations from the plan, added to the plan's: gaps in a movement do not shift them.
     """
-    t, setpoints = recording.t, task.setpoints
-    inside = tight(task, t, WINDOW_TIGHT) & (t >= 0.0)
-    window = np.unique(np.floor(t / size), return_inverse=True)[1]
-    half = 0.5 * np.median(np.bincount(window)) if len(t) else 0.0
-
-    def sums(values: Array) -> Array:
-        total = np.zeros((int(window.max(initial=-1)) + 1, *values.shape[1:]))
-        np.add.at(total, window[inside], values[inside])
-        return total
-
-    count = sums(np.ones(len(t)))
+    t, setpoints, stated = recording.t, task.setpoints, recording.standard_errors
+    window = np.floor(t / size)
+    sizes, here = (
+        np.unique(window, return_counts=True)[1],
+        tight(task, t, WINDOW_TIGHT) & (t >= 0.0),
+    )
+    least = max(0.5 * float(np.median(sizes)), 1.0) if len(t) else 1.0
+    member = ((np.unique(window)[:, None] == window) & here).astype(
+        np.float64
+    )  # (windows, samples)
+    count = np.sum(member, axis=1)
 
     def mean(values: Array) -> Array:
-        return (sums(planned(task, t, values)).T / np.maximum(count, 1.0)).T
+        return np.tensordot(member / np.maximum(count, 1.0)[:, None], values, 1)
 
     def measured(places: Array, plan: Array) -> tuple[Array, Array]:
         """Return means off the plan (windows, items, 3), and numbers of samples with each item."""
         there = np.all(np.isfinite(places), axis=2)
         off = np.where(there[..., None], places - planned(task, t, plan), 0.0)
-        often = sums(there.astype(np.float64))
-        return sums(off) / np.maximum(often, 1.0)[..., None], often
+        often = member @ there
+        return np.tensordot(member, off, 1) / np.maximum(often, 1.0)[..., None], often
 
     drones, drones_often = measured(recording.drones, setpoints.positions)
     off, often = measured(recording.vertices, task.vertices)
-    seen = often >= max(half, 1.0)
-    usable = np.all(drones_often >= max(half, 1.0), axis=1) & (count >= half)
+    seen, usable = often >= least, np.all(drones_often >= least, axis=1) & (count >= least)
     usable &= 2 * np.sum(seen, axis=1) >= seen.shape[1]
-    middle, stated = sums(t) / np.maximum(count, 1.0), recording.standard_errors
-    squares = np.zeros(off.shape[:2]) if stated is None else sums(np.nan_to_num(stated) ** 2)
-    free = np.maximum(often / (2.0 * max(half, 0.5)) * size / INDEPENDENT, 1.0)
-    errors = np.sqrt(squares / np.maximum(often, 1.0) / free)
+    middle, squares = mean(t), np.zeros(recording.vertices.shape[:2])
+    if stated is not None:
+        squares = np.nan_to_num(stated) ** 2
+    free = np.maximum(often / (2.0 * least) * size / INDEPENDENT, 1.0)
+    errors = np.sqrt(member @ squares / np.maximum(often, 1.0) / free)
     for k in range(seen.shape[1]):
-        here, lacks = seen[:, k] & usable, ~seen[:, k]
+        use, lacks = seen[:, k] & usable, ~seen[:, k]
         spread, guess = 0.0, np.zeros(3)
-        if np.any(here):
-            guess = Track(middle[here], off[here, k]).at(middle[lacks])[0]
-            spread = float(np.linalg.norm(np.std(off[here, k], axis=0)))
+        if np.any(use):
+            guess = Track(middle[use], off[use, k]).at(middle[lacks])[0]
+            spread = float(np.linalg.norm(np.std(off[use, k], axis=0)))
         off[lacks, k], errors[lacks, k] = guess, np.hypot(UNSEEN, spread)
-    positions, plan = mean(setpoints.positions), mean(task.vertices)
-    values: Any = (middle, positions + drones, plan + off, seen, errors, positions, plan)
-    more = mean(setpoints.cable_forces), mean(task.tensions)
-    return Windows(*(each[usable] for each in (*values, *more)))
+    commands = (setpoints.positions, task.vertices, setpoints.cable_forces, task.tensions)
+    plan = [mean(planned(task, t, values)) for values in commands]
+    values: Any = (middle, plan[0] + drones, plan[1] + off, seen, errors, *plan)
+    return Windows(*(each[usable] for each in values))
