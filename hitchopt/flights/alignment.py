@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
-from scipy.optimize import least_squares, linear_sum_assignment
+from scipy.optimize import linear_sum_assignment
 
 from hitchopt.errors import FileError, InputError, OneLine
 from hitchopt.flights.recordings import RecordedFlight
@@ -26,7 +26,9 @@ from hitchopt.values import Array
 
 STEP, COARSE = 0.05, 5  # Of the compared times [s], and as many of them in the search
 TURNS = 36  # Frames about the vertical in the search
-REFINED = 5  # Best assignments that are refined
+REFINED, STEPS = 5, 10  # Best assignments that are refined, and steps of each
+BLUR = 0.01  # Difference of clocks by which costs are differentiated [s]
+LARGEST_CHANGE = 0.5  # Of a clock's offset, by refinement [s]
 # Least and largest difference of a clock's rate from 1, and the largest ratio of costs, at which it
 # is not 1
 MIN_DRIFT, MAX_DRIFT, GAIN = 2e-3, 0.024, 0.8
@@ -227,7 +229,9 @@ class _Trial:
         squares = squares - 2.0 * np.einsum("bjki,fij->fbk", products, turns)
         return np.asarray(share * squares + (1.0 - share) * UNSEEN**2)
 
-    def _apart(self, fit: Alignment) -> tuple[Frame, Array, NDArray[np.bool_], Array]:
+    def _apart(
+        self, fit: Alignment, use: NDArray[np.bool_] | None = None
+    ) -> tuple[Frame, Array, NDArray[np.bool_], Array]:
         """Return the frame, fitted on demand, offsets from the plan [m], which count, and the plan.
 
         Shapes of the latter are (times, 2n, 3) and (times, 2n). Offsets that do not count are zero.
@@ -238,7 +242,8 @@ class _Trial:
         )
         inside, x = np.clip(tau, 0.0, self._task.duration), self._x[:, index]
         plan = np.stack([at(t) for at, t in zip(self._curves, inside.T, strict=True)], axis=1)
-        use, frame = (tau == inside) & self._near[:, index], (fit.rotation, fit.shift)
+        frame, here = (fit.rotation, fit.shift), (tau == inside) & self._near[:, index]
+        use = here if use is None else use
         if fit.frame == "fit" and np.any(use):
             up = min((R for R, _ in UP.values()), key=lambda R: -R[2] @ fit.rotation[2])
             frame = _fitted_frame(x[use], plan[use], up)
@@ -272,25 +277,29 @@ class _Trial:
             rate = fit.rate + float(np.sum(u[many:]))
             return replace(fit, offsets=fit.offsets + u[:many] @ own, rate=rate)
 
-        def residuals(u: Array) -> Array:  # Squares are 2 ((1 + d²)^½ - 1) of distances d
-            _, apart, use, _ = self._apart(moved(u))
+        def residuals(u: Array, use: Any = None) -> tuple[Array, NDArray[np.bool_]]:
+            """Return vectors with squares 2 ((1 + d²)^½ - 1) of distances d, and which count."""
+            _, apart, use, _ = self._apart(moved(u), use)
             off = _centred(apart, use) / ROBUST
             root = np.sqrt(1.0 + np.sum(off**2, axis=-1, keepdims=True))
-            return np.asarray(off * np.sqrt(2.0 / (1.0 + root))).ravel()
+            return off * np.sqrt(2.0 / (1.0 + root)), use
 
-        scales = [STEP] * many + [MIN_DRIFT] * rates
-        found: Any = least_squares(residuals, np.zeros(len(scales)), x_scale=scales)
-        J = found.jac.reshape(len(self._t), len(fit.names), 3, -1)
-        g = np.einsum("tixu,tix->tiu", J, found.fun.reshape(J.shape[:3]))
-        H, begins = (
-            np.einsum("tixu,tixv->tiuv", J, J),
-            np.unique(self._t // BLOCK, return_index=True)[1],
-        )
+        u, steps = np.zeros(many + rates), np.diag([BLUR] * many + [BLUR / 10.0] * rates)
+        for _ in range(STEPS):  # Of Gauss and Newton
+            r, use = residuals(u)
+            changed = [(residuals(u + step, use)[0] - r) / np.max(step) for step in steps]
+            J = np.stack(changed, axis=-1)
+            u = u - np.linalg.pinv(np.einsum("tixu,tixv->uv", J, J)) @ np.einsum(
+                "tixu,tix->u", J, r
+            )
+            u = np.clip(u, -LARGEST_CHANGE, LARGEST_CHANGE)
+        g, H = np.einsum("tixu,tix->tiu", J, r), np.einsum("tixu,tixv->tiuv", J, J)
+        begins = np.unique(self._t // BLOCK, return_index=True)[1]
         variances = _left_out(*(np.add.reduceat(each.sum(axis=1), begins) for each in (H, g)))
         variances += _left_out(H.sum(axis=0), g.sum(axis=0))
         errors = np.sqrt([np.mean(variances[:many]), *variances[many:], np.nan])
-        fit = replace(moved(found.x), offset_error=float(errors[0]), rate_error=float(errors[1]))
-        return fit, found.cost / max(1, int(np.sum(self._apart(fit)[2])))
+        fit = replace(moved(u), offset_error=float(errors[0]), rate_error=float(errors[1]))
+        return fit, 0.5 * float(np.sum(r**2)) / max(1, int(np.sum(use)))
 
     def judged(self, fits: Sequence[Alignment]) -> Alignment:
         """Return the best fit, unless it has to be refused."""

@@ -14,7 +14,7 @@ import struct
 import zlib
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from functools import partial
+from functools import partial, reduce
 from importlib import import_module
 from itertools import chain, islice, product, takewhile
 from pathlib import Path
@@ -66,7 +66,7 @@ BODIES: dict[str, Callable[[Sequence[str], Any], Bodies]] = {
         (x.child_frame_id, x.header, x.transform.translation) for x in m.transforms
     ],
 }
-CLOUD = "sensor_msgs/msg/PointCloud2"
+CLOUD, FLOAT32 = "sensor_msgs/msg/PointCloud2", 7
 
 # Variables of a uSD log with positions and with commands, by preference, and their units [m]
 USD_POSITIONS = {"stateEstimate": 1.0, "stateEstimateZ": 1e-3, "locSrv": 1.0}
@@ -222,42 +222,50 @@ def read_simulated(path: Path) -> RecordedFlight:
     return flight_of("simulated flight", rows, simulated=simulated)
 
 
-def table_of(lines: Iterable[str], separator: str, firsts: Sequence[int]) -> tuple[Array, Array]:
-    """Return the first two columns (rows, 2), and positions (rows, k, 3) in three from ``firsts``.
+def table_of(
+    lines: Iterable[str], separator: str, firsts: Sequence[int]
+) -> tuple[Array, dict[int, Array]]:
+    """Return the first two columns (rows, 2), and the points in three columns from ``firsts``.
 
-    Blank cells are nan; lines end at one without a cell. Raises ValueError for other cells.
+    Points (m, 4), of every index into ``firsts``, are row and position; blank ones, most of a wide
+    table, are left out. Lines end at one without a cell. Raises ValueError for other cells.
     """
-    columns = [0, 1, *(j + i for j in firsts for i in range(3))]
-    if separator != ",":
-        lines = (line.replace(",", ".") for line in lines)
-    filled = takewhile(lambda line: line.strip(BLANK), lines)
-    options: Any = {"delimiter": separator, "usecols": columns, "quotechar": '"', "ndmin": 2}
-    numbers = np.loadtxt(filled, comments=None, converters=lambda x: float(x or "nan"), **options)
-    return numbers[:, :2], numbers[:, 2:].reshape(len(numbers), -1, 3)
+    heads, points = list[list[float]](), {k: list[tuple[float, ...]]() for k in range(len(firsts))}
+    for row, line in enumerate(takewhile(lambda line: line.strip(BLANK), lines)):
+        text = (line if separator == "," else line.replace(",", ".")).replace('"', "")
+        cells = text.replace(" ", "").split(separator)
+        cells += [""] * (max(firsts, default=0) + 3 - len(cells))
+        heads.append([float(cell or "nan") for cell in cells[:2]])
+        for k, j in enumerate(firsts):
+            if cells[j] and cells[j + 1] and cells[j + 2]:
+                points[k].append((row, *map(float, cells[j : j + 3])))
+    seen = {k: np.array(own).reshape(-1, 4) for k, own in points.items()}
+    return np.array(heads).reshape(-1, 2), seen
 
 
 def rows_of(
-    t: Array, places: Array, labels: Sequence[str], bodies: Collection[str] = ()
+    t: Array, points: Mapping[int, Array], labels: Sequence[str], bodies: Collection[str] = ()
 ) -> dict[str, Array]:
-    """Return rows (m, 4) of bodies and of MARKER, from labelled points (times, k, 3), nan if lost.
+    """Return rows (m, 4) of bodies and of MARKER, from points as of ``table_of`` and their labels.
 
     All but those of ``bodies`` are markers; a subject's are also a body, at their mean while all
     are visible.
     """
-    rows, subjects, loose = dict[str, Array](), defaultdict[str, list[int]](list), list[int]()
-    for k, label in enumerate(labels):
-        subject = label.partition(":")[0]
+    rows, loose = dict[str, Array](), [np.zeros((0, 4))]
+    subjects = defaultdict[str, list[Array]](list)
+    for k, own in points.items():
+        seen = np.column_stack([t[own[:, 0].astype(np.intp)], own[:, 1:]])
+        label, subject = labels[k], labels[k].partition(":")[0]
         if label in bodies:
-            subjects[label].append(k)
+            rows[label] = seen
         else:
-            loose.append(k)
+            loose.append(seen)
             if subject not in bodies and not label.casefold().startswith(UNLABELED):
-                subjects[subject].append(k)
-    for name, own in subjects.items():
-        rows[name] = np.column_stack([t, np.mean(places[:, own], axis=1)])
-    each = np.repeat(t[:, None, None], len(loose), axis=1)
-    rows[MARKER] = np.concatenate([each, places[:, loose]], axis=2).reshape(-1, 4)
-    return {name: own[np.isfinite(own[:, 1:]).all(axis=1)] for name, own in rows.items()}
+                subjects[subject].append(seen)
+    for subject, each in subjects.items():
+        common = reduce(np.intersect1d, [own[:, 0] for own in each])
+        rows[subject] = np.mean([own[np.isin(own[:, 0], common)] for own in each], axis=0)
+    return rows | {MARKER: np.concatenate(loose)}
 
 
 def read_motive(paths: Sequence[Path], unit: str | None) -> RecordedFlight:
@@ -282,12 +290,12 @@ def read_motive(paths: Sequence[Path], unit: str | None) -> RecordedFlight:
     bodies = {names[j] for j in firsts if kinds[j] == "Rigid Body"}
     loose = {j for j in firsts if names[j].partition(":")[0] not in bodies and kinds[j] == "Marker"}
     firsts = [j for j in firsts if kinds[j] == "Rigid Body" or j in loose]
-    head, places = table_of(chain(top[k + 1 :], lines), separator, firsts)
+    head, points = table_of(chain(top[k + 1 :], lines), separator, firsts)
     hertz = float(facts.get("Export Frame Rate") or facts["Capture Frame Rate"])
     t, notes = (head[:, 0] - head[0, 0]) / hertz + head[0, 1], list[str]()
     if np.any(np.abs(t - head[:, 1]) > CUT):
         t, notes = head[:, 1], [f"times are as printed: frames at {hertz:g} Hz have others"]
-    seen = rows_of(t, places, [names[j] for j in firsts], bodies)
+    seen = rows_of(t, points, [names[j] for j in firsts], bodies)
     stated = unit or facts.get("Length Units", "")
     return flight_of(f"Motive CSV {facts[MOTIVE]}", seen, stated, notes=notes)
 
@@ -305,13 +313,13 @@ def read_vicon(paths: Sequence[Path], unit: str | None) -> RecordedFlight:
         parsed = csv.reader(top, delimiter=separator)
         names, axes, units = (list(map(str.strip, cells)) for cells in parsed)
         firsts = [j for j, axis in enumerate(axes) if axis == ("X" if title == VICON[-1] else "TX")]
-        head, places = table_of(lines, separator, firsts)
-        places[np.all(places == 0.0, axis=2)] = np.nan  # Zeros stand for gaps
+        head, points = table_of(lines, separator, firsts)
+        points = {k: x[np.any(x[:, 1:] != 0.0, axis=1)] for k, x in points.items()}  # Gaps are zero
         labels = [next((name for name in names[j::-1] if name), "") for j in firsts]
         if title != VICON[-1]:
             labels = [label.partition(":")[0] for label in labels]
         bodies = seen if title == VICON[-1] else labels
-        seen |= rows_of(head[:, 0] / hertz, places, labels, bodies)
+        seen |= rows_of(head[:, 0] / hertz, points, labels, bodies)
         stated = units[firsts[0]] if firsts else stated
     return flight_of("Vicon CSV", seen, unit or stated)
 
@@ -332,15 +340,17 @@ def read_c3d(paths: Sequence[Path], unit: str | None) -> RecordedFlight:
         parameters = content["parameters"]["POINT"]
         point = {name: each["value"] for name, each in parameters.items() if "value" in each}
         labels = [label for i in ("", *range(2, 99)) for label in point.get(f"LABELS{i}", ())]
-        positions = np.array(content["data"]["points"], np.float64)[:3].T  # (frames, points, 3)
-        positions[np.all(positions == 0.0, axis=2)] = np.nan
+        positions = np.asarray(content["data"]["points"], np.float64)[:3].T  # (frames, points, 3)
+        visible = np.isfinite(positions).all(axis=2) & np.any(positions != 0.0, axis=2)
+        seen = [
+            np.column_stack([np.flatnonzero(x), y[x]])
+            for x, y in zip(visible.T, positions.swapaxes(0, 1), strict=True)
+        ]
         first, last = struct.unpack_from("<2H", paths[0].read_bytes(), 6)  # ezc3d's are those read
         frames, every = len(positions), last - first + 1
         notes = [f"is cut off: read to frame {frames} of {every}"] if frames < every else []
-        t, labels = np.arange(frames) / float(point["RATE"][0]), labels[: positions.shape[1]]
-        return flight_of(
-            "C3D", rows_of(t, positions, labels), unit or point["UNITS"][0], notes=notes
-        )
+        rows = rows_of(np.arange(frames) / float(point["RATE"][0]), dict(enumerate(seen)), labels)
+        return flight_of("C3D", rows, unit or point["UNITS"][0], notes=notes)
 
 
 def read_bag(paths: Sequence[Path], unit: str | None) -> RecordedFlight:
@@ -377,12 +387,10 @@ def read_bag(paths: Sequence[Path], unit: str | None) -> RecordedFlight:
 
 
 def points_of(message: Any) -> Array:
-    """Return the points (k, 3) of a cloud."""
-    fields = {field.name: field for field in message.fields}
-    order = ">" if message.is_bigendian else "<"
-    kinds = [order + {7: "f4", 8: "f8"}[fields[axis].datatype] for axis in "xyz"]
-    offsets, size = [fields[axis].offset for axis in "xyz"], message.point_step
-    layout: Any = {"names": list("xyz"), "formats": kinds, "offsets": offsets, "itemsize": size}
+    """Return the points (k, 3) of a cloud, which are of float32."""
+    offsets = {field.name: field.offset for field in message.fields if field.datatype == FLOAT32}
+    layout: Any = {"names": list("xyz"), "formats": ["<f4"] * 3}
+    layout |= {"offsets": [offsets[axis] for axis in "xyz"], "itemsize": message.point_step}
     cloud: Any = np.frombuffer(bytes(message.data), layout, message.width * message.height)
     return np.stack([cloud[axis].astype(np.float64) for axis in "xyz"], axis=1)
 

@@ -8,81 +8,77 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import writers as w
 
 import hitchopt as ho
-from hitchopt.flights.readers import points_of, table_of
+from hitchopt.flights.readers import table_of
 from hitchopt.flights.recordings import NOTHING
 
 Write = Callable[[Path, ho.RecordedFlight], Path]
 
-# One writer a format: whether it holds markers, and whether drones' own are among these
-FORMATS: dict[str, tuple[Write, bool, bool]] = {
+FORMATS: dict[str, Write] = {
     **{
-        f"Motive CSV {v}": (partial(w.write_motive, version=v), True, False)
+        f"Motive CSV {v}": partial(w.write_motive, version=v)
         for v in ("1.21", "1.22", "1.23", "1.24", "1.25")
     },
-    "Motive CSV 1,23": (partial(w.write_motive, separator=";"), True, False),
-    "Vicon CSV": (w.write_vicon, True, False),
-    "C3D": (w.write_c3d, True, True),
-    "C3D in integers": (partial(w.write_c3d, real=False), True, True),
-    "table": (w.write_csv, True, False),
-    "table with semicolons": (partial(w.write_csv, separator=";"), True, False),
-    "ROS 2 bag": (w.write_bag, True, False),
-    "ROS 2 bag, mcap": (partial(w.write_bag, kind="mcap"), True, False),
-    "ROS 2 bag, tf": (partial(w.write_bag, bodies="/tf"), True, False),
-    "ROS 2 bag, poses": (partial(w.write_bag, bodies="pose"), True, False),
-    "ROS 2 bag without stamps": (partial(w.write_bag, stamped=False), True, False),
-    "ROS 1 bag": (partial(w.write_bag, kind="ros1"), True, False),
-    "Crazyflie uSD log": (w.write_usd, False, False),
-    "Crazyflie uSD log, 1": (partial(w.write_usd, version=1), False, False),
-    "Crazyflie uSD log of floats": (partial(w.write_usd, group="stateEstimate"), False, False),
-    "PX4 ulog": (w.write_ulog, False, False),
-    "PX4 ulog of positions": (
-        partial(w.write_ulog, topic="vehicle_local_position"),
-        False,
-        False,
-    ),
+    "Motive CSV 1,23": partial(w.write_motive, separator=";"),
+    "Vicon CSV": w.write_vicon,
+    "C3D": w.write_c3d,
+    "table": w.write_csv,
+    "table with semicolons": partial(w.write_csv, separator=";"),
+    "ROS 2 bag": w.write_bag,
+    "ROS 2 bag, mcap": partial(w.write_bag, kind="mcap"),
+    "ROS 2 bag, tf": partial(w.write_bag, bodies="/tf"),
+    "ROS 2 bag, poses": partial(w.write_bag, bodies="pose"),
+    "ROS 2 bag without stamps": partial(w.write_bag, late=0.0),
+    "ROS 1 bag": partial(w.write_bag, kind="ros1"),
+    "Crazyflie uSD log": w.write_usd,
+    "Crazyflie uSD log, 1": partial(w.write_usd, version=1),
+    "Crazyflie uSD log of floats": partial(w.write_usd, group="stateEstimate"),
+    "PX4 ulog": w.write_ulog,
+    "PX4 ulog of positions": partial(w.write_ulog, topic="vehicle_local_position"),
 }
+VARIANTS = ("Motive CSV 1.22", "Motive CSV 1.24", "ROS 2 bag, tf", "ROS 2 bag without stamps")
 
 
-def suffix(name: str) -> str:
-    return ".bag" if "ROS 1" in name else ".c3d" if "C3D" in name else ""
+def place(folder: Path, name: str) -> Path:
+    return folder / f"take{'.bag' if 'ROS 1' in name else '.c3d' if 'C3D' in name else ''}"
+
+
+def given(name: str, frames: int = 150, seen: float = 0.9) -> ho.RecordedFlight:
+    """Return a flight as a format can hold it: logs have set points of two drones, no markers."""
+    flight: ho.RecordedFlight = w.sample(frames=frames, seen=seen)
+    if "log" not in name:
+        return flight
+    return replace(flight, markers=NOTHING, setpoints=dict(list(flight.tracks.items())[:2]))
 
 
 @pytest.mark.parametrize("name", FORMATS)
 def test_recordings_are_read_back(name: str, tmp_path: Path) -> None:
-    write, with_markers, own = FORMATS[name]
-    flight = w.sample()
-    if not with_markers:
-        commands = dict(list(flight.tracks.items())[:2])
-        flight = replace(flight, markers=NOTHING, setpoints=commands)
-    result = ho.read_flight(write(tmp_path / f"take{suffix(name)}", flight))
+    flight = given(name)
+    result = ho.read_flight(FORMATS[name](place(tmp_path, name), flight))
     assert name.startswith(result.source)
     assert list(result.tracks) == list(flight.tracks)
-    epoch = w.EPOCH if "bag" in name else 0.0
-    assert result.epoch == pytest.approx(epoch, abs=1e-6)
-    for body, track in flight.tracks.items():
-        np.testing.assert_allclose(result.tracks[body].t, track.t, atol=1e-6)
-        np.testing.assert_allclose(result.tracks[body].positions, track.positions, atol=1e-6)
-    cloud, seen = result.markers, flight.markers
-    every = w.frames_of(flight) if own else np.unique(seen.t)
-    for time in every if with_markers else ():
-        expected = seen.positions[seen.t == time].tolist()
-        if own:
-            each = flight.tracks.values()
-            expected += [x.positions[x.t == time][0].tolist() for x in each if np.any(x.t == time)]
-        points = cloud.positions[np.abs(cloud.t - time) < 1e-6]
-        np.testing.assert_allclose(sorted(points.tolist()), sorted(expected), atol=1e-6)
-    assert result.one_clock == with_markers
-    logged = "uSD" in name
-    assert list(result.setpoints) == (list(flight.setpoints) if logged else [])
-    for body, track in flight.setpoints.items() if logged else ():
-        np.testing.assert_allclose(result.setpoints[body].positions, track.positions, atol=1e-6)
+    assert result.epoch == pytest.approx(w.EPOCH if "bag" in name else 0.0, abs=1e-6)
+    assert result.one_clock == ("log" not in name)
+    assert list(result.setpoints) == (list(flight.setpoints) if "uSD" in name else [])
+    pairs = [(x, flight.tracks[body]) for body, x in result.tracks.items()]
+    pairs += [(x, flight.setpoints[body]) for body, x in result.setpoints.items()]
+    clouds = [result.markers, flight.markers]
+    if name == "C3D":  # Its cloud holds all points
+        bodies = [np.column_stack([x.t, x.positions]) for x in flight.tracks.values()]
+        own = np.column_stack([clouds[1].t, clouds[1].positions])
+        rows = np.concatenate([own, *bodies])
+        rows = rows[np.argsort(rows[:, 0], kind="stable")]
+        clouds[1] = ho.Track(rows[:, 0], rows[:, 1:])
+    orders = [np.lexsort((*x.positions.round(4).T, x.t.round(4))) for x in clouds]
+    first, second = (ho.Track(x.t[i], x.positions[i]) for x, i in zip(clouds, orders, strict=True))
+    for read, written in [*pairs, (first, second)]:
+        np.testing.assert_allclose(read.t, written.t, atol=1e-6)
+        np.testing.assert_allclose(read.positions, written.positions, atol=1e-6)
 
 
 def edited(change: Callable[[str], str], write: Write = w.write_motive) -> Write:
@@ -96,17 +92,6 @@ def edited(change: Callable[[str], str], write: Write = w.write_motive) -> Write
     return written
 
 
-def without(lines: slice) -> Callable[[str], str]:
-    """Return a change that takes lines out."""
-
-    def change(text: str) -> str:
-        rows = text.split("\n")
-        del rows[lines]
-        return "\n".join(rows)
-
-    return change
-
-
 def clocked(scale: float = 1.0, shift: float = 0.0) -> Write:
     """Return a writer of a table whose times are in another unit, or from another origin."""
 
@@ -117,46 +102,40 @@ def clocked(scale: float = 1.0, shift: float = 0.0) -> Write:
     return written
 
 
-def text_of(words: str) -> Write:
-    def written(path: Path, _: ho.RecordedFlight) -> Path:
-        path.write_text(words, encoding="utf-8")
-        return path
-
-    return written
+def lines(text: str, *ranges: slice) -> str:
+    """Return some of the lines of a text."""
+    return "\n".join(line for each in ranges for line in text.split("\n")[each])
 
 
-def repeated(text: str) -> str:
-    """Return a table whose first row stands once more at its end."""
-    return text + text.split("\n")[1] + "\n"
+def reads(text: str) -> Write:
+    return edited(lambda _: text, w.write_csv)
 
 
 REFUSED: dict[str, tuple[Write, str]] = {
-    "no format": (
-        text_of("hello, world\n"),
-        "give a table of Motive with its header, of Vicon, C3D, a ROS",
-    ),
-    "empty": (text_of(""), "has no line of columns' names"),
-    "another table": (text_of("t,drone,x,y,z\n0,q0,0,0,1\n"), "names with t, name, x, y, z"),
-    "no bodies": (text_of("t,name,x,y,z\n0,marker,0,0,1\n"), "holds no position of a body"),
+    "no format": (reads("hello, world\n"), "give a table of Motive with its header, of Vicon, C3D"),
+    "empty": (reads(""), "has no line of columns' names"),
+    "another table": (reads("t,drone,x,y,z\n0,q0,0,0,1\n"), "names with t, name, x, y, z"),
+    "no bodies": (reads("t,name,x,y,z\n0,marker,0,0,1\n"), "holds no position of a body"),
     "local space": (partial(w.write_motive, space="Local"), "export it in Global space"),
     "Motive without its header": (
-        edited(without(slice(0, 7))),
-        "a table of Motive with its header",
+        edited(lambda text: lines(text, slice(7, None))), "a table of Motive with its header",
     ),
-    "Motive without titles": (edited(without(slice(2, 5))), "has no titles above a row 'Frame'"),
+    "Motive without titles": (
+        edited(lambda text: lines(text, slice(2), slice(5, None))), "no titles above a row 'Frame'",
+    ),
     "Motive in leagues": (
-        partial(w.write_motive, unit=("Leagues", 1e-3)),
-        "'Leagues', is unknown; state unit='m', 'cm' or 'mm'",
+        partial(w.write_motive, unit=("Leagues", 1e-3)), "unknown; state unit='m', 'cm' or 'mm'",
     ),
     "Motive's frames backward": (
-        edited(lambda text: text + text.split("\n")[20] + "\n"),
-        "times do not ascend: 1.49 s is followed by 0.13 s",
+        edited(lambda text: lines(text, slice(-1), slice(20, 22))), "1.49 s is followed by 0.13 s",
     ),
     "Vicon without a rate": (
-        edited(lambda text: text.replace("\n100\n", "\n0\n"), w.write_vicon),
-        "section Objects: a rate of 0 Hz",
+        edited(lambda text: text.replace("\n100\n", "\n0\n"), w.write_vicon), "a rate of 0 Hz",
     ),
-    "times backward": (edited(repeated, w.write_csv), "is followed by 0 s; give one flight"),
+    "times backward": (
+        edited(lambda text: lines(text, slice(-1), slice(1, 2)), w.write_csv),
+        "is followed by 0 s; give one flight",
+    ),
     "millimetres": (
         edited(lambda text: text.replace(",1.", ",1000."), w.write_csv),
         "m from the origin at the median, over 50 m: millimetres? unit='mm'",
@@ -169,14 +148,12 @@ REFUSED: dict[str, tuple[Write, str]] = {
     ),
     "log of version 3": (partial(w.write_usd, version=3), "is of version 3; 1 and 2 are known"),
     "log without positions": (
-        partial(w.write_usd, group="stabilizer"),
-        "logs none of stateEstimate.x, stateEstimateZ.x, locSrv.x, but ",
+        partial(w.write_usd, group="stabilizer"), "logs none of stateEstimate.x, stateEstimateZ.x",
     ),
     "ulog without positions": (
-        partial(w.write_ulog, topic="vehicle_gps_odometry"),
-        "logs none of vehicle_visual_odometry, vehicle_local_position",
+        partial(w.write_ulog, topic="vehicle_gps_odometry"), "logs none of vehicle_visual_odometry",
     ),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("case", REFUSED)
@@ -197,9 +174,8 @@ def test_other_paths_and_units_are_refused(tmp_path: Path) -> None:
         ho.read_flight(tmp_path)
     with pytest.raises(ho.InputError, match="unit = 'miles': must be one of m, cm, mm"):
         ho.read_flight(tmp_path, unit="miles")
-    flight = replace(w.sample(), markers=NOTHING)
     with pytest.raises(ho.FileError, match="units its format fixes; leave unit= out"):
-        ho.read_flight(w.write_usd(tmp_path / "logs", flight), unit="mm")
+        ho.read_flight(w.write_usd(tmp_path / "logs", given("log")), unit="mm")
 
 
 @pytest.mark.parametrize(
@@ -209,25 +185,20 @@ def test_other_paths_and_units_are_refused(tmp_path: Path) -> None:
 def test_a_missing_library_is_named(
     name: str, module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    flight = replace(w.sample(), markers=NOTHING)
-    path = FORMATS[name][0](tmp_path / f"take{suffix(name)}", flight)
+    path = FORMATS[name](place(tmp_path, name), given(name))
     monkeypatch.setitem(__import__("sys").modules, module, None)
     with pytest.raises(ho.FileError, match=r"pip install 'hitchopt\[logs\]'"):
         ho.read_flight(path)
 
 
-@pytest.mark.parametrize("unit", ["mm", "ft"])
-@pytest.mark.parametrize("name", ["table", "ROS 2 bag", "Vicon CSV", "C3D"])
-def test_a_stated_unit_counts(name: str, unit: str, tmp_path: Path) -> None:
-    """Files that state millimetres are written by numbers 1000 times as large."""
-    flight, scale = w.sample(), {"mm": 1e-3, "ft": 0.3048}[unit]
-    large = 1e3 if name in {"Vicon CSV", "C3D"} else 1.0
-    result = ho.read_flight(FORMATS[name][0](tmp_path / f"take{suffix(name)}", flight), unit)
+@pytest.mark.parametrize(("name", "large"), [("table", 1.0), ("ROS 2 bag", 1.0), ("C3D", 1e3)])
+def test_a_stated_unit_counts(name: str, large: float, tmp_path: Path) -> None:
+    """A file that states millimetres is written by numbers 1000 times as large."""
+    flight = w.sample()
+    result = ho.read_flight(FORMATS[name](place(tmp_path, name), flight), "ft")
     for body, track in flight.tracks.items():
-        expected = large * scale * track.positions
+        expected = 0.3048 * large * track.positions
         np.testing.assert_allclose(result.tracks[body].positions, expected, rtol=1e-6)
-    order = np.argsort(np.linalg.norm(result.markers.positions[:3], axis=1))
-    assert len(order) == 3
 
 
 def test_bodies_are_means_of_subjects_while_all_markers_are_visible(tmp_path: Path) -> None:
@@ -249,37 +220,25 @@ def test_bodies_are_means_of_subjects_while_all_markers_are_visible(tmp_path: Pa
     np.testing.assert_array_equal(short.tracks["cf1"].t, t[10:40])
 
 
-def test_stamps_of_a_date_count_from_the_first_position(tmp_path: Path) -> None:
-    flight = ho.read_flight(clocked(1.0, 1.7e9)(tmp_path / "take", w.sample()))
+def test_what_is_mended_is_a_note(tmp_path: Path) -> None:
+    """Stamps of a date, blank cells, and Motive's times at another rate than its frames."""
+    flight = ho.read_flight(clocked(1.0, 1.7e9)(tmp_path / "dated", w.sample()))
     assert flight.epoch == 1.7e9
     assert "at 1700000000.000 s of the recording's clock" in flight.notes[0]
-    for body, track in w.sample().tracks.items():
-        np.testing.assert_allclose(flight.tracks[body].t, track.t, atol=1e-6)
-
-
-def test_blank_cells_are_left_out_with_a_note(tmp_path: Path) -> None:
-    path = tmp_path / "take.csv"
-    path.write_text("t,name,x,y,z\n0,q0,1,2,3\n0.1,q0,,,\n0.2,q0,1,2,nan\n0.3,q0,4,5,6\n", "utf-8")
-    flight = ho.read_flight(path)
+    np.testing.assert_allclose(flight.tracks["cf3"].t, w.sample().tracks["cf3"].t, atol=1e-6)
+    table = "t,name,x,y,z\n0,q0,1,2,3\n0.1,q0,,,\n0.2,q0,1,2,nan\n0.3,q0,4,5,6\n"
+    flight = ho.read_flight(reads(table)(tmp_path / "blank", w.sample()))
     np.testing.assert_array_equal(flight.tracks["q0"].t, [0.0, 0.3])
     assert flight.notes == ("2 of 4 rows have no position, or the same time: left out",)
-
-
-def test_times_are_those_of_frames_unless_others_are_printed(tmp_path: Path) -> None:
-    """Motive cuts times to milliseconds; frames at another rate are not believed."""
-    path = w.write_motive(tmp_path / "take.csv", w.sample())
-    text = path.read_text(encoding="utf-8-sig")
-    path.write_text(text.replace("Export Frame Rate,100.0", "Export Frame Rate,120.0"), "utf-8")
-    flight = ho.read_flight(path)
+    other = edited(lambda text: text.replace("Export Frame Rate,100.0", "Export Frame Rate,120.0"))
+    flight = ho.read_flight(other(tmp_path / "rated", w.sample()))
     assert flight.notes == ("times are as printed: frames at 120 Hz have others",)
     assert flight.tracks["cf3"].t[-1] == pytest.approx(1.49)
 
 
 def test_a_cut_log_is_read_to_its_last_record(tmp_path: Path) -> None:
-    flight = replace(w.sample(seen=1.0), markers=NOTHING)
-    folder = w.write_usd(tmp_path / "logs", flight)
+    folder, log = w.write_usd(tmp_path / "logs", given("log", seen=1.0)), tmp_path / "log00"
     for cut in (1, 4, 9, 500, 1000):
-        log = tmp_path / "log00"
         log.write_bytes((folder / "cf3.bin").read_bytes()[:-cut])
         result = ho.read_flight(log)
         many = len(result.tracks["log00"].t)
@@ -289,31 +248,24 @@ def test_a_cut_log_is_read_to_its_last_record(tmp_path: Path) -> None:
         assert result.one_clock
 
 
-# A damaged file is refused with its path, or it is read if values alone were damaged
-DAMAGED = [*(n for n in FORMATS if n not in {"Motive CSV 1.22", "Motive CSV 1.24"})]
-
-
-@pytest.mark.parametrize("name", DAMAGED)
+@pytest.mark.parametrize("name", [name for name in FORMATS if name not in VARIANTS])
 def test_damaged_files_end_in_a_line(name: str, tmp_path: Path) -> None:
-    """Twenty a format: cut off, bytes changed, put in or taken out, at the head or anywhere."""
-    write, with_markers, _ = FORMATS[name]
-    flight = w.sample(frames=60)
-    flight = flight if with_markers else replace(flight, markers=NOTHING)
-    whole, refused = write(tmp_path / f"whole{suffix(name)}", flight), 0
+    """Twenty a format: cut off, bytes changed, put in or taken out, at the head or anywhere.
+
+    A damaged file is refused with its path, or it is read if values alone were damaged.
+    """
+    whole, refused = FORMATS[name](place(tmp_path, name), given(name, frames=60)), 0
+    copy = whole.with_name(f"damaged{whole.suffix}")
     for seed in range(20):
-        rng, path = np.random.default_rng(seed), tmp_path / f"take{seed}{suffix(name)}"
-        if whole.is_dir():
-            shutil.copytree(whole, path)
-        else:
-            shutil.copy(whole, path)
-        file = max(
-            (p for p in [path, *path.glob("*")] if p.is_file()), key=lambda p: p.stat().st_size
-        )
+        rng = np.random.default_rng(seed)
+        (shutil.copytree if whole.is_dir() else shutil.copy)(whole, copy)
+        files = [path for path in (copy, *copy.glob("*")) if path.is_file()]
+        file = max(files, key=lambda path: path.stat().st_size)
         data = bytearray(file.read_bytes())
         end = len(data) if seed % 2 else min(len(data), 600)
         at = int(rng.integers(end))
         if seed % 4 == 0:
-            data = data[:at]
+            del data[at:]
         elif seed % 4 == 1:
             for i in rng.integers(end, size=20):
                 data[i] = rng.integers(256)
@@ -324,12 +276,11 @@ def test_damaged_files_end_in_a_line(name: str, tmp_path: Path) -> None:
         file.write_bytes(data)
         words = ""
         try:
-            result = ho.read_flight(path)
+            ho.read_flight(copy)
         except ho.FileError as error:
             words, refused = str(error), refused + 1
-        else:
-            assert all(np.all(np.isfinite(x.positions)) for x in result.tracks.values())
-        assert words == "" or (words.startswith(str(path)) and "\n" not in words), words
+        assert words == "" or (words.startswith(str(copy)) and "\n" not in words), words
+        shutil.rmtree(copy) if copy.is_dir() else copy.unlink()
     assert refused > 1
 
 
@@ -346,22 +297,8 @@ def test_records_check_their_fields() -> None:
             ho.Track(t, x)
 
 
-def test_points_are_whole_in_one_row() -> None:
-    lines = ["0;1;;;", "1;;;2,5;3", '2;"4"; 5,5;6;7', ";;;", "3;1;1;1;1"]
-    head, places = table_of(lines, ";", [2])
+def test_blank_cells_of_wide_tables_are_missing() -> None:
+    rows = ["0;1;;;", "1;;;2,5;3", '2;"4"; 5,5;6;7', ";;;", "3;1;1;1;1"]
+    head, points = table_of(rows, ";", [2])
     np.testing.assert_array_equal(head, [[0.0, 1.0], [1.0, np.nan], [2.0, 4.0]])
-    np.testing.assert_array_equal(places[2], [[5.5, 6.0, 7.0]])
-    assert np.isnan(places[:2]).any(axis=2).all()
-
-
-def test_clouds_of_other_layouts_are_read() -> None:
-    """Clouds have more fields, in doubles, or of big-endian numbers."""
-    for order, kind, size in ((">", "d", 8), ("<", "f", 4)):
-        fields = [
-            SimpleNamespace(name=name, offset=size * k, datatype=8 if kind == "d" else 7)
-            for k, name in enumerate(("intensity", "z", "y", "x"))
-        ]
-        data = struct.pack(f"{order}8{kind}", 9, 3, 2, 1, 9, 6, 5, 4)
-        given = {"fields": fields, "point_step": 4 * size, "data": data, "width": 2, "height": 1}
-        message = SimpleNamespace(is_bigendian=order == ">", **given)
-        np.testing.assert_array_equal(points_of(message), [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
+    np.testing.assert_array_equal(points[0], [[2.0, 5.5, 6.0, 7.0]])

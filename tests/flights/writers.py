@@ -57,36 +57,36 @@ def write_motive(
     separator: str = ",",
 ) -> Path:
     """Write a table of Motive: bodies with their markers, and columns that break off."""
-    t, groups = frames_of(flight), list[tuple[str, str, str, str, Array]]()
+    t, columns = frames_of(flight), list[tuple[str, str, str, str, Array]]()
+
+    def add(kind: str, name: str, values: Array, what: str = "Position", axes: str = "XYZ") -> None:
+        columns.extend((kind, name, what, *each) for each in zip(axes, values.T, strict=True))
+
     for name, track in flight.tracks.items():
         places = dense(t, track)
-        turned = np.where(np.isnan(places[:, :1]), np.nan, [[0.0, 0.0, 0.0, 1.0]])
-        groups.append(("Rigid Body", name, "Rotation", "XYZW", turned))
-        groups.append(("Rigid Body", name, "Position", "XYZ", places / unit[1]))
-        groups.append(("Rigid Body", name, "Mean Marker Error", " ", 0.0 * places[:, :1]))
-        for kind, off in (("Rigid Body Marker", 0.03), ("Marker", 0.031)):
-            own = (places + off) / unit[1]
-            groups.append((kind, f"{name}:Marker1", "Position", "XYZ", own))
+        add("Rigid Body", name, np.tile(0.0 * places[:, :1], 4), "Rotation", "XYZW")
+        add("Rigid Body", name, places / unit[1])
+        add("Rigid Body", name, 0.0 * places[:, :1], "Mean Marker Error", " ")
+        add("Rigid Body Marker", f"{name}:Marker1", (places + 0.03) / unit[1])
+        add("Marker", f"{name}:Marker1", (places + 0.031) / unit[1])
     for name, places in columns_of(t, flight.markers).items():
-        groups.append(("Marker", f"Unlabeled {name}", "Position", "XYZ", places / unit[1]))
-    each = [(kind, name, what, axis) for kind, name, what, axes, _ in groups for axis in axes]
-    kinds, names, whats, axes = (list(x) for x in zip(*each, strict=True))
+        add("Marker", f"Unlabeled {name}", places / unit[1])
+    *titles, values = zip(*columns, strict=True)
+    kinds, names, whats, axes = map(list, titles)
     code = ["TimeCode"] if version >= "1.24" else []
-    titles = [["Type", *kinds], ["Name", *names], ["ID", *names]]
-    titles += [["Parent", *names]] if version >= "1.25" else []
-    blank = [""] * len(code)
+    heads = {"Type": kinds, "Name": names, "ID": names}
+    heads |= {"Parent": names} if version >= "1.25" else {}
     number = version if separator == "," else version.replace(".", ",")
     rows = [
         ["Format Version", number, "Take Name", "Take, 1", "Export Frame Rate", f"{rate:.6f}"]
         + ["Length Units", unit[0], "Coordinate Space", space],
         [],
-        *(["", "" if version == "1.21" else x[0], *blank, *x[1:]] for x in titles),
-        ["", "", *blank, *whats],
+        *(["", "" if version == "1.21" else x, *code, *own] for x, own in heads.items()),
+        ["", "", *code, *whats],
         ["Frame", "Time (Seconds)", *code, *(axis.strip() for axis in axes)],
     ]
-    first, values = round(t[0] * rate), np.concatenate([each for *_, each in groups], axis=1)
-    for time, row in zip(t, values, strict=True):
-        begin = [str(round(time * rate) - first), f"{int(1000 * time + 1e-6) / 1000:.6f}"]
+    for time, row in zip(t, np.stack(values, axis=1), strict=True):
+        begin = [str(round((time - t[0]) * rate)), f"{int(1000 * time + 1e-6) / 1000:.6f}"]
         cells = [*begin, *(["15:26:46:12.02"] * len(code)), *texts(row)]
         rows.append(cells if separator == "," else [cell.replace(".", ",") for cell in cells])
     text = io.StringIO()
@@ -114,56 +114,29 @@ def write_vicon(path: Path, flight: ho.RecordedFlight, rate: float = 100.0) -> P
     return path
 
 
-def points_of(t: Array, flight: ho.RecordedFlight, prefix: str) -> dict[str, Array]:
-    """Return columns of all points, a body being one."""
-    columns = {name: dense(t, track) for name, track in flight.tracks.items()}
-    return columns | {f"{prefix}{n}": x for n, x in columns_of(t, flight.markers).items()}
-
-
-def write_c3d(path: Path, flight: ho.RecordedFlight, real: bool = True) -> Path:
-    """Write a C3D file in millimetres, of real numbers or of integers."""
+def write_c3d(path: Path, flight: ho.RecordedFlight) -> Path:
+    """Write a C3D file in millimetres, a body being one point."""
     t, file = frames_of(flight), ezc3d.c3d()
-    columns, point = points_of(t, flight, "*"), file["parameters"]["POINT"]
+    columns = {name: dense(t, track) for name, track in flight.tracks.items()}
+    columns |= {f"*{name}": places for name, places in columns_of(t, flight.markers).items()}
+    point = file["parameters"]["POINT"]
     point["RATE"]["value"], point["UNITS"]["value"] = [100.0], ["mm"]
     point["LABELS"]["value"] = list(columns)
     places = 1e3 * np.stack(list(columns.values()), axis=0).transpose(2, 0, 1)
     file["data"]["points"] = np.concatenate([places, np.ones((1, *places.shape[1:]))])
     file.write(str(path))
-    if not real:
-        path.write_bytes(in_integers(path.read_bytes()))
     return path
-
-
-def in_integers(data: bytes) -> bytes:
-    """Return a C3D file of real numbers as one of integers, of which each is 0.1 mm."""
-    begin, scale = 512 * (struct.unpack_from("<H", data, 16)[0] - 1), data.find(b"SCALE")
-    points, first, last = (struct.unpack_from("<H", data, k)[0] for k in (2, 6, 8))
-    values = np.frombuffer(data, "<f4", 4 * points * (last - first + 1), begin).reshape(-1, 4)
-    lost = ~np.all(np.isfinite(values[:, :3]), axis=1)
-    zeros = lost & (np.arange(len(lost)) % 2 == 0)  # of others, the residual says so
-    whole = np.nan_to_num(np.rint(10.0 * values), nan=99.0).astype("<i2")
-    whole[:, 3] = np.where(lost, -1, 0)
-    whole[zeros] = 0
-    tenth, at = struct.pack("<f", 0.1), scale + len("SCALE") + 4
-    head = data[:12] + tenth + data[16:begin]
-    return head[:at] + tenth + head[at + 4 :] + whole.tobytes()
 
 
 def write_csv(path: Path, flight: ho.RecordedFlight, separator: str = ",") -> Path:
     """Write a plain table, rows by time; ``marker`` is a point without a name."""
-    cloud = flight.markers
-    parts = [(x.t, name, x.positions) for name, x in flight.tracks.items()]
-    parts.append((cloud.t, "marker", cloud.positions))
-    rows = [
-        (time, name, *place)
-        for t, name, places in parts
-        for time, place in zip(t.tolist(), places.tolist(), strict=True)
-    ]
-    lines = [separator.join(["t", "name", "x", "y", "z"])]
-    for t, name, *place in sorted(rows, key=lambda row: row[0]):
-        cells = separator.join([f"{t!r}", name, *map(repr, place)])
-        lines.append(cells if separator == "," else cells.replace(".", ","))
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    lines = []
+    for name, track in [*flight.tracks.items(), ("marker", flight.markers)]:
+        for t, place in zip(track.t.tolist(), track.positions.tolist(), strict=True):
+            cells = separator.join([repr(t), name, *map(repr, place)])
+            lines.append((t, cells if separator == "," else cells.replace(".", ",")))
+    rows = [cells for _, cells in sorted(lines, key=lambda line: line[0])]
+    path.write_text("\n".join([separator.join(["t", "name", "x", "y", "z"]), *rows, ""]), "utf-8")
     return path
 
 
@@ -172,11 +145,12 @@ def write_bag(
     flight: ho.RecordedFlight,
     kind: str = "sqlite3",
     bodies: str = "/poses",
-    stamped: bool = True,
+    late: float = 0.015,
 ) -> Path:
     """Write a bag with ``/pointCloud`` and bodies: crazyswarm2's ``/poses``, ``/tf`` or ``pose``.
 
-    ``kind`` is sqlite3 (without definitions of types, as Humble's), mcap or ros1.
+    ``kind`` is sqlite3 (without definitions of types, as Humble's), mcap or ros1. Every other cloud
+    arrives ``late`` [s]; messages without a stamp do not.
     """
     ros1 = kind == "ros1"
     store = typesys.get_typestore(typesys.Stores["ROS1_NOETIC" if ros1 else "ROS2_HUMBLE"])
@@ -187,18 +161,17 @@ def write_bag(
         return store.types[name if "/msg/" in name else f"geometry_msgs/msg/{name}"](*values)
 
     def header(t: float) -> Any:
-        stamp = made("builtin_interfaces/msg/Time", *divmod(round(1e9 * (EPOCH + t)), 10**9))
-        none = made("builtin_interfaces/msg/Time", 0, 0)
-        counter = (0,) if ros1 else ()
-        return made("std_msgs/msg/Header", *counter, stamp if stamped else none, "world")
+        nanoseconds = round(1e9 * (EPOCH + t)) if late else 0
+        stamp = made("builtin_interfaces/msg/Time", *divmod(nanoseconds, 10**9))
+        return made("std_msgs/msg/Header", *[0] * ros1, stamp, "world")
 
     def pose(place: Sequence[float]) -> Any:
         return made("Pose", made("Point", *place), made("Quaternion", *[np.nan] * 4))
 
-    messages: list[tuple[float, str, Any]] = []  # Clouds arrive late, and not in their order
+    messages: list[tuple[float, str, Any]] = []
     for t in frames_of(flight).tolist():
-        seen = [(name, x.positions[x.t == t]) for name, x in flight.tracks.items()]
-        here = [(name, place[0].tolist()) for name, place in seen if len(place)]
+        seen = [(name, x.positions[x.t == t].tolist()) for name, x in flight.tracks.items()]
+        here = [(name, place[0]) for name, place in seen if place]
         if bodies == "/poses":
             named = [made(POSE, name, pose(place)) for name, place in here]
             messages.append((t, bodies, made(f"{POSE}Array", header(t), named)))
@@ -208,21 +181,20 @@ def write_bag(
             each = [made("TransformStamped", header(t), name, move) for name, move in moves]
             messages.append((t, bodies, made("tf2_msgs/msg/TFMessage", each)))
         else:
-            for name, place in here:
-                messages.append((t, f"/{name}/pose", made("PoseStamped", header(t), pose(place))))
+            each = [(name, made("PoseStamped", header(t), pose(place))) for name, place in here]
+            messages += [(t, f"/{name}/pose", message) for name, message in each]
     fields = [made("sensor_msgs/msg/PointField", x, 4 * i, 7, 1) for i, x in enumerate("xyz")]
-    cloud = flight.markers
-    for i, t in enumerate(np.unique(cloud.t).tolist()):
-        points = cloud.positions[cloud.t == t].astype("<f4")
+    for i, t in enumerate(np.unique(flight.markers.t).tolist()):
+        points = flight.markers.positions[flight.markers.t == t].astype("<f4")
         data, many = np.frombuffer(points.tobytes(), np.uint8), len(points)
         facts = header(t), 1, many, fields, False, 12, 12 * many, data, True
-        late = 0.015 * (i % 2) if stamped else 0.0
-        messages.append((t + late, "/pointCloud", made("sensor_msgs/msg/PointCloud2", *facts)))
-    if ros1:
-        writer: Any = rosbag1.Writer(path)
-    else:
-        plugin = rosbag2.StoragePlugin[kind.upper()]
-        writer = rosbag2.Writer(path, version=8, storage_plugin=plugin)
+        cloud = made("sensor_msgs/msg/PointCloud2", *facts)
+        messages.append((t + late * (i % 2), "/pointCloud", cloud))
+    writer: Any = (
+        rosbag1.Writer(path)
+        if ros1
+        else rosbag2.Writer(path, version=8, storage_plugin=rosbag2.StoragePlugin[kind.upper()])
+    )
     with writer as bag:
         streams: dict[str, Any] = {}
         for t, topic, message in sorted(messages, key=lambda each: each[0]):
@@ -242,14 +214,12 @@ def write_usd(
     kind, scale = ("h", 1e3) if group.endswith("Z") else ("f", 1.0)
     head, ticks = ("<HI", 1e3) if version == 1 else ("<HQ", 1e6)
     for name, track in flight.tracks.items():
-        target = flight.setpoints.get(name)
-        variables = [f"{group}.{axis}({kind})" for axis in "xyz"]
-        variables += [f"ctrltargetZ.{axis}(h)" for axis in "xyz" if target]
-        events = {0xFFFF: ("fixedFrequency", variables), 7: ("estPosition", ["source(B)", "d(e)"])}
-        data = struct.pack("<BHH", 0xBC, version, len(events))
-        for number, (title, names) in events.items():
-            data += struct.pack("<H", number) + title.encode() + b"\0"
-            data += struct.pack("<H", len(names)) + b"".join(x.encode() + b"\0" for x in names)
+        target, variables = flight.setpoints.get(name), [f"{group}.{x}({kind})" for x in "xyz"]
+        variables += [f"ctrltargetZ.{x}(h)" for x in "xyz" if target]
+        data = struct.pack("<BHH", 0xBC, version, 2)
+        for number, names in ((0xFFFF, variables), (7, ["source(B)", "d(e)"])):
+            data += struct.pack("<H", number) + b"event\0" + struct.pack("<H", len(names))
+            data += b"".join(x.encode() + b"\0" for x in names)
         for i, (t, place) in enumerate(zip(track.t, track.positions, strict=True)):
             values = [round(x * scale) if kind == "h" else x for x in place]
             values += [round(1e3 * x) for x in target.positions[i]] if target else []
@@ -266,17 +236,15 @@ def write_ulog(
     """Write a ulog for every drone, in axes north, east, down."""
     folder.mkdir()
     fields = "float[3] position;" if topic.endswith("odometry") else "float x;float y;float z;"
-
-    def message(kind: bytes, data: bytes) -> bytes:
-        return struct.pack("<Hc", len(data), kind) + data
-
     for name, track in flight.tracks.items():
-        data = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0) + message(b"B", bytes(40))
-        data += message(b"F", f"{topic}:uint64_t timestamp;{fields}".encode())
-        data += message(b"A", struct.pack("<BH", 0, 1) + topic.encode())
+        messages = [(b"B", bytes(40)), (b"F", f"{topic}:uint64_t timestamp;{fields}".encode())]
+        messages.append((b"A", struct.pack("<BH", 0, 1) + topic.encode()))
         for t, (x, y, z) in zip(track.t, track.positions, strict=True):
-            data += message(b"D", struct.pack("<HQfff", 1, round(1e6 * t), y, x, -z))
-        (folder / f"{name}.ulg").write_bytes(data + message(b"O", struct.pack("<H", 250)))
+            messages.append((b"D", struct.pack("<HQfff", 1, round(1e6 * t), y, x, -z)))
+        messages.append((b"O", struct.pack("<H", 250)))
+        data = b"".join(struct.pack("<Hc", len(x), kind) + x for kind, x in messages)
+        begin = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0)
+        (folder / f"{name}.ulg").write_bytes(begin + data)
     return folder
 
 
