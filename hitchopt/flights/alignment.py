@@ -236,11 +236,9 @@ class _Trial:
 
         Shapes of the latter are (times, 2n, 3) and (times, 2n). Offsets that do not count are zero.
         """
-        tau, index = (
-            fit.rate * self._t[:, None] + fit.offsets,
-            list(map(self._bodies.index, fit.names)),
-        )
-        inside, x = np.clip(tau, 0.0, self._task.duration), self._x[:, index]
+        index = [self._bodies.index(name) for name in fit.names]
+        tau, x = fit.rate * self._t[:, None] + fit.offsets, self._x[:, index]
+        inside = np.clip(tau, 0.0, self._task.duration)
         plan = np.stack([at(t) for at, t in zip(self._curves, inside.T, strict=True)], axis=1)
         frame, here = (fit.rotation, fit.shift), (tau == inside) & self._near[:, index]
         use = here if use is None else use
@@ -287,13 +285,10 @@ class _Trial:
         u, steps = np.zeros(many + rates), np.diag([BLUR] * many + [BLUR / 10.0] * rates)
         for _ in range(STEPS):  # Of Gauss and Newton
             r, use = residuals(u)
-            changed = [(residuals(u + step, use)[0] - r) / np.max(step) for step in steps]
-            J = np.stack(changed, axis=-1)
-            u = u - np.linalg.pinv(np.einsum("tixu,tixv->uv", J, J)) @ np.einsum(
-                "tixu,tix->u", J, r
-            )
-            u = np.clip(u, -LARGEST_CHANGE, LARGEST_CHANGE)
-        g, H = np.einsum("tixu,tix->tiu", J, r), np.einsum("tixu,tixv->tiuv", J, J)
+            J = np.stack([(residuals(u + h, use)[0] - r) / np.max(h) for h in steps], axis=-1)
+            g, H = np.einsum("tixu,tix->tiu", J, r), np.einsum("tixu,tixv->tiuv", J, J)
+            step = np.linalg.pinv(H.sum(axis=(0, 1)), hermitian=True) @ g.sum(axis=(0, 1))
+            u = np.clip(u - step, -LARGEST_CHANGE, LARGEST_CHANGE)
         begins = np.unique(self._t // BLOCK, return_index=True)[1]
         variances = _left_out(*(np.add.reduceat(each.sum(axis=1), begins) for each in (H, g)))
         variances += _left_out(H.sum(axis=0), g.sum(axis=0))
