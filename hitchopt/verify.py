@@ -1956,8 +1956,10 @@ def phases(p: Plan) -> Iterator[Fault]:
         if state in (ROLLING, LYING) and np.any(on):
             still = p.points.c[0][on][:, p.V]
             moved = np.max(np.ptp(still, axis=(0, -1))) > TOUCH
-            drift = SAGS if state == LYING else CLOSE
-            moved |= np.max(np.ptp(p.legs.c[0][on], axis=(0, -1))) > drift
+            legs = p.legs.c[0][on]  # change as they sag, or as weight passes
+            sag = (p.weight / p.team) ** 2 / 24.0 * np.max(legs, (0, -1)).reshape(p.n, 2) ** 3
+            drift = SAGS if state == LYING else (sag + 1e-4).reshape(legs.shape[1:-1])
+            moved |= np.any(np.ptp(legs, axis=(0, -1)) > drift)
             yield at, bool(moved), "vertices or legs move as pairs roll"
             T, pulled = p.tensions.c[0][on], p.pulls.c[0][on]
             other = np.ptp(p.team) > 0.0 or np.max(np.abs(pulled - np.repeat(T, 2, 1))) > 1e-4

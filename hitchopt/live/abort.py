@@ -25,8 +25,10 @@ from hitchopt.checks import Certificate, certify
 from hitchopt.checks.registry import RULE_OF, check_of
 from hitchopt.errors import HitchoptError, InfeasibleError, InputError, Progress
 from hitchopt.exports.directory import ABORT_PLANS, ABORTS
+from hitchopt.hitch import Hitch
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.live.player import Player
+from hitchopt.motion.chapters import chapters
 from hitchopt.motion.motion import FREE_STATES, JOINT, CableState, Group, Motion, Phase
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.retiming import (
@@ -39,6 +41,7 @@ from hitchopt.motion.retiming import (
 )
 from hitchopt.motion.states import final_hitch
 from hitchopt.objects.placing import STILL, in_world
+from hitchopt.planners.forming.joining import landed
 from hitchopt.planners.forming.stages import stage, straight_lines
 from hitchopt.steps import Release
 from hitchopt.steps.certified_motions import infeasible
@@ -251,25 +254,57 @@ def _refused(when: str, remedy: str = "abort earlier or later") -> InfeasibleErr
 
 def _landed(whole: Motion, *, untied: bool) -> Motion:
     """Return a plan at rest followed by steps that bring it to the ground, untied first or not."""
+    if whole.changes:
+        return append_motion(whole, _landing_of_chapter(whole, untied=untied))
     if not whole.phases[-1].formed:
         return _followed_by(whole, straight_down(whole))
     need = whole.requirements
-    try:
-        hitch = final_hitch(whole)
-    except HitchoptError:
-        words = "legs differ from those of a hitch at rest, from which steps start"
-        remedy = "abort earlier or later, or choose hold or back"
-        when = f"at rest at t = {whole.duration:.4g} s"
-        raise InfeasibleError([], f"{when}: {words}; {remedy}") from None
+    hitch = _hitch_at_end(whole)
     state = RestState(whole.team, hitch.drones, hitch, _senses(whole))
     task = StepTask(state, whole.phases[-1].step + 1, _requirements_after(whole).with_reserve)
     if untied:
         released = _followed_by(whole, Release().plan(task).motion)
         return _followed_by(released, straight_down(released))
-    lower = hitch.altitude - (float(np.min(hitch.drones[:, 2])) - need.floor)
+    return _followed_by(whole, _lowered(hitch, task, need.floor))
+
+
+def _landing_of_chapter(whole: Motion, *, untied: bool) -> Motion:
+    """Return the motion in which the last ring of a plan and who waits land, the ring still tied.
+
+    How its pairs are tied is known to the plan's certificate alone, so none is untied.
+    """
+    ring, need = chapters(whole)[-1].groups[0].motion, whole.requirements
+    index, formed = whole.phases[-1].step + 1, ring.phases[-1].formed
+    if untied and formed:
+        words = f"at t = {whole.duration:.4g} s: a hitch whose robots change is not untied"
+        raise _refused(words, "choose land, hold or back")
+    if formed:
+        hitch = _hitch_at_end(ring)
+        state = RestState(ring.team, hitch.drones, hitch)
+        down = _lowered(hitch, StepTask(state, index, need.with_reserve), need.floor)
+    else:
+        down = straight_down(ring)
+    end = whole.drones.coefficients[-1, ..., -1].reshape(-1, 2, 3)
+    waiting = {robot: end[robot] for robot, _ in whole.phases[-1].waiting}
+    return landed(down, whole.team, waiting, need)
+
+
+def _lowered(hitch: Hitch, task: StepTask, floor: float) -> Motion:
+    """Return the motion straight down of a hitch until its lowest drones are on the ground."""
+    lower = hitch.altitude - (float(np.min(hitch.drones[:, 2])) - floor)
     motion = lifted(hitch, lower, "land", task)
-    phases = tuple(replace(phase, remark="") for phase in motion.phases)
-    return _followed_by(whole, motion.replaced(phases=phases))
+    return motion.replaced(phases=tuple(replace(phase, remark="") for phase in motion.phases))
+
+
+def _hitch_at_end(whole: Motion) -> Hitch:
+    """Return the hitch at rest in which a motion ends; InfeasibleError where it is none."""
+    try:
+        return final_hitch(whole)
+    except HitchoptError:
+        words = "legs differ from those of a hitch at rest, from which steps start"
+        remedy = "abort earlier or later, or choose hold or back"
+        when = f"at rest at t = {whole.duration:.4g} s"
+        raise InfeasibleError([], f"{when}: {words}; {remedy}") from None
 
 
 def _followed_by(whole: Motion, motion: Motion) -> Motion:

@@ -151,8 +151,8 @@ def other_leg_first(motion: Motion) -> Motion:
     points = ring.vertices.coefficients[k, ..., 0]
     q_legs = ring.legs.coefficients[k, :, 0, 0]
     outline = ho.ConvexPolygon(points[:, :2])
-    hitch = Hitch(PartTeam(motion.team, WITH), outline, float(points[0, 2]), q_legs, np.zeros(4))
-    both = [Joining(hitch, hitch, 0, sign * np.ones(3)).rolls for sign in (-1.0, 1.0)]
+    hitch = Hitch(PartTeam.of(motion.team, WITH), outline, float(points[0, 2]), q_legs, np.zeros(4))
+    both = [Joining(hitch, hitch, 0, sign * np.ones(3), 1.0).rolls for sign in (-1.0, 1.0)]
     off = [np.max(np.abs(x[0].drones(np.ones(1))[0] - c[half, ..., 0])) for x in both]
     assert min(off) < 0.01 < max(off)
     wrong = both[int(np.argmax(off))]

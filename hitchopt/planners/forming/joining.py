@@ -42,6 +42,7 @@ from hitchopt.planners.forming.laying import (
 from hitchopt.planners.forming.prehitch import APART, SPAN, smallest_separation
 from hitchopt.planners.forming.stages import MIN_FLIGHT, PAUSE, stage, straight_lines
 from hitchopt.planners.morph.path import shapes_along
+from hitchopt.planners.separation import SeparatedFlight
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -467,9 +468,10 @@ class Joins:
                 motions.append(stage(name, lines, team, *own, state))
             here = to
         if np.max(np.abs(here - goal)) >= MIN_FLIGHT:
-            clear = replace(self.requirements, arena=self._clear_of_ring(goal))
-            for each in DirectApproach(team, here, goal, clear, self.index).solve():
-                motions.append(each.replaced(requirements=self.requirements))
+            task = DirectApproach(team, here, goal, *own).problem
+            clear = replace(task.requirements, arena=self._clear_of_ring(goal))
+            drones = SeparatedFlight(replace(task, requirements=clear)).solve().drones
+            motions.append(stage("approach", drones, team, *own))
         return [self._beside(each) for each in motions]
 
     def _clear_of_ring(self, goal: Array) -> Arena:
