@@ -2,7 +2,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo film coverage test test-slow test-all browser lint docs site gallery screenshots package test-3.11 test-3.12 test-3.13 test-lowest clean
+.PHONY: demo film coverage test test-slow test-all test-kernels browser lint docs site gallery screenshots package test-3.11 test-3.12 test-3.13 test-lowest clean
 
 # Plans a real problem and says where to look.
 demo: $(VENV)/.installed
@@ -24,6 +24,11 @@ test-slow: $(VENV)/.tested
 
 test-all: $(VENV)/.tested
 	$(BIN)/python -m pytest --durations=20
+
+# Tests of planning with other kernels of OpenBLAS, which round otherwise.
+test-kernels: $(VENV)/.tested
+	OPENBLAS_CORETYPE=Haswell $(BIN)/python -m pytest -m "not slow" tests/cli/test_solve.py \
+		tests/planners/test_morph.py tests/mission/test_solving.py
 
 # The same tests as `make test`, and the lines of the package that they execute.
 coverage: $(VENV)/.tested
@@ -80,12 +85,6 @@ $(VENV)/.documented: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[docs]"
 	touch $(VENV)/.installed $@
-
-# All that the checks of a change need, in one go.
-$(VENV)/.complete: pyproject.toml
-	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[test,lint,browser,docs]"
-	touch $(addprefix $(VENV)/,.installed .tested .browsed .documented .complete)
 
 # Builds sdist and wheel, checks their metadata, and uses the wheel in an environment of its own.
 package: $(VENV)/.tested
