@@ -1,7 +1,8 @@
-"""Plans of several groups, and beside others, for tests."""
+"""Motions of several groups, and beside others, for tests."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -9,13 +10,10 @@ import numpy as np
 from plans import planned
 
 import hitchopt as ho
-from hitchopt.mission.problem import HitchStart, Problem
-from hitchopt.mission.teams import solve_teams
-from hitchopt.mission.teams_problem import TeamsProblem
 from hitchopt.motion.combined import combined
 from hitchopt.motion.motion import Group, Motion
 from hitchopt.motion.plan_file import saved_others, write_plan
-from hitchopt.steps import Transport
+from hitchopt.motion.retiming import shifted
 
 
 def moved(motion: Motion, *by: float) -> Motion:
@@ -26,23 +24,37 @@ def moved(motion: Motion, *by: float) -> Motion:
     return motion.replaced(**shifted)
 
 
-def team(robots: int, length: float, edge: float, at: list[float], to: list[float]) -> Problem:
-    """Return the problem of a regular polygon that is flown from one place to another."""
-    angle = 0.5 * np.pi - 2.0 * np.pi * np.arange(robots) / robots
-    radius = edge / (2.0 * np.sin(np.pi / robots))
-    polygon = np.array(at[:2]) + radius * np.column_stack([np.cos(angle), np.sin(angle)])
-    start, own = HitchStart(polygon, at[2]), ho.Team(robots=robots, cable_length=length)
-    return Problem(own, start, (Transport(to=np.array(to)),))
+def alone(motion: Motion, name: str) -> Motion:
+    """Return the motion of one group, flown by itself."""
+    return next(each.motion for each in motion.groups if each.name == name)
+
+
+def flown_by(motion: Motion, **kinds: ho.Quadrotor) -> Motion:
+    """Return the motion with other drones in some groups."""
+
+    def changed(group: Group) -> Group:
+        team, kind = group.motion.team, kinds[group.name]
+        if team.has_cables:
+            team = replace(team, quadrotor=(kind,) * team.robots)
+        else:
+            team = ho.Swarm(team.drones, quadrotor=kind)
+        return replace(group, motion=group.motion.replaced(team=team))
+
+    return combined([changed(each) if each.name in kinds else each for each in motion.groups])
 
 
 @cache
-def crossing(height: float = 1.5) -> Motion:
-    """Return a triangle and a square that cross, the square at a height [m]."""
-    a = team(3, 2.3, 1.3, [-2.5, 0.0, 1.5], [2.5, 0.0, 1.5])
-    b = team(4, 2.0, 1.1, [0.0, -2.5, height], [0.0, 2.5, height])
-    teams, start = {"a": a.team, "b": b.team}, {"a": a.start, "b": b.start}
-    item = {"a": a.mission[0], "b": b.mission[0]}
-    return solve_teams(TeamsProblem(teams, start, [item])).motion
+def two_hitches() -> Motion:
+    """Return hitches a and b that cross, b after a; soft drones of unlike masses."""
+    kinds = (ho.Quadrotor(mass=0.14, stiffness=4.75), ho.Quadrotor(mass=0.12, stiffness=4.0))
+    return flown_by(planned("two_teams").motion, a=kinds[0], b=kinds[1])
+
+
+@cache
+def hitch_and_swarm() -> Motion:
+    """Return a triangle of soft drones in a ring of single ones."""
+    soft = ho.Quadrotor(mass=0.14, stiffness=4.75)
+    return flown_by(planned("hitch_and_swarm").motion, triangle=soft)
 
 
 @cache
@@ -52,7 +64,12 @@ def with_swarm() -> Motion:
     return combined([Group("tied", planned("form_square").motion), Group("swarm", swarm)])
 
 
-def beside(folder: Path) -> Motion:
+def beside(motion: Motion, other: Motion, at: float) -> Motion:
+    """Return a motion beside a plan of somebody else from a time [s] on."""
+    return motion.replaced(others=(Group("show", shifted(other, at), "0" * 64),))
+
+
+def beside_saved(folder: Path) -> Motion:
     """Return a triangle beside a swarm, and beside a plan of two teams; save their plans."""
     show, pair = folder / "show" / "plan.npz", folder / "pair" / "plan.npz"
     for path in (show, pair):

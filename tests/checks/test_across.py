@@ -12,12 +12,10 @@ from motions import free_motion, lines, random_flight, random_motion
 
 import hitchopt as ho
 from hitchopt.checks import Certificate, certify
-from hitchopt.errors import InputError
 from hitchopt.hitch.requirements import Separation
 from hitchopt.motion.combined import combined
 from hitchopt.motion.motion import Group, Motion
 from hitchopt.motion.retiming import padded, shifted
-from hitchopt.motion.states import states_at
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -231,19 +229,6 @@ def test_distances_are_the_larger_ones_of_both() -> None:
         assert across(*pair)["separation"].worst == pytest.approx(1.0 / 0.6, rel=1e-6)
 
 
-def test_states_are_those_of_each_group() -> None:
-    first, second = beside("ts", 2)
-    both = combined([Group("a", first), Group("b", second)])
-    times = np.linspace(0.0, both.duration, 17)
-    here = states_at(both, times)
-    each = [states_at(group.motion, times) for group in both.groups]
-    for name in ("positions", "velocities", "cable_forces", "cable_force_rates", "masses"):
-        expected = np.concatenate([getattr(one, name) for one in each], axis=1)
-        assert np.allclose(getattr(here, name), expected, atol=1e-9), name
-    assert both.team.drone_names[:3] == ("a.q0", "a.r0", "a.q1")
-    assert both.team.drone_names[-1] == "b.d2"
-
-
 def test_padding_rests_and_keeps_the_motion() -> None:
     motion = shifted(taut(1, np.zeros(3)), 2.0)
     whole = padded(motion, 0.0, 9.0)
@@ -273,12 +258,6 @@ def test_an_object_counts_where_it_rests_after_it_was_moved(*, moved_first: bool
     check = across(*both)["keep_out"]
     assert check.bound == pytest.approx(0.3 - 0.1, abs=1e-4)  # of radius 0.1, passed 0.3 m away
     assert {name[2:] for name in check.where} == {"d0", "post"} or "post" in check.where
-
-
-def test_names_and_arenas_must_fit() -> None:
-    motion = taut(1, np.zeros(3))
-    with pytest.raises(InputError, match="teams"):
-        combined([Group("a", motion), Group("a", motion)])
 
 
 def test_tracking_radius_takes_half_of_what_is_left_across() -> None:

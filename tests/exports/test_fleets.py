@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import csv
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from exported_plans import exported, task_of
-from fleets import alone, beside, far, hitch_and_swarm, two_hitches
 from format_readers import READERS
+from groups import alone, beside, flown_by, hitch_and_swarm, moved, two_hitches
 
 import hitchopt as ho
 from hitchopt.checks import certify
@@ -21,8 +20,6 @@ from hitchopt.exports.held_tension import held_tension
 from hitchopt.exports.lint import lint
 from hitchopt.exports.options import HOMES
 from hitchopt.exports.recording import read_manifest
-from hitchopt.motion.combined import combined
-from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import cut, rest_breaks, stretched
 from hitchopt.motion.states import States, states_at
 
@@ -72,8 +69,13 @@ def test_states_are_those_of_each_group(kind: str) -> None:
     for group in motion.groups:
         own, count = states_at(group.motion, t), group.motion.team.drones
         here = slice(first, first + count)
-        for name in ("positions", "accelerations", "cable_forces", "quaternions", "body_rates"):
+        for name in (
+            *("positions", "velocities", "accelerations", "masses", "quaternions", "body_rates"),
+            *("cable_forces", "cable_force_rates"),
+        ):
             np.testing.assert_array_equal(getattr(whole, name)[:, here], getattr(own, name))
+        names = [f"{group.name}.{drone}" for drone in group.motion.team.drone_names]
+        assert list(motion.team.drone_names[here]) == names
         thrusts = States.thrusts(whole, motion.team)[:, here]
         np.testing.assert_array_equal(thrusts, own.thrusts(group.motion.team))
         first += count
@@ -155,12 +157,12 @@ def test_stretching_slows_all_groups_but_not_others(tmp_path: Path) -> None:
     motion = hitch_and_swarm()
     slow, t = stretched(motion, 1.5), np.linspace(0.0, motion.duration, 9)
     np.testing.assert_allclose(slow.drones.at(1.5 * t), motion.drones.at(t), atol=1e-12)
-    with_others = beside(motion, far(alone(motion, "hitch")), 2.0)
+    with_others = beside(motion, moved(alone(motion, "triangle"), 0.0, 0.0, 50.0), 2.0)
     later = stretched(with_others, 1.5)
     assert later.others[0].motion is with_others.others[0].motion
     (part,) = exported(with_others, "npz", tmp_path, stretch=1.5)
     assert "beside show, which begins at t = 2 s" in part.notes[0]
-    near = beside(motion, alone(motion, "camera"), 0.5)
+    near = beside(motion, alone(motion, "ring"), 0.5)
     with pytest.raises(ho.CertificateError, match="separation"):
         exported(near, "npz", tmp_path / "near")
 
@@ -171,37 +173,26 @@ def test_addresses_are_by_names_of_groups(tmp_path: Path) -> None:
     members = {role: {"name": f"cf{i}", "uri": f"udp://10.0.0.{i}"} for i, role in enumerate(roles)}
     (tmp_path / "fleet.yaml").write_text(json.dumps({"drones": members}))
     exported(motion, "npz", tmp_path / "out", fleet=tmp_path / "fleet.yaml")
-    assert read_manifest(tmp_path / "out")["drones"]["camera.d1"] == members["camera.d1"]["name"]
+    assert read_manifest(tmp_path / "out")["drones"]["ring.d1"] == members["ring.d1"]["name"]
     assert task_of(motion).names == tuple(role.replace(".", "_") for role in roles)
 
 
 def test_controllers_count_where_cables_pull(tmp_path: Path) -> None:
     """A controller that carries no force is refused for drones of a hitch alone."""
-    motion = hitch_and_swarm()
-
-    def named(name: str) -> Motion:
-        own = alone(motion, name)
-        kind = ho.Quadrotor(controller="mellinger")
-        cables = own.team.has_cables
-        team = replace(own.team, quadrotor=(kind,) * 3) if cables else ho.Swarm(2, quadrotor=kind)
-        groups = [
-            replace(each, motion=own.replaced(team=team)) if each.name == name else each
-            for each in motion.groups
-        ]
-        return combined(groups)
-
+    kind = ho.Quadrotor(controller="mellinger")
     with pytest.raises(ho.InputError, match="hold_tension"):
-        exported(named("hitch"), "compressed", tmp_path)
-    exported(named("camera"), "compressed", tmp_path)
+        exported(flown_by(hitch_and_swarm(), triangle=kind), "compressed", tmp_path)
+    exported(flown_by(hitch_and_swarm(), ring=kind), "compressed", tmp_path)
 
 
 def test_a_scene_names_the_cables_of_all_groups(tmp_path: Path) -> None:
-    motion = beside(hitch_and_swarm(), far(alone(hitch_and_swarm(), "hitch")), 0.0)
+    motion = hitch_and_swarm()
+    motion = beside(motion, moved(alone(motion, "triangle"), 0.0, 0.0, 50.0), 0.0)
     exported(motion, "gltf", tmp_path)
     data = (tmp_path / "plan.glb").read_bytes()
     size = int.from_bytes(data[12:16], "little")
     nodes = [node["name"] for node in json.loads(data[20 : 20 + size])["nodes"]]
-    assert [name for name in nodes if name.startswith("hitch_cable") and "span" not in name] == [
-        f"hitch_cable {k}" for k in range(3)
+    assert [name for name in nodes if name.startswith("triangle_cable") and "span" not in name] == [
+        f"triangle_cable {k}" for k in range(3)
     ]
     assert not any("show" in name for name in nodes)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from fleets import alone, beside, far, hitch_and_swarm, two_hitches
+from groups import alone, beside, hitch_and_swarm, moved, two_hitches
 from plans import planned
 
 import hitchopt as ho
@@ -65,13 +65,13 @@ def test_aborts_hold_for_all(kind: str, how: str) -> None:
 def test_an_abort_unties_each_hitch() -> None:
     whole = Aborts(hitch_and_swarm()).plan(1.0, "release_and_land").motion
     names = {each.name: [phase.name for phase in each.motion.phases] for each in whole.groups}
-    assert names["hitch"][-1] == "land"
-    assert "unswap 1" in names["hitch"]
-    assert "unswap 1" not in names["camera"]
+    assert names["triangle"][-1] == "land"
+    assert "unswap 1" in names["triangle"]
+    assert "unswap 1" not in names["ring"]
 
 
 def test_back_leads_to_where_all_hang_free() -> None:
-    with pytest.raises(ho.InfeasibleError, match="cables of hitch have not hung free"):
+    with pytest.raises(ho.InfeasibleError, match="cables of triangle have not hung free"):
         Aborts(hitch_and_swarm()).plan(1.0, "back")
 
 
@@ -79,7 +79,7 @@ def test_aborts_keep_off_others() -> None:
     """A hitch that stops where somebody else passes later does not stay there."""
     motion, passing = (alone(two_hitches(), name) for name in "ab")
     asked = 0.5 * 10.0
-    held = Aborts(beside(motion, far(passing), 0.0)).plan(asked, "hold")
+    held = Aborts(beside(motion, moved(passing, 0.0, 0.0, 50.0), 0.0)).plan(asked, "hold")
     assert held.start == asked
     assert [each.name for each in held.motion.others] == ["show"]
     crossed = beside(motion, passing, 0.0)
@@ -110,16 +110,16 @@ def test_what_knows_one_team_is_refused_by_name() -> None:
     motion = hitch_and_swarm()
     plan, show = (
         ho.Plan(motion, certify(motion)),
-        beside(alone(motion, "camera"), far(motion.groups[0].motion), 0.0),
+        beside(alone(motion, "ring"), moved(motion.groups[0].motion, 0.0, 0.0, 50.0), 0.0),
     )
     with pytest.raises(
-        ho.UnsupportedError, match=r"lost drone knows one team alone.*hitch, camera"
+        ho.UnsupportedError, match=r"lost drone knows one team alone.*triangle, ring"
     ):
         Reactions(motion)
     with pytest.raises(ho.UnsupportedError, match="feedback knows one team"):
         ho.Feedback(plan)
     with pytest.raises(ho.UnsupportedError, match="replanner knows one team"):
-        ho.Replanner(alone(motion, "hitch").team, plan)
+        ho.Replanner(alone(motion, "triangle").team, plan)
     with pytest.raises(ho.UnsupportedError, match="several teams"):
         _ = plan.end
     with pytest.raises(ho.UnsupportedError, match="beside show"):

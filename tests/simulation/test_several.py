@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from groups import beside, crossing, moved, with_swarm
+from groups import beside_saved, moved, with_swarm
 from plans import planned
 from scipy.spatial.distance import pdist
 from scripted import world_of
@@ -92,7 +92,7 @@ def test_cables_and_drones_of_two_groups_touch() -> None:
 
 
 def test_what_has_no_cables_flies_where_it_is_planned(tmp_path: Path) -> None:
-    swarm, tied = with_swarm(), beside(tmp_path)
+    swarm, tied = with_swarm(), beside_saved(tmp_path)
     for motion, first in ((swarm, "swarm.d0"), (tied, "show.d0")):
         task = Task.of(motion)
         own = [group for group in motion.groups if group.motion.team.has_cables]
@@ -128,7 +128,7 @@ def test_objects_are_held_by_their_own_group() -> None:
 
 
 def test_what_knows_one_team_refuses_several(tmp_path: Path) -> None:
-    motion = crossing()
+    motion = planned("two_teams").motion
     plan = Plan(motion, certify(motion), "")
     folder = plan.save(tmp_path / "plan")
     recording = tmp_path / "flight.csv"
@@ -158,7 +158,7 @@ def test_what_knows_one_team_refuses_several(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("given", [{}, {"controller": "mellinger"}])
 def test_two_teams_cross_in_one_hall(given: dict[str, str], tmp_path: Path) -> None:
-    motion = crossing()
+    motion = planned("two_teams").motion
     done = simulate(Task.of(motion), Settings(perturbations=CALM, friction=0.1, **given))  # type: ignore[arg-type]
     assert done.outcome.hitched
     assert done.outcome.failures == ()

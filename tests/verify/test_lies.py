@@ -149,10 +149,11 @@ exchanged = assigned(lambda robots, _: robots.insert(0, robots.pop(1)))
 flipped = assigned(lambda _, ends: ends.__setitem__(0, not ends[0]))
 
 
-def pieces_in(settings: Settings, arrays: Arrays, state: str) -> list[Any]:
-    """Return the pieces of every phase in a state."""
+def pieces_in(settings: Settings, arrays: Arrays, word: str) -> list[Any]:
+    """Return the pieces of every phase in a state, or with a name."""
     middles = 0.5 * (arrays["breaks"][1:] + arrays["breaks"][:-1])
-    spans = [(p["start"], p["end"]) for p in settings["phases"] if p["state"] == state]
+    phases = [p for p in settings["phases"] if word in (p["state"], p["name"])]
+    spans = [(p["start"], p["end"]) for p in phases]
     return [np.flatnonzero((middles > start) & (middles < end)) for start, end in spans]
 
 
@@ -188,6 +189,33 @@ def lifted(settings: Settings, arrays: Arrays) -> None:
     asked("objects", "box", "at", lambda at: [*at[:2], at[2] + 0.05])(settings, arrays)
     index = list(settings["objects"]).index("box")
     plus("poses", 0.05, (slice(None), index, 2))(settings, arrays)
+
+
+def in_phases(word: str, name: str, edit: Callable[[Array], Any], where: Any = ...) -> Change:
+    """Edit a part of an array on the pieces of phases in a state, or with a name."""
+
+    def change(settings: Settings, arrays: Arrays) -> None:
+        pieces = np.concatenate(pieces_in(settings, arrays, word))
+        part = arrays[name][pieces].copy()
+        part[where] = edit(part[where])
+        edited(name, lambda _: part, pieces)(settings, arrays)
+
+    return change
+
+
+LAYERS = 0.05 * np.array([[0.0], [0.0], [1.0], [1.0], [2.0], [2.0]])  # [m]
+
+
+def turned_over(z: Array) -> Array:
+    """Return heights of drones that roll in the other sense, about that of the clasps."""
+    return 2.0 * np.mean(z[-1, :, -1]) - z
+
+
+def nearer(x: Array) -> Array:
+    """Return cables whose first drone is 2 mm nearer to its partner."""
+    along = x[:, 1] - x[:, 0]
+    x[:, 0] += 0.002 * along / np.linalg.norm(along, axis=1, keepdims=True)
+    return x
 
 
 ASKED = ("asked", "team")
@@ -272,6 +300,16 @@ LIES = [
     Lie("form", "the second swap turns back", turned_back, "interlacing"),
     Lie("form", "drones fly 1.4 m lower", both(plus("drones", -1.4, (slice(None), slice(None), 2)), plus("vertices", -1.4, (slice(None), slice(None), 2)), put("asked", "start", "drones", lambda d: {k: [[x, y, z - 1.4] for x, y, z in v] for k, v in d.items()})), "cable_clearance"),
     Lie("form", "tension is there at once", at_once, "tension"),
+    # Laying.
+    Lie("lay", "the top cable comes from below", in_phases("being laid", "drones", lambda z: 2.0 * z[-1:, :, -1:] - z, np.s_[:, 4:6, 2]), "interlacing"),
+    Lie("lay", "pairs roll in the other sense", in_phases("roll", "drones", turned_over, np.s_[:, :, 2]), "interlacing"),
+    Lie("lay", "pairs roll open", in_phases("roll", "drones", lambda x: x[::-1, ..., ::-1]), "interlacing"),
+    Lie("lay", "cables stay 5 cm over each other", in_phases("being laid", "drones", lambda z: z + LAYERS, np.s_[:, :, 2]), "interlacing"),
+    Lie("lay", "a cable is laid slack", in_phases("being laid", "drones", nearer), "cable_length"),
+    Lie("lay", "a vertex moves while pairs roll", in_phases("roll", "vertices", lambda x: x + 1e-3, np.s_[20, 0, 0]), "story"),
+    Lie("lay", "pairs that roll are said to be hitched", stated("rolling", "hitched"), "contact"),
+    Lie("lay", "cables that are laid are said to hang free", stated("being laid", "hanging free"), "crossing"),
+    Lie("lay", "cables that are drawn taut are said to be laid", everywhere("state", "being laid", "draw taut"), "cable_length"),
     # Friction.
     Lie("slid", "legs pull 10 % harder", times("leg_tensions", 1.1), "equilibrium"),
     Lie("slid", "legs pull as their cables", removed("leg_tensions"), REFUSED),
@@ -309,6 +347,7 @@ LIES = [
 PLANS = {
     "morph": "triangle",
     "form": "form_triangle",
+    "lay": "lay_triangle",
     "slid": "friction",
     "swarm": "swarms/circle_6",
     "chain": "open_arc",

@@ -17,15 +17,11 @@ from hitchopt import verify as second
 from hitchopt.cli import main
 
 QUICK = (
-    "triangle",
-    "open_chain",
-    "friction",
-    "weight_hexagon",
-    "form_square",
-    "lay_triangle",
+    *("triangle", "open_chain", "friction", "weight_hexagon", "form_square", "lay_triangle"),
     "join_a_fourth",
     "swarms/circle_6",
 )
+GROUPS = ("two_teams", "two_layers", "beside_a_show", "hitch_and_swarm")
 SLOW = ("carry_tray", "grip_drum", "tie_carry_untie", "roll_32_gon", "form_triangle", "open_arc")
 OWN = {"story", "strands", "contact", "enters", "rim", "ground", "laid"}
 """Limits that the certificate counts to others, or to infinity where they are broken."""
@@ -40,7 +36,7 @@ def saved(name: str, folder: Path) -> ho.Plan:
 
 
 @pytest.mark.parametrize(
-    "name", [*QUICK, *(pytest.param(each, marks=pytest.mark.slow) for each in SLOW)]
+    "name", [*QUICK, *GROUPS, *(pytest.param(each, marks=pytest.mark.slow) for each in SLOW)]
 )
 def test_it_agrees_with_the_certificate(name: str, tmp_path: Path) -> None:
     plan = saved(name, tmp_path)
@@ -55,7 +51,8 @@ def test_it_agrees_with_the_certificate(name: str, tmp_path: Path) -> None:
         if (name, check.name) == ("join_a_fourth", "crossing"):  # boxes of tilted cables: lower
             assert check.worst < worst < 1.2 * check.worst
             continue
-        assert worst == pytest.approx(check.worst, rel=0.02, abs=0.02 * (check.limit or 1e-3))
+        share = 0.002 if name in GROUPS else 0.02
+        assert worst == pytest.approx(check.worst, rel=share, abs=share * (check.limit or 1e-3))
     assert found.keys() <= OWN
 
 
