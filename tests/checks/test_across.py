@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from by_hand import cable_points, point_to_segment, segment_to_segment
+from by_hand import segment_to_segment
 from motions import free_motion, lines, random_flight, random_motion
 
 import hitchopt as ho
@@ -15,7 +15,7 @@ from hitchopt.checks import Certificate, certify
 from hitchopt.hitch.requirements import Separation
 from hitchopt.motion.combined import combined
 from hitchopt.motion.motion import Group, Motion
-from hitchopt.motion.retiming import padded, shifted
+from hitchopt.motion.retiming import shifted
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -159,21 +159,6 @@ def test_no_sample_beats_a_bound_across(kinds: str, seed: int) -> None:
         assert known >= least - max(2e-2 * abs(least), 3e-3), name
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_hanging_cables_stay_within_their_sheets(seed: int) -> None:
-    """A catenary is below its chord, and no deeper than the sheet that stands for it."""
-    motion = hanging(seed, np.zeros(3))
-    x = motion.drones.at(
-        np.linspace(float(motion.drones.breaks[0]), float(motion.drones.breaks[-1]), 50)
-    )
-    points = cable_points(motion.team.cable_length, x)
-    q, r = x[:, 0::2, None], x[:, 1::2, None]
-    lowest = 0.5 * (q + r)[..., 2] - 0.5 * motion.team.cable_length[:, None]
-    assert np.all(points[..., 2] >= lowest - 1e-9)
-    flat = [each * [1.0, 1.0, 0.0] for each in (points, q + 0.0 * points, r + 0.0 * points)]
-    assert np.max(point_to_segment(*flat)) < 1e-9
-
-
 def worst(certificate: Certificate) -> dict[str, float]:
     return {check.name: check.bound for check in certificate.checks}
 
@@ -227,16 +212,6 @@ def test_distances_are_the_larger_ones_of_both() -> None:
     other = lines([[0.0, 1, 1]], [[1.0, 1, 1]], separation=Separation(radius=0.3, height=0.3))
     for pair in ((one, other), (other, one)):
         assert across(*pair)["separation"].worst == pytest.approx(1.0 / 0.6, rel=1e-6)
-
-
-def test_padding_rests_and_keeps_the_motion() -> None:
-    motion = shifted(taut(1, np.zeros(3)), 2.0)
-    whole = padded(motion, 0.0, 9.0)
-    assert whole.drones.breaks[[0, -1]].tolist() == [0.0, 9.0]
-    assert [phase.name for phase in whole.phases][:: len(whole.phases) - 1] == ["wait", "wait"]
-    for t in (0.0, 1.9, 2.0, 3.3, motion.drones.breaks[-1], 9.0):
-        at = np.clip(t, *motion.drones.breaks[[0, -1]])
-        assert whole.drones.at(t) == pytest.approx(motion.drones.at(at), abs=1e-9)
 
 
 @pytest.mark.parametrize("moved_first", [False, True])

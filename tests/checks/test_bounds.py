@@ -214,12 +214,13 @@ CASES = {
     "a crowd": Case(crowd, 1001, 0.1, 0.0, frozenset({"separation"}), 1),
     "a lattice": Case(lattice, 11, 1e-2, 0.0, frozenset({"separation"}), 1),
 }
+SLOW = pytest.mark.slow
 
 
 @pytest.mark.parametrize(
     ("name", "seed"),
     [
-        pytest.param(name, seed, marks=pytest.mark.slow if case.slow else (), id=f"{name}-{seed}")
+        pytest.param(name, seed, marks=SLOW if case.slow or seed > 1 else (), id=f"{name}-{seed}")
         for name, case in CASES.items()
         for seed in range(case.seeds)
     ],

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -169,9 +168,3 @@ def test_the_floor_is_no_distance_for_drones_that_stand_take_off_or_land() -> No
             arena = Arena(lower + shift, upper + shift)
             check = radius_of(single(moved, arena=arena))
             assert check.bound == pytest.approx(left, rel=1e-6)
-
-
-def test_nothing_counted_is_null() -> None:
-    check = radius_of(single(PiecewisePolynomial.constant([0.0, 1.0], np.ones((1, 3)))))
-    assert (check.worst, check.holds, check.where) == (None, True, ())
-    assert math.isinf(check.bound)

@@ -118,8 +118,6 @@ def test_a_flight_that_fails_or_is_invalid_ends_with_3(
         ("simulate --lag nan", "lag = nan"),
         ("simulate --stiffness 60", "oscillates more and more; lower it"),
         ("simulate --density 0.00001", "density = 1e-05: must be at least"),
-        ("simulate --upload", "upload = True: must be left out without a controller"),
-        ("simulate --controller bang", "controller = 'bang': must be one of mellinger"),
         ("simulate --runs 0", "runs = 0: must be at least 1; pass an integer >= 1"),
         ("simulate --lose q0@0.05 --runs 3", "must be of a single flight"),
         ("statics --at -1", "t = "),

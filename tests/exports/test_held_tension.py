@@ -150,24 +150,6 @@ def test_exports_and_lint_warn_where_the_tension_is_undetermined(
     assert [f.message for f in report.findings if f.rule == "tension"] == said
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({}, "stiffness = None: must be the position loop's"),
-        ({"stiffness": -1.0}, "stiffness = -1.0"),
-        ({"stiffness": 5.0, "damping": 0.0}, "damping = 0.0"),
-    ],
-)
-def test_wrong_gains_are_refused(
-    options: dict[str, Any], words: str, plan: ho.Plan, tmp_path: Path
-) -> None:
-    team = replace(plan.motion.team, quadrotor=(ho.Quadrotor(),) * 3)
-    rigid = replace(plan, motion=replace(plan.motion, team=team))
-    with pytest.raises(ho.InputError) as caught:
-        rigid.export("csv", tmp_path / "files", hold_tension=True, **options)
-    assert str(caught.value).startswith(words)
-
-
 def test_set_points_that_come_too_close_are_refused(tmp_path: Path) -> None:
     """Legs that point at a wall: set points meet it before the drones do."""
     team = ho.Team(3, 2.0, tension=0.8, quadrotor=SOFT)

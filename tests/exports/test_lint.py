@@ -666,12 +666,3 @@ def test_files_that_are_not_as_exported(exports: Path, tmp_path: Path) -> None:
     assert "changed" not in said(report(tmp_path / "one.skyc"))
     edit(tmp_path / "one.skyc", lambda f: f["show.json"]["meta"].clear())
     assert "error changed" in said(report(tmp_path / "one.skyc"))
-
-
-@pytest.mark.parametrize("name", HOMES)
-def test_exports_of_swarms_speak_of_no_cables(name: str, exports: Path) -> None:
-    for path in (exports / name).iterdir():
-        if path.suffix in {".txt", ".py", ".yaml"} or path.name == "export.json":
-            told = path.read_text().lower()
-            assert "cable" not in told
-            assert "tension" not in told.replace("undetermined_tension", "")

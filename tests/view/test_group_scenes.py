@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from groups import moved
 from matplotlib.transforms import Bbox
 from plans import planned
 
@@ -22,19 +23,10 @@ from hitchopt.view.scene import concerned, scene_at
 from hitchopt.view.style import OTHERS, new_figure
 
 
-def raised(motion: Motion, by: float) -> Motion:
-    """Return the motion higher by some [m]."""
-    up = np.array([0.0, 0.0, by])[:, None]
-    parts = {name: getattr(motion, name) for name in ("drones", "vertices")}
-    return motion.replaced(
-        **{name: part.alike(part.coefficients + up) for name, part in parts.items()}
-    )
-
-
 def pair(*, others: bool = False) -> Motion:
     """Return a triangle below a square that begins a second later."""
     first = planned("triangle").motion
-    second = shifted(raised(planned("square_quarter_turn").motion, 4.0), 1.0)
+    second = shifted(moved(planned("square_quarter_turn").motion, 0.0, 0.0, 4.0), 1.0)
     if others:
         return combined([Group("", first)], [Group("show", second, "digest")])
     return combined([Group("a", first), Group("b", second)])
