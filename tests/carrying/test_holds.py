@@ -145,21 +145,6 @@ def test_footings_do_not_depend_on_origins(away: float) -> None:
     assert footing({"box": box}, "box") == np.inf
 
 
-@pytest.mark.parametrize("limits", [(0.5, 1.0, 20.0), (0.1, 3.0, 0.5)])
-def test_the_law_keeps_its_limits_and_uses_them(limits: tuple[float, float, float]) -> None:
-    law = SmoothLaw.fastest(*limits)
-    t = np.linspace(0.0, law.duration, 20_001)
-    share, speed, change = law.jet(t).T
-    assert share[[0, -1]] == pytest.approx([0.0, 1.0])
-    assert np.all(np.diff(share) >= -1e-13)
-    np.testing.assert_allclose(np.gradient(share, t)[1:-1], speed[1:-1], atol=1e-6)
-    np.testing.assert_allclose(np.gradient(speed, t)[1:-1], change[1:-1], atol=1e-4)
-    jerk = np.gradient(change, t)
-    used = np.max(np.abs([speed, change, jerk]), axis=1) / limits
-    assert np.max(used) == pytest.approx(1.0, rel=2e-3)
-    assert np.all(jerk[[0, -1]] < 1e-3 * np.max(jerk))
-
-
 @pytest.mark.parametrize(
     ("changes", "steady"),
     [

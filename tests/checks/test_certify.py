@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +23,8 @@ from motions import (
     random_chain,
     random_flight,
     random_motion,
+    replaced,
+    row,
     single,
     still,
     triangle,
@@ -29,10 +32,12 @@ from motions import (
 )
 from numpy.typing import ArrayLike
 
-from hitchopt.checks import Check, certify
+import hitchopt as ho
+from hitchopt.checks import Certificate, Check, certify, merged
 from hitchopt.hitch import Team
-from hitchopt.hitch.requirements import Limits, Prism, Separation
-from hitchopt.motion.motion import Motion
+from hitchopt.hitch.requirements import Limits, Prism, Requirements, Separation
+from hitchopt.motion.motion import Motion, joined_motions
+from hitchopt.steps.certified_motions import at_rest
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -249,3 +254,127 @@ def test_only_an_infinity_that_holds_is_nothing(sense: str) -> None:
         assert check.where == ("q0",)
     some = Check.of("x", 3.0, 3.0, sense, "m", 0.0, ())
     assert max((nothing, some), key=lambda each: each.utilization) is some
+
+
+@pytest.fixture(scope="module")
+def parts() -> list[Motion]:
+    """Four steps of a triangle with drones of unequal thrust, off the origin."""
+    kinds = [ho.Quadrotor(0.132, 2.6), ho.Quadrotor(0.140, 3.1), ho.Quadrotor(0.125, 2.9)]
+    hitch = ho.Hitch.spread(ho.Team(3, 2.4, quadrotor=kinds), TRIANGLE - [0.0, 1.0])
+    arena = ho.Arena((-1.0, -4.0, 0.0), (6.0, 4.0, 3.0))
+    plans = (
+        ho.move_vertex(hitch, 0, by=[0.0, 0.4], arena=arena),
+        ho.hold(hitch, 0.7, arena=arena),
+        ho.adjust(hitch, hitch.q_legs + [0.05, -0.05, 0.02], arena=arena),
+        ho.transport(hitch, [3.1, 1.0, 1.2], yaw=0.3, arena=arena),
+    )
+    return [plan.motion for plan in plans]
+
+
+def of_parts(parts: list[Motion]) -> Certificate:
+    """Joined whether or not each begins where the last one ends: continuity must tell."""
+    return merged(joined_motions(parts), [certify(part) for part in parts])
+
+
+@pytest.mark.parametrize(
+    ("count", "duration", "slower"),
+    [(1, None, 1.0), (4, 100.0, 1.0), (4, 0.5, 1.0), (3, None, 0.7)],
+)
+def test_merging_equals_looking_anew(
+    parts: list[Motion], duration: float | None, count: int, slower: float
+) -> None:
+    """Of parts that break limits as well."""
+    parts = [part.slowed(slower) for part in parts[:count]]
+    whole = replaced(joined_motions(parts), duration=duration)  # type: ignore[arg-type]
+    anew, ours = certify(whole), merged(whole, [certify(part) for part in parts])
+    assert ours.duration == anew.duration
+    assert [c.name for c in ours.checks] == [c.name for c in anew.checks]
+    for mine, other in zip(ours.checks, anew.checks, strict=True):
+        for field in ("limit", "sense", "unit", "method", "holds"):
+            assert getattr(mine, field) == getattr(other, field)
+        assert mine.worst == pytest.approx(other.worst, rel=1e-4, abs=2e-7)
+        assert 0.0 <= mine.time <= whole.duration
+    assert ours["jerk"].holds is (slower == 1.0)
+    for name in ("speed", "vertex_speed", "jerk"):
+        assert ours[name].time == pytest.approx(anew[name].time, abs=0.05)
+
+
+def test_a_jump_between_parts_is_found(parts: list[Motion]) -> None:
+    certificate = of_parts([parts[1], altered(parts[1], "drones", plus(..., 0.01))])
+    assert not certificate["tension"].holds  # legs turn at once, and thrusts with them
+    check = certificate["continuity"]
+    assert not check.holds
+    assert check.worst == pytest.approx(0.01 * np.sqrt(3.0), rel=1e-6)
+    assert check.time == pytest.approx(parts[1].duration)
+
+
+TEAM = ho.Team(3, 2.4)
+HITCH = ho.Hitch.spread(TEAM, ho.regular_polygon(3, 1.0), altitude=1.0)
+
+
+@pytest.mark.parametrize(("sense", "out"), [("min", -1.0), ("max", 1.0)])
+@pytest.mark.parametrize(("limit", "size"), [(0.0, 1.0), (0.15, 4.0), (50.0, 1.0)])
+def test_a_check_holds_within_its_tolerance(
+    limit: float, size: float, sense: str, out: float
+) -> None:
+    for share, holds in ((0.9, True), (1.1, False)):
+        worst = limit + out * share * 1e-9 * max(limit, size)
+        check = Check.of("legs", worst, limit, sense, "m", 0.0, (), size)
+        assert (check.holds, check.worst) == (holds, worst)
+
+
+def rest(**kept: Any) -> ho.Certificate:
+    return at_rest(HITCH, Requirements(**kept)).certificate
+
+
+def test_limits_that_a_hitch_meets_to_the_last_digit_hold() -> None:
+    usual = rest()
+    legs = np.linalg.norm(HITCH.drones - HITCH.vertices[TEAM.layout.anchors], axis=1)
+    exact = {"leg": float(np.min(legs)), "tilt": math.radians(usual["tilt"].bound)}
+    radius = 0.12 * usual["separation"].bound
+    met = rest(
+        limits=ho.Limits(**exact),
+        separation=ho.Separation(radius=radius, cable=usual["cable_clearance"].bound),
+        arena=ho.Arena(np.min(HITCH.drones, axis=0), np.max(HITCH.drones, axis=0) + [0, 0, 1]),
+    )
+    assert met.certified, met.violated
+    assert met["arena"].bound == pytest.approx(0.0, abs=1e-9)
+    assert met["legs"].bound < exact["leg"]  # a bound still, rounding included
+    for name, off in (("leg", 1e-6), ("tilt", -1e-6)):
+        assert not rest(limits=ho.Limits(**{name: exact[name] * (1.0 + off)})).certified
+
+
+@pytest.mark.parametrize("duration", [0.1 + 0.2, 0.3 * (1.0 - 5e-10)])
+def test_a_plan_whose_duration_is_its_limit_is_certified(duration: float) -> None:
+    certificate = ho.hold(HITCH, 0.3, limits=ho.Limits(duration=duration)).certificate
+    assert certificate.certified
+    assert certificate["duration"].worst == pytest.approx(0.3, abs=1e-16)
+
+
+def passing(apart: Any, **kept: Any) -> ho.SwarmProblem:
+    """Two drones that exchange places, or that go apart."""
+    start = np.array([[0.0, 0.5, 1.0], [apart, 0.5, 1.0]])
+    goal = start[::-1].copy() if apart > 1.0 else start + [[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]
+    return ho.SwarmProblem(ho.Swarm(2), start, goal, **kept)
+
+
+def test_drones_may_start_on_a_wall_and_touching() -> None:
+    walls = ho.Arena([0.0, -4.0, 0.0], [3.0, 4.0, 3.0])
+    assert row(ho.separate(passing(3.0, arena=walls)).motion, "arena").holds
+    assert ho.separate(passing(0.24)).certificate.certified
+    with pytest.raises(ho.InfeasibleError, match="separation"):
+        ho.separate(passing(0.24 - 1e-8))
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::hitchopt.errors.UnitWarning")
+@pytest.mark.parametrize(("name", "limit"), [("speed", 1e-6), ("acceleration", 1e-9)])
+def test_the_slowest_limits_are_planned(name: str, limit: float) -> None:
+    slow, polygon = ho.Limits(**{name: limit}), ho.regular_polygon(3, 0.9)
+    for plan in (ho.separate(passing(3.0, limits=slow)), ho.morph(HITCH, polygon, limits=slow)):
+        assert plan.certificate.certified
+        assert plan.certificate[name].bound <= limit
+        ends = plan.motion.drones.at(np.array([0.0, plan.duration]))
+        farthest = float(np.max(np.linalg.norm(ends[1] - ends[0], axis=-1)))
+        least = farthest / limit if name == "speed" else 2.0 * math.sqrt(farthest / limit)
+        assert least < plan.duration < 1.3 * least

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hitchopt import Arena, Hitch, InputError, Limits, Separation, Team
 from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import pairs as pair_table
-from hitchopt.hitch.pairs import CABLE, CROSSING, SEPARATION, Bodies
+from hitchopt.hitch.pairs import CROSSING, SEPARATION, Bodies
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import layout_of
 from hitchopt.steps.certified_motions import split_hitch
@@ -110,30 +110,6 @@ def test_an_arena_pushes_a_leg_back_and_one_too_small_still_gives_the_best() -> 
     hitch = Hitch.nearest(Team(3, 2.4), TRIANGLE, 1.0, [0.5] * 3, **KEPT, arena=tight)
     assert np.min(hitch.legs) >= 0.15
     assert margin(hitch) >= 0.9
-
-
-@pytest.mark.parametrize("topology", ["closed", "open"])
-@pytest.mark.parametrize("n", [3, 4, 7])
-def test_kinds_of_pairs_are_those_of_the_definition(n: int, topology: str) -> None:
-    """By names of parts and sets of clasps, not by indices; a chain's ends have no leg."""
-    chain = topology == "open"
-    ends = {("q", 0), ("r", n - 1)} if chain else set()
-    bodies: list[tuple[str, int, set[int]]] = [(end, k, set()) for k in range(n) for end in "qr"]
-    for k in range(n):
-        after = k + 1 if chain else (k + 1) % n
-        parts = [("q-leg", k, {k}), ("edge", k, {k, after}), ("r-leg", k, {after})]
-        bodies += [part for part in parts if (part[0][0], k) not in ends]
-    layout = Team(n, 2.0, topology=topology).layout
-    i, j = np.triu_indices(len(bodies), 1)
-    for a, b, kind in zip(i, j, Bodies.of(layout).kind(i, j), strict=True):
-        (first, k, clasps), (second, m, others) = bodies[a], bodies[b]
-        wanted = CROSSING if not clasps & others else -1
-        if first in "qr":
-            own = second == "edge" and (first, k) not in ends
-            wanted = CABLE if k != m or own else -1
-        if second in "qr":
-            wanted = SEPARATION
-        assert kind == wanted, (bodies[a], bodies[b])
 
 
 @pytest.mark.parametrize("swept", [0, 20])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 from clasp_balance import KINDS, random_hitch
@@ -11,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hitchopt.hitch import Hitch
-from hitchopt.hitch.model import CLASPS_AT_ONCE, FlatJets, drone_jets, planar, slipping_drones
+from hitchopt.hitch.model import CLASPS_AT_ONCE, FlatJets, drone_jets, slipping_drones
 from hitchopt.planners.morph.friction import cables_of_legs
 from hitchopt.values import Array
 
@@ -82,30 +80,6 @@ def test_jets_are_derivatives_along_a_curve(seed: int, n: int, topology: str, ki
             difference = (f[0] - 8 * f[1] + 8 * f[3] - f[4]) / (12 * 1e-3)
             scale = 1.0 + np.max(np.abs(values[2, ..., order + 1]))
             np.testing.assert_allclose(difference, values[2, ..., order + 1], atol=1e-5 * scale)
-
-
-def planar_inputs(h: Hitch, k: int) -> list[Any]:
-    """What the optimiser's function of robot k takes."""
-    team, layout, n = h.team, h.team.layout, h.team.robots
-    near, ends = layout.neighbours[k], [k, (k + 1) % n]
-    corners = h.polygon.vertices[(k + np.arange(-1, 3)) % n].ravel()
-    if not team.loaded:
-        return [corners, h.q_legs[k], team.tension[near], team.cable_length[k]]
-    loads = np.zeros((2, 3))
-    loads[:, 2] = -9.81 * team.load[ends]
-    constants = [team.cable_length[near[:2]], h.roll[ends], loads.ravel()]
-    return [corners, h.q_legs[near], team.tension[near], *constants, 9.81 * team.cable_density]
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_from_above_the_planar_model_is_the_same(kind: str) -> None:
-    h = random_hitch(7, 5, "closed", kind)
-    model = planar(h.team.loaded, kind in ("equal", "heavy"))
-    for k in range(5):
-        place, turn = model(*planar_inputs(h, k))
-        expected = [*h.drones[2 * k, :2], *h.drones[2 * k + 1, :2], h.r_legs[k]]
-        np.testing.assert_allclose(np.asarray(place).ravel(), expected, atol=1e-12)
-        assert float(turn) == pytest.approx(np.sin(h.polygon.exterior_angles[k]), rel=1e-9)
 
 
 @pytest.mark.parametrize("topology", ["closed", "open"])

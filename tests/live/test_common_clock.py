@@ -106,24 +106,7 @@ def test_a_fleet_flies_by_commands() -> None:
     assert plan.landed
 
 
-def test_what_knows_one_team_is_refused_by_name() -> None:
-    motion = hitch_and_swarm()
-    plan, show = (
-        ho.Plan(motion, certify(motion)),
-        beside(alone(motion, "ring"), moved(motion.groups[0].motion, 0.0, 0.0, 50.0), 0.0),
-    )
-    with pytest.raises(
-        ho.UnsupportedError, match=r"lost drone knows one team alone.*triangle, ring"
-    ):
-        Reactions(motion)
-    with pytest.raises(ho.UnsupportedError, match="feedback knows one team"):
-        ho.Feedback(plan)
-    with pytest.raises(ho.UnsupportedError, match="replanner knows one team"):
-        ho.Replanner(alone(motion, "triangle").team, plan)
-    with pytest.raises(ho.UnsupportedError, match="several teams"):
-        _ = plan.end
-    with pytest.raises(ho.UnsupportedError, match="beside show"):
-        ho.Player(show)
+def test_what_knows_one_ring_is_refused_by_name() -> None:
     joins, same = planned("join_a_fourth"), "knows hitches of the same robots all the time; plan"
     for refused, words in (
         (lambda: Reactions(joins.motion), "a reaction to a lost drone"),

@@ -136,26 +136,6 @@ def test_an_object_that_a_step_names_belongs_to_that_team_alone() -> None:
     assert caught.value.key == "mission[4].c.enclose.object"
 
 
-def starts(plan: ho.Plan) -> dict[str, list[float]]:
-    """When each group begins to fly, phase by phase."""
-    return {
-        each.name: [phase.start for phase in each.motion.phases if phase.name != WAIT]
-        for each in plan.motion.groups
-    }
-
-
-def test_two_teams_cross_one_after_the_other_on_one_level_and_at_once_on_two() -> None:
-    crossing, layers = planned("two_teams"), planned("two_layers")
-    assert starts(crossing) == {"a": [0.0], "b": [pytest.approx(7.0)]}
-    assert starts(layers) == {"a": [0.0], "b": [0.0]}
-    assert crossing.certificate["separation"].worst == pytest.approx(1.056, abs=1e-3)
-    assert layers.certificate["separation"].worst == pytest.approx(1.333, abs=1e-3)
-    states = crossing.at(np.linspace(0.0, crossing.duration, 2001)).positions
-    apart = (states[:, :6, None] - states[:, None, 6:]) / [0.24, 0.24, 0.6]
-    sampled = np.min(np.linalg.norm(apart, axis=-1))
-    assert sampled == pytest.approx(crossing.certificate["separation"].worst, rel=1e-3)
-
-
 def test_teams_with_one_goal_are_refused_with_both_named() -> None:
     with pytest.raises(ho.InfeasibleError, match=r"goals of b and a, near \(2.50, 0.00, 1.50\) m"):
         ho.solve(PROBLEMS / "infeasible" / "same_goal.yaml")

@@ -10,8 +10,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.spatial.distance import pdist
 
 import hitchopt as ho
@@ -28,9 +26,8 @@ from hitchopt.planners.optimise.knots import KnotPath, Search, SolverStep
 from hitchopt.planners.optimise.program import iterates
 from hitchopt.planners.optimise.search import OptimisedMorph, guesses
 from hitchopt.planners.timing.flight import fly
-from problems.random_morph import random_convex_polygon
 
-FREE, FOUR = Requirements(), Team(4, 2.4)
+FREE = Requirements()
 SQUARE = regular_polygon(4, 1.2, np.pi / 4)
 PENTAGON = ConvexPolygon([[0.0, 0.0], [0.1, 1.2], [1.1, 1.9], [2.2, 1.2], [1.6, -0.1]])
 
@@ -39,24 +36,6 @@ def ends(team: Team, first: ConvexPolygon, last: ConvexPolygon) -> tuple[Hitch, 
     kept: dict[str, Any] = {"limits": FREE.limits, "separation": FREE.separation}
     start = Hitch.spread(team, first)
     return start, Hitch.nearest(team, last, 1.0, start.fractions, **kept)
-
-
-@given(st.integers(0, 2**32 - 1), st.integers(3, 12))
-@settings(max_examples=25)
-def test_guesses_join_the_ends_and_those_by_edges_stay_convex(seed: int, n: int) -> None:
-    rng = np.random.default_rng(seed)
-    first = random_convex_polygon(n, 1.2, rng)
-    last = random_convex_polygon(n, 1.2, rng).translated(rng.normal(size=2))
-    found = guesses(first, last, 13)
-    assert next(iter(found)) == "straight"
-    kinds = {name.split(" ")[0] for name in found}
-    assert {"straight", "turned"} <= kinds <= {"straight", "turned", "edges"}
-    for name, polygons in found.items():
-        np.testing.assert_allclose(polygons[0], first.vertices, atol=1e-6)
-        np.testing.assert_allclose(polygons[-1], last.vertices, atol=1e-6)
-        if name.startswith("edges"):
-            for polygon in polygons:
-                ConvexPolygon(polygon)  # refuses what is not convex
 
 
 WEAK = Team(4, 2.4, tension=0.8, quadrotor=ho.Quadrotor(0.132, 1.6))
@@ -218,16 +197,3 @@ def test_too_weak_drones_are_told_apart_from_slow_ones(thrust: float) -> None:
     with pytest.raises(ho.InfeasibleError, match="thrust") as caught:
         morph.solve()
     assert caught.value.violations[0].value == pytest.approx(needed, rel=1e-9)
-
-
-def test_an_optimised_turn_is_faster_than_its_vertices_would_be_with_drones_in_step() -> None:
-    """At ``v`` on a chord D with drones in step: at least D/v + v/a, here with a ramp a/j more."""
-    polygon, close = regular_polygon(12, 1.3), ho.Separation(cable=0.07, crossing=0.05)
-    start = Hitch.spread(Team(12, 2.0), polygon, separation=close)
-    goal = polygon.rotated(0.24)
-    limits = ho.Limits()
-    plan = ho.morph(start, goal, limits=limits, separation=close, optimize=True)
-    plan.certificate.raise_if_violated()
-    chord = float(np.max(np.linalg.norm(goal.vertices - polygon.vertices, axis=1)))
-    v, a = limits.vertex_speed, limits.acceleration
-    assert chord / v < plan.duration < chord / v + v / a + a / limits.jerk - 0.05

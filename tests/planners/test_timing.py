@@ -17,7 +17,6 @@ from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Swarm
 from hitchopt.mission.loading import read_problem
-from hitchopt.planners.morph import jets
 from hitchopt.planners.morph.path import ShapePath
 from hitchopt.planners.timing.clock import ClockedPath, RateRows
 from hitchopt.planners.timing.flight import GRID, fly, needed_stretch, turning_stretch
@@ -25,22 +24,6 @@ from hitchopt.planners.timing.profile import Demands, fastest_profile, flight_es
 from hitchopt.planners.timing.ramps import fastest_clock, fastest_ramps
 from hitchopt.trajectory import PiecewisePolynomial
 from problems.random_morph import random_convex_polygon
-
-
-@given(st.integers(0, 2**32 - 1), st.floats(-0.5, 0.5))
-@settings(max_examples=40)
-def test_jet_arithmetic_is_that_of_polynomials(seed: int, t: float) -> None:
-    def jet(coefficients: np.ndarray, t: float) -> np.ndarray:
-        return np.array([np.polyval(np.polyder(coefficients, k), t) for k in range(4)])
-
-    a, b = np.random.default_rng(seed).normal(size=(2, 4))
-    ja, jb = jet(a, t), jet(b, t)
-    np.testing.assert_allclose(jets.product(ja, jb), jet(np.polymul(a, b), t), atol=1e-9)
-    composed = jet(np.atleast_1d(np.poly1d(a)(np.poly1d(b)).c), t)
-    np.testing.assert_allclose(jets.chained(jet(a, jb[0]), jb), composed, rtol=1e-7, atol=1e-7)
-    square = jet(np.polyadd(np.polymul(b, b), [1.0]), t)
-    root = jets.square_root(square)
-    np.testing.assert_allclose(jets.product(root, root), square, atol=1e-9)
 
 
 @given(st.floats(1e-3, 50.0), st.floats(0.1, 5.0), st.floats(0.2, 9.0), st.floats(0.5, 90.0))
@@ -51,19 +34,6 @@ def test_fastest_ramps_are_those_of_the_clock(d: float, v: float, a: float, j: f
     assert duration == pytest.approx(fastest_clock(d, v, a, j).duration, rel=1e-6)
     assert 2.0 * rise <= duration * (1.0 + 1e-12)
     assert d <= v * (duration - rise) * (1.0 + 1e-9)
-
-
-@pytest.mark.parametrize(("goal", "speed"), [(0.004, 1.0), (0.3, 1.0), (2.0, 0.6), (9.0, 3.0)])
-def test_clocks_keep_their_limits(goal: float, speed: float) -> None:
-    limits = (speed, 1.7, 11.0)
-    clock = fastest_clock(goal, *limits)
-    t = np.linspace(0.0, clock.duration, 5001)
-    there, *rates = (clock.at(t, k) for k in range(4))
-    assert np.all(np.diff(there) >= -1e-12)
-    assert there[[0, -1]] == pytest.approx([0.0, goal], abs=1e-12)
-    for rate, limit in zip(rates, limits, strict=True):
-        assert np.max(np.abs(rate)) <= limit * (1.0 + 1e-9)
-    assert np.max(np.abs(np.diff(rates[1]))) <= 11.0 * t[1] * (1.0 + 1e-6)
 
 
 def ends(

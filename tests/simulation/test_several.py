@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from groups import beside_saved, moved, with_swarm
+from groups import beside, beside_saved, moved, with_swarm
 from plans import planned
 from scipy.spatial.distance import pdist
 from scripted import world_of
@@ -19,6 +19,7 @@ import hitchopt as ho
 from hitchopt.checks import certify
 from hitchopt.cli import main
 from hitchopt.errors import UnsupportedError
+from hitchopt.live.lost import Reactions
 from hitchopt.mission.problem import HitchStart, Problem
 from hitchopt.motion.combined import combined
 from hitchopt.motion.motion import Group, Motion
@@ -135,7 +136,11 @@ def test_what_knows_one_team_refuses_several(tmp_path: Path) -> None:
     rows = "".join(f"{0.01 * i:.2f},q0,0,0,1\n" for i in range(100))
     recording.write_text(f"t,name,x,y,z\n{rows}", encoding="utf-8")
     task = Task.of(motion)
+    show = beside(planned("triangle").motion, moved(planned("triangle").motion, 0, 0, 50.0), 0.0)
     for call in (
+        lambda: Reactions(motion),
+        lambda: ho.Feedback(plan),
+        lambda: ho.Replanner(planned("triangle").motion.team, plan),
         lambda: ho.settle(plan, 0.5),
         lambda: ho.tolerance(plan, cable_error=0.01),
         lambda: ho.evaluate(recording, folder),
@@ -145,6 +150,10 @@ def test_what_knows_one_team_refuses_several(tmp_path: Path) -> None:
     ):
         with pytest.raises(UnsupportedError, match="one team alone, and here fly a, b"):
             call()
+    with pytest.raises(UnsupportedError, match="several teams"):
+        _ = plan.end
+    with pytest.raises(UnsupportedError, match="beside show"):
+        ho.Player(show)
     result = CliRunner().invoke(main, ["statics", str(folder), "--at", "8", "--stiffness", "40"])
     assert result.exit_code == 0, result.output
     for group in motion.groups:
