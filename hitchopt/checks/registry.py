@@ -177,6 +177,8 @@ def _checks_of_groups(
 
 def check_of(rule: CheckRule, motion: Motion, *, exported: bool = False) -> Check | None:
     """Return the check of one rule of all groups together: of each alone, and across."""
+    if motion.changes and rule is INTERLACING:
+        return interlaced(chapters(motion)).check(rule, 0.0)
     if motion.changes:
         parts = [check_of(rule, part, exported=exported) for part in chapters(motion)]
         return worst_of([*parts, _at_seams(rule, motion)])

@@ -109,7 +109,9 @@ def _on_clock(motion: Motion, clock: ClockPhases) -> Motion:
     cells, pieces = clock.cut(motion.drones.breaks)
     pieces = np.clip(pieces, 0, motion.drones.pieces - 1)
     times = np.concatenate([[0.0], np.cumsum(cells.duration)])
-    edges = np.concatenate([[0.0], np.cumsum(clock.duration)])
+    rings = [motion.phases[i].ring for i in motion.phase_of_piece[pieces].tolist()]
+    seams = times[1:-1][[a != b for a, b in pairwise(rings)]]  # rows mean others from there on
+    edges = np.union1d(np.concatenate([[0.0], np.cumsum(clock.duration)]), seams)
     breaks = _spaced(times, edges)
     sides = []
     for ends, inward in ((breaks[:-1], 1e-12), (breaks[1:], -1e-12)):

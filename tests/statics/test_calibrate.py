@@ -400,16 +400,11 @@ def test_means_of_half_a_movement_are_of_all_of_it() -> None:
 def test_tables_that_are_no_recordings_are_refused(solved: Path, tmp_path: Path) -> None:
     rows = rows_of(read_task(solved))
     tables = (
-        ("t,name,x,y", rows, "has no line of columns' names with t, name, x, y, z"),
-        (HEADER, [r for r in rows if ",r1," not in r], "5 bodies (q0, r0, q1, q2, r2) of 6"),
-        (HEADER, [*rows, rows[0]], "times do not ascend: 2 s is followed by 0 s"),
-        (HEADER, [*rows, "9,q0,a,b,c"], "x is 'a', no number"),
-        (HEADER, [*rows, "9,q0"], "has 2 cells, not 5"),
-        (HEADER, [*rows, "inf,q0,1,2,3"], "a time is not finite"),
-        (HEADER, rows[:0], "holds no position of a body"),
-        (HEADER, [f"1{r}" for r in rows if r[0] == "1"], "nowhere near the plan"),
-        (HEADER, [r.replace(",q", ",r", 1) for r in rows if ",r" not in r], "3 bodies (r0"),
-        (HEADER, [r for r in rows if ",p" not in r], "record the vertices too"),
+        ([r for r in rows if ",r1," not in r], "5 bodies (q0, r0, q1, q2, r2) of 6"),
+        ([*rows, "inf,q0,1,2,3"], "a time is not finite"),
+        ([f"1{r}" for r in rows if r[0] == "1"], "nowhere near the plan"),
+        ([r.replace(",q", ",r", 1) for r in rows if ",r" not in r], "3 bodies (r0"),
+        ([r for r in rows if ",p" not in r], "record the vertices too"),
     )
     table, plan = write(tmp_path / "flight.csv", rows), ("--plan", solved)
     cases: list[tuple[tuple[str | Path, ...], str]] = [
