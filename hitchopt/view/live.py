@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import threading
 import time as clock
@@ -16,9 +17,10 @@ import numpy as np
 from hitchopt.checks.certificate import Certificate, Check
 from hitchopt.errors import UnsupportedError
 from hitchopt.motion.motion import CableState, Motion
+from hitchopt.values import Array
 from hitchopt.view.live_scene import SWITCHES, LiveScene
 from hitchopt.view.scene import Concerned, Scene, concerned, scene_of
-from hitchopt.view.style import COLOURS, LIMIT_COLOUR, facts, verdict
+from hitchopt.view.style import COLOURS, LIMIT_COLOUR, MARK_COLOUR, facts, verdict
 
 # Default address of the server: this machine alone; if the port is in use, the next free one
 HOST, PORT = "127.0.0.1", 8080
@@ -36,6 +38,8 @@ SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 # Colours of buttons, and of the current phase; those of checks that do not hold are red
 QUIET, CURRENT = "gray", "blue"
 PLOT_HEIGHT = 150  # Height of a plot with its legend [pixels]
+# Frames of the playback between two updates of the plots' cursors: each sends all of their samples
+CURSOR_FRAMES = 6
 CLOSE = (
     4.0  # Distance from which a followed team is seen, over the farthest drone's from its middle
 )
@@ -105,6 +109,7 @@ class LiveView:
         self._note, self._title = "", title
         self._lock, self._open = threading.RLock(), True
         self._ghost = None
+        self._plots, self._cursor = list[tuple[Any, dict[str, Any]]](), math.nan
         with self.server.atomic():  # pages that are open show all of it at once
             self.server.gui.set_panel_label(title or "hitchopt")
             self.live = LiveScene(self.server, scene_of(motion), "/plan/")
@@ -217,14 +222,18 @@ class LiveView:
     def _play(self) -> None:
         """Advance the time while the plan is played."""
         before = clock.monotonic()
-        while self._open:
+        for frame in itertools.count():
             clock.sleep(FRAME)
+            if not self._open:
+                return
             now = clock.monotonic()
             if self.playing:
                 with self._lock:
                     self.seek(self.time + self.speed * (now - before))
                     if self.time >= self.motion.duration:
                         self.play(on=False)
+            if frame % CURSOR_FRAMES == 0:
+                self._move_cursor()
             before = now
 
     def _look(self) -> None:
@@ -271,7 +280,9 @@ class LiveView:
             gui.add_markdown("Every worst value holds for all t. A click shows where and when.")
             gui.add_button("no highlight", color=QUIET).on_click(lambda _: self._unmark())
         self.checks = Buttons(gui, checks, self._show_check_at)
-        self._plots_tab, self._plots = tabs.add_tab("Plots"), list[Any]()
+        self._plots_tab = tabs.add_tab("Plots")
+        with self._plots_tab:
+            self.values = gui.add_markdown("")
 
     def _fill_panel(self) -> None:
         """Fill the panel with the plan's facts, and show its time."""
@@ -312,11 +323,12 @@ class LiveView:
     def _show_plots(self) -> None:
         """Show the report's plots once the plan is certified; their legends say values."""
         if self.certificate is None:
+            self.values.content = ""
             return
         from hitchopt.view.report import plots_of  # drawn with matplotlib there, which loads late
 
-        for plot in self._plots:
-            plot.remove()
+        for shown, _ in self._plots:
+            shown.remove()
         self._plots.clear()
         for plot in plots_of(self.motion, self.certificate):
             t = np.array(plot["t"])
@@ -328,13 +340,30 @@ class LiveView:
             for each in plot["limits"]:
                 columns.append(np.interp(t, each["t"], np.array(each["values"], np.float64)))
                 series.append({"label": "limit", "stroke": LIMIT_COLOUR, "dash": (6, 3)})
+            columns.append(_cursor(t, self.time, plot["top"]))
+            series.append({"label": "now", "stroke": MARK_COLOUR, "points": {"show": False}})
             scales = {"x": {"time": False}, "y": {"range": (0.0, plot["top"])}}
             with self._plots_tab:
                 shown = self.server.gui.add_uplot(
                     tuple(columns), tuple(series), title=plot["label"].replace("\n", " "),
                     scales=scales, height=PLOT_HEIGHT, legend={"show": True},
                 )  # fmt: skip
-            self._plots.append(shown)
+            self._plots.append((shown, plot))
+        self._cursor = math.nan
+
+    def _move_cursor(self) -> None:
+        """Move the cursors of all plots to the time that is shown, and say the values there."""
+        with self._lock:
+            if self.time == self._cursor or self.certificate is None:
+                return
+            self._cursor, lines = self.time, [f"at {self.time:.2f} s:"]
+            for shown, plot in self._plots:
+                t, curves = shown.data[0], shown.data[1 : 1 + len(plot["curves"])]
+                values = [float(np.interp(self.time, t, curve)) for curve in curves]
+                said = " to ".join(f"{value:.3g}" for value in values if math.isfinite(value))
+                lines.append(f"{plain_words(shown.title)}: **{said or '–'}**")
+                shown.data = (*shown.data[:-1], _cursor(t, self.time, plot["top"]))
+            self.values.content = "  \n".join(lines)
 
     def _show_phase_at(self, index: int) -> None:
         with self._lock:
@@ -379,6 +408,14 @@ class Buttons:
             button.label, button.color, button.visible = label, colour, True
         for button in self.buttons[len(labels) :]:
             button.visible = False
+
+
+def _cursor(t: Array, time: float, top: float) -> Array:
+    """Return the values of a line across a plot at the samples on both sides of a time."""
+    values = np.full(len(t), np.nan)
+    after = int(np.clip(np.searchsorted(t, time), 1, len(t) - 1))
+    values[after - 1 : after + 1] = 0.0, top
+    return values
 
 
 def _words(check: Check) -> str:

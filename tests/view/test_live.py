@@ -78,14 +78,25 @@ def test_a_certificate_that_is_late_and_another_plan_keep_panel_and_switches() -
     assert "certified for all t" in view.head.content
     assert len(labels(view.checks)) == len(made_certificate().checks)
     plots = list(plots_of(view.motion, made_certificate()))
-    assert [each.title for each in view._plots] == [p["label"].replace("\n", " ") for p in plots]
-    np.testing.assert_allclose(view._plots[1].data[1], plots[1]["curves"][0])
+    shown = [each for each, _ in view._plots]
+    assert [each.title for each in shown] == [p["label"].replace("\n", " ") for p in plots]
+    np.testing.assert_allclose(shown[1].data[1], plots[1]["curves"][0])
+    time = 0.4 * view.motion.duration
+    view.seek(time)
+    view._move_cursor()
+    speed = np.interp(time, shown[1].data[0], shown[1].data[1])
+    assert f"at {time:.2f} s" in view.values.content
+    assert f"**{speed:.3g}**" in view.values.content
+    for each in shown:
+        before, after = each.data[0][np.isfinite(each.data[-1])]
+        assert before <= time <= after
     view.live.switch("thrusts", on=True)
     view.play(on=True)
     head = view.head
     view.show_plan(make_motion(4), None, "another")
     assert view.head is head
     assert "another" in head.content
+    assert not view.values.content
     assert view.live.shown["thrusts"]
     assert (view.player.label, labels(view.checks)) == ("Pause", [])
     assert [label.split(":")[0] for label in labels(view.phases)] == ["morph", "hold"]
