@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import sys
 from importlib import metadata
 from pathlib import Path
@@ -12,7 +13,6 @@ from typing import Any
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
 
-from generators.kernel_profile import kernel_profile  # noqa: E402
 from generators.math_markup import add_renderer  # noqa: E402
 from generators.site_pages import write_pages  # noqa: E402
 
@@ -60,7 +60,7 @@ html_favicon = "_static/favicon.svg"
 html_context = {"default_mode": "auto"}  # else the theme logs an error at the first visit
 html_css_files = ["site.css"]
 html_show_sourcelink = False
-html_sidebars = {"gallery/index": []}
+html_sidebars = {"gallery/**": []}
 html_theme_options = {
     "navigation_with_keys": False,
     "show_toc_level": 2,
@@ -74,7 +74,10 @@ project_copyright = "The hitchopt developers, MIT licence"
 os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ["COLUMNS"] = "100"
-os.environ["IPYTHONDIR"] = kernel_profile()
+startup = HERE / "_build" / "ipython" / "profile_default" / "startup"
+startup.mkdir(parents=True, exist_ok=True)
+shutil.copy(HERE / "generators" / "bash_magic.py", startup)
+os.environ["IPYTHONDIR"] = str(startup.parents[1])
 
 
 def link_results(app: Any, name: str, text: list[str]) -> None:

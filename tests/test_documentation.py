@@ -23,9 +23,9 @@ import jsonschema
 import pytest
 from click.testing import CliRunner
 from generators.check_facts import write_check_facts
-from generators.gallery_page import write_gallery_page
-from generators.page_pictures import KINDS, SCREENSHOTS
-from generators.problem_collection import PICTURES, SECTIONS, caption
+from generators.gallery_page import program, python, write_gallery
+from generators.page_pictures import KINDS, SCREENSHOTS, screenshot
+from generators.problem_collection import GALLERY, PICTURES, SECTIONS, Section, caption
 from generators.schema_page import write_schema_page
 from plans import PROBLEMS, ROOT
 from ruamel.yaml import YAML
@@ -137,10 +137,11 @@ def _same_number(printed: str, shown: str) -> bool:
 DOCS = ROOT / "docs"
 CHECKS = [rule.name for rule in (*RULES, *REPORTS)]
 
-# Written pages; the gallery's index is generated, but has no code
+# Folders of pages that are not written by hand
+GENERATED = {"generated", "_build", "gallery"}
 PAGES = [
     ROOT / "README.md",
-    *(p for p in sorted(DOCS.rglob("*.md")) if not {"generated", "_build"} & set(p.parts)),
+    *(page for page in sorted(DOCS.rglob("*.md")) if not GENERATED & set(page.parts)),
 ]
 # Blocks that are executed, and not; those of YAML are checked against the schema
 RUN, SHOWN = {"python", "console"}, {"", "text", "sh", "yaml", "json"}
@@ -267,20 +268,40 @@ def test_exit_codes_and_public_names_have_their_places() -> None:
     assert sorted(listed) == list(ho.__all__)
 
 
-def test_the_gallery_has_every_problem_with_a_picture_and_views_and_reports_of_three() -> None:
-    page = write_gallery_page()
+def test_the_gallery_has_a_page_with_a_picture_and_downloads_for_every_problem() -> None:
+    pages = write_gallery()
+    index = pages[GALLERY / "index.md"]
     pictures = {file: each.picture(file) for each in SECTIONS for file in each.files}
     assert len(pictures) > 50
-    for file, picture in pictures.items():
-        assert picture.exists(), f"make gallery draws {file.stem}"
-        assert f"`{name_of(file)}`" in page
-        assert caption(file), f"{file} has no comment at its head"
+    for section in SECTIONS:
+        for file in section.files:
+            assert pictures[file].exists(), f"make gallery draws {file.stem}"
+            assert f":link: {section.page(file).with_suffix('').as_posix()}\n" in index
+            page = pages[GALLERY / section.page(file)]
+            for path in (pictures[file], file):
+                assert f"/{name_of(path)}" in page
+            assert f"{{download}}`{file.stem}.py`" in page
+            assert caption(file), f"{file} has no comment at its head"
     assert set(PICTURES.rglob("*.png")) == set(pictures.values())
     refused = [file for bad in ("bad", "swarms/bad") for file in (PROBLEMS / bad).glob("*.yaml")]
-    assert page.count("\n| `bad/") + page.count("\n| `swarms/bad/") == len(refused)
-    for path in [shown.picture(kind) for shown in SCREENSHOTS for kind in KINDS]:
-        assert path.stat().st_size > 10_000, "make screenshots takes it"
-        assert f"{{figure}} {path.relative_to(PICTURES.parent).as_posix()}" in page
+    assert index.count("\n| `bad/") + index.count("\n| `swarms/bad/") == len(refused)
+    for stem in SCREENSHOTS:
+        for path in (screenshot(stem, kind) for kind in KINDS):
+            assert path.stat().st_size > 10_000, "make screenshots takes it"
+            assert f"/{name_of(path)}" in pages[GALLERY / "examples" / f"{stem}.md"]
+
+
+@pytest.mark.parametrize("section", SECTIONS, ids=lambda section: section.heading)
+def test_the_gallery_s_programs_state_the_problems_of_its_files(
+    section: Section, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(PROBLEMS)  # one of them names the plan of a show
+    for file in section.files:
+        statement, _, rest = program(file).partition("\nplan = ho.solve(problem)\n")
+        names: dict[str, Any] = {}
+        exec(statement, names)
+        assert python(names["problem"]) == python(ho.read_problem(file)).replace(f"{PROBLEMS}/", "")
+        assert file.stem in rest
 
 
 def test_texts_are_compared_by_their_digits() -> None:

@@ -14,40 +14,41 @@ SENSES = {"min": "must not fall below the limit", "max": "must not rise above th
 
 def write_check_facts() -> dict[str, str]:
     """Return one table for every check and every report, by its name."""
-    facts = {rule.name: _facts_of_check(rule) for rule in RULES}
-    return facts | {rule.name: _facts_of_report(rule) for rule in REPORTS}
+    facts = {rule.name: _table(_facts_of_check(rule)) + _formulas(rule) for rule in RULES}
+    return facts | {rule.name: _table(_facts_of_report(rule)) for rule in REPORTS}
 
 
-def _facts_of_check(rule: CheckRule) -> str:
-    rows = {
+def _facts_of_check(rule: CheckRule) -> dict[str, str]:
+    states = {state for evaluator in rule.evaluators for state in evaluator.states}
+    named = ", ".join(state.name.lower() for state in CableState if state in states)
+    exported = any(evaluator.exported for evaluator in rule.evaluators)
+    at = "" if rule.exported_limit is None else f", against {rule.exported_limit:g}"
+    other = rule.free_remedy if rule.free_remedy != rule.remedy else ""
+    return {
         "`worst`": f"{_unit(rule.unit)}; {SENSES[rule.sense]}",
         "limit": "set by the problem" if callable(rule.limit) else f"{rule.limit:g}",
-        "while cables are": _states(rule),
-        "held by exports": _exports(rule),
-        "what eases it": _remedy(rule),
+        "while cables are": "in any state" if states == set(CableState) else named,
+        "held by exports": f"yes{at}" if exported else "no",
+        "what eases it": rule.remedy + (f"; while cables hang: {other}" if other else ""),
     }
-    return _table(rows) + _formulas(rule)
+
+
+def _facts_of_report(rule: ReportRule) -> dict[str, str]:
+    limit = "`limits.tracking`, if stated; else it is only reported"
+    limit = limit if rule.remedy else "none: it is only reported"
+    return {"`worst`": _unit(rule.unit), "limit": limit}
 
 
 def _formulas(rule: CheckRule) -> str:
-    """Return the code of a check's formulas, each once."""
+    """Return the code of a check's formulas, each once, folded."""
     found: list[Any] = []
     for evaluator in rule.evaluators:
-        found += (
-            [evaluator.evaluate.formula] if isinstance(evaluator.evaluate, WorstOverSpans) else []
-        )
+        if isinstance(evaluator.evaluate, WorstOverSpans):
+            found.append(evaluator.evaluate.formula)
         found += evaluator.shown
-    code = [
-        inspect.cleandoc("\n" + inspect.getsource(getattr(each, "func", each)))
-        for each in dict.fromkeys(found)
-    ]
-    return "" if not code else "\n```python\n" + "\n\n".join(code) + "\n```\n"
-
-
-def _facts_of_report(rule: ReportRule) -> str:
-    limit = "`limits.tracking`, if stated; else it is only reported"
-    limit = limit if rule.remedy else "none: it is only reported"
-    return _table({"`worst`": _unit(rule.unit), "limit": limit})
+    unique = [getattr(each, "func", each) for each in dict.fromkeys(found)]
+    code = "\n\n".join(inspect.cleandoc(f"\n{inspect.getsource(each)}") for each in unique)
+    return f"\n:::{{dropdown}} The formula\n```python\n{code}\n```\n:::\n" if code else ""
 
 
 def _table(rows: dict[str, str]) -> str:
@@ -57,22 +58,3 @@ def _table(rows: dict[str, str]) -> str:
 
 def _unit(unit: str) -> str:
     return {"1": "a number", "ratio": "a ratio", "": "a number"}.get(unit, f"in {unit}")
-
-
-def _states(rule: CheckRule) -> str:
-    states = {state for evaluator in rule.evaluators for state in evaluator.states}
-    if states == set(CableState):
-        return "in any state"
-    return ", ".join(state.name.lower() for state in CableState if state in states)
-
-
-def _exports(rule: CheckRule) -> str:
-    if not any(evaluator.exported for evaluator in rule.evaluators):
-        return "no"
-    return "yes" if rule.exported_limit is None else f"yes, against {rule.exported_limit:g}"
-
-
-def _remedy(rule: CheckRule) -> str:
-    if not rule.free_remedy or rule.free_remedy == rule.remedy:
-        return rule.remedy
-    return f"{rule.remedy}; while cables hang: {rule.free_remedy}"

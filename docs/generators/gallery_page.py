@@ -1,33 +1,36 @@
-"""The gallery: every problem file of the repository with its picture and its comment."""
+"""The gallery: a card for every problem file, and a page with its picture, its YAML and its Python."""
 
 from __future__ import annotations
 
+import json
+import math
 import re
+from collections.abc import Iterator, Sequence
+from inspect import signature
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 import hitchopt as ho
-from generators.page_pictures import KINDS, SCREENSHOTS
+from generators.page_pictures import KINDS, screenshot
 from generators.problem_collection import (
-    PICTURES,
+    GALLERY,
     PROBLEMS,
     REFUSED,
+    ROOT,
     SECTIONS,
     Section,
     caption,
     entry,
 )
+from hitchopt.steps.step import RolledLegs
 
 INTRODUCTION = """# Gallery of problems
 
-All problem files of the repository. `hitchopt solve problems/triangle.yaml` plans one. Pictures show the plan
-from above: the start dashed and grey, the end in colours, the drones' paths between; circles are the drones'
-downwash ellipsoids.
-"""
-
-PAGES = """## In the browser
-
-The live view of `hitchopt view` and the file of `hitchopt report` ({doc}`/how_to/look_at_a_plan`) show three of these
-problems.
+All problem files of the repository. Each has a page with its YAML and the same in Python, to read and to download.
+Pictures show the plan from above: the start dashed and grey, the end in colours, the drones' paths between; circles
+are the drones' downwash ellipsoids.
 """
 
 UNSOLVED = """These files are well-formed, and no plan meets their limits: `hitchopt solve` ends with
@@ -43,45 +46,140 @@ There is nothing to draw.
 | file | message |
 |---|---|"""
 
+WIDTH = 74
+"""Characters of code in a line of a page."""
 
-def write_gallery_page() -> str:
-    """Return the page, one figure for every problem and one row for every refused file."""
-    sections = [part for section in SECTIONS for part in _section(section)]
+
+def write_gallery() -> dict[Path, str]:
+    """Return the pages by their paths: the index, and page and program of every problem."""
+    cards = [part for section in SECTIONS for part in _section(section)]
     rows = [_refused(x) for folder in REFUSED for x in sorted((PROBLEMS / folder).glob("*.yaml"))]
-    return "\n".join([INTRODUCTION, *sections, PAGES, *_screenshots(), REFUSALS, *rows, ""])
+    toctree = "```{toctree}\n:hidden:\n:glob:\n\nexamples/**\n```\n"
+    index = [INTRODUCTION, toctree, *cards, REFUSALS, *rows, ""]
+    written = {GALLERY / "index.md": "\n".join(index)}
+    for section in SECTIONS:
+        for file in section.files:
+            page = GALLERY / section.page(file)
+            written |= {page: _example(section, file), page.with_suffix(".py"): program(file)}
+    return written
 
 
-def _screenshots() -> list[str]:
-    lines = []
-    for shown in SCREENSHOTS:
-        for kind, name in KINDS.items():
-            path = shown.picture(kind).relative_to(PICTURES.parent).as_posix()
-            words = f"{name[0].upper()}{name[1:]}: {shown.words}"
-            lines += [f"```{{figure}} {path}\n:alt: {words}\n\n{words}.\n```", ""]
-    return lines
+def program(file: Path) -> str:
+    """Return a Python program that plans what a problem file asks for."""
+    problem = python(ho.read_problem(file)).replace(f"{PROBLEMS}/", "")
+    imports = ["import math\n"] * ("math." in problem) + ["import hitchopt as ho\n"]
+    last = f'plan = ho.solve(problem)\nprint(plan)\nplan.save("{file.stem}")\n'
+    return "\n".join([*imports, f"problem = {problem}", last])
+
+
+def python(value: Any, margin: int = 0, first: int = len("problem = ")) -> str:
+    """Return the Python that makes a value, on lines after a margin, ``first`` more on the first."""
+    value = getattr(value, "vertices", value)  # of an outline
+    if isinstance(value, RolledLegs):
+        roll = value.roll if value.roll is None else np.degrees(value.roll).round(9)
+        value = {"sharing": value.sharing, "roll_deg": roll}
+    value = value.tolist() if hasattr(value, "tolist") else value
+    parts: list[tuple[str, Any]]
+    match value:
+        case float():
+            degrees = round(math.degrees(value), 6)
+            angle = math.radians(degrees) == value and float(f"{value:g}") != value
+            return f"math.radians({degrees:g})" if angle else repr(value + 0.0).removesuffix(".0")
+        case str():
+            return json.dumps(value, ensure_ascii=False)
+        case int() | None:
+            return repr(value)
+        case dict():
+            begin, end = "{", "}"
+            parts = [(f"{python(key)}: ", each) for key, each in value.items()]
+        case list() | tuple():
+            begin, parts, end = "[", [("", each) for each in value], "]"
+        case _:
+            begin, end = f"ho.{type(value).__name__}(", ")"
+            parts = [(f"{name}=", each) for name, each in _arguments(value)]
+    line = begin + ", ".join(f"{name}{python(each, 0, 0)}" for name, each in parts) + end
+    if margin + first + len(line) < WIDTH and "\n" not in line:
+        return line
+    inside = [f"{name}{python(each, margin + 4, len(name))},\n" for name, each in parts]
+    return f"{begin}\n{''.join(inside)}".replace("\n", "\n    ").removesuffix("    ") + end
+
+
+def _arguments(record: Any) -> Iterator[tuple[str, Any]]:
+    """Yield arguments that differ from their defaults; of robots that are alike one value."""
+    for name, parameter in signature(type(record)).parameters.items():
+        if name.endswith("_deg"):  # another name of an angle
+            continue
+        value = getattr(record, name)
+        if isinstance(record, ho.Team) and len(set(map(python, _listed(value)))) == 1:
+            value = value[0]
+        written, needed = python(value), parameter.default is parameter.empty
+        if needed or (written != python(parameter.default) and not written.endswith(("()", "{}"))):
+            yield name, value
+
+
+def _listed(value: Any) -> list[Any]:
+    return list(value) if isinstance(value, Sequence | np.ndarray) else []
+
+
+def _example(section: Section, file: Path) -> str:
+    """Return the page of a problem."""
+    page, path = section.page(file), file.relative_to(PROBLEMS).as_posix()
+    up, title, lasts = "../" * (len(page.parents) + 1), _title(file), entry(file, "# Lasts", "")
+    pictures = {
+        "From above": section.picture(file),
+        "Film": PROBLEMS / f"pictures/{file.stem}.webp",
+    }
+    pictures |= {words: screenshot(file.stem, kind) for kind, words in KINDS.items()}
+    shown = "\n\n".join(
+        f"```{{figure}} {up}{picture.relative_to(ROOT).as_posix()}\n:alt: {title}\n\n{words}\n```"
+        for words, picture in pictures.items()
+        if picture.exists()
+    )
+    return f"""# {title}
+
+{_text(section, file)}{f" The plan lasts {lasts} s." if lasts else ""}
+
+{shown}
+
+## Problem file
+
+{{download}}`{path} <{up}problems/{path}>`, to be planned by `hitchopt solve {file.name}`:
+
+```{{literalinclude}} {up}problems/{path}
+:language: yaml
+```
+
+## The same in Python
+
+{{download}}`{file.stem}.py`:
+
+```{{literalinclude}} {file.stem}.py
+```
+"""
 
 
 def _section(section: Section) -> list[str]:
-    lines = [f"## {section.heading}", "", *([] if section.solved else [UNSOLVED, ""])]
-    return [
-        *lines,
-        "::::{grid} 1 2 3 3",
-        *(_card(section, file) for file in section.files),
-        "::::\n",
+    """Return the cards of a section, each a picture and a title that lead to its page."""
+    lines = [f"## {section.heading}\n", *([] if section.solved else [UNSOLVED])]
+    cards = [
+        f":::{{grid-item-card}} {_title(file)}\n"
+        f":img-top: {section.picture(file).relative_to(GALLERY).as_posix()}\n"
+        f":img-alt: {_title(file)}, from above\n:link-type: doc\n"
+        f":link: {section.page(file).with_suffix('').as_posix()}\n:::"
+        for file in section.files
     ]
+    return [*lines, "::::{grid} 2 3 4 5\n:gutter: 2\n", *cards, "::::\n"]
 
 
-def _card(section: Section, file: Path) -> str:
-    name, title = file.relative_to(PROBLEMS), entry(file, "title", file.stem.replace("_", " "))
-    picture = section.picture(file).relative_to(PICTURES.parent).as_posix()
+def _title(file: Path) -> str:
+    return entry(file, "title", file.stem.replace("_", " "))
+
+
+def _text(section: Section, file: Path) -> str:
+    """Return the comment of a problem, and what binds where there is no plan."""
     text = " ".join(line or "\n\n" for line in caption(file))
-    escaped = re.sub(r"([\\*_\[\]<>$])", r"\\\1", text)
-    binds = "" if section.solved else f"\n\nBinds: {entry(file, '# Binds', 'see the message')}."
-    head = f":::{{grid-item-card}} {title}\n:img-top: {picture}\n:img-alt: {title}, from above\n\n"
-    path = name.as_posix()
-    return (
-        f"{head}{escaped}{binds}\n\n`problems/{path}` {{download}}`YAML </../problems/{path}>`\n:::"
-    )
+    binds = "" if section.solved else f" Binds: {entry(file, '# Binds', 'see the message')}."
+    return re.sub(r"([\\*_\[\]<>$])", r"\\\1", text) + binds
 
 
 def _refused(file: Path) -> str:

@@ -35,12 +35,10 @@ def draw(file: Path, *, solved: bool) -> Figure:
     axes = figure.add_subplot()
     if solved:
         draw_plan_view(axes, ho.solve(file).motion)
-        legend = axes.get_legend()
-        if legend is not None:
+        if legend := axes.get_legend():
             legend.remove()
     else:
-        problem = ho.read_problem(file)
-        draw_task(axes, problem)
+        draw_task(axes, ho.read_problem(file))
         figure.draw_without_rendering()  # limits of equal axes are known then, and so their labels
     return figure
 
@@ -66,8 +64,7 @@ def draw_task(axes: Axes, problem: ho.Problem | ho.SwarmProblem | ho.TeamsProble
         axes.add_patch(Polygon(box, fill=False, ec="0.4"))
     axes.set_aspect("equal", adjustable="datalim")
     axes.autoscale_view()
-    axes.set_xlabel("x [m]")
-    axes.set_ylabel("y [m]")
+    axes.set(xlabel="x [m]", ylabel="y [m]")
 
 
 def draw_outlines(axes: Axes, problem: ho.Problem) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -11,9 +10,12 @@ from typing import Any
 from PIL import Image
 
 import hitchopt as ho
-from generators.problem_collection import PICTURES, PROBLEMS
+from generators.problem_collection import GALLERY, PROBLEMS
 
-FOLDER = PICTURES.with_name("pages")
+SCREENSHOTS = {"carry_box": 0.55, "swarms/circle_24": 0.45, "form_thirty_gon": 1.0}
+"""Problems that are shown, and the share of their plan's duration that has passed."""
+
+KINDS = {"view": "The live view", "report": "The report"}
 
 SIZE = (1200, 800)
 """Width and height of a page [pixels]."""
@@ -25,46 +27,21 @@ PALETTE, ROUNDS = 255, 3
 """Number of colours of a picture, and rounds in which they are fitted: thin cables keep theirs."""
 
 
-@dataclass(frozen=True)
-class Shown:
-    """A moment of a problem's plan.
-
-    Attributes
-    ----------
-    file: of the problem, relative to ``problems``.
-    share: of the plan's duration that has passed.
-    words: what is to be seen.
-    """
-
-    file: str
-    share: float
-    words: str
-
-    def picture(self, kind: str) -> Path:
-        """Return the path of the picture of its view or report."""
-        return FOLDER / f"{Path(self.file).stem}_{kind}.png"
+def screenshot(stem: str, kind: str) -> Path:
+    """Return the path of the picture of a problem's view or report."""
+    return GALLERY / "pages" / f"{Path(stem).name}_{kind}.png"
 
 
-SCREENSHOTS = (
-    Shown("carry_box.yaml", 0.55, "a box on the clasps of a square hitch"),
-    Shown("swarms/circle_24.yaml", 0.45, "24 drones on their way across a circle"),
-    Shown("form_thirty_gon.yaml", 1.0, "30 robots that have tied a hitch"),
-)
-
-KINDS = {"view": "the live view", "report": "`report.html`"}
-"""What is shown of each, and what it is called."""
-
-
-def take(shown: Shown) -> None:
+def take(stem: str, share: float) -> None:
     """Take the pictures of a plan's live view and report."""
     from generators.headless_page import opened_page  # Playwright is not needed to show them
 
-    plan = ho.solve(PROBLEMS / shown.file)
-    time = shown.share * plan.duration
+    plan = ho.solve(PROBLEMS / f"{stem}.yaml")
+    time = share * plan.duration
     with TemporaryDirectory() as folder, opened_page(SIZE) as page:
         page.goto(f"{plan.report(folder).as_uri()}#t={time:.2f}")
         page.wait_for_function("Boolean(window.hitchopt)")
-        _save(page, shown.picture("report"))
+        _save(page, screenshot(stem, "report"))
     live = plan.view(browser=False)
     assert live is not None
     with opened_page(SIZE) as page:
@@ -73,12 +50,11 @@ def take(shown: Shown) -> None:
         live.seek(time)
         page.wait_for_timeout(SETTLED)
         page.add_style_tag(content=".mantine-Notifications-root { display: none }")
-        _save(page, shown.picture("view"))
+        _save(page, screenshot(stem, "view"))
     live.close()
 
 
 def _save(page: Any, path: Path) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
     page.wait_for_timeout(SETTLED)
     page.screenshot(path=path)
     image = Image.open(path).convert("RGB")
@@ -87,11 +63,6 @@ def _save(page: Any, path: Path) -> None:
     sys.stdout.flush()
 
 
-def main() -> None:
-    """Take all pictures."""
-    for shown in SCREENSHOTS:
-        take(shown)
-
-
 if __name__ == "__main__":
-    main()
+    for stem, share in SCREENSHOTS.items():
+        take(stem, share)

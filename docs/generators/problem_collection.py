@@ -11,7 +11,9 @@ ROOT = Path(__file__).resolve().parents[2]
 
 PROBLEMS = ROOT / "problems"
 
-PICTURES = ROOT / "docs" / "gallery" / "pictures"
+GALLERY = ROOT / "docs" / "gallery"
+
+PICTURES = GALLERY / "pictures"
 """Directory of the pictures that ``make gallery`` draws."""
 
 
@@ -38,6 +40,10 @@ class Section:
     def picture(self, file: Path) -> Path:
         """Return the path of a problem's picture."""
         return PICTURES / self.folder / f"{file.stem}.png"
+
+    def page(self, file: Path) -> Path:
+        """Return the path of a problem's page, relative to ``GALLERY``."""
+        return Path("examples", self.folder, f"{file.stem}.md")
 
 
 SECTIONS = (

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
+import re
+
 from hitchopt.mission.loading import problem_schema
 from hitchopt.values.fields import Schema
 
-FIRST = ("Problem", "SwarmProblem", "TeamsProblem")
-"""Definitions of whole files, which open the page."""
+KEYS = ("title", "team", "teams", "limits", "separation", "arena", "objects", "keep_out", "start")
+"""Keys of a whole file that come first, in this order."""
 
 INTRODUCTION = """# Problem file
 
@@ -20,15 +23,28 @@ HEADINGS = {
     "Problem": "A team with cables",
     "SwarmProblem": "Single drones",
     "TeamsProblem": "Several teams",
+    "ObjectKeys": "Objects",
+    "Step": "Steps",
 }
+"""Headings that are not definitions' names; those of whole files come first."""
 
 
 def write_schema_page() -> str:
     """Return the page: one section and one table of keys for every definition of the schema."""
     definitions = problem_schema()["$defs"]
-    order = [*FIRST, *sorted(definitions.keys() - set(FIRST))]
-    sections = [_section(name, definitions[name]) for name in order]
-    return "\n".join([INTRODUCTION, *sections])
+    sections: dict[str, str] = {}
+
+    def add(name: str, level: str) -> None:
+        """Add the section of a definition, then those of the definitions of its keys."""
+        if name not in sections:
+            sections[name] = _section(name, level, definitions[name])
+            for key in _keys(definitions[name]) or [definitions[name]]:
+                for each in re.findall(r"#/\$defs/(\w+)", json.dumps(key)):
+                    add(each, "##" if name.endswith("Problem") else "###")
+
+    for name in list(HEADINGS)[:3]:
+        add(name, "##")
+    return "\n".join([INTRODUCTION, *sections.values()])
 
 
 def heading(name: str) -> str:
@@ -37,22 +53,26 @@ def heading(name: str) -> str:
     return HEADINGS.get(name, words.strip().capitalize())
 
 
-def _section(name: str, definition: Schema) -> str:
+def _keys(definition: Schema) -> list[tuple[str, Schema]]:
+    """Return a definition's keys with their schemas, the first ones in the order of ``KEYS``."""
+    keys = definition.get("properties", {}).items()
+    return sorted(keys, key=lambda item: KEYS.index(item[0]) if item[0] in KEYS else len(KEYS))
+
+
+def _section(name: str, level: str, definition: Schema) -> str:
     rows = [
         f"| `{key}` | {_cell(in_words(value))} | {_default(key, value, definition)} | "
         f"{_cell(value.get('description', ''))} |"
-        for key, value in definition.get("properties", {}).items()
+        for key, value in _keys(definition)
     ]
-    table = ["| key | value | default | meaning |", "|---|---|---|---|", *rows]
-    lines = [f"(keys-{name.lower()})=", f"## {heading(name)}", ""]
+    words = [f"(keys-{name.lower()})=", f"{level} {heading(name)}", ""]
     if definition.get("description"):
-        lines += [definition["description"], ""]
+        words += [definition["description"], ""]
     if rows:
-        lines += [*table, ""]
-    alternatives = definition.get("oneOf", []) + definition.get("anyOf", [])
-    if alternatives and not rows:
-        lines += [f"One of: {_cell(in_words(definition))}.", ""]
-    return "\n".join(lines)
+        words += ["| key | value | default | meaning |", "|---|---|---|---|", *rows, ""]
+    elif "oneOf" in definition or "anyOf" in definition:
+        words += [f"One of: {_cell(in_words(definition))}.", ""]
+    return "\n".join(words)
 
 
 def in_words(value: Schema) -> str:  # noqa: PLR0911
@@ -72,7 +92,8 @@ def in_words(value: Schema) -> str:  # noqa: PLR0911
         case "array":
             return _list_in_words(value)
         case "object":
-            return "mapping"
+            each = value.get("additionalProperties")
+            return f"mapping of names to {in_words(each)}" if each else "mapping"
         case "number" | "integer":
             return f"{value['type']}{_range(value)}"
         case "string":
