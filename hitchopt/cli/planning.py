@@ -31,6 +31,8 @@ MIN_SEARCH_TIME = 1e-3
 ENDED = "the search for changes ended at the time limit (--limit)"
 
 PACKAGE = Path(ho.__file__).parent
+STUDY = "study"
+KINDS = ("carry", "swarm", STUDY)  # Templates besides that of a hitch which is tied
 # The schema with which editors complete and check problem files beside it, and the line of such
 # files that names it to them
 SCHEMA = "problem.schema.json"
@@ -306,6 +308,12 @@ def example_files() -> list[Path]:
     ),
     option("--list listing", "List the examples."),
     option(
+        "--kind",
+        "Write a problem that carries an object, one of single drones, or a study of many plans.",
+        None,
+        choices=KINDS,
+    ),
+    option(
         "--drone",
         "Write a problem for a model of drones, such as crazyflie_2.1: lengths, distances and "
         "tension fit.",
@@ -320,11 +328,17 @@ def example_files() -> list[Path]:
     required=False,
 )
 def init(
-    name: str | None, example: str | None, drone: str | None, *, listing: bool, schema: bool
+    name: str | None,
+    example: str | None,
+    drone: str | None,
+    kind: str | None,
+    *,
+    listing: bool,
+    schema: bool,
 ) -> None:
     """Write a commented problem file to start from, or an example.
 
-    NAME is problem.yaml by default, or the example's name.
+    NAME is problem.yaml by default, study.yaml of a study, or the example's name.
     """
     if schema:
         from hitchopt.mission.loading import problem_schema
@@ -343,18 +357,23 @@ def init(
     if example is not None and example not in files:
         remedy = closest_word(example, [*files], "hitchopt init --list names them")
         raise InputError("example", example, "an example's name", remedy)
-    if example and drone:
-        raise InputError("drone", drone, "left out with --example", "give one of the two")
-    source = files[example] if example else PACKAGE / "mission" / "template.yaml"
-    text = problem_text(source)
+    chosen = {"example": example, "drone": drone, "kind": kind}
+    first, *others = [key for key, value in chosen.items() if value] or [""]
+    if others:
+        bound = f"left out with --{first}"
+        raise InputError(others[0], chosen[others[0]], bound, "give one of the two")
+    template = f"template_{kind}.yaml" if kind else "template.yaml"
+    source = files[example] if example else PACKAGE / "mission" / template
+    text, study = problem_text(source), kind == STUDY
     if drone:
         from hitchopt.mission.template import for_drone
 
         text = for_drone(text, drone)
-    path = _write_new(name if name is not None else example or "problem", text)
+    usual = example or (STUDY if study else "problem")
+    path = _write_new(usual if name is None else name, text)
     if drone:
         _show_models(ho.load_problem(path).team)
-    say(f"wrote {path}; try: hitchopt solve {path}", file=str(path))
+    say(f"wrote {path}; try: hitchopt {'sweep' if study else 'solve'} {path}", file=str(path))
     flight = source.with_suffix(".csv")
     if flight.is_file():
         flown = _write_new(str(path.with_suffix(".csv")), flight.read_text("utf-8"), (".csv",))
@@ -370,7 +389,12 @@ def problem_text(path: Path) -> str:
     """Return the text of a problem file, its schema named and sections of the template written."""
     from hitchopt.mission.template import filled_in
 
-    return MODELINE + filled_in(path.read_text(encoding="utf-8"))
+    text = path.read_text(encoding="utf-8")
+    if path.stem != f"template_{STUDY}":
+        return MODELINE + filled_in(text)
+    from hitchopt.sweeps.study import SimulateKeys
+
+    return filled_in(text, simulate=(SimulateKeys, "#  ", ()))
 
 
 def _write_new(name: str, text: str, suffixes: tuple[str, ...] = SUFFIXES) -> Path:

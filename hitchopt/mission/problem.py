@@ -396,8 +396,11 @@ class SwarmTeam:
 
 SWARM_TEAM = mapping_of(SwarmTeam, SwarmTeam.team)
 SWARM_PLACES = points((None, 3), "x, y, z", 1, MAX_DRONES)
-_LIMITS = mapping_of(Limits, without=("vertex_speed", "leg"))
-_SEPARATION = mapping_of(Separation, without=("cable", "crossing", "object"))
+HITCH_LIMITS, HITCH_SEPARATION = ("vertex_speed", "leg"), ("cable", "crossing", "object")
+"""Keys of limits and distances that single drones do not have."""
+
+_LIMITS = mapping_of(Limits, without=HITCH_LIMITS)
+_SEPARATION = mapping_of(Separation, without=HITCH_SEPARATION)
 
 
 @documented

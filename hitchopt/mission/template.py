@@ -1,20 +1,31 @@
-"""The problem file that ``hitchopt init`` writes: its sections list the keys of records."""
+"""The files that ``hitchopt init`` writes: their sections list the keys of records."""
 
 from __future__ import annotations
 
 import re
 import textwrap
+from collections.abc import Sequence
 
 import numpy as np
 
 from hitchopt.hitch import Quadrotor, Team
 from hitchopt.hitch.requirements import Limits, Separation
 from hitchopt.hitch.team import MODELS
+from hitchopt.mission.objects import SECTION_KEYS, ObjectKeys
+from hitchopt.mission.problem import HITCH_LIMITS, HITCH_SEPARATION, SwarmTeam
 from hitchopt.storage.yaml_file import flow, parse_yaml, split_key, value_at, with_value
 from hitchopt.values.fields import EMPTY, keys_of
 
-SECTIONS = {"team": (Team, "  #"), "limits": (Limits, "#  "), "separation": (Separation, "#  ")}
-"""Records by the names of sections, and what begins their lines."""
+SECTIONS: dict[str, tuple[type, str, Sequence[str]]] = {
+    "team": (Team, "  #", ()),
+    "limits": (Limits, "#  ", ()),
+    "separation": (Separation, "#  ", ()),
+    "object": (ObjectKeys, "    #", (*SECTION_KEYS, "rim")),
+    "swarm_team": (SwarmTeam, "  #", ()),
+    "swarm_limits": (Limits, "#  ", HITCH_LIMITS),
+    "swarm_separation": (Separation, "#  ", HITCH_SEPARATION),
+}
+"""Records by the names of sections, what begins their lines, and fields that are left out."""
 
 COLUMN, WIDTH = 26, 96
 """Column of comments, and most characters of a line."""
@@ -43,18 +54,22 @@ def for_drone(text: str, name: str) -> str:
     return text
 
 
-def filled_in(text: str) -> str:
-    """Return a template with lines such as ``# (limits)`` replaced by all keys and defaults."""
-    return re.sub(r" *# \((\w+)\)\n", lambda match: _lines(*SECTIONS[match[1]]), text)
+def filled_in(text: str, **more: tuple[type, str, Sequence[str]]) -> str:
+    """Return a template with lines such as ``# (limits)`` replaced by all keys and defaults.
+
+    ``more`` are sections of records that only callers know.
+    """
+    sections = SECTIONS | more
+    return re.sub(r" *# \((\w+)\)\n", lambda match: _lines(*sections[match[1]]), text)
 
 
-def _lines(record: type, begin: str) -> str:
+def _lines(record: type, begin: str, without: Sequence[str] = ()) -> str:
     """Return a comment line, or several, for every key of a record that has a default."""
     lines = list[str]()
-    for key in keys_of(record).values():
-        if key.default is EMPTY:
+    for name, key in keys_of(record).items():
+        if key.default is EMPTY or name in without:
             continue
-        nested = record is Team and key.name == "quadrotor"
+        nested = key.name == "quadrotor"
         value = "" if nested else f" {flow(key.to_file(key.default))}"
         words = key.described(key.file_kind)
         head = f"{begin} {key.name}:{value}".ljust(COLUMN)

@@ -32,6 +32,8 @@ from hitchopt.exports.options import HOMES
 from hitchopt.hitch.team import MODELS
 from hitchopt.mission.loading import problem_schema
 from hitchopt.storage import interrupts
+from hitchopt.storage.yaml_file import parse_yaml
+from hitchopt.sweeps.study import study_from_dict
 
 pytestmark = pytest.mark.usefixtures("place")
 
@@ -246,6 +248,19 @@ def test_init_writes_a_problem_that_loads_and_never_overwrites(place: Path) -> N
     for name, file in (("a", "a.yaml"), ("b.yml", "b.yml"), ("c.d", "c.d.yaml"), ("ü", "ü.yaml")):
         run("init", name, code=0)
         assert (place / file).exists()
+    (place / "problem.yaml").unlink()
+    for words, said in (
+        ("carry", "solve problem"),
+        ("swarm s", "solve s"),
+        ("study", "sweep study"),
+    ):
+        done = run("init", "--kind", *words.split(), code=0)
+        assert f"hitchopt {said}.yaml\n" in done.stdout
+    assert [*ho.load_problem("problem.yaml").objects] == ["table", "shelf", "box"]
+    assert ho.load_swarm("s.yaml").team.drones == 6
+    study: Any = parse_yaml(Path("study.yaml").read_text("utf-8"))
+    assert len(list(study_from_dict(study).cases())) == 9
+    assert "error: --kind" in refused("init", "--kind", "swarm", "--example", "triangle")
     (place / "mine.yaml").write_text("precious")
     assert "error: mine.yaml: exists already; give another name" in refused("init", "mine")
     assert (place / "mine.yaml").read_text() == "precious"

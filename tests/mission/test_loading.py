@@ -8,7 +8,7 @@ import re
 import subprocess
 import sys
 import tracemalloc
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,12 @@ from ruamel.yaml import YAML
 import hitchopt as ho
 from hitchopt.cli.planning import problem_text
 from hitchopt.errors import MAX_LISTED, FileError, HitchoptError, InputError, JointInputError
-from hitchopt.mission.loading import problem_from_dict, problem_schema, read_problem
+from hitchopt.mission.loading import (
+    any_problem_from_dict,
+    problem_from_dict,
+    problem_schema,
+    read_problem,
+)
 from hitchopt.storage.yaml_file import parse_yaml, read_yaml, split_key
 from hitchopt.values.fields import keys_of
 
@@ -50,6 +55,8 @@ def plain(value: Any) -> Any:
         return value.tolist()
     if is_dataclass(value):
         return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, Mapping):
+        return {key: plain(part) for key, part in value.items()}
     return [plain(part) for part in value] if isinstance(value, list | tuple) else value
 
 
@@ -347,19 +354,27 @@ def test_models_of_drones_are_named_in_files() -> None:
         np.testing.assert_allclose(getattr(named, name), getattr(drawn, name), rtol=0.01)
 
 
-def test_the_template_shows_every_key_with_its_default() -> None:
-    """Uncommented, its sections are read, and change nothing."""
-    text = problem_text(TEMPLATE)
+@pytest.mark.parametrize(
+    ("kind", "team"), [("", "Team"), ("_carry", "Team"), ("_swarm", "SwarmTeam")]
+)
+def test_templates_show_every_key_with_its_default(kind: str, team: str) -> None:
+    """Uncommented, their sections are read, and change nothing."""
+    text = problem_text(TEMPLATE.with_stem(f"template{kind}"))
     shown = re.sub(
-        r"^(  )?# ?(?=( *)\w+:(  |$))|^(  )?# ?(?=( *)\w+: \S+ +# )", r"\1\4", text, flags=re.M
+        r"^( *)# ?(?=( *)\w+:(  |$))|^( *)# ?(?=( *)\w+: \S+ +# )", r"\1\4", text, flags=re.M
     )
     data: Any = parse_yaml(shown)
     plain_data: Any = parse_yaml(text)
-    for record, section in ((ho.Limits, "limits"), (ho.Separation, "separation")):
-        assert list(data[section]) == [key.name for key in keys_of(record).values()]
-    assert list(data["team"]) == [key.name for key in keys_of(ho.Team).values()]
+    schema, swarm = problem_schema()["$defs"], "Swarm" if kind == "_swarm" else ""
+    for key, name in (("limits", "Limits"), ("separation", "Separation")):
+        assert list(data[key]) == list(schema[f"{swarm}{name}"]["properties"])
+    assert set(data["team"]) == set(schema[team]["properties"])
     assert list(data["team"]["quadrotor"]) == [x.name for x in keys_of(ho.Quadrotor).values()]
-    assert plain(problem_from_dict(data)) == plain(problem_from_dict(plain_data))
+    if kind == "_carry":
+        ways = {"circle", "file"}  # of giving a section besides an outline
+        assert set(data["objects"]["box"]) | ways == set(schema["ObjectKeys"]["properties"])
+    read, unchanged = (any_problem_from_dict(each) for each in (data, plain_data))
+    assert plain(read) == plain(unchanged)
 
 
 def test_files_are_read_without_solvers() -> None:
