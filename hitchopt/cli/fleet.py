@@ -125,7 +125,11 @@ def export(directory: Path | None, output: Path | None, yaw_deg: float, **option
         )
         for note in part.notes:
             say(f"note: {note}")
-        say(f"certified as exported; {len(part.files)} files in {part.folder}")
+        one = len(part.files) == 1
+        written = (
+            part.folder / part.files[0] if one else f"{len(part.files)} files in {part.folder}"
+        )
+        say(f"certified as exported; {written}")
     record(parts=entries)
 
 

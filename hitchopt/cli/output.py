@@ -114,7 +114,7 @@ def echo(text: str, *, err: bool = False) -> None:
 def table(title: str, rows: Iterable[Mapping[str, object]]) -> str:
     """Return a table as lines of text that fit the terminal.
 
-    Rows are cells by their columns' heads, plain data: a bool is a verdict, None and nan are
+    Rows are cells by their columns' heads, plain data: a bool is a verdict, None, nan and inf are
     dashes, numbers have four significant digits. Where the table is too wide its widest column of
     words wraps at words; numbers and names never do.
     """
@@ -153,7 +153,7 @@ def _cell(value: object) -> str:
         return "yes" if value else "NO"
     if isinstance(value, list | tuple):
         return ", ".join(map(_cell, value)) or "none"
-    if isinstance(value, float) and not math.isnan(value):
+    if isinstance(value, float) and not not math.isfinite(value):
         return f"{value:.4g}"
     return str(value) if isinstance(value, str | int) else "–"
 

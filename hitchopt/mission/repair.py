@@ -188,13 +188,17 @@ def _found(
         alone.append(Suggestion(change, plan.motion.duration))
         return alone[-1]
 
-    def partly(change: Change | None) -> Verdict | None:
-        """Return the verdict, that of a change that repairs some faults as if it repaired all."""
+    def partly(covered: frozenset[str], change: Change | None) -> Verdict | None:
+        """Return the verdict, that of a change that repairs the covered faults as if it did all.
+
+        If it does not, only what it breaks besides counts against larger changes.
+        """
         verdict = verdict_on(change)
         if change is None or isinstance(verdict, Suggestion | None) or change not in refusals:
             return verdict
-        left = _faults(refusals[change])
-        return verdict if faults <= left else Suggestion(change, math.nan)
+        left = faults & _faults(refusals[change])
+        left = {fault for fault in left if fault[0] in covered}
+        return verdict - broken if left else Suggestion(change, math.nan)
 
     broken, faults = broken_constraints(error), _faults(error)
     every = [*_knobs(problem, error.violations)]
@@ -211,13 +215,18 @@ def _found(
     if not suggestions and most > 1:
         smallest = sorted(others, key=lambda change: abs(change.relative))[:1]
         firsts = [Suggestion(change, math.nan) for change in smallest]
-        some = [knob for knob in every if broken & knob.covers]
-        for first in firsts or _smallest(problem, some, partly, 1):
-            if (left := refusals.get(first.change)) is None:
-                suggestions.append(first)
-                continue
-            rest = _found(first.change.problem, left, end, progress, most - 1)
-            suggestions += [replace(x, change=x.change.after(first.change)) for x in rest]
+        parts = {broken & knob.covers for knob in every} - {frozenset()}
+        for covered in sorted(parts, key=lambda part: (-len(part), sorted(part))):
+            if not firsts and not suggestions:  # changes that repair most are tried first
+                some = [knob for knob in every if broken & knob.covers == covered]
+                firsts = _smallest(problem, some, partial(partly, covered), 1)
+            for first in firsts:
+                if (left := refusals.get(first.change)) is None:
+                    suggestions.append(first)
+                    continue
+                rest = _found(first.change.problem, left, end, progress, most - 1)
+                suggestions += [replace(x, change=x.change.after(first.change)) for x in rest]
+            firsts = []
     return tuple(sorted(suggestions, key=lambda s: abs(s.change.relative))[:MAX_SUGGESTIONS])
 
 

@@ -18,6 +18,7 @@ from hitchopt.values.fields import EMPTY, keys_of
 
 SECTIONS: dict[str, tuple[type, str, Sequence[str]]] = {
     "team": (Team, "  #", ()),
+    "carrying_team": (Team, "  #", ("tension",)),
     "limits": (Limits, "#  ", ()),
     "separation": (Separation, "#  ", ()),
     "object": (ObjectKeys, "    #", (*SECTION_KEYS, "rim")),
