@@ -153,7 +153,7 @@ def _cell(value: object) -> str:
         return "yes" if value else "NO"
     if isinstance(value, list | tuple):
         return ", ".join(map(_cell, value)) or "none"
-    if isinstance(value, float) and not not math.isfinite(value):
+    if isinstance(value, float) and math.isfinite(value):
         return f"{value:.4g}"
     return str(value) if isinstance(value, str | int) else "–"
 
