@@ -139,7 +139,11 @@ def main() -> None:
     for case in given.cases or CABLES:
         mass = 0.8 * largest_mass(case) if given.loads else float(setting(case)[4]["mass"])
         problem = load(case, mass) if given.loads else mission(case)
-        plan = ho.solve(ho.problem_from_dict(problem))
+        try:
+            plan = ho.solve(ho.problem_from_dict(problem))
+        except ho.InfeasibleError as error:
+            table.row(case, 1e3 * mass, 0, f"refused: {error.violations[0].constraint}", "", "", "")
+            continue
         settings = {"pull_test": False, **(exact if given.loads else {})}
         runs = fly(plan, given.runs, given.seed, given.preset, given.processes, **settings)
         errors = (
