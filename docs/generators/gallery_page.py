@@ -187,7 +187,8 @@ def _refused(file: Path) -> str:
     try:
         ho.read_problem(file)
     except (ho.InputError, ho.FileError) as error:
-        message = " ".join(str(error).split()).replace(str(file), file.name)
+        message = " ".join(str(error).replace(str(file), file.name).split())
+        message = message.replace(f"{PROBLEMS}/", "")
     else:
         raise AssertionError(f"{name} is read without an error")
     # The beginning of the message as code, as a cell can hold it.
