@@ -1442,12 +1442,14 @@ def crossed(
                 ends = heights(p, pieces[0], 0.0), heights(p, pieces[-1], 1.0)
                 there, away = ends if ups else ends[::-1]
                 over = np.sign(np.nan_to_num(away))
-                wrong(q, ~(np.abs(away) >= p.crossing[1]), "cables are not over each other")
+                apart = np.isnan(away) & (not (ups or downs))  # do not cross, and rest
+                bad = ~apart & ~(np.abs(away) >= p.crossing[1])
+                wrong(q, bad, "cables are not over each other")
                 wrong(q, ups and downs, "cables lie on each other at both ends of a lift")
                 x = p.points.c[0][pieces[0 if ups else -1], :, 2, 0 if ups else -1]
                 rise = (x[2 * p.clasps] - x[2 * p.behind]) * over
                 floor = rise if ups or downs else rise - over * there + p.crossing[1]
-                sign[pieces], end[pieces] = over, floor
+                sign[pieces], end[pieces] = over, np.where(apart, -BIG, floor)
                 wrong(q, (ups or downs) and ~(np.abs(there) <= SAGS), "cables do not lie")
                 wrong(q, ups and over != lies, "a cable is lifted through another one")
                 lies = over if downs else 0.0 * over

@@ -405,13 +405,14 @@ class Ties:
             there, away = gaps[:, 0, 0], gaps[:, -1, -1]
             there, away = (there, away) if rises else (away, there)
             over = np.sign(np.nan_to_num(away)).astype(np.intp)
-            wrong |= ~(np.abs(away) >= least)
+            compared = ~np.isnan(away) | (rises or comes)  # at rest apart nothing crosses
+            wrong |= compared & ~(np.abs(away) >= least)
             floor = np.full(len(away), least)
             if rises or comes:
                 wrong |= (rises and comes) | ~(np.abs(there) <= LAID)
                 wrong |= rises & (over != self.lying)
                 floor, signs = over * there - JUMP, signs if rises else over
-            wrong |= ~(np.min(over[:, None, None] * gaps, axis=(1, 2)) >= floor)
+            wrong |= compared & ~(np.min(over[:, None, None] * gaps, axis=(1, 2)) >= floor)
         self.numbers[:], self.lying[:] = 0, signs
         return wrong
 

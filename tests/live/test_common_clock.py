@@ -119,10 +119,31 @@ def test_what_knows_one_ring_is_refused_by_name() -> None:
             refused()
 
 
-@pytest.mark.parametrize("time", [20.0, 27.0, 43.0])
+@pytest.mark.parametrize("time", [20.0, 30.0, 41.0])
 def test_a_plan_stopped_while_a_robot_joins_keeps_its_rings(time: float) -> None:
     motion = planned("join_a_fourth").motion
     stopped = until_stop(motion, time, stop=True)
     ring = next(phase.ring for phase in motion.phases if phase.end > stopped.rest)
     assert stopped.motion.phases[-1].ring == ring
     assert certify(stopped.motion, reports=()).certified
+
+
+@pytest.mark.parametrize(
+    ("time", "how", "last"),
+    [(31.0, "hold", "roll"), (28.0, "land", "land"), (31.0, "back", "draw taut")],
+)
+def test_aborts_as_a_robot_joins_end_safely(time: float, how: str, last: str) -> None:
+    """Stopped amid a roll; landed as a ring of four, and as three and one that has not joined."""
+    motion = planned("join_a_fourth").motion
+    abort = Aborts(motion).plan(time, how)
+    assert abort.certificate.certified
+    assert abort.motion.phases[-1].name == last
+
+
+def test_a_laid_hitch_flies_back_to_where_its_cables_hang() -> None:
+    motion = planned("lay_triangle").motion
+    abort = Aborts(motion).plan(motion.duration - 1.0, "back")
+    assert abort.certificate.certified
+    free = next(p for p in motion.phases if p.name == "draw taut")
+    back = abort.motion.drones.coefficients[-1, ..., -1]
+    np.testing.assert_allclose(motion.drones.at(free.end), back, atol=1e-6)

@@ -1,0 +1,119 @@
+"""Robots join a hitch in flight, leave it and are replaced: rings, outlines, senses, refusals."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from plans import planned
+
+import hitchopt as ho
+from hitchopt.motion.chapters import chapters
+from hitchopt.motion.motion import CableState
+from hitchopt.planners.forming.joining import corner_cut, corner_restored
+from hitchopt.planners.timing.ramps import BRIEF, fastest_clock, fastest_ramps
+
+Q = np.array([[-0.8, 1.8, 0], [-0.8, 0.6, 0], [-0.8, -0.6, 0], [-0.8, -1.8, 0], [-2.8, -1.0, 0]])
+R = Q + [1.6, 0.0, 0.0]
+R[4] = [-2.8, 0.6, 0.0]
+SQUARE = [[-0.6, 0.6], [0.6, 0.6], [0.6, -0.6], [-0.6, -0.6]]
+TRIANGLE = [[0.0, 0.808], [0.7, -0.404], [-0.7, -0.404]]
+
+
+def mission(**form: Any) -> ho.Mission:
+    team = ho.Team(robots=5, cable_length=2.1, cable_density=0.01, tension=0.7)
+    start = {"polygon": SQUARE, "altitude": 1.9, "by": "laying", "robots": [0, 1, 2, 3]} | form
+    return ho.Mission(team, start=ho.mission.problem.DronesStart(Q, R)).form(**start)
+
+
+@given(
+    n=st.integers(3, 8),
+    seed=st.integers(0, 2**31),
+    vertex=st.integers(0, 7),
+    share=st.floats(0.05, 0.9),
+)
+@settings(deadline=None, max_examples=40)
+def test_a_corner_that_is_cut_off_is_restored(n: int, seed: int, vertex: int, share: float) -> None:
+    rng = np.random.default_rng(seed)
+    angles = 2.0 * np.pi * (np.arange(n) + rng.uniform(-0.3, 0.3, n)) / n
+    middle = rng.uniform(-3.0, 3.0, 2)
+    outline = ho.ConvexPolygon(middle + np.column_stack([np.cos(-angles), np.sin(-angles)]))
+    vertex %= n
+    lengths = outline.edge_lengths[[vertex - 1, vertex]]
+    cut = corner_cut(outline, vertex, share * float(np.min(lengths)))
+    new = cut.vertices[[vertex, vertex + 1]]
+    corner = outline.vertices[vertex]
+    off = np.linalg.norm(new - corner, axis=1)
+    np.testing.assert_allclose(off, share * np.min(lengths), rtol=1e-12)
+    back, grown = corner_restored(cut, vertex, 0)
+    np.testing.assert_allclose(back.vertices, outline.vertices, atol=1e-9)
+    np.testing.assert_allclose(grown, off, rtol=1e-7)
+
+
+def test_a_robot_joins_between_two_others_and_leaves_upward() -> None:
+    plan = planned("join_a_fourth")
+    rings = [chapter.groups[0].motion for chapter in chapters(plan.motion)]
+    assert [ring.team.labels for ring in rings] == [(0, 1, 2), (3, 0, 1, 2), (0, 1, 2)]
+    cut = corner_cut(ho.ConvexPolygon(TRIANGLE), 0, 0.5).vertices
+    np.testing.assert_allclose(rings[1].vertices.coefficients[-1, :, :2, -1], cut, atol=1e-9)
+    np.testing.assert_allclose(rings[2].vertices.coefficients[-1, :, :2, -1], TRIANGLE, atol=1e-9)
+    robot = plan.motion.drones.coefficients[-1, 6:8, :, -1]
+    assert np.all(robot[:, 2] > np.max(plan.motion.drones.coefficients[-1, :6, 2, -1]) + 0.7)
+    assert {each.state for each in plan.phases} >= {CableState.LYING, CableState.ROLLING}
+    tied = [ring.formed[-1] and not ring.formed[0] for ring in rings]
+    assert tied == [True, False, False]  # from the first ring on the hitch is never untied
+
+
+def test_a_robot_is_replaced_and_the_outline_is_as_before() -> None:
+    """The one that leaves is on top of both neighbours: the other one comes from below."""
+    motion = planned("replace_in_flight").motion
+    first, *_, last = (chapter.groups[0].motion for chapter in chapters(motion))
+    assert (first.team.labels, last.team.labels) == ((0, 1, 2, 3), (0, 4, 2, 3))
+    np.testing.assert_allclose(last.vertices.coefficients[-1, :, :2, -1], SQUARE, atol=1e-9)
+    down = next(i for i, p in enumerate(motion.phases) if p.name == "lower")
+    pieces = motion.phase_of_piece == down
+    heights = motion.drones.coefficients[pieces][:, 8:, 2]
+    assert np.all(heights[-1, :, -1] > heights[0, :, 0])
+
+
+def test_what_cannot_be_is_refused_by_its_key() -> None:
+    square = mission()
+    for words, change in (
+        ("robot = 1: must be one that waits: 4", lambda: square.join(1, 0, 0.3)),
+        ("vertex = 4: must be 0 to 3", lambda: square.join(4, 4, 0.3)),
+        ("cut = 1.3: must be less than 1.2 m", lambda: square.join(4, 0, 1.3)),
+        ("robot = 4: must be one of the ring: 0, 1, 2, 3", lambda: square.withdraw(4)),
+        ("whose edge the lines of its neighbours meet", lambda: square.withdraw(0)),
+        ("by = 2: must be one that waits: 4", lambda: square.replace(1, 2)),
+        ("robots = .*each once", lambda: mission(robots=[0, 1, 1, 3])),
+        ("order = .*each of the robots 0, 1, 2, 3 once", lambda: mission(order=[0, 1, 2, 4])),
+        (
+            "robot = 0: must be of a ring of at least 4",
+            lambda: mission(robots=[0, 2, 4], polygon=TRIANGLE).withdraw(0),
+        ),
+    ):
+        with pytest.raises(ho.InputError, match=words):
+            change()
+
+
+def test_a_cable_over_one_neighbour_and_under_the_other_does_not_leave() -> None:
+    """As of every hitch that is taken to be tied by turns of equal sense."""
+    team = ho.Team(robots=4, cable_length=2.3, cable_density=0.01, tension=0.7)
+    outline = [[-0.3, 0.6], [0.3, 0.6], [0.8, -0.6], [-0.8, -0.6]]
+    start = ho.mission.problem.HitchStart(outline, 1.5)
+    with pytest.raises(ho.InfeasibleError, match="can neither be lifted nor let down"):
+        ho.Mission(team, start=start).withdraw(0).solve()
+
+
+def test_no_phase_of_a_clock_is_too_brief_for_its_derivatives() -> None:
+    """A flight that all but reaches its acceleration cruises there for microseconds."""
+    v, a, j = 1.0, 2.0, 20.0
+    least = 2.0 * a**3 / j**2  # reaches the acceleration, without a time of it
+    for beyond in (1e-9, 1e-6, 1e-5, 1e-4):
+        clock = fastest_clock(least + beyond, v, a, j)
+        assert np.min(np.diff(clock.breaks)) >= BRIEF
+        (fastest,), _ = fastest_ramps(np.array([least + beyond]), v, a, j)
+        assert fastest * (1.0 - 1e-9) <= clock.duration <= 1.03 * fastest
