@@ -1443,8 +1443,9 @@ def crossed(
                 there, away = ends if ups else ends[::-1]
                 over = np.sign(np.nan_to_num(away))
                 apart = np.isnan(away) & (not (ups or downs))  # do not cross, and rest
-                bad = ~apart & ~(np.abs(away) >= p.crossing[1])
-                wrong(q, bad, "cables are not over each other")
+                wrong(
+                    q, ~(apart | (np.abs(away) >= p.crossing[1])), "cables are not over each other"
+                )
                 wrong(q, ups and downs, "cables lie on each other at both ends of a lift")
                 x = p.points.c[0][pieces[0 if ups else -1], :, 2, 0 if ups else -1]
                 rise = (x[2 * p.clasps] - x[2 * p.behind]) * over

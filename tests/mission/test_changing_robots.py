@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 from plans import planned
 
 import hitchopt as ho
+from hitchopt.mission.problem import DronesStart, HitchStart
 from hitchopt.motion.chapters import chapters
 from hitchopt.motion.motion import CableState
 from hitchopt.planners.forming.joining import corner_cut, corner_restored
@@ -25,8 +27,13 @@ TRIANGLE = [[0.0, 0.808], [0.7, -0.404], [-0.7, -0.404]]
 
 def mission(**form: Any) -> ho.Mission:
     team = ho.Team(robots=5, cable_length=2.1, cable_density=0.01, tension=0.7)
-    start = {"polygon": SQUARE, "altitude": 1.9, "by": "laying", "robots": [0, 1, 2, 3]} | form
-    return ho.Mission(team, start=ho.mission.problem.DronesStart(Q, R)).form(**start)
+    start: dict[str, Any] = {
+        "polygon": SQUARE,
+        "altitude": 1.9,
+        "by": "laying",
+        "robots": [0, 1, 2, 3],
+    } | form
+    return ho.Mission(team, start=DronesStart(Q, R)).form(**start)
 
 
 @given(
@@ -81,7 +88,7 @@ def test_a_robot_is_replaced_and_the_outline_is_as_before() -> None:
 
 def test_what_cannot_be_is_refused_by_its_key() -> None:
     square = mission()
-    for words, change in (
+    cases: list[tuple[str, Callable[[], Any]]] = [
         ("robot = 1: must be one that waits: 4", lambda: square.join(1, 0, 0.3)),
         ("vertex = 4: must be 0 to 3", lambda: square.join(4, 4, 0.3)),
         ("cut = 1.3: must be less than 1.2 m", lambda: square.join(4, 0, 1.3)),
@@ -94,7 +101,8 @@ def test_what_cannot_be_is_refused_by_its_key() -> None:
             "robot = 0: must be of a ring of at least 4",
             lambda: mission(robots=[0, 2, 4], polygon=TRIANGLE).withdraw(0),
         ),
-    ):
+    ]
+    for words, change in cases:
         with pytest.raises(ho.InputError, match=words):
             change()
 
@@ -103,7 +111,7 @@ def test_a_cable_over_one_neighbour_and_under_the_other_does_not_leave() -> None
     """As of every hitch that is taken to be tied by turns of equal sense."""
     team = ho.Team(robots=4, cable_length=2.3, cable_density=0.01, tension=0.7)
     outline = [[-0.3, 0.6], [0.3, 0.6], [0.8, -0.6], [-0.8, -0.6]]
-    start = ho.mission.problem.HitchStart(outline, 1.5)
+    start = HitchStart(ho.ConvexPolygon(outline), 1.5)
     with pytest.raises(ho.InfeasibleError, match="can neither be lifted nor let down"):
         ho.Mission(team, start=start).withdraw(0).solve()
 
