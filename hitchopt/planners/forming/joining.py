@@ -10,22 +10,24 @@ newcomer is on top, else down. Leaving is the same backward.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from itertools import chain, product
+from itertools import product
 from typing import Any
 
 import numpy as np
 
+from hitchopt.checks.clasps import ROLLED
 from hitchopt.errors import InfeasibleError, InputError, Violation, check_time
-from hitchopt.geometry import ConvexPolygon
+from hitchopt.geometry import ConvexPolygon, Outline
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.forces import sag_factors
+from hitchopt.hitch.hitch import cable_slack
 from hitchopt.hitch.requirements import Arena, Requirements
-from hitchopt.hitch.slack_split import SPREAD_MARGIN, LegTask, reference_margin
+from hitchopt.hitch.slack_split import SPREAD_MARGIN, LegTask, reference_margin, reference_margins
 from hitchopt.hitch.team import PartTeam
 from hitchopt.motion.chapters import Waiting, with_waiting
 from hitchopt.motion.motion import CableState, Motion, Phase
@@ -170,19 +172,22 @@ class Joining:
         middle[first] = self.after.roll[first]
         return RollPath(self.after, start, middle), RollPath(self.after, middle, self.after.roll)
 
-    def margin(self, requirements: Requirements) -> float:
+    def margin(self, requirements: Requirements, above: float = -np.inf) -> float:
         """Return by what factor all distances and legs are kept at some rolls of all, at least.
 
-        At first the legs that lie across each other at the corner touch.
+        At first the legs that lie across each other at the corner touch. What is known not to be
+        ``above`` is not looked at further: some bound of it is returned.
         """
-        separation, least = replace(requirements.separation, crossing=0.0), np.inf
+        separation, least = replace(requirements.separation, crossing=0.0), self.level
         touching, (first, second) = replace(requirements, separation=separation), self.rolls
         for path, start, end, needed in (
             (self.opened, 0.0, 1.0, requirements),
-            (first, 0.0, APART_AT, touching),
-            (first, APART_AT, 1.0, requirements),
             (second, 0.0, 1.0, requirements),
+            (first, APART_AT, 1.0, requirements),
+            (first, 0.0, APART_AT, touching),
         ):
+            if least <= above:
+                return least
             shapes = shapes_along(path, np.linspace(start, end, PROBES))
             least = min(least, float(np.min(shapes.legs)) / requirements.limits.leg)
             if least >= 1.0:
@@ -193,6 +198,24 @@ class Joining:
             laid = self.with_robot(self.opened.drones(np.ones(1))[0])
             least = min(least, smallest_separation(laid[None], requirements.separation))
         return least
+
+    @property
+    def level(self) -> float:
+        """How little its legs lean as its cable lies on both others: limits over that, at least.
+
+        Cut edges sag, so that it lies lower than the vertices that it will have; the shorter its
+        legs are, the more they lean. Both pairs count as open only near 180°, and its drones' pull
+        may change by its cable's weight there.
+        """
+        team, ends = self.after.team, self.ends
+        points = self.after.vertices[ends]
+        lean = np.abs(self.laid - points)[:, 2] / np.linalg.norm(self.laid - points, axis=1)
+        u = self.after.polygon.edge_directions
+        half = np.sqrt(0.5 + 0.5 * np.sum(u[ends] * u[np.array(ends) - 1], axis=1))
+        k = self.vertex
+        weight = GRAVITY * team.cable_density * team.cable_length[k] / team.tension[k]
+        limits = np.minimum(2.0 * half * np.radians(180.0 - ROLLED), weight)
+        return float(np.min(limits / np.maximum(lean, 1e-9))) if weight else np.inf
 
     def with_robot(self, opened: Array) -> Array:
         """Return the drones (2n, 3) [m] as the robot's cable lies on both others."""
@@ -284,47 +307,66 @@ def joining(
     neighbours = [(k - 1) % before.team.robots, k]
     fractions, whole = before.fractions[neighbours], before.slack[neighbours]
 
-    def tried(share: float, split: Array) -> Joining:
+    splits = _splits(before.fractions[neighbours], [(share,) for share in SHARES])
+    kept = splits[:, 1:] == fractions
+    own = np.where(kept, before.q_legs[neighbours], splits[:, 1:] * whole)
+    starts = np.tile(before.q_legs, (len(splits), 1))
+    starts[:, neighbours] = own
+    ends = np.insert(starts, k, splits[:, 0] * slack[k], axis=1)
+    ends[:, (k + 1) % n] += cut[1]
+    roll = np.insert(before.roll, k, 0.0)
+
+    def tried(i: int) -> Joining:
         """Return the joining with a split of the robot's legs and of its neighbours'."""
-        q_legs = before.q_legs.copy()
-        q_legs[neighbours] = np.where(split == fractions, q_legs[neighbours], split * whole)
-        start = Hitch(before.team, before.polygon, before.altitude, q_legs, before.roll)
-        q_legs = np.insert(q_legs, k, share * slack[k])
-        q_legs[(k + 1) % n] += cut[1]
-        roll = np.insert(before.roll, k, 0.0)
-        after = Hitch(team, outline, before.altitude, q_legs, roll)
+        start = Hitch(before.team, before.polygon, before.altitude, starts[i], before.roll)
+        after = Hitch(team, outline, before.altitude, ends[i], roll)
         return Joining(start, after, vertex, senses, side)
 
-    as_they_are = ((share, fractions) for share in SHARES)
-    return _widest(tried, chain(as_they_are, _splits(fractions)), requirements)
+    return _widest(tried, _rest_margins(team, outline, ends, roll, requirements), requirements)
 
 
-def _splits(fractions: Array) -> Iterator[tuple[float, Array]]:
-    """Yield splits of a robot's legs and of its neighbours', the nearest to these (2,) first."""
+def _splits(fractions: Array, first: Sequence[tuple[float, ...]]) -> Array:
+    """Return splits (J, 3) of a robot's legs and of its neighbours', the nearest to these first.
+
+    ``fractions`` (2,) are the neighbours'; with these as they are ``first`` has the robot's.
+    """
     grid = np.array(list(product(SPLITS, SPLITS)))
-    nearest = np.argsort(np.sum((grid - fractions) ** 2, axis=1), kind="stable")
-    yield from ((share, split) for split in grid[nearest] for share in SPLITS)
+    nearest = grid[np.argsort(np.sum((grid - fractions) ** 2, axis=1), kind="stable")]
+    as_they_are = [(*share, *fractions) for share in first]
+    return np.array([*as_they_are, *((share, *split) for split in nearest for share in SPLITS)])
 
 
-def _widest(
-    tried: Callable[[float, Array], Joining | None],
-    splits: Iterable[tuple[float, Array]],
-    requirements: Requirements,
-) -> Joining:
-    """Return the first joining that keeps distances with a margin, else that with the largest."""
+def _rest_margins(
+    team: Team, outline: Outline, q_legs: Array, roll: Array, requirements: Requirements
+) -> Array:
+    """Return by what factor distances and legs are kept at rest (J,), for q-legs (J, n) [m]."""
+    leg, slack = requirements.limits.leg, cable_slack(team, outline)
+    polygons = np.broadcast_to(outline.vertices, (len(q_legs), *outline.vertices.shape))
+    rolls = np.broadcast_to(roll, q_legs.shape)
+    task = LegTask(team, requirements, polygons, q_legs, leg, SPREAD_MARGIN, roll=rolls)
+    shortest = np.min(np.minimum(q_legs, slack - q_legs), axis=1)
+    margins: Array = np.minimum(reference_margins(task), shortest / leg)
+    return margins
+
+
+def _widest(tried: Callable[[int], Joining], at_rest: Array, requirements: Requirements) -> Joining:
+    """Return the first joining that keeps distances with a margin, else that with the largest.
+
+    Of those that keep them ``at_rest`` (J,), if there are any.
+    """
     best, apart = None, -np.inf
-    for share, split in splits:
+    chosen = np.flatnonzero(at_rest >= min(1.0, np.max(at_rest)))
+    for i in chosen.tolist():
         check_time()
-        each = tried(share, split)
-        here = -np.inf if each is None else each.margin(requirements)
+        if at_rest[i] <= apart:
+            continue
+        each = tried(i)
+        here = each.margin(requirements, apart)
         if here > apart:
             best, apart = each, here
         if apart >= ENOUGH:
             break
-    if best is None:
-        remedy = "cut off less, or give longer cables"
-        when = "where the lines of its neighbours meet"
-        raise InfeasibleError([Violation("legs", 0.0, 0.0, "min", "m", (), when, remedy)])
+    assert best is not None
     return best
 
 
@@ -350,25 +392,30 @@ def leaving(
     own = [k, (k - 1) % n, (k + 1) % n]
     fractions, slack = after.fractions[own], after.slack
 
-    def tried(share: float, split: Array, corner: float) -> Joining | None:
+    splits = _splits(fractions[1:], [(fractions[0],)])
+    ends = np.tile(after.q_legs, (len(splits), 1))
+    ends[:, own] = np.where(splits == fractions, after.q_legs[own], splits * slack[own])
+    starts = ends.copy()
+    starts[:, own[2]] -= grown[1]
+    shortest = np.minimum(starts[:, own[2]], slack[k - 1] - ends[:, k - 1] - grown[0])
+    rest = _rest_margins(after.team, after.polygon, ends, after.roll, requirements)
+    if np.max(shortest) < (least := requirements.limits.leg):
+        names = tuple(f"cable {team.labels[j]}" for j in (k - 1, k % team.robots))
+        when = "where the lines of its neighbours meet"
+        longest, remedy = float(np.max(shortest)), "give them longer cables, or morph before"
+        raise InfeasibleError([Violation("legs", longest, least, "min", "m", names, when, remedy)])
+    rest = np.where(shortest < least, -np.inf, rest)
+    starts = np.delete(starts, k, axis=1)
+
+    def tried(i: int, corner: float) -> Joining:
         """Return the leaving with a split of the robot's legs and of its neighbours'."""
         left = np.delete(senses, k)
         left[k % team.robots] = corner
-        q_legs, chosen = after.q_legs.copy(), np.append(share, split)
-        q_legs[own] = np.where(chosen == fractions, q_legs[own], chosen * slack[own])
-        ends = slack[k - 1] - q_legs[k - 1] - grown[0], q_legs[own[2]] - grown[1]
-        if min(ends) < requirements.limits.leg:
-            return None
-        there = Hitch(after.team, after.polygon, after.altitude, q_legs, after.roll)
-        q_legs = q_legs.copy()
-        q_legs[own[2]] -= grown[1]
-        own_legs = np.delete(q_legs, k), np.delete(after.roll, k)
-        start = Hitch(team, outline, after.altitude, *own_legs)
+        there = Hitch(after.team, after.polygon, after.altitude, ends[i], after.roll)
+        start = Hitch(team, outline, after.altitude, starts[i], np.delete(after.roll, k))
         return Joining(start, there, k, left, float(senses[k]))
 
-    as_they_are = (float(fractions[0]), fractions[1:])
-    splits = list(chain([as_they_are], _splits(fractions[1:])))
-    both = [_widest(partial(tried, corner=x), splits, requirements) for x in (1.0, -1.0)]
+    both = [_widest(partial(tried, corner=x), rest, requirements) for x in (1.0, -1.0)]
     return max(both, key=lambda each: each.margin(requirements))
 
 

@@ -27,6 +27,7 @@ from hitchopt.hitch.team import Layout
 from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.planners.forming.prehitch import APART, PLACES, SPAN, smallest_separation
 from hitchopt.planners.forming.stages import SMOOTH, stage, straight_lines
+from hitchopt.planners.morph.morph import check_loads
 from hitchopt.planners.morph.path import drones_along
 from hitchopt.planners.timing.flight import fly
 from hitchopt.trajectory import PiecewisePolynomial
@@ -260,7 +261,11 @@ def laying_stages(laying: Laying, requirements: Requirements, index: int = 0) ->
 
 
 def rolling(path: RollPath, requirements: Requirements, phase: Phase) -> Motion:
-    """Return the motion of a roll, as fast as limits allow, in a phase whose end is set."""
+    """Return the motion of a roll, as fast as limits allow, in a phase whose end is set.
+
+    Raises InfeasibleError where cables pull drones up or down more than limits allow.
+    """
+    check_loads(path, requirements.limits)
     motion = fly(path, requirements)
     own = replace(phase, end=motion.duration, state=CableState.ROLLING)
     return motion.replaced(phases=(own,))
