@@ -62,11 +62,12 @@ def resolved_steps(problem: Problem, steps: tuple[Step, ...]) -> tuple[Step, ...
     held, or the next step; its key is that of the problem file, from ``mission`` on.
     """
     outline, ring = problem.start_outline, problem.team.labels
-    fitted, held = list[Step](), _Held()
+    fitted, held, changes = list[Step](), _Held(), False
     since = "start has no hitch" if outline is None else "start is a hitch"
     for i, given in enumerate(steps):
         try:
             team, ring = team_and_ring(problem.team, given, ring)
+            changes |= ring != problem.team.labels
             step = given.resolved_for(team)
             held = held.after(step, problem.objects)
             before, outline = outline, step.checked_polygon_after(team, outline, since)
@@ -79,6 +80,11 @@ def resolved_steps(problem: Problem, steps: tuple[Step, ...]) -> tuple[Step, ...
         except InputError as error:
             raise error.within(f"mission[{i}].{given.name}") from None
         fitted.append(step)
+    for i, step in enumerate(fitted):
+        if changes and hasattr(step, "object"):
+            bound = "left out in missions in which robots wait, join or leave"
+            refused = InputError("object", step.object, bound, "carry in a mission of all robots")
+            raise refused.within(f"mission[{i}].{step.name}")
     return tuple(fitted)
 
 

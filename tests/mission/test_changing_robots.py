@@ -107,6 +107,15 @@ def test_what_cannot_be_is_refused_by_its_key() -> None:
             change()
 
 
+def test_a_hitch_that_changes_its_robots_carries_nothing() -> None:
+    team = ho.Team(robots=4, cable_length=2.3, cable_density=0.01, tension=0.7)
+    start = HitchStart(ho.ConvexPolygon(SQUARE), 1.9)
+    box = ho.SolidObject(ho.Section(radius=0.2), 0.0, 0.3, mass=0.05, friction=0.5)
+    carried = ho.Mission(team, start=start, objects={"box": box}).enclose("box").leave("box")
+    with pytest.raises(ho.InputError, match=r"mission\[0\]\.enclose\.object = 'box': must be left"):
+        carried.morph([[-0.3, 0.6], [0.3, 0.6], [0.8, -0.6], [-0.8, -0.6]]).withdraw(0)
+
+
 def test_a_cable_over_one_neighbour_and_under_the_other_does_not_leave() -> None:
     """As of every hitch that is taken to be tied by turns of equal sense."""
     team = ho.Team(robots=4, cable_length=2.3, cable_density=0.01, tension=0.7)
