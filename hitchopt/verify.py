@@ -1291,7 +1291,7 @@ def laid_cables(p: Plan) -> Iterator[Row]:
         way = s.across(k)
         x = way.norm() * (1.0 / p.length[k])
         x = x + x * way[:2].dot(way[:2]) * (p.sag[k] / p.length[k] ** 2) - 1.0
-        return largest(x, -x)
+        return largest(x, -x) - 0.2 * p.sag[k]  # an eighth of its tension
 
     def beside(s: Spans, k: Index, j: Index) -> Line:
         """From above, or one is over all of the other."""

@@ -49,6 +49,7 @@ LENGTH_LIMIT = 1e-4
 EXPORTED_LIMIT = 1e-3  # Relative: for files that store millimetres, instead of a plan's 1e-4
 # [N] A quarter of a thousandth of a usual tension, far below what a drone can measure
 TENSION_LIMIT = 1e-4
+SAG_SHARE = 0.2  # of the sag of a cable that is taut by itself, by which its chord may be off
 RATIO_ORDER = 4  # degree of a weight over a tension: both hardly change on spans that matter
 LYING = frozenset({CableState.LYING})
 REST_TOLERANCE = 1e-9  # [m] Largest motion at rest
@@ -135,12 +136,16 @@ def _span_ratio(spans: Cables) -> Bound:
 
 
 def _taut_error(spans: Cables) -> Bound:
-    """Return by how much the chord of a taut cable is off its length less its sag, over that."""
+    """Return by how much the chord of a taut cable is off its length less its sag, over that.
+
+    Beyond SAG_SHARE of the sag: its tension is then within an eighth of the team's.
+    """
     team, drones = spans.source.team, spans.source.drones.coefficients
     chord = spans.scaled(drones[:, 1::2] - drones[:, 0::2], noise=spans.noise)
     sag = sag_factors(team, team.tension) * team.cable_length**2
     longer = chord.norm * chord.level.dot(chord.level) * sag[spans.item, None]
-    return (chord.norm + longer - 1.0).norm_above
+    error = (chord.norm + longer - 1.0).norm_above
+    return Bound(np.maximum(error.value - SAG_SHARE * sag[spans.item], 0.0), error.x)
 
 
 def _size(motion: Motion) -> float:
@@ -166,7 +171,7 @@ CABLE_LENGTH = CheckRule(
     exported_limit=EXPORTED_LIMIT,
 )
 """Relative error of a cable's length; while being tightened, by how much it is too short; of cables
-that are laid, that of their chords with the sag at the team's tension."""
+that are laid, that of their chords with the sag at the team's tension, beyond a fifth of the sag."""
 
 SPAN = CheckRule(
     "span",

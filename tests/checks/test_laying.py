@@ -16,6 +16,8 @@ from hitchopt import verify as second
 from hitchopt.checks import certify
 from hitchopt.checks.clasps import turns
 from hitchopt.hitch import Team
+from hitchopt.hitch.catenary import steepness
+from hitchopt.hitch.forces import sag_factors
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import CableState, Motion, Phase, joined_motions
 from hitchopt.motion.plan_file import write_plan
@@ -217,6 +219,26 @@ def test_states_are_not_believed() -> None:
     # Laying that begins with cables that cross.
     assert wrong([lay, tension, roll]) == set()
     assert "crossing" not in {check.name for check in certify(slide).violated}
+
+
+@pytest.mark.parametrize(
+    ("share", "holds"), [(0.15, True), (-0.15, True), (0.3, False), (-0.3, False)]
+)
+def test_a_cable_that_is_laid_pulls_by_an_eighth_more_or_less(share: float, holds: bool) -> None:
+    """Its chord is off by a share of its sag; the catenary there, by its own equation."""
+    laying = laying_of(3)
+    team, pairs = laying.hitch.team, laying.laid.reshape(-1, 2, 3)
+    sag = sag_factors(team, team.tension) * team.cable_length**2
+    chords = np.linalg.norm(pairs[:, 1] - pairs[:, 0], axis=1)
+    wanted = team.cable_length * (1.0 - (1.0 + share) * sag)
+    middle = np.mean(pairs, axis=1, keepdims=True)
+    laid = (middle + (wanted / chords)[:, None, None] * (pairs - middle)).reshape(-1, 3)
+    up = np.array([0.0, 0.0, 0.5])
+    found = row(lowered(laying, laid + up, laid), "cable_length")
+    assert found.holds is holds
+    half = team.cable_weight[0::2]  # of a cable's weight, which each of its ends carries
+    pulls = np.hypot(half / np.sinh(steepness(team.cable_length / wanted)), half)
+    assert not holds or np.all(np.abs(pulls / team.tension - 1.0) < 0.125)
 
 
 def test_loads_and_unequal_tensions_do_not_roll() -> None:
