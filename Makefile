@@ -9,11 +9,17 @@ demo: $(VENV)/.installed
 	$(BIN)/hitchopt solve problems/carry_box.yaml -o demo --report
 	@echo "Open demo/report.html in a browser; demo/summary.png shows the plan at a glance."
 
-# Films the demo's plan: in real time, and four times as fast and small for the README.
+# Films the demo's plan: in real time, and four times as fast and small for the README; there also how a robot is replaced.
 film: demo $(VENV)/.filmed
 	$(BIN)/hitchopt view demo --save demo/carry_box.mp4
 	"$$($(BIN)/python -c 'import imageio_ffmpeg; print(imageio_ffmpeg.get_ffmpeg_exe())')" -loglevel error -y \
 		-i demo/carry_box.mp4 -vf "setpts=PTS/4, fps=12.5, scale=800:-1" -quality 75 -loop 0 problems/pictures/carry_box.webp
+	$(BIN)/hitchopt solve -q problems/replace_in_flight.yaml -o demo/replace_in_flight
+	$(BIN)/hitchopt view demo/replace_in_flight --save demo/replace_in_flight.mp4
+	"$$($(BIN)/python -c 'import imageio_ffmpeg; print(imageio_ffmpeg.get_ffmpeg_exe())')" -loglevel error -y \
+		-i demo/replace_in_flight.mp4 \
+		-vf "trim=start=14, setpts=(PTS-STARTPTS)/4, fps=12.5, crop=700:600:290:120, scale=640:-1" \
+		-quality 75 -loop 0 problems/pictures/replace_in_flight.webp
 
 # What a change needs, in some three minutes; pytest tests/ROOM runs all tests of a room.
 test: $(VENV)/.tested
