@@ -171,7 +171,7 @@ CABLE_LENGTH = CheckRule(
     exported_limit=EXPORTED_LIMIT,
 )
 """Relative error of a cable's length; while being tightened, by how much it is too short; of cables
-that are laid, that of their chords with the sag at the team's tension, beyond a fifth of the sag."""
+that are laid, that of their chords with the sag at the team's tension, but for a fifth of that."""
 
 SPAN = CheckRule(
     "span",

@@ -127,7 +127,6 @@ def _wrong(chapters: Sequence[Motion]) -> Iterator[tuple[float, str]]:
     for i, ring in enumerate(rings):
         before = rings[i - 1].phases[-1].state if i else None
         after = rings[i + 1].phases[0].state if i < last else None
-        names = ring.team.point_names
         if ties is None:
             ties = Ties.at_start(ring)
         for _, pair, time in wrong_cables(ring, ties, before, after):
@@ -135,8 +134,6 @@ def _wrong(chapters: Sequence[Motion]) -> Iterator[tuple[float, str]]:
             yield time, f"cable {ring.team.labels[k]}, cable {ring.team.labels[j]}"
         passing, breaks = ring.in_states(frozenset({CableState.LYING})), ring.drones.breaks
         for corner in cut_corners(ring):
-            if not corner_side(ring, corner):
-                yield float(breaks[corner.pieces.start]), names[corner.clasps[0]]
             seam = i > 0 if corner.pieces.start == 0 else i < last
             passing[corner.pieces] &= not seam
         for piece in np.flatnonzero(passing).tolist():

@@ -14,7 +14,7 @@ from plans import planned
 
 import hitchopt as ho
 from hitchopt import verify as second
-from hitchopt.checks.joining import interlaced
+from hitchopt.checks.joining import interlaced, lowered_over
 from hitchopt.checks.registry import RULE_OF, check_of
 from hitchopt.errors import FileError
 from hitchopt.hitch import Hitch
@@ -141,6 +141,24 @@ def until(name: str) -> Change:
     return change
 
 
+def since(name: str) -> Change:
+    """Begin as a phase of step 1 does."""
+
+    def change(motion: Motion) -> Motion:
+        first = next(i for i, p in enumerate(motion.phases) if p.name == name and p.step == 1)
+        start = int(np.flatnonzero(motion.phase_of_piece == first)[0])
+        rest = motion.slice_pieces(slice(start, None), motion.phases[first:])
+        return shifted(rest, -float(rest.drones.breaks[0]))
+
+    return change
+
+
+def aside(motion: Motion, c: NDArray[np.float64]) -> None:
+    """Let robot 3 come down with a sideways motion."""
+    on = np.flatnonzero(at(motion, ("lower",)))
+    c[on[-3:-1], 6:8, 1, 2:-2] += 0.01
+
+
 def other_leg_first(motion: Motion) -> Motion:
     """Roll the other one of both new pairs first."""
     rolls = [i for i, p in enumerate(motion.phases) if p.name == "roll" and p.ring == WITH]
@@ -193,7 +211,9 @@ LIES: dict[str, tuple[Change, str, str]] = {
     "a vertex that stays is elsewhere": (edited("vertices", drifted), "interlacing", "interlacing"),
     "it is tied as it lies": (called("pass weight", state=ROLLING), "interlacing", "interlacing"),
     "it stays on top without joining": (until("lower"), "interlacing", "crossing"),
+    "it lies there as the plan begins": (since("pass weight"), "interlacing", "interlacing|story"),
     # Who lies on whom.
+    "it comes down sideways": (edited("drones", aside), "crossing", "crossing"),
     "it comes from below": (mirrored("lower", -1), "interlacing", "interlacing"),
     "it goes down through the hitch": (mirrored("raise", 0), "interlacing", "interlacing"),
     "it lies 5 cm above": (moved(("lower",), slice(6, 8), 0.05), "interlacing", "interlacing"),
@@ -269,3 +289,11 @@ def test_nothing_passes_weight_in_a_plan_of_the_same_robots(tmp_path: Path) -> N
     write_plan(tmp_path / "plan.npz", lie)
     (whole,), _ = second.read(tmp_path / "plan.npz")
     assert {row.verdict for row in second.story(whole) if row.name == "story"} == {"violated"}
+
+
+def test_edges_of_a_ring_that_moves_are_kept_off() -> None:
+    ring, alone = (group.motion for group in chapters(honest())[0].groups)
+    assert [*lowered_over(ring, alone)]
+    away = ring.vertices.coefficients + np.linspace(0.0, 1e-3, ring.vertices.degree + 1)
+    moving = ring.replaced(vertices=ring.vertices.alike(away))
+    assert not [*lowered_over(moving, alone)]
