@@ -127,7 +127,7 @@ def joined_state(before: RestState, joined: Joining, waiting: Mapping[int, Array
 
 @dataclass(frozen=True)
 class Withdraw(Step):
-    """A robot leaves the hitch in flight, and waits over or below it; its neighbours' lines meet.
+    """A robot leaves the hitch in flight, and waits beside it; its neighbours' lines meet.
 
     It is lifted out if its cable is on top of both neighbours', as of one that has joined, or let
     down if it is below both.
@@ -167,9 +167,9 @@ class Withdraw(Step):
 
         joined = leaving(hitch, team, place, outline, grown, senses, requirements)
         check_at_rest(joined.before, requirements, f"at the end of step {task.index} (withdraw)")
-        over = joined.raised(requirements)[0]
         joins = Joins(joined, before.whole_team, before.waiting, requirements, task.index)
-        parts = reversed_stages([joins.opening(over), *joins.tying()])
+        aside = joins.aside()
+        parts = [joins.opening(aside), *joins.returning(aside), *joins.tying()]
         after = replace(
             before,
             team=team,
@@ -177,9 +177,9 @@ class Withdraw(Step):
             drones=joined.before.drones,
             senses=joined.senses,
             levels=None,
-            waiting={**before.waiting, self.robot: over},
+            waiting={**before.waiting, self.robot: aside},
         )
-        motion = joined_motions([*_adjusted(task, joined.after.q_legs), *parts])
+        motion = joined_motions([*_adjusted(task, joined.after.q_legs), *reversed_stages(parts)])
         return _clear(StepPlan(motion, after))
 
 
@@ -237,12 +237,25 @@ class Replace(Step):
         for (vertex, polygon, side), share in product(ways, CUTS):
             cut = share * float(np.min(hitch.polygon.edge_lengths[[vertex - 1, vertex]]))
             join = partial(joined_plan, Join(self.by, vertex, cut), side=side)
-            plans = join, Morph(polygon=polygon).plan, Withdraw(self.robot).plan
+            plans = join, partial(_reshaped, polygon), Withdraw(self.robot).plan
             found = attempt(lambda plans=plans: _in_a_row(plans, task))  # type: ignore[misc]
             if isinstance(found, StepPlan):
                 return found
             refused.append(found)
         raise refused[0]
+
+
+def _reshaped(polygon: Outline, task: StepTask) -> StepPlan:
+    """Return the plan of a morph whose cables keep off each other as far as drones keep off them.
+
+    The edge that shrinks leaves long legs, and a drone is at the end of each.
+    """
+    own = task.requirements.separation
+    wider = replace(own, crossing=max(own.crossing, own.cable))
+    planned = Morph(polygon=polygon).plan(
+        replace(task, requirements=replace(task.requirements, separation=wider))
+    )
+    return replace(planned, motion=planned.motion.replaced(requirements=task.requirements))
 
 
 def _sides(senses: Array, place: int) -> tuple[float, float]:

@@ -18,9 +18,11 @@ from typing import Any
 
 import numpy as np
 
+from hitchopt.checks.cables import LENGTH_LIMIT
 from hitchopt.checks.clasps import ROLLED
+from hitchopt.checks.linking import LAID, MAX_PASSED
 from hitchopt.errors import InfeasibleError, InputError, Violation, check_time
-from hitchopt.geometry import ConvexPolygon, Outline
+from hitchopt.geometry import ConvexPolygon, Outline, shortest_offset
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.catenary import Catenary
@@ -63,6 +65,13 @@ PROBES, ENOUGH = 13, 1.05
 FAR, ALOFT = 100.0, 0.02
 """[m] Half the size of space without an arena; and how far a robot on its way may leave its level
 towards the ring."""
+
+ASIDE, ASIDE_STEP, ASIDE_STEPS = 0.5, 0.1, 40
+"""[m] Distance to all others, seen from above, of a robot that has left, which is looked for in
+steps [m], so many of them at most."""
+
+LEVEL = 1e-9
+"""Smallest angle [rad or °] and share that a limit is compared with."""
 
 NARROW = 0.95
 """Distance of a robot's drones on its way over its cable's length: it hangs, but not deep."""
@@ -178,7 +187,7 @@ class Joining:
         At first the legs that lie across each other at the corner touch. What is known not to be
         ``above`` is not looked at further: some bound of it is returned.
         """
-        separation, least = replace(requirements.separation, crossing=0.0), self.level
+        separation, least = replace(requirements.separation, crossing=0.0), np.inf
         touching, (first, second) = replace(requirements, separation=separation), self.rolls
         for path, start, end, needed in (
             (self.opened, 0.0, 1.0, requirements),
@@ -196,26 +205,62 @@ class Joining:
                 least = min(least, reference_margin(LegTask(*places, roll=shapes.roll)))
         if least >= 1.0:
             laid = self.with_robot(self.opened.drones(np.ones(1))[0])
-            least = min(least, smallest_separation(laid[None], requirements.separation))
+            apart = smallest_separation(laid[None], requirements.separation)
+            least = min(least, apart, self.open_at(laid))
         return least
 
-    @property
-    def level(self) -> float:
-        """How little its legs lean as its cable lies on both others: limits over that, at least.
+    def open_at(self, laid: Array) -> float:
+        """Return limits over how much legs lean with drones (2n, 3) [m] as its cable lies on both.
 
-        Cut edges sag, so that it lies lower than the vertices that it will have; the shorter its
-        legs are, the more they lean. Both pairs count as open only near 180°, and its drones' pull
-        may change by its cable's weight there.
+        Cut edges sag, so that it lies lower than the vertices that it will have; the shorter legs
+        are, the more they lean. Both pairs count as open only near 180°, drones' pulls may change
+        by a cable's weight there, lengths by its sag, and legs' by MAX_PASSED. The leg on top at
+        the corner stays there.
         """
-        team, ends = self.after.team, self.ends
-        points = self.after.vertices[ends]
-        lean = np.abs(self.laid - points)[:, 2] / np.linalg.norm(self.laid - points, axis=1)
-        u = self.after.polygon.edge_directions
-        half = np.sqrt(0.5 + 0.5 * np.sum(u[ends] * u[np.array(ends) - 1], axis=1))
-        k = self.vertex
+        hitch, team, n, k = self.after, self.after.team, self.after.team.robots, self.vertex
+        legs, c = laid - hitch.vertices[team.layout.anchors], np.array(self.ends)
+        along, lengths = unit(legs), np.linalg.norm(legs, axis=1).reshape(n, 2)
+        u = np.column_stack([hitch.polygon.edge_directions, np.zeros(n)])
+        q, axis = along[2 * c], unit(along[2 * c] + along[2 * c - 1])
+        upward = np.cross(u[c] + u[c - 1], axis)
+        rise, run = np.sum(q * upward, axis=1), np.sum(q * np.cross(axis, upward), axis=1)
+        off = np.degrees(np.abs(np.arctan2(rise, -run)))
+        whole = hitch.polygon.edge_lengths + np.sum(lengths, axis=1)
+        longer = np.abs(whole / team.cable_length - 1.0)
+        sag = sag_factors(team, team.tension) * team.cable_length**2
         weight = GRAVITY * team.cable_density * team.cable_length[k] / team.tension[k]
-        limits = np.minimum(2.0 * half * np.radians(180.0 - ROLLED), weight)
-        return float(np.min(limits / np.maximum(lean, 1e-9))) if weight else np.inf
+        beneath = [self._beneath(drones) for drones in (laid, self.rolls[0].drones(np.zeros(1))[0])]
+        ratios = (
+            LAID / np.maximum(beneath, LEVEL),
+            MAX_PASSED / np.maximum(np.abs(lengths - hitch.legs).ravel(), LEVEL),
+            (180.0 - ROLLED) / np.maximum(off, LEVEL),
+            weight / np.maximum(np.abs(along[2 * k : 2 * k + 2, 2]), LEVEL),
+            (LENGTH_LIMIT + sag) / np.maximum(longer, LEVEL),
+        )
+        return float(np.min(np.concatenate(ratios))) if weight else np.inf
+
+    def _beneath(self, drones: Array) -> float:
+        """Return how far the leg on top at the corner is beneath the other, straight [m]."""
+        points, corner, heights = self.after.vertices, self.before.vertices[self.corner], []
+        for end, drone in zip(self.ends, (2 * self.vertex - 1, 2 * self.ends[1]), strict=True):
+            leg = drones[drone] - points[end]
+            away = np.linalg.norm((corner - points[end])[:2]) / np.linalg.norm(leg[:2])
+            heights.append(points[end, 2] + away * leg[2])
+        return float(self.senses[self.corner] * (heights[0] - heights[1]))
+
+    def checked(self) -> Joining:
+        """Return it, or raise InfeasibleError where neighbours sag too much to lie across them."""
+        ratio = self.open_at(self.with_robot(self.opened.drones(np.ones(1))[0]))
+        if ratio < 1.0:
+            names, when = (
+                (f"cable {self.robot}",),
+                "(limits over how its legs lean on cables that sag)",
+            )
+            remedy = "raise team.tension, cut off less, or use lighter cables"
+            raise InfeasibleError(
+                [Violation("tension", ratio, 1.0, "min", "", names, when, remedy)]
+            )
+        return self
 
     def with_robot(self, opened: Array) -> Array:
         """Return the drones (2n, 3) [m] as the robot's cable lies on both others."""
@@ -322,7 +367,8 @@ def joining(
         after = Hitch(team, outline, before.altitude, ends[i], roll)
         return Joining(start, after, vertex, senses, side)
 
-    return _widest(tried, _rest_margins(team, outline, ends, roll, requirements), requirements)
+    rest = _rest_margins(team, outline, ends, roll, requirements)
+    return _widest(tried, rest, requirements).checked()
 
 
 def _splits(fractions: Array, first: Sequence[tuple[float, ...]]) -> Array:
@@ -415,8 +461,10 @@ def leaving(
         start = Hitch(team, outline, after.altitude, starts[i], np.delete(after.roll, k))
         return Joining(start, there, k, left, float(senses[k]))
 
-    both = [_widest(partial(tried, corner=x), rest, requirements) for x in (1.0, -1.0)]
-    return max(both, key=lambda each: each.margin(requirements))
+    found = [_widest(partial(tried, corner=1.0), rest, requirements)]
+    if found[0].margin(requirements) < 1.0:
+        found.append(_widest(partial(tried, corner=-1.0), rest, requirements))
+    return max(found, key=lambda each: each.margin(requirements)).checked()
 
 
 def at_rest(team: Team, places: Array, requirements: Requirements) -> Waiting:
@@ -493,6 +541,43 @@ class Joins:
         """Return the motion that opens the vertex as the robot's drones (2, 3) [m] wait."""
         own = at_rest(self.joined.alone, places, self.requirements)
         return self._motion(self._opening, own)
+
+    def aside(self) -> Array:
+        """Return where its drones (2, 3) [m] wait beside all others, seen from above.
+
+        There it may land, others may join, and the ring may be untied. Over, or below, its place if
+        there is no room.
+        """
+        joined, requirements = self.joined, self.requirements
+        over, ring, layout = (
+            joined.raised(requirements)[0],
+            joined.before,
+            joined.before.team.layout,
+        )
+        u = joined.after.polygon.edge_directions[joined.vertex]
+        nodes = np.concatenate([ring.vertices, ring.drones])
+        bodies = np.concatenate(
+            [nodes[layout.part_nodes], *(x[None] for x in self.waiting.values())]
+        )
+        bodies = bodies * [1.0, 1.0, 0.0]
+        arena = requirements.arena
+        for step in range(ASIDE_STEPS):
+            places = over + step * ASIDE_STEP * np.array([-u[1], u[0], 0.0])
+            if arena and np.any((places < arena.lower) | (places > arena.upper)):
+                break
+            own = places * [1.0, 1.0, 0.0]
+            apart = shortest_offset(own[[0, 0, 1, 1]] - bodies[:, [0, 1, 0, 1]])
+            if np.min(np.linalg.norm(apart, axis=-1)) >= ASIDE:
+                return places
+        return over
+
+    def returning(self, aside: Array) -> list[Motion]:
+        """Return the motion from there to over its place, or below it."""
+        over, team = self.joined.raised(self.requirements)[0], self.joined.alone
+        if np.max(np.abs(over - aside)) < MIN_FLIGHT:
+            return []
+        lines = straight_lines(team, self.requirements.limits, aside, over)
+        return [self._beside(stage("approach", lines, team, self.requirements, self.index))]
 
     def arrival(self, start: Array) -> list[Motion]:
         """Return the motions from drones (2, 3) [m] to over the place, its cable hanging."""
