@@ -98,6 +98,9 @@ def joined_plan(step: Join, task: StepTask, side: float) -> StepPlan:
     return _clear(StepPlan(motion, after))
 
 
+LIGHTER = "raise team.tension, cut off less, or use lighter cables: these sag too much"
+
+
 def _clear(planned: StepPlan) -> StepPlan:
     """Return a plan that keeps all limits, else raise InfeasibleError.
 
@@ -108,7 +111,12 @@ def _clear(planned: StepPlan) -> StepPlan:
     broken = [each for each in planned.certificate.violated if each.name != INTERLACING.name]
     if broken:
         certificate = replace(planned.certificate, checks=tuple(broken))
-        raise infeasible(certificate, planned.motion)
+        error = infeasible(certificate, planned.motion)
+        heavy = {"cable_length", "equilibrium", "tension"}  # where cables lie across
+        raise InfeasibleError(
+            replace(each, remedy=LIGHTER) if each.constraint in heavy else each
+            for each in error.violations
+        )
     return planned
 
 
