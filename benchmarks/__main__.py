@@ -15,6 +15,7 @@ NAMES = (
     "teams",
     "carrying",
     "flights",
+    "joining",
     "recordings",
     "statics",
     "live",

@@ -254,12 +254,14 @@ class Replace(Step):
 
 
 def _reshaped(polygon: Outline, task: StepTask) -> StepPlan:
-    """Return the plan of a morph whose cables keep off each other as far as drones keep off them.
+    """Return the plan of a morph whose cables keep off each other as planned distances are kept.
 
     The edge that shrinks leaves long legs, and a drone is at the end of each.
     """
+    from hitchopt.planners.forming.laying import MARGIN, ROOM
+
     own = task.requirements.separation
-    wider = replace(own, crossing=max(own.crossing, own.cable))
+    wider = replace(own, crossing=MARGIN * max(own.crossing, own.cable) + ROOM)
     planned = Morph(polygon=polygon).plan(
         replace(task, requirements=replace(task.requirements, separation=wider))
     )

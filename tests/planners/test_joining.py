@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from plans import planned
 
 import hitchopt as ho
 from hitchopt.errors import InfeasibleError
@@ -13,7 +14,10 @@ from hitchopt.hitch import Hitch
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import PartTeam
 from hitchopt.mission.loading import any_problem_from_dict
-from hitchopt.planners.forming.joining import corner_restored, leaving
+from hitchopt.motion.chapters import chapters
+from hitchopt.motion.motion import Motion
+from hitchopt.planners.forming.joining import corner_cut, corner_restored, joining, leaving
+from hitchopt.values import Array
 
 HEXAGON = 0.8 * ho.regular_polygon(6, 1.0).vertices
 PENTAGON = np.concatenate([[2.0 * HEXAGON[0] - HEXAGON[5]], HEXAGON[2:]])
@@ -73,3 +77,48 @@ def test_neighbours_that_are_too_short_to_meet_are_told_by_how_much() -> None:
     assert (broken.constraint, broken.where) == ("legs", ("cable 1", "cable 3"))
     assert broken.value == pytest.approx(0.8 * 0.7 - 0.8)
     assert broken.limit == kept.limits.leg
+
+
+def test_cables_that_sag_too_much_to_lie_across_are_refused_by_name() -> None:
+    """Cut edges of 10 g/m at 0.2 N sag by a decimetre where the newcomer comes to lie on them."""
+    whole = ho.Team(4, [2.3, 2.3, 2.3, 1.6], tension=0.2, cable_density=0.01)
+    before = Hitch.balanced(PartTeam.of(whole, [0, 1, 2]), ho.regular_polygon(3, 1.4), 2.0)
+    outline = corner_cut(before.polygon, 0, 0.7)
+    with pytest.raises(InfeasibleError) as refused:
+        joining(
+            before, PartTeam.of(whole, [3, 0, 1, 2]), 0, outline, np.ones(3), 1.0, Requirements()
+        )
+    (broken,) = refused.value.violations
+    assert (broken.constraint, broken.where) == ("tension", ("cable 3",))
+    assert broken.value < broken.limit == 1.0
+
+
+def nodes(motion: Motion) -> tuple[Array, Array]:
+    """Ends of the parts of a ring's cables (parts, 2, 3) at the end, and places of all drones."""
+    ring, drones = chapters(motion)[-1].groups[0].motion, motion.drones.at(motion.duration)
+    own = np.concatenate([x.at(x.breaks[-1]) for x in (ring.vertices, ring.drones)])
+    return own[ring.team.layout.part_nodes], drones
+
+
+def test_a_robot_that_has_left_waits_beside_the_ring() -> None:
+    parts, drones = nodes(planned("join_a_fourth").motion)
+    own, share = drones[6:, :2], np.linspace(0.0, 1.0, 41)[:, None]
+    line = own[0] + share * (own[1] - own[0])
+    ring = np.concatenate([a + share * (b - a) for a, b in parts[..., :2]])
+    apart = np.linalg.norm(line[:, None] - ring, axis=-1)
+    assert 0.5 <= np.min(apart) < 0.7
+
+
+def test_a_robot_that_is_replaced_keeps_off_its_own_other_leg() -> None:
+    """Robot 1 holds less and less of its edge; its drones passed its legs at 5 cm, and met them."""
+    motion = planned("replace_in_flight").motion
+    (phase,) = (p for p in motion.phases if p.name == "morph")
+    ring = next(c for c in chapters(motion) if len(c.groups) == 1).groups[0].motion
+    k, n, least = ring.team.labels.index(1), ring.team.robots, np.inf
+    for t in np.linspace(phase.start, phase.end, 41):
+        points, drones = ring.vertices.at(t), ring.drones.at(t)
+        legs = (points[k], drones[2 * k]), (points[(k + 1) % n], drones[2 * k + 1])
+        for drone, (start, end) in zip((drones[2 * k + 1], drones[2 * k]), legs, strict=True):
+            line = start + np.linspace(0.0, 1.0, 401)[:, None] * (end - start)
+            least = min(least, float(np.min(np.linalg.norm(line - drone, axis=1))))
+    assert 0.149 < least < 0.2

@@ -225,17 +225,30 @@ class Joining:
         upward = np.cross(u[c] + u[c - 1], axis)
         rise, run = np.sum(q * upward, axis=1), np.sum(q * np.cross(axis, upward), axis=1)
         off = np.degrees(np.abs(np.arctan2(rise, -run)))
-        whole = hitch.polygon.edge_lengths + np.sum(lengths, axis=1)
-        longer = np.abs(whole / team.cable_length - 1.0)
-        sag = sag_factors(team, team.tension) * team.cable_length**2
-        weight = GRAVITY * team.cable_density * team.cable_length[k] / team.tension[k]
-        beneath = [self._beneath(drones) for drones in (laid, self.rolls[0].drones(np.zeros(1))[0])]
+        balanced = self.rolls[0].drones(np.zeros(1))[0]
+        curved = np.sum((balanced - laid) ** 2, axis=1).reshape(n, 2) / (8.0 * lengths)
+        parts = np.column_stack([hitch.polygon.edge_lengths, lengths])
+        sags = sag_factors(team, team.tension)
+        whole = np.sum(parts + sags[:, None] * parts**3, axis=1)
+        longer = whole / team.cable_length - 1.0
+        midway = 0.5 * longer - np.sum(curved, axis=1) / team.cable_length
+        longer = np.maximum(np.abs(longer), np.abs(midway))
+        own, tension, weighs = (
+            slice(2 * k, 2 * k + 2),
+            team.tension[k],
+            GRAVITY * team.cable_density,
+        )
+        chord, weight = laid[2 * k + 1] - laid[2 * k], weighs * team.cable_length[k]
+        slope = chord[2] / np.linalg.norm(chord) * np.array([-1.0, 1.0])
+        before, after = 0.5 * weight + tension * slope, 0.5 * weighs * lengths[k]
+        jump = np.abs(before - after - tension * along[own, 2])
+        beneath = [self._beneath(drones) for drones in (laid, balanced)]
         ratios = (
             LAID / np.maximum(beneath, LEVEL),
             MAX_PASSED / np.maximum(np.abs(lengths - hitch.legs).ravel(), LEVEL),
             (180.0 - ROLLED) / np.maximum(off, LEVEL),
-            weight / np.maximum(np.abs(along[2 * k : 2 * k + 2, 2]), LEVEL),
-            (LENGTH_LIMIT + sag) / np.maximum(longer, LEVEL),
+            weight / np.maximum(jump, LEVEL),
+            (LENGTH_LIMIT + sags * team.cable_length**2) / np.maximum(longer, LEVEL),
         )
         return float(np.min(np.concatenate(ratios))) if weight else np.inf
 
@@ -461,10 +474,13 @@ def leaving(
         start = Hitch(team, outline, after.altitude, starts[i], np.delete(after.roll, k))
         return Joining(start, there, k, left, float(senses[k]))
 
-    found = [_widest(partial(tried, corner=1.0), rest, requirements)]
-    if found[0].margin(requirements) < 1.0:
-        found.append(_widest(partial(tried, corner=-1.0), rest, requirements))
-    return max(found, key=lambda each: each.margin(requirements)).checked()
+    def enough(each: Joining) -> tuple[float, bool]:
+        """Return up to what is enough its margin, and whether legs stay as they are."""
+        same = np.array_equal(each.after.q_legs, after.q_legs)
+        return min(each.margin(requirements), ENOUGH), same
+
+    both = [_widest(partial(tried, corner=x), rest, requirements) for x in (1.0, -1.0)]
+    return max(both, key=enough).checked()
 
 
 def at_rest(team: Team, places: Array, requirements: Requirements) -> Waiting:
