@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,12 +12,12 @@ from plans import planned
 import hitchopt as ho
 from hitchopt.errors import InfeasibleError
 from hitchopt.hitch import Hitch
-from hitchopt.hitch.requirements import Requirements
+from hitchopt.hitch.requirements import Arena, Requirements
 from hitchopt.hitch.team import PartTeam
 from hitchopt.mission.loading import any_problem_from_dict
 from hitchopt.motion.chapters import chapters
 from hitchopt.motion.motion import Motion
-from hitchopt.planners.forming.joining import corner_cut, corner_restored, joining, leaving
+from hitchopt.planners.forming.joining import Joins, corner_cut, corner_restored, joining, leaving
 from hitchopt.values import Array
 
 HEXAGON = 0.8 * ho.regular_polygon(6, 1.0).vertices
@@ -122,3 +123,17 @@ def test_a_robot_that_is_replaced_keeps_off_its_own_other_leg() -> None:
             line = start + np.linspace(0.0, 1.0, 401)[:, None] * (end - start)
             least = min(least, float(np.min(np.linalg.norm(line - drone, axis=1))))
     assert 0.149 < least < 0.2
+
+
+def test_two_robots_that_have_left_wait_at_different_places() -> None:
+    whole, kept = ho.Team(5, [2.3, 2.3, 2.3, 1.4, 1.4], tension=0.7), Requirements()
+    before = Hitch.balanced(PartTeam.of(whole, [0, 1, 2]), ho.regular_polygon(3, 1.4), 2.0)
+    ring, outline = PartTeam.of(whole, [3, 0, 1, 2]), corner_cut(before.polygon, 0, 0.5)
+    joined = joining(before, ring, 0, outline, np.ones(3), 1.0, kept)
+    first = Joins(joined, whole, {}, kept, 0).aside()
+    second = Joins(joined, whole, {4: first}, kept, 0).aside()
+    apart = np.linalg.norm((second[:, None] - first)[..., :2], axis=-1)
+    assert np.min(apart) >= 0.5
+    over = joined.raised(kept)[0]
+    narrow = replace(kept, arena=Arena(np.min(over, axis=0) - 0.05, np.max(over, axis=0) + 0.05))
+    np.testing.assert_array_equal(Joins(joined, whole, {}, narrow, 0).aside(), over)

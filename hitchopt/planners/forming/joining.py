@@ -570,21 +570,23 @@ class Joins:
             joined.before,
             joined.before.team.layout,
         )
-        u = joined.after.polygon.edge_directions[joined.vertex]
+        x, y = joined.after.polygon.edge_directions[joined.vertex]
         nodes = np.concatenate([ring.vertices, ring.drones])
-        bodies = np.concatenate(
-            [nodes[layout.part_nodes], *(x[None] for x in self.waiting.values())]
-        )
-        bodies = bodies * [1.0, 1.0, 0.0]
+        others = np.array([*self.waiting.values()]).reshape(-1, 2, 3)
+        bodies = np.concatenate([others, nodes[layout.part_nodes]]) * [1.0, 1.0, 0.0]
         arena = requirements.arena
-        for step in range(ASIDE_STEPS):
-            places = over + step * ASIDE_STEP * np.array([-u[1], u[0], 0.0])
-            if arena and np.any((places < arena.lower) | (places > arena.upper)):
-                break
-            own = places * [1.0, 1.0, 0.0]
-            apart = shortest_offset(own[[0, 0, 1, 1]] - bodies[:, [0, 1, 0, 1]])
-            if np.min(np.linalg.norm(apart, axis=-1)) >= ASIDE:
-                return places
+        for direction in ([-y, x, 0.0], [x, y, 0.0], [-x, -y, 0.0]):
+            for step in range(ASIDE_STEPS):
+                places = over + step * ASIDE_STEP * np.array(direction)
+                own = places * [1.0, 1.0, 0.0]
+                offsets = shortest_offset(own[[0, 0, 1, 1]] - bodies[:, [0, 1, 0, 1]])
+                apart = np.linalg.norm(offsets, axis=-1)
+                if arena and np.any((places < arena.lower) | (places > arena.upper)):
+                    break
+                if np.min(apart[: len(others)], initial=np.inf) < ASIDE:
+                    break
+                if np.min(apart) >= ASIDE:
+                    return places
         return over
 
     def returning(self, aside: Array) -> list[Motion]:
