@@ -120,13 +120,15 @@ def test_refitted_problems_lose_nothing(stem: str, name: str, tmp_path: Path) ->
     "name", [pytest.param("crazyswarm2", marks=pytest.mark.slow), "skybrush_csv", "gltf"]
 )
 def test_a_robot_that_joins_is_exported_over_the_whole_time(name: str, tmp_path: Path) -> None:
-    motion = planned("join_a_fourth").motion
-    parts = exported(motion, name, tmp_path)
+    motion, slower = planned("join_a_fourth").motion, 1.02 if name == "crazyswarm2" else 1.0
+    parts = exported(motion, name, tmp_path, stretch=slower)  # 31 pieces take some speed
     for part in parts:
         assert part.verdict.lost == ()
         assert len(read_manifest(part.folder)["drones"]) == 8
     assert "crossing" in {check.name for part in parts for check in part.verdict.checks}
-    assert parts[-1].begins + parts[-1].verdict.duration == pytest.approx(motion.duration, abs=0.05)
+    assert parts[-1].begins + parts[-1].verdict.duration == pytest.approx(
+        slower * motion.duration, abs=0.05
+    )
     assert all(report.sound for report in lint(tmp_path)) or name == "gltf"
 
 

@@ -119,7 +119,7 @@ def test_what_knows_one_ring_is_refused_by_name() -> None:
             refused()
 
 
-@pytest.mark.parametrize("time", [20.0, 30.0, 41.0])
+@pytest.mark.parametrize("time", [20.0, 30.0, 39.5])
 def test_a_plan_stopped_while_a_robot_joins_keeps_its_rings(time: float) -> None:
     motion = planned("join_a_fourth").motion
     stopped = until_stop(motion, time, stop=True)

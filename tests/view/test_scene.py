@@ -340,7 +340,7 @@ def test_names_of_groups_around_the_same_centre_are_apart() -> None:
 def test_a_robot_that_joins_is_shown_in_pictures_and_reports(tmp_path: Path) -> None:
     plan = planned("join_a_fourth")
     words = [shot.words for shot in chosen_shots(plan.motion)]
-    assert words == ["start", "roll", "lower", "roll", "adjust", "unroll", "close"]
+    assert words == ["start", "roll", "lower", "roll", "unroll", "close"]
     shown = panels(plan.motion, sampled_states(plan.motion))
     worst = {check.name: check.bound for check in plan.certificate.checks}
     for panel in shown[1:]:  # of speed and thrust: never beyond what the certificate found
