@@ -36,7 +36,7 @@ from hitchopt.trajectory.enclosed import Enclosed
 from hitchopt.values import Array, Indices
 
 HALVINGS = 4
-"""Of a piece, on each part of which the side of a leg is enclosed."""
+"""Number of halvings of a piece, on each part of which the side of a leg is enclosed."""
 
 
 @dataclass(frozen=True, eq=False)

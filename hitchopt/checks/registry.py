@@ -55,7 +55,7 @@ MERGEABLE_REPORTS = tuple(report for report in REPORTS if not report.whole)
 """Reports of a joined motion that follow from those of its parts."""
 
 SEAMS = {"continuity": jumps, "tension": jumps_of_thrust}
-"""What is checked where a robot joins or leaves, in addition to all chapters."""
+"""Worst cases where a robot joins or leaves, by the checks that they belong to."""
 
 RULE_OF = {rule.name: rule for rule in RULES}
 """The rules by name."""

@@ -27,7 +27,7 @@ from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
 from hitchopt.values import Array, Indices
 
 WAITING_STATES = frozenset({CableState.GROUND, CableState.FREE, CableState.LAYING})
-"""What cables of robots may do that are in no ring."""
+"""States of the cables of robots that are in no ring."""
 
 REMEDY = "give ring and waiting of every phase, or of none"
 
