@@ -14,7 +14,7 @@ from plans import planned
 
 import hitchopt as ho
 from hitchopt import verify as second
-from hitchopt.checks.joining import interlaced, lowered_over
+from hitchopt.checks.joining import interlaced, jumps_of_thrust, lowered_over
 from hitchopt.checks.registry import RULE_OF, check_of
 from hitchopt.errors import FileError
 from hitchopt.hitch import Hitch
@@ -141,6 +141,11 @@ def until(name: str) -> Change:
     return change
 
 
+def jumped(motion: Motion, c: NDArray[np.float64]) -> None:
+    """Let a drone be elsewhere as long as robot 3 is in the ring."""
+    c[np.array([p.ring == WITH for p in motion.phases])[motion.phase_of_piece], 0, 2] += 1e-5
+
+
 def since(name: str) -> Change:
     """Begin as a phase of step 1 does."""
 
@@ -208,6 +213,7 @@ LIES: dict[str, tuple[Change, str, str]] = {
     "its cable is shorter": (longer(0.99), "cable_length", "cable_length"),
     # Seams.
     "it jumps as it joins": (moved(("pass weight",), slice(6, 7), 1e-5), "continuity", "continuity"),
+    "a drone jumps at both seams": (edited("drones", jumped), "continuity", "continuity"),
     "a vertex that stays is elsewhere": (edited("vertices", drifted), "interlacing", "interlacing"),
     "it is tied as it lies": (called("pass weight", state=ROLLING), "interlacing", "interlacing"),
     "it stays on top without joining": (until("lower"), "interlacing", "crossing"),
@@ -216,6 +222,7 @@ LIES: dict[str, tuple[Change, str, str]] = {
     "it comes down sideways": (edited("drones", aside), "crossing", "crossing"),
     "it comes from below": (mirrored("lower", -1), "interlacing", "interlacing"),
     "it goes down through the hitch": (mirrored("raise", 0), "interlacing", "interlacing"),
+    "it lies 5 cm aside": (moved(("lower",), slice(6, 8), 0.05, 1), "interlacing", "interlacing"),
     "it lies 5 cm above": (moved(("lower",), slice(6, 8), 0.05), "interlacing", "interlacing"),
     "the leg below lies on top": (moved(("pass weight", "roll"), slice(0, 1), 0.15), "interlacing", "interlacing"),
     "a leg passes through the other one": (edited("drones", dipped), "interlacing", "laid"),
@@ -297,3 +304,12 @@ def test_edges_of_a_ring_that_moves_are_kept_off() -> None:
     away = ring.vertices.coefficients + np.linspace(0.0, 1e-3, ring.vertices.degree + 1)
     moving = ring.replaced(vertices=ring.vertices.alike(away))
     assert not [*lowered_over(moving, alone)]
+
+
+def test_thrusts_jump_at_seams_by_less_than_a_cable_weighs() -> None:
+    motion = honest()
+    assert jumps_of_thrust(motion, chapters(motion)).worst == 0.0
+    light = motion.replaced(team=replace(motion.team, cable_density=1e-6))
+    found = jumps_of_thrust(light, chapters(motion))
+    assert 1e-3 < found.worst < np.max(motion.team.cable_weight) * 2.0
+    assert found.time in {float(each.drones.breaks[0]) for each in chapters(motion)[1:]}
