@@ -233,11 +233,8 @@ class Joining:
         longer = whole / team.cable_length - 1.0
         midway = 0.5 * longer - np.sum(curved, axis=1) / team.cable_length
         longer = np.maximum(np.abs(longer), np.abs(midway))
-        own, tension, weighs = (
-            slice(2 * k, 2 * k + 2),
-            team.tension[k],
-            GRAVITY * team.cable_density,
-        )
+        own, tension = slice(2 * k, 2 * k + 2), team.tension[k]
+        weighs = GRAVITY * team.cable_density
         chord, weight = laid[2 * k + 1] - laid[2 * k], weighs * team.cable_length[k]
         slope = chord[2] / np.linalg.norm(chord) * np.array([-1.0, 1.0])
         before, after = 0.5 * weight + tension * slope, 0.5 * weighs * lengths[k]
@@ -265,14 +262,11 @@ class Joining:
         """Return it, or raise InfeasibleError where neighbours sag too much to lie across them."""
         ratio = self.open_at(self.with_robot(self.opened.drones(np.ones(1))[0]))
         if ratio < 1.0:
-            names, when = (
-                (f"cable {self.robot}",),
-                "(limits over how its legs lean on cables that sag)",
-            )
+            when = "(limits over how its legs lean on cables that sag)"
             remedy = "raise team.tension, cut off less, or use lighter cables"
-            raise InfeasibleError(
-                [Violation("tension", ratio, 1.0, "min", "", names, when, remedy)]
-            )
+            where = (f"cable {self.robot}",)
+            broken = Violation("tension", ratio, 1.0, "min", "", where, when, remedy)
+            raise InfeasibleError([broken])
         return self
 
     def with_robot(self, opened: Array) -> Array:
@@ -564,12 +558,8 @@ class Joins:
         There it may land, others may join, and the ring may be untied. Over, or below, its place if
         there is no room.
         """
-        joined, requirements = self.joined, self.requirements
-        over, ring, layout = (
-            joined.raised(requirements)[0],
-            joined.before,
-            joined.before.team.layout,
-        )
+        joined, requirements, ring = self.joined, self.requirements, self.joined.before
+        over, layout = joined.raised(requirements)[0], ring.team.layout
         x, y = joined.after.polygon.edge_directions[joined.vertex]
         nodes = np.concatenate([ring.vertices, ring.drones])
         others = np.array([*self.waiting.values()]).reshape(-1, 2, 3)
@@ -674,11 +664,10 @@ def _passing(
     c = drones.coefficients[:, most, axis]
     share = (c - start[most, axis]) / (end[most, axis] - start[most, axis])
     legs = ends[0][:, None] + (ends[1] - ends[0])[:, None] * share[:, None, :]
-    still = (
+    vertices, tensions = (
         PiecewisePolynomial.constant(drones.breaks, value)
         for value in (hitch.vertices, team.tension)
     )
-    vertices, tensions = still
     phase = Phase("pass weight", index, 0.0, drones.duration, state=CableState.LYING)
     shape = (len(legs), team.robots, 2, legs.shape[-1])
     return Motion(
