@@ -56,8 +56,8 @@ class Mutation(NamedTuple):
 MUTATIONS = (
     Mutation("distances.py", "points, margin=margin, names=(names, names))", "points, margin=margin, names=(names, names), allowed=lambda i, j: j - i < 4)", "triangle", "pairs far apart in the list are missed"),
     Mutation("distances.py", "coefficients * scale[:, None]", "coefficients * scale[::-1, None]", "stack", "axes of the ellipsoid exchanged"),
-    Mutation("/hitch/pairs.py", "(self.cable[i] != self.cable[j]) | (", "(", "triangle", "foreign cables missed"),
-    Mutation("/hitch/pairs.py", "(edges[j] & on_leg)", "(i < 0)", "form_thirty_gon", "own edges missed"),
+    Mutation("/hitch/pairs.py", "own_end[:, None], axis=1)", "own_end[:, None], axis=1) & (i // 2 == (j - drones) // 3)", "triangle", "foreign cables missed"),
+    Mutation("/hitch/pairs.py", "own_end[:, None], axis=1)", "own_end[:, None], axis=1) & (i // 2 != (j - drones) // 3)", "form_thirty_gon", "own edges missed"),
     Mutation("clearance.py", "points[:, :, 2] -= (length", "points[:, :, 2] -= 0.5 * (length", "form_pentagon", "hanging cables half as deep"),
     Mutation("distances.py", "return flags", "return flags & (part[i] // 3 != part[j] // 3)", "grip_drum", "legs of one cable missed"),
     Mutation("spans.py", "alike(derivative(part, order - 1)).diff", "diff", "triangle", "every derivative is the first"),

@@ -994,13 +994,13 @@ def walls(s: Spans, x: Sequence[Line], deep: Line | float = 0.0, reach: float = 
 
 def taut_cables(p: Plan) -> Iterator[Row]:
     """Distances, lengths and shape of hitches; tensions, and what lacks at clasps."""
-    on, lim, owner, ties = p.formed, p.limits, p.parts[:, 2], p.parts[:, 3:]
+    on, lim, ties = p.formed, p.limits, p.parts[:, 3:]
     clasps = p.spans(on, range(len(p.clasps)), [p.labels[p.V][c] for c in p.clasps])
     legs = p.spans(on, np.flatnonzero(p.leg), p.names)
     cables = p.spans(on, range(p.n), p.cables)
     vertices = p.spans(on, range(p.V.start, p.V.stop), p.labels)
-    edge, i = ties[:, 0] != ties[:, 1], np.arange(p.N)[:, None]
-    foreign = np.argwhere((i // 2 != owner) | (edge & p.leg[:, None]))
+    own = np.where(p.leg, np.arange(p.N), p.anchor)  # where the part of each drone ends
+    foreign = np.argwhere(np.all(p.parts[:, :2] != own[:, None, None], axis=2))
     shared = np.any(ties[:, None, :, None] == ties[None, :, None, :], axis=(2, 3))
     s = p.spans(on, foreign, p.names, p.kinds)
     both, cut = np.argwhere(np.triu(~shared, 1)), [*corners_cut(p).values()]

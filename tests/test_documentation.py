@@ -300,7 +300,7 @@ def test_the_gallery_s_programs_state_the_problems_of_its_files(
         statement, _, rest = program(file).partition("\nplan = ho.solve(problem)\n")
         names: dict[str, Any] = {}
         exec(statement, names)
-        assert python(names["problem"]) == python(ho.read_problem(Path(file.name)))
+        assert python(names["problem"]) == python(ho.read_problem(file.relative_to(PROBLEMS)))
         assert file.stem in rest
 
 

@@ -332,21 +332,18 @@ def entering(spans: PairSpans) -> Bound:
 
 
 def _past_taut(motion: Motion) -> Iterator[Moving]:
-    """Yield pairs of drones and all parts of other cables, and their own edge.
-
-    A drone at a chain's end is on its own edge.
-    """
+    """Yield pairs of drones and all parts of taut cables but the one that ends at the drone."""
     (corners, part), bodies = cable_parts(motion), Bodies.of(motion.team.layout)
     body = bodies.of_parts(part)
 
-    def strange(i: Indices, j: Indices) -> Flags:
+    def apart(i: Indices, j: Indices) -> Flags:
         flags: Flags = bodies.kind(i, body[j]) == CABLE
         return flags
 
     drones = motion.drones.elevated(bernstein.degree(corners)).coefficients
     cables = cable_names(motion)
     names = motion.team.drone_names, [cables[k] for k in part // 3]
-    yield Moving.of(motion, drones[:, :, None], corners, allowed=strange, names=names)
+    yield Moving.of(motion, drones[:, :, None], corners, allowed=apart, names=names)
 
 
 def _past_chords(motion: Motion) -> Iterator[Moving]:

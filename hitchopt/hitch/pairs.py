@@ -62,12 +62,10 @@ class Bodies:
     ----------
     layout: its indices.
     nodes: (bodies, 2), both ends.
-    cable: (bodies,), the cable of a part, or of a drone.
     """
 
     layout: Layout
     nodes: Indices
-    cable: Indices
 
     @classmethod
     @lru_cache(maxsize=64)
@@ -75,8 +73,7 @@ class Bodies:
         """Return the bodies of a hitch."""
         drones = layout.points + np.arange(2 * layout.robots)
         nodes = np.concatenate([np.column_stack([drones, drones]), layout.part_nodes])
-        cable = np.concatenate([np.repeat(np.arange(layout.robots), 2), layout.parts // 3])
-        return cls(layout, nodes, cable)
+        return cls(layout, nodes)
 
     def of_parts(self, parts: Indices) -> Indices:
         """Return the bodies of cable parts, numbered as in ``Layout.parts``."""
@@ -85,14 +82,14 @@ class Bodies:
     def kind(self, i: Indices, j: Indices) -> Indices:
         """Return the kind of each pair of bodies, drones first, or -1 if they are free to touch.
 
-        Free are a drone and its own legs, or its edge if it stands at its end, and parts that meet
+        Free are a drone and the part that ends at it, its leg or else its edge, and parts that meet
         at a clasp.
         """
         layout, drones = self.layout, 2 * self.layout.robots
         i_drone, j_drone = i < drones, j < drones
-        edges = np.append(np.zeros(drones, np.bool_), layout.parts % 3 == 1)
-        on_leg = layout.has_leg.ravel()[np.minimum(i, drones - 1)]
-        apart = (self.cable[i] != self.cable[j]) | (edges[j] & on_leg)
+        on_leg, drone = layout.has_leg.ravel(), np.minimum(i, drones - 1)
+        own_end = np.where(on_leg[drone], layout.points + drone, layout.anchors[drone])
+        apart = np.all(self.nodes[j] != own_end[:, None], axis=1)
         # Only vertices are clasps.
         (a, b) = (np.where(n < layout.points, n, -1) for n in (self.nodes[i], self.nodes[j]))
         clasped = np.any((a[:, :, None] == b[:, None, :]) & (a[:, :, None] >= 0), axis=(1, 2))

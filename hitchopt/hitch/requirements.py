@@ -104,7 +104,7 @@ class Separation(OneLine):
     ] = 0.12
     height: Annotated[float, Key(units.ELLIPSOID, "Vertical semi-axis (Preiss et al. 2017)")] = 0.30
     cable: Annotated[
-        float, Key(units.DISTANCE, "Drone to any cable but its own, and to its own edge")
+        float, Key(units.DISTANCE, "Drone to any cable part but the one that ends at it")
     ] = 0.10
     crossing: Annotated[float, Key(units.DISTANCE, "Taut parts of cables that share no clasp")] = (
         0.05

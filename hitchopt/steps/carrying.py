@@ -6,6 +6,7 @@ import contextlib
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -52,9 +53,10 @@ AROUND_SPEED, OVER = 0.15, 0.10
 """Vertical speed around an object [m/s]; height of the lowest drone over objects below, besides
 ``separation.radius`` [m]."""
 
-SPREAD, MORE_ROLL = 1.03, 1.3
+SPREAD, MORE_ROLL = 1.03, (1.3, 2.5, 3.5)
 """Distances with which legs close below a rim, over their limits, since the motion takes some of
-them; and factor of the least roll, since a load brings legs nearer to each other."""
+them; and factors of the least roll, in order: a load brings legs nearer to each other, and drones
+may pass the other legs of their cables as legs close."""
 
 MIN_FOOTING = 0.02
 """[m] Smallest distance of centres of mass within the edges of what an object is set down on: the
@@ -330,7 +332,7 @@ class Grasp(PullStep):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan from around the object to clasps below its rim, or edges that grip."""
-        from hitchopt.steps.certified_motions import end_of_morph
+        from hitchopt.steps.certified_motions import end_of_morph, first_planned
 
         body, team = object_of(task, self.object), task.before.team
         tension = team.tension if self.tension is None else np.full(team.robots, self.tension)
@@ -344,8 +346,9 @@ class Grasp(PullStep):
         far = {key: SPREAD * value for key, value in vars(free.separation).items()}
         spaced = replace(free, separation=replace(free.separation, **far))
         near = end_of_morph(task.hitch, below, None, spaced).hitch  # as near as limits allow
-        legs = RolledLegs(near.q_legs, MORE_ROLL * near.roll)
-        closing = Morph(below, legs).plan(task.within(free, task.before))
+        closings = (Morph(below, RolledLegs(near.q_legs, x * near.roll)) for x in MORE_ROLL)
+        within = task.within(free, task.before)
+        closing = first_planned(partial(each.plan, within) for each in closings)
         hitch = closing.after.hitch
         assert hitch is not None
         hold = RestHold(team, body, closed, body.rim.height, hitch.fractions, hitch.roll)

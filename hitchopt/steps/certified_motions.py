@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -57,6 +57,17 @@ def attempt(planned: Callable[[], StepPlan]) -> StepPlan | HitchoptError:
         raise
     except HitchoptError as error:
         return error
+
+
+def first_planned(ways: Iterable[Callable[[], StepPlan]]) -> StepPlan:
+    """Return the first plan of those in turn that is not refused; else raise the first error."""
+    refused = list[HitchoptError]()
+    for way in ways:
+        found = attempt(way)
+        if isinstance(found, StepPlan):
+            return found
+        refused.append(found)
+    raise refused[0]
 
 
 def resting(hitch: Hitch, requirements: Requirements, seconds: float, phase: Phase) -> Motion:

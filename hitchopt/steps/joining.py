@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 
 from hitchopt.checks.linking import INTERLACING
-from hitchopt.errors import HitchoptError, InfeasibleError, InputError, Violation
+from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.geometry import ConvexPolygon, Outline
 from hitchopt.hitch import Team
 from hitchopt.motion.motion import Motion, joined_motions
@@ -230,7 +230,7 @@ class Replace(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of a join, a withdrawal and a morph, at the first cut that fits."""
-        from hitchopt.steps.certified_motions import attempt
+        from hitchopt.steps.certified_motions import first_planned
 
         before, hitch = task.before, task.hitch
         place, senses = _place("robot", self.robot, before.team.labels), before.known_senses
@@ -241,31 +241,13 @@ class Replace(Step):
                 _beside(hitch.polygon, place, rest), _sides(senses, place), strict=True
             )
         ]
-        refused = list[HitchoptError]()
-        for (vertex, polygon, side), share in product(ways, CUTS):
+
+        def planned(vertex: int, polygon: Outline, side: float, share: float) -> StepPlan:
             cut = share * float(np.min(hitch.polygon.edge_lengths[[vertex - 1, vertex]]))
             join = partial(joined_plan, Join(self.by, vertex, cut), side=side)
-            plans = join, partial(_reshaped, polygon), Withdraw(self.robot).plan
-            found = attempt(lambda plans=plans: _in_a_row(plans, task))  # type: ignore[misc]
-            if isinstance(found, StepPlan):
-                return found
-            refused.append(found)
-        raise refused[0]
+            return _in_a_row((join, Morph(polygon=polygon).plan, Withdraw(self.robot).plan), task)
 
-
-def _reshaped(polygon: Outline, task: StepTask) -> StepPlan:
-    """Return the plan of a morph whose cables keep off each other as planned distances are kept.
-
-    The edge that shrinks leaves long legs, and a drone is at the end of each.
-    """
-    from hitchopt.planners.forming.laying import MARGIN, ROOM
-
-    own = task.requirements.separation
-    wider = replace(own, crossing=MARGIN * max(own.crossing, own.cable) + ROOM)
-    planned = Morph(polygon=polygon).plan(
-        replace(task, requirements=replace(task.requirements, separation=wider))
-    )
-    return replace(planned, motion=planned.motion.replaced(requirements=task.requirements))
+        return first_planned(partial(planned, *way, share) for way, share in product(ways, CUTS))
 
 
 def _sides(senses: Array, place: int) -> tuple[float, float]:

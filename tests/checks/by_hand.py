@@ -143,20 +143,20 @@ def ratios(x: Array, separation: Separation) -> Array:
 
 
 def _taut_distances(s: Samples) -> dict[str, float]:
-    parts: list[tuple[bool, int, set[int], Array, Array]] = []
+    parts: list[tuple[int, int, set[int], Array, Array]] = []  # first an own end: -1 of edges
     for k, (a, b) in enumerate(zip(s.first.tolist(), s.last.tolist(), strict=True)):
         both = {a, b} & set(s.clasps.tolist())
-        parts.append((True, k, both, s.p[:, a], s.p[:, b]))
-        parts += [(False, k, {a}, s.p[:, a], s.x[:, 2 * k])] * bool(s.legged[2 * k])
-        parts += [(False, k, {b}, s.p[:, b], s.x[:, 2 * k + 1])] * bool(s.legged[2 * k + 1])
+        parts.append((-1, k, both, s.p[:, a], s.p[:, b]))
+        for drone, at in ((2 * k, a), (2 * k + 1, b)):
+            parts += [(drone, k, {at}, s.p[:, at], s.x[:, drone])] * bool(s.legged[drone])
     begin = np.stack([part[3] for part in parts], axis=1)
     end = np.stack([part[4] for part in parts], axis=1)
     d, m = np.array(
         [
             (drone, m)
             for drone in range(2 * s.n)
-            for m, (is_edge, k, *_) in enumerate(parts)
-            if drone // 2 != k or (is_edge and s.legged[drone])
+            for m, (leg_of, k, *_) in enumerate(parts)
+            if drone // 2 != k or (leg_of != drone and (leg_of >= 0 or s.legged[drone]))
         ]
     ).T
     clear = point_to_segment(s.x[:, d], begin[:, m], end[:, m])

@@ -134,6 +134,12 @@ FORMS: dict[str, tuple[Callable[[], Motion], str, float, bool, Set[tuple[str, ..
         ),
         *("cable_clearance", 0.07, False, {("r2", "cable 1")}),
     ),
+    "a drone over its own other leg": (
+        lambda: placed(
+            triangle(), 5, lambda x, p: 0.5 * (p[:, :, 2] + x[:, :, 4]) + [0.0, 0.0, 0.07]
+        ),
+        *("cable_clearance", 0.07, False, {("r2", "cable 2")}),
+    ),
     # On a regular hexagon the lines of edges k - 1 and k + 1 meet an edge's length away.
     "legs that end before the star tip, at 60°": (
         lambda: still(Team(6, 2.9), HEXAGON, np.full(6, 0.95)),

@@ -72,7 +72,7 @@ def test_free_tensions_are_eased_within_their_range_and_restored(least: float) -
 
 def test_parts_of_steps_keep_drones_apart_between_the_knots() -> None:
     last = PENTAGON.renumbered(2)
-    polygons = list(guesses(PENTAGON, last, 9).values())[1]
+    polygons = list(guesses(PENTAGON, last, 9).values())[2]
     first = KnotPath.through("turned", *ends(Team(5, 2.6), PENTAGON, last), polygons)
     bounds = Search(FREE, lambda _: None, None, (1.5, 1.5), 1.03)
 

@@ -293,6 +293,7 @@ LIES = [
     Lie("form", "the second swap turns back", turned_back, "interlacing"),
     Lie("form", "drones fly 1.4 m lower", both(plus("drones", -1.4, (slice(None), slice(None), 2)), plus("vertices", -1.4, (slice(None), slice(None), 2)), put("asked", "start", "drones", lambda d: {k: [[x, y, z - 1.4] for x, y, z in v] for k, v in d.items()})), "cable_clearance"),
     Lie("form", "tension is there at once", at_once, "tension"),
+    Lie("form", "a drone stands where its own other leg ends", in_phases("hitched", "drones", lambda x: np.stack([x[:, 0], x[:, 0] + [[0.06], [0.0], [0.0]]], axis=1), np.s_[:, :2]), "cable_clearance"),
     # Laying.
     Lie("lay", "the top cable comes from below", in_phases("being laid", "drones", lambda z: 2.0 * z[-1:, :, -1:] - z, np.s_[:, 4:6, 2]), "interlacing"),
     Lie("lay", "pairs roll in the other sense", in_phases("roll", "drones", turned_over, np.s_[:, :, 2]), "interlacing"),

@@ -200,12 +200,12 @@ class GripTask:
 def _pairs(n: int) -> tuple[Indices, Indices, Indices]:
     """Return the pairs (2, pairs) that keep off each other: drones, drones and parts, parts.
 
-    Own tangents count for drones, as the own edge of any hitch does; own legs do not.
+    All parts count for drones but the leg that ends at them.
     """
     k = np.arange(n)
     cable, clasp = np.tile(k, 4), np.concatenate([k, k, (k + 1) % n, (k + 1) % n])
     leg = np.repeat([True, False, False, True], n)
-    near = np.nonzero((np.arange(2 * n)[:, None] // 2 != cable) | ~leg)
+    near = np.nonzero(np.arange(4 * n) != np.column_stack([k, 3 * n + k]).reshape(-1, 1))
     i, j = np.triu_indices(4 * n, 1)
     both, own = leg[i] & leg[j], cable[i] == cable[j]
     crossing = (clasp[i] != clasp[j]) & (leg[i] | leg[j]) & (both | ~own)

@@ -76,6 +76,9 @@ SAME = 0.05
 SHORTEST_EDGE = 0.3
 """Least share of the shorter of an edge's two lengths on a path of edges that turn."""
 
+WIDENED = 1.4
+"""Scale of the outline half way on a path that is widened, on which legs pass star tips."""
+
 OTHER_TURN = 0.75 * math.pi
 """[rad] Smallest turn for which turning in the other direction is a guess as well."""
 
@@ -162,10 +165,14 @@ def guesses(first: ConvexPolygon, last: ConvexPolygon, count: int) -> dict[str, 
 
     Straight lines need not stay convex, and a half turn along them collapses to a point. Turning
     the edges' directions evenly, with the nearest lengths that close, gives convex polygons; so
-    does turning the whole polygon while its shape changes, where the shapes are alike.
+    does turning the whole polygon while its shape changes, where the shapes are alike. A polygon
+    that is widened half way lets legs pass each other.
     """
     s = np.linspace(0.0, 1.0, count)
     guesses = {"straight": _line(first.vertices, last.vertices, s)}
+    middle = guesses["straight"].mean(axis=1, keepdims=True)
+    swell = 1.0 + (WIDENED - 1.0) * np.sin(math.pi * s)[:, None, None]
+    guesses["widened"] = middle + swell * (guesses["straight"] - middle)
     start, goal = (_directions(polygon) for polygon in (first, last))
     # Edges turn by amounts that differ by less than a full turn: one unwrapping serves them all.
     mean = float(np.mean(goal - start))
