@@ -13,7 +13,8 @@ import numpy as np
 from hitchopt.checks.linking import INTERLACING
 from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.geometry import ConvexPolygon, Outline
-from hitchopt.hitch import Team
+from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch.hitch import cable_slack
 from hitchopt.motion.motion import Motion, joined_motions
 from hitchopt.steps.moving import Adjust, Morph
 from hitchopt.steps.step import INDEX, RestState, Step, StepPlan, StepTask, WhichPoint
@@ -158,13 +159,11 @@ class Withdraw(Step):
         place = _place("robot", self.robot, team.labels)
         return corner_restored(outline, place, self.robot)[0]
 
-    def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan of its leaving, which is its joining backward."""
-        from hitchopt.planners.forming.joining import Joins, corner_restored, leaving
-        from hitchopt.planners.forming.stages import reversed_stages
-        from hitchopt.steps.certified_motions import check_at_rest
+    def leaving(self, task: StepTask, hitch: Hitch, *, slides: bool = True) -> Joining:
+        """Return its leaving of a hitch, to whose legs cables slide straight, or need not."""
+        from hitchopt.planners.forming.joining import corner_restored, leaving
 
-        before, hitch, requirements = task.before, task.hitch, task.requirements
+        before, requirements = task.before, task.requirements
         refuse_rolls(before.whole_team, requirements)
         ring = before.team.labels
         place = _place("robot", self.robot, ring)
@@ -172,15 +171,23 @@ class Withdraw(Step):
         _check_free(self.robot, place, senses, task.index)
         outline, grown = corner_restored(hitch.polygon, place, self.robot)
         team = before.part(self.ring_after(ring, before.team))
+        return leaving(hitch, team, place, outline, grown, senses, requirements, slides=slides)
 
-        joined = leaving(hitch, team, place, outline, grown, senses, requirements)
+    def plan(self, task: StepTask) -> StepPlan:
+        """Return the plan of its leaving, which is its joining backward."""
+        from hitchopt.planners.forming.joining import Joins
+        from hitchopt.planners.forming.stages import reversed_stages
+        from hitchopt.steps.certified_motions import check_at_rest
+
+        before, requirements = task.before, task.requirements
+        joined = self.leaving(task, task.hitch)
         check_at_rest(joined.before, requirements, f"at the end of step {task.index} (withdraw)")
         joins = Joins(joined, before.whole_team, before.waiting, requirements, task.index)
         aside = joins.aside()
         parts = [joins.opening(aside), *joins.returning(aside), *joins.tying()]
         after = replace(
             before,
-            team=team,
+            team=joined.before.team,
             hitch=joined.before,
             drones=joined.before.drones,
             senses=joined.senses,
@@ -195,7 +202,8 @@ def _adjusted(task: StepTask, q_legs: Array) -> list[Motion]:
     """Return the motion in which legs become as long as joining or leaving needs; none if so."""
     if np.array_equal(q_legs, task.hitch.q_legs):
         return []
-    motion = Adjust(legs=q_legs).plan(task).motion
+    direct = replace(task, optimiser=False)  # another split takes less time than another route
+    motion = Adjust(legs=q_legs).plan(direct).motion
     return [task.before.with_waiting(motion, task.requirements)]
 
 
@@ -242,12 +250,27 @@ class Replace(Step):
             )
         ]
 
+        withdraw = Withdraw(self.robot)
+
+        def split_as_before(task: StepTask) -> StepPlan:
+            return Adjust(legs=hitch.fractions * task.hitch.slack).plan(task)
+
         def planned(vertex: int, polygon: Outline, side: float, share: float) -> StepPlan:
             cut = share * float(np.min(hitch.polygon.edge_lengths[[vertex - 1, vertex]]))
             join = partial(joined_plan, Join(self.by, vertex, cut), side=side)
-            return _in_a_row((join, Morph(polygon=polygon).plan, Withdraw(self.robot).plan), task)
+            plans = join, partial(_reshaped, polygon, withdraw), withdraw.plan, split_as_before
+            return _in_a_row(plans, task)
 
         return first_planned(partial(planned, *way, share) for way, share in product(ways, CUTS))
+
+
+def _reshaped(polygon: Outline, withdraw: Withdraw, task: StepTask) -> StepPlan:
+    """Return the plan of a morph to a polygon, and to legs with which a robot can leave it."""
+    hitch = task.hitch
+    legs = hitch.fractions * cable_slack(hitch.team, polygon)
+    there = Hitch(hitch.team, polygon, hitch.altitude, legs, hitch.roll)
+    left = withdraw.leaving(task, there, slides=False)
+    return Morph(polygon=polygon, legs=left.after.q_legs).plan(task)
 
 
 def _sides(senses: Array, place: int) -> tuple[float, float]:

@@ -106,6 +106,20 @@ def dipped(motion: Motion, c: NDArray[np.float64]) -> None:
     c[on[20:40], 0, 2, 1:-1] -= 0.3
 
 
+def slid(motion: Motion) -> Motion:
+    """Let cable 1 slide by 3 cm and back as weight passes."""
+    on = np.flatnonzero(at(motion, ("pass weight",), WITH))[1:3]
+    drones, legs = motion.drones.coefficients.copy(), motion.legs.coefficients.copy()
+    own = drones[on[0], 2:4, :, 0] - motion.vertices.coefficients[on[0], 2:4, :, 0]
+    for sign, drone, way in zip((1.0, -1.0), (2, 3), own, strict=True):
+        along = sign * 0.03 * way / np.linalg.norm(way)
+        drones[on[0], drone, :, 1:] += along[:, None]
+        drones[on[1], drone, :, :-1] += along[:, None]
+        legs[on[0], 1, drone - 2, 1:] += sign * 0.03
+        legs[on[1], 1, drone - 2, :-1] += sign * 0.03
+    return motion.replaced(drones=motion.drones.alike(drones), legs=motion.legs.alike(legs))
+
+
 def drifted(motion: Motion, c: NDArray[np.float64]) -> None:
     """Let the vertex of cables 0 and 1 be elsewhere from the seam on, by less than lengths tell."""
     ring = np.array([p.ring == WITH for p in motion.phases])[motion.phase_of_piece]
@@ -214,6 +228,7 @@ LIES: dict[str, tuple[Change, str, str]] = {
     # Seams.
     "it jumps as it joins": (moved(("pass weight",), slice(6, 7), 1e-5), "continuity", "continuity"),
     "a drone jumps at both seams": (edited("drones", jumped), "continuity", "continuity"),
+    "a cable slides as weight passes": (slid, "interlacing", "interlacing|contact"),
     "a vertex that stays is elsewhere": (edited("vertices", drifted), "interlacing", "interlacing"),
     "it is tied as it lies": (called("pass weight", state=ROLLING), "interlacing", "interlacing"),
     "it stays on top without joining": (until("lower"), "interlacing", "crossing"),

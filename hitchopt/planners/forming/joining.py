@@ -375,6 +375,7 @@ def joining(
         return Joining(start, after, vertex, senses, side)
 
     rest = _rest_margins(team, outline, ends, roll, requirements)
+    rest = np.minimum(rest, _slid_margins(before, starts, requirements))
     return _widest(tried, rest, requirements).checked()
 
 
@@ -400,6 +401,16 @@ def _rest_margins(
     shortest = np.min(np.minimum(q_legs, slack - q_legs), axis=1)
     margins: Array = np.minimum(reference_margins(task), shortest / leg)
     return margins
+
+
+def _slid_margins(hitch: Hitch, q_legs: Array, requirements: Requirements) -> Array:
+    """Return the least of ``_rest_margins`` (J,) as cables slide straight to q-legs (J, n) [m]."""
+    shares = np.linspace(0.0, 1.0, PROBES)[:, None, None]
+    between = hitch.q_legs + shares * (q_legs - hitch.q_legs)
+    rows = between.reshape(-1, hitch.team.robots)
+    margins = _rest_margins(hitch.team, hitch.polygon, rows, hitch.roll, requirements)
+    least: Array = np.min(margins.reshape(PROBES, -1), axis=0)
+    return least
 
 
 def _widest(tried: Callable[[int], Joining], at_rest: Array, requirements: Requirements) -> Joining:
@@ -431,11 +442,14 @@ def leaving(
     grown: Array,
     senses: Array,
     requirements: Requirements,
+    *,
+    slides: bool = True,
 ) -> Joining:
     """Return a robot's leaving, as its joining backward, with legs split as in ``joining``.
 
     ``team`` is the ring without it, ``outline`` its polygon, and ``grown`` (2,) [m] by how much the
-    edges of its neighbours grow; ``senses`` (n,) are those of the clasps after.
+    edges of its neighbours grow; ``senses`` (n,) are those of the clasps after. Its cables slide
+    straight from their legs, or, if not ``slides``, have any at first.
 
     Raises
     ------
@@ -451,7 +465,8 @@ def leaving(
     starts = ends.copy()
     starts[:, own[2]] -= grown[1]
     shortest = np.minimum(starts[:, own[2]], slack[k - 1] - ends[:, k - 1] - grown[0])
-    rest = _rest_margins(after.team, after.polygon, ends, after.roll, requirements)
+    given = after.team, after.polygon, ends, after.roll, requirements
+    rest = _slid_margins(after, ends, requirements) if slides else _rest_margins(*given)
     if np.max(shortest) < (least := requirements.limits.leg):
         names = tuple(f"cable {team.labels[j]}" for j in (k - 1, k % team.robots))
         when = "where the lines of its neighbours meet"
