@@ -24,7 +24,7 @@ import json
 import math
 import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from itertools import chain, combinations, groupby, pairwise, product
 from pathlib import Path
@@ -39,6 +39,7 @@ Index = Items | int
 Names = Sequence[Sequence[str]]
 Mask = NDArray[np.bool_]
 Fault = tuple[float, bool, str]  # time [s], whether it is there, words
+Worst = tuple[float, float, str]  # value, time [s], place
 
 G, UP = 9.81, np.array([0.0, 0.0, 1.0])
 BIG, TINY = 1e30, 1e-300
@@ -125,12 +126,11 @@ def fit(key: str, x: Any, form: str) -> None:
     if kind in FORMS and isinstance(x, dict):
         forms = dict(entry.split(":") for entry in FORMS[kind].split())
         for name in forms | x:
-            if name not in forms or (name not in x and "*" not in forms[name]):
-                raise ValueError(f"{key}.{name} is {'left out' if name in forms else 'unknown'}")
-            if name in x and "*" in forms[name] and not x[name]:
-                raise ValueError(f"{key}.{name} says nothing")
-            if name in x:
-                fit(f"{key}.{name}", x[name], forms[name])
+            given, left_out = forms.get(name, ""), "*" in forms.get(name, "")
+            if given and name in x and (x[name] or not left_out):
+                fit(f"{key}.{name}", x[name], given)
+            elif name in x or not left_out:
+                raise ValueError(f"{key}.{name} is left out, empty, or unknown")
     elif each and isinstance(x, list) and count in ("", str(len(x))):
         for i, y in enumerate(x):
             fit(f"{key}[{i}]", y, each)
@@ -227,6 +227,11 @@ def size(v: Array) -> Array:
 def direction(v: Array) -> Array:
     """Return vectors of length 1, or 0."""
     return v / np.maximum(size(v), TINY)[..., None]
+
+
+def strays(c: Array, most: Array | float = TOUCH) -> bool:
+    """Return whether any of what polynomials (pieces, ..., N + 1) give strays by more in all."""
+    return c.size > 0 and bool(np.any(np.ptp(c, axis=(0, -1)) > most))
 
 
 def joined(*parts: Line) -> Line:
@@ -397,12 +402,10 @@ class Spans:
 
     def edge_pull(self, k: Index) -> Line:
         """Return what edges pull with; those around something count whole, arcs included."""
+        way = (self.point(self.plan.end[k]) - self.point(self.plan.begin[k]))[:2]
         if self.plan.bent:
-            legs = self.leg(2 * k).norm() + self.leg(2 * k + 1).norm()
-            edge = -legs + self.plan.length[k]
-            return self.drawn(self.plan.tensions.on(self, k), k, edge * edge)
-        way = self.point(self.plan.edges[3, k]) - self.point(self.plan.edges[0, k])
-        return self.drawn(self.plan.tensions.on(self, k), k, way[:2].dot(way[:2]))
+            way = -(self.leg(2 * k).norm() + self.leg(2 * k + 1).norm()) + self.plan.length[k]
+        return self.drawn(self.plan.tensions.on(self, k), k, way.dot(way))
 
     def thrust(self, i: Index) -> Line:
         """``m (a + g ẑ) + P û + ½ ρ g d τ ẑ - (1 - τ) w`` (w: the pull of the hanging cable)."""
@@ -486,6 +489,14 @@ def distance(a: Sequence[Line], b: Sequence[Line]) -> Line:
     return least(*((x - y).dot(w) for x in a for y in b))
 
 
+def aside(a: Sequence[Line], b: Sequence[Line]) -> Line:
+    """Distance from above of the first two corners, or of all heights."""
+    heights = [[x[2] for x in corners] for corners in (a, b)]
+    (low, floor), (high, top) = ([f(*z) for z in heights] for f in (least, largest))
+    beside = distance([x[:2] for x in a[:2]], [x[:2] for x in b[:2]])
+    return largest(beside, low - top, floor - high)
+
+
 class Slab:
     """A convex section between two heights: clockwise corners, and a radius about them."""
 
@@ -522,8 +533,7 @@ class Slab:
 
     def grown(self, radius: float, lower: float, upper: float) -> Slab:
         """Return one with a larger radius, between other heights."""
-        core = None if self.round else self.core.tolist()
-        return Slab(core, self.radius + radius, lower, upper)
+        return Slab(None if self.round else self.core, self.radius + radius, lower, upper)
 
     def gap(self, *points: Line) -> Line:
         """Its distance from the hull of points, by the sides between them."""
@@ -573,22 +583,26 @@ class Plan:
     """
 
     def __init__(
-        self, file: Any, s: dict[str, Any], label: str = "", folder: str = "", robots: Any = ()
+        self, file: Any, s: dict[str, Any], folder: str = "", at: float = 0.0, robots: Any = ()
     ) -> None:
-        self.file, self.folder, self.label, self.settings = file, folder, label, s
+        self.file, self.folder, self.settings = file, folder, s
+        self.label = folder.removeprefix("others/").replace("/", ".")
         self.arrays, self.robots, self.guests = dict[str, Array](), np.array(robots), [-1, -1]
         self.since, self.until, self.beside = -math.inf, math.inf, self
+        fit("settings", s, "settings")
+        fit("settings.team", s["team"], "team" if "robots" in s["team"] else "single")
+        fit("settings.phases", s["phases"], "member[]" if "ring" in s["phases"][0] else "phase[]")
         self._read(s)
+        if not robots and self.breaks[0] != at:
+            raise ValueError(f"{self.label}breaks do not rise from {at:g}")
         for words in () if robots else differences("", s["asked"], told(self)):
-            raise ValueError(f"{label}{words}")
+            raise ValueError(f"{self.label}{words}")
         self.chapters = [[self]] if "ring" not in self.phases[0] else chapters(self)
 
-    def _array(
-        self, name: str, *shape: int, other: Array | None = None, most: float = 1e6
-    ) -> Array:
+    def _array(self, name: str, *shape: int, other: Any = None, most: float = 1e6) -> Array:
         """Return an array of the file; the other one where the settings do not name it."""
         if self.settings.get(name) is not True and (0 in shape or other is not None):
-            return np.zeros((*shape, 1)) if other is None else other
+            return np.zeros((*shape, 1)) if other is None else np.asarray(other)
         x: Array = self.file[self.folder + name]
         self.arrays[name] = x
         fits = (x.shape[:-1] if shape[1:] else x.shape) == shape and x.dtype == np.float64
@@ -606,16 +620,11 @@ class Plan:
         for key, times in (("radius", 1.0), ("cable", 2.0), ("crossing", 2.0), ("object", 1.0)):
             self.sep[key] += times * off
         self.scale = 0.5 / np.array([self.sep["radius"], self.sep["radius"], self.sep["height"]])
-        self.cable, self.crossing, self.object = (  # limits of distances from cables [m]
-            (f"{name} m min", max(float(self.sep[name.split("_")[0]]), TOUCHING))
-            for name in ("cable_clearance", "crossing", "object_clearance")
-        )
+        names = "cable_clearance", "crossing", "object_clearance"  # of distances from cables [m]
+        rooms = ((f"{x} m min", max(float(self.sep[x.split("_")[0]]), TOUCHING)) for x in names)
+        self.cable, self.crossing, self.object = rooms
 
     def _read(self, s: dict[str, Any]) -> None:
-        fit("settings", s, "settings")
-        fit("settings.team", s["team"], "team" if "robots" in s["team"] else "single")
-        for i, phase in enumerate(s["phases"]):
-            fit(f"settings.phases[{i}]", phase, "member" if "ring" in s["phases"][0] else "phase")
         team, self.breaks, self.phases = s["team"], self.file[f"{self.folder}breaks"], s["phases"]
         self.limits, self.arena, label = dict(s["limits"]), s["arena"], self.label
         self._keep(s["separation"], float(self.limits.get("tracking") or 0.0))
@@ -655,6 +664,7 @@ class Plan:
         self.state = np.array([phase["state"] for phase in self.phases])[self.phase]
         self.formed = np.isin(self.state, ("hitched", ROLLING, LYING))
         self.free = ~self.formed & (n > 0)
+        self.follows = np.where(self.state == LYING, ROLLING, self.state)  # what may roll next
         self._read_bodies(m, n)
         parts = [self._array("drones", m, N, 3), *self._read_cables(m, n, N, P)]
         parts = [elevated(x, max(y.shape[-1] for y in parts)) for x in parts]
@@ -668,6 +678,9 @@ class Plan:
             near[1:] |= still[1:] & near[:-1]
             near[:-1] |= still[:-1] & near[1:]
         self.ramp = near & self.formed
+        # Pieces on which all drones go straight up or down, or rest.
+        level = np.ptp(self.points.c[0][:, :N, :2], axis=-1)
+        self.upright: Mask = np.max(level, axis=(1, 2)) <= TOUCH
 
     def _check_phases(self) -> None:
         """Raise ValueError unless phases follow each other, and say what there can be."""
@@ -725,6 +738,7 @@ class Plan:
         k = np.arange(n)
         self.begin, self.end, self.clasps = N + k, N + (k + 1) % max(P, 1), k[not self.closed :]
         self.behind = (self.clasps - 1) % max(n, 1)  # the other cable of a clasp
+        self.pair = np.stack([self.behind, self.clasps])
         self.edges = np.stack([self.begin, N + P + 2 * k, N + P + 2 * k + 1, self.end])
         own, leg = np.stack([self.begin, self.end], -1), np.ones((n, 2), dtype=bool)
         leg[:1, 0] = leg[-1:, 1] = self.closed
@@ -732,9 +746,7 @@ class Plan:
         self.toward = np.where(leg, own, own[:, ::-1]).ravel()
         self.weight, self.mu = G * float(team["cable_density"]), float(team["cable_friction"])
         self.load = (np.array(team["load"], dtype=float) * np.ones(len(self.clasps)))[:, None]
-        self.length, self.team = (
-            self._array(key, n).reshape(n, 1) for key in ("cable_length", "tension")
-        )
+        self.length, self.team = (self._array(x, n)[:, None] for x in ("cable_length", "tension"))
         vertices, T = self._array("vertices", m, P, 3), self._array("tensions", m, n)
         middle = 0.5 * (vertices + np.roll(vertices, -1, 1))[:, :n]
         middle = np.stack([middle, middle], 2)
@@ -742,9 +754,8 @@ class Plan:
         pulls = self._array("leg_tensions", m, n, 2, other=both)
         self.bent, self.slid = contacts is not middle, pulls is not both
         legs = self._array("legs", m, n, 2)
-        self.pulls, self.legs = (
-            Curve(x.reshape(m, 2 * n, 1, x.shape[-1]), self.h) for x in (pulls, legs)
-        )
+        flat = (x.reshape(m, 2 * n, 1, x.shape[-1]) for x in (pulls, legs))
+        self.pulls, self.legs = (Curve(x, self.h) for x in flat)
         self.tensions = Curve(T[:, :, None], self.h)
         self.tied = np.zeros((n, n), dtype=bool)  # cables that clasp each other
         self.tied[self.clasps, self.behind] = self.tied[self.behind, self.clasps] = True
@@ -757,8 +768,8 @@ class Plan:
                 self.ranged[within], self.range[within] = i, phase["tension"]
         self.least = np.minimum(self.range[..., :1], self.team)
         self.sag: Array = (
-            self.weight * self.length / self.team
-        ) ** 2 / 24.0  # of a cable over its length
+            np.square(self.weight * self.length / self.team) / 24.0
+        )  # over a cable's length
         # Straight parts of taut cables: both points, cable, and vertices at the ends (k, 5).
         stops, on = self.edges if self.bent else self.edges[[0, 3]], np.flatnonzero(self.leg)
         rows = [(self.anchor[on], on, on // 2, self.anchor[on], self.anchor[on])]
@@ -767,15 +778,6 @@ class Plan:
         edges = [f"{self.label}edge {j}" for j in k] * (len(rows) - 1)
         self.kinds = [f"leg of {self.names[j]}" for j in on] + edges
         return [vertices, contacts.reshape(m, 2 * n, 3, contacts.shape[-1])]
-
-    @property
-    def pair(self) -> Items:
-        """Cables at clasps (2, c): the one behind, the one ahead."""
-        return np.stack([self.behind, self.clasps])
-
-    def follows(self, q: int) -> str:
-        """Return the state as which a piece is followed: what lies across may roll next."""
-        return ROLLING if self.state[q] == LYING else str(self.state[q])
 
     def spans(self, on: Mask, items: Any, *names: Sequence[str]) -> Spans:
         """Whole pieces with items (k,) or (k, c), where on (pieces,) or (pieces, k)."""
@@ -812,8 +814,8 @@ def chapter(p: Plan, pieces: slice, robots: list[int]) -> Plan:
     rows = {"drones": [2 * k + end for k in robots for end in (0, 1)], "vertices": [*range(n), n]}
     for name, x in p.arrays.items():
         each = rows.get(name, robots)[: None if name == "drones" else max(n, 2)]
-        arrays[name] = x[robots] if x.ndim == 1 else x[pieces, each]
-    arrays["breaks"] = p.breaks[pieces.start : pieces.stop + 1]
+        arrays[p.folder + name] = x[robots] if x.ndim == 1 else x[pieces, each]
+    arrays[f"{p.folder}breaks"] = p.breaks[pieces.start : pieces.stop + 1]
     clasps, topology = (n, "closed") if n > 1 else (0, "open")
     team = {"robots": n, "topology": topology, "load": [0.0] * clasps}
     phases = list[dict[str, Any]]()
@@ -823,7 +825,7 @@ def chapter(p: Plan, pieces: slice, robots: list[int]) -> Plan:
         own = {} if n > 1 else {"state": states[robots[0]], "tension": None}
         phases.append(phase | own)
     settings = p.settings | {"team": p.settings["team"] | team, "phases": phases}
-    return Plan(arrays, settings, p.label, "", robots)
+    return Plan(arrays, settings, p.folder, robots=robots)
 
 
 def elevated(c: Array, count: int) -> Array:
@@ -935,21 +937,6 @@ def lowest(s: Spans, k: Index) -> Line:
     return least(*(x[2] for x in cable)) - sag
 
 
-def to_cable(s: Spans, i: Index, k: Index) -> Line:
-    """Distances of drones from hanging cables."""
-    cable, _, sag = hanging_links(s, k)
-    return least(*(distance([s.point(i)], link) for link in pairwise(cable))) - sag
-
-
-def to_sheet(s: Spans, i: Index, k: Index) -> Line:
-    """Distances of drones from the upright sheets between hanging cables and their chords."""
-    x, found, (cable, chord, sag) = s.point(i), [], hanging_links(s, k)
-    for (a, c), (b, d) in pairwise(zip(cable, chord, strict=True)):
-        below, above = least(a[2], b[2]) - sag - x[2], x[2] - largest(c[2], d[2])
-        found.append(largest(below, above, distance([x[:2]], [a[:2], b[:2]])))
-    return least(*found)
-
-
 # The limits.
 
 
@@ -980,10 +967,7 @@ def drones(p: Plan) -> Iterator[Row]:
 
 
 def walls(s: Spans, x: Sequence[Line], deep: Line | float = 0.0, reach: float = 0.0) -> Line:
-    """Return the distance to walls of points that reach so far aside, and are so much lower.
-
-    Without an arena the only wall is the ground.
-    """
+    """Distance to walls (or the ground) of points that reach so far aside, and so much lower."""
     arena = s.plan.arena or {"lower": [-BIG, -BIG, 0.0], "upper": [BIG] * 3}
     lower, upper = np.array(arena["lower"]), np.array(arena["upper"])
     off = s.plan.tracking  # which the floor does not count: drones stand there
@@ -1260,12 +1244,19 @@ def free_cables(p: Plan) -> Iterator[Row]:
     free, hangs = (p.spans(on, k, p.cables) for on in (p.free, p.free & ~ground))
     lies, tight = p.spans(p.free & ground, foreign, *ends), p.state == "being tightened"
 
-    yield prove(
-        "span 1 max",
-        1.0,
-        free,
-        lambda s, k: (s.across(k).norm() + 2.0 * p.tracking) * (1.0 / p.length[k]),
-    )
+    def to_cable(s: Spans, i: Index, k: Index) -> Line:
+        cable, _, sag = hanging_links(s, k)
+        return least(*(distance([s.point(i)], x) for x in pairwise(cable))) - sag - sway(s, k)
+
+    def to_sheet(s: Spans, i: Index, k: Index) -> Line:
+        """Distances of drones from the upright sheets between hanging cables and their chords."""
+        cable, chord, sag = hanging_links(s, k)
+        low = [x - UP * sag for x in cable]
+        links = zip(pairwise(chord), pairwise(low), strict=True)
+        return least(*(aside([s.point(i)], [*top, *bottom]) for top, bottom in links))
+
+    whole, off = "span 1 max", 2.0 * p.tracking
+    yield prove(whole, 1.0, free, lambda s, k: (s.across(k).norm() + off) * (1.0 / p.length[k]))
     yield prove(*p.crossing, both, lambda s, i, j: distance(s.chord(i), s.chord(j)))
     yield prove(*p.cable, lies, lambda s, i, k: distance([s.point(i)[:2]], s.chord(k)))
     yield prove(*p.cable, hangs, lambda s, k: lowest(s, k) - p.floor - sway(s, k))
@@ -1273,7 +1264,7 @@ def free_cables(p: Plan) -> Iterator[Row]:
     s = p.spans(p.free & ~ground, foreign, *ends)
     far = sum(((s.point(s.item[:, 0]) - x).norm() for x in s.ends(s.item[:, 1])), s.zero)
     s = s.take(far.low < p.length[s.item[:, 1], 0] + 2.0 * (p.sep["cable"] + FAR))
-    yield prove(*p.cable, s, lambda s, i, k: to_cable(s, i, k) - sway(s, k))
+    yield prove(*p.cable, s, to_cable)
     yield prove("strands m min", TOUCH, s, to_sheet)
     longer = "cable_length 1 max", 1e-4  # than cables, the ways around their vertices are at most
     s = p.spans(tight, k, p.cables)
@@ -1283,7 +1274,7 @@ def free_cables(p: Plan) -> Iterator[Row]:
 
 def laid_cables(p: Plan) -> Iterator[Row]:
     """Lengths of cables taut by themselves, and distances of neighbours that are laid."""
-    laid, upright = p.state == LAID, upright_pieces(p)
+    laid = p.state == LAID
     s = p.spans(laid, range(p.n), p.cables)
 
     def off(s: Spans, k: Index) -> Line:
@@ -1299,11 +1290,11 @@ def laid_cables(p: Plan) -> Iterator[Row]:
         return largest(distance(s.chord(k), s.chord(j)), *over)
 
     yield prove("cable_length 1 max", 1e-4, s, off)
-    pairs = np.column_stack([p.clasps, p.behind])
-    yield prove(*p.crossing, p.spans(laid & ~upright, pairs, p.cables, p.cables), beside)
-    ties = np.zeros((3, len(p.clasps)))
-    _, sign, end = crossed(p, np.zeros((p.n, p.n, len(p.h))), ties, ("", ""))
-    s = p.spans(laid & upright, range(len(p.clasps)), p.labels[p.V])
+    pairs = p.spans(laid & ~p.upright, p.pair[::-1].T, p.cables, p.cables)
+    yield prove(*p.crossing, pairs, beside)
+    passed, ties = np.zeros((p.n, p.n, len(p.h) + 1)), np.zeros((2, len(p.clasps)))
+    _, sign, end = crossed(p, passed, ties, ("", ""))
+    s = p.spans(laid & p.upright, range(len(p.clasps)), p.labels[p.V])
 
     def above(s: Spans, c: Index) -> Line:
         """How much higher the upper one is than where it lies, or than it has to be."""
@@ -1311,12 +1302,6 @@ def laid_cables(p: Plan) -> Iterator[Row]:
         return z * sign[s.piece, c, None] - end[s.piece, c, None]
 
     yield prove("laid m min", -TOUCH, s, above)
-
-
-def upright_pieces(p: Plan) -> Mask:
-    """Return (m,) whether all drones go straight up or down, or rest."""
-    level = p.points.c[0][:, : p.N, :2]
-    return np.asarray(np.max(np.ptp(level, axis=-1), axis=(1, 2)) <= TOUCH)
 
 
 def meet(a: Array, u: Array, b: Array, w: Array) -> tuple[Array, Array]:
@@ -1328,46 +1313,32 @@ def meet(a: Array, u: Array, b: Array, w: Array) -> tuple[Array, Array]:
     return np.where(inside, x, np.nan), np.where(inside, y, np.nan)
 
 
-def level(p: Plan, q: int, x: float, k: Items, share: Array) -> Array:
-    """Heights (k,) of cables that hang, at shares of their chords."""
-    s = Spans(p, 0 * k + q, k[:, None], np.full(len(k), x), np.zeros(len(k)))
+def level(s: Spans, k: Items, share: Array) -> Array:
+    """Heights (m,) of cables that hang, at shares of their chords."""
     with np.errstate(all="ignore"):
-        off, g = (each.v for each in hanging(s, 2 * k))
-        deep = depth(p.length[k, 0], off[:, 2], g[:, 0], 2.0 * share - 1.0)
+        off, g = (x.v for x in hanging(s, 2 * k))
+        deep = depth(s.plan.length[k, 0], off[:, 2], g[:, 0], 2.0 * share - 1.0)
     return np.asarray(s.point(2 * k).v[:, 2] + share * off[:, 2] - deep)
 
 
-def heights(p: Plan, q: int, x: float) -> Array:
-    """By how much cables are over those behind them where they cross from above (c,), or nan."""
-    k = np.arange(p.n)
-    s = Spans(p, 0 * k + q, k[:, None], np.full(p.n, x), np.zeros(p.n))
-    at, way, a, b = s.point(2 * k).v, s.across(k).v, p.clasps, p.behind
-    shares = meet(at[a], way[a], at[b], way[b])
-    over, under = (level(p, q, x, *each) for each in zip((a, b), shares, strict=True))
-    return over - under
+def heights(p: Plan, q: int, end: int) -> Array:
+    """By how much cables cross over those behind them (c,), or nan, at an end of the q-th piece."""
+    s = p.spans(np.arange(len(p.h)) == q, p.clasps).within(2.0 * end - 1.0)
+    chords = [(s.point(2 * k).v, s.across(k).v) for k in (p.clasps, p.behind)]
+    x, y = meet(*chords[0], *chords[1])
+    return level(s, p.clasps, x) - level(s, p.behind, y)
 
 
-class Lowered(NamedTuple):
-    """A taut cable that goes straight up, or down, over edges of a ring at rest, or under them.
+def laid_on(alone: Plan) -> dict[int, tuple[Mask, Items, Array, Array, Array]]:
+    """Return how a robot's cable is lifted as it has left (0), and laid as it joins (1).
 
-    Mask of pieces; edges that it crosses, and where (k, 2); by how much it is higher where it lies
-    on them, and at the other end of these pieces (k,); 1 if it is above, -1 below; its height.
+    Pieces on which it goes straight up, or down, from edges of a ring at rest, or to them: those
+    that it crosses (k,), and where (k, 2); how high its q is as it touches them, and 1 if it is
+    above, -1 below (k,). It lies at one end, and is away from all on the same side at the other.
     """
-
-    pieces: Mask
-    edges: Items
-    places: Array
-    lies: Array
-    away: Array
-    side: Array
-    at: float
-
-
-def laid_on(alone: Plan) -> dict[int, Lowered]:
-    """Return how a robot's cable is lifted as it has left (0), and laid as it joins (1)."""
-    ring, found = alone.beside, dict[int, Lowered]()
+    ring, found = alone.beside, dict[int, Any]()
     still = np.max(np.ptp(ring.points.c[0][:, : ring.V.stop], axis=-1), axis=(1, 2)) <= TOUCH
-    down = (alone.state == LAID) & upright_pieces(alone) & ring.formed & still
+    down = (alone.state == LAID) & alone.upright & ring.formed & still
     for end in (end for end in (0, 1) if alone.guests[end] >= 0 and down[-end]):
         step = slice(None, None, 1 - 2 * end)
         run = np.logical_and.accumulate(down[step])[step]
@@ -1377,11 +1348,13 @@ def laid_on(alone: Plan) -> dict[int, Lowered]:
         k = np.flatnonzero(~np.isnan(here))
         a, way, y = a[k], way[k], there[k]
         sag = 0.5 * ring.weight / ring.team[k, 0] * y * (1.0 - y) * size(way) ** 2
-        gaps = level(alone, -end % len(run), float(end), 0 * k, here[k])
-        gaps += sag - a[:, 2] - y * way[:, 2]
+        s = alone.spans(np.arange(len(run)) == -end % len(run), 0 * k).within(2.0 * end - 1.0)
+        gaps = level(s, 0 * k, here[k]) + sag - a[:, 2] - y * way[:, 2]
         far = gaps + alone.points.c[0][np.flatnonzero(run)[end - 1], 0, 2, end - 1] - c[0, 2]
-        places = a[:, :2] + y[:, None] * way[:, :2]
-        found[end] = Lowered(run, k, places, gaps, far, np.sign(far), float(c[0, 2]))
+        side, places = np.sign(far), a[:, :2] + y[:, None] * way[:, :2]
+        good = (side * gaps >= -TOUCH) & (np.abs(gaps) <= SAGS) & (side == side[:1])
+        if np.all(good & (np.abs(far) >= alone.crossing[1])):
+            found[end] = run, k, places, c[0, 2] - gaps, side
     return found
 
 
@@ -1409,18 +1382,18 @@ def followed(p: Plan, run: Items) -> tuple[Array, Array, Mask]:
 def crossed(
     p: Plan, passed: Array, ties: Array, around: Sequence[str]
 ) -> tuple[list[Fault], Array, Array]:
-    """Replay half crossings of neighbours that are laid and roll; ``passed`` (n, n, m) gets them.
+    """Replay half crossings of neighbours that are laid and roll; ``passed`` gets them.
 
-    ``ties`` (3, c) are crossings, senses, and who lies on whom: as it begins, then as it ends, but
-    for crossings. ``around`` are the states before and after.
+    ``ties`` (2, c) are senses, and who lies on whom: as it begins, then as it ends. ``around`` are
+    the states before and after.
 
     Faults; and on pieces with cables that go straight up or down, the sign (m, c) of who is above,
     and how high its q is to be at least over the other one's, times that.
     """
     m, count, faults = len(p.h), len(p.clasps), list[Fault]()
     sign, end = np.zeros((m, count)), np.full((m, count), -BIG)
-    upright, (number, sense, lies) = upright_pieces(p), ties.copy()
-    runs = [(s, np.array([*q])) for s, q in groupby(range(m), p.follows)]
+    sense, lies = ties
+    runs = [(str(s), np.array([*q])) for s, q in groupby(range(m), lambda q: p.follows[q])]
     names = [around[0], *(s for s, _ in runs), around[1]]
     i, j = np.minimum(p.clasps, p.behind), np.maximum(p.clasps, p.behind)
 
@@ -1429,39 +1402,37 @@ def crossed(
 
     for at, (state, run) in enumerate(runs):
         before, after, q = names[at], names[at + 2], int(run[0])
-        tied = np.abs(np.sum(passed[i, j, :q], axis=-1) + number) == 1.0
+        number = np.sum(passed[i, j, : q + 1], axis=-1)
+        tied = np.abs(number) == 1.0
         if state == LAID:
             wrong(q, before != ROLLING and np.any(tied | (lies != 0.0)), "tied cables are laid")
-            for straight, part in groupby(run.tolist(), lambda q: bool(upright[q])):
+            for straight, part in groupby(run.tolist(), lambda q: bool(p.upright[q])):
                 pieces = [*part]
-                ups, downs = before == ROLLING and pieces[0] == q, after == ROLLING
-                downs = downs and pieces[-1] == run[-1]
-                wrong(q, (ups or downs) and not straight, "cables that lie are moved aside")
+                ups = before == ROLLING and pieces[0] == q
+                downs = after == ROLLING and pieces[-1] == run[-1]
+                lying, e = ups or downs, int(not ups)  # at which end
+                wrong(q, (ups and downs) or (lying and not straight), "cables that lie are moved")
                 if not straight:
                     continue
-                ends = heights(p, pieces[0], 0.0), heights(p, pieces[-1], 1.0)
-                there, away = ends if ups else ends[::-1]
-                over = np.sign(np.nan_to_num(away))
-                apart = np.isnan(away) & (not (ups or downs))  # do not cross, and rest
-                wrong(
-                    q, ~(apart | (np.abs(away) >= p.crossing[1])), "cables are not over each other"
-                )
-                wrong(q, ups and downs, "cables lie on each other at both ends of a lift")
-                x = p.points.c[0][pieces[0 if ups else -1], :, 2, 0 if ups else -1]
+                there, away = heights(p, pieces[-e], e), heights(p, pieces[e - 1], 1 - e)
+                over, apart = np.sign(np.nan_to_num(away)), np.isnan(away) & (not lying)
+                near = ~(apart | (np.abs(away) >= p.crossing[1]))  # if they cross, or do not rest
+                wrong(q, near, "cables are not over each other")
+                x = p.points.c[0][pieces[-e], :, 2, -e]
                 rise = (x[2 * p.clasps] - x[2 * p.behind]) * over
-                floor = rise if ups or downs else rise - over * there + p.crossing[1]
+                floor = rise if lying else rise - over * there + p.crossing[1]
                 sign[pieces], end[pieces] = over, np.where(apart, -BIG, floor)
-                wrong(q, (ups or downs) and ~(np.abs(there) <= SAGS), "cables do not lie")
+                wrong(q, lying and ~(np.abs(there) <= SAGS), "cables do not lie")
                 wrong(q, ups and over != lies, "a cable is lifted through another one")
                 lies = over if downs else 0.0 * over
             if before == ROLLING:
-                passed[i, j, q] -= sense
+                passed[i, j, q + 1] -= sense
         elif state == ROLLING:
             start, change, known = followed(p, run)
             opened = np.abs(start) >= ROLLED
             lies = np.where(opened, np.sign(change), 0.0) if not before else lies
             wrong(q, ~known | (opened != (lies != 0.0)) | ~(opened | tied), "untied cables roll")
-            passed[i, j, run[-1]] += np.where(tied, 0.0, lies)
+            passed[i, j, run[-1] + 1] += np.where(tied, 0.0, lies)
             sense = np.where(lies != 0.0, lies, sense)
             left = start + 180.0 * sense  # from where they lie across
             left = np.where(opened, (left + 180.0) % 360.0 - 180.0, left) + change
@@ -1470,8 +1441,8 @@ def crossed(
             wrong(q, {LAID: ~across, "hitched": across}.get(after, False), "half a roll is missing")
             lies = np.where(across, sense, 0.0)
         elif state == "hitched" and before not in ("", ROLLING):
-            sense = np.sum(passed[i, j, :q], axis=-1) + number
-    ties[1:] = sense, lies
+            sense = number
+    ties[:] = sense, lies
     return faults, sign, end
 
 
@@ -1505,8 +1476,8 @@ def clear_objects(p: Plan, b: int) -> Iterator[Row]:
         return largest(over, above(over, s, -1))
 
     def others(s: Spans, _: Index, o: int, slab: Slab, block: Slab) -> Line:
-        seen = corners(s, s, b, slab, o)
-        return largest(lowered(block, slab).gap(*seen), above(seen[0][2] - block.upper, s, o))
+        over = s.seen(o, s.place(b, UP * slab.lower))[2] - block.upper
+        return largest(clear(s, b, slab, s, o, block), above(over, s, o))
 
     for slab in body.slabs:
         yield prove(*p.object, off, lambda s, j, slab=slab: slab.gap(*s.part(j, b)))
@@ -1522,14 +1493,11 @@ def clear_objects(p: Plan, b: int) -> Iterator[Row]:
     yield prove(enters, -WRAPPED, s, lambda s, i: s.point(i)[2] - p.floor)
 
 
-def corners(s: Spans, t: Spans, b: int, slab: Slab, o: int) -> list[Line]:
-    """Lower corners of a slab of body b of s, around, as body o of t sees them."""
-    return [t.seen(o, s.place(b, np.append(x, slab.lower))) for x in (*slab.core, slab.core[0])]
-
-
-def lowered(block: Slab, slab: Slab) -> Slab:
-    """Return where no lower corner of a slab may be for it to keep off a block."""
-    return block.grown(slab.radius, block.lower - slab.upper + slab.lower, block.upper)
+def clear(s: Spans, b: int, slab: Slab, t: Spans, o: int, block: Slab) -> Line:
+    """Distance of a slab of body b of s, by its lower corners, from a block of body o of t."""
+    seen = [t.seen(o, s.place(b, np.append(x, slab.lower))) for x in (*slab.core, slab.core[0])]
+    lower = block.lower - slab.upper + slab.lower
+    return block.grown(slab.radius, lower, block.upper).gap(*seen)
 
 
 def touching(p: Plan, b: int) -> Mask:
@@ -1677,7 +1645,7 @@ class Pair(Plan):
         return self.spans(first[0][one] & second[0][two], items, first[1], second[1])
 
 
-Solid = tuple[Mask, Sequence[str], Callable[..., list[Line]]]
+Solid = tuple[Mask, Sequence[str], Callable[..., Any]]
 
 
 def solids(p: Plan) -> list[Solid]:
@@ -1697,12 +1665,6 @@ def across(pair: Pair) -> Iterator[Row]:
     p, q = pair.plans
     low = [*laid_on(q).values()] if q.beside is p else []
 
-    def aside(a: list[Line], b: list[Line]) -> Line:
-        heights = [[x[2] for x in corners] for corners in (a, b)]
-        (low, floor), (high, top) = ([f(*z) for z in heights] for f in (least, largest))
-        beside = distance([x[:2] for x in a[:2]], [x[:2] for x in b[:2]])
-        return largest(beside, low - top, floor - high)
-
     def ratio(a: list[Line], b: list[Line]) -> Line:
         return ((a[0] - b[0]) * pair.scale).norm()
 
@@ -1710,21 +1672,21 @@ def across(pair: Pair) -> Iterator[Row]:
         return how(*(x[2](t, k) for x, t, k in zip(of, pair.both(s), items, strict=True)))
 
     for (i, one), (j, two) in product(*(enumerate(solids(p)) for p in pair.plans)):
-        how = aside if max(i, j) > 1 else distance
+        how: Callable[..., Line] = aside if max(i, j) > 1 else distance
         what, s = pair.cable if 0 in (i, j) else pair.crossing, pair.items(one, two)
         if i == j == 0:
             how, what = ratio, ("separation ratio min", 1.0)
         if (i, j) == (1, 3):
-            for x in low:
-                s = s.take(~(x.pieces[s.piece] & np.isin(s.item[:, 0], 2 * p.n + x.edges)))
+            for run, edges, *_ in low:
+                s = s.take(~(run[s.piece] & np.isin(s.item[:, 0], 2 * p.n + edges)))
         yield prove(*what, s, partial(apart, of=(one, two), how=how))
-    for x in low:
+    for run, edges, _, touch, side in low:
 
-        def above(s: Spans, k: Index, x: Lowered = x) -> Line:
-            return (s.point(0 * k)[2] - x.at + x.lies[k, None]) * x.side[k, None]
+        def above(s: Spans, k: Index, touch: Array = touch, side: Array = side) -> Line:
+            return (s.point(0 * k)[2] - touch[k, None]) * side[k, None]
 
-        edges = [p.kinds[2 * p.n + k] for k in x.edges]
-        yield prove("laid m min", -TOUCH, q.spans(x.pieces, range(len(x.edges)), edges), above)
+        s = q.spans(run, range(len(edges)), [p.kinds[2 * p.n + k] for k in edges])
+        yield prove("laid m min", -TOUCH, s, above)
 
 
 def beside_objects(pair: Pair) -> Iterator[Row]:
@@ -1739,7 +1701,7 @@ def beside_objects(pair: Pair) -> Iterator[Row]:
         for b, slab in p.slabs:
             name = p.bodies[b].name
             if np.any(p.moving[b]) or mine[name] != theirs.get(name):
-                yield b, slab, (p.every, [name], corners)
+                yield b, slab, (p.every, [name], Spans.place)
 
     def gap(s: Spans, *i: Index, b: int, slab: Slab, how: Any) -> Line:
         mine, theirs = pair.both(s)
@@ -1747,7 +1709,7 @@ def beside_objects(pair: Pair) -> Iterator[Row]:
 
     def between(s: Spans, *_: Index, b: int, slab: Slab, o: int, block: Slab) -> Line:
         mine, theirs = pair.both(s)
-        return lowered(slab, block).gap(*corners(mine, theirs, o, block, b))
+        return clear(mine, o, block, theirs, b, slab)
 
     room = pair.object[0], pair.object[1] + pair.tracking  # objects are as far off as drones
     for b, slab, body in foreign(q, p):
@@ -1763,12 +1725,20 @@ def beside_objects(pair: Pair) -> Iterator[Row]:
 # What is told of single times: joints, crossings, and the story.
 
 
-def judged(name: str, unit: str, limit: float, found: Sequence[tuple[float, float, str]]) -> Row:
+def judged(name: str, unit: str, limit: float, found: Sequence[Worst]) -> Row:
     """Return a row of the largest of values, with their times and places."""
     worst, time, where = max(found, default=(0.0, 0.0, ""))
     good = worst <= limit + TOLERANCE * max(abs(limit), 1.0)
     verdict = "proven" if good else "violated"
     return Row(name, unit, verdict, worst, limit, "max", time, where, 1)
+
+
+def contradicted(name: str, faults: Iterable[Fault]) -> Row:
+    """Return a row of faults: how many kinds there are, since when, and which."""
+    wrong = sorted((time, words) for time, bad, words in faults if bad)
+    kinds = [*dict.fromkeys(words for _, words in wrong)]
+    found = [(float(len(kinds)), wrong[0][0], ", ".join(kinds[:6]))] if wrong else []
+    return judged(name, "1", 0.0, found)
 
 
 def jumps(p: Plan) -> Iterator[Row]:
@@ -1780,15 +1750,13 @@ def jumps(p: Plan) -> Iterator[Row]:
     same = ~np.isin(p.breaks[1:-1], [x.since for x in parts])[:, None]
     both = (p.formed[1:] & p.formed[:-1])[:, None] & same
 
-    def jump(
-        c: Array, names: Sequence[str], on: Any = True, less: Any = 0.0
-    ) -> Iterator[tuple[float, float, str]]:
+    def jump(c: Array, names: Sequence[str], on: Any = True, less: Any = 0.0) -> Iterator[Worst]:
         x = (size(c[1:, ..., 0] - c[:-1, ..., -1]) - less) * on
         if x.size:
             q, i = np.unravel_index(np.argmax(x), x.shape)
             yield float(x[q, i]), float(p.breaks[q + 1]), names[int(i)]
 
-    found: list[tuple[float, float, str]] = []
+    found = list[Worst]()
     for k in range(3):
         found += [*jump(p.points.c[k][:, : p.N], p.names), *jump(p.poses.c[k], bodies)]
         found += jump(p.points.c[k][:, p.V], p.labels[p.V], both)
@@ -1826,17 +1794,14 @@ def interlacing(p: Plan) -> Iterator[Row]:
     known = np.zeros((3, p.n, p.n))  # crossings, senses, and who lies on whom, [behind, ahead]
     known[:2, *rings[0].robots[rings[0].pair]] = float(p.formed[0])
     later = np.flip(np.logical_or.accumulate(np.flip(p.free)))  # cables are free then, or later
-    names = ["", "", *(x.follows(end) for x in rings for end in (0, -1)), "", ""]
+    names = ["", "", *(x.follows[end] for x in rings for end in (0, -1)), "", ""]
     for at, ring in enumerate(rings):
         loose = later[first : (first := first + len(ring.h))]
         faults += linked(ring, known, loose, names[2 * at + 1 : 2 * at + 5 : 3])
         if ring is not rings[-1]:
             faults += seam(p.chapters[at], p.chapters[at + 1], known)
-    faults = sorted(each for each in faults if each[1])
-    places = [*dict.fromkeys(words for _, _, words in faults)]
-    time, where = faults[0][0] if faults else float(p.breaks[-1]), ", ".join(places[:6])
     if np.any(p.free) or np.any(np.isin(p.state, (LAID, ROLLING, LYING))):
-        yield judged("interlacing", "1", 0.0, [(float(len(places)), time, where)])
+        yield contradicted("interlacing", faults)
 
 
 def linked(p: Plan, known: Array, loose: Mask, around: Sequence[str]) -> Iterator[Fault]:
@@ -1847,7 +1812,7 @@ def linked(p: Plan, known: Array, loose: Mask, around: Sequence[str]) -> Iterato
     normal; the sign of ``(q_j - q_i)·((r_i - q_i) × (r_j - q_j))`` then changes with each.
     """
     n, m = p.n, len(p.h)
-    passed = np.zeros((n, n, m))
+    passed = np.zeros((n, n, m + 1))  # what was known, then what each piece adds
 
     def sign(s: Spans, end: float) -> Array:
         """Return it at an end of spans; where pieces meet, the later one's."""
@@ -1865,7 +1830,7 @@ def linked(p: Plan, known: Array, loose: Mask, around: Sequence[str]) -> Iterato
         for way, (base, _), others in zip(ways, ends, ends[::-1], strict=True):
             a, b = (way.cross(x - base).dot(normal) for x in others)
             sure &= ((a.low > 0) & (b.high < 0)) | ((a.high < 0) & (b.low > 0))
-        np.add.at(passed, (*s.item.T, s.piece), 0.5 * (sign(s, 1.0) - sign(s, -1.0)) * sure)
+        np.add.at(passed, (*s.item.T, s.piece + 1), 0.5 * (sign(s, 1.0) - sign(s, -1.0)) * sure)
         return Line(s.zero.v, s.zero.g, np.where(apart | sure, 0.0, BIG), s.t)
 
     # Neighbours that are laid, or roll, are compared otherwise, and those beyond a guest's edge.
@@ -1877,12 +1842,12 @@ def linked(p: Plan, known: Array, loose: Mask, around: Sequence[str]) -> Iterato
     row = prove("interlacing 1 min", 0.0, pairs, decided)
     yield row.time, row.verdict != "proven", row.where
     i, j, ties = np.minimum(*p.pair), np.maximum(*p.pair), known[:, *p.robots[p.pair]]
-    if np.any(laid):
-        yield from crossed(p, passed, ties, around)[0]
-    passed = np.insert(passed, 0, 0.0, axis=-1)
     passed[i, j, 0] = ties[0]
+    if np.any(laid):
+        yield from crossed(p, passed, ties[1:], around)[0]
     count = np.cumsum(passed, axis=-1)
-    known[:, *p.robots[p.pair]] = count[i, j, -1], *ties[1:]
+    ties[0] = count[i, j, -1]
+    known[:, *p.robots[p.pair]] = ties
     want = np.where(p.tied[..., None], [CROSSED.get(state, -1) for state in p.state], 0)
     same = np.concatenate([[False], p.formed[1:] & p.formed[:-1], [False]])  # within a hitch
     wrong = (np.abs(count[..., 1:]) != want) & ~same[1:]
@@ -1900,8 +1865,7 @@ def seam(one: list[Plan], other: list[Plan], known: Array) -> Iterator[Fault]:
     be those of any robots next.
     """
     a, b, time = one[0], other[0], float(other[0].breaks[0])
-    states = a.follows(-1), b.follows(0)
-    if LOOSE.issuperset(states):
+    if LOOSE.issuperset((a.state[-1], b.state[0])):
         known[:] = 0.0
         laid = [*(x.state[-1] for x in one), *(x.state[0] for x in other)]
         yield time, LAID in laid, "a robot that waits is laid beside free cables"
@@ -1918,12 +1882,11 @@ def seam(one: list[Plan], other: list[Plan], known: Array) -> Iterator[Fault]:
     behind, ahead, alone = rest[-1], rest[0], (one if joins else other)[1:]
     low = laid_on(next(x for x in alone if x.robots == robot)).get(int(joins))
     corner, side, ends = corners_cut(more)[int(not joins)][2], 0.0, [more.begin[k], more.end[k]]
-    if low is not None and {*less.robots[low.edges].tolist()} == {behind, ahead}:
-        new = more.points.c[0][-1 - end, :, :2, -1 - end][ends]
-        off = size(low.places - new[(less.robots[low.edges] == ahead).astype(int)])
-        near = (low.side * low.lies >= -TOUCH) & (np.abs(low.lies) <= SAGS) & (off <= SAGS)
-        near &= (np.abs(low.away) >= more.crossing[1]) & (low.side == low.side[0])
-        side = float(low.side[0] * np.all(near))
+    if low is not None:
+        (_, edges, places, _, above), new = low, more.points.c[0][-1 - end, :, :2, -1 - end][ends]
+        near = size(places - new[1 * (less.robots[edges] == ahead)]) <= SAGS
+        if {*less.robots[edges].tolist()} == {behind, ahead}:
+            side = float(above[0] * np.all(near))
     goes, comes = {(behind, ahead): corner}, {(behind, robot): side, (robot, ahead): -side}
     goes, comes = (goes, comes) if joins else (comes, goes)
     for pair, lies in (goes | comes).items():
@@ -1936,9 +1899,8 @@ def seam(one: list[Plan], other: list[Plan], known: Array) -> Iterator[Fault]:
 
 
 def story(p: Plan) -> Iterator[Row]:
-    """Count what contradicts the phases or the objects."""
-    found = [(time, words) for time, wrong, words in (*phases(p), *objects(p)) if wrong]
-    yield judged("story", "1", 0.0, [(float(len(found)), *min(found))] if found else [])
+    """Return what contradicts the phases or the objects, and how long it takes."""
+    yield contradicted("story", (*phases(p), *objects(p)))
     if p.limits["duration"] is not None:
         end = float(p.breaks[-1])
         yield judged("duration", "s", p.limits["duration"], [(end, end, "")])
@@ -1952,18 +1914,14 @@ def phases(p: Plan) -> Iterator[Fault]:
         s, k = p.spans(on & p.free, range(p.n)), np.tile(np.arange(p.n), np.sum(on & p.free))
         pulls = any(np.any(x.c[0][on & p.free]) for x in (p.legs, p.tensions, p.pulls))
         yield at, pulls, "tensions or legs without a hitch"
-        if state == LAID and np.any(on):
-            way = c[on][:, 1::2] - c[on][:, 0::2]
-            turned = np.max(np.ptp(way, axis=(0, -1))) > TOUCH
-            yield at, bool(turned), "cables turn as they are laid"
+        if state == LAID:
+            yield at, strays((c[:, 1::2] - c[:, 0::2])[on]), "cables turn as they are laid"
         if state in (ROLLING, LYING) and np.any(on):
-            still = p.points.c[0][on][:, p.V]
-            moved = np.max(np.ptp(still, axis=(0, -1))) > TOUCH
             legs = p.legs.c[0][on]  # change as they sag, or as weight passes
             sag = (p.weight / p.team) ** 2 / 24.0 * np.max(legs, (0, -1)).reshape(p.n, 2) ** 3
             drift = SAGS if state == LYING else (sag + 1e-4).reshape(legs.shape[1:-1])
-            moved |= np.any(np.ptp(legs, axis=(0, -1)) > drift)
-            yield at, bool(moved), "vertices or legs move as pairs roll"
+            rolls = strays(p.points.c[0][on][:, p.V]) or strays(legs, drift)
+            yield at, rolls, "vertices or legs move as pairs roll"
             T, pulled = p.tensions.c[0][on], p.pulls.c[0][on]
             other = np.ptp(p.team) > 0.0 or np.max(np.abs(pulled - np.repeat(T, 2, 1))) > 1e-4
             busy = np.any(p.load) or np.any(p.held[:, on]) or other
@@ -1978,12 +1936,11 @@ def phases(p: Plan) -> Iterator[Fault]:
             with np.errstate(all="ignore"):
                 depth = [np.min(lowest(s.within(x), k).v) for x in (-1.0, 0.0, 1.0)]
             high = min(depth) - p.floor > p.settings["separation"]["cable"] + CLOSE
-            high |= np.max(np.ptp(c[on][:, :, :2], axis=(0, -1))) > TOUCH
+            high |= strays(c[on][:, :, :2])
             yield at, high, "cables do not lie on the ground where they are said to"
         if state == "clasping":
             middle = 0.5 * (c[on][:, 2 * p.clasps] + c[on][:, 2 * p.behind + 1])
-            moved = np.max(np.ptp(middle, axis=(0, -1))) > CLOSE
-            yield at, moved, "drones do not turn about each other"
+            yield at, strays(middle, CLOSE), "drones do not turn about each other"
         if state == "being tightened":
             over = s.around(k).v.reshape(-1, p.n) - (1.0 - 1e-4) * p.length[:, 0]
             full = np.sum(p.h[on] * (over @ p.team[:, 0] > 0.0)) > 0.5 * np.sum(p.h[on])
@@ -2036,14 +1993,11 @@ def told(p: Plan) -> dict[str, Any]:
             start["hitch"] = outline(p, 0, 0)
     said: dict[str, dict[float, Any]] = {"stiffness": {math.inf: None}}  # of numbers
     said |= {key: {0.0: False, 1.0: True} for key in ("integral", "feed_forward")}
-    named = s.get("controllers") or [None]  # one for all, or one per kind
-    team["quadrotor"] = [
-        {key: said.get(key, {}).get(float(x[k]), float(x[k])) for key, x in p.given.items()}
-        if own is None
-        else {"mass": float(p.given["mass"][k]), "max_thrust": float(p.given["max_thrust"][k])}
-        | own
-        for k, own in ((k, named[k % len(named)]) for k in roles)
-    ]
+    named, team["quadrotor"] = s.get("controllers") or [None], []  # one for all, or one per kind
+    for k in roles:
+        own = named[k % len(named)] or {}
+        given = {key: float(x[k]) for key, x in p.given.items() if not own or key not in PLAIN}
+        team["quadrotor"] += [own | {key: said.get(key, {}).get(x, x) for key, x in given.items()}]
     limits = {**s["limits"]}
     for key in ("tilt", "body_rate"):
         x = limits.pop(key)
@@ -2102,9 +2056,8 @@ def checked(p: Plan) -> Iterator[Row]:
         taut = (taut_cables, cut_legs) if np.any(part.formed) else ()
         for check in (story, drones, *taut, *((free_cables,) if p.n else ())):
             yield from check(part)
-        for check_of in (resting, gripped, clear_objects):
-            for b in range(len(p.bodies)):
-                yield from check_of(part, b)
+        for check_of, b in product((resting, gripped, clear_objects), range(len(p.bodies))):
+            yield from check_of(part, b)
     yield from (*jumps(p), *interlacing(p))
 
 
@@ -2114,7 +2067,7 @@ def read(path: Path) -> tuple[list[Plan], list[Plan]]:
         with np.load(path, allow_pickle=False) as file:
             form, s = str(file["format"]), json.loads(str(file["settings"]))
             if form == "hitchopt-plan/1":
-                return [begun(Plan(file, s), 0.0)], []
+                return [Plan(file, s)], []
             if form != "hitchopt-plan/2":
                 raise ValueError("its format is neither hitchopt-plan/1 nor hitchopt-plan/2")
             return several(file, s)
@@ -2142,29 +2095,16 @@ def several(file: Any, s: dict[str, Any]) -> tuple[list[Plan], list[Plan]]:
         if name in others:
             fit(f"asked.others.{name}", asked[name], "other")
             folder, at = f"others/{name}/", asked[name]["at"]
-        plans.append(begun(Plan(file, head | x, f"{name}." if name else "", folder), at))
+        plans.append(Plan(file, head | x, folder, at))
     own = plans[: len(teams)]
     if max(abs(p.breaks[-1] - own[0].breaks[-1]) for p in own) > TOUCH:
         raise ValueError("teams do not cover the same time")
     for p in own:
-        waits(p)
-    return own, plans[len(teams) :]
-
-
-def begun(p: Plan, at: float) -> Plan:
-    """Return a plan; raise ValueError where it does not begin when it is said to."""
-    if p.breaks[0] != at:
-        raise ValueError(f"{p.label}breaks do not rise from {at:g}")
-    return p
-
-
-def waits(p: Plan) -> None:
-    """Raise ValueError where anything moves while a team waits."""
-    for i in (i for i, phase in enumerate(p.phases) if phase["name"] == "wait"):
-        for x in (p.points, p.poses, p.legs, p.pulls, p.tensions, p.borne):
-            c = x.c[0][p.phase == i]
-            if c.size and np.max(np.ptp(c, axis=(0, -1))) > STILL:
+        curves = p.points, p.poses, p.legs, p.pulls, p.tensions, p.borne
+        for i in (i for i, phase in enumerate(p.phases) if phase["name"] == "wait"):
+            if any(strays(x.c[0][p.phase == i], STILL) for x in curves):
                 raise ValueError(f"{p.label}phases[{i}] waits, but something moves")
+    return own, plans[len(teams) :]
 
 
 def verify(path: str | Path) -> Iterator[Row]:
@@ -2172,9 +2112,7 @@ def verify(path: str | Path) -> Iterator[Row]:
     path = Path(path)
     own, others = read(path / "plan.npz" if path.is_dir() else path)
     rows, order = [row for p in own for row in checked(p)], ("violated", "not proven", "proven")
-    parts, besides = (
-        [x for p in plans for each in p.chapters for x in each] for plans in (own, others)
-    )
+    parts, besides = ([x for p in plans for x in chain(*p.chapters)] for plans in (own, others))
     keys, off = own[0].settings["separation"], max(p.tracking for p in own)
     wide = {key: max(p.settings["separation"][key] for p in own) for key in keys}
     for p, q in combinations([*parts, *besides], 2):
