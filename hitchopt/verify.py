@@ -811,19 +811,19 @@ def chapters(p: Plan) -> list[list[Plan]]:
 def chapter(p: Plan, pieces: slice, robots: list[int]) -> Plan:
     """Return the plan of a ring of some robots, or of one that waits, on a run of pieces."""
     arrays, n = dict[str, Array](), len(robots)
-    rows = {"drones": [2 * k + end for k in robots for end in (0, 1)], "vertices": [*range(n), n]}
+    ends, vertices = [2 * k + end for k in robots for end in (0, 1)], [*range(max(n, 2))]
+    rows = {"drones": ends, "vertices": vertices}
     for name, x in p.arrays.items():
-        each = rows.get(name, robots)[: None if name == "drones" else max(n, 2)]
-        arrays[p.folder + name] = x[robots] if x.ndim == 1 else x[pieces, each]
+        part = x[robots] if x.ndim == 1 else x[pieces, rows.get(name, robots)]
+        arrays[p.folder + name] = part
     arrays[f"{p.folder}breaks"] = p.breaks[pieces.start : pieces.stop + 1]
     clasps, topology = (n, "closed") if n > 1 else (0, "open")
     team = {"robots": n, "topology": topology, "load": [0.0] * clasps}
     phases = list[dict[str, Any]]()
     for i in dict.fromkeys(p.phase[pieces].tolist()):
         phase = {key: x for key, x in p.phases[i].items() if key not in ("ring", "waiting")}
-        states = dict(p.phases[i]["waiting"])
-        own = {} if n > 1 else {"state": states[robots[0]], "tension": None}
-        phases.append(phase | own)
+        waiting = dict(p.phases[i]["waiting"])
+        phases.append(phase if n > 1 else phase | {"state": waiting[robots[0]], "tension": None})
     settings = p.settings | {"team": p.settings["team"] | team, "phases": phases}
     return Plan(arrays, settings, p.folder, robots=robots)
 
@@ -1462,31 +1462,24 @@ def clear_objects(p: Plan, b: int) -> Iterator[Row]:
         over = over.only(p.state[s.piece] != "on the ground")
         return largest(slab.grown(0.0, -BIG, BIG).gap(*s.ends(k, b)), over)
 
-    def above(over: Line, s: Spans, o: int) -> Line:
-        """Large where bodies may touch and one is over the other."""
-        return ((over + 2.0 * TOUCH) * 1e6).only(may[s.piece, o])
-
     def within(s: Spans, _: Index, slab: Slab) -> Line:
         """Return what is left to walls beside and above; the floor counts as what is touched."""
         top = [s.place(b, np.append(x, slab.upper)) for x in slab.core]
         return walls(s, top, -BIG, slab.radius)
 
-    def ground(s: Spans, _: Index) -> Line:
-        over = p.poses.on(s, b)[2] + (stem.lower - p.floor)
-        return largest(over, above(over, s, -1))
-
     def others(s: Spans, _: Index, o: int, slab: Slab, block: Slab) -> Line:
         over = s.seen(o, s.place(b, UP * slab.lower))[2] - block.upper
-        return largest(clear(s, b, slab, s, o, block), above(over, s, o))
+        touches = ((over + 2.0 * TOUCH) * 1e6).only(may[s.piece, o])  # where it may, large above it
+        return largest(clear(s, b, slab, s, o, block), touches)
 
+    ground = -1, Slab(None, BIG, -BIG, p.floor)
     for slab in body.slabs:
         yield prove(*p.object, off, lambda s, j, slab=slab: slab.gap(*s.part(j, b)))
         yield prove(*p.object, free, partial(beside, slab=slab))
-        for o, block in p.slabs:
+        for o, block in (ground, *p.slabs):
             if o != b:
                 yield prove(*p.object, moving, partial(others, o=o, slab=slab, block=block))
         yield prove(p.within, 0.0, carried, partial(within, slab=slab))
-    yield prove(*p.object, moving, ground)
     if body.height != stem.lower or body.rim is None:  # a slim pillar below a tray is none
         yield prove(enters, WRAPPED, inside, lambda s, j: stem.gap(*s.part(j, b)))
     s = p.spans(p.held[b], range(len(p.labels)), p.labels)
