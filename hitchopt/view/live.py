@@ -118,6 +118,7 @@ class LiveView:
             self._fill_panel()
             if ghost is not None:
                 self._ghost = LiveScene(self.server, ghost, "/ghost/", ghost=True)
+        self.server.on_client_connect(self._welcome)
         self._player = threading.Thread(target=self._play, daemon=True)
         self._player.start()
 
@@ -238,14 +239,29 @@ class LiveView:
 
     def _look(self) -> None:
         """Place the camera so that it sees all paths, in pages that are opened from now on."""
+        self._place(self.server.initial_camera, ASPECT)
+
+    def _place(self, camera: Any, aspect: float) -> None:
+        """Place a camera so that it sees all paths in a picture of a width over height."""
         drones = self.live.scene.drones.reshape(-1, 3)
         centre = 0.5 * (np.min(drones, axis=0) + np.max(drones, axis=0))
         reach = float(np.max(np.linalg.norm(drones - centre, axis=1)))
-        half = np.arctan(np.tan(0.5 * FIELD) * ASPECT)
+        half = np.arctan(np.tan(0.5 * FIELD) * aspect)
         away = max(reach / np.sin(half), NEAREST)
         position = centre + away * FROM / np.linalg.norm(FROM)
-        self.server.initial_camera.position = tuple(position)
-        self.server.initial_camera.look_at = tuple(centre)
+        camera.position, camera.look_at = tuple(position), tuple(centre)
+
+    def _welcome(self, client: Any) -> None:
+        """Watch the camera of a new page, which may not stand where all begin yet."""
+        client.camera.on_update(self._stand_back)
+        self._stand_back(client.camera)
+
+    def _stand_back(self, camera: Any) -> None:
+        """Move the camera of a narrow page away from where the cameras of all pages begin."""
+        aspect, begin = camera.image_width / camera.image_height, self.server.initial_camera
+        if aspect < ASPECT and np.allclose(camera.position, begin.position, atol=1e-3):
+            with self._lock:
+                self._place(camera, aspect)
 
     def _add_panel(self) -> None:
         """Add the panel, the same for all plans."""
@@ -255,7 +271,6 @@ class LiveView:
         self.player = gui.add_button("Play")
         space = gui.add_command("Play or pause", hotkey="space")
         space.on_trigger(lambda _: self.play(on=not self.playing))
-        speed = gui.add_dropdown("speed", SPEEDS, initial_value=f"{self.speed:g}")
         self.shown_check = gui.add_markdown("", visible=False)
 
         def scrubbed(event: Any) -> None:
@@ -264,8 +279,20 @@ class LiveView:
 
         self.scrub.on_update(scrubbed)
         self.player.on_click(lambda _: self.play(on=not self.playing))
-        speed.on_update(lambda event: setattr(self, "speed", float(event.target.value)))
-        with gui.add_folder("Show", expand_by_default=False):
+        self.panel = gui.add_panel()  # which pages too narrow for columns fold at first
+        self.panel.dock_below(gui.main_panel)
+        self.phases = Buttons(gui, self.panel.add_tab("Phases"), self._show_phase_at)
+        checks = self.panel.add_tab("Certificate")
+        with checks:
+            gui.add_markdown("Every worst value holds for all t. A click shows where and when.")
+            gui.add_button("no highlight", color=QUIET).on_click(lambda _: self._unmark())
+        self.checks = Buttons(gui, checks, self._show_check_at)
+        self._plots_tab = self.panel.add_tab("Plots")
+        with self._plots_tab:
+            self.values = gui.add_markdown("")
+        with self.panel.add_tab("Show"):
+            speed = gui.add_dropdown("speed", SPEEDS, initial_value=f"{self.speed:g}")
+            speed.on_update(lambda event: setattr(self, "speed", float(event.target.value)))
             for name in SWITCHES:
                 box = gui.add_checkbox(name, self.live.shown[name])
                 box.on_update(lambda event, name=name: self._switch(name, on=event.target.value))
@@ -273,16 +300,6 @@ class LiveView:
             follow.on_update(lambda event: self.follow(on=event.target.value))
             dark.on_update(lambda event: _theme(gui, dark=event.target.value))
             gui.add_button("PNG").on_click(lambda event: self._send_picture(event.client))
-        tabs = gui.add_tab_group()
-        self.phases = Buttons(gui, tabs.add_tab("Phases"), self._show_phase_at)
-        checks = tabs.add_tab("Certificate")
-        with checks:
-            gui.add_markdown("Every worst value holds for all t. A click shows where and when.")
-            gui.add_button("no highlight", color=QUIET).on_click(lambda _: self._unmark())
-        self.checks = Buttons(gui, checks, self._show_check_at)
-        self._plots_tab = tabs.add_tab("Plots")
-        with self._plots_tab:
-            self.values = gui.add_markdown("")
 
     def _fill_panel(self) -> None:
         """Fill the panel with the plan's facts, and show its time."""

@@ -38,9 +38,7 @@ class EditingPanel:
         self._buttons: list[Any] = []
         self._offered: tuple[Any, ...] = ()
         gui = live.server.gui
-        window = gui.add_panel()
-        window.dock_below(gui.main_panel)
-        self._tab = window.add_tab("Edit")
+        self._tab = live.panel.add_tab("Edit")
         with self._tab:
             self.status = gui.add_markdown("")
             self.reply = gui.add_markdown("", visible=False)

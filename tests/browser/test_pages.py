@@ -162,7 +162,9 @@ def panel(tmp_path_factory: pytest.TempPathFactory) -> Iterator[EditingPanel]:
 @pytest.fixture(scope="class")  # one page at a time
 def edited(panel: EditingPanel) -> Iterator[Any]:
     with opened_page() as page:
-        opened(page, panel.live.url, "the plan of this problem")
+        opened(page, panel.live.url, "certified for all t")
+        page.get_by_role("tab", name="Edit").click()
+        page.get_by_text("the plan of this problem").wait_for()
         yield page
 
 
@@ -336,6 +338,26 @@ class TestLiveView:
             settled(page)
             assert low * before <= coloured(page, box) <= high * before
             assert page.get_by_text("an OLD plan").is_visible() is bool(words)
+
+    def test_a_narrow_page_shows_the_scene_with_its_tabs_folded(
+        self, page: Any, live: LiveView
+    ) -> None:
+        live.seek(0.0)
+        page.set_viewport_size({"width": 400, "height": 800})
+        page.goto(live.url + SHARP)
+        tabs = page.get_by_role("button", name="Expand panel Phases")
+        tabs.wait_for()
+        settled(page)
+        sheet = page.locator("div[style*='position: fixed'][style*='bottom: 0']").bounding_box()
+        assert sheet["height"] <= 0.35 * 800
+        places = [seen_at(page, live, point) for point in live.live.scene.drones.reshape(-1, 3)]
+        assert np.min(places) > 0.0
+        assert np.max(places, axis=0)[0] < 400
+        assert np.mean(places, axis=0)[1] < sheet["y"]
+        tabs.click()
+        page.get_by_text(f"{tied_plan().phases[1].name}: ").wait_for()
+        page.set_viewport_size({"width": 1200, "height": 800})
+        opened(page, live.url, "certified for all t")
 
 
 class TestEditing:
