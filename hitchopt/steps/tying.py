@@ -129,6 +129,8 @@ class Form(Step):
         goal = self._goal(task.before.team, requirements)
         motions.check_at_rest(goal, requirements, f"at the end of step {i} (form)")
         raised, prehitch = tying_site(goal, self.swap, None, requirements)
+        if prehitch.violation > 0.0 and self.legs is None:
+            goal, raised, prehitch = self._short_legged(goal, raised, prehitch, requirements)
         tying = joined_motions(forming_stages(prehitch, raised, requirements, self.swap, i))
         if prehitch.violation > 0.0:  # the approach is in vain if nothing can be tied
             motions.checked(StepPlan(tying, task.before))
@@ -197,6 +199,25 @@ class Form(Step):
             if at_rest(hitch, wider).certificate.certified:
                 return hitch
         return spread
+
+    def _short_legged(
+        self, goal: Hitch, raised: Hitch, prehitch: PreHitch, requirements: Requirements
+    ) -> tuple[Hitch, Hitch, PreHitch]:
+        """Return a goal that can be tied, with its site and pre-hitch, else those that are given.
+
+        Where both legs of a cable cross, their drones would meet on their way out: with one leg
+        that ends before the other neither passes it.
+        """
+        from hitchopt.steps.certified_motions import at_rest
+
+        own = {name: getattr(requirements, name) for name in ("limits", "separation", "arena")}
+        shortest = np.zeros(goal.team.robots)
+        short = Hitch.nearest(goal.team, self.polygon, self.altitude, shortest, **own)
+        if at_rest(short, requirements).certificate.certified:
+            site = tying_site(short, self.swap, None, requirements)
+            if site[1].violation <= 0.0:
+                return short, *site
+        return goal, raised, prehitch
 
     def knobs(self) -> Iterator[Knob]:
         """Yield the duration, and the swap's radius where it is larger than it needs to be."""

@@ -124,3 +124,17 @@ def test_long_edges_go_to_long_cables() -> None:
     outline = ho.ConvexPolygon(np.array([[0.0, 1.8], [0.4, 0.0], [-0.4, 0.0]]))
     found = assign_robots(team, np.arange(6.0)[:, None] * [1.0, 0.0, 0.0], outline, 0.15)
     assert found.team(team).cable_length[1] == 1.5  # the only edge that it can hold
+
+
+@pytest.mark.parametrize("length", [1.8, 2.2])
+def test_legs_that_would_cross_are_tied_short_of_where_they_do(length: float) -> None:
+    """Drones of a small hexagon's long legs would meet on their way out of the pre-hitch."""
+    angles = np.radians([0.0, -60.0, -120.0, -180.0, -240.0, -300.0])
+    corners = 0.4 * np.column_stack([np.cos(angles), np.sin(angles)]) + [3.0, -2.0]
+    middles = 2.5 * (corners + np.roll(corners, -1, axis=0)) - 4.0 * np.array([3.0, -2.0])
+    along = np.roll(corners, -1, axis=0) - corners
+    q, r = (np.pad(middles + s * along, ((0, 0), (0, 1))) for s in (-1.0, 1.0))
+    team = Team(6, length, tension=1.0, cable_density=0.01)
+    plan = ho.form(team, q, r, corners, altitude=1.3)
+    assert plan.certificate.certified
+    assert np.all(np.min(plan.motion.legs.at(plan.duration), axis=1) < 0.4)  # where they cross
