@@ -5,8 +5,9 @@ Usage: python -m benchmarks carrying [CASE ...] [--runs N] [--seed S] [--preset 
 
 A hitch is tied from the ground, takes an object that stands 2.2 m away, carries it by 1.5 m, sets
 it down and leaves; it is untied and lands. Trays of 200 g stand on a foot and are taken by their
-rims; drums of 100 g and boxes of 60 g are gripped with 1.3 N. With ``--loads`` the object is
-instead lifted by 10 cm and held for 10 s at 0.8 of the largest mass that can be planned.
+rims, 25 cm above the ground; that of six robots, whose longer legs reach down, at 40 cm. Drums of
+100 g and boxes of 60 g are gripped with 1.3 N. With ``--loads`` the object is instead lifted by
+10 cm and held for 10 s at 0.8 of the largest mass that can be planned.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ CABLES = {"tray-3": 2.2, "tray-4": 1.8, "tray-6": 1.8, "drum-3": 1.6, "box-4": 1
 
 BODIES: dict[str, dict[str, Any]] = {
     "tray": {"circle": 0.08, "to": 0.3, "mass": 0.2, "rim": {"circle": 0.3, "at": 0.25}},
+    "tray-6": {"circle": 0.08, "to": 0.45, "mass": 0.2, "rim": {"circle": 0.3, "at": 0.4}},
     "drum": {"circle": 0.2, "mass": 0.1, "friction": 0.5},
     "box": {
         "outline": [[-0.2, -0.15], [0.2, -0.15], [0.2, 0.15], [-0.2, 0.15]],
@@ -56,7 +58,7 @@ def setting(case: str) -> tuple[int, str, dict[str, Any], list[list[float]], dic
     team = {"robots": n, "cable_length": CABLES[case], "cable_density": 0.01, "tension": 1.0}
     if kind != "tray":
         team["cable_friction"] = 0.15
-    return n, kind, team, polygon.tolist(), dict(BODIES[kind])
+    return n, kind, team, polygon.tolist(), dict(BODIES.get(case, BODIES[kind]))
 
 
 def mission(case: str) -> dict[str, Any]:
