@@ -222,9 +222,9 @@ def _check_free(robot: int, place: int, senses: Array, index: int) -> None:
 
 @dataclass(frozen=True)
 class Replace(Step):
-    """A robot that waits joins beside another one, which withdraws; then the polygon is as before.
+    """A robot that waits joins beside another one, which withdraws.
 
-    The hitch stays tied all the time.
+    Then polygon and slack split are as before. The hitch stays tied all the time.
     """
 
     robot: WhichRobot
