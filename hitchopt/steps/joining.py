@@ -160,7 +160,7 @@ class Withdraw(Step):
         return corner_restored(outline, place, self.robot)[0]
 
     def leaving(self, task: StepTask, hitch: Hitch, *, slides: bool = True) -> Joining:
-        """Return its leaving of a hitch, to whose legs cables slide straight, or need not."""
+        """Return its leaving of a hitch; with ``slides`` cables can slide to its legs straight."""
         from hitchopt.planners.forming.joining import corner_restored, leaving
 
         before, requirements = task.before, task.requirements
@@ -265,12 +265,22 @@ class Replace(Step):
 
 
 def _reshaped(polygon: Outline, withdraw: Withdraw, task: StepTask) -> StepPlan:
-    """Return the plan of a morph to a polygon, and to legs with which a robot can leave it."""
-    hitch = task.hitch
+    """Return the plan of a morph to a polygon, and to legs with which a robot can leave it.
+
+    The edge that shrinks leaves long legs with a drone at the end of each: drones keep off cables
+    as distances are planned, for ropes are not where they are planned.
+    """
+    from hitchopt.planners.forming.laying import MARGIN, ROOM
+
+    hitch, kept = task.hitch, task.requirements
+    own = kept.separation
+    wider = replace(own, cable=MARGIN * max(own.crossing, own.cable) + ROOM)
+    task = replace(task, requirements=replace(kept, separation=wider))
     legs = hitch.fractions * cable_slack(hitch.team, polygon)
     there = Hitch(hitch.team, polygon, hitch.altitude, legs, hitch.roll)
     left = withdraw.leaving(task, there, slides=False)
-    return Morph(polygon=polygon, legs=left.after.q_legs).plan(task)
+    planned = Morph(polygon=polygon, legs=left.after.q_legs).plan(task)
+    return replace(planned, motion=planned.motion.replaced(requirements=kept))
 
 
 def _sides(senses: Array, place: int) -> tuple[float, float]:
@@ -299,10 +309,10 @@ def _beside(polygon: Outline, place: int, share: float) -> Iterator[tuple[int, O
     yield last, ConvexPolygon(cut)
 
 
-RESTS = (0.35, 0.5)
+RESTS = (0.5, 0.35)
 """Shares of an edge that its robot holds at last, before another one has it all."""
 
-CUTS = (0.5, 0.4, 0.6)
+CUTS = (0.4, 0.5, 0.6)
 """Shares of the shorter edge that a robot which takes another's place cuts off."""
 
 

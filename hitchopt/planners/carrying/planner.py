@@ -33,7 +33,7 @@ LIFT_SPEED, BELOW_RIM = 0.1, 0.01
 CARRY_ACCELERATION, LIFT_ACCELERATION = 1.0, 0.3
 """[m/s²] Largest acceleration of carried objects, and of those that are lifted or set down."""
 
-CARRY_CHECKS = ("equilibrium", "grip", "separation", "cable_clearance", "crossing")
+CARRY_CHECKS = ("equilibrium", "grip", "separation", "crossing")
 """Checks for which a carried object is slowed down."""
 
 LOAD_LAW = SmoothLaw(0.75)
