@@ -45,9 +45,12 @@ RESOLUTION, COMPRESSION = 120, 1
 
 
 def cable_colours(n: int) -> tuple[str, ...]:
-    """Return a colour for each of n cables that differs from both neighbours'."""
+    """Return a colour for each of n cables that differs from both neighbours'.
+
+    The last has one of its own where it can: it is who waits to replace another one.
+    """
     index = [k % 3 for k in range(n)]
-    if n % 3 == 1 and n > 1:
+    if n % 3 and n > 3:
         index[-1] = 3
     return tuple(COLOURS[i] for i in index)
 
