@@ -86,7 +86,8 @@ def joined_plan(step: Join, task: StepTask, side: float) -> StepPlan:
 
     before, hitch, requirements = task.before, task.hitch, task.requirements
     refuse_rolls(before.whole_team, requirements)
-    team = before.part(step.ring_after(before.team.labels, before.whole_team))
+    ring = before.team.labels
+    team = before.part((*ring[: step.vertex], step.robot, *ring[step.vertex :]))
     outline = step.polygon_after(before.team, hitch.polygon)
     joined = joining(hitch, team, step.vertex, outline, before.known_senses, side, requirements)
     check_at_rest(joined.after, requirements, f"at the end of step {task.index} (join)")
@@ -246,7 +247,7 @@ class Replace(Step):
             (vertex, outline, side)
             for rest in RESTS
             for (vertex, outline), side in zip(
-                _beside(hitch.polygon, place, rest), _sides(senses, place), strict=True
+                outlines_beside(hitch.polygon, place, rest), _sides(senses, place), strict=True
             )
         ]
 
@@ -256,7 +257,8 @@ class Replace(Step):
             return Adjust(legs=hitch.fractions * task.hitch.slack).plan(task)
 
         def planned(vertex: int, polygon: Outline, side: float, share: float) -> StepPlan:
-            cut = share * float(np.min(hitch.polygon.edge_lengths[[vertex - 1, vertex]]))
+            lengths = hitch.polygon.edge_lengths
+            cut = share * float(min(lengths[vertex - 1], lengths[vertex % len(lengths)]))
             join = partial(joined_plan, Join(self.by, vertex, cut), side=side)
             plans = join, partial(_reshaped, polygon, withdraw), withdraw.plan, split_as_before
             return _in_a_row(plans, task)
@@ -291,7 +293,7 @@ def _sides(senses: Array, place: int) -> tuple[float, float]:
     return float(senses[(place + 1) % len(senses)]), -float(senses[place])
 
 
-def _beside(polygon: Outline, place: int, share: float) -> Iterator[tuple[int, Outline]]:
+def outlines_beside(polygon: Outline, place: int, share: float) -> Iterator[tuple[int, Outline]]:
     """Yield vertices at which another robot may join beside an edge, and outlines after that.
 
     There the other robot holds the edge, and the one to be replaced cuts off a ``share`` of it at
@@ -304,9 +306,9 @@ def _beside(polygon: Outline, place: int, share: float) -> Iterator[tuple[int, O
     cut = np.insert(points, place + 1, end - after * u[place], axis=0)
     cut[(place + 2) % (n + 1)] = end + after * u[last]
     yield place, ConvexPolygon(cut)
-    cut = np.insert(points, last, start + before * u[place], axis=0)
-    cut[place if last > place else n] = start - before * u[place - 1]
-    yield last, ConvexPolygon(cut)
+    cut = np.insert(points, place + 1, start + before * u[place], axis=0)
+    cut[place] = start - before * u[place - 1]
+    yield place + 1, ConvexPolygon(cut)
 
 
 RESTS = (0.5, 0.35)

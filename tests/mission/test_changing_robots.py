@@ -17,6 +17,7 @@ from hitchopt.motion.chapters import chapters
 from hitchopt.motion.motion import CableState
 from hitchopt.planners.forming.joining import corner_cut, corner_restored
 from hitchopt.planners.timing.ramps import BRIEF, fastest_clock, fastest_ramps
+from hitchopt.steps.joining import outlines_beside
 
 Q = np.array([[-0.8, 1.8, 0], [-0.8, 0.6, 0], [-0.8, -0.6, 0], [-0.8, -1.8, 0], [-2.8, -1.0, 0]])
 R = Q + [1.6, 0.0, 0.0]
@@ -25,21 +26,24 @@ SQUARE = [[-0.6, 0.6], [0.6, 0.6], [0.6, -0.6], [-0.6, -0.6]]
 TRIANGLE = [[0.0, 0.808], [0.7, -0.404], [-0.7, -0.404]]
 
 
-def mission(**form: Any) -> ho.Mission:
-    team = ho.Team(robots=5, cable_length=2.1, cable_density=0.01, tension=0.7)
+def mission(spares: int = 1, **form: Any) -> ho.Mission:
+    """Four robots tied to a square, and spare ones that wait beside each other."""
+    team = ho.Team(robots=4 + spares, cable_length=2.1, cable_density=0.01, tension=0.7)
+    row = np.array([-0.8, 0.0, 0.0]) * np.arange(1, spares)[:, None]
+    drones = DronesStart(*(np.vstack([x, x[4] + row]) for x in (Q, R)))
     start: dict[str, Any] = {
         "polygon": SQUARE,
         "altitude": 1.9,
         "by": "laying",
         "robots": [0, 1, 2, 3],
     } | form
-    return ho.Mission(team, start=DronesStart(Q, R)).form(**start)
+    return ho.Mission(team, start=drones).form(**start)
 
 
 @given(
     n=st.integers(3, 8),
     seed=st.integers(0, 2**31),
-    vertex=st.integers(0, 7),
+    vertex=st.integers(0, 8),
     share=st.floats(0.05, 0.9),
 )
 @settings(deadline=None, max_examples=40)
@@ -48,16 +52,23 @@ def test_a_corner_that_is_cut_off_is_restored(n: int, seed: int, vertex: int, sh
     angles = 2.0 * np.pi * (np.arange(n) + rng.uniform(-0.3, 0.3, n)) / n
     middle = rng.uniform(-3.0, 3.0, 2)
     outline = ho.ConvexPolygon(middle + np.column_stack([np.cos(-angles), np.sin(-angles)]))
-    vertex %= n
-    lengths = outline.edge_lengths[[vertex - 1, vertex]]
+    vertex %= n + 1  # the first one as well with its new edge last
+    lengths = outline.edge_lengths[[vertex - 1, vertex % n]]
     cut = corner_cut(outline, vertex, share * float(np.min(lengths)))
-    new = cut.vertices[[vertex, vertex + 1]]
-    corner = outline.vertices[vertex]
+    new = cut.vertices[[vertex, (vertex + 1) % (n + 1)]]
+    corner = outline.vertices[vertex % n]
     off = np.linalg.norm(new - corner, axis=1)
     np.testing.assert_allclose(off, share * np.min(lengths), rtol=1e-12)
     back, grown = corner_restored(cut, vertex, 0)
     np.testing.assert_allclose(back.vertices, outline.vertices, atol=1e-9)
     np.testing.assert_allclose(grown, off, rtol=1e-7)
+    for place in range(n):
+        for at, beside in outlines_beside(outline, place, share / 2.0):
+            ring = [*range(at), n, *range(at, n)]
+            back, _ = corner_restored(beside, ring.index(place), 0)
+            ring.remove(place)
+            assert ring == [*range(place), n, *range(place + 1, n)]
+            np.testing.assert_allclose(back.vertices, outline.vertices, atol=1e-9)
 
 
 def test_a_robot_joins_between_two_others_and_leaves_upward() -> None:
@@ -84,6 +95,15 @@ def test_a_robot_is_replaced_and_the_outline_is_as_before() -> None:
     pieces = motion.phase_of_piece == down
     heights = motion.drones.coefficients[pieces][:, 8:, 2]
     assert np.all(heights[-1, :, -1] > heights[0, :, 0])
+
+
+@pytest.mark.slow
+def test_a_robot_on_its_way_avoids_those_that_wait() -> None:
+    """Robots 1 and 2, which have left, wait at heights at which robot 4 passes."""
+    plan = mission(spares=3).replace(1, 6).replace(2, 5).replace(3, 4).solve()
+    last = chapters(plan.motion)[-1].groups[0].motion
+    assert last.team.labels == (0, 6, 5, 4)
+    np.testing.assert_allclose(last.vertices.coefficients[-1, :, :2, -1], SQUARE, atol=1e-9)
 
 
 def test_what_cannot_be_is_refused_by_its_key() -> None:

@@ -28,7 +28,7 @@ from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.forces import sag_factors
 from hitchopt.hitch.hitch import cable_slack
-from hitchopt.hitch.requirements import Arena, Requirements
+from hitchopt.hitch.requirements import Arena, Prism, Requirements
 from hitchopt.hitch.slack_split import SPREAD_MARGIN, LegTask, reference_margin, reference_margins
 from hitchopt.hitch.team import PartTeam
 from hitchopt.motion.chapters import Waiting, with_waiting
@@ -83,18 +83,22 @@ NEWTON = 8
 def corner_cut(polygon: Any, vertex: int, cut: float) -> ConvexPolygon:
     """Return the outline with a vertex cut off at a distance [m] along both of its edges.
 
+    The new edge comes in the place of the vertex; vertex n is the first one with its new edge last.
+
     Raises
     ------
     InputError: a distance beyond the shorter one of these edges.
     """
     points, lengths = polygon.vertices, polygon.edge_lengths
+    place, vertex = vertex, vertex % len(points)
     longest = float(min(lengths[vertex - 1], lengths[vertex]))
     if not cut < longest:
         bound = f"less than {longest:.4g} m, the shorter edge at vertex {vertex}"
         raise InputError("cut", cut, bound, "cut off less")
     along, corner = polygon.edge_directions, points[vertex]
     new = corner - cut * along[vertex - 1], corner + cut * along[vertex]
-    return ConvexPolygon(np.concatenate([points[:vertex], new, points[vertex + 1 :]]))
+    outline = np.concatenate([points[:vertex], new, points[vertex + 1 :]])
+    return ConvexPolygon(np.roll(outline, -int(place > vertex), axis=0))
 
 
 def corner_restored(polygon: Any, edge: int, robot: int) -> tuple[ConvexPolygon, Array]:
@@ -353,10 +357,11 @@ def joining(
     ``team`` is the ring with it, ``outline`` its polygon. If no split of its own legs does, its
     neighbours' legs are split otherwise as well, before it comes.
     """
-    k, n = vertex, team.robots
-    cut = np.linalg.norm(outline.vertices[[k, (k + 1) % n]] - before.polygon.vertices[k], axis=1)
+    k, n, corner = vertex, team.robots, vertex % before.team.robots
+    new, old = outline.vertices[[k, (k + 1) % n]], before.polygon.vertices[corner]
+    cut = np.linalg.norm(new - old, axis=1)
     slack = Hitch.balanced(team, outline, before.altitude).slack
-    neighbours = [(k - 1) % before.team.robots, k]
+    neighbours = [(k - 1) % before.team.robots, corner]
     fractions, whole = before.fractions[neighbours], before.slack[neighbours]
 
     splits = _splits(before.fractions[neighbours], [(share,) for share in SHARES])
@@ -624,10 +629,21 @@ class Joins:
             here = to
         if np.max(np.abs(here - goal)) >= MIN_FLIGHT:
             task = DirectApproach(team, here, goal, *own).problem
-            clear = replace(task.requirements, arena=self._clear_of_ring(goal))
+            others = (*task.requirements.keep_out, *map(self._around, self.waiting.values()))
+            clear = replace(task.requirements, arena=self._clear_of_ring(goal), keep_out=others)
             drones = SeparatedFlight(replace(task, requirements=clear)).solve().drones
             motions.append(stage("approach", drones, team, *own))
         return [self._beside(each) for each in motions]
+
+    def _around(self, places: Array) -> Prism:
+        """Return a prism around drones (2, 3) [m] that wait, their downwash, and their cable."""
+        start, end = places[:, :2]
+        along = unit(end - start) * self.requirements.separation.cable
+        left = np.array([-along[1], along[0]])
+        corners = [start - along + left, end + along + left, end + along - left]
+        lower = np.min(places[:, 2]) - 0.5 * float(np.linalg.norm(end - start))
+        upper = np.max(places[:, 2]) + 2.0 * self.requirements.separation.height
+        return Prism([*corners, start - along - left], lower, upper)
 
     def _clear_of_ring(self, goal: Array) -> Arena:
         """Return the arena above its place, or below it."""
