@@ -18,7 +18,7 @@ from hitchopt.hitch.hitch import cable_slack
 from hitchopt.motion.motion import Motion, joined_motions
 from hitchopt.steps.moving import Adjust, Morph
 from hitchopt.steps.step import INDEX, RestState, Step, StepPlan, StepTask, WhichPoint
-from hitchopt.steps.tying import refuse_rolls
+from hitchopt.steps.tying import adjusted, refuse_rolls
 from hitchopt.values import Array
 from hitchopt.values.fields import Key
 from hitchopt.values.units import LENGTH
@@ -96,7 +96,8 @@ def joined_plan(step: Join, task: StepTask, side: float) -> StepPlan:
     joins = Joins(joined, before.whole_team, waiting, requirements, task.index)
     parts = [joins.opening(start), *joins.arrival(start), *joins.tying()]
     after = joined_state(before, joined, waiting)
-    motion = joined_motions([*_adjusted(task, joined.before.q_legs), *parts])
+    slid = [before.with_waiting(x, requirements) for x in adjusted(task, joined.before.q_legs)]
+    motion = joined_motions([*slid, *parts])
     return _clear(StepPlan(motion, after))
 
 
@@ -195,17 +196,9 @@ class Withdraw(Step):
             levels=None,
             waiting={**before.waiting, self.robot: aside},
         )
-        motion = joined_motions([*_adjusted(task, joined.after.q_legs), *reversed_stages(parts)])
+        slid = [before.with_waiting(x, requirements) for x in adjusted(task, joined.after.q_legs)]
+        motion = joined_motions([*slid, *reversed_stages(parts)])
         return _clear(StepPlan(motion, after))
-
-
-def _adjusted(task: StepTask, q_legs: Array) -> list[Motion]:
-    """Return the motion in which legs become as long as joining or leaving needs; none if so."""
-    if np.array_equal(q_legs, task.hitch.q_legs):
-        return []
-    direct = replace(task, optimiser=False)  # another split takes less time than another route
-    motion = Adjust(legs=q_legs).plan(direct).motion
-    return [task.before.with_waiting(motion, task.requirements)]
 
 
 def _check_free(robot: int, place: int, senses: Array, index: int) -> None:

@@ -155,7 +155,8 @@ class Form(Step):
         levels = laying.levels_of(team.layout, order)
         senses = laying.senses_of(team.layout, levels)
         if self.legs is None:
-            goal = laying.split_for_rolling(team, self.polygon, self.altitude, senses, requirements)
+            halves = Hitch.balanced(team, self.polygon, self.altitude)
+            goal = laying.split_for_rolling(halves, senses, requirements)
         else:
             goal = motions.split_hitch(team, self.polygon, self.altitude, self.legs, requirements)
         motions.check_at_rest(goal, requirements, f"at the end of step {i} (form)")
@@ -314,6 +315,16 @@ def lifted(hitch: Hitch, altitude: float, name: str, task: StepTask) -> Motion:
     return motion.replaced(phases=(phase,))
 
 
+def adjusted(task: StepTask, q_legs: Array) -> list[Motion]:
+    """Return the motion in which legs become as long as they have to be; none if so."""
+    from hitchopt.steps.moving import Adjust
+
+    if np.array_equal(q_legs, task.hitch.q_legs):
+        return []
+    direct = replace(task, optimiser=False)  # another split takes less time than another route
+    return [Adjust(legs=q_legs).plan(direct).motion]
+
+
 class RollStep(Step):
     """A step that turns the pair of one vertex about it by half a turn; no vertex moves."""
 
@@ -408,14 +419,16 @@ class Release(Step):
 
     def _unlaid(self, task: StepTask, levels: Indices) -> StepPlan:
         """Return the plan that lays a hitch backward: unrolled, and lifted from the top."""
-        from hitchopt.planners.forming.laying import laying_stages
+        from hitchopt.planners.forming.laying import laying_stages, split_for_rolling
         from hitchopt.planners.forming.stages import reversed_stages
 
-        before, hitch, requirements = task.before, task.hitch, task.requirements
+        before, requirements = task.before, task.requirements
+        hitch = split_for_rolling(task.hitch, before.known_senses, requirements)
         site = laying_site(hitch, levels, requirements)
-        parts = reversed_stages(laying_stages(site, requirements, task.index))
+        parts = adjusted(task, hitch.q_legs)
         if site.hitch is not hitch:
-            parts.insert(0, lifted(hitch, site.hitch.altitude, "raise", task))
+            parts.append(lifted(hitch, site.hitch.altitude, "raise", task))
+        parts += reversed_stages(laying_stages(site, requirements, task.index))
         after = replace(before, drones=site.slack, hitch=None, senses=None, levels=None)
         return StepPlan(self.lasting(task, joined_motions(parts)), after)
 

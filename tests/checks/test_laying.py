@@ -15,7 +15,7 @@ import hitchopt as ho
 from hitchopt import verify as second
 from hitchopt.checks import certify
 from hitchopt.checks.clasps import turns
-from hitchopt.hitch import Team
+from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.catenary import steepness
 from hitchopt.hitch.forces import sag_factors
 from hitchopt.hitch.requirements import Requirements
@@ -46,8 +46,8 @@ def laying_of(n: int, order: tuple[int, ...] | None = None) -> Laying:
     team = Team(n, length, tension=0.7, cable_density=0.01)
     polygon = ho.regular_polygon(n, edge, angle=0.3).vertices + [4.0, -3.0]
     levels = levels_of(team.layout, order)
-    outline = ho.ConvexPolygon(polygon)
-    hitch = split_for_rolling(team, outline, 1.8, senses_of(team.layout, levels), KEPT)
+    halves = Hitch.balanced(team, ho.ConvexPolygon(polygon), 1.8)
+    hitch = split_for_rolling(halves, senses_of(team.layout, levels), KEPT)
     return find_laying(hitch, levels, KEPT)
 
 

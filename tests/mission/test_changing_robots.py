@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from plans import planned
+from plans import PROBLEMS, planned
 
 import hitchopt as ho
 from hitchopt.mission.problem import DronesStart, HitchStart
@@ -104,6 +105,15 @@ def test_a_robot_on_its_way_avoids_those_that_wait() -> None:
     last = chapters(plan.motion)[-1].groups[0].motion
     assert last.team.labels == (0, 6, 5, 4)
     np.testing.assert_allclose(last.vertices.coefficients[-1, :, :2, -1], SQUARE, atol=1e-9)
+
+
+def test_a_laid_hitch_is_released_with_legs_with_which_it_cannot_unroll() -> None:
+    laid = ho.load_problem(PROBLEMS / "lay_triangle.yaml")
+    steps = (laid.mission[0], ho.Adjust(legs="balanced"), ho.Release())
+    plan = ho.solve(replace(laid, mission=steps))
+    names = [phase.name for phase in plan.phases]
+    assert names.count("adjust") == 2
+    assert names[names.index("adjust") + 1 :][:2] == ["adjust", "unroll"]
 
 
 def test_what_cannot_be_is_refused_by_its_key() -> None:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from hitchopt.errors import check_time
-from hitchopt.geometry import Outline, shortest_offset
+from hitchopt.geometry import shortest_offset
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.model import FlatJets
@@ -161,19 +161,16 @@ class Laying:
         return replace(self, hitch=Hitch(own.team, own.polygon, altitude, own.q_legs, own.roll))
 
 
-def split_for_rolling(
-    team: Team, polygon: Outline, altitude: float, senses: Array, requirements: Requirements
-) -> Hitch:
-    """Return the hitch with the slack split nearest to one half whose drones clear as they roll.
+def split_for_rolling(hitch: Hitch, senses: Array, requirements: Requirements) -> Hitch:
+    """Return the hitch if its drones clear as they roll, else with the split nearest to one half.
 
     The one with drones farthest apart, if none does.
     """
     best, apart = None, -np.inf
-    slack = Hitch.balanced(team, polygon, altitude).slack
-    for share in SHARES:
+    for q_legs in (hitch.q_legs, *(share * hitch.slack for share in SHARES)):
         check_time()
-        hitch = Hitch(team, polygon, altitude, share * slack)
-        path = RollPath(hitch, -np.pi * senses, 0.0 * senses)
+        hitch = Hitch(hitch.team, hitch.polygon, hitch.altitude, q_legs, hitch.roll)
+        path = RollPath(hitch, -np.pi * senses, hitch.roll)
         places = path.drones(np.linspace(0.0, 1.0, ANGLES))
         here = smallest_separation(places, requirements.separation)
         if here > apart:
