@@ -15,6 +15,7 @@ NAMES = (
     "teams",
     "carrying",
     "flights",
+    "laying",
     "joining",
     "recordings",
     "statics",

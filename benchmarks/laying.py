@@ -1,0 +1,119 @@
+"""Hitches that are laid, against the same ones tied by swaps: from hover, and flown with ropes.
+
+Usage: python -m benchmarks laying [--random N] [--flown N] [--seed S]
+
+The forms of the problem files, with cables of 10 g/m, and random irregular hitches of 3 to 6
+robots. All begin at the altitude of the hitch, with the same robots for the same edges.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+import hitchopt as ho
+from benchmarks.flights import irregular, success
+from benchmarks.measuring import PROBLEMS, Table, parser
+from hitchopt.mission.problem import DronesStart
+from hitchopt.simulation.judgement import Run
+
+LIMITATIONS = (
+    "fast preset; cables of 10 g/m, ropes of 12 mm, friction 0.1, which plans know, without "
+    "settling; perturbed: noise of 1 cm and 3 cm/s, 0.05 N each of gusts and of steady wind, "
+    "downwash, cables 0.5 % off, starts 2 cm off; means are over hitches that both ways plan"
+)
+
+FORMS = ("triangle", "square", "pentagon", "hexagon", "twelve_gon")
+"""Of the problem files ``form_*``."""
+
+Way = Literal["swaps", "laying"]
+
+WAYS: tuple[Way, Way] = ("swaps", "laying")
+
+REST = 3.0
+"""At the end [s]."""
+
+COLUMNS = (
+    "forms in [s]", "plan [s]", "separation", "flights", "succeeded (95 %)", "first failures",
+    "tension [N]",
+)  # fmt: skip
+
+
+class Outcome(NamedTuple):
+    """A plan, the processor time that it took [s], and its perturbed flight if it was flown."""
+
+    plan: ho.Plan
+    took: float
+    run: Run | None
+
+
+def from_hover(problem: ho.Problem, way: Way) -> ho.Problem:
+    """Return the problem of its form alone, tied in a way by drones that hover."""
+    form = next(step for step in problem.mission if isinstance(step, ho.Form))
+    start = problem.start
+    assert isinstance(start, DronesStart)
+    up = np.array([0.0, 0.0, form.altitude])
+    raised = DronesStart(*(np.asarray(x) * [1.0, 1.0, 0.0] + up for x in (start.q, start.r)))
+    tied = replace(form, by=way, legs=None, settle=False)
+    team = replace(problem.team, cable_density=0.01, cable_friction=0.1)
+    return replace(problem, team=team, start=raised, mission=(tied, ho.Hold(REST)))
+
+
+def outcome(problem: ho.Problem, way: Way, seed: int | None) -> Outcome | None:
+    """Return what becomes of a form, flown with a ``seed`` if there is one; None if refused."""
+    began = time.process_time()
+    try:
+        plan = ho.solve(from_hover(problem, way))
+    except ho.HitchoptError:
+        return None
+    took = time.process_time() - began
+    flown = None if seed is None else ho.simulate(plan, perturbed=True, seed=seed).run
+    return Outcome(plan, took, flown)
+
+
+def figures(outcomes: Sequence[Outcome]) -> tuple[object, ...]:
+    """Return columns of outcomes: means, the smallest separation, and how flights ended."""
+    if not outcomes:
+        return ("",) * len(COLUMNS)
+    runs = [each.run for each in outcomes if each.run is not None]
+    planned = (
+        np.mean([each.plan.duration - REST for each in outcomes]),
+        np.mean([each.took for each in outcomes]),
+        min(each.plan.certificate["separation"].bound for each in outcomes),
+    )
+    if not runs:
+        return (*planned, "", "", "", "")
+    return (*planned, *success(runs), max(run.figures["peak_tension"] for run in runs))
+
+
+def main() -> None:
+    """Print and write both tables."""
+    options = parser(__doc__)
+    options.add_argument("--random", type=int, default=40)
+    options.add_argument("--flown", type=int, default=20, help="of the random ones")
+    options.add_argument("--seed", type=int, default=1000)
+    given = options.parse_args()
+    table = Table(given.output / "laying.md", "Laying and swaps", LIMITATIONS, ("mujoco",))
+    table.section("Problems", "problem", "way", *COLUMNS)
+    for name in FORMS:
+        problem = ho.load_problem(PROBLEMS / f"form_{name}.yaml")
+        for way in WAYS:
+            found = outcome(problem, way, given.seed)
+            table.row(f"form_{name}", way, *figures([found] if found else []))
+    random = [ho.problem_from_dict(irregular(i, 0.1, settle=False)) for i in range(given.random)]
+    pairs = [
+        [outcome(each, way, given.seed + i if i < given.flown else None) for way in WAYS]
+        for i, each in enumerate(random)
+    ]
+    table.section(f"{given.random} random irregular hitches", "way", "planned", *COLUMNS)
+    for way, outcomes in zip(WAYS, zip(*pairs, strict=True), strict=True):
+        compared = [x for x, pair in zip(outcomes, pairs, strict=True) if x and all(pair)]
+        table.row(way, sum(map(bool, outcomes)), *figures(compared))
+
+
+if __name__ == "__main__":
+    main()
