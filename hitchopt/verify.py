@@ -1369,10 +1369,11 @@ def followed(p: Plan, run: Items) -> tuple[Array, Array, Mask]:
     c = np.tile(np.arange(count), parts * len(run))
     s = Spans(p, q, c[:, None], x, 0.0 * x + 0.5 / parts)
     k, j = p.clasps[c], p.behind[c]
-    q_, r = (s.toward(i).unit() for i in (2 * k, 2 * j + 1))
-    axis, u = (q_ + r).unit(), s.edge(k)[0].unit() + s.edge(j)[1].unit()
-    m, m0 = (y - axis * axis.dot(y) for y in (q_ - r, u))
-    known = (m.reach < 0.5 * size(m.v)) & (m0.reach < 0.1 * size(m0.v))
+    with np.errstate(all="ignore"):  # of legs that may vanish
+        q_, r = (s.toward(i).unit() for i in (2 * k, 2 * j + 1))
+        axis, u = (q_ + r).unit(), s.edge(k)[0].unit() + s.edge(j)[1].unit()
+        m, m0 = (y - axis * axis.dot(y) for y in (q_ - r, u))
+        known = (m.reach < 0.5 * size(m.v)) & (m0.reach < 0.1 * size(m0.v))
     sine = np.sum(np.cross(m0.v, axis.v) * m.v, -1)
     angles = np.degrees(np.arctan2(sine, np.sum(m0.v * m.v, -1))).reshape(-1, count)
     steps = (np.diff(angles, axis=0) + 180.0) % 360.0 - 180.0
@@ -1438,7 +1439,7 @@ def crossed(
             left = np.where(opened, (left + 180.0) % 360.0 - 180.0, left) + change
             across = np.abs(left) <= 180.0 - ROLLED
             wrong(q, ~across & (np.abs(left - 180.0 * sense) >= ROLLED), "pairs roll wrongly")
-            wrong(q, {LAID: ~across, "hitched": across}.get(after, False), "half a roll is missing")
+            wrong(q, across & (after == "hitched"), "half a roll is missing")
             lies = np.where(across, sense, 0.0)
         elif state == "hitched" and before not in ("", ROLLING):
             sense = number

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import cached_property
-from itertools import pairwise
+from itertools import pairwise, permutations
 from typing import NamedTuple
 
 import numpy as np
@@ -305,11 +305,13 @@ def turns(motion: Motion) -> tuple[Array, Array]:
 class Corner(NamedTuple):
     """Where the legs of two cables lie across each other beyond the edge of a robot between them.
 
-    On ``pieces`` they may touch: from where the robot has joined until one of them has rolled away,
-    or before it leaves. ``clasps`` are those of the robot with the cables ``behind`` and ``ahead``.
+    On ``pieces`` they may touch: the ``first`` ones, from where the robot has joined until one of
+    them has rolled away, or the last ones, before it leaves. ``clasps`` are those of the robot with
+    the cables ``behind`` and ``ahead``.
     """
 
     pieces: slice
+    first: bool
     clasps: tuple[int, int]
     behind: int
     ahead: int
@@ -326,36 +328,25 @@ def cut_corners(motion: Motion) -> tuple[Corner, ...]:
 def _corners_cut(
     motion: Motion, lying: Sequence[bool], rolling: Sequence[bool]
 ) -> tuple[Corner, ...]:
-    corners, count = list[Corner](), len(lying)
-    index = motion.phase_of_piece
-    for first, last in ((0, 1), (count - 1, count)):
-        if not lying[first]:
+    corners, count, layout = list[Corner](), len(lying), motion.team.layout
+    for first in (True, False):
+        order = slice(None, None, 1 if first else -1)
+        passing, index = np.logical_and.accumulate(lying[order]), motion.phase_of_piece[order]
+        if not (number := int(np.sum(passing))):
             continue
-        step = 1 if first == 0 else -1
-        start, stop = first, last
-        while start > 0 and step < 0 and lying[start - 1]:
-            start -= 1
-        while stop < count and step > 0 and lying[stop]:
-            stop += 1
-        at = stop if step > 0 else start - 1
-        while (
-            0 <= at < count and rolling[at] and index[at] == index[stop if step > 0 else start - 1]
-        ):
-            at += step
-        span = slice(start, stop)
+        after = np.isin(index, index[number : number + 1]) & np.array(rolling[order])
+        touching = int(np.sum(np.logical_and.accumulate(passing | after)))
+        span, pieces = (
+            slice(0, size) if first else slice(count - size, count) for size in (number, touching)
+        )
         rolls = turns(motion.slice_pieces(span, motion.phases))[0]
-        open_ = np.flatnonzero(np.abs(rolls) >= ROLLED)
-        layout = motion.team.layout
-        pairs = [
-            (j, k)
-            for j in open_.tolist()
-            for k in open_.tolist()
-            if layout.ahead[j] == layout.behind[k]
-        ]
+        open_ = np.flatnonzero(np.abs(rolls) >= ROLLED).tolist()
+        pairs = [(j, k) for j, k in permutations(open_, 2) if layout.ahead[j] == layout.behind[k]]
         if len(open_) == 2 and len(pairs) == 1:
             ((j, k),) = pairs
-            pieces = slice(0, at) if step > 0 else slice(at + 1, count)
-            corners.append(Corner(pieces, (j, k), int(layout.behind[j]), int(layout.ahead[k])))
+            corners.append(
+                Corner(pieces, first, (j, k), int(layout.behind[j]), int(layout.ahead[k]))
+            )
     return tuple(corners)
 
 

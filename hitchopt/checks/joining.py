@@ -134,8 +134,7 @@ def _wrong(chapters: Sequence[Motion]) -> Iterator[tuple[float, str]]:
             yield time, f"cable {ring.team.labels[k]}, cable {ring.team.labels[j]}"
         passing, breaks = ring.in_states(frozenset({CableState.LYING})), ring.drones.breaks
         for corner in cut_corners(ring):
-            seam = i > 0 if corner.pieces.start == 0 else i < last
-            passing[corner.pieces] &= not seam
+            passing[corner.pieces] &= not (i > 0 if corner.first else i < last)
         for piece in np.flatnonzero(passing).tolist():
             yield float(breaks[piece]), "ring"
         yield from _beside(chapters[i], (i > 0, i < last))
@@ -180,7 +179,6 @@ def _over_seam(here: Motion, there: Motion, ties: Ties) -> tuple[Ties, list[str]
     after, wrong = Ties.at_start(other), list[str]()
     states = one.phases[-1].state, other.phases[0].state
     if {*states} <= BEFORE:
-        after.numbers[:] = 0
         laying = [
             f"cable {each.motion.team.labels[0]}"
             for each in (*here.groups[1:], *there.groups[1:])
@@ -204,7 +202,7 @@ def _over_seam(here: Motion, there: Motion, ties: Ties) -> tuple[Ties, list[str]
     chapter = here if joins else there
     alone = next(g.motion for g in chapter.groups[1:] if g.motion.team.labels == (robot,))
     side = _side(less, more, alone, (behind, robot, ahead), end=joins)
-    corners = [c for c in cut_corners(more) if (c.pieces.start == 0) is joins]
+    corners = [c for c in cut_corners(more) if c.first is joins]
     corner = corner_side(more, corners[0]) if len(corners) == 1 else 0
     pairs = {(behind, robot): (0, 0, side), (robot, ahead): (0, 0, -side)}
     if joins:
@@ -217,7 +215,7 @@ def _over_seam(here: Motion, there: Motion, ties: Ties) -> tuple[Ties, list[str]
     for k, pair in enumerate(_pairs(other)):
         numbers = pairs.get(pair) or known.get(pair, (0, 0, 0))
         after.numbers[k], after.senses[k], after.lying[k] = numbers
-    wrong += _moved(one, other, {*pairs})
+    wrong += _moved(one, other)
     return after, wrong
 
 
@@ -265,7 +263,7 @@ def _side(
     return side if near and close and np.all(np.sign(away) == side) else 0
 
 
-def _moved(one: Motion, other: Motion, changed: set[tuple[int, int]]) -> list[str]:
+def _moved(one: Motion, other: Motion) -> list[str]:
     """Return the vertices of pairs in both rings that are elsewhere after a seam."""
     places = dict[tuple[int, int], Array]()
     for ring, index in ((one, -1), (other, 0)):
@@ -273,8 +271,7 @@ def _moved(one: Motion, other: Motion, changed: set[tuple[int, int]]) -> list[st
         labels, layout = ring.team.labels, ring.team.layout
         for k, a, b in zip(layout.clasps, layout.behind, layout.ahead, strict=True):
             pair = labels[a], labels[b]
-            kept = pair in places and pair not in changed
-            if kept and np.max(np.abs(places[pair] - points[k])) > JUMP:
+            if pair in places and np.max(np.abs(places[pair] - points[k])) > JUMP:
                 return [ring.team.point_names[k]]
             places[pair] = points[k]
     return []

@@ -432,7 +432,7 @@ class Ties:
         start = np.where(lies, opened + (start - opened + 180.0) % 360.0 - 180.0, start)
         across = np.abs(start + change - opened) <= 180.0 - ROLLED
         wrong |= ~across & (np.abs(start + change) >= ROLLED)
-        wrong |= {CableState.LAYING: ~across, CableState.HITCHED: across}.get(after, False)  # type: ignore[arg-type]
+        wrong |= across & (after is CableState.HITCHED)
         self.numbers[:] = np.where(lies, self.senses, self.numbers)
         self.lying[:] = np.where(across, self.senses, 0)
         return wrong

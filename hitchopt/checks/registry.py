@@ -131,7 +131,7 @@ def _checks_of_chapters(
             if rule is DURATION:
                 yield rule.check(motion)
             elif rule is INTERLACING:
-                yield interlaced(parts).check(rule, 0.0)
+                yield check_of(rule, motion)
             else:
                 yield worst_of([*own.get(rule.name, ()), _at_seams(rule, motion)])
         for report in chosen:

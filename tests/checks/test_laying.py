@@ -10,11 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from motions import altered, plus, row
+from test_interlacing import stages_of as swaps_of
 
 import hitchopt as ho
 from hitchopt import verify as second
 from hitchopt.checks import certify
 from hitchopt.checks.clasps import turns
+from hitchopt.checks.linking import _gaps
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.catenary import steepness
 from hitchopt.hitch.forces import sag_factors
@@ -137,6 +139,9 @@ def test_half_a_turn_too_little_or_too_much_holds_nothing() -> None:
     resting = replace(stages[-2], phases=(replace(stages[-2].phases[0], state=CableState.HITCHED),))
     assert wrong([*stages, back, resting]) == clasps(3)
     assert not row(joined_motions([*stages, back, resting]), "equilibrium").holds
+    # A pair that is open by 140 degrees alone is not lifted.
+    partly = rolled(laying, path.end, path.start * [1.0, 140.0 / 180.0, 1.0])
+    assert wrong([*stages, partly, *reversed_stages(stages)[1:]]) == {"p1"}
     # Opened to the other side, cables are wound around each other by a full turn.
     assert wrong([*stages, rolled(laying, path.end, -path.start)]) == clasps(3)
 
@@ -160,6 +165,7 @@ def test_what_was_never_tied_does_not_roll_and_what_is_tied_is_not_laid(tmp_path
     )
     lines = straight_lines(team, KEPT.limits, slack.reshape(-1, 3), closed)
     pulled = stage("draw", lines, team, KEPT, 0, CableState.FREE)
+    assert wrong([pulled, roll]) == clasps(3)
     hitched = resting(roll, CableState.HITCHED)
     assert wrong([pulled, resting(roll, ROLLING), hitched]) >= clasps(3)
     assert wrong([hitched, resting(roll, ROLLING)]) == {f"cable {k}" for k in range(3)}
@@ -187,17 +193,19 @@ def test_who_is_above_must_have_come_from_above() -> None:
     # Cables that stay 5 cm apart are not laid.
     apart = laying.laid + np.repeat(0.05 * laying.levels, 2)[:, None] * [0.0, 0.0, 1.0]
     assert {"p0", "p1", "p2"} <= wrong([taut, slide, lowered(laying, laying.above, apart), roll])
+    # Cables that lie on one another are not moved aside.
+    unroll, relax = reversed_stages([tension, roll])
+    untied = [taut, slide, stages_of(3)[2], tension, roll, unroll, relax]
+    assert wrong([*untied, lowered(laying, laying.laid, laying.laid + [0.3, 0.0, 0.0])]) == clasps(
+        3
+    )
     # The lowest one is lifted first, through the others.
     path = straight_lines(laying.hitch.team, KEPT.limits, laying.laid, laying.above)
     down = laying.laid[:2] + [0.0, 0.0, 0.9]
     up = np.concatenate([down, laying.above[2:]])
     lifted = lowered(laying, laying.laid, up)
     assert path.duration < lifted.duration
-    unroll, relax = reversed_stages([tension, roll])
-    assert wrong([taut, slide, stages_of(3)[2], tension, roll, unroll, relax, lifted]) == {
-        "p0",
-        "p1",
-    }
+    assert wrong([*untied, lifted]) == {"p0", "p1"}
 
 
 def test_states_are_not_believed() -> None:
@@ -239,6 +247,28 @@ def test_a_cable_that_is_laid_pulls_by_an_eighth_more_or_less(share: float, hold
     half = team.cable_weight[0::2]  # of a cable's weight, which each of its ends carries
     pulls = np.hypot(half / np.sinh(steepness(team.cable_length / wanted)), half)
     assert not holds or np.all(np.abs(pulls / team.tension - 1.0) < 0.125)
+
+
+def test_what_was_laid_is_not_untied_by_swaps_of_another_sense() -> None:
+    swaps = swaps_of(3)[1]
+    wanted = {f"p{k}" for k in np.flatnonzero(laying_of(3).senses < 0.0)}
+    assert wrong([*stages_of(3), *reversed_stages(swaps)]) == wanted
+
+
+def test_cables_stop_on_their_way_to_where_they_are_laid() -> None:
+    laying, stages = laying_of(3), stages_of(3)
+    higher = laying.outside + [0.0, 0.0, 0.2]
+    hop = [lowered(laying, laying.outside, higher), lowered(laying, higher, laying.outside)]
+    parts = [stages[0], *hop, *stages[1:]]
+    assert not wrong([*parts, *reversed_stages(parts)])
+
+
+def test_both_opinions_tell_how_high_cables_cross(tmp_path: Path) -> None:
+    lay = stages_of(3)[2]
+    write_plan(tmp_path / "plan.npz", joined_motions([*stages_of(3)[:3]]))
+    (plan,), _ = second.read(tmp_path / "plan.npz")
+    last = second.heights(plan, len(plan.h) - 1, 1)
+    np.testing.assert_allclose(_gaps(lay)[:, -1, -1], last, atol=1e-9)
 
 
 def test_loads_and_unequal_tensions_do_not_roll() -> None:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import chain, combinations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,10 +15,11 @@ from plans import planned
 
 import hitchopt as ho
 from hitchopt import verify as second
-from hitchopt.checks.joining import interlaced, jumps_of_thrust, lowered_over
+from hitchopt.checks import joining
+from hitchopt.checks.joining import interlaced, lowered_over
 from hitchopt.checks.registry import RULE_OF, check_of
 from hitchopt.errors import FileError
-from hitchopt.hitch import Hitch
+from hitchopt.hitch import GRAVITY, Hitch
 from hitchopt.hitch.team import PartTeam
 from hitchopt.motion.chapters import chapters, with_waiting
 from hitchopt.motion.motion import CableState, Motion, Phase, joined_motions
@@ -31,6 +33,8 @@ Change = Callable[[Motion], Motion]
 REFUSED = "refused"
 """The file cannot be read as a plan."""
 
+GROUND, FREE, CLASPING = CableState.GROUND, CableState.FREE, CableState.CLASPING
+HITCHED, LAYING = CableState.HITCHED, CableState.LAYING
 LYING, ROLLING = CableState.LYING, CableState.ROLLING
 BEFORE, WITH, AFTER = (0, 1, 2), (3, 0, 1, 2), (0, 1, 2)
 
@@ -46,6 +50,11 @@ def at(motion: Motion, names: tuple[str, ...], ring: tuple[int, ...] | None = No
     return found
 
 
+def pieces(motion: Motion, name: str) -> NDArray[np.intp]:
+    """Which pieces are in the phases of a name."""
+    return np.flatnonzero(np.array([p.name == name for p in motion.phases])[motion.phase_of_piece])
+
+
 def told(change: Callable[[Phase], Phase]) -> Change:
     """Say something else of phases."""
     return lambda motion: motion.replaced(phases=tuple(map(change, motion.phases)))
@@ -56,6 +65,11 @@ def called(name: str, **values: object) -> Change:
     return told(lambda p: replace(p, **values) if p.name == name and p.step else p)  # type: ignore[arg-type]
 
 
+def named(name: str, state: CableState) -> Change:
+    """Say another state of the phases of a name."""
+    return told(lambda p: replace(p, state=state) if p.name == name else p)
+
+
 def waits(name: str, state: CableState) -> Change:
     """Say something else of robot 3 as it waits."""
     return called(name, waiting=((3, state),))
@@ -63,8 +77,28 @@ def waits(name: str, state: CableState) -> Change:
 
 def ringed(old: tuple[int, ...], new: tuple[int, ...], waiting: tuple[int, ...] = ()) -> Change:
     """Say that others form a ring."""
-    rest = tuple((k, CableState.FREE) for k in waiting)
+    rest = tuple((k, FREE) for k in waiting)
     return told(lambda p: replace(p, ring=new, waiting=rest or p.waiting) if p.ring == old else p)
+
+
+def at_first(*values: dict[str, object]) -> Change:
+    """Say something else of the first phases, one after the other."""
+
+    def change(motion: Motion) -> Motion:
+        rows = chain(values, ({} for _ in motion.phases[len(values) :]))
+        said = (replace(p, **row) for p, row in zip(motion.phases, rows, strict=True))  # type: ignore[arg-type]
+        return motion.replaced(phases=tuple(said))
+
+    return change
+
+
+def turned(motion: Motion) -> Motion:
+    """Begin the ring of four at its second robot, and its vertices there."""
+    c = motion.vertices.coefficients.copy()
+    ring = np.array([p.ring == WITH for p in motion.phases])[motion.phase_of_piece]
+    c[ring] = np.roll(c[ring], -1, axis=1)
+    told_so = motion.replaced(vertices=motion.vertices.alike(c))
+    return ringed(WITH, (*WITH[1:], WITH[0]))(told_so)
 
 
 def edited(curve: str, change: Callable[[Motion, NDArray[np.float64]], object]) -> Change:
@@ -88,13 +122,26 @@ def moved(names: tuple[str, ...], drones: slice, by: float, axis: int = 2) -> Ch
     return edited("drones", edit)
 
 
-def mirrored(name: str, end: int) -> Change:
-    """Let robot 3 come from as far below, or go there, as it does from above."""
+def within(name: str, curve: str, where: tuple[Any, ...], by: float) -> Change:
+    """Add to coefficients of a curve on the piece in the middle of a phase, or of its pieces."""
+
+    def edit(motion: Motion, c: NDArray[np.float64]) -> None:
+        on = pieces(motion, name)
+        c[(on[len(on) // 2], *where)] += by
+
+    return edited(curve, edit)
+
+
+def risen(name: str, end: int, share: float = -1.0, less: float = 0.0) -> Change:
+    """Let robot 3 come from a share of its height, or go there: below where it is negative.
+
+    Lower in all of it by so much [m].
+    """
 
     def edit(motion: Motion, c: NDArray[np.float64]) -> None:
         on = np.flatnonzero(at(motion, (name,)))
-        lies = c[on[end], 6:8, 2, end]
-        c[on, 6:8, 2] = 2.0 * lies[:, None] - c[on, 6:8, 2]
+        lies = c[on[end], 6:8, 2, end][:, None] * np.ones(c.shape[-1])
+        c[on, 6:8, 2] = lies + share * (c[on, 6:8, 2] - lies) - less
 
     return edited("drones", edit)
 
@@ -106,24 +153,73 @@ def dipped(motion: Motion, c: NDArray[np.float64]) -> None:
     c[on[20:40], 0, 2, 1:-1] -= 0.3
 
 
-def slid(motion: Motion) -> Motion:
-    """Let cable 1 slide by 3 cm and back as weight passes."""
-    on = np.flatnonzero(at(motion, ("pass weight",), WITH))[1:3]
-    drones, legs = motion.drones.coefficients.copy(), motion.legs.coefficients.copy()
-    own = drones[on[0], 2:4, :, 0] - motion.vertices.coefficients[on[0], 2:4, :, 0]
-    for sign, drone, way in zip((1.0, -1.0), (2, 3), own, strict=True):
-        along = sign * 0.03 * way / np.linalg.norm(way)
-        drones[on[0], drone, :, 1:] += along[:, None]
-        drones[on[1], drone, :, :-1] += along[:, None]
-        legs[on[0], 1, drone - 2, 1:] += sign * 0.03
-        legs[on[1], 1, drone - 2, :-1] += sign * 0.03
-    return motion.replaced(drones=motion.drones.alike(drones), legs=motion.legs.alike(legs))
+def slid(name: str, by: float) -> Change:
+    """Let cable 1 slide along itself [m] in a phase, and back."""
+
+    def change(motion: Motion) -> Motion:
+        on = pieces(motion, name)[1:3]
+        ring = motion.phases[motion.phase_of_piece[on[0]]].ring or (0, 1, 2)
+        drones, legs = motion.drones.coefficients.copy(), motion.legs.coefficients.copy()
+        ends = np.array([0, 1]) + ring.index(1)
+        own = drones[on[0], 2:4, :, 0] - motion.vertices.coefficients[on[0], ends, :, 0]
+        for sign, drone, way in zip((by, -by), (2, 3), own, strict=True):
+            along = sign * way / np.linalg.norm(way)
+            for piece, where in zip(on, (np.s_[1:], np.s_[:-1]), strict=True):
+                drones[piece, drone, :, where] += along[:, None]
+                legs[piece, 1, drone - 2, where] += sign
+        return motion.replaced(drones=motion.drones.alike(drones), legs=motion.legs.alike(legs))
+
+    return change
+
+
+def reordered(motion: Motion, c: NDArray[np.float64]) -> None:
+    """Let the top cable come down first, and the lowest one last."""
+    on = np.concatenate([pieces(motion, name) for name in ("slide in", "lay")])[:, None]
+    end = c[on[-1, 0], :6, 2, -1][:, None]
+    c[on, range(6), 2] = end + (c[on, range(6), 2] - end)[:, [4, 5, 2, 3, 0, 1]]
+
+
+def rolled_back(motion: Motion, c: NDArray[np.float64]) -> None:
+    """Let the pair at a vertex roll in the other sense."""
+    on = pieces(motion, "roll")[:, None]
+    c[on, [0, 5], 2] = 2.0 * c[on[-1], [0, 5], 2, -1][:, None] - c[on, [0, 5], 2]
+
+
+def pulled_more(motion: Motion) -> Motion:
+    pulls = np.repeat(1.001 * motion.tensions.coefficients[:, :, None], 2, axis=2)
+    return motion.replaced(leg_tensions=motion.tensions.alike(pulls))
+
+
+def teamed(**values: object) -> Change:
+    """Say something else of the team."""
+    return lambda motion: motion.replaced(team=replace(motion.team, **values))  # type: ignore[arg-type]
 
 
 def drifted(motion: Motion, c: NDArray[np.float64]) -> None:
     """Let the vertex of cables 0 and 1 be elsewhere from the seam on, by less than lengths tell."""
     ring = np.array([p.ring == WITH for p in motion.phases])[motion.phase_of_piece]
     c[ring, 2, 0] += 1e-5
+
+
+def drifted_back(motion: Motion, c: NDArray[np.float64]) -> None:
+    """Let the vertex of cables 1 and 2 be elsewhere once robot 3 has left."""
+    c[
+        np.array([p.step == 3 and p.ring == AFTER for p in motion.phases])[motion.phase_of_piece],
+        2,
+        0,
+    ] += 1e-5
+
+
+def slipping(motion: Motion, c: NDArray[np.float64]) -> None:
+    """Let robot 3 go sideways in the last piece before it lies, and back."""
+    c[np.flatnonzero(at(motion, ("lower",)))[-1], 6:8, 1, 2:-2] += 0.005
+
+
+def rolled_over(motion: Motion, c: NDArray[np.float64]) -> None:
+    """Let both new pairs roll in the other sense."""
+    on = np.flatnonzero(at(motion, ("roll",), WITH))[:, None]
+    last = c[on[-1], [0, 5, 6, 7], 2, -1]
+    c[on, [0, 5, 6, 7], 2] = 2.0 * last[..., None] - c[on, [0, 5, 6, 7], 2]
 
 
 def pulled(motion: Motion, c: NDArray[np.float64]) -> None:
@@ -160,11 +256,11 @@ def jumped(motion: Motion, c: NDArray[np.float64]) -> None:
     c[np.array([p.ring == WITH for p in motion.phases])[motion.phase_of_piece], 0, 2] += 1e-5
 
 
-def since(name: str) -> Change:
-    """Begin as a phase of step 1 does."""
+def since(name: str, step: int = 1) -> Change:
+    """Begin as the last phase of a name does in a step."""
 
     def change(motion: Motion) -> Motion:
-        first = next(i for i, p in enumerate(motion.phases) if p.name == name and p.step == 1)
+        first = max(i for i, p in enumerate(motion.phases) if (p.name, p.step) == (name, step))
         start = int(np.flatnonzero(motion.phase_of_piece == first)[0])
         rest = motion.slice_pieces(slice(start, None), motion.phases[first:])
         return shifted(rest, -float(rest.drones.breaks[0]))
@@ -216,37 +312,86 @@ LIES: dict[str, tuple[Change, str, str]] = {
     "a robot is in no ring and waits nowhere": (ringed(WITH, (0, 1, 2)), REFUSED, REFUSED),
     "a robot is in the ring and waits": (ringed(WITH, WITH, (3,)), REFUSED, REFUSED),
     "a ring of two": (ringed(BEFORE, (0, 1), (2, 3)), REFUSED, REFUSED),
+    "the ring is told backwards": (ringed(WITH, WITH[::-1]), "interlacing", "interlacing"),
+    "the others change places as it leaves": (told(lambda p: replace(p, ring=(1, 0, 2)) if p.ring == AFTER and p.step == 3 else p), "interlacing", "interlacing"),
     # Who waits, and how.
-    "it is clasped as it waits": (waits("climb", CableState.CLASPING), REFUSED, REFUSED),
-    "it climbs on the ground": (waits("climb", CableState.GROUND), "interlacing", "story"),
-    "it hangs where it is taut": (waits("lower", CableState.FREE), "crossing", "crossing"),
-    "it is taut where it hangs": (waits("approach", CableState.LAYING), "cable_length", "cable_length"),
+    "it is clasped as it waits": (waits("climb", CLASPING), REFUSED, REFUSED),
+    "it climbs on the ground": (waits("climb", GROUND), "interlacing", "story"),
+    "it hangs where it is taut": (waits("lower", FREE), "crossing", "crossing"),
+    "it is taut where it hangs": (waits("approach", LAYING), "cable_length", "cable_length"),
+    "it lies on the ground where it hangs": (waits("approach", GROUND), "interlacing", "story"),
+    "it hangs as it is lifted off": (waits("raise", FREE), "crossing", "crossing"),
+    "it is taut as it hangs down again": (waits("slacken", LAYING), "cable_length", "cable_length"),
+    "it is taut as others form the ring": (at_first({"ring": (1, 2, 0)}, {"waiting": ((3, LAYING),)}), "interlacing", "interlacing"),
     "it pulls as it waits": (edited("tensions", pulled), REFUSED, "story"),
     "there is a vertex too many": (edited("vertices", more), REFUSED, REFUSED),
     "its cable is longer": (longer(1.01), "cable_length", "cable_length"),
     "its cable is shorter": (longer(0.99), "cable_length", "cable_length"),
+    # What the others do meanwhile.
+    "they hold with an open pair": (called("climb", state=HITCHED), "equilibrium", "interlacing"),
+    "they hang free": (called("climb", state=FREE), "interlacing", "interlacing"),
+    "they are laid": (called("climb", state=LAYING), "interlacing", "interlacing"),
+    "they are clasped as they roll": (called("roll", state=CLASPING), "interlacing", "interlacing"),
+    "a drone of theirs goes around within a piece": (within("climb", "drones", np.s_[2, 2, 2:-2], 2.0), "interlacing", "interlacing"),
+    "a vertex of theirs moves": (within("climb", "vertices", (0, 0, 3), 1e-3), "interlacing", "story"),
     # Seams.
     "it jumps as it joins": (moved(("pass weight",), slice(6, 7), 1e-5), "continuity", "continuity"),
     "a drone jumps at both seams": (edited("drones", jumped), "continuity", "continuity"),
-    "a cable slides as weight passes": (slid, "interlacing", "interlacing|contact"),
+    "a cable slides as weight passes": (slid("pass weight", 0.03), "interlacing", "interlacing|contact"),
     "a vertex that stays is elsewhere": (edited("vertices", drifted), "interlacing", "interlacing"),
+    "a vertex is elsewhere once it has left": (edited("vertices", drifted_back), "interlacing", "interlacing"),
+    "it jumps as it leaves": (moved(("raise",), slice(6, 7), 1e-5), "continuity", "continuity"),
+    "it is tied as it leaves": (called("pass weight back", state=ROLLING), "interlacing", "interlacing"),
     "it is tied as it lies": (called("pass weight", state=ROLLING), "interlacing", "interlacing"),
     "it stays on top without joining": (until("lower"), "interlacing", "crossing"),
     "it lies there as the plan begins": (since("pass weight"), "interlacing", "interlacing|story"),
+    "it lies on top as the plan begins": (since("raise", 3), "interlacing", "crossing"),
+    "it passes weight as the plan ends": (until("pass weight"), "interlacing", "interlacing"),
     # Who lies on whom.
     "it comes down sideways": (edited("drones", aside), "crossing", "crossing"),
-    "it comes from below": (mirrored("lower", -1), "interlacing", "interlacing"),
-    "it goes down through the hitch": (mirrored("raise", 0), "interlacing", "interlacing"),
+    "it comes from below": (risen("lower", -1), "interlacing", "interlacing"),
+    "it goes down through the hitch": (risen("raise", 0), "interlacing", "interlacing"),
     "it lies 5 cm aside": (moved(("lower",), slice(6, 8), 0.05, 1), "interlacing", "interlacing"),
     "it lies 5 cm above": (moved(("lower",), slice(6, 8), 0.05), "interlacing", "interlacing"),
+    "it comes from close by": (risen("lower", -1, 0.01), "interlacing", "interlacing"),
+    "it slips at last": (edited("drones", slipping), "interlacing", "interlacing"),
+    "it lay 5 cm aside": (moved(("raise",), slice(6, 8), 0.05, 1), "interlacing", "interlacing"),
+    "it lay 5 cm above": (moved(("raise",), slice(6, 8), 0.05), "interlacing", "interlacing"),
+    "it lay below": (risen("raise", 0, -1.0, 0.025), "interlacing", "interlacing"),
     "the leg below lies on top": (moved(("pass weight", "roll"), slice(0, 1), 0.15), "interlacing", "interlacing"),
     "a leg passes through the other one": (edited("drones", dipped), "interlacing", "laid"),
+    "pairs roll in the other sense": (edited("drones", rolled_over), "interlacing", "interlacing"),
     "the wrong leg rolls first": (other_leg_first, "interlacing", "interlacing"),
     # Passing weight.
     "it passes weight as it holds": (called("hold", state=LYING), "interlacing", "interlacing|story"),
+    "cables pass weight as they are tightened": (named("tension", LYING), "interlacing", "story"),
     "it passes weight as it climbs": (called("climb", state=LYING), "interlacing", "story"),
     "it passes weight as it rolls": (called("roll", state=LYING), "interlacing", "story"),
 }  # fmt: skip
+
+LAID: dict[str, tuple[Change, str, str]] = {
+    "cables are laid in another order": (edited("drones", reordered), "interlacing", "interlacing"),
+    "a cable dips through another one": (within("lay", "drones", np.s_[4:6, 2, 2:-2], -2.0), "interlacing", "laid"),
+    "a cable turns as it slides in": (within("slide in", "drones", np.s_[0, 1, 2:-2], 1e-4), "interlacing", "story"),
+    "one pair rolls in the other sense": (edited("drones", rolled_back), "interlacing", "interlacing"),
+    "cables are clasped as they roll": (named("roll", CLASPING), "interlacing", "interlacing"),
+    "cables are tightened as they roll": (named("roll", CableState.TIGHTENING), "interlacing", "interlacing"),
+    "cables roll as they hold": (named("hold", ROLLING), "interlacing", "story"),
+    "a cable slides by 3 mm as pairs roll": (slid("roll", 0.003), "interlacing", "story"),
+    "legs pull more than their cables": (pulled_more, "interlacing", "story"),
+    "pairs roll with a load": (teamed(load=np.full(3, 0.01)), "interlacing", "story"),
+    "one cable pulls more": (teamed(tension=np.array([0.7, 0.7, 0.71])), "interlacing", "story"),
+}  # fmt: skip
+"""As LIES, of a triangle that is laid."""
+
+TRUTHS: dict[str, Change] = {
+    "the truth": lambda motion: motion,
+    "phases have other names": told(lambda p: replace(p, name="fly")),
+    "the ring begins at another robot": turned,
+    "others were to form it at first": at_first({"ring": (3, 0, 1), "waiting": ((2, GROUND),)}),
+    "the plan begins as it unrolls": since("unroll", 3),
+}
+"""What is told otherwise, and is none."""
 
 
 def second_opinion(path: Path, limits: list[str]) -> Iterator[second.Row]:
@@ -260,7 +405,8 @@ def second_opinion(path: Path, limits: list[str]) -> Iterator[second.Row]:
     if "story" in limits:
         yield from chain(*map(second.story, parts))
     if "laid" in limits:
-        yield from chain(*map(second.cut_legs, parts))
+        rows = (second.cut_legs, second.laid_cables)
+        yield from chain(*(row(part) for part in parts for row in rows))
     if "cable_length" in limits:
         for part in parts:
             yield from second.taut_cables(part) if part.n > 1 else second.laid_cables(part)
@@ -270,19 +416,19 @@ def second_opinion(path: Path, limits: list[str]) -> Iterator[second.Row]:
                 yield from second.across(second.Pair(p, q, p.settings["separation"], 0.0))
 
 
-@pytest.mark.parametrize("name", LIES)
+@pytest.mark.parametrize("name", [*LIES, *LAID])
 def test_lies_are_refused_by_both_opinions(name: str, tmp_path: Path) -> None:
-    change, first, other = LIES[name]
+    change, first, other = (LIES | LAID)[name]
     path = tmp_path / "plan.npz"
-    write_plan(path, change(honest()))
+    write_plan(path, change(honest() if name in LIES else planned("lay_triangle").motion))
     if first == REFUSED:
         with pytest.raises((ho.InputError, FileError)):
             read_plan(path)
     else:
         motion = read_plan(path)
-        interlacing = first == "interlacing"
-        check = None if interlacing else check_of(RULE_OF[first], motion)
-        assert interlaced(chapters(motion)).worst if check is None else not check.holds
+        check = check_of(RULE_OF[first], motion)
+        assert check is not None
+        assert not check.holds
     if other == REFUSED:
         with pytest.raises(second.UnreadableError):
             second.read(path)
@@ -293,9 +439,10 @@ def test_lies_are_refused_by_both_opinions(name: str, tmp_path: Path) -> None:
         )
 
 
-def test_the_truth_is_told_by_the_same_rows(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", TRUTHS)
+def test_the_truth_is_told_by_the_same_rows(name: str, tmp_path: Path) -> None:
     path = tmp_path / "plan.npz"
-    write_plan(path, honest())
+    write_plan(path, TRUTHS[name](honest()))
     motion = read_plan(path)
     assert not interlaced(chapters(motion)).worst
     limits = ["interlacing", "continuity", "story", "laid", "crossing"]
@@ -321,10 +468,11 @@ def test_edges_of_a_ring_that_moves_are_kept_off() -> None:
     assert not [*lowered_over(moving, alone)]
 
 
-def test_thrusts_jump_at_seams_by_less_than_a_cable_weighs() -> None:
-    motion = honest()
-    assert jumps_of_thrust(motion, chapters(motion)).worst == 0.0
-    light = motion.replaced(team=replace(motion.team, cable_density=1e-6))
-    found = jumps_of_thrust(light, chapters(motion))
-    assert 1e-3 < found.worst < np.max(motion.team.cable_weight) * 2.0
+def test_thrusts_jump_at_seams_by_less_than_a_cable_weighs(monkeypatch: pytest.MonkeyPatch) -> None:
+    motion, tension = honest(), RULE_OF["tension"]
+    assert check_of(tension, motion).holds  # type: ignore[union-attr]
+    monkeypatch.setattr(joining, "GRAVITY", 0.1 * GRAVITY)  # of what cables may leave to others
+    found = check_of(tension, motion)
+    assert found is not None
+    assert 1e-3 < found.bound < np.max(motion.team.cable_weight) * 2.0
     assert found.time in {float(each.drones.breaks[0]) for each in chapters(motion)[1:]}
