@@ -44,7 +44,7 @@ class Lowered:
     """Edges of a ring at rest over, or under, which a taut cable goes straight up or down.
 
     ``pieces`` are those on which it does. ``edges`` (k,) cross it, seen from above, at ``points``
-    (k, 2) [m]; it is higher than them by ``gaps`` (k, pieces, degree + 1) [m].
+    (k, 2) [m]; it is over them by ``gaps`` (k, pieces, degree + 1) [m], normal to both chords.
     """
 
     pieces: slice
@@ -84,7 +84,8 @@ def _lowered(ring: Motion, alone: Motion, pieces: slice) -> Lowered:
     half = 0.5 * GRAVITY * ring.team.cable_density / ring.team.tension[crossed]
     level = a[crossed, 2] + y * along[crossed, 2] - half * y * (1.0 - y) * spans**2
     heights = (1.0 - x)[:, None, None] * c[:, 0, 2] + x[:, None, None] * c[:, 1, 2]
-    gaps = heights - (depth + level)[:, None, None]
+    upright = np.abs(turn[crossed]) / np.linalg.norm(np.cross(way, along[crossed]), axis=1)
+    gaps = (heights - (depth + level)[:, None, None]) * upright[:, None, None]
     return Lowered(pieces, crossed, q[:2] + x[:, None] * way[:2], gaps)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import chain, combinations
@@ -251,6 +252,20 @@ def until(name: str) -> Change:
     return change
 
 
+def hovering(motion: Motion) -> Motion:
+    """End as robot 3 is 11 cm over an edge, but so steep that it is 4 cm beside it."""
+
+    def tilt(motion: Motion, c: NDArray[np.float64]) -> None:
+        on = pieces(motion, "lower")
+        q, r = c[on[-1], 6:8, :, -1]
+        middle, half = 0.5 * (q + r), 0.5 * (r - q)
+        half = half * math.cos(1.2) + [0.0, 0.0, np.linalg.norm(half) * math.sin(1.2)]
+        ends = np.stack([middle - half, middle + half])
+        c[on, 6:8] = ends[..., None] - [[0.0], [0.0], [0.2]]
+
+    return edited("drones", tilt)(until("lower")(motion))
+
+
 def jumped(motion: Motion, c: NDArray[np.float64]) -> None:
     """Let a drone be elsewhere as long as robot 3 is in the ring."""
     c[np.array([p.ring == WITH for p in motion.phases])[motion.phase_of_piece], 0, 2] += 1e-5
@@ -358,6 +373,7 @@ LIES: dict[str, tuple[Change, str, str]] = {
     "it lay 5 cm aside": (moved(("raise",), slice(6, 8), 0.05, 1), "interlacing", "interlacing"),
     "it lay 5 cm above": (moved(("raise",), slice(6, 8), 0.05), "interlacing", "interlacing"),
     "it lay below": (risen("raise", 0, -1.0, 0.025), "interlacing", "interlacing"),
+    "it hovers, but too steep to be clear": (hovering, "interlacing", "crossing"),
     "the leg below lies on top": (moved(("pass weight", "roll"), slice(0, 1), 0.15), "interlacing", "interlacing"),
     "a leg passes through the other one": (edited("drones", dipped), "interlacing", "laid"),
     "pairs roll in the other sense": (edited("drones", rolled_over), "interlacing", "interlacing"),
