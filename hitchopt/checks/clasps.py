@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import cached_property
-from itertools import pairwise, permutations
+from itertools import permutations
 from typing import NamedTuple
 
 import numpy as np
@@ -295,7 +295,7 @@ def turns(motion: Motion) -> tuple[Array, Array]:
         here = np.radians(rolls[1])[:, None]
         along = cosine * np.cos(here) + sine * whole.norm * np.sin(here)
         followed = along.below.value > 0.0  # within a right angle of that at mid span
-        steps = sum((b - a + 180.0) % 360.0 - 180.0 for a, b in pairwise(rolls))
+        steps = (rolls[2] - rolls[0] + 180.0) % 360.0 - 180.0
         np.add.at(total, spans.item, np.where(followed, steps, np.nan))
         begin = spans.piece == 0
         first[spans.item[begin]] = rolls[0][begin]

@@ -323,7 +323,7 @@ def _wrong(
             start = float(first.motion.drones.breaks[0])
             yield first.phase, clasped[np.abs(numbers) != required], start
         at_last = last.pieces.stop == motion.drones.pieces
-        if hitched and around[i] is not CableState.ROLLING:
+        if hitched:
             ties.senses[:] = numbers
         if hitched and at_last:  # loaded clasps and separated parts stay linked
             continue

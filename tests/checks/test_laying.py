@@ -21,7 +21,7 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.catenary import steepness
 from hitchopt.hitch.forces import sag_factors
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.motion.motion import CableState, Motion, Phase, joined_motions
+from hitchopt.motion.motion import CableState, Hold, HoldBy, Motion, Phase, joined_motions
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.retiming import resting as at_rest
 from hitchopt.planners.forming.laying import (
@@ -250,9 +250,15 @@ def test_a_cable_that_is_laid_pulls_by_an_eighth_more_or_less(share: float, hold
 
 
 def test_what_was_laid_is_not_untied_by_swaps_of_another_sense() -> None:
-    swaps = swaps_of(3)[1]
-    wanted = {f"p{k}" for k in np.flatnonzero(laying_of(3).senses < 0.0)}
-    assert wrong([*stages_of(3), *reversed_stages(swaps)]) == wanted
+    laying, stages, (_, swaps) = laying_of(3), stages_of(3), swaps_of(3)
+    assert wrong([*stages, *reversed_stages(swaps)]) == {
+        f"p{k}" for k in np.flatnonzero(laying.senses < 0.0)
+    }
+    # Lifted off, and tied by swaps, it opens in their sense.
+    again = [*stages, *reversed_stages(stages), *swaps]
+    opened = np.abs(laying.path.start)
+    assert not wrong([*again, rolled(laying, laying.path.end, -opened)])
+    assert wrong([*again, rolled(laying, laying.path.end, opened)]) == clasps(3)
 
 
 def test_cables_stop_on_their_way_to_where_they_are_laid() -> None:
@@ -278,3 +284,5 @@ def test_loads_and_unequal_tensions_do_not_roll() -> None:
         replace(laying.hitch.team, tension=np.array([0.7, 0.7, 0.71])),
     ):
         assert "cable 0" in row(roll.replaced(team=team), "interlacing").where
+    held = replace(roll.phases[0], hold=Hold("box", HoldBy.REST, (0, 1, 2)))
+    assert "cable 0" in row(roll.replaced(phases=(held,)), "interlacing").where
