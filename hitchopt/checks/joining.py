@@ -260,7 +260,7 @@ def _side(
     new = places[[at, (at + 1) % len(more.team.labels)]]
     order = [run.edges.tolist().index(labels.index(k)) for k in (robots[0], robots[2])]
     near = np.max(np.linalg.norm(run.points[order] - new, axis=1)) <= LAID
-    close = np.all((side * gaps >= -JUMP) & (side * gaps <= LAID))
+    close = np.max(np.abs(gaps)) <= LAID  # ``_beside`` follows who is above
     return side if near and close and np.all(np.sign(away) == side) else 0
 
 

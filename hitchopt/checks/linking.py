@@ -409,7 +409,7 @@ class Ties:
             wrong |= compared & ~(np.abs(away) >= least)
             floor = np.full(len(away), least)
             if rises or comes:
-                wrong |= (rises and comes) | ~(np.abs(there) <= LAID)
+                wrong |= ~(np.abs(there) <= LAID)
                 wrong |= rises & (over != self.lying)
                 floor, signs = over * there - JUMP, signs if rises else over
             wrong |= compared & ~(np.min(over[:, None, None] * gaps, axis=(1, 2)) >= floor)

@@ -356,6 +356,7 @@ LIES: dict[str, tuple[Change, str, str]] = {
     "a robot is in the ring and waits": (ringed(WITH, WITH, (3,)), REFUSED, REFUSED),
     "a ring of two": (ringed(BEFORE, (0, 1), (2, 3)), REFUSED, REFUSED),
     "the ring is told backwards": (ringed(WITH, WITH[::-1]), "interlacing", "interlacing"),
+    "the others change places before it joins": (told(lambda p: replace(p, ring=(1, 0, 2)) if p.ring == BEFORE and p.step == 1 else p), "interlacing", "interlacing"),
     "the others change places as it leaves": (told(lambda p: replace(p, ring=(1, 0, 2)) if p.ring == AFTER and p.step == 3 else p), "interlacing", "interlacing"),
     # Who waits, and how.
     "it is clasped as it waits": (waits("climb", CLASPING), REFUSED, REFUSED),
@@ -411,6 +412,8 @@ LIES: dict[str, tuple[Change, str, str]] = {
     "it passes weight as it holds": (called("hold", state=LYING), "interlacing", "interlacing|story"),
     "cables pass weight as they are tightened": (named("tension", LYING), "interlacing", "story"),
     "a leg stands upright as weight passes": (edited("drones", upended), "equilibrium", "equilibrium"),
+    "a leg is longer as weight passes": (moved(("pass weight",), slice(2, 3), 0.03, 0), "cable_length", "cable_length"),
+    "a leg is longer as they hold": (moved(("hold",), slice(2, 3), 0.004, 0), "cable_length", "cable_length"),
     "a leg leans as they hold": (moved(("hold",), slice(2, 3), 0.05), "equilibrium", "equilibrium"),
     "it passes weight as it climbs": (called("climb", state=LYING), "interlacing", "story"),
     "it passes weight as it rolls": (called("roll", state=LYING), "interlacing", "story"),
@@ -489,13 +492,21 @@ def test_lies_are_refused_by_both_opinions(name: str, tmp_path: Path) -> None:
         )
 
 
+@pytest.mark.parametrize("name", ["it lies 5 cm above", "it lay 5 cm above"])
+def test_a_robot_that_does_not_lie_on_others_is_named_where_it_joins_or_leaves(name: str) -> None:
+    found = interlaced(chapters(LIES[name][0](honest())))
+    joins, leaves = (float(each.drones.breaks[0]) for each in chapters(honest())[1:])
+    assert found.time == pytest.approx(joins if name == "it lies 5 cm above" else leaves)
+    assert "cable 3" in found.where
+
+
 @pytest.mark.parametrize("name", TRUTHS)
 def test_the_truth_is_told_by_the_same_rows(name: str, tmp_path: Path) -> None:
     path = tmp_path / "plan.npz"
     write_plan(path, TRUTHS[name](honest()))
     motion = read_plan(path)
     assert not interlaced(chapters(motion)).worst
-    limits = ["interlacing", "continuity", "story", "laid", "crossing"]
+    limits = ["interlacing", "continuity", "story", "laid", *["crossing"] * (name == "the truth")]
     rows = [row for row in second_opinion(path, limits) if row.samples]
     assert {row.verdict for row in rows} == {"proven"}
     assert {*limits} <= {row.name for row in rows}
