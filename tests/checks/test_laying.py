@@ -184,7 +184,7 @@ def test_an_open_clasp_is_refused_where_pairs_do_not_roll() -> None:
     assert not row(stages_of(3)[-1].replaced(phases=(phase,)), "equilibrium").holds
 
 
-def test_who_is_above_must_have_come_from_above() -> None:
+def test_who_is_above_must_have_come_from_above(tmp_path: Path) -> None:
     laying, (taut, slide, _, tension, roll) = laying_of(3), stages_of(3)
     # Cable 2, at the top, comes from below instead: it would pass through both others.
     below = replace(laying, levels=np.array([0, 1, -1]))
@@ -196,9 +196,9 @@ def test_who_is_above_must_have_come_from_above() -> None:
     # Cables that lie on one another are not moved aside.
     unroll, relax = reversed_stages([tension, roll])
     untied = [taut, slide, stages_of(3)[2], tension, roll, unroll, relax]
-    assert wrong([*untied, lowered(laying, laying.laid, laying.laid + [0.3, 0.0, 0.0])]) == clasps(
-        3
-    )
+    aside = lowered(laying, laying.laid, laying.laid + [0.3, 0.0, 0.0])
+    assert wrong([*untied, aside]) == clasps(3)
+    assert "cables that lie are moved" in second_opinion([*untied, aside], tmp_path)
     # The lowest one is lifted first, through the others.
     path = straight_lines(laying.hitch.team, KEPT.limits, laying.laid, laying.above)
     down = laying.laid[:2] + [0.0, 0.0, 0.9]
@@ -206,6 +206,7 @@ def test_who_is_above_must_have_come_from_above() -> None:
     lifted = lowered(laying, laying.laid, up)
     assert path.duration < lifted.duration
     assert wrong([*untied, lifted]) == {"p0", "p1"}
+    assert "lifted through another one" in second_opinion([*untied, lifted], tmp_path)
 
 
 def test_states_are_not_believed() -> None:
