@@ -273,11 +273,10 @@ def upended(motion: Motion, c: NDArray[np.float64]) -> None:
     c[on, 2] = (place + [0.0, 0.0, np.linalg.norm(c[on[0], 2, :, 0] - place)])[:, None]
 
 
-def nearing(motion: Motion, c: NDArray[np.float64]) -> None:
-    """Let the q-leg of cable 0 come near the r-leg of cable 2 after both have passed each other."""
-    on = pieces(motion, "roll")[-20]
-    way = c[on, 5, :, 0] - motion.vertices.coefficients[on, 0, :, 0]
-    c[on, 0] = (c[on, 5, :, 0] - 0.2 * way + [0.0, 0.0, 0.03])[:, None]
+def reaching(motion: Motion, c: NDArray[np.float64]) -> None:
+    """Let the q-leg of cable 2 reach to 3 cm over the q end of cable 3 as that comes down."""
+    on = pieces(motion, "lower")
+    c[on, 4] = (c[on[-1], 6, :, -1] + [0.0, 0.0, 0.03])[:, None]
 
 
 def hovering(motion: Motion) -> Motion:
@@ -398,6 +397,8 @@ LIES: dict[str, tuple[Change, str, str]] = {
     "it lies 5 cm aside": (moved(("lower",), slice(6, 8), 0.05, 1), "interlacing", "interlacing"),
     "it lies 5 cm above": (moved(("lower",), slice(6, 8), 0.05), "interlacing", "interlacing"),
     "it comes from close by": (risen("lower", -1, 0.01), "interlacing", "interlacing"),
+    "it dips through the hitch": (within("lower", "drones", np.s_[6:8, 2, 2:-2], -2.0), "interlacing", "laid"),
+    "it comes down on a leg": (edited("drones", reaching), "crossing", "crossing"),
     "it slips at last": (edited("drones", slipping), "interlacing", "interlacing"),
     "it lay 5 cm aside": (moved(("raise",), slice(6, 8), 0.05, 1), "interlacing", "interlacing"),
     "it lay 5 cm above": (moved(("raise",), slice(6, 8), 0.05), "interlacing", "interlacing"),
@@ -406,7 +407,6 @@ LIES: dict[str, tuple[Change, str, str]] = {
     "the leg below lies on top": (moved(("pass weight", "roll"), slice(0, 1), 0.15), "interlacing", "interlacing"),
     "a leg passes through the other one": (edited("drones", dipped), "interlacing", "laid"),
     "pairs roll in the other sense": (edited("drones", rolled_over), "interlacing", "interlacing"),
-    "legs meet again once one has rolled": (edited("drones", nearing), "crossing", "crossing"),
     "the wrong leg rolls first": (other_leg_first, "interlacing", "interlacing"),
     # Passing weight.
     "it passes weight as it holds": (called("hold", state=LYING), "interlacing", "interlacing|story"),
@@ -422,6 +422,7 @@ LIES: dict[str, tuple[Change, str, str]] = {
 LAID: dict[str, tuple[Change, str, str]] = {
     "cables are laid in another order": (edited("drones", reordered), "interlacing", "interlacing"),
     "cables slide in too low": (edited("drones", too_low), "interlacing", "interlacing"),
+    "cables that slide in are too near": (edited("drones", too_low), "crossing", "crossing|laid"),
     "a cable is laid beyond the others": (edited("drones", too_far), "interlacing", "interlacing"),
     "a cable dips through another one": (within("lay", "drones", np.s_[4:6, 2, 2:-2], -2.0), "interlacing", "laid"),
     "a cable turns as it slides in": (within("slide in", "drones", np.s_[0, 1, 2:-2], 1e-4), "interlacing", "story"),
@@ -460,7 +461,7 @@ def second_opinion(path: Path, limits: list[str]) -> Iterator[second.Row]:
     if "laid" in limits:
         rows = (second.cut_legs, second.laid_cables)
         yield from chain(*(row(part) for part in parts for row in rows))
-    if "crossing" in limits:
+    if {"crossing", "laid"} & {*limits}:
         for chapter in whole.chapters:
             for p, q in combinations(chapter, 2):
                 yield from second.across(second.Pair(p, q, p.settings["separation"], 0.0))
