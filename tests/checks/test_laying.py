@@ -142,6 +142,12 @@ def test_half_a_turn_too_little_or_too_much_holds_nothing() -> None:
     # A pair that is open by 140 degrees alone is not lifted.
     partly = rolled(laying, path.end, path.start * [1.0, 140.0 / 180.0, 1.0])
     assert wrong([*stages, partly, *reversed_stages(stages)[1:]]) == {"p1"}
+    # A closed one turns around within a piece, too far to be followed.
+    held = at_rest(stages[-1], 1.0, Phase("rest", 0, 0.0, 1.0))
+    opening = rolled(laying, path.end, path.start * [1.0, 0.0, 0.0])
+    assert not wrong([*stages, held, opening])
+    around = altered(opening, "drones", plus((9, 2, 2, slice(2, -2)), 2.0))
+    assert wrong([*stages, held, around]) == {"p1"}
     # Opened to the other side, cables are wound around each other by a full turn.
     assert wrong([*stages, rolled(laying, path.end, -path.start)]) == clasps(3)
 
