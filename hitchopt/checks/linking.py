@@ -400,7 +400,7 @@ class Ties:
         signs = 0 * self.lying
         edges = np.flatnonzero(np.diff(np.concatenate([[False], upright, [False]])))
         for start, stop in edges.reshape(-1, 2).tolist():
-            gaps = _gaps(motion.slice_pieces(slice(start, stop), motion.phases))[self.order]
+            gaps = height_gaps(motion.slice_pieces(slice(start, stop), motion.phases))[self.order]
             rises, comes = ties[0] and start == 0, ties[1] and stop == len(upright)
             there, away = gaps[:, 0, 0], gaps[:, -1, -1]
             there, away = (there, away) if rises else (away, there)
@@ -438,7 +438,7 @@ class Ties:
         return wrong
 
 
-def _gaps(motion: Motion) -> Array:
+def height_gaps(motion: Motion) -> Array:
     """Return by how much the cable ahead is above the one behind (clasps, pieces, degree + 1) [m].
 
     At the crossing of their chords, seen from above, of cables that go straight up or down; nan

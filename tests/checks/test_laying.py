@@ -16,7 +16,7 @@ import hitchopt as ho
 from hitchopt import verify as second
 from hitchopt.checks import certify
 from hitchopt.checks.clasps import turns
-from hitchopt.checks.linking import _gaps
+from hitchopt.checks.linking import height_gaps
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.catenary import steepness
 from hitchopt.hitch.forces import sag_factors
@@ -281,7 +281,7 @@ def test_both_opinions_tell_how_high_cables_cross(tmp_path: Path) -> None:
     write_plan(tmp_path / "plan.npz", joined_motions([*stages_of(3)[:3]]))
     (plan,), _ = second.read(tmp_path / "plan.npz")
     last = second.heights(plan, len(plan.h) - 1, 1)
-    np.testing.assert_allclose(_gaps(lay)[:, -1, -1], last, atol=1e-9)
+    np.testing.assert_allclose(height_gaps(lay)[:, -1, -1], last, atol=1e-9)
 
 
 def test_loads_and_unequal_tensions_do_not_roll() -> None:
