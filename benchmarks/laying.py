@@ -3,7 +3,7 @@
 Usage: python -m benchmarks laying [--random N] [--flown N] [--seed S]
 
 The forms of the problem files, with cables of 10 g/m, and random irregular hitches of 3 to 6
-robots. All begin at the altitude of the hitch, with the same robots for the same edges.
+robots. All begin at the altitude of the hitch.
 """
 
 from __future__ import annotations

@@ -162,7 +162,7 @@ class Withdraw(Step):
         return corner_restored(outline, place, self.robot)[0]
 
     def leaving(self, task: StepTask, hitch: Hitch, *, slides: bool = True) -> Joining:
-        """Return its leaving of a hitch; with ``slides`` cables can slide to its legs straight."""
+        """Return its leaving of a hitch, to whose legs cables slide straight if they ``slides``."""
         from hitchopt.planners.forming.joining import corner_restored, leaving
 
         before, requirements = task.before, task.requirements
@@ -263,13 +263,13 @@ def _reshaped(polygon: Outline, withdraw: Withdraw, task: StepTask) -> StepPlan:
     """Return the plan of a morph to a polygon, and to legs with which a robot can leave it.
 
     The edge that shrinks leaves long legs with a drone at the end of each: drones keep off cables
-    as distances are planned, for ropes are not where they are planned.
+    as distances are planned, for ropes are not quite there. The motion keeps the task's limits.
     """
-    from hitchopt.planners.forming.laying import MARGIN, ROOM
+    from hitchopt.planners.forming.laying import planned_distance
 
     hitch, kept = task.hitch, task.requirements
     own = kept.separation
-    wider = replace(own, cable=MARGIN * max(own.crossing, own.cable) + ROOM)
+    wider = replace(own, cable=planned_distance(own))
     task = replace(task, requirements=replace(kept, separation=wider))
     legs = hitch.fractions * cable_slack(hitch.team, polygon)
     there = Hitch(hitch.team, polygon, hitch.altitude, legs, hitch.roll)

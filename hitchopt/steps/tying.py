@@ -316,13 +316,13 @@ def lifted(hitch: Hitch, altitude: float, name: str, task: StepTask) -> Motion:
 
 
 def adjusted(task: StepTask, q_legs: Array) -> list[Motion]:
-    """Return the motion in which legs become as long as they have to be; none if so."""
+    """Return the motion in which cables slide to these q-legs, with the roll; none if they are."""
     from hitchopt.steps.moving import Adjust
 
     if np.array_equal(q_legs, task.hitch.q_legs):
         return []
     direct = replace(task, optimiser=False)  # another split takes less time than another route
-    return [Adjust(legs=q_legs).plan(direct).motion]
+    return [Adjust(legs=RolledLegs(q_legs, task.hitch.roll)).plan(direct).motion]
 
 
 class RollStep(Step):

@@ -19,6 +19,7 @@ from hitchopt.motion.motion import CableState
 from hitchopt.planners.forming.joining import corner_cut, corner_restored
 from hitchopt.planners.timing.ramps import BRIEF, fastest_clock, fastest_ramps
 from hitchopt.steps.joining import outlines_beside
+from hitchopt.steps.step import RolledLegs
 
 Q = np.array([[-0.8, 1.8, 0], [-0.8, 0.6, 0], [-0.8, -0.6, 0], [-0.8, -1.8, 0], [-2.8, -1.0, 0]])
 R = Q + [1.6, 0.0, 0.0]
@@ -107,9 +108,11 @@ def test_a_robot_on_its_way_avoids_those_that_wait() -> None:
     np.testing.assert_allclose(last.vertices.coefficients[-1, :, :2, -1], SQUARE, atol=1e-9)
 
 
-def test_a_laid_hitch_is_released_with_legs_with_which_it_cannot_unroll() -> None:
+@pytest.mark.parametrize("roll", [0.0, 20.0])
+def test_a_laid_hitch_is_released_with_legs_with_which_it_cannot_unroll(roll: float) -> None:
     laid = ho.load_problem(PROBLEMS / "lay_triangle.yaml")
-    steps = (laid.mission[0], ho.Adjust(legs="balanced"), ho.Release())
+    rolled = ho.Adjust(legs=RolledLegs("balanced", np.full(3, np.radians(roll))))
+    steps = (laid.mission[0], rolled, ho.Release())
     plan = ho.solve(replace(laid, mission=steps))
     names = [phase.name for phase in plan.phases]
     assert names.count("adjust") == 2

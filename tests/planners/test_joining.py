@@ -135,5 +135,10 @@ def test_two_robots_that_have_left_wait_at_different_places() -> None:
     apart = np.linalg.norm((second[:, None] - first)[..., :2], axis=-1)
     assert np.min(apart) >= 0.5
     over = joined.raised(kept)[0]
+    upright = np.array([[4.0, 0.0, 1.0], [4.0, 0.0, 2.0]])  # one over the other
+    prism = Joins(joined, whole, {4: upright}, kept, 0)._around(4, upright)
+    assert prism.lower < 0.5
+    assert prism.upper > 2.0
+    assert np.ptp(prism.corners, axis=0)[:2] == pytest.approx(2.0 * kept.separation.cable)
     narrow = replace(kept, arena=Arena(np.min(over, axis=0) - 0.05, np.max(over, axis=0) + 0.05))
     np.testing.assert_array_equal(Joins(joined, whole, {}, narrow, 0).aside(), over)

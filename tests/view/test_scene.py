@@ -6,6 +6,7 @@ import dataclasses
 import json
 import re
 import sys
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +37,7 @@ from hitchopt.view.painter import Camera, Painter, chosen_shots
 from hitchopt.view.pictures import draw_summary, panels, plot_from_above, sampled_states
 from hitchopt.view.scene import Scene, concerned, ghost_scene, scene_at, scene_of
 from hitchopt.view.shapes import object_faces, split
-from hitchopt.view.style import OTHERS, new_figure
+from hitchopt.view.style import OTHERS, cable_colours, new_figure
 
 
 @pytest.fixture(scope="module")
@@ -318,6 +319,13 @@ def test_groups_differ_by_colour_and_name() -> None:
     assert [clasp.name for clasp in look.clasps][3] == "b.p0"
     assert [group.name for group in beside.groups] == ["show"]
     assert set(beside.cable_colours[3:]) == {OTHERS}
+
+
+@pytest.mark.parametrize("n", range(2, 13))
+def test_neighbours_differ_by_colour(n: int) -> None:
+    colours = cable_colours(n)
+    assert all(a != b for a, b in pairwise((*colours, colours[0])))
+    assert colours.count(colours[-1]) == 1 or n % 3 == 0  # the last one replaces another
 
 
 def test_names_of_checks_are_found_in_their_group() -> None:

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from itertools import product
+from itertools import product, starmap
 from typing import Any
 
 import numpy as np
@@ -36,11 +36,10 @@ from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.motion.retiming import append_motion, padded, resting
 from hitchopt.planners.forming.approach import DirectApproach, hover_altitude
 from hitchopt.planners.forming.laying import (
-    MARGIN,
-    ROOM,
     SHARES,
     TENSION_SECONDS,
     RollPath,
+    planned_distance,
     rolling,
 )
 from hitchopt.planners.forming.prehitch import APART, SPAN, smallest_separation
@@ -323,7 +322,7 @@ class Joining:
         top.
         """
         separation = requirements.separation
-        keep = MARGIN * max(separation.cable, separation.crossing) + ROOM
+        keep = planned_distance(separation)
         heights = self.opened.drones(np.ones(1))[..., 2]
         if self.side > 0.0:
             hangs = 0.5 * float(self.after.team.cable_length[self.vertex]) + keep
@@ -629,19 +628,22 @@ class Joins:
             here = to
         if np.max(np.abs(here - goal)) >= MIN_FLIGHT:
             task = DirectApproach(team, here, goal, *own).problem
-            others = (*task.requirements.keep_out, *map(self._around, self.waiting.values()))
+            others = (*task.requirements.keep_out, *starmap(self._around, self.waiting.items()))
             clear = replace(task.requirements, arena=self._clear_of_ring(goal), keep_out=others)
             drones = SeparatedFlight(replace(task, requirements=clear)).solve().drones
             motions.append(stage("approach", drones, team, *own))
         return [self._beside(each) for each in motions]
 
-    def _around(self, places: Array) -> Prism:
-        """Return a prism around drones (2, 3) [m] that wait, their downwash, and their cable."""
+    def _around(self, robot: int, places: Array) -> Prism:
+        """Return a prism around drones (2, 3) [m] that wait, their downwash, and their cable.
+
+        It hangs at most half of its length deep.
+        """
         start, end = places[:, :2]
-        along = unit(end - start) * self.requirements.separation.cable
+        along = unit(end - start, [1.0, 0.0], LEVEL) * self.requirements.separation.cable
         left = np.array([-along[1], along[0]])
         corners = [start - along + left, end + along + left, end + along - left]
-        lower = np.min(places[:, 2]) - 0.5 * float(np.linalg.norm(end - start))
+        lower = np.min(places[:, 2]) - 0.5 * float(self.whole.cable_length[robot])
         upper = np.max(places[:, 2]) + 2.0 * self.requirements.separation.height
         return Prism([*corners, start - along - left], lower, upper)
 

@@ -21,7 +21,7 @@ from hitchopt.geometry import shortest_offset
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.model import FlatJets
-from hitchopt.hitch.requirements import Requirements
+from hitchopt.hitch.requirements import Requirements, Separation
 from hitchopt.hitch.series import JET
 from hitchopt.hitch.team import Layout
 from hitchopt.motion.motion import CableState, Motion, Phase
@@ -53,6 +53,11 @@ STEP, STEPS = 0.05, 60
 
 TENSION_SECONDS = 0.3
 """[s] Time in which cables that lie taut pass from pulling alone to the hitch's tensions."""
+
+
+def planned_distance(separation: Separation) -> float:
+    """Return the distance of cables to all else [m] that is planned: a margin over its limit."""
+    return MARGIN * max(separation.cable, separation.crossing) + ROOM
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,7 +196,7 @@ def find_laying(hitch: Hitch, levels: Indices, requirements: Requirements) -> La
     layout, bare = team.layout, Laying(hitch, levels)
     q, r = bare.laid[0::2], bare.laid[1::2]
     sag = float(np.max(Catenary.between(q, r, team.cable_length).depth(0.0) + np.abs(r - q)[:, 2]))
-    keep = MARGIN * max(separation.cable, separation.crossing) + ROOM
+    keep = planned_distance(separation)
     u = hitch.polygon.edge_directions
     out, step = np.column_stack([-u[:, 1], u[:, 0]]), STEP * float(np.mean(team.cable_length))
     candidates = list[tuple[float, Laying]]()
@@ -235,10 +240,11 @@ def laying_stages(laying: Laying, requirements: Requirements, index: int = 0) ->
     """
     team, hitch = laying.hitch.team, laying.hitch
     limits, own = requirements.limits, (team, requirements, index)
+    roll = rolling(laying.path, requirements, Phase("roll", index, 0.0, 0.0))
     rest = np.array([0.0, TENSION_SECONDS])
     still: dict[str, Any] = {
         "vertices": PiecewisePolynomial.constant(rest, hitch.vertices),
-        "legs": PiecewisePolynomial.constant(rest, hitch.legs),
+        "legs": PiecewisePolynomial.constant(rest, roll.legs.coefficients[0, ..., 0]),
         "tensions": PiecewisePolynomial(rest, (team.tension[:, None] * SMOOTH)[None]),
     }
     lines = (
@@ -253,7 +259,7 @@ def laying_stages(laying: Laying, requirements: Requirements, index: int = 0) ->
             for name, start, end, state in lines
         ),
         stage("tension", resting, *own, CableState.ROLLING, **still),
-        rolling(laying.path, requirements, Phase("roll", index, 0.0, 0.0)),
+        roll,
     ]
 
 
