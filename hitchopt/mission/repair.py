@@ -62,6 +62,9 @@ NO_CHANGE = "no change was found that makes it feasible"
 SIZES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.5, 3.0, 6.0)
 """Relative sizes in ascending order; each is tried for all knobs before the next."""
 
+LOWERED = (*(size for size in SIZES if size < 1.0), 0.9, 0.95)
+"""The same for quantities that are lowered towards zero."""
+
 RESOLUTION = 0.005
 """Resolution of the smallest size, as a share of the new value."""
 
@@ -81,6 +84,7 @@ class Change(OneLine):
     relative: size of the change over that of the quantity, with its sign; 0 for words.
     problem, edits: with the change; what to write into the problem's file for it.
     before: another change that is made with it; ``edits`` has those of both.
+    covers: constraints that a larger one may repair.
     """
 
     key: str
@@ -92,18 +96,43 @@ class Change(OneLine):
     problem: Problem
     edits: Edits
     before: Change | None = None
+    covers: frozenset[str] = frozenset()
 
     def __str__(self) -> str:
         return f"{self.before} and {self._words}" if self.before else self._words
 
     def after(self, before: Change) -> Change:
-        """Return the change of a changed problem with the change that was made before."""
+        """Return the change of a changed problem with the change that was made before.
+
+        Two changes of one quantity become one.
+        """
         inner = before if self.before is None else self.before.after(before)
-        return replace(self, before=inner, edits=before.edits + self.edits)
+        both = replace(self, before=inner, edits=before.edits + self.edits)
+        same = next((each for each in inner.together() if each.key == self.key), None)
+        if same is None or not same.relative:
+            return both
+        first, mid, last = float(same.old), float(same.new), float(self.new)
+        last = mid * last if self.unit == "times" else last
+        share = same.relative * (last - first) / (mid - first)
+        rest = [each for each in inner.together() if each is not same]
+        chain: Change | None = None
+        for each in rest:
+            chain = replace(each, before=chain)
+        return replace(both, old=first, new=last, relative=share, before=chain)
+
+    def together(self) -> list[Change]:
+        """Return all changes that are made, the first one first."""
+        return [*(self.before.together() if self.before else ()), self]
+
+    @property
+    def size(self) -> float:
+        """Size of the largest of all changes that are made."""
+        return max(abs(each.relative) for each in self.together())
 
     def to_dict(self) -> dict[str, object]:
         """Return the change as plain values, for JSON."""
-        plain = {k: v for k, v in vars(self).items() if k not in ("problem", "words", "before")}
+        unseen = {"problem", "words", "before", "covers"}
+        plain = {k: v for k, v in vars(self).items() if k not in unseen}
         plain["edits"] = [vars(edit) for edit in self.edits]
         return plain | ({"before": self.before.to_dict()} if self.before else {})
 
@@ -137,6 +166,9 @@ class Suggestion(OneLine):
 Verdict = Suggestion | frozenset[str]
 """A suggestion if a change is planned and certified, else the constraints that bind, if known."""
 
+UNMOVED, SAME = frozenset({"unmoved"}), 1e-3
+"""Verdict of a change that makes no difference to what it might repair, by its share."""
+
 Judge = Callable[[Change | None], Verdict | None]
 """Gives the verdict of a change; None where there is no change, or no time for it."""
 
@@ -155,86 +187,131 @@ def find_suggestions(
     single change does, up to MAX_CHANGES are made together.
     """
     end = time.monotonic() + budget
-    return _found(problem, error, end, progress, MAX_CHANGES)
+    return _Search(problem, error, end, progress, MAX_CHANGES).suggestions()
 
 
-def _found(
-    problem: Problem,
-    error: InfeasibleError,
-    end: float,
-    progress: Progress | None,
-    most: int,
-) -> tuple[Suggestion, ...]:
-    """Return suggestions of at most so many changes together, until a time on the clock [s]."""
-    refusals, alone = dict[Change, InfeasibleError](), list[Suggestion]()
-    others: list[Change] = []  # that repair all these faults, where others are left
-    half = 0.5 * (time.monotonic() + end)  # then more changes are made together, if there are such
+class _Search:
+    """Suggestions of at most so many changes together, until a time on the clock [s].
 
-    def verdict_on(change: Change | None, *, optimiser: bool = False) -> Verdict | None:
-        until = half if others and not alone and most > 1 else end
+    Quantities that were changed already, ``made``, may be changed further besides.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        error: InfeasibleError,
+        end: float,
+        progress: Progress | None,
+        most: int,
+        made: frozenset[str] = frozenset(),
+    ) -> None:
+        self._problem, self._error, self._most, self._made = problem, error, most, made
+        self._progress, self._end = progress, end
+        self._half = 0.5 * (time.monotonic() + end)  # then more changes are made together
+        self._broken, self._faults = broken_constraints(error), _faults(error)
+        self._refusals, self._verdicts = dict[str, InfeasibleError](), dict[Any, Verdict]()
+        self._others: list[Change] = []  # that repair all these faults, where others are left
+
+    def _alone(self, change: Change | None, *, optimiser: bool = False) -> Verdict | None:
+        """Return the verdict of a change by itself; None if there is no time for it."""
+        found = any(isinstance(each, Suggestion) for each in self._verdicts.values())
+        until = self._half if self._others and not found and self._most > 1 else self._end
         if change is None or time.monotonic() >= until or time_left() <= 0.0:
             return None
-        if progress is not None:
-            progress(f"trying {change}")
+        asked = str(change), optimiser
+        if asked not in self._verdicts:
+            self._verdicts[asked] = self._tried(change, optimiser)
+        return self._verdicts[asked]
+
+    def _tried(self, change: Change, optimiser: bool) -> Verdict:
+        if self._progress is not None:
+            self._progress(f"trying {change}")
         try:
             plan = solve_any(change.problem, optimiser=optimiser)
         except InfeasibleError as refusal:
-            refusals[change] = refusal
-            if not faults & _faults(refusal):
-                others.append(change)
-            return broken_constraints(refusal)
+            self._refusals[str(change)], left = refusal, _faults(refusal)
+            if not self._faults.keys() & left.keys():
+                self._others.append(change)
+            covered = [fault for fault in self._faults if fault[0] in change.covers]
+            same = (np.allclose(left.get(x, np.inf), self._faults[x], rtol=SAME) for x in covered)
+            return UNMOVED if covered and all(same) else broken_constraints(refusal)
         except (HitchoptError, TimeIsUp):  # no timing found, or no time: larger changes may do
             return frozenset()
-        alone.append(Suggestion(change, plan.motion.duration))
-        return alone[-1]
+        return Suggestion(change, plan.motion.duration)
 
-    def partly(covered: frozenset[str], change: Change | None) -> Verdict | None:
+    def _partly(self, covered: frozenset[str], change: Change | None) -> Verdict | None:
         """Return the verdict, that of a change that repairs the covered faults as if it did all.
 
-        If it does not, only what it breaks besides counts against larger changes.
+        Others may have been hidden by them, but none may get worse, nor come at an earlier step.
         """
-        verdict = verdict_on(change)
-        if change is None or isinstance(verdict, Suggestion | None) or change not in refusals:
+        verdict = self._alone(change)
+        if change is None or (refusal := self._refusals.get(str(change))) is None:
             return verdict
-        left = faults & _faults(refusals[change])
-        left = {fault for fault in left if fault[0] in covered}
-        return verdict - broken if left else Suggestion(change, math.nan)
+        if isinstance(verdict, Suggestion) or verdict == UNMOVED:
+            return verdict
+        had, left = self._faults, _faults(refusal)
+        kept = {fault for fault in left if fault in had and fault[0] in covered}
+        others = (fault for fault in left.keys() & had.keys() if fault not in kept)
+        worse = any(left[x][0] < had[x][0] - SAME * abs(had[x][0]) for x in others)
+        if worse or min(step for _, step in left) < min(step for _, step in had):
+            return verdict
+        return frozenset() if kept else Suggestion(change, math.nan)
 
-    broken, faults = broken_constraints(error), _faults(error)
-    every = [*_knobs(problem, error.violations)]
-    knobs = [knob for knob in every if broken <= knob.covers]
-    crowded = broken <= SPACE | {"crossing", "arena"}
-    named = [*(_spread(problem) if crowded else ()), *_retuned(problem)]
-    suggestions = [verdict for verdict in map(verdict_on, named) if isinstance(verdict, Suggestion)]
-    suggestions += _smallest(problem, knobs, verdict_on)
-    if broken <= PAST and len(suggestions) < MAX_SUGGESTIONS:
-        ways = map(verdict_on, _around(problem, error.violations))
-        suggestions += [way for way in ways if isinstance(way, Suggestion)][:1]
-    if not suggestions and error.note.partition(UNPLANNED)[0]:  # the optimiser may be needed still
-        suggestions = _smallest(problem, knobs, partial(verdict_on, optimiser=True))
-    if not suggestions and most > 1:
-        smallest = sorted(others, key=lambda change: abs(change.relative))[:1]
-        firsts = [Suggestion(change, math.nan) for change in smallest]
-        parts = {broken & knob.covers for knob in every} - {frozenset()}
+    def suggestions(self) -> tuple[Suggestion, ...]:
+        """Return up to three of them, smallest first."""
+        problem, error, broken, most = self._problem, self._error, self._broken, self._most
+        knobs = [x for x in _knobs(problem, error.violations) if most or x.key in self._made]
+        enough = [knob for knob in knobs if broken <= knob.covers]
+        crowded = broken <= SPACE | {"crossing", "arena"}
+        named = [*(_spread(problem) if crowded else ()), *_retuned(problem)] if most else []
+        found = [each for each in map(self._alone, named) if isinstance(each, Suggestion)]
+        found += _smallest(problem, enough, self._alone)
+        if broken <= PAST and most and len(found) < MAX_SUGGESTIONS:
+            ways = map(self._alone, _around(problem, error.violations))
+            found += [way for way in ways if isinstance(way, Suggestion)][:1]
+        if not found and error.note.partition(UNPLANNED)[0]:  # the optimiser may be needed still
+            found = _smallest(problem, enough, partial(self._alone, optimiser=True))
+        if not found and most > (0 if self._made else 1):
+            found = self._together(knobs)
+        return tuple(sorted(found, key=lambda s: s.change.size)[:MAX_SUGGESTIONS])
+
+    def _together(self, knobs: Sequence[Knob]) -> list[Suggestion]:
+        """Return suggestions of changes that are made together, those that repair most first."""
+        broken, found = self._broken, list[Suggestion]()
+
+        def late(change: Change) -> tuple[bool, float]:
+            """Return whether a larger change of the same may do alone, and its size."""
+            left = broken_constraints(self._refusals[str(change)])
+            return left <= change.covers, change.size
+
+        if self._others:
+            found += self._after(min(self._others, key=late))
+        parts = {broken & knob.covers for knob in knobs} - {frozenset()}
         for covered in sorted(parts, key=lambda part: (-len(part), sorted(part))):
-            if not firsts and not suggestions:  # changes that repair most are tried first
-                some = [knob for knob in every if broken & knob.covers == covered]
-                firsts = _smallest(problem, some, partial(partly, covered), 1)
-            for first in firsts:
-                if (left := refusals.get(first.change)) is None:
-                    suggestions.append(first)
-                    continue
-                rest = _found(first.change.problem, left, end, progress, most - 1)
-                suggestions += [replace(x, change=x.change.after(first.change)) for x in rest]
-            firsts = []
-    return tuple(sorted(suggestions, key=lambda s: abs(s.change.relative))[:MAX_SUGGESTIONS])
+            if found:
+                break
+            some = [knob for knob in knobs if broken & knob.covers == covered]
+            for first in _smallest(self._problem, some, partial(self._partly, covered), 1):
+                known = str(first.change) in self._refusals
+                found += self._after(first.change) if known else [first]
+        return found
+
+    def _after(self, first: Change) -> list[Suggestion]:
+        """Return suggestions with what repairs the rest after a first change."""
+        error, fewer = self._refusals[str(first)], self._most - (first.key not in self._made)
+        given = first.problem, error, self._end, self._progress, fewer, self._made | {first.key}
+        rest = _Search(*given).suggestions()
+        return [replace(each, change=each.change.after(first)) for each in rest]
 
 
-def _faults(error: InfeasibleError) -> set[tuple[str, str]]:
-    """Return the constraints that bind, each with the step in which it does."""
-    steps = [re.search(r"step (\d+)", each.when) for each in error.violations]
-    names = map(_name, error.violations)
-    return {(name, step[1] if step else "") for name, step in zip(names, steps, strict=True)}
+def _faults(error: InfeasibleError) -> dict[tuple[str, int], tuple[float, float]]:
+    """Return values, negative if small ones are good, and limits, by constraints and steps."""
+    faults = dict[tuple[str, int], tuple[float, float]]()
+    for each in error.violations:
+        step, value = re.search(r"step (\d+)", each.when), each.value
+        fault = _name(each), int(step[1]) if step else -1
+        faults.setdefault(fault, (-value if each.sense == "max" else value, each.limit))
+    return faults
 
 
 def _smallest(
@@ -262,7 +339,7 @@ def _smallest(
             if most == 1:
                 break
         # Where other things are broken beyond the least, larger changes would break them the more.
-        elif turn > 0.0 and (verdict is None or not verdict <= knob.covers):
+        elif verdict == UNMOVED or (turn > 0.0 and (verdict is None or not verdict <= knob.covers)):
             done.add(i)
         failed[i] = size
     return suggestions
@@ -270,7 +347,8 @@ def _smallest(
 
 def _sizes(knob: Knob) -> list[float]:
     """Return the sizes that are tried: first what is needed at the least, where that is known."""
-    larger = [size for size in SIZES if size > knob.least] or [2.0 * knob.least]
+    every = SIZES if knob.sign > 0 or knob.extent else LOWERED
+    larger = [size for size in every if size > knob.least] or [2.0 * knob.least]
     sizes = [knob.least, *larger] if knob.least else larger
     return sorted({min(size, knob.most) for size in sizes})
 
@@ -307,7 +385,8 @@ def change_of(problem: Problem, knob: Knob, size: float) -> Change | None:
     except InputError:
         return None
     relative = (new - knob.old) / extent
-    return Change(knob.key, knob.words, knob.old, new, knob.unit, relative, changed, edits)
+    given = knob.key, knob.words, knob.old, new, knob.unit, relative, changed, edits
+    return Change(*given, covers=knob.covers)
 
 
 def with_edits(problem: Problem, edits: Edits) -> Problem:
@@ -555,9 +634,12 @@ def _in_step(problem: Problem, i: int, edits: Edits) -> Edits:
 
 def _objects(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:
     """Yield objects that are lighter or rougher, where a refused hold names them."""
-    shares = [v.value / v.limit for v in violations if v.constraint == "grip" and v.limit > 0.0]
-    shares += [v.limit / v.value for v in violations if v.constraint == "load" and v.value > 0.0]
-    share = EASED * min((each for each in shares if 0.0 < each < 1.0), default=1.0 / EASED)
+    grips = [v.value / v.limit for v in violations if v.constraint == "grip" and v.limit > 0.0]
+    loads = [v.limit / v.value for v in violations if v.constraint == "load" and v.value > 0.0]
+    rough, share = (
+        EASED * min((each for each in shares if 0.0 < each < 1.0), default=1.0 / EASED)
+        for shares in (grips, grips + loads)
+    )
     for name, body in problem.objects.items():
         mentions = (f"objects.{name}" in v.when or name in v.where for v in violations)
         if body.fixed or not any(mentions):
@@ -565,10 +647,10 @@ def _objects(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob
         covers = HELD | HEAVY | FORCES | TOO_CLOSE | {"equilibrium", "keep_out"}
         least = round(1.0 - share, 9)
         yield Knob(f"objects.{name}.mass", body.mass, "kg", None, -1, covers, least=least)
-        if 0.0 < body.friction <= share * ROUGHEST:
-            least, most = 1.0 / share - 1.0, ROUGHEST / body.friction - 1.0
+        if 0.0 < body.friction <= rough * ROUGHEST:
+            least, most = 1.0 / rough - 1.0, ROUGHEST / body.friction - 1.0
             key = f"objects.{name}.friction"
-            yield Knob(key, body.friction, "", covers=HELD, least=least, most=most)
+            yield Knob(key, body.friction, "", covers=HELD | HEAVY, least=least, most=most)
 
 
 def _in_the_way(
@@ -602,13 +684,22 @@ def _around(problem: Problem, violations: Sequence[Violation]) -> Iterator[Chang
 
 
 def _walls(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:
-    """Yield the arena's walls moved out, each alone."""
+    """Yield the arena's walls moved out, each alone, and all upright ones."""
     arena = problem.arena
     if arena is None:
         return
     beyond = max((-v.value for v in violations if v.constraint == "arena"), default=0.0)
+    middle, extents = 0.5 * (arena.lower + arena.upper), arena.upper - arena.lower
+
+    def widened(factor: float) -> Edits:
+        half = 0.5 * extents * [factor, factor, 1.0]
+        corners = {"lower": middle - half, "upper": middle + half}
+        return (Edit("arena", {k: np.round(x, DECIMALS).tolist() for k, x in corners.items()}),)
+
+    words, least = "length and width", 2.0 * beyond / float(np.min(extents[:2]))
+    yield Knob("arena", 1.0, "times", widened, 1, frozenset({"arena"}), words, least=least)
     for axis in range(3):
-        extent = float((arena.upper - arena.lower)[axis])
+        extent = float(extents[axis])
         for side, sign in (("lower", -1), ("upper", 1)):
 
             def written(new: float, side: str = side, axis: int = axis) -> Edits:

@@ -153,8 +153,12 @@ def check_hold(task: StepTask, planner: MovePlanner) -> None:
     except InfeasibleError as error:
         robots = "use more robots, as hitchopt fit counts them"
         last = robots if hold.by is HoldBy.REST else "use rougher cables, or give it a rim"
-        last += capacities(planner, task.requirements)
-        remedy, violations = f"lower {name}.mass, or ask for another tension, or {last}", []
+        words, most = capacities(planner, task.requirements)
+        remedy = f"lower {name}.mass, or ask for another tension, or {last}{words}"
+        own, violations = planner.body.mass, list[Violation]()
+        if own > most:
+            heavy = Violation("load", own, most, "max", "kg", (planner.state.object,), when, remedy)
+            violations.append(heavy)
         for each in error.violations:
             more = ", or raise limits.tilt_deg" if each.constraint == "tilt" else ""
             more += "" if each.constraint in LOAD_LIMITED else f", or {each.remedy}"
@@ -162,24 +166,28 @@ def check_hold(task: StepTask, planner: MovePlanner) -> None:
         raise InfeasibleError(violations) from None
 
 
-def capacities(planner: MovePlanner, requirements: Requirements) -> str:
-    """Return in words which masses the hold bears, and a gripped outline as a rim; or nothing."""
+def capacities(planner: MovePlanner, requirements: Requirements) -> tuple[str, float]:
+    """Return in words which masses the hold bears, and a gripped outline as a rim; or nothing.
+
+    And the largest mass of the hold [kg], inf if not known.
+    """
     hold, team, body = planner.hold, planner.hold.team, planner.body
     tension, kind = float(np.min(planner.state.tension)), team.quadrotor[0]
-    length, texts = float(np.min(team.cable_length)), list[str]()
+    length, texts, most = float(np.min(team.cable_length)), list[str](), np.inf
     rests, height = hold.closed, float(body.centre_of_mass[2]) - hold.height
     with contextlib.suppress(InfeasibleError):
         if isinstance(hold, GripHold):
             grip = Grip.of(body.section, hold.closed, length, tension, team.cable_friction)
             bears = grip_capacity(grip, kind, body.friction, GRIP_LIMIT)
-            texts.append(f"a grip holds {bears.mass:.2g} kg")
+            texts, most = [f"a grip holds {bears.mass:.2g} kg"], bears.mass
             rim = replace(body, rim=Rim(body.section, body.lower))
             rests = rest_polygons(planner.state.object, rim, team.robots, planner.gap).closed
             height = float(body.centre_of_mass[2]) - body.lower
         shape = ConvexPolygon(rests)
         bears = rest_capacity(shape, length, tension, kind, requirements, height)
         texts.append(f"a rim {'' if texts else 'holds '}{bears.mass:.2g} kg")
-    return f" ({', '.join(texts)})" if texts else ""
+        most = min(most, bears.mass) if hold.by is HoldBy.REST else most
+    return (f" ({', '.join(texts)})" if texts else ""), most
 
 
 def in_turn(steps: Sequence[Step], task: StepTask) -> StepPlan:

@@ -17,7 +17,15 @@ from problem_cases import hitch_start, triangle
 import hitchopt as ho
 from hitchopt.hitch.team import Assignment
 from hitchopt.mission.loading import problem_from_dict
-from hitchopt.mission.repair import Edit, outlines_scaled, team_edit, with_edits
+from hitchopt.mission.repair import (
+    Edit,
+    _knobs,
+    change_of,
+    outlines_scaled,
+    team_edit,
+    with_edits,
+)
+from hitchopt.mission.solving import contents
 from hitchopt.storage.yaml_file import read_yaml, split_key
 
 
@@ -189,6 +197,56 @@ def test_tension_and_cable_are_changed_together() -> None:
     pairs = [{x.key for x in (s.change.before, s.change) if x is not None} for s in every]
     assert {"limits.tilt_deg", "team.cable_length"} in pairs
     assert_as_suggested(data, every[pairs.index({"team.tension", "team.cable_length"})])
+
+
+@pytest.mark.slow
+def test_faults_behind_others_are_repaired_and_one_quantity_is_named_once() -> None:
+    """Cables too short to tie hide a tilt; longer ones have to be longer still for the morph."""
+    narrow, grown = ([[0.0, y], [0.5, -0.3], [-0.5, -0.3]] for y in (0.6, 0.9))
+    data = small(
+        team={"robots": 3, "cable_length": 1.0, "tension": 1.4},
+        start={"hitch": {"polygon": narrow, "altitude": 1.0}},
+        mission=[{"morph": {"polygon": grown}}],
+    )
+    every = ho.suggestions(problem_from_dict(data), PATIENCE)
+    for found in every:
+        keys = [each.key for each in found.change.together()]
+        assert "team.cable_length" in keys or "polygon" in keys
+        assert len(set(keys)) == len(keys) > 1
+    assert_as_suggested(data, every[0])
+
+
+@pytest.mark.slow
+def test_walls_on_several_sides_are_moved_together() -> None:
+    data = small(arena={"lower": [-0.6, -0.6, 0], "upper": [0.6, 0.6, 2]})
+    found = {s.change.key: s for s in ho.suggestions(problem_from_dict(data), PATIENCE)}
+    assert_as_suggested(data, found["arena"])
+    corners: Any = found["arena"].change.edits[0].value
+    assert corners["lower"] == [-x for x in corners["upper"][:2]] + [0]
+    assert corners["upper"][2] == 2
+
+
+def test_changes_of_one_quantity_after_each_other_are_one() -> None:
+    problem = problem_from_dict(small(arena=ARENA))
+    knobs = {each.key: each for each in _knobs(problem, ())}
+    for key in ("team.cable_length", "polygon", "arena.upper[0]"):
+        first = change_of(problem, knobs[key], 0.2)
+        assert first is not None
+        again = {each.key: each for each in _knobs(first.problem, ())}
+        second = change_of(first.problem, again[key], 0.5)
+        between = change_of(first.problem, again["limits.speed"], 0.1)
+        assert second is not None
+        assert between is not None
+        both = second.after(between.after(first))
+        assert [each.key for each in both.together()] == ["limits.speed", key]
+        share = (1.0 + 0.2 * (sign := knobs[key].sign)) * (1.0 + 0.5 * sign) - 1.0
+        share = 0.2 + 0.5 * 1.2 if key == "arena.upper[0]" else share
+        assert both.relative == pytest.approx(share, rel=0.01)
+        assert both.old == first.old
+        edited_problem = with_edits(problem, both.edits)
+        for part in ("arena", "team", "start"):
+            there, expected = (getattr(x, part) for x in (edited_problem, second.problem))
+            assert contents(there) == contents(expected)
 
 
 @pytest.mark.slow
