@@ -56,6 +56,7 @@ CROSSED = {"on the ground": 0, "hanging free": 0, "being tightened": 1, "hitched
 LAID, ROLLING = "being laid", "rolling"  # taut alone; lying across, or turning from it into clasps
 LYING, LOOSE = "lying across", {"on the ground", "hanging free"}  # passing weight; without ties
 STATES = {*CROSSED, "clasping", LAID, ROLLING, LYING, "none"}
+POSITIVE, MOST = ("mass", "max_thrust", "cable_length", "tension"), 61  # coefficients of a curve
 SAGS = 0.02  # [m] how far cables that lie on one another may be apart: their sags differ
 
 
@@ -599,7 +600,7 @@ class Plan:
             raise ValueError(f"{self.label}{words}")
         self.chapters = [[self]] if "ring" not in self.phases[0] else chapters(self)
 
-    def _array(self, name: str, *shape: int, other: Any = None, most: float = 1e6) -> Array:
+    def _array(self, name: str, *shape: int, other: Any = None, most: float = 1e5) -> Array:
         """Return an array of the file; the other one where the settings do not name it."""
         if self.settings.get(name) is not True and (0 in shape or other is not None):
             return np.zeros((*shape, 1)) if other is None else np.asarray(other)
@@ -607,8 +608,10 @@ class Plan:
         self.arrays[name] = x
         fits = (x.shape[:-1] if shape[1:] else x.shape) == shape and x.dtype == np.float64
         fits &= (x.size > 0 or 0 in shape) and [*self.file].count(self.folder + name) == 1
+        fits &= not shape[1:] or x.shape[-1] <= MOST
+        fits &= name not in POSITIVE or bool(np.all(x > 0.0))
         if not fits or not np.all(np.abs(x) <= most):
-            raise ValueError(f"{name} has another shape, or numbers that are not finite")
+            raise ValueError(f"{name} has another shape, or numbers beyond their bounds")
         return x
 
     def _keep(self, separation: dict[str, float], off: float) -> None:
@@ -658,8 +661,8 @@ class Plan:
         self.labels = [*self.names, *(f"{label}p{j}" for j in range(P)), *np.repeat(self.cables, 2)]
         self.floor = 0.0 if self.arena is None else float(self.arena["lower"][2])
         self.within = "ground m min" if self.arena is None else "arena m min"
-        ends = [float(phase["end"]) for phase in self.phases[:-1]]
-        self.phase = np.searchsorted(ends, self.breaks[:-1] + 0.5 * self.h)
+        until = [float(phase["end"]) for phase in self.phases[:-1]]
+        self.phase = np.searchsorted(until, self.breaks[:-1] + 0.5 * self.h)
         self._check_phases()
         self.state = np.array([phase["state"] for phase in self.phases])[self.phase]
         self.formed = np.isin(self.state, ("hitched", ROLLING, LYING))
@@ -667,9 +670,11 @@ class Plan:
         self.follows = np.where(self.state == LYING, ROLLING, self.state)  # what may roll next
         self._read_bodies(m, n)
         parts = [self._array("drones", m, N, 3), *self._read_cables(m, n, N, P)]
-        parts = [elevated(x, max(y.shape[-1] for y in parts)) for x in parts]
-        self.points = Curve(np.concatenate(parts, axis=1), self.h)
-        self.size = float(np.max(np.abs(self.points.c[0])))
+        drones, *ends = (elevated(x, max(y.shape[-1] for y in parts)) for x in parts)
+        self.points = Curve(np.concatenate([drones, *ends], axis=1), self.h)
+        self.size = max(
+            float(np.max(np.abs(x), initial=0.0)) for x in (drones, *(x[self.formed] for x in ends))
+        )
         self.saved, self.taken, self.depth, self.shares = loads(self)
         # Ramps: tensions rise from 0, or fall to it, at rest next to a span without a hitch.
         still = np.all(np.ptp(self.points.c[0][:, : N + P], axis=-1) <= STILL, axis=(1, 2))
@@ -1735,26 +1740,34 @@ def contradicted(name: str, faults: Iterable[Fault]) -> Row:
     return judged(name, "1", 0.0, found)
 
 
-def jumps(p: Plan) -> Iterator[Row]:
-    """Jumps where pieces meet: positions, velocities, accelerations; tensions, pulls, thrusts.
+def jumps(p: Plan, *, rests: bool = False) -> Iterator[Row]:
+    """Jumps where pieces meet: positions, velocities, accelerations, which add up; thrusts, pulls.
 
-    Where rings change thrusts may jump by their cables' weights, as these lie on one another.
+    Where rings change thrusts may jump by their cables' weights, as these lie on one another. What
+    ``rests`` before and after is at rest at its ends.
     """
     parts, bodies = [*chain(*p.chapters)], [body.name for body in p.bodies]
     same = ~np.isin(p.breaks[1:-1], [x.since for x in parts])[:, None]
     both = (p.formed[1:] & p.formed[:-1])[:, None] & same
 
-    def jump(c: Array, names: Sequence[str], on: Any = True, less: Any = 0.0) -> Iterator[Worst]:
+    def jump(
+        c: Array, names: Sequence[str], on: Any = True, less: Any = 0.0, fold: Any = np.max
+    ) -> Iterator[Worst]:
         x = (size(c[1:, ..., 0] - c[:-1, ..., -1]) - less) * on
         if x.size:
-            q, i = np.unravel_index(np.argmax(x), x.shape)
-            yield float(x[q, i]), float(p.breaks[q + 1]), names[int(i)]
+            i = int(np.argmax(each := fold(x, axis=0)))
+            yield float(each[i]), float(p.breaks[np.argmax(x[:, i]) + 1]), names[i]
 
-    found = list[Worst]()
+    found, added = list[Worst](), partial(jump, fold=np.sum)
     for k in range(3):
-        found += [*jump(p.points.c[k][:, : p.N], p.names), *jump(p.poses.c[k], bodies)]
-        found += jump(p.points.c[k][:, p.V], p.labels[p.V], both)
-        found += jump(p.legs.c[k], p.names, both)
+        found += [*added(p.points.c[k][:, : p.N], p.names), *added(p.poses.c[k], bodies)]
+        found += added(p.points.c[k][:, p.V], p.labels[p.V], both)
+        found += added(p.legs.c[k], p.names, both)
+        for curve, names in ((p.points.c[k][:, : p.N], p.names), (p.poses.c[k], bodies)):
+            rest = np.zeros_like(curve[:1, ..., :1])
+            for end in (0, -1) if rests and k else ():
+                moves = np.concatenate([curve[[end], ..., end, None], rest])
+                found += ((x, float(p.breaks[end]), i) for x, _, i in jump(moves, names))
     yield judged("continuity", "m", 1e-6, found)
     if not p.n:
         return
@@ -2060,6 +2073,8 @@ def read(path: Path) -> tuple[list[Plan], list[Plan]]:
     try:
         with np.load(path, allow_pickle=False) as file:
             form, s = str(file["format"]), json.loads(str(file["settings"]))
+            if len({*file}) < len([*file]):
+                raise ValueError("holds something twice")
             if form == "hitchopt-plan/1":
                 return [Plan(file, s)], []
             if form != "hitchopt-plan/2":
@@ -2106,6 +2121,9 @@ def verify(path: str | Path) -> Iterator[Row]:
     path = Path(path)
     own, others = read(path / "plan.npz" if path.is_dir() else path)
     rows, order = [row for p in own for row in checked(p)], ("violated", "not proven", "proven")
+    if len(own) + len(others) > 1:
+        rests = (row for p in (*own, *others) for row in jumps(p, rests=True))
+        rows += (row for row in rests if row.name == "continuity")
     parts, besides = ([x for p in plans for x in chain(*p.chapters)] for plans in (own, others))
     keys, off = own[0].settings["separation"], max(p.tracking for p in own)
     wide = {key: max(p.settings["separation"][key] for p in own) for key in keys}

@@ -43,7 +43,7 @@ from hitchopt.checks.distances import (
     near,
     upright_pieces,
 )
-from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase, worst_at_joint
+from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase, summed, worst_at_joint
 from hitchopt.checks.spans import (
     PART_NAMES,
     clasped_pairs,
@@ -213,7 +213,7 @@ def _off(spans: PairSpans) -> Flags:
 
 
 LAID = 0.02  # [m] Largest distance of cables that lie on one another: their sags differ
-JUMP = 1e-6  # [m], [m/s], [m/s²] Largest jump, far below what a drone can follow
+JUMP = 1e-6  # [m], [m/s], [m/s²] Largest sum of jumps, far below what a drone can follow
 # States in which neighbours have the crossing number 0; in clasping it changes, else it is 1
 BEFORE = frozenset({CableState.GROUND, CableState.FREE})
 LAID_STATES = OPEN_STATES | {CableState.LAYING}  # followed by half crossings
@@ -227,7 +227,7 @@ PROBES = np.linspace(0.0, 1.0, 9)  # places on a piece, one of which shows that 
 
 
 def _largest_jump(motion: Motion, _: float) -> WorstCase:
-    """Return the largest jump at a joint of position [m], velocity [m/s] or acceleration [m/s²].
+    """Return the largest sum of jumps at joints of position [m], velocity [m/s], acceleration.
 
     Drones and objects are compared, and vertices and legs while the hitch exists.
     """
@@ -243,7 +243,7 @@ def _largest_jump(motion: Motion, _: float) -> WorstCase:
 def jump_of(
     motion: Motion, parts: Sequence[tuple[PiecewisePolynomial, Sequence[str]]]
 ) -> WorstCase:
-    """Return the largest jump of curves on the breaks of a motion, whose items have names."""
+    """Return the largest sum of jumps of curves on a motion's breaks, whose items have names."""
     cases = [WorstCase(0.0, float(motion.drones.breaks[0]))]
     for part, names in parts:
         for order in range(3):
@@ -251,14 +251,14 @@ def jump_of(
             left, right = rates[..., 0], rates[..., -1]
             margin = derivative_margin(part, order)
             noise = margin[1:] + margin[:-1] if order else position_margin(motion)
-            jumps = length(left[1:] - right[:-1]) + noise
+            jumps = summed(length(left[1:] - right[:-1])) + noise
             cases.append(worst_at_joint(jumps, part.breaks[1:], names))
     return max(cases, key=lambda case: case.worst)
 
 
 JUMPS = Evaluator(_largest_jump, shown=(_largest_jump,))
 
-# No jumps at joints of pieces
+# No jumps at joints of pieces, however many there are
 CONTINUITY = CheckRule("continuity", "m", "max", JUMP, (JUMPS,), whole=True)
 
 

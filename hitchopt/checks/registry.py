@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from weakref import WeakKeyDictionary
@@ -18,6 +18,7 @@ from hitchopt.checks.spans import value_cache
 from hitchopt.checks.tracking import GAMMA
 from hitchopt.motion.chapters import chapters
 from hitchopt.motion.motion import Group, Motion
+from hitchopt.motion.retiming import padded
 from hitchopt.values import instance, not_negative, sequence
 
 RULES = (
@@ -164,7 +165,7 @@ def _checks_of_groups(
     across: dict[str, Check | None] = {}
     with value_cache():
         for rule in RULES:
-            across[rule.name] = check_across(rule, motion)
+            across[rule.name] = _across(rule, motion)
             yield worst_of([*own.get(rule.name, ()), across[rule.name]])
         for report in chosen:
             if report is radius:
@@ -186,7 +187,23 @@ def check_of(rule: CheckRule, motion: Motion, *, exported: bool = False) -> Chec
         return rule.check(motion, exported=exported)
     own = [(rule.check(each.motion, exported=exported), each) for each in motion.groups]
     alone = [None if check is None else _labelled(check, each) for check, each in own]
-    return worst_of([*alone, check_across(rule, motion)])
+    return worst_of([*alone, _across(rule, motion)])
+
+
+def _across(rule: CheckRule, motion: Motion) -> Check | None:
+    """Return the check of a rule between groups, or of how they come to rest at their ends."""
+    return check_across(rule, motion) if rule is not CONTINUITY else rests(motion.flying)
+
+
+def rests(groups: Iterable[Group]) -> Check | None:
+    """Return the continuity of groups that stand still before and after their motions."""
+    checks = list[Check | None]()
+    for group in groups:
+        begin, end = group.motion.drones.breaks[[0, -1]].tolist()
+        whole = padded(group.motion.replaced(others=()), begin - 1.0, end + 1.0)
+        found = CONTINUITY.check(whole)
+        checks.append(None if found is None else _labelled(found, group))
+    return worst_of(checks)
 
 
 def _tell(progress: Callable[[str], None], name: str, words: str) -> None:

@@ -51,6 +51,14 @@ def worst_at_joint(values: Array, times: Array, names: Sequence[str]) -> WorstCa
     return WorstCase(worst, float(times[joint]), (names[int(item)],) if worst > 0.0 else ())
 
 
+def summed(jumps: Array) -> Array:
+    """Return jumps (joints, items), with the sum of all as the largest of an item: they add up."""
+    if jumps.size == 0:
+        return jumps
+    largest = np.arange(len(jumps))[:, None] == np.argmax(jumps, axis=0)
+    return np.asarray(np.where(largest, np.sum(jumps, axis=0), jumps))
+
+
 @dataclass(frozen=True, eq=False)
 class WorstOverSpans(Generic[S]):
     """Evaluate a formula's worst value over spans of a motion.

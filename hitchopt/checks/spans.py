@@ -76,8 +76,8 @@ def cached(value: F) -> F:
 
 @cached
 def magnitude(motion: Motion) -> float:
-    """Return the largest coordinate of the plan [m]."""
-    parts = motion.drones.coefficients, motion.vertices.coefficients
+    """Return the largest coordinate of the plan [m]: vertices count while they have a meaning."""
+    parts = motion.drones.coefficients, motion.vertices.coefficients[motion.formed]
     return max(float(np.max(np.abs(c), initial=0.0)) for c in parts)
 
 

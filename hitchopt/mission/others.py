@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated
 
 from hitchopt.checks import certify
+from hitchopt.checks.registry import rests
 from hitchopt.errors import InputError, OneLine
 from hitchopt.motion.combined import combined
 from hitchopt.motion.motion import Group
@@ -57,6 +58,10 @@ class Other(OneLine):
             names = ", ".join(check.name for check in certificate.violated)
             bound = f"a plan whose own certificate holds, not without {names}"
             raise InputError("plan", self.plan, bound, "solve its problem again")
+        if (rest := rests(self._groups)) is not None and not rest.holds:
+            names = ", ".join(rest.where)
+            bound = f"a plan at rest as it begins and ends, unlike {names} at t = {rest.time:.4g} s"
+            raise InputError("plan", self.plan, bound, "let it end with hold")
 
     @cached_property
     def _groups(self) -> Sequence[Group]:

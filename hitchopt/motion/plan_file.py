@@ -69,7 +69,7 @@ OTHERS = "others"
 
 REMEDY = "do not edit plan files"
 
-LARGEST = 1e6
+LARGEST, MAX_DEGREE = 1e5, 60
 """[m], [N] No coefficient of a plan is larger; sums of such numbers stay far from overflow."""
 
 MAX_STEPS = 2**31
@@ -372,6 +372,8 @@ def _read_motion(path: Path, settings: dict[str, Any], *folders: str, begin: flo
     for name in (name for name in (*POLYNOMIALS, *OPTIONAL_CURVES) if name in arrays):
         if arrays[name].size and not np.max(np.abs(arrays[name])) <= LARGEST:
             raise InputError(name, "a coefficient", f"within ±{LARGEST:g}", REMEDY)
+        if (degree := arrays[name].shape[-1] - 1) > MAX_DEGREE:
+            raise InputError(name, f"of degree {degree}", f"at most {MAX_DEGREE}", REMEDY)
         parts[name] = PiecewisePolynomial(arrays["breaks"], arrays[name])
     requirements = Requirements(
         Limits(**settings["limits"]),

@@ -27,6 +27,7 @@ from hitchopt.motion.combined import combined
 from hitchopt.motion.motion import Group, Motion
 from hitchopt.motion.plan_file import check_request, read_plan, request_of, write_plan
 from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.values import Array
 
 Change = Callable[[dict[str, Any], dict[str, Any]], object]
 
@@ -181,6 +182,7 @@ LIES_BESIDE: dict[str, Change] = {
     "a path that is none": asked(plan=None),
     "a time that is none": asked(at="now"),
     "an other's path twice": asked(path="show"),
+    "an other far away": lambda _, a: a["others/show/drones"].__iadd__(2e5),
 }
 BROKEN = {
     "speed": stricter("limits", "speed", 0.4),
@@ -211,6 +213,33 @@ def test_lies_about_groups_are_refused(lie: str, tmp_path: Path) -> None:
         read_plan(path)
     with pytest.raises(second.UnreadableError):
         second.read(path)
+
+
+def jumping(c: Array) -> Array:
+    """Return curves of drones that are 1 m higher on the last piece."""
+    c[-1, 0, 2] += 1.0
+    return c
+
+
+def flying(c: Array) -> Array:
+    """Return curves whose last piece ends in flight."""
+    c[-1, 0, 2, -2] -= 1e-4
+    return c
+
+
+@pytest.mark.parametrize("change", [jumping, flying])
+def test_others_are_continuous_and_at_rest_at_their_ends(
+    change: Callable[[Array], Array], tmp_path: Path
+) -> None:
+    whole = plan("beside", tmp_path)
+    group, *rest = whole.others
+    c = change(group.motion.drones.coefficients.copy())
+    turned = group.motion.replaced(drones=group.motion.drones.alike(c))
+    path = tmp_path / "plan.npz"
+    write_plan(path, whole.replaced(others=(replace(group, motion=turned), *rest)), problem="text")
+    assert [check.name for check in certify(read_plan(path)).violated] == ["continuity"]
+    wrong = {row.name for row in second.verify(path) if row.verdict == "violated"}
+    assert "continuity" in wrong
 
 
 @pytest.mark.parametrize("limit", BROKEN)

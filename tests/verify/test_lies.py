@@ -224,6 +224,7 @@ LIES = [
     Lie("morph", "one drone flies 3 cm aside", plus("drones", 0.03, (slice(None), 0, 0)), REFUSED),
     Lie("morph", "a drone makes a detour within a piece", plus("drones", 0.05, np.s_[10, 1, 2, 3]), "speed|acceleration|jerk"),
     Lie("morph", "a drone jumps by a hundredth of a millimetre", plus("drones", 1e-5, (slice(20, None), 3, 1)), "continuity"),
+    Lie("morph", "a drone moves by many small jumps", edited("drones", lambda x: x + 5e-7 * np.arange(len(x))[:, None], np.s_[:, 3, 1]), "continuity"),
     Lie("morph", "a vertex makes a detour", plus("vertices", 0.05, np.s_[10, 0, 0, 3]), "cable_length"),
     Lie("morph", "vertices are lifted", plus("vertices", 0.05, (slice(None), slice(None), 2)), "cable_length"),
     Lie("morph", "all is mirrored", both(times("drones", -1.0, np.s_[:, :, 0]), times("vertices", -1.0, np.s_[:, :, 0])), "convexity"),
