@@ -9,6 +9,7 @@ steps' records; ``__init__.pyi`` lists them for type checkers and completion.
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -131,7 +132,10 @@ def _loaded(problem: Any, *kinds: type) -> Any:
 
         read = {Problem: loading.load_problem, SwarmProblem: loading.load_swarm}
         return (read[kinds[0]] if len(kinds) == 1 else loading.read_problem)(problem)
-    instance("problem", problem, *kinds)
+    if not isinstance(problem, kinds):
+        names = " or ".join(f"hitchopt.{kind.__name__}" for kind in kinds)
+        remedy = "read one with load_problem, or make one of a dict with problem_from_dict"
+        raise InputError("problem", problem, f"a path or a {names}", remedy)
     return problem.problem if isinstance(problem, Mission) else problem
 
 
@@ -218,7 +222,8 @@ def _method(kind: type[Step]) -> Callable[..., Mission]:
 
     def add(self: Mission, *args: Any, **kwargs: Any) -> Mission:
         refuse_unknown(kind.name, [*_arguments(kind)], kwargs)
-        return self.then(kind(*args, **kwargs))
+        given = inspect.signature(add).bind(self, *args, **kwargs).arguments
+        return self.then(kind(**{key: value for key, value in given.items() if key != "self"}))
 
     words = f"Return the mission with this step: {_words(kind)}"
     arguments = {"self": EMPTY, **_arguments(kind)}
@@ -247,7 +252,11 @@ def _function(kind: type[Step]) -> Callable[..., Plan]:
         resolved = step.resolved_for(team)  # what is wrong in itself is said first
         resolved.checked_polygon_after(team, start.polygon if isinstance(start, Hitch) else None)
         chosen: dict[str, Any] = {name: part for name, part in kept.items() if part is not None}
-        found = solve_problem(Problem(team, start, (resolved,), **chosen))
+        try:
+            found = solve_problem(Problem(team, start, (resolved,), **chosen))
+        except InputError as error:  # its key is that of an argument here
+            key = re.sub(rf"^(start\.drones|mission\[0\]\.{kind.name})\b\.?", "", error.key)
+            raise InputError(key or kind.name, error.value, error.bound, error.remedy) from None
         return Plan(found.motion, found.certificate)
 
     words = f"Return the certified plan of this step alone: {_words(kind)}"

@@ -7,6 +7,7 @@ the limits that bind. The command line turns them into exit codes 2 and 3.
 from __future__ import annotations
 
 import math
+import re
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -118,7 +119,9 @@ class InputError(HitchoptError, ValueError):
         self.remedy = remedy
         self.place = place
         where = "" if place is None else f"{place}: "
-        shown = _shown(value) if place is None else FILE_WORDS.get(repr(value), _shown(value))
+        shown = _shown(value if place is None else _as_in_file(value))
+        if place is not None and not isinstance(value, str):
+            shown = re.sub(r"\b(None|True|False)\b", lambda word: FILE_WORDS[word[0]], shown)
         super().__init__(f"{where}{key} = {shown}: must be {bound}; {remedy}")
 
     def within(self, parent: str) -> InputError:
@@ -269,10 +272,19 @@ def _joint_key(parent: str, key: str) -> str:
     return f"{parent}{joint}{key}"
 
 
+def _as_in_file(value: Any) -> object:
+    """Return a value as a file has it: of a record the keys that differ from their defaults."""
+    if is_dataclass(value):
+        given = {each.name: (getattr(value, each.name), each.default) for each in fields(value)}
+        return {key: _as_in_file(now) for key, (now, usual) in given.items() if now is not usual}
+    value = value.tolist() if hasattr(value, "tolist") else value
+    return [_as_in_file(each) for each in value] if isinstance(value, tuple | list) else value
+
+
 def _shown(value: object) -> str:
     """Return ``value`` in at most 80 characters, short enough for a message."""
     try:
-        text = repr(value)
+        text = repr(value) if isinstance(value, str) else " ".join(repr(value).split())
     except ValueError:  # Python writes no integer of more than 4300 digits
         text = f"a {type(value).__name__} too long to write"
     return text if len(text) <= 80 else f"{text[:77]}..."

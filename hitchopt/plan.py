@@ -287,7 +287,7 @@ def closest(plan: Plan, spans: int = SPANS, picture: Path | str | None = None) -
     ----------
     plan: a plan of at least two drones.
     spans: number of equal parts of its time; each has the pair that comes closest in it.
-    picture: file to draw the result to (PNG), or None.
+    picture: file to draw the result to (.png, .svg or .pdf), or None.
     """
     instance("plan", plan, Plan)
     pairs = closeness(plan.motion, whole("spans", spans, 1))

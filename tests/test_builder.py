@@ -249,6 +249,12 @@ def test_values_just_beyond_a_limit_differ_from_it_in_words(limit: Any, words: s
     [
         (ho.Limits, "max_speed", "Limits() has no argument 'max_speed'; did you mean speed?"),
         (ho.Team, "tensoin", "Team() has no argument 'tensoin'; did you mean tension?"),
+        (
+            ho.Hitch.spread,
+            "height",
+            "Hitch.spread() has no argument 'height'; did you mean altitude?",
+        ),
+        (ho.Mission.join, "vertex", "missing a required argument: 'robot'"),
         (ho.hold, "time", "hold() has no argument 'time'; did you mean seconds?"),
         (ho.Mission.morph, "points", "morph() has no argument 'points'; did you mean polygon?"),
     ],

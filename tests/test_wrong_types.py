@@ -187,7 +187,7 @@ mission: [{hold: {seconds: 1}}]
 # fmt: off
 UNUSUAL: list[tuple[Callable[[], object], str]] = [
     (lambda: ho.Team(3, 2400), "cable_length: 2400 m; usual are 0.05 to 100 m; if millimetres"),
-    (lambda: ho.Team(3, [2.4, 240, 2.4]), r"cable_length\[1\]: 240 m; .* meant, 0.24"),
+    (lambda: ho.Team(3, [2.4, 240, 2.4]), r"cable_length\[1\]: 240 m; .* if centimetres .* 2.4"),
     (lambda: ho.Team(3, 2.4, cable_density=5), "cable_density: 5 kg/m; .* grams per metre"),
     (lambda: ho.Team(3, 2.4, cable_friction=20), "cable_friction: 20 .* per cent were"),
     (lambda: ho.Quadrotor(0.004, 0.06), "mass: 0.004 kg; usual are 0.005 to 100 kg"),
@@ -207,6 +207,12 @@ REFUSED: list[Refusal] = [
     (lambda: ho.Limits(tilt=0.5, tilt_deg=30), "tilt_deg", "left out where tilt is given"),
     (lambda: ho.Transport(ORIGIN, 90), "yaw", "if degrees were meant, 1.57"),
     (lambda: parse_problem(written("34"), "x.yaml", Path()), "team.quadrotor.mass", "meant, 0.034"),
+    (lambda: parse_problem(written("0.1, gains: {kp: 1}")), "team.quadrotor.gains", "= {'kp': [1"),
+    (lambda: ho.Team(3, "2.4 m"), "cable_length", "(one per robot); give a plain number in SI"),
+    (lambda: ho.solve({}), "problem", "make one of a dict with problem_from_dict"),  # type: ignore[arg-type]
+    (lambda: ho.form(TEAM, Q[:2], R, TRIANGLE), "q", "2 points"),
+    (lambda: CRATE.enclose("crat"), "mission[0].enclose.object", "did you mean crate?"),
+    (lambda: ho.closest(PLAN, 1, "c.txt"), "picture", "a name in .png, .svg or .pdf"),
 ]
 # fmt: on
 
@@ -241,6 +247,11 @@ def test_copies_warn_where_a_user_makes_them_only() -> None:
 def test_a_polygon_in_millimetres_says_so() -> None:
     with pytest.raises(ho.InfeasibleError, match=r"if millimetres were meant, 1\.55 m"):
         ho.Hitch.balanced(ho.Team(3, 2.4), [[1e3 * x for x in point] for point in TRIANGLE])
+
+
+def test_cables_that_are_too_heavy_are_not_to_be_longer() -> None:
+    with pytest.raises(ho.InfeasibleError, match=r"raise team\.tension or lower team\.cable_den"):
+        ho.Hitch.balanced(ho.Team(3, 2.4, cable_density=0.9), TRIANGLE)
 
 
 def test_angles_in_degrees_are_those_in_radians() -> None:

@@ -256,14 +256,16 @@ def fit(
 def _outline(text: str) -> object:
     """Return the outline that an argument names: a radius, points, or the path of a drawing."""
     from hitchopt.storage.files import parsed_json
+    from hitchopt.values import positive
 
     if not text.lstrip().startswith((CIRCLE, "[")):
         return Path(text)
     try:
-        return parsed_json(text.removeprefix(CIRCLE))
+        given = parsed_json(text.removeprefix(CIRCLE))
     except ValueError:
         bound = "circle:RADIUS, [[x, y], …] or a file"
         raise InputError("OUTLINE", text, bound, "write circle:0.2") from None
+    return positive("OUTLINE", given) if text.startswith(CIRCLE) else given
 
 
 def _fit_tables(content: dict[str, Any]) -> Iterator[str]:

@@ -110,8 +110,11 @@ def report_usage(error: click.UsageError) -> None:
 
 def report_error(error: HitchoptError) -> None:
     """Write every line of the error's message to stderr; it is a result too."""
+    from hitchopt.values.fields import Missing
+
     if isinstance(error, InputError) and error.key in (known := options()):
-        error = InputError(known[error.key], error.value, error.bound, error.remedy)
+        value = Missing() if error.value is None or error.value is False else error.value
+        error = InputError(known[error.key], value, error.bound, error.remedy)
     record(errors=_entries(error))
     for line in str(error).splitlines() or [type(error).__name__]:
         say(f"error: {line}", err=True)

@@ -46,7 +46,7 @@ def evaluate(
     markers: bool,
     **given: Any,
 ) -> None:
-    """Compare a recorded flight with the plan in DIR: its vertices, from markers, and its drones.
+    """Compare RECORDING, a flight, with the plan in --plan: its vertices, from markers, and drones.
 
     RECORDING is a table of Motive or Vicon, C3D, a ROS bag, Crazyflie uSD logs, a PX4 ulog,
     DIR/simulation, or a CSV file with the columns t, name, x, y, z, whose rows named marker are

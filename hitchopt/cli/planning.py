@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import re
 import time
 from collections.abc import Iterator, Sequence
@@ -73,18 +74,22 @@ def solve(
     FILE may be - for standard input. After a refusal DIR/previous has the last certified plan.
     """
     from hitchopt.mission.loading import parse_problem
-    from hitchopt.storage.yaml_file import read_text
+    from hitchopt.storage.yaml_file import located, read_text
     from hitchopt.values import positive
 
     checked_rate(rate)
     positive("limit", limit)
     end = time.monotonic() + limit
     place = _output(output, file)
+    if repair_to is not None:
+        _write_new(str(repair_to), None)  # before the search, not after it
     problem: AnyProblem | None = None
     try:
         text, name = read_text(file)  # once: it may be a pipe
         problem = parse_problem(text, name, file.parent)
-        _plan(problem, text, place, rate, limit, report=report)
+        one = not isinstance(problem, ho.TeamsProblem)  # else keys are those of a team alone
+        with located(text, name) if one else contextlib.nullcontext():
+            _plan(problem, text, place, rate, limit, report=report)
     except (InputError, FileError):
         raise  # nothing was solved: DIR stays as it is
     except HitchoptError as error:
@@ -101,8 +106,10 @@ def _output(given: Path | None, file: Path) -> Path:
     place = Path("stdin" if str(file) == "-" else file.stem) if given is None else given
     if given is not None and not given.name and given.resolve().parent == given.resolve():
         raise InputError("output", str(given), "a directory of its own", "name one, such as out")
-    if place.exists() and not place.is_dir():
-        raise FileError(f"{place}: is not a directory; choose another one with -o")
+    home = next(each for each in (place, *place.absolute().parents) if each.exists())
+    if not (home.is_dir() and os.access(home, os.W_OK)):
+        words = "is not a directory that may be written to; choose another one with -o"
+        raise FileError(f"{place}: {home} {words}")
     return place
 
 
@@ -196,7 +203,7 @@ def _suggestions(
 @command(
     "directory DIR",
     option("--closest", "Report the closest pairs of drones over time."),
-    option("--picture", "Draw the same to a file.", PATH, "PNG"),
+    option("--picture", "Draw the same to a .png, .svg or .pdf file.", PATH, "FILE"),
     option(
         "--gamma",
         "For tracking_radius: how many times farther than drones vertices may be.",
@@ -314,7 +321,7 @@ def example_files() -> list[Path]:
         choices=KINDS,
     ),
     option(
-        "--drone",
+        "--drone model",
         "Write a problem for a model of drones, such as crazyflie_2.1: lengths, distances and "
         "tension fit.",
         str,
@@ -330,7 +337,7 @@ def example_files() -> list[Path]:
 def init(
     name: str | None,
     example: str | None,
-    drone: str | None,
+    model: str | None,
     kind: str | None,
     *,
     listing: bool,
@@ -357,21 +364,21 @@ def init(
     if example is not None and example not in files:
         remedy = closest_word(example, [*files], "hitchopt init --list names them")
         raise InputError("example", example, "an example's name", remedy)
-    chosen = {"example": example, "drone": drone, "kind": kind}
+    chosen = {"example": example, "drone": model, "kind": kind}
     first, *others = [key for key, value in chosen.items() if value] or [""]
     if others:
         bound = f"left out with --{first}"
-        raise InputError(others[0], chosen[others[0]], bound, "give one of the two")
+        raise InputError(f"--{others[0]}", chosen[others[0]], bound, "give one of the two")
     template = f"template_{kind}.yaml" if kind else "template.yaml"
     source = files[example] if example else PACKAGE / "mission" / template
     text, study = problem_text(source), kind == STUDY
-    if drone:
+    if model:
         from hitchopt.mission.template import for_drone
 
-        text = for_drone(text, drone)
+        text = for_drone(text, model)
     usual = example or (STUDY if study else "problem")
     path = _write_new(usual if name is None else name, text)
-    if drone:
+    if model:
         _show_models(ho.load_problem(path).team)
     say(f"wrote {path}; try: hitchopt {'sweep' if study else 'solve'} {path}", file=str(path))
     flight = source.with_suffix(".csv")
@@ -397,16 +404,16 @@ def problem_text(path: Path) -> str:
     return filled_in(text, simulate=(SimulateKeys, "#  ", ()))
 
 
-def _write_new(name: str, text: str, suffixes: tuple[str, ...] = SUFFIXES) -> Path:
-    """Write a file to ``name``, with one of the suffixes; refuse one that exists."""
+def _write_new(name: str, text: str | None, suffixes: tuple[str, ...] = SUFFIXES) -> Path:
+    """Write a file to ``name``, with one of the suffixes; refuse one that exists, text or not."""
     path = Path(name)
     if not path.name.strip("."):
         raise FileError(f"{name!r}: is no name for a file; give one, such as problem.yaml")
     if path.suffix not in suffixes:
         path = path.with_name(path.name + suffixes[0])
-    try:
+    if os.path.lexists(path):
+        raise FileError(f"{path}: exists already; give another name, or remove it")
+    if text is not None:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
-    except FileExistsError:
-        raise FileError(f"{path}: exists already; give another name, or remove it") from None
     return path

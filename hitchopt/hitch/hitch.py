@@ -30,7 +30,7 @@ from hitchopt.hitch.slack_split import (
 )
 from hitchopt.hitch.team import Team
 from hitchopt.values import Array, as_array, instance
-from hitchopt.values.fields import store
+from hitchopt.values.fields import store, suggesting
 from hitchopt.values.units import HEIGHT
 
 FIXED_LEG, SAGGING_LEG = 1e-4, 1e-2
@@ -69,9 +69,12 @@ def cable_slack(team: Team, polygon: Outline) -> Array:
     lengths, slack = polygon.edge_lengths, cable_slack_of(team, polygon.edge_vectors)
     worst = int(slack.argmin())
     if slack[worst] <= 0.0:
+        remedy = "shorten the edge or lengthen the cable"
+        if lengths[worst] < team.cable_length[worst]:
+            remedy = "it sags by its weight: raise team.tension or lower team.cable_density"
         remedy = (
             f"edge {worst} is {lengths[worst]:.6g} m long on a cable of "
-            f"{team.cable_length[worst]:.6g} m: shorten the edge or lengthen the cable"
+            f"{team.cable_length[worst]:.6g} m: {remedy}"
         )
         if lengths[worst] > FAR_OFF * team.cable_length[worst]:
             remedy += f"; if millimetres were meant, {1e-3 * lengths[worst]:.3g} m"
@@ -181,6 +184,7 @@ class Hitch(OneLine):
             yield f"{name}={short(getattr(self, name))}"
 
     @classmethod
+    @suggesting
     def balanced(
         cls, team: Team, polygon: Outline | ArrayLike, altitude: float = 1.0, roll: ArrayLike = 0.0
     ) -> Hitch:
@@ -193,6 +197,7 @@ class Hitch(OneLine):
         return cls(team, outline, altitude, balanced_legs(team, outline), roll)
 
     @classmethod
+    @suggesting
     def spread(
         cls,
         team: Team,
@@ -228,6 +233,7 @@ class Hitch(OneLine):
         return cls(team, outline, altitude, split.q_legs[0], rolled)
 
     @classmethod
+    @suggesting
     def nearest(
         cls,
         team: Team,

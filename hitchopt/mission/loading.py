@@ -10,15 +10,12 @@ from hitchopt.errors import FileError, InputError
 from hitchopt.mission.objects import with_outlines
 from hitchopt.mission.others import NAME
 from hitchopt.mission.problem import Problem, SwarmProblem
-from hitchopt.mission.teams_problem import AnyProblem, TeamsProblem
+from hitchopt.mission.teams_problem import AnyProblem, TeamsProblem, refuse_unnamed
 from hitchopt.objects import SolidObject
-from hitchopt.storage.yaml_file import parse_yaml, plain, read_node, read_text
-from hitchopt.values import MAPPING, misfit
+from hitchopt.storage.yaml_file import located, parse_yaml, plain, read_text, value_at
+from hitchopt.values import MAPPING, form_of, misfit
 from hitchopt.values.fields import Kind, Schema, keys_of, named, record_schema, values_of
 from hitchopt.values.units import START_TIME
-
-_KINDS = {list: "a list", str: "only text", bool: "true or false"}
-
 
 FOREIGN = {
     False: {
@@ -56,19 +53,15 @@ def parse_problem(text: str, name: str = "text", directory: Path = Path()) -> An
 
     ``name`` is what messages call it, ``directory`` where outlines of objects are.
     """
-    root = read_node(text, name)
-    data = root.value
+    data = parse_yaml(text, name)
     if not isinstance(data, dict):
-        kind = _KINDS.get(type(data), "a number")
         keys = ", ".join(key.name for key in keys_of(Problem).values())
         raise FileError(
-            f"{name}: holds {kind}, but a problem is a mapping with the keys {keys}; "
+            f"{name}: holds {form_of(data)}, but a problem is a mapping with the keys {keys}; "
             "`hitchopt init` writes one"
         )
-    try:
+    with located(text, name):
         return any_problem_from_dict(data, directory)
-    except InputError as error:
-        raise error.located(root.finder()) from None
 
 
 def asked_in(text: str, objects: Mapping[str, SolidObject]) -> dict[str, Any]:
@@ -133,12 +126,21 @@ def any_problem_from_dict(data: Mapping[str, object], folder: Path = Path()) -> 
     single = isinstance(team, dict) and "drones" in team and "robots" not in team
     record: type[Any] = SwarmProblem if single else Problem
     if isinstance(values, dict):
-        record = TeamsProblem if "teams" in values else record
+        if "teams" in values:
+            record = TeamsProblem
+            refuse_unnamed(*(values.get(key) for key in ("teams", "start", "mission")))
+            if "team" in values:
+                bound, remedy = "left out beside teams", "keep one of the two"
+                raise InputError("team", values["team"], bound, remedy)
         values = with_outlines(values, folder)
         others = values.get("others")
         for other in others.values() if isinstance(others, dict) else ():
             if isinstance(other, dict) and isinstance(other.get("plan"), str) and other["plan"]:
                 other["plan"] = str(folder / other["plan"])
     remedies = {} if record is TeamsProblem else FOREIGN[single]
+    if record is Problem and value_at(values, ("mission", 0, "form")) is not None:
+        robots = value_at(values, ("team", "robots"))
+        places = f"drones: {{q: [[x, y, z], …], r: [[x, y, z], …]}}}}, {robots} points each"
+        remedies = remedies | {"start": f"add start: {{{places}"}
     problem: AnyProblem = record(**values_of(record, "", values, remedies=remedies))
     return problem

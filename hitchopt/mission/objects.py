@@ -32,9 +32,10 @@ class SectionKeys:
 
     def __post_init__(self) -> None:
         names = [name for name in ("outline", "circle", "file") if hasattr(self, name)]
-        if sum(getattr(self, name) is not None for name in names) != 1:
+        given = [name for name in names if getattr(self, name) is not None]
+        if len(given) != 1:
             bound = f"a mapping with exactly one of {', '.join(names)}"
-            raise InputError("", vars(self), bound, "write circle: 0.2, for example")
+            raise InputError("", given, bound, "write circle: 0.2, for example")
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,7 +39,8 @@ from hitchopt.steps.step import (
     Stage,
     slack_split,
 )
-from hitchopt.values import Array, instance, sequence, text
+from hitchopt.steps.tying import refuse_rolls
+from hitchopt.values import Array, closest_word, instance, sequence, text
 from hitchopt.values.fields import (
     Key,
     documented,
@@ -53,6 +54,9 @@ from hitchopt.values.fields import (
     whole_number,
 )
 from hitchopt.values.units import DURATION, HEIGHT, warn_of_unit
+
+ROLLING = {"open_vertex", "close_vertex", "join", "withdraw", "replace"}
+"""Steps in which pairs roll, as they do where cables are laid."""
 
 
 def resolved_steps(problem: Problem, steps: tuple[Step, ...]) -> tuple[Step, ...]:
@@ -71,6 +75,8 @@ def resolved_steps(problem: Problem, steps: tuple[Step, ...]) -> tuple[Step, ...
             step = given.resolved_for(team)
             held = held.after(step, problem.objects)
             before, outline = outline, step.checked_polygon_after(team, outline, since)
+            if step.name in ROLLING or (isinstance(step, Form) and step.by == "laying"):
+                refuse_rolls(problem.team, problem.requirements)
             if (before is None) is not (outline is None):
                 since = f"step {i} ({step.name}) {'untied' if outline is None else 'tied'} it"
             if step.blends and (problem.complete or i + 1 < len(steps)):
@@ -107,17 +113,20 @@ class _Held:
         """Return the stage after a step; raise InputError if the step does not follow on it."""
         name = text("object", getattr(step, "object", self.name))
         if name and name not in objects:
-            bound = f"one of objects: {', '.join(objects)}" if objects else "an object of the file"
-            raise InputError("object", name, bound, "list it under objects")
+            bound = f"one of objects: {', '.join(objects) or 'there are none'}"
+            remedy = closest_word(name, [*objects], "add it to objects")
+            raise InputError("object", name, bound, remedy)
         if step.stages is None:
             return self
         begin, end = step.stages
         if self.stage is not begin:
             kinds = "enclose, grasp, lift, carry, set_down, loosen and leave"
             remedy = f"{kinds} an object, in this order"
+            here, needed = str(self.stage), str(begin)
             if Stage.OPEN in (self.stage, begin):
                 remedy = "open_vertex, then hold or close_vertex"
-            raise InputError("", str(self.stage), f"{begin}, which {step.name} needs", remedy)
+                here, needed = (x.replace(Stage.FREE, "no open vertex") for x in (here, needed))
+            raise InputError("", here, f"{needed}, which {step.name} needs", remedy)
         if begin is not Stage.FREE and name != self.name:
             raise InputError("object", name, f"{self.name}, the one enclosed", "leave that before")
         if not self.known and isinstance(step, MoveStep | FollowVertex):

@@ -39,6 +39,7 @@ from hitchopt.values.fields import (
     documented,
     either,
     gathered,
+    joined,
     listed,
     mapping_of,
     named,
@@ -87,6 +88,20 @@ EXAMPLES: Mapping[str, Any] = {
     },
     "mission": [{"a": {"hold": {"seconds": 1.0}}, "b": {"hold": {"seconds": 1.0}}}],
 }
+
+
+def refuse_unnamed(teams: Any, start: Any, mission: Any) -> None:
+    """Raise InputError for starts and steps of names that no team has, or of none."""
+    names = list(teams) if isinstance(teams, Mapping) else []
+    items = mission if isinstance(mission, list | tuple) else ()
+    places = {"start": start} | {f"mission[{i}]": item for i, item in enumerate(items)}
+    for place, given in places.items() if len(names) > 1 else ():
+        for name in given if isinstance(given, Mapping) else ():
+            if name not in names:
+                step = name in (*STEP_KINDS, Fly.name)
+                remedy = f"write {names[0]}: {{{name}: …}}" if step else closest_word(name, names)
+                key, what = joined(place, name), "a step" if place != "start" else "a start"
+                raise InputError(key, what, "under the name of a team", remedy)
 
 
 @documented
@@ -147,20 +162,14 @@ class TeamsProblem(OneLine):
         if len(names) < 2:
             remedy = "with one team write team, and its start and steps without a name"
             raise InputError("teams", names, "at least two teams", remedy)
+        refuse_unnamed(self.teams, self.start, self.mission)
         gathered(self._check_named, names)
-        for name in self.start.keys() - self.teams.keys():
-            bound = "the start of one of teams"
-            raise InputError(f"start.{name}", "a start", bound, closest_word(name, names))
         for name in self.others.keys() & self.teams.keys():
             raise InputError(f"others.{name}", name, "a name that no team has", "rename it")
         for i, item in enumerate(self.mission):
             if not item:
                 remedy = f"write a step, such as {names[0]}: {{hold: {{seconds: 1.0}}}}"
                 raise InputError(f"mission[{i}]", {}, "steps of one team at least", remedy)
-            for name in item.keys() - self.teams.keys():
-                bound = "a step of one of teams"
-                remedy = closest_word(name, names)
-                raise InputError(f"mission[{i}].{name}", "a step", bound, remedy)
         first = next(iter(self.problems.values()))
         requirements = first.requirements if isinstance(first, Problem) else first[0].requirements
         check_placed(self.objects, requirements.floor)
@@ -183,7 +192,7 @@ class TeamsProblem(OneLine):
             raise InputError("mission", f"no step of {name}", bound, f"add {name}: {{{example}}}")
         for key, step, last in self._steps(name):
             if isinstance(step, Fly) is not single:
-                bound = f"a step of {kind}"
+                bound = "fly, the only step of single drones" if single else f"a step of {kind}"
                 raise InputError(f"{key}.{step.name}", "a step", bound, f"{name} is {kind}")
             if last and step.blends:
                 bound = "false in the last step of an item"

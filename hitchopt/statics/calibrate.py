@@ -23,6 +23,7 @@ one plane turn farther than in the plane, and touch where they cross.
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -48,7 +49,7 @@ from hitchopt.simulation.judgement import TIGHT
 from hitchopt.simulation.task import Task, read_task
 from hitchopt.statics.energy import HitchEnergy, bends_of
 from hitchopt.statics.settle import conditions_of, energy_of
-from hitchopt.storage.archive import reading
+from hitchopt.storage.archive import PLAN, reading
 from hitchopt.values import Array, Indices, not_negative, path
 
 # Windows in which stiffness, friction, and rates of sliding are estimated [s]. Tensions of 0.5 s
@@ -250,7 +251,10 @@ def _recording_and_task(recording: Any, plan: Any, density: float | None) -> tup
     """
     if not isinstance(recording, Recording | RecordedFlight):
         recording = path("recording", recording)
-        plan = recording.absolute().parent if plan is None else plan
+        if (recording / PLAN).is_file():
+            remedy = "name the file that was recorded, or DIR/simulation"
+            raise InputError("recording", str(recording), "a flight, not its plan", remedy)
+        plan = Path(os.path.abspath(recording)).parent if plan is None else plan
     if plan is None:
         raise InputError("plan", None, "the directory of a plan", "name the plan that was flown")
     task = plan if isinstance(plan, Task) else read_task(path("plan", plan))

@@ -100,7 +100,8 @@ def infeasible(certificate: Certificate, motion: Motion, when: str = "") -> Infe
         if not when and check.name != "duration":
             step = f", in step {phases[0].step} ({phases[0].name})" if phases else ""
             words = f"at t = {check.time:.4g} s{step}"
-        violations.append(check.violation(_metres(check, motion) + words, _remedy(check, phases)))
+        remedy = _metres(check, motion) + _remedy(check, phases)
+        violations.append(check.violation(words, remedy))
     return InfeasibleError(violations)
 
 
@@ -127,7 +128,7 @@ def _metres(check: Check, motion: Motion) -> str:
         return ""
     wide = 2.0 * motion.requirements.separation.radius
     needed, apart = wide * check.number, wide * check.bound
-    return f"({apart:.3g} m apart, {needed - apart:.3g} m too close) "
+    return f"{apart:.3g} m apart, {needed - apart:.3g} m too close: "
 
 
 # The hitch that a step ends with, and its routes there.
@@ -400,8 +401,8 @@ def _span(violation: Violation, before: RestState) -> Violation:
     return replace(
         violation,
         where=(f"robot {k}", f"q{k}", f"r{k}"),
-        when=f"({apart:.6g} m apart on a cable of {length:.6g} m) {violation.when}",
-        remedy=f"move q{k} and r{k} of start.drones closer together, or use a longer cable",
+        remedy=f"{apart:.6g} m apart on a cable of {length:.6g} m: move q{k} and r{k} of "
+        "start.drones closer together, or use a longer cable",
     )
 
 

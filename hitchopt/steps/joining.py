@@ -18,7 +18,7 @@ from hitchopt.hitch.hitch import cable_slack
 from hitchopt.motion.motion import Motion, joined_motions
 from hitchopt.steps.moving import Adjust, Morph
 from hitchopt.steps.step import INDEX, RestState, Step, StepPlan, StepTask, WhichPoint
-from hitchopt.steps.tying import adjusted, refuse_rolls
+from hitchopt.steps.tying import adjusted
 from hitchopt.values import Array
 from hitchopt.values.fields import Key
 from hitchopt.values.units import LENGTH
@@ -85,7 +85,6 @@ def joined_plan(step: Join, task: StepTask, side: float) -> StepPlan:
     from hitchopt.steps.certified_motions import check_at_rest
 
     before, hitch, requirements = task.before, task.hitch, task.requirements
-    refuse_rolls(before.whole_team, requirements)
     ring = before.team.labels
     team = before.part((*ring[: step.vertex], step.robot, *ring[step.vertex :]))
     outline = step.polygon_after(before.team, hitch.polygon)
@@ -166,7 +165,6 @@ class Withdraw(Step):
         from hitchopt.planners.forming.joining import corner_restored, leaving
 
         before, requirements = task.before, task.requirements
-        refuse_rolls(before.whole_team, requirements)
         ring = before.team.labels
         place = _place("robot", self.robot, ring)
         senses = before.known_senses

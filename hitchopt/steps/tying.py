@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from hitchopt.errors import HitchoptError, InputError, UnsupportedError
+from hitchopt.errors import HitchoptError, InputError
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import MAX_ROBOTS, OPEN
@@ -148,7 +148,6 @@ class Form(Step):
         from hitchopt.steps import certified_motions as motions
 
         i, requirements, team = task.index, task.requirements, task.before.team
-        refuse_rolls(team, requirements)
         order = None
         if not isinstance(self.order, str):
             order = [team.labels.index(k) for k in np.asarray(self.order).tolist()]
@@ -278,18 +277,17 @@ def tying_site(
 
 
 def refuse_rolls(team: Team, requirements: Requirements) -> None:
-    """Raise UnsupportedError for teams whose pairs cannot roll, or whose cables cannot be laid."""
-    tension = team.tension
-    for unfit, reason in (
-        (not team.layout.closed, "an open chain: laying ties rings; use by: swaps"),
-        (team.cable_density == 0.0, "cables without weight: give team.cable_density, from which "
+    """Raise InputError for teams whose pairs cannot roll, or whose cables cannot be laid."""
+    for unfit, reason, remedy in (
+        (not team.layout.closed, "an open chain", "use by: swaps"),
+        (team.cable_density == 0.0, "cables without weight", "give team.cable_density, from which "
          "the pull of a taut cable follows"),
-        (np.ptp(tension) > 0.0, "unequal tensions: give one team.tension"),
-        (np.any(team.load), "loads on clasps, which do not roll: leave out team.load"),
-        (requirements.limits.tracking, "limits.tracking, which taut cables alone do not allow"),
+        (np.ptp(team.tension) > 0.0, "unequal tensions", "give one team.tension"),
+        (np.any(team.load), "loads on clasps", "leave out team.load: loads do not roll"),
+        (requirements.limits.tracking, "drones that may be off", "leave out limits.tracking"),
     ):  # fmt: skip
         if unfit:
-            raise UnsupportedError(f"laying and rolling do not know {reason}")
+            raise InputError("", reason, "absent where cables are laid or rolled", remedy)
 
 
 def laying_site(hitch: Hitch, levels: Indices, requirements: Requirements) -> Laying:
@@ -335,15 +333,18 @@ class RollStep(Step):
         """Return the roll (clasps,) [rad] after the step."""
         raise NotImplementedError
 
+    def resolved_for(self, team: Team) -> Self:
+        """Return the step, or raise InputError for a vertex that there is not."""
+        if not self.vertex < team.robots:
+            bound = f"0 to {team.robots - 1}"
+            raise InputError("vertex", self.vertex, bound, "name a vertex of the polygon")
+        return super().resolved_for(team)
+
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of the roll."""
         from hitchopt.planners.forming.laying import RollPath, rolling
 
         before, hitch = task.before, task.hitch
-        refuse_rolls(before.team, task.requirements)
-        if not self.vertex < before.team.robots:
-            bound = f"0 to {before.team.robots - 1}"
-            raise InputError("vertex", self.vertex, bound, "name a vertex of the polygon")
         start = hitch.roll if before.opened is None else before.opened
         end = self.rolls(task)
         phase = Phase(self.name, task.index, 0.0, 0.0)

@@ -13,6 +13,7 @@ import math
 import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import reduce
 from io import StringIO
@@ -54,7 +55,7 @@ _CORE_SCHEMA: tuple[tuple[re.Pattern[str], Callable[[str], Plain]], ...] = (
 )
 """Patterns of plain scalars that are no text, and how to read them; the first match counts."""
 
-TEXT_KEYS = "a mapping whose keys are text", "write the key as a name"
+TEXT_KEYS = "a mapping whose keys are text", "write the key as a name, and decimals with a point"
 """Bound and remedy of keys that are not text."""
 
 STDIN = "-"  # Path that stands for standard input
@@ -78,7 +79,7 @@ def read_node(text: str, name: str = "text") -> Node:
     """Return what the YAML ``text`` holds with the places of its keys; errors as ``read_yaml``."""
     found = _Reader(text, name).document()
     if found is None or found.value is None:
-        raise FileError(f"{name}: is empty; `hitchopt init` writes a problem file to start from")
+        raise FileError(f"{name}: is empty; `hitchopt init` writes files to start from")
     return found
 
 
@@ -97,8 +98,7 @@ def read_text(path: str | Path) -> tuple[str, str]:
             with open(name, "rb") as file:
                 data = file.read(MAX_BYTES + 1)
         except FileNotFoundError:
-            remedy = "check the path; `hitchopt init` writes problem files"
-            raise FileError(f"{name}: no such file; {remedy}") from None
+            raise FileError(f"{name}: no such file; check the path") from None
         except (OSError, ValueError) as error:  # ValueError: a NUL in the path
             reason = getattr(error, "strerror", None) or str(error)
             raise FileError(f"{name!r}: cannot be read ({reason}); give a readable file") from None
@@ -147,6 +147,15 @@ class Node:
             yield from child._places([*path, part])
 
 
+@contextmanager
+def located(text: str, name: str) -> Iterator[None]:
+    """Give errors of values their places in a YAML text, called ``name``."""
+    try:
+        yield
+    except InputError as error:
+        raise error.located(read_node(text, name).finder()) from None
+
+
 class _Reader:
     """Values of one text, made by recursive descent; MAX_DEPTH bounds the recursion."""
 
@@ -178,7 +187,10 @@ class _Reader:
             mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
             reason = getattr(error, "problem", None) or repr(str(error).partition("\n")[0])
             place = "" if mark is None else f":{mark.line + 1}:{mark.column + 1}"
-            words = f"is not YAML ({reason}); correct this line"
+            remedy = "indent with spaces" if "\\t" in reason else "correct this line"
+            if "flow" in str(getattr(error, "context", "")):
+                remedy += f", or close the bracket of line {error.context_mark.line + 1}"  # type: ignore[attr-defined]
+            words = f"is not YAML ({reason}); {remedy}"
             raise FileError(f"{self.name}{place}: {words}") from None
 
     def _node(self, event: Any, path: list[str | int]) -> Node:

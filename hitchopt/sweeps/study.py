@@ -23,7 +23,9 @@ from hitchopt.values.fields import (
     ANYTHING,
     FLAGS,
     Key,
+    Missing,
     either,
+    joined,
     listed,
     mapping_of,
     named,
@@ -234,7 +236,14 @@ class Study(OneLine):
                 remedy = "add simulate: to the study"
                 raise InputError(f"parameters.{key}", "simulate", "a section of the study", remedy)
         for case in self._at(trials):
-            any_problem_from_dict(case.problem)
+            try:
+                any_problem_from_dict(case.problem)
+            except InputError as error:
+                found = [key for key in case.point if error.key.startswith(key)]
+                if not found:
+                    raise FileError(f"problem {case.name}: {error}") from None
+                key = joined("parameters", found[0])
+                raise InputError(key, error.value, error.bound, error.remedy) from None
             STUDY.check("", {"problem": "", "simulate": case.simulate})
 
 
@@ -250,6 +259,9 @@ def study_from_dict(data: object, directory: str | Path = ".") -> Study:
     if not isinstance(values, dict):
         bound = "a mapping with the keys problem and parameters"
         raise InputError("study", short(values), bound, "see hitchopt.Study")
+    if "problem" not in values and {"team", "teams"} & values.keys():
+        remedy = "hitchopt solve plans it; a study names it, as problem: FILE"
+        raise InputError("problem", Missing(), "given: this is a problem, no study", remedy)
     study = Study(STUDY.check("", values), tuple(_problems(values["problem"], Path(directory))))
     study.check()
     return study

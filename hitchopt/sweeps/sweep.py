@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from hitchopt.errors import FileError, InputError, UnsupportedError
 from hitchopt.simulation.flight import Progress
 from hitchopt.storage.files import replace_files, write_strict_json
-from hitchopt.storage.yaml_file import read_yaml
+from hitchopt.storage.yaml_file import located, parse_yaml, read_text
 from hitchopt.sweeps.study import Study, digest_of, study_from_dict
 from hitchopt.sweeps.work import FAILED, PLANNED, Row, finished, first_columns, row_of
 from hitchopt.values import path as as_path
@@ -70,7 +70,9 @@ def run_sweep(
     if scheduler is not None:
         text("scheduler", scheduler)
     if isinstance(study, str | Path):
-        study = study_from_dict(read_yaml(study), Path(study).parent)
+        source = read_text(study)
+        with located(*source):
+            study = study_from_dict(parse_yaml(*source), Path(study).parent)
     elif isinstance(study, Mapping):
         study = study_from_dict(study)
     elif not isinstance(study, Study):
@@ -140,7 +142,8 @@ def read_study(directory: Path) -> dict[str, Any]:
     try:
         study = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise FileError(f"{path}: cannot be read ({error}); run hitchopt sweep first") from None
+        words = getattr(error, "strerror", None) or error
+        raise FileError(f"{path}: cannot be read ({words}); run hitchopt sweep first") from None
     if not isinstance(study, dict) or study.get("format") != FORMAT:
         raise FileError(f"{path}: is not of the format {FORMAT}; run hitchopt sweep again")
     return study

@@ -49,8 +49,10 @@ def misfit(key: str, value: object, *bounds: str) -> InputError:
     remedy = next((remedy for _, form, remedy in _FORMS if form in bounds), "write a list")
     if value is None:
         remedy = "give a value, or leave it out"
-    elif ONE in bounds and isinstance(value, str) and re.fullmatch(r"[-+.\deE]+", value):
+    elif ONE in bounds and isinstance(value, str) and re.fullmatch(r"[-+]?[\d.]+(e-?\d+)?", value):
         remedy = "remove the quotes"
+    elif ONE in bounds and isinstance(value, str) and re.fullmatch(r"[-+]?\d+,\d+", value):
+        remedy = f"write {value.replace(',', '.')}: decimals have a point"
     return InputError(key, value, " or ".join(bounds), remedy)
 
 
@@ -139,11 +141,11 @@ def sequence(key: str, value: object) -> tuple[Any, ...]:
 def whole(key: str, value: object, least: int, most: int | None = None) -> int:
     """Return ``value``, or raise InputError unless it is an integer from ``least`` to ``most``."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer):
-        raise InputError(key, value, "an integer", f"pass an integer >= {least}")
+        raise InputError(key, value, "an integer", "give a whole number")
     if value < least:
-        raise InputError(key, value, f"at least {least}", f"pass an integer >= {least}")
+        raise InputError(key, value, f"at least {least}", f"give {least} or more")
     if most is not None and value > most:
-        raise InputError(key, value, f"at most {most}", f"pass an integer <= {most}")
+        raise InputError(key, value, f"at most {most}", f"give {most} or less")
     return int(value)
 
 
@@ -225,12 +227,14 @@ def per_robot(
     if isinstance(value, int | float | np.number) and not isinstance(value, bool):
         array = np.full(robots, checked(key, float(value)))
     else:
+        bound = f"one number, or a list of {robots} (one per {owner})"
         try:
-            entries = list(value)  # type: ignore[arg-type]
+            entries = [] if isinstance(value, str) else list(value)  # type: ignore[arg-type]
         except TypeError:
             entries = []
+        if not entries:
+            raise InputError(key, value, bound, misfit(key, value, ONE).remedy)
         if len(entries) != robots:
-            bound = f"one number, or a list of {robots} (one per {owner})"
             remedy = f"{len(entries)} were given; add or remove entries, or change team.robots"
             raise InputError(key, value, bound, remedy)
         array = np.array([checked(f"{key}[{k}]", x) for k, x in enumerate(entries)])

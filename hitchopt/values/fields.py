@@ -20,7 +20,7 @@ import textwrap
 import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, replace
-from typing import Any, TypeVar, get_type_hints
+from typing import Any, ParamSpec, TypeVar, get_type_hints
 
 import numpy as np
 
@@ -43,6 +43,7 @@ from hitchopt.values import (
 )
 
 T = TypeVar("T")
+P = ParamSpec("P")
 Schema = dict[str, Any]
 
 EMPTY = inspect.Parameter.empty
@@ -94,8 +95,14 @@ class Key:
         return self.kind.degrees or self.kind
 
     def from_file(self, key: str, value: Any) -> Any:
-        """Return the field's value for one in a file, or raise InputError."""
-        checked = self.file_kind.check(key, value)
+        """Return the field's value for one in a file, or raise InputError; also what it means."""
+        try:
+            checked = self.file_kind.check(key, value)
+        except InputError as error:
+            if error.key != key or form_of(value) in self.file_kind.forms:
+                raise
+            more = f"{error.remedy} ({self.described(self.file_kind)})"
+            raise InputError(key, value, error.bound, more) from None
         if self.kind.degrees is None or isinstance(checked, str | None):
             return checked
         return np.radians(checked) if np.ndim(checked) else math.radians(checked)
@@ -196,17 +203,21 @@ def refuse_unknown(name: str, known: Sequence[str], given: Iterable[str]) -> Non
             raise TypeError(f"{name}() has no argument {each!r}; {closest_word(each, known)}")
 
 
+def suggesting(function: Callable[P, T], name: str = "") -> Callable[P, T]:
+    """Return a function that says which keyword was meant, under a name or its own."""
+    known = [*inspect.signature(function).parameters]
+
+    @functools.wraps(function)
+    def suggested(*args: P.args, **kwargs: P.kwargs) -> T:
+        refuse_unknown(name or function.__qualname__, known, kwargs)
+        return function(*args, **kwargs)
+
+    return suggested
+
+
 def documented(record: type[T]) -> type[T]:
     """Add the list of parameters to a record's docstring; suggest keywords for unknown ones."""
-    build: Callable[..., None] = record.__init__
-    known = [*inspect.signature(record).parameters]
-
-    @functools.wraps(build)
-    def suggesting(self: object, *args: Any, **kwargs: Any) -> None:
-        refuse_unknown(record.__name__, known, kwargs)
-        build(self, *args, **kwargs)
-
-    record.__init__ = suggesting  # type: ignore[method-assign]
+    record.__init__ = suggesting(record.__init__, record.__name__)  # type: ignore[method-assign]
     words, raises, errors = inspect.cleandoc(record.__doc__ or "").partition("Raises\n------")
     listed = f"{words.rstrip()}\n\nParameters\n----------\n{parameters(record)}"
     record.__doc__ = f"{listed}\n\n{raises}{errors}" if raises else listed
@@ -242,7 +253,7 @@ def values_of(
 ) -> dict[str, Any]:
     """Return the arguments of a record that a mapping holds; all faults are raised at once.
 
-    Keys ``without`` are unknown; ``remedies`` are those of some unknown keys.
+    Keys ``without`` are unknown; ``remedies`` are those of some unknown or missing keys.
     """
     if not isinstance(data, Mapping):
         raise misfit(key or "problem", data, MAPPING)
@@ -250,18 +261,22 @@ def values_of(
         each.name: name for name, each in keys_of(record).items() if each.name not in without
     }
 
+    meant = {name: closest_word(name, [*fields_by_key]) for name in data.keys() - fields_by_key}
+    own = meant | dict(remedies or {})
+
     def argument(name: str) -> tuple[str, Any]:
         """Return the name and value of a constructor's argument; no name for a default."""
         path, value = joined(key, name), data.get(name, Missing())
         if name not in fields_by_key:
-            remedy = (remedies or {}).get(name) or closest_word(str(name), list(fields_by_key))
-            raise InputError(path, value, "a known key", remedy)
+            raise InputError(path, value, "a known key", own[name])
         field = fields_by_key[name]
         declared = keys_of(record)[field]
-        if isinstance(value, Missing) and declared.default is not EMPTY:
+        misspelt = f"did you mean {name}?" in meant.values()
+        if isinstance(value, Missing) and (misspelt or declared.default is not EMPTY):
             return "", None
         if declared.default is EMPTY and (isinstance(value, Missing) or value in (None, [])):
-            raise InputError(path, value, "given", f"add {name}: {_written(declared.example)}")
+            remedy = own.get(name, f"add {name}: {_written(declared.example)}")
+            raise InputError(path, value, "given", remedy)
         if value is None and declared.default is None:
             return field, None
         return field, declared.from_file(path, value)
@@ -272,8 +287,9 @@ def values_of(
 
 
 def _written(example: Any) -> str:
-    """Return an example as a file has it."""
-    return "…" if example is None else json.dumps(example).replace('"', "")
+    """Return an example as a file has it; of points, whose number depends, the first."""
+    text = "…" if example is None else json.dumps(example).replace('"', "")
+    return re.sub(r"(\[\[[^]]*\]), \[.*?\]\]", r"\1, …]", text)
 
 
 def gathered(read: Callable[[Any], T], given: Iterable[Any]) -> list[T]:
@@ -515,7 +531,7 @@ def mapping_of(
         except InputError as error:
             raise error.within(key) from None
         except FileError as error:
-            raise FileError(f"{key}: {error}") from None
+            raise InputError(key, value, "of files that can be read", str(error)) from None
 
     return Kind((MAPPING,), check, lambda definitions: record_schema(record, definitions, without))
 
@@ -565,7 +581,7 @@ def one_key(
     Such records, and those of the types ``passed``, are values already.
     """
     kinds = {key: mapping_of(record) for key, record in records.items()}
-    types = (*records.values(), *passed)
+    types, what = (*records.values(), *passed), name.removeprefix("Team").lower()
 
     def written(kind: str) -> str:
         """Return an example of a kind with the keys that it needs."""
@@ -575,6 +591,8 @@ def one_key(
     def check(key: str, value: Any) -> Any:
         if isinstance(value, types):
             return value
+        if isinstance(value, str) and value in kinds:
+            raise InputError(key, value, MAPPING, f"write {written(value)}")
         if not isinstance(value, Mapping):
             raise misfit(key, value, MAPPING)
         if len(value) != 1:
@@ -585,7 +603,7 @@ def one_key(
             meant = closest_word(kind, list(kinds))
             for each in kinds:
                 meant = meant.replace(f"mean {each}?", f"mean {written(each)}?")
-            raise InputError(joined(key, kind), given, f"a known {name.lower()}", meant)
+            raise InputError(joined(key, kind), given, f"a known {what}", meant)
         if form_of(given) != MAPPING:
             raise InputError(joined(key, kind), given, MAPPING, f"write {written(kind)}")
         return kinds[kind].check(joined(key, kind), given)

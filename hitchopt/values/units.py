@@ -41,10 +41,12 @@ def quantity(
     (low, high), (least, most) = usual, possible
 
     def meant(number: float, otherwise: str = "") -> str:
-        """Return a remedy: the value in the first other unit that makes it usual, or another."""
-        for name, size in others:
-            if low <= number * size <= high and number:
-                return f"if {name} were meant, {number * size:.3g}"
+        """Return a remedy: the value in the other unit that makes it most usual, or another."""
+        fitting = [(name, number * size) for name, size in others if low <= number * size <= high]
+        if fitting and number:
+            middle = math.sqrt(max(low, 1e-3) * min(high, 1e3))
+            name, value = min(fitting, key=lambda each: abs(math.log(abs(each[1]) / middle)))
+            return f"if {name} were meant, {value:.3g}"
         return otherwise or (f"give it in {unit}" if unit else "give a plain number")
 
     def check(key: str, value: object) -> float:

@@ -15,7 +15,7 @@ from typing import IO, TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from hitchopt.checks.certificate import Certificate
-from hitchopt.errors import FileError
+from hitchopt.errors import FileError, InputError
 from hitchopt.hitch import Team
 from hitchopt.motion.motion import Motion
 from hitchopt.values import Array
@@ -131,7 +131,7 @@ def headline(figure: Figure, title: str, words: str) -> None:
 
 
 def save_figure(figure: Figure, file: Path | str | IO[bytes], dpi: int = RESOLUTION) -> None:
-    """Write a figure as SVG or PDF if the file's name ends so, else as PNG.
+    """Write a figure as PNG, or as SVG or PDF if the file's name ends so; refuse another ending.
 
     Its bytes depend on its content only. A file that cannot be written is an OSError.
     """
@@ -139,6 +139,8 @@ def save_figure(figure: Figure, file: Path | str | IO[bytes], dpi: int = RESOLUT
 
     kind = Path(file).suffix[1:].lower() if isinstance(file, Path | str) else ""
     options: dict[str, Any] = {"format": "png", "pil_kwargs": {"compress_level": COMPRESSION}}
+    if kind not in ("", "png", *UNDATED):
+        raise InputError("picture", str(file), "a name in .png, .svg or .pdf", "such as plan.png")
     if kind in UNDATED:
         options = {"format": kind, "metadata": UNDATED[kind]}
     with warnings.catch_warnings(), rc_context({"svg.hashsalt": "hitchopt"}):

@@ -118,7 +118,7 @@ def test_a_flight_that_fails_or_is_invalid_ends_with_3(
         ("simulate --lag nan", "lag = nan"),
         ("simulate --stiffness 60", "oscillates more and more; lower it"),
         ("simulate --density 0.00001", "density = 1e-05: must be at least"),
-        ("simulate --runs 0", "runs = 0: must be at least 1; pass an integer >= 1"),
+        ("simulate --runs 0", "runs = 0: must be at least 1; give 1 or more"),
         ("simulate --lose q0@0.05 --runs 3", "must be of a single flight"),
         ("statics --at -1", "t = "),
         ("statics --samples 0", "--samples = 0: must be from 1 to 1000"),

@@ -44,6 +44,9 @@ def test_scalars_follow_the_core_schema_of_yaml_1_2(text: str, value: object) ->
 REFUSED: list[tuple[str, type[HitchoptError], str]] = [
     ("a: 1\nb: [1,\n", FileError, "text:3:1: is not YAML"),
     ("a: b: c", FileError, "text:1:5: is not YAML"),
+    ("a:\n\tb: 1", FileError, "; indent with spaces"),
+    ("a: {b: 1\nc: {d: 2}", FileError, "; correct this line, or close the bracket of line 1"),
+    ("a: {b: 2,4}", InputError, "a name, and decimals with a point"),
     ('x: "\\U99999999"', FileError, "is not YAML"),
     ("x: \x07", FileError, "is not YAML"),
     ("x: !!python/none", FileError, "text:1:4: tags (!) are not allowed; remove it"),

@@ -137,7 +137,7 @@ def test_experiment_1_tells_metres_and_the_cable_that_would_do() -> None:
     with pytest.raises(ho.InfeasibleError) as told:
         ho.solve(CASES["paper_experiment_1"])
     apart = 2.0 * 0.12 * told.value.violations[0].value
-    words = f"({apart:.3g} m apart, {0.24 - apart:.3g} m too close) at the start"
+    words = f"at the start (t = 0); {apart:.3g} m apart, {0.24 - apart:.3g} m too close: "
     assert words in str(told.value)
     change = suggested("paper_experiment_1")[0].change
     assert change.key == "team.cable_length"

@@ -99,6 +99,7 @@ def test_records_make_the_problem_of_the_file() -> None:
         (("start", "c"), [[0, 0, 1]], "start.c"),
         (("mission", 0), {}, "mission[0]"),
         (("mission", 0, "c"), {"hold": {"seconds": 1}}, "mission[0].c"),
+        (("mission", 0, "hold"), {"seconds": 1}, "mission[0].hold"),
         (("mission", 0, "a"), {"fly": {"goal": [[0, 0, 1]]}}, "mission[0].a.fly"),
         (("mission", 0, "b"), {"hold": {"seconds": 1}}, "mission[0].b.hold"),
         (("mission", 0, "b", "fly", "goal"), [[3, 0, 2]], "mission[0].b.fly.goal"),
@@ -169,7 +170,7 @@ def test_the_plan_of_the_show_is_that_of_its_problem() -> None:
 
 def test_other_plans_are_read_beside_the_file_and_must_be_certified(tmp_path: Path) -> None:
     data = changed(("others",), {"show": {"plan": "show", "at": 2}})
-    with pytest.raises(ho.FileError, match=r"^others\.show: .*there is no such file"):
+    with pytest.raises(ho.InputError, match=r"^others\.show = .*there is no such file"):
         any_problem_from_dict(data, tmp_path)
     motion = planned("swarms/show").motion
     (tmp_path / "show").mkdir()

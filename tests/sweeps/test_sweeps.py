@@ -61,7 +61,8 @@ def test_values_are_set_in_a_copy() -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"parameters": {"team.tensoin": [0.3]}}, "did you mean tension"),
+        ({"parameters": {"team.tensoin": [0.3]}}, "parameters.'team.tensoin' = .* mean tension"),
+        ({"problem": {"team": 3}}, "^problem problem: team = 3: must be a mapping"),
         ({"parameters": {"team.tension": [0.3, -1.0]}}, "team.tension"),
         ({"parameters": {"team.tension": {"grid": {"from": 1, "to": 0, "count": 3}}}}, "below"),
         ({"parameters": {"team.tension": {"grid": LOG}}}, "log"),
@@ -208,6 +209,8 @@ def test_rows_that_were_edited_are_refused_by_their_line(
     (tmp_path / ROWS).write_text("\n".join(lines))
     with pytest.raises(ho.FileError, match="line 4 was edited"):
         load_sweep(tmp_path)
+    with pytest.raises(ho.FileError, match=r"cannot be read \(No such file or directory\); run"):
+        load_sweep(tmp_path / "none")
 
 
 def test_a_full_disk_leaves_whole_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
