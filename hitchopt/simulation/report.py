@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from scipy.ndimage import uniform_filter1d
 
 from hitchopt.geometry.vectors import length
 from hitchopt.motion.motion import Motion
@@ -44,6 +45,7 @@ OWNED = (SUMMARY, VERTICES, CABLES, DRONES, OBJECTS, RECORDING, PICTURE, CAMPAIG
 # Width and height [inch], and widths of storyboard and plots: those of a plan's summary
 SIZE, WIDTHS = (13.0, 7.2), (1.25, 1.0)
 
+MEAN = 0.2  # Time over which a thick curve of tension is the mean [s]: samples hide one another
 LABELLED = 6  # Largest number of vertices for which the legend has space
 THICKNESS, THICKEST = 0.005, 0.02  # Radius of drawn ropes over the flight's extent; at most [m]
 SAME_FRAME = 0.1  # Largest distance in time from a shot to a frame that shows it [s]
@@ -206,15 +208,20 @@ def _draw_over_time(plots: Sequence[Axes], simulation: Simulation, motion: Motio
         top.plot(errors.t, values, color=colours[k], lw=1.2, label=team.point_names[point])
     if errors.t.size and len(team.layout.clasps) <= LABELLED:
         top.legend(fontsize="small", ncols=3, frameon=False)
+    smooth = uniform_filter1d(record.tensions, max(1, round(MEAN * len(record.t) / end)), axis=0)
     for k, colour in enumerate(colours):
-        middle.plot(record.t, record.tensions[:, k], color=colour, lw=1.2)
+        middle.plot(record.t, record.tensions[:, k], color=colour, lw=0.4, alpha=0.25)
+        middle.plot(record.t, smooth[:, k], color=colour, lw=1.2)
     planned = [np.where(part.formed[:, None], part.tensions, np.nan) for part in task.parts]
     for tension in np.unique(np.concatenate(planned, axis=1).T, axis=0):
         middle.plot(task.t - task.t[0], tension, color=style.LIMIT_COLOUR, lw=1.2, ls=style.DASHES)
     tracking = 100.0 * np.max(tracking_errors(flight), axis=-1)
     bottom.plot(record.t[: len(tracking)], tracking, color=style.INK, lw=1.2)
     first = "vertex error," if simulation.settings.preset.exact else "vertex error ± 1 to 2 cm,"
-    titles = f"{first}\nsag included [cm]", "tension [N],\nplanned dashed"
+    titles = (
+        f"{first}\nsag included [cm]",
+        f"tension [N], {MEAN:g} s means\nthick, planned dashed",
+    )
     for axes, words in zip(plots, (*titles, "farthest drone\nfrom setpoint [cm]"), strict=True):
         axes.set_ylabel(words)
         axes.set_xlim(0.0, end)

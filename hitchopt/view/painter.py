@@ -49,6 +49,7 @@ AZIMUTH, ELEVATION = -115.0, 38.0  # Where panels are seen from [deg]
 # and margin around everything and least reach of a drone, as shares of a panel's height
 THICKNESS, MARGIN, SMALL = 0.011, 0.08, 0.03
 PATH_SAMPLES, PALE = 150, 0.45  # Number of points of a drone's path, and its opacity
+LETTER, LINE = 5.6, 10.0  # Width of a bold small letter, and height of its line [points]
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +176,7 @@ class Shot(NamedTuple):
 
 
 def chosen_shots(motion: Motion) -> tuple[Shot, ...]:
-    """Return start, swaps, the hitch, the end of whatever moves it, and the plan's end.
+    """Return start, swaps, the hitch, the end of whatever moves it, passages, and the plan's end.
 
     Where there are more than MOST, those with the longest paths before them are chosen.
     """
@@ -192,6 +193,7 @@ def chosen_shots(motion: Motion) -> tuple[Shot, ...]:
         elif state in (CableState.HITCHED, CableState.NONE):
             shots += [Shot(phase.name, phase.end) for phase in group if phase.name != "relax"]
     shots.append(Shot("end", motion.duration, essential=True))
+    shots = sorted([*shots, *_passages(motion, shots)], key=lambda shot: shot.time)
     times = np.clip([shot.time for shot in shots], 0.0, motion.duration)
     places = motion.drones.at(motion.drones.breaks[0] + times)
     travel = np.max(np.linalg.norm(np.diff(places, axis=0), axis=-1), axis=-1)
@@ -200,6 +202,21 @@ def chosen_shots(motion: Motion) -> tuple[Shot, ...]:
     rank = travel[moved] + np.where([shots[i].essential for i in moved], LONGEST, 0.0)
     rank[-1] = np.inf
     return tuple(shots[i] for i in np.sort(moved[np.argsort(-rank, kind="stable")[:MOST]]))
+
+
+def _passages(motion: Motion, shots: Sequence[Shot]) -> list[Shot]:
+    """Return when the drones are nearest to objects that never move and that no shot is near."""
+    times = np.linspace(0.0, motion.duration, PATH_SAMPLES)
+    moments = np.concatenate([times, [shot.time for shot in shots]])
+    places = motion.drones.at(motion.drones.breaks[0] + np.minimum(moments, motion.duration))
+    middles, passages = np.mean(places[..., :2], axis=1), list[Shot]()
+    reach = np.max(np.linalg.norm(places[0, :, :2] - middles[0], axis=1))
+    for name, body in motion.requirements.objects.items():
+        off = np.linalg.norm(middles - body.at[:2], axis=1)
+        k = int(np.argmin(off[:PATH_SAMPLES]))
+        if body.fixed and off[k] + reach < np.min(off[PATH_SAMPLES:]):
+            passages.append(Shot(f"near {name}", float(times[k])))
+    return passages
 
 
 def draw_plan_storyboard(place: SubplotSpec, motion: Motion, shots: Sequence[Shot]) -> None:
@@ -222,10 +239,9 @@ def draw_storyboard(
     count, drones = len(shots), scene.drones.shape[1]
     camera = Camera.toward(AZIMUTH, ELEVATION)
     moments = [int(np.argmin(np.abs(scene.t - shot.time))) for shot in shots]
-    seen = camera.seen(scene.extent_points)[moments, : 2 * drones, :2]
-    seen[:, drones:] = 0.5 * (seen[:, :drones] + seen[:, drones:])  # down to half of their height
-    middles = 0.5 * (np.min(seen, axis=1) + np.max(seen, axis=1))
-    half = np.max(np.abs(seen - middles[:, None]), axis=(0, 1)) * (1.0 + 2.0 * MARGIN) + radius
+    boxes = np.array([_seen_box(scene.at(float(scene.t[i])), scene, camera) for i in moments])
+    middles = np.mean(boxes, axis=1)
+    half = np.max(np.ptp(boxes, axis=1), axis=0) * (0.5 + MARGIN) + radius
     layout: Any = place.get_gridspec()
     figure = layout.figure
     room = figure.get_size_inches() * place.get_position(figure).size / half
@@ -247,12 +263,35 @@ def draw_storyboard(
         axes.update_datalim([middle - half, middle + half])
         axes.autoscale_view()
         axes.spines[:].set_color("0.85")
-        write_groups(axes, scene.appearance.groups, camera.seen(scene.drones[i])[:, :2])
+        write_groups(
+            axes, scene.appearance.groups, camera.seen(scene.drones[i])[:, :2], size * radius
+        )
         axes.set_title(f"{shot.words}, {shot.time:.1f} s", fontsize="small", parse_math=False)
     length = 10.0 ** math.floor(math.log10(float(half[0])))
     words: Any = {"loc": "lower right", "frameon": False, "borderpad": 0.7}
     words |= {"prop": {"size": "x-small"}, "size_vertical": 0.01 * float(half[1]), "color": "0.3"}
     axes.add_artist(AnchoredSizeBar(axes.transData, length, f"{length:g} m", **words))
+
+
+def _seen_box(moment: Moment, scene: Scene, camera: Camera) -> Array:
+    """Return the lower left and upper right corner (2, 2) [m] of what a panel shows.
+
+    They are of the drones, down to half of their height, and of objects as far as they are near:
+    within half of the drones' width and height of them.
+    """
+    middle = 0.5 * (moment.drones[:, 2] + scene.motion.requirements.floor)
+    low = np.column_stack([moment.drones[:, :2], middle])
+    seen = camera.seen(np.concatenate([moment.drones, low]))[:, :2]
+    box = lower, upper = np.array([np.min(seen, axis=0), np.max(seen, axis=0)])
+    near = 0.5 * (upper - lower)
+    for solid, pose in zip(scene.appearance.objects, moment.objects, strict=True):
+        turn = Rotation.from_quat(pose[3:], scalar_first=True)
+        corners = camera.seen(turn.apply(solid.faces.reshape(-1, 3)) + pose[:3])[:, :2]
+        body = np.array([np.min(corners, axis=0), np.max(corners, axis=0)])
+        body = np.clip(body, lower - near, upper + near)
+        if np.all(body[0] < body[1]):
+            box = np.array([np.minimum(box[0], body[0]), np.maximum(box[1], body[1])])
+    return box
 
 
 def few_corners(robots: int) -> int:
@@ -270,14 +309,30 @@ def draw_painting(axes: Axes, painting: Painting) -> PolyCollection:
     return shapes
 
 
-def write_groups(axes: Axes, groups: Sequence[GroupName], seen: Array) -> None:
-    """Write groups' names above their highest drones or below their lowest, as they alternate.
+def write_groups(axes: Axes, groups: Sequence[GroupName], seen: Array, radius: float = 0.0) -> None:
+    """Write groups' names above their highest or below their lowest drone where no drone is.
 
-    All drones are ``seen`` (N, 2) there.
+    All drones are ``seen`` (N, 2) there, of a radius [m].
     """
-    for i, group in enumerate(groups):
-        side = 1.0 - 2.0 * (i % 2)
-        place = max(seen[group.drones].tolist(), key=lambda place: side * place[1])
+    axes.apply_aspect()
+    to_pixels, pixels = axes.transData, axes.figure.dpi / 72.0
+    taken = to_pixels.transform(seen)
+    disc = radius * (to_pixels.transform([1.0, 0.0]) - to_pixels.transform([0.0, 0.0]))[0]
+    (left, low), (right, top) = axes.bbox.get_points()
+    for group in groups:
+        letters = 0.5 * pixels * np.array([LETTER * len(group.name), LINE])
+        room = letters + disc + pixels
+        own = taken[group.drones]
+        spots = np.concatenate([own + [0.0, room[1]], own - [0.0, room[1]]])
+        inside = np.all(
+            np.abs(spots - [0.5 * (left + right), 0.5 * (low + top)])
+            < 0.5 * np.array([right - left, top - low]) - letters,
+            axis=1,
+        )
+        free = np.min(np.max(np.abs(spots[:, None] - taken) / room, axis=-1), axis=1)
+        far = np.abs(spots[:, 1] - np.mean(taken[:, 1]))
+        best = np.lexsort([-far, -np.minimum(free, 1.0).round(6) * inside])[0]
+        taken = np.vstack([taken, spots[best]])
         look: Any = {"color": group.colour, "weight": "bold", "zorder": 7, "va": "center"}
         look |= {"clip_on": True, "path_effects": [withStroke(linewidth=2.0, foreground="white")]}
-        style.write(axes, group.name, place, (0.0, 12.0 * side), **look)
+        style.write(axes, group.name, to_pixels.inverted().transform(spots[best]), (0, 0), **look)

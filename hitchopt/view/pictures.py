@@ -56,6 +56,7 @@ CURVE, LINE, HEIGHT = 1.4, 11.0, 110.0
 ENDLESS = 1e9
 # Width of a character of a phase's name, and of a line at 45°, as shares of the axes' width
 CHARACTER, SLANTED = 0.013, 0.038
+SLANTED_LONG = 18  # Most characters of a slanted line: there is space for no more
 # Figure of the closest neighbours: width and height [inch], points of a curve, and the largest
 # separation that is shown; larger ones are of no concern
 CLOSE_SIZE, CLOSE_SAMPLES, CLOSE_TOP = (10.0, 4.8), 800, 4.0
@@ -199,7 +200,12 @@ def draw_phases(axes: Sequence[Axes], phases: Sequence[Phase], duration: float) 
         angle = 30 if any(", " in phase.name for phase in phases) else 45  # of several groups
         look |= {"rotation": angle, "ha": "left", "rotation_mode": "anchor"}
     for phase in sorted(phases, key=lambda phase: phase.start - phase.end):
-        words = phase.name if level else phase.name.replace(", ", "\n")
+        words = phase.name
+        if not level:  # the end of a long line, where the step is
+            lines = words.split(", ")
+            words = "\n".join(
+                x if len(x) <= SLANTED_LONG else f"…{x[-SLANTED_LONG:]}" for x in lines
+            )
         middle, wide = 0.5 * (phase.start + phase.end), SLANTED * (1 + words.count("\n")) * duration
         if level or all(abs(middle - other) > wide for other in written):
             written.append(middle)
@@ -304,7 +310,7 @@ def draw_plan_view(axes: Axes, motion: Motion, gap: float = 0.1) -> None:
     draw_lines(axes, np.moveaxis(flown, 1, 0), colours, 0.8, 1, alpha=opacity)
     handles: list[Artist] = [
         Line2D([], [], color=COLOURS[0], alpha=opacity, label="paths"),
-        style.marker("o", "white", START_COLOUR, "start", 9.0),
+        style.marker("o", "white", START_COLOUR, "start", 9.0 if cables else 4.5),
     ]
     fill = "white" if cables else INK
     handles.append(style.marker("o", fill, INK, "end, as wide as its ellipsoid", 9.0))
@@ -315,40 +321,45 @@ def draw_plan_view(axes: Axes, motion: Motion, gap: float = 0.1) -> None:
         painter.draw_painting(axes, above.painted(ends.at(motion.duration)))
         kinds = (INK, "drones q"), ("white", "drones r")
         handles += [style.marker("o", filled, INK, name) for filled, name in kinds]
-    _draw_ellipsoids(axes, radius, flown[0], "none" if cables else "white", START_COLOUR)
+    # Single drones may end where others start: a start is a smaller disc on that.
+    small = radius if cables else 0.5 * radius
+    _draw_ellipsoids(axes, small, flown[0], "none" if cables else "white", START_COLOUR, 4)
     end = ("none", START_COLOUR) if cables else (colours, colours)
     _draw_ellipsoids(axes, radius, flown[-1], *end)
     shown = flown.reshape(-1, 2)
     for prism in requirements.keep_out:
         hatched: Any = {"fc": "0.88", "ec": "0.4", "hatch": "////", "label": "keep out"}
         handles.append(axes.add_artist(Polygon(prism.polygon.vertices, **hatched)))
-    for solid, (x, y, *_) in zip(look.objects, () if cables else ends.objects[-1], strict=False):
-        corners = solid.faces.reshape(-1, 3)[:, :2] + [x, y]  # single drones move none
+    for solid, (x, y, *_) in zip(look.objects, ends.objects[-1], strict=True):
+        corners = solid.faces.reshape(-1, 3)[:, :2] + [x, y]
         outline = corners[ConvexHull(corners).vertices]
-        axes.add_artist(Polygon(outline, fc=solid.colours[0], ec="0.4", zorder=0))
-        handles.append(Patch(fc=solid.colours[0], ec="0.4", label=solid.name))
         shown = np.vstack([shown, outline])
+        if not cables:  # else they are painted
+            axes.add_artist(Polygon(outline, fc=solid.colours[0], ec="0.4", zorder=0))
+            handles.append(Patch(fc=solid.colours[0], ec="0.4", label=solid.name))
     if (arena := requirements.arena) is not None and not cables:
         shown = np.vstack([shown, arena.lower[:2], arena.upper[:2]])
         (x, y), (width, depth) = arena.lower[:2], arena.upper[:2] - arena.lower[:2]
         box = Rectangle((x, y), width, depth, fill=False, ec="0.4", label="arena")
         handles.append(axes.add_artist(box))
-    _write_names(axes, motion, flown[-1])
     lower, upper = np.min(shown, axis=0), np.max(shown, axis=0)
     margin = radius + 0.05 * float(np.max(upper - lower))
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.0)
     axes.update_datalim([lower - margin, upper + margin])
     axes.autoscale_view()
+    _write_names(axes, motion, flown[-1])
     axes.set(xlabel="x [m]", ylabel="y [m]")
     style.legend_below(axes, handles, gap, 3)
 
 
-def _draw_ellipsoids(axes: Axes, radius: float, points: Array, fill: Any, edge: Any) -> None:
+def _draw_ellipsoids(
+    axes: Axes, radius: float, points: Array, fill: Any, edge: Any, order: int = 3
+) -> None:
     """Draw the drones' ellipsoids about ``points`` (N, 2)."""
     size, look = [2.0 * radius], {"facecolors": fill, "edgecolors": edge, "linewidths": 0.8}
     placed: Any = {"units": "xy", "offsets": points, "offset_transform": axes.transData}
-    axes.add_collection(EllipseCollection(size, size, [0.0], zorder=3, **placed, **look))
+    axes.add_collection(EllipseCollection(size, size, [0.0], zorder=order, **placed, **look))
 
 
 def _write_names(axes: Axes, motion: Motion, ends: Array) -> None:
@@ -356,7 +367,7 @@ def _write_names(axes: Axes, motion: Motion, ends: Array) -> None:
     look: Any = {"va": "center", "zorder": 6}
     look["path_effects"] = [withStroke(linewidth=2.0, foreground="white")]
     groups = Appearance.of(motion).groups
-    painter.write_groups(axes, groups, ends)
+    painter.write_groups(axes, groups, ends, motion.requirements.separation.radius)
     team = motion.team
     names, places, aside = team.drone_names, ends, np.zeros_like(ends)
     if team.has_cables:

@@ -65,20 +65,6 @@ class Scene(Moment):
         every = [getattr(self, field.name) for field in fields(Moment)]
         return Moment(*((1.0 - share) * each[i - 1] + share * each[i] for each in every))
 
-    @property
-    def extent_points(self) -> Array:
-        """Points (times, m, 3) [m] that a picture has to show.
-
-        They are the drones, the places on the ground below them, and boxes around the objects.
-        """
-        floor = self.drones * [1.0, 1.0, 0.0] + [0.0, 0.0, self.motion.requirements.floor]
-        points = [self.drones, floor]
-        for i, body in enumerate(self.motion.requirements.objects.values()):
-            reach, heights = (-body.circumradius, body.circumradius), (body.lower, body.upper)
-            corners = [[x, y, z] for z in heights for x in reach for y in reach]
-            points.append(self.objects[:, i, None, :3] + corners)
-        return np.concatenate(points, axis=1)
-
 
 def scene_of(motion: Motion, samples: int = SAMPLES) -> Scene:
     """Return the scene of a plan at even times, and at the ends of its phases.

@@ -42,6 +42,7 @@ UNDATED: dict[str, dict[str, str | None]] = {"svg": {"Date": None}, "pdf": {"Cre
 # Resolution of every picture [dots per inch], and level of zlib: files are 5 to 12 % larger than
 # with 6, in half to two thirds of the time
 RESOLUTION, COMPRESSION = 120, 1
+LONG = 98  # Most characters of a line above a figure: phases' names stand on the right
 
 
 def cable_colours(n: int) -> tuple[str, ...]:
@@ -105,7 +106,7 @@ def facts(motion: Motion) -> str:
 
 def verdict(certificate: Certificate) -> str:
     """Return in words whether a plan is certified."""
-    total = len(certificate.checks)
+    total = sum(check.limit is not None for check in certificate.checks)
     if certificate.certified:
         return f"certified for all t: {total} of {total} limits hold"
     return "NOT CERTIFIED: " + ", ".join(check.name for check in certificate.violated)
@@ -124,8 +125,8 @@ def new_figure(
 
 
 def headline(figure: Figure, title: str, words: str) -> None:
-    """Write a plan's title, and words below it, above a figure."""
-    name = textwrap.shorten(title, 100, placeholder=" …")
+    """Write a plan's title, and words below it, above a figure's left part."""
+    name, words = textwrap.shorten(title, LONG, placeholder=" …"), textwrap.fill(words, LONG)
     look: Any = {"x": 0.012, "ha": "left", "fontsize": "large", "parse_math": False}
     figure.suptitle(f"{name}\n{words}".strip(), **look)
 

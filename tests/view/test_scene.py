@@ -33,7 +33,14 @@ from hitchopt.objects.placing import in_world
 from hitchopt.simulation.ropes import linking_matrix
 from hitchopt.view.cables import CLASPS, POINTS, turned_senses, wrapped_edges
 from hitchopt.view.film import frames, save_film
-from hitchopt.view.painter import Camera, Painter, chosen_shots
+from hitchopt.view.painter import (
+    AZIMUTH,
+    ELEVATION,
+    Camera,
+    Painter,
+    chosen_shots,
+    draw_plan_storyboard,
+)
 from hitchopt.view.pictures import draw_summary, panels, plot_from_above, sampled_states
 from hitchopt.view.scene import Scene, concerned, ghost_scene, scene_at, scene_of
 from hitchopt.view.shapes import object_faces, split
@@ -334,15 +341,43 @@ def test_names_of_checks_are_found_in_their_group() -> None:
     assert (found.drones, found.cables, found.vertices) == ((8,), (2, 4), (3,))
 
 
-def test_names_of_groups_around_the_same_centre_are_apart() -> None:
+@pytest.mark.parametrize("before", ["", "northern_"])
+def test_names_of_groups_are_apart_and_on_no_drone(before: str) -> None:
     plan = planned("hitch_and_swarm")
-    figure = draw_summary(plan.motion, plan.certificate)
+    renamed = [dataclasses.replace(x, name=f"{before}{x.name}") for x in plan.motion.groups]
+    motion, camera = combined(renamed), Camera.toward(AZIMUTH, ELEVATION)
+    figure, shots = draw_summary(motion, plan.certificate), chosen_shots(plan.motion)
     figure.draw_without_rendering()
-    named = [[t for t in axes.texts if t.get_fontweight() == "bold"] for axes in figure.axes]
-    pairs = [[text.get_window_extent() for text in texts] for texts in named if texts]
-    assert len(pairs) == len(chosen_shots(plan.motion))
-    for first, second in pairs:
+    scene = scene_at(motion, np.array([shot.time for shot in shots]))
+    for axes, drones in zip(figure.axes, scene.drones, strict=False):
+        texts = [t for t in axes.texts if t.get_fontweight() == "bold"]
+        first, second = (text.get_window_extent() for text in texts)
         assert Bbox.intersection(first, second) is None
+        for place in axes.transData.transform(camera.seen(drones)[:, :2]):
+            assert not first.contains(*place)
+            assert not second.contains(*place)
+    head = next(text for text in figure.texts if "limits hold" in text.get_text())
+    for text in figure.axes[-3].texts:
+        box = text.get_window_extent()
+        assert box.y1 < figure.bbox.y1
+        assert Bbox.intersection(box, head.get_window_extent()) is None
+
+
+def test_a_wall_that_is_passed_is_inside_of_a_panel() -> None:
+    team = ho.Team(robots=3, cable_length=2.4)
+    start = ho.Hitch.balanced(team, ho.regular_polygon(3, 1.0), 1.5)
+    motion = ho.transport(start, [6, 0, 1.5]).motion
+    wall = ho.SolidObject(ho.Section(CORNERS), 0.0, 0.8, at=(3.0, 0.2, 0.0), fixed=True)
+    requirements = dataclasses.replace(motion.requirements, objects={"wall": wall})
+    motion = motion.replaced(requirements=requirements)
+    shots = chosen_shots(motion)
+    assert [shot.words for shot in shots] == ["start", "near wall", "transport"]
+    figure, camera = new_figure((9.0, 3.0), None), Camera.toward(AZIMUTH, ELEVATION)
+    draw_plan_storyboard(figure.add_gridspec(1, 1)[0], motion, shots)
+    figure.draw_without_rendering()
+    seen = camera.seen(in_world(wall.pose, np.array([[*c, z] for c in CORNERS for z in (0, 0.8)])))
+    pixels = figure.axes[1].transData.transform(seen[:, :2])
+    assert all(figure.axes[1].bbox.contains(*place) for place in pixels)
 
 
 def test_a_robot_that_joins_is_shown_in_pictures_and_reports(tmp_path: Path) -> None:
