@@ -32,7 +32,7 @@ ERRORS = {
     "moving": "  while it moves",
     "without_sag": "vertices without sag (level part) [cm]",
 }
-MOST_REASONS = 8  # Reasons of a sweep's refusals that are listed
+MOST_REASONS, MOST_POINTS = 8, 40  # Reasons of a sweep's refusals, and its points, that are listed
 
 
 @command(
@@ -278,29 +278,31 @@ def sweep(study: Path, output: Path | None, workers: int | None, scheduler: str 
     an earlier one has ended: only what is missing is computed. Where STUDY is the DIR of a sweep,
     nothing is.
     """
-    from hitchopt.sweeps.sweep import read_study, summary
+    from hitchopt.sweeps.sweep import PICTURE, drawn_sweep, outcomes, read_study, summary
+    from hitchopt.view.style import drafted, save_figure
 
     place = study if study.is_dir() else Path(study.stem) if output is None else output
     if not study.is_dir():
         with ProgressBar("starting workers") as progress:
             ho.run_sweep(study, place, workers=workers, scheduler=scheduler, progress=progress)
     rows = ho.load_sweep(place)
-    sweep = summary(rows, len(read_study(place)["cases"]))
-    say(_sweep_tables(sweep), directory=str(place), summary=asdict(sweep))
+    sweep, points = summary(rows, len(read_study(place)["cases"])), outcomes(rows)
+    say(_sweep_tables(sweep, points), directory=str(place), summary=asdict(sweep), points=points)
+    if (figure := drawn_sweep(rows)) is not None:
+        with drafted(place / PICTURE) as path:
+            save_figure(figure, path)
+        say(f"drawn in {place / PICTURE}")
     say(f"rows are in {place}; ho.load_sweep returns them for pandas")
 
 
-def _sweep_tables(sweep: Summary) -> str:
-    """Return the summary of a sweep as tables."""
+def _sweep_tables(sweep: Summary, points: list[dict[str, Any]]) -> str:
+    """Return the outcome of a sweep's points, and its summary."""
     binding = [{"limit": name, "rows": count} for name, count in sweep.binding[:MOST_REASONS]]
-    heads = ("median", "smallest", "largest")
-    medians = [
-        {"column": name, **dict(zip(heads, values, strict=True))}
-        for name, values in sweep.medians.items()
-    ]
     parts = [table("What bound", binding)] if binding else []
-    parts.append(table("Figures", medians))
-    parts.append(f"{sweep.planned.rows} of {sweep.cases} rows; planned: {sweep.planned}")
+    parts.append(table("Plans", points[:MOST_POINTS]))
+    parts += [f"{len(points) - MOST_POINTS} more"] if len(points) > MOST_POINTS else []
+    count, share = f"{sweep.planned.rows} of {sweep.cases} rows", sweep.planned
+    parts.append(f"{count}; planned: {share.count} of {share.rows}")  # no sample: no interval
     if sweep.succeeded is not None:
         parts.append(f"simulated flights that succeeded: {sweep.succeeded}")
     return "\n\n".join(parts)

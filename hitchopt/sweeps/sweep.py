@@ -13,6 +13,7 @@ import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,13 +28,18 @@ from hitchopt.values import text, whole
 
 if TYPE_CHECKING:
     import pandas
+    from matplotlib.figure import Figure
 
 ROWS, STUDY, FORMAT = "rows.jsonl", "study.json", "hitchopt-sweep/1"
+PICTURE = "sweep.png"
+
+PARAMETER = "parameter."  # Beginning of the columns of parameters
+MOST_CURVES = 8  # Most curves that a legend names
 
 SEAL = "sha256"  # of all else in a row
 
-# Beginnings of the columns whose medians a summary has
-FIGURES = ("duration", "check.", "simulate.", "time.")
+# Columns whose medians a summary shows, and what they are for people
+FIGURES = {"duration": "duration [s]", "simulate.peak_tension": "largest tension [N]"}
 
 
 def run_sweep(
@@ -223,7 +229,6 @@ class Summary:
     planned: Share  # of rows with a plan
     succeeded: Share | None  # of simulated flights; None where there are none
     binding: tuple[tuple[str, int], ...]  # limits that bound, or other reasons, most frequent first
-    medians: dict[str, list[float]]  # with smallest and largest value, by column
 
 
 def summary(rows: pandas.DataFrame, cases: int) -> Summary:
@@ -235,7 +240,59 @@ def summary(rows: pandas.DataFrame, cases: int) -> Summary:
         share = Share(int(flown.astype(bool).sum()), len(flown))
     reasons = rows.loc[~planned, "binding"].fillna(rows.loc[~planned, "status"])
     binding = tuple((str(name), int(count)) for name, count in reasons.value_counts().items())
-    figures = rows[[name for name in rows.columns if name.startswith(FIGURES)]]
-    numbers = figures.select_dtypes("float").dropna(axis=1, how="all")
-    medians: Any = numbers.agg(["median", "min", "max"]).to_dict("list")
-    return Summary(cases, Share(int(planned.sum()), len(rows)), share, binding, medians)
+    return Summary(cases, Share(int(planned.sum()), len(rows)), share, binding)
+
+
+def outcomes(rows: pandas.DataFrame) -> list[dict[str, Any]]:
+    """Return what became of every point in the study's order, by heads of a table.
+
+    The values of parameters that vary come first, then FIGURES: the medians over all seeds.
+    """
+    keys, found = _varied(rows), list[dict[str, Any]]()
+    for at, same in rows.groupby(keys or ["problem"], sort=False, dropna=False):
+        row = {key.removeprefix(PARAMETER): value for key, value in zip(keys, at, strict=False)}
+        refused = same[same["status"] != PLANNED]
+        row["planned"] = refused.empty
+        row |= {head: float(same[name].median()) for name, head in FIGURES.items() if name in same}
+        if len(refused):
+            row["binding"] = refused["binding"].fillna(refused["status"]).iloc[0]
+        if len(flown := same.get("simulate.succeeded", same["status"][:0]).dropna()):
+            row["flown well"] = f"{int(flown.astype(bool).sum())} of {len(flown)}"
+        found.append(row)
+    return found
+
+
+def drawn_sweep(rows: pandas.DataFrame) -> Figure | None:
+    """Return the picture of a sweep: the last figure over the first parameter that varies, if any.
+
+    Every combination of the others is a curve; a point without a plan is a cross with its reason.
+    """
+    from hitchopt.view import style
+    from hitchopt.view.pictures import STYLES
+
+    points, keys = outcomes(rows), [key.removeprefix(PARAMETER) for key in _varied(rows)]
+    if not keys:
+        return None
+    figure, head = style.new_figure((6.5, 4.0)), [h for h in FIGURES.values() if h in points[0]][-1]
+    axes = figure.add_subplot(xlabel=keys[0], ylabel=head)
+    curves = dict[str, list[dict[str, Any]]]()
+    for row in points:
+        words = ", ".join(f"{key} {row[key]}" for key in keys[1:])
+        curves.setdefault(words, []).append(row)
+    for (words, curve), (colour, line) in zip(curves.items(), cycle(STYLES)):
+        at = [x if isinstance(x := row[keys[0]], int | float) else str(x) for row in curve]
+        axes.plot(at, [row[head] for row in curve], "o", ls=line, ms=4, color=colour, label=words)
+        for x, row in zip(at, curve, strict=True):
+            if not row["planned"]:
+                axes.plot(x, 0.0, "x", color=style.LIMIT_COLOUR)
+                style.write(axes, row["binding"], (x, 0.0), (0, 6), rotation=90, va="bottom")
+    style.from_zero(axes)
+    if 1 < len(curves) <= MOST_CURVES:
+        axes.legend(fontsize="small", frameon=False)
+    return figure
+
+
+def _varied(rows: pandas.DataFrame) -> list[str]:
+    """Return the columns of parameters, and that of problems, that have several values."""
+    keys = [key for key in rows.columns if key == "problem" or key.startswith(PARAMETER)]
+    return [key for key in keys if rows[key].nunique(dropna=False) > 1]

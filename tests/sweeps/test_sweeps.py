@@ -20,7 +20,15 @@ from click.testing import CliRunner
 import hitchopt as ho
 from hitchopt.cli import main
 from hitchopt.sweeps.study import Case, ParameterKeys, points, study_from_dict, with_values
-from hitchopt.sweeps.sweep import ROWS, load_sweep, summary, write_row
+from hitchopt.sweeps.sweep import (
+    PICTURE,
+    ROWS,
+    drawn_sweep,
+    load_sweep,
+    outcomes,
+    summary,
+    write_row,
+)
 from hitchopt.sweeps.work import SETTINGS, row_of
 from hitchopt.values.fields import mapping_of
 
@@ -262,7 +270,17 @@ def test_what_rows_come_to(swept: tuple[Path, pandas.DataFrame]) -> None:
     found = summary(rows, 7)
     assert (found.planned.count, found.planned.rows, found.cases) == (4, 6, 7)
     assert sum(count for _, count in found.binding) == 2
-    assert found.medians["duration"][0] == pytest.approx(rows["duration"].dropna().median())
+    points = outcomes(rows)
+    assert [row["team.tension"] for row in points] == [0.3, 0.3, 0.5, 0.5, 2.5, 2.5]
+    assert [row.get("binding") for row in points] == [None] * 4 + ["thrust"] * 2
+    np.testing.assert_allclose([row["duration [s]"] for row in points], rows["duration"])
+    figure = drawn_sweep(rows)
+    assert figure is not None
+    (axes,) = figure.axes
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("team.tension", "duration [s]")
+    crosses = [line.get_xydata() for line in axes.lines if line.get_marker() == "x"]
+    assert np.concatenate(crosses).tolist() == [[2.5, 0.0]] * 2
+    assert drawn_sweep(rows[:1]) is None
 
 
 @pytest.mark.slow
@@ -278,7 +296,8 @@ def test_the_command_reports_and_goes_on(
         return done.exit_code, done.output
 
     code, output = run(study, "-o", place)
-    assert (code, "planned: 4 of 6" in output) == (0, True), output
+    assert (code, "planned: 4 of 6\n" in output) == (0, True), output
+    assert (place / PICTURE).stat().st_size > 5_000
     assert run(place) == (0, output)
     study.write_text(json.dumps({**STUDY, "paramters": {}}))
     code, output = run(study, "-o", place)
