@@ -458,7 +458,7 @@ def prove(what: str, limit: float, s: Spans, formula: Callable[..., Line]) -> Ro
             i = int(np.argmin(value))
             if value[i] < best:
                 best, time = float(value[i]), float(part.time[i])
-                where = " ".join(s.names[c][k] for c, k in enumerate(part.item[i]))
+                where = ", ".join(s.names[c][k] for c, k in enumerate(part.item[i]))
         bound, depth, spent = np.concatenate(bounds), depth + 1, spent + len(s.x)
         left, close = bound < goal, max(CLOSE * max(abs(limit), 1e-3), 0.02 * (best - goal))
         if best < goal or (np.any(left) and (spent > BUDGET or depth > DEPTH)):
@@ -772,16 +772,15 @@ class Plan:
                 within &= self.breaks[1:] <= phase["end"] + TOUCH
                 self.ranged[within], self.range[within] = i, phase["tension"]
         self.least = np.minimum(self.range[..., :1], self.team)
-        self.sag: Array = (
-            np.square(self.weight * self.length / self.team) / 24.0
-        )  # over a cable's length
+        # Over a cable's length
+        self.sag: Array = np.square(self.weight * self.length / self.team) / 24.0
         # Straight parts of taut cables: both points, cable, and vertices at the ends (k, 5).
         stops, on = self.edges if self.bent else self.edges[[0, 3]], np.flatnonzero(self.leg)
         rows = [(self.anchor[on], on, on // 2, self.anchor[on], self.anchor[on])]
         rows += [(a, b, k, self.begin, self.end) for a, b in pairwise(stops)]
         self.parts = np.concatenate([np.stack(row, -1) for row in rows])
         edges = [f"{self.label}edge {j}" for j in k] * (len(rows) - 1)
-        self.kinds = [f"leg of {self.names[j]}" for j in on] + edges
+        self.kinds = [f"{self.label}{'qr'[j % 2]}-leg {self.robots[j // 2]}" for j in on] + edges
         return [vertices, contacts.reshape(m, 2 * n, 3, contacts.shape[-1])]
 
     def spans(self, on: Mask, items: Any, *names: Sequence[str]) -> Spans:
@@ -1861,7 +1860,7 @@ def linked(p: Plan, known: Array, loose: Mask, around: Sequence[str]) -> Iterato
     wrong = (wrong | (np.abs(count[..., :-1]) != want) & ~same[:-1]) & (want >= 0)
     wrong[..., -1] |= (count[..., -1] != 0.0) & ~p.formed[-1]
     for k, o, q in np.argwhere(wrong & np.triu(np.ones((n, n), dtype=bool), 1)[..., None]):
-        yield float(p.breaks[q]), True, f"{p.cables[k]} {p.cables[o]}"
+        yield float(p.breaks[q]), True, f"{p.cables[k]}, {p.cables[o]}"
 
 
 def seam(one: list[Plan], other: list[Plan], known: Array) -> Iterator[Fault]:
@@ -2144,11 +2143,12 @@ def verify(path: str | Path) -> Iterator[Row]:
         yield worst._replace(verdict=verdict, samples=sum(row.samples for row in same))
 
 
-def line(row: Row) -> str:
-    """Say what a row says in a line."""
-    worst = f"{row.worst:12.6g} {'≥' if row.sense == 'min' else '≤'} {row.limit:<9.6g} {row.unit:6}"
-    place = f"t = {row.time:<9.4f} {row.where:24}"
-    return f"{row.name:17} {row.verdict:10} {worst} {place} {row.samples} samples"
+def cells(row: Row) -> tuple[str, ...]:
+    """Return a row as cells: check, verdict, worst, limit, unit, where and when."""
+    shape, sense = row.unit in ("turn", "wrap", "bend"), "≥" if row.sense == "min" else "≤"
+    name, unit = (f"{row.name} ({row.unit})", "") if shape else (row.name, row.unit.strip("1"))
+    worst, limit, when = f"{row.worst:.5g}", f"{sense} {row.limit:.4g}", f"{row.time:.3f} s"
+    return name, row.verdict, worst, limit, unit, row.where, when
 
 
 def verdict(rows: Sequence[Row]) -> str:
@@ -2166,7 +2166,7 @@ def main(arguments: Sequence[str]) -> int:
     try:
         for row in verify(arguments[0]):
             rows.append(row)
-            sys.stdout.write(f"{line(row)}\n")
+            sys.stdout.write("{:16} {:10} {:>10} {:8} {:5} {:16} {:>9}\n".format(*cells(row)))
     except UnreadableError as error:
         sys.stderr.write(f"{arguments[0]}: not a plan, or a damaged one: {error}\n")
         return 2

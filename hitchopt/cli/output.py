@@ -10,7 +10,7 @@ import sys
 import time
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import zip_longest
+from itertools import chain, zip_longest
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
@@ -25,12 +25,14 @@ KEY = "hitchopt.output"  # Key of a call's Output in click's contexts
 # Width of tables that are not written to a terminal [characters], unless COLUMNS says another,
 # and what is between columns
 DEFAULT_WIDTH, GAP = 100, "  "
+NAME = "\xa0"  # Space within a name while a table is made: lines do not break there
+BAR, CLOCK = 20, 12  # Widths of a bar, and of the clock with what is between columns [characters]
 LINES = 1.0  # Shortest time between lines of percentages [s]
 ARGUMENT = re.compile(r"\b([a-z_]+)=(True\b|'?\w*'?)")  # Argument of Python in a message
 COUNT = re.compile(r"(\d[\d.]*) of (\d[\d.]*)|(\d[\d.]*)%")  # Count or percentage in a message
 RED = re.compile(r"^error:|(?<=  )NO$", re.MULTILINE)  # Words that are red on a terminal
 # Beginning of a cell that is aligned to the right
-NUMBER = re.compile(r"[-+±≤≥–]? ?\d|–|-?inf|γ = |$")
+NUMBER = re.compile(r"[-+±≤≥–]?\s?\d|–|-?inf|γ|$")
 
 
 @dataclass
@@ -66,7 +68,25 @@ def say(text: str, *, err: bool = False, **results: Any) -> None:
     """
     record(**results)
     if err or not (output().quiet or output().json):
-        echo(in_options(text), err=err)
+        shown = in_options(text)
+        echo(_wrapped(shown) if err and _on_terminal() else shown, err=err)
+
+
+def _on_terminal() -> bool:
+    """Return whether stderr is a terminal; it may be closed by ``2>&-``."""
+    return sys.stderr is not None and sys.stderr.isatty()
+
+
+def _wrapped(text: str) -> str:
+    """Return lines of words that fit the terminal: what goes on is indented."""
+    look: Any = {"subsequent_indent": "  ", "break_long_words": False, "break_on_hyphens": False}
+    lines = (wrap(line, across(), **look) or [""] for line in text.split("\n"))
+    return "\n".join(chain.from_iterable(lines))
+
+
+def across() -> int:
+    """Return the width of the terminal [characters]."""
+    return shutil.get_terminal_size((DEFAULT_WIDTH, 0)).columns
 
 
 def options() -> dict[str, str]:
@@ -116,26 +136,27 @@ def table(title: str, rows: Iterable[Mapping[str, object]]) -> str:
 
     Rows are cells by their columns' heads, plain data: a bool is a verdict, None, nan and inf are
     dashes, numbers have four significant digits. Where the table is too wide its widest column of
-    words wraps at words; numbers and names never do.
+    words wraps at words, and columns move together; numbers and names, such as cable 0, never wrap.
     """
     listed = [{head: _cell(value) for head, value in row.items()} for row in rows]
     heads = list(dict.fromkeys(head for row in listed for head in row))
     cells = {head: [row[head] for row in listed if head in row] for head in heads}
     widths = {head: max(map(len, (head, *cells[head]))) for head in heads}
     right = {h for h in heads[1:] if all(map(NUMBER.match, cells[h]))}
-    across = shutil.get_terminal_size((DEFAULT_WIDTH, 0)).columns
-    excess = sum(widths.values()) + len(GAP) * (len(heads) - 1) - across
+    excess = sum(widths.values()) + len(GAP) * (len(heads) - 1) - across()
     if excess > 0 and (texts := [head for head in heads if head not in right]):
         longest = max(texts, key=lambda head: widths[head])
-        words = " ".join((longest, *cells[longest])).split()
+        words = " ".join((longest, *cells[longest])).split(" ")
         widths[longest] = max(widths[longest] - excess, *map(len, words))
-    rule = "─" * (sum(widths.values()) + len(GAP) * (len(heads) - 1))
-    lines = [title, *_lines({head: head for head in heads}, widths, right), rule]
-    return "\n".join([*lines, *(line for row in listed for line in _lines(row, widths, right))])
+    gap = GAP if sum(widths.values()) + len(GAP) * (len(heads) - 1) <= across() else GAP[:1]
+    rule = "─" * (sum(widths.values()) + len(gap) * (len(heads) - 1))
+    first = {head: head for head in heads}
+    lines = [line for row in (first, *listed) for line in _lines(row, widths, right, gap)]
+    return "\n".join([title, lines[0], rule, *lines[1:]]).replace(NAME, " ")
 
 
 def _lines(
-    row: Mapping[str, str], widths: Mapping[str, int], right: Collection[str]
+    row: Mapping[str, str], widths: Mapping[str, int], right: Collection[str], gap: str
 ) -> Iterator[str]:
     """Yield the lines of a row, in which cells wrap at words if their columns are narrower."""
     parts = [
@@ -145,7 +166,7 @@ def _lines(
     for line in zip_longest(*parts, fillvalue=""):
         cells = zip(line, widths.items(), strict=True)
         padded = (x.rjust(width) if head in right else x.ljust(width) for x, (head, width) in cells)
-        yield GAP.join(padded).rstrip()
+        yield gap.join(padded).rstrip()
 
 
 def _cell(value: object) -> str:
@@ -155,7 +176,7 @@ def _cell(value: object) -> str:
         return ", ".join(map(_cell, value)) or "none"
     if isinstance(value, float) and math.isfinite(value):
         return f"{value:.4g}"
-    return str(value) if isinstance(value, str | int) else "–"
+    return re.sub(r" (?=\d)", NAME, str(value)) if isinstance(value, str | int) else "–"
 
 
 def quantities(title: str, values: Mapping[str, object]) -> str:
@@ -241,14 +262,13 @@ class ProgressBar:
         self._bar: Progress | None = None
 
     def __enter__(self) -> ProgressBar:
-        terminal = sys.stderr is not None and sys.stderr.isatty()  # closed by `2>&-`
-        if terminal and not (self._verbose or output().quiet):
+        if _on_terminal() and not (self._verbose or output().quiet):
             from rich.console import Console
             from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
             words = TextColumn("{task.description}", markup=False)
             at_most, console = TextColumn(self._at_most, markup=False), Console(stderr=True)
-            parts = words, BarColumn(), TimeElapsedColumn(), at_most
+            parts = words, BarColumn(BAR), TimeElapsedColumn(), at_most
             self._bar = Progress(*parts, console=console, transient=True)
             self._bar.add_task(self._message, total=None)  # until there is a count
             self._bar.start()
@@ -264,9 +284,9 @@ class ProgressBar:
         now = time.monotonic()
         if self._bar is not None:
             done, total = done_of(message)
-            self._bar.update(
-                self._bar.task_ids[0], description=message, completed=done, total=total
-            )
+            room = self._bar.console.width - BAR - CLOCK - len(self._at_most)
+            words = message if len(message) <= room else f"{message[: room - 1]}…"
+            self._bar.update(self._bar.task_ids[0], description=words, completed=done, total=total)
         elif self._verbose and not ("%" in message and now < self._next_line):
             echo(f"{now - self._begun:6.1f} s  {message}", err=True)
             self._next_line = now + LINES

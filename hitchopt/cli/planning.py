@@ -277,7 +277,7 @@ def verify(directory: Path) -> None:
 
 def _show_verified(path: Path) -> None:
     """Prove the limits of a plan.npz, report every one, and exit with 3 unless all are proven."""
-    from hitchopt.verify import GOOD, UnreadableError, line, verdict, verify
+    from hitchopt.verify import GOOD, UnreadableError, cells, verdict, verify
 
     rows = []
     try:
@@ -287,8 +287,11 @@ def _show_verified(path: Path) -> None:
                 progress(f"proven or not: {row.name}")
     except UnreadableError as error:
         raise FileError(f"{path}: not a plan, or a damaged one: {error}") from error
-    message = "\n".join([*map(line, rows), verdict(rows)])
-    say(message, verified=[row._asdict() for row in rows])
+    heads = ("check", "verdict", "worst", "limit", "unit", "where", "when")
+    shown = [dict(zip(heads, cells(row), strict=True)) for row in rows]
+    if all(row.verdict == "proven" for row in rows):
+        shown = [{k: v for k, v in row.items() if k != "verdict"} for row in shown]
+    say(f"{table('Limits', shown)}\n\n{verdict(rows)}", verified=[row._asdict() for row in rows])
     if any(row.verdict not in GOOD for row in rows):
         exit_infeasible()
 

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 from importlib import metadata
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ import hitchopt as ho
 from hitchopt.checks.certificate import GROUPS
 from hitchopt.checks.registry import REPORTS, RULES
 from hitchopt.cli.failures import SafeGroup
-from hitchopt.cli.output import ProgressBar, certificate_table, done_of, echo, phase_table, table
+from hitchopt.cli.output import ProgressBar, certificate_table, done_of, phase_table, say, table
 from hitchopt.cli.planning import MODELINE, example_files
 from hitchopt.exports.options import HOMES
 from hitchopt.hitch.team import MODELS
@@ -464,13 +465,22 @@ def test_words_wrap_and_numbers_do_not(monkeypatch: pytest.MonkeyPatch) -> None:
     assert max(map(len, lines)) <= 30
     assert re.fullmatch(r"one   a q-leg .* 1235", lines[3])
     assert " ".join(" ".join(lines[3:]).replace("1235", "").split()) == f"one {words}"
+    where = ["north.q-leg 0", "north.cable 12"]
+    lines = table("T", [{"worst": 1.5, "limit": "≥ 1", "where": ", ".join(where)}]).splitlines()
+    assert lines[3:] == ["1.5      ≥ 1  north.q-leg 0,", " " * 14 + where[1]]
 
 
-def test_errors_are_red_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_errors_are_red_and_wrapped_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "40")
+    words = "error: one = 3: must be below 2 at q-leg 0 and at all times; give another"
     for stream in (Terminal(), io.StringIO()):
         monkeypatch.setattr("sys.stderr", stream)
-        echo("error: one", err=True)
+        say(words, err=True)
         assert ("\x1b[31m" in stream.getvalue()) is stream.isatty()
+        first, *others = click.unstyle(stream.getvalue()).splitlines()
+        assert (len(first) <= 40 and bool(others)) is stream.isatty()
+        assert all(re.fullmatch(r"  \S.{,37}", line) for line in others)
+        assert " ".join([first, *(line[2:] for line in others)]) == words
 
 
 def test_every_check_has_a_heading() -> None:
@@ -486,12 +496,16 @@ class Terminal(io.StringIO):
 def test_a_terminal_sees_a_bar_filled_by_counts_and_a_file_none(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    for stream in (Terminal(), io.StringIO()):
-        monkeypatch.setattr("sys.stderr", stream)
+    monkeypatch.setenv("COLUMNS", "80")
+    long = "transport_object.via none -> [3.5, -2.72, 0.3]"
+    messages = (("timing [step 1]",) * 2, (long, "transport_object.via none -> [3…"))
+    for stream, (message, words) in product((Terminal, io.StringIO), messages):
+        monkeypatch.setattr("sys.stderr", written := stream())
         with ProgressBar("planning", 600.0) as progress:
-            progress("timing [step 1]")
-        for words in ("timing [step 1]", "of at most 600 s"):
-            assert (words in stream.getvalue()) is stream.isatty()
+            progress(message)
+        shown = re.sub(r"\x1b\[[\d;]*m", "", written.getvalue())
+        for part in (f"{words} ", "0:00:00 of at most 600 s\n"):
+            assert (part in shown) is written.isatty(), shown
     for message, done in (
         ("speed, 3 of 22", (3.0, 22.0)),
         ("flying, 1.5 of 12.0 s", (1.5, 12.0)),

@@ -1,5 +1,7 @@
 // The page: title, tables, playback. Nothing is ever written as HTML, only as text.
 const byId = (id) => document.getElementById(id);
+// A name such as q-leg 0 with joints at which no line breaks.
+const whole = (name) => name.replaceAll("-", "-\u2060").replaceAll(" ", "\u00a0");
 
 function element(kind, text = "", name = "") {
   return Object.assign(document.createElement(kind), { textContent: text, className: name });
@@ -77,7 +79,7 @@ class Page {
     head.append(titles);
     this.checks = this.data.checks.map((check, i) => {
       const unit = ["1", ""].includes(check.unit) ? "" : ` ${check.unit}`, sign = check.sense === "min" ? "≥" : "≤";
-      const limit = check.limit === null ? "–" : `${sign} ${significant(check.limit)}`, where = check.where.slice(0, 3).join(", ") + (check.where.length > 3 ? " …" : "");
+      const limit = check.limit === null ? "–" : `${sign} ${significant(check.limit)}`, where = check.where.slice(0, 3).map(whole).join(", ") + (check.where.length > 3 ? " …" : "");
       const made = row(body, [[check.name], [significant(check.worst) + unit, "n"], [limit, "n"], [where], [check.holds ? "✓" : "NO", check.holds ? "yes" : "no"]], () => this.showCheck(i));
       made.dataset.check = check.name;
       return made;
