@@ -2144,11 +2144,11 @@ def verify(path: str | Path) -> Iterator[Row]:
 
 
 def cells(row: Row) -> tuple[str, ...]:
-    """Return a row as cells: check, verdict, worst, limit, unit, where and when."""
+    """Return a row as cells: check, worst, limit, unit, where, when and verdict."""
     shape, sense = row.unit in ("turn", "wrap", "bend"), "≥" if row.sense == "min" else "≤"
     name, unit = (f"{row.name} ({row.unit})", "") if shape else (row.name, row.unit.strip("1"))
     worst, limit, when = f"{row.worst:.5g}", f"{sense} {row.limit:.4g}", f"{row.time:.3f} s"
-    return name, row.verdict, worst, limit, unit, row.where, when
+    return name, worst, limit, unit, row.where, when, row.verdict
 
 
 def verdict(rows: Sequence[Row]) -> str:
@@ -2166,7 +2166,7 @@ def main(arguments: Sequence[str]) -> int:
     try:
         for row in verify(arguments[0]):
             rows.append(row)
-            sys.stdout.write("{:16} {:10} {:>10} {:8} {:5} {:16} {:>9}\n".format(*cells(row)))
+            sys.stdout.write("{:16} {:>10} {:8} {:5} {:16} {:>9} {}\n".format(*cells(row)))
     except UnreadableError as error:
         sys.stderr.write(f"{arguments[0]}: not a plan, or a damaged one: {error}\n")
         return 2

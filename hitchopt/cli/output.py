@@ -10,7 +10,7 @@ import sys
 import time
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import chain, zip_longest
+from itertools import zip_longest
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
@@ -30,7 +30,7 @@ BAR, CLOCK = 20, 12  # Widths of a bar, and of the clock with what is between co
 LINES = 1.0  # Shortest time between lines of percentages [s]
 ARGUMENT = re.compile(r"\b([a-z_]+)=(True\b|'?\w*'?)")  # Argument of Python in a message
 COUNT = re.compile(r"(\d[\d.]*) of (\d[\d.]*)|(\d[\d.]*)%")  # Count or percentage in a message
-RED = re.compile(r"^error:|(?<=  )NO$", re.MULTILINE)  # Words that are red on a terminal
+RED = re.compile(r"^error:|(?<= )NO$", re.MULTILINE)  # Words that are red on a terminal
 # Beginning of a cell that is aligned to the right
 NUMBER = re.compile(r"[-+±≤≥–]?\s?\d|–|-?inf|γ|$")
 
@@ -80,8 +80,7 @@ def _on_terminal() -> bool:
 def _wrapped(text: str) -> str:
     """Return lines of words that fit the terminal: what goes on is indented."""
     look: Any = {"subsequent_indent": "  ", "break_long_words": False, "break_on_hyphens": False}
-    lines = (wrap(line, across(), **look) or [""] for line in text.split("\n"))
-    return "\n".join(chain.from_iterable(lines))
+    return "\n".join("\n".join(wrap(line, across(), **look)) for line in text.split("\n"))
 
 
 def across() -> int:

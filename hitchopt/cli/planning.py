@@ -287,10 +287,9 @@ def _show_verified(path: Path) -> None:
                 progress(f"proven or not: {row.name}")
     except UnreadableError as error:
         raise FileError(f"{path}: not a plan, or a damaged one: {error}") from error
-    heads = ("check", "verdict", "worst", "limit", "unit", "where", "when")
-    shown = [dict(zip(heads, cells(row), strict=True)) for row in rows]
-    if all(row.verdict == "proven" for row in rows):
-        shown = [{k: v for k, v in row.items() if k != "verdict"} for row in shown]
+    heads = ["check", "worst", "limit", "unit", "where", "when"]
+    heads += ["verdict"] * any(row.verdict != "proven" for row in rows)
+    shown = [dict(zip(heads, cells(row), strict=False)) for row in rows]
     say(f"{table('Limits', shown)}\n\n{verdict(rows)}", verified=[row._asdict() for row in rows])
     if any(row.verdict not in GOOD for row in rows):
         exit_infeasible()

@@ -288,7 +288,7 @@ def sweep(study: Path, output: Path | None, workers: int | None, scheduler: str 
     rows = ho.load_sweep(place)
     sweep, points = summary(rows, len(read_study(place)["cases"])), outcomes(rows)
     say(_sweep_tables(sweep, points), directory=str(place), summary=asdict(sweep), points=points)
-    if (figure := drawn_sweep(rows)) is not None:
+    if (figure := drawn_sweep(points)) is not None:
         with drafted(place / PICTURE) as path:
             save_figure(figure, path)
         say(f"drawn in {place / PICTURE}")

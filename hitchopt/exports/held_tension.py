@@ -58,8 +58,7 @@ class HeldTension:
             f"set points are up to {100.0 * self.offset:.3g} cm off the drones' places, for "
             f"position loops of {_span(self.stiffness)} N/m and {_span(self.damping)} N s/m that "
             "feed forward velocity, acceleration and gravity alone; with these the drones are "
-            f"within {max(1e3 * self.miss, 1e-3):.2g} mm of the plan, which is {REST:g} s longer, "
-            "for set points to come to rest"
+            f"within {max(1e3 * self.miss, 1e-3):.2g} mm of the plan; files last {REST:g} s longer"
         )
 
 

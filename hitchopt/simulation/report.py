@@ -218,10 +218,8 @@ def _draw_over_time(plots: Sequence[Axes], simulation: Simulation, motion: Motio
     tracking = 100.0 * np.max(tracking_errors(flight), axis=-1)
     bottom.plot(record.t[: len(tracking)], tracking, color=style.INK, lw=1.2)
     first = "vertex error," if simulation.settings.preset.exact else "vertex error ± 1 to 2 cm,"
-    titles = (
-        f"{first}\nsag included [cm]",
-        f"tension [N], {MEAN:g} s means\nthick, planned dashed",
-    )
+    second = f"tension [N], {MEAN:g} s means\nthick, planned dashed"
+    titles = f"{first}\nsag included [cm]", second
     for axes, words in zip(plots, (*titles, "farthest drone\nfrom setpoint [cm]"), strict=True):
         axes.set_ylabel(words)
         axes.set_xlim(0.0, end)

@@ -30,12 +30,9 @@ if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
-ROWS, STUDY, FORMAT = "rows.jsonl", "study.json", "hitchopt-sweep/1"
-PICTURE = "sweep.png"
+ROWS, STUDY, PICTURE, FORMAT = "rows.jsonl", "study.json", "sweep.png", "hitchopt-sweep/1"
 
 PARAMETER = "parameter."  # Beginning of the columns of parameters
-MOST_CURVES = 8  # Most curves that a legend names
-
 SEAL = "sha256"  # of all else in a row
 
 # Columns whose medians a summary shows, and what they are for people
@@ -244,11 +241,10 @@ def summary(rows: pandas.DataFrame, cases: int) -> Summary:
 
 
 def outcomes(rows: pandas.DataFrame) -> list[dict[str, Any]]:
-    """Return what became of every point in the study's order, by heads of a table.
-
-    The values of parameters that vary come first, then FIGURES: the medians over all seeds.
-    """
-    keys, found = _varied(rows), list[dict[str, Any]]()
+    """Return parameters that vary, and what became of every point (medians), by a table's heads."""
+    keys = [x for x in rows.columns if x == "problem" or x.startswith(PARAMETER)]
+    keys = [key for key in keys if rows[key].nunique(dropna=False) > 1]
+    found = list[dict[str, Any]]()
     for at, same in rows.groupby(keys or ["problem"], sort=False, dropna=False):
         row = {key.removeprefix(PARAMETER): value for key, value in zip(keys, at, strict=False)}
         refused = same[same["status"] != PLANNED]
@@ -262,23 +258,22 @@ def outcomes(rows: pandas.DataFrame) -> list[dict[str, Any]]:
     return found
 
 
-def drawn_sweep(rows: pandas.DataFrame) -> Figure | None:
-    """Return the picture of a sweep: the last figure over the first parameter that varies, if any.
+def drawn_sweep(points: list[dict[str, Any]]) -> Figure | None:
+    """Return the picture of ``outcomes``: the last figure over the first parameter, if any varies.
 
     Every combination of the others is a curve; a point without a plan is a cross with its reason.
     """
     from hitchopt.view import style
     from hitchopt.view.pictures import STYLES
 
-    points, keys = outcomes(rows), [key.removeprefix(PARAMETER) for key in _varied(rows)]
-    if not keys:
+    heads = list(points[0])
+    if not (keys := heads[: heads.index("planned")]):
         return None
-    figure, head = style.new_figure((6.5, 4.0)), [h for h in FIGURES.values() if h in points[0]][-1]
+    figure, head = style.new_figure((6.5, 4.0)), [x for x in FIGURES.values() if x in heads][-1]
     axes = figure.add_subplot(xlabel=keys[0], ylabel=head)
     curves = dict[str, list[dict[str, Any]]]()
     for row in points:
-        words = ", ".join(f"{key} {row[key]}" for key in keys[1:])
-        curves.setdefault(words, []).append(row)
+        curves.setdefault(", ".join(f"{key} {row[key]}" for key in keys[1:]), []).append(row)
     for (words, curve), (colour, line) in zip(curves.items(), cycle(STYLES)):
         at = [x if isinstance(x := row[keys[0]], int | float) else str(x) for row in curve]
         axes.plot(at, [row[head] for row in curve], "o", ls=line, ms=4, color=colour, label=words)
@@ -287,12 +282,6 @@ def drawn_sweep(rows: pandas.DataFrame) -> Figure | None:
                 axes.plot(x, 0.0, "x", color=style.LIMIT_COLOUR)
                 style.write(axes, row["binding"], (x, 0.0), (0, 6), rotation=90, va="bottom")
     style.from_zero(axes)
-    if 1 < len(curves) <= MOST_CURVES:
+    if 1 < len(curves) <= len(STYLES):
         axes.legend(fontsize="small", frameon=False)
     return figure
-
-
-def _varied(rows: pandas.DataFrame) -> list[str]:
-    """Return the columns of parameters, and that of problems, that have several values."""
-    keys = [key for key in rows.columns if key == "problem" or key.startswith(PARAMETER)]
-    return [key for key in keys if rows[key].nunique(dropna=False) > 1]

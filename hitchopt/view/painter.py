@@ -263,9 +263,8 @@ def draw_storyboard(
         axes.update_datalim([middle - half, middle + half])
         axes.autoscale_view()
         axes.spines[:].set_color("0.85")
-        write_groups(
-            axes, scene.appearance.groups, camera.seen(scene.drones[i])[:, :2], size * radius
-        )
+        places = camera.seen(scene.drones[i])[:, :2]
+        write_groups(axes, scene.appearance.groups, places, size * radius)
         axes.set_title(f"{shot.words}, {shot.time:.1f} s", fontsize="small", parse_math=False)
     length = 10.0 ** math.floor(math.log10(float(half[0])))
     words: Any = {"loc": "lower right", "frameon": False, "borderpad": 0.7}
@@ -276,22 +275,23 @@ def draw_storyboard(
 def _seen_box(moment: Moment, scene: Scene, camera: Camera) -> Array:
     """Return the lower left and upper right corner (2, 2) [m] of what a panel shows.
 
-    They are of the drones, down to half of their height, and of objects as far as they are near:
-    within half of the drones' width and height of them.
+    That is drones, down to half of their height, and objects within half of their width of them.
     """
-    middle = 0.5 * (moment.drones[:, 2] + scene.motion.requirements.floor)
-    low = np.column_stack([moment.drones[:, :2], middle])
-    seen = camera.seen(np.concatenate([moment.drones, low]))[:, :2]
-    box = lower, upper = np.array([np.min(seen, axis=0), np.max(seen, axis=0)])
-    near = 0.5 * (upper - lower)
+
+    def box(points: Array) -> Array:
+        seen = camera.seen(points)[:, :2]
+        return np.array([np.min(seen, axis=0), np.max(seen, axis=0)])
+
+    floor = scene.motion.requirements.floor
+    low = moment.drones * [1.0, 1.0, 0.5] + [0.0, 0.0, 0.5 * floor]
+    boxes = [box(np.concatenate([moment.drones, low]))]
+    near = 0.5 * np.ptp(boxes[0], axis=0)
     for solid, pose in zip(scene.appearance.objects, moment.objects, strict=True):
         turn = Rotation.from_quat(pose[3:], scalar_first=True)
-        corners = camera.seen(turn.apply(solid.faces.reshape(-1, 3)) + pose[:3])[:, :2]
-        body = np.array([np.min(corners, axis=0), np.max(corners, axis=0)])
-        body = np.clip(body, lower - near, upper + near)
-        if np.all(body[0] < body[1]):
-            box = np.array([np.minimum(box[0], body[0]), np.maximum(box[1], body[1])])
-    return box
+        body = box(turn.apply(solid.faces.reshape(-1, 3)) + pose[:3])
+        body = np.clip(body, boxes[0][0] - near, boxes[0][1] + near)
+        boxes += [body] * bool(np.all(body[0] < body[1]))
+    return np.array([np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]])
 
 
 def few_corners(robots: int) -> int:
@@ -309,7 +309,7 @@ def draw_painting(axes: Axes, painting: Painting) -> PolyCollection:
     return shapes
 
 
-def write_groups(axes: Axes, groups: Sequence[GroupName], seen: Array, radius: float = 0.0) -> None:
+def write_groups(axes: Axes, groups: Sequence[GroupName], seen: Array, radius: float) -> None:
     """Write groups' names above their highest or below their lowest drone where no drone is.
 
     All drones are ``seen`` (N, 2) there, of a radius [m].
@@ -318,17 +318,12 @@ def write_groups(axes: Axes, groups: Sequence[GroupName], seen: Array, radius: f
     to_pixels, pixels = axes.transData, axes.figure.dpi / 72.0
     taken = to_pixels.transform(seen)
     disc = radius * (to_pixels.transform([1.0, 0.0]) - to_pixels.transform([0.0, 0.0]))[0]
-    (left, low), (right, top) = axes.bbox.get_points()
+    middle, reach = np.mean(axes.bbox, axis=0), 0.5 * np.ptp(axes.bbox, axis=0)
     for group in groups:
         letters = 0.5 * pixels * np.array([LETTER * len(group.name), LINE])
         room = letters + disc + pixels
-        own = taken[group.drones]
-        spots = np.concatenate([own + [0.0, room[1]], own - [0.0, room[1]]])
-        inside = np.all(
-            np.abs(spots - [0.5 * (left + right), 0.5 * (low + top)])
-            < 0.5 * np.array([right - left, top - low]) - letters,
-            axis=1,
-        )
+        spots = np.concatenate([taken[group.drones] + [0.0, y] for y in (room[1], -room[1])])
+        inside = np.all(np.abs(spots - middle) < reach - letters, axis=1)
         free = np.min(np.max(np.abs(spots[:, None] - taken) / room, axis=-1), axis=1)
         far = np.abs(spots[:, 1] - np.mean(taken[:, 1]))
         best = np.lexsort([-far, -np.minimum(free, 1.0).round(6) * inside])[0]

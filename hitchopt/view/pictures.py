@@ -56,7 +56,7 @@ CURVE, LINE, HEIGHT = 1.4, 11.0, 110.0
 ENDLESS = 1e9
 # Width of a character of a phase's name, and of a line at 45°, as shares of the axes' width
 CHARACTER, SLANTED = 0.013, 0.038
-SLANTED_LONG = 18  # Most characters of a slanted line: there is space for no more
+LONG = 18  # Most characters of a slanted line: there is space for no more
 # Figure of the closest neighbours: width and height [inch], points of a curve, and the largest
 # separation that is shown; larger ones are of no concern
 CLOSE_SIZE, CLOSE_SAMPLES, CLOSE_TOP = (10.0, 4.8), 800, 4.0
@@ -200,12 +200,9 @@ def draw_phases(axes: Sequence[Axes], phases: Sequence[Phase], duration: float) 
         angle = 30 if any(", " in phase.name for phase in phases) else 45  # of several groups
         look |= {"rotation": angle, "ha": "left", "rotation_mode": "anchor"}
     for phase in sorted(phases, key=lambda phase: phase.start - phase.end):
-        words = phase.name
-        if not level:  # the end of a long line, where the step is
-            lines = words.split(", ")
-            words = "\n".join(
-                x if len(x) <= SLANTED_LONG else f"…{x[-SLANTED_LONG:]}" for x in lines
-            )
+        # Of a slanted line that is too long the end is written, where the step is.
+        lines = [phase.name] if level else phase.name.split(", ")
+        words = "\n".join(x if len(x) <= LONG or level else f"…{x[-LONG:]}" for x in lines)
         middle, wide = 0.5 * (phase.start + phase.end), SLANTED * (1 + words.count("\n")) * duration
         if level or all(abs(middle - other) > wide for other in written):
             written.append(middle)
@@ -321,11 +318,11 @@ def draw_plan_view(axes: Axes, motion: Motion, gap: float = 0.1) -> None:
         painter.draw_painting(axes, above.painted(ends.at(motion.duration)))
         kinds = (INK, "drones q"), ("white", "drones r")
         handles += [style.marker("o", filled, INK, name) for filled, name in kinds]
-    # Single drones may end where others start: a start is a smaller disc on that.
-    small = radius if cables else 0.5 * radius
-    _draw_ellipsoids(axes, small, flown[0], "none" if cables else "white", START_COLOUR, 4)
     end = ("none", START_COLOUR) if cables else (colours, colours)
     _draw_ellipsoids(axes, radius, flown[-1], *end)
+    # Single drones may end where others start: a start is a smaller disc on that.
+    start = (radius, "none") if cables else (0.5 * radius, "white")
+    _draw_ellipsoids(axes, start[0], flown[0], start[1], START_COLOUR)
     shown = flown.reshape(-1, 2)
     for prism in requirements.keep_out:
         hatched: Any = {"fc": "0.88", "ec": "0.4", "hatch": "////", "label": "keep out"}
@@ -353,13 +350,11 @@ def draw_plan_view(axes: Axes, motion: Motion, gap: float = 0.1) -> None:
     style.legend_below(axes, handles, gap, 3)
 
 
-def _draw_ellipsoids(
-    axes: Axes, radius: float, points: Array, fill: Any, edge: Any, order: int = 3
-) -> None:
+def _draw_ellipsoids(axes: Axes, radius: float, points: Array, fill: Any, edge: Any) -> None:
     """Draw the drones' ellipsoids about ``points`` (N, 2)."""
     size, look = [2.0 * radius], {"facecolors": fill, "edgecolors": edge, "linewidths": 0.8}
     placed: Any = {"units": "xy", "offsets": points, "offset_transform": axes.transData}
-    axes.add_collection(EllipseCollection(size, size, [0.0], zorder=order, **placed, **look))
+    axes.add_collection(EllipseCollection(size, size, [0.0], zorder=3, **placed, **look))
 
 
 def _write_names(axes: Axes, motion: Motion, ends: Array) -> None:

@@ -274,13 +274,13 @@ def test_what_rows_come_to(swept: tuple[Path, pandas.DataFrame]) -> None:
     assert [row["team.tension"] for row in points] == [0.3, 0.3, 0.5, 0.5, 2.5, 2.5]
     assert [row.get("binding") for row in points] == [None] * 4 + ["thrust"] * 2
     np.testing.assert_allclose([row["duration [s]"] for row in points], rows["duration"])
-    figure = drawn_sweep(rows)
+    figure = drawn_sweep(points)
     assert figure is not None
     (axes,) = figure.axes
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("team.tension", "duration [s]")
     crosses = [line.get_xydata() for line in axes.lines if line.get_marker() == "x"]
     assert np.concatenate(crosses).tolist() == [[2.5, 0.0]] * 2
-    assert drawn_sweep(rows[:1]) is None
+    assert drawn_sweep(outcomes(rows[:1])) is None
 
 
 @pytest.mark.slow

@@ -83,7 +83,7 @@ def test_both_ends_are_drawn_from_above_and_vertices_named(motion: ho.Motion) ->
         np.testing.assert_allclose(line[[0, -1]], ends[0, 2 * k : 2 * k + 2, :2], atol=1e-6)
     discs = [c for c in axes.collections if isinstance(c, EllipseCollection)]
     found = np.array([np.asarray(disc.get_offsets()) for disc in discs])
-    np.testing.assert_allclose(found, ends[..., :2], atol=1e-9)
+    np.testing.assert_allclose(found, ends[::-1, :, :2], atol=1e-9)
     names = motion.team.point_names
     assert [text.get_text() for text in axes.texts] == list(names if len(names) <= 30 else ())
     (painted,) = (c for c in axes.collections if isinstance(c, PolyCollection))
