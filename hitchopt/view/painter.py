@@ -275,7 +275,7 @@ def draw_storyboard(
 def _seen_box(moment: Moment, scene: Scene, camera: Camera) -> Array:
     """Return the lower left and upper right corner (2, 2) [m] of what a panel shows.
 
-    That is drones, down to half of their height, and objects within half of their width of them.
+    That is drones, down to half of their height, and objects within half of their width.
     """
 
     def box(points: Array) -> Array:
@@ -289,8 +289,9 @@ def _seen_box(moment: Moment, scene: Scene, camera: Camera) -> Array:
     for solid, pose in zip(scene.appearance.objects, moment.objects, strict=True):
         turn = Rotation.from_quat(pose[3:], scalar_first=True)
         body = box(turn.apply(solid.faces.reshape(-1, 3)) + pose[:3])
-        body = np.clip(body, boxes[0][0] - near, boxes[0][1] + near)
-        boxes += [body] * bool(np.all(body[0] < body[1]))
+        apart = np.maximum(body[0] - boxes[0][1], boxes[0][0] - body[1])
+        body = np.clip(body, boxes[0][0] - 2.0 * near, boxes[0][1] + 2.0 * near)
+        boxes += [body] * bool(np.all(apart < near))
     return np.array([np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]])
 
 

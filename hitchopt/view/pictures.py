@@ -32,7 +32,7 @@ from hitchopt.values import Array
 from hitchopt.view import painter, style
 from hitchopt.view.painter import PALE
 from hitchopt.view.scene import scene_at
-from hitchopt.view.shapes import Appearance
+from hitchopt.view.shapes import Appearance, GroupName
 from hitchopt.view.style import COLOURS, DASHES, INK, LIMIT_COLOUR, draw_lines, write
 
 # Width and height [inch], and shares of few panels and of the plan below them
@@ -185,8 +185,8 @@ def plot_from_above(motion: Motion, axes: Axes | None) -> Axes:
 def draw_phases(axes: Sequence[Axes], phases: Sequence[Phase], duration: float) -> None:
     """Shade every other phase on all axes, and name phases above the first; slanted where short.
 
-    Of slanted names that would overlap, those of longer phases are written. ``duration`` is the
-    plan's [s].
+    Of slanted names that would overlap, those of longer phases are written, and of a long line its
+    end, where the step is. ``duration`` is the plan's [s].
     """
     level = all(p.end - p.start > CHARACTER * (len(p.name) + 1) * duration for p in phases)
     written: list[float] = []
@@ -200,7 +200,6 @@ def draw_phases(axes: Sequence[Axes], phases: Sequence[Phase], duration: float) 
         angle = 30 if any(", " in phase.name for phase in phases) else 45  # of several groups
         look |= {"rotation": angle, "ha": "left", "rotation_mode": "anchor"}
     for phase in sorted(phases, key=lambda phase: phase.start - phase.end):
-        # Of a slanted line that is too long the end is written, where the step is.
         lines = [phase.name] if level else phase.name.split(", ")
         words = "\n".join(x if len(x) <= LONG or level else f"…{x[-LONG:]}" for x in lines)
         middle, wide = 0.5 * (phase.start + phase.end), SLANTED * (1 + words.count("\n")) * duration
@@ -358,18 +357,19 @@ def _draw_ellipsoids(axes: Axes, radius: float, points: Array, fill: Any, edge: 
 
 
 def _write_names(axes: Axes, motion: Motion, ends: Array) -> None:
-    """Write groups' names, or vertices' inside of the hitch, or drones' onto ``ends`` (N, 2)."""
+    """Write names of groups or single drones beside ``ends`` (N, 2), or of vertices inside."""
+    team, drawn = motion.team, Appearance.of(motion)
+    groups = drawn.groups
+    if not (groups or team.has_cables) and len(ends) <= MAX_NAMED:
+        each = zip(drawn.drones, drawn.drone_colours, range(len(ends)), strict=True)
+        groups = tuple(GroupName(name, colour, slice(i, i + 1)) for name, colour, i in each)
+    painter.write_groups(axes, groups, ends, motion.requirements.separation.radius)
+    names = team.point_names[: len(motion.phases[-1].ring or team.point_names)]
+    if groups or len(names) > MAX_NAMED or not (team.has_cables and motion.formed[-1]):
+        return
     look: Any = {"va": "center", "zorder": 6}
     look["path_effects"] = [withStroke(linewidth=2.0, foreground="white")]
-    groups = Appearance.of(motion).groups
-    painter.write_groups(axes, groups, ends, motion.requirements.separation.radius)
-    team = motion.team
-    names, places, aside = team.drone_names, ends, np.zeros_like(ends)
-    if team.has_cables:
-        names = team.point_names[: len(motion.phases[-1].ring or team.point_names)]
-        places = motion.vertices.at(motion.vertices.breaks[-1])[: len(names), :2]
-        aside = BESIDE * unit(np.mean(places, axis=0) - places)
-    if groups or len(names) > MAX_NAMED or (team.has_cables and not motion.formed[-1]):
-        return
+    places = motion.vertices.at(motion.vertices.breaks[-1])[: len(names), :2]
+    aside = BESIDE * unit(np.mean(places, axis=0) - places)
     for name, place, offset in zip(names, places, aside, strict=True):
         write(axes, name, place, offset, **look)
