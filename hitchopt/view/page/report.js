@@ -1,7 +1,7 @@
 // The page: title, tables, playback. Nothing is ever written as HTML, only as text.
 const byId = (id) => document.getElementById(id);
-// A name such as q-leg 0 with joints at which no line breaks.
-const whole = (name) => name.replaceAll("-", "-\u2060").replaceAll(" ", "\u00a0");
+// A name such as team.q-leg 0, in which a line breaks after the team's name alone.
+const whole = (name) => name.replaceAll("-", "-\u2060").replaceAll(" ", "\u00a0").replace(".", ".\u200b");
 
 function element(kind, text = "", name = "") {
   return Object.assign(document.createElement(kind), { textContent: text, className: name });
