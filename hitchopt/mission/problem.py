@@ -76,7 +76,7 @@ def resolved_steps(problem: Problem, steps: tuple[Step, ...]) -> tuple[Step, ...
             held = held.after(step, problem.objects)
             before, outline = outline, step.checked_polygon_after(team, outline, since)
             if step.name in ROLLING or (isinstance(step, Form) and step.by == "laying"):
-                refuse_rolls(problem.team, problem.requirements)
+                refuse_rolls(f"step {i} ({step.name})", problem.team, problem.requirements)
             if (before is None) is not (outline is None):
                 since = f"step {i} ({step.name}) {'untied' if outline is None else 'tied'} it"
             if step.blends and (problem.complete or i + 1 < len(steps)):

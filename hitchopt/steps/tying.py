@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from hitchopt.errors import HitchoptError, InputError
+from hitchopt.errors import HitchoptError, InputError, UnsupportedError
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import MAX_ROBOTS, OPEN
@@ -276,18 +276,21 @@ def tying_site(
     return raised, replace(prehitch, ellipses=prehitch.ellipses.raised(by))
 
 
-def refuse_rolls(team: Team, requirements: Requirements) -> None:
-    """Raise InputError for teams whose pairs cannot roll, or whose cables cannot be laid."""
-    for unfit, reason, remedy in (
-        (not team.layout.closed, "an open chain", "use by: swaps"),
-        (team.cable_density == 0.0, "cables without weight", "give team.cable_density, from which "
+def refuse_rolls(words: str, team: Team, requirements: Requirements) -> None:
+    """Raise UnsupportedError for teams whose pairs cannot roll, or whose cables cannot be laid.
+
+    ``words`` name the step that lays or rolls them.
+    """
+    for unfit, reason in (
+        (not team.layout.closed, "an open chain: laying ties rings; use by: swaps"),
+        (team.cable_density == 0.0, "cables without weight: give team.cable_density, from which "
          "the pull of a taut cable follows"),
-        (np.ptp(team.tension) > 0.0, "unequal tensions", "give one team.tension"),
-        (np.any(team.load), "loads on clasps", "leave out team.load: loads do not roll"),
-        (requirements.limits.tracking, "drones that may be off", "leave out limits.tracking"),
+        (np.ptp(team.tension) > 0.0, "unequal tensions: give one team.tension"),
+        (np.any(team.load), "loads on clasps, which do not roll: leave out team.load"),
+        (requirements.limits.tracking, "limits.tracking, which taut cables alone do not allow"),
     ):  # fmt: skip
         if unfit:
-            raise InputError("", reason, "absent where cables are laid or rolled", remedy)
+            raise UnsupportedError(f"{words}: laying and rolling do not know {reason}")
 
 
 def laying_site(hitch: Hitch, levels: Indices, requirements: Requirements) -> Laying:
