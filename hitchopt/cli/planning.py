@@ -219,7 +219,7 @@ def check(
     directory: Path, picture: Path | None, gamma: float, *, closest: bool, survivable: bool
 ) -> None:
     """Recompute the certificate of the plan in DIR, or of a plan.npz, from its polynomials only."""
-    from hitchopt.exports.directory import certificate_content
+    from hitchopt.exports.directory import certificate_content, changed_tables
     from hitchopt.plan import read_requested_plan
 
     path = plan_path(directory)
@@ -246,8 +246,10 @@ def check(
         if picture is not None:
             say(f"the closest neighbours over time are drawn in {picture}")
     certificate.raise_if_violated()
-    if changed := "\n".join(_changed_others(motion, path)):
-        raise InfeasibleError((), changed)
+    words = "is another table than was written with the certificate; solve again"
+    changed = [f"{path.with_name(name)}: {words}" for name in changed_tables(path.parent)]
+    if changed := [*_changed_others(motion, path), *changed]:
+        raise InfeasibleError((), "\n".join(changed))
     say(f"certified; recomputed from {path}")
 
 

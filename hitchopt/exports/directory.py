@@ -63,9 +63,14 @@ def save_plan(
     }
     if motion.has_cables:
         writers[VERTICES] = lambda path: write_vertices(path, motion, rate)
-    writers[CERTIFICATE] = lambda path: write_strict_json(
-        path, certificate_content(motion, certificate, path.with_name(PLAN))
-    )
+    tables = [name for name in (SETPOINTS, VERTICES) if name in writers]
+
+    def seal(path: Path) -> None:
+        content = certificate_content(motion, certificate, path.with_name(PLAN))
+        digests = {name: digest(path.with_name(name)) for name in tables}
+        write_strict_json(path, content | {"tables": digests})
+
+    writers[CERTIFICATE] = seal
     return replace_files(directory, writers, OWNED, seal=CERTIFICATE, previous="remove")
 
 
@@ -73,6 +78,18 @@ def certificate_content(motion: Motion, certificate: Certificate, plan: Path) ->
     """Read certificate.json of the motion in a plan file."""
     assigned = {} if motion.assignment is None else {"assignment": motion.assignment.to_dict()}
     return {**certificate.to_dict(), **assigned, "plan": digest(plan)}
+
+
+def changed_tables(directory: Path) -> list[str]:
+    """Return the tables there that are others than were written with the certificate there."""
+    try:
+        content = parsed_json((directory / CERTIFICATE).read_bytes())
+        digests = content.get("tables", {}).items()
+        there = [(name, known) for name, known in digests if name in (SETPOINTS, VERTICES)]
+    except (OSError, ValueError, AttributeError):
+        return []  # no certificate of a whole plan, which others refuse
+    files = ((directory / name, known) for name, known in there)
+    return [file.name for file, known in files if file.is_file() and digest(file) != known]
 
 
 def refuse_mixture(directory: Path) -> None:

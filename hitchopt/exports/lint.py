@@ -22,6 +22,7 @@ from hitchopt.checks.certificate import Check, worst_of
 from hitchopt.checks.drones import largest_rate
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import FileError, InputError
+from hitchopt.exports.directory import changed_tables
 from hitchopt.exports.firmware import SETTINGS, settings_findings
 from hitchopt.exports.format import Format, format_of
 from hitchopt.exports.formats.skybrush import DISTANCE, LOWEST, OWN_LIMITS
@@ -407,13 +408,16 @@ def _exported(path: Path, kind: Format, recording: Recording) -> Iterator[Findin
         own, folder = (read_manifest(path.parent, f"{n}{MANIFEST}") for n in (f"{path.name}.", ""))
         manifest = own or folder
         files = {name: path for name in listed(manifest, "files") if own or name == path.name}
+        if path.name in changed_tables(path.parent):
+            yield error("changed", path.name, "is not what was written with the plan beside it")
     if not files:
         return
-    digests = manifest.get("digests")
+    known = manifest.get("digests")
+    digests = known if isinstance(known, dict) else {}
     for file, here in files.items():
         if not here.exists():
             yield error("missing", file, "was exported and is not there")
-        elif isinstance(digests, dict) and digests.get(file) != digest(here):
+        elif digests.get(file) != digest(here):
             words = "is not what was exported and verified; export it again, without edits"
             yield (error if here.suffix.lower() in kind.endings else note)("changed", file, words)
     if (fleet := next(iter(files.values())).parent / FLEET).is_file():

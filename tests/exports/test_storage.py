@@ -17,13 +17,21 @@ from typing import Any, NoReturn
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from exported_plans import hitch_plan
 from plans import planned
 
 from hitchopt.checks.certificate import CertificateError, Check
 from hitchopt.checks.registry import certificate_of, certify
+from hitchopt.cli import main
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, Violation
-from hitchopt.exports.directory import diagnosis_content, save_diagnosis, save_plan
+from hitchopt.exports.directory import (
+    changed_tables,
+    diagnosis_content,
+    save_diagnosis,
+    save_plan,
+)
+from hitchopt.exports.lint import lint
 from hitchopt.motion.chapters import chapters
 from hitchopt.motion.plan_file import read_saved_plan
 from hitchopt.motion.states import sample_times
@@ -383,3 +391,19 @@ def test_killed_or_crowded_writers_lose_and_mix_nothing(script: str, tmp_path: o
         check=False,
     )
     assert (run.stdout, run.returncode) == ("ok\n", 0), run.stderr
+
+
+def test_tables_that_were_changed_are_told(tmp_path: Path) -> None:
+    """All drones one second later, say, is a sound flight of its own: its digest tells."""
+    save(tmp_path, "one")
+    table = tmp_path / "setpoints.csv"
+    assert changed_tables(tmp_path) == []
+    assert not [each for each in lint(table)[0].findings if each.rule == "changed"]
+    text = table.read_text()
+    table.write_text(text.replace(",q0,", ",q9,").replace(",r0,", ",q0,").replace(",q9,", ",r0,"))
+    assert changed_tables(tmp_path) == ["setpoints.csv"]
+    assert [each for each in lint(table)[0].findings if each.rule == "changed"]
+    told = CliRunner().invoke(main, ["check", str(tmp_path)])
+    assert (told.exit_code, "setpoints.csv: is another table" in told.stderr) == (3, True)
+    (tmp_path / "certificate.json").unlink()
+    assert changed_tables(tmp_path) == []
