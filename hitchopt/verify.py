@@ -1757,7 +1757,12 @@ def jumps(p: Plan, *, rests: bool = False) -> Iterator[Row]:
             i = int(np.argmax(each := fold(x, axis=0)))
             yield float(each[i]), float(p.breaks[np.argmax(x[:, i]) + 1]), names[i]
 
-    found, added = list[Worst](), partial(jump, fold=np.sum)
+    def total(x: Array, axis: int) -> Array:
+        """Jumps add up, but for what is rounding."""
+        some = np.sum(np.where(x > 1e-9, x, 0.0), axis)
+        return np.asarray(np.maximum(some, np.max(x, axis)))
+
+    found, added = list[Worst](), partial(jump, fold=total)
     for k in range(3):
         found += [*added(p.points.c[k][:, : p.N], p.names), *added(p.poses.c[k], bodies)]
         found += added(p.points.c[k][:, p.V], p.labels[p.V], both)

@@ -251,7 +251,7 @@ def jump_of(
             left, right = rates[..., 0], rates[..., -1]
             margin = derivative_margin(part, order)
             noise = margin[1:] + margin[:-1] if order else position_margin(motion)
-            jumps = summed(length(left[1:] - right[:-1])) + noise
+            jumps = summed(length(left[1:] - right[:-1]), 1e-3 * JUMP) + noise
             cases.append(worst_at_joint(jumps, part.breaks[1:], names))
     return max(cases, key=lambda case: case.worst)
 

@@ -51,12 +51,16 @@ def worst_at_joint(values: Array, times: Array, names: Sequence[str]) -> WorstCa
     return WorstCase(worst, float(times[joint]), (names[int(item)],) if worst > 0.0 else ())
 
 
-def summed(jumps: Array) -> Array:
-    """Return jumps (joints, items), with the sum of all as the largest of an item: they add up."""
+def summed(jumps: Array, least: float) -> Array:
+    """Return jumps (joints, items) with the largest of every item raised to their sum.
+
+    They add up, unless they are smaller than the ``least`` that is no rounding.
+    """
     if jumps.size == 0:
         return jumps
     largest = np.arange(len(jumps))[:, None] == np.argmax(jumps, axis=0)
-    return np.asarray(np.where(largest, np.sum(jumps, axis=0), jumps))
+    total = np.sum(np.where(jumps > least, jumps, 0.0), axis=0)
+    return np.asarray(np.where(largest, np.maximum(total, jumps), jumps))
 
 
 @dataclass(frozen=True, eq=False)
