@@ -736,6 +736,8 @@ class Plan:
         self.held, self.lifted = self.rest | self.grip, np.all(borne == 1.0, axis=-1).T
         self.moving = np.any(np.ptp(self.poses.c[0], axis=-1) > STILL, axis=-1).T
         self.busy = self.moving | np.any(borne != 0.0, axis=-1).T  # moving, or borne in part (o, m)
+        since = np.where(self.busy & np.roll(self.busy, 1, axis=1), 0, np.arange(m))
+        self.begun: Items = np.maximum.accumulate(since, axis=1)  # from which piece on they are
 
     def _read_cables(self, m: int, n: int, N: int, P: int) -> list[Array]:
         """Read what cables add; vertices, and where edges meet and leave."""
@@ -772,8 +774,8 @@ class Plan:
                 within &= self.breaks[1:] <= phase["end"] + TOUCH
                 self.ranged[within], self.range[within] = i, phase["tension"]
         self.least = np.minimum(self.range[..., :1], self.team)
-        # Over a cable's length
-        self.sag: Array = np.square(self.weight * self.length / self.team) / 24.0
+        # Sags over cables' lengths.
+        self.sag = np.asarray(np.square(self.weight * self.length / self.team) / 24.0)
         # Straight parts of taut cables: both points, cable, and vertices at the ends (k, 5).
         stops, on = self.edges if self.bent else self.edges[[0, 3]], np.flatnonzero(self.leg)
         rows = [(self.anchor[on], on, on // 2, self.anchor[on], self.anchor[on])]
@@ -1526,10 +1528,11 @@ def resting(p: Plan, b: int) -> Iterator[Row]:
     body, on, rim = p.bodies[b], p.rest[b] & p.busy[b], p.bodies[b].rim
     if rim is None or not p.closed:
         return
-    places = in_frame(p.poses.c[0][:, b, None, :, 0], p.points.c[0][:, p.V, :, 0])
+    q = p.begun[b]
+    places = in_frame(p.poses.c[0][q, b, None, :, 0], p.points.c[0][q, p.V, :, 0])
 
     def off(s: Spans, j: Index) -> Line:
-        """How far clasps are from where pieces begin, and from the depth below the rim."""
+        """How far clasps are from where the hold began, and from the depth below the rim."""
         x, at, deep = s.seen(b, s.point(p.begin[j])), places[s.piece, j], p.depth[b, s.piece, None]
         under, over = rim.lower - deep, np.where(p.lifted[b, s.piece, None], deep, 0.0) - rim.lower
         beyond = np.where(rim.depth(at[:, :2]) > CONTACT, 0.0, 1.0)[:, None]

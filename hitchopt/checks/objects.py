@@ -39,7 +39,7 @@ from hitchopt.objects.placing import STILL, TOUCH, in_frame, surface_below
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.enclosed import Bound, Enclosed, Interval, vector
 from hitchopt.trajectory.search import worst
-from hitchopt.values import Array
+from hitchopt.values import Array, Indices
 
 Mask = NDArray[np.bool_]
 
@@ -105,6 +105,19 @@ def centres(motion: Motion) -> PiecewisePolynomial:
     return poses.alike(np.stack(paths, axis=1))
 
 
+@cached
+def moving(motion: Motion) -> Mask:
+    """Return (pieces, objects) whether objects move."""
+    found: Mask = np.any(np.ptp(motion.object_poses.coefficients, axis=-1) > STILL, axis=-1)
+    return found
+
+
+def carried(motion: Motion) -> Mask:
+    """Return (pieces, objects) whether objects move or are borne."""
+    found: Mask = moving(motion) | np.any(motion.object_shares.coefficients != 0.0, axis=-1)
+    return found
+
+
 class Held(MotionSpans):
     """Spans of one object."""
 
@@ -123,6 +136,14 @@ class Held(MotionSpans):
         """Return the polynomials (spans, items, …, degree + 1) of all items of a table."""
         every = np.arange(table.shape[1])
         return self.read(table, np.broadcast_to(every, (len(self), len(every))))
+
+    @cached_property
+    def begun(self) -> Indices:
+        """Pieces with which the objects began to be carried (spans,); the spans' own if not."""
+        on = carried(self.source)
+        since = np.where(on & np.roll(on, 1, axis=0), 0, np.arange(len(on))[:, None])
+        begun: Indices = np.maximum.accumulate(since)[self.piece, self.item]
+        return begun
 
     @cached_property
     def pose(self) -> Enclosed:
@@ -430,9 +451,9 @@ class Resting(Held):
 
     @cached_property
     def places(self) -> Array:
-        """Places of the clasps at the piece's start, seen from above (spans, n, 2) [m]."""
-        poses = self.source.object_poses.coefficients[self.piece, self.item, :, 0]
-        clasps = self.source.vertices.coefficients[self.piece, ..., 0]
+        """Places of the clasps where the hold began, seen from above (spans, n, 2) [m]."""
+        poses = self.source.object_poses.coefficients[self.begun, self.item, :, 0]
+        clasps = self.source.vertices.coefficients[self.begun, ..., 0]
         return in_frame(poses[:, None], clasps)[..., :2]
 
 
@@ -464,20 +485,19 @@ def _force_lines(motion: Motion, _: float) -> WorstCase:
     each = [WorstCase(math.inf, 0.0, size=size)]
     for index, (name, body) in enumerate(motion.requirements.objects.items()):
         share = motion.object_shares.coefficients[:, index]
-        moving = np.any(np.ptp(motion.object_poses.coefficients[:, index], axis=-1) > STILL, -1)
+        moves, busy = moving(motion)[:, index], carried(motion)[:, index]
         whole = np.all(share == 1.0, axis=-1)
-        carried = moving | np.any(share != 0.0, axis=-1)
         resting, gripped = (held_pieces(motion, name, by) for by in (HoldBy.REST, HoldBy.GRIP))
-        lost = moving & ~whole
+        lost = moves & ~whole
         if not body.fixed:
-            lost |= _floating(motion, index, name, ~whole & ~moving)
+            lost |= _floating(motion, index, name, ~whole & ~moves)
         lost |= np.any((share < 0.0) | (share > 1.0), axis=-1)
-        lost |= carried & (~(resting | gripped) | ~motion.formed | body.fixed)
+        lost |= busy & (~(resting | gripped) | ~motion.formed | body.fixed)
         if body.rim is None or not motion.team.layout.closed:
             lost |= resting
         for spans in Resting.of_object(motion, index, resting & ~lost):
-            lost[spans.piece] = _misplaced_clasps(spans, carried[spans.piece])
-        parts = Resting.of_object(motion, index, resting & carried & whole & ~lost)
+            lost[spans.piece] = _misplaced_clasps(spans, busy[spans.piece])
+        parts = Resting.of_object(motion, index, resting & busy & whole & ~lost)
         least = worst(parts, force_line, "min")
         each.append(WorstCase(least.worst, least.time, (name,), size))
         if np.any(lost):
@@ -498,10 +518,11 @@ def _floating(motion: Motion, index: int, name: str, still: Mask) -> Mask:
     return still & ~stands[which.ravel()]
 
 
-def _misplaced_clasps(spans: Resting, carried: Mask) -> Mask:
-    """Return (spans,) whether clasps are above a rim, or not around the body at the piece's start.
+def _misplaced_clasps(spans: Resting, busy: Mask) -> Mask:
+    """Return (spans,) whether clasps are above a rim, or not around the body as the hold began.
 
-    If it is ``carried``, also whether they are not ``rim_drop`` below the rim, or it slides off.
+    If it is ``busy``, also whether they have left their places of the hold's beginning, are not
+    ``rim_drop`` below the rim, or it slides off.
     """
     motion, body, rim, places = spans.source, spans.body, spans.body.rim, spans.places
     assert rim is not None
@@ -521,7 +542,7 @@ def _misplaced_clasps(spans: Resting, carried: Mask) -> Mask:
         unsupported |= body.stem.segment_distance(places, following) <= PLACE_TOLERANCE
     pushed = Enclosed(spans.of_items(motion.vertices.differentiated(2).coefficients))
     unsupported |= pushed.level.norm_above.value > body.friction * (GRAVITY + pushed[2].below.value)
-    lost: Mask = np.any(wrong | (unsupported & carried[:, None]), axis=1)
+    lost: Mask = np.any(wrong | (unsupported & busy[:, None]), axis=1)
     return lost
 
 

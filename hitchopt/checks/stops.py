@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from hitchopt.checks.clasps import spare_forces
 from hitchopt.checks.drones import Drones, Hovering, tilt, turning_rate, used_thrust
-from hitchopt.checks.objects import SUPPORT, heading_error, spare_friction, turning_reach
+from hitchopt.checks.objects import SUPPORT, heading_error, moving, spare_friction, turning_reach
 from hitchopt.checks.rule import ReportRule, SpanResults, WorstCase
 from hitchopt.checks.spans import (
     MotionSpans,
@@ -41,7 +41,6 @@ from hitchopt.motion.loads import centre_path, held_pieces, supports_of
 from hitchopt.motion.motion import HoldBy, Motion
 from hitchopt.motion.retiming import REST
 from hitchopt.objects import SolidObject
-from hitchopt.objects.placing import STILL
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.clock_phases import ClockPhases, advanced
 from hitchopt.trajectory.enclosed import Enclosed
@@ -371,10 +370,8 @@ def carried_paths(motion: Motion) -> Iterator[tuple[PiecewisePolynomial, Array]]
     """Yield paths (items, 3) [m] where an object is carried, and their slack (pieces, items)."""
     breaks = motion.drones.breaks
     for index, (name, body) in enumerate(motion.requirements.objects.items()):
-        poses = motion.object_poses.coefficients[:, index]
-        moving = np.any(np.ptp(poses, axis=-1) > STILL, axis=-1)
         for by, parts in ((HoldBy.REST, _resting), (HoldBy.GRIP, _gripped)):
-            on = moving & held_pieces(motion, name, by)
+            on = moving(motion)[:, index] & held_pieces(motion, name, by)
             edges = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]])))
             for first, last in edges.reshape(-1, 2).tolist():
                 if by is HoldBy.REST and body.rim is None:  # which check support refuses

@@ -90,3 +90,13 @@ def with_body(motion: Motion, name: str, **changes: Any) -> Motion:
 def moved(part: PiecewisePolynomial | None, offset: list[float]) -> PiecewisePolynomial:
     assert part is not None
     return PiecewisePolynomial(part.breaks, part.coefficients + np.array(offset)[:, None])
+
+
+def turned(motion: Motion, angle: float) -> Motion:
+    """Return the motion in which the first object turns, bit by bit at joints, as it is carried."""
+    (carry,), begins = [p for p in motion.phases if p.name == "carry"], motion.drones.breaks[:-1]
+    c = motion.object_poses.coefficients.copy()
+    share = np.clip((begins - carry.start) / (carry.end - carry.start), 0.0, 1.0)
+    heading = (c[:, 0, 3] + 1j * c[:, 0, 4]) * np.exp(1j * angle * share)[:, None]
+    c[:, 0, 3:] = np.stack([heading.real, heading.imag], axis=1)
+    return replace(motion, poses=motion.object_poses.alike(c))
