@@ -1964,13 +1964,11 @@ def phases(p: Plan) -> Iterator[Fault]:
 def objects(p: Plan) -> Iterator[Fault]:
     """Objects stand on something, or are held where they move; what is borne is held."""
     c = p.poses.c[0]
-    moved = np.append(True, np.any(c[1:] != c[:-1], axis=(1, 2, 3)))
     for b, body in enumerate(p.bodies):
         moving, busy, lifted, s = p.moving[b], p.busy[b], p.lifted[b], p.spans(p.every, [b])
         head = [size(p.poses.at(s.within(x), b)[:, 3:]) for x in (-1.0, -0.5, 0.0, 0.5, 1.0)]
         under = np.array([below(p, b, x)[0] for x in c[..., 0]])
-        falls = np.abs(c[:, b, 2, 0] + body.stem.lower - under) > TOUCH
-        falls &= moved & ~lifted & ~moving & (not body.fixed)
+        falls = (np.abs(c[:, b, 2, 0] + body.stem.lower - under) > TOUCH) & ~lifted & ~moving
         loose, share = p.rest[b] & (body.rim is None or not p.closed), p.borne.c[0][:, b, 0]
         if p.n and not np.all(loose):
             seen = in_frame(c[:, b, None, :, 0], p.points.c[0][:, p.V, :, 0])
@@ -1985,7 +1983,7 @@ def objects(p: Plan) -> Iterator[Fault]:
             (moving & ~lifted, "moves but is not borne"),
             (np.any((share < 0.0) | (share > 1.0), axis=-1), "is borne by a share beyond 0 to 1"),
             (busy & body.fixed, "is fixed, and moves"),
-            (falls, "stands on nothing"),
+            (falls & (not body.fixed), "stands on nothing"),
             (p.grip[b] & (not p.n or not p.bent), "is gripped by straight edges"),
             (loose, "is not within clasps below its rim"),
         ):

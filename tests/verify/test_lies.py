@@ -191,6 +191,12 @@ def turned(item: int, angle: float) -> Change:
     return change
 
 
+def left_there(settings: Settings, arrays: Arrays) -> None:
+    """Leave the box where it is about to be set down: in the air."""
+    (down,) = pieces_in(settings, arrays, "set_down")
+    edited("poses", lambda x: x[:1, :, :1], np.s_[down[0] :, 2])(settings, arrays)
+
+
 def small_rim(settings: Settings, _: Arrays) -> None:
     """Make the rim half as wide, as it is and as it was asked."""
     for objects in (settings["objects"], settings["asked"]["objects"]):
@@ -333,6 +339,7 @@ LIES = [
     Lie("carry", "the box stays where it was", lambda s, a: a.update(poses=np.broadcast_to(a["poses"][:1, ..., :1], a["poses"].shape).copy()), "rim"),
     Lie("carry", "the box turns", turning, "story|rim"),
     Lie("carry", "the box turns, less than 0.1 mm a piece", turned(2, 0.001), "rim"),
+    Lie("carry", "the box is left in the air", left_there, "story"),
     Lie("carry", "the box is fixed", put("objects", "box", "fixed", True), REFUSED),
     Lie("carry", "a smooth rim, asked as well", asked("objects", "box", "friction", 0.01), "rim"),
     Lie("carry", "a smaller rim, asked as well", small_rim, "rim"),
