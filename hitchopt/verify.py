@@ -64,8 +64,7 @@ SAGS = 0.02  # [m] how far cables that lie on one another may be apart: their sa
 FORMS = {
     "settings": "title:text team:any limits:limits separation:separation arena:arena? asked:any "
     "keep_out:prism[] phases:any[] objects:any* problem:text* assignment:roles* control:flag* "
-    "controllers:named?[]* "
-    "leg_tensions:flag* poses:flag* borne:flag* contacts:flag*",
+    "controllers:named?[]* leg_tensions:flag* poses:flag* borne:flag* contacts:flag*",
     "several": "title:text problem:text* teams:any others:any asked:groups",
     "groups": "teams:text[] others:any",
     "other": "plan:text at:number digest:text",
@@ -774,8 +773,7 @@ class Plan:
                 within &= self.breaks[1:] <= phase["end"] + TOUCH
                 self.ranged[within], self.range[within] = i, phase["tension"]
         self.least = np.minimum(self.range[..., :1], self.team)
-        # Sags over cables' lengths.
-        self.sag = np.asarray(np.square(self.weight * self.length / self.team) / 24.0)
+        self.sag = np.asarray(np.square(self.weight * self.length / self.team) / 24.0)  # shares
         # Straight parts of taut cables: both points, cable, and vertices at the ends (k, 5).
         stops, on = self.edges if self.bent else self.edges[[0, 3]], np.flatnonzero(self.leg)
         rows = [(self.anchor[on], on, on // 2, self.anchor[on], self.anchor[on])]
@@ -1561,6 +1559,9 @@ def gripped(p: Plan, b: int) -> Iterator[Row]:
     body, stem, on, cables = p.bodies[b], p.bodies[b].stem, p.grip[b], range(p.n)
     away, around = size(stem.core - stem.centroid), float(np.max(size(stem.core))) + stem.radius
     turning = (np.max(away) + stem.radius) ** 2 / (stem.radius or np.min(away))
+    q, contacts = p.begun[b], p.edges[1:3].ravel()
+    start = in_frame(p.poses.c[0][q, b, None, :, 0], p.points.c[0][q, ..., 0][:, contacts])
+    side = direction(start[..., :2] - stem.centroid)[..., ::-1] * [-1.0, 1.0]
 
     def ratio(s: Spans, _: Index) -> Line:
         """Slip load ``μ Σ T_k e^{-μ' β} θ_k`` over load ``m (b (g + a_z) + α R² / r)``."""
@@ -1588,15 +1589,22 @@ def gripped(p: Plan, b: int) -> Iterator[Row]:
         whole = largest(force.norm(), moment.norm() * (1.0 / around)).only(up)
         return (whole + aside) * largest(least(*tensions), WEAK).inverse()
 
+    def spun(s: Spans, _: Index) -> Line:
+        """How far it has turned against the contacts in the mean since the hold began [m]."""
+        away = [s.seen(b, s.point(int(i)))[:2] - stem.centroid for i in contacts]
+        turned = sum((x.unit().dot(side[s.piece, j]) for j, x in enumerate(away)), s.zero)
+        return turned.norm() * (around / len(contacts))
+
     def wrapped(s: Spans, k: Index) -> Line:
-        """How far contacts are off the section, and straight parts of edges inside of it."""
+        """How far contacts are off section and height, and straight parts of edges inside."""
         ends, (leaving, arriving) = [s.seen(b, s.point(i)) for i in p.edges[1:3, k]], s.edge(k)
         bend = size(np.cross(direction(leaving.v), direction(arriving.v)))
         bent, found = (size(ends[1].v - ends[0].v) > WRAPPED) | (bend > 2.0 * WRAPPED), []
         for x, way in zip(ends, s.edge(k), strict=True):
             near = stem.core[np.argmin(size(x.v[:, None, :2] - stem.core), axis=1)]
             apart = (x[:2] - near).norm() - stem.radius
-            found += [y.only(bent) for y in (apart, -apart, x[2] - stem.upper, -x[2] + stem.lower)]
+            off, level = x[2] - start[s.piece, k, 2:], (x[2] - stem.upper, -x[2] + stem.lower)
+            found += [y.only(bent) for y in (apart, -apart, off, -off, *level)]
             u = s.turned(b, way)[:2]
             there, n = u.norm().high > WRAPPED, u.unit()
             for corner in stem.core:
@@ -1608,6 +1616,7 @@ def gripped(p: Plan, b: int) -> Iterator[Row]:
     yield prove("grip 1 min", 1.5, p.spans(bearing, [0], [body.name]), ratio)
     yield prove("equilibrium 1 max", 5e-3, p.spans(on, [0], [body.name]), balance)
     yield prove("grip wrap max", 3 * WRAPPED, p.spans(on, cables, p.cables), wrapped)
+    yield prove("grip wrap max", CONTACT, p.spans(on & p.busy[b], [0], [body.name]), spun)
 
 
 # Several plans on one clock.
@@ -1785,11 +1794,8 @@ def jumps(p: Plan, *, rests: bool = False) -> Iterator[Row]:
             ends = [s.within(end).thrust(s.item[:, 0]).v for end in (-1.0, 1.0)]
         f[np.ix_(pieces, x.robots)] = np.stack(ends, -1).reshape(-1, x.n, 2, 3, 2)
     on, less = p.formed[:, None, None, None], p.weight * np.repeat(p.length[:, 0], 2) * ~same
-    found = [
-        *jump(f.reshape(-1, p.N, 3, 2), p.names, less=less),
-        *jump(p.tensions.c[0] * on, p.cables, same),
-        *jump(p.pulls.c[0] * on, p.names, same),
-    ]
+    found = [*jump(f.reshape(-1, p.N, 3, 2), p.names, less=less)]
+    found += [*jump(p.tensions.c[0] * on, p.cables, same), *jump(p.pulls.c[0] * on, p.names, same)]
     # Where a range of tensions begins or ends, they are the team's, unless something is held.
     for x in (rings[0] for rings in p.chapters):
         held = np.append(np.any(x.held, axis=0), False)

@@ -184,12 +184,11 @@ class Gripped(Held):
         """Corners of edges, as ``bends`` (spans, n, 4) [m]."""
         return Enclosed(self.of_items(bends(self.source)), self.noise)
 
-    @property
-    def height(self) -> Array:
-        """Heights on the object of edges' first contacts at the piece's start (spans, n) [m]."""
-        poses, first = self.source.object_poses.coefficients, bends(self.source)[:, :, 1, 2, 0]
-        heights: Array = first[self.piece] - poses[self.piece, self.item, 2, :1]
-        return heights
+    @cached_property
+    def places(self) -> Array:
+        """Places of contacts where the hold began, seen from the object (spans, n, 2, 3) [m]."""
+        poses = self.source.object_poses.coefficients[self.begun, self.item, :, 0]
+        return in_frame(poses[:, None, None], bends(self.source)[self.begun, :, 1:3, :, 0])
 
     @cached_property
     def chords(self) -> Enclosed:
@@ -327,8 +326,9 @@ def _straight(corners: Enclosed) -> Mask:
 def _misplaced(spans: Gripped) -> Mask:
     """Return (spans,) whether edges are not wrapped around the object.
 
-    Every edge is straight or touches the section at both contacts, which stay at one height on the
-    object, all of the section is on its right, and it turns to the right by less than half a turn.
+    Every edge is straight or touches the section at both contacts, which stay at the height on the
+    object at which the hold began, all of the section is on its right, and it turns to the right by
+    less than half a turn. From then on contacts do not turn about the object in the mean.
     """
     body, section = spans.body, spans.body.section
     seen = seen_from(spans.pose, spans.corners)
@@ -351,11 +351,15 @@ def _misplaced(spans: Gripped) -> Mask:
     turned = right.low < -slack * np.maximum(along.high, -along.low)
     turned |= (along.low <= 0.0) & (right.low <= 0.0)
     heights = contacts[2].range
-    drift = (contacts[2] - spans.height[..., None, None]).norm_above.value
+    drift = (contacts[2] - spans.places[:, :, :1, 2:]).norm_above.value
     level = drift <= slack[..., None]
     level &= (heights.low >= body.lower) & (heights.high <= body.upper)
     wrong = turned | np.any(before | ~level, axis=-1) | ~(_straight(exact) | touching)
-    misplaced: Mask = np.any(wrong, axis=1)
+    begun, now = unit(spans.places[..., :2] - section.centroid), contacts.level - section.centroid
+    spun = Enclosed.of(begun).cross(now.direction).sum().sum() * section.circumradius
+    far = spun.norm_above.value > PLACE_TOLERANCE * 2 * begun.shape[1]
+    busy = carried(spans.source)[spans.piece, spans.item]
+    misplaced: Mask = (far & busy) | np.any(wrong, axis=1)
     return misplaced
 
 

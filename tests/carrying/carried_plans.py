@@ -92,11 +92,15 @@ def moved(part: PiecewisePolynomial | None, offset: list[float]) -> PiecewisePol
     return PiecewisePolynomial(part.breaks, part.coefficients + np.array(offset)[:, None])
 
 
-def turned(motion: Motion, angle: float) -> Motion:
-    """Return the motion in which the first object turns, bit by bit at joints, as it is carried."""
+def slipped(motion: Motion, angle: float, sunk: float = 0.0) -> Motion:
+    """Return the motion in which the first object turns, and sinks [m], as it is carried.
+
+    It does so bit by bit, at the joints of pieces.
+    """
     (carry,), begins = [p for p in motion.phases if p.name == "carry"], motion.drones.breaks[:-1]
     c = motion.object_poses.coefficients.copy()
-    share = np.clip((begins - carry.start) / (carry.end - carry.start), 0.0, 1.0)
-    heading = (c[:, 0, 3] + 1j * c[:, 0, 4]) * np.exp(1j * angle * share)[:, None]
+    share = np.clip((begins - carry.start) / (carry.end - carry.start), 0.0, 1.0)[:, None]
+    heading = (c[:, 0, 3] + 1j * c[:, 0, 4]) * np.exp(1j * angle * share)
+    c[:, 0, 2] -= sunk * share
     c[:, 0, 3:] = np.stack([heading.real, heading.imag], axis=1)
     return replace(motion, poses=motion.object_poses.alike(c))

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from carried_plans import DRUM, RADIUS, check, drum, lifted, moved, plan, with_body
+from carried_plans import DRUM, RADIUS, check, drum, lifted, moved, plan, slipped, with_body
 from clasp_balance import unit
 from scipy.optimize import brentq
 
@@ -203,6 +203,8 @@ def twisted(motion: Motion, angle: float) -> Motion:
     [
         (lambda m: replace(m, contacts=None), "grip"),
         (slid, "grip"),
+        (lambda m: slipped(m, 0.001), "grip"),
+        (lambda m: slipped(m, 0.0, 0.001), "grip"),
         (lambda m: twisted(m, 0.03), "equilibrium"),
         (lambda m: held_by(m, lambda _: None), "support"),
         (lambda m: held_by(m, lambda hold: replace(hold, by=HoldBy.REST)), "support"),

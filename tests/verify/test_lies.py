@@ -177,16 +177,16 @@ def turning(settings: Settings, arrays: Arrays) -> None:
     edited("poses", lambda heading: [[c, -s], [s, c]] @ heading, where)(settings, arrays)
 
 
-def turned(item: int, angle: float) -> Change:
-    """Turn what is carried against what holds it, bit by bit at the joints of pieces."""
+def slipped(item: int, angle: float, sunk: float = 0.0) -> Change:
+    """Turn what is carried against what holds it, and let it sink, bit by bit at joints."""
 
     def change(settings: Settings, arrays: Arrays) -> None:
         c, (carry,) = arrays["poses"], pieces_in(settings, arrays, "carry")
         share = np.clip((np.arange(len(c)) - carry[0]) / len(carry), 0.0, 1.0)
         x = (c[:, item, 3] + 1j * c[:, item, 4]) * np.exp(1j * angle * share)[:, None]
-        edited("poses", lambda _: np.stack([x.real, x.imag], 1), np.s_[:, item, 3:])(
-            settings, arrays
-        )
+        new = np.stack([x.real, x.imag], axis=1)
+        edited("poses", lambda _: new, np.s_[:, item, 3:])(settings, arrays)
+        plus("poses", -sunk * share[:, None], np.s_[:, item, 2])(settings, arrays)
 
     return change
 
@@ -338,7 +338,7 @@ LIES = [
     Lie("carry", "it is held while it is enclosed", everywhere("hold", {"object": "box", "by": "rest", "cables": [0, 1, 2, 3]}, "enclose"), "story"),
     Lie("carry", "the box stays where it was", lambda s, a: a.update(poses=np.broadcast_to(a["poses"][:1, ..., :1], a["poses"].shape).copy()), "rim"),
     Lie("carry", "the box turns", turning, "story|rim"),
-    Lie("carry", "the box turns, less than 0.1 mm a piece", turned(2, 0.001), "rim"),
+    Lie("carry", "the box turns, less than 0.1 mm a piece", slipped(2, 0.001), "rim"),
     Lie("carry", "the box is left in the air", left_there, "story"),
     Lie("carry", "the box is fixed", put("objects", "box", "fixed", True), REFUSED),
     Lie("carry", "a smooth rim, asked as well", asked("objects", "box", "friction", 0.01), "rim"),
@@ -350,6 +350,8 @@ LIES = [
     Lie("grip", "contacts are 2 cm off", plus("contacts", 0.02, (slice(None), 0, 0, 0)), "grip"),
     Lie("grip", "the drum is heavier, asked as well", asked("objects", "drum", "mass", 0.3), "grip"),
     Lie("grip", "the drum is smoother, asked as well", asked("objects", "drum", "friction", 0.1), "grip"),
+    Lie("grip", "the drum turns in its grip, less than 0.1 mm a piece", slipped(0, 0.001), "grip"),
+    Lie("grip", "the drum sinks by 0.1 mm through its grip", slipped(0, 0.0, 1e-4), "grip"),
     Lie("grip", "edges run straight", removed("contacts"), REFUSED),
     Lie("grip", "edges are said to be straight", lambda s, a: s.pop("contacts"), "cable_length|enters|equilibrium"),
     # Single drones.
