@@ -482,8 +482,9 @@ def force_line(spans: Resting) -> Bound:
 def _force_lines(motion: Motion, _: float) -> WorstCase:
     """Return the smallest distance of a force line to the edge of its supports [m].
 
-    It is minus infinity if an object moves, or is carried, and nothing holds it; if it floats; and
-    if clasps of a hold are not around it, or not where they support it, or it would slide off.
+    It is minus infinity if an object moves, or is carried, and nothing holds it; if it floats, or
+    its heading is no unit vector; and if clasps of a hold are not around it, or not where they
+    support it, or it would slide off.
     """
     size, begins = magnitude(motion), motion.drones.breaks
     each = [WorstCase(math.inf, 0.0, size=size)]
@@ -492,7 +493,8 @@ def _force_lines(motion: Motion, _: float) -> WorstCase:
         moves, busy = moving(motion)[:, index], carried(motion)[:, index]
         whole = np.all(share == 1.0, axis=-1)
         resting, gripped = (held_pieces(motion, name, by) for by in (HoldBy.REST, HoldBy.GRIP))
-        lost = moves & ~whole
+        heading = Enclosed(motion.object_poses.coefficients[:, index, 3:])
+        lost = (moves & ~whole) | (heading_error(heading) > TOUCH)
         if not body.fixed:
             lost |= _floating(motion, index, name, ~whole & ~moves)
         lost |= np.any((share < 0.0) | (share > 1.0), axis=-1)

@@ -205,6 +205,7 @@ def twisted(motion: Motion, angle: float) -> Motion:
         (slid, "grip"),
         (lambda m: slipped(m, 0.001), "grip"),
         (lambda m: slipped(m, 0.0, 0.001), "grip"),
+        (lambda m: replace(m, poses=moved(m.object_poses, [0, 0, 0, 0.001, 0])), "support"),
         (lambda m: twisted(m, 0.03), "equilibrium"),
         (lambda m: held_by(m, lambda _: None), "support"),
         (lambda m: held_by(m, lambda hold: replace(hold, by=HoldBy.REST)), "support"),
