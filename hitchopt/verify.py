@@ -1798,11 +1798,10 @@ def jumps(p: Plan, *, rests: bool = False) -> Iterator[Row]:
     found += [*jump(p.tensions.c[0] * on, p.cables, same), *jump(p.pulls.c[0] * on, p.names, same)]
     # Where a range of tensions begins or ends, they are the team's, unless something is held.
     for x in (rings[0] for rings in p.chapters):
-        held = np.append(np.any(x.held, axis=0), False)
-        ranged = np.append(x.ranged, -1)  # no range before and after
+        held, ranged = np.pad(np.any(x.held, axis=0), 1, "edge"), np.append(x.ranged, -1)
         for q, end in product(np.flatnonzero(x.formed & (x.ranged >= 0)), (0, -1)):
-            o = q - 1 - 2 * end
-            if ranged[o] != ranged[q] and not (held[q] and held[o]):
+            o = q - 1 - 2 * end  # no range before and after; what is held stays so
+            if ranged[o] != ranged[q] and not (held[q + 1] and held[o + 1]):
                 off = np.max(np.abs(x.tensions.c[0][q, :, :, end] - x.team))
                 found.append((float(off), float(x.breaks[q - end]), "range"))
     yield judged("tension", "N", 1e-4, found)

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 from carried_plans import TO, check, plan, tray
 
 import hitchopt as ho
+from hitchopt import verify as second
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.checks.stops import ClockLimits, stop_phases, stop_table
 from hitchopt.live.abort import Abort, Aborts
 from hitchopt.live.player import Player
 from hitchopt.motion.motion import Motion
+from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.retiming import on_clock
 from hitchopt.trajectory.clock_phases import ClockPhases
 from hitchopt.values import Array
@@ -92,13 +95,19 @@ def test_a_rate_at_which_nothing_can_be_carried_is_refused() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_hold_begins_where_the_balance_allows(kind: str) -> None:
-    """In the lift; its certificate is that of polynomials of its own."""
+def test_a_hold_begins_where_the_balance_allows(kind: str, tmp_path: Path) -> None:
+    """In the lift; its certificate is that of polynomials of its own.
+
+    It ends with the tension of the grasp, which the second opinion allows as well.
+    """
     motion = plan(kind).motion
     end = during(motion, "lift", 1.0)
     found = Aborts(motion).plan(end - 1.0, "hold")
     assert found.certificate.certified
     assert found.rest < end + 0.2
+    write_plan(tmp_path / "plan.npz", found.motion)
+    (told,), _ = second.read(tmp_path / "plan.npz")
+    assert {row.verdict for row in second.jumps(told)} == {"proven"}
 
 
 @cache
