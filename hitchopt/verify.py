@@ -1599,7 +1599,8 @@ def gripped(p: Plan, b: int) -> Iterator[Row]:
         """How far contacts are off section and height, and straight parts of edges inside."""
         ends, (leaving, arriving) = [s.seen(b, s.point(i)) for i in p.edges[1:3, k]], s.edge(k)
         bend = size(np.cross(direction(leaving.v), direction(arriving.v)))
-        bent, found = (size(ends[1].v - ends[0].v) > WRAPPED) | (bend > 2.0 * WRAPPED), []
+        bent = (size(ends[1].v - ends[0].v) > WRAPPED) | (bend > 2.0 * WRAPPED)
+        found = [leaving[0] * arriving[1] - leaving[1] * arriving[0]]  # [m²] turns to the left
         for x, way in zip(ends, s.edge(k), strict=True):
             near = stem.core[np.argmin(size(x.v[:, None, :2] - stem.core), axis=1)]
             apart = (x[:2] - near).norm() - stem.radius

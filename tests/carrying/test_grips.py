@@ -17,6 +17,7 @@ from clasp_balance import unit
 from scipy.optimize import brentq
 
 import hitchopt as ho
+from hitchopt import verify as second
 from hitchopt.checks.objects import arc_lengths
 from hitchopt.checks.stops import carried_paths
 from hitchopt.hitch import GRAVITY
@@ -222,6 +223,33 @@ def test_false_claims_are_refused(
     motion: Motion, change: Callable[[Motion], Motion], contradicted: str
 ) -> None:
     assert not check(change(motion), contradicted).holds
+
+
+def around(motion: Motion, radius: float) -> Motion:
+    """Return the motion with a rough drum of another radius, and tangents to it on its left."""
+    made = with_body(motion, "drum", section=ho.Section(radius=radius), friction=9.0)
+    x, breaks = bernstein.nodes(9), motion.drones.breaks
+    t = (breaks[:-1, None] + np.diff(breaks)[:, None] * x).ravel()
+    centre, contacts = motion.object_poses.at(t)[:, 0], motion.edge_contacts.at(t)
+    away = (motion.vertices.at(t) - centre[:, None, :3]) @ [1.0, 1j, 0.0]
+    turned = radius + np.sqrt(radius**2 - np.abs(away) ** 2 + 0j) * np.array([-1, 1])[:, None, None]
+    first, last = radius * away / np.abs(away) ** 2 * turned
+    there = np.stack([first, np.roll(last, -1, axis=-1)], axis=-1)
+    contacts[..., :2] = np.stack([there.real, there.imag], -1) + centre[:, None, None, :2]
+    c = np.moveaxis(contacts.reshape(-1, len(x), *contacts.shape[1:]), 1, -1)
+    held = np.array([phase.hold is not None for phase in motion.phases])[motion.phase_of_piece]
+    old = bernstein.elevate(motion.edge_contacts.coefficients, 9)
+    c = np.where(held[:, None, None, None, None], bernstein.interpolate(c), old)
+    return replace(made, contacts=PiecewisePolynomial(breaks, c))
+
+
+def test_edges_that_bend_to_the_left_grip_nothing(motion: Motion, tmp_path: Path) -> None:
+    """Drawn to a drum that straight edges miss they would turn by more than half around it."""
+    changed = around(motion, 0.03)
+    assert not check(changed, "grip").holds
+    write_plan(tmp_path / "plan.npz", changed)
+    (told,), _ = second.read(tmp_path / "plan.npz")
+    assert ("grip", "violated") in {(row.name, row.verdict) for row in second.gripped(told, 0)}
 
 
 def test_grips_open_with_little_tension(motion: Motion) -> None:
