@@ -376,8 +376,7 @@ class Spans:
 
     def loose(self, T: Line, k: Index) -> Line:
         """Return ``τ / T`` of parts of cables k of tension T."""
-        full = self.plan.tensions.on(self, k)
-        ratio = largest(full, self.plan.least[self.piece, k]).inverse()
+        ratio = largest(self.plan.tensions.on(self, k), self.plan.least[self.piece, k]).inverse()
         if not self.plan.slid:
             return ratio
         taut = self.taut(k).low >= 1.0  # by friction, of taut cables alone
@@ -818,8 +817,7 @@ def chapter(p: Plan, pieces: slice, robots: list[int]) -> Plan:
     ends, vertices = [2 * k + end for k in robots for end in (0, 1)], [*range(max(n, 2))]
     rows = {"drones": ends, "vertices": vertices}
     for name, x in p.arrays.items():
-        part = x[robots] if x.ndim == 1 else x[pieces, rows.get(name, robots)]
-        arrays[p.folder + name] = part
+        arrays[p.folder + name] = x[robots] if x.ndim == 1 else x[pieces, rows.get(name, robots)]
     arrays[f"{p.folder}breaks"] = p.breaks[pieces.start : pieces.stop + 1]
     clasps, topology = (n, "closed") if n > 1 else (0, "open")
     team = {"robots": n, "topology": topology, "load": [0.0] * clasps}
@@ -879,8 +877,7 @@ def hanging_pull(s: Spans, i: Index) -> Line:
     """Force of a cable of unit weight per length on drone i: ``(s / 2σ, ½ h coth σ - ½ L)``."""
     off, sigma = hanging(s, i)
     coth = sigma.of(lambda x: 1.0 / np.tanh(x), lambda x: -1.0 / np.sinh(x) ** 2)
-    rise = off[2] * coth - s.plan.length[i // 2]
-    return joined(off[:2] * sigma.inverse(), rise) * 0.5
+    return joined(off[:2] * sigma.inverse(), off[2] * coth - s.plan.length[i // 2]) * 0.5
 
 
 def depth(L: Array, h: Array, sigma: Array, mu: Array) -> Array:
@@ -1176,8 +1173,7 @@ def forces(s: Spans, c: Index) -> tuple[list[Line], list[Line], list[Line], Line
         rests = rests + (inertia - share * mass * G * UP) * body.mass
     for cable, other in ((k, 2 * k + 1), (j, 2 * j)):
         used = -s.leg(other).norm().only(p.leg[other]) + p.length[cable]
-        weight = used * (0.5 * p.weight) + 0.5 * G * p.load[c]
-        weights.append(s.taut(cable) * weight * UP)
+        weights.append(s.taut(cable) * (used * (0.5 * p.weight) + 0.5 * G * p.load[c]) * UP)
     P, P_j = (s.edge_pull(x) * kept for x in (k, j))
     return [x.unit() for x in ways], [s.pull(2 * k), P, s.pull(2 * j + 1), P_j], weights, rests
 
@@ -1494,8 +1490,7 @@ def clear_objects(p: Plan, b: int) -> Iterator[Row]:
 def clear(s: Spans, b: int, slab: Slab, t: Spans, o: int, block: Slab) -> Line:
     """Distance of a slab of body b of s, by its lower corners, from a block of body o of t."""
     seen = [t.seen(o, s.place(b, np.append(x, slab.lower))) for x in (*slab.core, slab.core[0])]
-    lower = block.lower - slab.upper + slab.lower
-    return block.grown(slab.radius, lower, block.upper).gap(*seen)
+    return block.grown(slab.radius, block.lower - slab.upper + slab.lower, block.upper).gap(*seen)
 
 
 def touching(p: Plan, b: int) -> Mask:
@@ -1740,8 +1735,7 @@ def judged(name: str, unit: str, limit: float, found: Sequence[Worst]) -> Row:
     """Return a row of the largest of values, with their times and places."""
     worst, time, where = max(found, default=(0.0, 0.0, ""))
     good = worst <= limit + TOLERANCE * max(abs(limit), 1.0)
-    verdict = "proven" if good else "violated"
-    return Row(name, unit, verdict, worst, limit, "max", time, where, 1)
+    return Row(name, unit, "proven" if good else "violated", worst, limit, "max", time, where, 1)
 
 
 def contradicted(name: str, faults: Iterable[Fault]) -> Row:
@@ -1980,8 +1974,7 @@ def objects(p: Plan) -> Iterator[Fault]:
             seen = in_frame(c[:, b, None, :, 0], p.points.c[0][:, p.V, :, 0])
             side, to = (np.roll(seen, -1, 1) - seen)[..., :2], body.centre[:2] - seen[..., :2]
             right = side[..., 1] * to[..., 0] - side[..., 0] * to[..., 1] > 0.0
-            low = seen[..., 2] <= body.height + CONTACT
-            loose |= p.rest[b] & ~np.all(right & low, axis=1)
+            loose |= p.rest[b] & ~np.all(right & (seen[..., 2] <= body.height + CONTACT), axis=1)
         for wrong, words in (
             (np.max(np.abs(np.array(head) - 1.0), axis=0) > TOUCH, "has no heading"),
             (np.max(np.abs(c[:1, b, :, 0] - body.pose)) > STILL, "does not begin where it stands"),
