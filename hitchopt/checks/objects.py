@@ -311,6 +311,7 @@ GRIP = CheckRule(
     lambda motion: GRIP_LIMIT if gripping(motion) or motion.contacts is not None else None,
     (Evaluator(_slipping, HITCHED_STATE | FREE_STATES, shown=SHOWN),),
     "lower the object's mass, raise the tension, or use rougher cables",
+    whole=True,  # from where holds begin
 )
 
 
@@ -559,4 +560,5 @@ SUPPORT = CheckRule(
     lambda motion: 0.0 if motion.requirements.objects else None,
     (Evaluator(_force_lines, HITCHED_STATE | FREE_STATES, shown=(force_line,)),),
     "carry it more gently, or hold it farther out or closer below its centre of mass",
+    whole=True,
 )
