@@ -53,7 +53,7 @@ from hitchopt.storage.yaml_file import split_key, with_value
 from hitchopt.values import Array
 from hitchopt.values.fields import keys_of
 
-BUDGET, DIGITS = 15.0, 3
+BUDGET, DIGITS = 30.0, 3
 """Time [s] after which no further plan is begun, and digits of a suggested value."""
 
 NO_CHANGE = "no change was found that makes it feasible"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from clasp_balance import unit
 from plans import PROBLEMS, planned
 
 import hitchopt as ho
-from hitchopt.checks.registry import RULE_OF
+from hitchopt.checks.registry import RULE_OF, certify, merged
 from hitchopt.hitch import GRAVITY
 from hitchopt.mission.loading import any_problem_from_dict
 from hitchopt.motion.motion import Hold, HoldBy, Motion
@@ -140,6 +141,16 @@ def test_false_claims_are_refused(
     motion: Motion, change: Callable[[Motion], Motion], name: str
 ) -> None:
     assert not check(change(motion), name).holds
+
+
+def test_what_slips_bit_by_bit_over_the_parts_of_a_plan_counts(motion: Motion) -> None:
+    lie = slipped(motion, 0.001)
+    carry = next(phase for phase in lie.phases if phase.name == "carry")
+    times = np.linspace(carry.start, carry.end, 9)
+    joints = np.searchsorted(lie.drones.breaks, times - 1e-6).tolist()
+    parts = [certify(cut(lie, a, b), reports=()) for a, b in pairwise(joints)]
+    assert all(part["support"].holds for part in parts)
+    assert not merged(cut(lie, joints[0], joints[-1]), parts)["support"].holds
 
 
 def claimed(to: list[float], x: float, rim: ho.Rim | None, by: HoldBy = HoldBy.REST) -> Motion:
