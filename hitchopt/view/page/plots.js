@@ -102,6 +102,6 @@ function between(t, values, time) {
 function significant(value, digits = 4) {
   if (value === null) return "–";
   if (Math.abs(value) > 1e300) return value > 0 ? "∞" : "−∞";
-  const text = Number(value.toPrecision(digits));
+  const text = Math.abs(value) < 1e-9 ? 0 : Number(value.toPrecision(digits));  // less is rounding
   return Math.abs(text) >= 1e-4 || text === 0 ? String(text) : text.toExponential();
 }
