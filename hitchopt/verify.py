@@ -26,7 +26,7 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
-from itertools import chain, combinations, groupby, pairwise, product
+from itertools import chain, combinations, groupby, pairwise, product, repeat
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -1775,10 +1775,9 @@ def jumps(p: Plan, *, rests: bool = False) -> Iterator[Row]:
         found += added(p.points.c[k][:, p.V], p.labels[p.V], both)
         found += added(p.legs.c[k], p.names, both)
         for curve, names in ((p.points.c[k][:, : p.N], p.names), (p.poses.c[k], bodies)):
-            rest = np.zeros_like(curve[:1, ..., :1])
             for end in (0, -1) if rests and k else ():
-                moves = np.concatenate([curve[[end], ..., end, None], rest])
-                found += ((x, float(p.breaks[end]), i) for x, _, i in jump(moves, names))
+                at = repeat(float(p.breaks[end]))
+                found += zip(size(curve[end, ..., end]).tolist(), at, names, strict=False)
     yield judged("continuity", "m", 1e-6, found)
     if not p.n:
         return
