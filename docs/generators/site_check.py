@@ -25,7 +25,7 @@ SEARCHES = {
     "crazyflie": "how_to/crazyflie",
     "takeoff": "how_to/faq",
     "obstacle": "how_to/get_past_an_obstacle",
-    "battery": "how_to/faq",
+    "battery": "tutorials/change_a_battery",
     "cite": "reference/cite",
 }
 """Words that readers look for, and the page that explains them: among the first FIRST results."""
