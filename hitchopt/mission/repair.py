@@ -253,7 +253,8 @@ class _Search:
         kept = {fault for fault in left if fault in had and fault[0] in covered}
         others = (fault for fault in left.keys() & had.keys() if fault not in kept)
         worse = any(left[x][0] < had[x][0] - SAME * abs(had[x][0]) for x in others)
-        if worse or min(step for _, step in left) < min(step for _, step in had):
+        first, before = (min((step for _, step in each), default=-1) for each in (left, had))
+        if worse or first < before:
             return verdict
         return frozenset() if kept else Suggestion(change, math.nan)
 
