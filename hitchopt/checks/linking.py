@@ -227,7 +227,7 @@ PROBES = np.linspace(0.0, 1.0, 9)  # places on a piece, one of which shows that 
 
 
 def _largest_jump(motion: Motion, _: float) -> WorstCase:
-    """Return the largest sum of jumps at joints of position [m], velocity [m/s], acceleration.
+    """Return the largest sum of jumps at joints: positions [m], velocities, accelerations [m/s²].
 
     Drones and objects are compared, and vertices and legs while the hitch exists.
     """

@@ -39,7 +39,8 @@ class Other(OneLine):
 
     Raises
     ------
-    InputError: a time before the start, or a plan whose own certificate does not hold.
+    InputError: a time before the start, or a plan whose own certificate does not hold, or that
+        moves as it begins or ends.
     FileError: no plan there, or a damaged one.
     UnsupportedError: a hitch that changes its robots.
     """

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import shutil
+import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -21,6 +23,7 @@ from hitchopt import verify as second
 from hitchopt.checks import certify
 from hitchopt.checks.across import ACROSS, check_across
 from hitchopt.checks.registry import RULE_OF
+from hitchopt.checks.spans import magnitude
 from hitchopt.cli import main
 from hitchopt.errors import FileError, InputError
 from hitchopt.motion.combined import combined
@@ -193,6 +196,15 @@ BROKEN = {
 """Limits that are stricter in one team, which both then break."""
 
 
+def second_size(motion: Motion) -> float:
+    """Return the largest coordinate by which the second opinion rounds [m]."""
+    with TemporaryDirectory() as folder:
+        write_plan(path := Path(folder) / "plan.npz", motion)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(second, "differences", lambda *_: iter(()))
+            return float(second.read(path)[0][0].size)
+
+
 def told(name: str, change: Change, folder: Path) -> Path:
     """Write a plan, change its file, and return it."""
     path = folder / "plan.npz"
@@ -213,6 +225,42 @@ def test_lies_about_groups_are_refused(lie: str, tmp_path: Path) -> None:
         read_plan(path)
     with pytest.raises(second.UnreadableError):
         second.read(path)
+
+
+NUMBERS: dict[str, Change] = {
+    "negative lengths": lambda _, a: a["a/cable_length"].__imul__(-1.0),
+    "negative thrusts": lambda _, a: a["a/max_thrust"].__imul__(-1.0),
+    "a degree that overflows": lambda _, a: a.update(
+        {"a/drones": np.repeat(a["a/drones"][..., :1], 1101, axis=-1)}
+    ),
+}
+
+
+@pytest.mark.parametrize("lie", NUMBERS)
+def test_numbers_beyond_their_bounds_are_refused(lie: str, tmp_path: Path) -> None:
+    path = told("teams", NUMBERS[lie], tmp_path)
+    with pytest.raises(FileError):
+        read_plan(path)
+    with pytest.raises(second.UnreadableError, match="beyond their bounds"):
+        second.read(path)
+
+
+def test_what_is_twice_in_a_file_is_refused(tmp_path: Path) -> None:
+    path = told("teams", lambda *_: None, tmp_path)
+    with zipfile.ZipFile(path, "a") as file, pytest.warns(UserWarning, match="Duplicate"):
+        file.writestr("settings.npy", file.read("settings.npy"))
+    with pytest.raises(FileError):
+        read_plan(path)
+    with pytest.raises(second.UnreadableError, match="something twice"):
+        second.read(path)
+
+
+def test_vertices_without_a_hitch_widen_no_tolerance() -> None:
+    motion = planned("form_square").motion
+    far = motion.vertices.coefficients + 9e4 * ~motion.formed[:, None, None, None]
+    moved = motion.replaced(vertices=motion.vertices.alike(far))
+    assert magnitude(moved) == magnitude(motion) < 10.0
+    assert second_size(moved) == second_size(motion)
 
 
 def jumping(c: Array) -> Array:
