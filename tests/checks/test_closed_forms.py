@@ -292,6 +292,16 @@ def test_jumps_of_position_velocity_and_acceleration(power: int, jump: float) ->
     assert (whole.worst, whole.holds) == (0.0, True)
 
 
+@pytest.mark.parametrize(("jump", "holds"), [(1e-8, False), (1e-10, True)])
+def test_small_jumps_add_up_unless_they_are_rounding(jump: float, holds: bool) -> None:
+    motion = held_at(triangle(), np.linspace(0.0, 1.0, 201).tolist())
+    path = np.zeros((200, 3, 1))
+    path[:, 1, 0] = jump * np.arange(200)
+    check = certify(added(motion, 1, path))["continuity"]
+    assert (check.holds, check.where) == (holds, ("r0",))
+    assert check.worst == pytest.approx(jump if holds else 199.0 * jump, abs=1e-11, rel=1e-3)
+
+
 def test_a_chain_that_curls_up_on_the_way_is_refused() -> None:
     """Every corner turns right at all times; only their sum passes 360° at the end."""
     most = []
