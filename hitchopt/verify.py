@@ -1481,6 +1481,17 @@ def clear_objects(p: Plan, b: int) -> Iterator[Row]:
             if o != b:
                 yield prove(*p.object, moving, partial(others, o=o, slab=slab, block=block))
         yield prove(p.within, 0.0, carried, partial(within, slab=slab))
+
+    def apart(s: Spans, _: Index, slab: Slab, o: int, block: Slab) -> Line:
+        """Return a distance to another body made a little smaller: surfaces may touch."""
+        core = None if block.round else block.core + 1e-5 * (block.centroid - block.core)
+        inner = Slab(core, (1.0 - 1e-5) * block.radius, block.lower + TOUCH, block.upper - TOUCH)
+        return largest(clear(s, b, slab, s, o, inner), clear(s, o, inner, s, b, slab))
+
+    first = p.spans(np.arange(len(p.h)) == 0, [0], [body.name]).within(-1.0)
+    for slab, (o, block) in product(body.slabs, p.slabs):
+        if o != b and block.upper > block.lower and not (body.fixed and p.bodies[o].fixed):
+            yield prove(enters, 0.5 * TOUCH, first, partial(apart, slab=slab, o=o, block=block))
     if body.height != stem.lower or body.rim is None:  # a slim pillar below a tray is none
         yield prove(enters, WRAPPED, inside, lambda s, j: stem.gap(*s.part(j, b)))
     s = p.spans(p.held[b], range(len(p.labels)), p.labels)

@@ -123,10 +123,10 @@ def check_apart(objects: Mapping[str, SolidObject]) -> None:
     """Raise InputError for an object that stands in another one."""
     for (name, one), (other, two) in combinations(objects.items(), 2):
         for a, b in () if one.fixed and two.fixed else product(one.slabs, two.slabs):
-            lower = max(one.at[2] + a.lower, two.at[2] + b.lower)
-            upper = min(one.at[2] + a.upper, two.at[2] + b.upper)
+            rise = two.at[2] - one.at[2]
+            overlap = min(a.upper - rise - b.lower, rise + b.upper - a.lower)  # of flat rims too
             apart = sections_apart(a.section, one.pose, b.section, two.pose)
-            if lower < upper - TOUCH and apart < -TOUCH:  # they share more than surfaces
+            if overlap > TOUCH and apart < -TOUCH:  # they share more than surfaces
                 bound = f"apart from objects.{other}"
                 raise InputError(f"objects.{name}.at", one.at.tolist(), bound, "move one of them")
 

@@ -94,6 +94,7 @@ def test_objects_stand_on_the_ground_or_on_each_other() -> None:
     table, shelf = (solid([1, 2, z], upper=0.5, fixed=True) for z in (0, 2))
     objects = {"table": table, "box": solid([1, 2, 0.5]), "shelf": shelf}
     check_placed(objects, 0.0)
+    rimmed(0.3)
     poses = np.stack([each.pose for each in objects.values()])
     assert surface_below(objects, poses, "box", 0.0) == (0.5, "table")
     poses[1, 0] += 2.0
@@ -113,6 +114,13 @@ def placed(at: list[float]) -> None:
     check_placed({"table": table, "box": solid(at)}, 0.0)
 
 
+def rimmed(height: float) -> None:
+    """Place a box whose rim is above a pillar of 0.3 m, or is cut by it."""
+    pillar = ho.SolidObject(ho.Section(radius=0.05), at=[0.8, 0.0, 0.0], upper=0.3, fixed=True)
+    box = solid([0, 0, 0], upper=0.5, rim=ho.Rim(ho.Section(radius=1.0), height))
+    check_placed({"pillar": pillar, "box": box}, 0.0)
+
+
 EITHER = "give either an outline or a circle's radius"
 BENT: Any = [[0, 0], [1, 0], [0.4, 0.4], [0, 1]]
 REFUSED: list[Refusal] = [
@@ -124,6 +132,7 @@ REFUSED: list[Refusal] = [
     (lambda: placed([1.0, 2.0, 0.6]), "objects.box.at", "[1.0, 2.0, 0.6]: must be such that it"),
     (lambda: placed([3.0, 2.0, 0.1]), "objects.box.at", "write [3.0, 2.0, 0.0]"),
     (lambda: placed([1.7, 2.0, 0.0]), "objects.table.at", "must be apart from objects.box"),
+    (lambda: rimmed(0.2), "objects.pillar.at", "must be apart from objects.box"),
     (lambda: solid([0, 0, 0], lower=0.2, upper=0.1), "upper", "must be above its floor, 0.2 m"),
     (lambda: solid([0, 0, 0], rim=ho.Rim(ho.Section(radius=1.0), 0.9)), "rim.height", "the body"),
     (lambda: solid([0, 0]), "at", "must be a point"),

@@ -211,6 +211,17 @@ def lifted(settings: Settings, arrays: Arrays) -> None:
     plus("poses", 0.05, (slice(None), index, 2))(settings, arrays)
 
 
+def pierced(settings: Settings, arrays: Arrays) -> None:
+    """Make a slim pillar of the shelf, through the rim of the box, as it is and as it was asked."""
+    for objects in (settings["objects"], settings["asked"]["objects"]):
+        outline = [[0.01, 0.01], [0.01, -0.01], [-0.01, -0.01], [-0.01, 0.01]]
+        section = {"outline": outline, "radius": None}
+        objects["shelf"] |= {"section": section, "upper": 1.0, "at": [2.42, 0.0, 0.0]}
+    settings["asked"]["mission"][0]["objects"]["shelf"] = [2.42, 0.0, 0.0, 1.0, 0.0]
+    arrays["poses"] = arrays["poses"].copy()
+    arrays["poses"][:, list(settings["objects"]).index("shelf"), :3] = [[2.42], [0.0], [0.0]]
+
+
 def in_phases(word: str, name: str, edit: Callable[[Array], Any], where: Any = ...) -> Change:
     """Edit a part of an array on the pieces of phases in a state, or with a name."""
 
@@ -346,6 +357,7 @@ LIES = [
     Lie("carry", "a taller box, asked as well", asked("objects", "box", "upper", 0.9), "enters|support|object_clearance|keep_out"),
     Lie("carry", "objects farther from cables, asked as well", asked("separation", "object", 0.2), "object_clearance"),
     Lie("carry", "the box stands in the air at first", lifted, REFUSED),
+    Lie("carry", "a pillar is through the rim at first", pierced, "enters"),
     Lie("carry", "no objects", removed("objects"), REFUSED),
     Lie("grip", "contacts are 2 cm off", plus("contacts", 0.02, (slice(None), 0, 0, 0)), "grip"),
     Lie("grip", "the drum is heavier, asked as well", asked("objects", "drum", "mass", 0.3), "grip"),
