@@ -28,8 +28,8 @@ def _facts_of_check(rule: CheckRule) -> dict[str, str]:
         "`worst`": f"{_unit(rule.unit)}; {SENSES[rule.sense]}",
         "limit": "set by the problem" if callable(rule.limit) else f"{rule.limit:g}",
         "while cables are": "in any state" if states == set(CableState) else named,
-        "held by exports": f"yes{at}" if exported else "no",
-        "what eases it": rule.remedy + (f"; while cables hang: {other}" if other else ""),
+        "checked in exports": f"yes{at}" if exported else "no",
+        "what helps": rule.remedy + (f"; while cables hang: {other}" if other else ""),
     }
 
 

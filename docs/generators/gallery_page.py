@@ -28,20 +28,19 @@ from hitchopt.steps.step import RolledLegs
 
 INTRODUCTION = """# Gallery of problems
 
-All problem files of the repository. Each has a page with its YAML and the same in Python, to read and to download.
-Pictures show the plan from above: the start dashed and grey, the end in colours, the drones' paths between; circles
+All problem files of the repository. Each has a page with its YAML and the equivalent Python, to read and download.
+Pictures show the plan from above: the start dashed and grey, the end and the drones' paths in colours; circles
 are the drones' downwash ellipsoids.
 """
 
-UNSOLVED = """These files are well-formed, and no plan meets their limits: `hitchopt solve` ends with
-{doc}`exit code 3 </reference/exit_codes>` and names what binds. Pictures show what they ask for: the start, the
-outlines on the way grey and dashed, the last one in blue.
+UNSOLVED = """These files are well-formed, but no plan meets their limits: `hitchopt solve` ends with
+{doc}`exit code 3 </reference/exit_codes>` and names what binds. Pictures show the request: the start and
+intermediate outlines grey and dashed, the last one in blue.
 """
 
-REFUSALS = """## Files that are wrong in themselves
+REFUSALS = """## Invalid files
 
-`hitchopt solve` ends with {doc}`exit code 2 </reference/exit_codes>` on these, with the message beside them.
-There is nothing to draw.
+`hitchopt solve` ends with {doc}`exit code 2 </reference/exit_codes>` and the message shown.
 
 | file | message |
 |---|---|"""
@@ -143,7 +142,7 @@ def _example(section: Section, file: Path) -> str:
 
 ## Problem file
 
-{{download}}`{path} <{up}problems/{path}>`, to be planned by `hitchopt solve {file.name}`:
+{{download}}`{path} <{up}problems/{path}>`; plan it with `hitchopt solve {file.name}`:
 
 ```{{literalinclude}} {up}problems/{path}
 :language: yaml
