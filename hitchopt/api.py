@@ -29,8 +29,8 @@ from hitchopt.motion.plan_file import check_request
 from hitchopt.plan import Plan, load
 from hitchopt.steps import STEPS, Join, Replace, Settle, Step, Withdraw
 from hitchopt.steps.step import Stage
-from hitchopt.values import closest_word, flag, instance, path, positive, text
-from hitchopt.values.fields import EMPTY, keys_of, parameters, refuse_unknown
+from hitchopt.values import check_instance, closest_word, flag, path, positive, text
+from hitchopt.values.fields import EMPTY, check_keywords, keys_of, parameter_docs
 
 if TYPE_CHECKING:
     from hitchopt.exports.exporting import Export
@@ -163,7 +163,7 @@ class Mission(Problem):
 
     def then(self, step: Step) -> Self:
         """Return the mission with one more step, given as its record, if it fits."""
-        instance("step", step, Step)
+        check_instance("step", step, Step)
         return replace(self, mission=(*self.mission, step))
 
     def solve(self, progress: Progress | None = None, *, limit: float | None = None) -> Plan:
@@ -221,13 +221,13 @@ def _method(kind: type[Step]) -> Callable[..., Mission]:
     """Return the method of Mission that adds a step of a kind."""
 
     def add(self: Mission, *args: Any, **kwargs: Any) -> Mission:
-        refuse_unknown(kind.name, [*_arguments(kind)], kwargs)
+        check_keywords(kind.name, [*_arguments(kind)], kwargs)
         given = inspect.signature(add).bind(self, *args, **kwargs).arguments
         return self.then(kind(**{key: value for key, value in given.items() if key != "self"}))
 
     words = f"Return the mission with this step: {_words(kind)}"
     arguments = {"self": EMPTY, **_arguments(kind)}
-    return _named(add, f"Mission.{kind.name}", arguments, words, parameters(kind))
+    return _named(add, f"Mission.{kind.name}", arguments, words, parameter_docs(kind))
 
 
 def _function(kind: type[Step]) -> Callable[..., Plan]:
@@ -236,16 +236,16 @@ def _function(kind: type[Step]) -> Callable[..., Plan]:
     begun = ("team", "q", "r") if kind.needs_hitch is False else ("start",)
 
     def planned(*args: Any, **kwargs: Any) -> Plan:
-        refuse_unknown(kind.name, [*every], kwargs)
+        check_keywords(kind.name, [*every], kwargs)
         given = inspect.signature(planned).bind(*args, **kwargs).arguments
         kept = {name: given.pop(name, None) for name in Required.__annotations__}
         start: Start
         if kind.needs_hitch is False:
             team, start = given.pop("team"), DronesStart(given.pop("q"), given.pop("r"))
-            instance("team", team, Team)
+            check_instance("team", team, Team)
         else:
             hitch = start = given.pop("start")
-            instance("start", hitch, Hitch)
+            check_instance("start", hitch, Hitch)
             team = hitch.team
         optional = {key for key, value in arguments.items() if value is not EMPTY}
         step = kind(**{k: v for k, v in given.items() if v is not None or k not in optional})
@@ -260,7 +260,7 @@ def _function(kind: type[Step]) -> Callable[..., Plan]:
         return Plan(found.motion, found.certificate)
 
     words = f"Return the certified plan of this step alone: {_words(kind)}"
-    listed = f"{BEGUN[begun[0]]}\n{parameters(kind, without='blend')}{PLANNED}"
+    listed = f"{BEGUN[begun[0]]}\n{parameter_docs(kind, exclude='blend')}{PLANNED}"
     every = dict.fromkeys(begun, EMPTY) | arguments | dict.fromkeys(Required.__annotations__)
     return _named(planned, kind.name, every, words, listed)
 
@@ -326,7 +326,7 @@ def simulate(
     chosen = settings_of(preset, perturbed=usual, **given, **changes)
     if isinstance(plan, str | Path):
         return simulated(read_task(Path(plan)), chosen, progress)
-    instance("plan", plan, Plan)
+    check_instance("plan", plan, Plan)
     plan.certificate.raise_if_violated()
     return simulated(Task.of(plan.motion), chosen, progress)
 
@@ -349,5 +349,5 @@ def export(
     path("folder", folder)
     if isinstance(plan, str | Path):
         plan = load(plan)
-    instance("plan", plan, Plan)
+    check_instance("plan", plan, Plan)
     return plan.export(format, folder, **options)

@@ -25,7 +25,7 @@ from hitchopt.motion.retiming import shifted
 from hitchopt.motion.states import States, final_hitch, states_at
 from hitchopt.storage.archive import PLAN
 from hitchopt.storage.files import replace_files
-from hitchopt.values import flag, instance, not_negative, path, text, whole
+from hitchopt.values import check_instance, flag, integer, nonnegative, path, text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -289,8 +289,8 @@ def closest(plan: Plan, spans: int = SPANS, picture: Path | str | None = None) -
     spans: number of equal parts of its time; each has the pair that comes closest in it.
     picture: file to draw the result to (.png, .svg or .pdf), or None.
     """
-    instance("plan", plan, Plan)
-    pairs = closeness(plan.motion, whole("spans", spans, 1))
+    check_instance("plan", plan, Plan)
+    pairs = closeness(plan.motion, integer("spans", spans, 1))
     if picture is not None:
         picture = path("picture", picture)
         from hitchopt.view.pictures import draw_closeness
@@ -319,9 +319,9 @@ def combine(plan: Plan, other: Plan, at: float = 0.0, names: tuple[str, str] = (
     ------
     InputError: arguments that are wrong in themselves.
     """
-    instance("plan", plan, Plan)
-    instance("other", other, Plan)
-    at = not_negative("at", at)
+    check_instance("plan", plan, Plan)
+    check_instance("other", other, Plan)
+    at = nonnegative("at", at)
     first, second = (NAME.check(f"names[{k}]", name) for k, name in enumerate(names))
     later, besides = (
         [replace(each, motion=shifted(each.motion, at)) for each in some]

@@ -19,7 +19,7 @@ from hitchopt.checks.tracking import GAMMA
 from hitchopt.motion.chapters import chapters
 from hitchopt.motion.motion import Group, Motion
 from hitchopt.motion.retiming import padded
-from hitchopt.values import instance, not_negative, sequence
+from hitchopt.values import check_instance, nonnegative, sequence
 
 RULES = (
     distances.SEPARATION,
@@ -91,8 +91,8 @@ def certify(
     ------
     InputError: a gamma that is negative or not finite.
     """
-    instance("motion", motion, Motion)
-    gamma = not_negative("gamma", gamma)
+    check_instance("motion", motion, Motion)
+    gamma = nonnegative("gamma", gamma)
     chosen: tuple[ReportRule, ...] = sequence("reports", reports)
     chosen = tuple(each for each in REPORTS if each in chosen or each.limit(motion) is not None)
     if motion.changes:

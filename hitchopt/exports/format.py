@@ -26,7 +26,7 @@ from hitchopt.motion.states import (
     sample_times,
     states_at,
 )
-from hitchopt.values import Array, choice
+from hitchopt.values import Array, check_choice
 
 FLIPPED = np.array([1.0, -1.0, -1.0])  # Signs of axes that are turned by 180° about x
 
@@ -180,7 +180,7 @@ class Format(ABC):
 
 def format_of(name: str) -> Format:
     """Return the format of that name; raise InputError if there is none."""
-    choice("format", name, [*HOMES])
+    check_choice("format", name, [*HOMES])
     module, _, kind = HOMES[name].partition(":")
     chosen: Format = getattr(import_module(f"hitchopt.exports.formats.{module}"), kind)()
     return chosen

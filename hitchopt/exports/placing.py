@@ -42,11 +42,11 @@ from hitchopt.values.fields import (
     ANYTHING,
     FLAGS,
     Key,
-    listed,
+    dict_of,
+    integers,
+    list_of,
     mapping_of,
-    named,
-    texts,
-    whole_number,
+    strings,
 )
 from hitchopt.values.units import NUMBER
 
@@ -56,7 +56,7 @@ URI = re.compile(r"(radio|usb|udp|tcp|serial)://\S+\Z")  # Addresses of drones' 
 PER_RADIO = 15  # Drones that one radio serves with trajectories uploaded
 
 
-_WORD = texts(1000)
+_WORD = strings(1000)
 
 
 def _number(key: str, value: object) -> int | float:
@@ -78,11 +78,11 @@ class Member:
     role: Annotated[str, Key(_WORD, "Its name in the plan; in a fleet file its key")] = ""
     enabled: Annotated[bool, Key(FLAGS, "Whether it flies")] = True
     initial_position: Annotated[
-        list[float], Key(listed(NUMBER), "Its place; the plan's is used")
+        list[float], Key(list_of(NUMBER), "Its place; the plan's is used")
     ] = field(default_factory=list)
     firmware_params: Annotated[
         dict[str, dict[str, int | float]],
-        Key(named(named(_NUMBER, _WORD), _WORD), "Parameters by group and name"),
+        Key(dict_of(dict_of(_NUMBER, _WORD), _WORD), "Parameters by group and name"),
     ] = field(default_factory=dict)
 
 
@@ -96,9 +96,9 @@ class Fleet:
     given: bool = False  # whether the user named them; else their addresses are placeholders
 
 
-_DRONES = Key(named(mapping_of(Member), _WORD), "Drones, by their keys")
-_TYPES = Key(named(named(ANYTHING, _WORD), _WORD), "Settings of the types")
-_SETTINGS = Key(named(ANYTHING, _WORD), "Settings of all drones")
+_DRONES = Key(dict_of(mapping_of(Member), _WORD), "Drones, by their keys")
+_TYPES = Key(dict_of(dict_of(ANYTHING, _WORD), _WORD), "Settings of the types")
+_SETTINGS = Key(dict_of(ANYTHING, _WORD), "Settings of all drones")
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ class FleetKeys:
     robot_types: Annotated[dict[str, Any], _TYPES] = field(default_factory=dict)
     settings: Annotated[dict[str, Any], _SETTINGS] = field(default_factory=dict)
     all: Annotated[dict[str, Any], _SETTINGS] = field(default_factory=dict)
-    fileversion: Annotated[int, Key(whole_number(0, 1000), "Version of the format")] = 3
+    fileversion: Annotated[int, Key(integers(0, 1000), "Version of the format")] = 3
 
 
 def placeholder_fleet(roles: Sequence[str], *, dotted: bool = False) -> Fleet:

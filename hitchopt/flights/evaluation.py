@@ -25,7 +25,7 @@ from hitchopt.geometry.vectors import length
 from hitchopt.motion.motion import Motion
 from hitchopt.plan import Plan
 from hitchopt.simulation.task import Task, read_task
-from hitchopt.values import Array, finite, not_negative, path, positive, text
+from hitchopt.values import Array, finite, nonnegative, path, positive, text
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -206,7 +206,7 @@ def evaluate(
     InputError: an argument outside its bounds.
     """
     if density is not None:
-        density = not_negative("density", density)
+        density = nonnegative("density", density)
     if diameter is not None:
         diameter = positive("diameter", diameter)
     if start is not None:

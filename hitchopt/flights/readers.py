@@ -27,7 +27,7 @@ from hitchopt.flights.recordings import RecordedFlight, Track
 from hitchopt.storage.archive import reading
 from hitchopt.storage.files import parsed_json
 from hitchopt.storage.tables import labelled_table, text_lines
-from hitchopt.values import Array, choice
+from hitchopt.values import Array, check_choice
 
 # Units of length [m], and their names in files
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
@@ -90,7 +90,7 @@ def read_flight(path: Path | str, unit: str | None = None) -> RecordedFlight:
     """
     path = Path(path)
     if unit is not None:
-        choice("unit", unit, tuple(UNITS))
+        check_choice("unit", unit, tuple(UNITS))
     with reading(path, "recording"):
         flight = _read(path, unit)
         if not flight.tracks:

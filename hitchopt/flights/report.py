@@ -18,7 +18,7 @@ from hitchopt.flights.vertices import through_gaps
 from hitchopt.simulation.report import number
 from hitchopt.storage.archive import PLAN, RECORDING
 from hitchopt.storage.files import Writer, replace_files, write_strict_json
-from hitchopt.values import Array, choice
+from hitchopt.values import Array, check_choice
 from hitchopt.view import style
 from hitchopt.view.cables import CLASPS, POINTS
 from hitchopt.view.pictures import draw_phases
@@ -43,7 +43,7 @@ def save_evaluation(directory: Path, evaluation: Evaluation, format: str = "png"
     Raises FileError if the directory cannot be written to, or holds a plan or a simulation, and
     InputError for another format.
     """
-    choice("format", format, PICTURES)
+    check_choice("format", format, PICTURES)
     for name in OTHERS:
         if (directory / name).exists():
             raise FileError(f"{directory}: holds {name}; name a directory of its own for results")

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError, OneLine
-from hitchopt.values import Array, finite, points, positive, whole
+from hitchopt.values import Array, finite, integer, points, positive
 
 MIN_EXTERIOR_ANGLE = 1e-6
 """[rad] Smallest exterior angle: the clasp at a flatter vertex would hold nothing."""
@@ -198,7 +198,7 @@ def regular_polygon(n: int, edge: float, angle: float = 0.0) -> ConvexPolygon:
     ------
     InputError: n below 3, or an edge that is not positive.
     """
-    whole("n", n, 3)
+    integer("n", n, 3)
     radius = 0.5 * positive("edge", edge) / math.sin(math.pi / n)
     angles = finite("angle", angle) - 2.0 * math.pi * np.arange(n) / n
     return ConvexPolygon(radius * np.column_stack([np.cos(angles), np.sin(angles)]))

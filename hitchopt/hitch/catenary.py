@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hitchopt.errors import InputError
-from hitchopt.values import MAX_COORDINATE, Array, as_array, positive, whole
+from hitchopt.values import MAX_COORDINATE, Array, as_array, integer, positive
 
 NEWTON = 12
 """Number of Newton iterations; 6 reach the last place for all ratios up to 1e9."""
@@ -221,7 +221,7 @@ def hanging_cable(first: ArrayLike, second: ArrayLike, length: float, points: in
     except ValueError:
         bound = f"of the shape of first, {ends[0].shape}"
         raise InputError("second", f"of shape {ends[1].shape}", bound, "pair the ends") from None
-    size, count = positive("length", length), whole("points", points, 2, 1_000_000)
+    size, count = positive("length", length), integer("points", points, 2, 1_000_000)
     apart = float(np.max(np.linalg.norm(b - a, axis=-1), initial=0.0))
     if size < apart:
         bound = f"at least the distance of its ends, {apart:.6g} m"

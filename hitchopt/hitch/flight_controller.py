@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Any, NamedTuple
 
 from hitchopt.errors import InputError, OneLine
-from hitchopt.values import choice, form_of, units
+from hitchopt.values import check_choice, form_of, units
 from hitchopt.values.fields import Key, Kind, documented, mapping_of, one_or_each, store
 
 Pair = tuple[float, float]
@@ -171,7 +171,7 @@ class FlightController(OneLine):
 
         Raise InputError for an unknown name, or for gains at which drones were lost.
         """
-        choice("controller", name, CONTROLLERS)
+        check_choice("controller", name, CONTROLLERS)
         stock, own = STOCK[name], Gains.of(gains)
         size = mass if stock.per_mass else 1.0
 

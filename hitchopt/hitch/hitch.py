@@ -29,8 +29,8 @@ from hitchopt.hitch.slack_split import (
     split_with_least_roll,
 )
 from hitchopt.hitch.team import Team
-from hitchopt.values import Array, as_array, instance
-from hitchopt.values.fields import store, suggesting
+from hitchopt.values import Array, as_array, check_instance
+from hitchopt.values.fields import store, suggest_keywords
 from hitchopt.values.units import HEIGHT
 
 FIXED_LEG, SAGGING_LEG = 1e-4, 1e-2
@@ -43,7 +43,7 @@ FAR_OFF = 100.0
 
 def checked_polygon(team: Team, polygon: Outline | ArrayLike) -> Outline:
     """Return ``polygon`` as an outline of the team's topology and count, or raise InputError."""
-    instance("team", team, Team)
+    check_instance("team", team, Team)
     closed, points = team.layout.closed, team.layout.points
     if not isinstance(polygon, Outline):
         polygon = ConvexPolygon(polygon) if closed else ConvexArc(polygon)
@@ -184,7 +184,7 @@ class Hitch(OneLine):
             yield f"{name}={short(getattr(self, name))}"
 
     @classmethod
-    @suggesting
+    @suggest_keywords
     def balanced(
         cls, team: Team, polygon: Outline | ArrayLike, altitude: float = 1.0, roll: ArrayLike = 0.0
     ) -> Hitch:
@@ -197,7 +197,7 @@ class Hitch(OneLine):
         return cls(team, outline, altitude, balanced_legs(team, outline), roll)
 
     @classmethod
-    @suggesting
+    @suggest_keywords
     def spread(
         cls,
         team: Team,
@@ -233,7 +233,7 @@ class Hitch(OneLine):
         return cls(team, outline, altitude, split.q_legs[0], rolled)
 
     @classmethod
-    @suggesting
+    @suggest_keywords
     def nearest(
         cls,
         team: Team,

@@ -14,7 +14,7 @@ from hitchopt.errors import InputError, OneLine
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch.team import Team
 from hitchopt.objects import Clearance, Section, Slab, SolidObject
-from hitchopt.values import Array, instance, sequence, units
+from hitchopt.values import Array, check_instance, sequence, units
 from hitchopt.values.fields import (
     InDegrees,
     Key,
@@ -200,12 +200,12 @@ class Prism(OneLine):
 
 def check_requirements(record: Any) -> None:
     """Raise InputError unless a record's limits, separation, arena and keep-outs are such."""
-    instance("limits", record.limits, Limits)
-    instance("separation", record.separation, Separation)
+    check_instance("limits", record.limits, Limits)
+    check_instance("separation", record.separation, Separation)
     if record.arena is not None:
-        instance("arena", record.arena, Arena)
+        check_instance("arena", record.arena, Arena)
     for k, prism in enumerate(getattr(record, "keep_out", ())):
-        instance(f"keep_out[{k}]", prism, Prism)
+        check_instance(f"keep_out[{k}]", prism, Prism)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,16 +13,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError, OneLine
 from hitchopt.hitch.flight_controller import CONTROLLERS, FlightController, Gains, stiffest_gains
-from hitchopt.values import Array, Indices, instance, per_robot, sequence, units, whole
+from hitchopt.values import Array, Indices, check_instance, integer, per_robot, sequence, units
 from hitchopt.values.fields import (
     FLAGS,
     Key,
     documented,
     either,
+    integers,
     mapping_of,
     one_or_each,
     store,
-    whole_number,
     words,
 )
 from hitchopt.values.units import check_lift
@@ -304,7 +304,7 @@ def kinds_of(
     for k, each in enumerate(kinds):
         key = "quadrotor" if one else f"quadrotor[{k}]"
         kinds[k] = NAMED.check(key, each) if isinstance(each, str) else each
-        instance(f"quadrotor[{k}]", kinds[k], Quadrotor)
+        check_instance(f"quadrotor[{k}]", kinds[k], Quadrotor)
     if len(kinds) != count:
         bound = f"one kind, or a list of {count}"
         raise InputError("quadrotor", len(kinds), bound, f"give one per {owner}")
@@ -332,7 +332,7 @@ class Team(OneLine):
     """
 
     robots: Annotated[
-        int, Key(whole_number(2, MAX_ROBOTS), "Number n of cables; each has two quadrotors", 3)
+        int, Key(integers(2, MAX_ROBOTS), "Number n of cables; each has two quadrotors", 3)
     ]
     cable_length: Annotated[
         NDArray[np.float64],
@@ -381,7 +381,7 @@ class Team(OneLine):
         load: float | Sequence[float] | ArrayLike = 0.0,
     ) -> None:
         store(self, topology=topology, cable_density=cable_density, cable_friction=cable_friction)
-        n = whole("robots", robots, 3 if topology == CLOSED else self.least_open, MAX_ROBOTS)
+        n = integer("robots", robots, 3 if topology == CLOSED else self.least_open, MAX_ROBOTS)
         length = per_robot("cable_length", cable_length, n, units.CABLE_LENGTH.check)
         kinds = kinds_of(quadrotor, n, "robot")
         asked = [kind.tension for kind in kinds] if tension is None else tension
@@ -559,7 +559,7 @@ class Swarm(Team):
     def __init__(
         self, drones: int, *, quadrotor: QuadrotorOrName | Sequence[QuadrotorOrName] | None = None
     ) -> None:
-        whole("drones", drones, 1, MAX_DRONES)
+        integer("drones", drones, 1, MAX_DRONES)
         none = np.zeros(0)
         none.setflags(write=False)
         values: dict[str, object] = dict.fromkeys(("cable_length", "tension", "load"), none)
@@ -601,7 +601,7 @@ class Assignment(OneLine):
             object.__setattr__(self, name, sequence(f"assignment.{name}", getattr(self, name)))
         n = len(self.robots)
         for i, robot in enumerate(self.robots):
-            whole(f"assignment.robots[{i}]", robot, 0)
+            integer(f"assignment.robots[{i}]", robot, 0)
         if sorted(self.robots) != list(range(n)):
             bound, remedy = f"0 to {n - 1}, each once", f"pass a permutation of 0..{n - 1}"
             raise InputError("assignment.robots", self.robots, bound, remedy)

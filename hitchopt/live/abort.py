@@ -48,7 +48,7 @@ from hitchopt.steps.certified_motions import infeasible
 from hitchopt.steps.step import RestState, StepTask
 from hitchopt.steps.tying import lifted
 from hitchopt.storage.files import replace_files, write_strict_json
-from hitchopt.values import Array, choice, not_negative, positive
+from hitchopt.values import Array, check_choice, nonnegative, positive
 
 How = Literal["hold", "back", "release_and_land", "land"]
 
@@ -94,8 +94,8 @@ class Aborts:
 
     def plan(self, time: float, how: str) -> Abort:
         """Return the first abort for a command at a plan time [s], as ``Plan.abort`` explains."""
-        choice("how", how, get_args(How))
-        if not_negative("t", time) > self.motion.duration:
+        check_choice("how", how, get_args(How))
+        if nonnegative("t", time) > self.motion.duration:
             raise InputError("t", time, f"within {self.motion.duration:g} s", "ask within the plan")
         refusal: InfeasibleError | None = None
         for stopped in self.stopped(time):

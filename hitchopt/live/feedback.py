@@ -33,7 +33,7 @@ from hitchopt.motion.motion import HITCHED_STATE, Motion
 from hitchopt.statics.settle import conditions_of, energy_of, samples_of
 from hitchopt.statics.tolerance import responses
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
-from hitchopt.values import Array, as_array, finite, not_negative, per_robot, positive
+from hitchopt.values import Array, as_array, finite, nonnegative, per_robot, positive
 
 # Gains [1], [1/s]. Setpoints of drones of 4.75 N/m take 0.3 s to move vertices, measurements and
 # their filter as long again: the loop has a phase margin of some 50°
@@ -105,12 +105,12 @@ class Feedback(OneLine):
             words = "feedback keeps no distance to keep-outs and objects: fly without them"
             raise UnsupportedError(words)
         self.motion, team = motion, motion.team
-        self._rate, self._delay = positive("rate", rate), not_negative("delay", delay)
+        self._rate, self._delay = positive("rate", rate), nonnegative("delay", delay)
         own = np.where(np.isfinite(team.stiffness), team.stiffness, GAIN * team.mass[:, None])
         stiff = own if stiffness is None else as_array(stiffness)
         if stiff.shape != own.shape:
             stiff = per_robot("stiffness", stiffness, team.drones, owner="drone")  # type: ignore[arg-type]
-        breaks, self._cells = cells_of(motion, not_negative("reserve", reserve), stiff)
+        breaks, self._cells = cells_of(motion, nonnegative("reserve", reserve), stiff)
         self._breaks, self._end = breaks.tolist(), float(breaks[-1])
         self._spans = [s.drones.breaks[[0, -1]].tolist() for s in motion.spans(HITCHED_STATE)]
         clasps = motion.vertices.coefficients[:, team.layout.clasps]
@@ -164,7 +164,7 @@ class Feedback(OneLine):
         ------
         InputError: measurements of another shape, or a time that is not finite.
         """
-        seconds = not_negative("seconds", seconds)
+        seconds = nonnegative("seconds", seconds)
         time = min(max(finite("time", time), 0.0), self._end)
         planned, cell = self._drones.values(time), self._cell(time)
         if seconds > 0.0:

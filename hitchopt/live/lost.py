@@ -30,7 +30,7 @@ from hitchopt.planners.timing.ramps import fastest_clock
 from hitchopt.simulation.task import Task
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import on_breaks
-from hitchopt.values import Array, not_negative, positive
+from hitchopt.values import Array, nonnegative, positive
 
 DELAY = 0.05  # time from the loss until the survivors react [s]
 SHARE = 0.8  # of the limits, with which a team sinks
@@ -93,7 +93,7 @@ class Reactions:
         motion, names = self.motion, self.motion.team.drone_names
         if drone not in names:
             raise InputError("drone", drone, f"one of {', '.join(names)}", "name a drone")
-        if not_negative("t", time) > motion.duration:
+        if nonnegative("t", time) > motion.duration:
             raise InputError("t", time, f"within {motion.duration:g} s", "ask within the plan")
         whole, states, lost = self._flown(float(time)), states_at(motion, time), names.index(drone)
         begins = min(time + DELAY, motion.duration)

@@ -20,7 +20,7 @@ from hitchopt.errors import InfeasibleError, InputError, OneLine, UnsupportedErr
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.clock_phases import ClockPhases, concatenated_clocks
-from hitchopt.values import Array, finite, not_negative
+from hitchopt.values import Array, finite, nonnegative
 
 RATES = (1.0, 0.7, 0.4)  # candidates for going to a plan time
 DURATION_CANDIDATES = tuple(
@@ -127,7 +127,7 @@ class Player(OneLine):
         ------
         InputError: a time that is negative or not finite.
         """
-        self._course = self._course.after(not_negative("seconds", seconds))
+        self._course = self._course.after(nonnegative("seconds", seconds))
         if not self._begin <= self.time <= self._end:
             self._course = self._within(Course(self.time, self.clock_rate))
         time, rate, slope, jerk = self._course.now

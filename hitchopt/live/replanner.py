@@ -37,7 +37,7 @@ from hitchopt.steps.certified_motions import infeasible
 from hitchopt.steps.certified_motions import resting as rest_of
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.search import rough_bounds
-from hitchopt.values import Array, finite, instance, not_negative, points, whole
+from hitchopt.values import Array, check_instance, finite, integer, nonnegative, points
 
 # Least time that is flown of a piece of the present plan: derivatives of shorter pieces suffer from
 # rounding [s]
@@ -130,11 +130,11 @@ class Replanner(OneLine):
         separation: Separation | None = None,
         arena: Arena | None = None,
     ) -> None:
-        instance("team", team, Team)
-        instance("start", start, Hitch, Plan)
+        check_instance("team", team, Team)
+        check_instance("start", start, Hitch, Plan)
         options: dict[str, Any] = {"limits": limits, "separation": separation, "arena": arena}
         for (key, value), kind in zip(options.items(), (Limits, Separation, Arena), strict=True):
-            instance(key, value, kind, type(None))
+            check_instance(key, value, kind, type(None))
         if isinstance(start, Plan):
             start.motion.refuse_several("a replanner")
             motion, goal = start.motion, start.end
@@ -196,7 +196,7 @@ class Replanner(OneLine):
         ------
         InputError: not exactly one goal, or one that is wrong in itself.
         """
-        at = not_negative("at", at)
+        at = nonnegative("at", at)
         goal = self._requested(polygon, vertex, to, yaw)
         refusal = ""
         for wait in WAITS:
@@ -230,7 +230,7 @@ class Replanner(OneLine):
             return checked_polygon(team, polygon), goal.altitude, 0.0
         if vertex is not None:
             moved = own.vertices.copy()
-            k = whole("vertex", vertex, 0, len(moved) - 1)
+            k = integer("vertex", vertex, 0, len(moved) - 1)
             moved[k] = points("to", [to], (1, 2), "a point [x, y]", "give two numbers [m]")[0]
             return checked_polygon(team, moved), goal.altitude, 0.0
         place = points("to", [to], (1, 3), "a point [x, y, z]", "give three numbers [m]")[0]

@@ -13,8 +13,8 @@ from hitchopt.mission.problem import Problem, SwarmProblem
 from hitchopt.mission.teams_problem import AnyProblem, TeamsProblem, refuse_unnamed
 from hitchopt.objects import SolidObject
 from hitchopt.storage.yaml_file import located, parse_yaml, plain, read_text, value_at
-from hitchopt.values import MAPPING, form_of, misfit
-from hitchopt.values.fields import Kind, Schema, keys_of, named, record_schema, values_of
+from hitchopt.values import MAPPING, form_error, form_of
+from hitchopt.values.fields import Kind, Schema, arguments_from, dict_of, keys_of, record_schema
 from hitchopt.values.units import START_TIME
 
 FOREIGN = {
@@ -83,11 +83,11 @@ def asked_in(text: str, objects: Mapping[str, SolidObject]) -> dict[str, Any]:
 def _begins(key: str, value: Any) -> dict[str, float]:
     """Return when a plan that flies besides begins [s], in a problem's text."""
     if not isinstance(value, dict):
-        raise misfit(key, value, MAPPING)
+        raise form_error(key, value, MAPPING)
     return {"at": START_TIME.check(f"{key}.at", value.get("at", 0.0))}
 
 
-BEGINS = named(Kind((MAPPING,), _begins, {}), NAME)
+BEGINS = dict_of(Kind((MAPPING,), _begins, {}), NAME)
 
 
 def load_problem(path: str | Path) -> Problem:
@@ -142,5 +142,5 @@ def any_problem_from_dict(data: Mapping[str, object], folder: Path = Path()) -> 
         robots = value_at(values, ("team", "robots"))
         places = f"drones: {{q: [[x, y, z], …], r: [[x, y, z], …]}}}}, {robots} points each"
         remedies = remedies | {"start": f"add start: {{{places}"}
-    problem: AnyProblem = record(**values_of(record, "", values, remedies=remedies))
+    problem: AnyProblem = record(**arguments_from(record, "", values, remedies=remedies))
     return problem

@@ -13,8 +13,8 @@ from hitchopt.hitch.requirements import MAX_CORNERS
 from hitchopt.objects import Rim, Section, SolidObject
 from hitchopt.steps.step import OBJECT_NAME, POINT3
 from hitchopt.values import Array
-from hitchopt.values.fields import FLAGS, Key, mapping_of, named, points, texts
-from hitchopt.values.units import ANGLE, COORDINATE, LENGTH, NOT_NEGATIVE, POSITIVE
+from hitchopt.values.fields import FLAGS, Key, dict_of, mapping_of, points, strings
+from hitchopt.values.units import ANGLE, COORDINATE, LENGTH, NONNEGATIVE, POSITIVE
 
 MAX_OBJECTS = 100
 
@@ -55,7 +55,7 @@ class ObjectKeys(SectionKeys):
 
     file: Annotated[
         str | None,
-        Key(texts(1000, 1), "Drawing of its outline, in metres, relative to this file"),
+        Key(strings(1000, 1), "Drawing of its outline, in metres, relative to this file"),
     ] = None
     lower: Annotated[float, Key(COORDINATE, "Height of its floor above its base", name="from")] = (
         0.0
@@ -64,7 +64,7 @@ class ObjectKeys(SectionKeys):
         0.3
     )
     mass: Annotated[float, Key(POSITIVE, "Mass [kg]")] = 0.1
-    friction: Annotated[float, Key(NOT_NEGATIVE, "Coefficient of friction, with cables")] = 0.5
+    friction: Annotated[float, Key(NONNEGATIVE, "Coefficient of friction, with cables")] = 0.5
     at: Annotated[
         Array, Key(POINT3, "Where the origin of its base stands, [x, y, z] [m]", [1, 0, 0])
     ]
@@ -86,7 +86,7 @@ SECTION_KEYS = ("outline", "circle", "file")
 FILE_KEYS = {"lower": "from", "upper": "to", "rim.height": "rim.at", "rim.section": "rim"}
 """Keys of files for the arguments of ``SolidObject`` that have other names."""
 
-OBJECTS = named(mapping_of(ObjectKeys, ObjectKeys.body), OBJECT_NAME, MAX_OBJECTS)
+OBJECTS = dict_of(mapping_of(ObjectKeys, ObjectKeys.body), OBJECT_NAME, MAX_OBJECTS)
 
 
 def with_outlines(data: Mapping[str, Any], folder: Path = Path()) -> dict[str, Any]:

@@ -15,13 +15,13 @@ from hitchopt.motion.combined import combined
 from hitchopt.motion.motion import Group
 from hitchopt.motion.plan_file import saved_others
 from hitchopt.storage.archive import PLAN
-from hitchopt.values.fields import Key, documented, mapping_of, named, store, texts
+from hitchopt.values.fields import Key, dict_of, documented, mapping_of, store, strings
 from hitchopt.values.units import START_TIME
 
 MAX_GROUPS = 20
 """Largest number of teams, and of other plans, in a file."""
 
-NAME = texts(20, 1, "[A-Za-z_][A-Za-z0-9_]*", "of letters, digits and _, a letter first")
+NAME = strings(20, 1, "[A-Za-z_][A-Za-z0-9_]*", "of letters, digits and _, a letter first")
 """Names of teams and of other plans."""
 
 
@@ -46,7 +46,7 @@ class Other(OneLine):
     """
 
     plan: Annotated[
-        Path | str, Key(texts(1000, 1), "Directory of the plan, relative to this file", "../show")
+        Path | str, Key(strings(1000, 1), "Directory of the plan, relative to this file", "../show")
     ]
     at: Annotated[float, Key(START_TIME, "When it begins on the clock of this plan")] = 0.0
 
@@ -73,4 +73,4 @@ class Other(OneLine):
         return named_groups(name, self._groups)
 
 
-OTHERS = named(mapping_of(Other), NAME, MAX_GROUPS)
+OTHERS = dict_of(mapping_of(Other), NAME, MAX_GROUPS)

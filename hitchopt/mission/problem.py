@@ -40,18 +40,18 @@ from hitchopt.steps.step import (
     slack_split,
 )
 from hitchopt.steps.tying import refuse_rolls
-from hitchopt.values import Array, closest_word, instance, sequence, text
+from hitchopt.values import Array, check_instance, closest_word, sequence, text
 from hitchopt.values.fields import (
     Key,
     documented,
-    listed,
+    integers,
+    list_of,
     mapping_of,
-    one_key,
     one_or_each,
     points,
+    single_key,
     store,
-    texts,
-    whole_number,
+    strings,
 )
 from hitchopt.values.units import DURATION, HEIGHT, warn_of_unit
 
@@ -202,20 +202,20 @@ MAX_TITLE, MAX_STEPS, MAX_PRISMS = 200, 1000, 1000
 
 def _printable(key: str, value: object) -> str:
     """Return a title, or raise InputError where a terminal would obey it."""
-    title: str = texts(MAX_TITLE).check(key, value)
+    title: str = strings(MAX_TITLE).check(key, value)
     if not title.isprintable():
         raise InputError(key, title, "printable text on one line", "remove such characters")
     return title
 
 
-START = one_key(
+START = single_key(
     "Start",
     "Start of the plan.",
     {"hitch": HitchStart, "drones": DronesStart},
     "hitch: {polygon: [[x, y], …], altitude: 1.0}",
     (Hitch,),
 )
-STEP = one_key(
+STEP = single_key(
     "Step",
     "One step of the mission.",
     STEP_KINDS,
@@ -225,7 +225,7 @@ STEP = one_key(
 Others = Annotated[
     Mapping[str, Other], Key(OTHERS, "Plans that fly besides, by name, at rest before and after")
 ]
-Title = Annotated[str, Key(replace(texts(MAX_TITLE), check=_printable), "Title of the plan")]
+Title = Annotated[str, Key(replace(strings(MAX_TITLE), check=_printable), "Title of the plan")]
 ArenaOrNone = Annotated[Arena | None, Key(mapping_of(Arena), "The box that the drones stay in")]
 
 
@@ -247,7 +247,9 @@ class Problem(OneLine):
     ]
     mission: Annotated[
         tuple[Step, ...],
-        Key(listed(STEP, 1, MAX_STEPS), "Steps, one after the other", [{"hold": {"seconds": 1.0}}]),
+        Key(
+            list_of(STEP, 1, MAX_STEPS), "Steps, one after the other", [{"hold": {"seconds": 1.0}}]
+        ),
     ]
     limits: Annotated[Limits, Key(mapping_of(Limits), "Limits of motion")] = field(
         default_factory=Limits
@@ -263,18 +265,18 @@ class Problem(OneLine):
     others: Others = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        instance("team", self.team, Team)
-        instance("start", self.start, HitchStart, Hitch, DronesStart)
+        check_instance("team", self.team, Team)
+        check_instance("start", self.start, HitchStart, Hitch, DronesStart)
         check_requirements(self)
         store(self, title=self.title, others=self.others)
         steps = sequence("mission", self.mission)
         for i, step in enumerate(steps):
-            instance(f"mission[{i}]", step, Step)
+            check_instance(f"mission[{i}]", step, Step)
         if not isinstance(self.objects, Mapping):
             remedy = "write {'box': hitchopt.SolidObject(…)}"
             raise InputError("objects", self.objects, "a dict of objects by name", remedy)
         for name, body in self.objects.items():
-            instance(f"objects.{name}", body, SolidObject)
+            check_instance(f"objects.{name}", body, SolidObject)
         object.__setattr__(self, "objects", dict(self.objects))
         object.__setattr__(self, "start", fitting_start(self.team, self.start))
         if self.complete:
@@ -394,7 +396,7 @@ def fitting_start(team: Team, start: Start) -> Start:
 class SwarmTeam:
     """The team of single drones without cables."""
 
-    drones: Annotated[int, Key(whole_number(1, MAX_DRONES), "Number N of drones", 2)]
+    drones: Annotated[int, Key(integers(1, MAX_DRONES), "Number N of drones", 2)]
     quadrotor: Annotated[
         Any,
         Key(
@@ -414,8 +416,8 @@ SWARM_PLACES = points((None, 3), "x, y, z", 1, MAX_DRONES)
 HITCH_LIMITS, HITCH_SEPARATION = ("vertex_speed", "leg"), ("cable", "crossing", "object")
 """Keys of limits and distances that single drones do not have."""
 
-_LIMITS = mapping_of(Limits, without=HITCH_LIMITS)
-_SEPARATION = mapping_of(Separation, without=HITCH_SEPARATION)
+_LIMITS = mapping_of(Limits, exclude=HITCH_LIMITS)
+_SEPARATION = mapping_of(Separation, exclude=HITCH_SEPARATION)
 
 
 @documented
@@ -447,7 +449,7 @@ class SwarmProblem(OneLine):
     arena: ArenaOrNone = None
     keep_out: Annotated[
         tuple[Prism, ...],
-        Key(listed(mapping_of(Prism), 0, MAX_PRISMS), "Prisms that the drones stay out of"),
+        Key(list_of(mapping_of(Prism), 0, MAX_PRISMS), "Prisms that the drones stay out of"),
     ] = ()
     duration: Annotated[
         float | None, Key(DURATION, "Exactly that long; without it as fast as possible")
@@ -475,7 +477,7 @@ class SwarmProblem(OneLine):
         return request_fields(self.team, self.requirements, {"drones": self.start}, [step])
 
     def __post_init__(self) -> None:
-        instance("team", self.team, Swarm)
+        check_instance("team", self.team, Swarm)
         values = vars(self)
         store(
             self, **{key: values[key] for key in ("start", "goal", "duration", "title", "others")}

@@ -36,15 +36,15 @@ from hitchopt.values.fields import (
     Key,
     Missing,
     by_key,
+    collect,
+    dict_of,
     documented,
     either,
-    gathered,
-    joined,
-    listed,
+    join_key,
+    list_of,
     mapping_of,
-    named,
-    one_key,
     one_or_each,
+    single_key,
     store,
 )
 from hitchopt.values.units import DURATION
@@ -73,7 +73,7 @@ class Fly(OneLine):
         store(self, **vars(self))
 
 
-ANY_STEP = one_key(
+ANY_STEP = single_key(
     "TeamStep",
     "One step of a team, or of single drones.",
     STEP_KINDS | {Fly.name: Fly},
@@ -100,7 +100,7 @@ def refuse_unnamed(teams: Any, start: Any, mission: Any) -> None:
             if name not in names:
                 step = name in (*STEP_KINDS, Fly.name)
                 remedy = f"write {names[0]}: {{{name}: …}}" if step else closest_word(name, names)
-                key, what = joined(place, name), "a step" if place != "start" else "a start"
+                key, what = join_key(place, name), "a step" if place != "start" else "a start"
                 raise InputError(key, what, "under the name of a team", remedy)
 
 
@@ -121,7 +121,7 @@ class TeamsProblem(OneLine):
     teams: Annotated[
         Mapping[str, Team],
         Key(
-            named(by_key({"robots": mapping_of(Team), "drones": SWARM_TEAM}), NAME, MAX_GROUPS),
+            dict_of(by_key({"robots": mapping_of(Team), "drones": SWARM_TEAM}), NAME, MAX_GROUPS),
             "The teams by name, of robots or of single drones",
             EXAMPLES["teams"],
         ),
@@ -129,7 +129,7 @@ class TeamsProblem(OneLine):
     start: Annotated[
         Mapping[str, Start | Array],
         Key(
-            named(either(START, SWARM_PLACES), NAME, MAX_GROUPS),
+            dict_of(either(START, SWARM_PLACES), NAME, MAX_GROUPS),
             "The start of every team; of single drones their places [x, y, z] [m]",
             EXAMPLES["start"],
         ),
@@ -137,7 +137,7 @@ class TeamsProblem(OneLine):
     mission: Annotated[
         Sequence[Mapping[str, Any]],
         Key(
-            listed(named(one_or_each(ANY_STEP, 1, MAX_STEPS), NAME, MAX_GROUPS), 1, MAX_STEPS),
+            list_of(dict_of(one_or_each(ANY_STEP, 1, MAX_STEPS), NAME, MAX_GROUPS), 1, MAX_STEPS),
             "Items, one after the other: a step, or a list of steps, of some teams",
             EXAMPLES["mission"],
         ),
@@ -163,7 +163,7 @@ class TeamsProblem(OneLine):
             remedy = "with one team write team, and its start and steps without a name"
             raise InputError("teams", names, "at least two teams", remedy)
         refuse_unnamed(self.teams, self.start, self.mission)
-        gathered(self._check_named, names)
+        collect(self._check_named, names)
         for name in self.others.keys() & self.teams.keys():
             raise InputError(f"others.{name}", name, "a name that no team has", "rename it")
         for i, item in enumerate(self.mission):
@@ -227,7 +227,7 @@ class TeamsProblem(OneLine):
     @cached_property
     def problems(self) -> dict[str, Problem | tuple[SwarmProblem, ...]]:
         """The problem of every team alone; those of all flights of single drones."""
-        return dict(gathered(lambda name: (name, self._problem(name)), self.teams))
+        return dict(collect(lambda name: (name, self._problem(name)), self.teams))
 
     def _problem(self, name: str) -> Problem | tuple[SwarmProblem, ...]:
         team, steps, flights = self.teams[name], self._steps(name), list[SwarmProblem]()

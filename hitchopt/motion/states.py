@@ -16,7 +16,7 @@ from hitchopt.hitch.forces import cable_force_rates, cable_forces
 from hitchopt.motion.chapters import parts_at
 from hitchopt.motion.loads import leg_tensions, tautness
 from hitchopt.motion.motion import Motion
-from hitchopt.values import Array, as_array, not_negative, positive
+from hitchopt.values import Array, as_array, nonnegative, positive
 
 UPWARD = np.array([0.0, 0.0, GRAVITY])
 """[m/s²] Added to accelerations: thrusts compensate gravity."""
@@ -181,7 +181,7 @@ def sample_times(duration: float, rate: float) -> Array:
     ------
     InputError: a number out of its range, or more than MAX_SAMPLES samples.
     """
-    duration = not_negative("duration", duration)
+    duration = nonnegative("duration", duration)
     rate = positive("rate", rate)
     if duration * rate > MAX_SAMPLES:
         bound = f"at most {MAX_SAMPLES / duration:g} Hz"

@@ -15,11 +15,11 @@ from hitchopt.geometry.vectors import dot, first_smallest, length, unit
 from hitchopt.values import (
     Array,
     as_array,
+    check_instance,
     coordinate,
     finite,
     flag,
-    instance,
-    not_negative,
+    nonnegative,
     points,
     positive,
 )
@@ -232,7 +232,7 @@ class Rim(OneLine):
     height: float
 
     def __post_init__(self) -> None:
-        instance("section", self.section, Section)
+        check_instance("section", self.section, Section)
         object.__setattr__(self, "height", coordinate("height", self.height))
 
 
@@ -278,9 +278,9 @@ class SolidObject(OneLine):
         rim: Rim | None = None,
         fixed: bool = False,
     ) -> None:
-        instance("section", section, Section)
+        check_instance("section", section, Section)
         if rim is not None:
-            instance("rim", rim, Rim)
+            check_instance("rim", rim, Rim)
         given = as_array(at)
         if given.shape != (3,):
             raise InputError("at", at, "a point [x, y, z]", "give three numbers in metres")
@@ -291,7 +291,7 @@ class SolidObject(OneLine):
             "lower": coordinate("lower", lower),
             "upper": coordinate("upper", upper),
             "mass": positive("mass", mass),
-            "friction": not_negative("friction", friction),
+            "friction": nonnegative("friction", friction),
             "at": place,
             "yaw": finite("yaw", yaw),
             "rim": rim,

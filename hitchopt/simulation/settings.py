@@ -10,7 +10,7 @@ from typing import Any
 from hitchopt.errors import InputError, OneLine
 from hitchopt.hitch.estimator import FIRMWARE, HELD, ONE_MARKER, EstimatorParameters
 from hitchopt.hitch.flight_controller import CONTROLLERS, Gains
-from hitchopt.values import choice, not_negative, positive
+from hitchopt.values import check_choice, nonnegative, positive
 
 # Largest relative deviations; more is most likely a percentage
 LARGEST = {"cable_error": 0.1, "object_mass": 0.9, "object_friction": 0.9}
@@ -93,7 +93,7 @@ class Perturbations(OneLine):
     object_place: float = 0.0
 
     def __post_init__(self) -> None:
-        _check(self, not_negative, *(name for name in vars(self) if name != "downwash"))
+        _check(self, nonnegative, *(name for name in vars(self) if name != "downwash"))
         for name, most in LARGEST.items():
             if getattr(self, name) > most:
                 raise InputError(name, getattr(self, name), f"at most {most}", "give a fraction")
@@ -126,7 +126,7 @@ class Loss(OneLine):
     time: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "time", not_negative("lose", self.time))
+        object.__setattr__(self, "time", nonnegative("lose", self.time))
 
     @classmethod
     def parsed(cls, text: str) -> Loss:
@@ -179,7 +179,7 @@ class Settings(OneLine):
 
     def __post_init__(self) -> None:
         if self.controller is not None:
-            choice("controller", self.controller, CONTROLLERS)
+            check_choice("controller", self.controller, CONTROLLERS)
         else:
             for name in ("gains", "estimator", "upload"):
                 if value := getattr(self, name):
@@ -192,7 +192,7 @@ class Settings(OneLine):
             raise InputError("feedback", True, bound, "uploaded files cannot be corrected")
         if isinstance(self.seed, bool) or self.seed < 0:
             raise InputError("seed", self.seed, "a whole number, at least 0", "0 will do")
-        _check(self, not_negative, "friction")
+        _check(self, nonnegative, "friction")
         _check(self, positive, "density", "stiffness")
 
     @property
@@ -219,6 +219,6 @@ def settings_of(preset: str, *, perturbed: bool, **given: Any) -> Settings:
     stated = {name: value for name, value in given.items() if value is not None}
     changes = {name: stated.pop(name) for name in vars(usual) if name in stated}
     if isinstance(named := stated.get("estimator"), str):
-        choice("estimator", named, tuple(ESTIMATORS))
+        check_choice("estimator", named, tuple(ESTIMATORS))
         stated["estimator"] = ESTIMATORS[named]
     return Settings(preset=PRESETS[preset], perturbations=replace(usual, **changes), **stated)

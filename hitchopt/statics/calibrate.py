@@ -50,7 +50,7 @@ from hitchopt.simulation.task import Task, read_task
 from hitchopt.statics.energy import HitchEnergy, bends_of
 from hitchopt.statics.settle import conditions_of, energy_of
 from hitchopt.storage.archive import PLAN, reading
-from hitchopt.values import Array, Indices, not_negative, path
+from hitchopt.values import Array, Indices, nonnegative, path
 
 # Windows in which stiffness, friction, and rates of sliding are estimated [s]. Tensions of 0.5 s
 # follow the noise of their drones, which makes these seem up to 24 % stiffer
@@ -184,7 +184,7 @@ def calibrate(
         bound = "of a flight in which drones and vertices are seen while the plan has a hitch"
         remedy = "record the vertices too, and let t count from the plan's start"
         raise InputError("recording", f"{len(recording.t)} samples", bound, remedy)
-    weighed = recording.density if density is None else not_negative("density", density)
+    weighed = recording.density if density is None else nonnegative("density", density)
     weight = team.cable_density if weighed is None else weighed
     feeds = team.feed_forward if recording.feed_forward is None else recording.feed_forward
     winds = np.isinf(team.integral) if recording.integral is None else recording.integral

@@ -41,7 +41,7 @@ from hitchopt.planners.carrying.polygons import (
     best_grip,
     rest_polygons,
 )
-from hitchopt.values import not_negative, points, positive, whole
+from hitchopt.values import integer, nonnegative, points, positive
 
 GRIP, REST = "grip", "rest"
 SAFETY = 1.5  # Least slip load over load
@@ -180,7 +180,7 @@ def fit(
     InputError: a number out of its range, or an outline that is none.
     InfeasibleError: no hitch encloses the object, or the drones cannot hold the tension.
     """
-    whole("robots", robots, 3, MOST_ROBOTS)
+    integer("robots", robots, 3, MOST_ROBOTS)
     (kind,) = kinds_of(quadrotor, 1, "object")
     own = Requirements(limits or Limits(), separation or Separation())
     requirements = own.flown_by(Swarm(1, quadrotor=kind)).with_reserve
@@ -194,12 +194,12 @@ def fit(
         raise InfeasibleError([Violation(binding, tension, most, "max", "N", (), "", remedy)])
     task = FitTask(
         section,
-        not_negative("clearance", clearance),
+        nonnegative("clearance", clearance),
         positive("height", height),
-        not_negative("friction", friction),
+        nonnegative("friction", friction),
         float(tension),
         None if cable_length is None else positive("cable_length", cable_length),
-        not_negative("clasp_friction", clasp_friction),
+        nonnegative("clasp_friction", clasp_friction),
         kind,
         requirements,
     )

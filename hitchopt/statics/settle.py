@@ -25,7 +25,7 @@ from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
 from hitchopt.plan import Plan
 from hitchopt.statics.energy import HitchEnergy
-from hitchopt.values import Array, Indices, instance
+from hitchopt.values import Array, Indices, check_instance
 
 # Least positive and largest finite number
 POSITIVE, LARGEST = (getattr(np.finfo(np.float64), name) for name in ("tiny", "max"))
@@ -196,7 +196,7 @@ def settle(plan: Plan | Motion, t: ArrayLike, **conditions: Any) -> Settled:
     UnsupportedError: single drones, several teams, or objects that are carried.
     InfeasibleError: there is no rest.
     """
-    instance("plan", plan, Plan, Motion)
+    check_instance("plan", plan, Plan, Motion)
     motion = plan.motion if isinstance(plan, Plan) else plan
     motion.refuse_several("settle", others=False)
     known = conditions_of(motion.team, **conditions)

@@ -27,7 +27,7 @@ from hitchopt.motion.states import states_at
 from hitchopt.plan import Plan
 from hitchopt.statics.energy import HitchEnergy
 from hitchopt.statics.settle import SAMPLED, Settled, conditions_of, energy_of, samples_of, settle
-from hitchopt.values import Array, as_array, instance, not_negative
+from hitchopt.values import Array, as_array, check_instance, nonnegative
 
 DEVIATIONS = 3.0  # Standard deviations that a range covers: 99.7 % of normal errors
 MARK = "sd:"  # What a standard deviation begins with on the command line: sd:0.01
@@ -62,7 +62,7 @@ class ErrorSize(OneLine):
 
     def __post_init__(self) -> None:
         for name in ("bound", "deviation"):
-            object.__setattr__(self, name, not_negative(name, getattr(self, name)))
+            object.__setattr__(self, name, nonnegative(name, getattr(self, name)))
 
     @classmethod
     def of(cls, key: str, given: ErrorSize | float | str) -> ErrorSize:
@@ -77,7 +77,7 @@ class ErrorSize(OneLine):
         except ValueError:
             raise InputError(key, given, "a number, or sd:number", f"write {MARK}0.01") from None
         name = "deviation" if isinstance(given, str) and given.startswith(MARK) else "bound"
-        return cls(**{name: not_negative(key, size)})
+        return cls(**{name: nonnegative(key, size)})
 
 
 Sizes = dict[str, ErrorSize]  # By "cable", "position" and "force"
@@ -187,7 +187,7 @@ def tolerance(
     UnsupportedError: a plan without a taut hitch, or of several teams.
     InfeasibleError: there is no rest.
     """
-    instance("plan", plan, Plan, Motion)
+    check_instance("plan", plan, Plan, Motion)
     motion = plan.motion if isinstance(plan, Plan) else plan
     motion.refuse_several("tolerance", others=False)
     given = {"cable": cable_error, "position": position_error, "force": force_error}

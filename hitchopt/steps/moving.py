@@ -41,7 +41,7 @@ from hitchopt.steps.step import (
 )
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
-from hitchopt.values.fields import FLAGS, Key, either, listed, mapping_of, points
+from hitchopt.values.fields import FLAGS, Key, either, list_of, mapping_of, points
 from hitchopt.values.units import DURATION, TENSION
 
 if TYPE_CHECKING:
@@ -258,7 +258,7 @@ def _range(key: str, value: object) -> tuple[float, float]:
     return least, most
 
 
-_EITHER_RANGE = either(mapping_of(TensionRange), listed(TENSION, 2, 2))
+_EITHER_RANGE = either(mapping_of(TensionRange), list_of(TENSION, 2, 2))
 RANGE = replace(_EITHER_RANGE, check=_range)
 
 OPTIMIZE_TEXT = "Look for a faster route even where the straight one satisfies all limits"

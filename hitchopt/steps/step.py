@@ -31,13 +31,13 @@ from hitchopt.values.fields import (
     FLAGS,
     Key,
     either,
-    listed,
+    integers,
+    list_of,
     mapping_of,
     one_or_each,
     points,
     store,
-    texts,
-    whole_number,
+    strings,
     words,
 )
 from hitchopt.values.units import (
@@ -51,10 +51,10 @@ from hitchopt.values.units import (
 
 # Kinds of values, and fields that several kinds of steps have.
 
-OBJECT_NAME = texts(50, 1, "[A-Za-z0-9_ -]+", "of letters, digits, spaces, - and _")
+OBJECT_NAME = strings(50, 1, "[A-Za-z0-9_ -]+", "of letters, digits, spaces, - and _")
 POINT2, POINT3 = points((2,), "x, y"), points((3,), "x, y, z")
 OUTLINE = points((None, 2), "x, y", 3, MAX_ROBOTS + 1, Outline)
-INDEX = whole_number(0, MAX_ROBOTS - 1)
+INDEX = integers(0, MAX_ROBOTS - 1)
 
 OUTLINE_TEXT = (
     "Vertices [x, y] [m] of a convex polygon, clockwise seen from above, one per robot; one more "
@@ -69,7 +69,7 @@ TRIANGLE = [[0, -1], [-0.4, 0.5], [0.4, 0.5]]
 AUTO: Final = "auto"
 """Word for an automatic choice: a duration, or a roll that is 0 unless limits need it."""
 
-SPLIT = either(words("balanced", "spread"), listed(LENGTH_OR_ZERO, 2, MAX_ROBOTS))
+SPLIT = either(words("balanced", "spread"), list_of(LENGTH_OR_ZERO, 2, MAX_ROBOTS))
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,7 +34,7 @@ from hitchopt.steps.step import (
     checks_relaxed_by,
 )
 from hitchopt.values import Array, Indices
-from hitchopt.values.fields import Key, either, listed, mapping_of, words
+from hitchopt.values.fields import Key, either, list_of, mapping_of, words
 from hitchopt.values.units import HEIGHT
 
 if TYPE_CHECKING:
@@ -87,12 +87,12 @@ class Form(Step):
     by: Annotated[Literal["swaps", "laying"], Key(words("swaps", "laying"), BY_TEXT)] = "swaps"
     order: Annotated[
         Array | Literal["auto"],
-        Key(either(words("auto"), listed(INDEX, 3, MAX_ROBOTS)), ORDER_TEXT),
+        Key(either(words("auto"), list_of(INDEX, 3, MAX_ROBOTS)), ORDER_TEXT),
     ] = AUTO
     robots: Annotated[
         Array | None,
         Key(
-            listed(INDEX, 3, MAX_ROBOTS),
+            list_of(INDEX, 3, MAX_ROBOTS),
             "Robots that hold the edges, in order; the others wait, and may join; null: all",
         ),
     ] = None

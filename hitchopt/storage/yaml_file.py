@@ -25,7 +25,7 @@ import numpy as np
 from ruamel.yaml import YAML, events
 
 from hitchopt.errors import FileError, InputError, Place
-from hitchopt.values.fields import joined
+from hitchopt.values.fields import join_key
 
 Plain = dict[str, "Plain"] | list["Plain"] | str | int | float | bool | None
 """Data that a problem file is made of."""
@@ -268,7 +268,7 @@ def _unquoted(text: str) -> Plain:
 
 def key_path(parts: Iterable[str | int]) -> str:
     """Return a path as messages show it, such as ``mission[0].morph.legs[1]``."""
-    return reduce(joined, parts, "")
+    return reduce(join_key, parts, "")
 
 
 class Budget:

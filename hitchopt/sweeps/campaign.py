@@ -20,7 +20,7 @@ from hitchopt.simulation.task import Task
 from hitchopt.storage.files import Writer, replace_files, write_strict_json
 from hitchopt.sweeps.sweep import Share
 from hitchopt.sweeps.work import finished
-from hitchopt.values import whole
+from hitchopt.values import integer
 
 
 @dataclass(frozen=True)
@@ -84,9 +84,9 @@ def run_campaign(
     InputError: no runs, or settings that no flight can be simulated with.
     UnsupportedError: mujoco is not installed.
     """
-    whole("runs", runs, 1)
+    integer("runs", runs, 1)
     if processes is not None:
-        whole("processes", processes, 1)
+        integer("processes", processes, 1)
     width = min(runs, processes or os.cpu_count() or 1)
     flights = [replace(settings, seed=settings.seed + i) for i in range(runs)]
     flown: list[Run] = []

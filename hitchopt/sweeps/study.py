@@ -24,16 +24,16 @@ from hitchopt.values.fields import (
     FLAGS,
     Key,
     Missing,
+    dict_of,
     either,
-    joined,
-    listed,
+    integers,
+    join_key,
+    list_of,
     mapping_of,
-    named,
-    texts,
-    whole_number,
+    strings,
     words,
 )
-from hitchopt.values.units import NOT_NEGATIVE, NUMBER, POSITIVE
+from hitchopt.values.units import NONNEGATIVE, NUMBER, POSITIVE
 
 Point = dict[str, Plain]
 """One value of every parameter, by key path."""
@@ -50,7 +50,7 @@ class GridKeys:
 
     low: Annotated[float, Key(NUMBER, "Lower end", 0.2, "from")]
     high: Annotated[float, Key(NUMBER, "Upper end", 0.6, "to")]
-    count: Annotated[int, Key(whole_number(2, MAX_CASES), "Number of values", 4)]
+    count: Annotated[int, Key(integers(2, MAX_CASES), "Number of values", 4)]
     log: Annotated[bool, Key(FLAGS, "Even in the logarithm")] = False
 
     def __post_init__(self) -> None:
@@ -67,7 +67,7 @@ class ParameterKeys:
     grid: Annotated[GridKeys, Key(mapping_of(GridKeys), "Values at even distances")]
 
 
-PARAMETER = either(mapping_of(ParameterKeys), listed(ANYTHING, 1))
+PARAMETER = either(mapping_of(ParameterKeys), list_of(ANYTHING, 1))
 Values = ParameterKeys | list[Any]
 
 
@@ -149,17 +149,17 @@ OrNot = float | None
 class SimulateKeys:
     """Every plan is flown in the rope simulation."""
 
-    seeds: Annotated[int, Key(whole_number(1, 100_000), "Flights of every plan")] = 1
-    seed: Annotated[int, Key(whole_number(0, 2**63 - 1), "Seed of the first of them")] = 0
+    seeds: Annotated[int, Key(integers(1, 100_000), "Flights of every plan")] = 1
+    seed: Annotated[int, Key(integers(0, 2**63 - 1), "Seed of the first of them")] = 0
     preset: Annotated[str, Key(words("fast", "accurate"), "Resolution of ropes")] = "fast"
     perturbed: Annotated[bool, Key(FLAGS, "The usual perturbations")] = True
-    noise: Annotated[OrNot, Key(NOT_NEGATIVE, "Of measured positions [m]")] = None
-    velocity_noise: Annotated[OrNot, Key(NOT_NEGATIVE, "Of velocities [m/s]")] = None
-    wind: Annotated[OrNot, Key(NOT_NEGATIVE, "Force of gusts [N]")] = None
-    steady_wind: Annotated[OrNot, Key(NOT_NEGATIVE, "Constant level force [N]")] = None
-    cable_error: Annotated[OrNot, Key(NOT_NEGATIVE, "Of lengths, relative")] = None
-    start_error: Annotated[OrNot, Key(NOT_NEGATIVE, "Of starts, per axis [m]")] = None
-    friction: Annotated[OrNot, Key(NOT_NEGATIVE, "Replaces the team's")] = None
+    noise: Annotated[OrNot, Key(NONNEGATIVE, "Of measured positions [m]")] = None
+    velocity_noise: Annotated[OrNot, Key(NONNEGATIVE, "Of velocities [m/s]")] = None
+    wind: Annotated[OrNot, Key(NONNEGATIVE, "Force of gusts [N]")] = None
+    steady_wind: Annotated[OrNot, Key(NONNEGATIVE, "Constant level force [N]")] = None
+    cable_error: Annotated[OrNot, Key(NONNEGATIVE, "Of lengths, relative")] = None
+    start_error: Annotated[OrNot, Key(NONNEGATIVE, "Of starts, per axis [m]")] = None
+    friction: Annotated[OrNot, Key(NONNEGATIVE, "Replaces the team's")] = None
     density: Annotated[OrNot, Key(POSITIVE, "Replaces the team's [kg/m]")] = None
     stiffness: Annotated[OrNot, Key(POSITIVE, "Of position loops [N/m]")] = None
 
@@ -172,11 +172,11 @@ class StudyKeys:
         Any,
         Key(ANYTHING, "Path of a problem file, a list of paths, or a problem", "triangle.yaml"),
     ]
-    title: Annotated[str, Key(texts(MAX_TITLE), "Title of the study")] = ""
+    title: Annotated[str, Key(strings(MAX_TITLE), "Title of the study")] = ""
     parameters: Annotated[
         dict[str, Values],
         Key(
-            named(PARAMETER, texts(1000)),
+            dict_of(PARAMETER, strings(1000)),
             "A list or a grid of values, by a key path in the problem file, or in this one",
         ),
     ] = field(default_factory=dict)
@@ -242,7 +242,7 @@ class Study(OneLine):
                 found = [key for key in case.point if error.key.startswith(key)]
                 if not found:
                     raise FileError(f"problem {case.name}: {error}") from None
-                key = joined("parameters", found[0])
+                key = join_key("parameters", found[0])
                 raise InputError(key, error.value, error.bound, error.remedy) from None
             STUDY.check("", {"problem": "", "simulate": case.simulate})
 

@@ -23,8 +23,8 @@ from hitchopt.storage.files import replace_files, write_strict_json
 from hitchopt.storage.yaml_file import located, parse_yaml, read_text
 from hitchopt.sweeps.study import Study, digest_of, study_from_dict
 from hitchopt.sweeps.work import FAILED, PLANNED, Row, finished, first_columns, row_of
+from hitchopt.values import integer, text
 from hitchopt.values import path as as_path
-from hitchopt.values import text, whole
 
 if TYPE_CHECKING:
     import pandas
@@ -69,7 +69,7 @@ def run_sweep(
     """
     place = as_path("directory", directory)
     if workers is not None:
-        whole("workers", workers, 1)
+        integer("workers", workers, 1)
     if scheduler is not None:
         text("scheduler", scheduler)
     if isinstance(study, str | Path):

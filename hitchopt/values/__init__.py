@@ -25,38 +25,39 @@ MAX_COORDINATE = 1e5
 """Largest coordinate [m]: double precision does not resolve the tolerances of a plan beyond it."""
 
 
-ONE, EACH, WORD, FLAG, MAPPING = "a number", "a list", "a word", "true or false", "a mapping"
-"""Forms of values."""
+SCALAR, LIST, WORD, FLAG, MAPPING = "a number", "a list", "a word", "true or false", "a mapping"
+"""Forms of values, as messages name them."""
 
 _FORMS = (
     ((bool, np.bool_), FLAG, "write true or false"),
-    ((int, float, np.number), ONE, "give a plain number in SI units"),
-    ((list, tuple, np.ndarray), EACH, "write a list in brackets"),
+    ((int, float, np.number), SCALAR, "give a plain number in SI units"),
+    ((list, tuple, np.ndarray), LIST, "write a list in brackets"),
     ((str,), WORD, "put it in quotes if it is meant as text"),
     ((Mapping,), MAPPING, "write {key: value, …}"),
 )
 
 
 def form_of(value: object) -> str:
-    """Return the form of a value, empty for others; records are mappings."""
+    """Return the form of a value, "" if it has none; records are mappings."""
     if is_dataclass(value):
         return MAPPING
     return next((form for kinds, form, _ in _FORMS if isinstance(value, kinds)), "")
 
 
-def misfit(key: str, value: object, *bounds: str) -> InputError:
-    """Return the error of a value that has none of the forms, or other bounds."""
+def form_error(key: str, value: object, *bounds: str) -> InputError:
+    """Return the error for a value that has none of the forms ``bounds``."""
     remedy = next((remedy for _, form, remedy in _FORMS if form in bounds), "write a list")
+    digits = value if SCALAR in bounds and isinstance(value, str) else ""
     if value is None:
         remedy = "give a value, or leave it out"
-    elif ONE in bounds and isinstance(value, str) and re.fullmatch(r"[-+]?[\d.]+(e-?\d+)?", value):
+    elif re.fullmatch(r"[-+]?[\d.]+(e-?\d+)?", digits):
         remedy = "remove the quotes"
-    elif ONE in bounds and isinstance(value, str) and re.fullmatch(r"[-+]?\d+,\d+", value):
-        remedy = f"write {value.replace(',', '.')}: decimals have a point"
+    elif re.fullmatch(r"[-+]?\d+,\d+", digits):
+        remedy = f"write {digits.replace(',', '.')}: decimals have a point"
     return InputError(key, value, " or ".join(bounds), remedy)
 
 
-def instance(key: str, value: object, *kinds: type) -> None:
+def check_instance(key: str, value: object, *kinds: type) -> None:
     """Raise InputError unless ``value`` is of one of the public classes ``kinds``."""
     if not isinstance(value, kinds):
         names = " or ".join(f"hitchopt.{kind.__name__}" for kind in kinds)
@@ -66,12 +67,12 @@ def instance(key: str, value: object, *kinds: type) -> None:
 def flag(key: str, value: object) -> bool:
     """Return ``value``, or raise InputError unless it is true or false."""
     if not isinstance(value, bool | np.bool_):
-        raise misfit(key, value, FLAG)
+        raise form_error(key, value, FLAG)
     return bool(value)
 
 
 def path(key: str, value: object) -> Path:
-    """Return ``value`` as a path, or raise InputError unless it is a path or a string."""
+    """Return ``value`` as a path; raise InputError unless it is a path or a string."""
     if not isinstance(value, str | Path) or value == "":
         raise InputError(key, value, "a path", "pass a string or pathlib.Path")
     return Path(value)
@@ -102,21 +103,22 @@ SYNONYMS = {
     "objects": "obstacles",
     "crazyswarm2": "crazyflie crazyfly",
 }
-"""Words that users write, by what they may mean where it is known."""
+"""Words that users write in place of each valid word."""
 
 
-def closest_word(word: str, known: Sequence[str], otherwise: str = "") -> str:
-    """Return the question whether a valid word was meant, one of the same sense or the closest.
+def closest_word(word: str, valid: Sequence[str], fallback: str = "") -> str:
+    """Return a question that suggests a valid word: a synonym, else the closest one.
 
-    Where there is none it is ``otherwise``, by default all valid words.
+    Without one the result is ``fallback``, by default a list of all valid words.
     """
-    close = [name for name in known if word.lower() in SYNONYMS.get(name, "").split()]
-    close += difflib.get_close_matches(word[:60], known, n=1, cutoff=0.6)
-    listed = otherwise or f"use one of {', '.join(known)}"
-    return f"did you mean {close[0]}?" if close else listed
+    matches = [name for name in valid if word.lower() in SYNONYMS.get(name, "").split()]
+    matches += difflib.get_close_matches(word[:60], valid, n=1, cutoff=0.6)
+    if matches:
+        return f"did you mean {matches[0]}?"
+    return fallback or f"use one of {', '.join(valid)}"
 
 
-def choice(key: str, value: object, names: Sequence[str]) -> None:
+def check_choice(key: str, value: object, names: Sequence[str]) -> None:
     """Raise InputError unless ``value`` is one of ``names``."""
     if not isinstance(value, str) or value not in names:
         remedy = closest_word(str(value), names, f"write {names[0]!r}")
@@ -131,21 +133,21 @@ def text(key: str, value: object) -> str:
 
 
 def sequence(key: str, value: object) -> tuple[Any, ...]:
-    """Return the entries of a list or another iterable, or raise InputError if it is none."""
+    """Return the entries of an iterable, or raise InputError if ``value`` is not iterable."""
     try:
         return tuple(value)  # type: ignore[arg-type]
     except TypeError:
         raise InputError(key, value, "a list", "write [ ] around it") from None
 
 
-def whole(key: str, value: object, least: int, most: int | None = None) -> int:
-    """Return ``value``, or raise InputError unless it is an integer from ``least`` to ``most``."""
+def integer(key: str, value: object, minimum: int, maximum: int | None = None) -> int:
+    """Return ``value``, or raise InputError unless it is an integer in the range."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer):
         raise InputError(key, value, "an integer", "give a whole number")
-    if value < least:
-        raise InputError(key, value, f"at least {least}", f"give {least} or more")
-    if most is not None and value > most:
-        raise InputError(key, value, f"at most {most}", f"give {most} or less")
+    if value < minimum:
+        raise InputError(key, value, f"at least {minimum}", f"give {minimum} or more")
+    if maximum is not None and value > maximum:
+        raise InputError(key, value, f"at most {maximum}", f"give {maximum} or less")
     return int(value)
 
 
@@ -157,7 +159,7 @@ def positive(key: str, value: object) -> float:
     return number
 
 
-def not_negative(key: str, value: object) -> float:
+def nonnegative(key: str, value: object) -> float:
     """Return ``value`` as a float, or raise InputError unless it is finite and at least zero."""
     number = finite(key, value)
     if number < 0.0:
@@ -168,7 +170,7 @@ def not_negative(key: str, value: object) -> float:
 def finite(key: str, value: object) -> float:
     """Return ``value`` as a float, or raise InputError unless it is a finite number."""
     if isinstance(value, bool) or not isinstance(value, int | float | np.number):
-        raise misfit(key, value, ONE)
+        raise form_error(key, value, SCALAR)
     try:
         number = float(value)
     except OverflowError:
@@ -188,7 +190,7 @@ def coordinate(key: str, value: object) -> float:
 
 
 def as_array(value: object) -> Array:
-    """Return a copy of ``value`` as an array; an empty one if it is no array of numbers."""
+    """Return a copy of ``value`` as an array; empty if ``value`` is not an array of numbers."""
     try:
         return np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
@@ -198,17 +200,23 @@ def as_array(value: object) -> Array:
 def points(key: str, value: object, shape: tuple[int, int], bound: str, remedy: str) -> Array:
     """Return points [m] as a read-only array, or raise InputError if one exceeds MAX_COORDINATE.
 
-    ``shape`` is the minimum number of points, and their number of coordinates; ``bound`` and
-    ``remedy`` are those of the error for another shape.
+    ``shape`` is the minimum number of points and the number of coordinates; ``bound`` and
+    ``remedy`` go into the error for a wrong shape.
     """
     array = as_array(value)
     if array.ndim != 2 or array.shape[1] != shape[1] or len(array) < shape[0]:
         raise InputError(key, value, bound, remedy)
-    good = np.abs(array) <= MAX_COORDINATE  # not of nan
-    if not good.all():
-        k = int(np.argmin(np.all(good, axis=1)))
+    return bounded_points(key, array)
+
+
+def bounded_points(key: str, array: Array) -> Array:
+    """Make points (…, d) [m] read-only and return them; raise InputError beyond MAX_COORDINATE."""
+    bounded = np.all(np.abs(array) <= MAX_COORDINATE, axis=-1)  # False for nan
+    if not np.all(bounded):
+        k = int(np.argmin(bounded))
+        path, point = (f"{key}[{k}]", array[k]) if array.ndim > 1 else (key, array)
         bound, remedy = f"finite and within ±{MAX_COORDINATE:g} m", "check the point's coordinates"
-        raise InputError(f"{key}[{k}]", array[k].tolist(), bound, remedy)
+        raise InputError(path, point.tolist(), bound, remedy)
     array.setflags(write=False)
     return array
 
@@ -217,15 +225,15 @@ def per_robot(
     key: str,
     value: float | Sequence[float] | ArrayLike,
     robots: int,
-    checked: Callable[[str, object], float] = positive,
+    check: Callable[[str, object], float] = positive,
     owner: str = "robot",
 ) -> NDArray[np.float64]:
     """Return ``value`` as a read-only array (robots,); one number applies to all robots.
 
-    ``owner`` names the items in messages if they are not robots. ``checked`` checks every number.
+    ``check`` returns a checked number. ``owner`` names the items in messages.
     """
     if isinstance(value, int | float | np.number) and not isinstance(value, bool):
-        array = np.full(robots, checked(key, float(value)))
+        array = np.full(robots, check(key, float(value)))
     else:
         bound = f"one number, or a list of {robots} (one per {owner})"
         try:
@@ -233,10 +241,10 @@ def per_robot(
         except TypeError:
             entries = []
         if not entries:
-            raise InputError(key, value, bound, misfit(key, value, ONE).remedy)
+            raise InputError(key, value, bound, form_error(key, value, SCALAR).remedy)
         if len(entries) != robots:
             remedy = f"{len(entries)} were given; add or remove entries, or change team.robots"
             raise InputError(key, value, bound, remedy)
-        array = np.array([checked(f"{key}[{k}]", x) for k, x in enumerate(entries)])
+        array = np.array([check(f"{key}[{k}]", x) for k, x in enumerate(entries)])
     array.setflags(write=False)
     return array
