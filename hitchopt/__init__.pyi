@@ -40,7 +40,8 @@ from hitchopt.mission.loading import read_problem as read_problem
 from hitchopt.mission.others import Other as Other
 from hitchopt.mission.problem import DronesStart as DronesStart, HitchStart as HitchStart
 from hitchopt.mission.problem import Problem as Problem, SwarmProblem as SwarmProblem
-from hitchopt.mission.repair import Change as Change, Suggestion as Suggestion
+from hitchopt.mission.changes import Change as Change
+from hitchopt.mission.repair import Suggestion as Suggestion
 from hitchopt.mission.solving import forget as forget
 from hitchopt.mission.teams_problem import Fly as Fly, TeamsProblem as TeamsProblem
 from hitchopt.motion.motion import Motion as Motion, Phase as Phase
@@ -68,7 +69,7 @@ from hitchopt.sweeps.work import SweepError as SweepError
 from hitchopt.trajectory import PiecewisePolynomial as PiecewisePolynomial
 
 from hitchopt.geometry import Outline as _Outline
-from hitchopt.steps.carrying import By as _By
+from hitchopt.steps.carrying import HoldMethod as _By
 from hitchopt.steps.tying import Assign as _Assign
 
 _Polygon = _Outline | ArrayLike

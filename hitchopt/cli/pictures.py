@@ -132,7 +132,7 @@ def _serve(
     ghost: Path | None,
 ) -> LiveView:
     """Show a plan in the page of a server, to be edited there and saved to ``file``."""
-    from hitchopt.steps.certified_motions import Certified
+    from hitchopt.steps.certified_motions import CertifiedMotion
     from hitchopt.view.editing import Editing
     from hitchopt.view.live import LiveView
     from hitchopt.view.panel import EditingPanel
@@ -150,7 +150,7 @@ def _serve(
             certificate = ho.certify(motion)
         live.show_certificate(certificate)
     try:
-        editing = Editing(text, file, Certified(live.motion, certificate))
+        editing = Editing(text, file, CertifiedMotion(live.motion, certificate))
     except HitchoptError as error:
         say(f"it cannot be edited here: {error}")
     else:

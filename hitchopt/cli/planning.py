@@ -166,7 +166,7 @@ def _leave_diagnosis(
         content = diagnosis_content(error, [each.to_dict() for each in suggestions])
         save_diagnosis(place, content)
         if mended and suggestions:
-            from hitchopt.mission.repair import with_edits_in
+            from hitchopt.mission.changes import with_edits_in
 
             written = _write_new(
                 str(mended[1]), with_edits_in(mended[0], suggestions[0].change.edits)
@@ -398,14 +398,14 @@ def _title(path: Path) -> str:
 
 def problem_text(path: Path) -> str:
     """Return the text of a problem file, its schema named and sections of the template written."""
-    from hitchopt.mission.template import filled_in
+    from hitchopt.mission.template import expand_sections
 
     text = path.read_text(encoding="utf-8")
     if path.stem != f"template_{STUDY}":
-        return MODELINE + filled_in(text)
+        return MODELINE + expand_sections(text)
     from hitchopt.sweeps.study import SimulateKeys
 
-    return filled_in(text, simulate=(SimulateKeys, "#  ", ()))
+    return expand_sections(text, simulate=(SimulateKeys, "#  ", ()))
 
 
 def _write_new(name: str, text: str | None, suffixes: tuple[str, ...] = SUFFIXES) -> Path:

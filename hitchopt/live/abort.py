@@ -44,9 +44,9 @@ from hitchopt.objects.placing import STILL, in_world
 from hitchopt.planners.forming.joining import landed
 from hitchopt.planners.forming.stages import stage, straight_lines
 from hitchopt.steps import Release
-from hitchopt.steps.certified_motions import infeasible
+from hitchopt.steps.certified_motions import infeasible_error
 from hitchopt.steps.step import RestState, StepTask
-from hitchopt.steps.tying import lifted
+from hitchopt.steps.tying import vertical_motion
 from hitchopt.storage.files import replace_files, write_strict_json
 from hitchopt.values import Array, check_choice, nonnegative, positive
 
@@ -106,7 +106,7 @@ class Aborts:
                 motion = self._continued(stopped, how, origin).replaced(others=self.others)
                 certificate = certify(motion)
                 if not certificate.certified:
-                    raise infeasible(certificate, motion)
+                    raise infeasible_error(certificate, motion)
             except InfeasibleError as error:
                 refusal = refusal or error
             else:
@@ -292,7 +292,7 @@ def _landing_of_chapter(whole: Motion, *, untied: bool) -> Motion:
 def _lowered(hitch: Hitch, task: StepTask, floor: float) -> Motion:
     """Return the motion straight down of a hitch until its lowest drones are on the ground."""
     lower = hitch.altitude - (float(np.min(hitch.drones[:, 2])) - floor)
-    motion = lifted(hitch, lower, "land", task)
+    motion = vertical_motion(hitch, lower, "land", task)
     return motion.replaced(phases=tuple(replace(phase, remark="") for phase in motion.phases))
 
 

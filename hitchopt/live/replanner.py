@@ -33,8 +33,7 @@ from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.retiming import append_motion, before, cut, resting, with_last_poses
 from hitchopt.plan import Plan
 from hitchopt.planners.morph import jets
-from hitchopt.steps.certified_motions import infeasible
-from hitchopt.steps.certified_motions import resting as rest_of
+from hitchopt.steps.certified_motions import infeasible_error, rest_motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.search import rough_bounds
 from hitchopt.values import Array, check_instance, finite, integer, nonnegative, points
@@ -140,7 +139,7 @@ class Replanner(OneLine):
             motion, goal = start.motion, start.end
         else:
             phase = Phase("hold", 0, 0.0, HOLD)
-            motion, goal = rest_of(start, Requirements(), HOLD, phase), start
+            motion, goal = rest_motion(start, Requirements(), HOLD, phase), start
         own = motion.team
         if own.drone_names != team.drone_names or np.any(own.cable_length != team.cable_length):
             raise InputError("start", start, "of the same team", "give the team of the start")
@@ -156,7 +155,7 @@ class Replanner(OneLine):
         with suppress(InfeasibleError):  # loads the solver before the first goal is given
             self._end(self._goal.polygon, self._goal.altitude)
         if not self._certificate.certified:
-            raise infeasible(self._certificate, self.motion)
+            raise infeasible_error(self._certificate, self.motion)
 
     def _parts(self) -> Iterator[str]:
         yield f"{self.motion.team.drones} drones"
@@ -261,7 +260,7 @@ class Replanner(OneLine):
         ahead = append_motion(recent, fresh)
         certificate = _certificate(ahead)
         if not certificate.certified:
-            raise infeasible(certificate, ahead)
+            raise infeasible_error(certificate, ahead)
         return Retarget(True, past.duration, append_motion(past, fresh), ahead, certificate), end
 
     def _end(self, outline: Outline, altitude: float) -> Hitch:

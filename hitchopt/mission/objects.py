@@ -1,4 +1,4 @@
-"""Objects in problem files: upright bodies with sections, rims and drawings of outlines."""
+"""Objects in problem files: upright bodies with sections and rims, and drawings of outlines."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from hitchopt.values.fields import FLAGS, Key, dict_of, mapping_of, points, stri
 from hitchopt.values.units import ANGLE, COORDINATE, LENGTH, NONNEGATIVE, POSITIVE
 
 MAX_OBJECTS = 100
+SECTION_KEYS = ("outline", "circle", "file")
 
 CORNERS = points((None, 2), "x, y", 3, MAX_CORNERS)
 
@@ -31,11 +32,11 @@ class SectionKeys:
     circle: Annotated[float | None, Key(LENGTH, "Radius of a circle")] = None
 
     def __post_init__(self) -> None:
-        names = [name for name in ("outline", "circle", "file") if hasattr(self, name)]
-        given = [name for name in names if getattr(self, name) is not None]
-        if len(given) != 1:
+        names = [name for name in SECTION_KEYS if hasattr(self, name)]
+        specified = [name for name in names if getattr(self, name) is not None]
+        if len(specified) != 1:
             bound = f"a mapping with exactly one of {', '.join(names)}"
-            raise InputError("", given, bound, "write circle: 0.2, for example")
+            raise InputError("", specified, bound, "write circle: 0.2, for example")
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,8 +74,8 @@ class ObjectKeys(SectionKeys):
     fixed: Annotated[bool, Key(FLAGS, "Whether it never moves, as tables do")] = False
 
     def body(self) -> SolidObject:
-        """Return the object; its errors have the keys of files."""
-        values = {name: each for name, each in vars(self).items() if name not in SECTION_KEYS}
+        """Return the object; errors have the keys of files."""
+        values = {key: value for key, value in vars(self).items() if key not in SECTION_KEYS}
         try:
             return SolidObject(Section(self.outline, self.circle), **values)
         except InputError as error:
@@ -82,35 +83,34 @@ class ObjectKeys(SectionKeys):
             raise InputError(key, error.value, error.bound, error.remedy) from None
 
 
-SECTION_KEYS = ("outline", "circle", "file")
 FILE_KEYS = {"lower": "from", "upper": "to", "rim.height": "rim.at", "rim.section": "rim"}
-"""Keys of files for the arguments of ``SolidObject`` that have other names."""
+"""Keys of files that differ from the arguments of ``SolidObject``."""
 
 OBJECTS = dict_of(mapping_of(ObjectKeys, ObjectKeys.body), OBJECT_NAME, MAX_OBJECTS)
 
 
 def with_outlines(data: Mapping[str, Any], folder: Path = Path()) -> dict[str, Any]:
-    """Return a problem's mapping with outlines in place of drawings, relative to a folder.
+    """Return a problem's mapping with outlines in place of drawings in ``folder``.
 
-    Raises InputError for a drawing that cannot be read, or has no outline.
+    Raises InputError for a drawing that cannot be read or has no outline.
     """
     objects = data.get("objects")
     if not isinstance(objects, Mapping):
         return dict(data)
-    drawn = dict[str, Any](objects)
-    for name, each in objects.items():
-        file = each.get("file") if isinstance(each, Mapping) else None
-        if not isinstance(file, str) or not file or each.keys() & {"outline", "circle"}:
+    outlined = dict[str, Any](objects)
+    for name, body in objects.items():
+        file = body.get("file") if isinstance(body, Mapping) else None
+        if not isinstance(file, str) or not file or body.keys() & {"outline", "circle"}:
             continue
         try:
             outline = read_drawing(folder / file).outline
             Section(outline)
         except InputError as error:
-            words = f"an outline: {error.bound}", error.remedy
-            raise InputError(f"objects.{name}.file", file, *words) from None
+            bound = f"an outline: {error.bound}"
+            raise InputError(f"objects.{name}.file", file, bound, error.remedy) from None
         except FileError as error:
-            words = "a drawing that can be read", str(error)
-            raise InputError(f"objects.{name}.file", file, *words) from None
-        given = {key: value for key, value in each.items() if key != "file"}
-        drawn[name] = given | {"outline": outline.tolist()}
-    return {**data, "objects": drawn}
+            bound = "a drawing that can be read"
+            raise InputError(f"objects.{name}.file", file, bound, str(error)) from None
+        values = {key: value for key, value in body.items() if key != "file"}
+        outlined[name] = values | {"outline": outline.tolist()}
+    return {**data, "objects": outlined}

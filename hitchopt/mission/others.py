@@ -1,4 +1,4 @@
-"""Plans of somebody else that fly besides."""
+"""Other plans that fly at the same time."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from hitchopt.values.fields import Key, dict_of, documented, mapping_of, store, 
 from hitchopt.values.units import START_TIME
 
 MAX_GROUPS = 20
-"""Largest number of teams, and of other plans, in a file."""
+"""Maximum number of teams, and of other plans, in a file."""
 
 NAME = strings(20, 1, "[A-Za-z_][A-Za-z0-9_]*", "of letters, digits and _, a letter first")
 """Names of teams and of other plans."""
 
 
 def named_groups(name: str, groups: Sequence[Group]) -> list[Group]:
-    """Return groups with their names after ``name``: ``name.a``, or ``name`` of one without."""
-    return [replace(each, name=".".join(filter(None, (name, each.name)))) for each in groups]
+    """Return groups with the prefix ``name``: ``name.a``, or ``name`` for a nameless group."""
+    return [replace(group, name=".".join(filter(None, (name, group.name)))) for group in groups]
 
 
 @documented
@@ -69,7 +69,7 @@ class Other(OneLine):
         return saved_others("", Path(self.plan) / PLAN, str(self.plan), self.at)
 
     def groups(self, name: str) -> Sequence[Group]:
-        """Return its groups under a name, at their times on the clock of this plan."""
+        """Return its groups under a name, with times on the clock of this plan."""
         return named_groups(name, self._groups)
 
 

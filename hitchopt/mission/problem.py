@@ -1,4 +1,4 @@
-"""A problem: team, limits, a start and steps that fit, or single drones; not yet planned."""
+"""Problems before planning: of a hitch with its team, start and steps, or of single drones."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import check_placed
 from hitchopt.planners.carrying.planner import LOOSE
 from hitchopt.steps import STEP_KINDS, STEPS, FollowVertex, Form, Step, Transport
-from hitchopt.steps.carrying import PullStep, goal_of
+from hitchopt.steps.carrying import TensionStep, goal_of
 from hitchopt.steps.moving import MoveStep
 from hitchopt.steps.step import (
     LEGS,
@@ -39,7 +39,7 @@ from hitchopt.steps.step import (
     Stage,
     slack_split,
 )
-from hitchopt.steps.tying import refuse_rolls
+from hitchopt.steps.tying import check_rollable
 from hitchopt.values import Array, check_instance, closest_word, sequence, text
 from hitchopt.values.fields import (
     Key,
@@ -56,61 +56,61 @@ from hitchopt.values.fields import (
 from hitchopt.values.units import DURATION, HEIGHT, warn_of_unit
 
 ROLLING = {"open_vertex", "close_vertex", "join", "withdraw", "replace"}
-"""Steps in which pairs roll, as they do where cables are laid."""
+"""Steps in which pairs roll, as in laying."""
 
 
 def resolved_steps(problem: Problem, steps: tuple[Step, ...]) -> tuple[Step, ...]:
     """Return steps with their polygons as outlines and their legs as arrays.
 
-    Raises InputError: a step that does not fit the team, the outline it meets, the object that is
-    held, or the next step; its key is that of the problem file, from ``mission`` on.
+    Raises InputError, with a key from ``mission`` on, for a step that does not fit the team, the
+    outline, the held object or the next step.
     """
     outline, ring = problem.start_outline, problem.team.labels
-    fitted, held, changes = list[Step](), _Held(), False
-    since = "start has no hitch" if outline is None else "start is a hitch"
-    for i, given in enumerate(steps):
+    resolved, stage, changes = list[Step](), _ObjectStage(), False
+    reason = "start has no hitch" if outline is None else "start is a hitch"
+    for i, unresolved in enumerate(steps):
         try:
-            team, ring = team_and_ring(problem.team, given, ring)
+            team, ring = team_and_ring(problem.team, unresolved, ring)
             changes |= ring != problem.team.labels
-            step = given.resolved_for(team)
-            held = held.after(step, problem.objects)
-            before, outline = outline, step.checked_polygon_after(team, outline, since)
+            step = unresolved.resolved_for(team)
+            stage = stage.after(step, problem.objects)
+            before, outline = outline, step.checked_polygon_after(team, outline, reason)
             if step.name in ROLLING or (isinstance(step, Form) and step.by == "laying"):
-                refuse_rolls(f"step {i} ({step.name})", problem.team, problem.requirements)
+                check_rollable(f"step {i} ({step.name})", problem.team, problem.requirements)
             if (before is None) is not (outline is None):
-                since = f"step {i} ({step.name}) {'untied' if outline is None else 'tied'} it"
+                reason = f"step {i} ({step.name}) {'untied' if outline is None else 'tied'} it"
             if step.blends and (problem.complete or i + 1 < len(steps)):
                 _check_blend(steps[i + 1 :])
             if step.blends or (i > 0 and steps[i - 1].blends):
                 _check_untimed(step)
         except InputError as error:
-            raise error.within(f"mission[{i}].{given.name}") from None
-        fitted.append(step)
-    for i, step in enumerate(fitted):
+            raise error.within(f"mission[{i}].{unresolved.name}") from None
+        resolved.append(step)
+    for i, step in enumerate(resolved):
         if changes and hasattr(step, "object"):
             bound = "left out in missions in which robots wait, join or leave"
-            refused = InputError("object", step.object, bound, "carry in a mission of all robots")
-            raise refused.within(f"mission[{i}].{step.name}")
-    return tuple(fitted)
+            key, remedy = f"mission[{i}].{step.name}.object", "carry in a mission of all robots"
+            raise InputError(key, step.object, bound, remedy)
+    return tuple(resolved)
 
 
 def team_and_ring(whole: Team, step: Step, ring: tuple[int, ...]) -> tuple[Team, tuple[int, ...]]:
-    """Return the team of the ring before a step, or that it forms, and the ring after it."""
+    """Return the team of a step, and the ring after it; ``form`` has the team that it forms."""
     after = step.ring_after(ring, whole)
-    flies = after if isinstance(step, Form) else ring
-    return whole if flies == whole.labels else PartTeam.of(whole, flies), after
+    members = after if isinstance(step, Form) else ring
+    return whole if members == whole.labels else PartTeam.of(whole, members), after
 
 
 @dataclass(frozen=True)
-class _Held:
-    """Stage of a hitch with an object, and whether its outline is that of an earlier step."""
+class _ObjectStage:
+    """Stage of a hitch with an object, by name, and whether the file specifies its outline."""
 
     stage: Stage = Stage.FREE
     name: str = ""
-    known: bool = True
+    outline_specified: bool = True
 
-    def after(self, step: Step, objects: Mapping[str, SolidObject]) -> _Held:
-        """Return the stage after a step; raise InputError if the step does not follow on it."""
+    def after(self, step: Step, objects: Mapping[str, SolidObject]) -> _ObjectStage:
+        """Return the stage after a step; raise InputError if the step is not allowed."""
         name = text("object", getattr(step, "object", self.name))
         if name and name not in objects:
             bound = f"one of objects: {', '.join(objects) or 'there are none'}"
@@ -122,23 +122,23 @@ class _Held:
         if self.stage is not begin:
             kinds = "enclose, grasp, lift, carry, set_down, loosen and leave"
             remedy = f"{kinds} an object, in this order"
-            here, needed = str(self.stage), str(begin)
+            current, required = str(self.stage), str(begin)
             if Stage.OPEN in (self.stage, begin):
-                remedy = "open_vertex, then hold or close_vertex"
-                here, needed = (x.replace(Stage.FREE, "no open vertex") for x in (here, needed))
-            raise InputError("", here, f"{needed}, which {step.name} needs", remedy)
+                remedy, closed = "open_vertex, then hold or close_vertex", "no open vertex"
+                current, required = (x.replace(Stage.FREE, closed) for x in (current, required))
+            raise InputError("", current, f"{required}, which {step.name} needs", remedy)
         if begin is not Stage.FREE and name != self.name:
             raise InputError("object", name, f"{self.name}, the one enclosed", "leave that before")
-        if not self.known and isinstance(step, MoveStep | FollowVertex):
+        if not self.outline_specified and isinstance(step, MoveStep | FollowVertex):
             bound = "given an outline of the file"
             raise InputError("", "the outline around an object", bound, "morph before")
-        shaped = getattr(step, "polygon", None) is not None
-        known = shaped or (self.known and not hasattr(step, "object"))
-        return _Held(end, "" if end is Stage.FREE else name, known)
+        specified = getattr(step, "polygon", None) is not None
+        specified |= self.outline_specified and not hasattr(step, "object")
+        return _ObjectStage(end, "" if end is Stage.FREE else name, specified)
 
 
 def _check_blend(following: tuple[Step, ...]) -> None:
-    """Raise InputError where a step cannot go on into those that follow without a stop."""
+    """Raise InputError if a step cannot continue into the following ones without a stop."""
     if not following:
         raise InputError("blend", True, "false in the last step", "leave it out: nothing follows")
     if not following[0].blendable:
@@ -148,7 +148,7 @@ def _check_blend(following: tuple[Step, ...]) -> None:
 
 
 def _check_untimed(step: Step) -> None:
-    """Raise InputError where a step that is blended is to be optimised, or has a duration."""
+    """Raise InputError if a blended step is to be optimised or has a duration."""
     for key in ("optimize", "tension", "duration"):
         if vars(step).get(key):
             bound = "left out: it is not allowed on blended steps"
@@ -193,15 +193,15 @@ class DronesStart(OneLine):
 
 
 Start = HitchStart | Hitch | DronesStart
-"""Start as a hitch to be made, as one that is there, or as drones on free cables."""
+"""Start with the description of a hitch, with a hitch, or with drones on free cables."""
 
 
 MAX_TITLE, MAX_STEPS, MAX_PRISMS = 200, 1000, 1000
-"""Largest numbers of characters of a title, and of steps and prisms in a file."""
+"""Maximum numbers of characters of a title, and of steps and prisms in a file."""
 
 
 def _printable(key: str, value: object) -> str:
-    """Return a title, or raise InputError where a terminal would obey it."""
+    """Return a title, or raise InputError if it has control characters."""
     title: str = strings(MAX_TITLE).check(key, value)
     if not title.isprintable():
         raise InputError(key, title, "printable text on one line", "remove such characters")
@@ -239,7 +239,7 @@ class Problem(OneLine):
     InputError: objects or steps that do not fit one another, the team or the outline; no step.
     """
 
-    complete: ClassVar[bool] = True  # whether no step follows
+    complete: ClassVar[bool] = True  # whether the mission has all of its steps
     team: Annotated[Team, Key(mapping_of(Team), "The team", {"robots": 3, "cable_length": 2.4})]
     start: Annotated[
         Start,
@@ -278,7 +278,7 @@ class Problem(OneLine):
         for name, body in self.objects.items():
             check_instance(f"objects.{name}", body, SolidObject)
         object.__setattr__(self, "objects", dict(self.objects))
-        object.__setattr__(self, "start", fitting_start(self.team, self.start))
+        object.__setattr__(self, "start", resolved_start(self.team, self.start))
         if self.complete:
             check_placed(self.objects, self.requirements.floor)
             if not steps:
@@ -289,8 +289,8 @@ class Problem(OneLine):
     @property
     def requirements(self) -> Requirements:
         """Requirements of the plan."""
-        own = Requirements(self.limits, self.separation, self.arena, objects=self.objects)
-        return own.flown_by(self.team)
+        parts = self.limits, self.separation, self.arena
+        return Requirements(*parts, objects=self.objects).flown_by(self.team)
 
     @property
     def asked(self) -> dict[str, Any]:
@@ -299,11 +299,11 @@ class Problem(OneLine):
         if not isinstance(self.start, DronesStart):
             altitude = self.start.altitude
             start = {"hitch": {"polygon": self.start.polygon.vertices, "altitude": altitude}}
-        return request_fields(self.team, self.requirements, start, [*_asked_steps(self)])
+        return request_fields(self.team, self.requirements, start, [*_requested_steps(self)])
 
     @property
     def rings(self) -> tuple[tuple[int, ...], ...]:
-        """The robots that hold the edges, in order, after every step; all where none changes."""
+        """Robots that hold the edges after each step, in order; all robots if none changes."""
         rings, ring = list[tuple[int, ...]](), self.team.labels
         for step in self.mission:
             ring = step.ring_after(ring, self.team)
@@ -312,61 +312,61 @@ class Problem(OneLine):
 
     @property
     def changes(self) -> bool:
-        """Whether some robots are in no hitch at some time of it."""
+        """Whether some robots are not in the hitch at some time."""
         return any(ring != self.team.labels for ring in self.rings)
 
     @property
     def start_outline(self) -> Outline | None:
-        """The outline at the start; None where cables are free."""
+        """Outline at the start; None for free cables."""
         return None if isinstance(self.start, DronesStart) else self.start.polygon
 
 
-def _asked_steps(problem: Problem) -> Iterator[dict[str, Any]]:
+def _requested_steps(problem: Problem) -> Iterator[dict[str, Any]]:
     """Yield the request of every step, as ``plan_file.mission_of``, without choices of planners.
 
-    The planner decides outlines around objects, and how high they are.
+    Planners choose outlines around objects, and their altitudes.
     """
     requirements, ring = problem.requirements, problem.team.labels
-    outline, held, hold, pulls = problem.start_outline, _Held(), None, None
-    altitude = getattr(problem.start, "altitude", None)  # None where it is not known
+    outline, stage, hold, tension_range = problem.start_outline, _ObjectStage(), None, None
+    altitude = getattr(problem.start, "altitude", None)  # None if the planner chooses it
     for step in problem.mission:
         team, ring = team_and_ring(problem.team, step, ring)
-        name, objects = getattr(step, "object", held.name), {**requirements.objects}
-        if isinstance(step, PullStep):
-            pull = [team.tension, team.tension if step.tension is None else step.tension]
-            pulls = min(LOOSE[0], *map(np.min, pull)), max(map(np.max, pull))
-            hold = name, step.held_by(objects[name])
-        outline, held = step.checked_polygon_after(team, outline), held.after(step, objects)
+        name, objects = getattr(step, "object", stage.name), {**requirements.objects}
+        if isinstance(step, TensionStep):
+            tensions = [team.tension, team.tension if step.tension is None else step.tension]
+            tension_range = min(LOOSE[0], *map(np.min, tensions)), max(map(np.max, tensions))
+            hold = name, step.method_for(objects[name])
+        outline, stage = step.checked_polygon_after(team, outline), stage.after(step, objects)
         if name:
             moved = {name: objects[name].moved_to(goal_of(step, requirements, name))}
             requirements = replace(requirements, objects=objects | moved)
         if isinstance(step, Form | Transport):
             altitude = step.altitude if isinstance(step, Form) else float(step.to[2])
         altitude = None if hasattr(step, "object") else altitude
-        asked_step = {
-            "tension": getattr(step, "tension", None) if hold is None else pulls,
+        request = {
+            "tension": getattr(step, "tension", None) if hold is None else tension_range,
             "holds": [] if hold is None else [hold],
             "objects": {key: each.pose for key, each in requirements.objects.items()},
         }
         if outline is None:
-            asked_step |= {"polygon": None, "altitude": None}
-        elif held.known and not step.blends:
-            asked_step["polygon"] = outline.vertices
+            request |= {"polygon": None, "altitude": None}
+        elif stage.outline_specified and not step.blends:
+            request["polygon"] = outline.vertices
         if outline is not None and altitude is not None:
-            asked_step["altitude"] = altitude
+            request["altitude"] = altitude
         if problem.changes:
-            asked_step["ring"] = ring
-        if step.given_duration is not None:
-            asked_step["seconds"] = step.given_duration
-        if held.stage in (Stage.FREE, Stage.AROUND):
+            request["ring"] = ring
+        if step.prescribed_duration is not None:
+            request["seconds"] = step.prescribed_duration
+        if stage.stage in (Stage.FREE, Stage.AROUND):
             hold = None
-        yield asked_step
+        yield request
 
 
-def fitting_start(team: Team, start: Start) -> Start:
-    """Return the start with its polygon as an outline and its legs as an array, if it is a hitch.
+def resolved_start(team: Team, start: Start) -> Start:
+    """Return the start; a hitch's polygon becomes an outline and its legs an array.
 
-    Raises InputError where it does not fit the team, with the key of the problem file.
+    Raises InputError, with the key of the problem file, if it does not fit the team.
     """
     if isinstance(start, Hitch):
         if start.team is not team:
@@ -378,17 +378,17 @@ def fitting_start(team: Team, start: Start) -> Start:
         except InputError as error:
             raise error.within("start.hitch") from None
         return replace(start, polygon=outline, legs=legs)
-    for name, given in vars(start).items():
-        if len(given) != team.robots:
+    for name, places in vars(start).items():
+        if len(places) != team.robots:
             key, bound = f"start.drones.{name}", f"a list of {team.robots} points"
             remedy = "add or remove points, or change team.robots"
-            raise InputError(key, f"{len(given)} points", bound, remedy)
-    apart = np.linalg.norm(start.q - start.r, axis=1)
-    k = int(np.argmax(apart / team.cable_length))
-    if apart[k] > FAR_OFF * team.cable_length[k]:
-        words = f"{apart[k]:.4g} m from q[{k}] on a cable of {team.cable_length[k]:g} m"
-        meant = "if millimetres were meant, write metres"
-        warn_of_unit(UnitWarning(f"start.drones.r[{k}]", f"{words}; {meant}"))
+            raise InputError(key, f"{len(places)} points", bound, remedy)
+    distances = np.linalg.norm(start.q - start.r, axis=1)
+    k = int(np.argmax(distances / team.cable_length))
+    if distances[k] > FAR_OFF * team.cable_length[k]:
+        words = f"{distances[k]:.4g} m from q[{k}] on a cable of {team.cable_length[k]:g} m"
+        remedy = "if millimetres were meant, write metres"
+        warn_of_unit(UnitWarning(f"start.drones.r[{k}]", f"{words}; {remedy}"))
     return start
 
 
@@ -414,7 +414,7 @@ class SwarmTeam:
 SWARM_TEAM = mapping_of(SwarmTeam, SwarmTeam.team)
 SWARM_PLACES = points((None, 3), "x, y, z", 1, MAX_DRONES)
 HITCH_LIMITS, HITCH_SEPARATION = ("vertex_speed", "leg"), ("cable", "crossing", "object")
-"""Keys of limits and distances that single drones do not have."""
+"""Keys of limits and distances that do not apply to single drones."""
 
 _LIMITS = mapping_of(Limits, exclude=HITCH_LIMITS)
 _SEPARATION = mapping_of(Separation, exclude=HITCH_SEPARATION)

@@ -1,4 +1,4 @@
-"""A problem to a certified plan: one loop over its steps; finished ones are remembered."""
+"""Planning of a problem in one loop over its steps, with a cache of finished steps."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from hitchopt.motion.motion import Motion, Phase, joined_motions
 from hitchopt.objects import Slab, SolidObject
 from hitchopt.objects.placing import in_world
 from hitchopt.steps import FollowVertex, Form, Step
-from hitchopt.steps.carrying import PAST, TransportObject
+from hitchopt.steps.carrying import OBSTACLE_CHECKS, TransportObject
 from hitchopt.steps.certified_motions import (
-    Certified,
+    CertifiedMotion,
     check_above_ground,
     check_at_rest,
     check_start,
-    infeasible,
+    infeasible_error,
     plan_blended,
     split_hitch,
 )
@@ -43,12 +43,12 @@ AT_START, UNPLANNED = "at the start (t = 0)", "not looked at yet: steps "
 WIDENED = frozenset(
     {"separation", "cable_clearance", "crossing", "legs", "arena", "keep_out", "object_clearance"}
 )
-"""Checks of distances that planners keep wider by ``limits.tracking``."""
+"""Checks of distances that ``limits.tracking`` widens."""
 
 
 @contextmanager
-def _naming_tracking(requirements: Requirements) -> Iterator[None]:
-    """Let errors say that drones which may be off need the distances that bind."""
+def _with_tracking_advice(requirements: Requirements) -> Iterator[None]:
+    """Add advice to errors whose distances ``limits.tracking`` widens."""
     try:
         yield
     except TimeLimitError:
@@ -65,95 +65,97 @@ def _naming_tracking(requirements: Requirements) -> Iterator[None]:
 
 
 def check_controllers(team: Team) -> None:
-    """Raise InfeasibleError unless named flight controllers can hold the cables' tension.
+    """Raise InfeasibleError unless the flight controllers have the feed-forward to hold tension.
 
-    Without feed-forward drones give way, and an integral drives them back whatever the tension.
+    Without feed-forward drones give way, and an integral term returns them whatever the tension.
     """
-    unfed = [kind.loop for kind in team.quadrotor if kind.loop.name and not kind.loop.feed_forward]
-    if not unfed:
+    kinds = team.quadrotor
+    unsuited = [kind.loop for kind in kinds if kind.loop.name and not kind.loop.feed_forward]
+    if not unsuited:
         return
-    names = [name for name, fed in zip(team.drone_names, team.feed_forward, strict=True) if not fed]
+    pairs = zip(team.drone_names, team.feed_forward, strict=True)
+    names = [name for name, feed_forward in pairs if not feed_forward]
     loops = [FlightController.of(name, float(team.mass[0])) for name in CONTROLLERS]
-    fit = ", ".join(loop.name for loop in loops if loop.feed_forward)
-    most = float(np.min(team.mass * GRAVITY * np.tan(team.max_tilt)))
+    suitable = ", ".join(loop.name for loop in loops if loop.feed_forward)
+    max_tension = float(np.min(team.mass * GRAVITY * np.tan(team.max_tilt)))
     remedy = (
-        f"{unfed[0].name} ignores the accelerations that hold the tension, and holds pulls of "
-        f"{most:.2g} N at most by its tilt; set team.quadrotor.controller to one of {fit}"
+        f"{unsuited[0].name} ignores the accelerations that hold the tension, and holds pulls of "
+        f"{max_tension:.2g} N at most by its tilt; set team.quadrotor.controller to one of "
+        f"{suitable}"
     )
     share = float(np.mean(team.feed_forward))
-    places = (*names[:4], *(["…"] if len(names) > 4 else []))
-    broken = Violation("feed_forward", share, 1.0, "min", "", places, "in all of the plan", remedy)
-    raise InfeasibleError([broken])
+    where = (*names[:4], *(["…"] if len(names) > 4 else []))
+    values = share, 1.0, "min", "", where, "in all of the plan", remedy
+    raise InfeasibleError([Violation("feed_forward", *values)])
 
 
 def solve_problem(
     problem: Problem, progress: Progress | None = None, *, optimiser: bool = True
-) -> Certified:
-    """Return the certified plan of all steps, without an ``optimiser`` on their own routes alone.
+) -> CertifiedMotion:
+    """Return the certified plan of all steps; without ``optimiser`` on direct routes only.
 
-    ``progress`` is called with what is being done now. Raises InfeasibleError: what binds, where
-    and when; HitchoptError: a planner failed to find what may exist.
+    ``progress`` is a status callback. Raises InfeasibleError with the violated limits, places and
+    times; HitchoptError if a planner failed on a problem that may be feasible.
     """
     check_controllers(problem.team)
-    with _naming_tracking(problem.requirements):
-        return _solved(problem, progress, optimiser=optimiser)
+    with _with_tracking_advice(problem.requirements):
+        return _plan_steps(problem, progress, optimiser=optimiser)
 
 
-def _solved(problem: Problem, progress: Progress | None, *, optimiser: bool) -> Certified:
+def _plan_steps(problem: Problem, progress: Progress | None, *, optimiser: bool) -> CertifiedMotion:
     """Return the certified plan of all steps."""
-    steps, requirements, tell = problem.mission, problem.requirements, progress or (lambda _: None)
-    planned = requirements.with_reserve  # stops on the common clock may use the rest
-    state, assignment = _start_state(problem, planned, tell)
-    start, parts, motions = state.hitch, list[StepPlan](), list[Motion]()
+    steps, requirements = problem.mission, problem.requirements
+    report = progress or (lambda _: None)
+    with_reserve = requirements.with_reserve  # the reserve is for stops on the common clock
+    state, assignment = _start_state(problem, with_reserve, report)
+    start, plans, motions = state.hitch, list[StepPlan](), list[Motion]()
     for first, group in _groups(steps):
-        tell(f"planning step {first} ({group[0].name}), {first} of {len(steps)} done")
+        report(f"planning step {first} ({group[0].name}), {first} of {len(steps)} done")
         if isinstance(group[0], Form):
             state = state.regrouped(problem.rings[first])
-        task = StepTask(state, first, state.at_objects(planned), optimiser)
+        task = StepTask(state, first, state.with_objects(with_reserve), optimiser)
         try:
-            part = _step(group, task, tell)
+            plan = _plan_group(group, task, report)
         except TimeLimitError:
             raise
         except HitchoptError as error:
             if first == 0 and start is not None:
-                check_at_rest(start, planned, AT_START)
+                check_at_rest(start, with_reserve, AT_START)
             if not isinstance(error, InfeasibleError):
                 raise
-            broken = _in_step(error, first, group)
-            rest = range(first + len(group), len(steps))
-            later = (
-                f"{UNPLANNED}{', '.join(f'{i} ({steps[i].name})' for i in rest)}" if rest else ""
-            )
-            raise InfeasibleError(broken.violations, f"{broken.note}\n{later}".strip()) from None
-        parts.append(part)
-        motions.append(state.with_waiting(part.motion, planned))
-        state = part.after
+            named = _in_step(error, first, group)
+            rest = [f"{i} ({step.name})" for i, step in enumerate(steps)][first + len(group) :]
+            note = f"{UNPLANNED}{', '.join(rest)}" if rest else ""
+            raise InfeasibleError(named.violations, f"{named.note}\n{note}".strip()) from None
+        plans.append(plan)
+        motions.append(state.with_waiting(plan.motion, with_reserve))
+        state = plan.after
     motion = joined_motions(motions)
     motion = replace(motion, requirements=requirements, assignment=assignment)
-    certificate = merged(motion, [part.certificate for part in parts])
+    certificate = merged(motion, [plan.certificate for plan in plans])
     if not certificate.certified:
         if start is not None:
-            check_at_rest(start, planned, AT_START)
-        raise _advised(Certified(motion, certificate), steps)
+            check_at_rest(start, with_reserve, AT_START)
+        raise _with_advice(CertifiedMotion(motion, certificate), steps)
     if isinstance(problem.start, DronesStart):
         check_above_ground(motion)
-    return Certified(motion, certificate)
+    return CertifiedMotion(motion, certificate)
 
 
 CACHE_SIZE = 32
 """Capacity of the cache in steps; one of 1000 robots takes 76 MB."""
 
-_FINISHED: dict[bytes, StepPlan] = {}
-"""Plans of steps by the digests of all that they depend on, the least recently used first."""
+_CACHE: dict[bytes, StepPlan] = {}
+"""Plans of steps by the digests of their requests, the least recently used first."""
 
 
 def forget() -> None:
     """Clear the cache of steps planned in this process."""
-    _FINISHED.clear()
+    _CACHE.clear()
 
 
 def contents(value: object) -> object:
-    """Return the contents of a request in built-in types; two print alike only if equal."""
+    """Return the contents of a request in built-in types; their repr is equal only if they are."""
     if isinstance(value, np.ndarray):
         return value.dtype.str, value.shape, value.strides, value.tobytes()
     if is_dataclass(value):
@@ -166,49 +168,49 @@ def contents(value: object) -> object:
 
 
 def _start_state(
-    problem: Problem, requirements: Requirements, tell: Progress
+    problem: Problem, requirements: Requirements, report: Progress
 ) -> tuple[RestState, Assignment | None]:
-    """Return where a mission starts; from free cables, with the robots' roles for all of it."""
+    """Return the state at the start and, if cables are free, the assignment of robots to edges."""
     team, start = problem.team, problem.start
     whole = team if problem.changes else None
     if isinstance(start, Hitch):
-        return replace(RestState.formed(start), whole=whole), None
+        return replace(RestState.from_hitch(start), whole=whole), None
     if isinstance(start, HitchStart):
-        tell("splitting the slack at the start")
+        report("splitting the slack at the start")
         hitch = split_hitch(team, start.polygon, start.altitude, start.legs, requirements)
-        return replace(RestState.formed(hitch), whole=whole), None
-    named = RestState(team, start.drones, whole=whole)  # drones have the file's names
-    check_start(StepTask(named, 0, requirements))
+        return replace(RestState.from_hitch(hitch), whole=whole), None
+    state = RestState(team, start.drones, whole=whole)  # with the file's order of robots
+    check_start(StepTask(state, 0, requirements))
+    if whole is not None:
+        return state, None
     assignment = Assignment.fixed(team.robots)
     form = next((step for step in problem.mission if isinstance(step, Form)), None)
-    if whole is not None:
-        return named, None
     if form is not None and form.assign == "auto":
-        tell("assigning robots to edges")
+        report("assigning robots to edges")
         from hitchopt.planners.forming.approach import assign_robots
 
         assignment = assign_robots(team, start.drones, form.polygon, requirements.limits.leg)
     return RestState(assignment.team(team), assignment.drones(start.drones)), assignment
 
 
-def _step(group: tuple[Step, ...], task: StepTask, tell: Progress) -> StepPlan:
-    """Return the certified plan of steps without a stop, from the cache if nothing differs."""
+def _plan_group(group: tuple[Step, ...], task: StepTask, report: Progress) -> StepPlan:
+    """Return the certified plan of steps without a stop, from the cache if possible."""
     key = hashlib.sha256(repr(contents((group, task))).encode()).digest()
-    planned = _FINISHED.pop(key, None)
-    if planned is None:
-        planned = group[0].plan(task) if len(group) == 1 else plan_blended(group, task)
-        tell(f"certifying step {task.index} ({group[0].name})")
-        _ = planned.certificate  # is kept with the plan
+    plan = _CACHE.pop(key, None)
+    if plan is None:
+        plan = group[0].plan(task) if len(group) == 1 else plan_blended(group, task)
+        report(f"certifying step {task.index} ({group[0].name})")
+        _ = plan.certificate  # stored with the plan
     else:
-        tell("reused from cache")
-    _FINISHED[key] = planned  # as the one used last
-    if len(_FINISHED) > CACHE_SIZE:
-        del _FINISHED[next(iter(_FINISHED))]
-    return planned
+        report("reused from cache")
+    _CACHE[key] = plan
+    if len(_CACHE) > CACHE_SIZE:
+        del _CACHE[next(iter(_CACHE))]
+    return plan
 
 
 def _groups(steps: Sequence[Step]) -> Iterator[tuple[int, tuple[Step, ...]]]:
-    """Yield the steps that follow one another without a stop, with the first one's index."""
+    """Yield groups of steps without a stop in between, with the index of the first."""
     first = 0
     for i, step in enumerate(steps):
         if not step.blends:
@@ -217,35 +219,36 @@ def _groups(steps: Sequence[Step]) -> Iterator[tuple[int, tuple[Step, ...]]]:
 
 
 def _in_step(error: InfeasibleError, first: int, group: Sequence[Step]) -> InfeasibleError:
-    """Return the error with the step named as the file has it, wherever it happens."""
+    """Return the error with the step's name from the file in each violation."""
     names = " and ".join(f"{i} ({step.name})" for i, step in enumerate(group, first))
     violations = []
     for violation in error.violations:
         when = violation.when
-        if len(group) == 1:  # parts of a step have names of their own
+        if len(group) == 1:  # phases of a step have other names
             when = re.sub(rf"step {first} \(\w+\)", f"step {names}", when)
         if f"step {first}" not in when and "end of step" not in when:
             when = f"{when} of step {names}".strip()
-        remedy = _remedy(violation, "leave out blend" * (len(group) > 1))
+        remedy = _remedy(violation, "leave out blend" if len(group) > 1 else "")
         violations.append(replace(violation, when=when, remedy=remedy))
     return InfeasibleError(violations, error.note)
 
 
-def _advised(certified: Certified, steps: Sequence[Step]) -> InfeasibleError:
-    """Return the error of a failed certificate; of blended steps it suggests a stop."""
-    error = infeasible(certified.certificate, certified.motion)
+def _with_advice(certified: CertifiedMotion, steps: Sequence[Step]) -> InfeasibleError:
+    """Return the error of a failed certificate with advice that depends on the steps."""
+    error = infeasible_error(certified.certificate, certified.motion)
     violations = []
     for violation, check in zip(error.violations, certified.certificate.violated, strict=True):
-        during = [p for p in certified.motion.phases if p.start <= check.time <= p.end]
-        around = [steps[i] for p in during for i in (p.step - 1, p.step) if i >= 0]
-        carried = [p.step for p in during if isinstance(steps[p.step], TransportObject)]
-        blends = check.name != "duration" and any(step.blends for step in around)
-        timed = any(isinstance(steps[phase.step], FollowVertex) for phase in during)
-        rule = RULE_OF.get(check.name)
-        longer = "give the points more time" * bool(timed and rule and rule.derivative > 0)
-        advice = longer or "leave out blend" * blends
-        if carried and check.name in PAST:
-            key = f"mission[{carried[0]}].{TransportObject.name}"
+        indices = [p.step for p in certified.motion.phases if p.start <= check.time <= p.end]
+        neighbours = [steps[i] for k in indices for i in (k - 1, k) if i >= 0]
+        transports = [k for k in indices if isinstance(steps[k], TransportObject)]
+        is_timed = any(isinstance(steps[k], FollowVertex) for k in indices)
+        rule, advice = RULE_OF.get(check.name), ""
+        if check.name != "duration" and any(step.blends for step in neighbours):
+            advice = "leave out blend"
+        if is_timed and rule and rule.derivative > 0:
+            advice = "give the points more time"
+        if transports and check.name in OBSTACLE_CHECKS:
+            key = f"mission[{transports[0]}].{TransportObject.name}"
             advice = f"raise {key}.lift, or lead it around by {key}.via"
         violations.append(replace(violation, remedy=_remedy(violation, advice)))
     return InfeasibleError(violations, error.note)
@@ -255,41 +258,41 @@ def _remedy(violation: Violation, advice: str) -> str:
     return f"{violation.remedy}, or {advice}" if advice else violation.remedy
 
 
-SHARE = 1.0 - 1e-6
-"""Share of the limits of thrust and tilt in use, so that rounding breaks no limit."""
+LIMIT_SHARE = 1.0 - 1e-6
+"""Usable share of the limits of thrust and tilt, as a margin for rounding."""
 
-CORNERS, THIN = 24, 1e-3
-"""Corners of the polygon around a circle, and height of the prism around a rim [m]."""
+CIRCLE_CORNERS, MIN_PRISM_HEIGHT = 24, 1e-3
+"""Number of corners of the polygon around a circle; height of the prism around a rim [m]."""
 
 
-def solve_swarm(problem: SwarmProblem, progress: Progress | None = None) -> Certified:
-    """Return the plan with its certificate; ``progress`` is called with what is being done now.
+def solve_swarm(problem: SwarmProblem, progress: Progress | None = None) -> CertifiedMotion:
+    """Return the certified plan of single drones; ``progress`` is a status callback.
 
-    Raises InfeasibleError: what binds, where and when; no plan that breaks a limit is returned.
+    Raises InfeasibleError with the violated limits, places and times.
     """
-    with _naming_tracking(problem.requirements):
-        return _separated(problem, progress)
+    with _with_tracking_advice(problem.requirements):
+        return _plan_separation(problem, progress)
 
 
-def _separated(problem: SwarmProblem, progress: Progress | None) -> Certified:
+def _plan_separation(problem: SwarmProblem, progress: Progress | None) -> CertifiedMotion:
     """Return the certified plan of single drones."""
     from hitchopt.planners.separation import SeparatedFlight, SeparationTask
 
-    longest = problem.limits.duration
-    if longest is not None and problem.duration is not None and problem.duration > longest:
-        remedy, asked = "lower duration, or raise limits.duration", problem.duration
-        violation = Violation("duration", asked, longest, "max", "s", (), "as asked for", remedy)
+    duration, limit = problem.duration, problem.limits.duration
+    if limit is not None and duration is not None and duration > limit:
+        remedy = "lower duration, or raise limits.duration"
+        violation = Violation("duration", duration, limit, "max", "s", (), "as asked for", remedy)
         raise InfeasibleError([violation])
-    planned = problem.requirements.with_reserve
-    prisms = [(f"prism {k}", prism) for k, prism in enumerate(planned.keep_out)]
+    requirements = problem.requirements.with_reserve
+    prisms = [(f"prism {k}", prism) for k, prism in enumerate(requirements.keep_out)]
     for name, body in problem.objects.items():
         prisms += [(name, _prism_around(body, slab)) for slab in body.slabs]
     names, keep_out = zip(*prisms, strict=True) if prisms else ((), ())
     task = SeparationTask(
         problem.start,
         problem.goal,
-        replace(planned, keep_out=keep_out, objects={}),
-        duration=problem.duration,
+        replace(requirements, keep_out=keep_out, objects={}),
+        duration=duration,
         acceleration=flyable_accelerations(problem),
         names=problem.team.drone_names,
         prisms=names,
@@ -299,37 +302,38 @@ def _separated(problem: SwarmProblem, progress: Progress | None) -> Certified:
     motion = Motion.single(problem.team, problem.requirements, separated.drones, (phase,))
     certificate = certify(motion, progress and (lambda name: progress(f"certifying {name}")))
     if not certificate.certified:
-        raise infeasible(certificate, motion)
-    return Certified(motion, certificate)
+        raise infeasible_error(certificate, motion)
+    return CertifiedMotion(motion, certificate)
 
 
 def _prism_around(body: SolidObject, slab: Slab) -> Prism:
-    """Return a prism that holds a slab of an object, where it stands."""
+    """Return a prism that contains a slab of an object, in world coordinates."""
     corners = slab.section.core
     if slab.section.radius is not None:
-        angles = -2.0 * np.pi / CORNERS * np.arange(CORNERS)
-        reach = slab.section.radius / np.cos(np.pi / CORNERS)
-        corners = reach * np.column_stack([np.cos(angles), np.sin(angles)])
+        angles = -2.0 * np.pi / CIRCLE_CORNERS * np.arange(CIRCLE_CORNERS)
+        radius = slab.section.radius / np.cos(np.pi / CIRCLE_CORNERS)
+        corners = radius * np.column_stack([np.cos(angles), np.sin(angles)])
     placed = in_world(body.pose, np.column_stack([corners, np.zeros(len(corners))]))
     lower, upper = body.at[2] + slab.lower, body.at[2] + slab.upper
-    return Prism(placed[:, :2], min(lower, upper - THIN), upper)
+    return Prism(placed[:, :2], min(lower, upper - MIN_PRISM_HEIGHT), upper)
 
 
 def flyable_accelerations(problem: SwarmProblem) -> Array:
-    """(N,) [m/s²]: what each drone can do in any direction, by its limit, its thrust and the tilt.
+    """Return the accelerations (N,) [m/s²] that drones can reach in all directions.
 
-    Raises InfeasibleError for one that cannot even hover.
+    Raises InfeasibleError for drones that cannot hover.
     """
     team = problem.team
-    spare = team.max_thrust / team.mass - GRAVITY
-    heavy = np.flatnonzero(spare <= 0.0)
+    vertical = team.max_thrust / team.mass - GRAVITY
+    heavy = np.flatnonzero(vertical <= 0.0)
     if len(heavy):
         weights, remedy = team.mass * GRAVITY, "give the drone more thrust, or less mass"
-        most, names = team.max_thrust, team.drone_names
+        limit, names = team.max_thrust, team.drone_names
         raise InfeasibleError(
-            Violation("thrust", weights[i], most[i], "max", "N", (names[i],), "at rest", remedy)
+            Violation("thrust", weights[i], limit[i], "max", "N", (names[i],), "at rest", remedy)
             for i in heavy
         )
     limits = problem.requirements.limits
-    level = GRAVITY * math.sin(limits.tilt)  # what leans the thrust by the tilt at most
-    return np.minimum(SHARE * np.minimum(spare, level), limits.with_reserve.acceleration)
+    horizontal = GRAVITY * math.sin(limits.tilt)
+    feasible = LIMIT_SHARE * np.minimum(vertical, horizontal)
+    return np.minimum(feasible, limits.with_reserve.acceleration)

@@ -1,4 +1,4 @@
-"""Several teams in one plan: each planned alone, then begun so that all keep off each other."""
+"""Several teams in one plan: each is planned alone, then start times separate them."""
 
 from __future__ import annotations
 
@@ -19,29 +19,29 @@ from hitchopt.motion.combined import combined
 from hitchopt.motion.motion import WAIT, Group, Motion, Phase, joined_motions
 from hitchopt.motion.retiming import cut, padded, resting, shifted
 from hitchopt.planners.schedule import STEP, Blocked, Placed, Schedule, Track
-from hitchopt.steps.certified_motions import Certified, infeasible
+from hitchopt.steps.certified_motions import CertifiedMotion, infeasible_error
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
-PADS = 0.0, 0.02, 0.05, 0.10
-"""[m] By how much wider distances are, until the certificate holds: samples are STEP apart."""
+MARGINS = 0.0, 0.02, 0.05, 0.10
+"""Margins of distances to try until the certificate holds [m], since times are sampled."""
 
-LAYER = 2.2
-"""By how much higher or lower a path is flown where no delay helps, in ``separation.height``."""
+LAYER_HEIGHT = 2.2
+"""Vertical offset of a path if no delay helps, in ``separation.height``."""
 
-RISE = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0])
-"""Coefficients of the polynomial that rises from rest to rest, up to its third derivative."""
+CLIMB = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0])
+"""Bernstein coefficients of a unit climb; its first three derivatives vanish at both ends."""
 
-PEAKS = 35.0 / 16.0, 7.5132, 52.5
-"""Largest values of its first three derivatives."""
+PEAK_DERIVATIVES = 35.0 / 16.0, 7.5132, 52.5
+"""Maxima of the first three derivatives of CLIMB."""
 
 
 def solve_any(
     problem: AnyProblem, progress: Progress | None = None, *, optimiser: bool = True
-) -> Certified:
+) -> CertifiedMotion:
     """Return the certified plan of any problem; arguments and errors as ``solve_problem``.
 
-    Beside plans of somebody else a team may wait before every step, so as to keep off.
+    With other plans in the air a team may wait before each step.
     """
     if isinstance(problem, TeamsProblem) or problem.others:
         return solve_teams(problem, progress, optimiser=optimiser)
@@ -52,54 +52,55 @@ def solve_any(
 
 def solve_teams(
     problem: AnyProblem, progress: Progress | None = None, *, optimiser: bool = True
-) -> Certified:
+) -> CertifiedMotion:
     """Return the certified plan of all teams.
 
-    Raises InfeasibleError: a team cannot fly alone, or no start of it keeps it off the others.
+    Raises InfeasibleError: a team cannot fly alone, or no start time separates it from the others.
     """
-    tell = progress or (lambda _: None)
-    problems, counts = _of_teams(problem)
-    alone = {name: _alone(name, each, tell, optimiser) for name, each in problems.items()}
-    together = combined([Group(name, each) for name, each in alone.items()]).requirements
+    report = progress or (lambda _: None)
+    problems, counts = _problems_and_items(problem)
+    alone = {name: _plan_alone(name, each, report, optimiser) for name, each in problems.items()}
+    requirements = combined([Group(name, each) for name, each in alone.items()]).requirements
     timed = {
         (name, k)
         for name, each in problems.items()
         for k, step in enumerate(each.mission if isinstance(each, Problem) else each)
-        if getattr(step, "duration", getattr(step, "given_duration", None)) is not None
+        if getattr(step, "duration", getattr(step, "prescribed_duration", None)) is not None
     }
     items = [
-        _Item(index, row, before, together.separation, alone, timed)
+        _Item(index, row, before, requirements.separation, alone, timed)
         for index, (row, before) in enumerate(_items(alone, counts))
     ]
     others = [group for name, other in problem.others.items() for group in other.groups(name)]
-    for pad in PADS:
-        tell("finding when each team begins")
-        wider = pad + 2.0 * (together.limits.tracking or 0.0)
+    for margin in MARGINS:
+        report("finding when each team begins")
+        tracking_margin = margin + 2.0 * (requirements.limits.tracking or 0.0)
         flown, clock = {name: list[Motion]() for name in alone}, 0.0
         try:
             for item in items:
-                clock += item.fly(flown, [_placed(each, clock) for each in others], wider)
+                placed = [_sampled_group(group, clock) for group in others]
+                clock += item.fly(flown, placed, tracking_margin)
         except InfeasibleError:
-            if pad == 0.0:
+            if margin == 0.0:
                 raise
-            break  # what the narrower distances broke is said
-        groups = [Group(name, _one_wait(joined_motions(each))) for name, each in flown.items()]
+            break  # report the certificate of the smaller margin
+        groups = [Group(name, _merge_waits(joined_motions(each))) for name, each in flown.items()]
         motion = combined(groups, others)
-        tell("certifying all teams together")
+        report("certifying all teams together")
         certificate = certify(motion)
         if certificate.certified:
             break
     if not certificate.certified:
-        raise infeasible(certificate, motion)
-    return Certified(motion, certificate)
+        raise infeasible_error(certificate, motion)
+    return CertifiedMotion(motion, certificate)
 
 
-def _of_teams(
+def _problems_and_items(
     problem: AnyProblem,
 ) -> tuple[Mapping[str, Problem | tuple[SwarmProblem, ...]], Sequence[Mapping[str, int]]]:
-    """Return the problem of every team, and how many steps each has in each item.
+    """Return the problem of each team, and the number of its steps in each item.
 
-    A team alone has no name, and its steps without a stop are items of their own.
+    A single team has no name; its groups of steps without a stop are the items.
     """
     if isinstance(problem, TeamsProblem):
         return problem.problems, problem.items
@@ -109,28 +110,28 @@ def _of_teams(
     return {"": problem}, [{"": last - first} for first, last in pairwise(ends)]
 
 
-def _placed(other: Group, clock: float) -> Placed:
-    """Return what flies besides as seen at a time [s] of the plan, sampled with it."""
+def _sampled_group(other: Group, clock: float) -> Placed:
+    """Return another plan's group, sampled from a time [s] of the plan on."""
     first, last = other.motion.drones.breaks[[0, -1]].tolist()
     start = math.floor((first - clock) / STEP + 1e-9)
     motion = padded(other.motion, min(clock + STEP * start, first), last)
-    return Placed(Track(replace(other, motion=motion), _moved(motion)), start)
+    return Placed(Track(replace(other, motion=motion), _moved_objects(motion)), start)
 
 
-def _alone(
-    name: str, problem: Problem | tuple[SwarmProblem, ...], tell: Progress, optimiser: bool
+def _plan_alone(
+    name: str, problem: Problem | tuple[SwarmProblem, ...], report: Progress, optimiser: bool
 ) -> Motion:
     """Return the motion of one team alone."""
 
-    def say(words: str) -> None:
-        tell(f"{name}: {words}" if name else words)
+    def report_team(status: str) -> None:
+        report(f"{name}: {status}" if name else status)
 
     try:
         if isinstance(problem, Problem):
-            return solve_problem(problem, say, optimiser=optimiser).motion
+            return solve_problem(problem, report_team, optimiser=optimiser).motion
         motions = []
         for k, each in enumerate(problem):
-            motion = solve_swarm(each, say).motion
+            motion = solve_swarm(each, report_team).motion
             motions.append(motion.replaced(phases=tuple(replace(p, step=k) for p in motion.phases)))
         return joined_motions(motions)
     except TimeLimitError:
@@ -142,23 +143,24 @@ def _alone(
 def _items(
     alone: Mapping[str, Motion], items: Sequence[Mapping[str, int]]
 ) -> Iterator[tuple[dict[str, Motion], dict[str, Motion]]]:
-    """Yield the motions in each item of the teams that fly there, and of all at rest before it."""
-    done = dict.fromkeys(alone, 0)
-    here = {name: resting(motion, STEP, first=True) for name, motion in alone.items()}
+    """Yield the motions of the teams that fly in each item, and of all teams at rest before it."""
+    next_step = dict.fromkeys(alone, 0)
+    rests = {name: resting(motion, STEP, first=True) for name, motion in alone.items()}
     for item in items:
         row = dict[str, Motion]()
         for name, count in item.items():
-            motion, first, done[name] = alone[name], done[name], done[name] + count
-            phases = [phase for phase in motion.phases if first <= phase.step < done[name]]
+            motion, steps = alone[name], range(next_step[name], next_step[name] + count)
+            next_step[name] = steps.stop
+            phases = [phase for phase in motion.phases if phase.step in steps]
             ends = np.array([phases[0].start, phases[-1].end])
             nearest = np.argmin(np.abs(motion.drones.breaks - ends[:, None]), axis=1)
             row[name] = cut(motion, *nearest.tolist())
-        yield row, here
-        here = here | {name: resting(motion, STEP) for name, motion in row.items()}
+        yield row, rests
+        rests = rests | {name: resting(motion, STEP) for name, motion in row.items()}
 
 
 class _Item:
-    """An item of the mission: the motions that begin together, and when each does."""
+    """An item of the mission: motions that start together, and the schedule of their delays."""
 
     def __init__(
         self,
@@ -171,30 +173,30 @@ class _Item:
     ) -> None:
         self.index, self.row, self.timed = index, row, timed
         self.tracks = [
-            Track(Group(name, row.get(name, before[name])), _moved(motion))
+            Track(Group(name, row.get(name, before[name])), _moved_objects(motion))
             for name, motion in alone.items()
         ]
         self.schedule = Schedule(self.tracks, separation, self._layer)
 
     def _layer(self, k: int, layer: int) -> Track | None:
         name = self.tracks[k].group.name
-        height = LAYER * self.schedule.separation.height * (1.0 if layer == 1 else -1.0)
+        height = LAYER_HEIGHT * self.schedule.separation.height * (1.0 if layer == 1 else -1.0)
         motion = self.row.get(name)
         if motion is None or (name, motion.phases[0].step) in self.timed:
             return None  # a layer takes longer
-        layered = _layered(motion, height)
-        return None if layered is None else Track(Group(name, layered), self.tracks[k].owned)
+        detour = _detour(motion, height)
+        return None if detour is None else Track(Group(name, detour), self.tracks[k].owned)
 
-    def fly(self, flown: Mapping[str, list[Motion]], others: Sequence[Placed], pad: float) -> float:
-        """Add the motions of all teams to those that they have flown; return its duration [s]."""
-        found = self.schedule.solve(others, pad)
-        if isinstance(found, Blocked):
-            raise _blocked(found, self.index)
-        starts = [
-            (each.track.group.name, STEP * each.start, each.track.group.motion) for each in found
-        ]
-        end = max(delay + motion.duration for name, delay, motion in starts if name in self.row)
-        for name, delay, motion in starts:
+    def fly(
+        self, flown: Mapping[str, list[Motion]], others: Sequence[Placed], margin: float
+    ) -> float:
+        """Append the scheduled motions of all teams to ``flown``; return the duration [s]."""
+        schedule = self.schedule.solve(others, margin)
+        if isinstance(schedule, Blocked):
+            raise _blocked_error(schedule, self.index)
+        delayed = [(x.track.group.name, STEP * x.start, x.track.group.motion) for x in schedule]
+        end = max(delay + motion.duration for name, delay, motion in delayed if name in self.row)
+        for name, delay, motion in delayed:
             if name in self.row:
                 flown[name].append(padded(shifted(motion, delay), 0.0, end))
             else:
@@ -203,8 +205,8 @@ class _Item:
         return end
 
 
-def _one_wait(motion: Motion) -> Motion:
-    """Return the motion with phases of waiting that follow one another, in one step, as one."""
+def _merge_waits(motion: Motion) -> Motion:
+    """Return the motion with consecutive waiting phases of a step merged."""
     phases = list[Phase]()
     for phase in motion.phases:
         last = phases[-1] if phases else None
@@ -219,18 +221,17 @@ def _one_wait(motion: Motion) -> Motion:
     return motion.replaced(phases=tuple(phases))
 
 
-def _moved(motion: Motion) -> frozenset[str]:
+def _moved_objects(motion: Motion) -> frozenset[str]:
     """Return the names of objects that a motion moves."""
     poses = motion.object_poses.coefficients
-    moves = np.any(poses != poses[:1, ..., :1], axis=(0, 2, 3))
-    return frozenset(np.array(list(motion.requirements.objects), dtype=object)[moves].tolist())
+    moving = np.any(poses != poses[:1, ..., :1], axis=(0, 2, 3))
+    return frozenset(np.array(list(motion.requirements.objects), dtype=object)[moving].tolist())
 
 
-def _layered(motion: Motion, height: float) -> Motion | None:
-    """Return the motion flown higher by ``height`` [m]: a climb, the same path, a descent.
+def _detour(motion: Motion, height: float) -> Motion | None:
+    """Return the motion at a vertical offset [m]: a climb, the same path and a descent.
 
-    None for paths on which cables or objects are not taken along as they are: with free cables, or
-    an object held; or of several steps, which would end elsewhere.
+    None for motions with free cables or a held object, and for motions of several steps.
     """
     if any((not (p.formed or p.hold) and motion.team.has_cables) or p.hold for p in motion.phases):
         return None
@@ -239,36 +240,35 @@ def _layered(motion: Motion, height: float) -> Motion | None:
     limits = motion.requirements.with_reserve.limits
     speed = min(limits.speed, limits.vertex_speed) if motion.team.has_cables else limits.speed
     rates = speed, 0.5 * limits.acceleration, limits.jerk
-    least = (
+    duration = max(
         math.pow(peak * abs(height) / rate, 1.0 / k)
-        for k, (peak, rate) in enumerate(zip(PEAKS, rates, strict=True), 1)
+        for k, (peak, rate) in enumerate(zip(PEAK_DERIVATIVES, rates, strict=True), 1)
     )
-    seconds = max(least)
-    climb = resting(motion, seconds, replace(motion.phases[0], name="climb"), first=True)
-    descend = resting(motion, seconds, replace(motion.phases[-1], name="descend"))
+    climb = resting(motion, duration, replace(motion.phases[0], name="climb"), first=True)
+    descend = resting(motion, duration, replace(motion.phases[-1], name="descend"))
     raised = [
-        _raised(climb, height * RISE),
+        _raised(climb, height * CLIMB),
         _raised(motion, np.full(1, height)),
-        _raised(descend, height * RISE[::-1]),
+        _raised(descend, height * CLIMB[::-1]),
     ]
     return joined_motions(raised)
 
 
 def _raised(motion: Motion, heights: Array) -> Motion:
-    """Return the motion with a polynomial (degree + 1,) [m] on each piece added to heights."""
+    """Return the motion with a polynomial (degree + 1,) [m] added to the heights of each piece."""
 
-    def part(whole: PiecewisePolynomial) -> PiecewisePolynomial:
-        degree = max(whole.degree, len(heights) - 1)
-        coefficients = whole.elevated(degree).coefficients.copy()
-        added = PiecewisePolynomial(whole.breaks[:2], heights[None]).elevated(degree)
-        coefficients[..., 2, :] += added.coefficients[0]
-        return whole.alike(coefficients)
+    def add_heights(path: PiecewisePolynomial) -> PiecewisePolynomial:
+        degree = max(path.degree, len(heights) - 1)
+        coefficients = path.elevated(degree).coefficients.copy()
+        offset = PiecewisePolynomial(path.breaks[:2], heights[None]).elevated(degree)
+        coefficients[..., 2, :] += offset.coefficients[0]
+        return path.alike(coefficients)
 
-    return motion.replaced(drones=part(motion.drones), vertices=part(motion.vertices))
+    return motion.replaced(drones=add_heights(motion.drones), vertices=add_heights(motion.vertices))
 
 
-def _blocked(blocked: Blocked, item: int) -> InfeasibleError:
-    """Return the error of two teams that find no times beside each other."""
+def _blocked_error(blocked: Blocked, item: int) -> InfeasibleError:
+    """Return the error of two teams without separate times."""
     x, y, z = blocked.place
     one, other = (name or "this plan" for name in blocked.names)
     where = f"near ({x:.2f}, {y:.2f}, {z:.2f}) m in item {item} of the mission"

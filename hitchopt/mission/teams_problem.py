@@ -1,4 +1,4 @@
-"""A problem of several teams: their starts, and items of a mission that each begin together."""
+"""Problems of several teams: their starts, and items of a mission whose steps start together."""
 
 from __future__ import annotations
 
@@ -90,18 +90,19 @@ EXAMPLES: Mapping[str, Any] = {
 }
 
 
-def refuse_unnamed(teams: Any, start: Any, mission: Any) -> None:
-    """Raise InputError for starts and steps of names that no team has, or of none."""
+def check_team_names(teams: Any, start: Any, mission: Any) -> None:
+    """Raise InputError for starts and steps that are not under the name of a team."""
     names = list(teams) if isinstance(teams, Mapping) else []
     items = mission if isinstance(mission, list | tuple) else ()
-    places = {"start": start} | {f"mission[{i}]": item for i, item in enumerate(items)}
-    for place, given in places.items() if len(names) > 1 else ():
-        for name in given if isinstance(given, Mapping) else ():
+    sections = {"start": start} | {f"mission[{i}]": item for i, item in enumerate(items)}
+    for path, section in sections.items() if len(names) > 1 else ():
+        for name in section if isinstance(section, Mapping) else ():
             if name not in names:
-                step = name in (*STEP_KINDS, Fly.name)
-                remedy = f"write {names[0]}: {{{name}: …}}" if step else closest_word(name, names)
-                key, what = join_key(place, name), "a step" if place != "start" else "a start"
-                raise InputError(key, what, "under the name of a team", remedy)
+                remedy = closest_word(name, names)
+                if name in (*STEP_KINDS, Fly.name):
+                    remedy = f"write {names[0]}: {{{name}: …}}"
+                value = "a start" if path == "start" else "a step"
+                raise InputError(join_key(path, name), value, "under the name of a team", remedy)
 
 
 @documented
@@ -156,14 +157,14 @@ class TeamsProblem(OneLine):
     others: Others = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        stored = ("teams", "start", "mission", "title", "others")
-        store(self, **{name: value for name, value in vars(self).items() if name in stored})
+        checked = ("teams", "start", "mission", "title", "others")
+        store(self, **{name: value for name, value in vars(self).items() if name in checked})
         names = list(self.teams)
         if len(names) < 2:
             remedy = "with one team write team, and its start and steps without a name"
             raise InputError("teams", names, "at least two teams", remedy)
-        refuse_unnamed(self.teams, self.start, self.mission)
-        collect(self._check_named, names)
+        check_team_names(self.teams, self.start, self.mission)
+        collect(self._check_team, names)
         for name in self.others.keys() & self.teams.keys():
             raise InputError(f"others.{name}", name, "a name that no team has", "rename it")
         for i, item in enumerate(self.mission):
@@ -174,46 +175,44 @@ class TeamsProblem(OneLine):
         requirements = first.requirements if isinstance(first, Problem) else first[0].requirements
         check_placed(self.objects, requirements.floor)
 
-    def _check_named(self, name: str) -> None:
-        """Raise InputError for a team whose start or steps are missing, or of the other kind."""
-        single, start = isinstance(self.teams[name], Swarm), self.start.get(name, Missing())
-        kind = "single drones" if single else "a team of robots"
-        form = (
-            "a list of places [x, y, z], one per drone" if single else "a hitch, or drones q and r"
-        )
-        if isinstance(start, Missing) or isinstance(start, np.ndarray) is not single:
-            example = "[[x, y, z], …]" if single else "{hitch: {polygon: [[x, y], …], altitude: 1}}"
-            raise InputError(f"start.{name}", start, form, f"write {name}: {example}")
+    def _check_team(self, name: str) -> None:
+        """Raise InputError if a team's start or steps are missing, or of the other kind."""
+        is_swarm, start = isinstance(self.teams[name], Swarm), self.start.get(name, Missing())
+        kind, bound = "a team of robots", "a hitch, or drones q and r"
+        start_example = "{hitch: {polygon: [[x, y], …], altitude: 1}}"
+        step_example, step_bound = "hold: {seconds: 1}", f"a step of {kind}"
+        if is_swarm:
+            kind, bound = "single drones", "a list of places [x, y, z], one per drone"
+            start_example, step_example = "[[x, y, z], …]", "fly: {goal: …}"
+            step_bound = "fly, the only step of single drones"
+        if isinstance(start, Missing) or isinstance(start, np.ndarray) is not is_swarm:
+            raise InputError(f"start.{name}", start, bound, f"write {name}: {start_example}")
         if not self._steps(name):
-            bound, example = (
-                "of an item at least",
-                "fly: {goal: …}" if single else "hold: {seconds: 1}",
-            )
-            raise InputError("mission", f"no step of {name}", bound, f"add {name}: {{{example}}}")
-        for key, step, last in self._steps(name):
-            if isinstance(step, Fly) is not single:
-                bound = "fly, the only step of single drones" if single else f"a step of {kind}"
-                raise InputError(f"{key}.{step.name}", "a step", bound, f"{name} is {kind}")
-            if last and step.blends:
+            remedy = f"add {name}: {{{step_example}}}"
+            raise InputError("mission", f"no step of {name}", "of an item at least", remedy)
+        for key, step, is_last in self._steps(name):
+            if isinstance(step, Fly) is not is_swarm:
+                raise InputError(f"{key}.{step.name}", "a step", step_bound, f"{name} is {kind}")
+            if is_last and step.blends:
                 bound = "false in the last step of an item"
                 remedy = "leave it out: the next item begins when all rest"
                 raise InputError(f"{key}.{step.name}.blend", True, bound, remedy)
 
     def _steps(self, name: str) -> list[tuple[str, Any, bool]]:
-        """Return the steps of a team with their keys, and whether each is its item's last."""
+        """Return the steps of a team with their keys, and whether each is the last of its item."""
         steps = list[tuple[str, Any, bool]]()
         for i, item in enumerate(self.mission):
-            key, given = f"mission[{i}].{name}", item.get(name, ())
-            if isinstance(given, Step | Fly):
-                steps.append((key, given, True))
+            key, own = f"mission[{i}].{name}", item.get(name, ())
+            if isinstance(own, Step | Fly):
+                steps.append((key, own, True))
             else:
-                last = len(given) - 1
-                steps += [(f"{key}[{j}]", step, j == last) for j, step in enumerate(given)]
+                last = len(own) - 1
+                steps += [(f"{key}[{j}]", step, j == last) for j, step in enumerate(own)]
         return steps
 
     @cached_property
     def owners(self) -> dict[str, str]:
-        """The team that carries each object, by the object's name; obstacles have none."""
+        """Team that carries each object, by the object's name; obstacles have no owner."""
         owners = dict[str, str]()
         for name in self.teams:
             for key, step, _ in self._steps(name):
@@ -226,7 +225,7 @@ class TeamsProblem(OneLine):
 
     @cached_property
     def problems(self) -> dict[str, Problem | tuple[SwarmProblem, ...]]:
-        """The problem of every team alone; those of all flights of single drones."""
+        """Problem of each team alone; for single drones one problem per flight."""
         return dict(collect(lambda name: (name, self._problem(name)), self.teams))
 
     def _problem(self, name: str) -> Problem | tuple[SwarmProblem, ...]:
@@ -242,41 +241,38 @@ class TeamsProblem(OneLine):
             if not isinstance(team, Swarm):
                 return Problem(team, start, tuple(step for _, step, _ in steps), **parts)
             for _, step, _ in steps:
-                begin = flights[-1].goal if flights else start
-                flights += [SwarmProblem(team, begin, step.goal, duration=step.duration, **parts)]
+                flights += [SwarmProblem(team, start, step.goal, duration=step.duration, **parts)]
+                start = step.goal
             return tuple(flights)
         except InputError as error:
 
-            def renamed(one: InputError) -> InputError:
+            def with_team(one: InputError) -> InputError:
                 key = re.sub(r"^(goal|duration)", f"mission[{len(flights)}].fly.\\1", one.key)
-                key = re.sub(r"^mission\[(\d+)\]", lambda found: steps[int(found[1])][0], key)
+                key = re.sub(r"^mission\[(\d+)\]", lambda match: steps[int(match[1])][0], key)
                 key = re.sub(r"^start\b", f"start.{name}", re.sub(r"^team\b", f"teams.{name}", key))
                 return InputError(key, one.value, one.bound, one.remedy, one.place)
 
             if isinstance(error, JointInputError):
-                raise JointInputError(list(map(renamed, error.errors))) from None
-            raise renamed(error) from None
+                raise JointInputError(list(map(with_team, error.errors))) from None
+            raise with_team(error) from None
 
     @property
     def items(self) -> list[dict[str, int]]:
         """Number of steps of each team in each item of the mission."""
         return [
-            {
-                name: 1 if isinstance(given, Step | Fly) else len(given)
-                for name, given in row.items()
-            }
-            for row in self.mission
+            {name: 1 if isinstance(x, Step | Fly) else len(x) for name, x in item.items()}
+            for item in self.mission
         ]
 
     @property
     def asked(self) -> dict[str, Any]:
-        """The request of every team, by name, as ``Problem.asked``."""
-        asked = dict[str, Any]()
+        """Request of each team by name, as ``Problem.asked``."""
+        requests = dict[str, Any]()
         for name, each in self.problems.items():
             flights = (each,) if isinstance(each, Problem) else each
             steps = [step for flight in flights for step in flight.asked["mission"]]
-            asked[name] = flights[0].asked | {"mission": steps}
-        return asked
+            requests[name] = flights[0].asked | {"mission": steps}
+        return requests
 
 
 AnyProblem = Problem | SwarmProblem | TeamsProblem

@@ -1,4 +1,4 @@
-"""The files that ``hitchopt init`` writes: their sections list the keys of records."""
+"""Problem files of ``hitchopt init``, with sections that list the keys of records."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ SECTIONS: dict[str, tuple[type, str, Sequence[str]]] = {
     "swarm_limits": (Limits, "#  ", HITCH_LIMITS),
     "swarm_separation": (Separation, "#  ", HITCH_SEPARATION),
 }
-"""Records by the names of sections, what begins their lines, and fields that are left out."""
+"""Records by section, with the prefixes of their lines and the fields to exclude."""
 
 COLUMN, WIDTH = 26, 96
-"""Column of comments, and most characters of a line."""
+"""Column of comments, and maximum length of a line."""
 
 LENGTHS = (
     *("team.cable_length", "arena.lower", "arena.upper", "start.drones.q", "start.drones.r"),
@@ -37,14 +37,14 @@ LENGTHS = (
 )
 """Keys of the template's lengths."""
 
-ROOM = 0.22
-"""[m] Radius of drones, and twice how far they may be off, that the template's lengths suit."""
+NOMINAL_RADIUS = 0.22
+"""Radius of drones plus twice their tracking error for which the template is made [m]."""
 
 
 def for_drone(text: str, name: str) -> str:
-    """Return the template's text for a model of drones: lengths, distances and tension."""
+    """Return the template adapted to a model of drones: lengths, distances and tension."""
     kind, (radius, height) = Quadrotor(model=name), MODELS[name].separation
-    factor, data = (radius + 2.0 * (kind.loop.tracking or 0.0)) / ROOM, parse_yaml(text)
+    factor, data = (radius + 2.0 * (kind.loop.tracking or 0.0)) / NOMINAL_RADIUS, parse_yaml(text)
     values = {key: np.multiply(factor, value_at(data, split_key(key))) for key in LENGTHS}
     changed = {key: np.round(value, 2).tolist() for key, value in values.items()}
     changed |= {"team.quadrotor": name, "team.tension": kind.tension}
@@ -55,27 +55,26 @@ def for_drone(text: str, name: str) -> str:
     return text
 
 
-def filled_in(text: str, **more: tuple[type, str, Sequence[str]]) -> str:
+def expand_sections(text: str, **extra: tuple[type, str, Sequence[str]]) -> str:
     """Return a template with lines such as ``# (limits)`` replaced by all keys and defaults.
 
-    ``more`` are sections of records that only callers know.
+    ``extra`` are further sections.
     """
-    sections = SECTIONS | more
+    sections = SECTIONS | extra
     return re.sub(r" *# \((\w+)\)\n", lambda match: _lines(*sections[match[1]]), text)
 
 
-def _lines(record: type, begin: str, without: Sequence[str] = ()) -> str:
-    """Return a comment line, or several, for every key of a record that has a default."""
+def _lines(record: type, prefix: str, exclude: Sequence[str] = ()) -> str:
+    """Return comment lines for the keys of a record with a default."""
     lines = list[str]()
     for name, key in keys_of(record).items():
-        if key.default is EMPTY or name in without:
+        if key.default is EMPTY or name in exclude:
             continue
-        nested = key.name == "quadrotor"
-        value = "" if nested else f" {flow(key.to_file(key.default))}"
-        words = key.described(key.file_kind)
-        head = f"{begin} {key.name}:{value}".ljust(COLUMN)
-        first, *more = textwrap.wrap(words, WIDTH - COLUMN - 2)
-        lines += [f"{head}# {first}", *(f"{begin}{' ' * (COLUMN - len(begin))}# {x}" for x in more)]
-        if nested:
-            lines += [_lines(Quadrotor, f"{begin}  ").rstrip("\n")]
+        is_nested = key.name == "quadrotor"
+        value = "" if is_nested else f" {flow(key.to_file(key.default))}"
+        first, *rest = textwrap.wrap(key.described(key.file_kind), WIDTH - COLUMN - 2)
+        lines += [f"{prefix} {key.name}:{value}".ljust(COLUMN) + f"# {first}"]
+        lines += [f"{prefix.ljust(COLUMN)}# {line}" for line in rest]
+        if is_nested:
+            lines += [_lines(Quadrotor, f"{prefix}  ").rstrip("\n")]
     return "\n".join(lines) + "\n"

@@ -1,4 +1,4 @@
-"""Motions of single steps, with their certificates: at rest, on routes, on free cables, tied."""
+"""Motions of single steps with their certificates: at rest, along routes, on free cables."""
 
 from __future__ import annotations
 
@@ -23,115 +23,119 @@ from hitchopt.planners.morph.legs import SLIDES, legs_clear
 from hitchopt.planners.morph.morph import SAME, BlendedMorph
 from hitchopt.planners.morph.path import ShapePath
 from hitchopt.planners.timing.flight import check_duration, fly, in_duration, needed_stretch
-from hitchopt.steps.step import IDLE, RestState, RolledLegs, SlackSplit, StepPlan, StepTask
+from hitchopt.steps.step import (
+    ALTITUDE_TOLERANCE,
+    IDLE,
+    RestState,
+    RolledLegs,
+    SlackSplit,
+    StepPlan,
+    StepTask,
+)
 from hitchopt.trajectory import PiecewisePolynomial
 
 if TYPE_CHECKING:
     from hitchopt.planners.morph.actions import Action
 
-LEVEL = 1e-3
-"""[m] Difference of heights up to which drones are level: it adds less than 1e-5 m to a distance of
-0.24 m, and is less than what the ratio's digits show."""
+LEVEL_TOLERANCE = 1e-3
+"""Difference of heights up to which drones are level [m]: it changes a distance of 0.24 m by less
+than 1e-5 m."""
 
 
 @dataclass(frozen=True, eq=False)
-class Certified:
-    """The motion of a whole plan and the certificate that holds for it."""
+class CertifiedMotion:
+    """Motion of a whole plan with its certificate."""
 
     motion: Motion
     certificate: Certificate
 
 
-def checked(planned: StepPlan, when: str = "") -> StepPlan:
-    """Return a certified plan; else raise InfeasibleError, ``when`` naming the time."""
-    if not planned.certificate.certified:
-        raise infeasible(planned.certificate, planned.motion, when)
-    return planned
+def require_certified(plan: StepPlan, when: str = "") -> StepPlan:
+    """Return a certified plan, else raise InfeasibleError; ``when`` describes the time."""
+    if not plan.certificate.certified:
+        raise infeasible_error(plan.certificate, plan.motion, when)
+    return plan
 
 
-def attempt(planned: Callable[[], StepPlan]) -> StepPlan | HitchoptError:
-    """Return a plan or the error that refuses it; raise TimeLimitError."""
+def attempt(planner: Callable[[], StepPlan]) -> StepPlan | HitchoptError:
+    """Return a planner's plan or its error; only TimeLimitError is raised."""
     try:
-        return planned()
+        return planner()
     except TimeLimitError:
         raise
     except HitchoptError as error:
         return error
 
 
-def first_planned(ways: Iterable[Callable[[], StepPlan]]) -> StepPlan:
-    """Return the first plan of those in turn that is not refused; else raise the first error."""
-    refused = list[HitchoptError]()
-    for way in ways:
-        found = attempt(way)
-        if isinstance(found, StepPlan):
-            return found
-        refused.append(found)
-    raise refused[0]
+def first_feasible(planners: Iterable[Callable[[], StepPlan]]) -> StepPlan:
+    """Return the plan of the first planner that succeeds, else raise the first error."""
+    errors = list[HitchoptError]()
+    for planner in planners:
+        outcome = attempt(planner)
+        if isinstance(outcome, StepPlan):
+            return outcome
+        errors.append(outcome)
+    raise errors[0]
 
 
-def resting(hitch: Hitch, requirements: Requirements, seconds: float, phase: Phase) -> Motion:
-    """Return the motion in which the hitch stays for ``seconds`` [s]; the phase's end is set."""
+def rest_motion(hitch: Hitch, requirements: Requirements, duration: float, phase: Phase) -> Motion:
+    """Return the motion of a hitch at rest for a duration [s]; the phase is retimed to it."""
     values = (hitch.drones, hitch.vertices, hitch.legs, hitch.team.tension)
     drones, vertices, legs, tensions = (
-        PiecewisePolynomial.constant([0.0, seconds], value) for value in values
+        PiecewisePolynomial.constant([0.0, duration], value) for value in values
     )
-    phases = (phase.retimed(0.0, seconds),)
+    phases = (phase.retimed(0.0, duration),)
     return Motion(hitch.team, requirements, drones, vertices, legs, tensions, phases)
 
 
-def at_rest(hitch: Hitch, requirements: Requirements) -> StepPlan:
-    """Return the plan in which a hitch stays, for as long as limits do not matter."""
-    motion = resting(hitch, requirements, 1.0, Phase("hold", 0, 0.0, 1.0))
-    return StepPlan(motion, RestState.formed(hitch))
+def rest_plan(hitch: Hitch, requirements: Requirements) -> StepPlan:
+    """Return the plan of a hitch at rest for one second."""
+    motion = rest_motion(hitch, requirements, 1.0, Phase("hold", 0, 0.0, 1.0))
+    return StepPlan(motion, RestState.from_hitch(hitch))
 
 
 def check_at_rest(hitch: Hitch, requirements: Requirements, when: str) -> None:
-    """Raise InfeasibleError where the hitch breaks a limit without moving."""
-    checked(at_rest(hitch, requirements), when)
+    """Raise InfeasibleError if the hitch breaks a limit at rest."""
+    require_certified(rest_plan(hitch, requirements), when)
 
 
-def infeasible(certificate: Certificate, motion: Motion, when: str = "") -> InfeasibleError:
-    """Return the violations of a certificate; ``when`` names the time and step."""
+def infeasible_error(certificate: Certificate, motion: Motion, when: str = "") -> InfeasibleError:
+    """Return the error of a certificate's violations; ``when`` describes the time and step."""
     violations = []
     for check in certificate.violated:
         phases = [p for p in motion.phases if p.start <= check.time <= p.end]
-        words = when
+        time_and_step = when
         if not when and check.name != "duration":
             step = f", in step {phases[0].step} ({phases[0].name})" if phases else ""
-            words = f"at t = {check.time:.4g} s{step}"
-        remedy = _metres(check, motion) + _remedy(check, phases)
-        violations.append(check.violation(words, remedy))
+            time_and_step = f"at t = {check.time:.4g} s{step}"
+        rule = RULE_OF.get(check.name, TRACKING_RADIUS)
+        is_free = phases and not any(phase.formed for phase in phases)
+        remedy = (is_free and rule.free_remedy) or rule.remedy
+        remedy = _separation_shortfall(check, motion) + remedy
+        violations.append(check.violation(time_and_step, remedy))
     return InfeasibleError(violations)
 
 
-def _remedy(check: Check, phases: Sequence[Phase]) -> str:
-    """Return the remedy, with a hitch or without."""
-    rule = RULE_OF.get(check.name, TRACKING_RADIUS)
-    free = phases and not any(phase.formed for phase in phases)
-    return (free and rule.free_remedy) or rule.remedy
-
-
-def _metres(check: Check, motion: Motion) -> str:
-    """Return how far apart drones are and should be, where they are at one height."""
+def _separation_shortfall(check: Check, motion: Motion) -> str:
+    """Return in words the distance of two level drones and its shortfall, else nothing."""
     if check.name != "separation":
         return ""
     heights = []
-    for each in motion.flying:
-        drones = each.motion.drones
+    for group in motion.flying:
+        drones = group.motion.drones
         places = drones.at(float(np.clip(check.time, *drones.breaks[[0, -1]])))
-        names = map(each.label, each.motion.team.drone_names)
+        names = map(group.label, group.motion.team.drone_names)
         heights += [
             place[2] for name, place in zip(names, places, strict=True) if name in check.where
         ]
-    if np.ptp(heights) > LEVEL:
+    if np.ptp(heights) > LEVEL_TOLERANCE:
         return ""
-    wide = 2.0 * motion.requirements.separation.radius
-    needed, apart = wide * check.number, wide * check.bound
-    return f"{apart:.3g} m apart, {needed - apart:.3g} m too close: "
+    diameter = 2.0 * motion.requirements.separation.radius
+    required, distance = diameter * check.number, diameter * check.bound
+    return f"{distance:.3g} m apart, {required - distance:.3g} m too close: "
 
 
-# The hitch that a step ends with, and its routes there.
+# The hitch at the end of a step, and routes to it.
 
 
 def split_hitch(
@@ -141,22 +145,22 @@ def split_hitch(
     legs: SlackSplit,
     requirements: Requirements,
 ) -> Hitch:
-    """Return the hitch whose slack is split as ``legs`` says."""
+    """Return the hitch with the slack split ``legs``."""
     sharing, roll = (legs.sharing, legs.roll) if isinstance(legs, RolledLegs) else (legs, None)
     if isinstance(sharing, str) and sharing == "spread":
         requested = {name: getattr(requirements, name) for name in ("limits", "separation")}
         return Hitch.spread(team, polygon, altitude, roll=roll, **requested)
-    given = 0.0 if roll is None else roll
+    initial_roll = 0.0 if roll is None else roll
     if isinstance(sharing, str):
-        hitch = Hitch.balanced(team, polygon, altitude, given)
+        hitch = Hitch.balanced(team, polygon, altitude, initial_roll)
     else:
-        hitch = Hitch(team, polygon, altitude, sharing, given)
-    auto = isinstance(legs, RolledLegs) and roll is None
-    return hitch.least_rolled(requirements) if auto else hitch
+        hitch = Hitch(team, polygon, altitude, sharing, initial_roll)
+    auto_roll = isinstance(legs, RolledLegs) and roll is None
+    return hitch.least_rolled(requirements) if auto_roll else hitch
 
 
 class End(NamedTuple):
-    """The hitch after a step, at rest, and what the action's own legs would break, in words."""
+    """Hitch after a step, and in words the limit that the action's own legs would break."""
 
     hitch: Hitch
     reason: str = ""
@@ -165,27 +169,27 @@ class End(NamedTuple):
 def end_of_morph(
     start: Hitch, polygon: Outline, legs: SlackSplit | None, requirements: Requirements
 ) -> End:
-    """Return the hitch on ``polygon``; without ``legs`` with fractions nearest to those before."""
+    """Return the hitch on ``polygon``; by default its fractions are nearest to the initial ones."""
     if legs is not None:
         return End(split_hitch(start.team, polygon, start.altitude, legs, requirements))
     return End(_nearest(start, polygon, start.fractions, requirements))
 
 
 def end_of_action(action: Action, legs: SlackSplit | None, requirements: Requirements) -> End:
-    """Return the hitch after an action; without ``legs`` with those nearest to its law's."""
+    """Return the hitch after an action; by default its legs are nearest to the action's own."""
     start, polygon = action.start, action.polygon
     if legs is not None:
         return end_of_morph(start, polygon, legs, requirements)
-    wanted = action.kept_legs
+    own_legs = action.kept_legs
     try:
-        hitch = Hitch(start.team, polygon, start.altitude, wanted, start.roll)
+        hitch = Hitch(start.team, polygon, start.altitude, own_legs, start.roll)
         check_at_rest(hitch, requirements, "at the end")
         return End(hitch)
     except InfeasibleError as error:
         broken = error.violations[0]
-    nearest = _nearest(start, polygon, wanted / cable_slack(start.team, polygon), requirements)
-    # A cable that need not slide keeps its legs to the last bit, so that its drones stay.
-    q_legs = np.where(np.abs(nearest.q_legs - wanted) < SLIDES, wanted, nearest.q_legs)
+    nearest = _nearest(start, polygon, own_legs / cable_slack(start.team, polygon), requirements)
+    # A cable that does not slide keeps its legs to the last bit, so that its drones stay.
+    q_legs = np.where(np.abs(nearest.q_legs - own_legs) < SLIDES, own_legs, nearest.q_legs)
     end = Hitch(start.team, polygon, start.altitude, q_legs, nearest.roll)
     return End(end, str(replace(broken, when="at the end", remedy="with the action's own legs")))
 
@@ -193,7 +197,7 @@ def end_of_action(action: Action, legs: SlackSplit | None, requirements: Require
 def _nearest(
     start: Hitch, polygon: Outline, fractions: ArrayLike, requirements: Requirements
 ) -> Hitch:
-    """Return the hitch within all limits whose fractions are nearest to those given."""
+    """Return the feasible hitch with the nearest fractions."""
     requested = {name: getattr(requirements, name) for name in ("limits", "separation", "arena")}
     return Hitch.nearest(
         start.team, polygon, start.altitude, fractions, roll=start.roll, **requested
@@ -201,215 +205,213 @@ def _nearest(
 
 
 DIRECT_INFEASIBLE = "the step's own route is infeasible"
-SLOWER = "the step's own route takes longer"
+DIRECT_TOO_SLOW = "the step's own route takes longer"
 
 
-def optimised(
+def optimised_plan(
     task: StepTask, end: Hitch, phase: Phase, duration: float | None = None, *, lead: bool = False
 ) -> StepPlan:
     """Return the fastest plan that the optimiser finds to a hitch at the same altitude.
 
-    ``phase`` has the step's name and index, and within what tensions may change; ``lead``: also try
-    legs that lead and lag. Raises InfeasibleError where it takes longer than ``duration`` [s].
+    ``phase`` has the step's name, index and range of tensions; ``lead``: also try legs that lead
+    and lag. Raises InfeasibleError if the plan takes longer than ``duration`` [s].
     """
     from hitchopt.planners.morph.legs import leading
     from hitchopt.planners.optimise.search import OptimisedMorph
 
     start, requirements = task.hitch, task.requirements
-    accepted: dict[Motion, StepPlan] = {}
+    certified: dict[Motion, StepPlan] = {}
 
-    def planned(motion: Motion) -> StepPlan:
-        flown = replace(phase, end=motion.duration)
-        return task.ended(motion.replaced(phases=(flown,)), end)
+    def plan_of(motion: Motion) -> StepPlan:
+        phases = (replace(phase, end=motion.duration),)
+        return task.plan_ending(motion.replaced(phases=phases), end)
 
     def certified_motion(path: ShapePath) -> Motion | None:
-        """Return the motion along a path, or one on which legs lead and lag, if it is certified."""
-        led = leading(path, requirements.limits) if lead else ()
-        for each in (*(p for p in led if legs_clear(p, requirements)), path):
+        """Return a certified motion along a path, if possible with legs that lead and lag."""
+        variants = leading(path, requirements.limits) if lead else ()
+        for each in (*(p for p in variants if legs_clear(p, requirements)), path):
             try:
                 motion = fly(each, requirements)
             except HitchoptError:
                 if each is path:
                     raise
                 continue
-            plan = planned(motion)
+            plan = plan_of(motion)
             if plan.certificate.certified:
-                accepted[motion] = plan
+                certified[motion] = plan
                 return motion
         return None
 
     candidates = OptimisedMorph(start, end, requirements, certified_motion, phase.tension).solve()
     if not candidates:
         raise HitchoptError("no route was found")
-    best, words = candidates[0].motion, f"on an optimised route, first guess {candidates[0].name}"
+    best, remark = candidates[0].motion, f"on an optimised route, first guess {candidates[0].name}"
     if duration is None:
-        return accepted[best].remarked(words)
+        return certified[best].with_remark(remark)
     check_duration(duration, best.duration)
-    return checked(planned(in_duration(best, duration)).remarked(words))
+    return require_certified(plan_of(in_duration(best, duration)).with_remark(remark))
 
 
-def combined_failure(own: HitchoptError, other: HitchoptError, note: str) -> HitchoptError:
-    """Return one error for two refused routes, that of a route that is only too slow if any."""
+def combined_failure(direct: HitchoptError, other: HitchoptError, note: str) -> HitchoptError:
+    """Return one error for two infeasible routes; a route that is only too slow has priority."""
 
-    def late(refusal: InfeasibleError) -> float:
-        """Return the time that a route takes at least [s], if that alone is why it is refused."""
-        timed = all((v.constraint, v.sense) == ("duration", "min") for v in refusal.violations)
-        return max((v.limit for v in refusal.violations if timed), default=math.inf)
+    def min_duration(error: InfeasibleError) -> float:
+        """Return the minimum duration of a route [s] that is only too slow, else inf."""
+        too_slow = all((v.constraint, v.sense) == ("duration", "min") for v in error.violations)
+        return max((v.limit for v in error.violations if too_slow), default=math.inf)
 
-    infeasible_routes = [each for each in (own, other) if isinstance(each, InfeasibleError)]
-    if not infeasible_routes:
-        return own
-    first = min(infeasible_routes, key=late)  # the own one where none has a time
-    if first is not own and isinstance(own, InfeasibleError):
-        note = DIRECT_INFEASIBLE if late(own) == math.inf else SLOWER
+    errors = [error for error in (direct, other) if isinstance(error, InfeasibleError)]
+    if not errors:
+        return direct
+    first = min(errors, key=min_duration)  # the direct route's if neither is only too slow
+    if first is not direct and isinstance(direct, InfeasibleError):
+        note = DIRECT_INFEASIBLE if min_duration(direct) == math.inf else DIRECT_TOO_SLOW
     return InfeasibleError(first.violations, first.note or note)
 
 
-SHARES = (1.0, 0.8, 0.65, 0.5, 0.4, 0.3, 0.25)
-"""Shares of the friction to lean against; the first of them that is certified is used."""
+FRICTION_SHARES = (1.0, 0.8, 0.65, 0.5, 0.4, 0.3, 0.25)
+"""Shares of the friction that feed-forward compensates; the first certified one is used."""
 
-WHOLE, LONGER = 0.99, 1.5
-"""Share of the friction from which on all of it counts as used, and most times as long as without
-friction that a step may last for legs to lean so far."""
+FULL_SHARE, MAX_SLOWDOWN = 0.99, 1.5
+"""Share of the friction that counts as all of it; maximum ratio of a step's duration with friction
+feed-forward to that without."""
 
 NOT_COMPENSATED = "clasp friction is not compensated: limits bind"
 
 
-def against_friction(planned: StepPlan, *, timed: bool) -> StepPlan:
-    """Return the plan with legs that lean against friction as far as limits allow, if they do.
+def with_friction_feedforward(plan: StepPlan, *, timed: bool) -> StepPlan:
+    """Return the plan with legs that lean against friction, as far as limits allow.
 
-    It may take up to LONGER times as long, unless its time is given (``timed``) or limited.
+    Unless its duration is prescribed (``timed``) or limited, MAX_SLOWDOWN bounds the slowdown.
     """
-    motion, limits = planned.motion, planned.motion.requirements.limits
+    motion, limits = plan.motion, plan.motion.requirements.limits
     if motion.team.cable_friction == 0.0:
-        return planned
+        return plan
     from hitchopt.planners.morph.friction import feedforward_matters, friction_feedforward
 
     if not feedforward_matters(motion):
-        return planned
+        return plan
     slower = not timed and limits.duration is None
-    for share in SHARES:
+    for share in FRICTION_SHARES:
         feedforward = friction_feedforward(motion, share, slower=slower)
-        if feedforward is None or feedforward.motion.duration > LONGER * motion.duration:
+        if feedforward is None or feedforward.motion.duration > MAX_SLOWDOWN * motion.duration:
             continue
-        words = f"legs lean against friction, by up to {math.degrees(feedforward.turned):.2g}°"
+        remark = f"legs lean against friction, by up to {math.degrees(feedforward.turned):.2g}°"
         if share < 1.0:
-            words += f" ({share:.0%} of the friction: limits bind)"
-        leant = replace(planned, motion=feedforward.motion).remarked(words)
-        if leant.certificate.certified:
-            return leant
-    return planned.remarked(NOT_COMPENSATED)
+            remark += f" ({share:.0%} of the friction: limits bind)"
+        compensated = replace(plan, motion=feedforward.motion).with_remark(remark)
+        if compensated.certificate.certified:
+            return compensated
+    return plan.with_remark(NOT_COMPENSATED)
 
 
 def plan_blended(steps: Sequence[Any], task: StepTask) -> StepPlan:
-    """Return the plan of shape steps without a stop in between; ``task`` is that of the first.
+    """Return the plan of shape steps without a stop in between; ``task`` is the first step's.
 
-    One path through all hitches that they would have ended with, timed as a whole; each phase ends
-    when its step's hitch is passed. Raises InputError for a step that moves nothing.
+    One path leads through the end hitches of all steps and is timed as a whole; each phase ends as
+    the path passes its step's hitch. Raises InputError for a step without motion.
     """
     requirements, hitches = task.requirements, [task.hitch]
     for i, step in enumerate(steps, task.index):
-        here = StepTask(RestState.formed(hitches[-1]), i, requirements)
-        end = step.end(here).hitch
-        step.check_end(end, here)
+        step_task = StepTask(RestState.from_hitch(hitches[-1]), i, requirements)
+        end = step.end(step_task).hitch
+        step.check_end(end, step_task)
         if np.max(np.abs(end.drones - hitches[-1].drones)) < SAME:
             bound = "a step that moves something where steps are blended"
             remedy = "leave it out, or leave out blend"
             raise InputError(f"mission[{i}].{step.name}", "no motion", bound, remedy)
         hitches.append(end)
-    motion, passed = BlendedMorph(hitches, requirements).solve()
-    times = [0.0, *passed.tolist(), motion.duration]
+    motion, joints = BlendedMorph(hitches, requirements).solve()
+    times = [0.0, *joints.tolist(), motion.duration]
     remarks = ["goes on without a stop"] * (len(steps) - 1) + [""]
     phases = tuple(
         Phase(step.name, task.index + j, times[j], times[j + 1], remarks[j])
         for j, step in enumerate(steps)
     )
-    plan = task.ended(motion.replaced(phases=phases), hitches[-1])
-    return against_friction(plan, timed=False)
+    plan = task.plan_ending(motion.replaced(phases=phases), hitches[-1])
+    return with_friction_feedforward(plan, timed=False)
 
 
 def settling_plan(
-    task: StepTask, seconds: float | None, phase: Phase, *, needed: bool = True
+    task: StepTask, duration: float | None, phase: Phase, *, required: bool = True
 ) -> StepPlan:
     """Return the plan in which drones swing to remove friction hysteresis at the clasps.
 
-    They swing as far as limits allow for ``seconds`` [s], or SWINGS of SWING and longer if need be.
-    Raises InfeasibleError if limits bind and the swing is ``needed``.
+    They swing as far as limits allow for a duration [s], by default SWINGS of SWING, or longer if
+    limits need that. Raises InfeasibleError if limits bind and the swing is ``required``.
     """
     from hitchopt.planners.morph.friction import SWING, SWINGS, settling_swings
 
-    lasts = SWING * (SWINGS + 0.5) if seconds is None else seconds
-    hitch, requirements, settled = task.hitch, task.requirements, None
-    rest = resting(hitch, requirements, lasts, phase)
-    for share in SHARES:
+    hitch, requirements, plan = task.hitch, task.requirements, None
+    rest_duration = SWING * (SWINGS + 0.5) if duration is None else duration
+    rest = rest_motion(hitch, requirements, rest_duration, phase)
+    for share in FRICTION_SHARES:
         settling = settling_swings(rest, share)
         if settling is None:
             break
-        swings, used = settling
+        swings, swing_share = settling
         motion = swings.motion
-        words = f"drones swing by up to {math.degrees(swings.turned):.2g}°"
+        remark = f"drones swing by up to {math.degrees(swings.turned):.2g}°"
         factor = needed_stretch(motion)
-        if factor > 1.0 and seconds is None and factor <= LONGER:
+        if factor > 1.0 and duration is None and factor <= MAX_SLOWDOWN:
             motion = motion.slowed(factor)
-        if used < WHOLE:
-            words += f" (at least {used:.0%} of the swing that suffices: legs bind)"
-        settled = task.ended(motion, hitch).remarked(words)
-        if settled.certificate.certified:
-            return settled
-    if settled is None:
-        return task.ended(rest, hitch).remarked("no leg can lean against friction")
-    if needed:
-        raise infeasible(settled.certificate, settled.motion)
-    unsettled = task.ended(resting(hitch, requirements, IDLE, phase), hitch)
-    return unsettled.remarked("friction hysteresis is not removed: limits bind")
+        if swing_share < FULL_SHARE:
+            remark += f" (at least {swing_share:.0%} of the swing that suffices: legs bind)"
+        plan = task.plan_ending(motion, hitch).with_remark(remark)
+        if plan.certificate.certified:
+            return plan
+    if plan is None:
+        return task.plan_ending(rest, hitch).with_remark("no leg can lean against friction")
+    if required:
+        raise infeasible_error(plan.certificate, plan.motion)
+    unsettled = task.plan_ending(rest_motion(hitch, requirements, IDLE, phase), hitch)
+    return unsettled.with_remark("friction hysteresis is not removed: limits bind")
 
 
-# Motions on free cables, and of hitches that are tied or untied.
-
-SAME_ALTITUDE = 1e-9
-"""Altitudes that differ by less are the same [m]."""
+# Motions on free cables.
 
 
-def hovering(task: StepTask, seconds: float) -> Motion:
-    """Return the motion in which drones on free cables stay: parked, or hovering."""
+def hover_motion(task: StepTask, duration: float) -> Motion:
+    """Return the motion of parked or hovering drones at rest on free cables."""
     from hitchopt.planners.forming.stages import stage
 
-    team, rest = task.before.team, PiecewisePolynomial.constant([0.0, seconds], task.before.drones)
+    team, rest = task.before.team, PiecewisePolynomial.constant([0.0, duration], task.before.drones)
     motion = stage("parked", rest, team, task.requirements, task.index, CableState.GROUND)
     (phase,) = motion.phases
-    hanging = phase.state is CableState.FREE
-    return replace(motion, phases=(replace(phase, name="hold"),)) if hanging else motion
+    is_hovering = phase.state is CableState.FREE
+    return replace(motion, phases=(replace(phase, name="hold"),)) if is_hovering else motion
 
 
 def check_start(task: StepTask) -> None:
-    """Raise InfeasibleError where drones on free cables break a limit before anything moves."""
+    """Raise InfeasibleError if drones on free cables break a limit at the start."""
     try:
-        checked(StepPlan(hovering(task, 1.0), task.before), "at the start (t = 0)")
+        require_certified(StepPlan(hover_motion(task, 1.0), task.before), "at the start (t = 0)")
     except InfeasibleError as error:
         violations = [
-            _span(v, task.before) if v.constraint == "span" else v for v in error.violations
+            _span_violation(each, task.before) if each.constraint == "span" else each
+            for each in error.violations
         ]
-        violations.sort(key=lambda v: v.constraint != "span")  # what else is broken follows from it
+        violations.sort(key=lambda v: v.constraint != "span")  # other violations follow from it
         raise InfeasibleError(violations, error.note) from None
 
 
-def _span(violation: Violation, before: RestState) -> Violation:
-    """Return the violation with the drones named that are too far apart, and by how much."""
+def _span_violation(violation: Violation, before: RestState) -> Violation:
+    """Return the violation with the drones' names and distance."""
     k = int(violation.where[0].removeprefix("cable "))
-    apart = float(np.linalg.norm(before.drones[2 * k + 1] - before.drones[2 * k]))
+    distance = float(np.linalg.norm(before.drones[2 * k + 1] - before.drones[2 * k]))
     length = float(before.team.cable_length[k])
     return replace(
         violation,
         where=(f"robot {k}", f"q{k}", f"r{k}"),
-        remedy=f"{apart:.6g} m apart on a cable of {length:.6g} m: move q{k} and r{k} of "
+        remedy=f"{distance:.6g} m apart on a cable of {length:.6g} m: move q{k} and r{k} of "
         "start.drones closer together, or use a longer cable",
     )
 
 
 def check_above_ground(motion: Motion) -> None:
-    """Raise InfeasibleError where drones go below the ground, z = 0, where no arena has a floor."""
+    """Raise InfeasibleError if drones of a plan without an arena go below the ground, z = 0."""
     heights = motion.drones.coefficients[:, :, 2]
-    if motion.requirements.arena is not None or np.min(heights) >= -SAME_ALTITUDE:
+    if motion.requirements.arena is not None or np.min(heights) >= -ALTITUDE_TOLERANCE:
         return
     piece, drone, _ = np.unravel_index(int(np.argmin(heights)), heights.shape)
     lowest, name = float(np.min(heights)), motion.team.drone_names[drone]

@@ -1,8 +1,8 @@
-"""Joining, withdrawing and replacing: hitches that change their robots in flight."""
+"""Joining, withdrawing and replacing: steps that change a hitch's robots in flight."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -15,10 +15,18 @@ from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.geometry import ConvexPolygon, Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import cable_slack
-from hitchopt.motion.motion import Motion, joined_motions
+from hitchopt.motion.motion import joined_motions
 from hitchopt.steps.moving import Adjust, Morph
-from hitchopt.steps.step import INDEX, RestState, Step, StepPlan, StepTask, WhichPoint
-from hitchopt.steps.tying import adjusted
+from hitchopt.steps.step import (
+    INDEX,
+    RestState,
+    Step,
+    StepPlan,
+    StepTask,
+    WhichPoint,
+    plan_in_sequence,
+)
+from hitchopt.steps.tying import adjusting_motions
 from hitchopt.values import Array
 from hitchopt.values.fields import Key
 from hitchopt.values.units import LENGTH
@@ -31,17 +39,17 @@ Ring = tuple[int, ...]
 WhichRobot = Annotated[int, Key(INDEX, "Which robot, from 0", 3)]
 
 
-def _waiting(key: str, robot: int, ring: Ring, team: Team) -> None:
-    """Raise InputError for a robot that is not one of those who wait."""
-    others = [k for k in range(team.robots) if k not in ring]
-    if robot not in others:
-        bound = f"one that waits: {', '.join(map(str, others))}" if others else "one that waits"
+def _check_waiting(key: str, robot: int, ring: Ring, team: Team) -> None:
+    """Raise InputError unless a robot is waiting."""
+    waiting = [k for k in range(team.robots) if k not in ring]
+    if robot not in waiting:
+        bound = f"one that waits: {', '.join(map(str, waiting))}" if waiting else "one that waits"
         remedy = "name another, or form the hitch with robots: of fewer"
         raise InputError(key, robot, bound, remedy)
 
 
-def _place(key: str, robot: int, ring: Ring) -> int:
-    """Return a robot's place in the ring; raise InputError where it has none."""
+def _ring_index(key: str, robot: int, ring: Ring) -> int:
+    """Return a robot's index in the ring; raise InputError if it is not in the ring."""
     if robot not in ring:
         bound = f"one of the ring: {', '.join(map(str, ring))}"
         raise InputError(key, robot, bound, "name one that holds an edge")
@@ -62,7 +70,7 @@ class Join(Step):
 
     def ring_after(self, ring: Ring, team: Team) -> Ring:
         """Return the ring with the robot."""
-        _waiting("robot", self.robot, ring, team)
+        _check_waiting("robot", self.robot, ring, team)
         if not 0 <= self.vertex < len(ring):
             bound = f"0 to {len(ring) - 1}"
             raise InputError("vertex", self.vertex, bound, "name a vertex of the polygon")
@@ -75,12 +83,12 @@ class Join(Step):
         return corner_cut(outline, self.vertex, self.cut)
 
     def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan of the robot's way, and of its tying from above."""
-        return joined_plan(self, task, 1.0)
+        """Return the plan of the robot's route, and of its tying from above."""
+        return join_plan(self, task, 1.0)
 
 
-def joined_plan(step: Join, task: StepTask, side: float) -> StepPlan:
-    """Return the plan of a robot that comes from above, ``side`` 1, or from below, -1."""
+def join_plan(step: Join, task: StepTask, side: float) -> StepPlan:
+    """Return the plan of a robot that joins from above (``side`` 1) or from below (-1)."""
     from hitchopt.planners.forming.joining import Joins, joining
     from hitchopt.steps.certified_motions import check_at_rest
 
@@ -88,42 +96,43 @@ def joined_plan(step: Join, task: StepTask, side: float) -> StepPlan:
     ring = before.team.labels
     team = before.part((*ring[: step.vertex], step.robot, *ring[step.vertex :]))
     outline = step.polygon_after(before.team, hitch.polygon)
-    joined = joining(hitch, team, step.vertex, outline, before.known_senses, side, requirements)
+    joined = joining(hitch, team, step.vertex, outline, before.assumed_senses, side, requirements)
     check_at_rest(joined.after, requirements, f"at the end of step {task.index} (join)")
     waiting = dict(before.waiting)
     start = waiting.pop(step.robot)
     joins = Joins(joined, before.whole_team, waiting, requirements, task.index)
     parts = [joins.opening(start), *joins.arrival(start), *joins.tying()]
-    after = joined_state(before, joined, waiting)
-    slid = [before.with_waiting(x, requirements) for x in adjusted(task, joined.before.q_legs)]
-    motion = joined_motions([*slid, *parts])
-    return _clear(StepPlan(motion, after))
+    after = state_after_join(before, joined, waiting)
+    adjusting = adjusting_motions(task, joined.before.q_legs)
+    slides = [before.with_waiting(each, requirements) for each in adjusting]
+    motion = joined_motions([*slides, *parts])
+    return _require_certified(StepPlan(motion, after))
 
 
-LIGHTER = "raise team.tension, cut off less, or use lighter cables: these sag too much"
+SAG_REMEDY = "raise team.tension, cut off less, or use lighter cables: these sag too much"
 
 
-def _clear(planned: StepPlan) -> StepPlan:
-    """Return a plan that keeps all limits, else raise InfeasibleError.
+def _require_certified(plan: StepPlan) -> StepPlan:
+    """Return a plan that satisfies all limits but interlacing, else raise InfeasibleError.
 
-    How pairs were tied before is known to the whole mission alone, whose certificate follows it.
+    Interlacing depends on the whole mission, whose certificate covers it.
     """
-    from hitchopt.steps.certified_motions import infeasible
+    from hitchopt.steps.certified_motions import infeasible_error
 
-    broken = [each for each in planned.certificate.violated if each.name != INTERLACING.name]
-    if broken:
-        certificate = replace(planned.certificate, checks=tuple(broken))
-        error = infeasible(certificate, planned.motion)
-        heavy = {"cable_length", "equilibrium", "tension"}  # where cables lie across
+    violated = [check for check in plan.certificate.violated if check.name != INTERLACING.name]
+    if violated:
+        certificate = replace(plan.certificate, checks=tuple(violated))
+        error = infeasible_error(certificate, plan.motion)
+        sagging = {"cable_length", "equilibrium", "tension"}  # where cables lie on one another
         raise InfeasibleError(
-            replace(each, remedy=LIGHTER) if each.constraint in heavy else each
+            replace(each, remedy=SAG_REMEDY) if each.constraint in sagging else each
             for each in error.violations
         )
-    return planned
+    return plan
 
 
-def joined_state(before: RestState, joined: Joining, waiting: Mapping[int, Array]) -> RestState:
-    """Return the state in which a robot has joined."""
+def state_after_join(before: RestState, joined: Joining, waiting: Mapping[int, Array]) -> RestState:
+    """Return the state after a robot has joined."""
     return replace(
         before,
         team=joined.after.team,
@@ -147,34 +156,34 @@ class Withdraw(Step):
 
     def ring_after(self, ring: Ring, team: Team) -> Ring:  # noqa: ARG002
         """Return the ring without the robot."""
-        _place("robot", self.robot, ring)
+        _ring_index("robot", self.robot, ring)
         if len(ring) < 4:
             bound = "of a ring of at least 4"
             raise InputError("robot", self.robot, bound, "release the hitch, or join another one")
         return tuple(k for k in ring if k != self.robot)
 
     def polygon_after(self, team: Team, outline: Any) -> Outline:
-        """Return the outline whose corner is restored."""
+        """Return the outline with the corner restored."""
         from hitchopt.planners.forming.joining import corner_restored
 
-        place = _place("robot", self.robot, team.labels)
-        return corner_restored(outline, place, self.robot)[0]
+        index = _ring_index("robot", self.robot, team.labels)
+        return corner_restored(outline, index, self.robot)[0]
 
     def leaving(self, task: StepTask, hitch: Hitch, *, slides: bool = True) -> Joining:
-        """Return its leaving of a hitch, to whose legs cables slide straight if they ``slides``."""
+        """Return the withdrawal from a hitch, to whose legs cables slide first if ``slides``."""
         from hitchopt.planners.forming.joining import corner_restored, leaving
 
         before, requirements = task.before, task.requirements
         ring = before.team.labels
-        place = _place("robot", self.robot, ring)
-        senses = before.known_senses
-        _check_free(self.robot, place, senses, task.index)
-        outline, grown = corner_restored(hitch.polygon, place, self.robot)
+        index = _ring_index("robot", self.robot, ring)
+        senses = before.assumed_senses
+        _check_removable(self.robot, index, senses, task.index)
+        outline, extension = corner_restored(hitch.polygon, index, self.robot)
         team = before.part(self.ring_after(ring, before.team))
-        return leaving(hitch, team, place, outline, grown, senses, requirements, slides=slides)
+        return leaving(hitch, team, index, outline, extension, senses, requirements, slides=slides)
 
     def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan of its leaving, which is its joining backward."""
+        """Return the plan of the withdrawal: a join in reverse."""
         from hitchopt.planners.forming.joining import Joins
         from hitchopt.planners.forming.stages import reversed_stages
         from hitchopt.steps.certified_motions import check_at_rest
@@ -194,22 +203,23 @@ class Withdraw(Step):
             levels=None,
             waiting={**before.waiting, self.robot: aside},
         )
-        slid = [before.with_waiting(x, requirements) for x in adjusted(task, joined.after.q_legs)]
-        motion = joined_motions([*slid, *reversed_stages(parts)])
-        return _clear(StepPlan(motion, after))
+        adjusting = adjusting_motions(task, joined.after.q_legs)
+        slides = [before.with_waiting(each, requirements) for each in adjusting]
+        motion = joined_motions([*slides, *reversed_stages(parts)])
+        return _require_certified(StepPlan(motion, after))
 
 
-def _check_free(robot: int, place: int, senses: Array, index: int) -> None:
-    """Raise InfeasibleError unless a robot's cable is on top of both neighbours', or below."""
-    over = senses[place] > 0.0, senses[(place + 1) % len(senses)] < 0.0
+def _check_removable(robot: int, ring_index: int, senses: Array, step: int) -> None:
+    """Raise InfeasibleError unless a robot's cable is on top of both neighbours', or below both."""
+    over = senses[ring_index] > 0.0, senses[(ring_index + 1) % len(senses)] < 0.0
     if over[0] != over[1]:
         remedy = (
             "its cable is over one of them and under the other: it can neither be lifted nor let "
             "down; release and lay in another order, or replace it"
         )
-        names, when = (f"cable {robot}",), f"of step {index} (withdraw)"
-        broken = Violation("cables under it", 1.0, 2.0, "min", "", names, when, remedy)
-        raise InfeasibleError([broken])
+        names, when = (f"cable {robot}",), f"of step {step} (withdraw)"
+        violation = Violation("cables under it", 1.0, 2.0, "min", "", names, when, remedy)
+        raise InfeasibleError([violation])
 
 
 @dataclass(frozen=True)
@@ -223,97 +233,85 @@ class Replace(Step):
     by: Annotated[int, Key(INDEX, "Which robot takes its place", 4)]
 
     def ring_after(self, ring: Ring, team: Team) -> Ring:
-        """Return the ring with one robot in the place of the other one."""
-        place = _place("robot", self.robot, ring)
-        _waiting("by", self.by, ring, team)
-        return (*ring[:place], self.by, *ring[place + 1 :])
+        """Return the ring with one robot in the place of the other."""
+        index = _ring_index("robot", self.robot, ring)
+        _check_waiting("by", self.by, ring, team)
+        return (*ring[:index], self.by, *ring[index + 1 :])
 
     def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan of a join, a withdrawal and a morph, at the first cut that fits."""
-        from hitchopt.steps.certified_motions import first_planned
+        """Return the plan of a join, a withdrawal and a morph, with the first feasible cut."""
+        from hitchopt.steps.certified_motions import first_feasible
 
         before, hitch = task.before, task.hitch
-        place, senses = _place("robot", self.robot, before.team.labels), before.known_senses
-        ways = [
+        index, senses = _ring_index("robot", self.robot, before.team.labels), before.assumed_senses
+        cuts = [
             (vertex, outline, side)
-            for rest in RESTS
+            for share in EDGE_SHARES
             for (vertex, outline), side in zip(
-                outlines_beside(hitch.polygon, place, rest), _sides(senses, place), strict=True
+                cut_outlines(hitch.polygon, index, share), _sides(senses, index), strict=True
             )
         ]
-
         withdraw = Withdraw(self.robot)
 
         def split_as_before(task: StepTask) -> StepPlan:
             return Adjust(legs=hitch.fractions * task.hitch.slack).plan(task)
 
-        def planned(vertex: int, polygon: Outline, side: float, share: float) -> StepPlan:
+        def plan_cut(vertex: int, polygon: Outline, side: float, share: float) -> StepPlan:
             lengths = hitch.polygon.edge_lengths
             cut = share * float(min(lengths[vertex - 1], lengths[vertex % len(lengths)]))
-            join = partial(joined_plan, Join(self.by, vertex, cut), side=side)
-            plans = join, partial(_reshaped, polygon, withdraw), withdraw.plan, split_as_before
-            return _in_a_row(plans, task)
+            join = partial(join_plan, Join(self.by, vertex, cut), side=side)
+            reshape = partial(_reshape_plan, polygon, withdraw)
+            return plan_in_sequence((join, reshape, withdraw.plan, split_as_before), task)
 
-        return first_planned(partial(planned, *way, share) for way, share in product(ways, CUTS))
+        return first_feasible(partial(plan_cut, *cut, x) for cut, x in product(cuts, CUT_SHARES))
 
 
-def _reshaped(polygon: Outline, withdraw: Withdraw, task: StepTask) -> StepPlan:
-    """Return the plan of a morph to a polygon, and to legs with which a robot can leave it.
+def _reshape_plan(polygon: Outline, withdraw: Withdraw, task: StepTask) -> StepPlan:
+    """Return the plan of a morph to a polygon and legs from which a robot can withdraw.
 
-    The edge that shrinks leaves long legs with a drone at the end of each: drones keep off cables
-    as distances are planned, for ropes are not quite there. The motion keeps the task's limits.
+    The shrinking edge leaves long legs with a drone at each end. The morph is planned with the
+    wider cable clearance of laying, because real ropes deviate; its motion has the task's limits.
     """
     from hitchopt.planners.forming.laying import planned_distance
 
-    hitch, kept = task.hitch, task.requirements
-    own = kept.separation
-    wider = replace(own, cable=planned_distance(own))
-    task = replace(task, requirements=replace(kept, separation=wider))
+    hitch, requirements = task.hitch, task.requirements
+    wider = replace(requirements.separation, cable=planned_distance(requirements.separation))
+    task = replace(task, requirements=replace(requirements, separation=wider))
     legs = hitch.fractions * cable_slack(hitch.team, polygon)
-    there = Hitch(hitch.team, polygon, hitch.altitude, legs, hitch.roll)
-    left = withdraw.leaving(task, there, slides=False)
-    planned = Morph(polygon=polygon, legs=left.after.q_legs).plan(task)
-    return replace(planned, motion=planned.motion.replaced(requirements=kept))
+    goal = Hitch(hitch.team, polygon, hitch.altitude, legs, hitch.roll)
+    withdrawal = withdraw.leaving(task, goal, slides=False)
+    plan = Morph(polygon=polygon, legs=withdrawal.after.q_legs).plan(task)
+    return replace(plan, motion=plan.motion.replaced(requirements=requirements))
 
 
-def _sides(senses: Array, place: int) -> tuple[float, float]:
-    """Return from which side another robot joins behind an edge, or ahead of it.
+def _sides(senses: Array, index: int) -> tuple[float, float]:
+    """Return the sides from which another robot joins behind an edge and ahead of it.
 
-    So that the robot of the edge is then on top of both neighbours, or below both.
+    After that the edge's robot is on top of both neighbours, or below both.
     """
-    return float(senses[(place + 1) % len(senses)]), -float(senses[place])
+    return float(senses[(index + 1) % len(senses)]), -float(senses[index])
 
 
-def outlines_beside(polygon: Outline, place: int, share: float) -> Iterator[tuple[int, Outline]]:
-    """Yield vertices at which another robot may join beside an edge, and outlines after that.
+def cut_outlines(polygon: Outline, edge: int, share: float) -> Iterator[tuple[int, Outline]]:
+    """Yield vertices at which another robot may join next to an edge, and the outlines after it.
 
-    There the other robot holds the edge, and the one to be replaced cuts off a ``share`` of it at
-    the corner, which is restored as it leaves.
+    The other robot then holds the edge, and the edge's robot cuts off a ``share`` of it at the
+    corner, which its withdrawal restores.
     """
     points, u, n = polygon.vertices, polygon.edge_directions, len(polygon.vertices)
-    last = (place + 1) % n
-    start, end, half = points[place], points[last], share * polygon.edge_lengths
-    before, after = min(half[place - 1], half[place]), min(half[place], half[last])
-    cut = np.insert(points, place + 1, end - after * u[place], axis=0)
-    cut[(place + 2) % (n + 1)] = end + after * u[last]
-    yield place, ConvexPolygon(cut)
-    cut = np.insert(points, place + 1, start + before * u[place], axis=0)
-    cut[place] = start - before * u[place - 1]
-    yield place + 1, ConvexPolygon(cut)
+    last = (edge + 1) % n
+    start, end, cuts = points[edge], points[last], share * polygon.edge_lengths
+    before, after = min(cuts[edge - 1], cuts[edge]), min(cuts[edge], cuts[last])
+    vertices = np.insert(points, edge + 1, end - after * u[edge], axis=0)
+    vertices[(edge + 2) % (n + 1)] = end + after * u[last]
+    yield edge, ConvexPolygon(vertices)
+    vertices = np.insert(points, edge + 1, start + before * u[edge], axis=0)
+    vertices[edge] = start - before * u[edge - 1]
+    yield edge + 1, ConvexPolygon(vertices)
 
 
-RESTS = (0.5, 0.35)
-"""Shares of an edge that its robot holds at last, before another one has it all."""
+EDGE_SHARES = (0.5, 0.35)
+"""Shares of an edge that its robot still holds before the withdrawal."""
 
-CUTS = (0.4, 0.5, 0.6)
-"""Shares of the shorter edge that a robot which takes another's place cuts off."""
-
-
-def _in_a_row(plans: Sequence[Callable[[StepTask], StepPlan]], task: StepTask) -> StepPlan:
-    """Return the plan of steps one after the other, as one step."""
-    state, motions = task.before, list[Motion]()
-    for plan in plans:
-        planned = plan(replace(task, before=state))
-        motions.append(state.with_waiting(planned.motion, task.requirements))
-        state = planned.after
-    return StepPlan(joined_motions(motions), state)
+CUT_SHARES = (0.4, 0.5, 0.6)
+"""Shares of the shorter edge that a replacing robot cuts off."""

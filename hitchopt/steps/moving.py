@@ -1,10 +1,12 @@
-"""Steps of a hitch without an object: moves, morphs, transports, and blended ones."""
+"""Steps of a hitch without an object: moves, morphs and transports."""
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 
 import numpy as np
@@ -37,7 +39,7 @@ from hitchopt.steps.step import (
     WhichPoint,
     Yaw,
     checks_relaxed_by,
-    points_scaled,
+    scaled_points,
 )
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
@@ -53,17 +55,17 @@ class HitchStep(Step):
     """A step that begins and ends with a hitch."""
 
     def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan of the step, its legs leaning against friction."""
-        from hitchopt.steps.certified_motions import against_friction
+        """Return the plan of the step with friction feed-forward."""
+        from hitchopt.steps.certified_motions import with_friction_feedforward
 
-        return against_friction(self.fly(task), timed=self.given_duration is not None)
+        return with_friction_feedforward(self.fly(task), timed=self.prescribed_duration is not None)
 
     @abstractmethod
     def fly(self, task: StepTask) -> StepPlan:
-        """Return the plan as if cables had no friction."""
+        """Return the plan without friction feed-forward."""
 
     def check_end(self, end: Hitch, task: StepTask) -> None:
-        """Raise InfeasibleError where the hitch after the step breaks a limit at rest."""
+        """Raise InfeasibleError if the hitch after the step breaks a limit at rest."""
         from hitchopt.steps.certified_motions import check_at_rest
 
         check_at_rest(end, task.requirements, f"at the end of step {task.index} ({self.name})")
@@ -71,18 +73,18 @@ class HitchStep(Step):
     def in_phase(
         self, task: StepTask, motion: Motion | None, end: Hitch, remark: str = ""
     ) -> Motion:
-        """Return a planner's motion as the step's phase; None: the hitch at rest."""
-        from hitchopt.steps.certified_motions import resting
+        """Return a planner's motion as the step's phase; for None the hitch at rest."""
+        from hitchopt.steps.certified_motions import rest_motion
 
         if motion is None:
             phase = Phase(self.name, task.index, 0.0, 0.0, remark)
-            return resting(end, task.requirements, self.given_duration or IDLE, phase)
+            return rest_motion(end, task.requirements, self.prescribed_duration or IDLE, phase)
         phase = Phase(self.name, task.index, 0.0, motion.duration, remark)
         return motion.replaced(phases=(phase,))
 
 
 class ShapeStep(HitchStep):
-    """A step that changes the shape by untimed vertices and legs."""
+    """A step that changes vertices and legs without prescribed times on the path."""
 
     blendable: ClassVar[bool] = True
     legs: SlackSplit | None
@@ -93,52 +95,53 @@ class ShapeStep(HitchStep):
 
     @abstractmethod
     def direct_motion(self, task: StepTask, end: End) -> Motion:
-        """Return the motion on the direct route: straight, by the step's own law of the legs."""
+        """Return the motion along the direct route, with the step's own leg lengths."""
 
     def fly(self, task: StepTask) -> StepPlan:
-        """Return the step's own plan, or an optimised one where that is needed or asked for."""
+        """Return the direct plan, or an optimised one if it is needed or requested."""
         from hitchopt.steps.certified_motions import (
             DIRECT_INFEASIBLE,
             attempt,
-            checked,
             combined_failure,
-            optimised,
+            optimised_plan,
+            require_certified,
         )
 
-        end, duration = self.end(task), self.given_duration
+        end, duration = self.end(task), self.prescribed_duration
         tension: tuple[float, float] | None = getattr(self, "tension", None)
         lead = bool(getattr(self, "optimize", False))
         phase = Phase(self.name, task.index, 0.0, 0.0, tension=tension)
-        own = attempt(lambda: task.ended(self.direct_motion(task, end), end.hitch))
-        other: StepPlan | HitchoptError | None = None
-        if isinstance(own, StepPlan):
-            direct = own
+        direct = attempt(lambda: task.plan_ending(self.direct_motion(task, end), end.hitch))
+        optimised: StepPlan | HitchoptError | None = None
+        optimise = partial(optimised_plan, task, end.hitch, phase, duration, lead=lead)
+        if isinstance(direct, StepPlan):
             if task.optimiser and (lead or tension):
-                other = attempt(lambda: optimised(task, end.hitch, phase, duration, lead=lead))
-                if isinstance(other, StepPlan) and other.motion.duration < own.motion.duration:
-                    return other.remarked("faster than the step's own route")
-            own = attempt(lambda: checked(direct))
-            if isinstance(own, StepPlan):
-                return own
+                optimised = attempt(optimise)
+                longest = direct.motion.duration
+                if isinstance(optimised, StepPlan) and optimised.motion.duration < longest:
+                    return optimised.with_remark("faster than the step's own route")
+            direct = attempt(partial(require_certified, direct))
+            if isinstance(direct, StepPlan):
+                return direct
         for hitch in (task.hitch, end.hitch):
             self.check_end(hitch, task)
         if not task.optimiser:
-            raise own
-        other = other or attempt(lambda: optimised(task, end.hitch, phase, duration, lead=lead))
-        if isinstance(other, StepPlan):
-            return other.remarked(DIRECT_INFEASIBLE)
-        what = "other route" if duration is None else "route that is fast enough either"
-        raise combined_failure(own, other, f"the optimiser found no {what}")
+            raise direct
+        optimised = optimised or attempt(optimise)
+        if isinstance(optimised, StepPlan):
+            return optimised.with_remark(DIRECT_INFEASIBLE)
+        route = "other route" if duration is None else "route that is fast enough either"
+        raise combined_failure(direct, optimised, f"the optimiser found no {route}")
 
 
 class ActionStep(ShapeStep):
-    """A step that is an action of the paper, which names the drones that move."""
+    """A step that is an action of the paper, which specifies the drones that move."""
 
-    # names of the fields that the action takes besides the start and the polygon
+    # names of the fields that the action takes after the start and the polygon
     action_fields: ClassVar[tuple[str, ...]] = ("vertex",)
 
     def action(self, task: StepTask) -> Action:
-        """Return the action, which has the step's name."""
+        """Return the action of the same name."""
         from hitchopt.planners.morph import actions
 
         start, values = task.hitch, [getattr(self, name) for name in self.action_fields]
@@ -154,22 +157,22 @@ class ActionStep(ShapeStep):
         return end_of_action(self.action(task), self.legs, task.requirements)
 
     def direct_motion(self, task: StepTask, end: End) -> Motion:
-        """Return the motion of the action to the hitch that it ends with."""
+        """Return the motion of the action to its end hitch."""
         from hitchopt.planners.morph.actions import ActionMorph
 
         action = self.action(task)
-        flying = ActionMorph(action, end.hitch, task.requirements, self.given_duration).solve()
+        flying = ActionMorph(action, end.hitch, task.requirements, self.prescribed_duration).solve()
         return self.in_phase(task, flying.motion, end.hitch, self._remark(action, end, flying))
 
     def _remark(self, action: Action, end: End, flying: Flying) -> str:
-        """Return which drones move that the paper does not name, and why."""
-        turned = "tensions differ, so legs turn with both edges at their vertex"
+        """Return in words the further drones that move, with reasons."""
+        turning = "tensions differ, so legs turn with both edges at their vertex"
         if action.start.team.loaded and np.ptp(action.start.team.tension) == 0.0:
-            turned = "clasps carry weight, so legs rise as it changes"
-        slid = ["legs are to change" if self.legs is not None else end.reason]
+            turning = "clasps carry weight, so legs rise as it changes"
+        sliding = ["legs are to change" if self.legs is not None else end.reason]
         if flying.worst is not None:
-            slid.append(f"limits bind at {flying.worst:.0%} of the path")
-        reasons = turned, ", and ".join(filter(None, slid))
+            sliding.append(f"limits bind at {flying.worst:.0%} of the path")
+        reasons = turning, ", and ".join(filter(None, sliding))
         return "; ".join(
             f"{', '.join(names)} {verb}{'s' * (len(names) == 1)} as well: {reason}"
             for names, verb, reason in zip(
@@ -189,25 +192,25 @@ class Hold(HitchStep):
     seconds: Annotated[float, Key(DURATION, "How long", 1.0)]
 
     def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan in which a hitch, or drones on free cables, stay."""
-        from hitchopt.steps.certified_motions import hovering
+        """Return the plan of a hitch, or of drones on free cables, at rest."""
+        from hitchopt.steps.certified_motions import hover_motion
 
         if task.before.grasp is not None and task.before.grasp.hold is not None:
-            from hitchopt.steps.carrying import held_plan, planner_of
+            from hitchopt.steps.carrying import moves_plan, planner_of
 
-            return held_plan(self, task, task.grasp, [planner_of(task).rest(self.seconds)])
-        if task.before.opened is not None:
-            own = self.in_phase(task, None, task.hitch)
-            drones = PiecewisePolynomial.constant(own.drones.breaks, task.before.drones)
-            phases = tuple(replace(each, state=CableState.ROLLING) for each in own.phases)
-            return StepPlan(own.replaced(drones=drones, phases=phases), task.before)
+            return moves_plan(self, task, task.grasp, [planner_of(task).rest(self.seconds)])
+        if task.before.open_roll is not None:
+            closed = self.in_phase(task, None, task.hitch)
+            drones = PiecewisePolynomial.constant(closed.drones.breaks, task.before.drones)
+            phases = tuple(replace(phase, state=CableState.ROLLING) for phase in closed.phases)
+            return StepPlan(closed.replaced(drones=drones, phases=phases), task.before)
         if task.before.hitch is not None:
             return super().plan(task)
-        return StepPlan(hovering(task, self.seconds), task.before)
+        return StepPlan(hover_motion(task, self.seconds), task.before)
 
     def fly(self, task: StepTask) -> StepPlan:
-        """Return the plan in which a hitch stays."""
-        return task.ended(self.in_phase(task, None, task.hitch), task.hitch)
+        """Return the plan of a hitch at rest."""
+        return task.plan_ending(self.in_phase(task, None, task.hitch), task.hitch)
 
 
 @dataclass(frozen=True)
@@ -235,10 +238,10 @@ class Settle(Step):
         return super().resolved_for(team)
 
     def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan in which drones swing about their places."""
+        """Return the plan of drones that swing about their places."""
         from hitchopt.steps.certified_motions import settling_plan
 
-        return settling_plan(task, self.given_duration, Phase(self.name, task.index, 0.0, 0.0))
+        return settling_plan(task, self.prescribed_duration, Phase(self.name, task.index, 0.0, 0.0))
 
 
 @dataclass(frozen=True)
@@ -249,17 +252,17 @@ class TensionRange:
     max: Annotated[float, Key(TENSION, "Largest", 0.6)]
 
 
-def _range(key: str, value: object) -> tuple[float, float]:
+def _checked_range(key: str, value: object) -> tuple[float, float]:
     """Return a smallest and a largest tension [N], or raise InputError."""
-    given = _EITHER_RANGE.check(key, value)
-    least, most = (given.min, given.max) if isinstance(given, TensionRange) else given
-    if least > most:
-        raise InputError(f"{key}.max", most, f"at least {key}.min, {least:g} N", "exchange the two")
-    return least, most
+    checked = _RANGE_FORMS.check(key, value)
+    low, high = (checked.min, checked.max) if isinstance(checked, TensionRange) else checked
+    if low > high:
+        raise InputError(f"{key}.max", high, f"at least {key}.min, {low:g} N", "exchange the two")
+    return low, high
 
 
-_EITHER_RANGE = either(mapping_of(TensionRange), list_of(TENSION, 2, 2))
-RANGE = replace(_EITHER_RANGE, check=_range)
+_RANGE_FORMS = either(mapping_of(TensionRange), list_of(TENSION, 2, 2))
+TENSION_RANGE = replace(_RANGE_FORMS, check=_checked_range)
 
 OPTIMIZE_TEXT = "Look for a faster route even where the straight one satisfies all limits"
 
@@ -275,21 +278,18 @@ class Morph(ShapeStep):
     optimize: Annotated[bool, Key(FLAGS, OPTIMIZE_TEXT)] = False
     tension: Annotated[
         tuple[float, float] | None,
-        Key(RANGE, "Range of tensions meanwhile"),
+        Key(TENSION_RANGE, "Range of tensions meanwhile"),
     ] = None
 
     def resolved_for(self, team: Team) -> Self:
-        """Return the step fitting a team, whose tensions lie within the step's own range."""
-        fitted = super().resolved_for(team)
-        if self.tension is None:
-            return fitted
-        least, most = self.tension
+        """Return the step for a team; raise InputError if the team's tensions exceed its range."""
+        step, (low, high) = super().resolved_for(team), self.tension or (0.0, math.inf)
         smallest, largest = float(np.min(team.tension)), float(np.max(team.tension))
-        if not least <= smallest <= largest <= most:
+        if not low <= smallest <= largest <= high:
             bound = f"such that team.tension lies within ({smallest:g} to {largest:g} N)"
             remedy = "widen it: a step begins and ends with the team's tensions"
-            raise InputError("tension", {"min": least, "max": most}, bound, remedy)
-        return fitted
+            raise InputError("tension", {"min": low, "max": high}, bound, remedy)
+        return step
 
     def end(self, task: StepTask) -> End:
         """Return the hitch on the polygon."""
@@ -306,7 +306,7 @@ class Morph(ShapeStep):
 
 
 class MoveStep(ActionStep):
-    """An action that takes something ``to`` a place or ``by`` an offset."""
+    """An action that moves points ``to`` a place or ``by`` an offset."""
 
     to: Array | None
     by: Array | None
@@ -320,10 +320,10 @@ class MoveStep(ActionStep):
 
     @abstractmethod
     def moved_points(self, team: Team, count: int) -> list[int]:
-        """Return the indices of the points of an outline of ``count`` that go elsewhere."""
+        """Return the indices of the points that move, of an outline of ``count`` points."""
 
     def polygon_after(self, team: Team, outline: Outline) -> Outline:
-        """Return the outline with what is moved at its new place."""
+        """Return the outline with the moved points."""
         points = outline.vertices.copy()
         moved = self.moved_points(team, len(points))
         points[moved] = points[moved] + np.asarray(self.by) if self.to is None else self.to
@@ -331,14 +331,14 @@ class MoveStep(ActionStep):
 
     @property
     def moved_key(self) -> tuple[str, Array | None]:
-        """The key that tells where to, and its value."""
+        """Key of the goal or the offset, and its value."""
         return ("by", self.by) if self.to is None else ("to", self.to)
 
     def scaled(self, factor: float, centre: Array) -> tuple[Edits, Array]:
-        """Return the edit that scales its place about ``centre``, or its offset."""
+        """Return the edit that scales its goal about ``centre``, or its offset."""
         key, value = self.moved_key
-        about = np.zeros(2) if key == "by" else centre
-        return (Edit(key, points_scaled(np.asarray(value), factor, about).tolist()),), centre
+        origin = np.zeros(2) if key == "by" else centre
+        return (Edit(key, scaled_points(np.asarray(value), factor, origin).tolist()),), centre
 
 
 def _convex(team: Team, points: Array, key: str, value: Array | None) -> Outline:
@@ -346,13 +346,13 @@ def _convex(team: Team, points: Array, key: str, value: Array | None) -> Outline
     try:
         return checked_polygon(team, points)
     except InputError as error:
-        why = f"{error.key} = {error.value} would have to be {error.bound}"
-        bound = f"such that the outline stays convex and clockwise ({why})"
+        reason = f"{error.key} = {error.value} would have to be {error.bound}"
+        bound = f"such that the outline stays convex and clockwise ({reason})"
         raise InputError(key, np.asarray(value).tolist(), bound, "go less far") from None
 
 
-def _within(key: str, index: int, count: int) -> int:
-    """Return an index, or raise InputError where it is none of ``count``."""
+def _checked_index(key: str, index: int, count: int) -> int:
+    """Return an index, or raise InputError unless it is less than ``count``."""
     if index >= count:
         raise InputError(key, index, f"from 0 to {count - 1}", "indices start at 0")
     return index
@@ -361,7 +361,7 @@ def _within(key: str, index: int, count: int) -> int:
 _ENDS = points((2, 2), "x, y")
 _ENDS_TEXT = "Where its ends go, [[x, y], [x, y]] [m], its first vertex first"
 
-By = Annotated[Array | None, Key(POINT2, "By how much, [dx, dy] [m], in place of to")]
+Offset = Annotated[Array | None, Key(POINT2, "By how much, [dx, dy] [m], in place of to")]
 
 
 @dataclass(frozen=True, eq=False)
@@ -374,14 +374,14 @@ class MoveVertex(MoveStep):
 
     vertex: WhichPoint
     to: Annotated[Array | None, Key(POINT2, "Where to, [x, y] [m]")] = None
-    by: By = None
+    by: Offset = None
     legs: LegsAtEnd = None
     duration: Seconds = None
     blend: Blend = False
 
     def moved_points(self, team: Team, count: int) -> list[int]:  # noqa: ARG002
-        """Return the vertex."""
-        return [_within("vertex", self.vertex, count)]
+        """Return the index of the vertex."""
+        return [_checked_index("vertex", self.vertex, count)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -394,14 +394,14 @@ class MoveEdge(MoveStep):
     action_fields: ClassVar[tuple[str, ...]] = ("edge",)
     edge: WhichPoint
     to: Annotated[Array | None, Key(_ENDS, _ENDS_TEXT)] = None
-    by: By = None
+    by: Offset = None
     legs: LegsAtEnd = None
     duration: Seconds = None
     blend: Blend = False
 
     def moved_points(self, team: Team, count: int) -> list[int]:
-        """Return the edge's ends."""
-        return [_within("edge", self.edge, team.robots), (self.edge + 1) % count]
+        """Return the indices of the edge's ends."""
+        return [_checked_index("edge", self.edge, team.robots), (self.edge + 1) % count]
 
 
 @dataclass(frozen=True, eq=False)
@@ -416,7 +416,7 @@ class Adjust(ActionStep):
 
 
 MIN_GAP = 1e-3
-"""Shortest time between two points [s]: less is a typing error."""
+"""Minimum time between two points [s]; less is a typing error."""
 
 _PATH_TEXT = (
     "Points [t, x, y] [s, m, m], t from the step's start, increasing; between "
@@ -452,40 +452,37 @@ class FollowVertex(ActionStep):
 
     @property
     def duration(self) -> float:
-        """Time at which the last point is met [s]."""
+        """Time of the last point [s]."""
         return float(self.path[-1, 0])
 
     def polygon_after(self, team: Team, outline: Outline) -> Outline:
         """Return the outline with the vertex at the last point."""
         points = outline.vertices.copy()
-        points[_within("vertex", self.vertex, len(points))] = self.path[-1, 1:]
+        points[_checked_index("vertex", self.vertex, len(points))] = self.path[-1, 1:]
         return _convex(team, points, "path", self.path)
 
     def fly(self, task: StepTask) -> StepPlan:
-        """Return the plan along the points; there is no other route."""
+        """Return the plan along the points; the optimiser has no other route."""
         end = self.end(task)
         self.check_end(end.hitch, task)
-        return task.ended(self.direct_motion(task, end), end.hitch)
+        return task.plan_ending(self.direct_motion(task, end), end.hitch)
 
     def knobs(self) -> Iterator[Knob]:
-        """Yield the points' times."""
+        """Yield the times of the points, to be scaled up or down."""
 
-        def slower(factor: float) -> Edits:
-            times = points_scaled(self.path[:, 0], factor, np.zeros(1))
-            return self._rewritten(times, self.path[:, 1:])
+        def scale_times(factor: float) -> Edits:
+            times = scaled_points(self.path[:, 0], factor, np.zeros(1))
+            return (Edit("path", np.column_stack([times, self.path[:, 1:]]).tolist()),)
 
         covers = checks_relaxed_by("time") | checks_relaxed_by("tension")
-        longer = Knob("path", 1.0, "times", slower, 1, covers, "times of its points")
-        yield longer
-        yield replace(longer, sign=-1, covers=frozenset({PLAN_DURATION}))
+        knob = Knob("path", 1.0, "times", scale_times, 1, covers, "times of its points")
+        yield knob
+        yield replace(knob, sign=-1, covers=frozenset({PLAN_DURATION}))
 
     def scaled(self, factor: float, centre: Array) -> tuple[Edits, Array]:
-        """Return the edit that scales its points about the centre."""
-        points = points_scaled(self.path[:, 1:], factor, centre)
-        return self._rewritten(self.path[:, 0], points), centre
-
-    def _rewritten(self, times: Array, points: Array) -> Edits:
-        return (Edit("path", np.column_stack([times, points]).tolist()),)
+        """Return the edit that scales its points about ``centre``."""
+        points = scaled_points(self.path[:, 1:], factor, centre)
+        return (Edit("path", np.column_stack([self.path[:, 0], points]).tolist()),), centre
 
 
 @dataclass(frozen=True, eq=False)
@@ -497,7 +494,7 @@ class Transport(HitchStep):
     duration: Seconds = None
 
     def polygon_after(self, team: Team, outline: Outline) -> Outline:
-        """Return the outline turned about its centroid, which goes to its new place."""
+        """Return the outline turned about its centroid and moved to the goal."""
         turned = outline.translated(-outline.centroid).rotated(self.yaw)
         return _convex(team, turned.vertices + self.to[:2], "to", self.to)
 
@@ -516,8 +513,8 @@ class Transport(HitchStep):
         if not path.still:
             check_loads(path, task.requirements.limits)
             motion = fly(path, task.requirements, self.duration)
-        return task.ended(self.in_phase(task, motion, end), end)
+        return task.plan_ending(self.in_phase(task, motion, end), end)
 
     def scaled(self, factor: float, centre: Array) -> tuple[Edits, Array]:  # noqa: ARG002
-        """Return nothing, and the place that the hitch is carried to."""
+        """Return no edits, and the goal as the new centre."""
         return (), self.to[:2]

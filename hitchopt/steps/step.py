@@ -1,11 +1,11 @@
-"""Base of all steps: a record with its keys, its planning and the knobs of repair."""
+"""Base class of steps: records with keys, planning and the knobs of repair."""
 
 from __future__ import annotations
 
 import math
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cache, cached_property
@@ -22,7 +22,7 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import checked_polygon, checked_roll
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import MAX_ROBOTS, PartTeam
-from hitchopt.motion.motion import Motion
+from hitchopt.motion.motion import Motion, joined_motions
 from hitchopt.objects import SolidObject
 from hitchopt.planners.carrying.planner import GraspState
 from hitchopt.planners.forming import SwapSettings
@@ -49,7 +49,7 @@ from hitchopt.values.units import (
     warn_of_unit,
 )
 
-# Kinds of values, and fields that several kinds of steps have.
+# Kinds of values, and fields shared by several kinds of steps.
 
 OBJECT_NAME = strings(50, 1, "[A-Za-z0-9_ -]+", "of letters, digits, spaces, - and _")
 POINT2, POINT3 = points((2,), "x, y"), points((3,), "x, y, z")
@@ -64,10 +64,10 @@ SPLIT_TEXT = "How cables share their slack: balanced, spread, or a list of q-leg
 LEGS_TEXT = f"{SPLIT_TEXT}; or that as sharing, with a roll_deg"
 
 TRIANGLE = [[0, -1], [-0.4, 0.5], [0.4, 0.5]]
-"""Points [m] of an example."""
+"""Example of an outline [m]."""
 
 AUTO: Final = "auto"
-"""Word for an automatic choice: a duration, or a roll that is 0 unless limits need it."""
+"""Automatic choice of a duration, or of a roll that is zero unless limits require one."""
 
 SPLIT = either(words("balanced", "spread"), list_of(LENGTH_OR_ZERO, 2, MAX_ROBOTS))
 
@@ -90,30 +90,30 @@ class RolledLegs:
 LEGS = either(SPLIT, mapping_of(RolledLegs))
 
 SlackSplit = Literal["balanced", "spread"] | Array | RolledLegs
-"""The slack split of a hitch: ``balanced``, ``spread``, or (n,) [m] the q-legs ``d_k``; or one of
-these with a roll. Spread legs without one are rolled where they break a limit otherwise."""
+"""Slack split of a hitch: ``balanced``, ``spread``, or the q-legs ``d_k`` (n,) [m]; or one of these
+with a roll. Spread legs without a roll are rolled where they would break a limit."""
 
 
 def slack_split(
     legs: str | Sequence[float] | ArrayLike | Mapping[str, Any] | RolledLegs, team: Team
 ) -> SlackSplit:
-    """Return the value of ``legs`` after checks.
+    """Return the checked value of ``legs``.
 
     A mapping has ``sharing`` and ``roll_deg``: ``auto``, one angle, or one per clasp [deg]. A list
-    has one positive length per robot, none of them zero but the first of a chain.
+    has one positive length per robot; the first length of a chain may be zero.
     """
-    given = LEGS.check("legs", legs)
-    if not isinstance(given, RolledLegs):
-        return _split(given, team)
-    roll = given.roll
+    split = LEGS.check("legs", legs)
+    if not isinstance(split, RolledLegs):
+        return _checked_sharing(split, team)
+    roll = split.roll
     if roll is not None:
         clasps = len(team.layout.clasps)
         roll = checked_roll(team, per_robot("legs.roll_deg", roll, clasps, finite, "clasp"))
-    return RolledLegs(_split(given.sharing, team), roll)
+    return RolledLegs(_checked_sharing(split.sharing, team), roll)
 
 
-def _split(legs: Any, team: Team) -> Literal["balanced", "spread"] | Array:
-    """Return a word or checked q-legs (n,) [m]."""
+def _checked_sharing(legs: Any, team: Team) -> Literal["balanced", "spread"] | Array:
+    """Return a word, or checked q-legs (n,) [m]."""
     if isinstance(legs, str):
         return "balanced" if legs == "balanced" else "spread"
     q_legs = per_robot("legs", legs, team.robots, LENGTH_OR_ZERO.check)
@@ -124,23 +124,23 @@ def _split(legs: Any, team: Team) -> Literal["balanced", "spread"] | Array:
 
 
 MAX_TURNS = 5
-"""Most turns of one step: a bounded number of polynomials would not follow more closely."""
+"""Maximum number of turns in one step: the number of polynomial pieces is bounded."""
 
 
-def _turned(key: str, value: object) -> float:
-    """Return a turn [rad], or raise InputError for too many; warn of whole numbers."""
+def _turn_angle(key: str, value: object) -> float:
+    """Return a yaw angle [rad] within MAX_TURNS; warn if it seems to be in degrees."""
     yaw = finite(key, value)
-    meant = f"if degrees were meant, {math.radians(yaw):.3g}"
+    suggestion = f"if degrees were meant, {math.radians(yaw):.3g}"
     if abs(yaw) > MAX_TURNS * 2.0 * math.pi:
         bound = f"at most {MAX_TURNS} turns either way"
-        raise InputError(key, yaw, bound, f"turn in several steps; {meant}")
-    if abs(yaw) > 2.0 * math.pi and yaw == round(yaw):  # rarely of radians
-        warn_of_unit(UnitWarning(key, f"{yaw:g} rad, more than a turn; {meant}"))
+        raise InputError(key, yaw, bound, f"turn in several steps; {suggestion}")
+    if abs(yaw) > 2.0 * math.pi and yaw == round(yaw):  # rare in radians
+        warn_of_unit(UnitWarning(key, f"{yaw:g} rad, more than a turn; {suggestion}"))
     return yaw
 
 
 _LIMIT = MAX_TURNS * 2.0 * math.pi
-TURN = replace(quantity("rad", (-_LIMIT, _LIMIT), (-_LIMIT, _LIMIT)), check=_turned)
+TURN = replace(quantity("rad", (-_LIMIT, _LIMIT), (-_LIMIT, _LIMIT)), check=_turn_angle)
 AUTO_SECONDS = either(words(AUTO), DURATION)
 
 Seconds = Annotated[
@@ -158,18 +158,21 @@ Polygon = Annotated[Outline, Key(OUTLINE, OUTLINE_TEXT, TRIANGLE)]
 # Records of planning and repair.
 
 IDLE = 0.01
-"""Duration [s] of a step that moves nothing and was given none."""
+"""Default duration of a step without motion [s]."""
 
-DECIMALS, LEAST_LEFT = 9, 0.1
-"""Decimals of numbers in edits, and share of a quantity that is left where it is lowered."""
+ALTITUDE_TOLERANCE = 1e-9
+"""Altitudes that differ by less are the same [m]."""
+
+DECIMALS, MIN_REMAINING_SHARE = 9, 0.1
+"""Decimals of numbers in edits; minimum share of a quantity that lowering leaves."""
 
 PLAN_DURATION = "plan duration"
-"""Constraint of the plan's duration, distinct from a step's, which is too short."""
+"""Constraint that the plan is too long; ``duration`` means that a step is too short."""
 
 
 @cache
 def checks_relaxed_by(by: Literal["length", "time", "tension"]) -> frozenset[str]:
-    """Return the checks relaxed by a larger length, a longer time or a lower tension."""
+    """Return the checks relaxed by larger lengths, longer times or lower tensions."""
     return frozenset(rule.name for rule in RULES if rule.ease == by)
 
 
@@ -177,76 +180,76 @@ def checks_relaxed_by(by: Literal["length", "time", "tension"]) -> frozenset[str
 class Edit(OneLine):
     """A change of one value in a problem file."""
 
-    key: str  # path such as ``mission[0].morph.polygon``; of a step's own edits, within the step
+    key: str  # path such as ``mission[0].morph.polygon``; a step's own edits omit the step's path
     value: object  # number, word, list or mapping, in the file's units
 
 
 Edits = tuple[Edit, ...]
-"""Edits that are made together."""
+"""Edits applied together."""
 
 
 @dataclass(frozen=True, eq=False)
 class Knob:
     """A number that repair may raise or lower."""
 
-    key: str  # as the file has it; of a step's number, within the step
-    old: float  # its value
-    unit: str  # of the value; ``times`` for a factor
-    # gives what to write for another value; None for the value itself under the key
-    written: Callable[[float], Edits] | None = None
-    sign: int = 1  # 1 where it is raised, -1 where it is lowered, to LEAST_LEFT of it at most
-    # constraints that it can repair; where others are broken too it is not tried
+    key: str  # key in the file; a step's own knobs omit the step's path
+    old: float  # current value
+    unit: str  # unit of the value; ``times`` for a factor
+    # returns the edits for a new value; None for the value itself under the key
+    make_edits: Callable[[float], Edits] | None = None
+    sign: int = 1  # 1 to raise the value, -1 to lower it
+    # constraints that it can repair; it is not tried while others are broken
     covers: frozenset[str] = frozenset()
-    words: str = ""  # what it is, where the key does not tell
-    extent: float | None = None  # what sizes are relative to [unit]; the old value unless given
-    least: float = 0.0  # sizes below are known not to do
-    most: float = math.inf  # sizes above make no sense
+    words: str = ""  # description, if the key is not enough
+    extent: float | None = None  # reference of relative sizes [unit]; by default the old value
+    min_size: float = 0.0  # smaller changes are known to fail
+    max_size: float = math.inf  # larger changes make no sense
 
     def __post_init__(self) -> None:
         if self.sign < 0 and self.extent is None:
-            object.__setattr__(self, "most", min(self.most, 1.0 - LEAST_LEFT))
+            max_size = min(self.max_size, 1.0 - MIN_REMAINING_SHARE)
+            object.__setattr__(self, "max_size", max_size)
 
     def edits(self, value: float) -> Edits:
-        """Return the edits for another value."""
-        return (Edit(self.key, value),) if self.written is None else self.written(value)
+        """Return the edits for a new value."""
+        return (Edit(self.key, value),) if self.make_edits is None else self.make_edits(value)
 
 
-def points_scaled(points: Array, factor: float, centre: Array) -> Array:
-    """Return the points (…, 2) [m] moved away from ``centre`` by a factor."""
+def scaled_points(points: Array, factor: float, centre: Array) -> Array:
+    """Return points (…, 2) [m] scaled about ``centre``."""
     return np.round(centre + factor * (points - centre), DECIMALS)
 
 
-def outline_edit(key: str, outline: Outline, factor: float) -> Edit:
-    """Return the edit of an outline that is scaled about its centroid."""
-    return Edit(key, points_scaled(outline.vertices, factor, outline.centroid).tolist())
+def scaled_outline_edit(key: str, outline: Outline, factor: float) -> Edit:
+    """Return the edit that scales an outline about its centroid."""
+    return Edit(key, scaled_points(outline.vertices, factor, outline.centroid).tolist())
 
 
 @dataclass(frozen=True, eq=False)
 class RestState:
     """State at rest between two steps: a hitch, or drones on free cables."""
 
-    team: Team  # who flies
+    team: Team  # robots of the hitch, or of the hitch to be formed
     drones: Array  # (2n, 3) [m], in the order q0, r0, q1, r1, …
-    hitch: Hitch | None = None  # what they hold, or None where cables are free
-    # (clasps,), how pairs have turned to form it, 1 where q went up first; a hitch that was there
-    # at first is taken to have been formed so
+    hitch: Hitch | None = None  # None for free cables
+    # (clasps,) turning senses of the pairs, 1 if q went up first; None for an initial hitch
     senses: Array | None = None
-    swap: SwapSettings = field(default_factory=SwapSettings)  # the settings of these turns
-    # (n,), levels of cables that were laid, 0 the lowest; None of a hitch tied by turns
+    swap: SwapSettings = field(default_factory=SwapSettings)  # settings of these turns
+    # (n,) levels of cables after laying, 0 the lowest; None for a hitch tied by swaps
     levels: Indices | None = None
-    # (clasps,) roll [rad], where one lies open; ``hitch`` is then as if it were closed
-    opened: Array | None = None
-    # all robots, and (2, 3) [m] the drones of those in no hitch, by their numbers, where any change
+    # (clasps,) roll [rad] with an open vertex; ``hitch`` then has the roll of the closed hitch
+    open_roll: Array | None = None
+    # all robots, and the drones (2, 3) [m] of waiting robots by index, if the ring changes
     whole: Team | None = None
     waiting: Mapping[int, Array] = field(default_factory=dict)
-    # the object that the hitch is around or holds; ``hitch`` is then as if it carried nothing
+    # the enclosed or held object; ``hitch`` is then without the object's weight
     grasp: GraspState | None = None
-    # where objects are by now; None where the problem has them
+    # objects at their current places; None for those of the problem
     objects: Mapping[str, SolidObject] | None = None
 
     @classmethod
-    def formed(cls, hitch: Hitch) -> RestState:
-        """Return the state of a hitch that exists at the start."""
+    def from_hitch(cls, hitch: Hitch) -> RestState:
+        """Return the state of an initial hitch."""
         return cls(hitch.team, hitch.drones, hitch)
 
     @property
@@ -255,20 +258,20 @@ class RestState:
         return self.team if self.whole is None else self.whole
 
     @property
-    def known_senses(self) -> Array:
-        """(clasps,): how pairs have turned, or are taken to have."""
+    def assumed_senses(self) -> Array:
+        """Turning senses (clasps,) of the pairs; an initial hitch has ones."""
         return np.ones(len(self.team.layout.clasps)) if self.senses is None else self.senses
 
-    def followed_by(self, formed: RestState) -> RestState:
-        """Return the state of a hitch that some robots have formed, all else as it is here."""
-        return replace(formed, objects=self.objects, whole=self.whole, waiting=self.waiting)
+    def after_forming(self, state: RestState) -> RestState:
+        """Return the state of a new hitch, with this state's objects and waiting robots."""
+        return replace(state, objects=self.objects, whole=self.whole, waiting=self.waiting)
 
     def part(self, ring: Sequence[int]) -> PartTeam:
         """Return the team of some robots."""
         return PartTeam.of(self.whole_team, ring)
 
     def regrouped(self, ring: Sequence[int]) -> RestState:
-        """Return drones on free cables of which other robots are to form a hitch."""
+        """Return the state on free cables before the robots of ``ring`` form a hitch."""
         if self.whole is None or self.team.labels == tuple(ring):
             return self
         own = zip(self.team.labels, self.drones.reshape(-1, 2, 3), strict=True)
@@ -277,7 +280,7 @@ class RestState:
         return replace(self, team=self.part(ring), drones=drones, waiting=pairs)
 
     def with_waiting(self, motion: Motion, requirements: Requirements) -> Motion:
-        """Return a motion that starts from here with the robots that wait besides."""
+        """Return a motion from this state with the waiting robots added."""
         from hitchopt.motion.chapters import with_waiting
         from hitchopt.planners.forming.joining import at_rest
 
@@ -289,8 +292,8 @@ class RestState:
         }
         return with_waiting(motion, self.whole, waiting, motion.requirements)
 
-    def at_objects(self, requirements: Requirements) -> Requirements:
-        """Return requirements with objects where they are by now."""
+    def with_objects(self, requirements: Requirements) -> Requirements:
+        """Return requirements with the objects of this state."""
         return requirements if self.objects is None else replace(requirements, objects=self.objects)
 
 
@@ -303,13 +306,13 @@ class StepPlan:
 
     @cached_property
     def certificate(self) -> Certificate:
-        """Certificate of the motion alone, its duration left open; computed when first needed."""
+        """Certificate of the motion alone, without the plan's limit of duration."""
         return certify(self.motion.untimed, reports=MERGEABLE_REPORTS)
 
-    def remarked(self, words: str) -> StepPlan:
-        """Return the same plan, the remarks of its phases with these words at their end."""
+    def with_remark(self, remark: str) -> StepPlan:
+        """Return the plan with a remark appended to those of its phases."""
         phases = [
-            replace(phase, remark=f"{phase.remark}; {words}" if phase.remark else words)
+            replace(phase, remark=f"{phase.remark}; {remark}" if phase.remark else remark)
             for phase in self.motion.phases
         ]
         plan = StepPlan(self.motion.replaced(phases=tuple(phases)), self.after)
@@ -322,34 +325,46 @@ class StepPlan:
 class StepTask:
     """The task of planning a step."""
 
-    before: RestState  # where the mission stands
-    index: int  # of the step in its mission
-    requirements: Requirements  # what the plan must satisfy
+    before: RestState  # state at the start
+    index: int  # index of the step in its mission
+    requirements: Requirements  # requirements of the plan
     optimiser: bool = True  # whether the optimiser may be used
 
     @property
     def hitch(self) -> Hitch:
-        """The hitch at the start; problems are checked to have one."""
+        """The hitch at the start; the problem's check guarantees one."""
         assert self.before.hitch is not None
         return self.before.hitch
 
     @property
     def grasp(self) -> GraspState:
-        """The object that the hitch is around or holds; a problem has no such step without it."""
+        """The enclosed or held object; the problem's check guarantees one."""
         assert self.before.grasp is not None
         return self.before.grasp
 
     def within(self, requirements: Requirements, state: RestState) -> StepTask:
-        """Return this task from another state, with other requirements."""
+        """Return the task with other requirements and another start."""
         return replace(self, before=state, requirements=requirements)
 
-    def ended(self, motion: Motion, hitch: Hitch) -> StepPlan:
-        """Return the plan of a motion that ends with a hitch."""
+    def plan_ending(self, motion: Motion, hitch: Hitch) -> StepPlan:
+        """Return the plan of a motion to a hitch."""
         return StepPlan(motion, replace(self.before, hitch=hitch, drones=hitch.drones))
 
 
+def plan_in_sequence(
+    planners: Iterable[Callable[[StepTask], StepPlan]], task: StepTask
+) -> StepPlan:
+    """Return the plan of consecutive motions as one step; each starts where the last one ends."""
+    state, motions = task.before, list[Motion]()
+    for planner in planners:
+        plan = planner(task.within(state.with_objects(task.requirements), state))
+        motions.append(state.with_waiting(plan.motion, task.requirements))
+        state = plan.after
+    return StepPlan(joined_motions(motions), state)
+
+
 class Stage(StrEnum):
-    """Stage of a hitch with an object, or with a vertex that is open."""
+    """Stage of a hitch with respect to an object, or to an open vertex."""
 
     FREE = "no object"
     OPEN = "an open vertex"
@@ -362,13 +377,13 @@ class Stage(StrEnum):
 class Step(OneLine, ABC):
     """A step of a mission; its fields are annotated with the keys of the problem file."""
 
-    name: ClassVar[str]  # in the problem file: that of the class, in words of lower case
-    # whether a hitch must be there before it (True), must not (False), or may (None)
+    name: ClassVar[str]  # key in the problem file: the class's name in snake case
+    # whether the step must start with a hitch (True), on free cables (False), or with either (None)
     needs_hitch: ClassVar[bool | None] = True
-    blendable: ClassVar[bool] = False  # whether it can follow, or be followed, without a stop
-    # where it begins and ends with respect to an object that is carried; None for anywhere
+    blendable: ClassVar[bool] = False  # whether it can precede or follow a step without a stop
+    # stages at the start and the end; None if the stage does not matter
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.FREE, Stage.FREE)
-    time_key: ClassVar[str] = "duration"  # name of the field that says how long, if it has one
+    time_key: ClassVar[str] = "duration"  # field of the prescribed duration
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -378,20 +393,20 @@ class Step(OneLine, ABC):
         store(self, **vars(self))
 
     @property
-    def given_duration(self) -> float | None:
-        """The duration that was given [s], or None."""
+    def prescribed_duration(self) -> float | None:
+        """The prescribed duration [s], or None."""
         seconds = getattr(self, self.time_key, None)
         return seconds if isinstance(seconds, float) else None
 
     @property
     def blends(self) -> bool:
-        """Whether it goes on into the next step without a stop."""
+        """Whether it continues into the next step without a stop."""
         return bool(getattr(self, "blend", False))
 
     def ring_after(self, ring: tuple[int, ...], team: Team) -> tuple[int, ...]:  # noqa: ARG002
-        """Return the robots that hold the edges, in order, after the step.
+        """Return the robots that hold the edges after the step, in order.
 
-        Raises InputError for robots that cannot.
+        Raises InputError for robots that do not fit the ring.
         """
         return ring
 
@@ -406,32 +421,29 @@ class Step(OneLine, ABC):
         return replace(self, **changed) if changed else self
 
     def checked_polygon_after(
-        self, team: Team, outline: Outline | None, since: str = "start says so"
+        self, team: Team, outline: Outline | None, reason: str = "start says so"
     ) -> Outline | None:
-        """Return ``polygon_after`` if the step fits the hitch before it, else raise InputError.
+        """Return ``polygon_after``; raise InputError if the step needs, or forbids, a hitch.
 
-        ``since`` is why there is a hitch before it, or none.
+        ``reason`` explains why there is a hitch before the step, or none.
         """
         if self.needs_hitch is True and outline is None:
-            bound, remedy = "given a hitch at that point", f"{since}: form one before"
+            bound, remedy = "given a hitch at that point", f"{reason}: form one before"
             raise InputError("", "no hitch", bound, remedy)
         if self.needs_hitch is False and outline is not None:
-            bound, remedy = (
-                "given drones on free cables at that point",
-                f"{since}: release it before",
-            )
-            raise InputError("", "a hitch", bound, remedy)
+            bound, remedy = "given drones on free cables at that point", "release it before"
+            raise InputError("", "a hitch", bound, f"{reason}: {remedy}")
         return self.polygon_after(team, outline)
 
     def polygon_after(self, team: Team, outline: Any) -> Outline | None:
-        """Return the outline that the step makes of ``outline``: its own polygon, if it has one."""
+        """Return the outline after the step: its own polygon, if it has one, else ``outline``."""
         own = vars(self).get("polygon", outline)
         return None if own is None else checked_polygon(team, own)
 
     def place_after(self, body: SolidObject, below: float) -> Array | None:  # noqa: ARG002
-        """Return where the base of a held object goes: x, y, z [m], yaw [rad]; None if it stays.
+        """Return the goal of a held object's base: x, y, z [m], yaw [rad]; None if it stays.
 
-        The surface ``below`` it is that high [m].
+        ``below`` is the height of the surface below it [m].
         """
         return None
 
@@ -441,35 +453,34 @@ class Step(OneLine, ABC):
 
         Raises
         ------
-        InfeasibleError: the end breaks a limit at rest, or no route was found.
+        InfeasibleError: the end breaks a limit at rest, or no feasible route was found.
         HitchoptError: a planner failed.
         """
 
-    def lasting(self, task: StepTask, motion: Motion) -> Motion:
-        """Return the motion slowed to last as long as the step was given, if it was."""
+    def with_duration(self, task: StepTask, motion: Motion) -> Motion:
+        """Return the motion slowed down to the prescribed duration, if there is one."""
         from hitchopt.planners.timing.flight import check_duration
 
-        duration = self.given_duration
-        if duration is None:
+        if (duration := self.prescribed_duration) is None:
             return motion
         check_duration(duration, motion.duration, f"of step {task.index} ({self.name})")
         return motion.slowed(duration / motion.duration)
 
     def knobs(self) -> Iterator[Knob]:
-        """Yield the numbers that repair may change: a duration that was given."""
-        seconds = self.given_duration
+        """Yield the numbers that repair may change: a prescribed duration."""
+        seconds = self.prescribed_duration
         if seconds is not None:
             yield Knob(self.time_key, seconds, "s", covers=frozenset({"duration"}))
             covers = frozenset({PLAN_DURATION})
             yield Knob(self.time_key, seconds, "s", sign=-1, covers=covers)
 
     def scaled(self, factor: float, centre: Array) -> tuple[Edits, Array]:
-        """Return the edits that scale its outline by a factor, and the outline's centre after it.
+        """Return the edits that scale its geometry, and the outline's centre after the step.
 
-        ``centre`` (2,) [m] is that of the outline before, about which points go; a polygon is
-        scaled about its own centroid.
+        Points are scaled about ``centre`` (2,) [m], the outline's centre before the step; polygons
+        about their own centroid.
         """
-        own: Outline | None = vars(self).get("polygon")
-        return (
-            ((), centre) if own is None else ((outline_edit("polygon", own, factor),), own.centroid)
-        )
+        polygon: Outline | None = vars(self).get("polygon")
+        if polygon is None:
+            return (), centre
+        return (scaled_outline_edit("polygon", polygon, factor),), polygon.centroid

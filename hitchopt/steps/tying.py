@@ -1,4 +1,4 @@
-"""Forming, releasing and landing: hitches tied of free cables, and untied."""
+"""Forming, releasing and landing: steps that tie and untie hitches."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from hitchopt.hitch.team import MAX_ROBOTS, OPEN
 from hitchopt.motion.motion import CableState, Motion, Phase, joined_motions
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.steps.step import (
+    ALTITUDE_TOLERANCE,
     AUTO,
     AUTO_SECONDS,
     INDEX,
@@ -42,10 +43,10 @@ if TYPE_CHECKING:
     from hitchopt.planners.forming.prehitch import PreHitch
 
 Assign = Literal["auto", "fixed"]
-"""Whether robots are assigned to edges, or robot k takes edge k with its drones as they are."""
+"""``auto`` chooses the assignment of robots to edges; with ``fixed`` robot k takes edge k."""
 
 CABLE_MARGINS = (1.5, 1.25)
-"""Times ``separation.cable`` that drones keep from cables, if they can, as a hitch is tightened."""
+"""Preferred clearances of drones from cables during tightening, in ``separation.cable``."""
 
 
 ASSIGN_TEXT = (
@@ -102,48 +103,49 @@ class Form(Step):
         """Return the robots that form the hitch."""
         if self.robots is None:
             return team.labels
-        given = tuple(np.asarray(self.robots).tolist())
-        if len({*given}) != len(given) or not {*given} <= {*team.labels} or team.topology == OPEN:
+        robots = tuple(np.asarray(self.robots).tolist())
+        distinct = {*robots}
+        if len(distinct) != len(robots) or distinct - {*team.labels} or team.topology == OPEN:
             bound = f"some of 0 to {team.robots - 1}, each once, of a closed hitch"
-            raise InputError("robots", given, bound, "leave it out for all")
-        return given
+            raise InputError("robots", robots, bound, "leave it out for all")
+        return robots
 
     def resolved_for(self, team: Team) -> Self:
-        """Return the step for a team, or raise InputError for an order that does not fit it."""
+        """Return the step for a team; raise InputError if the order is not one of its robots."""
         if not isinstance(self.order, str):
-            given = np.asarray(self.order).tolist()
-            if self.by != "laying" or sorted(given) != sorted(team.labels):
+            order = np.asarray(self.order).tolist()
+            if self.by != "laying" or sorted(order) != sorted(team.labels):
                 members = ", ".join(map(str, sorted(team.labels)))
                 bound = f"with by: laying, each of the robots {members} once"
-                raise InputError("order", given, bound, "leave it out, or list all robots")
+                raise InputError("order", order, bound, "leave it out, or list all robots")
         return super().resolved_for(team)
 
     def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan from drones on free cables to a hitch."""
+        """Return the plan from free cables to a hitch."""
         if self.by == "laying":
-            return self._laid(task)
+            return self._plan_laying(task)
         from hitchopt.planners.forming.stages import forming_stages
         from hitchopt.steps import certified_motions as motions
 
         i, requirements = task.index, task.requirements
-        goal = self._goal(task.before.team, requirements)
+        goal = self._goal_hitch(task.before.team, requirements)
         motions.check_at_rest(goal, requirements, f"at the end of step {i} (form)")
         raised, prehitch = tying_site(goal, self.swap, None, requirements)
         if prehitch.violation > 0.0 and self.legs is None:
             goal, raised, prehitch = self._short_legged(goal, raised, prehitch, requirements)
         tying = joined_motions(forming_stages(prehitch, raised, requirements, self.swap, i))
-        if prehitch.violation > 0.0:  # the approach is in vain if nothing can be tied
-            motions.checked(StepPlan(tying, task.before))
-        parts = [_approach(task, prehitch.drones), tying]
+        if prehitch.violation > 0.0:  # no approach helps if tying is infeasible
+            motions.require_certified(StepPlan(tying, task.before))
+        parts = [_approach_motion(task, prehitch.drones), tying]
         if raised is not goal:
-            parts.append(lifted(raised, goal.altitude, "lower", task))
+            parts.append(vertical_motion(raised, goal.altitude, "lower", task))
         senses = np.sign(prehitch.ellipses.rise)
         formed = RestState(goal.team, goal.drones, goal, senses, self.swap)
-        after = task.before.followed_by(formed)
-        return self._settled(task, parts, after)
+        after = task.before.after_forming(formed)
+        return self._settled_plan(task, parts, after)
 
-    def _laid(self, task: StepTask) -> StepPlan:
-        """Return the plan from drones on free cables to a hitch that is laid."""
+    def _plan_laying(self, task: StepTask) -> StepPlan:
+        """Return the plan from free cables to a hitch by laying."""
         from hitchopt.planners.forming import laying
         from hitchopt.steps import certified_motions as motions
 
@@ -161,34 +163,34 @@ class Form(Step):
         motions.check_at_rest(goal, requirements, f"at the end of step {i} (form)")
         site = laying_site(goal, levels, requirements)
         tying = joined_motions(laying.laying_stages(site, requirements, i))
-        motions.checked(StepPlan(tying, task.before))
-        parts = [_approach(task, site.slack), tying]
+        motions.require_certified(StepPlan(tying, task.before))
+        parts = [_approach_motion(task, site.slack), tying]
         if site.hitch is not goal:
-            parts.append(lifted(site.hitch, goal.altitude, "lower", task))
+            parts.append(vertical_motion(site.hitch, goal.altitude, "lower", task))
         formed = RestState(team, goal.drones, goal, senses, self.swap, levels)
-        return self._settled(task, parts, task.before.followed_by(formed))
+        return self._settled_plan(task, parts, task.before.after_forming(formed))
 
-    def _settled(self, task: StepTask, parts: list[Motion], after: RestState) -> StepPlan:
-        """Return the plan of motions in a row, settled at the end where cables have friction."""
+    def _settled_plan(self, task: StepTask, parts: list[Motion], after: RestState) -> StepPlan:
+        """Return the plan of consecutive motions, with settling if cables have friction."""
         from hitchopt.steps import certified_motions as motions
 
         if after.team.cable_friction > 0.0 and self.settle is not False:
             seconds = None if isinstance(self.settle, str) else self.settle
-            phase, tied_task = Phase("settle", task.index, 0.0, 0.0), replace(task, before=after)
-            settled = motions.settling_plan(tied_task, seconds, phase, needed=seconds is not None)
-            parts.append(settled.motion)
-        return StepPlan(self.lasting(task, joined_motions(parts)), after)
+            phase, settling = Phase("settle", task.index, 0.0, 0.0), replace(task, before=after)
+            plan = motions.settling_plan(settling, seconds, phase, required=seconds is not None)
+            parts.append(plan.motion)
+        return StepPlan(self.with_duration(task, joined_motions(parts)), after)
 
-    def _goal(self, team: Team, requirements: Requirements) -> Hitch:
-        """Return the hitch to be formed; without ``legs`` spread, with the margins that it can."""
-        from hitchopt.steps.certified_motions import at_rest, split_hitch
+    def _goal_hitch(self, team: Team, requirements: Requirements) -> Hitch:
+        """Return the goal; without ``legs`` spread, with the largest feasible cable margin."""
+        from hitchopt.steps.certified_motions import rest_plan, split_hitch
 
         legs: SlackSplit = "spread" if self.legs is None else self.legs
         spread = split_hitch(team, self.polygon, self.altitude, legs, requirements)
         if self.legs is not None:
             return spread
         cable = requirements.separation.cable
-        clearance = at_rest(spread, requirements).certificate["cable_clearance"].bound
+        clearance = rest_plan(spread, requirements).certificate["cable_clearance"].bound
         for margin in CABLE_MARGINS:
             if clearance >= margin * cable:
                 break
@@ -196,68 +198,65 @@ class Form(Step):
             wider = replace(requirements, separation=separation)
             same_roll = RolledLegs("spread", spread.roll)
             hitch = split_hitch(team, self.polygon, self.altitude, same_roll, wider)
-            if at_rest(hitch, wider).certificate.certified:
+            if rest_plan(hitch, wider).certificate.certified:
                 return hitch
         return spread
 
     def _short_legged(
         self, goal: Hitch, raised: Hitch, prehitch: PreHitch, requirements: Requirements
     ) -> tuple[Hitch, Hitch, PreHitch]:
-        """Return a goal that can be tied, with its site and pre-hitch, else those that are given.
+        """Return a goal with short q-legs, its site and pre-hitch if feasible, else the arguments.
 
-        Where both legs of a cable cross, their drones would meet on their way out: with one leg
-        that ends before the other neither passes it.
+        Where both legs of a cable cross, the drones of long legs would collide on their way out.
         """
-        from hitchopt.steps.certified_motions import at_rest
+        from hitchopt.steps.certified_motions import rest_plan
 
-        own = {name: getattr(requirements, name) for name in ("limits", "separation", "arena")}
-        shortest = np.zeros(goal.team.robots)
-        short = Hitch.nearest(goal.team, self.polygon, self.altitude, shortest, **own)
-        if at_rest(short, requirements).certificate.certified:
-            site = tying_site(short, self.swap, None, requirements)
-            if site[1].violation <= 0.0:
-                return short, *site
+        names = ("limits", "separation", "arena")
+        options = {name: getattr(requirements, name) for name in names}
+        fractions = np.zeros(goal.team.robots)
+        short = Hitch.nearest(goal.team, self.polygon, self.altitude, fractions, **options)
+        if rest_plan(short, requirements).certificate.certified:
+            site, short_prehitch = tying_site(short, self.swap, None, requirements)
+            if short_prehitch.violation <= 0.0:
+                return short, site, short_prehitch
         return goal, raised, prehitch
 
     def knobs(self) -> Iterator[Knob]:
-        """Yield the duration, and the swap's radius where it is larger than it needs to be."""
+        """Yield the duration, and the swap's radius if it exceeds the default."""
         yield from super().knobs()
         if self.swap.radius > SwapSettings.radius:
             covers = checks_relaxed_by("length") | {"interlacing", "arena", "crossing"}
             yield Knob("swap.radius", self.swap.radius, "m", sign=-1, covers=covers)
 
 
-def _approach(task: StepTask, goal: Array) -> Motion:
-    """Return the first certified route to the pre-hitch, or raise what binds on the first one."""
+def _approach_motion(task: StepTask, goal: Array) -> Motion:
+    """Return the motion along the first feasible route to the pre-hitch, or raise one error."""
     from hitchopt.planners.forming.approach import DirectApproach, GatheredApproach
-    from hitchopt.steps.certified_motions import attempt, checked, combined_failure
+    from hitchopt.steps.certified_motions import attempt, combined_failure, require_certified
 
     before = task.before
     arguments = before.team, before.drones, goal, task.requirements, task.index
-    refused = list[HitchoptError]()
+    errors = list[HitchoptError]()
     for route in (DirectApproach(*arguments), GatheredApproach(*arguments)):
         outcome = attempt(
-            lambda route=route: checked(StepPlan(joined_motions(route.solve()), before))  # type: ignore[misc]
+            lambda route=route: require_certified(StepPlan(joined_motions(route.solve()), before))  # type: ignore[misc]
         )
         if isinstance(outcome, StepPlan):
             return outcome.motion
-        refused.append(outcome)
-    raise combined_failure(refused[0], refused[1], "no other route to the pre-hitch was found")
+        errors.append(outcome)
+    raise combined_failure(errors[0], errors[1], "no other route to the pre-hitch was found")
 
 
-SAME_ALTITUDE = 1e-9
-"""[m] A hitch that need not be raised by more is tied where it is."""
-
-TIGHTENING = (0.0, 0.25, 0.5, 0.75, 1.0)
-"""Shares of the move from the pre-hitch to the hitch at which the cables' heights are sampled."""
+TIGHTENING_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Shares of the move from the pre-hitch to the hitch at which cable heights are sampled."""
 
 
 def tying_site(
     hitch: Hitch, swap: SwapSettings, senses: Array | None, requirements: Requirements
 ) -> tuple[Hitch, PreHitch]:
-    """Return the hitch where it is tied or untied, as much higher as that takes, and its pre-hitch.
+    """Return the hitch raised to the altitude for tying or untying, and its pre-hitch.
 
-    ``senses`` (clasps,) are those with which it was formed, to be reversed; None to choose them.
+    ``senses`` (clasps,) are the turning senses to be reversed; None to choose them.
     """
     from hitchopt.planners.forming.approach import CLEARANCE, hover_altitude
     from hitchopt.planners.forming.prehitch import find_prehitch
@@ -266,22 +265,22 @@ def tying_site(
     if senses is not None:
         prehitch = replace(prehitch, ellipses=prehitch.ellipses.with_senses(senses))
     floor, clearance = requirements.floor, CLEARANCE * requirements.separation.cable
-    drawn = (prehitch.drones + share * (hitch.drones - prehitch.drones) for share in TIGHTENING)
-    hanging = (hover_altitude(hitch.team, drones, requirements) for drones in drawn)
+    tightening = (prehitch.drones + x * (hitch.drones - prehitch.drones) for x in TIGHTENING_SHARES)
+    hanging = (hover_altitude(hitch.team, drones, requirements) for drones in tightening)
     altitude = max(hitch.altitude, floor + clearance + prehitch.lowest, *hanging)
-    by = altitude - hitch.altitude
-    if by <= SAME_ALTITUDE:
+    rise = altitude - hitch.altitude
+    if rise <= ALTITUDE_TOLERANCE:
         return hitch, prehitch
     raised = Hitch(hitch.team, hitch.polygon, altitude, hitch.q_legs, hitch.roll)
-    return raised, replace(prehitch, ellipses=prehitch.ellipses.raised(by))
+    return raised, replace(prehitch, ellipses=prehitch.ellipses.raised(rise))
 
 
-def refuse_rolls(words: str, team: Team, requirements: Requirements) -> None:
+def check_rollable(step: str, team: Team, requirements: Requirements) -> None:
     """Raise UnsupportedError for teams whose pairs cannot roll, or whose cables cannot be laid.
 
-    ``words`` name the step that lays or rolls them.
+    ``step`` names the step that lays or rolls them.
     """
-    for unfit, reason in (
+    for unsupported, reason in (
         (not team.layout.closed, "an open chain: laying ties rings; use by: swaps"),
         (team.cable_density == 0.0, "cables without weight: give team.cable_density, from which "
          "the pull of a taut cable follows"),
@@ -289,23 +288,23 @@ def refuse_rolls(words: str, team: Team, requirements: Requirements) -> None:
         (np.any(team.load), "loads on clasps, which do not roll: leave out team.load"),
         (requirements.limits.tracking, "limits.tracking, which taut cables alone do not allow"),
     ):  # fmt: skip
-        if unfit:
-            raise UnsupportedError(f"{words}: laying and rolling do not know {reason}")
+        if unsupported:
+            raise UnsupportedError(f"{step}: laying and rolling do not know {reason}")
 
 
 def laying_site(hitch: Hitch, levels: Indices, requirements: Requirements) -> Laying:
-    """Return how a hitch is laid, as much higher as its cables need to hang before."""
+    """Return the laying of a hitch, raised to the altitude that its hanging cables need."""
     from hitchopt.planners.forming.approach import hover_altitude
     from hitchopt.planners.forming.laying import find_laying
 
     site = find_laying(hitch, levels, requirements)
     lowest = float(np.min(site.slack[:, 2]))
-    by = hover_altitude(hitch.team, site.slack, requirements) - lowest
-    return site if by <= SAME_ALTITUDE else site.at_altitude(hitch.altitude + by)
+    rise = hover_altitude(hitch.team, site.slack, requirements) - lowest
+    return site if rise <= ALTITUDE_TOLERANCE else site.at_altitude(hitch.altitude + rise)
 
 
-def lifted(hitch: Hitch, altitude: float, name: str, task: StepTask) -> Motion:
-    """Return the motion of the hitch straight up or down, as one phase of a step."""
+def vertical_motion(hitch: Hitch, altitude: float, name: str, task: StepTask) -> Motion:
+    """Return the motion of a hitch straight up or down, as one phase of a step."""
     from hitchopt.planners.morph.path import RigidPath
     from hitchopt.planners.timing.flight import fly
 
@@ -316,18 +315,18 @@ def lifted(hitch: Hitch, altitude: float, name: str, task: StepTask) -> Motion:
     return motion.replaced(phases=(phase,))
 
 
-def adjusted(task: StepTask, q_legs: Array) -> list[Motion]:
-    """Return the motion in which cables slide to these q-legs, with the roll; none if they are."""
+def adjusting_motions(task: StepTask, q_legs: Array) -> list[Motion]:
+    """Return the motion in which cables slide to q-legs; no motion if they have them."""
     from hitchopt.steps.moving import Adjust
 
     if np.array_equal(q_legs, task.hitch.q_legs):
         return []
-    direct = replace(task, optimiser=False)  # another split takes less time than another route
+    direct = replace(task, optimiser=False)  # other splits are faster to try than other routes
     return [Adjust(legs=RolledLegs(q_legs, task.hitch.roll)).plan(direct).motion]
 
 
 class RollStep(Step):
-    """A step that turns the pair of one vertex about it by half a turn; no vertex moves."""
+    """A step that rolls the pair of one vertex by half a turn; no vertex moves."""
 
     vertex: int
     duration: float | None
@@ -337,7 +336,7 @@ class RollStep(Step):
         raise NotImplementedError
 
     def resolved_for(self, team: Team) -> Self:
-        """Return the step, or raise InputError for a vertex that there is not."""
+        """Return the step for a team, or raise InputError for a missing vertex."""
         if not self.vertex < team.robots:
             bound = f"0 to {team.robots - 1}"
             raise InputError("vertex", self.vertex, bound, "name a vertex of the polygon")
@@ -348,14 +347,14 @@ class RollStep(Step):
         from hitchopt.planners.forming.laying import RollPath, rolling
 
         before, hitch = task.before, task.hitch
-        start = hitch.roll if before.opened is None else before.opened
+        start = hitch.roll if before.open_roll is None else before.open_roll
         end = self.rolls(task)
         phase = Phase(self.name, task.index, 0.0, 0.0)
         motion = rolling(RollPath(hitch, start, end), task.requirements, phase)
-        opened = None if np.array_equal(end, hitch.roll) else end
+        open_roll = None if np.array_equal(end, hitch.roll) else end
         drones = motion.drones.coefficients[-1, ..., -1]
-        after = replace(before, drones=drones, opened=opened)
-        return StepPlan(self.lasting(task, motion), after)
+        after = replace(before, drones=drones, open_roll=open_roll)
+        return StepPlan(self.with_duration(task, motion), after)
 
 
 @dataclass(frozen=True)
@@ -370,7 +369,7 @@ class OpenVertex(RollStep):
     duration: Seconds = None
 
     def rolls(self, task: StepTask) -> Array:
-        """Return the roll after the step: back from where it was tied."""
+        """Return the roll after the step, with the vertex's pair rolled back."""
         senses, end = task.before.senses, task.hitch.roll.copy()
         end[self.vertex] = -np.pi * (1.0 if senses is None else senses[self.vertex])
         return end
@@ -385,11 +384,11 @@ class CloseVertex(RollStep):
     duration: Seconds = None
 
     def rolls(self, task: StepTask) -> Array:
-        """Return the roll of the hitch."""
-        opened = task.before.opened
-        away = np.flatnonzero(task.hitch.roll - (0.0 if opened is None else opened))
-        if self.vertex not in away:
-            bound = f"the open one, {', '.join(map(str, away.tolist()))}"
+        """Return the roll of the closed hitch."""
+        open_roll = task.before.open_roll
+        rolled = np.flatnonzero(task.hitch.roll - (0.0 if open_roll is None else open_roll))
+        if self.vertex not in rolled:
+            bound = f"the open one, {', '.join(map(str, rolled.tolist()))}"
             raise InputError("vertex", self.vertex, bound, "close the vertex that was opened")
         return task.hitch.roll
 
@@ -401,40 +400,38 @@ class Release(Step):
     duration: Seconds = None
 
     def polygon_after(self, team: Team, outline: Any) -> None:
-        """Return None: there is no hitch."""
+        """Return None: cables are free."""
 
     def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan from a hitch to drones on free cables."""
+        """Return the plan from a hitch to free cables."""
         from hitchopt.planners.forming.stages import forming_stages, reversed_stages
 
         before, hitch, requirements = task.before, task.hitch, task.requirements
         if before.levels is not None:
-            return self._unlaid(task, before.levels)
-        up = np.ones(len(before.team.layout.clasps))
-        senses = up if before.senses is None else before.senses
-        raised, prehitch = tying_site(hitch, before.swap, senses, requirements)
+            return self._plan_unlaying(task, before.levels)
+        raised, prehitch = tying_site(hitch, before.swap, before.assumed_senses, requirements)
         parts = reversed_stages(
             forming_stages(prehitch, raised, requirements, before.swap, task.index)
         )
         if raised is not hitch:
-            parts.insert(0, lifted(hitch, raised.altitude, "raise", task))
+            parts.insert(0, vertical_motion(hitch, raised.altitude, "raise", task))
         after = replace(before, drones=prehitch.drones, hitch=None, senses=None)
-        return StepPlan(self.lasting(task, joined_motions(parts)), after)
+        return StepPlan(self.with_duration(task, joined_motions(parts)), after)
 
-    def _unlaid(self, task: StepTask, levels: Indices) -> StepPlan:
-        """Return the plan that lays a hitch backward: unrolled, and lifted from the top."""
+    def _plan_unlaying(self, task: StepTask, levels: Indices) -> StepPlan:
+        """Return the plan of laying in reverse: pairs unroll, cables are lifted from the top."""
         from hitchopt.planners.forming.laying import laying_stages, split_for_rolling
         from hitchopt.planners.forming.stages import reversed_stages
 
         before, requirements = task.before, task.requirements
-        hitch = split_for_rolling(task.hitch, before.known_senses, requirements)
+        hitch = split_for_rolling(task.hitch, before.assumed_senses, requirements)
         site = laying_site(hitch, levels, requirements)
-        parts = adjusted(task, hitch.q_legs)
+        parts = adjusting_motions(task, hitch.q_legs)
         if site.hitch is not hitch:
-            parts.append(lifted(hitch, site.hitch.altitude, "raise", task))
+            parts.append(vertical_motion(hitch, site.hitch.altitude, "raise", task))
         parts += reversed_stages(laying_stages(site, requirements, task.index))
         after = replace(before, drones=site.slack, hitch=None, senses=None, levels=None)
-        return StepPlan(self.lasting(task, joined_motions(parts)), after)
+        return StepPlan(self.with_duration(task, joined_motions(parts)), after)
 
 
 @dataclass(frozen=True)
@@ -461,4 +458,4 @@ class Land(Step):
             motion = landed(motion, before.whole_team, before.waiting, requirements)
             lying = {robot: places * flat + floor for robot, places in before.waiting.items()}
             after = replace(after, waiting=lying)
-        return StepPlan(self.lasting(task, motion), after)
+        return StepPlan(self.with_duration(task, motion), after)

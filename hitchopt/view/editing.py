@@ -20,15 +20,16 @@ import numpy as np
 
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError
 from hitchopt.geometry import Outline
+from hitchopt.mission.changes import with_edits_in
 from hitchopt.mission.loading import parse_problem
 from hitchopt.mission.problem import Problem, team_and_ring
-from hitchopt.mission.repair import NO_CHANGE, Edit, Suggestion, find_suggestions, with_edits_in
+from hitchopt.mission.repair import NO_CHANGE, Suggestion, find_suggestions
 from hitchopt.mission.teams import solve_any
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
 from hitchopt.steps import STEP_KINDS
-from hitchopt.steps.certified_motions import Certified
-from hitchopt.steps.step import TRIANGLE
+from hitchopt.steps.certified_motions import CertifiedMotion
+from hitchopt.steps.step import TRIANGLE, Edit
 from hitchopt.storage.yaml_file import (
     Plain,
     parse_yaml,
@@ -205,7 +206,7 @@ class Editing:
     planned: the plan of this text.
     """
 
-    def __init__(self, text: str, path: Path, planned: Certified) -> None:
+    def __init__(self, text: str, path: Path, planned: CertifiedMotion) -> None:
         self.path, self.planned = path, planned
         self._worker: threading.Thread | None = None
         self.listener: Callable[[], None] = lambda: None
@@ -225,7 +226,7 @@ class Editing:
         """Whether the file on the disk holds this text."""
         return self.text == self._on_disk
 
-    def now(self) -> tuple[str, Status, Certified]:
+    def now(self) -> tuple[str, Status, CertifiedMotion]:
         """Return the text, its status, and the plan that is there, of one moment."""
         with self._lock:
             return self.text, self.status, self.planned
@@ -356,7 +357,9 @@ class Editing:
         if version != self._version:
             raise _StaleError
 
-    def _publish(self, version: int, status: Status, planned: Certified | None = None) -> None:
+    def _publish(
+        self, version: int, status: Status, planned: CertifiedMotion | None = None
+    ) -> None:
         with self._lock:
             self._check(version)
             self.status = status

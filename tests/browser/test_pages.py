@@ -18,7 +18,7 @@ from matplotlib.image import imread
 
 import hitchopt as ho
 from hitchopt.geometry.vectors import unit
-from hitchopt.steps.certified_motions import Certified
+from hitchopt.steps.certified_motions import CertifiedMotion
 from hitchopt.values import Array
 from hitchopt.view.editing import Editing, Stage
 from hitchopt.view.live import LiveView, open_server
@@ -153,7 +153,7 @@ def panel(tmp_path_factory: pytest.TempPathFactory) -> Iterator[EditingPanel]:
     path.write_text(TEXT)
     plan = ho.solve(path)
     live = LiveView(open_server(), plan.motion, plan.certificate)
-    editing = Editing(TEXT, path, Certified(plan.motion, plan.certificate))
+    editing = Editing(TEXT, path, CertifiedMotion(plan.motion, plan.certificate))
     yield EditingPanel(live, editing)
     editing.close()
     live.close()

@@ -37,7 +37,7 @@ from hitchopt.checks import Certificate, Check, certify, merged
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Limits, Prism, Requirements, Separation
 from hitchopt.motion.motion import Motion, joined_motions
-from hitchopt.steps.certified_motions import at_rest
+from hitchopt.steps.certified_motions import rest_plan
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -324,7 +324,7 @@ def test_a_check_holds_within_its_tolerance(
 
 
 def rest(**kept: Any) -> ho.Certificate:
-    return at_rest(HITCH, Requirements(**kept)).certificate
+    return rest_plan(HITCH, Requirements(**kept)).certificate
 
 
 def test_limits_that_a_hitch_meets_to_the_last_digit_hold() -> None:

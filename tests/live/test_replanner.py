@@ -13,7 +13,7 @@ import hitchopt as ho
 from hitchopt.checks import certify
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Phase
-from hitchopt.steps.certified_motions import resting as rest_of
+from hitchopt.steps.certified_motions import rest_motion
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -155,7 +155,7 @@ def test_objects_stay_where_they_were_carried() -> None:
     pole = ho.SolidObject(ho.Section(radius=0.1), 0.0, 1.8, at=[9.0, 0.0, 0.0])
     need = replace(Requirements(), objects={"pole": pole})
     start = ho.Hitch.spread(ho.Team(3, 2.4), TRIANGLE, 1.0)
-    rest = rest_of(start, need, 1.0, Phase("hold", 0, 0.0, 1.0))
+    rest = rest_motion(start, need, 1.0, Phase("hold", 0, 0.0, 1.0))
     carried = np.array([[5.0, 2.0, 0.0, 1.0, 0.0]])
     motion = replace(rest, poses=PiecewisePolynomial.constant(rest.drones.breaks, carried))
     replanner = ho.Replanner(start.team, ho.Plan(motion, certify(motion)))

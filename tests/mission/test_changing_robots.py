@@ -18,7 +18,7 @@ from hitchopt.motion.chapters import chapters
 from hitchopt.motion.motion import CableState
 from hitchopt.planners.forming.joining import corner_cut, corner_restored
 from hitchopt.planners.timing.ramps import BRIEF, fastest_clock, fastest_ramps
-from hitchopt.steps.joining import outlines_beside
+from hitchopt.steps.joining import cut_outlines
 from hitchopt.steps.step import RolledLegs
 
 Q = np.array([[-0.8, 1.8, 0], [-0.8, 0.6, 0], [-0.8, -0.6, 0], [-0.8, -1.8, 0], [-2.8, -1.0, 0]])
@@ -65,7 +65,7 @@ def test_a_corner_that_is_cut_off_is_restored(n: int, seed: int, vertex: int, sh
     np.testing.assert_allclose(back.vertices, outline.vertices, atol=1e-9)
     np.testing.assert_allclose(grown, off, rtol=1e-7)
     for place in range(n):
-        for at, beside in outlines_beside(outline, place, share / 2.0):
+        for at, beside in cut_outlines(outline, place, share / 2.0):
             ring = [*range(at), n, *range(at, n)]
             back, _ = corner_restored(beside, ring.index(place), 0)
             ring.remove(place)

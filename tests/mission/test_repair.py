@@ -16,16 +16,10 @@ from problem_cases import hitch_start, triangle
 
 import hitchopt as ho
 from hitchopt.hitch.team import Assignment
+from hitchopt.mission.changes import change_of, knobs_of, scaled_outlines, team_edit, with_edits
 from hitchopt.mission.loading import problem_from_dict
-from hitchopt.mission.repair import (
-    Edit,
-    _knobs,
-    change_of,
-    outlines_scaled,
-    team_edit,
-    with_edits,
-)
 from hitchopt.mission.solving import contents
+from hitchopt.steps.step import Edit
 from hitchopt.storage.yaml_file import read_yaml, split_key
 
 
@@ -228,11 +222,11 @@ def test_walls_on_several_sides_are_moved_together() -> None:
 
 def test_changes_of_one_quantity_after_each_other_are_one() -> None:
     problem = problem_from_dict(small(arena=ARENA))
-    knobs = {each.key: each for each in _knobs(problem, ())}
+    knobs = {each.key: each for each in knobs_of(problem, ())}
     for key in ("team.cable_length", "polygon", "arena.upper[0]"):
         first = change_of(problem, knobs[key], 0.2)
         assert first is not None
-        again = {each.key: each for each in _knobs(first.problem, ())}
+        again = {each.key: each for each in knobs_of(first.problem, ())}
         second = change_of(first.problem, again[key], 0.5)
         between = change_of(first.problem, again["limits.speed"], 0.1)
         assert second is not None
@@ -312,7 +306,7 @@ def test_a_slipping_grip_gets_a_lighter_or_rougher_object(monkeypatch: pytest.Mo
 def test_scaled_outlines_stay_similar_through_all_kinds_of_steps() -> None:
     data, factor = triangle(), 0.83
     problem = problem_from_dict(data)
-    edits = outlines_scaled(problem, factor)
+    edits = scaled_outlines(problem, factor)
     before = outlines(problem)
     for changed in (with_edits(problem, edits), problem_from_dict(edited(data, edits))):
         after = outlines(changed)
@@ -349,7 +343,7 @@ TEAM = ho.Team(
         (lambda p: (team_edit(p, "cable_length", 1.1 * p.team.cable_length),), "cable_length"),
         (lambda p: (team_edit(p, "tension", 1.1 * p.team.tension),), "tension"),
         (lambda p: (team_edit(p, "max_thrust", 1.1 * p.team.max_thrust[::2]),), "quadrotor"),
-        (lambda p: outlines_scaled(p, 0.9), ""),
+        (lambda p: scaled_outlines(p, 0.9), ""),
     ],
 )
 def test_repaired_problems_keep_all_fields(edit: Callable[[ho.Problem], Any], changed: str) -> None:

@@ -21,7 +21,7 @@ from hitchopt.motion.motion import CableState
 from hitchopt.statics.energy import DEAD, HitchEnergy
 from hitchopt.statics.settle import Settled, conditions_of, energy_of, samples_of
 from hitchopt.statics.tolerance import Tolerance, responses, taut_times
-from hitchopt.steps.certified_motions import resting
+from hitchopt.steps.certified_motions import rest_motion
 from hitchopt.trajectory import PiecewisePolynomial
 from problems.random_morph import random_convex_polygon
 
@@ -30,7 +30,7 @@ topologies = st.sampled_from(["closed", "open"])
 
 
 def standing(hitch: ho.Hitch) -> ho.Motion:
-    return resting(hitch, Requirements(), 2.0, ho.Phase("hold", 0, 0.0, 2.0))
+    return rest_motion(hitch, Requirements(), 2.0, ho.Phase("hold", 0, 0.0, 2.0))
 
 
 def random_hitch(

@@ -17,11 +17,11 @@ from hitchopt.cli import main
 from hitchopt.errors import Progress
 from hitchopt.mission.loading import parse_problem
 from hitchopt.mission.problem import STEP
-from hitchopt.mission.repair import Edit
 from hitchopt.mission.solving import solve_problem
 from hitchopt.motion.states import states_at
 from hitchopt.steps import STEPS
-from hitchopt.steps.certified_motions import Certified
+from hitchopt.steps.certified_motions import CertifiedMotion
+from hitchopt.steps.step import Edit
 from hitchopt.storage.yaml_file import parse_yaml
 from hitchopt.view.editing import (
     START,
@@ -51,7 +51,7 @@ def editing(tmp_path: Path) -> Iterator[Editing]:
     path = tmp_path / "problem.yaml"
     path.write_text(TEXT)
     plan = ho.solve(path)
-    made = Editing(TEXT, path, Certified(plan.motion, plan.certificate))
+    made = Editing(TEXT, path, CertifiedMotion(plan.motion, plan.certificate))
     yield made
     made.close()
 
@@ -59,7 +59,9 @@ def editing(tmp_path: Path) -> Iterator[Editing]:
 @pytest.mark.parametrize("stem", ["lay_hexagon", "join_a_fourth"])
 def test_steps_that_open_vertices_or_change_robots_have_no_handles(stem: str) -> None:
     text, plan = (PROBLEMS / f"{stem}.yaml").read_text(), planned(stem)
-    editing = Editing(text, PROBLEMS / f"{stem}.yaml", Certified(plan.motion, plan.certificate))
+    editing = Editing(
+        text, PROBLEMS / f"{stem}.yaml", CertifiedMotion(plan.motion, plan.certificate)
+    )
     steps = range(len(editing.problem.mission))
     assert [bool(editing.handles(index)) for index in steps] == [True, *[False] * (len(steps) - 1)]
     corners = [outline and len(outline.vertices) for outline in outlines(editing.problem)]
@@ -101,7 +103,7 @@ def test_while_a_plan_is_made_the_old_one_is_called_old_and_stale_ones_go(
     first, seen, begun = editing.planned, list[Stage](), list[ho.Problem]()
     free, entered = threading.Event(), threading.Semaphore(0)
 
-    def waiting(problem: ho.Problem, progress: Progress) -> Certified:
+    def waiting(problem: ho.Problem, progress: Progress) -> CertifiedMotion:
         begun.append(problem)
         entered.release()
         assert free.wait(30.0)

@@ -1,0 +1,470 @@
+"""Changes of a problem that may make it feasible: knobs, and edits of the problem's file.
+
+A knob is a number of the problem that can be raised or lowered.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from hitchopt.checks.registry import RULE_OF
+from hitchopt.errors import InfeasibleError, InputError, OneLine, Violation
+from hitchopt.geometry.vectors import length, unit
+from hitchopt.hitch import Quadrotor
+from hitchopt.hitch.flight_controller import RETUNED, stiffest_gains
+from hitchopt.hitch.requirements import Limits
+from hitchopt.mission.problem import DronesStart, HitchStart, Problem
+from hitchopt.objects import SolidObject
+from hitchopt.objects.placing import in_world
+from hitchopt.steps.carrying import TransportObject
+from hitchopt.steps.step import (
+    DECIMALS,
+    PLAN_DURATION,
+    Edit,
+    Edits,
+    Knob,
+    RolledLegs,
+    checks_relaxed_by,
+    scaled_outline_edit,
+    scaled_points,
+)
+from hitchopt.storage.yaml_file import split_key, with_value
+from hitchopt.values import Array
+from hitchopt.values.fields import keys_of
+
+DIGITS = 3
+"""Number of significant digits of a suggested value."""
+
+
+@dataclass(frozen=True, eq=False)
+class Change(OneLine):
+    """Change of one quantity of a problem.
+
+    Attributes
+    ----------
+    key, words: path of the quantity in the problem file; its description if the path is not enough.
+    old, new, unit: old and new value [unit]; the unit is ``times`` for a factor, empty for words.
+    relative: signed size of the change relative to the quantity; 0 for words.
+    problem, edits: problem with the change; edits of the problem's file.
+    before: change that is made before it; ``edits`` then has the edits of both.
+    covers: constraints that a larger change may repair.
+    """
+
+    key: str
+    words: str
+    old: float | str
+    new: float | str
+    unit: str
+    relative: float
+    problem: Problem
+    edits: Edits
+    before: Change | None = None
+    covers: frozenset[str] = frozenset()
+
+    def __str__(self) -> str:
+        return f"{self.before} and {self._words}" if self.before else self._words
+
+    def after(self, before: Change) -> Change:
+        """Return this change, of a problem changed by ``before``, combined with ``before``.
+
+        Two changes of the same quantity are merged.
+        """
+        previous = before if self.before is None else self.before.after(before)
+        combined = replace(self, before=previous, edits=before.edits + self.edits)
+        same = next((each for each in previous.together() if each.key == self.key), None)
+        if same is None or not same.relative:
+            return combined
+        old, middle, new = float(same.old), float(same.new), float(self.new)
+        new = middle * new if self.unit == "times" else new
+        relative = same.relative * (new - old) / (middle - old)
+        chain: Change | None = None
+        for each in previous.together():
+            chain = chain if each is same else replace(each, before=chain)
+        return replace(combined, old=old, new=new, relative=relative, before=chain)
+
+    def together(self) -> list[Change]:
+        """Return all changes in order."""
+        return [*(self.before.together() if self.before else ()), self]
+
+    @property
+    def size(self) -> float:
+        """Size of the largest of all changes."""
+        return max(abs(each.relative) for each in self.together())
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the change as plain values, for JSON."""
+        hidden = {"problem", "words", "before", "covers"}
+        plain = {k: v for k, v in vars(self).items() if k not in hidden}
+        plain["edits"] = [vars(edit) for edit in self.edits]
+        return plain | ({"before": self.before.to_dict()} if self.before else {})
+
+    @property
+    def _words(self) -> str:
+        unit = f" {self.unit}" if self.unit else ""
+        values = [v if isinstance(v, str) else f"{v:.6g}" for v in (self.old, self.new)]
+        change = f"{self.key} {values[0]} -> {values[1]}{unit}"
+        if not self.relative:
+            return change
+        words, percent = f"{self.words}, " if self.words else "", 100.0 * self.relative
+        share = f"{percent:+.3g}" if abs(percent) < 999.5 else f"{percent:+.0f}"
+        return f"{change} ({words}{share} %)"
+
+
+def change_of(problem: Problem, knob: Knob, size: float) -> Change | None:
+    """Return a change of a relative size, rounded away from the old value; None if invalid."""
+    extent = knob.extent or knob.old
+    value = knob.old + knob.sign * size * extent
+    step = 10.0 ** (math.floor(math.log10(knob.extent or abs(value))) + 1 - DIGITS)
+    steps = value / step  # the margin of 1e-9 keeps values that are already rounded
+    rounded = math.ceil(steps - 1e-9) if knob.sign > 0 else math.floor(steps + 1e-9)
+    new = float(f"{rounded * step:.12g}")
+    edits = knob.edits(new)
+    try:
+        changed = with_edits(problem, edits)
+    except InputError:
+        return None
+    quantity = knob.key, knob.words, knob.old, new, knob.unit
+    return Change(*quantity, (new - knob.old) / extent, changed, edits, covers=knob.covers)
+
+
+def with_edits(problem: Problem, edits: Edits) -> Problem:
+    """Return the problem with edits of its file, or raise InputError."""
+    names = ("team", "start", "mission", "arena", "limits", "objects")
+    parts = {name: getattr(problem, name) for name in names}
+    for edit in edits:
+        name, *path = re.findall(r"[^.\[\]]+", edit.key)
+        if name == "start":
+            del path[0]  # the kind of start
+        elif name == "mission":
+            del path[1]
+        if path:
+            parts[name] = _with_value(parts[name], path, edit.value)
+        else:
+            parts[name] = keys_of(Problem)[name].from_file(name, edit.value)
+    return replace(problem, **parts)
+
+
+def with_edits_in(text: str, edits: Edits) -> str:
+    """Return the text of a problem file with edits; all else stays, including comments."""
+    for edit in edits:
+        text = with_value(text, split_key(edit.key), edit.value)  # type: ignore[arg-type]
+    return text
+
+
+def _with_value(record: Any, path: Sequence[str], value: Any) -> Any:
+    """Return a record with the value at a path of file keys."""
+    key, *rest = path
+    if isinstance(record, tuple):
+        i = int(key)
+        return (*record[:i], _with_value(record[i], rest, value), *record[i + 1 :])
+    if isinstance(record, Mapping):  # objects by name
+        return {**record, key: _with_value(record[key], rest, value)}
+    keys = {each.name: (name, each) for name, each in keys_of(type(record)).items()}
+    name, declared = keys.get(key, (key, None))
+    if rest:
+        value = _with_value(getattr(record, name), rest, value)
+    elif declared is not None:
+        value = declared.from_file(key, value)
+    return replace(record, **{name: value})
+
+
+def broken_constraints(error: InfeasibleError) -> frozenset[str]:
+    """Return the names of all violated constraints."""
+    return frozenset(map(constraint_name, error.violations))
+
+
+def constraint_name(violation: Violation) -> str:
+    """Return the name of the constraint; PLAN_DURATION for the duration of the whole plan."""
+    is_plan_duration = (violation.constraint, violation.sense) == ("duration", "max")
+    return PLAN_DURATION if is_plan_duration else violation.constraint
+
+
+def _min_size(violations: Iterable[Violation], name: str) -> float:
+    """Return the minimum relative increase of a limit, or of a step's duration."""
+    pairs = [(v.value, v.limit) for v in violations if constraint_name(v) == name]
+    if name == "duration":
+        pairs = [(limit, value) for value, limit in pairs]
+    sizes = (larger / smaller - 1.0 for larger, smaller in pairs if smaller > 0.0)
+    return max(filter(math.isfinite, sizes), default=0.0)
+
+
+# Knobs and their changes.
+
+SPACE_CHECKS, TIME_CHECKS, FORCE_CHECKS = (
+    checks_relaxed_by("length") | {"tracking_radius"},
+    checks_relaxed_by("time"),
+    checks_relaxed_by("tension"),
+)
+
+DURATION_CHECKS = frozenset({"duration", PLAN_DURATION})
+"""Constraints that a faster plan or more time repairs."""
+
+DISTANCE_CHECKS = frozenset({"crossing", "cable_clearance", "separation", "tracking_radius"})
+"""Constraints that more distance repairs."""
+
+LOAD_CHECKS, GRIP_CHECKS = frozenset({"load"}), frozenset({"grip"})
+"""Constraints that a higher tension repairs, and that lighter or rougher objects repair."""
+
+MAX_FRICTION, MAX_TILT_DEG, LOAD_SHARE = 1.0, 80.0, 0.95
+"""Maximum coefficient of friction and maximum tilt [deg] of suggestions; first mass to try, as a
+share of the maximum mass at rest, since carrying adds forces."""
+
+CHECK_OF_LIMIT = {"leg": "legs"}
+"""Names of checks that differ from their limits."""
+
+
+def knobs_of(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:
+    """Yield the knobs of a problem; safety distances are never changed."""
+    yield from _start_knobs(problem)
+    yield from _team_knobs(problem, violations)
+    yield from _object_knobs(problem, violations)
+    for name, limit in keys_of(Limits).items():
+        value, rule = getattr(problem.limits, name), RULE_OF.get(CHECK_OF_LIMIT.get(name, name))
+        if value is None or rule is None:
+            continue
+        old, check = limit.to_file(value), PLAN_DURATION if name == "duration" else rule.name
+        covers = frozenset({check}) | (DURATION_CHECKS if rule.derivative else frozenset())
+        knob = Knob(f"limits.{limit.name}", old, rule.unit, covers=covers)
+        max_size = MAX_TILT_DEG / old - 1.0 if name == "tilt" else math.inf
+        if rule.sense == "min":
+            yield replace(knob, sign=-1)
+        elif max_size > 0.0:
+            yield replace(knob, min_size=_min_size(violations, check), max_size=max_size)
+    for i, step in enumerate(problem.mission):
+        slowdown = _min_size((v for v in violations if f"step {i} " in v.when), "duration")
+        for knob in step.knobs():
+
+            def make_edits(new: float, i: int = i, knob: Knob = knob) -> Edits:
+                return _in_step(problem, i, knob.edits(new))
+
+            key = f"mission[{i}].{step.name}.{knob.key}"
+            min_size = slowdown if "duration" in knob.covers else 0.0
+            if isinstance(step, TransportObject) and knob.key == "lift":
+                tops = [x.at[2] + x.upper for x in _obstacles(problem, step, violations)]
+                base = max(step.to[2], problem.objects[step.object].at[2])
+                lift = max(tops, default=0.0) + problem.separation.object - base
+                min_size = max(0.0, float(lift) / step.lift - 1.0)
+            yield replace(knob, key=key, make_edits=make_edits, min_size=min_size)
+    yield from _wall_knobs(problem, violations)
+
+
+def _start_knobs(problem: Problem) -> Iterator[Knob]:
+    """Yield the knobs of drones that start on free cables: distances of robots and of pairs."""
+    start = problem.start
+    if not isinstance(start, DronesStart):
+        return
+    middles, arms = 0.5 * (start.q + start.r)[:, :2], 0.5 * (start.r - start.q)[:, :2]
+
+    def scale(middle_factor: float, arm_factor: float) -> Edits:
+        """Return the edits that scale the middles of robots, and the arms to their drones."""
+        centres = scaled_points(middles, middle_factor, np.mean(middles, axis=0))
+        edits = []
+        for name, sign in (("q", -1.0), ("r", 1.0)):
+            level = np.round(centres + sign * arm_factor * arms, DECIMALS)
+            places = np.column_stack([level, getattr(start, name)[:, 2]])
+            edits.append(Edit(f"start.drones.{name}", places.tolist()))
+        return tuple(edits)
+
+    key, span = "start.drones", frozenset({"span"})
+    robots, pairs = "robots from their middle", "two drones of a robot"
+    yield Knob(key, 1.0, "times", lambda factor: scale(factor, 1.0), 1, DISTANCE_CHECKS, robots)
+    yield Knob(key, 1.0, "times", lambda factor: scale(1.0, factor), -1, span, pairs)
+
+
+def _team_knobs(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:
+    """Yield the knobs of cables, outlines and forces."""
+    tension = _team_values(problem, "tension", "N")
+    length = replace(_team_values(problem, "cable_length", "m"), words="all cables")
+    yield replace(length, covers=SPACE_CHECKS)
+    yield replace(length, sign=-1, covers=DISTANCE_CHECKS | {"arena"})
+    scale = partial(scaled_outlines, problem)
+    polygons = Knob("polygon", 1.0, "times", scale, 1, DISTANCE_CHECKS, "scale of all polygons")
+    covers = SPACE_CHECKS | TIME_CHECKS | DURATION_CHECKS | {"arena"}
+    yield replace(polygons, sign=-1, covers=covers)
+    yield polygons
+    yield replace(tension, sign=-1, covers=FORCE_CHECKS)
+    yield replace(tension, covers=LOAD_CHECKS, min_size=_min_size(violations, "load"))
+    if np.any(problem.team.load > 0.0):
+        covers = LOAD_CHECKS | FORCE_CHECKS | DISTANCE_CHECKS
+        yield replace(_team_values(problem, "load", "kg"), sign=-1, covers=covers)
+    thrust = _team_values(problem, "max_thrust", "N")
+    key = "team.quadrotor.max_thrust" if thrust.unit == "N" else "team.quadrotor"
+    yield replace(thrust, key=key, covers=DURATION_CHECKS | {"thrust"})
+
+
+def _team_values(problem: Problem, name: str, unit: str) -> Knob:
+    """Return the knob of the team's values: their common value, or a factor of all."""
+    team = problem.team
+    values: Array = team.max_thrust[::2] if name == "max_thrust" else getattr(team, name)
+    are_equal = bool(np.ptp(values) == 0.0)
+    ratios = np.ones(len(values)) if are_equal else values
+    old, words = (float(values[0]), "") if are_equal else (1.0, f"every {name}")
+
+    def make_edits(new: float) -> Edits:
+        return (team_edit(problem, name, new * ratios),)
+
+    return Knob(f"team.{name}", old, unit if are_equal else "times", make_edits, words=words)
+
+
+def team_edit(problem: Problem, name: str, values: Array) -> Edit:
+    """Return the edit of a team's values: one value if all are equal."""
+    rounded: list[Any] = [round(float(value), DECIMALS) for value in values]
+    if name == "max_thrust":
+        name, kinds = "quadrotor", problem.team.quadrotor
+        thrusts = zip(kinds, rounded, strict=True)
+        rounded = [_quadrotor_keys(kind) | {"max_thrust": x} for kind, x in thrusts]
+    are_equal = all(value == rounded[0] for value in rounded)
+    return Edit(f"team.{name}", rounded[0] if are_equal else rounded)
+
+
+def _quadrotor_keys(kind: Quadrotor) -> dict[str, Any]:
+    """Return a quadrotor's values by key: mass, thrust and all that differs from the default."""
+    required, defaults = ("mass", "max_thrust"), vars(Quadrotor())
+    values = {key: v for key, v in vars(kind).items() if key in required or v != defaults[key]}
+    if kind.gains is not None:
+        gains = {key: pair for key, pair in vars(kind.gains).items() if pair is not None}
+        values["gains"] = {key: list(pair) for key, pair in gains.items()}
+    return values
+
+
+def retuning_changes(problem: Problem) -> Iterator[Change]:
+    """Yield changes to the smallest tracking error, and to the stiffest gains of controllers."""
+    if (error := problem.limits.tracking) is not None and error > RETUNED:
+        edits = (Edit("limits.tracking", RETUNED),)
+        relative, changed = RETUNED / error - 1.0, with_edits(problem, edits)
+        yield Change("limits.tracking", "", error, RETUNED, "m", relative, changed, edits)
+    kinds = problem.team.quadrotor
+    controlled = [kind for kind in kinds if kind.controller is not None]
+    if all(kind.loop.tracking == RETUNED for kind in controlled):
+        return
+    values = [
+        _quadrotor_keys(replace(kind, controller=None, gains=None))
+        | {"controller": "mellinger", "gains": stiffest_gains(kind.mass)}
+        for kind in kinds
+    ]
+    are_equal = all(each == values[0] for each in values)
+    edits = (Edit("team.quadrotor", values[0] if are_equal else values),)
+    changed = with_edits(problem, edits)
+    old = ", ".join(dict.fromkeys(str(kind.controller) for kind in controlled))
+    new = f"mellinger with gains {values[0]['gains']}".replace("'", "")
+    yield Change("team.quadrotor.controller", "", old, new, "", 0.0, changed, edits)
+
+
+def scaled_outlines(problem: Problem, factor: float) -> Edits:
+    """Return the edits that scale all outlines about their centroids, and points accordingly."""
+    centre, edits = np.zeros(2), list[Edit]()
+    if isinstance(problem.start, HitchStart):
+        centre = problem.start.polygon.centroid
+        edits.append(scaled_outline_edit("start.hitch.polygon", problem.start.polygon, factor))
+    for i, step in enumerate(problem.mission):
+        step_edits, centre = step.scaled(factor, centre)
+        edits += _in_step(problem, i, step_edits)
+    return tuple(edits)
+
+
+def _in_step(problem: Problem, i: int, edits: Edits) -> Edits:
+    """Return edits of step i with their paths in the file."""
+    name = problem.mission[i].name
+    return tuple(Edit(f"mission[{i}].{name}.{edit.key}", edit.value) for edit in edits)
+
+
+def _object_knobs(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:
+    """Yield the mass and friction of the objects that violations mention."""
+    grips = [v.value / v.limit for v in violations if v.constraint == "grip" and v.limit > 0.0]
+    loads = [v.limit / v.value for v in violations if v.constraint == "load" and v.value > 0.0]
+    grip_share, mass_share = (
+        LOAD_SHARE * min((each for each in shares if 0.0 < each < 1.0), default=1.0 / LOAD_SHARE)
+        for shares in (grips, grips + loads)
+    )
+    holding = GRIP_CHECKS | LOAD_CHECKS
+    covers = holding | FORCE_CHECKS | DISTANCE_CHECKS | {"equilibrium", "keep_out"}
+    for name, body in problem.objects.items():
+        mentions = (f"objects.{name}" in v.when or name in v.where for v in violations)
+        if body.fixed or not any(mentions):
+            continue
+        min_size = round(1.0 - mass_share, 9)
+        yield Knob(f"objects.{name}.mass", body.mass, "kg", None, -1, covers, min_size=min_size)
+        if 0.0 < body.friction <= grip_share * MAX_FRICTION:
+            knob = Knob(f"objects.{name}.friction", body.friction, "", covers=holding)
+            max_size = MAX_FRICTION / body.friction - 1.0
+            yield replace(knob, min_size=1.0 / grip_share - 1.0, max_size=max_size)
+
+
+def _obstacles(
+    problem: Problem, step: TransportObject, violations: Sequence[Violation]
+) -> list[SolidObject]:
+    """Return the objects that violations name, except the carried one."""
+    names = dict.fromkeys(name for each in violations for name in each.where)
+    return [x for name, x in problem.objects.items() if name in names and name != step.object]
+
+
+def detour_changes(problem: Problem, violations: Sequence[Violation]) -> Iterator[Change]:
+    """Yield changes to routes around obstacles, nearer ones first."""
+    reach = float(np.max(problem.team.cable_length)) + problem.separation.radius
+    for i, step in enumerate(problem.mission):
+        if not isinstance(step, TransportObject) or step.via is not None:
+            continue
+        start, end = problem.objects[step.object].at, step.to
+        along, high = unit(end[:2] - start[:2]), float(max(start[2], end[2])) + step.lift
+        across = np.array([-along[1], along[0]])
+        for body in _obstacles(problem, step, violations):
+            section, centre = body.section, body.section.centroid
+            middle = in_world(body.pose, np.append(centre, 0.0))[:2]
+            distance = reach + float(np.max(length(section.core - centre))) + section.rounding
+            offset = middle - start[:2]
+            for side in (across, -across):
+                waypoint = start[:2] + (offset @ along) * along + (offset @ side + distance) * side
+                place = np.round([*waypoint, high], 2).tolist()
+                edits = _in_step(problem, i, (Edit("via", [place]),))
+                changed = with_edits(problem, edits)
+                yield Change(edits[0].key, "", "none", str([place]), "", 0.0, changed, edits)
+
+
+def _wall_knobs(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:
+    """Yield the arena's walls, all upright ones together and each wall alone."""
+    arena = problem.arena
+    if arena is None:
+        return
+    excess = max((-v.value for v in violations if v.constraint == "arena"), default=0.0)
+    middle, extents = 0.5 * (arena.lower + arena.upper), arena.upper - arena.lower
+
+    def widen(factor: float) -> Edits:
+        half = 0.5 * extents * [factor, factor, 1.0]
+        corners = {"lower": middle - half, "upper": middle + half}
+        return (Edit("arena", {k: np.round(x, DECIMALS).tolist() for k, x in corners.items()}),)
+
+    covers, min_size = frozenset({"arena"}), 2.0 * excess / float(np.min(extents[:2]))
+    yield Knob("arena", 1.0, "times", widen, 1, covers, "length and width", min_size=min_size)
+    for axis in range(3):
+        extent = float(extents[axis])
+        for side, sign in (("lower", -1), ("upper", 1)):
+
+            def move_wall(new: float, side: str = side, axis: int = axis) -> Edits:
+                corners = {name: getattr(arena, name).tolist() for name in ("lower", "upper")}
+                corners[side][axis] = new
+                return (Edit("arena", corners),)
+
+            key, old = f"arena.{side}[{axis}]", float(getattr(arena, side)[axis])
+            min_size = excess / extent
+            yield Knob(key, old, "m", move_wall, sign, covers, "one wall", extent, min_size)
+
+
+def spread_changes(problem: Problem) -> Iterator[Change]:
+    """Yield the changes from other legs to spread ones, at the start or after steps."""
+    records: list[tuple[str, object]] = [("start.hitch", problem.start)]
+    records += [(f"mission[{i}].{step.name}", step) for i, step in enumerate(problem.mission)]
+    for place, record in records:
+        legs: Any = getattr(record, "legs", None)
+        sharing = legs.sharing if isinstance(legs, RolledLegs) else legs
+        if sharing is None or (isinstance(sharing, str) and sharing == "spread"):
+            continue
+        edits = (Edit(f"{place}.legs", "spread"),)
+        old, changed = legs if isinstance(legs, str) else "as given", with_edits(problem, edits)
+        yield Change(edits[0].key, "", old, "spread", "", 0.0, changed, edits)
