@@ -42,11 +42,11 @@ BODIES: dict[str, dict[str, Any]] = {
 }
 
 RADIUS = {"tray": 0.4, "drum": 0.56, "box": 0.46}
-"""Radius of the hitch that is tied [m]; what grips is as large as around the object."""
+"""Radius of the hitch after forming [m]; a gripping hitch is as large as around the object."""
 
 AWAY, BY, ALTITUDE, STARTS = 2.2, 1.5, 1.3, 1.0
-"""Where the object stands in x, how far it is carried in y, the height at which hitches are tied,
-and the distance of the starts' rows from the hitch's centre [m]."""
+"""Place of the object in x, distance of its transport in y, altitude of the formed hitch, and offset
+of the starting rows from the hitch's centre [m]."""
 
 
 def setting(case: str) -> tuple[int, str, dict[str, Any], list[list[float]], dict[str, Any]]:
@@ -89,7 +89,7 @@ def mission(case: str) -> dict[str, Any]:
 
 
 def load(case: str, mass: float) -> dict[str, Any]:
-    """Return the problem of a hitch that comes around an object of a mass [kg] and holds it."""
+    """Return the problem of a hitch that encloses and holds an object of a mass [kg]."""
     _, kind, team, polygon, body = setting(case)
     grasp: dict[str, Any] = {"object": "held"}
     if kind != "tray":
@@ -109,7 +109,7 @@ def load(case: str, mass: float) -> dict[str, Any]:
 
 
 def largest_mass(case: str) -> float:
-    """Return the largest mass [kg] that is planned, to one per cent."""
+    """Return the largest mass [kg] with a plan, to one per cent."""
     low, high = 0.02, 1.0
     while high > 1.01 * low:
         middle = float(np.sqrt(low * high))
@@ -122,32 +122,32 @@ def largest_mass(case: str) -> float:
 
 
 def main() -> None:
-    """Print and write a row for every case."""
-    options = parser(__doc__)
-    options.add_argument("cases", nargs="*", help=f"{', '.join(CABLES)}; by default all")
-    options.add_argument("--runs", type=int, default=10)
-    options.add_argument("--seed", type=int, default=7000)
-    options.add_argument("--preset", choices=("fast", "accurate"), default="accurate")
-    options.add_argument("--processes", type=int, default=1)
-    options.add_argument("--loads", action="store_true", help="hold 0.8 of the largest mass")
-    given = options.parse_args()
-    name = "carrying_loads" if given.loads else "carrying"
-    title = "Loads held" if given.loads else "Objects carried from the ground and back"
-    table = Table(given.output / f"{name}.md", title, LIMITATIONS, ("mujoco",))
-    table.note(f"preset {given.preset}, seeds from {given.seed} on")
+    """Print and write a row for each case."""
+    cli = parser(__doc__)
+    cli.add_argument("cases", nargs="*", help=f"{', '.join(CABLES)}; by default all")
+    cli.add_argument("--runs", type=int, default=10)
+    cli.add_argument("--seed", type=int, default=7000)
+    cli.add_argument("--preset", choices=("fast", "accurate"), default="accurate")
+    cli.add_argument("--processes", type=int, default=1)
+    cli.add_argument("--loads", action="store_true", help="hold 0.8 of the largest mass")
+    options = cli.parse_args()
+    name = "carrying_loads" if options.loads else "carrying"
+    title = "Loads held" if options.loads else "Objects carried from the ground and back"
+    table = Table(options.output / f"{name}.md", title, LIMITATIONS, ("mujoco",))
+    table.note(f"preset {options.preset}, seeds from {options.seed} on")
     columns = ("flights", "succeeded (95 %)", "first failures", "placed [cm]", "slipped [cm]")
     table.section("", "case", "mass [g]", *columns)
     exact: dict[str, Any] = {"perturbations": {"object_mass": 0.0, "object_friction": 0.0}}
-    for case in given.cases or CABLES:
-        mass = 0.8 * largest_mass(case) if given.loads else float(setting(case)[4]["mass"])
-        problem = load(case, mass) if given.loads else mission(case)
+    for case in options.cases or CABLES:
+        mass = 0.8 * largest_mass(case) if options.loads else float(setting(case)[4]["mass"])
+        problem = load(case, mass) if options.loads else mission(case)
         try:
             plan = ho.solve(ho.problem_from_dict(problem))
         except ho.InfeasibleError as error:
             table.row(case, 1e3 * mass, 0, f"refused: {error.violations[0].constraint}", "", "", "")
             continue
-        settings = {"pull_test": False, **(exact if given.loads else {})}
-        runs = fly(plan, given.runs, given.seed, given.preset, given.processes, **settings)
+        settings = {"pull_test": False, **(exact if options.loads else {})}
+        runs = fly(plan, options.runs, options.seed, options.preset, options.processes, **settings)
         errors = (
             centimetres([run.figures.get(name, np.nan) for run in runs])
             for name in ("placed", "slipped")

@@ -1,4 +1,4 @@
-"""Flights by flight controllers: who forms and holds a hitch, with which filter, and how sent.
+"""Flights by flight controllers: forming and holding a hitch, by filter and transmission.
 
 Usage: python -m benchmarks controllers [--problems NAME ...] [--controllers NAME ...]
                                         [--filters NAME ...] [--sent streamed uploaded]
@@ -45,12 +45,12 @@ CONTROLLERS: dict[str, tuple[str, dict[str, float] | None]] = {
     "pid": ("pid", STOCK),
     "px4": ("px4", STOCK),
 }
-"""Laws, and gains: stock ones, or those of the problem's team or the stiffest that fly."""
+"""Control laws and gains: stock gains, or those of the problem's team or the stiffest feasible."""
 
 
 SENT = ("streamed", "uploaded")
-DENSITY = 0.005  # Of cables where the problem gives none [kg/m]
-WIND, HEAVY = 0.05, 0.132  # Force of gusts, and of steady wind [N], on a drone of this mass [kg]
+DENSITY = 0.005  # Default density of cables [kg/m]
+WIND, WIND_MASS = 0.05, 0.132  # Force of gusts and steady wind [N] on a drone of this mass [kg]
 
 COLUMNS = (
     "problem", "controller", "filter", "sent", "formed", "first failures", "vertices [cm]",
@@ -61,8 +61,8 @@ Case = tuple[str, str, str, str]
 
 
 @dataclass(frozen=True)
-class Flown:
-    """Figures of a flight; nan if it did not reach them."""
+class FlightFigures:
+    """Figures of a flight; nan if not available."""
 
     formed: bool
     failure: str
@@ -74,32 +74,33 @@ class Flown:
     ratio: float = np.nan  # least separation in flight
 
     @classmethod
-    def of(cls, done: Simulation, separation: ho.Separation) -> Flown:
+    def of(cls, simulation: Simulation, separation: ho.Separation) -> FlightFigures:
         """Return the figures of a flight."""
-        flight, outcome = done.flight, done.outcome
+        flight, outcome = simulation.flight, simulation.outcome
         record, task = flight.record, flight.task
         ends_formed = bool(task.formed[-1])
         formed = outcome.hitched if ends_formed else outcome.succeeded
-        aloft = record.t <= task.duration
+        in_flight = record.t <= task.duration
         off = 100.0 * np.linalg.norm(record.drones - record.commanded, axis=-1)
         semi_axes = [separation.radius, separation.radius, separation.height]
-        places = record.drones[aloft] / (2.0 * np.array(semi_axes))
+        places = record.drones[in_flight] / (2.0 * np.array(semi_axes))
         first, second = np.triu_indices(places.shape[1], 1)
         ratios = np.linalg.norm(places[:, first] - places[:, second], axis=-1)
-        known = {"tilt": done.figures["peak_tilt"], "off": np.max(off[aloft])}
-        known["ratio"] = np.min(ratios)
+        figures = {"tilt": simulation.figures["peak_tilt"], "off": np.max(off[in_flight])}
+        figures["ratio"] = np.min(ratios)
         if formed and ends_formed:
             rest = (record.t > task.duration) & (record.t <= flight.rested)
-            seen = done.errors.offsets[done.errors.t > task.duration]
-            known["vertex"] = 100.0 * np.mean(np.linalg.norm(np.nanmean(seen, axis=0), axis=-1))
-            known["drone"] = np.mean(off[rest])
-            known["tension"] = np.mean(record.tensions[rest] / task.tensions[-1])
+            offsets = simulation.errors.offsets[simulation.errors.t > task.duration]
+            mean_offset = np.linalg.norm(np.nanmean(offsets, axis=0), axis=-1)
+            figures["vertex"] = 100.0 * np.mean(mean_offset)
+            figures["drone"] = np.mean(off[rest])
+            figures["tension"] = np.mean(record.tensions[rest] / task.tensions[-1])
         failure = outcome.failures[0].kind if outcome.failures else ""
-        return cls(formed, failure, **{name: float(value) for name, value in known.items()})
+        return cls(formed, failure, **{name: float(value) for name, value in figures.items()})
 
 
-def planned(name: str) -> ho.Plan:
-    """Return the plan of a problem for drones with a controller, the problem's or a retuned one."""
+def plan_for_controller(name: str) -> ho.Plan:
+    """Return the plan of a problem with its own or a retuned controller."""
     problem = ho.load_problem(PROBLEMS / f"{name}.yaml")
     team = flown_team(problem.team, Settings(controller=CONTROLLERS["mellinger retuned"][0]))
     team = replace(team, cable_density=team.cable_density or DENSITY)
@@ -107,19 +108,19 @@ def planned(name: str) -> ho.Plan:
 
 
 def fly(
-    place: Path,
+    plan: Path,
     team: ho.Team,
     case: Case,
     preset: Literal["fast", "accurate"],
     friction: float | None,
     seed: int,
-) -> Flown:
+) -> FlightFigures:
     """Return the figures of a perturbed flight of a saved plan."""
-    _, controller, known, sent = case
+    _, controller, estimator, sent = case
     name, gains = CONTROLLERS[controller]
-    wind = WIND * min(1.0, (float(np.min(team.mass)) / HEAVY) ** (2.0 / 3.0))
-    done = ho.simulate(
-        place,
+    wind = WIND * min(1.0, (float(np.min(team.mass)) / WIND_MASS) ** (2.0 / 3.0))
+    simulation = ho.simulate(
+        plan,
         preset=preset,
         perturbed=True,
         perturbations={"wind": wind, "steady_wind": wind},
@@ -127,14 +128,15 @@ def fly(
         friction=friction,
         controller=name,
         gains=gains,
-        estimator=known,
+        estimator=estimator,
         upload=sent == "uploaded",
     )
-    motion = done.flight.task.motion
-    return Flown.of(done, ho.Separation() if motion is None else motion.requirements.separation)
+    motion = simulation.flight.task.motion
+    separation = ho.Separation() if motion is None else motion.requirements.separation
+    return FlightFigures.of(simulation, separation)
 
 
-def row(case: Case, flights: Sequence[Flown]) -> tuple[object, ...]:
+def row(case: Case, flights: Sequence[FlightFigures]) -> tuple[object, ...]:
     """Return the cells of a case's flights."""
 
     def mean(name: str) -> str:
@@ -155,32 +157,32 @@ def row(case: Case, flights: Sequence[Flown]) -> tuple[object, ...]:
 
 def main() -> None:
     """Print and write the table."""
-    options = parser(__doc__)
+    cli = parser(__doc__)
     problems = ("retuned_triangle", "crazyflie_triangle", "form_square", "tie_carry_untie")
-    options.add_argument("--problems", nargs="*", default=problems)
-    options.add_argument("--controllers", nargs="*", choices=CONTROLLERS, default=[*CONTROLLERS])
-    options.add_argument("--filters", nargs="*", choices=ESTIMATORS, default=[*ESTIMATORS])
-    options.add_argument("--sent", nargs="*", choices=SENT, default=SENT)
-    options.add_argument("--runs", type=int, default=1)
-    options.add_argument("--seed", type=int, default=1000)
-    options.add_argument("--preset", choices=("fast", "accurate"), default="fast")
-    options.add_argument("--friction", type=float)
-    options.add_argument("--processes", type=int, default=1)
-    given = options.parse_args()
-    table = Table(given.output / "controllers.md", "Flight controllers", LIMITATIONS, ("mujoco",))
-    friction = "the team's" if given.friction is None else f"{given.friction:g}"
-    table.note(f"preset {given.preset}, seeds from {given.seed} on, friction {friction}")
+    cli.add_argument("--problems", nargs="*", default=problems)
+    cli.add_argument("--controllers", nargs="*", choices=CONTROLLERS, default=[*CONTROLLERS])
+    cli.add_argument("--filters", nargs="*", choices=ESTIMATORS, default=[*ESTIMATORS])
+    cli.add_argument("--sent", nargs="*", choices=SENT, default=SENT)
+    cli.add_argument("--runs", type=int, default=1)
+    cli.add_argument("--seed", type=int, default=1000)
+    cli.add_argument("--preset", choices=("fast", "accurate"), default="fast")
+    cli.add_argument("--friction", type=float)
+    cli.add_argument("--processes", type=int, default=1)
+    options = cli.parse_args()
+    table = Table(options.output / "controllers.md", "Flight controllers", LIMITATIONS, ("mujoco",))
+    friction = "the team's" if options.friction is None else f"{options.friction:g}"
+    table.note(f"preset {options.preset}, seeds from {options.seed} on, friction {friction}")
     table.section("", *COLUMNS)
-    with TemporaryDirectory() as folder, ProcessPoolExecutor(given.processes) as pool:
-        for problem in given.problems:
-            plan = planned(problem)
+    with TemporaryDirectory() as folder, ProcessPoolExecutor(options.processes) as pool:
+        for problem in options.problems:
+            plan = plan_for_controller(problem)
             place = plan.save(Path(folder) / problem)
-            for case in product([problem], given.controllers, given.filters, given.sent):
-                one = partial(fly, place, plan.motion.team, case, given.preset, given.friction)
-                seeds = range(given.seed, given.seed + given.runs)
+            for case in product([problem], options.controllers, options.filters, options.sent):
+                one = partial(fly, place, plan.motion.team, case, options.preset, options.friction)
+                seeds = range(options.seed, options.seed + options.runs)
                 try:
                     table.row(*row(case, list(pool.map(one, seeds))))
-                except ho.HitchoptError as error:  # such as an upload that memory does not hold
+                except ho.HitchoptError as error:  # such as an upload that exceeds the memory
                     table.row(*case, f"refused: {str(error).splitlines()[0]}")
 
 

@@ -45,8 +45,8 @@ EXPERIMENTS = (
 FLOWN = ("flights", "succeeded (95 %)", "first failures", "moving [cm]", "at rest [cm]")
 
 
-def tied(n: int, friction: float) -> dict[str, Any]:
-    """Return the problem of a regular hitch of n robots, tied from rows of two on the ground."""
+def formed_problem(n: int, friction: float) -> dict[str, Any]:
+    """Return the problem of a regular hitch of n robots, formed from rows of two on the ground."""
     row, column = np.divmod(np.arange(n), 2)
     q = np.column_stack([1.8 * column - 1.4, 1.5 - 0.9 * row, np.zeros(n)])
     r = q + [1.0, 0.0, 0.0]
@@ -64,7 +64,7 @@ def tied(n: int, friction: float) -> dict[str, Any]:
 
 
 def experiment(name: str, friction: float) -> ho.Plan:
-    """Return the plan of a problem file whose cables have another friction."""
+    """Return the plan of a problem file with another cable friction."""
     problem = ho.load_problem(PROBLEMS / f"{name}.yaml")
     return ho.solve(replace(problem, team=replace(problem.team, cable_friction=friction)))
 
@@ -83,7 +83,7 @@ def _one(place: Path, preset: str, settings: dict[str, Any], seed: int) -> Run:
 
 
 def success(runs: Sequence[Run]) -> tuple[int, str, str]:
-    """Return how many flights there are, how many succeeded, and what failed first in others."""
+    """Return the number of flights, the number of successes, and the first failures."""
     count = sum(run.succeeded for run in runs)
     low, high = binomtest(count, len(runs)).proportion_ci(0.95, method="wilson")
     first = Counter(run.failures[0].kind for run in runs if run.failures)
@@ -92,9 +92,9 @@ def success(runs: Sequence[Run]) -> tuple[int, str, str]:
 
 
 def centimetres(values: Sequence[float]) -> str:
-    """Return the mean of lengths [m] in centimetres, where there are any."""
-    there = [value for value in values if np.isfinite(value)]
-    return f"{100.0 * np.mean(there):.1f}" if there else ""
+    """Return the mean of the finite lengths [m] in centimetres, or nothing."""
+    finite = [value for value in values if np.isfinite(value)]
+    return f"{100.0 * np.mean(finite):.1f}" if finite else ""
 
 
 def errors(runs: Sequence[Run]) -> tuple[str, str]:
@@ -105,25 +105,25 @@ def errors(runs: Sequence[Run]) -> tuple[str, str]:
     )  # type: ignore[return-value]
 
 
-WAYS = {
+METHODS = {
     "settled": (0.1, "auto", False),
     "settled, then corrected": (0.1, "auto", True),
     "left": (0.1, False, False),
     "without friction": (0.0, False, False),
 }
-"""Friction, what ``form`` does about it in the end, and whether ``ho.Feedback`` corrects."""
+"""Friction, ``settle`` of form, and whether ``ho.Feedback`` corrects."""
 
 CALM = {"noise": 0.01, "velocity_noise": 0.03, "wind": 0.05}
-"""Noise and gusts alone."""
+"""Noise and gusts only."""
 
-SEEN = {"vertex_noise": 0.01, "vertex_delay": 0.05}
-"""Error [m] and age [s] of the vertices that corrections know."""
+FEEDBACK_ERRORS = {"vertex_noise": 0.01, "vertex_delay": 0.05}
+"""Error [m] and age [s] of measured vertices in feedback."""
 
 
 def irregular(seed: int, friction: float, settle: object) -> dict[str, Any]:
     """Return the problem of a hitch with 3 to 6 robots and an irregular outline."""
     random = np.random.default_rng(seed)
-    problem = tied(3 + seed % 4, friction)
+    problem = formed_problem(3 + seed % 4, friction)
     form, hold = problem["mission"][0]["form"], problem["mission"][1]["hold"]
     points = np.array(form["polygon"]) * random.uniform(0.9, 1.15)
     angle = random.uniform(0.0, 2.0 * np.pi)
@@ -136,9 +136,9 @@ def irregular(seed: int, friction: float, settle: object) -> dict[str, Any]:
 
 
 def resting(job: tuple[int, str]) -> tuple[object, ...]:
-    """Return the row of one flight: where its vertices are in the last second of rest."""
-    seed, way = job
-    friction, settle, feedback = WAYS[way]
+    """Return the row of a flight: vertex errors in the last second of rest."""
+    seed, method = job
+    friction, settle, feedback = METHODS[method]
     plan = ho.solve(ho.problem_from_dict(irregular(seed, friction, settle)))
     flown = ho.simulate(
         plan,
@@ -146,48 +146,52 @@ def resting(job: tuple[int, str]) -> tuple[object, ...]:
         pull_test=False,
         seed=seed,
         feedback=feedback,
-        perturbations=CALM | SEEN,
+        perturbations=CALM | FEEDBACK_ERRORS,
     )
     last = flown.errors.t > flown.errors.t[-1] - 1.0
     level = flown.errors.without_sag[last]
     each = ", ".join(f"{100.0 * value:.1f}" for value in np.nanmean(level, axis=0))
-    return seed, 3 + seed % 4, way, f"{100.0 * np.nanmean(level):.1f}", each
+    return seed, 3 + seed % 4, method, f"{100.0 * np.nanmean(level):.1f}", each
 
 
 def main() -> None:
     """Print and write the tables."""
-    options = parser(__doc__)
-    options.add_argument("--runs", type=int, default=10)
-    options.add_argument("--seed", type=int, default=1000)
-    options.add_argument("--preset", choices=("fast", "accurate"), default="fast")
-    options.add_argument("--friction", type=float, nargs="*", default=[0.1, 0.3])
-    options.add_argument("--formed", type=int, nargs="*", default=[3, 4, 6])
-    options.add_argument("--processes", type=int, default=1)
-    options.add_argument("--irregular", type=int, nargs="*", default=[], metavar="SEED")
-    options.add_argument("--ways", nargs="*", choices=WAYS, default=list(WAYS))
-    given = options.parse_args()
-    table = Table(given.output / "flights.md", "Flights", LIMITATIONS, ("mujoco",))
-    table.note(f"preset {given.preset}, seeds from {given.seed} on")
-    if given.irregular:
+    cli = parser(__doc__)
+    cli.add_argument("--runs", type=int, default=10)
+    cli.add_argument("--seed", type=int, default=1000)
+    cli.add_argument("--preset", choices=("fast", "accurate"), default="fast")
+    cli.add_argument("--friction", type=float, nargs="*", default=[0.1, 0.3])
+    cli.add_argument("--formed", type=int, nargs="*", default=[3, 4, 6])
+    cli.add_argument("--processes", type=int, default=1)
+    cli.add_argument("--irregular", type=int, nargs="*", default=[], metavar="SEED")
+    cli.add_argument("--ways", nargs="*", choices=METHODS, default=list(METHODS))
+    options = cli.parse_args()
+    table = Table(options.output / "flights.md", "Flights", LIMITATIONS, ("mujoco",))
+    table.note(f"preset {options.preset}, seeds from {options.seed} on")
+    if options.irregular:
         note = "Irregular hitches tied in calm (noise, gusts), accurate preset: level distances"
         table.section(f"{note} in the last second", "seed", "n", "way", "mean [cm]", "each [cm]")
-        with ProcessPoolExecutor(given.processes) as pool:
-            jobs = [(seed, way) for seed in given.irregular for way in given.ways]
+        with ProcessPoolExecutor(options.processes) as pool:
+            jobs = [(seed, method) for seed in options.irregular for method in options.ways]
             for row in pool.map(resting, jobs):
                 table.row(*row)
         return
     flown = partial(
-        fly, runs=given.runs, seed=given.seed, preset=given.preset, processes=given.processes
+        fly,
+        runs=options.runs,
+        seed=options.seed,
+        preset=options.preset,
+        processes=options.processes,
     )
     table.section("The paper's experiments", "problem", "friction", *FLOWN)
     for name in EXPERIMENTS:
-        for friction in given.friction:
+        for friction in options.friction:
             runs = flown(experiment(name, friction))
             table.row(name, friction, *success(runs), *errors(runs))
     table.section("Regular hitches tied from the ground", "n", "friction", *FLOWN)
-    for n in given.formed:
-        runs = flown(ho.solve(ho.problem_from_dict(tied(n, given.friction[0]))))
-        table.row(n, given.friction[0], *success(runs), *errors(runs))
+    for n in options.formed:
+        runs = flown(ho.solve(ho.problem_from_dict(formed_problem(n, options.friction[0]))))
+        table.row(n, options.friction[0], *success(runs), *errors(runs))
 
 
 if __name__ == "__main__":

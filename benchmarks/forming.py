@@ -32,7 +32,7 @@ LIMITATIONS = (
 )
 
 EDGE, CABLE, LEG, ALTITUDE = 1.3, 2.3, 0.5, 1.5
-"""[m]"""
+"""Lengths of edges, cables and legs, and altitude [m]."""
 
 
 def scattered(n: int, rng: np.random.Generator, spacing: float) -> tuple[Array, Array]:
@@ -46,10 +46,10 @@ def scattered(n: int, rng: np.random.Generator, spacing: float) -> tuple[Array, 
 
 
 def regular(n: int, seed: int) -> tuple[object, ...]:
-    """Return the row of a regular hitch that is tied from the ground."""
+    """Return the row of a regular hitch that is formed from the ground."""
     clearance = min(DEFAULT_CLEARANCE, 0.9 * LEG * math.sin(2.0 * math.pi / n))
     q, r = scattered(n, np.random.default_rng(seed), 1.6)
-    began = time.process_time()
+    start_time = time.process_time()
     plan = ho.form(
         ho.Team(n, CABLE),
         q,
@@ -58,12 +58,12 @@ def regular(n: int, seed: int) -> tuple[object, ...]:
         ALTITUDE,
         separation=ho.Separation(cable=clearance),
     )
-    took, (phase, *_) = time.process_time() - began, plan.motion.phases
-    return n, seed, plan.duration, phase.name, took, clearance_text(clearance)
+    elapsed, (phase, *_) = time.process_time() - start_time, plan.motion.phases
+    return n, seed, plan.duration, phase.name, elapsed, clearance_text(clearance)
 
 
 def irregular(rng: np.random.Generator) -> str:
-    """Return what becomes of a random irregular hitch: formed, or what binds first."""
+    """Return the outcome of a random irregular hitch: formed, or the first violation."""
     n = int(rng.integers(3, 9))
     angles = 2.0 * np.pi * (np.arange(n) + rng.uniform(-0.25, 0.25, n)) / n
     radius = rng.uniform(0.55, 0.8) / np.sin(np.pi / n)
@@ -84,19 +84,21 @@ def irregular(rng: np.random.Generator) -> str:
 
 def main() -> None:
     """Print and write both tables."""
-    options = parser(__doc__)
-    options.add_argument("--robots", type=int, nargs="*", default=[6, 12, 24, 48])
-    options.add_argument("--random", type=int, default=60)
-    given = options.parse_args()
-    table = Table(given.output / "forming.md", "Forming", LIMITATIONS)
+    cli = parser(__doc__)
+    cli.add_argument("--robots", type=int, nargs="*", default=[6, 12, 24, 48])
+    cli.add_argument("--random", type=int, default=60)
+    options = cli.parse_args()
+    table = Table(options.output / "forming.md", "Forming", LIMITATIONS)
     columns = ("flight [s]", "first phase", "plan [s]", CLEARANCE)
     table.section("Regular hitches from the ground", "n", "seed", *columns)
-    for n in given.robots:
+    for n in options.robots:
         table.row(*regular(n, 0))
-    if given.random:
-        table.section(f"{given.random} random irregular hitches, n = 3 to 8", "outcome", "hitches")
+    if options.random:
+        table.section(
+            f"{options.random} random irregular hitches, n = 3 to 8", "outcome", "hitches"
+        )
         rng = np.random.default_rng(5)
-        outcomes = Counter(irregular(rng) for _ in range(given.random))
+        outcomes = Counter(irregular(rng) for _ in range(options.random))
         for name, count in outcomes.most_common():
             table.row(name, count)
 

@@ -1,4 +1,4 @@
-"""Random hard morphs: how often a certified path is found where the straight one is shut.
+"""Random hard morphs: success rate of the optimiser where the straight path is infeasible.
 
 Usage: python -m benchmarks hard_morphs [--seeds N] [--robots N ...]
 
@@ -25,31 +25,31 @@ LIMITATIONS = (
 def outcome(n: int, seed: int) -> tuple[str, float, float]:
     """Return ``solved``, ``ends`` or ``failed``, the plan's duration and the processor time [s]."""
     problem = ho.problem_from_dict(random_morph(n, seed, hard=True))
-    began = time.process_time()
+    start_time = time.process_time()
     try:
         plan = ho.solve(problem)
     except ho.InfeasibleError as error:
         at_rest = any("start" in one.when or "end" in one.when for one in error.violations)
-        return "ends" if at_rest else "failed", np.nan, time.process_time() - began
-    return "solved", plan.duration, time.process_time() - began
+        return "ends" if at_rest else "failed", np.nan, time.process_time() - start_time
+    return "solved", plan.duration, time.process_time() - start_time
 
 
 def main() -> None:
-    """Print and write a row for every n."""
-    options = parser(__doc__)
-    options.add_argument("--seeds", type=int, default=10, help="random morphs for every n")
-    options.add_argument("--robots", type=int, nargs="*", default=[3, 4, 5, 6, 8, 10, 12])
-    given = options.parse_args()
-    table = Table(given.output / "hard_morphs.md", "Hard morphs", LIMITATIONS)
+    """Print and write a row for each n."""
+    cli = parser(__doc__)
+    cli.add_argument("--seeds", type=int, default=10, help="random morphs for every n")
+    cli.add_argument("--robots", type=int, nargs="*", default=[3, 4, 5, 6, 8, 10, 12])
+    options = cli.parse_args()
+    table = Table(options.output / "hard_morphs.md", "Hard morphs", LIMITATIONS)
     columns = ("n", "morphs", "solved", "ends", "failed", "seeds that failed", "median [s]")
     table.section("", *columns, "most [s]")
-    for n in given.robots:
-        found = [outcome(n, seed) for seed in range(given.seeds)]
-        status = [one[0] for one in found]
-        times = [one[2] for one in found if one[0] != "ends"]
+    for n in options.robots:
+        outcomes = [outcome(n, seed) for seed in range(options.seeds)]
+        status = [one[0] for one in outcomes]
+        times = [one[2] for one in outcomes if one[0] != "ends"]
         failed = ", ".join(str(seed) for seed, one in enumerate(status) if one == "failed")
         counts = [status.count(name) for name in ("solved", "ends", "failed")]
-        table.row(n, len(found), *counts, failed, float(np.median(times)), max(times))
+        table.row(n, len(outcomes), *counts, failed, float(np.median(times)), max(times))
 
 
 if __name__ == "__main__":

@@ -26,11 +26,11 @@ LIMITATIONS = (
 )
 
 FRICTION, REST = 0.1, 3.0
-"""Of cables, and at the end of a mission [s]."""
+"""Friction of cables, and duration of the rest at the end of a mission [s]."""
 
 
 def pentagon() -> ho.Problem:
-    """Return the problem of a hexagon with a corner uncut, formed by swaps, and a sixth robot."""
+    """Return the problem of a pentagon, a hexagon with an uncut corner, and a sixth robot."""
     hexagon = ho.regular_polygon(6, 0.8).vertices
     points = np.concatenate([[2.0 * hexagon[0] - hexagon[5]], hexagon[2:]])
     lengths = np.array([2.6, 1.5, 1.5, 1.5, 2.3, 1.6])
@@ -60,7 +60,7 @@ MISSIONS = {
     "pentagon, a sixth joins": ("", 2),
     "pentagon, a sixth joins and leaves": ("", 4),
 }
-"""Problem, if it has a file, and how many of its steps are flown."""
+"""Problem file, if there is one, and number of its steps."""
 
 
 def mission(name: str) -> ho.Problem:
@@ -73,15 +73,15 @@ def mission(name: str) -> ho.Problem:
 
 def row(name: str, runs: int, seed: int) -> tuple[object, ...]:
     """Return the row of a mission."""
-    began = time.process_time()
+    start_time = time.process_time()
     plan = ho.solve(mission(name))
-    took = time.process_time() - began
+    elapsed = time.process_time() - start_time
     flown = [ho.simulate(plan, perturbed=True, seed=seed + i) for i in range(runs)]
     figures = [each.run.figures for each in flown]
     return (
         name,
         plan.duration,
-        took,
+        elapsed,
         *success([each.run for each in flown]),
         centimetres([each["resting_mean"] for each in figures]),
         centimetres([max(each["resting_largest"] for each in figures)]),
@@ -92,18 +92,18 @@ def row(name: str, runs: int, seed: int) -> tuple[object, ...]:
 
 def main() -> None:
     """Print and write the table."""
-    options = parser(__doc__)
-    options.add_argument("missions", nargs="*", choices=[*MISSIONS, []], default=[], help="or all")
-    options.add_argument("--runs", type=int, default=5)
-    options.add_argument("--seed", type=int, default=1000)
-    given = options.parse_args()
-    table = Table(given.output / "joining.md", "Joining", LIMITATIONS, ("mujoco",))
-    table.note(f"python -m benchmarks joining --runs {given.runs} --seed {given.seed}")
+    cli = parser(__doc__)
+    cli.add_argument("missions", nargs="*", choices=[*MISSIONS, []], default=[], help="or all")
+    cli.add_argument("--runs", type=int, default=5)
+    cli.add_argument("--seed", type=int, default=1000)
+    options = cli.parse_args()
+    table = Table(options.output / "joining.md", "Joining", LIMITATIONS, ("mujoco",))
+    table.note(f"python -m benchmarks joining --runs {options.runs} --seed {options.seed}")
     errors = "at rest [cm]", "largest [cm]", "tension [N]", "nearest drones [m]"
     columns = "lasts [s]", "plan [s]", "flights", "succeeded (95 %)", "first failures"
     table.section("", "mission", *columns, *errors)
-    for name in given.missions or MISSIONS:
-        table.row(*row(name, given.runs, given.seed))
+    for name in options.missions or MISSIONS:
+        table.row(*row(name, options.runs, options.seed))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Hitches that are laid, against the same ones tied by swaps: from hover, and flown with ropes.
+"""Comparison of hitches formed by laying and by swaps: from hover, and flown with ropes.
 
 Usage: python -m benchmarks laying [--random N] [--flown N] [--seed S]
 
@@ -28,14 +28,14 @@ LIMITATIONS = (
 )
 
 FORMS = ("triangle", "square", "pentagon", "hexagon", "twelve_gon")
-"""Of the problem files ``form_*``."""
+"""Suffixes of the problem files ``form_*``."""
 
-Way = Literal["swaps", "laying"]
+Method = Literal["swaps", "laying"]
 
-WAYS: tuple[Way, Way] = ("swaps", "laying")
+METHODS: tuple[Method, Method] = ("swaps", "laying")
 
 REST = 3.0
-"""At the end [s]."""
+"""Duration of the rest at the end [s]."""
 
 COLUMNS = (
     "forms in [s]", "plan [s]", "separation", "flights", "succeeded (95 %)", "first failures",
@@ -44,45 +44,45 @@ COLUMNS = (
 
 
 class Outcome(NamedTuple):
-    """A plan, the processor time that it took [s], and its perturbed flight if it was flown."""
+    """A plan, its processor time [s], and its perturbed flight, if any."""
 
     plan: ho.Plan
-    took: float
+    elapsed: float
     run: Run | None
 
 
-def from_hover(problem: ho.Problem, way: Way) -> ho.Problem:
-    """Return the problem of its form alone, tied in a way by drones that hover."""
+def from_hover(problem: ho.Problem, method: Method) -> ho.Problem:
+    """Return the problem of its form step alone, by a method, with hovering drones."""
     form = next(step for step in problem.mission if isinstance(step, ho.Form))
     start = problem.start
     assert isinstance(start, DronesStart)
     up = np.array([0.0, 0.0, form.altitude])
     raised = DronesStart(*(np.asarray(x) * [1.0, 1.0, 0.0] + up for x in (start.q, start.r)))
-    tied = replace(form, by=way, legs=None, settle=False)
+    tied = replace(form, by=method, legs=None, settle=False)
     team = replace(problem.team, cable_density=0.01, cable_friction=0.1)
     return replace(problem, team=team, start=raised, mission=(tied, ho.Hold(REST)))
 
 
-def outcome(problem: ho.Problem, way: Way, seed: int | None) -> Outcome | None:
-    """Return what becomes of a form, flown with a ``seed`` if there is one; None if refused."""
-    began = time.process_time()
+def outcome(problem: ho.Problem, method: Method, seed: int | None) -> Outcome | None:
+    """Return the outcome of a form step, flown if there is a ``seed``; None if infeasible."""
+    start_time = time.process_time()
     try:
-        plan = ho.solve(from_hover(problem, way))
+        plan = ho.solve(from_hover(problem, method))
     except ho.HitchoptError:
         return None
-    took = time.process_time() - began
+    elapsed = time.process_time() - start_time
     flown = None if seed is None else ho.simulate(plan, perturbed=True, seed=seed).run
-    return Outcome(plan, took, flown)
+    return Outcome(plan, elapsed, flown)
 
 
 def figures(outcomes: Sequence[Outcome]) -> tuple[object, ...]:
-    """Return columns of outcomes: means, the smallest separation, and how flights ended."""
+    """Return the cells of outcomes: means, smallest separation, and results of flights."""
     if not outcomes:
         return ("",) * len(COLUMNS)
     runs = [each.run for each in outcomes if each.run is not None]
     planned = (
         np.mean([each.plan.duration - REST for each in outcomes]),
-        np.mean([each.took for each in outcomes]),
+        np.mean([each.elapsed for each in outcomes]),
         min(each.plan.certificate["separation"].bound for each in outcomes),
     )
     if not runs:
@@ -92,27 +92,30 @@ def figures(outcomes: Sequence[Outcome]) -> tuple[object, ...]:
 
 def main() -> None:
     """Print and write both tables."""
-    options = parser(__doc__)
-    options.add_argument("--random", type=int, default=40)
-    options.add_argument("--flown", type=int, default=20, help="of the random ones")
-    options.add_argument("--seed", type=int, default=1000)
-    given = options.parse_args()
-    table = Table(given.output / "laying.md", "Laying and swaps", LIMITATIONS, ("mujoco",))
+    cli = parser(__doc__)
+    cli.add_argument("--random", type=int, default=40)
+    cli.add_argument("--flown", type=int, default=20, help="of the random ones")
+    cli.add_argument("--seed", type=int, default=1000)
+    options = cli.parse_args()
+    table = Table(options.output / "laying.md", "Laying and swaps", LIMITATIONS, ("mujoco",))
     table.section("Problems", "problem", "way", *COLUMNS)
     for name in FORMS:
         problem = ho.load_problem(PROBLEMS / f"form_{name}.yaml")
-        for way in WAYS:
-            found = outcome(problem, way, given.seed)
-            table.row(f"form_{name}", way, *figures([found] if found else []))
-    random = [ho.problem_from_dict(irregular(i, 0.1, settle=False)) for i in range(given.random)]
+        for method in METHODS:
+            result = outcome(problem, method, options.seed)
+            table.row(f"form_{name}", method, *figures([result] if result else []))
+    random = [ho.problem_from_dict(irregular(i, 0.1, settle=False)) for i in range(options.random)]
     pairs = [
-        [outcome(each, way, given.seed + i if i < given.flown else None) for way in WAYS]
+        [
+            outcome(each, method, options.seed + i if i < options.flown else None)
+            for method in METHODS
+        ]
         for i, each in enumerate(random)
     ]
-    table.section(f"{given.random} random irregular hitches", "way", "planned", *COLUMNS)
-    for way, outcomes in zip(WAYS, zip(*pairs, strict=True), strict=True):
+    table.section(f"{options.random} random irregular hitches", "way", "planned", *COLUMNS)
+    for method, outcomes in zip(METHODS, zip(*pairs, strict=True), strict=True):
         compared = [x for x, pair in zip(outcomes, pairs, strict=True) if x and all(pair)]
-        table.row(way, sum(map(bool, outcomes)), *figures(compared))
+        table.row(method, sum(map(bool, outcomes)), *figures(compared))
 
 
 if __name__ == "__main__":

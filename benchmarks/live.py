@@ -19,13 +19,13 @@ from benchmarks.measuring import PROBLEMS, Table, parser
 LIMITATIONS = "one machine, one pass; processor time; goals and times are seeded"
 
 CHAIN = 20
-"""Retargets of one replanner, before a new one begins."""
+"""Number of retargets of a replanner before a new one starts."""
 
 STOPPED = ("triangle", "move_edge", "hexagon", "tie_carry_untie", "swarms/head_on")
 
 
 def hitch(n: int) -> ho.Hitch:
-    """Return the hitch that is steered."""
+    """Return the initial hitch."""
     length, radius = (2.4, 0.75) if n == 3 else (2.0, 0.65 / np.sin(np.pi / n))
     angles = -2.0 * np.pi * np.arange(n) / n
     polygon = radius * np.column_stack([np.cos(angles), np.sin(angles)])
@@ -49,7 +49,7 @@ def goal(rng: np.random.Generator, first: ho.Hitch, now: ho.Hitch) -> dict[str, 
 
 
 def retargets(n: int, count: int) -> tuple[object, ...]:
-    """Return the row of a team: latency [ms], answers, and plans broken when certified anew."""
+    """Return the row of a team: latency [ms], answers, and plans that fail a new certificate."""
     rng, first = np.random.default_rng(n), hitch(n)
     times: list[float] = []
     accepted = checked = broken = 0
@@ -57,12 +57,12 @@ def retargets(n: int, count: int) -> tuple[object, ...]:
         if i % CHAIN == 0:
             steered, clock = ho.Replanner(first.team, first), 0.0
         clock += float(rng.uniform(0.2, 1.2))
-        asked, began = goal(rng, first, steered.goal), time.process_time()
+        request, start_time = goal(rng, first, steered.goal), time.process_time()
         try:
-            answer = steered.retarget(**asked, at=clock)
+            answer = steered.retarget(**request, at=clock)
         except ho.HitchoptError:  # a polygon that is not convex
             continue
-        times.append(1e3 * (time.process_time() - began))
+        times.append(1e3 * (time.process_time() - start_time))
         accepted += answer.accepted
         if answer.accepted:
             clock = max(clock, answer.start)
@@ -81,44 +81,44 @@ def corrections(n: int, count: int = 3000) -> tuple[object, ...]:
     vertices = plan.at(np.linspace(0.0, plan.duration, count)).vertices
     vertices = vertices + rng.normal(0.0, 0.01, vertices.shape)
     times = []
-    for i, seen in enumerate(vertices):
-        began = time.perf_counter()
-        feedback.step(i * plan.duration / count, plan.duration / count, seen)
-        times.append(1e3 * (time.perf_counter() - began))
+    for i, measured in enumerate(vertices):
+        start_time = time.perf_counter()
+        feedback.step(i * plan.duration / count, plan.duration / count, measured)
+        times.append(1e3 * (time.perf_counter() - start_time))
     return n, *np.quantile(times, [0.5, 0.99]).tolist()
 
 
 def stops(stem: str, count: int) -> tuple[object, ...]:
-    """Return the row of a plan that is stopped at random: longest stop, what is certified."""
+    """Return the row of a plan stopped at random times: longest stop, certified bound, latency."""
     plan = ho.solve(PROBLEMS / f"{stem}.yaml")
     rng = np.random.default_rng(1)
     times, longest = [], 0.0
     for moment in rng.uniform(0.0, plan.duration, count).tolist():
         player = ho.Player(plan, moment)
-        began = time.process_time()
+        start_time = time.process_time()
         longest = max(longest, player.pause())
-        times.append(1e3 * (time.process_time() - began))
+        times.append(1e3 * (time.process_time() - start_time))
     return stem, longest, plan.certificate["stoppable"].bound, float(np.median(times))
 
 
 def main() -> None:
     """Print and write the tables."""
-    options = parser(__doc__)
-    options.add_argument("--retargets", type=int, default=500)
-    options.add_argument("--stops", type=int, default=100)
-    options.add_argument("--robots", type=int, nargs="*", default=[3, 12])
-    given = options.parse_args()
-    table = Table(given.output / "live.md", "Live flight", LIMITATIONS)
+    cli = parser(__doc__)
+    cli.add_argument("--retargets", type=int, default=500)
+    cli.add_argument("--stops", type=int, default=100)
+    cli.add_argument("--robots", type=int, nargs="*", default=[3, 12])
+    options = cli.parse_args()
+    table = Table(options.output / "live.md", "Live flight", LIMITATIONS)
     columns = ("median [ms]", "p99 [ms]", "accepted", "broken when certified anew")
     table.section("Retargets", "n", "retargets", *columns)
-    for n in given.robots:
-        table.row(*retargets(n, given.retargets))
+    for n in options.robots:
+        table.row(*retargets(n, options.retargets))
     table.section("Corrections", "n", "median [ms]", "p99 [ms]")
-    for n in given.robots:
+    for n in options.robots:
         table.row(*corrections(n))
     table.section("Stops", "plan", "longest [s]", "stoppable [s]", "found in, median [ms]")
     for stem in STOPPED:
-        table.row(*stops(stem, given.stops))
+        table.row(*stops(stem, options.stops))
 
 
 if __name__ == "__main__":

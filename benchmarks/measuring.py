@@ -1,4 +1,4 @@
-"""What all benchmarks share: the environment, times of whole processes, tables."""
+"""Shared functions of benchmarks: environment, measurements and tables."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PROBLEMS, RESULTS = ROOT / "problems", ROOT / "benchmarks" / "results"
 LIBRARIES = ("hitchopt", "numpy", "scipy", "casadi", "toppra", "osqp")
 
 DEFAULT_CLEARANCE = ho.Separation().cable
-"""Cable clearance of a problem that gives none [m]."""
+"""Default cable clearance of problems [m]."""
 
 CLEARANCE = "cable [mm]"
 """Heading of a column of cable clearances."""
@@ -38,12 +38,12 @@ CLEARANCE_NOTE = (
 
 
 def parser(description: str | None) -> argparse.ArgumentParser:
-    """Return the parser of a benchmark, with the option that names its table's folder."""
-    found = argparse.ArgumentParser(
+    """Return the parser of a benchmark, with an option for the folder of its table."""
+    cli = argparse.ArgumentParser(
         description=description, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    found.add_argument("-o", "--output", type=Path, default=RESULTS, help="folder of the table")
-    return found
+    cli.add_argument("-o", "--output", type=Path, default=RESULTS, help="folder of the table")
+    return cli
 
 
 def environment(more: Sequence[str] = ()) -> str:
@@ -57,14 +57,14 @@ def environment(more: Sequence[str] = ()) -> str:
 
 
 def seconds(work: Callable[[], object]) -> float:
-    """Return the processor time that a call takes [s]."""
-    began = time.process_time()
+    """Return the processor time of a call [s]."""
+    start_time = time.process_time()
     work()
-    return time.process_time() - began
+    return time.process_time() - start_time
 
 
 def peak_memory() -> float:
-    """Return the largest memory that this process has had [MB]."""
+    """Return the peak memory of this process [MB]."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
 
 
@@ -80,14 +80,14 @@ def clearance_text(clearance: float) -> str:
 
 @dataclass
 class Table:
-    """A table that is printed and written row by row, so that it may be interrupted.
+    """A table that is printed and written row by row, so that it can be interrupted.
 
     Parameters
     ----------
-    path: of the Markdown file; several tables of one file follow each other in ``sections``.
+    path: path of the Markdown file; a file may have several ``sections``.
     title: heading of the file.
-    limitations: what the figures do not say.
-    libraries: whose versions are listed too.
+    limitations: limitations of the figures.
+    libraries: further libraries whose versions are listed.
     """
 
     path: Path
@@ -97,25 +97,25 @@ class Table:
     _lines: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self._say(f"# {self.title}", "")
-        self._say(f"- {datetime.date.today()}, {environment(self.libraries)}")
-        self._say(f"- limitations: {self.limitations}")
+        self._append(f"# {self.title}", "")
+        self._append(f"- {datetime.date.today()}, {environment(self.libraries)}")
+        self._append(f"- limitations: {self.limitations}")
 
     def section(self, title: str, *columns: str) -> None:
-        """Begin a table with a heading, or without one where the title is empty."""
-        self._say("", *([f"## {title}", ""] if title else []))
-        self._say(f"| {' | '.join(columns)} |", "|---" * len(columns) + "|")
+        """Begin a table, with a heading unless the title is empty."""
+        self._append("", *([f"## {title}", ""] if title else []))
+        self._append(f"| {' | '.join(columns)} |", "|---" * len(columns) + "|")
 
     def row(self, *cells: object) -> None:
-        """Add a row; floats are shown with three digits."""
-        shown = (f"{cell:.3g}" if isinstance(cell, float) else str(cell) for cell in cells)
-        self._say(f"| {' | '.join(shown)} |")
+        """Add a row; floats have three digits."""
+        texts = (f"{cell:.3g}" if isinstance(cell, float) else str(cell) for cell in cells)
+        self._append(f"| {' | '.join(texts)} |")
 
     def note(self, *lines: str) -> None:
         """Add lines of a list."""
-        self._say("", *(f"- {line}" for line in lines))
+        self._append("", *(f"- {line}" for line in lines))
 
-    def _say(self, *lines: str) -> None:
+    def _append(self, *lines: str) -> None:
         print("\n".join(lines), flush=True)
         self._lines += lines
         self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -130,7 +130,7 @@ def _version(name: str) -> str:
 
 
 def _processor() -> str:
-    """Return the processor's name in brackets, where the system says it."""
+    """Return the processor's name in brackets, if it is known."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:

@@ -1,4 +1,4 @@
-"""Morphs of regular n-gons: solve times over n, and beside plain casadi and IPOPT.
+"""Morphs of regular n-gons: solve times over n, and comparison with plain casadi and IPOPT.
 
 Usage: python -m benchmarks morphs [--quick] [--limit SECONDS]
 
@@ -43,19 +43,19 @@ LIMITATIONS = (
 )
 
 TURN, TRAVEL = 0.3, 0.6
-"""[rad], [m]"""
+"""Maximum turn [rad] and travel of vertices [m] of optimised morphs."""
 
 
 @dataclass(frozen=True)
-class Measured:
-    """What one process measured; a rival has no second solve, memory or certificate.
+class Measurements:
+    """Measurements of one process; a rival has no second solve, memory or certificate.
 
     Attributes
     ----------
     first, second, certify, write: processor times [s].
-    flight: duration of what was found [s].
-    peak: memory [MB].
-    remark: what does not hold.
+    flight: duration of the flight [s].
+    peak: peak memory [MB].
+    remark: violations or errors.
     """
 
     first: float
@@ -68,12 +68,12 @@ class Measured:
 
 
 def clearance(n: int) -> float:
-    """Return the cable clearance [m] of an n-gon: drones are ``e sin(2π/n)`` from neighbours."""
+    """Return the cable clearance [m] of an n-gon, whose drones have distances ``e sin(2π/n)``."""
     return min(DEFAULT_CLEARANCE, 0.15 * float(np.sin(2.0 * np.pi / n)))
 
 
-def measure(kind: str, n: int, limit: float) -> Measured:
-    """Return what a morph takes in this process; ``rival`` solves the optimised one."""
+def measure(kind: str, n: int, limit: float) -> Measurements:
+    """Return the measurements of a morph in this process; ``rival`` solves the optimised one."""
     separation = ho.Separation(cable=clearance(n), crossing=min(0.05, clearance(n)))
     team, limits = ho.Team(n, 2.0), ho.Limits()
     start = ho.Hitch.spread(team, ho.regular_polygon(n, 1.3), separation=separation)
@@ -92,12 +92,12 @@ def measure(kind: str, n: int, limit: float) -> Measured:
 
     first = seconds(plan)
     second = min(seconds(plan) for _ in range(9 if n <= 12 else 3 if n <= 100 else 1))
-    found = plan()
-    certify, peak = seconds(lambda: ho.certify(found.motion)), peak_memory()
+    last_plan = plan()
+    certify, peak = seconds(lambda: ho.certify(last_plan.motion)), peak_memory()
     with tempfile.TemporaryDirectory() as place:
-        write = seconds(lambda: found.save(place))
-    remark = "" if found.certificate.certified else "not certified"
-    return Measured(first, second, certify, write, found.duration, peak, remark)
+        write = seconds(lambda: last_plan.save(place))
+    remark = "" if last_plan.certificate.certified else "not certified"
+    return Measurements(first, second, certify, write, last_plan.duration, peak, remark)
 
 
 def _rival(
@@ -106,58 +106,60 @@ def _rival(
     limits: ho.Limits,
     separation: ho.Separation,
     limit: float,
-) -> Measured:
+) -> Measurements:
     end = ho.Hitch.nearest(
         start.team, goal, 1.0, start.fractions, limits=limits, separation=separation
     )
-    began = time.process_time()
+    start_time = time.process_time()
     try:
-        found = solve(start, end, limits, separation, limit)
+        flight = solve(start, end, limits, separation, limit)
     except RivalError as error:
-        return Measured(time.process_time() - began, remark=str(error))
-    took = time.process_time() - began
-    remark = f"breaks speed or acceleration by {found.excess:.1%}" if found.excess > 0.0 else ""
-    return Measured(took, flight=found.duration, remark=remark)
+        return Measurements(time.process_time() - start_time, remark=str(error))
+    elapsed = time.process_time() - start_time
+    remark = f"breaks speed or acceleration by {flight.excess:.1%}" if flight.excess > 0.0 else ""
+    return Measurements(elapsed, flight=flight.duration, remark=remark)
 
 
-def alone(kind: str, n: int, limit: float) -> Measured:
-    """Return what a process of its own measures."""
+def measure_in_process(kind: str, n: int, limit: float) -> Measurements:
+    """Return the measurements of a separate process."""
     command = [sys.executable, "-m", "benchmarks.morphs", "--one", kind, str(n), str(limit)]
     threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    done = subprocess.run(
+    process = subprocess.run(
         command, capture_output=True, text=True, check=False, env={**os.environ, **threads}
     )
-    if done.returncode != 0:
-        return Measured(np.nan, remark=(done.stderr.strip().splitlines() or ["failed"])[-1])
-    return Measured(**json.loads(done.stdout.splitlines()[-1]))
+    if process.returncode != 0:
+        return Measurements(np.nan, remark=(process.stderr.strip().splitlines() or ["failed"])[-1])
+    return Measurements(**json.loads(process.stdout.splitlines()[-1]))
 
 
 def main() -> None:
     """Print and write the table."""
-    options = parser(__doc__)
-    options.add_argument("--quick", action="store_true", help="a few small ones")
-    options.add_argument("--limit", type=float, default=120.0, help="for IPOPT in the rival [s]")
-    options.add_argument("--one", nargs=3, metavar=("KIND", "N", "LIMIT"), help="print it as JSON")
-    given = options.parse_args()
-    if given.one:
-        kind, n, limit = given.one
+    cli = parser(__doc__)
+    cli.add_argument("--quick", action="store_true", help="a few small ones")
+    cli.add_argument("--limit", type=float, default=120.0, help="for IPOPT in the rival [s]")
+    cli.add_argument("--one", nargs=3, metavar=("KIND", "N", "LIMIT"), help="print it as JSON")
+    options = cli.parse_args()
+    if options.one:
+        kind, n, limit = options.one
         print(json.dumps(asdict(measure(kind, int(n), float(limit)))))
         return
-    cases = [("straight", n) for n in ((3, 10, 30) if given.quick else (3, 10, 30, 100, 300, 1000))]
-    cases += [("optimised", n) for n in ((3, 6) if given.quick else (3, 6, 12, 24, 100))]
-    cases += [("half turn", n) for n in ((3, 6) if given.quick else (3, 6, 12))]
-    cases += [("rival", n) for n in ((3, 6) if given.quick else (3, 6, 12))]
-    table = Table(given.output / "morphs.md", "Morphs", LIMITATIONS)
+    cases = [
+        ("straight", n) for n in ((3, 10, 30) if options.quick else (3, 10, 30, 100, 300, 1000))
+    ]
+    cases += [("optimised", n) for n in ((3, 6) if options.quick else (3, 6, 12, 24, 100))]
+    cases += [("half turn", n) for n in ((3, 6) if options.quick else (3, 6, 12))]
+    cases += [("rival", n) for n in ((3, 6) if options.quick else (3, 6, 12))]
+    table = Table(options.output / "morphs.md", "Morphs", LIMITATIONS)
     columns = ("first [s]", "second [s]", "certify [s]", "write [s]", "flight [s]", "peak [MB]")
     table.section("", "kind", "n", *columns, CLEARANCE, "remark")
-    found: dict[tuple[str, int], Measured] = {}
+    results: dict[tuple[str, int], Measurements] = {}
     for kind, n in cases:
-        one = found[kind, n] = alone(kind, n, given.limit)
+        one = results[kind, n] = measure_in_process(kind, n, options.limit)
         values = (one.first, one.second, one.certify, one.write, one.flight, one.peak)
         cells = ("" if value is None else value for value in values)
         table.row(kind, n, *cells, clearance_text(clearance(n)), one.remark)
-    for n in (n for kind, n in found if kind == "rival"):
-        ours, theirs = found["optimised", n], found["rival", n]
+    for n in (n for kind, n in results if kind == "rival"):
+        ours, theirs = results["optimised", n], results["rival", n]
         if ours.second and ours.flight and theirs.flight:
             table.note(
                 f"n = {n}: the rival takes {theirs.first / ours.second:.1f} times as long as a "
@@ -165,7 +167,7 @@ def main() -> None:
                 f"hitchopt's flight over the rival's: {ours.flight / theirs.flight:.3f}"
             )
     for kind in ("straight", "optimised"):
-        large = {n: one.second for (k, n), one in found.items() if k == kind and n >= 6}
+        large = {n: one.second for (k, n), one in results.items() if k == kind and n >= 6}
         times = [time for time in large.values() if time]
         if len(times) == len(large) > 1:
             exponent = slope(list(large), times)

@@ -1,4 +1,4 @@
-"""Mutations of the certificate's own code, each found by a plan on which verify disagrees.
+"""Mutations of the certificate's code, each detected by a plan on which verify disagrees.
 
 Usage: python -m benchmarks mutations [--plans DIR]
 
@@ -25,8 +25,8 @@ import hitchopt as ho
 from hitchopt import verify as second
 
 ROOT = Path(__file__).parents[1]
-APART = 0.02
-"""Relative difference of worst values beyond which certificate and second opinion disagree."""
+TOLERANCE = 0.02
+"""Maximum relative difference of worst values between certificate and verify."""
 
 CHECK = """
 import json, pathlib, sys
@@ -111,22 +111,22 @@ def plan(name: str, folder: Path) -> Path:
 
 @cache
 def opinion(path: Path) -> dict[str, Any]:
-    """Return verify's worst values by limit; those of the certificate's limits alone."""
+    """Return verify's worst values for the limits of the certificate."""
     rows = [row for row in second.verify(path) if row.unit not in ("turn", "wrap", "bend")]
     assert all(row.verdict == "proven" for row in rows), path
     return {row.name: row for row in rows}
 
 
 def disagreement(package: Path, path: Path) -> str:
-    """Return where a package's certificate and verify disagree on a plan; an empty word if not."""
+    """Return the disagreement of a package's certificate with verify on a plan, or nothing."""
     command = [sys.executable, "-c", CHECK, str(path)]
     environment = {**os.environ, "PYTHONPATH": str(package), "PYTHONDONTWRITEBYTECODE": "1"}
-    done = subprocess.run(
+    process = subprocess.run(
         command, capture_output=True, text=True, env=environment, cwd=package, check=False
     )
-    if done.returncode:
-        return "it ends with " + (done.stderr.strip().splitlines() or ["no word"])[-1][:60]
-    certified, checks = json.loads(done.stdout)
+    if process.returncode:
+        return "it ends with " + (process.stderr.strip().splitlines() or ["no word"])[-1][:60]
+    certified, checks = json.loads(process.stdout)
     for name, holds, worst, limit in checks:
         row = opinion(path).get(name)
         if row is None or limit is None:
@@ -134,7 +134,7 @@ def disagreement(package: Path, path: Path) -> str:
         value = row.worst * limit if row.unit == "share" else row.worst
         if not holds:
             return f"{name}: refused with {worst:.4g}, proven with {value:.4g}"
-        if abs(worst - value) > APART * max(abs(value), abs(limit), 1e-6):
+        if abs(worst - value) > TOLERANCE * max(abs(value), abs(limit), 1e-6):
             return f"{name}: {worst:.4g}, and {value:.4g}"
     return "" if certified else "not certified"
 
@@ -144,11 +144,11 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--plans", type=Path, default=None)
     parser.add_argument("--only", default="", help="words of the mutations to make")
-    given, only = parser.parse_args().plans, parser.parse_args().only
-    mutations = [each for each in MUTATIONS if only in each.words]
+    options = parser.parse_args()
+    mutations = [each for each in MUTATIONS if options.only in each.words]
     missed = 0
     with tempfile.TemporaryDirectory() as temporary:
-        folder, package = given or Path(temporary) / "plans", Path(temporary) / "package"
+        folder, package = options.plans or Path(temporary) / "plans", Path(temporary) / "package"
         ignore = shutil.ignore_patterns("__pycache__")
         shutil.copytree(ROOT / "hitchopt", package / "hitchopt", ignore=ignore)
         for name in sorted({each.plan for each in mutations}):
@@ -158,10 +158,12 @@ def main() -> int:
             file = package / "hitchopt" / each.path
             text = file.read_text(encoding="utf-8")
             file.write_text(text.replace(each.old, each.new), encoding="utf-8")
-            found = disagreement(package, plan(each.plan, folder))
+            difference = disagreement(package, plan(each.plan, folder))
             file.write_text(text, encoding="utf-8")
-            missed += not found
-            print(f"| {each.words} ({each.path}) | {each.plan} | {found or 'NONE'} |", flush=True)
+            missed += not difference
+            print(
+                f"| {each.words} ({each.path}) | {each.plan} | {difference or 'NONE'} |", flush=True
+            )
     print(f"\n{len(mutations) - missed} of {len(mutations)} are found")
     return 1 if missed else 0
 

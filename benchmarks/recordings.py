@@ -1,4 +1,4 @@
-"""Recordings with truth: markers on simulated ropes, and what `evaluate` makes of them.
+"""Recordings with ground truth: markers on simulated ropes, and their evaluation.
 
 Usage: python -m benchmarks recordings [--flights NAME ...] [--seed S] [--example]
 
@@ -34,22 +34,22 @@ LIMITATIONS = (
 
 @dataclass(frozen=True)
 class Camera:
-    """How markers and bodies are recorded.
+    """Errors of recorded markers and bodies.
 
     Attributes
     ----------
-    noise: standard deviation of every coordinate [m].
-    lost, gap: share of the samples that are lost, and mean length of the gaps [frames].
-    aside: distance of markers from the rope's axis [m], in a direction that stays.
-    ghosts: points that are nowhere, in every frame on average.
-    yaw, up, shift: of the recording's frame [rad], ``z`` or ``y``, [m].
-    start, rate: time of the recording at which the plan begins [s], its seconds per second.
+    noise: standard deviation of each coordinate [m].
+    lost, gap: share of lost samples, and mean length of gaps [frames].
+    offset: distance of markers from the rope's axis [m], in a constant direction.
+    ghosts: mean number of false points per frame.
+    yaw, up, shift: recording frame: yaw [rad], vertical axis ``z`` or ``y``, offset [m].
+    start, rate: recording time at the start of the plan [s], and clock rate.
     """
 
     noise: float = 3e-4
     lost: float = 0.05
     gap: float = 3.0
-    aside: float = 0.0
+    offset: float = 0.0
     ghosts: float = 0.2
     yaw: float = 0.0
     up: str = "z"
@@ -66,42 +66,49 @@ class Camera:
         R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         if self.up == "y":
             R = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]) @ R
-        aside = random.normal(size=markers.shape[1:])
-        aside *= self.aside / np.linalg.norm(aside, axis=-1, keepdims=True)
+        offset = random.normal(size=markers.shape[1:])
+        offset *= self.offset / np.linalg.norm(offset, axis=-1, keepdims=True)
         ghosts = random.uniform(np.min(drones, (0, 1)), np.max(drones, (0, 1)), (len(t), 2, 3))
-        cloud = np.concatenate([markers + aside, ghosts], axis=1)
-        seen = np.concatenate(
-            [self._seen(random, markers.shape[:2]), random.random((len(t), 2)) < 0.5 * self.ghosts],
+        cloud = np.concatenate([markers + offset, ghosts], axis=1)
+        visible = np.concatenate(
+            [
+                self._visibility(random, markers.shape[:2]),
+                random.random((len(t), 2)) < 0.5 * self.ghosts,
+            ],
             axis=1,
         )
-        seen_drones = self._seen(random, drones.shape[:2])
+        visible_drones = self._visibility(random, drones.shape[:2])
         cloud, drones = (
             (x + random.normal(0.0, self.noise, x.shape)) @ R.T + self.shift
             for x in (cloud, drones)
         )
-        order = np.argsort(random.random(seen.shape), axis=1)  # Points come in any order
-        cloud, seen = (
+        order = np.argsort(random.random(visible.shape), axis=1)  # random order of points
+        cloud, visible = (
             np.take_along_axis(cloud, order[..., None], 1),
-            np.take_along_axis(seen, order, 1),
+            np.take_along_axis(visible, order, 1),
         )
-        own = self.start + self.rate * t
+        t_recorded = self.start + self.rate * t
         names = names or [f"cf{i}" for i in random.permutation(90)[: drones.shape[1]]]
         tracks = {
-            name: Track(own[there], x[there])
-            for name, x, there in zip(names, np.moveaxis(drones, 1, 0), seen_drones.T, strict=True)
+            name: Track(t_recorded[is_visible], x[is_visible])
+            for name, x, is_visible in zip(
+                names, np.moveaxis(drones, 1, 0), visible_drones.T, strict=True
+            )
         }
-        return RecordedFlight("synthetic", tracks, Track(own[np.nonzero(seen)[0]], cloud[seen]))
+        return RecordedFlight(
+            "synthetic", tracks, Track(t_recorded[np.nonzero(visible)[0]], cloud[visible])
+        )
 
-    def _seen(self, random: np.random.Generator, shape: tuple[int, int]) -> Any:
-        """Return what is seen (times, k): gaps begin at random and end at random."""
-        seen = np.ones(shape, np.bool_)
+    def _visibility(self, random: np.random.Generator, shape: tuple[int, int]) -> Any:
+        """Return the visibility (times, k), with gaps that begin and end at random."""
+        visible = np.ones(shape, np.bool_)
         begins = self.lost / max(1.0 - self.lost, 1e-9) / self.gap
         lost = random.random(shape[1]) < self.lost
-        for row in seen:
+        for row in visible:
             draw = random.random(shape[1])
             lost = np.where(lost, draw > 1.0 / self.gap, draw < begins)
             row[:] = ~lost
-        return seen
+        return visible
 
 
 def exact_markers(task: Task, t: Array, count: int = 3) -> Array:
@@ -160,9 +167,9 @@ def _first_crossing(a: Array, b: Array) -> Array:
     k = np.arange(len(a))
     on_a = a[k, i] + x[k, i, j, None] * (a[k, i + 1] - a[k, i])
     on_b = b[k, j] + y[k, i, j, None] * (b[k, j + 1] - b[k, j])
-    found = np.where(inside[k, i, j, None], on_a, np.nan)
-    found[:, 2] = 0.5 * (on_a[:, 2] + on_b[:, 2])
-    return found
+    crossing = np.where(inside[k, i, j, None], on_a, np.nan)
+    crossing[:, 2] = 0.5 * (on_a[:, 2] + on_b[:, 2])
+    return crossing
 
 
 def plan_of(name: str) -> ho.Plan:
@@ -184,7 +191,7 @@ def plan_of(name: str) -> ho.Plan:
     return mission.transport(to=[0.3, 0.2, 1.4]).hold(2.0).solve()
 
 
-# Mean errors that the paper prints: the same for its second and third experiment
+# Mean errors in the paper, which are the same for its second and third experiment
 PAPER = {
     "paper_experiment_2": "0.082, 0.168, 0.762",
     "paper_experiment_3": "0.082, 0.168, 0.762",
@@ -196,10 +203,10 @@ ROWS = {
     "noise 0.3 mm": Camera(),
     "noise 2 mm, 20 % lost": Camera(noise=2e-3, lost=0.2),
     "40 % lost, gaps of 20 frames": Camera(lost=0.4, gap=20.0),
-    "markers 3 mm aside": Camera(aside=3e-3),
+    "markers 3 mm aside": Camera(offset=3e-3),
     "frame fitted (yaw 37°, y up)": Camera(yaw=np.radians(37.0), up="y", shift=(0.4, 0.1, 0.2)),
     "2 mm, 40 %, 2 mm aside, clock 1 % slow": Camera(
-        noise=2e-3, lost=0.4, aside=2e-3, rate=84.0 / 85.0
+        noise=2e-3, lost=0.4, offset=2e-3, rate=84.0 / 85.0
     ),
 }
 
@@ -217,50 +224,50 @@ def fly(plan: ho.Plan, rate: float, seed: int) -> tuple[Array, Array, Array, Arr
 
 
 def write_example(seed: int) -> None:
-    """Write the recording that is shipped: rows t, name, x, y, z, markers without names."""
+    """Write the example recording: rows t, name, x, y, z, markers without names."""
     t, drones, markers, _ = fly(ho.solve(PROBLEMS / "friction.yaml"), EXAMPLE_RATE, seed)
     flight = Camera(noise=5e-4, lost=0.1).recorded(t, drones, markers, seed)
     rows = [
-        (seen, name, *place)
+        (t_, name, *place)
         for name, track in flight.tracks.items()
-        for seen, place in zip(track.t.tolist(), track.positions.tolist(), strict=True)
+        for t_, place in zip(track.t.tolist(), track.positions.tolist(), strict=True)
     ]
     cloud = flight.markers
     points = zip(cloud.t.tolist(), cloud.positions.tolist(), strict=True)
-    rows += [(seen, "marker", *place) for seen, place in points]
-    lines = [f"{seen:.2f},{name},{x:.4f},{y:.4f},{z:.4f}" for seen, name, x, y, z in sorted(rows)]
+    rows += [(t_, "marker", *place) for t_, place in points]
+    lines = [f"{t_:.2f},{name},{x:.4f},{y:.4f},{z:.4f}" for t_, name, x, y, z in sorted(rows)]
     text = "\n".join(["t,name,x,y,z", *lines, ""])
     (PROBLEMS / "friction.csv").write_text(text, encoding="utf-8", newline="\n")
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """An evaluation of a recording, the true crossings at its times, and the time it took [s]."""
+    """Evaluation of a recording, true crossings at its times, and processor time [s]."""
 
-    found: ho.Evaluation
+    evaluation: ho.Evaluation
     true: Array
-    used: float
+    elapsed: float
 
     @classmethod
     def of(cls, task: Task, flown: Any, camera: Camera, seed: int) -> Comparison:
-        """Record a flight with a camera, and evaluate that."""
+        """Record a flight with a camera and evaluate the recording."""
         t, drones, markers, crossings = flown
-        recording, began = camera.recorded(t, drones, markers, seed), time.process_time()
-        found = ho.evaluate(recording, task)
-        used = time.process_time() - began
-        columns = [np.interp(found.t, t, x) for x in crossings.reshape(len(t), -1).T]
-        true = np.stack(columns, axis=1).reshape(found.vertices.shape)
-        true[np.isnan(found.planned)] = np.nan
-        return cls(found, true, used)
+        recording, start_time = camera.recorded(t, drones, markers, seed), time.process_time()
+        evaluation = ho.evaluate(recording, task)
+        elapsed = time.process_time() - start_time
+        columns = [np.interp(evaluation.t, t, x) for x in crossings.reshape(len(t), -1).T]
+        true = np.stack(columns, axis=1).reshape(evaluation.vertices.shape)
+        true[np.isnan(evaluation.planned)] = np.nan
+        return cls(evaluation, true, elapsed)
 
     def row(self) -> tuple[str, str, float]:
-        """Return distances to the truth, shares found and ratios of errors, and time [s]."""
-        off = np.linalg.norm(self.found.vertices - self.true, axis=-1)
-        there, every = np.isfinite(off), np.isfinite(self.true[..., 0])
-        off, stated = off[there], self.found.standard_errors[there]
+        """Return distances to the truth, detection rate with ratio of errors, and time [s]."""
+        off = np.linalg.norm(self.evaluation.vertices - self.true, axis=-1)
+        is_found, exists = np.isfinite(off), np.isfinite(self.true[..., 0])
+        off, stated = off[is_found], self.evaluation.standard_errors[is_found]
         ratio = np.sqrt(np.mean(off**2) / np.mean(stated**2))
         distances = f"{1e3 * np.median(off):.1f}; {1e3 * np.percentile(off, 95):.1f}"
-        return distances, f"{there.sum() / every.sum():.2f}; {ratio:.1f}", self.used
+        return distances, f"{is_found.sum() / exists.sum():.2f}; {ratio:.1f}", self.elapsed
 
 
 def experiment(name: str) -> ho.Plan:
@@ -276,32 +283,36 @@ def means(errors: Array) -> str:
 
 def main() -> None:
     """Print and write the tables."""
-    options = parser(__doc__)
+    cli = parser(__doc__)
     names = ("triangle", "sharp", "pentagon")
-    options.add_argument("--flights", nargs="*", choices=names, default=list(names))
-    options.add_argument("--seed", type=int, default=7)
-    options.add_argument("--example", action="store_true")
-    given = options.parse_args()
-    if given.example:
-        write_example(given.seed)
+    cli.add_argument("--flights", nargs="*", choices=names, default=list(names))
+    cli.add_argument("--seed", type=int, default=7)
+    cli.add_argument("--example", action="store_true")
+    options = cli.parse_args()
+    if options.example:
+        write_example(options.seed)
         return
-    table = Table(given.output / "recordings.md", "Recordings with truth", LIMITATIONS, ("mujoco",))
+    table = Table(
+        options.output / "recordings.md", "Recordings with truth", LIMITATIONS, ("mujoco",)
+    )
     columns = ("recorded with", "median; 95 % [mm]", "found; actual over stated errors", "CPU [s]")
-    for name in given.flights:
+    for name in options.flights:
         plan = plan_of(name)
-        flown = fly(plan, RATE, given.seed)
+        flown = fly(plan, RATE, options.seed)
         table.section(f"{name}, {plan.duration:.1f} s", *columns)
         task = Task.of(plan.motion)
         for words, camera in ROWS.items():
-            table.row(words, *Comparison.of(task, flown, camera, given.seed).row())
+            table.row(words, *Comparison.of(task, flown, camera, options.seed).row())
     columns = ("experiment", "evaluated", "true crossings", "the paper's flight")
     table.section("The paper's experiments: mean errors of the vertices [m]", *columns)
     for name, paper in PAPER.items():
         plan = experiment(name)
-        task, flown = Task.of(plan.motion), fly(plan, RATE, given.seed)
-        made = Comparison.of(task, flown, Camera(noise=5e-4, lost=0.1), given.seed)
-        true = np.linalg.norm(made.true - made.found.planned, axis=-1)
-        table.row(name.removeprefix("paper_"), means(made.found.errors), means(true), paper)
+        task, flown = Task.of(plan.motion), fly(plan, RATE, options.seed)
+        comparison = Comparison.of(task, flown, Camera(noise=5e-4, lost=0.1), options.seed)
+        true = np.linalg.norm(comparison.true - comparison.evaluation.planned, axis=-1)
+        table.row(
+            name.removeprefix("paper_"), means(comparison.evaluation.errors), means(true), paper
+        )
 
 
 if __name__ == "__main__":

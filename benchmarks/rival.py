@@ -1,4 +1,4 @@
-"""A rival of optimised morphs: the least that one would write in plain casadi and IPOPT.
+"""A rival of optimised morphs: a minimal formulation in plain casadi and IPOPT.
 
 Vertices are uniform B-splines of degree 5 in s = t/T with 10 coefficients each and free final time;
 q-legs go evenly along a smooth step. Speeds, accelerations, thrust, tilt, legs, convexity and the
@@ -20,7 +20,7 @@ from hitchopt.hitch import GRAVITY
 
 COEFFICIENTS, SAMPLES, DEGREE = 10, 24, 5
 FIXED = 3
-"""Coefficients at either end that rest fixes."""
+"""Number of coefficients at either end that are fixed by rest."""
 
 LEG_STEP = BSpline(np.repeat([0.0, 1.0], 8), np.repeat([0.0, 1.0], 4), 7)
 """The q-legs' share of their change."""
@@ -28,13 +28,12 @@ LEG_STEP = BSpline(np.repeat([0.0, 1.0], 8), np.repeat([0.0, 1.0], 4), 7)
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """What the rival comes back with.
+    """Solution of the rival.
 
     Attributes
     ----------
-    duration: [s]
-    excess: by how much of a limit the flight breaks it between its samples, the worst of speed and
-        acceleration.
+    duration: duration of the flight [s].
+    excess: largest relative excess over the limits of speed and acceleration between samples.
     """
 
     duration: float
@@ -42,17 +41,17 @@ class Rival:
 
 
 class RivalError(Exception):
-    """IPOPT gave up, or ran out of time."""
+    """IPOPT failed or ran out of time."""
 
 
 def solve(
     start: ho.Hitch, end: ho.Hitch, limits: ho.Limits, separation: ho.Separation, seconds: float
 ) -> Rival:
-    """Return IPOPT's solution, found in at most that many processor seconds of IPOPT.
+    """Return IPOPT's solution within a limit of processor time [s].
 
     Raises
     ------
-    RivalError: IPOPT gives up, or runs out of time.
+    RivalError: IPOPT fails or runs out of time.
     """
     n = start.team.robots
     (first, q_first), (last, q_last) = (
@@ -98,7 +97,7 @@ def solve(
             "ipopt": {"print_level": 0, "sb": "yes", "max_iter": 1000, "max_cpu_time": seconds},
         },
     )
-    found = solver(
+    solution = solver(
         x0=np.append(guess.T.ravel(), 2.0 + 4.0 * longest),
         lbx=np.append(np.full(guess.size, -np.inf), 0.1),
         ubx=np.inf,
@@ -107,7 +106,7 @@ def solve(
     )
     if not solver.stats()["success"]:
         raise RivalError(str(solver.stats()["return_status"]))
-    values = np.asarray(found["x"], dtype=np.float64).ravel()
+    values = np.asarray(solution["x"], dtype=np.float64).ravel()
     duration, middle = float(values[-1]), values[:-1].reshape(2 * n, -1).T
     whole = np.concatenate([np.tile(first, (FIXED, 1)), middle, np.tile(last, (FIXED, 1))])
     fine = np.linspace(0.0, 1.0, 2001)
@@ -121,25 +120,25 @@ def solve(
 
 
 def _robot(start: ho.Hitch, limits: ho.Limits) -> ca.Function:
-    """Return one robot's rows, not to be positive, and its drones' places (4,).
+    """Return the function of one robot's constraint rows (≤ 0) and its drones' places (4,).
 
-    The input holds value, velocity and acceleration of the coordinates of four vertices, then of
-    the q-leg.
+    The input has value, velocity and acceleration of the coordinates of four vertices, then of the
+    q-leg.
     """
     team = start.team
     jets = ca.SX.sym("jets", 27)
     value, rate, second = jets[::3], jets[1::3], jets[2::3]
-    before, here, there, after, d = ca.vertsplit(value, [0, 2, 4, 6, 8, 9])
-    e = float(team.cable_length[0]) - ca.norm_2(there - here) - d
+    before, start_vertex, end_vertex, after, d = ca.vertsplit(value, [0, 2, 4, 6, 8, 9])
+    e = float(team.cable_length[0]) - ca.norm_2(end_vertex - start_vertex) - d
     pulled = [
-        (here - before) / ca.norm_2(here - before),
-        (there - after) / ca.norm_2(there - after),
+        (start_vertex - before) / ca.norm_2(start_vertex - before),
+        (end_vertex - after) / ca.norm_2(end_vertex - after),
     ]
-    places = ca.vertcat(here + d * pulled[0], there + e * pulled[1])
+    places = ca.vertcat(start_vertex + d * pulled[0], end_vertex + e * pulled[1])
     speeds = ca.jtimes(places, value, rate)
-    known, following = ca.vertcat(value, rate), ca.vertcat(rate, second)
-    accelerations = ca.jtimes(speeds, known, following)
-    back, edge = here - before, there - here
+    arguments, following = ca.vertcat(value, rate), ca.vertcat(rate, second)
+    accelerations = ca.jtimes(speeds, arguments, following)
+    back, edge = start_vertex - before, end_vertex - start_vertex
     mass, tension = float(team.mass[0]), float(team.tension[0])
     hover, steepest = mass * GRAVITY, float(np.tan(limits.tilt))
     rows = [

@@ -1,4 +1,4 @@
-"""Single drones: circles, random teams and crowds, beside plain casadi and IPOPT.
+"""Single drones: circles, random teams and crowds, compared with plain casadi and IPOPT.
 
 Usage: python -m benchmarks separation [circles] [random] [crowds] [rival]
 
@@ -31,19 +31,20 @@ LIMITATIONS = (
 CIRCLES, SMALL, CROWDS, TEAMS = (6, 12, 24, 64, 200), (6, 12, 24), (100, 300, 1000), 100
 
 DEGREE, POINTS, KNOTS, FIXED = 5, 14, 24, 3
-"""The rival's splines, its knots, and the control points at either end that rest fixes."""
+"""Degree, number of control points and number of knots of the rival's splines; number of control
+points at either end that are fixed by rest."""
 
 
 def problem_of(data: dict[str, object]) -> ho.SwarmProblem:
     """Return a problem of single drones."""
-    found = any_problem_from_dict(data)
-    if not isinstance(found, ho.SwarmProblem):
+    problem = any_problem_from_dict(data)
+    if not isinstance(problem, ho.SwarmProblem):
         raise TypeError("not a problem of single drones")
-    return found
+    return problem
 
 
 def bound(problem: ho.SwarmProblem) -> float:
-    """Return what the drone that flies farthest takes at least, alone [s]."""
+    """Return the minimum duration of the drone with the longest distance alone [s]."""
     limits = problem.limits
     distance = np.linalg.norm(problem.goal - problem.start, axis=1)
     durations, _ = fastest_ramps(distance, limits.speed, limits.acceleration, limits.jerk)
@@ -51,13 +52,13 @@ def bound(problem: ho.SwarmProblem) -> float:
 
 
 def cells(problem: ho.SwarmProblem) -> tuple[float, float, float, float, str]:
-    """Return processor time, duration, its ratio to the bound, and the least separation."""
-    began = time.process_time()
+    """Return processor time, duration, its ratio to the bound, separation and certificate."""
+    start_time = time.process_time()
     plan = ho.separate(problem)
-    took, ratio = time.process_time() - began, plan.duration / bound(problem)
+    elapsed, ratio = time.process_time() - start_time, plan.duration / bound(problem)
     certificate = plan.certificate
-    kept = "yes" if certificate.certified else "NO"
-    return took, plan.duration, ratio, certificate["separation"].worst or 0.0, kept
+    certified = "yes" if certificate.certified else "NO"
+    return elapsed, plan.duration, ratio, certificate["separation"].worst or 0.0, certified
 
 
 COLUMNS = ("processor [s]", "duration [s]", "over bound", "separation, all t", "certified")
@@ -80,11 +81,11 @@ def random(table: Table) -> None:
     times, ratios, failed = [], [], []
     for seed in range(TEAMS):
         try:
-            took, _, ratio, *_ = cells(problem_of(random_team(seed)))
+            elapsed, _, ratio, *_ = cells(problem_of(random_team(seed)))
         except ho.InfeasibleError:
             failed.append(str(seed))
             continue
-        times.append(took)
+        times.append(elapsed)
         ratios.append(ratio)
     columns = (
         "teams",
@@ -112,16 +113,16 @@ def rival(table: Table) -> None:
     table.section("Plain casadi and IPOPT on circles", *columns)
     for n in SMALL:
         problem = problem_of(antipodal_circle(n))
-        began = time.process_time()
-        duration, least = fly(problem)
-        table.row(n, time.process_time() - began, duration, least)
+        start_time = time.process_time()
+        duration, separation = fly(problem)
+        table.row(n, time.process_time() - start_time, duration, separation)
 
 
 def fly(problem: ho.SwarmProblem, limit: float = 120.0) -> tuple[float, float]:
-    """Return the duration [s] that IPOPT finds and the least separation between knots, or nan.
+    """Return the duration [s] of IPOPT's solution and its smallest separation, or nan.
 
-    Drones are B-splines that start and end at rest, with free final time, from straight lines that
-    bulge to the right, so that the symmetry of a circle is broken.
+    Drones are B-splines from rest to rest with free final time. The initial guess are lines that
+    bulge to the right, which breaks the symmetry of circles.
     """
     n, limits = problem.team.drones, problem.limits
     spans = POINTS - DEGREE
@@ -131,16 +132,16 @@ def fly(problem: ho.SwarmProblem, limit: float = 120.0) -> tuple[float, float]:
     inner, T = opti.variable(POINTS - 2 * FIXED, 3 * n), opti.variable()
     ends = [ca.DM(np.tile(end.ravel(), (FIXED, 1))) for end in (problem.start, problem.goal)]
     control = ca.vertcat(ends[0], inner, ends[1])
-    for order, most in ((1, limits.speed), (2, limits.acceleration), (3, limits.jerk)):
+    for order, limit_of_order in ((1, limits.speed), (2, limits.acceleration), (3, limits.jerk)):
         rate = ca.reshape(ca.mtimes(ca.DM(basis(s, order)), control).T, 3, n * KNOTS)
-        opti.subject_to(ca.vec(ca.sum1(rate**2)) <= (most * T**order) ** 2)
+        opti.subject_to(ca.vec(ca.sum1(rate**2)) <= (limit_of_order * T**order) ** 2)
     points = ca.mtimes(ca.DM(basis(s)), control)
     i, j = np.triu_indices(n, 1)
-    apart = ca.MX(0.0)
+    squared = ca.MX(0.0)
     for axis, scale in enumerate(problem.separation.scale):
         offset = points[:, (3 * i + axis).tolist()] - points[:, (3 * j + axis).tolist()]
-        apart = apart + (float(scale) * offset) ** 2
-    opti.subject_to(ca.vec(apart) >= 1.0)
+        squared = squared + (float(scale) * offset) ** 2
+    opti.subject_to(ca.vec(squared) >= 1.0)
     opti.subject_to(T >= 0.1)
     opti.minimize(T)
     opti.set_initial(T, 1.2 * bound(problem))
@@ -154,13 +155,13 @@ def fly(problem: ho.SwarmProblem, limit: float = 120.0) -> tuple[float, float]:
     quiet: dict[str, Any] = {"print_level": 0, "sb": "yes", "max_iter": 3000, "max_cpu_time": limit}
     opti.solver("ipopt", {"expand": True, "print_time": False}, quiet)
     try:
-        found = opti.solve()
+        solution = opti.solve()
     except RuntimeError:
         return np.nan, np.nan
-    curve = BSpline(places, np.asarray(found.value(control), dtype=np.float64), DEGREE)
+    curve = BSpline(places, np.asarray(solution.value(control), dtype=np.float64), DEGREE)
     flown = curve(np.linspace(0.0, 1.0, 2000)).reshape(-1, n, 3) * problem.separation.scale
-    least = float(np.min(np.linalg.norm(flown[:, i] - flown[:, j], axis=-1)))
-    return float(found.value(T)), least
+    separation = float(np.min(np.linalg.norm(flown[:, i] - flown[:, j], axis=-1)))
+    return float(solution.value(T)), separation
 
 
 PARTS: dict[str, Callable[[Table], None]] = {
@@ -172,12 +173,12 @@ PARTS: dict[str, Callable[[Table], None]] = {
 
 
 def main() -> None:
-    """Print and write the parts that are asked for."""
-    options = parser(__doc__)
-    options.add_argument("parts", nargs="*", choices=[*PARTS, []], default=[], help="or all")
-    given = options.parse_args()
-    table = Table(given.output / "separation.md", "Single drones", LIMITATIONS)
-    for name in given.parts or PARTS:
+    """Print and write the requested parts."""
+    cli = parser(__doc__)
+    cli.add_argument("parts", nargs="*", choices=[*PARTS, []], default=[], help="or all")
+    options = cli.parse_args()
+    table = Table(options.output / "separation.md", "Single drones", LIMITATIONS)
+    for name in options.parts or PARTS:
         PARTS[name](table)
 
 

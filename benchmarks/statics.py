@@ -1,4 +1,4 @@
-"""Statics against simulated ropes: hitches at rest as ``ho.settle`` predicts them, calibration.
+"""Comparison of statics with simulated ropes: predictions of ``ho.settle``, and calibration.
 
 Usage: python -m benchmarks statics [--cases N] [--first S] [--calibrated M]
 
@@ -40,13 +40,13 @@ CALIBRATION_LIMITATIONS = (
 ROPE = ACCURATE.diameter, ACCURATE.segment
 """Thickness of simulated ropes and length of their segments [m]."""
 
-SHAKEN = {"noise": 0.01, "lag": 0.01}
+PERTURBATIONS = {"noise": 0.01, "lag": 0.01}
 REST = 3.0
-"""[s] Over which means are taken."""
+"""Averaging time [s]."""
 
 
 def random_case(seed: int) -> tuple[ho.Plan, float]:
-    """Return the first random hitch of a seed that can stand, and its drones' stiffness [N/m]."""
+    """Return the first feasible random hitch of a seed, and its drones' stiffness [N/m]."""
     rng = np.random.default_rng(seed)
     n = 3 + seed % 4
     density, stiffness = rng.uniform(0.003, 0.02), float(np.exp(rng.uniform(0.0, np.log(20.0))))
@@ -63,36 +63,37 @@ def random_case(seed: int) -> tuple[ho.Plan, float]:
             return plan, stiffness
 
 
-def settled(seed: int) -> tuple[object, ...]:
+def settle_row(seed: int) -> tuple[object, ...]:
     """Return the row of a hitch at rest: errors of tensions [%] and of vertices [mm]."""
     plan, stiffness = random_case(seed)
     team = plan.motion.team
-    done = ho.simulate(
-        plan, preset="accurate", perturbations=dict(SHAKEN), seed=seed, friction=0.0,
+    simulation = ho.simulate(
+        plan, preset="accurate", perturbations=dict(PERTURBATIONS), seed=seed, friction=0.0,
         stiffness=stiffness, pull_test=False,
     )  # fmt: skip
-    record = done.flight.record
+    record = simulation.flight.record
     rows = (record.t > plan.duration - REST) & (record.t <= plan.duration)
     pulls = np.mean(record.tensions[rows], axis=0)
-    seen = np.nanmean(record.vertices[rows], axis=0)
-    found = ho.settle(
+    vertices = np.nanmean(record.vertices[rows], axis=0)
+    equilibrium = ho.settle(
         plan,
         plan.duration,
-        cable_length=effective_lengths(done.flight),
-        cable_density=done.flight.density,
-        load=team.load + done.flight.density * 2.0 * bend_lengths(done.flight.task, *ROPE),
+        cable_length=effective_lengths(simulation.flight),
+        cable_density=simulation.flight.density,
+        load=team.load
+        + simulation.flight.density * 2.0 * bend_lengths(simulation.flight.task, *ROPE),
         stiffness=stiffness,
-        offsets=-mean_noise(done),
+        offsets=-mean_noise(simulation),
     )
-    tension = float(np.max(np.abs(found.tensions / pulls - 1.0)))
-    away = np.linalg.norm(found.vertices[team.layout.clasps] - seen, axis=-1)
+    tension = float(np.max(np.abs(equilibrium.tensions / pulls - 1.0)))
+    away = np.linalg.norm(equilibrium.vertices[team.layout.clasps] - vertices, axis=-1)
     density = float(np.mean(team.cable_density))
     errors = (100.0 * tension, 1e3 * float(np.max(away)), 1e3 * float(np.mean(away)))
     return seed, team.robots, 1e3 * density, stiffness, *errors
 
 
 def effective_lengths(flight: Flight) -> Array:
-    """Return (n,) [m]: legs, edges and the arcs of their sag, between vertices at rest."""
+    """Return effective cable lengths (n,) [m] at rest: legs and edges with their sag."""
     record, layout = flight.record, flight.task.team.layout
     rows = (record.t > flight.task.duration + 1e-5) & (record.t <= flight.rested)
     drones, vertices = np.mean(record.drones[rows], axis=0), np.empty((layout.points, 3))
@@ -105,9 +106,9 @@ def effective_lengths(flight: Flight) -> Array:
     return np.asarray(np.sum(sizes + slack**2 * sizes * level**2 / 24.0, axis=-1))
 
 
-def mean_noise(done: Simulation) -> Array:
-    """Return (2n, 3) [m], the mean error of measured places while means were taken."""
-    flight, settings = done.flight, done.settings
+def mean_noise(simulation: Simulation) -> Array:
+    """Return the mean error of measured places (2n, 3) [m] over the averaging time."""
+    flight, settings = simulation.flight, simulation.settings
     end, preset = flight.task.duration, settings.preset
     period = preset.time_step * max(1, round(CONTROL / preset.time_step))
     spans = ((-SETTLE, SETTLE), (0.0, end))
@@ -118,7 +119,7 @@ def mean_noise(done: Simulation) -> Array:
     return np.asarray(np.mean(errors[(t > end - REST) & (t <= end)], axis=0))
 
 
-def calibrated(seed: int) -> tuple[object, ...]:
+def calibration_row(seed: int) -> tuple[object, ...]:
     """Return the row of a flight's estimates: truth, estimate and stated error."""
     rng = np.random.default_rng(seed)
     stiffness, friction = float(np.exp(rng.uniform(np.log(2.0), np.log(15.0)))), 0.1 * (seed % 4)
@@ -148,38 +149,40 @@ def calibrated(seed: int) -> tuple[object, ...]:
     )
     noisy = ho.Recording(record.t[rows], drones, vertices)
     with tempfile.TemporaryDirectory() as place:
-        found = ho.calibrate(noisy, plan.save(Path(place) / "plan"), density=float(flight.density))
+        estimate = ho.calibrate(
+            noisy, plan.save(Path(place) / "plan"), density=float(flight.density)
+        )
     lengths = effective_lengths(flight)
-    off = np.array([one.value for one in found.lengths]) - lengths
-    worst, (k, mu) = int(np.argmax(np.abs(off))), (found.stiffness[0], found.friction)
-    length = f"{1e3 * off[worst]:+.1f} ± {1e3 * found.lengths[worst].error:.1f}"
+    off = np.array([one.value for one in estimate.lengths]) - lengths
+    worst, (k, mu) = int(np.argmax(np.abs(off))), (estimate.stiffness[0], estimate.friction)
+    length = f"{1e3 * off[worst]:+.1f} ± {1e3 * estimate.lengths[worst].error:.1f}"
     estimates = f"{k.value:.2f} ± {k.error:.2f}", f"{mu.value:.3f} ± {mu.error:.3f}"
     return seed, length, stiffness, estimates[0], friction, estimates[1]
 
 
 def main() -> None:
     """Print and write both tables."""
-    options = parser(__doc__)
-    options.add_argument("--cases", type=int, default=8)
-    options.add_argument("--first", type=int, default=0, help="seed of the first one")
-    options.add_argument("--calibrated", type=int, default=2)
-    given = options.parse_args()
-    seeds = range(given.first, given.first + given.cases)
+    cli = parser(__doc__)
+    cli.add_argument("--cases", type=int, default=8)
+    cli.add_argument("--first", type=int, default=0, help="seed of the first one")
+    cli.add_argument("--calibrated", type=int, default=2)
+    options = cli.parse_args()
+    seeds = range(options.first, options.first + options.cases)
     if seeds:
-        table = Table(given.output / "statics.md", "Statics", LIMITATIONS, ("mujoco",))
+        table = Table(options.output / "statics.md", "Statics", LIMITATIONS, ("mujoco",))
         columns = ("tension off by [%]", "vertex off by [mm]", "mean [mm]")
         table.section("Hitches at rest", "seed", "n", "g/m", "k [N/m]", *columns)
-        rows = [settled(seed) for seed in seeds]
+        rows = [settle_row(seed) for seed in seeds]
         for row in rows:
             table.row(*row)
         good = sum(row[4] <= 10.0 and row[5] <= 10.0 for row in rows)  # type: ignore[operator]
         table.note(f"within 10 % of tension and 1 cm: {good} of {len(rows)}")
     title = "Calibration from simulated flights"
-    table = Table(given.output / "calibration.md", title, CALIBRATION_LIMITATIONS, ("mujoco",))
+    table = Table(options.output / "calibration.md", title, CALIBRATION_LIMITATIONS, ("mujoco",))
     lengths = "worst length off by [mm]"
     table.section("", "seed", lengths, "k [N/m]", "estimated", "μ", "estimated")
-    for seed in range(given.first, given.first + given.calibrated):
-        table.row(*calibrated(seed))
+    for seed in range(options.first, options.first + options.calibrated):
+        table.row(*calibration_row(seed))
 
 
 if __name__ == "__main__":

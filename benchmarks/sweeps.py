@@ -86,19 +86,19 @@ def killed(plans: int, kills: int) -> bool:
 
 def main() -> None:
     """Print and write the tables."""
-    options = parser(__doc__)
-    options.add_argument("--plans", type=int, default=400)
-    options.add_argument("--kills", type=int, default=5)
-    given = options.parse_args()
-    table = Table(given.output / "sweeps.md", "Sweeps", LIMITATIONS, ("dask",))
+    cli = parser(__doc__)
+    cli.add_argument("--plans", type=int, default=400)
+    cli.add_argument("--kills", type=int, default=5)
+    options = cli.parse_args()
+    table = Table(options.output / "sweeps.md", "Sweeps", LIMITATIONS, ("dask",))
     table.section("", "workers", "time of a plan [ms]", "throughput over one worker")
-    one = swept(given.plans, 1)
+    one = swept(options.plans, 1)
     table.row(1, 1e3 * one, 1.0)
-    two = swept(given.plans, 2)
+    two = swept(options.plans, 2)
     table.row(2, 1e3 * two, one / two)
-    if given.kills:
-        same = "the same" if killed(given.plans, given.kills) else "NOT the same"
-        table.note(f"{given.plans} plans, killed {given.kills} times: rows are {same}")
+    if options.kills:
+        same = "the same" if killed(options.plans, options.kills) else "NOT the same"
+        table.note(f"{options.plans} plans, killed {options.kills} times: rows are {same}")
 
 
 if __name__ == "__main__":

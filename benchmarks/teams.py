@@ -18,15 +18,15 @@ LIMITATIONS = (
     "priorities are incomplete: failure does not prove infeasibility"
 )
 
-CLOSE = 2.6
-"""[m] Least distance between the random starts, and between the random goals, of hitches."""
+MIN_DISTANCE = 2.6
+"""Minimum distance between random starts, and between random goals [m]."""
 
 Entry = tuple[int, float, float, ArrayLike, ArrayLike, float]
 """Robots, length of cables and edges [m], centroids at the start and the goal [m], turn [rad]."""
 
 
 def crossing(*entries: Entry, size: float) -> ho.TeamsProblem:
-    """Return the problem of regular hitches that are carried at once, within ±size [m]."""
+    """Return the problem of regular hitches that move simultaneously within ±size [m]."""
     teams, start, item = {}, {}, {}
     for name, (n, cable, edge, at, to, turn) in zip("abcdefghijkl", entries, strict=False):
         x, y, z = np.asarray(at, dtype=float)
@@ -38,14 +38,14 @@ def crossing(*entries: Entry, size: float) -> ho.TeamsProblem:
     return ho.TeamsProblem(teams, start, [item], arena=arena)
 
 
-def places(rng: np.random.Generator, count: int, size: float, least: float) -> list[Array]:
-    """Return random places [x, y] within ±size [m], at least so far from each other."""
-    found = list[Array]()
-    while len(found) < count:
+def places(rng: np.random.Generator, count: int, size: float, min_distance: float) -> list[Array]:
+    """Return random places [x, y] within ±size [m] with a minimum distance [m]."""
+    result = list[Array]()
+    while len(result) < count:
         place = rng.uniform(-size, size, 2)
-        if all(np.linalg.norm(place - other) > least for other in found):
-            found.append(place)
-    return found
+        if all(np.linalg.norm(place - other) > min_distance for other in result):
+            result.append(place)
+    return result
 
 
 def three() -> ho.TeamsProblem:
@@ -61,15 +61,15 @@ def three() -> ho.TeamsProblem:
 def triangles(count: int = 10, seed: int = 0) -> ho.TeamsProblem:
     """Return the problem of triangles on random goals in 12 × 12 × 3 m."""
     rng = np.random.default_rng(seed)
-    starts, goals = (places(rng, count, 4.6, CLOSE) for _ in range(2))
+    starts, goals = (places(rng, count, 4.6, MIN_DISTANCE) for _ in range(2))
     ends = [(np.append(a, 1.5), np.append(b, 1.5)) for a, b in zip(starts, goals, strict=True)]
     return crossing(*[(3, 2.0, 1.0, a, b, 0.0) for a, b in ends], size=6.0)
 
 
 def pair(seed: int) -> ho.TeamsProblem:
-    """Return the problem of two random regular hitches on heights of their own."""
+    """Return the problem of two random regular hitches at different altitudes."""
     rng = np.random.default_rng(seed)
-    starts, goals = (places(rng, 2, 2.6, CLOSE) for _ in range(2))
+    starts, goals = (places(rng, 2, 2.6, MIN_DISTANCE) for _ in range(2))
     entries = list[Entry]()
     for a, b in zip(starts, goals, strict=True):
         n, edge, z = int(rng.integers(3, 7)), rng.uniform(0.7, 1.2), rng.uniform(1.2, 1.8)
@@ -79,31 +79,31 @@ def pair(seed: int) -> ho.TeamsProblem:
 
 
 def outcome(problem: ho.TeamsProblem) -> tuple[float, float, str]:
-    """Return the processor time [s], the plan's duration [s], and why there is none."""
-    began, duration, reason = time.process_time(), np.nan, ""
+    """Return the processor time [s], the plan's duration [s], and the reason without a plan."""
+    start_time, duration, reason = time.process_time(), np.nan, ""
     try:
         duration = ho.solve(problem).duration
     except ho.InfeasibleError as error:
         reason = f"{error.violations[0].constraint} of {', '.join(error.violations[0].where)}"
-    return time.process_time() - began, duration, reason
+    return time.process_time() - start_time, duration, reason
 
 
 def main() -> None:
     """Print and write the tables."""
-    options = parser(__doc__)
-    options.add_argument("--pairs", type=int, default=40, help="random pairs of teams")
-    given = options.parse_args()
-    table = Table(given.output / "teams.md", "Several teams", LIMITATIONS)
+    cli = parser(__doc__)
+    cli.add_argument("--pairs", type=int, default=40, help="random pairs of teams")
+    options = cli.parse_args()
+    table = Table(options.output / "teams.md", "Several teams", LIMITATIONS)
     table.section("Crossing", "task", "processor [s]", "duration [s]", "refused")
     outcome(pair(0))  # imports are not measured
     table.row("3, 4 and 6 robots in 6 × 6 × 3 m", *outcome(three()))
     table.row("ten triangles in 12 × 12 × 3 m", *outcome(triangles()))
-    found = [outcome(pair(seed)) for seed in range(given.pairs)]
+    outcomes = [outcome(pair(seed)) for seed in range(options.pairs)]
     table.section("Random pairs", "pairs", "planned", "median [s]", "most [s]", "refused")
-    refused = "; ".join(f"{seed}: {one[2]}" for seed, one in enumerate(found) if one[2])
-    times = [one[0] for one in found]
-    planned = sum(not one[2] for one in found)
-    table.row(len(found), planned, float(np.median(times)), max(times), refused)
+    refused = "; ".join(f"{seed}: {one[2]}" for seed, one in enumerate(outcomes) if one[2])
+    times = [one[0] for one in outcomes]
+    planned = sum(not one[2] for one in outcomes)
+    table.row(len(outcomes), planned, float(np.median(times)), max(times), refused)
 
 
 if __name__ == "__main__":

@@ -27,7 +27,7 @@ Curve = Callable[[float, int], Array]
 STEMS, FASTEST = ("triangle", "move_vertex", "square_half_turn", "transport"), 3
 
 STEP, SETTLED = 0.005, 1.0
-"""[s] Step of simulation and controller, and time that is flown on at the last point."""
+"""Time step of simulation and controller, and time of flight at the last point [s]."""
 
 LIMITATIONS = (
     "one drone after the other, without cables (rotorpy knows none), noise or wind; rotorpy's "
@@ -36,7 +36,7 @@ LIMITATIONS = (
 
 
 def exported_curve(path: Path) -> Curve:
-    """Return what a polynomial CSV says, at rest after its end."""
+    """Return the curve of a polynomial CSV, at rest after its end."""
     rows = np.loadtxt(path, delimiter=",", skiprows=1, usecols=range(33), ndmin=2)
     ends = np.cumsum(rows[:, 0])
 
@@ -53,7 +53,7 @@ def exported_curve(path: Path) -> Curve:
 
 
 def planned_curve(motion: ho.Motion, drone: int) -> Curve:
-    """Return what the plan says of a drone, at rest after its end."""
+    """Return the curve of a drone in the plan, at rest after its end."""
     one = ho.PiecewisePolynomial(motion.drones.breaks, motion.drones.coefficients[:, drone])
 
     def curve(t: float, order: int) -> Array:
@@ -65,7 +65,7 @@ def planned_curve(motion: ho.Motion, drone: int) -> Curve:
 
 
 def fly(curve: Curve, duration: float) -> float:
-    """Return by how much rotorpy's Hummingbird, at rest first, misses a curve at most [m]."""
+    """Return the maximum tracking error of rotorpy's Hummingbird, initially at rest [m]."""
     hover = float(np.sqrt(quad_params["mass"] * 9.81 / 4 / quad_params["k_eta"]))
     state = {
         "x": curve(0.0, 0),
@@ -99,16 +99,16 @@ def measure(stem: str) -> tuple[object, ...]:
         files = [exported_curve(Path(place) / f"{names[i]}.csv") for i in drones]
     exported = [1e3 * fly(curve, plan.duration) for curve in files]
     planned = [1e3 * fly(planned_curve(plan.motion, i), plan.duration) for i in drones]
-    apart = max(abs(a - b) for a, b in zip(exported, planned, strict=True))
+    difference = max(abs(a - b) for a, b in zip(exported, planned, strict=True))
     export = 1e3 * part.verdict.position.worst
-    return stem, plan.duration, export, max(exported), max(planned), apart
+    return stem, plan.duration, export, max(exported), max(planned), difference
 
 
 def main() -> None:
     """Print and write a row for every problem."""
-    given = parser(__doc__).parse_args()
+    options = parser(__doc__).parse_args()
     table = Table(
-        given.output / "tracking.md", "Exports flown elsewhere", LIMITATIONS, ("rotorpy",)
+        options.output / "tracking.md", "Exports flown elsewhere", LIMITATIONS, ("rotorpy",)
     )
     columns = ("export off by [mm]", "file missed by [mm]", "plan missed by [mm]", "apart [mm]")
     table.section("", "problem", "plan [s]", *columns)

@@ -1,4 +1,4 @@
-"""Live view, reports and films: how long a user waits.
+"""Waiting times of live view, reports and films.
 
 Usage: python -m benchmarks views
 
@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 COMMAND = (sys.executable, "-m", "hitchopt")
 
 DRAWN = 0.002
-"""Part of the picture that is coloured once the scene is there."""
+"""Share of coloured pixels of a complete scene."""
 
 SCENE: FloatRect = {"x": 340, "y": 100, "width": 470, "height": 320}
-"""Part of a page that shows the scene alone, in live views and reports [pixels]."""
+"""Part of a page with only the scene, in live views and reports [pixels]."""
 
 LIMITATIONS = (
     "one machine; WebGL in software on the same cores; the browser is open before the command is "
@@ -42,14 +42,14 @@ LIMITATIONS = (
 
 def live_frame(page: Page, place: str) -> float:
     """Return the time from ``hitchopt view`` to the scene's picture [s]."""
-    began = time.monotonic()
+    start_time = time.monotonic()
     command = [*COMMAND, "view", place, "--no-browser", "--port", "8470"]
     served = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
         assert served.stdout is not None
         words = next(line for line in served.stdout if "http://" in line and "plan is" in line)
         open_until_drawn(page, re.findall(r"http://\S+?(?=;)", words)[0])
-        return time.monotonic() - began
+        return time.monotonic() - start_time
     finally:
         served.terminate()
         served.wait()
@@ -57,13 +57,13 @@ def live_frame(page: Page, place: str) -> float:
 
 def report_frame(page: Page, place: str) -> float:
     """Return the time from a report's opening to its picture [s]."""
-    began = time.monotonic()
+    start_time = time.monotonic()
     open_until_drawn(page, (Path(place) / "report.html").as_uri())
-    return time.monotonic() - began
+    return time.monotonic() - start_time
 
 
 def open_until_drawn(page: Page, address: str) -> None:
-    """Open an address and wait until colours are seen there."""
+    """Open an address and wait until the scene is drawn."""
     page.goto(address, wait_until="commit")
     page.wait_for_selector("canvas")
     while coloured(page.screenshot(clip=SCENE)) < DRAWN:
@@ -78,11 +78,11 @@ def coloured(png: bytes) -> float:
 
 def film(place: str) -> tuple[float, float]:
     """Return the time of a film over the duration of the flight, by the clock and of processors."""
-    began, duration = os.times(), ho.load(place).duration
+    start_time, duration = os.times(), ho.load(place).duration
     run("view", place, "--save", Path(place) / "film.mp4")
     ended = os.times()
-    used = sum(ended[2:4]) - sum(began[2:4])  # of finished processes
-    return (ended.elapsed - began.elapsed) / duration, used / duration
+    used = sum(ended[2:4]) - sum(start_time[2:4])  # of finished processes
+    return (ended.elapsed - start_time.elapsed) / duration, used / duration
 
 
 def run(*words: object) -> None:
@@ -92,11 +92,11 @@ def run(*words: object) -> None:
 
 def main() -> None:
     """Print and write the table."""
-    given = parser(__doc__).parse_args()
+    options = parser(__doc__).parse_args()
     sys.path.insert(0, str(ROOT / "docs"))
     from generators.headless_page import opened_page
 
-    table = Table(given.output / "views.md", "Live view, reports and films", LIMITATIONS)
+    table = Table(options.output / "views.md", "Live view, reports and films", LIMITATIONS)
     table.section("", "what", "measured", "goal")
     with tempfile.TemporaryDirectory() as place:
         run("solve", "-q", PROBLEMS / "form_twelve_gon.yaml", "-o", place, "--report")

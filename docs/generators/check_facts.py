@@ -1,4 +1,4 @@
-"""What the registry knows of every check, as a small table that its section includes."""
+"""Facts of each check from the registry, as tables for the documentation."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ SENSES = {"min": "must not fall below the limit", "max": "must not rise above th
 
 
 def write_check_facts() -> dict[str, str]:
-    """Return one table for every check and every report, by its name."""
+    """Return a table for each check and each report, by name."""
     facts = {rule.name: _table(_facts_of_check(rule)) + _formulas(rule) for rule in RULES}
     return facts | {rule.name: _table(_facts_of_report(rule)) for rule in REPORTS}
 
 
 def _facts_of_check(rule: CheckRule) -> dict[str, str]:
     states = {state for evaluator in rule.evaluators for state in evaluator.states}
-    named = ", ".join(state.name.lower() for state in CableState if state in states)
+    names = ", ".join(state.name.lower() for state in CableState if state in states)
     exported = any(evaluator.exported for evaluator in rule.evaluators)
-    at = "" if rule.exported_limit is None else f", against {rule.exported_limit:g}"
-    other = rule.free_remedy if rule.free_remedy != rule.remedy else ""
+    limit = "" if rule.exported_limit is None else f", against {rule.exported_limit:g}"
+    free_remedy = rule.free_remedy if rule.free_remedy != rule.remedy else ""
     return {
         "`worst`": f"{_unit(rule.unit)}; {SENSES[rule.sense]}",
         "limit": "set by the problem" if callable(rule.limit) else f"{rule.limit:g}",
-        "while cables are": "in any state" if states == set(CableState) else named,
-        "checked in exports": f"yes{at}" if exported else "no",
-        "what helps": rule.remedy + (f"; while cables hang: {other}" if other else ""),
+        "while cables are": "in any state" if states == set(CableState) else names,
+        "checked in exports": f"yes{limit}" if exported else "no",
+        "what helps": rule.remedy + (f"; while cables hang: {free_remedy}" if free_remedy else ""),
     }
 
 
@@ -40,13 +40,13 @@ def _facts_of_report(rule: ReportRule) -> dict[str, str]:
 
 
 def _formulas(rule: CheckRule) -> str:
-    """Return the code of a check's formulas, each once, folded."""
-    found: list[Any] = []
+    """Return the code of a check's distinct formulas in a dropdown."""
+    formulas: list[Any] = []
     for evaluator in rule.evaluators:
         if isinstance(evaluator.evaluate, WorstOverSpans):
-            found.append(evaluator.evaluate.formula)
-        found += evaluator.shown
-    unique = [getattr(each, "func", each) for each in dict.fromkeys(found)]
+            formulas.append(evaluator.evaluate.formula)
+        formulas += evaluator.shown
+    unique = [getattr(each, "func", each) for each in dict.fromkeys(formulas)]
     code = "\n\n".join(inspect.cleandoc(f"\n{inspect.getsource(each)}") for each in unique)
     return f"\n:::{{dropdown}} The formula\n```python\n{code}\n```\n:::\n" if code else ""
 

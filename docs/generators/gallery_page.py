@@ -1,4 +1,4 @@
-"""The gallery: a card for every problem file, and a page with its picture, its YAML and its Python."""
+"""The gallery: a card for each problem file, and a page with its picture, YAML and Python."""
 
 from __future__ import annotations
 
@@ -46,25 +46,25 @@ REFUSALS = """## Invalid files
 |---|---|"""
 
 WIDTH = 74
-"""Characters of code in a line of a page."""
+"""Maximum number of characters in a line of code."""
 
 
 def write_gallery() -> dict[Path, str]:
-    """Return the pages by their paths: the index, and page and program of every problem."""
+    """Return the pages by path: the index, and a page and a program for each problem."""
     cards = [part for section in SECTIONS for part in _section(section)]
     rows = [_refused(x) for folder in REFUSED for x in sorted((PROBLEMS / folder).glob("*.yaml"))]
     toctree = "```{toctree}\n:hidden:\n:glob:\n\nexamples/**\n```\n"
     index = [INTRODUCTION, toctree, *cards, REFUSALS, *rows, ""]
-    written = {GALLERY / "index.md": "\n".join(index)}
+    pages = {GALLERY / "index.md": "\n".join(index)}
     for section in SECTIONS:
         for file in section.files:
             page = GALLERY / section.page(file)
-            written |= {page: _example(section, file), page.with_suffix(".py"): program(file)}
-    return written
+            pages |= {page: _example(section, file), page.with_suffix(".py"): program(file)}
+    return pages
 
 
 def program(file: Path) -> str:
-    """Return a Python program that plans what a problem file asks for."""
+    """Return a Python program that solves the problem of a file."""
     problem = python(ho.read_problem(file)).replace(f"{PROBLEMS}/", "")
     imports = ["import math\n"] * ("math." in problem) + ["import hitchopt as ho\n"]
     last = f'plan = ho.solve(problem)\nprint(plan)\nplan.save("{file.stem}")\n'
@@ -72,8 +72,8 @@ def program(file: Path) -> str:
 
 
 def python(value: Any, margin: int = 0, first: int = len("problem = ")) -> str:
-    """Return the Python that makes a value, on lines after a margin, ``first`` more on the first."""
-    value = getattr(value, "vertices", value)  # of an outline
+    """Return the Python code of a value, with a margin, and ``first`` more on the first line."""
+    value = getattr(value, "vertices", value)  # outlines as vertices
     if isinstance(value, RolledLegs):
         roll = value.roll if value.roll is None else np.degrees(value.roll).round(9)
         value = {"sharing": value.sharing, "roll_deg": roll}
@@ -104,15 +104,15 @@ def python(value: Any, margin: int = 0, first: int = len("problem = ")) -> str:
 
 
 def _arguments(record: Any) -> Iterator[tuple[str, Any]]:
-    """Yield arguments that differ from their defaults; of robots that are alike one value."""
+    """Yield arguments that differ from their defaults; equal values of robots as one."""
     for name, parameter in signature(type(record)).parameters.items():
-        if name.endswith("_deg"):  # another name of an angle
+        if name.endswith("_deg"):  # an alias of an angle
             continue
         value = getattr(record, name)
         if isinstance(record, ho.Team) and len(set(map(python, _listed(value)))) == 1:
             value = value[0]
-        written, needed = python(value), parameter.default is parameter.empty
-        if needed or (written != python(parameter.default) and not written.endswith(("()", "{}"))):
+        code, is_required = python(value), parameter.default is parameter.empty
+        if is_required or (code != python(parameter.default) and not code.endswith(("()", "{}"))):
             yield name, value
 
 
@@ -129,7 +129,7 @@ def _example(section: Section, file: Path) -> str:
         "Film": PROBLEMS / f"pictures/{file.stem}.webp",
     }
     pictures |= {words: screenshot(file.stem, kind) for kind, words in KINDS.items()}
-    shown = "\n\n".join(
+    figures = "\n\n".join(
         f"```{{figure}} {up}{picture.relative_to(ROOT).as_posix()}\n:alt: {title}\n\n{words}\n```"
         for words, picture in pictures.items()
         if picture.exists()
@@ -138,7 +138,7 @@ def _example(section: Section, file: Path) -> str:
 
 {_text(section, file)}{f" The plan lasts {lasts} s." if lasts else ""}
 
-{shown}
+{figures}
 
 ## Problem file
 
@@ -158,7 +158,7 @@ def _example(section: Section, file: Path) -> str:
 
 
 def _section(section: Section) -> list[str]:
-    """Return the cards of a section, each a picture and a title that lead to its page."""
+    """Return the cards of a section, each with a picture, a title and a link to its page."""
     lines = [f"## {section.heading}\n", *([] if section.solved else [UNSOLVED])]
     cards = [
         f":::{{grid-item-card}} {_title(file)}\n"
@@ -175,7 +175,7 @@ def _title(file: Path) -> str:
 
 
 def _text(section: Section, file: Path) -> str:
-    """Return the comment of a problem, and what binds where there is no plan."""
+    """Return the comment of a problem, and the violated limit if it has no plan."""
     text = " ".join(line or "\n\n" for line in caption(file))
     binds = "" if section.solved else f" Binds: {entry(file, '# Binds', 'see the message')}."
     return re.sub(r"([\\*_\[\]<>$])", r"\\\1", text) + binds
@@ -190,7 +190,7 @@ def _refused(file: Path) -> str:
         message = message.replace(f"{PROBLEMS}/", "")
     else:
         raise AssertionError(f"{name} is read without an error")
-    # The beginning of the message as code, as a cell can hold it.
+    # Cells are limited in length and characters.
     short = message if len(message) <= 240 else f"{message[:239]}…"
     printable = "".join(c if c.isprintable() else "�" for c in short)
     return f"| `{name}` | `` {printable.replace('|', chr(92) + '|').replace('``', '')} `` |"

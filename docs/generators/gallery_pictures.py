@@ -1,6 +1,6 @@
-"""Pictures of all problems, for the gallery: ``make gallery`` draws those that are missing.
+"""Pictures of all problems for the gallery: ``make gallery`` draws missing ones.
 
-They are committed, since planning all problems takes minutes. Delete a picture to draw it anew.
+They are committed, since planning all problems takes minutes. Delete a picture to draw it again.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ SIZE = (4.2, 4.2)
 """Width and height [inch]."""
 
 PALETTE = 64
-"""Number of colours: line drawings need few, and a file of a third of the size results."""
+"""Number of colours: line drawings need few, and files shrink to a third."""
 
 
 def draw(file: Path, *, solved: bool) -> Figure:
-    """Return the picture of a problem: its plan from above, else what it asks for."""
+    """Return the picture of a problem: its plan from above, or its task if it has no plan."""
     figure = new_figure(SIZE)
     axes = figure.add_subplot()
     if solved:
@@ -39,12 +39,12 @@ def draw(file: Path, *, solved: bool) -> Figure:
             legend.remove()
     else:
         draw_task(axes, ho.read_problem(file))
-        figure.draw_without_rendering()  # limits of equal axes are known then, and so their labels
+        figure.draw_without_rendering()  # sets the limits of equal axes, and their labels
     return figure
 
 
 def draw_task(axes: Axes, problem: ho.Problem | ho.SwarmProblem | ho.TeamsProblem) -> None:
-    """Draw the start and all outlines or goals that are asked for, the last one in colour."""
+    """Draw the start and all outlines or goals, the last one in colour."""
     if isinstance(problem, ho.TeamsProblem):
         for flights in problem.problems.values():
             for each in (flights,) if isinstance(flights, ho.Problem) else flights:
@@ -52,8 +52,8 @@ def draw_task(axes: Axes, problem: ho.Problem | ho.SwarmProblem | ho.TeamsProble
     elif isinstance(problem, ho.SwarmProblem):
         for prism in problem.keep_out:
             axes.add_patch(Polygon(prism.polygon.vertices, fc="0.88", ec="0.4", hatch="////"))
-        ways = [[a[:2], b[:2]] for a, b in zip(problem.start, problem.goal, strict=True)]
-        axes.add_collection(LineCollection(ways, colors="0.72", linestyles="dashed"))
+        lines = [[a[:2], b[:2]] for a, b in zip(problem.start, problem.goal, strict=True)]
+        axes.add_collection(LineCollection(lines, colors="0.72", linestyles="dashed"))
         axes.plot(*problem.start[:, :2].T, "o", mfc="white", mec=COLOURS[0])
         axes.plot(*problem.goal[:, :2].T, "o", color=COLOURS[0])
     else:
@@ -68,7 +68,7 @@ def draw_task(axes: Axes, problem: ho.Problem | ho.SwarmProblem | ho.TeamsProble
 
 
 def draw_outlines(axes: Axes, problem: ho.Problem) -> None:
-    """Draw the cables at the start and every step's outline, the last one in colour."""
+    """Draw the cables at the start and the outlines of all steps, the last one in colour."""
     polygons = [each for each in outlines(problem) if each is not None]
     for i, each in enumerate(polygons):
         last = i == len(polygons) - 1
@@ -81,7 +81,7 @@ def draw_outlines(axes: Axes, problem: ho.Problem) -> None:
 
 
 def starting_cables(problem: ho.Problem) -> Array:
-    """Return (n, 2 or 4, 2) [m]: every cable from drone to drone; n = 0 where no hitch fits."""
+    """Return the cables (n, 2 or 4, 2) [m] from drone to drone; n = 0 without a feasible hitch."""
     start, team = problem.start, problem.team
     if isinstance(start, ho.DronesStart):
         return np.stack([start.q, start.r], axis=1)[..., :2]
@@ -95,7 +95,7 @@ def starting_cables(problem: ho.Problem) -> Array:
 
 
 def main() -> None:
-    """Draw the pictures that are missing."""
+    """Draw missing pictures."""
     for section in SECTIONS:
         for file in section.files:
             target = section.picture(file)

@@ -1,4 +1,4 @@
-"""Pictures of the live view and of reports, for the gallery: ``make screenshots`` takes them."""
+"""Pictures of live views and reports for the gallery: ``make screenshots`` takes them."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ import hitchopt as ho
 from generators.problem_collection import GALLERY, PROBLEMS
 
 SCREENSHOTS = {"carry_box": 0.55, "swarms/circle_24": 0.45, "form_thirty_gon": 1.0}
-"""Problems that are shown, and the share of their plan's duration that has passed."""
+"""Problems, and times of the pictures as shares of the plan's duration."""
 
 KINDS = {"view": "The live view", "report": "The report"}
 
 SIZE = (1200, 800)
 """Width and height of a page [pixels]."""
 
-SETTLED = 4000
-"""Time after which a page has drawn what it was sent [ms]; software draws slowly."""
+DRAWING_TIME = 4000
+"""Time in which a page draws new content with software rendering [ms]."""
 
 PALETTE, ROUNDS = 255, 3
-"""Number of colours of a picture, and rounds in which they are fitted: thin cables keep theirs."""
+"""Number of colours of a picture, and iterations of their fit, enough for thin cables."""
 
 
 def screenshot(stem: str, kind: str) -> Path:
@@ -34,7 +34,7 @@ def screenshot(stem: str, kind: str) -> Path:
 
 def take(stem: str, share: float) -> None:
     """Take the pictures of a plan's live view and report."""
-    from generators.headless_page import opened_page  # Playwright is not needed to show them
+    from generators.headless_page import opened_page  # Playwright is only needed here
 
     plan = ho.solve(PROBLEMS / f"{stem}.yaml")
     time = share * plan.duration
@@ -48,14 +48,14 @@ def take(stem: str, share: float) -> None:
         page.goto(f"{live.url}/?fixedDpr=1")  # as sharp as on a graphics card
         page.wait_for_selector("canvas")
         live.seek(time)
-        page.wait_for_timeout(SETTLED)
+        page.wait_for_timeout(DRAWING_TIME)
         page.add_style_tag(content=".mantine-Notifications-root { display: none }")
         _save(page, screenshot(stem, "view"))
     live.close()
 
 
 def _save(page: Any, path: Path) -> None:
-    page.wait_for_timeout(SETTLED)
+    page.wait_for_timeout(DRAWING_TIME)
     page.screenshot(path=path)
     image = Image.open(path).convert("RGB")
     image.quantize(PALETTE, kmeans=ROUNDS, dither=Image.Dither.NONE).save(path, optimize=True)

@@ -1,4 +1,4 @@
-"""The problem files of the repository, in the order of the gallery, and what their headers say."""
+"""The problem files of the repository in the order of the gallery, with their headers."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class Section:
 
     Attributes
     ----------
-    folder: relative to ``problems``.
-    heading: of the section in the gallery.
+    folder: path relative to ``problems``.
+    heading: heading of the section in the gallery.
     solved: whether the problems have plans.
     """
 
@@ -52,20 +52,20 @@ SECTIONS = (
     Section("infeasible", "Hitches without a plan", solved=False),
     Section("swarms/infeasible", "Single drones without a plan", solved=False),
 )
-"""Folders with a picture for every problem."""
+"""Folders whose problems have pictures."""
 
 REFUSED = ("bad", "swarms/bad")
-"""Folders of files that are wrong in themselves; there is nothing to draw."""
+"""Folders of invalid files, which have no pictures."""
 
 
 def caption(file: Path) -> list[str]:
-    """Return the lines of the comment at the head of a problem file, without those for tests."""
+    """Return the lines of a problem file's leading comment, without those for tests."""
     lines = takewhile(lambda line: line.startswith("#"), file.read_text("utf-8").splitlines())
-    others = ("# Lasts: ", "# Binds: ", "# yaml-language-server")
-    return [line.removeprefix("#").strip() for line in lines if not line.startswith(others)]
+    excluded = ("# Lasts: ", "# Binds: ", "# yaml-language-server")
+    return [line.removeprefix("#").strip() for line in lines if not line.startswith(excluded)]
 
 
 def entry(file: Path, key: str, default: str) -> str:
-    """Return the text after ``key: `` at the beginning of a line of a problem file."""
+    """Return the text after ``key: `` at the start of a line of a problem file."""
     line = re.search(rf"^{key}: (.*)$", file.read_text("utf-8"), re.MULTILINE)
     return line[1].strip().strip("\"'") if line else default

@@ -9,7 +9,7 @@ from hitchopt.mission.loading import problem_schema
 from hitchopt.values.fields import Schema
 
 KEYS = ("title", "team", "teams", "limits", "separation", "arena", "objects", "keep_out", "start")
-"""Keys of a whole file that come first, in this order."""
+"""Keys of files that come first, in this order."""
 
 INTRODUCTION = """# Problem file
 
@@ -26,16 +26,16 @@ HEADINGS = {
     "ObjectKeys": "Objects",
     "Step": "Steps",
 }
-"""Headings that are not definitions' names; those of whole files come first."""
+"""Headings that differ from the names of definitions; whole files come first."""
 
 
 def write_schema_page() -> str:
-    """Return the page: one section and one table of keys for every definition of the schema."""
+    """Return the page, with a section and a table of keys for each definition of the schema."""
     definitions = problem_schema()["$defs"]
     sections: dict[str, str] = {}
 
     def add(name: str, level: str) -> None:
-        """Add the section of a definition, then those of the definitions of its keys."""
+        """Add the section of a definition, then the sections of its keys' definitions."""
         if name not in sections:
             sections[name] = _section(name, level, definitions[name])
             for key in _keys(definitions[name]) or [definitions[name]]:
@@ -48,13 +48,13 @@ def write_schema_page() -> str:
 
 
 def heading(name: str) -> str:
-    """Return the heading of a definition: its name in words, without the ``Keys`` at its end."""
+    """Return the heading of a definition: its name in words, without the suffix ``Keys``."""
     words = "".join(f" {c.lower()}" if c.isupper() else c for c in name.removesuffix("Keys"))
     return HEADINGS.get(name, words.strip().capitalize())
 
 
 def _keys(definition: Schema) -> list[tuple[str, Schema]]:
-    """Return a definition's keys with their schemas, the first ones in the order of ``KEYS``."""
+    """Return a definition's keys with their schemas, starting with those in ``KEYS``."""
     keys = definition.get("properties", {}).items()
     return sorted(keys, key=lambda item: KEYS.index(item[0]) if item[0] in KEYS else len(KEYS))
 
@@ -76,14 +76,14 @@ def _section(name: str, level: str, definition: Schema) -> str:
 
 
 def in_words(value: Schema) -> str:  # noqa: PLR0911
-    """Return the values that a schema admits, in words; definitions are links."""
+    """Return the values of a schema in words, with links to definitions."""
     if "$ref" in value:
         name = value["$ref"].rpartition("/")[2]
         return f"{{ref}}`{heading(name)} <keys-{name.lower()}>`"
     if "const" in value:
-        return f"`{_shown(value['const'])}`"
+        return f"`{_as_text(value['const'])}`"
     if "enum" in value:
-        return " or ".join(f"`{_shown(each)}`" for each in value["enum"])
+        return " or ".join(f"`{_as_text(each)}`" for each in value["enum"])
     for kind in ("oneOf", "anyOf", "allOf"):
         if kind in value:
             words = [in_words(each) for each in value[kind] if each.get("type") != "null"]
@@ -103,27 +103,29 @@ def in_words(value: Schema) -> str:  # noqa: PLR0911
 
 
 def _list_in_words(value: Schema) -> str:
-    least, most = value.get("minItems"), value.get("maxItems")
+    minimum, maximum = value.get("minItems"), value.get("maxItems")
     items = in_words(value["items"])
     if items.startswith(("number", "integer", "list")) or items[:1].isdigit():
         first, _, rest = items.partition(" ")
         items = f"lists of {items}" if items[:1].isdigit() else f"{first}s {rest}".strip()
-    return f"{least} {items}" if least is not None and least == most else f"list of {items}"
+    return (
+        f"{minimum} {items}" if minimum is not None and minimum == maximum else f"list of {items}"
+    )
 
 
 def _range(value: Schema) -> str:
-    """Return the bounds that say something; those of the order of 1e9 only catch mistakes."""
-    least, above = value.get("minimum"), value.get("exclusiveMinimum")
-    most, below = value.get("maximum"), value.get("exclusiveMaximum")
+    """Return informative bounds in words; bounds of the order of 1e9 only catch mistakes."""
+    minimum, above = value.get("minimum"), value.get("exclusiveMinimum")
+    maximum, below = value.get("maximum"), value.get("exclusiveMaximum")
     words = []
-    if above is not None or (least is not None and 0.0 < least <= 1e-6):
+    if above is not None or (minimum is not None and 0.0 < minimum <= 1e-6):
         words.append(f"above {above or 0:g}")
-    elif least is not None and abs(least) < 1e8:
-        words.append(f"from {least:g}")
+    elif minimum is not None and abs(minimum) < 1e8:
+        words.append(f"from {minimum:g}")
     if below is not None and below < 1e4:
         words.append(f"below {below:g}")
-    elif most is not None and most < 1e6:
-        words.append(f"up to {most:g}")
+    elif maximum is not None and maximum < 1e6:
+        words.append(f"up to {maximum:g}")
     return f" ({', '.join(words)})" if words else ""
 
 
@@ -131,10 +133,10 @@ def _default(key: str, value: Schema, definition: Schema) -> str:
     if key in definition.get("required", []):
         return "required"
     default = value.get("default")
-    return "" if default in (None, "") else f"`{_shown(default)}`"
+    return "" if default in (None, "") else f"`{_as_text(default)}`"
 
 
-def _shown(value: object) -> str:
+def _as_text(value: object) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 

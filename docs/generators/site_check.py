@@ -1,7 +1,7 @@
 """Check of the built documentation in a headless Chromium: ``make site``.
 
-No page logs an error or asks another machine, none is wider than the screen of a phone, and a search
-finds what readers look for. Sphinx checks links within the site as it builds it.
+No page logs an error, accesses another machine or is wider than a phone's screen, and searches find
+the expected pages. Sphinx checks internal links during the build.
 """
 
 from __future__ import annotations
@@ -28,34 +28,34 @@ SEARCHES = {
     "battery": "tutorials/change_a_battery",
     "cite": "reference/cite",
 }
-"""Words that readers look for, and the page that explains them: among the first FIRST results."""
+"""Searches, and pages that must be among the first MAX_RESULTS results."""
 
-FIRST = 5
+MAX_RESULTS = 5
 
 
 def results(page: Any, address: str, words: str) -> list[str]:
-    """Return the pages that a search lists first."""
+    """Return the first results of a search."""
     page.goto(f"{address}/search.html?q={words.replace(' ', '+')}")
     page.wait_for_selector("#search-results ul.search li a")
     page.wait_for_function(
         "!document.querySelector('#search-progress')?.textContent.includes('...')"
     )
-    links = page.locator("#search-results ul.search > li > a").all()[:FIRST]
+    links = page.locator("#search-results ul.search > li > a").all()[:MAX_RESULTS]
     return [link.get_attribute("href").partition(".html")[0] for link in links]
 
 
 def main() -> int:
-    """Check the site; print its faults and return whether there are any."""
+    """Check the site, print its faults and return the exit code."""
     files = sorted(path for path in SITE.rglob("*.html") if "_static" not in path.parts)
     faults: list[str] = []
     with served(SITE) as address, opened_page(PHONE) as page:
         for name in (file.relative_to(SITE).as_posix() for file in files):
             page.goto(f"{address}/{name}")
-            wide = page.evaluate("document.documentElement.scrollWidth - window.innerWidth")
-            faults += [f"{name}: {wide} pixels wider than a phone"] if wide > 0 else []
+            excess = page.evaluate("document.documentElement.scrollWidth - window.innerWidth")
+            faults += [f"{name}: {excess} pixels wider than a phone"] if excess > 0 else []
         for words, target in SEARCHES.items():
-            if target not in (listed := results(page, address, words)):
-                faults.append(f"a search for {words!r} lists {', '.join(listed)}")
+            if target not in (pages := results(page, address, words)):
+                faults.append(f"a search for {words!r} lists {', '.join(pages)}")
     sys.stdout.write("\n".join([*faults, f"{len(files)} pages, {len(faults)} faults", ""]))
     return int(bool(faults))
 

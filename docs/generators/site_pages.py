@@ -1,4 +1,4 @@
-"""All generated pages: ``docs/conf.py`` writes them."""
+"""All generated pages; ``docs/conf.py`` writes them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ INCLUDED = "```{{include}} ../../../benchmarks/results/{}\n:relative-images:\n``
 
 
 def write_pages() -> None:
-    """Write the generated pages whose text has changed, so that others are not built anew."""
+    """Write generated pages whose text has changed, so that others are not rebuilt."""
     texts = {DOCS / "reference/generated/problem_file.md": write_schema_page(), **write_gallery()}
     for name, text in write_check_facts().items():
         texts[DOCS / "explanation/generated" / f"{name}.md"] = text

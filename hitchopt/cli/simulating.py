@@ -279,7 +279,7 @@ def sweep(study: Path, output: Path | None, workers: int | None, scheduler: str 
     nothing is.
     """
     from hitchopt.sweeps.sweep import PICTURE, drawn_sweep, outcomes, read_study, summary
-    from hitchopt.view.style import drafted, save_figure
+    from hitchopt.view.style import atomic_write, save_figure
 
     place = study if study.is_dir() else Path(study.stem) if output is None else output
     if not study.is_dir():
@@ -289,7 +289,7 @@ def sweep(study: Path, output: Path | None, workers: int | None, scheduler: str 
     sweep, points = summary(rows, len(read_study(place)["cases"])), outcomes(rows)
     say(_sweep_tables(sweep, points), directory=str(place), summary=asdict(sweep), points=points)
     if (figure := drawn_sweep(points)) is not None:
-        with drafted(place / PICTURE) as path:
+        with atomic_write(place / PICTURE) as path:
             save_figure(figure, path)
         say(f"drawn in {place / PICTURE}")
     say(f"rows are in {place}; ho.load_sweep returns them for pandas")

@@ -18,7 +18,7 @@ from typing import Annotated, Any, NamedTuple
 
 from hitchopt.errors import InputError, OneLine
 from hitchopt.values import check_choice, form_of, units
-from hitchopt.values.fields import Key, Kind, documented, mapping_of, one_or_each, store
+from hitchopt.values.fields import Key, Kind, Record, documented, mapping_of, one_or_each
 
 Pair = tuple[float, float]
 """One value level (x and y), one upright (z)."""
@@ -62,7 +62,7 @@ GAIN = float | Pair | None
 
 @documented
 @dataclass(frozen=True)
-class Gains(OneLine):
+class Gains(Record):
     """Gains of a position loop, one number or [level, upright]; null: the controller's default.
 
     Raises
@@ -73,9 +73,6 @@ class Gains(OneLine):
     kp: Annotated[GAIN, Key(_pair(units.STIFFNESS), "Force by offset")] = None
     kd: Annotated[GAIN, Key(_pair(units.DAMPING), "Force by velocity")] = None
     ki: Annotated[GAIN, Key(_pair(units.INTEGRAL), "Force by offset and time")] = None
-
-    def __post_init__(self) -> None:
-        store(self, **vars(self))
 
     @classmethod
     def of(cls, given: object) -> Gains:

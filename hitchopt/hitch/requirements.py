@@ -18,6 +18,7 @@ from hitchopt.values import Array, check_instance, sequence, units
 from hitchopt.values.fields import (
     InDegrees,
     Key,
+    Record,
     documented,
     points,
     store,
@@ -95,7 +96,7 @@ class Limits(OneLine):
 
 @documented
 @dataclass(frozen=True)
-class Separation(OneLine):
+class Separation(Record):
     """Smallest distances between drones and cables."""
 
     radius: Annotated[
@@ -112,9 +113,6 @@ class Separation(OneLine):
     object: Annotated[
         float, Key(units.DISTANCE, "Centre lines of cables, and a held object, to objects")
     ] = 0.035
-
-    def __post_init__(self) -> None:
-        store(self, **vars(self))
 
     @property
     def scale(self) -> Array:

@@ -30,19 +30,12 @@ from hitchopt.planners.carrying.planner import LOOSE
 from hitchopt.steps import STEP_KINDS, STEPS, FollowVertex, Form, Step, Transport
 from hitchopt.steps.carrying import TensionStep, goal_of
 from hitchopt.steps.moving import MoveStep
-from hitchopt.steps.step import (
-    LEGS,
-    LEGS_TEXT,
-    TRIANGLE,
-    Polygon,
-    SlackSplit,
-    Stage,
-    slack_split,
-)
+from hitchopt.steps.step import LEGS, LEGS_TEXT, TRIANGLE, Polygon, SlackSplit, Stage, slack_split
 from hitchopt.steps.tying import check_rollable
 from hitchopt.values import Array, check_instance, closest_word, sequence, text
 from hitchopt.values.fields import (
     Key,
+    Record,
     documented,
     integers,
     list_of,
@@ -157,15 +150,12 @@ def _check_untimed(step: Step) -> None:
 
 @documented
 @dataclass(frozen=True, eq=False)
-class HitchStart(OneLine):
+class HitchStart(Record):
     """A formed hitch, at rest."""
 
     polygon: Polygon
     altitude: Annotated[float, Key(HEIGHT, "Height of the hitch's plane")] = 1.0
     legs: Annotated[SlackSplit, Key(LEGS, LEGS_TEXT)] = "spread"
-
-    def __post_init__(self) -> None:
-        store(self, **vars(self))
 
 
 _PLACES = points((None, 3), "x, y, z", 2, MAX_ROBOTS)
@@ -173,7 +163,7 @@ _PLACES = points((None, 3), "x, y, z", 2, MAX_ROBOTS)
 
 @documented
 @dataclass(frozen=True, eq=False)
-class DronesStart(OneLine):
+class DronesStart(Record):
     """Drones of a hitch that is to be formed, at rest: hovering, or on the ground."""
 
     q: Annotated[
@@ -182,9 +172,6 @@ class DronesStart(OneLine):
     r: Annotated[
         Array, Key(_PLACES, "Places (n, 3) [m], [x, y, z] per robot", [[0, 1, 1], [1, 1, 1]])
     ]
-
-    def __post_init__(self) -> None:
-        store(self, **vars(self))
 
     @property
     def drones(self) -> Array:
@@ -242,8 +229,7 @@ class Problem(OneLine):
     complete: ClassVar[bool] = True  # whether the mission has all of its steps
     team: Annotated[Team, Key(mapping_of(Team), "The team", {"robots": 3, "cable_length": 2.4})]
     start: Annotated[
-        Start,
-        Key(START, "Start of the plan", {"hitch": {"polygon": TRIANGLE, "altitude": 1.0}}),
+        Start, Key(START, "Start of the plan", {"hitch": {"polygon": TRIANGLE, "altitude": 1.0}})
     ]
     mission: Annotated[
         tuple[Step, ...],

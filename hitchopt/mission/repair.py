@@ -17,14 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from hitchopt.errors import (
-    HitchoptError,
-    InfeasibleError,
-    OneLine,
-    Progress,
-    TimeIsUp,
-    time_left,
-)
+from hitchopt.errors import HitchoptError, InfeasibleError, OneLine, Progress, TimeIsUp, time_left
 from hitchopt.mission.changes import (
     SPACE_CHECKS,
     Change,

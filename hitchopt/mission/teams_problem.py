@@ -35,6 +35,7 @@ from hitchopt.values import Array, closest_word
 from hitchopt.values.fields import (
     Key,
     Missing,
+    Record,
     by_key,
     collect,
     dict_of,
@@ -52,7 +53,7 @@ from hitchopt.values.units import DURATION
 
 @documented
 @dataclass(frozen=True, eq=False)
-class Fly(OneLine):
+class Fly(Record):
     """A flight of single drones beside teams with cables."""
 
     name: ClassVar[str] = "fly"
@@ -68,9 +69,6 @@ class Fly(OneLine):
     duration: Annotated[
         float | None, Key(DURATION, "Exactly that long; without it as fast as possible")
     ] = None
-
-    def __post_init__(self) -> None:
-        store(self, **vars(self))
 
 
 ANY_STEP = single_key(

@@ -29,7 +29,7 @@ from hitchopt.storage.archive import RECORDING
 from hitchopt.storage.files import Writer, replace_files, write_strict_json
 from hitchopt.values import Array
 from hitchopt.view import style
-from hitchopt.view.painter import Shot, chosen_shots, draw_storyboard
+from hitchopt.view.painter import Shot, choose_shots, draw_storyboard
 from hitchopt.view.pictures import draw_phases
 from hitchopt.view.scene import Scene, recorded_scene
 
@@ -175,7 +175,7 @@ def drawn_flight(simulation: Simulation, motion: Motion, title: str = "") -> Fig
     scene = flight_scene(simulation, motion)
     if scene is not None:  # the plan's moments that were reached, and the end of all
         end = float(scene.t[-1])
-        shots = [shot for shot in chosen_shots(motion) if shot.time <= end + SAME_FRAME]
+        shots = [shot for shot in choose_shots(motion) if shot.time <= end + SAME_FRAME]
         if np.isfinite(simulation.flight.pulled):
             words = "after the pull test" if simulation.flight.task.formed[-1] else "at rest"
             shots = [*shots[: max(1, len(shots) - 1)], Shot(words, end, essential=True)]

@@ -296,8 +296,7 @@ BY = words("rest", "grip")
 BY_TEXT = "rest: its rim lies on the clasps; grip: cables are wrapped around it"
 
 HoldTension = Annotated[
-    float | None,
-    Key(TENSION, "Of all cables while it is held; without it the team's"),
+    float | None, Key(TENSION, "Of all cables while it is held; without it the team's")
 ]
 
 BALANCE_CHECKS = frozenset({"equilibrium", "keep_out"})
@@ -503,10 +502,7 @@ class TransportObject(TensionStep):
     by: Annotated[HoldMethod | None, Key(BY, f"{BY_TEXT}; without it rest if it has a rim")] = None
     tension: HoldTension = None
     yaw: Yaw = 0.0
-    lift: Annotated[
-        float,
-        Key(LENGTH, "How far above the higher of the two places"),
-    ] = 0.3
+    lift: Annotated[float, Key(LENGTH, "How far above the higher of the two places")] = 0.3
     via: Annotated[
         Array | None,
         Key(points((None, 3), "x, y, z", 1, MAX_VIA), "Where its base goes between, at rest there"),

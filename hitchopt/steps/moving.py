@@ -277,8 +277,7 @@ class Morph(ShapeStep):
     blend: Blend = False
     optimize: Annotated[bool, Key(FLAGS, OPTIMIZE_TEXT)] = False
     tension: Annotated[
-        tuple[float, float] | None,
-        Key(TENSION_RANGE, "Range of tensions meanwhile"),
+        tuple[float, float] | None, Key(TENSION_RANGE, "Range of tensions meanwhile")
     ] = None
 
     def resolved_for(self, team: Team) -> Self:

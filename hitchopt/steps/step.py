@@ -30,24 +30,17 @@ from hitchopt.values import Array, Indices, finite, per_robot
 from hitchopt.values.fields import (
     FLAGS,
     Key,
+    Record,
     either,
     integers,
     list_of,
     mapping_of,
     one_or_each,
     points,
-    store,
     strings,
     words,
 )
-from hitchopt.values.units import (
-    DURATION,
-    LENGTH,
-    LENGTH_OR_ZERO,
-    ROLL,
-    quantity,
-    warn_of_unit,
-)
+from hitchopt.values.units import DURATION, LENGTH, LENGTH_OR_ZERO, ROLL, quantity, warn_of_unit
 
 # Kinds of values, and fields shared by several kinds of steps.
 
@@ -374,7 +367,7 @@ class Stage(StrEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class Step(OneLine, ABC):
+class Step(Record, ABC):
     """A step of a mission; its fields are annotated with the keys of the problem file."""
 
     name: ClassVar[str]  # key in the problem file: the class's name in snake case
@@ -388,9 +381,6 @@ class Step(OneLine, ABC):
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
         cls.name = re.sub(r"(?<=.)([A-Z])", r"_\1", cls.__name__).lower()
-
-    def __post_init__(self) -> None:
-        store(self, **vars(self))
 
     @property
     def prescribed_duration(self) -> float | None:

@@ -24,7 +24,14 @@ from typing import Any, ParamSpec, TypeVar, get_type_hints
 
 import numpy as np
 
-from hitchopt.errors import FileError, InputError, JointInputError, UnitWarning, one_or_all
+from hitchopt.errors import (
+    FileError,
+    InputError,
+    JointInputError,
+    OneLine,
+    UnitWarning,
+    one_or_all,
+)
 from hitchopt.values import (
     FLAG,
     LIST,
@@ -153,6 +160,13 @@ def store(record: object, **values: Any) -> None:
         unchecked = key is None or (value is None and key.default is None)
         stored = value if key is None or unchecked else key.kind.check(name, value)
         object.__setattr__(record, name, stored)
+
+
+class Record(OneLine):
+    """A frozen record that checks its fields."""
+
+    def __post_init__(self) -> None:
+        store(self, **vars(self))
 
 
 class InDegrees:

@@ -6,7 +6,6 @@ import math
 import sys
 import warnings
 from dataclasses import replace
-from types import FrameType
 
 from hitchopt.errors import InputError, UnitWarning
 from hitchopt.values import SCALAR, finite
@@ -115,11 +114,7 @@ START_TIME = quantity("s", (0.0, 1e5), (0.0, 1e9), (("milliseconds", 1e-3),))
 SHARE = quantity("", UNBOUNDED, (TINY, 1.0))
 RIGHT_ANGLE = 0.5 * math.pi
 TILT = quantity(
-    "rad",
-    (1.1 * DEGREE, RIGHT_ANGLE),
-    (TINY, RIGHT_ANGLE),
-    (("degrees", DEGREE),),
-    RIGHT_ANGLE,
+    "rad", (1.1 * DEGREE, RIGHT_ANGLE), (TINY, RIGHT_ANGLE), (("degrees", DEGREE),), RIGHT_ANGLE
 )
 SWING = quantity("rad", UNBOUNDED, (0.0, RIGHT_ANGLE), (("degrees", DEGREE),), RIGHT_ANGLE)
 ROLL = quantity("rad", UNBOUNDED, (-RIGHT_ANGLE, RIGHT_ANGLE), (), RIGHT_ANGLE)
@@ -152,14 +147,12 @@ def warn_of_unit(warning: UnitWarning) -> None:
     """Issue the warning at the user's line that passed the value, unless a record is copied."""
     level, frame = 1, sys._getframe(0)
     is_copy = False
-    while frame.f_back and (package := _package(frame)) in INTERNAL_PACKAGES:
+    while frame.f_back:
+        package = str(frame.f_globals.get("__name__", "")).partition(".")[0]
+        if package not in INTERNAL_PACKAGES:
+            break
         if is_copy and package == "hitchopt":
             return
         is_copy = frame.f_code is replace.__code__
         level, frame = level + 1, frame.f_back
     warnings.warn(warning, stacklevel=level)
-
-
-def _package(frame: FrameType) -> str:
-    name: str = frame.f_globals.get("__name__", "")
-    return name.partition(".")[0]

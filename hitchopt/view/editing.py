@@ -1,7 +1,7 @@
-"""A problem file that is edited: its text, its handles, and the plan of the newest text.
+"""Editing of a problem file: its text, its handles, and the plan of the newest text.
 
-The text is the only state. Every change makes another text, which is planned in the background
-while the last plan stays; a plan of a text that is no longer the newest is discarded.
+The text is the only state. Each change creates a new text, which is planned in the background while
+the last plan stays; plans of older texts are discarded.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ from hitchopt.storage.yaml_file import (
 )
 from hitchopt.values import Array
 from hitchopt.values.fields import EMPTY, keys_of
-from hitchopt.view.style import drafted
+from hitchopt.view.style import atomic_write
 
 START = -1  # Index of the start, before the first step
-# Height of handles where no plan tells that of the hitch, and of a file without one [m]
-HEIGHT = 1.0
-# Where a number is in a file, and whether it is an x, y or z: 0, 1 or 2
+# Default height of handles without a plan or a value in the file [m]
+DEFAULT_HEIGHT = 1.0
+# Path of a number in a file, and its axis
 Number = tuple[tuple[str | int, ...], int]
 
 
@@ -56,7 +56,7 @@ class Handle:
 
     name: str  # such as ``vertex 0``
     place: Array  # (3,) [m]
-    numbers: tuple[Number, ...]  # of the file, that go with it
+    numbers: tuple[Number, ...]  # numbers of the file that it moves
 
     @property
     def vertical(self) -> bool:
@@ -69,24 +69,25 @@ class Handle:
         for path, axis in self.numbers:
             if by[axis]:
                 old = value_at(data, path)
-                text = with_value(text, path, float((HEIGHT if old is None else old) + by[axis]))
+                new = (DEFAULT_HEIGHT if old is None else old) + by[axis]
+                text = with_value(text, path, float(new))
         return text
 
 
 def handles(problem: Problem, data: Plain, index: int, height: float) -> Iterator[Handle]:
-    """Yield the handles of the step of an index, or of the start, in a file's data.
+    """Yield the handles of a step, or of the start, in a file's data.
 
-    ``height`` is that of the hitch at the step's end [m], where the file does not tell.
+    ``height`` is the hitch's at the step's end [m], for steps without an altitude.
     """
     key = step_key(data, index)
     step = split_key(key)
     keys = value_at(data, step)
-    ends = key == "start.hitch" or key.endswith(".form")
-    if ends:
-        height = float(keys.get("altitude", HEIGHT))
+    has_altitude = key == "start.hitch" or key.endswith(".form")
+    if has_altitude:
+        height = float(keys.get("altitude", DEFAULT_HEIGHT))
 
     def handle(name: str, *points: tuple[str | int, ...], first: int = 0) -> Handle:
-        """Return the handle in the middle of points, whose coordinates begin with the first."""
+        """Return the handle in the middle of points; ``first`` is the index of x in a point."""
         values = np.array([value_at(keys, point)[first:] for point in points], float)
         place = np.append(np.mean(values, axis=0), height)[:3]
         axes = range(values.shape[1])
@@ -102,20 +103,21 @@ def handles(problem: Problem, data: Plain, index: int, height: float) -> Iterato
         yield from (handle(f"vertex {k}", corner) for k, corner in enumerate(corners))
         for k in range(n if closed else n - 1):
             yield handle(f"edge {k}", corners[k], corners[(k + 1) % n])
-        whole, altitude = handle("hitch", *corners), (((*step, "altitude"), 2),) if ends else ()
-        yield replace(whole, numbers=(*whole.numbers, *altitude))
+        hitch = handle("hitch", *corners)
+        altitude = (((*step, "altitude"), 2),) if has_altitude else ()
+        yield replace(hitch, numbers=(*hitch.numbers, *altitude))
     elif "path" in keys:
         yield from (handle(f"point {j}", ("path", j), first=1) for j in range(len(keys["path"])))
     elif ("vertex" in keys or "edge" in keys) and ("to" in keys or "by" in keys):
-        name = "vertex" if "vertex" in keys else "edge"
-        moved = f"{name} {keys[name]}"
-        after = outlines(problem)[index + 1]
+        kind = "vertex" if "vertex" in keys else "edge"
+        name = f"{kind} {keys[kind]}"
+        outline = outlines(problem)[index + 1]
         if "to" in keys:
-            yield handle(moved, *([("to", 0), ("to", 1)] if name == "edge" else [("to",)]))
-        elif after is not None:
-            corner = keys[name] + np.arange(1 if name == "vertex" else 2)
-            middle = np.mean(after.vertices[corner % len(after.vertices)], axis=0)
-            yield replace(handle(moved, ("by",)), place=np.append(middle, height))
+            yield handle(name, *([("to", 0), ("to", 1)] if kind == "edge" else [("to",)]))
+        elif outline is not None:
+            indices = keys[kind] + np.arange(1 if kind == "vertex" else 2)
+            middle = np.mean(outline.vertices[indices % len(outline.vertices)], axis=0)
+            yield replace(handle(name, ("by",)), place=np.append(middle, height))
     elif len(np.ravel(keys.get("to", 0.0))) == 3:
         yield handle(keys.get("object", "hitch"), ("to",))
 
@@ -128,7 +130,7 @@ def step_key(data: Plain, index: int) -> str:
 
 
 def outlines(problem: Problem) -> list[Outline | None]:
-    """Return the outline at the start, and after each step; None where there is no hitch."""
+    """Return the outlines at the start and after each step; None for free cables."""
     polygons, ring = [problem.start_outline], problem.team.labels
     for step in problem.mission:
         team, ring = team_and_ring(problem.team, step, ring)
@@ -137,31 +139,31 @@ def outlines(problem: Problem) -> list[Outline | None]:
 
 
 def height_after(motion: Motion, index: int) -> float:
-    """Return how high the hitch is when a step ends [m], or at the start."""
-    own = [phase for phase in motion.phases if phase.step == index] or motion.phases[-1:]
-    state = states_at(motion, 0.0 if index == START else own[-1].end)
-    ring = (motion.phases[0] if index == START else own[-1]).ring
+    """Return the height of the hitch at the end of a step, or at the start [m]."""
+    phases = [phase for phase in motion.phases if phase.step == index] or motion.phases[-1:]
+    state = states_at(motion, 0.0 if index == START else phases[-1].end)
+    ring = (motion.phases[0] if index == START else phases[-1]).ring
     points = state.vertices if ring is None else state.vertices[: len(ring)]
-    return float(np.mean(points[:, 2])) if bool(state.formed) else HEIGHT
+    return float(np.mean(points[:, 2])) if bool(state.formed) else DEFAULT_HEIGHT
 
 
 def new_step(problem: Problem, index: int, kind: str, height: float) -> dict[str, Plain]:
-    """Return a step of a kind to add after that of an index; it moves nothing where it may.
+    """Return a new step after the one of an index; if possible it moves nothing.
 
-    ``height`` is that of the hitch there [m].
+    ``height`` is the hitch's there [m].
     """
     outline = outlines(problem)[index + 1]
     vertices: Any = TRIANGLE if outline is None else np.round(outline.vertices, 6).tolist()
     centre = np.mean(vertices, axis=0) if outline is None else outline.centroid
     fields = keys_of(STEP_KINDS[kind])
-    usual: dict[str, Any] = {
+    defaults: dict[str, Any] = {
         "polygon": vertices,
         "to": [*np.round(centre, 6).tolist(), round(height, 6)],
         "path": [[1.0, *vertices[0]]],
         "object": next(iter(problem.objects), ""),
     }
     values: dict[str, Any] = {
-        name: usual[name] if name in usual else deepcopy(field.example)
+        name: defaults[name] if name in defaults else deepcopy(field.example)
         for name, field in fields.items()
         if field.default is EMPTY
     }
@@ -173,7 +175,7 @@ def new_step(problem: Problem, index: int, kind: str, height: float) -> dict[str
 
 
 class Stage(StrEnum):
-    """How the plan that is there relates to the text."""
+    """Relation of the current plan to the text."""
 
     CURRENT = "the plan of this problem"
     PLANNING = "an OLD plan: the changed problem is being planned"
@@ -184,26 +186,26 @@ class Stage(StrEnum):
 class Status:
     """State of planning the newest text."""
 
-    stage: Stage  # how the plan that is there relates to it
-    words: str = ""  # the work in progress, or the reason of a refusal
-    suggestions: tuple[Suggestion, ...] = ()  # changes that make it feasible, verified
+    stage: Stage  # relation of the current plan to the text
+    words: str = ""  # work in progress, or the error
+    suggestions: tuple[Suggestion, ...] = ()  # verified changes that make the problem feasible
 
 
 class _StaleError(BaseException):
     """Ends the planning of a text that is no longer the newest.
 
-    It is no Exception, so that planners which try another guess after a refusal do not go on.
+    It is not an Exception, so that planners that catch errors stop as well.
     """
 
 
 class Editing:
-    """A problem that is edited by hand.
+    """Editing of the problem of a hitch by hand.
 
     Parameters
     ----------
-    text: content of the problem file; an InputError or FileError if it is no problem of a hitch.
-    path: where it is saved; outlines of objects are beside it.
-    planned: the plan of this text.
+    text: content of the problem file.
+    path: path of the problem file; drawings of objects are relative to it.
+    planned: plan of this text.
     """
 
     def __init__(self, text: str, path: Path, planned: CertifiedMotion) -> None:
@@ -218,7 +220,7 @@ class Editing:
 
     @property
     def text(self) -> str:
-        """The problem file as it would be saved."""
+        """Current content of the problem file."""
         return self._texts[self._place]
 
     @property
@@ -227,18 +229,17 @@ class Editing:
         return self.text == self._on_disk
 
     def now(self) -> tuple[str, Status, CertifiedMotion]:
-        """Return the text, its status, and the plan that is there, of one moment."""
+        """Return a consistent text, status and plan."""
         with self._lock:
             return self.text, self.status, self.planned
 
     def handles(self, index: int) -> dict[str, Handle]:
         """Return the handles of a step, or of the start, by name."""
-        height = height_after(self.planned.motion, index)
-        listed = handles(self.problem, parse_yaml(self.text), index, height)
-        return {handle.name: handle for handle in listed}
+        height, data = height_after(self.planned.motion, index), parse_yaml(self.text)
+        return {handle.name: handle for handle in handles(self.problem, data, index, height)}
 
     def change(self, text: str) -> None:
-        """Go on with another text; an InputError or FileError if it is no problem of a hitch."""
+        """Replace the text; raise InputError or FileError if it is not the problem of a hitch."""
         with self._lock:
             problem = self._read(text)
             if text == self.text:
@@ -249,7 +250,7 @@ class Editing:
         self.listener()
 
     def undo(self, steps: int = 1) -> bool:
-        """Take changes back, or with a negative number make them again; return whether it can."""
+        """Undo changes, or redo them if ``steps`` is negative; return whether that is possible."""
         with self._lock:
             place = self._place - steps
             if not 0 <= place < len(self._texts):
@@ -264,14 +265,14 @@ class Editing:
         self.change(with_edits_in(self.text, edits))
 
     def drag(self, index: int, name: str, place: Array) -> None:
-        """Put a handle of a step to a place (3,) [m]; errors as of ``change``."""
+        """Move a handle of a step to a place (3,) [m]; errors as of ``change``."""
         by_name = self.handles(index)
         if name not in by_name:
             raise InputError("handle", name, f"one of {', '.join(by_name)}", "choose another step")
         self.change(by_name[name].dragged(self.text, place))
 
     def add(self, index: int, kind: str) -> None:
-        """Add a step of a kind after another one (START: before all); errors as of ``change``."""
+        """Insert a new step after another one (START: first); errors as of ``change``."""
         step = new_step(self.problem, index, kind, height_after(self.planned.motion, index))
         self._rearrange(lambda steps: steps.insert(index + 1, step))
 
@@ -280,35 +281,35 @@ class Editing:
         self._rearrange(lambda steps: steps.pop(index))
 
     def move(self, index: int, to: int) -> None:
-        """Put a step to another place in the mission; errors as of ``change``."""
+        """Move a step to another index in the mission; errors as of ``change``."""
         if not 0 <= to < len(self.problem.mission):
             raise InputError("mission", to, "the index of a step", "there is no place beyond it")
         self._rearrange(lambda steps: steps.insert(to, steps.pop(index)))
 
     def _rearrange(self, change: Callable[[list[Any]], object]) -> None:
-        """Change the list of steps, given by their indices, a new one by its content."""
+        """Change the list of steps: indices of the current ones, and the content of a new one."""
         steps: list[Any] = list(range(len(self.problem.mission)))
         change(steps)
         self.change(with_entries(self.text, ("mission",), steps))
 
     def save(self) -> Path:
-        """Write the problem file at once or not at all, and return where.
+        """Write the problem file atomically and return its path.
 
-        It is a FileError if it cannot be written, or if someone else has changed it meanwhile.
+        Raises FileError if it cannot be written, or has been changed by someone else.
         """
         with self._lock:
-            there = read_text(self.path)[0] if self.path.exists() else None
-            if there not in (self._on_disk, self.text):
+            content = read_text(self.path)[0] if self.path.exists() else None
+            if content not in (self._on_disk, self.text):
                 words = "has been changed by someone else; move it away, then save again"
                 raise FileError(f"{self.path}: {words}")
-            with drafted(self.path.resolve()) as draft:
+            with atomic_write(self.path.resolve()) as draft:
                 draft.write_bytes(self.text.encode())
             self._on_disk = self.text
         self.listener()
         return self.path
 
     def wait(self, seconds: float = 60.0) -> bool:
-        """Wait until nothing is being computed; return whether that is so."""
+        """Wait for the planning to end; return whether it has ended."""
         if self._worker is not None:
             self._worker.join(seconds)
         return self._worker is None or not self._worker.is_alive()
@@ -325,14 +326,14 @@ class Editing:
         return problem
 
     def _begin(self, problem: Problem) -> None:
-        """Plan the newest text as soon as the planning of an older one has ended."""
+        """Start planning the newest text; it waits until the planning of older ones has ended."""
         self.problem, self.status = problem, Status(Stage.PLANNING)
         self._version += 1
-        request = (self._version, problem)
-        self._worker = threading.Thread(target=self._answer, args=request, daemon=True)
+        arguments = (self._version, problem)
+        self._worker = threading.Thread(target=self._plan, args=arguments, daemon=True)
         self._worker.start()
 
-    def _answer(self, version: int, problem: Problem) -> None:
+    def _plan(self, version: int, problem: Problem) -> None:
         def report(words: str) -> None:
             self._publish(version, replace(self.status, words=words))
 
@@ -348,7 +349,7 @@ class Editing:
                 self._publish(version, Status(Stage.REFUSED, words, changes))
             except HitchoptError as error:
                 self._publish(version, Status(Stage.REFUSED, str(error)))
-            except Exception as error:  # a fault of ours must not end the editing
+            except Exception as error:  # a bug must not end the editing
                 self._publish(version, Status(Stage.REFUSED, f"internal error: {error!r}"))
             else:
                 self._publish(version, Status(Stage.CURRENT), planned)
@@ -357,12 +358,9 @@ class Editing:
         if version != self._version:
             raise _StaleError
 
-    def _publish(
-        self, version: int, status: Status, planned: CertifiedMotion | None = None
-    ) -> None:
+    def _publish(self, version: int, status: Status, plan: CertifiedMotion | None = None) -> None:
         with self._lock:
             self._check(version)
             self.status = status
-            if planned is not None:
-                self.planned = planned
+            self.planned = plan or self.planned
         self.listener()

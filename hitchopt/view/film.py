@@ -17,16 +17,16 @@ from hitchopt.errors import InputError, UnsupportedError
 from hitchopt.values import Array
 from hitchopt.view.painter import Camera, Painter, draw_painting
 from hitchopt.view.scene import Scene
-from hitchopt.view.style import drafted, draw_lines, facts
+from hitchopt.view.style import atomic_write, draw_lines, facts
 
-SIZE, DOTS = (12.8, 7.2), 100  # Size of a frame [in], and its resolution [1/in]
-# Frames a second [Hz]; a gif counts in hundredths of a second, and is large
+FRAME_SIZE, RESOLUTION = (12.8, 7.2), 100  # Size of a frame [in], and its resolution [1/in]
+# Frame rates [Hz]; the resolution of a gif's clock is 10 ms
 RATES = {".mp4": 30.0, ".gif": 100.0 / 6.0}
-AZIMUTH, ELEVATION = -115.0, 32.0  # Where a film is seen from [deg]
-# Margin around drones and cables [m]; as shares of a frame's height, the part above it for words,
-# the least half width of a cable, and the least reach of a drone
-MARGIN, HEAD, THIN, SMALL = 0.2, 0.09, 0.0022, 0.012
-SMOOTH = 1.5  # Time over which the camera's motion is smoothed, a standard deviation [s]
+AZIMUTH, ELEVATION = -115.0, 32.0  # Direction of the camera [deg]
+# Margin around drones and cables [m]; as shares of a frame's height, the header above the scene,
+# the minimum half width of a cable, and the minimum radius of a drone
+MARGIN, HEADER_SHARE, MIN_CABLE_WIDTH, MIN_DRONE_SIZE = 0.2, 0.09, 0.0022, 0.012
+SMOOTHING_TIME = 1.5  # Standard deviation of the smoothing of the camera's motion [s]
 
 
 def save_film(
@@ -34,9 +34,8 @@ def save_film(
 ) -> None:
     """Write the film of a scene, 1280 × 720, with a title above it.
 
-    ``path`` ends in .gif or .mp4, or there is an InputError; ``progress`` is called with the
-    fraction that is done. UnsupportedError names a missing package, FileError a file that cannot be
-    written.
+    ``progress`` is called with the finished share. Raises InputError unless ``path`` ends in .gif
+    or .mp4, UnsupportedError for a missing package, and FileError if the file cannot be written.
     """
     kind = path.suffix.lower()
     if kind not in RATES:
@@ -54,7 +53,7 @@ def save_film(
     if kind == ".gif":
         options = {"duration": 1000.0 / rate, "loop": 0}
     times = np.arange(int(np.ceil(scene.t[-1] * rate)) + 1) / rate
-    with drafted(path) as draft:
+    with atomic_write(path) as draft:
         film: Any = imageio.get_writer(draft, **options)
         with film as writer:
             for i, frame in enumerate(frames(scene, times, title)):
@@ -64,34 +63,34 @@ def save_film(
 
 
 def frames(scene: Scene, times: Array, title: str) -> Iterator[NDArray[np.uint8]]:
-    """Yield a frame (720, 1280, 3) for every time [s]; the camera follows what flies."""
-    camera = Camera.toward(AZIMUTH, ELEVATION)
-    figure: Any = Figure(SIZE, dpi=DOTS)
+    """Yield a frame (720, 1280, 3) for each time [s]; the camera follows drones and cables."""
+    camera = Camera.at_angles(AZIMUTH, ELEVATION)
+    figure: Any = Figure(FRAME_SIZE, dpi=RESOLUTION)
     canvas: Any = FigureCanvasAgg(figure)
     axes: Any = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set_axis_off()
-    flying = [scene.drones, scene.cables.reshape(len(scene.t), -1, 3)]
-    seen = camera.seen(np.concatenate(flying, axis=1))[..., :2]
+    points = [scene.drones, scene.cables.reshape(len(scene.t), -1, 3)]
+    projected = camera.project(np.concatenate(points, axis=1))[..., :2]
     even = np.linspace(0.0, scene.t[-1], max(2, int(10.0 * scene.t[-1])))
-    ends = np.stack([np.min(seen, axis=1), np.max(seen, axis=1)], axis=-1)
-    corners = interp1d(scene.t, ends, axis=0)(even)
-    middles = gaussian_filter1d(np.mean(corners, axis=-1), SMOOTH / even[1], axis=0, mode="nearest")
+    ends = np.stack([np.min(projected, axis=1), np.max(projected, axis=1)], axis=-1)
+    corners, sigma = interp1d(scene.t, ends, axis=0)(even), SMOOTHING_TIME / even[1]
+    middles = gaussian_filter1d(np.mean(corners, axis=-1), sigma, axis=0, mode="nearest")
     reach = np.max(np.abs(corners - middles[..., None]), axis=(0, 2)) + MARGIN
-    height = 2.0 * max(reach[1], reach[0] * SIZE[1] / SIZE[0]) / (1.0 - HEAD)
-    width = height * SIZE[0] / SIZE[1]
-    draw_lines(axes, camera.seen(_ground(scene))[..., :2], "0.9", 0.7, 1)
-    size = max(1.0, SMALL * height / scene.motion.requirements.separation.radius)
-    painter = Painter(scene, camera, max(scene.radius, THIN * height), size)
-    shapes: Any = draw_painting(axes, painter.painted(scene.at(0.0)))
+    height = 2.0 * max(reach[1], reach[0] * FRAME_SIZE[1] / FRAME_SIZE[0]) / (1.0 - HEADER_SHARE)
+    width = height * FRAME_SIZE[0] / FRAME_SIZE[1]
+    draw_lines(axes, camera.project(_ground(scene))[..., :2], "0.9", 0.7, 1)
+    size = max(1.0, MIN_DRONE_SIZE * height / scene.motion.requirements.separation.radius)
+    painter = Painter(scene, camera, max(scene.radius, MIN_CABLE_WIDTH * height), size)
+    shapes: Any = draw_painting(axes, painter.paint(scene.at(0.0)))
     words: dict[str, Any] = {"fontsize": 13, "parse_math": False, "zorder": 3}
     figure.text(0.02, 0.945, f"{title}\n{facts(scene.motion)}".strip(), va="center", **words)
     clock = figure.text(0.98, 0.945, "", ha="right", va="center", **words)
     phases = scene.motion.phases
     for time in times:
         x, y = (np.interp(time, even, values) for values in middles.T)
-        bottom = y - 0.5 * height * (1.0 - HEAD)
+        bottom = y - 0.5 * height * (1.0 - HEADER_SHARE)
         axes.set(xlim=(x - 0.5 * width, x + 0.5 * width), ylim=(bottom, bottom + height))
-        painting = painter.painted(scene.at(float(time)))
+        painting = painter.paint(scene.at(float(time)))
         shapes.set_verts(painting.polygons)
         shapes.set_facecolor(painting.colours)
         phase = next((p for p in phases if time < p.end), phases[-1])
@@ -101,7 +100,7 @@ def frames(scene: Scene, times: Array, title: str) -> Iterator[NDArray[np.uint8]
 
 
 def _ground(scene: Scene) -> Array:
-    """Return the lines (m, 2, 3) [m] of a grid on the ground, well beyond all paths."""
+    """Return the lines (m, 2, 3) [m] of a grid on the ground that extends beyond all paths."""
     lower, upper = np.min(scene.drones, axis=(0, 1))[:2], np.max(scene.drones, axis=(0, 1))[:2]
     reach, floor = float(np.max(np.ptp(scene.drones, axis=(0, 1)))), scene.motion.requirements.floor
     step = 10.0 ** np.round(np.log10(max(reach, 1.0) / 6.0))

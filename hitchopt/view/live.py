@@ -1,6 +1,6 @@
 """The live view: a plan in the browser, with playback, phases and certificate.
 
-``open_server`` serves an empty page, which browsers load while the plan is read.
+``open_server`` serves an empty page that browsers load while the plan is read.
 """
 
 from __future__ import annotations
@@ -19,40 +19,38 @@ from hitchopt.errors import UnsupportedError
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.values import Array
 from hitchopt.view.live_scene import SWITCHES, LiveScene
-from hitchopt.view.scene import Concerned, Scene, concerned, scene_of
+from hitchopt.view.scene import Highlight, Scene, highlight_of, scene_of
 from hitchopt.view.style import COLOURS, LIMIT_COLOUR, MARK_COLOUR, facts, verdict
 
-# Default address of the server: this machine alone; if the port is in use, the next free one
+# Default address of the server, on this machine only; if the port is in use, the next free one
 HOST, PORT = "127.0.0.1", 8080
-WIDTH, FIELD = 380, 0.6  # Width of the panel [pixels], and vertical field of view [rad]
+WIDTH, FIELD_OF_VIEW = 380, 0.6  # Width of the panel [pixels], and vertical field of view [rad]
 # Colours of the light from above and from below, and its intensity
-SKY, GROUND, BRIGHTNESS = (255, 255, 255), (190, 190, 205), 1.8
-# Attitude that turns the y axis, along which viser has the sky, to the z axis
+SKY_COLOUR, GROUND_COLOUR, BRIGHTNESS = (255, 255, 255), (190, 190, 205), 1.8
+# Rotation from the y axis, viser's direction of the sky, to the z axis
 Z_FROM_Y = (0.5**0.5, 0.5**0.5, 0.0, 0.0)
-# Direction that a lamp shines from, so that the sides of boxes differ, and its intensity
-SIDE, SIDE_BRIGHTNESS = (-1.0, -0.3, 0.3), 1.0
-# Time between two frames [s]; step of the time's slider [s], and its decimals
+# Direction and intensity of a lamp that makes the sides of boxes differ
+LAMP_DIRECTION, LAMP_BRIGHTNESS = (-1.0, -0.3, 0.3), 1.0
+# Time between two frames [s]; step of the time slider [s], and its decimals
 FRAME, STEP, DECIMALS = 1.0 / 30.0, 0.001, 3
 SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 
-# Colours of buttons, and of the current phase; those of checks that do not hold are red
-QUIET, CURRENT = "gray", "blue"
+# Colours of buttons and of the current phase; violated checks are red
+IDLE_COLOUR, CURRENT_COLOUR = "gray", "blue"
 PLOT_HEIGHT = 150  # Height of a plot with its legend [pixels]
-# Frames of the playback between two updates of the plots' cursors: each sends all of their samples
+# Frames between two updates of the plots' cursors, each of which sends all samples
 CURSOR_FRAMES = 6
-CLOSE = (
-    4.0  # Distance from which a followed team is seen, over the farthest drone's from its middle
-)
-# Direction and shortest distance [m] from which the scene is seen at first
-FROM, NEAREST = np.array([-0.35, -0.8, 0.5]), 1.5
-ASPECT = 0.7  # Width over height of the part of a small window that panels leave free
+FOLLOW_DISTANCE = 4.0  # Distance of a following camera, in radii of the team
+# Initial direction and minimum distance [m] of the camera
+VIEW_DIRECTION, MIN_DISTANCE = np.array([-0.35, -0.8, 0.5]), 1.5
+ASPECT = 0.7  # Width over height of the visible part of a small window
 
 
 def open_server(host: str = HOST, port: int = PORT) -> Any:
-    """Return a viser server that serves an empty page; without viser, raise UnsupportedError.
+    """Return a viser server with an empty page; raise UnsupportedError if viser is missing.
 
-    Its light comes from the sky, the ground and one side, without shadows, in place of viser's
-    photograph: where graphics are drawn by software, preparing that takes a browser seconds.
+    Light comes from the sky, the ground and one side, without shadows: software rendering takes
+    seconds to prepare viser's environment map.
     """
     try:
         import viser
@@ -65,23 +63,24 @@ def open_server(host: str = HOST, port: int = PORT) -> Any:
     scene.configure_environment_map(None)
     scene.configure_default_lights(cast_shadow=False)
     scene.add_light_hemisphere(
-        "/light/sky", sky_color=SKY, ground_color=GROUND, intensity=BRIGHTNESS, wxyz=Z_FROM_Y
-    )
-    scene.add_light_directional("/light/side", intensity=SIDE_BRIGHTNESS, position=SIDE)
+        "/light/sky", sky_color=SKY_COLOUR, ground_color=GROUND_COLOUR,
+        intensity=BRIGHTNESS, wxyz=Z_FROM_Y,
+    )  # fmt: skip
+    scene.add_light_directional("/light/side", intensity=LAMP_BRIGHTNESS, position=LAMP_DIRECTION)
     _theme(gui, dark=False)
     gui.main_panel.dock_right()
     gui.main_panel.set_width(WIDTH)
-    server.initial_camera.fov = FIELD
+    server.initial_camera.fov = FIELD_OF_VIEW
     return server
 
 
 def _theme(gui: Any, *, dark: bool) -> None:
-    """Set the page's colours, without the button that shares it through a server elsewhere."""
+    """Set the page's colours, and hide the button that shares it through an external server."""
     gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=dark)
 
 
 def server_address(server: Any) -> str:
-    """Return the address of the page that a server serves."""
+    """Return the address of a server's page."""
     return f"http://{server.get_host()}:{server.get_port()}"
 
 
@@ -90,9 +89,9 @@ class LiveView:
 
     Parameters
     ----------
-    server: of ``open_server``; browsers may have opened its page already.
-    motion, certificate, title: the plan; no certificate while it is being computed.
-    ghost: another scene that is shown beside it, pale.
+    server: server of ``open_server``; browsers may already show its page.
+    motion, certificate, title: plan; the certificate is None while it is being computed.
+    ghost: scene that is shown pale in addition.
     """
 
     def __init__(
@@ -110,15 +109,15 @@ class LiveView:
         self._lock, self._open = threading.RLock(), True
         self._ghost = None
         self._plots, self._cursor = list[tuple[Any, dict[str, Any]]](), math.nan
-        with self.server.atomic():  # pages that are open show all of it at once
+        with self.server.atomic():  # open pages show everything at once
             self.server.gui.set_panel_label(title or "hitchopt")
             self.live = LiveScene(self.server, scene_of(motion), "/plan/")
-            self._look()
+            self._place_initial_camera()
             self._add_panel()
             self._fill_panel()
             if ghost is not None:
                 self._ghost = LiveScene(self.server, ghost, "/ghost/", ghost=True)
-        self.server.on_client_connect(self._welcome)
+        self.server.on_client_connect(self._watch_camera)
         self._player = threading.Thread(target=self._play, daemon=True)
         self._player.start()
 
@@ -134,33 +133,33 @@ class LiveView:
         self.server.stop()
 
     def show_plan(self, motion: Motion, certificate: Certificate | None, title: str = "") -> None:
-        """Show a plan in place of the one that is shown."""
+        """Replace the plan."""
         with self._lock, self.server.atomic():
-            shown = self.live.shown
+            visible = self.live.visible
             self.live.remove()
             self.motion, self.certificate, self._title = motion, certificate, title
             self.live = LiveScene(self.server, scene_of(motion), "/plan/")
-            self.live.shown = shown
-            self._look()
+            self.live.visible = visible
+            self._place_initial_camera()
             self._fill_panel()
 
     def show_certificate(self, certificate: Certificate) -> None:
-        """Show the certificate of the plan that is shown, which was being computed."""
+        """Show the certificate of the current plan."""
         with self._lock, self.server.atomic():
             self.certificate = certificate
             self._show_head()
             self._show_checks()
             self._show_plots()
 
-    def note(self, words: str) -> None:
-        """Draw the plan pale, under words that say how it relates to the problem; "" ends that."""
+    def note(self, text: str) -> None:
+        """Draw the plan pale under a note on its relation to the problem; "" ends that."""
         with self._lock:
-            self._note = words
-            self.live.fade(on=bool(words))
+            self._note = text
+            self.live.fade(on=bool(text))
             self._show_head()
 
     def seek(self, time: float) -> None:
-        """Show a time [s]."""
+        """Show the scene at a time [s]."""
         with self._lock:
             self.time = float(np.clip(time, 0.0, self.motion.duration))
             with self.server.atomic():
@@ -173,16 +172,6 @@ class LiveView:
             if abs(self.scrub.value - self.time) > 0.5 * FRAME:
                 self.scrub.value = round(self.time, DECIMALS)
 
-    def show_check(self, check: Check) -> None:
-        """Show the worst moment of a check, and highlight what it concerns."""
-        with self._lock:
-            self.play(on=False)
-            self.live.mark(concerned(self.motion, check.where))
-            where = f": {', '.join(check.where)}" if check.where else ""
-            self.shown_check.content = f"{check.name}{where} at {check.time:.2f} s"
-            self.shown_check.visible = True
-            self.seek(check.time)
-
     def play(self, *, on: bool) -> None:
         """Start or stop the playback."""
         with self._lock:
@@ -192,7 +181,7 @@ class LiveView:
             self.player.label = "Pause" if on else "Play"
 
     def follow(self, *, on: bool) -> None:
-        """Let the cameras of all pages follow the drones, or leave them where they are."""
+        """Let the cameras of all pages follow the drones, or stop following."""
         with self._lock:
             self.following = on
             if on:
@@ -201,17 +190,18 @@ class LiveView:
     def _follow(self, *, closer: bool = False) -> None:
         drones = self.live.scene.at(self.time).drones
         middle = np.mean(drones, axis=0)
-        spread = max(float(np.max(np.linalg.norm(drones - middle, axis=1))), NEAREST / CLOSE)
+        radius = float(np.max(np.linalg.norm(drones - middle, axis=1)))
+        distance = max(FOLLOW_DISTANCE * radius, MIN_DISTANCE)
         for client in self.server.get_clients().values():
             camera = client.camera
-            if camera.update_timestamp > 0.0:  # else the page has not said yet where it is
-                away = camera.position - camera.look_at
+            if camera.update_timestamp > 0.0:  # the page has reported its camera
+                offset = camera.position - camera.look_at
                 if closer:
-                    away *= min(1.0, CLOSE * spread / float(np.linalg.norm(away)))
-                camera.position, camera.look_at = middle + away, middle
+                    offset *= min(1.0, distance / float(np.linalg.norm(offset)))
+                camera.position, camera.look_at = middle + offset, middle
 
     def _send_picture(self, client: Any) -> None:
-        """Send what a page shows of the scene to it, as a file."""
+        """Send a page a picture of its view as a file."""
         import imageio.v3 as imageio
 
         camera = client.camera
@@ -221,7 +211,7 @@ class LiveView:
         client.send_file_download(name, content, save_immediately=True)
 
     def _play(self) -> None:
-        """Advance the time while the plan is played."""
+        """Advance the time during playback."""
         before = clock.monotonic()
         for frame in itertools.count():
             clock.sleep(FRAME)
@@ -237,34 +227,34 @@ class LiveView:
                 self._move_cursor()
             before = now
 
-    def _look(self) -> None:
-        """Place the camera so that it sees all paths, in pages that are opened from now on."""
-        self._place(self.server.initial_camera, ASPECT)
+    def _place_initial_camera(self) -> None:
+        """Place the initial camera of pages so that it shows all paths."""
+        self._place_camera(self.server.initial_camera, ASPECT)
 
-    def _place(self, camera: Any, aspect: float) -> None:
-        """Place a camera so that it sees all paths in a picture of a width over height."""
+    def _place_camera(self, camera: Any, aspect: float) -> None:
+        """Place a camera so that it shows all paths in a picture of an aspect ratio."""
         drones = self.live.scene.drones.reshape(-1, 3)
         centre = 0.5 * (np.min(drones, axis=0) + np.max(drones, axis=0))
-        reach = float(np.max(np.linalg.norm(drones - centre, axis=1)))
-        half = np.arctan(np.tan(0.5 * FIELD) * aspect)
-        away = max(reach / np.sin(half), NEAREST)
-        position = centre + away * FROM / np.linalg.norm(FROM)
+        radius = float(np.max(np.linalg.norm(drones - centre, axis=1)))
+        half_angle = np.arctan(np.tan(0.5 * FIELD_OF_VIEW) * aspect)
+        distance = max(radius / np.sin(half_angle), MIN_DISTANCE)
+        position = centre + distance * VIEW_DIRECTION / np.linalg.norm(VIEW_DIRECTION)
         camera.position, camera.look_at = tuple(position), tuple(centre)
 
-    def _welcome(self, client: Any) -> None:
-        """Watch the camera of a new page, which may not stand where all begin yet."""
-        client.camera.on_update(self._stand_back)
-        self._stand_back(client.camera)
+    def _watch_camera(self, client: Any) -> None:
+        """Watch the camera of a new page until it has its initial place."""
+        client.camera.on_update(self._widen_view)
+        self._widen_view(client.camera)
 
-    def _stand_back(self, camera: Any) -> None:
-        """Move the camera of a narrow page away from where the cameras of all pages begin."""
-        aspect, begin = camera.image_width / camera.image_height, self.server.initial_camera
-        if aspect < ASPECT and np.allclose(camera.position, begin.position, atol=1e-3):
+    def _widen_view(self, camera: Any) -> None:
+        """Move the camera of a narrow page farther away than the initial camera."""
+        aspect, initial = camera.image_width / camera.image_height, self.server.initial_camera
+        if aspect < ASPECT and np.allclose(camera.position, initial.position, atol=1e-3):
             with self._lock:
-                self._place(camera, aspect)
+                self._place_camera(camera, aspect)
 
     def _add_panel(self) -> None:
-        """Add the panel, the same for all plans."""
+        """Add the elements of the panel, which are the same for all plans."""
         gui = self.server.gui
         self.head, self.now = gui.add_markdown(""), gui.add_markdown("")
         self.scrub = gui.add_slider("time [s]", 0.0, 1.0, STEP, 0.0)
@@ -273,20 +263,20 @@ class LiveView:
         space.on_trigger(lambda _: self.play(on=not self.playing))
         self.shown_check = gui.add_markdown("", visible=False)
 
-        def scrubbed(event: Any) -> None:
-            if event.client is not None:  # moved by hand, not by the playback
+        def scrub(event: Any) -> None:
+            if event.client is not None:  # by hand, not by the playback
                 self.seek(event.target.value)
 
-        self.scrub.on_update(scrubbed)
+        self.scrub.on_update(scrub)
         self.player.on_click(lambda _: self.play(on=not self.playing))
-        self.panel = gui.add_panel()  # which pages too narrow for columns fold at first
+        self.panel = gui.add_panel()  # initially folded on narrow pages
         self.panel.dock_below(gui.main_panel)
         self.phases = Buttons(gui, self.panel.add_tab("Phases"), self._show_phase_at)
         checks = self.panel.add_tab("Certificate")
         with checks:
             gui.add_markdown("Every worst value holds for all t. A click shows where and when.")
-            gui.add_button("no highlight", color=QUIET).on_click(lambda _: self._unmark())
-        self.checks = Buttons(gui, checks, self._show_check_at)
+            gui.add_button("no highlight", color=IDLE_COLOUR).on_click(self._remove_highlight)
+        self.checks = Buttons(gui, checks, self._show_check)
         self._plots_tab = self.panel.add_tab("Plots")
         with self._plots_tab:
             self.values = gui.add_markdown("")
@@ -294,7 +284,7 @@ class LiveView:
             speed = gui.add_dropdown("speed", SPEEDS, initial_value=f"{self.speed:g}")
             speed.on_update(lambda event: setattr(self, "speed", float(event.target.value)))
             for name in SWITCHES:
-                box = gui.add_checkbox(name, self.live.shown[name])
+                box = gui.add_checkbox(name, self.live.visible[name])
                 box.on_update(lambda event, name=name: self._switch(name, on=event.target.value))
             follow, dark = gui.add_checkbox("follow", False), gui.add_checkbox("dark", False)
             follow.on_update(lambda event: self.follow(on=event.target.value))
@@ -302,11 +292,11 @@ class LiveView:
             gui.add_button("PNG").on_click(lambda event: self._send_picture(event.client))
 
     def _fill_panel(self) -> None:
-        """Fill the panel with the plan's facts, and show its time."""
+        """Fill the panel with the plan's phases, checks and plots."""
         self._show_head()
         self.shown_check.visible = False
         spans = [f"{p.name}: {p.start:.2f} – {p.end:.2f} s" for p in self.motion.phases]
-        self.phases.show(spans, [QUIET] * len(spans))
+        self.phases.show(spans, [IDLE_COLOUR] * len(spans))
         self._show_checks()
         self._show_plots()
         self.seek(self.time)
@@ -314,38 +304,38 @@ class LiveView:
         self.scrub.max = round(longest, DECIMALS)
 
     def _show_head(self) -> None:
-        words = "being certified …" if self.certificate is None else verdict(self.certificate)
-        words = f"**{words}**" if not self._note else f"what is shown: {words}"
+        state = "being certified …" if self.certificate is None else verdict(self.certificate)
+        state = f"**{state}**" if not self._note else f"what is shown: {state}"
         note = f"**{plain_words(self._note)}**  \n" if self._note else ""
         title = plain_words(self._title or "Plan")
-        self.head.content = f"### {title}\n{facts(self.motion)}  \n{note}{words}"
+        self.head.content = f"### {title}\n{facts(self.motion)}  \n{note}{state}"
 
     def _show_phase(self) -> None:
         phases, duration = self.motion.phases, self.motion.duration
-        now = next((i for i, phase in enumerate(phases) if self.time < phase.end), len(phases) - 1)
-        phase = phases[now]
+        current = next((i for i, p in enumerate(phases) if self.time < p.end), len(phases) - 1)
+        phase = phases[current]
         for i, button in enumerate(self.phases.buttons[: len(phases)]):
-            if button.color != (colour := CURRENT if i == now else QUIET):
+            if button.color != (colour := CURRENT_COLOUR if i == current else IDLE_COLOUR):
                 button.color = colour
         state = "" if phase.state is CableState.NONE else f" ({phase.state})"
-        words = f"**{self.time:.2f} s** of {duration:.2f} s: **{phase.name}**{state}"
+        line = f"**{self.time:.2f} s** of {duration:.2f} s: **{phase.name}**{state}"
         remark = plain_words(phase.remark)
-        self.now.content = f"{words}  \n{remark}" if remark else words
+        self.now.content = f"{line}  \n{remark}" if remark else line
 
     def _show_checks(self) -> None:
         checks = self.certificate.checks if self.certificate else ()
-        colours = [QUIET if check.holds else "red" for check in checks]
-        self.checks.show([_words(check) for check in checks], colours)
+        colours = [IDLE_COLOUR if check.holds else "red" for check in checks]
+        self.checks.show([_check_label(check) for check in checks], colours)
 
     def _show_plots(self) -> None:
-        """Show the report's plots once the plan is certified; their legends say values."""
+        """Show the report's plots once the plan is certified."""
         if self.certificate is None:
             self.values.content = ""
             return
-        from hitchopt.view.report import plots_of  # drawn with matplotlib there, which loads late
+        from hitchopt.view.report import plots_of  # imports matplotlib, which is slow
 
-        for shown, _ in self._plots:
-            shown.remove()
+        for element, _ in self._plots:
+            element.remove()
         self._plots.clear()
         for plot in plots_of(self.motion, self.certificate):
             t = np.array(plot["t"])
@@ -357,85 +347,91 @@ class LiveView:
             for each in plot["limits"]:
                 columns.append(np.interp(t, each["t"], np.array(each["values"], np.float64)))
                 series.append({"label": "limit", "stroke": LIMIT_COLOUR, "dash": (6, 3)})
-            columns.append(_cursor(t, self.time, plot["top"]))
+            columns.append(_cursor_line(t, self.time, plot["top"]))
             series.append({"label": "now", "stroke": MARK_COLOUR, "points": {"show": False}})
             scales = {"x": {"time": False}, "y": {"range": (0.0, plot["top"])}}
             with self._plots_tab:
-                shown = self.server.gui.add_uplot(
+                element = self.server.gui.add_uplot(
                     tuple(columns), tuple(series), title=plot["label"].replace("\n", " "),
                     scales=scales, height=PLOT_HEIGHT, legend={"show": True},
                 )  # fmt: skip
-            self._plots.append((shown, plot))
+            self._plots.append((element, plot))
         self._cursor = math.nan
 
     def _move_cursor(self) -> None:
-        """Move the cursors of all plots to the time that is shown, and say the values there."""
+        """Move the cursors of all plots to the current time, and write the values there."""
         with self._lock:
             if self.time == self._cursor or self.certificate is None:
                 return
             self._cursor, lines = self.time, [f"at {self.time:.2f} s:"]
-            for shown, plot in self._plots:
-                t, curves = shown.data[0], shown.data[1 : 1 + len(plot["curves"])]
+            for element, plot in self._plots:
+                t, curves = element.data[0], element.data[1 : 1 + len(plot["curves"])]
                 values = [float(np.interp(self.time, t, curve)) for curve in curves]
-                said = " to ".join(f"{value:.3g}" for value in values if math.isfinite(value))
-                lines.append(f"{plain_words(shown.title)}: **{said or '–'}**")
-                shown.data = (*shown.data[:-1], _cursor(t, self.time, plot["top"]))
+                span = " to ".join(f"{value:.3g}" for value in values if math.isfinite(value))
+                lines.append(f"{plain_words(element.title)}: **{span or '–'}**")
+                element.data = (*element.data[:-1], _cursor_line(t, self.time, plot["top"]))
             self.values.content = "  \n".join(lines)
 
     def _show_phase_at(self, index: int) -> None:
         with self._lock:
-            for phase in self.motion.phases[index : index + 1]:  # none if the plan has changed
+            for phase in self.motion.phases[index : index + 1]:  # empty if the plan has changed
                 self.seek(phase.start)
 
-    def _show_check_at(self, index: int) -> None:
+    def _show_check(self, index: int) -> None:
+        """Show the worst time of a check, and highlight its drones, cables and vertices."""
         with self._lock:
             checks = self.certificate.checks if self.certificate else ()
-            for check in checks[index : index + 1]:
-                self.show_check(check)
+            for check in checks[index : index + 1]:  # empty if the plan has changed
+                self.play(on=False)
+                self.live.highlight(highlight_of(self.motion, check.where))
+                where = f": {', '.join(check.where)}" if check.where else ""
+                self.shown_check.content = f"{check.name}{where} at {check.time:.2f} s"
+                self.shown_check.visible = True
+                self.seek(check.time)
 
     def _switch(self, name: str, *, on: bool) -> None:
         with self._lock:
             self.live.switch(name, on=on)
 
-    def _unmark(self) -> None:
+    def _remove_highlight(self, _: Any) -> None:
         with self._lock:
-            self.live.mark(Concerned())
+            self.live.highlight(Highlight())
             self.shown_check.visible = False
 
 
 class Buttons:
-    """Buttons below one another, whose labels change with the plan; none is ever removed.
+    """A column of buttons in a tab; buttons are reused or hidden, never removed.
 
-    Pages that draw slowly receive additions and removals at once, and report updates of missing
-    buttons as errors. ``clicked`` is called with the index of a button of a tab ``place``.
+    Slow pages would report updates of removed buttons as errors. ``on_click`` is called with the
+    index of a button.
     """
 
-    def __init__(self, gui: Any, place: Any, clicked: Callable[[int], None]) -> None:
-        self._gui, self._place, self._clicked = gui, place, clicked
+    def __init__(self, gui: Any, tab: Any, on_click: Callable[[int], None]) -> None:
+        self._gui, self._tab, self._on_click = gui, tab, on_click
         self.buttons: list[Any] = []
 
     def show(self, labels: Sequence[str], colours: Sequence[str]) -> None:
-        """Show one button a label, in these colours."""
+        """Show a button with a colour for each label."""
         for i, (label, colour) in enumerate(zip(labels, colours, strict=True)):
             if i == len(self.buttons):
-                with self._place:
+                with self._tab:
                     self.buttons.append(self._gui.add_button(label, color=colour))
-                self.buttons[i].on_click(lambda _, i=i: self._clicked(i))
+                self.buttons[i].on_click(lambda _, i=i: self._on_click(i))
             button = self.buttons[i]
             button.label, button.color, button.visible = label, colour, True
         for button in self.buttons[len(labels) :]:
             button.visible = False
 
 
-def _cursor(t: Array, time: float, top: float) -> Array:
-    """Return the values of a line across a plot at the samples on both sides of a time."""
+def _cursor_line(t: Array, time: float, top: float) -> Array:
+    """Return the values of a vertical line at the samples next to a time, nan elsewhere."""
     values = np.full(len(t), np.nan)
     after = int(np.clip(np.searchsorted(t, time), 1, len(t) - 1))
     values[after - 1 : after + 1] = 0.0, top
     return values
 
 
-def _words(check: Check) -> str:
+def _check_label(check: Check) -> str:
     unit = "" if check.unit == "1" else f" {check.unit}"
     worst = "–" if check.worst is None else f"{check.worst:.4g}{unit}"
     relation = "≥" if check.sense == "min" else "≤"

@@ -1,7 +1,7 @@
-"""A scene as flat polygons, and a plan as a row of panels: the moments that matter, at one scale.
+"""Scenes as flat polygons, and storyboards: panels of a plan's key moments at one scale.
 
-Polygons are painted the farthest first. Cables have pale edges: over and under differ in grey as
-well.
+Polygons are painted from far to near. Cables have pale edges, which show over and under also in
+grey.
 """
 
 from __future__ import annotations
@@ -26,163 +26,162 @@ from hitchopt.motion.motion import CableState, Motion
 from hitchopt.values import Array
 from hitchopt.view import style
 from hitchopt.view.scene import Moment, Scene, scene_at
-from hitchopt.view.shapes import SEGMENTS, GroupName, normals, split
+from hitchopt.view.shapes import SEGMENTS, GroupName, normals, subdivide
 
-# Width of a cable with its pale edges over that without, and length by which its segments
-# overlap, in its radii: bends have no gaps
-CASING, OVERLAP = 1.8, 0.5
+# Width of a cable with its pale edges, and overlap of its segments to avoid gaps in bends, both in
+# half widths of the cable
+CASING_WIDTH, OVERLAP = 1.8, 0.5
 SHADOW = "#e4e7ea"  # Colour of shadows
-# Least number of a rotor's corners, and how often the sides of an object's faces are halved, so
-# that near and far faces are sorted apart
-FEWEST, SPLITS = 4, 3
-# Direction toward the light, and the brightness of a face that is turned away from it
-LIGHT, DARKEST = unit(np.array([-0.35, -0.55, 1.0])), 0.62
-# Largest number of panels; more would be too small to read. Below FEW another picture fits
-MOST, FEW = 9, 3
-# Step of the painter up to that number of robots: more are fewer pixels wide
-STEPS = {12: 1, 30: 2, 100: 4, math.inf: 8}
-# Distance [m] that some drone is off its place in the panel before, else there is none; and one
-# beyond all that drones fly, by which some moments come before others
-STILL, LONGEST = 1e-3, 1e6
-AZIMUTH, ELEVATION = -115.0, 38.0  # Where panels are seen from [deg]
-# Radius of a drawn cable as a share of the extent: clasps show over and under in small panels;
-# and margin around everything and least reach of a drone, as shares of a panel's height
-THICKNESS, MARGIN, SMALL = 0.011, 0.08, 0.03
-PATH_SAMPLES, PALE = 150, 0.45  # Number of points of a drone's path, and its opacity
-LETTER, LINE = 5.6, 10.0  # Width of a bold small letter, and height of its line [points]
+# Minimum number of a rotor's corners; number of subdivisions of an object's faces, for sorting by
+# distance
+MIN_ROTOR_CORNERS, SUBDIVISIONS = 4, 3
+# Direction to the light, and brightness of faces that point away from it
+LIGHT, MIN_BRIGHTNESS = unit(np.array([-0.35, -0.55, 1.0])), 0.62
+# Maximum number of panels that are large enough to read; number up to which another picture fits
+MAX_PANELS, FEW_PANELS = 9, 3
+# Factor of the reduction of corners, by maximum number of robots
+CORNER_STEPS = {12: 1, 30: 2, 100: 4, math.inf: 8}
+# Minimum travel of some drone between two panels [m], and travel [m] that is added to the rank of
+# essential moments
+MIN_TRAVEL, PRIORITY_TRAVEL = 1e-3, 1e6
+AZIMUTH, ELEVATION = -115.0, 38.0  # Direction of the camera [deg]
+# Radius of a drawn cable as a share of the extent, large enough to show clasps in small panels;
+# margin, and minimum radius of a drone, as shares of a panel's height
+THICKNESS, MARGIN, MIN_DRONE_SIZE = 0.011, 0.08, 0.03
+PATH_SAMPLES, PATH_OPACITY = 150, 0.45  # Number of points of a drone's path, and its opacity
+LETTER_WIDTH, LINE_HEIGHT = 5.6, 10.0  # Width of a bold small letter, and line height [points]
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A direction from which a scene is seen, from far away."""
+    """Camera with parallel projection."""
 
-    axes: Array  # (3, 3), units to the right, upward, and toward the viewer, in world coordinates
+    axes: Array  # (3, 3) unit vectors to the right, up and to the viewer, in world coordinates
 
     @classmethod
-    def toward(cls, azimuth: float, elevation: float) -> Camera:
-        """Return the camera that looks from an azimuth and an elevation [deg]."""
+    def at_angles(cls, azimuth: float, elevation: float) -> Camera:
+        """Return the camera at an azimuth and an elevation [deg]."""
         a, e = np.radians([azimuth, elevation])
         back = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
         right = np.array([-np.sin(a), np.cos(a), 0.0])
         return cls(np.stack([right, np.cross(back, right), back]))
 
-    def seen(self, points: Array) -> Array:
-        """Return points (…, 3) [m] as right, up and nearness (…, 3) [m]."""
+    def project(self, points: Array) -> Array:
+        """Return points (…, 3) [m] in coordinates right, up and to the viewer (…, 3) [m]."""
         return np.asarray(points @ self.axes.T)
 
 
 class Painting(NamedTuple):
-    """Polygons in the order in which they are painted."""
+    """Polygons in painting order."""
 
     polygons: Array  # (m, 4, 2) [m], right and up; a triangle has its last corner twice
     colours: Array  # (m, 4), red, green, blue, opacity
 
 
 class Painter:
-    """A painter of the moments of one scene.
+    """Painter of moments of a scene.
 
-    ``width`` is half of a cable's drawn width [m], 0 for the scene's; ``size`` a factor of the
-    drones' sizes; ``step`` that by which rotors and cables have fewer corners, as small ones may.
+    ``width`` is a cable's drawn half width [m], 0 for the scene's radius; ``size`` a factor of the
+    drones' sizes; ``step`` divides the number of corners of rotors and cables.
     """
 
     def __init__(
         self, scene: Scene, camera: Camera, width: float = 0.0, size: float = 1.0, step: int = 1
     ) -> None:
-        need, look = scene.motion.requirements, scene.appearance
-        self.camera, self.step, self._floor = camera, step, need.floor
+        requirements, look = scene.motion.requirements, scene.appearance
+        self.camera, self.step, self._floor = camera, step, requirements.floor
         self._width = width or scene.radius
         self.cables = to_rgba_array(look.cable_colours)
-        parts = look.drone_parts(size, max(FEWEST, SEGMENTS // step))
-        # Of frames, which are solid, only what faces the viewer is painted.
+        parts = look.drone_parts(size, max(MIN_ROTOR_CORNERS, SEGMENTS // step))
+        # Only the front faces of frames, which are solid, are painted.
         self._parts = [(x.faces, to_rgba_array(x.colours), x.name == "frame") for x in parts]
-        # Objects stand on tables, and lie on cables, which are drawn thicker than they are.
-        backs = (
-            body.circumradius / 2**SPLITS if body.fixed else -2.0 * self._width
-            for body in need.objects.values()
+        # Offsets sort objects above their tables, and on top of cables, which are drawn thicker.
+        offsets = (
+            body.circumradius / 2**SUBDIVISIONS if body.fixed else -2.0 * self._width
+            for body in requirements.objects.values()
         )
         self._objects = [
-            (split(solid.faces, SPLITS), to_rgba_array(solid.colours), back)
-            for solid, back in zip(look.objects, backs, strict=True)
+            (subdivide(solid.faces, SUBDIVISIONS), to_rgba_array(solid.colours), offset)
+            for solid, offset in zip(look.objects, offsets, strict=True)
         ]
 
-    def painted(self, moment: Moment) -> Painting:
-        """Return a moment: shadows on the ground, then everything else, the farthest first."""
+    def paint(self, moment: Moment) -> Painting:
+        """Return the painting of a moment: shadows, then everything else from far to near."""
         layers = [*self._drones(moment), *self._bodies(moment)]
         cables = moment.cables[:, :: self.step]
-        shades = np.repeat(self.cables, cables.shape[1] - 1, axis=0)
-        casing = np.broadcast_to(to_rgba_array(style.OPEN), shades.shape)
-        longer = OVERLAP * self._width
+        cable_colours = np.repeat(self.cables, cables.shape[1] - 1, axis=0)
+        casing = np.broadcast_to(to_rgba_array(style.HOLLOW_COLOUR), cable_colours.shape)
         layers += [
-            (self._strips(cables, CASING * self._width, 0.0), casing, self._width),
-            (self._strips(cables, self._width, longer), shades, 0.0),
+            (self._strips(cables, CASING_WIDTH * self._width, 0.0), casing, self._width),
+            (self._strips(cables, self._width, OVERLAP * self._width), cable_colours, 0.0),
         ]
         polygons = np.concatenate([faces for faces, _, _ in layers])
-        colours = np.concatenate([shade for _, shade, _ in layers])
-        nearness = [np.mean(faces[..., 2], axis=1) - back for faces, _, back in layers]
+        colours = np.concatenate([face_colours for _, face_colours, _ in layers])
+        nearness = [np.mean(faces[..., 2], axis=1) - offset for faces, _, offset in layers]
         order = np.argsort(np.concatenate(nearness), kind="stable")
         ground = cables * [1.0, 1.0, 0.0] + [0.0, 0.0, self._floor]
         shadows = self._strips(ground, self._width, 0.0)
-        dark = np.broadcast_to(to_rgba_array(SHADOW), (len(shadows), 4))
+        shadow_colours = np.broadcast_to(to_rgba_array(SHADOW), (len(shadows), 4))
         return Painting(
             np.concatenate([shadows, polygons[order]])[..., :2],
-            np.concatenate([dark, colours[order]]),
+            np.concatenate([shadow_colours, colours[order]]),
         )
 
     def _drones(self, moment: Moment) -> list[tuple[Array, Array, float]]:
-        """Return faces as seen, their colours, and how far they are put back [m]."""
+        """Return projected faces, their colours, and the offset of their distance [m]."""
         turns = Rotation.from_quat(moment.quaternions, scalar_first=True).as_matrix()
         layers = []
-        for part, shades, solid in self._parts:
+        for part, part_colours, is_solid in self._parts:
             corners = np.einsum("dij,fvj->dfvi", turns, part) + moment.drones[:, None, None]
-            faces = self.camera.seen(corners).reshape(-1, 4, 3)
-            colours = np.repeat(shades, len(part), axis=0)
-            shown: Any = normals(faces)[:, 2] > 0.0 if solid else slice(None)
-            layers.append((faces[shown], colours[shown], 0.0))
+            faces = self.camera.project(corners).reshape(-1, 4, 3)
+            colours = np.repeat(part_colours, len(part), axis=0)
+            visible: Any = normals(faces)[:, 2] > 0.0 if is_solid else slice(None)
+            layers.append((faces[visible], colours[visible], 0.0))
         return layers
 
     def _bodies(self, moment: Moment) -> list[tuple[Array, Array, float]]:
-        """Return the faces of objects that are seen, lit from above; as of ``_drones``."""
+        """Return the visible faces of objects, their shaded colours and offsets of distance [m]."""
         layers = []
-        for (faces, fill, back), pose in zip(self._objects, moment.objects, strict=True):
+        for (faces, fill, offset), pose in zip(self._objects, moment.objects, strict=True):
             turn = Rotation.from_quat(pose[3:], scalar_first=True).as_matrix()
-            there = faces @ turn.T + pose[:3]
-            outward = normals(there)
-            shown = outward @ self.camera.axes[2] > 0.0
-            bright = DARKEST + (1.0 - DARKEST) * np.maximum(outward[shown] @ LIGHT, 0.0)
-            shades = np.repeat(fill, len(bright), axis=0)
-            shades[:, :3] *= bright[:, None]
-            layers.append((self.camera.seen(there[shown]), shades, back))
+            placed = faces @ turn.T + pose[:3]
+            outward = normals(placed)
+            visible = outward @ self.camera.axes[2] > 0.0
+            light = np.maximum(outward[visible] @ LIGHT, 0.0)
+            colours = np.repeat(fill, len(light), axis=0)
+            colours[:, :3] *= (MIN_BRIGHTNESS + (1.0 - MIN_BRIGHTNESS) * light)[:, None]
+            layers.append((self.camera.project(placed[visible]), colours, offset))
         return layers
 
-    def _strips(self, curves: Array, width: float, longer: float) -> Array:
-        """Return the segments of curves (n, points, 3) as seen quadrangles (m, 4, 3) [m].
+    def _strips(self, curves: Array, width: float, extension: float) -> Array:
+        """Return the segments of curves (n, points, 3) as projected quadrangles (m, 4, 3) [m].
 
-        ``width`` is half of a segment's, and ``longer`` an extension at either end [m].
+        ``width`` is a segment's half width, ``extension`` is added at both ends [m].
         """
-        seen = self.camera.seen(curves)
-        first, last = seen[:, :-1].reshape(-1, 3), seen[:, 1:].reshape(-1, 3)
+        points = self.camera.project(curves)
+        first, last = points[:, :-1].reshape(-1, 3), points[:, 1:].reshape(-1, 3)
         along = unit((last - first) * [1.0, 1.0, 0.0])
-        aside = width * np.stack([-along[:, 1], along[:, 0], np.zeros(len(along))], axis=-1)
-        first, last = first - longer * along, last + longer * along
-        return np.stack([first - aside, first + aside, last + aside, last - aside], axis=1)
+        across = width * np.stack([-along[:, 1], along[:, 0], np.zeros(len(along))], axis=-1)
+        first, last = first - extension * along, last + extension * along
+        return np.stack([first - across, first + across, last + across, last - across], axis=1)
 
 
 class Shot(NamedTuple):
-    """A moment that has a panel, with words above it."""
+    """A moment with a panel and its title."""
 
     words: str
     time: float  # from the plan's start [s]
-    essential: bool = False  # whether it comes before others where there are more than MOST
+    essential: bool = False  # whether it has priority if there are more than MAX_PANELS
 
 
-def chosen_shots(motion: Motion) -> tuple[Shot, ...]:
-    """Return start, swaps, the hitch, the end of whatever moves it, passages, and the plan's end.
+def choose_shots(motion: Motion) -> tuple[Shot, ...]:
+    """Return start, swaps, the hitch, ends of its motions, passages, and the plan's end.
 
-    Where there are more than MOST, those with the longest paths before them are chosen.
+    Of more than MAX_PANELS, those with the longest paths before them are chosen.
     """
     shots = [Shot("start", 0.0, essential=True)]
-    for (_, state), same in groupby(motion.phases, lambda phase: (phase.step, phase.state)):
-        group = list(same)
+    for (_, state), phases in groupby(motion.phases, lambda phase: (phase.step, phase.state)):
+        group = list(phases)
         if state is CableState.CLASPING:
             middle = 0.5 * (group[0].start + group[0].end)
             shots.append(Shot(group[0].name.rstrip(" 0123456789"), middle, essential=True))
@@ -198,29 +197,29 @@ def chosen_shots(motion: Motion) -> tuple[Shot, ...]:
     places = motion.drones.at(motion.drones.breaks[0] + times)
     travel = np.max(np.linalg.norm(np.diff(places, axis=0), axis=-1), axis=-1)
     travel = np.concatenate([[np.inf], travel])
-    moved = np.flatnonzero(travel > STILL)
-    rank = travel[moved] + np.where([shots[i].essential for i in moved], LONGEST, 0.0)
+    moved = np.flatnonzero(travel > MIN_TRAVEL)
+    rank = travel[moved] + np.where([shots[i].essential for i in moved], PRIORITY_TRAVEL, 0.0)
     rank[-1] = np.inf
-    return tuple(shots[i] for i in np.sort(moved[np.argsort(-rank, kind="stable")[:MOST]]))
+    return tuple(shots[i] for i in np.sort(moved[np.argsort(-rank, kind="stable")[:MAX_PANELS]]))
 
 
 def _passages(motion: Motion, shots: Sequence[Shot]) -> list[Shot]:
-    """Return when the drones are nearest to objects that never move and that no shot is near."""
+    """Return the times of closest approach to fixed objects that no other shot is near."""
     times = np.linspace(0.0, motion.duration, PATH_SAMPLES)
     moments = np.concatenate([times, [shot.time for shot in shots]])
     places = motion.drones.at(motion.drones.breaks[0] + np.minimum(moments, motion.duration))
     middles, passages = np.mean(places[..., :2], axis=1), list[Shot]()
-    reach = np.max(np.linalg.norm(places[0, :, :2] - middles[0], axis=1))
+    radius = np.max(np.linalg.norm(places[0, :, :2] - middles[0], axis=1))
     for name, body in motion.requirements.objects.items():
-        off = np.linalg.norm(middles - body.at[:2], axis=1)
-        k = int(np.argmin(off[:PATH_SAMPLES]))
-        if body.fixed and off[k] + reach < np.min(off[PATH_SAMPLES:]):
+        distances = np.linalg.norm(middles - body.at[:2], axis=1)
+        k = int(np.argmin(distances[:PATH_SAMPLES]))
+        if body.fixed and distances[k] + radius < np.min(distances[PATH_SAMPLES:]):
             passages.append(Shot(f"near {name}", float(times[k])))
     return passages
 
 
 def draw_plan_storyboard(place: SubplotSpec, motion: Motion, shots: Sequence[Shot]) -> None:
-    """Draw the shots of a plan in a part of a figure."""
+    """Draw the storyboard of a plan in a part of a figure."""
     times = np.unique([0.0, motion.duration, *(min(s.time, motion.duration) for s in shots)])
     paths = np.unique(np.append(np.linspace(0.0, motion.duration, PATH_SAMPLES), times))
     flown = motion.drones.at(motion.drones.breaks[0] + paths)
@@ -230,40 +229,40 @@ def draw_plan_storyboard(place: SubplotSpec, motion: Motion, shots: Sequence[Sho
 def draw_storyboard(
     place: SubplotSpec, scene: Scene, shots: Sequence[Shot], flown: tuple[Array, Array]
 ) -> None:
-    """Draw the panels of a scene, at whose samples all shots' times are.
+    """Draw the panels of a scene, whose samples include the times of all shots.
 
-    ``flown`` are the paths: times (samples,) [s], the shots' among them, and the drones then
+    ``flown`` are the paths: times (samples,) [s], including the shots', and places of the drones
     (samples, drones, 3) [m].
     """
     radius = scene.motion.requirements.separation.radius
     count, drones = len(shots), scene.drones.shape[1]
-    camera = Camera.toward(AZIMUTH, ELEVATION)
+    camera = Camera.at_angles(AZIMUTH, ELEVATION)
     moments = [int(np.argmin(np.abs(scene.t - shot.time))) for shot in shots]
-    boxes = np.array([_seen_box(scene.at(float(scene.t[i])), scene, camera) for i in moments])
+    boxes = np.array([_panel_box(scene.at(float(scene.t[i])), scene, camera) for i in moments])
     middles = np.mean(boxes, axis=1)
     half = np.max(np.ptp(boxes, axis=1), axis=0) * (0.5 + MARGIN) + radius
     layout: Any = place.get_gridspec()
     figure = layout.figure
-    room = figure.get_size_inches() * place.get_position(figure).size / half
-    scales = [min(room[0] / c, room[1] / math.ceil(count / c)) for c in range(1, count + 1)]
+    space = figure.get_size_inches() * place.get_position(figure).size / half
+    scales = [min(space[0] / c, space[1] / math.ceil(count / c)) for c in range(1, count + 1)]
     columns = 1 + int(np.argmax(scales))
     rows = math.ceil(count / columns)
     grid: Any = place.subgridspec(rows, columns, wspace=0.04, hspace=0.05 * rows)
-    size = max(1.0, SMALL * min(1.0, 4.0 / math.sqrt(drones)) / radius * 2.0 * half[1])
-    painter = Painter(scene, camera, scene.radius, size, few_corners(scene.cables.shape[1]))
-    paths = camera.seen(flown[1])[..., :2]
+    size = max(1.0, MIN_DRONE_SIZE * min(1.0, 4.0 / math.sqrt(drones)) / radius * 2.0 * half[1])
+    painter = Painter(scene, camera, scene.radius, size, corner_step(scene.cables.shape[1]))
+    paths = camera.project(flown[1])[..., :2]
     reached = np.searchsorted(flown[0], scene.t[moments])
     for k, (shot, i, middle) in enumerate(zip(shots, moments, middles, strict=True)):
         axes: Axes = figure.add_subplot(grid[k // columns, k % columns])
         lines = np.moveaxis(paths[reached[max(k - 1, 0)] : reached[k] + 1], 1, 0)
-        style.draw_lines(axes, lines, scene.appearance.drone_colours, 0.6, 1, alpha=PALE)
-        draw_painting(axes, painter.painted(scene.at(float(scene.t[i]))))
+        style.draw_lines(axes, lines, scene.appearance.drone_colours, 0.6, 1, alpha=PATH_OPACITY)
+        draw_painting(axes, painter.paint(scene.at(float(scene.t[i]))))
         axes.set(xticks=[], yticks=[], xmargin=0.0, ymargin=0.0)
         axes.set_aspect("equal", adjustable="datalim")
         axes.update_datalim([middle - half, middle + half])
         axes.autoscale_view()
         axes.spines[:].set_color("0.85")
-        places = camera.seen(scene.drones[i])[:, :2]
+        places = camera.project(scene.drones[i])[:, :2]
         write_groups(axes, scene.appearance.groups, places, size * radius)
         axes.set_title(f"{shot.words}, {shot.time:.1f} s", fontsize="small", parse_math=False)
     length = 10.0 ** math.floor(math.log10(float(half[0])))
@@ -272,36 +271,36 @@ def draw_storyboard(
     axes.add_artist(AnchoredSizeBar(axes.transData, length, f"{length:g} m", **words))
 
 
-def _seen_box(moment: Moment, scene: Scene, camera: Camera) -> Array:
-    """Return the lower left and upper right corner (2, 2) [m] of what a panel shows.
+def _panel_box(moment: Moment, scene: Scene, camera: Camera) -> Array:
+    """Return the lower left and upper right corner (2, 2) [m] of a panel's content.
 
-    That is drones, down to half of their height, and objects within half of their width.
+    The content is the drones, down to half of their height, and objects nearby.
     """
 
     def box(points: Array) -> Array:
-        seen = camera.seen(points)[:, :2]
-        return np.array([np.min(seen, axis=0), np.max(seen, axis=0)])
+        projected = camera.project(points)[:, :2]
+        return np.array([np.min(projected, axis=0), np.max(projected, axis=0)])
 
     floor = scene.motion.requirements.floor
     low = moment.drones * [1.0, 1.0, 0.5] + [0.0, 0.0, 0.5 * floor]
     boxes = [box(np.concatenate([moment.drones, low]))]
-    near = 0.5 * np.ptp(boxes[0], axis=0)
+    margin = 0.5 * np.ptp(boxes[0], axis=0)
     for solid, pose in zip(scene.appearance.objects, moment.objects, strict=True):
         turn = Rotation.from_quat(pose[3:], scalar_first=True)
         body = box(turn.apply(solid.faces.reshape(-1, 3)) + pose[:3])
-        apart = np.maximum(body[0] - boxes[0][1], boxes[0][0] - body[1])
-        body = np.clip(body, boxes[0][0] - 2.0 * near, boxes[0][1] + 2.0 * near)
-        boxes += [body] * bool(np.all(apart < near))
+        gap = np.maximum(body[0] - boxes[0][1], boxes[0][0] - body[1])
+        body = np.clip(body, boxes[0][0] - 2.0 * margin, boxes[0][1] + 2.0 * margin)
+        boxes += [body] * bool(np.all(gap < margin))
     return np.array([np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]])
 
 
-def few_corners(robots: int) -> int:
-    """Return the painter's step for a team: small shapes need fewer corners."""
-    return next(step for most, step in STEPS.items() if robots <= most)
+def corner_step(robots: int) -> int:
+    """Return the painter's step for a number of robots: small shapes need fewer corners."""
+    return next(step for limit, step in CORNER_STEPS.items() if robots <= limit)
 
 
 def draw_painting(axes: Axes, painting: Painting) -> PolyCollection:
-    """Draw a painting; edges of the faces' colour close the seams between them."""
+    """Draw a painting; edges in the faces' colours close seams."""
     polygons: Any = painting.polygons
     colours: Any = painting.colours
     look: Any = {"facecolors": colours, "edgecolors": "face", "linewidths": 0.2, "zorder": 2}
@@ -310,25 +309,25 @@ def draw_painting(axes: Axes, painting: Painting) -> PolyCollection:
     return shapes
 
 
-def write_groups(axes: Axes, groups: Sequence[GroupName], seen: Array, radius: float) -> None:
-    """Write groups' names above their highest or below their lowest drone where no drone is.
+def write_groups(axes: Axes, groups: Sequence[GroupName], drones: Array, radius: float) -> None:
+    """Write the names of groups above or below one of their drones, off all other drones.
 
-    All drones are ``seen`` (N, 2) there, of a radius [m].
+    ``drones`` (N, 2) are projected places of all drones, of a radius [m].
     """
     axes.apply_aspect()
     to_pixels, pixels = axes.transData, axes.figure.dpi / 72.0
-    taken = to_pixels.transform(seen)
+    occupied = to_pixels.transform(drones)
     disc = radius * (to_pixels.transform([1.0, 0.0]) - to_pixels.transform([0.0, 0.0]))[0]
     middle, reach = np.mean(axes.bbox, axis=0), 0.5 * np.ptp(axes.bbox, axis=0)
     for group in groups:
-        letters = 0.5 * pixels * np.array([LETTER * len(group.name), LINE])
-        room = letters + disc + pixels
-        spots = np.concatenate([taken[group.drones] + [0.0, y] for y in (room[1], -room[1])])
-        inside = np.all(np.abs(spots - middle) < reach - letters, axis=1)
-        free = np.min(np.max(np.abs(spots[:, None] - taken) / room, axis=-1), axis=1)
-        far = np.abs(spots[:, 1] - np.mean(taken[:, 1]))
-        best = np.lexsort([-far, -np.minimum(free, 1.0).round(6) * inside])[0]
-        taken = np.vstack([taken, spots[best]])
+        half_text = 0.5 * pixels * np.array([LETTER_WIDTH * len(group.name), LINE_HEIGHT])
+        space = half_text + disc + pixels
+        spots = np.concatenate([occupied[group.drones] + [0.0, y] for y in (space[1], -space[1])])
+        is_inside = np.all(np.abs(spots - middle) < reach - half_text, axis=1)
+        clearance = np.min(np.max(np.abs(spots[:, None] - occupied) / space, axis=-1), axis=1)
+        distance = np.abs(spots[:, 1] - np.mean(occupied[:, 1]))
+        best = np.lexsort([-distance, -np.minimum(clearance, 1.0).round(6) * is_inside])[0]
+        occupied = np.vstack([occupied, spots[best]])
         look: Any = {"color": group.colour, "weight": "bold", "zorder": 7, "va": "center"}
         look |= {"clip_on": True, "path_effects": [withStroke(linewidth=2.0, foreground="white")]}
         style.write(axes, group.name, to_pixels.inverted().transform(spots[best]), (0, 0), **look)

@@ -1,4 +1,4 @@
-"""Pictures of a plan: at a glance (summary.png), from above, over time, closest neighbours."""
+"""Pictures of a plan: summary, view from above, and closest neighbours over time."""
 
 from __future__ import annotations
 
@@ -30,123 +30,121 @@ from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.states import States, states_at
 from hitchopt.values import Array
 from hitchopt.view import painter, style
-from hitchopt.view.painter import PALE
+from hitchopt.view.painter import PATH_OPACITY
 from hitchopt.view.scene import scene_at
 from hitchopt.view.shapes import Appearance, GroupName
 from hitchopt.view.style import COLOURS, DASHES, INK, LIMIT_COLOUR, draw_lines, write
 
-# Width and height [inch], and shares of few panels and of the plan below them
+# Width and height [inch], and height ratios of a row of panels and the plan below it
 SIZE, HEIGHTS = (13.0, 7.2), (1.0, 1.7)
-# Edges of the plots, of a plan on their left, and of a storyboard there, as shares of the figure
-PLOTS = {"left": 0.585, "right": 0.935, "bottom": 0.15, "top": 0.85, "hspace": 0.1}
-PLAN = {"left": 0.055, "right": 0.505, "bottom": 0.15, "top": 0.85}
-SHOTS = {"left": 0.012, "right": 0.515, "bottom": 0.03, "top": 0.85}
-# Distance of the legend from a plan below panels, as a share of its height, and where the plots'
-# labels stand, as a share of their width
+# Edges of the plots, and of a plan or a storyboard on their left, as shares of the figure
+PLOT_EDGES = {"left": 0.585, "right": 0.935, "bottom": 0.15, "top": 0.85, "hspace": 0.1}
+PLAN_EDGES = {"left": 0.055, "right": 0.505, "bottom": 0.15, "top": 0.85}
+STORYBOARD_EDGES = {"left": 0.012, "right": 0.515, "bottom": 0.03, "top": 0.85}
+# Distance of the legend from a plan below panels, as a share of its height, and position of the
+# plots' labels, as a share of their width
 LEGEND_GAP, LABEL_AT = 0.17, -0.1
 CARD_RESOLUTION = 65  # Resolution of a notebook's picture [dots per inch]: 850 pixels wide
-# Number of drone positions that a picture is drawn from, and bounds on that of times: more are
-# finer than a picture's pixels
+# Number of sampled drone positions, and range of the number of times: more is finer than pixels
 POINTS, SAMPLES = 150_000, (60, 600)
 FORBIDDEN: Any = {"facecolor": "none", "edgecolor": "0.8", "hatch": "////", "linewidth": 0}
 
-# Width of a curve, height of a line of small text, and approximately of a plot [points]
-CURVE, LINE, HEIGHT = 1.4, 11.0, 110.0
-# Largest worst value that is drawn: larger ones say that nothing was counted or bounded
-ENDLESS = 1e9
+# Width of a curve, height of a line of small text, and approximate height of a plot [points]
+CURVE_WIDTH, LINE_HEIGHT, PLOT_HEIGHT = 1.4, 11.0, 110.0
+# Maximum worst value that is drawn: larger ones mean that nothing was counted or bounded
+MAX_DRAWN = 1e9
 # Width of a character of a phase's name, and of a line at 45°, as shares of the axes' width
-CHARACTER, SLANTED = 0.013, 0.038
-LONG = 18  # Most characters of a slanted line: there is space for no more
-# Figure of the closest neighbours: width and height [inch], points of a curve, and the largest
-# separation that is shown; larger ones are of no concern
+CHARACTER_WIDTH, SLANTED_WIDTH = 0.013, 0.038
+MAX_CHARACTERS = 18  # Maximum number of characters of a slanted line
+# Figure of the closest neighbours: width and height [inch], number of points of a curve, and the
+# maximum of the separation's axis
 CLOSE_SIZE, CLOSE_SAMPLES, CLOSE_TOP = (10.0, 4.8), 800, 4.0
 START_COLOUR = "0.62"
 
-# Number of vertices or single drones up to which they are named: more names hide the drawing; and
-# distance of a vertex's name from it [points]
-MAX_NAMED, BESIDE = 30, 18.0
-DASHED = ("-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1)))
-# Colour and line style of every pair that is drawn, the closest first; they differ in grey too
-STYLES = tuple(zip((*COLOURS, "#6a4c93", "0.45"), DASHED, strict=True))
+# Maximum number of vertices or single drones with names, since more would hide the drawing; and
+# distance of a vertex from its name [points]
+MAX_NAMED, NAME_DISTANCE = 30, 18.0
+LINE_STYLES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1)))
+# Colours and line styles of pairs, the closest first; they also differ in grey
+STYLES = tuple(zip((*COLOURS, "#6a4c93", "0.45"), LINE_STYLES, strict=True))
 
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """One limited quantity over time."""
+    """A limited quantity over time."""
 
-    name: str  # of its check
-    label: str  # name and unit for people
-    values: Array  # the curve (samples,), in the label's unit
+    name: str  # name of its check
+    label: str  # label with unit
+    values: Array  # (samples,), in the label's unit
     limit: float  # in the same unit
-    share: bool = False  # whether values are shares of the limit, in place of the check's unit
+    share: bool = False  # whether values are shares of the limit
 
     def worst_of(self, certificate: Certificate) -> tuple[float, float] | None:
-        """Return time and value of the certificate's worst, in this unit, if it has one."""
+        """Return time and value of the certificate's worst, in the label's unit, if it has one."""
         for check in (check for check in certificate.checks if check.name == self.name):
             value = check.bound / (check.number if self.share else 1.0)
-            return (check.time, value) if abs(value) < ENDLESS else None
+            return (check.time, value) if abs(value) < MAX_DRAWN else None
         return None
 
 
-def sampled_states(motion: Motion) -> States:
+def sample_states(motion: Motion) -> States:
     """Return the states of a plan at times that include the joints of its pieces."""
-    return states_at(motion, _sampled_times(motion))
+    return states_at(motion, _sample_times(motion))
 
 
-def _sampled_times(motion: Motion) -> Array:
+def _sample_times(motion: Motion) -> Array:
     samples = int(np.clip(POINTS // len(motion.team.drone_names), *SAMPLES))
     even = np.linspace(0.0, motion.duration, samples)
     joints = motion.drones.breaks - motion.drones.breaks[0]
-    few = joints if len(joints) < samples else joints[:0]
-    return np.unique(np.minimum(np.concatenate([even, few]), even[-1]))
+    joints = joints if len(joints) < samples else joints[:0]
+    return np.unique(np.minimum(np.concatenate([even, joints]), even[-1]))
 
 
 def panels(motion: Motion, states: States) -> tuple[Panel, ...]:
-    """Return the quantities from top to bottom; thrust is a share of its limit if drones differ.
+    """Return separation, speed and thrust; a single drone has no separation.
 
-    A single drone has no separation.
+    Thrust is a share of its limit if limits differ.
     """
     times, requirements = states.t + motion.drones.breaks[0], motion.requirements
     thrust, kinds = np.zeros(len(times)), np.unique(motion.team.max_thrust)
     for group in motion.groups:
-        for part, here, _ in parts_at(group.motion, states.t):
-            thrust[here] = np.maximum(thrust[here], USED_THRUST.curve(part, times[here]))
+        for part, samples, _ in parts_at(group.motion, states.t):
+            used = USED_THRUST.curve(part, times[samples])
+            thrust[samples] = np.maximum(thrust[samples], used)
     forces = Panel("thrust", "largest thrust\n/ its limit", thrust, 1.0, share=True)
     if len(kinds) == 1:
         limit = float(kinds[0])
         forces = Panel("thrust", "largest\nthrust [N]", limit * thrust, limit)
     speed = FASTEST.curve(motion, times)
     rates = Panel("speed", "largest\nspeed [m/s]", speed, requirements.limits.speed)
-    flown = [states.positions]
-    for other in motion.others:
-        path = other.motion.drones
-        flown.append(path.at(np.clip(times, *path.breaks[[0, -1]])))
-    scaled = np.concatenate(flown, axis=1) * requirements.separation.scale
+    paths = [other.motion.drones for other in motion.others]
+    others = [path.at(np.clip(times, *path.breaks[[0, -1]])) for path in paths]
+    scaled = np.concatenate([states.positions, *others], axis=1) * requirements.separation.scale
     if scaled.shape[1] < 2:
         return (rates, forces)
-    apart = np.array([np.min(cKDTree(at).query(at, k=[2])[0]) for at in scaled])
-    return (Panel("separation", "smallest\nseparation [–]", apart, 1.0), rates, forces)
+    ratios = np.array([np.min(cKDTree(points).query(points, k=[2])[0]) for points in scaled])
+    return (Panel("separation", "smallest\nseparation [–]", ratios, 1.0), rates, forces)
 
 
 def draw_summary(motion: Motion, certificate: Certificate, title: str = "") -> Figure:
-    """Return the picture: a storyboard, or single drones from above; limited quantities over time.
+    """Return the summary: a storyboard or a view from above, and limited quantities over time.
 
     The certificate's worst values are marked.
     """
-    figure = style.new_figure(SIZE, None)  # finding margins takes as long as drawing
-    states = sampled_states(motion)
-    shown = panels(motion, states)
+    figure = style.new_figure(SIZE, None)  # automatic layout takes as long as drawing
+    states = sample_states(motion)
+    quantities = panels(motion, states)
     _draw_left(figure, motion)
-    grid = figure.add_gridspec(len(shown), 1, **PLOTS)
-    axes = [figure.add_subplot(grid[row]) for row in range(len(shown))]
-    for each, panel in zip(axes, shown, strict=True):
+    grid = figure.add_gridspec(len(quantities), 1, **PLOT_EDGES)
+    axes = [figure.add_subplot(grid[row]) for row in range(len(quantities))]
+    for each, panel in zip(axes, quantities, strict=True):
         _draw_panel(each, states.t, panel, certificate)
         each.yaxis.set_label_coords(LABEL_AT, 0.5)
         each.tick_params(labelbottom=each is axes[-1])
     draw_phases(axes, motion.phases, motion.duration)
     axes[-1].set_xlabel("t [s]")
     handles = [
-        Line2D([], [], color=INK, linewidth=CURVE, label="worst drone or pair"),
+        Line2D([], [], color=INK, linewidth=CURVE_WIDTH, label="worst drone or pair"),
         Line2D([], [], color=LIMIT_COLOUR, linestyle=DASHES, label="limit"),
         _worst_marker(),
         Patch(label="forbidden", **FORBIDDEN),
@@ -157,7 +155,7 @@ def draw_summary(motion: Motion, certificate: Certificate, title: str = "") -> F
 
 
 def plan_card(motion: Motion, certificate: Certificate, title: str) -> str:
-    """Return a plan as notebooks show it: picture, phases and checks in HTML without addresses."""
+    """Return the HTML of a plan for notebooks: picture, phases and checks, without links."""
     picture = BytesIO()
     style.save_figure(draw_summary(motion, certificate, title), picture, CARD_RESOLUTION)
     image = b64encode(picture.getvalue()).decode()
@@ -173,7 +171,7 @@ def plan_card(motion: Motion, certificate: Certificate, title: str) -> str:
 
 
 def plot_from_above(motion: Motion, axes: Axes | None) -> Axes:
-    """Draw the plan from above on axes, by default on those of a new figure of pyplot's."""
+    """Draw the plan from above on axes, by default of a new pyplot figure."""
     if axes is None:
         from matplotlib import pyplot
 
@@ -183,13 +181,13 @@ def plot_from_above(motion: Motion, axes: Axes | None) -> Axes:
 
 
 def draw_phases(axes: Sequence[Axes], phases: Sequence[Phase], duration: float) -> None:
-    """Shade every other phase on all axes, and name phases above the first; slanted where short.
+    """Shade every other phase on all axes, and write their names above the first.
 
-    Of slanted names that would overlap, those of longer phases are written, and of a long line its
-    end, where the step is. ``duration`` is the plan's [s].
+    Names of short phases are slanted: if they overlap, those of longer phases are written; long
+    lines are cut at the start. ``duration`` is the plan's [s].
     """
-    level = all(p.end - p.start > CHARACTER * (len(p.name) + 1) * duration for p in phases)
-    written: list[float] = []
+    level = all(p.end - p.start > CHARACTER_WIDTH * (len(p.name) + 1) * duration for p in phases)
+    positions: list[float] = []
     for i, phase in enumerate(phases):
         for each in axes if i else ():
             each.axvline(phase.start, color="0.6", linewidth=0.7, linestyle=":", zorder=1)
@@ -197,19 +195,21 @@ def draw_phases(axes: Sequence[Axes], phases: Sequence[Phase], duration: float) 
                 each.axvspan(phase.start, phase.end, color="0.93", linewidth=0, zorder=-1)
     look: Any = {"xycoords": axes[0].get_xaxis_transform(), "parse_math": False}
     if not level:
-        angle = 30 if any(", " in phase.name for phase in phases) else 45  # of several groups
+        angle = 30 if any(", " in phase.name for phase in phases) else 45
         look |= {"rotation": angle, "ha": "left", "rotation_mode": "anchor"}
     for phase in sorted(phases, key=lambda phase: phase.start - phase.end):
-        lines = [phase.name] if level else phase.name.split(", ")
-        words = "\n".join(x if len(x) <= LONG or level else f"…{x[-LONG:]}" for x in lines)
-        middle, wide = 0.5 * (phase.start + phase.end), SLANTED * (1 + words.count("\n")) * duration
-        if level or all(abs(middle - other) > wide for other in written):
-            written.append(middle)
-            write(axes[0], words, (middle, 1.0), (0, 4), **look)
+        lines = [phase.name]
+        if not level:
+            names, cut = phase.name.split(", "), slice(-MAX_CHARACTERS, None)
+            lines = [x if len(x) <= MAX_CHARACTERS else f"…{x[cut]}" for x in names]
+        middle, width = 0.5 * (phase.start + phase.end), SLANTED_WIDTH * len(lines) * duration
+        if level or all(abs(middle - other) > width for other in positions):
+            positions.append(middle)
+            write(axes[0], "\n".join(lines), (middle, 1.0), (0, 4), **look)
 
 
 def draw_closeness(motion: Motion, closest: Closeness) -> Figure:
-    """Return the picture: bounds of every span as steps, the closest pairs as curves."""
+    """Return the picture of the spans' bounds as steps and the closest pairs as curves."""
     figure = style.new_figure(CLOSE_SIZE)
     axes = figure.add_subplot()
     edges = [span.start for span in closest.spans] + [closest.spans[-1].end]
@@ -220,10 +220,10 @@ def draw_closeness(motion: Motion, closest: Closeness) -> Figure:
     for pair, (colour, dashes) in zip(closest.pairs, STYLES, strict=False):
         i, j = (index[name] for name in pair.pair)
         ratio = np.linalg.norm(positions[:, i] - positions[:, j], axis=-1)
-        words = f"{pair.pair[0]}, {pair.pair[1]} (≥ {pair.bound:.3f})"
-        axes.plot(t, ratio, color=colour, linestyle=dashes, linewidth=1.2, zorder=3, label=words)
-    words = "no pair is closer, for all t"
-    axes.stairs(bounds, edges, baseline=0.0, fill=True, color="0.87", zorder=1, label=words)
+        label = f"{pair.pair[0]}, {pair.pair[1]} (≥ {pair.bound:.3f})"
+        axes.plot(t, ratio, color=colour, linestyle=dashes, linewidth=1.2, zorder=3, label=label)
+    label = "no pair is closer, for all t"
+    axes.stairs(bounds, edges, baseline=0.0, fill=True, color="0.87", zorder=1, label=label)
     axes.stairs(bounds, edges, baseline=None, color=INK, linewidth=1.4, zorder=2)
     axes.axhline(1.0, color=LIMIT_COLOUR, linestyle=DASHES, linewidth=1.2, label="limit", zorder=2)
     top = float(min(CLOSE_TOP, 1.35 * max(1.0, float(np.max(bounds)))))
@@ -235,13 +235,13 @@ def draw_closeness(motion: Motion, closest: Closeness) -> Figure:
 
 
 def _draw_left(figure: Figure, motion: Motion) -> None:
-    """Draw the storyboard, or the plan from above where few moments leave space, or no cables."""
-    shots = painter.chosen_shots(motion) if _has_cables(motion) else ()
-    margins = SHOTS if len(shots) > painter.FEW else PLAN
+    """Draw the storyboard; with few moments also, and without cables only, the plan from above."""
+    shots = painter.choose_shots(motion) if _has_cables(motion) else ()
+    margins = STORYBOARD_EDGES if len(shots) > painter.FEW_PANELS else PLAN_EDGES
     place = figure.add_gridspec(1, 1, **margins)[0]
     if not shots:
         draw_plan_view(figure.add_subplot(place), motion)
-    elif len(shots) > painter.FEW:
+    elif len(shots) > painter.FEW_PANELS:
         painter.draw_plan_storyboard(place, motion, shots)
     else:
         parts = place.subgridspec(2, 1, height_ratios=HEIGHTS, hspace=0.04)
@@ -250,17 +250,17 @@ def _draw_left(figure: Figure, motion: Motion) -> None:
 
 
 def _has_cables(motion: Motion) -> bool:
-    """Return whether anything that flies has cables."""
+    """Return whether any group has cables."""
     return any(group.motion.team.has_cables for group in motion.flying)
 
 
 def _draw_panel(axes: Axes, t: Array, panel: Panel, certificate: Certificate) -> None:
-    """Draw one quantity at times [s], its limit, the forbidden side, the certificate's worst."""
-    axes.plot(t, panel.values, color=INK, linewidth=CURVE, zorder=3)
-    worst, lowest = panel.worst_of(certificate), RULE_OF[panel.name].sense == "min"
+    """Draw a quantity at times [s], its limit, the forbidden range and the certificate's worst."""
+    axes.plot(t, panel.values, color=INK, linewidth=CURVE_WIDTH, zorder=3)
+    worst, is_minimum = panel.worst_of(certificate), RULE_OF[panel.name].sense == "min"
     top = 1.22 * max(panel.limit, float(np.max(panel.values)), worst[1] if worst else 0.0)
     axes.axhline(panel.limit, color=LIMIT_COLOUR, linewidth=1.2, linestyle=DASHES, zorder=2)
-    forbidden = (0.0, panel.limit) if lowest else (panel.limit, top)
+    forbidden = (0.0, panel.limit) if is_minimum else (panel.limit, top)
     axes.axhspan(*forbidden, zorder=0, **FORBIDDEN)
     _label(axes, f"limit {panel.limit:.4g}", panel.limit, LIMIT_COLOUR)
     if worst is not None:
@@ -269,9 +269,10 @@ def _draw_panel(axes: Axes, t: Array, panel: Panel, certificate: Certificate) ->
         mark = _worst_marker()
         mark.set(data=([time], [value]), clip_on=False, zorder=5)
         axes.add_line(mark)
-        # The worst value's label is shifted as far from the limit's as they would overlap.
-        gap = (value - panel.limit) / top * HEIGHT
-        shift = math.copysign(max(LINE - abs(gap), 0.0), gap or (1.0 if lowest else -1.0))
+        # A shift keeps the worst value's label off the limit's.
+        gap = (value - panel.limit) / top * PLOT_HEIGHT
+        direction = gap or (1.0 if is_minimum else -1.0)
+        shift = math.copysign(max(LINE_HEIGHT - abs(gap), 0.0), direction)
         _label(axes, f"worst {value:.4g}", value, INK, shift)
     axes.set(ylabel=panel.label, xlim=(t[0], t[-1]), ylim=(0.0, top))
     axes.grid(axis="y", color="0.9", linewidth=0.6)
@@ -280,29 +281,29 @@ def _draw_panel(axes: Axes, t: Array, panel: Panel, certificate: Certificate) ->
 
 def _worst_marker() -> Line2D:
     line = style.marker("D", "white", INK, "worst for all t, from the certificate")
-    line.set_markeredgewidth(CURVE)
+    line.set_markeredgewidth(CURVE_WIDTH)
     return line
 
 
 def _label(axes: Axes, text: str, value: float, colour: str, shift: float = 0.0) -> None:
-    """Write a text on the right of the axes, where no curve can be."""
+    """Write a text to the right of the axes."""
     look: Any = {"ha": "left", "va": "center", "color": colour, "annotation_clip": False}
     write(axes, text, (1.0, value), (5.0, shift), xycoords=axes.get_yaxis_transform(), **look)
 
 
 def draw_plan_view(axes: Axes, motion: Motion, gap: float = 0.1) -> None:
-    """Draw a plan from above: start, paths, end and bounds.
+    """Draw a plan from above: start, paths, end and surroundings.
 
-    ``gap`` is between the axes and the legend below, as a share of the axes' height.
+    ``gap`` is the distance of the legend below, as a share of the axes' height.
     """
     requirements, cables, look = motion.requirements, _has_cables(motion), Appearance.of(motion)
     radius, colours = requirements.separation.radius, list(look.drone_colours)
     ends = scene_at(motion, np.array([0.0, motion.duration]))
-    times = motion.drones.breaks[0] + _sampled_times(motion)
-    each = [motion.drones, *(other.motion.drones for other in motion.others)]
-    paths = [part.at(np.clip(times, *part.breaks[[0, -1]])) for part in each]
+    times = motion.drones.breaks[0] + _sample_times(motion)
+    curves = [motion.drones, *(other.motion.drones for other in motion.others)]
+    paths = [curve.at(np.clip(times, *curve.breaks[[0, -1]])) for curve in curves]
     flown = np.concatenate(paths, axis=1)[..., :2]
-    opacity = PALE if cables else 1.0
+    opacity = PATH_OPACITY if cables else 1.0
     draw_lines(axes, np.moveaxis(flown, 1, 0), colours, 0.8, 1, alpha=opacity)
     handles: list[Artist] = [
         Line2D([], [], color=COLOURS[0], alpha=opacity, label="paths"),
@@ -312,33 +313,36 @@ def draw_plan_view(axes: Axes, motion: Motion, gap: float = 0.1) -> None:
     handles.append(style.marker("o", fill, INK, "end, as wide as its ellipsoid", 9.0))
     if cables:
         draw_lines(axes, ends.cables[0, ..., :2], START_COLOUR, 1.0, 2, linestyles="--")
-        camera, step = painter.Camera.toward(-90.0, 90.0), painter.few_corners(ends.cables.shape[1])
+        camera, step = (
+            painter.Camera.at_angles(-90.0, 90.0),
+            painter.corner_step(ends.cables.shape[1]),
+        )
         above = painter.Painter(ends, camera, step=step)
-        painter.draw_painting(axes, above.painted(ends.at(motion.duration)))
+        painter.draw_painting(axes, above.paint(ends.at(motion.duration)))
         kinds = (INK, "drones q"), ("white", "drones r")
-        handles += [style.marker("o", filled, INK, name) for filled, name in kinds]
+        handles += [style.marker("o", colour, INK, name) for colour, name in kinds]
     end = ("none", START_COLOUR) if cables else (colours, colours)
     _draw_ellipsoids(axes, radius, flown[-1], *end)
-    # Single drones may end where others start: a start is a smaller disc on that.
+    # Single drones may end where others start: starts are smaller discs on top.
     start = (radius, "none") if cables else (0.5 * radius, "white")
     _draw_ellipsoids(axes, start[0], flown[0], start[1], START_COLOUR)
-    shown = flown.reshape(-1, 2)
+    extent = flown.reshape(-1, 2)
     for prism in requirements.keep_out:
         hatched: Any = {"fc": "0.88", "ec": "0.4", "hatch": "////", "label": "keep out"}
         handles.append(axes.add_artist(Polygon(prism.polygon.vertices, **hatched)))
     for solid, (x, y, *_) in zip(look.objects, ends.objects[-1], strict=True):
         corners = solid.faces.reshape(-1, 3)[:, :2] + [x, y]
         outline = corners[ConvexHull(corners).vertices]
-        shown = np.vstack([shown, outline])
-        if not cables:  # else they are painted
+        extent = np.vstack([extent, outline])
+        if not cables:  # else the painting shows it
             axes.add_artist(Polygon(outline, fc=solid.colours[0], ec="0.4", zorder=0))
             handles.append(Patch(fc=solid.colours[0], ec="0.4", label=solid.name))
     if (arena := requirements.arena) is not None and not cables:
-        shown = np.vstack([shown, arena.lower[:2], arena.upper[:2]])
+        extent = np.vstack([extent, arena.lower[:2], arena.upper[:2]])
         (x, y), (width, depth) = arena.lower[:2], arena.upper[:2] - arena.lower[:2]
         box = Rectangle((x, y), width, depth, fill=False, ec="0.4", label="arena")
         handles.append(axes.add_artist(box))
-    lower, upper = np.min(shown, axis=0), np.max(shown, axis=0)
+    lower, upper = np.min(extent, axis=0), np.max(extent, axis=0)
     margin = radius + 0.05 * float(np.max(upper - lower))
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.0)
@@ -357,7 +361,7 @@ def _draw_ellipsoids(axes: Axes, radius: float, points: Array, fill: Any, edge: 
 
 
 def _write_names(axes: Axes, motion: Motion, ends: Array) -> None:
-    """Write names of groups or single drones beside ``ends`` (N, 2), or of vertices inside."""
+    """Write names of groups or single drones next to ``ends`` (N, 2), or of vertices."""
     team, drawn = motion.team, Appearance.of(motion)
     groups = drawn.groups
     if not (groups or team.has_cables) and len(ends) <= MAX_NAMED:
@@ -370,6 +374,6 @@ def _write_names(axes: Axes, motion: Motion, ends: Array) -> None:
     look: Any = {"va": "center", "zorder": 6}
     look["path_effects"] = [withStroke(linewidth=2.0, foreground="white")]
     places = motion.vertices.at(motion.vertices.breaks[-1])[: len(names), :2]
-    aside = BESIDE * unit(np.mean(places, axis=0) - places)
-    for name, place, offset in zip(names, places, aside, strict=True):
+    offsets = NAME_DISTANCE * unit(np.mean(places, axis=0) - places)
+    for name, place, offset in zip(names, places, offsets, strict=True):
         write(axes, name, place, offset, **look)

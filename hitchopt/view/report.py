@@ -1,4 +1,4 @@
-"""report.html: a plan in one file that needs no network, and a plan written as any kind of file."""
+"""Report of a plan as a page that needs no network; export of a plan as page, picture or film."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ from hitchopt.motion.loads import stated_tensions
 from hitchopt.motion.motion import CableState, Group, Motion
 from hitchopt.values import Array
 from hitchopt.view import style
-from hitchopt.view.cables import CLASPS, HOOKED, POINTS
-from hitchopt.view.pictures import draw_summary, panels, sampled_states
-from hitchopt.view.scene import Scene, concerned, scene_of
+from hitchopt.view.cables import CLASPS, HOOKED_STATES, POINTS
+from hitchopt.view.pictures import draw_summary, panels, sample_states
+from hitchopt.view.scene import Scene, highlight_of, scene_of
 from hitchopt.view.shapes import Solid, mesh
 
-# Endings of files that a plan can be written to
+# File name extensions
 PAGE, PICTURES, FILMS = ".html", (".png", ".svg", ".pdf"), (".mp4", ".gif")
 PACKAGES = ("numpy", "scipy", "casadi", "toppra", "osqp", "ruckig")
-# A report states the versions of packages besides hitchopt's, and the digests of files
-DIGESTED = ("plan.npz", "setpoints.csv")
+# Files whose digests a report states
+DIGESTED_FILES = ("plan.npz", "setpoints.csv")
 # Parts of the page's script
 SCRIPTS = ("samples.js", "cable_tubes.js", "stage.js", "plots.js", "report.js")
-HEADROOM, LEVELS = 1.2, 65535  # Height of a plot over its largest value; largest 16-bit number
+HEADROOM, LEVELS = 1.2, 65535  # Height of a plot over its largest value; maximum of 16 bits
 
 
 def save_view(
@@ -48,11 +48,11 @@ def save_view(
     problem: str = "",
     progress: Progress | None = None,
 ) -> None:
-    """Write a plan as a page, a picture or a film, by the ending of the file's name.
+    """Write a plan as a page, a picture or a film, according to the file name's extension.
 
-    ``problem`` is the text of its file, ``progress`` is called with the finished share of a film.
-    Another ending is an InputError; a package that a film needs and lacks an UnsupportedError; a
-    file that cannot be written a FileError.
+    ``problem`` is the text of its file; ``progress`` receives the finished share of a film. Raises
+    InputError for another extension, UnsupportedError for a missing package, and FileError if the
+    file cannot be written.
     """
     kind = path.suffix.lower()
     if kind in FILMS:
@@ -64,7 +64,7 @@ def save_view(
     if kind not in (*PICTURES, PAGE):
         bound = f"a name in {', '.join((PAGE, *PICTURES, *FILMS))}"
         raise InputError("save", str(path), bound, "such as plan.html")
-    with style.drafted(path) as draft:
+    with style.atomic_write(path) as draft:
         if kind == PAGE:
             write_report(draft, motion, certificate, title, problem, path.parent)
         else:
@@ -75,32 +75,27 @@ def write_report(
     path: Path, motion: Motion, certificate: Certificate, title: str = "", problem: str = "",
     directory: Path | None = None, ghost: Scene | None = None,
 ) -> None:  # fmt: skip
-    """Write the page of a plan: playback, plots and certificate, and a ghost's cables beside it.
+    """Write the page of a plan: playback, plots, certificate, and the cables of a ghost.
 
     ``problem`` is the text of its file. The plan's files, whose digests the report states, are in
-    ``directory``, by default that of ``path``. A file that cannot be written is an OSError.
+    ``directory``, by default that of ``path``. Raises OSError if the file cannot be written.
     """
-    scene, name = scene_of(motion), title or "Plan"
-    beside = (
-        {}
-        if ghost is None
-        else {"ghost": np.stack([ghost.at(time).cables for time in scene.t.tolist()])}
-    )
-    entries, samples = packed(
-        {
-            **beside,
-            "drones": scene.drones,
-            "attitudes": scene.quaternions[..., 1:],
-            "thrusts": scene.thrusts[..., None],
-            "forces": scene.cable_forces,
-            "cables": scene.cables,
-            "places": scene.objects[..., :3],
-            "turns": scene.objects[..., 3:],
-        }
-    )
+    scene, name, arrays = scene_of(motion), title or "Plan", dict[str, Array]()
+    if ghost is not None:
+        arrays["ghost"] = np.stack([ghost.at(time).cables for time in scene.t.tolist()])
+    arrays |= {
+        "drones": scene.drones,
+        "attitudes": scene.quaternions[..., 1:],
+        "thrusts": scene.thrusts[..., None],
+        "forces": scene.cable_forces,
+        "cables": scene.cables,
+        "places": scene.objects[..., :3],
+        "turns": scene.objects[..., 3:],
+    }
+    entries, samples = pack_samples(arrays)
     checks = certificate.to_dict()["checks"]
     for check in checks:
-        check["concerned"] = concerned(motion, check["where"])._asdict()
+        check["concerned"] = highlight_of(motion, check["where"])._asdict()
     data = {
         "title": name,
         "facts": style.facts(motion),
@@ -110,10 +105,10 @@ def write_report(
         "plots": list(plots_of(motion, certificate)),
         "checks": checks,
         "problem": problem,
-        "origin": _origin(problem, directory or path.parent),
-        **_described(scene),
+        "origin": _versions_and_digests(problem, directory or path.parent),
+        **_scene_data(scene),
     }
-    # No text, whatever it has, can end the script that holds it.
+    # Escaped so that no text can end the script element.
     text = json.dumps(data, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
     page = files("hitchopt.view") / "page"
     parts = {
@@ -129,30 +124,30 @@ def write_report(
     path.write_text("".join(pieces), encoding="utf-8")
 
 
-def packed(arrays: Mapping[str, Array]) -> tuple[list[dict[str, Any]], str]:
-    """Return a description of arrays, ready for JSON, and their samples as text.
+def pack_samples(arrays: Mapping[str, Array]) -> tuple[list[dict[str, Any]], str]:
+    """Return descriptions of arrays (times, …, axes) for JSON, and their samples as text.
 
-    The text is deflated second differences of 16 bits in base64, which ``page/samples.js`` decodes:
-    those of smooth motion are small, and pack to about a third. Arrays are (times, …, axes); every
-    sample is off by at most half of its axis's range over ``LEVELS``.
+    The text is base64 of deflated second differences with 16 bits, which ``page/samples.js``
+    decodes: smooth motion has small differences, and shrinks to about a third. The error of a
+    sample is at most half of its axis's range over ``LEVELS``.
     """
     entries, planes = [], []
     for name, array in arrays.items():
-        flat = np.reshape(array, (-1, array.shape[-1]))
-        some = flat if len(flat) else np.zeros((1, array.shape[-1]))
-        lower, extent = np.min(some, axis=0), np.ptp(some, axis=0)
+        points = np.reshape(array, (-1, array.shape[-1]))
+        points = points if len(points) else np.zeros((1, array.shape[-1]))
+        lower, extent = np.min(points, axis=0), np.ptp(points, axis=0)
         step = np.where(extent > 0.0, extent / LEVELS, 1.0)
         columns = np.rint((array - lower) / step).astype(np.int64).reshape(len(array), -1)
-        twice = np.diff(columns, n=2, axis=0, prepend=np.zeros((2, columns.shape[1]), np.int64))
-        words = twice.T.astype(np.uint16)  # wraps around, as the page's sums do
+        seconds = np.diff(columns, n=2, axis=0, prepend=np.zeros((2, columns.shape[1]), np.int64))
+        words = seconds.T.astype(np.uint16)  # wraps around like the page's sums
         planes += [part.astype(np.uint8).tobytes() for part in (words & 255, words >> 8)]
         ranges = {"lower": lower.tolist(), "step": step.tolist()}
         entries.append({"name": name, "columns": columns.shape[1], **ranges})
     return entries, base64.b64encode(zlib.compress(b"".join(planes), 9)).decode("ascii")
 
 
-def _described(scene: Scene) -> dict[str, Any]:
-    """Return the appearance, the phases, and all else that does not change over time."""
+def _scene_data(scene: Scene) -> dict[str, Any]:
+    """Return the appearance, the phases, and other data that is constant over time."""
     motion, look = scene.motion, scene.appearance
     return {
         "t": np.round(scene.t, 6).tolist(),
@@ -161,7 +156,7 @@ def _described(scene: Scene) -> dict[str, Any]:
             {
                 **{name: getattr(phase, name) for name in ("name", "start", "end", "remark")},
                 "state": "" if phase.state is CableState.NONE else str(phase.state),
-                "hooked": phase.state in HOOKED,
+                "hooked": phase.state in HOOKED_STATES,
             }
             for phase in motion.phases
         ],
@@ -192,8 +187,8 @@ def _solid(solid: Solid) -> dict[str, Any]:
 
 
 def plots_of(motion: Motion, certificate: Certificate) -> Iterator[dict[str, Any]]:
-    """Yield limited quantities over time, and the largest and smallest tension of the hitch."""
-    states, duration = sampled_states(motion), motion.duration
+    """Yield the plots of limited quantities, and of the extreme tensions of each hitch."""
+    states, duration = sample_states(motion), motion.duration
     for panel in panels(motion, states):
         bound = (np.array([0.0, duration]), np.full(2, panel.limit), f"limit {panel.limit:.4g}")
         worst = panel.worst_of(certificate)
@@ -204,22 +199,22 @@ def plots_of(motion: Motion, certificate: Certificate) -> Iterator[dict[str, Any
 
 
 def _tensions(group: Group) -> Iterator[dict[str, Any]]:
-    """Yield the largest and smallest tension of a group's hitch, if it ever has one."""
+    """Yield the plot of the extreme tensions of a group's hitch, if it has one."""
     motion, limits = group.motion, list[tuple[Array, Array, str]]()
     if motion.team.has_cables and np.any(motion.formed):
-        states = sampled_states(motion)
+        states = sample_states(motion)
         curves = np.full((2, len(states.t)), np.nan)
         for part, index, robots in parts_at(motion, states.t):
             if not np.any(part.formed):
                 continue
-            here = index[states.formed[index]]
-            pulls = states.tensions[np.ix_(here, robots)]
-            curves[:, here] = np.min(pulls, axis=1), np.max(pulls, axis=1)
-            stated = stated_tensions(part)
-            ends = np.min(stated[..., 0], axis=1), np.max(stated[..., 1], axis=1)
+            formed = index[states.formed[index]]
+            tensions = states.tensions[np.ix_(formed, robots)]
+            curves[:, formed] = np.min(tensions, axis=1), np.max(tensions, axis=1)
+            ranges = stated_tensions(part)
             steps = np.repeat(part.drones.breaks - motion.drones.breaks[0], 2)[1:-1]
-            drawn = [np.repeat(np.where(part.formed, end, np.nan), 2) for end in ends]
-            limits += [(steps, values, "") for values in drawn]
+            for bounds in (np.min(ranges[..., 0], axis=1), np.max(ranges[..., 1], axis=1)):
+                values = np.repeat(np.where(part.formed, bounds, np.nan), 2)
+                limits.append((steps, values, ""))
         yield _plot(
             f"{group.label('tension')} [N],\nas stated", "max", states.t, curves, limits, None
         )
@@ -233,25 +228,27 @@ def _plot(
     limits: Sequence[tuple[Array, Array, str]],
     worst: tuple[float, float] | None,
 ) -> dict[str, Any]:
-    """Return a plot of the page: limits are times, values and words, worst a time and a value."""
+    """Return a plot: ``limits`` are times, values and labels, ``worst`` a time and a value."""
     values = [*curves, *(values for _, values, _ in limits), np.array(worst[1:] if worst else [])]
     return {
         "label": label,
         "sense": sense,
-        "t": _rounded(t),
-        "curves": [_rounded(curve) for curve in curves],
-        "limits": [{"t": _rounded(a), "values": _rounded(b), "words": c} for a, b, c in limits],
+        "t": _rounded_list(t),
+        "curves": [_rounded_list(curve) for curve in curves],
+        "limits": [
+            {"t": _rounded_list(a), "values": _rounded_list(b), "words": c} for a, b, c in limits
+        ],
         "worst": worst and {"time": worst[0], "value": worst[1]},
         "top": HEADROOM * float(np.nanmax(np.concatenate(values))),
     }
 
 
-def _rounded(values: Array) -> list[float | None]:
-    """Return numbers in five significant digits; nothing where there is none."""
+def _rounded_list(values: Array) -> list[float | None]:
+    """Return numbers with five significant digits; None for those that are not finite."""
     return [float(f"{x:.5g}") if math.isfinite(x) else None for x in values.tolist()]
 
 
-def _origin(problem: str, directory: Path) -> list[tuple[str, str]]:
+def _versions_and_digests(problem: str, directory: Path) -> list[tuple[str, str]]:
     """Return versions and digests, as rows of a table."""
     rows = [("Python", platform.python_version())]
     for package in ("hitchopt", *PACKAGES):
@@ -261,7 +258,7 @@ def _origin(problem: str, directory: Path) -> list[tuple[str, str]]:
             rows.append((package, "(not installed)"))
     if problem:
         rows.append(("problem file, SHA-256", hashlib.sha256(problem.encode()).hexdigest()))
-    for name in DIGESTED:
+    for name in DIGESTED_FILES:
         if (directory / name).is_file():
             with (directory / name).open("rb") as file:
                 rows.append((f"{name}, SHA-256", hashlib.file_digest(file, "sha256").hexdigest()))

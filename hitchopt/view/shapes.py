@@ -1,7 +1,7 @@
-"""Surfaces of drones, objects and spheres; names, colours and shapes of all that a plan shows.
+"""Surfaces of drones, objects and spheres; names, colours and shapes of a plan's scene.
 
-Faces are arrays (m, 4, 3) [m] of corners, counter-clockwise seen from outside; a triangle has its
-last corner twice.
+Faces are arrays (m, 4, 3) [m] of corners, counter-clockwise seen from outside; a triangle repeats
+its last corner.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from hitchopt.motion.motion import Motion
 from hitchopt.objects import Slab, SolidObject
 from hitchopt.values import Array
 from hitchopt.view.style import (
-    FRAME,
+    FRAME_COLOUR,
+    HOLLOW_COLOUR,
     KEEP_OUT_COLOUR,
     OBJECT_COLOUR,
-    OPEN,
     TABLE_COLOUR,
     group_colours,
 )
 
-SPAN = 0.8  # Reach of a drone's rotors as a share of its ellipsoid's radius
-SEGMENTS, ROUND = 16, 32  # Corners of a rotor, an even number, and of a drawn circle
+SPAN = 0.8  # Radius of a drone with rotors as a share of its ellipsoid's radius
+SEGMENTS, ROUND = 16, 32  # Numbers of corners of a rotor (even), and of a circle
 PLATE = 0.012  # Thickness of a drawn rim [m], below its height
 
 
 def drone_faces(radius: float, segments: int = SEGMENTS) -> tuple[Array, Array, Array]:
-    """Return frame, rotors and rims about the centre of a drone of an ellipsoid's radius [m]."""
+    """Return frame, rotors and rims of a drone about its centre, for its ellipsoid's radius [m]."""
     size = SPAN * radius
     arm, rotor, above = 0.62 * size, 0.38 * size, 0.08 * size
     quarter = np.radians([45.0, 135.0, 225.0, 315.0])
@@ -52,15 +52,15 @@ def drone_faces(radius: float, segments: int = SEGMENTS) -> tuple[Array, Array, 
 
 
 class Solid(NamedTuple):
-    """A surface that moves as a whole, at one place or at several."""
+    """A rigid surface at one place or several."""
 
     name: str
     faces: Array  # (m, 4, 3) [m] about its own origin
-    colours: tuple[str, ...]  # one for each of its places
+    colours: tuple[str, ...]  # one per place
 
 
 class Clasp(NamedTuple):
-    """A vertex that is a clasp: its name, its index among all vertices, and a cable there."""
+    """A clasp: its vertex's name and index, and the index of a cable there."""
 
     name: str
     vertex: int
@@ -68,7 +68,7 @@ class Clasp(NamedTuple):
 
 
 class GroupName(NamedTuple):
-    """A group's name, its colour, and its drones."""
+    """Name, colour and drones of a group."""
 
     name: str
     colour: str
@@ -77,29 +77,29 @@ class GroupName(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Appearance:
-    """Names, colours and shapes of a plan's drones, cables and surroundings, at all times.
+    """Names, colours and shapes of a plan's drones, cables and surroundings.
 
-    Pictures, films, the live view, reports and exported scenes draw these.
+    Pictures, films, the live view, reports and exported scenes share them.
     """
 
-    drones: tuple[str, ...]  # their names
+    drones: tuple[str, ...]  # names
     drone_colours: tuple[str, ...]
-    hollow: tuple[bool, ...]  # whether a drone's rotors are open, as those of drones r
+    hollow: tuple[bool, ...]  # whether a drone's rotors are drawn hollow, as for drones r
     cable_colours: tuple[str, ...]
-    clasps: tuple[Clasp, ...]  # none of a hitch that changes its robots
-    groups: tuple[GroupName, ...]  # none of a team alone
+    clasps: tuple[Clasp, ...]  # empty for a hitch that changes its robots
+    groups: tuple[GroupName, ...]  # empty for a single team
     ellipsoid: tuple[float, float, float]  # semi-axes of a drone's ellipsoid [m]
     objects: tuple[Solid, ...]
-    keep_outs: tuple[Solid, ...]  # about the world's origin, as the arena
+    keep_outs: tuple[Solid, ...]  # in world coordinates, as the arena
     arena: Array  # edges (12 or 0, 2, 3) [m]
 
     @classmethod
     def of(cls, motion: Motion) -> Appearance:
-        """Return the appearance of a plan: of its groups, and of what else flies besides."""
-        need, clasps, vertices, cables = motion.requirements, list[Clasp](), 0, 0
+        """Return the appearance of a plan's groups, and of other plans."""
+        requirements, clasps, vertices, cables = motion.requirements, list[Clasp](), 0, 0
         names, hollow, groups = list[str](), list[bool](), list[GroupName]()
         looks = group_colours(motion)
-        bodies = list(need.objects.items())
+        bodies = list(requirements.objects.items())
         for group in motion.flying:
             team, layout = group.motion.team, group.motion.team.layout
             first = len(names)
@@ -110,33 +110,33 @@ class Appearance:
             clasps += [
                 Clasp(group.label(team.point_names[p]), vertices + p, cables + k)
                 for p, k in pairs
-                if not group.motion.changes  # then every ring has its own
+                if not group.motion.changes
             ]
             vertices, cables = vertices + layout.points, cables + team.robots
         for other in motion.others:
-            theirs = other.motion.requirements.objects.items()
-            bodies += [(other.label(name), body) for name, body in theirs]
-        own, lines = (sum(each, ()) for each in zip(*looks, strict=True))
-        radius, height = need.separation.radius, need.separation.height
+            objects_of_other = other.motion.requirements.objects.items()
+            bodies += [(other.label(name), body) for name, body in objects_of_other]
+        drone_shades, cable_shades = (sum(each, ()) for each in zip(*looks, strict=True))
+        radius, height = requirements.separation.radius, requirements.separation.height
         objects = (
             Solid(name, object_faces(body), (TABLE_COLOUR if body.fixed else OBJECT_COLOUR,))
             for name, body in bodies
         )
         keep_outs = (
             Solid(f"keep_out {i}", slab_faces(prism.slab), (KEEP_OUT_COLOUR,))
-            for i, prism in enumerate(need.keep_out)
+            for i, prism in enumerate(requirements.keep_out)
         )
         arena = np.zeros((0, 2, 3))
-        if need.arena is not None:
+        if requirements.arena is not None:
             corners = [[0, 0, 0], [1, 1, 0], [0, 1, 1], [1, 0, 1]]
             edges = [[a, [*a[:i], 1 - a[i], *a[i + 1 :]]] for a in corners for i in range(3)]
-            ends = np.array([need.arena.lower, need.arena.upper])
+            ends = np.array([requirements.arena.lower, requirements.arena.upper])
             arena = ends[np.array(edges), np.arange(3)]
         return cls(
             tuple(names),
-            own,
+            drone_shades,
             tuple(hollow),
-            lines,
+            cable_shades,
             tuple(clasps),
             tuple(each for each in groups if each.name),
             (radius, radius, height),
@@ -146,19 +146,16 @@ class Appearance:
         )
 
     def drone_parts(self, size: float = 1.0, segments: int = SEGMENTS) -> tuple[Solid, ...]:
-        """Return the parts of drones that are drawn ``size`` times as large.
-
-        Rotors of drones q are filled, and those of drones r are open.
-        """
-        own, each = self.drone_colours, zip(self.hollow, self.drone_colours, strict=True)
-        fills = tuple(OPEN if hollow else colour for hollow, colour in each)
+        """Return the parts of drones, scaled by ``size``; rotors of drones r are hollow."""
+        rims, pairs = self.drone_colours, zip(self.hollow, self.drone_colours, strict=True)
+        rotors = tuple(HOLLOW_COLOUR if hollow else colour for hollow, colour in pairs)
         faces = drone_faces(size * self.ellipsoid[0], segments)
-        colours = (FRAME,) * len(own), fills, own
+        colours = (FRAME_COLOUR,) * len(rims), rotors, rims
         return tuple(map(Solid, ("frame", "rotors", "rims"), faces, colours))
 
 
 def object_faces(body: SolidObject) -> Array:
-    """Return the faces of an object about its base: its body, and the rim as a plate."""
+    """Return the faces of an object about its base: its body, and its rim as a plate."""
     return np.concatenate(
         [slab_faces(Slab(s.section, min(s.lower, s.upper - PLATE), s.upper)) for s in body.slabs]
     )
@@ -183,8 +180,8 @@ def sphere_faces(size: ArrayLike) -> Array:
     return np.stack(corners, axis=2).reshape(-1, 4, 3)
 
 
-def split(faces: Array, times: int) -> Array:
-    """Return faces cut at the middles of their sides, 4**times of each."""
+def subdivide(faces: Array, times: int) -> Array:
+    """Return faces divided at the middles of their sides, 4**times for each."""
     for _ in range(times):
         middles = 0.5 * (faces + np.roll(faces, -1, axis=1))
         centre = np.mean(middles[:, ::2], axis=1)
@@ -207,8 +204,8 @@ def mesh(faces: Array) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
     corners = np.round(faces.reshape(-1, 3), 9)
     vertices, index = np.unique(corners, axis=0, return_inverse=True)
     triangles = index.reshape(-1, 4)[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
-    flat = np.any(triangles == np.roll(triangles, 1, axis=1), axis=1)
-    return vertices.astype(np.float32), triangles[~flat].astype(np.uint32)
+    degenerate = np.any(triangles == np.roll(triangles, 1, axis=1), axis=1)
+    return vertices.astype(np.float32), triangles[~degenerate].astype(np.uint32)
 
 
 def _circle(corners: int) -> Array:

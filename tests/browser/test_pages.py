@@ -22,8 +22,8 @@ from hitchopt.steps.certified_motions import CertifiedMotion
 from hitchopt.values import Array
 from hitchopt.view.editing import Editing, Stage
 from hitchopt.view.live import LiveView, open_server
-from hitchopt.view.panel import REACH, EditingPanel
-from hitchopt.view.scene import Concerned
+from hitchopt.view.panel import ARROW_LENGTH, EditingPanel
+from hitchopt.view.scene import Highlight
 
 SETTLE = 1500  # Least time for which a page draws what it was sent [ms]; software draws slowly
 # End of a live view's address: slow graphics do not lower its resolution, which alters all
@@ -210,7 +210,7 @@ class TestReport:
             assert check.name in report.locator("#concerned").inner_text()
         report.locator("#checks tr[data-check='separation']").click()
         names = plan.motion.team.drone_names
-        marked = report.evaluate("hitchopt.stage.marked.drones")
+        marked = report.evaluate("hitchopt.stage.highlight.drones")
         assert {names[i] for i in marked} == set(plan.certificate["separation"].where)
         report.evaluate("hitchopt.seek(0)")
         report.locator("#play").click()
@@ -281,13 +281,13 @@ class TestLiveView:
     ) -> None:
         plan = tied_plan()
         time = share * plan.duration
-        live.live.mark(Concerned())
+        live.live.highlight(Highlight())
         live.seek(time)
         settled(page)
         box = page.locator("canvas").first.bounding_box()
 
         def mark() -> None:
-            live.live.mark(Concerned(drones=(0,)))
+            live.live.highlight(Highlight(drones=(0,)))
             settled(page)
 
         seen = changed_place(lambda: page.screenshot(clip=box), mark)
@@ -328,7 +328,7 @@ class TestLiveView:
             page.keyboard.press("Space")
             waited(page, lambda playing=playing: live.playing is playing)  # type: ignore[misc]
         assert page.locator("canvas").first.bounding_box()["width"] >= 1200 - 385
-        live.live.mark(Concerned())
+        live.live.highlight(Highlight())
         live.seek(0.6 * tied_plan().duration)
         box = page.locator("canvas").first.bounding_box()
         settled(page)
@@ -387,7 +387,10 @@ class TestEditing:
         box = edited.locator("canvas").first.bounding_box()
 
         def seen(x: float) -> Any:
-            return seen_at(edited, panel.live, [x + 0.6 * REACH, -0.3, 1.2]) + [box["x"], box["y"]]
+            return seen_at(edited, panel.live, [x + 0.6 * ARROW_LENGTH, -0.3, 1.2]) + [
+                box["x"],
+                box["y"],
+            ]
 
         edited.mouse.move(*seen(1.0))
         edited.mouse.down()

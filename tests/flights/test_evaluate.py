@@ -104,7 +104,7 @@ def test_standard_errors_cover_two_thirds_of_the_errors() -> None:
     """Markers beside the axis, other ones in every flight: as many errors as flights are free."""
     covered = []
     for seed in range(16):
-        camera = Camera(noise=5e-4, aside=3e-3)
+        camera = Camera(noise=5e-4, offset=3e-3)
         result = ho.evaluate(flown("triangle", camera, seed, off=0.0), task("triangle"))
         i = len(result.t) // 2
         covered.append(result.errors[i] < result.standard_errors[i])

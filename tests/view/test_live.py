@@ -22,7 +22,7 @@ import hitchopt as ho
 from hitchopt.cli import main
 from hitchopt.values import Array
 from hitchopt.view.live import ASPECT, Buttons, LiveView, open_server
-from hitchopt.view.live_scene import TRAIL
+from hitchopt.view.live_scene import TRAIL_DURATION
 from hitchopt.view.report import plots_of, write_report
 from hitchopt.view.scene import scene_of
 
@@ -43,7 +43,7 @@ def test_drones_and_cables_are_sent_where_the_plan_has_them(live: LiveView, time
         found = sent[f"/plan/drones/{part}"].batched_positions
         np.testing.assert_allclose(found, drones, atol=2e-3)
     trails = sent["/plan/trails"].points.reshape(8, -1, 2, 3)
-    begin = live.motion.drones.at(max(0.0, time - TRAIL))
+    begin = live.motion.drones.at(max(0.0, time - TRAIL_DURATION))
     np.testing.assert_allclose(trails[:, 0, 0], begin, atol=0.05)
     np.testing.assert_allclose(trails[:, -1, 1], drones, atol=2e-3)
     np.testing.assert_array_equal(trails[:, 1:, 0], trails[:, :-1, 1])
@@ -97,7 +97,7 @@ def test_a_certificate_that_is_late_and_another_plan_keep_panel_and_switches() -
     assert view.head is head
     assert "another" in head.content
     assert not view.values.content
-    assert view.live.shown["thrusts"]
+    assert view.live.visible["thrusts"]
     assert (view.player.label, labels(view.checks)) == ("Pause", [])
     assert [label.split(":")[0] for label in labels(view.phases)] == ["morph", "hold"]
     assert view.scrub.max >= view.motion.duration

@@ -21,13 +21,13 @@ from pictured import made_certificate, make_motion
 import hitchopt as ho
 from hitchopt.checks.closeness import closeness
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.view.painter import MOST, chosen_shots
+from hitchopt.view.painter import MAX_PANELS, choose_shots
 from hitchopt.view.pictures import (
     draw_closeness,
     draw_plan_view,
     draw_summary,
     panels,
-    sampled_states,
+    sample_states,
 )
 from hitchopt.view.style import new_figure, save_figure
 
@@ -100,7 +100,7 @@ def test_both_ends_are_drawn_from_above_and_vertices_named(motion: ho.Motion) ->
 
 @pytest.mark.parametrize("motion", [make_motion(5, thrusts=(2.6, 1.9)), make_motion(3), swarm(4)])
 def test_curves_are_the_plan_s_worst_values_at_the_joints_too(motion: ho.Motion) -> None:
-    states = sampled_states(motion)
+    states = sample_states(motion)
     assert (states.t[0], states.t[-1]) == (0.0, motion.duration)
     assert set(motion.drones.breaks) <= set(states.t)
     apart, speed, thrust = panels(motion, states)
@@ -183,13 +183,13 @@ def test_the_png_is_written_whatever_the_title(tmp_path: Path) -> None:
 
 
 def test_a_storyboard_has_the_moments_that_matter() -> None:
-    assert [shot.words for shot in chosen_shots(make_motion(3))] == ["start", "morph"]
+    assert [shot.words for shot in choose_shots(make_motion(3))] == ["start", "morph"]
     ends = np.linspace(0.0, 2.2, 16)
     phases = [ho.Phase("morph", i, a, b) for i, (a, b) in enumerate(pairwise(ends.tolist()))]
     many = replace(make_motion(3), phases=(*phases, ho.Phase("hold", 15, 2.2, 3.1)))
-    times = [shot.time for shot in chosen_shots(many)]
+    times = [shot.time for shot in choose_shots(many)]
     assert times == sorted(times)
-    assert (len(times), times[0], times[-1] >= 2.2 - 1e-9) == (MOST, 0.0, True)
+    assert (len(times), times[0], times[-1] >= 2.2 - 1e-9) == (MAX_PANELS, 0.0, True)
 
 
 @pytest.mark.parametrize("n", [1, 5, 40])

@@ -31,20 +31,20 @@ from hitchopt.motion.retiming import shifted
 from hitchopt.motion.states import states_at
 from hitchopt.objects.placing import in_world
 from hitchopt.simulation.ropes import linking_matrix
-from hitchopt.view.cables import CLASPS, POINTS, turned_senses, wrapped_edges
+from hitchopt.view.cables import CLASPS, POINTS, clasp_senses, wrapped_edges
 from hitchopt.view.film import frames, save_film
 from hitchopt.view.painter import (
     AZIMUTH,
     ELEVATION,
     Camera,
     Painter,
-    chosen_shots,
+    choose_shots,
     draw_plan_storyboard,
 )
-from hitchopt.view.pictures import draw_summary, panels, plot_from_above, sampled_states
-from hitchopt.view.scene import Scene, concerned, ghost_scene, scene_at, scene_of
-from hitchopt.view.shapes import object_faces, split
-from hitchopt.view.style import OTHERS, cable_colours, new_figure
+from hitchopt.view.pictures import draw_summary, panels, plot_from_above, sample_states
+from hitchopt.view.scene import Scene, ghost_scene, highlight_of, scene_at, scene_of
+from hitchopt.view.shapes import object_faces, subdivide
+from hitchopt.view.style import OTHERS_COLOUR, cable_colours, new_figure
 
 
 @pytest.fixture(scope="module")
@@ -102,8 +102,8 @@ def test_turning_the_other_way_links_the_other_way(tied: ho.Motion) -> None:
         for name, curves in (("drones", tied.drones), ("vertices", tied.vertices))
     }
     pairs = (2, 0), (0, 1), (1, 2)
-    assert turned_senses(tied) == dict.fromkeys(pairs, 1.0)  # every q goes up first
-    assert turned_senses(dataclasses.replace(tied, **mirrored)) == dict.fromkeys(pairs, -1.0)
+    assert clasp_senses(tied) == dict.fromkeys(pairs, 1.0)  # every q goes up first
+    assert clasp_senses(dataclasses.replace(tied, **mirrored)) == dict.fromkeys(pairs, -1.0)
 
 
 def test_bends_are_at_the_vertices() -> None:
@@ -184,7 +184,9 @@ def test_objects_are_where_they_stand(yaw: float) -> None:
 
 
 def test_what_a_check_names_is_found(tied: ho.Motion) -> None:
-    found = concerned(tied, ("q1", "r2", "cable 0", "p2", "q-leg 1", "phase 3 (swap 1)", "floor"))
+    found = highlight_of(
+        tied, ("q1", "r2", "cable 0", "p2", "q-leg 1", "phase 3 (swap 1)", "floor")
+    )
     assert (found.drones, found.cables, found.vertices) == ((2, 5), (0, 1), (2,))
 
 
@@ -231,7 +233,7 @@ def test_a_film_is_in_real_time_and_shows_the_motion(tmp_path: Path) -> None:
 @pytest.mark.parametrize("section", [ho.Section(CORNERS), ho.Section(radius=0.2)])
 def test_faces_enclose_the_body(section: ho.Section, times: int) -> None:
     """By the divergence theorem, which holds only if all faces are there and look outward."""
-    faces = split(object_faces(ho.SolidObject(section, 0.1, 0.4)), times)
+    faces = subdivide(object_faces(ho.SolidObject(section, 0.1, 0.4)), times)
     corners = np.concatenate([faces[:, [0, 1, 2]], faces[:, [0, 2, 3]]])
     areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     volume = np.sum(np.linalg.det(corners)) / 6.0
@@ -240,10 +242,10 @@ def test_faces_enclose_the_body(section: ho.Section, times: int) -> None:
 
 
 def test_what_is_nearer_is_painted_later() -> None:
-    scene, camera = scene_of(make_motion(4)), Camera.toward(-115.0, 32.0)
+    scene, camera = scene_of(make_motion(4)), Camera.at_angles(-115.0, 32.0)
     moment = scene.at(1.0)
-    middles = np.mean(Painter(scene, camera).painted(moment).polygons, axis=1)
-    seen = camera.seen(moment.drones)
+    middles = np.mean(Painter(scene, camera).paint(moment).polygons, axis=1)
+    seen = camera.project(moment.drones)
     near = np.linalg.norm(middles - seen[:, None, :2], axis=-1) < 0.02
     last = [np.flatnonzero(each)[-1] for each in near]
     np.testing.assert_array_equal(np.argsort(last), np.argsort(seen[:, 2]))
@@ -251,12 +253,12 @@ def test_what_is_nearer_is_painted_later() -> None:
 
 def test_objects_are_painted_where_they_stand() -> None:
     """All else is far from the box, whose corners bound what is painted there."""
-    scene, camera = scene_of(with_box(), 0), Camera.toward(-115.0, 32.0)
+    scene, camera = scene_of(with_box(), 0), Camera.at_angles(-115.0, 32.0)
     box = scene.motion.requirements.objects["box"]
     corners = np.array([[*corner, z] for corner in CORNERS for z in (box.lower, box.upper)])
-    expected = camera.seen(in_world(box.pose, corners))
+    expected = camera.project(in_world(box.pose, corners))
     middle = np.mean(expected[:, :2], axis=0)
-    polygons = Painter(scene, camera).painted(scene.at(0.0)).polygons
+    polygons = Painter(scene, camera).paint(scene.at(0.0)).polygons
     seen = polygons[np.all(np.abs(np.mean(polygons, axis=1) - middle) < 0.5, axis=1)]
     for end in (np.min, np.max):
         np.testing.assert_allclose(end(seen, axis=(0, 1)), end(expected, axis=0)[:2], atol=1e-9)
@@ -325,7 +327,7 @@ def test_groups_differ_by_colour_and_name() -> None:
     assert look.hollow[:2] == (False, True)
     assert [clasp.name for clasp in look.clasps][3] == "b.p0"
     assert [group.name for group in beside.groups] == ["show"]
-    assert set(beside.cable_colours[3:]) == {OTHERS}
+    assert set(beside.cable_colours[3:]) == {OTHERS_COLOUR}
 
 
 @pytest.mark.parametrize("n", range(2, 13))
@@ -337,7 +339,7 @@ def test_neighbours_differ_by_colour(n: int) -> None:
 
 def test_names_of_checks_are_found_in_their_group() -> None:
     motion = pair()
-    found = concerned(motion, ["b.q1", "a.cable 2", "b.edge 1", "b.p0", "q0"])
+    found = highlight_of(motion, ["b.q1", "a.cable 2", "b.edge 1", "b.p0", "q0"])
     assert (found.drones, found.cables, found.vertices) == ((8,), (2, 4), (3,))
 
 
@@ -345,15 +347,15 @@ def test_names_of_checks_are_found_in_their_group() -> None:
 def test_names_of_groups_are_apart_and_on_no_drone(before: str) -> None:
     plan = planned("hitch_and_swarm")
     renamed = [dataclasses.replace(x, name=f"{before}{x.name}") for x in plan.motion.groups]
-    motion, camera = combined(renamed), Camera.toward(AZIMUTH, ELEVATION)
-    figure, shots = draw_summary(motion, plan.certificate), chosen_shots(plan.motion)
+    motion, camera = combined(renamed), Camera.at_angles(AZIMUTH, ELEVATION)
+    figure, shots = draw_summary(motion, plan.certificate), choose_shots(plan.motion)
     figure.draw_without_rendering()
     scene = scene_at(motion, np.array([shot.time for shot in shots]))
     for axes, drones in zip(figure.axes, scene.drones, strict=False):
         texts = [t for t in axes.texts if t.get_fontweight() == "bold"]
         first, second = (text.get_window_extent() for text in texts)
         assert Bbox.intersection(first, second) is None
-        for place in axes.transData.transform(camera.seen(drones)[:, :2]):
+        for place in axes.transData.transform(camera.project(drones)[:, :2]):
             assert not first.contains(*place)
             assert not second.contains(*place)
     head = next(text for text in figure.texts if "limits hold" in text.get_text())
@@ -370,21 +372,23 @@ def test_a_wall_that_is_passed_is_inside_of_a_panel() -> None:
     wall = ho.SolidObject(ho.Section(CORNERS), 0.0, 0.8, at=(3.0, 0.2, 0.0), fixed=True)
     requirements = dataclasses.replace(motion.requirements, objects={"wall": wall})
     motion = motion.replaced(requirements=requirements)
-    shots = chosen_shots(motion)
+    shots = choose_shots(motion)
     assert [shot.words for shot in shots] == ["start", "near wall", "transport"]
-    figure, camera = new_figure((9.0, 3.0), None), Camera.toward(AZIMUTH, ELEVATION)
+    figure, camera = new_figure((9.0, 3.0), None), Camera.at_angles(AZIMUTH, ELEVATION)
     draw_plan_storyboard(figure.add_gridspec(1, 1)[0], motion, shots)
     figure.draw_without_rendering()
-    seen = camera.seen(in_world(wall.pose, np.array([[*c, z] for c in CORNERS for z in (0, 0.8)])))
+    seen = camera.project(
+        in_world(wall.pose, np.array([[*c, z] for c in CORNERS for z in (0, 0.8)]))
+    )
     pixels = figure.axes[1].transData.transform(seen[:, :2])
     assert all(figure.axes[1].bbox.contains(*place) for place in pixels)
 
 
 def test_a_robot_that_joins_is_shown_in_pictures_and_reports(tmp_path: Path) -> None:
     plan = planned("join_a_fourth")
-    words = [shot.words for shot in chosen_shots(plan.motion)]
+    words = [shot.words for shot in choose_shots(plan.motion)]
     assert words == ["start", "roll", "lower", "roll", "unroll", "close"]
-    shown = panels(plan.motion, sampled_states(plan.motion))
+    shown = panels(plan.motion, sample_states(plan.motion))
     worst = {check.name: check.bound for check in plan.certificate.checks}
     for panel in shown[1:]:  # of speed and thrust: never beyond what the certificate found
         assert 0.95 * worst[panel.name] < np.max(panel.values) < worst[panel.name] + 1e-9

@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from hitchopt.errors import OneLine
-from hitchopt.values.fields import Key, documented, store, words
+from hitchopt.values.fields import Key, Record, documented, words
 from hitchopt.values.units import DURATION, LENGTH, SWING
 
 
 @documented
 @dataclass(frozen=True)
-class SwapSettings(OneLine):
+class SwapSettings(Record):
     """Settings of pairs of drones that turn about each other."""
 
     radius: Annotated[float, Key(LENGTH, "Smallest semi-axis of the ellipses")] = 0.15
@@ -30,6 +29,3 @@ class SwapSettings(OneLine):
             "up (1): every q goes up first; down (-1): r; auto (0): up",
         ),
     ] = 0
-
-    def __post_init__(self) -> None:
-        store(self, **vars(self))

@@ -1,4 +1,4 @@
-// Cables as tubes of six sides around curves of `points` points, one of each of `colours`.
+// Cables as six-sided tubes around curves of `points` points, with one colour per cable.
 const SIDES = 6;
 
 class CableTubes {
@@ -20,17 +20,17 @@ class CableTubes {
     this.colour([]);
   }
 
-  // Colours all cables, the marked ones otherwise.
-  colour(marked) {
-    const { points, colours, mark } = this, colour = this.mesh.geometry.attributes.color;
+  // Colours all cables; highlighted ones have the colour `mark`.
+  colour(highlighted) {
+    const { points, colours, mark } = this, attribute = this.mesh.geometry.attributes.color;
     for (let c = 0; c < colours.length; c++) {
-      const { r, g, b } = new THREE.Color(marked.includes(c) ? mark : colours[c]);
-      for (let i = c * points * SIDES; i < (c + 1) * points * SIDES; i++) colour.setXYZ(i, r, g, b);
+      const { r, g, b } = new THREE.Color(highlighted.includes(c) ? mark : colours[c]);
+      for (let i = c * points * SIDES; i < (c + 1) * points * SIDES; i++) attribute.setXYZ(i, r, g, b);
     }
-    colour.needsUpdate = true;
+    attribute.needsUpdate = true;
   }
 
-  // Lays tubes of a radius around the curves' points `p`.
+  // Places tubes of a radius around the curves' points `p`.
   update(p, radius) {
     const cables = this.colours.length, points = this.points, { position, normal } = this.mesh.geometry.attributes;
     for (let c = 0; c < cables; c++) {
@@ -40,7 +40,7 @@ class CableTubes {
         let tx = p[b] - p[a], ty = p[b + 1] - p[a + 1], tz = p[b + 2] - p[a + 2];
         const length = Math.hypot(tx, ty, tz) || 1;
         tx /= length; ty /= length; tz /= length;
-        // The last ring's normal, made upright on this tangent: no twist along the cable.
+        // The last ring's normal, projected off this tangent, avoids twist along the cable.
         const dot = nx * tx + ny * ty + nz * tz;
         nx -= dot * tx; ny -= dot * ty; nz -= dot * tz;
         let size = Math.hypot(nx, ny, nz);

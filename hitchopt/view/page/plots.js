@@ -1,4 +1,4 @@
-// Plots over time with limits, the certificate's worst values, and a cursor in step with the scene.
+// Plots over time with limits, the certificate's worst values, and a cursor at the scene's time.
 const SVG = "http://www.w3.org/2000/svg", HEIGHT = 76, LEFT = 40, RIGHT = 78, TOP = 18, BOTTOM = 5, AXIS = 14;
 
 class Plots {
@@ -21,19 +21,18 @@ class Plots {
     const svg = document.createElementNS(SVG, "svg"), y = (value) => HEIGHT - BOTTOM - (HEIGHT - TOP - BOTTOM) * Math.min(value, top) / top;
     svg.style.height = `${HEIGHT + (last ? AXIS : 0)}px`;
     const node = (kind, attributes, text) => {
-      const made = document.createElementNS(SVG, kind);
-      for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
-      if (text !== undefined) made.textContent = text;
-      return svg.appendChild(made);
+      const element = document.createElementNS(SVG, kind);
+      for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
+      if (text !== undefined) element.textContent = text;
+      return svg.appendChild(element);
     };
-    const line = (times, values, name) => {
-      let path = "", pen = false;
+    const line = (times, values, style) => {
+      let path = "", penDown = false;
       values.forEach((value, i) => {
-        if (value === null) { pen = false; return; }
-        path += `${pen ? "L" : "M"}${this.x(times[i]).toFixed(1)},${y(value).toFixed(1)}`;
-        pen = true;
+        if (value !== null) path += `${penDown ? "L" : "M"}${this.x(times[i]).toFixed(1)},${y(value).toFixed(1)}`;
+        penDown = value !== null;
       });
-      node("path", { d: path, class: name });
+      node("path", { d: path, class: style });
     };
     const right = this.width - RIGHT, bottom = HEIGHT - BOTTOM;
     node("rect", { x: LEFT, y: TOP, width: Math.max(0, right - LEFT), height: bottom - TOP, class: "axis" });
@@ -50,13 +49,13 @@ class Plots {
       }
     }
     for (const values of curves) line(t, values, "curve");
-    const written = [];
-    const write = (text, value, name) => {
-      let at = y(value) + 4;
-      for (const other of written) if (Math.abs(other - at) < 12) at = other + (at <= other ? -12 : 12);
-      at = Math.min(HEIGHT - 2, Math.max(10, at));
-      written.push(at);
-      node("text", { x: right + 6, y: at, class: name }, text);
+    const baselines = [];
+    const write = (text, value, style) => {
+      let baseline = y(value) + 4;
+      for (const other of baselines) if (Math.abs(other - baseline) < 12) baseline = other + (baseline <= other ? -12 : 12);
+      baseline = Math.min(HEIGHT - 2, Math.max(10, baseline));
+      baselines.push(baseline);
+      node("text", { x: right + 6, y: baseline, class: style }, text);
     };
     for (const limit of limits) if (limit.words) write(limit.words, limit.values[limit.values.length - 1], "limit");
     if (worst) {
@@ -81,27 +80,27 @@ class Plots {
     for (const { cursor, value, t, curves } of this.cursors) {
       cursor.setAttribute("x1", this.x(time));
       cursor.setAttribute("x2", this.x(time));
-      const values = [...new Set(curves.map((curve) => significant(between(t, curve, time), 3)))];
+      const values = [...new Set(curves.map((curve) => significant(valueAt(t, curve, time), 3)))];
       value.textContent = values.join(" to ");
     }
   }
 }
 
-// Round numbers from 0 to an end, about as many as `count`.
+// About `count` round numbers from 0 to an end.
 function ticks(end, count) {
   const rough = end / count, power = 10 ** Math.floor(Math.log10(rough || 1)), step = power * [1, 2, 5, 10].find((k) => k * power >= 0.999 * rough);
   return Array.from({ length: Math.floor(end / step) + 1 }, (_, i) => Number((i * step).toPrecision(6)));
 }
 
-// The value of a curve at a time, null where there is none.
-function between(t, values, time) {
-  const i = Math.max(1, t.findIndex((each) => each >= time)), a = values[i - 1], b = values[i];
+// The value of a curve at a time, or null.
+function valueAt(t, values, time) {
+  const i = Math.max(1, t.findIndex((sample) => sample >= time)), a = values[i - 1], b = values[i];
   return a === null || b === null ? null : a + (b - a) * Math.min(1, Math.max(0, (time - t[i - 1]) / (t[i] - t[i - 1])));
 }
 
 function significant(value, digits = 4) {
   if (value === null) return "–";
   if (Math.abs(value) > 1e300) return value > 0 ? "∞" : "−∞";
-  const text = Math.abs(value) < 1e-9 ? 0 : Number(value.toPrecision(digits));  // less is rounding
+  const text = Math.abs(value) < 1e-9 ? 0 : Number(value.toPrecision(digits));  // below are rounding errors
   return Math.abs(text) >= 1e-4 || text === 0 ? String(text) : text.toExponential();
 }

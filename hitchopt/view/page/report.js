@@ -1,21 +1,21 @@
-// The page: title, tables, playback. Nothing is ever written as HTML, only as text.
+// The page: title, tables, playback. All content is inserted as text, not as HTML.
 const byId = (id) => document.getElementById(id);
-// A name such as team.q-leg 0, in which a line breaks after the team's name alone.
-const whole = (name) => name.replaceAll("-", "-\u2060").replaceAll(" ", "\u00a0").replace(".", ".\u200b");
+// Lets lines break in names such as team.q-leg 0 after the team's name only.
+const unbroken = (name) => name.replaceAll("-", "-\u2060").replaceAll(" ", "\u00a0").replace(".", ".\u200b");
 
-function element(kind, text = "", name = "") {
-  return Object.assign(document.createElement(kind), { textContent: text, className: name });
+function element(kind, text = "", style = "") {
+  return Object.assign(document.createElement(kind), { textContent: text, className: style });
 }
 
-function row(table, cells, click) {
-  const made = element("tr");
-  for (const [text, name] of cells) made.append(element("td", text, name));
-  if (click) {
-    made.tabIndex = 0;
-    made.addEventListener("click", click);
-    made.addEventListener("keydown", (event) => { if (event.key === "Enter") click(); });
+function addRow(table, cells, onClick) {
+  const row = element("tr");
+  for (const [text, style] of cells) row.append(element("td", text, style));
+  if (onClick) {
+    row.tabIndex = 0;
+    row.addEventListener("click", onClick);
+    row.addEventListener("keydown", (event) => { if (event.key === "Enter") onClick(); });
   }
-  return table.appendChild(made);
+  return table.appendChild(row);
 }
 
 class Page {
@@ -33,11 +33,11 @@ class Page {
     this.addControls();
     byId("problem").querySelector("pre").textContent = data.problem;
     byId("problem").hidden = !data.problem;
-    for (const [name, value] of data.origin) row(byId("origin").querySelector("table"), [[name], [value]]);
-    const wanted = new URLSearchParams(location.hash.slice(1));
-    if (wanted.has("view")) this.stage.view(wanted.get("view"));
-    this.seek(Number(wanted.get("t")) || 0);
-    if (wanted.has("check")) this.showCheck(data.checks.findIndex(({ name }) => name === wanted.get("check")));
+    for (const [name, value] of data.origin) addRow(byId("origin").querySelector("table"), [[name], [value]]);
+    const request = new URLSearchParams(location.hash.slice(1));
+    if (request.has("view")) this.stage.view(request.get("view"));
+    this.seek(Number(request.get("t")) || 0);
+    if (request.has("check")) this.showCheck(data.checks.findIndex(({ name }) => name === request.get("check")));
   }
 
   addSwitches() {
@@ -56,17 +56,17 @@ class Page {
     const table = byId("phases"), body = element("tbody"), strip = byId("strip");
     this.strips = [];
     this.phases = this.data.phases.map((phase, i) => {
-      const go = () => this.seek(phase.start);
-      const made = row(body, [[phase.name], [phase.state], [`${phase.start.toFixed(2)} – ${phase.end.toFixed(2)} s`, "n"]], go);
-      if (phase.remark) made.cells[0].append(element("div", phase.remark, "remark"));
+      const seek = () => this.seek(phase.start);
+      const row = addRow(body, [[phase.name], [phase.state], [`${phase.start.toFixed(2)} – ${phase.end.toFixed(2)} s`, "n"]], seek);
+      if (phase.remark) row.cells[0].append(element("div", phase.remark, "remark"));
       const block = Object.assign(element("button", phase.name), { title: `${phase.name}: ${phase.start.toFixed(2)} – ${phase.end.toFixed(2)} s` });
       block.style.left = `${100 * phase.start / this.data.duration}%`;
       block.style.width = `${100 * (phase.end - phase.start) / this.data.duration}%`;
       block.dataset.phase = i;
-      block.addEventListener("click", go);
+      block.addEventListener("click", seek);
       strip.append(block);
       this.strips.push(block);
-      return made;
+      return row;
     });
     table.append(body);
     this.needle = strip.appendChild(element("i"));
@@ -75,14 +75,14 @@ class Page {
   addChecks() {
     const table = byId("checks"), body = element("tbody"), head = element("thead");
     const titles = element("tr");
-    for (const [text, name] of [["check"], ["worst", "n"], ["limit", "n"], ["where"], [""]]) titles.append(element("th", text, name));
+    for (const [text, style] of [["check"], ["worst", "n"], ["limit", "n"], ["where"], [""]]) titles.append(element("th", text, style));
     head.append(titles);
     this.checks = this.data.checks.map((check, i) => {
       const unit = ["1", ""].includes(check.unit) ? "" : ` ${check.unit}`, sign = check.sense === "min" ? "≥" : "≤";
-      const limit = check.limit === null ? "–" : `${sign} ${significant(check.limit)}`, where = check.where.slice(0, 3).map(whole).join(", ") + (check.where.length > 3 ? " …" : "");
-      const made = row(body, [[check.name], [significant(check.worst) + unit, "n"], [limit, "n"], [where], [check.holds ? "✓" : "NO", check.holds ? "yes" : "no"]], () => this.showCheck(i));
-      made.dataset.check = check.name;
-      return made;
+      const limit = check.limit === null ? "–" : `${sign} ${significant(check.limit)}`, where = check.where.slice(0, 3).map(unbroken).join(", ") + (check.where.length > 3 ? " …" : "");
+      const row = addRow(body, [[check.name], [significant(check.worst) + unit, "n"], [limit, "n"], [where], [check.holds ? "✓" : "NO", check.holds ? "yes" : "no"]], () => this.showCheck(i));
+      row.dataset.check = check.name;
+      return row;
     });
     table.append(head, body);
   }
@@ -90,12 +90,12 @@ class Page {
   showCheck(i) {
     const check = this.data.checks[i];
     if (!check) return;
-    const again = this.check === i;
-    this.check = again ? -1 : i;
-    this.checks.forEach((made, k) => made.classList.toggle("shown", k === this.check));
-    this.stage.mark(again ? { drones: [], cables: [], vertices: [] } : check.concerned);
-    byId("concerned").textContent = again ? "" : `${check.name}${check.where.length ? `: ${check.where.join(", ")}` : ""} at ${check.time.toFixed(2)} s`;
-    if (!again) this.seek(check.time);
+    const hides = this.check === i;  // a second click
+    this.check = hides ? -1 : i;
+    this.checks.forEach((row, k) => row.classList.toggle("shown", k === this.check));
+    this.stage.mark(hides ? { drones: [], cables: [], vertices: [] } : check.concerned);
+    byId("concerned").textContent = hides ? "" : `${check.name}${check.where.length ? `: ${check.where.join(", ")}` : ""} at ${check.time.toFixed(2)} s`;
+    if (!hides) this.seek(check.time);
   }
 
   addControls() {
@@ -112,7 +112,7 @@ class Page {
       button.addEventListener("click", () => { this.stage.view(button.dataset.view); this.stage.show(); });
     }
     byId("png").addEventListener("click", () => this.stage.picture(`${this.data.title} ${this.time.toFixed(2)} s.png`));
-    // What is clicked with a mouse does not keep the keys: Space plays.
+    // Elements lose the focus after a mouse click, so that Space plays.
     document.addEventListener("click", (event) => { if (event.detail) document.activeElement.blur(); });
     document.addEventListener("keydown", (event) => {
       if (event.target.matches("input, select, button, summary")) return;
@@ -146,7 +146,7 @@ class Page {
     if (now < 0) now = phases.length - 1;
     this.phase = now;
     this.stage.hooked = !!phases[now]?.hooked;
-    this.phases.forEach((made, i) => made.classList.toggle("now", i === now));
+    this.phases.forEach((row, i) => row.classList.toggle("now", i === now));
     this.strips.forEach((block, i) => block.classList.toggle("now", i === now));
     byId("scrub").value = this.time;
     byId("clock").textContent = `${this.time.toFixed(2)} / ${duration.toFixed(2)} s · ${phases[now]?.name ?? ""}`;
@@ -157,8 +157,8 @@ class Page {
 }
 
 (async () => {
-  for (const each of document.querySelectorAll("details.wide")) each.open = window.innerWidth > 600;
+  for (const details of document.querySelectorAll("details.wide")) details.open = window.innerWidth > 600;
   const data = JSON.parse(byId("data").textContent);
-  const arrays = await decoded(data, byId("samples").textContent);
+  const arrays = await decode(data, byId("samples").textContent);
   window.hitchopt = new Page(data, arrays);
 })();

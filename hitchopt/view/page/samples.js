@@ -1,6 +1,6 @@
 "use strict";
-// Decodes the samples: 16-bit numbers, twice differenced over time, their bytes in two planes, deflated.
-async function decoded(data, text) {
+// Decodes the samples: deflated second differences over time, with 16 bits in two planes of bytes.
+async function decode(data, text) {
   const packed = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
   const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
   const bytes = new Uint8Array(await new Response(stream).arrayBuffer());
@@ -23,7 +23,7 @@ async function decoded(data, text) {
   return arrays;
 }
 
-// Interpolates all arrays to a time [s] into their `now`.
+// Interpolates all arrays at a time [s] and stores the values in `now`.
 function interpolate(data, arrays, time) {
   const t = data.t;
   let low = 0, high = t.length - 1;

@@ -1,10 +1,10 @@
-// The scene in three dimensions; `show()` draws what `arrays` hold now.
+// The scene in three dimensions; `show()` draws the current values of `arrays`.
 
 const DARK = window.matchMedia("(prefers-color-scheme: dark)").matches, TRAIL = 5;  // [s]
 const GROUND = new THREE.Color(DARK ? "#23282d" : "#f3f4f5"), WHITE = new THREE.Color("#ffffff");
 const shade = (colour) => new THREE.Color(colour).lerp(WHITE, DARK ? 0.16 : 0);
 
-// A surface of triangles with these corners, shaded face by face.
+// A surface of triangles with flat shading.
 function surface(corners) {
   const geometry = new THREE.BufferGeometry().setAttribute("position", new THREE.Float32BufferAttribute(corners, 3));
   geometry.computeVertexNormals();
@@ -13,7 +13,7 @@ function surface(corners) {
 
 class Stage {
   constructor(data, arrays, place) {
-    Object.assign(this, { data, arrays, place, time: 0, on: {}, marked: { drones: [], cables: [], vertices: [] } });
+    Object.assign(this, { data, arrays, place, time: 0, on: {}, highlight: { drones: [], cables: [], vertices: [] } });
     this.renderer = new THREE.WebGLRenderer({ antialias: true, preserveDrawingBuffer: true });
     this.renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
     place.prepend(this.renderer.domElement);
@@ -81,7 +81,7 @@ class Stage {
       this.scene.add(mesh);
       return mesh;
     };
-    this.size = 0.8 * ellipsoid[0];  // from the centre to a rotor's far side, about
+    this.size = 0.8 * ellipsoid[0];  // approximate radius of a drone with rotors
     this.bodies = parts.map(({ colours, corners }) => {
       const mesh = instanced(surface(corners), new THREE.MeshLambertMaterial({ side: THREE.DoubleSide }));
       colours.forEach((colour, i) => mesh.setColorAt(i, shade(colour)));
@@ -111,7 +111,7 @@ class Stage {
   addPaths() {
     const { names, colours, t } = this.data, p = this.arrays.drones, corners = [], shades = [];
     const stride = Math.max(1, Math.ceil(names.length * t.length / 200000)), pale = colours.map((colour) => shade(colour).lerp(GROUND, 0.45));
-    this.pathTimes = [];  // time after time, so that trails are a part
+    this.pathTimes = [];  // segments are in the order of time, so that trails are a range
     for (let i = 0; i < t.length - 1; i += stride) {
       this.pathTimes.push(t[i]);
       for (let d = 0; d < names.length; d++) {
@@ -159,37 +159,38 @@ class Stage {
       ...clasps.map(({ name, point }) => ({ node: label(name), array: "cables", at: 3 * point, drone: -1 }))];
   }
 
-  // Marks what a check names: indices of drones, cables and vertices.
-  mark(marked) {
-    this.marked = marked;
-    this.tubes.colour(marked.cables);
+  // Highlights the drones, cables and vertices of a check, by their indices.
+  mark(highlight) {
+    this.highlight = highlight;
+    this.tubes.colour(highlight.cables);
     this.show();
   }
 
   switch(name, on) {
     this.on[name] = on;
     if (name === "follow") {
-      this.view(this.looking);
+      this.view(this.direction);
       if (on) this.camera.position.lerp(this.controls.target, 1 - Math.min(1, 4 * this.spread() / this.distance()));
     }
     this.show();
   }
 
-  // The middle of all drones now, and how far they are from it.
+  // The mean place of all drones.
   middle() {
     const p = this.arrays.drones.now, sum = new THREE.Vector3();
     for (let i = 0; i < p.length; i += 3) sum.add(new THREE.Vector3(p[i], p[i + 1], p[i + 2]));
     return sum.multiplyScalar(3 / p.length);
   }
 
+  // The maximum distance of drones from their middle, or 0.2 m.
   spread() {
     const p = this.arrays.drones.now, middle = this.middle();
-    let far = 0.2;
-    for (let i = 0; i < p.length; i += 3) far = Math.max(far, middle.distanceTo(new THREE.Vector3(p[i], p[i + 1], p[i + 2])));
-    return far;
+    let radius = 0.2;
+    for (let i = 0; i < p.length; i += 3) radius = Math.max(radius, middle.distanceTo(new THREE.Vector3(p[i], p[i + 1], p[i + 2])));
+    return radius;
   }
 
-  // Saves what is drawn as a file.
+  // Saves the picture as a file.
   picture(name) {
     this.renderer.domElement.toBlob((blob) => {
       const link = Object.assign(document.createElement("a"), { href: URL.createObjectURL(blob), download: name });
@@ -198,34 +199,34 @@ class Stage {
     });
   }
 
-  // Looks at all places where drones ever are, from one of the usual directions.
+  // Shows the places of drones at all times, from a standard direction.
   view(kind) {
-    this.looking = kind;
+    this.direction = kind;
     const to = { above: [0, -0.001, 1], front: [-0.35, -0.8, 0.5] }[kind] ?? [0, -1, 0.3];
     const back = new THREE.Vector3(...to).normalize(), right = new THREE.Vector3(-back.y, back.x, 0).normalize();
-    const up = back.clone().cross(right), all = Math.tan(this.camera.fov * Math.PI / 360), tall = 0.82 * all, wide = 0.9 * all * this.camera.aspect;
+    const up = back.clone().cross(right), slope = Math.tan(this.camera.fov * Math.PI / 360), height = 0.82 * slope, width = 0.9 * slope * this.camera.aspect;
     const p = this.arrays.drones.values, point = new THREE.Vector3(), target = this.centre.clone();
-    let far = 0.5;
-    for (let round = 0; round < 4; round++) {
-      far = 0.5;
+    let distance = 0.5;
+    for (let iteration = 0; iteration < 4; iteration++) {
+      distance = 0.5;
       for (let i = 0; i < p.length; i += 3) {
         point.set(p[i], p[i + 1], p[i + 2]).sub(target);
-        far = Math.max(far, point.dot(back) + Math.max(Math.abs(point.dot(right)) / wide, Math.abs(point.dot(up)) / tall));
+        distance = Math.max(distance, point.dot(back) + Math.max(Math.abs(point.dot(right)) / width, Math.abs(point.dot(up)) / height));
       }
-      far += 2 * this.size;
-      // What is seen is brought to the middle: what is near takes more space than what is far.
+      distance += 2 * this.size;
+      // The projection is centred, because near places take more space than far ones.
       const ends = [Infinity, -Infinity, Infinity, -Infinity];
       for (let i = 0; i < p.length; i += 3) {
         point.set(p[i], p[i + 1], p[i + 2]).sub(target);
-        const depth = far - point.dot(back), u = point.dot(right) / depth, v = point.dot(up) / depth;
+        const depth = distance - point.dot(back), u = point.dot(right) / depth, v = point.dot(up) / depth;
         ends[0] = Math.min(ends[0], u); ends[1] = Math.max(ends[1], u); ends[2] = Math.min(ends[2], v); ends[3] = Math.max(ends[3], v);
       }
-      target.addScaledVector(right, far * (ends[0] + ends[1]) / 2).addScaledVector(up, far * (ends[2] + ends[3]) / 2);
+      target.addScaledVector(right, distance * (ends[0] + ends[1]) / 2).addScaledVector(up, distance * (ends[2] + ends[3]) / 2);
     }
-    target.addScaledVector(up, 0.08 * all * far);  // the switches are above
+    target.addScaledVector(up, 0.08 * slope * distance);  // the switches are above
     this.controls.target.copy(target);
-    this.camera.position.copy(target).addScaledVector(back, far);
-    this.camera.near = far / 500; this.camera.far = far * 50;
+    this.camera.position.copy(target).addScaledVector(back, distance);
+    this.camera.near = distance / 500; this.camera.far = distance * 50;
     this.camera.updateProjectionMatrix();
     this.controls.update();
     this.fitted = this.camera.position.clone();
@@ -237,13 +238,13 @@ class Stage {
     this.renderer.setSize(width, height);
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
-    if (this.camera.position.equals(this.fitted)) this.view(this.looking);
+    if (this.camera.position.equals(this.fitted)) this.view(this.direction);
     this.show();
   }
 
   distance() { return this.camera.position.distanceTo(this.controls.target); }
 
-  // The place of a point on the page, in pixels from the stage's upper left corner.
+  // The projection of a point, in pixels from the stage's upper left corner.
   project(array, at) {
     const p = this.arrays[array].now, point = new THREE.Vector3(p[at], p[at + 1], p[at + 2]).project(this.camera);
     return { x: (point.x + 1) / 2 * this.place.clientWidth, y: (1 - point.y) / 2 * this.place.clientHeight, behind: point.z > 1 };
@@ -252,20 +253,20 @@ class Stage {
   show() {
     if (!this.labels) return;
     if (this.on.follow) {
-      const moved = this.middle().sub(this.controls.target);
-      this.controls.target.add(moved);
-      this.camera.position.add(moved);
+      const offset = this.middle().sub(this.controls.target);
+      this.controls.target.add(offset);
+      this.camera.position.add(offset);
       this.camera.updateMatrixWorld();
     }
     const { names } = this.data, p = this.arrays.drones.now, q = this.arrays.attitudes.now;
     const matrix = new THREE.Matrix4(), turn = new THREE.Quaternion(), place = new THREE.Vector3(), unit = new THREE.Vector3(1, 1, 1), scale = new THREE.Vector3();
-    const larger = Math.max(1, 0.0035 * this.distance() / this.size);
+    const droneScale = Math.max(1, 0.0035 * this.distance() / this.size);
     const thrusts = this.arrays.thrusts.now, forces = this.arrays.forces.now, tip = new THREE.Vector3(), up = new THREE.Vector3(0, 0, 1), perNewton = 0.2;
     for (let i = 0; i < names.length; i++) {
       const x = q[3 * i], y = q[3 * i + 1], z = q[3 * i + 2];
       place.set(p[3 * i], p[3 * i + 1], p[3 * i + 2]);
       turn.set(x, y, z, Math.sqrt(Math.max(0, 1 - x * x - y * y - z * z)));
-      matrix.compose(place, turn, scale.setScalar(larger));
+      matrix.compose(place, turn, scale.setScalar(droneScale));
       for (const mesh of this.bodies) mesh.setMatrixAt(i, matrix);
       this.shells.setMatrixAt(i, matrix.compose(place, new THREE.Quaternion(), unit));
       for (const [name, arrow] of Object.entries(this.arrows)) {
@@ -283,8 +284,8 @@ class Stage {
       shafts.geometry.attributes.position.needsUpdate = heads.instanceMatrix.needsUpdate = true;
     }
     this.shells.visible = !!this.on.ellipsoids;
-    const n = 2 * this.data.names.length, ahead = (time) => { const i = this.pathTimes.findIndex((t) => t >= time); return i < 0 ? this.pathTimes.length : i; };
-    const first = this.on.paths ? 0 : ahead(this.time - TRAIL), last = this.on.paths ? this.pathTimes.length : ahead(this.time);
+    const n = 2 * this.data.names.length, indexAt = (time) => { const i = this.pathTimes.findIndex((t) => t >= time); return i < 0 ? this.pathTimes.length : i; };
+    const first = this.on.paths ? 0 : indexAt(this.time - TRAIL), last = this.on.paths ? this.pathTimes.length : indexAt(this.time);
     this.paths.visible = !!(this.on.paths || this.on.trails);
     this.paths.geometry.setDrawRange(n * first, n * (last - first));
     this.updateObjects();
@@ -300,7 +301,7 @@ class Stage {
   }
 
   updateMarks() {
-    const { drones, vertices } = this.marked, { clasps } = this.data, matrix = new THREE.Matrix4(), c = this.arrays.cables.now, p = this.arrays.drones.now;
+    const { drones, vertices } = this.highlight, { clasps } = this.data, matrix = new THREE.Matrix4(), c = this.arrays.cables.now, p = this.arrays.drones.now;
     const points = drones.map((i) => [p, 3 * i, 1.5 * this.size]);
     for (const k of vertices) {
       const clasp = clasps.find(({ vertex }) => vertex === k);
@@ -314,13 +315,13 @@ class Stage {
     this.marks.instanceMatrix.needsUpdate = true;
   }
 
-  // Names what is switched on or marked; of names that would lie on each other, the first.
+  // Shows the labels that are switched on or highlighted; of overlapping labels, the first.
   updateLabels() {
     const few = this.labels.length <= 120, placed = [];
-    const marked = ({ drone }) => this.marked.drones.includes(drone);
-    for (const label of [...this.labels.filter(marked), ...this.labels.filter((other) => !marked(other))]) {
+    const isHighlighted = ({ drone }) => this.highlight.drones.includes(drone);
+    for (const label of [...this.labels.filter(isHighlighted), ...this.labels.filter((other) => !isHighlighted(other))]) {
       const { node, array, at, drone } = label;
-      node.hidden = !(marked(label) || (this.on.names && few && (drone >= 0 || this.hooked)));
+      node.hidden = !(isHighlighted(label) || (this.on.names && few && (drone >= 0 || this.hooked)));
       if (node.hidden) continue;
       const { x, y, behind } = this.project(array, at);
       node.hidden = behind || placed.some(([u, v]) => Math.abs(u - x) < 22 && Math.abs(v - y) < 12);
