@@ -45,8 +45,8 @@ RADIUS = {"tray": 0.4, "drum": 0.56, "box": 0.46}
 """Radius of the hitch after forming [m]; a gripping hitch is as large as around the object."""
 
 AWAY, BY, ALTITUDE, STARTS = 2.2, 1.5, 1.3, 1.0
-"""Place of the object in x, distance of its transport in y, altitude of the formed hitch, and offset
-of the starting rows from the hitch's centre [m]."""
+"""Place of the object in x, distance of its transport in y, altitude of the formed hitch, and
+distance of the starting rows from the hitch's centre [m]."""
 
 
 def setting(case: str) -> tuple[int, str, dict[str, Any], list[list[float]], dict[str, Any]]:

@@ -161,9 +161,9 @@ def test_a_cable_over_one_neighbour_and_under_the_other_does_not_leave() -> None
 def test_no_phase_of_a_clock_is_too_brief_for_its_derivatives() -> None:
     """A flight that all but reaches its acceleration cruises there for microseconds."""
     v, a, j = 1.0, 2.0, 20.0
-    least = 2.0 * a**3 / j**2  # reaches the acceleration, without a time of it
+    min_distance = 2.0 * a**3 / j**2  # reaches the acceleration, without a time of it
     for beyond in (1e-9, 1e-6, 1e-5, 1e-4):
-        clock = fastest_clock(least + beyond, v, a, j)
+        clock = fastest_clock(min_distance + beyond, v, a, j)
         assert np.min(np.diff(clock.breaks)) >= BRIEF
-        (fastest,), _ = fastest_ramps(np.array([least + beyond]), v, a, j)
+        (fastest,), _ = fastest_ramps(np.array([min_distance + beyond]), v, a, j)
         assert fastest * (1.0 - 1e-9) <= clock.duration <= 1.03 * fastest

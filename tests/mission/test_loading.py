@@ -152,11 +152,11 @@ def test_every_key_of_form_arrives() -> None:
     keys: Any = {**FORM["form"], "altitude": 1.7, "legs": [0.4, 0.7, 0.45], "duration": 30}
     swap = {"radius": 0.2, "tilt_deg": 30, "seconds": 2.5, "sense": "down"}
     steps = [{"form": {**keys, "swap": swap}}, {"release": {}}, STAY, FORM]
-    found = problem_from_dict({**triangle(), **drones(), "mission": steps})
+    problem = problem_from_dict({**triangle(), **drones(), "mission": steps})
     form = ho.Form(**keys, swap=ho.SwapSettings(0.2, math.radians(30), 2.5, -1))
-    assert plain(found.start) == plain(ho.DronesStart(**PLACES))
-    assert plain(found.mission[0]) == plain(form.resolved_for(found.team))
-    assert [step.name for step in found.mission] == ["form", "release", "hold", "form"]
+    assert plain(problem.start) == plain(ho.DronesStart(**PLACES))
+    assert plain(problem.mission[0]) == plain(form.resolved_for(problem.team))
+    assert [step.name for step in problem.mission] == ["form", "release", "hold", "form"]
 
 
 FAULTS: list[tuple[str | list[str | int], object, str]] = [
@@ -320,9 +320,9 @@ def test_what_can_be_planned_is_read_and_valid(path: Path) -> None:
     problem = read_problem(path)
     assert problem.title
     teams = problem.teams if isinstance(problem, ho.TeamsProblem) else {"": problem.team}
-    for name, own in data.get("teams", {"": data.get("team")}).items():
-        assert own.get("robots", 0) == teams[name].robots
-        assert own.get("drones", 2 * teams[name].robots) == teams[name].drones
+    for name, team in data.get("teams", {"": data.get("team")}).items():
+        assert team.get("robots", 0) == teams[name].robots
+        assert team.get("drones", 2 * teams[name].robots) == teams[name].drones
 
 
 @pytest.mark.parametrize("path", REFUSED, ids=lambda path: path.stem)
@@ -343,18 +343,18 @@ def test_what_is_wrong_in_itself_is_told_with_its_place(path: Path) -> None:
 
 
 def test_the_schema_describes_every_key() -> None:
-    """And every fault has one file."""
+    """Each kind of fault also has its own file."""
     assert len({header(path, "Fault") for path in BAD}) == len(BAD) >= 25
     VALIDATOR.validate(triangle())
-    shown: dict[str, Any] = {}
+    defaults: dict[str, Any] = {}
     for model in problem_schema()["$defs"].values():
         assert model["additionalProperties"] is False
         assert model["description"]
         for name, entry in model["properties"].items():
             assert "description" in entry or "$ref" in entry, name
-            shown |= {name: entry["default"]} if "default" in entry else {}
+            defaults |= {name: entry["default"]} if "default" in entry else {}
     for name, value in {"speed": 1.0, "assign": "auto", "height": 0.3, "jerk": 20.0}.items():
-        assert shown[name] == value
+        assert defaults[name] == value
 
 
 def test_models_of_drones_are_named_in_files() -> None:
@@ -362,9 +362,9 @@ def test_models_of_drones_are_named_in_files() -> None:
     kinds = ["crazyflie_2.1_brushless", other, {"mass": 0.04, "max_thrust": 0.8}]
     team = {"robots": 3, "cable_length": 2.4}
     read: Any = problem_from_dict({**MINIMAL, "team": {**team, "quadrotor": kinds}}).team
-    own = ho.Quadrotor(model="crazyflie_2.1", mass=0.031), ho.Quadrotor(0.04, 0.8)
-    assert read.quadrotor == (ho.Quadrotor(model="crazyflie_2.1_brushless"), *own)
-    assert read.tension.tolist() == [0.12, own[0].tension, 0.4]
+    others = ho.Quadrotor(model="crazyflie_2.1", mass=0.031), ho.Quadrotor(0.04, 0.8)
+    assert read.quadrotor == (ho.Quadrotor(model="crazyflie_2.1_brushless"), *others)
+    assert read.tension.tolist() == [0.12, others[0].tension, 0.4]
     drawn = ho.load_problem(PROBLEMS / "crazyflie_triangle.yaml").team
     named = problem_from_dict({**MINIMAL, "team": {**team, "quadrotor": kinds[0]}}).team
     assert named.tension.tolist() == drawn.tension.tolist()
@@ -378,10 +378,10 @@ def test_models_of_drones_are_named_in_files() -> None:
 def test_templates_show_every_key_with_its_default(kind: str, team: str) -> None:
     """Uncommented, their sections are read, and change nothing."""
     text = problem_text(TEMPLATE.with_stem(f"template{kind}"))
-    shown = re.sub(
+    uncommented = re.sub(
         r"^( *)# ?(?=( *)\w+:(  |$))|^( *)# ?(?=( *)\w+: \S+ +# )", r"\1\4", text, flags=re.M
     )
-    data: Any = parse_yaml(shown)
+    data: Any = parse_yaml(uncommented)
     plain_data: Any = parse_yaml(text)
     schema, swarm = problem_schema()["$defs"], "Swarm" if kind == "_swarm" else ""
     for key, name in (("limits", "Limits"), ("separation", "Separation")):
@@ -389,20 +389,22 @@ def test_templates_show_every_key_with_its_default(kind: str, team: str) -> None
     assert set(data["team"]) == set(schema[team]["properties"])
     assert list(data["team"]["quadrotor"]) == [x.name for x in keys_of(ho.Quadrotor).values()]
     if kind == "_carry":
-        ways = {"circle", "file"}  # of giving a section besides an outline
-        assert set(data["objects"]["box"]) | ways == set(schema["ObjectKeys"]["properties"])
+        alternatives = {"circle", "file"}  # to an outline
+        assert set(data["objects"]["box"]) | alternatives == set(schema["ObjectKeys"]["properties"])
     read, unchanged = (any_problem_from_dict(each) for each in (data, plain_data))
     assert plain(read) == plain(unchanged)
 
 
 def test_files_are_read_without_solvers() -> None:
-    """What is wrong with a file is told before anything that plans is imported."""
+    """Errors of a file are reported before any planner is imported."""
     script = (
         "import sys, hitchopt as ho\n"
         f"ho.read_problem({str(PROBLEMS / 'grip_drum.yaml')!r})\n"
         "print(*{name.partition('.')[0] for name in sys.modules})"
     )
-    told = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, check=True
     )
-    assert not {"scipy", "casadi", "toppra", "ruckig", "mujoco", "numba"} & set(told.stdout.split())
+    assert not {"scipy", "casadi", "toppra", "ruckig", "mujoco", "numba"} & set(
+        process.stdout.split()
+    )

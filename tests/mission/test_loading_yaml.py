@@ -213,12 +213,12 @@ def test_the_file_holds_what_was_done(order: list[int], line: str, brackets: boo
     assert with_entries(moved, path, [order.index(i) for i in range(3)]) == text
     empty = with_entries(text, path, [])
     added = with_entries(text, path, [order[0], land, *order[1:]])
-    for found, expected in (
+    for changed, expected in (
         (moved, [steps[i] for i in order]),
         (with_entries(text, path, order[:2]), [steps[i] for i in order[:2]]),
         (added, [steps[order[0]], land, *(steps[i] for i in order[1:])]),
         (empty, []),
         (with_entries(empty, path, [land]), [land]),
     ):
-        assert value_at(parse_yaml(found), path) == expected
+        assert value_at(parse_yaml(changed), path) == expected
     assert brackets or ("\r\n" in added) is (line == "\r\n")

@@ -23,9 +23,9 @@ MOVES: tuple[Step, ...] = (
 )
 
 
-def mission(*steps: Step, **kept: Any) -> ho.Problem:
+def mission(*steps: Step, **options: Any) -> ho.Problem:
     team = ho.Team(6, [2.0, 2.02, 2.04, 2.0, 2.01, 2.03])
-    return ho.Problem(team, ho.HitchStart(HEXAGON, 1.2, "balanced"), steps, **kept)
+    return ho.Problem(team, ho.HitchStart(HEXAGON, 1.2, "balanced"), steps, **options)
 
 
 def blended(steps: tuple[Step, ...]) -> tuple[Step, ...]:
@@ -61,9 +61,9 @@ def test_steps_of_all_kinds_are_one_plan_at_rest_in_between() -> None:
 def test_blended_steps_pass_the_hitches_of_the_same_steps_with_stops() -> None:
     stopping, passing = ho.solve(mission(*MOVES)), ho.solve(mission(*blended(MOVES)))
     assert passing.duration < 0.9 * stopping.duration
-    for here, there in zip(passing.phases, stopping.phases, strict=True):
-        state, rest = passing.at(here.end), stopping.at(there.end)
-        assert here.name == there.name
+    for passed, stopped in zip(passing.phases, stopping.phases, strict=True):
+        state, rest = passing.at(passed.end), stopping.at(stopped.end)
+        assert passed.name == stopped.name
         np.testing.assert_allclose(state.vertices, rest.vertices, atol=1e-6)
         np.testing.assert_allclose(state.legs, rest.legs, atol=1e-6)
     for phase in passing.phases[:-1]:
@@ -77,14 +77,14 @@ def test_blended_steps_pass_the_hitches_of_the_same_steps_with_stops() -> None:
 def test_a_blend_that_cannot_be_flown_says_that_a_stop_would_help() -> None:
     with pytest.raises(ho.InfeasibleError, match=r"arena: .*, or leave out blend"):
         ho.solve(PROBLEMS / "infeasible" / "blended_overshoot.yaml")
-    there = ho.MoveVertex(0, by=np.array([-0.15, 0.03]), blend=True)
+    outward = ho.MoveVertex(0, by=np.array([-0.15, 0.03]), blend=True)
     back = ho.MoveVertex(0, by=np.array([0.15, -0.03]))
     with pytest.raises(ho.InfeasibleError, match=r"^blend: .*turns back on itself .* leave out bl"):
-        ho.solve(mission(there, back))
+        ho.solve(mission(outward, back))
 
 
 VERTEX = blended(MOVES)[0]
-STILL = ho.Adjust("balanced", blend=True)
+NO_MOTION = ho.Adjust("balanced", blend=True)
 
 
 @pytest.mark.parametrize(
@@ -92,7 +92,7 @@ STILL = ho.Adjust("balanced", blend=True)
     [
         ([VERTEX, ho.Transport(np.ones(3))], r"\.blend = True: must be false before a transport"),
         ([VERTEX, ho.Morph(HEXAGON, duration=3.0)], r"mission\[1\]\.morph\.duration = 3\.0: must"),
-        ([STILL, STILL, MOVES[0]], r"mission\[0\]\.adjust.*moves something"),
+        ([NO_MOTION, NO_MOTION, MOVES[0]], r"mission\[0\]\.adjust.*moves something"),
     ],
 )
 def test_what_cannot_be_blended_is_refused(steps: list[Step], words: str) -> None:
@@ -102,9 +102,9 @@ def test_what_cannot_be_blended_is_refused(steps: list[Step], words: str) -> Non
 
 def test_errors_name_the_step_that_they_are_of() -> None:
     arena = ho.Arena([-3, -3, 0], [4.2, 5, 2])
-    far = ho.Transport(np.array([3.0, 2.0, 1.2]))
+    transport = ho.Transport(np.array([3.0, 2.0, 1.2]))
     with pytest.raises(ho.InfeasibleError, match=r"arena: .* at the end of step 1 \(transport\)"):
-        ho.solve(mission(MOVES[0], far, arena=arena))
+        ho.solve(mission(MOVES[0], transport, arena=arena))
     short = ho.MoveVertex(0, by=np.array([-0.15, 0.03]), duration=0.1)
     with pytest.raises(ho.InfeasibleError, match=r"duration: .* of step 1 \(move_vertex\)"):
         ho.solve(mission(ho.Hold(0.1), short))
@@ -121,39 +121,40 @@ def arrays_in(value: Any) -> Iterator[np.ndarray]:
 
 
 def test_nothing_can_be_written_into_a_plan() -> None:
-    found = [array for array in arrays_in(ho.solve(mission(ho.Hold(1.0)))) if array.size]
-    assert len(found) > 5
-    for array in found:
+    arrays = [array for array in arrays_in(ho.solve(mission(ho.Hold(1.0)))) if array.size]
+    assert len(arrays) > 5
+    for array in arrays:
         with pytest.raises(ValueError, match="read-only"):
             array[...] = 7.0
 
 
-KNOWN = "reused from cache"
+FROM_CACHE = "reused from cache"
 
 
 def test_after_an_edit_only_what_it_changes_is_planned() -> None:
-    def edited(last: float, **kept: object) -> ho.Problem:
-        there = ho.Transport(np.array([last, 2.2, 1.3]), 0.2)
-        return mission(MOVES[3], ho.Hold(1.0), *blended(MOVES[:2]), there, **kept)
+    def edited(last: float, **options: object) -> ho.Problem:
+        transport = ho.Transport(np.array([last, 2.2, 1.3]), 0.2)
+        return mission(MOVES[3], ho.Hold(1.0), *blended(MOVES[:2]), transport, **options)
 
-    def known(problem: ho.Problem) -> tuple[ho.Plan, list[bool]]:  # of its four motions
-        heard: list[str] = []
-        plan = ho.solve(problem, heard.append)
-        told = [word for word in heard if word == KNOWN or word.startswith("certifying step")]
-        return plan, [word == KNOWN for word in told]
+    def solved(problem: ho.Problem) -> tuple[ho.Plan, list[bool]]:
+        """Return the plan, and whether each of its four motions is from the cache."""
+        reports: list[str] = []
+        plan = ho.solve(problem, reports.append)
+        parts = [x for x in reports if x == FROM_CACHE or x.startswith("certifying step")]
+        return plan, [part == FROM_CACHE for part in parts]
 
-    first, told = known(edited(0.3))
-    assert told == [False] * 4
-    assert known(edited(0.4))[1] == [True, True, True, False]
-    assert known(replace(edited(0.4), title="renamed"))[1] == [True] * 4
-    assert known(edited(0.4, limits=ho.Limits(speed=0.99)))[1] == [False] * 4
-    again, told = known(edited(0.3))
-    assert told == [True] * 4
+    first, cached = solved(edited(0.3))
+    assert cached == [False] * 4
+    assert solved(edited(0.4))[1] == [True, True, True, False]
+    assert solved(replace(edited(0.4), title="renamed"))[1] == [True] * 4
+    assert solved(edited(0.4, limits=ho.Limits(speed=0.99)))[1] == [False] * 4
+    again, cached = solved(edited(0.3))
+    assert cached == [True] * 4
     ho.forget()
-    anew, told = known(edited(0.3))
-    assert told == [False] * 4
-    held = [[array.tobytes() for array in arrays_in(plan)] for plan in (first, again, anew)]
-    assert held[0] == held[1] == held[2]
+    anew, cached = solved(edited(0.3))
+    assert cached == [False] * 4
+    contents = [[array.tobytes() for array in arrays_in(plan)] for plan in (first, again, anew)]
+    assert contents[0] == contents[1] == contents[2]
 
 
 def test_requests_of_other_contents_are_told_apart() -> None:

@@ -1,4 +1,4 @@
-"""Suggestions: each plans when it is written into the file, less does not, and no field is lost."""
+"""Suggestions: as written they are feasible, smaller changes are not, and no field is lost."""
 
 from __future__ import annotations
 
@@ -63,12 +63,12 @@ def suggested(stem: str) -> tuple[ho.Suggestion, ...]:
 @pytest.mark.slow
 @pytest.mark.parametrize("stem", SMALLEST)
 def test_every_suggestion_plans_when_written_into_the_file(stem: str) -> None:
-    found = suggested(stem)
-    assert found[0].change.key == SMALLEST[stem]
-    assert 1 <= len(found) <= 3
-    sizes = [abs(suggestion.change.relative) for suggestion in found]
+    suggestions = suggested(stem)
+    assert suggestions[0].change.key == SMALLEST[stem]
+    assert 1 <= len(suggestions) <= 3
+    sizes = [abs(suggestion.change.relative) for suggestion in suggestions]
     assert sizes == sorted(sizes)
-    for suggestion in found:
+    for suggestion in suggestions:
         assert_as_suggested(read_yaml(CASES[stem]), suggestion)
 
 
@@ -98,15 +98,15 @@ def small(**keys: Any) -> dict[str, Any]:
 
 @pytest.mark.slow
 def test_what_is_late_or_heavy_is_given_time_or_made_lighter() -> None:
-    late, heavy = small(limits={"duration": 7.0}, mission=[LED]), small(team=HEAVY)
+    slow, heavy = small(limits={"duration": 7.0}, mission=[LED]), small(team=HEAVY)
     for data, key in (
-        (late, "mission[0].follow_vertex.path"),
+        (slow, "mission[0].follow_vertex.path"),
         (heavy, "team.load"),
         (heavy, "team.tension"),
     ):
         problem = problem_from_dict(data)
-        found = {s.change.key: s for s in ho.suggestions(problem, PATIENCE)}
-        plan = assert_as_suggested(data, found[key])
+        by_key = {s.change.key: s for s in ho.suggestions(problem, PATIENCE)}
+        plan = assert_as_suggested(data, by_key[key])
         assert data is heavy or plan.duration == pytest.approx(7.0, rel=0.03)
 
 
@@ -128,11 +128,11 @@ def test_suggestions_are_just_beyond_what_statics_need(stem: str, key: str, need
 
 
 def test_experiment_1_tells_metres_and_the_cable_that_would_do() -> None:
-    with pytest.raises(ho.InfeasibleError) as told:
+    with pytest.raises(ho.InfeasibleError) as raised:
         ho.solve(CASES["paper_experiment_1"])
-    apart = 2.0 * 0.12 * told.value.violations[0].value
-    words = f"at the start (t = 0); {apart:.3g} m apart, {0.24 - apart:.3g} m too close: "
-    assert words in str(told.value)
+    distance = 2.0 * 0.12 * raised.value.violations[0].value
+    words = f"at the start (t = 0); {distance:.3g} m apart, {0.24 - distance:.3g} m too close: "
+    assert words in str(raised.value)
     change = suggested("paper_experiment_1")[0].change
     assert change.key == "team.cable_length"
     assert change.new == pytest.approx(2.2, abs=0.04)  # the file's header, found by hand
@@ -171,26 +171,26 @@ def test_faults_of_several_steps_are_repaired_together_and_the_rest_is_named(
     data = small(limits=limits, arena=ARENA, mission=[raised, {"hold": {"seconds": 6.0}}])
     with pytest.raises(ho.InfeasibleError, match=r"not looked at yet: steps 1 \(hold\)$"):
         ho.solve(problem_from_dict(data))
-    found = ho.suggestions(problem_from_dict(data), PATIENCE)[0]
-    assert_as_suggested(data, found)
-    before, change = found.change.before, found.change
+    suggestion = ho.suggestions(problem_from_dict(data), PATIENCE)[0]
+    assert_as_suggested(data, suggestion)
+    before, change = suggestion.change.before, suggestion.change
     assert before is not None
     assert before.key == "arena.upper[2]"
     assert change.key in {"limits.duration", "mission[1].hold.seconds"}
-    assert str(found).startswith(f"suggested change: {before} and {change.key}")
-    told: Any = found.to_dict()
-    assert [each["key"] for each in told["edits"]] == ["arena", change.key]
-    assert told["before"]["key"] == before.key
+    assert str(suggestion).startswith(f"suggested change: {before} and {change.key}")
+    plain: Any = suggestion.to_dict()
+    assert [each["key"] for each in plain["edits"]] == ["arena", change.key]
+    assert plain["before"]["key"] == before.key
 
 
 @pytest.mark.slow
 def test_tension_and_cable_are_changed_together() -> None:
     team = {"robots": 3, "cable_length": 1.9, "tension": 1.4}
     data = small(team=team, start={"hitch": {"polygon": CASE, "altitude": 1.0}})
-    every = ho.suggestions(problem_from_dict(data), PATIENCE)
-    pairs = [{x.key for x in (s.change.before, s.change) if x is not None} for s in every]
+    suggestions = ho.suggestions(problem_from_dict(data), PATIENCE)
+    pairs = [{x.key for x in (s.change.before, s.change) if x is not None} for s in suggestions]
     assert {"limits.tilt_deg", "team.cable_length"} in pairs
-    assert_as_suggested(data, every[pairs.index({"team.tension", "team.cable_length"})])
+    assert_as_suggested(data, suggestions[pairs.index({"team.tension", "team.cable_length"})])
 
 
 @pytest.mark.slow
@@ -202,20 +202,20 @@ def test_faults_behind_others_are_repaired_and_one_quantity_is_named_once() -> N
         start={"hitch": {"polygon": narrow, "altitude": 1.0}},
         mission=[{"morph": {"polygon": grown}}],
     )
-    every = ho.suggestions(problem_from_dict(data), PATIENCE)
-    for found in every:
-        keys = [each.key for each in found.change.together()]
+    suggestions = ho.suggestions(problem_from_dict(data), PATIENCE)
+    for suggestion in suggestions:
+        keys = [each.key for each in suggestion.change.together()]
         assert "team.cable_length" in keys or "polygon" in keys
         assert len(set(keys)) == len(keys) > 1
-    assert_as_suggested(data, every[0])
+    assert_as_suggested(data, suggestions[0])
 
 
 @pytest.mark.slow
 def test_walls_on_several_sides_are_moved_together() -> None:
     data = small(arena={"lower": [-0.6, -0.6, 0], "upper": [0.6, 0.6, 2]})
-    found = {s.change.key: s for s in ho.suggestions(problem_from_dict(data), PATIENCE)}
-    assert_as_suggested(data, found["arena"])
-    corners: Any = found["arena"].change.edits[0].value
+    by_key = {s.change.key: s for s in ho.suggestions(problem_from_dict(data), PATIENCE)}
+    assert_as_suggested(data, by_key["arena"])
+    corners: Any = by_key["arena"].change.edits[0].value
     assert corners["lower"] == [-x for x in corners["upper"][:2]] + [0]
     assert corners["upper"][2] == 2
 
@@ -239,23 +239,26 @@ def test_changes_of_one_quantity_after_each_other_are_one() -> None:
         assert both.old == first.old
         edited_problem = with_edits(problem, both.edits)
         for part in ("arena", "team", "start"):
-            there, expected = (getattr(x, part) for x in (edited_problem, second.problem))
-            assert contents(there) == contents(expected)
+            actual, expected = (getattr(x, part) for x in (edited_problem, second.problem))
+            assert contents(actual) == contents(expected)
 
 
 @pytest.mark.slow
 def test_changes_that_repair_several_faults_are_tried_before_those_that_repair_one() -> None:
-    """Of thrust, tilt and ceiling a lower tension repairs two, and leaves the ceiling."""
+    """A lower tension repairs thrust and tilt, but not the ceiling."""
     team = {"robots": 3, "cable_length": 2.4, "tension": 2.4}
     data = small(
         team=team,
         arena={"lower": [-4, -4, 0], "upper": [4, 4, 3]},
         start={"hitch": {"polygon": CASE, "altitude": 3.2}},
     )
-    found = ho.suggestions(problem_from_dict(data), PATIENCE)[0]
-    assert found.change.before is not None
-    assert (found.change.before.key, found.change.key) == ("team.tension", "arena.upper[2]")
-    assert_as_suggested(data, found)
+    suggestion = ho.suggestions(problem_from_dict(data), PATIENCE)[0]
+    assert suggestion.change.before is not None
+    assert (suggestion.change.before.key, suggestion.change.key) == (
+        "team.tension",
+        "arena.upper[2]",
+    )
+    assert_as_suggested(data, suggestion)
 
 
 @pytest.mark.slow
@@ -270,19 +273,19 @@ def test_obstacles_are_passed_above_or_beside() -> None:
         mission=[{"transport_object": {"object": "tray", "to": [5.5, 0.0, 0.0]}}],
     )
     key = "mission[0].transport_object"
-    with pytest.raises(ho.InfeasibleError) as told:
+    with pytest.raises(ho.InfeasibleError) as raised:
         ho.solve(problem_from_dict(data))
-    assert f"raise {key}.lift, or lead it around by {key}.via" in str(told.value)
-    found = {s.change.key: s for s in ho.suggestions(problem_from_dict(data), PATIENCE)}
-    assert set(found) == {f"{key}.lift", f"{key}.via"}
+    assert f"raise {key}.lift, or lead it around by {key}.via" in str(raised.value)
+    by_key = {s.change.key: s for s in ho.suggestions(problem_from_dict(data), PATIENCE)}
+    assert set(by_key) == {f"{key}.lift", f"{key}.via"}
     # Its base is as far above the pole as objects are from each other.
-    assert found[f"{key}.lift"].change.new == pytest.approx(0.8 + 0.035, abs=0.01)
-    plan = assert_as_suggested(data, found[f"{key}.via"])
-    (edit,) = found[f"{key}.via"].change.edits
+    assert by_key[f"{key}.lift"].change.new == pytest.approx(0.8 + 0.035, abs=0.01)
+    plan = assert_as_suggested(data, by_key[f"{key}.via"])
+    (edit,) = by_key[f"{key}.via"].change.edits
     (place,) = np.array(edit.value)
     times = [phase.end for phase in plan.motion.phases if phase.name == "carry"]
     np.testing.assert_allclose(plan.at(times[0]).object_poses[0, :3], place, atol=1e-9)
-    assert_as_suggested(data, found[f"{key}.lift"])
+    assert_as_suggested(data, by_key[f"{key}.lift"])
 
 
 @pytest.mark.slow
@@ -293,11 +296,11 @@ def test_a_slipping_grip_gets_a_lighter_or_rougher_object(monkeypatch: pytest.Mo
     data |= {"start": {"hitch": {**form["form"]}}, "mission": [carry]}
     (name, body), *_ = data["objects"].items()
     body["mass"] *= 3.0
-    found: Any = {s.change.key: s for s in ho.suggestions(problem_from_dict(data), PATIENCE)}
-    lighter, rougher = (found[f"objects.{name}.{key}"].change.new for key in ("mass", "friction"))
+    by_key: Any = {s.change.key: s for s in ho.suggestions(problem_from_dict(data), PATIENCE)}
+    lighter, rougher = (by_key[f"objects.{name}.{key}"].change.new for key in ("mass", "friction"))
     assert lighter < body["mass"]
     assert body["friction"] < rougher <= 1.0
-    assert_as_suggested(data, found[f"objects.{name}.mass"])
+    assert_as_suggested(data, by_key[f"objects.{name}.mass"])
     body["mass"] = 0.5 * (lighter + body["mass"])
     with pytest.raises(ho.InfeasibleError):
         ho.solve(problem_from_dict(data))
@@ -317,10 +320,10 @@ def test_scaled_outlines_stay_similar_through_all_kinds_of_steps() -> None:
 
 
 def outlines(problem: ho.Problem) -> list[Any]:
-    found: list[Any] = [hitch_start(problem).polygon]
+    polygons: list[Any] = [hitch_start(problem).polygon]
     for step in problem.mission:
-        found.append(step.checked_polygon_after(problem.team, found[-1]))
-    return found
+        polygons.append(step.checked_polygon_after(problem.team, polygons[-1]))
+    return polygons
 
 
 ARC = [[-1.0, 0.0], [-0.5, 0.9], [0.5, 1.1], [1.4, 0.7], [1.7, -0.3]]
@@ -347,14 +350,14 @@ TEAM = ho.Team(
     ],
 )
 def test_repaired_problems_keep_all_fields(edit: Callable[[ho.Problem], Any], changed: str) -> None:
-    """And so has a team whose robots are renumbered."""
+    """A team with renumbered robots keeps them as well."""
     start = ho.HitchStart(ho.Hitch.balanced(TEAM, ARC, 1.1).polygon, 1.1, "balanced")
     problem = ho.Problem(TEAM, start, (ho.Hold(2.0),))
     order, plain = (2, 0, 3, 1), ho.Team(3, 1.0)
-    found = with_edits(problem, edit(problem)).team
+    team = with_edits(problem, edit(problem)).team
     renumbered = Assignment(order, (False, True, False, True)).team(TEAM)
     for name in (field.name for field in fields(ho.Team)):
-        values = [getattr(each, name) for each in (found, TEAM)]
+        values = [getattr(each, name) for each in (team, TEAM)]
         assert np.array_equal(*values) is (name != changed), name
         assert not np.array_equal(getattr(plain, name), values[1]), name
         per_robot = name in {"cable_length", "tension", "quadrotor"}

@@ -25,8 +25,8 @@ SQUARE = ho.regular_polygon(4, 1.2, np.pi / 4)
 
 def places(plan: ho.Plan) -> Array:
     """Positions of drones at shares of a plan's time."""
-    found: Array = plan.at(plan.duration * np.linspace(0.0, 1.0, 41)).positions
-    return found
+    positions: Array = plan.at(plan.duration * np.linspace(0.0, 1.0, 41)).positions
+    return positions
 
 
 def moved(problem: ho.Problem, change: Callable[[Any], Any]) -> ho.Problem:
@@ -38,7 +38,7 @@ def moved(problem: ho.Problem, change: Callable[[Any], Any]) -> ho.Problem:
 
 
 Map = Callable[[Array], Array]
-"""How positions (times, 2n, 3) of a plan become those of the changed problem's."""
+"""Map of positions (times, 2n, 3) of a plan to those of the changed problem."""
 
 Change = Callable[[ho.Problem], tuple[ho.Problem, Map]]
 
@@ -58,10 +58,10 @@ def renumbered(problem: ho.Problem) -> tuple[ho.Problem, Map]:
 
 def mirrored(problem: ho.Problem) -> tuple[ho.Problem, Map]:
     """Edge k of a polygon's image is edge n-2-k; q and r change places. A chain runs back."""
-    n, given = problem.team.robots, problem.team
-    order = (n - 2 - np.arange(n)) % n if given.layout.closed else np.arange(n)[::-1]
-    lengths, tension = given.cable_length[order], given.tension[order]
-    team = ho.Team(n, lengths, topology=given.topology, tension=tension)
+    n, original = problem.team.robots, problem.team
+    order = (n - 2 - np.arange(n)) % n if original.layout.closed else np.arange(n)[::-1]
+    lengths, tension = original.cable_length[order], original.tension[order]
+    team = ho.Team(n, lengths, topology=original.topology, tension=tension)
     drones = np.column_stack([2 * order + 1, 2 * order]).ravel()
     other = replace(moved(problem, lambda p: p.mirrored()), team=team)
     return other, lambda x: x[:, drones] * [-1.0, 1.0, 1.0]

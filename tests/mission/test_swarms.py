@@ -97,7 +97,7 @@ def test_each_kind_has_its_own_loader() -> None:
 
 def test_thrust_and_tilt_limit_what_drones_accelerate() -> None:
     data = full()
-    data["team"]["quadrotor"] = [{"mass": 0.1, "max_thrust": most} for most in (1.1, 9.0)]
+    data["team"]["quadrotor"] = [{"mass": 0.1, "max_thrust": thrust} for thrust in (1.1, 9.0)]
     data["limits"] = {"tilt_deg": 5.0, "acceleration": 20.0, "jerk": 200.0}
     del data["duration"]
     problem, tilted = swarm(data), 9.81 * math.sin(math.radians(5.0))
@@ -122,9 +122,9 @@ def test_a_goal_at_an_object_names_it() -> None:
         "goal": [[3.2, 1.0, 0.6], [0.8, 1.05, 0.3]],
         "objects": {"table": table, "tub": tub},
     }
-    found = ho.solve(any_problem_from_dict(data)).certificate["keep_out"]
-    assert found.bound >= 0.12
-    assert found.where[1] in data["objects"]
+    check = ho.solve(any_problem_from_dict(data)).certificate["keep_out"]
+    assert check.bound >= 0.12
+    assert check.where[1] in data["objects"]
     data["goal"] = [[2.25, 1.0, 0.6], [0.8, 1.05, 0.3]]
     with pytest.raises(ho.InfeasibleError, match=r"keep_out: .* d0, tub at the goals"):
         ho.solve(any_problem_from_dict(data))

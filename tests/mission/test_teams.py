@@ -59,7 +59,7 @@ def test_the_problem_of_every_team_has_its_steps_of_all_items() -> None:
     assert isinstance(b, tuple)
     assert [flight.duration for flight in b] == [None, 4.0]
     np.testing.assert_array_equal(b[0].goal, b[1].start)
-    assert {name: len(asked["mission"]) for name, asked in problem.asked.items()} == {
+    assert {name: len(request["mission"]) for name, request in problem.asked.items()} == {
         "a": 3,
         "b": 2,
     }
@@ -156,16 +156,16 @@ def test_a_team_waits_for_a_plan_that_flies_besides() -> None:
     assert [phase.name for phase in plan.phases] == ["transport", WAIT, "transport"]
     times = np.linspace(0.0, plan.duration, 1001)
     theirs = show.motion.drones.at(np.clip(times, *show.motion.drones.breaks[[0, -1]]))
-    apart = (plan.at(times).positions[:, :, None] - theirs[:, None]) / [0.24, 0.24, 0.6]
+    offsets = (plan.at(times).positions[:, :, None] - theirs[:, None]) / [0.24, 0.24, 0.6]
     worst = plan.certificate["separation"].worst
-    assert np.min(np.linalg.norm(apart, axis=-1)) == pytest.approx(worst, rel=1e-2)
+    assert np.min(np.linalg.norm(offsets, axis=-1)) == pytest.approx(worst, rel=1e-2)
 
 
 def test_the_plan_of_the_show_is_that_of_its_problem() -> None:
-    stored, found = ho.load(PROBLEMS / "show"), planned("swarms/show")
+    stored, plan_ = ho.load(PROBLEMS / "show"), planned("swarms/show")
     assert stored.problem == (PROBLEMS / "swarms" / "show.yaml").read_text()
-    times = np.linspace(0.0, found.duration, 11)
-    np.testing.assert_allclose(stored.at(times).positions, found.at(times).positions, atol=1e-6)
+    times = np.linspace(0.0, plan_.duration, 11)
+    np.testing.assert_allclose(stored.at(times).positions, plan_.at(times).positions, atol=1e-6)
 
 
 def test_other_plans_are_read_beside_the_file_and_must_be_certified(tmp_path: Path) -> None:

@@ -23,8 +23,8 @@ HIGH = LINES + [0.0, 0.0, 2.0]
 
 
 def forming(q: Array, r: Array, **keys: Any) -> ho.Plan:
-    given = {"team": TEAM, "polygon": TRIANGLE, "altitude": 1.5, **keys}
-    return ho.form(q=q, r=r, **given)
+    options = {"team": TEAM, "polygon": TRIANGLE, "altitude": 1.5, **keys}
+    return ho.form(q=q, r=r, **options)
 
 
 def test_a_whole_mission_is_one_plan_with_one_certificate() -> None:
@@ -50,8 +50,8 @@ def test_a_saved_plan_tells_its_roles_and_vertices_while_it_is_tied(tmp_path: Pa
     plan.save(tmp_path, rate=10.0)
     roles, rows = plan.motion.assignment, (tmp_path / "vertices.csv").read_text().splitlines()[1:]
     assert roles is not None
-    told = {"robots": list(roles.robots), "flipped": list(roles.flipped)}
-    assert json.loads((tmp_path / "certificate.json").read_text())["assignment"] == told
+    expected = {"robots": list(roles.robots), "flipped": list(roles.flipped)}
+    assert json.loads((tmp_path / "certificate.json").read_text())["assignment"] == expected
     times, formed = [float(row.split(",")[0]) for row in rows], [p for p in plan.phases if p.formed]
     assert formed[0].start - 1e-9 <= min(times) <= max(times) <= formed[-1].end + 0.1
 
@@ -59,23 +59,23 @@ def test_a_saved_plan_tells_its_roles_and_vertices_while_it_is_tied(tmp_path: Pa
 def test_drones_start_where_the_robots_of_their_roles_are() -> None:
     """Auto: any order of the robots, with ends exchanged, gives the same plan by role."""
     # One robot aside, as mirror images tie; all of them aside would leave the tie.
-    aside = [[0.0, 0.0, 0.0], [0.13, 0.0, 0.0], [0.0, 0.0, 0.0]]
-    left, right = LINES + aside, LINES * MIRROR + aside
-    plan = forming(left, right)
+    offset = [[0.0, 0.0, 0.0], [0.13, 0.0, 0.0], [0.0, 0.0, 0.0]]
+    q_start, r_start = LINES + offset, LINES * MIRROR + offset
+    plan = forming(q_start, r_start)
     order, flip = [2, 0, 1], np.array([[True], [False], [True]])
-    q, r = np.where(flip, right, left)[order], np.where(flip, left, right)[order]
+    q, r = np.where(flip, r_start, q_start)[order], np.where(flip, q_start, r_start)[order]
     other = forming(q, r)
     t = np.linspace(0.0, plan.duration, 101)
     np.testing.assert_allclose(other.at(t).positions, plan.at(t).positions, atol=1e-9)
     roles = other.motion.assignment
     assert roles is not None
-    given = np.stack([q, r], axis=1)[list(roles.robots)]
-    ends = np.where(np.array(roles.flipped)[:, None, None], given[:, ::-1], given)
+    assigned = np.stack([q, r], axis=1)[list(roles.robots)]
+    ends = np.where(np.array(roles.flipped)[:, None, None], assigned[:, ::-1], assigned)
     np.testing.assert_array_equal(other.at(0.0).positions, ends.reshape(-1, 3))
 
 
 def test_hitches_near_the_ground_are_tied_higher_up_and_lowered() -> None:
-    """And raised before they are released."""
+    """Low hitches are also raised before release."""
     plan = forming(LINES, LINES * MIRROR, altitude=0.5)
     assert plan.phases[-1].name == "lower"
     assert "hang" in plan.phases[-1].remark
@@ -140,25 +140,25 @@ def test_scattered_robots_in_the_wrong_order_gather_first() -> None:
     ],
 )
 def test_what_binds_is_told_with_time(q: Array, r: Array, keys: dict[str, Any], binds: str) -> None:
-    with pytest.raises(ho.InfeasibleError) as told:
+    with pytest.raises(ho.InfeasibleError) as raised:
         forming(q, r, **keys)
     when = "step 0" if keys else "at the start (t = 0)"
-    assert binds in {violation.constraint for violation in told.value.violations}
-    assert all(when in violation.when for violation in told.value.violations)
+    assert binds in {violation.constraint for violation in raised.value.violations}
+    assert all(when in violation.when for violation in raised.value.violations)
 
 
 def test_a_cable_through_which_another_robot_would_have_to_be_pulled_is_refused() -> None:
     """Two robots start with crossed cables, one over the other: no certified plan unties them."""
     q = np.array([[-0.6, -0.6, 2.0], [-0.6, 0.6, 2.6], [2.0, 2.0, 2.0]])
     r = np.array([[0.6, 0.6, 2.0], [0.6, -0.6, 2.6], [3.0, 2.0, 2.0]])
-    with pytest.raises(ho.InfeasibleError) as told:
+    with pytest.raises(ho.InfeasibleError) as raised:
         forming(q, r)
-    assert told.value.violations[0].constraint in {"cable_clearance", "crossing"}
+    assert raised.value.violations[0].constraint in {"cable_clearance", "crossing"}
 
 
 @pytest.mark.slow
 def test_nobody_flies_below_the_ground() -> None:
-    """Which is where an arena has its floor."""
+    """The floor of an arena is the ground."""
     for low, altitude in ((0.0, -1.0), (-1.0, 1.2)):
         below = [0.0, 0.0, low]
         with pytest.raises(ho.InfeasibleError, match="over the ground"):
@@ -169,12 +169,12 @@ def test_nobody_flies_below_the_ground() -> None:
 
 HEAVY = ho.Team(3, 2.3, tension=0.7, cable_density=0.01)
 WIDE = ho.regular_polygon(3, 1.3, angle=0.4).vertices + [1.0, -2.0]
-APART = np.array([[-0.7, -1.2, 2.0], [-0.7, 0.0, 2.0], [-0.7, 1.2, 2.0]])
+SEPARATE = np.array([[-0.7, -1.2, 2.0], [-0.7, 0.0, 2.0], [-0.7, 1.2, 2.0]])
 
 
 def laid(team: ho.Team = HEAVY, **keys: Any) -> ho.Plan:
-    given = {"team": team, "polygon": WIDE, "altitude": 1.5, "by": "laying", **keys}
-    return ho.form(q=APART, r=APART * MIRROR, **given)
+    options = {"team": team, "polygon": WIDE, "altitude": 1.5, "by": "laying", **keys}
+    return ho.form(q=SEPARATE, r=SEPARATE * MIRROR, **options)
 
 
 def test_a_mission_lays_opens_closes_and_unlays() -> None:

@@ -51,9 +51,9 @@ def editing(tmp_path: Path) -> Iterator[Editing]:
     path = tmp_path / "problem.yaml"
     path.write_text(TEXT)
     plan = ho.solve(path)
-    made = Editing(TEXT, path, CertifiedMotion(plan.motion, plan.certificate))
-    yield made
-    made.close()
+    editing = Editing(TEXT, path, CertifiedMotion(plan.motion, plan.certificate))
+    yield editing
+    editing.close()
 
 
 @pytest.mark.parametrize("stem", ["lay_hexagon", "join_a_fourth"])
@@ -100,18 +100,18 @@ def test_a_dragged_vertex_is_planned_certified_and_saved(editing: Editing) -> No
 def test_while_a_plan_is_made_the_old_one_is_called_old_and_stale_ones_go(
     editing: Editing, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    first, seen, begun = editing.planned, list[Stage](), list[ho.Problem]()
+    first, stages, problems = editing.planned, list[Stage](), list[ho.Problem]()
     free, entered = threading.Event(), threading.Semaphore(0)
 
     def waiting(problem: ho.Problem, progress: Progress) -> CertifiedMotion:
-        begun.append(problem)
+        problems.append(problem)
         entered.release()
         assert free.wait(30.0)
         progress("going on")
         return solve_problem(problem, progress)
 
     monkeypatch.setattr("hitchopt.view.editing.solve_any", waiting)
-    editing.listener = lambda: seen.append(editing.status.stage)
+    editing.listener = lambda: stages.append(editing.status.stage)
     assert [height_after(first.motion, i) for i in (START, 1)] == pytest.approx([1.2, 1.2])
     editing.put(Edit(SECONDS, 5.0))
     assert entered.acquire(timeout=30.0)
@@ -120,10 +120,10 @@ def test_while_a_plan_is_made_the_old_one_is_called_old_and_stale_ones_go(
     assert ("2.0" in text, status.stage, planned) == (True, Stage.PLANNING, first)
     free.set()
     assert editing.wait()
-    assert len(begun) == 2
+    assert len(problems) == 2
     duration = first.motion.duration + 1.0
     assert editing.planned.motion.duration == pytest.approx(duration, abs=1e-6)
-    assert seen.count(Stage.CURRENT) == 1
+    assert stages.count(Stage.CURRENT) == 1
 
 
 def test_changes_are_undone_and_made_again(editing: Editing) -> None:
@@ -163,19 +163,19 @@ def test_what_binds_is_told_and_a_suggestion_can_be_taken(
 ) -> None:
     first, repairs, edit = editing.planned, list[ho.Suggestion](), Edit("team.cable_length", 2.4)
 
-    def found(
+    def suggest(
         problem: ho.Problem, error: ho.InfeasibleError, **_: Any
     ) -> tuple[ho.Suggestion, ...]:
         assert (problem is editing.problem) is bool(error.violations) is True
         return (*repairs,)
 
-    monkeypatch.setattr("hitchopt.view.editing.find_suggestions", found)
-    for length, told in ((1.6, "no change was found"), (1.61, "")):
+    monkeypatch.setattr("hitchopt.view.editing.find_suggestions", suggest)
+    for length, note in ((1.6, "no change was found"), (1.61, "")):
         editing.put(Edit("team.cable_length", length))
         assert editing.wait()
         _, status, planned = editing.now()
         assert (status.stage, status.suggestions, planned) == (Stage.REFUSED, (*repairs,), first)
-        assert told in status.words
+        assert note in status.words
         names = ("team.cable_length", "", 1.6, 2.4, "m", 0.5)
         repairs.append(ho.Suggestion(ho.Change(*names, editing.problem, (edit,)), 2.0))
     editing.put(*repairs[0].change.edits)
@@ -207,18 +207,18 @@ mission:
 def test_a_handle_goes_where_it_is_dragged(index: int) -> None:
     """Dragged by a vector, every handle is found again at its place plus that vector."""
 
-    def found(text: str) -> dict[str, Handle]:
+    def handles_of(text: str) -> dict[str, Handle]:
         problem = parse_problem(text)
         assert isinstance(problem, ho.Problem)
         return {each.name: each for each in handles(problem, parse_yaml(text), index, 1.0)}
 
-    handled = found(STEPPED)
+    handled = handles_of(STEPPED)
     for name in ("edge 1", "edge 3") if "edge 3" in handled and "vertex 0" in handled else ():
         ends = [handled[f"vertex {(int(name[-1]) + i) % 4}"].place for i in (0, 1)]
         np.testing.assert_allclose(handled[name].place, np.mean(ends, axis=0), atol=1e-9)
     for name, handle in handled.items():
         by = np.array([0.02, -0.03, 0.04 if handle.vertical else 0.0])
-        again = found(handle.dragged(STEPPED, handle.place + by))
+        again = handles_of(handle.dragged(STEPPED, handle.place + by))
         np.testing.assert_allclose(again[name].place, handle.place + by, atol=1e-8)
         assert handle.dragged(STEPPED, handle.place) == STEPPED
 
@@ -235,9 +235,9 @@ def test_a_problem_file_is_planned_and_shown_or_refused(tmp_path: Path) -> None:
     file, page = tmp_path / "problem.yaml", tmp_path / "plan.html"
     command = ["view", str(file), "--save", str(page)]
     file.write_text(TEXT.replace("[2.4, 2.5, 2.4]", "1.9"))  # legs too short to keep apart
-    done = CliRunner().invoke(main, command)
-    assert (done.exit_code, page.exists()) == (3, False)
-    assert "error: separation: " in done.output
+    result = CliRunner().invoke(main, command)
+    assert (result.exit_code, page.exists()) == (3, False)
+    assert "error: separation: " in result.output
     file.write_text(TEXT)
     assert CliRunner().invoke(main, command).exit_code == 0
     assert "# A triangle off the origin." in page.read_text()

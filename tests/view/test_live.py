@@ -40,8 +40,8 @@ def test_drones_and_cables_are_sent_where_the_plan_has_them(live: LiveView, time
     live.seek(time)
     drones, sent = live.motion.drones.at(time), live.server.scene._handle_from_node_name
     for part in ("frame", "rotors", "rims"):
-        found = sent[f"/plan/drones/{part}"].batched_positions
-        np.testing.assert_allclose(found, drones, atol=2e-3)
+        positions = sent[f"/plan/drones/{part}"].batched_positions
+        np.testing.assert_allclose(positions, drones, atol=2e-3)
     trails = sent["/plan/trails"].points.reshape(8, -1, 2, 3)
     begin = live.motion.drones.at(max(0.0, time - TRAIL_DURATION))
     np.testing.assert_allclose(trails[:, 0, 0], begin, atol=0.05)
@@ -65,8 +65,8 @@ def test_the_camera_sees_all_paths_from_near() -> None:
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     depth = away @ forward
-    seen = np.abs(away @ np.stack([right, np.cross(right, forward)], axis=1)) / depth[:, None]
-    shares = np.max(seen, axis=0) / np.tan(0.5 * camera.fov) / [ASPECT, 1.0]
+    slopes = np.abs(away @ np.stack([right, np.cross(right, forward)], axis=1)) / depth[:, None]
+    shares = np.max(slopes, axis=0) / np.tan(0.5 * camera.fov) / [ASPECT, 1.0]
     assert np.all(depth > 0.0)
     assert 0.5 < np.max(shares) < 1.0
 
@@ -78,16 +78,16 @@ def test_a_certificate_that_is_late_and_another_plan_keep_panel_and_switches() -
     assert "certified for all t" in view.head.content
     assert len(labels(view.checks)) == len(made_certificate().checks)
     plots = list(plots_of(view.motion, made_certificate()))
-    shown = [each for each, _ in view._plots]
-    assert [each.title for each in shown] == [p["label"].replace("\n", " ") for p in plots]
-    np.testing.assert_allclose(shown[1].data[1], plots[1]["curves"][0])
+    elements = [each for each, _ in view._plots]
+    assert [each.title for each in elements] == [p["label"].replace("\n", " ") for p in plots]
+    np.testing.assert_allclose(elements[1].data[1], plots[1]["curves"][0])
     time = 0.4 * view.motion.duration
     view.seek(time)
     view._move_cursor()
-    speed = np.interp(time, shown[1].data[0], shown[1].data[1])
+    speed = np.interp(time, elements[1].data[0], elements[1].data[1])
     assert f"at {time:.2f} s" in view.values.content
     assert f"**{speed:.3g}**" in view.values.content
-    for each in shown:
+    for each in elements:
         before, after = each.data[0][np.isfinite(each.data[-1])]
         assert before <= time <= after
     view.live.switch("thrusts", on=True)
@@ -127,8 +127,8 @@ def unpacked(entries: list[dict[str, Any]], text: str, times: int) -> dict[str, 
 
 def parts(path: Path) -> tuple[dict[str, Any], str]:
     """Return data and samples of a report."""
-    found = re.findall(r'<script id="[^>]*>(.*?)</script>', path.read_text("utf-8"), re.DOTALL)
-    return json.loads(found[0]), found[1]
+    scripts = re.findall(r'<script id="[^>]*>(.*?)</script>', path.read_text("utf-8"), re.DOTALL)
+    return json.loads(scripts[0]), scripts[1]
 
 
 @pytest.mark.parametrize("n", [3, 12])
@@ -138,19 +138,19 @@ def test_samples_are_the_plan_s_and_numbers_the_certificate_s(tmp_path: Path, n:
     data, text = parts(tmp_path / "r.html")
     scene = scene_of(motion)
     np.testing.assert_allclose(data["t"], scene.t, atol=1e-6)
-    found = unpacked(data["arrays"], text, len(scene.t))
+    arrays = unpacked(data["arrays"], text, len(scene.t))
     drones = motion.drones.at(scene.t).reshape(len(scene.t), -1)
-    np.testing.assert_allclose(found["drones"], drones, atol=1e-4)
-    np.testing.assert_allclose(found["cables"], scene.cables.reshape(len(scene.t), -1), atol=1e-4)
-    parts_sent, own = {len(each["corners"]) for each in data["drone_parts"]}, data["colours"]
+    np.testing.assert_allclose(arrays["drones"], drones, atol=1e-4)
+    np.testing.assert_allclose(arrays["cables"], scene.cables.reshape(len(scene.t), -1), atol=1e-4)
+    parts_sent, colours = {len(each["corners"]) for each in data["drone_parts"]}, data["colours"]
     assert min(parts_sent) > 0
     frame, rotors, rims = (each["colours"] for each in data["drone_parts"])
-    assert (len(set(frame)), rims) == (1, own)
-    assert rotors[0::2] == own[0::2] == own[1::2] == data["cable_colours"]
+    assert (len(set(frame)), rims) == (1, colours)
+    assert rotors[0::2] == colours[0::2] == colours[1::2] == data["cable_colours"]
     assert set(rotors[1::2]) == {"#ffffff"}  # those of drones r are open
     assert data["checks"][0]["concerned"]["drones"] == [0, 3]
-    kept = [{k: v for k, v in each.items() if k != "concerned"} for each in data["checks"]]
-    assert kept == certificate.to_dict()["checks"]
+    checks = [{k: v for k, v in each.items() if k != "concerned"} for each in data["checks"]]
+    assert checks == certificate.to_dict()["checks"]
     for plot, name in zip(data["plots"], ("separation", "speed", "thrust"), strict=False):
         assert plot["worst"] == {"time": certificate[name].time, "value": certificate[name].worst}
 
@@ -171,8 +171,8 @@ def test_no_text_ends_its_script_and_nothing_is_fetched(tmp_path: Path) -> None:
 def test_report_of_a_directory_has_problem_and_digests(tmp_path: Path) -> None:
     problem = Path(__file__).parents[2] / "problems" / "triangle.yaml"
     out = tmp_path / "out"
-    done = CliRunner().invoke(main, ["solve", str(problem), "-o", str(out), "--report"])
-    assert done.exit_code == 0, done.output
+    result = CliRunner().invoke(main, ["solve", str(problem), "-o", str(out), "--report"])
+    assert result.exit_code == 0, result.output
     data, _ = parts(out / "report.html")
     assert data["problem"] == problem.read_text("utf-8") == ho.load(out).problem
     rows = dict(data["origin"])

@@ -82,15 +82,15 @@ def test_both_ends_are_drawn_from_above_and_vertices_named(motion: ho.Motion) ->
     for k, line in enumerate(dashed):  # at the start, from q to r
         np.testing.assert_allclose(line[[0, -1]], ends[0, 2 * k : 2 * k + 2, :2], atol=1e-6)
     discs = [c for c in axes.collections if isinstance(c, EllipseCollection)]
-    found = np.array([np.asarray(disc.get_offsets()) for disc in discs])
-    np.testing.assert_allclose(found, ends[::-1, :, :2], atol=1e-9)
+    centres = np.array([np.asarray(disc.get_offsets()) for disc in discs])
+    np.testing.assert_allclose(centres, ends[::-1, :, :2], atol=1e-9)
     names = motion.team.point_names
     assert [text.get_text() for text in axes.texts] == list(names if len(names) <= 30 else ())
     (painted,) = (c for c in axes.collections if isinstance(c, PolyCollection))
     corners = np.concatenate([path.vertices for path in painted.get_paths()])
     for end in ends[-1, :, :2]:  # a drone is drawn at its place
-        apart = np.linalg.norm(corners - end, axis=1)
-        assert np.min(apart) < 0.5 * motion.requirements.separation.radius
+        distances = np.linalg.norm(corners - end, axis=1)
+        assert np.min(distances) < 0.5 * motion.requirements.separation.radius
     figure.draw_without_rendering()
     places = axes.transData.transform(motion.vertices.at(motion.duration)[:, :2])
     boxes = [text.get_window_extent().get_points() for text in axes.texts]
@@ -103,16 +103,16 @@ def test_curves_are_the_plan_s_worst_values_at_the_joints_too(motion: ho.Motion)
     states = sample_states(motion)
     assert (states.t[0], states.t[-1]) == (0.0, motion.duration)
     assert set(motion.drones.breaks) <= set(states.t)
-    apart, speed, thrust = panels(motion, states)
+    ratio, speed, thrust = panels(motion, states)
     speeds = np.linalg.norm(motion.drones.at(states.t, 1), axis=-1)
     np.testing.assert_allclose(speed.values, np.max(speeds, axis=1), atol=1e-9)
     shares = np.linalg.norm(states.thrusts(motion.team), axis=-1) / motion.team.max_thrust
     np.testing.assert_allclose(thrust.values, thrust.limit * np.max(shares, axis=1), rtol=1e-8)
     offsets = states.positions[:, :, None] - states.positions[:, None]
-    separation, apartness = motion.requirements.separation, np.eye(offsets.shape[1])
+    separation, same = motion.requirements.separation, np.eye(offsets.shape[1])
     size = 2.0 * np.array([separation.radius, separation.radius, separation.height])
-    ratios = np.linalg.norm(offsets / size, axis=-1) + np.where(apartness, np.inf, 0)
-    np.testing.assert_allclose(apart.values, np.min(ratios, axis=(1, 2)), rtol=1e-9)
+    ratios = np.linalg.norm(offsets / size, axis=-1) + np.where(same, np.inf, 0)
+    np.testing.assert_allclose(ratio.values, np.min(ratios, axis=(1, 2)), rtol=1e-9)
 
 
 @pytest.mark.parametrize("share", [False, True])
@@ -172,13 +172,13 @@ def test_nothing_written_overlaps_or_is_clipped(n: int, gap: float) -> None:
 
 
 def test_the_png_is_written_whatever_the_title(tmp_path: Path) -> None:
-    path, shown = tmp_path / "summary.png", (make_motion(3), made_certificate())
+    path, arguments = tmp_path / "summary.png", (make_motion(3), made_certificate())
     title = "三角 $x_ \\frac{ %s \n second line"
-    save_figure(draw_summary(*shown, title), path)
+    save_figure(draw_summary(*arguments, title), path)
     picture, first = imread(path), path.read_bytes()
     assert picture.shape[:2] == (864, 1560)
     assert 0.02 < np.mean(picture[..., :3] < 0.5) < 0.3  # ink, and not too much of it
-    save_figure(draw_summary(*shown, title), path)
+    save_figure(draw_summary(*arguments, title), path)
     assert path.read_bytes() == first
 
 
@@ -205,17 +205,17 @@ def test_single_drones_are_shown_with_paths_ends_prisms_and_arena(n: int) -> Non
     np.testing.assert_allclose(prism.get_xy()[:3], PRISM.polygon.vertices)
     (arena,) = (p for p in above.patches if isinstance(p, Rectangle))
     assert (arena.get_x(), arena.get_width()) == (1.0, 24.0)
-    said = words(figure)
-    assert any(f"{n} drones, 3 s; certified for all t" in text for text in said)
-    assert ("d0" in said) is (n <= 30)
+    texts = words(figure)
+    assert any(f"{n} drones, 3 s; certified for all t" in text for text in texts)
+    assert ("d0" in texts) is (n <= 30)
     assert len(figure.axes) == (3 if n == 1 else 4)  # a single drone has no separation
 
 
 def test_the_closest_pairs_are_drawn_above_their_bounds() -> None:
     motion = swarm(4)
-    found = closeness(motion, 6)
-    (axes,) = draw_closeness(motion, found).axes
-    pair = found.pairs[0]
+    closest = closeness(motion, 6)
+    (axes,) = draw_closeness(motion, closest).axes
+    pair = closest.pairs[0]
     label = f"{pair.pair[0]}, {pair.pair[1]} (≥ {pair.bound:.3f})"
     (curve,) = (line for line in axes.get_lines() if line.get_label() == label)
     assert pair.bound - 1e-9 <= np.min(np.asarray(curve.get_ydata())) <= 1.01 * pair.bound

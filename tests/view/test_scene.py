@@ -86,13 +86,13 @@ def test_neighbours_are_linked_in_the_hitch_and_not_before(tied: ho.Motion) -> N
     assert not np.any(linking(tied, 0.5 * tied.phases[0].end))
     np.testing.assert_array_equal(linking(tied, tied.duration - 0.1), 1 - np.eye(3))
     for n in (4, 12):  # neighbours alone
-        apart = (np.arange(n)[:, None] - np.arange(n)) % n
-        expected = np.isin(apart, (1, n - 1)).astype(int)
+        distance = (np.arange(n)[:, None] - np.arange(n)) % n
+        expected = np.isin(distance, (1, n - 1)).astype(int)
         np.testing.assert_array_equal(linking(make_motion(n), 1.0), expected)
     team = ho.Team(robots=3, cable_length=2.4, topology="open")
     start = ho.Hitch.spread(team, [[-2.0, 0.0], [-0.7, 0.5], [0.7, 0.5], [2.0, 0.0]], altitude=1.0)
-    found = linking(ho.hold(start, 1.0).motion, 0.5)
-    np.testing.assert_array_equal(found, [[0, 1, 0], [1, 0, 1], [0, 1, 0]])
+    links = linking(ho.hold(start, 1.0).motion, 0.5)
+    np.testing.assert_array_equal(links, [[0, 1, 0], [1, 0, 1], [0, 1, 0]])
 
 
 def test_turning_the_other_way_links_the_other_way(tied: ho.Motion) -> None:
@@ -111,8 +111,8 @@ def test_bends_are_at_the_vertices() -> None:
     scene = scene_at(motion, np.array([0.7]))
     vertices = motion.vertices.at(0.7)
     for which, points in zip(CLASPS, (vertices, np.roll(vertices, -1, axis=0)), strict=True):
-        apart = np.linalg.norm(scene.cables[0, :, which] - points, axis=-1)
-        np.testing.assert_allclose(apart, 2.2 * scene.radius, rtol=1e-6)
+        distances = np.linalg.norm(scene.cables[0, :, which] - points, axis=-1)
+        np.testing.assert_allclose(distances, 2.2 * scene.radius, rtol=1e-6)
 
 
 def test_cables_of_an_open_clasp_run_straight_the_one_that_was_laid_on_top_above() -> None:
@@ -124,10 +124,10 @@ def test_cables_of_an_open_clasp_run_straight_the_one_that_was_laid_on_top_above
     laid, tied, opened = scene.cables
     ahead, behind = laid[:, CLASPS[0]], np.roll(laid[:, CLASPS[1]], 1, axis=0)
     rise = np.sign(heights - np.roll(heights, 1))
-    apart = np.column_stack([np.zeros((6, 2)), 2.0 * scene.radius * rise])
-    np.testing.assert_allclose(ahead - behind, apart, atol=0.1 * scene.radius)
-    apart = (np.arange(6)[:, None] - np.arange(6)) % 6
-    neighbours = np.isin(apart, (1, 5)).astype(int)
+    offset = np.column_stack([np.zeros((6, 2)), 2.0 * scene.radius * rise])
+    np.testing.assert_allclose(ahead - behind, offset, atol=0.1 * scene.radius)
+    offset = (np.arange(6)[:, None] - np.arange(6)) % 6
+    neighbours = np.isin(offset, (1, 5)).astype(int)
     np.testing.assert_array_equal(np.abs(linking_matrix(list(tied))), neighbours)
     neighbours[1, 2] = neighbours[2, 1] = 0  # p2 is open
     np.testing.assert_array_equal(np.abs(linking_matrix(list(opened))), neighbours)
@@ -144,7 +144,7 @@ def test_a_robot_that_joins_lies_on_top_and_is_linked_to_its_neighbours() -> Non
     states = states_at(motion, scene.t)
     np.testing.assert_allclose(scene.cables[:, :, 0], scene.drones[:, 0::2], atol=1e-9)
     np.testing.assert_allclose(scene.cables[:, :, -1], scene.drones[:, 1::2], atol=1e-9)
-    lying, joined, left = scene.cables
+    lying, joined, withdrawn = scene.cables
     for vertex, bend in zip(states.vertices[0, :2], CLASPS, strict=True):
         assert lying[3, bend, 2] == pytest.approx(vertex[2] + scene.radius, abs=0.1 * scene.radius)
     ring = np.zeros((4, 4), int)
@@ -153,8 +153,8 @@ def test_a_robot_that_joins_lies_on_top_and_is_linked_to_its_neighbours() -> Non
     np.testing.assert_array_equal(np.abs(linking_matrix(list(joined))), ring)
     triangle = 1 - np.eye(4, dtype=int)
     triangle[3] = triangle[:, 3] = 0
-    np.testing.assert_array_equal(np.abs(linking_matrix(list(left))), triangle)
-    assert left[3, POINTS // 2, 2] < scene.drones[-1, 6:, 2].min() - 0.1  # it hangs free
+    np.testing.assert_array_equal(np.abs(linking_matrix(list(withdrawn))), triangle)
+    assert withdrawn[3, POINTS // 2, 2] < scene.drones[-1, 6:, 2].min() - 0.1  # it hangs free
 
 
 def test_edges_around_a_circle_are_its_tangents_and_arc() -> None:
@@ -184,10 +184,10 @@ def test_objects_are_where_they_stand(yaw: float) -> None:
 
 
 def test_what_a_check_names_is_found(tied: ho.Motion) -> None:
-    found = highlight_of(
+    parts = highlight_of(
         tied, ("q1", "r2", "cable 0", "p2", "q-leg 1", "phase 3 (swap 1)", "floor")
     )
-    assert (found.drones, found.cables, found.vertices) == ((2, 5), (0, 1), (2,))
+    assert (parts.drones, parts.cables, parts.vertices) == ((2, 5), (0, 1), (2,))
 
 
 def recorded(folder: Path, nodes: Any) -> None:
@@ -202,9 +202,9 @@ def test_a_recorded_flight_is_a_scene(tmp_path: Path) -> None:
     nodes = np.zeros((6, 30, 3), dtype=np.float32)
     nodes[..., 0] = np.arange(30)
     recorded(tmp_path, nodes)
-    found = ghost_scene(tmp_path, motion)
-    np.testing.assert_allclose(found.t, [0.0, 0.1, 0.2, 0.3], atol=1e-12)
-    np.testing.assert_allclose(found.drones[:, :, 0], np.tile([0, 9, 10, 19, 20, 29], (4, 1)))
+    ghost = ghost_scene(tmp_path, motion)
+    np.testing.assert_allclose(ghost.t, [0.0, 0.1, 0.2, 0.3], atol=1e-12)
+    np.testing.assert_allclose(ghost.drones[:, :, 0], np.tile([0, 9, 10, 19, 20, 29], (4, 1)))
     with pytest.raises(ho.FileError, match="a flight of 3 cables"):
         ghost_scene(tmp_path, make_motion(4))
     with pytest.raises(ho.FileError, match="holds neither"):
@@ -217,12 +217,12 @@ def short_scene() -> Scene:
 
 @pytest.mark.slow
 def test_a_film_is_in_real_time_and_shows_the_motion(tmp_path: Path) -> None:
-    done: list[float] = []
+    progress: list[float] = []
     for ending in ("gif", "mp4"):  # 0.31 s at 50/3 and 30 Hz, both ends
-        save_film(tmp_path / f"plan.{ending}", short_scene(), "Three", done.append)
+        save_film(tmp_path / f"plan.{ending}", short_scene(), "Three", progress.append)
     assert imageio.imread(tmp_path / "plan.gif").shape == (7, 720, 1280, 3)
     assert imageio_ffmpeg.count_frames_and_secs(tmp_path / "plan.mp4")[0] == 11
-    assert done == pytest.approx([*(np.arange(1, 8) / 7), *(np.arange(1, 12) / 11)])
+    assert progress == pytest.approx([*(np.arange(1, 8) / 7), *(np.arange(1, 12) / 11)])
     assert {entry.name for entry in tmp_path.iterdir()} == {"plan.gif", "plan.mp4"}
     first, again, last = frames(short_scene(), np.array([0.0, 0.0, 0.2]), "")
     np.testing.assert_array_equal(first, again)
@@ -245,10 +245,10 @@ def test_what_is_nearer_is_painted_later() -> None:
     scene, camera = scene_of(make_motion(4)), Camera.at_angles(-115.0, 32.0)
     moment = scene.at(1.0)
     middles = np.mean(Painter(scene, camera).paint(moment).polygons, axis=1)
-    seen = camera.project(moment.drones)
-    near = np.linalg.norm(middles - seen[:, None, :2], axis=-1) < 0.02
-    last = [np.flatnonzero(each)[-1] for each in near]
-    np.testing.assert_array_equal(np.argsort(last), np.argsort(seen[:, 2]))
+    projected = camera.project(moment.drones)
+    is_near = np.linalg.norm(middles - projected[:, None, :2], axis=-1) < 0.02
+    last = [np.flatnonzero(each)[-1] for each in is_near]
+    np.testing.assert_array_equal(np.argsort(last), np.argsort(projected[:, 2]))
 
 
 def test_objects_are_painted_where_they_stand() -> None:
@@ -259,9 +259,9 @@ def test_objects_are_painted_where_they_stand() -> None:
     expected = camera.project(in_world(box.pose, corners))
     middle = np.mean(expected[:, :2], axis=0)
     polygons = Painter(scene, camera).paint(scene.at(0.0)).polygons
-    seen = polygons[np.all(np.abs(np.mean(polygons, axis=1) - middle) < 0.5, axis=1)]
+    body = polygons[np.all(np.abs(np.mean(polygons, axis=1) - middle) < 0.5, axis=1)]
     for end in (np.min, np.max):
-        np.testing.assert_allclose(end(seen, axis=(0, 1)), end(expected, axis=0)[:2], atol=1e-9)
+        np.testing.assert_allclose(end(body, axis=(0, 1)), end(expected, axis=0)[:2], atol=1e-9)
 
 
 def test_a_film_that_cannot_be_made_is_refused(
@@ -303,9 +303,9 @@ def test_a_scene_has_what_each_group_has_alone() -> None:
     """Drones and cables of each are those of its own scene; one that waits is at its start."""
     for motion in (pair(), pair(others=True)):
         t = np.array([0.0, 0.4, 2.0])
-        scene, own = scene_at(motion, t), motion.flying
+        scene, groups = scene_at(motion, t), motion.flying
         for group, drones, cables in zip(
-            own,
+            groups,
             np.split(scene.drones, [6], axis=1),
             np.split(scene.cables, [3], axis=1),
             strict=True,
@@ -339,8 +339,8 @@ def test_neighbours_differ_by_colour(n: int) -> None:
 
 def test_names_of_checks_are_found_in_their_group() -> None:
     motion = pair()
-    found = highlight_of(motion, ["b.q1", "a.cable 2", "b.edge 1", "b.p0", "q0"])
-    assert (found.drones, found.cables, found.vertices) == ((8,), (2, 4), (3,))
+    parts = highlight_of(motion, ["b.q1", "a.cable 2", "b.edge 1", "b.p0", "q0"])
+    assert (parts.drones, parts.cables, parts.vertices) == ((8,), (2, 4), (3,))
 
 
 @pytest.mark.parametrize("before", ["", "northern_"])
@@ -377,10 +377,10 @@ def test_a_wall_that_is_passed_is_inside_of_a_panel() -> None:
     figure, camera = new_figure((9.0, 3.0), None), Camera.at_angles(AZIMUTH, ELEVATION)
     draw_plan_storyboard(figure.add_gridspec(1, 1)[0], motion, shots)
     figure.draw_without_rendering()
-    seen = camera.project(
+    projected = camera.project(
         in_world(wall.pose, np.array([[*c, z] for c in CORNERS for z in (0, 0.8)]))
     )
-    pixels = figure.axes[1].transData.transform(seen[:, :2])
+    pixels = figure.axes[1].transData.transform(projected[:, :2])
     assert all(figure.axes[1].bbox.contains(*place) for place in pixels)
 
 
@@ -388,9 +388,9 @@ def test_a_robot_that_joins_is_shown_in_pictures_and_reports(tmp_path: Path) -> 
     plan = planned("join_a_fourth")
     words = [shot.words for shot in choose_shots(plan.motion)]
     assert words == ["start", "roll", "lower", "roll", "unroll", "close"]
-    shown = panels(plan.motion, sample_states(plan.motion))
+    quantities = panels(plan.motion, sample_states(plan.motion))
     worst = {check.name: check.bound for check in plan.certificate.checks}
-    for panel in shown[1:]:  # of speed and thrust: never beyond what the certificate found
+    for panel in quantities[1:]:  # of speed and thrust: never beyond what the certificate found
         assert 0.95 * worst[panel.name] < np.max(panel.values) < worst[panel.name] + 1e-9
     plan.view(save=tmp_path / "plan.html")
     text = (tmp_path / "plan.html").read_text(encoding="utf-8")
@@ -398,10 +398,10 @@ def test_a_robot_that_joins_is_shown_in_pictures_and_reports(tmp_path: Path) -> 
     assert data["names"][-1] == "r3"
     assert data["clasps"] == []  # every ring has its own
     (tension,) = [plot for plot in data["plots"] if plot["label"].startswith("tension")]
-    least = [value for value in tension["curves"][0] if value is not None]
-    assert least[-1] == pytest.approx(0.7)  # of the ring: the robot that waits has none
+    smallest = [value for value in tension["curves"][0] if value is not None]
+    assert smallest[-1] == pytest.approx(0.7)  # of the ring: the robot that waits has none
     axes = draw_summary(plan.motion, plan.certificate).axes
-    assert len(axes) == len(words) + len(shown)
+    assert len(axes) == len(words) + len(quantities)
     above = plot_from_above(plan.motion, new_figure((5.0, 5.0)).add_subplot())
     assert {text.get_text() for text in above.texts} == {"p0", "p1", "p2"}
 
