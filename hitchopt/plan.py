@@ -346,10 +346,10 @@ def read_requested_plan(file: Path) -> SavedPlan:
     """Return the contents of a plan file, whose motion is what its problem's text requests."""
     saved = read_saved_plan(file)
     if saved.problem:
-        from hitchopt.mission.loading import asked_in  # heavy, as of all files
+        from hitchopt.mission.loading import request_in  # heavy, as of all files
 
         try:
-            request = asked_in(saved.problem, saved.motion.requirements.objects)
+            request = request_in(saved.problem, saved.motion.requirements.objects)
             check_request(request, saved.motion)
         except InputError as error:
             words = " ".join(str(error).split())

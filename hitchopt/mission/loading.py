@@ -64,7 +64,7 @@ def parse_problem(text: str, name: str = "text", directory: Path = Path()) -> An
         return any_problem_from_dict(data, directory)
 
 
-def asked_in(text: str, objects: Mapping[str, SolidObject]) -> dict[str, Any]:
+def request_in(text: str, objects: Mapping[str, SolidObject]) -> dict[str, Any]:
     """Return the request in the text of a problem file, in the format of ``motion.plan_file``.
 
     The ``objects`` of its plan replace drawings, whose files are not available.

@@ -72,10 +72,7 @@ def resolved_steps(problem: Problem, steps: tuple[Step, ...]) -> tuple[Step, ...
                 check_rollable(f"step {i} ({step.name})", problem.team, problem.requirements)
             if (before is None) is not (outline is None):
                 reason = f"step {i} ({step.name}) {'untied' if outline is None else 'tied'} it"
-            if step.blends and (problem.complete or i + 1 < len(steps)):
-                _check_blend(steps[i + 1 :])
-            if step.blends or (i > 0 and steps[i - 1].blends):
-                _check_untimed(step)
+            _check_blend(steps, i, complete=problem.complete)
         except InputError as error:
             raise error.within(f"mission[{i}].{unresolved.name}") from None
         resolved.append(step)
@@ -130,19 +127,17 @@ class _ObjectStage:
         return _ObjectStage(end, "" if end is Stage.FREE else name, specified)
 
 
-def _check_blend(following: tuple[Step, ...]) -> None:
-    """Raise InputError if a step cannot continue into the following ones without a stop."""
-    if not following:
+def _check_blend(steps: tuple[Step, ...], i: int, *, complete: bool) -> None:
+    """Raise InputError if step i cannot continue into the next one, or has options of its own."""
+    step, following = steps[i], steps[i + 1 : i + 2]
+    if step.blends and complete and not following:
         raise InputError("blend", True, "false in the last step", "leave it out: nothing follows")
-    if not following[0].blendable:
+    if step.blends and following and not following[0].blendable:
         names = ", ".join(kind.name for kind in STEPS if kind.blendable)
         remedy = f"leave it out: only {names} go on into one another"
         raise InputError("blend", True, f"false before a {following[0].name}", remedy)
-
-
-def _check_untimed(step: Step) -> None:
-    """Raise InputError if a blended step is to be optimised or has a duration."""
-    for key in ("optimize", "tension", "duration"):
+    is_blended = step.blends or (i > 0 and steps[i - 1].blends)
+    for key in ("optimize", "tension", "duration") if is_blended else ():
         if vars(step).get(key):
             bound = "left out: it is not allowed on blended steps"
             raise InputError(key, vars(step)[key], bound, f"leave out {key} or blend")

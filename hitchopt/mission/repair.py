@@ -243,11 +243,11 @@ def _smallest_changes(
     sizes = [(i, size) for i, knob in enumerate(knobs) for size in _sizes(knob)]
     trials = [(0.0 if size == knobs[i].min_size else size, i, size) for i, size in sizes]
     last = 0.0
-    for level, i, size in sorted(trials):
+    for rank, i, size in sorted(trials):
         smallest = min((abs(s.change.relative) for s in suggestions), default=math.inf)
-        if level > last and (len(suggestions) >= count or last >= MAX_SIZE_RATIO * smallest):
+        if rank > last and (len(suggestions) >= count or last >= MAX_SIZE_RATIO * smallest):
             break
-        last, knob = level, knobs[i]
+        last, knob = rank, knobs[i]
         if i in closed:
             continue
         verdict = evaluate(change_of(problem, knob, size))
@@ -257,9 +257,7 @@ def _smallest_changes(
             if count == 1:
                 break
         # Larger changes would worsen violations that the knob does not cover.
-        elif verdict == UNMOVED or (
-            level > 0.0 and (verdict is None or not verdict <= knob.covers)
-        ):
+        elif verdict == UNMOVED or (rank > 0.0 and (verdict is None or not verdict <= knob.covers)):
             closed.add(i)
         failed[i] = size
     return suggestions
@@ -274,23 +272,18 @@ def _sizes(knob: Knob) -> list[float]:
 
 
 def _bisect(
-    problem: Problem,
-    knob: Knob,
-    failed: float,
-    size: float,
-    suggestion: Suggestion,
-    evaluate: Evaluator,
+    problem: Problem, knob: Knob, failed: float, size: float, best: Suggestion, evaluate: Evaluator
 ) -> Suggestion:
     """Return the smallest change between a size that failed and one that succeeded."""
     while size - failed > RESOLUTION * (1.0 + size):
         middle = 0.5 * (failed + size)
         change = change_of(problem, knob, middle)
-        rounds_to_last = change is not None and change.new == suggestion.change.new
-        verdict = suggestion if rounds_to_last else evaluate(change)
+        rounds_to_last = change is not None and change.new == best.change.new
+        verdict = best if rounds_to_last else evaluate(change)
         if verdict is None:
             break
         if isinstance(verdict, Suggestion):
-            size, suggestion = middle, verdict
+            size, best = middle, verdict
         else:
             failed = middle
-    return suggestion
+    return best

@@ -209,7 +209,7 @@ def at_around_speed(requirements: Requirements) -> Requirements:
     return replace(requirements, limits=replace(limits, speed=speed, vertex_speed=vertex_speed))
 
 
-def beside_object(task: StepTask, name: str) -> Requirements:
+def requirements_near(task: StepTask, name: str) -> Requirements:
     """Return requirements at low speed without the object that cables may touch."""
     others = {key: each for key, each in task.requirements.objects.items() if key != name}
     return at_around_speed(replace(task.requirements, objects=others))
@@ -345,7 +345,7 @@ class Grasp(TensionStep):
             key, bound = f"objects.{self.object}.rim", "given where it is held by rest"
             raise InputError(key, None, bound, "give it a rim, or grasp it by: grip")
         closed = task.grasp.polygons.closed
-        below, requirements = polygon_at(body, closed), beside_object(task, self.object)
+        below, requirements = polygon_at(body, closed), requirements_near(task, self.object)
         own = requirements.separation
         wider = {key: CLOSING_MARGIN * value for key, value in vars(own).items()}
         with_margin = replace(requirements, separation=replace(own, **wider))
@@ -472,7 +472,7 @@ class Loosen(Step):
         sinking = planner.motion([planner.rim_move(0.0, planner.gap), *lower], self.name)
         low = plan_to(task, replace(freed, hold=hold), sinking, body.place, planner.gap).after
         around = Morph(polygon_at(body, freed.polygons.around))
-        opening = around.plan(task.within(beside_object(task, self.object), low))
+        opening = around.plan(task.within(requirements_near(task, self.object), low))
         motion = step_motion(self, task, [sinking, opening.motion], sinking.phases[0].hold)
         return StepPlan(motion, replace(opening.after, grasp=freed))
 

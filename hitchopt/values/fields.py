@@ -24,14 +24,7 @@ from typing import Any, ParamSpec, TypeVar, get_type_hints
 
 import numpy as np
 
-from hitchopt.errors import (
-    FileError,
-    InputError,
-    JointInputError,
-    OneLine,
-    UnitWarning,
-    one_or_all,
-)
+from hitchopt.errors import FileError, InputError, JointInputError, OneLine, UnitWarning, one_or_all
 from hitchopt.values import (
     FLAG,
     LIST,

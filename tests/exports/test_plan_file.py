@@ -27,7 +27,7 @@ from hitchopt import verify as second
 from hitchopt.checks import certify
 from hitchopt.cli import main
 from hitchopt.errors import FileError
-from hitchopt.mission.loading import asked_in
+from hitchopt.mission.loading import request_in
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import (
     check_request,
@@ -148,7 +148,7 @@ def test_a_plan_comes_back_bit_by_bit_and_asks_what_its_problem_does(
         file = PROBLEMS / f"{kind}.yaml"
         text = file.read_text()
         motion = planned(kind).motion
-        check_request(asked_in(text, motion.requirements.objects), motion)
+        check_request(request_in(text, motion.requirements.objects), motion)
     else:
         motion = kind()
     write_plan(tmp_path / "plan.npz", motion, TITLE)
@@ -267,18 +267,18 @@ def test_a_plan_is_of_its_own_mission_alone() -> None:
     motion = ho.solve(ho.problem_from_dict(problem)).motion
     pulled = [dataclasses.replace(motion.phases[0], tension=(0.35, 0.45)), *motion.phases[1:]]
     for each in (motion, dataclasses.replace(motion, phases=tuple(pulled))):  # less is no fault
-        check_request(asked_in(START + MISSION, {}), each)
+        check_request(request_in(START + MISSION, {}), each)
     wild = dataclasses.replace(motion.phases[0], tension=(0.2, 0.5))
     wilder = dataclasses.replace(motion, phases=(wild, *motion.phases[1:]))
     with pytest.raises(ho.InputError, match=re.escape("asked.mission[0].tension[0] = 0.2")):
-        check_request(asked_in(START + MISSION, {}), wilder)
+        check_request(request_in(START + MISSION, {}), wilder)
     for old, new, key in OTHER_MISSIONS:
         assert old in MISSION
         used = pulled if old == "min: 0.3" else motion.phases
         least = [dataclasses.replace(used[0], tension=(0.3, 0.5)), *used[1:]]
         flown = dataclasses.replace(motion, phases=tuple(least))
         with pytest.raises(ho.InputError, match=re.escape(key)):
-            check_request(asked_in(START + MISSION.replace(old, new), {}), flown)
+            check_request(request_in(START + MISSION.replace(old, new), {}), flown)
 
 
 @pytest.mark.slow
@@ -294,7 +294,7 @@ def test_what_is_carried_is_carried_as_it_was_asked(old: str, new: str, key: str
     text, motion = (PROBLEMS / "carry_box.yaml").read_text(), planned("carry_box").motion
     assert old in text
     with pytest.raises(ho.InputError, match=re.escape(key)):
-        check_request(asked_in(text.replace(old, new), motion.requirements.objects), motion)
+        check_request(request_in(text.replace(old, new), motion.requirements.objects), motion)
 
 
 ASKED = (

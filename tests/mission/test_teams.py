@@ -11,7 +11,7 @@ import pytest
 from plans import PROBLEMS, planned
 
 import hitchopt as ho
-from hitchopt.mission.loading import any_problem_from_dict, asked_in
+from hitchopt.mission.loading import any_problem_from_dict, request_in
 from hitchopt.motion.motion import WAIT
 from hitchopt.motion.plan_file import check_request, is_of, write_plan
 from hitchopt.storage.files import digest
@@ -149,10 +149,10 @@ def test_a_team_waits_for_a_plan_that_flies_besides() -> None:
     assert show.motion.drones.breaks[0] == 8.0
     assert is_of(show, PROBLEMS / "show" / "plan.npz")
     text = (PROBLEMS / "beside_a_show.yaml").read_text()
-    check_request(asked_in(text, {}), plan.motion)
+    check_request(request_in(text, {}), plan.motion)
     for changed_text in (text.replace("at: 8", "at: 9"), text.replace("show: {", "other: {")):
         with pytest.raises(ho.InputError, match=r"asked\.others"):
-            check_request(asked_in(changed_text, {}), plan.motion)
+            check_request(request_in(changed_text, {}), plan.motion)
     assert [phase.name for phase in plan.phases] == ["transport", WAIT, "transport"]
     times = np.linspace(0.0, plan.duration, 1001)
     theirs = show.motion.drones.at(np.clip(times, *show.motion.drones.breaks[[0, -1]]))

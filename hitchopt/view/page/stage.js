@@ -175,14 +175,13 @@ class Stage {
     this.show();
   }
 
-  // The mean place of all drones.
+  // The mean place of all drones, and their maximum distance from it (at least 0.2 m).
   middle() {
     const p = this.arrays.drones.now, sum = new THREE.Vector3();
     for (let i = 0; i < p.length; i += 3) sum.add(new THREE.Vector3(p[i], p[i + 1], p[i + 2]));
     return sum.multiplyScalar(3 / p.length);
   }
 
-  // The maximum distance of drones from their middle, or 0.2 m.
   spread() {
     const p = this.arrays.drones.now, middle = this.middle();
     let radius = 0.2;
