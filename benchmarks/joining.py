@@ -1,4 +1,4 @@
-"""Robots that join hitches in flight, leave them, or replace others, flown with simulated ropes.
+"""Hitches that are laid, joined, left, or that change a robot, flown with simulated ropes.
 
 Usage: python -m benchmarks joining [MISSION ...] [--runs N] [--seed S]
 
@@ -54,6 +54,9 @@ def pentagon() -> ho.Problem:
 
 
 MISSIONS = {
+    "triangle, laid": ("lay_triangle", 1),
+    "hexagon, laid": ("lay_hexagon", 1),
+    "twelve-gon, laid": ("lay_twelve", 1),
     "triangle, a fourth joins": ("join_a_fourth", 2),
     "triangle, a fourth joins and leaves": ("join_a_fourth", 4),
     "square, one is replaced": ("replace_in_flight", 2),
