@@ -1,9 +1,9 @@
-"""The way in: plan a problem, a mission step by step, or one step alone.
+"""The Python interface: plan problems, missions and single steps; simulate and export plans.
 
-``solve`` plans problems and problem files; ``Mission`` builds one step by step, with a method for
-every kind of step; each kind without an object is a function too: ``morph``, ``form``, ….
-Methods and functions come from ``hitchopt.steps.STEPS``, with the arguments and the words of the
-steps' records; ``__init__.pyi`` lists them for type checkers and completion.
+``solve`` plans problems and problem files. ``Mission`` builds a problem step by step, with a method
+for each kind of step. Kinds of steps without an object are functions too: ``morph``, ``form``, ….
+Methods and functions are generated from ``hitchopt.steps.STEPS``, with the arguments and docstrings
+of the steps' records; ``__init__.pyi`` lists them for type checkers and completion.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from hitchopt.simulation.judgement import Simulation
 
 Legs = str | Sequence[float] | ArrayLike | Mapping[str, Any]
-"""Legs as a user writes them: a word, (n,) ``d_k`` [m], or a mapping of sharing and roll_deg."""
+"""Legs as an argument: a mode, (n,) ``d_k`` [m], or a mapping with sharing and roll_deg."""
 
 
 def solve(
@@ -46,26 +46,26 @@ def solve(
     *,
     limit: float | None = None,
 ) -> Plan:
-    """Return the certified plan of a problem, or of the problem file at a path.
+    """Return the certified plan of a problem.
 
     Parameters
     ----------
-    problem: what is to be flown.
-    progress: called with what is being done now.
-    limit: gives up after so many seconds; None: takes as long as it takes.
+    problem: a problem, or the path of a problem file.
+    progress: status callback.
+    limit: time limit [s]; None for none.
 
     Raises
     ------
-    InputError, FileError: a problem that is wrong in itself.
-    InfeasibleError: it cannot be met; says what binds, where and when.
+    InputError, FileError: the problem is invalid.
+    InfeasibleError: the problem cannot be met; lists the limits that bind, where and when.
     TimeLimitError: no plan within ``limit``.
     """
     task = _loaded(problem, Problem, SwarmProblem, TeamsProblem)
     seconds = None if limit is None else positive("limit", limit)
-    with time_limit(seconds, progress) as tell:
-        found = solve_any(task, tell)
-    check_request(task.asked, found.motion)
-    return Plan(found.motion, found.certificate, task.title)
+    with time_limit(seconds, progress) as report:
+        solution = solve_any(task, report)
+    check_request(task.asked, solution.motion)
+    return Plan(solution.motion, solution.certificate, task.title)
 
 
 def separate(
@@ -74,9 +74,9 @@ def separate(
     *,
     limit: float | None = None,
 ) -> Plan:
-    """Return the certified plan of single drones that keep out of each other's downwash.
+    """Return the certified plan of a problem of single drones that avoid each other's downwash.
 
-    Arguments and errors are those of ``solve``, for a problem of single drones or its file.
+    Arguments and errors are those of ``solve``.
     """
     return solve(_loaded(problem, SwarmProblem), progress, limit=limit)
 
@@ -86,15 +86,15 @@ def suggestions(
 ) -> tuple[Suggestion, ...]:
     """Return up to three changes that make a problem feasible, the smallest first.
 
-    There is none where it is feasible already. Each has been verified by planning the problem with
-    it, and is of one quantity, or of two or three where none does alone. None is no proof that
-    there is none.
+    Each change has been verified by planning the changed problem. It affects one quantity, or two
+    or three if no single one suffices. The result is empty if the problem is feasible. An empty
+    result for an infeasible problem is no proof that no change exists.
 
     Parameters
     ----------
-    problem: or the path of a problem file.
-    budget: how long to search [s]; the last plan that was begun is waited for.
-    progress: called with what is being done now.
+    problem: a problem, or the path of a problem file.
+    budget: search time [s]; the last plan is completed.
+    progress: status callback.
     """
     task = _loaded(problem, Problem)
     try:
@@ -107,45 +107,44 @@ def suggestions(
 def repair(
     problem: Problem | str | Path, budget: float = BUDGET, progress: Progress | None = None
 ) -> Plan:
-    """Return the certified plan of a problem, by the smallest change that makes it feasible.
+    """Return the certified plan of a problem with the smallest change that makes it feasible.
 
-    The plan's title names the change; a feasible problem gives the plan of ``solve``. Arguments are
-    those of ``suggestions``; InfeasibleError says what binds where no change was found.
+    The plan's title names the change; a feasible problem is planned unchanged. Arguments are those
+    of ``suggestions``. Raises InfeasibleError if no change is found.
     """
     task = _loaded(problem, Problem)
     try:
         return solve(task, progress)
     except InfeasibleError as error:
-        found = find_suggestions(task, error, budget, progress)
-        if not found:
+        candidates = find_suggestions(task, error, budget, progress)
+        if not candidates:
             note = f"{error.note}\n{NO_CHANGE}" if error.note else NO_CHANGE
             raise InfeasibleError(error.violations, note) from None
-    change = found[0].change
-    found_plan = solve(change.problem, progress)
-    return replace(found_plan, title=f"{task.title} with {change}".strip())
+    change = candidates[0].change
+    return replace(solve(change.problem, progress), title=f"{task.title} with {change}".strip())
 
 
 def _loaded(problem: Any, *kinds: type) -> Any:
-    """Return a problem of one of the kinds, or the one in the file at a path."""
+    """Return a problem of one of the kinds, loaded if it is a path."""
     if isinstance(problem, str | Path):
-        from hitchopt.mission import loading  # heavy, as of all files
+        from hitchopt.mission import loading  # heavy
 
-        read = {Problem: loading.load_problem, SwarmProblem: loading.load_swarm}
-        return (read[kinds[0]] if len(kinds) == 1 else loading.read_problem)(problem)
+        loaders = {Problem: loading.load_problem, SwarmProblem: loading.load_swarm}
+        return (loaders[kinds[0]] if len(kinds) == 1 else loading.read_problem)(problem)
     if not isinstance(problem, kinds):
         names = " or ".join(f"hitchopt.{kind.__name__}" for kind in kinds)
-        remedy = "read one with load_problem, or make one of a dict with problem_from_dict"
+        remedy = "read one with load_problem, or convert a dict with problem_from_dict"
         raise InputError("problem", problem, f"a path or a {names}", remedy)
     return problem.problem if isinstance(problem, Mission) else problem
 
 
 @dataclass(frozen=True, eq=False)
 class Mission(Problem):
-    """A problem that is built step by step; every method returns a longer one.
+    """A problem that is built step by step; every method returns a mission with one more step.
 
-    There is a method for every kind of step, with the arguments of its record: ``form``, ``morph``,
-    ``move_vertex``, …. What is wrong in itself is refused by the step that has it. All but the
-    steps is given as to a Problem.
+    There is a method for each kind of step, with the arguments of its record: ``form``, ``morph``,
+    ``move_vertex``, …. It raises InputError if a step is invalid. The other arguments are those of
+    a Problem.
     """
 
     complete: ClassVar[bool] = False
@@ -158,11 +157,11 @@ class Mission(Problem):
 
     @property
     def problem(self) -> Problem:
-        """The problem that ``solve`` plans; raises InputError where there is no step."""
+        """The problem that ``solve`` plans; raises InputError if the mission has no steps."""
         return Problem(**vars(self))
 
     def then(self, step: Step) -> Self:
-        """Return the mission with one more step, given as its record, if it fits."""
+        """Return the mission with one more step; raises InputError if the step does not fit."""
         check_instance("step", step, Step)
         return replace(self, mission=(*self.mission, step))
 
@@ -172,27 +171,27 @@ class Mission(Problem):
 
 
 class Required(TypedDict, total=False):
-    """Keywords of every function of a step: what the plan must satisfy."""
+    """Keywords of every step function: requirements of the plan."""
 
     limits: Limits | None
     separation: Separation | None
     arena: Arena | None
 
 
-BEGUN = {
+START_PARAMETERS = {
     "start": "start: the hitch at t = 0.",
-    "team": "team: who flies; robot k's drones start at ``q[k]`` and ``r[k]``.\n"
+    "team": "team: the robots; the drones of robot k start at ``q[k]`` and ``r[k]``.\n"
     "q, r: (n, 3) [m], at rest: hovering, or on the ground with their cables between them.",
 }
-"""First parameters of the functions of steps."""
+"""Documentation of the first parameters of step functions."""
 
-PLANNED = """
-limits, separation, arena: what the plan must satisfy; defaults as in a problem file.
+REQUIREMENTS = """
+limits, separation, arena: requirements of the plan; defaults as in a problem file.
 
 Raises
 ------
-InputError: arguments that are wrong in themselves.
-InfeasibleError: it cannot be met; says what binds, where and when.
+InputError: an argument is invalid.
+InfeasibleError: the step cannot be planned; lists the limits that bind, where and when.
 """
 
 
@@ -201,88 +200,86 @@ def _arguments(kind: type[Step]) -> dict[str, Any]:
     return {name: key.default for name, key in keys_of(kind).items()}
 
 
-def _named(
-    made: Callable[..., Any], name: str, arguments: Mapping[str, Any], words: str, listed: str
+def _documented(
+    function: Callable[..., Any], name: str, arguments: Mapping[str, Any], doc: str
 ) -> Callable[..., Any]:
-    """Return a function with a name, a signature with arguments, and a docstring."""
+    """Return a function with a name, a signature with default arguments, and a docstring."""
     either, only = inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY
-    kinds = [only if key in Required.__annotations__ else either for key in arguments]
-    given = [
-        inspect.Parameter(key, kind, default=value)
-        for kind, (key, value) in zip(kinds, arguments.items(), strict=True)
-    ]
-    made.__name__, made.__qualname__ = name.rpartition(".")[2], name
-    made.__doc__ = f"{words}\n\nParameters\n----------\n{listed}"
-    vars(made)["__signature__"] = inspect.Signature(given)
-    return made
+    function.__name__, function.__qualname__ = name.rpartition(".")[2], name
+    function.__doc__ = doc
+    kinds = {key: only if key in Required.__annotations__ else either for key in arguments}
+    listed = [inspect.Parameter(k, kinds[k], default=v) for k, v in arguments.items()]
+    vars(function)["__signature__"] = inspect.Signature(listed)
+    return function
 
 
 def _method(kind: type[Step]) -> Callable[..., Mission]:
     """Return the method of Mission that adds a step of a kind."""
 
-    def add(self: Mission, *args: Any, **kwargs: Any) -> Mission:
+    def method(self: Mission, *args: Any, **kwargs: Any) -> Mission:
         check_keywords(kind.name, [*_arguments(kind)], kwargs)
-        given = inspect.signature(add).bind(self, *args, **kwargs).arguments
-        return self.then(kind(**{key: value for key, value in given.items() if key != "self"}))
+        bound = inspect.signature(method).bind(self, *args, **kwargs).arguments
+        return self.then(kind(**{key: value for key, value in bound.items() if key != "self"}))
 
-    words = f"Return the mission with this step: {_words(kind)}"
-    arguments = {"self": EMPTY, **_arguments(kind)}
-    return _named(add, f"Mission.{kind.name}", arguments, words, parameter_docs(kind))
+    doc = _docstring(kind, "Return the mission with this step", parameter_docs(kind))
+    return _documented(method, f"Mission.{kind.name}", {"self": EMPTY, **_arguments(kind)}, doc)
 
 
 def _function(kind: type[Step]) -> Callable[..., Plan]:
-    """Return the function that plans a step of a kind alone."""
-    arguments = {key: value for key, value in _arguments(kind).items() if key != "blend"}
-    begun = ("team", "q", "r") if kind.needs_hitch is False else ("start",)
+    """Return the function that plans a single step of a kind."""
+    fields = {key: value for key, value in _arguments(kind).items() if key != "blend"}
+    first = ("team", "q", "r") if kind.needs_hitch is False else ("start",)
 
-    def planned(*args: Any, **kwargs: Any) -> Plan:
-        check_keywords(kind.name, [*every], kwargs)
-        given = inspect.signature(planned).bind(*args, **kwargs).arguments
-        kept = {name: given.pop(name, None) for name in Required.__annotations__}
+    def function(*args: Any, **kwargs: Any) -> Plan:
+        check_keywords(kind.name, [*arguments], kwargs)
+        bound = inspect.signature(function).bind(*args, **kwargs).arguments
+        requirements = {name: bound.pop(name, None) for name in Required.__annotations__}
         start: Start
         if kind.needs_hitch is False:
-            team, start = given.pop("team"), DronesStart(given.pop("q"), given.pop("r"))
+            team, start = bound.pop("team"), DronesStart(bound.pop("q"), bound.pop("r"))
             check_instance("team", team, Team)
         else:
-            hitch = start = given.pop("start")
+            hitch = start = bound.pop("start")
             check_instance("start", hitch, Hitch)
             team = hitch.team
-        optional = {key for key, value in arguments.items() if value is not EMPTY}
-        step = kind(**{k: v for k, v in given.items() if v is not None or k not in optional})
-        resolved = step.resolved_for(team)  # what is wrong in itself is said first
+        optional = {key for key, default in fields.items() if default is not EMPTY}
+        step = kind(**{k: v for k, v in bound.items() if v is not None or k not in optional})
+        resolved = step.resolved_for(team)  # invalid arguments are reported first
         resolved.checked_polygon_after(team, start.polygon if isinstance(start, Hitch) else None)
-        chosen: dict[str, Any] = {name: part for name, part in kept.items() if part is not None}
+        specified: dict[str, Any] = {k: v for k, v in requirements.items() if v is not None}
         try:
-            found = solve_problem(Problem(team, start, (resolved,), **chosen))
-        except InputError as error:  # its key is that of an argument here
-            key = re.sub(rf"^(start\.drones|mission\[0\]\.{kind.name})\b\.?", "", error.key)
-            raise InputError(key or kind.name, error.value, error.bound, error.remedy) from None
-        return Plan(found.motion, found.certificate)
+            solution = solve_problem(Problem(team, start, (resolved,), **specified))
+        except InputError as error:
+            argument = re.sub(rf"^(start\.drones|mission\[0\]\.{kind.name})\b\.?", "", error.key)
+            name = argument or kind.name
+            raise InputError(name, error.value, error.bound, error.remedy) from None
+        return Plan(solution.motion, solution.certificate)
 
-    words = f"Return the certified plan of this step alone: {_words(kind)}"
-    listed = f"{BEGUN[begun[0]]}\n{parameter_docs(kind, exclude='blend')}{PLANNED}"
-    every = dict.fromkeys(begun, EMPTY) | arguments | dict.fromkeys(Required.__annotations__)
-    return _named(planned, kind.name, every, words, listed)
-
-
-def _words(kind: type[Step]) -> str:
-    """Return what a kind of step does, without its parameters."""
-    return inspect.cleandoc(kind.__doc__ or "").partition("\n\nParameters")[0]
+    listed = f"{START_PARAMETERS[first[0]]}\n{parameter_docs(kind, exclude='blend')}{REQUIREMENTS}"
+    doc = _docstring(kind, "Return the certified plan of this single step", listed)
+    arguments = dict.fromkeys(first, EMPTY) | fields | dict.fromkeys(Required.__annotations__)
+    return _documented(function, kind.name, arguments, doc)
 
 
-ALONE = tuple(
+def _docstring(kind: type[Step], summary: str, listed: str) -> str:
+    """Return a docstring with the description of a kind of step and a list of parameters."""
+    description = inspect.cleandoc(kind.__doc__ or "").partition("\n\nParameters")[0]
+    return f"{summary}: {description}\n\nParameters\n----------\n{listed}"
+
+
+STEP_FUNCTIONS = tuple(
     kind
     for kind in STEPS
     if (kind.stages is None or kind.stages[0] is Stage.FREE)
     and "object" not in keys_of(kind)
     and kind not in (Settle, Join, Withdraw, Replace)
 )
-"""Kinds of steps that are functions too: those that need neither object nor waiting robot, and
-whose name is free (``hitchopt.settle`` tells where drones that give way come to rest)."""
+"""Kinds of steps that are functions too: those that need neither an object nor an idle robot, and
+whose name is free (``hitchopt.settle`` computes the static equilibrium with compliant drones)."""
 
 for _kind in STEPS:
     setattr(Mission, _kind.name, _method(_kind))
-globals().update({_kind.name: _function(_kind) for _kind in ALONE})
+globals().update({_kind.name: _function(_kind) for _kind in STEP_FUNCTIONS})
 
 
 def simulate(
@@ -294,57 +291,59 @@ def simulate(
     progress: Progress | None = None,
     **settings: Any,
 ) -> Simulation:
-    """Fly a plan's setpoints with simulated ropes in MuJoCo; return the judged flight.
+    """Fly a plan's setpoints with simulated ropes in MuJoCo; return the flight with its results.
 
     Parameters
     ----------
-    plan: a plan with cables, or the directory that one was saved to. The hitches of several teams
-        fly in one world; single drones beside them, and others, are on their set points.
-    preset: ``fast``: whether it holds; ``accurate``: with correct friction, five times slower.
-    perturbed: whether there are the usual disturbances of a flight indoors.
-    perturbations: fields of ``Perturbations`` that differ from those, such as ``wind`` [N].
-    progress: called with what is being done now.
+    plan: a plan with cables, or the directory of a saved one. The hitches of several teams fly in
+        one world; single drones and drones of other plans follow their setpoints exactly.
+    preset: ``fast``: tests whether the hitch holds; ``accurate``: with correct friction, five times
+        slower.
+    perturbed: whether to add the usual disturbances of an indoor flight.
+    perturbations: fields of ``Perturbations`` with other values, such as ``wind`` [N].
+    progress: status callback.
     settings: further fields of ``Settings``: ``seed``, ``friction``, ``density``, ``stiffness``,
         ``pull_test``, ``feedback``; ``controller`` by name, with ``gains``, ``upload`` and an
         ``estimator``: ``ideal``, ``crazyflie``, ``firmware``, ``one_marker``.
 
     Raises
     ------
-    InputError: an argument that is wrong in itself.
+    InputError: an argument is invalid.
     CertificateError: the plan's certificate does not hold.
-    UnsupportedError: mujoco is not installed, single drones alone, or several teams with feedback.
+    UnsupportedError: mujoco is not installed, the plan has only single drones, or several teams and
+        feedback.
     """
-    from hitchopt.simulation.judgement import simulate as simulated
+    from hitchopt.simulation.judgement import simulate as simulate_task
     from hitchopt.simulation.settings import CALM, PRESETS, Settings, settings_of
     from hitchopt.simulation.task import Task, read_task
 
     if text("preset", preset) not in PRESETS:
         raise InputError("preset", preset, " or ".join(PRESETS), "write fast")
-    changes = _known("perturbations", {} if perturbations is None else perturbations, vars(CALM))
-    given = _known("settings", settings, vars(Settings()))
-    usual = flag("perturbed", perturbed)
-    chosen = settings_of(preset, perturbed=usual, **given, **changes)
+    changes = {} if perturbations is None else perturbations
+    _check_names("perturbations", changes, vars(CALM))
+    _check_names("settings", settings, vars(Settings()))
+    is_perturbed = flag("perturbed", perturbed)
+    options = settings_of(preset, perturbed=is_perturbed, **settings, **changes)
     if isinstance(plan, str | Path):
-        return simulated(read_task(Path(plan)), chosen, progress)
+        return simulate_task(read_task(Path(plan)), options, progress)
     check_instance("plan", plan, Plan)
     plan.certificate.raise_if_violated()
-    return simulated(Task.of(plan.motion), chosen, progress)
+    return simulate_task(Task.of(plan.motion), options, progress)
 
 
-def _known(key: str, given: dict[str, Any], names: dict[str, Any]) -> dict[str, Any]:
-    """Return the fields that a user gave, or raise InputError for one that there is not."""
-    if not isinstance(given, dict):
-        raise InputError(key, given, "a dict", f"use the keys {', '.join(names)}")
-    for name in given.keys() - names.keys():
+def _check_names(key: str, options: dict[str, Any], names: dict[str, Any]) -> None:
+    """Raise InputError unless the options are a dict of known names."""
+    if not isinstance(options, dict):
+        raise InputError(key, options, "a dict", f"use the keys {', '.join(names)}")
+    for name in options.keys() - names.keys():
         remedy = closest_word(str(name), [*names])
-        raise InputError(f"{key}.{name}", given[name], "left out", remedy)
-    return given
+        raise InputError(f"{key}.{name}", options[name], "left out", remedy)
 
 
 def export(
     plan: Plan | Path | str, format: str, folder: Path | str, **options: Any
 ) -> tuple[Export, ...]:
-    """Write a plan, or the one in a directory, in a fleet's format; see ``Plan.export``."""
+    """Write a plan, or the one saved in a directory, in a fleet's format; see ``Plan.export``."""
     text("format", format)
     path("folder", folder)
     if isinstance(plan, str | Path):

@@ -1,6 +1,6 @@
 """Error types, the time limit, and short representations of errors and records.
 
-``InputError`` is an invalid value; ``InfeasibleError`` is a valid request that cannot be met, with
+``InputError`` reports an invalid value, ``InfeasibleError`` a valid request that cannot be met and
 the limits that bind. The command line turns them into exit codes 2 and 3.
 """
 
@@ -16,14 +16,14 @@ from contextvars import ContextVar
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from typing import Any, NamedTuple
 
-LONGEST, LONGEST_TEXT, SMALL = 100, 30, 8
-"""Maximum characters of a record's text and of a string in it, and numbers written out."""
+MAX_REPR, MAX_STRING, MAX_ENTRIES = 100, 30, 8
+"""Maximum characters of a ``repr`` and of a string in it, and numbers written out."""
 
 
 class OneLine:
-    """A record whose ``repr`` is one line of at most LONGEST characters.
+    """A record whose ``repr`` is one line of at most MAX_REPR characters.
 
-    It names the fields that differ from their defaults, until the line is full.
+    The line shows the fields that differ from their defaults, until it is full.
     """
 
     def __init_subclass__(cls, **options: Any) -> None:
@@ -47,44 +47,44 @@ class OneLine:
 
 
 def one_line(name: str, parts: Iterable[str]) -> str:
-    """Return ``name(part, …)`` on one line, cut at LONGEST characters."""
-    text = " ".join(f"{name}({', '.join(parts)})".split())  # a user's words may have line breaks
-    return text if len(text) <= LONGEST else f"{text[: LONGEST - 2]}…)"
+    """Return ``name(part, …)`` on one line, truncated to MAX_REPR characters."""
+    text = " ".join(f"{name}({', '.join(parts)})".split())  # a user's string may have line breaks
+    return text if len(text) <= MAX_REPR else f"{text[: MAX_REPR - 2]}…)"
 
 
 def short(value: object) -> str:
-    """Return a value in few characters: arrays by their shape, records by their name."""
+    """Return an abbreviated representation: of large arrays the shape, of records the name."""
     array: Any = value
     if hasattr(value, "dtype") and hasattr(value, "tolist"):
-        same = array.ndim == 1 and array.size > 0 and bool((array == array[0]).all())
-        if not same and array.size > SMALL:
+        constant = array.ndim == 1 and array.size > 0 and bool((array == array[0]).all())
+        if not constant and array.size > MAX_ENTRIES:
             return f"array{array.shape}"
-        value = array[0].item() if same else array.tolist()
+        value = array[0].item() if constant else array.tolist()
     if isinstance(value, float):
         return f"{value:.6g}"
     if isinstance(value, str):
         text = str(value)  # of an enumeration too
-        return repr(text if len(text) <= LONGEST_TEXT else f"{text[: LONGEST_TEXT - 1]}…")
+        return repr(text if len(text) <= MAX_STRING else f"{text[: MAX_STRING - 1]}…")
     if isinstance(value, tuple | list):
-        text = f"[{', '.join(map(short, value[: SMALL + 1]))}]"
-        return text if text.count(", ") < SMALL else f"<{len(value)} entries>"
+        text = f"[{', '.join(map(short, value[: MAX_ENTRIES + 1]))}]"
+        return text if text.count(", ") < MAX_ENTRIES else f"<{len(value)} entries>"
     return repr(value) if isinstance(value, bool | int | None) else f"{type(value).__name__}(…)"
 
 
 class HitchoptError(Exception):
-    """Root of every error that hitchopt raises on purpose."""
+    """Root of all errors that hitchopt raises."""
 
     def __repr__(self) -> str:
         return one_line(type(self).__name__, [repr(str(self))])
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Return how to rebuild it in another process, whatever its constructor takes."""
-        return _restored, (type(self), self.args, vars(self))
+        """Let errors be pickled independently of the arguments of their constructors."""
+        return _unpickled, (type(self), self.args, vars(self))
 
 
-def _restored(kind: type[HitchoptError], args: tuple[object, ...], values: Any) -> HitchoptError:
+def _unpickled(kind: type[HitchoptError], args: tuple[object, ...], attributes: Any) -> Any:
     error = kind.__new__(kind, *args)
-    vars(error).update(values)
+    vars(error).update(attributes)
     return error
 
 
@@ -99,15 +99,15 @@ class Place(NamedTuple):
         return f"{self.file}:{self.line}:{self.column}"
 
 
-FILE_WORDS = {"None": "null", "True": "true", "False": "false"}
-"""Words of files for values whose words in Python differ."""
+YAML_LITERALS = {"None": "null", "True": "true", "False": "false"}
+"""YAML literals of Python constants."""
 
 
 class InputError(HitchoptError, ValueError):
-    """An invalid value: its type, count, range, sign, finiteness or shape.
+    """A value of invalid type, count, range, sign, finiteness or shape.
 
     ``key`` is its path, such as ``mission[0].morph.polygon``, ``bound`` the end of "must be …",
-    ``remedy`` the change to make, and ``place`` its place in a file, if known.
+    ``remedy`` the suggested change, and ``place`` the position in a file, if known.
     """
 
     def __init__(
@@ -118,15 +118,15 @@ class InputError(HitchoptError, ValueError):
         self.bound = bound
         self.remedy = remedy
         self.place = place
-        where = "" if place is None else f"{place}: "
-        shown = _shown(value if place is None else _as_in_file(value))
+        prefix = "" if place is None else f"{place}: "
+        text = _truncated(value if place is None else _as_in_file(value))
         if place is not None and not isinstance(value, str):
-            shown = re.sub(r"\b(None|True|False)\b", lambda word: FILE_WORDS[word[0]], shown)
-        super().__init__(f"{where}{key} = {shown}: must be {bound}; {remedy}")
+            text = re.sub(r"\b(None|True|False)\b", lambda word: YAML_LITERALS[word[0]], text)
+        super().__init__(f"{prefix}{key} = {text}: must be {bound}; {remedy}")
 
     def within(self, parent: str) -> InputError:
         """Return the error with its key prefixed by that of the enclosing mapping ``parent``."""
-        key = _joint_key(parent, self.key)
+        key = _nested_key(parent, self.key)
         return InputError(key, self.value, self.bound, self.remedy, self.place)
 
     def located(self, place_of: Callable[[str], Place | None]) -> InputError:
@@ -135,11 +135,11 @@ class InputError(HitchoptError, ValueError):
 
 
 MAX_LISTED = 20
-"""Maximum number of faults listed for one file."""
+"""Maximum number of errors listed for one file."""
 
 
 class JointInputError(InputError):
-    """Several faults, ``errors``, at once; ``key``, ``value``, … are the first one's."""
+    """Several ``errors`` of one file; ``key``, ``value``, … are those of the first."""
 
     def __init__(self, errors: Sequence[InputError]) -> None:
         first = errors[0]
@@ -159,13 +159,13 @@ class JointInputError(InputError):
         return JointInputError([error.located(place_of) for error in self.errors])
 
 
-def one_or_all(errors: Sequence[InputError]) -> InputError:
-    """Return the only error, or all as one."""
+def joint_error(errors: Sequence[InputError]) -> InputError:
+    """Return the only error, or a JointInputError of several."""
     return errors[0] if len(errors) == 1 else JointInputError(errors)
 
 
 class UnitWarning(UserWarning):
-    """A value, by its key, so unusual that it may have been given in another unit."""
+    """A value so unusual that its unit may be wrong, such as degrees for radians."""
 
     def __init__(self, key: str, words: str) -> None:
         self.key = key
@@ -174,7 +174,7 @@ class UnitWarning(UserWarning):
 
     def within(self, parent: str) -> UnitWarning:
         """Return the warning with its key prefixed by that of the enclosing mapping ``parent``."""
-        return UnitWarning(_joint_key(parent, self.key), self.words)
+        return UnitWarning(_nested_key(parent, self.key), self.words)
 
 
 class FileError(HitchoptError):
@@ -182,7 +182,7 @@ class FileError(HitchoptError):
 
 
 class UnsupportedError(HitchoptError):
-    """A valid request that this version cannot plan yet."""
+    """A valid request that this version, or this installation, does not support."""
 
 
 @dataclass(frozen=True)
@@ -197,8 +197,8 @@ class Violation(OneLine):
     sense: ``min`` if the value must not be below the limit, ``max`` if not above it.
     unit: unit of both, for example ``m`` or ``ratio``.
     where: names of drones, cables or vertices.
-    when: description of the time, for example ``at t = 1.25 s of step 0 (morph)``, as some
-        violations are found before the timing.
+    when: description of the time, for example ``at t = 1.25 s of step 0 (morph)``; violations that
+        are found before the timing have no t.
     remedy: suggested change.
     """
 
@@ -226,7 +226,7 @@ class InfeasibleError(HitchoptError):
         super().__init__("\n".join(lines))
 
     def of_group(self, name: str) -> InfeasibleError:
-        """Return the error as that of one of several groups; itself without a name."""
+        """Return the error with a group's name before its drones; itself if the name is empty."""
         if not name:
             return self
         violations = [
@@ -241,7 +241,7 @@ class InfeasibleError(HitchoptError):
 
 
 class TimeLimitError(InfeasibleError):
-    """Planning ended at its time limit: it is not known whether a plan exists."""
+    """Planning reached its time limit; feasibility is undecided."""
 
 
 def broken_limit(
@@ -249,49 +249,49 @@ def broken_limit(
 ) -> str:
     """Return "name: value is below the limit of … at …", in digits that distinguish the two."""
     relation = "below" if sense == "min" else "above"
-    words = f" {unit}" if unit not in {"", "1", "ratio"} else ""
+    suffix = f" {unit}" if unit not in {"", "1", "ratio"} else ""
     place = f" at {', '.join(where)}" if where else ""
     texts = distinct(value, limit, 6)
-    return f"{name}: {texts[0]}{words} is {relation} the limit of {texts[1]}{words}{place}"
+    return f"{name}: {texts[0]}{suffix} is {relation} the limit of {texts[1]}{suffix}{place}"
 
 
 def distinct(value: float, other: float, digits: int) -> tuple[str, str]:
-    """Return two numbers in significant digits, in more of them where they would look the same."""
+    """Format two numbers in significant digits, in as many as distinguish them."""
     if abs(value) >= sys.float_info.max:  # a contradiction; files hold no infinity
         value = math.copysign(math.inf, value)
     texts = "", ""
-    for each in (digits, 6, 9, 12, 17):
-        texts = f"{value:.{each}g}", f"{other:.{each}g}"
+    for precision in (digits, 6, 9, 12, 17):
+        texts = f"{value:.{precision}g}", f"{other:.{precision}g}"
         if texts[0] != texts[1]:
             break
     return texts
 
 
-def _joint_key(parent: str, key: str) -> str:
-    joint = "" if key.startswith("[") or not key or not parent else "."
-    return f"{parent}{joint}{key}"
+def _nested_key(parent: str, key: str) -> str:
+    separator = "" if key.startswith("[") or not key or not parent else "."
+    return f"{parent}{separator}{key}"
 
 
 def _as_in_file(value: Any) -> object:
-    """Return a value as a file has it: of a record the keys that differ from their defaults."""
+    """Return a value as written in files: a record as its keys without default values."""
     if is_dataclass(value):
-        given = {each.name: (getattr(value, each.name), each.default) for each in fields(value)}
-        return {key: _as_in_file(now) for key, (now, usual) in given.items() if now is not usual}
+        items = {each.name: (getattr(value, each.name), each.default) for each in fields(value)}
+        return {name: _as_in_file(v) for name, (v, default) in items.items() if v is not default}
     value = value.tolist() if hasattr(value, "tolist") else value
     return [_as_in_file(each) for each in value] if isinstance(value, tuple | list) else value
 
 
-def _shown(value: object) -> str:
-    """Return ``value`` in at most 80 characters, short enough for a message."""
+def _truncated(value: object) -> str:
+    """Return the ``repr`` of a value, truncated to 80 characters."""
     try:
         text = repr(value) if isinstance(value, str) else " ".join(repr(value).split())
-    except ValueError:  # Python writes no integer of more than 4300 digits
+    except ValueError:  # Python formats no integer of more than 4300 digits
         text = f"a {type(value).__name__} too long to write"
     return text if len(text) <= 80 else f"{text[:77]}..."
 
 
-# A limit on how long planning may take holds for everything that is called within it, in its own
-# thread only. Loops call check_time; solvers in compiled code receive time_left.
+# The time limit applies to everything that is called in its context, in the same thread only.
+# Loops call check_time; solvers in compiled code receive time_left.
 
 Progress = Callable[[str], None]
 """Status callback: called with a message about the current work."""
@@ -300,51 +300,51 @@ REMEDY = "allow more seconds (limit=), or make the problem easier or smaller"
 
 
 class TimeIsUp(BaseException):
-    """End all planning: no Exception, so that code that tries alternatives does not catch it."""
+    """Planning is out of time; no Exception, lest code that tries alternatives catches it."""
 
 
-_END: ContextVar[float] = ContextVar("end", default=math.inf)
-"""End of the limit on the monotonic clock [s]."""
+_DEADLINE: ContextVar[float] = ContextVar("deadline", default=math.inf)
+"""Time of the monotonic clock at which the limit is reached [s]."""
 
 
 @contextmanager
 def time_limit(seconds: float | None, progress: Progress | None = None) -> Iterator[Progress]:
-    """Limit the time of the context to ``seconds``, if any, and to that of outer contexts.
+    """Limit the time of the context to ``seconds``, if any, and to the limits of outer contexts.
 
-    Yields a status callback; the TimeLimitError shows its last message.
+    Yields a status callback; the TimeLimitError contains its last message.
     """
-    last = ""
+    last_message = ""
 
     def report(message: str) -> None:
-        nonlocal last
-        last = message
+        nonlocal last_message
+        last_message = message
         if progress is not None:
             progress(message)
 
     start = time.monotonic()
-    end = math.inf if seconds is None else start + seconds
-    if seconds is None or _END.get() <= end:  # an outer limit raises its own error
+    deadline = math.inf if seconds is None else start + seconds
+    if seconds is None or _DEADLINE.get() <= deadline:  # an outer limit raises its own error
         yield report
         return
-    token = _END.set(end)
+    token = _DEADLINE.set(deadline)
     try:
         yield report
     except TimeIsUp:
-        when = f"(last: {last})" if last else ""
-        spent = max(time.monotonic() - start, seconds)
-        violation = Violation("time limit", spent, seconds, "max", "s", (), when, REMEDY)
+        when = f"(last: {last_message})" if last_message else ""
+        elapsed = max(time.monotonic() - start, seconds)
+        violation = Violation("time limit", elapsed, seconds, "max", "s", (), when, REMEDY)
         raise TimeLimitError([violation]) from None
     finally:
-        _END.reset(token)
+        _DEADLINE.reset(token)
 
 
 def time_left() -> float:
-    """Return how long planning may still take [s]; infinite without a limit, never below 0."""
-    end = _END.get()
-    return end if math.isinf(end) else max(0.0, end - time.monotonic())
+    """Return the remaining time for planning, at least 0; infinite without a limit [s]."""
+    deadline = _DEADLINE.get()
+    return deadline if math.isinf(deadline) else max(0.0, deadline - time.monotonic())
 
 
 def check_time() -> None:
-    """Raise TimeIsUp if the limit has been reached."""
+    """Raise TimeIsUp if the time limit has been reached."""
     if time_left() <= 0.0:
         raise TimeIsUp

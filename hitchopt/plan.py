@@ -1,4 +1,4 @@
-"""A certified plan: sample, save, export and load it."""
+"""Certified plans: sample, save, export, combine and load them."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ if TYPE_CHECKING:
 class Plan(OneLine):
     """A certified motion of a hitch, or of a swarm without cables.
 
-    It has the polynomials with their team and requirements (``motion``), the checks that hold for
-    all t, the problem's title, and the text of its file, where it came from one.
+    ``motion`` holds the polynomials, the team and the requirements; ``certificate`` the checks over
+    all t; ``title`` and ``problem`` the title and the text of the problem file, if any.
     """
 
     motion: Motion
@@ -66,35 +66,36 @@ class Plan(OneLine):
 
     @property
     def end(self) -> Hitch:
-        """The hitch that the plan ends in, from which another one can go on.
+        """The hitch at the end of the plan, from which another plan can start.
 
-        Raises InputError where it ends with free cables, UnsupportedError with other tensions.
+        Raises InputError if the plan ends with free cables, UnsupportedError if the tensions have
+        changed.
         """
         return final_hitch(self.motion)
 
     def _repr_html_(self) -> str:
-        """Return the card that notebooks show: picture, phases and certificate."""
+        """Return the summary card for notebooks: picture, phases and certificate."""
         from hitchopt.view.pictures import plan_card
 
         return plan_card(self.motion, self.certificate, self.title)
 
     def plot(self, axes: Axes | None = None) -> Axes:
-        """Draw start, paths and end from above on matplotlib axes, and return these.
+        """Draw start, paths and end from above on matplotlib axes, and return the axes.
 
-        None is for a new figure of pyplot's, which notebooks show.
+        Without ``axes``, a new pyplot figure is created.
         """
-        from matplotlib.axes import Axes as AnyAxes
+        from matplotlib import axes as mpl_axes
 
         from hitchopt.view.pictures import plot_from_above
 
-        if axes is not None and not isinstance(axes, AnyAxes):
+        if axes is not None and not isinstance(axes, mpl_axes.Axes):
             raise InputError("axes", axes, "matplotlib axes", "leave it out for a new figure")
         return plot_from_above(self.motion, axes)
 
     def to_dataframe(self, rate: float = 100.0) -> DataFrame:
-        """Return the setpoints as a pandas data frame: the rows of ``setpoints.csv``, and phases.
+        """Return the rows of ``setpoints.csv``, with their phases, as a pandas data frame.
 
-        ``rate`` is that of samples [Hz]; the end is a sample as well. UnsupportedError says where
+        ``rate`` is the sampling rate [Hz]; the end is a sample as well. Raises UnsupportedError if
         pandas is not installed.
         """
         from hitchopt.exports.directory import data_frame
@@ -104,28 +105,28 @@ class Plan(OneLine):
     def at(self, t: ArrayLike) -> States:
         """Return the states of drones and vertices at times t (…) [s]: arrays of leading shape (…).
 
-        A plan stays at rest after its end. Raises InputError for a time before the start.
+        The drones rest after the end. Raises InputError for a time before the start.
         """
         return states_at(self.motion, t)
 
     def abort(self, t: float, how: str = "hold") -> Plan:
-        """Return the plan until a time t [s], and a certified continuation that ends it.
+        """Return the plan up to time t, followed by a certified abort.
 
-        The clock of all drones is slowed to rest as soon as the limits allow, and what follows is
-        planned from there.
+        The common clock of all drones slows to rest as fast as the limits allow. The rest of the
+        abort is planned from there.
 
         Parameters
         ----------
         t: time of the command [s].
-        how: ``hold`` stops and stays; ``back`` stops and flies backward to the last phase in which
-            cables hang free, or to the start without cables; ``release_and_land`` stops, unties
-            what is tied and lands; ``land`` stops and goes straight down, tied or not. An object
-            that has been lifted is set down first, as the plan does.
+        how: ``hold`` stops and stays; ``back`` stops and flies backward to the last phase with free
+            hanging cables, or to the start without cables; ``release_and_land`` stops, unties the
+            hitch and lands; ``land`` stops and descends vertically, tied or not. A lifted object is
+            set down first, as in the plan.
 
         Raises
         ------
-        InputError: a time outside the plan, or another word.
-        InfeasibleError: no such continuation was found; says what binds.
+        InputError: a time outside the plan, or an unknown reaction.
+        InfeasibleError: no abort was found; lists the limits that bind.
         """
         from hitchopt.live.abort import Aborts
 
@@ -142,30 +143,29 @@ class Plan(OneLine):
     ) -> Path:
         """Write plan, setpoints at ``rate`` [Hz], certificate and picture; return the directory.
 
-        With ``report`` there is ``report.html`` as well. Either all files are written or none, even
-        if the process is killed; only files of these names are replaced.
+        With ``report``, ``report.html`` is written as well. Either all files are written or none,
+        even if the process is killed; only files with these names are replaced.
 
         Raises
         ------
         CertificateError: the certificate does not hold.
-        InputError: a rate that is not positive.
-        FileError: the directory cannot be written to.
+        InputError: the rate is not positive.
+        FileError: the directory is not writable.
         """
         from hitchopt.view.pictures import draw_summary
         from hitchopt.view.style import save_figure
 
         motion, folder = self.motion, path("directory", directory)
 
-        def share(fraction: float) -> None:
+        def report_share(fraction: float) -> None:
             if progress is not None:
                 progress(f"writing setpoints, {fraction:.0%}")
 
-        shown = motion, self.certificate, self.title
-        pictures = {SUMMARY: lambda file: save_figure(draw_summary(*shown), file)}
+        content = motion, self.certificate, self.title
+        pictures = {SUMMARY: lambda file: save_figure(draw_summary(*content), file)}
         if flag("report", report):
             pictures[REPORT] = lambda file: self._write_report(file, file.parent)
-        labels = self.title, rate, pictures, share, self.problem
-        return save_plan(folder, motion, self.certificate, *labels)
+        return save_plan(folder, *content, rate, pictures, report_share, self.problem)
 
     def _write_report(self, file: Path, directory: Path, ghost: Path | str | None = None) -> None:
         """Write the report, with the digests of the plan's files in ``directory``."""
@@ -173,18 +173,18 @@ class Plan(OneLine):
         from hitchopt.view.scene import ghost_scene
 
         other = None if ghost is None else ghost_scene(path("ghost", ghost), self.motion)
-        labels = self.title, self.problem, directory, other
-        write_report(file, self.motion, self.certificate, *labels)
+        content = self.motion, self.certificate, self.title, self.problem
+        write_report(file, *content, directory, other)
 
     def report(self, directory: Path | str, *, ghost: Path | str | None = None) -> Path:
         """Write ``report.html``, one file that needs no network, into the plan's directory.
 
-        A ``ghost`` is shown beside the plan: another plan, a simulated flight or an evaluation, by
-        its file or directory.
+        ``ghost`` is the file or directory of another plan, a simulated flight or an evaluation to
+        show for comparison.
         """
-        place = path("directory", directory)
-        writers = {REPORT: lambda file: self._write_report(file, place, ghost)}
-        return replace_files(place, writers, (REPORT,), seal=REPORT) / REPORT
+        folder = path("directory", directory)
+        writers = {REPORT: lambda file: self._write_report(file, folder, ghost)}
+        return replace_files(folder, writers, (REPORT,), seal=REPORT) / REPORT
 
     def view(
         self,
@@ -198,31 +198,31 @@ class Plan(OneLine):
     ) -> LiveView | None:
         """Show the plan live in the browser, or write it to a file.
 
-        The view that is returned is served until it is closed or Python ends.
+        The returned view is served until it is closed or Python ends.
 
         Parameters
         ----------
-        save: file to write in place of serving: .html is the report; .png, .svg and .pdf are the
-            summary, .mp4 and .gif a film in real time.
-        ghost: another plan, a simulated flight or an evaluation that is shown beside it, by its
-            file or directory.
-        host, port: where to listen; if the port is taken the next free one.
+        save: file to write instead of serving: .html is the report; .png, .svg and .pdf the
+            summary; .mp4 and .gif a film in real time.
+        ghost: file or directory of another plan, a simulated flight or an evaluation to show for
+            comparison.
+        host, port: address to listen on; if the port is in use, the next free one.
         browser: whether to open the browser.
-        progress: called with what is done of a film.
+        progress: status callback for films.
 
         Raises
         ------
-        InputError, FileError: another ending of the file's name, or a file that is not accessible.
-        UnsupportedError: viser, or what writes films, is not installed.
+        InputError, FileError: unknown suffix of the file, or a file that is not accessible.
+        UnsupportedError: viser, or a library to write films, is not installed.
         """
         if save is not None:
             if ghost is not None:
-                words = "None where a plan is written to a file"
-                raise InputError("ghost", str(ghost), words, "leave out save: it is shown live")
+                bound = "None where a plan is written to a file"
+                raise InputError("ghost", str(ghost), bound, "leave out save: it is shown live")
             from hitchopt.view.report import save_view
 
-            labels = self.title, self.problem
-            save_view(path("save", save), self.motion, self.certificate, *labels, progress)
+            content = self.motion, self.certificate, self.title, self.problem
+            save_view(path("save", save), *content, progress)
             return None
         import webbrowser
 
@@ -230,8 +230,8 @@ class Plan(OneLine):
         from hitchopt.view.scene import ghost_scene
 
         other = None if ghost is None else ghost_scene(path("ghost", ghost), self.motion)
-        shown = self.motion, self.certificate, self.title
-        live = LiveView(open_server(host, port), *shown, ghost=other)
+        server = open_server(host, port)
+        live = LiveView(server, self.motion, self.certificate, self.title, ghost=other)
         if browser:
             webbrowser.open(live.url)
         return live
@@ -239,44 +239,44 @@ class Plan(OneLine):
     def export(
         self, format: str, folder: Path | str, *, progress: Progress | None = None, **options: Any
     ) -> tuple[Export, ...]:
-        """Write the plan in a fleet's format; return what was written, one entry per part.
+        """Write the plan in a fleet's format; return one entry per part of the plan.
 
-        The files are read back and certified: an export that breaks a limit is refused.
+        The files are read back and certified; an export that violates a limit is refused.
 
         Parameters
         ----------
         format: crazyswarm2, compressed, skybrush, skybrush_csv, mavsdk_drone_show, ros2bag, csv,
             parquet, npz, json or gltf.
-        folder: made if it is missing; only files of an earlier export there are replaced.
-        progress: called with what is being done now.
+        folder: created if it is missing; only files of an earlier export are replaced.
+        progress: status callback.
         options: keywords of ``ExportOptions``, all optional: frame, origin, yaw, fleet,
             rate, stretch, storage, ros_distro, hold_tension, stiffness and damping.
 
         Raises
         ------
-        InputError, FileError: an argument is wrong in itself, or a file cannot be written.
+        InputError, FileError: an argument is invalid, or a file cannot be written.
         CertificateError, InfeasibleError: the certificate does not hold, the format cannot hold
-            the plan, or a limit is broken in the format; nothing is written.
+            the plan, or a limit is violated in the format; nothing is written.
         UnsupportedError: a library that the format needs is not installed.
         """
-        chosen = ExportOptions(text("format", format), **options)
-        return export_motion(self.motion, self.title, chosen, path("folder", folder), progress)
+        parsed = ExportOptions(text("format", format), **options)
+        return export_motion(self.motion, self.title, parsed, path("folder", folder), progress)
 
     def compressed(self, **options: Any) -> tuple[dict[str, bytes], ...]:
         """Return the bytes of every drone's compressed trajectory for Crazyflies, by name.
 
         There is one entry per part of the plan, usually one; each is certified like an export.
-        Drones must ``goTo`` the point where they hover before the next part is uploaded: an upload
+        Drones must ``goTo`` their hover position before the next part is uploaded: an upload
         overwrites the memory from which a finished trajectory is still evaluated. Options and
         errors are those of ``export``.
         """
-        with tempfile.TemporaryDirectory() as place:
+        with tempfile.TemporaryDirectory() as scratch:
             return tuple(
                 {
                     Path(name).stem.rpartition("_")[0]: (part.folder / name).read_bytes()
                     for name in part.files
                 }
-                for part in self.export("compressed", Path(place) / "bytes", **options)
+                for part in self.export("compressed", Path(scratch) / "bytes", **options)
             )
 
 
@@ -286,7 +286,7 @@ def closest(plan: Plan, spans: int = SPANS, picture: Path | str | None = None) -
     Parameters
     ----------
     plan: a plan of at least two drones.
-    spans: number of equal parts of its time; each has the pair that comes closest in it.
+    spans: number of time intervals of equal length; the closest pair of each is returned.
     picture: file to draw the result to (.png, .svg or .pdf), or None.
     """
     check_instance("plan", plan, Plan)
@@ -304,54 +304,54 @@ def closest(plan: Plan, spans: int = SPANS, picture: Path | str | None = None) -
 
 
 def combine(plan: Plan, other: Plan, at: float = 0.0, names: tuple[str, str] = ("a", "b")) -> Plan:
-    """Return two finished plans as one, certified: all limits of both, and distances across.
+    """Return two plans as one, certified for the limits of both and the distances between them.
 
-    Nothing is planned and nothing refused: the certificate says what does not hold, and
-    ``closest`` which pairs of drones come near.
+    Nothing is replanned or refused: the certificate reports violations, and ``closest`` the closest
+    pairs of drones.
 
     Parameters
     ----------
-    plan, other: the plans, at rest before and after their own time.
-    at: when the other one begins on the clock of ``plan``, from 0 on [s].
-    names: of both, which begin the names of their drones: ``a.q0``, ``b.q0``.
+    plan, other: the plans; their drones rest before the start and after the end.
+    at: start time of ``other`` on the clock of ``plan``, at least 0 [s].
+    names: prefixes of the drones' names: ``a.q0``, ``b.q0``.
 
     Raises
     ------
-    InputError: arguments that are wrong in themselves.
+    InputError: an argument is invalid.
     """
     check_instance("plan", plan, Plan)
     check_instance("other", other, Plan)
     at = nonnegative("at", at)
     first, second = (NAME.check(f"names[{k}]", name) for k, name in enumerate(names))
-    later, besides = (
-        [replace(each, motion=shifted(each.motion, at)) for each in some]
-        for some in (other.motion.groups, other.motion.others)
+    other_groups, others = (
+        [replace(each, motion=shifted(each.motion, at)) for each in motions]
+        for motions in (other.motion.groups, other.motion.others)
     )
-    groups = [*named_groups(first, plan.motion.groups), *named_groups(second, later)]
-    motion = combined(groups, [*plan.motion.others, *besides])
+    groups = [*named_groups(first, plan.motion.groups), *named_groups(second, other_groups)]
+    motion = combined(groups, [*plan.motion.others, *others])
     title = " and ".join(filter(None, (plan.title, other.title)))
     return Plan(motion, certify(motion), title)
 
 
 def load(directory: Path | str) -> Plan:
-    """Return the plan in a directory; its certificate is recomputed from its polynomials.
+    """Return the plan in a directory; its certificate is recomputed from the polynomials.
 
-    Raises FileError where there is none, it is damaged, or its motion is not the one requested.
+    Raises FileError if there is no plan, it is damaged, or its motion does not match its request.
     """
     saved = read_requested_plan(path("directory", directory) / PLAN)
     return Plan(saved.motion, certify(saved.motion), saved.title, saved.problem)
 
 
 def read_requested_plan(file: Path) -> SavedPlan:
-    """Return the contents of a plan file, whose motion is what its problem's text requests."""
+    """Return the contents of a plan file; raises FileError if its problem requests another plan."""
     saved = read_saved_plan(file)
     if saved.problem:
-        from hitchopt.mission.loading import request_in  # heavy, as of all files
+        from hitchopt.mission.loading import request_in  # heavy
 
         try:
             request = request_in(saved.problem, saved.motion.requirements.objects)
             check_request(request, saved.motion)
         except InputError as error:
-            words = " ".join(str(error).split())
-            raise FileError(f"{file}: the problem in it differs: {words}") from error
+            reason = " ".join(str(error).split())
+            raise FileError(f"{file}: the problem in it differs: {reason}") from error
     return saved
