@@ -1,1 +1,1 @@
-"""Files: written whole or not at all, and read with bounds on their size."""
+"""Files, written atomically and read with bounds on their size."""

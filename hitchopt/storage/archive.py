@@ -1,7 +1,7 @@
-"""Read zips and npz files from any source, checked before memory is spent on them.
+"""Read zip and npz files from untrusted sources, checked before memory is allocated.
 
-Bytes are compared with the archive's checksum first. Only then is an array's header read, of which
-numpy takes plain literals alone: no text of a file is evaluated as Python.
+Bytes are compared with the archive's checksum before an array's header is parsed. Numpy parses
+headers as plain literals: no text of a file is evaluated as Python.
 """
 
 from __future__ import annotations
@@ -22,55 +22,51 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import FileError, HitchoptError, UnsupportedError
 
-PLAN = "plan.npz"  # Name of the archive with a plan, in the plan's directory
-RECORDING = "recording.npz"  # Name of the shapes of a simulated or evaluated flight
+PLAN = "plan.npz"  # File name of a plan in its directory
+RECORDING = "recording.npz"  # File name of a simulated or evaluated flight
 
-MODEST = 64 * 2**20
-"""[bytes] Members of this size altogether are read whatever they were packed into."""
+MAX_UNCOMPRESSED_SIZE = 64 * 2**20
+"""Total size of members up to which their compression ratio is not checked [B]."""
 
-MAX_EXPANSION = 100
-"""Largest ratio of unpacked members beyond MODEST to their file: more is a decompression bomb.
+MAX_COMPRESSION = 100
+"""Largest ratio of larger members to the size of their file; more is a decompression bomb.
 hitchopt's own plans are not compressed."""
 
-MAX_UNPACKED = 500_000_000  # Size limit of all that is read of one zip, unpacked [B]
+MAX_TOTAL_SIZE = 500_000_000  # Limit of the total size of the members that are read of a zip [B]
 
-MAX_HEADER = 10_000  # [bytes] The longest description of an array's shape that is parsed
+MAX_HEADER = 10_000  # Size limit of an array's header [B]
 
-PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-"""Methods by which members may be packed: those that numpy and shows use."""
+COMPRESSION_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+"""Supported compression methods: those that numpy and Skybrush shows use."""
 
-BROKEN = (
+READ_ERRORS = (
     *(OSError, ValueError, TypeError, LookupError, AttributeError, EOFError, ArithmeticError),
     *(RuntimeError, MemoryError, struct.error, zipfile.BadZipFile, zlib.error, HitchoptError),
 )
-"""Exceptions that readers raise on a file of another kind, or on a damaged one."""
+"""Exceptions that readers raise on damaged files, and on files of another format."""
 
 
 def read_arrays(path: Path, names: Sequence[str]) -> dict[str, NDArray[Any]]:
-    """Return the named arrays of the npz file, read-only; others in it are ignored.
+    """Return the named arrays of an npz file, read-only; others in it are ignored.
 
-    FileError tells of an array that is missing, given twice, of objects, or absurdly large, others
-    of BROKEN of a file that is no such archive, or a damaged one.
+    Raises FileError if an array is missing, duplicated, too large or contains objects, and others
+    of READ_ERRORS if the file is damaged or no npz file.
     """
     with path.open("rb") as file, zipfile.ZipFile(file) as archive:
         listed = archive.namelist()
-        wanted = {name: f"{name}.npy" for name in names}
-        for name, member in wanted.items():
-            if listed.count(member) != 1:
-                raise FileError(f"array {name!r} is in it {listed.count(member)} times, not once")
-        members = [archive.getinfo(member) for member in wanted.values()]
-        refuse_expansion(sum(info.file_size for info in members), path.stat().st_size)
-        return {
-            name: _array(name, checked_bytes(archive, info))
-            for name, info in zip(wanted, members, strict=True)
-        }
+        for name in names:
+            if (count := listed.count(f"{name}.npy")) != 1:
+                raise FileError(f"array {name!r} is in it {count} times, not once")
+        members = {name: archive.getinfo(f"{name}.npy") for name in names}
+        check_expansion(sum(info.file_size for info in members.values()), path.stat().st_size)
+        return {name: _array(name, _read(archive, info)) for name, info in members.items()}
 
 
 @contextlib.contextmanager
 def reading(path: Path, what: str, kind: type[Exception] = HitchoptError) -> Iterator[None]:
-    """Turn what a file that is no ``what``, or a damaged one, raises into a FileError.
+    """Convert errors of readers into FileError: the file at ``path`` is not a valid ``what``.
 
-    ``kind`` is the root of the exceptions of a library that reads it, besides ``BROKEN``.
+    ``kind`` is the base class of the reader's own exceptions, in addition to ``READ_ERRORS``.
     """
     try:
         yield
@@ -80,41 +76,42 @@ def reading(path: Path, what: str, kind: type[Exception] = HitchoptError) -> Ite
         if str(error).startswith(str(path)):
             raise
         raise FileError(f"{path}: {error}") from error
-    except (*BROKEN, kind) as error:
-        words = repr(error) if isinstance(error, LookupError) else str(error).strip()
-        first = (words.splitlines() or [type(error).__name__])[0]
-        raise FileError(f"{path}: is no {what}, or a damaged one: {first}") from error
+    except (*READ_ERRORS, kind) as error:
+        message = repr(error) if isinstance(error, LookupError) else str(error).strip()
+        first_line = (message.splitlines() or [type(error).__name__])[0]
+        raise FileError(f"{path}: is not a valid {what}: {first_line}") from error
 
 
 def read_members(
     path: Path, archive: zipfile.ZipFile, members: Sequence[zipfile.ZipInfo]
 ) -> Iterator[bytes]:
-    """Yield the bytes of files in the archive, one after the other.
+    """Yield the bytes of files in the archive one by one.
 
-    FileError tells that together they are too large, or packed in an unusual manner.
+    Raises FileError if their total size is too large, or their compression method unsupported.
     """
     size = sum(member.file_size for member in members)
-    if size > MAX_UNPACKED:
-        raise FileError(f"its files unpack to {size:.3g} bytes; {MAX_UNPACKED} are the most")
-    refuse_expansion(size, path.stat().st_size)
+    if size > MAX_TOTAL_SIZE:
+        raise FileError(f"its files unpack to {size:.3g} bytes; at most {MAX_TOTAL_SIZE} are read")
+    check_expansion(size, path.stat().st_size)
     for member in members:
-        yield checked_bytes(archive, member)
+        yield _read(archive, member)
 
 
-def refuse_expansion(size: int, packed: int) -> None:
-    """Raise FileError if ``size`` bytes are far more than a file of ``packed`` bytes can hold."""
-    if size > MODEST and size > MAX_EXPANSION * packed:
-        raise FileError(f"it would unpack to {size:.3g} bytes from {packed:.3g}, far too many")
+def check_expansion(size: int, file_size: int) -> None:
+    """Raise FileError if a file of ``file_size`` [B] unpacks to implausibly many bytes."""
+    if size > MAX_UNCOMPRESSED_SIZE and size > MAX_COMPRESSION * file_size:
+        raise FileError(f"it would unpack to {size:.3g} bytes from {file_size:.3g}, far too many")
 
 
-def checked_bytes(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
-    """Return all bytes of a member, which agree with its checksum.
+def _read(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
+    """Return the bytes of a member, verified by its checksum.
 
-    FileError tells of an unusual method, or of another length than the archive says.
+    Raises FileError if its compression method is unsupported, or its size not the one declared.
     """
-    if member.compress_type not in PACKINGS:
-        raise FileError(f"{member.filename!r} is packed by an unknown method; deflate it, or store")
-    with archive.open(member) as stream:  # read to its end, the archive compares its checksum
+    if member.compress_type not in COMPRESSION_METHODS:
+        reason = "has an unsupported compression method; deflate it, or store"
+        raise FileError(f"{member.filename!r} {reason}")
+    with archive.open(member) as stream:  # reading to the end verifies the checksum
         data = stream.read(member.file_size) + stream.read(1)
     if len(data) != member.file_size:
         raise FileError(f"{member.filename!r} has {len(data)} bytes, not {member.file_size}")
@@ -122,23 +119,23 @@ def checked_bytes(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
 
 
 def _array(name: str, data: bytes) -> NDArray[Any]:
-    """Return the array of an npy file; raise FileError if numpy writes no such bytes."""
-    stream, layout = io.BytesIO(data), np.lib.format
+    """Return the array of an npy file; raises FileError if the file is invalid."""
+    stream, npy = io.BytesIO(data), np.lib.format
     try:
-        first = layout.read_magic(stream) == (1, 0)
-        head = layout.read_array_header_1_0 if first else layout.read_array_header_2_0
+        is_first = npy.read_magic(stream) == (1, 0)
+        read_header = npy.read_array_header_1_0 if is_first else npy.read_array_header_2_0
         with warnings.catch_warnings():
-            warnings.simplefilter("error")  # of headers as Python 2 wrote them
-            shape, fortran, dtype = head(stream, max_header_size=MAX_HEADER)
-    except Exception as error:  # its parser raises many, its tokenizer's among them
-        words = f"array {name!r} has a header that numpy does not write: {str(error)[:99]}"
-        raise FileError(words) from error
+            warnings.simplefilter("error")  # on headers written by Python 2
+            shape, fortran, dtype = read_header(stream, max_header_size=MAX_HEADER)
+    except Exception as error:  # numpy's parser raises many types, also of its tokenizer
+        reason = f"array {name!r} has a header that numpy does not write: {str(error)[:99]}"
+        raise FileError(reason) from error
     if dtype.hasobject or dtype.names is not None:
         raise FileError(f"array {name!r} holds objects, not numbers")
-    numbers, claimed = len(data) - stream.tell(), math.prod(shape) * dtype.itemsize
-    if any(length < 0 for length in shape) or claimed != numbers:
-        raise FileError(f"array {name!r} claims {claimed} bytes of numbers and has {numbers}")
-    if claimed == 0:
+    size, declared = len(data) - stream.tell(), math.prod(shape) * dtype.itemsize
+    if any(length < 0 for length in shape) or declared != size:
+        raise FileError(f"array {name!r} claims {declared} bytes of numbers and has {size}")
+    if declared == 0:
         return np.zeros(shape, dtype)
-    whole = np.frombuffer(data, dtype, offset=stream.tell())
-    return whole.reshape(shape, order="F" if fortran else "C")
+    entries = np.frombuffer(data, dtype, offset=stream.tell())
+    return entries.reshape(shape, order="F" if fortran else "C")

@@ -1,9 +1,9 @@
-"""A set of files in a directory, replaced whole.
+"""Replace the set of files in a directory atomically.
 
-Files are written into a hidden folder first, so a writer that fails or is killed leaves the set
-alone. A new directory is that folder, renamed. In one that exists files get their names one by one:
-the ``seal``, say the certificate, is removed first and comes last, and until it is there the set
-that it sealed before is whole in ``previous``. So files beside a seal are of one set.
+Files are written into a hidden staging folder first, so the set survives a writer that fails or is
+killed. A new directory is the staging folder, renamed. In an existing directory files are replaced
+one by one: the ``seal``, for example the certificate, is removed first and written last, and in
+between ``previous`` holds the last complete set. So files next to a seal belong to one set.
 """
 
 from __future__ import annotations
@@ -25,15 +25,14 @@ from hitchopt.errors import FileError
 if sys.platform != "win32":
     import fcntl
 
-PREVIOUS = "previous"  # Name of the subdirectory with the set before
+PREVIOUS = "previous"  # Name of the subdirectory with the last set
 
-Fate = Literal["leave", "keep", "remove"]
-"""Treatment of the set before: none, it stays in PREVIOUS, or only until the new one is
-whole."""
+BackupPolicy = Literal["leave", "keep", "remove"]
+"""Backup of the last set in PREVIOUS: none, permanent, or until the new set is complete."""
 
-STAGE, SUFFIX = ".hitchopt-", ".tmp"  # Beginning and end of the names of hidden folders
+STAGE_PREFIX, STAGE_SUFFIX = ".hitchopt-", ".tmp"  # Prefix and suffix of staging folders
 
-Writer = Callable[[Path], None]  # Function that writes one file at the path that it is given
+Writer = Callable[[Path], None]  # Function that writes one file to a path
 
 
 def replace_files(
@@ -41,69 +40,69 @@ def replace_files(
     writers: Mapping[str, Writer],
     owned: Collection[str],
     seal: str,
-    previous: Fate = "leave",
+    previous: BackupPolicy = "leave",
 ) -> Path:
-    """Let ``directory`` hold the named files and of ``owned`` no others; leave the rest alone.
+    """Write the named files into a directory, and remove the other files of ``owned``.
 
     Parameters
     ----------
-    directory: made if it is missing, with its parents; a symbolic link is followed.
-    writers: for each file's name, what writes it, in this order.
-    owned: the names that may be replaced and removed, those of ``writers`` among them.
-    seal: the name among ``owned`` that marks a whole set.
-    previous: whether the last sealed set goes to the subdirectory ``previous``.
+    directory: created with its parents if it is missing; a symbolic link is followed.
+    writers: the function that writes each file, by name, called in this order.
+    owned: names that may be replaced and removed, those of ``writers`` among them.
+    seal: the name among ``owned`` that marks a complete set.
+    previous: backup policy for the last sealed set.
 
-    Returns the directory as it was given. FileError tells that it is none or cannot be written to;
-    nothing in it has changed then, or the seal is missing.
+    Returns the directory as passed. Raises FileError if it is no directory or not writable; then
+    nothing in it has changed, or the seal is missing.
     """
-    given, missing = Path(directory), list[Path]()
-    if "\0" in str(given):
-        raise FileError(f"{given!r}: is no path; name another directory")
+    folder, missing = Path(directory), list[Path]()
+    if "\0" in str(folder):
+        raise FileError(f"{folder!r}: is no path; name another directory")
     try:
-        target = Path(os.path.realpath(given))
+        target = Path(os.path.realpath(folder))
         if target.exists() and not target.is_dir():
-            raise FileError(f"{given}: is a file, not a directory; name another one")
+            raise FileError(f"{folder}: is a file, not a directory; name another one")
         for path in (target / name for name in owned):
             if path.is_dir() and not path.is_symlink():
                 raise FileError(f"{path}: is a directory where a file is to go; move it away")
-        last = target / PREVIOUS
-        if previous != "leave" and (last.is_symlink() or last.is_file()):
-            raise FileError(f"{last}: is where hitchopt keeps the last plan; move it away")
+        backup = target / PREVIOUS
+        if previous != "leave" and (backup.is_symlink() or backup.is_file()):
+            raise FileError(f"{backup}: is where hitchopt keeps the last plan; move it away")
         missing = [parent for parent in target.parents if not parent.exists()]
         target.parent.mkdir(parents=True, exist_ok=True)
-        with _staged(target, owned) as stage:
+        with _staging_folder(target, owned) as stage:
             for name, write in writers.items():
                 write(stage / name)
-                sync(stage / name)
-            sync(stage)
-            with locked(target.parent):
+                _sync(stage / name)
+            _sync(stage)
+            with _directory_lock(target.parent):
                 _exchange(target, stage, set(writers), set(owned), seal, previous)
     except OSError as error:
-        culprit = f" ({Path(error.filename).name})" if isinstance(error.filename, str) else ""
-        words = f"{error.strerror or error}{culprit}; free space there, or name another directory"
-        raise FileError(f"{given}: cannot be written: {words}") from error
+        file = f" ({Path(error.filename).name})" if isinstance(error.filename, str) else ""
+        reason = f"{error.strerror or error}{file}; free space there, or name another directory"
+        raise FileError(f"{folder}: cannot be written: {reason}") from error
     finally:
         for parent in missing:
             with contextlib.suppress(OSError):  # not empty: it is in use now
                 parent.rmdir()
-    return given
+    return folder
 
 
 @contextlib.contextmanager
-def _staged(target: Path, owned: Collection[str]) -> Iterator[Path]:
-    """Give a new hidden folder to write into; remove it, and those of writers that were killed.
+def _staging_folder(target: Path, owned: Collection[str]) -> Iterator[Path]:
+    """Create a staging folder for the context; remove those of killed writers.
 
-    A writer holds the lock of its own hidden folder, which ends with its process.
+    A writer locks its own staging folder; the lock ends with the process.
     """
     home = target if target.exists() else target.parent
-    stage = home / f"{STAGE}{secrets.token_hex(4)}{SUFFIX}"
-    with contextlib.ExitStack() as held:
-        with locked(target.parent):
-            for left in home.glob(f"{STAGE}*{SUFFIX}"):
-                with contextlib.suppress(BlockingIOError), locked(left, wait=False):
-                    _remove(left, owned)
+    stage = home / f"{STAGE_PREFIX}{secrets.token_hex(4)}{STAGE_SUFFIX}"
+    with contextlib.ExitStack() as stack:
+        with _directory_lock(target.parent):
+            for stale in home.glob(f"{STAGE_PREFIX}*{STAGE_SUFFIX}"):
+                with contextlib.suppress(BlockingIOError), _directory_lock(stale, wait=False):
+                    _remove(stale, owned)
             stage.mkdir()
-            held.enter_context(locked(stage))
+            stack.enter_context(_directory_lock(stage))
         try:
             yield stage
         finally:
@@ -111,49 +110,49 @@ def _staged(target: Path, owned: Collection[str]) -> Iterator[Path]:
 
 
 def _exchange(
-    target: Path, stage: Path, written: set[str], owned: set[str], seal: str, previous: Fate
+    target: Path, stage: Path, new: set[str], owned: set[str], seal: str, previous: BackupPolicy
 ) -> None:
-    """Put the files of a hidden folder in place of the set."""
+    """Replace the set of files by those of the staging folder."""
     if not target.exists():
         stage.rename(target)
-        sync(target.parent)
+        _sync(target.parent)
         return
     if previous != "leave" and (target / seal).is_file():
-        _keep(target, owned)
-    for name in sorted(owned - written | {seal}, key=lambda name: name != seal):
+        _back_up(target, owned)
+    for name in sorted(owned - new | {seal}, key=lambda name: name != seal):
         (target / name).unlink(missing_ok=True)
-    sync(target)
-    for name in sorted(written, key=lambda name: name == seal):
+    _sync(target)
+    for name in sorted(new, key=lambda name: name == seal):
         (stage / name).replace(target / name)
-    sync(target)
+    _sync(target)
     if previous == "remove":
         _remove(target / PREVIOUS, owned)
 
 
-def _keep(target: Path, owned: Collection[str]) -> None:
-    """Give the set's files second names in PREVIOUS, in place of the set there."""
-    last = target / PREVIOUS
-    _remove(last, owned)
-    last.mkdir(exist_ok=True)  # others' files may be in it
+def _back_up(target: Path, owned: Collection[str]) -> None:
+    """Replace the set in PREVIOUS by hard links to the current files."""
+    backup = target / PREVIOUS
+    _remove(backup, owned)
+    backup.mkdir(exist_ok=True)  # it may contain files that are not owned
     for name in (name for name in owned if (target / name).is_file()):
         try:
-            os.link(target / name, last / name)
-        except OSError:  # a file system without such links
-            shutil.copy2(target / name, last / name)
-        sync(last / name)
-    sync(last)
+            os.link(target / name, backup / name)
+        except OSError:  # a file system without hard links
+            shutil.copy2(target / name, backup / name)
+        _sync(backup / name)
+    _sync(backup)
 
 
 def _remove(directory: Path, owned: Collection[str]) -> None:
-    """Remove our files from a directory, and itself unless others' are in it."""
+    """Remove the owned files from a directory, and the directory if it is empty then."""
     with contextlib.suppress(OSError):
         for name in owned:
             (directory / name).unlink(missing_ok=True)
         directory.rmdir()
 
 
-def sync(path: Path) -> None:
-    """Make what was written to a file or directory outlast a loss of power, where that works."""
+def _sync(path: Path) -> None:
+    """Flush a file or directory to disk, where the system supports it."""
     with contextlib.suppress(OSError):
         descriptor = os.open(path, os.O_RDONLY)
         try:
@@ -163,21 +162,22 @@ def sync(path: Path) -> None:
 
 
 @contextlib.contextmanager
-def locked(directory: Path, *, wait: bool = True) -> Iterator[None]:
-    """Hold the lock of a directory within the block, where there are locks; others wait for it.
+def _directory_lock(directory: Path, *, wait: bool = True) -> Iterator[None]:
+    """Lock a directory within the context, where the system supports locks.
 
-    BlockingIOError tells that it is held elsewhere, if this is not to wait.
+    Raises BlockingIOError if another process holds the lock and ``wait`` is false.
     """
-    with contextlib.ExitStack() as held:
+    with contextlib.ExitStack() as stack:
         if sys.platform != "win32":
             with contextlib.suppress(PermissionError, FileNotFoundError):
                 descriptor = os.open(directory, os.O_RDONLY)
-                held.callback(os.close, descriptor)
+                stack.callback(os.close, descriptor)
                 try:
                     fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-                except OSError as error:
-                    if isinstance(error, BlockingIOError):
-                        raise  # else a file system without locks: better unlocked than not at all
+                except BlockingIOError:
+                    raise
+                except OSError:  # a file system without locks
+                    pass
         yield
 
 
@@ -188,17 +188,17 @@ def digest(path: Path) -> str:
 
 
 def write_strict_json(path: Path, content: dict[str, Any]) -> None:
-    """Write the content, indented, in UTF-8; raise OSError if the file cannot be written."""
+    """Write indented JSON in UTF-8; raises OSError if the file cannot be written."""
     path.write_text(strict_json(content) + "\n", encoding="utf-8", newline="\n")
 
 
 def strict_json(content: dict[str, Any]) -> str:
-    """Return the text of the content, indented; every number that is not finite is null."""
+    """Return indented JSON, with null for numbers that are not finite."""
     return json.dumps(_strict(content), indent=2, allow_nan=False, ensure_ascii=False)
 
 
 def parsed_json(text: str | bytes) -> Any:
-    """Return what the text says, every number as a float; ValueError tells that it is no JSON."""
+    """Parse JSON, every number as a float; raises ValueError if the text is invalid."""
     try:
         return json.loads(text, parse_int=float)
     except RecursionError as error:

@@ -1,8 +1,9 @@
-"""Tables in text, as programs of all locales write them, by one reader.
+"""Read text tables in the formats of all locales.
 
-Texts are UTF-8 or UTF-16, with or without a byte order mark. Cells are apart by tabs, semicolons,
-commas or blanks, and may be quoted. Decimals have points, or all have commas, which then separate
-no cells. Comments begin with ``#`` at a line's start or after a blank; blank lines are left out.
+Texts are UTF-8 or UTF-16, with or without a byte order mark. Cells are separated by tabs,
+semicolons, commas or blanks, and may be quoted. Decimals have points; or all have commas, which
+then separate no cells. Comments begin with ``#`` at the start of a line or after a blank. Blank
+lines are skipped.
 """
 
 from __future__ import annotations
@@ -20,20 +21,20 @@ import numpy as np
 from hitchopt.errors import FileError
 from hitchopt.values import Array
 
-Lines = Callable[[], Iterable[str]]  # Function that reads a text anew, line by line
+Lines = Callable[[], Iterable[str]]  # Function that reads a text from its start, line by line
 
 SEPARATORS = {"\t": "tabs", ";": "semicolons", ",": "commas", " ": "blanks"}
-"""Separators of cells, in the order in which they are tried, and their names."""
+"""Names of separators of cells, in order of preference."""
 
-MAX_HEAD = 50  # Lines among which that of the columns' names is looked for
-COMMENT, MARK = re.compile(r"^\s*#.*|\s#(?!\d).*"), re.compile(r"^\s*#+\s*")
-COMMA = re.compile(r"\s*[-+]?\d*,\d+(?:[eE][-+]?\d+)?\s*")
-SWAP = str.maketrans(",.", ".,")  # Decimal commas become points; points are no number then
-ADVICE = "decimal commas need semicolons between cells, and no points in numbers"
+MAX_HEAD_LINES = 50  # Lines that are searched for the column names
+COMMENT, COMMENT_SIGN = re.compile(r"^\s*#.*|\s#(?!\d).*"), re.compile(r"^\s*#+\s*")
+DECIMAL_COMMA = re.compile(r"\s*[-+]?\d*,\d+(?:[eE][-+]?\d+)?\s*")
+SWAP_SIGNS = str.maketrans(",.", ".,")  # A point among decimal commas becomes an invalid comma
+COMMA_REMEDY = "decimal commas need semicolons between cells, and no points in numbers"
 
 
 def text_lines(path: Path) -> Iterator[str]:
-    """Yield a file's lines without their ends; bytes that are no text become U+FFFD."""
+    """Yield a file's lines without line breaks; invalid bytes become U+FFFD."""
     with path.open("rb") as file:
         encoding = _encoding(file.read(2))
     with path.open(encoding=encoding, errors="replace") as file:
@@ -41,88 +42,89 @@ def text_lines(path: Path) -> Iterator[str]:
 
 
 def decoded_lines(data: bytes) -> list[str]:
-    """Return the lines of a text in bytes, read as ``text_lines`` does."""
+    """Return the decoded lines of a file's bytes, as ``text_lines`` yields them."""
     return data.decode(_encoding(data[:2]), "replace").splitlines()
 
 
-def _encoding(mark: bytes) -> str:
-    return "utf-16" if mark in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
+def _encoding(first_bytes: bytes) -> str:
+    return "utf-16" if first_bytes in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
 
 
 @dataclass(frozen=True, eq=False)
 class Table:
     """Rows of cells in a text.
 
-    Methods raise FileError, naming line and column of what is no row, or no number.
+    Methods raise FileError with the line and column of an invalid row or number.
     """
 
-    source: str  # its name in messages
-    lines: Lines  # of all the text
-    separator: str  # of cells, one of SEPARATORS
-    labels: tuple[str, ...]  # names of the columns; empty where the text has none
+    source: str  # name in messages
+    lines: Lines  # of the whole text
+    separator: str  # one of SEPARATORS
+    labels: tuple[str, ...]  # names of the columns; may be empty
     width: int  # number of columns
-    first: int  # number of the line from which rows follow, from 1 on
+    first: int  # line number of the first row, counted from 1
 
     def __contains__(self, label: object) -> bool:
         return str(label).casefold() in map(str.casefold, self.labels)
 
     def rows(self) -> Iterator[tuple[int, list[str]]]:
-        """Yield line numbers and cells of all rows that are not blank, each of the whole width."""
-        texts: Iterable[str] = map(_uncommented, islice(self.lines(), self.first - 1, None))
+        """Yield line numbers and cells of all rows that are not blank, each of ``width`` cells."""
+        lines: Iterable[str] = map(_without_comment, islice(self.lines(), self.first - 1, None))
         if not self.labels:
-            texts = (text.rstrip(",; \t") for text in texts)
+            lines = (line.rstrip(",; \t") for line in lines)
         try:
-            for number, cells in _split(texts, self.separator):
+            for number, cells in _split(lines, self.separator):
                 if not any(cells):
                     continue
-                if len(cells) != self.width:
-                    if len(cells) < self.width or any(cells[self.width :]):
-                        raise self._fault(number, f"has {len(cells)} cells, not {self.width}")
-                    del cells[self.width :]
-                yield self.first - 1 + number, cells
+                if len(cells) < self.width or any(cells[self.width :]):
+                    where = f"{self.source}: line {self.first - 1 + number}"
+                    question = "is it cut off, or are its decimals commas?"
+                    reason = f"has {len(cells)} cells, not {self.width}; {question} {COMMA_REMEDY}"
+                    raise FileError(f"{where} {reason}")
+                yield self.first - 1 + number, cells[: self.width]
         except csv.Error as error:
             raise FileError(f"{self.source}: {error}; check its quotation marks") from None
 
     def words(self, column: str | int) -> list[str]:
-        """Return the cells of a column, by its name or its place from 0 on."""
-        (place,) = self._places([column])
-        return [cells[place].strip() for _, cells in self.rows()]
+        """Return the cells of a column, given by name or index."""
+        (index,) = self._indices([column])
+        return [cells[index].strip() for _, cells in self.rows()]
 
     def numbers(
-        self, columns: Sequence[str | int], *, blanks: bool = False, least: int = 0
+        self, columns: Sequence[str | int], *, blanks: bool = False, min_rows: int = 0
     ) -> Array:
-        """Return columns (rows, columns), by names or places, as numbers.
+        """Return columns (rows, columns), given by names or indices, as numbers.
 
-        Blank cells are nan where ``blanks`` are allowed; fewer rows than ``least`` are refused.
+        Blank cells are nan if ``blanks`` are allowed. Raises FileError if there are too few rows.
         """
-        places = self._places(columns)
+        indices = self._indices(columns)
         try:
-            table = self._numbers(places, blanks, commas=False)
-        except _NoNumberError as error:
+            table = self._numbers(indices, blanks, commas=False)
+        except _NumberError as error:
             if not error.comma:
                 raise
-            table = self._numbers(places, blanks, commas=True)
-        if len(table) < least:
-            raise FileError(f"{self.source}: has {len(table)} rows; {least} are the least")
+            table = self._numbers(indices, blanks, commas=True)
+        if len(table) < min_rows:
+            raise FileError(f"{self.source}: has {len(table)} rows; at least {min_rows} are needed")
         return table
 
-    def _numbers(self, places: Sequence[int], blanks: bool, *, commas: bool) -> Array:
+    def _numbers(self, indices: Sequence[int], blanks: bool, *, commas: bool) -> Array:
         values = array("d")
         for number, cells in self.rows():
-            texts = [cells[place] for place in places]
+            texts = [cells[index] for index in indices]
             if commas:
-                texts = [text.translate(SWAP) for text in texts]
+                texts = [text.translate(SWAP_SIGNS) for text in texts]
             try:
                 values.extend(list(map(float, texts)))
             except ValueError:
-                for place, text in zip(places, texts, strict=True):
+                for index, text in zip(indices, texts, strict=True):
                     blank = blanks and not text.strip()
-                    if not (blank or is_number(text)):
-                        raise self._no_number(number, place, cells[place], commas=commas) from None
+                    if not (blank or _is_number(text)):
+                        raise self._no_number(number, index, cells[index], commas=commas) from None
                     values.append(float("nan" if blank else text))
-        return np.frombuffer(values, dtype=np.float64).reshape(-1, len(places)).copy()
+        return np.frombuffer(values, dtype=np.float64).reshape(-1, len(indices)).copy()
 
-    def _places(self, columns: Sequence[str | int]) -> list[int]:
+    def _indices(self, columns: Sequence[str | int]) -> list[int]:
         names = [label.casefold() for label in self.labels]
         for column in columns:
             if isinstance(column, str) and column.casefold() not in names:
@@ -130,20 +132,16 @@ class Table:
                 raise FileError(f"{self.source}: {head}, but {', '.join(self.labels)[:200]}")
         return [names.index(c.casefold()) if isinstance(c, str) else c for c in columns]
 
-    def _no_number(self, number: int, place: int, cell: str, *, commas: bool) -> _NoNumberError:
-        name = self.labels[place] if self.labels else f"column {place + 1}"
-        words = f"{self.source}: line {number}: {name} is {cell.strip()[:40]!r}, no number"
-        words += " among decimal commas" if commas else ""
+    def _no_number(self, number: int, index: int, cell: str, *, commas: bool) -> _NumberError:
+        name = self.labels[index] if self.labels else f"column {index + 1}"
+        reason = f"{self.source}: line {number}: {name} is {cell.strip()[:40]!r}, no number"
+        reason += " among decimal commas" if commas else ""
         comma = commas or "," in cell
-        return _NoNumberError(f"{words}; {ADVICE}" if comma else words, comma=comma)
-
-    def _fault(self, number: int, words: str) -> FileError:
-        line = f"{self.source}: line {self.first - 1 + number} {words}"
-        return FileError(f"{line}; is it cut off, or are its decimals commas? {ADVICE}")
+        return _NumberError(f"{reason}; {COMMA_REMEDY}" if comma else reason, comma=comma)
 
 
-class _NoNumberError(FileError):
-    """A cell that is no number; it has a comma, or not."""
+class _NumberError(FileError):
+    """An invalid number, which may have a decimal comma."""
 
     def __init__(self, message: str, *, comma: bool) -> None:
         super().__init__(message)
@@ -151,65 +149,65 @@ class _NoNumberError(FileError):
 
 
 def labelled_table(lines: Lines, names: Sequence[str], source: str) -> Table:
-    """Return the table under the first line that has certain names of columns among others.
+    """Return the table under the first line that contains all ``names`` of columns.
 
-    That line may be a comment. FileError tells that there is none.
+    That line may be a comment. Raises FileError if there is none.
     """
-    wanted = {name.casefold() for name in names}
-    head = [MARK.sub("", line) for line in islice(lines(), MAX_HEAD)]
+    required = {name.casefold() for name in names}
+    head = [COMMENT_SIGN.sub("", line) for line in islice(lines(), MAX_HEAD_LINES)]
     for number, line in enumerate(head, 1):
         for separator in SEPARATORS:
-            labels = [label.strip() for label in _cells(_uncommented(line), separator)]
-            if wanted <= set(map(str.casefold, labels)):
+            labels = [label.strip() for label in _cells(_without_comment(line), separator)]
+            if required <= set(map(str.casefold, labels)):
                 return Table(source, lines, separator, tuple(labels), len(labels), number + 1)
-    begin = next((line for line in head if line.strip()), "")
-    words = f"has no line of columns' names with {', '.join(names)}; it begins {begin[:60]!r}"
-    raise FileError(f"{source}: {words}")
+    start = next((line for line in head if line.strip()), "")
+    reason = f"has no line of columns' names with {', '.join(names)}; it begins {start[:60]!r}"
+    raise FileError(f"{source}: {reason}")
 
 
 def numeric_table(lines: Lines, source: str, first: int = 1) -> Table:
-    """Return the table from the first line on, not before line ``first``, that has a number.
+    """Return the table that starts at the first line with a number, not before line ``first``.
 
-    FileError tells that there is none.
+    Raises FileError if there is none.
     """
     for number, line in enumerate(lines(), 1):
         if number < first:
             continue
-        each = {s: _cells(_uncommented(line).rstrip(",; \t"), s) for s in SEPARATORS}
-        counts = {s: sum(map(_is_either, cells)) for s, cells in each.items()}
+        rows = {s: _cells(_without_comment(line).rstrip(",; \t"), s) for s in SEPARATORS}
+        counts = {s: sum(map(_is_any_number, cells)) for s, cells in rows.items()}
         if any(counts.values()):
-            whole = [s for s, cells in each.items() if counts[s] == len(cells)]
-            separator = whole[0] if whole else max(counts, key=lambda s: counts[s])
-            return Table(source, lines, separator, (), len(each[separator]), number)
+            numeric = [s for s, cells in rows.items() if counts[s] == len(cells)]
+            separator = numeric[0] if numeric else max(counts, key=lambda s: counts[s])
+            return Table(source, lines, separator, (), len(rows[separator]), number)
     raise FileError(f"{source}: has no line of numbers")
 
 
 def headings(lines: Lines) -> Iterator[str]:
-    """Yield the first lines in lower case, their cells apart by commas, comment signs left out."""
-    for line in islice(lines(), MAX_HEAD):
-        text = MARK.sub("", line[:100_000]).partition("#")[0].strip().lower()
+    """Yield the first lines in lower case, with comma-separated cells and no comment signs."""
+    for line in islice(lines(), MAX_HEAD_LINES):
+        text = COMMENT_SIGN.sub("", line[:100_000]).partition("#")[0].strip().lower()
         separator = next((each for each in SEPARATORS if each in text), ",")
         yield ",".join(x.strip().replace(",", ".") for x in _cells(text, separator)).lstrip(",")
 
 
-def with_points(text: str) -> str:
-    """Return a number with a point in place of its decimal comma, any other text as it is."""
-    return text.replace(",", ".") if COMMA.fullmatch(text) else text
+def with_decimal_point(text: str) -> str:
+    """Return a number with a point instead of a decimal comma, and any other text unchanged."""
+    return text.replace(",", ".") if DECIMAL_COMMA.fullmatch(text) else text
 
 
-def _split(texts: Iterable[str], separator: str) -> Iterator[tuple[int, list[str]]]:
-    """Yield numbers of lines, from 1 on, and their cells."""
+def _split(lines: Iterable[str], separator: str) -> Iterator[tuple[int, list[str]]]:
+    """Yield line numbers, counted from 1, and cells."""
     if separator == " ":
-        yield from enumerate(map(str.split, texts), 1)
+        yield from enumerate(map(str.split, lines), 1)
     else:
-        reader = csv.reader(texts, delimiter=separator, skipinitialspace=True)
+        reader = csv.reader(lines, delimiter=separator, skipinitialspace=True)
         yield from ((reader.line_num, cells) for cells in reader)
 
 
-def _cells(text: str, separator: str) -> list[str]:
-    """Return the cells of one line, without blank ones at its end."""
+def _cells(line: str, separator: str) -> list[str]:
+    """Return the cells of one line without blank trailing cells."""
     try:
-        _, cells = next(_split([text], separator))
+        _, cells = next(_split([line], separator))
     except csv.Error:
         return []
     while cells and not cells[-1].strip():
@@ -217,12 +215,11 @@ def _cells(text: str, separator: str) -> list[str]:
     return cells
 
 
-def _uncommented(line: str) -> str:
+def _without_comment(line: str) -> str:
     return COMMENT.sub("", line) if "#" in line else line
 
 
-def is_number(text: str) -> bool:
-    """Return whether a text is a number with a point, or without."""
+def _is_number(text: str) -> bool:
     try:
         float(text)
     except ValueError:
@@ -230,6 +227,6 @@ def is_number(text: str) -> bool:
     return True
 
 
-def _is_either(text: str) -> bool:
-    """Return whether a text is a number with a point, or with a comma."""
-    return is_number(text) or is_number(text.translate(SWAP))
+def _is_any_number(text: str) -> bool:
+    """Return whether a text is a number with a decimal point or comma."""
+    return _is_number(text) or _is_number(text.translate(SWAP_SIGNS))

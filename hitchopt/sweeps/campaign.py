@@ -1,4 +1,4 @@
-"""Campaigns of flights of one plan, on several processes: success rate and failures."""
+"""Campaigns: simulated flights of one plan with different seeds, success rate and failures."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from hitchopt.simulation.settings import Settings
 from hitchopt.simulation.task import Task
 from hitchopt.storage.files import Writer, replace_files, write_strict_json
 from hitchopt.sweeps.sweep import Share
-from hitchopt.sweeps.work import finished
+from hitchopt.sweeps.work import run_tasks
 from hitchopt.values import integer
 
 
@@ -27,7 +27,7 @@ from hitchopt.values import integer
 class Campaign:
     """Flights of one plan under perturbations of different seeds."""
 
-    settings: Settings  # of all of them, with the first one's seed
+    settings: Settings  # of all flights, with the first seed
     runs: tuple[Run, ...]  # by seed
 
     @property
@@ -37,22 +37,22 @@ class Campaign:
 
     @property
     def not_simulated(self) -> int:
-        """Number of flights that the simulation failed; they count as not succeeded."""
+        """Number of flights that could not be simulated; they count as not succeeded."""
         return sum(run.verdict == NOT_SIMULATED for run in self.runs)
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Wilson's 95 % interval of the success rate."""
+        """Wilson's 95 % confidence interval of the success rate."""
         return Share(self.successes, len(self.runs)).interval
 
     @property
     def failures(self) -> Counter[tuple[str, str]]:
-        """Number of runs by first failure: its kind, and where."""
+        """Number of runs by kind and place of the first failure."""
         first = (run.failures[0] for run in self.runs if run.failures)
         return Counter((failure.kind, ", ".join(failure.where)) for failure in first)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the campaign, ready for JSON."""
+        """Return the campaign as plain data for JSON."""
         return {
             "format": "hitchopt-campaign/1",
             "settings": asdict(self.settings),
@@ -75,48 +75,48 @@ def run_campaign(
     processes: int | None = None,
     progress: Progress | None = None,
 ) -> Campaign:
-    """Return so many flights of a plan, with consecutive seeds from that of the settings on.
+    """Simulate ``runs`` flights of a plan with consecutive seeds from that of the settings.
 
-    There are ``processes`` at a time; None: one per processor. One simulates in this process.
+    They run in parallel ``processes``, by default one per processor; a single one is this process.
 
     Raises
     ------
-    InputError: no runs, or settings that no flight can be simulated with.
+    InputError: the number of runs or the settings are invalid.
     UnsupportedError: mujoco is not installed.
     """
     integer("runs", runs, 1)
     if processes is not None:
         integer("processes", processes, 1)
-    width = min(runs, processes or os.cpu_count() or 1)
+    workers = min(runs, processes or os.cpu_count() or 1)
     flights = [replace(settings, seed=settings.seed + i) for i in range(runs)]
-    flown: list[Run] = []
+    completed: list[Run] = []
     with contextlib.ExitStack() as stack:
-        results: Iterable[Run] = (one_run(each, task) for each in flights)
-        if width > 1:
+        results: Iterable[Run] = (run_flight(each, task) for each in flights)
+        if workers > 1:
             tasks = {f"flight-{each.seed}": (each,) for each in flights}
-            futures = finished(one_run, tasks, width, shared=task)
+            futures = run_tasks(run_flight, tasks, workers, shared=task)
             stack.enter_context(contextlib.closing(futures))
             results = (future.result() for _, future in futures)
         for run in results:
-            flown.append(run)
+            completed.append(run)
             if progress is not None:
-                succeeded = sum(run.succeeded for run in flown)
-                progress(f"{len(flown)} of {runs} flown, {succeeded} succeeded")
-    return Campaign(settings, tuple(sorted(flown, key=lambda run: run.seed)))
+                succeeded = sum(run.succeeded for run in completed)
+                progress(f"{len(completed)} of {runs} flown, {succeeded} succeeded")
+    return Campaign(settings, tuple(sorted(completed, key=lambda run: run.seed)))
 
 
-def one_run(settings: Settings, task: Task) -> Run:
-    """Return the result of one flight; one that cannot begin is a failure, not an error."""
+def run_flight(settings: Settings, task: Task) -> Run:
+    """Return the result of one flight; a flight that cannot start is a failure, not an error."""
     try:
         return simulate(task, settings).run
-    except (InputError, UnsupportedError):  # which prevents every other flight as well
+    except (InputError, UnsupportedError):  # these would affect every flight
         raise
     except HitchoptError as error:
         return Run(settings.seed, NOT_SIMULATED, (Failure(START, (), 0.0, str(error)),), {})
 
 
 def save_campaign(directory: Path | str, campaign: Campaign) -> Path:
-    """Write the campaign's summary and a table of its runs; return the directory, or FileError."""
+    """Write the campaign's summary and a table of its runs; return the directory."""
 
     def write_runs(path: Path) -> None:
         rows = []

@@ -1,4 +1,4 @@
-"""A study: problems and parameters, the file that holds them, and the cases that they make."""
+"""Studies: problems and parameters, their file, and the cases of all combinations."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from hitchopt.values.units import NONNEGATIVE, NUMBER, POSITIVE
 Point = dict[str, Plain]
 """One value of every parameter, by key path."""
 
-MAX_CASES = 1_000_000  # Largest number of points of one study; more are a typing error
+MAX_CASES = 1_000_000  # Maximum number of points of a study; more are a typing error
 
 # Packages whose versions are part of every case's digest
 LIBRARIES = ("hitchopt", "numpy", "scipy", "casadi", "toppra", "osqp", "ruckig", "mujoco")
@@ -46,12 +46,12 @@ LIBRARIES = ("hitchopt", "numpy", "scipy", "casadi", "toppra", "osqp", "ruckig",
 
 @dataclass(frozen=True)
 class GridKeys:
-    """Values at even distances, the ends among them."""
+    """Evenly spaced values, including both ends."""
 
     low: Annotated[float, Key(NUMBER, "Lower end", 0.2, "from")]
     high: Annotated[float, Key(NUMBER, "Upper end", 0.6, "to")]
     count: Annotated[int, Key(integers(2, MAX_CASES), "Number of values", 4)]
-    log: Annotated[bool, Key(FLAGS, "Even in the logarithm")] = False
+    log: Annotated[bool, Key(FLAGS, "Logarithmic spacing")] = False
 
     def __post_init__(self) -> None:
         if not self.low < self.high:
@@ -62,71 +62,70 @@ class GridKeys:
 
 @dataclass(frozen=True)
 class ParameterKeys:
-    """Values of a parameter that are not listed."""
+    """Values of a parameter on a grid."""
 
-    grid: Annotated[GridKeys, Key(mapping_of(GridKeys), "Values at even distances")]
+    grid: Annotated[GridKeys, Key(mapping_of(GridKeys), "Evenly spaced values")]
 
 
 PARAMETER = either(mapping_of(ParameterKeys), list_of(ANYTHING, 1))
 Values = ParameterKeys | list[Any]
 
 
-def values_in(given: Values) -> list[Plain]:
+def parameter_values(values: Values) -> list[Plain]:
     """Return the values of a parameter in order."""
-    if isinstance(given, list):
-        return [plain(value) for value in given]
-    space, grid = np.geomspace if given.grid.log else np.linspace, given.grid
-    values: list[Plain] = space(grid.low, grid.high, grid.count).tolist()
-    return values
+    if isinstance(values, list):
+        return [plain(value) for value in values]
+    space, grid = np.geomspace if values.grid.log else np.linspace, values.grid
+    return [*space(grid.low, grid.high, grid.count).tolist()]
 
 
 def points(parameters: Mapping[str, Values]) -> list[Point]:
-    """Return every combination of values, the last one's changing first; MAX_CASES at most."""
-    values = [values_in(each) for each in parameters.values()]
+    """Return all combinations of values, those of the last parameter changing fastest."""
+    values = [parameter_values(each) for each in parameters.values()]
     if (count := prod(map(len, values))) > MAX_CASES:
         raise InputError("parameters", count, f"at most {MAX_CASES} combinations", "list fewer")
     return [dict(zip(parameters, row, strict=True)) for row in itertools.product(*values)]
 
 
 def with_values(base: Mapping[str, Plain], point: Point) -> dict[str, Plain]:
-    """Return a copy of a mapping in which the keys have the values of a point.
+    """Return a copy of a mapping with the values of a point at its key paths.
 
-    Missing mappings on the path are added. InputError for a key that is no key path, or leads
-    through a value, or past the end of a list.
+    Missing mappings on a path are added. Raises InputError for an invalid key path, or one that
+    leads through a scalar or past the end of a list.
     """
-    changed: dict[str, Plain] = deepcopy(dict(base))
+    result: dict[str, Plain] = deepcopy(dict(base))
     for key, value in point.items():
         parts: list[Any] = list(split_key(key))
-        inner: Any = changed if key_path(parts) == key else None
-        holder: Any = None
+        inner: Any = result if key_path(parts) == key else None
+        parent: Any = None
         try:
             for part in parts:
-                holder = inner
+                parent = inner
                 if isinstance(part, int) is not isinstance(inner, list):
                     raise TypeError
                 inner = inner[part] if isinstance(inner, list) else inner.setdefault(part, {})
-            holder[parts[-1]] = deepcopy(value)
+            parent[parts[-1]] = deepcopy(value)
         except (TypeError, IndexError, AttributeError):
             bound = "a path to a key of a mapping or a place in a list"
             remedy = "write it as team.tension or mission[0].form.altitude"
             raise InputError("parameters", key, bound, remedy) from None
-    return changed
+    return result
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One plan, and the options of its flight."""
+    """A problem at one point, and the options of its flight."""
 
     name: str  # of the problem
     point: Point
-    problem: dict[str, Plain]  # keys of its file
-    simulate: dict[str, Plain] | None  # keys of the simulated flight, if there is one
+    problem: dict[str, Plain]  # keys of the problem file
+    simulate: dict[str, Plain] | None  # keys of the simulated flight, if any
     seed: int | None
-    limit: float  # of the plan's time [s]
+    limit: float  # time limit of planning [s]
 
     @property
     def digest(self) -> str:
-        """SHA-256 of all that the case's row depends on, versions of the libraries among it."""
+        """SHA-256 of all inputs of the case's row, including versions of libraries."""
         return digest_of({**asdict(self), "versions": versions()})
 
 
@@ -137,31 +136,31 @@ def digest_of(content: Mapping[str, Any]) -> str:
 
 @cache
 def versions() -> dict[str, str]:
-    """Return the versions that a row depends on, by installed package."""
-    here = {each.name.lower() for each in metadata.distributions() if each.name}
-    return {name: metadata.version(name) for name in LIBRARIES if name in here}
+    """Return the versions of the installed LIBRARIES."""
+    installed = {each.name.lower() for each in metadata.distributions() if each.name}
+    return {name: metadata.version(name) for name in LIBRARIES if name in installed}
 
 
-OrNot = float | None
+OptionalNumber = float | None
 
 
 @dataclass(frozen=True)
 class SimulateKeys:
-    """Every plan is flown in the rope simulation."""
+    """Options of a flight of every plan in the rope simulation."""
 
-    seeds: Annotated[int, Key(integers(1, 100_000), "Flights of every plan")] = 1
-    seed: Annotated[int, Key(integers(0, 2**63 - 1), "Seed of the first of them")] = 0
+    seeds: Annotated[int, Key(integers(1, 100_000), "Flights per plan")] = 1
+    seed: Annotated[int, Key(integers(0, 2**63 - 1), "Seed of the first flight")] = 0
     preset: Annotated[str, Key(words("fast", "accurate"), "Resolution of ropes")] = "fast"
     perturbed: Annotated[bool, Key(FLAGS, "The usual perturbations")] = True
-    noise: Annotated[OrNot, Key(NONNEGATIVE, "Of measured positions [m]")] = None
-    velocity_noise: Annotated[OrNot, Key(NONNEGATIVE, "Of velocities [m/s]")] = None
-    wind: Annotated[OrNot, Key(NONNEGATIVE, "Force of gusts [N]")] = None
-    steady_wind: Annotated[OrNot, Key(NONNEGATIVE, "Constant level force [N]")] = None
-    cable_error: Annotated[OrNot, Key(NONNEGATIVE, "Of lengths, relative")] = None
-    start_error: Annotated[OrNot, Key(NONNEGATIVE, "Of starts, per axis [m]")] = None
-    friction: Annotated[OrNot, Key(NONNEGATIVE, "Replaces the team's")] = None
-    density: Annotated[OrNot, Key(POSITIVE, "Replaces the team's [kg/m]")] = None
-    stiffness: Annotated[OrNot, Key(POSITIVE, "Of position loops [N/m]")] = None
+    noise: Annotated[OptionalNumber, Key(NONNEGATIVE, "Of measured positions [m]")] = None
+    velocity_noise: Annotated[OptionalNumber, Key(NONNEGATIVE, "Of velocities [m/s]")] = None
+    wind: Annotated[OptionalNumber, Key(NONNEGATIVE, "Force of gusts [N]")] = None
+    steady_wind: Annotated[OptionalNumber, Key(NONNEGATIVE, "Constant level force [N]")] = None
+    cable_error: Annotated[OptionalNumber, Key(NONNEGATIVE, "Of lengths, relative")] = None
+    start_error: Annotated[OptionalNumber, Key(NONNEGATIVE, "Of starts, per axis [m]")] = None
+    friction: Annotated[OptionalNumber, Key(NONNEGATIVE, "Replaces the team's")] = None
+    density: Annotated[OptionalNumber, Key(POSITIVE, "Replaces the team's [kg/m]")] = None
+    stiffness: Annotated[OptionalNumber, Key(POSITIVE, "Of position loops [N/m]")] = None
 
 
 @dataclass(frozen=True)
@@ -196,64 +195,61 @@ class Study(OneLine):
     Attributes
     ----------
     keys: of the study file.
-    problems: name of each, its folder, where its drawings are, and its keys.
+    problems: name, folder (of its drawings) and keys of each problem.
     """
 
     keys: StudyKeys
     problems: tuple[tuple[str, Path, dict[str, Plain]], ...]
 
     def cases(self) -> Iterator[Case]:
-        """Yield all cases in order: problems, points, seeds."""
-        for case in self._at(points(self.keys.parameters)):
+        """Yield all cases in order of problems, points and seeds."""
+        for case in self._cases_at(points(self.keys.parameters)):
             options: Any = case.simulate
             first, count = (options.pop("seed"), options.pop("seeds")) if options else (None, 1)
             for seed in [None] if first is None else range(first, first + count):
                 yield replace(case, seed=seed)
 
-    def _at(self, chosen: list[Point]) -> Iterator[Case]:
-        """Yield the cases at every chosen point, without their seeds."""
-        options = None if self.keys.simulate is None else vars(self.keys.simulate)
-        sections = {} if options is None else {"simulate": options}
+    def _cases_at(self, points: list[Point]) -> Iterator[Case]:
+        """Yield the cases of all problems at some points, without seeds."""
+        options = self.keys.simulate
+        sections = {} if options is None else {"simulate": vars(options)}
         outlines: dict[Path, Plain] = {}
-        for (name, folder, base), point in itertools.product(self.problems, chosen):
+        for (name, folder, base), point in itertools.product(self.problems, points):
             keys = with_values(base | sections, point)
             simulate: Any = keys.pop("simulate", None)
             problem = _with_outlines(keys, folder, outlines)
             yield Case(name, point, problem, simulate, None, self.keys.limit)
 
     def check(self) -> None:
-        """Raise InputError for paths and values that no problem or flight can have.
-
-        Every value is tried by itself.
-        """
+        """Raise InputError for invalid key paths and values of parameters, tested one at a time."""
         from hitchopt.mission.loading import any_problem_from_dict
 
         first = points(self.keys.parameters)[0]
-        trials = [first]
-        for key, each in self.keys.parameters.items():
-            trials += [{**first, key: value} for value in values_in(each)[1:]]
+        tests = [first]
+        for key, values in self.keys.parameters.items():
+            tests += [{**first, key: value} for value in parameter_values(values)[1:]]
             if key.split(".")[0] == "simulate" and self.keys.simulate is None:
                 remedy = "add simulate: to the study"
                 raise InputError(f"parameters.{key}", "simulate", "a section of the study", remedy)
-        for case in self._at(trials):
+        for case in self._cases_at(tests):
             try:
                 any_problem_from_dict(case.problem)
             except InputError as error:
-                found = [key for key in case.point if error.key.startswith(key)]
-                if not found:
+                parameter = next((key for key in case.point if error.key.startswith(key)), None)
+                if parameter is None:
                     raise FileError(f"problem {case.name}: {error}") from None
-                key = join_key("parameters", found[0])
+                key = join_key("parameters", parameter)
                 raise InputError(key, error.value, error.bound, error.remedy) from None
             STUDY.check("", {"problem": "", "simulate": case.simulate})
 
 
 def study_from_dict(data: object, directory: str | Path = ".") -> Study:
-    """Return the study that a mapping describes, its files relative to ``directory``.
+    """Return the study of a mapping, with file names relative to ``directory``.
 
     Raises
     ------
-    FileError: a problem file that cannot be read.
-    InputError: keys, types or values that are wrong, or a problem that is.
+    FileError: a problem file cannot be read.
+    InputError: a key, type or value of the study or of a problem is invalid.
     """
     values = plain(data)
     if not isinstance(values, dict):
@@ -267,15 +263,15 @@ def study_from_dict(data: object, directory: str | Path = ".") -> Study:
     return study
 
 
-def _problems(given: Any, directory: Path) -> Iterator[tuple[str, Path, dict[str, Plain]]]:
+def _problems(value: Any, directory: Path) -> Iterator[tuple[str, Path, dict[str, Plain]]]:
     """Yield name, folder and mapping of every problem."""
-    if isinstance(given, dict):
-        yield "problem", directory, given
+    if isinstance(value, dict):
+        yield "problem", directory, value
         return
-    files = [given] if isinstance(given, str) else given
+    files = [value] if isinstance(value, str) else value
     if not (isinstance(files, list) and files and all(isinstance(x, str) and x for x in files)):
         bound = "a problem, the path of its file, or several paths"
-        raise InputError("problem", given, bound, "write triangle.yaml")
+        raise InputError("problem", value, bound, "write triangle.yaml")
     for path in (directory / file for file in files):
         data = read_yaml(path)
         if not isinstance(data, dict):
@@ -284,11 +280,11 @@ def _problems(given: Any, directory: Path) -> Iterator[tuple[str, Path, dict[str
 
 
 def _with_outlines(
-    problem: dict[str, Plain], folder: Path, known: dict[Path, Plain]
+    problem: dict[str, Plain], folder: Path, outlines: dict[Path, Plain]
 ) -> dict[str, Plain]:
-    """Return a problem with outlines in place of its objects' drawings, relative to ``folder``.
+    """Return a problem with its objects' drawings, relative to ``folder``, replaced by outlines.
 
-    Workers need no drawings then, and digests depend on the outlines. ``known`` were read before.
+    Then workers need no drawings, and digests depend on the outlines. ``outlines`` is a cache.
     """
     from hitchopt.geometry.drawings import read_drawing  # heavy: readers of drawings
 
@@ -296,7 +292,7 @@ def _with_outlines(
     for each in objects.values() if isinstance(objects, dict) else ():
         if isinstance(each, dict) and isinstance(file := each.get("file"), str):
             path = folder / str(each.pop("file"))
-            if path not in known:
-                known[path] = read_drawing(folder / file).outline.tolist()
-            each["outline"] = known[path]
+            if path not in outlines:
+                outlines[path] = read_drawing(folder / file).outline.tolist()
+            each["outline"] = outlines[path]
     return problem

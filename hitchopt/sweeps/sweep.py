@@ -1,9 +1,9 @@
-"""Runs of a study and the rows that they write: missing ones are computed, row by row.
+"""Run studies: compute the missing rows, and load and summarize all rows.
 
-A study's directory holds ``rows.jsonl``, one row a line, and ``study.json``: the digests of the
-study's cases, in order. Rows of other studies that were run in the same directory stay; what is
-computed already is not computed again. A row is appended by one write, so that whatever ends a run
-leaves at most one line that is not whole, which is passed over.
+A study's directory holds ``rows.jsonl``, one row per line, and ``study.json`` with the digests of
+the study's cases, in order. Rows of other studies in the same directory are preserved and reused.
+Each row is appended by one write, so an interrupted run leaves at most one incomplete line, which
+is ignored.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from hitchopt.simulation.flight import Progress
 from hitchopt.storage.files import replace_files, write_strict_json
 from hitchopt.storage.yaml_file import located, parse_yaml, read_text
 from hitchopt.sweeps.study import Study, digest_of, study_from_dict
-from hitchopt.sweeps.work import FAILED, PLANNED, Row, finished, first_columns, row_of
+from hitchopt.sweeps.work import FAILED, PLANNED, Row, case_columns, compute_row, run_tasks
 from hitchopt.values import integer, text
 from hitchopt.values import path as as_path
 
@@ -32,11 +32,11 @@ if TYPE_CHECKING:
 
 ROWS, STUDY, PICTURE, FORMAT = "rows.jsonl", "study.json", "sweep.png", "hitchopt-sweep/1"
 
-PARAMETER = "parameter."  # Beginning of the columns of parameters
-SEAL = "sha256"  # of all else in a row
+PARAMETER = "parameter."  # Prefix of the columns of parameters
+SEAL = "sha256"  # Key of the digest of a row's other columns
 
-# Columns whose medians a summary shows, and what they are for people
 FIGURES = {"duration": "duration [s]", "simulate.peak_tension": "largest tension [N]"}
+"""Columns whose medians are reported, and their labels."""
 
 
 def run_sweep(
@@ -49,25 +49,25 @@ def run_sweep(
 ) -> pandas.DataFrame:
     """Compute the rows of a study that are missing in a directory; return all as ``load_sweep``.
 
-    Every case is planned and certified, then simulated if the study says so. Every result is
-    written as it arrives, keyed by a digest of problem, versions and seed: whatever ends a run, the
-    same call goes on from there.
+    Every case is planned and certified, then simulated if the study requests it. Every row is saved
+    at once, keyed by a digest of problem, versions and seed, so that the same call continues an
+    interrupted run.
 
     Parameters
     ----------
     study: a study, its keys, or the path of its file.
     directory: created if it is missing.
     workers: number of processes on this machine; None for one per processor.
-    scheduler: address of a dask scheduler that has workers; None for a cluster of this machine.
-    progress: called after every row, with the number of rows.
+    scheduler: address of a dask scheduler with workers; None for processes on this machine.
+    progress: status callback, called after every row.
 
     Raises
     ------
-    InputError, FileError: a study that is wrong in itself, or a directory that cannot be written.
+    InputError, FileError: the study is invalid, or the directory is not writable.
     SweepError: the scheduler was lost.
     UnsupportedError: dask.distributed or pandas is not installed.
     """
-    place = as_path("directory", directory)
+    folder = as_path("directory", directory)
     if workers is not None:
         integer("workers", workers, 1)
     if scheduler is not None:
@@ -88,32 +88,32 @@ def run_sweep(
         "cases": list(cases),
     }
     writers = {STUDY: lambda path: write_strict_json(path, content)}
-    replace_files(place, writers, (STUDY,), seal=STUDY)
-    known, refused = _read_rows(place), 0
-    missing = {digest: case for digest, case in cases.items() if digest not in known}
-    width = min(workers or os.cpu_count() or 1, len(missing))
+    replace_files(folder, writers, (STUDY,), seal=STUDY)
+    computed, refused = _read_rows(folder), 0
+    missing = {digest: case for digest, case in cases.items() if digest not in computed}
+    workers = min(workers or os.cpu_count() or 1, len(missing))
     tasks = {digest: (case, digest) for digest, case in missing.items()}
-    with contextlib.closing(finished(row_of, tasks, width, scheduler)) as done:
-        for count, (digest, future) in enumerate(done, 1 + len(cases) - len(missing)):
+    with contextlib.closing(run_tasks(compute_row, tasks, workers, scheduler)) as futures:
+        for count, (digest, future) in enumerate(futures, 1 + len(cases) - len(missing)):
             if future.status == "finished":
                 row: Row = future.result()
-            else:  # a case that kills its workers, or has a bug, is a row
+            else:  # the case killed its workers, or raised another error
                 error = future.exception()
-                words = {"status": FAILED, "message": f"{type(error).__name__}: {error}"}
-                row = first_columns(missing[digest], digest) | words
-            write_row(place, row)
+                failure = {"status": FAILED, "message": f"{type(error).__name__}: {error}"}
+                row = case_columns(missing[digest], digest) | failure
+            write_row(folder, row)
             refused += row["status"] != PLANNED
             if progress is not None:
                 progress(f"{count} of {len(cases)} rows, {refused} without a plan")
-    return load_sweep(place)
+    return load_sweep(folder)
 
 
 def load_sweep(directory: Path | str) -> pandas.DataFrame:
-    """Return the rows of a sweep as a data frame, in the study's order; those missing left out.
+    """Return the rows of a sweep as a data frame, in the study's order, without missing rows.
 
     Columns are ``problem``, ``seed``, ``parameter.KEY`` of every parameter, ``status`` (planned,
-    infeasible, time limit, failed or wrong), ``binding`` (name of the limit), ``message``,
-    ``duration`` [s], ``check.NAME`` for the worst value of every check of the certificate,
+    infeasible, time limit, failed or wrong), ``binding`` (the limit that binds), ``message``,
+    ``duration`` [s], ``check.NAME`` with the worst value of every check of the certificate,
     ``simulate.…``, ``time.…`` (processor time [s]) and ``digest``.
 
     Parameters
@@ -129,8 +129,8 @@ def load_sweep(directory: Path | str) -> pandas.DataFrame:
         import pandas
     except ImportError:
         raise UnsupportedError("sweeps need pandas: pip install 'hitchopt[sweep]'") from None
-    place = as_path("directory", directory)
-    study, rows = read_study(place), _read_rows(place)
+    folder = as_path("directory", directory)
+    study, rows = read_study(folder), _read_rows(folder)
     table = pandas.DataFrame([rows[digest] for digest in study["cases"] if digest in rows])
     if table.empty:
         return pandas.DataFrame({"digest": []})
@@ -140,22 +140,22 @@ def load_sweep(directory: Path | str) -> pandas.DataFrame:
 
 
 def read_study(directory: Path) -> dict[str, Any]:
-    """Return title, parameters and cases of the study that was run in a directory, or FileError."""
+    """Return title, parameters and cases of a directory's study; raises FileError if invalid."""
     path = directory / STUDY
     try:
         study = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        words = getattr(error, "strerror", None) or error
-        raise FileError(f"{path}: cannot be read ({words}); run hitchopt sweep first") from None
+        reason = getattr(error, "strerror", None) or error
+        raise FileError(f"{path}: cannot be read ({reason}); run hitchopt sweep first") from None
     if not isinstance(study, dict) or study.get("format") != FORMAT:
         raise FileError(f"{path}: is not of the format {FORMAT}; run hitchopt sweep again")
     return study
 
 
 def _read_rows(directory: Path) -> dict[str, Row]:
-    """Return the rows of a directory by digest; lines that are not whole are left out.
+    """Return the rows of a directory by digest, without incomplete lines.
 
-    Raises FileError for a row that was edited.
+    Raises FileError if a row was edited.
     """
     path, rows = directory / ROWS, dict[str, Row]()
     try:
@@ -175,10 +175,10 @@ def _read_rows(directory: Path) -> dict[str, Row]:
 
 
 def write_row(directory: Path, row: Row) -> None:
-    """Append a row as one line; raises FileError where the disk is full or cannot be written to."""
+    """Append a row as one line; raises FileError if the disk is full or not writable."""
     values = {name: _scalar(name, value) for name, value in row.items()}
     values[SEAL] = digest_of(values)
-    line = f"\n{json.dumps(values)}\n".encode()  # a line of its own after one that is not whole
+    line = f"\n{json.dumps(values)}\n".encode()  # the last line may be incomplete
     try:
         with (directory / ROWS).open("ab", buffering=0) as file:
             if file.write(line) != len(line):
@@ -191,23 +191,23 @@ def write_row(directory: Path, row: Row) -> None:
 
 
 def _scalar(name: str, value: object) -> object:
-    """Return a value of one type in all rows: lists and mappings are JSON, numbers floats."""
+    """Return a cell's value: lists and mappings as JSON, numbers except seeds as floats."""
     if isinstance(value, dict | list):
         return json.dumps(value, sort_keys=True)
-    number = isinstance(value, int) and not isinstance(value, bool) and name != "seed"
-    return float(value) if number else value  # type: ignore[arg-type]
+    is_number = isinstance(value, int) and not isinstance(value, bool) and name != "seed"
+    return float(value) if is_number else value  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
 class Share:
-    """How many of some rows have a property, and Wilson's interval of the rate (1927)."""
+    """Number of rows with a property, and Wilson's interval of the rate (1927)."""
 
     count: int
     rows: int
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Wilson's 95 % interval, which suits few rows too."""
+        """Wilson's 95 % confidence interval, which is valid for few rows too."""
         from scipy.stats import binomtest
 
         low, high = binomtest(self.count, self.rows).proportion_ci(0.95, method="wilson")
@@ -220,48 +220,49 @@ class Share:
 
 @dataclass(frozen=True)
 class Summary:
-    """A sweep in figures."""
+    """Totals of a sweep."""
 
-    cases: int  # of the study; of rows there may be fewer
+    cases: int  # of the study; there may be fewer rows
     planned: Share  # of rows with a plan
-    succeeded: Share | None  # of simulated flights; None where there are none
-    binding: tuple[tuple[str, int], ...]  # limits that bound, or other reasons, most frequent first
+    succeeded: Share | None  # of simulated flights, if any
+    binding: tuple[tuple[str, int], ...]  # limits that bind, or other reasons, most frequent first
 
 
 def summary(rows: pandas.DataFrame, cases: int) -> Summary:
-    """Return the summary of a sweep's rows; InputError without rows."""
+    """Return the totals of a sweep's rows; raises InputError if there are none."""
     if not len(rows):
         raise InputError("rows", 0, "at least 1", "run the sweep first")
-    planned, flown, share = rows["status"] == PLANNED, rows.get("simulate.succeeded"), None
-    if flown is not None and len(flown := flown.dropna()):
-        share = Share(int(flown.astype(bool).sum()), len(flown))
+    planned, flights, share = rows["status"] == PLANNED, rows.get("simulate.succeeded"), None
+    if flights is not None and len(flights := flights.dropna()):
+        share = Share(int(flights.astype(bool).sum()), len(flights))
     reasons = rows.loc[~planned, "binding"].fillna(rows.loc[~planned, "status"])
     binding = tuple((str(name), int(count)) for name, count in reasons.value_counts().items())
     return Summary(cases, Share(int(planned.sum()), len(rows)), share, binding)
 
 
 def outcomes(rows: pandas.DataFrame) -> list[dict[str, Any]]:
-    """Return parameters that vary, and what became of every point (medians), by a table's heads."""
+    """Return the varying parameters and median results of every point, by column headings."""
     keys = [x for x in rows.columns if x == "problem" or x.startswith(PARAMETER)]
     keys = [key for key in keys if rows[key].nunique(dropna=False) > 1]
-    found = list[dict[str, Any]]()
-    for at, same in rows.groupby(keys or ["problem"], sort=False, dropna=False):
-        row = {key.removeprefix(PARAMETER): value for key, value in zip(keys, at, strict=False)}
-        refused = same[same["status"] != PLANNED]
+    table = list[dict[str, Any]]()
+    for values, group in rows.groupby(keys or ["problem"], sort=False, dropna=False):
+        row = {key.removeprefix(PARAMETER): x for key, x in zip(keys, values, strict=False)}
+        refused = group[group["status"] != PLANNED]
         row["planned"] = refused.empty
-        row |= {head: float(same[name].median()) for name, head in FIGURES.items() if name in same}
+        row |= {head: float(group[key].median()) for key, head in FIGURES.items() if key in group}
         if len(refused):
             row["binding"] = refused["binding"].fillna(refused["status"]).iloc[0]
-        if len(flown := same.get("simulate.succeeded", same["status"][:0]).dropna()):
-            row["flown well"] = f"{int(flown.astype(bool).sum())} of {len(flown)}"
-        found.append(row)
-    return found
+        if len(flights := group.get("simulate.succeeded", group["status"][:0]).dropna()):
+            row["flown well"] = f"{int(flights.astype(bool).sum())} of {len(flights)}"
+        table.append(row)
+    return table
 
 
-def drawn_sweep(points: list[dict[str, Any]]) -> Figure | None:
-    """Return the picture of ``outcomes``: the last figure over the first parameter, if any varies.
+def draw_sweep(points: list[dict[str, Any]]) -> Figure | None:
+    """Plot the last figure of ``outcomes`` over the first varying parameter, if any.
 
-    Every combination of the others is a curve; a point without a plan is a cross with its reason.
+    Every combination of the other parameters is a curve. A point without a plan is a cross with the
+    reason.
     """
     from hitchopt.view import style
     from hitchopt.view.pictures import STYLES
@@ -274,10 +275,10 @@ def drawn_sweep(points: list[dict[str, Any]]) -> Figure | None:
     curves = dict[str, list[dict[str, Any]]]()
     for row in points:
         curves.setdefault(", ".join(f"{key} {row[key]}" for key in keys[1:]), []).append(row)
-    for (words, curve), (colour, line) in zip(curves.items(), cycle(STYLES)):
-        at = [x if isinstance(x := row[keys[0]], int | float) else str(x) for row in curve]
-        axes.plot(at, [row[head] for row in curve], "o", ls=line, ms=4, color=colour, label=words)
-        for x, row in zip(at, curve, strict=True):
+    for (label, curve), (colour, line) in zip(curves.items(), cycle(STYLES)):
+        xs = [x if isinstance(x := row[keys[0]], int | float) else str(x) for row in curve]
+        axes.plot(xs, [row[head] for row in curve], "o", ls=line, ms=4, color=colour, label=label)
+        for x, row in zip(xs, curve, strict=True):
             if not row["planned"]:
                 axes.plot(x, 0.0, "x", color=style.LIMIT_COLOUR)
                 style.write(axes, row["binding"], (x, 0.0), (0, 6), rotation=90, va="bottom")

@@ -1,4 +1,4 @@
-"""The row of a case, planned and flown; and the workers that compute rows, on dask."""
+"""Compute the rows of cases by planning and simulation, in parallel on dask."""
 
 from __future__ import annotations
 
@@ -23,16 +23,15 @@ if TYPE_CHECKING:
 Row = dict[str, Any]
 """A row of the results, by column; unknown values are None."""
 
-# Values of the column ``status``
-PLANNED, INFEASIBLE, LATE, FAILED, WRONG = "planned", "infeasible", "time limit", "failed", "wrong"
+PLANNED, FAILED = "planned", "failed"  # Values of the column ``status``, besides those of errors
 
-# Statuses of errors; that of all others is FAILED
-STATUS = {TimeLimitError: LATE, InfeasibleError: INFEASIBLE, InputError: WRONG}
+STATUS = {TimeLimitError: "time limit", InfeasibleError: "infeasible", InputError: "wrong"}
+"""Statuses of errors; other errors are FAILED."""
 
-# Settings of dask. Its profiler takes more than a tenth of a plan's time, and workers that give
-# freed memory back at once a seventh of it
+# Settings of dask. The profiler takes more than a tenth of the planning time, and returning freed
+# memory to the system at once a seventh.
 SETTINGS = {
-    "distributed.scheduler.allowed-failures": 3,  # of workers with a task: it may kill them
+    "distributed.scheduler.allowed-failures": 3,  # workers that a task may kill
     "distributed.comm.timeouts.connect": "5s",
     "distributed.worker.daemon": True,
     "distributed.worker.profile.enabled": False,
@@ -42,42 +41,42 @@ SETTINGS = {
 
 
 class SweepError(HitchoptError):
-    """A sweep that ended early: rows that were written stay, the same call goes on from there."""
+    """An interrupted sweep: computed rows are saved, and the same call continues it."""
 
 
-def first_columns(case: Case, digest: str) -> Row:
-    """Return the columns of a case's row that name it."""
+def case_columns(case: Case, digest: str) -> Row:
+    """Return the columns of a row that identify the case."""
     row: Row = {"digest": digest, "problem": case.name, "seed": case.seed}
     return row | {f"parameter.{key}": value for key, value in case.point.items()}
 
 
-def row_of(case: Case, digest: str) -> Row:
-    """Return the row of a case; errors that hitchopt raises on purpose become rows."""
+def compute_row(case: Case, digest: str) -> Row:
+    """Return the row of a case; a HitchoptError becomes a row."""
     from hitchopt.api import solve
     from hitchopt.mission.loading import any_problem_from_dict
 
-    row, begin = first_columns(case, digest), time.process_time()
+    row, start = case_columns(case, digest), time.process_time()
     try:
         plan = solve(any_problem_from_dict(case.problem), limit=case.limit)
         row |= {"status": PLANNED, "duration": plan.duration}
         row |= {f"check.{check.name}": check.worst for check in plan.certificate.checks}
-        row["time.plan"] = time.process_time() - begin
+        row["time.plan"] = time.process_time() - start
         if case.simulate is not None:
-            begin = time.process_time()
-            row |= {f"simulate.{key}": value for key, value in _simulated(plan, case).items()}
-            row["time.simulate"] = time.process_time() - begin
+            start = time.process_time()
+            row |= {f"simulate.{key}": value for key, value in _simulate(plan, case).items()}
+            row["time.simulate"] = time.process_time() - start
     except HitchoptError as error:
         status = next((word for kind, word in STATUS.items() if isinstance(error, kind)), FAILED)
-        row.setdefault("status", status)  # a plan stays one
+        row.setdefault("status", status)  # PLANNED if only the simulation failed
         row["message"] = str(error)
         if isinstance(error, InfeasibleError) and error.violations:
             row["binding"] = error.violations[0].constraint
-        row.setdefault("time.plan", time.process_time() - begin)
+        row.setdefault("time.plan", time.process_time() - start)
     return row
 
 
-def _simulated(plan: Plan, case: Case) -> Row:
-    """Return figures of a simulated flight."""
+def _simulate(plan: Plan, case: Case) -> Row:
+    """Return the results of a simulated flight."""
     from hitchopt.simulation.judgement import simulate
     from hitchopt.simulation.settings import settings_of
     from hitchopt.simulation.task import Task
@@ -90,19 +89,19 @@ def _simulated(plan: Plan, case: Case) -> Row:
     return row
 
 
-def finished(
-    work: Callable[..., Any],
+def run_tasks(
+    function: Callable[..., Any],
     tasks: Mapping[str, tuple[Any, ...]],
-    width: int,
+    workers: int,
     scheduler: str | None = None,
     *,
     shared: object = None,
 ) -> Generator[tuple[str, Any], None, None]:
-    """Yield the key of every task and its future, which has a result or an exception.
+    """Run tasks in parallel; yield the key and the completed future of each.
 
-    Workers call ``work`` with the arguments of each task and, unless it is None, the ``shared``
-    one, which is sent but once. They are ``width`` processes on this machine, or those of a dask
-    ``scheduler`` at an address.
+    Workers call ``function`` with the arguments of each task and, unless it is None, with the
+    ``shared`` argument, which is sent only once. They are processes of this machine, or those of a
+    dask ``scheduler`` at an address.
 
     Raises
     ------
@@ -112,42 +111,43 @@ def finished(
     """
     if not tasks:
         return
-    with _client(width, scheduler) as (client, as_completed):
+    with _client(workers, scheduler) as (client, as_completed):
         columns = [list(column) for column in zip(*tasks.values(), strict=True)]
-        if shared is not None:  # a task that dask computes again where workers die
+        if shared is not None:  # a task, which dask recomputes if workers die
             columns.append([client.submit(lambda value: value, shared, pure=False)] * len(tasks))
-        lost, status = "", "finished"
+        reason = ""
         try:
-            futures = client.map(work, *columns, key=list(tasks), pure=False, batch_size=1000)
+            futures = client.map(function, *columns, key=list(tasks), pure=False, batch_size=1000)
             for future in as_completed(futures, loop=client.loop, raise_errors=False):
-                if (status := future.status) not in {"finished", "error"}:
+                if future.status not in {"finished", "error"}:
+                    reason = f"a task was {future.status}"
                     break
                 yield str(future.key), future
         except (OSError, TimeoutError) as error:
-            lost = str(error) or type(error).__name__
-        if lost or status not in {"finished", "error"}:
+            reason = str(error) or type(error).__name__
+        if reason:
             raise SweepError(
-                f"the scheduler was lost ({lost or f'a task was {status}'}); rows that were "
-                "written stay: run the same study again"
+                f"the scheduler was lost ({reason}); rows that were written stay: run the same "
+                "study again"
             )
 
 
 @contextlib.contextmanager
-def _client(width: int, scheduler: str | None) -> Iterator[Any]:
-    """Yield a client of a scheduler's cluster, or of one of this machine that ends with it."""
+def _client(workers: int, scheduler: str | None) -> Iterator[Any]:
+    """Yield a client of a scheduler's cluster, or of a temporary cluster on this machine."""
     try:
         import dask
         import distributed
     except ImportError:
-        needed = "sweeps need dask.distributed: pip install 'hitchopt[sweep]'"
-        raise UnsupportedError(needed) from None
+        message = "sweeps need dask.distributed: pip install 'hitchopt[sweep]'"
+        raise UnsupportedError(message) from None
     for name in ("distributed", "distributed.scheduler", "distributed.nanny", "distributed.worker"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     with dask.config.set(SETTINGS), contextlib.ExitStack() as stack:
         address = scheduler
         if address is None:
             cluster = distributed.LocalCluster(
-                n_workers=width, threads_per_worker=1, processes=True,
+                n_workers=workers, threads_per_worker=1, processes=True,
                 dashboard_address="127.0.0.1:0", host="127.0.0.1",
             )  # fmt: skip
             address = stack.enter_context(cluster).scheduler_address

@@ -24,7 +24,14 @@ from typing import Any, ParamSpec, TypeVar, get_type_hints
 
 import numpy as np
 
-from hitchopt.errors import FileError, InputError, JointInputError, OneLine, UnitWarning, one_or_all
+from hitchopt.errors import (
+    FileError,
+    InputError,
+    JointInputError,
+    OneLine,
+    UnitWarning,
+    joint_error,
+)
 from hitchopt.values import (
     FLAG,
     LIST,
@@ -308,7 +315,7 @@ def collect(function: Callable[[Any], T], items: Iterable[Any]) -> list[T]:
         except InputError as error:
             errors += error.errors if isinstance(error, JointInputError) else [error]
     if errors:
-        raise one_or_all(errors)
+        raise joint_error(errors)
     return results
 
 
