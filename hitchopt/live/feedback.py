@@ -1,16 +1,15 @@
-"""Corrected setpoints of a plan in flight, from measured vertices.
+"""Correct the setpoints of a plan in flight by feedback from measured vertices.
 
-The measured error of the vertices, filtered, enters a proportional and integral law. How vertices
-move with the setpoints is a question of statics: ``hitchopt.statics`` gives the linear response S
-of a hitch whose drones are springs to their setpoints, and the damped inverse of S the offsets of
-the drones that are wanted.
+The filtered error of the measured vertices enters a proportional-integral law.
+``hitchopt.statics`` computes the linear response S of vertices to setpoints, for a hitch whose
+drones are springs to their setpoints. The damped inverse of S gives the drones' desired offsets.
 
-What is commanded is that, projected onto offsets that keep every distance for all times of a cell
-of the plan. Two bodies (a drone, or a straight part of a cable) with the distance D to keep are
-parted by a direction n; the coefficients of their ends' polynomials a(t), b(t) give ``m ≤ n·(a -
-b)`` for all t. With ends off by ``ρ_a``, ``ρ_b`` they keep D if ``n·(ρ_a - ρ_b) ≥ D - m`` for all
-pairs of ends: half-spaces of the offsets. A common shift of all drones and vertices changes none of
-them. Vertices are taken to be where they are planned, but for the reserve.
+The commanded offsets are the projection of the desired ones onto those that keep every distance at
+all times of a cell of the plan. Two bodies (a drone, or a straight part of a cable) with minimum
+distance D are separated along a direction n; the coefficients of their ends' polynomials a(t), b(t)
+give a lower bound ``m ≤ n·(a - b)`` for all t. With the ends offset by ``ρ_a``, ``ρ_b`` they keep D
+if ``n·(ρ_a - ρ_b) ≥ D - m`` for all pairs of ends: half-spaces of offsets. A common shift of all
+drones and vertices changes no distance. Vertices are assumed to be within the reserve of the plan.
 """
 
 from __future__ import annotations
@@ -35,57 +34,58 @@ from hitchopt.statics.tolerance import responses
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array, as_array, finite, nonnegative, per_robot, positive
 
-# Gains [1], [1/s]. Setpoints of drones of 4.75 N/m take 0.3 s to move vertices, measurements and
-# their filter as long again: the loop has a phase margin of some 50°
+# Gains [1], [1/s]. The response of vertices to setpoints of drones of 4.75 N/m takes 0.3 s, and
+# measurements with their filter another 0.3 s: the phase margin is about 50°
 PROPORTIONAL, INTEGRAL = 1.2, 2.5
 
-LEAD = 0.4  # setpoints lead the plan of a vertex by so long, as friction is to be overcome [s]
-UNWINDING = 0.5  # time constant with which the integral forgets what could not be commanded [s]
-SMOOTHING = 0.2  # time constant of the filter: 1 cm of white noise at 100 Hz leaves 2 mm [s]
-HELD, FADING = 0.3, 2.0  # a vertex not measured so long loses its correction; time constant [s]
-HANDOVER = 2.0  # corrections fade so long before the hitch is untied, grow after it is tied [s]
-FAR = 0.15  # corrections do not grow while a drone is farther from its corrected setpoint [m]
-GAIN = 36.0  # stiffness over mass of drones of which none is stated [1/s²]
+LEAD = 0.4  # lead of the setpoints of a moving vertex, which compensates friction [s]
+UNWINDING = 0.5  # time constant of the anti-windup [s]
+SMOOTHING = 0.2  # time constant of the filter: 1 cm of white noise at 100 Hz becomes 2 mm [s]
+MAX_AGE = 0.3  # age of a vertex's last measurement after which its correction fades [s]
+FADING = 2.0  # time constant with which it fades [s]
+RAMP = 2.0  # time in which corrections fade in after the hitch is tied, and out before it ends [s]
+MAX_DRONE_ERROR = 0.15  # error of a drone beyond which the integral is stopped [m]
+STIFFNESS_PER_MASS = 36.0  # of drones without a given stiffness [1/s²]
 
-# Larger measured errors are false measurements; and the largest correction that is asked for [m]
-LARGEST_ERROR = 0.5
+# Error beyond which measurements are rejected, and limit of the integral [m]
+MAX_VERTEX_ERROR = 0.5
 
-# Singular value of the response below which a mode is corrected by less than half: to move the
-# vertices there takes setpoints more than three times as far
+# Damping: modes of the response with smaller singular values are corrected by less than half,
+# because they need setpoint offsets of more than three times the vertices'
 DAMPING = 0.3
 
-# Cells are so short that no drone's curve is longer [m]: directions stay what they are; and how
-# many a piece has at most
-TRAVEL, MOST_CELLS = 0.05, 64
+# Maximum length of a drone's path in a cell, for which directions are nearly constant [m]; maximum
+# number of cells of a piece
+MAX_CELL_TRAVEL, MAX_CELLS = 0.05, 64
 
-# Largest offset of a drone relative to a common shift of all drones, and largest common shift [m]
-LARGEST, FARTHEST = 0.25, 0.4
+# Maximum offset of a drone relative to a common shift of all drones, maximum common shift [m]
+MAX_OFFSET, MAX_SHIFT = 0.25, 0.4
 
-PASSES = 2  # projections onto broken half-spaces, before all is scaled to hold certainly
-ONES = np.ones(3)  # sums the squares of vectors: faster than ``einsum`` where they are few
+PROJECTIONS = 2  # iterations of projecting onto violated half-spaces, before offsets are scaled
+ONES = np.ones(3)  # to sum squares of vectors, which is faster than ``einsum`` for few vectors
 
 
 class Feedback(OneLine):
     """Corrections of a plan by measured vertices, for one flight.
 
-    Distances keep their limits at all times while every drone is within ``reserve`` of its
-    corrected setpoint and every vertex within it of the plan, as far as the plan itself leaves so
-    much: corrected setpoints stay within half-spaces that the plan's polynomials give for whole
-    spans of time. A shift of all drones together is limited by the arena alone.
+    Distances keep their limits at all times while drones are within ``reserve`` of their corrected
+    setpoints, and vertices within ``reserve`` of the plan, if the plan itself has that margin:
+    corrected setpoints stay within half-spaces computed from the plan's polynomials for whole
+    intervals. A common shift of all drones is limited only by the arena.
 
     Parameters
     ----------
     plan: a plan of a hitch, or its motion.
-    rate: largest speed at which corrections change [m/s].
-    reserve: [m], see above.
-    delay: age of the measurements, unless ``step`` receives it [s].
-    stiffness: of the drones' position loops [N/m], one, one per drone, or by axis (2n, 3); None for
-        the team's, or 36/s² times their masses where these are rigid.
+    rate: maximum speed of changes of the corrections [m/s].
+    reserve: maximum error of drones and vertices that is allowed for [m].
+    delay: age of the measurements, unless ``step`` receives their time [s].
+    stiffness: of the drones' position loops [N/m]: a number, one per drone, or per axis (2n, 3);
+        None for the team's, or 36/s² times the mass of drones that are rigid there.
 
     Raises
     ------
-    InputError: a plan without cables, or a number out of its range.
-    UnsupportedError: objects or keep-outs, to which corrections keep no distance.
+    InputError: the plan has no cables, or a number is out of range.
+    UnsupportedError: the plan has objects or keep-outs, to which corrections keep no distance.
     """
 
     def __init__(
@@ -102,11 +102,12 @@ class Feedback(OneLine):
             raise InputError("plan", plan, "a Plan or Motion of a hitch", "solve or load one")
         motion.refuse_several("feedback")
         if motion.requirements.keep_out or motion.requirements.objects:
-            words = "feedback keeps no distance to keep-outs and objects: fly without them"
-            raise UnsupportedError(words)
+            reason = "feedback keeps no distance to keep-outs and objects: fly without them"
+            raise UnsupportedError(reason)
         self.motion, team = motion, motion.team
         self._rate, self._delay = positive("rate", rate), nonnegative("delay", delay)
-        own = np.where(np.isfinite(team.stiffness), team.stiffness, GAIN * team.mass[:, None])
+        default = STIFFNESS_PER_MASS * team.mass[:, None]
+        own = np.where(np.isfinite(team.stiffness), team.stiffness, default)
         stiff = own if stiffness is None else as_array(stiffness)
         if stiff.shape != own.shape:
             stiff = per_robot("stiffness", stiffness, team.drones, owner="drone")  # type: ignore[arg-type]
@@ -123,21 +124,21 @@ class Feedback(OneLine):
         yield f"{self.motion.duration:.4g} s, cells: {len(self._cells)}"
 
     def reset(self) -> None:
-        """Forget all measurements and corrections."""
+        """Discard all measurements and corrections."""
         clasps = len(self.motion.team.layout.clasps)
         self._error, self._speed, self._integral = np.zeros((3, clasps, 3))
-        self._age = np.full(clasps, math.inf)  # [s], since each was measured
+        self._age = np.full(clasps, math.inf)  # of the last measurements [s]
         self._offsets, self._velocities = np.zeros((2, self.motion.team.drones, 3))
-        self._here: Cell | None = None  # of the last step
+        self._last_cell: Cell | None = None  # of the last step
 
     @property
     def offsets(self) -> Array:
-        """(2n, 3) [m]: corrections of the drones' setpoints in force."""
+        """Current corrections of the drones' setpoints (2n, 3) [m]."""
         return self._offsets.copy()
 
     @property
     def velocities(self) -> Array:
-        """(2n, 3) [m/s]: how fast the corrections change."""
+        """Rates of change of the corrections (2n, 3) [m/s]."""
         return self._velocities.copy()
 
     def step(
@@ -155,91 +156,93 @@ class Feedback(OneLine):
         ----------
         time: plan time [s].
         seconds: time since the last step [s].
-        vertices: measured clasps (clasps, 3) [m], a row of nan where one is missing; None where no
-            measurement has come.
-        drones: measured drones (2n, 3) [m], nan where one is missing; or None.
-        measured: plan time of the measurement [s]; None for the delay before ``time``.
+        vertices: measured clasps (clasps, 3) [m], a row of nan for a missing one; None without a
+            new measurement.
+        drones: measured drones (2n, 3) [m], nan for missing ones; or None.
+        measured: plan time of the measurement [s]; by default ``delay`` before ``time``.
 
         Raises
         ------
-        InputError: measurements of another shape, or a time that is not finite.
+        InputError: measurements have another shape, or a time is not finite.
         """
         seconds = nonnegative("seconds", seconds)
         time = min(max(finite("time", time), 0.0), self._end)
-        planned, cell = self._drones.values(time), self._cell(time)
+        setpoints, cell = self._drones.values(time), self._cell(time)
         if seconds > 0.0:
             if vertices is not None:
-                then = time - self._delay if measured is None else finite("measured", measured)
-                self._measure(_shaped("vertices", vertices, self._error.shape), then)
+                at = time - self._delay if measured is None else finite("measured", measured)
+                self._measure(_checked_array("vertices", vertices, self._error.shape), at)
             self._age += seconds
-            growing = True
+            integrate = True
             if drones is not None:
-                away = _shaped("drones", drones, self._offsets.shape) - planned[0] - self._offsets
-                growing = bool(np.fmax.reduce((away * away) @ ONES) <= FAR * FAR)
-            wanted = self._wanted(seconds, growing=growing)
-            self._correct(cell, self._authority(time) * wanted, seconds)
-        planned[0] += self._offsets
-        planned[1] += self._velocities
-        return Setpoints(time, 1.0, *planned)
+                positions = _checked_array("drones", drones, self._offsets.shape)
+                error = positions - setpoints[0] - self._offsets
+                integrate = bool(np.fmax.reduce((error * error) @ ONES) <= MAX_DRONE_ERROR**2)
+            correction = self._correction(seconds, integrate=integrate)
+            self._update_offsets(cell, self._authority(time) * correction, seconds)
+        setpoints[0] += self._offsets
+        setpoints[1] += self._velocities
+        return Setpoints(time, 1.0, *setpoints)
 
     def _cell(self, time: float) -> Cell | None:
         return self._cells[min(max(bisect_right(self._breaks, time) - 1, 0), len(self._cells) - 1)]
 
     def _measure(self, vertices: Array, time: float) -> None:
-        """Filter the errors of the vertices that a measurement of a plan time holds."""
+        """Filter the errors of the measured vertices at a plan time."""
         if self._cell(time) is None:
             return
-        place, self._speed, *_ = self._vertices.values(min(max(time, 0.0), self._end))
-        error = place - vertices
-        good = (error * error) @ ONES <= LARGEST_ERROR * LARGEST_ERROR  # false for nan
-        weight = np.where(self._age > HELD, 1.0, -np.expm1(self._age / -SMOOTHING))
-        self._error[good] += (weight[:, None] * (error - self._error))[good]
-        self._age[good] = 0.0
+        planned, self._speed, *_ = self._vertices.values(min(max(time, 0.0), self._end))
+        error = planned - vertices
+        valid = (error * error) @ ONES <= MAX_VERTEX_ERROR**2  # false for nan
+        weight = np.where(self._age > MAX_AGE, 1.0, -np.expm1(self._age / -SMOOTHING))
+        self._error[valid] += (weight[:, None] * (error - self._error))[valid]
+        self._age[valid] = 0.0
 
-    def _wanted(self, seconds: float, *, growing: bool) -> Array:
-        """Return by how much vertices are to be moved (clasps, 3) [m], and advance the integral."""
+    def _correction(self, seconds: float, *, integrate: bool) -> Array:
+        """Return the desired displacement of vertices (clasps, 3) [m], and advance the integral."""
         error, speed = self._error, self._speed
-        fresh = self._age <= HELD
-        if not fresh.all():
-            error, speed = fresh[:, None] * error, fresh[:, None] * speed
-            self._integral[~fresh] *= math.exp(-seconds / FADING)
-        if growing:
+        recent = self._age <= MAX_AGE
+        if not recent.all():
+            error, speed = recent[:, None] * error, recent[:, None] * speed
+            self._integral[~recent] *= math.exp(-seconds / FADING)
+        if integrate:
             self._integral += INTEGRAL * seconds * error
-        np.minimum(np.maximum(self._integral, -LARGEST_ERROR), LARGEST_ERROR, out=self._integral)
-        wanted: Array = PROPORTIONAL * error + self._integral + LEAD * speed
-        return wanted
+        bounded = np.maximum(self._integral, -MAX_VERTEX_ERROR)
+        self._integral = np.minimum(bounded, MAX_VERTEX_ERROR)
+        correction: Array = PROPORTIONAL * error + self._integral + LEAD * speed
+        return correction
 
-    def _correct(self, cell: Cell | None, wanted: Array, seconds: float) -> None:
-        """Lead the offsets to those that are wanted, and the integral to what they allow."""
-        free = goal = np.zeros_like(self._offsets)
+    def _update_offsets(self, cell: Cell | None, correction: Array, seconds: float) -> None:
+        """Move the offsets toward those of a correction of the vertices, with anti-windup."""
+        desired = goal = np.zeros_like(self._offsets)
         if cell is not None:
-            free = (cell.inverse @ wanted.ravel()).reshape(-1, 3)
-            goal = cell.within(free)
+            desired = (cell.inverse @ correction.ravel()).reshape(-1, 3)
+            goal = cell.projected(desired)
         change = goal - self._offsets
-        largest, reach = math.sqrt(((change * change) @ ONES).max()), self._rate * seconds
-        if largest > reach:
-            change *= reach / largest
+        largest, max_change = math.sqrt(((change * change) @ ONES).max()), self._rate * seconds
+        if largest > max_change:
+            change *= max_change / largest
         offsets = self._offsets + change
         if cell is not None:
-            if cell is not self._here:  # else between two offsets that it holds
-                offsets = cell.within(offsets)
-            missed = (cell.forward @ (offsets - free).ravel()).reshape(-1, 3)
-            self._integral += min(seconds / UNWINDING, 1.0) * missed
+            if cell is not self._last_cell:  # else both ends of the change are feasible
+                offsets = cell.projected(offsets)
+            missing = (cell.forward @ (offsets - desired).ravel()).reshape(-1, 3)
+            self._integral += min(seconds / UNWINDING, 1.0) * missing
         self._velocities = (offsets - self._offsets) / seconds
-        self._offsets, self._here = offsets, cell
+        self._offsets, self._last_cell = offsets, cell
 
     def _authority(self, time: float) -> float:
-        """Return the share of the correction that applies: it fades where the hitch is untied."""
-        for first, last in self._spans:
-            if first <= time <= last:
-                grown = 1.0 if first <= 0.0 else (time - first) / HANDOVER
-                left = 1.0 if last >= self._end else (last - time) / HANDOVER
-                return min(1.0, grown, left)
+        """Return the weight of the corrections, from 0 without a hitch to 1."""
+        for start, end in self._spans:
+            if start <= time <= end:
+                fade_in = 1.0 if start <= 0.0 else (time - start) / RAMP
+                fade_out = 1.0 if end >= self._end else (end - time) / RAMP
+                return min(1.0, fade_in, fade_out)
         return 0.0
 
 
-def _shaped(key: str, values: object, shape: tuple[int, ...]) -> Array:
-    """Return an array of a shape; nan is allowed."""
+def _checked_array(key: str, values: object, shape: tuple[int, ...]) -> Array:
+    """Return an array of a shape, which may contain nan, or raise InputError."""
     if (array := as_array(values)).shape != shape:
         bound = f"numbers of shape {shape}"
         raise InputError(key, values, bound, "give a row of nan where one is missing")
@@ -249,9 +252,9 @@ def _shaped(key: str, values: object, shape: tuple[int, ...]) -> Array:
 def vertex_responses(
     motion: Motion, times: ArrayLike, stiffness: Array
 ) -> list[tuple[Array, Array]]:
-    """Return how vertices move with setpoints, (3 clasps, 6n), and the damped inverse of that.
+    """Return the responses of vertices to setpoints (3 clasps, 6n), and their damped inverses.
 
-    At times (k,) [s] of a hitch, for drones' position loops of a stiffness (2n,) or (2n, 3) [N/m].
+    They are at times (k,) [s] of a hitch, for position loops of a stiffness (2n,) or (2n, 3) [N/m].
     """
     team = motion.team
     clasps = 3 * team.layout.clasps[:, None] + np.arange(3) + team.robots
@@ -260,7 +263,7 @@ def vertex_responses(
     for time in np.atleast_1d(as_array(times)).tolist():
         energy = energy_of(team, conditions, samples_of(motion, [time], conditions)[1])
         arcs = energy.forces(energy.start[:, energy.nodes], energy.reference)[1]
-        energy = replace(energy, lengths=arcs)  # of planned tension
+        energy = replace(energy, lengths=arcs)  # with the planned tensions
         by_setpoints = slice(team.robots, 3 * team.robots)
         rows = responses(energy, energy.start)[clasps.ravel(), by_setpoints]
         forward = rows.reshape(len(rows), -1)
@@ -271,69 +274,69 @@ def vertex_responses(
 
 @dataclass(frozen=True, eq=False)
 class Cell:
-    """A span of the plan in which directions stay what they are.
+    """A span of the plan with constant directions of the distances.
 
-    Half-spaces ``rows · offsets ≤ bounds`` keep all distances in it and in the next one. Rows have
-    length 1 and are orthogonal to common shifts, bounds are not negative.
+    Half-spaces ``rows · offsets ≤ bounds`` keep all distances in this cell and the next one. Rows
+    have length 1 and are orthogonal to common shifts, bounds are not negative.
     """
 
     rows: Array
     bounds: Array
-    lower: Array  # (3,) [m], the range, up to ``upper``, that the arena leaves a common shift
+    lower: Array  # (3,) [m], bounds of a common shift within the arena
     upper: Array
-    forward: Array  # response and damped ``inverse``, see ``vertex_responses``
+    forward: Array  # response and damped inverse, see ``vertex_responses``
     inverse: Array
 
-    def within(self, offsets: Array) -> Array:
-        """Return offsets (2n, 3) [m] of the set near the given ones."""
-        common = np.add.reduce(offsets, 0) / len(offsets)
-        own = (offsets - common).ravel()
-        beyond = self.rows @ own - self.bounds
-        if beyond.size and beyond.max() > 0.0:
-            for _ in range(PASSES):
-                own = own - np.maximum(beyond, 0.0) @ self.rows
-                beyond = self.rows @ own - self.bounds
-            if beyond.max() > 0.0:
-                broken = beyond > 0.0
-                bounds = self.bounds[broken]
-                own = own * float((bounds / (beyond[broken] + bounds)).min())
-        each = own.reshape(-1, 3)
+    def projected(self, offsets: Array) -> Array:
+        """Return feasible offsets (2n, 3) [m] close to the given ones."""
+        shift = np.add.reduce(offsets, 0) / len(offsets)
+        relative = (offsets - shift).ravel()
+        excess = self.rows @ relative - self.bounds
+        if excess.size and excess.max() > 0.0:
+            for _ in range(PROJECTIONS):
+                relative = relative - np.maximum(excess, 0.0) @ self.rows
+                excess = self.rows @ relative - self.bounds
+            if excess.max() > 0.0:
+                violated = excess > 0.0
+                bounds = self.bounds[violated]
+                relative = relative * float((bounds / (excess[violated] + bounds)).min())
+        each = relative.reshape(-1, 3)
         largest = math.sqrt(((each * each) @ ONES).max())
-        if largest > LARGEST:
-            each = each * (LARGEST / largest)
-        nearest: Array = each + np.minimum(np.maximum(common, self.lower), self.upper)
-        return nearest
+        if largest > MAX_OFFSET:
+            each = each * (MAX_OFFSET / largest)
+        feasible: Array = each + np.minimum(np.maximum(shift, self.lower), self.upper)
+        return feasible
 
 
 def cells_of(motion: Motion, reserve: float, stiffness: Array) -> tuple[Array, list[Cell | None]]:
-    """Return breaks (cells + 1,) [s] and all cells, None without a hitch."""
+    """Return breaks (cells + 1,) [s] and all cells, None for spans without a hitch."""
     c, breaks = motion.drones.coefficients, motion.drones.breaks
     travel = np.sum(np.linalg.norm(np.diff(c, axis=-1), axis=2), axis=-1).max(axis=1)
-    counts = np.clip(np.ceil(travel / TRAVEL), 1, MOST_CELLS).astype(int).tolist()
+    counts = np.clip(np.ceil(travel / MAX_CELL_TRAVEL), 1, MAX_CELLS).astype(int).tolist()
     nodes = np.concatenate(positions(motion)[::-1], axis=1)
     distances, times, spaces = _Distances(motion, reserve), [], list[tuple[Array, ...] | None]()
-    for piece, (count, there) in enumerate(zip(counts, motion.formed, strict=True)):
+    for piece, (count, is_formed) in enumerate(zip(counts, motion.formed, strict=True)):
         times.append(np.linspace(breaks[piece], breaks[piece + 1], count + 1)[:-1])
         for k in range(count):
             part = bernstein.restrict(nodes[piece], k / count, (k + 1) / count)
-            spaces.append(distances.half_spaces(part) if there else None)
+            spaces.append(distances.half_spaces(part) if is_formed else None)
     edges = np.append(np.concatenate(times), breaks[-1])
-    middles = 0.5 * (edges[1:] + edges[:-1])[[each is not None for each in spaces]]
-    responses = iter(vertex_responses(motion, middles, stiffness))
+    midpoints = 0.5 * (edges[1:] + edges[:-1])[[each is not None for each in spaces]]
+    responses = iter(vertex_responses(motion, midpoints, stiffness))
     cells: list[Cell | None] = []
-    for here, following in pairwise([*spaces, None]):
-        if here is None:
+    for current, following in pairwise([*spaces, None]):
+        if current is None:
             cells.append(None)
             continue
-        rows, bounds, lower, upper = zip(here, following or here, strict=True)
-        both = np.concatenate(rows), np.concatenate(bounds)
+        rows, bounds, lower, upper = zip(current, following or current, strict=True)
+        half_spaces = np.concatenate(rows), np.concatenate(bounds)
         arena = np.maximum(*lower), np.minimum(*upper)
-        cells.append(Cell(*both, *arena, *next(responses)))
+        cells.append(Cell(*half_spaces, *arena, *next(responses)))
     return edges, cells
 
 
 class _Distances:
-    """The distances that the certificate keeps while the hitch holds, of pairs as in ``Bodies``."""
+    """The certificate's distances while the hitch holds, of pairs as in ``Bodies``."""
 
     def __init__(self, motion: Motion, reserve: float) -> None:
         layout, need = motion.team.layout, motion.requirements
@@ -341,7 +344,7 @@ class _Distances:
         i, j = np.triu_indices(len(bodies.nodes), 1)
         kind = bodies.kind(i, j)
         i, j, kind = i[kind >= 0], j[kind >= 0], kind[kind >= 0]
-        legs = np.flatnonzero(layout.has_leg)  # pairs of a drone and a point as well
+        legs = np.flatnonzero(layout.has_leg)  # also pairs, of a drone and a point
         ends = [np.stack([x, x], axis=1) for x in (legs + layout.points, layout.anchors[legs])]
         first = np.concatenate([bodies.nodes[i], ends[0]])
         second = np.concatenate([bodies.nodes[j], ends[1]])
@@ -358,26 +361,27 @@ class _Distances:
     def half_spaces(self, nodes: Array) -> tuple[Array, Array, Array, Array]:
         """Return rows, bounds, lower and upper of a cell, from its nodes (…, 3, N + 1)."""
         drones, scale = nodes[self._points :], self._scale
-        middle = bernstein.evaluate(nodes, 0.5)
-        ends = (middle[each] * scale[:, None] for each in (self._first, self._second))
+        midpoints = bernstein.evaluate(nodes, 0.5)
+        ends = (midpoints[each] * scale[:, None] for each in (self._first, self._second))
         offset = shortest_offset(differences(*ends))
-        size = np.linalg.norm(offset, axis=-1)
-        near = (size < self._limit + 4.0 * LARGEST * scale.max(axis=1)) & (size > 0.0)
+        distance = np.linalg.norm(offset, axis=-1)
+        max_distance = self._limit + 4.0 * MAX_OFFSET * scale.max(axis=1)
+        near = (distance < max_distance) & (distance > 0.0)
         pair, a, b = (each[near[self._nodes[0]]] for each in self._nodes)
-        n = offset[pair] / size[pair, None] * scale[pair]
-        along = np.einsum("pd,pdk->pk", n, nodes[a] - nodes[b]).min(axis=-1)
-        bound = along - self._limit[pair] - 2.0 * self._reserve * np.linalg.norm(n, axis=-1)
+        n = offset[pair] / distance[pair, None] * scale[pair]
+        projection = np.einsum("pd,pdk->pk", n, nodes[a] - nodes[b]).min(axis=-1)
+        bound = projection - self._limit[pair] - 2.0 * self._reserve * np.linalg.norm(n, axis=-1)
         row, each = np.zeros((len(pair), len(nodes), 3)), np.arange(len(pair))
         row[each, b] += n
         row[each, a] -= n
         row = row[:, self._points :]
-        own = (row - row.mean(axis=1, keepdims=True)).reshape(len(pair), -1)
-        length, bound = np.linalg.norm(own, axis=1), np.maximum(bound, 0.0)
-        some = (length > 0.0) & (bound < np.sqrt(2.0) * LARGEST * length)
-        rows, bounds = own[some] / length[some, None], bound[some] / length[some]
-        lower, upper = np.full(3, -FARTHEST), np.full(3, FARTHEST)
+        relative = (row - row.mean(axis=1, keepdims=True)).reshape(len(pair), -1)
+        length, bound = np.linalg.norm(relative, axis=1), np.maximum(bound, 0.0)
+        used = (length > 0.0) & (bound < np.sqrt(2.0) * MAX_OFFSET * length)
+        rows, bounds = relative[used] / length[used, None], bound[used] / length[used]
+        lower, upper = np.full(3, -MAX_SHIFT), np.full(3, MAX_SHIFT)
         if self._arena is not None:
-            inner = self._reserve + LARGEST
-            lower = np.clip(self._arena.lower - drones.min(axis=(0, 2)) + inner, lower, 0.0)
-            upper = np.clip(self._arena.upper - drones.max(axis=(0, 2)) - inner, 0.0, upper)
+            margin = self._reserve + MAX_OFFSET
+            lower = np.clip(self._arena.lower - drones.min(axis=(0, 2)) + margin, lower, 0.0)
+            upper = np.clip(self._arena.upper - drones.max(axis=(0, 2)) - margin, 0.0, upper)
         return rows, bounds, lower, upper

@@ -1,6 +1,6 @@
-"""A flight by commands: the plan on its clock, after an abort its landing, and lost links.
+"""Fly a plan by an operator's commands: its clock, landings after aborts, and lost links.
 
-Nothing here reads a clock: ``Flight.tick`` receives the time.
+Nothing here reads the system's clock: ``Flight.tick`` receives the time.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from hitchopt.values import Array, positive
 
 COMMANDS = ("pause", "resume", "back", "abort", "land")
 OPERATOR = "operator"  # name of the operator's link
-TRIES = 6  # number of a table's entries that the clock is led to, the nearest first
-LEAD = 0.2  # setpoints are computed so long ahead, and a command takes effect after it [s]
-SILENCE, UNATTENDED = 0.5, 1.0  # a drone without measurements, a silent operator are lost [s]
-NEAR = 0.3  # a plan goes on from rest with drones this near to their setpoints [m]
-AGAIN = 0.25  # delay before a hold that was refused is tried again [s]
+MAX_ATTEMPTS = 6  # number of nearest entries of an abort table that are tried
+LEAD = 0.2  # time by which setpoints are computed ahead, and commands delayed [s]
+DRONE_TIMEOUT, OPERATOR_TIMEOUT = 0.5, 1.0  # time without messages after which links are lost [s]
+MAX_ERROR = 0.3  # error of drones up to which a plan continues from rest [m]
+RETRY_DELAY = 0.25  # delay before a rejected hold is requested again [s]
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,34 +37,34 @@ class FleetSetpoints:
     """Setpoints sent to drones at one time, in the plan's axes."""
 
     setpoints: Setpoints
-    thrusts: Array  # (drones, 3) [N]; the cables' pull is that at the plan time
+    thrusts: Array  # (drones, 3) [N], with the cable forces of the plan time
     thrust_rates: Array  # (drones, 3) [N/s]
-    feed_forward: Array  # (drones, 3) [m/s²], ``a - G F / m``, for controllers that know no cable
+    feed_forward: Array  # (drones, 3) [m/s²], ``a - G F / m``, for controllers without cable model
 
 
 class CommandedPlan:
-    """A plan at rest at its start, to be flown by commands: ``abort`` and ``land`` by tables."""
+    """A plan at rest at its start, flown by commands; ``abort`` and ``land`` use tables."""
 
     def __init__(self, motion: Motion, tables: Mapping[str, AbortTable]) -> None:
         self.motion = motion
-        self._player = _ready(motion, 0.0, 0.0)
-        ready = cache(lambda entry: _ready(entry.motion, entry.start + entry.seconds, 1.0))
+        self._player = _player_at(motion, 0.0, 0.0)
+        player = cache(lambda entry: _player_at(entry.motion, entry.start + entry.seconds, 1.0))
         self._landings = {
-            command: [(entry.rest, ready(entry)) for entry in table.entries]
+            command: [(entry.rest, player(entry)) for entry in table.entries]
             for command, table in tables.items()
         }
         self._landing: Player | None = None
-        self.descending = False  # whether the landing itself has begun
-        self.started = False  # whether the plan has ever left its start
+        self.descending = False  # whether the landing itself has started
+        self.started = False  # whether the plan has left its start
 
     @property
     def resting(self) -> bool:
-        """Whether all drones stand still and are not about to move."""
+        """Whether all drones are at rest and not about to move."""
         return self._player.resting and self._landing is None
 
     @property
     def landed(self) -> bool:
-        """Whether everything has been flown and the drones are on the ground."""
+        """Whether the plan is completed and the drones are on the ground."""
         motion = self._player.motion
         if not self._player.resting or self._player.time < motion.duration - JOINT:
             return False
@@ -72,7 +72,7 @@ class CommandedPlan:
         return self.descending or bool(np.all(heights <= motion.requirements.floor + JOINT))
 
     def step(self, seconds: float) -> FleetSetpoints:
-        """Let time [s] pass and return what drones are sent then."""
+        """Advance the time [s] and return the setpoints to send."""
         if self._landing is not None and self._player.resting:
             self._player, self._landing = self._landing, None
             self.descending = True
@@ -88,9 +88,9 @@ class CommandedPlan:
         )
 
     def obey(self, command: str) -> str:
-        """Carry out one of COMMANDS; return its effect in words.
+        """Execute one of COMMANDS; return a message with its effect.
 
-        InfeasibleError is raised if it cannot be done now; the present command goes on.
+        Raises InfeasibleError if that is not possible now; the current command continues.
         """
         if command not in COMMANDS:
             raise InputError("command", command, f"one of {', '.join(COMMANDS)}", "choose one")
@@ -104,12 +104,12 @@ class CommandedPlan:
         return f"{command}: takes {seconds:.2f} s"
 
     def _land(self, command: str) -> str:
-        """Lead the clock to the nearest rest from which it can land, ahead if there is one."""
+        """Move the clock to the nearest rest with a landing, preferably a later one."""
         if self.descending:
-            return f"landing goes on, in {self._player.resume():.2f} s"
+            return f"landing continues, in {self._player.resume():.2f} s"
         time, refusal = self._player.time, InfeasibleError([], f"{command}: the plan has none")
         nearest = sorted(self._landings[command], key=lambda x: (x[0] < time, abs(x[0] - time)))
-        for rest, landing in nearest[:TRIES]:
+        for rest, landing in nearest[:MAX_ATTEMPTS]:
             try:
                 seconds = self._player.seek(rest)
             except InfeasibleError as error:
@@ -120,36 +120,36 @@ class CommandedPlan:
         raise refusal
 
 
-def _ready(motion: Motion, time: float, rate: float) -> Player:
-    """Return a player that knows its stops: a pause must not wait for them."""
+def _player_at(motion: Motion, time: float, rate: float) -> Player:
+    """Return a player with computed stops, so that a pause is immediate."""
     player = Player(motion, time, rate)
     _ = player.stops
     return player
 
 
 class Outlet(Protocol):
-    """A fleet that is sent setpoints."""
+    """A connection to a fleet that receives setpoints."""
 
     def send(self, targets: FleetSetpoints, now: float) -> None:
-        """Send every drone its setpoint at a time [s]; a network that fails is no error."""
+        """Send each drone its setpoint at a time [s]; network failures are ignored."""
 
     def measured(self) -> dict[str, Array]:
-        """Return positions (3,) [m] that have arrived, in the plan's axes, by drones' names."""
+        """Return received positions (3,) [m] in the plan's axes, by drone names."""
 
     def arm(self) -> None:
-        """Arm the drones: the plan is about to leave its start."""
+        """Arm the drones before the plan leaves its start."""
 
     def close(self, *, landed: bool) -> None:
         """End the stream."""
 
 
 class Flight:
-    """A plan that is streamed to a fleet, one ``tick`` after the other.
+    """A plan that is streamed to a fleet in ticks.
 
-    ``commands`` returns the operator's commands since the last call, and whether it was heard of;
-    ``watched`` drones must be measured. ``later`` starts a command's computation, as
-    ``Executor.submit`` does, while setpoints that are ready are sent, ``rate`` a second. A lost
-    link ends in a landing after ``patience`` [s].
+    ``commands`` returns the operator's commands since the last call, and whether the operator is
+    connected; ``watched`` drones must be measured. ``submit`` starts the computation of a command,
+    as ``Executor.submit``, while setpoints are sent at a ``rate`` [Hz]. After ``patience`` [s] a
+    lost link leads to a landing.
     """
 
     def __init__(
@@ -158,137 +158,140 @@ class Flight:
         outlet: Outlet,
         commands: Callable[[], tuple[list[str], bool]],
         watched: tuple[str, ...],
-        later: Callable[[Callable[[], str]], Future[str]],
+        submit: Callable[[Callable[[], str]], Future[str]],
         say: Callable[[str], None],
         *,
         rate: float = 50.0,
         patience: float = 5.0,
     ) -> None:
         self._plan, self._outlet, self._commands = plan, outlet, commands
-        self._later, self._say = later, say
+        self._submit, self._say = submit, say
         self._rate, self._patience = positive("rate", rate), positive("patience", patience)
-        self._timeouts = dict.fromkeys(watched, SILENCE) | {OPERATOR: UNATTENDED}
-        self._heard = dict.fromkeys(self._timeouts, -math.inf)
+        self._timeouts = dict.fromkeys(watched, DRONE_TIMEOUT) | {OPERATOR: OPERATOR_TIMEOUT}
+        self._last_message = dict.fromkeys(self._timeouts, -math.inf)  # times of links [s]
         self._measured: dict[str, Array] = {}
-        self._ready: deque[FleetSetpoints] = deque()
+        self._buffer: deque[FleetSetpoints] = deque()
         self._queue: deque[str] = deque()
         self._job: Future[str] | None = None
         self._last: FleetSetpoints | None = None
-        self._next = self._reacted = -math.inf
+        self._next = self._last_reaction = -math.inf
         self._lost_since: float | None = None
         self._quit = self._armed = False
-        self.landed = False  # whether drones are on the ground, all of the plan flown
-        self.late = 0  # setpoints that were sent twice, as a command took longer than the lead
+        self.landed = False  # whether the plan is completed and drones are on the ground
+        self.late = 0  # setpoints sent repeatedly, because a command took longer than the lead
 
     def tick(self, now: float) -> bool:
-        """Do what is due at a time [s]; return whether the flight goes on."""
+        """Process messages, commands and setpoints at a time [s]; return whether to continue."""
         measured = self._outlet.measured()
         self._measured |= measured
-        commands, heard = self._commands()
-        self._heard |= dict.fromkeys([*measured, *([OPERATOR] if heard else [])], now)
+        commands, is_connected = self._commands()
+        active = [*measured, OPERATOR] if is_connected else measured
+        self._last_message |= dict.fromkeys(active, now)
         for command in commands:
-            self._ask(command, now)
-        self._guard(now)
-        self._command()
-        self._prepare()
+            self._queue_command(command, now)
+        self._handle_lost_links(now)
+        self._run_command()
+        self._fill_buffer()
         self._send(now)
         return not (self.landed or self._quit)
 
-    def _lost(self, now: float) -> list[str]:
-        """Return the names of the links that are lost, never heard ones too."""
-        return [name for name, most in self._timeouts.items() if now - self._heard[name] > most]
+    def _lost_links(self, now: float) -> list[str]:
+        """Return the names of lost links, including those never established."""
+        timeouts = self._timeouts.items()
+        return [name for name, timeout in timeouts if now - self._last_message[name] > timeout]
 
-    def _ask(self, command: str, now: float) -> None:
-        """Queue an operator's command, unless it may not be given now."""
+    def _queue_command(self, command: str, now: float) -> None:
+        """Queue an operator's command, or report why it is not allowed now."""
         plan = self._plan
         if command == "end":
             command = "land" if plan.started else "quit"
         if command == "toggle":
             command = "resume" if plan.resting else "pause"
-        hindrance = ""
+        refusal = ""
         if command == "quit":
             self._quit = not plan.started and self._job is None and not self._queue
-            hindrance = "" if self._quit else "drones have left their start; land first"
+            refusal = "" if self._quit else "drones have left their start; land first"
         elif command in ("resume", "back"):
-            hindrance = self._hindrance(now)
+            refusal = self._reason_to_stay(now)
         if command not in ("pause", "resume", "quit") and not plan.started:
-            hindrance = "the plan has not begun"
-        if hindrance:
-            self._say(f"{command}: {hindrance}")
+            refusal = "the plan has not begun"
+        if refusal:
+            self._say(f"{command}: {refusal}")
         elif command != "quit":
             self._queue.append(command)
 
-    def _hindrance(self, now: float) -> str:
-        """Return why the plan may not go on from rest."""
-        lost = self._lost(now)
+    def _reason_to_stay(self, now: float) -> str:
+        """Return why the plan may not continue from rest; empty if it may."""
+        lost = self._lost_links(now)
         if lost:
-            return f"nothing is heard of {', '.join(lost)}"
+            return f"no signal from {', '.join(lost)}"
         if self._last is not None and self._plan.resting:
             names = self._plan.motion.team.drone_names
-            for name, place in zip(names, self._last.setpoints.positions, strict=True):
-                off = float(np.linalg.norm(self._measured.get(name, place) - place))
-                if off > NEAR:
-                    return f"{name} is {off:.2f} m from its setpoint, not {NEAR:g} m"
+            for name, setpoint in zip(names, self._last.setpoints.positions, strict=True):
+                error = float(np.linalg.norm(self._measured.get(name, setpoint) - setpoint))
+                if error > MAX_ERROR:
+                    return f"{name} is {error:.2f} m from its setpoint, more than {MAX_ERROR:g} m"
         return ""
 
-    def _guard(self, now: float) -> None:
-        """Hold where a link is lost, land where it stays lost."""
-        plan, lost = self._plan, self._lost(now)
+    def _handle_lost_links(self, now: float) -> None:
+        """Hold when a link is lost, and land if it is not restored."""
+        plan, lost = self._plan, self._lost_links(now)
         if not lost:
             if self._lost_since is not None and plan.started:
-                self._say("all are heard of again")
+                self._say("all links are restored")
             self._lost_since = None
             return
         if self._lost_since is None:
-            self._lost_since, self._reacted = now, -math.inf
+            self._lost_since, self._last_reaction = now, -math.inf
             if plan.started:
                 self._say(f"lost: {', '.join(lost)}")
-        patient = now - self._lost_since < self._patience
+        is_brief = now - self._lost_since < self._patience
+        delay = RETRY_DELAY if is_brief else self._patience
         if not plan.started:
-            if not patient and OPERATOR in lost:
-                self._say("no operator is heard of, and the plan has not begun: the stream ends")
+            if not is_brief and OPERATOR in lost:
+                self._say("no operator is connected, and the plan has not begun: the stream ends")
                 self._quit = True
-        elif self._job is None and now - self._reacted >= (AGAIN if patient else self._patience):
-            moving = not (plan.descending or plan.resting)
-            if moving if patient else plan.resting and not plan.landed:
-                self._reacted = now
-                self._queue.append("pause" if patient else "land")
+        elif self._job is None and now - self._last_reaction >= delay:
+            is_moving = not (plan.descending or plan.resting)
+            if is_moving if is_brief else plan.resting and not plan.landed:
+                self._last_reaction = now
+                self._queue.append("pause" if is_brief else "land")
 
-    def _command(self) -> None:
-        """Start the next command, or report the result of the present one."""
+    def _run_command(self) -> None:
+        """Start the next command, or report the result of the current one."""
         if self._job is not None and self._job.done():
             try:
                 self._say(self._job.result())
             except HitchoptError as error:
                 self._say(str(error))
             self._job = None
-            if self._plan.started and not self._armed:  # no hovering on the floor before
+            if self._plan.started and not self._armed:  # not before, to avoid idling on the floor
                 self._outlet.arm()
                 self._armed = True
         if self._job is None and self._queue:
             command = self._queue.popleft()
-            self._job = self._later(lambda: self._plan.obey(command))
+            self._job = self._submit(lambda: self._plan.obey(command))
 
-    def _prepare(self) -> None:
-        """Compute setpoints ahead, unless a command is about to change them."""
-        while len(self._ready) < max(1, round(LEAD * self._rate)):
+    def _fill_buffer(self) -> None:
+        """Compute setpoints ahead, unless a running command may change them."""
+        while len(self._buffer) < max(1, round(LEAD * self._rate)):
             if self._job is not None or self._plan.landed:
                 return
-            self._ready.append(self._plan.step(1.0 / self._rate))
+            self._buffer.append(self._plan.step(1.0 / self._rate))
 
     def _send(self, now: float) -> None:
-        """Send the setpoint that is due, the last one again where none is ready."""
+        """Send the setpoint that is due, or repeat the last one if the buffer is empty."""
         period = 1.0 / self._rate
         if now < self._next:
             return
         due = 1 if self._last is None else max(1, int((now - self._next) / period) + 1)
         self._next = now + period if self._last is None else self._next + due * period
         for _ in range(due):
-            if not self._ready:
+            if not self._buffer:
                 self.late += 1
                 break
-            self._last = self._ready.popleft()
+            self._last = self._buffer.popleft()
         if self._last is not None:
             self._outlet.send(self._last, now)
-        ended = self._plan.landed and not self._queue and self._job is None
-        self.landed = ended and not self._ready and self._plan.started
+        is_complete = self._plan.landed and not self._queue and self._job is None
+        self.landed = is_complete and not self._buffer and self._plan.started

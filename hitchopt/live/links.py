@@ -1,7 +1,7 @@
-"""Links of a flight: the operator's keys, and fleets that are sent setpoints.
+"""Links of a flight: the operator's keys, and fleets that receive setpoints.
 
-JSON and MAVLink go over UDP, Crazyflies are reached by crazyflie_py. Accelerations for controllers
-that know no cable are ``a - F / m`` with the cable's force F.
+JSON and MAVLink are sent by UDP, setpoints of Crazyflies by crazyflie_py. Accelerations for
+controllers without cable model are ``a - F / m`` with the cable's force F.
 """
 
 from __future__ import annotations
@@ -33,43 +33,43 @@ from hitchopt.values import MAX_COORDINATE, Array
 Address = tuple[str, int]
 
 FORMAT = "hitchopt-setpoint/1"
-LARGEST = 65536  # size of the largest datagram [B]
-MAX_DATAGRAMS = 1000  # datagrams that are read at once: a flood must not stop the stream
-OWN_SYSTEM = 245  # this MAVLink sender, beyond usual fleets and below ground stations
-BEAT = 1.0  # period of heartbeats: autopilots take a sender for lost after some seconds [s]
-VALID = 500  # how long a Crazyflie's last setpoint remains valid when the stream ends [ms]
-DOWN = 1.0  # time in which the firmware puts down landed ones [s]
+MAX_DATAGRAM = 65536  # maximum size of a datagram [B]
+MAX_DATAGRAMS = 1000  # maximum number of datagrams read per tick, so that floods cannot block it
+OWN_SYSTEM = 245  # MAVLink system of this sender, above usual fleets and below ground stations
+HEARTBEAT_PERIOD = 1.0  # autopilots consider a sender lost after some seconds [s]
+SETPOINT_VALIDITY = 500  # validity of a Crazyflie's last setpoint after the stream ends [ms]
+LANDING_TIME = 1.0  # duration of the firmware's landing command at the end [s]
 
-# Commands by key; ``toggle`` is pause or resume, ``quit`` ends what has not left its start. Of
-# signals there is ``end`` as well: land, or quit
+# Commands by key; ``toggle`` is pause or resume, ``quit`` ends a flight before its start. Signals
+# add ``end``, which is land or quit
 KEYS = {word[0]: word for word in ("pause", "resume", "back", "abort", "land", "quit")}
 KEYS[" "] = "toggle"
 KEYS_HELP = "space pause/resume, b back, a abort, l land, q quit before the start"
 
 
 class Operator:
-    """The keys of standard input. A terminal gives each at once within the context, and shows none.
+    """An operator who presses keys, read from standard input without blocking.
 
-    The operator is not heard of where there is no input, or it has ended.
+    The operator is disconnected if there is no input, or it has ended.
     """
 
     def __init__(self) -> None:
-        self._added: list[str] = []
+        self._pending: list[str] = []
         try:
             self._input: int | None = sys.stdin.fileno()
         except (AttributeError, ValueError, OSError):  # closed, or replaced by an object
             self._input = None
 
     def add(self, command: str) -> None:
-        """Give a command as if a key were pressed: signals do."""
-        self._added.append(command)
+        """Add a command without a key, for signals."""
+        self._pending.append(command)
 
     def commands(self) -> tuple[list[str], bool]:
-        """Return the commands since the last call, and whether the operator was heard of."""
-        commands, self._added = self._added, []
+        """Return the commands since the last call, and whether the operator is connected."""
+        commands, self._pending = self._pending, []
         if self._input is not None and select.select([self._input], [], [], 0.0)[0]:
             data = b""
-            with suppress(OSError):  # the terminal has gone
+            with suppress(OSError):  # the terminal was closed
                 data = os.read(self._input, 1024)
             commands += [KEYS[key] for key in data.decode("utf-8", "ignore").lower() if key in KEYS]
             self._input = self._input if data else None
@@ -77,25 +77,25 @@ class Operator:
 
     @contextmanager
     def attached(self) -> Iterator[None]:
-        """Have keys at once, as long as the context lasts."""
-        number = self._input
-        if number is None or not sys.stdin.isatty():
+        """Receive keys immediately and without echo within the context."""
+        descriptor = self._input
+        if descriptor is None or not sys.stdin.isatty():
             yield
             return
         import termios
         import tty
 
-        before = termios.tcgetattr(number)
-        tty.setcbreak(number)
+        settings = termios.tcgetattr(descriptor)
+        tty.setcbreak(descriptor)
         try:
             yield
         finally:
-            with suppress(termios.error):  # the terminal may have gone
-                termios.tcsetattr(number, termios.TCSADRAIN, before)
+            with suppress(termios.error):  # the terminal may be closed
+                termios.tcsetattr(descriptor, termios.TCSADRAIN, settings)
 
 
 def address(key: str, text: str) -> Address:
-    """Return the numeric address that ``HOST:PORT`` names."""
+    """Return the numeric address of ``HOST:PORT``."""
     host, _, port = text.rpartition(":")
     if not host or not port.isdecimal() or not 0 <= int(port) < 65536:
         raise InputError(key, text, "HOST:PORT", "such as 127.0.0.1:14540")
@@ -105,17 +105,17 @@ def address(key: str, text: str) -> Address:
         raise InputError(key, text, "a known host", f"write its address ({error})") from None
 
 
-def _turned(targets: FleetSetpoints, frame: ReferenceFrame) -> Attitudes:
+def _attitudes(targets: FleetSetpoints, frame: ReferenceFrame) -> Attitudes:
     """Return attitudes and body rates of the thrusts in a frame."""
-    both = frame.vectors(targets.thrusts), frame.vectors(targets.thrust_rates)
-    return attitudes(*both, frame.heading)
+    thrusts, thrust_rates = frame.vectors(targets.thrusts), frame.vectors(targets.thrust_rates)
+    return attitudes(thrusts, thrust_rates, frame.heading)
 
 
 class DatagramOutlet(ABC):
-    """A fleet behind UDP; answers of hosts that are sent nothing are ignored.
+    """A fleet connected by UDP; messages of other hosts are ignored.
 
-    Each drone listens at its own address, or all at a router's. The stream comes from ``listen``,
-    where answers arrive; port 0 is any free one.
+    Each drone listens at its own address, or all at that of a router. Setpoints are sent from the
+    address ``listen``, where measurements arrive; port 0 is any free one.
     """
 
     controllers: tuple[str, ...] = CONTROLLERS
@@ -134,62 +134,62 @@ class DatagramOutlet(ABC):
             self._socket.bind(listen)
         except OSError as error:
             self._socket.close()
-            words = f"{listen[0]}:{listen[1]} cannot be listened on: {error.strerror or error}"
-            raise UnsupportedError(words) from None
+            reason = f"{listen[0]}:{listen[1]} cannot be listened on: {error.strerror or error}"
+            raise UnsupportedError(reason) from None
 
     @abstractmethod
-    def _answers(self, data: bytes) -> Iterator[tuple[object, Array]]:
-        """Yield whose positions a datagram tells, and where they are in the frame."""
+    def _parsed(self, data: bytes) -> Iterator[tuple[object, Array]]:
+        """Yield the names and positions in the frame that a datagram contains."""
 
     def _send(self, data: bytes, to: Address) -> None:
-        """Send a datagram; one that the network does not take is lost like any other."""
+        """Send a datagram; network errors are ignored."""
         with suppress(OSError):
             self._socket.sendto(data, to)
 
     def measured(self) -> dict[str, Array]:
-        """Return measured positions (3,) [m] in the plan's axes, by the drones' names."""
+        """Return measured positions (3,) [m] in the plan's axes, by drone names."""
         hosts = {host for host, _ in self._addresses}
-        places: dict[str, Array] = {}
+        positions: dict[str, Array] = {}
         for _ in range(MAX_DATAGRAMS):
             try:
-                data, (host, _) = self._socket.recvfrom(LARGEST)
+                data, (host, _) = self._socket.recvfrom(MAX_DATAGRAM)
             except BlockingIOError:
                 break
-            except OSError:  # an answer that a port is closed
+            except OSError:  # a report that a port is closed
                 continue
-            for name, point in self._answers(data) if host in hosts else ():
+            for name, point in self._parsed(data) if host in hosts else ():
                 if name in self._names and point.shape == (3,) and np.all(np.isfinite(point)):
-                    places[str(name)] = self._frame.planned(point)
-        return places
+                    positions[str(name)] = self._frame.planned(point)
+        return positions
 
     def arm(self) -> None:  # noqa: B027
         """Leave arming to the pilot."""
 
     def close(self, *, landed: bool) -> None:  # noqa: ARG002
-        """Close the socket; autopilots leave offboard mode as they are set to."""
+        """Close the socket; autopilots leave offboard mode by their own failsafe."""
         self._socket.close()
 
 
 class JsonOutlet(DatagramOutlet):
-    """A fleet that reads JSON, one datagram for every drone and time.
+    """A fleet that receives JSON, one datagram per drone and time.
 
-    A receiver answers each datagram's sender with ``{"drone": "q0", "position": [x, y, z]}``,
-    measured, in the axes of the setpoints (east-north-up).
+    A receiver replies to the sender with measurements ``{"drone": "q0", "position": [x, y, z]}`` in
+    the axes of the setpoints (east-north-up).
     """
 
     _number = 0
 
     def send(self, targets: FleetSetpoints, now: float) -> None:
-        """Send every drone its setpoint."""
-        frame, at, turned = self._frame, targets.setpoints, _turned(targets, self._frame)
+        """Send each drone its setpoint."""
+        frame, at, attitude = self._frame, targets.setpoints, _attitudes(targets, self._frame)
         rows = {
             "position": frame.points(at.positions),
             "velocity": frame.vectors(at.velocities),
             "acceleration": frame.vectors(at.accelerations),
             "jerk": frame.vectors(at.jerks),
             "feed_forward": frame.vectors(targets.feed_forward),
-            "quaternion": turned.quaternions,
-            "body_rates": turned.body_rates,
+            "quaternion": attitude.quaternions,
+            "body_rates": attitude.body_rates,
         }
         lists = {key: values.tolist() for key, values in rows.items()}
         head = {
@@ -201,26 +201,26 @@ class JsonOutlet(DatagramOutlet):
             "yaw": frame.heading,
         }
         for i, (name, to) in enumerate(zip(self._names, self._addresses, strict=True)):
-            own = {key: values[i] for key, values in lists.items()}
-            self._send(json.dumps({**head, "drone": name, **own}).encode(), to)
+            row = {key: values[i] for key, values in lists.items()}
+            self._send(json.dumps({**head, "drone": name, **row}).encode(), to)
         self._number += 1
 
-    def _answers(self, data: bytes) -> Iterator[tuple[object, Array]]:
+    def _parsed(self, data: bytes) -> Iterator[tuple[object, Array]]:
         with suppress(ValueError, RecursionError, AttributeError):  # not JSON, or no object
-            answer = json.loads(data)
-            place = answer.get("position")
-            if isinstance(place, list) and all(
-                type(x) in (int, float) and abs(x) <= MAX_COORDINATE for x in place
+            message = json.loads(data)
+            position = message.get("position")
+            if isinstance(position, list) and all(
+                type(x) in (int, float) and abs(x) <= MAX_COORDINATE for x in position
             ):
-                yield answer.get("drone"), np.array(place, dtype=np.float64)
+                yield message.get("drone"), np.array(position, dtype=np.float64)
 
 
 class MavlinkOutlet(DatagramOutlet):
     """A fleet of autopilots in offboard mode, whose north-east-down axes share one origin.
 
     Drone ``i`` of the plan is system ``i + 1``. SET_POSITION_TARGET_LOCAL_NED sets position,
-    velocity, acceleration and yaw; they answer with LOCAL_POSITION_NED. Without pymavlink
-    UnsupportedError is raised.
+    velocity, acceleration and yaw; LOCAL_POSITION_NED has measurements. Raises UnsupportedError
+    if pymavlink is not installed.
     """
 
     controllers = ("px4",)
@@ -229,26 +229,26 @@ class MavlinkOutlet(DatagramOutlet):
         try:
             self._mavlink: Any = import_module("pymavlink.dialects.v20.common")
         except ImportError as error:
-            words = f"MAVLink needs the package pymavlink ({error}); pip install 'hitchopt[fly]'"
-            raise UnsupportedError(words) from None
+            reason = f"MAVLink needs the package pymavlink ({error}); pip install 'hitchopt[fly]'"
+            raise UnsupportedError(reason) from None
         super().__init__(*fleet)
         self._sender = self._mavlink.MAVLink(None, srcSystem=OWN_SYSTEM)
-        self._begun: float | None = None
-        self._beaten = -math.inf
+        self._start: float | None = None
+        self._last_heartbeat = -math.inf
 
     def send(self, targets: FleetSetpoints, now: float) -> None:
-        """Send every autopilot its setpoint, and a heartbeat now and then."""
+        """Send each autopilot its setpoint, and periodic heartbeats."""
         frame, at, link = self._frame, targets.setpoints, self._mavlink
-        self._begun = now if self._begun is None else self._begun
-        if now - self._beaten >= BEAT:
-            self._beaten = now
+        self._start = now if self._start is None else self._start
+        if now - self._last_heartbeat >= HEARTBEAT_PERIOD:
+            self._last_heartbeat = now
             kind = (link.MAV_TYPE_ONBOARD_CONTROLLER, link.MAV_AUTOPILOT_INVALID)
-            beat = self._sender.heartbeat_encode(*kind, 0, 0, link.MAV_STATE_ACTIVE)
+            heartbeat = self._sender.heartbeat_encode(*kind, 0, 0, link.MAV_STATE_ACTIVE)
             for to in dict.fromkeys(self._addresses):
-                self._send(beat.pack(self._sender), to)
+                self._send(heartbeat.pack(self._sender), to)
         velocities, forward = frame.vectors(at.velocities), frame.vectors(targets.feed_forward)
         rows = np.concatenate([frame.points(at.positions), velocities, forward], axis=-1).tolist()
-        boot = int(1e3 * (now - self._begun)) % 2**32
+        boot = int(1e3 * (now - self._start)) % 2**32
         axes = (link.MAV_FRAME_LOCAL_NED, link.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE)
         for i, row in enumerate(rows):
             message = self._sender.set_position_target_local_ned_encode(
@@ -256,13 +256,13 @@ class MavlinkOutlet(DatagramOutlet):
             )
             self._send(message.pack(self._sender), self._addresses[i])
 
-    def _answers(self, data: bytes) -> Iterator[tuple[object, Array]]:
-        parser = self._mavlink.MAVLink(None)  # whole messages: damage ends with a datagram
+    def _parsed(self, data: bytes) -> Iterator[tuple[object, Array]]:
+        parser = self._mavlink.MAVLink(None)  # a new one, so that damage ends with a datagram
         parser.robust_parsing = True
         for message in parser.parse_buffer(data) or []:
-            place = message.get_srcSystem() - 1
-            if message.get_type() == "LOCAL_POSITION_NED" and place in range(len(self._names)):
-                yield self._names[place], np.array([message.x, message.y, message.z])
+            index = message.get_srcSystem() - 1
+            if message.get_type() == "LOCAL_POSITION_NED" and index in range(len(self._names)):
+                yield self._names[index], np.array([message.x, message.y, message.z])
 
 
 def _parameter(robot: Any, group: str, key: str) -> object:
@@ -271,11 +271,11 @@ def _parameter(robot: Any, group: str, key: str) -> object:
 
 
 class CrazyflieOutlet:
-    """A fleet of Crazyflies behind crazyflie_py, the Python client of Crazyswarm2.
+    """A fleet of Crazyflies connected by crazyflie_py, the Python client of Crazyswarm2.
 
-    Drones of the plan are robots of the fleet, whose world is east-north-up. Measurements are the
-    poses that ``/NAME/pose`` carries, where the fleet's file logs them. Drones that do not hold
-    their parameters are refused by UnsupportedError: the server reads them when it connects.
+    The fleet's world is east-north-up. Measurements are the poses of ``/NAME/pose``, if the fleet's
+    configuration logs them. Raises UnsupportedError if drones have other parameters than the plan;
+    the server reads them when it connects.
     """
 
     controllers = ("mellinger", "lee")  # those that add streamed accelerations
@@ -291,74 +291,73 @@ class CrazyflieOutlet:
             rclpy, client = import_module("rclpy"), import_module("crazyflie_py")
             pose = import_module("geometry_msgs.msg").PoseStamped
         except ImportError as error:
-            words = "source the setup of a ROS 2 workspace with Crazyswarm2 first"
-            raise UnsupportedError(f"Crazyflies need crazyflie_py ({error}); {words}") from None
+            remedy = "source the setup of a ROS 2 workspace with Crazyswarm2 first"
+            raise UnsupportedError(f"Crazyflies need crazyflie_py ({error}); {remedy}") from None
         self._node, self._frame = client.Crazyswarm().allcfs, frame
-        known = self._node.crazyfliesByName
+        fleet = self._node.crazyfliesByName
         for robot in robots:
-            if robot not in known:
-                raise InputError("fleet", robot, f"one of {', '.join(known)}", "name it in fleet=")
-        self._robots = [known[robot] for robot in robots]
-        self._set(dict(zip(robots, (parameters[name] for name in names), strict=True)))
+            if robot not in fleet:
+                raise InputError("fleet", robot, f"one of {', '.join(fleet)}", "name it in fleet=")
+        self._robots = [fleet[robot] for robot in robots]
+        self._set_parameters([parameters[name] for name in names], robots)
         self._spin_once = partial(rclpy.spin_once, self._node, timeout_sec=0.0)
-        self._places: dict[str, Array] = {}
+        self._positions: dict[str, Array] = {}
         for name, robot in zip(names, robots, strict=True):
-            heard = partial(self._heard, name)
-            self._node.create_subscription(pose, f"/{robot}/pose", heard, 10)
+            callback = partial(self._receive, name)
+            self._node.create_subscription(pose, f"/{robot}/pose", callback, 10)
 
-    def _set(self, parameters: Mapping[str, Parameters]) -> None:
-        """Refuse drones that do not hold their parameters, and set them again.
+    def _set_parameters(self, parameters: Sequence[Parameters], names: Sequence[str]) -> None:
+        """Verify the parameters of all robots, and set them again.
 
-        A launch writes those of its own file after it has read.
+        A launch reads the robots' parameters before it writes those of its own file.
         """
-        known, faults = self._node.crazyfliesByName, []
-        for name, wanted in parameters.items():
-            held = partial(_parameter, known[name])
-            if words := describe_differences(wanted, held):
-                faults.append(f"{name}: {words}")
-        if faults:
-            faults.append(
+        errors = []
+        for name, robot, expected in zip(names, self._robots, parameters, strict=True):
+            if differences := describe_differences(expected, partial(_parameter, robot)):
+                errors.append(f"{name}: {differences}")
+        if errors:
+            errors.append(
                 "launch twice with crazyflies.yaml of an export and query_all_values_on_connect: "
                 "the first launch writes the parameters, the second reads what the drones hold"
             )
-            raise UnsupportedError("\n".join(faults))
-        for name, wanted in parameters.items():
-            for group, values in wanted.items():
+            raise UnsupportedError("\n".join(errors))
+        for robot, groups in zip(self._robots, parameters, strict=True):
+            for group, values in groups.items():
                 for key, value in values.items():
-                    known[name].setParam(f"{group}.{key}", value)
+                    robot.setParam(f"{group}.{key}", value)
 
-    def _heard(self, name: str, message: Any) -> None:
-        place = message.pose.position
-        point = np.array([place.x, place.y, place.z])
+    def _receive(self, name: str, message: Any) -> None:
+        position = message.pose.position
+        point = np.array([position.x, position.y, position.z])
         if np.all(np.isfinite(point)):
-            self._places[name] = self._frame.planned(point)
+            self._positions[name] = self._frame.planned(point)
 
     def send(self, targets: FleetSetpoints, now: float) -> None:  # noqa: ARG002
-        """Send every drone its full state."""
+        """Send each drone its full state."""
         frame, at = self._frame, targets.setpoints
         vectors = at.velocities, targets.feed_forward
         rows = [frame.points(at.positions), *map(frame.vectors, vectors)]
-        rates = _turned(targets, frame).body_rates.tolist()
+        rates = _attitudes(targets, frame).body_rates.tolist()
         for robot, row, rate in zip(self._robots, np.stack(rows, 1).tolist(), rates, strict=True):
             robot.cmdFullState(*row, frame.heading, rate)
 
     def measured(self) -> dict[str, Array]:
-        """Return the poses' positions."""
+        """Return the received positions (3,) [m] in the plan's axes, by drone names."""
         for _ in range(4 * len(self._robots)):
             self._spin_once()
-        places, self._places = self._places, {}
-        return places
+        positions, self._positions = self._positions, {}
+        return positions
 
     def arm(self) -> None:
-        """Arm the drones that need it, which the others' client does not know."""
+        """Arm the drones whose client supports it; the others need no arming."""
         for robot in self._robots:
             if hasattr(robot, "arm"):
                 robot.arm(True)
 
     def close(self, *, landed: bool) -> None:
-        """Give the drones back to their high-level commander, which puts down landed ones."""
+        """Return control to the drones' high-level commander, which ends a landing."""
         for robot in self._robots:
-            robot.notifySetpointsStop(VALID)
+            robot.notifySetpointsStop(SETPOINT_VALIDITY)
         for robot in self._robots if landed else ():
-            robot.land(LANDED, DOWN)
+            robot.land(LANDED, LANDING_TIME)
         self._spin_once()

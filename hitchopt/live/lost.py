@@ -1,11 +1,10 @@
-"""Reactions to the loss of a drone: survivors let go, and sink clear of where it swings and falls.
+"""Certified reactions to the loss of a drone: survivors release tension and descend clear of it.
 
-Survivors notice the loss after DELAY. From then on the plan's clock stops as soon as its
-certificate allows, and the team sinks as a whole until its lowest drone is on the ground; drones
-that are higher go straight down then. A team that sinks as a whole keeps all its distances. All
-survivors of a hitch let tension go in a moment; the lost drone swings below its clasp then, while
-its cable runs. Where cables hang free it has to reach the ground before its cable is taut, since no
-drone carries two.
+Survivors react DELAY after the loss. The plan's clock stops as soon as the certificate allows. The
+team descends with all distances unchanged until its lowest drone is on the ground; higher drones
+then descend vertically. The survivors of a hitch release tension within RELEASE_TIME, while the
+lost drone swings below its clasp and its cable slides. With free cables, the lost drone must reach
+the ground before its cable is taut, because no drone can carry two.
 """
 
 from __future__ import annotations
@@ -33,35 +32,35 @@ from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.values import Array, nonnegative, positive
 
 DELAY = 0.05  # time from the loss until the survivors react [s]
-SHARE = 0.8  # of the limits, with which a team sinks
-WAITS = (0.0, 0.1, 0.25)  # later begins of the stop, where polynomials do not follow the first [s]
-LEAST = 1e-3  # height at which drones are on the ground [m]
+LIMIT_SHARE = 0.8  # share of the limits that is used in the descent
+STOP_DELAYS = (0.0, 0.1, 0.25)  # candidate delays of the stop [s]
+GROUND_TOLERANCE = 1e-3  # height up to which drones are on the ground [m]
 
-# Time in which survivors let tension go [s]. Cables that stay level are pulled hardest by what
-# falls, slack ones let it gather speed: in simulated flights peaks of tension were larger where all
-# was let go at once, or in twice the time
+# Time in which survivors release tension [s]. The falling drone pulls hardest on taut level cables,
+# and accelerates longer on slack ones: in simulated flights peaks of tension were larger with an
+# immediate release, and with one in twice the time
 RELEASE_TIME = 0.3
 
-# Distance by which a lost drone draws its partner toward its clasp [m]: in simulated flights legs
-# of 0.29 m were drawn to their clasps, those of 0.37 m were not; and the leg that remains
-DRAWN, NEAREST_LEG = 0.36, 0.05
+# Distance by which a lost drone pulls its partner toward their clasp [m]: in simulated flights legs
+# of 0.29 m were pulled to their clasps, those of 0.37 m were not; and the shortest remaining leg
+MAX_PULL, MIN_LEG = 0.36, 0.05
 
-# Angle lost in a swing [rad]: it turns back below the height where it began, since cables that run
-# take its energy. Computed swings of legs from 0.3 to 0.8 m, with tensions from none to 0.4 N and
-# coefficients of friction up to 0.2, turned back 27° to 52° sooner
+# Angle lost in a swing [rad], because sliding cables dissipate energy. Computed swings of legs from
+# 0.3 to 0.8 m, with tensions up to 0.4 N and coefficients of friction up to 0.2, reversed 27° to
+# 52° before the symmetric angle
 SWING_LOSS = np.radians(25.0)
 
-# Numbers of angles of a swing, of lengths to which its cable may run, and of times at which
-# survivors are compared with what lies on the ground; time between samples of a free fall [s]
-SWINGS, RUNS, PLACES, FALL = 40, 5, 400, 0.02
+# Numbers of samples: angles of a swing, lengths of its sliding cable, times at which survivors are
+# compared with the lost drone on the ground; time between samples of a free fall [s]
+SWING_SAMPLES, SLIDE_SAMPLES, GROUND_SAMPLES, FALL_STEP = 40, 5, 400, 0.02
 
-# Usual distance of the times at which losses are looked at [s], and their smallest number
-EVERY, FEWEST = 1.0, 8
+# Default interval of the sampled times of losses [s], and their minimum number
+DEFAULT_INTERVAL, MIN_SAMPLES = 1.0, 8
 
-# Checks of drones that land by themselves (how their cables come to lie is not looked at), and of
-# the team before, the lost drone's place included; for all of the time
-LANDED = ("separation", "speed", "acceleration", "jerk", "thrust", "tilt", "arena", "keep_out")
-SUNK = (*LANDED, "cable_clearance", "crossing", "legs", "continuity")
+# Checks of the drones' vertical landing (without the cables, which fold on the ground), and of the
+# team's motion before, both including the lost drone's path
+LAND_CHECKS = ["separation", "speed", "acceleration", "jerk", "thrust", "tilt", "arena", "keep_out"]
+DESCENT_CHECKS = [*LAND_CHECKS, "cable_clearance", "crossing", "legs", "continuity"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,205 +68,197 @@ class Reaction(OneLine):
     """A certified reaction to the loss of a drone."""
 
     drone: str
-    begins: float  # when survivors react [s]
-    motion: Motion  # the plan until then, and what all fly to the ground, whichever drone it is
-    # largest thrust, over what there is, of a survivor that hovers while its cable, level, pulls
-    # with the lost drone's weight
+    start: float  # time at which survivors react [s]
+    motion: Motion  # the plan until then and the descent, the same for the loss of any drone
+    # largest ratio of thrust to maximum thrust of a survivor that hovers while its level cable
+    # carries the lost drone's weight
     thrust: float
     nearest: float  # smallest separation of survivors, or distance to the lost one over two radii
 
 
 class Reactions:
-    """The reactions of one plan; motions after a loss are computed once for all drones."""
+    """The reactions of one plan; motions after a loss are shared by all drones."""
 
     def __init__(self, motion: Motion) -> None:
         motion.refuse_several("a reaction to a lost drone")
         self.motion = motion
-        self._flown = lru_cache(maxsize=256)(self._certified)
+        self._motion_after = lru_cache(maxsize=256)(self._certified_motion)
 
     def plan(self, drone: str, time: float) -> Reaction:
         """Return the reaction to the loss of a drone at a time [s].
 
-        InfeasibleError names the limit that prevents it.
+        Raises InfeasibleError with the limit that binds.
         """
         motion, names = self.motion, self.motion.team.drone_names
         if drone not in names:
             raise InputError("drone", drone, f"one of {', '.join(names)}", "name a drone")
         if nonnegative("t", time) > motion.duration:
             raise InputError("t", time, f"within {motion.duration:g} s", "ask within the plan")
-        whole, states, lost = self._flown(float(time)), states_at(motion, time), names.index(drone)
-        begins = min(time + DELAY, motion.duration)
+        states, lost = states_at(motion, time), names.index(drone)
+        descent, start = self._motion_after(float(time)), min(time + DELAY, motion.duration)
         if bool(states.formed):
-            thrust, nearest = self._hitched(lost, states)
+            thrust, nearest = self._check_swing(lost, states)
         else:
-            thrust, nearest = 0.0, self._falling(whole.drones, time, begins, lost)
+            thrust, nearest = 0.0, self._check_fall(descent.drones, time, start, lost)
         thrust = max(largest_at_rest(motion, used_thrust), thrust)
         if thrust > 1.0:
             raise _no_reaction(time, f"{drone} on its cable takes {thrust:.0%} of a thrust")
         if nearest < 1.0:
             raise _no_reaction(time, f"a survivor comes to {nearest:.3g} of its distance")
-        return Reaction(drone, begins, whole, thrust, nearest)
+        return Reaction(drone, start, descent, thrust, nearest)
 
-    def _certified(self, time: float) -> Motion:
+    def _certified_motion(self, time: float) -> Motion:
         """Return the certified motion after a loss at a time [s]."""
         if self.motion.team.has_cables and self.motion.requirements.objects:
             raise _no_reaction(time, "the team carries objects, or stands among them")
-        words = list[str]()
-        for wait in WAITS:
-            motion, broken = _sunk_from(self.motion, time + DELAY + wait)
-            if broken is None:
+        reasons = list[str]()
+        for delay in STOP_DELAYS:
+            motion, violated = _with_descent(self.motion, time + DELAY + delay)
+            if violated is None:
                 return motion
-            values = f"{broken.worst:.4g} {broken.unit} ({broken.number:.4g})"
-            words.append(f"sinking breaks {broken.name}: {values}")
-        raise _no_reaction(time, words[0])
+            values = f"{violated.worst:.4g} {violated.unit} ({violated.number:.4g})"
+            reasons.append(f"sinking breaks {violated.name}: {values}")
+        raise _no_reaction(time, reasons[0])
 
-    def _hitched(self, lost: int, states: States) -> tuple[float, float]:
-        """Return the thrust and the nearest distance of a hitch that has lost a drone."""
+    def _check_swing(self, lost: int, states: States) -> tuple[float, float]:
+        """Return thrust ratio and nearest distance of a hitch whose lost drone swings."""
         team, partner = self.motion.team, lost ^ 1
         points, others = team.layout.pulled_to, np.arange(team.drones) != lost
         near_loss = others & ((points == points[lost]) | (np.arange(team.drones) == partner))
-        pulled = GRAVITY * np.hypot(team.mass, team.mass[lost]) / team.max_thrust
+        thrusts = GRAVITY * np.hypot(team.mass, team.mass[lost]) / team.max_thrust
         leg = states.positions[partner] - states.vertices[points[partner]]
-        size = float(np.linalg.norm(leg))
-        gives = max(size - NEAREST_LEG, 0.0)
-        swung = self._swung(lost, states, gives)
-        moved = states.positions.copy()
-        moved[partner] -= min(gives, DRAWN) / size * leg
+        length = float(np.linalg.norm(leg))
+        max_slide = max(length - MIN_LEG, 0.0)
+        swing = self._swing(lost, states, max_slide)
+        positions = states.positions.copy()
+        positions[partner] -= min(max_slide, MAX_PULL) / length * leg
         separation = self.motion.requirements.separation
-        apart = smallest_separation(moved[None, others], separation)
-        nearest = min(self._to_lost(states.positions[others, None], swung), apart)
-        return float(np.max(pulled[near_loss])), nearest
+        ratio = smallest_separation(positions[None, others], separation)
+        nearest = min(self._to_lost(states.positions[others, None], swing), ratio)
+        return float(np.max(thrusts[near_loss])), nearest
 
-    def _swung(self, lost: int, states: States, gives: float) -> Array:
-        """Return places (k, 3) [m] of all swings below a clasp, as far as its cable may run.
+    def _swing(self, lost: int, states: States, max_slide: float) -> Array:
+        """Return positions (k, 3) [m] of the lost drone in all possible swings below its clasp.
 
-        How far it runs depends on tension, friction and the partner, which is drawn along its leg
-        by ``gives`` [m] at most.
+        Its cable slides by up to ``max_slide`` [m], depending on tension, friction and the partner.
         """
         clasp = states.vertices[self.motion.team.layout.pulled_to[lost]]
         leg = states.positions[lost] - clasp
-        level = float(np.hypot(*leg[:2]))
-        begins = np.arctan2(-leg[2], level)
-        angles = np.linspace(begins, np.pi - begins - SWING_LOSS, SWINGS)[:, None]
-        out = leg * [1.0, 1.0, 0.0] / max(level, 1e-9)
-        arcs = np.cos(angles) * out - np.sin(angles) * [0.0, 0.0, 1.0]
-        reach = np.linalg.norm(leg) + np.linspace(0.0, gives, RUNS)[:, None, None]
-        places: Array = (clasp + reach * arcs).reshape(-1, 3)
-        return np.maximum(places, [-np.inf, -np.inf, self.motion.requirements.floor])
+        horizontal = float(np.hypot(*leg[:2]))
+        start = np.arctan2(-leg[2], horizontal)
+        angles = np.linspace(start, np.pi - start - SWING_LOSS, SWING_SAMPLES)[:, None]
+        outward = leg * [1.0, 1.0, 0.0] / max(horizontal, 1e-9)
+        arcs = np.cos(angles) * outward - np.sin(angles) * [0.0, 0.0, 1.0]
+        slides = np.linspace(0.0, max_slide, SLIDE_SAMPLES)[:, None, None]
+        positions: Array = (clasp + (np.linalg.norm(leg) + slides) * arcs).reshape(-1, 3)
+        return np.maximum(positions, [-np.inf, -np.inf, self.motion.requirements.floor])
 
-    def _falling(self, drones: PiecewisePolynomial, time: float, begins: float, lost: int) -> float:
-        """Return the nearest distance where cables hang free, or there are none."""
+    def _check_fall(
+        self, drones: PiecewisePolynomial, time: float, start: float, lost: int
+    ) -> float:
+        """Return the nearest distance to a lost drone that falls freely."""
         team, floor = self.motion.team, self.motion.requirements.floor
         at_loss = self.motion.drones.at(time)[lost], self.motion.drones.at(time, 1)[lost]
-        times, places = free_fall(*at_loss, floor)
-        there = drones.at(np.minimum(time + times, drones.breaks[-1]))
+        times, fall = free_fall(*at_loss, floor)
+        survivors = drones.at(np.minimum(time + times, drones.breaks[-1]))
         if team.has_cables:
-            chords = np.linalg.norm(there[:, lost ^ 1] - places, axis=-1)
+            chords = np.linalg.norm(survivors[:, lost ^ 1] - fall, axis=-1)
             taut = chords > team.cable_length[lost // 2]
             if np.any(taut):
-                height = places[np.argmax(taut), 2] - floor
-                words = f"hangs on its partner {height:.2g} m above the ground"
-                raise _no_reaction(time, f"{team.drone_names[lost]} {words}")
-        later = drones.at(np.linspace(begins, drones.breaks[-1], PLACES))  # no drone lands on it
-        there, later = (np.delete(each, lost, axis=1) for each in (there, later))
-        return min(self._to_lost(there, places[:, None]), self._to_lost(later, places[-1]))
+                height = fall[np.argmax(taut), 2] - floor
+                reason = f"hangs on its partner {height:.2g} m above the ground"
+                raise _no_reaction(time, f"{team.drone_names[lost]} {reason}")
+        later = drones.at(np.linspace(start, drones.breaks[-1], GROUND_SAMPLES))
+        survivors, later = (np.delete(each, lost, axis=1) for each in (survivors, later))
+        return min(self._to_lost(survivors, fall[:, None]), self._to_lost(later, fall[-1]))
 
-    def _to_lost(self, survivors: Array, places: Array) -> float:
-        """Return the smallest distance of survivors (…, 3) to places (…, 3) of the lost drone [m].
+    def _to_lost(self, survivors: Array, positions: Array) -> float:
+        """Return the smallest distance of survivors (…, 3) to the lost drone, over two radii.
 
-        It is over two radii in every direction: a drone without motors has no downwash.
+        The distance counts equally in all directions: without motors there is no downwash.
         """
-        distances = np.linalg.norm(survivors - places, axis=-1)
+        distances = np.linalg.norm(survivors - positions, axis=-1)
         radius = self.motion.requirements.separation.radius
         return float(np.min(distances, initial=np.inf)) / (2.0 * radius)
 
 
-def _no_reaction(time: float, words: str) -> InfeasibleError:
-    """Return the error that a loss at a time [s] has no reaction."""
-    return InfeasibleError([], f"no reaction to a loss at t = {time:.4g} s: {words}")
+def _no_reaction(time: float, reason: str) -> InfeasibleError:
+    return InfeasibleError([], f"no reaction to a loss at t = {time:.4g} s: {reason}")
 
 
 def free_fall(position: Array, velocity: Array, floor: float) -> tuple[Array, Array]:
-    """Return times (k,) [s] and places (k, 3) [m] of a free fall, the last one on the ground."""
+    """Return times (k,) [s] and positions (k, 3) [m] of a free fall to the ground."""
     height, up = position[2] - floor, velocity[2]
-    lasts = (up + np.sqrt(max(up**2 + 2.0 * GRAVITY * height, 0.0))) / GRAVITY
-    times = np.append(np.arange(0.0, lasts, FALL), lasts)
-    places = position + times[:, None] * velocity
-    places[:, 2] -= 0.5 * GRAVITY * times**2
-    return times, np.maximum(places, [-np.inf, -np.inf, floor])
+    duration = (up + np.sqrt(max(up**2 + 2.0 * GRAVITY * height, 0.0))) / GRAVITY
+    times = np.append(np.arange(0.0, duration, FALL_STEP), duration)
+    positions = position + times[:, None] * velocity
+    positions[:, 2] -= 0.5 * GRAVITY * times**2
+    return times, np.maximum(positions, [-np.inf, -np.inf, floor])
 
 
 def _heights(motion: Motion) -> Array:
-    """Return how far drones are above the ground where a motion ends (2n,) [m]."""
+    """Return the heights of drones above the ground at the end of a motion (2n,) [m]."""
     heights: Array = motion.drones.coefficients[-1, :, 2, -1] - motion.requirements.floor
     return heights
 
 
-def _sunk_from(motion: Motion, time: float) -> tuple[Motion, Check | None]:
-    """Return a plan that stops from a time [s] on and lands, and the first check it breaks."""
+def _with_descent(motion: Motion, time: float) -> tuple[Motion, Check | None]:
+    """Return a plan that stops from a time [s] on and lands, and the first violated check."""
     motion = until_stop(motion, min(time, motion.duration)).motion
     if motion.phases[-1].formed or not motion.team.has_cables:
-        motion = _sunk(motion)  # hanging cables would be dragged on the ground
-    checks = [RULE_OF[name].check(motion) for name in SUNK]
-    if np.max(_heights(motion)) > LEAST:
+        motion = _with_common_descent(motion)  # hanging cables would be dragged on the ground
+    checks = [RULE_OF[name].check(motion) for name in DESCENT_CHECKS]
+    if np.max(_heights(motion)) > GROUND_TOLERANCE:
         landing = straight_down(motion)
-        checks += [RULE_OF[name].check(landing) for name in LANDED]
+        checks += [RULE_OF[name].check(landing) for name in LAND_CHECKS]
         motion = append_motion(motion, landing)
     return motion, next((each for each in checks if each is not None and not each.holds), None)
 
 
-def _sunk(motion: Motion) -> Motion:
-    """Return a plan at rest whose team sinks as a whole then, its lowest drone to the ground."""
+def _with_common_descent(motion: Motion) -> Motion:
+    """Return a plan with a descent of the whole team until its lowest drone is on the ground."""
     depth, limits = float(np.min(_heights(motion))), motion.requirements.limits
-    if depth <= LEAST:
+    if depth <= GROUND_TOLERANCE:
         return motion
-    bounds = (SHARE * bound for bound in (limits.speed, limits.acceleration, limits.jerk))
-    down = fastest_clock(depth, *bounds)
-    still = resting(motion, down.duration)
-    still = still.map_curves(lambda part: on_breaks(part, down.breaks), still.phases)
-    lower = down.coefficients[:, None, None] * np.array([0.0, 0.0, -1.0])[:, None]
+    bounds = (LIMIT_SHARE * bound for bound in (limits.speed, limits.acceleration, limits.jerk))
+    depths = fastest_clock(depth, *bounds)
+    rest = resting(motion, depths.duration)
+    rest = rest.map_curves(lambda part: on_breaks(part, depths.breaks), rest.phases)
+    lower = depths.coefficients[:, None, None] * np.array([0.0, 0.0, -1.0])[:, None]
     drones, vertices = (
-        part.alike(part.coefficients + lower) for part in (still.drones, still.vertices)
+        part.alike(part.coefficients + lower) for part in (rest.drones, rest.vertices)
     )
-    return append_motion(motion, still.replaced(drones=drones, vertices=vertices))
+    return append_motion(motion, rest.replaced(drones=drones, vertices=vertices))
 
 
-def reacting(task: Task, reaction: Reaction) -> Task:
-    """Return a plan's task until the survivors react, then what they fly, to the ground."""
-    reacting_task = Task.of(reaction.motion)
-    released = np.clip((reacting_task.t - reaction.begins) / RELEASE_TIME, 0.0, 1.0)[:, None, None]
-    forces = reacting_task.setpoints.cable_forces * (1.0 - released**2 * (3.0 - 2.0 * released))
-    setpoints = replace(reacting_task.setpoints, cable_forces=forces)
-    parts = (
-        task.team,
-        task.t[0] + reacting_task.t,
-        setpoints,
-        reacting_task.formed,
-        reacting_task.vertices,
-        reacting_task.tensions,
-    )
-    return Task(*parts)
+def reaction_task(task: Task, reaction: Reaction) -> Task:
+    """Return the task of a plan with a reaction, in which survivors release tension smoothly."""
+    new = Task.of(reaction.motion)
+    share = np.clip((new.t - reaction.start) / RELEASE_TIME, 0.0, 1.0)[:, None, None]
+    forces = new.setpoints.cable_forces * (1.0 - share**2 * (3.0 - 2.0 * share))
+    setpoints = replace(new.setpoints, cable_forces=forces)
+    return Task(task.team, task.t[0] + new.t, setpoints, new.formed, new.vertices, new.tensions)
 
 
 @dataclass(frozen=True)
-class Lost(OneLine):
+class UnsurvivableSpan(OneLine):
     """A span of a plan in which the loss of a drone has no certified reaction."""
 
     drone: str
-    start: float  # half-way to the neighbouring sampled time [s]
-    end: float
-    reason: str  # why there is none, at its first time
+    start: float  # half-way to the previous sampled time [s]
+    end: float  # half-way to the next sampled time [s]
+    reason: str  # at the first sampled time
 
 
 def survivable(
-    motion: Motion, every: float = EVERY, progress: Progress | None = None
-) -> tuple[Check, list[Lost]]:
+    motion: Motion, every: float = DEFAULT_INTERVAL, progress: Progress | None = None
+) -> tuple[Check, list[UnsurvivableSpan]]:
     """Return the share of (drone, time), about ``every`` [s], with a certified reaction to a loss.
 
     It is sampled, not a bound for all times. Spans without a reaction are listed.
     """
-    reactions, names, without = Reactions(motion), motion.team.drone_names, list[Lost]()
-    count = max(FEWEST, round(motion.duration / positive("every", every)))
+    reactions, names, spans = Reactions(motion), motion.team.drone_names, list[UnsurvivableSpan]()
+    count = max(MIN_SAMPLES, round(motion.duration / positive("every", every)))
     edges, refused = np.linspace(0.0, motion.duration, count + 1).tolist(), 0
     for name in names:
         for start, end in pairwise(edges):
@@ -277,12 +268,12 @@ def survivable(
                 reactions.plan(name, 0.5 * (start + end))
             except InfeasibleError as error:
                 refused += 1
-                last = without[-1] if without else None
+                last = spans[-1] if spans else None
                 if last is not None and (last.drone, last.end) == (name, start):
-                    without[-1] = replace(last, end=end)
+                    spans[-1] = replace(last, end=end)
                 else:
-                    without.append(Lost(name, start, end, str(error)))
-    share, where = 1.0 - refused / (count * len(names)), dict.fromkeys(x.drone for x in without)
-    time = without[0].start if without else 0.0
+                    spans.append(UnsurvivableSpan(name, start, end, str(error)))
+    share, where = 1.0 - refused / (count * len(names)), dict.fromkeys(x.drone for x in spans)
+    time = spans[0].start if spans else 0.0
     check = Check("survivable", True, share, None, "min", "1", time, tuple(where), "sampled")
-    return check, without
+    return check, spans

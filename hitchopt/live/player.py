@@ -1,7 +1,7 @@
-"""A plan on a common clock that can be slowed, paused, resumed, turned back and sought in.
+"""Fly a plan on a common clock that can be slowed, paused, resumed, reversed and sought.
 
-The clock's rate changes by phases of constant jerk. Changes of many durations are made, to begin
-now or later; the soonest that is verified for all of its time is flown.
+The clock's rate changes in phases of constant jerk. Candidates have many durations and delays; the
+one that ends first, among those that keep all limits at all times, is flown.
 """
 
 from __future__ import annotations
@@ -22,29 +22,28 @@ from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.clock_phases import ClockPhases, concatenated_clocks
 from hitchopt.values import Array, finite, nonnegative
 
-RATES = (1.0, 0.7, 0.4)  # candidates for going to a plan time
-DURATION_CANDIDATES = tuple(
-    np.geomspace(SHORTEST, SLOWEST, 27).tolist()
-)  # durations of a change by 1 [s]
-WAITS = (0.1, 0.2, 0.4, 0.8, 1.6)  # delays before a change that cannot begin at once [s]
-BATCH = 24  # number of changes that are verified together
+SEEK_RATES = (1.0, 0.7, 0.4)  # candidate rates to seek a plan time
+DURATIONS = tuple(np.geomspace(SHORTEST, SLOWEST, 27).tolist())
+"""Candidate durations of a change of the rate by 1 [s]."""
+DELAYS = (0.1, 0.2, 0.4, 0.8, 1.6)  # candidate delays of a change that cannot start at once [s]
+BATCH = 24  # number of candidates that are verified together
 
-STEADY = 1e-9  # difference of equal rates, and distance [s] at which an end is reached
-BRIEF = 1e-9  # shorter phases are dropped, and those of which less is left are over [s]
-ALIKE = 1e-9  # difference of tensions [N] with which legs do not lean
-MIN_SLIDE = 1e-6  # difference of lengths on a piece [m] with which legs do not slide
+CLOCK_TOLERANCE = 1e-9  # for differences of rates, and of plan times [s]
+MIN_PHASE = 1e-9  # shorter phases, and shorter remainders of phases, are dropped [s]
+TENSION_TOLERANCE = 1e-9  # difference of tensions up to which legs are symmetric [N]
+MIN_SLIDE = 1e-6  # change of a leg's length on a piece up to which it does not slide [m]
 
 
 @dataclass(frozen=True, eq=False)
 class Setpoints(OneLine):
-    """Setpoints of a player at the present time.
+    """Setpoints of a player at the current time.
 
     Attributes
     ----------
     time: plan time [s].
-    rate: of the clock, 1 where the plan is flown as it is.
-    positions, velocities, accelerations, jerks: (drones, 3) [m], [m/s], [m/s²], [m/s³], of real
-        time.
+    rate: rate of the clock, 1 for the plan's own speed.
+    positions, velocities, accelerations, jerks: (drones, 3) [m], [m/s], [m/s²], [m/s³], with
+        derivatives by real time.
     """
 
     time: float
@@ -58,21 +57,21 @@ class Setpoints(OneLine):
 class Player(OneLine):
     """A plan flown on a clock that all drones share.
 
-    Paths, separations, clearances and crossings are the plan's at every rate. Every change of the
-    rate is verified for all of its time before it begins: acceleration, jerk, thrust, tilt and
-    body rates keep their limits, and what is carried its balance. Where a change cannot begin at
-    once, the clock runs on until it can.
+    Paths, separations, clearances and crossings are those of the plan at every rate. Every change
+    of the rate is verified for its whole duration before it starts: acceleration, jerk, thrust,
+    tilt and body rates keep their limits, and a held object its balance. If a change cannot start
+    at once, the clock continues until it can.
 
     Parameters
     ----------
-    plan: a plan or its motion; what players of the same motion compute is computed once.
-    time: plan time to start at [s].
-    rate: of the clock at the start, from -1 to 1.
+    plan: a plan or its motion; players of the same motion share computed data.
+    time: initial plan time [s].
+    rate: initial rate of the clock, from -1 to 1.
 
     Raises
     ------
-    InputError: a time outside the plan, or a rate out of its range.
-    UnsupportedError: a plan beside others, whose clock is not this one.
+    InputError: the time is outside the plan, or the rate out of range.
+    UnsupportedError: other plans fly at the same time, on clocks of their own.
     """
 
     def __init__(self, plan: object, time: float = 0.0, rate: float = 1.0) -> None:
@@ -80,16 +79,14 @@ class Player(OneLine):
         if not isinstance(motion, Motion):
             raise InputError("plan", plan, "a Plan or a Motion", "solve or load one")
         if motion.others:
-            words = (
-                f"a clock that can be slowed, beside {motion.others[0].name}, which does not wait"
-            )
-            raise UnsupportedError(f"{words}; plan without others, or use aborts alone")
+            reason = f"{motion.others[0].name} flies on a clock that cannot be slowed"
+            raise UnsupportedError(f"{reason}; plan without others, or use aborts alone")
         self.motion: Motion = motion
-        self._known = _known(motion)
-        self._begin, self._end = (float(b) for b in motion.drones.breaks[[0, -1]])
-        self._check_within("time", time)
-        self._course = self._within(Course(float(time), _checked_rate(rate)))
-        self._durations = DURATION_CANDIDATES  # of changes that are tried
+        self._shared = _shared_data(motion)
+        self._start, self._end = (float(b) for b in motion.drones.breaks[[0, -1]])
+        self._check_time(time)
+        self._course = self._clamped(Course(float(time), _checked_rate(rate)))
+        self._durations = DURATIONS
 
     def _parts(self) -> Iterator[str]:
         yield f"{len(self.motion.team.drone_names)} drones"
@@ -97,8 +94,8 @@ class Player(OneLine):
 
     @property
     def stops(self) -> StopTable:
-        """The stops from full rate; ``stoppable`` is the longest time until one of them rests."""
-        return self._known.stops
+        """The stops from full rate; ``stoppable`` is the longest time until rest."""
+        return self._shared.stops
 
     @property
     def time(self) -> float:
@@ -107,31 +104,31 @@ class Player(OneLine):
 
     @property
     def clock_rate(self) -> float:
-        """Plan time per time: 1 for the plan as it is, negative backward."""
+        """Rate of the plan time: 1 for the plan's own speed, negative backward."""
         return self._course.now[1]
 
     @property
     def resting(self) -> bool:
-        """Whether the clock stands still and is not about to move."""
+        """Whether the clock is at rest and not about to start."""
         return not self._course.phases and self._course.rate == 0.0
 
     @property
     def ahead(self) -> ClockPhases:
-        """The rest of the present change of the clock's rate."""
+        """The remaining phases of the current change of the rate."""
         return self._course.clock
 
     def step(self, seconds: float) -> Setpoints:
-        """Let time pass [s] and return the setpoints then.
+        """Advance the time [s] and return the setpoints.
 
         Raises
         ------
-        InputError: a time that is negative or not finite.
+        InputError: the time is negative or not finite.
         """
         self._course = self._course.after(nonnegative("seconds", seconds))
-        if not self._begin <= self.time <= self._end:
-            self._course = self._within(Course(self.time, self.clock_rate))
+        if not self._start <= self.time <= self._end:
+            self._course = self._clamped(Course(self.time, self.clock_rate))
         time, rate, slope, jerk = self._course.now
-        each = [one.values(time, rate, slope, jerk) for one in self._known.samplers]
+        each = [sampler.values(time, rate, slope, jerk) for sampler in self._shared.samplers]
         return Setpoints(time, rate, *np.concatenate(each, axis=1))
 
     def pause(self) -> float:
@@ -139,133 +136,134 @@ class Player(OneLine):
         return self.rate(0.0)
 
     def resume(self) -> float:
-        """Return to the rate of the plan; return the time until it is reached [s]."""
+        """Return to the plan's own rate; return the time until it is reached [s]."""
         return self.rate(1.0)
 
     def rate(self, rate: float) -> float:
-        """Change to a constant rate from -1 to 1 as soon as it can be; return after how long [s].
+        """Change to a constant rate from -1 to 1 as soon as possible; return the time it takes [s].
 
-        A stop that is nowhere possible earlier ends at the end of the plan.
+        A stop ends at the end of the plan if no earlier one is possible.
 
         Raises
         ------
-        InputError: a rate out of its range.
-        InfeasibleError: no such change was found to keep all limits, or cables would slide back
-            where legs lean against friction; the clock goes on as before.
+        InputError: the rate is out of range.
+        InfeasibleError: no change was found that keeps all limits, or cables would slide backward
+            where legs lean against friction; the clock continues as before.
         """
         rate = _checked_rate(rate)
-        course = self._first(partial(_to_rate, rate), rate)
+        course = self._first_feasible(partial(_to_rate, rate), rate)
         if rate == 0.0:
-            certain = self._certain_stop()
-            course = certain if course is None or certain.seconds <= course.seconds else course
-        return self._adopt(course, f"a rate of {rate:g}")
+            stop = self._guaranteed_stop()
+            course = stop if course is None or stop.seconds <= course.seconds else course
+        return self._follow(course, f"a rate of {rate:g}")
 
     def back(self) -> float:
         """Fly the plan backward at full rate; return the time until that is reached [s].
 
-        Where legs have leaned against friction, the clock rests after that: flown
-        backward, cables slide the other way and legs would lean wrongly.
+        The clock stops after the last span in which legs lean against friction: backward, cables
+        slide the other way, and the legs would have to lean to the other side.
 
         Raises
         ------
         InfeasibleError: as rate.
         """
-        leaning, time = self._known.leaning, self.time
-        until = float(np.max(leaning[leaning[:, 0] < time, 1], initial=self._begin))
-        return self.seek(until) if self._begin < until < time else self.rate(-1.0)
+        leaning, time = self._shared.leaning, self.time
+        until = float(np.max(leaning[leaning[:, 0] < time, 1], initial=self._start))
+        return self.seek(until) if self._start < until < time else self.rate(-1.0)
 
     def seek(self, time: float) -> float:
-        """Go to a plan time on the clock and rest there; return the time it takes [s].
+        """Move the clock to a plan time and stop there; return the time it takes [s].
 
         Raises
         ------
-        InputError: a time outside the plan.
+        InputError: the time is outside the plan.
         InfeasibleError: as rate.
         """
-        self._check_within("time", time)
-        return self._adopt(self._first(partial(_to_time, time), 0.0), f"plan time {time:g} s")
+        self._check_time(time)
+        course = self._first_feasible(partial(_to_time, time), 0.0)
+        return self._follow(course, f"plan time {time:g} s")
 
-    def _check_within(self, key: str, time: float) -> None:
-        if not self._begin <= finite(key, time) <= self._end:
-            raise InputError(key, time, f"within [0, {self._end:g}] s", "stay within the plan")
+    def _check_time(self, time: float) -> None:
+        if not self._start <= finite("time", time) <= self._end:
+            raise InputError("time", time, f"within [0, {self._end:g}] s", "stay within the plan")
 
-    def _within(self, course: Course) -> Course:
-        """Return the same course, at rest then where it has come to an end of the plan."""
+    def _clamped(self, course: Course) -> Course:
+        """Return the course limited to the plan, at rest if it ends at the plan's start or end."""
         time, rate = course.time, course.rate
-        over = time - self._end if rate > 0.0 else self._begin - time
-        rate = 0.0 if over > -STEADY else rate
-        return replace(course, time=min(max(time, self._begin), self._end), rate=rate)
+        excess = time - self._end if rate > 0.0 else self._start - time
+        rate = 0.0 if excess > -CLOCK_TOLERANCE else rate
+        return replace(course, time=min(max(time, self._start), self._end), rate=rate)
 
-    def _first(self, change: Change, rate: float) -> Course | None:
-        """Return the soonest change to a rate that is verified; None if there is none."""
-        options = []
-        for before in self._delays(rate):
+    def _first_feasible(self, change: Change, rate: float) -> Course | None:
+        """Return the change to a rate that ends first and keeps all limits; None if none does."""
+        candidates = []
+        for first_part in self._first_parts(rate):
             for duration in self._durations:
-                for course in change(before, duration):
-                    tailed = self._tailed(course, rate)
-                    if not self._known.slides_back(tailed.clock):
-                        options.append((course, course if abs(rate) == 1.0 else tailed))
-        options.sort(key=lambda option: option[0].seconds)
-        for first in range(0, len(options), BATCH):
-            batch = options[first : first + BATCH]
-            clocks = concatenated_clocks([tailed.clock for _, tailed in batch])
-            feasible = self._known.limits.keep(clocks, len(batch))
+                for course in change(first_part, duration):
+                    extended = self._extended(course, rate)
+                    if not self._shared.slides_back(extended.clock):
+                        candidates.append((course, course if abs(rate) == 1.0 else extended))
+        candidates.sort(key=lambda candidate: candidate[0].seconds)
+        for first in range(0, len(candidates), BATCH):
+            batch = candidates[first : first + BATCH]
+            clocks = concatenated_clocks([extended.clock for _, extended in batch])
+            feasible = self._shared.limits.keep(clocks, len(batch))
             if np.any(feasible):
                 return batch[int(np.argmax(feasible))][0]
         return None
 
-    def _delays(self, rate: float) -> Iterator[Course]:
-        """Yield courses before a change: none, the rest of the present one, a wait, a stop."""
-        left = self._course
-        yield Course(*left.now[:3])
-        if left.phases:
-            yield left
-        elif left.rate != 0.0:
-            yield from (left.then(wait) for wait in WAITS)
+    def _first_parts(self, rate: float) -> Iterator[Course]:
+        """Yield courses before a change: none, the rest of the current change, a delay, a stop."""
+        current = self._course
+        yield Course(*current.now[:3])
+        if current.phases:
+            yield current
+        elif current.rate != 0.0:
+            yield from (current.then(delay) for delay in DELAYS)
         if rate != 1.0 and not self.resting:
-            yield self._certain_stop()
+            yield self._guaranteed_stop()
 
-    def _tailed(self, course: Course, rate: float) -> Course:
-        """Return a change with what follows: a run to the plan's end, or the start from a rest.
+    def _extended(self, course: Course, rate: float) -> Course:
+        """Return a change with its continuation: to the plan's end, or a restart after a stop.
 
-        Where nothing is carried any rest suffices. The plan's own rate needs no check.
+        A restart is needed only while an object is held. The plan's own rate needs no check.
         """
         if not course.phases:
             return course
         if rate != 0.0:
-            return self._run(course)
-        carried = self._known.limits.carries(np.array([course.time]))[0]
-        return course.to(1.0, 2.0 * course.phases[-1][0]) if carried else course
+            return self._to_end(course)
+        is_loaded = self._shared.limits.carries(np.array([course.time]))[0]
+        return course.to(1.0, 2.0 * course.phases[-1][0]) if is_loaded else course
 
-    def _run(self, course: Course) -> Course:
-        """Return a course that goes on at its rate to the end of the plan, or back to the start."""
-        left = (self._end if course.rate > 0.0 else self._begin) - course.time
-        return course.then(left / course.rate)
+    def _to_end(self, course: Course) -> Course:
+        """Return a course that continues at its rate to the plan's end, or back to its start."""
+        remaining = (self._end if course.rate > 0.0 else self._start) - course.time
+        return course.then(remaining / course.rate)
 
-    def _certain_stop(self) -> Course:
-        """Return a stop that needs no check: the present change, then one of the table or a run."""
-        left = self._course
-        if left.rate == 0.0:
-            return left
-        if left.rate < 1.0 - STEADY:
-            return self._run(left)
-        start, duration = self.stops.after(left.time)
-        run = left.then(start - left.time)
+    def _guaranteed_stop(self) -> Course:
+        """Return a stop that needs no check: one of the table, or a run to the plan's end."""
+        current = self._course
+        if current.rate == 0.0:
+            return current
+        if current.rate < 1.0 - CLOCK_TOLERANCE:
+            return self._to_end(current)
+        start, duration = self.stops.after(current.time)
+        run = current.then(start - current.time)
         return run.to(0.0, duration) if duration > 0.0 else run
 
-    def _adopt(self, course: Course | None, goal: str) -> float:
-        """Fly a change from now on; return how long it takes [s]."""
+    def _follow(self, course: Course | None, goal: str) -> float:
+        """Follow a course from now on; return its duration [s]."""
         if course is None:
-            words = "no change of the clock was found that keeps all limits"
-            if self._known.limits.carried:
-                words += "; what is carried has inertia, rest where the plan does"
-            if len(self._known.leaning):
-                words += "; legs lean against friction, and are not flown backward"
+            reason = "no change of the clock was found that keeps all limits"
+            if self._shared.limits.carried:
+                reason += "; a held object has inertia, stop where the plan does"
+            if len(self._shared.leaning):
+                reason += "; legs lean against friction, and are not flown backward"
             remedy = "ask later, for another rate or time, or plan with limits.reserve below 1"
-            raise InfeasibleError([], f"{goal} from t = {self.time:.4g} s: {words}; {remedy}")
-        self._course = self._within(course)
-        if course.phases:  # what is carried can start as slowly as it has stopped
-            self._durations = (*DURATION_CANDIDATES, 2.0 * course.phases[-1][0])
+            raise InfeasibleError([], f"{goal} from t = {self.time:.4g} s: {reason}; {remedy}")
+        self._course = self._clamped(course)
+        if course.phases:  # a held object can start as slowly as it has stopped
+            self._durations = (*DURATIONS, 2.0 * course.phases[-1][0])
         return course.seconds
 
 
@@ -275,8 +273,8 @@ def _checked_rate(rate: float) -> float:
     return float(rate)
 
 
-class _Known:
-    """Data that all players of a motion share."""
+class _SharedData:
+    """Data shared by all players of a motion."""
 
     def __init__(self, motion: Motion) -> None:
         self.motion = motion
@@ -290,27 +288,27 @@ class _Known:
 
     @cached_property
     def leaning(self) -> Array:
-        """Begins and ends (m, 2) [s] of the runs of pieces on which legs lean and cables slide.
+        """Spans (m, 2) [s] of the pieces on which legs lean and cables slide.
 
-        Where drones swing to work the clasps none slides: that may be flown backward.
+        Spans in which drones swing at fixed leg lengths may be flown backward.
         """
         return np.concatenate([_leaning(each.motion) for each in self.motion.groups])
 
     def slides_back(self, clock: ClockPhases) -> bool:
-        """Whether cables slide back where legs lean."""
-        backward = np.minimum(clock.jets[:, 1], clock.ends[:, 1]) < -STEADY
+        """Return whether cables slide backward while legs lean."""
+        backward = np.minimum(clock.jets[:, 1], clock.ends[:, 1]) < -CLOCK_TOLERANCE
         spans = np.sort(np.stack([clock.jets[:, 0], clock.ends[:, 0]], axis=-1)[backward], axis=-1)
-        begins, ends = self.leaning.T
-        return bool(np.any((ends > spans[:, :1]) & (begins < spans[:, 1:])))
+        starts, ends = self.leaning.T
+        return bool(np.any((ends > spans[:, :1]) & (starts < spans[:, 1:])))
 
 
 def _leaning(motion: Motion) -> Array:
-    """Return the runs of pieces (m, 2) [s] on which one group's legs lean and cables slide."""
+    """Return the spans (m, 2) [s] of pieces on which one group's legs lean and cables slide."""
     if motion.leg_tensions is None:
         return np.zeros((0, 2))
     breaks, pulls = motion.drones.breaks, motion.pulls.coefficients
-    apart = np.ptp(pulls.reshape(len(pulls), motion.team.robots, -1), axis=-1)
-    leans = np.max(apart, axis=-1) > ALIKE
+    differences = np.ptp(pulls.reshape(len(pulls), motion.team.robots, -1), axis=-1)
+    leans = np.max(differences, axis=-1) > TENSION_TOLERANCE
     slides = np.max(np.ptp(motion.legs.coefficients, axis=-1), axis=(1, 2)) > MIN_SLIDE
     runs = np.cumsum(leans & ~np.concatenate([[False], leans[:-1]]))
     leans &= np.isin(runs, runs[leans & slides])
@@ -318,22 +316,22 @@ def _leaning(motion: Motion) -> Array:
     return spans
 
 
-_known = lru_cache(maxsize=4)(_Known)
+_shared_data = lru_cache(maxsize=4)(_SharedData)
 
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """Phases of a clock's constant jerk, one after the other; then its rate is constant."""
+    """A clock's phases of constant jerk, followed by a constant rate."""
 
-    time: float  # plan time in the end [s]
-    rate: float
-    slope: float = 0.0  # of the rate [1/s], where a change begins amid another one
-    # durations [s], and plan times with three derivatives where each begins
+    time: float  # plan time at the end [s]
+    rate: float  # at the end
+    slope: float = 0.0  # derivative of the rate at the end [1/s]
+    # duration [s], and initial plan time with three derivatives, of each phase
     phases: tuple[tuple[float, float, float, float, float], ...] = ()
 
     @property
     def now(self) -> tuple[float, float, float, float]:
-        """Plan time and three derivatives where it begins."""
+        """Initial plan time and three derivatives."""
         return self.phases[0][1:] if self.phases else (self.time, self.rate, self.slope, 0.0)
 
     @property
@@ -343,96 +341,97 @@ class Course:
 
     @property
     def clock(self) -> ClockPhases:
-        """The phases, as they are verified and flown."""
+        """The phases as arrays."""
         rows = np.reshape(self.phases, (-1, 5))
         return ClockPhases(np.zeros(len(rows), dtype=np.intp), rows[:, 1:], rows[:, 0])
 
     def then(self, seconds: float, jerk: float = 0.0) -> Course:
-        """Return the course with one more phase [s], dropped if it is brief."""
-        if seconds <= BRIEF:
+        """Return the course with another phase of a duration [s], which is dropped if too short."""
+        if seconds <= MIN_PHASE:
             return self
         start = self.time, self.rate, self.slope, jerk
         return Course(*_advanced(start, seconds)[:3], (*self.phases, (seconds, *start)))
 
     def to(self, rate: float, duration: float) -> Course:
-        """Return the course with a change to a rate [s], the shortest that a bound of jerk allows.
+        """Return the course with a change from a constant rate to another one.
 
-        From a constant rate, by two phases.
+        Two phases change the rate in ``duration`` [s] with the smallest jerk.
         """
-        if abs(rate - self.rate) <= STEADY:
+        if abs(rate - self.rate) <= CLOCK_TOLERANCE:
             return self
         jerk = 4.0 * (rate - self.rate) / duration**2
         changed = self.then(0.5 * duration, jerk).then(0.5 * duration, -jerk)
         return replace(changed, rate=rate, slope=0.0)
 
-    def eased(self, duration: float) -> Course | None:
-        """Return the course until its rate is constant; None if that would change its sign.
+    def to_constant_rate(self, duration: float) -> Course | None:
+        """Return the course with a phase to a constant rate; None if the rate changes its sign.
 
-        ``duration`` is that of a change by 1 with the same jerk [s].
+        The jerk is that of a change of the rate by 1 in ``duration`` [s].
         """
         jerk = 4.0 / duration**2
-        steady = self.rate + 0.5 * self.slope * abs(self.slope) / jerk
-        if abs(steady) > 1.0 + STEADY or self.rate * steady < 0.0:
+        rate = self.rate + 0.5 * self.slope * abs(self.slope) / jerk
+        if abs(rate) > 1.0 + CLOCK_TOLERANCE or self.rate * rate < 0.0:
             return None
-        eased = self.then(abs(self.slope) / jerk, -math.copysign(jerk, self.slope))
-        return replace(eased, rate=0.0 if abs(steady) <= STEADY else steady, slope=0.0)
+        course = self.then(abs(self.slope) / jerk, -math.copysign(jerk, self.slope))
+        return replace(course, rate=0.0 if abs(rate) <= CLOCK_TOLERANCE else rate, slope=0.0)
 
     def after(self, seconds: float) -> Course:
         """Return the rest of the course after some time [s]."""
         for i, (duration, *jet) in enumerate(self.phases):
-            if seconds < duration - BRIEF:
+            if seconds < duration - MIN_PHASE:
                 first = duration - seconds, *_advanced(tuple(jet), seconds)
                 return replace(self, phases=(first, *self.phases[i + 1 :]))
             seconds = max(seconds - duration, 0.0)
         return Course(self.time + seconds * self.rate, self.rate)
 
 
-Change = Callable[[Course, float], Iterator[Course]]  # adds a change of a duration [s]
+Change = Callable[[Course, float], Iterator[Course]]
+"""Function that yields courses extended by a change of the rate of a duration [s]."""
 
 
 def _advanced(jet: tuple[float, ...], dt: float) -> tuple[float, float, float, float]:
-    """Return the jet of a cubic later; plain numbers are faster than arrays of four."""
+    """Return the jet of a cubic after ``dt``; scalars are faster here than arrays of four."""
     p, v, a, j = jet
-    moved = p + dt * (v + dt * (a / 2.0 + dt * j / 6.0))
-    return moved, v + dt * (a + dt * j / 2.0), a + dt * j, j
+    position = p + dt * (v + dt * (a / 2.0 + dt * j / 6.0))
+    return position, v + dt * (a + dt * j / 2.0), a + dt * j, j
 
 
-def _to_rate(rate: float, course: Course, duration: float) -> Iterator[Course]:
-    """Yield the change to a constant rate, with a rest where it turns."""
-    eased = course.eased(duration)
-    if eased is not None:
-        turned = eased.to(0.0, duration) if rate * eased.rate < 0.0 else eased
-        yield turned.to(rate, duration)
+def _to_rate(rate: float, first_part: Course, duration: float) -> Iterator[Course]:
+    """Yield the change to a constant rate, with a stop where the direction reverses."""
+    course = first_part.to_constant_rate(duration)
+    if course is not None:
+        course = course.to(0.0, duration) if rate * course.rate < 0.0 else course
+        yield course.to(rate, duration)
 
 
-def _to_time(goal: float, course: Course, duration: float) -> Iterator[Course]:
-    """Yield courses to rest at a plan time: at the present rate, or from rest at other ones."""
-    eased = course.eased(duration)
-    if eased is None:
+def _to_time(goal: float, first_part: Course, duration: float) -> Iterator[Course]:
+    """Yield courses that stop at a plan time: at the current rate, or after a stop at others."""
+    course = first_part.to_constant_rate(duration)
+    if course is None:
         return
-    if eased.rate != 0.0:
-        wait = (goal - eased.time) / eased.rate - 0.5 * duration
-        if wait >= 0.0:
-            yield eased.then(wait).to(0.0, duration)
-        eased = eased.to(0.0, duration)
-    change = goal - eased.time
-    if abs(change) <= STEADY:
-        yield eased
+    if course.rate != 0.0:
+        delay = (goal - course.time) / course.rate - 0.5 * duration
+        if delay >= 0.0:
+            yield course.then(delay).to(0.0, duration)
+        course = course.to(0.0, duration)
+    change = goal - course.time
+    if abs(change) <= CLOCK_TOLERANCE:
+        yield course
         return
-    for fastest in RATES:
-        rate = math.copysign(min(fastest, abs(change) / duration), change)
-        yield eased.to(rate, duration).then(change / rate - duration).to(0.0, duration)
+    for max_rate in SEEK_RATES:
+        rate = math.copysign(min(max_rate, abs(change) / duration), change)
+        yield course.to(rate, duration).then(change / rate - duration).to(0.0, duration)
 
 
 class Sampler:
-    """Polynomials (points, 3) [m], laid out for one time at a time: for control loops."""
+    """Polynomials (points, 3) [m] in a layout for fast evaluation at single times."""
 
     def __init__(self, part: PiecewisePolynomial) -> None:
-        order = part.degree
-        orders = [part.differentiated(k).elevated(order).coefficients for k in range(4)]
-        rows = np.moveaxis(np.stack(orders, axis=1), -1, 1)
-        self._rows = np.ascontiguousarray(rows.reshape(part.pieces, order + 1, -1))
-        self._binomials = [float(comb(order, k)) for k in range(order + 1)]
+        degree = part.degree
+        derivatives = [part.differentiated(k).elevated(degree).coefficients for k in range(4)]
+        rows = np.moveaxis(np.stack(derivatives, axis=1), -1, 1)
+        self._rows = np.ascontiguousarray(rows.reshape(part.pieces, degree + 1, -1))
+        self._binomials = [float(comb(degree, k)) for k in range(degree + 1)]
         self._shape = 4, *part.shape
         self._breaks = part.breaks.tolist()
 
@@ -441,15 +440,15 @@ class Sampler:
     ) -> Array:
         """Return positions and three derivatives by real time (4, points, 3) at a plan time.
 
-        The clock has a rate with two derivatives, ``slope`` and ``jerk``.
+        ``slope`` and ``jerk`` are derivatives of the clock's rate.
         """
         piece = min(max(bisect_right(self._breaks, time) - 1, 0), len(self._breaks) - 2)
         start, end = self._breaks[piece : piece + 2]
         x = min(max((time - start) / (end - start), 0.0), 1.0)
-        order = len(self._binomials) - 1
-        weights = [c * x**k * (1.0 - x) ** (order - k) for k, c in enumerate(self._binomials)]
+        degree = len(self._binomials) - 1
+        weights = [c * x**k * (1.0 - x) ** (degree - k) for k, c in enumerate(self._binomials)]
         values: Array = np.dot(weights, self._rows[piece]).reshape(4, -1)
-        if (rate, slope, jerk) != (1.0, 0.0, 0.0):  # else the clock is the plan's
+        if (rate, slope, jerk) != (1.0, 0.0, 0.0):
             first, second, third = values[1:].copy()
             values[1] = rate * first
             values[2] = rate**2 * second + slope * first

@@ -1,11 +1,11 @@
-"""Steering: a hitch that moves is given new goals, and every answer is certified.
+"""Steering: give a moving hitch new goals, with a certified plan for each.
 
-The path is in closed form. The polygon's mean point, its shape as seen from a frame that turns with
-it, and the split of the cables' slack are sums of two curves: a *brake*, the quartic with the least
-jerk that comes to rest in a given time wherever that is, and a *shift*, the quintic from rest to
-rest that leads from there to the goal. The longer the shift takes the less it adds, so that the sum
-keeps every limit that the brake keeps with something to spare. The frame turns from rest to rest,
-so that a hitch that is to be turned keeps its shape. Drones follow from these flat outputs.
+The path has a closed form. The polygon's mean point, its shape in a frame that rotates with it, and
+the split of the cables' slack are sums of two curves: a *brake*, the quartic of minimum jerk that
+comes to rest in a given time at a free position, and a *shift*, the quintic from rest to rest that
+leads from there to the goal. The contribution of the shift decreases with its duration, so the sum
+keeps every limit that the brake keeps with a margin. The frame rotates from rest to rest, so that a
+rotated hitch keeps its shape. The drones' trajectories follow from these flat outputs.
 """
 
 from __future__ import annotations
@@ -38,46 +38,46 @@ from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.search import rough_bounds
 from hitchopt.values import Array, check_instance, finite, integer, nonnegative, points
 
-# Least time that is flown of a piece of the present plan: derivatives of shorter pieces suffer from
-# rounding [s]
-LEAST = 1e-3
-HOLD = 1.0  # rest with which steering begins [s]
-SAME_STATE = 1e-6  # largest distance of drones from where the team's tensions put them [m]
-WAITS = (0.0, 0.05, 0.1, 0.2, 0.4)  # how long the old plan is flown on first [s]
+# Minimum part of a piece of the current plan that is flown [s]: derivatives of shorter pieces have
+# rounding errors
+MIN_PIECE = 1e-3
+HOLD = 1.0  # duration of the rest at the start of steering [s]
+STATE_TOLERANCE = 1e-6  # tolerance of the model's drone positions [m] and tensions [N]
+DELAYS = (0.0, 0.05, 0.1, 0.2, 0.4)  # candidate delays before leaving the current plan [s]
 
-# Length of the pieces of the brake [s], which is as quick as limits allow; number of pieces of a
-# shift where they are no shorter, so that a cable's length is right within 1e-6 of it; least number
-PIECE, PIECES, FEWEST = 0.3, 10, 4
+# Length of the pieces of a brake [s]; number of pieces of a shift unless they are shorter than
+# that, so that relative errors of cable lengths are below 1e-6; minimum number of pieces
+PIECE, SHIFT_PIECES, MIN_PIECES = 0.3, 10, 4
 
-JET, STATE = 4, 3  # numbers of derivatives of a jet and of a state, the zeroth included
-BRAKES = (0.3, 0.45, 0.7, 1.0, 1.5, 2.2, 3.2)  # durations of the brake that are tried [s]
-SHORTEST = 0.3  # shortest shift [s]
-SIDE = 1e-9  # share of a duration by which one-sided derivatives are taken inside of it
+JET, STATE = 4, 3  # numbers of derivatives of a jet and of a state, including the zeroth
+BRAKE_DURATIONS = (0.3, 0.45, 0.7, 1.0, 1.5, 2.2, 3.2)  # candidates [s]
+MIN_SHIFT = 0.3  # minimum duration of a shift [s]
+ONE_SIDED = 1e-9  # relative distance from a break at which one-sided derivatives are evaluated
 
-# Shares of the limits that are used at samples, by the brake alone and by the whole, and to which
-# that is prolonged; the rest is for what is between samples
-BRAKE_SHARE, SHARE, AIM = 0.9, 0.99, 0.989
+# Shares of the limits that are allowed at samples, for the brake alone and for the sum, and the
+# target of a longer shift; the rest is a margin for the times between samples
+BRAKE_SHARE, SHARE, TARGET_SHARE = 0.9, 0.99, 0.989
 
-# Samples over the duration, of the whole and of a brake
-PLACES = np.linspace(0.0, 1.0, 16, endpoint=False)
-BRAKE_PLACES = np.append(np.linspace(0.0, 1.0, 8, endpoint=False), 1.0 - SIDE)
+# Relative times of samples, of the sum and of a brake
+SAMPLES = np.linspace(0.0, 1.0, 16, endpoint=False)
+BRAKE_SAMPLES = np.append(np.linspace(0.0, 1.0, 8, endpoint=False), 1.0 - ONE_SIDED)
 
-# Maximum number of times that a shift is prolonged, and the least factor by which it is
-SHIFT_ROUNDS, GROWTH = 10, 1.04
+# Maximum number of extensions of a shift, and the minimum factor of each
+SHIFT_ROUNDS, MIN_GROWTH = 10, 1.04
 
 
 @dataclass(frozen=True, eq=False)
 class Retarget(OneLine):
-    """Answer of a replanner.
+    """Result of a replanner.
 
     Attributes
     ----------
-    accepted: whether the hitch flies to the new goal; if not, all goes on as before.
+    accepted: whether the hitch flies to the new goal; if not, the current plan continues.
     start: time at which the new plan leaves the old one [s].
-    motion: what flies now, from the beginning of steering.
-    ahead: the part from the last break before ``start`` on, t = 0 there; of a refusal the motion.
-    certificate: of ``ahead``, all checks; quantities without a limit are in that of ``plan``.
-    reason: of a refusal, in words.
+    motion: the current motion from the start of steering.
+    ahead: the part from the last break before ``start``, with t = 0 there; ``motion`` if refused.
+    certificate: all checks of ``ahead``; quantities without a limit are in that of ``plan``.
+    reason: reason of a refusal.
     """
 
     accepted: bool
@@ -93,31 +93,31 @@ class Retarget(OneLine):
 
     @cached_property
     def plan(self) -> Plan:
-        """The whole plan, the old one until ``start``, with a full certificate of its own."""
+        """The whole plan, with a full certificate of its own; the old plan until ``start``."""
         return Plan(self.motion, certify(self.motion), "Steered")
 
 
-class NotNowError(Exception):
-    """A retarget cannot begin at this time."""
+class _RetryLaterError(Exception):
+    """The current plan cannot be left at this time."""
 
 
 class Replanner(OneLine):
-    """A hitch that is steered: it is given new goals while it moves.
+    """A hitch that is steered by new goals while it moves.
 
-    Times are those since steering began. From a moving state positions, velocities and
-    accelerations go on without a jump. What was flown until then stays as it is.
+    Times start with steering. Positions, velocities and accelerations are continuous. The motion
+    before a retarget is not changed.
 
     Parameters
     ----------
-    team: with cables that have no weight and clasps that carry none.
-    start: the hitch at t = 0, or a plan that is being flown.
-    limits, separation, arena: what plans must satisfy; None for the plan's, or the defaults.
+    team: with massless cables and no loads at the clasps.
+    start: the hitch at t = 0, or a plan in flight.
+    limits, separation, arena: requirements of the plans; None for the plan's, or the defaults.
 
     Raises
     ------
-    InputError: a start of another team, or one that ends without a hitch.
-    InfeasibleError: the start breaks a limit at rest.
-    UnsupportedError: cables with weight, or loads.
+    InputError: the start is of another team, or ends without a hitch.
+    InfeasibleError: the start violates a limit at rest.
+    UnsupportedError: cables have weight, or clasps carry loads.
     """
 
     def __init__(
@@ -145,14 +145,14 @@ class Replanner(OneLine):
             raise InputError("start", start, "of the same team", "give the team of the start")
         if team.cable_density > 0.0 or np.any(team.load):
             raise UnsupportedError("steering plans cables without weight and clasps without load")
-        changed = {key: value for key, value in options.items() if value is not None}
-        self.requirements = replace(motion.requirements, **changed)
+        specified = {key: value for key, value in options.items() if value is not None}
+        self.requirements = replace(motion.requirements, **specified)
         self.motion, self._goal = replace(motion, requirements=self.requirements), goal
         self._limits = limits = self.requirements.with_reserve.limits
-        if limits.body_rate is not None:  # with a jerk that turns a hovering drone so fast
+        if limits.body_rate is not None:  # the jerk that turns a hovering drone at this rate
             self._limits = replace(limits, jerk=min(limits.jerk, GRAVITY * limits.body_rate))
         self._certificate = certify(self.motion, reports=())
-        with suppress(InfeasibleError):  # loads the solver before the first goal is given
+        with suppress(InfeasibleError):  # load the solver before the first goal
             self._end(self._goal.polygon, self._goal.altitude)
         if not self._certificate.certified:
             raise infeasible_error(self._certificate, self.motion)
@@ -163,12 +163,12 @@ class Replanner(OneLine):
 
     @property
     def goal(self) -> Hitch:
-        """The hitch in which the present plan ends."""
+        """The hitch at the end of the current plan."""
         return self._goal
 
     @property
     def plan(self) -> Plan:
-        """The present plan from the beginning of steering, with its full certificate."""
+        """The current plan from the start of steering, with its full certificate."""
         return Plan(self.motion, certify(self.motion), "Steered")
 
     def retarget(
@@ -180,36 +180,35 @@ class Replanner(OneLine):
         yaw: float = 0.0,
         at: float,
     ) -> Retarget:
-        """Return the answer to a new goal, and fly there if it is accepted.
+        """Plan to a new goal; adopt and return the plan if it is certified, else a refusal.
 
         Parameters
         ----------
-        polygon: where the vertices go, (points, 2) [m], clockwise.
-        vertex: the one that goes ``to`` (2,) [m], all others to the present goal.
-        to: without ``vertex``, (3,) [m], where the centroid of the present goal goes.
-        yaw: by how much that is turned about its centroid [rad].
-        at: time at which the present plan is to be left [s]; where the limits do not allow that,
-            up to 0.4 s later.
+        polygon: goal of all vertices, (points, 2) [m], clockwise.
+        vertex: index of a vertex that moves ``to`` (2,) [m], all others to the current goal.
+        to: without ``vertex``, new centroid of the current goal (3,) [m].
+        yaw: rotation of the goal about its centroid [rad].
+        at: time at which to leave the current plan [s]; up to 0.4 s later if limits require it.
 
         Raises
         ------
-        InputError: not exactly one goal, or one that is wrong in itself.
+        InputError: not exactly one goal, or an invalid one.
         """
         at = nonnegative("at", at)
         goal = self._requested(polygon, vertex, to, yaw)
-        refusal = ""
-        for wait in WAITS:
+        reason = ""
+        for delay in DELAYS:
             try:
-                answer, self._goal = self._planned(*goal, at + wait)
-            except NotNowError as late:
-                refusal = refusal or str(late)
+                result, self._goal = self._retarget(*goal, at + delay)
+            except _RetryLaterError as error:
+                reason = reason or str(error)
                 continue
             except InfeasibleError as error:
-                refusal = str(error)
+                reason = str(error)
                 break
-            self.motion, self._certificate = answer.motion, answer.certificate
-            return answer
-        return Retarget(False, at, self.motion, self.motion, self._certificate, refusal)
+            self.motion, self._certificate = result.motion, result.certificate
+            return result
+        return Retarget(False, at, self.motion, self.motion, self._certificate, reason)
 
     def _requested(
         self,
@@ -220,97 +219,94 @@ class Replanner(OneLine):
     ) -> tuple[Outline, float, float]:
         """Return outline, altitude and yaw of the requested goal."""
         goal, team, own, yaw = self._goal, self.motion.team, self._goal.polygon, finite("yaw", yaw)
-        given = polygon is not None, vertex is not None, to is not None
+        specified = polygon is not None, vertex is not None, to is not None
         kinds = [(True, False, False), (False, True, True), (False, False, True)]
-        if given not in kinds or (yaw != 0.0 and given != kinds[-1]):
+        if specified not in kinds or (yaw != 0.0 and specified != kinds[-1]):
             remedy = "give a polygon; or a vertex and to; or to alone, (3,), and a yaw"
             raise InputError("polygon", polygon, "exactly one goal", remedy)
         if polygon is not None:
             return checked_polygon(team, polygon), goal.altitude, 0.0
         if vertex is not None:
-            moved = own.vertices.copy()
-            k = integer("vertex", vertex, 0, len(moved) - 1)
-            moved[k] = points("to", [to], (1, 2), "a point [x, y]", "give two numbers [m]")[0]
-            return checked_polygon(team, moved), goal.altitude, 0.0
-        place = points("to", [to], (1, 3), "a point [x, y, z]", "give three numbers [m]")[0]
+            vertices = own.vertices.copy()
+            k = integer("vertex", vertex, 0, len(vertices) - 1)
+            vertices[k] = points("to", [to], (1, 2), "a point [x, y]", "give two numbers [m]")[0]
+            return checked_polygon(team, vertices), goal.altitude, 0.0
+        centroid = points("to", [to], (1, 3), "a point [x, y, z]", "give three numbers [m]")[0]
         c, s = math.cos(yaw), math.sin(yaw)
-        turned = (own.vertices - own.centroid) @ np.array([[c, s], [-s, c]]) + place[:2]
-        return checked_polygon(team, turned), float(place[2]), yaw
+        vertices = (own.vertices - own.centroid) @ np.array([[c, s], [-s, c]]) + centroid[:2]
+        return checked_polygon(team, vertices), float(centroid[2]), yaw
 
-    def _planned(
+    def _retarget(
         self, outline: Outline, altitude: float, yaw: float, at: float
     ) -> tuple[Retarget, Hitch]:
-        """Return the answer of a plan that leaves the present one at a time, and its goal."""
+        """Return the result of leaving the current plan at a time, and the hitch at its end."""
         past = self._past(at)
-        still = self._still(past)
-        brake = still.brake(self._limits)
+        stop = self._stop_at_end(past)
+        brake = stop.brake(self._limits)
         if brake is None:
-            raise NotNowError(f"from t = {past.duration:.4g} s: no brake keeps all limits")
+            raise _RetryLaterError(f"from t = {past.duration:.4g} s: no brake keeps all limits")
         recent = cut(past, past.drones.pieces - 1, past.drones.pieces)
         end = self._end(outline, altitude)
-        path = RetargetPath.to(past.team, still.state, end, yaw)
+        path = RetargetPath.to(past.team, stop.state, end, yaw)
         shift = path.shortest_shift(self._limits, brake)
         if shift is None:
             raise InfeasibleError([], "no duration keeps all limits on the way to the goal")
         phase = Phase("retarget", past.phases[-1].step + 1, 0.0, max(brake, shift))
         breaks = _breaks(brake if path.state.moves else 0.0, shift)
         drones, vertices, legs, tensions = path.curves(breaks, brake, shift)
-        fresh = Motion(path.team, self.requirements, drones, vertices, legs, tensions, (phase,))
-        fresh = with_last_poses(past, fresh)
-        ahead = append_motion(recent, fresh)
-        certificate = _certificate(ahead)
+        new = Motion(path.team, self.requirements, drones, vertices, legs, tensions, (phase,))
+        new = with_last_poses(past, new)
+        ahead = append_motion(recent, new)
+        with rough_bounds():  # for speed
+            certificate = certify(ahead.untimed, reports=())
         if not certificate.certified:
             raise infeasible_error(certificate, ahead)
-        return Retarget(True, past.duration, append_motion(past, fresh), ahead, certificate), end
+        return Retarget(True, past.duration, append_motion(past, new), ahead, certificate), end
 
     def _end(self, outline: Outline, altitude: float) -> Hitch:
-        """Return the hitch of a goal, its slack split as now where limits allow that."""
+        """Return the hitch of a goal, with the current slack split if limits allow it."""
         team, need = self.motion.team, self.requirements
         slack = cable_slack(team, outline)
-        wanted = team.layout.q_legs_of(self._goal.fractions * slack, slack)[None]
-        shortest = LIMIT_MARGIN * need.limits.leg
-        task = LegTask(team, need, outline.vertices[None], wanted, shortest, LIMIT_MARGIN)
+        q_legs = team.layout.q_legs_of(self._goal.fractions * slack, slack)[None]
+        min_leg = LIMIT_MARGIN * need.limits.leg
+        task = LegTask(team, need, outline.vertices[None], q_legs, min_leg, LIMIT_MARGIN)
         return Hitch(team, outline, altitude, split_slack(task, first=True).q_legs[0])
 
     def _past(self, at: float) -> Motion:
-        """Return the present plan until a time, resting after its end."""
+        """Return the current plan until a time, at rest after its end."""
         duration, breaks = self.motion.duration, self.motion.drones.breaks
-        if at > duration + LEAST:
+        if at > duration + MIN_PIECE:
             phase = replace(self.motion.phases[-1], name="hold", remark="")
             return append_motion(self.motion, resting(self.motion, at - duration, phase))
         if at > duration - 1e-6:
             return self.motion
         piece = max(int(np.searchsorted(breaks, at - 1e-9)) - 1, 0)
         first, last = breaks[piece : piece + 2].tolist()
-        return before(self.motion, max(at, min(first + LEAST, last)))
+        return before(self.motion, max(at, min(first + MIN_PIECE, last)))
 
-    def _still(self, past: Motion) -> RetargetPath:
-        """Return the path that ends where a motion does, from the state there."""
+    def _stop_at_end(self, past: Motion) -> RetargetPath:
+        """Return the path from the state at the end of a motion to rest at its positions."""
         when = f"at t = {past.duration:.4g} s"
         if not past.phases[-1].formed or past.phases[-1].hold is not None:
-            why = "an object is held" if past.phases[-1].formed else "there is no hitch"
-            raise NotNowError(f"{when} {why}")
+            reason = "an object is held" if past.phases[-1].formed else "there is no hitch"
+            raise _RetryLaterError(f"{when} {reason}")
         state = MovingState.at_end(past)
-        away = np.abs(past.tensions.coefficients[-1, :, -1] - past.team.tension)
-        still = RetargetPath(past.team, state, state.vertices[..., 0], state.fractions[:, 0])
-        model = still.jets(np.zeros(1), 1.0, None)[1].positions[0, ..., 0]
-        if away.max() > SAME_STATE or np.abs(model - state.drones[..., 0]).max() > SAME_STATE:
-            raise NotNowError(f"{when} legs lean, are rolled, or do not have the team's tensions")
-        return still
-
-
-def _certificate(ahead: Motion) -> Certificate:
-    """Return the certificate of the motion ahead, with bounds that are computed quickly."""
-    with rough_bounds():
-        return certify(ahead.untimed, reports=())
+        stop = RetargetPath(past.team, state, state.vertices[..., 0], state.fractions[:, 0])
+        model = stop.jets(np.zeros(1), 1.0, None)[1].positions[0, ..., 0]
+        tensions = past.tensions.coefficients[-1, :, -1]
+        errors = tensions - past.team.tension, model - state.drones[..., 0]
+        if any(np.abs(error).max() > STATE_TOLERANCE for error in errors):
+            reason = "legs lean, are rolled, or do not have the team's tensions"
+            raise _RetryLaterError(f"{when} {reason}")
+        return stop
 
 
 def _breaks(brake: float, shift: float) -> Array:
-    """Return the breaks: the ends [s] of brake and shift, and more in between."""
-    least = min(PIECE, max(brake, shift) / FEWEST)
-    later, parts = max(least, shift / PIECES), [np.zeros(1)]
+    """Return the breaks of a path [s], the ends of brake and shift among them."""
+    brake_piece = min(PIECE, max(brake, shift) / MIN_PIECES)
+    shift_piece, parts = max(brake_piece, shift / SHIFT_PIECES), [np.zeros(1)]
     for start, end in pairwise([0.0, *sorted((brake, shift))]):
-        piece = least if end <= brake else later
+        piece = brake_piece if end <= brake else shift_piece
         count = math.ceil((end - start) / piece * (1.0 - 1e-9))
         parts.append(np.linspace(start, end, count + 1)[1:])
     return np.concatenate(parts)
@@ -318,7 +314,7 @@ def _breaks(brake: float, shift: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class MovingState:
-    """A hitch in motion: values with their first two derivatives by time."""
+    """The state of a moving hitch: values with first and second time derivatives."""
 
     vertices: Array  # (points, 3, 3) [m]
     fractions: Array  # (n, 3), ``d_k / (d_k + e_k)``
@@ -327,11 +323,11 @@ class MovingState:
 
     @classmethod
     def at_end(cls, motion: Motion) -> MovingState:
-        """Return the state in which a motion ends."""
+        """Return the state at the end of a motion."""
         legs, layout = motion.legs.end_jet(STATE), motion.team.layout
         slack = legs[:, 0] + legs[:, 1]
-        free = ~np.all(layout.has_leg, axis=1) & (slack[:, 0] <= 0.0)
-        slack[free, 0] = 1.0  # of cables at a chain's ends that have no leg at all
+        without_legs = ~np.all(layout.has_leg, axis=1) & (slack[:, 0] <= 0.0)
+        slack[without_legs, 0] = 1.0  # end cables of a chain
         fractions = jets.product(legs[:, 0], jets.reciprocal(slack))
         return cls(motion.vertices.end_jet(STATE), fractions, motion.drones.end_jet(STATE), legs)
 
@@ -349,23 +345,23 @@ class RetargetPath:
     state: MovingState
     end: Array  # vertices (points, 3) [m] at rest
     fractions: Array  # (n,), shares of the slack at rest
-    yaw: float = 0.0  # angle by which the frame turns [rad]
+    yaw: float = 0.0  # rotation of the frame [rad]
 
     @classmethod
     def to(cls, team: Team, state: MovingState, end: Hitch, yaw: float) -> RetargetPath:
-        """Return the path to a hitch, full turns chosen to come closest to a yaw [rad].
+        """Return the path to a hitch, with the number of full turns that is closest to a yaw [rad].
 
-        Its frame turns by what is left from the state to the hitch, also where the state has not
-        finished an earlier turn: on straight lines to the goal a half-turned polygon would shrink.
+        The frame rotates by the angle between the state and the hitch, even if an earlier rotation
+        is not complete: with straight lines to the goal, a polygon that turns by half would shrink.
         """
         vertices = end.vertices
-        left = _turn(state.vertices[:, :2, 0], vertices[:, :2])
-        left += 2.0 * math.pi * round((yaw - left) / (2.0 * math.pi))
-        return cls(team, state, vertices, end.fractions, left)
+        angle = _rotation_angle(state.vertices[:, :2, 0], vertices[:, :2])
+        angle += 2.0 * math.pi * round((yaw - angle) / (2.0 * math.pi))
+        return cls(team, state, vertices, end.fractions, angle)
 
     @cached_property
     def _ends(self) -> tuple[Array, Array]:
-        """Mean point, shape about it, fractions, turn: (m, 3) at the start, (m,) in the end."""
+        """Mean point, relative shape, fractions and angle: (m, 3) at the start, (m,) at the end."""
         centre, goal = self.state.vertices.mean(axis=0), self.end.mean(axis=0)
         shape = (self.state.vertices - centre).reshape(-1, STATE)
         c, s = math.cos(self.yaw), math.sin(self.yaw)
@@ -377,96 +373,95 @@ class RetargetPath:
     def jets(self, t: Array, brake: float | Array, shift: float | None) -> tuple[Array, DroneJets]:
         """Return the jets of vertices (J, points, 3, 4) and of drones at times t (J,) [s].
 
-        ``brake``, also one a time (J,), and ``shift`` are durations [s]; no shift leads to where
-        the brake does.
+        ``brake``, which may be one per time (J,), and ``shift`` are durations [s]; None is for the
+        brake alone.
         """
         team, layout = self.team, self.team.layout
         start, goal = self._ends
-        slowed = np.broadcast_to(brake, t.shape)
-        rest = np.stack([np.ones(len(t)), 0.5 * slowed, slowed**2 / 12.0], axis=1) @ start.T
-        each = _to_rest(start, rest, slowed, t)
+        duration = np.broadcast_to(brake, t.shape)
+        rest = np.stack([np.ones(len(t)), 0.5 * duration, duration**2 / 12.0], axis=1) @ start.T
+        outputs = _to_rest(start, rest, duration, t)
         if shift is not None:
-            each += _to_rest(np.zeros(start.shape), goal - rest, np.full(len(t), shift), t)
-        centre, split = each[:, :3], each[:, 3 + 3 * layout.points : -1]
-        shape = each[:, 3 : 3 + 3 * layout.points].reshape(len(t), layout.points, 3, JET)
-        vertices = centre[:, None] + (_turned(shape, each[:, -1]) if self.yaw != 0.0 else shape)
+            outputs += _to_rest(np.zeros(start.shape), goal - rest, np.full(len(t), shift), t)
+        centre, split = outputs[:, :3], outputs[:, 3 + 3 * layout.points : -1]
+        shape = outputs[:, 3 : 3 + 3 * layout.points].reshape(len(t), layout.points, 3, JET)
+        vertices = centre[:, None] + (_rotated(shape, outputs[:, -1]) if self.yaw != 0.0 else shape)
         edges = layout.edges(vertices, axis=1)
         slack = -jets.square_root(np.sum(jets.product(edges, edges), axis=2))
         slack[..., 0] += team.cable_length
-        wanted, orders = jets.product(split, slack), np.moveaxis(slack, -1, 0)
-        q_legs = np.moveaxis(layout.q_legs_of(np.moveaxis(wanted, -1, 0), orders), 0, -1)
+        shares, slack = (np.moveaxis(x, -1, 0) for x in (jets.product(split, slack), slack))
+        q_legs = np.moveaxis(layout.q_legs_of(shares, slack), 0, -1)
         tensions = np.zeros((len(t), team.robots, JET))
         tensions[..., 0] = team.tension
         return vertices, drone_jets(team, FlatJets(vertices, q_legs, tensions))
 
     def curves(self, breaks: Array, brake: float, shift: float) -> list[PiecewisePolynomial]:
-        """Return a motion's four polynomials, which meet the state itself at their start."""
-        count, h = len(breaks) - 1, SIDE * (breaks[1:] - breaks[:-1])
-        sides = np.concatenate([breaks[:-1] + h, breaks[1:] - h])
-        vertices, drones = self.jets(sides, brake, shift)
+        """Return the four polynomials of a motion, which start exactly at the state."""
+        count, h = len(breaks) - 1, ONE_SIDED * (breaks[1:] - breaks[:-1])
+        times = np.concatenate([breaks[:-1] + h, breaks[1:] - h])
+        vertices, drones = self.jets(times, brake, shift)
         legs = drones.legs * self.team.layout.has_leg[..., None]
         starts = (self.state.drones, self.state.vertices, self.state.legs)
-        each = [part.reshape(2 * count, -1, JET) for part in (drones.positions, vertices, legs)]
-        orders = np.moveaxis(np.concatenate(each, axis=1), -1, 0)
-        left, right = orders[:, :count], orders[:, count:]
+        rows = [part.reshape(2 * count, -1, JET) for part in (drones.positions, vertices, legs)]
+        derivatives = np.moveaxis(np.concatenate(rows, axis=1), -1, 0)
+        left, right = derivatives[:, :count], derivatives[:, count:]
         left[:STATE, 1:] = right[:STATE, :-1]
         left[:STATE, 0] = np.concatenate([part.reshape(-1, STATE) for part in starts]).T
         right[1:STATE, -1] = 0.0
-        both = PiecewisePolynomial.hermite(breaks, left, right)
-        curves, points, leg_curves = both.split([part.shape[:-1] for part in starts])
+        curves = PiecewisePolynomial.hermite(breaks, left, right)
         pulls = np.repeat(self.team.tension[None, :, None], count, axis=0)
-        return [curves, points, leg_curves, both.alike(pulls)]
+        return [*curves.split([part.shape[:-1] for part in starts]), curves.alike(pulls)]
 
     def excess(self, limits: Limits, t: Array, brake: float | Array, shift: float | None) -> Array:
-        """Return how many times slower a motion would have to be at times (J,) [s], at most.
+        """Return the factor by which a motion is too fast at times (J,) [s]; at most 1 is feasible.
 
         Thrust and tilt, which do not scale, count by the square root of their share of the limit.
-        At t = 0 only the jerk counts: the state is given.
+        At t = 0 only the jerk counts, because the state is fixed.
         """
         points, drones = self.jets(t, brake, shift)
         rates = np.einsum("jdxk,jdxk->kjd", drones.positions, drones.positions).max(axis=2) ** 0.5
-        moved = np.linalg.norm(points[..., 1], axis=2).max(axis=1)
-        level = np.hypot(drones.thrusts[..., 0], drones.thrusts[..., 1])
-        used = np.hypot(level, drones.thrusts[..., 2]) / self.team.max_thrust
-        tilt = np.arctan2(level, drones.thrusts[..., 2])
+        vertex_speed = np.linalg.norm(points[..., 1], axis=2).max(axis=1)
+        horizontal = np.hypot(drones.thrusts[..., 0], drones.thrusts[..., 1])
+        thrust = np.hypot(horizontal, drones.thrusts[..., 2]) / self.team.max_thrust
+        tilt = np.arctan2(horizontal, drones.thrusts[..., 2])
         ratios = [
             rates[1] / limits.speed,
-            moved / limits.vertex_speed,
+            vertex_speed / limits.vertex_speed,
             np.sqrt(rates[2] / limits.acceleration),
-            np.sqrt(used.max(axis=1)),
+            np.sqrt(thrust.max(axis=1)),
             np.sqrt(tilt.max(axis=1) / limits.tilt),
         ]
-        slower = np.maximum(np.max(ratios, axis=0) * (t > 0.0), np.cbrt(rates[3] / limits.jerk))
-        most: Array = np.nan_to_num(slower, nan=math.inf, posinf=math.inf)
-        return most
+        factor = np.maximum(np.max(ratios, axis=0) * (t > 0.0), np.cbrt(rates[3] / limits.jerk))
+        result: Array = np.nan_to_num(factor, nan=math.inf, posinf=math.inf)
+        return result
 
     def brake(self, limits: Limits) -> float | None:
-        """Return the duration [s] in which the state comes to rest within the limits, or None."""
+        """Return the first duration [s] of a brake that keeps the limits at samples, or None."""
         if not self.state.moves:
-            return BRAKES[0]
-        times = np.outer(BRAKES, BRAKE_PLACES)
-        each = np.repeat(BRAKES, times.shape[1])
-        excess = self.excess(limits, times.ravel(), each, None).reshape(times.shape)
+            return BRAKE_DURATIONS[0]
+        times = np.outer(BRAKE_DURATIONS, BRAKE_SAMPLES)
+        durations = np.repeat(BRAKE_DURATIONS, times.shape[1])
+        excess = self.excess(limits, times.ravel(), durations, None).reshape(times.shape)
         feasible = np.flatnonzero(excess.max(axis=1) <= BRAKE_SHARE)
-        return BRAKES[feasible[0]] if len(feasible) else None
+        return BRAKE_DURATIONS[feasible[0]] if len(feasible) else None
 
     def shortest_shift(self, limits: Limits, brake: float) -> float | None:
         """Return the duration [s] of a shift that keeps all limits at samples, or None."""
-        shift = SHORTEST
+        shift = MIN_SHIFT
         for _ in range(SHIFT_ROUNDS):
-            last = np.array([brake, shift]) * (1.0 - SIDE)
-            times = np.concatenate([max(shift, brake) * PLACES, last])
+            ends = np.array([brake, shift]) * (1.0 - ONE_SIDED)
+            times = np.concatenate([max(shift, brake) * SAMPLES, ends])
             excess = float(self.excess(limits, times, brake, shift).max())
             if excess <= SHARE:
                 return shift
             if not math.isfinite(excess):
                 return None
-            shift *= max(excess / AIM, GROWTH)
+            shift *= max(excess / TARGET_SHARE, MIN_GROWTH)
         return None
 
 
 def _to_rest(start: Array, rest: Array, duration: Array, t: Array) -> Array:
-    """Return the jets (J, m, 4) of quintics from a state (m, 3) to rest at places (J, m).
+    """Return the jets (J, m, 4) of quintics from a state (m, 3) to rest at positions (J, m).
 
     Each time t (J,) has a quintic of its own, of a duration (J,) [s].
     """
@@ -479,20 +474,20 @@ def _to_rest(start: Array, rest: Array, duration: Array, t: Array) -> Array:
     return result
 
 
-def _turned(shape: Array, angle: Array) -> Array:
-    """Return the jets of shapes (J, points, 3, 4) turned by angles with jets (J, 4)."""
+def _rotated(shape: Array, angle: Array) -> Array:
+    """Return the jets of shapes (J, points, 3, 4) rotated by angles with jets (J, 4)."""
     c, s = np.cos(angle[:, 0]), np.sin(angle[:, 0])
     outer = np.stack([[c, -s, -c, s], [s, c, -s, -c]])  # derivatives of cosine and sine
-    around = jets.chained(np.moveaxis(outer, 2, 0), angle[:, None])
+    rotation = jets.chained(np.moveaxis(outer, 2, 0), angle[:, None])
     # (J, points, 2, 2, 4): cosine and sine times x and y.
-    parts = jets.product(around[:, None, :, None], shape[:, :, None, :2])
-    turned = shape.copy()
-    turned[:, :, 0] = parts[:, :, 0, 0] - parts[:, :, 1, 1]
-    turned[:, :, 1] = parts[:, :, 1, 0] + parts[:, :, 0, 1]
-    return turned
+    parts = jets.product(rotation[:, None, :, None], shape[:, :, None, :2])
+    rotated = shape.copy()
+    rotated[:, :, 0] = parts[:, :, 0, 0] - parts[:, :, 1, 1]
+    rotated[:, :, 1] = parts[:, :, 1, 0] + parts[:, :, 0, 1]
+    return rotated
 
 
-def _turn(first: Array, last: Array) -> float:
-    """Return the angle [rad] by which points (k, 2) about their mean fit the last ones best."""
+def _rotation_angle(first: Array, last: Array) -> float:
+    """Return the angle [rad] of the rotation about the mean that fits points (k, 2) best."""
     x, y = first - first.mean(axis=0), last - last.mean(axis=0)
     return math.atan2(x[:, 0] @ y[:, 1] - x[:, 1] @ y[:, 0], np.vdot(x, y))
