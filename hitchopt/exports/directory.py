@@ -1,7 +1,7 @@
-"""The files of one solve in its directory, never a mixture of two; the tables among them.
+"""The files of a plan in its directory, and tables of its setpoints.
 
-``certificate.json`` is written last and names the digest of ``plan.npz``. Rows of setpoints are by
-time, then drone, as text and as a data frame.
+The set of files is replaced atomically. ``certificate.json`` is written last and contains the
+digest of ``plan.npz``. Rows of setpoints are sorted by time, then drone.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ OWNED = (
     *(PLAN, SETPOINTS, VERTICES, CERTIFICATE, SUMMARY, DIAGNOSIS, REPORT),
     *(STATICS, STATICS_PICTURE, ABORTS, ABORT_PLANS),
 )
-"""The names in DIR that are ours: nothing else there is ever replaced or removed."""
+"""Names of hitchopt's files in DIR; other files are never replaced or removed."""
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -50,10 +50,10 @@ def save_plan(
     progress: Progress | None = None,
     problem: str = "",
 ) -> Path:
-    """Write the files of a certified plan, whole or not at all; return the directory.
+    """Write the files of a certified plan atomically; return the directory.
 
-    Tables are sampled at ``rate`` [Hz]; ``pictures`` has, for names among OWNED, what draws them at
-    a path; ``progress`` is called with the fraction of the setpoints written.
+    Tables are sampled at ``rate`` [Hz]; ``pictures`` are writers of further files of OWNED;
+    ``progress`` is called with the fraction of setpoints written.
     """
     certificate.raise_if_violated()
     writers: dict[str, Writer] = {
@@ -75,40 +75,39 @@ def save_plan(
 
 
 def certificate_content(motion: Motion, certificate: Certificate, plan: Path) -> dict[str, Any]:
-    """Read certificate.json of the motion in a plan file."""
+    """Return the content of ``certificate.json`` for the motion in a plan file."""
     assigned = {} if motion.assignment is None else {"assignment": motion.assignment.to_dict()}
     return {**certificate.to_dict(), **assigned, "plan": digest(plan)}
 
 
 def changed_tables(directory: Path) -> list[str]:
-    """Return the tables there that are others than were written with the certificate there."""
+    """Return the names of tables whose digests differ from those of the certificate."""
     try:
         content = parsed_json((directory / CERTIFICATE).read_bytes())
         digests = content.get("tables", {}).items()
-        there = [(name, known) for name, known in digests if name in (SETPOINTS, VERTICES)]
+        tables = [(directory / k, value) for k, value in digests if k in (SETPOINTS, VERTICES)]
     except (OSError, ValueError, AttributeError):
-        return []  # no certificate of a whole plan, which others refuse
-    files = ((directory / name, known) for name, known in there)
-    return [file.name for file, known in files if file.is_file() and digest(file) != known]
+        return []  # an incomplete set of files, which refuse_mixture reports
+    return [file.name for file, value in tables if file.is_file() and digest(file) != value]
 
 
 def refuse_mixture(directory: Path) -> None:
-    """Raise FileError unless the certificate is that of the plan: a killed save leaves none."""
+    """Raise FileError unless the certificate is that of the plan."""
     path = directory / CERTIFICATE
     try:
-        named = parsed_json(path.read_bytes()).get("plan")
+        expected = parsed_json(path.read_bytes()).get("plan")
         actual = digest(directory / PLAN)
     except (OSError, ValueError, AttributeError) as error:
-        words = f"{path}: cannot be read: {error}; was a save killed? solve again"
-        raise FileError(words) from error
-    if named != actual:
+        reason = f"{path}: cannot be read: {error}; was a save killed? solve again"
+        raise FileError(reason) from error
+    if expected != actual:
         raise FileError(f"{path}: is of another {PLAN} than the one next to it; solve again")
 
 
 def save_diagnosis(directory: Path | str, content: dict[str, Any]) -> Path:
     """Write ``diagnosis.json`` with the content of ``diagnosis_content``.
 
-    The files of the last certified plan move to the subdirectory ``previous``, or stay there.
+    The files of the last certified plan are kept in the subdirectory ``previous``.
     """
     writers = {DIAGNOSIS: lambda path: write_strict_json(path, content)}
     return replace_files(directory, writers, OWNED, seal=CERTIFICATE, previous="keep")
@@ -117,9 +116,9 @@ def save_diagnosis(directory: Path | str, content: dict[str, Any]) -> Path:
 def diagnosis_content(
     reason: HitchoptError, suggestions: Iterable[dict[str, object]] = ()
 ) -> dict[str, Any]:
-    """Return why there is no plan, and verified changes that remove the reason, smallest first.
+    """Return the content of ``diagnosis.json``: the reason and verified changes, smallest first.
 
-    An InfeasibleError names the limits that bind; ``suggestions`` are changes as plain values.
+    The violations are those of an InfeasibleError; ``suggestions`` are changes as plain data.
     """
     violations = reason.violations if isinstance(reason, InfeasibleError) else ()
     return {
@@ -131,7 +130,7 @@ def diagnosis_content(
     }
 
 
-SAVED = {
+QUANTITIES = {
     "positions": ("x", "y", "z"),
     "velocities": ("vx", "vy", "vz"),
     "accelerations": ("ax", "ay", "az"),
@@ -141,21 +140,21 @@ SAVED = {
 }
 """Quantities of a row and their columns: [m], [m/s], [m/s²], [m/s³], [rad], [N]."""
 
-HEADER = ",".join(("t", "drone", *(name for group in SAVED.values() for name in group)))
+HEADER = ",".join(("t", "drone", *(name for group in QUANTITIES.values() for name in group)))
 
 VERTICES_HEADER = "t,vertex,x,y,z,tension"
 
 NUMBER = "%#.12g"
-"""Twelve significant digits and a decimal point always: readers such as polars take a column that
-begins without one for whole numbers."""
+"""Twelve significant digits, with a decimal point: readers such as polars infer integers from the
+first rows otherwise."""
 
-ROWS = 2000  # Rows that are formatted at once: more leave the processor's cache
+ROWS = 2000  # Rows that are formatted at once, to fit the processor's cache
 
-Progress = Callable[[float], None]  # Function that is called with the fraction done, 0 to 1
+Progress = Callable[[float], None]  # Callback with the completed fraction, 0 to 1
 
 
 def _values(states: States) -> Array:
-    """Return the numbers of SAVED (S, D, 16), without negative zeros."""
+    """Return the values of QUANTITIES (S, D, 16), without negative zeros."""
     motion = (states.positions, states.velocities, states.accelerations, states.jerks)
     yaw = np.zeros((*states.positions.shape[:2], 1))
     values: Array = np.concatenate((*motion, yaw, states.cable_forces), axis=-1) + 0.0
@@ -180,20 +179,20 @@ def write_setpoints(
 def write_vertices(path: Path, motion: Motion, rate: float) -> None:
     """Write one row per sample and vertex, while the hitch exists; row k has cable k's tension.
 
-    The last row of an open chain, which has one point more than cables, leaves it empty. Vertices
-    of several groups are called as ``b.p2``, one group after the other. Where a hitch changes its
-    robots, vertices are counted along the ring of the time, and so are tensions.
+    The tension of the last point of an open chain is empty. Vertices of several groups have names
+    such as ``b.p2``, one group after the other. If a hitch changes its robots, vertices and
+    tensions are numbered along the current ring.
     """
     times = sample_times(motion.duration, rate)
 
-    def blocks(own: Motion, t: Array, points: int) -> Iterator[tuple[Array, Array]]:
-        begin = own.drones.breaks[0] - motion.drones.breaks[0]
-        for states in iterate_states(own, np.maximum(t - begin, 0.0), max(1, ROWS // points)):
+    def blocks(part: Motion, t: Array, points: int) -> Iterator[tuple[Array, Array]]:
+        start = part.drones.breaks[0] - motion.drones.breaks[0]
+        for states in iterate_states(part, np.maximum(t - start, 0.0), max(1, ROWS // points)):
             values = np.full((len(states.t), points, 4), np.nan)
             values[..., :3] = states.vertices
-            values[:, : own.team.robots, 3] = states.tensions
-            here = states.formed
-            yield begin + states.t[here], values[here] + 0.0  # no negative zeros
+            values[:, : part.team.robots, 3] = states.tensions
+            formed = states.formed
+            yield start + states.t[formed], values[formed] + 0.0  # no negative zeros
 
     tables = []
     for each in motion.groups:
@@ -209,8 +208,8 @@ def write_rows(
 ) -> None:
     """Write a header and one line per sample and item: the time, the item's name, the numbers.
 
-    Tables, one after the other, have the names (D,) of items and blocks of times (S,) [s] and
-    numbers (S, D, C); where these are nan nothing is written.
+    Each table has the names (D,) of items, and blocks of times (S,) [s] and numbers (S, D, C). A
+    nan is an empty cell.
     """
     numbers = f",{NUMBER}" * (header.count(",") - 1) + "\n"
     with path.open("w", encoding="utf-8", newline="") as file:
@@ -229,16 +228,16 @@ def data_frame(motion: Motion, rate: float) -> DataFrame:
     try:
         import pandas
     except ImportError as error:
-        words = f"data frames need pandas ({error}); pip install 'hitchopt[pandas]'"
-        raise UnsupportedError(words) from None
+        message = f"data frames need pandas ({error}); pip install 'hitchopt[pandas]'"
+        raise UnsupportedError(message) from None
     times, names = sample_times(motion.duration, rate), motion.team.drone_names
     values = _values(states_at(motion, times)).reshape(len(times) * len(names), -1)
     phases = [f"{phase.name} ({i})" for i, phase in enumerate(motion.phases)]
     ends = np.array([phase.end for phase in motion.phases[:-1]])
-    here = np.repeat(np.array(phases)[np.searchsorted(ends, times, side="right")], len(names))
+    current = np.repeat(np.array(phases)[np.searchsorted(ends, times, side="right")], len(names))
     first, drone, *columns = HEADER.split(",")
-    who = pandas.Categorical(np.tile(names, len(times)), pandas.Index(list(names)))
-    rows = {first: np.repeat(times, len(names)), drone: who}
+    drones = pandas.Categorical(np.tile(names, len(times)), pandas.Index(list(names)))
+    rows = {first: np.repeat(times, len(names)), drone: drones}
     numbers = dict(zip(columns, values.T, strict=True))
-    when = pandas.Categorical(here, pandas.Index(phases))
-    return pandas.DataFrame(rows | numbers | {"phase": when})
+    phase = pandas.Categorical(current, pandas.Index(phases))
+    return pandas.DataFrame(rows | numbers | {"phase": phase})

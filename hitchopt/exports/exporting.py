@@ -1,16 +1,16 @@
-"""Write a certified plan in fleets' formats, and certify the files as read back.
+"""Export a certified plan to fleet formats, and certify the files as read back.
 
-There is one path: files are written into a hidden folder, read back, verified against the plan, and
-moved to their place. An export that loses a limit by its rounding or refitting is refused, and what
-was there before stays. Drones are those of the files; vertices, legs and tensions are the plan's.
-So every ``worst`` bounds what is flown, for all t, as in the plan's certificate.
+Files are written into a hidden folder, read back, verified against the plan, and moved to their
+destination. An export that violates a limit after rounding or refitting is refused, and existing
+files stay. Checks use the drones' curves of the files, and the plan's vertices, legs and tensions.
+So every ``worst`` bounds the exported motion for all t, as in the plan's certificate.
 """
 
 from __future__ import annotations
 
 import contextlib
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,14 @@ from hitchopt.checks.drones import largest_rate
 from hitchopt.checks.registry import RULE_OF, RULES, certificate_of, check_of
 from hitchopt.checks.rule import CheckRule
 from hitchopt.checks.spans import ROUNDING, value_cache
-from hitchopt.errors import FileError, InfeasibleError, InputError, OneLine, Violation
+from hitchopt.errors import (
+    FileError,
+    InfeasibleError,
+    InputError,
+    OneLine,
+    Progress,
+    Violation,
+)
 from hitchopt.exports.format import Format, Task, format_of
 from hitchopt.exports.held_tension import held_tension
 from hitchopt.exports.options import ENDINGS, ExportOptions, checked_rate
@@ -32,7 +39,7 @@ from hitchopt.exports.recording import (
     MANIFEST_FORMAT,
     Recording,
     held_until,
-    listed,
+    listed_names,
     read_manifest,
 )
 from hitchopt.hitch import Team
@@ -45,27 +52,27 @@ from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
 from hitchopt.values import Array
 
-Progress = Callable[[str], None]  # Function that is called with what is being done now
-
-SLOWER = (1.02, 1.05)  # Factors of the durations of a plan that loses a limit by being rounded
-SHARES = (1.0, 0.3)  # Shares of the usual refit error of parts, tried in this order
-HELD = "none: the offsets of the set points hold the tension; nothing is to be fed forward"
-FREE = "none: accelerations are the drones' own, where the files hold them"
+RETRY_STRETCHES = (1.02, 1.05)  # Factors of durations if rounding violates a limit
+REFIT_SHARES = (1.0, 0.3)  # Candidate shares of the usual refit error, for parts
+OFFSETS_HOLD_TENSION = (
+    "none: the offsets of the set points hold the tension; nothing is to be fed forward"
+)
+NO_CABLE_FORCE = "none: accelerations are the drones' own, where the files hold them"
 
 
 @dataclass(frozen=True)
 class Export(OneLine):
-    """Files that were written and verified."""
+    """Exported and verified files."""
 
-    folder: Path  # where they are
-    files: tuple[str, ...]  # names in it, without the manifest
-    verdict: Verdict  # errors and checks of what the files say
-    notes: tuple[str, ...]  # what else is to be known of them
-    begins: float = 0.0  # when in the plan it begins [s]; 0 unless the plan was cut
+    folder: Path
+    files: tuple[str, ...]  # file names without the manifest
+    verdict: Verdict  # errors and checks of the exported motion
+    notes: tuple[str, ...]  # notes for the user
+    begins: float = 0.0  # start of the part in the plan [s]
 
     @property
     def sources(self) -> dict[str, Path]:
-        """Paths of its files and of the manifest, by name."""
+        """Paths of the files and of the manifest, by name."""
         return {name: self.folder / name for name in (*self.files, MANIFEST)}
 
 
@@ -76,22 +83,21 @@ def export_motion(
     folder: Path | str,
     progress: Progress | None = None,
 ) -> tuple[Export, ...]:
-    """Write the plan with these options; return the exports, one per part.
+    """Export a plan; return one export per part.
 
-    A plan that this process has not certified, as one from a file, is certified first. The folder
-    is made if it is missing, and only files of an earlier export there are replaced; a name that
-    ends as the format's only file does is that file, its manifest next to it.
+    A plan from a file is certified first. Only files of an earlier export are replaced.
 
     Parameters
     ----------
-    motion, title, options: the plan, and how to write it.
-    folder: where to write it.
-    progress: called with the current stage of work.
+    motion, title, options: the plan and the options of the export.
+    folder: created if it is missing. A name with the suffix of the format's only file is that of
+        the file, and the manifest is written next to it.
+    progress: status callback.
 
     Raises
     ------
-    CertificateError, InputError: the certificate does not hold, or an option is wrong.
-    InfeasibleError: the format cannot hold the plan, or loses a limit. Nothing is written then.
+    CertificateError, InputError: the certificate does not hold, or an option is invalid.
+    InfeasibleError: the format cannot hold the plan, or violates a limit; nothing is written.
     """
     say = progress or (lambda _: None)
     kind, roles, place = format_of(options.format), motion.team.drone_names, Path(folder)
@@ -103,129 +109,126 @@ def export_motion(
     if frame.name not in kind.frames:
         bound = f"one of {', '.join(kind.frames)} for {kind.name}"
         raise InputError("frame", frame.name, bound, f"leave it out for {kind.frames[0]}")
-    task = Task(
-        plan,
-        title,
-        frame,
-        placeholder_fleet(roles, dotted=kind.dotted)
-        if options.fleet is None
-        else read_fleet(options.fleet, roles),
-        kind.rate if options.rate is None else checked_rate(options.rate),
-        options,
-        undetermined=_undetermined(kind, motion, options),
-        settings=kind.settings(motion.team, options),
-        notes=tuple(
-            f"certified beside {each.name}, which begins at t = {each.motion.drones.breaks[0]:.4g} "
-            "s of this plan: fly both on one clock"
-            for each in plan.others
-        ),
+    if options.fleet is None:
+        fleet = placeholder_fleet(roles, dotted=kind.dotted)
+    else:
+        fleet = read_fleet(options.fleet, roles)
+    rate = kind.rate if options.rate is None else checked_rate(options.rate)
+    undetermined = _undetermined_reasons(kind, motion, options)
+    settings = kind.settings(motion.team, options)
+    notes = tuple(
+        f"certified beside {each.name}, which begins at t = {each.motion.drones.breaks[0]:.4g} "
+        "s of this plan: fly both on one clock"
+        for each in plan.others
     )
-    _refuse_lost_pull(kind, motion, options)
-    sealed = _is_file(place) and place.with_name(f"{place.name}.{MANIFEST}").exists()
-    if place.exists() and not (place.is_dir() or sealed):
+    content = plan, title, frame, fleet, rate, options
+    task = Task(*content, undetermined=undetermined, settings=settings, notes=notes)
+    _check_controllers(kind, motion, options)
+    is_export = _is_file(place) and place.with_name(f"{place.name}.{MANIFEST}").exists()
+    if place.exists() and not (place.is_dir() or is_export):
         raise FileError(f"{place}: is there already; an export is a folder, so name another")
     certificate_of(plan, say).raise_if_violated()
     if options.hold_tension:
         held = held_tension(plan, options.stiffness, options.damping)
-        task = replace(task, motion=held.motion, unheld=plan, notes=(*task.notes, held.note))
-    with _scratch(place) as scratch:
-        return _put(_written(kind, task, scratch, say), place, kind, task)
+        notes = (*task.notes, held.note)
+        task = replace(task, motion=held.motion, without_offsets=plan, notes=notes)
+    with _scratch_folder(place) as scratch:
+        return _move_exports(_first_valid(kind, task, scratch, say), place, kind, task)
 
 
-def _refuse_lost_pull(kind: Format, motion: Motion, options: ExportOptions) -> None:
-    """Raise InputError where a named controller would lose the cables' tension, or fly other gains.
+def _check_controllers(kind: Format, motion: Motion, options: ExportOptions) -> None:
+    """Raise InputError if a named controller would not hold the tension, or use other gains.
 
-    What controllers do that nobody names is unknown: there the files warn.
+    Unnamed controllers are unknown; for them the manifest has warnings.
     """
-    named = _controllers(motion.team)
+    controllers = _controllers(motion.team)
     for option in ("stiffness", "damping"):
-        if named and (value := getattr(options, option)) is not None:
-            bound = f"left out with controller {named[0]}, whose gains are exported"
+        if controllers and (value := getattr(options, option)) is not None:
+            bound = f"left out with controller {controllers[0]}, whose gains are exported"
             raise InputError(option, value, bound, "set team.quadrotor.gains")
-    pulled = [name for team in _hitched(motion) for name in _controllers(team)]
-    if kind.flown_by == "upload" and pulled and not options.hold_tension:
-        bound = f"given for {kind.name}, which carries no cable force to controller {pulled[0]}"
+    tied = [name for team in _hitch_teams(motion) for name in _controllers(team)]
+    if kind.flown_by == "upload" and tied and not options.hold_tension:
+        bound = f"given for {kind.name}, which carries no cable force to controller {tied[0]}"
         remedy = "add it, or stream: hitchopt fly, or a format that carries the force"
         raise InputError("hold_tension", False, bound, remedy)
 
 
-def _undetermined(kind: Format, motion: Motion, options: ExportOptions) -> tuple[str, ...]:
-    """Return why the files leave the tension undetermined; nothing without a hitch."""
+def _undetermined_reasons(kind: Format, motion: Motion, options: ExportOptions) -> tuple[str, ...]:
+    """Return the reasons why the files leave the tension undetermined, if any."""
     reasons = list[str]()
-    for team in _hitched(motion):
-        fed_forward = kind.flown_by != "upload" and bool(np.all(team.feed_forward))
-        known = options.stiffness is not None or bool(np.all(np.isfinite(team.stiffness)))
-        unknown = kind.receiver_integral and not known
+    for team in _hitch_teams(motion):
+        has_force = kind.flown_by != "upload" and bool(np.all(team.feed_forward))
+        is_specified = options.stiffness is not None or bool(np.all(np.isfinite(team.stiffness)))
+        may_integrate = kind.receiver_integral and not is_specified
         reasons += undetermined_tension(
-            integral=unknown or bool(np.any(np.isinf(team.integral))),
-            feed_forward=fed_forward or options.hold_tension,
+            integral=may_integrate or bool(np.any(np.isinf(team.integral))),
+            feed_forward=has_force or options.hold_tension,
         )
     return tuple(dict.fromkeys(reasons))
 
 
-def _hitched(motion: Motion) -> list[Team]:
-    """Return the teams that ever form a hitch."""
+def _hitch_teams(motion: Motion) -> list[Team]:
+    """Return the teams that form a hitch during a motion."""
     return [each.motion.team for each in motion.groups if np.any(each.motion.formed)]
 
 
 def _controllers(team: Team) -> list[str]:
-    """Return the names of a team's controllers."""
+    """Return the names of the controllers of a team."""
     return sorted({name for each in team.quadrotor if (name := each.controller)})
 
 
-def _written(kind: Format, task: Task, scratch: Path, say: Progress) -> list[Export]:
-    """Write the first that loses nothing of the whole, it slower, its parts; or raise."""
+def _first_valid(kind: Format, task: Task, scratch: Path, say: Progress) -> list[Export]:
+    """Export the plan as a whole, slower, or in parts: the first of these without violations."""
     refusals: list[InfeasibleError] = []
 
-    def arrangements() -> Iterator[Sequence[Task]]:
+    def candidates() -> Iterator[Sequence[Task]]:
         yield (task,)
-        full = any(broken.constraint == "memory" for broken in refusals[0].violations)
-        rounds = len(kind.bounds) > 1 and not full and not task.options.hold_tension
-        for factor in SLOWER if rounds else ():
+        exceeds_memory = any(each.constraint == "memory" for each in refusals[0].violations)
+        is_rounded = len(kind.bounds) > 1 and not exceeds_memory and not task.options.hold_tension
+        for factor in RETRY_STRETCHES if is_rounded else ():
             slower = stretched(task.motion, factor)
-            remark = (
-                f"flown {factor - 1.0:.0%} slower than the plan: rounded, it would lose a limit"
-            )
-            yield (replace(task, motion=slower, notes=(*task.notes, remark)),)
-        yield from filter(None, (kind.parts(task, share) for share in SHARES))
+            note = f"flown {factor - 1.0:.0%} slower than the plan: rounded, it would lose a limit"
+            yield (replace(task, motion=slower, notes=(*task.notes, note)),)
+        yield from filter(None, (kind.parts(task, share) for share in REFIT_SHARES))
 
-    for number, tasks in enumerate(arrangements()):
+    for number, tasks in enumerate(candidates()):
         with contextlib.suppress(InfeasibleError):
-            done = [_part(kind, each, scratch / str(number), say, refusals) for each in tasks]
-            whole_and_slower = number > 0 and len(tasks) == 1
-            if not whole_and_slower or certificate_of(tasks[0].motion).certified:
-                return done
+            folder = scratch / str(number)
+            exports = [_export_part(kind, each, folder, say, refusals) for each in tasks]
+            is_slower = number > 0 and len(tasks) == 1
+            if not is_slower or certificate_of(tasks[0].motion).certified:
+                return exports
     raise refusals[0]
 
 
-def _part(
+def _export_part(
     kind: Format, task: Task, place: Path, say: Progress, refusals: list[InfeasibleError]
 ) -> Export:
-    """Write the first refit that breaks no limit; else raise InfeasibleError.
+    """Export a part with the first refit that violates no limit; else raise InfeasibleError.
 
-    Every refusal is added to ``refusals``, whose limits are verified before all others.
+    Refusals are appended to ``refusals``. Limits that caused one are verified first.
     """
     folder = place / f"part{task.number}"
     folder.mkdir(parents=True)
-    rules = PLACES if task.options.hold_tension else FLOWN
+    rules = SETPOINT_RULES if task.options.hold_tension else EXPORT_RULES
     for attempt, bound in enumerate(kind.bounds, 1):
         say(f"writing {kind.name}" + (f", attempt {attempt}" if attempt > 1 else ""))
         try:
             written = kind.write(folder, replace(task, bound=bound))
             say(f"reading {kind.name} back")
             recording = kind.read(folder, task)
-            known = {broken.constraint for each in refusals for broken in each.violations}
-            for chosen in filter(None, ([r for r in rules if r.name in known], rules)):
-                verdict = verify(task.motion, recording, task.frame, task.names, chosen)
-                if lost := verdict.violations(task.motion, kind.accuracy):
-                    words = "what it rounds or refits costs more than the plan has left"
-                    raise InfeasibleError(lost, f"{kind.name} is not written: {words}")
+            violated = {each.constraint for refusal in refusals for each in refusal.violations}
+            for subset in filter(None, ([r for r in rules if r.name in violated], rules)):
+                verdict = verify(task.motion, recording, task.frame, task.names, subset)
+                if violations := verdict.violations(task.motion, kind.accuracy):
+                    reason = "rounding or refitting costs more than the plan's margins"
+                    raise InfeasibleError(violations, f"{kind.name} is not written: {reason}")
         except InfeasibleError as refusal:
             refusals.append(refusal)
             continue
         notes = (*written.notes, *task.notes, *task.undetermined)
         receiver = {**task.settings, **written.receiver}
-        manifest = _head(kind, task) | {
+        manifest = _manifest_head(kind, task) | {
             "heading_rad": task.frame.heading,
             "drones": {member.role: member.name for member in task.fleet.members},
             "duration": verdict.duration,
@@ -234,7 +237,7 @@ def _part(
             "velocity_error_m_s": asdict(verdict.velocity),
             "checks": Certificate(verdict.duration, verdict.checks).to_dict()["checks"],
             "not_carried": verdict.not_carried,
-            "feed_forward": _fed_forward(kind, task),
+            "feed_forward": _feed_forward_entry(kind, task),
             "undetermined_tension": list(task.undetermined),
             "notes": list(notes),
             "files": sorted(written.files),
@@ -246,22 +249,22 @@ def _part(
     raise refusals[-1]
 
 
-def _fed_forward(kind: Format, task: Task) -> str:
-    """Return the manifest's entry on the cables' pull in the files."""
+def _feed_forward_entry(kind: Format, task: Task) -> str:
+    """Return the manifest's entry on cable forces in the files."""
     if not task.motion.has_cables:
-        return FREE
-    return HELD if task.options.hold_tension else kind.feed_forward
+        return NO_CABLE_FORCE
+    return OFFSETS_HOLD_TENSION if task.options.hold_tension else kind.feed_forward
 
 
-def _head(kind: Format, task: Task) -> dict[str, Any]:
+def _manifest_head(kind: Format, task: Task) -> dict[str, Any]:
     head = {"format": MANIFEST_FORMAT, "exported_as": kind.name, "title": task.title}
     names = _controllers(task.motion.team)
     return {**head, "flown_by": kind.flown_by, "controllers": names, **task.frame.to_dict()}
 
 
 @contextlib.contextmanager
-def _scratch(place: Path) -> Iterator[Path]:
-    """Yield a hidden folder on the disk of a place, which is gone after the block."""
+def _scratch_folder(place: Path) -> Iterator[Path]:
+    """Create a hidden folder on the disk of a path for the context."""
     try:
         home = next(p for p in (place, *place.absolute().parents) if p.is_dir())
         with tempfile.TemporaryDirectory(prefix=".hitchopt-", dir=home) as folder:
@@ -271,13 +274,15 @@ def _scratch(place: Path) -> Iterator[Path]:
 
 
 def _is_file(place: Path) -> bool:
-    """Return whether a place is that of a single file."""
+    """Return whether a path is that of a single file."""
     return place.suffix.lower() in ENDINGS and not place.is_dir()
 
 
-def _put(done: Sequence[Export], place: Path, kind: Format, task: Task) -> tuple[Export, ...]:
-    """Move what was written and verified into its file or folder, parts into folders of theirs."""
-    first, several = done[0], len(done) > 1
+def _move_exports(
+    exports: Sequence[Export], place: Path, kind: Format, task: Task
+) -> tuple[Export, ...]:
+    """Move verified exports to their file or folder; several parts to subfolders."""
+    first, several = exports[0], len(exports) > 1
     if _is_file(place):
         if several or len(first.files) > 1 or Path(first.files[0]).suffix != place.suffix.lower():
             bound = f"a folder for {kind.name}, or a name that ends as its only file does"
@@ -286,24 +291,23 @@ def _put(done: Sequence[Export], place: Path, kind: Format, task: Task) -> tuple
         sources = {place.name: first.folder / first.files[0], seal: first.folder / MANIFEST}
         _move(place.parent, sources, set(sources), seal)
         return (replace(first, folder=place.parent, files=(place.name,)),)
-    folders = [place / part.folder.name if several else place for part in done]
-    moved = {folder: part.sources for part, folder in zip(done, folders, strict=True)}
+    folders = [place / part.folder.name if several else place for part in exports]
+    new = {folder: part.sources for part, folder in zip(exports, folders, strict=True)}
     if several:
-        ends = [*(part.begins for part in done[1:]), task.motion.duration]
-        spans = [[part.begins, end] for part, end in zip(done, ends, strict=True)]
-        content = _head(kind, task) | {"duration": task.motion.duration, "files": []}
+        ends = [*(part.begins for part in exports[1:]), task.motion.duration]
+        spans = [[part.begins, end] for part, end in zip(exports, ends, strict=True)]
+        content = _manifest_head(kind, task) | {"duration": task.motion.duration, "files": []}
         content |= {"parts": [folder.name for folder in folders], "plan_spans": spans}
-        moved[place] = {MANIFEST: first.folder.parent / MANIFEST}
-        write_strict_json(moved[place][MANIFEST], content)
-    old = [
-        place / name for name in listed(read_manifest(place), "parts") if place / name not in moved
-    ]
-    for folder, sources in (moved | {folder: {} for folder in old}).items():
+        new[place] = {MANIFEST: first.folder.parent / MANIFEST}
+        write_strict_json(new[place][MANIFEST], content)
+    parts = [place / name for name in listed_names(read_manifest(place), "parts")]
+    obsolete = [folder for folder in parts if folder not in new]
+    for folder, sources in (new | {folder: {} for folder in obsolete}).items():
         _move(folder, sources, _owned(folder, tuple(sources)), MANIFEST)
-    for folder in old:  # it was cut into more
+    for folder in obsolete:
         with contextlib.suppress(OSError):  # not empty
             folder.rmdir()
-    return tuple(replace(part, folder=here) for part, here in zip(done, folders, strict=True))
+    return tuple(replace(part, folder=f) for part, f in zip(exports, folders, strict=True))
 
 
 def _move(folder: Path, sources: Mapping[str, Path], owned: set[str], seal: str) -> None:
@@ -314,24 +318,26 @@ def _move(folder: Path, sources: Mapping[str, Path], owned: set[str], seal: str)
 
 
 def _owned(folder: Path, files: Sequence[str]) -> set[str]:
-    """Return the files of an earlier export and of the next one, which replaces no others."""
-    owned = {MANIFEST, *listed(read_manifest(folder), "files")}
+    """Return the files of the earlier and the new export; raises FileError if others would go."""
+    owned = {MANIFEST, *listed_names(read_manifest(folder), "files")}
     if foreign := [name for name in files if name not in owned and (folder / name).exists()]:
-        words = "is there already and not from an export; choose another folder with -o"
-        raise FileError(f"{folder / foreign[0]}: {words}")
+        reason = "is there already and not from an export; choose another folder with -o"
+        raise FileError(f"{folder / foreign[0]}: {reason}")
     return {*owned, *files}
 
 
-FLOWN = tuple(rule for rule in RULES if any(evaluator.exported for evaluator in rule.evaluators))
-"""Rules of the checks of the exported motion, in their order."""
+EXPORT_RULES = tuple(rule for rule in RULES if any(each.exported for each in rule.evaluators))
+"""Rules of the checks of exported motions, in order."""
 
-PLACES = tuple(RULE_OF[name] for name in ("separation", "cable_clearance", "keep_out", "arena"))
-"""Rules for set points that hold a tension. They are not where the drones are, of which the plan's
-certificate says everything; but a drone whose cable breaks or goes slack flies there."""
+SETPOINT_RULES = tuple(
+    RULE_OF[name] for name in ("separation", "cable_clearance", "keep_out", "arena")
+)
+"""Rules for set points with offsets that hold the tension. Drones fly to their set points if their
+cables break or go slack; otherwise the plan's certificate applies."""
 
-EASIER = "fly it slower with stretch=, plan below the limit, or choose another format"
-CLEARER = "plan with a wider margin there, sample at a higher rate=, or choose another format"
-"""Remedies for checks that a slower flight eases, and for the others."""
+SLOWER_REMEDY = "fly it slower with stretch=, plan below the limit, or choose another format"
+MARGIN_REMEDY = "plan with a wider margin there, sample at a higher rate=, or choose another format"
+"""Remedies for checks of derivatives, and for other checks."""
 
 NOT_CARRIED = (
     "acceleration, jerk, thrust and tilt: straight lines between samples, where velocity jumps",
@@ -343,37 +349,38 @@ NOT_CARRIED = (
 
 @dataclass(frozen=True)
 class Deviation:
-    """The largest distance of exported curves from the plan's over all of the time."""
+    """The largest deviation of exported curves from the plan's over all time."""
 
-    worst: float  # [m] or [m/s], a bound for all t
-    time: float  # [s], where it is about attained
+    worst: float  # bound for all t [m] or [m/s]
+    time: float  # approximate time of the maximum [s]
     drone: str
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Errors and checks of exported numbers."""
+    """Errors and checks of an exported motion."""
 
-    duration: float  # of what is flown [s]
-    position: Deviation  # from the plan [m]
+    duration: float  # [s]
+    position: Deviation  # [m]
     velocity: Deviation  # [m/s]
-    checks: tuple[Check, ...]  # those of what is flown that the format carries
-    not_carried: str  # what the format cannot carry, in words
+    checks: tuple[Check, ...]  # checks of quantities that the format carries
+    not_carried: str  # description of the other quantities
 
     @property
-    def lost(self) -> tuple[Check, ...]:
+    def violated(self) -> tuple[Check, ...]:
         """Checks that do not hold."""
         return tuple(check for check in self.checks if not check.holds)
 
     def violations(self, motion: Motion, accuracy: float) -> list[Violation]:
-        """Return the limits that an export breaks; ``accuracy`` is the format's [m]."""
+        """Return the violated limits of an export; ``accuracy`` is the format's [m]."""
         violations = []
-        for check in self.lost:
+        for check in self.violated:
             rule = RULE_OF[check.name]
             planned = check_of(rule, motion, exported=True) or check
             values = f"{planned.bound:.6g}, the export loses {abs(check.bound - planned.bound):.3g}"
             when = f"at t = {check.time:.4g} s (the plan keeps {values})"
-            violations.append(check.violation(when, EASIER if rule.derivative > 0 else CLEARER))
+            remedy = SLOWER_REMEDY if rule.derivative > 0 else MARGIN_REMEDY
+            violations.append(check.violation(when, remedy))
         worst, when = self.position.worst, f"at t = {self.position.time:.4g} s"
         if worst > accuracy:
             remedy = "choose another format, such as csv, or a higher rate= where it samples"
@@ -388,12 +395,12 @@ def verify(
     recording: Recording,
     frame: ReferenceFrame,
     names: Sequence[str],
-    rules: Sequence[CheckRule] = FLOWN,
+    rules: Sequence[CheckRule] = EXPORT_RULES,
 ) -> Verdict:
-    """Return errors and checks of a recording that stands for the plan ``motion``, from t = 0 on.
+    """Return errors and checks of a recording of the plan ``motion``, from t = 0.
 
-    The plan lies in ``frame``; ``names`` (D,) are what the files call its drones, in its order.
-    FileError tells of drones that are not the plan's, or of less than all of its time.
+    ``frame`` is the frame of the recording, ``names`` (D,) are its names of the plan's drones, in
+    order. Raises FileError for other drones than the plan's, and if the recording is too short.
     """
     missing = [name for name in names if name not in recording.names]
     if missing or len(recording.names) != len(names):
@@ -402,34 +409,32 @@ def verify(
     index = [recording.names.index(name) for name in names]
     firsts = np.cumsum([len(each.motion.team.drone_names) for each in motion.groups])[:-1]
     carried = [rule for rule in rules if rule.derivative <= recording.smooth + 1]
-    checks: list[list[Check | None]] = []
-    apart: list[list[Deviation]] = []
-    end = 0.0
+    checks, deviations, end = list[list[Check | None]](), list[list[Deviation]](), 0.0
     for window in recording.windows():
         if abs(float(window.breaks[0]) - end) > JOINT:
             raise FileError(f"begins at t = {window.breaks[0]:g} s, not at {end:g} s")
         end = float(window.breaks[-1])
         curves = frame.in_plan(window.alike(window.coefficients[:, index]))
+        coefficients = np.split(curves.coefficients, firsts, axis=1)
         groups = list[Group]()
-        for group, places in zip(
-            motion.groups, np.split(curves.coefficients, firsts, axis=1), strict=True
-        ):
-            planned = _planned(group.motion, window.breaks)
-            flown = on_breaks(curves.alike(places), planned.drones.breaks)
-            apart.append(_deviations(flown, planned, group))
-            groups.append(replace(group, motion=replace(planned, drones=flown)))
-        written = combined(groups, [_at_window(each, window.breaks) for each in motion.others])
+        for group, part in zip(motion.groups, coefficients, strict=True):
+            planned = _plan_between(group.motion, window.breaks)
+            exported = on_breaks(curves.alike(part), planned.drones.breaks)
+            deviations.append(_deviations(exported, planned, group))
+            groups.append(replace(group, motion=replace(planned, drones=exported)))
+        whole = combined(groups, [_other_between(each, window.breaks) for each in motion.others])
         with value_cache():
-            checks.append([check_of(rule, written, exported=True) for rule in carried])
+            checks.append([check_of(rule, whole, exported=True) for rule in carried])
     if end < motion.duration - JOINT:
         raise FileError(f"ends at t = {end:g} s, before the plan does, at {motion.duration:g} s")
-    position, velocity = (max(each, key=lambda d: d.worst) for each in zip(*apart, strict=True))
+    each = zip(*deviations, strict=True)
+    position, velocity = (max(errors, key=lambda error: error.worst) for errors in each)
     worst = tuple(filter(None, map(worst_of, zip(*checks, strict=True))))
     return Verdict(end, position, velocity, worst, NOT_CARRIED[recording.smooth])
 
 
-def _planned(motion: Motion, breaks: Array) -> Motion:
-    """Return the plan over the span of ``breaks``, split there too; at rest after its end."""
+def _plan_between(motion: Motion, breaks: Array) -> Motion:
+    """Return the plan over the span of ``breaks``, with these breaks, at rest after its end."""
     start, end = float(breaks[0]), float(breaks[-1])
     inner = motion.drones.breaks
     common = merged_breaks([breaks, inner[(inner > start) & (inner < end)]])
@@ -439,22 +444,22 @@ def _planned(motion: Motion, breaks: Array) -> Motion:
 
     last = motion.phases[-1:]
     phases = motion.phases[:-1] + tuple(replace(p, end=max(p.end, end)) for p in last)
-    here = tuple(p for p in phases if p.end > start + JOINT and p.start < end - JOINT)
-    return motion.map_curves(span, here)
+    overlapping = tuple(p for p in phases if p.end > start + JOINT and p.start < end - JOINT)
+    return motion.map_curves(span, overlapping)
 
 
-def _at_window(other: Group, breaks: Array) -> Group:
-    """Return a plan that flies besides over the span of ``breaks``."""
+def _other_between(other: Group, breaks: Array) -> Group:
+    """Return another plan over the span of ``breaks``."""
     return replace(other, motion=between(other.motion, float(breaks[0]), float(breaks[-1])))
 
 
-def _deviations(flown: PiecewisePolynomial, motion: Motion, group: Group) -> list[Deviation]:
-    """Return how far curves on the breaks of a plan are off, in position and in velocity."""
-    degree, deviations = max(flown.degree, motion.drones.degree), []
-    wanted = bernstein.elevate(motion.drones.coefficients, degree)
-    apart = flown.alike(bernstein.elevate(flown.coefficients, degree) - wanted)
-    for order, margin in enumerate((ROUNDING * float(np.max(np.abs(wanted))), 0.0)):
-        most = largest_rate(apart, order)
-        drone = group.label(motion.team.drone_names[most.item])
-        deviations.append(Deviation(most.worst + margin, most.time, drone))
+def _deviations(exported: PiecewisePolynomial, motion: Motion, group: Group) -> list[Deviation]:
+    """Return the largest deviations of curves on a plan's breaks, in position and velocity."""
+    degree, deviations = max(exported.degree, motion.drones.degree), []
+    planned = bernstein.elevate(motion.drones.coefficients, degree)
+    difference = exported.alike(bernstein.elevate(exported.coefficients, degree) - planned)
+    for order, margin in enumerate((ROUNDING * float(np.max(np.abs(planned))), 0.0)):
+        worst = largest_rate(difference, order)
+        drone = group.label(motion.team.drone_names[worst.item])
+        deviations.append(Deviation(worst.worst + margin, worst.time, drone))
     return deviations

@@ -1,10 +1,10 @@
-"""Parameters of flight controllers for a team's drones: of the Crazyflie's firmware and PX4.
+"""Parameters of the Crazyflie firmware and of PX4 for a team's drones.
 
-The Crazyflie's filter explains every sideways acceleration by tilt alone: its accelerometer counts
-along the thrust only. A cable that pulls sideways makes it blind at the firmware's noises, so the
-filter's parameters belong to every plan. Gains are those of the team's position loops. Attitude
-gains are scaled so that a drone turns as the Crazyflie does for which the firmware has them: for
-its proportions, arms grow with the cube root of the mass, inertia with the power 5/3.
+The Crazyflie's Kalman filter attributes sideways accelerations to tilt only, because it uses the
+accelerometer along the thrust only. With the firmware's default noises, a sideways cable force
+makes it ignore measurements, so every export has parameters of the filter. Gains are those of the
+team's position loops. Attitude gains are scaled for the same rotational dynamics as a stock
+Crazyflie: for its proportions, arms grow with mass to the power 1/3, inertia to the power 5/3.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from hitchopt.hitch.flight_controller import FlightController, Gains
 
 SETTINGS = "crazyflies.yaml"  # File of a fleet's robots and their parameters
 
-Parameters = dict[str, dict[str, float]]  # by group, then name; whole numbers are integers
+Parameters = dict[str, dict[str, float]]  # By group and name; integers are int
 
 CONTROLLERS = {"pid": 1, "mellinger": 2, "lee": 5}
-"""Values of the firmware's ``stabilizer.controller``; 3 and 4 are others."""
+"""Values of the firmware's ``stabilizer.controller`` of supported controllers."""
 
 KALMAN = 2  # Value of ``stabilizer.estimator`` for the extended Kalman filter
-FULL = 65535.0  # Command of full thrust
+MAX_COMMAND = 65535.0  # Command of full thrust
 
 STOCK_INERTIA = 16.57e-6, 16.66e-6, 29.26e-6  # Inertia of a Crazyflie 2.1 [kg m²]
-STOCK_MASS = 0.0313  # Its mass [kg], with which the radius of gyration is half its arms of 46 mm
-STOCK_THRUST = FULL / 132_000.0  # Its full thrust [N], by the firmware's default of ``massThrust``
+STOCK_MASS = 0.0313  # Its mass [kg], for a radius of gyration of half its arms of 46 mm
+STOCK_THRUST = MAX_COMMAND / 132_000.0  # Its full thrust [N], by the default of ``massThrust``
 
-ATTITUDE = {
+ATTITUDE_GAINS = {
     "mellinger": {
         **{"kR_xy": 70_000.0, "kw_xy": 20_000.0, "kd_omega_rp": 200.0},
         **{"kR_z": 60_000.0, "kw_z": 12_000.0, "ki_m_z": 500.0},
@@ -46,36 +46,36 @@ ATTITUDE = {
 }
 """The firmware's default attitude gains: of commands for Mellinger's law, of moments for Lee's."""
 
-SINGLE = 1e-5  # Relative error by which parameters in single precision may differ
+PARAMETER_TOLERANCE = 1e-5  # Relative tolerance of parameters in single precision
 
 
-def refuse_controllers(team: Team, known: Collection[str], receiver: str) -> None:
-    """Raise InputError if a controller is named that is not among those of a receiver."""
-    for name in {kind.controller for kind in team.quadrotor} - {None, *known}:
-        bound, remedy = f"one of {', '.join(known)} for {receiver}", "plan for one of them"
+def refuse_controllers(team: Team, supported: Collection[str], receiver: str) -> None:
+    """Raise InputError if a team has a named controller that a receiver does not support."""
+    for name in {kind.controller for kind in team.quadrotor} - {None, *supported}:
+        bound, remedy = f"one of {', '.join(supported)} for {receiver}", "plan for one of them"
         raise InputError("team.quadrotor.controller", name, bound, remedy)
 
 
 def team_parameters(
     team: Team, stiffness: float | None = None, damping: float | None = None
 ) -> dict[str, Parameters]:
-    """Return the Crazyflie's parameters of every drone of a team, by its name in the plan.
+    """Return the Crazyflie parameters of all drones of a team, by name in the plan.
 
-    Gains [N/m], [N s/m] are for drones whose controller nobody names. InputError tells of gains
-    with which they are lost, or for which the firmware has no names.
+    Gains [N/m], [N s/m] are for drones without a named controller. Raises InputError for unstable
+    gains, and for gains that the firmware does not have.
     """
-    found = []
+    parameters = []
     for kind in team.quadrotor:
-        loop = kind.loop if kind.controller else _mellinger(kind, stiffness, damping)
-        found.append(firmware_parameters(kind, loop))
-    each = team.drones // len(found)
-    return {name: found[i // each] for i, name in enumerate(team.drone_names)}
+        loop = kind.loop if kind.controller else _mellinger_loop(kind, stiffness, damping)
+        parameters.append(firmware_parameters(kind, loop))
+    per_kind = team.drones // len(parameters)
+    return {name: parameters[i // per_kind] for i, name in enumerate(team.drone_names)}
 
 
-def _mellinger(
+def _mellinger_loop(
     kind: Quadrotor, stiffness: float | None, damping: float | None
 ) -> FlightController | None:
-    """Return Mellinger's loop of a stiffness [N/m] that is known, or None."""
+    """Return Mellinger's loop with a specified stiffness [N/m], or None without one."""
     loop = kind.loop
     if stiffness is not None:
         loop = FlightController.plain(kind.mass, stiffness, integral=False, feed_forward=True)
@@ -99,101 +99,103 @@ def firmware_parameters(kind: Quadrotor, loop: FlightController | None) -> Param
     (kp, kp_z), (kd, kd_z), (ki, ki_z) = loop.kp, loop.kd, loop.ki
     if name == "mellinger":
         ranges = zip(("i_range_xy", "i_range_z"), loop.ki_limit, loop.ki, strict=True)
-        turning = size ** (4.0 / 3.0) * STOCK_THRUST / kind.max_thrust
+        scale = size ** (4.0 / 3.0) * STOCK_THRUST / kind.max_thrust
         parameters["ctrlMel"] = {
-            **{"mass": mass, "massThrust": FULL / kind.max_thrust},
+            **{"mass": mass, "massThrust": MAX_COMMAND / kind.max_thrust},
             **{"kp_xy": kp, "kd_xy": kd, "ki_xy": ki, "kp_z": kp_z, "kd_z": kd_z, "ki_z": ki_z},
             **{key: limit / gain for key, limit, gain in ranges if 0.0 < limit < math.inf},
-            **{key: turning * value for key, value in ATTITUDE[name].items()},
+            **{key: scale * value for key, value in ATTITUDE_GAINS[name].items()},
         }
     elif name == "lee":
-        each = {"P": (kp, kp_z), "D": (kd, kd_z), "I": (ki, ki_z)}
-        turning = size ** (5.0 / 3.0)
+        gains = {"P": (kp, kp_z), "D": (kd, kd_z), "I": (ki, ki_z)}
+        scale = size ** (5.0 / 3.0)
         parameters["ctrlLee"] = {
             "mass": mass,
             **{
                 f"Kpos_{term}{axis}": gain / mass
-                for term, (level, upright) in each.items()
+                for term, (level, upright) in gains.items()
                 for axis, gain in zip("xyz", (level, level, upright), strict=True)
             },
-            **{key: turning * value for key, value in ATTITUDE[name].items()},
+            **{key: scale * value for key, value in ATTITUDE_GAINS[name].items()},
         }
     else:
         if kind.gains not in (None, Gains()):
             bound = "left out for pid: its gains are not those of a firmware's parameters"
             raise InputError("team.quadrotor.gains", kind.gains, bound, "leave them out")
-        parameters["posCtlPid"] = {"thrustBase": round(FULL * mass * GRAVITY / kind.max_thrust)}
-    return {group: {k: _digits(x) for k, x in named.items()} for group, named in parameters.items()}
+        base = round(MAX_COMMAND * mass * GRAVITY / kind.max_thrust)
+        parameters["posCtlPid"] = {"thrustBase": base}
+    return {key: {k: _rounded(x) for k, x in group.items()} for key, group in parameters.items()}
 
 
 def px4_parameters(team: Team) -> dict[str, dict[str, float]]:
-    """Return PX4's parameters of every drone of a team, by its name in the plan.
+    """Return the PX4 parameters of all drones of a team, by name in the plan.
 
-    By default PX4 tilts as if thrust were ``m g``, too far where cables pull downward, and takes
-    their pull for weight. Gains are those that are stated: of velocity, then of position by it.
+    By default PX4 computes the tilt with thrust ``m g``, which is too much tilt if cables pull
+    downward, and estimates the cable force as weight. Specified gains are those of PX4's velocity
+    loop and of the position loop around it.
     """
-    found = []
+    by_kind = []
     for kind in team.quadrotor:
-        own: dict[str, float] = {"MPC_ACC_DECOUPLE": 0, "MPC_USE_HTE": 0}
+        parameters: dict[str, float] = {"MPC_ACC_DECOUPLE": 0, "MPC_USE_HTE": 0}
         if kind.gains is not None:
             loop = kind.loop
             for axes, kp, kd, ki in zip(("XY", "Z"), loop.kp, loop.kd, loop.ki, strict=True):
-                own[f"MPC_{axes}_P"] = _digits(kp / kd)
-                own[f"MPC_{axes}_VEL_P_ACC"] = _digits(kd / kind.mass)
-                own[f"MPC_{axes}_VEL_I_ACC"] = _digits(ki * kd / (kp * kind.mass))
-        found.append(own)
-    each = team.drones // len(found)
-    return {name: found[i // each] for i, name in enumerate(team.drone_names)}
+                parameters[f"MPC_{axes}_P"] = _rounded(kp / kd)
+                parameters[f"MPC_{axes}_VEL_P_ACC"] = _rounded(kd / kind.mass)
+                parameters[f"MPC_{axes}_VEL_I_ACC"] = _rounded(ki * kd / (kp * kind.mass))
+        by_kind.append(parameters)
+    per_kind = team.drones // len(by_kind)
+    return {name: by_kind[i // per_kind] for i, name in enumerate(team.drone_names)}
 
 
-def _digits(value: float) -> float:
+def _rounded(value: float) -> float:
     return value if isinstance(value, int) else float(f"{value:.6g}")
 
 
 def describe_differences(
-    wanted: Mapping[str, Mapping[str, float]], held: Callable[[str, str], object]
+    expected: Mapping[str, Mapping[str, float]], value_of: Callable[[str, str], object]
 ) -> str:
-    """Return in words which parameters are not as wanted; nothing if all are held."""
-    words = []
-    for group in wanted:
-        for name, value in _mapping(wanted, group).items():
-            value_held = held(group, name)
+    """Describe the parameters whose values differ from the expected ones; empty if none do."""
+    differences = []
+    for group in expected:
+        for name, value in _mapping(expected, group).items():
+            actual = value_of(group, name)
             if not (
-                isinstance(value_held, int | float)
+                isinstance(actual, int | float)
                 and isinstance(value, int | float)
-                and math.isclose(value_held, value, rel_tol=SINGLE)
+                and math.isclose(actual, value, rel_tol=PARAMETER_TOLERANCE)
             ):
-                shown = "missing" if value_held is None else value_held
-                words.append(f"{group}.{name} is {shown}, not {value}")
-    return ", ".join(words)
+                text = "missing" if actual is None else actual
+                differences.append(f"{group}.{name} is {text}, not {value}")
+    return ", ".join(differences)
 
 
 def settings_findings(
     settings: Mapping[str, Any], manifest: Mapping[str, Any] | None
 ) -> Iterator[Finding]:
-    """Yield faults of a crazyflies.yaml for drones that cables pull.
+    """Yield findings on a crazyflies.yaml for drones with cables.
 
-    Its robots have to have the parameters that their manifest says, else those of the filter.
+    Its robots must have the parameters of the manifest, or else those of the filter.
     """
     types, roles = _mapping(settings, "robot_types"), _mapping(manifest or {}, "drones")
     exported = _mapping(_mapping(manifest or {}, "receiver"), "parameters")
-    of_robots = {str(name): _mapping(exported, role) for role, name in roles.items()}
+    by_robot = {str(name): _mapping(exported, role) for role, name in roles.items()}
     for name, robot in _mapping(settings, "robots").items():
         if not isinstance(robot, Mapping) or robot.get("enabled") is False:
             continue
         kind = _mapping(types, str(robot.get("type")))
         levels = [_mapping(x, "firmware_params") for x in (robot, kind, _mapping(settings, "all"))]
 
-        def held(group: str, key: str, levels: list[Any] = levels) -> object:
-            found = (_mapping(level, group).get(key) for level in levels)
-            return next((value for value in found if value is not None), None)
+        def value_of(group: str, key: str, levels: list[Any] = levels) -> object:
+            values = (_mapping(level, group).get(key) for level in levels)
+            return next((value for value in values if value is not None), None)
 
-        wanted = of_robots.get(str(name)) or HELD.firmware_params
-        if words := describe_differences(wanted, held):
+        expected = by_robot.get(str(name)) or HELD.firmware_params
+        if differences := describe_differences(expected, value_of):
             level, effect = warning, "a cable's pull makes the filter blind"
             if exported:
                 level, effect = error, "fly.py refuses to arm"
-            yield level("parameters", str(name), f"{words}: {effect}")
+            yield level("parameters", str(name), f"{differences}: {effect}")
         marker = str(_mapping(kind, "motion_capture").get("marker"))
         if "single" in marker:
             effect = "has no attitude, and the filter's parameters count on one; mount four"
@@ -201,6 +203,6 @@ def settings_findings(
 
 
 def _mapping(values: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-    """Return the mapping at a key, an empty one if there is none."""
+    """Return the mapping at a key, or an empty one."""
     value = values.get(key)
     return value if isinstance(value, Mapping) else {}

@@ -1,16 +1,16 @@
-"""Set points that hold the cables' tension where receivers do not feed it forward.
+"""Set points with offsets that hold the cables' tension without feed-forward of forces.
 
-A controller of stiffness k and damping c that knows of its set point s no more than position,
-velocity and acceleration moves a drone of mass m under the cable force F by
+A controller with stiffness k and damping c tracks position, velocity and acceleration of its set
+point s, and moves a drone of mass m under the cable force F by
 
     m ẍ = m s̈ + c (ṡ - ẋ) + k (s - x) + F.
 
-The drone is where the plan says if ``δ = s - x`` solves ``δ + (c/k) δ' + (m/k) δ'' = -F/k``; at
-rest the set point is moved outward by T/k. F is scaled by ``Team.pull_gain``. The equation is
-solved forward from rest by collocation: piece by piece a polynomial that fulfils it at Lobatto's
-points, ends included, so that the second derivative is as continuous as F. What it misses between
-these points moves the drone by at most the response's gain times the miss, which is measured and
-reported. The plan lasts a little longer so that set points end at rest, too.
+The drone follows the plan if ``δ = s - x`` solves ``δ + (c/k) δ' + (m/k) δ'' = -F/k``. At rest the
+set point is offset outward by T/k. F is scaled by ``Team.pull_gain``. The equation is solved
+forward from rest by collocation at Lobatto points, ends included, so that the second derivative is
+as continuous as F. The residual between these points moves the drone by at most the gain of the
+response times the residual, which is computed and reported. The plan is extended so that the set
+points end at rest.
 """
 
 from __future__ import annotations
@@ -32,43 +32,44 @@ from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.values import Array, positive
 
-DEGREE = 8  # Degree of the offset's pieces
-LONGEST = 1.5  # Longest piece over √(m/k), the time in which a drone swings by one radian
-HALVINGS = 3  # Number of times that the pieces are halved while the miss is too large
-LARGEST_MISS = 1e-4  # [m] Largest distance of drones from the plan that a solution may leave
-PROBES = 3  # Points between two of Lobatto's at which the equation is checked
-REST = 2.0  # [s] Time by which the plan is prolonged, for offsets to come to rest
-SPARE = 0.2  # Share by which limits of speed and acceleration exceed set points, for rounding
+DEGREE = 8  # Degree of the offsets' pieces
+MAX_STEP = 1.5  # Maximum duration of a piece over √(m/k), one radian of a drone's oscillation
+HALVINGS = 3  # Maximum number of refinements
+MAX_ERROR = 1e-4  # Maximum error of drones due to residuals [m]
+PROBES = 3  # Number of points between Lobatto points at which residuals are evaluated
+REST_TIME = 2.0  # Extension of the plan, in which offsets come to rest [s]
+LIMIT_MARGIN = 0.2  # Margin of speed and acceleration limits over set points, for rounding
 
 
 @dataclass(frozen=True, eq=False)
 class HeldTension:
-    """A plan's set points that hold its tension, for controllers of some gains."""
+    """Set points of a plan that hold its tension, for controllers with given gains."""
 
-    motion: Motion  # the plan, prolonged, with the set points in place of the drones
+    motion: Motion  # the extended plan with set points as drones
     stiffness: Array  # (2n, 3) [N/m]
     damping: Array  # (2n, 3) [N s/m]
-    offset: float  # largest distance of a set point from its drone [m]
-    miss: float  # largest distance of a drone from the plan, with these controllers [m]
+    offset: float  # largest offset of a set point from its drone [m]
+    error: float  # largest error of a drone with these controllers [m]
 
     @property
     def note(self) -> str:
         """Note for users."""
+        stiffness, damping = _range_text(self.stiffness), _range_text(self.damping)
         return (
             f"set points are up to {100.0 * self.offset:.3g} cm off the drones' places, for "
-            f"position loops of {_span(self.stiffness)} N/m and {_span(self.damping)} N s/m that "
-            "feed forward velocity, acceleration and gravity alone; with these the drones are "
-            f"within {max(1e3 * self.miss, 1e-3):.2g} mm of the plan; files last {REST:g} s longer"
+            f"position loops of {stiffness} N/m and {damping} N s/m that feed forward velocity, "
+            "acceleration and gravity alone; with these the drones are within "
+            f"{max(1e3 * self.error, 1e-3):.2g} mm of the plan; files last {REST_TIME:g} s longer"
         )
 
 
 def held_tension(
     motion: Motion, stiffness: float | None = None, damping: float | None = None
 ) -> HeldTension:
-    """Return the set points with which controllers fly a plan without feed-forward of the pull.
+    """Return set points with which controllers fly a plan without feed-forward of cable forces.
 
-    Without gains [N/m], [N s/m] they are the team's. InputError tells that it has none, or a
-    bounded integral, which would move drones after their set points; InfeasibleError of forces that
+    Gains [N/m], [N s/m] are the team's by default. Raises InputError if the team has none, or a
+    bounded integral, which would move drones toward their set points, and InfeasibleError if forces
     change too fast.
     """
     if motion.changes:
@@ -76,9 +77,9 @@ def held_tension(
     if not motion.has_cables:
         raise UnsupportedError("hold_tension=True: single drones carry no cables that could pull")
     if len(motion.groups) == 1:
-        return _held_tension(motion, stiffness, damping)
+        return _group_set_points(motion, stiffness, damping)
     held = {
-        each.name: _held_tension(each.motion, stiffness, damping)
+        each.name: _group_set_points(each.motion, stiffness, damping)
         for each in motion.groups
         if each.motion.has_cables
     }
@@ -89,15 +90,17 @@ def held_tension(
     k, c = (
         np.concatenate([getattr(h, x) for h in held.values()]) for x in ("stiffness", "damping")
     )
-    offset, miss = (max(getattr(each, x) for each in held.values()) for x in ("offset", "miss"))
-    return HeldTension(combined(groups, motion.others), k, c, offset, miss)
+    offset, error = (max(getattr(each, x) for each in held.values()) for x in ("offset", "error"))
+    return HeldTension(combined(groups, motion.others), k, c, offset, error)
 
 
-def _held_tension(motion: Motion, stiffness: float | None, damping: float | None) -> HeldTension:
+def _group_set_points(
+    motion: Motion, stiffness: float | None, damping: float | None
+) -> HeldTension:
     """Return the set points of one group with cables."""
     team = motion.team
-    k, c, most = team.stiffness, team.damping, team.integral
-    if np.any((most > 0.0) & np.isfinite(most)):
+    k, c, integral = team.stiffness, team.damping, team.integral
+    if np.any((integral > 0.0) & np.isfinite(integral)):
         bound = "0 with hold_tension=True: integrals move drones after their set points"
         remedy = "set team.quadrotor.gains.ki to 0, there and on board"
         raise InputError("gains.ki", float(np.max(team.integral_gain)), bound, remedy)
@@ -112,72 +115,74 @@ def _held_tension(motion: Motion, stiffness: float | None, damping: float | None
     critical = 2.0 * np.sqrt(k * masses)
     if damping is not None:
         c = np.full_like(k, positive("damping", damping))
-    # The largest offset over the largest miss: the integral of the absolute impulse response.
+    # The largest error over the largest residual: the integral of the absolute impulse response.
     ratio = min(float(np.min(c / critical)), 1.0 - 1e-9)
     gain = float(1.0 / np.tanh(0.5 * np.pi * ratio / np.sqrt(1.0 - ratio * ratio)))
-    whole = append_motion(motion.untimed, resting(motion.untimed, REST))
-    step = LONGEST * float(np.min(np.sqrt(masses / k)))
+    whole = append_motion(motion.untimed, resting(motion.untimed, REST_TIME))
+    step = MAX_STEP * float(np.min(np.sqrt(masses / k)))
     for halving in range(HALVINGS + 1):
         spans = [
             (a, b, ceil((b - a) / step * 2**halving)) for a, b in pairwise(whole.drones.breaks)
         ]
         inner = [np.linspace(a, b, count, endpoint=False) for a, b, count in spans]
         breaks = np.concatenate([*inner, whole.drones.breaks[-1:]])
-        offsets, error = _solved(whole, k, c, breaks)
-        if (miss := gain * error) <= LARGEST_MISS:
+        offsets, residual = _solve_offsets(whole, k, c, breaks)
+        if (error := gain * residual) <= MAX_ERROR:
             break
     else:
         remedy = "fly it slower with stretch="
-        broken = Violation("held_tension", miss, LARGEST_MISS, "max", "m", (), "", remedy)
-        raise InfeasibleError([broken], "set points that hold the tension are not found")
+        violation = Violation("held_tension", error, MAX_ERROR, "max", "m", (), "", remedy)
+        raise InfeasibleError([violation], "set points that hold the tension are not found")
     split = whole.map_curves(lambda part: on_breaks(part, breaks), whole.phases)
     degree = max(split.drones.degree, DEGREE)
-    places = bernstein.elevate(split.drones.coefficients, degree)
-    drones = PiecewisePolynomial(breaks, places + bernstein.elevate(offsets.coefficients, degree))
-    limits, share = split.requirements.limits.with_reserve, 1.0 + SPARE
-    eased = replace(  # shows state limits, which set points keep
-        limits,
-        speed=max(limits.speed, share * largest_rate(drones, 1).worst),
-        acceleration=max(limits.acceleration, share * largest_rate(drones, 2).worst),
+    positions = bernstein.elevate(split.drones.coefficients, degree)
+    drones = PiecewisePolynomial(
+        breaks, positions + bernstein.elevate(offsets.coefficients, degree)
     )
-    held = replace(split, drones=drones, requirements=replace(split.requirements, limits=eased))
+    limits, factor = split.requirements.limits.with_reserve, 1.0 + LIMIT_MARGIN
+    widened = replace(  # limits that shows declare must hold for set points
+        limits,
+        speed=max(limits.speed, factor * largest_rate(drones, 1).worst),
+        acceleration=max(limits.acceleration, factor * largest_rate(drones, 2).worst),
+    )
+    held = replace(split, drones=drones, requirements=replace(split.requirements, limits=widened))
     largest = float(np.max(np.linalg.norm(offsets.coefficients, axis=-2)))
-    return HeldTension(held, k, c, largest, miss)
+    return HeldTension(held, k, c, largest, error)
 
 
-def _solved(
+def _solve_offsets(
     motion: Motion, stiffness: Array, damping: Array, breaks: Array
 ) -> tuple[PiecewisePolynomial, float]:
-    """Return the offsets (2n, 3) [m] that solve the equation at Lobatto's points, and its error.
+    """Return offsets (2n, 3) [m] that solve the equation at Lobatto points, and the residual [m].
 
-    The error [m] is the largest one at points between them.
+    The residual is the largest one at points between them.
     """
     zeros = np.polynomial.legendre.Legendre.basis(DEGREE - 2).deriv().roots().real
     x = np.concatenate([[0.0], 0.5 + 0.5 * np.sort(zeros), [1.0]])
     inner = np.arange(1, PROBES + 1) / (PROBES + 1)
     probes = (x[:-1, None] + np.diff(x)[:, None] * inner).ravel()
-    order = [bernstein.derivative_basis(np.append(x, probes), DEGREE, i) for i in range(3)]
+    basis = [bernstein.derivative_basis(np.append(x, probes), DEGREE, i) for i in range(3)]
     durations = np.diff(breaks)
     times = breaks[:-1, None] + durations[:, None] * np.append(x, probes)
-    times[:, len(x) - 1] = breaks[1:]  # the very time at which the next piece begins
+    times[:, len(x) - 1] = breaks[1:]  # exactly the start of the next piece
     forces = motion.team.pull_gain * states_at(motion, times - breaks[0]).cable_forces
-    wanted = np.moveaxis(-forces / stiffness, 1, -1)  # (pieces, 2n, 3, points)
-    rate, bend = damping / stiffness, motion.team.mass[:, None] / stiffness
+    right_sides = np.moveaxis(-forces / stiffness, 1, -1)  # (pieces, 2n, 3, points)
+    first, second = damping / stiffness, motion.team.mass[:, None] / stiffness
     coefficients = np.zeros((len(durations), motion.team.drones, 3, DEGREE + 1))
-    value, slope, miss = wanted[0, ..., 0], np.zeros_like(wanted[0, ..., 0]), 0.0
-    for c, h, right in zip(coefficients, durations.tolist(), wanted, strict=True):
-        a, b = (rate / h)[..., None, None], (bend / h**2)[..., None, None]
-        rows = order[0] + a * order[1] + b * order[2]  # the equation's left side, by coefficients
+    value, slope, residual = right_sides[0, ..., 0], np.zeros_like(right_sides[0, ..., 0]), 0.0
+    for c, h, right in zip(coefficients, durations.tolist(), right_sides, strict=True):
+        a, b = (first / h)[..., None, None], (second / h**2)[..., None, None]
+        rows = basis[0] + a * basis[1] + b * basis[2]  # the equation's left side, by coefficients
         c[..., :2] = np.stack([value, value + h * slope / DEGREE], axis=-1)
         rest = right - (rows[..., :2] @ c[..., :2, None])[..., 0]
-        others = np.linalg.solve(rows[..., : len(x), 2:], rest[..., : len(x), None])
-        c[..., 2:] = others[..., 0]
-        missing = ((rows @ c[..., None])[..., 0] - right)[..., len(x) :]
-        miss = max(miss, float(np.max(np.linalg.norm(missing, axis=1))))
+        solution = np.linalg.solve(rows[..., : len(x), 2:], rest[..., : len(x), None])
+        c[..., 2:] = solution[..., 0]
+        residuals = ((rows @ c[..., None])[..., 0] - right)[..., len(x) :]
+        residual = max(residual, float(np.max(np.linalg.norm(residuals, axis=1))))
         value, slope = c[..., -1], DEGREE / h * (c[..., -1] - c[..., -2])
-    return PiecewisePolynomial(breaks, coefficients), miss
+    return PiecewisePolynomial(breaks, coefficients), residual
 
 
-def _span(values: Array) -> str:
+def _range_text(values: Array) -> str:
     low, high = (f"{value:.4g}" for value in (np.min(values), np.max(values)))
     return low if low == high else f"{low} to {high}"

@@ -22,39 +22,39 @@ HOMES = {
     "json": "tables:JsonTable",
     "gltf": "gltf:Gltf",
 }
-"""Module and class of every format; a module is imported when its format is asked for."""
+"""Module and class of every format; modules are imported on demand."""
 
 ENDINGS = (".bin", ".csv", ".db3", ".glb", ".json", ".mcap", ".npz", ".parquet", ".skyc", ".zip")
-STORAGES = {"mcap": ".mcap", "sqlite3": ".db3"}  # Storage formats of a bag, and how their files end
+STORAGES = {"mcap": ".mcap", "sqlite3": ".db3"}  # Storage formats of bags, and their suffixes
 ROS_DISTROS = {"humble": 8, "iron": 8, "jazzy": 9}  # Versions of bags' metadata; all read 8
-MAX_RATE = 10_000.0  # Largest rate of samples [Hz]: no flight controller accepts a higher one
+MAX_RATE = 10_000.0  # Maximum sampling rate [Hz]: no flight controller accepts a higher one
 
 
 @dataclass(frozen=True)
 class ExportOptions:
-    """The format of an export, and how the plan is placed and sampled in it.
+    """The format of an export, and the placement and sampling of the plan.
 
-    InputError tells of an unknown storage or release, or of gains without ``hold_tension``.
+    Raises InputError for an unknown storage or release, or gains without ``hold_tension``.
     """
 
     format: str
-    frame: str | None = None  # enu, nwu or ned; None for the format's usual one
+    frame: str | None = None  # enu, nwu or ned; None for the format's default
     origin: Sequence[float] = (0.0, 0.0, 0.0)  # of the plan in the frame: east, north, up [m]
-    yaw: float = 0.0  # by which the plan is turned there, counter-clockwise from above [rad]
-    fleet: Path | str | None = None  # fleet file; None calls the drones as the plan does
-    rate: float | None = None  # samples a second [Hz], where the format samples; None: the usual
-    stretch: float = 1.0  # factor of all durations, from 1 on
+    yaw: float = 0.0  # rotation of the plan in the frame, counter-clockwise from above [rad]
+    fleet: Path | str | None = None  # fleet file; None for the plan's names of drones
+    rate: float | None = None  # sampling rate [Hz]; None for the format's default
+    stretch: float = 1.0  # factor of all durations, at least 1
     storage: str = "mcap"  # storage format of a bag, mcap or sqlite3
-    ros_distro: str = "humble"  # ROS 2 release that a bag is for: humble, iron or jazzy
-    hold_tension: bool = False  # whether set points are moved outward to hold the cables' tension
-    stiffness: float | None = None  # of controllers then [N/m]; None for the team's
+    ros_distro: str = "humble"  # ROS 2 release of a bag: humble, iron or jazzy
+    hold_tension: bool = False  # whether set points have offsets that hold the tension
+    stiffness: float | None = None  # of controllers for the offsets [N/m]; None for the team's
     damping: float | None = None  # [N s/m]; None for a damping ratio of 5/6
 
     def __post_init__(self) -> None:
-        for name, known in (("storage", STORAGES), ("ros_distro", ROS_DISTROS)):
-            if (value := getattr(self, name)) not in known:
-                usual = f"{next(iter(known))} is usual"
-                raise InputError(name, value, " or ".join(known), usual)
+        for name, values in (("storage", STORAGES), ("ros_distro", ROS_DISTROS)):
+            if (value := getattr(self, name)) not in values:
+                remedy = f"{next(iter(values))} is usual"
+                raise InputError(name, value, " or ".join(values), remedy)
         for name in ("stiffness", "damping"):
             if (value := getattr(self, name)) is not None and not self.hold_tension:
                 bound = "left out without hold_tension=True"
@@ -62,7 +62,7 @@ class ExportOptions:
 
 
 def checked_rate(rate: float) -> float:
-    """Return the rate [Hz]; raise InputError unless files may be sampled at it."""
+    """Return the rate [Hz]; raises InputError if it is out of range."""
     if not (math.isfinite(rate) and 0.0 < rate <= MAX_RATE):
         raise InputError("rate", rate, f"above 0 and at most {MAX_RATE:g} Hz", "100 Hz is usual")
     return rate

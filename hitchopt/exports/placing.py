@@ -1,4 +1,4 @@
-"""Fleet file and coordinate frame: which drones fly a plan, and where.
+"""Fleet files and coordinate frames: assign and place the drones of a plan.
 
 A fleet file is YAML, one entry per drone of the plan::
 
@@ -9,11 +9,11 @@ A fleet file is YAML, one entry per drone of the plan::
       cf21: {motion_capture: {tracking: librigidbodytracker}}
     settings: {}                # optional, for all drones, likewise
 
-A ``crazyflies.yaml`` is a fleet file too: every enabled robot flies the drone of the plan that its
-key ``role`` names, else the one of its own name.
+A ``crazyflies.yaml`` is a fleet file too: every enabled robot flies the drone of the plan in its
+key ``role``, by default the drone of its own name.
 
-A plan's world is read as east-north-up: x east, y north, z up. In the frame its origin lies at
-``origin`` and it is turned by ``yaw``; a file then names its own axes:
+A plan's frame is read as east-north-up: x east, y north, z up. Its origin is at ``origin``, and it
+is rotated by ``yaw``. Files have different axes:
 
     enu: (x, y, z)      east, north, up        heading yaw
     nwu: (y, -x, z)     north, west, up        heading yaw - π/2
@@ -50,17 +50,17 @@ from hitchopt.values.fields import (
 )
 from hitchopt.values.units import NUMBER
 
-NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}\Z")  # That suits files, ROS topics and YAML
-RESERVED = {"y", "n", "yes", "no", "on", "off", "true", "false", "null"}  # Others in YAML 1.1
-URI = re.compile(r"(radio|usb|udp|tcp|serial)://\S+\Z")  # Addresses of drones' radios
-PER_RADIO = 15  # Drones that one radio serves with trajectories uploaded
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}\Z")  # Valid in files, ROS topics and YAML
+RESERVED = {"y", "n", "yes", "no", "on", "off", "true", "false", "null"}  # Literals of YAML 1.1
+URI = re.compile(r"(radio|usb|udp|tcp|serial)://\S+\Z")  # Radio addresses of drones
+PER_RADIO = 15  # Drones per radio with uploaded trajectories
 
 
 _WORD = strings(1000)
 
 
 def _number(key: str, value: object) -> int | float:
-    """Return a number of the type in which it is given; raise InputError for others."""
+    """Return a number, int or float, unchanged; raises InputError for other values."""
     NUMBER.check(key, value)
     return value  # type: ignore[return-value]
 
@@ -91,9 +91,9 @@ class Fleet:
     """All drones of a plan, in its order."""
 
     members: tuple[Member, ...]
-    types: Mapping[str, Any] = field(default_factory=dict)  # settings of the types, as given
-    settings: Mapping[str, Any] = field(default_factory=dict)  # for all drones; empty: the usual
-    given: bool = False  # whether the user named them; else their addresses are placeholders
+    types: Mapping[str, Any] = field(default_factory=dict)  # settings of the types
+    settings: Mapping[str, Any] = field(default_factory=dict)  # for all drones; empty for defaults
+    is_placeholder: bool = True  # whether names and addresses are placeholders
 
 
 _DRONES = Key(dict_of(mapping_of(Member), _WORD), "Drones, by their keys")
@@ -103,7 +103,7 @@ _SETTINGS = Key(dict_of(ANYTHING, _WORD), "Settings of all drones")
 
 @dataclass(frozen=True)
 class FleetKeys:
-    """A fleet file, or a crazyflies.yaml, whose keys are those that stand second."""
+    """Keys of a fleet file, and of a crazyflies.yaml: robots, robot_types, all, fileversion."""
 
     drones: Annotated[dict[str, Member], _DRONES] = field(default_factory=dict)
     robots: Annotated[dict[str, Member], _DRONES] = field(default_factory=dict)
@@ -115,9 +115,9 @@ class FleetKeys:
 
 
 def placeholder_fleet(roles: Sequence[str], *, dotted: bool = False) -> Fleet:
-    """Return drones called as in the plan, at addresses counted up from E7E7E7E701.
+    """Return drones with their names of the plan, and addresses from E7E7E7E701.
 
-    Unless names may be ``dotted``, a drone ``a.q0`` of several teams is called ``a_q0``.
+    Unless names may be ``dotted``, a drone ``a.q0`` of several teams is named ``a_q0``.
     """
 
     def uri(i: int) -> str:
@@ -129,16 +129,16 @@ def placeholder_fleet(roles: Sequence[str], *, dotted: bool = False) -> Fleet:
 
 
 def read_fleet(path: str | Path, roles: Sequence[str]) -> Fleet:
-    """Return the fleet of a file, a fleet file or a crazyflies.yaml, for all drones of a plan."""
+    """Return the fleet of a fleet file or a crazyflies.yaml, with all drones of a plan."""
     keys: FleetKeys = mapping_of(FleetKeys).check("", read_yaml(path))
     root = "robots" if keys.robots else "drones"
     drones: dict[str, Member] = {}
-    seen: set[str] = set()
-    for own, given in (keys.robots or keys.drones).items():
-        if not given.enabled:
+    unique: set[str] = set()
+    for default, entry in (keys.robots or keys.drones).items():
+        if not entry.enabled:
             continue
-        role, name = given.role or own, given.name or own
-        member = replace(given, role=role, name=name, initial_position=[])
+        role, name = entry.role or default, entry.name or default
+        member = replace(entry, role=role, name=name, initial_position=[])
         where = f"{root}.{member.name if root == 'robots' else member.role}"
         if member.role in drones:
             bound = f"of one enabled robot only, and {drones[member.role].name} has it"
@@ -150,18 +150,18 @@ def read_fleet(path: str | Path, roles: Sequence[str]) -> Fleet:
             remedy = "such as radio://0/80/2M/E7E7E7E707"
             raise InputError(f"{where}.uri", member.uri, "an address", remedy)
         for key, value in (("name", member.name), ("uri", member.uri)):
-            if value.lower() in seen:
+            if value.lower() in unique:
                 raise InputError(f"{where}.{key}", value, "of one drone only", "give each its own")
-            seen.add(value.lower())
+            unique.add(value.lower())
         drones[member.role] = member
     for role in (*drones, *roles):
         if role not in drones or role not in roles:
-            known = f"the plan's drones are {', '.join(roles[:6])}{', …' if len(roles) > 6 else ''}"
+            names = f"the plan's drones are {', '.join(roles[:6])}{', …' if len(roles) > 6 else ''}"
             bound = "a drone of the plan" if role in drones else "named once, in the fleet"
-            remedy = f"{known}; a robot's role tells which it flies"
+            remedy = f"{names}; a robot's role tells which it flies"
             raise InputError(root, role, bound, remedy)
-    members = tuple(drones[role] for role in roles)
-    return Fleet(members, keys.types or keys.robot_types, keys.settings or keys.all, given=True)
+    members, types = tuple(drones[role] for role in roles), keys.types or keys.robot_types
+    return Fleet(members, types, keys.settings or keys.all, is_placeholder=False)
 
 
 AXES = {
@@ -169,15 +169,15 @@ AXES = {
     "nwu": np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
     "ned": np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]),
 }
-"""Axes of every frame as rows, in east, north and up."""
+"""Axes of frames as rows, in east-north-up."""
 
 
 @dataclass(frozen=True, eq=False)
 class ReferenceFrame:
-    """A file's axes, enu, nwu or ned, and where the plan lies in them.
+    """The frame of a file, enu, nwu or ned, and the placement of the plan.
 
-    The plan's origin lies at ``origin`` (3,) [m], east, north and up, and the plan is turned there
-    by ``yaw`` [rad], counter-clockwise seen from above.
+    ``origin`` (3,) [m] is the position of the plan's origin, east-north-up; ``yaw`` [rad] is the
+    rotation of the plan, counter-clockwise from above.
     """
 
     name: str = "enu"
@@ -186,8 +186,8 @@ class ReferenceFrame:
 
     def __post_init__(self) -> None:
         if self.name not in AXES:
-            known = f"one of {', '.join(AXES)}"
-            raise InputError("frame", self.name, known, "enu is the plan's own")
+            bound = f"one of {', '.join(AXES)}"
+            raise InputError("frame", self.name, bound, "enu is the plan's own")
         point = np.array(self.origin, dtype=np.float64)
         if point.shape != (3,) or not np.all(np.isfinite(point)):
             raise InputError("origin", self.origin, "three finite numbers", "give x y z in metres")
@@ -197,7 +197,7 @@ class ReferenceFrame:
 
     @property
     def rotation(self) -> Array:
-        """Rotation (3, 3) from vectors of the plan to vectors of the file."""
+        """Rotation matrix (3, 3) from the plan's axes to the file's axes."""
         c, s = math.cos(self.yaw), math.sin(self.yaw)
         turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         rotation: Array = AXES[self.name] @ turn + 0.0  # no negative zeros
@@ -205,7 +205,7 @@ class ReferenceFrame:
 
     @property
     def shift(self) -> Array:
-        """Place (3,) [m] of the plan's origin in the file's axes."""
+        """Position (3,) [m] of the plan's origin in the file's axes."""
         return AXES[self.name] @ np.asarray(self.origin, dtype=np.float64)
 
     @property
@@ -236,6 +236,6 @@ class ReferenceFrame:
         return part.alike(self.rotation.T @ (part.coefficients - self.shift[:, None]))
 
     def to_dict(self) -> dict[str, object]:
-        """Return the frame as a file states it."""
+        """Return the frame as plain data for files."""
         origin = np.asarray(self.origin).tolist()
         return {"frame": self.name, "origin_enu": origin, "yaw_deg": math.degrees(self.yaw)}

@@ -1,15 +1,15 @@
-"""Fewer pieces for the same curves, and their control points rounded.
+"""Refit curves with fewer pieces, and round their control points.
 
-**Fewer pieces.** On every new piece the curves meet the plan's positions and first derivatives at
-both ends, so that what is exported is as smooth across its pieces as the plan; the coefficients
-that this leaves free are those nearest to the plan. Pieces end as far on as an error allows, one
-after the other; errors are taken at points, the certificate verifies the result over all time.
+**Fewer pieces.** Every new piece interpolates the plan's position and first derivatives at both
+ends, so that the exported curve is as smooth across pieces as the plan. The remaining coefficients
+are a least-squares fit. Each piece is as long as the error bound allows. Errors are evaluated at
+points; the certificate verifies the result over all time.
 
-**Rounded together.** A control point rounded on its own is off by half a quantum, its neighbour by
-as much in the opposite direction: over a piece of degree N and h seconds that is up to ``N / h``
-quanta a second of velocity. So each is rounded with the errors of those before it in mind: among
-the remaining real coefficients the ones that make up best for them are found by least squares
-(Babai's nearest plane), in a norm of the errors of position, velocity and acceleration.
+**Joint rounding.** Independent rounding moves control points by half a quantum, and neighbours in
+opposite directions: over a piece of degree N and h seconds that is up to ``N / h`` quanta per
+second of velocity. Therefore each control point is rounded after compensation for the errors of the
+previous ones, by least squares (Babai's nearest plane) in a norm of the errors of position,
+velocity and acceleration.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from hitchopt.exports.recording import held_until
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array
 
-NODES = 25  # Points of a piece at which the plan is met in the least squares, and errors are taken
-CROWD = 200  # Drones that are evaluated when ends are placed: larger teams are thinned out evenly
-BISECTIONS = 9  # Bisections of the logarithm of the error: enough to distinguish 31 pieces from 32
-COARSEST, FINEST = 1.0, 1e-3  # Errors over their scale between which is searched
+FIT_POINTS = 25  # Points of a piece for the least-squares fit and the evaluation of errors
+MAX_FIT_DRONES = 200  # Drones that determine breaks; of larger teams a uniform sample
+BISECTIONS = 9  # Bisections of the logarithm of the error, enough to tell 31 pieces from 32
+MAX_ERROR, MIN_ERROR = 1.0, 1e-3  # Search interval of errors over their scale
 
 
 class Scale(NamedTuple):
-    """Errors that weigh alike."""
+    """Errors of equal weight."""
 
     position: float = 1e-3  # [m]
     velocity: float = 1e-2  # [m/s]
@@ -43,139 +43,142 @@ class Scale(NamedTuple):
 
 @dataclass(frozen=True)
 class Kind:
-    """A format's kind of pieces."""
+    """The kind of pieces of a format."""
 
     degree: int
-    match: int  # how many derivatives, from the position on, are the plan's at both ends
-    quantum: float  # durations are whole multiples of it [s]
-    longest: float  # duration of a piece [s]
-    shortest: float = 0.0  # duration of a piece, whatever its error [s]; whole curves may be so
+    interpolated: int  # number of derivatives at both ends equal to the plan's, with the zeroth
+    quantum: float  # durations are multiples of it [s]
+    max_duration: float  # of a piece [s]
+    min_duration: float = 0.0  # of a piece, which takes precedence over its error [s]
     scale: Scale = Scale()  # noqa: RUF009 - a tuple
 
 
-def fitted(curves: PiecewisePolynomial, breaks: Array, kind: Kind) -> PiecewisePolynomial:
-    """Return the curves (D, 3), from t = 0, on pieces of a kind; at rest after their own end."""
+def fit_pieces(curves: PiecewisePolynomial, breaks: Array, kind: Kind) -> PiecewisePolynomial:
+    """Return the curves (D, 3), from t = 0, on pieces of a kind, constant after their end."""
     curves = held_until(curves, float(breaks[-1]))
-    pieces = [_piece(curves, kind, start, end)[0].T for start, end in pairwise(breaks.tolist())]
+    pieces = [_fit_piece(curves, kind, start, end)[0].T for start, end in pairwise(breaks.tolist())]
     shape = (len(pieces), *curves.shape, kind.degree + 1)
     return PiecewisePolynomial(breaks, np.reshape(pieces, shape))
 
 
-def _piece(
+def _fit_piece(
     curves: PiecewisePolynomial, kind: Kind, start: float, end: float
 ) -> tuple[Array, float]:
     """Return the coefficients (N + 1, D * 3) of one piece, and its largest error over the scale."""
-    h, match = end - start, kind.match
-    basis, hermite, solver = _matrices(kind.degree, match)
-    # By the span's own parameter: values and two derivatives, (3, NODES, D * 3).
-    jet = np.moveaxis(curves.jet(start + bernstein.nodes(NODES - 1) * h, 3), -1, 0)
-    wanted = jet.reshape(3, NODES, -1) * h ** np.arange(3.0)[:, None, None]
-    c = hermite @ np.concatenate([wanted[:match, 0], wanted[:match, -1]])
-    c[match : kind.degree + 1 - match] += solver @ (wanted[0] - basis[0] @ c)
-    squares = np.sum(((basis @ c - wanted) ** 2).reshape(3, NODES, -1, 3), axis=-1)
+    h, count = end - start, kind.interpolated
+    basis, hermite, solver = _matrices(kind.degree, count)
+    # Values and two derivatives by the piece's parameter, (3, FIT_POINTS, D * 3).
+    jet = np.moveaxis(curves.jet(start + bernstein.nodes(FIT_POINTS - 1) * h, 3), -1, 0)
+    target = jet.reshape(3, FIT_POINTS, -1) * h ** np.arange(3.0)[:, None, None]
+    c = hermite @ np.concatenate([target[:count, 0], target[:count, -1]])
+    c[count : kind.degree + 1 - count] += solver @ (target[0] - basis[0] @ c)
+    squares = np.sum(((basis @ c - target) ** 2).reshape(3, FIT_POINTS, -1, 3), axis=-1)
     errors = np.sqrt(np.max(squares, axis=(1, 2))) / (kind.scale * h ** np.arange(3.0))
     return c, float(np.max(errors))
 
 
 @lru_cache
-def _matrices(degree: int, match: int) -> tuple[Array, Array, Array]:
-    """Return the basis at the nodes and two derivatives of it (3, NODES, N + 1), and two matrices.
+def _matrices(degree: int, count: int) -> tuple[Array, Array, Array]:
+    """Return the basis with two derivatives at the points (3, FIT_POINTS, N + 1), and two matrices.
 
-    They give the coefficients of derivatives at both ends, and the free ones of what is missing.
+    The first matrix gives coefficients from ``count`` derivatives at both ends, the second one the
+    free coefficients from residuals.
     """
-    x = bernstein.nodes(NODES - 1)
+    x = bernstein.nodes(FIT_POINTS - 1)
     basis = np.stack([bernstein.derivative_basis(x, degree, order) for order in range(3)])
-    unit = np.eye(2 * match)[:, None]
-    ends = PiecewisePolynomial.hermite([0.0, 1.0], unit[:match], unit[match:])
-    solver = np.linalg.pinv(basis[0][:, match : degree + 1 - match])
+    unit = np.eye(2 * count)[:, None]
+    ends = PiecewisePolynomial.hermite([0.0, 1.0], unit[:count], unit[count:])
+    solver = np.linalg.pinv(basis[0][:, count : degree + 1 - count])
     return basis, np.array(ends.elevated(degree).coefficients[0].T), solver
 
 
-def breaks_within(
-    curves: PiecewisePolynomial, kind: Kind, bound: float, most: float = inf
+def fit_breaks(
+    curves: PiecewisePolynomial, kind: Kind, bound: float, max_pieces: float = inf
 ) -> Array:
-    """Return the breaks of pieces whose errors stay within ``bound``, from 0 to the curves' end.
+    """Return the breaks of pieces with errors up to ``bound``, from 0 to the end of the curves.
 
-    The end is rounded up to a quantum. Every piece lasts as long as its error allows, or as short
-    as it may. Pieces beyond ``most`` are not placed: more than so many are too many.
+    The end is rounded up to a quantum. Every piece is as long as its error allows, but not shorter
+    than the minimum. The search stops after ``max_pieces`` + 1 pieces.
     """
     last = max(1, ceil(curves.duration / kind.quantum - 1e-9))
-    longest = max(1, floor(kind.longest / kind.quantum))
-    shortest = max(1, ceil(kind.shortest / kind.quantum - 1e-9))
-    step = max(1, curves.shape[0] // CROWD)
-    some = PiecewisePolynomial(curves.breaks, curves.coefficients[:, ::step])
-    some = held_until(some, last * kind.quantum)
+    max_duration = max(1, floor(kind.max_duration / kind.quantum))
+    min_duration = max(1, ceil(kind.min_duration / kind.quantum - 1e-9))
+    step = max(1, curves.shape[0] // MAX_FIT_DRONES)
+    sample = PiecewisePolynomial(curves.breaks, curves.coefficients[:, ::step])
+    sample = held_until(sample, last * kind.quantum)
     ticks, stride = [0], max(1, last // 8)
 
     def fits(stride: int) -> bool:
         span = (ticks[-1] * kind.quantum, (ticks[-1] + stride) * kind.quantum)
-        return _piece(some, kind, *span)[1] <= bound
+        return _fit_piece(sample, kind, *span)[1] <= bound
 
-    while ticks[-1] < last and len(ticks) <= most + 1:
+    while ticks[-1] < last and len(ticks) <= max_pieces + 1:
         remaining = last - ticks[-1]
-        stride = max(shortest, _farthest(fits, min(remaining, longest), stride))
-        if remaining - stride < shortest:  # the last piece would be too short
-            stride = remaining - shortest if stride < remaining >= 2 * shortest else remaining
+        stride = max(min_duration, _longest_stride(fits, min(remaining, max_duration), stride))
+        if remaining - stride < min_duration:  # the last piece would be too short
+            is_split = stride < remaining >= 2 * min_duration
+            stride = remaining - min_duration if is_split else remaining
         ticks.append(ticks[-1] + stride)
     return np.array(ticks) * kind.quantum
 
 
-def _farthest(fits: Callable[[int], bool], most: int, guess: int) -> int:
+def _longest_stride(fits: Callable[[int], bool], max_stride: int, guess: int) -> int:
     """Return the longest stride that fits, by doubling from a guess and bisection."""
-    good, bad, stride = 1, most + 1, min(guess, most)
-    while good < most and bad - good > max(1, good // 64):
+    good, bad, stride = 1, max_stride + 1, min(guess, max_stride)
+    while good < max_stride and bad - good > max(1, good // 64):
         if stride > good:
             good, bad = (stride, bad) if fits(stride) else (good, stride)
-        stride = min(2 * good, most) if bad > most else (good + bad) // 2
+        stride = min(2 * good, max_stride) if bad > max_stride else (good + bad) // 2
     return good
 
 
-def best_breaks(curves: PiecewisePolynomial, kind: Kind, most: int) -> Array:
-    """Return the breaks of at most so many pieces with the smallest error; else more of them."""
-    if len(best := breaks_within(curves, kind, FINEST, most)) - 1 <= most:
+def best_breaks(curves: PiecewisePolynomial, kind: Kind, max_pieces: int) -> Array:
+    """Return the breaks of ``max_pieces`` with the smallest error; more if MAX_ERROR needs more."""
+    if len(best := fit_breaks(curves, kind, MIN_ERROR, max_pieces)) - 1 <= max_pieces:
         return best
-    best, low, high = breaks_within(curves, kind, COARSEST, most), log(FINEST), log(COARSEST)
-    for _ in range(BISECTIONS if len(best) - 1 <= most else 0):
+    best = fit_breaks(curves, kind, MAX_ERROR, max_pieces)
+    low, high = log(MIN_ERROR), log(MAX_ERROR)
+    for _ in range(BISECTIONS if len(best) - 1 <= max_pieces else 0):
         middle = 0.5 * (low + high)
-        if len(breaks := breaks_within(curves, kind, exp(middle), most)) - 1 > most:
+        if len(breaks := fit_breaks(curves, kind, exp(middle), max_pieces)) - 1 > max_pieces:
             low = middle
         else:
             best, high = breaks, middle
     return best
 
 
-def rounded(curves: PiecewisePolynomial, quantum: float, scale: Scale) -> PiecewisePolynomial:
-    """Return the curves (D, 3) with coefficients multiples of ``quantum`` [m], joined exactly.
+def round_points(curves: PiecewisePolynomial, quantum: float, scale: Scale) -> PiecewisePolynomial:
+    """Return continuous curves (D, 3) with coefficients rounded to multiples of ``quantum`` [m].
 
-    ``scale`` has the errors of rounding that weigh alike.
+    ``scale`` weights the rounding errors.
     """
-    wanted = curves.coefficients / quantum
-    counts = np.empty_like(wanted)
-    last = np.rint(wanted[0, ..., 0])
+    exact = curves.coefficients / quantum
+    counts = np.empty_like(exact)
+    last = np.rint(exact[0, ..., 0])
     for piece, h in enumerate(curves.durations):
-        counts[piece] = _nearest(wanted[piece], last, _gram(curves.degree, float(h), scale))
+        counts[piece] = _nearest_integers(exact[piece], last, _gram(curves.degree, float(h), scale))
         last = counts[piece, ..., -1]
     return PiecewisePolynomial(curves.breaks, counts * quantum)
 
 
-def _nearest(wanted: Array, first: Array, gram: Array) -> Array:
-    """Return integers (…, N + 1) near to ``wanted`` in the norm, the first of them given."""
-    # With G = L Lᵀ the error's norm is |Lᵀ e|: row i of Lᵀ holds e_i and those after it. The last
-    # coefficient to be chosen is thus the first one of the basis, so the order is turned round.
+def _nearest_integers(exact: Array, first: Array, gram: Array) -> Array:
+    """Return integers (…, N + 1) close to ``exact`` in the norm, with a prescribed first one."""
+    # With G = L Lᵀ the error's norm is |Lᵀ e|: row i of Lᵀ has e_i and the following errors. The
+    # coefficient that is rounded last is then the first of the basis, so the order is reversed.
     factor = np.linalg.cholesky(gram[::-1, ::-1]).T
-    c = wanted[..., ::-1]
+    c = exact[..., ::-1]
     size = c.shape[-1]
     errors = np.zeros_like(c)
     counts = np.empty_like(c)
     for i in range(size - 1, -1, -1):
-        aim = c[..., i] - errors[..., i + 1 :] @ factor[i, i + 1 :] / factor[i, i]
-        counts[..., i] = first if i == size - 1 else np.rint(aim)
+        target = c[..., i] - errors[..., i + 1 :] @ factor[i, i + 1 :] / factor[i, i]
+        counts[..., i] = first if i == size - 1 else np.rint(target)
         errors[..., i] = counts[..., i] - c[..., i]
     return counts[..., ::-1]
 
 
 def _gram(degree: int, h: float, scale: Scale) -> Array:
-    """Return the basis's Gram matrix (N + 1, N + 1) for errors over a piece of ``h`` seconds."""
+    """Return the Gram matrix (N + 1, N + 1) of the basis for errors over a piece of h [s]."""
     nodes, weights = np.polynomial.legendre.leggauss(degree + 1)
     x = 0.5 * (nodes + 1.0)
     gram = np.zeros((degree + 1, degree + 1))

@@ -1,17 +1,17 @@
 """Format ros2bag: a bag (MCAP or sqlite3) of every drone's trajectory, path and setpoints.
 
-Per drone NAME, in frame ``map`` (east-north-up) or ``map_nwu``, all at the plan's times from 0 on:
+Per drone NAME, in frame ``map`` (east-north-up) or ``map_nwu``, at the plan's times from 0:
 
 ``/NAME/trajectory``      trajectory_msgs/MultiDOFJointTrajectory, one message: a point per sample
-``/NAME/path``            nav_msgs/Path, one message, for looking at
-``/NAME/cmd_full_state``  crazyflie_interfaces/FullState, one message per sample, to be streamed
+``/NAME/path``            nav_msgs/Path, one message, for display
+``/NAME/cmd_full_state``  crazyflie_interfaces/FullState, one message per sample, for streaming
 
-Feed-forward: accelerations of the trajectory are the drone's own, ``a``. Those of the full states
-are ``a_ff = a - F / m`` with the cable's force F on the drone, since the controllers that take them
-(Mellinger's among them) add gravity and know no cable: the thrust is ``m (a_ff + g ẑ)``. Attitudes
-are those of the thrust. Angular velocities of the trajectory are about the frame's axes, those of
-the full states about the body's. Bags are made and read with rosbags, without ROS. The filter and
-the controller of Crazyflies that are streamed to are set by crazyflies.yaml.
+Feed-forward: accelerations of the trajectory are those of the drone, ``a``. Those of full states
+are ``a_ff = a - F / m`` with the cable force F on the drone, because their controllers (such as
+Mellinger's) add gravity and have no cable model: the thrust is ``m (a_ff + g ẑ)``, which defines
+the attitude. Angular velocities of the trajectory are in the fixed frame, those of full states in
+the body frame. Bags are written and read with rosbags, without ROS. crazyflies.yaml configures the
+filter and the controller of Crazyflies for streaming.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ import numpy as np
 
 from hitchopt.errors import FileError
 from hitchopt.exports.firmware import SETTINGS, team_parameters
-from hitchopt.exports.format import Format, Task, Written
+from hitchopt.exports.format import Format, FormatOutput, Task
 from hitchopt.exports.formats.crazyflie import parameter_notes, settings_text
 from hitchopt.exports.options import ROS_DISTROS, STORAGES, ExportOptions
-from hitchopt.exports.recording import Recording, needed
+from hitchopt.exports.recording import Recording, required_module
 from hitchopt.hitch import Team
 from hitchopt.storage.archive import reading
 from hitchopt.values import Array
 
-STEM, METADATA = "setpoints", "metadata.yaml"  # Names of the data, without ending, and of the rest
-BLOCK = 20_000  # Setpoints that are held at once
+STEM, METADATA = "setpoints", "metadata.yaml"  # Names of data (without suffix) and metadata
+BLOCK = 20_000  # Number of setpoints that are computed at once
 FULL_STATE = "crazyflie_interfaces/msg/FullState"
 TRAJECTORY = "trajectory_msgs/msg/MultiDOFJointTrajectory"
 POINT = "trajectory_msgs/msg/MultiDOFJointTrajectoryPoint"
@@ -47,7 +47,7 @@ geometry_msgs/Pose pose
 geometry_msgs/Twist twist
 geometry_msgs/Vector3 acc
 """
-"""Definition of crazyflie_interfaces' message, which no ROS distribution brings along."""
+"""Definition of crazyflie_interfaces' message, which is not part of ROS distributions."""
 
 FRAMES = {"map": "enu", "map_nwu": "nwu", "map_ned": "ned"}  # By names in headers (REP 105, 103)
 
@@ -70,15 +70,15 @@ class Ros2Bag(Format):
     streamed = 30.0
 
     def parameters(self, team: Team, options: ExportOptions) -> Mapping[str, Any]:
-        """Return the Crazyflies' parameters, if none of the drones has another autopilot."""
+        """Return the Crazyflies' parameters; empty if a drone has another autopilot."""
         if any(kind.controller == "px4" for kind in team.quadrotor):
             return {}
         return {"parameters": team_parameters(team, options.stiffness, options.damping)}
 
-    def write(self, folder: Path, task: Task) -> Written:
-        """Write the bag, and settings of Crazyflies; raise UnsupportedError without rosbags."""
-        (data,), options, bags = self.files(task), task.options, needed("rosbags.rosbag2")
-        stage = folder / STEM  # the library makes a directory, and calls the data by its name
+    def write(self, folder: Path, task: Task) -> FormatOutput:
+        """Write the bag, and settings of Crazyflies; raises UnsupportedError without rosbags."""
+        (data,), options, bags = self.files(task), task.options, required_module("rosbags.rosbag2")
+        stage = folder / STEM  # rosbags creates a directory, and data with the same name
         version, plugin = ROS_DISTROS[options.ros_distro], options.storage.upper()
         kind = bags.StoragePlugin[plugin]
         with bags.Writer(stage, version=version, storage_plugin=kind) as bag:
@@ -91,29 +91,29 @@ class Ros2Bag(Format):
             f"{task.rate:g} Hz to every drone: one radio streams to about four Crazyflies",
         )
         if not task.settings:
-            return Written((data, METADATA), notes)
+            return FormatOutput((data, METADATA), notes)
         text = settings_text(task, task.frame.points(task.motion.drones.at(0.0)))
         (folder / SETTINGS).write_text(text, encoding="utf-8", newline="\n")
-        return Written((data, METADATA, SETTINGS), (*notes, *parameter_notes(task)))
+        return FormatOutput((data, METADATA, SETTINGS), (*notes, *parameter_notes(task)))
 
     def load(self, files: Sequence[Path]) -> Recording:
         """Return the curves of all MultiDOFJointTrajectory messages of a bag.
 
-        It is given by its data or its metadata; UnsupportedError says that rosbags is missing.
+        The file is the bag's data or metadata. Raises UnsupportedError without rosbags.
         """
         path = files[0].parent if files[0].name == METADATA else files[0]
-        highlevel, store = needed("rosbags.highlevel"), message_types()
+        highlevel, store = required_module("rosbags.highlevel"), message_types()
         tables_by_name: dict[str, Array] = {}
         frame = ""
-        with (  # many exceptions, without a common root
+        with (  # rosbags' exceptions have no common base class
             reading(path, "bag", Exception),
             highlevel.AnyReader([path], default_typestore=store) as bag,
         ):
             kinds = sorted({connection.msgtype for connection in bag.connections})
-            wanted = [c for c in bag.connections if c.msgtype == TRAJECTORY]
-            if not wanted:  # of no connection the library gives all messages
+            connections = [c for c in bag.connections if c.msgtype == TRAJECTORY]
+            if not connections:  # with an empty list, messages() yields all messages
                 raise FileError(f"holds no {TRAJECTORY}, but {', '.join(kinds) or 'nothing'}")
-            for connection, _, data in bag.messages(wanted):
+            for connection, _, data in bag.messages(connections):
                 message = bag.deserialize(data, connection.msgtype)
                 frame = FRAMES.get(message.header.frame_id, "")
                 for i, name in enumerate(message.joint_names):
@@ -133,7 +133,7 @@ class Ros2Bag(Format):
             )
 
     def read(self, folder: Path, task: Task) -> Recording:  # noqa: ARG002
-        """Return the curves of the trajectories, found by the metadata."""
+        """Return the curves of the trajectories."""
         return self.load([folder / METADATA])
 
 
@@ -163,41 +163,39 @@ def _write_messages(bag: Any, task: Task) -> None:
     def twist(v: Array, rates: Array) -> Any:
         return message("Twist", vector(v), vector(rates))
 
-    def turned(q: Array) -> Any:
+    def quaternion(q: Array) -> Any:
         return vector(np.roll(q, -1), "Quaternion")
 
-    def pose(place: Array, q: Array) -> Any:
-        return message("Pose", vector(place, "Point"), turned(q))
+    def pose(position: Array, q: Array) -> Any:
+        return message("Pose", vector(position, "Point"), quaternion(q))
 
     streams = [topic(f"{name}/cmd_full_state", FULL_STATE) for name in task.names]
     times, blocks = [], []
-    for here, samples in task.blocks(BLOCK):
-        times += here.tolist()
+    for block_times, samples in task.blocks(BLOCK):
+        times += block_times.tolist()
         blocks.append(samples)
-        for s, t in enumerate(here.tolist()):
+        for s, t in enumerate(block_times.tolist()):
             for d, stream in enumerate(streams):
-                now = {name: values[s, d] for name, values in samples.items()}
-                moved = twist(now["velocities"], now["body_rates"])
-                there, bent = (
-                    pose(now["positions"], now["quaternions"]),
-                    vector(now["feed_forward"]),
-                )
-                send(stream, t, message(FULL_STATE, header(t), there, moved, bent))
-    still, turn = np.zeros(3), 0.5 * task.frame.heading
-    level = np.array([math.cos(turn), 0.0, 0.0, math.sin(turn)])
+                state = {name: values[s, d] for name, values in samples.items()}
+                at = pose(state["positions"], state["quaternions"])
+                rates = twist(state["velocities"], state["body_rates"])
+                acceleration = vector(state["feed_forward"])
+                send(stream, t, message(FULL_STATE, header(t), at, rates, acceleration))
+    zero, angle = np.zeros(3), 0.5 * task.frame.heading
+    level = np.array([math.cos(angle), 0.0, 0.0, math.sin(angle)])
     for d, name in enumerate(task.names):  # a trajectory is one message of all samples
-        own = {key: np.concatenate([block[key][:, d] for block in blocks]) for key in blocks[0]}
-        quaternions = own["quaternions"]
-        axes, rates = quaternions[:, 1:], own["body_rates"]  # turned about the frame's axes below
-        across = np.cross(axes, rates) + quaternions[:, :1] * rates
-        rates = rates + 2.0 * np.cross(axes, across)
+        states = {key: np.concatenate([block[key][:, d] for block in blocks]) for key in blocks[0]}
+        q, body_rates = states["quaternions"], states["body_rates"]
+        cross = np.cross(q[:, 1:], body_rates) + q[:, :1] * body_rates
+        angular_velocities = body_rates + 2.0 * np.cross(q[:, 1:], cross)
         points, poses = [], []
         for s, t in enumerate(times):
-            there = message("Transform", vector(own["positions"][s]), turned(quaternions[s]))
-            moved = twist(own["velocities"][s], rates[s])
-            bent = twist(own["accelerations"][s], still)
-            points.append(message(POINT, [there], [moved], [bent], stamp("Duration", t)))
-            poses.append(message("PoseStamped", header(t), pose(own["positions"][s], level)))
+            transform = message("Transform", vector(states["positions"][s]), quaternion(q[s]))
+            velocity = twist(states["velocities"][s], angular_velocities[s])
+            acceleration = twist(states["accelerations"][s], zero)
+            since_start = stamp("Duration", t)
+            points.append(message(POINT, [transform], [velocity], [acceleration], since_start))
+            poses.append(message("PoseStamped", header(t), pose(states["positions"][s], level)))
         trajectory = message(TRAJECTORY, header(0.0), [name], points)
         send(topic(f"{name}/trajectory", TRAJECTORY), 0.0, trajectory)
         send(topic(f"{name}/path", PATH), 0.0, message(PATH, header(0.0), poses))
@@ -205,19 +203,19 @@ def _write_messages(bag: Any, task: Task) -> None:
 
 @lru_cache
 def message_types() -> Any:
-    """Return the types of ROS 2, and FullState; raise UnsupportedError without rosbags."""
-    typesys = needed("rosbags.typesys")
+    """Return the types of ROS 2, and FullState; raises UnsupportedError without rosbags."""
+    typesys = required_module("rosbags.typesys")
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
     store.register(typesys.get_types_from_msg(FULL_STATE_TEXT, FULL_STATE))
     return store
 
 
 def _row(point: Any, joint: int) -> list[float]:
-    """Return time, position, velocity, acceleration of a joint (10,); nan where not given."""
-    place = point.transforms[joint].translation
+    """Return time, position, velocity, acceleration of a joint (10,); nan if missing."""
+    position = point.transforms[joint].translation
     row = [point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec]
-    row += [place.x, place.y, place.z]
-    for given in (point.velocities, point.accelerations):
-        linear = given[joint].linear if len(given) > joint else None
+    row += [position.x, position.y, position.z]
+    for derivatives in (point.velocities, point.accelerations):
+        linear = derivatives[joint].linear if len(derivatives) > joint else None
         row += [math.nan] * 3 if linear is None else [linear.x, linear.y, linear.z]
     return row
