@@ -1,4 +1,4 @@
-"""The command line: the group of all commands; a command's module is imported when it runs."""
+"""The command line: the group of all commands, whose modules are imported on demand."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import click
 
 from hitchopt.cli.failures import SafeGroup
 
-# Commands by the headings of the help, and the modules that they are in
+# Commands and their modules, by headings of the help
 COMMANDS = {
     "Plan": {"init": "planning", "solve": "planning", "fit": "estimates"},
     "Trust": {
@@ -32,7 +32,7 @@ def main() -> None:
 
     Every plan comes with a certificate that holds for all of continuous time.
 
-    Exit codes: 0 done and certified; 2 the file or the usage is wrong in itself;
-    3 well-formed, but it cannot be met, or its certificate fails; 130 and 143 ended by Ctrl-C and
-    by SIGTERM, with no file half-written.
+    Exit codes: 0 done and certified; 2 the file or the usage is invalid; 3 the problem is valid but
+    infeasible, or its certificate fails; 130 and 143 interrupted by Ctrl-C and by SIGTERM, without
+    incomplete files.
     """

@@ -1,4 +1,4 @@
-"""The commands statics, calibrate and fit: estimates of a hitch without a flight."""
+"""The commands statics, calibrate and fit: static equilibrium, calibration and fits to objects."""
 
 from __future__ import annotations
 
@@ -13,12 +13,11 @@ from hitchopt.cli.options import PATH, command, option, plan_path
 from hitchopt.cli.output import ProgressBar, record, say, span_text, table
 from hitchopt.errors import InputError
 
-# [m] Bounds of errors if --tolerance stands alone: cables cut to a centimetre, drones flown by
-# motion capture
-USUAL = {"cable": "0.01", "position": "0.02"}
-KINDS = ("cable", "position", "force")  # Kinds of errors
-MAX_TIMES = 1000  # Most times that one call settles
-CIRCLE = "circle:"
+# Default bounds of errors with --tolerance [m], for cables cut to a centimetre and motion capture
+DEFAULT_ERRORS = {"cable": "0.01", "position": "0.02"}
+ERROR_KINDS = ("cable", "position", "force")
+MAX_TIMES = 1000  # Maximum number of times
+CIRCLE = "circle:"  # Prefix of a radius in place of an outline
 
 
 @command(
@@ -39,13 +38,13 @@ CIRCLE = "circle:"
     option("--force-error", "Error of the force feed-forward, likewise.", str, "N"),
 )
 def statics(
-    directory: Path, times: tuple[float, ...], samples: int, *, tolerance: bool, **given: Any
+    directory: Path, times: tuple[float, ...], samples: int, *, tolerance: bool, **options: Any
 ) -> None:
-    """Settle the hitch of the plan in DIR: where it rests, with what tensions, in which ranges.
+    """Compute the static equilibrium of the hitch in DIR: positions, tensions, and their ranges.
 
-    What is not given is the plan's: lengths, density, friction, and the drones' controllers. With
-    friction a vertex rests anywhere in its band, as the clasps' history has it. Writes statics.json
-    and statics.png to DIR, of several teams to DIR/TEAM. Ends with 3 if a cable is slack or a clasp
+    Lengths, density, friction and controllers are the plan's by default. With friction, a vertex
+    rests anywhere in its band, depending on the history of the clasps. Writes statics.json and
+    statics.png to DIR, or to DIR/TEAM for several teams. Ends with 3 if a cable is slack or a clasp
     does not hold.
     """
     import numpy as np
@@ -58,38 +57,38 @@ def statics(
     from hitchopt.statics.tolerance import tolerance as ranges_of
 
     path = plan_path(directory)
-    chosen = {name: value for name, value in given.items() if value is not None}
-    sizes = {name: chosen.pop(f"{name}_error") for name in KINDS if f"{name}_error" in chosen}
+    conditions = {name: value for name, value in options.items() if value is not None}
+    keys = [key for kind in ERROR_KINDS if (key := f"{kind}_error") in conditions]
+    sizes = {key: conditions.pop(key) for key in keys}
     if tolerance and not sizes:
-        sizes = USUAL
-    parsed = {f"{k}_error": ErrorSize.of(f"{k}_error", text) for k, text in sizes.items()}
-    if "cable_length" in chosen:
-        chosen["cable_length"] = _lengths(chosen["cable_length"])
+        sizes = {f"{kind}_error": size for kind, size in DEFAULT_ERRORS.items()}
+    errors = {key: ErrorSize.of(key, text) for key, text in sizes.items()}
+    if "cable_length" in conditions:
+        conditions["cable_length"] = _lengths(conditions["cable_length"])
     if not 0 < max(samples, len(times)) <= MAX_TIMES or samples < 1:
         raise InputError("samples", samples, f"from 1 to {MAX_TIMES}", "25 are usual")
     motion, contents, loose = read_plan(path), dict[str, Any](), list[str]()
-    tied = [group for group in motion.groups if group.motion.team.has_cables]
-    for group in tied or motion.groups:
-        own, place = group.motion, path.parent / group.name
-        t = list(times) if times else taut_times(own, samples)
+    hitches = [group for group in motion.groups if group.motion.team.has_cables]
+    for group in hitches or motion.groups:
+        part, folder = group.motion, path.parent / group.name
+        t = list(times) if times else taut_times(part, samples)
         with ProgressBar("settling"):
-            if parsed:
-                ranges = ranges_of(own, t, **parsed, **chosen)
+            if errors:
+                ranges = ranges_of(part, t, **errors, **conditions)
                 settled = ranges.settled
             else:
-                ranges, settled = None, settle(own, t, **chosen)
-            save_statics(place, settled, ranges)
+                ranges, settled = None, settle(part, t, **conditions)
+            save_statics(folder, settled, ranges)
         content = contents[group.name] = statics_content(settled, ranges)
         tables = _statics_tables(content)
         say(f"Team {group.name}\n{tables}" if group.name else tables)
-        winds, feeds = (
-            conditions_of(own.team, **chosen)[name] for name in ("integral", "feed_forward")
-        )
+        values = conditions_of(part.team, **conditions)
         for note in undetermined_tension(
-            integral=bool(np.isinf(winds).any()), feed_forward=bool(feeds.all())
+            integral=bool(np.isinf(values["integral"]).any()),
+            feed_forward=bool(values["feed_forward"].all()),
         ):
             say(f"note: {note}")
-        say(f"statics.json and statics.png are in {place}")
+        say(f"statics.json and statics.png are in {folder}")
         loose += map(group.label, (*content["slack_cables"], *content["loose_clasps"]))
     record(directory=str(path.parent), statics=contents.get("", contents))
     if loose:
@@ -98,7 +97,7 @@ def statics(
 
 
 def _lengths(text: str) -> float | list[float]:
-    """Return the lengths that a text says, one or several."""
+    """Parse one length, or several separated by commas."""
     try:
         lengths = [float(part) for part in text.split(",")]
     except ValueError:
@@ -107,15 +106,15 @@ def _lengths(text: str) -> float | list[float]:
 
 
 def _statics_tables(content: dict[str, Any]) -> str:
-    """Return the tables of cables and vertices, each with its extremes over the times."""
+    """Return the tables of cables and vertices, with ranges over all times."""
     cables, vertices, t = [], [], content["t"]
-    may_be = content.get("may_be_slack", ())
+    may_be_slack = content.get("may_be_slack", ())
     for each in content["cables"]:
         name, slack = each["name"], "yes" if any(each["slack"]) else "no"
         row = {"planned [N]": each["planned_tension"], "at rest [N]": each["tension"]}
         if "smallest" in each:
             row["range [N]"] = each["smallest"] + each["largest"]
-            slack = "may be" if slack == "no" and name in may_be else slack
+            slack = "may be" if slack == "no" and name in may_be_slack else slack
         spans = {head: span_text(values) for head, values in row.items()}
         cables.append({"cable": name, **spans, "slack": slack})
     for each in content["vertices"]:
@@ -148,14 +147,14 @@ def calibrate(
 
     RECORDING is a CSV file with the columns t, name, x, y, z: seconds from the plan's start, q0,
     r0, … or p0, …, and metres; the results of `hitchopt simulate`, DIR/simulation; or any that
-    `hitchopt evaluate` reads. Estimates come with standard errors, and what the recording does not
-    determine is said so. Distances to the plan are in three dimensions.
+    `hitchopt evaluate` reads. Estimates have standard errors; values that the recording does not
+    determine are marked. Distances to the plan are in three dimensions.
     """
     from hitchopt.statics.files import save_team
 
-    place = None if plan is None else plan_path(plan).parent
+    folder = None if plan is None else plan_path(plan).parent
     with ProgressBar("estimating"):
-        calibration = ho.calibrate(recording, place, density=density)
+        calibration = ho.calibrate(recording, folder, density=density)
     say(
         _calibration_tables(calibration),
         lengths=[vars(estimate) for estimate in calibration.lengths],
@@ -174,15 +173,15 @@ def _calibration_tables(calibration: ho.Calibration) -> str:
     from hitchopt.simulation.judgement import Spread
 
     team = calibration.task.team
-    named = [
+    estimates = [
         (f"length of cable {k} [m]", x, team.cable_length[k])
         for k, x in enumerate(calibration.lengths)
     ]
     for k, estimate in enumerate(calibration.stiffness):
-        named.append((f"stiffness of q{k}, r{k} [N/m]", estimate, team.stiffness[2 * k, 0]))
-    named.append(("friction", calibration.friction, team.cable_friction))
+        estimates.append((f"stiffness of q{k}, r{k} [N/m]", estimate, team.stiffness[2 * k, 0]))
+    estimates.append(("friction", calibration.friction, team.cable_friction))
     rows, remarks = [], []
-    for name, estimate, planned in named:
+    for name, estimate, planned in estimates:
         cells = {"value": "not determined", "± error": ""}
         if estimate.known:
             cells = {"value": f"{estimate.value:.5g}", "± error": f"{estimate.error:.1g}"}
@@ -226,9 +225,9 @@ def fit(
     mass: float | None,
     by: str,
     tilt_deg: float,
-    **given: Any,
+    **options: Any,
 ) -> None:
-    """Fit a hitch to OUTLINE: what encloses it, what grips it, what it rests on, and how much.
+    """Fit a hitch to OUTLINE: polygons that enclose, grip and support it, and maximum masses.
 
     OUTLINE is a drawing (SVG, DXF, GeoJSON, CSV), points as '[[x, y], …]', or circle:RADIUS, in
     metres unless a drawing states its unit.
@@ -238,34 +237,34 @@ def fit(
 
     if mass is not None:
         positive("mass", mass)
-    kind = ho.Quadrotor(given.pop("quadrotor_mass"), given.pop("max_thrust"))
+    kind = ho.Quadrotor(options.pop("quadrotor_mass"), options.pop("max_thrust"))
     limits = ho.Limits(tilt_deg=tilt_deg)
     with ProgressBar("fitting"):
-        fit_result = ho.fit(_outline(outline), robots, quadrotor=kind, limits=limits, **given)
-        content = fit_as_json(fit_result)
-    notes = [f"note: {note}" for note in fit_result.notes]
+        result = ho.fit(_outline(outline), robots, quadrotor=kind, limits=limits, **options)
+        content = fit_as_json(result)
+    notes = [f"note: {note}" for note in result.notes]
     say("\n\n".join([*notes, *_fit_tables(content)]), fit=content)
     if output is not None:
-        save_fit(output, fit_result, mass, by)
+        save_fit(output, result, mass, by)
         say(f"fit.json and fit.png are in {output}", directory=str(output))
     if mass is not None:
-        fit_result.raise_if_too_heavy(mass, by)
+        result.raise_if_too_heavy(mass, by)
         say(f"{1e3 * mass:g} g are held by {by}")
 
 
 def _outline(text: str) -> object:
-    """Return the outline that an argument names: a radius, points, or the path of a drawing."""
+    """Parse an outline: a radius, points, or the path of a drawing."""
     from hitchopt.storage.files import parsed_json
     from hitchopt.values import positive
 
     if not text.lstrip().startswith((CIRCLE, "[")):
         return Path(text)
     try:
-        given = parsed_json(text.removeprefix(CIRCLE))
+        value = parsed_json(text.removeprefix(CIRCLE))
     except ValueError:
         bound = "circle:RADIUS, [[x, y], …] or a file"
         raise InputError("OUTLINE", text, bound, "write circle:0.2") from None
-    return positive("OUTLINE", given) if text.startswith(CIRCLE) else given
+    return positive("OUTLINE", value) if text.startswith(CIRCLE) else value
 
 
 def _fit_tables(content: dict[str, Any]) -> Iterator[str]:
@@ -278,12 +277,12 @@ def _fit_tables(content: dict[str, Any]) -> Iterator[str]:
     }
     rows = []
     for k in range(content["robots"]):
-        known = {head: points[k] for head, points in polygons.items() if points}
-        rounded = {head: [round(x, 4) + 0.0 for x in point] for head, point in known.items()}
+        vertices = {head: points[k] for head, points in polygons.items() if points}
+        rounded = {head: [round(x, 4) + 0.0 for x in point] for head, point in vertices.items()}
         rows.append({"vertex": f"p{k}", **rounded})
         if grip:
             rows[k]["wrap [°]"] = grip["wraps_deg"][k]
     yield table(f"Polygons of {content['robots']} cables of {content['cable_length']:.2f} m", rows)
     masses = content["largest_mass"].items()
-    held = [{"robots": n, "by": by, **each} for by, found in masses for n, each in found.items()]
-    yield table("Largest mass [kg]", held)
+    rows = [{"robots": n, "by": by, **row} for by, table_ in masses for n, row in table_.items()]
+    yield table("Largest mass [kg]", rows)

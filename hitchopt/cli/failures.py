@@ -11,7 +11,7 @@ import click
 
 from hitchopt.cli.output import in_options, options, output, record, say
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, UnitWarning
-from hitchopt.storage.interrupts import INTERRUPTED, ending_signals
+from hitchopt.storage.interrupts import EXIT_INTERRUPTED, exit_on_signals
 
 # Exit codes of invalid files and usage, and of valid requests that are infeasible or whose
 # certificate fails
@@ -20,10 +20,9 @@ MAX_SUMMARY = 200  # Characters of a command's summary in the help
 
 
 class SafeGroup(click.Group):
-    """A group of commands whose errors end in a message and an exit code.
+    """A group of commands that turns errors into messages and exit codes.
 
-    ``sections`` are the headings of the help, each with its commands and the modules in
-    ``hitchopt.cli`` that register them when they are imported.
+    ``sections`` are the commands and their modules in ``hitchopt.cli``, by headings of the help.
     """
 
     def __init__(
@@ -38,21 +37,21 @@ class SafeGroup(click.Group):
         return [*dict.fromkeys((*self.modules, *super().list_commands(ctx)))]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Return a command, its module imported; all of them for a word that is no command."""
+        """Return a command after importing its module, or all modules for an unknown name."""
         for module in {self.modules.get(cmd_name)} - {None} or {*self.modules.values()}:
             import_module(f"hitchopt.cli.{module}")
         return super().get_command(ctx, cmd_name)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the commands and their whole summaries under their headings."""
+        """Write the commands and their full summaries under their headings."""
         for heading, names in self.sections.items():
-            found = [(name, self.get_command(ctx, name)) for name in names]
-            rows = [(name, each.get_short_help_str(MAX_SUMMARY)) for name, each in found if each]
+            commands = [(name, self.get_command(ctx, name)) for name in names]
+            rows = [(name, each.get_short_help_str(MAX_SUMMARY)) for name, each in commands if each]
             with formatter.section(heading):
                 formatter.write_dl(rows)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Return the arguments; a wrong option of the group itself ends like all wrong usage."""
+        """Parse the arguments; an unknown option of the group is a usage error."""
         try:
             return super().parse_args(ctx, args)
         except click.NoSuchOption as error:
@@ -64,7 +63,7 @@ class SafeGroup(click.Group):
         code = 0
         with ctx:
             try:
-                with ending_signals(), warnings.catch_warnings():
+                with exit_on_signals(), warnings.catch_warnings():
                     warnings.simplefilter("once", UnitWarning)
                     warnings.showwarning = lambda words, *_: say(f"warning: {words}", err=True)
                     super().invoke(ctx)
@@ -77,22 +76,22 @@ class SafeGroup(click.Group):
                 report_error(error)
                 code = exit_code(error)
             except KeyboardInterrupt:  # raised by a solver that has caught the signal
-                code = INTERRUPTED
-            except SystemExit as end:  # raised by a signal; a library's own may be a message
+                code = EXIT_INTERRUPTED
+            except SystemExit as end:  # raised by a signal, or by a library with a message
                 if not isinstance(end.code, int):
                     raise
                 code = end.code
-            except OSError as error:  # a full disk, a directory that may not be written
-                place = f"{error.filename}: " if error.filename else ""
-                words = f"{place}{error.strerror or error}; check the path and its disk"
-                report_error(FileError(words))
+            except OSError as error:  # a full disk, a directory that is not writable
+                file = f"{error.filename}: " if error.filename else ""
+                reason = f"{error.strerror or error}; check the path and its disk"
+                report_error(FileError(f"{file}{reason}"))
                 code = EXIT_USAGE
             output().finish(str(ctx.invoked_subcommand), code)
             ctx.exit(code)
 
 
 def exit_code(error: HitchoptError) -> int:
-    """Return the exit code: EXIT_USAGE for a wrong input or file, EXIT_INFEASIBLE otherwise."""
+    """Return the exit code: EXIT_USAGE for invalid inputs and files, EXIT_INFEASIBLE otherwise."""
     return EXIT_USAGE if isinstance(error, InputError | FileError) else EXIT_INFEASIBLE
 
 
@@ -102,32 +101,32 @@ def exit_infeasible() -> NoReturn:
 
 
 def report_usage(error: click.UsageError) -> None:
-    """Write the usage of the command and what is wrong to stderr."""
+    """Write the usage of the command and the error to stderr."""
     if error.ctx is not None:
         say(f"{error.ctx.get_usage()}\nTry '{error.ctx.command_path} --help'.\n", err=True)
     say(f"error: {error.format_message()}", err=True)
 
 
 def report_error(error: HitchoptError) -> None:
-    """Write every line of the error's message to stderr; it is a result too."""
+    """Write every line of the error's message to stderr, and record the error as a result."""
     from hitchopt.values.fields import Missing
 
-    if isinstance(error, InputError) and error.key in (known := options()):
+    if isinstance(error, InputError) and error.key in (names := options()):
         value = Missing() if error.value is None or error.value is False else error.value
-        error = InputError(known[error.key], value, error.bound, error.remedy)
+        error = InputError(names[error.key], value, error.bound, error.remedy)
     record(errors=_entries(error))
     for line in str(error).splitlines() or [type(error).__name__]:
         say(f"error: {line}", err=True)
 
 
 def _entries(error: HitchoptError) -> list[dict[str, Any]]:
-    """Return the error's parts: keys and places of wrong values, or the limits that are broken."""
+    """Return an error as plain data: keys and places of invalid values, or violated limits."""
     if isinstance(error, InputError):
         parts = getattr(error, "errors", (error,))
-        places = [part._asdict() if part else {} for part in (each.place for each in parts)]
-        named = zip(parts, places, strict=True)
+        places = [part.place._asdict() if part.place else {} for part in parts]
         return [
-            {"message": in_options(str(part)), "key": part.key, **place} for part, place in named
+            {"message": in_options(str(part)), "key": part.key, **place}
+            for part, place in zip(parts, places, strict=True)
         ]
     if isinstance(error, InfeasibleError) and error.violations:
         return [{"message": in_options(str(v)), **vars(v)} for v in error.violations]

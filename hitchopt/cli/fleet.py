@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from hitchopt.live.abort import AbortTable
     from hitchopt.live.fly import Outlet
 
-MAX_SHOWN = 5  # Number of findings of one rule that are shown; the rest are counted
+MAX_LISTED = 5  # Maximum number of findings listed per rule
 HOWS = ("hold", "back", "release_and_land", "land")  # Aborts; the last two end a flight
-# First port where nothing else is named: PX4's simulated vehicle i listens on 14580 + i
+# Default first port; PX4's simulated vehicle i listens on 14580 + i
 PORT = {"json": 14600, "mavlink": 14580}
 
 
@@ -85,7 +85,7 @@ PORT = {"json": 14600, "mavlink": 14580}
     required=False,
 )
 def export(directory: Path | None, output: Path | None, yaw_deg: float, **options: Any) -> None:
-    """Write the plan in DIR as fleets, scripts or viewers read it, and certify what was written.
+    """Export the plan in DIR to a format of fleets, scripts or viewers, and certify the files.
 
     Without DIR or --format it lists the formats.
     """
@@ -97,21 +97,21 @@ def export(directory: Path | None, output: Path | None, yaw_deg: float, **option
 
     if directory is None or options["format"] is None:
         summaries = ((name, type(format_of(name)).__doc__ or "") for name in HOMES)
-        rows = [{"format": name, "what it is": words.splitlines()[0]} for name, words in summaries]
+        rows = [{"format": name, "what it is": text.splitlines()[0]} for name, text in summaries]
         say(table("Formats", rows), err=True)
         bound, remedy = "given with DIR", "choose one, such as --format csv"
         raise InputError("format", options["format"] or Missing(), bound, remedy)
-    chosen = ExportOptions(yaw=math.radians(yaw_deg), **options)
-    format_of(chosen.format)  # a wrong name before a long read
+    parsed = ExportOptions(yaw=math.radians(yaw_deg), **options)
+    format_of(parsed.format)  # report an unknown name before reading the plan
     path = plan_path(directory)
     if output is None:
         parent = path.parent / ".." if path.parent.name in {"", ".."} else path.parent.parent
-        output = parent / f"{path.parent.resolve().name or 'plan'}-{chosen.format}"
+        output = parent / f"{path.parent.resolve().name or 'plan'}-{parsed.format}"
     with ProgressBar("certifying") as progress:
         saved = read_saved_plan(path)
-        done = export_motion(saved.motion, saved.title, chosen, output, progress)
+        exports = export_motion(saved.motion, saved.title, parsed, output, progress)
     entries = []
-    for part in done:
+    for part in exports:
         verdict, content = part.verdict, asdict(part.verdict)
         entry = {"folder": str(part.folder), "files": part.files, "begins": part.begins}
         entry |= {f"{name}_error": content.pop(name) for name in ("position", "velocity")}
@@ -125,11 +125,8 @@ def export(directory: Path | None, output: Path | None, yaw_deg: float, **option
         )
         for note in part.notes:
             say(f"note: {note}")
-        one = len(part.files) == 1
-        written = (
-            part.folder / part.files[0] if one else f"{len(part.files)} files in {part.folder}"
-        )
-        say(f"certified as exported; {written}")
+        file, count = str(part.folder / part.files[0]), len(part.files)
+        say(f"certified as exported; {file if count == 1 else f'{count} files in {part.folder}'}")
     record(parts=entries)
 
 
@@ -146,17 +143,17 @@ def export(directory: Path | None, output: Path | None, yaw_deg: float, **option
     option("--height", "A drone's ellipsoid, up.", 0.3, "M"),
 )
 def lint(path: Path, **limits: float | None) -> None:
-    """Read fleet files of any origin and report faults.
+    """Check fleet files of any origin and report errors.
 
-    PATH is a file or a folder of any format that `export` writes. The limits that a show sets
-    itself are always held. Ends with 3 if there are errors.
+    PATH is a file or a folder of any format that `export` writes. Limits that a show declares are
+    always checked. Ends with 3 if there are errors.
     """
     from hitchopt.exports.lint import Rules
     from hitchopt.values import positive
 
-    given = {key: positive(key, x) for key, x in limits.items() if x is not None}
-    separation = ho.Separation(given["radius"], given["height"])
-    rules = Rules(given.get("speed"), given.get("acceleration"), separation)
+    values = {key: positive(key, x) for key, x in limits.items() if x is not None}
+    separation = ho.Separation(values["radius"], values["height"])
+    rules = Rules(values.get("speed"), values.get("acceleration"), separation)
     with ProgressBar("reading and checking"):
         reports = ho.lint(path, rules)
     entries = []
@@ -171,7 +168,7 @@ def lint(path: Path, **limits: float | None) -> None:
 
 
 def _say_report(report: Report) -> None:
-    """Write the figures of the files, then the findings, then their number."""
+    """Print the figures, the findings, and their numbers."""
     from hitchopt.exports.formats.crazyflie import BYTES
     from hitchopt.exports.recording import ERROR, WARNING
 
@@ -195,8 +192,8 @@ def _say_report(report: Report) -> None:
     for finding in report.findings:
         by_rule.setdefault((finding.level, finding.rule), []).append(str(finding))
     for (level, rule), lines in by_rule.items():
-        if (more := len(lines) - MAX_SHOWN) > 0:
-            lines[MAX_SHOWN:] = [f"{level}: {rule}: and {more} more"]
+        if (more := len(lines) - MAX_LISTED) > 0:
+            lines[MAX_LISTED:] = [f"{level}: {rule}: and {more} more"]
         say("\n".join(lines), err=level == ERROR)
     levels = [finding.level for finding in report.findings]
     say(f"{levels.count(ERROR)} errors, {levels.count(WARNING)} warnings")
@@ -214,11 +211,11 @@ def _say_report(report: Report) -> None:
     option("--every", "Distance of the entries.", 2.0, "SECONDS"),
 )
 def abort(directory: Path, how: str | None, every: float) -> None:
-    """Plan and certify aborts over all of the plan in DIR.
+    """Plan and certify aborts from all times of the plan in DIR.
 
-    Writes aborts.json and aborts.zip to DIR: from every time the common clock alone, running on and
-    then slowing to rest, reaches an entry, whose plan goes on from there. Ends with 3 if there are
-    times from which no abort was found.
+    Writes aborts.json and aborts.zip to DIR. From any time, the common clock runs on to the next
+    entry and slows to rest, where the entry's plan continues. Ends with 3 if there are times from
+    which no abort was found.
     """
     from hitchopt.checks.drones import largest_at_rest, tilt, used_thrust
     from hitchopt.live.abort import abort_table, save_aborts
@@ -226,21 +223,22 @@ def abort(directory: Path, how: str | None, every: float) -> None:
 
     path = plan_path(directory)
     motion = read_plan(path)
-    chosen = how or _usual_abort(motion)
+    how = how or _default_abort(motion)
     with ProgressBar("planning aborts") as progress:
-        aborts = abort_table(motion, chosen, every, progress)
+        aborts = abort_table(motion, how, every, progress)
     rows = []
     for entry in aborts.entries:
         phase = next((p for p in motion.phases if p.end >= entry.rest - 1e-6), motion.phases[-1])
         times = {"commands until": entry.start, "at rest after": entry.start + entry.seconds}
         times["ends"] = entry.motion.duration
         rows.append({"phase": phase.name, **{name: f"{t:.3f} s" for name, t in times.items()}})
-    say(table(f"Aborts: {chosen}", rows))
-    thrust, lean = (
-        max(largest_at_rest(group.motion, each) for group in motion.groups)
-        for each in (used_thrust, tilt)
+    say(table(f"Aborts: {how}", rows))
+    thrust, angle = (
+        max(largest_at_rest(group.motion, quantity) for group in motion.groups)
+        for quantity in (used_thrust, tilt)
     )
-    say(f"hovering anywhere on the paths takes up to {thrust:.1%} of a drone's thrust, {lean:.2f}°")
+    needed = f"{thrust:.1%} of a drone's thrust, {angle:.2f}°"
+    say(f"hovering anywhere on the paths takes up to {needed}")
     save_aborts(path.parent, aborts)
     say(
         f"aborts.json and aborts.zip are in {path.parent}",
@@ -258,7 +256,7 @@ def abort(directory: Path, how: str | None, every: float) -> None:
         exit_infeasible()
 
 
-def _usual_abort(motion: ho.Motion) -> str:
+def _default_abort(motion: ho.Motion) -> str:
     return "release_and_land" if motion.has_cables else "land"
 
 
@@ -318,12 +316,12 @@ def fly(
     measurements: bool,
     **options: Any,
 ) -> None:
-    """Stream the setpoints of the plan in DIR to drones, steered by keys.
+    """Stream the setpoints of the plan in DIR to drones, controlled by keys.
 
     The stream begins at rest at the plan's start. Keys: space to resume and to pause, b back,
-    a abort, l land, q quit before the start; Ctrl-C lands. All of it is certified: the clock's
-    changes, and the aborts, which are planned first. A lost operator or lost measurements end in a
-    hold, then in a landing. Ends with 3 unless the drones have landed.
+    a abort, l land, q quit before the start; Ctrl-C lands. All changes of the clock and all aborts
+    are certified; aborts are planned first. A lost operator or lost measurements lead to a hold,
+    then to a landing. Ends with 3 unless the drones have landed.
     """
     from hitchopt.live.fly import CommandedPlan, Flight
     from hitchopt.live.links import KEYS_HELP, Operator
@@ -335,14 +333,14 @@ def fly(
     plan.certificate.raise_if_violated()
     motion = plan.motion
     outlet = _outlet_of(motion, **options)
-    tables = _flown_aborts(motion, how)
+    tables = _abort_tables(motion, how)
     watched = motion.team.drone_names if measurements else ()
-    commanded, steering = CommandedPlan(motion, tables), Operator()
-    with ThreadPoolExecutor(1) as workers, steering.attached():
-        parts = commanded, outlet, steering.commands, watched, workers.submit, say
+    commanded, operator = CommandedPlan(motion, tables), Operator()
+    with ThreadPoolExecutor(1) as workers, operator.attached():
+        parts = commanded, outlet, operator.commands, watched, workers.submit, say
         flight = Flight(*parts, rate=rate, patience=patience)
         say(f"streaming at {rate:g} Hz, at rest at the plan's start; {KEYS_HELP}, Ctrl-C land")
-        with _signals(steering.add):
+        with _land_on_signals(operator.add):
             due = time.monotonic()
             try:
                 while flight.tick(time.monotonic()):
@@ -367,7 +365,7 @@ def _outlet_of(
     origin: tuple[float, float, float],
     yaw_deg: float,
 ) -> Outlet:
-    """Return the fleet that the options name."""
+    """Return the connection to the fleet that the options specify."""
     from hitchopt.exports.firmware import refuse_controllers, team_parameters
     from hitchopt.exports.formats.crazyflie import pilot_checklist
     from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet, read_fleet
@@ -382,51 +380,51 @@ def _outlet_of(
         robots = [member.name for member in members]
         say(pilot_checklist(cables=motion.has_cables))
         return CrazyflieOutlet(names, robots, frame, team_parameters(team))
-    here = address("--listen", listen)
-    places = [address("--to", each) for each in targets]
-    if not places:
-        places = [("127.0.0.1", PORT[over] + i) for i in range(len(names))]
-    if len(places) not in (1, len(names)):
-        words = f"given once, or {len(names)} times", "one for each drone"
-        raise InputError("targets", len(places), *words)
-    places *= len(names) // len(places)
-    outlet: Outlet = kind(names, places, frame, here)
+    own_address = address("--listen", listen)
+    addresses = [address("--to", each) for each in targets]
+    if not addresses:
+        addresses = [("127.0.0.1", PORT[over] + i) for i in range(len(names))]
+    if len(addresses) not in (1, len(names)):
+        bound = f"given once, or {len(names)} times"
+        raise InputError("targets", len(addresses), bound, "one for each drone")
+    addresses *= len(names) // len(addresses)
+    outlet: Outlet = kind(names, addresses, frame, own_address)
     return outlet
 
 
-def _flown_aborts(motion: ho.Motion, how: str | None) -> dict[str, AbortTable]:
-    """Return the aborts for the commands ``abort`` and ``land``."""
+def _abort_tables(motion: ho.Motion, how: str | None) -> dict[str, AbortTable]:
+    """Return the aborts of the commands ``abort`` and ``land``."""
     from hitchopt.live.abort import abort_table
 
-    chosen = how or _usual_abort(motion)
+    how = how or _default_abort(motion)
     aborts = {}
     with ProgressBar("planning aborts") as progress:
-        for each in dict.fromkeys(("land", chosen)):
+        for each in dict.fromkeys(("land", how)):
             aborts[each] = abort_table(motion, each, progress=progress)
             if not aborts[each].entries:
                 remedy = "a lost link could not end on the ground; choose another --how"
                 raise InfeasibleError([], f"no abort {each} was found; {remedy}")
-    return {"land": aborts["land"], "abort": aborts[chosen]}
+    return {"land": aborts["land"], "abort": aborts[how]}
 
 
 @contextmanager
-def _signals(add: Callable[[str], None]) -> Iterator[None]:
-    """Let SIGINT and SIGTERM land within the context, the second of them end it at once.
+def _land_on_signals(add: Callable[[str], None]) -> Iterator[None]:
+    """Let SIGINT and SIGTERM add the command ``end`` within the context; a second one is immediate.
 
-    A terminal that is closed is a lost operator, so SIGHUP is ignored.
+    SIGHUP is ignored, because a closed terminal is a lost operator.
     """
-    handled = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before: dict[int, Any] = {number: signal.getsignal(number) for number in handled}
+    signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    handlers: dict[int, Any] = {number: signal.getsignal(number) for number in signals}
 
     def end(number: int, _: Any) -> None:
         add("end")
-        signal.signal(number, before[number])
+        signal.signal(number, handlers[number])
 
-    for number in handled[:2]:
+    for number in signals[:2]:
         signal.signal(number, end)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
         yield
     finally:
-        for each, handler in before.items():
+        for each, handler in handlers.items():
             signal.signal(each, handler)

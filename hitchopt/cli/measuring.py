@@ -1,4 +1,4 @@
-"""The command evaluate: a recorded flight against its plan, and markers before a flight."""
+"""The command evaluate: compare a recorded flight with its plan, and place markers."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ def evaluate(
     format: str,
     *,
     markers: bool,
-    **given: Any,
+    **options: Any,
 ) -> None:
-    """Compare RECORDING, a flight, with the plan in --plan: its vertices, from markers, and drones.
+    """Compare RECORDING, a flight, with the plan in --plan: vertices (from markers) and drones.
 
     RECORDING is a table of Motive or Vicon, C3D, a ROS bag, Crazyflie uSD logs, a PX4 ulog,
     DIR/simulation, or a CSV file with the columns t, name, x, y, z, whose rows named marker are
@@ -67,61 +67,58 @@ def evaluate(
     from hitchopt.flights.report import save_evaluation, summary
 
     with ProgressBar("reading and evaluating"):
-        result = ho.evaluate(recording, task, **given)
-    place = recording.absolute().parent / RESULTS if output is None else output
+        result = ho.evaluate(recording, task, **options)
+    folder = recording.absolute().parent / RESULTS if output is None else output
     with ProgressBar("writing the results"):
-        save_evaluation(place, result, format)
-    content = summary(result)
-    say(_tables(result), directory=str(place), evaluation=content)
+        save_evaluation(folder, result, format)
+    say(_tables(result), directory=str(folder), evaluation=summary(result))
     for remark in result.remarks:
         say(f"note: {remark}")
-    say(f"results are in {place}")
+    say(f"results are in {folder}")
 
 
 def _tables(evaluation: ho.Evaluation) -> str:
-    """Return the tables of vertices by phase, and of drones in all."""
-    kind, drones = (
-        "crossings" if evaluation.clasps is None else "clasps",
-        evaluation.task.team.drone_names,
-    )
+    """Return the tables of errors of vertices and drones, and of the alignment."""
+    kind = "crossings" if evaluation.clasps is None else "clasps"
+    drones = evaluation.task.team.drone_names
     rows: list[dict[str, object]] = []
     for row in evaluation.short_table:
         cells: dict[str, object] = {"of": row.name, "phase": row.phase}
         if row.phase != "all":
             cells["phase"] = f"{row.phase}, {row.start:.1f} to {row.end:.1f} s"
-        lengths = {"mean": row.mean, "std": row.std, "max": row.max}
-        shown = _millimetres({**lengths, "standard error": row.standard_error})
-        rows.append({**cells, **shown, "found": f"{row.found:.0%}"})
-    lies = evaluation.alignment
+        errors = {"mean": row.mean, "std": row.std, "max": row.max}
+        errors["standard error"] = row.standard_error
+        rows.append({**cells, **_millimetres(errors), "found": f"{row.found:.0%}"})
+    fit = evaluation.alignment
     parts = [
         table(f"Distances from the plan [mm], {kind} of cables and drones", rows),
-        f"{evaluation.flight.source}: plan time is {lies.rate:.6g} t {lies.offset:+.3f} s, frame "
-        f"{lies.frame}, drones {1e3 * lies.rms:.0f} mm from the plan (root mean square)",
+        f"{evaluation.flight.source}: plan time is {fit.rate:.6g} t {fit.offset:+.3f} s, frame "
+        f"{fit.frame}, drones {1e3 * fit.rms:.0f} mm from the plan (root mean square)",
         "standard errors hold how markers scatter about the lines of cables; a marker beside its "
         "cable is so all the flight, hence means over time are no more exact",
-        "names: " + ", ".join(f"{a}={b}" for a, b in zip(lies.names, drones, strict=True)),
+        "names: " + ", ".join(f"{a}={b}" for a, b in zip(fit.names, drones, strict=True)),
     ]
     return "\n\n".join(parts)
 
 
 def _millimetres(lengths: dict[str, float]) -> dict[str, str]:
-    """Return lengths [m] in millimetres, as cells; a dash for nan."""
+    """Return lengths [m] as text in millimetres, with a dash for nan."""
     return {k: f"{1e3 * x:.1f}" if not math.isnan(x) else "–" for k, x in lengths.items()}
 
 
 def _say_markers(task: Task) -> None:
-    """Say where markers go on every cable."""
+    """Report the positions of markers on every cable."""
     from hitchopt.flights.vertices import BENT, marker_plan
 
     markers, team = marker_plan(task), task.team
     rows: list[dict[str, object]] = []
     for k, (lower, upper) in enumerate(markers.stretches.tolist()):
-        stays = f"{lower:.2f} to {upper:.2f}" if upper > lower else "nothing"
-        places = ", ".join(f"{place:.2f}" for place in markers.places[k])
-        rows.append({"cable": k, "stays on its edge [m]": stays, "markers at [m]": places})
+        stretch = f"{lower:.2f} to {upper:.2f}" if upper > lower else "nothing"
+        positions = ", ".join(f"{position:.2f}" for position in markers.places[k])
+        rows.append({"cable": k, "stays on its edge [m]": stretch, "markers at [m]": positions})
     errors: list[dict[str, object]] = [
-        {"vertex": team.point_names[p], **_millimetres({"median": median, "largest": most})}
-        for p, (median, most) in enumerate(markers.standard_errors.tolist())
+        {"vertex": team.point_names[p], **_millimetres({"median": median, "largest": largest})}
+        for p, (median, largest) in enumerate(markers.standard_errors.tolist())
         if not math.isnan(median)
     ]
     parts = [table("Markers from q's end of every cable", rows)]

@@ -1,4 +1,4 @@
-"""Declare commands and their options; paths are never empty."""
+"""Declare commands and their options."""
 
 from __future__ import annotations
 
@@ -13,38 +13,38 @@ from hitchopt.cli.output import output
 from hitchopt.errors import InputError
 
 
-class GivenPath(click.Path):
-    """A path; an empty one is an InputError: an unset shell variable is not this directory."""
+class NonEmptyPath(click.Path):
+    """A path that is not empty, lest an unset shell variable is the current directory."""
 
     def __init__(self) -> None:
         super().__init__(path_type=Path)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the path."""
+        """Return the path; raises InputError if it is empty."""
         if value == "" and param is not None:
             key = param.opts[-1] if isinstance(param, click.Option) else param.human_readable_name
             raise InputError(key, "", "a path that is not empty", "name one; . is this directory")
         return super().convert(value, param, ctx)
 
 
-PATH = GivenPath()
+PATH = NonEmptyPath()
 
 
 def option(
     names: str,
-    words: str,
+    description: str,
     value: Any = False,
     metavar: str | None = None,
     *,
     choices: Sequence[str] = (),
     **more: Any,
 ) -> click.Option:
-    """Return an option by its names and help.
+    """Return an option.
 
-    ``value`` is its default, or its type if it has none; False is the default of a flag. ``more``
+    ``value`` is the default, or the type if there is none; False is the default of a flag. ``more``
     are further arguments of ``click.Option``.
     """
-    settings: dict[str, Any] = {"help": words, "metavar": metavar}
+    settings: dict[str, Any] = {"help": description, "metavar": metavar}
     if isinstance(value, type | click.ParamType):
         settings["type"] = value
     else:
@@ -59,20 +59,20 @@ def option(
 def command(
     argument: str, *options: click.Option, **more: Any
 ) -> Callable[[Callable[..., None]], click.Command]:
-    """Return the decorator that makes a function a command of the function's name.
+    """Return a decorator that turns a function into a command of the same name.
 
-    ``argument`` is the parameter's name and how usage calls it, ``directory DIR``: a path, unless
-    ``more``, further arguments of ``click.Argument``, give another type.
+    ``argument`` is the name and the metavar of a parameter, such as ``directory DIR``. It is a
+    path by default; ``more`` are further arguments of ``click.Argument``.
     """
     name, metavar = argument.split()
-    given = click.Argument([name], metavar=metavar, **{"type": PATH, **more})
+    parameter = click.Argument([name], metavar=metavar, **{"type": PATH, **more})
     switch: Any = {"expose_value": False, "callback": _switch}
     switches = (
         option("--json", "Print one JSON object to stdout, all else to stderr.", **switch),
         option("-q --quiet", "Print errors only.", **switch),
         option("-v --verbose", "Print every message of progress to stderr.", **switch),
     )
-    return main.command(params=[given, *options, *switches])
+    return main.command(params=[parameter, *options, *switches])
 
 
 def _switch(_: click.Context, option: click.Parameter, value: bool) -> None:
@@ -80,13 +80,13 @@ def _switch(_: click.Context, option: click.Parameter, value: bool) -> None:
 
 
 def completing(names: Callable[[], Iterable[str]]) -> dict[str, Any]:
-    """Return settings of click's option that complete names in the shell."""
+    """Return arguments of an option whose values are completed in the shell."""
     return {"shell_complete": lambda _, __, prefix: [x for x in names() if x.startswith(prefix)]}
 
 
-def plan_path(given: Path) -> Path:
+def plan_path(path: Path) -> Path:
     """Return the path of the plan in a directory; the path of a plan is returned unchanged."""
     from hitchopt.storage.archive import PLAN
 
-    own = given.name == PLAN and not given.is_dir()
-    return given if own or given.is_file() else given / PLAN
+    is_plan = path.is_file() or (path.name == PLAN and not path.is_dir())
+    return path if is_plan else path / PLAN

@@ -1,4 +1,4 @@
-"""Output of one command: tables and progress for people, or one JSON object."""
+"""Output of commands: tables and progress as text, or one JSON object."""
 
 from __future__ import annotations
 
@@ -21,28 +21,26 @@ import hitchopt as ho
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-KEY = "hitchopt.output"  # Key of a call's Output in click's contexts
-# Width of tables that are not written to a terminal [characters], unless COLUMNS says another,
-# and what is between columns
+KEY = "hitchopt.output"  # Key of the Output in click's contexts
+# Default width of tables [characters], if there is no terminal and no COLUMNS; column separator
 DEFAULT_WIDTH, GAP = 100, "  "
-NAME = "\xa0"  # Space within a name while a table is made: lines do not break there
-BAR, CLOCK = 20, 12  # Widths of a bar, and of the clock with what is between columns [characters]
-LINES = 1.0  # Shortest time between lines of percentages [s]
-ARGUMENT = re.compile(r"\b([a-z_]+)=(True\b|'?\w*'?)")  # Argument of Python in a message
+NO_BREAK = "\xa0"  # Space at which lines are not wrapped, within names
+BAR_WIDTH, CLOCK_WIDTH = 20, 12  # Widths of a progress bar, and of its clock with gaps [characters]
+LINE_INTERVAL = 1.0  # Minimum time between lines of percentages [s]
+ARGUMENT = re.compile(r"\b([a-z_]+)=(True\b|'?\w*'?)")  # Python argument in a message
 COUNT = re.compile(r"(\d[\d.]*) of (\d[\d.]*)|(\d[\d.]*)%")  # Count or percentage in a message
-RED = re.compile(r"^error:|(?<= )NO$", re.MULTILINE)  # Words that are red on a terminal
-# Beginning of a cell that is aligned to the right
-NUMBER = re.compile(r"[-+±≤≥–]?\s?\d|–|-?inf|γ|$")
+RED = re.compile(r"^error:|(?<= )NO$", re.MULTILINE)  # Text that is red on a terminal
+NUMBER = re.compile(r"[-+±≤≥–]?\s?\d|–|-?inf|γ|$")  # Prefix of a right-aligned cell
 
 
 @dataclass
 class Output:
-    """Verbosity of a call, and its results so far."""
+    """Verbosity of a command, and its results."""
 
-    json: bool = False  # results go to stdout as one object, words do not
-    quiet: bool = False  # neither results nor progress are printed; errors are
-    verbose: bool = False  # every message of progress is a line on stderr
-    content: dict[str, Any] = field(default_factory=dict)  # the results, plain data
+    json: bool = False  # print results as one JSON object instead of text
+    quiet: bool = False  # print errors only
+    verbose: bool = False  # print progress messages as lines on stderr
+    content: dict[str, Any] = field(default_factory=dict)  # results as plain data
 
     def finish(self, command: str, code: int) -> None:
         """Print the object if ``json`` is set, with the command's name and exit code."""
@@ -62,14 +60,11 @@ def output() -> Output:
 
 
 def say(text: str, *, err: bool = False, **results: Any) -> None:
-    """Write a line for people, and record the ``results`` that it tells.
-
-    Lines go to stdout unless they are not wanted, or to stderr.
-    """
+    """Print text to stdout, unless it is disabled, or to stderr; record the ``results``."""
     record(**results)
     if err or not (output().quiet or output().json):
-        shown = in_options(text)
-        echo(_wrapped(shown) if err and _on_terminal() else shown, err=err)
+        text = in_options(text)
+        echo(_wrapped(text) if err and _on_terminal() else text, err=err)
 
 
 def _on_terminal() -> bool:
@@ -78,86 +73,87 @@ def _on_terminal() -> bool:
 
 
 def _wrapped(text: str) -> str:
-    """Return lines of words that fit the terminal: what goes on is indented."""
-    look: Any = {"subsequent_indent": "  ", "break_long_words": False, "break_on_hyphens": False}
-    return "\n".join("\n".join(wrap(line, across(), **look)) for line in text.split("\n"))
+    """Wrap lines to the width of the terminal, with continuation lines indented."""
+    style: Any = {"subsequent_indent": "  ", "break_long_words": False, "break_on_hyphens": False}
+    return "\n".join("\n".join(wrap(line, terminal_width(), **style)) for line in text.split("\n"))
 
 
-def across() -> int:
+def terminal_width() -> int:
     """Return the width of the terminal [characters]."""
     return shutil.get_terminal_size((DEFAULT_WIDTH, 0)).columns
 
 
 def options() -> dict[str, str]:
-    """Return the options of the running command by their names in Python."""
+    """Return the options of the running command by Python names."""
     context = click.get_current_context(silent=True)
     command = context and context.command
     if context is not None and isinstance(command, click.Group):
         command = command.commands.get(str(context.invoked_subcommand))
-    given = [each for each in command.params if isinstance(each, click.Option)] if command else []
-    return {str(each.name): max(each.opts, key=len) for each in given}
+    parameters = command.params if command else []
+    return {str(p.name): max(p.opts, key=len) for p in parameters if isinstance(p, click.Option)}
 
 
 def in_options(text: str) -> str:
-    """Return a text with options in place of Python's arguments, which end in ``=``."""
-    known = options()
+    """Replace Python arguments such as ``rate=`` in a text by options of the running command."""
+    names = options()
 
     def option(match: re.Match[str]) -> str:
-        name, value = known.get(match[1]), match[2]
+        name, value = names.get(match[1]), match[2]
         return match[0] if name is None else f"{name} {'' if value == 'True' else value}".strip()
 
     return ARGUMENT.sub(option, text)
 
 
 def record(**content: Any) -> None:
-    """Add results, plain data, to the object that ``--json`` prints."""
+    """Add results, plain data, to the object printed by ``--json``."""
     output().content.update(content)
 
 
 def echo(text: str, *, err: bool = False) -> None:
-    """Write a line in any encoding of the stream; a closed stream or pipe is no error."""
+    """Write a line in the stream's encoding; closed streams and pipes are ignored."""
     stream = sys.stderr if err else sys.stdout
     if stream is None:  # closed by `>&-`
         return
     encoding = getattr(stream, "encoding", None) or "utf-8"
     try:
-        shown = text.encode(encoding, "replace").decode(encoding)
-        click.echo(RED.sub(lambda word: click.style(word[0], fg="red", bold=True), shown), err=err)
+        text = text.encode(encoding, "replace").decode(encoding)
+        click.echo(RED.sub(lambda match: click.style(match[0], fg="red", bold=True), text), err=err)
     except BrokenPipeError:
-        # The reader has left (`| head`): the exit code stays the same.
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, stream.fileno())
-        os.close(nowhere)
+        # The reader has exited (`| head`); the exit code must not change.
+        null = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null, stream.fileno())
+        os.close(null)
 
 
 def table(title: str, rows: Iterable[Mapping[str, object]]) -> str:
     """Return a table as lines of text that fit the terminal.
 
-    Rows are cells by their columns' heads, plain data: a bool is a verdict, None, nan and inf are
-    dashes, numbers have four significant digits. Where the table is too wide its widest column of
-    words wraps at words, and columns move together; numbers and names, such as cable 0, never wrap.
+    Rows are plain data by column heads: a bool is a verdict; None, nan and inf are dashes; numbers
+    have four significant digits. If the table is too wide, its widest text column is wrapped, and
+    gaps are reduced; numbers and names, such as cable 0, are not wrapped.
     """
-    listed = [{head: _cell(value) for head, value in row.items()} for row in rows]
-    heads = list(dict.fromkeys(head for row in listed for head in row))
-    cells = {head: [row[head] for row in listed if head in row] for head in heads}
+    formatted = [{head: _cell(value) for head, value in row.items()} for row in rows]
+    heads = list(dict.fromkeys(head for row in formatted for head in row))
+    cells = {head: [row[head] for row in formatted if head in row] for head in heads}
     widths = {head: max(map(len, (head, *cells[head]))) for head in heads}
     right = {h for h in heads[1:] if all(map(NUMBER.match, cells[h]))}
-    excess = sum(widths.values()) + len(GAP) * (len(heads) - 1) - across()
+    excess = sum(widths.values()) + len(GAP) * (len(heads) - 1) - terminal_width()
     if excess > 0 and (texts := [head for head in heads if head not in right]):
         longest = max(texts, key=lambda head: widths[head])
         words = " ".join((longest, *cells[longest])).split(" ")
         widths[longest] = max(widths[longest] - excess, *map(len, words))
-    gap = GAP if sum(widths.values()) + len(GAP) * (len(heads) - 1) <= across() else GAP[:1]
+    width = sum(widths.values()) + len(GAP) * (len(heads) - 1)
+    gap = GAP if width <= terminal_width() else GAP[:1]
     rule = "─" * (sum(widths.values()) + len(gap) * (len(heads) - 1))
-    first = {head: head for head in heads}
-    lines = [line for row in (first, *listed) for line in _lines(row, widths, right, gap)]
-    return "\n".join([title, lines[0], rule, *lines[1:]]).replace(NAME, " ")
+    header = {head: head for head in heads}
+    lines = [line for row in (header, *formatted) for line in _lines(row, widths, right, gap)]
+    return "\n".join([title, lines[0], rule, *lines[1:]]).replace(NO_BREAK, " ")
 
 
 def _lines(
     row: Mapping[str, str], widths: Mapping[str, int], right: Collection[str], gap: str
 ) -> Iterator[str]:
-    """Yield the lines of a row, in which cells wrap at words if their columns are narrower."""
+    """Yield the lines of a row, with cells wrapped to the widths of their columns."""
     parts = [
         wrap(row.get(head, ""), width, break_on_hyphens=False) or [""]
         for head, width in widths.items()
@@ -175,11 +171,11 @@ def _cell(value: object) -> str:
         return ", ".join(map(_cell, value)) or "none"
     if isinstance(value, float) and math.isfinite(value):
         return f"{value:.4g}"
-    return re.sub(r" (?=\d)", NAME, str(value)) if isinstance(value, str | int) else "–"
+    return re.sub(r" (?=\d)", NO_BREAK, str(value)) if isinstance(value, str | int) else "–"
 
 
 def quantities(title: str, values: Mapping[str, object]) -> str:
-    """Return the table of some quantities, one a row."""
+    """Return a table with one quantity per row."""
     return table(title, [{"quantity": name, "value": value} for name, value in values.items()])
 
 
@@ -194,8 +190,8 @@ def show_plan(title: str, motion: ho.Motion, certificate: ho.Certificate) -> Non
 
     low = below_ground(motion)
     if low is not None:
-        words = f"{', '.join(low.where)} is {-low.bound:.4g} m below z = 0 at t = {low.time:.4g} s"
-        say(f"warning: {words}; give an arena, whose floor is the ground", err=True)
+        depth = f"{', '.join(low.where)} is {-low.bound:.4g} m below z = 0 at t = {low.time:.4g} s"
+        say(f"warning: {depth}; give an arena, whose floor is the ground", err=True)
 
 
 def phase_table(phases: Sequence[ho.Phase]) -> str:
@@ -210,10 +206,10 @@ def phase_table(phases: Sequence[ho.Phase]) -> str:
 
 
 def certificate_table(certificate: ho.Certificate) -> str:
-    """Return the table of a certificate's checks, each with its worst value over all of time.
+    """Return the table of a certificate's checks, with their worst values over all time.
 
-    Checks stand under the headings of their groups; a column says which hold unless all do. A line
-    below says what binds.
+    Checks are listed by groups. If some do not hold, there is a column with verdicts; otherwise the
+    last line names the limits that bind.
     """
     rows: list[dict[str, object]] = []
     for heading, checks in certificate.groups.items():
@@ -221,43 +217,43 @@ def certificate_table(certificate: ho.Certificate) -> str:
         for check in checks:
             rows.append({**check.row, "check": f" {check.name}"})
             rows[-1] |= {} if certificate.certified else {"holds": check.holds}
-    shown = table("Certificate", rows)
+    text = table("Certificate", rows)
     if not (certificate.certified and certificate.binding):
-        return shown
+        return text
     *names, last = certificate.binding
-    words = f"{', '.join(names)} and {last} allow" if names else f"{last} allows"
-    return f"{shown}\n\nas fast as {words}"
+    limits = f"{', '.join(names)} and {last} allow" if names else f"{last} allows"
+    return f"{text}\n\nas fast as {limits}"
 
 
 def span_text(values: Iterable[Any], digits: str = ".3f") -> str:
-    """Return the smallest and largest of some values, or the one that all are."""
-    listed = [float(value) for value in values]
-    low, high = (f"{value + 0.0:{digits}}" for value in (min(listed), max(listed)))
+    """Return the range of some values, as one number if they are equal."""
+    numbers = [float(value) for value in values]
+    low, high = (f"{value + 0.0:{digits}}" for value in (min(numbers), max(numbers)))
     return low if low == high else f"{low} to {high}"
 
 
-def done_of(message: str) -> tuple[float | None, float | None]:
-    """Return progress and total in a message; None for both without a count."""
+def progress_in(message: str) -> tuple[float | None, float | None]:
+    """Return the progress and total in a message; None for both if there is no count."""
     match = COUNT.search(message)
     if match is None:
         return None, None
-    done, total, percent = match.groups()
+    count, total, percent = match.groups()
     if percent:
         return float(percent), 100.0
-    return (float(done), float(total)) if float(total) > 0.0 else (None, None)
+    return (float(count), float(total)) if float(total) > 0.0 else (None, None)
 
 
 class ProgressBar:
-    """Context manager and callback: shows what is being done, on a terminal, until it is done.
+    """Context manager and status callback that shows a progress bar on a terminal.
 
-    The bar is filled by the count in a message, such as ``speed, 4 of 18``, or by its percentage;
-    a time limit [s] is shown next to the elapsed time. With ``--verbose`` messages are lines.
+    The bar shows the count in a message, such as ``speed, 4 of 18``, or its percentage, and a time
+    limit [s] next to the elapsed time. With ``--verbose`` messages are printed as lines.
     """
 
     def __init__(self, message: str, limit: float | None = None) -> None:
-        self._message, self._begun = message, time.monotonic()
-        self._at_most = "" if limit is None else f"of at most {limit:.0f} s"
-        self._verbose, self._next_line = output().verbose, self._begun
+        self._message, self._start = message, time.monotonic()
+        self._limit = "" if limit is None else f"of at most {limit:.0f} s"
+        self._verbose, self._next_line = output().verbose, self._start
         self._bar: Progress | None = None
 
     def __enter__(self) -> ProgressBar:
@@ -265,11 +261,11 @@ class ProgressBar:
             from rich.console import Console
             from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-            words = TextColumn("{task.description}", markup=False)
-            at_most, console = TextColumn(self._at_most, markup=False), Console(stderr=True)
-            parts = words, BarColumn(BAR), TimeElapsedColumn(), at_most
-            self._bar = Progress(*parts, console=console, transient=True)
-            self._bar.add_task(self._message, total=None)  # until there is a count
+            message = TextColumn("{task.description}", markup=False)
+            limit, console = TextColumn(self._limit, markup=False), Console(stderr=True)
+            columns = message, BarColumn(BAR_WIDTH), TimeElapsedColumn(), limit
+            self._bar = Progress(*columns, console=console, transient=True)
+            self._bar.add_task(self._message, total=None)
             self._bar.start()
         self(self._message)
         return self
@@ -282,10 +278,10 @@ class ProgressBar:
         """Show a message about the current work."""
         now = time.monotonic()
         if self._bar is not None:
-            done, total = done_of(message)
-            room = self._bar.console.width - BAR - CLOCK - len(self._at_most)
-            words = message if len(message) <= room else f"{message[: room - 1]}…"
-            self._bar.update(self._bar.task_ids[0], description=words, completed=done, total=total)
+            count, total = progress_in(message)
+            width = self._bar.console.width - BAR_WIDTH - CLOCK_WIDTH - len(self._limit)
+            text = message if len(message) <= width else f"{message[: width - 1]}…"
+            self._bar.update(self._bar.task_ids[0], description=text, completed=count, total=total)
         elif self._verbose and not ("%" in message and now < self._next_line):
-            echo(f"{now - self._begun:6.1f} s  {message}", err=True)
-            self._next_line = now + LINES
+            echo(f"{now - self._start:6.1f} s  {message}", err=True)
+            self._next_line = now + LINE_INTERVAL

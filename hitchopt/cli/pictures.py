@@ -1,4 +1,4 @@
-"""The commands report and view: a plan to look at."""
+"""The commands report and view: display plans."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from hitchopt.errors import FileError, HitchoptError, InputError
 if TYPE_CHECKING:
     from hitchopt.view.live import LiveView
 
-PROBLEM = "problem.yaml"  # Name under which an edited problem is saved next to its plan
-# Times for which the processor is left to the browser [s]: until it has loaded the page, and
-# after that to draw the first picture, as graphics cards are not everywhere
-PATIENCE, DRAWING = 3.0, 1.5
+PROBLEM = "problem.yaml"  # File name of an edited problem next to its plan
+# Maximum time until the browser has loaded the page, and time to draw the first picture without a
+# graphics card, before the processor is used for certification [s]
+LOADING_TIME, DRAWING_TIME = 3.0, 1.5
 
 
 @command(
@@ -28,14 +28,14 @@ PATIENCE, DRAWING = 3.0, 1.5
     option("--ghost", "Show another plan, a flight or an evaluation too.", PATH, "PATH"),
 )
 def report(directory: Path, ghost: Path | None) -> None:
-    """Write DIR/report.html: the plan in one file that needs no network.
+    """Write DIR/report.html, a report of the plan in one file that needs no network.
 
-    It plays the plan in three dimensions, with plots of separation, speed, thrust and tension, the
+    It has a 3D animation of the plan, plots of separation, speed, thrust and tension, the
     certificate, the phases, the problem file, versions and digests.
     """
-    place = plan_path(directory).parent
+    folder = plan_path(directory).parent
     with ProgressBar("certifying and writing"):
-        path = ho.load(place).report(place, ghost=ghost)
+        path = ho.load(folder).report(folder, ghost=ghost)
     say(f"open {path} in a browser", file=str(path))
 
 
@@ -55,41 +55,41 @@ def report(directory: Path, ghost: Path | None) -> None:
 def view(
     path: Path, save: Path | None, ghost: Path | None, host: str, port: int, *, browser: bool
 ) -> None:
-    """Show the plan in DIR in the browser, live, and edit it by hand; Ctrl-C ends it (needs viser).
+    """Show and edit the plan in DIR live in the browser; Ctrl-C ends it (needs viser).
 
-    Of a problem FILE (.yaml) the plan is made first. What is dragged is planned again, and Save
-    writes the problem file: FILE, or DIR/problem.yaml.
+    A problem FILE (.yaml) is planned first. Dragged points are replanned, and Save writes the
+    problem file: FILE, or DIR/problem.yaml.
 
     With --save FILE nothing is served: .html is the report; .png, .svg and .pdf are the summary;
-    .mp4 and .gif are a film (needs imageio). Of a simulated flight, DIR/simulation, the film is
-    saved, and live it is the ghost of its plan.
+    .mp4 and .gif are a film (needs imageio). A simulated flight, DIR/simulation, is saved as a film
+    or shown live with its plan.
     """
     from hitchopt.storage.archive import PLAN, RECORDING
 
     recording = path / RECORDING if path.is_dir() and not (path / PLAN).exists() else path
-    flown = recording.name == RECORDING and recording.is_file()
-    if flown:
+    is_flight = recording.name == RECORDING and recording.is_file()
+    if is_flight:
         path = recording.resolve().parent.parent
         if not (path / PLAN).is_file():
             raise FileError(f"{recording}: its plan is not in {path}; keep the two together")
     if save is not None:
         if ghost is not None:
-            words = "no ghost where a plan is written to a file"
-            raise InputError("ghost", str(ghost), words, "leave --save out: it is shown live")
-        _save(save, path, recording if flown else None)
+            bound = "no ghost where a plan is written to a file"
+            raise InputError("ghost", str(ghost), bound, "leave --save out: it is shown live")
+        _save(save, path, recording if is_flight else None)
         return
     from hitchopt.view.live import open_server, server_address
 
-    shown = _shown(path)  # before a page is opened for it
+    content = _load_content(path)  # before a page is opened
     file = path if path.suffix in SUFFIXES else plan_path(path).with_name(PROBLEM)
     server = open_server(host, port)
     address = server_address(server)
     say(f"the plan is at {address}; Ctrl-C ends this")
-    if browser:  # it loads the page while the plan is read; some browsers return late
+    if browser:  # in a thread, as some browsers return late
         threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
     close = server.stop
     try:
-        close = _serve(server, shown, file, ghost or (recording if flown else None)).close
+        close = _serve(server, content, file, ghost or (recording if is_flight else None)).close
         threading.Event().wait()
     finally:
         close()
@@ -101,18 +101,18 @@ def _save(file: Path, path: Path, recording: Path | None) -> None:
     from hitchopt.view.report import save_view
     from hitchopt.view.scene import ghost_scene
 
-    motion, certificate, title, text = _shown(path)
-    with ProgressBar("certifying and drawing") as tell:
+    motion, certificate, title, text = _load_content(path)
+    with ProgressBar("certifying and drawing") as progress:
         if recording is None:
-            save_view(file, motion, certificate or ho.certify(motion), title, text, tell)
+            save_view(file, motion, certificate or ho.certify(motion), title, text, progress)
         else:
-            scene, words = ghost_scene(recording, motion), f"{title} (flown)".strip()
-            save_film(file, scene, words, lambda done: tell(f"drawing the film, {done:.0%}"))
+            scene, title = ghost_scene(recording, motion), f"{title} (flown)".strip()
+            save_film(file, scene, title, lambda x: progress(f"drawing the film, {x:.0%}"))
     say(f"wrote {file}", file=str(file))
 
 
-def _shown(path: Path) -> tuple[ho.Motion, ho.Certificate | None, str, str]:
-    """Return motion, certificate, title and problem's text; one in a directory is not certified."""
+def _load_content(path: Path) -> tuple[ho.Motion, ho.Certificate | None, str, str]:
+    """Return motion, certificate, title and problem text; a saved plan is not certified yet."""
     from hitchopt.motion.plan_file import read_saved_plan
     from hitchopt.storage.yaml_file import read_text
 
@@ -127,25 +127,25 @@ def _shown(path: Path) -> tuple[ho.Motion, ho.Certificate | None, str, str]:
 
 def _serve(
     server: Any,
-    shown: tuple[ho.Motion, ho.Certificate | None, str, str],
+    content: tuple[ho.Motion, ho.Certificate | None, str, str],
     file: Path,
     ghost: Path | None,
 ) -> LiveView:
-    """Show a plan in the page of a server, to be edited there and saved to ``file``."""
+    """Show a plan in the page of a server, with an editor that saves to ``file``."""
     from hitchopt.steps.certified_motions import CertifiedMotion
     from hitchopt.view.editing import Editing
     from hitchopt.view.live import LiveView
     from hitchopt.view.panel import EditingPanel
     from hitchopt.view.scene import ghost_scene
 
-    motion, certificate, title, text = shown
+    motion, certificate, title, text = content
     other = None if ghost is None else ghost_scene(ghost, motion)
     live = LiveView(server, motion, certificate, title, other)
     if certificate is None:
-        loaded = threading.Event()
-        server.on_client_connect(lambda _: loaded.set())
-        if loaded.wait(PATIENCE):
-            time.sleep(DRAWING)
+        connected = threading.Event()
+        server.on_client_connect(lambda _: connected.set())
+        if connected.wait(LOADING_TIME):
+            time.sleep(DRAWING_TIME)
         with ProgressBar("certifying"):
             certificate = ho.certify(motion)
         live.show_certificate(certificate)

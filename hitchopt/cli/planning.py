@@ -22,20 +22,18 @@ from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputErro
 from hitchopt.exports.options import checked_rate
 
 if TYPE_CHECKING:
-    from hitchopt.live.lost import Lost
+    from hitchopt.live.lost import UnsurvivableSpan
     from hitchopt.mission.teams_problem import AnyProblem
     from hitchopt.motion.motion import Motion
 
-SUFFIXES = (".yaml", ".yml")  # Endings of the names of problem files
-# Time limit of the search for changes [s] if no time is left: its end is then reported
-MIN_SEARCH_TIME = 1e-3
-ENDED = "the search for changes ended at the time limit (--limit)"
+SUFFIXES = (".yaml", ".yml")  # Suffixes of problem files
+MIN_SEARCH_TIME = 1e-3  # Minimum time limit of the search for changes [s]
+SEARCH_ENDED = "the search for changes ended at the time limit (--limit)"
 
 PACKAGE = Path(ho.__file__).parent
 STUDY = "study"
-KINDS = ("carry", "swarm", STUDY)  # Templates besides that of a hitch which is tied
-# The schema with which editors complete and check problem files beside it, and the line of such
-# files that names it to them
+KINDS = ("carry", "swarm", STUDY)  # Templates other than the default
+# File name of the schema for editors, and the line of problem files that refers to it
 SCHEMA = "problem.schema.json"
 MODELINE = f"# yaml-language-server: $schema={SCHEMA}\n"
 
@@ -71,7 +69,7 @@ def solve(
 ) -> None:
     """Plan the problem in FILE, certify the plan and write it to DIR.
 
-    FILE may be - for standard input. After a refusal DIR/previous has the last certified plan.
+    FILE may be - for standard input. If there is no plan, DIR/previous has the last certified plan.
     """
     from hitchopt.mission.loading import parse_problem
     from hitchopt.storage.yaml_file import located, read_text
@@ -80,41 +78,41 @@ def solve(
     checked_rate(rate)
     positive("limit", limit)
     end = time.monotonic() + limit
-    place = _output(output, file)
+    folder = _output(output, file)
     if repair_to is not None:
         _write_new(str(repair_to), None)  # before the search, not after it
     problem: AnyProblem | None = None
     try:
         text, name = read_text(file)  # once: it may be a pipe
         problem = parse_problem(text, name, file.parent)
-        one = not isinstance(problem, ho.TeamsProblem)  # else keys are those of a team alone
-        with located(text, name) if one else contextlib.nullcontext():
-            _plan(problem, text, place, rate, limit, report=report)
+        has_places = not isinstance(problem, ho.TeamsProblem)  # else keys are relative to a team
+        with located(text, name) if has_places else contextlib.nullcontext():
+            _plan(problem, text, folder, rate, limit, report=report)
     except (InputError, FileError):
         raise  # nothing was solved: DIR stays as it is
     except HitchoptError as error:
-        searched = repair and not isinstance(error, TimeLimitError)
-        left = max(end - time.monotonic(), MIN_SEARCH_TIME)
-        mended = None if repair_to is None else (text, repair_to)
-        _leave_diagnosis(place, error, problem if searched else None, left, mended)
+        is_searched = repair and not isinstance(error, TimeLimitError)
+        seconds = max(end - time.monotonic(), MIN_SEARCH_TIME)
+        edited = None if repair_to is None else (text, repair_to)
+        _leave_diagnosis(folder, error, problem if is_searched else None, seconds, edited)
     if verify:
-        _show_verified(plan_path(place))
+        _show_verified(plan_path(folder))
 
 
-def _output(given: Path | None, file: Path) -> Path:
-    """Return the directory to write to; refuse the root, which is named only by mistake."""
-    place = Path("stdin" if str(file) == "-" else file.stem) if given is None else given
-    if given is not None and not given.name and given.resolve().parent == given.resolve():
-        raise InputError("output", str(given), "a directory of its own", "name one, such as out")
-    home = next(each for each in (place, *place.absolute().parents) if each.exists())
+def _output(option: Path | None, file: Path) -> Path:
+    """Return the output directory; raises an error if it is the root or not writable."""
+    folder = Path("stdin" if str(file) == "-" else file.stem) if option is None else option
+    if option is not None and not option.name and option.resolve().parent == option.resolve():
+        raise InputError("output", str(option), "a directory of its own", "name one, such as out")
+    home = next(each for each in (folder, *folder.absolute().parents) if each.exists())
     if not (home.is_dir() and os.access(home, os.W_OK)):
-        words = "is not a directory that may be written to; choose another one with -o"
-        raise FileError(f"{place}: {home} {words}")
-    return place
+        reason = "is not a directory that may be written to; choose another one with -o"
+        raise FileError(f"{folder}: {home} {reason}")
+    return folder
 
 
 def _plan(
-    problem: AnyProblem, text: str, place: Path, rate: float, limit: float, *, report: bool
+    problem: AnyProblem, text: str, folder: Path, rate: float, limit: float, *, report: bool
 ) -> None:
     """Plan, show and write a problem."""
     from hitchopt.exports.directory import certificate_content
@@ -126,76 +124,77 @@ def _plan(
     for group in plan.motion.groups:
         _show_models(group.motion.team)
     with ProgressBar("writing") as progress:
-        replace(plan, problem=text).save(place, rate, progress, report=report)
-    content = certificate_content(plan.motion, plan.certificate, place / PLAN)
-    say(f"certified; the plan is in {place}", directory=str(place), certificate=content)
+        replace(plan, problem=text).save(folder, rate, progress, report=report)
+    content = certificate_content(plan.motion, plan.certificate, folder / PLAN)
+    say(f"certified; the plan is in {folder}", directory=str(folder), certificate=content)
 
 
 def _show_models(team: ho.Team) -> None:
-    """Say what is known of the team's models, and how hard their cables pull."""
+    """Report the models of a team's drones, and the tensions of their cables."""
     for kind in sorted({kind for kind in team.quadrotor if kind.model}, key=repr):
-        of_robots = [each == kind for each in team.quadrotor]
-        pulls = span_text(team.tension[of_robots], ".3g") if team.has_cables else ""
-        most, binding = kind.usual_pull
-        words = f"; cables pull {pulls} N, of {most:.3g} N held level by {binding}" if pulls else ""
-        say(f"{kind.model}: {1e3 * kind.mass:.3g} g, thrust {kind.max_thrust:.3g} N{words}")
+        robots = [each == kind for each in team.quadrotor]
+        pulls = span_text(team.tension[robots], ".3g") if team.has_cables else ""
+        limit, binding = kind.usual_pull
+        cables = f"; cables pull {pulls} N, of {limit:.3g} N held level by {binding}"
+        thrust = f"thrust {kind.max_thrust:.3g} N{cables if pulls else ''}"
+        say(f"{kind.model}: {1e3 * kind.mass:.3g} g, {thrust}")
 
 
 def _leave_diagnosis(
-    place: Path,
+    folder: Path,
     error: HitchoptError,
     problem: AnyProblem | None,
-    left: float,
-    mended: tuple[str, Path] | None,
+    seconds: float,
+    repair_to: tuple[str, Path] | None,
 ) -> NoReturn:
-    """Report and write why there is no plan, and exit with the error's code.
+    """Report and save the diagnosis of an error, and exit with its code.
 
-    If a problem is given, changes that make it feasible are searched for in the time ``left`` [s].
-    The first one is made in the text of ``mended``, and written to its file.
+    If there is a problem, changes that make it feasible are searched for in the remaining time
+    ``seconds`` [s]. The problem's text with the first change is written to a file: ``repair_to`` is
+    the text and the file.
     """
     from hitchopt.exports.directory import DIAGNOSIS, diagnosis_content, save_diagnosis
     from hitchopt.storage.files import PREVIOUS
 
     report_error(error)  # first, in case the diagnosis cannot be written
     content = diagnosis_content(error)
-    save_diagnosis(place, content)  # the search may be interrupted
+    save_diagnosis(folder, content)  # the search may be interrupted
     if isinstance(problem, ho.Problem) and isinstance(error, InfeasibleError):
-        suggestions, note = _suggestions(problem, error, left)
+        suggestions, note = _suggestions(problem, error, seconds)
         if note:
             error = InfeasibleError(error.violations, f"{error.note}\n{note}".strip())
         content = diagnosis_content(error, [each.to_dict() for each in suggestions])
-        save_diagnosis(place, content)
-        if mended and suggestions:
+        save_diagnosis(folder, content)
+        if repair_to and suggestions:
             from hitchopt.mission.changes import with_edits_in
 
-            written = _write_new(
-                str(mended[1]), with_edits_in(mended[0], suggestions[0].change.edits)
-            )
-            say(f"wrote {written}, with the first change", err=True, file=str(written))
-    message = f"no plan; the diagnosis is in {place / DIAGNOSIS}"
-    if (previous := place / PREVIOUS).is_dir():
+            text = with_edits_in(repair_to[0], suggestions[0].change.edits)
+            file = _write_new(str(repair_to[1]), text)
+            say(f"wrote {file}, with the first change", err=True, file=str(file))
+    message = f"no plan; the diagnosis is in {folder / DIAGNOSIS}"
+    if (previous := folder / PREVIOUS).is_dir():
         record(previous=str(previous))
         message += f"; the last certified plan is in {previous}"
-    say(message, err=True, directory=str(place), diagnosis=content)
+    say(message, err=True, directory=str(folder), diagnosis=content)
     click.get_current_context().exit(exit_code(error))
 
 
 def _suggestions(
-    problem: ho.Problem, error: InfeasibleError, left: float
+    problem: ho.Problem, error: InfeasibleError, seconds: float
 ) -> tuple[tuple[ho.Suggestion, ...], str]:
-    """Report the verified changes that make the problem feasible, and why the search ended."""
+    """Report and return changes that make the problem feasible, and a note on the time limit."""
     from hitchopt.errors import time_left, time_limit
     from hitchopt.mission.repair import NO_CHANGE, find_suggestions
 
     suggestions: tuple[ho.Suggestion, ...] = ()
-    note = ENDED
+    note = SEARCH_ENDED
     with (
-        ProgressBar("searching for changes that make it feasible", left) as progress,
+        ProgressBar("searching for changes that make it feasible", seconds) as progress,
         contextlib.suppress(TimeLimitError),
-        time_limit(left),
+        time_limit(seconds),
     ):
         suggestions = find_suggestions(problem, error, progress=progress)
-        note = ENDED if time_left() <= 0.0 else ""
+        note = SEARCH_ENDED if time_left() <= 0.0 else ""
     say("\n".join([*map(str, suggestions or (NO_CHANGE,)), *([note] if note else [])]), err=True)
     return suggestions, note
 
@@ -227,18 +226,18 @@ def check(
     motion = saved.motion
     with ProgressBar("certifying") as progress:
         certificate = ho.certify(motion, progress, gamma)
-    without: Sequence[Lost] = ()
+    unsurvivable: Sequence[UnsurvivableSpan] = ()
     if survivable:
-        from hitchopt.live.lost import survivable as survived
+        from hitchopt.live.lost import survivable as survivable_share
 
         with ProgressBar("planning reactions") as progress:
-            share, without = survived(motion, progress=progress)
+            share, unsurvivable = survivable_share(motion, progress=progress)
         certificate = replace(certificate, checks=(*certificate.checks, share))
-        record(without_reaction=[asdict(lost) for lost in without])
+        record(without_reaction=[asdict(span) for span in unsurvivable])
     show_plan(saved.title, motion, certificate)
     record(certificate=certificate_content(motion, certificate, path))
-    for lost in without:
-        say(f"{lost.drone}, {lost.start:.4g} s to {lost.end:.4g} s: {lost.reason}")
+    for span in unsurvivable:
+        say(f"{span.drone}, {span.start:.4g} s to {span.end:.4g} s: {span.reason}")
     if closest or picture is not None:
         with ProgressBar("finding the closest neighbours"):
             neighbours = ho.closest(ho.Plan(motion, certificate), picture=picture)
@@ -246,23 +245,23 @@ def check(
         if picture is not None:
             say(f"the closest neighbours over time are drawn in {picture}")
     certificate.raise_if_violated()
-    words = "is another table than was written with the certificate; solve again"
-    changed = [f"{path.with_name(name)}: {words}" for name in changed_tables(path.parent)]
+    reason = "is another table than was written with the certificate; solve again"
+    changed = [f"{path.with_name(name)}: {reason}" for name in changed_tables(path.parent)]
     if changed := [*_changed_others(motion, path), *changed]:
         raise InfeasibleError((), "\n".join(changed))
     say(f"certified; recomputed from {path}")
 
 
 def _changed_others(motion: Motion, path: Path) -> Iterator[str]:
-    """Say which plans that fly beside that in a file are missing, or others by now.
+    """Yield messages on other plans in ``others`` that are missing or have changed.
 
-    Their paths are tried from the working directory, from the plan's, and from that around it.
+    Their paths are relative to the working directory, the plan's directory, or its parent.
     """
     from hitchopt.motion.plan_file import is_of
 
     for each in motion.others:
-        places = (plan_path(at / each.plan) for at in (Path(), path.parent, path.parent.parent))
-        files = [place for place in places if place.is_file()]
+        folders = Path(), path.parent, path.parent.parent
+        files = [file for folder in folders if (file := plan_path(folder / each.plan)).is_file()]
         if not any(is_of(each, file) for file in files):
             state = f"{files[0]} is another plan" if files else "its plan is missing"
             yield f"others: {each.name} ({each.plan}): {state}; solve again beside what flies now"
@@ -272,13 +271,13 @@ def _changed_others(motion: Motion, path: Path) -> Iterator[str]:
 def verify(directory: Path) -> None:
     """Prove the limits of the plan in DIR with an independent verifier.
 
-    Ends with 0 where all are proven, with 3 where one is violated or not proven.
+    Ends with 0 if all are proven, with 3 if one is violated or not proven.
     """
     _show_verified(plan_path(directory))
 
 
 def _show_verified(path: Path) -> None:
-    """Prove the limits of a plan.npz, report every one, and exit with 3 unless all are proven."""
+    """Prove and report the limits of a plan.npz; exit with 3 unless all are proven."""
     from hitchopt.verify import GOOD, UnreadableError, cells, verdict, verify
 
     rows = []
@@ -291,20 +290,17 @@ def _show_verified(path: Path) -> None:
         raise FileError(f"{path}: not a plan, or a damaged one: {error}") from error
     heads = ["check", "worst", "limit", "unit", "where", "when"]
     heads += ["verdict"] * any(row.verdict != "proven" for row in rows)
-    shown = [dict(zip(heads, cells(row), strict=False)) for row in rows]
-    say(f"{table('Limits', shown)}\n\n{verdict(rows)}", verified=[row._asdict() for row in rows])
+    content = [dict(zip(heads, cells(row), strict=False)) for row in rows]
+    say(f"{table('Limits', content)}\n\n{verdict(rows)}", verified=[row._asdict() for row in rows])
     if any(row.verdict not in GOOD for row in rows):
         exit_infeasible()
 
 
 def example_files() -> list[Path]:
-    """Return the examples: in the package where it is installed, else in the checkout.
-
-    One that flies beside another plan is none: alone it cannot be planned.
-    """
-    packed = PACKAGE / "examples"
-    place = packed if packed.is_dir() else PACKAGE.parent / "problems"
-    files = sorted([*place.glob("*.yaml"), *(place / "swarms").glob("*.yaml")])
+    """Return the examples of the installed package or the checkout, without those with others."""
+    installed = PACKAGE / "examples"
+    folder = installed if installed.is_dir() else PACKAGE.parent / "problems"
+    files = sorted([*folder.glob("*.yaml"), *(folder / "swarms").glob("*.yaml")])
     return [path for path in files if "\nothers:" not in path.read_text("utf-8")]
 
 
@@ -368,11 +364,11 @@ def init(
     if example is not None and example not in files:
         remedy = closest_word(example, [*files], "hitchopt init --list names them")
         raise InputError("example", example, "an example's name", remedy)
-    chosen = {"example": example, "drone": model, "kind": kind}
-    first, *others = [key for key, value in chosen.items() if value] or [""]
+    options = {"example": example, "drone": model, "kind": kind}
+    first, *others = [key for key, value in options.items() if value] or [""]
     if others:
         bound = f"left out with --{first}"
-        raise InputError(f"--{others[0]}", chosen[others[0]], bound, "give one of the two")
+        raise InputError(f"--{others[0]}", options[others[0]], bound, "give one of the two")
     template = f"template_{kind}.yaml" if kind else "template.yaml"
     source = files[example] if example else PACKAGE / "mission" / template
     text, study = problem_text(source), kind == STUDY
@@ -380,15 +376,15 @@ def init(
         from hitchopt.mission.template import for_drone
 
         text = for_drone(text, model)
-    usual = example or (STUDY if study else "problem")
-    path = _write_new(usual if name is None else name, text)
+    default = example or (STUDY if study else "problem")
+    path = _write_new(default if name is None else name, text)
     if model:
         _show_models(ho.load_problem(path).team)
     say(f"wrote {path}; try: hitchopt {'sweep' if study else 'solve'} {path}", file=str(path))
     flight = source.with_suffix(".csv")
     if flight.is_file():
-        flown = _write_new(str(path.with_suffix(".csv")), flight.read_text("utf-8"), (".csv",))
-        say(f"wrote {flown}: a flight of it, simulated and recorded", recording=str(flown))
+        copy = _write_new(str(path.with_suffix(".csv")), flight.read_text("utf-8"), (".csv",))
+        say(f"wrote {copy}: a flight of it, simulated and recorded", recording=str(copy))
 
 
 def _title(path: Path) -> str:
@@ -397,7 +393,7 @@ def _title(path: Path) -> str:
 
 
 def problem_text(path: Path) -> str:
-    """Return the text of a problem file, its schema named and sections of the template written."""
+    """Return the text of a problem file with its modeline and the filled-in template."""
     from hitchopt.mission.template import expand_sections
 
     text = path.read_text(encoding="utf-8")
@@ -409,7 +405,7 @@ def problem_text(path: Path) -> str:
 
 
 def _write_new(name: str, text: str | None, suffixes: tuple[str, ...] = SUFFIXES) -> Path:
-    """Write a file to ``name``, with one of the suffixes; refuse one that exists, text or not."""
+    """Write text, if any, to a new file with one of the suffixes; raises FileError if it exists."""
     path = Path(name)
     if not path.name.strip("."):
         raise FileError(f"{name!r}: is no name for a file; give one, such as problem.yaml")

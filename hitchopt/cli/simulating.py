@@ -1,4 +1,4 @@
-"""The commands simulate and sweep: simulated flights, and many plans or flights."""
+"""The commands simulate and sweep: simulated flights, campaigns and parameter studies."""
 
 from __future__ import annotations
 
@@ -21,18 +21,17 @@ if TYPE_CHECKING:
     from hitchopt.sweeps.sweep import Summary
 
 RESULTS = "simulation"  # Default directory of the results, in DIR
-# Text in place of vertices' errors in flights of the fast preset
+# Message instead of vertex errors in flights of the fast preset
 INEXACT = "the fast preset is 1 to 2 cm off; take the accurate one"
-# Columns of objects; simulation.json has more
-SHOWN = ("name", "placed", "tilted", "turned", "slipped", "free")
-# Figures of a flight that the fast preset does not know, and what they are called
+OBJECT_COLUMNS = ("name", "placed", "tilted", "turned", "slipped", "free")
+# Figures that only exact presets have, and their labels
 ERRORS = {
     "vertex_error": "vertices, sag included [cm]",
     "resting": "  while the plan stands still",
     "moving": "  while it moves",
     "without_sag": "vertices without sag (level part) [cm]",
 }
-MOST_REASONS, MOST_POINTS = 8, 40  # Reasons of a sweep's refusals, and its points, that are listed
+MAX_REASONS, MAX_POINTS = 8, 40  # Maximum numbers of limits and points of a sweep that are listed
 
 
 @command(
@@ -113,12 +112,12 @@ def simulate(
 ) -> None:
     """Simulate the plan in DIR with ropes and drones (needs mujoco).
 
-    Drones follow the plan's setpoints at 100 Hz, of the cables' forces too, and nothing else,
-    unless --feedback corrects them. Vertex errors are distances in three dimensions, sag included.
-    One flight ends with 3 if anything fails: drones touch, a vertex does not hold, an object is
-    touched, dropped or not placed within 3 cm and 5°; or, as not simulated, if the simulation
-    leaves its valid range; with --lose if a survivor touches anything or there is no reaction. A
-    campaign (--runs) ends with 0 and reports the rate of success.
+    Drones follow the plan's setpoints at 100 Hz, including cable forces, without feedback of
+    vertices unless --feedback is set. Vertex errors are distances in three dimensions, including
+    sag. A single flight ends with 3 if drones touch, a vertex does not hold, an object is touched,
+    dropped or not placed within 3 cm and 5°, or the simulation leaves its valid range; with --lose,
+    if a survivor touches anything or there is no reaction. A campaign (--runs) ends with 0 and
+    reports the success rate.
     """
     from hitchopt.simulation.judgement import warnings
     from hitchopt.simulation.settings import settings_of
@@ -132,29 +131,25 @@ def simulate(
     with ProgressBar("reading the plan"):
         task = read_task(directory)
     if lose is not None:
-        settings, task = _lost(directory, settings, task, lose, react=reaction)
+        settings, task = _with_loss(directory, settings, task, lose, react=reaction)
     for warning in warnings(task, settings):
         say(f"note: {warning}")
-    place = directory / RESULTS if output is None else output
+    folder = directory / RESULTS if output is None else output
     if runs is None:
-        _simulate_one(task, settings, place, directory)
+        _simulate_one(task, settings, folder, directory)
         return
     with ProgressBar("flying") as progress:
         campaign = run_campaign(task, settings, runs, processes, progress)
-    save_campaign(place, campaign)
-    content = campaign.to_dict()
-    say(
-        f"{_campaign_tables(campaign)}\nresults are in {place}",
-        directory=str(place),
-        campaign=content,
-    )
+    save_campaign(folder, campaign)
+    message = f"{_campaign_tables(campaign)}\nresults are in {folder}"
+    say(message, directory=str(folder), campaign=campaign.to_dict())
 
 
-def _lost(
+def _with_loss(
     directory: Path, settings: Settings, task: Task, text: str, *, react: bool
 ) -> tuple[Settings, Task]:
-    """Return settings and task of a flight in which a drone is lost, and say how others react."""
-    from hitchopt.live.lost import Reactions, reacting
+    """Return settings and task of a flight with the loss of a drone, and report the reaction."""
+    from hitchopt.live.lost import Reactions, reaction_task
     from hitchopt.motion.plan_file import read_plan
     from hitchopt.simulation.settings import Loss
 
@@ -165,31 +160,31 @@ def _lost(
     with ProgressBar("planning the reaction"):
         reaction = Reactions(read_plan(plan_path(directory))).plan(loss.drone, loss.time)
     say(
-        f"reaction: tension is let go from t = {reaction.begins:.3f} s on, all are on the ground "
+        f"reaction: tension is let go from t = {reaction.start:.3f} s on, all are on the ground "
         f"at {reaction.motion.duration:.3f} s; hovering with its weight takes up to "
         f"{reaction.thrust:.0%} of a thrust"
     )
-    return settings, reacting(task, reaction)
+    return settings, reaction_task(task, reaction)
 
 
-def _simulate_one(task: Task, settings: Settings, place: Path, directory: Path) -> None:
+def _simulate_one(task: Task, settings: Settings, folder: Path, directory: Path) -> None:
     """Simulate, save and report one flight; exit with EXIT_INFEASIBLE unless it succeeded."""
     from hitchopt.motion.plan_file import read_saved_plan
     from hitchopt.simulation.judgement import FAILED, NOT_SIMULATED, UNSIMULATED
-    from hitchopt.simulation.judgement import simulate as simulated
+    from hitchopt.simulation.judgement import simulate as simulate_task
     from hitchopt.simulation.report import ending, save_simulation, summary
 
     with ProgressBar("building ropes") as progress:
-        done = simulated(task, settings, progress)
+        simulation = simulate_task(task, settings, progress)
     saved = read_saved_plan(plan_path(directory))
     with ProgressBar("writing the results"):
-        save_simulation(place, done, saved.motion, saved.title)
-    message = f"{flight_tables(done)}\n\n{ending(done)}; results are in {place}"
-    say(message, directory=str(place), simulation=summary(done))
-    for failure in done.outcome.failures:
-        word = NOT_SIMULATED if failure.kind in UNSIMULATED else FAILED
-        say(f"{word}: t = {failure.time:.2f} s, {failure.words}", err=True)
-    if not done.outcome.succeeded:
+        save_simulation(folder, simulation, saved.motion, saved.title)
+    message = f"{flight_tables(simulation)}\n\n{ending(simulation)}; results are in {folder}"
+    say(message, directory=str(folder), simulation=summary(simulation))
+    for failure in simulation.outcome.failures:
+        status = NOT_SIMULATED if failure.kind in UNSIMULATED else FAILED
+        say(f"{status}: t = {failure.time:.2f} s, {failure.words}", err=True)
+    if not simulation.outcome.succeeded:
         exit_infeasible()
 
 
@@ -197,20 +192,19 @@ def flight_tables(simulation: Simulation) -> str:
     """Return the tables of one flight's vertices, objects and figures."""
     from hitchopt.simulation.report import summary
 
-    content, known, flight = summary(simulation), simulation.figures, simulation.flight
-    exact, near = simulation.settings.preset.exact, content["nearest"]
+    content, figures, flight = summary(simulation), simulation.figures, simulation.flight
+    exact, nearest = simulation.settings.preset.exact, content["nearest"]
     spreads = simulation.spreads
-    figures: dict[str, object] = {}
+    rows: dict[str, object] = {}
     if exact:
-        for name, words in ERRORS.items():
-            figures[words] = spread_text(spreads[name])
-    figures |= {
+        rows |= {label: spread_text(spreads[name]) for name, label in ERRORS.items()}
+    rows |= {
         "drones to their setpoints [cm]": spread_text(spreads["tracking"]),
-        "largest tension [N]": known["peak_tension"],
-        "largest thrust [N]": known["peak_thrust"],
-        "largest tilt [°]": known["peak_tilt"],
+        "largest tension [N]": figures["peak_tension"],
+        "largest thrust [N]": figures["peak_thrust"],
+        "largest tilt [°]": figures["peak_tilt"],
         "stiffness of position loops [N/m]": span_text(flight.gains.stiffness.ravel(), ".3g"),
-        "nearest drones [m]": f"{near['distance']:.3f}, {' and '.join(near['drones'])}",
+        "nearest drones [m]": f"{nearest['distance']:.3f}, {' and '.join(nearest['drones'])}",
         "ropes weigh [g/m]": _grams(content["density"]["simulated"]),
         "  as the plan knows": _grams(content["density"]["planned"]),
         "ropes longer for their bends [mm]": f"≤ {1e3 * flight.longer:.1f}",
@@ -222,42 +216,42 @@ def flight_tables(simulation: Simulation) -> str:
         loss |= {name: [" and ".join(x) for x in loss[name]] for name in ("among", "others")}
         parts.append(quantities("Loss of a drone [s, N, m]", loss))
     if content["objects"]:
-        rows = [{name: each[name] for name in SHOWN} for each in content["objects"]]
-        parts.append(table("Objects, to the plan's, and while carried [m, °]", rows))
-    parts.append(quantities("Flight, errors as mean ± deviation (largest)", figures))
+        objects = [{key: each[key] for key in OBJECT_COLUMNS} for each in content["objects"]]
+        parts.append(table("Objects, to the plan's, and while carried [m, °]", objects))
+    parts.append(quantities("Flight, errors as mean ± deviation (largest)", rows))
     return "\n\n".join(parts if exact else [*parts, f"vertex errors: {INEXACT}"])
 
 
 def _grams(densities: float | list[float]) -> float | str:
-    """Return densities [kg/m] in grams per metre."""
+    """Return a density, or the range of several [kg/m], in grams per metre."""
     if isinstance(densities, float):
         return 1e3 * densities
     return span_text((1e3 * x for x in densities), ".4g")
 
 
 def spread_text(spread: Spread) -> str:
-    """Return mean, deviation and largest value of some errors, in centimetres."""
+    """Return mean, deviation and largest value of errors in centimetres, as text."""
     if not math.isfinite(spread.mean):
         return "none"
     return f"{100 * spread.mean:.1f} ± {100 * spread.deviation:.1f} ({100 * spread.largest:.1f})"
 
 
 def _campaign_tables(campaign: Campaign) -> str:
-    """Return a campaign's success rate, the figures of its runs, and what failed first."""
+    """Return a campaign's success rate, and tables of figures and first failures."""
     (low, high), runs = campaign.interval, campaign.runs
-    exact, lost, rows = campaign.settings.preset.exact, campaign.not_simulated, []
-    for name in max((run.figures for run in runs), key=len):  # none where it could not begin
-        known = [x for run in runs if math.isfinite(x := run.figures.get(name, math.nan))]
-        if known and (exact or not name.startswith(tuple(ERRORS))):
-            row = {"mean": sum(known) / len(known), "largest": max(known)}
+    exact, not_simulated, rows = campaign.settings.preset.exact, campaign.not_simulated, []
+    for name in max((run.figures for run in runs), key=len):  # flights that fail to start have none
+        values = [x for run in runs if math.isfinite(x := run.figures.get(name, math.nan))]
+        if values and (exact or not name.startswith(tuple(ERRORS))):
+            row = {"mean": sum(values) / len(values), "largest": max(values)}
             rows.append({"figure": name.replace("_", " "), **row})
     parts = [
         f"{campaign.successes} of {len(runs)} flights succeeded: "
         f"{campaign.successes / len(runs):.1%} ({low:.1%} to {high:.1%} at 95 %), "
         f"seeds {runs[0].seed} to {runs[-1].seed}, preset {campaign.settings.preset.name}"
     ]
-    if lost:
-        parts.append(f"{lost} could not be simulated and count as not succeeded")
+    if not_simulated:
+        parts.append(f"{not_simulated} could not be simulated and count as not succeeded")
     parts += [] if exact else [f"vertices: {INEXACT}"]
     parts.append(table("All flights [m, N, °]", rows))
     if campaign.failures:
@@ -274,35 +268,35 @@ def _campaign_tables(campaign: Campaign) -> str:
 def sweep(study: Path, output: Path | None, workers: int | None, scheduler: str | None) -> None:
     """Plan or simulate every case of STUDY.yaml (needs dask.distributed).
 
-    Every result is a line of DIR/rows.jsonl, written as it arrives. The same command goes on where
-    an earlier one has ended: only what is missing is computed. Where STUDY is the DIR of a sweep,
-    nothing is.
+    Every result is saved at once as a line of DIR/rows.jsonl. The same command continues an
+    interrupted sweep: only missing rows are computed. If STUDY is the DIR of a sweep, its results
+    are shown.
     """
-    from hitchopt.sweeps.sweep import PICTURE, drawn_sweep, outcomes, read_study, summary
+    from hitchopt.sweeps.sweep import PICTURE, draw_sweep, outcomes, read_study, summary
     from hitchopt.view.style import atomic_write, save_figure
 
-    place = study if study.is_dir() else Path(study.stem) if output is None else output
+    folder = study if study.is_dir() else Path(study.stem) if output is None else output
     if not study.is_dir():
         with ProgressBar("starting workers") as progress:
-            ho.run_sweep(study, place, workers=workers, scheduler=scheduler, progress=progress)
-    rows = ho.load_sweep(place)
-    sweep, points = summary(rows, len(read_study(place)["cases"])), outcomes(rows)
-    say(_sweep_tables(sweep, points), directory=str(place), summary=asdict(sweep), points=points)
-    if (figure := drawn_sweep(points)) is not None:
-        with atomic_write(place / PICTURE) as path:
+            ho.run_sweep(study, folder, workers=workers, scheduler=scheduler, progress=progress)
+    rows = ho.load_sweep(folder)
+    sweep, points = summary(rows, len(read_study(folder)["cases"])), outcomes(rows)
+    say(_sweep_tables(sweep, points), directory=str(folder), summary=asdict(sweep), points=points)
+    if (figure := draw_sweep(points)) is not None:
+        with atomic_write(folder / PICTURE) as path:
             save_figure(figure, path)
-        say(f"drawn in {place / PICTURE}")
-    say(f"rows are in {place}; ho.load_sweep returns them for pandas")
+        say(f"drawn in {folder / PICTURE}")
+    say(f"rows are in {folder}; ho.load_sweep returns them for pandas")
 
 
 def _sweep_tables(sweep: Summary, points: list[dict[str, Any]]) -> str:
-    """Return the outcome of a sweep's points, and its summary."""
-    binding = [{"limit": name, "rows": count} for name, count in sweep.binding[:MOST_REASONS]]
+    """Return the results of a sweep's points, and its totals."""
+    binding = [{"limit": name, "rows": count} for name, count in sweep.binding[:MAX_REASONS]]
     parts = [table("What bound", binding)] if binding else []
-    parts.append(table("Plans", points[:MOST_POINTS]))
-    parts += [f"{len(points) - MOST_POINTS} more"] if len(points) > MOST_POINTS else []
+    parts.append(table("Plans", points[:MAX_POINTS]))
+    parts += [f"{len(points) - MAX_POINTS} more"] if len(points) > MAX_POINTS else []
     count, share = f"{sweep.planned.rows} of {sweep.cases} rows", sweep.planned
-    parts.append(f"{count}; planned: {share.count} of {share.rows}")  # no sample: no interval
+    parts.append(f"{count}; planned: {share.count} of {share.rows}")  # not a random sample
     if sweep.succeeded is not None:
         parts.append(f"simulated flights that succeeded: {sweep.succeeded}")
     return "\n\n".join(parts)
