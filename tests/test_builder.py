@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from matplotlib import pyplot
 
 import hitchopt as ho
-from hitchopt.api import ALONE
-from hitchopt.errors import LONGEST, OneLine, broken_limit, short
+from hitchopt.api import STEP_FUNCTIONS
+from hitchopt.errors import MAX_REPR, OneLine, broken_limit, short
 from hitchopt.steps import STEPS
 
 TRIANGLE = [[0.3, -0.8], [-0.1, 0.7], [0.7, 0.7]]
@@ -45,8 +45,8 @@ def stub(owner: str) -> dict[str, ast.FunctionDef]:
 def test_methods_and_functions_have_the_arguments_of_their_records() -> None:
     """The stub declares what is made: a method for every step, some functions."""
     assert stub("Mission").keys() == {kind.name for kind in STEPS}
-    assert stub("").keys() == {kind.name for kind in ALONE}
-    for kind, owner in [(k, "Mission") for k in STEPS] + [(k, "") for k in ALONE]:
+    assert stub("").keys() == {kind.name for kind in STEP_FUNCTIONS}
+    for kind, owner in [(k, "Mission") for k in STEPS] + [(k, "") for k in STEP_FUNCTIONS]:
         begun = ["team", "q", "r"] if kind.needs_hitch is False else ["start"]
         given = [f for f in dataclasses.fields(kind) if owner or f.name != "blend"]
         names = [*(["self"] if owner else begun), *(field.name for field in given)]
@@ -201,7 +201,7 @@ def test_every_public_record_is_written_on_one_line_whatever_its_values(values: 
     assert all(getattr(kind, "__repr__") is OneLine.__repr__ for kind in records)  # noqa: B009
     names = [f"field_{i}" for i in range(len(values))]
     text = repr(dataclasses.make_dataclass("Record", names, bases=(OneLine,))(*values))
-    assert len(text) <= LONGEST
+    assert len(text) <= MAX_REPR
     assert len(text.splitlines()) == 1
     assert text.startswith("Record(")
 
@@ -225,7 +225,7 @@ def test_records_are_written_in_their_own_words() -> None:
     states = plan.at([0.0, 1.0])
     parts = (plan.phases[0], ho.closest(plan), plan.certificate, plan.certificate["speed"])
     for part in (error, plan.motion, plan.motion.drones, states, *parts):
-        assert len(repr(part)) <= LONGEST
+        assert len(repr(part)) <= MAX_REPR
 
 
 @pytest.mark.parametrize(

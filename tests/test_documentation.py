@@ -36,7 +36,7 @@ from hitchopt.cli import main
 from hitchopt.cli.failures import EXIT_INFEASIBLE, EXIT_USAGE
 from hitchopt.cli.planning import PACKAGE, problem_text
 from hitchopt.mission.loading import problem_schema
-from hitchopt.storage.interrupts import INTERRUPTED
+from hitchopt.storage.interrupts import EXIT_INTERRUPTED
 from hitchopt.sweeps.study import STUDY, StudyKeys
 from hitchopt.values.fields import keys_of
 
@@ -261,7 +261,7 @@ def test_exit_codes_and_public_names_have_their_places() -> None:
         0,
         EXIT_USAGE,
         EXIT_INFEASIBLE,
-        INTERRUPTED,
+        EXIT_INTERRUPTED,
         128 + signal.SIGTERM,
     ]
     listed = re.findall(r"^   (\w+)$", text_of(DOCS / "reference" / "api.md"), re.MULTILINE)

@@ -65,7 +65,7 @@ def steps() -> Iterator[tuple[Callable[..., object], dict[str, Any]]]:
         given = arguments(kind)
         if kind is ho.Settle:
             continue
-        if kind in api.ALONE:
+        if kind in api.STEP_FUNCTIONS:
             free = kind.needs_hitch is False
             start = {"team": TEAM, "q": Q, "r": R} if free else {"start": START}
             alone = {name: value for name, value in given.items() if name != "blend"}
@@ -209,7 +209,7 @@ REFUSED: list[Refusal] = [
     (lambda: parse_problem(written("34"), "x.yaml", Path()), "team.quadrotor.mass", "meant, 0.034"),
     (lambda: parse_problem(written("0.1, gains: {kp: 1}")), "team.quadrotor.gains", "= {'kp': [1"),
     (lambda: ho.Team(3, "2.4 m"), "cable_length", "(one per robot); give a plain number in SI"),
-    (lambda: ho.solve({}), "problem", "make one of a dict with problem_from_dict"),  # type: ignore[arg-type]
+    (lambda: ho.solve({}), "problem", "convert a dict with problem_from_dict"),  # type: ignore[arg-type]
     (lambda: ho.form(TEAM, Q[:2], R, TRIANGLE), "q", "2 points"),
     (lambda: CRATE.enclose("crat"), "mission[0].enclose.object", "did you mean crate?"),
     (lambda: ho.closest(PLAN, 1, "c.txt"), "picture", "a name in .png, .svg or .pdf"),

@@ -22,7 +22,7 @@ import numpy as np
 
 from hitchopt.errors import FileError, HitchoptError, InputError, UnsupportedError
 from hitchopt.storage.files import parsed_json
-from hitchopt.storage.tables import ADVICE, numeric_table, text_lines, with_points
+from hitchopt.storage.tables import COMMA_REMEDY, numeric_table, text_lines, with_decimal_point
 from hitchopt.values import Array
 
 FLATNESS = 1e-4
@@ -176,7 +176,7 @@ def _read_dxf(path: Path, notes: list[str]) -> Lines:
         drawing = ezdxf.readfile(str(path))
     except (OSError, ValueError, ezdxf.DXFError):  # perhaps a byte order mark, or commas
         text = list(text_lines(path))
-        text[1::2] = map(with_points, text[1::2])  # a code and its value take a line each
+        text[1::2] = map(with_decimal_point, text[1::2])  # a code and its value take a line each
         drawing = ezdxf.read(io.StringIO("\n".join(text)))
     if not 0 <= drawing.units <= max(units.InsertUnits):
         bound = f"a drawing in a known unit, and not $INSUNITS = {drawing.units}"
@@ -238,7 +238,7 @@ def _read_table(path: Path, notes: list[str]) -> Lines:  # noqa: ARG001
     table = numeric_table(partial(text_lines, path), str(path))
     if table.width != 2:
         words = f"an outline is a list of points x, y, one on each line, not {table.width} numbers"
-        raise ValueError(f"{words}; {ADVICE}" if table.width == 4 else words)
+        raise ValueError(f"{words}; {COMMA_REMEDY}" if table.width == 4 else words)
     points = table.numbers([0, 1])
     return [np.concatenate([points, points[:1]])]
 

@@ -43,7 +43,7 @@ from hitchopt.motion.motion import (
 from hitchopt.motion.retiming import shifted
 from hitchopt.objects import Rim, Section, SolidObject
 from hitchopt.objects.placing import STILL, check_apart, poses_of
-from hitchopt.storage.archive import BROKEN, PLAN, read_arrays
+from hitchopt.storage.archive import PLAN, READ_ERRORS, read_arrays
 from hitchopt.storage.files import digest
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import text
@@ -284,7 +284,7 @@ def read_saved_plan(path: Path) -> SavedPlan:
         if not isinstance(settings, dict):
             raise InputError("settings", settings, "a mapping", "use a plan that hitchopt wrote")
         return _saved_plan(path, settings) if version == FORMAT else _saved_several(path, settings)
-    except BROKEN as error:
+    except READ_ERRORS as error:
         reason = f"not a plan that hitchopt wrote, or a damaged one: {error or repr(error)}"
         if isinstance(error, FileNotFoundError | NotADirectoryError):
             holds = f", {path.parent} holds no plan" if path.name == PLAN else ""

@@ -19,7 +19,7 @@ from hitchopt.errors import FileError
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import read_plan
 from hitchopt.motion.states import states_at
-from hitchopt.storage.archive import BROKEN, PLAN, RECORDING, read_arrays
+from hitchopt.storage.archive import PLAN, READ_ERRORS, RECORDING, read_arrays
 from hitchopt.values import Array
 from hitchopt.view.cables import MIN_RADIUS, POINTS, THICKNESS, cable_curves
 from hitchopt.view.shapes import Appearance
@@ -121,7 +121,7 @@ def ghost_scene(path: Path, motion: Motion) -> Scene:
         return scene_of(read_plan(path))
     try:
         arrays = read_arrays(path, ("t", "nodes", "cables", "poses"))
-    except BROKEN as error:
+    except READ_ERRORS as error:
         raise FileError(f"{path}: not the recording of a flight: {error}") from error
     first, t = arrays["cables"], arrays["t"]
     if (

@@ -89,7 +89,7 @@ def test_any_commands_keep_the_balance(kind: str) -> None:
 
 def test_a_rate_at_which_nothing_can_be_carried_is_refused() -> None:
     player = Player(plan("drum"), 0.5)
-    with pytest.raises(ho.InfeasibleError, match=r"no change of .* carried has inertia"):
+    with pytest.raises(ho.InfeasibleError, match=r"no change of .* held object has inertia"):
         player.rate(0.5)
     assert player.clock_rate == 1.0
 

@@ -1,4 +1,4 @@
-"""How commands run."""
+"""Run commands in tests."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""export and lint as a user types them."""
+"""The commands export and lint."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_every_format_there_and_back(name: str, plan: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_lost_limit_ends_with_3_and_what_would_do(
+def test_an_export_that_violates_a_limit_ends_with_3(
     plan: Path, place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(exporting, "SLOWER", ())
@@ -109,7 +109,7 @@ def test_frames_origin_yaw_fleet_and_the_usual_place(plan: Path, place: Path) ->
         ("", "--format = (missing): must be given with DIR"),
     ],
 )
-def test_usage_that_is_wrong_ends_with_2(
+def test_invalid_export_usage_ends_with_2(
     arguments: str, reported: str, plan: Path, place: Path
 ) -> None:
     words = arguments.split()
@@ -118,7 +118,7 @@ def test_usage_that_is_wrong_ends_with_2(
     assert list(place.iterdir()) == []
 
 
-def test_lint_reports_what_would_go_wrong_and_what_is_somebody_elses_stays(plan: Path) -> None:
+def test_lint_reports_errors_and_foreign_files_stay(plan: Path) -> None:
     run("export", plan, "--format", "crazyswarm2", "-o", "files")
     done = run("lint", "files", "--speed", "0.1", "--radius", "2", code=3)
     assert "error: speed: " in done.stderr
@@ -135,7 +135,7 @@ def test_lint_reports_what_would_go_wrong_and_what_is_somebody_elses_stays(plan:
         assert Path(name).read_text() == "mine"
 
 
-def test_a_show_has_limits_of_its_own_and_holds_the_tension_where_asked(plan: Path) -> None:
+def test_shows_declare_limits_and_hold_the_tension_on_request(plan: Path) -> None:
     run("export", plan, "--format", "skybrush", "-o", "files")
     said = run("lint", "files", code=0).stdout
     assert re.search(r"maxVelocityXY \[m/s\], the show's own +0\.\d+ +0\.3\n", said)

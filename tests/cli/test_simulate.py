@@ -156,7 +156,9 @@ REAL = "--cable-length 2.39,2.41,2.4 --density 0.004 --load 0.002 --stiffness 8"
         ),
     ],
 )
-def test_what_rests_is_what_python_says(settling: Path, options: str, conditions: Options) -> None:
+def test_statics_agrees_with_the_python_interface(
+    settling: Path, options: str, conditions: Options
+) -> None:
     result = run("statics", settling, *options.split(), code=0)
     plan, ranges = ho.load(settling), None
     if "cable_error" in conditions:
@@ -187,7 +189,7 @@ def test_slack_cables_end_with_3_and_integrals_are_warned_of(settling: Path) -> 
     assert result.stdout.count("may be") == 3
 
 
-def test_what_solve_writes_replaces_an_earlier_answer(settling: Path) -> None:
+def test_solve_replaces_earlier_statics(settling: Path) -> None:
     run("statics", settling, "--at", "0", code=0)
     (settling / "mine.txt").write_text("mine")
     ho.load(settling).save(settling)

@@ -52,7 +52,7 @@ def test_swarms_are_planned_as_before(path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", INFEASIBLE, ids=lambda path: path.stem)
-def test_infeasible_problems_end_with_3_and_say_what_binds(path: Path) -> None:
+def test_infeasible_problems_end_with_3_and_name_the_limits(path: Path) -> None:
     result = run("solve", path, "-o", "out", "--no-repair", code=3)
     binds = header(path, "Binds")
     told = [line for line in result.stderr.splitlines() if line.startswith("error: ")]
@@ -92,7 +92,7 @@ def test_check_repeats_the_certificate_from_the_plan_alone(place: Path) -> None:
     assert (place / "out-csv").is_dir()
 
 
-def test_a_robot_that_joins_is_checked_and_what_knows_one_ring_is_refused() -> None:
+def test_joining_robots_are_checked_and_commands_for_one_ring_refused() -> None:
     planned("join_a_fourth").save("out", rate=5.0)
     told = run("check", "out", "--closest", code=0)
     assert told.stderr == ""  # no drone is below the ground
@@ -123,7 +123,7 @@ def test_a_limit_ends_solve_and_search_with_a_diagnosis(monkeypatch: pytest.Monk
     assert note in diagnosis()["message"]
 
 
-def test_a_refusal_says_what_would_mend_it(place: Path) -> None:
+def test_a_refusal_suggests_changes(place: Path) -> None:
     result = run("solve", CLOSE, "-o", "out", code=3)
     told = [line for line in result.stderr.splitlines() if line.startswith("suggested change: ")]
     found = diagnosis()
@@ -158,7 +158,7 @@ def test_interrupts_are_quiet_and_leave_the_diagnosis(monkeypatch: pytest.Monkey
 
 
 @pytest.mark.slow
-def test_the_directory_tells_the_last_solve(place: Path) -> None:
+def test_the_directory_has_the_files_of_the_last_solve(place: Path) -> None:
     said = run("solve", TRIANGLE, "-o", "out", "--rate", "5", code=0).stdout
     assert said.splitlines()[-1] == "certified; the plan is in out"
     certificate = json.loads(Path("out/certificate.json").read_text())

@@ -1,4 +1,4 @@
-"""What people and scripts see: usage, errors, signals, JSON, examples, tables and progress."""
+"""Usage, errors, signals, JSON, examples, tables and progress of the command line."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ import hitchopt as ho
 from hitchopt.checks.certificate import GROUPS
 from hitchopt.checks.registry import REPORTS, RULES
 from hitchopt.cli.failures import SafeGroup
-from hitchopt.cli.output import ProgressBar, certificate_table, done_of, phase_table, say, table
+from hitchopt.cli.output import ProgressBar, certificate_table, phase_table, progress_in, say, table
 from hitchopt.cli.planning import MODELINE, example_files
 from hitchopt.exports.options import HOMES
 from hitchopt.hitch.team import MODELS
@@ -68,7 +68,7 @@ RATE = "error: --rate = {}: must be above 0 and at most 10000 Hz"
         ("init --example xyz", "hitchopt init --list names them"),
         ("sovle x.yaml", "error: No such command 'sovle'. Did you mean 'solve'?"),
         ("solve x.yaml --repot", "'--report'"),
-        ("export", "\nskybrush_csv       A zip of positions"),
+        ("export", "\nskybrush_csv       A zip of sampled positions"),
         ("export out", "error: --format = (missing): must be given with DIR"),
         ("fly out", "error: Missing option '--over'. Choose from:"),
         ("view .", "error: plan.npz: there is no such file, . holds no plan"),
@@ -88,12 +88,12 @@ RATE = "error: --rate = {}: must be above 0 and at most 10000 Hz"
         *((f"init {name}", "error: ") for name in ("''", ".", "/", "missing/x", "x" * 300)),
     ],
 )
-def test_wrong_usage_ends_with_2(words: str, told: str, place: Path) -> None:
+def test_invalid_usage_ends_with_2(words: str, told: str, place: Path) -> None:
     assert told in refused(*(word.strip("'") for word in words.split()))
     assert list(place.iterdir()) == []
 
 
-def test_what_is_in_the_way_is_told(place: Path) -> None:
+def test_files_in_the_way_are_reported(place: Path) -> None:
     (place / "triangle").write_text("mine")
     for words in ([], ["-o", "triangle/out"]):
         assert "triangle is not a directory that may" in refused("solve", TRIANGLE, *words)
@@ -191,7 +191,7 @@ def test_signals_wait_until_pydantic_has_built_a_model() -> None:
             signal.raise_signal(signal.SIGINT)
             return core_schema.any_schema()
 
-    @interrupts.ending_signals()
+    @interrupts.exit_on_signals()
     def build_and_wait() -> None:
         built.append(pydantic.create_model("Model", noisy=(Noisy, ...)))
         threading.Event().wait(10.0)
@@ -235,7 +235,7 @@ def test_errors_become_exit_codes(
         except KeyboardInterrupt:
             raise SystemError("returned a result with an exception set") from None
 
-    monkeypatch.setattr(interrupts, "_shielded", lambda _: False)
+    monkeypatch.setattr(interrupts, "_is_deferred", lambda _: False)
     result = CliRunner().invoke(group, ["fail"])
     assert result.exit_code == code
     assert isinstance(result.exception, ZeroDivisionError if code == 1 else SystemExit)
@@ -305,7 +305,7 @@ def test_a_reader_that_has_left_changes_nothing(place: Path) -> None:
 
 
 @pytest.mark.slow
-def test_results_are_one_object_and_what_may_take_long_reports_progress() -> None:
+def test_results_are_one_json_object_and_slow_commands_report_progress() -> None:
     def object_of(words: str) -> Any:
         done = run(*words.split(), "--json", "-v")
         assert " s  " in done.stderr, words
@@ -446,7 +446,7 @@ def test_tables_have_four_digits_and_fit_80_columns(monkeypatch: pytest.MonkeyPa
     assert "as fast as" not in shown
 
 
-def test_what_holds_has_no_column_and_what_binds_is_told() -> None:
+def test_certified_plans_have_no_column_of_verdicts_and_binding_limits_are_named() -> None:
     held = ho.Certificate(1.0, tuple(check for check in CERTIFICATE.checks if check.holds))
     shown = certificate_table(held)
     assert held.binding == ("jerk", "speed")
@@ -458,7 +458,7 @@ def test_what_holds_has_no_column_and_what_binds_is_told() -> None:
         held["speeed"]
 
 
-def test_words_wrap_and_numbers_do_not(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_text_wraps_and_numbers_do_not(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "30")
     words = "a q-leg that is too long for its column"
     lines = table("T", [{"name": "one", "why": words, "of": 1234.5678}]).splitlines()
@@ -513,4 +513,4 @@ def test_a_terminal_sees_a_bar_filled_by_counts_and_a_file_none(
         ("splitting the slack", (None, None)),
         ("0 of 0 done", (None, None)),
     ):
-        assert done_of(message) == done
+        assert progress_in(message) == done

@@ -1,4 +1,4 @@
-"""Plans to export: off the origin, unequal cables and masses, an arena; swarms; long ones."""
+"""Plans for exports: off the origin, unequal cables and masses, an arena; swarms; long plans."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.checks.certificate import Check
-from hitchopt.exports.exporting import FLOWN, Export, export_motion
+from hitchopt.exports.exporting import EXPORT_RULES, Export, export_motion
 from hitchopt.exports.format import Task, format_of
 from hitchopt.exports.options import ExportOptions
 from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet
@@ -51,7 +51,7 @@ def hitch_plan() -> Motion:
 
 def flown_checks(motion: Motion) -> dict[str, Check]:
     """The checks of exports for the plan itself, by name."""
-    found = {rule.name: rule.check(motion, exported=True) for rule in FLOWN}
+    found = {rule.name: rule.check(motion, exported=True) for rule in EXPORT_RULES}
     return {name: check for name, check in found.items() if check is not None}
 
 

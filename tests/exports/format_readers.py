@@ -1,4 +1,4 @@
-"""A reader of every format that knows nothing of hitchopt, as fleets and scripts read the files."""
+"""Readers of every format that are independent of hitchopt."""
 
 from __future__ import annotations
 

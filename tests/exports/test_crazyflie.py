@@ -49,7 +49,7 @@ from hitchopt.plan import Plan
 from problems.swarm import reversed_stack
 
 
-def test_the_drone_s_memory_holds_what_cflib_packs(tmp_path: Path) -> None:
+def test_the_bytes_are_those_of_cflib(tmp_path: Path) -> None:
     (part,) = exported(hitch_plan(), "crazyswarm2", tmp_path, yaw=0.25)
     for path in sorted(tmp_path.glob("*.csv")):
         table, data = np.loadtxt(path, delimiter=",", skiprows=1, comments="#"), b""
@@ -82,7 +82,7 @@ def test_cflib_packs_the_same_bytes(tmp_path: Path) -> None:
         assert packed + bytes(CompressedSegment(0.0, [], [], [], []).pack()) == data
 
 
-def test_what_rests_takes_two_rows_and_no_bytes(tmp_path: Path) -> None:
+def test_resting_drones_take_two_rows_and_no_bytes(tmp_path: Path) -> None:
     places = np.array([[[0.0, 0.0, 1.0]], [[0.4, 0.0, 1.0]]])
     moving, still = (swarm_of(p, np.array([0.0, 3.0])) for p in (places, places[[0, 0]]))
     exported(moving, "compressed", tmp_path)
@@ -96,7 +96,7 @@ def test_what_rests_takes_two_rows_and_no_bytes(tmp_path: Path) -> None:
     assert part.verdict.duration == pytest.approx(3.0, abs=1e-3)
 
 
-def test_what_memory_does_not_hold_is_refused(tmp_path: Path) -> None:
+def test_plans_that_exceed_memory_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InfeasibleError, match=r"range: 3.* limit of 32\.767 m"):
         exported(swarm_plan(), "compressed", tmp_path / "out", origin=[31.0, 0.0, 0.0])
     with pytest.raises(InfeasibleError, match=r"limit of 31 pieces(.|\n)*it: format=ros2bag"):
@@ -188,7 +188,7 @@ def test_robots_fly_their_roles_else_their_names(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path, data, ("q0", "r0"))
     told = [(m.role, m.name, m.type) for m in fleet.members]
     assert told == [("q0", "q0", "cf21"), ("r0", "cf7", "default")]
-    assert (fleet.types, fleet.settings, fleet.given) == ({"cf21": {}}, {"a": 1}, True)
+    assert (fleet.types, fleet.settings, fleet.is_placeholder) == ({"cf21": {}}, {"a": 1}, False)
 
 
 MISTAKES: list[tuple[str, str, dict[str, object] | None, str]] = [
@@ -229,7 +229,7 @@ def parts(tmp_path_factory: pytest.TempPathFactory) -> tuple[Export, ...]:
 
 
 @pytest.mark.slow
-def test_what_is_too_long_is_cut_at_rests(parts: tuple[Export, ...], tmp_path: Path) -> None:
+def test_long_plans_are_cut_at_rests(parts: tuple[Export, ...], tmp_path: Path) -> None:
     motion, home = planned("tie_carry_untie").motion, parts[0].folder.parent
     checked = [{check.name for check in part.verdict.checks} for part in parts]
     assert all({"separation", "cable_clearance"} <= names for names in checked)
@@ -263,7 +263,7 @@ def test_what_is_too_long_is_cut_at_rests(parts: tuple[Export, ...], tmp_path: P
     assert [p for p in later.iterdir() if p.is_dir()] == []
 
 
-def test_drones_that_start_below_one_another_are_told_of(tmp_path: Path) -> None:
+def test_stacked_starts_are_reported(tmp_path: Path) -> None:
     motion = ho.solve(any_problem_from_dict(reversed_stack(3))).motion
     (part,) = exported(motion, "crazyswarm2", tmp_path)
     assert any("would take off from one place" in note for note in part.notes)
@@ -423,7 +423,7 @@ def from_the_floor() -> Motion:
     return swarm_of(places, np.array([0.0, 3.0]))
 
 
-FLOWN: dict[str, tuple[Callable[[], Motion], list[str]]] = {
+EXPORT_RULES: dict[str, tuple[Callable[[], Motion], list[str]]] = {
     "in the air": (hitch_plan, ["takeoff", "goTo"]),
     "on the floor": (from_the_floor, []),
 }
@@ -431,12 +431,12 @@ FLOWN: dict[str, tuple[Callable[[], Motion], list[str]]] = {
 
 
 @pytest.mark.parametrize("kind", [Craft, OldCraft])
-@pytest.mark.parametrize("begins", FLOWN)
+@pytest.mark.parametrize("begins", EXPORT_RULES)
 def test_a_whole_plan_from_take_off_to_landing(
     begins: str, kind: type[Craft], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Drones on the floor are armed at last: the trajectory begins right after it."""
-    plan, before = FLOWN[begins]
+    plan, before = EXPORT_RULES[begins]
     exported(plan(), "crazyswarm2", tmp_path)
     show = Show(tmp_path, kind, 0.03 if before else 0.0)
     show.run(monkeypatch, tmp_path / "fly.py")
@@ -534,7 +534,7 @@ def test_lint_reads_the_parameters_and_markers_of_robots(tmp_path: Path) -> None
     assert not [f for f in lint(tmp_path)[0].findings if f.rule == "parameters"]
 
 
-def test_what_to_look_at_is_said_alike_everywhere(tmp_path: Path) -> None:
+def test_the_checklist_is_the_same_everywhere(tmp_path: Path) -> None:
     exported(hitch_plan(), "crazyswarm2", tmp_path)
     page = (ROOT / "docs/how_to/before_you_fly.md").read_text(encoding="utf-8")
     ten = re.findall(r"^(\d+\. .*)$", page.partition("## Checklist")[2], re.MULTILINE)

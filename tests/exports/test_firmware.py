@@ -1,4 +1,4 @@
-"""Parameters of firmwares: what the laws do with them is what the team's position loops say."""
+"""Parameters of firmwares: control laws with them are equal to the team's position loops."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def test_drones_of_one_shape_turn_as_the_stock_crazyflie_does(mass: float, lift:
     assert lee["KR_x"] / lee["J_x"] == pytest.approx(0.007 / 16.57e-6, rel=1e-4)
 
 
-def test_what_nobody_names_is_left_to_the_pilot() -> None:
+def test_unnamed_controllers_are_left_to_the_pilot() -> None:
     assert CONTROLLERS == {"pid": 1, "mellinger": 2, "lee": 5}  # stabilizer.controller
     filter_alone = {
         "stabilizer": {"estimator": 2, "controller": 2},
@@ -195,7 +195,7 @@ REFUSED: list[tuple[str, ho.Quadrotor, dict[str, Any], str]] = [
 
 
 @pytest.mark.parametrize(("name", "kind", "options", "words"), REFUSED)
-def test_what_would_be_lost_is_refused(
+def test_settings_that_lose_the_tension_are_refused(
     name: str, kind: ho.Quadrotor, options: dict[str, Any], words: str, tmp_path: Path
 ) -> None:
     with pytest.raises(ho.InputError) as caught:

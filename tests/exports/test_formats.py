@@ -1,4 +1,4 @@
-"""The file is the plan: every format, read by what knows nothing of hitchopt, and by the lint."""
+"""Exported files agree with the plan, by independent readers and by lint."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_the_file_is_the_plan(name: str, frame: str, motion: str, tmp_path: Path
     kind, team = format_of(name), plan.team
     (part,) = exported(plan, name, tmp_path, frame=frame, **PLACE)
     verdict = part.verdict
-    assert verdict.lost == ()
+    assert verdict.violated == ()
     assert verdict.position.worst <= kind.accuracy <= 2e-3
     read = READERS[name](tmp_path, team.drone_names, np.linspace(0.0, plan.duration, 80))
     assert -1e-8 <= read.t[-1] - plan.duration < 0.05
@@ -113,7 +113,7 @@ def test_the_file_is_the_plan(name: str, frame: str, motion: str, tmp_path: Path
 )
 def test_refitted_problems_lose_nothing(stem: str, name: str, tmp_path: Path) -> None:
     (part,) = exported(planned(stem).motion, name, tmp_path)
-    assert part.verdict.lost == ()
+    assert part.verdict.violated == ()
 
 
 @pytest.mark.parametrize(
@@ -123,7 +123,7 @@ def test_a_robot_that_joins_is_exported_over_the_whole_time(name: str, tmp_path:
     motion, slower = planned("join_a_fourth").motion, 1.02 if name == "crazyswarm2" else 1.0
     parts = exported(motion, name, tmp_path, stretch=slower)  # 31 pieces take some speed
     for part in parts:
-        assert part.verdict.lost == ()
+        assert part.verdict.violated == ()
         assert len(read_manifest(part.folder)["drones"]) == 8
     assert "crossing" in {check.name for part in parts for check in part.verdict.checks}
     assert parts[-1].begins + parts[-1].verdict.duration == pytest.approx(
@@ -155,7 +155,7 @@ def test_an_export_that_enters_a_prism_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["parquet", "ros2bag"])
-def test_a_missing_library_says_what_to_install(
+def test_a_missing_library_is_named_with_its_installation(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for module in ("pyarrow", "rosbags.rosbag2"):
@@ -279,7 +279,7 @@ def test_trajectories_and_paths_of_a_bag_are_those_of_its_setpoints(tmp_path: Pa
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
 @pytest.mark.parametrize("distro", [None, "humble", "iron", "jazzy"])
-def test_bags_are_what_a_release_reads(distro: str | None, storage: str, tmp_path: Path) -> None:
+def test_bags_are_readable_by_releases(distro: str | None, storage: str, tmp_path: Path) -> None:
     """Humble and Iron read profiles of quality of service as text: a list stops them. What is
     written if nobody says which release is read by all of them."""
     asked: dict[str, Any] = {} if distro is None else {"ros_distro": distro}

@@ -1,4 +1,4 @@
-"""Set points that hold the tension: drones that fly by them are where the plan says."""
+"""Set points that hold the tension: drones that track them follow the plan."""
 
 from __future__ import annotations
 
@@ -66,11 +66,11 @@ def test_drones_that_fly_by_them_are_where_the_plan_says(plan: ho.Plan) -> None:
     held = held_tension(plan.motion)
     t = np.linspace(0.0, plan.duration, 30)
     away = np.linalg.norm(flown(plan.motion, held, t) - plan.at(t).positions, axis=-1)
-    assert np.max(away) < held.miss + 1e-6
-    assert held.miss < 1e-4
+    assert np.max(away) < held.error + 1e-6
+    assert held.error < 1e-4
     # Set points that are moved as at rest only miss the plan by far more.
     still = plan.motion.drones.at(t) - states_at(plan.motion, t).cable_forces / 4.75
-    assert np.max(np.linalg.norm(held.motion.drones.at(t) - still, axis=-1)) > 20 * held.miss
+    assert np.max(np.linalg.norm(held.motion.drones.at(t) - still, axis=-1)) > 20 * held.error
 
 
 def test_at_rest_they_are_moved_outward_by_the_tension_over_the_stiffness(plan: ho.Plan) -> None:

@@ -149,7 +149,7 @@ DAMAGE: dict[str, list[tuple[Change, str]]] = {
         (point(1, [0, 0, 1e300]), r"goes 1e\+300 m from"),
     ],
     "skybrush_csv/show.zip": [
-        (content(b"PK\x03\x04" + bytes(200)), "is no zip of CSV files"),
+        (content(b"PK\x03\x04" + bytes(200)), "is not a valid zip of CSV files"),
         (zipped("a,b,c\n1,2,3\n"), r"no line of columns' names with Time \[msec\], x \[m\]"),
         (zipped(f"{HEADER}\n0,0,0,1,0,0,0\n"), "has 1 rows"),
         (zipped(f"{HEADER}\n50,0,0,1,0,0,0\n50,0,0,1,0,0,0\n"), "repeats the time t = 0.05 s"),
@@ -159,7 +159,7 @@ DAMAGE: dict[str, list[tuple[Change, str]]] = {
         (rows(lambda s: [*s[:-1], "0,0"]), "has 2 cells, not 16; is it cut off"),
         (cell(4, 1, "0.123"), "its times are not those of Drone 1"),
     ],
-    "ros2bag/setpoints.mcap": [(content(None), "is no bag, or a damaged one")],
+    "ros2bag/setpoints.mcap": [(content(None), "is not a valid bag")],
     "csv/setpoints_enu.csv": [
         (text("t,drone,x", "t,drone,q"), "has no 'x', but"),
         (text("d1", "d7"), "are not one per drone"),
@@ -215,7 +215,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("name", "change", "words", "readable"), CASES)
-def test_damage_is_refused_and_flaws_are_found_by_name(
+def test_damaged_files_are_refused_and_flaws_are_named(
     name: str, change: Change, words: str, readable: bool, exports: Path, tmp_path: Path
 ) -> None:
     kind, file = name.split("/")
@@ -284,13 +284,11 @@ def test_any_damage_is_reported_or_refused(name: str, exports: Path, tmp_path: P
         ({"a.skyc": "", "b.skyc": ""}, "2 of skybrush.; name one"),
         ({"one.bag": "", "two.bag": "", "c.dae": ""}, r"it holds \.bag, \.dae"),
         ({"plan.npz": ""}, "hitchopt check"),
-        ({"metadata.yaml": "no bag"}, "is no bag"),
-        ({"export.json": "{"}, "is no manifest"),
+        ({"metadata.yaml": "no bag"}, "is not a valid bag"),
+        ({"export.json": "{"}, "is not a valid manifest"),
     ],
 )
-def test_unknown_files_are_refused_in_words(
-    files: dict[str, str], told: str, tmp_path: Path
-) -> None:
+def test_unknown_files_are_refused(files: dict[str, str], told: str, tmp_path: Path) -> None:
     for name, contents in files.items():
         (tmp_path / name).write_text(contents)
     with pytest.raises(FileError, match=told):
@@ -372,7 +370,7 @@ FLAWS: dict[str, tuple[list[Any], Rules, str]] = {
 
 
 @pytest.mark.parametrize("name", FLAWS)
-def test_each_rule_is_broken_by_what_breaks_it(
+def test_each_rule_detects_its_violation(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     drones, rules, expected = FLAWS[name]
@@ -385,7 +383,7 @@ def test_each_rule_is_broken_by_what_breaks_it(
     assert (said(again), again.flight.jumps) == (expected, found.flight.jumps)
 
 
-def test_figures_and_places_of_what_is_found(tmp_path: Path) -> None:
+def test_figures_and_places_of_findings(tmp_path: Path) -> None:
     polys(tmp_path, LONG)
     found = report(tmp_path)
     assert (found.facts[0].pieces, found.facts[0].size) == (32, 4224)
@@ -506,7 +504,7 @@ def localised(line: str) -> str:
     "file",
     ["crazyswarm2/d0.csv", "mavsdk_drone_show/Drone 2.csv", "csv/setpoints_enu.csv", "show/d1.csv"],
 )
-def test_tables_of_other_locales_say_the_same(file: str, exports: Path, tmp_path: Path) -> None:
+def test_tables_of_other_locales_are_equal(file: str, exports: Path, tmp_path: Path) -> None:
     """Receivers of such files read commas alone, and their readers are told apart."""
     kind = file.partition("/")[0]
     if kind == "show":
@@ -621,7 +619,7 @@ def test_distances_count_above_the_lowest_altitude(
     )
 
 
-def test_parts_of_one_drone_are_told_from_a_fleet(tmp_path: Path) -> None:
+def test_parts_of_one_drone_are_distinguished_from_a_fleet(tmp_path: Path) -> None:
     """Their names count up: 10 comes after 9."""
     parts = [([1.0, 1.0], [[0.1 * k, 0.05], [0.1 * k + 0.05, 0.05]]) for k in range(10)]
     for i, part in enumerate(parts, 1):

@@ -1,4 +1,4 @@
-"""Plan files: they come back bit by bit, and every lie, damage and claim in them is refused."""
+"""Plan files are restored bit by bit; false claims and damage are refused."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ def walled() -> Motion:
         *(pytest.param(name, marks=pytest.mark.slow) for name in ("carry_tray", "swarms/head_on")),
     ],
 )
-def test_a_plan_comes_back_bit_by_bit_and_asks_what_its_problem_does(
+def test_a_plan_is_restored_bit_by_bit_with_its_request(
     kind: str | Callable[[], Motion], tmp_path: Path
 ) -> None:
     if isinstance(kind, str):
@@ -189,7 +189,7 @@ def test_plans_made_in_python_and_their_aborts_are_read_again(tmp_path: Path) ->
     assert [*hitch["polygon"][0], hitch["altitude"]] == pytest.approx([0.0, -1.0, 1.0])
 
 
-def test_what_was_asked_is_in_the_order_of_the_start(formed: Path) -> None:
+def test_requests_are_in_the_order_of_the_start(formed: Path) -> None:
     with np.load(formed) as file:
         settings = json.loads(str(file["settings"]))
         masses = file["mass"].tolist()
@@ -290,7 +290,7 @@ def test_a_plan_is_of_its_own_mission_alone() -> None:
         ("object: box,", "object: box, by: grip,", "asked.mission[1].holds[0][1]"),
     ],
 )
-def test_what_is_carried_is_carried_as_it_was_asked(old: str, new: str, key: str) -> None:
+def test_objects_are_carried_as_requested(old: str, new: str, key: str) -> None:
     text, motion = (PROBLEMS / "carry_box.yaml").read_text(), planned("carry_box").motion
     assert old in text
     with pytest.raises(ho.InputError, match=re.escape(key)):
@@ -338,7 +338,7 @@ def refused(path: Path, words: str) -> None:
 
 
 @pytest.mark.parametrize(("lie", "words"), LIES, ids=range(len(LIES)))
-def test_what_makes_no_plan_is_refused(path: Path, lie: str, words: str) -> None:
+def test_changes_that_invalidate_a_plan_are_refused(path: Path, lie: str, words: str) -> None:
     changed(path, lie)
     refused(path, words)
     with pytest.raises(UnreadableError):
@@ -367,7 +367,7 @@ def test_damaged_controllers_are_refused(words: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("lie", "key"), OTHERS, ids=range(len(OTHERS)))
-def test_what_was_not_asked_is_refused_by_its_key(
+def test_other_plans_than_requested_are_refused_by_key(
     lie: str, key: str, formed: Path, tmp_path: Path
 ) -> None:
     (tmp_path / "plan.npz").write_bytes(formed.read_bytes())

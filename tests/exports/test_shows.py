@@ -1,4 +1,4 @@
-"""Shows: what Skybrush's server stores, coordinated returns, what mavsdk_drone_show plays."""
+"""Shows: curves of Skybrush's server, coordinated returns, rows of mavsdk_drone_show."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from format_readers import as_stored
 
 from hitchopt.errors import FileError, InfeasibleError, InputError
 from hitchopt.exports.format import format_of
-from hitchopt.exports.formats.mavsdk import LATE, read_tables
-from hitchopt.exports.formats.skybrush import read_show, storage_scale, stored, write_show
+from hitchopt.exports.formats.mavsdk import ARMING_TIME, read_tables
+from hitchopt.exports.formats.skybrush import read_show, storage_scale, stored_curve, write_show
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial
 
@@ -35,7 +35,7 @@ def settings_of(files: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 @pytest.mark.parametrize("away", [(0.0, 0.0, 0.0), (40.0, -3.0, 0.0)], ids=["near", "far"])
-def test_what_the_server_stores_is_what_was_certified(
+def test_the_stored_curves_are_those_certified(
     away: tuple[float, float, float], tmp_path: Path
 ) -> None:
     """Rounded once more by the server nothing changes, and velocity jumps as declared."""
@@ -64,7 +64,7 @@ def test_millimetres_that_lie_below_themselves_are_not_cut_off(tmp_path: Path) -
     write_show(path, task_of(swarm_plan(), "skybrush"), shown, [None] * 3)
     _, pieces = as_stored(files_of(tmp_path)["drones/d0/trajectory.json"]["points"])
     assert np.array_equal(np.rint(1e3 * pieces[0]).T, numbers.reshape(3, 4))
-    curve = stored(read_show(path).curves["d0"])
+    curve = stored_curve(read_show(path).curves["d0"])
     assert (storage_scale(curve), storage_scale(curve, 2e-3)) == (1, 2)
     np.testing.assert_allclose(curve.coefficients[0], points[0, 0], rtol=0.0, atol=1e-9)
 
@@ -113,7 +113,7 @@ def test_returns_keep_drones_apart(motion: Motion, tmp_path: Path) -> None:
         assert np.max(steps) <= motion.requirements.limits.speed
 
 
-def test_returns_that_are_read_back_are_what_is_certified(tmp_path: Path) -> None:
+def test_returns_are_read_back_and_certified(tmp_path: Path) -> None:
     """Another target in the file than was planned is found."""
     motion = swarm_plan()
     exported(motion, "skybrush", tmp_path)
@@ -198,7 +198,7 @@ def test_drones_rise_from_the_ground_and_all_of_the_plan_is_flown(
         rows = np.flatnonzero(t >= begin - 1e-9)
         # Launched on the ground below the first place, each counts from there.
         wanted = ned(motion.drones.at(np.minimum(t[rows] - begin, motion.duration))[:, i])
-        for late in (0.0, LATE):
+        for late in (0.0, ARMING_TIME):
             assert played(t, places, DEFAULTS, late) == {}
             sent = played(t, places, settings, late)
             assert set(rows) <= set(sent)
@@ -207,7 +207,7 @@ def test_drones_rise_from_the_ground_and_all_of_the_plan_is_flown(
         before = table[: rows[0]]
         np.testing.assert_allclose(before[:, 1:3], np.broadcast_to(first[i, :2], (len(before), 2)))
         assert before[0, 3] == 0.0
-        waiting = before[before[:, 0] <= LATE + 3.0]
+        waiting = before[before[:, 0] <= ARMING_TIME + 3.0]
         assert np.all(waiting[:, 3:] == 0.0)  # no pull either: nobody leans on the ground
         np.testing.assert_allclose(before[-1, 3], first[i, 2], atol=1e-9)
         assert np.all(np.diff(before[:, 3]) <= 1e-12)

@@ -1,4 +1,4 @@
-"""Replacing a set of files: whole, only ours, everywhere; DIR after plans and refusals."""
+"""Atomic replacement of sets of files; the directory after plans and refusals."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def test_modes_links_and_the_current_directory_stay(
         ("out/x", "x" * 300, "name"),
     ],
 )
-def test_what_is_in_the_way_is_named(taken: str, asked: str, words: str, home: Path) -> None:
+def test_files_in_the_way_are_named(taken: str, asked: str, words: str, home: Path) -> None:
     (home / taken).parent.mkdir(parents=True, exist_ok=True)
     (home / taken).write_text("mine")
     with pytest.raises(FileError, match=words):
@@ -229,7 +229,7 @@ def test_files_of_different_plans_are_refused(tmp_path: Path) -> None:
         read_task(one)
 
 
-def test_a_diagnosis_of_what_cannot_be_met(tmp_path: Path) -> None:
+def test_the_diagnosis_of_an_infeasible_problem(tmp_path: Path) -> None:
     first = Violation("legs", -0.1, 0.15, "min", "m", ("q0", "r2"), "at the start", "lengthen")
     second = Violation("duration", float("inf"), 3.0, "max", "s", (), "", "allow more – länger")
     save_diagnosis(tmp_path, diagnosis_content(InfeasibleError([first, second])))
@@ -393,7 +393,7 @@ def test_killed_or_crowded_writers_lose_and_mix_nothing(script: str, tmp_path: o
     assert (run.stdout, run.returncode) == ("ok\n", 0), run.stderr
 
 
-def test_tables_that_were_changed_are_told(tmp_path: Path) -> None:
+def test_changed_tables_are_reported(tmp_path: Path) -> None:
     """All drones one second later, say, is a sound flight of its own: its digest tells."""
     save(tmp_path, "one")
     table = tmp_path / "setpoints.csv"

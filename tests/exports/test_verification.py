@@ -1,4 +1,4 @@
-"""What is read against the plan; frames; times at which plans are sampled, and the states then."""
+"""Verification of exported motions; frames; sample times and states."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def verified(motion: Motion, curves: PiecewisePolynomial) -> Verdict:
 def test_the_plan_itself_is_verified_as_its_certificate_says(make: Callable[[], Motion]) -> None:
     motion = make()
     verdict, certificate = verified(motion, motion.drones), certificate_of(motion)
-    assert verdict.lost == ()
+    assert verdict.violated == ()
     assert max(verdict.position.worst, 1e-3 * verdict.velocity.worst) < 1e-9
     assert {check.name for check in verdict.checks} == set(flown_checks(motion))
     for check in verdict.checks:
@@ -103,7 +103,7 @@ def test_it_rests_after_its_end_but_must_not_end_early() -> None:
     longer = PiecewisePolynomial(np.append(breaks, breaks[-1] + 0.3), np.concatenate([c, rest]))
     verdict = verified(motion, longer)
     assert verdict.duration == pytest.approx(motion.duration + 0.3)
-    assert verdict.lost == ()
+    assert verdict.violated == ()
     assert verdict.position.worst < 1e-9
     with pytest.raises(FileError, match="before the plan does"):
         verified(motion, motion.drones.slice_pieces(slice(0, -1)))
@@ -127,9 +127,9 @@ def test_cables_are_verified_while_the_hitch_exists() -> None:
     within = (middles > pause.start) & (middles < pause.end)
     coefficients[within, 0, 2] += 0.3
     curves = PiecewisePolynomial(motion.drones.breaks, coefficients)
-    assert "cable_length" in {check.name for check in verified(motion, curves).lost}
+    assert "cable_length" in {check.name for check in verified(motion, curves).violated}
     verdict = verified(free, curves)
-    assert "cable_length" not in {check.name for check in verdict.lost}
+    assert "cable_length" not in {check.name for check in verdict.violated}
     assert verdict.position.worst == pytest.approx(0.3, rel=1e-3)
 
 

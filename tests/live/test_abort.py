@@ -1,4 +1,4 @@
-"""Aborts end in rest as commands say; survivors of a lost drone let go and sink, clear of it."""
+"""Aborts end at rest as commanded; survivors of a lost drone release tension and descend."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hitchopt.cli import main
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.live.abort import Aborts, abort_table
-from hitchopt.live.lost import DELAY, RELEASE_TIME, Reactions, free_fall, reacting, survivable
+from hitchopt.live.lost import DELAY, RELEASE_TIME, Reactions, free_fall, reaction_task, survivable
 from hitchopt.motion.motion import CableState
 from hitchopt.motion.plan_file import read_plan
 from hitchopt.simulation.task import Task
@@ -101,7 +101,7 @@ def test_no_rest_while_tensions_rise() -> None:
     assert (found.rest, found.seconds) == (motion.duration, 0.0)
 
 
-def test_what_cannot_be_is_refused() -> None:
+def test_impossible_aborts_are_refused() -> None:
     """Drones of a stack end above each other: they can land only until they pass each other."""
     table = abort_table(aborts_of("swarms/stack").motion, "land", 0.5)
     assert table.missing == [(table.entries[-1].start, table.end)]
@@ -146,12 +146,12 @@ def plan_of(altitude: float) -> ho.Plan:
 
 
 @pytest.mark.parametrize("altitude", [1.0, 2.4])
-def test_survivors_sink_as_a_whole(altitude: float) -> None:
+def test_survivors_descend_as_a_rigid_team(altitude: float) -> None:
     plan, found = plan_of(altitude), Reactions(plan_of(altitude).motion).plan("q1", TIME)
     motion, limits = found.motion, plan.motion.requirements.limits
     t = np.linspace(0.0, motion.duration, 2001)
     places, before = motion.drones.at(t), t <= TIME + DELAY
-    assert found.begins == pytest.approx(TIME + DELAY)
+    assert found.start == pytest.approx(TIME + DELAY)
     np.testing.assert_allclose(places[before], plan.at(t[before]).positions, atol=1e-9)
     every = np.concatenate([places, motion.vertices.at(t)], axis=1)
     shape = every - every[:, :1]
@@ -163,7 +163,7 @@ def test_survivors_sink_as_a_whole(altitude: float) -> None:
 
 
 @pytest.mark.parametrize("lost", [0, 3, 5, 6])
-def test_survivors_keep_off_the_swing_of_the_lost_drone(lost: int) -> None:
+def test_survivors_keep_clear_of_the_swing_of_the_lost_drone(lost: int) -> None:
     """Turned about its clasp in its vertical plane, its cable longer by what its partner gives."""
     team = ho.Team(4, 2.3, tension=0.5)
     polygon = ho.regular_polygon(4, 0.9).vertices + [1.0, 2.0]
@@ -200,28 +200,28 @@ def test_a_fall_keeps_its_energy_and_ends_on_the_ground() -> None:
 
 
 @pytest.mark.slow
-def test_a_flown_reaction_is_the_plan_and_then_lets_go() -> None:
+def test_a_reaction_follows_the_plan_and_then_releases_tension() -> None:
     plan, found = plan_of(2.4), Reactions(plan_of(2.4).motion).plan("r2", TIME)
     task = Task.of(plan.motion)
-    flown = reacting(task, found)
+    flown = reaction_task(task, found)
     assert 0.0 < np.min(np.diff(flown.t)) <= np.max(np.diff(flown.t)) <= 0.011
     assert flown.duration == pytest.approx(found.motion.duration)
-    early, places = flown.t < found.begins, flown.setpoints.positions
+    early, places = flown.t < found.start, flown.setpoints.positions
     before = task.setpoints.positions[: np.sum(early)]
     np.testing.assert_allclose(places[early], before, atol=1e-8)
     steps = np.linalg.norm(np.diff(places, axis=0), axis=-1)
     assert np.max(steps / np.diff(flown.t)[:, None]) <= 1.0 + 1e-3
     forces = np.linalg.norm(flown.setpoints.cable_forces, axis=-1)
     np.testing.assert_allclose(forces[early], 0.5, atol=1e-3)
-    letting_go = (flown.t > found.begins) & (flown.t < found.begins + RELEASE_TIME)
+    letting_go = (flown.t > found.start) & (flown.t < found.start + RELEASE_TIME)
     assert np.all(np.diff(forces[letting_go], axis=0) < 0.0)
-    times = found.begins + np.array([0.1, 0.5, 0.9]) * RELEASE_TIME
+    times = found.start + np.array([0.1, 0.5, 0.9]) * RELEASE_TIME
     there = np.interp(times, flown.t, forces[:, 0])
     np.testing.assert_allclose(there + there[::-1], 0.5, atol=5e-3)  # as fast at first as at last
-    assert np.max(forces[flown.t >= found.begins + RELEASE_TIME]) == 0.0
+    assert np.max(forces[flown.t >= found.start + RELEASE_TIME]) == 0.0
 
 
-def test_a_lost_drone_that_nobody_can_carry_has_no_reaction() -> None:
+def test_a_lost_drone_too_heavy_for_its_partner_has_no_reaction() -> None:
     team = ho.Team(4, 2.2, tension=0.5, quadrotor=ho.Quadrotor(max_thrust=1.7))
     start = ho.Hitch.spread(team, SQUARE, 2.4)
     with pytest.raises(ho.InfeasibleError, match="q1 on its cable takes 108% of a thrust"):
@@ -239,7 +239,7 @@ def test_survivors_may_wait_until_they_can_stop(share: float) -> None:
 
 
 @pytest.mark.slow
-def test_the_command_line_tells_losses(tmp_path: Path) -> None:
+def test_the_command_line_reports_losses(tmp_path: Path) -> None:
     shown = CliRunner().invoke(main, ["check", str(plan_of(1.0).save(tmp_path)), "--survivable"])
     (row,) = [line for line in shown.output.splitlines() if "survivable" in line]
     assert (shown.exit_code, row.split()[1]) == (0, "1")
@@ -259,7 +259,7 @@ def test_no_drone_carries_two(altitude: float, share: float) -> None:
     assert all(f"{each.drone} hangs on its partner 0.19" in each.reason for each in without)
 
 
-def test_single_drones_end_on_the_ground_beside_the_lost_one() -> None:
+def test_single_drones_land_clear_of_the_lost_one() -> None:
     motion = planned("swarms/head_on").motion
     found, _ = survivable(motion, every=0.5 * motion.duration)
     assert (found.bound, found.method) == (1.0, "sampled")

@@ -106,7 +106,7 @@ def test_a_fleet_flies_by_commands() -> None:
     assert plan.landed
 
 
-def test_what_knows_one_ring_is_refused_by_name() -> None:
+def test_features_for_one_ring_are_refused_by_name() -> None:
     joins, same = planned("join_a_fourth"), "knows hitches of the same robots all the time; plan"
     for refused, words in (
         (lambda: Reactions(joins.motion), "a reaction to a lost drone"),

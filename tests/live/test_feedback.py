@@ -1,4 +1,4 @@
-"""Feedback in a loop with a hitch that answers linearly, and its reaction to what is missing."""
+"""Feedback in closed loop with a linear hitch, and its reaction to missing measurements."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import hitchopt as ho
-from hitchopt.live.feedback import LARGEST, Cell, cells_of, vertex_responses
+from hitchopt.live.feedback import MAX_OFFSET, Cell, cells_of, vertex_responses
 from hitchopt.values import Array
 
 STEP = 0.01
@@ -169,7 +169,7 @@ def distances(drones: Array, vertices: Array, away: float) -> tuple[float, float
 
 
 @pytest.mark.parametrize("moving", [False, True])
-def test_corrections_keep_every_distance_whatever_is_asked(*, moving: bool) -> None:
+def test_corrections_keep_every_distance_for_any_measurements(*, moving: bool) -> None:
     """Drones and vertices may be off by the reserve besides; a common shift moves both."""
     plan = plan_of() if moving else ho.hold(START, 1.0)
     reserve, rng, found = 0.01 if moving else 0.02, np.random.default_rng(3), []
@@ -177,7 +177,7 @@ def test_corrections_keep_every_distance_whatever_is_asked(*, moving: bool) -> N
     for k in rng.integers(0, len(cells), 200 if moving else 400).tolist():
         cell, time = cells[k], rng.uniform(breaks[k], breaks[min(k + 2, len(cells))])
         assert cell is not None
-        offsets, here = cell.within(rng.normal(0.0, 0.12, (6, 3))), plan.at(time)
+        offsets, here = cell.projected(rng.normal(0.0, 0.12, (6, 3))), plan.at(time)
         vertices = here.vertices + offsets.mean(axis=0)
         found.append(distances(here.positions + offsets, vertices, reserve))
     ratio, cable, leg = np.min(found, axis=0)
@@ -207,19 +207,19 @@ def test_offsets_stay_within_half_spaces_that_leave_little_room() -> None:
         bounds = rng.uniform(0.0, 0.02, 24)
         cell = Cell(rows, bounds, -everywhere, everywhere, rows, rows)
         asked = rng.normal(0.0, 0.05, (4, 3))
-        found = cell.within(asked)
+        found = cell.projected(asked)
         own = (found - found.mean(axis=0)).ravel()
         assert np.all(rows @ own <= bounds + 1e-12)
-        assert np.linalg.norm(found - found.mean(axis=0), axis=1).max() <= LARGEST + 1e-12
+        assert np.linalg.norm(found - found.mean(axis=0), axis=1).max() <= MAX_OFFSET + 1e-12
         np.testing.assert_allclose(found.mean(axis=0), asked.mean(axis=0), atol=1e-12)
-        np.testing.assert_allclose(cell.within(found), found, atol=1e-12)
+        np.testing.assert_allclose(cell.projected(found), found, atol=1e-12)
         # Of a single half-space it is the nearest place; what is far off is drawn in.
         one = Cell(rows[:1], bounds[:1], -everywhere, everywhere, rows, rows)
         beyond = max(float(rows[0] @ asked.ravel() - bounds[0]), 0.0)
         nearest = asked - beyond * rows[0].reshape(4, 3)
-        np.testing.assert_allclose(one.within(asked), nearest, atol=1e-12)
-        far = one.within(100.0 * asked)
-        assert np.linalg.norm(far - far.mean(axis=0), axis=1).max() <= LARGEST + 1e-12
+        np.testing.assert_allclose(one.projected(asked), nearest, atol=1e-12)
+        far = one.projected(100.0 * asked)
+        assert np.linalg.norm(far - far.mean(axis=0), axis=1).max() <= MAX_OFFSET + 1e-12
 
 
 def test_the_arena_limits_a_common_correction() -> None:

@@ -1,4 +1,4 @@
-"""Plans on a clock, by commands and by lost links: nothing jumps, limits hold, drones land."""
+"""Plans flown by commands and with lost links: no jumps, limits hold, drones land."""
 
 from __future__ import annotations
 
@@ -260,7 +260,7 @@ def test_any_commands_end_in_a_landing_without_a_jump(seed: int) -> None:
     rig.check(landed=True)
 
 
-def test_what_is_sent_belongs_to_the_cables() -> None:
+def test_setpoints_have_the_cable_forces_of_their_time() -> None:
     rig, plan = Rig(rate=1000.0), plan_of()
     rig.begin(0.7)
     flown, mass = rig.sent[-1], plan.motion.team.mass[:, None]
@@ -306,7 +306,7 @@ def test_a_link_that_comes_back_in_time_leaves_a_hold() -> None:
     rig.run(1.5)
     assert rig.course.resting
     rig.run(0.1, "resume")
-    assert rig.said[-1] == "resume: nothing is heard of q2"
+    assert rig.said[-1] == "resume: no signal from q2"
     rig.silent = set()
     rig.run(4.0)
     assert (rig.speed, rig.course.descending) == (0.0, False)
@@ -320,7 +320,7 @@ def test_nothing_begins_without_measurements_near_the_start_or_an_operator() -> 
     rig.silent = set(rig.names)
     rig.run(0.5)
     rig.run(0.5, "resume")
-    assert "nothing is heard of q0, r0" in rig.said[-1]
+    assert "no signal from q0, r0" in rig.said[-1]
     rig.silent, rig.off = set(), np.array([0.0, 0.5, 0.0])
     for command, words in (("toggle", "q0 is 0.50 m from its setpoint"), ("abort", "not begun")):
         rig.run(0.5, command)

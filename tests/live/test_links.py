@@ -1,4 +1,4 @@
-"""What arrives at receivers with the real message definitions, and what is read back from them."""
+"""Messages to receivers with the real message definitions, and measurements from them."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def test_mavlink_is_understood_by_its_own_parser() -> None:
         outlet.close(landed=False)
 
 
-def test_crazyflies_get_full_states_and_are_given_back(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_crazyflies_receive_full_states_and_are_released(monkeypatch: pytest.MonkeyPatch) -> None:
     """By a stand-in for crazyflie_py's ``Crazyswarm``."""
     flown, frame = moving(), ReferenceFrame("enu", *PLACE)
     robots = [f"cf{i}" for i in range(6)]
@@ -188,7 +188,7 @@ def test_keys_are_read_until_the_terminal_goes(monkeypatch: pytest.MonkeyPatch) 
     assert Operator().commands() == ([], False)
 
 
-def test_what_is_wrong_or_not_here_is_refused() -> None:
+def test_invalid_arguments_and_missing_libraries_are_refused() -> None:
     for text in ("here", "127.0.0.1:x", ":5", "127.0.0.1:70000"):
         with pytest.raises(ho.InputError, match="--to"):
             address("--to", text)
@@ -206,7 +206,7 @@ def test_the_command_streams_the_start_and_ends_without_an_operator(tmp_path: Pa
         done = runner.invoke(main, ["fly", str(tmp_path / "plan"), *options])
         assert done.exit_code == 3, done.output
         assert "at rest at the plan's start" in done.output
-        assert "no operator is heard of" in done.output
+        assert "no operator is connected" in done.output
         got = json.loads(receiver.recv(65536))
         np.testing.assert_allclose(
             got["position"], planned("triangle").at(0.0).positions[0], atol=1e-9

@@ -1,4 +1,4 @@
-"""Steering from moving states: certified, continuous, and the old plan where it is refused."""
+"""Steering from moving states: certified and continuous plans, refused goals."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def test_a_leg_that_would_be_too_short_at_the_goal_gets_another_split() -> None:
     np.testing.assert_allclose(replanner.goal.q_legs, [0.15, 0.42, 0.42], atol=1e-3)
 
 
-def test_what_cannot_be_steered_is_refused() -> None:
+def test_unsupported_teams_are_refused() -> None:
     heavy = ho.Hitch.spread(ho.Team(3, 2.4, cable_density=0.005), TRIANGLE)
     with pytest.raises(ho.UnsupportedError, match="weight"):
         ho.Replanner(heavy.team, heavy)
@@ -132,7 +132,7 @@ def test_what_cannot_be_steered_is_refused() -> None:
             assert why in answer.reason
 
 
-def test_what_cannot_be_certified_is_refused_and_the_old_plan_stays() -> None:
+def test_uncertified_goals_are_refused_and_the_plan_continues() -> None:
     replanner = steered()
     at, old = moving(replanner), replanner.motion
     goal = replanner.goal.polygon.vertices[0] - [0.0, 1.5]

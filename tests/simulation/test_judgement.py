@@ -16,7 +16,7 @@ from scripted import flight_of, regular_hitch, standing
 
 import hitchopt as ho
 from hitchopt.geometry.vectors import unit
-from hitchopt.live.lost import Reactions, reacting
+from hitchopt.live.lost import Reactions, reaction_task
 from hitchopt.simulation import judgement
 from hitchopt.simulation.flight import fly
 from hitchopt.simulation.judgement import Failure, Outcome, Simulation, judge, simulate
@@ -200,7 +200,7 @@ def test_a_reaction_lowers_the_tension() -> None:
     team = ho.Team(robots=3, cable_length=2.2, tension=0.5)
     corners = [[0.0, 0.58], [0.5, -0.29], [-0.5, -0.29]]
     plan = ho.hold(ho.Hitch.spread(team, corners, altitude=1.0), 1.2)
-    task = reacting(Task.of(plan.motion), Reactions(plan.motion).plan("r1", 0.3))
+    task = reaction_task(Task.of(plan.motion), Reactions(plan.motion).plan("r1", 0.3))
     flight = fly(task, Settings(lost=Loss("r1", 0.3)))
     after, record = judgement.loss_outcome(flight), flight.record
     assert after is not None

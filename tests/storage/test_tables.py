@@ -1,4 +1,4 @@
-"""Tables in text: one reader for all locales, and words for what it cannot tell."""
+"""Text tables of all locales, and messages for invalid ones."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def written(separator: str, decimal: str, *, quoted: bool = False) -> list[str]:
 @pytest.mark.parametrize(
     ("separator", "decimal"), [*product([";", "\t", "; ", " \t"], ".,"), (",", "."), (", ", ".")]
 )
-def test_all_dialects_of_a_table_say_the_same(
+def test_all_dialects_of_a_table_give_the_same_numbers(
     separator: str, decimal: str, encoding: str, tmp_path: Path
 ) -> None:
     path = tmp_path / "a.csv"
@@ -78,7 +78,7 @@ def test_quoted_decimal_commas_blanks_and_comments() -> None:
         (["t,x", '0,"1' + "1" * 200_000], "check its quotation marks"),
     ],
 )
-def test_what_cannot_be_told_is_named(lines: list[str], words: str) -> None:
+def test_invalid_tables_are_refused(lines: list[str], words: str) -> None:
     with pytest.raises(FileError, match=words) as error:
         of(lines, "t").numbers(["t", "x"])
     assert "damaged" not in str(error.value)

@@ -1,4 +1,4 @@
-"""Studies and sweeps: cases, refusals, and rows that stay, whoever computed them."""
+"""Studies and sweeps: cases, refusals, and rows that survive interruptions."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from hitchopt.sweeps.study import Case, ParameterKeys, points, study_from_dict, 
 from hitchopt.sweeps.sweep import (
     PICTURE,
     ROWS,
-    drawn_sweep,
+    draw_sweep,
     load_sweep,
     outcomes,
     summary,
     write_row,
 )
-from hitchopt.sweeps.work import SETTINGS, row_of
+from hitchopt.sweeps.work import SETTINGS, compute_row
 from hitchopt.values.fields import mapping_of
 
 PROBLEM: dict[str, Any] = {
@@ -86,12 +86,12 @@ def test_values_are_set_in_a_copy() -> None:
         ({"problem": "no_such_file.yaml"}, "no such file"),
     ],
 )
-def test_studies_that_are_wrong_say_where(change: dict[str, Any], words: str) -> None:
+def test_invalid_studies_are_refused_by_key(change: dict[str, Any], words: str) -> None:
     with pytest.raises(ho.HitchoptError, match=words):
         study_from_dict({"problem": PROBLEM, **change})
 
 
-def test_cases_are_told_apart_by_all_that_counts() -> None:
+def test_cases_have_digests_of_all_their_inputs() -> None:
     parameters = {"team.tension": [0.3, 0.4], "simulate.wind": [0.0, 0.1]}
     given = {"problem": PROBLEM, "parameters": parameters, "simulate": {"seeds": 3, "seed": 5}}
     cases = list(study_from_dict(given).cases())
@@ -178,14 +178,14 @@ def test_workers_that_are_killed_lose_no_row(swept: tuple[Path, pandas.DataFrame
     assert list(rows["status"]) == ["planned"] * 4 + ["infeasible"] * 2
     assert set(rows["binding"].dropna()) <= {"thrust", "tilt"}
     cases = list(study_from_dict(STUDY).cases())
-    alone = pandas.DataFrame([row_of(case, case.digest) for case in cases])
+    alone = pandas.DataFrame([compute_row(case, case.digest) for case in cases])
     alone = alone.reindex(columns=rows.columns)
     pandas.testing.assert_frame_equal(fixed(rows), fixed(alone), check_exact=True)
     pandas.testing.assert_frame_equal(load_sweep(place), rows, check_exact=True)
 
 
 @pytest.mark.slow
-def test_what_is_lost_is_computed_again_and_nothing_else(
+def test_only_lost_rows_are_computed_again(
     swept: tuple[Path, pandas.DataFrame], cluster: distributed.LocalCluster, tmp_path: Path
 ) -> None:
     place, rows = swept
@@ -238,10 +238,10 @@ def test_a_full_disk_leaves_whole_rows(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 @pytest.mark.slow
-def test_plans_are_simulated() -> None:
+def test_planned_cases_are_simulated() -> None:
     study = {"problem": PROBLEM, "simulate": {"perturbed": False, "density": 0.01}}
     (case,) = study_from_dict(study).cases()
-    row = row_of(case, case.digest)
+    row = compute_row(case, case.digest)
     plan = ho.solve(ho.problem_from_dict(case.problem))
     assert (row["status"], row["duration"]) == ("planned", plan.duration)
     for check in plan.certificate.checks:
@@ -251,7 +251,7 @@ def test_plans_are_simulated() -> None:
 
 
 @pytest.mark.slow
-def test_a_scheduler_that_is_not_there_is_refused(
+def test_an_unreachable_scheduler_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(SETTINGS, "distributed.comm.timeouts.connect", "0.5s")
@@ -259,13 +259,13 @@ def test_a_scheduler_that_is_not_there_is_refused(
         ho.run_sweep(STUDY, tmp_path, scheduler="tcp://127.0.0.1:1")
 
 
-def test_a_limit_of_time_is_a_row() -> None:
+def test_a_time_limit_is_a_row() -> None:
     (case,) = study_from_dict({"problem": PROBLEM, "limit": 1e-6}).cases()
-    assert row_of(case, "")["status"] == "time limit"
+    assert compute_row(case, "")["status"] == "time limit"
 
 
 @pytest.mark.slow
-def test_what_rows_come_to(swept: tuple[Path, pandas.DataFrame]) -> None:
+def test_the_summary_and_the_picture_of_a_sweep(swept: tuple[Path, pandas.DataFrame]) -> None:
     rows = swept[1]
     found = summary(rows, 7)
     assert (found.planned.count, found.planned.rows, found.cases) == (4, 6, 7)
@@ -274,13 +274,13 @@ def test_what_rows_come_to(swept: tuple[Path, pandas.DataFrame]) -> None:
     assert [row["team.tension"] for row in points] == [0.3, 0.3, 0.5, 0.5, 2.5, 2.5]
     assert [row.get("binding") for row in points] == [None] * 4 + ["thrust"] * 2
     np.testing.assert_allclose([row["duration [s]"] for row in points], rows["duration"])
-    figure = drawn_sweep(points)
+    figure = draw_sweep(points)
     assert figure is not None
     (axes,) = figure.axes
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("team.tension", "duration [s]")
     crosses = [line.get_xydata() for line in axes.lines if line.get_marker() == "x"]
     assert np.concatenate(crosses).tolist() == [[2.5, 0.0]] * 2
-    assert drawn_sweep(outcomes(rows[:1])) is None
+    assert draw_sweep(outcomes(rows[:1])) is None
 
 
 @pytest.mark.slow
