@@ -117,7 +117,7 @@ def _cables(team: Team, state: States) -> list[Array]:
         return list(np.stack(corners, axis=1))
     q, r = pairs[:, 0], pairs[:, 1]
     cables = Catenary.between(q, r, team.cable_length)
-    mu = cables.place(PLACES[:, None])
+    mu = cables.parameter(PLACES[:, None])
     points = q + (0.5 * (1.0 + mu))[..., None] * (r - q)
     points[..., 2] -= cables.depth(mu)
     return list(np.swapaxes(points, 0, 1))

@@ -57,11 +57,11 @@ from hitchopt.checks.spans import (
 )
 from hitchopt.geometry.vectors import dot, unit
 from hitchopt.hitch.catenary import (
-    SERIES,
+    SERIES_LIMIT,
     Catenary,
     depth_terms,
+    displacement_bound,
     level_length,
-    shift_with_ends,
 )
 from hitchopt.hitch.pairs import CABLE, PAIRS, Bodies
 from hitchopt.hitch.requirements import Arena
@@ -233,7 +233,7 @@ def chains(q: Array, r: Array, length: Array) -> tuple[Array, Array]:
     """
     offset = Enclosed(r - q)
     cable = Catenary.between(Enclosed(q).middle, Enclosed(r).middle, length)
-    by_length = cable.place(np.linspace(0.0, 1.0, BY_LENGTH + 1)[:, None])
+    by_length = cable.parameter(np.linspace(0.0, 1.0, BY_LENGTH + 1)[:, None])
     by_place = (np.arange(BY_PLACE) + 0.5)[:, None] * (2.0 / BY_PLACE) - 1.0
     evenly = np.broadcast_to(by_place, (BY_PLACE, len(length)))
     mu = np.sort(np.concatenate([by_length, evenly]), axis=0)  # (links + 1, spans)
@@ -245,7 +245,7 @@ def chains(q: Array, r: Array, length: Array) -> tuple[Array, Array]:
     drift = np.maximum(sigma.high - cable.sigma, cable.sigma - sigma.low)
     height = np.max(np.abs(offset.c[:, 2]), axis=-1)
     # In units of Λ / 2 sinh σ it is a hyperbolic cosine, farthest off a link where parallel to it.
-    x = np.maximum(cable.sigma, SERIES)
+    x = np.maximum(cable.sigma, SERIES_LIMIT)
     y = mu * x + np.arcsinh(cable.tilt)
     slope = np.diff(np.cosh(y), axis=0) / np.maximum(np.diff(y, axis=0), 1e-12)
     parallel = np.clip(np.arcsinh(slope), y[:-1], y[1:])
@@ -316,7 +316,7 @@ def moved_by(motion: Motion) -> Callable[[float], float]:
     across, height = offset.level.norm_range, offset[2].norm_above.value
 
     def moved(radius: float) -> float:
-        shift = shift_with_ends((across.low, across.high), height, L, radius)
+        shift = displacement_bound((across.low, across.high), height, L, radius)
         return radius + float(np.max(shift))
 
     return moved

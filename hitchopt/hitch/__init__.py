@@ -1,4 +1,4 @@
-"""Teams, hitches, leg lengths and equilibrium; knows no time."""
+"""Teams, hitches, leg lengths and static equilibrium, independent of time."""
 
 from hitchopt.hitch.hitch import Hitch
 from hitchopt.hitch.team import GRAVITY, Quadrotor, Swarm, Team

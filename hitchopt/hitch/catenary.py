@@ -1,16 +1,16 @@
-"""A cable that hangs between its two ends: the catenary of a given length, in closed form.
+"""A cable that hangs between its two ends: the catenary of given length, in closed form.
 
-The cable hangs in the vertical plane through its ends, s apart across, the second one h higher than
-the first. With ``Λ² = L² - h²`` its steepness σ solves ``sinh σ / σ = Λ / s``; places on it have
-a parameter μ, from -1 at the first end to 1 at the second one, evenly as seen from above. Below the
-chord it hangs by
+The cable hangs in the vertical plane through its ends. Their horizontal distance is s, and the
+second end is h higher than the first. With ``Λ² = L² - h²`` the steepness σ solves ``sinh σ / σ = Λ
+/ s``. The parameter μ of a point on the cable runs from -1 at the first end to 1 at the second one,
+proportional to the horizontal distance. The depth below the chord is
 
     depth = L P + h Q,   P = (cosh σ - cosh μσ) / 2 sinh σ,   Q = (μ - sinh μσ / sinh σ) / 2.
 
-For every μ both change by at most ¼ per unit of σ: what encloses σ encloses the cable. (With
+For every μ both change by at most ¼ per unit of σ, so an interval of σ encloses the cable. (With
 ``a = (1+μ)σ, b = (1-μ)σ``: ``0 ≤ 4σ sinh²σ dP/dσ = b (cosh a - 1) + a (cosh b - 1)``, whose power
-series is below that of ``σ sinh²σ``; likewise for Q.) The weight of the cable per length does not
-matter for its shape, only for its pull.
+series is below that of ``σ sinh²σ``; likewise for Q.) The weight per length affects the pull, but
+not the shape.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from numpy.typing import ArrayLike
 from hitchopt.errors import InputError
 from hitchopt.values import MAX_COORDINATE, Array, as_array, integer, positive
 
-NEWTON = 12
-"""Number of Newton iterations; 6 reach the last place for all ratios up to 1e9."""
+NEWTON_ITERATIONS = 12
+"""Number of Newton iterations; 6 reach the last digit for all ratios up to 1e9."""
 
-NARROWEST = 1e-6
-"""Least horizontal distance of the ends, relative to L."""
+MIN_RELATIVE_SPAN = 1e-6
+"""Smallest horizontal distance of the ends, relative to L."""
 
-SERIES = 1e-3
-"""σ below which power series are exact to the last place and differences are not."""
+SERIES_LIMIT = 1e-3
+"""σ below which power series replace closed forms, which lose digits by cancellation."""
 
 
 def steepness(ratio: ArrayLike) -> Array:
-    """Return σ ≥ 0 (…) with ``sinh σ / σ = ratio``; 0 where the ratio is 1 or less (a taut cable).
+    """Return σ ≥ 0 (…) with ``sinh σ / σ = ratio``; 0 where the ratio is at most 1 (a taut cable).
 
-    Newton's method on the logarithm of both sides, which is convex and all but linear.
+    Newton's method solves the logarithm of both sides, which is convex and nearly linear.
     """
     rho = np.maximum(np.asarray(ratio, dtype=np.float64), 1.0)
     excess = rho - 1.0
@@ -44,67 +44,68 @@ def steepness(ratio: ArrayLike) -> Array:
     wide = np.log(2.0 * np.maximum(rho, 2.0))
     sigma = np.where(rho < 3.0, near, wide + np.log(wide))
     target = np.log1p(excess)
-    for _ in range(NEWTON):
-        x = np.maximum(sigma, SERIES)
+    for _ in range(NEWTON_ITERATIONS):
+        x = np.maximum(sigma, SERIES_LIMIT)
         # log(sinh x / x) without overflow
         value = x + np.log(-np.expm1(-2.0 * x) / (2.0 * x)) - target
         slope = 1.0 / np.tanh(x) - 1.0 / x
-        sigma = np.where(sigma > SERIES, np.maximum(x - value / slope, SERIES), sigma)
+        sigma = np.where(sigma > SERIES_LIMIT, np.maximum(x - value / slope, SERIES_LIMIT), sigma)
     # log(sinh σ / σ) = σ²/6 - σ⁴/180 + …
     small: Array = np.sqrt(np.maximum(6.0 * target + 1.2 * target * target, 0.0))
-    return np.where(small < 2.0 * SERIES, small, sigma)
+    return np.where(small < 2.0 * SERIES_LIMIT, small, sigma)
 
 
 def depth_rate(sigma: Array) -> Array:
-    """Return bounds (…) of |dP/dσ| for all μ and all steepness from σ on.
+    """Return upper bounds (…) of |dP/dσ| for all μ and every steepness of at least σ.
 
     With ``α = (1+μ)σ/2, β = (1-μ)σ/2`` it is ``(β sinh² α + α sinh² β) / σ sinh² σ``, and
-    ``sinh α ≤ e⁻ᵝ sinh σ``: at most ``(β e⁻²ᵝ + α e⁻²ᵅ)/σ``, of which the first is at most 1/2e,
-    and the second, for the larger of both, ``σ e⁻ˢ/2`` with s = σ from 1 on.
+    ``sinh α ≤ e⁻ᵝ sinh σ``. The rate is at most ``(β e⁻²ᵝ + α e⁻²ᵅ)/σ``: the first term is at most
+    1/2e, and the second one, for the larger of both, ``σ e⁻ˢ/2`` with s = σ from 1 on.
     """
     wide = np.maximum(sigma, 1.0)
     rate: Array = np.minimum(0.25, 0.5 * (np.exp(-1.0) / wide + np.exp(-wide)))
     return rate
 
 
-SHIFT = 1.12
-"""Bound of the motion of a point of a cable over the motion of its ends: at most √(1 + ¼), since
-its shares in their level and upward parts differ by up to a half."""
+SHIFT_RATIO = 1.12
+"""Bound of the displacement of a point at fixed σ over that of the ends: at most √(1 + ¼), since
+the point's shares of their horizontal and vertical motion differ by up to one half."""
 
 
-def shift_with_ends(
+def displacement_bound(
     across: tuple[Array, Array], rise: Array, length: ArrayLike, radius: float
 ) -> Array:
-    """Return bounds (…) of how far points of hanging cables move if both ends do, by a radius [m].
+    """Return upper bounds (…) [m] of displacements of cable points if both ends move by a radius.
 
-    A point (at μ) moves with its two ends, across by shares ``(1 ± μ)/2`` of them, upward by ``(1 ±
-    sinh μσ / sinh σ)/2``, and by ``depth_rate`` L + ¼ |h| per change of σ at most. How that changes
-    follows from ``(coth σ - 1/σ) dσ = d ln(Λ/s)``, where s and h change by 2r at most. Cables that
-    may be nearly taut move without a bound.
+    A point at μ follows its two ends: horizontally with weights ``(1 ± μ)/2``, vertically with
+    ``(1 ± sinh μσ / sinh σ)/2``. A change of σ moves it by at most ``depth_rate`` L + ¼ |h| per
+    unit. This change follows from ``(coth σ - 1/σ) dσ = d ln(Λ/s)``, where s and h change by at
+    most 2r. The bound is infinite for cables that may be nearly taut.
 
     Parameters
     ----------
     across: smallest and largest s (…) [m].
     rise: largest |h| (…) [m].
+    radius: displacement of the ends [m].
     """
     closer, higher, L = across[0] - 2.0 * radius, rise + 2.0 * radius, np.asarray(length)
-    far = (closer <= 0.0) | (higher >= L)
-    low, closer = np.where(far, 1.0, across[0]), np.where(far, 1.0, closer)
-    higher = np.where(far, 0.0, higher)
+    unbounded = (closer <= 0.0) | (higher >= L)
+    low, closer = np.where(unbounded, 1.0, across[0]), np.where(unbounded, 1.0, closer)
+    higher = np.where(unbounded, 0.0, higher)
     flattest = steepness(level_length(higher, L) / (across[1] + 2.0 * radius))
-    far |= flattest < SERIES
+    unbounded |= flattest < SERIES_LIMIT
     ratio = np.log(low / closer)
     ratio = ratio + np.log(level_length(np.minimum(rise, higher), L) / level_length(higher, L))
-    flattest = np.maximum(flattest, SERIES)
-    steeper = ratio / (1.0 / np.tanh(flattest) - 1.0 / flattest)
-    deeper = L * depth_rate(flattest) + 0.25 * higher
-    shift: Array = np.where(far, np.inf, SHIFT * radius + deeper * steeper)
-    return shift
+    flattest = np.maximum(flattest, SERIES_LIMIT)
+    sigma_change = ratio / (1.0 / np.tanh(flattest) - 1.0 / flattest)
+    rate = L * depth_rate(flattest) + 0.25 * higher
+    bound: Array = np.where(unbounded, np.inf, SHIFT_RATIO * radius + rate * sigma_change)
+    return bound
 
 
 @dataclass(frozen=True, eq=False)
 class Catenary:
-    """Hanging cables (…), by s, h, L [m], the steepness σ and ``h / Λ``."""
+    """Hanging cables (…): s, h and L [m], the steepness σ and ``h / Λ``."""
 
     across: Array
     rise: Array
@@ -114,15 +115,15 @@ class Catenary:
 
     @classmethod
     def between(cls, first: Array, second: Array, length: ArrayLike) -> Catenary:
-        """Return the cables between ends (…, 3) [m]; straight ones where the ends are too far."""
+        """Return the cables between ends (…, 3) [m]; straight if the ends are too far apart."""
         offset = second - first
         return cls.spanning(np.hypot(offset[..., 0], offset[..., 1]), offset[..., 2], length)
 
     @classmethod
     def spanning(cls, across: ArrayLike, rise: ArrayLike, length: ArrayLike) -> Catenary:
-        """Return the cables whose ends are ``across`` and ``rise`` apart (…) [m]."""
+        """Return the cables with horizontal distances s and heights h of their ends (…) [m]."""
         s, h, L = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in (across, rise, length)))
-        s = np.maximum(s, NARROWEST * L)
+        s = np.maximum(s, MIN_RELATIVE_SPAN * L)
         level = level_length(h, L)
         return cls(s, h, L, steepness(level / s), h / level)
 
@@ -131,25 +132,27 @@ class Catenary:
         level, skew = depth_terms(self.sigma, mu)
         return self.length * level + self.rise * skew
 
-    def place(self, share: ArrayLike) -> Array:
-        """Return μ (…) at shares (…) of the cable's length from its first end."""
-        sigma = np.maximum(self.sigma, SERIES)
+    def parameter(self, share: ArrayLike) -> Array:
+        """Return μ (…) of the points at fractions (…) of the cable's length from its first end."""
+        sigma = np.maximum(self.sigma, SERIES_LIMIT)
         start = -np.sinh(sigma + np.arcsinh(-self.tilt))
         along = start + 2.0 * sigma * np.asarray(share) * self.length / self.across
         mu = (np.arcsinh(along) - np.arcsinh(self.tilt)) / sigma
-        return np.where(self.sigma > SERIES, np.clip(mu, -1.0, 1.0), 2.0 * np.asarray(share) - 1.0)
+        return np.where(
+            self.sigma > SERIES_LIMIT, np.clip(mu, -1.0, 1.0), 2.0 * np.asarray(share) - 1.0
+        )
 
-    def sagging(self, off: float) -> Array:
-        """Return by how much more (…) [m] than ``off`` points move if both ends are so far off."""
+    def extra_displacement(self, off: float) -> Array:
+        """Return bounds (…) [m] of displacements of points beyond ``off``, that of both ends."""
         if not off:
             return np.zeros(self.across.shape)
         across = self.across, self.across
-        return shift_with_ends(across, np.abs(self.rise), self.length, off) - off
+        return displacement_bound(across, np.abs(self.rise), self.length, off) - off
 
     @property
     def lowest(self) -> Array:
-        """(…) [m]: height of the lowest point over the first end, zero or negative."""
-        sigma = np.maximum(self.sigma, SERIES)
+        """(…) [m]: height of the lowest point above the first end, zero or negative."""
+        sigma = np.maximum(self.sigma, SERIES_LIMIT)
         mu = np.clip(-np.arcsinh(self.tilt) / sigma, -1.0, 1.0)
         return 0.5 * (1.0 + mu) * self.rise - self.depth(mu)
 
@@ -170,51 +173,53 @@ class Catenary:
 def depth_terms(sigma: ArrayLike, mu: ArrayLike) -> tuple[Array, Array]:
     """Return P and Q of the depth, for σ and μ that broadcast."""
     sigma, mu = np.asarray(sigma, np.float64), np.asarray(mu, np.float64)
-    x = np.maximum(sigma, SERIES)
+    x = np.maximum(sigma, SERIES_LIMIT)
     whole = np.sinh(x)
     level = np.sinh(0.5 * (1.0 + mu) * x) * np.sinh(0.5 * (1.0 - mu) * x) / whole
     skew = 0.5 * (mu - np.sinh(mu * x) / whole)
-    small = sigma < SERIES
+    small = sigma < SERIES_LIMIT
     rest = 1.0 - mu * mu
     level = np.where(small, 0.25 * rest * sigma, level)
     return level, np.where(small, mu * rest * sigma * sigma / 12.0, skew)
 
 
 def pull_terms(sigma: ArrayLike) -> tuple[Array, Array]:
-    """Return 1/σ and coth σ: the factors of the horizontal distance and of the rise in the pull.
+    """Return 1/σ and coth σ, the factors of the horizontal distance and of the rise in the pull.
 
-    Both fall as σ grows. A taut cable (σ = 0) pulls infinitely for its weight: σ counts from 1e-3.
+    Both decrease with σ. The pull of a taut cable (σ = 0) would be infinite: σ is at least 1e-3.
     """
-    x = np.maximum(np.asarray(sigma, dtype=np.float64), SERIES)
+    x = np.maximum(np.asarray(sigma, dtype=np.float64), SERIES_LIMIT)
     return 1.0 / x, 1.0 / np.tanh(x)
 
 
 def level_length(rise: Array, length: Array) -> Array:
     """Return Λ (…) [m], bounded away from zero where the cable hangs straight down."""
-    squared: Array = np.maximum((length - rise) * (length + rise), (NARROWEST * length) ** 2)
+    squared: Array = np.maximum(
+        (length - rise) * (length + rise), (MIN_RELATIVE_SPAN * length) ** 2
+    )
     return np.sqrt(squared)
 
 
 def hanging_cable(first: ArrayLike, second: ArrayLike, length: float, points: int = 50) -> Array:
-    """Return points (…, points, 3) [m] of a cable that hangs between two ends, in order.
+    """Return points (…, points, 3) [m] along a cable that hangs between two ends, in order.
 
-    They are evenly spaced along the cable, whose weight does not matter for its shape.
+    They are evenly spaced along the cable. Its shape does not depend on its weight.
 
     Parameters
     ----------
-    first, second: its ends (…, 3) [m]; of several cables at once if there are further axes.
+    first, second: ends of the cable (…, 3) [m]; leading axes hold several cables.
     length: of the cable [m], at least the distance of its ends.
-    points: how many, both ends among them; at most a million.
+    points: number of points, including both ends; at most a million.
 
     Raises
     ------
-    InputError: no points in space, or a cable that is too short.
+    InputError: an end that is not a point in space, or a cable that is too short.
     """
     ends = []
-    for name, given in (("first", first), ("second", second)):
-        end = as_array(given)
+    for name, point in (("first", first), ("second", second)):
+        end = as_array(point)
         if end.shape[-1:] != (3,) or not np.all(np.abs(end) <= MAX_COORDINATE):  # nan too
-            raise InputError(name, given, "points [x, y, z]", "give three numbers in metres")
+            raise InputError(name, point, "points [x, y, z]", "give three numbers in metres")
         ends.append(end)
     try:
         a, b = np.broadcast_arrays(*ends)
@@ -222,13 +227,13 @@ def hanging_cable(first: ArrayLike, second: ArrayLike, length: float, points: in
         bound = f"of the shape of first, {ends[0].shape}"
         raise InputError("second", f"of shape {ends[1].shape}", bound, "pair the ends") from None
     size, count = positive("length", length), integer("points", points, 2, 1_000_000)
-    apart = float(np.max(np.linalg.norm(b - a, axis=-1), initial=0.0))
-    if size < apart:
-        bound = f"at least the distance of its ends, {apart:.6g} m"
+    distance = float(np.max(np.linalg.norm(b - a, axis=-1), initial=0.0))
+    if size < distance:
+        bound = f"at least the distance of its ends, {distance:.6g} m"
         raise InputError("length", length, bound, "lengthen the cable or move its ends")
     cable = Catenary.between(a[..., None, :], b[..., None, :], size)
-    places = cable.place(np.linspace(0.0, 1.0, count))[..., None]
-    curve: Array = 0.5 * ((1.0 - places) * a[..., None, :] + (1.0 + places) * b[..., None, :])
-    curve[..., 2] -= cable.depth(places[..., 0])
+    mu = cable.parameter(np.linspace(0.0, 1.0, count))[..., None]
+    curve: Array = 0.5 * ((1.0 - mu) * a[..., None, :] + (1.0 + mu) * b[..., None, :])
+    curve[..., 2] -= cable.depth(mu[..., 0])
     curve[..., 0, :], curve[..., -1, :] = a, b
     return curve

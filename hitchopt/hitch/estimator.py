@@ -1,4 +1,4 @@
-"""Parameters of the extended Kalman filter with which Crazyflies estimate their state."""
+"""Parameters of the Crazyflie's extended Kalman filter."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from hitchopt.values import positive
 class EstimatorParameters(OneLine):
     """Noise parameters of the estimator; the defaults are those that exports set.
 
-    The filter predicts by the thrust axis and the gyroscope alone: it sees a cable's level pull in
-    nothing but the error of its prediction. Process noise that is small against that pull lets it
-    explain the pull by a false tilt or velocity.
+    The filter predicts from the thrust axis and the gyroscope alone. A horizontal cable force shows
+    only in its prediction error. If the process noise is small compared with that force, the filter
+    attributes it to a false tilt or velocity.
 
     Parameters
     ----------
     level_noise, upright_noise: process noise of the acceleration along the body's x and y, and
         along its z (``kalman.pNAcc_xy``, ``kalman.pNAcc_z``) [m/s²].
     position_error: standard deviation of captured positions (``locSrv.extPosStdDev``) [m].
-    attitude_error: of captured attitudes (``locSrv.extQuatStdDev``) [rad]; None where drones carry
-        one marker, which has no attitude.
+    attitude_error: standard deviation of captured attitudes (``locSrv.extQuatStdDev``) [rad]; None
+        for drones with one marker, which has no attitude.
 
     Raises
     ------
@@ -50,10 +50,10 @@ class EstimatorParameters(OneLine):
 
 
 HELD = EstimatorParameters()
-"""Value that exports set for rigid bodies of several markers, with which hitches hold."""
+"""Values that exports set for rigid bodies of several markers."""
 
 FIRMWARE = EstimatorParameters(0.5, 1.0, 1e-2, 4.5e-3)
-"""Defaults of the firmware, for rigid bodies."""
+"""Defaults of the firmware for rigid bodies."""
 
 ONE_MARKER = EstimatorParameters(0.5, 1.0, 1e-2, None)
-"""Defaults of the firmware, for drones that carry one marker: with it hitches are lost."""
+"""Defaults of the firmware for drones with one marker; hitches do not hold with them."""

@@ -1,12 +1,13 @@
-"""Flight controllers: stiffness of their position loops, and treatment of set points.
+"""Flight controllers: gains of their position loops, and feed-forward of setpoints.
 
-A drone of mass m that is the error e [m] off its set point s answers with the force
+A drone of mass m with position error e [m] from its setpoint s responds with the force
 
-    kp e + kd ė + ∫ ki e dt  (+ m s̈ and the cable force of the set points, with feed-forward),
+    kp e + kd ė + ∫ ki e dt  (+ m s̈ and the cable force of the setpoints, with feed-forward),
 
-level and upright apart. The values are those of the public firmwares at their default parameters:
-Mellinger's law of the Crazyflie has gains in newtons, for any mass; the others' are per mass.
-How far off drones fly was measured with the Crazyflie's firmware in a loop with simulated cables.
+with separate gains for horizontal and vertical errors. The values are the defaults of the public
+firmwares: the gains of the Crazyflie's Mellinger controller are in newtons and independent of mass;
+the others are per mass. Tracking errors were measured with the Crazyflie's firmware in the loop
+with simulated cables.
 """
 
 from __future__ import annotations
@@ -21,37 +22,37 @@ from hitchopt.values import check_choice, form_of, units
 from hitchopt.values.fields import Key, Kind, Record, documented, mapping_of, one_or_each
 
 Pair = tuple[float, float]
-"""One value level (x and y), one upright (z)."""
+"""One horizontal value (x and y) and one vertical value (z)."""
 
 DAMPING_RATIO = 5.0 / 6.0
-"""kd / (2 √(kp m)) where no damping is stated: gains of 36/s² and 10/s times the mass."""
+"""kd / (2 √(kp m)) if no damping is specified: gains of 36/s² and 10/s times the mass."""
 
 INTEGRAL_TIME = 2.0
-"""[s] kp / ki of an integral of which nothing else is stated."""
+"""[s] kp / ki if only the presence of an integral is specified."""
 
-RETUNED = 0.05
-"""[m] How far off drones of the stiffest loops fly: none is said to be closer."""
+MIN_TRACKING = 0.05
+"""[m] Tracking error of the stiffest loops, and lower bound for all others."""
 
 PULL_TIME = 0.02
-"""[s] Velocity over acceleration of a steady level pull that the exported filter takes for motion.
+"""[s] Velocity that the exported filter estimates under a steady horizontal pull, per acceleration.
 
-A drone of 132 g that 0.4 N pull believes it moves against the pull at 6 cm/s: 5 to 7, by the time
-from predictions to frames."""
+A drone of 132 g under 0.4 N appears to move against the pull at 6 cm/s: 5 to 7, depending on the
+time from predictions to frames."""
 
-EXPONENT = 0.6
-"""Power of the stiffness by which drones come closer: 22, 11 and 5 cm at 3.0, 10.2 and 36/s²."""
+TRACKING_EXPONENT = 0.6
+"""Exponent of tracking error by stiffness: 22, 11 and 5 cm at 3.0, 10.2 and 36/s²."""
 
 
 def _pair(quantity: Kind) -> Kind:
-    """Return the kind of gains level and upright; one number holds for both."""
+    """Return the kind of a pair of gains, horizontal and vertical; one number sets both."""
     both = one_or_each(quantity, 2, 2)
 
     def check(key: str, value: Any) -> Pair:
         if form_of(value) not in both.forms:
             bound, remedy = "a number, or [level, upright]", "give one or two numbers"
             raise InputError(key, value, bound, remedy)
-        given = both.check(key, value)
-        level, upright = given if isinstance(given, list) else (given, given)
+        gains = both.check(key, value)
+        level, upright = gains if isinstance(gains, list) else (gains, gains)
         return level, upright
 
     return replace(both, check=check)
@@ -67,7 +68,7 @@ class Gains(Record):
 
     Raises
     ------
-    InputError: a gain that is no such number.
+    InputError: a gain of another form, or out of its range.
     """
 
     kp: Annotated[GAIN, Key(_pair(units.STIFFNESS), "Force by offset")] = None
@@ -75,58 +76,58 @@ class Gains(Record):
     ki: Annotated[GAIN, Key(_pair(units.INTEGRAL), "Force by offset and time")] = None
 
     @classmethod
-    def of(cls, given: object) -> Gains:
-        """Return gains that are given as such, or as a mapping with their names."""
-        return cls() if given is None else mapping_of(Gains).check("gains", given)
+    def of(cls, gains: object) -> Gains:
+        """Return ``gains``, converted from a mapping; None for the defaults."""
+        return cls() if gains is None else mapping_of(Gains).check("gains", gains)
 
 
 class _Stock(NamedTuple):
     """A firmware's default parameters."""
 
-    kp: Pair  # [N/m], or [1/s²] where per mass
+    kp: Pair  # [N/m], or [1/s²] if per mass
     kd: Pair  # [N s/m] or [1/s]
     ki: Pair  # [N/(m s)] or [1/s³]
-    ki_range: Pair  # [m s], largest integral of the offset
-    off: float  # [m], how far off drones were in flight, at a stiffness over mass of
-    at: float  # [1/s²]
+    ki_range: Pair  # [m s], largest integral of the position error
+    measured_error: float  # [m], tracking error in flight with this stiffness:
+    measured_stiffness: float  # [1/s²], horizontal kp over mass
     per_mass: bool = True
-    stiffest: float = math.inf  # [1/s²], largest level kp over mass that flies
+    stiffest: float = math.inf  # [1/s²], largest horizontal kp over mass that flies
     feed_forward: bool = True
     max_tilt: float = 0.5 * math.pi  # [rad]
-    filtered: bool = True  # whether it flies by the Crazyflie's filter
+    filtered: bool = True  # whether the Crazyflie's filter estimates its state
 
 
-FREE: Pair = (math.inf, math.inf)
-PID_LEVEL = 9.81 * math.radians(1.0)  # [m/s²] by degree of tilt: the loop commands 25° by m/s
+UNBOUNDED: Pair = (math.inf, math.inf)
+PID_LEVEL = 9.81 * math.radians(1.0)  # [m/s²] per degree of tilt: the loop commands 25° per m/s
 
 STOCK: Mapping[str, _Stock] = {
     "mellinger": _Stock(
         (0.40, 1.25), (0.2, 0.4), (0.05, 0.05), (2.0, 0.4), 0.22, 0.40 / 0.132, False, 36.0
     ),
-    "lee": _Stock((7.0, 7.0), (4.0, 4.0), (0.0, 0.0), FREE, 0.35, 7.0, stiffest=14.0),
+    "lee": _Stock((7.0, 7.0), (4.0, 4.0), (0.0, 0.0), UNBOUNDED, 0.35, 7.0, stiffest=14.0),
     "pid": _Stock(
-        (51.0 * PID_LEVEL, 51.0 * PID_LEVEL),  # 2/s times 25° by m/s, and 1° by m
+        (51.0 * PID_LEVEL, 51.0 * PID_LEVEL),  # 2/s times 25° per m/s, and 1° per m
         (25.0 * PID_LEVEL, 25.0 * PID_LEVEL),
-        (2.0 * PID_LEVEL, 51.0 / 4.0 * PID_LEVEL),  # within 25 s, and 4 s
-        FREE,
+        (2.0 * PID_LEVEL, 51.0 / 4.0 * PID_LEVEL),  # integral times of 25 s and 4 s
+        UNBOUNDED,
         0.52,
         51.0 * PID_LEVEL,
         feed_forward=False,
         max_tilt=math.radians(20.0),
     ),
     "px4": _Stock(
-        (1.71, 4.0), (1.8, 4.0), (1.71 / 4.6, 2.0), FREE, 0.22, 1.71,
+        (1.71, 4.0), (1.8, 4.0), (1.71 / 4.6, 2.0), UNBOUNDED, 0.22, 1.71,
         max_tilt=math.radians(45.0), filtered=False,
     ),
 }  # fmt: skip
-"""Default parameters by the controllers' names."""
+"""Default parameters by controller name."""
 
 CONTROLLERS = tuple(STOCK)
 """Names of flight controllers."""
 
 
 def stiffest_gains(mass: float) -> dict[str, float]:
-    """Return the stiffest gains of Mellinger's controller that fly, for a mass [kg]."""
+    """Return the stiffest stable gains of Mellinger's controller for a mass [kg]."""
     stiffest = STOCK["mellinger"].stiffest
     kp = float(f"{stiffest * mass:.3g}")
     return {"kp": kp, "kd": float(f"{DAMPING_RATIO * 2.0 * math.sqrt(kp * mass):.3g}"), "ki": 0.0}
@@ -134,20 +135,20 @@ def stiffest_gains(mass: float) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class FlightController(OneLine):
-    """A drone's position loop; pairs are level and upright.
+    """A drone's position loop; pairs are horizontal and vertical values.
 
     Attributes
     ----------
-    name: one of CONTROLLERS, or empty where the problem states numbers alone.
-    kp: stiffness [N/m], infinite where the loop is rigid, and so are the others then.
+    name: one of CONTROLLERS, or empty if the problem specifies numbers only.
+    kp: stiffness [N/m]; infinite for a rigid loop, as are kd and ki then.
     kd: damping [N s/m]
     ki: gain of the integral [N/(m s)], zero without.
-    ki_limit: largest force of the integral [N], zero without, infinite if unbounded.
-    feed_forward: whether streamed accelerations, and with them the cable force, are added.
-    max_tilt: largest tilt that it commands [rad], π/2 if any.
-    tracking: how far off its drones may fly [m], or None if unknown.
-    pull_gain: force that it has to be given to hold a cable's steady force, over that force: its
-        damping answers the velocity for which the Crazyflie's filter takes a level pull.
+    ki_limit: largest force of the integral [N]; zero without one, infinite if unbounded.
+    feed_forward: whether streamed accelerations, including the cable force, are added.
+    max_tilt: largest tilt that it commands [rad]; π/2 if unlimited.
+    tracking: largest tracking error of its drones [m], or None if unknown.
+    pull_gain: feed-forward force that holds a steady cable force, over that force. It exceeds 1
+        because the damping acts on the false velocity that the Crazyflie's filter estimates.
     """
 
     name: str
@@ -164,29 +165,30 @@ class FlightController(OneLine):
     def of(
         cls, name: str, mass: float, gains: Gains | Mapping[str, Any] | None = None
     ) -> FlightController:
-        """Return a controller by its name, for a drone's mass [kg], with its default gains or some.
+        """Return the named controller for a drone's mass [kg]; ``gains`` override its defaults.
 
-        Raise InputError for an unknown name, or for gains at which drones were lost.
+        Raise InputError for an unknown name, or for gains that are too stiff to fly.
         """
         check_choice("controller", name, CONTROLLERS)
         stock, own = STOCK[name], Gains.of(gains)
         size = mass if stock.per_mass else 1.0
 
         def gain(key: str) -> Pair:
-            given = getattr(own, key)
+            override = getattr(own, key)
             level, upright = getattr(stock, key)
-            return (size * level, size * upright) if given is None else given
+            return (size * level, size * upright) if override is None else override
 
         kp, kd, ki = gain("kp"), gain("kd"), gain("ki")
         if own.kp is not None and kp[0] > 1.01 * stock.stiffest * mass:
-            most = f"{stock.stiffest:g}/s² times the mass, {stock.stiffest * mass:.3g} N/m"
+            limit = f"{stock.stiffest:g}/s² times the mass, {stock.stiffest * mass:.3g} N/m"
             remedy = f"stiffer loops of {name} oscillate"
-            raise InputError("gains.kp", kp[0], f"at most {most}, level", remedy)
+            raise InputError("gains.kp", kp[0], f"at most {limit}, level", remedy)
         level, upright = ((k * r if k else 0.0) for k, r in zip(ki, stock.ki_range, strict=True))
-        off = stock.off * (stock.at * mass / kp[0]) ** EXPONENT
+        ratio = stock.measured_stiffness * mass / kp[0]
+        tracking = stock.measured_error * ratio**TRACKING_EXPONENT
         return cls(
             name, kp, kd, ki, (level, upright), stock.feed_forward, stock.max_tilt,
-            tracking=max(off, RETUNED),
+            tracking=max(tracking, MIN_TRACKING),
             pull_gain=(1.0 + PULL_TIME * kd[0] / mass if stock.filtered else 1.0, 1.0),
         )  # fmt: skip
 
@@ -194,11 +196,11 @@ class FlightController(OneLine):
     def plain(
         cls, mass: float, stiffness: float | None, *, integral: bool, feed_forward: bool
     ) -> FlightController:
-        """Return a loop of which a stiffness [N/m] is known, alike on all axes; None is rigid."""
+        """Return a loop with one stiffness [N/m] on all axes; None is rigid."""
         k = math.inf if stiffness is None else stiffness
-        c, i, most = 2.0 * DAMPING_RATIO * math.sqrt(k * mass), 0.0, 0.0
+        c, i, limit = 2.0 * DAMPING_RATIO * math.sqrt(k * mass), 0.0, 0.0
         if integral:
-            i, most = k / INTEGRAL_TIME, math.inf
+            i, limit = k / INTEGRAL_TIME, math.inf
         return cls(
-            "", (k, k), (c, c), (i, i), (most, most), feed_forward, 0.5 * math.pi, tracking=None
+            "", (k, k), (c, c), (i, i), (limit, limit), feed_forward, 0.5 * math.pi, tracking=None
         )  # fmt: skip

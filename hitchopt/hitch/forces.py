@@ -1,14 +1,14 @@
-"""Static forces: the balance at the clasps, and what cables do to drones.
+"""Static forces: the balance at the clasps, and cable forces on drones.
 
-At ``p_k`` cables k-1 and k bend around each other without friction (eq. (2)
-of the paper, in its general form, ``w_k`` an outside load):
-``T_k q̂_k + T_k u_k + T_{k-1} r̂_{k-1} - T_{k-1} u_{k-1} + w_k = 0``. Arrays carry any leading
-axes (times, for instance); the cable index is the last axis but the coordinates. Results at clasps
+At ``p_k`` cables k-1 and k bend around each other without friction (eq. (2) of the paper, in its
+general form with an external load ``w_k``):
+``T_k q̂_k + T_k u_k + T_{k-1} r̂_{k-1} - T_{k-1} u_{k-1} + w_k = 0``. Arrays may have any leading
+axes, times for instance; the cable index is the last axis before the coordinates. Results at clasps
 are in the order of ``Layout.clasps``: all n points of a closed hitch, the n - 1 inner ones of a
 chain.
 
-``closed_triangle`` is the law: a formula over ``Series``, for hitches at rest (values), paths
-(derivatives by time) and the optimiser (casadi's expressions) alike.
+``closed_triangle`` solves this balance as a formula over ``Series``, which serves hitches at rest
+(values), paths (derivatives by time) and the optimiser (casadi expressions).
 """
 
 from __future__ import annotations
@@ -30,19 +30,20 @@ from hitchopt.values import Array
 
 
 def chord_pull(tension: Any, half: Any, level: Any = 1.0, rise: Any = None) -> Any:
-    """Return the pull ``P`` of a part of a cable along its chord [N].
+    """Return the pull ``P`` of a cable part along its chord [N].
 
-    Half of the part's weight w is at each of its ends. It puts ``P ê - (w/2) ẑ`` on the end where
-    its tension is T, ê along its chord from there, which rises by the angle γ: so ``P = (w/2) sin γ
-    + √(T² - (w/2)² cos² γ)``, without the root where T does not even carry the half weight.
-    A formula over arrays, and over whatever has products and a ``root``: series, enclosures.
+    Half of the part's weight w acts at each end. On the end where its tension is T the part exerts
+    ``P ê - (w/2) ẑ``, where ê points along the chord, at the angle γ above horizontal: ``P = (w/2)
+    sin γ + √(T² - (w/2)² cos² γ)``. The root is zero if T is less than half of the weight's share.
+    The arguments are arrays, or any type with products and a ``root``: series, enclosures.
 
     Parameters
     ----------
-    tension, half: at the end [N], and half of the weight per length [N/m].
-    level: squared length of the chord as seen from above [m²].
-    rise: height of the chord's other end over this one [m]; None for edges, which have one tension
-        at both ends, so that it counts in the root alone.
+    tension: at the end [N].
+    half: half of the weight per length [N/m].
+    level: squared horizontal length of the chord [m²].
+    rise: height of the chord's other end over this one [m]; None for edges, whose tension is the
+        same at both ends, so that only the root remains.
     """
     squared = tension * tension - half * half * level
     is_array = isinstance(squared, (float, np.ndarray))
@@ -56,11 +57,11 @@ class ClaspLoads:
 
     Attributes
     ----------
-    forces: (…, clasps, 3) [N], outside forces ``w_k``; a weight points down.
-    halves: (…, clasps, 2) [N], half of the weights of ``r_{k-1}``'s leg and of ``q_k``'s.
+    forces: (…, clasps, 3) [N], external forces ``w_k``; a weight points down.
+    halves: (…, clasps, 2) [N], half of the weights of the legs of ``r_{k-1}`` and ``q_k``.
     roll: (…, clasps) [rad], ``ψ_k``; positive raises ``q_k`` and lowers ``r_{k-1}``.
-    edges: (…, clasps, 2) [N], half of the weights of edges k-1 and k, by which they pull less along
-        their chords than their tension.
+    edges: (…, clasps, 2) [N], half of the weights of edges k-1 and k, which reduce their pull along
+        the chord below the tension.
     """
 
     forces: Array
@@ -70,38 +71,37 @@ class ClaspLoads:
 
 
 def sag_factors(team: Team, tensions: ArrayLike) -> Array:
-    """Return ``(ρ g / T)² / 24`` of every cable (…, n) [1/m²]: its length over its chord, cubed."""
+    """Return ``(ρ g / T)² / 24`` of every cable (…, n) [1/m²]: excess length over chord cubed."""
     ratio = GRAVITY * team.cable_density / np.asarray(tensions, dtype=np.float64)
     factors: Array = ratio * ratio / 24.0
     return factors
 
 
 def cable_of(chords: Array, factors: Array) -> Array:
-    """Return the length of cable (…) [m] in spans with chords (…, 3 or 2) [m], level if planar."""
+    """Return the cable length (…) [m] of spans with chords (…, 3 or 2) [m]; level if planar."""
     level = chords[..., 0] ** 2 + chords[..., 1] ** 2
     return length(chords) * (1.0 + factors * level)
 
 
 def shortening(x: Any) -> Any:
-    """Return the chord of a span over the length of its cable, for ``x = c a² cos²α``.
+    """Return the chord of a span over its cable length, for ``x = c a² cos²α``, array or Series.
 
-    With ``s (1 + c s² cos²α) = a`` it is a power series of x, below 1e-2 for cables in use: of
-    arrays or ``Series``.
+    It solves ``s (1 + c s² cos²α) = a`` by a power series of x, which is below 1e-2 in practice.
     """
     return 1.0 - x * (1.0 - x * (3.0 - x * (12.0 - 55.0 * x)))
 
 
 def leg_vectors(cables: Array, directions: Array, factors: Array) -> Array:
-    """Return the chords (…, 2 or 3) [m] of legs of cable (…) [m] along unit vectors; level if 2."""
+    """Return the chords (…, 2 or 3) [m] of legs with cable lengths (…) [m] along unit vectors."""
     level = directions[..., 0] ** 2 + directions[..., 1] ** 2
     chords: Array = (cables * shortening(factors * cables**2 * level))[..., None] * directions
     return chords
 
 
 def cable_slack_of(team: Team, edges: Array, tensions: ArrayLike | None = None) -> Array:
-    """Return the slack of cables left for their legs (…, n) [m], around edges (…, n, 2 or 3) [m].
+    """Return the cable length left for legs (…, n) [m], given the edge vectors (…, n, 2 or 3) [m].
 
-    With tensions (…, n) [N]; the team's where they are None.
+    Tensions are (…, n) [N]; None for those of the team.
     """
     factors = sag_factors(team, team.tension if tensions is None else tensions)
     slack: Array = team.cable_length - cable_of(edges, factors)
@@ -111,14 +111,14 @@ def cable_slack_of(team: Team, edges: Array, tensions: ArrayLike | None = None) 
 def clasp_loads(
     team: Team, q_legs: Array, slack: Array, roll: ArrayLike | None = None
 ) -> ClaspLoads | None:
-    """Return the loads of the clasps in a hitch at full tension; None if they carry nothing.
+    """Return the clasp loads of a hitch at full tension; None without loads and roll.
 
     A clasp carries half of its legs and of its edges, ``W_k = ½ ρ g (d_k + l_k + e_{k-1} +
-    l_{k-1}) + g · load``, in lengths of cable: ``d_k + l_k`` is ``L_k - e_k``.
+    l_{k-1}) + g · load``, in cable lengths: ``d_k + l_k`` is ``L_k - e_k``.
 
     Parameters
     ----------
-    q_legs, slack: (…, n) [m], lengths of cable.
+    q_legs, slack: (…, n) [m], cable lengths.
     roll: (…, clasps) [rad], or None for none.
     """
     if not team.loaded and (roll is None or not np.any(roll)):
@@ -133,13 +133,13 @@ def clasp_loads(
     halves = half * np.stack([r_legs[..., layout.behind], q_legs[..., layout.ahead]], axis=-1)
     along = half * (team.cable_length - slack)
     edges = np.stack([along[..., layout.behind], along[..., layout.ahead]], axis=-1)
-    turned = np.asarray(0.0 if roll is None else roll, dtype=np.float64)
-    return ClaspLoads(forces, halves, np.broadcast_to(turned, q.shape), edges)
+    angles = np.asarray(0.0 if roll is None else roll, dtype=np.float64)
+    return ClaspLoads(forces, halves, np.broadcast_to(angles, q.shape), edges)
 
 
-PASSES = 3
-"""Times that a force triangle is closed, since pulls grow with the height that legs rise to: the
-third one leaves less than 1e-4 of the tension."""
+TRIANGLE_PASSES = 3
+"""Fixed-point iterations of a force triangle with heavy legs, whose pulls depend on their rise; the
+residual after three is below 1e-4 of the tension."""
 
 
 def closed_triangle(
@@ -152,20 +152,20 @@ def closed_triangle(
 ) -> tuple[Series, Series]:
     r"""Return the directions of the legs r_{k-1} and q_k that hold a clasp in balance.
 
-    ``P_q q̂_k = a v̂ + h m`` and ``P_r r̂_{k-1} = (|V| - a) v̂ - h m`` close a triangle with the known
-    side V, ``a = (|V|² + P_q² - P_r²) / (2 |V|)``, ``h = √(P_q² - a²)``. Without load and roll it
-    is the planar clasp, for equal tensions the paper's class (its eq. (3)).
+    ``P_q q̂_k = a v̂ + h m`` and ``P_r r̂_{k-1} = (|V| - a) v̂ - h m`` close a triangle with the given
+    side V, where ``a = (|V|² + P_q² - P_r²) / (2 |V|)`` and ``h = √(P_q² - a²)``. Without load and
+    roll the clasp is planar, and for equal tensions it is in the paper's class (its eq. (3)).
 
     Parameters
     ----------
-    V: ``P_{k-1} u_{k-1} - P_k u_k - w_k``, what edges pull with less the load [N].
-    onward: a vector on the side of V where q_k is without roll, in the plane of both legs.
-    roll: angle ψ of m from there to ``m_1 = m_0 × v̂`` [rad]; None for none.
+    V: ``P_{k-1} u_{k-1} - P_k u_k - w_k``, the pull of the edges minus the load [N].
+    onward: a vector on q_k's side of V without roll, in the plane of both legs.
+    roll: angle ψ of m from that side toward ``m_1 = m_0 × v̂`` [rad]; None for none.
     tensions: of both legs at the clasp [N].
-    halves: half of the weights of both legs [N]; None where they have none. Legs then pull with
-        ``chord_pull``.
-    check: called with values of \|V\| and of both pulls, before each closing; raises where there
-        is no triangle. Without it directions are nan there.
+    halves: half of the weights of both legs [N], whose pulls are then those of ``chord_pull``; None
+        for weightless legs.
+    check: called with the values of \|V\| and of both pulls before each pass; raises if there is no
+        triangle. Without it directions are nan there.
     """
     size = V.dot(V).root
     along = V / size
@@ -174,14 +174,14 @@ def closed_triangle(
         cosine, sine = roll.cosine_and_sine
         across = cosine * across + sine * across.cross(along)
     behind, ahead = tensions
-    for left in reversed(range(PASSES if halves else 1)):
+    for remaining in reversed(range(TRIANGLE_PASSES if halves else 1)):
         if check is not None:
             check(size.value, behind.value, ahead.value)
         a = 0.5 * (size + (ahead - behind) * (ahead + behind) / size)
         h = ((ahead - a) * (ahead + a)).root
         sides = ((size - a) * along - h * across, a * along + h * across)
         directions = sides[0] / behind, sides[1] / ahead
-        if left and halves:
+        if remaining and halves:
             rises = [direction.row(2) for direction in directions]
             behind, ahead = (
                 chord_pull(tension, half, 1.0 - rise * rise, rise)
@@ -204,15 +204,15 @@ def leg_directions(
     ----------
     edge_directions: (…, n, 2 or 3) unit vectors ``u_k``.
     tensions: (…, n) or scalar [N], positive.
-    loads: of the clasps, or None where they carry nothing and legs are not rolled.
-    arriving: (…, n, 2 or 3), directions of edges at ``p_{k+1}`` where they bend; None if straight.
-    leg_pulls: (…, n, 2) [N], what legs pull with where friction lets them pull otherwise than their
-        edges; None where they pull alike.
+    loads: of the clasps, or None without loads and roll.
+    arriving: (…, n, 2 or 3), directions of bent edges at ``p_{k+1}``; None if edges are straight.
+    leg_pulls: (…, n, 2) [N], tensions of legs that differ from those of their edges by friction;
+        None for equal ones.
 
     Returns
     -------
-    q, r: (…, n, 2 or 3) unit vectors from ``p_k`` to ``q_k`` and from ``p_{k+1}`` to ``r_k``, with
-        loads of three coordinates; away from its edge where a chain's end has no leg.
+    q, r: (…, n, 2 or 3) unit vectors from ``p_k`` to ``q_k`` and from ``p_{k+1}`` to ``r_k``, of
+        three coordinates with loads. At a chain's ends, which have no leg, outward along the edge.
 
     Raises
     ------
@@ -246,7 +246,7 @@ def leg_directions(
     if loads is not None:
         rolled, V = Series([loads.roll[None]]), pulled - loads.forces
         halves = Series([loads.halves[None, ..., 0]]), Series([loads.halves[None, ..., 1]])
-    with np.errstate(all="ignore"):  # of equal tensions V may be nothing
+    with np.errstate(all="ignore"):  # V vanishes where equal tensions pull straight on
         directions = closed_triangle(
             Series.of_vectors(V),
             Series.of_vectors(u + v),
@@ -265,27 +265,27 @@ def leg_directions(
 def _unbalanced(
     point: str, edges: Array, load: Array, behind: float, ahead: float
 ) -> InfeasibleError:
-    """Return the refusal of a clasp whose edges, outside load and legs pull with these [N]."""
-    pull, whole = behind + ahead, float(length(edges - load))
-    if whole < pull:
+    """Return the error of a clasp that these edge pulls, load and leg pulls [N] cannot balance."""
+    pull, total = behind + ahead, float(length(edges - load))
+    if total < pull:
         remedy = "make the tensions of the clasp's cables more alike, or turn them by more there"
-        name, value, most = "tension", abs(behind - ahead), whole
+        name, value, limit = "tension", abs(behind - ahead), total
     else:
         # The share of the load at which |edges - share · load| is the sum of both pulls.
-        name, value, against = "load", float(length(load)), float(edges @ load)
-        root = math.sqrt(against**2 + value**2 * max(pull**2 - float(edges @ edges), 0.0))
-        most = (against + root) / value if value > 0.0 else 0.0
-        factor = value / most if most > 0.0 else math.inf
-        lighter = "lower team.load or team.cable_density"
-        remedy = f"raise team.tension {factor:.3g} times, or {lighter}"
-    return InfeasibleError([Violation(name, value, most, "max", "N", (point,), "", remedy)])
+        name, value, along = "load", float(length(load)), float(edges @ load)
+        root = math.sqrt(along**2 + value**2 * max(pull**2 - float(edges @ edges), 0.0))
+        limit = (along + root) / value if value > 0.0 else 0.0
+        factor = value / limit if limit > 0.0 else math.inf
+        remedy = f"raise team.tension {factor:.3g} times, "
+        remedy += "or lower team.load or team.cable_density"
+    return InfeasibleError([Violation(name, value, limit, "max", "N", (point,), "", remedy)])
 
 
 def contact_forces(edge_directions: Array, tensions: ArrayLike, topology: str = CLOSED) -> Array:
-    """Return the forces (…, clasps) [N] with which cables press on each other at clasps.
+    """Return the contact forces (…, clasps) [N] between the two cables of each clasp.
 
-    ``2 T_k T_{k-1} sin φ / |V|`` without loads, φ the exterior angle: what a cable presses with
-    that a clasp bends. Parameters are those of ``leg_directions``.
+    Without loads they are ``2 T_k T_{k-1} sin φ / |V|``, where φ is the exterior angle. Parameters
+    are those of ``leg_directions``.
     """
     q, _ = leg_directions(edge_directions, tensions, topology)
     bend: Array = np.asarray(tensions, dtype=np.float64) * length(edge_directions + q)
@@ -293,9 +293,9 @@ def contact_forces(edge_directions: Array, tensions: ArrayLike, topology: str = 
 
 
 def hanging_forces(team: Team, drones: Array) -> Array:
-    """Return the force of hanging cables on drones that are at (…, 2n, 3) [m], in [N] likewise.
+    """Return the forces (…, 2n, 3) [N] of hanging cables on drones at (…, 2n, 3) [m].
 
-    Zero where cables weigh nothing.
+    They are zero for massless cables.
     """
     if team.cable_density == 0.0:
         return np.zeros(drones.shape)
@@ -306,12 +306,13 @@ def hanging_forces(team: Team, drones: Array) -> Array:
 
 
 def cable_forces(team: Team, drones: Array, vertices: Array, pulls: Array, taut: Array) -> Array:
-    """Return the force of cables on drones (…, 2n, 3) [N], between hanging free and taut.
+    """Return the forces (…, 2n, 3) [N] of cables on drones, from hanging (taut = 0) to taut (1).
 
-    A leg pulls toward its vertex (at a chain's end the edge along itself) by ``chord_pull`` and
-    puts half of its weight on its drone; the rest is on the clasps. While a tension rises from 0
-    every weight, loads among them, passes from hanging cables to taut ones by the share ``taut``:
-    weights and tensions keep their ratio, so legs keep their directions and no force jumps.
+    A leg pulls its drone toward the vertex with ``chord_pull`` (without a leg, at a chain's end,
+    the edge pulls along itself) and puts half of its weight on the drone; the clasps carry the
+    rest. While tensions rise from 0, the share ``taut`` of all weights, including loads, moves from
+    hanging to taut cables: the ratio of weights to tensions and the directions of legs stay
+    constant, and no force jumps.
 
     Parameters
     ----------
@@ -327,7 +328,7 @@ def cable_forces(team: Team, drones: Array, vertices: Array, pulls: Array, taut:
     if team.cable_density > 0.0:
         level = spans[..., 0] ** 2 + spans[..., 1] ** 2
         along = chord_pull(pulls, half, level, spans[..., 2])
-    # A leg without length has no direction: no force rather than nan (certified plans have none).
+    # Legs of zero length exert no force; certified plans have none.
     forces: Array = 0.0 - along[..., None] * unit(spans)  # no negative zeros
     if team.cable_density > 0.0:
         forces[..., 2] -= half * length(spans)
@@ -337,11 +338,14 @@ def cable_forces(team: Team, drones: Array, vertices: Array, pulls: Array, taut:
 
 
 def cable_force_rates(team: Team, values: tuple[Array, ...], rates: tuple[Array, ...]) -> Array:
-    """Return the derivative by time of ``cable_forces``, (…, 2n, 3) [N/s], by central differences.
+    """Return the time derivatives (…, 2n, 3) [N/s] of ``cable_forces`` by central differences.
 
-    Of its arguments' values (drones, vertices, pulls, tautness) and their derivatives by time.
+    Parameters
+    ----------
+    values: drones, vertices, pulls and taut, the arguments of ``cable_forces``.
+    rates: their time derivatives.
     """
-    step = 1e-5  # [s] At 1 m/s a leg of 0.1 m turns by 1e-4 in it: they err by 1e-9 of themselves.
+    step = 1e-5  # [s]; at 1 m/s a leg of 0.1 m turns by 1e-4: the relative error is 1e-9
     later, earlier = (
         cable_forces(team, *(v + sign * r for v, r in zip(values, rates, strict=True)))
         for sign in (step, -step)
@@ -350,7 +354,7 @@ def cable_force_rates(team: Team, values: tuple[Array, ...], rates: tuple[Array,
 
 
 def undetermined_tension(*, integral: bool, feed_forward: bool) -> tuple[str, ...]:
-    """Return in words why a plan does not determine the tensions; nothing where it does."""
+    """Return the reasons, in words, why a plan does not determine the tensions."""
     reasons = []
     if integral:
         reasons.append(
@@ -361,7 +365,7 @@ def undetermined_tension(*, integral: bool, feed_forward: bool) -> tuple[str, ..
     if not feed_forward:
         reasons.append(
             "without feed-forward of the cable force nothing keeps up the planned tension: drones "
-            "give way until cables hardly pull; export with hold_tension, which moves the set "
-            "points outward"
+            "give way until cables hardly pull; export with hold_tension, which moves the "
+            "setpoints outward"
         )
     return tuple(reasons)

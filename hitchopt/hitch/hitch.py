@@ -1,4 +1,4 @@
-"""A hitch at rest: outline, legs and tensions determine every drone's place and force."""
+"""A hitch at rest: outline, legs and tensions determine every drone's position and force."""
 
 from __future__ import annotations
 
@@ -33,38 +33,38 @@ from hitchopt.values import Array, as_array, check_instance
 from hitchopt.values.fields import store, suggest_keywords
 from hitchopt.values.units import HEIGHT
 
-FIXED_LEG, SAGGING_LEG = 1e-4, 1e-2
-"""Tolerance of a given leg that is not free, relative to its cable's length, as of cable lengths in
-plans; and where cables have weight: whoever gives it may have left out that edges sag."""
+LEG_TOLERANCE, SAGGING_LEG_TOLERANCE = 1e-4, 1e-2
+"""Tolerances of a prescribed leg at a chain's end, relative to its cable's length: of massless
+cables, as for cable lengths in plans, and of heavy ones, whose sag the user may have neglected."""
 
-FAR_OFF = 100.0
+UNIT_ERROR_RATIO = 100.0
 """Edge over cable beyond which one of the two is probably in another unit."""
 
 
 def checked_polygon(team: Team, polygon: Outline | ArrayLike) -> Outline:
-    """Return ``polygon`` as an outline of the team's topology and count, or raise InputError."""
+    """Return ``polygon`` as an outline with the team's topology and count, or raise InputError."""
     check_instance("team", team, Team)
     closed, points = team.layout.closed, team.layout.points
     if not isinstance(polygon, Outline):
         polygon = ConvexPolygon(polygon) if closed else ConvexArc(polygon)
-    given, bound = polygon.vertices.tolist(), ""
+    value, bound = polygon.vertices.tolist(), ""
     if polygon.closed != closed:
         kind = "ConvexPolygon" if closed else "ConvexArc"
         bound = f"a {kind}, the team being {team.topology}"
         remedy = "give its points as such, or change team.topology"
     elif len(polygon) != points:
         count = "one per robot" if closed else "one more than robots"
-        given, bound = f"{len(polygon)} points", f"a list of {points} points, {count}"
+        value, bound = f"{len(polygon)} points", f"a list of {points} points, {count}"
         remedy = "add or remove points, or change team.robots"
     if bound:
-        raise InputError("polygon", given, bound, remedy)
+        raise InputError("polygon", value, bound, remedy)
     return polygon
 
 
 def cable_slack(team: Team, polygon: Outline) -> Array:
-    """Return (n,) [m] ``L_k - l_k``, or raise InfeasibleError where an edge uses up its cable.
+    """Return (n,) [m] ``L_k - l_k``, or raise InfeasibleError if an edge uses up its cable.
 
-    The cable of an edge that sags is longer than the edge (``forces``).
+    The cable of a sagging edge is longer than the edge (``forces``).
     """
     lengths, slack = polygon.edge_lengths, cable_slack_of(team, polygon.edge_vectors)
     worst = int(slack.argmin())
@@ -76,7 +76,7 @@ def cable_slack(team: Team, polygon: Outline) -> Array:
             f"edge {worst} is {lengths[worst]:.6g} m long on a cable of "
             f"{team.cable_length[worst]:.6g} m: {remedy}"
         )
-        if lengths[worst] > FAR_OFF * team.cable_length[worst]:
+        if lengths[worst] > UNIT_ERROR_RATIO * team.cable_length[worst]:
             remedy += f"; if millimetres were meant, {1e-3 * lengths[worst]:.3g} m"
         raise _refusal(slack[worst], 0.0, "min", f"cable {worst}", remedy)
     return slack
@@ -88,15 +88,15 @@ def balanced_legs(team: Team, polygon: Outline) -> Array:
     return team.layout.q_legs_of(0.5 * slack, slack)
 
 
-def checked_legs(team: Team, given: Array, slack: Array) -> Array:
+def checked_legs(team: Team, q_legs: Array, slack: Array) -> Array:
     """Return the q-legs, exact at a chain's ends, or raise InfeasibleError."""
-    d = team.layout.q_legs_of(given, slack)
-    k = int((np.abs(given - d) / team.cable_length).argmax())
-    tolerance = FIXED_LEG if team.cable_density == 0.0 else SAGGING_LEG
-    if abs(given[k] - d[k]) > tolerance * team.cable_length[k]:
-        drone, sense = "qr"[int(team.layout.has_leg[k, 0])], "max" if given[k] > d[k] else "min"
+    d = team.layout.q_legs_of(q_legs, slack)
+    k = int((np.abs(q_legs - d) / team.cable_length).argmax())
+    tolerance = LEG_TOLERANCE if team.cable_density == 0.0 else SAGGING_LEG_TOLERANCE
+    if abs(q_legs[k] - d[k]) > tolerance * team.cable_length[k]:
+        drone, sense = "qr"[int(team.layout.has_leg[k, 0])], "max" if q_legs[k] > d[k] else "min"
         remedy = f"{drone}{k} stands at the chain's end, without a leg: write d_{k} = {d[k]:.9g}"
-        raise _refusal(given[k], d[k], sense, f"q{k}", remedy)
+        raise _refusal(q_legs[k], d[k], sense, f"q{k}", remedy)
     legs = np.where(team.layout.has_leg, np.stack([d, slack - d], axis=1), np.inf)
     k, end = divmod(int(legs.argmin()), 2)
     if legs[k, end] <= 0.0:
@@ -105,49 +105,49 @@ def checked_legs(team: Team, given: Array, slack: Array) -> Array:
     return d
 
 
-def checked_roll(team: Team, given: ArrayLike) -> Array:
+def checked_roll(team: Team, roll: ArrayLike) -> Array:
     """Return the roll of every clasp (clasps,) [rad], read-only, or raise InputError."""
     clasps = len(team.layout.clasps)
     try:
-        roll = np.array(np.broadcast_to(np.asarray(given, dtype=np.float64), clasps))
+        angles = np.array(np.broadcast_to(np.asarray(roll, dtype=np.float64), clasps))
     except (TypeError, ValueError):
         bound = f"one angle, or a list of {clasps} (one per clasp)"
-        raise InputError("roll", given, bound, "give radians") from None
-    if not np.all(np.abs(roll) < 0.5 * np.pi):  # nan too
-        raise InputError("roll", given, "within ±π/2 rad", "give radians below a right angle")
-    roll.setflags(write=False)
-    return roll
+        raise InputError("roll", roll, bound, "give radians") from None
+    if not np.all(np.abs(angles) < 0.5 * np.pi):  # nan too
+        raise InputError("roll", roll, "within ±π/2 rad", "give radians below a right angle")
+    angles.setflags(write=False)
+    return angles
 
 
 def _refusal(value: float, limit: float, sense: str, where: str, remedy: str) -> InfeasibleError:
-    """Return the error of a leg [m] beyond its limit."""
+    """Return the error for a leg [m] beyond its limit."""
     violation = Violation("legs", float(value), float(limit), sense, "m", (where,), "", remedy)
     return InfeasibleError([violation])
 
 
 @dataclass(frozen=True, eq=False)
 class Hitch(OneLine):
-    """A hitch in a horizontal plane, in balance: closed, or an open chain.
+    """A hitch in static equilibrium, with all vertices in a horizontal plane.
 
-    Vertices are in that plane. Where clasps carry weight their legs rise out of it, so that they
-    hold it there; where legs are rolled one rises and the other one sinks.
+    It is closed or an open chain. Legs rise out of the plane at clasps that carry weight; with roll
+    one leg rises and the other one sinks.
 
     Parameters
     ----------
     team: its cables tie the hitch.
     polygon: its outline or the points, n of a closed hitch, n + 1 of a chain (points, 2) [m].
     altitude: height of its plane [m].
-    q_legs: (n,) [m], ``d_k``: the length of cable from vertex k to drone q_k. The rest of cable k's
-        slack is ``e_k = L_k - l_k - d_k``, from vertex k+1 to drone r_k. A chain leaves no choice
-        at its ends: ``d_0 = 0`` and ``d_{n-1} = L_{n-1} - l_{n-1}``, to 1e-4 of the cable.
-    roll: one or (clasps,) [rad], ``ψ_k``: by how much the legs at a clasp are turned out of the
-        plane in which they hold it, ``q_k`` up and ``r_{k-1}`` down where it is positive.
+    q_legs: (n,) [m], ``d_k``: cable length from vertex k to drone q_k. The rest of cable k's slack
+        is ``e_k = L_k - l_k - d_k``, from vertex k+1 to drone r_k. The ends of a chain are fixed:
+        ``d_0 = 0`` and ``d_{n-1} = L_{n-1} - l_{n-1}``, to 1e-4 of the cable.
+    roll: one or (clasps,) [rad], ``ψ_k``: angle of a clasp's legs out of the plane in which they
+        hold it, with ``q_k`` up and ``r_{k-1}`` down if positive.
 
     Raises
     ------
-    InputError: a count that does not fit the team, or numbers that are not finite.
-    InfeasibleError: an edge or legs that do not fit the cables, or a weight that the tensions
-        cannot carry.
+    InputError: a count that does not match the team, or numbers that are not finite.
+    InfeasibleError: an edge or legs that are too long for the cables, or a weight that the
+        tensions cannot carry.
     """
 
     team: Team
@@ -208,24 +208,23 @@ class Hitch(OneLine):
         separation: Separation | None = None,
         roll: ArrayLike | None = None,
     ) -> Hitch:
-        """Return the hitch whose leg lengths keep drones well apart.
+        """Return the hitch whose leg lengths separate the drones with a margin.
 
-        They are nearest to balanced (least squares in ``d``) among those with separations and
-        distances to cables of at least 1.5 times their limits and legs within theirs; where there
-        are none, they have the largest such margin.
+        Of all leg lengths within limits with separations and cable clearances of at least 1.5 times
+        their limits, it has the nearest to balanced ones (least squares in ``d``). If there are
+        none, it has those with the largest margin.
 
         Other parameters and errors are those of the class.
 
         Parameters
         ----------
-        limits, separation: the default ones if None; distances are wider for drones that are off.
-        roll: one or (clasps,) [rad]; None for none unless legs break a limit without, and then for
-            one angle at all clasps, the smallest with which they keep that margin, or else the
-            limits.
+        limits, separation: defaults if None; tracking errors add to the distances.
+        roll: one or (clasps,) [rad]. None: no roll if the limits hold without it; else the smallest
+            angle, the same at all clasps, with which the margin holds, or at least the limits.
         """
         outline = checked_polygon(team, polygon)
-        own = Requirements(limits or Limits(), separation or Separation())
-        requirements = own.flown_by(team).with_reserve
+        requirements = Requirements(limits or Limits(), separation or Separation())
+        requirements = requirements.flown_by(team).with_reserve
         fixed = None if roll is None else checked_roll(team, roll)
         legs = balanced_legs(team, outline)
         task = _leg_task(team, outline, legs, SPREAD_MARGIN, requirements, fixed)
@@ -248,23 +247,23 @@ class Hitch(OneLine):
     ) -> Hitch:
         """Return the hitch within every limit whose slack split is nearest to ``fractions`` (n,).
 
-        Where there is none, the one with the largest margin. Legs have the given roll, one or
-        (clasps,) [rad], unless they break a limit with it: then all have the smallest one that is
-        found to keep them. Errors are those of the class.
+        If there is none, return the one with the largest margin. The roll, one or (clasps,) [rad],
+        applies unless it breaks a limit: then all clasps have the smallest feasible one of the
+        search. Errors are those of the class.
         """
         outline = checked_polygon(team, polygon)
         slack = cable_slack(team, outline)
-        wanted = team.layout.q_legs_of(np.asarray(fractions, dtype=np.float64) * slack, slack)
+        reference = team.layout.q_legs_of(np.asarray(fractions, dtype=np.float64) * slack, slack)
         requirements = Requirements(limits, separation, arena)
-        own = checked_roll(team, roll)
-        task = _leg_task(team, outline, wanted, LIMIT_MARGIN, requirements, own)
+        angles = checked_roll(team, roll)
+        task = _leg_task(team, outline, reference, LIMIT_MARGIN, requirements, angles)
         split, rolled = split_with_least_roll(task)
         return cls(team, outline, altitude, split.q_legs[0], rolled)
 
     def least_rolled(self, requirements: Requirements) -> Hitch:
-        """Return the hitch with the same lengths of legs, rolled as little as keeps all limits.
+        """Return the hitch with the same leg lengths and the smallest roll that keeps all limits.
 
-        Not at all where they keep them without, or where no roll helps.
+        There is no roll if the limits hold without it, or if no roll helps.
         """
         task = _leg_task(self.team, self.polygon, self.q_legs, LIMIT_MARGIN, requirements)
         roll = None if reference_margin(task) >= 1.0 else least_roll(task)
@@ -272,19 +271,19 @@ class Hitch(OneLine):
 
     @property
     def slack(self) -> Array:
-        """(n,) [m]: slack of cable k for its two legs, ``L_k - l_k``, in lengths of cable."""
+        """(n,) [m]: slack of cable k for its two legs, ``L_k - l_k``, as cable length."""
         return cable_slack(self.team, self.polygon)
 
     @property
     def r_legs(self) -> Array:
-        """(n,) [m]: length of cable ``e_k`` from vertex k+1 to drone r_k; 0 at a chain's end."""
+        """(n,) [m]: cable length ``e_k`` from vertex k+1 to drone r_k; 0 at a chain's end."""
         return self.team.layout.legs_of(self.q_legs, self.slack)[:, 1]
 
     @property
     def legs(self) -> Array:
         """(n, 2) [m]: distances of q_k and r_k from their vertices, ``d_k`` and ``e_k``.
 
-        Zero where a chain's end has no leg; less than the lengths of cable where that sags.
+        They are zero at a chain's ends, and less than the cable lengths if cables sag.
         """
         lengths = self.team.layout.legs_of(self.q_legs, self.slack)
         steep = np.stack(self._directions, axis=1)[..., 2]
@@ -306,7 +305,7 @@ class Hitch(OneLine):
     def leg_directions(self) -> Array:
         """(2n, 3): unit vectors from the vertex to the drone, in the order q0, r0, q1, ….
 
-        Where a chain's end has no leg: along its edge, outward.
+        At a chain's ends, which have no leg, they point outward along the edge.
         """
         return np.stack(self._directions, axis=1).reshape(-1, 3)
 
@@ -326,7 +325,7 @@ class Hitch(OneLine):
 
     @property
     def cable_forces(self) -> Array:
-        """(2n, 3) [N]: the force that the taut cable puts on each drone."""
+        """(2n, 3) [N]: force of the taut cable on each drone."""
         pulls, taut = np.repeat(self.team.tension, 2), np.ones(self.team.robots)
         return cable_forces(self.team, self.drones, self.vertices, pulls, taut)
 

@@ -1,8 +1,8 @@
 """The model: from flat outputs (vertices, legs, tensions, roll) to drones and thrusts.
 
-One formula over ``Series`` serves many times at once (``drone_jets``) and the optimiser's casadi
-(``planar``). A clasp ``p_k`` depends on ``p_{k-1} … p_{k+1}`` and on cables k-1 and k only. Legs
-are lengths of cable; the distances of the drones from their vertices are less where it sags.
+One formula over ``Series`` serves batches of times (``drone_jets``) and casadi expressions of the
+optimiser (``planar``). A clasp ``p_k`` depends on ``p_{k-1} … p_{k+1}`` and on cables k-1 and k
+only. Legs are cable lengths; drones are nearer to their vertices if cables sag.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Edge:
 
     Attributes
     ----------
-    along, cable: its direction, and the length of its cable [m].
+    along, cable: its direction, and its cable length [m].
     pull, tension: along its chord, and of its cable [N].
     sag: factor of ``forces.cable_of`` for its cable [1/m²]; None without weight.
     """
@@ -41,7 +41,7 @@ class Edge:
 
     @classmethod
     def of(cls, vector: Series, tension: Series, weight: Any) -> Edge:
-        """Return an edge, of cables with a weight per length [N/m]; None for none."""
+        """Return the edge along a vector; ``weight`` is that of cables [N/m], None for none."""
         size = vector.dot(vector).root
         along = vector / size
         if weight is None:
@@ -52,10 +52,10 @@ class Edge:
         pull = chord_pull(tension, cable * (0.5 * weight))
         return cls(along, cable, pull, tension, sag)
 
-    def taken(self, index: Indices) -> Edge:
-        """Return some of many edges."""
+    def select(self, index: Indices) -> Edge:
+        """Return the edges at some indices."""
         parts: dict[str, Any] = vars(self)
-        return Edge(**{name: part and part.taken(index) for name, part in parts.items()})
+        return Edge(**{name: part and part.select(index) for name, part in parts.items()})
 
 
 def clasp_legs(
@@ -66,24 +66,25 @@ def clasp_legs(
     weight: Any,
     roll: Series | None,
     *,
-    alike: bool = False,
+    equal: bool = False,
 ) -> tuple[tuple[Series, Series], tuple[Series, Series], Series]:
-    """Return directions and chords [m] of the legs at ``p_k``, first r_{k-1}, and its cable [m].
+    """Return directions and chords [m] of the legs r_{k-1} and q_k at ``p_k``, and ``e_{k-1}`` [m].
 
     Parameters
     ----------
     edges, q_legs: of cables k-1 and k.
     cable_length: of cable k-1 [m].
-    load, weight, roll: outside force on the clasp [N], of cables per length [N/m], [rad]; each
-        None for none.
-    alike: whether all tensions are equal: legs then go on along the neighbouring edges, where
-        nothing else is to be carried.
+    load: external force on the clasp [N]; None for none.
+    weight: of cables per length [N/m]; None for none.
+    roll: of the clasp [rad]; None for none.
+    equal: whether all tensions are equal. Without load, weight and roll, legs then continue the
+        neighbouring edges.
     """
     behind, ahead = edges
     whole = q_legs[0].constant(cable_length)
     e, d = whole - behind.cable - q_legs[0], q_legs[1]
     tensions = behind.tension, ahead.tension
-    if alike and load is None and weight is None and roll is None:
+    if equal and load is None and weight is None and roll is None:
         return (-ahead.along, behind.along), (e, d), e
     V = behind.pull * behind.along - ahead.pull * ahead.along
     if load is not None:
@@ -92,7 +93,7 @@ def clasp_legs(
     if weight is None:
         return closed_triangle(V, onward, roll, tensions, None), (e, d), e
     half = 0.5 * weight
-    # Half of what lies about the clasp: of cable k-1 all but its q-leg.
+    # Half of both cables' lengths about the clasp, such as cable k-1 without its q-leg.
     carried = (whole - q_legs[0] + d + ahead.cable) * half
     directions = closed_triangle(V + carried.upward, onward, roll, tensions, (e * half, d * half))
     levels = [direction.row(0, 1) for direction in directions]
@@ -103,16 +104,16 @@ def clasp_legs(
     return directions, (first, second), e
 
 
-CLASPS_AT_ONCE = 4000
-"""Clasps, over all values of the parameter, whose series stay within the caches."""
+CLASPS_PER_CHUNK = 4000
+"""Clasps, summed over all values of the parameter, whose series fit into the caches."""
 
 
 @dataclass(frozen=True, eq=False)
 class FlatJets:
     """Flat outputs at J values of a parameter, with derivatives by it up to the third.
 
-    Vertices (J, points, 3, 4) [m], lengths of cable in q-legs (J, n, 4) [m], tensions (J, n, 4) [N]
-    and roll (J, clasps, 4) [rad], None where legs are not rolled.
+    Vertices (J, points, 3, 4) [m], cable lengths of q-legs (J, n, 4) [m], tensions (J, n, 4) [N]
+    and roll (J, clasps, 4) [rad], None for none.
     """
 
     vertices: Array
@@ -120,18 +121,17 @@ class FlatJets:
     tensions: Array
     roll: Array | None = None
 
-    def chosen(self, index: slice) -> FlatJets:
-        """Return the flat outputs at some of the values."""
+    def __getitem__(self, index: slice) -> FlatJets:
         roll = None if self.roll is None else self.roll[index]
         return FlatJets(self.vertices[index], self.q_legs[index], self.tensions[index], roll)
 
 
 @dataclass(frozen=True, eq=False)
 class DroneJets:
-    """Drones, forces and legs of flat outputs at the same J values of the parameter.
+    """Drones, forces and legs for flat outputs, at the same J values of the parameter.
 
     Positions (J, 2n, 3, 4) [m], in the order q0, r0, q1, …; forces of cables on drones and thrusts
-    (J, 2n, 3) [N], with the parameter taken as time; legs (J, n, 2, 4) [m], distances of drones
+    (J, 2n, 3) [N], with the parameter select as time; legs (J, n, 2, 4) [m], distances of drones
     from their vertices.
     """
 
@@ -142,42 +142,42 @@ class DroneJets:
 
 
 def drone_jets(team: Team, flat: FlatJets) -> DroneJets:
-    """Return drones, forces and thrusts for flat outputs; linear in J·n.
+    """Return drones, forces and thrusts for flat outputs; the cost is linear in J·n.
 
-    Where all tensions are equal legs go on along the neighbouring edges (the paper's class), unless
-    clasps carry weight or legs are rolled. Values are nan where tensions cannot carry them.
+    If all tensions are equal, legs continue the neighbouring edges (the paper's class), unless
+    clasps carry weight or legs are rolled. Values are nan where tensions cannot carry the loads.
     """
     steady = not np.any(flat.tensions[..., 1:])
     equal = steady and bool(np.all(flat.tensions[..., 0] == flat.tensions[0, 0, 0]))
-    step, count = max(1, CLASPS_AT_ONCE // team.robots), len(flat.vertices)
+    step, count = max(1, CLASPS_PER_CHUNK // team.robots), len(flat.vertices)
     if count <= step:
         return _drone_jets(team, flat, equal)
-    chunks = [flat.chosen(slice(first, first + step)) for first in range(0, count, step)]
+    chunks = [flat[first : first + step] for first in range(0, count, step)]
     parts = [vars(_drone_jets(team, chunk, equal)) for chunk in chunks]
     return DroneJets(*(np.concatenate([part[name] for part in parts]) for name in parts[0]))
 
 
 def _drone_jets(team: Team, flat: FlatJets, equal: bool) -> DroneJets:
-    """Return drones, forces and thrusts of flat outputs; tensions are all ``equal`` or not."""
+    """Return drones, forces and thrusts of flat outputs; ``equal`` if all tensions are."""
     layout = team.layout
     weight = GRAVITY * team.cable_density if team.cable_density > 0.0 else None
     load = np.outer([0.0, 0.0, -GRAVITY], team.load)[:, None] if np.any(team.load) else None
     d = _scalars(flat.q_legs)
-    with np.errstate(all="ignore"):  # edges of no length have no direction
+    with np.errstate(all="ignore"):  # edges of zero length have no direction
         vertices = Series.of_jet(flat.vertices)
-        vectors = vertices.taken(layout.ends) - vertices.taken(layout.starts)
+        vectors = vertices.select(layout.ends) - vertices.select(layout.starts)
         tension = _scalars(flat.tensions)
         edge = Edge.of(vectors, tension.constant(tension.value) if equal else tension, weight)
         directions, legs, _ = clasp_legs(
-            (edge.taken(layout.behind), edge.taken(layout.ahead)),
-            (d.taken(layout.behind), d.taken(layout.ahead)),
+            (edge.select(layout.behind), edge.select(layout.ahead)),
+            (d.select(layout.behind), d.select(layout.ahead)),
             team.cable_length[layout.behind],
             load,
             weight,
             None if flat.roll is None else _scalars(flat.roll),
-            alike=equal,
+            equal=equal,
         )
-        positions = flat.vertices[:, layout.anchors]  # where a chain's end has no leg
+        positions = flat.vertices[:, layout.anchors]  # final at a chain's ends, without legs
         distances = np.zeros((len(positions), team.drones, JET))
         for end, drones in enumerate((2 * layout.behind + 1, 2 * layout.ahead)):
             positions[:, drones] += (legs[end] * directions[end]).jet
@@ -202,7 +202,7 @@ def slipping_drones(
     planned: Array | None = None,
     cables: Array | None = None,
 ) -> Array:
-    """Return the jets of drones on legs whose pulls differ from their edges' tensions.
+    """Return the jets of drones on legs whose tensions differ from those of their edges.
 
     Clasps carry the team's loads and the weight of its cables.
 
@@ -212,13 +212,13 @@ def slipping_drones(
     legs: (J, n, 2, 4) [m], ``d_k`` and ``e_k``, distances of drones from their vertices.
     tensions: (J, n, 4) [N], of the edges.
     pulls: (J, n, 2, 4) [N], tensions of the legs at their clasps.
-    planned: (J, 2n, 3, 4) [m], drones in balance without friction, in whose planes legs lean; None
-        of legs that are not rolled.
-    cables: (J, n, 2, 4) [m], lengths of cable in the legs; None where they do not sag.
+    planned: (J, 2n, 3, 4) [m], drones in balance without friction, which define the planes of
+        rolled legs; None without roll.
+    cables: (J, n, 2, 4) [m], cable lengths of the legs; None if they do not sag.
 
     Returns
     -------
-    (J, clasps, 2, 3, 4) [m]: ``r_{k-1}`` and ``q_k`` at every clasp; nan where none balances it.
+    (J, clasps, 2, 3, 4) [m]: ``r_{k-1}`` and ``q_k`` at every clasp; nan if it has no balance.
     """
     layout = team.layout
     behind, ahead = layout.behind, layout.ahead
@@ -236,16 +236,16 @@ def slipping_drones(
     loads[:, :, 2, 0] -= whole + GRAVITY * team.load
     with np.errstate(all="ignore"):
         points, T = Series.of_jet(vertices), _scalars(tensions)
-        u = (points.taken(layout.ends) - points.taken(layout.starts)).direction
+        u = (points.select(layout.ends) - points.select(layout.starts)).direction
         edges = (chord_pull(T, _scalars(along)) if half > 0.0 else T) * u
         directions = closed_triangle(
-            edges.taken(behind) - edges.taken(ahead) - Series.of_jet(loads),
+            edges.select(behind) - edges.select(ahead) - Series.of_jet(loads),
             Series.of_jet(sides),
             None,
             (_scalars(pulls[:, behind, 1]), _scalars(pulls[:, ahead, 0])),
             (_scalars(halves[:, behind, 1]), _scalars(halves[:, ahead, 0])) if half > 0.0 else None,
         )
-        clasps = points.taken(layout.clasps)
+        clasps = points.select(layout.clasps)
         r = clasps + _scalars(legs[:, behind, 1]) * directions[0]
         q = clasps + _scalars(legs[:, ahead, 0]) * directions[1]
         return np.stack([r.jet, q.jet], axis=2)
@@ -253,35 +253,35 @@ def slipping_drones(
 
 @lru_cache
 def planar(loaded: bool, choice: bool) -> ca.Function:
-    """Return robot k at rest in a level closed hitch, seen from above, and the turn at ``p_k``.
+    """Return a function for robot k of a level closed hitch at rest, in plan view.
 
-    Built when it is first asked for, which takes 0.1 s at most.
+    Construction takes up to 0.1 s.
 
     Parameters
     ----------
     loaded: whether clasps carry weight or legs are rolled.
-    choice: of loaded clasps whether cables have weight, so that they sag and rest on the clasps; of
-        others whether all tensions are equal, so that legs go on along the neighbouring edges.
+    choice: for loaded clasps, whether cables have weight; for others, whether all tensions are
+        equal, so that legs continue the neighbouring edges.
 
     Returns
     -------
     Function with inputs ``vertices`` (8, 1): ``p_{k-1}, p_k, p_{k+1}, p_{k+2}`` [m]; ``q_legs``
-    [m]: ``d_k``, where loaded (3, 1) of cables k-1, k and k+1; ``tensions`` (3, 1) [N]; and
-    ``cable_length`` [m] of cable k, where loaded (2, 1) of cables k-1 and k. Where loaded besides
+    [m]: ``d_k``, or if loaded (3, 1) of cables k-1, k and k+1; ``tensions`` (3, 1) [N]; and
+    ``cable_length`` [m] of cable k, or if loaded (2, 1) of cables k-1 and k. If loaded also
     ``roll`` (2, 1) [rad] and ``loads`` (6, 1) [N] at ``p_k`` and ``p_{k+1}``, and ``weight`` of
-    cables per length [N/m]. Outputs are ``place`` (5, 1): ``q_k``, ``r_k`` from above, ``e_k`` [m],
-    and ``turn``: the sine of the exterior angle at ``p_k``.
+    cables per length [N/m]. Outputs are ``place`` (5, 1): ``q_k``, ``r_k`` in plan view, ``e_k``
+    [m]; and ``turn``: the sine of the exterior angle at ``p_k``.
     """
     import casadi as ca
 
     names = ["vertices", "q_legs", "tensions", "cable_length", "roll", "loads", "weight"]
     names = names if loaded else names[:4]
     sizes = (8, 3, 3, 2, 2, 6, 1) if loaded else (8, 1, 3, 1)
-    given = [ca.SX.sym(name, size) for name, size in zip(names, sizes, strict=True)]
-    vertices, q_legs, tensions, lengths = given[:4]
+    inputs = [ca.SX.sym(name, size) for name, size in zip(names, sizes, strict=True)]
+    vertices, q_legs, tensions, lengths = inputs[:4]
     corners = ca.vertsplit(vertices, 2)
     if loaded:
-        roll, loads, weight = given[4:]
+        roll, loads, weight = inputs[4:]
         corners = [ca.vertcat(point, 0.0) for point in corners]
         rho = weight if choice else None
     else:  # the legs of cables k-1 and k+1 do not matter
@@ -289,7 +289,7 @@ def planar(loaded: bool, choice: bool) -> ca.Function:
     points = [Series([point]) for point in corners]
     edges = [Edge.of(points[i + 1] - points[i], Series([tensions[i]]), rho) for i in range(3)]
     d = [Series([q_legs[i]]) for i in range(3)]
-    here, there = (
+    first, second = (
         clasp_legs(
             (edges[i], edges[i + 1]),
             (d[i], d[i + 1]),
@@ -297,13 +297,13 @@ def planar(loaded: bool, choice: bool) -> ca.Function:
             loads[3 * i : 3 * i + 3] if loaded else None,
             rho,
             Series([roll[i]]) if loaded else None,
-            alike=choice,
+            equal=choice,
         )
         for i in range(2)
     )
-    q = points[1] + here[1][1] * here[0][1]
-    r = points[2] + there[1][0] * there[0][0]
-    place = ca.vertcat(q.value[:2], r.value[:2], there[2].value)
+    q = points[1] + first[1][1] * first[0][1]
+    r = points[2] + second[1][0] * second[0][0]
+    place = ca.vertcat(q.value[:2], r.value[:2], second[2].value)
     u = [edge.along.value for edge in edges]
     turn = u[0][1] * u[1][0] - u[0][0] * u[1][1]
-    return ca.Function("planar", given, [place, turn], names, ["place", "turn"], {"cse": True})
+    return ca.Function("planar", inputs, [place, turn], names, ["place", "turn"], {"cse": True})

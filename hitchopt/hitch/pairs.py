@@ -1,8 +1,7 @@
-"""Bodies of a taut hitch, and the pairs of them that keep off each other: one table for all rooms.
+"""Bodies of a taut hitch, and the pairs that need clearance: one table for the whole package.
 
-Checks, leg lengths, the optimiser of paths and corrections in flight read it. Nodes are those of
-``Layout.routes``. Bodies are pairs of nodes: all drones (both nodes the same), then the taut cable
-parts of ``Layout.parts``. Nothing here asks whether the cables make one ring.
+Nodes are those of ``Layout.routes``. Bodies are pairs of nodes: first all drones (both nodes the
+same), then the taut cable parts of ``Layout.parts``. Cables need not form a single ring.
 """
 
 from __future__ import annotations
@@ -23,13 +22,13 @@ SEPARATION, CABLE, CROSSING = 0, 1, 2
 """Kinds of pairs: drone and drone, drone and cable, cable and cable."""
 
 
-SWEPT = 20
-"""Most pairs per body, counted both ways, that are close in any of the frames looked at at once."""
+MAX_SWEPT_PAIRS = 20
+"""Maximum number of close pairs per body, each counted twice, of frames processed together."""
 
 
 @dataclass(frozen=True)
 class PairRule:
-    """The distance that a kind of pairs keeps: limit [m], and how much more heights count."""
+    """The distance rule of a kind of pairs: check, limit [m], and weight of height differences."""
 
     check: str
     limit: Callable[[Separation], float]
@@ -50,7 +49,7 @@ def limits_of(separation: Separation) -> Array:
 
 
 def scales_of(separation: Separation) -> Array:
-    """Return the factors (3, 3) of the axes, by kind, with which distances are measured."""
+    """Return the scale factors (3, 3) of the axes in distances, by kind."""
     return np.array([[1.0, 1.0, rule.height(separation)] for rule in PAIRS])
 
 
@@ -76,41 +75,41 @@ class Bodies:
         return cls(layout, nodes)
 
     def of_parts(self, parts: Indices) -> Indices:
-        """Return the bodies of cable parts, numbered as in ``Layout.parts``."""
+        """Return the bodies of cable parts, which are numbered as in ``Layout.parts``."""
         return 2 * self.layout.robots + np.searchsorted(self.layout.parts, parts)
 
     def kind(self, i: Indices, j: Indices) -> Indices:
-        """Return the kind of each pair of bodies, drones first, or -1 if they are free to touch.
+        """Return the kind of each pair of bodies, drones first, or -1 if they may touch.
 
-        Free are a drone and the part that ends at it, its leg or else its edge, and parts that meet
-        at a clasp.
+        A drone may touch the part that ends at it (its leg, or its edge without one), and parts may
+        touch at a common clasp.
         """
         layout, drones = self.layout, 2 * self.layout.robots
         i_drone, j_drone = i < drones, j < drones
         on_leg, drone = layout.has_leg.ravel(), np.minimum(i, drones - 1)
         own_end = np.where(on_leg[drone], layout.points + drone, layout.anchors[drone])
-        apart = np.all(self.nodes[j] != own_end[:, None], axis=1)
-        # Only vertices are clasps.
+        foreign = np.all(self.nodes[j] != own_end[:, None], axis=1)
+        # Clasps are vertices.
         (a, b) = (np.where(n < layout.points, n, -1) for n in (self.nodes[i], self.nodes[j]))
         clasped = np.any((a[:, :, None] == b[:, None, :]) & (a[:, :, None] >= 0), axis=(1, 2))
         kind = np.where(i_drone | clasped, -1, CROSSING)
-        kind[i_drone & ~j_drone & apart] = CABLE
+        kind[i_drone & ~j_drone & foreign] = CABLE
         kind[i_drone & j_drone] = SEPARATION
         return kind
 
     def near(self, lowest: Array, highest: Array, limits: Array, cutoff: float) -> Indices:
-        """Return (4, pairs): frame, both bodies and kind of pairs whose boxes come near in a frame.
+        """Return (4, pairs): frame, both bodies and kind of the pairs with close boxes per frame.
 
         Parameters
         ----------
         lowest, highest: (J, bodies, 2) [m], opposite corners of the boxes in J frames.
-        limits: (3,) [m], distances by kind; pairs of a kind without one are left out.
-        cutoff: [m]
+        limits: (3,) [m], distances by kind; kinds with limit zero are omitted.
+        cutoff: largest distance of close boxes [m].
         """
         swept, frames = Boxes(np.min(lowest, axis=0), np.max(highest, axis=0)), len(lowest)
-        most = SWEPT * len(self.nodes) if frames > 1 else np.inf
-        pairs = few_close_pairs(swept, None, cutoff, most)
-        if pairs is None:  # fewer are close in half of the frames
+        limit = MAX_SWEPT_PAIRS * len(self.nodes) if frames > 1 else np.inf
+        pairs = few_close_pairs(swept, None, cutoff, limit)
+        if pairs is None:  # too many: half of the frames have fewer
             half = frames // 2
             parts = slice(half), slice(half, None)
             first, last = (self.near(lowest[p], highest[p], limits, cutoff) for p in parts)
@@ -120,18 +119,22 @@ class Bodies:
         limited = (kind >= 0) & (limits[kind] > 0.0)
         i, j, kind = pairs.first[limited], pairs.second[limited], kind[limited]
         gaps = np.maximum(lowest[:, i] - highest[:, j], lowest[:, j] - highest[:, i])
-        apart = np.maximum(gaps, 0.0)
-        frame, pair = np.nonzero(dot(apart, apart) <= cutoff * cutoff)
+        gaps = np.maximum(gaps, 0.0)
+        frame, pair = np.nonzero(dot(gaps, gaps) <= cutoff * cutoff)
         return np.stack([frame, i[pair], j[pair], kind[pair]])
 
 
 def end_combinations(
     kind: Indices, first: Indices, second: Indices
 ) -> tuple[Indices, Indices, Indices]:
-    """Return (pair, node of the first, node of the second) of all ends of pairs against all.
+    """Return (pair, first node, second node) for every combination of ends of two bodies.
 
-    Bodies whose ends all lie on their sides of a normal are apart by as much. Of kinds of pairs
-    (m,) and the nodes (m, 2) at the ends of their bodies; a drone's are the same.
+    Bodies are separated by as much as all their ends are along a normal.
+
+    Parameters
+    ----------
+    kind: kinds of pairs (m,).
+    first, second: nodes (m, 2) at the ends of the bodies; a drone's are the same.
     """
     rows: list[tuple[Indices, Indices, Indices]] = []
     for which, ends, other_ends in (

@@ -25,8 +25,8 @@ from hitchopt.values.fields import (
     store_with_degrees,
 )
 
-WIDER = 1.0 + 2e-9
-"""Factor of ``tracking`` in the planners' distances, so that rounding breaks no limit."""
+ROUNDING_FACTOR = 1.0 + 2e-9
+"""Factor of ``tracking`` in the planners' distances, so that rounding violates no limit."""
 
 MAX_CORNERS = 1000
 """Largest number of corners of one outline in a file."""
@@ -90,8 +90,8 @@ class Limits(OneLine):
         """The limits enforced at full rate: acceleration and jerk times the reserve."""
         if self.reserve == 1.0:
             return self
-        less = self.reserve * self.acceleration, self.reserve * self.jerk
-        return replace(self, reserve=1.0, acceleration=less[0], jerk=less[1])
+        acceleration, jerk = self.reserve * self.acceleration, self.reserve * self.jerk
+        return replace(self, reserve=1.0, acceleration=acceleration, jerk=jerk)
 
 
 @documented
@@ -116,15 +116,16 @@ class Separation(Record):
 
     @property
     def scale(self) -> Array:
-        """Factors (3,) [1/m]: ``separation`` is the norm of two drones' offset times these."""
+        """Scale factors (3,) [1/m]: ``separation`` is the norm of the scaled offset of drones."""
         across, upward = 0.5 / self.radius, 0.5 / self.height
         return np.array([across, across, upward])
 
     def widened(self, off: float) -> Separation:
-        """Return distances that keep these where all drones and vertices may be off by some [m].
+        """Return distances that ensure these if drones and vertices have errors of up to ``off``.
 
-        The ellipsoid is the smallest around its own sum with a ball that is no wider than needed:
-        squares of semi-axes grow by 1 + off/radius, and those of the ball by 1 + radius/off.
+        The ellipsoid contains the Minkowski sum of this one and a ball of radius ``off`` [m]. Its
+        squared semi-axes are a² (1 + off/radius) + off² (1 + radius/off), so that its radius is
+        radius + off.
         """
         height = math.sqrt((self.height**2 + self.radius * off) * (1.0 + off / self.radius))
         cable, crossing = self.cable + 2.0 * off, self.crossing + 2.0 * off
@@ -197,7 +198,7 @@ class Prism(OneLine):
 
 
 def check_requirements(record: Any) -> None:
-    """Raise InputError unless a record's limits, separation, arena and keep-outs are such."""
+    """Raise InputError unless limits, separation, arena and keep-outs have the right types."""
     check_instance("limits", record.limits, Limits)
     check_instance("separation", record.separation, Separation)
     if record.arena is not None:
@@ -208,7 +209,7 @@ def check_requirements(record: Any) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Requirements(OneLine):
-    """All that a plan must satisfy at every time.
+    """All constraints of a plan at every time.
 
     Parameters
     ----------
@@ -216,9 +217,9 @@ class Requirements(OneLine):
     separation: distances between drones and cables.
     arena: the box that the drones stay in, or None.
     keep_out: prisms that the drones stay out of.
-    objects: by name, where they stand at first; obstacles to all that does not hold them.
-    off: how far drones may be off [m], for which distances are wide enough but those of cables
-        that hang, as these sag more.
+    objects: by name, at their initial positions; obstacles to everything that does not hold them.
+    off: position error of drones [m] that the distances include. Hanging cables can be displaced
+        farther and need an additional margin.
     """
 
     limits: Limits = field(default_factory=Limits)
@@ -235,16 +236,16 @@ class Requirements(OneLine):
 
     @property
     def floor(self) -> float:
-        """Height of the ground [m]: the arena's floor, or 0 where there is no arena."""
+        """Height of the ground [m]: the arena's floor, or 0 without an arena."""
         return 0.0 if self.arena is None else float(self.arena.lower[2])
 
     @property
     def with_reserve(self) -> Requirements:
         """Requirements enforced by planners: limits with reserve, distances wider by ``tracking``.
 
-        The arena's floor stays where it is: drones stand there.
+        The arena's floor does not move, since drones stand there.
         """
-        limits, off = self.limits.with_reserve, WIDER * (self.limits.tracking or 0.0)
+        limits, off = self.limits.with_reserve, ROUNDING_FACTOR * (self.limits.tracking or 0.0)
         if not off:
             return self if limits is self.limits else replace(self, limits=limits)
         arena = self.arena
@@ -257,10 +258,9 @@ class Requirements(OneLine):
         return replace(self, limits=limits, separation=wider, arena=arena, off=off)
 
     def flown_by(self, team: Team) -> Requirements:
-        """Return the same requirements with what a team's flight controllers add to them.
+        """Return the requirements that include the tracking error and tilt limit of a team.
 
-        They fly up to their ``tracking`` off, unless that is stated, and tilt no farther than they
-        command.
+        A specified ``tracking`` takes precedence over that of the flight controllers.
         """
         limits, tilt = self.limits, float(np.min(team.max_tilt))
         off = team.tracking if limits.tracking is None else limits.tracking
@@ -270,7 +270,7 @@ class Requirements(OneLine):
 
     @property
     def untimed(self) -> Requirements:
-        """These requirements without a limit on the plan's duration."""
+        """The requirements without a limit on the plan's duration."""
         if self.limits.duration is None:
             return self
         return replace(self, limits=replace(self.limits, duration=None))

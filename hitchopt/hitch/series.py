@@ -1,7 +1,7 @@
-"""Truncated Taylor series by one parameter, of numpy's arrays and of casadi's expressions alike.
+"""Truncated Taylor series in one parameter, over numpy arrays or casadi expressions.
 
-The components of a vector are the first axis of its coefficients, of which a scalar has one. Of
-what does not change, coefficients after the first one are the number 0, which costs nothing.
+The first axis of a coefficient holds the components of a vector; a scalar has one. The higher
+coefficients of constants are the number 0, whose products are skipped.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from hitchopt.values import Array, Indices
 
 ORDER = 3
-"""Order of the highest derivative in jets, the jerk."""
+"""Order of the highest derivative in jets: the jerk."""
 
 JET = ORDER + 1
 """Number of columns of a jet."""
@@ -26,53 +26,50 @@ Bilinear = Callable[[Any, Any], Any]
 
 
 class Series:
-    """Coefficients ``f^(k) / k!`` of a scalar or a vector; of both operands there are as many."""
+    """Coefficients ``f^(k) / k!`` of a scalar or a vector; operands have equally many."""
 
-    __array_ufunc__ = None  # so that numpy's arrays leave sums and products to this class
+    __array_ufunc__ = None  # numpy arrays defer sums and products to this class
 
     def __init__(self, coefficients: Sequence[Any]) -> None:
         self.coefficients = list(coefficients)
 
     @classmethod
     def of_vectors(cls, vectors: Array) -> Series:
-        """Return the constant of vectors (…, rows), by value alone."""
+        """Return the series of order zero of vectors (…, rows)."""
         return cls([np.moveaxis(vectors, -1, 0)])
 
     @classmethod
     def of_jet(cls, jet: Array) -> Series:
-        """Return the series of jets (…, rows, JET), derivatives from order zero on.
-
-        Coefficients are (rows, …).
-        """
+        """Return the series, with coefficients (rows, …), of jets (…, rows, JET) of derivatives."""
         columns = jet.transpose(-1, -2, *range(jet.ndim - 2))
         return cls([column / factorial(k) for k, column in enumerate(columns)])
 
     def constant(self, value: Any) -> Series:
-        """Return the series of what does not change, of as many coefficients."""
+        """Return a constant as a series with equally many coefficients."""
         return Series([value, *(0.0 for _ in self.coefficients[1:])])
 
     @property
     def jet(self) -> Array:
-        """(…, rows, JET): value and derivatives, of arrays."""
+        """(…, rows, JET): value and derivatives of a series over arrays."""
         columns = np.stack([factorial(k) * c for k, c in enumerate(self.coefficients)])
         return columns.transpose(*range(2, columns.ndim), 1, 0)
 
     @property
     def value(self) -> Any:
-        """The value, of order zero."""
+        """The coefficient of order zero."""
         return self.coefficients[0]
 
     def row(self, *rows: int) -> Series:
-        """Return some rows of a vector."""
+        """Return the rows of a vector at some indices."""
         return self._each(lambda c: c[list(rows)])
 
-    def taken(self, index: Indices) -> Series:
-        """Return some items, the last axis of arrays."""
+    def select(self, index: Indices) -> Series:
+        """Return the items at some indices of the last axis of arrays."""
         return self._each(lambda c: c.take(index, -1))
 
     @property
     def upward(self) -> Series:
-        """A scalar as a vector along z."""
+        """A vector along z whose z component is this scalar."""
         return self._each(lambda c: np.concatenate([0 * c, 0 * c, c]) if _is_array(c) else c * UP)
 
     def _each(self, change: Callable[[Any], Any]) -> Series:
@@ -96,12 +93,12 @@ class Series:
     __rmul__ = __mul__
 
     def __truediv__(self, divisor: Series) -> Series:
-        """Return the quotient by a scalar, from ``q · b = a``."""
+        """Return the quotient q by a scalar b, from ``q · b = a``."""
         b, quotient = divisor.coefficients, list[Any]()
         inverse = 1.0 / b[0]
         for k, a in enumerate(self.coefficients):
-            known = _sum([_times(quotient[i], b[k - i]) for i in range(k)])
-            quotient.append(_times(_sum([a, -known]), inverse))
+            partial = _sum([_times(quotient[i], b[k - i]) for i in range(k)])
+            quotient.append(_times(_sum([a, -partial]), inverse))
         return Series(quotient)
 
     def __rsub__(self, value: float) -> Series:
@@ -117,18 +114,18 @@ class Series:
 
     @property
     def root(self) -> Series:
-        """The root of a positive scalar: from ``r · r = a``."""
+        """The square root of a positive scalar, from ``r · r = a``."""
         value = self.value
         root = [np.sqrt(value) if _is_array(value) else value.sqrt()]
         inverse = 0.5 / root[0]
         for k, c in enumerate(self.coefficients[1:], start=1):
-            known = _sum([_times(root[i], root[k - i]) for i in range(1, k)])
-            root.append(_times(_sum([c, -known]), inverse))
+            partial = _sum([_times(root[i], root[k - i]) for i in range(1, k)])
+            root.append(_times(_sum([c, -partial]), inverse))
         return Series(root)
 
     @property
     def direction(self) -> Series:
-        """The direction of a vector."""
+        """The unit vector along a vector."""
         return self / self.dot(self).root
 
     @property

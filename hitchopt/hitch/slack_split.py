@@ -1,9 +1,8 @@
-"""The slack split: the leg lengths of every cable that keep drones and cables apart.
+"""The slack split: leg lengths of every cable that separate drones and cables.
 
-On a given polygon every drone slides along a fixed line, so positions are affine in ``d`` and lower
-bounds of distances make a convex QP whose every solution keeps the true distances at least as well
-as it says. Repeated, the penalised deviation never grows (a convex inner approximation, Marks and
-Wright 1978).
+On a given polygon every drone slides along a fixed line, so positions are affine in ``d``. Linear
+lower bounds of distances then give a convex QP, an inner approximation: true distances are at least
+its bounds. In repeated solutions the penalized deviation never increases (Marks and Wright 1978).
 """
 
 from __future__ import annotations
@@ -44,29 +43,29 @@ if TYPE_CHECKING:
     import scipy.sparse as sp
 
 SPREAD_MARGIN = 1.5
-"""Distance over its limit that the leg lengths called ``spread`` keep."""
+"""Margin, distance over its limit, of the leg lengths called ``spread``."""
 
 LIMIT_MARGIN = 1.001
-"""Distance over its limit of all other leg lengths: a plan's small errors stay within limits."""
+"""Margin of all other leg lengths, which allows for small errors of a plan."""
 
 CROSSING_MARGIN = 1.005
-"""Largest margin of cables without a common clasp: ``spread`` concerns drones."""
+"""Largest margin of cables without a common clasp, since ``spread`` concerns drones."""
 
 
 @dataclass(frozen=True, eq=False)
 class LegTask:
-    """The choice of a team's leg lengths on J polygons (one, or the knots of a path) at once.
+    """A problem for the leg lengths of a team on J polygons: one, or the knots of a path.
 
     Attributes
     ----------
-    team: its cables are split.
+    team: with the cables to be split.
     requirements: distances, and the arena.
     polygons: (J, points, 2) [m]
-    reference: (J, n) [m], ``d`` to deviate least from.
+    reference: (J, n) [m], ``d`` whose deviation is minimized.
     shortest_leg: [m], for both legs of every cable.
-    margin: each distance is to be at least this many times its limit; one, or one per knot (J,).
+    margin: lower bound of each distance over its limit; one, or one per knot (J,).
     roughness: [m²], weight of the fractions' second differences along the knots; 0 for none.
-    fixed: (J,), knots that keep their reference.
+    fixed: (J,), mask of knots whose legs equal the reference.
     roll: one or (J, clasps) [rad], of the legs out of their plane; None for none.
     """
 
@@ -82,18 +81,18 @@ class LegTask:
 
     @property
     def level(self) -> bool:
-        """Whether all legs are level: they carry no weight and are not rolled."""
+        """Whether all legs are horizontal: without weight and roll."""
         return not self.team.loaded and (self.roll is None or not np.any(self.roll))
 
     @cached_property
     def margins(self) -> Array:
-        """(3, J): the margin of every knot, by kind of pair."""
+        """(3, J): margin of every knot, by kind of pair."""
         each = np.broadcast_to(np.asarray(self.margin, dtype=np.float64), len(self.reference))
         return np.stack([each, each, np.minimum(each, CROSSING_MARGIN)])
 
     @cached_property
     def largest_margin(self) -> float:
-        """The largest of the margins: the margin of leg lengths that keep them all."""
+        """The largest of all margins."""
         return float(np.max(self.margins))
 
     @cached_property
@@ -103,9 +102,9 @@ class LegTask:
 
     @cached_property
     def bounds(self) -> tuple[Array, Array]:
-        """The smallest and largest ``d`` (J, n) that leave both legs long enough.
+        """The smallest and largest ``d`` (J, n) with which both legs are long enough.
 
-        The same one at the ends of a chain, where a cable has one leg only.
+        They are equal at the ends of a chain, where a cable has only one leg.
         """
         slack, layout = self.slack, self.team.layout
         shortest = np.minimum(self.shortest_leg, 0.5 * slack)
@@ -118,26 +117,23 @@ class LegTask:
 
 @dataclass(frozen=True, eq=False)
 class LegLengths:
-    """Leg lengths ``d`` (J, n) [m], their margin, and ``Σ (d - reference)²`` [m²].
-
-    The margin is the smallest distance over its limit, measured on these lengths.
-    """
+    """Leg lengths ``d`` (J, n) [m], their smallest margin, and ``Σ (d - reference)²`` [m²]."""
 
     q_legs: Array
     margin: float
     deviation: float
 
 
-RESIDUAL = 1e-6
-"""Largest violation of a row or a bound, in its own unit, of a solution that is used."""
+RESIDUAL_TOLERANCE = 1e-6
+"""Largest violation of a row or a bound, in its own unit, of an accepted solution."""
 
 
 @dataclass(frozen=True, eq=False)
 class QuadraticProgram:
-    """``min ½ x'Px + q'x`` over ``lower ≤ A x ≤ upper`` and ``least ≤ x ≤ most``.
+    """``min ½ x'Px + q'x`` over ``lower ≤ A x ≤ upper`` and ``x_min ≤ x ≤ x_max``.
 
-    P (m, m) is symmetric and positive semidefinite; entries of A (r, m) that happen to be zero are
-    stored; least and most are (m,) or one bound for all unknowns.
+    P (m, m) is symmetric and positive semidefinite. A (r, m) also stores entries of value zero.
+    x_min and x_max are (m,) or one bound for all variables.
     """
 
     P: sp.csc_array[np.float64]
@@ -145,16 +141,16 @@ class QuadraticProgram:
     A: sp.csc_array[np.float64]
     lower: Array
     upper: Array
-    least: Array | float = -np.inf
-    most: Array | float = np.inf
+    x_min: Array | float = -np.inf
+    x_max: Array | float = np.inf
 
 
 class Rows:
-    """Rows ``lower ≤ A x ≤ upper`` of so many unknowns, gathered block by block."""
+    """Rows ``lower ≤ A x ≤ upper`` over a number of variables, assembled block by block."""
 
-    def __init__(self, unknowns: int) -> None:
+    def __init__(self, variables: int) -> None:
         self.count = 0
-        self._unknowns = unknowns
+        self._variables = variables
         self._entries: list[tuple[Indices, Indices, Array]] = []
         self._bounds: list[tuple[Array, Array]] = []
 
@@ -166,7 +162,7 @@ class Rows:
         lower: Array,
         upper: Array | float = np.inf,
     ) -> int:
-        """Add rows, ``rows`` counting from the first of them; return the index of that one."""
+        """Add rows with entries at local indices ``rows``; return the index of the first row."""
         first = self.count
         self._entries.append((first + rows, columns, values))
         self._bounds.append((lower, np.broadcast_to(upper, len(lower))))
@@ -174,69 +170,68 @@ class Rows:
         return first
 
     def extend(self, rows: Indices, columns: Indices, value: float) -> None:
-        """Add the same entry to rows that were added before."""
+        """Add one entry of the same value to each of some existing rows."""
         self._entries.append((rows, columns, np.full(len(rows), value)))
 
     def add_bounds(self, columns: Indices, lower: Array | float, upper: Array | float) -> None:
-        """Bound single unknowns."""
+        """Bound single variables."""
         m = len(columns)
         self.add(np.arange(m), columns, np.ones(m), np.broadcast_to(lower, m), upper)
 
     def compressed(self) -> tuple[sp.csc_array[np.float64], Array, Array]:
-        """Return A, lower and upper; entries that happen to be zero are stored too."""
+        """Return A, lower and upper; A also stores entries of value zero."""
         import scipy.sparse as sp
 
         rows, columns, values = (np.concatenate(part) for part in zip(*self._entries, strict=True))
         lower, upper = (np.concatenate(part) for part in zip(*self._bounds, strict=True))
-        shape = (self.count, self._unknowns)
+        shape = (self.count, self._variables)
         return sp.csc_array((values, (rows, columns)), shape=shape), lower, upper
 
 
 def solve_qp(program: QuadraticProgram) -> Array | None:
-    """Return the minimiser, or None where no solution keeps rows and bounds within RESIDUAL.
+    """Return the minimizer, or None if its residuals exceed RESIDUAL_TOLERANCE.
 
-    The solver is PIQP, an interior-point method that ships with casadi: OSQP is slow to reach the
-    1e-6 and better that leg lengths need. Its status is not trusted; residuals are recomputed.
+    The solver is PIQP, an interior-point method that ships with casadi; OSQP is slow to reach the
+    accuracy of 1e-6 that leg lengths need. Its status is not trusted; residuals are recomputed.
     """
     import casadi as ca
 
-    def matrix(given: sp.csc_array[np.float64]) -> ca.DM:  # its own conversion takes a millisecond
-        given.sort_indices()
-        sparsity = ca.Sparsity(*given.shape, given.indptr.tolist(), given.indices.tolist())
-        return ca.DM(sparsity, given.data)
+    def converted(matrix: sp.csc_array[np.float64]) -> ca.DM:  # casadi's own takes a millisecond
+        matrix.sort_indices()
+        sparsity = ca.Sparsity(*matrix.shape, matrix.indptr.tolist(), matrix.indices.tolist())
+        return ca.DM(sparsity, matrix.data)
 
-    H, A = matrix(program.P), matrix(program.A)
+    H, A = converted(program.P), converted(program.A)
     shapes = {"h": H.sparsity(), "a": A.sparsity()}
     solver = ca.conic("program", "piqp", shapes, {"error_on_fail": False})
     rows = {"lba": program.lower, "uba": program.upper}
-    solution = solver(h=H, g=program.q, a=A, lbx=program.least, ubx=program.most, **rows)
+    solution = solver(h=H, g=program.q, a=A, lbx=program.x_min, ubx=program.x_max, **rows)
     x = np.asarray(solution["x"], dtype=np.float64).reshape(-1)
     values = program.A @ x
-    gaps = program.lower - values, values - program.upper, program.least - x, x - program.most
-    feasible = np.max(np.concatenate(gaps)) <= RESIDUAL  # not of nan
-    return np.clip(x, program.least, program.most) if feasible else None
+    gaps = program.lower - values, values - program.upper, program.x_min - x, x - program.x_max
+    feasible = np.max(np.concatenate(gaps)) <= RESIDUAL_TOLERANCE  # False for nan
+    return np.clip(x, program.x_min, program.x_max) if feasible else None
 
 
 PENALTY = 1e3
-"""[m²] Penalty weight per robot and unit of margin: distances come first, deviation second."""
+"""[m²] Penalty weight per robot and unit of margin: distances have priority over deviation."""
 
-SWAY = 0.02
-"""[m] Distance by which drones turn aside at most as the weight of their cables' legs changes."""
+MAX_WEIGHT_SHIFT = 0.02
+"""[m] Largest lateral shift of drones as the weight of their legs changes."""
 
 
 class LegBodies:
     """Nodes and pairs of a task, flat over its J polygons.
 
-    In the plane of level legs two coordinates suffice; else there are three, and heights between
-    two drones count as much less as their ellipsoid is higher than wide. The directions of legs
-    whose cables have weight depend on their lengths: they are those of the given lengths.
-    Pairs that never come near between the lengths ``lowest`` and ``highest`` (J, n) are dropped.
+    Horizontal legs need two coordinates; others need three, with heights scaled by kind of pair.
+    The directions of heavy legs depend on the leg lengths at which they are evaluated. Pairs that
+    are never close for lengths between ``lowest`` and ``highest`` (J, n) are omitted.
     """
 
     def __init__(self, task: LegTask, lowest: Array, highest: Array) -> None:
         J, n = task.reference.shape
         layout, keep = task.team.layout, task.requirements.separation
-        self.task, self._turns = task, task.team.cable_density > 0.0
+        self.task, self._heavy = task, task.team.cable_density > 0.0
         self.dimensions = 2 if task.level else 3
         self._points = np.zeros((J, layout.points, self.dimensions))
         self._points[..., :2] = task.polygons
@@ -247,8 +242,8 @@ class LegBodies:
         drones = layout.points + np.arange(2 * n)
         self.drones = (self.count * np.arange(J)[:, None] + drones).reshape(-1)
         self.limits, self.scale = limits_of(keep), scales_of(keep)[:, : self.dimensions]
-        self._fixed = None if self._turns else self._lines(task.reference)
-        # From above nothing is farther than in space.
+        self._fixed = None if self._heavy else self._lines(task.reference)
+        # Distances in plan view are lower bounds.
         ends = [self.nodes(lowest)[:, :2]]
         if highest is not lowest:
             ends.append(self.nodes(highest)[:, :2])
@@ -257,9 +252,9 @@ class LegBodies:
         corners = (
             swept[:, :, bodies.nodes].transpose(0, 3, 1, 2, 4).reshape(2 * len(ends), J, -1, 2)
         )
-        # From there on a pair has its margin for certain.
+        # Pairs beyond the cutoff always have their margin.
         cutoff = max(task.largest_margin, 1.0) * float(np.max(self.limits)) * (1.0 + 1e-9)
-        cutoff += SWAY if self._turns else 0.0
+        cutoff += MAX_WEIGHT_SHIFT if self._heavy else 0.0
         boxes = np.min(corners, axis=0), np.max(corners, axis=0)
         pairs = bodies.near(*boxes, self.limits, cutoff)
         if task.fixed is not None:  # fixed knots cannot change
@@ -269,9 +264,9 @@ class LegBodies:
         self.second: Indices = bodies.nodes[j] + self.count * self.frame[:, None]
 
     def lines(self, d: Array) -> tuple[Array, Array]:
-        """Return, of legs of length d (J, n) [m], the lines that nodes slide on.
+        """Return base points [m] and slopes (J·count, 2 or 3) of the lines on which nodes slide.
 
-        Their nodes without legs, and by ``d``: (J·count, 2 or 3) [m] and without unit.
+        Nodes are ``base + slope d``; heavy legs have their directions at lengths d (J, n) [m].
         """
         return self._fixed or self._lines(d)
 
@@ -280,7 +275,7 @@ class LegBodies:
         layout, slack, shape = team.layout, task.slack, (len(p), -1, self.dimensions)
         loads = None if task.level else clasp_loads(team, d, slack, task.roll)
         q, r = leg_directions(self._edges, team.tension, team.topology, loads)
-        if self._turns:
+        if self._heavy:
             sag = sag_factors(team, team.tension)
             q, r = (
                 leg_vectors(np.ones_like(legs), direction, sag * legs**2)
@@ -293,40 +288,38 @@ class LegBodies:
         return base.reshape(shape[1:]), slope.reshape(shape[1:])
 
     def nodes(self, d: Array) -> Array:
-        """Return the nodes' positions (J·count, 2 or 3) [m]."""
+        """Return the positions (J·count, 2 or 3) [m] of the nodes."""
         base, slope = self.lines(d)
         nodes: Array = base + slope * d.reshape(-1)[self.variable][:, None]
         return nodes
 
     def offsets(self, nodes: Array) -> Array:
-        """Return the shortest vector of each pair, second body to first, (pairs, 2 or 3) [m].
-
-        Heights are scaled as the kinds of pairs have them.
-        """
+        """Return the shortest vectors (pairs, 2 or 3) [m], heights scaled, to the first bodies."""
         between = differences(nodes[self.first], nodes[self.second])
         return shortest_offset(between * self.scale[self.kind][:, None])
 
     def margins(self, d: Array) -> Array:
-        """Return the smallest distance over its limit (J,); crossings count up to their margin.
+        """Return the smallest distance over its limit (J,), relative to the margins of the knots.
 
-        Where margins differ from knot to knot, in proportion to the largest of them.
+        Crossings at their margin do not count.
         """
         task = self.task
         ratios = length(self.offsets(self.nodes(d))) / self.limits[self.kind]
-        enough = task.margins[CROSSING, self.frame] * (1.0 - 1e-9)
-        apart = np.where((self.kind == CROSSING) & (ratios >= enough), np.inf, ratios)
+        crossing_margins = task.margins[CROSSING, self.frame] * (1.0 - 1e-9)
+        inactive = (self.kind == CROSSING) & (ratios >= crossing_margins)
+        relative = np.where(inactive, np.inf, ratios) / task.margins[SEPARATION, self.frame]
         smallest = np.full(len(d), np.inf)
-        np.minimum.at(smallest, self.frame, apart / task.margins[SEPARATION, self.frame])
+        np.minimum.at(smallest, self.frame, relative)
         return task.largest_margin * smallest
 
 
 def leg_program(bodies: LegBodies, d: Array) -> QuadraticProgram:
     """Return the convex QP around ``d``; variables are d, then two slacks of the margins.
 
-    For a pair of bodies and any unit vector ν, ``ν·(a - b)`` taken at its smallest over their ends
-    is a lower bound of their distance and linear in ``d``; with ν from the present leg lengths it
-    is tight there. One slack is that of drones, the other one of crossings and walls: out of reach,
-    these must not leave the rest undecided.
+    For a pair of bodies and any unit vector ν, the smallest ``ν·(a - b)`` over their ends is a
+    lower bound of their distance and linear in ``d``. It is exact at the current leg lengths, from
+    which ν is computed. One slack belongs to the distances of drones, the other one to crossings
+    and walls, so that infeasible crossings or walls leave the distances of drones determined.
     """
     task, size = bodies.task, d.size + 2
     (base, slope), nodes = bodies.lines(d), bodies.nodes(d)
@@ -336,23 +329,23 @@ def leg_program(bodies: LegBodies, d: Array) -> QuadraticProgram:
     kind, row = bodies.kind[pair], np.arange(len(pair))
     nu, limit = normal[pair] * bodies.scale[kind], bodies.limits[kind]
     slacks = np.where(kind == CROSSING, size - 1, size - 2)
-    # Slightly more than required, so that rounding does not leave it short.
-    wanted = task.margins[kind, bodies.frame[pair]] * (1.0 + 1e-7) * limit
-    least = wanted - np.sum(nu * (base[a] - base[b]), axis=1)
-    moved = np.sum(nu * slope[a], axis=1), -np.sum(nu * slope[b], axis=1)
+    # Slightly more than required, to allow for rounding.
+    required = task.margins[kind, bodies.frame[pair]] * (1.0 + 1e-7) * limit
+    lower = required - np.sum(nu * (base[a] - base[b]), axis=1)
+    slopes = np.sum(nu * slope[a], axis=1), -np.sum(nu * slope[b], axis=1)
     columns = np.concatenate([bodies.variable[a], bodies.variable[b], slacks])
     rows = Rows(size)
-    rows.add(np.tile(row, 3), columns, np.concatenate([*moved, limit]), least)
+    rows.add(np.tile(row, 3), columns, np.concatenate([*slopes, limit]), lower)
     arena = task.requirements.arena
     if arena is not None:  # every drone between its upright walls
         base, slope = base[bodies.drones, :2], slope[bodies.drones, :2]
         entries = np.concatenate([slope, -slope], axis=1).T.ravel()
-        least = np.concatenate([arena.lower[:2] - base, base - arena.upper[:2]], axis=1).T.ravel()
-        # No leg length moves a drone along a parallel wall: such a row could only be infeasible.
-        free = np.abs(entries) > 1e-9
-        columns = np.tile(bodies.variable[bodies.drones], 4)[free]
+        lower = np.concatenate([arena.lower[:2] - base, base - arena.upper[:2]], axis=1).T.ravel()
+        # Drones that slide parallel to a wall are omitted: their distance to it is constant.
+        oblique = np.abs(entries) > 1e-9
+        columns = np.tile(bodies.variable[bodies.drones], 4)[oblique]
         row = np.arange(len(columns))
-        first = rows.add(row, columns, entries[free], least[free])
+        first = rows.add(row, columns, entries[oblique], lower[oblique])
         rows.extend(first + row, np.full(len(row), size - 1), 1.0)
     penalty = np.full(2, PENALTY * task.team.robots)
     lower, upper = (
@@ -364,7 +357,7 @@ def leg_program(bodies: LegBodies, d: Array) -> QuadraticProgram:
 
 
 def _hessian(task: LegTask, size: int) -> sp.csc_array[np.float64]:
-    """Return the Hessian of half the sum of squares of lengths, and of fractions' roughness."""
+    """Return the Hessian of half the sum of squared lengths and of the fractions' roughness."""
     import scipy.sparse as sp
 
     squares = np.append(np.ones(size - 2), [0.0, 0.0])
@@ -379,25 +372,24 @@ def _hessian(task: LegTask, size: int) -> sp.csc_array[np.float64]:
     return sp.csc_array(diagonal + rough)
 
 
-START_ROUNDS, PATH_ROUNDS = 60, 20
-"""Maximum numbers of convex programs from one start: on one polygon, and along a path, where ten
-are enough or none are."""
+MAX_POLYGON_ITERATIONS, MAX_PATH_ITERATIONS = 60, 20
+"""Maximum numbers of convex programs from one initial guess, on one polygon and along a path, which
+converges within ten iterations or not at all."""
 
-GAIN = 1e-6
-"""Smallest relative gain of merit that counts: a mirror image gains less."""
+MIN_GAIN = 1e-6
+"""Smallest relative improvement of merit; mirror images differ by less."""
 
-SETTLED, QUICKLY_SETTLED = 1e-9, 1e-5
-"""[m] Largest change of a leg in the last round; and where the first split that keeps the margin is
-taken: a round that changes so little does not raise the margin either."""
+STEP_TOLERANCE, COARSE_STEP_TOLERANCE = 1e-9, 1e-5
+"""[m] Largest change of a leg in the last iteration: by default, and if the first split with the
+margin suffices, since smaller steps do not increase the margin noticeably."""
 
 
 def split_slack(task: LegTask, *, first: bool = False) -> LegLengths:
     """Return the leg lengths nearest to the reference that keep the margin, else the best ones.
 
-    The search is local: it starts from the reference and, where that fails on a single polygon,
-    from a few uneven splits as well (along a path the fixed ends leave little freedom). Its cost
-    is linear in J·n. With ``first`` it ends at the first lengths that keep the margin: many times
-    as fast.
+    The search is local. It starts from the reference and, if that fails on a single polygon, also
+    from a few uneven splits. Its cost is linear in J·n. With ``first`` it ends at the first lengths
+    that keep the margin, which is much faster.
     """
     bodies = LegBodies(task, *task.bounds)
     best = _reference_kept(bodies) or _refined(bodies, task.reference, first)
@@ -405,7 +397,7 @@ def split_slack(task: LegTask, *, first: bool = False) -> LegLengths:
         return best
     for fractions in _uneven_fractions(task):
         split = _refined(bodies, fractions * task.slack, first)
-        if _merit(task, split) < (1.0 - GAIN) * _merit(task, best):
+        if _merit(task, split) < (1.0 - MIN_GAIN) * _merit(task, best):
             best = split
         if first and _keeps(task, best):
             break
@@ -413,20 +405,17 @@ def split_slack(task: LegTask, *, first: bool = False) -> LegLengths:
 
 
 def reference_margin(task: LegTask) -> float:
-    """Return the smallest distance over its limit of the reference itself.
-
-    Pairs beyond the largest margin may be left out.
-    """
+    """Return the smallest margin of the reference; infinite if all pairs are far apart."""
     return float(np.min(reference_margins(task)))
 
 
 def reference_margins(task: LegTask) -> Array:
-    """Return the same (J,) of every polygon by itself."""
+    """Return the smallest margin (J,) of the reference on every polygon."""
     return LegBodies(task, task.reference, task.reference).margins(task.reference)
 
 
 def _reference_kept(bodies: LegBodies) -> LegLengths | None:
-    """Return the reference if it keeps the margin and all bounds to the last bit, else None."""
+    """Return the reference if it keeps the margin and exactly satisfies all bounds, else None."""
     task, arena = bodies.task, bodies.task.requirements.arena
     start = np.clip(task.reference, *task.bounds)
     if task.roughness > 0.0 or not np.array_equal(start, task.reference):
@@ -440,9 +429,9 @@ def _reference_kept(bodies: LegBodies) -> LegLengths | None:
 
 
 def _uneven_fractions(task: LegTask) -> Array:
-    """Return fractions (4 or 6, n): equal ones, or alternating from the sharpest clasp on.
+    """Return fractions (4 or 6, n): equal ones, or alternating ones from the sharpest clasp on.
 
-    Counted from there, they are the same for a hitch that is renumbered or mirrored.
+    Counting from there makes them independent of numbering and mirroring.
     """
     layout = task.team.layout
     along = unit(layout.edges(task.polygons[0]))
@@ -451,8 +440,8 @@ def _uneven_fractions(task: LegTask) -> Array:
     k = np.arange(layout.robots)
     onward = (k - sharpest) % layout.robots % 2 == 0
     back = (sharpest - 1 - k) % layout.robots % 2 == 1
-    alike = np.ones_like(onward)
-    return np.unique(np.where([alike, ~alike, onward, ~onward, back, ~back], 0.3, 0.7), axis=0)
+    equal = np.ones_like(onward)
+    return np.unique(np.where([equal, ~equal, onward, ~onward, back, ~back], 0.3, 0.7), axis=0)
 
 
 def _keeps(task: LegTask, split: LegLengths) -> bool:
@@ -460,24 +449,24 @@ def _keeps(task: LegTask, split: LegLengths) -> bool:
 
 
 def _merit(task: LegTask, split: LegLengths) -> float:
-    short = max(0.0, task.largest_margin - split.margin)
-    return PENALTY * task.team.robots * (short if short > 1e-7 else 0.0) + 0.5 * split.deviation
+    deficit = max(0.0, task.largest_margin - split.margin)
+    return PENALTY * task.team.robots * (deficit if deficit > 1e-7 else 0.0) + 0.5 * split.deviation
 
 
 def _refined(bodies: LegBodies, start: Array, first: bool) -> LegLengths:
-    """Return the leg lengths that repeated convex approximation reaches from ``start``.
+    """Return the limit of repeated convex approximation from ``start``.
 
-    Or the ``first`` iterate that keeps the margin.
+    With ``first`` return the first iterate that keeps the margin.
     """
     task = bodies.task
-    d, settled = np.clip(start, *task.bounds), QUICKLY_SETTLED if first else SETTLED
-    for _ in range(START_ROUNDS if len(d) == 1 else PATH_ROUNDS):
+    d, tolerance = np.clip(start, *task.bounds), COARSE_STEP_TOLERANCE if first else STEP_TOLERANCE
+    for _ in range(MAX_POLYGON_ITERATIONS if len(d) == 1 else MAX_PATH_ITERATIONS):
         check_time()
         x = solve_qp(leg_program(bodies, d))
         if x is None:
             break
         before, d = d, x[: d.size].reshape(d.shape)
-        if float(np.max(np.abs(d - before))) < settled:
+        if float(np.max(np.abs(d - before))) < tolerance:
             break
         if first and np.min(bodies.margins(d)) >= task.largest_margin * (1.0 - 1e-9):
             break
@@ -488,62 +477,66 @@ def _refined(bodies: LegBodies, start: Array, first: bool) -> LegLengths:
 ROLL_CANDIDATES = tuple(
     math.radians(angle) for angle in (5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0)
 )
-"""[rad] Rolls in ascending order; the first that suffices is used. Simulated clasps hold to 60°."""
+"""[rad] Rolls in ascending order, of which the first sufficient one is refined. Simulated clasps
+hold up to 60°."""
 
-COARSE, LESS = (ROLL_CANDIDATES[3], ROLL_CANDIDATES[5]), 0.9
-"""[rad] Rolls at which other lengths of legs are looked for, which takes longer; and the share of
-the roll that the reference needs at which they have to suffice for that to be worth its time."""
+RESPLIT_CANDIDATES = (ROLL_CANDIDATES[3], ROLL_CANDIDATES[5])
+"""[rad] Rolls at which other leg lengths are searched if no roll suffices for the reference."""
+
+RESPLIT_RATIO = 0.9
+"""Roll at which other leg lengths must suffice, over the roll that the reference needs."""
 
 
 def split_with_least_roll(task: LegTask) -> tuple[LegLengths, Array | float]:
-    """Return leg lengths on one polygon and the roll [rad] that goes with them.
+    """Return leg lengths on one polygon and their roll [rad].
 
-    The task's own, or none, where legs keep all limits with it. Else the smallest one tried with
-    which they keep the margin that is wanted, else the limits, as they are or with other lengths;
-    the task's own where no roll helps. Its sense is that of the task's own, upward of q-legs
-    without one.
+    The task's initial roll, or none, applies if the limits hold with it. Otherwise the smallest
+    candidate applies that keeps the task's margin, or else the limits, with the reference lengths
+    or others; without such a candidate, the initial roll. Candidates have the sign of the initial
+    roll, positive without one.
     """
-    own = 0.0 if task.roll is None else task.roll
-    without = split_slack(task)
-    if without.margin >= 1.0:
-        return without, own
-    sense = -1.0 if np.sum(own) < 0.0 else 1.0
+    initial = 0.0 if task.roll is None else task.roll
+    split = split_slack(task)
+    if split.margin >= 1.0:
+        return split, initial
+    sign = -1.0 if np.sum(initial) < 0.0 else 1.0
     for margin in dict.fromkeys((task.largest_margin, LIMIT_MARGIN)):
-        aim = replace(task, margin=margin)
-        given = least_roll(aim, sense)
-        ladder = COARSE if given is None else (LESS * abs(given),)
-        chosen = least_roll(aim, sense, lambda rolled: split_slack(rolled).margin, ladder, 3)
-        roll = given if chosen is None else chosen
+        subtask = replace(task, margin=margin)
+        of_reference = least_roll(subtask, sign)
+        scaled = None if of_reference is None else (RESPLIT_RATIO * abs(of_reference),)
+        candidates = scaled or RESPLIT_CANDIDATES
+        of_split = least_roll(subtask, sign, lambda task: split_slack(task).margin, candidates, 3)
+        roll = of_reference if of_split is None else of_split
         if roll is not None:
-            return split_slack(replace(aim, roll=roll)), roll
-    return without, own
+            return split_slack(replace(subtask, roll=roll)), roll
+    return split, initial
 
 
 def least_roll(
     task: LegTask,
-    sense: float = 1.0,
+    sign: float = 1.0,
     margin_of: Callable[[LegTask], float] = reference_margin,
-    ladder: tuple[float, ...] = ROLL_CANDIDATES,
-    halvings: int = 7,
+    candidates: tuple[float, ...] = ROLL_CANDIDATES,
+    bisections: int = 7,
 ) -> float | None:
-    """Return the smallest roll [rad] tried that gives the largest margin, or None.
+    """Return the smallest roll [rad] of the search that keeps the task's margins, or None.
 
-    To a hundredth of the step between two rungs of a ladder; a roll that leaves loads no balance
-    gives none.
+    It is the first sufficient candidate, refined by bisection down to the one before. Rolls with
+    which clasps have no balance do not suffice.
     """
 
     def suffices(angle: float) -> bool:
         try:
-            rolled = replace(task, roll=sense * angle)
+            rolled = replace(task, roll=sign * angle)
             return margin_of(rolled) >= task.largest_margin * (1.0 - 5e-7)
         except InfeasibleError:
             return False
 
-    upper = next((rung for rung in ladder if suffices(rung)), None)
+    upper = next((angle for angle in candidates if suffices(angle)), None)
     if upper is None:
         return None
-    lower = max((rung for rung in ladder if rung < upper), default=0.0)
-    for _ in range(halvings):
+    lower = max((angle for angle in candidates if angle < upper), default=0.0)
+    for _ in range(bisections):
         middle = 0.5 * (lower + upper)
         lower, upper = (lower, middle) if suffices(middle) else (middle, upper)
-    return sense * upper
+    return sign * upper

@@ -1,4 +1,4 @@
-"""The team: quadrotors, cables, the tensions of the cables, and which robot flies which role."""
+"""The team: quadrotors, cables, their tensions, and the assignment of robots to roles."""
 
 from __future__ import annotations
 
@@ -41,11 +41,11 @@ class Layout:
     robots, points: number n of cables; number of points, n or n + 1.
     starts, ends: (n,), the points between which each edge runs.
     clasps: (c,), the points at which two cables bend around each other: all, or all inner ones.
-    ahead, behind: (c,), the cables of the edges that start there and that end there.
-    has_leg: (n, 2), whether q_k and r_k hang on a leg.
-    anchors: (2n,), the point that each drone q0, r0, q1, … belongs to.
-    pulled_to: (2n,), the point that its cable leads to from it: the same, or its edge's other end
-        where there is no leg.
+    ahead, behind: (c,), the cables whose edges start and end at each clasp.
+    has_leg: (n, 2), whether q_k and r_k have a leg.
+    anchors: (2n,), the point of each drone q0, r0, q1, …: the other end of its leg, if any.
+    pulled_to: (2n,), the next point along the cable of each drone: its anchor, or without a leg the
+        other end of its edge.
     neighbours: (n, 3), the cables k-1 … k+1; beyond a chain's ends the cable itself.
     """
 
@@ -63,23 +63,23 @@ class Layout:
 
     @property
     def closed(self) -> bool:
-        """Whether the last edge leads back to the first point."""
+        """Whether the last edge ends at the first point."""
         return self.points == self.robots
 
     @cached_property
     def routes(self) -> Indices:
-        """(n, 4): nodes that each cable runs over; nodes are the points, then drones q0, r0, …."""
+        """(n, 4): nodes along each cable; nodes are the points, then drones q0, r0, …."""
         q, r = self.points + np.arange(2 * self.robots).reshape(-1, 2).T
         return np.column_stack([q, self.starts, self.ends, r])
 
     @cached_property
     def exists(self) -> NDArray[np.bool_]:
-        """(n, 3): whether cables have a q-leg, an edge and an r-leg, between their nodes."""
+        """(n, 3): whether cables have a q-leg, an edge and an r-leg."""
         return np.insert(self.has_leg, 1, True, axis=1)
 
     @cached_property
     def parts(self) -> Indices:
-        """(parts,): taut cable parts ``3 k + type``, type 0 a q-leg, 1 an edge, 2 an r-leg."""
+        """(parts,): taut cable parts ``3 k + type``; types are 0 q-leg, 1 edge and 2 r-leg."""
         return np.flatnonzero(self.exists)
 
     @cached_property
@@ -93,20 +93,20 @@ class Layout:
         return np.take(points, self.ends, axis) - np.take(points, self.starts, axis)
 
     def legs_of(self, q_legs: Array, slack: Array) -> Array:
-        """Return both legs (…, n, 2) [m] of q-legs and slacks (…, n); exactly zero without leg."""
+        """Return both legs (…, n, 2) [m] from q-legs and slacks (…, n); zero if there is no leg."""
         legs: Array = np.where(self.has_leg, np.stack([q_legs, slack - q_legs], axis=-1), 0.0)
         return legs
 
-    def q_legs_of(self, wanted: Array, slack: Array) -> Array:
-        """Return the wanted q-legs (…, n) [m], or the only possible ones at a chain's ends."""
-        with_r = np.where(self.has_leg[:, 0], wanted, 0.0)
-        q_legs: Array = np.where(self.has_leg[:, 1], with_r, slack)
-        return q_legs
+    def q_legs_of(self, q_legs: Array, slack: Array) -> Array:
+        """Return q-legs (…, n) [m] with the only possible ones at a chain's ends."""
+        with_r = np.where(self.has_leg[:, 0], q_legs, 0.0)
+        exact: Array = np.where(self.has_leg[:, 1], with_r, slack)
+        return exact
 
 
 @lru_cache(maxsize=64)
 def layout_of(robots: int, topology: str) -> Layout:
-    """Return the layout of ``robots`` cables, topology ``closed`` or ``open``."""
+    """Return the layout of ``robots`` cables with topology ``closed`` or ``open``."""
     k = np.arange(robots)
     has_leg = np.ones((robots, 2), dtype=np.bool_)
     if topology == CLOSED:
@@ -144,12 +144,12 @@ MAX_ROBOTS = 10_000
 
 
 class Model(NamedTuple):
-    """A drone that is known by its name."""
+    """A commercial drone."""
 
     mass: float  # [kg], ready to fly
     max_thrust: float  # [N], of all four motors
     controller: str
-    separation: tuple[float, float]  # [m], semi-axes that suit its size
+    separation: tuple[float, float]  # [m], semi-axes for its size
 
 
 CRAZYFLIE = (0.12, 0.30)
@@ -160,20 +160,20 @@ MODELS: Mapping[str, Model] = {
     "crazyflie_2.1_brushless": Model(0.0393, 4 * 0.2, "mellinger", CRAZYFLIE),
     "x260_bolt": Model(0.32, 4 * 0.28 * GRAVITY, "mellinger", (0.25, 0.60)),
 }
-"""Drones by their names.
+"""Drones by name.
 
 Crazyflies have the masses and largest thrusts of the firmware's ``platform_defaults_cf2.h``, with
 the propellers from before 2.1+ or the thrust upgrade kit, and of ``platform_defaults_cf21bl.h``,
 with guards, a 350 mAh battery and a Lighthouse deck. The x260, 260 mm between opposite motors, is
-that of github.com/dennisss/tansa, ``config/models/x260.js``, here with a Crazyflie Bolt. All fly
+that of github.com/dennisss/tansa, ``config/models/x260.js``, here with a Crazyflie Bolt. All use
 Mellinger's controller with the stiffest gains.
 """
 
-USUAL_TENSION, USUAL_TILT = 0.4, 0.25 * np.pi
-"""[N] Tension where neither it nor a model is given; [rad] tilt up to which models pull level."""
+DEFAULT_TENSION, DEFAULT_TILT = 0.4, 0.25 * np.pi
+"""[N] Default tension without a model; [rad] tilt that limits the horizontal pull of models."""
 
-LEVEL_SHARE = 0.31
-"""Tension of a model over the largest level pull: 0.4 N at 132 g, as USUAL_TENSION."""
+TENSION_RATIO = 0.31
+"""Default tension of a model over its largest horizontal pull: 0.4 N at 132 g, as without one."""
 
 
 @documented
@@ -181,12 +181,12 @@ LEVEL_SHARE = 0.31
 class Quadrotor(OneLine):
     """One kind of quadrotor.
 
-    What is left at its default is the model's, if one is named.
+    A ``model`` provides the values that are not specified.
 
     Raises
     ------
-    InputError: a number out of its range, an unknown controller, gains without one or too stiff for
-        it, or numbers that follow from it.
+    InputError: a number out of its range, an unknown controller, gains without a controller or too
+        stiff for it, or values that follow from it.
     """
 
     mass: Annotated[float, Key(units.MASS, "Mass")] = 0.132
@@ -195,8 +195,8 @@ class Quadrotor(OneLine):
         float | None,
         Key(
             units.STIFFNESS,
-            "Force with which the position loop answers an offset from its set point; null: rigid, "
-            "or the controller's",
+            "Force of the position loop per offset from its setpoint; null: rigid, or the "
+            "controller's",
         ),
     ] = None
     integral: Annotated[
@@ -211,15 +211,15 @@ class Quadrotor(OneLine):
         bool | None,
         Key(
             FLAGS,
-            "Whether the position loop adds the cable force that the set points hold; null: true, "
-            "or the controller's",
+            "Whether the position loop adds the cable force of the setpoints; null: true, or the "
+            "controller's",
         ),
     ] = None
     controller: Annotated[
         str | None,
         Key(
             words(*CONTROLLERS),
-            "Flight controller, from which these three follow; null: only these numbers are known",
+            "Flight controller, from which these three follow; null: these numbers apply",
         ),
     ] = None
     gains: Annotated[
@@ -228,16 +228,16 @@ class Quadrotor(OneLine):
     ] = None
     model: Annotated[
         str | None,
-        Key(words(*MODELS), "Known drone, whose numbers are the defaults of the others"),
+        Key(words(*MODELS), "Drone model, which provides the defaults of the other values"),
     ] = None
 
     def __post_init__(self) -> None:
         store(self, **vars(self))
         if self.model is not None:
-            known = MODELS[self.model]._asdict()
+            values = MODELS[self.model]._asdict()
             for each in fields(self)[:-1]:
-                if getattr(self, each.name) == each.default and each.name in known:
-                    object.__setattr__(self, each.name, known[each.name])
+                if getattr(self, each.name) == each.default and each.name in values:
+                    object.__setattr__(self, each.name, values[each.name])
             if self.gains is None and self.controller == "mellinger":
                 store(self, gains=stiffest_gains(self.mass))
         check_lift(self.mass, self.max_thrust, GRAVITY)
@@ -254,11 +254,11 @@ class Quadrotor(OneLine):
 
     @property
     def loop(self) -> FlightController:
-        """The position loop: the controller's, or what the numbers say."""
+        """The position loop: that of the controller, or one with the specified numbers."""
         return _loop(self)
 
     def level_pull(self, tilt: float) -> tuple[float, str]:
-        """Return the largest level pull [N] held at rest up to a tilt [rad], and what binds."""
+        """Return the largest horizontal pull [N] at rest within a tilt [rad], and the limit."""
         weight = GRAVITY * self.mass
         by_tilt = weight * math.tan(tilt)
         by_thrust = math.sqrt(max(self.max_thrust**2 - weight**2, 0.0))
@@ -266,44 +266,46 @@ class Quadrotor(OneLine):
 
     @property
     def tension(self) -> float:
-        """Tension [N] of cables where none is given: of a model, a share of its level pull."""
-        share = float(f"{LEVEL_SHARE * self.usual_pull[0]:.2g}")
-        return USUAL_TENSION if self.model is None else share
+        """Default tension [N] of cables; for a model, a share of its largest horizontal pull."""
+        of_model = float(f"{TENSION_RATIO * self.usual_pull[0]:.2g}")
+        return DEFAULT_TENSION if self.model is None else of_model
 
     @property
     def usual_pull(self) -> tuple[float, str]:
-        """Largest level pull [N] up to a tilt of 45° or the controller's, and what binds."""
-        return self.level_pull(min(USUAL_TILT, self.loop.max_tilt))
+        """Largest horizontal pull [N] up to 45° or the controller's tilt, and its limit's name."""
+        return self.level_pull(min(DEFAULT_TILT, self.loop.max_tilt))
 
 
 @lru_cache(maxsize=1024)
 def _loop(kind: Quadrotor) -> FlightController:
     if kind.controller is not None:
         return FlightController.of(kind.controller, kind.mass, kind.gains)
-    fed = kind.feed_forward is None or kind.feed_forward
     return FlightController.plain(
-        kind.mass, kind.stiffness, integral=bool(kind.integral), feed_forward=fed
+        kind.mass,
+        kind.stiffness,
+        integral=bool(kind.integral),
+        feed_forward=kind.feed_forward is None or kind.feed_forward,
     )
 
 
-NAMED = words(**{name: Quadrotor(model=name) for name in MODELS})
+MODEL_NAMES = words(**{name: Quadrotor(model=name) for name in MODELS})
 
-QUADROTOR = either(NAMED, mapping_of(Quadrotor))
+QUADROTOR = either(MODEL_NAMES, mapping_of(Quadrotor))
 """Kinds of quadrotors in files: the name of a model, or numbers."""
 
 QuadrotorOrName = Quadrotor | str
 
 
 def kinds_of(
-    given: QuadrotorOrName | Sequence[QuadrotorOrName] | None, count: int, owner: str
+    quadrotor: QuadrotorOrName | Sequence[QuadrotorOrName] | None, count: int, owner: str
 ) -> tuple[Quadrotor, ...]:
-    """Return one kind per owner; one kind is meant for all, and None for the default kind."""
-    kind = Quadrotor() if given is None else given
+    """Return one kind per owner from one for all, one per owner, or None for the default kind."""
+    kind = Quadrotor() if quadrotor is None else quadrotor
     one = isinstance(kind, QuadrotorOrName)
     kinds = [*((kind,) * count if one else sequence("quadrotor", kind))]
     for k, each in enumerate(kinds):
         key = "quadrotor" if one else f"quadrotor[{k}]"
-        kinds[k] = NAMED.check(key, each) if isinstance(each, str) else each
+        kinds[k] = MODEL_NAMES.check(key, each) if isinstance(each, str) else each
         check_instance(f"quadrotor[{k}]", kinds[k], Quadrotor)
     if len(kinds) != count:
         bound = f"one kind, or a list of {count}"
@@ -311,14 +313,15 @@ def kinds_of(
     return tuple(kinds)
 
 
-def _loads(given: float | Sequence[float] | ArrayLike, clasps: int) -> NDArray[np.float64]:
+def _loads(load: float | Sequence[float] | ArrayLike, clasps: int) -> NDArray[np.float64]:
     """Return the masses that hang at the clasps (clasps,) [kg].
 
-    An array of one value holds for any number of clasps, so that a team can be copied with others.
+    An array of equal values is accepted for any number of clasps: ``replace`` passes that of
+    another topology.
     """
-    if isinstance(given, np.ndarray) and given.size > 0 and given.ndim > 0:
-        given = float(given[0]) if np.all(given == given[0]) else given
-    return per_robot("load", given, clasps, units.LOAD.check, "clasp")
+    if isinstance(load, np.ndarray) and load.size > 0 and load.ndim > 0:
+        load = float(load[0]) if np.all(load == load[0]) else load
+    return per_robot("load", load, clasps, units.LOAD.check, "clasp")
 
 
 @documented
@@ -328,7 +331,7 @@ class Team(OneLine):
 
     Raises
     ------
-    InputError: a count, sign or number that is wrong in itself.
+    InputError: an invalid count, sign or number.
     """
 
     robots: Annotated[
@@ -366,7 +369,7 @@ class Team(OneLine):
             "closed hitch, the inner points of a chain",
         ),
     ] = field(repr=False)
-    least_open: ClassVar[int] = 2  # robots of an open chain, at least
+    min_open_robots: ClassVar[int] = 2  # smallest number of robots of an open chain
 
     def __init__(
         self,
@@ -381,14 +384,14 @@ class Team(OneLine):
         load: float | Sequence[float] | ArrayLike = 0.0,
     ) -> None:
         store(self, topology=topology, cable_density=cable_density, cable_friction=cable_friction)
-        n = integer("robots", robots, 3 if topology == CLOSED else self.least_open, MAX_ROBOTS)
+        n = integer("robots", robots, 3 if topology == CLOSED else self.min_open_robots, MAX_ROBOTS)
         length = per_robot("cable_length", cable_length, n, units.CABLE_LENGTH.check)
         kinds = kinds_of(quadrotor, n, "robot")
-        asked = [kind.tension for kind in kinds] if tension is None else tension
-        pull = per_robot("tension", asked, n, units.TENSION.check)
-        arrays = {"robots": n, "cable_length": length, "tension": pull, "quadrotor": kinds}
-        arrays |= {"load": _loads(load, len(layout_of(n, topology).clasps))}
-        for name, value in arrays.items():
+        tensions = [kind.tension for kind in kinds] if tension is None else tension
+        pull = per_robot("tension", tensions, n, units.TENSION.check)
+        values = {"robots": n, "cable_length": length, "tension": pull, "quadrotor": kinds}
+        values |= {"load": _loads(load, len(layout_of(n, topology).clasps))}
+        for name, value in values.items():
             object.__setattr__(self, name, value)
 
     @property
@@ -398,17 +401,17 @@ class Team(OneLine):
 
     @property
     def has_cables(self) -> bool:
-        """Whether the team has cables, as all teams but single drones."""
+        """Whether the team has cables; single drones have none."""
         return self.robots > 0
 
     @property
     def loaded(self) -> bool:
-        """Whether clasps carry weight: that of cables, or a load."""
+        """Whether clasps carry the weight of cables or a load."""
         return self.cable_density > 0.0 or bool(np.any(self.load))
 
     @property
     def layout(self) -> Layout:
-        """Indices of the points, cables and drones that belong together."""
+        """Indices into arrays of points, cables and drones."""
         return layout_of(self.robots, self.topology)
 
     @property
@@ -423,47 +426,47 @@ class Team(OneLine):
 
     @property
     def stiffness(self) -> NDArray[np.float64]:
-        """(2n, 3) [N/m]: stiffness of each drone's position loop, infinite where it is rigid."""
+        """(2n, 3) [N/m]: stiffness of each drone's position loop; infinite if rigid."""
         return self._per_axis("kp")
 
     @property
     def damping(self) -> NDArray[np.float64]:
-        """(2n, 3) [N s/m]: damping of each drone's position loop, infinite where it is rigid."""
+        """(2n, 3) [N s/m]: damping of each drone's position loop; infinite if rigid."""
         return self._per_axis("kd")
 
     @property
     def integral_gain(self) -> NDArray[np.float64]:
-        """(2n, 3) [N/(m s)]: gain of each drone's integral, zero where it has none."""
+        """(2n, 3) [N/(m s)]: gain of each drone's integral; zero without one."""
         return self._per_axis("ki")
 
     @property
     def integral(self) -> NDArray[np.float64]:
-        """(2n, 3) [N]: largest force of each drone's integral, zero where it has none."""
+        """(2n, 3) [N]: largest force of each drone's integral; zero without one."""
         return self._per_axis("ki_limit")
 
     @property
     def feed_forward(self) -> NDArray[np.bool_]:
-        """(2n,): whether each drone's controller adds the cable force that its set points hold."""
+        """(2n,): whether each drone's controller adds the cable force of its setpoints."""
         return self._of_loops("feed_forward") > 0.0
 
     @property
     def pull_gain(self) -> NDArray[np.float64]:
-        """(2n, 3): force that holds a cable's steady force, over that, by each drone's loop."""
+        """(2n, 3): feed-forward force of each drone's loop over the steady cable force it holds."""
         return self._per_axis("pull_gain")
 
     @property
     def max_tilt(self) -> NDArray[np.float64]:
-        """(2n,) [rad]: largest tilt that each drone's controller commands, π/2 if any."""
+        """(2n,) [rad]: largest tilt that each drone's controller commands; π/2 if unlimited."""
         return self._of_loops("max_tilt")
 
     @property
     def tracking(self) -> float | None:
-        """Largest tracking error [m] of the drones' controllers; None if none is named."""
-        known = [loop.tracking for kind in self.quadrotor if (loop := kind.loop).name]
-        return max((each for each in known if each is not None), default=None)
+        """Largest tracking error [m] of the named controllers; None without one."""
+        errors = [loop.tracking for kind in self.quadrotor if (loop := kind.loop).name]
+        return max((error for error in errors if error is not None), default=None)
 
     def _per_axis(self, name: str) -> NDArray[np.float64]:
-        """Return a pair of the position loops, level and upright, as (2n, 3)."""
+        """Return a horizontal and vertical pair of the position loops as (2n, 3)."""
         return self._of_loops(name)[:, [0, 0, 1]]
 
     def _of_loops(self, name: str) -> NDArray[np.float64]:
@@ -483,7 +486,7 @@ class Team(OneLine):
 
     @property
     def labels(self) -> tuple[int, ...]:
-        """(n,): numbers of the robots, by which drones and cables are named."""
+        """(n,): numbers of the robots in the names of drones and cables."""
         return tuple(range(self.robots))
 
     @property
@@ -493,7 +496,7 @@ class Team(OneLine):
 
     @property
     def cable_weight(self) -> NDArray[np.float64]:
-        """(2n,) [N]: the half of its cable's weight that each drone carries."""
+        """(2n,) [N]: half of its cable's weight for each drone."""
         return np.repeat(0.5 * GRAVITY * self.cable_density * self.cable_length, 2)
 
 
@@ -504,10 +507,10 @@ def _names(kinds: str, labels: Sequence[int]) -> tuple[str, ...]:
 
 @dataclass(frozen=True, eq=False)
 class PartTeam(Team):
-    """Some robots of a team, which keep their numbers: a ring in this order, or one by itself."""
+    """Some robots of a team, with their numbers: a ring in this order, or a single robot."""
 
     members: tuple[int, ...] = ()
-    least_open: ClassVar[int] = 1
+    min_open_robots: ClassVar[int] = 1
 
     def __init__(
         self,
@@ -522,7 +525,7 @@ class PartTeam(Team):
 
     @classmethod
     def of(cls, whole: Team, members: Sequence[int]) -> PartTeam:
-        """Return the team of some members of another one, by their places in it."""
+        """Return the team of the members at some indices of another team."""
         order = list(members)
         return cls(
             len(order),
@@ -547,22 +550,25 @@ MAX_DRONES = 2 * MAX_ROBOTS
 
 @dataclass(frozen=True, eq=False)
 class Swarm(Team):
-    """N single quadrotors: a team without cables, so that every array over robots is empty.
+    """N single quadrotors: a team without cables, whose arrays over robots are empty.
 
-    Of their number, and one kind for all or one per drone.
+    Parameters
+    ----------
+    drones: their number N.
+    quadrotor: one kind for all or one per drone.
 
     Raises
     ------
-    InputError: a count that is wrong in itself.
+    InputError: an invalid count.
     """
 
     def __init__(
         self, drones: int, *, quadrotor: QuadrotorOrName | Sequence[QuadrotorOrName] | None = None
     ) -> None:
         integer("drones", drones, 1, MAX_DRONES)
-        none = np.zeros(0)
-        none.setflags(write=False)
-        values: dict[str, object] = dict.fromkeys(("cable_length", "tension", "load"), none)
+        empty = np.zeros(0)
+        empty.setflags(write=False)
+        values: dict[str, object] = dict.fromkeys(("cable_length", "tension", "load"), empty)
         values |= {"robots": 0, "topology": CLOSED, "cable_density": 0.0, "cable_friction": 0.0}
         values |= {"quadrotor": kinds_of(quadrotor, int(drones), "drone")}
         for name, value in values.items():
@@ -581,16 +587,16 @@ class Swarm(Team):
 
 @dataclass(frozen=True)
 class Assignment(OneLine):
-    """An assignment of robots to roles, of which role k holds edge k.
+    """An assignment of robots to roles; role k holds edge k.
 
     Parameters
     ----------
-    robots: for every role the robot that flies it, each once.
-    flipped: for every role whether that robot's q and r are exchanged.
+    robots: the robot of every role, each once.
+    flipped: for every role, whether that robot's q and r are exchanged.
 
     Raises
     ------
-    InputError: no such assignment.
+    InputError: not a permutation, or not one flag per role.
     """
 
     robots: tuple[int, ...]
@@ -611,15 +617,15 @@ class Assignment(OneLine):
 
     @classmethod
     def fixed(cls, robots: int) -> Assignment:
-        """Return the assignment under which robot k flies role k as it is."""
+        """Return the assignment of robot k to role k, unflipped."""
         return cls(tuple(range(robots)), (False,) * robots)
 
     def to_dict(self) -> dict[str, object]:
-        """Return the assignment as files store it."""
+        """Return the assignment in the form of files."""
         return {"robots": list(self.robots), "flipped": list(self.flipped)}
 
     def team(self, team: Team) -> Team:
-        """Return the team in the order of its roles."""
+        """Return the team with its robots in the order of roles."""
         order = list(self.robots)
         return replace(
             team,
@@ -629,7 +635,7 @@ class Assignment(OneLine):
         )
 
     def drones(self, drones: Array) -> Array:
-        """Return robots' drones (2n, 3) in the order of their roles."""
+        """Return the drones (2n, 3) of robots in the order of roles."""
         pairs = drones.reshape(-1, 2, 3)[list(self.robots)]
         flipped = np.array(self.flipped, dtype=np.bool_)
         pairs = np.where(flipped[:, None, None], pairs[:, ::-1], pairs)

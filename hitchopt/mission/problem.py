@@ -11,7 +11,7 @@ import numpy as np
 from hitchopt.errors import InputError, OneLine, UnitWarning
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Swarm, Team
-from hitchopt.hitch.hitch import FAR_OFF, checked_polygon
+from hitchopt.hitch.hitch import UNIT_ERROR_RATIO, checked_polygon
 from hitchopt.hitch.requirements import (
     Arena,
     Limits,

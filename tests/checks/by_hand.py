@@ -216,7 +216,7 @@ def cable_points(length: ArrayLike, drones: Array, count: int = 201) -> Array:
     q, r = drones[..., 0::2, :], drones[..., 1::2, :]
     cables = Catenary.between(q, r, np.broadcast_to(length, q.shape[:-1]))
     mu = np.moveaxis(
-        np.array([cables.place(share) for share in np.linspace(0.0, 1.0, count)]), 0, -1
+        np.array([cables.parameter(share) for share in np.linspace(0.0, 1.0, count)]), 0, -1
     )
     points = q[..., None, :] + (0.5 * (1.0 + mu))[..., None] * (r - q)[..., None, :]
     stacked = Catenary(*(x[..., None] for x in vars(cables).values()))

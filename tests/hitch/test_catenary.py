@@ -14,8 +14,8 @@ from hitchopt.hitch.catenary import (
     Catenary,
     depth_rate,
     depth_terms,
+    displacement_bound,
     pull_terms,
-    shift_with_ends,
     steepness,
 )
 from hitchopt.hitch.forces import hanging_forces
@@ -36,7 +36,7 @@ def test_every_piece_of_it_is_in_balance(case: tuple[float, float, float]) -> No
     """The slope grows with the length from the lowest point, by one and the same factor."""
     c, step = cable(case), 1e-5
     shares = np.linspace(0.1, 0.9, 7)
-    mu = c.place(shares) + np.array([[step], [-step]])
+    mu = c.parameter(shares) + np.array([[step], [-step]])
     heights = 0.5 * (1.0 + mu) * c.rise - c.depth(mu)
     slopes = (heights[0] - heights[1]) / (step * c.across)
     growth = np.diff(slopes) / (np.diff(shares) * c.length)
@@ -69,7 +69,7 @@ def test_pulls_are_what_the_energy_changes_by(seed: int) -> None:
     def energy(places: np.ndarray) -> float:
         q, r = places[0::2], places[1::2]
         c = Catenary.between(q, r, team.cable_length)
-        mu = c.place(share)
+        mu = c.parameter(share)
         z = q[:, 2] + 0.5 * (1.0 + mu) * (r - q)[:, 2] - c.depth(mu)
         return float(np.sum(GRAVITY * 0.013 * team.cable_length * np.mean(z, axis=0)))
 
@@ -121,12 +121,12 @@ def test_points_move_with_both_ends_by_no_more_than_the_bound(
             first, second, c.length).depth(mu[:, 0])])  # fmt: skip
 
     ends = np.array([[0.0, 0.0, 0.0], [float(c.across), 0.0, float(c.rise)]])
-    bound = float(shift_with_ends((c.across, c.across), np.abs(c.rise), c.length, off))
+    bound = float(displacement_bound((c.across, c.across), np.abs(c.rise), c.length, off))
     ways = rng.normal(size=(20, 2, 3))
     ways[0] = [[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]  # toward each other
     for way in off * ways / np.linalg.norm(ways, axis=-1, keepdims=True):
         moved = points(*(ends + way)) - points(*ends)
         assert np.max(np.linalg.norm(moved, axis=-1)) <= bound * (1.0 + 1e-9)
-    smaller = shift_with_ends((c.across, c.across), np.abs(c.rise), c.length, 0.5 * off)
+    smaller = displacement_bound((c.across, c.across), np.abs(c.rise), c.length, 0.5 * off)
     assert smaller <= 0.5 * bound * (1.0 + 1e-9)
-    assert c.sagging(0.0) == 0.0
+    assert c.extra_displacement(0.0) == 0.0

@@ -115,7 +115,7 @@ def test_an_arena_pushes_a_leg_back_and_one_too_small_still_gives_the_best() -> 
 @pytest.mark.parametrize("swept", [0, 20])
 def test_near_pairs_are_those_of_every_frame(swept: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of boxes that drift, listed once for all frames or by an index of all."""
-    monkeypatch.setattr(pair_table, "SWEPT", swept)
+    monkeypatch.setattr(pair_table, "MAX_SWEPT_PAIRS", swept)
     bodies, rng = Bodies.of(layout_of(6, "closed")), np.random.default_rng(4)
     limits = np.array([0.24, 0.0, 0.05])
     count, cutoff = len(bodies.nodes), 0.3

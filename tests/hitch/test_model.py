@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hitchopt.hitch import Hitch
-from hitchopt.hitch.model import CLASPS_AT_ONCE, FlatJets, drone_jets, slipping_drones
+from hitchopt.hitch.model import CLASPS_PER_CHUNK, FlatJets, drone_jets, slipping_drones
 from hitchopt.planners.morph.friction import cables_of_legs
 from hitchopt.values import Array
 
@@ -50,11 +50,11 @@ def test_values_are_the_hitchs_own(seed: int, n: int, topology: str, kind: str) 
 def test_jets_of_many_times_are_those_of_each(kind: str) -> None:
     """More clasps than are evaluated at once; in balance without weight only if all are alike."""
     h = random_hitch(5, 40, "closed", kind)
-    t = np.linspace(-1e-3, 1e-3, 2 * CLASPS_AT_ONCE // 40 + 3)
+    t = np.linspace(-1e-3, 1e-3, 2 * CLASPS_PER_CHUNK // 40 + 3)
     flat = moving(h, 5, t)
     together = vars(drone_jets(h.team, flat))
     for k in (0, len(t) // 2, len(t) - 1):
-        alone = vars(drone_jets(h.team, flat.chosen(slice(k, k + 1))))
+        alone = vars(drone_jets(h.team, flat[k : k + 1]))
         for name, values in alone.items():
             np.testing.assert_allclose(together[name][k], values[0], rtol=1e-12, atol=1e-12)
 

@@ -237,7 +237,7 @@ def _lowest(team: Team, drones: Array, off: float) -> Array:
     """
     q, r = drones[0::2], drones[1::2]
     cables = Catenary.between(q, r, team.cable_length)
-    return q[:, 2] + cables.lowest - cables.sagging(off)
+    return q[:, 2] + cables.lowest - cables.extra_displacement(off)
 
 
 def assign_robots(team: Team, drones: Array, outline: Outline, leg: float) -> Assignment:

@@ -203,10 +203,11 @@ def _evaluate(
     q, r = drones[:, 0::2], drones[:, 1::2]
     layout, length = ellipses.team.layout, ellipses.team.cable_length
     cables = Catenary.between(q, r, length)
-    mu = cables.place(PLACES[:, None, None])
+    mu = cables.parameter(PLACES[:, None, None])
     points = q + (0.5 * (1.0 + mu))[..., None] * (r - q)  # (places, angles, n, 3)
     points[..., 2] -= cables.depth(mu)
-    separation, sagging = requirements.separation, float(np.max(cables.sagging(requirements.off)))
+    separation = requirements.separation
+    sagging = float(np.max(cables.extra_displacement(requirements.off)))
     lowest = float(ellipses.centres[0, 2]) - float(np.min(points[..., 2])) + sagging
     # From q to r along the edge: pairs would be on the wrong side of each other's cables else.
     opening = float(np.min(np.sum((r[0] - q[0]) * unit(layout.edges(hitch.vertices)), axis=-1)))
