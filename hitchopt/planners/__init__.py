@@ -1,6 +1,6 @@
-"""Planners: each takes hitches and requirements, and returns motions or the limits that bind.
+"""Planners: each takes hitches and requirements, and returns motions or the binding limits.
 
-A planner is a frozen record of its inputs, with ``problem``, the mathematical problem to look
-at, and ``solve()``: ``StraightMorph``, ``BlendedMorph``, ``ActionMorph``, ``OptimisedMorph``,
+A planner is a frozen record of its inputs with a ``problem``, the mathematical problem, and
+``solve()``: ``StraightMorph``, ``BlendedMorph``, ``ActionMorph``, ``OptimisedMorph``,
 ``DirectApproach``, ``GatheredApproach``, ``CarriedMove`` and ``SeparatedFlight``.
 """

@@ -191,9 +191,9 @@ class Withdraw(Step):
         before, requirements = task.before, task.requirements
         joined = self.leaving(task, task.hitch)
         check_at_rest(joined.before, requirements, f"at the end of step {task.index} (withdraw)")
-        joins = Joins(joined, before.whole_team, before.waiting, requirements, task.index)
-        aside = joins.aside()
-        parts = [joins.opening(aside), *joins.returning(aside), *joins.tying()]
+        joins = JoiningMotions(joined, before.whole_team, before.waiting, requirements, task.index)
+        aside = joins.waiting_position()
+        parts = [joins.opening(aside), *joins.return_motions(aside), *joins.tying_motions()]
         after = replace(
             before,
             team=joined.before.team,

@@ -275,12 +275,12 @@ class RestState:
     def with_waiting(self, motion: Motion, requirements: Requirements) -> Motion:
         """Return a motion from this state with the waiting robots added."""
         from hitchopt.motion.chapters import with_waiting
-        from hitchopt.planners.forming.joining import at_rest
+        from hitchopt.planners.forming.joining import waiting_robot
 
         if self.whole is None or motion.changes:
             return motion
         waiting = {
-            robot: at_rest(self.part((robot,)), places, requirements)
+            robot: waiting_robot(self.part((robot,)), places, requirements)
             for robot, places in self.waiting.items()
         }
         return with_waiting(motion, self.whole, waiting, motion.requirements)

@@ -344,7 +344,7 @@ class RollStep(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of the roll."""
-        from hitchopt.planners.forming.laying import RollPath, rolling
+        from hitchopt.planners.forming.laying import RollPath, roll_motion
 
         before, hitch = task.before, task.hitch
         start = hitch.roll if before.open_roll is None else before.open_roll
@@ -453,9 +453,9 @@ class Land(Step):
         motion = stage("land", flight, before.team, requirements, task.index, CableState.GROUND)
         after = replace(before, drones=down)
         if before.waiting:
-            from hitchopt.planners.forming.joining import landed
+            from hitchopt.planners.forming.joining import landing_motion
 
-            motion = landed(motion, before.whole_team, before.waiting, requirements)
+            motion = landing_motion(motion, before.whole_team, before.waiting, requirements)
             lying = {robot: places * flat + floor for robot, places in before.waiting.items()}
             after = replace(after, waiting=lying)
         return StepPlan(self.with_duration(task, motion), after)

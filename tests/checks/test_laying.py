@@ -30,7 +30,7 @@ from hitchopt.planners.forming.laying import (
     find_laying,
     laying_stages,
     levels_of,
-    rolling,
+    roll_motion,
     senses_of,
     split_for_rolling,
 )
@@ -75,7 +75,7 @@ def lowered(laying: Laying, start: np.ndarray, end: np.ndarray) -> Motion:
 
 
 def rolled(laying: Laying, start: np.ndarray, end: np.ndarray) -> Motion:
-    return rolling(RollPath(laying.hitch, start, end), KEPT, Phase("roll", 0, 0.0, 0.0))
+    return roll_motion(RollPath(laying.hitch, start, end), KEPT, Phase("roll", 0, 0.0, 0.0))
 
 
 @pytest.mark.parametrize(("n", "order"), [(3, None), (3, (2, 0, 1)), (6, None)])
@@ -95,7 +95,7 @@ def test_every_roll_is_in_balance_and_opens_at_half_a_turn(n: int) -> None:
     assert np.abs(start) == pytest.approx(180.0, abs=1e-6)
     assert change == pytest.approx(180.0 * laying.senses, abs=1e-6)
     # Both cables run straight through their vertices, but for what they sag.
-    drones, vertices = laying.laid, laying.hitch.vertices
+    drones, vertices = laying.drones_laid, laying.hitch.vertices
     legs = drones - vertices[laying.hitch.team.layout.anchors]
     u = laying.hitch.polygon.edge_directions
     along = legs[0::2, :2] / np.linalg.norm(legs[0::2], axis=1)[:, None]
@@ -194,22 +194,27 @@ def test_who_is_above_must_have_come_from_above(tmp_path: Path) -> None:
     laying, (taut, slide, _, tension, roll) = laying_of(3), stages_of(3)
     # Cable 2, at the top, comes from below instead: it would pass through both others.
     below = replace(laying, levels=np.array([0, 1, -1]))
-    under = [lowered(below, below.outside, below.above), lowered(below, below.above, laying.laid)]
+    under = [
+        lowered(below, below.drones_outside, below.drones_above),
+        lowered(below, below.drones_above, laying.drones_laid),
+    ]
     assert wrong([*under, tension, roll]) == {"p0", "p2"}
     # Cables that stay 5 cm apart are not laid.
-    apart = laying.laid + np.repeat(0.05 * laying.levels, 2)[:, None] * [0.0, 0.0, 1.0]
-    assert {"p0", "p1", "p2"} <= wrong([taut, slide, lowered(laying, laying.above, apart), roll])
+    apart = laying.drones_laid + np.repeat(0.05 * laying.levels, 2)[:, None] * [0.0, 0.0, 1.0]
+    assert {"p0", "p1", "p2"} <= wrong(
+        [taut, slide, lowered(laying, laying.drones_above, apart), roll]
+    )
     # Cables that lie on one another are not moved aside.
     unroll, relax = reversed_stages([tension, roll])
     untied = [taut, slide, stages_of(3)[2], tension, roll, unroll, relax]
-    aside = lowered(laying, laying.laid, laying.laid + [0.3, 0.0, 0.0])
+    aside = lowered(laying, laying.drones_laid, laying.drones_laid + [0.3, 0.0, 0.0])
     assert wrong([*untied, aside]) == clasps(3)
     assert "cables that lie are moved" in second_opinion([*untied, aside], tmp_path)
     # The lowest one is lifted first, through the others.
-    path = straight_lines(laying.hitch.team, KEPT.limits, laying.laid, laying.above)
-    down = laying.laid[:2] + [0.0, 0.0, 0.9]
-    up = np.concatenate([down, laying.above[2:]])
-    lifted = lowered(laying, laying.laid, up)
+    path = straight_lines(laying.hitch.team, KEPT.limits, laying.drones_laid, laying.drones_above)
+    down = laying.drones_laid[:2] + [0.0, 0.0, 0.9]
+    up = np.concatenate([down, laying.drones_above[2:]])
+    lifted = lowered(laying, laying.drones_laid, up)
     assert path.duration < lifted.duration
     assert wrong([*untied, lifted]) == {"p0", "p1"}
     assert "lifted through another one" in second_opinion([*untied, lifted], tmp_path)
@@ -242,7 +247,7 @@ def test_states_are_not_believed() -> None:
 def test_a_cable_that_is_laid_pulls_by_an_eighth_more_or_less(share: float, holds: bool) -> None:
     """Its chord is off by a share of its sag; the catenary there, by its own equation."""
     laying = laying_of(3)
-    team, pairs = laying.hitch.team, laying.laid.reshape(-1, 2, 3)
+    team, pairs = laying.hitch.team, laying.drones_laid.reshape(-1, 2, 3)
     sag = sag_factors(team, team.tension) * team.cable_length**2
     chords = np.linalg.norm(pairs[:, 1] - pairs[:, 0], axis=1)
     wanted = team.cable_length * (1.0 - (1.0 + share) * sag)
@@ -270,8 +275,11 @@ def test_what_was_laid_is_not_untied_by_swaps_of_another_sense() -> None:
 
 def test_cables_stop_on_their_way_to_where_they_are_laid() -> None:
     laying, stages = laying_of(3), stages_of(3)
-    higher = laying.outside + [0.0, 0.0, 0.2]
-    hop = [lowered(laying, laying.outside, higher), lowered(laying, higher, laying.outside)]
+    higher = laying.drones_outside + [0.0, 0.0, 0.2]
+    hop = [
+        lowered(laying, laying.drones_outside, higher),
+        lowered(laying, higher, laying.drones_outside),
+    ]
     parts = [stages[0], *hop, *stages[1:]]
     assert not wrong([*parts, *reversed_stages(parts)])
 

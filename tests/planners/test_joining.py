@@ -17,7 +17,13 @@ from hitchopt.hitch.team import PartTeam
 from hitchopt.mission.loading import any_problem_from_dict
 from hitchopt.motion.chapters import chapters
 from hitchopt.motion.motion import Motion
-from hitchopt.planners.forming.joining import Joins, corner_cut, corner_restored, joining, leaving
+from hitchopt.planners.forming.joining import (
+    JoiningMotions,
+    corner_cut,
+    corner_restored,
+    find_joining,
+    find_leaving,
+)
 from hitchopt.values import Array
 
 HEXAGON = 0.8 * ho.regular_polygon(6, 1.0).vertices
@@ -70,10 +76,10 @@ def test_neighbours_that_are_too_short_to_meet_are_told_by_how_much() -> None:
     """Without robot 2 its neighbours' edges grow by 0.8 m, beyond legs of 0.35 m."""
     team, kept = ho.Team(6, 1.5), Requirements()
     after = Hitch.balanced(team, HEXAGON)
-    outline, grown = corner_restored(after.polygon, 2, 2)
+    outline, extensions = corner_restored(after.polygon, 2, 2)
     ring = PartTeam.of(team, [0, 1, 3, 4, 5])
     with pytest.raises(InfeasibleError) as refused:
-        leaving(after, ring, 2, outline, grown, np.ones(6), kept)
+        find_leaving(after, ring, 2, outline, extensions, np.ones(6), kept)
     (broken,) = refused.value.violations
     assert (broken.constraint, broken.where) == ("legs", ("cable 1", "cable 3"))
     assert broken.value == pytest.approx(0.8 * 0.7 - 0.8)
@@ -86,7 +92,7 @@ def test_cables_that_sag_too_much_to_lie_across_are_refused_by_name() -> None:
     before = Hitch.balanced(PartTeam.of(whole, [0, 1, 2]), ho.regular_polygon(3, 1.4), 2.0)
     outline = corner_cut(before.polygon, 0, 0.7)
     with pytest.raises(InfeasibleError) as refused:
-        joining(
+        find_joining(
             before, PartTeam.of(whole, [3, 0, 1, 2]), 0, outline, np.ones(3), 1.0, Requirements()
         )
     (broken,) = refused.value.violations
@@ -129,16 +135,18 @@ def test_two_robots_that_have_left_wait_at_different_places() -> None:
     whole, kept = ho.Team(5, [2.3, 2.3, 2.3, 1.4, 1.4], tension=0.7), Requirements()
     before = Hitch.balanced(PartTeam.of(whole, [0, 1, 2]), ho.regular_polygon(3, 1.4), 2.0)
     ring, outline = PartTeam.of(whole, [3, 0, 1, 2]), corner_cut(before.polygon, 0, 0.5)
-    joined = joining(before, ring, 0, outline, np.ones(3), 1.0, kept)
-    first = Joins(joined, whole, {}, kept, 0).aside()
-    second = Joins(joined, whole, {4: first}, kept, 0).aside()
+    joined = find_joining(before, ring, 0, outline, np.ones(3), 1.0, kept)
+    first = JoiningMotions(joined, whole, {}, kept, 0).waiting_position()
+    second = JoiningMotions(joined, whole, {4: first}, kept, 0).waiting_position()
     apart = np.linalg.norm((second[:, None] - first)[..., :2], axis=-1)
     assert np.min(apart) >= 0.5
-    over = joined.raised(kept)[0]
+    over = joined.robot_clear(kept)[0]
     upright = np.array([[4.0, 0.0, 1.0], [4.0, 0.0, 2.0]])  # one over the other
-    prism = Joins(joined, whole, {4: upright}, kept, 0)._around(4, upright)
+    prism = JoiningMotions(joined, whole, {4: upright}, kept, 0)._prism(4, upright)
     assert prism.lower < 0.5
     assert prism.upper > 2.0
     assert np.ptp(prism.corners, axis=0)[:2] == pytest.approx(2.0 * kept.separation.cable)
     narrow = replace(kept, arena=Arena(np.min(over, axis=0) - 0.05, np.max(over, axis=0) + 0.05))
-    np.testing.assert_array_equal(Joins(joined, whole, {}, narrow, 0).aside(), over)
+    np.testing.assert_array_equal(
+        JoiningMotions(joined, whole, {}, narrow, 0).waiting_position(), over
+    )

@@ -27,7 +27,7 @@ from hitchopt.motion.motion import CableState, Motion, Phase, joined_motions
 from hitchopt.motion.plan_file import read_plan, write_plan
 from hitchopt.motion.retiming import shifted
 from hitchopt.planners.forming.joining import Joining
-from hitchopt.planners.forming.laying import rolling
+from hitchopt.planners.forming.laying import roll_motion
 
 Flags = NDArray[np.bool_]
 Change = Callable[[Motion], Motion]
@@ -333,7 +333,7 @@ def other_leg_first(motion: Motion) -> Motion:
     wrong = both[int(np.argmax(off))]
     parts = [
         with_waiting(
-            rolling(path, motion.requirements, Phase("roll", 1, 0.0, 0.0)),
+            roll_motion(path, motion.requirements, Phase("roll", 1, 0.0, 0.0)),
             motion.team,
             {},
             motion.requirements,

@@ -1,4 +1,4 @@
-"""Planners that form a hitch in midair and take it apart again: the paper's Action 1."""
+"""Planners that form and release a hitch in midair: the paper's Action 1."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from hitchopt.values.units import DURATION, LENGTH, SWING
 
 @documented
 @dataclass(frozen=True)
-class SwapSettings(Record):
-    """Settings of pairs of drones that turn about each other."""
+class SwapSettings(OneLine):
+    """Settings of the swaps, in which pairs of drones turn about each other."""
 
     radius: Annotated[float, Key(LENGTH, "Smallest semi-axis of the ellipses")] = 0.15
     tilt: Annotated[

@@ -1,10 +1,9 @@
-"""Approaches to the pre-hitch, cables hanging, and which robot takes which edge.
+"""Approaches to the pre-hitch with hanging cables, and the assignment of robots to edges.
 
-Two are planned, the simpler one first; the certificate judges them. *Direct*: all drones fly
-at once through the separation planner, the two of a cable tethered. *Gathered*: every robot first
-draws its two drones together, turned as at the goal, so that its cable hangs within a disc seen
-from above; discs avoid each other, and open at the other end. Chords within discs that never meet
-cannot tangle.
+There are two, of which the first certified one applies. *Direct*: the separation planner flies all
+drones at once, with the two drones of a cable tethered. *Gathered*: every robot first draws its two
+drones together and turns them as at the goal, so that its cable hangs within a disc in plan view;
+discs avoid each other, and open at the goal. Cables within disjoint discs cannot tangle.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.requirements import Requirements, Separation
 from hitchopt.hitch.team import Assignment
 from hitchopt.motion.motion import CableState, Motion
-from hitchopt.planners.forming.prehitch import SPAN
+from hitchopt.planners.forming.prehitch import MAX_SPAN_RATIO
 from hitchopt.planners.forming.stages import MIN_FLIGHT, PAUSE, stage, straight_lines
 from hitchopt.planners.separation import SeparatedFlight, SeparationTask
 from hitchopt.planners.timing.profile import LIMIT_SHARE, usable_accelerations
@@ -36,24 +35,24 @@ PAIR_SEPARATION = 1.6
 """Separation [1] of a gathered robot's two drones."""
 
 CLEARANCE = 1.1
-"""Clearance of hanging cables over the ground, over ``Separation.cable``."""
+"""Height of hanging cables above the ground, over ``Separation.cable``."""
 
-PROBES = 101
-"""Number of times at which the cables' heights are computed."""
+HEIGHT_SAMPLES = 101
+"""Number of times at which the cables' heights are sampled."""
 
 DISC_SEPARATION = 1.15
-"""Separation [1] of the discs at both ends of their routes."""
+"""Smallest separation [1] of the discs at the goal."""
 
 
 @dataclass(frozen=True, eq=False)
 class Approach(ABC):
-    """The planner of a flight of drones that carry free cables.
+    """A planner of flights with free cables.
 
     Attributes
     ----------
-    team: whose drones, on free cables.
+    team: of the drones.
     start, goal: (2n, 3) [m]
-    requirements: satisfied all along.
+    requirements: enforced at all times.
     index: of the step in its mission.
     """
 
@@ -70,7 +69,7 @@ class Approach(ABC):
 
     @abstractmethod
     def solve(self) -> list[Motion]:
-        """Return the motions of the flight; raises InfeasibleError where there is none."""
+        """Return the motions of the flight, or raise InfeasibleError."""
 
     def _stage(
         self, name: str, drones: PiecewisePolynomial, state: CableState = CableState.FREE
@@ -80,78 +79,80 @@ class Approach(ABC):
     def _line(
         self, name: str, start: Array, end: Array, state: CableState = CableState.FREE
     ) -> list[Motion]:
-        """Return the motion of all drones on straight lines; none where they are there."""
+        """Return the motion of all drones on straight lines; no motion if start and end agree."""
         if np.max(np.abs(end - start)) < MIN_FLIGHT:
             return []
         flight = straight_lines(self.team, self.requirements.limits, start, end)
         return [self._stage(name, flight, state)]
 
     def _after_take_off(self, *others: Array) -> Array:
-        """Return where the drones (2n, 3) [m] are after a take-off, if one is needed.
+        """Return the drones (2n, 3) [m] after a take-off, or at the start if they are high enough.
 
-        Its altitude lets cables hang free there, and at all ``others`` (2n, 3) as well.
+        Cables hang free at that altitude, also with drones over ``others`` (2n, 3).
         """
-        requirements, here = self.requirements, self.start.copy()
-        needed = max(
+        requirements, drones = self.requirements, self.start.copy()
+        altitude = max(
             hover_altitude(self.team, each, requirements) for each in (self.start, *others)
         )
-        if np.min(here[:, 2]) < needed:
-            here[:, 2] = np.maximum(here[:, 2], max(needed, float(np.max(self.goal[:, 2]))))
-        return here
+        if np.min(drones[:, 2]) < altitude:
+            altitude = max(altitude, float(np.max(self.goal[:, 2])))
+            drones[:, 2] = np.maximum(drones[:, 2], altitude)
+        return drones
 
     def _task(
-        self, places: Array, start: Array, goal: Array, separation: Separation, **bodies: Any
+        self, drones: Array, start: Array, goal: Array, separation: Separation, **bodies: Any
     ) -> SeparationTask:
-        """Return the task of bodies apart, with a reserve for the certificate's bounds.
+        """Return the separation task of bodies, with a reserve for the certificate's bounds.
 
-        ``places`` (J, 2n, 3) [m] of drones tell how much bodies may accelerate; ``bodies`` are
-        their names and tethers.
+        ``drones`` (J, 2n, 3) [m] determine the usable accelerations; ``bodies`` are the names and
+        tethers of bodies.
         """
         limits = self.requirements.limits
-        own = usable_accelerations(self.team, limits, places).reshape(len(start), -1).min(axis=1)
+        accelerations = usable_accelerations(self.team, limits, drones)
+        accelerations = accelerations.reshape(len(start), -1).min(axis=1)
         rates = {
             name: LIMIT_SHARE * getattr(limits, name) for name in ("speed", "acceleration", "jerk")
         }
         requirements = replace(
             self.requirements, limits=replace(limits, **rates), separation=separation
         )
-        return SeparationTask(start, goal, requirements, acceleration=own, **bodies)
+        return SeparationTask(start, goal, requirements, acceleration=accelerations, **bodies)
 
 
 class DirectApproach(Approach):
-    """All drones fly at once, higher where cables would come near the ground.
+    """All drones fly at once, and higher if cables would come near the ground.
 
-    Drones that come closer together let their cable hang lower than at both ends.
+    A cable hangs lower while its drones are closer together than at both ends of the flight.
     """
 
     @cached_property
     def problem(self) -> SeparationTask:
-        """The flight of all drones, the two of a cable tethered."""
-        spans = enumerate((SPAN * self.team.cable_length).tolist())
+        """The flight of all drones, with the two drones of a cable tethered."""
+        spans = enumerate((MAX_SPAN_RATIO * self.team.cable_length).tolist())
         tethers = tuple((2 * k, 2 * k + 1, span) for k, span in spans)
-        here, bodies = self._after_take_off(), {"names": self.team.drone_names, "tethers": tethers}
-        places, separation = np.stack([here, self.goal]), self.requirements.separation
-        return self._task(places, here, self.goal, separation, **bodies)
+        start, bodies = self._after_take_off(), {"names": self.team.drone_names, "tethers": tethers}
+        drones, separation = np.stack([start, self.goal]), self.requirements.separation
+        return self._task(drones, start, self.goal, separation, **bodies)
 
     def solve(self) -> list[Motion]:
-        """Return the motions of the flight, all of it raised where cables come near the ground."""
-        here, goal, requirements = self.problem.start, self.goal, self.requirements
-        rise = self._line("take-off", self.start, here, CableState.GROUND)
-        if np.max(np.abs(goal - here)) < MIN_FLIGHT:
-            still = PiecewisePolynomial.constant([0.0, PAUSE], goal)
-            return [*rise, self._stage("approach", still)]
+        """Return the motions of the flight, raised as a whole if cables come near the ground."""
+        start, goal, requirements = self.problem.start, self.goal, self.requirements
+        rise = self._line("take-off", self.start, start, CableState.GROUND)
+        if np.max(np.abs(goal - start)) < MIN_FLIGHT:
+            pause = PiecewisePolynomial.constant([0.0, PAUSE], goal)
+            return [*rise, self._stage("approach", pause)]
         drones = SeparatedFlight(self.problem).solve().drones
-        at = np.linspace(drones.breaks[0], drones.breaks[-1], PROBES)
+        at = np.linspace(drones.breaks[0], drones.breaks[-1], HEIGHT_SAMPLES)
         lowest = min(float(np.min(_lowest(self.team, x, requirements.off))) for x in drones.at(at))
-        missing = requirements.floor + CLEARANCE * requirements.separation.cable - lowest
-        if missing <= 0.0:
+        deficit = requirements.floor + CLEARANCE * requirements.separation.cable - lowest
+        if deficit <= 0.0:
             return [*rise, self._stage("approach", drones)]
-        up = np.array([0.0, 0.0, missing + 0.1 * requirements.separation.cable])
+        up = np.array([0.0, 0.0, deficit + 0.1 * requirements.separation.cable])
         higher = PiecewisePolynomial(drones.breaks, drones.coefficients + up[:, None])
-        if rise and requirements.off:  # higher at once: cables that may sag more are often so low
-            rise = self._line("take-off", self.start, here + up, CableState.GROUND)
+        if rise and requirements.off:  # a single climb: position errors often require it
+            rise = self._line("take-off", self.start, start + up, CableState.GROUND)
         else:
-            rise += self._line("climb", here, here + up)
+            rise += self._line("climb", start, start + up)
         return [
             *rise,
             self._stage("approach", higher),
@@ -162,70 +163,67 @@ class DirectApproach(Approach):
 class GatheredApproach(Approach):
     """Robots gather their drones, turn, fly as discs, and open.
 
-    No robot may pass over another's hanging cable. On straight lines pairs turn by 90° at most and
-    keep apart: half of the turn is flown as they gather.
+    No robot may pass over another's hanging cable. The turn is split into halves, gathering and
+    turning, since straight lines keep the two drones of a robot separated for up to 90°.
     """
 
     @cached_property
     def problem(self) -> SeparationTask:
-        """The flight of the discs' middles, (n, 3) [m]."""
-        own, (halfway, last) = self.requirements.separation, self._headings
-        height = float(np.max(self.team.cable_length))
-        discs = replace(own, radius=(1.0 + PAIR_SEPARATION) * own.radius, height=height)
+        """The flight of the discs' centres, (n, 3) [m]."""
+        separation, (halfway, last) = self.requirements.separation, self._headings
+        radius, height = separation.radius, float(np.max(self.team.cable_length))
+        discs = replace(separation, radius=(1.0 + PAIR_SEPARATION) * radius, height=height)
         start, goal = (0.5 * (each[0::2] + each[1::2]) for each in (self.start, self.goal))
-        here = self._before_gathering(start, halfway)
+        drones = self._before_gathering(start, halfway)
         closest = max(float(np.min(pdist(goal[:, :2]))), 1e-9)
-        wider = max(1.0, 2.0 * DISC_SEPARATION * discs.radius / closest)
-        goal = np.mean(goal, axis=0) + wider * (goal - np.mean(goal, axis=0))
-        start[:, 2] = goal[:, 2] = np.max(here[:, 2])
+        scale = max(1.0, 2.0 * DISC_SEPARATION * discs.radius / closest)
+        goal = np.mean(goal, axis=0) + scale * (goal - np.mean(goal, axis=0))
+        start[:, 2] = goal[:, 2] = np.max(drones[:, 2])
         names = tuple(f"cable {k}" for k in range(self.team.robots))
-        places = np.stack([here, self._across(start, last)])
-        return self._task(places, start, goal, discs, names=names)
+        drones = np.stack([drones, self._pairs(start, last)])
+        return self._task(drones, start, goal, discs, names=names)
 
     def solve(self) -> list[Motion]:
         """Return the motions: gathering, turning, flying as discs, and opening."""
         task, (halfway, last) = self.problem, self._headings
-        here = self._before_gathering(task.start, halfway)
-        gathered, turned = (self._across(task.start, heading) for heading in (halfway, last))
-        opened = self.goal.copy()
-        opened[:, 2] = np.maximum(opened[:, 2], task.goal[0, 2])
+        start = self._before_gathering(task.start, halfway)
+        gathered, turned = (self._pairs(task.start, heading) for heading in (halfway, last))
+        over_goal = self.goal.copy()
+        over_goal[:, 2] = np.maximum(over_goal[:, 2], task.goal[0, 2])
         flight = SeparatedFlight(task).solve().drones
-        middles = np.moveaxis(flight.coefficients, -1, 1)
-        carried = np.moveaxis(self._across(middles, last), 1, -1)
+        centres = np.moveaxis(flight.coefficients, -1, 1)
+        drones = np.moveaxis(self._pairs(centres, last), 1, -1)
         return [
-            *self._line("take-off", self.start, here, CableState.GROUND),
-            *self._line("gather", here, gathered),
+            *self._line("take-off", self.start, start, CableState.GROUND),
+            *self._line("gather", start, gathered),
             *self._line("turn", gathered, turned),
-            self._stage("approach", PiecewisePolynomial(flight.breaks, carried)),
-            *self._line("open", self._across(task.goal, last), opened),
-            *self._line("descend", opened, self.goal),
+            self._stage("approach", PiecewisePolynomial(flight.breaks, drones)),
+            *self._line("open", self._pairs(task.goal, last), over_goal),
+            *self._line("descend", over_goal, self.goal),
         ]
 
     @property
     def _headings(self) -> tuple[Array, Array]:
-        """Return headings of robots (n,) [rad] half way through their turn, and at the goal."""
+        """Headings of robots (n,) [rad] halfway through their turn, and at the goal."""
         ends = self.start, self.goal
         first, last = (np.arctan2(*(each[1::2] - each[0::2]).T[[1, 0]]) for each in ends)
         return first + 0.5 * ((last - first + math.pi) % (2.0 * math.pi) - math.pi), last
 
-    def _before_gathering(self, middles: Array, headings: Array) -> Array:
-        """Return where the drones (2n, 3) [m] are when they start to gather about middles."""
-        return self._after_take_off(self._across(middles, headings), self.goal)
+    def _before_gathering(self, centres: Array, headings: Array) -> Array:
+        """Return the drones (2n, 3) [m] before they gather about disc centres (n, 3) [m]."""
+        return self._after_take_off(self._pairs(centres, headings), self.goal)
 
-    def _across(self, middles: Array, headings: Array) -> Array:
-        """Return the drones (…, 2n, 3) [m] across circles about middles (…, n, 3) [m]."""
+    def _pairs(self, centres: Array, headings: Array) -> Array:
+        """Return drones (…, 2n, 3) [m] on opposite sides of disc centres (…, n, 3) [m]."""
         arms = np.column_stack([np.cos(headings), np.sin(headings), 0.0 * headings])
         arms *= PAIR_SEPARATION * self.requirements.separation.radius
-        pairs = np.stack([middles - arms, middles + arms], axis=-2)
+        pairs = np.stack([centres - arms, centres + arms], axis=-2)
         return pairs.reshape(*pairs.shape[:-3], -1, 3)
 
 
-def hover_altitude(team: Team, places: Array, requirements: Requirements) -> float:
-    """Return how high drones at ``places`` (2n, 3) [m] must be for their cables to hang free [m].
-
-    The heights of these are not used.
-    """
-    level = places * np.array([1.0, 1.0, 0.0])
+def hover_altitude(team: Team, drones: Array, requirements: Requirements) -> float:
+    """Return the lowest altitude [m] at which cables of drones over (2n, 3) [m] hang free."""
+    level = drones * np.array([1.0, 1.0, 0.0])
     lowest = float(np.min(_lowest(team, level, requirements.off)))
     return requirements.floor + CLEARANCE * requirements.separation.cable - lowest
 
@@ -233,7 +231,7 @@ def hover_altitude(team: Team, places: Array, requirements: Requirements) -> flo
 def _lowest(team: Team, drones: Array, off: float) -> Array:
     """Return the height of every hanging cable's lowest point (n,) [m].
 
-    If drones may be ``off`` [m], less what cables sag more by than distances are wider.
+    For a position error ``off`` [m] of drones it is reduced by the extra displacement of cables.
     """
     q, r = drones[0::2], drones[1::2]
     cables = Catenary.between(q, r, team.cable_length)
@@ -243,13 +241,13 @@ def _lowest(team: Team, drones: Array, off: float) -> Array:
 def assign_robots(team: Team, drones: Array, outline: Outline, leg: float) -> Assignment:
     """Return the assignment of robots to edges, and of their drones to the edges' ends.
 
-    A cable that leaves less than two legs on an edge does not take it while others do. Costs are
-    squared distances to the edges' ends: straight lines of the least sum do not cross.
+    Cables avoid edges that leave less than the length of two legs. Costs are squared distances to
+    the edges' ends: straight lines of minimum total cost do not cross.
 
     Parameters
     ----------
-    team: as the robots are given.
-    drones: (2n, 3) [m], their places.
+    team: in the order of the robots.
+    drones: (2n, 3) [m], their positions.
     outline: its edges are assigned.
     leg: shortest leg [m].
     """
@@ -264,16 +262,16 @@ def assign_robots(team: Team, drones: Array, outline: Outline, leg: float) -> As
     short = team.cable_length[:, None] - outline.edge_lengths < 2.0 * leg
     size = float(np.max(cost))
     k = np.arange(team.robots)
-    # Robots prefer edges of their own number; multiples of the golden ratio, modulo 1, tell apart
-    # assignments that would tie again.
-    apart = np.mod(GOLDEN * np.arange(1.0, cost.size + 1.0), 1.0).reshape(cost.shape)
-    preference = np.abs(k[:, None] - k) / len(k) + 0.1 * apart
+    # Ties: robots prefer edges of their own number; multiples of the golden ratio modulo 1 resolve
+    # the rest.
+    distinct = np.mod(GOLDEN * np.arange(1.0, cost.size + 1.0), 1.0).reshape(cost.shape)
+    preference = np.abs(k[:, None] - k) / len(k) + 0.1 * distinct
     cost = cost + TIE * size * preference + short * (1.0 + size) * len(cost)
     robots, roles = linear_sum_assignment(cost)
     order = robots[np.argsort(roles)]
-    shorter = straight[order, k] - crossed[order, k]
+    gain = straight[order, k] - crossed[order, k]
     cables, edges = drones[1::2, :2][order] - drones[0::2, :2][order], last - first
     turns = cables[:, 0] * edges[:, 1] - cables[:, 1] * edges[:, 0]
-    # Where both are as short, cables turn counter-clockwise.
-    flipped = np.where(np.abs(shorter) > TIE * size, shorter > 0.0, turns < -TIE * size)
+    # For equal costs cables turn counter-clockwise.
+    flipped = np.where(np.abs(gain) > TIE * size, gain > 0.0, turns < -TIE * size)
     return Assignment(tuple(order.tolist()), tuple(flipped.tolist()))

@@ -1,10 +1,10 @@
-"""Hitches tied by laying: taut cables come down on one another, then every pair rolls half a turn.
+"""Hitches tied by laying: taut cables descend onto one another, then every pair rolls half a turn.
 
-At a roll of ±180° both cables of a clasp run straight through and lie on one another; every roll
-from there to the clasp is in balance, and no vertex moves. The cable on top decides the sense: its
-drone goes down. Robots begin where their cables do not cross, outside of their edges' lines, draw
-them taut, slide in over the lines at heights by the order of laying, and come down together: a
-cable comes to lie on those that are below it in the order.
+At a roll of ±180° both cables of a clasp are straight, and one lies on the other. Every roll from
+there to the clasp is in balance, and no vertex moves. The upper cable determines the sense: its
+drone goes down. Robots start outside of their edges' lines, where cables do not cross, draw their
+cables taut, slide in over the lines at heights given by the order of laying, and descend together.
+Each cable then lies on those below it in the order.
 """
 
 from __future__ import annotations
@@ -25,7 +25,12 @@ from hitchopt.hitch.requirements import Requirements, Separation
 from hitchopt.hitch.series import JET
 from hitchopt.hitch.team import Layout
 from hitchopt.motion.motion import CableState, Motion, Phase
-from hitchopt.planners.forming.prehitch import APART, PLACES, SPAN, smallest_separation
+from hitchopt.planners.forming.prehitch import (
+    MAX_SPAN_RATIO,
+    MIN_SEPARATION,
+    SAMPLES,
+    smallest_separation,
+)
 from hitchopt.planners.forming.stages import SMOOTH, stage, straight_lines
 from hitchopt.planners.morph.morph import check_loads
 from hitchopt.planners.morph.path import drones_along
@@ -34,35 +39,35 @@ from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, Indices
 
 SHARES = tuple(0.5 + sign * off for off in np.linspace(0.0, 0.2, 11) for sign in (1.0, -1.0))
-"""Slack splits in the order in which they are tried."""
+"""Slack splits in the order of the search."""
 
 ANGLES = 61
-"""Number of angles of the roll that are measured; the certificate bounds all of them."""
+"""Number of sampled angles of the roll; the certificate bounds all of them."""
 
-MARGIN, ROOM = 1.2, 0.03
-"""Distances of cables that are planned, over their limits, and [m] in addition to them."""
+DISTANCE_FACTOR, EXTRA_DISTANCE = 1.2, 0.03
+"""Factor on distance limits of cables, and distance added to them [m], in planning."""
 
 SPACINGS = (1.0, 1.25, 1.5, 2.0, 2.5, 3.0)
-"""Distances between levels that are tried, over the smallest one."""
+"""Candidate distances between levels, over the smallest one."""
 
 SLANTS = (0.0, 0.3, -0.3, 0.6, -0.6, 1.0, -1.0)
-"""Displacements along edges that are tried, over those away from them."""
+"""Candidate displacements along edges, over those normal to them."""
 
-STEP, STEPS = 0.05, 60
-"""Step of the distance from edges over the mean cable, and number of those that are tried."""
+OFFSET_STEP, MAX_OFFSET_STEPS = 0.05, 60
+"""Step of the distance from edges' lines, over the mean cable length, and number of steps."""
 
 TENSION_SECONDS = 0.3
-"""[s] Time in which cables that lie taut pass from pulling alone to the hitch's tensions."""
+"""[s] Transition time from the tensions of taut cables on their own to those of the hitch."""
 
 
 def planned_distance(separation: Separation) -> float:
-    """Return the distance of cables to all else [m] that is planned: a margin over its limit."""
-    return MARGIN * max(separation.cable, separation.crossing) + ROOM
+    """Return the planned distance of cables [m], with a margin over its limit."""
+    return DISTANCE_FACTOR * max(separation.cable, separation.crossing) + EXTRA_DISTANCE
 
 
 @dataclass(frozen=True, eq=False)
 class RollPath:
-    """Legs that turn about their clasps while vertices stay: the roll (clasps,) is linear in s."""
+    """A path on which legs turn about fixed clasps: the roll (clasps,) is linear in s."""
 
     hitch: Hitch
     start: Array  # (clasps,) [rad]
@@ -70,16 +75,16 @@ class RollPath:
 
     @property
     def team(self) -> Team:
-        """The team whose cables form the hitch."""
+        """The team of the hitch."""
         return self.hitch.team
 
     def flat(self, s: Array, count: int = JET) -> FlatJets:
-        """Return the flat outputs' jets by s at s (J,), of ``count`` numbers each."""
-        still = self.hitch.vertices, self.hitch.q_legs, self.team.tension
+        """Return the flat outputs' jets in s, with ``count`` coefficients, at s (J,)."""
+        constants = self.hitch.vertices, self.hitch.q_legs, self.team.tension
         vertices, q_legs, tensions, roll = (
-            np.zeros((len(s), *np.shape(value), count)) for value in (*still, self.start)
+            np.zeros((len(s), *np.shape(value), count)) for value in (*constants, self.start)
         )
-        for jets, value in zip((vertices, q_legs, tensions), still, strict=True):
+        for jets, value in zip((vertices, q_legs, tensions), constants, strict=True):
             jets[..., 0] = value
         roll[..., 0] = self.start + s[:, None] * (self.end - self.start)
         roll[..., 1:2] = (self.end - self.start)[:, None]
@@ -87,14 +92,14 @@ class RollPath:
 
     def drones(self, s: Array) -> Array:
         """Return the drones (J, 2n, 3) [m] at s (J,)."""
-        places: Array = drones_along(self, s).positions[..., 0]
-        return places
+        drones: Array = drones_along(self, s).positions[..., 0]
+        return drones
 
 
 def levels_of(layout: Layout, order: Sequence[int] | None) -> Indices:
-    """Return the levels (n,) of cables of a ring, 0 the lowest: neighbours differ.
+    """Return the levels (n,) of a ring's cables, 0 the lowest; those of neighbours differ.
 
-    ``order`` has the cables from bottom to top; None to alternate.
+    ``order`` lists the cables from bottom to top; None for alternating levels.
     """
     n = layout.robots
     levels = np.full(n, -1)
@@ -108,23 +113,31 @@ def levels_of(layout: Layout, order: Sequence[int] | None) -> Indices:
 
 
 def senses_of(layout: Layout, levels: Indices) -> Array:
-    """Return (clasps,) 1 where cable k is above cable k-1 at its clasp, else -1."""
+    """Return (clasps,): 1 if cable k is above cable k-1 at its clasp, else -1."""
     senses: Array = np.sign(levels[layout.ahead] - levels[layout.behind]).astype(np.float64)
     return senses
 
 
 @dataclass(frozen=True, eq=False)
 class Laying:
-    """A hitch and how it is laid: by ``levels`` (n,), from ``away`` (n, 2) [m] of its lines."""
+    """A hitch with its laying order and start positions.
+
+    Attributes
+    ----------
+    hitch: at the end.
+    levels: (n,), order of the cables, 0 the lowest.
+    spacing: distance between levels [m].
+    offsets: (n, 2) [m], of the start from the edges' lines.
+    """
 
     hitch: Hitch
     levels: Indices
-    spacing: float = 0.0  # [m] between levels
-    away: Array | None = None
+    spacing: float = 0.0
+    offsets: Array | None = None
 
     @property
     def senses(self) -> Array:
-        """(clasps,) 1 where cable k lies on cable k-1."""
+        """(clasps,): 1 if cable k lies on cable k-1, else -1."""
         return senses_of(self.hitch.team.layout, self.levels)
 
     @property
@@ -133,102 +146,107 @@ class Laying:
         return RollPath(self.hitch, -np.pi * self.senses, self.hitch.roll)
 
     @cached_property
-    def laid(self) -> Array:
-        """(2n, 3) [m]: the drones with all cables on one another."""
+    def drones_laid(self) -> Array:
+        """(2n, 3) [m]: the drones when all cables lie on one another."""
         return np.asarray(self.path.drones(np.zeros(1))[0])
 
     @property
-    def above(self) -> Array:
-        """(2n, 3) [m]: the drones over these places, by level."""
+    def drones_above(self) -> Array:
+        """(2n, 3) [m]: the drones above ``drones_laid``, by level."""
         rise = np.repeat(self.spacing * self.levels, 2)
-        return np.asarray(self.laid + rise[:, None] * [0.0, 0.0, 1.0])
+        return np.asarray(self.drones_laid + rise[:, None] * [0.0, 0.0, 1.0])
 
     @property
-    def outside(self) -> Array:
-        """(2n, 3) [m]: the drones where no cable crosses another, taut."""
-        assert self.away is not None
-        shift = np.column_stack([self.away, np.zeros(len(self.away))])
-        places: Array = self.above + np.repeat(shift, 2, axis=0)
-        return places
+    def drones_outside(self) -> Array:
+        """(2n, 3) [m]: the drones outside of the edges' lines, where taut cables do not cross."""
+        assert self.offsets is not None
+        shift = np.column_stack([self.offsets, np.zeros(len(self.offsets))])
+        drones: Array = self.drones_above + np.repeat(shift, 2, axis=0)
+        return drones
 
     @property
-    def slack(self) -> Array:
-        """(2n, 3) [m]: the drones there, nearer to each other: cables hang."""
-        pairs, length = self.outside.reshape(-1, 2, 3), self.hitch.team.cable_length
+    def drones_hanging(self) -> Array:
+        """(2n, 3) [m]: the drones outside of the edges' lines, with hanging cables."""
+        pairs, length = self.drones_outside.reshape(-1, 2, 3), self.hitch.team.cable_length
         middle = np.mean(pairs, axis=1, keepdims=True)
-        share = SPAN * length / np.linalg.norm(pairs[:, 1] - pairs[:, 0], axis=-1)
-        nearer: Array = middle + share[:, None, None] * (pairs - middle)
-        return np.asarray(nearer.reshape(-1, 3))
+        share = MAX_SPAN_RATIO * length / np.linalg.norm(pairs[:, 1] - pairs[:, 0], axis=-1)
+        drones: Array = middle + share[:, None, None] * (pairs - middle)
+        return np.asarray(drones.reshape(-1, 3))
 
     def at_altitude(self, altitude: float) -> Laying:
-        """Return it at another altitude."""
+        """Return the laying at another altitude."""
         own = self.hitch
         return replace(self, hitch=Hitch(own.team, own.polygon, altitude, own.q_legs, own.roll))
 
 
 def split_for_rolling(hitch: Hitch, senses: Array, requirements: Requirements) -> Hitch:
-    """Return the hitch if its drones clear as they roll, else with the split nearest to one half.
+    """Return the hitch with the first slack split that separates drones as they roll.
 
-    The one with drones farthest apart, if none does.
+    The search starts from the hitch's own split and continues from one half outward. If no split
+    suffices, return the one with the largest separation.
     """
-    best, apart = None, -np.inf
+    best, largest = None, -np.inf
     for q_legs in (hitch.q_legs, *(share * hitch.slack for share in SHARES)):
         check_time()
         hitch = Hitch(hitch.team, hitch.polygon, hitch.altitude, q_legs, hitch.roll)
         path = RollPath(hitch, -np.pi * senses, hitch.roll)
-        places = path.drones(np.linspace(0.0, 1.0, ANGLES))
-        here = smallest_separation(places, requirements.separation)
-        if here > apart:
-            best, apart = hitch, here
-        if apart >= APART:
+        drones = path.drones(np.linspace(0.0, 1.0, ANGLES))
+        separation = smallest_separation(drones, requirements.separation)
+        if separation > largest:
+            best, largest = hitch, separation
+        if largest >= MIN_SEPARATION:
             break
     assert best is not None
     return best
 
 
 def find_laying(hitch: Hitch, levels: Indices, requirements: Requirements) -> Laying:
-    """Return how a hitch is laid: the first candidate whose drones keep apart, else the best one.
+    """Return the first laying that separates the drones, else the one with the largest separation.
 
-    Levels are as far apart as cables sag and distances need; robots begin as near as cables can
-    without crossing.
+    Levels are spaced by the sag of cables and the planned distance. Robots start as near to their
+    edges as cables permit without crossing.
     """
     team, separation = hitch.team, requirements.separation
-    layout, bare = team.layout, Laying(hitch, levels)
-    q, r = bare.laid[0::2], bare.laid[1::2]
+    layout, unplaced = team.layout, Laying(hitch, levels)
+    laid = unplaced.drones_laid
+    q, r = laid[0::2], laid[1::2]
     sag = float(np.max(Catenary.between(q, r, team.cable_length).depth(0.0) + np.abs(r - q)[:, 2]))
-    keep = planned_distance(separation)
+    distance = planned_distance(separation)
     u = hitch.polygon.edge_directions
-    out, step = np.column_stack([-u[:, 1], u[:, 0]]), STEP * float(np.mean(team.cable_length))
+    outward = np.column_stack([-u[:, 1], u[:, 0]])
+    step = OFFSET_STEP * float(np.mean(team.cable_length))
     candidates = list[tuple[float, Laying]]()
     for slant in SLANTS:
-        direction = out + slant * u
-        for i in range(STEPS):
-            away = (i * step) * direction
-            if _cables_apart(layout, bare.laid[:, :2] + np.repeat(away, 2, axis=0)) < keep:
+        direction = outward + slant * u
+        for i in range(MAX_OFFSET_STEPS):
+            offsets = (i * step) * direction
+            if _cable_distance(layout, laid[:, :2] + np.repeat(offsets, 2, axis=0)) < distance:
                 continue
-            level = replace(bare, away=away).slack * [1.0, 1.0, 0.0]  # where they land
-            if smallest_separation(level[None], separation) >= APART:
+            landed = replace(unplaced, offsets=offsets).drones_hanging * [1.0, 1.0, 0.0]
+            if smallest_separation(landed[None], separation) >= MIN_SEPARATION:
                 break
         for factor in SPACINGS:
             check_time()
-            laying = Laying(hitch, levels, factor * (sag + keep), away)
-            inward = laying.outside + PLACES[:, None, None] * (laying.above - laying.outside)
-            down = laying.above + PLACES[:, None, None] * (laying.laid - laying.above)
-            apart = smallest_separation(np.concatenate([inward, down]), separation)
-            if apart >= APART:
+            laying = Laying(hitch, levels, factor * (sag + distance), offsets)
+            outside, above = laying.drones_outside, laying.drones_above
+            inward = outside + SAMPLES[:, None, None] * (above - outside)
+            down = above + SAMPLES[:, None, None] * (laid - above)
+            smallest = smallest_separation(np.concatenate([inward, down]), separation)
+            if smallest >= MIN_SEPARATION:
                 return laying
-            candidates.append((apart, laying))
+            candidates.append((smallest, laying))
     return max(candidates, key=lambda each: each[0])[1]
 
 
-def _cables_apart(layout: Layout, drones: Array) -> float:
+def _cable_distance(layout: Layout, drones: Array) -> float:
     """Return the smallest distance of cables of a ring to the next two, drones (2n, 2) [m]."""
     ends = np.concatenate([drones, np.zeros((len(drones), 1))], axis=1).reshape(-1, 2, 3)
-    k, apart = np.arange(layout.robots), np.inf
+    k, smallest = np.arange(layout.robots), np.inf
     for other in (k - 1, k - 2):
         differences = ends[:, [0, 0, 1, 1]] - ends[other][:, [0, 1, 0, 1]]
-        apart = min(apart, float(np.min(np.linalg.norm(shortest_offset(differences), axis=-1))))
-    return apart
+        distances = np.linalg.norm(shortest_offset(differences), axis=-1)
+        smallest = min(smallest, float(np.min(distances)))
+    return smallest
 
 
 def laying_stages(laying: Laying, requirements: Requirements, index: int = 0) -> list[Motion]:
@@ -239,36 +257,36 @@ def laying_stages(laying: Laying, requirements: Requirements, index: int = 0) ->
     index: of the step in its mission.
     """
     team, hitch = laying.hitch.team, laying.hitch
-    limits, own = requirements.limits, (team, requirements, index)
-    roll = rolling(laying.path, requirements, Phase("roll", index, 0.0, 0.0))
+    limits, context = requirements.limits, (team, requirements, index)
+    roll = roll_motion(laying.path, requirements, Phase("roll", index, 0.0, 0.0))
     rest = np.array([0.0, TENSION_SECONDS])
-    still: dict[str, Any] = {
+    curves: dict[str, Any] = {
         "vertices": PiecewisePolynomial.constant(rest, hitch.vertices),
         "legs": PiecewisePolynomial.constant(rest, roll.legs.coefficients[0, ..., 0]),
         "tensions": PiecewisePolynomial(rest, (team.tension[:, None] * SMOOTH)[None]),
     }
     lines = (
-        ("draw taut", laying.slack, laying.outside, CableState.FREE),
-        ("slide in", laying.outside, laying.above, CableState.LAYING),
-        ("lay", laying.above, laying.laid, CableState.LAYING),
+        ("draw taut", laying.drones_hanging, laying.drones_outside, CableState.FREE),
+        ("slide in", laying.drones_outside, laying.drones_above, CableState.LAYING),
+        ("lay", laying.drones_above, laying.drones_laid, CableState.LAYING),
     )
-    resting = PiecewisePolynomial.constant(rest, laying.laid)
+    drones = PiecewisePolynomial.constant(rest, laying.drones_laid)
     return [
         *(
-            stage(name, straight_lines(team, limits, start, end), *own, state)
+            stage(name, straight_lines(team, limits, start, end), *context, state)
             for name, start, end, state in lines
         ),
-        stage("tension", resting, *own, CableState.ROLLING, **still),
+        stage("tension", drones, *context, CableState.ROLLING, **curves),
         roll,
     ]
 
 
-def rolling(path: RollPath, requirements: Requirements, phase: Phase) -> Motion:
-    """Return the motion of a roll, as fast as limits allow, in a phase whose end is set.
+def roll_motion(path: RollPath, requirements: Requirements, phase: Phase) -> Motion:
+    """Return the fastest motion of a roll within limits, in a phase whose end it sets.
 
-    Raises InfeasibleError where cables pull drones up or down more than limits allow.
+    Raises InfeasibleError if the cables' vertical forces exceed the limits of drones.
     """
     check_loads(path, requirements.limits)
     motion = fly(path, requirements)
-    own = replace(phase, end=motion.duration, state=CableState.ROLLING)
-    return motion.replaced(phases=(own,))
+    phase = replace(phase, end=motion.duration, state=CableState.ROLLING)
+    return motion.replaced(phases=(phase,))

@@ -1,10 +1,10 @@
-"""The pre-hitch: where the swap begins, so that no cable comes taut and no drone meets a cable.
+"""The pre-hitch: drone positions from which the swaps start, without taut cables or collisions.
 
-Every pair stands as it will in the hitch, its legs shortened by a common share, no nearer than a
-smallest radius. The share is searched downward, then the polygon is made smaller, so that cables
-reach, or larger, so that pairs on short edges keep off each other, there and on their way out to
-the hitch. Where no such place suffices and chords of pairs are too oblique for cables to clasp,
-pairs stand across their vertices, whatever their legs.
+Every pair has its directions of the hitch, with legs shortened by a common share, but at least a
+smallest radius. The search first decreases the share. It then shrinks the polygon, so that cables
+reach, and enlarges it, so that pairs on short edges keep their distances, also on the path to the
+hitch. If none of these suffices and the chords of pairs are too oblique for cables to clasp, the
+chords are laid across the vertices.
 """
 
 from __future__ import annotations
@@ -24,56 +24,56 @@ from hitchopt.planners.forming import SwapSettings
 from hitchopt.values import Array
 
 LEG_SHARES = (0.6, 0.5, 0.4, 0.3, 0.2, 0.1)
-"""Shares of the hitch's legs, in the order in which they are tried."""
+"""Shares of the hitch's legs, in the order of the search."""
 
 SCALES = (1.0, 0.9, 0.8, 0.7, 0.6, 1.15, 1.3, 1.5, 1.8)
-"""Scales of the hitch's polygon, in the order in which they are tried if no share suffices."""
+"""Scales of the hitch's polygon, in the order of the search."""
 
-TILT = math.radians(45.0)
-"""[rad] Tilt of the axis of turning where none is given: it keeps drones out of hanging cables for
-any number of robots; level axes do so up to about seven."""
+DEFAULT_TILT = math.radians(45.0)
+"""[rad] Default tilt of the axis of turning. It keeps drones out of hanging cables for any number
+of robots; horizontal axes do so for up to about seven."""
 
-APART = 1.05
-"""Separation [1] of a pair while it turns."""
+MIN_SEPARATION = 1.05
+"""Smallest separation [1] of drones in planned stages, such as a pair that turns."""
 
-SPAN = 0.97
-"""Largest share of a cable that its drones may be apart while it hangs."""
+MAX_SPAN_RATIO = 0.97
+"""Largest distance of the drones of a hanging cable, over its length."""
 
 CLEARANCE = 1.05
 """Clearance of drones to cables, over ``Separation.cable``."""
 
 MIN_LINK = 0.05
-"""[m] Least length of both cables beyond the point where their chords cross at a clasp, seen from
-above, once its pair is exchanged: cables that do not cross there do not clasp."""
+"""[m] Smallest length of two cables beyond the crossing of their chords at a clasp, in plan view
+after the first swap: cables that do not cross there do not clasp."""
 
 ANGLES = 73
-"""Number of angles that are measured; the certificate bounds all of them."""
+"""Number of sampled angles; the certificate bounds all of them."""
 
-PLACES = np.linspace(0.0, 1.0, 41)
-"""Shares of a hanging cable's length, and of straight flights, at which they are measured."""
+SAMPLES = np.linspace(0.0, 1.0, 41)
+"""Sampled shares of a hanging cable's length and of straight flights."""
 
 
 @dataclass(frozen=True, eq=False)
 class SwapEllipses:
-    """Ellipses at the clasps on which pairs of drones turn about each other, all on one clock.
+    """Ellipses at the clasps on which pairs of drones turn about each other, with a common angle.
 
     At clasp k the drones ``q_k`` and ``r_{k-1}`` turn about the middle c of their chord, on
 
         q_k = c + a cos θ t + h sin θ w,      r_{k-1} = c - a cos θ t - h sin θ w,
 
     t along the chord, w normal to it. The axis of turning is the outward normal of the chord,
-    tilted upward, so that the upper drone passes inside and the lower one outside: it would fly
-    into the loop of its neighbour's hanging cable else, where edges are nearly in line.
+    tilted upward, so that the upper drone passes inside and the lower one outside. Otherwise, at a
+    vertex with nearly collinear edges, it would fly into the loop of its neighbour's hanging cable.
 
     Attributes
     ----------
-    team: whose drones.
+    team: of the drones.
     centres: (c, 3) [m]
-    along: (c, 3), t: unit vectors, level, from ``r_{k-1}`` to ``q_k``.
+    along: (c, 3), t: horizontal unit vectors from ``r_{k-1}`` to ``q_k``.
     upward: (c, 3), w: unit vectors normal to t, upward and tilted inward.
     half: (c,) [m], a: half of the chord.
-    rise: (c,) [m], h: the other semi-axis, positive; negative where q_k goes down first.
-    ends: (k, 3) [m]: drones that do not turn, those at the ends of a chain.
+    rise: (c,) [m], h: the other semi-axis, negative if q_k goes down first.
+    ends: (k, 3) [m]: drones at the ends of a chain, which do not turn.
     """
 
     team: Team
@@ -89,55 +89,55 @@ class SwapEllipses:
         theta = np.asarray(angle, dtype=np.float64)[..., None, None] + 0.5 * np.pi * derivative
         offset = (self.half[:, None] * self.along) * np.cos(theta)
         offset = offset + (self.rise[:, None] * self.upward) * np.sin(theta)
-        middle = self.centres if derivative == 0 else np.zeros_like(self.centres)
+        centre = self.centres if derivative == 0 else np.zeros_like(self.centres)
         layout = self.team.layout
-        places = np.zeros((*offset.shape[:-2], 2 * layout.robots, 3))
-        places[..., 2 * layout.ahead, :] = middle + offset
-        places[..., 2 * layout.behind + 1, :] = middle - offset
+        drones = np.zeros((*offset.shape[:-2], 2 * layout.robots, 3))
+        drones[..., 2 * layout.ahead, :] = centre + offset
+        drones[..., 2 * layout.behind + 1, :] = centre - offset
         if derivative == 0:
-            places[..., ~layout.has_leg.ravel(), :] = self.ends
-        return places
+            drones[..., ~layout.has_leg.ravel(), :] = self.ends
+        return drones
 
     def raised(self, by: float) -> SwapEllipses:
-        """Return the same ellipses higher up [m]."""
+        """Return the ellipses raised by a height [m]."""
         up = np.array([0.0, 0.0, by])
         return replace(self, centres=self.centres + up, ends=self.ends + up)
 
     def with_senses(self, senses: Array) -> SwapEllipses:
-        """Return the same ellipses, q_k going up first where ``senses`` (c,) are 1, down at -1."""
+        """Return the ellipses with senses (c,): 1 if q_k goes up first, -1 if down."""
         return replace(self, rise=np.abs(self.rise) * senses)
 
 
 @dataclass(frozen=True, eq=False)
 class PreHitch:
-    """A pre-hitch: drones and cables before and after the swap.
+    """A pre-hitch: drones and cables before and after the swaps.
 
     Attributes
     ----------
-    ellipses: of all pairs, at the altitude of the swap.
+    ellipses: of all pairs, at the altitude of the swaps.
     share: of the hitch's legs.
-    lowest: largest depth of a cable below the drones' plane during the swaps [m].
-    linked: whether cables cross at all clasps once pairs are exchanged.
+    depth: largest depth of a cable below the drones' plane during the swaps [m].
+    linked: whether cables cross at all clasps after the first swap.
     violation: relative violation of the requirements; none if at most zero.
     """
 
     ellipses: SwapEllipses
     share: float
-    lowest: float
+    depth: float
     linked: bool
     violation: float
 
     @property
     def drones(self) -> Array:
-        """(2n, 3) [m]: places of the drones before and after the swaps."""
+        """(2n, 3) [m]: positions of the drones before and after the swaps."""
         return self.ellipses.drones(0.0)
 
 
 def find_prehitch(hitch: Hitch, requirements: Requirements, settings: SwapSettings) -> PreHitch:
-    """Return the first pre-hitch that keeps spans and distances, else the one that comes nearest.
+    """Return the first pre-hitch without a violation, else the one with the smallest violation.
 
-    At the hitch's own altitude. The certificate bounds it at every time. Pairs stand as in the
-    hitch; if cables of some would not link, across clasps too.
+    Its altitude is that of the hitch. Chords across the vertices are considered only if some other
+    candidate would not link its cables.
     """
     candidates: list[PreHitch] = []
     for across, scale, share in itertools.product((False, True), SCALES, LEG_SHARES):
@@ -162,122 +162,121 @@ def _ellipses(
 ) -> SwapEllipses:
     """Return the ellipses for a share of the legs and a scale of the polygon.
 
-    Where legs at a vertex differ much, or tensions, the chord of its drones may be so oblique that
-    their cables would not cross when they are exchanged; ``across`` lays chords along the vertex's
-    bisector instead.
+    If legs or tensions at a vertex differ much, the chord of its drones may be too oblique for
+    their cables to cross after a swap; ``across`` lays chords along the vertices' bisectors.
     """
     layout, drones = hitch.team.layout, hitch.drones
-    tilt = TILT if settings.tilt is None else settings.tilt
+    tilt = DEFAULT_TILT if settings.tilt is None else settings.tilt
     centre = np.append(hitch.polygon.centroid, hitch.altitude)
     vertices = hitch.vertices[layout.clasps]
     q, r = drones[2 * layout.ahead], drones[2 * layout.behind + 1]
-    chord = (q - r) * [1.0, 1.0, 0.0]  # pairs swap at one height, however legs rise in the hitch
+    chord = (q - r) * [1.0, 1.0, 0.0]  # pairs swap at equal heights
     lengths, along = np.linalg.norm(chord, axis=1), unit(chord)
-    beyond = 0.5 * (q + r) - vertices
+    offsets = 0.5 * (q + r) - vertices
     if across:
         edges = unit(layout.edges(hitch.vertices))
         along = unit(edges[layout.behind] + edges[layout.ahead])
-        beyond -= np.sum(beyond * along, axis=1, keepdims=True) * along
+        offsets -= np.sum(offsets * along, axis=1, keepdims=True) * along
     outward = np.column_stack([-along[:, 1], along[:, 0], np.zeros(len(along))])
     upward = math.cos(tilt) * np.array([0.0, 0.0, 1.0]) - math.sin(tilt) * outward
-    # Scaled, chord and w stay orthogonal: each axis of the ellipse has to clear by itself.
+    # The scaled chord and w are orthogonal: both axes of the ellipse need the separation.
     w = separation.scale * [0.0, math.sin(tilt), math.cos(tilt)]
-    rise = max(settings.radius, 0.5 * APART / float(np.linalg.norm(w)))
-    alone = drones[~layout.has_leg.ravel()]
+    rise = max(settings.radius, 0.5 * MIN_SEPARATION / float(np.linalg.norm(w)))
+    ends = drones[~layout.has_leg.ravel()]
     return SwapEllipses(
         hitch.team,
-        vertices + share * beyond + (scale - 1.0) * (vertices - centre),
+        vertices + share * offsets + (scale - 1.0) * (vertices - centre),
         along,
         upward,
-        np.maximum(0.5 * share * lengths, max(settings.radius, APART * separation.radius)),
+        np.maximum(0.5 * share * lengths, max(settings.radius, MIN_SEPARATION * separation.radius)),
         (settings.sense or 1) * np.full(len(along), rise),
-        alone + (scale - 1.0) * (alone - centre),
+        ends + (scale - 1.0) * (ends - centre),
     )
 
 
 def _evaluate(
     ellipses: SwapEllipses, hitch: Hitch, requirements: Requirements, share: float
 ) -> PreHitch:
-    """Return the pre-hitch with these ellipses, measured over two swaps and on the way out."""
+    """Return the pre-hitch with these ellipses, sampled over the swaps and up to the hitch."""
     drones = ellipses.drones(np.linspace(0.0, 2.0 * math.pi, ANGLES))
     q, r = drones[:, 0::2], drones[:, 1::2]
     layout, length = ellipses.team.layout, ellipses.team.cable_length
     cables = Catenary.between(q, r, length)
-    mu = cables.parameter(PLACES[:, None, None])
-    points = q + (0.5 * (1.0 + mu))[..., None] * (r - q)  # (places, angles, n, 3)
+    mu = cables.parameter(SAMPLES[:, None, None])
+    points = q + (0.5 * (1.0 + mu))[..., None] * (r - q)  # (samples, angles, n, 3)
     points[..., 2] -= cables.depth(mu)
     separation = requirements.separation
-    sagging = float(np.max(cables.extra_displacement(requirements.off)))
-    lowest = float(ellipses.centres[0, 2]) - float(np.min(points[..., 2])) + sagging
-    # From q to r along the edge: pairs would be on the wrong side of each other's cables else.
+    displacement = float(np.max(cables.extra_displacement(requirements.off)))
+    depth = float(ellipses.centres[0, 2]) - float(np.min(points[..., 2])) + displacement
+    # Distance from q to r along the edge: if negative, pairs would swap on the wrong side.
     opening = float(np.min(np.sum((r[0] - q[0]) * unit(layout.edges(hitch.vertices)), axis=-1)))
-    linked, radius = _link_length(ellipses), separation.radius
+    link_length, radius = _link_length(ellipses), separation.radius
     ratios = [
-        float(np.max(np.linalg.norm(r - q, axis=-1) / length)) / SPAN,
-        (2.0 * APART * radius - opening + radius) / radius,
-        (MIN_LINK - linked + radius) / radius,
-        0.99 * APART / smallest_separation(drones, separation),
+        float(np.max(np.linalg.norm(r - q, axis=-1) / length)) / MAX_SPAN_RATIO,
+        (2.0 * MIN_SEPARATION * radius - opening + radius) / radius,
+        (MIN_LINK - link_length + radius) / radius,
+        0.99 * MIN_SEPARATION / smallest_separation(drones, separation),
     ]
     if separation.cable > 0.0:
         pairs = (q[:, layout.ahead], layout.behind), (r[:, layout.behind], layout.ahead)
         offsets = [points[:, :, cable] - drone for drone, cable in pairs]
-        clear = float(np.min(np.linalg.norm(offsets, axis=-1), initial=np.inf))
-        ratios.append(CLEARANCE * (separation.cable + sagging) / max(clear, 1e-9))
+        clearance = float(np.min(np.linalg.norm(offsets, axis=-1), initial=np.inf))
+        ratios.append(CLEARANCE * (separation.cable + displacement) / max(clearance, 1e-9))
     if max(ratios) <= 1.0:
-        here, out = drones[0], hitch.drones - drones[0]
-        ratios.append(1.0 / smallest_separation(here + PLACES[:, None, None] * out, separation))
-        ratios.append(_reach(hitch.team, here, clasp_places(ellipses, hitch)))
-    return PreHitch(ellipses, share, lowest, linked >= MIN_LINK, max(ratios) - 1.0)
+        start, move = drones[0], hitch.drones - drones[0]
+        ratios.append(1.0 / smallest_separation(start + SAMPLES[:, None, None] * move, separation))
+        ratios.append(_route_ratio(hitch.team, start, clasp_points(ellipses, hitch)))
+    return PreHitch(ellipses, share, depth, link_length >= MIN_LINK, max(ratios) - 1.0)
 
 
 def _link_length(ellipses: SwapEllipses) -> float:
-    """Return the least length of two cables beyond where their chords cross at a clasp [m].
+    """Return the smallest length [m] of two cables beyond the crossing of their chords at a clasp.
 
-    Seen from above, half a turn from the beginning; negative where they do not cross.
+    In plan view after half a turn; negative if they do not cross.
     """
     layout = ellipses.team.layout
     drones = ellipses.drones(math.pi)[:, :2]
     r, q = drones[2 * layout.behind + 1], drones[2 * layout.ahead]
     back, onward = unit(drones[2 * layout.behind] - r), unit(drones[2 * layout.ahead + 1] - q)
     turn = back[:, 0] * onward[:, 1] - back[:, 1] * onward[:, 0]
-    apart = q - r  # = s back - t onward, at the lengths s and t beyond the point
-    s = apart[:, 0] * onward[:, 1] - apart[:, 1] * onward[:, 0]
-    t = apart[:, 0] * back[:, 1] - apart[:, 1] * back[:, 0]
-    never = np.full((2, len(turn)), -np.inf)  # chords that are parallel
-    beyond = np.divide(np.stack([s, t]), turn, out=never, where=turn != 0.0)
-    return float(np.min(beyond, initial=np.inf))
+    offset = q - r  # = s back - t onward, at the lengths s and t beyond the crossing
+    s = offset[:, 0] * onward[:, 1] - offset[:, 1] * onward[:, 0]
+    t = offset[:, 0] * back[:, 1] - offset[:, 1] * back[:, 0]
+    parallel = np.full((2, len(turn)), -np.inf)
+    lengths = np.divide(np.stack([s, t]), turn, out=parallel, where=turn != 0.0)
+    return float(np.min(lengths, initial=np.inf))
 
 
-def smallest_separation(places: Array, separation: Separation) -> float:
-    """Return the smallest separation [1] of drones, at any of the times of places (J, m, 3) [m]."""
+def smallest_separation(drones: Array, separation: Separation) -> float:
+    """Return the smallest separation [1] of drones (J, m, 3) [m] at J times."""
     from scipy.spatial import cKDTree
 
-    scaled = places * separation.scale
-    return min(float(np.min(cKDTree(there).query(there, k=[2])[0])) for there in scaled)
+    scaled = drones * separation.scale
+    return min(float(np.min(cKDTree(points).query(points, k=[2])[0])) for points in scaled)
 
 
-SHARES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
-"""Shares of the line from pre-hitch to hitch that are tried as places of the clasps."""
+CLASP_SHARES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
+"""Shares of the line from pre-hitch to hitch that are candidates for the clasps."""
 
 
-def clasp_places(ellipses: SwapEllipses, hitch: Hitch) -> Array:
-    """Return the places (points, 3) [m] of the clasps that cables reach around most easily.
+def clasp_points(ellipses: SwapEllipses, hitch: Hitch) -> Array:
+    """Return the points (points, 3) [m] of clasps with the shortest cable routes.
 
-    They are on the lines from the pairs' middles to the hitch's vertices; the ends of chains are
-    where their drones are.
+    Clasps are on the lines from the ellipses' centres to the hitch's vertices; the ends of chains
+    are at their drones.
     """
     layout, drones = hitch.team.layout, ellipses.drones(0.0)
-    middles = hitch.vertices.copy()
-    middles[layout.clasps] = ellipses.centres
-    polygons = [middles + share * (hitch.vertices - middles) for share in SHARES]
-    alone = np.flatnonzero(~layout.has_leg.ravel())
+    centres = hitch.vertices.copy()
+    centres[layout.clasps] = ellipses.centres
+    polygons = [centres + share * (hitch.vertices - centres) for share in CLASP_SHARES]
+    ends = np.flatnonzero(~layout.has_leg.ravel())
     for points in polygons:
-        points[layout.anchors[alone]] = drones[alone]
-    return min(polygons, key=lambda points: _reach(hitch.team, drones, points))
+        points[layout.anchors[ends]] = drones[ends]
+    return min(polygons, key=lambda points: _route_ratio(hitch.team, drones, points))
 
 
-def _reach(team: Team, drones: Array, points: Array) -> float:
-    """Return the largest share of a cable that its route around the points takes."""
+def _route_ratio(team: Team, drones: Array, points: Array) -> float:
+    """Return the largest length of a cable's route around the points, over the cable's length."""
     layout = team.layout
     legs = np.linalg.norm(drones - points[layout.anchors], axis=1).reshape(-1, 2)
     edges = np.linalg.norm(points[layout.ends] - points[layout.starts], axis=1)
