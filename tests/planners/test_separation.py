@@ -18,7 +18,7 @@ import hitchopt as ho
 from hitchopt.errors import InfeasibleError
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.hitch.slack_split import QuadraticProgram
-from hitchopt.planners.separation import Separated, SeparatedFlight, SeparationTask
+from hitchopt.planners.separation import SeparatedFlight, SeparationResult, SeparationTask
 from hitchopt.planners.separation.guesses import points_along, routes_around
 from hitchopt.planners.separation.program import hull_points, solve_program
 from hitchopt.values import Array
@@ -42,7 +42,7 @@ def task_of(start: Any, goal: Any, **required: Any) -> SeparationTask:
     return SeparationTask(np.asarray(start), np.asarray(goal), Requirements(**kept))
 
 
-def separate(task: SeparationTask) -> Separated:
+def separate(task: SeparationTask) -> SeparationResult:
     """The planner's curves."""
     return SeparatedFlight(task).solve()
 
@@ -67,7 +67,7 @@ def scattered(n: int, seed: int) -> SeparationTask:
     return task_of(*ends)
 
 
-def assert_kept(task: SeparationTask, found: Separated) -> None:
+def assert_kept(task: SeparationTask, found: SeparationResult) -> None:
     """Samples keep all of the task, and never beat the bound."""
     curves, required, limits = found.drones, task.requirements, task.requirements.limits
     t = np.linspace(0.0, curves.duration, 1500)
@@ -150,7 +150,7 @@ def test_quicker_drones_fly_the_same_ways_in_less_time_and_weak_ones_as_they_can
     assert np.all(np.max(rates, axis=0) <= np.array([0.5, 2.0, 1.0, 2.5]) * (1.0 + 1e-9))
 
 
-def astray(task: SeparationTask, found: Separated) -> float:
+def astray(task: SeparationTask, found: SeparationResult) -> float:
     """Mean distance [m] to the straight ways."""
     x = found.drones.at(np.linspace(0.0, found.drones.duration, 300)) - task.start
     along = task.goal - task.start
@@ -239,9 +239,9 @@ def test_the_way_around_a_pillar_is_the_shortest_and_a_low_one_is_flown_over() -
 
 
 def test_drones_that_nobody_meets_stay(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(import_module(SeparatedFlight.__module__), "LARGE", 40)
+    monkeypatch.setattr(import_module(SeparatedFlight.__module__), "LARGE_CROWD", 40)
     monkeypatch.setattr(
-        "hitchopt.planners.separation.guesses.PUSH_ROUNDS", 2
+        "hitchopt.planners.separation.guesses.MAX_PUSH_ITERATIONS", 2
     )  # guesses are not clear
     ring = antipodal_circle(12)
     x, y = np.meshgrid(np.arange(6) - 2.5, 8.0 + np.arange(5), indexing="ij")

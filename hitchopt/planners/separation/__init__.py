@@ -1,6 +1,6 @@
-"""Curves of single drones that stay out of each other's downwash, by convex QPs."""
+"""Curves of single drones outside of each other's downwash, by convex QPs."""
 
 from hitchopt.planners.separation.separate import SeparatedFlight
-from hitchopt.planners.separation.task import Separated, SeparationTask
+from hitchopt.planners.separation.task import SeparationResult, SeparationTask
 
-__all__ = ["Separated", "SeparatedFlight", "SeparationTask"]
+__all__ = ["SeparatedFlight", "SeparationResult", "SeparationTask"]

@@ -1,6 +1,6 @@
-"""First curves: along routes around prisms, then pushed apart, or all around a crowd.
+"""Initial guesses: along routes around prisms, then pushed apart, or around a crowd.
 
-Everything is deterministic, and noise on the input of the size of rounding changes nothing.
+They are deterministic and insensitive to rounding of the input.
 """
 
 from __future__ import annotations
@@ -16,93 +16,99 @@ from scipy.spatial import cKDTree
 from hitchopt.errors import InfeasibleError, Violation, check_time
 from hitchopt.geometry.vectors import EAST, GOLDEN, TIE, length, unit
 from hitchopt.hitch.requirements import Prism
-from hitchopt.planners.separation.task import HELD, Grid, SeparationTask, Setting, inside
+from hitchopt.planners.separation.task import (
+    END_COEFFICIENTS,
+    Grid,
+    SeparationTask,
+    Setting,
+    inside,
+)
 from hitchopt.planners.timing.ramps import fastest_ramps
 from hitchopt.values import Array
 
 RAMP_PIECES = 3
-"""Number of pieces of a ramp: the fastest flight is resolved to within 2 %."""
+"""Number of pieces of a ramp, which resolve the fastest flight to within 2 %."""
 
-MOST_PIECES = 20
-"""Maximum number of pieces between the ramps; with fewer, each is as long as a ramp."""
+MAX_CRUISE_PIECES = 20
+"""Maximum number of pieces between the ramps; if there are fewer, each is as long as a ramp."""
 
-SHORTEST_RAMP = 1e-5
-"""Shortest ramp, as a share of the duration: splines do not resolve shorter ones."""
+MIN_RAMP_SHARE = 1e-5
+"""Shortest ramp over the duration; splines do not resolve shorter ones."""
 
-SHORTEST = 0.2
-"""Shortest flight, as a share of the longest one."""
+MIN_FLIGHT_SHARE = 0.2
+"""Shortest flight over the longest one."""
 
 
-def setting_of(task: SeparationTask, patience: float = 1.0) -> Setting:
-    """Return the task on a grid that suits the drone with the longest flight.
+def setting_of(task: SeparationTask, duration_ratio: float = 1.0) -> Setting:
+    """Return the task on a grid for the drone with the longest flight.
 
     Parameters
     ----------
-    patience: duration over that of the slowest flight; above 1, drones leave one after the other,
-        and at 1 all leave at once.
+    duration_ratio: duration over that of the slowest flight. At 1 all drones leave at once; above 1
+        they leave one after the other.
 
     Raises
     ------
-    InfeasibleError: the prisms leave no route.
+    InfeasibleError: no route around the prisms was found.
     """
     limits, n = task.requirements.limits, task.drones
-    given = limits.acceleration if task.acceleration is None else np.asarray(task.acceleration)
-    acceleration = np.minimum(np.broadcast_to(given, n), limits.acceleration)
+    usable = limits.acceleration if task.acceleration is None else np.asarray(task.acceleration)
+    acceleration = np.minimum(np.broadcast_to(usable, n), limits.acceleration)
     caps = np.stack([np.full(n, limits.speed), acceleration, np.full(n, limits.jerk)])
     straight, routes = length(task.goal - task.start), routes_around(task)
     lengths = np.array([np.sum(length(np.diff(route, axis=0))) for route in routes])
-    (bound, _), (durations, own_rises) = (
+    (bound, _), (durations, ramps) = (
         fastest_ramps(each, limits.speed, acceleration, limits.jerk) for each in (straight, lengths)
     )
     slowest = int(np.argmax(durations))
-    alone = float(durations[slowest])
-    rise = max(float(own_rises[slowest]), SHORTEST_RAMP * alone)
+    duration = float(durations[slowest])
+    ramp = max(float(ramps[slowest]), MIN_RAMP_SHARE * duration)
     size = max(float(np.max(lengths)), 2.0 * task.requirements.separation.radius)
-    going = float(lengths[slowest]) > 1e-6 * size  # else nobody goes anywhere
-    cruise = max(patience * alone / rise - 2.0, 0.0) if going else 0.0  # as long as how many ramps
+    moving = float(lengths[slowest]) > 1e-6 * size
+    cruise = max(duration_ratio * duration / ramp - 2.0, 0.0) if moving else 0.0  # in ramps
     first = np.linspace(0.0, 1.0, RAMP_PIECES + 1)
-    middle = min(math.ceil(patience * MOST_PIECES), math.ceil(cruise - 1e-9))
-    lasting = 1.0 + np.linspace(0.0, cruise, middle + 1)
-    breaks = np.concatenate([first[:-1], lasting, 1.0 + cruise + first[1:]])
+    middle = min(math.ceil(duration_ratio * MAX_CRUISE_PIECES), math.ceil(cruise - 1e-9))
+    cruising = 1.0 + np.linspace(0.0, cruise, middle + 1)
+    breaks = np.concatenate([first[:-1], cruising, 1.0 + cruise + first[1:]])
     grid = Grid(breaks / breaks[-1])
     s = np.linspace(0.0, 1.0, 12 * grid.pieces + 1)
-    if patience > 1.0 and going:
-        lasts = np.maximum(durations / alone, SHORTEST) / patience
-        rises = np.full(n, 0.5)
-        np.divide(own_rises, durations, out=rises, where=lengths > 0.0)
-        order = np.argsort(np.round(-lasts / TIE), kind="stable")  # who flies longest leaves first
+    if duration_ratio > 1.0 and moving:
+        spans = np.maximum(durations / duration, MIN_FLIGHT_SHARE) / duration_ratio
+        shares = np.full(n, 0.5)
+        np.divide(ramps, durations, out=shares, where=lengths > 0.0)
+        order = np.argsort(np.round(-spans / TIE), kind="stable")  # the longest flight starts first
         rank = np.argsort(order)
-        leaving = (1.0 - lasts) * rank / max(1, n - 1)
-        each = zip(leaving, lasts, rises, strict=True)
-        shares = [_progress((s - leave) / share, float(rise)) for leave, share, rise in each]
+        starts = (1.0 - spans) * rank / max(1, n - 1)
+        each = zip(starts, spans, shares, strict=True)
+        progress = [_progress((s - start) / span, float(share)) for start, span, share in each]
     else:
-        shares = [_progress(s, 1.0 / breaks[-1])] * n
+        progress = [_progress(s, 1.0 / breaks[-1])] * n
     nominal = np.zeros((n, grid.count, 3))
-    nominal[:, :HELD], nominal[:, -HELD:] = task.start[:, None], task.goal[:, None]
-    wanted = np.stack([points_along(*each) for each in zip(routes, shares, strict=True)])
-    missing = wanted - grid.sampled(s) @ nominal
-    nominal[:, grid.free] = grid.fitting(s) @ missing
-    return Setting(task, grid, nominal, caps, float(np.max(bound)), alone, size)
+    nominal[:, :END_COEFFICIENTS] = task.start[:, None]
+    nominal[:, -END_COEFFICIENTS:] = task.goal[:, None]
+    targets = np.stack([points_along(*each) for each in zip(routes, progress, strict=True)])
+    nominal[:, grid.free] = grid.fitting(s) @ (targets - grid.sampled(s) @ nominal)
+    return Setting(task, grid, nominal, caps, float(np.max(bound)), duration, size)
 
 
 def _progress(s: Array, ramp: float) -> Array:
-    """Return the share of a route flown at times ``s``, 0 to 1, with ramps of ``ramp`` ≤ ½."""
+    """Return the progress along a route at times s, from 0 to 1, with ramps of ``ramp`` ≤ ½."""
     fine = np.linspace(0.0, 1.0, 1001)
     rising, falling = (np.clip(x / ramp, 0.0, 1.0) for x in (fine, 1.0 - fine))
     speed = rising**2 * (3.0 - 2.0 * rising) * falling**2 * (3.0 - 2.0 * falling)
-    travelled = np.append(0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1])))
-    share: Array = np.interp(s, fine, travelled / travelled[-1])
-    return share
+    distance = np.append(0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1])))
+    progress: Array = np.interp(s, fine, distance / distance[-1])
+    return progress
 
 
-STAND_OFF = 1.25
-"""Distance of a route's corners to prisms, in radii; the radius itself where that shuts all."""
+CORNER_DISTANCE = 1.25
+"""Distance of a route's corners to prisms, in radii; 1 if there is no such route."""
 
-HIGH = 1e6
-"""[m] Altitude above, and depth below, everything that flies."""
+TOWER_HEIGHT = 1e6
+"""[m] Altitude above, and depth below, all flights."""
 
-TIGHT = 1e-6
-"""Smallest distance of a route's corners to obstacles, relative to the radius."""
+RADIUS_TOLERANCE = 1e-6
+"""Tolerance of distances to prisms, relative to the radius."""
 
 
 def points_along(route: Array, shares: Array) -> Array:
@@ -112,60 +118,62 @@ def points_along(route: Array, shares: Array) -> Array:
 
 
 def routes_around(task: SeparationTask) -> list[Array]:
-    """Return shortest routes, N lists of corners (m, 3) [m]: straight where no prism is in between.
+    """Return shortest routes, N lists of corners (m, 3) [m]; straight without a prism between.
 
-    Corners stand off the prisms by a little more than drones must. They are taken at the altitudes
-    of a drone's start and goal and just above and below the prisms.
+    Corners have slightly more than the required distance to prisms. Their altitudes are those of
+    start and goal, and just above and below the prisms.
 
     Raises
     ------
-    InfeasibleError: every route that was found is too narrow.
+    InfeasibleError: no route with the required distance was found.
     """
     radius = task.requirements.separation.radius
     routes = list(np.stack([task.start, task.goal], axis=1))
     for i in np.flatnonzero(_blocked(task, task.start, task.goal)).tolist():
         check_time()
-        tried = (_route(task, routes[i], off * radius) for off in (STAND_OFF, 1.0 + TIGHT))
-        route = next((each for each in tried if each is not None), None)
+        distances = CORNER_DISTANCE * radius, (1.0 + RADIUS_TOLERANCE) * radius
+        candidates = (_route(task, routes[i], distance) for distance in distances)
+        route = next((each for each in candidates if each is not None), None)
         if route is None:
             remedy = "widen the gap between the prisms, or between them and the arena"
             when, where = "on every route found from its start to its goal", (task.names[i],)
-            blocked = Violation("keep_out", 0.0, radius, "min", "m", where, when, remedy)
-            raise InfeasibleError([blocked])
+            raise InfeasibleError(
+                [Violation("keep_out", 0.0, radius, "min", "m", where, when, remedy)]
+            )
         routes[i] = route
     return routes
 
 
 def _blocked(task: SeparationTask, first: Array, last: Array) -> NDArray[np.bool_]:
-    """Return whether segments between points (m, 3) come too close to a prism, (m,)."""
+    """Return the mask (m,) of segments between points (m, 3) that come too close to a prism."""
     blocked = np.zeros(len(first), dtype=np.bool_)
     for prism in task.requirements.keep_out:
-        reach = task.requirements.separation.radius * (1.0 - TIGHT)
-        into, out = _crossed(prism, reach, first, last)
-        blocked |= into < out
+        distance = task.requirements.separation.radius * (1.0 - RADIUS_TOLERANCE)
+        entry, exit_ = _crossings(prism, distance, first, last)
+        blocked |= entry < exit_
     return blocked
 
 
 def _route(task: SeparationTask, ends: Array, distance: float) -> Array | None:
-    """Return the shortest route whose corners keep a distance [m] from all prisms, or None."""
+    """Return the shortest route whose corners keep a distance [m] to all prisms, or None."""
     prisms, arena = task.requirements.keep_out, task.requirements.arena
-    flat = np.vstack([_widened(prism.polygon.vertices, distance) for prism in prisms])
+    corners = np.vstack([_widened(prism.polygon.vertices, distance) for prism in prisms])
     levels = [[prism.lower - distance, prism.upper + distance] for prism in prisms]
     heights = np.unique([ends[:, 2], *levels])
-    nodes = np.column_stack([np.tile(flat, (len(heights), 1)), np.repeat(heights, len(flat))])
-    nodes = np.vstack([nodes, *(_over(prism, ends, distance) for prism in prisms)])
+    nodes = np.column_stack([np.tile(corners, (len(heights), 1)), np.repeat(heights, len(corners))])
+    nodes = np.vstack([nodes, *(_points_over(prism, ends, distance) for prism in prisms)])
     if arena is not None:
         nodes = nodes[np.all((nodes >= arena.lower) & (nodes <= arena.upper), axis=1)]
     nodes = np.vstack([ends, nodes[~_blocked(task, nodes, nodes)]])
     i, j = np.triu_indices(len(nodes), 1)
-    seen = ~_blocked(task, nodes[i], nodes[j])
-    i, j = i[seen], j[seen]
+    visible = ~_blocked(task, nodes[i], nodes[j])
+    i, j = i[visible], j[visible]
     lengths = length(nodes[i] - nodes[j])
-    # Among routes of equal length, the places decide.
-    places = nodes @ np.array([1.0, GOLDEN, GOLDEN**2])
-    places = (places - np.min(places)) / max(float(np.ptp(places)), 1e-9)
-    preferred = lengths + TIE * float(np.max(lengths, initial=0.0)) * (places[i] + places[j])
-    graph = sp.csr_matrix((preferred, (i, j)), shape=(len(nodes), len(nodes)))
+    # Coordinates resolve ties between routes of equal length.
+    preference = nodes @ np.array([1.0, GOLDEN, GOLDEN**2])
+    preference = (preference - np.min(preference)) / max(float(np.ptp(preference)), 1e-9)
+    costs = lengths + TIE * float(np.max(lengths, initial=0.0)) * (preference[i] + preference[j])
+    graph = sp.csr_matrix((costs, (i, j)), shape=(len(nodes), len(nodes)))
     start = np.array([0])
     distances, before = dijkstra(graph, directed=False, indices=start, return_predecessors=True)
     if not np.isfinite(distances[0, 1]):
@@ -176,39 +184,39 @@ def _route(task: SeparationTask, ends: Array, distance: float) -> Array | None:
     return nodes[route[::-1]]
 
 
-def _over(prism: Prism, ends: Array, distance: float) -> Array:
-    """Return points (m, 3) over and under a prism where the straight route enters and leaves."""
-    tower = Prism(prism.polygon, -HIGH, HIGH)
-    (into,), (out,) = _crossed(tower, distance, ends[:1], ends[1:])
-    if into >= out:
+def _points_over(prism: Prism, ends: Array, distance: float) -> Array:
+    """Return points (m, 3) over and under a prism at both crossings with the straight route."""
+    tower = Prism(prism.polygon, -TOWER_HEIGHT, TOWER_HEIGHT)
+    (entry,), (exit_,) = _crossings(tower, distance, ends[:1], ends[1:])
+    if entry >= exit_:
         return np.zeros((0, 3))
-    flat = ends[0, :2] + np.array([[into], [out]]) * (ends[1] - ends[0])[:2]
+    points = ends[0, :2] + np.array([[entry], [exit_]]) * (ends[1] - ends[0])[:2]
     levels = np.repeat([prism.lower - distance, prism.upper + distance], 2)
-    return np.column_stack([np.vstack([flat, flat]), levels])
+    return np.column_stack([np.vstack([points, points]), levels])
 
 
-def _crossed(prism: Prism, distance: float, first: Array, last: Array) -> tuple[Array, Array]:
-    """Return the shares (m,) where segments enter a widened prism and leave it.
+def _crossings(prism: Prism, distance: float, first: Array, last: Array) -> tuple[Array, Array]:
+    """Return the shares (m,) at which segments enter and exit a prism widened by a distance [m].
 
-    They miss it where they leave before they enter.
+    Segments that miss the prism exit before they enter.
     """
     edges = prism.polygon.edge_vectors
     sides = unit(np.column_stack([-edges[:, 1], edges[:, 0], np.zeros(len(edges))]))
-    reach = np.sum(sides[:, :2] * prism.polygon.vertices, axis=1)
+    supports = np.sum(sides[:, :2] * prism.polygon.vertices, axis=1)
     normals = np.vstack([sides, [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]])
-    offsets = np.concatenate([reach, [-prism.lower, prism.upper]]) + distance
+    offsets = np.concatenate([supports, [-prism.lower, prism.upper]]) + distance
     before, after = (points @ normals.T - offsets for points in (first, last))
     change = after - before
     with np.errstate(divide="ignore", invalid="ignore"):
         crossing = -before / change
-    into = np.max(np.where(change < 0.0, crossing, 0.0), axis=1, initial=0.0)
-    out = np.min(np.where(change > 0.0, crossing, 1.0), axis=1, initial=1.0)
-    aside = np.any((change == 0.0) & (before >= 0.0), axis=1)  # along a side, outside of it
-    return np.where(aside, 1.0, into), out
+    entry = np.max(np.where(change < 0.0, crossing, 0.0), axis=1, initial=0.0)
+    exit_ = np.min(np.where(change > 0.0, crossing, 1.0), axis=1, initial=1.0)
+    outside = np.any((change == 0.0) & (before >= 0.0), axis=1)  # parallel to a side
+    return np.where(outside, 1.0, entry), exit_
 
 
 def _widened(outline: Array, distance: float) -> Array:
-    """Return the corners of a clockwise outline whose sides are moved out by a distance [m]."""
+    """Return the corners of a clockwise outline offset outward by a distance [m]."""
     edges = np.roll(outline, -1, axis=0) - outline
     outward = unit(np.column_stack([-edges[:, 1], edges[:, 0]]))
     middle = np.roll(outward, 1, axis=0) + outward
@@ -219,28 +227,28 @@ def _widened(outline: Array, distance: float) -> Array:
 SAMPLES = 3
 """Number of samples of every piece at which guesses are pushed."""
 
-WANTED = 1.15
-"""Separation that pushes aim at, larger than 1 as drones also move between samples."""
+TARGET_SEPARATION = 1.15
+"""Target of pushes; above 1, since drones move between samples."""
 
-PUSH_ROUNDS = 120
-"""Maximum rounds of pushing."""
+MAX_PUSH_ITERATIONS = 120
+"""Maximum number of iterations of pushing."""
 
 MOMENTUM = 0.8
-"""Share of a round's pushes that carries over to the next round."""
+"""Share of an iteration's pushes that is added to the next."""
 
-STIFFNESS = 0.08
-"""Shortest bend that the filter passes, as a share of the duration."""
+SMOOTHING_TIME = 0.08
+"""Time constant of the smoothing filter, over the duration."""
 
-FADING = 0.5
-"""Share of the rounds over which the common side fades out of the pushes."""
+SIDE_FADE_SHARE = 0.5
+"""Share of the iterations over which the common side fades out of the pushes."""
 
 
 def pushed_apart(setting: Setting, side: float) -> Array:
-    """Return the coefficients (N, count, 3) [m] of curves that are clear, or nearly so.
+    """Return the coefficients (N, count, 3) [m] of curves without, or with few, conflicts.
 
-    Drones that come too close are pushed apart at samples of time, along their offset; a smoothing
-    filter makes curves of the pushes. Where two meet head on there is no offset to speak of: at
-    first all give way to the same side.
+    Drones that are too close are pushed apart at samples of time, along their offset; a smoothing
+    filter fits curves to the pushes. Since the offset vanishes where two meet head-on, all first
+    give way to the same side.
 
     Parameters
     ----------
@@ -248,19 +256,19 @@ def pushed_apart(setting: Setting, side: float) -> Array:
     """
     grid = setting.grid
     s = _samples(grid)
-    basis, rates, smoothing = grid.sampled(s), grid.sampled(s, 1), grid.fitting(s, STIFFNESS)
+    basis, rates, smoothing = grid.sampled(s), grid.sampled(s, 1), grid.fitting(s, SMOOTHING_TIME)
     coefficients = setting.nominal.copy()
-    speed = np.zeros_like(coefficients[:, grid.free])
-    for round_number in range(PUSH_ROUNDS):
+    velocity = np.zeros_like(coefficients[:, grid.free])
+    for iteration in range(MAX_PUSH_ITERATIONS):
         check_time()
         points, velocities = (np.swapaxes(each @ coefficients, 0, 1) for each in (basis, rates))
-        fading = max(0.0, 1.0 - round_number / (FADING * PUSH_ROUNDS))
-        pushes = _pushes(setting, points, velocities, fading * side)
+        fade = max(0.0, 1.0 - iteration / (SIDE_FADE_SHARE * MAX_PUSH_ITERATIONS))
+        pushes = _pair_pushes(setting, points, velocities, fade * side)
         pushes += _other_pushes(setting, points)
         if not np.any(pushes):
             break
-        speed = MOMENTUM * speed + smoothing @ np.swapaxes(pushes, 0, 1)
-        moved = coefficients[:, grid.free] + speed
+        velocity = MOMENTUM * velocity + smoothing @ np.swapaxes(pushes, 0, 1)
+        moved = coefficients[:, grid.free] + velocity
         coefficients[:, grid.free] = inside(setting.task.requirements.arena, moved)
     return coefficients
 
@@ -269,24 +277,24 @@ def _samples(grid: Grid) -> Array:
     return (np.arange(SAMPLES * grid.pieces) + 0.5) / (SAMPLES * grid.pieces)
 
 
-def _pushes(setting: Setting, points: Array, velocities: Array, side: float) -> Array:
-    """Return how far each sample (samples, drones, 3) is pushed by other drones [m]."""
+def _pair_pushes(setting: Setting, points: Array, velocities: Array, side: float) -> Array:
+    """Return the pushes (samples, drones, 3) [m] by other drones."""
     samples, drones, _ = points.shape
     scale = setting.task.requirements.separation.scale
     scaled = (points * scale).reshape(-1, 3)
-    # Time as a fourth coordinate, so stretched that only samples of one time are close.
-    time = np.repeat(2.0 * WANTED * np.arange(samples), drones)
+    # Time is a fourth coordinate, scaled so that only simultaneous samples are close.
+    time = np.repeat(2.0 * TARGET_SEPARATION * np.arange(samples), drones)
     tree = cKDTree(np.column_stack([scaled, time]))
-    first, second = tree.query_pairs(WANTED, output_type="ndarray").T
+    first, second = tree.query_pairs(TARGET_SEPARATION, output_type="ndarray").T
     offset, flat = scaled[first] - scaled[second], velocities.reshape(-1, 3)
     right = rightward(flat[first] - flat[second], TIE * float(np.max(np.abs(flat))))
     direction = unit(offset + side * right, right, 1e-9)
-    missing = np.maximum(WANTED - np.sum(direction * offset, axis=1), 0.0)
-    steepest = direction * scale
-    share = 0.5 * missing / np.sum(steepest * steepest, axis=1)
+    deficit = np.maximum(TARGET_SEPARATION - np.sum(direction * offset, axis=1), 0.0)
+    gradient = direction * scale
+    share = 0.5 * deficit / np.sum(gradient * gradient, axis=1)
     pushes = np.zeros((samples * drones, 3))
     for axis in range(3):
-        push = steepest[:, axis] * share
+        push = gradient[:, axis] * share
         pushes[:, axis] = np.bincount(first, push, len(pushes))
         pushes[:, axis] -= np.bincount(second, push, len(pushes))
     count = np.bincount(np.append(first, second), minlength=len(pushes))
@@ -294,29 +302,29 @@ def _pushes(setting: Setting, points: Array, velocities: Array, side: float) -> 
     return pushes.reshape(points.shape)
 
 
-def rightward(velocity: Array, still: float) -> Array:
+def rightward(velocity: Array, min_speed: float) -> Array:
     """Return unit vectors (pairs, 3) to the right of relative velocities (pairs, 3).
 
-    East where it is upright, or slower than ``still``: rounding has no direction.
+    East for vertical velocities, and below ``min_speed``, where rounding dominates.
     """
     right = np.column_stack([velocity[:, 1], -velocity[:, 0], np.zeros(len(velocity))])
     speed = np.linalg.norm(velocity, axis=1, keepdims=True)
-    return unit(right, EAST, np.maximum(1e-3 * speed, still))
+    return unit(right, EAST, np.maximum(1e-3 * speed, min_speed))
 
 
 def _other_pushes(setting: Setting, points: Array) -> Array:
-    """Return pushes (samples, drones, 3) out of prisms, and together along taut cables [m]."""
+    """Return pushes (samples, drones, 3) [m] out of prisms, and together along taut tethers."""
     task = setting.task
     pushes = np.zeros_like(points)
-    wanted = WANTED * task.requirements.separation.radius
+    target = TARGET_SEPARATION * task.requirements.separation.radius
     for prism in task.requirements.keep_out:
         clearance = prism.clearance(points)
-        missing = np.maximum(wanted - clearance.distance, 0.0)
-        pushes += missing[..., None] * clearance.normals
+        deficit = np.maximum(target - clearance.distance, 0.0)
+        pushes += deficit[..., None] * clearance.normals
     first, second, longest = task.tether_arrays
     offset = points[:, first] - points[:, second]
-    apart = length(offset)
-    excess = np.maximum(apart - longest, 0.0) / np.maximum(apart, longest)
+    distance = length(offset)
+    excess = np.maximum(distance - longest, 0.0) / np.maximum(distance, longest)
     pull = np.swapaxes(0.5 * excess[..., None] * offset, 0, 1)
     by_drone = np.swapaxes(pushes, 0, 1)
     np.add.at(by_drone, first, -pull)
@@ -324,50 +332,49 @@ def _other_pushes(setting: Setting, points: Array) -> Array:
     return pushes
 
 
-CROWD = 32
-"""Number of drones that meet at once from which on a roundabout is tried."""
+MIN_CROWD = 32
+"""Number of drones that meet at once from which on there is a roundabout."""
 
 LAYERS = 2
-"""Number of altitudes at which drones pass, in the order of their numbers: rings are as much
-smaller."""
+"""Number of altitudes of a roundabout, which drones take in turn; it divides the rings' radius."""
 
-RING = 1.06
-"""Radius of a ring over that at which the drones of one layer have the separation WANTED."""
+RING_FACTOR = 1.06
+"""Radius of a ring over that at which its drones have the TARGET_SEPARATION."""
 
-WIDTH = 1.3
+DETOUR_FACTOR = 1.3
 """Distance from the centre at which drones leave their straight routes, over the radius of a ring
 of all drones."""
 
-CLIMB = 6
-"""Power of the distance in the offset upward: layers are apart before drones are within a ring of
-all of them."""
+CLIMB_POWER = 6
+"""Power of the distance in the vertical offset, so that layers are separated before drones enter a
+ring of all of them."""
 
 
 def roundabout(setting: Setting) -> Array | None:
-    """Return the coefficients (N, count, 3) [m] of curves around a crowd; None where there is none.
+    """Return the coefficients (N, count, 3) [m] of curves around a crowd, or None without one.
 
-    A crowd meets half way, at one place, where pushes between pairs would amplify rounding. With
-    ``x`` the distance from there over WIDTH radii of a ring of all its drones, the offset to the
-    right is ``(1 - x²)²`` times the radius of a layer's ring, and that upward ``(1 - x⁶)²`` times
-    the layer's altitude.
+    A crowd meets halfway at one point, where pushes between pairs would amplify rounding. With
+    ``x`` the distance from there over DETOUR_FACTOR radii of a ring of all its drones, the offset
+    to the right is ``(1 - x²)²`` times the radius of a layer's ring, and the vertical offset is
+    ``(1 - x⁶)²`` times the layer's altitude.
     """
     task, grid, separation = setting.task, setting.grid, setting.task.requirements.separation
     s = _samples(grid)
     points, steps = (grid.sampled(s, order) @ setting.nominal for order in (0, 1))
     middle = grid.sampled(np.asarray(0.5)) @ setting.nominal
     centre = np.median(middle, axis=0)
-    crowd = np.linalg.norm((middle - centre) * separation.scale, axis=-1) < WANTED
-    if np.sum(crowd) < CROWD:
+    crowd = np.linalg.norm((middle - centre) * separation.scale, axis=-1) < TARGET_SEPARATION
+    if np.sum(crowd) < MIN_CROWD:
         return None
-    spacing = 2.0 * WANTED * separation.radius
-    ring = np.where(crowd, RING * spacing * np.sum(crowd) / (2.0 * math.pi), 0.0)[:, None]
+    spacing = 2.0 * TARGET_SEPARATION * separation.radius
+    ring = np.where(crowd, RING_FACTOR * spacing * np.sum(crowd) / (2.0 * math.pi), 0.0)[:, None]
     distance = np.linalg.norm((points - centre)[..., :2], axis=-1)
-    x = np.divide(distance, WIDTH * ring, out=np.ones_like(distance), where=ring > 0.0)
-    aside, upward = (np.maximum(1.0 - x**power, 0.0) ** 2 for power in (2, CLIMB))
+    x = np.divide(distance, DETOUR_FACTOR * ring, out=np.ones_like(distance), where=ring > 0.0)
+    lateral, vertical = (np.maximum(1.0 - x**power, 0.0) ** 2 for power in (2, CLIMB_POWER))
     right = rightward(steps.reshape(-1, 3), 0.0).reshape(steps.shape)
-    offset = (ring / LAYERS * aside)[..., None] * right
+    offset = (ring / LAYERS * lateral)[..., None] * right
     layer = np.arange(task.drones)[:, None] % LAYERS - 0.5 * (LAYERS - 1)
-    offset[..., 2] += 2.0 * WANTED * separation.height * layer * upward
+    offset[..., 2] += 2.0 * TARGET_SEPARATION * separation.height * layer * vertical
     coefficients = setting.nominal.copy()
     moved = coefficients[:, grid.free] + grid.fitting(s) @ offset
     coefficients[:, grid.free] = inside(task.requirements.arena, moved)

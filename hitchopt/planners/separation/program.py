@@ -1,10 +1,11 @@
-"""The convex program around given curves: all requirements, linearised.
+"""The convex program around current curves, with all requirements linearized.
 
-Unknowns are the changes of the free coefficients, in trust radii, and slacks: one per drone for its
-limits, one per cable and plane. All rows hold on whole pieces, by their Bernstein (or spline)
-coefficients. A row that is already broken may stay so, or has a slack: there is always a solution.
+Variables are the changes of the free coefficients, in trust radii, and slacks: one per drone for
+its limits, one per tether and plane. Rows bound whole pieces by their Bernstein (or spline)
+coefficients. Rows that the current curves violate are relaxed or have a slack, so that the program
+is always feasible.
 
-It is solved by OSQP. Its status is not trusted: the curves are evaluated.
+The solver is OSQP. Its status is not trusted: the curves are evaluated.
 """
 
 from __future__ import annotations
@@ -22,21 +23,21 @@ from hitchopt.geometry.broadphase import Boxes, close_pairs
 from hitchopt.geometry.vectors import EAST, first_smallest, length, unit
 from hitchopt.hitch.requirements import Prism, Separation
 from hitchopt.hitch.slack_split import QuadraticProgram, Rows
-from hitchopt.planners.separation.task import HELD, Setting, inside
+from hitchopt.planners.separation.task import END_COEFFICIENTS, Setting, inside
 from hitchopt.trajectory import bernstein
 from hitchopt.values import Array, Indices
 
-MARGIN = 0.01
-"""Margin of every plane, in separations: OSQP errs by some thousandths."""
+PLANE_MARGIN = 0.01
+"""Margin of every plane, in separations; OSQP's residuals are some thousandths."""
 
-DEVIATION, ROUGHNESS = 1.0, 3e-7
-"""Weights of the squared distance to the nominal curves and of the squared third derivative, both
-scaled to the longest route and a duration of one."""
+DEVIATION_WEIGHT, ROUGHNESS_WEIGHT = 1.0, 3e-7
+"""Weights of the squared distance to the nominal curves and of the squared third derivative, for
+lengths relative to the longest route and a duration of one."""
 
-BROKEN = 10.0
-"""Penalty weight of a squared slack of a plane or cable."""
+PLANE_PENALTY = 10.0
+"""Penalty weight of a squared slack of a plane or tether."""
 
-EXCEEDED = 100.0
+LIMIT_PENALTY = 100.0
 """Penalty weight of a squared slack of a drone's limits, divided by the number of drones."""
 
 
@@ -47,40 +48,42 @@ def moved_curves(
     planes: Planes,
     moving: NDArray[np.bool_],
 ) -> Array:
-    """Return the curves (N, count, 3) [m] that the program around given ones leads to.
+    """Return the curves (N, count, 3) [m] after one program around the current ones.
 
     Parameters
     ----------
-    duration: [s] for which the limits hold.
-    moving: (N,), drones that may move.
+    duration: [s], to which the limits apply.
+    planes: between pieces of curves, and to prisms.
+    moving: (N,), mask of drones that may move.
 
     Raises
     ------
     ProgramError: no finite point was returned.
     """
-    program = build_program(setting, coefficients, duration, planes)
+    program, free = build_program(setting, coefficients, duration, planes), setting.grid.free
     mask = np.ones(len(program.q), dtype=np.bool_)
     if not np.all(moving):
-        program, mask = _among(program, np.repeat(moving, 3 * (setting.grid.count - 2 * HELD)))
+        program, mask = _reduced(program, np.repeat(moving, 3 * (free.stop - free.start)))
+    iterations = CROWD_ITERATIONS if len(moving) >= CROWD_SIZE else MAX_ITERATIONS
     x = np.zeros(len(mask))
-    x[mask] = solve_program(program, HASTY if len(moving) >= CROWD else ITERATIONS)
+    x[mask] = solve_program(program, iterations)
     moved = coefficients.copy()
-    inner = moved[:, HELD:-HELD]
+    inner = moved[:, free]
     inner += setting.trust * np.clip(x[: inner.size].reshape(inner.shape), -1.0, 1.0)
     inner[...] = inside(setting.task.requirements.arena, inner)  # exactly
     return moved
 
 
-def _among(
+def _reduced(
     program: QuadraticProgram, moving: NDArray[np.bool_]
 ) -> tuple[QuadraticProgram, NDArray[np.bool_]]:
-    """Return the program of some of its first unknowns, and which unknowns are left in it.
+    """Return the program of the moving variables and their slacks, and the mask of all of these.
 
-    Others stay; slacks are left where rows of a moving unknown have them.
+    ``moving`` covers the first variables; slacks follow.
     """
-    there = abs(program.A)
-    touched = there[:, : len(moving)] @ moving.astype(np.float64) > 0.0
-    slacks = there[:, len(moving) :].T @ touched.astype(np.float64) > 0.0
+    pattern = abs(program.A)
+    active = pattern[:, : len(moving)] @ moving.astype(np.float64) > 0.0
+    slacks = pattern[:, len(moving) :].T @ active.astype(np.float64) > 0.0
     mask = np.append(moving, slacks)
     columns = sp.csr_array(program.A[:, mask])
     rows = np.diff(columns.indptr) > 0
@@ -91,10 +94,10 @@ def _among(
 def build_program(
     setting: Setting, coefficients: Array, duration: float, planes: Planes
 ) -> QuadraticProgram:
-    """Return the program around the given curves; parameters as of ``moved_curves``."""
-    n, cables, trust = setting.task.drones, len(setting.task.tethers), setting.trust
-    inner, arena = coefficients[:, HELD:-HELD], setting.task.requirements.arena
-    slacks = n + cables + len(planes.sides)
+    """Return the program around the current curves; parameters are those of ``moved_curves``."""
+    n, tethers, trust = setting.task.drones, len(setting.task.tethers), setting.trust
+    inner, arena = coefficients[:, setting.grid.free], setting.task.requirements.arena
+    slacks = n + tethers + len(planes.sides)
     rows = Rows(inner.size + slacks)
     upper = np.ones(inner.shape)
     lower = -upper
@@ -105,17 +108,17 @@ def build_program(
     rows.add_bounds(inner.size + np.arange(slacks), 0.0, np.inf)
     _add_limits(rows, setting, coefficients, duration, inner.size)
     _add_tethers(rows, setting, inner, inner.size + n)
-    _add_planes(rows, setting, planes, inner.size + n + cables)
+    _add_planes(rows, setting, planes, inner.size + n + tethers)
     hessian, gradient = _objective(setting, coefficients)
-    weights = np.append(np.full(n, EXCEEDED / n), np.full(slacks - n, BROKEN))
+    weights = np.append(np.full(n, LIMIT_PENALTY / n), np.full(slacks - n, PLANE_PENALTY))
     P = sp.csc_array(sp.block_diag([hessian, sp.diags_array(weights)]))
     return QuadraticProgram(P, np.append(gradient, np.zeros(slacks)), *rows.compressed())
 
 
 def _objective(setting: Setting, coefficients: Array) -> tuple[sp.csc_array[np.float64], Array]:
-    """Return the Hessian and the gradient of deviation and roughness by the first unknowns."""
+    """Return the Hessian and gradient of deviation and roughness in the first variables."""
     (deviation, roughness), free = setting.grid.energies, setting.grid.free
-    deviation, roughness = DEVIATION * deviation, ROUGHNESS * roughness
+    deviation, roughness = DEVIATION_WEIGHT * deviation, ROUGHNESS_WEIGHT * roughness
     scale = 2.0 * setting.trust / (setting.size**2 * setting.task.drones)
     gradient = deviation[free] @ (coefficients - setting.nominal) + roughness[free] @ coefficients
     one = scale * setting.trust * (deviation + roughness)[free, free]
@@ -125,7 +128,7 @@ def _objective(setting: Setting, coefficients: Array) -> tuple[sp.csc_array[np.f
 
 
 def _add_tethers(rows: Rows, setting: Setting, inner: Array, slack: int) -> None:
-    """Bound every coefficient's distance along its current direction: the hull's is no larger."""
+    """Bound the distances of coefficients along their current directions, and so the curves'."""
     first, second, longest = setting.task.tether_arrays
     free = inner.shape[1]
     offset = (inner[first] - inner[second]) / longest[:, None, None]
@@ -133,7 +136,7 @@ def _add_tethers(rows: Rows, setting: Setting, inner: Array, slack: int) -> None
     entries = (along * setting.trust / longest[:, None, None]).ravel()
     f = np.arange(free)
     columns = 3 * (np.stack([first, second])[..., None] * free + f)[..., None] + np.arange(3)
-    upper = (1.0 - 0.5 * MARGIN - np.linalg.norm(offset, axis=-1)).ravel()
+    upper = (1.0 - 0.5 * PLANE_MARGIN - np.linalg.norm(offset, axis=-1)).ravel()
     every = np.arange(len(upper))
     local, entries = np.tile(np.repeat(every, 3), 2), np.concatenate([entries, -entries])
     top = rows.add(local, columns.ravel(), entries, np.full(len(upper), -np.inf), upper)
@@ -141,84 +144,87 @@ def _add_tethers(rows: Rows, setting: Setting, inner: Array, slack: int) -> None
 
 
 def _add_planes(rows: Rows, setting: Setting, planes: Planes, slack: int) -> None:
-    """Keep every Bernstein coefficient of a piece on its side of a plane, with a slack a plane."""
+    """Keep Bernstein coefficients of pieces on their sides of planes, with a slack per plane."""
     m, k = planes.gaps.shape
-    free = setting.grid.count - 2 * HELD
+    free = setting.grid.count - 2 * END_COEFFICIENTS
     piece, *drones = planes.sides.T
     entries = setting.grid.extraction[piece][..., None]
     entries = entries * (setting.trust * planes.normals)[:, None, None, :]
-    index = (piece[:, None] + np.arange(k) - HELD)[:, None, :, None]  # (m, rows, coefficients, 3)
-    live = np.broadcast_to((index >= 0) & (index < free), entries.shape)
+    index = piece[:, None] + np.arange(k) - END_COEFFICIENTS
+    index = index[:, None, :, None]  # (m, rows, coefficients, 3)
+    is_free = np.broadcast_to((index >= 0) & (index < free), entries.shape)
     every = np.arange(m * k)
-    local = np.broadcast_to(every.reshape(m, k, 1, 1), live.shape)
+    local = np.broadcast_to(every.reshape(m, k, 1, 1), is_free.shape)
     parts: list[tuple[Indices, Indices, Array]] = []
     for drone, sign in zip(drones, (1.0, -1.0), strict=True):
-        there = live & (drone >= 0)[:, None, None, None]
+        mask = is_free & (drone >= 0)[:, None, None, None]
         columns = 3 * (drone[:, None, None, None] * free + index) + np.arange(3)
         columns = np.broadcast_to(columns, entries.shape)
-        parts.append((local[there], columns[there], sign * entries[there]))
-    # Held coefficients cannot move: their rows have no bound.
-    lower = np.where(np.any(live, axis=(2, 3)), 1.0 + MARGIN - planes.gaps, -np.inf).ravel()
+        parts.append((local[mask], columns[mask], sign * entries[mask]))
+    # Rows of fixed coefficients have no bound.
+    bounds = 1.0 + PLANE_MARGIN - planes.gaps
+    lower = np.where(np.any(is_free, axis=(2, 3)), bounds, -np.inf).ravel()
     local, columns, values = (np.concatenate(part) for part in zip(*parts, strict=True))
     top = rows.add(local, columns, values, lower, np.full(m * k, np.inf))
     rows.extend(top + every, slack + every // k, 1.0)
 
 
-ACROSS = (0.3, 0.7)
-"""Largest change across a derivative, as shares of its limit: at the limit, and at zero."""
+LATERAL_SHARES = (0.3, 0.7)
+"""Largest change normal to a derivative, as shares of its limit: at the limit, and at zero."""
 
 
 def _add_limits(
     rows: Rows, setting: Setting, coefficients: Array, duration: float, slack: int
 ) -> None:
-    """Limit the first three derivatives: along themselves to the limit, across to a share of it.
+    """Limit the first three derivatives, and their changes normal to them to a share of the limit.
 
     Slacks are shares of the duration.
     """
-    n, free = len(coefficients), setting.grid.count - 2 * HELD
+    n, free = len(coefficients), setting.grid.count - 2 * END_COEFFICIENTS
     drones = np.arange(n)
     for k, cap in enumerate(setting.caps):
         order, matrix = k + 1, setting.grid.rates[k] / duration ** (k + 1)
         current = matrix @ coefficients / cap[:, None, None]
         size = np.linalg.norm(current, axis=-1)
-        changing = matrix[:, HELD:-HELD] * setting.trust
-        r, f = np.nonzero(changing)
+        jacobian = matrix[:, setting.grid.free] * setting.trust
+        r, f = np.nonzero(jacobian)
         columns = ((drones[:, None] * free + f)[..., None] * 3 + np.arange(3)).ravel()
-        values = np.broadcast_to(changing[r, f] / cap[:, None], (n, len(r)))
+        values = np.broadcast_to(jacobian[r, f] / cap[:, None], (n, len(r)))
         local = np.repeat(drones[:, None] * len(matrix) + r, 3)
-        across = ACROSS[0] + (ACROSS[1] - ACROSS[0]) * np.clip(1.0 - size, 0.0, 1.0)
+        low, high = LATERAL_SHARES
+        share = low + (high - low) * np.clip(1.0 - size, 0.0, 1.0)
         along = unit(current, EAST, 1e-9)
-        aside = unit(np.cross(along, np.eye(3)[first_smallest(np.abs(along), 1.0)]))
-        for axis in (along, aside, np.cross(along, aside)):
-            here = np.sum(current * axis, axis=-1)
-            bound = np.maximum(across, np.abs(here))  # no worse than it is
-            upper, lower = bound - here, -bound - here
+        lateral = unit(np.cross(along, np.eye(3)[first_smallest(np.abs(along), 1.0)]))
+        for axis in (along, lateral, np.cross(along, lateral)):
+            component = np.sum(current * axis, axis=-1)
+            bound = np.maximum(share, np.abs(component))  # the current value is feasible
+            upper, lower = bound - component, -bound - component
             if axis is along:
-                upper, lower = 1.0 - here, np.full(here.shape, -np.inf)
+                upper, lower = 1.0 - component, np.full(component.shape, -np.inf)
             entries = (values[..., None] * axis[:, r]).ravel()
             top = rows.add(local, columns, entries, lower.ravel(), upper.ravel())
             if axis is along:
-                every = np.arange(here.size)
+                every = np.arange(component.size)
                 rows.extend(top + every, slack + every // len(matrix), -float(order))
 
 
-ACCURACY = 1e-4
+SOLVER_TOLERANCE = 1e-4
 """Absolute and relative tolerance of OSQP, for rows that are scaled to about one."""
 
-ITERATIONS, CROWD, HASTY = 700, 64, 150
-"""Iterations after which the current point is used as it is, and those of so many drones or more:
-rounds correct what they leave."""
+MAX_ITERATIONS, CROWD_SIZE, CROWD_ITERATIONS = 700, 64, 150
+"""Maximum iterations of OSQP, number of drones that count as a crowd, and its maximum iterations.
+The last iterate is used; later programs correct its residuals."""
 
-LEAST_TIME = 1e-3
-"""[s] Smallest time limit that is passed to OSQP, which takes zero for none."""
+MIN_TIME_LIMIT = 1e-3
+"""[s] Smallest time limit for OSQP, in which zero means no limit."""
 
 
 class ProgramError(Exception):
     """No finite point was returned by OSQP."""
 
 
-def solve_program(program: QuadraticProgram, iterations: int = ITERATIONS) -> Array:
-    """Return OSQP's solution (unknowns,) of a program, whose bounds on unknowns are rows.
+def solve_program(program: QuadraticProgram, iterations: int = MAX_ITERATIONS) -> Array:
+    """Return OSQP's solution (variables,) of a program, whose bounds on variables are rows.
 
     Raises
     ------
@@ -226,7 +232,7 @@ def solve_program(program: QuadraticProgram, iterations: int = ITERATIONS) -> Ar
     """
     import osqp
 
-    left = time_left()
+    remaining = time_left()
     solver = osqp.OSQP(algebra="builtin")
     solver.setup(
         sp.csc_matrix(sp.triu(program.P)),
@@ -234,45 +240,45 @@ def solve_program(program: QuadraticProgram, iterations: int = ITERATIONS) -> Ar
         sp.csc_matrix(program.A),
         program.lower,
         program.upper,
-        eps_abs=ACCURACY,
-        eps_rel=ACCURACY,
+        eps_abs=SOLVER_TOLERANCE,
+        eps_rel=SOLVER_TOLERANCE,
         max_iter=iterations,
         polishing=False,
         verbose=False,
-        **({"time_limit": max(left, LEAST_TIME)} if math.isfinite(left) else {}),
+        **({"time_limit": max(remaining, MIN_TIME_LIMIT)} if math.isfinite(remaining) else {}),
     )
     result = solver.solve(raise_error=False)
     if result.info.status_val == osqp.SolverStatus.OSQP_SIGINT:
         raise KeyboardInterrupt  # OSQP catches the signal
-    check_time()  # what has been cut short is no solution
+    check_time()  # an interrupted solve has no solution
     x = np.asarray(result.x, dtype=np.float64)
     if x.shape != program.q.shape or not np.all(np.isfinite(x)):
         raise ProgramError(str(result.info.status))
     return x
 
 
-LEVEL = 1e-6
-"""Largest upward component of a normal that counts as level."""
+LEVEL_TOLERANCE = 1e-6
+"""Largest vertical component of horizontal normals."""
 
-LEAN, LEAN_UNTIL = 1e-2, 2.0
-"""Upward slope of level normals, for every unit by which the separation falls short of this."""
+NORMAL_SLOPE, SLOPE_SEPARATION = 1e-2, 2.0
+"""Upward slope of horizontal normals per separation, and separation from which on it is zero."""
 
 CURVE_SAMPLES = 17
 """Number of samples of a piece that locate its nearest point."""
 
-FLAT = 1e-10
-"""Squared sine of the angle below which two edges of a triangle count as parallel: all of it is
-then as near to its edges."""
+PARALLEL_TOLERANCE = 1e-10
+"""Squared sine of the angle below which two edges of a triangle count as parallel; the nearest
+point is then on an edge."""
 
 
 class Planes(NamedTuple):
-    """Planes that pieces of curves stay on one side of; lengths are in separations.
+    """Separating planes of pieces of curves; lengths are in separations.
 
     Attributes
     ----------
     sides: (m, 3): a piece, its drone, and the drone on the other side; -1 for a prism.
-    normals: (m, 3) [1/m], towards the first drone: how gaps grow as it moves.
-    gaps: (m, degree + 1), of the coefficients; 1 where they keep their distance.
+    normals: (m, 3) [1/m], toward the first drone, the derivatives of gaps by its position.
+    gaps: (m, degree + 1), of the coefficients; at least 1 if they keep their distance.
     """
 
     sides: Indices
@@ -280,43 +286,45 @@ class Planes(NamedTuple):
     gaps: Array
 
 
-def planes_between(curves: Array, separation: Separation, cutoff: float, known: Indices) -> Planes:
-    """Return the widest planes for pieces of two drones whose hulls are nearer than ``cutoff``.
+def planes_between(
+    curves: Array, separation: Separation, cutoff: float, required: Indices
+) -> Planes:
+    """Return the widest planes between pieces of two drones whose hulls are nearer than ``cutoff``.
 
-    Lengths are scaled so that a pair's separation is a distance. The difference of two pieces lies
-    in the hull of its Bernstein coefficients; the point of that hull nearest to the origin is the
-    normal of the plane with the widest gap that holds on the whole piece.
+    Lengths are scaled so that a pair's separation is a distance. The difference of two pieces is in
+    the hull of its Bernstein coefficients; the point of that hull nearest to the origin is the
+    normal of the plane with the widest gap along the whole piece.
 
     Parameters
     ----------
     curves: (pieces, N, 3, degree + 1) [m], Bernstein coefficients.
     cutoff: a separation.
-    known: (k, 3), sides that get a plane however far apart they are.
+    required: (k, 3), sides that have a plane at any distance.
     """
-    pairs_by_time, scaled = [known], curves * separation.scale[:, None]
-    for m, piece in enumerate(scaled):  # as many as the grid has, whatever the number of drones
+    pairs_by_time, scaled = [required], curves * separation.scale[:, None]
+    for m, piece in enumerate(scaled):
         pairs = close_pairs(Boxes(np.min(piece, axis=-1), np.max(piece, axis=-1)), None, cutoff)
         pairs_by_time.append(np.column_stack([np.full(len(pairs), m), pairs.first, pairs.second]))
     sides, index = np.unique(np.concatenate(pairs_by_time), axis=0, return_inverse=True)
     piece, first, second = sides.T
     differences = scaled[piece, first] - scaled[piece, second]
     nearest = hull_points(differences)
-    apart = length(nearest)
-    mask = apart < cutoff
-    mask[index.ravel()[: len(known)]] = True
+    distances = length(nearest)
+    mask = distances < cutoff
+    mask[index.ravel()[: len(required)]] = True
     sides, differences = sides[mask], differences[mask]
-    nearest, apart = nearest[mask], apart[mask]
-    # Hulls that hold the origin have no plane yet: the curve's own nearest point gives a first one.
-    inside = apart < 1e-6
+    nearest, distances = nearest[mask], distances[mask]
+    # For hulls that contain the origin, the nearest point of the curve defines the plane.
+    inside = distances < 1e-6
     points = _points_of(differences[inside])
     squared = np.sum(points * points, axis=2)
     best = first_smallest(squared, np.max(squared, axis=1))
     nearest[inside] = points[np.arange(len(points)), best]
     normals = unit(nearest, EAST, 1e-9)
-    # Level pairs could pass above each other as well as below. The first one goes up: else
-    # rounding would choose, as the programs move out of a plane as soon as anything is out of it.
-    lean = LEAN * np.maximum(LEAN_UNTIL - apart, 0.0)
-    normals[:, 2] += np.where(np.abs(normals[:, 2]) < LEVEL, lean, 0.0)
+    # Drones at equal altitude could pass above or below each other, as rounding decides. The slope
+    # lets the first one go up.
+    slope = NORMAL_SLOPE * np.maximum(SLOPE_SEPARATION - distances, 0.0)
+    normals[:, 2] += np.where(np.abs(normals[:, 2]) < LEVEL_TOLERANCE, slope, 0.0)
     normals = unit(normals)
     gaps = np.einsum("md,mdk->mk", normals, differences)
     return Planes(sides, normals * separation.scale, gaps)
@@ -329,47 +337,48 @@ def _points_of(pieces: Array) -> Array:
 
 
 def hull_points(differences: Array) -> Array:
-    """Return the points nearest to the origin of the hulls of (m, 3, k) points, as (m, 3).
+    """Return the points (m, 3) nearest to the origin of the convex hulls of points (m, 3, k).
 
-    It is a point, on an edge or on a triangle of them, each in closed form, or it is the origin.
-    Where several are equally near they are the same point, as a hull is convex.
+    They are computed in closed form over all points, edges and triangles, or are the origin. Since
+    hulls are convex they are unique.
     """
     points = np.ascontiguousarray(differences.transpose(1, 2, 0))  # (3, k, m)
-    nearest, least = points[:, 0], _dot(points[:, 0], points[:, 0])
+    nearest, smallest = points[:, 0], _dot(points[:, 0], points[:, 0])
     for size in (1, 2, 3):
         for corners in combinations(range(points.shape[1]), size):
             start, *others = (points[:, corner] for corner in corners)
             candidate, inside = _of_simplex(start, [other - start for other in others])
             squared = _dot(candidate, candidate)
-            nearer = inside & (squared < least)
-            nearest, least = np.where(nearer, candidate, nearest), np.where(nearer, squared, least)
-    # A plane through the nearest point bounds the hull unless the origin is within.
+            nearer = inside & (squared < smallest)
+            nearest = np.where(nearer, candidate, nearest)
+            smallest = np.where(nearer, squared, smallest)
+    # A plane through the nearest point bounds the hull unless the origin is inside.
     products = np.min(np.einsum("dm,dkm->km", nearest, points), axis=0)
-    return np.where(products > 0.5 * least, nearest, 0.0).T
+    return np.where(products > 0.5 * smallest, nearest, 0.0).T
 
 
 def _of_simplex(start: Array, edges: list[Array]) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the points (3, m) nearest to the origin of lines or planes, and which are inside."""
+    """Return the points (3, m) of simplices' affine hulls nearest to the origin, and if inside."""
     if not edges:
         return start, np.ones(start.shape[1], dtype=np.bool_)
     a, b, c = (_dot(edges[i], edges[j]) for i, j in ((0, 0), (0, -1), (-1, -1)))
     u, v = -_dot(edges[0], start), -_dot(edges[-1], start)
     size, parts = (a, [u]) if len(edges) == 1 else (a * c - b * b, [u * c - v * b, v * a - u * b])
-    solid = size > (0.0 if len(edges) == 1 else FLAT * a * c)
-    weights = [np.divide(part, size, out=np.zeros_like(size), where=solid) for part in parts]
-    inside = solid & np.all([weight > 0.0 for weight in weights], axis=0)
+    regular = size > (0.0 if len(edges) == 1 else PARALLEL_TOLERANCE * a * c)
+    weights = [np.divide(part, size, out=np.zeros_like(size), where=regular) for part in parts]
+    inside = regular & np.all([weight > 0.0 for weight in weights], axis=0)
     point = start + sum(weight * edge for weight, edge in zip(weights, edges, strict=True))
     return point, inside & (sum(weights) < 1.0)
 
 
 def _dot(a: Array, b: Array) -> Array:
-    """Return products of vectors along the first axis."""
+    """Return scalar products along the first axis."""
     product: Array = np.einsum("d...,d...->...", a, b)
     return product
 
 
-def walls_before(curves: Array, prism: Prism, radius: float, cutoff: float) -> Planes:
-    """Return a plane for every piece that may come closer to a prism than ``cutoff`` [m].
+def planes_to_prism(curves: Array, prism: Prism, radius: float, cutoff: float) -> Planes:
+    """Return planes to a prism for all pieces that may be closer to it than ``cutoff`` [m].
 
     Parameters
     ----------
@@ -384,8 +393,8 @@ def walls_before(curves: Array, prism: Prism, radius: float, cutoff: float) -> P
     clearance = prism.clearance(_points_of(coefficients))
     worst = first_smallest(clearance.distance, radius)
     normals = clearance.normals[np.arange(len(worst)), worst] / radius
-    reach = np.max(normals @ corners.T, axis=1)
-    gaps = np.einsum("md,mdk->mk", normals, coefficients) - reach[:, None]
+    supports = np.max(normals @ corners.T, axis=1)
+    gaps = np.einsum("md,mdk->mk", normals, coefficients) - supports[:, None]
     close = np.min(gaps, axis=1) * radius < cutoff
     sides = np.column_stack([piece, drone, np.full(len(piece), -1)])
     return Planes(sides[close], normals[close], gaps[close])

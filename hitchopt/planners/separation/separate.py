@@ -1,4 +1,4 @@
-"""The separation planner: guesses, convex programs around them, and bounds that end the search."""
+"""The separation planner: initial guesses, convex programs, and bounds that end the search."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from hitchopt.hitch import Swarm
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.separation.guesses import pushed_apart, roundabout, setting_of
 from hitchopt.planners.separation.program import (
-    MARGIN,
+    PLANE_MARGIN,
     Planes,
     ProgramError,
     moved_curves,
     planes_between,
-    walls_before,
+    planes_to_prism,
 )
-from hitchopt.planners.separation.task import Separated, SeparationTask, Setting
+from hitchopt.planners.separation.task import SeparationResult, SeparationTask, Setting
 from hitchopt.planners.timing.flight import turning_stretch
 from hitchopt.planners.timing.profile import LIMIT_SHARE
 from hitchopt.trajectory import PiecewisePolynomial
@@ -35,235 +35,241 @@ from hitchopt.values import Array, Indices
 Progress = Callable[[str], None]
 
 RULES = ((0.5, 1.0), (0.5, 1.5), (-0.5, 1.0), (0.5, 2.0), (0.5, 3.0))
-"""Shift of drones to the right where they meet, and the duration over that of the
-slowest flight (above 1, departures are staggered), in the order in which they are tried."""
+"""Guesses in the order of the search: side of the pushes, and duration over that of the slowest
+flight (above 1, departures are staggered)."""
 
 MAX_PROGRAMS = 16
-"""Maximum number of programs around one guess."""
+"""Maximum number of programs from one guess."""
 
-FASTER = 0.85
-"""Share of the present duration that the next program aims at while the curves are clear."""
+SPEEDUP = 0.85
+"""Target duration of the next program over the current one, while the curves are clear."""
 
-BARELY = 1.03
-"""Smallest duration to aim at, over that of single flights: splines cannot be faster."""
+MIN_DURATION_RATIO = 1.03
+"""Smallest target duration over that of single flights; splines cannot be faster."""
 
-GOOD, NEARLY = 1.05, 1.15
+GOOD_RATIO, FAIR_RATIO = 1.05, 1.15
 """Durations over that of single flights at which the search ends, and at which it ends after one
-round without a gain."""
+round without improvement."""
 
-GAIN = 0.04
-"""Smallest relative gain that counts."""
+MIN_GAIN = 0.04
+"""Smallest relative improvement."""
 
-PATIENCE, STALLED = 3, 6
-"""Maximum consecutive rounds without a gain, and while drones still meet."""
+MAX_IDLE_ROUNDS, MAX_IDLE_ROUNDS_UNCLEAR = 3, 6
+"""Maximum number of consecutive rounds without improvement of clear curves, and of others."""
 
-UNCLEAR = 1e9
-"""Offset of the merit for curves that break a limit at any speed."""
+UNCLEAR_MERIT = 1e9
+"""Merit of curves that violate a limit at any speed, per missing separation."""
 
-REACH, NARROW = 1.0, 0.5
-"""Excess of the separation [1] up to which pairs of pieces get a plane, and that in crowds."""
+PLANE_RANGE, CROWD_PLANE_RANGE = 1.0, 0.5
+"""Separations [1] in excess of the limit up to which pairs of pieces have a plane; in crowds."""
 
-LARGE = 256
-"""Number of drones from which on only those that are too close are moved, until curves are clear,
-which ends the search: a program of all is coupled by so many planes that its factors fill."""
+LARGE_CROWD = 256
+"""Number of drones from which on a program moves only those that are too close, and the search ends
+with the first clear curves: programs that couple all drones would need too much time."""
 
-CLOSE = 0.1
-"""Excess of the separation [1] below which drones are too close in this sense."""
+CLOSE_RANGE = 0.1
+"""Separation [1] in excess of the limit below which such drones are too close."""
 
 
 @dataclass(frozen=True, eq=False)
 class SeparatedFlight:
-    """The planner of curves for all drones that satisfy a task at every time."""
+    """A planner of curves of all drones that satisfy a task at every time."""
 
     task: SeparationTask
 
     @cached_property
     def problem(self) -> Setting:
-        """The splines on a time grid among which curves are looked for."""
+        """The task on a time grid, with nominal curves."""
         return setting_of(self.task)
 
-    def solve(self, progress: Progress | None = None) -> Separated:
+    def solve(self, progress: Progress | None = None) -> SeparationResult:
         """Return the curves.
 
         Parameters
         ----------
-        progress: called with a description of the present stage.
+        progress: called with a description of the current stage.
 
         Raises
         ------
-        InfeasibleError: the task cannot be met, or the search found no curves; the violations name
+        InfeasibleError: the task is infeasible, or the search found no curves; the violations name
             the pair and the time.
         """
-        say, task = progress or (lambda _: None), self.task
+        report, task = progress or (lambda _: None), self.task
         _check_ends(task)
         setting = self.problem
         if task.duration is not None and task.duration < setting.bound:
             raise InfeasibleError([_too_short(task, setting.bound, "no drone can be as fast")])
-        tried: list[Evaluation] = []
+        evaluations: list[Evaluation] = []
         for own, guess, remark in _guesses(setting):
-            say(f"guess: {remark or 'straight'}")
-            evaluation = _improved(own, guess, say)
+            report(f"guess: {remark or 'straight'}")
+            evaluation = _improved(own, guess, report)
             if evaluation.clear and evaluation.duration <= (task.duration or math.inf):
-                curves = own.grid.curves(
-                    evaluation.coefficients, task.duration or evaluation.duration
-                )
-                return Separated(curves, evaluation.closest, setting.bound, remark)
-            tried.append(evaluation)
-        return _last_resort(task, tried, say)
+                duration = task.duration or evaluation.duration
+                curves = own.grid.curves(evaluation.coefficients, duration)
+                return SeparationResult(curves, evaluation.closest, setting.bound, remark)
+            evaluations.append(evaluation)
+        return _last_resort(task, evaluations, report)
 
 
 def _guesses(setting: Setting) -> Iterator[tuple[Setting, Array, str]]:
-    """Yield settings with first curves (N, count, 3) [m] and the rule that they follow."""
+    """Yield settings with guesses (N, count, 3) [m] and their rules."""
     if evaluate(setting, setting.nominal).clear:  # no two drones meet
         yield setting, setting.nominal, ""
-    around = roundabout(setting)
-    if around is not None:
-        yield setting, around, "all go around where they meet, to the right"
-    for side, patience in RULES:
-        if patience * setting.alone > (setting.task.duration or math.inf):
+    circular = roundabout(setting)
+    if circular is not None:
+        yield setting, circular, "all go around where they meet, to the right"
+    for side, ratio in RULES:
+        if ratio * setting.single_duration > (setting.task.duration or math.inf):
             continue
-        own = setting if patience == 1.0 else setting_of(setting.task, patience)
+        own = setting if ratio == 1.0 else setting_of(setting.task, ratio)
         words = f"all give way to the {'right' if side > 0.0 else 'left'} where they meet"
-        yield own, pushed_apart(own, side), ("some leave later; " if patience > 1.0 else "") + words
+        yield own, pushed_apart(own, side), ("some leave later; " if ratio > 1.0 else "") + words
 
 
-def _improved(setting: Setting, guess: Array, say: Progress) -> Evaluation:
-    """Return the best curves that programs around a guess reach."""
+def _improved(setting: Setting, guess: Array, report: Progress) -> Evaluation:
+    """Return the best curves that programs reach from a guess."""
     task, idle = setting.task, 0
-    here = best = evaluate(setting, guess)
-    known = np.zeros((0, 3), dtype=np.intp)
-    for round_number in range(MAX_PROGRAMS):
-        if best.clear and task.drones >= LARGE:
+    current = best = evaluate(setting, guess)
+    sides = np.zeros((0, 3), dtype=np.intp)
+    for iteration in range(MAX_PROGRAMS):
+        if best.clear and task.drones >= LARGE_CROWD:
             break
-        planes, moving = _planes(setting, here, known)
-        known = planes.sides[planes.sides[:, 2] >= 0]
-        aimed = FASTER * here.duration if here.clear else here.duration
-        duration = max(aimed, task.duration or BARELY * setting.alone)
+        planes, moving = _planes(setting, current, sides)
+        sides = planes.sides[planes.sides[:, 2] >= 0]
+        target = SPEEDUP * current.duration if current.clear else current.duration
+        duration = max(target, task.duration or MIN_DURATION_RATIO * setting.single_duration)
         try:
-            moved = moved_curves(setting, here.coefficients, duration, planes, moving)
+            moved = moved_curves(setting, current.coefficients, duration, planes, moving)
         except ProgramError:
             break
-        here, before = evaluate(setting, moved), best
-        say(f"round {round_number + 1}: {here.duration:.3g} s, separation {here.closest:.3f}")
-        best = min(before, here, key=lambda candidate: candidate.merit)
-        idle = 0 if best.merit < (1.0 - GAIN) * before.merit else idle + 1
-        if idle >= (PATIENCE if best.clear else STALLED):
+        current, before = evaluate(setting, moved), best
+        words = f"{current.duration:.3g} s, separation {current.closest:.3f}"
+        report(f"round {iteration + 1}: {words}")
+        best = min(before, current, key=lambda candidate: candidate.merit)
+        idle = 0 if best.merit < (1.0 - MIN_GAIN) * before.merit else idle + 1
+        if idle >= (MAX_IDLE_ROUNDS if best.clear else MAX_IDLE_ROUNDS_UNCLEAR):
             break
         if not best.clear:
             continue
-        within = best.duration <= (task.duration or GOOD * setting.alone)
-        nearly = best.duration <= (task.duration or NEARLY * setting.alone)
-        if within or (nearly and here.clear and idle):
+        good = best.duration <= (task.duration or GOOD_RATIO * setting.single_duration)
+        fair = best.duration <= (task.duration or FAIR_RATIO * setting.single_duration)
+        if good or (fair and current.clear and idle):
             break
     return best
 
 
-def _planes(setting: Setting, here: Evaluation, known: Indices) -> tuple[Planes, NDArray[np.bool_]]:
-    """Return the planes of the next program, those of the last one among them, and who moves (N,).
+def _planes(
+    setting: Setting, current: Evaluation, required: Indices
+) -> tuple[Planes, NDArray[np.bool_]]:
+    """Return the planes of the next program, also of required sides, and the mask (N,) of movers.
 
-    All do, but of LARGE crowds only those that are too close to others, as long as there are any.
+    In a LARGE_CROWD only drones move that are too close to others, as long as there are any.
     """
     task, separation = setting.task, setting.task.requirements.separation
-    pieces = setting.grid.pieces_of(here.coefficients)
-    few = task.drones >= LARGE and not here.clear
-    cutoff = 1.0 + MARGIN + (NARROW if few else REACH)
-    planes = planes_between(pieces, separation, cutoff, known)
+    pieces = setting.grid.pieces_of(current.coefficients)
+    crowded = task.drones >= LARGE_CROWD and not current.clear
+    cutoff = 1.0 + PLANE_MARGIN + (CROWD_PLANE_RANGE if crowded else PLANE_RANGE)
+    planes = planes_between(pieces, separation, cutoff, required)
     moving = np.ones(task.drones, dtype=np.bool_)
-    close = np.min(planes.gaps, axis=1) < 1.0 + MARGIN + CLOSE
-    if few and np.any(close):
+    close = np.min(planes.gaps, axis=1) < 1.0 + PLANE_MARGIN + CLOSE_RANGE
+    if crowded and np.any(close):
         moving[:] = False
         moving[planes.sides[close, 1:]] = True
-    reach = separation.radius + 2.0 * setting.trust
-    walls = [
-        walls_before(pieces, prism, separation.radius, reach)
+    distance = separation.radius + 2.0 * setting.trust
+    prisms = [
+        planes_to_prism(pieces, prism, separation.radius, distance)
         for prism in task.requirements.keep_out
     ]
-    return Planes._make(map(np.concatenate, zip(planes, *walls, strict=True))), moving
+    return Planes._make(map(np.concatenate, zip(planes, *prisms, strict=True))), moving
 
 
-def _last_resort(task: SeparationTask, tried: list[Evaluation], say: Progress) -> Separated:
-    """Return the fastest flight slowed to the given duration, or refuse with the time it takes."""
-    nearest = max(tried, key=lambda evaluation: evaluation.closest)
-    note = f"no route was found from {len(tried)} guesses; the search is local: others may exist"
+def _last_resort(
+    task: SeparationTask, evaluations: list[Evaluation], report: Progress
+) -> SeparationResult:
+    """Return the fastest flight at the prescribed duration, or raise InfeasibleError."""
+    nearest = max(evaluations, key=lambda evaluation: evaluation.closest)
+    note = f"no route was found from {len(evaluations)} guesses; "
+    note += "the search is local: others may exist"
     if task.duration is None:
-        raise InfeasibleError(nearest.broken, note)
-    say("searching for a feasible duration")
+        raise InfeasibleError(nearest.violations, note)
+    report("searching for a feasible duration")
     try:
-        fastest = SeparatedFlight(replace(task, duration=None)).solve(say)
+        fastest = SeparatedFlight(replace(task, duration=None)).solve(report)
     except InfeasibleError:
-        raise InfeasibleError(nearest.broken, note) from None
-    needed = fastest.drones.duration
-    if needed > task.duration:
-        raise InfeasibleError([_too_short(task, needed, "the fastest route found takes longer")])
-    return replace(fastest, drones=fastest.drones.stretched(task.duration / needed))
+        raise InfeasibleError(nearest.violations, note) from None
+    duration = fastest.drones.duration
+    if duration > task.duration:
+        raise InfeasibleError([_too_short(task, duration, "the fastest route found takes longer")])
+    return replace(fastest, drones=fastest.drones.stretched(task.duration / duration))
 
 
-def _too_short(task: SeparationTask, needed: float, which: str) -> Violation:
-    grain = 10.0 ** (math.floor(math.log10(needed)) - 3)  # rounded up
-    enough = grain * math.ceil(needed / grain * (1.0 + 1e-9))
-    remedy = f"{which}; allow {enough:.4g} s, or raise the limits"
+def _too_short(task: SeparationTask, duration: float, reason: str) -> Violation:
+    """Return the violation of a task whose prescribed duration is below a feasible one [s]."""
+    digit = 10.0 ** (math.floor(math.log10(duration)) - 3)
+    rounded_up = digit * math.ceil(duration / digit * (1.0 + 1e-9))
+    remedy = f"{reason}; allow {rounded_up:.4g} s, or raise the limits"
     limit = task.duration or math.nan
-    return Violation("duration", needed, limit, "max", "s", (), "", remedy)
+    return Violation("duration", duration, limit, "max", "s", (), "", remedy)
 
 
 STRETCH = 1.0 / LIMIT_SHARE
-"""Stretch of the shortest duration: a reserve for the rounding and refitting of exports."""
+"""Stretch of the shortest duration, a reserve for rounding and refitting in exports."""
 
-IDLE = 0.01
-"""[s] Duration where no drone moves."""
+MIN_DURATION = 0.01
+"""[s] Smallest duration, as of flights in which no drone moves."""
 
 REMEDY = "give more time or room, or move the drones concerned apart"
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """Bounds on curves that hold at every time.
+    """Continuous-time bounds of curves.
 
     Attributes
     ----------
     coefficients: (N, count, 3) [m].
-    duration: the shortest in which they keep speed, acceleration, jerk and body rate [s].
+    duration: shortest duration [s] within the limits of speed, acceleration, jerk and body rate.
     closest: lower bound of the smallest separation of any pair.
-    broken: violations that no duration removes; times are for ``duration``.
+    violations: those of any duration; their times refer to ``duration``.
     """
 
     coefficients: Array
     duration: float
     closest: float
-    broken: tuple[Violation, ...]
+    violations: tuple[Violation, ...]
 
     @property
     def clear(self) -> bool:
-        """Whether the curves, in their duration or a longer one, break nothing."""
-        return not self.broken
+        """Whether the curves satisfy all requirements in their duration or a longer one."""
+        return not self.violations
 
     @property
     def merit(self) -> float:
-        """Smaller for better curves; those that are not clear come last."""
-        return self.duration if self.clear else UNCLEAR * (2.0 - min(self.closest, 1.0))
+        """Value to be minimized; curves with violations come last."""
+        return self.duration if self.clear else UNCLEAR_MERIT * (2.0 - min(self.closest, 1.0))
 
 
 def evaluate(setting: Setting, coefficients: Array) -> Evaluation:
-    """Return the evaluation of curves, by the certificate's bounds that hold at every time."""
+    """Return the evaluation of curves by the certificate's continuous-time bounds."""
     task, unit = setting.task, setting.grid.curves(coefficients, 1.0)
-    factors = [IDLE]
+    factors = [MIN_DURATION]
     for order, cap in enumerate(setting.caps, start=1):
         shares = PiecewisePolynomial(unit.breaks, unit.coefficients / cap[:, None, None])
         factors.append(float(np.power(max(largest_rate(shares, order).worst, 0.0), 1.0 / order)))
-    limit, least = task.requirements.limits.body_rate, STRETCH * max(factors)
-    duration = turning_stretch(Swarm(task.drones), limit, (unit,), least)
+    limit, shortest = task.requirements.limits.body_rate, STRETCH * max(factors)
+    duration = turning_stretch(Swarm(task.drones), limit, (unit,), shortest)
     checks = _checks(task, unit.stretched(duration))
-    broken = (
+    violations = (
         check.violation(f"at t = {check.time:.4g} s of {duration:.4g} s", REMEDY)
         for check in checks
         if not check.holds
     )
     closest = next((check.bound for check in checks if check.name == "separation"), math.inf)
-    return Evaluation(coefficients, duration, closest, tuple(broken))
+    return Evaluation(coefficients, duration, closest, tuple(violations))
 
 
 def _checks(task: SeparationTask, curves: PiecewisePolynomial) -> list[Check]:
-    """Return the certificate's checks of curves that no duration changes, and of tethers."""
+    """Return the certificate's checks that do not depend on the duration, and that of tethers."""
     swarm = Swarm(task.drones)
     motion = Motion.single(swarm, task.requirements, curves, ())
     checks = [RULE_OF[name].check(motion) for name in ("separation", "arena", "keep_out")]
@@ -279,20 +285,20 @@ def _checks(task: SeparationTask, curves: PiecewisePolynomial) -> list[Check]:
     names = dict(zip(swarm.drone_names, task.names, strict=True))
 
     def named(check: Check) -> Check:
-        """Return the check with the task's names, also of the prism that is nearest."""
+        """Return the check with the task's names of drones and the nearest prism."""
         where = [names.get(name, name) for name in check.where]
         if check.name == "keep_out" and len(where) == 1:
             drone, prisms = swarm.drone_names.index(check.where[0]), task.requirements.keep_out
-            place = curves.at([check.time])[0, drone : drone + 1]
-            away = [float(prism.clearance(place).distance[0]) for prism in prisms]
-            where.append(task.prisms[int(np.argmin(away))])
+            point = curves.at([check.time])[0, drone : drone + 1]
+            distances = [float(prism.clearance(point).distance[0]) for prism in prisms]
+            where.append(task.prisms[int(np.argmin(distances))])
         return replace(check, where=tuple(where))
 
     return [named(check) for check in checks if check is not None]
 
 
 def _check_ends(task: SeparationTask) -> None:
-    """Raise InfeasibleError where starts or goals are too close, outside or within a prism."""
+    """Raise InfeasibleError if starts or goals are too close, outside the arena or in a prism."""
     ends = (task.start, "at the start (t = 0)"), (task.goal, "at the goals (the plan's end)")
     violations = [
         check.violation(when, "move the drones named there, or ease the limit")

@@ -1,4 +1,4 @@
-"""The separation planner's task and result, and the splines on a time grid that it works on."""
+"""The separation planner's task, result, and splines on a time grid."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ class SeparationTask:
     Parameters
     ----------
     start, goal: (N, 3) [m]
-    requirements: speed, acceleration and jerk of every drone, the ellipsoids, the arena and the
-        prisms that drones stay out of by ``separation.radius``; the rest is not used.
+    requirements: limits of speed, acceleration and jerk, ellipsoids, the arena, and prisms with a
+        distance of ``separation.radius``; the rest is not used.
     tethers: pairs of drones that hold one cable, and their largest distance [m].
-    duration: exact duration [s], or None for the shortest that is found.
-    acceleration: (N,) [m/s²]: what each drone can do, where that is less than the limit (thrust,
-        tilt), or None.
-    names: of the drones, for messages; none given: d0, d1, ….
-    prisms: names of the prisms, for messages; none given: prism 0, prism 1, ….
+    duration: prescribed duration [s], or None to minimize it.
+    acceleration: (N,) [m/s²]: usable acceleration of each drone (thrust, tilt), or None for the
+        limit.
+    names: of the drones, for messages; default d0, d1, ….
+    prisms: names of the prisms, for messages; default prism 0, prism 1, ….
 
     Raises
     ------
-    InputError: places or counts that do not fit, numbers that are not finite.
+    InputError: inconsistent shapes or counts, or numbers that are not finite.
     """
 
     start: Array
@@ -74,16 +74,16 @@ class SeparationTask:
 
 
 @dataclass(frozen=True, eq=False)
-class Separated:
-    """Curves that satisfy their task at every time, by bounds in continuous time.
+class SeparationResult:
+    """Curves that satisfy their task, by continuous-time bounds.
 
     Attributes
     ----------
-    drones: of shape (N, 3) [m], from start to goal, at rest (velocity and acceleration zero) at
-        both ends; position, velocity and acceleration are continuous to 1e-9 or better.
-    closest: no two drones' separation is smaller at any time (ratio).
-    bound: no flight of these drones, even alone, takes less [s].
-    remark: the priority rule that led to it.
+    drones: (N, 3) [m], from start to goal, with zero velocity and acceleration at both ends;
+        position, velocity and acceleration are continuous to 1e-9 or better.
+    closest: lower bound of the separation of any two drones (ratio).
+    bound: lower bound of the duration, from single straight flights [s].
+    remark: the priority rule of its initial guess.
     """
 
     drones: PiecewisePolynomial
@@ -93,21 +93,21 @@ class Separated:
 
 
 DEGREE = 5
-"""Degree of the curves, with which jerk is continuous as well."""
+"""Degree of the curves, whose jerk is continuous."""
 
-HELD = 3
-"""Number of coefficients at each end that hold position, zero velocity and acceleration."""
+END_COEFFICIENTS = 3
+"""Number of coefficients at each end, fixed by position, zero velocity and zero acceleration."""
 
-TRUST = 2.5
-"""Trust radius: largest move of a coefficient in one program, in drone radii."""
+TRUST_RATIO = 2.5
+"""Trust radius over the radius of drones."""
 
-WALL = 1e-9
-"""Distance of curves to an arena's walls, relative to its coordinates."""
+WALL_MARGIN = 1e-9
+"""Distance of curves to the arena's walls, relative to its coordinates."""
 
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """The span of time [0, 1] cut into pieces, and the splines on it.
+    """Pieces of the unit interval, and the splines on them.
 
     Attributes
     ----------
@@ -128,20 +128,20 @@ class Grid:
 
     @property
     def free(self) -> slice:
-        """The coefficients that the ends do not hold."""
-        return slice(HELD, self.count - HELD)
+        """The coefficients that are not fixed at the ends."""
+        return slice(END_COEFFICIENTS, self.count - END_COEFFICIENTS)
 
     @cached_property
     def splines(self) -> BSpline:
-        """The basis functions, a clamped spline each."""
+        """The basis functions, each a clamped spline."""
         ends = np.ones(DEGREE)
         return BSpline(np.concatenate([0.0 * ends, self.breaks, ends]), np.eye(self.count), DEGREE)
 
     @cached_property
     def extraction(self) -> Array:
-        """(pieces, DEGREE + 1, DEGREE + 1): maps a piece's coefficients to Bernstein ones.
+        """(pieces, DEGREE + 1, DEGREE + 1): maps a piece's coefficients to Bernstein coefficients.
 
-        Piece m is shaped by the spline's coefficients m … m + DEGREE.
+        Piece m depends on the spline's coefficients m … m + DEGREE.
         """
         each = PiecewisePolynomial.from_spline(self.splines)
         index = np.arange(self.pieces)[:, None] + np.arange(DEGREE + 1)
@@ -149,23 +149,23 @@ class Grid:
         return np.swapaxes(local, 1, 2)
 
     def sampled(self, s: Array, derivative: int = 0) -> Array:
-        """Return the basis functions, or a derivative of theirs, at ``s`` as (*s.shape, count)."""
+        """Return the basis functions (*s.shape, count), or their derivatives, at s."""
         return self.splines(np.clip(s, 0.0, 1.0), derivative)
 
-    def fitting(self, s: Array, stiffness: float = 0.0) -> Array:
-        """Return the map of values at ``s`` to the free coefficients that fit them best.
+    def fitting(self, s: Array, smoothing_time: float = 0.0) -> Array:
+        """Return the linear map of values at s to the free coefficients of the least-squares fit.
 
         Parameters
         ----------
-        stiffness: shortest bend that passes, as a share of the duration.
+        smoothing_time: time constant of a penalty on the third derivative, over the duration.
         """
-        free, bends = self.sampled(s)[:, self.free], self.sampled(s, 3)[:, self.free]
-        square = free.T @ free + stiffness**6 * bends.T @ bends
-        return np.asarray(np.linalg.solve(square, free.T), dtype=np.float64)
+        values, thirds = self.sampled(s)[:, self.free], self.sampled(s, 3)[:, self.free]
+        square = values.T @ values + smoothing_time**6 * thirds.T @ thirds
+        return np.asarray(np.linalg.solve(square, values.T), dtype=np.float64)
 
     @cached_property
     def energies(self) -> tuple[Array, Array]:
-        """Matrices (count, count) of a spline's mean square and of its third derivative's."""
+        """Matrices (count, count) of the mean squares of a spline and of its third derivative."""
         x, w = np.polynomial.legendre.leggauss(DEGREE + 1)  # exact for squares of splines
         h = np.diff(self.breaks)[:, None]
         s, weights = (self.breaks[:-1, None] + 0.5 * h * (x + 1.0)).ravel(), (0.5 * h * w).ravel()
@@ -174,9 +174,9 @@ class Grid:
 
     @cached_property
     def rates(self) -> list[Array]:
-        """Matrices (count - k, count), k = 1, 2, 3, to coefficients of the k-th derivative.
+        """Matrices (count - k, count) to the coefficients of the k-th derivative, k = 1, 2, 3.
 
-        A derivative lies within the hull of its coefficients.
+        A derivative is in the convex hull of its coefficients.
         """
         return [self.splines.derivative(k).c[: self.count - k] for k in (1, 2, 3)]
 
@@ -188,23 +188,23 @@ class Grid:
         return pieces
 
     def curves(self, coefficients: Array, duration: float) -> PiecewisePolynomial:
-        """Return the splines (N, count, 3) [m] flown in ``duration`` [s]."""
+        """Return the splines (N, count, 3) [m] with a duration [s]."""
         return PiecewisePolynomial(duration * self.breaks, self.pieces_of(coefficients))
 
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """A task on its grid.
+    """A task on a time grid.
 
     Attributes
     ----------
     task: starts, goals and requirements.
     grid: the pieces of time.
-    nominal: (N, count, 3) [m]: coefficients of the curves to stay near to.
-    caps: (3, N): largest norms of the first three derivatives of each drone, by time.
-    bound: no flight of all drones takes less [s].
-    alone: estimate of the longest flight on routes around prisms, without other drones [s].
-    size: the longest route [m], by which deviations are measured.
+    nominal: (N, count, 3) [m]: coefficients of the curves from which deviations are penalized.
+    caps: (3, N): limits of the first three time derivatives of each drone.
+    bound: lower bound of the duration, from straight flights [s].
+    single_duration: estimate of the longest single flight around prisms [s].
+    size: length of the longest route [m].
     """
 
     task: SeparationTask
@@ -212,18 +212,18 @@ class Setting:
     nominal: Array
     caps: Array
     bound: float
-    alone: float
+    single_duration: float
     size: float
 
     @property
     def trust(self) -> float:
-        """Trust region: largest move of a coefficient along an axis in one program [m]."""
-        return TRUST * self.task.requirements.separation.radius
+        """Trust radius: largest change of a coefficient along an axis in one program [m]."""
+        return TRUST_RATIO * self.task.requirements.separation.radius
 
 
 def inside(arena: Arena | None, points: Array) -> Array:
-    """Return points (…, 3) [m], clipped to the arena with a margin for rounding."""
+    """Return points (…, 3) [m] clipped to the arena, with a margin for rounding."""
     if arena is None:
         return points
-    room = WALL * (np.abs(arena.lower) + np.abs(arena.upper))
-    return np.clip(points, arena.lower + room, arena.upper - room)
+    margin = WALL_MARGIN * (np.abs(arena.lower) + np.abs(arena.upper))
+    return np.clip(points, arena.lower + margin, arena.upper - margin)
