@@ -26,7 +26,7 @@ from hitchopt.mission.others import OTHERS, Other
 from hitchopt.motion.plan_file import request_fields
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import check_placed
-from hitchopt.planners.carrying.planner import LOOSE
+from hitchopt.planners.carrying.planner import OPENING_TENSIONS
 from hitchopt.steps import STEP_KINDS, STEPS, FollowVertex, Form, Step, Transport
 from hitchopt.steps.carrying import TensionStep, goal_of
 from hitchopt.steps.moving import MoveStep

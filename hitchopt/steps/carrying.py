@@ -31,7 +31,12 @@ from hitchopt.planners.carrying.planner import (
     check_pull,
     one_phase,
 )
-from hitchopt.planners.carrying.polygons import ROOM, HoldPolygons, grip_polygons, rest_polygons
+from hitchopt.planners.carrying.polygons import (
+    OBJECT_MARGIN,
+    HoldPolygons,
+    grip_polygons,
+    rest_polygons,
+)
 from hitchopt.steps.moving import Morph, Transport
 from hitchopt.steps.step import (
     Knob,
@@ -229,7 +234,7 @@ class Enclose(Step):
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan to a hitch around the object."""
         requirements, hitch, team = task.requirements, task.hitch, task.before.team
-        body, gap = object_of(task, self.object), requirements.separation.object + ROOM
+        body, gap = object_of(task, self.object), requirements.separation.object + OBJECT_MARGIN
         if body.rim is None:
             polygons = grip_polygons(self.object, body, team, requirements, gap)
             altitude = float(body.at[2] + body.centre_of_mass[2])

@@ -153,7 +153,7 @@ def test_footings_do_not_depend_on_origins(away: float) -> None:
         ({"start": np.ones(4), "below": (0.05, 0.0)}, True),
         ({"end": np.array([1.0, 0.0, 0.0, 0.3])}, False),
         ({"tension": np.array([[1.0], [1.2]])}, False),
-        ({"borne": (0.0, 1.0)}, False),
+        ({"load_share": (0.0, 1.0)}, False),
         ({"closed": (0.0, 1.0)}, False),
         ({"lead": (0.0, 0.3)}, False),
     ],

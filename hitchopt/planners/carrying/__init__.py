@@ -1,1 +1,1 @@
-"""Holding and carrying of objects: polygons around them, holds, and moves of hitches with one."""
+"""Planners that hold and carry objects: polygons around them, holds, and moves."""

@@ -1,10 +1,10 @@
-"""A hitch that holds an object: below its rim, or with cables wrapped around it; its curves.
+"""Curves of a hitch that holds an object, below its rim or with cables wrapped around it.
 
-All is computed in the object's frame, in which legs follow from the forces on clasps. A rim rests
-on clasps by the law of ``hitchopt.motion.loads``. A grip holds by friction: every cable pulls
-equally along its whole edge; edges slope from the clasps down to the plane of contact and so carry
-the weight. While the object is off its support all clasps are ahead of it by millimetres, so that
-edges pull it along: level forces come from where edges bend, and need no friction.
+Computations are in the object's frame, in which legs follow from the forces on clasps. A rim rests
+on clasps by the law of ``hitchopt.motion.loads``. A grip holds by friction, with the same tension
+along a cable's whole edge; edges descend from the clasps to the plane of contact and so carry the
+weight. While the object is off its support all clasps lead it by millimetres: horizontal forces act
+where edges bend, without friction.
 """
 
 from __future__ import annotations
@@ -50,26 +50,26 @@ from hitchopt.values import Array
 
 
 def polygon_at(body: SolidObject, vertices: Array) -> ConvexPolygon:
-    """Return a polygon (n, 2) [m] in an object's frame as seen from the world."""
-    flat = np.column_stack([vertices, np.zeros(len(vertices))])
-    return ConvexPolygon(in_world(body.pose, flat)[:, :2])
+    """Return a polygon (n, 2) [m] of an object's frame in the world frame."""
+    points = np.column_stack([vertices, np.zeros(len(vertices))])
+    return ConvexPolygon(in_world(body.pose, points)[:, :2])
 
 
 def leg_chords(
-    team: Team, lengths: Array, directions: tuple[Array, Array], factors: Array, places: Array
+    team: Team, lengths: Array, directions: tuple[Array, Array], factors: Array, clasps: Array
 ) -> tuple[Array, Array]:
-    """Return drones (…, 2n, 3) [m] and the legs' chords (…, n, 2) [m].
+    """Return drones (…, 2n, 3) [m] and the lengths of the legs' chords (…, n, 2) [m].
 
     Parameters
     ----------
-    lengths: (…, n, 2) [m], cable in the legs q and r.
-    directions: of these, (…, n, 3) each.
-    factors: (…, n) [1/m²], as of ``sag_factors``.
-    places: (…, n, 3) [m], clasps.
+    lengths: (…, n, 2) [m], cable lengths of q- and r-legs.
+    directions: of q- and r-legs, (…, n, 3) each.
+    factors: (…, n) [1/m²], those of ``sag_factors``.
+    clasps: (…, n, 3) [m]
     """
     legs = (leg_vectors(lengths[..., i], directions[i], factors) for i in (0, 1))
     both = np.stack([*legs], axis=-2)
-    anchors = places[..., team.layout.anchors, :].reshape(*places.shape[:-2], *both.shape[-3:])
+    anchors = clasps[..., team.layout.anchors, :].reshape(*clasps.shape[:-2], *both.shape[-3:])
     return (anchors + both).reshape(*both.shape[:-3], -1, 3), length(both)
 
 
@@ -79,12 +79,12 @@ class Hold(ABC):
 
     Attributes
     ----------
-    team: who flies.
+    team: of the hitch.
     body: the object.
-    closed: (n, 2) [m], the clasps.
-    height: of their contact with it above its base [m].
-    fractions: (n,), how slack is split, ``d_k / (d_k + e_k)``.
-    roll: (n,) [rad], of the legs, as of ``Hitch``.
+    closed: (n, 2) [m], the clasps that hold it.
+    height: of the plane of contact above the object's base [m].
+    fractions: (n,), slack split ``d_k / (d_k + e_k)``.
+    roll: (n,) [rad], of the legs, as in ``Hitch``.
     """
 
     by: ClassVar[HoldBy]
@@ -97,26 +97,23 @@ class Hold(ABC):
 
     @property
     def largest_acceleration(self) -> float:
-        """Largest acceleration [m/s²] of the object, besides what the certificate bounds."""
+        """Largest acceleration [m/s²] of the object, in addition to the certificate's limits."""
         return np.inf
 
     @property
     def reach(self) -> float:
-        """Largest level distance [m] of a drone from the object's origin without a load."""
-        pulls, origin = np.stack([self.team.tension, self.team.tension]), np.zeros(4)
-        rest = Move(origin, origin, pulls, (0.0, 0.0), SmoothLaw(1.0))
+        """Largest horizontal distance [m] of a drone from the object's origin without a load."""
+        tensions, origin = np.stack([self.team.tension, self.team.tension]), np.zeros(4)
+        rest = Move(origin, origin, tensions, (0.0, 0.0), SmoothLaw(1.0))
         drones = self.curves(rest, np.zeros(1))["drones"]
         return float(np.max(np.linalg.norm(drones[..., :2], axis=-1)))
 
-    def drop(self, tension: Array, borne: Array | float) -> Array:
-        """Return the depth (…) [m] of vertices below the clasps' contact with the object."""
-        return 0.0 * tension[..., 0] * borne
+    def drop(self, tension: Array, load_share: Array | float) -> Array:
+        """Return the depth (…) [m] of vertices below the plane of contact."""
+        return 0.0 * tension[..., 0] * load_share
 
     def hitch(self, body: SolidObject, depth: float = 0.0) -> Hitch:
-        """Return the hitch as if it carried nothing, with the object at ``body``.
-
-        Its vertices are ``depth`` [m] below their height in the hold.
-        """
+        """Return the unloaded hitch about ``body``, ``depth`` [m] below the plane of contact."""
         polygon, altitude = polygon_at(body, self.closed), float(body.at[2]) + self.height - depth
         q_legs = self.fractions * cable_slack(self.team, polygon)
         return Hitch(self.team, polygon, altitude, q_legs, self.roll)
@@ -131,27 +128,26 @@ class Hold(ABC):
         """
 
     def motion(self, move: Move, requirements: Requirements, phase: Phase) -> Motion:
-        """Return the motion of a move as one phase; all other objects stay where they stand."""
+        """Return the motion of a move as one phase; all other objects are at rest."""
         parts: dict[str, Any] = polynomials(move, lambda t: self.curves(move, t))
         assert phase.hold is not None
         index = list(requirements.objects).index(phase.hold.object)
         breaks = parts["pose"].breaks
-        pose, borne = parts.pop("pose").coefficients, parts["borne"].coefficients
+        pose, share = parts.pop("pose").coefficients, parts["borne"].coefficients
         poses = np.repeat(poses_of(requirements.objects)[None, :, :, None], len(pose), axis=0)
         poses = np.repeat(poses, pose.shape[-1], axis=-1)
         poses[:, index] = pose
-        shares = np.zeros((len(borne), len(requirements.objects), borne.shape[-1]))
-        shares[:, index] = np.clip(borne, 0.0, 1.0)  # polynomials overshoot by 1e-6
+        shares = np.zeros((len(share), len(requirements.objects), share.shape[-1]))
+        shares[:, index] = np.clip(share, 0.0, 1.0)  # polynomials overshoot by 1e-6
         parts["poses"], parts["borne"] = (PiecewisePolynomial(breaks, c) for c in (poses, shares))
         phases = (phase.retimed(0.0, move.law.duration),)
         return Motion(self.team, requirements, **parts, phases=phases)
 
 
 MAX_REST_ACCELERATION, USED_SHARE = 0.4, 0.8
-"""[m/s²] Largest acceleration of an object at rest on clasps, and used share of the acceleration
-that friction and supports allow. At 1 m/s² simulated clasps without friction of cables on each
-other slid on a rim by 3 to 8 cm as the carrying began: drones follow with a lag, and little force
-moves such clasps."""
+"""[m/s²] Largest acceleration of an object that rests on clasps, and used share of the acceleration
+that friction and supports permit. At 1 m/s² simulated clasps without clasp friction slid on a rim
+by 3 to 8 cm at the start of a carry, since drones lag and small forces move such clasps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,13 +157,13 @@ class RestHold(Hold):
     by: ClassVar[HoldBy] = HoldBy.REST
 
     @property
-    def places(self) -> Array:
-        """(n, 3) [m], the clasps below the rim."""
+    def clasps(self) -> Array:
+        """(n, 3) [m]: the clasps below the rim."""
         return np.column_stack([self.closed, np.full(len(self.closed), self.height)])
 
     @property
     def supports(self) -> Supports:
-        """How clasps share the object's mass."""
+        """Distribution of the object's mass over the clasps."""
         return Supports.at(self.closed, self.body.centre_of_mass[:2])
 
     @property
@@ -177,15 +173,15 @@ class RestHold(Hold):
 
     @property
     def largest_acceleration(self) -> float:
-        """Largest acceleration [m/s²] by friction and supports, MAX_REST_ACCELERATION at most."""
+        """Largest acceleration [m/s²] with friction and supports, at most MAX_REST_ACCELERATION."""
         _, offsets = sides_of(self.closed - self.body.centre_of_mass[:2])
         tipping = GRAVITY * float(np.min(offsets)) / max(abs(self._mass_height), 1e-9)
         sliding = self.body.friction * GRAVITY
         return min(MAX_REST_ACCELERATION, USED_SHARE * min(sliding, tipping))
 
-    def drop(self, tension: Array, borne: Array | float) -> Array:
+    def drop(self, tension: Array, load_share: Array | float) -> Array:
         """Return the depth (…) [m] of vertices below the rim that bends their legs."""
-        return rim_drop(self.team, self.body, self.closed, tension, borne)
+        return rim_drop(self.team, self.body, self.closed, tension, load_share)
 
     def drones(
         self,
@@ -200,91 +196,88 @@ class RestHold(Hold):
         ----------
         tension: (…, n) [N]
         forces: (…, n, 3) [N], of the object on clasps, in its frame.
-        strut: (…), share of edges' pulls that the rim takes; None if loads hang at clasps.
-        saved: (…, n, 2) [m], lengths of straight legs over those that the rim bends.
+        strut: (…), share of edges' pulls that the rim carries; None if loads hang at clasps.
+        saved: (…, n, 2) [m], lengths that legs gain because the rim bends them.
 
         Raises
         ------
         InfeasibleError: forces that the tensions cannot carry.
         """
         team = self.team
-        edges = np.roll(self.places, -1, axis=0) - self.places
+        edges = np.roll(self.clasps, -1, axis=0) - self.clasps
         slack = cable_slack_of(team, edges, tension)
         q_legs = self.fractions * slack
         own = clasp_loads(team, q_legs, slack, self.roll)
-        none = np.zeros((*forces.shape[:-1], 2))
-        halves, edge_halves = (none, none) if own is None else (own.halves, own.edges)
+        zeros = np.zeros((*forces.shape[:-1], 2))
+        halves, edge_halves = (zeros, zeros) if own is None else (own.halves, own.edges)
         total = forces if own is None else forces + own.forces
-        left, pulls = tension, None
+        edge_tension, leg_pulls = tension, None
         if strut is not None:
             edge_halves = (1.0 - strut[..., None, None]) * edge_halves
             legs = np.broadcast_to(tension, forces.shape[:-1])
-            left, pulls = (1.0 - strut[..., None]) * legs, np.stack([legs, legs], axis=-1)
+            edge_tension = (1.0 - strut[..., None]) * legs
+            leg_pulls = np.stack([legs, legs], axis=-1)
         roll = np.broadcast_to(self.roll, forces.shape[:-1])
         loads = ClaspLoads(total, halves, roll, edge_halves)
         along = np.broadcast_to(unit(edges), forces.shape)
-        directions = leg_directions(along, left, team.topology, loads, None, pulls)
+        directions = leg_directions(along, edge_tension, team.topology, loads, None, leg_pulls)
         lengths = np.stack([q_legs, slack - q_legs], axis=-1) + saved
-        return leg_chords(team, lengths, directions, sag_factors(team, tension), self.places)
+        return leg_chords(team, lengths, directions, sag_factors(team, tension), self.clasps)
 
     def check_unbent(self, tension: Array) -> None:
-        """Raise InfeasibleError if legs that no rim bends do not carry the object's mass.
-
-        Bent over a rim they would, more steeply.
-        """
-        forces = np.zeros(self.places.shape)
+        """Raise InfeasibleError if legs that the rim does not bend cannot carry the object."""
+        forces = np.zeros(self.clasps.shape)
         forces[:, 2] = -GRAVITY * self.body.mass * self.supports.shares
         self.drones(tension, forces)
 
     def curves(self, move: Move, t: Array) -> dict[str, Array]:
         """Return all curves of a move at times t (…) [s]."""
         course, team, body, supports = move.course(t), self.team, self.body, self.supports
-        forces = np.zeros((*t.shape, *self.places.shape))
+        forces = np.zeros((*t.shape, *self.clasps.shape))
         if move.lifted:
-            pulled = course.accelerations(self.places) + np.array([0.0, 0.0, GRAVITY])
-            forces = -body.mass * supports.shares[:, None] * pulled
+            accelerations = course.accelerations(self.clasps) + np.array([0.0, 0.0, GRAVITY])
+            forces = -body.mass * supports.shares[:, None] * accelerations
             centre = course.accelerations(body.centre_of_mass[None])[..., 0, :2]
             forces[..., 2] += body.mass * self._mass_height * (centre @ supports.gains.T)
         else:
-            forces[..., 2] = -course.borne[..., None] * (GRAVITY * body.mass * supports.shares)
-        tension, borne = course.tension, course.borne
-        edges, squared = length(np.roll(self.places, -1, axis=0) - self.places), borne**2
+            forces[..., 2] = -course.load_share[..., None] * (GRAVITY * body.mass * supports.shares)
+        tension, share = course.tension, course.load_share
+        edges, squared = length(np.roll(self.clasps, -1, axis=0) - self.clasps), share**2
         strut = squared * strut_share(team, body.mass, edges, tension)
         saved = squared[..., None, None] * rim_savings(team, body, self.closed, tension)
         drones, legs = self.drones(tension, forces, strut, saved)
-        below = course.between(*move.below) + self.drop(tension, borne)
-        lower = np.stack([0 * below, 0 * below, below], axis=-1)[..., None, :]
-        places = np.broadcast_to(self.places, (*t.shape, *self.places.shape))
-        # Clasps that are not at the rim move on their own, as the object does not.
+        depth = course.between(*move.below) + self.drop(tension, share)
+        down = np.stack([0 * depth, 0 * depth, depth], axis=-1)[..., None, :]
+        clasps = np.broadcast_to(self.clasps, (*t.shape, *self.clasps.shape))
         return {
-            "drones": in_world(course.pose[..., None, :], drones - lower),
-            "vertices": in_world(course.pose[..., None, :], places - lower),
+            "drones": in_world(course.pose[..., None, :], drones - down),
+            "vertices": in_world(course.pose[..., None, :], clasps - down),
             "legs": legs,
             "tensions": tension,
             "pose": course.pose,
-            "borne": borne,
+            "borne": share,
         }
 
 
-MAX_PASSES, CONVERGED = 20, 1e-12
-"""Maximum Newton steps for places and heights of clasps; steps [m] that are smaller end them."""
+MAX_NEWTON_STEPS, STEP_TOLERANCE = 20, 1e-12
+"""Maximum number of Newton steps for clasps, and size of the last one [m]."""
 
-SAME_EVENT, PAST_EVENT = 1e-6, 3e-6
-"""Shares of the path that are nearer to each other are one event; so far from one it is over."""
+EVENT_TOLERANCE, PAST_EVENT = 1e-6, 3e-6
+"""Shares of the path: distance of distinct events, and distance beyond an event."""
 
-SCAN, BISECTIONS = 400, 60
-"""Samples of the path from around the object to the grip at which edges are compared, and steps by
-which an event between two samples is located."""
+PATH_SAMPLES, BISECTIONS = 400, 60
+"""Samples of the path from around the object to the grip at which edges are compared, and steps
+that locate an event between two samples."""
 
 
 @dataclass(frozen=True, eq=False)
 class GripHold(Hold):
-    """A hitch that closes around an object and grips it; its legs are not rolled.
+    """A hitch that closes around an object and grips it, without roll.
 
     Attributes
     ----------
     around: (n, 2) [m], clasps around the object.
-    open_fractions: (n,), how slack is split there.
+    open_fractions: (n,), slack split there.
     """
 
     by: ClassVar[HoldBy] = HoldBy.GRIP
@@ -300,9 +293,9 @@ class GripHold(Hold):
     def events(self) -> Array:
         """Shares in (0, 1) of the path at which an edge meets the object or another corner.
 
-        There legs begin to turn: drones have to rest.
+        There legs start to turn, so that drones rest.
         """
-        shares = np.linspace(0.0, 1.0, SCAN + 1)
+        shares = np.linspace(0.0, 1.0, PATH_SAMPLES + 1)
         bends, events = self._bends(shares), list[float]()
         for i in np.flatnonzero(bends[1:].differ(bends[:-1])):
             share, last = shares[i], bends[i + 1]
@@ -310,18 +303,19 @@ class GripHold(Hold):
                 low, high = share, shares[i + 1]
                 for _ in range(BISECTIONS):
                     middle = 0.5 * (low + high)
-                    same = not self._bends(middle).differ(before)
-                    low, high = (middle, high) if same else (low, middle)
+                    equal = not self._bends(middle).differ(before)
+                    low, high = (middle, high) if equal else (low, middle)
                 events.append(high)
                 share = high
-        return np.array(events)[np.diff(events, prepend=-1.0) > SAME_EVENT]
+        return np.array(events)[np.diff(events, prepend=-1.0) > EVENT_TOLERANCE]
 
     def largest_push(self, tension: Array) -> float:
-        """Return the largest level force [N] of edges on an object that stands.
+        """Return the largest horizontal force [N] of edges on a standing object.
 
-        With tensions (n,) [N]; edges do not come to touch it all at once.
+        With tensions (n,) [N]. It is not zero because edges touch the object one after the other.
         """
-        wraps = wraps_around(self.body.section, self._polygon(np.linspace(0.0, 1.0, SCAN + 1)))
+        shares = np.linspace(0.0, 1.0, PATH_SAMPLES + 1)
+        wraps = wraps_around(self.body.section, self._polygon(shares))
         force = np.sum(tension[:, None] * (wraps.arriving - wraps.leaving), axis=-2)
         return float(np.max(length(force)))
 
@@ -336,18 +330,18 @@ class GripHold(Hold):
         return np.asarray(self.around + np.asarray(share)[..., None, None] * path)
 
     def _bends(self, share: Array | float) -> Bends:
-        """Return the corners (…, n) about which edges bend at shares (…) of the path."""
+        """Return the bends (…, n) of edges at shares (…) of the path."""
         return wraps_around(self.body.section, self._polygon(share)).bends
 
     def _seam(self, share: float, bends: Bends) -> Array:
-        """Return half of the change of spans (n,) [m³] if edges bend about other corners.
+        """Return half of the jump of spans (n,) [m³] at an event, from a move with these bends.
 
-        Where an edge meets another corner, the straight part that sags is longer or shorter at
-        once; moves before and after it, which ends at ``share``, meet halfway.
+        The length of the straight part that sags jumps where an edge meets another corner. The
+        moves before and after such an event at ``share`` meet halfway.
         """
         polygon = self._polygon(share)
-        beyond = self._bends(np.clip(share + PAST_EVENT * np.array([-1.0, 1.0]), 0.0, None))
-        others = [each for each in (beyond[0], beyond[1]) if each.differ(bends)]
+        nearby = self._bends(np.clip(share + PAST_EVENT * np.array([-1.0, 1.0]), 0.0, None))
+        others = [each for each in (nearby[0], nearby[1]) if each.differ(bends)]
         spans = []
         for each in (bends, *others[:1]):
             contacts = wraps_around(self.body.section, polygon, each).contacts
@@ -357,17 +351,17 @@ class GripHold(Hold):
     def curves(self, move: Move, t: Array) -> dict[str, Array]:
         """Return all curves of a move at times t (…) [s].
 
-        Legs that lead pull with the tension, and edges with ``exp(-s μ θ)`` of that: s is the share
-        of clasp friction, and θ the angle by which both of its cables turn at a clasp, the mean of
-        the angles that edges and legs enclose.
+        With friction feed-forward, legs have the tension T and edges ``exp(-s μ θ) T``. Here s is
+        the share of clasp friction, and θ the angle by which both cables turn at a clasp, the mean
+        of the angles between edges and between legs.
         """
         course, team = move.course(t), self.team
         share, T = course.between(*move.closed), course.tension
-        pulls, leading = np.stack([T, T], axis=-1), move.lead != (0.0, 0.0)
+        pulls, has_lead = np.stack([T, T], axis=-1), move.lead != (0.0, 0.0)
         bends = self._bends(0.5 * sum(move.closed))
         polygon, z, wraps = self._balanced(move, course, self._polygon(share), bends)
         leaving, arriving = straight_parts(polygon, wraps.contacts, z)
-        if leading:
+        if has_lead:
             lead = course.between(*move.lead)
             T = T * edge_ratios(team.cable_friction * lead, wraps.clasp_angles)
         factors, edges = sag_factors(team, T), wraps.arcs + (length(leaving) + length(arriving))
@@ -381,66 +375,67 @@ class GripHold(Hold):
         split = self.open_fractions + share[..., None] * (self.fractions - self.open_fractions)
         q_legs = split * slack
         loads, onward = clasp_loads(team, q_legs, slack, None), unit(arriving)
-        own = pulls if leading else None
-        directions = leg_directions(unit(leaving), T, team.topology, loads, onward, own)
-        places = np.concatenate([polygon, self.height + z[..., None]], axis=-1)
+        leg_pulls = pulls if has_lead else None
+        directions = leg_directions(unit(leaving), T, team.topology, loads, onward, leg_pulls)
+        clasps = np.concatenate([polygon, self.height + z[..., None]], axis=-1)
         lengths = np.stack([q_legs, slack - q_legs], axis=-1)
-        drones, legs = leg_chords(team, lengths, directions, factors, places)
-        level = np.full((*wraps.contacts.shape[:-1], 1), self.height)
-        contacts = np.concatenate([wraps.contacts, level], axis=-1)
+        drones, legs = leg_chords(team, lengths, directions, factors, clasps)
+        heights = np.full((*wraps.contacts.shape[:-1], 1), self.height)
+        contacts = np.concatenate([wraps.contacts, heights], axis=-1)
         pose = course.pose[..., None, :]
         return {
             "drones": in_world(pose, drones),
-            "vertices": in_world(pose, places),
+            "vertices": in_world(pose, clasps),
             "legs": legs,
             "tensions": T,
             "contacts": in_world(pose[..., None, :], contacts),
             "pose": course.pose,
-            "borne": course.borne,
-        } | ({"leg_tensions": pulls} if leading else {})
+            "borne": course.load_share,
+        } | ({"leg_tensions": pulls} if has_lead else {})
 
     def _balanced(
         self, move: Move, course: Course, planned: Array, bends: Bends
     ) -> tuple[Array, Array, Wraps]:
         """Return clasps (…, n, 2) [m], their heights (…, n) [m], and edges that bear the load.
 
-        Edges of an object that stands bear level forces in proportion to its weight on them.
+        While the object stands, edges bear horizontal forces in proportion to their load share.
         """
-        section, T, borne = self.body.section, course.tension, course.borne
+        section, T, share = self.body.section, course.tension, course.load_share
         polygon, z = planned, np.zeros(planned.shape[:-1])
         wraps = wraps_around(section, polygon, bends)
-        if not np.any(borne):
+        if not np.any(share):
             return polygon, z, wraps
-        load = np.zeros((*borne.shape, 3))
-        load[..., 2] = GRAVITY * borne
+        load = np.zeros((*share.shape, 3))
+        load[..., 2] = GRAVITY * share
         if move.lifted:
             load += course.accelerations(self.body.centre_of_mass[None])[..., 0, :]
         load, centre = self.body.mass * load, self.body.centre_of_mass[:2]
-        for _ in range(MAX_PASSES):
+        for _ in range(MAX_NEWTON_STEPS):
             before = np.concatenate([polygon - centre, z[..., None]], axis=-1)
             arms = wraps.contacts - centre
-            after = balanced(before, T, arms, load, (planned - centre, borne))
+            after = balanced(before, T, arms, load, (planned - centre, share))
             polygon, z = centre + after[..., :2], after[..., 2]
             wraps = wraps_around(section, polygon, bends)
-            if np.max(np.abs(after - before)) < CONVERGED:
+            if np.max(np.abs(after - before)) < STEP_TOLERANCE:
                 break
         else:
-            _check_balance(straight_parts(polygon, wraps.contacts, z), T, load, borne)
+            _check_balance(straight_parts(polygon, wraps.contacts, z), T, load, share)
         return polygon, z, wraps
 
 
-def _check_balance(parts: tuple[Array, Array], T: Array, load: Array, borne: Array) -> None:
+def _check_balance(parts: tuple[Array, Array], T: Array, load: Array, load_share: Array) -> None:
     """Raise InfeasibleError if edges do not bear a load (…, 3) [N].
 
     Parameters
     ----------
     parts: (…, n, 3) [m], straight parts of edges at ``p_k`` and at ``p_{k+1}``.
-    borne: (…), the share of the object that they bear; below 1 its support bears level forces too.
+    T: (…, n) [N], tensions of edges.
+    load_share: (…), of edges; below 1 the object's support bears horizontal forces too.
     """
     leaving, arriving = parts
-    lacking = np.sum(T[..., None] * (unit(arriving) - unit(leaving)), axis=-2) - load
-    lacking[..., :2] *= (borne == 1.0)[..., None]
-    worst = float(np.max(length(lacking) / np.min(T, axis=-1)))
+    residual = np.sum(T[..., None] * (unit(arriving) - unit(leaving)), axis=-2) - load
+    residual[..., :2] *= (load_share == 1.0)[..., None]
+    worst = float(np.max(length(residual) / np.min(T, axis=-1)))
     if worst > BALANCE_LIMIT:
         remedy = "lower the object's mass, raise the tension, or use more robots"
         when = "where edges bear the object"
@@ -450,6 +445,6 @@ def _check_balance(parts: tuple[Array, Array], T: Array, load: Array, borne: Arr
 
 
 def _span(leaving: Array, arriving: Array) -> Array:
-    """Return the length of edges' straight parts (…, n), times their level span squared [m³]."""
-    whole, free = leaving + arriving, length(leaving) + length(arriving)
-    return np.asarray(free * (whole[..., 0] ** 2 + whole[..., 1] ** 2))
+    """Return lengths of edges' straight parts times their squared horizontal spans (…, n) [m³]."""
+    total, straight = leaving + arriving, length(leaving) + length(arriving)
+    return np.asarray(straight * (total[..., 0] ** 2 + total[..., 1] ** 2))

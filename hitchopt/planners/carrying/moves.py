@@ -1,7 +1,7 @@
-"""Moves of a hitch with an object, and their curves as polynomials: at rest, pulling, or flying.
+"""Moves of a hitch with an object, and their curves as polynomials.
 
-They follow a law of motion whose first four derivatives are continuous: legs tilt with the
-acceleration of the load, so drones accelerate with its fourth derivative.
+Their law of motion has four continuous derivatives: legs tilt with the acceleration of the load, so
+that drones accelerate with its fourth derivative.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from hitchopt.values import Array
 STEP = np.polynomial.Polynomial([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])
 """A step from 0 to 1 with three zero derivatives at its ends."""
 
-STEEPEST, BENDING = 2.1875, 7.52
+MAX_STEP_SLOPE, MAX_STEP_CURVATURE = 2.1875, 7.52
 """Largest first and second derivative of that step."""
 
 RAMP_PIECES = 10
-"""Pieces of a ramp: between them legs follow their clasps' balance within 1e-4 of the tension."""
+"""Number of pieces of a ramp, which approximate the clasps' balance to 1e-4 of the tension."""
 
 
 @dataclass(frozen=True)
 class SmoothLaw:
-    """A share from 0 to 1: its speed rises, is constant, and falls.
+    """A progress from 0 to 1 with a rising, a constant and a falling speed.
 
     Attributes
     ----------
@@ -40,9 +40,10 @@ class SmoothLaw:
 
     @classmethod
     def fastest(cls, speed: float, acceleration: float, jerk: float) -> SmoothLaw:
-        """Return the fastest law within limits of the share's derivatives [1/s], [1/s²], [1/s³]."""
-        top = min(speed, math.sqrt(acceleration / STEEPEST), (jerk / BENDING) ** (1.0 / 3.0))
-        ramp = max(STEEPEST * top / acceleration, math.sqrt(BENDING * top / jerk))
+        """Return the fastest law with these limits of derivatives [1/s], [1/s²], [1/s³]."""
+        slope, curvature = MAX_STEP_SLOPE, MAX_STEP_CURVATURE
+        top = min(speed, math.sqrt(acceleration / slope), (jerk / curvature) ** (1.0 / 3.0))
+        ramp = max(slope * top / acceleration, math.sqrt(curvature * top / jerk))
         return cls(ramp, max(1.0 / top - ramp, 0.0))
 
     @property
@@ -55,11 +56,11 @@ class SmoothLaw:
         return SmoothLaw(factor * self.ramp, factor * self.cruise)
 
     def breaks(self, longest: float) -> Array:
-        """Return times (pieces + 1,) [s] from 0 on: pieces of the ramps and of the cruise.
+        """Return the breakpoints (pieces + 1,) [s] of the ramps and of the cruise, from 0 on.
 
         Parameters
         ----------
-        longest: duration of a piece of the cruise [s].
+        longest: largest duration of a piece of the cruise [s].
         """
         ramp = np.linspace(0.0, self.ramp, RAMP_PIECES + 1)
         pieces = max(1, math.ceil(self.cruise / longest))
@@ -70,7 +71,7 @@ class SmoothLaw:
         return breaks
 
     def jet(self, t: Array) -> Array:
-        """Return the share and its first two derivatives at times t (…) [s], as (…, 3)."""
+        """Return the progress and its first two derivatives (…, 3) at times t (…) [s]."""
         top = 1.0 / (self.ramp + self.cruise)
         rise = np.clip(t / self.ramp, 0.0, 1.0)
         fall = np.clip((t - self.ramp - self.cruise) / self.ramp, 0.0, 1.0)
@@ -84,24 +85,24 @@ class SmoothLaw:
 
 @dataclass(frozen=True, eq=False)
 class Move:
-    """All that changes in a span of time, by one share from 0 to 1.
+    """Linear changes of state variables with one progress from 0 to 1.
 
     Attributes
     ----------
     start, end: (4,) x, y, z [m] of the object's base and its yaw [rad], which the clasps follow.
     tension: (2, n) [N], before and after.
-    borne: share of the object's weight on clasps before and after.
+    load_share: share of the object's weight on clasps before and after.
+    law: of the progress.
     below: depth of the clasps below the rim before and after [m]; 0 if they touch it.
-    law: of the share.
-    closed: closure of a hitch that grips before and after: 0 around the object, 1 in its grip.
-    lead: share of clasp friction that legs overcome before and after by pulling harder than edges,
-        so that clasps close; negative while they open.
+    closed: closure of a gripping hitch before and after: 0 around the object, 1 in its grip.
+    lead: friction feed-forward before and after, as a share of clasp friction: legs pull harder
+        than edges, so that clasps close; negative while they open.
     """
 
     start: Array
     end: Array
     tension: Array
-    borne: tuple[float, float]
+    load_share: tuple[float, float]
     law: SmoothLaw
     below: tuple[float, float] = (0.0, 0.0)
     closed: tuple[float, float] = (1.0, 1.0)
@@ -109,13 +110,14 @@ class Move:
 
     @property
     def lifted(self) -> bool:
-        """Whether the object is off its support all the time."""
-        return self.borne == (1.0, 1.0)
+        """Whether the object is off its support at all times."""
+        return self.load_share == (1.0, 1.0)
 
     @property
     def steady(self) -> bool:
-        """Whether the object or the clasps go straight on while all loads and shapes remain."""
-        pairs = (self.tension, self.borne, self.closed, self.lead, (self.start[3], self.end[3]))
+        """Whether the object or the clasps move straight, with constant loads and shapes."""
+        yaw = self.start[3], self.end[3]
+        pairs = self.tension, self.load_share, self.closed, self.lead, yaw
         travels = bool(np.any(self.start != self.end)) or self.below[0] != self.below[1]
         return travels and all(np.array_equal(before, after) for before, after in pairs)
 
@@ -126,82 +128,81 @@ class Move:
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """The state of an object in the course of a move, at times (…).
+    """The state of an object during a move, at times (…).
 
     Attributes
     ----------
-    move: what changes.
-    share, speed, acceleration: (…), of the move, and its derivatives [1/s], [1/s²].
+    move: the move.
+    progress, speed, acceleration: (…), progress of the move and its derivatives [1/s], [1/s²].
     """
 
     move: Move
-    share: Array
+    progress: Array
     speed: Array
     acceleration: Array
 
     def between(self, before: Array | float, after: Array | float) -> Array:
-        """Return (…) or (…, k) the value of what changes from one value or (k,) to another."""
-        share = self.share if np.ndim(after) == 0 else self.share[..., None]
-        return np.asarray(before + share * (np.asarray(after) - before))
+        """Return interpolated values (…) or (…, k) between two values, scalars or (k,)."""
+        progress = self.progress if np.ndim(after) == 0 else self.progress[..., None]
+        return np.asarray(before + progress * (np.asarray(after) - before))
 
     @property
     def pose(self) -> Array:
-        """(…, 5): of the object."""
+        """(…, 5): pose of the object, x, y, z [m] and cosine and sine of its yaw."""
         place = self.between(self.move.start, self.move.end)
         yaw = place[..., 3:]
         return np.concatenate([place[..., :3], np.cos(yaw), np.sin(yaw)], axis=-1)
 
     @property
-    def borne(self) -> Array:
+    def load_share(self) -> Array:
         """(…): share of the object's weight on clasps."""
-        return self.between(*self.move.borne)
+        return self.between(*self.move.load_share)
 
     @property
     def tension(self) -> Array:
-        """(…, n) [N]: of cables."""
+        """(…, n) [N]: tensions of cables."""
         return self.between(*self.move.tension)
 
     def accelerations(self, points: Array) -> Array:
         """Return accelerations (…, k, 3) [m/s²] of points (k, 3) of the object, in its frame."""
         x, y, offset = points[:, 0], points[:, 1], self.move.end - self.move.start
-        back = self.pose * [0.0, 0.0, 0.0, 1.0, -1.0]
-        linear = in_world(back, self.acceleration[..., None] * offset[:3])
-        inward = (self.speed * offset[3])[..., None] ** 2
-        sideways = (self.acceleration * offset[3])[..., None]
-        spin = [-inward * x - sideways * y, sideways * x - inward * y, 0.0 * inward * x]
-        return np.asarray(linear[..., None, :] + np.stack(spin, axis=-1))
+        inverse = self.pose * [0.0, 0.0, 0.0, 1.0, -1.0]
+        linear = in_world(inverse, self.acceleration[..., None] * offset[:3])
+        centripetal = (self.speed * offset[3])[..., None] ** 2
+        angular = (self.acceleration * offset[3])[..., None]
+        rotation = [-centripetal * x - angular * y, angular * x - centripetal * y]
+        rotation.append(0.0 * centripetal * x)
+        return np.asarray(linear[..., None, :] + np.stack(rotation, axis=-1))
 
 
-PROBE = 2e-3
-"""[s] Step of finite differences of the fourth order: they err by 1e-9 m/s² in such motions."""
+DIFFERENCE_STEP = 2e-3
+"""[s] Step of fourth-order finite differences, whose error is 1e-9 m/s² for typical motions."""
 
 STENCIL = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
 FIRST = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12.0
 SECOND = np.array([-1.0, 16.0, -30.0, 16.0, -1.0]) / 12.0
 
-LONGEST = 0.5
-"""[s] Longest piece while the load turns or tensions change."""
-
-STEADY = 2.5
-"""[s] Longest piece of steady moves. Second derivatives at its ends err by some 0.01 of the rate at
-which loads change before it, which moves clasps by that times the square of its duration."""
+MAX_PIECE, MAX_STEADY_PIECE = 0.5, 2.5
+"""[s] Longest piece in general, and of steady moves. An error of second derivatives at the ends of
+a piece, some 0.01 of the loads' rate of change before, displaces clasps by that times its squared
+duration."""
 
 
 def polynomials(
     move: Move, curves: Callable[[Array], dict[str, Array]]
 ) -> dict[str, PiecewisePolynomial]:
-    """Return a move's curves, given by name at times (…) [s], as polynomials.
+    """Return a move's curves by name, from rest to rest, as polynomials.
 
-    Pieces are shorter while loads change. They begin and end at rest.
+    ``curves`` returns their values at times (…) [s].
     """
-    breaks, parts = move.law.breaks(STEADY if move.steady else LONGEST), {}
-    t = np.clip(breaks[:, None] + PROBE * STENCIL, 0.0, move.law.duration)
+    breaks, parts = move.law.breaks(MAX_STEADY_PIECE if move.steady else MAX_PIECE), {}
+    t = np.clip(breaks[:, None] + DIFFERENCE_STEP * STENCIL, 0.0, move.law.duration)
     for name, each in curves(t).items():
         if np.all(each == each[:1, :1]):
             parts[name] = PiecewisePolynomial.constant(breaks, each[0, 0])
             continue
-        first = np.tensordot(FIRST / PROBE, each, (0, 1))
-        second = np.tensordot(SECOND / PROBE**2, each, (0, 1))
+        first = np.tensordot(FIRST / DIFFERENCE_STEP, each, (0, 1))
+        second = np.tensordot(SECOND / DIFFERENCE_STEP**2, each, (0, 1))
         first[[0, -1]] = second[[0, -1]] = 0.0
         jets = np.stack([each[:, len(STENCIL) // 2], first, second])
         parts[name] = PiecewisePolynomial.hermite(breaks, jets[:, :-1], jets[:, 1:])

@@ -1,4 +1,4 @@
-"""Moves of a hitch that takes, carries and lets go of an object, as fast as limits allow."""
+"""The planner of a hitch's moves with an object, as fast as limits allow."""
 
 from __future__ import annotations
 
@@ -27,52 +27,52 @@ from hitchopt.planners.carrying.polygons import HoldPolygons
 from hitchopt.values import Array
 
 LIFT_SPEED, BELOW_RIM = 0.1, 0.01
-"""Vertical speed with an object, and against its rim [m/s]; depth of cables below a rim besides
-``separation.object`` [m]."""
+"""Vertical speed with an object and toward its rim [m/s]; depth of cables below a rim in addition
+to ``separation.object`` [m]."""
 
 CARRY_ACCELERATION, LIFT_ACCELERATION = 1.0, 0.3
-"""[m/s²] Largest acceleration of carried objects, and of those that are lifted or set down."""
+"""[m/s²] Largest accelerations of objects: carried, and lifted or set down."""
 
 CARRY_CHECKS = ("equilibrium", "grip", "separation", "crossing")
-"""Checks for which a carried object is slowed down."""
+"""Checks to which moves of a carried object are slowed down."""
 
 LOAD_LAW = SmoothLaw(0.75)
-"""Law of changing tensions, of legs that turn to lead, and of weight from support to clasps."""
+"""Law of changes of tensions, of friction feed-forward, and of weight from support to clasps."""
 
-MAX_SLOWINGS, SLOWER = 5, 1.5
-"""Maximum slowings of a move until limits hold; factor of one if the needed one is unknown."""
+MAX_SLOWINGS, SLOWING_FACTOR = 5, 1.5
+"""Maximum number of slowings of a move, and factor of a slowing if the required one is unknown."""
 
-LOOSE = (0.3, 0.6)
-"""[N] Tensions with which grips are opened: the less cables pull, the less they hold each other,
-but the more they sag; with the first they are closed if edges would push the object."""
+OPENING_TENSIONS = (0.3, 0.6)
+"""[N] Candidate tensions for opening grips. With low tensions cables hold each other less, but sag
+more. The first one is also the lowest for closing, if edges would push the object."""
 
 LEADS, LEAD_CHECKS = (0.9, 0.6, 0.3, 0.0), ("separation", "cable_length")
-"""Shares of clasp friction that legs overcome while a hitch closes or opens, in order of
-preference, and checks that decide. Edges that meet other corners change their sag at once."""
+"""Candidate friction feed-forwards of closing and opening, as shares of clasp friction, in order of
+preference, and checks that reject them: the sag of edges jumps at other corners."""
 
 MAX_RESIDUAL_GRIP, MAX_PUSH = 0.5, 0.9
-"""Largest share of the weight that a hitch may still grip once it has opened, and of friction with
-its support that edges may push a standing object with."""
+"""Largest residual slip load of an open hitch over the weight, and largest push of edges on a
+standing object over the friction with its support."""
 
 
 @dataclass(frozen=True, eq=False)
 class GraspState:
-    """An object that a hitch is around, or holds.
+    """An object that a hitch encloses or holds.
 
     Attributes
     ----------
     object: its name.
     polygons: of the hitch, in the object's frame.
     tension: (n,) [N], of cables from grasping to loosening.
-    hold: the hitch that holds it; None while it is only around it.
-    borne: whether clasps carry its weight.
+    hold: the hitch that holds it; None while it only encloses it.
+    carried: whether clasps carry its weight.
     """
 
     object: str
     polygons: HoldPolygons
     tension: Array
     hold: Hold | None = None
-    borne: bool = False
+    carried: bool = False
 
 
 def one_phase(
@@ -82,7 +82,7 @@ def one_phase(
     name: str,
     hold: motions.Hold | None = None,
 ) -> Motion:
-    """Return motions in a row as one phase of a step, with all remarks; an object may be held."""
+    """Return consecutive motions as one phase of a step, with all remarks."""
     motion = joined_motions([replace(each, requirements=requirements) for each in parts])
     pulls, tension = motion.tensions.coefficients, None
     if np.any(pulls != motion.team.tension[:, None]):
@@ -93,7 +93,7 @@ def one_phase(
 
 
 def first_violated(motion: Motion, checks: Sequence[str]) -> Check | None:
-    """Return the first of some checks, by name, that a motion violates; None if all hold."""
+    """Return the first check, of these names, that a motion violates; None if all hold."""
     with value_cache():
         results = filter(None, (RULE_OF[name].check(motion) for name in checks))
         return next((check for check in results if not check.holds), None)
@@ -101,13 +101,13 @@ def first_violated(motion: Motion, checks: Sequence[str]) -> Check | None:
 
 @dataclass(frozen=True, eq=False)
 class MovePlanner:
-    """The planner of moves of a hitch with the object that it holds.
+    """A planner of moves of a hitch with the object that it holds.
 
     Attributes
     ----------
-    state: of the grasp, at first.
-    requirements: with the limits to keep and objects where they are.
-    step: index of the mission's step.
+    state: initial state of the grasp.
+    requirements: limits, and objects at their current positions.
+    step: index of the step in its mission.
     """
 
     state: GraspState
@@ -122,7 +122,7 @@ class MovePlanner:
 
     @property
     def body(self) -> SolidObject:
-        """The object, where it is."""
+        """The object at its current position."""
         return self.requirements.objects[self.state.object]
 
     def from_state(self, **changes: Any) -> MovePlanner:
@@ -130,7 +130,7 @@ class MovePlanner:
         return replace(self, state=replace(self.state, **changes))
 
     def motion(self, moves: Sequence[Move], name: str = "", remark: str = "") -> Motion:
-        """Return the motion of moves in a row as one phase."""
+        """Return the motion of consecutive moves as one phase."""
         cables = tuple(range(self.hold.team.robots))
         hold = motions.Hold(self.state.object, self.hold.by, cables)
         phase = Phase(name, self.step, 0.0, 1.0, remark, hold=hold)
@@ -139,32 +139,32 @@ class MovePlanner:
 
     def move(self, law: SmoothLaw, **changes: Any) -> Move:
         """Return a move from the state with the given changes."""
-        place, share = self.body.place, float(self.state.borne)
-        pulls = changes.pop("tension", (self.state.tension, self.state.tension))
-        return replace(Move(place, place, np.stack(pulls), (share, share), law), **changes)
+        place, share = self.body.place, float(self.state.carried)
+        tensions = changes.pop("tension", (self.state.tension, self.state.tension))
+        return replace(Move(place, place, np.stack(tensions), (share, share), law), **changes)
 
     def rest(self, seconds: float) -> Move:
-        """Return the move of ``seconds`` [s] in which nothing changes."""
+        """Return a pause [s] as a move."""
         return self.move(SmoothLaw(0.5 * seconds))
 
     def transfer(self, before: float, after: float) -> Move:
-        """Return the move in which shares of the weight pass to the clasps or back."""
-        return self.within_limits(self.move(LOAD_LAW, borne=(before, after)))
+        """Return the move that changes the clasps' share of the weight."""
+        return self.within_limits(self.move(LOAD_LAW, load_share=(before, after)))
 
     @property
     def gap(self) -> float:
-        """Depth of cables below a rim that they do not touch [m]."""
+        """Depth of cables below a rim without contact [m]."""
         return self.requirements.separation.object + BELOW_RIM
 
     def retension(self, before: Array, after: Array) -> list[Move]:
-        """Return the change of tensions (n,) [N] off the rim, if there is one."""
+        """Return the move that changes tensions (n,) [N] below the rim, if they differ."""
         if np.array_equal(before, after):
             return []
         move = self.move(LOAD_LAW, tension=(before, after), below=(self.gap, self.gap))
         return [self.within_limits(move)]
 
     def rim_move(self, before: float, after: float) -> Move:
-        """Return the move from one depth below the rim to another [m], one of them 0."""
+        """Return the move between two depths below the rim [m], one of which is 0."""
         law = self._slow_law(max(before, after))
         return self.within_limits(self.move(law, below=(before, after)))
 
@@ -177,23 +177,23 @@ class MovePlanner:
     def carry(self, to: Array, speed: float) -> Move:
         """Return the fastest straight move of the object to (4,) x, y, z [m] and yaw [rad].
 
-        The object, and drones about it, move with ``speed`` [m/s] at most. Raises InfeasibleError
-        if it cannot be carried.
+        The speed of the object and of the drones about it is at most ``speed`` [m/s]. Raises
+        InfeasibleError if it cannot be carried.
         """
         start, hold, limits = self.body.place, self.hold, self.requirements.limits
         length = float(np.linalg.norm((to - start)[:3])) + abs(float(to[3] - start[3])) * hold.reach
         vertical = bool(np.all(start[[0, 1, 3]] == to[[0, 1, 3]]))
-        gentle = LIFT_ACCELERATION if vertical else CARRY_ACCELERATION
-        acceleration = min(gentle, limits.acceleration, hold.largest_acceleration)
+        of_object = LIFT_ACCELERATION if vertical else CARRY_ACCELERATION
+        acceleration = min(of_object, limits.acceleration, hold.largest_acceleration)
         law = SmoothLaw(0.5)
         if length > 0.0 and acceleration > 0.0:
             top = min(speed, limits.speed, limits.vertex_speed)
             law = SmoothLaw.fastest(top / length, acceleration / length, limits.jerk / length)
-        lifted = self.from_state(borne=True)
-        return lifted.within_limits(lifted.move(law, start=start, end=to), *CARRY_CHECKS)
+        carrying = self.from_state(carried=True)
+        return carrying.within_limits(carrying.move(law, start=start, end=to), *CARRY_CHECKS)
 
     def within_limits(self, move: Move, *checks: str) -> Move:
-        """Return a move slowed until limits of motion hold, and some checks by name."""
+        """Return a move slowed down to the limits of motion and to some checks, by name."""
         from hitchopt.planners.timing.flight import needed_stretch
 
         for _ in range(MAX_SLOWINGS):
@@ -207,7 +207,7 @@ class MovePlanner:
                     raise
                 factor = math.inf
             if factor == math.inf and checks:
-                factor = SLOWER
+                factor = SLOWING_FACTOR
             if not 1.0 < factor < math.inf:
                 break
             move = replace(move, law=move.law.slowed(1.01 * factor))
@@ -216,13 +216,13 @@ class MovePlanner:
     # Grips.
 
     def close_grip(self, before: Array, name: str) -> Motion:
-        """Return the motion from around the object, with tensions (n,) [N], to the state's grip."""
+        """Return the motion from around the object, with tensions (n,) [N], to the grip."""
         return self._passage((before, self.state.tension), (0.0, 1.0), name)[0]
 
     def open_grip(self, after: Array, name: str) -> Motion:
-        """Return the motion from the state's grip to around the object, with tensions (n,) [N].
+        """Return the motion from the grip to around the object, with tensions (n,) [N].
 
-        InfeasibleError: clasps would stick and grip too much of the weight.
+        Raises InfeasibleError if clasps would stick with too large a residual grip.
         """
         motion, moves = self._passage((self.state.tension, after), (1.0, 0.0), name)
         hold, layout, body = self.hold, self.hold.team.layout, self.body
@@ -230,14 +230,15 @@ class MovePlanner:
         end = hold.curves(last, np.array([last.law.duration]))
         legs = (end["drones"] - end["vertices"][:, layout.anchors])[0, :, :2]
         pairs = np.stack([legs[2 * layout.ahead], legs[2 * layout.behind + 1]], axis=1)
-        left = residual_grip(pairs, last.tension[1], hold.team.cable_friction, body.friction)
-        most = MAX_RESIDUAL_GRIP * body.mass * GRAVITY
-        if left > most:
+        residual = residual_grip(pairs, last.tension[1], hold.team.cable_friction, body.friction)
+        limit = MAX_RESIDUAL_GRIP * body.mass * GRAVITY
+        if residual > limit:
             where, when = (f"objects.{self.state.object}",), "left as clasps stick"
             remedy = (
                 "use smoother cables (team.cable_friction), longer ones, or a hitch tied larger"
             )
-            raise InfeasibleError([Violation("grip", left, most, "max", "N", where, when, remedy)])
+            violation = Violation("grip", residual, limit, "max", "N", where, when, remedy)
+            raise InfeasibleError([violation])
         return motion
 
     def _passage(
@@ -245,13 +246,13 @@ class MovePlanner:
     ) -> tuple[Motion, list[Move]]:
         """Return the motion that closes or opens a hitch, and its moves.
 
-        Cables pull so that edges do not push the object along. ``tension`` (n,) [N] and ``closed``,
-        the closure of the hitch, are before and after.
+        Tensions are so low that edges do not displace the object. ``tension`` (n,) [N] and
+        ``closed``, the closure of the hitch, are those before and after.
         """
         hold, opens = self.hold, closed[0] > closed[1]
         assert isinstance(hold, GripHold)
-        friction, refusals = bool(hold.team.cable_friction), list[InfeasibleError]()
-        tensions, leads = self._gentle_tensions(hold, opens), LEADS if friction else (0.0,)
+        friction, errors = bool(hold.team.cable_friction), list[InfeasibleError]()
+        tensions, leads = self._passage_tensions(hold, opens), LEADS if friction else (0.0,)
         for between, lead in product(tensions, leads):
             ends = (tension[0], between, closed[0]), (between, tension[1], closed[1])
             first, last = (
@@ -260,41 +261,44 @@ class MovePlanner:
             )
             remark = f"legs lean against {lead:.0%} of clasp friction" if friction else ""
             try:
-                loose = self.from_state(tension=between)
-                moves = [*first, *loose._leading(hold, *closed, -lead if opens else lead), *last]
+                planner = self.from_state(tension=between)
+                passage = planner._closure_moves(hold, *closed, -lead if opens else lead)
+                moves = [*first, *passage, *last]
                 motion = self.motion(moves, name, remark)
             except InfeasibleError as error:  # legs cannot pull so much harder
-                refusals.append(error)
+                errors.append(error)
                 continue
-            broken = first_violated(motion, LEAD_CHECKS)
-            if broken is None:
+            check = first_violated(motion, LEAD_CHECKS)
+            if check is None:
                 return motion, moves
             when = (
                 f"as the hitch {'opens' if opens else 'closes'} around objects.{self.state.object}"
             )
             remedy = "use lighter cables or other lengths of them, or smooth the outline"
-            refusals.append(InfeasibleError([broken.violation(when, remedy)]))
-        raise refusals[0]
+            errors.append(InfeasibleError([check.violation(when, remedy)]))
+        raise errors[0]
 
-    def _gentle_tensions(self, hold: GripHold, opens: bool) -> list[Array]:
-        """Return tensions (n,) [N] with which edges do not push the object while a hitch passes."""
-        pull, body = self.state.tension, self.body
-        most = MAX_PUSH * body.friction * body.mass * GRAVITY
-        low, high = (np.minimum(pull, each) for each in LOOSE)
-        gentle = pull * min(1.0, most / max(hold.largest_push(pull), 1e-9))
-        candidates = (low, high) if opens else (pull, np.maximum(low, gentle))
-        tensions = [each for each in candidates if hold.largest_push(each) <= most * (1.0 + 1e-9)]
+    def _passage_tensions(self, hold: GripHold, opens: bool) -> list[Array]:
+        """Return tensions (n,) [N] with which edges do not displace the object in the passage."""
+        tension, body = self.state.tension, self.body
+        limit = MAX_PUSH * body.friction * body.mass * GRAVITY
+        low, high = (np.minimum(tension, each) for each in OPENING_TENSIONS)
+        reduced = tension * min(1.0, limit / max(hold.largest_push(tension), 1e-9))
+        candidates = (low, high) if opens else (tension, np.maximum(low, reduced))
+        tensions = [each for each in candidates if hold.largest_push(each) <= limit * (1.0 + 1e-9)]
         if not tensions:
             name, push = f"objects.{self.state.object}", hold.largest_push(low)
             remedy = f"give it more weight, raise {name}.friction, or give it a rim"
             when = "on its support, which its edges push it along"
             raise InfeasibleError(
-                [Violation("grip", push, most, "max", "N", (name,), when, remedy)]
+                [Violation("grip", push, limit, "max", "N", (name,), when, remedy)]
             )
         return tensions
 
-    def _leading(self, hold: GripHold, start: float, end: float, lead: float) -> Iterator[Move]:
-        """Yield moves from one closure to another; legs lead in between."""
+    def _closure_moves(
+        self, hold: GripHold, start: float, end: float, lead: float
+    ) -> Iterator[Move]:
+        """Yield the moves from one closure to another, with friction feed-forward in between."""
         if lead:
             yield self.move(LOAD_LAW, closed=(start, start), lead=(0.0, lead))
         shares = np.unique([start, *hold.events, end])
@@ -306,60 +310,59 @@ class MovePlanner:
 
 
 def check_pull(tension: float, team: Team, requirements: Requirements) -> None:
-    """Raise InfeasibleError for a level pull [N] that no drone can hold."""
-    most, binding = team.quadrotor[0].level_pull(requirements.limits.tilt)
-    if tension <= most:
+    """Raise InfeasibleError for a horizontal pull [N] that no drone can hold."""
+    limit, binding = team.quadrotor[0].level_pull(requirements.limits.tilt)
+    if tension <= limit:
         return
-    remedy = f"grasp with a tension of {most:.3g} N or less"
+    remedy = f"grasp with a tension of {limit:.3g} N or less"
     if binding == "tilt":
         tilt = np.degrees(requirements.limits.tilt)
         needed = np.ceil(np.degrees(np.arctan(tension / (GRAVITY * team.mass[0])))) + 5
         raised = f"limits.tilt_deg of {needed:.0f}, above {tilt:.3g}"
         remedy = f"level pulls of {tension:.3g} N need {raised}; or {remedy}"
-    broken = Violation(binding, tension, most, "max", "N", (), "to grip at rest", remedy)
-    raise InfeasibleError([broken])
+    violation = Violation(binding, tension, limit, "max", "N", (), "to grip at rest", remedy)
+    raise InfeasibleError([violation])
 
 
-OUTWARD = 0.02
-"""[m] Clasps that move outward by more open: their places are uncertain by a centimetre."""
+OPENING_DISTANCE = 0.02
+"""[m] Outward motion from which on a clasp counts as opening; positions may err by 1 cm."""
 
 
 def check_opens(hitch: Hitch, around: Array, requirements: Requirements, remedy: str) -> None:
-    """Raise InfeasibleError if friction keeps legs from opening a hitch.
+    """Raise InfeasibleError if friction prevents legs from opening a hitch.
 
-    A clasp opens if its legs, which enclose β, pull outward harder than its edges do inward:
-    ``cos(β/2) > e^{μ θ} cos(β_edges/2)``, μ the cables' friction and θ the mean of both angles, by
-    which cables turn. Legs enclose the least angle with their drones side by side.
+    A clasp opens if its legs, at an angle β, pull outward harder than its edges pull inward:
+    ``cos(β/2) > e^{μ θ} cos(β_edges/2)``, where μ is the friction between cables and θ the angle by
+    which they turn, the mean of both angles. β is smallest if the two drones are side by side.
 
     Parameters
     ----------
     hitch: before it opens.
     around: (n, 2) [m], goals of its vertices, about any centre.
     requirements: the distance of drones.
-    remedy: besides smoother cables.
+    remedy: alternative to smoother cables, for the message.
     """
     friction, layout = hitch.team.cable_friction, hitch.team.layout
     if friction == 0.0 or np.any(hitch.roll):
         return
-    here = hitch.polygon.vertices
-    ahead, behind = (unit(np.roll(here, shift, axis=0) - here) for shift in (-1, 1))
-    moved = (around - np.mean(around, axis=0)) - (here - np.mean(here, axis=0))
-    opens = -np.sum(unit(ahead + behind) * moved, axis=1) > OUTWARD
+    vertices = hitch.polygon.vertices
+    ahead, behind = (unit(np.roll(vertices, shift, axis=0) - vertices) for shift in (-1, 1))
+    moved = (around - np.mean(around, axis=0)) - (vertices - np.mean(vertices, axis=0))
+    opens = -np.sum(unit(ahead + behind) * moved, axis=1) > OPENING_DISTANCE
     edges = np.arccos(np.clip(np.sum(ahead * behind, axis=1), -1.0, 1.0))
     d, e = hitch.legs[layout.ahead, 0], hitch.legs[layout.behind, 1]
-    apart = 2.0 * requirements.separation.radius
-    legs = np.arccos(np.clip((d**2 + e**2 - apart**2) / (2.0 * d * e), -1.0, 1.0))
-    turned, reserve = 0.5 * (edges + legs), np.log(np.cos(0.5 * legs) / np.cos(0.5 * edges))
-    excess = np.where(opens, np.exp(friction * turned - reserve), 0.0)
-    worst = int(np.argmax(excess))
-    if excess[worst] <= 1.0:
+    distance = 2.0 * requirements.separation.radius
+    legs = np.arccos(np.clip((d**2 + e**2 - distance**2) / (2.0 * d * e), -1.0, 1.0))
+    turns, log_ratio = 0.5 * (edges + legs), np.log(np.cos(0.5 * legs) / np.cos(0.5 * edges))
+    utilization = np.where(opens, np.exp(friction * turns - log_ratio), 0.0)
+    worst = int(np.argmax(utilization))
+    if utilization[worst] <= 1.0:
         return
-    where, ratio = (hitch.team.point_names[layout.clasps[worst]],), float(excess[worst])
-    smoother = reserve[worst] / turned[worst]
+    where, ratio = (hitch.team.point_names[layout.clasps[worst]],), float(utilization[worst])
+    smoother = log_ratio[worst] / turns[worst]
     if smoother > 0.0:
         smoother = math.floor(1000.0 * smoother) / 1000.0
         remedy = f"{remedy}, or use smoother cables, team.cable_friction {smoother:.3g} or less"
-    broken = Violation(
-        "equilibrium", ratio, 1.0, "max", "ratio", where, "as the hitch opens", remedy
-    )
-    raise InfeasibleError([broken])
+    when = "as the hitch opens"
+    violation = Violation("equilibrium", ratio, 1.0, "max", "ratio", where, when, remedy)
+    raise InfeasibleError([violation])

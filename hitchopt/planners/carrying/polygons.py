@@ -1,8 +1,8 @@
-"""Where clasps are around an object and where they hold it: polygons of grips and below rims.
+"""Polygons of clasps around an object and of its hold: grips and rests below rims.
 
-``best_grip`` searches the polygon that grips hardest within all limits, by sequential quadratic
-programs (SLSQP) from several polygons. The search is local: failure does not prove that there is
-no grip. Its result is evaluated anew.
+``best_grip`` maximizes the slip load within all limits by sequential quadratic programming (SLSQP)
+from several initial guesses. The search is local: failure does not prove infeasibility. Its result
+is evaluated independently.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from hitchopt.hitch.team import Quadrotor
 from hitchopt.objects import Section, SolidObject
 from hitchopt.values import Array, Indices
 
-UNSTRETCHED, STRETCHES = np.ones(1), np.geomspace(0.25, 4.0, 81)
-"""Candidate proportions of the polygon around an object that rests, and around one that is gripped,
-over those of the polygon that holds it."""
+REST_STRETCHES, GRIP_STRETCHES = np.ones(1), np.geomspace(0.25, 4.0, 81)
+"""Candidate aspect ratios of the polygon around an object, for rests and for grips, over that of
+the polygon that holds it."""
 
 
 @dataclass(frozen=True, eq=False)
 class HoldPolygons:
-    """Clasps around an object and clasps that hold it, in its frame; one polygon is stretched.
+    """Clasps around an object and clasps that hold it, in its frame.
 
     Attributes
     ----------
-    around: (n, 2) [m], outside of all of the object.
+    around: (n, 2) [m], clear of the object.
     closed: (n, 2) [m], below its rim, or with edges that grip it.
     """
 
@@ -50,27 +50,29 @@ class HoldPolygons:
         centre: Array,
         sections: tuple[Section, ...],
         gap: float,
-        stretches: Array = UNSTRETCHED,
+        stretches: Array = REST_STRETCHES,
     ) -> HoldPolygons:
-        """Return a polygon, and that polygon stretched about a centre until it keeps off sections.
+        """Return a polygon and its scaled copy around sections.
 
-        Of the stretches along its axes the one with the shortest longest edge leaves the most cable
-        to legs, which keeps drones apart.
+        Of all stretches along the polygon's axes the copy has the one with the smallest longest
+        edge, which leaves the most cable for legs.
 
         Parameters
         ----------
-        closed: (n, 2) [m], clockwise, the centre (2,) [m] inside of it.
+        closed: (n, 2) [m], clockwise.
+        centre: (2,) [m], inside of it.
+        sections: to be enclosed.
         gap: between edges and sections [m].
-        stretches: candidate proportions, over the polygon's own.
+        stretches: candidate aspect ratios, over the polygon's own.
         """
-        away = closed - centre
-        axes = np.linalg.eigh(away.T @ away)[1]
+        offsets = closed - centre
+        axes = np.linalg.eigh(offsets.T @ offsets)[1]
         polygons = []
-        for wide in np.sqrt(stretches):
-            there = away @ (axes * [wide, 1.0 / wide]) @ axes.T
-            outward, reach = sides_of(there)
-            needed = [each.support(outward) + gap - outward @ centre for each in sections]
-            polygons.append(float(np.max(np.max(needed, axis=0) / reach)) * there)
+        for width in np.sqrt(stretches):
+            stretched = offsets @ (axes * [width, 1.0 / width]) @ axes.T
+            outward, distances = sides_of(stretched)
+            required = [each.support(outward) + gap - outward @ centre for each in sections]
+            polygons.append(float(np.max(np.max(required, axis=0) / distances)) * stretched)
         around = min(polygons, key=lambda each: float(np.max(length(np.roll(each, -1, 0) - each))))
         return cls(ConvexPolygon(centre + around).vertices, ConvexPolygon(closed).vertices)
 
@@ -85,44 +87,48 @@ def sides_of(polygon: Array) -> tuple[Array, Array]:
 # Grips.
 
 MIN_GAP = 0.02
-"""[m] Smallest distance of a clasp to the section: two ropes bend around each other there."""
+"""[m] Smallest distance of a clasp, where two ropes bend around each other, to the section."""
 
-DIFFERENCE = 1e-6
+DIFFERENCE_STEP = 1e-6
 """[m] Step of central differences of margins."""
 
 LIFT_MARGIN = 0.05
-"""Margin of all distances, over their limits: lifting moves drones by less."""
+"""Margin of all distances over their limits, which exceeds the changes by lifting."""
 
 MAX_IMBALANCE = 1e-6
-"""Largest level force on the section over the tension, and moment over tension and size."""
+"""Largest horizontal force on the section over the tension, and moment over tension and size."""
 
-SCREENING, ITERATIONS, FINALISTS = 12, 60, 2
-"""Maximum quadratic programs from every start and from the finalists, and the number of these."""
+SCREENING_ITERATIONS, MAX_ITERATIONS, FINALISTS = 12, 60, 2
+"""Maximum iterations from every guess and from the finalists, and the number of finalists."""
 
-MAX_ROWS, SMALLEST = 36, 6
-"""Quadratic programs contain all margins of a kind up to so many, or else its smallest ones."""
+MAX_ROWS, REDUCED_ROWS = 36, 6
+"""Largest number of margins of a kind in a quadratic program, and number of the smallest margins
+that represent larger kinds."""
 
-START_GAPS = ((0.25, 0.25), (0.12, 0.4), (0.4, 0.12))
-"""Distances of every other starting vertex to the section, and of those between, over its mean
-radius; the first pair if they do not alternate."""
+GUESS_GAPS = ((0.25, 0.25), (0.12, 0.4), (0.4, 0.12))
+"""Alternating distances of a guess's vertices to the section, over its mean radius; for odd numbers
+of vertices only the first pair, of equal ones."""
 
-TURNS = 3
-"""Starting polygons, turned by equal parts of their symmetry, besides those that face sides."""
+EVEN_GUESSES, MAX_ALIGNED_GUESSES = 3, 6
+"""Number of guesses turned by equal parts of their symmetry, and largest number along sides."""
 
 DECIMALS = 12
-"""Decimal places of centroids and reported ratios: rounding errors become zero."""
+"""Decimal places of centroids and reported ratios, which round errors to zero."""
 
 
 @dataclass(frozen=True, eq=False)
 class GripTask:
-    """The search of a grip.
+    """The problem of a grip.
 
     Attributes
     ----------
     section: to grip.
-    robots: number n, all of one ``kind`` with cables of ``cable_length`` [m] and tension [N].
-    clasp_friction: coefficient of cables on each other.
-    requirements: distances to keep.
+    robots: number n.
+    cable_length: of all cables [m].
+    tension: of all cables [N].
+    clasp_friction: friction coefficient between cables.
+    requirements: distances to be kept.
+    kind: of all quadrotors.
     """
 
     section: Section
@@ -138,35 +144,32 @@ class GripTask:
         return Grip.of(self.section, vertices, self.cable_length, self.tension, self.clasp_friction)
 
     def distances(self, grip: Grip) -> dict[str, Array]:
-        """Return the margins (…, items) of all distances of a grip, over their limits.
+        """Return the relative margins (…, items) of all distances of a grip.
 
         Keys are names of the certificate's checks, and ``gap``, of clasps to the section.
         """
         n, shape, contacts = self.robots, grip.vertices.shape[:-2], grip.wraps.contacts
         drones = grip.drones.reshape(*shape, 2 * n, 2)
-        here, onward = grip.vertices, np.roll(grip.vertices, -1, axis=-2)
-        starts = here, here, contacts[..., 1, :], onward  # q-legs, both tangents, r-legs
+        vertices, onward = grip.vertices, np.roll(grip.vertices, -1, axis=-2)
+        starts = vertices, vertices, contacts[..., 1, :], onward  # q-legs, both tangents, r-legs
         ends = grip.drones[..., 0, :], contacts[..., 0, :], onward, grip.drones[..., 1, :]
         parts = np.stack([np.concatenate(each, axis=-2) for each in (starts, ends)], axis=-2)
         (one, two), (drone, near), (i, j) = _pairs(n)
-        apart = length(drones[..., one, :] - drones[..., two, :])
-        gaps = _distances(drones[..., drone, None, :], parts[..., near, :, :])
-        crossing = _distances(parts[..., i, :, :], parts[..., j, :, :])
-        clear = self.section.clearance
+        clearance = self.section.clearance
         distances = {
-            "separation": apart,
-            "cable_clearance": gaps,
-            "crossing": crossing,
-            "keep_out": clear(drones)[0],
+            "separation": length(drones[..., one, :] - drones[..., two, :]),
+            "cable_clearance": _distances(drones[..., drone, None, :], parts[..., near, :, :]),
+            "crossing": _distances(parts[..., i, :, :], parts[..., j, :, :]),
+            "keep_out": clearance(drones)[0],
             "legs": grip.legs.reshape(*shape, 2 * n),
-            "gap": clear(grip.vertices)[0],
+            "gap": clearance(grip.vertices)[0],
         }
-        over = ((name, each, self.limits[name]) for name, each in distances.items())
-        return {name: each / limit - 1.0 if limit else each for name, each, limit in over}
+        items = ((name, each, self.limits[name]) for name, each in distances.items())
+        return {name: each / limit - 1.0 if limit else each for name, each, limit in items}
 
     @property
     def limits(self) -> dict[str, float]:
-        """Limits of these distances by name [m]."""
+        """Limits of all distances by name [m]."""
         separation = self.requirements.separation
         return {
             "separation": 2.0 * separation.radius,
@@ -182,25 +185,25 @@ class GripTask:
         return min((float(np.min(each)), name) for name, each in self.distances(grip).items())
 
     def merit(self, grip: Grip) -> float:
-        """Return the slip load over friction [N] of a grip, or minus its worst violation."""
+        """Return the slip load over friction [N] of a grip, or minus its largest violation."""
         edges = np.roll(grip.vertices, -1, axis=0) - grip.vertices
         turns = turn(edges, np.roll(edges, -1, axis=0))
-        if not np.all(turns < 0.0) or np.sum(turns) < -3.0 * math.pi:  # not once clockwise
+        if not np.all(turns < 0.0) or np.sum(turns) < -3.0 * math.pi:  # not one clockwise turn
             return -math.inf
         scale = np.array([1.0, 1.0, math.sqrt(self.section.area)]) * self.tension
-        unbalanced = float(np.max(np.abs(grip.imbalance) / scale)) - MAX_IMBALANCE
-        loose = -float(np.min(grip.wraps.angles))
-        lacking = max(-self.shortest(grip)[0], unbalanced, 0.0)
-        if lacking > 0.0 or loose >= 0.0:
-            return -lacking - max(loose, 0.0)
+        imbalance = float(np.max(np.abs(grip.imbalance) / scale)) - MAX_IMBALANCE
+        unwrapped = -float(np.min(grip.wraps.angles))
+        violation = max(-self.shortest(grip)[0], imbalance, 0.0)
+        if violation > 0.0 or unwrapped >= 0.0:
+            return -violation - max(unwrapped, 0.0)
         return float(grip.slip_load(1.0))
 
 
 @lru_cache
 def _pairs(n: int) -> tuple[Indices, Indices, Indices]:
-    """Return the pairs (2, pairs) that keep off each other: drones, drones and parts, parts.
+    """Return the pairs (2, pairs) that need clearance: drones, drones with parts, and parts.
 
-    All parts count for drones but the leg that ends at them.
+    A drone needs no clearance to the leg that ends at it.
     """
     k = np.arange(n)
     cable, clasp = np.tile(k, 4), np.concatenate([k, k, (k + 1) % n, (k + 1) % n])
@@ -219,79 +222,79 @@ def _distances(first: Array, second: Array) -> Array:
 
 
 def best_grip(task: GripTask) -> Grip:
-    """Return the grip with the largest slip load within all limits, before it lifts anything.
+    """Return the unloaded grip with the largest slip load within all limits.
 
-    The search is about the section's centroid: the outline's origin does not matter.
+    Coordinates of the search are relative to the section's centroid.
 
     Raises
     ------
-    InfeasibleError: the search failed; the violation is that of the nearest grip.
+    InfeasibleError: the search failed; the violation is that of the grip nearest to feasible.
     """
     centre = np.round(task.section.centroid, DECIMALS)
     outline = task.section.outline
     centred = task
     if outline is not None and np.any(centre):
         centred = replace(task, section=Section(outline - centre))
-    starts = _starts(centred)
-    for iterations, number in ((SCREENING, FINALISTS), (ITERATIONS, 1)):
-        grips = [centred.grip(_refined(centred, start, iterations)) for start in starts]
+    guesses = _guesses(centred)
+    for iterations, number in ((SCREENING_ITERATIONS, FINALISTS), (MAX_ITERATIONS, 1)):
+        grips = [centred.grip(_refined(centred, guess, iterations)) for guess in guesses]
         ranked = sorted(grips, key=centred.merit, reverse=True)[:number]
-        starts = [each.vertices for each in ranked]
+        guesses = [each.vertices for each in ranked]
     (best,) = ranked
     if centred.merit(best) <= 0.0:
         raise _no_grip(centred, best)
     return task.grip(best.vertices + centre)
 
 
-def _starts(task: GripTask) -> list[Array]:
-    """Return polygons (n, 2) [m] around the section: turned evenly, and facing its sides."""
+def _guesses(task: GripTask) -> list[Array]:
+    """Return polygons (n, 2) [m] around the section: evenly turned, and aligned with its sides."""
     core, n = task.section.core, task.robots
     symmetry = 2.0 * math.pi / n
     sides = task.section.sides[:, 1] - core
-    facing = np.arctan2(sides[:, 0], -sides[:, 1])[np.argsort(-np.hypot(*sides.T), kind="stable")]
-    even = 0.5 * math.pi - symmetry * np.arange(TURNS) / TURNS
-    turns = even[:1] if len(core) == 1 else np.append(facing[:SMALLEST], even)
+    aligned = np.arctan2(sides[:, 0], -sides[:, 1])[np.argsort(-np.hypot(*sides.T), kind="stable")]
+    even = 0.5 * math.pi - symmetry * np.arange(EVEN_GUESSES) / EVEN_GUESSES
+    turns = even[:1] if len(core) == 1 else np.append(aligned[:MAX_ALIGNED_GUESSES], even)
     _, first = np.unique(np.round(turns % symmetry, 6) % symmetry, return_index=True)
     centre, size = task.section.centroid, math.sqrt(task.section.area / math.pi)
-    starts = []
+    guesses = []
     for angle in turns[np.sort(first)]:
         angles = angle - symmetry * np.arange(n)
-        out = np.column_stack([np.cos(angles), np.sin(angles)])
-        on_rays = np.linspace(0.0, 3.0, 601)[:, None, None] * task.section.circumradius * out
-        gaps = task.section.clearance(centre + on_rays)[0]
-        for pair in START_GAPS if n % 2 == 0 else START_GAPS[:1]:
+        outward = np.column_stack([np.cos(angles), np.sin(angles)])
+        rays = np.linspace(0.0, 3.0, 601)[:, None, None] * task.section.circumradius * outward
+        gaps = task.section.clearance(centre + rays)[0]
+        for pair in GUESS_GAPS if n % 2 == 0 else GUESS_GAPS[:1]:
             first = np.argmax(gaps >= size * np.resize(pair, n), axis=0)
-            starts.append(centre + on_rays[first, np.arange(n)])
-    return starts
+            guesses.append(centre + rays[first, np.arange(n)])
+    return guesses
 
 
-def _refined(task: GripTask, start: Array, iterations: int) -> Array:
-    """Return the vertices (n, 2) [m] that sequential quadratic programs reach from a polygon.
+def _refined(task: GripTask, guess: Array, iterations: int) -> Array:
+    """Return the vertices (n, 2) [m] that sequential quadratic programming reaches from a guess.
 
-    A disc has no moment in any grip, and all its turned grips are equal: its third imbalance is the
-    turn of the vertices from their start.
+    Since grips of a disc have no moment and may be turned, its third equation is zero rotation of
+    the vertices from the guess instead.
     """
     from scipy.optimize import minimize
 
-    turning = None
+    rotation = None
     if len(task.section.core) == 1:
-        away = start - task.section.centroid
-        turning = (away[:, ::-1] * [-1.0, 1.0]).ravel() / np.linalg.norm(away)
+        offsets = guess - task.section.centroid
+        rotation = (offsets[:, ::-1] * [-1.0, 1.0]).ravel() / np.linalg.norm(offsets)
 
     def smallest(margins: Array) -> Array:
         if margins.shape[-1] <= MAX_ROWS:
             return margins
-        return np.sort(np.partition(margins, SMALLEST - 1)[..., :SMALLEST])
+        return np.sort(np.partition(margins, REDUCED_ROWS - 1)[..., :REDUCED_ROWS])
 
     def values(x: Array) -> Array:
-        """Return slip load, imbalances and margins (…, rows), by vertices x (…, 2 n) [m]."""
-        grip = task.grip(x.reshape(*x.shape[:-1], *start.shape))
+        """Return slip load, imbalances and margins (…, rows) at vertices x (…, 2 n) [m]."""
+        grip = task.grip(x.reshape(*x.shape[:-1], *guess.shape))
         margins = [smallest(each) for each in (*task.distances(grip).values(), grip.wraps.angles)]
-        goal = grip.slip_load(1.0)[..., None] / task.tension
-        unbalanced = grip.imbalance / task.tension
-        if turning is not None:
-            unbalanced[..., 2] = (x - start.ravel()) @ turning
-        return np.concatenate([goal, unbalanced, *margins], axis=-1)
+        objective = grip.slip_load(1.0)[..., None] / task.tension
+        imbalance = grip.imbalance / task.tension
+        if rotation is not None:
+            imbalance[..., 2] = (x - guess.ravel()) @ rotation
+        return np.concatenate([objective, imbalance, *margins], axis=-1)
 
     @lru_cache(maxsize=1)
     def at(x: tuple[float, ...]) -> Array:
@@ -299,36 +302,36 @@ def _refined(task: GripTask, start: Array, iterations: int) -> Array:
         return values(np.array(x))
 
     @lru_cache(maxsize=1)
-    def slopes(x: tuple[float, ...]) -> Array:
-        """Return the slopes (rows, 2 n) of values at vertices x (2 n,) [m], by differences."""
-        moves = DIFFERENCE * np.eye(len(x))
+    def jacobian(x: tuple[float, ...]) -> Array:
+        """Return the Jacobian (rows, 2 n) of values at vertices x (2 n,) [m], by differences."""
+        moves = DIFFERENCE_STEP * np.eye(len(x))
         after, before = np.split(values(np.array(x) + np.concatenate([moves, -moves])), 2)
-        return np.asarray((after - before).T / (2.0 * DIFFERENCE))
+        return np.asarray((after - before).T / (2.0 * DIFFERENCE_STEP))
 
     def part(
-        of: Callable[[tuple[float, ...]], Array], rows: Any, sign: float = 1.0, least: float = 0.0
+        of: Callable[[tuple[float, ...]], Array], rows: Any, sign: float = 1.0, lower: float = 0.0
     ) -> Callable[[Array], Any]:
-        return lambda x: sign * of(tuple(x))[rows] - least
+        return lambda x: sign * of(tuple(x))[rows] - lower
 
     check_time()
     kinds = ("eq", slice(1, 4), 0.0), ("ineq", slice(4, None), LIFT_MARGIN)
     constraints: Any = [
-        {"type": kind, "fun": part(at, rows, least=least), "jac": part(slopes, rows)}
-        for kind, rows, least in kinds
+        {"type": kind, "fun": part(at, rows, lower=lower), "jac": part(jacobian, rows)}
+        for kind, rows, lower in kinds
     ]
-    found = minimize(
+    result = minimize(
         part(at, 0, -1.0),
-        start.ravel(),
+        guess.ravel(),
         method="SLSQP",
-        jac=part(slopes, 0, -1.0),
+        jac=part(jacobian, 0, -1.0),
         constraints=constraints,
         options={"maxiter": iterations, "ftol": 1e-7},
     )
-    return np.asarray(found.x).reshape(start.shape)
+    return np.asarray(result.x).reshape(guess.shape)
 
 
 def _no_grip(task: GripTask, nearest: Grip) -> InfeasibleError:
-    """Return the error of the limit that the nearest grip breaks most, or that it does not wrap."""
+    """Return the error of the limit that the nearest grip violates most, or of wraps."""
     margin, worst = task.shortest(nearest)
     name, ratio = (worst, 1.0 + margin) if margin < 0.0 else ("grip", 0.0)
     limit, unit = (1.0, "ratio") if name in {"grip", "separation"} else (task.limits[name], "m")
@@ -341,8 +344,8 @@ def _no_grip(task: GripTask, nearest: Grip) -> InfeasibleError:
     return InfeasibleError([Violation(name, value, limit, "min", unit, (), "", remedy)], note)
 
 
-SEARCH_PULL = 0.9
-"""Pull of the search over the largest level pull: polygons do not depend on it."""
+SEARCH_TENSION_RATIO = 0.9
+"""Tension of the search over the largest horizontal pull; polygons do not depend on it."""
 
 
 def grip_polygons(
@@ -365,30 +368,31 @@ def grip_polygons(
             bound = "equal for all robots if they grip an object"
             raise InputError(f"team.{key}", list(values), bound, "use one kind")
     drone, cable = team.quadrotor[0], float(team.cable_length[0])
-    pull = SEARCH_PULL * drone.level_pull(requirements.limits.tilt)[0]
+    tension = SEARCH_TENSION_RATIO * drone.level_pull(requirements.limits.tilt)[0]
     friction, section = team.cable_friction, body.section
-    task = GripTask(section, team.robots, cable, pull, friction, requirements, drone)
+    task = GripTask(section, team.robots, cable, tension, friction, requirements, drone)
     try:
         closed = best_grip(task).vertices
     except InfeasibleError as error:
         words = f"around objects.{name}"
         raise InfeasibleError([replace(v, when=words) for v in error.violations]) from None
-    return HoldPolygons.about(closed, body.centre_of_mass[:2], (body.section,), gap, STRETCHES)
+    centre, section = body.centre_of_mass[:2], body.section
+    return HoldPolygons.about(closed, centre, (section,), gap, GRIP_STRETCHES)
 
 
 # Rests.
 
-ROOM = 0.045
-"""[m] Reserve of distances to an object: 25 mm, the largest observed error of edges, and 20 mm for
-the error of the object's place."""
+OBJECT_MARGIN = 0.045
+"""[m] Margin of distances to an object: 25 mm, the largest observed error of edges, and 20 mm for
+the position error of the object."""
 
-INSET, MIN_INSET = 0.05, 0.01
-"""[m] Sufficient and smallest distance of clasps inside of a rim, and of edges off the body."""
+SUFFICIENT_INSET, MIN_INSET = 0.05, 0.01
+"""[m] Sufficient and smallest distance of clasps to the rim's outline, and of edges to the body."""
 
 ANGLES, ASPECTS = 12, 17
-"""Numbers of candidate orientations and proportions."""
+"""Numbers of candidate orientations and aspect ratios."""
 
-SHRINKS = np.linspace(0.05, 1.0, 96)
+SIZES = np.linspace(0.05, 1.0, 96)
 """Candidate sizes of a polygon below a rim, over the rim's own."""
 
 
@@ -396,12 +400,12 @@ def rest_polygons(name: str, body: SolidObject, robots: int, gap: float) -> Hold
     """Return the polygons of a hitch below an object's rim.
 
     Candidates are regular polygons about the centre of mass, turned, and stretched along the rim's
-    axes. Chosen is the one with clasps farthest inside of the rim and edges farthest off the body;
-    of those with INSET to both the one with the widest support.
+    axes. The result has the largest inset, the smaller distance of clasps to the rim's outline and
+    of edges to the body; of those with a SUFFICIENT_INSET, the widest support.
 
     Parameters
     ----------
-    name, body: the object; it has a rim.
+    name, body: the object, with a rim.
     robots: number of vertices.
     gap: distance of the edges around it [m].
 
@@ -415,13 +419,13 @@ def rest_polygons(name: str, body: SolidObject, robots: int, gap: float) -> Hold
     angles = 2.0 * math.pi / robots * np.arange(ANGLES) / ANGLES
     corners = angles[:, None] - 2.0 * math.pi * np.arange(robots) / robots
     regular = math.sqrt(2.0) * np.stack([np.cos(corners), np.sin(corners)], axis=-1)
-    wide = np.geomspace(0.5, 2.0, ASPECTS)[:, None, None] ** [0.5, -0.5]
-    shapes = (regular[:, None] * wide).reshape(-1, robots, 2)
-    places = (shapes[:, None] * SHRINKS[:, None, None] * size) @ frame.T + centre
-    inside = -np.max(rim.clearance(places)[0], axis=-1)
-    outward, offsets = sides_of(places)
+    widths = np.geomspace(0.5, 2.0, ASPECTS)[:, None, None] ** [0.5, -0.5]
+    shapes = (regular[:, None] * widths).reshape(-1, robots, 2)
+    polygons = (shapes[:, None] * SIZES[:, None, None] * size) @ frame.T + centre
+    inside = -np.max(rim.clearance(polygons)[0], axis=-1)
+    outward, offsets = sides_of(polygons)
     width = np.min(offsets - outward @ centre, axis=-1)
-    inset = np.minimum(inside, INSET)
+    inset = np.minimum(inside, SUFFICIENT_INSET)
     if body.stem is not None:
         inset = np.minimum(inset, np.min(offsets - body.stem.support(outward), axis=-1))
     best = np.unravel_index(int(np.argmax(inset + 1e-3 * width)), inset.shape)
@@ -434,7 +438,7 @@ def rest_polygons(name: str, body: SolidObject, robots: int, gap: float) -> Hold
         raise InfeasibleError(
             [Violation("support", value, MIN_INSET, "min", "m", (name,), when, remedy)]
         )
-    return HoldPolygons.about(places[best], centre, (rim, body.section), gap)
+    return HoldPolygons.about(polygons[best], centre, (rim, body.section), gap)
 
 
 def _axes(section: Section) -> tuple[Array, Array]:
@@ -443,7 +447,7 @@ def _axes(section: Section) -> tuple[Array, Array]:
     if len(core) < 3:
         return np.eye(2), np.full(2, section.rounding)
     sides = unit(np.roll(core, -1, axis=0) - core)
-    turned = np.stack([sides, np.stack([-sides[:, 1], sides[:, 0]], axis=1)], axis=2)
-    widths = np.ptp(np.einsum("pd,sdi->spi", core, turned), axis=1)  # (sides, 2)
+    frames = np.stack([sides, np.stack([-sides[:, 1], sides[:, 0]], axis=1)], axis=2)
+    widths = np.ptp(np.einsum("pd,sdi->spi", core, frames), axis=1)  # (sides, 2)
     best = int(np.argmin(np.prod(widths, axis=1)))
-    return turned[best], 0.5 * widths[best]
+    return frames[best], 0.5 * widths[best]
