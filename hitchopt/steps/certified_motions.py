@@ -19,8 +19,8 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import cable_slack
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import CableState, Motion, Phase
-from hitchopt.planners.morph.legs import SLIDES, legs_clear
-from hitchopt.planners.morph.morph import SAME, BlendedMorph
+from hitchopt.planners.morph.legs import SLIDING_TOLERANCE, legs_clear
+from hitchopt.planners.morph.morph import POSITION_TOLERANCE, BlendedMorph
 from hitchopt.planners.morph.path import ShapePath
 from hitchopt.planners.timing.flight import check_duration, fly, in_duration, needed_stretch
 from hitchopt.steps.step import (
@@ -216,7 +216,7 @@ def optimised_plan(
     ``phase`` has the step's name, index and range of tensions; ``lead``: also try legs that lead
     and lag. Raises InfeasibleError if the plan takes longer than ``duration`` [s].
     """
-    from hitchopt.planners.morph.legs import leading
+    from hitchopt.planners.morph.legs import with_slides
     from hitchopt.planners.optimise.search import OptimisedMorph
 
     start, requirements = task.hitch, task.requirements

@@ -47,7 +47,7 @@ from hitchopt.values.fields import FLAGS, Key, either, list_of, mapping_of, poin
 from hitchopt.values.units import DURATION, TENSION
 
 if TYPE_CHECKING:
-    from hitchopt.planners.morph.actions import Action, Flying
+    from hitchopt.planners.morph.actions import Action, ActionFlight
     from hitchopt.steps.certified_motions import End
 
 
@@ -509,7 +509,7 @@ class Transport(HitchStep):
         end = Hitch(start.team, outline, float(self.to[2]), start.q_legs, start.roll)
         self.check_end(end, task)
         motion = None
-        if not path.still:
+        if not path.is_constant:
             check_loads(path, task.requirements.limits)
             motion = fly(path, task.requirements, self.duration)
         return task.plan_ending(self.in_phase(task, motion, end), end)

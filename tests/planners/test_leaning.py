@@ -14,8 +14,8 @@ import hitchopt as ho
 from hitchopt import verify
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph.friction import (
-    FARTHEST,
-    ROOM,
+    DISTANCE_FACTOR,
+    MAX_LEAN,
     FrictionFeedforward,
     friction_feedforward,
 )
@@ -81,15 +81,15 @@ def test_no_leg_leans_farther_than_it_may_and_drones_keep_apart(friction: float)
         for x, m in zip(places, motions, strict=True)
     )
     most = np.max(np.arccos(np.clip(np.sum(here * there, axis=-1), -1.0, 1.0)))
-    assert most <= FARTHEST * 1.05
-    assert found.turned == pytest.approx(most, rel=0.02)
+    assert most <= MAX_LEAN * 1.05
+    assert found.lean == pytest.approx(most, rel=0.02)
     pairs = [x[:, 2 * layout.ahead] - x[:, 2 * layout.behind + 1] for x in places]
     gaps = [np.linalg.norm(pair, axis=-1) / 0.24 for pair in pairs]
-    assert np.all(gaps[0] >= np.minimum(gaps[1], ROOM) - 0.01)
+    assert np.all(gaps[0] >= np.minimum(gaps[1], DISTANCE_FACTOR) - 0.01)
 
 
 def test_it_leans_as_much_as_is_counted_on() -> None:
-    turned = [leaned(morphed(), 0.04, share).turned for share in (0.25, 0.5, 1.0)]
+    turned = [leaned(morphed(), 0.04, share).lean for share in (0.25, 0.5, 1.0)]
     np.testing.assert_allclose(turned[1:], [2.0 * turned[0], 4.0 * turned[0]], rtol=0.1)
 
 

@@ -1,1 +1,1 @@
-"""Morphs: paths of a hitch in its own parameter, its legs on them, and the paper's actions."""
+"""Morphs: paths of a hitch, leg lengths along them, and the paper's actions."""

@@ -1,4 +1,4 @@
-"""Arithmetic of jets, values with their derivatives by one parameter, and curves through them."""
+"""Arithmetic of jets, values with derivatives by one parameter, and interpolation of jets."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hitchopt.values import Array, Indices
 
 
 def product(a: Array, b: Array) -> Array:
-    """Return the jet of a·b, by Leibniz' rule; (…, m) each."""
+    """Return the jet (…, m) of a·b by Leibniz' rule."""
     orders = a.shape[-1]
     out = np.empty((*np.broadcast_shapes(a.shape[:-1], b.shape[:-1]), orders))
     for k in range(orders):
@@ -25,27 +25,28 @@ def product(a: Array, b: Array) -> Array:
 
 
 def square_root(a: Array) -> Array:
-    """Return the jet of √a, a positive; (…, m). Where a is zero there is none: zeros stand in."""
+    """Return the jet (…, m) of √a for positive a, and zero derivatives where a is zero."""
     root = np.zeros(a.shape)
     root[..., 0] = np.sqrt(a[..., 0])
-    for k in range(1, a.shape[-1]):  # from (√a)² = a, solved for the newest derivative
-        known = sum(comb(k, i) * root[..., i] * root[..., k - i] for i in range(1, k))
-        np.divide(a[..., k] - known, 2.0 * root[..., 0], out=root[..., k], where=root[..., 0] > 0.0)
+    for k in range(1, a.shape[-1]):  # from (√a)² = a, solved for the k-th derivative
+        partial = sum(comb(k, i) * root[..., i] * root[..., k - i] for i in range(1, k))
+        difference = a[..., k] - partial
+        np.divide(difference, 2.0 * root[..., 0], out=root[..., k], where=root[..., 0] > 0.0)
     return root
 
 
 def reciprocal(a: Array) -> Array:
-    """Return the jet of 1/a, a not zero; (…, m)."""
+    """Return the jet (…, m) of 1/a for nonzero a."""
     inverse = np.zeros(a.shape)
     inverse[..., 0] = 1.0 / a[..., 0]
-    for k in range(1, a.shape[-1]):  # from a · (1/a) = 1, solved for the newest derivative
-        known = sum(comb(k, i) * a[..., i] * inverse[..., k - i] for i in range(1, k + 1))
-        inverse[..., k] = -known / a[..., 0]
+    for k in range(1, a.shape[-1]):  # from a · (1/a) = 1, solved for the k-th derivative
+        partial = sum(comb(k, i) * a[..., i] * inverse[..., k - i] for i in range(1, k + 1))
+        inverse[..., k] = -partial / a[..., 0]
     return inverse
 
 
 def chained(outer: Array, inner: Array) -> Array:
-    """Return the jet of f(g(t)) by t up to the third, by Faà di Bruno's formula.
+    """Return the jet (…, 4) of f(g(t)) in t by Faà di Bruno's formula.
 
     Parameters
     ----------
@@ -56,7 +57,7 @@ def chained(outer: Array, inner: Array) -> Array:
 
 
 def chained_rates(outer: Array, inner: Array) -> tuple[Array, Array, Array]:
-    """Return the three derivatives of ``chained``, (…) each."""
+    """Return the first three derivatives (…) of f(g(t)), with arguments as in ``chained``."""
     f1, f2, f3 = outer[..., 1], outer[..., 2], outer[..., 3]
     g1, g2, g3 = inner[..., 1], inner[..., 2], inner[..., 3]
     return f1 * g1, f2 * g1**2 + f1 * g2, f3 * g1**3 + 3.0 * f2 * g1 * g2 + f1 * g3
@@ -69,20 +70,20 @@ def polynomials_through(breaks: Array, jets: Array) -> PiecewisePolynomial:
 
 
 def divided(breaks: Array, counts: Indices) -> Array:
-    """Return the breaks (J,) of pieces divided into ``counts`` (J - 1,) equal parts each."""
+    """Return breakpoints (J,) with pieces divided into ``counts`` (J - 1,) equal parts each."""
     each = zip(breaks[:-1], breaks[1:], counts, strict=True)
     inner = [np.linspace(first, last, count, endpoint=False) for first, last, count in each]
     return np.append(np.concatenate(inner), breaks[-1])
 
 
-def quintic_spline(s: Array, values: Array, still: tuple[int, int]) -> BSpline:
-    """Return the quintic spline through values (J, *shape) at s (J,), some derivatives zero.
+def quintic_spline(s: Array, values: Array, zero_orders: tuple[int, int]) -> BSpline:
+    """Return the quintic spline through values (J, *shape) at s (J,).
 
     Parameters
     ----------
-    still: orders of the two derivatives that are zero at both ends: of rest (1, 2), of a natural
-        spline (3, 4).
+    zero_orders: orders of the two derivatives that vanish at both ends: (1, 2) at rest, (3, 4) for
+        a natural spline.
     """
-    none = np.zeros(values.shape[1:])
-    ends = [(order, none) for order in still]  # the stubs know of one condition an end
+    zero = np.zeros(values.shape[1:])
+    ends = [(order, zero) for order in zero_orders]  # the stubs allow one condition per end
     return make_interp_spline(s, values, k=5, bc_type=(ends, ends))  # type: ignore[arg-type]

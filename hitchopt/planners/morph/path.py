@@ -1,4 +1,4 @@
-"""Geometric paths of a hitch: flat outputs over a parameter s from 0 to 1, not yet timed."""
+"""Geometric paths of a hitch: flat outputs over a parameter s from 0 to 1, without timing."""
 
 from __future__ import annotations
 
@@ -18,36 +18,37 @@ from hitchopt.values import Array
 
 
 class Path(Protocol):
-    """A path that can be timed and flown; compared by identity."""
+    """A path that can be timed; hashed and compared by identity."""
 
     def __hash__(self) -> int: ...
 
     @property
     def team(self) -> Team:
-        """The team whose cables form the hitch."""
+        """The team of the hitch."""
 
     def flat(self, s: Array, count: int = JET) -> FlatJets:
-        """Return the flat outputs' jets by s at s (J,), of ``count`` numbers each."""
+        """Return the flat outputs' jets in s, with ``count`` coefficients, at s (J,)."""
 
 
 def drones_along(path: Path, s: Array) -> DroneJets:
-    """Return the drones' jets by s at s (J,)."""
+    """Return the drones' jets in s at s (J,)."""
     return drone_jets(path.team, path.flat(s))
 
 
 def path_jets(path: Path, s: Array) -> tuple[Array, Array, Array, Array]:
-    """Return the jets by s at s (J,) of drones, vertices, legs and tensions: (J, *shape, 4)."""
+    """Return jets (J, *shape, 4) in s of drones, vertices, legs and tensions at s (J,)."""
     flat = path.flat(s)
     drones = drone_jets(path.team, flat)
-    legs = drones.legs * path.team.layout.has_leg[..., None]  # exactly zero, not nearly
+    legs = drones.legs * path.team.layout.has_leg[..., None]  # without rounding errors
     return drones.positions, flat.vertices, legs, flat.tensions
 
 
 @dataclass(frozen=True, eq=False)
 class LegLaw:
-    """Law of the q-legs by the slack of their cables: ``d = length + share · slack``.
+    """Law of the q-legs in the slack of their cables: ``d = length + share · slack``.
 
-    A fixed share keeps fractions; share 0 keeps ``d``; share 1 and length ``-e`` keep ``e``.
+    A constant share keeps fractions, share 0 keeps ``d``, and share 1 with length ``-e`` keeps
+    ``e``.
 
     Attributes
     ----------
@@ -60,28 +61,28 @@ class LegLaw:
 
     @classmethod
     def of_fractions(cls, fractions: PiecewisePolynomial) -> LegLaw:
-        """Return the law under which ``d_k / (d_k + e_k)`` is as given, (n,) over s."""
-        nothing = PiecewisePolynomial.constant([0.0, 1.0], np.zeros(fractions.shape))
-        return cls(nothing, fractions)
+        """Return the law with prescribed fractions ``d_k / (d_k + e_k)``, (n,) over s."""
+        zero = PiecewisePolynomial.constant([0.0, 1.0], np.zeros(fractions.shape))
+        return cls(zero, fractions)
 
     def q_legs(self, s: Array, slack: Array) -> Array:
-        """Return the jets (J, n, m) of ``d`` for those of the slack."""
+        """Return the jets (J, n, m) of ``d`` from those of the slack."""
         count = slack.shape[-1]
-        shared = jets.product(self.share.jet(s, count), slack)
-        return self.length.jet(s, count) + shared if np.any(self.length.coefficients) else shared
+        part = jets.product(self.share.jet(s, count), slack)
+        return self.length.jet(s, count) + part if np.any(self.length.coefficients) else part
 
 
 @dataclass(frozen=True, eq=False)
 class ShapePath:
-    """Vertices on polynomials of s, legs by a law.
+    """A path with polynomial vertices and a leg law.
 
     Attributes
     ----------
-    team: whose cables.
+    team: of the hitch.
     vertices: of shape (points, 3) over s in [0, 1] [m].
-    legs: the law of the q-legs, wherever the ends of a chain leave a choice.
+    legs: law of the q-legs, except at the ends of a chain.
     tensions: of shape (n,) over s [N], or None for the team's.
-    roll: of shape (clasps,) over s [rad], or None where legs are not rolled.
+    roll: of shape (clasps,) over s [rad], or None for none.
     """
 
     team: Team
@@ -92,53 +93,51 @@ class ShapePath:
 
     @classmethod
     def straight(cls, start: Hitch, end: Hitch) -> ShapePath:
-        """Return the path on which vertices go straight; fractions and roll change linearly."""
-        whole = np.array([0.0, 1.0])
+        """Return the path with linear vertices, fractions and roll."""
+        breaks = np.array([0.0, 1.0])
         vertices = np.stack([start.vertices, end.vertices], axis=-1)
         fractions = np.stack([start.fractions, end.fractions], axis=-1)
         return cls(
             start.team,
-            PiecewisePolynomial(whole, vertices[None]),
-            LegLaw.of_fractions(PiecewisePolynomial(whole, fractions[None])),
+            PiecewisePolynomial(breaks, vertices[None]),
+            LegLaw.of_fractions(PiecewisePolynomial(breaks, fractions[None])),
             roll=roll_between(start, end),
         )
 
     def flat(self, s: Array, count: int = JET) -> FlatJets:
-        """Return the flat outputs' jets by s at s (J,), of ``count`` numbers each."""
+        """Return the flat outputs' jets in s, with ``count`` coefficients, at s (J,)."""
         vertices = self.vertices.jet(s, count)
-        tensions = _steady(self.team.tension, len(s), count)
+        tensions = _constant_jets(self.team.tension, len(s), count)
         if self.tensions is not None:
             tensions = self.tensions.jet(s, count)
         roll = None if self.roll is None else self.roll.jet(s, count)
         edges = self.team.layout.edges(vertices, axis=1)
         slack = -cable_along(self.team, edges, tensions)
         slack[..., 0] += self.team.cable_length
-        wanted, orders = self.legs.q_legs(s, slack), np.moveaxis(slack, -1, 0)
-        q_legs = self.team.layout.q_legs_of(np.moveaxis(wanted, -1, 0), orders)
+        by_law, orders = self.legs.q_legs(s, slack), np.moveaxis(slack, -1, 0)
+        q_legs = self.team.layout.q_legs_of(np.moveaxis(by_law, -1, 0), orders)
         return FlatJets(vertices, np.moveaxis(q_legs, 0, -1), tensions, roll)
 
 
 def roll_between(
-    start: Hitch, end: Hitch, grown: tuple[float, ...] = (0.0, 1.0)
+    start: Hitch, end: Hitch, progress: tuple[float, ...] = (0.0, 1.0)
 ) -> PiecewisePolynomial | None:
-    """Return the roll of shape (clasps,) that goes from one hitch's to the other's, over s.
-
-    None where neither of them is rolled.
+    """Return the roll of shape (clasps,) over s between two hitches; None if neither has roll.
 
     Parameters
     ----------
-    grown: Bernstein coefficients of the share of the change that is made.
+    progress: Bernstein coefficients of the progress from 0 to 1.
     """
     if not np.any(start.roll) and not np.any(end.roll):
         return None
-    change = (end.roll - start.roll)[:, None] * np.asarray(grown)
+    change = (end.roll - start.roll)[:, None] * np.asarray(progress)
     return PiecewisePolynomial(np.array([0.0, 1.0]), (start.roll[:, None] + change)[None])
 
 
 def cable_along(team: Team, chords: Array, tensions: Array) -> Array:
-    """Return the jets (J, k, m) [m] of the lengths of cable along chords (J, k, 3, m) [m].
+    """Return the jets (J, k, m) [m] of ``forces.cable_of`` for chords (J, k, 3, m) [m].
 
-    By ``hitch.forces.cable_of``, for tensions (J, k, m) [N].
+    Tensions have jets (J, k, m) [N].
     """
     squares = jets.product(chords, chords)
     lengths = jets.square_root(np.sum(squares, axis=2))
@@ -156,19 +155,18 @@ class Shapes:
     Attributes
     ----------
     polygons: (J, points, 2) [m], in plan view.
-    legs: (J, n, 2) [m], ``d`` and ``e``: lengths of cable, negative where a cable is too short,
-        zero where a chain's end has no leg.
-    roll: (J, clasps) [rad], or None where legs are not rolled.
+    legs: (J, n, 2) [m], ``d`` and ``e`` as cable lengths, negative if a cable is too short, zero at
+        a chain's ends.
+    roll: (J, clasps) [rad], or None for none.
     """
 
     polygons: Array
     legs: Array
     roll: Array | None = None
 
-    def chosen(self, which: NDArray[np.bool_]) -> Shapes:
-        """Return the shapes where ``which`` (J,) holds."""
-        roll = None if self.roll is None else self.roll[which]
-        return Shapes(self.polygons[which], self.legs[which], roll)
+    def __getitem__(self, mask: NDArray[np.bool_]) -> Shapes:
+        roll = None if self.roll is None else self.roll[mask]
+        return Shapes(self.polygons[mask], self.legs[mask], roll)
 
 
 def shapes_along(path: Path, s: Array) -> Shapes:
@@ -188,13 +186,13 @@ def shapes_of(team: Team, flat: FlatJets) -> Shapes:
 
 @dataclass(frozen=True, eq=False)
 class RigidPath:
-    """Centroid on a straight line, the hitch turning about it; both linear in s.
+    """A path with a straight centroid and a rotation about it, both linear in s.
 
     Parameters
     ----------
     start: the hitch at s = 0.
-    to: (3,) [m], where its centroid is at s = 1.
-    yaw: by how much it turns until then, counter-clockwise [rad]; more than a turn is one.
+    to: (3,) [m], its centroid at s = 1.
+    yaw: counter-clockwise rotation [rad], of any number of turns.
     """
 
     start: Hitch
@@ -203,37 +201,37 @@ class RigidPath:
 
     @property
     def team(self) -> Team:
-        """The team whose cables form the hitch."""
+        """The team of the hitch."""
         return self.start.team
 
     @property
     def centroid(self) -> Array:
-        """(3,) [m]: where the centroid is at s = 0."""
+        """(3,) [m]: centroid at s = 0."""
         return np.append(self.start.polygon.centroid, self.start.altitude)
 
     @property
-    def still(self) -> bool:
-        """Whether nothing moves."""
+    def is_constant(self) -> bool:
+        """Whether start and end are equal."""
         return self.yaw == 0.0 and bool(np.max(np.abs(self.to - self.centroid)) < 1e-9)
 
     def flat(self, s: Array, count: int = JET) -> FlatJets:
-        """Return the flat outputs' jets by s at s (J,), of ``count`` numbers each."""
+        """Return the flat outputs' jets in s, with ``count`` coefficients, at s (J,)."""
         hitch = self.start
         arms = (hitch.vertices[:, :2] - self.centroid[:2]) @ [1.0, 1.0j]
-        turned = np.exp(1.0j * self.yaw * s)[:, None] * arms
-        turned = turned[..., None] * (1.0j * self.yaw) ** np.arange(count)
+        rotated = np.exp(1.0j * self.yaw * s)[:, None] * arms
+        rotated = rotated[..., None] * (1.0j * self.yaw) ** np.arange(count)
         vertices = np.zeros((len(s), len(arms), 3, count))
-        vertices[:, :, 0], vertices[:, :, 1] = turned.real, turned.imag
+        vertices[:, :, 0], vertices[:, :, 1] = rotated.real, rotated.imag
         offset = self.to - self.centroid
         vertices[..., 0] += (self.centroid + s[:, None] * offset)[:, None]
         vertices[..., 1:2] += offset[:, None]
-        constant = hitch.q_legs, hitch.team.tension, hitch.roll
-        q_legs, tensions, roll = (_steady(values, len(s), count) for values in constant)
+        constants = hitch.q_legs, hitch.team.tension, hitch.roll
+        q_legs, tensions, roll = (_constant_jets(values, len(s), count) for values in constants)
         return FlatJets(vertices, q_legs, tensions, roll if np.any(hitch.roll) else None)
 
 
-def _steady(values: Array, points: int, count: int) -> Array:
-    """Return the jets (points, k, count) of what keeps its values (k,)."""
-    constant = np.zeros((points, len(values), count))
-    constant[..., 0] = values
-    return constant
+def _constant_jets(values: Array, points: int, count: int) -> Array:
+    """Return the jets (points, k, count) of constants (k,)."""
+    constants = np.zeros((points, len(values), count))
+    constants[..., 0] = values
+    return constants

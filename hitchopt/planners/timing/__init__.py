@@ -1,6 +1,6 @@
-"""Timing of paths: toppra's optimum, limited in jerk, as piecewise polynomials.
+"""Timing of paths: toppra's optimum with a jerk limit, as piecewise polynomials.
 
-toppra imports matplotlib to draw with: its modules are used without running the package itself.
+Since toppra imports matplotlib for plots, its modules are used without executing the package.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from types import ModuleType
 
 
 class _Deferred(ModuleType):
-    """A package that runs when the first of its own attributes is used.
+    """A package that is executed at the first use of its own attributes.
 
-    ``importlib.util.LazyLoader`` of Python 3.11 runs modules already when they are imported twice.
+    ``importlib.util.LazyLoader`` of Python 3.11 executes modules at their second import.
     """
 
     def __getattr__(self, name: str) -> object:
@@ -24,6 +24,6 @@ class _Deferred(ModuleType):
         return getattr(self, name)
 
 
-if "toppra" not in sys.modules and (_found := importlib.util.find_spec("toppra")) is not None:
-    sys.modules["toppra"] = importlib.util.module_from_spec(_found)
+if "toppra" not in sys.modules and (_spec := importlib.util.find_spec("toppra")) is not None:
+    sys.modules["toppra"] = importlib.util.module_from_spec(_spec)
     sys.modules["toppra"].__class__ = _Deferred

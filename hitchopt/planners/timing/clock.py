@@ -1,15 +1,15 @@
-"""A jerk limit on top of a time-optimal profile: slow time down and speed it up along the path.
+"""Jerk-limited timing of a path, starting from its time-optimal profile.
 
-The profile, smoothed, gives the path a first clock τ. Flying it by another clock t with
-``dτ/dt = √x(τ)`` makes every derivative by t linear in ``(x, x', x'')`` up to powers of √x:
+The smoothed profile defines a first clock τ of the path. With another clock t and
+``dτ/dt = √x(τ)`` every derivative by t is linear in ``(x, x', x'')`` up to powers of √x:
 
     q̇ = √x Q',   q̈ = x Q'' + ½ x' Q',   q⃛ = √x (x Q''' + 3/2 x' Q'' + ½ x'' Q'),
 
-Q the path by τ (as Debrouwere et al., "Time-optimal path following for robots with convex-concave
-constraints using sequential convex programming", IEEE T-RO 29, 2013, do with s for τ; starting
-from a clock that is at rest at both ends keeps x finite and away from zero there). The fastest x,
-a cubic spline, is a small nonlinear program whose size does not depend on n: at each sample only
-the drones that come nearest to their limits are rows, and more join as long as any breaks one.
+where Q is the path by τ. Debrouwere et al., "Time-optimal path following for robots with
+convex-concave constraints using sequential convex programming", IEEE T-RO 29, 2013, use s for τ; a
+clock that is at rest at both ends keeps x finite and positive there. The fastest x, a cubic spline,
+solves a small nonlinear program whose size does not depend on n: its rows are those of the drones
+nearest to their limits at each sample, and of drones that violate limits in earlier rounds.
 """
 
 from __future__ import annotations
@@ -30,31 +30,31 @@ from hitchopt.planners.timing.profile import LIMIT_SHARE, Demands, SpeedProfile,
 from hitchopt.values import Array, Indices
 
 DemandsAt = Callable[[Array], Demands]
-"""Demands of the path at given s."""
+"""Function from path parameters s to the path's demands."""
 
 SAMPLES = 5
 """Number of samples per piece at which limits are evaluated."""
 
-NEAREST = 2
-"""Number of drones per sample and limit that are rows from the start."""
+INITIAL_ROWS = 2
+"""Number of drones per sample and limit that have rows in the first round."""
 
-DRONE_ROUNDS = 6
-"""Maximum rounds of adding drones that break a limit."""
+MAX_ROW_ROUNDS = 6
+"""Maximum number of rounds of adding violated rows."""
 
-TOLERANCE = 0.2 * (1.0 - LIMIT_SHARE)
-"""Relative tolerance of the limits; LIMIT_SHARE leaves more than this."""
+LIMIT_TOLERANCE = 0.2 * (1.0 - LIMIT_SHARE)
+"""Relative tolerance of the limits, within the reserve of LIMIT_SHARE."""
 
-STEADY = 0.97
-"""Share of a squared rate at which limits bind from which the search starts: inside of them."""
+INTERIOR_SHARE = 0.97
+"""Squared rate of the initial guess over a feasible one, so that it is strictly feasible."""
 
 
 @dataclass(frozen=True, eq=False)
 class Clock:
-    """s as a function of time, through τ.
+    """The path parameter s as a function of time t, through τ.
 
     Attributes
     ----------
-    knots: (K + 1,) [s], of τ; the pieces of the trajectory to be.
+    knots: (K + 1,) [s], of τ, which bound the trajectory's pieces.
     progress: s(τ), a quintic spline at rest at both ends.
     squared_rate: x(τ), a cubic spline.
     """
@@ -65,7 +65,7 @@ class Clock:
 
     @property
     def breaks(self) -> Array:
-        """(K + 1,) [s], t at the knots."""
+        """(K + 1,) [s]: t at the knots."""
         nodes, weights = leggauss(8)
         h = np.diff(self.knots)
         tau = self.knots[:-1, None] + 0.5 * h[:, None] * (1.0 + nodes)
@@ -81,9 +81,9 @@ class Clock:
 
 
 def first_clock(profile: SpeedProfile, ramp: float, knots: Array) -> Clock:
-    """Return the profile smoothed over ``ramp`` [s], flown as it is (x = 1).
+    """Return the profile's moving average over ``ramp`` [s], with x = 1.
 
-    A moving average of that width turns jumps of the acceleration into ramps.
+    The average turns jumps of the acceleration into ramps.
     """
     at_knots = profile.mean(knots, ramp)
     at_knots[0], at_knots[-1] = 0.0, 1.0
@@ -92,11 +92,11 @@ def first_clock(profile: SpeedProfile, ramp: float, knots: Array) -> Clock:
 
 
 def jerk_limited(clock: Clock, demands_at: DemandsAt) -> Clock:
-    """Return the clock sped up and slowed down to be as fast as all limits allow.
+    """Return the fastest clock within all limits at the samples.
 
     Raises
     ------
-    TimingError: no rate, however slow, keeps the limits at the samples.
+    TimingError: no constant rate satisfies the limits at the samples.
     """
     nodes, weights = leggauss(SAMPLES)
     half = 0.5 * np.diff(clock.knots)[:, None]
@@ -104,30 +104,30 @@ def jerk_limited(clock: Clock, demands_at: DemandsAt) -> Clock:
     progress, spline = _spline_jet(clock.progress, tau), clock.squared_rate
     demands = demands_at(np.clip(progress[:, 0], 0.0, 1.0))
     rates = chained_rates(demands.drones, progress[:, None, None, :])
-    most = demands.speed_bound / np.maximum(progress[:, 1], 1e-12) ** 2
-    path, basis = ClockedPath(demands, *rates, most), SplineBasis.of(spline, tau)
-    steady = np.full(basis.count, _steady_rate(path))
-    near = -path.ratios(basis.at(spline.c))
-    count = min(NEAREST, near.shape[-1])
-    drones = np.argpartition(near, count - 1, axis=-1)[..., :count]
-    for _ in range(DRONE_ROUNDS):
+    bound = demands.speed_bound / np.maximum(progress[:, 1], 1e-12) ** 2
+    path, basis = ClockedPath(demands, *rates, bound), SplineBasis.of(spline, tau)
+    guess = np.full(basis.count, _feasible_rate(path))
+    ratios = -path.ratios(basis.at(spline.c))
+    count = min(INITIAL_ROWS, ratios.shape[-1])
+    drones = np.argpartition(ratios, count - 1, axis=-1)[..., :count]
+    for _ in range(MAX_ROW_ROUNDS):
         program = RateProgram(basis, RateRows.of(path, drones), (half * weights).ravel())
-        rate = fastest_rate(program, steady)
+        rate = fastest_rate(program, guess)
         ratios = path.ratios(basis.at(rate))
-        if np.max(ratios) <= LIMIT_SHARE + TOLERANCE:
+        if np.max(ratios) <= LIMIT_SHARE + LIMIT_TOLERANCE:
             break
         drones = np.concatenate([drones, np.argmax(ratios, axis=-1)[..., None]], axis=-1)
-    # The stretch that follows slows all limits that are still broken.
+    # The caller stretches the flight to limits that are still violated.
     return Clock(clock.knots, clock.progress, BSpline(spline.t, rate, DEGREE))
 
 
-def _steady_rate(path: ClockedPath) -> float:
-    """Return a constant x inside of all limits: less than what they allow is inside as well."""
-    rate, p = min(1.0, float(np.min(path.most))), np.zeros((3, len(path.most)))
+def _feasible_rate(path: ClockedPath) -> float:
+    """Return a constant, strictly feasible x; smaller values are feasible as well."""
+    rate, p = min(1.0, float(np.min(path.rate_bound))), np.zeros((3, len(path.rate_bound)))
     for _ in range(200):
         p[0] = rate
         if np.all(path.ratios(p) <= LIMIT_SHARE):
-            return STEADY * rate
+            return INTERIOR_SHARE * rate
         rate *= 0.8
     raise TimingError("no constant speed along the path keeps the limits")
 
@@ -138,23 +138,23 @@ def _spline_jet(spline: BSpline, tau: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class ClockedPath:
-    """A path by a first clock τ, at M samples of it.
+    """A path by a first clock τ, at M samples.
 
     Attributes
     ----------
     demands: of the path, by its own parameter.
     first, second, third: (M, 2n, 3), the drones' derivatives by τ.
-    most: (M,) of x, by the limits of speed.
+    rate_bound: (M,), upper bound of x by the speed limits.
     """
 
     demands: Demands
     first: Array
     second: Array
     third: Array
-    most: Array
+    rate_bound: Array
 
     def ratios(self, p: Array) -> Array:
-        """Return (4, M, 2n): acceleration, jerk, thrust, tilt over their limits.
+        """Return (4, M, 2n): acceleration, jerk, thrust and tilt over their limits.
 
         Parameters
         ----------
@@ -177,14 +177,14 @@ class ClockedPath:
 
 @dataclass(frozen=True, eq=False)
 class RateRows:
-    """R limits of motion as rows at each of M samples, which are the last index.
+    """R limits of motion as rows at each of M samples, the last index.
 
-    With p = (x, x', x''), acceleration and √x-th part of the jerk are linear in p, so that every
-    limit is a quadratic form of p and, for the jerk, of 1/x:
+    Acceleration and jerk / √x are linear in p = (x, x', x''). Every limit is quadratic in p and,
+    for the jerk, linear in 1/x:
 
         pᵀ (Q - C) p + bᵀ p + c - e / x ≤ 0,   Q and C positive semidefinite, e ≥ 0.
 
-    Without C and e it would be convex; they are of the tilt and of the jerk only.
+    Rows are convex except those of tilt, with C, and of jerk, with e.
 
     Attributes
     ----------
@@ -201,14 +201,14 @@ class RateRows:
 
     @classmethod
     def of(cls, path: ClockedPath, drones: Indices) -> RateRows:
-        """Return the rows of the speed and of given drones.
+        """Return the rows of the speed and of some drones.
 
         Parameters
         ----------
-        drones: (4, M, R'), whose acceleration, jerk, thrust and tilt are rows.
+        drones: (4, M, R'), those with rows of acceleration, jerk, thrust and tilt.
         """
         demands, limits, share = path.demands, path.demands.limits, LIMIT_SHARE**2
-        samples = np.arange(len(path.most))[:, None]
+        samples = np.arange(len(path.rate_bound))[:, None]
         # (4, M, R', 3) each, then by p: (4, M, R', 3, 3)
         q1, q2, q3 = (each[samples, drones] for each in (path.first, path.second, path.third))
         accelerations = np.stack([q2, 0.5 * q1, 0.0 * q1], axis=-1)
@@ -221,17 +221,17 @@ class RateRows:
         slope = np.tan(LIMIT_SHARE * limits.tilt)
         rise, lift = slope * G[..., 2:, :], slope * pull[..., 2:]
         G, pull = G[..., :2, :], pull[..., :2]
-        flat = np.zeros(A.shape[:2])
-        none, full, zero = np.zeros((*flat.shape, 3)), flat + share, np.zeros(A.shape)
+        zero = np.zeros(A.shape[:2])
+        vector, full, matrix = np.zeros((*zero.shape, 3)), zero + share, np.zeros(A.shape)
         speed = np.zeros((len(samples), 1, 3))
-        speed[:, 0, 0] = 1.0 / path.most
+        speed[:, 0, 0] = 1.0 / path.rate_bound
         tilt = dot(pull, pull) - dot(lift, lift)
         rows = (
-            (zero[:, :1], zero[:, :1], speed, flat[:, :1] - 1.0, flat[:, :1]),
-            (_square(A), zero, none, -full, flat),
-            (_square(J), zero, none, flat, full),
-            (_square(F), zero, _double(F, thrust), dot(thrust, thrust) - share, flat),
-            (_square(G), _square(rise), _double(G, pull) - _double(rise, lift), tilt, flat),
+            (matrix[:, :1], matrix[:, :1], speed, zero[:, :1] - 1.0, zero[:, :1]),
+            (_square(A), matrix, vector, -full, zero),
+            (_square(J), matrix, vector, zero, full),
+            (_square(F), matrix, _double(F, thrust), dot(thrust, thrust) - share, zero),
+            (_square(G), _square(rise), _double(G, pull) - _double(rise, lift), tilt, zero),
         )
         parts = (np.concatenate(part, axis=1) for part in zip(*rows, strict=True))
         return cls(*(np.ascontiguousarray(part.T) for part in parts))
@@ -243,7 +243,7 @@ class RateRows:
         return values
 
     def gradients(self, p: Array) -> Array:
-        """Return their derivatives by p (3, R, M)."""
+        """Return the rows' derivatives by p (3, R, M)."""
         gradients: Array = 2.0 * np.einsum("ijrm,jm->irm", self.Q - self.C, p) + self.b
         gradients[0] += self.e / p[0] ** 2
         return gradients
@@ -253,7 +253,7 @@ class RateRows:
 
         Parameters
         ----------
-        convex: leave out the concave parts.
+        convex: whether to omit the concave parts.
         """
         forms = self.Q if convex else self.Q - self.C
         total: Array = 2.0 * np.einsum("rm,ijrm->ijm", weights, forms)
@@ -275,37 +275,37 @@ def _double(A: Array, load: Array) -> Array:
 
 DEGREE = 3
 
-STEPS = 60
-"""Largest number of Newton steps; some 15 are usual."""
+MAX_NEWTON_STEPS = 60
+"""Maximum number of Newton steps; 15 are typical."""
 
-GAP = 1e-5
-"""Duality gap at which the search ends, as a share of the duration."""
+GAP_TOLERANCE = 1e-5
+"""Duality gap at which the search ends, over the duration."""
 
-LEAST = 1e-4
-"""Least coefficient: keeps the rate above zero between the samples as well."""
+MIN_COEFFICIENT = 1e-4
+"""Lower bound of coefficients, which keeps the rate positive between the samples."""
 
-INSIDE = 0.99
-"""Largest share of the distance to the nearest bound that a step may take."""
+BOUNDARY_SHARE = 0.99
+"""Largest step over the distance to the nearest bound."""
 
-SHRINK = 1e-3
-"""Least share of a slack that every step leaves."""
+MIN_SLACK_SHARE = 1e-3
+"""Smallest slack after a step, over that before."""
 
-BACKTRACK, SMALLEST = 0.7, 1e-8
-"""Factor by which a step is shortened that breaks a row, and the share at which that ends."""
+BACKTRACK_FACTOR, MIN_STEP_SHARE = 0.7, 1e-8
+"""Factor that shortens steps that violate a row, and share of a step at which the search ends."""
 
 CENTRING = 0.1
-"""Share of the gap that a step aims at."""
+"""Target of the duality gap in a step, over the current gap."""
 
 
 @dataclass(frozen=True, eq=False)
 class SplineBasis:
-    """A cubic spline and its first two derivatives at M samples: each sees four coefficients.
+    """A cubic spline and its first two derivatives at M samples; each has four coefficients.
 
     Attributes
     ----------
-    values: (3 M, count), from coefficients.
-    products: (4 count, 9 M), from quadratic forms (3, 3, M) of the values to the lower band of
-        their sum, by coefficients.
+    values: (3 M, count), map from coefficients.
+    products: (4 count, 9 M), map from quadratic forms (3, 3, M) of the values to the lower band of
+        their sum as a form of the coefficients.
     """
 
     values: sp.csr_array[np.float64]
@@ -317,17 +317,17 @@ class SplineBasis:
         count, m = len(spline.c), np.arange(len(at))
         first = np.clip(np.searchsorted(spline.t, at, side="right") - 1, DEGREE, count - 1) - DEGREE
         columns = first + np.arange(DEGREE + 1)[:, None]  # (4, M)
-        whole = BSpline(spline.t, np.eye(count), DEGREE)
-        local = np.stack([whole(at, order)[m, columns] for order in range(3)])  # (3, 4, M)
+        basis = BSpline(spline.t, np.eye(count), DEGREE)
+        local = np.stack([basis(at, order)[m, columns] for order in range(3)])  # (3, 4, M)
         rows = np.broadcast_to(np.arange(3)[:, None, None] * len(m) + m, local.shape)
-        places = rows.ravel(), np.broadcast_to(columns, local.shape).ravel()
-        values = sp.csr_array((local.ravel(), places), shape=(3 * len(m), count))
+        indices = rows.ravel(), np.broadcast_to(columns, local.shape).ravel()
+        values = sp.csr_array((local.ravel(), indices), shape=(3 * len(m), count))
         i, j = np.tril_indices(DEGREE + 1)
         pairs = local[:, None, i] * local[None, :, j]  # (3, 3, 10, M)
         band = np.broadcast_to((i - j)[:, None] * count + columns[j], pairs.shape)
         forms = np.broadcast_to(np.arange(9 * len(m)).reshape(3, 3, 1, -1), pairs.shape)
-        places, shape = (band.ravel(), forms.ravel()), ((DEGREE + 1) * count, 9 * len(m))
-        return cls(values, sp.csr_array((pairs.ravel(), places), shape=shape))
+        indices, shape = (band.ravel(), forms.ravel()), ((DEGREE + 1) * count, 9 * len(m))
+        return cls(values, sp.csr_array((pairs.ravel(), indices), shape=shape))
 
     @property
     def count(self) -> int:
@@ -338,24 +338,24 @@ class SplineBasis:
         """Return value and derivatives (3, M)."""
         return np.asarray(self.values @ coefficients).reshape(3, -1)
 
-    def transposed(self, forces: Array) -> Array:
-        """Return the gradient by coefficients (count,) of that by value and derivatives (3, M)."""
-        return np.asarray(self.values.T @ forces.ravel())
+    def transposed(self, gradient: Array) -> Array:
+        """Return the gradient by coefficients (count,) from that by the values (3, M)."""
+        return np.asarray(self.values.T @ gradient.ravel())
 
     def banded(self, forms: Array) -> Array:
-        """Return the lower band (4, count) of what quadratic forms (3, 3, M) are together."""
+        """Return the lower band (4, count) of the sum of quadratic forms (3, 3, M) of values."""
         return np.asarray(self.products @ forms.ravel()).reshape(DEGREE + 1, self.count)
 
 
 @dataclass(frozen=True, eq=False)
 class RateProgram:
-    """``min Σ w / √x`` over the coefficients of a cubic spline x, all rows below zero.
+    """``min Σ w / √x`` over the coefficients of a cubic spline x, with all rows below zero.
 
     Attributes
     ----------
     basis: of the spline at the samples.
     rows: at the samples.
-    weights: (M,) [s], of the quadrature that gives the duration.
+    weights: (M,) [s], of the duration's quadrature.
     """
 
     basis: SplineBasis
@@ -368,77 +368,77 @@ class RateProgram:
 
     def slack(self, coefficients: Array) -> Array | None:
         """Return the slack (R · M + count,) of rows and coefficients; None if one is negative."""
-        p, own = self.basis.at(coefficients), coefficients - LEAST
+        p, own = self.basis.at(coefficients), coefficients - MIN_COEFFICIENT
         if own.min() <= 0.0 or p[0].min() <= 0.0:
             return None
         slack = np.append(-self.rows.values(p).ravel(), own)
         return slack if slack.min() > 0.0 else None
 
 
-def fastest_rate(program: RateProgram, start: Array) -> Array:
-    """Return the coefficients of the fastest rate that is found from a start inside of all rows.
+def fastest_rate(program: RateProgram, guess: Array) -> Array:
+    """Return the coefficients of the fastest rate, by a primal-dual interior-point method.
 
-    A primal-dual interior-point method. Every row sees four neighbouring coefficients, so that
-    Newton's matrix has seven diagonals: a step costs as much as looking at the rows. Every iterate
-    satisfies all rows strictly, so the last one is a solution whatever ended the search. The start
-    itself is returned where it is not inside.
+    Rows have four neighbouring coefficients, so that Newton's matrix has seven diagonals and a step
+    is linear in the number of rows. All iterates are strictly feasible, and the last one is
+    returned. A guess that is not strictly feasible is returned unchanged.
     """
-    slack = program.slack(start)
+    slack = program.slack(guess)
     if slack is None:
-        return start
-    c, basis, shape = start, program.basis, program.rows.c.shape
-    force = CENTRING * program.duration(basis.at(c)) / len(slack) / slack
-    for _ in range(STEPS):
+        return guess
+    c, basis, shape = guess, program.basis, program.rows.c.shape
+    dual = CENTRING * program.duration(basis.at(c)) / len(slack) / slack
+    for _ in range(MAX_NEWTON_STEPS):
         check_time()
-        p, gap = basis.at(c), float(force @ slack)
-        done = GAP * program.duration(p)
+        p, gap = basis.at(c), float(dual @ slack)
+        tolerance = GAP_TOLERANCE * program.duration(p)
         gradients = program.rows.gradients(p)
-        residual, factor = _newton(program, p, gradients, force, slack)
-        if factor is None or (gap < done and np.abs(residual).max() < done):
+        residual, factor = _newton(program, p, gradients, dual, slack)
+        if factor is None or (gap < tolerance and np.abs(residual).max() < tolerance):
             break
-        # Towards products of slacks and forces that are all the same.
-        pull = max(CENTRING * gap, 0.1 * done) / len(slack) / slack - force
-        inner = pull[: program.rows.c.size].reshape(shape)
-        pushed = basis.transposed(np.einsum("rm,irm->im", inner, gradients))
-        dc: Array = dpbtrs(factor, pull[program.rows.c.size :] - residual - pushed, lower=True)[0]
+        # Toward equal products of slacks and duals.
+        change = max(CENTRING * gap, 0.1 * tolerance) / len(slack) / slack - dual
+        of_rows = change[: program.rows.c.size].reshape(shape)
+        right = change[program.rows.c.size :] - residual
+        right = right - basis.transposed(np.einsum("rm,irm->im", of_rows, gradients))
+        dc: Array = dpbtrs(factor, right, lower=True)[0]
         dslack = np.append(-np.einsum("irm,im->rm", gradients, basis.at(dc)).ravel(), dc)
-        dforce = pull - force / slack * dslack
-        share = _share(slack, dslack)
-        left, least = program.slack(c + share * dc), SHRINK * slack
-        while left is None or (left < least).any():
-            share *= BACKTRACK
-            if share < SMALLEST:
+        ddual = change - dual / slack * dslack
+        share = _step_share(slack, dslack)
+        remaining, smallest = program.slack(c + share * dc), MIN_SLACK_SHARE * slack
+        while remaining is None or (remaining < smallest).any():
+            share *= BACKTRACK_FACTOR
+            if share < MIN_STEP_SHARE:
                 return c
-            left = program.slack(c + share * dc)
-        c, slack = c + share * dc, left
-        force = force + _share(force, dforce) * dforce
+            remaining = program.slack(c + share * dc)
+        c, slack = c + share * dc, remaining
+        dual = dual + _step_share(dual, ddual) * ddual
     return c
 
 
 def _newton(
-    program: RateProgram, p: Array, gradients: Array, force: Array, slack: Array
+    program: RateProgram, p: Array, gradients: Array, dual: Array, slack: Array
 ) -> tuple[Array, Array | None]:
-    """Return the residual (count,) of forces at p (3, M), and the factor of Newton's matrix.
+    """Return the dual residual (count,) at p (3, M), and the factor of Newton's matrix.
 
-    By the convex part of the rows where the matrix is indefinite; None where there is no factor.
+    An indefinite matrix is replaced by one of the rows' convex parts; the factor may be None.
     """
-    rows, shape, inner = program.rows, program.rows.c.shape, program.rows.c.size
-    own, stiff = (each[:inner].reshape(shape) for each in (force, force / slack))
-    pull = np.einsum("rm,irm->im", own, gradients)
-    pull[0] -= 0.5 * program.weights * p[0] ** -1.5
-    residual = program.basis.transposed(pull) - force[inner:]
-    forms = np.einsum("irm,jrm->ijm", stiff * gradients, gradients)
+    rows, shape, size = program.rows, program.rows.c.shape, program.rows.c.size
+    own, stiffness = (each[:size].reshape(shape) for each in (dual, dual / slack))
+    gradient = np.einsum("rm,irm->im", own, gradients)
+    gradient[0] -= 0.5 * program.weights * p[0] ** -1.5
+    residual = program.basis.transposed(gradient) - dual[size:]
+    forms = np.einsum("irm,jrm->ijm", stiffness * gradients, gradients)
     forms[0, 0] += 0.75 * program.weights * p[0] ** -2.5
     for convex in (False, True):
         band = program.basis.banded(forms + rows.curvature(p, own, convex=convex))
-        band[0] += force[inner:] / slack[inner:]
+        band[0] += dual[size:] / slack[size:]
         factor, failed = dpbtrf(band, lower=True)
         if not failed:
             return residual, factor
     return residual, None
 
 
-def _share(values: Array, steps: Array) -> float:
-    """Return how much of a step keeps the values above zero, at most all of it."""
+def _step_share(values: Array, steps: Array) -> float:
+    """Return the share of steps, at most 1, that keeps positive values positive."""
     fastest = float((steps / values).min())
-    return min(1.0, INSIDE / -fastest) if fastest < 0.0 else 1.0
+    return min(1.0, BOUNDARY_SHARE / -fastest) if fastest < 0.0 else 1.0

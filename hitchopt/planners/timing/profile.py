@@ -1,8 +1,8 @@
-"""Demands of motion along a path on drones, and its time-optimal speed by toppra's analysis.
+"""Demands on drones along a path, and its time-optimal speed profile by reachability analysis.
 
-The passes are toppra's (Pham and Pham, "A new approach to time-optimal path parameterization based
-on reachability analysis", IEEE T-RO 34, 2018), and so is the solver of the small linear programs;
-its classes take three times as long to set these up as to solve them.
+The method is toppra's (Pham and Pham, "A new approach to time-optimal path parameterization based
+on reachability analysis", IEEE T-RO 34, 2018), with its solver of small linear programs. Its
+classes are not used: they take three times as long to set up the programs as to solve them.
 """
 
 from __future__ import annotations
@@ -27,15 +27,13 @@ from hitchopt.planners.morph.path import Path
 from hitchopt.values import Array
 
 LIMIT_SHARE = 0.999
-"""Share of the limits in use at samples; the rest is for the time between them."""
+"""Share of the limits at samples, with a reserve for the times between."""
 
 FINAL_SHARE = 1.0 - 0.5 * (1.0 - LIMIT_SHARE)
-"""Share of the limits that the polynomials' enclosures may use: half of the rest remains to the
-certificate, which bounds them by other means."""
+"""Share of the limits for the polynomials' enclosures; the rest is for the certificate's bounds."""
 
 CHUNK = 64_000
-"""Number of rays of drones that are cast at a time: temporary arrays fit in a core's cache, and are
-small enough for memory that is used again."""
+"""Number of rays of drones per chunk, whose temporary arrays fit into a core's cache."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,9 +44,10 @@ class Demands:
     ----------
     drones: (J, 2n, 3, 4) [m], positions and derivatives by the path's parameter.
     vertex_speed: (J,) [m], largest first derivative of a vertex.
-    loads: (J, 2n, 3) [N], thrust at rest: weight and the cable's pull held against.
-    team: whose masses and thrusts.
-    limits: of which ``share`` is used.
+    loads: (J, 2n, 3) [N], thrusts at rest, which balance weight and cable force.
+    team: with masses and largest thrusts.
+    limits: of motion.
+    share: enforced share of the limits.
     """
 
     drones: Array
@@ -75,18 +74,18 @@ class Demands:
         bound: Array = (self.share / np.maximum(own, 1e-12)) ** 2
         return bound
 
-    def reach(self, u: Array, x: Array) -> Array:
-        """Return how far (J, m) along rays (u, x) of s̈ and ṡ², (J, m) each, all limits hold.
+    def ray_factors(self, u: Array, x: Array) -> Array:
+        """Return the factors (J, m) of rays (u, x) of s̈ and ṡ², (J, m) each, within all limits.
 
-        0 where rest itself breaks a limit.
+        They are 0 if rest violates a limit.
         """
         linear, quadratic = np.stack([u, x], axis=1), np.stack([u * u, 2.0 * u * x, x * x], axis=1)
-        factors, many = np.empty(u.shape), max(1, CHUNK // (self.drones.shape[1] * u.shape[1]))
-        for first in range(0, len(u), many):
-            at = slice(first, first + many)
+        factors, size = np.empty(u.shape), max(1, CHUNK // (self.drones.shape[1] * u.shape[1]))
+        for first in range(0, len(u), size):
+            at = slice(first, first + size)
             forms, slopes, infeasible_at_rest = self._slowness(at)
             slowest = np.sqrt(np.max(forms[0] @ quadratic[at], axis=1))
-            with np.errstate(invalid="ignore"):  # a negative discriminant: that limit ends no ray
+            with np.errstate(invalid="ignore"):  # nan: the limit does not bound that ray
                 for form, slope in zip(forms[1:], slopes, strict=True):
                     root = np.sqrt(form @ quadratic[at]) + slope @ linear[at]
                     slowest = np.fmax(slowest, np.fmax.reduce(root, axis=1))
@@ -95,14 +94,17 @@ class Demands:
         return factors
 
     def _slowness(self, at: slice) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Return by what the inverse of a ray's factor is computed, limit by limit, at some points.
+        """Return coefficients of rays' inverse factors ``1 / ρ`` for each limit, at some points.
 
-        With ``a ρ² + 2 b ρ + c = 0`` where a limit is reached, and c < 0 as at rest it is kept,
-        ``1 / ρ = -b / c + √((b / c)² - a / c)``, in which nothing cancels.
+        A limit binds where ``a ρ² + 2 b ρ + c = 0``, and c < 0 if rest satisfies it. Without
+        cancellation, ``1 / ρ = -b / c + √((b / c)² - a / c)``.
 
-        Forms (3, J, 2n, 3) of (u², 2 u x, x²) are the inverse's square for the acceleration, and
-        what is under the root for thrust and tilt; (2, J, 2n, 2) of (u, x) are -b / c for these
-        two; (J, 2n) tells whether rest itself breaks a limit.
+        Returns
+        -------
+        forms: (3, J, 2n, 3), coefficients of (u², 2 u x, x²), for the squared inverse factor of the
+            acceleration limit, and for the radicands of thrust and tilt.
+        slopes: (2, J, 2n, 2), coefficients of (u, x) for -b / c of thrust and tilt.
+        infeasible_at_rest: (J, 2n), whether rest violates a limit.
         """
         q1, q2, loads = self.drones[at, ..., 1], self.drones[at, ..., 2], self.loads[at]
         squares = np.stack([dot(q1, q1), dot(q1, q2), dot(q2, q2)], axis=-1)
@@ -122,25 +124,25 @@ class Demands:
         return np.stack(forms), np.stack(slopes), infeasible_at_rest
 
     def stretches(self) -> Array:
-        """Return how many times slower each drone (2n,) must fly to keep its limits.
+        """Return the stretch in time (2n,) with which each drone keeps its limits.
 
-        The parameter is the flight's time. Below 1 where it could be faster, infinite where not
-        even the forces at rest are within the limits. Slowed by κ, velocities fall with κ,
-        accelerations with κ² and jerks with κ³.
+        The path's parameter is time. Stretches below 1 are possible; they are infinite if forces at
+        rest violate a limit. With a stretch κ velocities decrease with κ, accelerations with κ² and
+        jerks with κ³.
         """
         forms, slopes, infeasible_at_rest = self._slowness(slice(None))
         squares, slope = forms[..., 2], slopes[..., 1]  # along the ray of ṡ²
         forces = np.where(squares[1:] >= 0.0, slope + np.sqrt(np.maximum(squares[1:], 0.0)), 0.0)
         speeds, jerks = length(self.drones[..., 1]), length(self.drones[..., 3])
-        slower = np.maximum.reduce(
+        stretches = np.maximum.reduce(
             [
                 speeds / self.limits.speed / self.share,
                 np.sqrt(np.maximum(np.sqrt(squares[0]), np.max(forces, axis=0))),
                 np.cbrt(jerks / self.limits.jerk / self.share),
             ]
         )
-        slowest: Array = np.max(np.where(infeasible_at_rest, math.inf, slower), axis=0)
-        return slowest
+        largest: Array = np.max(np.where(infeasible_at_rest, math.inf, stretches), axis=0)
+        return largest
 
 
 def loads_at_rest(team: Team, cable_forces: Array) -> Array:
@@ -158,46 +160,47 @@ def rest_ratios(team: Team, limits: Limits, loads: Array) -> Array:
 def check_hover(
     team: Team, limits: Limits, loads: Array, when: Sequence[str], remedies: tuple[str, str]
 ) -> None:
-    """Raise InfeasibleError where hovering alone leaves nothing of a limit to move by.
+    """Raise InfeasibleError if hovering uses up a limit of thrust or tilt.
 
     Parameters
     ----------
     loads: (J, 2n, 3) [N], thrusts at rest.
-    when: J words for where on the flight that is.
-    remedies: for too much thrust and too much tilt.
+    when: J descriptions of positions on the flight.
+    remedies: for thrust and tilt.
     """
     kinds = ("thrust", "N", team.max_thrust), ("tilt", "deg", np.degrees([limits.tilt]))
-    at_rest = rest_ratios(team, limits, loads)
-    for (name, unit, limit), ratios, remedy in zip(kinds, at_rest, remedies, strict=True):
+    both = rest_ratios(team, limits, loads)
+    for (name, unit, each), ratios, remedy in zip(kinds, both, remedies, strict=True):
         j, i = divmod(int(np.argmax(ratios)), team.drones)
         if ratios[j, i] >= LIMIT_SHARE:
-            most = float(np.broadcast_to(limit, team.drones)[i])
-            limit_values = name, float(ratios[j, i]) * most, LIMIT_SHARE * most, "max", unit
+            limit, where = float(np.broadcast_to(each, team.drones)[i]), (team.drone_names[i],)
+            value, limit = float(ratios[j, i]) * limit, LIMIT_SHARE * limit
             words = f"{when[j]}, {1.0 - LIMIT_SHARE:.1%} of it being reserved to move by"
-            raise InfeasibleError([Violation(*limit_values, (team.drone_names[i],), words, remedy)])
+            violation = Violation(name, value, limit, "max", unit, where, words, remedy)
+            raise InfeasibleError([violation])
 
 
 def spare_accelerations(team: Team, limits: Limits, loads: Array) -> Array:
-    """Return (J, 2n) [m/s²]: what thrust and tilt leave for accelerations in any direction."""
+    """Return the accelerations (J, 2n) [m/s²] in any direction within thrust and tilt limits."""
     thrust, tilt = LIMIT_SHARE - rest_ratios(team, limits, loads)
-    sideways = length(loads) * np.sin(limits.tilt * tilt)
-    spare: Array = np.minimum(team.max_thrust * thrust, sideways) / team.mass
+    lateral = length(loads) * np.sin(limits.tilt * tilt)
+    spare: Array = np.minimum(team.max_thrust * thrust, lateral) / team.mass
     return spare
 
 
 def usable_accelerations(team: Team, limits: Limits, drones: Array) -> Array:
-    """Return how much every drone may accelerate in any direction (2n,) [m/s²].
+    """Return the usable acceleration of every drone (2n,) [m/s²] in any direction.
 
     Parameters
     ----------
-    drones: (J, 2n, 3) [m], places along the flight.
+    drones: (J, 2n, 3) [m], positions along the flight.
 
     Raises
     ------
-    InfeasibleError: hovering alone takes more thrust or tilt than there is, or a cable with weight
-        is too short for its drones' places.
+    InfeasibleError: hovering exceeds the limits of thrust or tilt, or a heavy cable is too short
+        for its drones' positions.
     """
-    if team.cable_density > 0.0:  # the pull of a cable that is too short has no bound
+    if team.cable_density > 0.0:  # the pull of a cable that is too short is unbounded
         spans = length(drones[:, 1::2] - drones[:, 0::2]) / team.cable_length
         cable, worst = int(np.argmax(np.max(spans, axis=0))), float(np.max(spans))
         if worst >= 1.0:
@@ -207,35 +210,35 @@ def usable_accelerations(team: Team, limits: Limits, drones: Array) -> Array:
     loads = loads_at_rest(team, hanging_forces(team, drones))
     remedy = "use lighter cables, or stronger drones that may tilt more"
     check_hover(team, limits, loads, ["hovering with a hanging cable"] * len(drones), (remedy,) * 2)
-    free = spare_accelerations(team, limits, loads)
-    reserve: Array = np.minimum(np.min(free, axis=0), LIMIT_SHARE * limits.acceleration)
-    return reserve
+    spare = spare_accelerations(team, limits, loads)
+    usable: Array = np.minimum(np.min(spare, axis=0), LIMIT_SHARE * limits.acceleration)
+    return usable
 
 
 def _products(pair: Array) -> Array:
-    """Return the products (…, 3) of both numbers (…, 2): first², first · second, second²."""
+    """Return the products (…, 3) of pairs (…, 2): first², first · second, second²."""
     return pair[..., [0, 0, 1]] * pair[..., [0, 1, 1]]
 
 
 RAYS = 64
-"""Directions in the half plane of (s̈, ṡ² ≥ 0): chords cut off 0.03 % of a circle."""
+"""Number of directions in the half plane of (s̈, ṡ² ≥ 0); chords cut off 0.03 % of a circle."""
 
-TINY = 1e-8
-"""Margin of ṡ² below toppra's solution, so that rounding leaves programs feasible."""
+ROUNDING_MARGIN = 1e-8
+"""Margin of ṡ² below toppra's solution, with which programs remain feasible after rounding."""
 
-HUGE = 1e8
+VARIABLE_BOUND = 1e8
 """Bound of s̈ and ṡ² in toppra's programs."""
 
 ACCELERATION_WEIGHT = 1e-9
-"""Weight of s̈ relative to ṡ², which chooses among corners of equal speed."""
+"""Weight of s̈ relative to ṡ², which resolves ties of equal speed."""
 
 
 class TimingError(HitchoptError):
-    """The path cannot be timed: no profile from rest to rest, or no rate, keeps the limits."""
+    """No timing of the path from rest to rest satisfies the limits."""
 
 
 def path_grid(steps: int) -> Array:
-    """Return (steps + 1,) from 0 to 1, closer at the ends, where the path is left from rest."""
+    """Return a grid (steps + 1,) from 0 to 1, finer at the ends, where speeds are low."""
     return 0.5 - 0.5 * np.cos(np.pi * np.arange(steps + 1) / steps)
 
 
@@ -246,7 +249,7 @@ class SpeedProfile:
     Attributes
     ----------
     s: (J,), the grid from 0 to 1.
-    speed: (J,) [1/s], ṡ there; s̈ is constant in between.
+    speed: (J,) [1/s], ṡ on the grid; s̈ is constant between.
     """
 
     s: Array
@@ -254,7 +257,7 @@ class SpeedProfile:
 
     @property
     def times(self) -> Array:
-        """(J,) [s]: when s is reached."""
+        """(J,) [s]: times of the grid points."""
         steps = 2.0 * np.diff(self.s) / (self.speed[1:] + self.speed[:-1])
         return np.append(0.0, np.cumsum(steps))
 
@@ -265,7 +268,7 @@ class SpeedProfile:
 
     @cached_property
     def progress(self) -> PPoly:
-        """Function of time [s]: s, a quadratic on each step."""
+        """S as a function of time [s], a quadratic on each step."""
         steps = np.diff(self.times)
         quadratics = np.stack([0.5 * np.diff(self.speed) / steps, self.speed[:-1], self.s[:-1]])
         return PPoly(quadratics, self.times)
@@ -276,12 +279,12 @@ class SpeedProfile:
         return np.where(inside, self.progress(np.clip(t, 0.0, self.duration), 2), 0.0)
 
     def mean(self, t: Array, width: float) -> Array:
-        """Return the mean of s over the ``width`` [s] before t (…); at rest before and after."""
+        """Return the mean of s over the ``width`` [s] before t (…); s is 0 before and 1 after."""
         integral, end = self.progress.antiderivative(), self.duration
-        until, before = (
+        upper, lower = (
             integral(np.clip(x, 0.0, end)) + np.maximum(x - end, 0.0) for x in (t, t - width)
         )
-        mean: Array = (until - before) / width
+        mean: Array = (upper - lower) / width
         return mean
 
 
@@ -290,13 +293,13 @@ def fastest_profile(s: Array, demands: Demands) -> SpeedProfile:
 
     Raises
     ------
-    TimingError: none exists, as where rest itself breaks a limit on the path.
+    TimingError: none exists, for instance because rest violates a limit.
     """
-    corners, steepest, fastest = allowed(demands)
-    # toppra's bounds and tolerances are absolute: its path gets a length, and its time a unit, in
-    # which both s̈ and ṡ² are of order 1, be they bound by acceleration or by speed.
-    length = float(np.clip(np.median(steepest / fastest), 1e-2, 1e9))
-    unit = float(np.median(fastest)) * length
+    corners, acceleration, squared_speed = feasible_polygons(demands)
+    # toppra's bounds and tolerances are absolute. A length of the path and a unit of time scale
+    # both s̈ and ṡ² to order 1, whether limited by acceleration or by speed.
+    length = float(np.clip(np.median(acceleration / squared_speed), 1e-2, 1e9))
+    unit = float(np.median(squared_speed)) * length
     squares = _fastest_squares(_step_programs(corners, s, length, unit))
     if not np.all(squares[1:-1] > 0.0):
         raise TimingError("toppra found no speed profile from rest to rest on this path")
@@ -306,8 +309,8 @@ def fastest_profile(s: Array, demands: Demands) -> SpeedProfile:
 def _step_programs(corners: Array, s: Array, length: float, unit: float) -> Array:
     """Return (J, 3, 2m + 2): rows ``a s̈ + b ṡ² + c ≤ 0`` of the steps between points s (J + 1,).
 
-    The first two keep ṡ² at the next point within bounds, the others are the half planes within
-    allowed corners at both ends of the step, for a length of the path and a unit of ṡ² times that.
+    The first two rows bound ṡ² at the next point. The others are the half planes of the feasible
+    polygons at both ends of the step, scaled by a length of the path and a unit of ṡ² times that.
     """
     along = np.diff(corners, axis=1)  # counter-clockwise
     normals = np.stack([along[..., 1], -along[..., 0]], axis=-1)
@@ -321,45 +324,45 @@ def _step_programs(corners: Array, s: Array, length: float, unit: float) -> Arra
     programs = np.zeros((len(twice), 3, 2 * m + 2))
     programs[:, :2, 0] = np.append(twice, np.ones_like(twice), axis=1)
     programs[:, :2, 1] = -programs[:, :2, 0]
-    here, there = programs[..., 2 : m + 2], programs[..., m + 2 :]
-    here[:, 0], here[:, 1], here[:, 2] = normals[:-1, :, 0], normals[:-1, :, 1], -bounds[:-1]
-    there[:, 0] = normals[1:, :, 0] + twice * normals[1:, :, 1]
-    there[:, 1], there[:, 2] = normals[1:, :, 1], -bounds[1:]
+    start, end = programs[..., 2 : m + 2], programs[..., m + 2 :]
+    start[:, 0], start[:, 1], start[:, 2] = normals[:-1, :, 0], normals[:-1, :, 1], -bounds[:-1]
+    end[:, 0] = normals[1:, :, 0] + twice * normals[1:, :, 1]
+    end[:, 1], end[:, 2] = normals[1:, :, 1], -bounds[1:]
     return programs
 
 
 def _fastest_squares(programs: Array) -> Array:
-    """Return (J + 1,): the largest ṡ² from rest to rest, nan where there is none.
+    """Return the largest ṡ² (J + 1,) from rest to rest; nan if there is none.
 
-    From the last point to the first, the largest ones from which rest can be reached; then as fast
-    as these allow. The next point's bounds are written into the programs.
+    The backward pass computes the largest ones from which rest can be reached, and writes them into
+    the programs as bounds of the next point. The forward pass is as fast as these permit.
     """
     steps = len(programs)
-    lowest, highest = np.array([-HUGE, 0.0]), np.array([HUGE, HUGE])
-    aim, active = np.array([-ACCELERATION_WEIGHT, 1.0, 0.0]), np.arange(2)
-    most = [0.0] * (steps + 1)
+    lower, upper = np.array([-VARIABLE_BOUND, 0.0]), np.array([VARIABLE_BOUND, VARIABLE_BOUND])
+    objective, active = np.array([-ACCELERATION_WEIGHT, 1.0, 0.0]), np.arange(2)
+    bounds = [0.0] * (steps + 1)
     for i in reversed(range(steps)):
         a, b, c = programs[i]
-        c[0] = -most[i + 1]
-        solved, _, best, binding = solve_lp2d(aim, a, b, c, lowest, highest, active)
+        c[0] = -bounds[i + 1]
+        solved, _, best, binding = solve_lp2d(objective, a, b, c, lower, upper, active)
         if not solved:
             return np.full(steps + 1, np.nan)
-        most[i], active = float(best[1]), np.array(binding, dtype=active.dtype)
+        bounds[i], active = float(best[1]), np.array(binding, dtype=active.dtype)
     a, b, c = programs[:, 0], programs[:, 1], programs[:, 2]
-    above = np.where(a > 0.0, a, 1.0)
-    limits, slopes = np.where(a > 0.0, -c / above, np.inf), np.where(a > 0.0, b / above, 0.0)
+    positive = np.where(a > 0.0, a, 1.0)
+    limits, slopes = np.where(a > 0.0, -c / positive, np.inf), np.where(a > 0.0, b / positive, 0.0)
     twice, squares = a[:, 0].tolist(), [0.0] * (steps + 1)
     for i, (limit, slope) in enumerate(zip(limits, slopes, strict=True)):
         after = squares[i] + twice[i] * float((limit - slope * squares[i]).min())
-        squares[i + 1] = min(most[i + 1], max(after - TINY, 0.9999 * after, 0.0))
+        squares[i + 1] = min(bounds[i + 1], max(after - ROUNDING_MARGIN, 0.9999 * after, 0.0))
     return np.array(squares)
 
 
 def acceleration_ramp(profile: SpeedProfile, demands: Demands) -> float:
-    """Return how long the acceleration takes from one limit to the other [s].
+    """Return the time [s] in which the acceleration changes from one limit to the other.
 
-    Where the jerk never lets it reach its limits: as long as the largest speed that is reached
-    takes, or the longest path of a drone.
+    It is less if the jerk limit keeps the acceleration from its limits: at the largest speed of the
+    profile, or on the longest path of a drone.
     """
     rates = length(demands.drones[..., 1])
     speed = float(np.max(rates * profile.speed[:, None]))
@@ -373,39 +376,39 @@ def acceleration_ramp(profile: SpeedProfile, demands: Demands) -> float:
     )
 
 
-def allowed(demands: Demands) -> tuple[Array, Array, Array]:
-    """Return an inner approximation of the (s̈, ṡ²) that all drones' limits allow.
+def feasible_polygons(demands: Demands) -> tuple[Array, Array, Array]:
+    """Return an inner approximation of the feasible (s̈, ṡ²).
 
-    Vector norms are no boxes: rays from rest find the boundary of the convex set that all drones
-    allow together, and the polygon through their ends lies inside of it. Its size is fixed in n.
+    The feasible set of all drones is convex. Its polygon has corners on rays from rest; their
+    number does not depend on n.
 
     Returns
     -------
-    Corners (J, RAYS + 1, 2) from the largest s̈ at ṡ = 0 to the smallest; (J,) [1/s²] each, sizes
-    of s̈ and of ṡ².
+    corners: (J, RAYS + 1, 2), from the largest s̈ at ṡ = 0 to the smallest.
+    acceleration, squared_speed: (J,) [1/s²], magnitudes of s̈ and of ṡ².
     """
-    fastest = demands.speed_bound
+    squared_speed = demands.speed_bound
     rates = np.maximum(length(demands.drones[..., 1]), 1e-12)
-    steepest = np.min(demands.limits.acceleration / rates, axis=1)
+    acceleration = np.min(demands.limits.acceleration / rates, axis=1)
     angles = np.pi * np.arange(RAYS + 1) / RAYS
-    u, x = steepest[:, None] * np.cos(angles), fastest[:, None] * np.sin(angles)
+    u, x = acceleration[:, None] * np.cos(angles), squared_speed[:, None] * np.sin(angles)
     x[:, [0, -1]] = 0.0
-    ends, moving = demands.reach(u, x), np.where(x > 0.0, x, 1.0)
-    ends = np.minimum(ends, np.where(x > 0.0, fastest[:, None] / moving, np.inf))
-    return np.stack([ends * u, ends * x], axis=-1), steepest, fastest
+    factors, positive = demands.ray_factors(u, x), np.where(x > 0.0, x, 1.0)
+    factors = np.minimum(factors, np.where(x > 0.0, squared_speed[:, None] / positive, np.inf))
+    return np.stack([factors * u, factors * x], axis=-1), acceleration, squared_speed
 
 
 GRID = 80
-"""Number of steps of the grid along the path: coarser ones mistake which of two paths is faster."""
+"""Number of steps of the grid along the path, below which comparisons of paths are unreliable."""
 
 RAMP_SHARE = 0.5
-"""Share of the acceleration's ramp by which a limit of jerk makes flights longer at least: that of
-a change from rest to full speed."""
+"""Smallest increase of the duration by a jerk limit, over the acceleration's ramp, as in a change
+from rest to full speed."""
 
 
 @lru_cache(maxsize=3)
 def demands_along(path: Path, limits: Limits, steps: int = GRID) -> Demands:
-    """Return the demands of a path on a grid of ``steps``; those of the last paths are stored."""
+    """Return the demands of a path on a grid, cached for the last paths."""
     return Demands.along(path, limits, path_grid(steps))
 
 
@@ -413,7 +416,7 @@ def demands_along(path: Path, limits: Limits, steps: int = GRID) -> Demands:
 def flight_estimate(path: Path, limits: Limits) -> float:
     """Return an estimate of the duration [s] of a flight along a path; infinite if there is none.
 
-    Flights are mostly longer, by up to a tenth of the ramp.
+    Most flights are longer, by up to a tenth of the ramp.
     """
     demands = demands_along(path, limits)
     try:

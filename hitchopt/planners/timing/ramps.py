@@ -1,4 +1,4 @@
-"""The fastest motions along a line, limited in jerk, and curves that drones fly on such a clock."""
+"""The fastest jerk-limited motions along a line, and curves timed by such a clock."""
 
 from __future__ import annotations
 
@@ -15,20 +15,21 @@ from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.clock_phases import advanced
 from hitchopt.values import Array
 
-SHORTEST = 1e-9
-"""[s] Phases of a profile that are shorter are dropped."""
+PHASE_TOLERANCE = 1e-9
+"""[s] Shorter phases of a profile are dropped."""
 
-BRIEF, SLOWER = 5e-4, (1.0, 0.98, 0.96)
-"""[s] Phases that are shorter are too brief; shares of limits that are tried then."""
+MIN_PHASE, LIMIT_FACTORS = 5e-4, (1.0, 0.98, 0.96)
+"""[s] Shortest phase whose derivatives are accurate, and factors of limits that avoid shorter ones,
+in the order of the search."""
 
 
 def fastest_ramps(
     distance: ArrayLike, speed: float, acceleration: ArrayLike, jerk: float
 ) -> tuple[Array, Array]:
-    """Return durations and rises to the largest speed (N,) [s] of the fastest straight flights.
+    """Return durations and rise times (N,) [s] of the fastest straight flights from rest to rest.
 
-    From rest to rest within speed, acceleration and jerk. The bound holds for any flight between
-    two points at that distance: its component along the line between them is such a flight.
+    The durations are lower bounds for all flights between two points at that distance, since the
+    component along their line satisfies the same limits.
 
     Parameters
     ----------
@@ -37,7 +38,7 @@ def fastest_ramps(
     """
     d = np.asarray(distance, dtype=np.float64)
     a = np.broadcast_to(np.asarray(acceleration, dtype=np.float64), d.shape)
-    # Peaks of flights that never cruise: with, or without, a time of constant acceleration.
+    # Peak speeds without cruise: with and without a plateau of the acceleration.
     corner = a * a / jerk
     with_plateau = 0.5 * (np.sqrt(corner * corner + 4.0 * a * d) - corner)
     without = np.cbrt(0.25 * d * d * jerk)
@@ -52,8 +53,8 @@ def fastest_clock(
 ) -> PiecewisePolynomial:
     """Return the fastest profile from 0 to ``goal``, from rest to rest, a cubic per phase.
 
-    The phases are exact: ruckig's jerks and durations, integrated. No waypoints are used. Where one
-    would be so brief that derivatives on it suffer from rounding, limits are SLOWER.
+    The phases are exact integrals of ruckig's jerks. LIMIT_FACTORS avoid phases that are so short
+    that their derivatives suffer from rounding.
 
     Parameters
     ----------
@@ -64,8 +65,8 @@ def fastest_clock(
 
     task = InputParameter(1)
     task.current_position, task.target_position = [0.0], [goal]
-    for share in SLOWER:
-        limits = share * speed, share * acceleration, jerk
+    for factor in LIMIT_FACTORS:
+        limits = factor * speed, factor * acceleration, jerk
         task.max_velocity, task.max_acceleration, task.max_jerk = ([limit] for limit in limits)
         trajectory = Trajectory(1)
         result = Ruckig(1).calculate(task, trajectory)
@@ -73,42 +74,48 @@ def fastest_clock(
             raise HitchoptError(f"ruckig: {result} from 0 to {goal:g}; please report it")
         profile = trajectory.profiles[0][0]
         seconds, jerks = np.array([profile.t, profile.j], dtype=np.float64)
-        lasting = seconds > SHORTEST
-        if np.min(seconds[lasting]) >= BRIEF:
+        present = seconds > PHASE_TOLERANCE
+        if np.min(seconds[present]) >= MIN_PHASE:
             break
     jets = [np.zeros(4)]
-    for each, constant in zip(seconds[lasting], jerks[lasting], strict=True):
+    for each, constant in zip(seconds[present], jerks[present], strict=True):
         jets[-1][3] = constant
         jets.append(advanced(jets[-1], each))
     x = np.stack(jets, axis=1)[:3]
-    x[:, -1] = goal, 0.0, 0.0  # rounding goes into the last phase, where it is all but nothing
-    breaks = np.append(0.0, np.cumsum(seconds[lasting]))
+    x[:, -1] = goal, 0.0, 0.0  # the last phase absorbs rounding
+    breaks = np.append(0.0, np.cumsum(seconds[present]))
     return PiecewisePolynomial.hermite(breaks, x[:, :-1], x[:, 1:])
 
 
 Curve = Callable[[Array, int], Array]
-"""Function of parameters (J,) and the order of a derivative by them; gives (J, drones, 3) [m]."""
+"""Function of parameters (J,) and the order of a derivative, with values (J, drones, 3) [m]."""
 
 
 def timed_curve(
-    curve: Curve, clock: PiecewisePolynomial, most: float, limits: Limits, reserve: float
+    curve: Curve,
+    clock: PiecewisePolynomial,
+    max_advance: float,
+    limits: Limits,
+    acceleration: float,
 ) -> PiecewisePolynomial:
-    """Return drones on a curve, on a clock that is slowed until they keep their limits.
+    """Return drones on a curve, timed by a clock that is slowed down to their limits.
 
     Parameters
     ----------
     curve: in the clock's unit.
     clock: cubics from rest to rest.
-    most: largest advance of the clock on one piece.
-    reserve: largest acceleration of any of them [m/s²].
+    max_advance: largest advance of the clock on one piece.
+    limits: of speed and jerk.
+    acceleration: limit of their acceleration [m/s²].
     """
-    counts = np.maximum(1, np.ceil(np.diff(clock.at(clock.breaks)) / most).astype(np.intp))
+    advances = np.diff(clock.at(clock.breaks))
+    counts = np.maximum(1, np.ceil(advances / max_advance).astype(np.intp))
     breaks = divided(clock.breaks, counts)
     middles = 0.5 * (breaks[1:] + breaks[:-1])
     rates = np.stack([clock.differentiated(k).at(middles) for k in range(4)], axis=-1)
     ends = []
     for times in (breaks[:-1], breaks[1:]):
-        # Rates of the phase that the piece lies in: jerk jumps between phases.
+        # Extrapolated from the middle of the piece, since jerk jumps between phases.
         inner = advanced(rates, times - middles)
         outer = np.stack([curve(inner[:, 0], k) for k in range(4)], axis=-1)
         ends.append(np.moveaxis(chained(outer, inner[:, None, None, :]), -1, 0))
@@ -118,7 +125,7 @@ def timed_curve(
     left[:3, 1:] = right[:3, :-1]
     drones = PiecewisePolynomial.hermite(breaks, left, right)
     factors = []
-    for order, limit in ((1, limits.speed), (2, reserve), (3, limits.jerk)):
+    for order, limit in ((1, limits.speed), (2, acceleration), (3, limits.jerk)):
         largest = np.max(np.linalg.norm(drones.differentiated(order).coefficients, axis=-2))
         factors.append((float(largest) / (LIMIT_SHARE * limit)) ** (1.0 / order))
     return drones.stretched(max(factors))
