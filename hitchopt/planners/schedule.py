@@ -1,10 +1,10 @@
-"""When each of several groups begins to fly its path, so that their whole bodies keep apart.
+"""Start times of several groups on given paths that keep all their bodies separated.
 
-Paths are given; what is sought are delays, on a grid of STEP seconds, and for whom no delay helps
-another path of its own. Groups are placed by priority: the earliest start at which drones, cables
-and objects keep off those of groups placed before, who wait at their starts and stay at their ends.
-Delays are not monotone, as cables may pass where drones are far. Of two paths a table says at which
-pairs of samples they are too close, so that every delay is a diagonal of it.
+Start times are on a grid of STEP seconds; a group that no delay helps may take another path. Groups
+are placed in an order of priority, each at the earliest start at which its drones, cables and
+objects keep their distances to those of groups placed before, which rest at both ends of their
+paths. Feasible delays need not form an interval. A table of two paths holds the slack of every pair
+of samples, so that every delay is one of its diagonals.
 """
 
 from __future__ import annotations
@@ -26,16 +26,20 @@ from hitchopt.motion.motion import Group
 from hitchopt.values import Array, Indices
 
 STEP = 0.1  # [s]
-ORDERS = 60  # maximum orders of priority that are tried
-CHUNK = 200_000  # pairs of bodies compared at a time
-REACH = 0.25  # [m] Excess of distances beyond their limits up to which it is computed
+MAX_ORDERS = 60  # maximum number of orders of priority
+CHUNK = 200_000  # pairs of bodies per chunk
+REACH = 0.25  # [m] Distance beyond a limit up to which it is computed
 
 
 class Bodies(NamedTuple):
-    """Segments (samples, bodies, 2, 3) [m] and what surrounds them.
+    """Segments with extents at sampled times.
 
-    Their ``heights`` (samples, bodies, 2) from lowest to highest and ``radii`` (bodies,) [m]; those
-    ``upright`` (samples,) are compared from above and by height.
+    Attributes
+    ----------
+    segments: (samples, bodies, 2, 3) [m]
+    heights: (samples, bodies, 2) [m], lowest and highest.
+    radii: (bodies,) [m], about the segments.
+    upright: (samples,), whether distances are those in plan view, or of heights if larger.
     """
 
     segments: Array
@@ -46,14 +50,14 @@ class Bodies(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """A group's path, sampled every STEP [s] from start to end, with the objects that it moves."""
+    """A group's path, sampled every STEP [s] from start to end, and the objects that it moves."""
 
     group: Group
     owned: frozenset[str] = frozenset()
 
     @cached_property
     def times(self) -> Array:
-        """(samples,) [s]: the last one is the end."""
+        """(samples,) [s], including the end."""
         first, last = self.group.motion.drones.breaks[[0, -1]]
         return np.append(np.arange(first, last - 1e-9, STEP), last)
 
@@ -63,33 +67,33 @@ class Track:
     @cached_property
     def drones(self) -> Bodies:
         """All drones."""
-        places = self.group.motion.drones.at(self.times)
-        segments, still = np.repeat(places[:, :, None], 2, axis=2), np.zeros(len(self), np.bool_)
-        return Bodies(segments, segments[..., 2], np.zeros(places.shape[1]), still)
+        points = self.group.motion.drones.at(self.times)
+        segments, upright = np.repeat(points[:, :, None], 2, axis=2), np.zeros(len(self), np.bool_)
+        return Bodies(segments, segments[..., 2], np.zeros(points.shape[1]), upright)
 
     @cached_property
     def cables(self) -> Bodies:
-        """Parts of taut cables, and hanging cables with the sheets that they stay in."""
+        """Parts of taut cables, and the vertical sheets that contain hanging cables."""
         motion, layout = self.group.motion, self.group.motion.team.layout
         n, m, drones = motion.team.robots, len(self), self.drones.segments[:, :, 0]
         if n == 0:
-            none = np.zeros((m, 0, 2, 3))
-            return Bodies(none, none[..., 2], np.zeros(0), np.zeros(m, np.bool_))
+            empty = np.zeros((m, 0, 2, 3))
+            return Bodies(empty, empty[..., 2], np.zeros(0), np.zeros(m, np.bool_))
         segments = np.concatenate([motion.vertices.at(self.times), drones], axis=1)
         segments, breaks = segments[:, layout.part_nodes], motion.drones.breaks
         formed = motion.formed[np.searchsorted(breaks[1:-1], self.times, side="right")]
-        cable = np.arange(segments.shape[1]) % n  # hanging ones, some of them twice
+        cable = np.arange(segments.shape[1]) % n  # hanging cables fill the array repeatedly
         chords = drones.reshape(m, n, 2, 3)[:, cable]
         lowest = np.mean(chords[..., 2], axis=-1) - 0.5 * motion.team.cable_length[cable]
         segments = np.where(formed[:, None, None, None], segments, chords)
         heights = np.sort(segments[..., 2], axis=-1)
-        hung = np.minimum(heights[..., 0], lowest)
-        heights[..., 0] = np.where(formed[:, None], heights[..., 0], hung)
+        lowest = np.minimum(heights[..., 0], lowest)
+        heights[..., 0] = np.where(formed[:, None], heights[..., 0], lowest)
         return Bodies(segments, heights, np.zeros(len(cable)), ~formed)
 
     @cached_property
     def objects(self) -> Bodies:
-        """Circles around the objects that it moves, between their heights."""
+        """Cylinders around the objects that the group moves."""
         motion = self.group.motion
         objects = motion.requirements.objects
         own = [k for k, name in enumerate(objects) if name in self.owned]
@@ -102,7 +106,7 @@ class Track:
 
     @cached_property
     def box(self) -> tuple[Array, Array]:
-        """Corners (samples, 3) [m] of a box around all of its bodies."""
+        """Corners (samples, 3) [m] of boxes around all bodies."""
         lower, upper = np.full((len(self), 3), np.inf), np.full((len(self), 3), -np.inf)
         for each in (self.drones, self.cables, self.objects):
             if each.segments.shape[1]:
@@ -117,7 +121,7 @@ class Track:
 def _pairs(
     a: Track, b: Track, separation: Separation
 ) -> Iterator[tuple[str, Bodies, Bodies, float]]:
-    """Yield the bodies of both tracks that keep off each other: by which check, how far [m]."""
+    """Yield the checks of two tracks, with the bodies of both and the limit [m or ratio]."""
     yield "separation", a.drones, b.drones, 1.0
     for check, one, other, limit in (
         ("cable_clearance", "drones", "cables", separation.cable),
@@ -131,73 +135,73 @@ def _pairs(
 
 
 def slacks(a: Track, b: Track, separation: Separation) -> Array:
-    """Return (samples of a, samples of b) by how much bodies are farther apart than required [m].
+    """Return the smallest slack of distances (samples of a, samples of b) [m].
 
-    It is the least of all pairs of bodies; infinite beyond REACH.
+    It is infinite beyond REACH.
     """
-    wide = 2.0 * max(separation.radius, separation.height)
-    reach = max(wide, separation.cable, separation.crossing, separation.object) + REACH
+    separated = 2.0 * max(separation.radius, separation.height)
+    reach = max(separated, separation.cable, separation.crossing, separation.object) + REACH
     gaps = np.maximum(a.box[0][:, None] - b.box[1], b.box[0] - a.box[1][:, None])
     i, j = np.nonzero(np.sum(np.maximum(gaps, 0.0) ** 2, axis=-1) < reach**2)
-    found = np.full((len(a), len(b)), np.inf)
-    for _, _, thin, excess in _each_excess(a, b, separation, i, j):
-        found[i, j] = np.minimum(found[i, j], thin * excess)
-    return found
+    table = np.full((len(a), len(b)), np.inf)
+    for _, _, unit, slack in _slacks_by_check(a, b, separation, i, j):
+        table[i, j] = np.minimum(table[i, j], unit * slack)
+    return table
 
 
-def _each_excess(
+def _slacks_by_check(
     a: Track, b: Track, separation: Separation, i: Indices, j: Indices
 ) -> Iterator[tuple[str, float, float, Array]]:
-    """Yield by how much each kind of bodies exceed their distances at samples i and j (m,).
+    """Yield check, limit, unit of the slack [m] and slack (m,) at samples i and j (m,).
 
-    Check, limit, the unit of the excess [m], and the excess (m,), infinite beyond REACH.
+    Slacks are infinite beyond REACH.
     """
     for check, first, second, limit in _pairs(a, b, separation):
         axes = 1.0 / separation.scale if check == "separation" else np.ones(3)
-        thin, excess = float(np.min(axes)), np.full(len(i), np.inf)
+        unit, slack = float(np.min(axes)), np.full(len(i), np.inf)
         size = max(1, CHUNK // max(1, first.segments.shape[1] * second.segments.shape[1]))
         for k in range(0, len(i), size):
             check_time()
             rows = slice(k, k + size)
-            excess[rows] = _excess(first, second, i[rows], j[rows], limit, axes)
-        yield check, limit, thin, excess
+            slack[rows] = _slack(first, second, i[rows], j[rows], limit, axes)
+        yield check, limit, unit, slack
 
 
-def _excess(
+def _slack(
     first: Bodies, second: Bodies, i: Indices, j: Indices, limit: float, axes: Array
 ) -> Array:
-    """Return the least distance beyond a limit at samples i and j (m,), infinite beyond REACH.
+    """Return the smallest distance minus the limit at samples i and j (m,), infinite beyond REACH.
 
-    Distances are measured in units of ``axes`` (3,) [m].
+    Distances are scaled by ``axes`` (3,) [m].
     """
-    least = np.full(len(i), np.inf)
-    touching = limit + first.radii[:, None] + second.radii
-    wide = touching[..., None] * axes + REACH
+    smallest = np.full(len(i), np.inf)
+    required = limit + first.radii[:, None] + second.radii
+    reach = required[..., None] * axes + REACH
     a, b = (np.sort(each.segments[k], axis=2) for each, k in ((first, i), (second, j)))
-    over = _gaps(first.heights[i], second.heights[j])
-    near = over < wide[..., 2]
+    vertical = _gaps(first.heights[i], second.heights[j])
+    near = vertical < reach[..., 2]
     for axis in range(2):
-        near &= _gaps(a[..., axis], b[..., axis]) < wide[..., axis]
+        near &= _gaps(a[..., axis], b[..., axis]) < reach[..., axis]
     pair, one, other = np.nonzero(near)
     upright = (first.upright[i] | second.upright[j])[pair]
     scale = np.where(upright[:, None], [1.0, 1.0, 0.0], 1.0)[:, None] / axes
     ends = first.segments[i[pair], one] * scale, second.segments[j[pair], other] * scale
-    apart = length(shortest_offset(differences(*ends))) - touching[one, other]
-    apart = np.where(upright, np.maximum(apart, over[near] - limit), apart)
-    apart[apart * np.min(axes) > REACH] = np.inf
-    np.minimum.at(least, pair, apart)
-    return least
+    slack = length(shortest_offset(differences(*ends))) - required[one, other]
+    slack = np.where(upright, np.maximum(slack, vertical[near] - limit), slack)
+    slack[slack * np.min(axes) > REACH] = np.inf
+    np.minimum.at(smallest, pair, slack)
+    return smallest
 
 
 def _gaps(a: Array, b: Array) -> Array:
-    """Return (m, bodies, bodies) the gaps between intervals (m, bodies, 2), negative if none."""
+    """Return gaps (m, bodies, bodies) between intervals (m, bodies, 2), negative on overlap."""
     a, b = a[:, :, None], b[:, None]
     return np.maximum(a[..., 0] - b[..., 1], b[..., 0] - a[..., 1])
 
 
 @dataclass(eq=False)
 class Placed:
-    """A track and the sample of the common clock at which it begins."""
+    """A track and its start, as a sample of the common clock."""
 
     track: Track
     start: int
@@ -205,14 +209,15 @@ class Placed:
 
 @dataclass(frozen=True)
 class Blocked:
-    """Why a group finds no start beside another one.
+    """The conflict of two groups without a feasible start.
 
     Attributes
     ----------
     names: of both groups.
-    check, value, limit: the distance that is too small, at about ``time`` [s] since the item's
-        start and ``place`` (3,) [m].
-    at: ``goals`` or ``starts`` if both are too close while they rest there.
+    check, value, limit: the violated distance.
+    time: approximate time of the violation since the item's start [s].
+    place: (3,) [m], between both groups.
+    at: ``goals`` or ``starts`` if the groups are too close while they rest there, else empty.
     """
 
     names: tuple[str, str]
@@ -230,72 +235,76 @@ class Schedule:
 
     Attributes
     ----------
-    tracks: of the groups, in the order of the file; at rest those of one sample.
-    separation: distances that are kept.
-    further: another path of a group by index and layer (1 up, 2 down), or None.
+    tracks: of the groups, in the order of the file; groups at rest have one sample.
+    separation: limits of distances.
+    alternative: function of a group's index and layer (1 up, 2 down) that returns another path of
+        the group, or None.
+    tables: cached slacks of pairs of tracks.
+    alternatives: cached alternative paths.
     """
 
     tracks: Sequence[Track]
     separation: Separation
-    further: Callable[[int, int], Track | None] = lambda *_: None
+    alternative: Callable[[int, int], Track | None] = lambda *_: None
     tables: dict[tuple[Track, Track], Array] = field(default_factory=dict)
-    layered: dict[tuple[int, int], Track | None] = field(default_factory=dict)
+    alternatives: dict[tuple[int, int], Track | None] = field(default_factory=dict)
 
     def solve(self, fixed: Sequence[Placed], pad: float) -> list[Placed] | Blocked:
-        """Return the starts, in the order of the file, or what none is found for in that order.
+        """Return the starts, in the order of the file, or the first conflict.
 
-        Where a group finds no start beside another one, it is tried before that one; else all
-        orders follow one another.
+        After a conflict the next order of priority promotes the later group before the other one;
+        if that order was evaluated before, the next permutation follows.
 
         Parameters
         ----------
-        fixed: what flies anyway.
-        pad: by how much distances are wider [m].
+        fixed: tracks with a fixed start.
+        pad: increase of all distances [m].
         """
         first: Blocked | None = None
         names = [track.group.name for track in self.tracks]
         for layers in (1, 3):
-            orders, tried = permutations(range(len(names))), set[tuple[int, ...]]()
+            orders, evaluated = permutations(range(len(names))), set[tuple[int, ...]]()
             promoted: tuple[int, ...] | None = None
-            for _ in range(ORDERS):
-                order = promoted or next((each for each in orders if each not in tried), None)
+            for _ in range(MAX_ORDERS):
+                order = promoted or next((each for each in orders if each not in evaluated), None)
                 if order is None:
                     break
-                tried.add(order)
+                evaluated.add(order)
                 placed = self._placed(fixed, order, layers, pad)
                 if not isinstance(placed, Blocked):
                     return [placed[k] for k in range(len(self.tracks))]
                 first, promoted = first or placed, None
-                if placed.names[1] in names:  # not somebody else's
+                if placed.names[1] in names:  # not a fixed track
                     late, early = map(names.index, placed.names)
                     rest = [k for k in order if k != late]
-                    place = rest.index(early)
-                    moved = (*rest[:place], late, *rest[place:])
-                    promoted = None if moved in tried else moved
+                    index = rest.index(early)
+                    moved = (*rest[:index], late, *rest[index:])
+                    promoted = None if moved in evaluated else moved
         assert first is not None
         return first
 
     def _placed(
         self, fixed: Sequence[Placed], order: Sequence[int], layers: int, pad: float
     ) -> dict[int, Placed] | Blocked:
-        done = dict[int, Placed]()
+        """Return the placed tracks by group index for an order of priority, or a conflict."""
+        placed = dict[int, Placed]()
         for k in order:
             blocked = None
-            besides = [*fixed, *done.values()]
+            others = [*fixed, *placed.values()]
             for track, earlier in self._options(k, layers, earlier=layers > 1 and not fixed):
-                start = self._earliest(track, besides, pad, earlier=earlier)
+                start = self._earliest(track, others, pad, earlier=earlier)
                 if isinstance(start, int):
-                    done[k] = Placed(track, start)
+                    placed[k] = Placed(track, start)
                     break
                 blocked = blocked or start
-            if k not in done:
+            if k not in placed:
                 assert blocked is not None
                 return blocked
-        begin = min([0, *(each.start for each in done.values())])
-        return {k: Placed(each.track, each.start - begin) for k, each in done.items()}
+        first = min([0, *(each.start for each in placed.values())])
+        return {k: Placed(each.track, each.start - first) for k, each in placed.items()}
 
     def _options(self, k: int, layers: int, *, earlier: bool) -> Iterator[tuple[Track, bool]]:
-        """Yield the paths of a group, and whether it is to begin before those placed already."""
+        """Yield the paths of a group, and whether it starts before the groups placed already."""
         for before in (False, True)[: 1 + earlier]:
             for track in filter(None, (self._path(k, layer) for layer in range(layers))):
                 yield track, before
@@ -303,36 +312,36 @@ class Schedule:
     def _path(self, k: int, layer: int) -> Track | None:
         if layer == 0:
             return self.tracks[k]
-        if (k, layer) not in self.layered:
-            self.layered[k, layer] = self.further(k, layer)
-        return self.layered[k, layer]
+        if (k, layer) not in self.alternatives:
+            self.alternatives[k, layer] = self.alternative(k, layer)
+        return self.alternatives[k, layer]
 
     def _earliest(
         self, track: Track, placed: Sequence[Placed], pad: float, *, earlier: bool
     ) -> int | Blocked:
-        """Return the earliest start of a track that keeps off all that are placed.
+        """Return the earliest feasible start of a track with those placed, or a conflict.
 
-        ``earlier``: the latest one below 0; the item then begins with it, and the others wait.
+        With ``earlier`` it is the latest feasible start below 0, for which all others wait.
         """
         last = max([0, *(each.start + len(each.track) for each in placed)])
         starts = -np.arange(1, len(track) + 1) if earlier else np.arange(last + 1)
         starts = starts if len(track) > 1 else np.zeros(1, np.intp)
-        free = np.ones(len(starts), np.bool_)
-        begin = min([0, int(np.min(starts)), *(each.start for each in placed)])
-        clock = np.arange(begin, last + len(track) + 1)
+        feasible = np.ones(len(starts), np.bool_)
+        first = min([0, int(np.min(starts)), *(each.start for each in placed)])
+        clock = np.arange(first, last + len(track) + 1)
         own = np.clip(clock - starts[:, None], 0, len(track) - 1)
         for each in placed:
-            where = np.clip(clock - each.start, 0, len(each.track) - 1)
+            other = np.clip(clock - each.start, 0, len(each.track) - 1)
             table = self._table(track, each.track)
-            resting = table[np.ix_([0, -1], [0, -1])]  # distances at rest need no sample between
-            close = table[own, where] < np.clip(np.min(resting), 0.0, pad)
-            left = free & ~np.any(close, axis=1)
-            if not np.any(left):
-                row = int(np.flatnonzero(free)[-1])
+            resting = table[np.ix_([0, -1], [0, -1])]  # constant, without need of the pad
+            close = table[own, other] < np.clip(np.min(resting), 0.0, pad)
+            remaining = feasible & ~np.any(close, axis=1)
+            if not np.any(remaining):
+                row = int(np.flatnonzero(feasible)[-1])
                 sample = int(clock[np.argmax(close[row])])
                 return self._blocked(track, each, sample, int(starts[row]))
-            free = left
-        return int(starts[np.argmax(free)])
+            feasible = remaining
+        return int(starts[np.argmax(feasible)])
 
     def _table(self, a: Track, b: Track) -> Array:
         if (a, b) not in self.tables:
@@ -342,7 +351,7 @@ class Schedule:
         return self.tables[a, b]
 
     def _blocked(self, track: Track, other: Placed, sample: int, start: int) -> Blocked:
-        """Return what is closest at a sample, or at rest if they are too close there."""
+        """Return the smallest distance at a sample, or at rest if it is smaller there."""
         a, b = track, other.track
         i = int(np.clip(sample - start, 0, len(a) - 1))
         j = int(np.clip(sample - other.start, 0, len(b) - 1))
@@ -351,8 +360,8 @@ class Schedule:
             if table[k, k] <= table[i, j]:
                 i, j, at = k % len(a), k % len(b), name
         rows = [
-            (float(e[0]) * thin, check, float(e[0]) + limit, limit)
-            for check, limit, thin, e in _each_excess(
+            (float(slack[0]) * unit, check, float(slack[0]) + limit, limit)
+            for check, limit, unit, slack in _slacks_by_check(
                 a, b, self.separation, np.array([i]), np.array([j])
             )
         ]

@@ -1,1 +1,1 @@
-"""Paths for a morph where the straight one is blocked: guesses, a casadi NLP, refinement."""
+"""Paths of a morph around obstacles: initial guesses, a casadi NLP, and refinement."""

@@ -1,4 +1,4 @@
-"""A path from one hitch to another as knots, which the optimiser moves, and their bounds."""
+"""Knots of a path from one hitch to another, the optimizer's variables, and their bounds."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, Indices
 
 SPLINE_DEGREE = 5
-"""Degree of the splines through the knots: smooth up to the snap, so that pieces of a trajectory
-need not meet the knots."""
+"""Degree of the splines through the knots, with four continuous derivatives, so that pieces of a
+trajectory need not end at knots."""
 
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """The columns of a table (knots, size), of which the inner rows are variables.
+    """The columns of a table (knots, size), whose inner rows are variables.
 
-    Drones and r-legs are variables of their own, tied to the flat outputs by equalities: distances
-    are then polynomials of the second degree at most, and every row involves few variables.
+    Drones and r-legs are variables too, with equality constraints to the flat outputs. Distances
+    are then at most quadratic, and every row has few variables.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class Columns:
 
 @lru_cache(maxsize=64)
 def columns_of(robots: int) -> Columns:
-    """Return the columns of the table of a hitch of that many robots."""
+    """Return the columns for a number of robots."""
     n = robots
     parts = np.split(np.arange(9 * n), np.cumsum([2 * n, n, n, 4 * n]))
     vertices, q_legs, r_legs, drones, tensions = parts
@@ -76,13 +76,13 @@ class KnotPath:
 
     Attributes
     ----------
-    name: of the guess that it came from.
-    team: whose cables.
+    name: of the initial guess.
+    team: of the hitch.
     altitude: of the hitch's plane [m].
     polygons: (J + 1, n, 2) [m]
     q_legs: (J + 1, n) [m]
     tensions: (J + 1, n) [N]
-    roll: (J + 1, clasps) [rad], or None where legs are not rolled.
+    roll: (J + 1, clasps) [rad], or None for none.
     """
 
     name: str
@@ -95,14 +95,14 @@ class KnotPath:
 
     @classmethod
     def through(cls, name: str, start: Hitch, end: Hitch, polygons: Array) -> KnotPath:
-        """Return the path through polygons (J + 1, n, 2) on which fractions change evenly."""
+        """Return the path through polygons (J + 1, n, 2) with linear fractions and roll."""
         s = np.linspace(0.0, 1.0, len(polygons))[:, None]
         tensions = np.tile(start.team.tension, (len(polygons), 1))
         roll = start.roll + s * (end.roll - start.roll)
         slack = cable_slack_of(start.team, start.team.layout.edges(polygons), tensions)
         q_legs = (start.fractions + s * (end.fractions - start.fractions)) * slack
-        own = roll if np.any(roll) else None
-        return cls(name, start.team, start.altitude, polygons, q_legs, tensions, own)
+        rolls = roll if np.any(roll) else None
+        return cls(name, start.team, start.altitude, polygons, q_legs, tensions, rolls)
 
     @property
     def steps(self) -> int:
@@ -116,28 +116,28 @@ class KnotPath:
 
     @property
     def slack(self) -> Array:
-        """(J + 1, n) [m]: what each cable has left for its two legs."""
+        """(J + 1, n) [m]: slack of each cable for its two legs."""
         return cable_slack_of(self.team, self.edges, self.tensions)
 
     @cached_property
     def path(self) -> ShapePath:
         """The smooth path through the knots."""
-        level = np.full((*self.polygons.shape[:2], 1), self.altitude)
-        steady = np.all(self.tensions == self.tensions[0])
+        heights = np.full((*self.polygons.shape[:2], 1), self.altitude)
+        is_constant = np.all(self.tensions == self.tensions[0])
         return ShapePath(
             self.team,
-            _knot_spline(np.concatenate([self.polygons, level], axis=-1)),
+            _knot_spline(np.concatenate([self.polygons, heights], axis=-1)),
             LegLaw.of_fractions(_knot_spline(self.q_legs / self.slack)),
-            None if steady else _knot_spline(self.tensions),
+            None if is_constant else _knot_spline(self.tensions),
             None if self.roll is None else _knot_spline(self.roll),
         )
 
     def resampled(self, steps: int) -> KnotPath:
-        """Return the same path with so many steps, evaluated on its spline."""
+        """Return the path with another number of steps, evaluated on its spline."""
         return self.at(np.linspace(0.0, 1.0, steps + 1))
 
     def at(self, s: Array) -> KnotPath:
-        """Return the hitches at s (K,) of its path, as if they were knots."""
+        """Return the path with the hitches at s (K,) as knots."""
         flat = self.path.flat(s, 1)
         shapes, tensions = shapes_of(self.team, flat), flat.tensions[..., 0]
         q_legs = shapes.legs[..., 0]
@@ -147,7 +147,7 @@ class KnotPath:
 
     @property
     def columns(self) -> Columns:
-        """The columns of its table."""
+        """The columns of the table."""
         return columns_of(self.team.robots)
 
     @cached_property
@@ -180,31 +180,32 @@ def _knot_spline(values: Array) -> PiecewisePolynomial:
     return PiecewisePolynomial.from_spline(make_interp_spline(s, values, k=SPLINE_DEGREE))
 
 
-INSET = 5e-3
-"""[m] Distance from walls and shortest legs, for the spline between knots."""
+KNOT_MARGIN = 5e-3
+"""[m] Margin of walls and shortest legs at knots, for the spline between."""
 
-TENSION_INSET = 0.02
-"""Share of a range of tensions that stays free at both its ends, for the same reason."""
+TENSION_MARGIN = 0.02
+"""Margin at both ends of a range of tensions, over the range, for the same reason."""
 
 STATIC_SHARE = 0.97
-"""Share of thrust and tilt that holding the hitch at rest may take; the rest moves it."""
+"""Largest share of thrust and tilt at rest, with a reserve for motion."""
 
-RAMP = 2.0
-"""Number of knots in which the margin rises from that of an end: a jump would bend the path."""
+MARGIN_RAMP = 2.0
+"""Number of knots over which the margin changes from that of an end, since a jump would bend the
+path."""
 
 Judge = Callable[[ShapePath], Motion | None]
-"""Flies a path and verifies all of the time: the motion if it satisfies every limit, else None."""
+"""Function that returns the certified motion along a path, or None if it violates a limit."""
 
 
 @dataclass(frozen=True)
 class SolverStep:
-    """One step of the optimiser, from a path to a better one.
+    """Parameters of a step of the optimizer.
 
     Attributes
     ----------
-    stride: [m], how far a coordinate of a vertex or drone may go.
-    parts: of every step between knots, at whose ends distances are enforced as well.
-    fastest: minimise the time, not the energy.
+    stride: [m], trust radius of coordinates of vertices and drones.
+    parts: number of parts of every step between knots, at whose ends distances are enforced.
+    fastest: whether to minimize time instead of energy.
     """
 
     stride: float
@@ -213,10 +214,7 @@ class SolverStep:
 
     @property
     def reach(self) -> float:
-        """[m] Pairs farther apart than their limit and this hardly come near in such a step.
-
-        What does has rows in the next one.
-        """
+        """Distance beyond the limit [m] up to which pairs have rows in the step."""
         return 1.5 * self.stride
 
 
@@ -227,10 +225,10 @@ class Search:
     Attributes
     ----------
     requirements: of the problem.
-    judge: decides about every path.
-    tension: smallest and largest [N] where tensions may change on the path, or None.
-    end_margins: how many times their limits the first and last hitch exceed their distances.
-    margin: how many times their limits distances are enforced at the knots.
+    judge: accepts or rejects paths.
+    tension: smallest and largest [N] of variable tensions, or None.
+    end_margins: margins of distances of the first and last hitch.
+    margin: enforced margin of distances at the knots.
     """
 
     requirements: Requirements
@@ -239,40 +237,41 @@ class Search:
     end_margins: tuple[float, float]
     margin: float = 1.02
 
-    def margins(self, steps: int, places: Array) -> Array:
-        """Return (K,): the margins at places in steps from the start, near ends at most theirs."""
+    def margins(self, steps: int, indices: Array) -> Array:
+        """Return the margins (K,) at fractional knot indices (K,), at most those of the ends."""
         first, last = (min(m, self.margin) for m in self.end_margins)
-        out, back = (np.minimum(a / RAMP, 1.0) for a in (places, steps - places))
+        out, back = (np.minimum(a / MARGIN_RAMP, 1.0) for a in (indices, steps - indices))
         return np.minimum(first + out * (self.margin - first), last + back * (self.margin - last))
 
 
 def variable_bounds(path: KnotPath, search: Search, stride: float) -> tuple[Array, Array]:
-    """Return bounds of the inner knots' variables: legs, walls, a stride [m], static tensions."""
+    """Return bounds of the inner knots' variables by legs, walls, stride [m] and tensions."""
     columns, table, team = path.columns, path.table[1:-1], path.team
     margins = search.margins(path.steps, np.arange(1.0, path.steps))
     arena, limits = search.requirements.arena, search.requirements.limits
     lower = np.full(table.shape, -np.inf)
     upper = np.full(table.shape, np.inf)
     if arena is not None:
-        lower[:, columns.drones] = arena.lower[:2] + INSET
-        upper[:, columns.drones] = arena.upper[:2] - INSET
+        lower[:, columns.drones] = arena.lower[:2] + KNOT_MARGIN
+        upper[:, columns.drones] = arena.upper[:2] - KNOT_MARGIN
     if search.tension is None:
         lower[:, columns.tensions] = upper[:, columns.tensions] = team.tension
     else:
-        least, most = search.tension
-        inset = TENSION_INSET * (most - least)
-        # Against a level pull both drones of a robot must be able to hover.
+        smallest, largest = search.tension
+        margin = TENSION_MARGIN * (largest - smallest)
+        # Both drones of a robot can hover against a horizontal pull.
         lift = team.mass * GRAVITY + team.cable_weight
         spare = np.sqrt(np.maximum((STATIC_SHARE * team.max_thrust) ** 2 - lift**2, 0.0))
         static = np.minimum(spare, lift * math.tan(STATIC_SHARE * limits.tilt))
         static = static.reshape(-1, 2).min(axis=1)
-        lower[:, columns.tensions] = least + inset
-        upper[:, columns.tensions] = np.maximum(least + inset, np.minimum(most - inset, static))
-    rise = (margins - 1.0) / max(search.margin - 1.0, 1e-9)
-    legs = limits.leg + INSET * np.clip(rise, 0.0, 1.0)
+        lower[:, columns.tensions] = smallest + margin
+        static = np.minimum(largest - margin, static)
+        upper[:, columns.tensions] = np.maximum(smallest + margin, static)
+    share = (margins - 1.0) / max(search.margin - 1.0, 1e-9)
+    legs = limits.leg + KNOT_MARGIN * np.clip(share, 0.0, 1.0)
     lower[:, columns.q_legs] = lower[:, columns.r_legs] = legs[:, None]
     nodes = columns.nodes
     lower[:, nodes] = np.maximum(lower[:, nodes], table[:, nodes] - stride)
     upper[:, nodes] = np.minimum(upper[:, nodes], table[:, nodes] + stride)
-    # A guess may stand outside the arena: then the walls are what it is pulled towards.
+    # For a guess outside the arena the bounds are exchanged, and pull it toward the walls.
     return np.minimum(lower, upper).ravel(), np.maximum(lower, upper).ravel()

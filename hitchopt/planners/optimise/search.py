@@ -1,4 +1,4 @@
-"""The search for a path: guesses are optimised, one by one, until their paths are clear."""
+"""The search for paths of a morph: guesses are optimized and refined one by one."""
 
 from __future__ import annotations
 
@@ -30,62 +30,62 @@ from hitchopt.planners.timing.profile import (
 from hitchopt.values import Array
 
 REFINEMENTS = ((1, 1.03), (2, 1.05))
-"""Rounds of refinement until a path is clear and the judge accepts it: how many times the first
-knots' steps, and how many times their limits distances are."""
+"""Rounds of refinement until the judge accepts a path: factor of the number of knots, and margin of
+distances."""
 
-PARTS = 8
-"""Number of parts of every step, at whose ends distances are enforced then."""
+REFINED_PARTS = 8
+"""Number of parts of every step, at whose ends refinement enforces distances."""
 
-FIRST_STEP = SolverStep(0.17)
-"""Step of the optimiser from a guess."""
+INITIAL_STEP = SolverStep(0.17)
+"""Step of the optimizer from a guess."""
 
-LATER_STRIDE = 0.12
-"""[m] Stride from a path that the optimiser has found."""
+REFINED_STRIDE = 0.12
+"""[m] Stride of the optimizer in refinement."""
 
-FIRST_STEPS, LATER_STEPS, FASTEST_STEPS = 12, 5, 3
-"""Largest numbers of steps from a guess, in a round, and towards a faster path."""
+MAX_INITIAL_STEPS, MAX_REFINED_STEPS, MAX_FASTEST_STEPS = 12, 5, 3
+"""Maximum numbers of steps from a guess, in a round of refinement, and toward a faster path."""
 
-MIN_STRIDE = 0.15
-"""Share of its stride: a step that moves no vertex by more will not clear a path either."""
+MIN_PROGRESS = 0.15
+"""Smallest motion of vertices in a step over its stride, below which refinement ends."""
 
-LENGTH = 0.9
-"""[m] Length that a vertex's path from one of the first knots to the next should not exceed."""
+KNOT_DISTANCE = 0.9
+"""[m] Largest length of a vertex's path between two knots, within the bounds of their number."""
 
-FEWEST_KNOTS, MOST_KNOTS = 8, 16
-"""Bounds of the number of steps between the first knots."""
+MIN_STEPS, MAX_STEPS = 8, 16
+"""Bounds of the number of steps between the knots of a guess."""
 
-HOPELESS, WORSE = 1.3, 1.1
-"""Factors on the duration of the fastest path found: slower guesses are not optimised, slower
-estimates are not refined."""
+MAX_GUESS_RATIO, MAX_ESTIMATE_RATIO = 1.3, 1.1
+"""Largest estimated durations, over the fastest path so far, of guesses that are optimized, and of
+optimized paths that are refined."""
 
-CLOSEST = 0.3
-"""Share of their limits that the distances of a guess must exceed for it to be tried."""
+MIN_GUESS_MARGIN = 0.3
+"""Smallest margin of distances of a preferred guess."""
 
-SHARPEST_LOSS = 0.1
-"""Share of its ends' smallest exterior angle and shortest edge that a guess must exceed."""
+MIN_SHAPE_SHARE = 0.1
+"""Smallest exterior angle and edge of a guess, over those at its ends."""
 
-WIDEST = 1.1
-"""Largest margin of any round; larger ones count the same."""
+MAX_MARGIN = 1.1
+"""Largest margin of distances that is computed."""
 
-BELOW = 1.0 - 1e-4
-"""Factor on an end's own margin: the end is to satisfy it in spite of rounding."""
+END_MARGIN_FACTOR = 1.0 - 1e-4
+"""Factor on the margins of the ends, which they then satisfy despite rounding."""
 
-SAME = 0.05
-"""[m] Paths that differ by less at every knot count as one."""
+PATH_TOLERANCE = 0.05
+"""[m] Difference at every knot below which paths are equal."""
 
-SHORTEST_EDGE = 0.3
-"""Least share of the shorter of an edge's two lengths on a path of edges that turn."""
+MIN_EDGE_SHARE = 0.3
+"""Smallest edge of a guess whose edges turn, over the shorter one of both ends."""
 
-WIDENED = 1.4
-"""Scale of the outline half way on a path that is widened, on which legs pass star tips."""
+WIDENING = 1.4
+"""Scale of the outline halfway on a widened path, on which legs pass the tips of stars."""
 
-OTHER_TURN = 0.75 * math.pi
-"""[rad] Smallest turn for which turning in the other direction is a guess as well."""
+MIN_OTHER_TURN = 0.75 * math.pi
+"""[rad] Smallest turn for which the opposite turn is a guess as well."""
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A motion that the judge has accepted, and the name of the guess that it came from."""
+    """A motion that the judge accepted, and the name of its guess."""
 
     name: str
     motion: Motion
@@ -93,14 +93,14 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class OptimisedMorph:
-    """The planner of a morph along paths that the optimiser finds; none for chains.
+    """A planner of morphs along optimized paths; there are none for chains.
 
     Attributes
     ----------
     start, end: hitches at one altitude that satisfy all limits.
     requirements: limits, separation and arena.
-    judge: decides about every path; those that it rejects are refined.
-    tension: smallest and largest [N] where tensions may change on the path.
+    judge: accepts or rejects paths; rejected ones are refined.
+    tension: smallest and largest [N] of variable tensions, or None.
     """
 
     start: Hitch
@@ -111,75 +111,76 @@ class OptimisedMorph:
 
     @property
     def problem(self) -> list[KnotPath]:
-        """Paths that the search starts from: hitches everywhere, if possible not in one heap."""
+        """Initial guesses that are hitches at all knots, if possible with MIN_GUESS_MARGIN."""
         first, last = self.start.polygon, self.end.polygon
         if not isinstance(first, ConvexPolygon) or not isinstance(last, ConvexPolygon):
             return []
-        named = guesses(first, last, FEWEST_KNOTS + 1).items()
+        named = guesses(first, last, MIN_STEPS + 1).items()
         paths = [KnotPath.through(name, self.start, self.end, each) for name, each in named]
-        whole = [path for path in paths if _sound(path)]
-        return [path for path in whole if np.min(self._margins(path)) >= CLOSEST] or whole
+        hitches = [path for path in paths if _is_hitch(path)]
+        wide = [path for path in hitches if np.min(self._margins(path)) >= MIN_GUESS_MARGIN]
+        return wide or hitches
 
     def solve(self) -> list[Candidate]:
-        """Return the paths found, the fastest first.
+        """Return the motions along optimized paths, the fastest first.
 
-        Guesses that take the least time as they are come first, edges that turn before whole
-        polygons: those like one tried before are left out, as are those that come to a path seen
-        before.
+        Guesses are optimized in the order of their estimated durations; on ties, turning edges
+        precede turning polygons. Guesses and optimized paths that equal earlier ones are skipped.
         """
         candidates: list[Candidate] = []
-        seen: list[KnotPath] = []
+        visited: list[KnotPath] = []
         fastest, paths = math.inf, self.problem
         if not paths:
             return []
-        first, last = (BELOW * self._margins(paths[0]))[[0, -1]].tolist()
+        first, last = (END_MARGIN_FACTOR * self._margins(paths[0]))[[0, -1]].tolist()
         search = Search(self.requirements, self.judge, self.tension, (first, last))
-        firsts = [path.resampled(_steps(path)) for path in reversed(paths)]
-        estimates = [_estimate(path, self.requirements) for path in firsts]
+        resampled = [path.resampled(_steps(path)) for path in reversed(paths)]
+        estimates = [_estimate(path, self.requirements) for path in resampled]
         for k in np.argsort(estimates, kind="stable"):
-            if estimates[k] > HOPELESS * fastest:
+            if estimates[k] > MAX_GUESS_RATIO * fastest:
                 break
-            if any(_same(firsts[k], other) for other in seen):
+            if any(_equal(resampled[k], other) for other in visited):
                 continue
-            settled = _settled(firsts[k], search, seen)
-            seen.append(firsts[k])
-            if settled is None:
+            path = _optimized(resampled[k], search, visited)
+            visited.append(resampled[k])
+            if path is None:
                 continue
-            seen.append(settled)
-            if _estimate(settled, self.requirements) > WORSE * fastest:
+            visited.append(path)
+            if _estimate(path, self.requirements) > MAX_ESTIMATE_RATIO * fastest:
                 continue
-            motion = _refined(settled, search)
+            motion = _refined(path, search)
             if motion is not None:
-                candidates.append(Candidate(settled.name, motion))
+                candidates.append(Candidate(path.name, motion))
                 fastest = min(fastest, motion.duration)
         return sorted(candidates, key=lambda candidate: candidate.motion.duration)
 
     def _margins(self, path: KnotPath) -> Array:
-        """Return how many times their limits the distances at the knots (J + 1,) are."""
-        bare, places = replace(self.requirements, arena=None), (path.polygons, path.q_legs)
-        return reference_margins(LegTask(path.team, bare, *places, 0.0, WIDEST, roll=path.roll))
+        """Return the margins of distances at the knots (J + 1,)."""
+        requirements, shapes = replace(self.requirements, arena=None), (path.polygons, path.q_legs)
+        task = LegTask(path.team, requirements, *shapes, 0.0, MAX_MARGIN, roll=path.roll)
+        return reference_margins(task)
 
 
 def guesses(first: ConvexPolygon, last: ConvexPolygon, count: int) -> dict[str, Array]:
-    """Return first guesses (count, n, 2) [m], each of another homotopy, by their names.
+    """Return initial guesses (count, n, 2) [m] of different homotopy classes by name.
 
-    Straight lines need not stay convex, and a half turn along them collapses to a point. Turning
-    the edges' directions evenly, with the nearest lengths that close, gives convex polygons; so
-    does turning the whole polygon while its shape changes, where the shapes are alike. A polygon
-    that is widened half way lets legs pass each other.
+    Straight lines need not be convex, and collapse to a point in a half turn. Edges that turn
+    evenly, with the nearest lengths that close, form convex polygons; so do polygons that turn
+    while their shape changes, if the shapes are similar. In a polygon that is widened halfway legs
+    can pass each other.
     """
     s = np.linspace(0.0, 1.0, count)
     guesses = {"straight": _line(first.vertices, last.vertices, s)}
     middle = guesses["straight"].mean(axis=1, keepdims=True)
-    swell = 1.0 + (WIDENED - 1.0) * np.sin(math.pi * s)[:, None, None]
-    guesses["widened"] = middle + swell * (guesses["straight"] - middle)
+    scale = 1.0 + (WIDENING - 1.0) * np.sin(math.pi * s)[:, None, None]
+    guesses["widened"] = middle + scale * (guesses["straight"] - middle)
     start, goal = (_directions(polygon) for polygon in (first, last))
-    # Edges turn by amounts that differ by less than a full turn: one unwrapping serves them all.
+    # The turns of edges differ by less than a full turn and are unwrapped together.
     mean = float(np.mean(goal - start))
     turn = mean - 2.0 * math.pi * math.ceil((mean - math.pi) / (2.0 * math.pi))
     other = turn - math.copysign(2.0 * math.pi, turn)
     centres = _line(first.centroid, last.centroid, s)[:, None]
-    for angle in (turn, other) if abs(turn) > OTHER_TURN else (turn,):
+    for angle in (turn, other) if abs(turn) > MIN_OTHER_TURN else (turn,):
         name = f"turned {math.degrees(angle):.0f}°"
         shape = _rotated(last.vertices - last.centroid, np.array([-angle]))[0]
         shapes = _line(first.vertices - first.centroid, shape, s)
@@ -188,7 +189,7 @@ def guesses(first: ConvexPolygon, last: ConvexPolygon, count: int) -> dict[str, 
         sides = np.concatenate([np.cos(sides), np.sin(sides)], axis=-1)
         lengths, across = _line(first.edge_lengths, last.edge_lengths, s), np.swapaxes(sides, 1, 2)
         lengths -= (sides @ np.linalg.solve(across @ sides, across @ lengths[..., None]))[..., 0]
-        if np.all(lengths >= SHORTEST_EDGE * np.minimum(first.edge_lengths, last.edge_lengths)):
+        if np.all(lengths >= MIN_EDGE_SHARE * np.minimum(first.edge_lengths, last.edge_lengths)):
             edges = lengths[..., None] * sides
             corners = np.cumsum(edges, axis=1) - edges
             guesses[f"edges {name}"] = corners + centres - centroids(corners)[:, None]
@@ -196,78 +197,79 @@ def guesses(first: ConvexPolygon, last: ConvexPolygon, count: int) -> dict[str, 
 
 
 def _directions(polygon: ConvexPolygon) -> Array:
-    """Return the edges' directions (n,) [rad], falling by the exterior angles from edge to edge."""
+    """Return the edges' directions (n,) [rad], decreasing by the exterior angles."""
     u = polygon.edge_directions[0]
     start = math.atan2(u[1], u[0])
     return start - np.append(0.0, np.cumsum(polygon.exterior_angles[1:]))
 
 
 def _line(first: Array, last: Array, s: Array) -> Array:
-    """Return values that change linearly, at s (J,)."""
+    """Return linear interpolations at s (J,)."""
     return first + np.multiply.outer(s, last - first)
 
 
 def _rotated(points: Array, angles: Array) -> Array:
-    """Return (J, n, 2): points (n, 2) or (J, n, 2) turned by angles (J,)."""
+    """Return points (n, 2) or (J, n, 2) rotated by angles (J,), as (J, n, 2)."""
     c, s = np.cos(angles), np.sin(angles)
-    turned: Array = points @ np.moveaxis(np.array([[c, s], [-s, c]]), -1, 0)
-    return turned
+    rotated: Array = points @ np.moveaxis(np.array([[c, s], [-s, c]]), -1, 0)
+    return rotated
 
 
-def _sound(path: KnotPath) -> bool:
-    """Return whether a guess is a hitch everywhere: convex, with edges, legs and slack."""
+def _is_hitch(path: KnotPath) -> bool:
+    """Return whether a guess is convex, with edges and slack, at all knots."""
     values = exterior_angles(path.team.layout, path.edges), length(path.edges)
-    lost = (np.min(each) <= SHARPEST_LOSS * np.min(each[[0, -1]]) for each in values)
-    return bool(np.min(path.slack) > 0.0) and not any(lost)
+    degenerate = (np.min(each) <= MIN_SHAPE_SHARE * np.min(each[[0, -1]]) for each in values)
+    return bool(np.min(path.slack) > 0.0) and not any(degenerate)
 
 
 def _steps(path: KnotPath) -> int:
-    """Return how many steps between knots a path needs, its longest vertex path's being LENGTH."""
+    """Return the number of steps between knots for the longest vertex path."""
     longest = float(np.max(np.sum(length(np.diff(path.polygons, axis=0)), axis=0)))
-    return int(np.clip(np.ceil(longest / LENGTH), FEWEST_KNOTS, MOST_KNOTS))
+    return int(np.clip(np.ceil(longest / KNOT_DISTANCE), MIN_STEPS, MAX_STEPS))
 
 
 def _estimate(path: KnotPath, requirements: Requirements) -> float:
-    """Return an estimate of how long a flight along a path takes [s], clear or not."""
+    """Return an estimate of the duration [s] of a flight along a path, feasible or not."""
     return flight_estimate(path.path, requirements.limits)
 
 
-def _same(path: KnotPath, other: KnotPath) -> bool:
-    """Return whether two guesses have come to one and the same path."""
+def _equal(path: KnotPath, other: KnotPath) -> bool:
+    """Return whether two paths are equal up to PATH_TOLERANCE."""
     if path.steps != other.steps:
         other = other.resampled(path.steps)
-    apart = (path.polygons - other.polygons, path.q_legs - other.q_legs)
-    return max(float(np.max(np.abs(part))) for part in apart) < SAME
+    differences = (path.polygons - other.polygons, path.q_legs - other.q_legs)
+    return max(float(np.max(np.abs(each))) for each in differences) < PATH_TOLERANCE
 
 
-def _settled(guess: KnotPath, search: Search, seen: list[KnotPath]) -> KnotPath | None:
-    """Return the path of least energy near a guess; None where it comes to one seen before."""
+def _optimized(guess: KnotPath, search: Search, visited: list[KnotPath]) -> KnotPath | None:
+    """Return the path of minimum energy near a guess; None if it reaches a visited path."""
     path: KnotPath | None = None
-    for path in iterates(guess, search, FIRST_STEP, FIRST_STEPS):
-        if any(_same(path, other) for other in seen):
+    for path in iterates(guess, search, INITIAL_STEP, MAX_INITIAL_STEPS):
+        if any(_equal(path, other) for other in visited):
             return None
     return path
 
 
 def _refined(path: KnotPath, search: Search) -> Motion | None:
-    """Return the motion along a path of least energy refined, or a faster one near it.
+    """Return the motion along a refined path of minimum energy, or along a faster one near it.
 
-    Where limits are broken between the knots, rows are added there, then knots; a path on which
-    none is has its least energy already.
+    Refinement enforces distances between the knots, and in a second round adds knots. It ends with
+    the first feasible path.
     """
     steps = path.steps
-    for finer, margin in REFINEMENTS:
-        path = path if finer == 1 else path.resampled(finer * steps)
-        closer, step = replace(search, margin=margin), SolverStep(LATER_STRIDE, PARTS)
-        as_it_is = [path] if finer == 1 else []
-        for moved in chain(as_it_is, iterates(path, closer, step, LATER_STEPS, MIN_STRIDE)):
-            path = moved
-            if _clear(path, search):
+    for factor, margin in REFINEMENTS:
+        path = path if factor == 1 else path.resampled(factor * steps)
+        refined, step = replace(search, margin=margin), SolverStep(REFINED_STRIDE, REFINED_PARTS)
+        unchanged = [path] if factor == 1 else []
+        moved = iterates(path, refined, step, MAX_REFINED_STEPS, MIN_PROGRESS)
+        for path in chain(unchanged, moved):
+            if _is_feasible(path, search):
                 break
         else:
             continue
-        quicker = iterates(path, closer, replace(step, fastest=True), FASTEST_STEPS, MIN_STRIDE)
-        choices = [*(moved for moved in quicker if _clear(moved, search)), path]
+        fastest = replace(step, fastest=True)
+        faster = iterates(path, refined, fastest, MAX_FASTEST_STEPS, MIN_PROGRESS)
+        choices = [*(each for each in faster if _is_feasible(each, search)), path]
         best = min(choices, key=lambda each: _estimate(each, search.requirements))
         for choice in dict.fromkeys([best, path]):
             try:
@@ -279,8 +281,8 @@ def _refined(path: KnotPath, search: Search) -> Motion | None:
     return None
 
 
-def _clear(knots: KnotPath, search: Search) -> bool:
-    """Return whether a path looks as if it could be flown: cheap, the judge decides later."""
+def _is_feasible(knots: KnotPath, search: Search) -> bool:
+    """Return whether a path satisfies its limits at samples, before the judge's decision."""
     path, requirements = knots.path, search.requirements
     try:
         check_shapes(path)
