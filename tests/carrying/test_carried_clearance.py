@@ -1,4 +1,4 @@
-"""How far carried objects keep from the ground and from what stands below them."""
+"""Clearances of carried objects to the ground and to bodies below them."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def heights(motion: Motion, floor: float) -> Array:
     return np.asarray(places[level, 2] - floor)
 
 
-def test_the_ground_is_an_obstacle_for_what_moves_level() -> None:
+def test_the_ground_is_an_obstacle_for_horizontal_motion() -> None:
     """The ground that it has stood on may touch it until it does."""
     z = floor = 0.7
     for to in ([*TO, z + 0.03], [*AT, z - 0.1]):
@@ -75,7 +75,7 @@ def test_the_ground_is_an_obstacle_for_what_moves_level() -> None:
         lifted([*TO, 0.8], by=0.02)
 
 
-def test_a_rim_keeps_off_what_is_below_it() -> None:
+def test_a_rim_keeps_clear_of_bodies_below_it() -> None:
     for at, top in ((AT, RIM - 0.001), (TO, RIM)):
         cup = {"circle": 0.02, "to": top, "mass": 0.02, "at": [at[0] - 0.18, at[1], 0.0]}
         with too_close("cup"):
@@ -84,7 +84,7 @@ def test_a_rim_keeps_off_what_is_below_it() -> None:
     assert clearance(below) == pytest.approx(0.05, abs=1e-5)  # its foot is 0.1 m beside
 
 
-def test_an_object_stands_on_all_that_it_meets() -> None:
+def test_an_object_stands_on_all_bodies_that_it_touches() -> None:
     """Two tables with a joint below its foot; another one that stands 1 cm beside its own."""
 
     def table(left: float, right: float, x: float) -> dict[str, Any]:

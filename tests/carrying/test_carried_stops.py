@@ -38,7 +38,7 @@ def balanced(motion: Motion, clock: ClockPhases) -> bool:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_pause_waits_until_what_is_carried_stays_in_balance(kind: str) -> None:
+def test_a_pause_starts_when_the_carried_object_stays_in_balance(kind: str) -> None:
     """From where it gathers speed; and the clock can start again from there."""
     flown = plan(kind)
     time = during(flown.motion, "carry", 0.2)
@@ -56,7 +56,7 @@ def test_a_pause_waits_until_what_is_carried_stays_in_balance(kind: str) -> None
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_where_something_is_carried_the_clock_starts_again_from_every_stop(kind: str) -> None:
+def test_the_clock_restarts_from_every_stop_of_a_carry(kind: str) -> None:
     motion = plan(kind).motion
     limits = ClockLimits(motion)
     table = stop_table(motion, limits)
@@ -87,7 +87,7 @@ def test_any_commands_keep_the_balance(kind: str) -> None:
     assert done > 3
 
 
-def test_a_rate_at_which_nothing_can_be_carried_is_refused() -> None:
+def test_infeasible_rates_of_a_carry_are_refused() -> None:
     player = Player(plan("drum"), 0.5)
     with pytest.raises(ho.InfeasibleError, match=r"no change of .* held object has inertia"):
         player.rate(0.5)
@@ -95,7 +95,7 @@ def test_a_rate_at_which_nothing_can_be_carried_is_refused() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_hold_begins_where_the_balance_allows(kind: str, tmp_path: Path) -> None:
+def test_a_hold_starts_where_the_balance_permits(kind: str, tmp_path: Path) -> None:
     """In the lift; its certificate is that of polynomials of its own.
 
     It ends with the tension of the grasp, which the second opinion allows as well.

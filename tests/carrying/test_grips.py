@@ -284,7 +284,7 @@ def around_a_stone(mass: float, clasps: float = 0.0) -> ho.Problem:
 
 
 @pytest.mark.slow
-def test_edges_that_touch_first_pull_little_or_are_refused() -> None:
+def test_edges_that_touch_first_have_low_tensions_or_are_refused() -> None:
     """At 1.3 N they would push the stone along; it is closed with less, and tightened then."""
     grasped = ho.solve(around_a_stone(0.05)).motion
     grasp = next(phase for phase in grasped.phases if phase.name == "grasp")
@@ -386,7 +386,7 @@ def test_edges_bend_toward_the_drum_by_half_a_turn_at_most_and_stay_out_of_it(
 
 @pytest.mark.parametrize("size", [0.5, 3.0])
 @pytest.mark.parametrize(("aside", "apart"), [(0.9, 0.0), (1.1, 0.0), (0.0, 0.9), (0.0, 1.1)])
-def test_edges_that_hold_nothing_are_straight(size: float, aside: float, apart: float) -> None:
+def test_edges_without_load_are_straight(size: float, aside: float, apart: float) -> None:
     """They pass one point within 0.02 mm of the line between their ends, however long they are."""
     triangle = ho.regular_polygon(3, size / math.sqrt(3.0))
     flight = ho.transport(ho.Hitch.spread(ho.Team(3, 1.5 + size), triangle), [0.3, 0.2, 1.0]).motion
@@ -400,7 +400,7 @@ def test_edges_that_hold_nothing_are_straight(size: float, aside: float, apart: 
     assert (found >= 0.0) == (max(aside, apart) < 1.0)
 
 
-def test_a_stop_loads_friction_with_no_more_than_is_left(motion: Motion) -> None:
+def test_a_stop_uses_only_the_remaining_friction(motion: Motion) -> None:
     """Half by its push and half by its turn: a drum may be pushed and turned at once."""
     flown = carried(motion)
     ((path, slack),) = carried_paths(flown)
@@ -413,7 +413,7 @@ def test_a_stop_loads_friction_with_no_more_than_is_left(motion: Motion) -> None
         assert 0.9 * half < RADIUS * turned <= half
 
 
-def test_what_is_too_heavy_is_told_what_fit_knows() -> None:
+def test_too_heavy_objects_are_refused_with_the_capacity_of_fit() -> None:
     found = ho.fit(
         RADIUS, 3, cable_length=1.6, tension=1.3, clasp_friction=0.1, limits=ho.Limits(tilt_deg=60)
     ).holding
@@ -457,7 +457,7 @@ def test_arcs_are_enclosed_and_at_a_point_known(spread: float) -> None:
     assert np.max(points.r) < 1e-11
 
 
-def test_short_arcs_are_narrow_and_longer_chords_than_the_circle_has_tell_nothing() -> None:
+def test_short_arcs_have_tight_bounds_and_chords_beyond_the_diameter_none() -> None:
     """The error falls with the square of how much a chord varies, as its norm's does."""
     chords = (arcs(5, spread, 0.5 * CIRCLE)[:100] for spread in (1e-3, 1e-4))
     wide, narrow = (np.max(arc_lengths(each).r) for each in chords)

@@ -1,4 +1,4 @@
-"""Holds near their limits: what is planned all the same, and what refusals of others say."""
+"""Holds near their limits: feasible plans, and messages of refusals."""
 
 from __future__ import annotations
 
@@ -158,7 +158,7 @@ def test_footings_do_not_depend_on_origins(away: float) -> None:
         ({"lead": (0.0, 0.3)}, False),
     ],
 )
-def test_pieces_are_long_only_while_nothing_but_places_changes(
+def test_pieces_are_long_only_while_only_positions_change(
     changes: dict[str, Any], steady: bool
 ) -> None:
     end = np.ones(4) if "start" in changes else np.array([2.0, 0.0, 0.0, 0.0])

@@ -143,7 +143,7 @@ def test_false_claims_are_refused(
     assert not check(change(motion), name).holds
 
 
-def test_what_slips_bit_by_bit_over_the_parts_of_a_plan_counts(motion: Motion) -> None:
+def test_slip_accumulates_over_the_parts_of_a_plan(motion: Motion) -> None:
     lie = slipped(motion, 0.001)
     carry = next(phase for phase in lie.phases if phase.name == "carry")
     times = np.linspace(carry.start, carry.end, 9)

@@ -1,4 +1,4 @@
-"""The hanging cable against its definition: balance, least energy."""
+"""The hanging cable against its definition: balance and minimum energy."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def cable(case: tuple[float, float, float]) -> Catenary:
 
 @given(SPANS)
 @settings(max_examples=60)
-def test_every_piece_of_it_is_in_balance(case: tuple[float, float, float]) -> None:
-    """The slope grows with the length from the lowest point, by one and the same factor."""
+def test_every_part_of_the_cable_is_in_balance(case: tuple[float, float, float]) -> None:
+    """The slope is proportional to the length from the lowest point."""
     c, step = cable(case), 1e-5
     shares = np.linspace(0.1, 0.9, 7)
     mu = c.parameter(shares) + np.array([[step], [-step]])
@@ -60,8 +60,8 @@ def test_lowest_point_and_mirror_image(case: tuple[float, float, float]) -> None
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_pulls_are_what_the_energy_changes_by(seed: int) -> None:
-    """Finite differences of the potential energy over the ends' places; unequal cables."""
+def test_pulls_are_gradients_of_the_energy(seed: int) -> None:
+    """Finite differences of the potential energy by the ends' positions; unequal cables."""
     drones = np.random.default_rng(seed).uniform(-0.5, 0.5, (6, 3)) + [3.0, -2.0, 5.0]
     team = Team(3, [1.9, 2.1, 2.4], cable_density=0.013)
     share = (np.arange(4000) + 0.5)[:, None] / 4000
@@ -94,8 +94,8 @@ def test_steepness_solves_its_equation(ratio: float) -> None:
     assert float(steepness(0.7)) == 0.0  # taut
 
 
-def test_the_shape_changes_by_a_quarter_per_steepness_at_most() -> None:
-    """The bound that hanging cables are enclosed by, on a fine grid, and where it is attained."""
+def test_the_shape_changes_by_at_most_a_quarter_per_steepness() -> None:
+    """The bound of enclosures of hanging cables, on a fine grid, and its tightness."""
     sigma, mu = np.meshgrid(np.linspace(0.002, 15.0, 1501), np.linspace(-1.0, 1.0, 401))
     above, below = (np.array(depth_terms(sigma + s, mu)) for s in (1e-5, -1e-5))
     level, skew = np.max(np.abs(above - below), axis=(1, 2)) / 2e-5

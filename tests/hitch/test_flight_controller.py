@@ -1,4 +1,4 @@
-"""Flight controllers: gains by mass, what they add, and what does not go together."""
+"""Flight controllers: gains by mass, derived values, and inconsistent settings."""
 
 from __future__ import annotations
 
@@ -58,14 +58,14 @@ def test_gains_scale_with_the_mass_but_for_mellingers(
     assert heavy.tracking >= light.tracking - 1e-12  # no drone of less acceleration is closer
 
 
-def test_mellingers_integral_gives_a_force_at_most() -> None:
+def test_mellingers_integral_has_a_largest_force() -> None:
     assert loop("mellinger").ki_limit == pytest.approx((0.10, 0.02))
     assert loop("mellinger", ki=[0.1, 0]).ki_limit == pytest.approx((0.2, 0.0))
     assert loop("mellinger", **RETUNED).ki_limit == (0.0, 0.0)
     assert loop("px4").ki_limit == (math.inf, math.inf)
 
 
-def test_three_flights_with_mellingers_controller_tell_how_far_off_it_flies() -> None:
+def test_tracking_errors_match_three_flights_with_mellingers_controller() -> None:
     offs: list[Any] = [loop("mellinger", mass).tracking for mass in (0.132, 0.0393)]
     offs.append(loop("mellinger", **RETUNED).tracking)
     np.testing.assert_allclose(offs, [0.22, 0.11, 0.053], rtol=0.07)
@@ -99,6 +99,6 @@ def test_gains_reach_their_drones_and_axes() -> None:
         ({"controller": "lee", "gains": {"p": 0.0}}, "gains.p = 0.0: .* did you mean kp"),
     ],
 )
-def test_what_does_not_go_together_is_refused(given: dict[str, Any], words: str) -> None:
+def test_inconsistent_settings_are_refused(given: dict[str, Any], words: str) -> None:
     with pytest.raises(InputError, match=words):
         ho.Quadrotor(**given)

@@ -62,7 +62,7 @@ def test_taut_edges_are_hulls_of_section_and_clasps(section: ho.Section, seed: i
 
 
 @pytest.mark.parametrize("n", [3, 5])
-def test_legs_go_on_along_the_neighbours_edges_and_balance_them(n: int) -> None:
+def test_legs_continue_the_neighbouring_edges_and_balance_them(n: int) -> None:
     vertices = regular(n, 0.38) * [1.05, 0.97] + ODD.centroid
     grip = ho.Grip.of(ODD, vertices, 1.6, 1.3)
     q, r = grip.leg_directions[:, 0], np.roll(grip.leg_directions[:, 1], 1, axis=0)
@@ -123,7 +123,7 @@ def test_the_best_grip_does_not_depend_on_the_outlines_origin() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("section", "n", "cable"), [(DISC, 3, 1.6), (BOX, 4, 0.95)])
-def test_no_tried_grip_beats_the_best_one(section: ho.Section, n: int, cable: float) -> None:
+def test_no_sampled_grip_beats_the_best_one(section: ho.Section, n: int, cable: float) -> None:
     made, rng = task(section, n, cable), np.random.default_rng(5)
     found = best_grip(made)
     assert made.shortest(found)[0] >= 0.0

@@ -28,7 +28,9 @@ topologies = st.sampled_from(["closed", "open"])
 
 @given(seeds, st.integers(3, 9), topologies, st.sampled_from(KINDS))
 @settings(max_examples=120)
-def test_clasps_balance_and_cables_are_used_up(seed: int, n: int, topology: str, kind: str) -> None:
+def test_clasps_are_balanced_and_parts_add_up_to_the_cables(
+    seed: int, n: int, topology: str, kind: str
+) -> None:
     """Written out: at every clasp half of the cables about it, and the arc of every span."""
     h = random_hitch(seed, n, topology, kind)
     T, layout, rho = h.team.tension, h.team.layout, 9.81 * h.team.cable_density
@@ -115,7 +117,7 @@ def test_the_largest_weight_of_regular_hitches(n: int) -> None:
     tied(1.25, 0.6 * 1.26)
 
 
-def test_what_a_clasp_is_refused_for_is_beyond_its_limit() -> None:
+def test_refused_clasps_exceed_their_limits() -> None:
     """Nearly straight cables of unlike tensions, whose legs pull harder the higher they rise."""
     rng = np.random.default_rng(5)
     told: list[Violation] = []
@@ -149,7 +151,7 @@ def test_the_arc_of_a_span_and_its_chord() -> None:
     assert cable * shortening(share) == pytest.approx(size, rel=1e-9)
 
 
-def test_a_leg_at_a_chains_end_is_no_choice() -> None:
+def test_legs_at_a_chains_ends_are_fixed() -> None:
     team = Team(2, [2.0, 2.2], topology="open", tension=[0.4, 0.45])
     points = [[-0.6, -0.3], [0.5, 0.5], [1.7, -0.3]]
     slack = 2.2 - math.hypot(1.2, 0.8)

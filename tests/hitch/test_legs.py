@@ -68,7 +68,7 @@ def test_spread_is_the_nearest_to_balanced_of_all_on_a_grid(length: float) -> No
 @given(seeds := st.integers(0, 2**32 - 1), st.integers(3, 8), st.floats(-3.0, 3.0), st.booleans())
 @settings(max_examples=12)
 def test_legs_move_along_with_their_hitch(seed: int, n: int, angle: float, closed: bool) -> None:
-    """A search may end before it has settled: up to 0.2 mm off have been seen."""
+    """A search may end before convergence, up to 0.2 mm away."""
     topology = "closed" if closed else "open"
     outline: Any = random_outline(seed, n, topology)
     lengths = outline.edge_lengths + np.random.default_rng(seed).uniform(0.8, 1.0, n)
@@ -88,7 +88,7 @@ def test_legs_move_along_with_their_hitch(seed: int, n: int, angle: float, close
     np.testing.assert_allclose(mirrored, first[order, ::-1], atol=1e-3)
 
 
-def test_nearest_keeps_the_fractions_where_they_will_do_and_limits_where_not() -> None:
+def test_nearest_keeps_feasible_fractions_and_otherwise_the_limits() -> None:
     team = Team(3, 2.4)
     wide = [[0.0, -0.5], [-0.6, 0.5], [0.6, 0.5]]
     kept = Hitch.nearest(team, wide, 1.0, [0.4, 0.5, 0.6], **KEPT)
@@ -98,7 +98,7 @@ def test_nearest_keeps_the_fractions_where_they_will_do_and_limits_where_not() -
     assert np.min(moved.legs) >= 0.15
 
 
-def test_an_arena_pushes_a_leg_back_and_one_too_small_still_gives_the_best() -> None:
+def test_an_arena_limits_legs_and_a_small_one_gives_the_largest_margin() -> None:
     team, square = Team(4, 2.4), regular_polygon(4, 1.2, 0.3)
     free = Hitch.balanced(team, square)
     wall = float(np.max(free.drones[:, 0])) - 0.1
@@ -114,7 +114,7 @@ def test_an_arena_pushes_a_leg_back_and_one_too_small_still_gives_the_best() -> 
 
 @pytest.mark.parametrize("swept", [0, 20])
 def test_near_pairs_are_those_of_every_frame(swept: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of boxes that drift, listed once for all frames or by an index of all."""
+    """Of drifting boxes, listed for all frames at once or by halves."""
     monkeypatch.setattr(pair_table, "MAX_SWEPT_PAIRS", swept)
     bodies, rng = Bodies.of(layout_of(6, "closed")), np.random.default_rng(4)
     limits = np.array([0.24, 0.0, 0.05])
@@ -183,7 +183,7 @@ def test_legs_with_weight_are_split_for_their_distances_in_space(seed: int, n: i
     assert np.min(heavy.legs) >= 0.149
 
 
-def test_a_hitch_that_follows_keeps_its_roll_or_gets_one_where_it_must() -> None:
+def test_the_next_hitch_keeps_its_roll_or_has_the_smallest_feasible_one() -> None:
     few = Team(8, 2.2), regular_polygon(8, 1.3), 1.0, np.full(8, 0.5)
     np.testing.assert_array_equal(Hitch.nearest(*few, roll=0.2, **KEPT).roll, 0.2)
     team, polygon = Team(40, 2.2), regular_polygon(40, 1.3)
@@ -195,7 +195,7 @@ def test_a_hitch_that_follows_keeps_its_roll_or_gets_one_where_it_must() -> None
     np.testing.assert_allclose(given.q_legs, 0.45)
 
 
-def test_what_a_user_may_write_for_the_roll() -> None:
+def test_forms_of_the_roll_in_files() -> None:
     team, polygon = Team(4, 2.2), regular_polygon(4, 1.2)
 
     def rolled(legs: Any) -> Hitch:
@@ -219,7 +219,7 @@ def test_what_a_user_may_write_for_the_roll() -> None:
 
 
 @pytest.mark.parametrize("sense", [1.0, -1.0])
-def test_more_roll_has_the_sense_of_what_is_given(sense: float) -> None:
+def test_additional_roll_has_the_sign_of_the_prescribed_one(sense: float) -> None:
     team, polygon = Team(29, 2.2), regular_polygon(29, 1.3)
     least = Hitch.spread(team, polygon).roll
     given: dict[str, Any] = {**KEPT, "separation": Separation(cable=0.16), "roll": sense * least}

@@ -47,7 +47,7 @@ def test_values_are_the_hitchs_own(seed: int, n: int, topology: str, kind: str) 
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_jets_of_many_times_are_those_of_each(kind: str) -> None:
+def test_jets_in_chunks_equal_those_of_each_time(kind: str) -> None:
     """More clasps than are evaluated at once; in balance without weight only if all are alike."""
     h = random_hitch(5, 40, "closed", kind)
     t = np.linspace(-1e-3, 1e-3, 2 * CLASPS_PER_CHUNK // 40 + 3)
@@ -84,7 +84,7 @@ def test_jets_are_derivatives_along_a_curve(seed: int, n: int, topology: str, ki
 
 @pytest.mark.parametrize("topology", ["closed", "open"])
 @pytest.mark.parametrize("kind", KINDS)
-def test_legs_that_pull_like_their_edges_stay_where_they_are(topology: str, kind: str) -> None:
+def test_legs_with_the_tension_of_their_edges_do_not_move(topology: str, kind: str) -> None:
     h = random_hitch(3, 4, topology, kind)
     flat, layout = moving(h, 3, np.zeros(1)), h.team.layout
     jets = drone_jets(h.team, flat)
@@ -109,7 +109,7 @@ def still(values: Array) -> Array:
 
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(3, 7))
 @settings(max_examples=40)
-def test_forces_balance_for_any_pulls_that_can(seed: int, n: int) -> None:
+def test_forces_balance_for_all_feasible_pulls(seed: int, n: int) -> None:
     h = random_hitch(seed, n)
     pulls = h.team.tension[:, None] * np.exp(np.random.default_rng(seed).uniform(-0.2, 0.2, (n, 2)))
     given_jets = (still(x) for x in (h.vertices, h.legs, h.team.tension, pulls))

@@ -93,7 +93,7 @@ def test_phases_cover_the_motion_in_order(spans: tuple[tuple[float, float], ...]
         Motion.single(Swarm(3), Requirements(), drones, phases)
 
 
-def test_cables_change_their_state_at_a_break_and_have_one() -> None:
+def test_cable_states_are_unique_and_change_at_breakpoints() -> None:
     motion = resting((False, False, True, True))
     first, second, *others = motion.phases
     moved = (replace(first, end=0.75), replace(second, start=0.75), *others)
@@ -113,7 +113,7 @@ def rotation_of(quaternions: Array) -> Rotation:
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.7, -2.9])
-def test_attitudes_carry_the_thrust_at_the_yaw_given_and_turn_at_the_body_rates(yaw: float) -> None:
+def test_attitudes_match_thrust_yaw_and_body_rates(yaw: float) -> None:
     rng, h = np.random.default_rng(1), 1e-6
     thrusts, rates = rng.normal(size=(40, 3)) + [0.3, -0.2, 0.0], 3.0 * rng.normal(size=(40, 3))
     thrusts[:, 2] = np.abs(thrusts[:, 2]) + 0.2
@@ -132,7 +132,7 @@ def test_attitudes_carry_the_thrust_at_the_yaw_given_and_turn_at_the_body_rates(
 
 
 @pytest.mark.parametrize("stem", ["weight_hexagon", "form_hanging_to_the_floor", "join_a_fourth"])
-def test_states_turn_as_their_body_rates_say(stem: str) -> None:
+def test_attitudes_change_by_the_body_rates(stem: str) -> None:
     """A morph, and hitches being formed of cables with weight: hanging, tightened, hitched."""
     motion = planned(stem).motion
     breaks, h = motion.drones.breaks, 1e-6
@@ -178,7 +178,7 @@ def test_forces_on_a_hitch_and_a_robot_that_joins_it_carry_all_cables() -> None:
         final_hitch(motion)
 
 
-def test_a_part_of_a_motion_has_the_states_of_the_whole_and_what_has_ended_does_not_turn() -> None:
+def test_a_part_of_a_motion_has_the_states_of_the_whole_and_rests_at_its_end() -> None:
     """Counted from the part's own start."""
     motion = planned("weight_hexagon").motion
     start = float(motion.drones.breaks[2])

@@ -1,4 +1,4 @@
-"""Team, limits, configuration: what is refused, in which words, and what is derived."""
+"""Teams, limits and settings: refusals with their messages, and derived values."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_bad_values_name_their_key(refusal: Refusal) -> None:
     assert_refused(*refusal)
 
 
-def test_what_no_cable_can_hold_is_infeasible_and_says_which() -> None:
+def test_edges_too_long_for_their_cable_are_refused_by_name() -> None:
     with pytest.raises(InfeasibleError, match=re.escape("edge 0 is 1.55242 m long on a cable of")):
         balanced(cable_length=1.5)
     with pytest.raises(InfeasibleError, match=re.escape("cable 1 leaves 1.6 m")):
@@ -94,7 +94,7 @@ def test_separation_scale_is_one_where_ellipsoids_touch() -> None:
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_cables_of_a_model_pull_by_a_share_of_what_its_drones_hold(name: str) -> None:
+def test_the_default_tension_of_a_model_is_a_share_of_its_pull(name: str) -> None:
     team, named = Team(3, 2.4, quadrotor=name), Quadrotor(model=name)
     assert team.quadrotor == (named,) * 3
     weight, level = 9.81 * named.mass, team.tension[0] / 0.31
@@ -106,7 +106,7 @@ def test_cables_of_a_model_pull_by_a_share_of_what_its_drones_hold(name: str) ->
     assert Team(3, 2.4, quadrotor=name, tension=0.07).tension.tolist() == [0.07] * 3
 
 
-def test_numbers_that_are_given_are_not_the_models() -> None:
+def test_specified_numbers_override_the_models() -> None:
     light, kind = Quadrotor(model="crazyflie_2.1"), Quadrotor(model="crazyflie_2.1", mass=0.035)
     assert (kind.mass, kind.max_thrust, kind.controller) == (0.035, 0.45, "mellinger")
     assert kind.loop.kp[0] / light.loop.kp[0] == pytest.approx(0.035 / 0.029, rel=0.01)

@@ -1,4 +1,4 @@
-"""Actions: which drones move, that a way and its reverse come back, and what limits change."""
+"""Actions: moving drones, reversibility, and effects of limits."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def uneven(n: int, tension: object = 0.4) -> ho.Hitch:
 
 
 def movers(plan: ho.Plan) -> set[str]:
-    """Names of the drones that leave their place, by dense sampling."""
+    """Names of the drones that move, by dense sampling."""
     places = plan.at(np.linspace(0.0, plan.duration, 501)).positions
     away = np.max(np.linalg.norm(places - places[0], axis=-1), axis=0)
     assert not np.any((away > 1e-9) & (away < 1e-4)), "neither still nor moving"
@@ -52,7 +52,7 @@ def test_moving_a_vertex_moves_the_four_drones_of_the_paper(n: int, k: int) -> N
     np.testing.assert_allclose(plan.end.vertices - start.vertices, moved, atol=1e-12)
 
 
-def test_where_tensions_differ_legs_turn_with_both_edges_of_their_vertex() -> None:
+def test_with_unequal_tensions_legs_turn_with_both_edges_of_their_vertex() -> None:
     """Of p_{k-1} and p_{k+1} both drones move, where the two tensions that meet there differ."""
     start = uneven(6, tension=[0.40, 0.42, 0.42, 0.42, 0.41, 0.41])
     plan = ho.move_vertex(start, 2, by=[-0.04, 0.05])
@@ -72,7 +72,7 @@ CHAIN = ho.Hitch.spread(
     ("k", "expected"),
     [*enumerate(("q0 q1 r0", "q1 r0 q2", "q2 r1 q3 r0", "q3 r2 r1", "r3 r2 q3"))],
 )
-def test_in_a_chain_the_drones_beyond_its_ends_are_left_out(k: int, expected: str) -> None:
+def test_a_chain_has_no_drones_to_move_beyond_its_ends(k: int, expected: str) -> None:
     """A chain's first and last cable have one leg only, which makes up for its edge."""
     plan = ho.move_vertex(CHAIN, k, by=[0.01, 0.03])
     assert movers(plan) == set(expected.split())
@@ -129,8 +129,8 @@ def test_an_action_and_its_reverse_come_back(name: str) -> None:
     np.testing.assert_allclose(end.drones, start.drones, atol=1e-9)
 
 
-def test_where_a_limit_binds_the_nearest_sharing_is_taken_and_said() -> None:
-    """A vertex of a square pushed out: q0 and r3, which stay with it, come too close."""
+def test_a_binding_limit_gives_the_nearest_slack_split_and_a_remark() -> None:
+    """A vertex of a square moves outward: q0 and r3, which follow it, come too close."""
     team = ho.Team(4, 2.0)
     start = ho.Hitch.balanced(team, [[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
     plan = ho.move_vertex(start, 0, by=[0.3, 0.3])
@@ -155,7 +155,7 @@ def test_where_a_limit_binds_the_nearest_sharing_is_taken_and_said() -> None:
 
 
 @pytest.mark.parametrize("far", [0.3, 0.45])
-def test_a_limit_that_binds_on_the_way_only_lets_cables_slide_there(far: float) -> None:
+def test_a_limit_that_binds_only_on_the_path_makes_cables_slide_there(far: float) -> None:
     start = ho.Hitch(ho.Team(6, 2.0), ho.regular_polygon(6, 1.3), 1.0, [0.45] * 6)
     tip = start.vertices[0, 0]
     path = [[4.0, tip + far, 0.0], [5.0, tip + far, 0.0], [9.0, tip, 0.0]]
@@ -182,7 +182,7 @@ ROWS = [(2.0, 0.08, 0.05), (3.5, 0.15, -0.02), (5.0, 0.15, -0.02), (6.25, 0.05, 
 POINTS = [[t, *(HERE + [x, y])] for t, x, y in (*ROWS, (9.0, 0.0, 0.03))]
 
 
-def test_points_are_met_at_their_times_and_standing_stands() -> None:
+def test_points_are_reached_at_their_times_and_pauses_are_at_rest() -> None:
     plan = ho.follow_vertex(START, K, POINTS)
     assert plan.duration == 9.0
     met = plan.at([t for t, *_ in POINTS]).vertices[:, K]
@@ -194,7 +194,7 @@ def test_points_are_met_at_their_times_and_standing_stands() -> None:
     np.testing.assert_allclose(others, np.broadcast_to(others[0], others.shape), atol=1e-12)
 
 
-def test_points_that_cannot_be_met_are_told() -> None:
+def test_infeasible_points_are_refused_by_name() -> None:
     plan = ho.follow_vertex(START, K, [[0.0, *HERE], [3.0, *(HERE + [0.1, 0.0])]])
     assert plan.duration == 3.0
     with pytest.raises(ho.InfeasibleError, match=r"p3 at t = 0.*begin there, or later"):
@@ -218,7 +218,7 @@ TURNED = ho.Hitch(
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.6, -4.7, 4.0 * np.pi])
-def test_the_centroid_goes_straight_and_the_hitch_turns_all_the_way(yaw: float) -> None:
+def test_the_centroid_moves_straight_and_the_hitch_turns_linearly(yaw: float) -> None:
     begin, to = np.append(TURNED.polygon.centroid, 1.3), np.array([1.2, 1.4, 1.9])
     plan = ho.transport(TURNED, to, yaw=yaw)
     vertices = plan.at(np.linspace(0.0, plan.duration, 301)).vertices
@@ -234,8 +234,8 @@ def test_the_centroid_goes_straight_and_the_hitch_turns_all_the_way(yaw: float) 
     np.testing.assert_allclose(plan.end.vertices, vertices[-1], atol=1e-9)
 
 
-def test_where_it_cannot_go_is_told() -> None:
-    """Both ends are inside; half way through the turn a corner's drone is not."""
+def test_infeasible_transports_name_the_point() -> None:
+    """Both ends are inside the arena; halfway through the turn a corner's drone is not."""
     x = TURNED.drones
     around = ho.Arena(x.min(axis=0) - [0.02, 0.02, 0.2], x.max(axis=0) + 0.02)  # edges sag
     with pytest.raises(ho.InfeasibleError, match=r"arena: .* in step 0 \(transport\)"):

@@ -45,8 +45,8 @@ def sampled(stage: Motion) -> Array:
     return stage.drones.at(np.linspace(0.0, stage.drones.duration, 1001))
 
 
-def test_cables_clasp_whose_tensions_differ() -> None:
-    """They turn legs; pairs stand across their vertices then, and keep apart on their way out."""
+def test_cables_of_unequal_tensions_clasp() -> None:
+    """Legs turn; pairs are then across their vertices, and separated on the path to the hitch."""
     rng, n = np.random.default_rng(6), 7
     polygon = random_convex_polygon(n, 0.9, rng)
     team = Team(n, 1.7, tension=rng.uniform(0.35, 0.5, n))
@@ -89,8 +89,8 @@ def test_moving_and_turning_the_hitch_moves_and_turns_the_plan() -> None:
         np.testing.assert_allclose(there[..., 2], here[..., 2], atol=1e-7)
 
 
-def test_heavy_cables_leave_less_to_accelerate_with() -> None:
-    """A drone of little thrust that carries half a heavy cable: slower, or none at all."""
+def test_heavy_cables_reduce_the_usable_acceleration() -> None:
+    """A drone with little thrust that carries half a heavy cable is slower, or infeasible."""
     start = PENTAGON.drones
 
     def seconds(density: float) -> float:
@@ -127,8 +127,8 @@ def test_long_edges_go_to_long_cables() -> None:
 
 
 @pytest.mark.parametrize("length", [1.8, 2.2])
-def test_legs_that_would_cross_are_tied_short_of_where_they_do(length: float) -> None:
-    """Drones of a small hexagon's long legs would meet on their way out of the pre-hitch."""
+def test_crossing_legs_end_before_they_would_cross(length: float) -> None:
+    """Drones of a small hexagon's long legs would meet on the path from the pre-hitch."""
     angles = np.radians([0.0, -60.0, -120.0, -180.0, -240.0, -300.0])
     corners = 0.4 * np.column_stack([np.cos(angles), np.sin(angles)]) + [3.0, -2.0]
     middles = 2.5 * (corners + np.roll(corners, -1, axis=0)) - 4.0 * np.array([3.0, -2.0])

@@ -1,4 +1,4 @@
-"""Robots that join and withdraw in missions: how legs are split for it, and what refuses it."""
+"""Robots that join and withdraw in missions: slack splits and refusals."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def solved(
 
 
 def test_a_pentagon_becomes_a_hexagon_and_a_pentagon_again() -> None:
-    """Short legs would lean too much where cut edges sag: its pairs would not count as open."""
+    """Short legs would slope too much on sagging cut edges: pairs would not count as open."""
     steps = {"join": {"robot": 5, "vertex": 0, "cut": 0.8}}, {"withdraw": {"robot": 5}}
     plan = solved(PENTAGON, [2.6, 1.5, 1.5, 1.5, 2.3, 1.6], *steps)
     assert plan.certificate.certified
@@ -72,7 +72,7 @@ def test_cables_that_pull_too_hard_for_their_drones_to_roll_are_refused() -> Non
     assert refused.value.violations[0].constraint == "tilt"
 
 
-def test_neighbours_that_are_too_short_to_meet_are_told_by_how_much() -> None:
+def test_neighbours_too_short_to_meet_are_refused_with_the_deficit() -> None:
     """Without robot 2 its neighbours' edges grow by 0.8 m, beyond legs of 0.35 m."""
     team, kept = ho.Team(6, 1.5), Requirements()
     after = Hitch.balanced(team, HEXAGON)
@@ -86,8 +86,8 @@ def test_neighbours_that_are_too_short_to_meet_are_told_by_how_much() -> None:
     assert broken.limit == kept.limits.leg
 
 
-def test_cables_that_sag_too_much_to_lie_across_are_refused_by_name() -> None:
-    """Cut edges of 10 g/m at 0.2 N sag by a decimetre where the newcomer comes to lie on them."""
+def test_cables_that_sag_too_much_for_joining_are_refused_by_name() -> None:
+    """Cut edges of 10 g/m at 0.2 N sag by a decimetre where the new robot's cable lies on them."""
     whole = ho.Team(4, [2.3, 2.3, 2.3, 1.6], tension=0.2, cable_density=0.01)
     before = Hitch.balanced(PartTeam.of(whole, [0, 1, 2]), ho.regular_polygon(3, 1.4), 2.0)
     outline = corner_cut(before.polygon, 0, 0.7)
@@ -101,7 +101,7 @@ def test_cables_that_sag_too_much_to_lie_across_are_refused_by_name() -> None:
 
 
 def nodes(motion: Motion) -> tuple[Array, Array]:
-    """Ends of the parts of a ring's cables (parts, 2, 3) at the end, and places of all drones."""
+    """Ends of the parts of a ring's cables (parts, 2, 3) at the end, and all drones."""
     ring, drones = chapters(motion)[-1].groups[0].motion, motion.drones.at(motion.duration)
     own = np.concatenate([x.at(x.breaks[-1]) for x in (ring.vertices, ring.drones)])
     return own[ring.team.layout.part_nodes], drones
@@ -116,8 +116,8 @@ def test_a_robot_that_has_left_waits_beside_the_ring() -> None:
     assert 0.5 <= np.min(apart) < 0.7
 
 
-def test_a_robot_that_is_replaced_keeps_off_its_own_other_leg() -> None:
-    """Robot 1 holds less and less of its edge; its drones passed its legs at 5 cm, and met them."""
+def test_a_replaced_robot_keeps_clear_of_its_own_other_leg() -> None:
+    """Robot 1's edge shrinks, and its drones pass its legs; they once came within 5 cm."""
     motion = planned("replace_in_flight").motion
     (phase,) = (p for p in motion.phases if p.name == "morph")
     ring = next(c for c in chapters(motion) if len(c.groups) == 1).groups[0].motion

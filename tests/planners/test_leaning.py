@@ -27,7 +27,7 @@ LENGTHS, TENSIONS = [2.9, 2.8, 2.7, 3.0], [0.5, 0.45, 0.55, 0.5]
 
 
 def morphed() -> Motion:
-    """A morph of cables without friction, by fractions that stay, so that laws are exact."""
+    """A morph without friction and with constant fractions, so that laws are exact."""
     start = ho.Hitch.balanced(ho.Team(4, LENGTHS, tension=TENSIONS), POLYGON, altitude=1.2)
     motion = ho.morph(start, GOAL, legs="balanced", duration=4.0).motion
     assert isinstance(motion, Motion)
@@ -42,7 +42,7 @@ def leaned(motion: Motion, friction: float = 0.1, share: float = 1.0) -> Frictio
 
 
 @pytest.mark.parametrize("friction", [0.05, 0.3])
-def test_legs_that_grow_pull_harder_and_all_by_no_more_than_friction(friction: float) -> None:
+def test_growing_legs_have_higher_tensions_within_friction(friction: float) -> None:
     motion = leaned(morphed(), friction).motion
     inner = motion.duration * np.linspace(0.2, 0.8, 121)
     rates = motion.legs.at(inner, 1).reshape(len(inner), -1)
@@ -54,8 +54,8 @@ def test_legs_that_grow_pull_harder_and_all_by_no_more_than_friction(friction: f
     assert np.max(np.abs(ratio)) < np.pi * friction
 
 
-def test_one_cable_that_slides_alone_counts_on_all_that_it_wraps() -> None:
-    """Of unequal tensions the weaker cable turns by more than the other one, by half of V each."""
+def test_a_cable_that_slides_alone_expects_the_friction_of_its_whole_wrap() -> None:
+    """With unequal tensions the weaker cable turns by more than the other one."""
     team = ho.Team(4, LENGTHS, tension=[0.5, 0.42, 0.58, 0.5], cable_friction=0.03)
     start = ho.Hitch.balanced(team, POLYGON, altitude=1.2)
     motion = ho.adjust(start, start.legs[:, 0] + [0.0, 0.1, 0.0, 0.0], duration=6.0).motion
@@ -70,7 +70,7 @@ def test_one_cable_that_slides_alone_counts_on_all_that_it_wraps() -> None:
 
 
 @pytest.mark.parametrize("friction", [0.05, 2.0])
-def test_no_leg_leans_farther_than_it_may_and_drones_keep_apart(friction: float) -> None:
+def test_leans_are_limited_and_drones_keep_their_distances(friction: float) -> None:
     """At large friction both limits bind: a sharp vertex would lock."""
     plain = morphed()
     found, s, layout = leaned(plain, friction), np.linspace(0.0, 1.0, 401), plain.team.layout
@@ -88,7 +88,7 @@ def test_no_leg_leans_farther_than_it_may_and_drones_keep_apart(friction: float)
     assert np.all(gaps[0] >= np.minimum(gaps[1], DISTANCE_FACTOR) - 0.01)
 
 
-def test_it_leans_as_much_as_is_counted_on() -> None:
+def test_the_lean_is_proportional_to_the_expected_friction() -> None:
     turned = [leaned(morphed(), 0.04, share).lean for share in (0.25, 0.5, 1.0)]
     np.testing.assert_allclose(turned[1:], [2.0 * turned[0], 4.0 * turned[0]], rtol=0.1)
 
@@ -154,8 +154,8 @@ def test_only_the_steps_that_slide_lean() -> None:
     assert np.ptp(plan.motion.pulls.at(np.linspace(0.0, plan.duration, 2_000))) > 0.02
 
 
-def test_where_limits_leave_little_room_legs_lean_less() -> None:
-    """A limit of tilt just above what the hitch needs at rest lets no leg pull much harder."""
+def test_legs_lean_less_near_their_limits() -> None:
+    """A tilt limit just above that of the hitch at rest lets no leg pull much harder."""
     inward, t = moved(0.0, -0.25, 6.0), np.linspace(0.0, 6.0, 2_000)
     free = slid(inward)
     most, least = (p.certificate["tilt"].bound for p in (free, slid(inward, friction=0.0)))
@@ -166,8 +166,8 @@ def test_where_limits_leave_little_room_legs_lean_less() -> None:
     assert 0.0 < ratios[0] < ratios[1]
 
 
-def test_what_leaning_would_break_is_flown_without_it() -> None:
-    """Within walls that the drones just reach; vertices go as without friction anyway."""
+def test_motions_whose_lean_would_violate_limits_have_none() -> None:
+    """Within walls that the drones just reach; vertices move as without friction."""
     step, t = moved(0.2, 0.0, 4.0), np.linspace(0.0, 4.0, 4_001)
     plain, free = slid(step, friction=0.0).at(t), slid(step).at(t)
     np.testing.assert_allclose(free.vertices, plain.vertices, atol=1e-9)
@@ -180,8 +180,8 @@ def test_what_leaning_would_break_is_flown_without_it() -> None:
     np.testing.assert_array_equal(plan.at(t).positions, plain.positions)
 
 
-def test_drones_swing_to_both_sides_by_less_and_less_and_vertices_stay() -> None:
-    """Their legs balance the edges as friction that is fully used would have them."""
+def test_drones_swing_to_both_sides_with_decreasing_amplitude_about_fixed_vertices() -> None:
+    """Their legs balance the edges with fully mobilized friction."""
     plan = settled(ho.Settle())
     assert (plan.phases[0].name, plan.duration) == ("settle", 17.0)
     samples = plan.at(np.linspace(0.0, 17.0, 4_001))
@@ -211,7 +211,7 @@ def form(settle: Any = "auto") -> Step:
 
 
 @pytest.mark.slow
-def test_a_hitch_that_is_formed_of_cables_with_friction_ends_with_it() -> None:
+def test_forming_with_friction_ends_with_settling() -> None:
     worked, left, given = (settled(form(each), tied=False) for each in ("auto", False, 20.0))
     smooth = settled(form(), tied=False, friction=0.0)
     assert worked.phases[-1].name == "settle"

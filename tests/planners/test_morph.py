@@ -1,4 +1,4 @@
-"""Morphs: legs that make way, shut ways, and the optimiser's guesses, routes and programs."""
+"""Morphs: leg laws, blocked paths, and the optimizer's guesses, paths and programs."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_renumbering_gives_the_same_duration() -> None:
 
 
 def found(start: Hitch, end: Hitch, tension: tuple[float, float] | None = None) -> list[Motion]:
-    """What the optimiser finds where every flight will do, the fastest first."""
+    """The optimizer's motions with a judge that accepts every flight, the fastest first."""
     given = OptimisedMorph(start, end, FREE, lambda path: fly(path, FREE), tension).solve()
     flights = [candidate.motion for candidate in given]
     durations = [flight.duration for flight in flights]
@@ -59,7 +59,7 @@ def found(start: Hitch, end: Hitch, tension: tuple[float, float] | None = None) 
 
 
 @pytest.mark.parametrize("least", [0.3, 0.7])
-def test_free_tensions_are_eased_within_their_range_and_restored(least: float) -> None:
+def test_variable_tensions_stay_within_their_range_and_return(least: float) -> None:
     start, end = ends(WEAK, SQUARE, SQUARE.rotated(0.9).translated([0.5, 0.2]))
     eased = found(start, end, (least, 0.8))
     for flight in eased:
@@ -115,8 +115,8 @@ def test_the_optimiser_ends_on_ctrl_c_at_the_first_solver(monkeypatch: pytest.Mo
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_solvers_of_one_structure_serve_other_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A second team's cables, places and altitude are parameters: no solver is built for them."""
+def test_solvers_of_one_structure_are_shared(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A second team's cables, positions and altitude are parameters of the same solver."""
     built: list[str] = []
     build = ca.nlpsol
 
@@ -150,8 +150,8 @@ def distances_on_the_way(path: ShapePath) -> float:
     return reference_margin(leg_task_along(path, FREE, s, 1.0))
 
 
-def test_legs_make_way_where_a_linear_change_of_sharing_does_not() -> None:
-    """From one sharing of the sharp triangle to its mirror image: even sharing is too close."""
+def test_leg_laws_keep_distances_that_linear_fractions_do_not() -> None:
+    """From a slack split of the sharp triangle to its mirror image; equal splits are too close."""
     team = Team(3, 2.4)
     start = Hitch.spread(team, TRIANGLE)
     end = Hitch(team, TRIANGLE, 1.0, start.slack - start.q_legs)
@@ -167,7 +167,7 @@ def test_legs_make_way_where_a_linear_change_of_sharing_does_not() -> None:
     assert StraightMorph(start, start, FREE).solve() is None  # nothing to do
 
 
-def test_a_straight_way_that_loses_convexity_says_where() -> None:
+def test_a_straight_path_that_loses_convexity_names_the_vertex() -> None:
     """PAPER.md's pair of quadrilaterals; half turns, which collapse to a point."""
     first = [[1.0, 1.0], [1.0, 2.0], [2.0, 0.0], [2.0, -1.0]]
     second = [[1.0, 0.0], [-1.0, 1.0], [1.0, 1.0], [2.0, 0.0]]
@@ -187,7 +187,7 @@ def test_a_straight_way_that_loses_convexity_says_where() -> None:
 
 
 @pytest.mark.parametrize("thrust", [1.35, 1.37])
-def test_too_weak_drones_are_told_apart_from_slow_ones(thrust: float) -> None:
+def test_too_little_thrust_at_rest_is_refused_before_timing(thrust: float) -> None:
     needed = np.hypot(0.132 * 9.81, 0.4)  # 1.356 N
     team = Team(3, 2.4, quadrotor=ho.Quadrotor(0.132, thrust))
     start, end = (Hitch.spread(team, [[0.0, y], *TRIANGLE[1:]]) for y in (-1.0, -0.8))

@@ -1,4 +1,4 @@
-"""The separation planner as a whole: laws, hard meetings, and what it refuses."""
+"""The separation planner: laws, dense encounters, and refusals."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def separate(task: SeparationTask) -> SeparationResult:
 
 
 def circle(n: int, radius: float, **required: Any) -> SeparationTask:
-    """Drones off the origin that trade places through one point."""
+    """Drones off the origin that exchange positions through one point."""
     angles = 2.0 * np.pi * np.arange(n) / n + 0.1
     offset = radius * np.column_stack([np.cos(angles), np.sin(angles), 0.0 * angles])
     middle = np.array([0.7, -1.3, 1.4])
@@ -56,7 +56,7 @@ def circle(n: int, radius: float, **required: Any) -> SeparationTask:
 
 
 def scattered(n: int, seed: int) -> SeparationTask:
-    """Drones between random places."""
+    """Drones between random positions."""
     rng = np.random.default_rng(seed)
     ends: list[list[Array]] = [[], []]
     for points in ends:
@@ -68,7 +68,7 @@ def scattered(n: int, seed: int) -> SeparationTask:
 
 
 def assert_kept(task: SeparationTask, found: SeparationResult) -> None:
-    """Samples keep all of the task, and never beat the bound."""
+    """Samples satisfy the task, and durations the bound."""
     curves, required, limits = found.drones, task.requirements, task.requirements.limits
     t = np.linspace(0.0, curves.duration, 1500)
     x = curves.at(t)
@@ -116,15 +116,15 @@ PAST = task_of(
         pytest.param(PAST, np.inf, id="post"),
     ],
 )
-def test_tasks_are_flown_nearly_as_fast_as_alone(task: SeparationTask, slower: float) -> None:
+def test_flights_are_nearly_as_fast_as_single_ones(task: SeparationTask, slower: float) -> None:
     found = separate(task)
     assert_kept(task, found)
     assert found.drones.duration <= slower * found.bound
     assert ("right" in found.remark) or task.drones not in (2, 24)
 
 
-def test_what_is_moved_turned_and_renumbered_takes_as_long() -> None:
-    """As exactly as OSQP, which stops at 1e-4, lets it."""
+def test_moved_turned_and_renumbered_tasks_take_equally_long() -> None:
+    """Up to OSQP's tolerance of 1e-4."""
     task, s = scattered(9, 7), np.linspace(0.0, 1.0, 50)
     found = separate(task).drones
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -140,7 +140,7 @@ def test_what_is_moved_turned_and_renumbered_takes_as_long() -> None:
     np.testing.assert_allclose(other.at(s * other.duration), expected, atol=5e-3)
 
 
-def test_quicker_drones_fly_the_same_ways_in_less_time_and_weak_ones_as_they_can() -> None:
+def test_faster_drones_fly_the_same_paths_in_less_time_and_weak_ones_within_their_limits() -> None:
     task, k = scattered(8, 3), 2.5
     quicker = Limits(LIMITS.speed * k, LIMITS.acceleration * k**2, LIMITS.jerk * k**3)
     other = separate(replace(task, requirements=replace(task.requirements, limits=quicker)))
@@ -151,14 +151,14 @@ def test_quicker_drones_fly_the_same_ways_in_less_time_and_weak_ones_as_they_can
 
 
 def astray(task: SeparationTask, found: SeparationResult) -> float:
-    """Mean distance [m] to the straight ways."""
+    """Mean distance [m] to the straight paths."""
     x = found.drones.at(np.linspace(0.0, found.drones.duration, 300)) - task.start
     along = task.goal - task.start
     along = along / np.linalg.norm(along, axis=1, keepdims=True)
     return float(np.mean(np.linalg.norm(np.cross(x, along), axis=-1)))
 
 
-def test_a_given_duration_is_met_and_leaves_ways_nearer_to_straight() -> None:
+def test_a_prescribed_duration_is_exact_and_makes_paths_straighter() -> None:
     task = circle(8, 1.8)
     fast = separate(task)
     given = replace(task, duration=2.0 * fast.drones.duration)
@@ -167,7 +167,7 @@ def test_a_given_duration_is_met_and_leaves_ways_nearer_to_straight() -> None:
     assert astray(task, slow) < 1.05 * astray(task, fast)
 
 
-def test_who_is_there_stays_and_the_same_task_gives_the_same_plan_to_the_last_bit() -> None:
+def test_drones_at_their_goals_stay_and_plans_are_deterministic() -> None:
     still = replace(circle(5, 1.0), goal=circle(5, 1.0).start)
     resting = separate(still).drones
     points = resting.at(np.array([0.0, 0.5, 1.0]) * resting.duration)
@@ -187,13 +187,13 @@ PAIR = np.array([[-1.0, 0, 1], [1.0, 0, 1]])
         ({"requirements": Requirements(arena=Arena([-2, -1, 0], [0.9, 1, 2]))}, "arena: .*at d1"),
     ],
 )
-def test_ends_that_cannot_be_are_told_with_names(change: dict[str, Any], words: str) -> None:
+def test_infeasible_ends_are_refused_by_name(change: dict[str, Any], words: str) -> None:
     with pytest.raises(InfeasibleError, match=words):
         separate(replace(task_of(PAIR, [[0.0, 0, 1], [-1, 0, 1]]), **change))
 
 
 @pytest.mark.slow
-def test_a_duration_that_would_do_is_offered() -> None:
+def test_a_feasible_duration_is_suggested() -> None:
     start = np.column_stack([0.4 * np.arange(4), np.full(4, 0.5), np.full(4, 1.0)])
     task = task_of(start, start[::-1])
     fast = separate(task)
@@ -206,7 +206,7 @@ def test_a_duration_that_would_do_is_offered() -> None:
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, 3.0))
 @settings(max_examples=40)
-def test_no_point_of_a_hull_is_nearer_than_the_one_that_is_found(seed: int, away: float) -> None:
+def test_no_point_of_a_hull_is_nearer_than_its_nearest_point(seed: int, away: float) -> None:
     points = np.random.default_rng(seed).normal(size=(1, 3, 6)) + away * np.ones((3, 1))
     (nearest,) = hull_points(points)
     if np.any(nearest):  # a plane through it has all of the hull on its far side
@@ -225,7 +225,7 @@ def route(start: list[float], goal: list[float], *walls: Prism) -> Array:
     return found
 
 
-def test_the_way_around_a_pillar_is_the_shortest_and_a_low_one_is_flown_over() -> None:
+def test_routes_around_pillars_are_shortest_and_pass_over_low_ones() -> None:
     start, goal = [-2.0, 0.1, 1.0], [2.0, 0.0, 1.0]
     found, off = route(start, goal, PILLAR), 1.25 * 0.12
     corners = [[-0.3 - off, 0.4 + off, 1.0], [0.5 + off, 0.4 + off, 1.0]]
@@ -238,7 +238,7 @@ def test_the_way_around_a_pillar_is_the_shortest_and_a_low_one_is_flown_over() -
     assert np.sum(np.linalg.norm(np.diff(over, axis=0), axis=1)) < 4.2
 
 
-def test_drones_that_nobody_meets_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_drones_without_conflicts_stay(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(import_module(SeparatedFlight.__module__), "LARGE_CROWD", 40)
     monkeypatch.setattr(
         "hitchopt.planners.separation.guesses.MAX_PUSH_ITERATIONS", 2
@@ -254,8 +254,8 @@ def test_drones_that_nobody_meets_stay(monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_allclose(drones[-1], goal, atol=1e-9)
 
 
-def test_osqp_that_was_interrupted_ends_the_plan(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It says so after Ctrl-C, which it keeps to itself."""
+def test_an_interrupted_osqp_ends_the_plan(monkeypatch: pytest.MonkeyPatch) -> None:
+    """OSQP catches SIGINT and reports it in its status."""
     one, eye = np.ones(2), sp.csc_array(sp.eye(2))
     program = QuadraticProgram(eye, 0.3 * one, eye, -one, one)
     np.testing.assert_allclose(solve_program(program), -0.3 * one, atol=1e-3)

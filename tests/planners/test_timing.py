@@ -1,4 +1,4 @@
-"""Timing: jets, ramps, what limits allow, and optima in closed form."""
+"""Timing: jets, ramps, limits, and optima in closed form."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from problems.random_morph import random_convex_polygon
 @given(st.floats(1e-3, 50.0), st.floats(0.1, 5.0), st.floats(0.2, 9.0), st.floats(0.5, 90.0))
 @settings(max_examples=60)
 def test_fastest_ramps_are_those_of_the_clock(d: float, v: float, a: float, j: float) -> None:
-    """Which ruckig, another library, finds."""
+    """By ruckig, another library."""
     (duration,), (rise,) = fastest_ramps(np.array([d]), v, a, j)
     assert duration == pytest.approx(fastest_clock(d, v, a, j).duration, rel=1e-6)
     assert 2.0 * rise <= duration * (1.0 + 1e-12)
@@ -164,7 +164,7 @@ def test_plans_keep_a_body_rate_and_come_close_to_it(name: str, rate: float) -> 
 
 
 @pytest.mark.filterwarnings("ignore::hitchopt.errors.UnitWarning")
-def test_points_that_are_met_on_time_refuse_with_the_remedy() -> None:
+def test_infeasible_timed_points_are_refused_with_a_remedy() -> None:
     with pytest.raises(ho.InfeasibleError, match=r"body_rate.*limits\.body_rate_deg"):
         turning("open_chain", 0.5)
 
@@ -180,7 +180,7 @@ def test_the_stretch_of_a_known_turn_is_exact() -> None:
     assert turning_stretch(Swarm(1), None, part, 1.5) == 1.5
 
 
-def test_a_flight_that_is_slowed_as_needed_just_keeps_its_limit() -> None:
+def test_a_flight_with_the_needed_stretch_just_keeps_its_limit() -> None:
     motion = planned("triangle").motion
     rest = math.atan(0.4 / (0.132 * 9.81))
     tilt = 0.5 * (rest + math.radians(planned("triangle").certificate["tilt"].bound))

@@ -1,4 +1,4 @@
-"""Plans whose drones may be off: every planner keeps distances for it, or says what binds."""
+"""Plans with tracking errors: every planner keeps distances for them, or names what binds."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ RETUNED = ho.Quadrotor(controller="mellinger", gains={"kp": 4.75, "kd": 1.32, "k
 
 
 @given(st.floats(0.05, 0.4), st.floats(0.05, 0.6), st.floats(0.001, 0.4), st.integers(0, 999))
-def test_wider_ellipsoids_hold_all_that_drones_off_may_touch(
+def test_widened_ellipsoids_contain_the_sum_with_a_ball(
     radius: float, height: float, off: float, seed: int
 ) -> None:
-    """One that reaches as far as ellipsoid and ball together in all directions, no wider."""
+    """The widened ellipsoid supports the sum of ellipsoid and ball in all directions."""
     axes, wider = np.array([radius, radius, height]), Separation(radius, height).widened(off)
     n = np.random.default_rng(seed).normal(size=(50, 3))
     n /= np.linalg.norm(n, axis=1, keepdims=True)
@@ -56,7 +56,7 @@ def test_planners_keep_wider_distances_and_drones_may_stand_on_the_floor() -> No
     assert plain.with_reserve.separation == plain.separation
 
 
-def test_controllers_say_how_far_off_and_how_tilted_drones_fly_unless_the_problem_does() -> None:
+def test_controllers_define_tracking_and_tilt_unless_the_problem_does() -> None:
     start = ho.HitchStart(ho.regular_polygon(3, 1.0), 1.0)
     for kind, stated, off, tilt in (
         (RETUNED, {}, 0.05, 45.0),
@@ -70,7 +70,7 @@ def test_controllers_say_how_far_off_and_how_tilted_drones_fly_unless_the_proble
         assert (need.limits.tracking, round(math.degrees(need.limits.tilt), 9)) == (off, tilt)
 
 
-def test_legs_are_spread_for_drones_that_are_off() -> None:
+def test_spread_legs_include_the_tracking_error() -> None:
     team, outline = ho.Team(6, 1.8, quadrotor=RETUNED), ho.regular_polygon(6, 0.9)
     exact = replace(team, quadrotor=(ho.Quadrotor(),) * 6)
     need = Requirements(Limits(tracking=0.05)).with_reserve
@@ -102,7 +102,7 @@ SLOW = [
 
 
 @pytest.mark.parametrize("name", ["turned", "swapped", *SLOW])
-def test_plans_keep_every_distance_with_all_drones_off(name: str, tmp_path: Path) -> None:
+def test_plans_keep_every_distance_with_tracking_errors(name: str, tmp_path: Path) -> None:
     plan: ho.Plan = globals()[name]() if name in globals() else planned(name)
     check, off = plan.certificate["tracking_radius"], plan.motion.team.tracking
     assert check.limit == off
@@ -129,7 +129,7 @@ def test_plans_keep_every_distance_with_all_drones_off(name: str, tmp_path: Path
     assert {row.verdict for row in verify(tmp_path)} != {"proven"}
 
 
-def test_a_stated_distance_that_is_too_large_is_suggested_as_retuned_drones_keep_it() -> None:
+def test_a_specified_tracking_that_is_too_large_is_suggested_as_that_of_retuned_drones() -> None:
     problem: Any = ho.read_problem(PROBLEMS / "form_triangle.yaml")
     wide = replace(problem, limits=replace(problem.limits, tracking=0.5))
     with pytest.raises(InfeasibleError, match="let drones be off by less") as caught:
@@ -163,7 +163,7 @@ def refusal(**kind: Any) -> tuple[ho.Problem, InfeasibleError]:
         ("lee", "cable_clearance", "limits.tracking of 0.35 m widens this distance"),
     ],
 )
-def test_what_cannot_be_flown_is_refused_and_stiffer_gains_are_suggested(
+def test_infeasible_tracking_is_refused_and_stiffer_gains_are_suggested(
     controller: str, constraint: str, words: str
 ) -> None:
     problem, error = refusal(controller=controller)
@@ -180,8 +180,8 @@ def test_what_cannot_be_flown_is_refused_and_stiffer_gains_are_suggested(
 
 
 @pytest.mark.slow
-def test_objects_count_where_a_limit_is_asked() -> None:
-    """What cables and a held object keep off others is left by as much less."""
+def test_objects_count_toward_a_specified_limit() -> None:
+    """Cables and a held object reduce the tracking radius by their own clearance."""
     motion = planned("carry_tray").motion
     need, bounds = motion.requirements, []
     for limits in (need.limits, replace(need.limits, tracking=0.01)):
