@@ -75,7 +75,7 @@ the point's shares of their horizontal and vertical motion differ by up to one h
 def displacement_bound(
     across: tuple[Array, Array], rise: Array, length: ArrayLike, radius: float
 ) -> Array:
-    """Return upper bounds (…) [m] of displacements of cable points if both ends move by a radius.
+    """Return upper bounds (…) [m] of displacements of cable points if ends move by a radius [m].
 
     A point at μ follows its two ends: horizontally with weights ``(1 ± μ)/2``, vertically with
     ``(1 ± sinh μσ / sinh σ)/2``. A change of σ moves it by at most ``depth_rate`` L + ¼ |h| per
@@ -86,7 +86,6 @@ def displacement_bound(
     ----------
     across: smallest and largest s (…) [m].
     rise: largest |h| (…) [m].
-    radius: displacement of the ends [m].
     """
     closer, higher, L = across[0] - 2.0 * radius, rise + 2.0 * radius, np.asarray(length)
     unbounded = (closer <= 0.0) | (higher >= L)

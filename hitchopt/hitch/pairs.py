@@ -129,12 +129,8 @@ def end_combinations(
 ) -> tuple[Indices, Indices, Indices]:
     """Return (pair, first node, second node) for every combination of ends of two bodies.
 
-    Bodies are separated by as much as all their ends are along a normal.
-
-    Parameters
-    ----------
-    kind: kinds of pairs (m,).
-    first, second: nodes (m, 2) at the ends of the bodies; a drone's are the same.
+    Bodies are separated by as much as all their ends are along a normal. Pairs have kinds (m,) and
+    nodes (m, 2) at the ends of their bodies; a drone's are the same.
     """
     rows: list[tuple[Indices, Indices, Indices]] = []
     for which, ends, other_ends in (

@@ -480,11 +480,9 @@ ROLL_CANDIDATES = tuple(
 """[rad] Rolls in ascending order, of which the first sufficient one is refined. Simulated clasps
 hold up to 60°."""
 
-RESPLIT_CANDIDATES = (ROLL_CANDIDATES[3], ROLL_CANDIDATES[5])
-"""[rad] Rolls at which other leg lengths are searched if no roll suffices for the reference."""
-
-RESPLIT_RATIO = 0.9
-"""Roll at which other leg lengths must suffice, over the roll that the reference needs."""
+RESPLIT_CANDIDATES, RESPLIT_RATIO = (ROLL_CANDIDATES[3], ROLL_CANDIDATES[5]), 0.9
+"""[rad] Rolls at which other leg lengths are searched if no roll suffices for the reference; and
+roll at which they must suffice over the one that the reference needs."""
 
 
 def split_with_least_roll(task: LegTask) -> tuple[LegLengths, Array | float]:

@@ -280,11 +280,9 @@ class Quadrotor(OneLine):
 def _loop(kind: Quadrotor) -> FlightController:
     if kind.controller is not None:
         return FlightController.of(kind.controller, kind.mass, kind.gains)
+    feed_forward = kind.feed_forward is None or kind.feed_forward
     return FlightController.plain(
-        kind.mass,
-        kind.stiffness,
-        integral=bool(kind.integral),
-        feed_forward=kind.feed_forward is None or kind.feed_forward,
+        kind.mass, kind.stiffness, integral=bool(kind.integral), feed_forward=feed_forward
     )
 
 
@@ -316,8 +314,7 @@ def kinds_of(
 def _loads(load: float | Sequence[float] | ArrayLike, clasps: int) -> NDArray[np.float64]:
     """Return the masses that hang at the clasps (clasps,) [kg].
 
-    An array of equal values is accepted for any number of clasps: ``replace`` passes that of
-    another topology.
+    Arrays of equal values fit any number of clasps, as ``replace`` needs for another topology.
     """
     if isinstance(load, np.ndarray) and load.size > 0 and load.ndim > 0:
         load = float(load[0]) if np.all(load == load[0]) else load
@@ -550,16 +547,9 @@ MAX_DRONES = 2 * MAX_ROBOTS
 
 @dataclass(frozen=True, eq=False)
 class Swarm(Team):
-    """N single quadrotors: a team without cables, whose arrays over robots are empty.
+    """N single quadrotors of one kind or one per drone: a team without cables.
 
-    Parameters
-    ----------
-    drones: their number N.
-    quadrotor: one kind for all or one per drone.
-
-    Raises
-    ------
-    InputError: an invalid count.
+    Arrays over robots are empty. Raises InputError for an invalid count.
     """
 
     def __init__(

@@ -32,20 +32,12 @@ REACH = 0.25  # [m] Distance beyond a limit up to which it is computed
 
 
 class Bodies(NamedTuple):
-    """Segments with extents at sampled times.
+    """Segments with extents at sampled times."""
 
-    Attributes
-    ----------
-    segments: (samples, bodies, 2, 3) [m]
-    heights: (samples, bodies, 2) [m], lowest and highest.
-    radii: (bodies,) [m], about the segments.
-    upright: (samples,), whether distances are those in plan view, or of heights if larger.
-    """
-
-    segments: Array
-    heights: Array
-    radii: Array
-    upright: NDArray[np.bool_]
+    segments: Array  # (samples, bodies, 2, 3) [m]
+    heights: Array  # (samples, bodies, 2) [m], lowest and highest
+    radii: Array  # (bodies,) [m], about the segments
+    upright: NDArray[np.bool_]  # (samples,), distances in plan view, or of heights if larger
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,10 +127,7 @@ def _pairs(
 
 
 def slacks(a: Track, b: Track, separation: Separation) -> Array:
-    """Return the smallest slack of distances (samples of a, samples of b) [m].
-
-    It is infinite beyond REACH.
-    """
+    """Return the smallest slack (samples of a, samples of b) [m], infinite beyond REACH."""
     separated = 2.0 * max(separation.radius, separation.height)
     reach = max(separated, separation.cable, separation.crossing, separation.object) + REACH
     gaps = np.maximum(a.box[0][:, None] - b.box[1], b.box[0] - a.box[1][:, None])
@@ -237,10 +226,8 @@ class Schedule:
     ----------
     tracks: of the groups, in the order of the file; groups at rest have one sample.
     separation: limits of distances.
-    alternative: function of a group's index and layer (1 up, 2 down) that returns another path of
-        the group, or None.
-    tables: cached slacks of pairs of tracks.
-    alternatives: cached alternative paths.
+    alternative: another path of a group by index and layer (1 up, 2 down), or None.
+    tables, alternatives: caches of slacks and of other paths.
     """
 
     tracks: Sequence[Track]

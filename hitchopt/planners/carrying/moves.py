@@ -170,9 +170,9 @@ class Course:
         linear = in_world(inverse, self.acceleration[..., None] * offset[:3])
         centripetal = (self.speed * offset[3])[..., None] ** 2
         angular = (self.acceleration * offset[3])[..., None]
-        rotation = [-centripetal * x - angular * y, angular * x - centripetal * y]
-        rotation.append(0.0 * centripetal * x)
-        return np.asarray(linear[..., None, :] + np.stack(rotation, axis=-1))
+        horizontal = -centripetal * x - angular * y, angular * x - centripetal * y
+        rotation = np.stack([*horizontal, 0.0 * centripetal * x], axis=-1)
+        return np.asarray(linear[..., None, :] + rotation)
 
 
 DIFFERENCE_STEP = 2e-3

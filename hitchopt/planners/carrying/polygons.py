@@ -54,8 +54,7 @@ class HoldPolygons:
     ) -> HoldPolygons:
         """Return a polygon and its scaled copy around sections.
 
-        Of all stretches along the polygon's axes the copy has the one with the smallest longest
-        edge, which leaves the most cable for legs.
+        The copy is stretched along its axes so that its longest edge is smallest.
 
         Parameters
         ----------
@@ -124,8 +123,7 @@ class GripTask:
     ----------
     section: to grip.
     robots: number n.
-    cable_length: of all cables [m].
-    tension: of all cables [N].
+    cable_length, tension: of all cables [m], [N].
     clasp_friction: friction coefficient between cables.
     requirements: distances to be kept.
     kind: of all quadrotors.

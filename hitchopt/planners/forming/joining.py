@@ -458,18 +458,10 @@ def find_leaving(
 ) -> Joining:
     """Return a robot's leaving, as the reversed joining, with a slack split as in ``find_joining``.
 
-    Parameters
-    ----------
-    after: the ring with the robot, which it leaves.
-    team, outline: the ring without the robot, and its polygon.
-    vertex: index of the robot in the ring with it.
-    extensions: (2,) [m], of the edges of its neighbours.
-    senses: (n,) of the clasps with the robot.
-    slides: whether cables slide to the split from their current legs, with margins on the way.
-
-    Raises
-    ------
-    InfeasibleError: legs of its neighbours that are too short for the corner.
+    ``after`` and ``senses`` (n,) are of the ring with the robot, ``team`` and ``outline`` of the
+    one without it; ``extensions`` (2,) [m] are of its neighbours' edges. With ``slides`` margins
+    also hold while cables slide to the split. Raises InfeasibleError if legs of its neighbours are
+    too short for the corner.
     """
     k, n = vertex, after.team.robots
     own = [k, (k - 1) % n, (k + 1) % n]

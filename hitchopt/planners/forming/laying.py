@@ -120,20 +120,12 @@ def senses_of(layout: Layout, levels: Indices) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Laying:
-    """A hitch with its laying order and start positions.
-
-    Attributes
-    ----------
-    hitch: at the end.
-    levels: (n,), order of the cables, 0 the lowest.
-    spacing: distance between levels [m].
-    offsets: (n, 2) [m], of the start from the edges' lines.
-    """
+    """A hitch with its laying order and start positions."""
 
     hitch: Hitch
-    levels: Indices
-    spacing: float = 0.0
-    offsets: Array | None = None
+    levels: Indices  # (n,), order of the cables, 0 the lowest
+    spacing: float = 0.0  # [m], between levels
+    offsets: Array | None = None  # (n, 2) [m], of the start from the edges' lines
 
     @property
     def senses(self) -> Array:

@@ -70,14 +70,10 @@ class Action:
         return self.start.team.layout.q_legs_of(self.length + self.share * slack, slack)
 
     def path(self, end: Hitch | None = None) -> ShapePath:
-        """Return the path that ends with the legs and roll of a hitch, or those of the law if None.
-
-        The deviation from the law grows along the path.
-        """
+        """Return the path that ends with the legs and roll of a hitch, or by the law if None."""
         deviation = np.zeros_like(self.length) if end is None else end.q_legs - self.legs_by_law
         # Linear in s, or at rest at both ends if s is time.
-        linear = self.seconds is None
-        progress = np.array([0.0, 1.0] if linear else [0.0, 0.0, 0.0, 1.0, 1.0, 1.0])
+        progress = np.repeat([0.0, 1.0], 1 if self.seconds is None else 3)
         length = (self.length[:, None] + deviation[:, None] * progress)[None]
         share = PiecewisePolynomial.constant(UNIT_BREAKS, self.share)
         law = LegLaw(PiecewisePolynomial(UNIT_BREAKS, length), share)

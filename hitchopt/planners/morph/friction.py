@@ -5,13 +5,11 @@ feed-forward the vertex is dragged along until the clasp is in balance. With it 
 tension changed by friction, and lean as the force triangle at the clasp requires
 (``hitch.model.slipping_drones``).
 
-The magnitude of friction is uncertain. The ratio of tensions is ``e^{μ θ}`` if one cable slides
-about the other, where θ is its wrap angle. It is smaller if both slide, since their relative
-velocity is smaller. The expected ratio is ``ln(P/T) = μ θ v / (|v_q| + |v_r|)`` for the rates ``v``
-of legs: the full one for one cable, half for two at the same speed. This law is empirical: it
-brings simulated ropes closest to their plans (``python -m benchmarks flights``). The law by
-relative velocity of ``calibration/clasp_sliding.py``, fitted later, has 0.7 instead of one half at
-turns of 60°.
+The ratio of tensions is ``e^{μ θ}`` if one cable slides about the other with the wrap angle θ, and
+smaller if both slide. The expected ratio is ``ln(P/T) = μ θ v / (|v_q| + |v_r|)`` for the rates
+``v`` of legs: the full one for one cable, half for two at the same speed. This law is empirical: it
+brings simulated ropes closest to their plans (``python -m benchmarks flights``). The law of
+``calibration/clasp_sliding.py``, fitted later, has 0.7 instead of one half at turns of 60°.
 """
 
 from __future__ import annotations

@@ -102,17 +102,8 @@ def leg_task_of(
     """Return the leg task of shapes of a path, of which the first and the last are fixed."""
     fixed = np.zeros(len(shapes.legs), dtype=np.bool_)
     fixed[[0, -1]] = True
-    return LegTask(
-        path.team,
-        requirements,
-        shapes.polygons,
-        shapes.legs[..., 0],
-        requirements.limits.leg,
-        margin,
-        ROUGHNESS_WEIGHT,
-        fixed,
-        shapes.roll,
-    )
+    arguments = shapes.legs[..., 0], requirements.limits.leg, margin, ROUGHNESS_WEIGHT, fixed
+    return LegTask(path.team, requirements, shapes.polygons, *arguments, roll=shapes.roll)
 
 
 def _few_sliding(path: ShapePath, candidate: ShapePath) -> ShapePath:

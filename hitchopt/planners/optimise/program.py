@@ -318,16 +318,10 @@ def _near_pairs(nodes: Array, separation: Separation, margins: Array, reach: Arr
 
 
 class SoftRows(NamedTuple):
-    """Rows with current values and lower bounds.
+    """Rows, with lower bounds and current values (rows,)."""
 
-    Attributes
-    ----------
-    structure, numbers: in the program's structure and parameters.
-    lower, values: (rows,)
-    """
-
-    structure: Any
-    numbers: Array
+    structure: Any  # in the program's structure
+    numbers: Array  # in the program's parameters
     lower: Array
     values: Array
 
@@ -378,21 +372,17 @@ solve take two and a half times as long."""
 MIN_TIME_LIMIT = 1e-3
 """[s] Smallest time limit for IPOPT, which must be positive."""
 
-CONVERGED_SHARE = 0.3
+MIN_PROGRESS = 0.3
 """Motion of vertices in a step over its stride, below which the optimizer has converged."""
 
 
 def iterates(
-    path: KnotPath,
-    search: Search,
-    step: SolverStep,
-    max_steps: int,
-    min_progress: float = CONVERGED_SHARE,
+    path: KnotPath, search: Search, step: SolverStep, max_steps: int, progress: float = MIN_PROGRESS
 ) -> Iterator[KnotPath]:
     """Yield the paths after each step of the optimizer.
 
     Every step has rows and normals of the pairs that are close on the current path. The iterator
-    ends if a step fails, or moves vertices by less than ``min_progress`` times its stride.
+    ends if a step fails, or moves vertices by less than ``progress`` times its stride.
     """
     for _ in range(max_steps):
         moved = solve_program(build_program(path, search, step))
@@ -401,7 +391,7 @@ def iterates(
         distance = float(np.max(np.abs(moved.polygons - path.polygons)))
         path = moved
         yield path
-        if distance < min_progress * step.stride:
+        if distance < progress * step.stride:
             return
 
 

@@ -45,7 +45,7 @@ REFINED_STRIDE = 0.12
 MAX_INITIAL_STEPS, MAX_REFINED_STEPS, MAX_FASTEST_STEPS = 12, 5, 3
 """Maximum numbers of steps from a guess, in a round of refinement, and toward a faster path."""
 
-MIN_PROGRESS = 0.15
+MIN_REFINED_PROGRESS = 0.15
 """Smallest motion of vertices in a step over its stride, below which refinement ends."""
 
 KNOT_DISTANCE = 0.9
@@ -253,22 +253,21 @@ def _optimized(guess: KnotPath, search: Search, visited: list[KnotPath]) -> Knot
 def _refined(path: KnotPath, search: Search) -> Motion | None:
     """Return the motion along a refined path of minimum energy, or along a faster one near it.
 
-    Refinement enforces distances between the knots, and in a second round adds knots. It ends with
-    the first feasible path.
+    Refinement enforces distances between the knots, then adds knots, up to a feasible path.
     """
     steps = path.steps
     for factor, margin in REFINEMENTS:
         path = path if factor == 1 else path.resampled(factor * steps)
         refined, step = replace(search, margin=margin), SolverStep(REFINED_STRIDE, REFINED_PARTS)
         unchanged = [path] if factor == 1 else []
-        moved = iterates(path, refined, step, MAX_REFINED_STEPS, MIN_PROGRESS)
+        moved = iterates(path, refined, step, MAX_REFINED_STEPS, MIN_REFINED_PROGRESS)
         for path in chain(unchanged, moved):
             if _is_feasible(path, search):
                 break
         else:
             continue
         fastest = replace(step, fastest=True)
-        faster = iterates(path, refined, fastest, MAX_FASTEST_STEPS, MIN_PROGRESS)
+        faster = iterates(path, refined, fastest, MAX_FASTEST_STEPS, MIN_REFINED_PROGRESS)
         choices = [*(each for each in faster if _is_feasible(each, search)), path]
         best = min(choices, key=lambda each: _estimate(each, search.requirements))
         for choice in dict.fromkeys([best, path]):

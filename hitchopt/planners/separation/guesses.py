@@ -16,13 +16,7 @@ from scipy.spatial import cKDTree
 from hitchopt.errors import InfeasibleError, Violation, check_time
 from hitchopt.geometry.vectors import EAST, GOLDEN, TIE, length, unit
 from hitchopt.hitch.requirements import Prism
-from hitchopt.planners.separation.task import (
-    END_COEFFICIENTS,
-    Grid,
-    SeparationTask,
-    Setting,
-    inside,
-)
+from hitchopt.planners.separation.task import END_COUNT, Grid, SeparationTask, Setting, inside
 from hitchopt.planners.timing.ramps import fastest_ramps
 from hitchopt.values import Array
 
@@ -84,8 +78,7 @@ def setting_of(task: SeparationTask, duration_ratio: float = 1.0) -> Setting:
     else:
         progress = [_progress(s, 1.0 / breaks[-1])] * n
     nominal = np.zeros((n, grid.count, 3))
-    nominal[:, :END_COEFFICIENTS] = task.start[:, None]
-    nominal[:, -END_COEFFICIENTS:] = task.goal[:, None]
+    nominal[:, :END_COUNT], nominal[:, -END_COUNT:] = task.start[:, None], task.goal[:, None]
     targets = np.stack([points_along(*each) for each in zip(routes, progress, strict=True)])
     nominal[:, grid.free] = grid.fitting(s) @ (targets - grid.sampled(s) @ nominal)
     return Setting(task, grid, nominal, caps, float(np.max(bound)), duration, size)
@@ -131,8 +124,8 @@ def routes_around(task: SeparationTask) -> list[Array]:
     routes = list(np.stack([task.start, task.goal], axis=1))
     for i in np.flatnonzero(_blocked(task, task.start, task.goal)).tolist():
         check_time()
-        distances = CORNER_DISTANCE * radius, (1.0 + RADIUS_TOLERANCE) * radius
-        candidates = (_route(task, routes[i], distance) for distance in distances)
+        factors = CORNER_DISTANCE, 1.0 + RADIUS_TOLERANCE
+        candidates = (_route(task, routes[i], factor * radius) for factor in factors)
         route = next((each for each in candidates if each is not None), None)
         if route is None:
             remedy = "widen the gap between the prisms, or between them and the arena"

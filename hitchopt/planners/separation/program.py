@@ -23,7 +23,7 @@ from hitchopt.geometry.broadphase import Boxes, close_pairs
 from hitchopt.geometry.vectors import EAST, first_smallest, length, unit
 from hitchopt.hitch.requirements import Prism, Separation
 from hitchopt.hitch.slack_split import QuadraticProgram, Rows
-from hitchopt.planners.separation.task import END_COEFFICIENTS, Setting, inside
+from hitchopt.planners.separation.task import END_COUNT, Setting, inside
 from hitchopt.trajectory import bernstein
 from hitchopt.values import Array, Indices
 
@@ -77,10 +77,7 @@ def moved_curves(
 def _reduced(
     program: QuadraticProgram, moving: NDArray[np.bool_]
 ) -> tuple[QuadraticProgram, NDArray[np.bool_]]:
-    """Return the program of the moving variables and their slacks, and the mask of all of these.
-
-    ``moving`` covers the first variables; slacks follow.
-    """
+    """Return the program of the moving variables and their slacks, and the mask of all of these."""
     pattern = abs(program.A)
     active = pattern[:, : len(moving)] @ moving.astype(np.float64) > 0.0
     slacks = pattern[:, len(moving) :].T @ active.astype(np.float64) > 0.0
@@ -146,11 +143,11 @@ def _add_tethers(rows: Rows, setting: Setting, inner: Array, slack: int) -> None
 def _add_planes(rows: Rows, setting: Setting, planes: Planes, slack: int) -> None:
     """Keep Bernstein coefficients of pieces on their sides of planes, with a slack per plane."""
     m, k = planes.gaps.shape
-    free = setting.grid.count - 2 * END_COEFFICIENTS
+    free = setting.grid.count - 2 * END_COUNT
     piece, *drones = planes.sides.T
     entries = setting.grid.extraction[piece][..., None]
     entries = entries * (setting.trust * planes.normals)[:, None, None, :]
-    index = piece[:, None] + np.arange(k) - END_COEFFICIENTS
+    index = piece[:, None] + np.arange(k) - END_COUNT
     index = index[:, None, :, None]  # (m, rows, coefficients, 3)
     is_free = np.broadcast_to((index >= 0) & (index < free), entries.shape)
     every = np.arange(m * k)
@@ -180,7 +177,7 @@ def _add_limits(
 
     Slacks are shares of the duration.
     """
-    n, free = len(coefficients), setting.grid.count - 2 * END_COEFFICIENTS
+    n, free = len(coefficients), setting.grid.count - 2 * END_COUNT
     drones = np.arange(n)
     for k, cap in enumerate(setting.caps):
         order, matrix = k + 1, setting.grid.rates[k] / duration ** (k + 1)
@@ -191,8 +188,7 @@ def _add_limits(
         columns = ((drones[:, None] * free + f)[..., None] * 3 + np.arange(3)).ravel()
         values = np.broadcast_to(jacobian[r, f] / cap[:, None], (n, len(r)))
         local = np.repeat(drones[:, None] * len(matrix) + r, 3)
-        low, high = LATERAL_SHARES
-        share = low + (high - low) * np.clip(1.0 - size, 0.0, 1.0)
+        share = LATERAL_SHARES[0] + np.ptp(LATERAL_SHARES) * np.clip(1.0 - size, 0.0, 1.0)
         along = unit(current, EAST, 1e-9)
         lateral = unit(np.cross(along, np.eye(3)[first_smallest(np.abs(along), 1.0)]))
         for axis in (along, lateral, np.cross(along, lateral)):

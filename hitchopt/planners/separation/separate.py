@@ -143,8 +143,7 @@ def _improved(setting: Setting, guess: Array, report: Progress) -> Evaluation:
         except ProgramError:
             break
         current, before = evaluate(setting, moved), best
-        words = f"{current.duration:.3g} s, separation {current.closest:.3f}"
-        report(f"round {iteration + 1}: {words}")
+        report(f"round {iteration + 1}: {current.duration:.3g} s, separation {current.closest:.3f}")
         best = min(before, current, key=lambda candidate: candidate.merit)
         idle = 0 if best.merit < (1.0 - MIN_GAIN) * before.merit else idle + 1
         if idle >= (MAX_IDLE_ROUNDS if best.clear else MAX_IDLE_ROUNDS_UNCLEAR):

@@ -95,7 +95,7 @@ class SeparationResult:
 DEGREE = 5
 """Degree of the curves, whose jerk is continuous."""
 
-END_COEFFICIENTS = 3
+END_COUNT = 3
 """Number of coefficients at each end, fixed by position, zero velocity and zero acceleration."""
 
 TRUST_RATIO = 2.5
@@ -129,7 +129,7 @@ class Grid:
     @property
     def free(self) -> slice:
         """The coefficients that are not fixed at the ends."""
-        return slice(END_COEFFICIENTS, self.count - END_COEFFICIENTS)
+        return slice(END_COUNT, self.count - END_COUNT)
 
     @cached_property
     def splines(self) -> BSpline:

@@ -124,11 +124,10 @@ class Demands:
         return np.stack(forms), np.stack(slopes), infeasible_at_rest
 
     def stretches(self) -> Array:
-        """Return the stretch in time (2n,) with which each drone keeps its limits.
+        """Return the stretch in time (2n,) with which each drone keeps its limits, if s is time.
 
-        The path's parameter is time. Stretches below 1 are possible; they are infinite if forces at
-        rest violate a limit. With a stretch κ velocities decrease with κ, accelerations with κ² and
-        jerks with κ³.
+        It may be below 1, and is infinite if forces at rest violate a limit. With a stretch κ
+        velocities decrease with κ, accelerations with κ² and jerks with κ³.
         """
         forms, slopes, infeasible_at_rest = self._slowness(slice(None))
         squares, slope = forms[..., 2], slopes[..., 1]  # along the ray of ṡ²

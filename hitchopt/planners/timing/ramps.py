@@ -94,7 +94,7 @@ Curve = Callable[[Array, int], Array]
 def timed_curve(
     curve: Curve,
     clock: PiecewisePolynomial,
-    max_advance: float,
+    advance: float,
     limits: Limits,
     acceleration: float,
 ) -> PiecewisePolynomial:
@@ -104,12 +104,12 @@ def timed_curve(
     ----------
     curve: in the clock's unit.
     clock: cubics from rest to rest.
-    max_advance: largest advance of the clock on one piece.
+    advance: largest advance of the clock on one piece.
     limits: of speed and jerk.
     acceleration: limit of their acceleration [m/s²].
     """
     advances = np.diff(clock.at(clock.breaks))
-    counts = np.maximum(1, np.ceil(advances / max_advance).astype(np.intp))
+    counts = np.maximum(1, np.ceil(advances / advance).astype(np.intp))
     breaks = divided(clock.breaks, counts)
     middles = 0.5 * (breaks[1:] + breaks[:-1])
     rates = np.stack([clock.differentiated(k).at(middles) for k in range(4)], axis=-1)
