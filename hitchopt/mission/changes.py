@@ -18,7 +18,7 @@ from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InfeasibleError, InputError, OneLine, Violation
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import Quadrotor
-from hitchopt.hitch.flight_controller import RETUNED, stiffest_gains
+from hitchopt.hitch.flight_controller import MIN_TRACKING, stiffest_gains
 from hitchopt.hitch.requirements import Limits
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem
 from hitchopt.objects import SolidObject
@@ -336,13 +336,13 @@ def _quadrotor_keys(kind: Quadrotor) -> dict[str, Any]:
 
 def retuning_changes(problem: Problem) -> Iterator[Change]:
     """Yield changes to the smallest tracking error, and to the stiffest gains of controllers."""
-    if (error := problem.limits.tracking) is not None and error > RETUNED:
-        edits = (Edit("limits.tracking", RETUNED),)
-        relative, changed = RETUNED / error - 1.0, with_edits(problem, edits)
-        yield Change("limits.tracking", "", error, RETUNED, "m", relative, changed, edits)
+    if (error := problem.limits.tracking) is not None and error > MIN_TRACKING:
+        edits = (Edit("limits.tracking", MIN_TRACKING),)
+        relative, changed = MIN_TRACKING / error - 1.0, with_edits(problem, edits)
+        yield Change("limits.tracking", "", error, MIN_TRACKING, "m", relative, changed, edits)
     kinds = problem.team.quadrotor
     controlled = [kind for kind in kinds if kind.controller is not None]
-    if all(kind.loop.tracking == RETUNED for kind in controlled):
+    if all(kind.loop.tracking == MIN_TRACKING for kind in controlled):
         return
     values = [
         _quadrotor_keys(replace(kind, controller=None, gains=None))

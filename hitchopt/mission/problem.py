@@ -315,7 +315,8 @@ def _requested_steps(problem: Problem) -> Iterator[dict[str, Any]]:
         name, objects = getattr(step, "object", stage.name), {**requirements.objects}
         if isinstance(step, TensionStep):
             tensions = [team.tension, team.tension if step.tension is None else step.tension]
-            tension_range = min(LOOSE[0], *map(np.min, tensions)), max(map(np.max, tensions))
+            smallest = min(OPENING_TENSIONS[0], *map(np.min, tensions))
+            tension_range = smallest, max(map(np.max, tensions))
             hold = name, step.method_for(objects[name])
         outline, stage = step.checked_polygon_after(team, outline), stage.after(step, objects)
         if name:
@@ -366,7 +367,7 @@ def resolved_start(team: Team, start: Start) -> Start:
             raise InputError(key, f"{len(places)} points", bound, remedy)
     distances = np.linalg.norm(start.q - start.r, axis=1)
     k = int(np.argmax(distances / team.cable_length))
-    if distances[k] > FAR_OFF * team.cable_length[k]:
+    if distances[k] > UNIT_ERROR_RATIO * team.cable_length[k]:
         words = f"{distances[k]:.4g} m from q[{k}] on a cable of {team.cable_length[k]:g} m"
         remedy = "if millimetres were meant, write metres"
         warn_of_unit(UnitWarning(f"start.drones.r[{k}]", f"{words}; {remedy}"))

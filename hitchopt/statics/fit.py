@@ -34,8 +34,8 @@ from hitchopt.hitch.slack_split import (
 from hitchopt.hitch.team import Quadrotor, Swarm, Team, kinds_of
 from hitchopt.objects import Rim, Section, SolidObject
 from hitchopt.planners.carrying.polygons import (
+    EDGE_MARGIN,
     GRIP_STRETCHES,
-    OBJECT_MARGIN,
     GripTask,
     HoldPolygons,
     best_grip,
@@ -250,7 +250,7 @@ def _holding(task: FitTask, robots: int) -> Holding:
     holding = _held(task, enclosing, cable)
     if task.cable_length is None and isinstance(holding.grip, Grip):
         # ``enclose`` keeps a margin for errors of the object's pose around the closed grip.
-        sections, gap = (task.section,), task.clearance + OBJECT_MARGIN
+        sections, gap = (task.section,), task.clearance + EDGE_MARGIN
         closed, centre = holding.grip.vertices, task.section.centroid
         around = ConvexPolygon(
             HoldPolygons.about(closed, centre, sections, gap, GRIP_STRETCHES).around

@@ -32,7 +32,7 @@ from hitchopt.planners.carrying.planner import (
     one_phase,
 )
 from hitchopt.planners.carrying.polygons import (
-    OBJECT_MARGIN,
+    EDGE_MARGIN,
     HoldPolygons,
     grip_polygons,
     rest_polygons,
@@ -137,7 +137,7 @@ def plan_to(
     body = objects[after.object] = objects[after.object].moved_to(place)
     hitch = task.hitch
     if (hold := after.hold) is not None:
-        hitch = hold.hitch(body, below + float(hold.drop(after.tension, float(after.borne))))
+        hitch = hold.hitch(body, below + float(hold.drop(after.tension, float(after.carried))))
     drones = motion.drones.at(motion.duration)
     return StepPlan(
         motion, replace(task.before, drones=drones, hitch=hitch, grasp=after, objects=objects)
@@ -149,7 +149,7 @@ def check_hold(task: StepTask, planner: MovePlanner) -> None:
     from hitchopt.steps.certified_motions import require_certified
 
     hold, name = planner.hold, f"objects.{planner.state.object}"
-    lifted, when = planner.from_state(borne=True), f"with {name} off its support"
+    lifted, when = planner.from_state(carried=True), f"with {name} off its support"
     try:
         if isinstance(hold, RestHold):
             hold.check_unbent(planner.state.tension)
@@ -234,7 +234,7 @@ class Enclose(Step):
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan to a hitch around the object."""
         requirements, hitch, team = task.requirements, task.hitch, task.before.team
-        body, gap = object_of(task, self.object), requirements.separation.object + OBJECT_MARGIN
+        body, gap = object_of(task, self.object), requirements.separation.object + EDGE_MARGIN
         if body.rim is None:
             polygons = grip_polygons(self.object, body, team, requirements, gap)
             altitude = float(body.at[2] + body.centre_of_mass[2])
@@ -403,7 +403,7 @@ class Lift(Step):
         planner = planner_of(task)
         to = goal_of(self, task.requirements, planner.state.object)
         moves = [planner.transfer(0.0, 1.0), planner.carry(to, LIFT_SPEED)]
-        return moves_plan(self, task, replace(task.grasp, borne=True), moves)
+        return moves_plan(self, task, replace(task.grasp, carried=True), moves)
 
 
 @dataclass(frozen=True, eq=False)
@@ -454,7 +454,7 @@ class SetDown(Step):
             raise InputError(f"mission[{task.index}]", place, bound, remedy)
         down = planner.carry(to, LIFT_SPEED)
         moves = [down, replace(planner.transfer(1.0, 0.0), start=to, end=to)]
-        return moves_plan(self, task, replace(task.grasp, borne=False), moves)
+        return moves_plan(self, task, replace(task.grasp, carried=False), moves)
 
 
 @dataclass(frozen=True)

@@ -180,7 +180,7 @@ def end_of_action(action: Action, legs: SlackSplit | None, requirements: Require
     start, polygon = action.start, action.polygon
     if legs is not None:
         return end_of_morph(start, polygon, legs, requirements)
-    own_legs = action.kept_legs
+    own_legs = action.legs_by_law
     try:
         hitch = Hitch(start.team, polygon, start.altitude, own_legs, start.roll)
         check_at_rest(hitch, requirements, "at the end")
@@ -189,7 +189,8 @@ def end_of_action(action: Action, legs: SlackSplit | None, requirements: Require
         broken = error.violations[0]
     nearest = _nearest(start, polygon, own_legs / cable_slack(start.team, polygon), requirements)
     # A cable that does not slide keeps its legs to the last bit, so that its drones stay.
-    q_legs = np.where(np.abs(nearest.q_legs - own_legs) < SLIDES, own_legs, nearest.q_legs)
+    slides = np.abs(nearest.q_legs - own_legs) >= SLIDING_TOLERANCE
+    q_legs = np.where(slides, nearest.q_legs, own_legs)
     end = Hitch(start.team, polygon, start.altitude, q_legs, nearest.roll)
     return End(end, str(replace(broken, when="at the end", remedy="with the action's own legs")))
 
@@ -228,7 +229,7 @@ def optimised_plan(
 
     def certified_motion(path: ShapePath) -> Motion | None:
         """Return a certified motion along a path, if possible with legs that lead and lag."""
-        variants = leading(path, requirements.limits) if lead else ()
+        variants = with_slides(path, requirements.limits) if lead else ()
         for each in (*(p for p in variants if legs_clear(p, requirements)), path):
             try:
                 motion = fly(each, requirements)
@@ -296,7 +297,7 @@ def with_friction_feedforward(plan: StepPlan, *, timed: bool) -> StepPlan:
         feedforward = friction_feedforward(motion, share, slower=slower)
         if feedforward is None or feedforward.motion.duration > MAX_SLOWDOWN * motion.duration:
             continue
-        remark = f"legs lean against friction, by up to {math.degrees(feedforward.turned):.2g}°"
+        remark = f"legs lean against friction, by up to {math.degrees(feedforward.lean):.2g}°"
         if share < 1.0:
             remark += f" ({share:.0%} of the friction: limits bind)"
         compensated = replace(plan, motion=feedforward.motion).with_remark(remark)
@@ -316,7 +317,7 @@ def plan_blended(steps: Sequence[Any], task: StepTask) -> StepPlan:
         step_task = StepTask(RestState.from_hitch(hitches[-1]), i, requirements)
         end = step.end(step_task).hitch
         step.check_end(end, step_task)
-        if np.max(np.abs(end.drones - hitches[-1].drones)) < SAME:
+        if np.max(np.abs(end.drones - hitches[-1].drones)) < POSITION_TOLERANCE:
             bound = "a step that moves something where steps are blended"
             remedy = "leave it out, or leave out blend"
             raise InputError(f"mission[{i}].{step.name}", "no motion", bound, remedy)
@@ -351,7 +352,7 @@ def settling_plan(
             break
         swings, swing_share = settling
         motion = swings.motion
-        remark = f"drones swing by up to {math.degrees(swings.turned):.2g}°"
+        remark = f"drones swing by up to {math.degrees(swings.lean):.2g}°"
         factor = needed_stretch(motion)
         if factor > 1.0 and duration is None and factor <= MAX_SLOWDOWN:
             motion = motion.slowed(factor)

@@ -89,19 +89,20 @@ class Join(Step):
 
 def join_plan(step: Join, task: StepTask, side: float) -> StepPlan:
     """Return the plan of a robot that joins from above (``side`` 1) or from below (-1)."""
-    from hitchopt.planners.forming.joining import Joins, joining
+    from hitchopt.planners.forming.joining import JoiningMotions, find_joining
     from hitchopt.steps.certified_motions import check_at_rest
 
     before, hitch, requirements = task.before, task.hitch, task.requirements
     ring = before.team.labels
     team = before.part((*ring[: step.vertex], step.robot, *ring[step.vertex :]))
     outline = step.polygon_after(before.team, hitch.polygon)
-    joined = joining(hitch, team, step.vertex, outline, before.assumed_senses, side, requirements)
+    rings, senses = (hitch, team, step.vertex, outline), before.assumed_senses
+    joined = find_joining(*rings, senses, side, requirements)
     check_at_rest(joined.after, requirements, f"at the end of step {task.index} (join)")
     waiting = dict(before.waiting)
     start = waiting.pop(step.robot)
-    joins = Joins(joined, before.whole_team, waiting, requirements, task.index)
-    parts = [joins.opening(start), *joins.arrival(start), *joins.tying()]
+    joins = JoiningMotions(joined, before.whole_team, waiting, requirements, task.index)
+    parts = [joins.opening(start), *joins.arrival_motions(start), *joins.tying_motions()]
     after = state_after_join(before, joined, waiting)
     adjusting = adjusting_motions(task, joined.before.q_legs)
     slides = [before.with_waiting(each, requirements) for each in adjusting]
@@ -171,20 +172,20 @@ class Withdraw(Step):
 
     def leaving(self, task: StepTask, hitch: Hitch, *, slides: bool = True) -> Joining:
         """Return the withdrawal from a hitch, to whose legs cables slide first if ``slides``."""
-        from hitchopt.planners.forming.joining import corner_restored, leaving
+        from hitchopt.planners.forming.joining import corner_restored, find_leaving
 
         before, requirements = task.before, task.requirements
         ring = before.team.labels
         index = _ring_index("robot", self.robot, ring)
         senses = before.assumed_senses
         _check_removable(self.robot, index, senses, task.index)
-        outline, extension = corner_restored(hitch.polygon, index, self.robot)
-        team = before.part(self.ring_after(ring, before.team))
-        return leaving(hitch, team, index, outline, extension, senses, requirements, slides=slides)
+        outline, extensions = corner_restored(hitch.polygon, index, self.robot)
+        rings = hitch, before.part(self.ring_after(ring, before.team)), index, outline
+        return find_leaving(*rings, extensions, senses, requirements, slides=slides)
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of the withdrawal: a join in reverse."""
-        from hitchopt.planners.forming.joining import Joins
+        from hitchopt.planners.forming.joining import JoiningMotions
         from hitchopt.planners.forming.stages import reversed_stages
         from hitchopt.steps.certified_motions import check_at_rest
 

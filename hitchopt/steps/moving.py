@@ -164,7 +164,7 @@ class ActionStep(ShapeStep):
         flying = ActionMorph(action, end.hitch, task.requirements, self.prescribed_duration).solve()
         return self.in_phase(task, flying.motion, end.hitch, self._remark(action, end, flying))
 
-    def _remark(self, action: Action, end: End, flying: Flying) -> str:
+    def _remark(self, action: Action, end: End, flying: ActionFlight) -> str:
         """Return in words the further drones that move, with reasons."""
         turning = "tensions differ, so legs turn with both edges at their vertex"
         if action.start.team.loaded and np.ptp(action.start.team.tension) == 0.0:

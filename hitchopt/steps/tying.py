@@ -164,7 +164,7 @@ class Form(Step):
         site = laying_site(goal, levels, requirements)
         tying = joined_motions(laying.laying_stages(site, requirements, i))
         motions.require_certified(StepPlan(tying, task.before))
-        parts = [_approach_motion(task, site.slack), tying]
+        parts = [_approach_motion(task, site.drones_hanging), tying]
         if site.hitch is not goal:
             parts.append(vertical_motion(site.hitch, goal.altitude, "lower", task))
         formed = RestState(team, goal.drones, goal, senses, self.swap, levels)
@@ -267,7 +267,7 @@ def tying_site(
     floor, clearance = requirements.floor, CLEARANCE * requirements.separation.cable
     tightening = (prehitch.drones + x * (hitch.drones - prehitch.drones) for x in TIGHTENING_SHARES)
     hanging = (hover_altitude(hitch.team, drones, requirements) for drones in tightening)
-    altitude = max(hitch.altitude, floor + clearance + prehitch.lowest, *hanging)
+    altitude = max(hitch.altitude, floor + clearance + prehitch.depth, *hanging)
     rise = altitude - hitch.altitude
     if rise <= ALTITUDE_TOLERANCE:
         return hitch, prehitch
@@ -298,8 +298,8 @@ def laying_site(hitch: Hitch, levels: Indices, requirements: Requirements) -> La
     from hitchopt.planners.forming.laying import find_laying
 
     site = find_laying(hitch, levels, requirements)
-    lowest = float(np.min(site.slack[:, 2]))
-    rise = hover_altitude(hitch.team, site.slack, requirements) - lowest
+    lowest = float(np.min(site.drones_hanging[:, 2]))
+    rise = hover_altitude(hitch.team, site.drones_hanging, requirements) - lowest
     return site if rise <= ALTITUDE_TOLERANCE else site.at_altitude(hitch.altitude + rise)
 
 
@@ -350,7 +350,7 @@ class RollStep(Step):
         start = hitch.roll if before.open_roll is None else before.open_roll
         end = self.rolls(task)
         phase = Phase(self.name, task.index, 0.0, 0.0)
-        motion = rolling(RollPath(hitch, start, end), task.requirements, phase)
+        motion = roll_motion(RollPath(hitch, start, end), task.requirements, phase)
         open_roll = None if np.array_equal(end, hitch.roll) else end
         drones = motion.drones.coefficients[-1, ..., -1]
         after = replace(before, drones=drones, open_roll=open_roll)
@@ -430,7 +430,7 @@ class Release(Step):
         if site.hitch is not hitch:
             parts.append(vertical_motion(hitch, site.hitch.altitude, "raise", task))
         parts += reversed_stages(laying_stages(site, requirements, task.index))
-        after = replace(before, drones=site.slack, hitch=None, senses=None, levels=None)
+        after = replace(before, drones=site.drones_hanging, hitch=None, senses=None, levels=None)
         return StepPlan(self.with_duration(task, joined_motions(parts)), after)
 
 

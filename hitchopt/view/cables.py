@@ -215,7 +215,7 @@ def _sagging(first: Array, second: Array, size: Array, share: Array, *, of_chord
     """Return points (…, points, 3) of cables of lengths (…) [m], at shares of chord or length."""
     catenary = Catenary.between(first, second, np.maximum(size, MIN_LENGTH))
     catenary = Catenary(*(np.asarray(part)[..., None] for part in vars(catenary).values()))
-    mu = np.clip(2.0 * share - 1.0, -1.0, 1.0) if of_chord else catenary.place(share)
+    mu = np.clip(2.0 * share - 1.0, -1.0, 1.0) if of_chord else catenary.parameter(share)
     along = 0.5 * (1.0 + mu)[..., None]
     points = (1.0 - along) * first[..., None, :] + along * second[..., None, :]
     points[..., 2] -= catenary.depth(mu)

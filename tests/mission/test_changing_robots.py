@@ -17,7 +17,7 @@ from hitchopt.mission.problem import DronesStart, HitchStart
 from hitchopt.motion.chapters import chapters
 from hitchopt.motion.motion import CableState
 from hitchopt.planners.forming.joining import corner_cut, corner_restored
-from hitchopt.planners.timing.ramps import BRIEF, fastest_clock, fastest_ramps
+from hitchopt.planners.timing.ramps import MIN_PHASE, fastest_clock, fastest_ramps
 from hitchopt.steps.joining import cut_outlines
 from hitchopt.steps.step import RolledLegs
 
@@ -164,6 +164,6 @@ def test_no_phase_of_a_clock_is_too_brief_for_its_derivatives() -> None:
     min_distance = 2.0 * a**3 / j**2  # reaches the acceleration, without a time of it
     for beyond in (1e-9, 1e-6, 1e-5, 1e-4):
         clock = fastest_clock(min_distance + beyond, v, a, j)
-        assert np.min(np.diff(clock.breaks)) >= BRIEF
+        assert np.min(np.diff(clock.breaks)) >= MIN_PHASE
         (fastest,), _ = fastest_ramps(np.array([min_distance + beyond]), v, a, j)
         assert fastest * (1.0 - 1e-9) <= clock.duration <= 1.03 * fastest

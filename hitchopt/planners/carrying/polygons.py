@@ -380,9 +380,9 @@ def grip_polygons(
 
 # Rests.
 
-OBJECT_MARGIN = 0.045
-"""[m] Margin of distances to an object: 25 mm, the largest observed error of edges, and 20 mm for
-the position error of the object."""
+EDGE_MARGIN = 0.045
+"""[m] Margin of edges' distances to an object: 25 mm for the largest observed error of edges, and
+20 mm for the position error of the object."""
 
 SUFFICIENT_INSET, MIN_INSET = 0.05, 0.01
 """[m] Sufficient and smallest distance of clasps to the rim's outline, and of edges to the body."""

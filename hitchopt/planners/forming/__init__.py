@@ -11,7 +11,7 @@ from hitchopt.values.units import DURATION, LENGTH, SWING
 
 @documented
 @dataclass(frozen=True)
-class SwapSettings(OneLine):
+class SwapSettings(Record):
     """Settings of the swaps, in which pairs of drones turn about each other."""
 
     radius: Annotated[float, Key(LENGTH, "Smallest semi-axis of the ellipses")] = 0.15
