@@ -187,8 +187,8 @@ def _last_resort(
 ) -> SeparationResult:
     """Return the fastest flight at the prescribed duration, or raise InfeasibleError."""
     nearest = max(evaluations, key=lambda evaluation: evaluation.closest)
-    note = f"no route was found from {len(evaluations)} guesses; "
-    note += "the search is local: others may exist"
+    count = len(evaluations)
+    note = f"no route was found from {count} guesses; the search is local: others may exist"
     if task.duration is None:
         raise InfeasibleError(nearest.violations, note)
     report("searching for a feasible duration")

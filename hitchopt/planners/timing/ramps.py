@@ -92,11 +92,7 @@ Curve = Callable[[Array, int], Array]
 
 
 def timed_curve(
-    curve: Curve,
-    clock: PiecewisePolynomial,
-    advance: float,
-    limits: Limits,
-    acceleration: float,
+    curve: Curve, clock: PiecewisePolynomial, advance: float, limits: Limits, acceleration: float
 ) -> PiecewisePolynomial:
     """Return drones on a curve, timed by a clock that is slowed down to their limits.
 
