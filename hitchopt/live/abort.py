@@ -291,7 +291,7 @@ def _landing_of_chapter(whole: Motion, *, untie: bool) -> Motion:
         descent = straight_down(ring)
     end = whole.drones.coefficients[-1, ..., -1].reshape(-1, 2, 3)
     waiting = {robot: end[robot] for robot, _ in whole.phases[-1].waiting}
-    return landed(descent, whole.team, waiting, need)
+    return landing_motion(descent, whole.team, waiting, need)
 
 
 def _descent(hitch: Hitch, task: StepTask, floor: float) -> Motion:
