@@ -12,14 +12,7 @@ import numpy as np
 from hitchopt.errors import FileError, InputError, OneLine, UnsupportedError
 from hitchopt.flights.alignment import Alignment, align
 from hitchopt.flights.readers import read_flight
-from hitchopt.flights.recordings import (
-    WINDOW_TIGHT,
-    RecordedFlight,
-    Recording,
-    Track,
-    planned,
-    tight,
-)
+from hitchopt.flights.recordings import RecordedFlight, Recording, Track, plan_at, taut_at
 from hitchopt.flights.vertices import RATE, WINDOW, Measured, clasps_of, measured_vertices
 from hitchopt.geometry.vectors import length
 from hitchopt.motion.motion import Motion
@@ -30,22 +23,22 @@ from hitchopt.values import Array, finite, nonnegative, path, positive, text
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-LONGEST_WINDOW = 1.0  # Largest time over which places are averaged [s]
-MIN_SHARE = 0.5  # Share of the time below which a remark says why a vertex is missing
-ROUNDING = 1e-6  # Of times over their step
+MAX_WINDOW = 1.0  # Largest time window of line fits [s]
+MIN_SHARE = 0.5  # Smallest share of the time of a vertex that is measured without a remark
+ROUNDING = 1e-6  # Tolerance of a number of time steps
 
 
 @dataclass(frozen=True)
 class Row:
-    """Errors of a vertex or a drone in a phase, or in all of the flight.
+    """Errors of a vertex or a drone in a phase or in the whole flight.
 
     Attributes
     ----------
-    name: of the vertex or drone, or ``vertices``: all of them.
-    phase, start, end: its name, and times [s]; ``all``: the whole flight.
+    name: of the vertex or drone, or ``vertices`` for all vertices.
+    phase, start, end: name of the phase, or ``all`` for the whole flight, and its times [s].
     mean, std, max: of the distances from the plan in three dimensions [m]; nan without samples.
     found: share of the samples in which it was measured.
-    standard_error: median of those of the positions [m]; nan for drones.
+    standard_error: median standard error of the positions [m]; nan for drones.
     """
 
     name: str
@@ -68,16 +61,16 @@ class Evaluation(OneLine):
     task: the plan of the flight.
     flight: the recording.
     alignment: clock, frame and names.
-    t: (times,) [s], from the plan's start, as far as it was recorded.
+    t: (times,) [s] from the plan's start, while the plan was recorded.
     vertices: crossings of the cables (times, points, 3) [m]; nan if not measured.
-    clasps: contacts of cables of the stated diameter; None without one.
-    planned: vertices of the plan (times, points, 3) [m]; nan while its hitch is not drawn tight.
+    clasps: contacts of cables of the stated diameter (times, points, 3) [m]; None without one.
+    planned: vertices of the plan (times, points, 3) [m]; nan while its hitch is not taut.
     standard_errors: of the vertices (times, points) [m].
     drones: (times, 2n, 3) [m], nan if not visible.
-    planned_drones: (times, 2n, 3) [m], their set points.
-    density: of every cable (n,) [kg/m], as stated, planned or fitted.
-    cloud: markers while the plan has its hitch.
-    remarks: fitted quantities, corrections, and reasons of missing vertices.
+    planned_drones: (times, 2n, 3) [m], planned setpoints.
+    density: of every cable (n,) [kg/m], stated, planned or fitted.
+    cloud: markers while the plan's hitch is taut.
+    remarks: fitted quantities, corrections, and reasons for missing vertices.
     """
 
     task: Task
@@ -96,50 +89,50 @@ class Evaluation(OneLine):
 
     @property
     def measured(self) -> Array:
-        """The clasps, or else the crossings (times, points, 3) [m]."""
+        """The clasps, or the crossings without a diameter (times, points, 3) [m]."""
         return self.vertices if self.clasps is None else self.clasps
 
     @property
     def errors(self) -> Array:
-        """(times, points) [m]: distances of the clasps, or else the crossings, from the plan."""
+        """Distances of ``measured`` from the planned vertices (times, points) [m]."""
         return length(self.measured - self.planned)
 
     @property
     def drone_errors(self) -> Array:
-        """(times, 2n) [m]: distances of the drones from their set points."""
+        """Distances of the drones from their setpoints (times, 2n) [m]."""
         return length(self.drones - self.planned_drones)
 
     @property
     def motion(self) -> Motion:
-        """The plan; InputError for a task of set points alone."""
+        """The plan; InputError for a task without one."""
         if self.task.motion is None:
-            raise InputError("plan", "set points", "a plan", "read it with read_task")
+            raise InputError("plan", "setpoints", "a plan", "read it with read_task")
         return self.task.motion
 
     @property
     def table(self) -> tuple[Row, ...]:
-        """Errors of every vertex and all of them, and of every drone, by phase and in all."""
+        """Errors of every vertex, of all vertices and of every drone, by phase and overall."""
         team, t, rows = self.task.team, self.t, list[Row]()
         points, off, stated = team.layout.clasps, self.errors, self.standard_errors
-        hitched, none = np.isfinite(self.planned[:, points[0], 0]), np.full(len(t), np.nan)
+        hitched, missing = np.isfinite(self.planned[:, points[0], 0]), np.full(len(t), np.nan)
         columns = [(team.point_names[p], hitched, off[:, p], stated[:, p]) for p in points]
         columns.append(("vertices", hitched, off[:, points], stated[:, points]))
         drones = zip(team.drone_names, self.drone_errors.T, strict=True)
-        columns += [(name, t >= 0.0, each, none) for name, each in drones]
+        columns += [(name, t >= 0.0, each, missing) for name, each in drones]
         spans = [(phase.name, phase.start, phase.end) for phase in self.motion.phases]
         for span in [*spans, ("all", float(t[0]), float(t[-1]))]:
             during = (t >= span[1]) & ((t < span[2]) | (span[0] == "all"))
-            for name, use, each, error in columns:
-                if np.any(here := use & during):
-                    x, known = (y[here][np.isfinite(y[here])] for y in (each, error))
+            for name, mask, each, error in columns:
+                if np.any(chosen := mask & during):
+                    x, e = (y[chosen][np.isfinite(y[chosen])] for y in (each, error))
                     values: Any = (x.mean(), x.std(), x.max()) if x.size else (np.nan,) * 3
-                    values += x.size / each[here].size, np.median(known) if known.size else np.nan
+                    values += x.size / each[chosen].size, np.median(e) if e.size else np.nan
                     rows.append(Row(name, *span, *map(float, values)))
         return tuple(rows)
 
     @property
     def short_table(self) -> tuple[Row, ...]:
-        """The table without the drones' rows of single phases."""
+        """The table without rows of drones in single phases."""
         drones = self.task.team.drone_names
         return tuple(row for row in self.table if row.phase == "all" or row.name not in drones)
 
@@ -156,11 +149,11 @@ class Evaluation(OneLine):
         """Return the recording in the plan's time and frame, for ``calibrate``."""
         layout = self.task.team.layout
         vertices = self.measured.copy()
-        ends = np.flatnonzero(~layout.has_leg.ravel())  # Drones that are a chain's points
+        ends = np.flatnonzero(~layout.has_leg.ravel())  # Drones at the ends of a chain
         vertices[:, layout.anchors[ends]] = self.drones[:, ends]
-        facts: Any = dict(self.flight.simulated)
-        facts |= {"standard_errors": self.standard_errors, "notes": self.remarks}
-        return Recording(self.t, self.drones, vertices, **facts)
+        fields: Any = dict(self.flight.simulated)
+        fields |= {"standard_errors": self.standard_errors, "notes": self.remarks}
+        return Recording(self.t, self.drones, vertices, **fields)
 
     def save(self, directory: Path | str, format: str = "png") -> Path:
         """Write table, vertices, picture and shapes to a directory; return it.
@@ -185,20 +178,20 @@ def evaluate(
     diameter: float | None = None,
     window: float = WINDOW,
 ) -> Evaluation:
-    """Compare a recorded flight with its plan: clock, frame and names, then vertices and drones.
+    """Align a recorded flight with its plan, and compare vertices and drones.
 
     Parameters
     ----------
-    recording: a file or directory in a format of ``read_flight``, or the flight that it returns.
+    recording: a file or directory in a format of ``read_flight``, or a ``RecordedFlight``.
     plan: the plan of the flight, or its directory.
-    names: drones by recorded names, such as ``cf231=q0,cf7=r0``; None: by their positions.
+    names: drones by recorded names, such as ``cf231=q0,cf7=r0``; None: assigned by positions.
     frame: ``plan``, ``y-up``, ``fit``, or a JSON file with rotation and shift, such as another
         evaluation; None: the plan's or y-up if drones are then near their plan, else fitted.
-    start: time of the recording at which the plan begins [s]; None: fitted, or 0 of a simulation.
+    start: time of the recording at which the plan begins [s]; None: fitted, or 0 for a simulation.
     unit: of the recording's lengths, if the file does not state it.
-    density: of the cables [kg/m]; None: the plan's, or fitted if the plan knows no weight.
-    diameter: of the cables [m]; with it, errors are those of their clasps, not their crossings.
-    window: time over which markers are averaged [s].
+    density: of the cables [kg/m]; None: the plan's, or fitted if the plan models no weight.
+    diameter: of the cables [m]; if given, errors are those of clasps instead of crossings.
+    window: time window of the line fits [s].
 
     Raises
     ------
@@ -211,12 +204,12 @@ def evaluate(
         diameter = positive("diameter", diameter)
     if start is not None:
         start = finite("start", start)
-    if positive("window", window) > LONGEST_WINDOW:
-        raise InputError("window", window, f"at most {LONGEST_WINDOW:g} s", "0.1 is usual")
+    if positive("window", window) > MAX_WINDOW:
+        raise InputError("window", window, f"at most {MAX_WINDOW:g} s", "0.1 is usual")
     if isinstance(names, str):
         pairs = names.replace(" ", "").split(",")
         names = {name: drone for name, _, drone in (pair.partition("=") for pair in pairs)}
-    flight, stated = recording, None if frame is None else str(frame)
+    flight, frame_name = recording, None if frame is None else str(frame)
     if not isinstance(flight, RecordedFlight):
         flight = read_flight(path("recording", flight), unit)
     if isinstance(plan, Plan):
@@ -225,12 +218,12 @@ def evaluate(
         task = plan if isinstance(plan, Task) else read_task(path("plan", plan))
     task.refuse_several("evaluate")
     if flight.simulated and start is None:
-        start = 0.0  # Its clock is the plan's
+        start = 0.0  # The clock of a simulation is the plan's
     try:
-        alignment = align(flight, task, names=names, frame=stated, start=start)
+        alignment = align(flight, task, names=names, frame=frame_name, start=start)
     except FileError as error:
-        place = flight.source if flight is recording else f"{recording}: {flight.source}"
-        raise FileError(f"{place}: {error}") from None
+        source = flight.source if flight is recording else f"{recording}: {flight.source}"
+        raise FileError(f"{source}: {error}") from None
     return _evaluated(flight, task, alignment, density, diameter, window)
 
 
@@ -251,26 +244,26 @@ def _evaluated(
     last = np.floor(RATE * min(task.duration, np.max(ends)) + ROUNDING)
     t = np.arange(first, last + 1.0) / RATE + 0.0  # No negative zero
 
-    def at(times: Array, track: Track, offset: float, *, through_gaps: bool = False) -> Array:
-        """Return positions of a body at plan times (times, 3) [m]; nan in gaps."""
-        positions, near = track.at((times - offset) / rate)
-        return alignment.placed(np.where(near[:, None] | through_gaps, positions, np.nan))
+    def at(times: Array, track: Track, offset: float, *, interpolated: bool = False) -> Array:
+        """Return positions of a body at plan times (times, 3) [m]; nan where it is not visible."""
+        positions, visible = track.at((times - offset) / rate)
+        return alignment.placed(np.where(visible[:, None] | interpolated, positions, np.nan))
 
-    hitched = tight(task, t, WINDOW_TIGHT)
+    hitched = taut_at(task, t)
     vertices = np.full((len(t), layout.points, 3), np.nan)
     errors = np.full(vertices.shape[:2], np.nan)
     densities = np.full(team.robots, team.cable_density if density is None else density)
     remarks = [*flight.notes, *_remarks(alignment, flight)]
-    seen = rate * flight.markers.t + alignment.offset
-    use = (seen >= 0.0) & (seen <= task.duration) & tight(task, seen, WINDOW_TIGHT)
-    cloud = Track(seen[use], alignment.placed(flight.markers.positions[use]))
-    named = [name for name in team.point_names if name in flight.tracks]
-    for name in named:
+    times = rate * flight.markers.t + alignment.offset
+    taut = (times >= 0.0) & (times <= task.duration) & taut_at(task, times)
+    cloud = Track(times[taut], alignment.placed(flight.markers.positions[taut]))
+    recorded_points = [name for name in team.point_names if name in flight.tracks]
+    for name in recorded_points:
         point = at(t, flight.tracks[name], alignment.offset)
         vertices[hitched, team.point_names.index(name)] = point[hitched]
-    if not named and len(cloud.t) and np.any(hitched):
+    if not recorded_points and len(cloud.t) and np.any(hitched):
         frames = np.unique(cloud.t)
-        drones = np.stack([at(frames, *each, through_gaps=True) for each in clocks], axis=1)
+        drones = np.stack([at(frames, *each, interpolated=True) for each in clocks], axis=1)
         measured = measured_vertices(task, t[hitched], cloud, drones, density, window)
         vertices[hitched] = measured.crossings
         errors[hitched] = np.hypot(measured.standard_errors, alignment.frame_error)
@@ -279,38 +272,38 @@ def _evaluated(
             fitted = ", ".join(f"{1e3 * x:.1f}" for x in measured.density)
             remarks.append(f"cables' density is fitted, {fitted} g/m: weigh them for density=")
         densities = measured.density
-    elif not named:
-        remarks.append("no markers on the cables: drones alone are compared with the plan")
-    expected = planned(task, t, task.vertices)
+    elif not recorded_points:
+        remarks.append("no markers on the cables: only drones are compared with the plan")
+    expected = plan_at(task, t, task.vertices)
     expected[~hitched] = np.nan
     contacts = None if diameter is None else clasps_of(vertices, layout, diameter)
-    places = np.stack([at(t, *each) for each in clocks], axis=1)
-    of_drones = places, planned(task, t, task.setpoints.positions)
-    more: Any = (errors, *of_drones, densities, cloud, tuple(dict.fromkeys(remarks)))
-    return Evaluation(task, flight, alignment, t, vertices, contacts, expected, *more)
+    positions = np.stack([at(t, *each) for each in clocks], axis=1)
+    drone_positions = positions, plan_at(task, t, task.setpoints.positions)
+    rest: Any = (errors, *drone_positions, densities, cloud, tuple(dict.fromkeys(remarks)))
+    return Evaluation(task, flight, alignment, t, vertices, contacts, expected, *rest)
 
 
 def _remarks(alignment: Alignment, flight: RecordedFlight) -> Iterator[str]:
-    """Yield the fitted quantities of clock and frame."""
-    shared = "that all drones share is part of it"
+    """Yield remarks on clock and frame."""
+    shared = "common to all drones is absorbed"
     if "clock" in alignment.fitted and not flight.setpoints:
         yield f"the clock is fitted ± {1e3 * alignment.offset_error:.0f} ms; a lag {shared}"
     if "rate" in alignment.fitted:
-        yield f"the recording's clock runs at {alignment.rate:.5f} of the plan's"
+        yield f"the plan advances by {alignment.rate:.5f} s per second of the recording"
     if alignment.frame == "y-up":
-        yield "y is upright in the recording"
+        yield "the recording's frame is y-up"
     if "frame" in alignment.fitted:
         yield f"the frame is fitted: a displacement {shared}"
 
 
 def _missing(measured: Measured, task: Task) -> Iterator[str]:
-    """Yield why vertices are missing."""
-    layout, seen = task.team.layout, measured.markers
+    """Yield reasons for missing vertices."""
+    layout, markers = task.team.layout, measured.markers
     for a, point, b in zip(layout.behind, layout.clasps, layout.ahead, strict=True):
         share = float(np.mean(np.isfinite(measured.crossings[:, point, 0])))
         if share < MIN_SHARE:
+            visible = f"{markers[a]:.1f} markers on edge {a} and {markers[b]:.1f} on edge {b}"
             yield (
-                f"{task.team.point_names[point]} is found {share:.0%} of the time: markers seen at "
-                f"once are {seen[a]:.1f} on edge {a} and {seen[b]:.1f} on edge {b}; two are "
-                "needed, some decimetres apart"
+                f"{task.team.point_names[point]} is measured {share:.0%} of the time: on average "
+                f"{visible} are visible; two are needed, some decimetres from each other"
             )

@@ -1,9 +1,8 @@
-"""Reading recorded flights: formats are recognized by their first bytes, and units are doubted.
+"""Readers of recorded flights. Formats are recognized by their first bytes, and units are checked.
 
-Readers return rows, time and position, of every label; one function makes bodies and markers of
-them. Motion capture has one cloud of measured markers, whatever their labels, which swap and break
-off; markers of the drones may be in it. Logs are one a drone, each with a clock that starts as the
-drone boots.
+Readers return rows of time and position by label, which ``flight_of`` converts to bodies and
+markers. Motion capture yields one cloud of markers: labels are ignored, as they swap and end. The
+cloud may contain the drones' own markers. Drones log one file each, on a clock that starts at boot.
 """
 
 from __future__ import annotations
@@ -29,35 +28,35 @@ from hitchopt.storage.files import parsed_json
 from hitchopt.storage.tables import labelled_table, text_lines
 from hitchopt.values import Array, check_choice
 
-# Units of length [m], and their names in files
+# Units of length [m], and names of units in files
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
 NAMES = {"meters": "m", "centimeters": "cm", "millimeters": "mm", "inches": "in", "feet": "ft"}
 
-MAX_DISTANCE = 50.0  # Median distance from the origin beyond which lengths are no metres [m]
-MAX_STEP = 1.0  # Median step of times from which on they are no seconds [s]
+MAX_DISTANCE = 50.0  # Largest median distance from the origin of lengths in metres [m]
+MAX_STEP = 1.0  # Largest median step of times in seconds [s]
 CLOCKS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
-RATES = (4.0, 3000.0)  # Rates at which flights are recorded [Hz]
-ABSOLUTE = 1e7  # Times from which on they are a date, or those of a computer [s]
+RATES = (4.0, 3000.0)  # Plausible sampling rates [Hz]
+MIN_EPOCH = 1e7  # Smallest time that counts from a date or from a computer's start [s]
 
-# Columns of a plain table, in any order and among others: time [s], a body (q0, r0, …, a vertex
-# p0, …, or any name) or MARKER, a point without a name, and its position [m]
+# Required columns of a plain table, in any order: time [s], the name of a body (q0, r0, …, a vertex
+# p0, …, or any name) or MARKER for an unlabeled point, and its position [m]
 HEADER, MARKER = "t,name,x,y,z", "marker"
 
-# Files of a simulated flight, whose tables have "vertex" and "drone" in place of "name"
+# Files of a simulated flight; columns of names in its tables, and prefixes of the names
 TABLES, SUMMARY = {"vertices.csv": ("vertex", "p"), "drones.csv": ("drone", "")}, "simulation.json"
 
 MOTIVE, VICON = "Format Version", ("Segments", "Objects", "Trajectories")
-UNLABELED = ("*", "unlabel", "unidentified", "u_", MARKER)  # How labels of no subject begin
-MAX_TITLES = 50  # Lines among which the titles of a table of Motive are searched
-CUT = 2e-3  # Largest difference between a frame's time and the printed one [s], by rounding
-BLANK = ' ",;\t'  # Characters of a line without a cell
+UNLABELED = ("*", "unlabel", "unidentified", "u_", MARKER)  # Prefixes of labels without a subject
+MAX_HEADER_LINES = 50  # Lines in which the titles of a Motive table are searched
+TIME_TOLERANCE = 2e-3  # Largest rounding error of the printed time of a frame [s]
+BLANK = ' ",;\t'  # Characters of a line without content
 
 POSE = "motion_capture_tracking_interfaces/msg/NamedPose"  # Messages of crazyswarm2
 MESSAGES = {POSE: "string name\ngeometry_msgs/Pose pose\n"}
 MESSAGES[f"{POSE}Array"] = f"std_msgs/Header header\n{POSE.replace('msg/', '')}[] poses\n"
 
-# Messages with bodies, of which the first kind in a bag is read: name, header and position of each,
-# from the parts of a topic and a message. Message with markers
+# Message types with bodies, by preference, and functions that return name, header and position of
+# each body from the parts of a topic and a message; type with markers
 Bodies = list[tuple[str, Any, Any]]
 BODIES: dict[str, Callable[[Sequence[str], Any], Bodies]] = {
     f"{POSE}Array": lambda _, m: [(x.name, m.header, x.pose.position) for x in m.poses],
@@ -68,7 +67,7 @@ BODIES: dict[str, Callable[[Sequence[str], Any], Bodies]] = {
 }
 CLOUD, FLOAT32 = "sensor_msgs/msg/PointCloud2", 7
 
-# Variables of a uSD log with positions and with commands, by preference, and their units [m]
+# Variables of a uSD log with positions and with commands, by preference, and their scales [m]
 USD_POSITIONS = {"stateEstimate": 1.0, "stateEstimateZ": 1e-3, "locSrv": 1.0}
 USD_COMMANDS = {"ctrltarget": 1.0, "ctrltargetZ": 1e-3}
 
@@ -76,16 +75,16 @@ ULOG_POSITIONS = ("vehicle_visual_odometry", "vehicle_local_position")  # By pre
 
 
 def read_flight(path: Path | str, unit: str | None = None) -> RecordedFlight:
-    """Return the content of a recording in any of the known formats.
+    """Return the content of a recording in a supported format.
 
     Parameters
     ----------
-    path: file, or directory of a bag, of a simulated flight, or of drones' logs.
-    unit: of its lengths, ``m``, ``cm``, ``mm``, ``in`` or ``ft``; None: as it states, else metres.
+    path: file, or directory of a bag, a simulated flight or drones' logs.
+    unit: of lengths: ``m``, ``cm``, ``mm``, ``in`` or ``ft``; None: as stated, else metres.
 
     Raises
     ------
-    FileError: no such file, an unknown format, a damaged file, or numbers that are no flight's.
+    FileError: a missing or damaged file, an unknown format, or implausible times or positions.
     InputError: an unknown unit.
     """
     path = Path(path)
@@ -103,13 +102,13 @@ def read_flight(path: Path | str, unit: str | None = None) -> RecordedFlight:
                     for each, many in CLOCKS.items()
                     if step / many * RATES[0] <= 1.0 <= step / many * RATES[1]
                 ]
-                words = f"times of {name} step by {step:.4g} s: not in seconds"
-                raise FileError(f"{words}; if they are {' or if '.join(units) or 'other units'}")
+                problem = f"times of {name} step by {step:.4g} s: not in seconds"
+                raise FileError(f"{problem}; if they are {' or if '.join(units) or 'other units'}")
         positions = np.concatenate([track.positions for track in flight.tracks.values()])
-        far = float(np.median(np.linalg.norm(positions, axis=1)))
-        if far > MAX_DISTANCE and unit is None:
-            words = f"positions are {far:.4g} m from the origin at the median"
-            raise FileError(f"{words}, over {MAX_DISTANCE:g} m: millimetres? unit='mm'")
+        distance = float(np.median(np.linalg.norm(positions, axis=1)))
+        if distance > MAX_DISTANCE and unit is None:
+            problem = f"positions are {distance:.4g} m from the origin at the median"
+            raise FileError(f"{problem}, over {MAX_DISTANCE:g} m: millimetres? unit='mm'")
         return flight
 
 
@@ -122,10 +121,10 @@ def _read(path: Path, unit: str | None) -> RecordedFlight:
     heads = dict[Path, bytes]()
     for file in files:
         with file.open("rb") as stream:
-            heads[file] = stream.read(64).replace(b"\0", b"")  # Zeros of UTF-16
-    for begin, (_, read) in FORMATS.items():
-        if own := [file for file in files if re.match(begin, heads[file])]:
-            return read(own, unit)
+            heads[file] = stream.read(64).replace(b"\0", b"")  # Zero bytes of UTF-16
+    for pattern, (_, read) in FORMATS.items():
+        if matching := [file for file in files if re.match(pattern, heads[file])]:
+            return read(matching, unit)
     known = ", ".join(name for name, _ in FORMATS.values())
     known += f", the directory of a simulated flight, or a table with the columns {HEADER}"
     if path.is_dir():
@@ -140,7 +139,7 @@ def _read(path: Path, unit: str | None) -> RecordedFlight:
 
 
 def _by_name(names: Sequence[str], rows: Array) -> dict[str, Array]:
-    """Return the rows (m, 4) of each name, in the order of names."""
+    """Return the rows (m, 4) of each name, in order of first occurrence."""
     return {name: rows[np.array(names) == name] for name in dict.fromkeys(names)}
 
 
@@ -154,45 +153,45 @@ def flight_of(
     one_clock: bool = True,
     simulated: Mapping[str, Any] | None = None,
 ) -> RecordedFlight:
-    """Return the flight of rows (time [s], x, y, z [unit]) (m, 4) of every body, and of MARKER.
+    """Return a flight from rows (time [s], x, y, z [unit]) (m, 4) of every body, and of MARKER.
 
-    ``setpoints`` are rows too; for others see ``RecordedFlight``. Rows without a position, or with
-    their body's last time, are left out. Raises FileError for an unknown unit, or times that do not
-    ascend.
+    ``setpoints`` are rows too; for other arguments see ``RecordedFlight``. Rows without a position
+    and rows that repeat a time are omitted. Raises FileError for an unknown unit or descending
+    times.
     """
     word = unit.strip().casefold()
     scale, epoch = UNITS.get(NAMES.get(word, word), 0.0), 0.0
     if not scale:
         raise FileError(f"its unit of length, {unit!r}, is unknown; state unit='m', 'cm' or 'mm'")
-    bodies = {name: own for name, own in rows.items() if name != MARKER and len(own)}
-    begin = min((float(own[0, 0]) for own in bodies.values()), default=0.0)
-    if one_clock and abs(begin) >= ABSOLUTE:
-        epoch, words = begin, f"times count from the first position, at {begin:.3f} s"
-        notes = [*notes, f"{words} of the recording's clock"]
+    bodies = {name: samples for name, samples in rows.items() if name != MARKER and len(samples)}
+    start = min((float(samples[0, 0]) for samples in bodies.values()), default=0.0)
+    if one_clock and abs(start) >= MIN_EPOCH:
+        epoch, clock = start, f"at {start:.3f} s of the recording's clock"
+        notes = [*notes, f"times count from the first position, {clock}"]
 
-    def track(own: Array) -> Track:
-        if not np.isfinite(own[:, 0]).all():
+    def track(samples: Array) -> Track:
+        if not np.isfinite(samples[:, 0]).all():
             raise FileError("a time is not finite; leave out rows without a time")
-        own = own[np.isfinite(own).all(axis=1)]
-        steps = np.diff(own[:, 0], prepend=-np.inf)
+        samples = samples[np.isfinite(samples).all(axis=1)]
+        steps = np.diff(samples[:, 0], prepend=-np.inf)
         if np.any(steps < 0.0):
-            a, b = own[(i := int(np.argmax(steps < 0.0))) - 1 : i + 1, 0]
-            words = f"times do not ascend: {a:.9g} s is followed by {b:.9g} s"
-            raise FileError(f"{words}; give one flight, in the order in which it was recorded")
-        return Track(own[steps > 0.0, 0] - epoch, scale * own[steps > 0.0, 1:])
+            a, b = samples[(i := int(np.argmax(steps < 0.0))) - 1 : i + 1, 0]
+            problem = f"times do not ascend: {a:.9g} s is followed by {b:.9g} s"
+            raise FileError(f"{problem}; give one flight, in the order in which it was recorded")
+        return Track(samples[steps > 0.0, 0] - epoch, scale * samples[steps > 0.0, 1:])
 
-    tracks = {name: track(own) for name, own in bodies.items()}
+    tracks = {name: track(samples) for name, samples in bodies.items()}
     count = sum(map(len, bodies.values()))
-    if lost := count - sum(len(each.t) for each in tracks.values()):
-        notes = [*notes, f"{lost} of {count} rows have no position, or the same time: left out"]
+    if omitted := count - sum(len(one.t) for one in tracks.values()):
+        notes = [*notes, f"{omitted} of {count} rows omitted: no position, or a repeated time"]
     cloud = rows.get(MARKER, np.zeros((0, 4)))
     cloud = cloud[np.isfinite(cloud).all(axis=1)]
     cloud = cloud[np.argsort(cloud[:, 0], kind="stable")]
     return RecordedFlight(
         source,
-        {name: each for name, each in tracks.items() if len(each.t)},
+        {name: one for name, one in tracks.items() if len(one.t)},
         Track(cloud[:, 0] - epoch, scale * cloud[:, 1:]),
-        {name: track(own) for name, own in (setpoints or {}).items()},
+        {name: track(samples) for name, samples in (setpoints or {}).items()},
         epoch,
         one_clock,
         tuple(notes),
@@ -201,108 +200,110 @@ def flight_of(
 
 
 def read_simulated(path: Path) -> RecordedFlight:
-    """Return the flight in the results of ``hitchopt simulate``."""
+    """Return the flight in a results directory of ``hitchopt simulate``."""
     rows, end = dict[str, Array](), np.inf
     for file, (kind, prefix) in TABLES.items():
         table = labelled_table(partial(text_lines, path / file), ("t", kind, "x"), file)
         values = table.numbers(["t", "x", "y", "z"], blanks=True)
-        values[values[:, 0] > end] = np.nan  # Drones alone are recorded longer
+        values[values[:, 0] > end] = np.nan  # Drones are recorded for longer
         end = float(np.max(values[:, 0]))
-        for name, own in _by_name(table.words(kind), values).items():
-            rows[prefix + name] = own[np.isfinite(own).all(axis=1)]
+        for name, samples in _by_name(table.words(kind), values).items():
+            rows[prefix + name] = samples[np.isfinite(samples).all(axis=1)]
     try:
         content = parsed_json((path / SUMMARY).read_text(encoding="utf-8"))
         loops = [content["position_loops"][name] for name in ("feed_forward", "integral")]
-        on = [np.array([np.any(drone) for drone in loop]) for loop in loops]
+        enabled = [np.array([np.any(drone) for drone in loop]) for loop in loops]
         density = float(content["density"]["simulated"])
     except (OSError, ValueError, KeyError, TypeError) as error:
-        words = f"not a summary of this flight; simulate again ({error})"
-        raise FileError(f"{path / SUMMARY}: {words}") from error
-    simulated = {"density": density, "feed_forward": on[0], "integral": on[1]}
+        problem = f"not a summary of this flight; simulate again ({error})"
+        raise FileError(f"{path / SUMMARY}: {problem}") from error
+    simulated = {"density": density, "feed_forward": enabled[0], "integral": enabled[1]}
     return flight_of("simulated flight", rows, simulated=simulated)
 
 
 def table_of(
-    lines: Iterable[str], separator: str, firsts: Sequence[int]
+    lines: Iterable[str], separator: str, columns: Sequence[int]
 ) -> tuple[Array, dict[int, Array]]:
-    """Return the first two columns (rows, 2), and the points in three columns from ``firsts``.
+    """Return the first two columns (rows, 2), and points by their index into ``columns``.
 
-    Points (m, 4), of every index into ``firsts``, are row and position; blank ones, most of a wide
-    table, are left out. Lines end at one without a cell. Raises ValueError for other cells.
+    Points (m, 4) are row and position, in three columns each; blank cells, most of a wide table,
+    are omitted. Reading stops at a blank line. Raises ValueError for cells that are no numbers.
     """
-    heads, points = list[list[float]](), {k: list[tuple[float, ...]]() for k in range(len(firsts))}
+    head = list[list[float]]()
+    points = {k: list[tuple[float, ...]]() for k in range(len(columns))}
     for row, line in enumerate(takewhile(lambda line: line.strip(BLANK), lines)):
         text = (line if separator == "," else line.replace(",", ".")).replace('"', "")
         cells = text.replace(" ", "").split(separator)
-        cells += [""] * (max(firsts, default=0) + 3 - len(cells))
-        heads.append([float(cell or "nan") for cell in cells[:2]])
-        for k, j in enumerate(firsts):
+        cells += [""] * (max(columns, default=0) + 3 - len(cells))
+        head.append([float(cell or "nan") for cell in cells[:2]])
+        for k, j in enumerate(columns):
             if cells[j] and cells[j + 1] and cells[j + 2]:
                 points[k].append((row, *map(float, cells[j : j + 3])))
-    seen = {k: np.array(own).reshape(-1, 4) for k, own in points.items()}
-    return np.array(heads).reshape(-1, 2), seen
+    arrays = {k: np.array(point).reshape(-1, 4) for k, point in points.items()}
+    return np.array(head).reshape(-1, 2), arrays
 
 
 def rows_of(
     t: Array, points: Mapping[int, Array], labels: Sequence[str], bodies: Collection[str] = ()
 ) -> dict[str, Array]:
-    """Return rows (m, 4) of bodies and of MARKER, from points as of ``table_of`` and their labels.
+    """Return rows (m, 4) of bodies and of MARKER, from points of ``table_of`` and their labels.
 
-    All but those of ``bodies`` are markers; a subject's are also a body, at their mean while all
-    are visible.
+    Points that are not labelled as ``bodies`` are markers. Markers of one subject also form a body,
+    at their mean while all of them are visible.
     """
-    rows, loose = dict[str, Array](), [np.zeros((0, 4))]
+    rows, markers = dict[str, Array](), [np.zeros((0, 4))]
     subjects = defaultdict[str, list[Array]](list)
-    for k, own in points.items():
-        seen = np.column_stack([t[own[:, 0].astype(np.intp)], own[:, 1:]])
+    for k, point in points.items():
+        samples = np.column_stack([t[point[:, 0].astype(np.intp)], point[:, 1:]])
         label, subject = labels[k], labels[k].partition(":")[0]
         if label in bodies:
-            rows[label] = seen
+            rows[label] = samples
         else:
-            loose.append(seen)
+            markers.append(samples)
             if subject not in bodies and not label.casefold().startswith(UNLABELED):
-                subjects[subject].append(seen)
+                subjects[subject].append(samples)
     for subject, each in subjects.items():
-        common = reduce(np.intersect1d, [own[:, 0] for own in each])
-        rows[subject] = np.mean([own[np.isin(own[:, 0], common)] for own in each], axis=0)
-    return rows | {MARKER: np.concatenate(loose)}
+        common = reduce(np.intersect1d, [point[:, 0] for point in each])
+        rows[subject] = np.mean([point[np.isin(point[:, 0], common)] for point in each], axis=0)
+    return rows | {MARKER: np.concatenate(markers)}
 
 
 def read_motive(paths: Sequence[Path], unit: str | None) -> RecordedFlight:
     """Return the flight in a table of Motive 1.21 to 1.25, by its row ``Frame`` and those above.
 
-    Times are those of frames, since printed ones are cut to milliseconds. A body's markers are left
-    out: the table holds them as expected and as measured.
+    Times follow from frame numbers, as printed times are truncated to milliseconds. Markers of
+    rigid bodies are ignored: the table lists them twice, as expected and as measured.
     """
     lines = text_lines(paths[0])
-    top = list(islice(lines, MAX_TITLES))
+    top = list(islice(lines, MAX_HEADER_LINES))
     separator = top[0].lstrip('"')[len(MOTIVE) :].lstrip('"')[:1] or ","
     rows = [list(map(str.strip, cells)) for cells in csv.reader(top, delimiter=separator)]
-    k = next((i for i, cells in enumerate(rows) if cells[:1] == ["Frame"]), 0)
-    titles = [cells for cells in rows[1:k] if any(cells)]
+    header = next((i for i, cells in enumerate(rows) if cells[:1] == ["Frame"]), 0)
+    titles = [cells for cells in rows[1:header] if any(cells)]
     if len(titles) < 3:
         raise FileError("has no titles above a row 'Frame'; export it with its header")
-    facts = dict(zip(rows[0], rows[0][1:], strict=False))
-    if facts.get("Coordinate Space", "Global").casefold() != "global":
+    metadata = dict(zip(rows[0], rows[0][1:], strict=False))
+    if metadata.get("Coordinate Space", "Global").casefold() != "global":
         raise FileError("is in Local space, each body in its own; export it in Global space")
     kinds, names = titles[:2]
-    firsts = [j for j, x in enumerate(titles[-1]) if (x, rows[k][j]) == ("Position", "X")]
-    bodies = {names[j] for j in firsts if kinds[j] == "Rigid Body"}
-    loose = {j for j in firsts if names[j].partition(":")[0] not in bodies and kinds[j] == "Marker"}
-    firsts = [j for j in firsts if kinds[j] == "Rigid Body" or j in loose]
-    head, points = table_of(chain(top[k + 1 :], lines), separator, firsts)
-    hertz = float(facts.get("Export Frame Rate") or facts["Capture Frame Rate"])
+    columns = [j for j, x in enumerate(titles[-1]) if (x, rows[header][j]) == ("Position", "X")]
+    bodies = {names[j] for j in columns if kinds[j] == "Rigid Body"}
+    subjects = [name.partition(":")[0] for name in names]
+    markers = {j for j in columns if kinds[j] == "Marker" and subjects[j] not in bodies}
+    columns = [j for j in columns if kinds[j] == "Rigid Body" or j in markers]
+    head, points = table_of(chain(top[header + 1 :], lines), separator, columns)
+    hertz = float(metadata.get("Export Frame Rate") or metadata["Capture Frame Rate"])
     t, notes = (head[:, 0] - head[0, 0]) / hertz + head[0, 1], list[str]()
-    if np.any(np.abs(t - head[:, 1]) > CUT):
-        t, notes = head[:, 1], [f"times are as printed: frames at {hertz:g} Hz have others"]
-    seen = rows_of(t, points, [names[j] for j in firsts], bodies)
-    stated = unit or facts.get("Length Units", "")
-    return flight_of(f"Motive CSV {facts[MOTIVE]}", seen, stated, notes=notes)
+    if np.any(np.abs(t - head[:, 1]) > TIME_TOLERANCE):
+        t, notes = head[:, 1], [f"times are as printed: they differ from frames at {hertz:g} Hz"]
+    samples = rows_of(t, points, [names[j] for j in columns], bodies)
+    length_unit = unit or metadata.get("Length Units", "")
+    return flight_of(f"Motive CSV {metadata[MOTIVE]}", samples, length_unit, notes=notes)
 
 
 def read_vicon(paths: Sequence[Path], unit: str | None) -> RecordedFlight:
-    """Return the flight in a table of Vicon: sections of bodies and of markers, at one rate."""
-    seen, lines, stated = dict[str, Array](), text_lines(paths[0]), "m"
+    """Return the flight in a Vicon table with sections of bodies and of markers."""
+    samples, lines, length_unit = dict[str, Array](), text_lines(paths[0]), "m"
     for title in (line.strip(BLANK) for line in lines):
         if title not in VICON:
             continue
@@ -312,29 +313,29 @@ def read_vicon(paths: Sequence[Path], unit: str | None) -> RecordedFlight:
             raise FileError(f"section {title}: a rate of {hertz:g} Hz; export it again")
         parsed = csv.reader(top, delimiter=separator)
         names, axes, units = (list(map(str.strip, cells)) for cells in parsed)
-        firsts = [j for j, axis in enumerate(axes) if axis == ("X" if title == VICON[-1] else "TX")]
-        head, points = table_of(lines, separator, firsts)
-        points = {k: x[np.any(x[:, 1:] != 0.0, axis=1)] for k, x in points.items()}  # Gaps are zero
-        labels = [next((name for name in names[j::-1] if name), "") for j in firsts]
+        columns = [j for j, x in enumerate(axes) if x == ("X" if title == VICON[-1] else "TX")]
+        head, points = table_of(lines, separator, columns)
+        points = {k: x[np.any(x[:, 1:] != 0.0, axis=1)] for k, x in points.items()}  # Gaps are 0
+        labels = [next((name for name in names[j::-1] if name), "") for j in columns]
         if title != VICON[-1]:
             labels = [label.partition(":")[0] for label in labels]
-        bodies = seen if title == VICON[-1] else labels
-        seen |= rows_of(head[:, 0] / hertz, points, labels, bodies)
-        stated = units[firsts[0]] if firsts else stated
-    return flight_of("Vicon CSV", seen, unit or stated)
+        bodies = samples if title == VICON[-1] else labels
+        samples |= rows_of(head[:, 0] / hertz, points, labels, bodies)
+        length_unit = units[columns[0]] if columns else length_unit
+    return flight_of("Vicon CSV", samples, unit or length_unit)
 
 
 def library(module: str) -> Any:
-    """Return a module that only some formats need; FileError names the extra to install."""
+    """Return an optional module; FileError names the extra to install."""
     try:
         return import_module(module)
     except ImportError as fault:
-        words = f"reading it needs {module.partition('.')[0]} ({fault})"
-        raise FileError(f"{words}; pip install 'hitchopt[logs]'") from fault
+        problem = f"reading it needs {module.partition('.')[0]} ({fault})"
+        raise FileError(f"{problem}; pip install 'hitchopt[logs]'") from fault
 
 
 def read_c3d(paths: Sequence[Path], unit: str | None) -> RecordedFlight:
-    """Return the flight in a C3D file; every subject is a body."""
+    """Return the flight in a C3D file, with a body per subject."""
     with reading(paths[0], "C3D file", Exception):
         content = library("ezc3d").c3d(str(paths[0]))
         parameters = content["parameters"]["POINT"]
@@ -342,26 +343,27 @@ def read_c3d(paths: Sequence[Path], unit: str | None) -> RecordedFlight:
         labels = [label for i in ("", *range(2, 99)) for label in point.get(f"LABELS{i}", ())]
         positions = np.asarray(content["data"]["points"], np.float64)[:3].T  # (frames, points, 3)
         visible = np.isfinite(positions).all(axis=2) & np.any(positions != 0.0, axis=2)
-        seen = [
+        samples = [
             np.column_stack([np.flatnonzero(x), y[x]])
             for x, y in zip(visible.T, positions.swapaxes(0, 1), strict=True)
         ]
-        first, last = struct.unpack_from("<2H", paths[0].read_bytes(), 6)  # ezc3d's are those read
-        frames, every = len(positions), last - first + 1
-        notes = [f"is cut off: read to frame {frames} of {every}"] if frames < every else []
-        rows = rows_of(np.arange(frames) / float(point["RATE"][0]), dict(enumerate(seen)), labels)
+        first, last = struct.unpack_from("<2H", paths[0].read_bytes(), 6)  # As stated in the file
+        frames, total = len(positions), last - first + 1
+        notes = [f"truncated: read to frame {frames} of {total}"] if frames < total else []
+        t = np.arange(frames) / float(point["RATE"][0])
+        rows = rows_of(t, dict(enumerate(samples)), labels)
         return flight_of("C3D", rows, unit or point["UNITS"][0], notes=notes)
 
 
 def read_bag(paths: Sequence[Path], unit: str | None) -> RecordedFlight:
-    """Return the flight in a bag of ROS 1 or 2, with definitions of its types or without."""
+    """Return the flight in a bag of ROS 1 or 2, with or without definitions of its types."""
     highlevel, typesys = library("rosbags.highlevel"), library("rosbags.typesys")
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
     for kind, text in MESSAGES.items():
         store.register(typesys.get_types_from_msg(text, kind))
     rows, path = defaultdict[str, list[Array]](list), paths[0]
     path = path.parent if (path.parent / "metadata.yaml").is_file() else path
-    with (  # Its exceptions have no common root
+    with (  # Exceptions of rosbags have no common base
         reading(path, "bag", Exception),
         highlevel.AnyReader([path], default_typestore=store) as bag,
     ):
@@ -387,7 +389,7 @@ def read_bag(paths: Sequence[Path], unit: str | None) -> RecordedFlight:
 
 
 def points_of(message: Any) -> Array:
-    """Return the points (k, 3) of a cloud, which are of float32."""
+    """Return the points (k, 3) of a cloud of float32."""
     offsets = {field.name: field.offset for field in message.fields if field.datatype == FLOAT32}
     layout: Any = {"names": list("xyz"), "formats": ["<f4"] * 3}
     layout |= {"offsets": [offsets[axis] for axis in "xyz"], "itemsize": message.point_step}
@@ -398,18 +400,18 @@ def points_of(message: Any) -> Array:
 def read_logs(
     source: str, read: Callable[[Path], Any], paths: Sequence[Path], unit: str | None
 ) -> RecordedFlight:
-    """Return the flight in logs of drones, a file each, named as the drone, in metres.
+    """Return the flight in drones' logs, whose file names are the drones' names.
 
-    ``read`` returns rows of positions, of commands or None, and notes.
+    ``read`` returns rows of positions [m], rows of commands or None, and notes.
     """
     if unit is not None:
-        raise FileError("has lengths whose units its format fixes; leave unit= out")
+        raise FileError("is of a format with fixed units; leave unit= out")
     rows, commands, notes = dict[str, Array](), dict[str, Array](), list[str]()
     for path in paths:
         with reading(path, source, Exception):
-            rows[path.stem], command, own = read(path)
+            rows[path.stem], command, file_notes = read(path)
             commands |= {} if command is None else {path.stem: command}
-            notes += [f"{path.stem}: {note}" for note in own]
+            notes += [f"{path.stem}: {note}" for note in file_notes]
     return flight_of(source, rows, notes=notes, setpoints=commands, one_clock=len(paths) == 1)
 
 
@@ -417,7 +419,7 @@ def read_usd(path: Path) -> tuple[Array, Array | None, list[str]]:
     """Return positions, commands and notes of a log of a Crazyflie's uSD card."""
     events, notes = usd_events(path.read_bytes())
 
-    def first(groups: Mapping[str, float]) -> tuple[str, Array | None]:
+    def logged_rows(groups: Mapping[str, float]) -> tuple[str, Array | None]:
         for group, event in product(groups, events):
             axes = [f"{group}.{axis}" for axis in "xyz"]
             if set(axes) <= set(event):
@@ -425,53 +427,54 @@ def read_usd(path: Path) -> tuple[Array, Array | None, list[str]]:
                 return group, np.stack([event["t"], *positions], axis=1)
         return "", None
 
-    group, rows = first(USD_POSITIONS)
+    group, rows = logged_rows(USD_POSITIONS)
     if rows is None:
-        logged = ", ".join(sorted({name for event in events for name in event}))
+        available = ", ".join(sorted({name for event in events for name in event}))
         expected = ", ".join(f"{each}.x" for each in USD_POSITIONS)
-        raise FileError(f"logs none of {expected}, but {logged[:200]}")
-    return rows, first(USD_COMMANDS)[1], [*notes, f"positions are of {group}"]
+        raise FileError(f"logs none of {expected}, but {available[:200]}")
+    return rows, logged_rows(USD_COMMANDS)[1], [*notes, f"positions are of {group}"]
 
 
 def usd_events(data: bytes) -> tuple[list[dict[str, Array]], list[str]]:
-    """Return the variables of every kind of event, ``t`` [s] among them, and notes on damage.
+    """Return the variables of every event type, including ``t`` [s], and notes on damage.
 
-    The header numbers kinds of events, each with a time and variables ``group.name(type)``; their
-    records follow, and a checksum.
+    The header lists event types, each with a number and variables ``group.name(type)``. Records of
+    events and a checksum follow.
     """
-    version, count = struct.unpack_from("<HH", data, 1)
+    version, event_types = struct.unpack_from("<HH", data, 1)
     if version not in {1, 2}:
-        raise FileError(f"is of version {version}; 1 and 2 are known")
-    at, kinds = 5, dict[int, Any]()
-    for _ in range(count):
-        number, at = struct.unpack_from("<H", data, at)[0], data.index(0, at + 2) + 1
-        many, at, fields = struct.unpack_from("<H", data, at)[0], at + 2, list[tuple[str, str]]()
-        for _ in range(many):
-            end = data.index(0, at)
-            text, at = data[at:end].decode("ascii"), end + 1
+        raise FileError(f"is of version {version}; 1 and 2 are supported")
+    offset, kinds = 5, dict[int, Any]()
+    for _ in range(event_types):
+        number, offset = struct.unpack_from("<H", data, offset)[0], data.index(0, offset + 2) + 1
+        (count,) = struct.unpack_from("<H", data, offset)
+        offset, fields = offset + 2, list[tuple[str, str]]()
+        for _ in range(count):
+            end = data.index(0, offset)
+            text, offset = data[offset:end].decode("ascii"), end + 1
             fields.append((text[:-3], f"<{text[-2]}"))
         kinds[number] = np.dtype([("", "<H"), ("t", "<I" if version == 1 else "<Q"), *fields])
-    whole = len(data) >= at + 4 and zlib.crc32(data[:-4]) == struct.unpack("<I", data[-4:])[0]
-    end, records = len(data) - 4 * whole, defaultdict[int, bytearray](bytearray)
-    while at + 2 <= end:
-        (number,) = struct.unpack_from("<H", data, at)
-        if number not in kinds or at + (size := kinds[number].itemsize) > end:
+    intact = len(data) >= offset + 4 and zlib.crc32(data[:-4]) == struct.unpack("<I", data[-4:])[0]
+    end, records = len(data) - 4 * intact, defaultdict[int, bytearray](bytearray)
+    while offset + 2 <= end:
+        (number,) = struct.unpack_from("<H", data, offset)
+        if number not in kinds or offset + (size := kinds[number].itemsize) > end:
             break
-        records[number] += data[at : at + size]
-        at += size
+        records[number] += data[offset : offset + size]
+        offset += size
     events, tick = list[dict[str, Array]](), 1e-3 if version == 1 else 1e-6
-    for number, own in records.items():
-        values: Any = np.frombuffer(own, kinds[number])
+    for number, record in records.items():
+        values: Any = np.frombuffer(record, kinds[number])
         events.append({name: values[name].astype(np.float64) for name in values.dtype.names})
         events[-1]["t"] *= tick
     last = max((event["t"][-1] for event in events), default=0.0)
-    return events, [] if whole else [f"is cut off or damaged: read to its record at {last:.3f} s"]
+    return events, [] if intact else [f"truncated or damaged: read to the record at {last:.3f} s"]
 
 
 def read_ulog(path: Path) -> tuple[Array, None, list[str]]:
-    """Return positions and notes of a PX4 ulog, its axes turned from north, east, down.
+    """Return positions and notes of a PX4 ulog, converted from north, east, down.
 
-    They count from the drone's own origin unless they are those of motion capture.
+    Positions of motion capture are preferred; others count from the drone's own origin.
     """
     with path.open("rb") as file:
         log = library("pyulog").ULog(file, list(ULOG_POSITIONS))
@@ -489,7 +492,7 @@ def read_ulog(path: Path) -> tuple[Array, None, list[str]]:
     return np.stack([t, east, north, -down], axis=1), None, notes
 
 
-# First bytes of formats, their names, and their readers of all files of a kind and a unit
+# Formats by their first bytes: names, and readers of all files of a format in a unit
 TEXT = rb'^(\xef\xbb\xbf|\xff\xfe|\xfe\xff)?[\s"]*'
 FORMATS: dict[bytes, tuple[str, Callable[[Sequence[Path], str | None], RecordedFlight]]] = {
     TEXT + MOTIVE.encode(): ("a table of Motive with its header", read_motive),

@@ -1,4 +1,4 @@
-"""Files of an evaluation: table, vertices, shapes for the viewer, and a picture."""
+"""Files of an evaluation: table, vertices, cable shapes for the viewer, and a picture."""
 
 from __future__ import annotations
 
@@ -27,39 +27,35 @@ from hitchopt.view.scene import scene_at
 FORMAT = "hitchopt-evaluation/1"
 SUMMARY, VERTICES = "evaluation.json", "vertices.csv"
 LATEX, PICTURE = "evaluation.tex", "evaluation."
-OTHERS = (PLAN, "simulation.json")  # Files of directories with a vertices.csv of another kind
-PICTURES = ("png", "svg", "pdf")  # Kinds of pictures
-# Names that belong to hitchopt in the directory; other files are never touched
+FOREIGN = (PLAN, "simulation.json")  # Files of directories with another vertices.csv
+PICTURES = ("png", "svg", "pdf")  # Picture formats
+# Files in the directory that hitchopt replaces; others are never touched
 OWNED = (SUMMARY, VERTICES, LATEX, RECORDING, *(PICTURE + kind for kind in PICTURES))
 
 # Width and height of the picture [inch], and widths of its columns
 SIZE, WIDTHS = (13.0, 6.4), (1.35, 1.0)
-MAX_NAMED, MOMENT = 8, 0.05  # Most names in a legend; time around a moment [s]
+MAX_NAMED, SNAPSHOT_TIME = 8, 0.05  # Most names in a legend; half width of a snapshot [s]
 
 
 def save_evaluation(directory: Path, evaluation: Evaluation, format: str = "png") -> Path:
     """Write all files of an evaluation, or none; return the directory.
 
     Raises FileError if the directory cannot be written to, or holds a plan or a simulation, and
-    InputError for another format.
+    InputError for an unknown format.
     """
     check_choice("format", format, PICTURES)
-    for name in OTHERS:
+    for name in FOREIGN:
         if (directory / name).exists():
             raise FileError(f"{directory}: holds {name}; name a directory of its own for results")
     picture = drawn_evaluation(evaluation)
     writers: dict[str, Writer] = {
         VERTICES: partial(_write_vertices, evaluation),
-        LATEX: lambda path: _write_text(path, latex_table(evaluation)),
+        LATEX: lambda path: path.write_text(latex_table(evaluation), "utf-8", newline="\n"),
         RECORDING: lambda path: np.savez_compressed(path, **shapes(evaluation)),  # type: ignore[arg-type]
         PICTURE + format: lambda path: style.save_figure(picture, path),
         SUMMARY: lambda path: write_strict_json(path, summary(evaluation)),
     }
     return replace_files(directory, writers, OWNED, seal=SUMMARY)
-
-
-def _write_text(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8", newline="\n")
 
 
 def summary(evaluation: Evaluation) -> dict[str, Any]:
@@ -81,7 +77,7 @@ def summary(evaluation: Evaluation) -> dict[str, Any]:
 
 
 def _write_vertices(evaluation: Evaluation, path: Path) -> None:
-    """Write a row per time at which the plan has its hitch, and vertex."""
+    """Write a row per vertex and time at which the plan's hitch is taut."""
     heads = ["x", "y", "z", "planned_x", "planned_y", "planned_z", "error", "standard_error"]
     parts = [evaluation.vertices, evaluation.planned]
     parts += [each[..., None] for each in (evaluation.errors, evaluation.standard_errors)]
@@ -93,17 +89,17 @@ def _write_vertices(evaluation: Evaluation, path: Path) -> None:
         for point in points.tolist():
             cells = map(number, rows[i, point].tolist())
             lines.append(",".join([number(float(evaluation.t[i])), str(point), *cells]))
-    _write_text(path, "\n".join([*lines, ""]))
+    path.write_text("\n".join([*lines, ""]), "utf-8", newline="\n")
 
 
 def shapes(evaluation: Evaluation) -> dict[str, Array]:
     """Return the cables over time for a ghost in the viewer.
 
-    They are the plan's, moved with the measured drones and vertices.
+    Shapes are the plan's, displaced with the measured drones and vertices.
     """
     t, task, layout = evaluation.t, evaluation.task, evaluation.task.team.layout
     scene = scene_at(evaluation.motion, np.clip(t, 0.0, task.duration))
-    moved, ends = (
+    displacements, ends = (
         np.nan_to_num(through_gaps(t, off, t))
         for off in (
             evaluation.measured - evaluation.planned,
@@ -113,8 +109,8 @@ def shapes(evaluation: Evaluation) -> dict[str, Array]:
     ends = ends.reshape(len(t), -1, 2, 3)
     knots = np.stack([np.interp(range(4), (0, 3), one) for one in np.eye(2)], axis=1) @ ends
     hitched = np.isfinite(evaluation.planned[..., 0]).any(axis=1)
-    inner = np.stack([moved[:, layout.starts], moved[:, layout.ends]], axis=2)
-    knots[hitched, :, 1:3] = inner[hitched]
+    at_clasps = np.stack([displacements[:, layout.starts], displacements[:, layout.ends]], axis=2)
+    knots[hitched, :, 1:3] = at_clasps[hitched]
     shares = [np.interp(range(POINTS), (0, *CLASPS, POINTS - 1), one) for one in np.eye(4)]
     nodes = scene.cables + np.einsum("jp,tkjx->tkpx", shares, knots)
     return {
@@ -126,7 +122,7 @@ def shapes(evaluation: Evaluation) -> dict[str, Array]:
 
 
 def latex_table(evaluation: Evaluation) -> str:
-    """Return the short table as a LaTeX tabular [mm]; a dash for missing values."""
+    """Return the short table as a LaTeX tabular [mm], with dashes for missing values."""
     heads = ("mean", "std.", "max.", "std. error")
     lines = ["% Distances from the plan [mm]", r"\begin{tabular}{llrrrrr}"]
     lines.append(" & ".join(("of", "phase", *heads, "found")) + r" \\ \hline")
@@ -163,7 +159,7 @@ def drawn_evaluation(evaluation: Evaluation) -> Figure:
     kind = "crossing" if evaluation.clasps is None else "clasp"
     for axes, words in (
         (top, f"vertices to the plan [mm]\n({kind}s, ± standard error)"),
-        (bottom, "drones to their\nset points [mm]"),
+        (bottom, "drones to their\nsetpoints [mm]"),
     ):
         axes.set(ylabel=words, xlim=(t[0], t[-1]))
         style.from_zero(axes, 0.3)
@@ -184,20 +180,20 @@ def drawn_evaluation(evaluation: Evaluation) -> Figure:
 
 
 def _draw_from_above(axes: Axes, evaluation: Evaluation, colours: Sequence[str]) -> None:
-    """Draw both polygons at their last time together, paths, and markers around then."""
+    """Draw paths, and at the last time of a complete polygon both polygons and the markers."""
     team, measured = evaluation.task.team, evaluation.measured
     points, cloud = team.layout.clasps, evaluation.cloud
     for i in range(team.drones):
         axes.plot(*evaluation.drones[:, i, :2].T, color=colours[i // 2], lw=0.6, alpha=0.5)
     for point in points.tolist():
         axes.plot(*measured[:, point, :2].T, color=colours[point % team.robots], lw=0.8)
-    whole = np.flatnonzero(np.isfinite(measured[:, points, 0]).all(axis=1))
-    if len(whole):
-        i, order = whole[-1], np.append(points, points[: team.layout.closed])
+    complete = np.flatnonzero(np.isfinite(measured[:, points, 0]).all(axis=1))
+    if len(complete):
+        i, order = complete[-1], np.append(points, points[: team.layout.closed])
         plan, polygon = (x[i, order, :2].T for x in (evaluation.planned, measured))
         axes.plot(*plan, "--", color=style.LIMIT_COLOUR, label="planned")
         axes.plot(*polygon, color=style.INK, lw=1.4, label="measured")
-        near = np.abs(cloud.t - evaluation.t[i]) < MOMENT
+        near = np.abs(cloud.t - evaluation.t[i]) < SNAPSHOT_TIME
         look: Any = {"s": 6, "color": "0.45", "zorder": 3, "label": "markers"}
         axes.scatter(*cloud.positions[near, :2].T, **look)
         axes.set_title(f"from above, t = {evaluation.t[i]:.2f} s", fontsize="medium")
