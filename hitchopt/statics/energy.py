@@ -1,22 +1,23 @@
-"""The law of cables between drones that give way, and where their energy is least.
+"""Energy of cables between compliant drones, and its minimum.
 
-Nodes are the drones q0, r0, q1, …, then the clasps. Every cable runs over four of them, drone,
-clasp, clasp, drone. Where a chain's end has no leg the drone stands in for the clasp as well, and
-the span between the two is left out.
+Nodes are the drones q0, r0, q1, …, then the clasps. Every cable connects four nodes: drone, clasp,
+clasp, drone. At the end of a chain without a leg the drone also takes the place of the clasp, and
+the span between the two does not exist.
 
-A hanging span with chord v, of length s and level length h, and with the tension m at the height
-of its chord's middle, costs the energy ``∫ (tension) ds``; to the second order in its weight w over
-m that is ``E(v, m) = m s - w² s h²/(24 m)``. Its slope by m is its arc length ``s + w² s h²/(24
-m²)``, its slope by v the force on its ends but for half of its weight. Tension grows with height:
-``m = T + w (z - z₀)``, z the height of the chord's middle, with one T for all spans of a cable.
-With the cable's length L and its stretch ``a (T - T₀)`` the energy of a cable is the maximum over T
-of ``Σ E(v, m) - T L - a (T - T₀)²/2``: there arcs and stretch make up the length. T is at least the
-tension at which the cable is slack; below that tension arcs are constant.
+A hanging span with chord v, chord length s, level length h and tension m at the height of the
+chord's midpoint has the energy ``∫ (tension) ds``. To second order in its weight per length w over
+m this is ``E(v, m) = m s - w² s h²/(24 m)``. Its derivative by m is the arc length ``s + w² s
+h²/(24 m²)``, its derivative by v the force on the ends without half of the weight. The tension
+grows with height: ``m = T + w (z - z₀)``, where z is the height of the chord's midpoint and T is
+the same for all spans of a cable. With the cable's length L and its stretch ``a (T - T₀)`` the
+energy of a cable is the maximum over T of ``Σ E(v, m) - T L - a (T - T₀)²/2``, where arcs and
+stretch add up to the length. T is bounded below by the tension at which the cable becomes slack;
+arcs are constant below that tension.
 
-Drones of stiffness k, level and upright apart, add ``½ k (x - x_set)² - F·x``, loads ``-w·x``. If
-cables weigh nothing the energy is convex, so that its minimum is global. With friction at the
-clasps legs pull with ``e^{μθ}`` times what edges do, θ the angle of the bend: forces balance, but
-there is no energy.
+Drones add ``½ k (x - x_set)² - F·x``, with different level and upright stiffness k, and loads
+``-w·x``. For weightless cables the energy is convex and its minimum global. With friction at the
+clasps the tension of a leg is ``e^{μθ}`` times that of its edge, θ the angle of the bend: forces
+balance, but there is no energy.
 """
 
 from __future__ import annotations
@@ -31,49 +32,50 @@ from scipy.sparse.linalg import splu
 
 from hitchopt.values import Array, Indices
 
-CONVERGED = 1e-10  # Relative step at which a cable's tension has converged
-CABLE_STEPS = 100  # Most steps
-IMAGINARY = 1e-30  # Imaginary step by which derivatives are taken [m], [N]: exact to rounding
+TENSION_TOLERANCE = 1e-10  # Relative tolerance of a cable's tension
+TENSION_ITERATIONS = 100  # Largest number of iterations of a cable's tension
+COMPLEX_STEP = 1e-30  # Step of complex-step derivatives [m], [N]
 
-# Forces this small on all nodes end the iteration [N], without friction and with it, and [1] over
+# Force tolerances of all nodes [N], without friction and with it, and rounding error of forces over
 # the cables' stiffness times the coordinates
-SMALL_FORCE, BAND_FORCE, ROUNDED_FORCE = 1e-11, 1e-7, 16.0 * float(np.finfo(np.float64).eps)
+FORCE_TOLERANCE, FRICTION_TOLERANCE = 1e-11, 1e-7
+FORCE_ROUNDING = 16.0 * float(np.finfo(np.float64).eps)
 
-# Added to the Hessian's diagonal [N/m]: as slack cables hold their clasps by nothing; after the
-# first step that does not descend; and at most
-LEAST_DAMPING, FIRST_DAMPING, MOST_DAMPING = 1e-9, 1e-3, 1e6
+# Damping added to the Hessian's diagonal [N/m]: always, as clasps of slack cables are free; after
+# the first failed step; and at most
+MIN_DAMPING, FIRST_DAMPING, MAX_DAMPING = 1e-9, 1e-3, 1e6
 
-# Newton steps at most, 3 to 30 are usual; for each share of friction; times that one is halved
-NEWTON_STEPS, BAND_STEPS, HALVINGS = 200, 20, 30
+# Largest numbers of Newton iterations, of those per friction level, and of halvings of a step
+NEWTON_ITERATIONS, FRICTION_ITERATIONS, HALVINGS = 200, 20, 30
 
-DESCENT = 1e-4  # Share of the linear decrease that a step must bring (Armijo)
-ROUNDING = 1e-14  # Of the energies
-LONGEST_STEP, LONGEST_BAND_STEP = 0.3, 0.1  # Of a node [m]: directions change beyond it
+DESCENT = 1e-4  # Fraction of the linear decrease that a step must attain (Armijo)
+ROUNDING = 1e-14  # Relative rounding error of energies
+MAX_STEP, MAX_FRICTION_STEP = 0.3, 0.1  # Largest displacements of a node in a step [m]
 
-DEAD = 1e-4  # Error within which an integral's force is not at its largest [m]
+INTEGRAL_ERROR = 1e-4  # Position error within which an integral's force is not saturated [m]
 
-# Shares of the friction at which the hitch settles on its way to an end of its band
-SHARES = np.linspace(0.1, 1.0, 10)
+# Fractions of the friction coefficient on the continuation path to an end of the band
+FRICTION_LEVELS = np.linspace(0.1, 1.0, 10)
 
 
 @dataclass(frozen=True, eq=False)
 class HitchEnergy:
     """The energy of S samples of a hitch."""
 
-    nodes: Indices  # (n, 4) that each cable runs over
+    nodes: Indices  # (n, 4), nodes of each cable
     exist: NDArray[np.bool_]  # (n, 3), whether q-leg, edge and r-leg exist
-    points: Indices  # (points,), the node at each point
-    free: NDArray[np.bool_]  # (nodes, 3), whether a node moves along an axis: drones may be held
-    start: Array  # (S, nodes, 3) [m], where drones are led, and clasps planned
-    stiffness: Array  # (2n, 3) [N/m], zero for drones that are held
-    integral: Array  # (2n, 3) [N], largest force of integrals, zero likewise
+    points: Indices  # (points,), node of each point
+    free: NDArray[np.bool_]  # (nodes, 3), whether a node moves along an axis: drones may be rigid
+    start: Array  # (S, nodes, 3) [m], setpoints of drones and planned clasps
+    stiffness: Array  # (2n, 3) [N/m], zero for rigid drones
+    integral: Array  # (2n, 3) [N], largest force of integrals, zero for rigid drones
     loads: Array  # (S, nodes, 3) [N], feed-forward on drones and weights at clasps
     lengths: Array  # (S, n) [m], L at the tension T₀
-    weight: float  # of cables, per length [N/m]
-    compliance: Array  # (n,) [m/N], a: growth of a cable per tension
+    weight: float  # weight of cables per length [N/m]
+    compliance: Array  # (n,) [m/N], a: stretch of a cable per tension
     reference: Array  # (S, n) [N], T₀
     heights: Array  # (S, n) [m], z₀
-    least: Array  # (S, n) [N], tension at which a cable is slack
+    slack_tension: Array  # (S, n) [N], tension at which a cable becomes slack
 
     @property
     def drones(self) -> int:
@@ -82,11 +84,11 @@ class HitchEnergy:
 
     @property
     def accuracy(self) -> float:
-        """Rounding of the forces per coordinate [N/m]."""
-        return ROUNDED_FORCE / float(np.min(self.compliance))
+        """Rounding error of forces per coordinate [N/m]."""
+        return FORCE_ROUNDING / float(np.min(self.compliance))
 
     def spans(self, ends: Any) -> tuple[Any, Any, Any]:
-        """Return chords (…, S, n, 3, 3) of nodes (…, S, n, 4, 3), lengths, middles' heights."""
+        """Return chords (…, S, n, 3, 3) of nodes (…, S, n, 4, 3), lengths and midpoint heights."""
         chords = np.where(self.exist[..., None], np.diff(ends, axis=-2), 0.0)
         sizes = np.sqrt(np.sum(chords * chords, axis=-1))
         middles = 0.5 * (ends[..., 1:, 2] + ends[..., :-1, 2])
@@ -95,21 +97,21 @@ class HitchEnergy:
     def forces(self, ends: Any, T: Any, friction: Any = 0.0) -> tuple[Any, Any, Any]:
         """Return forces (…, S, n, 4, 3) [N], lengths [m] and energies [J] of cables (…, S, n).
 
-        The forces are minus those of cables on their nodes: without friction, slopes of the energy.
-        Nodes (…, S, n, 4, 3) [m] and tensions T (…, S, n) [N] are real or complex. The friction
-        that is used, of all legs or of each (…, S, n, 2), is positive if legs pull more than edges.
+        Forces are minus those of cables on their nodes; without friction, gradients of the energy.
+        Nodes (…, S, n, 4, 3) [m] and tensions T (…, S, n) [N] are real or complex. The friction of
+        all legs, or of each (…, S, n, 2), is positive if legs pull more than edges.
         """
         chords, sizes, heights = self.spans(ends)
         units = chords / np.where(sizes.real > 0.0, sizes, 1.0)[..., None]
         m = T[..., None] + self.weight * heights
-        sag, held = self._sag(m)
-        bent = -sag * (2.0 * held - m)  # slope of the energy by s h²
+        sag, bounded = self._sag(m)
+        slope = -sag * (2.0 * bounded - m)  # derivative of the energy by s h²
         level = chords[..., 0] ** 2 + chords[..., 1] ** 2
-        pulls = (m + bent * level)[..., None] * units
-        pulls[..., :2] += (2.0 * bent * sizes)[..., None] * chords[..., :2]
+        pulls = (m + slope * level)[..., None] * units
+        pulls[..., :2] += (2.0 * slope * sizes)[..., None] * chords[..., :2]
         arcs = sizes * (1.0 + sag * level)
         stretched = T - self.reference
-        energies = np.sum(sizes * (m + bent * level), axis=-1) - T * self.lengths
+        energies = np.sum(sizes * (m + slope * level), axis=-1) - T * self.lengths
         energies = energies - 0.5 * self.compliance * stretched * stretched
         if np.any(friction):
             pulls[..., 0::2, :] *= np.exp(friction * bends_of(units))[..., None]
@@ -121,53 +123,53 @@ class HitchEnergy:
         return forces, np.sum(arcs, axis=-1), energies
 
     def _sag(self, m: Any) -> tuple[Any, Any]:
-        """Return the slope of arcs by s h² for tensions m (…, 3) [N], and these, at least least."""
-        held = np.where(m.real > self.least[..., None], m, self.least[..., None])
-        return self.weight**2 / 24.0 / np.where(held.real > 0.0, held, 1.0) ** 2, held
+        """Return derivatives of arcs by s h², and tensions m (…, 3) [N] bounded from below."""
+        bounded = np.where(m.real > self.slack_tension[..., None], m, self.slack_tension[..., None])
+        return self.weight**2 / 24.0 / np.where(bounded.real > 0.0, bounded, 1.0) ** 2, bounded
 
     def tensions(self, x: Array) -> Array:
-        """Return the T (S, n) [N] at which cables over nodes x (S, nodes, 3) have their lengths.
+        """Return T (S, n) [N] for which cables over nodes x (S, nodes, 3) [m] have their lengths.
 
-        Arcs are convex in T: Newton's steps from below do not pass the solution.
+        Arcs are convex in T: Newton's iteration from below does not overshoot.
         """
         chords, sizes, heights = self.spans(x[:, self.nodes])
-        spare = np.sum(sizes, axis=-1) - self.lengths + self.compliance * self.reference
+        missing = np.sum(sizes, axis=-1) - self.lengths + self.compliance * self.reference
         bulges = sizes * (chords[..., 0] ** 2 + chords[..., 1] ** 2)
-        T = np.maximum(self.least, spare / self.compliance)
-        for _ in range(CABLE_STEPS if self.weight else 0):
-            sag, held = self._sag(T[..., None] + self.weight * heights)
-            excess = spare - self.compliance * T + np.sum(sag * bulges, axis=-1)
-            fall = self.compliance + np.sum(2.0 * sag * bulges / held, axis=-1)
-            before, T = T, np.maximum(self.least, T + excess / fall)
-            if np.all(np.abs(T - before) <= CONVERGED * T):
+        T = np.maximum(self.slack_tension, missing / self.compliance)
+        for _ in range(TENSION_ITERATIONS if self.weight else 0):
+            sag, bounded = self._sag(T[..., None] + self.weight * heights)
+            excess = missing - self.compliance * T + np.sum(sag * bulges, axis=-1)
+            slope = self.compliance + np.sum(2.0 * sag * bulges / bounded, axis=-1)
+            previous, T = T, np.maximum(self.slack_tension, T + excess / slope)
+            if np.all(np.abs(T - previous) <= TENSION_TOLERANCE * T):
                 break
         return np.asarray(T)
 
     def values(self, x: Array) -> Array:
-        """Return the energies (S,) [J] of nodes x (S, nodes, 3) [m]."""
+        """Return energies (S,) [J] of nodes x (S, nodes, 3) [m]."""
         energies = np.sum(self.forces(x[:, self.nodes], self.tensions(x))[2], axis=-1)
         energies += np.sum(self.springs(x)[0], axis=(1, 2))
         return np.asarray(energies - np.einsum("sni,sni->s", self.loads, x))
 
     def slopes(self, x: Array, friction: float = 0.0) -> Array:
-        """Return minus the force on every node (S, nodes, 3) [N], zero on those that are held."""
+        """Return minus the force on every node (S, nodes, 3) [N], zero for rigid drones."""
         slopes = self.pulls(self.forces(x[:, self.nodes], self.tensions(x), friction)[0])
         slopes[:, : self.drones] += self.springs(x)[1]
         return np.where(self.free, slopes, 0.0)
 
     def springs(self, x: Array) -> tuple[Array, Array, Array]:
-        """Return the energies of position loops, their slopes and curvatures, (S, 2n, 3) each.
+        """Return energies of position loops, first and second derivatives, (S, 2n, 3) each.
 
-        At rest an integral has grown until the error is zero, or it gives its largest force b:
-        energy b |e|, rounded within DEAD of no error.
+        At rest, an integral has removed the error e or saturates at its largest force b, which has
+        the energy b |e|, smoothed within INTEGRAL_ERROR.
         """
-        away = (x - self.start)[:, : self.drones]
-        k, b, round_ = self.stiffness, self.integral, np.hypot(away, DEAD)
-        energies = 0.5 * k * away * away + b * (round_ - DEAD)
-        return energies, (k + b / round_) * away, k + b * DEAD**2 / round_**3
+        errors = (x - self.start)[:, : self.drones]
+        k, b, smoothed = self.stiffness, self.integral, np.hypot(errors, INTEGRAL_ERROR)
+        energies = 0.5 * k * errors * errors + b * (smoothed - INTEGRAL_ERROR)
+        return energies, (k + b / smoothed) * errors, k + b * INTEGRAL_ERROR**2 / smoothed**3
 
     def pulls(self, at_ends: Any) -> Any:
-        """Return minus the forces on nodes (S, nodes, 3) [N] but for springs, by the cables'."""
+        """Return minus the forces of cables and loads on nodes (S, nodes, 3) [N]."""
         pulls = -self.loads.astype(at_ends.dtype)
         np.add.at(pulls.swapaxes(0, 1), self.nodes, np.moveaxis(at_ends, 0, 2))
         return pulls
@@ -175,25 +177,26 @@ class HitchEnergy:
     def linear(self, x: Array, friction: float = 0.0) -> tuple[Array, Array, Array]:
         """Return derivatives of the cables' forces and tensions at nodes x (S, nodes, 3) [m].
 
-        They are (S, n, 12, 13) of the forces by a cable's nodes, T following, and by T; (S, n, 12)
-        of T by the nodes; and (S, n) what T loses per length, zero where a cable is slack.
+        These are (S, n, 12, 13) of forces by a cable's nodes, with T varying, and by T; (S, n, 12)
+        of T by the nodes; and (S, n) minus that of T by the length, zero for slack cables.
         """
         ends, T = x[:, self.nodes], self.tensions(x)
-        steps = 1j * IMAGINARY * np.eye(13).reshape(13, 1, 1, 13)
-        moved = ends + steps[..., :12].reshape(13, 1, 1, 4, 3)
-        forces, arcs, _ = self.forces(moved, T + steps[..., 12], friction)
-        columns = np.moveaxis(forces.imag / IMAGINARY, 0, -1).reshape(*T.shape, 12, 13)
-        longer = np.moveaxis(arcs.imag / IMAGINARY, 0, -1)
-        softness = np.where(self.least >= T, 0.0, 1.0 / (self.compliance - longer[..., 12]))
-        tensions = softness[..., None] * longer[..., :12]
+        steps = 1j * COMPLEX_STEP * np.eye(13).reshape(13, 1, 1, 13)
+        perturbed = ends + steps[..., :12].reshape(13, 1, 1, 4, 3)
+        forces, arcs, _ = self.forces(perturbed, T + steps[..., 12], friction)
+        columns = np.moveaxis(forces.imag / COMPLEX_STEP, 0, -1).reshape(*T.shape, 12, 13)
+        arc_slopes = np.moveaxis(arcs.imag / COMPLEX_STEP, 0, -1)
+        softness = 1.0 / (self.compliance - arc_slopes[..., 12])
+        softness = np.where(self.slack_tension >= T, 0.0, softness)
+        tensions = softness[..., None] * arc_slopes[..., :12]
         columns[..., :12] += columns[..., 12:] * tensions[..., None, :]
         return columns, tensions, softness
 
-    def matrix(self, x: Array, blocks: Array, damping: Array | float = LEAST_DAMPING) -> csc_array:
-        """Return the derivatives (S N, S N) [N/m] of all forces, N = 3 nodes, sample by sample.
+    def matrix(self, x: Array, blocks: Array, damping: Array | float = MIN_DAMPING) -> csc_array:
+        """Return the block-diagonal Hessian (S N, S N) [N/m] of all samples, N = 3 nodes.
 
-        Nodes are at x (S, nodes, 3) [m]; ``blocks`` are those of cables; ``damping`` (S,) [N/m] is
-        added to the diagonal.
+        Nodes are at x (S, nodes, 3) [m]; ``blocks`` are those of ``linear``; ``damping`` (S,) [N/m]
+        is added to the diagonal.
         """
         samples, size = len(blocks), 3 * len(self.free)
         shift = size * np.arange(samples)[:, None, None]
@@ -207,74 +210,74 @@ class HitchEnergy:
         return coo_array((entries, places), shape=(samples * size,) * 2).tocsc()
 
     def solved(self, matrix: csc_array, forces: Array) -> Array:
-        """Return the displacements (S, nodes, 3, …) [m] that forces of this shape [N] cause."""
+        """Return displacements (S, nodes, 3, …) [m] caused by forces of this shape [N]."""
         free = np.flatnonzero(np.tile(self.free.ravel(), len(forces)))
         displacements = np.zeros((forces.shape[0] * forces.shape[1] * 3, *forces.shape[3:]))
-        # All but symmetric: its diagonal has the pivots.
+        # The matrix is nearly symmetric: pivots are taken from the diagonal.
         order: Any = {"permc_spec": "MMD_AT_PLUS_A", "options": {"SymmetricMode": True}}
         factors = splu(matrix[free][:, free], diag_pivot_thresh=0.0, **order)
         displacements[free] = factors.solve(forces.reshape(displacements.shape)[free])
         return displacements.reshape(forces.shape)
 
-    def steps(self, x: Array, damping: Array | float, longest: float, friction: float) -> Any:
-        """Return Newton's steps (S, nodes, 3) [m], no node's longer than that, and the slopes."""
+    def steps(self, x: Array, damping: Array | float, max_length: float, friction: float) -> Any:
+        """Return Newton steps (S, nodes, 3) [m] of bounded length for each node, and the slopes."""
         slopes = self.slopes(x, friction)
         steps = self.solved(self.matrix(x, self.linear(x, friction)[0], damping), -slopes)
         sizes = np.max(np.linalg.norm(steps, axis=-1), axis=1)
-        shares = np.minimum(1.0, longest / np.maximum(sizes, 1e-300))
+        shares = np.minimum(1.0, max_length / np.maximum(sizes, 1e-300))
         return steps * shares[:, None, None], slopes
 
     def settled(self) -> Array:
-        """Return the nodes (S, nodes, 3) [m] of least energy, by Newton's method.
+        """Return the nodes (S, nodes, 3) [m] of least energy, by a damped Newton method.
 
-        Steps are halved until the energy falls enough; where none descends the diagonal grows. The
-        force's size is no measure: steps along cables that hardly stretch raise it. The caller
-        recomputes the residuals.
+        Steps are halved until the energy decreases enough; damping grows if no step does. Forces
+        are no merit function, as steps along stiff cables increase them. The caller recomputes the
+        residuals.
         """
-        x, damping = self.start, np.full(len(self.start), LEAST_DAMPING)
+        x, damping = self.start, np.full(len(self.start), MIN_DAMPING)
         values = self.values(x)
-        for _ in range(NEWTON_STEPS):
-            steps, slopes = self.steps(x, damping, LONGEST_STEP, 0.0)
-            small = SMALL_FORCE + self.accuracy * np.max(np.abs(x), axis=(1, 2))
+        for _ in range(NEWTON_ITERATIONS):
+            steps, slopes = self.steps(x, damping, MAX_STEP, 0.0)
+            small = FORCE_TOLERANCE + self.accuracy * np.max(np.abs(x), axis=(1, 2))
             active = np.max(np.abs(slopes), axis=(1, 2)) > small
             if not active.any():
                 break
-            falls, before = -np.einsum("sni,sni->s", steps, slopes), values
+            falls, previous = -np.einsum("sni,sni->s", steps, slopes), values
             shares = np.where(active & (falls > 0.0), 1.0, 0.0)
             for _ in range(HALVINGS):
                 trial = x + shares[:, None, None] * steps
-                values, rounding = self.values(trial), ROUNDING * (1.0 + np.abs(before))
-                high = values > before - DESCENT * shares * falls + rounding
+                values, rounding = self.values(trial), ROUNDING * (1.0 + np.abs(previous))
+                high = values > previous - DESCENT * shares * falls + rounding
                 if not high.any():
                     break
                 shares = np.where(high, 0.5 * shares, shares)
             x, failed = trial, (shares == 0.0) | high
-            raised = np.clip(10.0 * damping, FIRST_DAMPING, MOST_DAMPING)
-            damping = np.where(failed, raised, np.maximum(0.1 * damping, LEAST_DAMPING))
+            raised = np.clip(10.0 * damping, FIRST_DAMPING, MAX_DAMPING)
+            damping = np.where(failed, raised, np.maximum(0.1 * damping, MIN_DAMPING))
         return x
 
-    def rubbing(self, rest: Array, friction: float) -> Array:
-        """Return the nodes (S, nodes, 3) [m] at an end of the band; nan if none is reached.
+    def settle_with_friction(self, rest: Array, friction: float) -> Array:
+        """Return the nodes (S, nodes, 3) [m] at an end of the band; nan without convergence.
 
-        ``rest`` is where they are without friction, whose coefficient is positive for legs that
-        pull more than edges, negative for less.
+        ``rest`` are the nodes without friction. A positive coefficient lets legs pull more than
+        edges, a negative one less.
         """
-        x, lost = rest, np.zeros((len(rest), 1, 1), dtype=np.bool_)
-        small = BAND_FORCE + 10.0 * self.accuracy * float(np.max(np.abs(rest)))
-        for share in SHARES if friction else ():
-            for _ in range(BAND_STEPS):
-                steps, slopes = self.steps(x, LEAST_DAMPING, LONGEST_BAND_STEP, share * friction)
-                moving = ~lost & ~(np.max(np.abs(slopes), axis=(1, 2), keepdims=True) <= small)
+        x, failed = rest, np.zeros((len(rest), 1, 1), dtype=np.bool_)
+        small = FRICTION_TOLERANCE + 10.0 * self.accuracy * float(np.max(np.abs(rest)))
+        for share in FRICTION_LEVELS if friction else ():
+            for _ in range(FRICTION_ITERATIONS):
+                steps, slopes = self.steps(x, MIN_DAMPING, MAX_FRICTION_STEP, share * friction)
+                moving = ~failed & ~(np.max(np.abs(slopes), axis=(1, 2), keepdims=True) <= small)
                 if not np.any(moving):
                     break
                 x = np.where(moving, x + steps, x)
             else:
-                lost = lost | moving
-                x = np.where(lost, rest, x)
-        return np.where(lost, np.nan, x)
+                failed = failed | moving
+                x = np.where(failed, rest, x)
+        return np.where(failed, np.nan, x)
 
 
 def bends_of(units: Any) -> Any:
-    """Return the angles (…, 2) [rad] between spans of directions (…, 3, 3), at both clasps."""
+    """Return angles (…, 2) [rad] between consecutive spans with directions (…, 3, 3)."""
     cosines = np.sum(units[..., 1:, :] * units[..., :-1, :], axis=-1)
     return np.arccos(np.where(np.abs(cosines.real) < 1.0, cosines, np.sign(cosines.real)))

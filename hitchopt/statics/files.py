@@ -39,19 +39,19 @@ STATICS_FORMAT, FIT_FORMAT = "hitchopt-statics/1", "hitchopt-fit/1"
 # Widths and heights [inch]
 STATICS_SIZE, FIT_SIZE = (12.5, 4.8), (12.0, 5.0)
 
-# Lines of the plan, and points of a circle
+# Line style of the plan, and points of a unit circle
 PLANNED: dict[str, Any] = {"color": INK, "linestyle": DASHES, "linewidth": 0.8}
 CIRCLE = np.exp(2j * np.pi * np.linspace(0.0, 1.0, 121)).view(np.float64).reshape(-1, 2)
 
-# Colours of the times at which vertices are drawn, and most cables that a legend names
-SHADES, MAX_NAMED = ("#9ecae1", "#4292c6", "#08306b"), 8
-TOP = 3.0  # Largest tension of a range that is drawn, over the largest at rest
+# Colours of the times at which vertices are drawn, and most cables in a legend
+TIME_COLOURS, MAX_NAMED = ("#9ecae1", "#4292c6", "#08306b"), 8
+MAX_DRAWN_RATIO = 3.0  # Largest drawn tension of a range, over the largest at rest
 
 
 def save_statics(directory: Path, settled: Settled, ranges: Tolerance | None) -> Path:
     """Write a hitch at rest at times (S,), and its ranges if any, to a plan's directory.
 
-    Only files of these two names are replaced; FileError if it cannot be written to.
+    Only statics.json and its picture are replaced; FileError if writing fails.
     """
     content = statics_content(settled, ranges)
     writers = {
@@ -64,8 +64,7 @@ def save_statics(directory: Path, settled: Settled, ranges: Tolerance | None) ->
 def statics_content(settled: Settled, ranges: Tolerance | None) -> dict[str, Any]:
     """Return the content of statics.json: lists over the times ``t``, in SI units.
 
-    ``band`` of a vertex is the range of its rest outside of its plan with friction; an end without
-    rest is null.
+    ``band`` of a vertex is the range of its outward displacement with friction; null if unbounded.
     """
     content: dict[str, Any] = {
         "format": STATICS_FORMAT,
@@ -110,28 +109,28 @@ def draw_statics(settled: Settled, ranges: Tolerance | None) -> Figure:
     t, layout, cables = settled.t, settled.team.layout, settled.team.robots
     if ranges is not None:
         low, high = np.min(ranges.tensions[..., 0], 1), np.max(ranges.tensions[..., 1], 1)
-        drawn = np.minimum(high, TOP * np.max(settled.tensions))
+        drawn = np.minimum(high, MAX_DRAWN_RATIO * np.max(settled.tensions))
         beyond = f", up to {np.max(high):.3g} N" if np.any(drawn < high) else ""
         words = f"range of any cable{beyond}"
         left.fill_between(t, low, drawn, color="0.87", label=words, zorder=1)
-    look: dict[str, Any] = {"marker": "o" if len(t) == 1 else None, "zorder": 3}
-    for k, colour in enumerate(cable_colours(cables)):  # the first ones wider, seen below others
+    style: dict[str, Any] = {"marker": "o" if len(t) == 1 else None, "zorder": 3}
+    for k, colour in enumerate(cable_colours(cables)):  # the first ones wider, visible below others
         label = f"cable {k} at rest" if cables <= MAX_NAMED else ""
         wide = 1.2 + 2.4 * (1.0 - (k + 1) / cables)
-        left.plot(t, settled.tensions[:, k], color=colour, lw=wide, label=label, **look)
+        left.plot(t, settled.tensions[:, k], color=colour, lw=wide, label=label, **style)
     left.plot(t, settled.planned_tensions, zorder=4, **PLANNED)[0].set_label("planned")
     left.set(xlabel="t [s]", ylabel="tension [N]")
     from_zero(left, 0.1 + 0.06 * min(cables, MAX_NAMED))
     ring = np.append(np.arange(layout.points), [0] * layout.closed)
-    times = np.unique(np.linspace(0, len(t) - 1, len(SHADES)).round().astype(np.intp))
-    said, areas = dict[str, Any](planned=Line2D([], [], **PLANNED)), dict[str, Any]()
+    times = np.unique(np.linspace(0, len(t) - 1, len(TIME_COLOURS)).round().astype(np.intp))
+    lines, areas = dict[str, Any](planned=Line2D([], [], **PLANNED)), dict[str, Any]()
     areas["drone"] = Line2D([], [], color=INK, marker="x", ls="none", ms=4)
-    for colour, i in zip(SHADES[-len(times) :], times, strict=True):
+    for colour, i in zip(TIME_COLOURS[-len(times) :], times, strict=True):
         path = right.plot(*settled.vertices[i, ring, :2].T, color=colour, marker=".", lw=1.8)
-        said[f"vertices at rest, t = {t[i]:.2f} s"] = path[0]
+        lines[f"vertices at rest, t = {t[i]:.2f} s"] = path[0]
         right.plot(*settled.planned_vertices[i, ring, :2].T, **PLANNED)
         right.plot(*settled.drones[i, :, :2].T, color=colour, marker="x", linestyle="none", ms=4)
-        if np.ptp(settled.band[i]) > 1e-4:  # finer than is seen [m]
+        if np.ptp(settled.band[i]) > 1e-4:  # visible [m]
             for ends in settled.rests[i, ..., :2].swapaxes(0, 1):
                 areas["band of rest"] = right.plot(*ends.T, color=colour, lw=5.0, alpha=0.35)[0]
         shapes = () if ranges is None else ranges.ellipsoids[i, :, :2, :2]
@@ -142,15 +141,15 @@ def draw_statics(settled: Settled, ranges: Tolerance | None) -> Figure:
     right.set_aspect("equal", adjustable="datalim")
     right.set(xlabel="x [m]", ylabel="y [m]")
     left.legend(loc="upper right", frameon=False, fontsize="small", ncols=2)
-    said |= areas
-    figure.legend(said.values(), said, loc="outside right upper", frameon=False, fontsize="small")
+    lines |= areas
+    figure.legend(lines.values(), lines, loc="outside right upper", frameon=False, fontsize="small")
     return figure
 
 
 def save_team(path: Path, calibration: Calibration) -> None:
     """Write the block ``team:`` with the estimates; comments state their standard errors.
 
-    Values that the recording does not determine are the plan's.
+    Values that are not determined are the plan's.
     """
     path.write_text(team_text(calibration), encoding="utf-8")
 
@@ -184,9 +183,9 @@ def _yaml(value: object) -> str:
 
 
 def save_fit(directory: Path, fit: Fit, mass: float | None = None, by: str = GRIP) -> None:
-    """Write ``fit.json`` and ``fit.png`` to a directory, created if missing.
+    """Write ``fit.json`` and ``fit.png`` to a directory, which is created if missing.
 
-    ``mass`` [kg] is that to be held, ``by`` grip or rest.
+    ``mass`` [kg] is to be held by ``grip`` or ``rest``.
     """
     directory.mkdir(parents=True, exist_ok=True)
     write_strict_json(directory / "fit.json", fit_as_json(fit))
@@ -228,7 +227,7 @@ def fit_as_json(fit: Fit) -> dict[str, Any]:
 def draw_fit(fit: Fit, mass: float | None = None, by: str = GRIP) -> Figure:
     """Return the picture: the object with the polygons that enclose it, grip it and support it.
 
-    Drones that enclose and support it are where they are without a load; ``mass`` [kg] is to be
+    Drones of the enclosing and supporting polygons are drawn without a load; ``mass`` [kg] is to be
     held.
     """
     figure, holding, section = new_figure(FIT_SIZE), fit.holding, fit.section
@@ -236,13 +235,12 @@ def draw_fit(fit: Fit, mass: float | None = None, by: str = GRIP) -> Figure:
     titles = [f"enclose: {holding.robots} cables of {holding.cable_length:.2f} m"]
     for each in (GRIP, REST):
         capacity = holding.capacity(each)
-        words = f"at most {1e3 * capacity.mass:.0f} g" if capacity.mass > 0.0 else "nothing"
-        titles.append(f"{each}: {words}, {capacity.binding} binds")
+        mass_in_words = f"at most {1e3 * capacity.mass:.0f} g" if capacity.mass > 0.0 else "nothing"
+        titles.append(f"{each}: {mass_in_words}, {capacity.binding} binds")
         if mass is not None and each == by:
-            held = "held" if mass <= capacity.mass else "NOT held"
-            titles[-1] += f", {1e3 * mass:.0f} g {held}"
+            titles[-1] += f", {1e3 * mass:.0f} g {'' if mass <= capacity.mass else 'NOT '}held"
     polygons = holding.enclosing, holding.grip, holding.rest
-    need, kind = holding.task.requirements, holding.task.kind
+    requirements, kind = holding.task.requirements, holding.task.kind
     length, tension = holding.cable_length, holding.task.tension
     team = Team(holding.robots, length, tension=tension, quadrotor=kind)
     panels = figure.subplots(1, 3, sharex=True, sharey=True)
@@ -254,16 +252,18 @@ def draw_fit(fit: Fit, mass: float | None = None, by: str = GRIP) -> Figure:
         if isinstance(polygon, InfeasibleError):
             continue
         vertices = polygon.vertices[:, :2]
-        # Cables are drawn tight around the section where it is within the polygon.
+        # Cables are taut around a section within the polygon
         inside = polygon is not holding.rest
-        places = np.vstack([vertices, outline]) if inside else vertices
-        axes.add_patch(Polygon(places[ConvexHull(places).vertices], fill=False, ec=COLOURS[0]))
+        corners = np.vstack([vertices, outline]) if inside else vertices
+        axes.add_patch(Polygon(corners[ConvexHull(corners).vertices], fill=False, ec=COLOURS[0]))
         axes.plot(*vertices.T, "o", color=LIMIT_COLOUR, markersize=3, zorder=3)
         if isinstance(polygon, Grip):
             drones = polygon.drones[..., :2]
         else:
             try:
-                hitch = Hitch.spread(team, polygon, limits=need.limits, separation=need.separation)
+                hitch = Hitch.spread(
+                    team, polygon, limits=requirements.limits, separation=requirements.separation
+                )
             except InfeasibleError:
                 continue
             drones = hitch.drones.reshape(-1, 2, 3)[..., :2]
@@ -272,9 +272,11 @@ def draw_fit(fit: Fit, mass: float | None = None, by: str = GRIP) -> Figure:
         axes.plot(*legs.T, color=COLOURS[0], lw=1.2)
         axes.plot(*drones.reshape(-1, 2).T, "o", color=COLOURS[0], markersize=4)
         for x, y in drones.reshape(-1, 2):
-            axes.add_patch(Circle((x, y), need.separation.radius, fill=False, ec=COLOURS[0]))
+            axes.add_patch(
+                Circle((x, y), requirements.separation.radius, fill=False, ec=COLOURS[0])
+            )
     panels[0].set_ylabel("y [m]")
     panels[0].locator_params(nbins=5)
-    words = "object grey, cables and drones blue, as wide as their ellipsoids, clasps red"
-    figure.suptitle(words, fontsize="medium")
+    legend = "object grey, cables and drones blue, as wide as their ellipsoids, clasps red"
+    figure.suptitle(legend, fontsize="medium")
     return figure

@@ -1,8 +1,8 @@
 """``fit``: the hitch polygons for an object's outline, and their capacities.
 
-Around the outline goes a polygon of short edges, much alike, that keep the clearance. The
-grip is ``holding.best_grip``; a rim rests on the polygon that ``grasp`` takes. Cables are
-the shortest with which drones keep apart.
+The enclosing polygon has short edges of similar lengths at the clearance from the outline. The grip
+is that of ``best_grip``, the polygon of a rim that of ``grasp``. Cables are the shortest that keep
+the separation of the drones.
 """
 
 from __future__ import annotations
@@ -44,22 +44,20 @@ from hitchopt.planners.carrying.polygons import (
 from hitchopt.values import integer, nonnegative, points, positive
 
 GRIP, REST = "grip", "rest"
-SAFETY = 1.5  # Least slip load over load
-MOST_ROBOTS = 24  # Pairs of parts of a grip are laid out at once
+SAFETY = 1.5  # Smallest ratio of slip load to load
+MAX_ROBOTS = 24  # Limited by memory for pairs of parts of a grip
 TABLE_ROBOTS = (3, 4, 5, 6)  # Numbers of robots that are compared with the requested one
 
-# Regular polygons are turned by so many parts of their symmetry, and stretched in so many
-# directions in addition to those of the section's sides, by these ratios over the section's own
-AXES, TURNS, PROPORTIONS = 24, 16, np.geomspace(0.25, 4.0, 41)
+# Candidate polygons: directions of stretch besides those of the section's sides, rotations within a
+# period of symmetry, and aspect ratios over the section's own
+AXES, ROTATIONS, ASPECT_RATIOS = 24, 16, np.geomspace(0.25, 4.0, 41)
 
-LEAST_TURN, LEAST_EDGE = 0.6, 0.5  # Smallest exterior angle and smallest edge, over their means
+MIN_TURN, MIN_EDGE = 0.6, 0.5  # Smallest exterior angle and smallest edge, over their means
+ROUNDING = 1e-9  # Tolerance within which lengths or margins are equal
 
-# Sizes and margins that differ by less are the same: drones in one place are not 3e-16 apart
-ROUNDING = 1e-9
-
-# Step of cable lengths [m]; steps between candidates with legs that are not balanced; and the
-# longest candidates beyond the length that legs need [m]
-CENTIMETRE, STRIDE, LONGEST = 0.01, 20, 1.0
+# Step of cable lengths [m], stride of candidates with unbalanced legs, and largest length beyond
+# the one that legs need [m]
+CENTIMETRE, STRIDE, MAX_EXTRA_LENGTH = 0.01, 20, 1.0
 
 
 @dataclass(frozen=True)
@@ -71,7 +69,7 @@ class FitTask:
     height: float  # [m]
     friction: float
     tension: float  # [N]
-    cable_length: float | None  # [m], None for the shortest that suits each number of robots
+    cable_length: float | None  # [m], None for the shortest feasible one of each number of robots
     clasp_friction: float
     kind: Quadrotor
     requirements: Requirements
@@ -86,9 +84,9 @@ class Holding(OneLine):
     task: the request.
     enclosing: the polygon that is lowered around the object, with the clearance.
     cable_length: of all cables [m].
-    grip: the grip with the largest slip load, or why there is none.
-    rest: the polygon on which the outline rests, as of a rim, or why there is none.
-    grip_capacity, rest_capacity: the largest masses that are gripped, and rest on the edges.
+    grip: the grip with the largest slip load, or the error without one.
+    rest: the polygon on which the outline rests as a rim, or the error without one.
+    grip_capacity, rest_capacity: the largest masses that are held by grip, and by rest.
     """
 
     task: FitTask
@@ -117,7 +115,7 @@ class Fit(OneLine):
     ----------
     section: the outline's convex hull, or the circle.
     holding: polygons for the requested number of robots.
-    others: by numbers of robots, the polygons for these, or why there are none.
+    others: polygons by number of robots, or the error without any.
     notes: assumptions on the outline and the tension.
     """
 
@@ -134,7 +132,7 @@ class Fit(OneLine):
     def capacities(self, by: str) -> dict[int, Capacity]:
         """Return the capacity of each number of robots, by ``grip`` or ``rest``."""
         return {
-            n: each.capacity(by) if isinstance(each, Holding) else _none(each)
+            n: each.capacity(by) if isinstance(each, Holding) else _zero_capacity(each)
             for n, each in self.others.items()
         }
 
@@ -172,26 +170,26 @@ def fit(
     friction: coefficient between cables and object.
     tension: of all cables [N]; None for the largest level pull that tilt and thrust allow.
     cable_length: [m]; None for the shortest that keeps drones apart around the object.
-    clasp_friction: coefficient of cables on each other: at its worst it lowers what is gripped.
+    clasp_friction: coefficient between cables, which reduces the mass that is gripped.
     quadrotor: kind or name of a model; limits, separation: the default ones if None.
 
     Raises
     ------
-    InputError: a number out of its range, or an outline that is none.
+    InputError: a number out of its range, or an invalid outline.
     InfeasibleError: no hitch encloses the object, or the drones cannot hold the tension.
     """
-    integer("robots", robots, 3, MOST_ROBOTS)
+    integer("robots", robots, 3, MAX_ROBOTS)
     (kind,) = kinds_of(quadrotor, 1, "object")
-    own = Requirements(limits or Limits(), separation or Separation())
-    requirements = own.flown_by(Swarm(1, quadrotor=kind)).with_reserve
+    stated = Requirements(limits or Limits(), separation or Separation())
+    requirements = stated.flown_by(Swarm(1, quadrotor=kind)).with_reserve
     section, notes = _section_of(outline)
-    most, binding = kind.level_pull(requirements.limits.tilt)
+    limit, binding = kind.level_pull(requirements.limits.tilt)
     if tension is None:
-        tension = most
-        notes.append(f"tension {most:.4g} N, the largest level pull: {binding} binds")
-    if positive("tension", tension) > most:
-        remedy = Capacity(most, binding).suggested
-        raise InfeasibleError([Violation(binding, tension, most, "max", "N", (), "", remedy)])
+        tension = limit
+        notes.append(f"tension {limit:.4g} N, the largest level pull: {binding} binds")
+    if positive("tension", tension) > limit:
+        remedy = Capacity(limit, binding).suggested
+        raise InfeasibleError([Violation(binding, tension, limit, "max", "N", (), "", remedy)])
     task = FitTask(
         section,
         nonnegative("clearance", clearance),
@@ -240,30 +238,28 @@ def _holding(task: FitTask, robots: int) -> Holding:
     """Return the polygons for a number of robots; InfeasibleError if none encloses the object."""
     enclosing = enclosing_polygon(task.section, robots, task.clearance)
     cable = task.cable_length or shortest_cable(enclosing, task.requirements)
-    least = cable - 2.0 * task.requirements.limits.leg
+    max_edge = cable - 2.0 * task.requirements.limits.leg
     k = int(np.argmax(enclosing.edge_lengths))
     longest = float(enclosing.edge_lengths[k])
-    if longest > least:
-        remedy = f"use cables of {longest + cable - least:.3g} m or more, or more robots"
-        broken = Violation("legs", longest, least, "max", "m", (f"edge {k}",), "", remedy)
-        raise InfeasibleError([broken], "the enclosing polygon does not fit the cables")
-    holding = _held(task, enclosing, cable)
+    if longest > max_edge:
+        remedy = f"use cables of {longest + cable - max_edge:.3g} m or more, or more robots"
+        violation = Violation("legs", longest, max_edge, "max", "m", (f"edge {k}",), "", remedy)
+        raise InfeasibleError([violation], "the enclosing polygon does not fit the cables")
+    holding = _polygons_for_cable(task, enclosing, cable)
     if task.cable_length is None and isinstance(holding.grip, Grip):
-        # ``enclose`` keeps a margin for errors of the object's pose around the closed grip.
+        # ``enclose`` adds a margin for errors of the object's pose around the closed grip
         sections, gap = (task.section,), task.clearance + EDGE_MARGIN
         closed, centre = holding.grip.vertices, task.section.centroid
-        around = ConvexPolygon(
-            HoldPolygons.about(closed, centre, sections, gap, GRIP_STRETCHES).around
-        )
-        needed = _attempt(lambda: shortest_cable(around, task.requirements))
+        enclosure = HoldPolygons.about(closed, centre, sections, gap, GRIP_STRETCHES).around
+        needed = _attempt(lambda: shortest_cable(ConvexPolygon(enclosure), task.requirements))
         if isinstance(needed, float) and needed > cable:
-            longer = _held(task, enclosing, needed)
+            longer = _polygons_for_cable(task, enclosing, needed)
             return longer if isinstance(longer.grip, Grip) else holding
     return holding
 
 
-def _held(task: FitTask, enclosing: ConvexPolygon, cable: float) -> Holding:
-    """Return the polygons for cables of a length [m]."""
+def _polygons_for_cable(task: FitTask, enclosing: ConvexPolygon, cable: float) -> Holding:
+    """Return the polygons for a cable length [m]."""
     n, section, requirements = len(enclosing), task.section, task.requirements
     gripping = GripTask(
         section, n, cable, task.tension, task.clasp_friction, requirements, task.kind
@@ -280,17 +276,17 @@ def _held(task: FitTask, enclosing: ConvexPolygon, cable: float) -> Holding:
     if isinstance(rest, ConvexPolygon):
         load = task.tension, task.kind, requirements, 0.5 * task.height
         capacities[1] = _attempt(lambda: rest_capacity(rest, cable, *load))
-    gripped, rested = (each if isinstance(each, Capacity) else _none(each) for each in capacities)
+    gripped, rested = (x if isinstance(x, Capacity) else _zero_capacity(x) for x in capacities)
     return Holding(task, enclosing, cable, grip, rest, gripped, rested)
 
 
-def _none(error: InfeasibleError) -> Capacity:
-    """Return the capacity of a hitch that breaks a limit without a load."""
+def _zero_capacity(error: InfeasibleError) -> Capacity:
+    """Return the zero capacity of a hitch that violates a limit without a load."""
     return Capacity(0.0, error.violations[0].constraint)
 
 
 def _attempt(search: Callable[[], Any]) -> Any:
-    """Return the result of a search, or the error that refuses it."""
+    """Return the result of a search, or its error."""
     try:
         return search()
     except InfeasibleError as error:
@@ -298,51 +294,51 @@ def _attempt(search: Callable[[], Any]) -> Any:
 
 
 def enclosing_polygon(section: Section, n: int, clearance: float) -> ConvexPolygon:
-    """Return an n-gon of short edges, much alike, that keep a distance [m] to a section.
+    """Return an n-gon of short edges of similar lengths at a distance [m] from a section.
 
-    Edges face as those of regular polygons that are turned, and stretched in proportion to the
-    section's widths, and keep just the distance; of these n-gons it has the least sum of squares of
-    edges. InfeasibleError: all have flat corners or short edges, as around a narrow section.
+    Candidates have the edge directions of regular polygons, rotated and stretched in proportion to
+    the section's widths. The one with the least sum of squared edge lengths is taken.
+    InfeasibleError: all have flat corners or short edges, as around a narrow section.
     """
     sides = np.roll(section.core, -1, axis=0) - section.core
     angles = np.append(math.pi * np.arange(AXES) / AXES, np.arctan2(sides[:, 1], sides[:, 0]))
     c, s = np.cos(angles), np.sin(angles)
     axes = np.stack([c, s, -s, c], axis=-1).reshape(-1, 2, 2)
     widths = 0.5 * (section.support(axes) + section.support(-axes)) + clearance
-    ratios = np.column_stack([np.sqrt(PROPORTIONS), 1.0 / np.sqrt(PROPORTIONS)])
-    turns = 2.0 * math.pi / n * (np.arange(TURNS)[:, None] / TURNS - np.arange(n))
+    ratios = np.column_stack([np.sqrt(ASPECT_RATIOS), 1.0 / np.sqrt(ASPECT_RATIOS)])
+    turns = 2.0 * math.pi / n * (np.arange(ROTATIONS)[:, None] / ROTATIONS - np.arange(n))
     regular = np.stack([np.cos(turns), np.sin(turns)], axis=-1)
     shapes = np.einsum("aj,kj,tnj,aji->aktni", widths, ratios, regular, axes).reshape(-1, n, 2)
     edges = unit(np.roll(shapes, -1, axis=-2) - shapes)
     outward = np.stack([-edges[..., 1], edges[..., 0]], axis=-1)
-    far = section.support(outward) + clearance
+    distances = section.support(outward) + clearance
     pairs = np.stack([np.roll(outward, 1, axis=-2), outward], axis=-2)
-    reaches = np.stack([np.roll(far, 1, axis=-1), far], axis=-1)
+    reaches = np.stack([np.roll(distances, 1, axis=-1), distances], axis=-1)
     corners = np.linalg.solve(pairs, reaches[..., None])[..., 0]
     onward = np.roll(corners, -1, axis=-2) - corners
-    before, sizes = np.roll(onward, 1, axis=-2), length(onward)
-    right = before[..., 1] * onward[..., 0] - before[..., 0] * onward[..., 1]
-    turned = np.arctan2(right, dot(before, onward))
-    good = np.isclose(np.sum(turned, axis=-1), 2.0 * math.pi)
-    good &= np.all(turned >= LEAST_TURN * 2.0 * math.pi / n, axis=-1)
-    good &= np.min(sizes, axis=-1) >= LEAST_EDGE * np.mean(sizes, axis=-1)
-    good &= np.all(dot(onward, edges) > 0.0, axis=-1)
-    if not np.any(good):
-        broken = Violation("convexity", n, n - 1, "max", "edges", (), "", "use fewer robots")
-        raise InfeasibleError([broken], "the section is too narrow for so many edges around it")
-    squares = np.where(good, np.sum(onward**2, axis=(-2, -1)), np.inf)
+    previous, sizes = np.roll(onward, 1, axis=-2), length(onward)
+    right = previous[..., 1] * onward[..., 0] - previous[..., 0] * onward[..., 1]
+    turned = np.arctan2(right, dot(previous, onward))
+    feasible = np.isclose(np.sum(turned, axis=-1), 2.0 * math.pi)
+    feasible &= np.all(turned >= MIN_TURN * 2.0 * math.pi / n, axis=-1)
+    feasible &= np.min(sizes, axis=-1) >= MIN_EDGE * np.mean(sizes, axis=-1)
+    feasible &= np.all(dot(onward, edges) > 0.0, axis=-1)
+    if not np.any(feasible):
+        violation = Violation("convexity", n, n - 1, "max", "edges", (), "", "use fewer robots")
+        raise InfeasibleError([violation], "the section is too narrow for so many edges around it")
+    squares = np.where(feasible, np.sum(onward**2, axis=(-2, -1)), np.inf)
     return ConvexPolygon(corners[np.argmax(squares <= (1.0 + ROUNDING) * np.min(squares))])
 
 
 def shortest_cable(polygon: ConvexPolygon, requirements: Requirements) -> float:
-    """Return the shortest cables [m], in whole centimetres, whose balanced legs are ``spread``.
+    """Return the shortest cable length [m], in centimetres, with well separated balanced legs.
 
-    If none are, the length with the largest margin over all slack splits.
-    InfeasibleError: none of up to a metre more than legs need keep drones apart.
+    If there is none, return the length with the largest margin over all slack splits.
+    InfeasibleError: no length up to MAX_EXTRA_LENGTH keeps the separation of the drones.
     """
     longest, leg = float(np.max(polygon.edge_lengths)), requirements.limits.leg
     first = math.ceil((longest + 2.0 * LIMIT_MARGIN * leg) / CENTIMETRE)
-    lengths = np.arange(first, first + round(LONGEST / CENTIMETRE)) / 100.0
+    lengths = np.arange(first, first + round(MAX_EXTRA_LENGTH / CENTIMETRE)) / 100.0
     for cables, balanced in ((lengths, True), (lengths[::STRIDE], False)):
         best, shortest = 0.0, 0.0
         for cable in cables.tolist():
@@ -357,5 +353,5 @@ def shortest_cable(polygon: ConvexPolygon, requirements: Requirements) -> float:
         if best >= LIMIT_MARGIN:
             return shortest
     remedy = f"{'use fewer robots, or ' if len(polygon) > 3 else ''}change the clearance"
-    broken = Violation("separation", best, LIMIT_MARGIN, "min", "ratio", (), "", remedy)
-    raise InfeasibleError([broken], "no cable length keeps drones around the object apart")
+    violation = Violation("separation", best, LIMIT_MARGIN, "min", "ratio", (), "", remedy)
+    raise InfeasibleError([violation], "no cable length separates the drones around the object")

@@ -1,15 +1,15 @@
 """Ranges of tensions and vertices for unknown errors, over a plan.
 
-Derivatives take one linear solve with the Hessian each. At rest the energy's slope is zero for any
-error p, so ``H dx = -∂slope/∂p dp``. A tension's row ``A_k`` of derivatives by the nodes is,
-with opposite sign, the change of the slope by a longer cable k: ``dx = H⁻¹ A_k dL_k``. Rows of
-outputs follow by the adjoint, ``Y = H⁻¹ B`` for the outputs' derivatives B by the nodes. Every
-output depends on every error, so that work and memory grow with n².
+Sensitivities need one linear solve with the Hessian each. At rest the gradient of the energy is
+zero for any error p, so ``H dx = -∂gradient/∂p dp``. The derivatives ``A_k`` of a tension by the
+nodes are minus those of the gradient by the length of cable k: ``dx = H⁻¹ A_k dL_k``. Sensitivities
+of outputs follow from the adjoint, ``Y = H⁻¹ B`` for derivatives B of the outputs by the nodes.
+Every output depends on every error, so that time and memory grow with n².
 
-To first order every tension and coordinate is linear in the errors: bounds add, standard deviations
-add in squares and count three times. What is left out is measured: the hitch settles at the errors
-that move some tension or vertex most, both ways, and twice the largest difference to first order
-widens every range. It is infinite if there is no rest.
+To first order, tensions and coordinates are linear in the errors: bounds add, standard deviations
+add in squares and count three times. The remainder is estimated: the hitch settles with the errors
+that change some tension or vertex most, in both directions, and twice the largest difference to
+first order is added to every range. It is infinite if there is no rest.
 """
 
 from __future__ import annotations
@@ -30,27 +30,26 @@ from hitchopt.statics.settle import SAMPLED, Settled, conditions_of, energy_of, 
 from hitchopt.values import Array, as_array, check_instance, nonnegative
 
 DEVIATIONS = 3.0  # Standard deviations that a range covers: 99.7 % of normal errors
-MARK = "sd:"  # What a standard deviation begins with on the command line: sd:0.01
+PREFIX = "sd:"  # Prefix of a standard deviation on the command line: sd:0.01
 
-# Times at which ranges are computed unless others are given, and that are looked at for each
+# Default number of times at which ranges are computed, and candidate times for each
 SAMPLES, CANDIDATES = 25, 20
 
-TAUT = 0.9  # Share of the team's tension from which on a cable is taut
-CORNERS = 4  # Tensions, and coordinates, of widest range whose worst errors are settled at
+TAUT_RATIO = 0.9  # Smallest tension of a taut cable, over the team's
+CORNERS = 4  # Tensions and coordinates of widest range whose worst-case errors are settled
 
-# Factor of the largest difference to first order: the corners are worst for the first order, not
-# for what is beyond it
-REMAINDER = 2.0
+# Factor of the largest difference to first order, as errors are worst cases to first order only
+REMAINDER_FACTOR = 2.0
 
 
 @dataclass(frozen=True)
 class ErrorSize(OneLine):
-    """Size of one kind of error, alike and independent for all that it befalls.
+    """Size of one kind of error, equal and independent for all cables or drones.
 
     Parameters
     ----------
-    bound: largest error; of vectors their largest length.
-    deviation: standard deviation, of vectors per axis; it adds to the bound.
+    bound: largest error, for vectors the largest length.
+    deviation: standard deviation, for vectors per axis, in addition to the bound.
 
     Raises
     ------
@@ -68,15 +67,15 @@ class ErrorSize(OneLine):
     def of(cls, key: str, given: ErrorSize | float | str) -> ErrorSize:
         """Return the size; 0.01 and ``"0.01"`` are bounds, ``"sd:0.01"`` is a deviation.
 
-        InputError for a negative number, or another text.
+        InputError for a negative number or an invalid text.
         """
         if isinstance(given, ErrorSize):
             return given
         try:
-            size = float(given.removeprefix(MARK)) if isinstance(given, str) else given
+            size = float(given.removeprefix(PREFIX)) if isinstance(given, str) else given
         except ValueError:
-            raise InputError(key, given, "a number, or sd:number", f"write {MARK}0.01") from None
-        name = "deviation" if isinstance(given, str) and given.startswith(MARK) else "bound"
+            raise InputError(key, given, "a number, or sd:number", f"write {PREFIX}0.01") from None
+        name = "deviation" if isinstance(given, str) and given.startswith(PREFIX) else "bound"
         return cls(**{name: nonnegative(key, size)})
 
 
@@ -84,18 +83,18 @@ Sizes = dict[str, ErrorSize]  # By "cable", "position" and "force"
 
 
 def responses(energy: HitchEnergy, x: Array) -> Array:
-    """Return the derivatives (o, 5n, 3) of tensions and points, o = n + 3 points, by the errors.
+    """Return derivatives (o, 5n, 3) of tensions and points, o = n + 3 points, by the errors.
 
-    These are n lengths, as first components, 2n set points, and 2n forces on drones. Nodes x (1,
-    nodes, 3) [m] are those of one sample that has settled.
+    Errors are n lengths, as first components, 2n setpoints, and 2n forces on drones. Nodes x (1,
+    nodes, 3) [m] are those of one sample at rest.
     """
     nodes, cables = energy.nodes, np.arange(len(energy.nodes))
     blocks, tensions, softness = energy.linear(x)
     count = len(cables) + 3 * len(energy.points)
     seeds = np.zeros((*x.shape, count))  # outputs by nodes
     slopes = tensions[0].reshape(-1, 4, 3)
-    slopes[:, 1:3, 2] += 0.5 * energy.weight  # tensions are those in the edges' middles
-    for k in range(4):  # one by one: a chain's end stands for two nodes
+    slopes[:, 1:3, 2] += 0.5 * energy.weight  # tensions are those at the edges' midpoints
+    for k in range(4):  # one by one, as the end of a chain occurs twice
         seeds[0, nodes[:, k], :, cables] += slopes[:, k]
     for axis in range(3):
         seeds[0, energy.points, axis, np.arange(len(cables) + axis, count, 3)] = 1.0
@@ -106,10 +105,10 @@ def responses(energy: HitchEnergy, x: Array) -> Array:
     pulls = softness[0, :, None] * blocks[0, ..., 12]
     cable = np.einsum("onai,nai->on", y[:, nodes], pulls.reshape(-1, 4, 3))
     cable[cables, cables] -= softness[0]
-    force, soft = y[:, : energy.drones], energy.springs(x)[2][0]
-    position = np.where(soft > 0.0, soft * force, direct[:, : energy.drones])
-    first = np.pad(cable[..., None], ((0, 0), (0, 0), (0, 2)))
-    return np.concatenate([first, position, force], axis=1)
+    force, curvature = y[:, : energy.drones], energy.springs(x)[2][0]
+    position = np.where(curvature > 0.0, curvature * force, direct[:, : energy.drones])
+    lengths = np.pad(cable[..., None], ((0, 0), (0, 0), (0, 2)))
+    return np.concatenate([lengths, position, force], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,12 +118,12 @@ class Tolerance(OneLine):
     Attributes
     ----------
     errors: sizes of errors, of ``cable``, ``position`` and ``force``.
-    settled: where the hitch rests without them, in samples (S,).
-    tension_halves: (S, n) [N], half widths of the tensions' ranges, at first order.
-    tension_remainders: (S,) [N], what is added to them for what is beyond first order.
-    vertex_halves: (S, points, 3) [m], half widths of the vertices' ranges, at first order.
-    vertex_remainders: (S,) [m]
-    ellipsoids: (S, points, 3, 3) [m²], E: vertices stay within ``vᵀ E⁻¹ v ≤ 1``, at first order.
+    settled: rest of the hitch without errors, in samples (S,).
+    tension_halves: (S, n) [N], half widths of the tensions' ranges, to first order.
+    tension_remainders: (S,) [N], additional half widths beyond first order.
+    vertex_halves: (S, points, 3) [m], half widths of the vertices' ranges, to first order.
+    vertex_remainders: (S,) [m], additional half widths beyond first order.
+    ellipsoids: (S, points, 3, 3) [m²], E: vertices stay within ``vᵀ E⁻¹ v ≤ 1``, to first order.
     """
 
     errors: Sizes
@@ -137,20 +136,20 @@ class Tolerance(OneLine):
 
     @property
     def tensions(self) -> Array:
-        """(S, n, 2) [N]: smallest and largest tension of every cable, not below zero."""
+        """Smallest and largest tension of every cable, not below zero (S, n, 2) [N]."""
         half = self.tension_halves + self.tension_remainders[:, None]
         middle = self.settled.tensions
         return np.maximum(np.stack([middle - half, middle + half], axis=-1), 0.0)
 
     @property
     def radii(self) -> Array:
-        """(S, points) [m]: how far every vertex may be from where it rests without errors."""
+        """Largest distance of every vertex from its rest without errors (S, points) [m]."""
         longest = np.sqrt(np.linalg.eigvalsh(self.ellipsoids)[..., -1])
         return np.asarray(longest + self.vertex_remainders[:, None])
 
     @property
     def band(self) -> Array:
-        """(S, points, 2) [m]: ``Settled.band``, in which friction lets every vertex rest."""
+        """Range of outward displacements of vertices, ``Settled.band`` (S, points, 2) [m]."""
         return self.settled.band
 
     @property
@@ -174,10 +173,10 @@ def tolerance(
     Parameters
     ----------
     plan: with a hitch; or its motion.
-    t: (S,) [s]; by default 25 times at which its cables are drawn taut.
+    t: (S,) [s]; by default 25 times at which its cables are taut.
     cable_error: of every cable's length [m]. A number is a bound; ``ErrorSize(deviation=0.01)`` is
         a standard deviation, which counts three times.
-    position_error: of every drone's set point, a vector [m].
+    position_error: of every drone's setpoint, a vector [m].
     force_error: of every drone's force feed-forward, a vector [N].
     conditions: those of ``settle``, without samples of their own.
 
@@ -190,8 +189,8 @@ def tolerance(
     check_instance("plan", plan, Plan, Motion)
     motion = plan.motion if isinstance(plan, Plan) else plan
     motion.refuse_several("tolerance", others=False)
-    given = {"cable": cable_error, "position": position_error, "force": force_error}
-    errors = {name: ErrorSize.of(f"{name}_error", size) for name, size in given.items()}
+    sizes = {"cable": cable_error, "position": position_error, "force": force_error}
+    errors = {name: ErrorSize.of(f"{name}_error", size) for name, size in sizes.items()}
     times = taut_times(motion) if t is None else np.atleast_1d(as_array(t))
     if times.ndim != 1:
         raise InputError("t", t, "one time, or a list of them", "give times [s] in one row")
@@ -201,18 +200,18 @@ def tolerance(
 
 
 def taut_times(motion: Motion, count: int = SAMPLES) -> Array:
-    """Return at most ``count`` times [s], the first and last ones among them, of taut cables.
+    """Return at most ``count`` times [s] of taut cables, including the first and the last.
 
-    While tensions rise from zero or fall to it a hitch holds little; such times are left out.
-    UnsupportedError: there are no others.
+    Times at which tensions rise from zero or fall to zero are excluded. UnsupportedError: there are
+    no other times.
     """
     times = np.linspace(0.0, motion.duration, CANDIDATES * count)
     if motion.team.has_cables:
         states = states_at(motion, times)
-        taut = states.formed & np.all(states.tensions >= TAUT * motion.team.tension, axis=-1)
-        times = times[taut & ~np.any(states.borne > 0.0, axis=-1)]  # statics know of no objects
+        taut = states.formed & np.all(states.tensions >= TAUT_RATIO * motion.team.tension, axis=-1)
+        times = times[taut & ~np.any(states.borne > 0.0, axis=-1)]  # statics do not model objects
     if not motion.team.has_cables or not len(times):
-        raise UnsupportedError("a plan without a taut hitch has no tensions that could differ")
+        raise UnsupportedError("a plan without a taut hitch has no tensions to compute ranges of")
     return times[np.unique(np.linspace(0, len(times) - 1, count).round().astype(np.intp))]
 
 
@@ -220,16 +219,16 @@ def _range(
     motion: Motion, settled: Settled, i: int, errors: Sizes, conditions: dict[str, Any]
 ) -> tuple[Any, ...]:
     """Return the arrays of a Tolerance at one time, in order."""
-    n, known = motion.team.robots, conditions_of(motion.team, **conditions)
-    energy = energy_of(motion.team, known, samples_of(motion, settled.t[i], known)[1])
+    n, resolved = motion.team.robots, conditions_of(motion.team, **conditions)
+    energy = energy_of(motion.team, resolved, samples_of(motion, settled.t[i], resolved)[1])
     clasps = settled.vertices[i, motion.team.layout.clasps]
     rows = responses(energy, np.concatenate([settled.drones[i], clasps])[None])
     sizes = np.array([[one.bound, DEVIATIONS * one.deviation] for one in errors.values()])
     bound, three = np.repeat(sizes, [n, 2 * n, 2 * n], axis=0).T
     spread = np.linalg.norm(rows * three[:, None], axis=(1, 2))
     halves = length(rows) @ bound + spread
-    # The sum of ellipsoids E_j lies within (Σ √tr E_j) Σ E_j/√tr E_j, of all such the one with the
-    # least sum of squared axes. Every bound is one of them, all deviations are another.
+    # The sum of ellipsoids E_j lies within (Σ √tr E_j) Σ E_j/√tr E_j, which has the least sum of
+    # squared axes among such bounds. Every bound is one ellipsoid, all deviations are another.
     J = rows[n:].reshape(-1, 3, 5 * n, 3)
     squares = np.einsum("pijc,pkjc->jpik", J, J)
     spreads = np.tensordot(three**2, squares, 1)[None]
@@ -237,7 +236,7 @@ def _range(
     roots = np.sqrt(np.trace(each, axis1=-2, axis2=-1))[..., None, None]
     shares = np.sum(roots, axis=0) / np.where(roots > 0.0, roots, np.inf)
     ellipsoids = np.sum(shares * each, axis=0)
-    # The hitch settles at the ends of the widest ranges.
+    # Worst-case errors of the widest ranges
     widest = np.append(np.argsort(-halves[:n])[:CORNERS], n + np.argsort(-halves[n:])[:CORNERS])
     scale = np.where(spread > 0.0, spread, 1.0)[widest, None, None]
     ends = bound[:, None] * unit(rows[widest]) + three[:, None] ** 2 * rows[widest] / scale
@@ -245,14 +244,14 @@ def _range(
     change = np.einsum("oji,sji->so", rows, ends)
     parts = np.split(ends, [n, 3 * n], axis=1)
     parts[0] = parts[0][..., 0]
-    off = {name: known[name] + part for name, part in zip(SAMPLED, parts, strict=True)}
+    deviations = {name: resolved[name] + part for name, part in zip(SAMPLED, parts, strict=True)}
     try:
-        corners = settle(motion, settled.t[i], **(conditions | off | {"friction": 0.0}))
-    except InfeasibleError:  # so far from where it was that first order says nothing
-        pulled = moved = np.inf
+        corners = settle(motion, settled.t[i], **(conditions | deviations | {"friction": 0.0}))
+    except InfeasibleError:  # errors are too large for first order
+        tension_remainder = vertex_remainder = np.inf
     else:
-        tensions = np.maximum(settled.tensions[i] + change[:, :n], energy.least[0])
+        tensions = np.maximum(settled.tensions[i] + change[:, :n], energy.slack_tension[0])
         vertices = settled.vertices[i] + change[:, n:].reshape(len(change), -1, 3)
-        pulled = REMAINDER * float(np.max(np.abs(corners.tensions - tensions)))
-        moved = REMAINDER * float(np.max(length(corners.vertices - vertices)))
-    return halves[:n], pulled, halves[n:].reshape(-1, 3), moved, ellipsoids
+        tension_remainder = REMAINDER_FACTOR * float(np.max(np.abs(corners.tensions - tensions)))
+        vertex_remainder = REMAINDER_FACTOR * float(np.max(length(corners.vertices - vertices)))
+    return halves[:n], tension_remainder, halves[n:].reshape(-1, 3), vertex_remainder, ellipsoids
