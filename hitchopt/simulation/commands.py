@@ -1,4 +1,4 @@
-"""Set points as flight controllers receive them: packets that are streamed, or uploaded curves."""
+"""Setpoints as flight controllers receive them: streamed packets, or uploaded curves."""
 
 from __future__ import annotations
 
@@ -22,25 +22,25 @@ from hitchopt.simulation.task import RATE, Task
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
-# Units of a full-state packet [m], [m/s], [m/s²], [rad/s], and its largest number, of 16 bits
-QUANTUM, MOST = 1e-3, 32767
+# Resolution of a full-state packet [m], [m/s], [m/s²], [rad/s], and its largest 16-bit number
+QUANTUM, MAX_COUNT = 1e-3, 32767
 
-# Stiffest gains over the mass that fly, [1/s²] and [1/s]: what exports set where a team names no
-# controller, or another one; of other controllers the stock ones
-STIFFEST = {"mellinger": (36.0, 10.0), "lee": (14.0, 6.5)}
+# Stiffest stable gains over the mass, [1/s²] and [1/s], which exports set unless the team names
+# this controller; other controllers have stock gains
+STIFFEST_GAINS = {"mellinger": (36.0, 10.0), "lee": (14.0, 6.5)}
 
-# Controllers that follow body rates: those of a packet, and those of curves' jerks
-BODY_RATES, CURVES_RATES = ("mellinger",), ("mellinger", "lee")
+# Controllers that follow body rates: of a packet, and of the jerk of curves
+PACKET_RATES, CURVE_RATES = ("mellinger",), ("mellinger", "lee")
 
 
 @dataclass(frozen=True, eq=False)
 class Commands:
-    """Set points at some times (…); yaw is 0.
+    """Setpoints at some times (…); yaw is 0.
 
     Attributes
     ----------
     positions, velocities: (…, 2n, 3) [m], [m/s]
-    accelerations: (…, 2n, 3) [m/s²]; where cables' forces F are fed forward, less F / m.
+    accelerations: (…, 2n, 3) [m/s²]; less F / m if the force F of cables is fed forward.
     rates: (…, 2n, 3) [rad/s], about the bodies' axes.
     """
 
@@ -50,22 +50,22 @@ class Commands:
     rates: Array
 
     def __getitem__(self, index: int) -> Commands:
-        """Return the set points of one sample, of the last one for later ones."""
+        """Return the setpoints of one sample, of the last one beyond it."""
         last = len(self.positions) - 1
         return Commands(*(values[min(index, last)] for values in vars(self).values()))
 
 
 def flown_team(team: Team, settings: Settings) -> Team:
-    """Return the team as the settings' controller and gains fly it."""
-    return replace(team, quadrotor=tuple(_piloted(kind, settings) for kind in team.quadrotor))
+    """Return the team with the controller and gains of the settings."""
+    return replace(team, quadrotor=tuple(_configured(kind, settings) for kind in team.quadrotor))
 
 
-def _piloted(kind: Quadrotor, settings: Settings) -> Quadrotor:
+def _configured(kind: Quadrotor, settings: Settings) -> Quadrotor:
     name, gains = settings.controller or "", settings.gains
     if gains is None and kind.controller == name and settings.stiffness is None:
         return kind
-    if gains is None and name in STIFFEST:
-        k, c = STIFFEST[name]
+    if gains is None and name in STIFFEST_GAINS:
+        k, c = STIFFEST_GAINS[name]
         stiffness = settings.stiffness or kind.stiffness or k * kind.mass
         damping = c * math.sqrt(stiffness * kind.mass / k)
         gains = Gains(kp=stiffness, kd=damping, ki=0.0)
@@ -73,41 +73,42 @@ def _piloted(kind: Quadrotor, settings: Settings) -> Quadrotor:
 
 
 def received(task: Task, team: Team, settings: Settings) -> Commands:
-    """Return what the controllers of a team receive of a task, at RATE.
+    """Return the setpoints of a task that a team's controllers receive, at RATE.
 
     Raises
     ------
-    InputError: an upload of set points that are no plan's.
-    InfeasibleError: a plan that uploads do not hold.
+    InputError: an upload without a plan.
+    InfeasibleError: a plan too large for an upload.
     """
     if not settings.upload:
-        return streamed(task, team, follows=settings.controller in BODY_RATES)
+        return streamed(task, team, follows=settings.controller in PACKET_RATES)
     if task.motion is None:
         raise InputError("upload", True, "with a plan", "give the plan's directory")
-    return uploaded(task.motion, team, follows=settings.controller in CURVES_RATES)
+    return uploaded(task.motion, team, follows=settings.controller in CURVE_RATES)
 
 
 def streamed(task: Task, team: Team, *, follows: bool) -> Commands:
-    """Return the packets of full states, rounded as they are sent; ``follows``: with body rates."""
-    sent, mass = task.setpoints, team.mass[:, None]
-    forward = sent.accelerations - team.pull_gain * sent.cable_forces / mass
+    """Return the rounded packets of full states, with body rates if ``follows``."""
+    setpoints, mass = task.setpoints, team.mass[:, None]
+    forward = setpoints.accelerations - team.pull_gain * setpoints.cable_forces / mass
     rates = _body_rates(mass, forward, task.t, follows=follows)
-    numbers = (sent.positions, sent.velocities, forward, rates)
-    return Commands(*(QUANTUM * np.clip(np.rint(x / QUANTUM), -MOST, MOST) for x in numbers))
+    values = setpoints.positions, setpoints.velocities, forward, rates
+    counts = (np.rint(x / QUANTUM) for x in values)
+    return Commands(*(QUANTUM * np.clip(x, -MAX_COUNT, MAX_COUNT) for x in counts))
 
 
 def uploaded(motion: Motion, team: Team, *, follows: bool) -> Commands:
-    """Return set points as drones evaluate the files that are uploaded to them.
+    """Return setpoints as drones evaluate uploaded files.
 
-    They hold the cables' tension by offsets, as controllers add no cable force to them. For
-    controllers with integrals they cannot: these fly what is exported for drones of no controller.
+    Offsets hold the cables' tension, as controllers add no cable force to uploads. Controllers with
+    integrals would remove offsets: they fly the export for drones without a named controller.
     """
     hold_tension = not np.any(team.integral_gain > 0.0)
     unnamed = tuple(Quadrotor(kind.mass, kind.max_thrust) for kind in team.quadrotor)
     kinds = team.quadrotor if hold_tension else unnamed
     motion = motion.replaced(team=replace(team, quadrotor=kinds))
     refusals = []
-    for kind in (Crazyswarm2(), CompressedBytes()):  # the second one holds three times as much
+    for kind in (Crazyswarm2(), CompressedBytes()):  # the second one has three times the capacity
         options = ExportOptions(kind.name, hold_tension=hold_tension)
         try:
             with tempfile.TemporaryDirectory() as folder:
@@ -118,32 +119,32 @@ def uploaded(motion: Motion, team: Team, *, follows: bool) -> Commands:
             refusals.append(error)
     else:
         raise refusals[0]
-    begins = [part.begins for part in parts]
-    end = begins[-1] + max(curve.duration for curve in curves[-1])
+    starts = [part.begins for part in parts]
+    end = starts[-1] + max(curve.duration for curve in curves[-1])
     t = np.arange(np.ceil(RATE * end) + 1) / RATE
-    at = np.searchsorted(begins, t + 1e-9, side="right") - 1
+    at = np.searchsorted(starts, t + 1e-9, side="right") - 1
     jets = np.zeros((3, len(t), team.drones, 3))
-    for i, (begin, part) in enumerate(zip(begins, curves, strict=True)):
-        chosen = at == i
+    for i, (start, part) in enumerate(zip(starts, curves, strict=True)):
+        current = at == i
         for d, curve in enumerate(part):
-            elapsed = t[chosen] - begin
+            elapsed = t[current] - start
             jet = curve.jet(np.minimum(elapsed, curve.duration), 3)
-            jets[:, chosen, d] = np.moveaxis(jet, -1, 0)
-            jets[1:, chosen & (t > begin + curve.duration), d] = 0.0  # it hovers where it ended
+            jets[:, current, d] = np.moveaxis(jet, -1, 0)
+            jets[1:, current & (t > start + curve.duration), d] = 0.0  # it hovers at the end
     rates = _body_rates(team.mass[:, None], jets[2], t, follows=follows)
     return Commands(jets[0], jets[1], jets[2], rates)
 
 
 def _read(kind: CrazyflieFormat, part: Export, names: Sequence[str]) -> list[PiecewisePolynomial]:
-    """Return the curves (3,) of all drones from files that were written."""
+    """Return the curves (3,) of all drones from exported files."""
     files = [kind.file.format(name=name, frame=kind.frames[0]) for name in names]
     return [kind.upload(part.folder / file).curve for file in files]
 
 
 def _body_rates(mass: Array, accelerations: Array, t: Array, *, follows: bool) -> Array:
-    """Return rates (samples, 2n, 3) [rad/s] of bodies whose thrusts give accelerations alone.
+    """Return body rates (samples, 2n, 3) [rad/s] of free drones with some accelerations.
 
-    They are zero at the last time, whose set point is held from then on.
+    Rates are zero at the last time, whose setpoint is held.
     """
     rates = np.zeros_like(accelerations)
     if follows:

@@ -1,4 +1,4 @@
-"""Contacts: at the clasps, of drones, of objects; and the loads that hang where cables touch."""
+"""Contacts at clasps, of drones and of objects, and loads that hang at clasps."""
 
 from __future__ import annotations
 
@@ -16,36 +16,37 @@ from hitchopt.simulation.task import Cargo, Task
 from hitchopt.simulation.world import BODY_HALF_HEIGHT, BODY_RADIUS, Index, World
 from hitchopt.values import Array
 
-# Least contact force of a clasp over the plan's. Cables that merely cross press by their weight
-# and by the drones' deviations, and Gauss's integral counts some of them as linked
-BEARING_SHARE = 0.3
+# Smallest contact force of a clasp, over the plan's. Cables that only cross also press on each
+# other, by weight and deviations of drones, and some of them have a linking number of one
+MIN_BEARING_RATIO = 0.3
 
-SMOOTHING = 0.05  # Time constant with which a load passes from nodes to others [s]
-LEAST_FORCE = 1e-9  # Normal force below which cables do not touch [N]
-OWN = 2.0  # Part of its own cable that a drone cannot touch, next to it, over the drone's radius
-LANDED = 0.2  # Height above the ground [m] below which a drone may stand beside its own cable
-NONE = np.zeros((0, 3))  # No places
-GROUND, DRONE, CABLE, OBJECT = range(4)  # Kinds of things in contact
+SMOOTHING = 0.05  # Time constant of the transfer of a load between nodes [s]
+MIN_FORCE = 1e-9  # Smallest normal force of a contact [N]
+EXCLUDED_LENGTH = 2.0  # Section of its own cable that a drone cannot touch, over its radius
+LANDED_HEIGHT = 0.2  # Height below which a drone may touch its own cable [m]
+NO_POSITIONS = np.zeros((0, 3))
+GROUND, DRONE, CABLE, OBJECT = range(4)  # Kinds of bodies in contact
 
 
 def least_bearing(task: Task) -> Array:
-    """Return (samples, clasps) [N]: the contact force from which on a clasp bears.
+    """Return the smallest contact force of a bearing clasp (samples, clasps) [N].
 
-    It is a share of the force with which a clasp presses without friction, which is
-    ``|T (u_{k-1} + u_k)|`` where both its cables pull alike; 0 where one does not.
+    It is a fraction of the contact force without friction, which is ``|T (u_{k-1} + u_k)|`` for
+    equal tensions; 0 if a cable has no tension.
     """
-    each = []
+    by_part = []
     for part in task.parts:
-        team, least = part.team, np.zeros((len(task.t), len(part.team.layout.clasps)))
-        pulled = np.all(part.tensions > 0.0, axis=-1)
-        edges = unit(team.layout.edges(part.vertices[pulled]))
-        least[pulled] = BEARING_SHARE * contact_forces(edges, part.tensions[pulled], team.topology)
-        each.append(least)
-    return np.concatenate(each, axis=1)
+        team, bearing = part.team, np.zeros((len(task.t), len(part.team.layout.clasps)))
+        taut = np.all(part.tensions > 0.0, axis=-1)
+        edges = unit(team.layout.edges(part.vertices[taut]))
+        forces = contact_forces(edges, part.tensions[taut], team.topology)
+        bearing[taut] = MIN_BEARING_RATIO * forces
+        by_part.append(bearing)
+    return np.concatenate(by_part, axis=1)
 
 
 class ClaspContacts:
-    """Contact forces between neighbouring cables and their centres, gathered over some steps."""
+    """Contact forces between neighbouring cables and their centres, averaged over steps."""
 
     def __init__(self, world: World, team: Team) -> None:
         self._world, layout = world, team.layout
@@ -61,9 +62,9 @@ class ClaspContacts:
         flexes, rows = data.contact.flex, data.contact.efc_address
         between = np.flatnonzero(np.all(flexes >= 0, axis=1) & (rows >= 0))
         clasp = self._clasp[flexes[between, 0], flexes[between, 1]]
-        chosen = between[clasp >= 0]
-        force = np.maximum(data.efc_force[rows[chosen]], 0.0)  # elliptic: the normal comes first
-        return chosen, clasp[clasp >= 0], force
+        contacts = between[clasp >= 0]
+        force = np.maximum(data.efc_force[rows[contacts]], 0.0)  # elliptic: the normal comes first
+        return contacts, clasp[clasp >= 0], force
 
     def gather(self) -> None:
         """Add the contacts of the last step."""
@@ -74,14 +75,14 @@ class ClaspContacts:
             moments = force[:, None] * self._world.data.contact.pos[chosen]
             np.add.at(self._moment, clasp, moments)
 
-    def collect(self, least: Array | float = 0.0) -> tuple[Array, Array]:
-        """Return vertices and forces since the last call, and start again.
+    def collect(self, minimum: Array | float = 0.0) -> tuple[Array, Array]:
+        """Return vertices and forces since the last call, and reset.
 
-        Vertices (clasps, 3) [m] are centres of the contact force; nan where cables press less than
-        ``least`` (clasps,) [N]. Forces (clasps,) [N] are mean sums of normal forces.
+        Vertices (clasps, 3) [m] are centres of the contact force; nan for forces below ``minimum``
+        (clasps,) [N]. Forces (clasps,) [N] are mean sums of normal forces.
         """
         forces = self._force / max(self._count, 1)
-        bears = (forces > 0.0) & (forces >= least)
+        bears = (forces > 0.0) & (forces >= minimum)
         vertices = np.full_like(self._moment, np.nan)
         vertices[bears] = self._moment[bears] / self._force[bears, None]
         self._force[:], self._moment[:], self._count = 0.0, 0.0, 0
@@ -89,9 +90,9 @@ class ClaspContacts:
 
 
 class HungLoads:
-    """Loads that hang at the clasps, like rings: mass of the nodes that press on each other there.
+    """Loads that hang at the clasps like rings, as additional mass of the nodes in contact.
 
-    As cables slide through a clasp its load passes to the nodes that follow.
+    While cables slide through a clasp, its load passes from node to node.
     """
 
     def __init__(self, world: World, team: Team) -> None:
@@ -102,63 +103,63 @@ class HungLoads:
         self._on_nodes = np.zeros((len(team.load), len(self._bodies)))  # shares of a load
 
     def apply(self, shares: Array, seconds: float) -> None:
-        """Put the loads on the nodes at their clasps for the next ``seconds``.
+        """Distribute the loads over the nodes at their clasps for the next ``seconds``.
 
-        ``shares`` (n,) are those of its halves of loads that a cable carries already; clasps whose
-        cables do not touch lose theirs.
+        ``shares`` (n,) are the fractions of its halves of loads that each cable carries. Clasps
+        without contact lose their loads.
         """
         data = self._world.data
         chosen, clasp, force = self._contacts.now()
-        force = np.maximum(force, LEAST_FORCE)
+        force = np.maximum(force, MIN_FORCE)
         force = force / np.bincount(clasp, force, len(self._mass))[clasp]
         node = self._world.cable_vertices[data.contact.flex[chosen]] + data.contact.elem[chosen]
-        touching = np.zeros_like(self._on_nodes)
+        target = np.zeros_like(self._on_nodes)
         for end in (0, 1):  # of both elements that touch
-            np.add.at(touching, (clasp[:, None], node + end), 0.25 * force[:, None])
-        remaining = np.exp(-seconds / SMOOTHING)
-        self._on_nodes = remaining * self._on_nodes + (1.0 - remaining) * touching
+            np.add.at(target, (clasp[:, None], node + end), 0.25 * force[:, None])
+        decay = np.exp(-seconds / SMOOTHING)
+        self._on_nodes = decay * self._on_nodes + (1.0 - decay) * target
         added = self._mass @ self._on_nodes * shares[self._cable]
         self._world.model.body_mass[self._bodies] = self._empty + added
 
 
 def touching(
-    world: World, names: Sequence[str] = (), passing: Array = NONE
+    world: World, names: Sequence[str] = (), passing: Array = NO_POSITIONS
 ) -> list[tuple[str, str]]:
     """Return all pairs in contact by name: ``q0`` and ``r2``, or ``q0`` and ``cable 2``.
 
-    They do not collide, so that every flight is simulated to its end; nor do drones that are
-    ``passing`` (m, 3) [m] under names. Drones are ellipsoids, cables their nodes: between two of
-    them a cable is at most 2 mm closer. Cables of different groups do collide.
+    These contacts have no forces, so that every flight is simulated to its end. ``passing`` (m, 3)
+    [m] are drones with ``names`` that are not simulated. Drones are ellipsoids, cables points:
+    between two nodes a cable is at most 2 mm closer. Cables of different groups do collide.
     """
     scale = 1.0 / np.array([BODY_RADIUS, BODY_RADIUS, BODY_HALF_HEIGHT])
     count, names = len(world.drones), [*world.drone_names, *names]
     drones = np.concatenate([world.drones, passing]) * scale
-    near: Any = cKDTree(world.nodes * scale).query_ball_point(drones, 1.0)  # a list per drone
-    drone = np.repeat(np.arange(len(drones)), [len(entry) for entry in near])
-    node = np.array([i for entry in near for i in entry], dtype=np.intp)
+    nearby: Any = cKDTree(world.nodes * scale).query_ball_point(drones, 1.0)  # a list per drone
+    drone = np.repeat(np.arange(len(drones)), [len(entry) for entry in nearby])
+    node = np.array([i for entry in nearby for i in entry], dtype=np.intp)
     cable = np.searchsorted(world.cable_vertices, node, side="right") - 1
-    rank = node - world.cable_vertices[cable]
-    from_end = np.where(drone % 2 == 0, rank, world.ropes.segments[cable] - rank)
-    far = from_end * world.ropes.segment_lengths[cable] > OWN * BODY_RADIUS
-    far &= drones[drone, 2] / scale[2] > world.ground + LANDED
-    foreign = (drone // 2 != cable) | far  # on another cable, or far along the own one
+    index = node - world.cable_vertices[cable]
+    from_end = np.where(drone % 2 == 0, index, world.ropes.segments[cable] - index)
+    distant = from_end * world.ropes.segment_lengths[cable] > EXCLUDED_LENGTH * BODY_RADIUS
+    distant &= drones[drone, 2] / scale[2] > world.ground + LANDED_HEIGHT
+    foreign = (drone // 2 != cable) | distant  # on another cable, or far along the own one
     pairs = np.unique(np.column_stack([drone, cable])[foreign], axis=0)
     flexes = world.data.contact.flex
     between = flexes[np.all(flexes >= 0, axis=1)]
     across = between[world.groups[between[:, 0]] != world.groups[between[:, 1]]]
-    near = sorted(cKDTree(drones).query_pairs(2.0))  # i < j; ellipsoids
+    nearby = sorted(cKDTree(drones).query_pairs(2.0))  # i < j; ellipsoids
     return [
-        *((names[i], names[j]) for i, j in near if i < count),
+        *((names[i], names[j]) for i, j in nearby if i < count),
         *((names[i], world.cable_names[k]) for i, k in pairs),
         *((world.cable_names[i], world.cable_names[j]) for i, j in np.unique(across, axis=0)),
     ]
 
 
 class ObjectContacts:
-    """Contacts of objects: with what may not touch them at the time, and with cables at all."""
+    """Contacts of objects: forbidden ones, and all contacts with cables."""
 
     def __init__(self, world: World, cargo: Cargo) -> None:
-        self._world, self._cargo, self._aloft = world, cargo, cargo.aloft
+        self._world, self._cargo, self._lifted = world, cargo, cargo.lifted
         bodies, objects = world.model.nbody, world.object_bodies
         counts = np.diff(world.cable_vertices)
         self._kind, self._rank = np.full(bodies, GROUND), np.full(bodies, -1)
@@ -177,28 +178,28 @@ class ObjectContacts:
     def wrong(self, index: int) -> list[tuple[str, str]]:
         """Return the forbidden contacts of objects at a sample of the plan, by name.
 
-        Cables may touch what the plan holds; objects aloft touch nothing else, drones nothing.
+        Cables may touch held objects. Lifted objects may touch nothing else, drones nothing at all.
         """
-        thing, body = self._pairs()
-        if not len(thing):
+        item, body = self._pairs()
+        if not len(item):
             return []
-        held, aloft = self._cargo.held[index], np.append(self._aloft[index], False)
-        kind, above = self._kind[body], aloft[thing] | aloft[self._rank[body]]
-        held = held[thing] & (self._holder[thing] == self._group[body])
-        chosen = np.where(kind == CABLE, ~held, (kind == DRONE) | above)
-        named = zip(self._names[body[chosen]], thing[chosen], strict=True)
+        held, is_lifted = self._cargo.held[index], np.append(self._lifted[index], False)
+        kind, lifted = self._kind[body], is_lifted[item] | is_lifted[self._rank[body]]
+        held = held[item] & (self._holder[item] == self._group[body])
+        forbidden = np.where(kind == CABLE, ~held, (kind == DRONE) | lifted)
+        named = zip(self._names[body[forbidden]], item[forbidden], strict=True)
         return sorted({(str(other), self._cargo.names[i]) for other, i in named})
 
     @property
     def cables(self) -> NDArray[np.bool_]:
-        """Whether cables touch an object (objects,)."""
+        """Whether cables touch each object (objects,)."""
         touched = np.zeros(len(self._cargo.objects), dtype=np.bool_)
         thing, body = self._pairs()
         touched[thing[self._kind[body] == CABLE]] = True
         return touched
 
     def _pairs(self) -> tuple[Index, Index]:
-        """Return the ranks of objects (contacts,) in contact, and the bodies that touch them."""
+        """Return indices of objects in contact (contacts,), and the bodies that touch them."""
         contact = self._world.data.contact
         geoms = contact.geom[np.all(contact.geom >= 0, axis=1) & (contact.efc_address >= 0)]
         bodies = self._world.model.geom_bodyid[geoms]

@@ -19,19 +19,19 @@ from hitchopt.hitch.estimator import EstimatorParameters
 from hitchopt.simulation.world import Bodies
 from hitchopt.values import Array
 
-RATE = 100.0  # Predictions of the filter, and frames of the motion capture, per second [Hz]
-DELAY = 1  # Age of a frame when it arrives, in frames: 10 ms
+RATE = 100.0  # Rate of filter predictions and of motion capture [Hz]
+DELAY = 1  # Delay of motion capture in frames: 10 ms
 
 # Standard deviations of captured positions [m] and attitudes [rad], per axis and frame; of the
 # gyroscope [rad/s] and the accelerometer [m/s²], per reading
-CAPTURED, CAPTURED_TURN = 1e-3, 1e-2
+POSITION_NOISE, ATTITUDE_NOISE = 1e-3, 1e-2
 GYRO_NOISE, ACCELEROMETER_NOISE = 0.02, 0.2
 
-# The firmware's process noise of attitudes [rad/s], how often a second process noise is added [Hz],
-# and the least variance that it lets the diagonal have
-TURN_NOISE, NOISE_RATE, LEAST_VARIANCE = 0.1, 1000.0, 1e-6
+# The firmware's process noise of attitudes [rad/s], the rate at which process noise is added [Hz],
+# and the lower bound of variances
+TURN_NOISE, NOISE_RATE, MIN_VARIANCE = 0.1, 1000.0, 1e-6
 
-FIRST_ERRORS = np.repeat([0.01, 0.01, 0.01], 3)  # Of a filter that has converged [m], [m/s], [rad]
+INITIAL_ERRORS = np.repeat([0.01, 0.01, 0.01], 3)  # Of a converged filter [m], [m/s], [rad]
 
 EYE = np.eye(3)
 
@@ -47,7 +47,7 @@ def rotation(turn: Array) -> Array:
 
 
 class Estimator:
-    """The Kalman filters of all drones with their sensors, from the true states on.
+    """Kalman filters and sensors of all drones, initialized with the true states.
 
     ``variances`` (2n, 9, 9) are of position, velocity and rotation errors [m], [m/s], [rad].
     """
@@ -60,14 +60,14 @@ class Estimator:
         self._frames: deque[tuple[Array, Array]] = deque(maxlen=DELAY + 1)
         self.positions, self.attitudes = bodies.positions, bodies.attitudes
         self._velocities = np.einsum("iba,ib->ia", bodies.attitudes, bodies.velocities)
-        self.variances = np.tile(np.diag(FIRST_ERRORS**2), (len(bodies.positions), 1, 1))
+        self.variances = np.tile(np.diag(INITIAL_ERRORS**2), (len(bodies.positions), 1, 1))
         level, upright = parameters.level_noise, parameters.upright_noise
         accelerations, dt = np.array([level, level, upright]), 1.0 / NOISE_RATE
         added = np.concatenate([accelerations * dt**2, accelerations * dt, [TURN_NOISE * dt] * 3])
         self._added = NOISE_RATE / RATE * added**2
         errors = np.repeat([parameters.position_error, parameters.attitude_error or 0.0], 3)
-        self._seen = np.r_[0:3, 6:9] if parameters.attitude_error else np.r_[0:3]
-        self._errors = np.diag(errors[: len(self._seen)] ** 2)
+        self._observed = np.r_[0:3, 6:9] if parameters.attitude_error else np.r_[0:3]
+        self._errors = np.diag(errors[: len(self._observed)] ** 2)
 
     @property
     def velocities(self) -> Array:
@@ -75,59 +75,59 @@ class Estimator:
         return np.asarray(np.einsum("iab,ib->ia", self.attitudes, self._velocities))
 
     def read(self, bodies: Bodies) -> Array:
-        """Return the gyroscopes' readings (2n, 3) [rad/s] of bodies as they are."""
+        """Return gyroscope readings (2n, 3) [rad/s] for true states."""
         noise = GYRO_NOISE * self._random.standard_normal(bodies.rates.shape)
         self._gyro.append(bodies.rates + noise)
         return self._gyro[-1]
 
     def predict(self, bodies: Bodies) -> None:
-        """Predict by the readings since the last prediction, 1 / RATE ago."""
+        """Predict from the readings since the last prediction, 1 / RATE ago."""
         dt = 1.0 / RATE
-        rates, before = np.mean(self._gyro, axis=0), self._last
+        rates, previous = np.mean(self._gyro, axis=0), self._last
         self._gyro, self._last = [], bodies
-        moved = (bodies.velocities - before.velocities) / dt + [0.0, 0.0, GRAVITY]
-        thrust_axis = 0.5 * (bodies.attitudes + before.attitudes)[..., 2]
-        noise = ACCELEROMETER_NOISE * self._random.standard_normal(len(moved))
-        along = np.einsum("ia,ia->i", moved, thrust_axis) + noise
+        acceleration = (bodies.velocities - previous.velocities) / dt + [0.0, 0.0, GRAVITY]
+        thrust_axis = 0.5 * (bodies.attitudes + previous.attitudes)[..., 2]
+        noise = ACCELEROMETER_NOISE * self._random.standard_normal(len(acceleration))
+        specific_force = np.einsum("ia,ia->i", acceleration, thrust_axis) + noise
         upward, v = self.attitudes[:, 2], self._velocities  # the world's z axis in the body's frame
         turning, turn = skew(rates), self.attitudes
-        growth = np.tile(np.eye(9), (len(v), 1, 1))
-        growth[:, 0:3, 3:6] = turn * dt
-        growth[:, 0:3, 6:9] = -turn @ skew(v) * dt
-        growth[:, 3:6, 3:6] -= turning * dt
-        growth[:, 3:6, 6:9] = -GRAVITY * skew(upward) * dt
-        growth[:, 6:9, 6:9] -= turning * dt
-        pushed = -GRAVITY * upward
-        pushed[:, 2] += along
-        step = dt * v + 0.5 * dt**2 * pushed
+        transition = np.tile(np.eye(9), (len(v), 1, 1))
+        transition[:, 0:3, 3:6] = turn * dt
+        transition[:, 0:3, 6:9] = -turn @ skew(v) * dt
+        transition[:, 3:6, 3:6] -= turning * dt
+        transition[:, 3:6, 6:9] = -GRAVITY * skew(upward) * dt
+        transition[:, 6:9, 6:9] -= turning * dt
+        force = -GRAVITY * upward
+        force[:, 2] += specific_force
+        step = dt * v + 0.5 * dt**2 * force
         self.positions = self.positions + np.einsum("iab,ib->ia", turn, step)
-        self._velocities = v + dt * (pushed - np.cross(rates, v))
+        self._velocities = v + dt * (force - np.cross(rates, v))
         self.attitudes = turn @ rotation(dt * rates)
-        self.variances = growth @ self.variances @ growth.transpose(0, 2, 1)
+        self.variances = transition @ self.variances @ transition.transpose(0, 2, 1)
         self._bound()
         self.variances[:, range(9), range(9)] += self._added
 
     def correct(self, bodies: Bodies) -> None:
-        """Capture the bodies, and correct by the frame that arrives now."""
+        """Capture the bodies, and correct with the frame that arrives."""
         noise = self._random.standard_normal((2, *bodies.positions.shape))
-        turned = bodies.attitudes @ rotation(CAPTURED_TURN * noise[1])
-        self._frames.append((bodies.positions + CAPTURED * noise[0], turned))
-        places, turns = self._frames[0]
-        seen, p = self._seen, self.variances
-        missed = places - self.positions
-        if len(seen) > 3:
-            across = self.attitudes.transpose(0, 2, 1) @ turns
-            missed = np.hstack([missed, Rotation.from_matrix(across).as_rotvec()])
-        innovation = p[:, seen][:, :, seen] + self._errors
-        gain = np.linalg.solve(innovation, p[:, seen]).transpose(0, 2, 1)
-        step = np.einsum("iab,ib->ia", gain, missed)
+        attitudes = bodies.attitudes @ rotation(ATTITUDE_NOISE * noise[1])
+        self._frames.append((bodies.positions + POSITION_NOISE * noise[0], attitudes))
+        positions, captured_attitudes = self._frames[0]
+        observed, p = self._observed, self.variances
+        residual = positions - self.positions
+        if len(observed) > 3:
+            relative = self.attitudes.transpose(0, 2, 1) @ captured_attitudes
+            residual = np.hstack([residual, Rotation.from_matrix(relative).as_rotvec()])
+        innovation = p[:, observed][:, :, observed] + self._errors
+        gain = np.linalg.solve(innovation, p[:, observed]).transpose(0, 2, 1)
+        step = np.einsum("iab,ib->ia", gain, residual)
         self.positions = self.positions + step[:, 0:3]
         self._velocities = self._velocities + step[:, 3:6]
         self.attitudes = self.attitudes @ rotation(step[:, 6:9])
-        p = p - gain @ p[:, seen]
+        p = p - gain @ p[:, observed]
         self.variances = 0.5 * (p + p.transpose(0, 2, 1))
         self._bound()
 
     def _bound(self) -> None:
         diagonal = np.einsum("iaa->ia", self.variances)
-        np.maximum(diagonal, LEAST_VARIANCE, out=diagonal)
+        np.maximum(diagonal, MIN_VARIANCE, out=diagonal)

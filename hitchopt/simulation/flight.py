@@ -1,10 +1,10 @@
-"""The simulated flight: settle, fly the setpoints, rest, and pull at the hitch; and its record."""
+"""The simulated flight and its record: settling, setpoints, rest, and a pull test."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -33,42 +33,41 @@ from hitchopt.values import Array
 Progress = Callable[[str], None]
 """Called repeatedly with a description of the current work."""
 
-CONTROL = 0.005  # Period of the controller [s], rounded to whole time steps
+CONTROL_PERIOD = 0.005  # Period of the controller [s], rounded to a multiple of the time step
 
-# Time before the flight in which cables come to rest [s]; and its part in which drones move from
-# the ends of loose cables to the first setpoint, while the tension grows: drawn at once, loose
-# clasps would tear
-SETTLE, DRAWN = 2.5, 1.5
+# Settling time before the flight [s], and its first part in which the tension grows while drones
+# move from the ends of loose cables to the first setpoint: sudden tension would tear loose clasps
+SETTLE_TIME, TIGHTENING_TIME = 2.5, 1.5
 
-DAMPING = 40.0  # Rate at which cables lose speed when they begin to settle, not to whip [1/s]
+SETTLE_DAMPING = 40.0  # Initial damping of cables while they settle, against whipping [1/s]
 
-WHIPPING = 0.25  # Tension over the team's from which on ropes do not whip
-REST = 1.0  # Time after the flight, before anything is judged [s]
+MIN_CALM_TENSION = 0.25  # Smallest tension, over the team's, at which ropes do not whip
+REST_TIME = 1.0  # Rest after the flight, before it is evaluated [s]
 
-# Pull test: tension over the plan's, and duration [s]; the tension grows in half of it
-PULL, PULLED = 1.5, 2.0
+# Pull test: tension over the plan's, and duration [s]; the tension grows during its first half
+PULL_RATIO, PULL_TIME = 1.5, 2.0
 
-FRAME_PERIOD, TOUCH_PERIOD = 0.04, 0.02  # Of shapes of cables and of searches for contacts [s]
+FRAME_PERIOD, TOUCH_PERIOD = 0.04, 0.02  # Of cable shapes and of contact searches [s]
 REPORT_PERIOD = 50  # Samples between two calls of ``progress``
 
-# Time after the loss of a drone [s] in which steps are that part of the preset's: ropes slide fast
-# over each other at its clasp, and strain by more than 2 % there else
-FALLING, FALLING_PARTS = 2.5, 3
+# Time after the loss of a drone [s], and substeps during it: fast sliding at its clasp would strain
+# ropes by more than 2 %
+LOSS_TIME, LOSS_SUBSTEPS = 2.5, 3
 
 REST_HEIGHT = BODY_HALF_HEIGHT + 0.005  # Height of the centre of a drone on the ground [m]
-ROUNDING = 1e-9  # Rounding of sums of periods [s]
+ROUNDING = 1e-9  # Rounding error of sums of periods [s]
 
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """Measurements, sample by sample; times count from the flight's start, after settling.
+    """Samples of a flight; times count from the flight's start, after settling.
 
     Attributes
     ----------
     t: (samples,) [s], at the rate of the setpoints, rest and pull test included.
-    index: (samples,), the task's sample that applies from then on.
-    drones, commanded: positions, and the setpoints' (samples, 2n, 3) [m].
-    vertices: (samples, clasps, 3) [m], nan where cables do not bear on each other.
+    index: (samples,), index of the setpoint that applies from this time on.
+    drones, commanded: positions of drones and setpoints (samples, 2n, 3) [m].
+    vertices: (samples, clasps, 3) [m], nan if cables do not bear on each other.
     bearing: contact forces (samples, clasps) [N].
     tensions: means over each cable's length (samples, n) [N].
     peak_tensions: largest values over length and time since the last sample (samples, n) [N].
@@ -94,7 +93,7 @@ class Record:
 
 @dataclass(frozen=True, eq=False)
 class Film:
-    """Shapes of the cables over time; settling is included, at negative times.
+    """Shapes of the cables over time, including settling at negative times.
 
     Attributes
     ----------
@@ -116,19 +115,19 @@ class Flight:
 
     Attributes
     ----------
-    task, settings: what was flown, and how.
-    record, film: measurements and shapes of the cables.
-    touches: times [s] of first contacts of two things that should stay apart, by their names, such
-        as ``("q0", "r2")`` or ``("q0", "cable 2")``.
+    task, settings: of the flight.
+    record, film: samples, and shapes of the cables.
+    touches: times [s] of first forbidden contacts by pairs of names, such as ``("q0", "r2")`` or
+        ``("q0", "cable 2")``.
     linking: linking numbers (n, n) of all pairs of cables after the rest; None if not reached.
-    rested, pulled: times [s] at which rest and pull test ended; nan if they did not.
+    rested, pulled: times [s] at which rest and pull test ended; nan if not reached.
     gains: of the drones' position loops.
-    density: of the simulated cables [kg/m], of each (n,) if there are several groups.
-    longer: largest length that a rope has more than its cable [m], as bends of thick ropes use up.
-    aside: largest distance of a rope's end from its drone's position [m], so that legs of thick
-        ropes point as those of thin cables do.
-    objects: as they really were, by name.
-    error: what ended the flight early, or None.
+    density: of the simulated cables [kg/m], of each (n,) for several groups.
+    extra_length: largest additional length of a rope [m], for the bends of thick ropes.
+    end_offset: largest distance of a rope's end from its drone [m], which aligns the legs of thick
+        ropes with those of thin cables.
+    objects: simulated objects by name, with perturbations.
+    error: the error that ended the flight early, or None.
     """
 
     task: Task
@@ -141,27 +140,27 @@ class Flight:
     pulled: float
     gains: control.PositionGains
     density: Array | float
-    longer: float
-    aside: float
+    extra_length: float
+    end_offset: float
     objects: dict[str, SolidObject]
     error: InvalidRunError | None
 
     @property
     def cable_names(self) -> list[str]:
-        """(n,): cable 0, cable 1, …, or a.cable 0, … of several groups."""
+        """Names of cables (n,): cable 0, cable 1, …, or a.cable 0, … for several groups."""
         return cable_names(self.task.team.drone_names)
 
 
 def fly(task: Task, settings: Settings, progress: Progress | None = None) -> Flight:
     """Return the flight of a task's setpoints, with the error that ended it early, if any.
 
-    It begins with a hitch where the plan has one at the first setpoint, else with hanging cables.
-    Drones know their setpoints alone, with the cable forces that these hold.
+    It begins with a hitch if the plan has one at the first setpoint, else with hanging cables.
+    Controllers receive only setpoints, including planned cable forces.
 
     Raises
     ------
-    InputError: a preset that cannot bear the team's tension, or an unstable position loop.
-    ShapeError: cables that cannot hang between the first setpoints.
+    InputError: a density too small for the team's tension, or an unstable position loop.
+    ShapeError: cables too short for the first setpoints.
     UnsupportedError: mujoco is not installed, or several groups with feedback or a lost drone.
     """
     run = _Run(task, settings, progress)
@@ -182,20 +181,21 @@ class _Run:
         self._task, self._settings, self._progress = task, settings, progress
         disturbances = control.Disturbances(settings.perturbations, team.robots, settings.seed)
         self._disturbances, parts = disturbances, task.parts
-        aside = [ropes.legs_aside(part, preset.diameter) for part in parts]
-        longer = [ropes.thickness_allowance(p, preset.diameter, preset.segment) for p in parts]
-        self._aside, self._longer = np.concatenate(aside, axis=1), np.concatenate(longer)
+        end_offsets = [ropes.leg_end_offsets(part, preset.diameter) for part in parts]
+        extra = [ropes.thickness_allowance(p, preset.diameter, preset.segment) for p in parts]
+        self._end_offsets = np.concatenate(end_offsets, axis=1)
+        self._extra_lengths = extra_lengths = np.concatenate(extra)
         first = np.cumsum([part.team.robots for part in parts])[:-1]
-        lengths = np.split(team.cable_length * disturbances.cable_scale + self._longer, first)
+        lengths = np.split(team.cable_length * disturbances.cable_scale + extra_lengths, first)
         each = list[ropes.Ropes]()
         for part, sizes in zip(parts, lengths, strict=True):
             tension = float(max(np.max(part.team.tension), np.max(part.tensions)))
             each.append(ropes.Ropes.of(part.team, settings, sizes, tension))
             each[-1].check_tension(tension)
-        built, ground = ropes.Ropes.joined(each), ground_of(task)
+        joined, ground = ropes.Ropes.joined(each), ground_of(task)
         objects = disturbances.disturbed(task.cargo.objects)
-        self._world = world = World(built, team.mass, ground, objects, team.drone_names)
-        start = task.setpoints.positions[0] + self._aside[0] + disturbances.start_offset
+        self._world = world = World(joined, team.mass, ground, objects, team.drone_names)
+        start = task.setpoints.positions[0] + self._end_offsets[0] + disturbances.start_offset
         world.place(
             [
                 cable
@@ -207,7 +207,7 @@ class _Run:
                 )
             ]
         )
-        self._pilots = self._crew()
+        self._pilots = self._controllers()
         self._loads = contacts.HungLoads(world, team) if np.any(team.load) else None
         self._contacts = contacts.ClaspContacts(world, team)
         self._objects = contacts.ObjectContacts(world, task.cargo)
@@ -217,61 +217,62 @@ class _Run:
         if settings.feedback:
             self._feedback = control.VertexFeedback(task, delay, disturbances, loops)
         self._lost = _lost_drone(task, settings)
-        step, period = built.preset.time_step, CONTROL if settings.controller is None else PERIOD
+        step = joined.preset.time_step
+        period = CONTROL_PERIOD if settings.controller is None else PERIOD
         self._substeps = max(1, round(period / step))
         self._period = self._substeps * step
         self._damping = 0.0
         self._starts = world.cable_vertices[:-1] - np.arange(team.robots)  # of each cable's edges
         self._peaks: Array = np.zeros(team.robots)
-        self._searched = self._framed = -np.inf
+        self._search_time = self._frame_time = -np.inf
         self._frames: list[tuple[float, NDArray[np.float32], NDArray[np.float32]]] = []
         self._rows: list[tuple[Any, ...]] = []
         self._touches: dict[tuple[str, str], float] = {}
         self._linking: NDArray[np.int64] | None = None
         self._rested = self._pulled = float("nan")
 
-    def _crew(self) -> control.Pilots | Autopilots:
-        """Return the drones' controllers; commands for flight controllers are stored."""
+    def _controllers(self) -> control.Pilots | Autopilots:
+        """Return the drones' controllers, and store the commands of flight controllers."""
         task, settings, world = self._task, self._settings, self._world
         if settings.controller is None:
             return control.Pilots(world, task.team, settings)
         teams, estimator = [flown_team(part.team, settings) for part in task.parts], None
-        both = zip(task.parts, teams, strict=True)
-        self._sent = [received(part, team, settings) for part, team in both]
+        pairs = zip(task.parts, teams, strict=True)
+        self._commands = [received(part, team, settings) for part, team in pairs]
         if settings.estimator is not None:
-            measuring = self._disturbances.measuring
+            measuring = self._disturbances.sensor_random
             estimator = Estimator(settings.estimator, self._bodies(0), measuring)
         loops = [kind.loop for team in teams for kind in team.quadrotor for _ in range(2)]
-        most = task.team.max_thrust
-        return Autopilots(loops, world.masses, world.inertia, most, settings.lag, estimator)
+        max_thrust = task.team.max_thrust
+        return Autopilots(loops, world.masses, world.inertia, max_thrust, settings.lag, estimator)
 
     def fly(self) -> None:
-        """Simulate all of it; raises InvalidRunError where the simulation leaves its range."""
+        """Simulate the flight; raises InvalidRunError if the simulation leaves its valid range."""
         task, world = self._task, self._world
         end = task.duration
         tied = np.concatenate([np.full(part.team.drones, part.formed[0]) for part in task.parts])
-        loose = tied[:, None] * (self._drones(0) - task.setpoints.positions[0])
+        loose_offset = tied[:, None] * (self._drones(0) - task.setpoints.positions[0])
         friction = world.model.flex_friction.copy()
-        world.model.flex_friction[:] = 0.0  # so that the initial state has no history
-        for time in self._times(-SETTLE, 0.0):
-            drawn = min(1.0, (time + SETTLE) / DRAWN)
-            share = drawn**3 * (10.0 - 15.0 * drawn + 6.0 * drawn**2)
-            self._damping = DAMPING * (1.0 - share)
-            self._step(time, 0, np.where(tied, share, 1.0), (1.0 - share) * loose)
+        world.model.flex_friction[:] = 0.0  # the initial state has no history
+        for time in self._times(-SETTLE_TIME, 0.0):
+            progress = min(1.0, (time + SETTLE_TIME) / TIGHTENING_TIME)
+            share = progress**3 * (10.0 - 15.0 * progress + 6.0 * progress**2)
+            self._damping = SETTLE_DAMPING * (1.0 - share)
+            self._step(time, 0, np.where(tied, share, 1.0), (1.0 - share) * loose_offset)
         world.model.flex_friction[:] = friction
         self._contacts.collect()
         self._peaks[:] = 0.0
         self._sample(0.0, 0)
         self._fly(0.0, end)
-        self._fly(end, end + REST)
-        self._rested = end + REST
+        self._fly(end, end + REST_TIME)
+        self._rested = end + REST_TIME
         self._linking = ropes.linking_matrix(world.cables)
         if self._settings.pull_test and self._lost is None:
-            self._fly(self._rested, self._rested + PULLED, PULL)
-            self._pulled = self._rested + PULLED
+            self._fly(self._rested, self._rested + PULL_TIME, PULL_RATIO)
+            self._pulled = self._rested + PULL_TIME
 
     def _fly(self, begin: float, end: float, pull: float = 1.0) -> None:
-        """Fly from a time to another [s], the tension growing to ``pull`` times its value."""
+        """Fly between two times [s], while the tension grows to ``pull`` times its value."""
         task, sample = self._task, math.floor(RATE * begin + ROUNDING)
         index = task.index(begin)
         for time in self._times(begin, end):
@@ -280,8 +281,8 @@ class _Run:
                 sample, index = now, task.index(time)
                 if self._progress is not None and sample % REPORT_PERIOD == 0:
                     self._progress(f"flying, {time:.1f} of {end:.1f} s")
-            grown = min(1.0, 2.0 * (time - begin) / (end - begin))
-            self._step(time, index, 1.0 + (pull - 1.0) * grown)
+            growth = min(1.0, 2.0 * (time - begin) / (end - begin))
+            self._step(time, index, 1.0 + (pull - 1.0) * growth)
         self._sample(end, index)
 
     def _times(self, begin: float, end: float) -> Array:
@@ -292,17 +293,17 @@ class _Run:
     def _step(
         self, time: float, index: int, pull: Array | float, offset: Array | float = 0.0
     ) -> None:
-        """Command the drones by a setpoint, moved by an offset [m], and advance by one period.
+        """Command the drones by a setpoint with an offset [m], and advance by one period.
 
-        ``pull`` is a factor of the plan's tension, of all or by drone (2n,): less than 1 while a
-        hitch is drawn tight, more in the pull test, whose force every drone adds.
+        ``pull`` is a factor of the plan's tension, common or by drone (2n,): less than 1 while a
+        hitch is tightened, more than 1 in the pull test, in which drones add the force.
         """
         world, task, period, flying = self._world, self._task, self._period, time >= 0.0
         pull = np.broadcast_to(pull, task.team.drones)
-        disturbances, pilots, fine = self._disturbances, self._pilots, 1
+        disturbances, pilots, substeps = self._disturbances, self._pilots, 1
         if self._lost is not None and time >= self._lost[1]:
             pilots.stop(self._lost[0])
-            fine = FALLING_PARTS if time < self._lost[1] + FALLING else 1
+            substeps = LOSS_SUBSTEPS if time < self._lost[1] + LOSS_TIME else 1
         setpoints = task.setpoints[index]
         setpoints = replace(setpoints, positions=setpoints.positions + offset)
         bodies, passing = self._bodies(index), task.passing.at(index)
@@ -326,64 +327,65 @@ class _Run:
         if self._loads is not None:
             self._loads.apply(planned * task.load_shares(index), period)
         world.data.qfrc_applied[world.node_dofs] = control.drag(world, self._damping)
-        tight = WHIPPING * task.team.tension
-        loose = np.any(planned * task.tensions[index] < tight)
-        loose = loose or np.mean(world.tensions) < np.mean(tight)  # in the plan or in fact
-        fine = max(fine, world.ropes.finer(float(np.max(world.tensions))))  # than the plan's, maybe
-        world.step(self._substeps, loose=bool(loose), finer=fine)
+        calm_tension = MIN_CALM_TENSION * task.team.tension
+        loose = np.any(planned * task.tensions[index] < calm_tension)
+        loose = loose or np.mean(world.tensions) < np.mean(calm_tension)  # planned or actual
+        substeps = max(substeps, world.ropes.substeps(float(np.max(world.tensions))))
+        world.step(self._substeps, loose=bool(loose), substeps=substeps)
         check_valid(world, time)
         self._contacts.gather()
         np.maximum(self._peaks, np.maximum.reduceat(world.tensions, self._starts), out=self._peaks)
-        if flying and time - self._searched >= TOUCH_PERIOD - ROUNDING:
-            self._searched = time
+        if flying and time - self._search_time >= TOUCH_PERIOD - ROUNDING:
+            self._search_time = time
             touching = contacts.touching(world, task.passing.names, passing)
             for pair in (*touching, *self._objects.wrong(index)):
                 self._touches.setdefault(pair, time)
-        if time - self._framed >= FRAME_PERIOD - ROUNDING:
-            self._framed = time
+        if time - self._frame_time >= FRAME_PERIOD - ROUNDING:
+            self._frame_time = time
             state = (world.nodes.astype(np.float32), world.poses.astype(np.float32))
             self._frames.append((time, *state))
 
     def _command(
         self, time: float, index: int, setpoints: Setpoints, bodies: Bodies, added: Array
     ) -> Array:
-        """Run the drones' motors for a period; return the forces that they know nothing of.
+        """Run controllers and motors for a period; return external forces on drones (2n, 3) [N].
 
-        ``added`` (2n, 3) [N] is an external pull; the setpoints are those of an index, corrected.
+        ``added`` (2n, 3) [N] is an additional pull; setpoints are those of an index, corrected.
         """
         pilots, period, plan = self._pilots, self._period, self._task.setpoints[index]
         if isinstance(pilots, control.Pilots):
             pilots.command(setpoints, bodies, period, added)
             if time >= 0.0:
-                pilots.wind(setpoints.positions - bodies.positions, period)
+                pilots.integrate(setpoints.positions - bodies.positions, period)
             return np.zeros_like(added)
-        now = [vars(sent[max(0, math.floor(RATE * time + ROUNDING))]) for sent in self._sent]
-        sent = Commands(*(np.concatenate([each[x.name] for each in now]) for x in fields(Commands)))
-        positions = sent.positions + (setpoints.positions - plan.positions)
-        velocities = sent.velocities + (setpoints.velocities - plan.velocities)
-        moved = replace(sent, positions=positions, velocities=velocities)
-        pilots.advance(moved, bodies, period)
+        sample = max(0, math.floor(RATE * time + ROUNDING))
+        parts = [vars(commands[sample]).values() for commands in self._commands]
+        commands = Commands(*(np.concatenate(x) for x in zip(*parts, strict=True)))
+        positions = commands.positions + (setpoints.positions - plan.positions)
+        velocities = commands.velocities + (setpoints.velocities - plan.velocities)
+        commands = replace(commands, positions=positions, velocities=velocities)
+        pilots.advance(commands, bodies, period)
         return added
 
     def _bodies(self, index: int) -> Bodies:
-        """Return the drones' state, beside which legs of thick ropes end."""
+        """Return the drones' states without the end offsets of thick ropes."""
         return replace(self._world.bodies, positions=self._drones(index))
 
     def _drones(self, index: int) -> Array:
-        """Return (2n, 3) [m]: positions of the drones, beside which legs of thick ropes end."""
-        return np.asarray(self._world.drones - self._aside[index])
+        """Return positions of the drones without the end offsets of thick ropes (2n, 3) [m]."""
+        return np.asarray(self._world.drones - self._end_offsets[index])
 
     def _outward_pulls(self, index: int) -> Array:
-        """Return (2n, 3) [N]: the plan's tensions along the legs outward; level with an object."""
+        """Return planned tensions along the legs outward, level with objects (2n, 3) [N]."""
         task = self._task
         legs = task.setpoints.positions[index] - task.vertices[index][task.team.layout.pulled_to]
         pulls: Array = np.repeat(task.tensions[index], 2)[:, None] * unit(legs)
-        if task.cargo.objects and np.any(task.cargo.borne[index] > 0.0):
+        if task.cargo.objects and np.any(task.cargo.load_share[index] > 0.0):
             pulls[:, 2] = 0.0
         return pulls
 
     def _sample(self, time: float, index: int) -> None:
-        """Record the state at ``time`` [s], until which setpoint ``index`` applied, and peaks."""
+        """Record the state at ``time`` [s], up to which setpoint ``index`` applied, and peaks."""
         world = self._world
         commanded = self._task.setpoints.positions[index]
         touched = self._contacts.collect(self._least_bearing[index])
@@ -398,7 +400,7 @@ class _Run:
         self._peaks[:] = 0.0
 
     def flight(self, error: InvalidRunError | None) -> Flight:
-        """Return the flight as far as it was simulated."""
+        """Return the simulated part of the flight."""
         world = self._world
         if not self._rows:  # ended while it settled
             self._sample(0.0, 0)
@@ -415,21 +417,21 @@ class _Run:
             self._pulled,
             gains=self._pilots.gains,
             density=world.ropes.density,
-            longer=float(np.max(self._longer)),
-            aside=float(np.max(length(self._aside))),
+            extra_length=float(np.max(self._extra_lengths)),
+            end_offset=float(np.max(length(self._end_offsets))),
             objects=world.objects,
             error=error,
         )
 
 
 def ground_of(task: Task) -> float:
-    """Return the height [m] on which objects stand; else 0, or lower for the lowest drone."""
+    """Return the height of the ground [m]: that of objects, else 0 or below the lowest drone."""
     lowest = float(np.min(task.setpoints.positions[..., 2])) - REST_HEIGHT
     return task.cargo.floor if task.cargo.objects else min(0.0, lowest)
 
 
 def _lost_drone(task: Task, settings: Settings) -> tuple[int, float] | None:
-    """Return the index of a lost drone and the time of its loss [s]; InputError for a wrong one."""
+    """Return the index of a lost drone and the time of its loss [s]; InputError if invalid."""
     lost, names, end = settings.lost, task.team.drone_names, task.duration
     if lost is None:
         return None

@@ -18,13 +18,7 @@ from scipy.ndimage import uniform_filter1d
 from hitchopt.geometry.vectors import length
 from hitchopt.motion.motion import Motion
 from hitchopt.simulation.flight import Flight
-from hitchopt.simulation.judgement import (
-    Simulation,
-    Spread,
-    nearest,
-    tracking_errors,
-    warnings,
-)
+from hitchopt.simulation.judgement import Simulation, Spread, nearest, tracking_errors, warnings
 from hitchopt.storage.archive import RECORDING
 from hitchopt.storage.files import Writer, replace_files, write_strict_json
 from hitchopt.values import Array
@@ -42,16 +36,16 @@ OBJECTS, CAMPAIGN, RUNS = "objects.csv", "campaign.json", "runs.csv"
 # Names that belong to hitchopt in the directory of results; other files are never touched
 OWNED = (SUMMARY, VERTICES, CABLES, DRONES, OBJECTS, RECORDING, PICTURE, CAMPAIGN, RUNS)
 
-# Width and height [inch], and widths of storyboard and plots: those of a plan's summary
+# Width and height [inch], and width ratios of storyboard and plots, as in a plan's summary
 SIZE, WIDTHS = (13.0, 7.2), (1.25, 1.0)
 
-MEAN = 0.2  # Time over which a thick curve of tension is the mean [s]: samples hide one another
-LABELLED = 6  # Largest number of vertices for which the legend has space
-THICKNESS, THICKEST = 0.005, 0.02  # Radius of drawn ropes over the flight's extent; at most [m]
-SAME_FRAME = 0.1  # Largest distance in time from a shot to a frame that shows it [s]
+MEAN_TIME = 0.2  # Averaging time of thick tension curves [s]
+MAX_LABELS = 6  # Largest number of vertices in the legend
+ROPE_RADIUS, MAX_ROPE_RADIUS = 0.005, 0.02  # Of drawn ropes, over the flight's extent; at most [m]
+SHOT_TOLERANCE = 0.1  # Largest time between a shot and its frame [s]
 
-# Kinds of failures of flights that may end hitched, or untied, as planned
-ELSE_WRONG = ("touch", "dropped", "misplaced", "caught")
+# Kinds of failures that do not depend on the state of the hitch at the end
+OTHER_FAILURES = ("touch", "dropped", "misplaced", "caught")
 
 
 def save_simulation(
@@ -59,8 +53,7 @@ def save_simulation(
 ) -> Path:
     """Write summary, tables, recording and picture, all of them or none; return the directory.
 
-    The picture shows the plan that was flown, ``motion``, under a title. Raises FileError where the
-    directory cannot be written to.
+    The picture shows the plan ``motion`` under a title. Raises FileError if writing fails.
     """
     flight, errors = simulation.flight, simulation.errors
     record, team, cargo = flight.record, flight.task.team, flight.task.cargo
@@ -98,14 +91,14 @@ def save_simulation(
 
 
 def _cables(flight: Flight) -> Sequence[object]:
-    """Return what files call cables: numbers, and names if there are several groups."""
+    """Return the cables' names in files: indices, or names for several groups."""
     return flight.cable_names if flight.task.groups else range(flight.task.team.robots)
 
 
 def _write_table(
     kind: str, names: Iterable[object], t: Array, columns: dict[str, Any], path: Path
 ) -> None:
-    """Write a table with one row per time and name."""
+    """Write a table with a row per time and name."""
     values = np.concatenate([np.atleast_3d(column) for column in columns.values()], axis=-1)
     with path.open("w", encoding="utf-8", newline="") as file:
         table = csv.writer(file, lineterminator="\n")
@@ -116,7 +109,7 @@ def _write_table(
 
 
 def number(value: float, digits: int = 9) -> str:
-    """Return a number in some significant digits; nothing for nan."""
+    """Return a number with some significant digits; an empty text for nan."""
     return "" if math.isnan(value) else f"{value:.{digits}g}"
 
 
@@ -126,7 +119,7 @@ def summary(simulation: Simulation) -> dict[str, Any]:
     record, team, figures = flight.record, flight.task.team, simulation.figures
     spreads = {name: asdict(spread) for name, spread in simulation.spreads.items()}
     clasps = [team.point_names[p] for p in team.layout.clasps]
-    drawn = {  # what was perturbed
+    perturbed = {
         name: {"mass": body.mass, "friction": body.friction, "stood_at": body.at.tolist()}
         for name, body in flight.objects.items()
     }
@@ -140,7 +133,7 @@ def summary(simulation: Simulation) -> dict[str, Any]:
         "settings": asdict(simulation.settings),
         "warnings": list(warnings(flight.task, simulation.settings)),
         "position_loops": {name: gains.tolist() for name, gains in vars(flight.gains).items()},
-        "compensation": {"cables_longer": flight.longer, "legs_aside": flight.aside},
+        "compensation": {"cables_longer": flight.extra_length, "legs_aside": flight.end_offset},
         "density": {
             "simulated": np.asarray(flight.density).tolist(),
             "planned": planned if flight.task.groups else planned[0],
@@ -151,7 +144,7 @@ def summary(simulation: Simulation) -> dict[str, Any]:
         "hitched": outcome.hitched,
         "failures": [asdict(failure) for failure in outcome.failures],
         "clasps": [asdict(clasp) for clasp in outcome.clasps],
-        "objects": [asdict(each) | drawn[each.name] for each in outcome.objects],
+        "objects": [asdict(each) | perturbed[each.name] for each in outcome.objects],
         "vertex_error": {
             "all": spreads["vertex_error"],
             "resting": spreads["resting"],
@@ -173,22 +166,22 @@ def drawn_flight(simulation: Simulation, motion: Motion, title: str = "") -> Fig
     figure = style.new_figure(SIZE)
     grid = figure.add_gridspec(3, 2, width_ratios=WIDTHS)
     scene = flight_scene(simulation, motion)
-    if scene is not None:  # the plan's moments that were reached, and the end of all
+    if scene is not None:  # shots of the plan up to the end, and the end
         end = float(scene.t[-1])
-        shots = [shot for shot in choose_shots(motion) if shot.time <= end + SAME_FRAME]
+        shots = [shot for shot in choose_shots(motion) if shot.time <= end + SHOT_TOLERANCE]
         if np.isfinite(simulation.flight.pulled):
             words = "after the pull test" if simulation.flight.task.formed[-1] else "at rest"
             shots = [*shots[: max(1, len(shots) - 1)], Shot(words, end, essential=True)]
-        wide = THICKNESS * float(np.linalg.norm(np.ptp(scene.drones, axis=(0, 1))))
-        drawn = replace(scene, radius=float(np.clip(wide, scene.radius, THICKEST)))
-        draw_storyboard(grid[:, 0], drawn, shots, (scene.t, scene.drones))
+        radius = ROPE_RADIUS * float(np.linalg.norm(np.ptp(scene.drones, axis=(0, 1))))
+        thick = replace(scene, radius=float(np.clip(radius, scene.radius, MAX_ROPE_RADIUS)))
+        draw_storyboard(grid[:, 0], thick, shots, (scene.t, scene.drones))
     _draw_over_time([figure.add_subplot(grid[i, 1]) for i in range(3)], simulation, motion)
     style.headline(figure, title, f"{style.facts(motion)}, simulated: {ending(simulation)}")
     return figure
 
 
 def flight_scene(simulation: Simulation, motion: Motion) -> Scene | None:
-    """Return the scene of a flight of a plan; None if it ended before there was one."""
+    """Return the scene of a flight of a plan; None if it ended too early."""
     film = simulation.flight.film
     if np.sum(film.t >= 0.0) < 2:
         return None
@@ -206,9 +199,10 @@ def _draw_over_time(plots: Sequence[Axes], simulation: Simulation, motion: Motio
     for c, (point, k) in enumerate(zip(team.layout.clasps, team.layout.ahead, strict=True)):
         values = 100.0 * errors.errors[:, c]
         top.plot(errors.t, values, color=colours[k], lw=1.2, label=team.point_names[point])
-    if errors.t.size and len(team.layout.clasps) <= LABELLED:
+    if errors.t.size and len(team.layout.clasps) <= MAX_LABELS:
         top.legend(fontsize="small", ncols=3, frameon=False)
-    smooth = uniform_filter1d(record.tensions, max(1, round(MEAN * len(record.t) / end)), axis=0)
+    samples = max(1, round(MEAN_TIME * len(record.t) / end))
+    smooth = uniform_filter1d(record.tensions, samples, axis=0)
     for k, colour in enumerate(colours):
         middle.plot(record.t, record.tensions[:, k], color=colour, lw=0.4, alpha=0.25)
         middle.plot(record.t, smooth[:, k], color=colour, lw=1.2)
@@ -218,7 +212,7 @@ def _draw_over_time(plots: Sequence[Axes], simulation: Simulation, motion: Motio
     tracking = 100.0 * np.max(tracking_errors(flight), axis=-1)
     bottom.plot(record.t[: len(tracking)], tracking, color=style.INK, lw=1.2)
     first = "vertex error," if simulation.settings.preset.exact else "vertex error ± 1 to 2 cm,"
-    second = f"tension [N], {MEAN:g} s means\nthick, planned dashed"
+    second = f"tension [N], {MEAN_TIME:g} s means\nthick, planned dashed"
     titles = f"{first}\nsag included [cm]", second
     for axes, words in zip(plots, (*titles, "farthest drone\nfrom setpoint [cm]"), strict=True):
         axes.set_ylabel(words)
@@ -232,18 +226,18 @@ def _draw_over_time(plots: Sequence[Axes], simulation: Simulation, motion: Motio
 
 
 def ending(simulation: Simulation) -> str:
-    """Return a flight's ending in words; a plan that releases its hitch ends untied."""
+    """Return the end of a flight in words, such as a hitch that holds or is untied."""
     flight, loss = simulation.flight, simulation.loss
     if loss is not None:
-        return "no two survivors touch" if loss.apart else "survivors TOUCH each other"
+        return "no two survivors touch" if loss.collision_free else "survivors TOUCH each other"
     if flight.linking is None:
         return "not simulated to its end"
-    ends, each = [part.formed[-1] for part in flight.task.parts], list[str]()
+    ends, parts = [part.formed[-1] for part in flight.task.parts], list[str]()
     if any(ends):
-        each.append("every vertex holds" if simulation.outcome.hitched else "not hitched")
+        parts.append("every vertex holds" if simulation.outcome.hitched else "not hitched")
     if not all(ends):
         tangled = any(failure.kind == "tangled" for failure in simulation.outcome.failures)
-        each.append("not untied" if tangled else "untied, as planned")
-    words = " and ".join(each)
-    wrong = [each.words for each in simulation.outcome.failures if each.kind in ELSE_WRONG]
-    return f"{words}, but {wrong[0]}" if wrong else words
+        parts.append("not untied" if tangled else "untied, as planned")
+    words = " and ".join(parts)
+    failures = [one.words for one in simulation.outcome.failures if one.kind in OTHER_FAILURES]
+    return f"{words}, but {failures[0]}" if failures else words

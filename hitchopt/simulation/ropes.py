@@ -1,4 +1,4 @@
-"""Ropes as MuJoCo simulates them: their resolution, first shapes, thickness and links."""
+"""Simulated ropes: resolution, initial shapes, compensation of thickness, and linking numbers."""
 
 from __future__ import annotations
 
@@ -23,36 +23,35 @@ from hitchopt.values import Array
 # Largest ratio of the time step to the time in which a transverse wave passes a segment
 COURANT = 0.7
 
-RESERVE = 2.0  # Tension that steps must bear, over the plan's or present one; pull tests take 1.5
-FINEST = 8  # Most time steps for one of a preset, for light ropes
-ROUNDING = 1e-9  # Tolerance of a count of segments: 2.4 m are 96 of 0.025 m in spite of rounding
+TENSION_RESERVE = 2.0  # Resolved tension over the planned or current one; pull tests need 1.5
+MAX_SUBSTEPS = 8  # Largest number of substeps, for light ropes
+ROUNDING = 1e-9  # Tolerance of a number of segments: 2.4 m are 96 of 0.025 m in spite of rounding
 
-# Least distance of the two bends of a clasp that is not yet drawn tight, in diameters and in
-# segments: a bend must consist of several
-CLEARANCE, CLEARANCE_SEGMENTS = 3.5, 1.7
+# Smallest distance of the two bends of a loose clasp, in diameters and in segments, so that a bend
+# consists of several segments
+GAP_DIAMETERS, GAP_SEGMENTS = 3.5, 1.7
 
-REACH = 2.0  # Distance from a clasp, over that of its bends, from which on a cable follows the plan
+REACH = 2.0  # Distance from a clasp, over its gap, at which a cable meets the planned line
 
 # Corners of a bend: along the direction in which it opens, and across it
 BEND = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
 
-SAME_RISE = 1e-6  # Difference of the legs' slopes up to which they rise alike
-BEYOND = 0.5  # Length by which a cable's line continues beyond its drone, for its last segments [m]
+SLOPE_TOLERANCE = 1e-6  # Tolerance of equal slopes of legs
+OVERHANG = 0.5  # Extension of a cable's line beyond its drone, for its last segments [m]
 
-FOLD = 4  # Links of a cable from one of its folds to the next on the ground, where it is too long
+FOLD_LINKS = 4  # Links per fold of excess cable on the ground
 
-# Length that coarse segments use up in a bend of 180°, over the square of a segment's length over
-# the diameter: within 1 mm at clasps of regular hitches of 3 to 12 cables, in both presets
+# Length used by coarse segments in a bend of 180°, over the squared segment length over the
+# diameter: within 1 mm at clasps of regular hitches of 3 to 12 cables, in both presets
 COARSENESS = 0.15
 
-# Least length of a normal [m²]: edges in one plane have none, and span no solid angle
-TINY = 1e-300
+TINY = 1e-300  # Smallest divisor of normals [m²]: coplanar edges span no solid angle
 
 UP = np.array([0.0, 0.0, 1.0])  # Direction opposite to gravity
 
 
 class ShapeError(HitchoptError):
-    """Two drones that start farther apart than their cable is long."""
+    """Two drones start at a distance larger than the length of their cable."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +61,8 @@ class Ropes:
     Parameters
     ----------
     lengths: cable lengths (n,) [m].
-    density: mass per length [kg/m], of all or of each (n,).
-    friction: coefficient between cables, and with the ground, likewise.
+    density: mass per length [kg/m], common or of each cable (n,).
+    friction: coefficient between cables and with the ground, common or of each cable (n,).
     preset: resolution.
     """
 
@@ -74,19 +73,19 @@ class Ropes:
 
     @classmethod
     def of(cls, team: Team, settings: Settings, lengths: Array, tension: float = 0.0) -> Ropes:
-        """Return ropes of some lengths (n,) [m]; density and friction are a team's, or given.
+        """Return ropes of some lengths (n,) [m]; settings override density and friction of a team.
 
-        For light ropes under a ``tension`` [N] time steps are smaller than the preset's.
+        Time steps are smaller than the preset's for light ropes under a ``tension`` [N].
         """
         density = settings.density or team.cable_density or DENSITY
         friction = team.cable_friction if settings.friction is None else settings.friction
         ropes = cls(lengths, density, friction, settings.preset)
-        step = settings.preset.time_step / ropes.finer(tension)
+        step = settings.preset.time_step / ropes.substeps(tension)
         return replace(ropes, preset=replace(settings.preset, time_step=step))
 
     @classmethod
     def joined(cls, each: Sequence[Ropes]) -> Ropes:
-        """Return the ropes of several teams, with the shortest of their time steps."""
+        """Return the ropes of several teams, with the smallest time step."""
         if len(each) == 1:
             return each[0]
         lengths, density, friction = (
@@ -100,10 +99,10 @@ class Ropes:
             min((x.preset for x in each), key=lambda preset: preset.time_step),
         )
 
-    def finer(self, tension: float) -> int:
-        """Return how many time steps a tension [N] needs in place of one, at most FINEST."""
-        needed = math.ceil(math.sqrt(RESERVE * max(tension, 0.0) / self.largest_tension) - ROUNDING)
-        return min(max(needed, 1), FINEST)
+    def substeps(self, tension: float) -> int:
+        """Return the number of substeps for a tension [N], at most MAX_SUBSTEPS."""
+        ratio = TENSION_RESERVE * max(tension, 0.0) / self.largest_tension
+        return min(max(math.ceil(math.sqrt(ratio) - ROUNDING), 1), MAX_SUBSTEPS)
 
     @property
     def segments(self) -> NDArray[np.intp]:
@@ -119,57 +118,58 @@ class Ropes:
 
     @property
     def largest_tension(self) -> float:
-        """Largest tension at which waves and contacts are resolved [N]; beyond it ropes pass."""
+        """Largest tension at which waves and contacts are resolved [N]."""
         wave = COURANT * self.segment_lengths / self.preset.time_step
         return float(np.min(self.density * wave**2))
 
     def check_tension(self, tension: float) -> None:
-        """Raise InputError where ropes are too light for a plan's largest tension [N]."""
-        needed = RESERVE * tension
+        """Raise InputError if ropes are too light for a plan's largest tension [N]."""
+        needed = TENSION_RESERVE * tension
         if self.largest_tension < needed:
-            least = self.density * needed / self.largest_tension
-            bound = f"at least {least:.3g} kg/m to bear {needed:.3g} N"
+            needed_density = self.density * needed / self.largest_tension
+            bound = f"at least {needed_density:.3g} kg/m to bear {needed:.3g} N"
             raise InputError("density", self.density, bound, "simulate heavier cables (--density)")
 
 
 def clasped(ropes: Ropes, layout: Layout, drones: Array, vertices: Array) -> list[Array]:
-    """Return the cables of a formed hitch, loosely interlaced, for drones (2n, 3) [m].
+    """Return loosely interlaced cables of a formed hitch for drones (2n, 3) [m].
 
-    They are chains of segments of exactly their length, n of (segments + 1, 3) [m], and end a
-    little inward of the drones. At a clasp both overlap like two links of a chain: cable k is
-    level, cable k-1 upright within it, its leg below, or above where it rises more than the other.
+    Cables are chains of segments of exact length, n of (segments + 1, 3) [m], which end slightly
+    inward of the drones. At a clasp the cables overlap like two links of a chain: cable k is level,
+    cable k-1 upright, with its leg below, or above if it rises more than the other leg.
     """
     lengths = ropes.segment_lengths
-    gap = max(CLEARANCE * ropes.preset.diameter, CLEARANCE_SEGMENTS * float(np.max(lengths)))
+    gap = max(GAP_DIAMETERS * ropes.preset.diameter, GAP_SEGMENTS * float(np.max(lengths)))
     q, r = drones[0::2], drones[1::2]
     u = unit(layout.edges(vertices))
     p, after, before = vertices[layout.clasps], layout.ahead, layout.behind
     q_hat, r_hat = unit(q[after] - p), unit(r[before] - p)
     q_level = unit(q_hat * [1.0, 1.0, 0.0])
     along = 0.5 * gap * unit(q_level + u[after])  # the direction in which cable k's bend opens
-    aside = 0.5 * gap * unit(q_level - u[after])  # to the side of the legs
-    side = np.where(r_hat[:, 2] > q_hat[:, 2] + SAME_RISE, -1.0, 1.0)  # of the leg of cable k-1
+    across = 0.5 * gap * unit(q_level - u[after])  # to the side of the legs
+    higher = r_hat[:, 2] > q_hat[:, 2] + SLOPE_TOLERANCE
+    side = np.where(higher, -1.0, 1.0)  # of the leg of cable k-1
     lift = 0.5 * gap * side[:, None] * UP
-    leaving = p + REACH * gap * r_hat
-    height = side * (leaving - p)[:, 2]
-    leaving[:, 2] += side * np.minimum(-0.5 * gap - height, 0.0)  # past the other cable's bend
-    starts, ends = [[each] for each in q], [[each] for each in r]
+    leg_corner = p + REACH * gap * r_hat
+    height = side * (leg_corner - p)[:, 2]
+    leg_corner[:, 2] += side * np.minimum(-0.5 * gap - height, 0.0)  # past the other cable's bend
+    starts, ends = [[point] for point in q], [[point] for point in r]
     for c, (k, j) in enumerate(zip(after, before, strict=True)):
         starts[k] = [
-            q[k] + BEYOND * q_hat[c],
+            q[k] + OVERHANG * q_hat[c],
             p[c] + REACH * gap * q_hat[c],
-            *(p[c] + x * along[c] + y * aside[c] for x, y in BEND),
+            *(p[c] + x * along[c] + y * across[c] for x, y in BEND),
             p[c] + REACH * gap * u[k],
         ]
         ends[j] = [
             p[c] - REACH * gap * u[j],
             *(p[c] - x * along[c] + y * lift[c] for x, y in BEND),
-            leaving[c],
-            r[j] + BEYOND * r_hat[c],
+            leg_corner[c],
+            r[j] + OVERHANG * r_hat[c],
         ]
     chains = []
     for k, (count, size) in enumerate(zip(ropes.segments, lengths, strict=True)):
-        corners = np.array([*starts[k], *ends[k]])  # built from its middle outward
+        corners = np.array([*starts[k], *ends[k]])  # built outward from the middle
         middle = len(corners) // 2
         centre = 0.5 * (corners[middle - 1] + corners[middle])
         onward, back = (
@@ -181,7 +181,7 @@ def clasped(ropes: Ropes, layout: Layout, drones: Array, vertices: Array) -> lis
 
 
 def _steps(corners: Array, count: int, size: float) -> Array:
-    """Return points (count + 1, 3) on the line, each at a distance ``size`` from the last one."""
+    """Return points (count + 1, 3) on a polyline at distances ``size`` from point to point."""
     points, here, leg = [corners[0]], corners[0], 0
     for _ in range(count):
         while leg < len(corners) - 2 and np.linalg.norm(corners[leg + 1] - here) < size:
@@ -195,23 +195,23 @@ def _steps(corners: Array, count: int, size: float) -> Array:
 
 
 def hanging(ropes: Ropes, drones: Array, ground: float) -> list[Array]:
-    """Return cables that hang between their drones, and lie on the ground where they reach it.
+    """Return cables that hang between their drones, or partly lie on the ground at a height [m].
 
-    They are chains of segments of exactly their length, n of (segments + 1, 3) [m], that end within
-    a segment of their drones (2n, 3) [m]: the settling draws these back. ``ground`` is its height.
+    Cables are chains of segments of exact length, n of (segments + 1, 3) [m], which end within a
+    segment of their drones (2n, 3) [m]; settling removes the difference.
     """
     chains, floor = [], ground + 0.5 * ropes.preset.diameter
     for k, (count, size) in enumerate(zip(ropes.segments, ropes.segment_lengths, strict=True)):
         q, r, whole = drones[2 * k], drones[2 * k + 1], float(count * size)
-        if (apart := float(np.linalg.norm(r - q))) > whole * (1.0 + 1e-6):
-            words = f"its drones start {apart:.4g} m apart, more than its {whole:.4g} m"
-            raise ShapeError(f"cable {k}: {words}; lengthen it, or start closer")
-        curve = hanging_cable(q, r, max(whole, apart), int(count) + 1)
+        if (distance := float(np.linalg.norm(r - q))) > whole * (1.0 + 1e-6):
+            problem = f"its drones start {distance:.4g} m apart, more than its {whole:.4g} m"
+            raise ShapeError(f"cable {k}: {problem}; lengthen it, or start closer")
+        curve = hanging_cable(q, r, max(whole, distance), int(count) + 1)
         along, lies = unit(np.diff(curve, axis=0), fallback=-UP), np.min(curve[:, 2]) < floor
         if lies:
             along = _lying(q, r, int(count), float(size), floor)
         chain = size * np.vstack([np.zeros(3), np.cumsum(along, axis=0)])
-        chain += 0.5 * (q + r - chain[-1])  # what is left over is shared by both ends
+        chain += 0.5 * (q + r - chain[-1])  # both ends share the difference
         if lies:
             chain[:, 2] += floor - np.min(chain[:, 2])
         chains.append(chain)
@@ -219,11 +219,11 @@ def hanging(ropes: Ropes, drones: Array, ground: float) -> list[Array]:
 
 
 def _lying(q: Array, r: Array, count: int, size: float, floor: float) -> Array:
-    """Return the directions (count, 3) of links, ``size`` long, from q to the floor and to r [m].
+    """Return directions (count, 3) of links of a ``size`` [m] from q via the floor to r [m].
 
-    From the floor a cable rises as a catenary whose parameter a, its tension over its weight per
-    length, is equal at both ends: at an arc s its slope is s / a. Where the cable is too long for
-    any tension, a is one link, and the part on the floor goes to and fro by an equal angle.
+    From the floor, a cable rises as catenaries with a common parameter a, tension over weight per
+    length: the slope at an arc length s is s / a. If the cable is too long for any tension, a is
+    one link, and the part on the floor zigzags at a constant angle.
     """
     offset, whole = r - q, count * size
     span = float(np.hypot(*offset[:2]))
@@ -231,7 +231,7 @@ def _lying(q: Array, r: Array, count: int, size: float, floor: float) -> Array:
     heights = np.maximum(np.array([q[2], r[2]]) - floor, 0.0)
 
     def surplus(a: float) -> float:
-        """Return the length [m] on the floor, less the distance that it has to bridge there."""
+        """Return the length [m] on the floor, less the distance there."""
         arcs = np.sqrt(heights * (heights + 2.0 * a))
         return float(whole - span - np.sum(arcs - a * np.arcsinh(arcs / a)))
 
@@ -240,21 +240,20 @@ def _lying(q: Array, r: Array, count: int, size: float, floor: float) -> Array:
         a = brentq(surplus, a, tightest)
     arcs = np.sqrt(heights * (heights + 2.0 * a))
     lying = max(whole - float(np.sum(arcs)), size)
-    share = min(max(1.0 - surplus(a) / lying, 0.0), 1.0)
-    place = size * (np.arange(count) + 0.5)
-    slope = np.maximum(place - whole + arcs[1], 0.0) - np.maximum(arcs[0] - place, 0.0)
-    folds = 2 * max(round(lying / (2 * FOLD * size)), 1)
-    side = (-1.0) ** np.floor(folds * np.clip((place - arcs[0]) / lying, 0.0, 1.0))
-    level = share * forward + math.sqrt(1.0 - share**2) * side[:, None] * np.cross(UP, forward)
+    cosine = min(max(1.0 - surplus(a) / lying, 0.0), 1.0)
+    arc = size * (np.arange(count) + 0.5)
+    slope = np.maximum(arc - whole + arcs[1], 0.0) - np.maximum(arcs[0] - arc, 0.0)
+    folds = 2 * max(round(lying / (2 * FOLD_LINKS * size)), 1)
+    side = (-1.0) ** np.floor(folds * np.clip((arc - arcs[0]) / lying, 0.0, 1.0))
+    level = cosine * forward + math.sqrt(1.0 - cosine**2) * side[:, None] * np.cross(UP, forward)
     return unit(np.where(slope[:, None] == 0.0, level, forward + (slope / a)[:, None] * UP))
 
 
 def thickness_allowance(task: Task, diameter: float, segment: float) -> Array:
-    """Return (n,) [m]: the additional length with which thick cables take their bends.
+    """Return the additional length of thick cables for their bends (n,) [m].
 
-    Without it ropes would be too short, and pull harder than planned. It is what ``bend_lengths``
-    says of both clasps of a cable and, of one that is wrapped around an object, half a diameter
-    times the angle by which it turns there, seen from above.
+    Without it the tension would exceed the plan's. It is the sum of ``bend_lengths`` of a cable's
+    clasps and, for a cable around an object, half a diameter times the turn seen from above.
     """
     layout, allowance = task.team.layout, np.zeros(task.team.robots)
     longer = bend_lengths(task, diameter, segment)
@@ -268,13 +267,13 @@ def thickness_allowance(task: Task, diameter: float, segment: float) -> Array:
 
 
 def bend_lengths(task: Task, diameter: float, segment: float) -> Array:
-    """Return (clasps,) [m]: by how much each of a clasp's two cables is longer for its thickness.
+    """Return the additional length of each cable of a clasp due to thickness (clasps,) [m].
 
-    Where a cable turns by ``π - φ`` about another, φ the angle between the edges there, its centre
-    line follows a circle of one diameter whose far side is half a diameter from the vertex. That is
-    ``(π - φ - cos(φ/2))`` diameters longer than the plan's sharp bend. A chain of segments cannot
-    follow the circle; it uses up ``COARSENESS · segment²/diameter · cos(φ/2)`` besides. It is the
-    mean over the time with a hitch, or with what that grips: ropes too short grip harder.
+    A cable turns by ``π - φ`` about another, where φ is the angle between the edges. Its centre
+    line follows a circle with a radius of one diameter, whose far side is half a diameter from the
+    vertex. It is ``(π - φ - cos(φ/2))`` diameters longer than the plan's sharp bend. A chain of
+    segments needs another ``COARSENESS · segment²/diameter · cos(φ/2)``. Values are means over the
+    time with a hitch, or with a carried object, which short ropes would grip harder.
     """
     layout = task.team.layout
     if not task.formed.any():
@@ -288,7 +287,7 @@ def bend_lengths(task: Task, diameter: float, segment: float) -> Array:
 
 
 def _edge_ends(task: Task) -> tuple[Array, Array]:
-    """Return unit vectors (samples, n, 3) along edges at both ends, as ``bend_lengths`` samples."""
+    """Return unit vectors (samples, n, 3) along edges at both ends, see ``bend_lengths``."""
     layout, motion = task.team.layout, task.motion
     carrying = task.formed & np.any(task.cargo.carried, axis=-1)
     if motion is None or motion.contacts is None or not carrying.any():
@@ -300,13 +299,13 @@ def _edge_ends(task: Task) -> tuple[Array, Array]:
     return unit(first - vertices[:, layout.starts]), unit(vertices[:, layout.ends] - last)
 
 
-def legs_aside(task: Task, diameter: float) -> Array:
-    """Return (samples, 2n, 3) [m]: where legs of thick cables end, from where thin ones do.
+def leg_end_offsets(task: Task, diameter: float) -> Array:
+    """Return offsets of the ends of thick ropes from their drones (samples, 2n, 3) [m].
 
-    The circle of a bend, see ``bend_lengths``, leads a leg past the vertex, ``1 - sin(h)/2``
-    diameters aside from its edge, h half of the angle between leg and edge. Legs that ended at
-    their drones would point too far inward; triangles, which are soft, would give way by 2 cm. As
-    far as the tension of a leg is below its team's, it ends nearer to its drone.
+    The circle of a bend, see ``bend_lengths``, displaces a leg from the vertex by ``1 - sin(h)/2``
+    diameters, where h is half of the angle between leg and edge. Without an equal offset at the
+    drone, legs would point inward and triangles, which are soft, deform by 2 cm. Offsets are
+    proportional to the tension up to the team's.
     """
     layout, team = task.team.layout, task.team
     edges = unit(layout.edges(task.vertices))
@@ -314,15 +313,15 @@ def legs_aside(task: Task, diameter: float) -> Array:
     legs = unit(task.setpoints.positions - task.vertices[:, layout.pulled_to])
     cosine = dot(legs, along)[..., None]
     half = 0.5 * np.arccos(np.clip(cosine, -1.0, 1.0))
-    tight = np.repeat(np.clip(task.tensions / team.tension, 0.0, 1.0), 2, axis=-1)
-    away: Array = unit(cosine * legs - along) * (1.0 - 0.5 * np.sin(half)) * tight[..., None]
-    return diameter * away
+    ratio = np.repeat(np.clip(task.tensions / team.tension, 0.0, 1.0), 2, axis=-1)
+    offsets: Array = unit(cosine * legs - along) * (1.0 - 0.5 * np.sin(half)) * ratio[..., None]
+    return diameter * offsets
 
 
 def linking_number(one: Array, other: Array) -> int:
     """Return Gauss's linking number of two closed polygons (corners, 3) [m], with its sign.
 
-    It is the sum over all pairs of edges of the solid angle that their directions span, over 4π
+    It is the sum over all pairs of edges of the solid angle spanned by their directions, over 4π
     (Banchoff 1976; Klenin and Langowski 2000).
     """
     a, b = one[:, None], np.roll(one, -1, axis=0)[:, None]
@@ -336,10 +335,10 @@ def linking_number(one: Array, other: Array) -> int:
 
 
 def linking_matrix(cables: list[Array]) -> NDArray[np.int64]:
-    """Return (n, n), symmetric: the linking number of every pair of cables (nodes, 3) [m].
+    """Return linking numbers of all pairs of cables (nodes, 3) [m] as a symmetric matrix (n, n).
 
-    Each cable is closed by the straight line between its drones. That is meaningful with the drones
-    at the hitch or before it is formed, where these lines stay clear of the other cables.
+    Each cable is closed by the straight line between its drones. This is meaningful at the hitch
+    and before it is formed, when these lines are clear of the other cables.
     """
     matrix = np.zeros((len(cables),) * 2, dtype=np.int64)
     for i, j in combinations(range(len(cables)), 2):

@@ -1,4 +1,4 @@
-"""Settings of a simulated flight: the resolution of its ropes, and everything that disturbs it."""
+"""Settings of a simulated flight: resolution of the ropes, and disturbances."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from hitchopt.hitch.estimator import FIRMWARE, HELD, ONE_MARKER, EstimatorParame
 from hitchopt.hitch.flight_controller import CONTROLLERS, Gains
 from hitchopt.values import check_choice, nonnegative, positive
 
-# Largest relative deviations; more is most likely a percentage
-LARGEST = {"cable_error": 0.1, "object_mass": 0.9, "object_friction": 0.9}
+# Largest relative deviations; larger numbers are probably percentages
+MAX_DEVIATIONS = {"cable_error": 0.1, "object_mass": 0.9, "object_friction": 0.9}
 
 SHORT_LAG, MOTOR_LAG = 0.02, 0.03  # Time constants of the motors' thrust [s]
 
-DENSITY = 0.01  # Cable density where the team gives none [kg/m]: a cord of 4 mm
+DENSITY = 0.01  # Cable density of a team without weight [kg/m]: a cord of 4 mm
 
 
 def _check(record: object, checked: Callable[[str, object], float], *names: str) -> None:
-    """Replace the named values of a frozen record by checked ones; None stays."""
+    """Validate the named values of a frozen record, except None."""
     for name in names:
         if (value := getattr(record, name)) is not None:
             object.__setattr__(record, name, checked(name, value))
@@ -35,7 +35,7 @@ class Preset:
     ----------
     name: one of PRESETS.
     segment: largest length of a rope's segments [m].
-    diameter: rope diameter [m]; larger than that of real cables, because contact needs it.
+    diameter: rope diameter [m]; larger than that of real cables, as contacts require.
     time_step: integration step [s].
     """
 
@@ -46,11 +46,11 @@ class Preset:
 
     @property
     def exact(self) -> bool:
-        """Whether places of vertices are true to a centimetre."""
+        """Whether positions of vertices are accurate to a centimetre."""
         return self.segment <= ACCURATE.segment
 
 
-# Whether a hitch holds, with too few segments in its bends for friction; and a capstan's friction
+# FAST shows whether a hitch holds, but its bends are too coarse for exact friction
 FAST = Preset("fast", 0.030, 0.012, 0.001)
 ACCURATE = Preset("accurate", 0.010, 0.012, 0.0004)
 PRESETS = {preset.name: preset for preset in (FAST, ACCURATE)}
@@ -58,24 +58,24 @@ PRESETS = {preset.name: preset for preset in (FAST, ACCURATE)}
 
 @dataclass(frozen=True)
 class Perturbations(OneLine):
-    """Disturbances that the plan does not know, all drawn from one seed.
+    """Disturbances that the plan does not model, all drawn from one seed.
 
     Parameters
     ----------
     noise: standard deviation per axis of the error of the measured drone positions [m].
     velocity_noise: standard deviation per axis of the error of the measured velocities [m/s].
     wind: root mean square of the gust force on a drone [N].
-    steady_wind: constant level force on every drone, in one direction that the seed gives [N].
+    steady_wind: constant level force on every drone, in one random direction [N].
     lag: time constant of the motors' thrust [s]; None: MOTOR_LAG of a named controller, else
         SHORT_LAG, to which the attitude loop adds another 60 ms.
     cable_error: standard deviation of the cable lengths, relative.
     start_error: standard deviation per axis of the drones' start positions [m].
-    downwash: whether drones push down those below them.
-    vertex_noise: standard deviation per axis of measured vertices, new at every measurement [m];
-        vertices are measured for ``feedback`` alone.
+    downwash: whether drones push down drones below them.
+    vertex_noise: standard deviation per axis of measured vertices, independent at every
+        measurement [m]; vertices are only measured for ``feedback``.
     vertex_delay: age of the measured vertices when they arrive [s].
     object_mass, object_friction: largest deviations of objects' masses and friction, relative.
-    object_place: largest distance of movable objects from where they are said to stand [m].
+    object_place: largest distance of movable objects from their planned positions [m].
     """
 
     noise: float = 0.0
@@ -94,15 +94,15 @@ class Perturbations(OneLine):
 
     def __post_init__(self) -> None:
         _check(self, nonnegative, *(name for name in vars(self) if name != "downwash"))
-        for name, most in LARGEST.items():
+        for name, most in MAX_DEVIATIONS.items():
             if getattr(self, name) > most:
                 raise InputError(name, getattr(self, name), f"at most {most}", "give a fraction")
 
 
 CALM = Perturbations()
 
-# Perturbations of a flight indoors, besides the lag of the thrust and the team's friction
-USUAL = Perturbations(
+# Typical perturbations indoors, in addition to the lag of the thrust and the team's friction
+INDOOR = Perturbations(
     noise=0.01,
     velocity_noise=0.03,
     wind=0.05,
@@ -120,7 +120,7 @@ USUAL = Perturbations(
 
 @dataclass(frozen=True)
 class Loss(OneLine):
-    """A drone, by name, whose motors stop at a time of the flight [s]."""
+    """Loss of a drone, by name, whose motors stop at a time of the flight [s]."""
 
     drone: str
     time: float
@@ -130,7 +130,7 @@ class Loss(OneLine):
 
     @classmethod
     def parsed(cls, text: str) -> Loss:
-        """Return the loss that ``DRONE@SECONDS`` names; InputError where it is none."""
+        """Return the loss of a text ``DRONE@SECONDS``; InputError for other texts."""
         if (match := re.fullmatch(r"([\w.-]+)@(\d+(?:\.\d*)?)", text)) is None:
             raise InputError("lose", text, "DRONE@SECONDS", "write q0@12.5")
         return cls(match[1], float(match[2]))
@@ -146,21 +146,20 @@ class Settings(OneLine):
     perturbations: disturbances.
     seed: seed of all random numbers.
     friction: coefficient at the clasps that replaces the team's; None: the team's.
-    density: cable density that replaces the team's [kg/m]; None: the team's, and DENSITY where its
-        cables have no weight, as ropes need some. Drones do not know what the ropes weigh.
-    stiffness: of the drones' position loops [N/m]; None: the team's, and 36/s² times their masses
-        where the team's drones are rigid.
+    density: cable density that replaces the team's [kg/m]; None: the team's, or DENSITY for cables
+        without weight. It is unknown to the drones.
+    stiffness: of the drones' position loops [N/m]; None: the team's, or 36/s² times their masses
+        for rigid drones.
     pull_test: whether the flight ends with a pull test of the hitch, if no drone is lost.
-    lost: a drone whose motors stop; None: all fly on.
+    lost: loss of a drone; None: no loss.
     feedback: whether setpoints are corrected by measured vertices, as ``Feedback`` does.
-    controller: ``mellinger``, ``lee``, ``pid`` or ``px4``, which flies the drones; None: a quick
-        one, which is none of these.
-    gains: of its position loops, a ``Gains`` or a mapping; None: those of the team's drones that
-        name this controller, for others the stiffest ones that fly.
-    estimator: of drones that know their state from a motion capture and an IMU, in place of
-        ``noise`` and ``velocity_noise``; needs a controller. None: they know it but for these.
-    upload: whether the controller flies the files of an export, which hold the tension by offsets,
-        not what is streamed to it.
+    controller: ``mellinger``, ``lee``, ``pid`` or ``px4``; None: a simplified one.
+    gains: of its position loops, a ``Gains`` or a mapping; None: those of the team's drones with
+        this controller, for others the stiffest stable ones.
+    estimator: state estimator from motion capture and IMU, in place of ``noise`` and
+        ``velocity_noise``; needs a controller. None: exact states with these errors.
+    upload: whether drones fly exported files, which hold the tension by offsets, instead of
+        streamed setpoints.
     """
 
     preset: Preset = FAST
@@ -210,12 +209,12 @@ rigid body or with one marker."""
 
 
 def settings_of(preset: str, *, perturbed: bool, **given: Any) -> Settings:
-    """Return settings by the names of their fields and of perturbations'; None counts as absent.
+    """Return settings from names of their fields and of perturbations; None counts as absent.
 
-    Perturbations that are not given are the USUAL ones if ``perturbed``, else CALM. The estimator
-    may be named, as in ESTIMATORS.
+    Other perturbations are INDOOR if ``perturbed``, else CALM. The estimator may be a name of
+    ESTIMATORS.
     """
-    usual = USUAL if perturbed else CALM
+    usual = INDOOR if perturbed else CALM
     stated = {name: value for name, value in given.items() if value is not None}
     changes = {name: stated.pop(name) for name in vars(usual) if name in stated}
     if isinstance(named := stated.get("estimator"), str):

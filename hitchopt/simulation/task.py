@@ -1,4 +1,4 @@
-"""The task of a simulated flight: what a plan commands at 100 Hz, its team and its objects."""
+"""The task of a simulated flight: setpoints of a plan at 100 Hz, its team and its objects."""
 
 from __future__ import annotations
 
@@ -28,31 +28,31 @@ from hitchopt.values import Array
 Flags = NDArray[np.bool_]
 
 RATE = 100.0  # Setpoints per second [Hz]
-ALOFT = 0.03  # Height over where it stood and will stand from which on an object is aloft [m]
-CARRIED = 1.0 - 1e-6  # Share of its weight from which on a hitch carries all of an object
-POINTS = ("starts", "ends", "clasps", "anchors", "pulled_to")  # Tables of a layout: of points
-CABLES = ("ahead", "behind", "neighbours")  # … and of cables
-SAME_TIME = 1e-6  # Tolerance of a time that falls on a sample [s]: rounding of sums of periods
+MIN_LIFT = 0.03  # Smallest height of a lifted object above its supports [m]
+FULL_SHARE = 1.0 - 1e-6  # Smallest share of its weight at which an object is fully carried
+POINT_TABLES = ("starts", "ends", "clasps", "anchors", "pulled_to")  # Of a layout
+CABLE_TABLES = ("ahead", "behind", "neighbours")
+TIME_TOLERANCE = 1e-6  # Tolerance of sample times [s], for rounding of sums of periods
 
 
 @dataclass(frozen=True, eq=False)
 class Cargo:
-    """Objects, and where the plan has them at the samples of a task.
+    """Objects, and their planned poses at the samples of a task.
 
     Attributes
     ----------
     objects: by name.
     poses: (samples, objects, 5): x, y, z of their bases [m], cosine and sine of their yaws.
-    held: whether the hitch holds them, so that its cables may touch them (samples, objects).
-    borne: share of its weight that the hitch carries (samples, objects).
+    held: whether the hitch holds them and its cables may touch them (samples, objects).
+    load_share: share of its weight that the hitch carries (samples, objects).
     floor: height of the ground on which they stand [m].
-    holders: by name the group whose hitch may hold it, if there are several.
+    holders: for several groups, the group whose hitch may hold each object.
     """
 
     objects: Mapping[str, SolidObject] = field(default_factory=dict)
     poses: Array = field(default_factory=lambda: np.zeros((1, 0, 5)))
     held: Flags = field(default_factory=lambda: np.zeros((1, 0), dtype=np.bool_))
-    borne: Array = field(default_factory=lambda: np.zeros((1, 0)))
+    load_share: Array = field(default_factory=lambda: np.zeros((1, 0)))
     floor: float = 0.0
     holders: Mapping[str, str] = field(default_factory=dict)
 
@@ -65,12 +65,12 @@ class Cargo:
             if phase.hold is not None:
                 during = (t >= phase.start) & (t <= phase.end)
                 held[during, list(objects).index(phase.hold.object)] = True
-        poses, borne = motion.object_poses.at(t), motion.object_shares.at(t)
-        return cls(objects, poses, held, borne, motion.requirements.floor)
+        poses, load_share = motion.object_poses.at(t), motion.object_shares.at(t)
+        return cls(objects, poses, held, load_share, motion.requirements.floor)
 
     @classmethod
     def joined(cls, motion: Motion, groups: Sequence[Group], t: Array) -> Cargo:
-        """Return the objects of a combined motion, and how its groups hold them."""
+        """Return the objects of a combined motion, and the groups that hold them."""
         whole, holders = cls.of(motion, t), dict[str, str]()
         for group in groups:
             part = cls.of(group.motion, t)
@@ -78,7 +78,8 @@ class Cargo:
                 key = group.label(name) if group.label(name) in whole.objects else name
                 i, held = whole.names.index(key), part.held[:, j]
                 whole.held[:, i] |= held
-                whole.borne[:, i] = np.maximum(whole.borne[:, i], part.borne[:, j])
+                share = whole.load_share[:, i]
+                np.maximum(share, part.load_share[:, j], out=share)
                 if held.any() or key not in holders:
                     holders[key] = group.name
         return replace(whole, holders=holders)
@@ -90,35 +91,35 @@ class Cargo:
 
     @property
     def movable(self) -> Flags:
-        """Whether an object can move (objects,)."""
+        """Whether objects can move (objects,)."""
         return np.array([not each.fixed for each in self.objects.values()], dtype=np.bool_)
 
     @property
     def carried(self) -> Flags:
-        """Whether the hitch carries all of an object's weight (samples, objects)."""
-        return self.borne >= CARRIED
+        """Whether the hitch carries the full weight of objects (samples, objects)."""
+        return self.load_share >= FULL_SHARE
 
     @property
-    def aloft(self) -> Flags:
-        """Whether an object is clear of what it stood on and will stand on (samples, objects)."""
-        heights, rests = self.poses[..., 2], self.borne <= 0.0
+    def lifted(self) -> Flags:
+        """Whether objects are clear of their previous and next supports (samples, objects)."""
+        heights, rests = self.poses[..., 2], self.load_share <= 0.0
         supports = []
-        for order in (1, -1):  # the last place where it stood, and the next one
+        for order in (1, -1):  # the previous support, and the next one
             rows = np.where(rests[::order], np.arange(len(rests))[:, None], -1)
             rows = np.maximum.accumulate(rows, axis=0)
             last = np.take_along_axis(heights[::order], np.maximum(rows, 0), axis=0)
             supports.append(np.where(rows >= 0, last, -np.inf)[::order])
-        return ~rests & (heights > np.maximum(*supports) + ALOFT)
+        return ~rests & (heights > np.maximum(*supports) + MIN_LIFT)
 
 
 @dataclass(frozen=True, eq=False)
 class Setpoints:
-    """Commands to the drones q0, r0, q1, … at some times (…); yaw is 0.
+    """Setpoints of the drones q0, r0, q1, … at some times (…); yaw is 0.
 
     Attributes
     ----------
     positions, velocities, accelerations, jerks: (…, 2n, 3) [m], [m/s], [m/s²], [m/s³]
-    cable_forces: (…, 2n, 3) [N], expected from the cables.
+    cable_forces: (…, 2n, 3) [N], planned.
     """
 
     positions: Array
@@ -133,14 +134,14 @@ class Setpoints:
 
 
 def group_of(name: str) -> str:
-    """Return the group in the name of a drone, point or cable; empty for a team alone."""
+    """Return the group in the name of a drone, point or cable; empty for a single team."""
     return name.rpartition(".")[0]
 
 
 class Passing(NamedTuple):
-    """Drones that are not simulated, but are where a plan has them: names (m,), places and masses.
+    """Drones at planned positions that are not simulated.
 
-    Places are (samples, m, 3) [m], masses (m,) [kg].
+    Names are (m,), positions (samples, m, 3) [m], masses (m,) [kg].
     """
 
     names: tuple[str, ...] = ()
@@ -149,23 +150,23 @@ class Passing(NamedTuple):
 
     @classmethod
     def of(cls, groups: Sequence[Group], start: float, t: Array) -> Passing:
-        """Return the drones of groups at times (samples,) [s] after a ``start`` on their clock."""
-        named, places, masses = list[str](), [np.zeros((len(t), 0, 3))], [np.zeros(0)]
+        """Return the drones of groups at times (samples,) [s] after a ``start`` of their clock."""
+        names, positions, masses = list[str](), [np.zeros((len(t), 0, 3))], [np.zeros(0)]
         for group in groups:
             drones, team = group.motion.drones, group.motion.team
-            named += map(group.label, team.drone_names)
-            places.append(drones.at(np.clip(start + t, *drones.breaks[[0, -1]])))
+            names += map(group.label, team.drone_names)
+            positions.append(drones.at(np.clip(start + t, *drones.breaks[[0, -1]])))
             masses.append(team.mass)
-        return cls(tuple(named), np.concatenate(places, axis=1), np.concatenate(masses))
+        return cls(tuple(names), np.concatenate(positions, axis=1), np.concatenate(masses))
 
     def at(self, index: Any) -> Array:
-        """Return the places (…, m, 3) [m] at samples (…)."""
-        places: Array = np.take(self.positions, index, axis=0, mode="clip")
-        return places
+        """Return positions (…, m, 3) [m] at samples (…)."""
+        positions: Array = np.take(self.positions, index, axis=0, mode="clip")
+        return positions
 
 
 class Crew(Fleet):
-    """Teams with cables as one: their arrays and indices in a row, under the groups' names."""
+    """Several teams with cables as one, with concatenated arrays and prefixed names."""
 
     def __init__(self, groups: Sequence[Group]) -> None:
         teams = [(group.name, group.motion.team) for group in groups]
@@ -173,8 +174,8 @@ class Crew(Fleet):
         layouts = [team.layout for _, team in teams]
         cables = np.cumsum([0, *(each.robots for each in layouts)]).tolist()
         points = np.cumsum([0, *(each.points for each in layouts)]).tolist()
-        offsets: dict[str, list[int]] = dict.fromkeys(POINTS, points) | dict.fromkeys(
-            CABLES, cables
+        offsets: dict[str, list[int]] = dict.fromkeys(POINT_TABLES, points) | dict.fromkeys(
+            CABLE_TABLES, cables
         )
         tables: dict[str, Any] = {
             name: np.concatenate(
@@ -183,25 +184,25 @@ class Crew(Fleet):
             for name, firsts in offsets.items()
         }
         tables["has_leg"] = np.concatenate([each.has_leg for each in layouts])
-        own: dict[str, Any] = {
+        arrays: dict[str, Any] = {
             name: np.concatenate([getattr(team, name) for _, team in teams])
             for name in ("cable_length", "tension", "load")
         }
-        own |= {"robots": cables[-1], "_layout": Layout(cables[-1], points[-1], **tables)}
-        own["_points"] = tuple(
+        arrays |= {"robots": cables[-1], "_layout": Layout(cables[-1], points[-1], **tables)}
+        arrays["_points"] = tuple(
             group.label(name) for group in groups for name in group.motion.team.point_names
         )
-        vars(self).update(own)
+        vars(self).update(arrays)
 
     @property
     def layout(self) -> Layout:
-        """Indices of all points, cables and drones that belong together."""
+        """Indices that relate points, cables and drones."""
         layout: Layout = vars(self)["_layout"]
         return layout
 
     @property
     def point_names(self) -> tuple[str, ...]:
-        """(points,): a.p0, a.p1, …, b.p0, …."""
+        """Names of points (points,): a.p0, a.p1, …, b.p0, …."""
         names: tuple[str, ...] = vars(self)["_points"]
         return names
 
@@ -210,21 +211,21 @@ class Crew(Fleet):
 class Task:
     """Setpoints of a flight, and the plan's hitch at their times.
 
-    Of several groups it holds the drones, vertices and cables of all that have cables.
+    For several groups it holds drones, vertices and cables of all groups with cables.
 
     Attributes
     ----------
-    team: that flies them.
+    team: the team that flies.
     t: (samples,) [s]
     setpoints: (samples, …).
-    formed: whether the plan has a hitch (samples,), of several groups in any.
-    vertices, tensions: of the hitch (samples, points, 3) [m], (samples, n) [N]; zero without.
-    taut: share of its part of the clasps' loads that a cable carries (samples, n); None: all where
-        it is under tension.
+    formed: whether the plan has a hitch (samples,), in any of several groups.
+    vertices, tensions: of the hitch (samples, points, 3) [m], (samples, n) [N]; zero without one.
+    taut: share of its clasps' loads that each cable carries (samples, n); None: all of cables under
+        tension.
     cargo: objects.
-    motion: the plan, which feedback and gripped cables need; None where setpoints are made by hand.
+    motion: the plan, which feedback and gripped cables need; None for other setpoints.
     groups: the tasks of several groups.
-    passing: drones that fly besides.
+    passing: drones that are not simulated.
     """
 
     team: Team
@@ -258,8 +259,8 @@ class Task:
         def row(name: str) -> Array:
             return np.concatenate([getattr(part, name) for part in parts], axis=1)
 
-        sent = [vars(part.setpoints).values() for part in parts]
-        setpoints = Setpoints(*(np.concatenate(x, axis=1) for x in zip(*sent, strict=True)))
+        columns = [vars(part.setpoints).values() for part in parts]
+        setpoints = Setpoints(*(np.concatenate(x, axis=1) for x in zip(*columns, strict=True)))
         formed = np.any([part.formed for part in parts], axis=0)
         return cls(
             Crew(tied),
@@ -277,25 +278,25 @@ class Task:
 
     @classmethod
     def _of_rings(cls, motion: Motion, t: Array) -> tuple[list[Group], tuple[Task, ...]]:
-        """Return the groups of a plan's last chapter, and their tasks for all of its time.
+        """Return the groups of a plan's last chapter, and their tasks over the whole plan.
 
-        Before its last ring is tied it has no hitch: what earlier ones do is not judged.
+        Hitches of earlier chapters are not evaluated: a task has no hitch before its last ring.
         """
         last, states = chapters(motion)[-1], states_at(motion, t)
         if states.formed[0]:
-            words = "simulation begins with free cables, where robots join or leave"
-            raise UnsupportedError(f"{words}; form the hitch in the plan")
-        begun, parts = t >= last.drones.breaks[0] - motion.drones.breaks[0], list[Task]()
+            problem = "with robots that join or leave, simulations begin with free cables"
+            raise UnsupportedError(f"{problem}; form the hitch in the plan")
+        started, parts = t >= last.drones.breaks[0] - motion.drones.breaks[0], list[Task]()
         for team in (group.motion.team for group in last.groups):
             rows, closed = list(team.labels), team.layout.closed
             drones = np.repeat(2 * np.array(rows), 2) + np.tile([0, 1], len(rows))
-            formed = np.asarray(states.formed & begun & closed, np.bool_)
+            formed = np.asarray(states.formed & started & closed, np.bool_)
             points = states.vertices[:, : team.layout.points]
             vertices = np.where(formed[:, None, None], points, 0.0)
             tensions = np.where(formed[:, None], states.tensions[:, rows], 0.0)
-            sent = Setpoints(*(getattr(states, x.name)[:, drones] for x in fields(Setpoints)))
+            setpoints = Setpoints(*(getattr(states, x.name)[:, drones] for x in fields(Setpoints)))
             taut = (tensions > 0.0).astype(np.float64)
-            parts.append(cls(team, t, sent, formed, vertices, tensions, taut, motion=motion))
+            parts.append(cls(team, t, setpoints, formed, vertices, tensions, taut, motion=motion))
         return list(last.groups), tuple(parts)
 
     @classmethod
@@ -318,16 +319,16 @@ class Task:
 
     @property
     def parts(self) -> tuple[Task, ...]:
-        """Tasks of all groups; itself if there are not several."""
+        """Tasks of all groups; the task itself for one group."""
         return self.groups or (self,)
 
     def refuse_several(self, what: str) -> None:
-        """Raise UnsupportedError for several groups, which ``what`` does not know."""
+        """Raise UnsupportedError for several groups, which ``what`` does not support."""
         if self.motion is not None:
             self.motion.refuse_several(what, others=False)
 
     def clasped(self, flags: Sequence[Array]) -> Flags:
-        """Return flags (…) of every group as those of its clasps (…, clasps)."""
+        """Return flags (…) of every group, repeated for its clasps (…, clasps)."""
         counts = [len(part.team.layout.clasps) for part in self.parts]
         each = zip(flags, counts, strict=True)
         return np.concatenate([np.repeat(x[..., None], count, axis=-1) for x, count in each], -1)
@@ -338,17 +339,17 @@ class Task:
         return float(self.t[-1] - self.t[0])
 
     def load_shares(self, index: int) -> Array:
-        """Return the shares (n,) of their parts of the loads that cables carry at a sample."""
+        """Return the shares (n,) of loads that cables carry at a sample."""
         return np.asarray(self.tensions[index] > 0.0 if self.taut is None else self.taut[index])
 
     def index(self, elapsed: float) -> int:
         """Return the setpoint that applies ``elapsed`` [s] after the first one."""
-        index = int(np.searchsorted(self.t, self.t[0] + elapsed + SAME_TIME, side="right")) - 1
+        index = int(np.searchsorted(self.t, self.t[0] + elapsed + TIME_TOLERANCE, side="right")) - 1
         return min(max(index, 0), len(self.t) - 1)
 
 
 def read_task(directory: Path) -> Task:
-    """Return the task of the plan in a directory; FileError where that is missing or broken."""
+    """Return the task of the plan in a directory; FileError if it is missing or damaged."""
     motion = read_plan(directory / PLAN)
     refuse_mixture(directory)
     return Task.of(motion)
