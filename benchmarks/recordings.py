@@ -20,7 +20,7 @@ from scipy.interpolate import CubicSpline
 
 import hitchopt as ho
 from benchmarks.measuring import PROBLEMS, Array, Table, parser
-from hitchopt.flights.recordings import RecordedFlight, Track, planned
+from hitchopt.flights.recordings import RecordedFlight, Track, plan_at
 from hitchopt.simulation.task import Task
 
 RATE, EXAMPLE_RATE = 120.0, 25.0  # Of recordings, and of the one that is shipped [Hz]
@@ -113,10 +113,10 @@ class Camera:
 
 def exact_markers(task: Task, t: Array, count: int = 3) -> Array:
     """Return markers (times, n count, 3) [m] on the parabolas of a plan's edges."""
-    vertices, layout = planned(task, t, task.vertices), task.team.layout
+    vertices, layout = plan_at(task, t, task.vertices), task.team.layout
     starts, edges = vertices[:, layout.starts], layout.edges(vertices)
     span = np.linalg.norm(edges[..., :2], axis=-1)
-    curvature = task.team.cable_density * 9.81 / planned(task, t, task.tensions)
+    curvature = task.team.cable_density * 9.81 / plan_at(task, t, task.tensions)
     found = []
     for place in SPACING * (np.arange(count) - 0.5 * (count - 1)):
         s = 0.5 * span + place

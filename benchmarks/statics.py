@@ -20,7 +20,7 @@ import numpy as np
 import hitchopt as ho
 from benchmarks.measuring import Array, Table, parser
 from hitchopt.simulation.control import Disturbances
-from hitchopt.simulation.flight import CONTROL, SETTLE, Flight
+from hitchopt.simulation.flight import CONTROL_PERIOD, SETTLE_TIME, Flight
 from hitchopt.simulation.judgement import Simulation
 from hitchopt.simulation.ropes import bend_lengths
 from hitchopt.simulation.settings import ACCURATE
@@ -41,7 +41,7 @@ ROPE = ACCURATE.diameter, ACCURATE.segment
 """Thickness of simulated ropes and length of their segments [m]."""
 
 PERTURBATIONS = {"noise": 0.01, "lag": 0.01}
-REST = 3.0
+REST_TIME = 3.0
 """Averaging time [s]."""
 
 
@@ -56,7 +56,7 @@ def random_case(seed: int) -> tuple[ho.Plan, float]:
         lengths = polygon.edge_lengths + spare
         team = ho.Team(n, lengths, tension=tension, cable_density=density)
         try:
-            plan = ho.hold(ho.Hitch.spread(team, polygon, 1.8), 2.0 + REST)
+            plan = ho.hold(ho.Hitch.spread(team, polygon, 1.8), 2.0 + REST_TIME)
         except ho.InfeasibleError:
             continue
         if plan.certificate.certified:
@@ -72,7 +72,7 @@ def settle_row(seed: int) -> tuple[object, ...]:
         stiffness=stiffness, pull_test=False,
     )  # fmt: skip
     record = simulation.flight.record
-    rows = (record.t > plan.duration - REST) & (record.t <= plan.duration)
+    rows = (record.t > plan.duration - REST_TIME) & (record.t <= plan.duration)
     pulls = np.mean(record.tensions[rows], axis=0)
     vertices = np.nanmean(record.vertices[rows], axis=0)
     equilibrium = ho.settle(
@@ -110,13 +110,13 @@ def mean_noise(simulation: Simulation) -> Array:
     """Return the mean error of measured places (2n, 3) [m] over the averaging time."""
     flight, settings = simulation.flight, simulation.settings
     end, preset = flight.task.duration, settings.preset
-    period = preset.time_step * max(1, round(CONTROL / preset.time_step))
-    spans = ((-SETTLE, SETTLE), (0.0, end))
+    period = preset.time_step * max(1, round(CONTROL_PERIOD / preset.time_step))
+    spans = ((-SETTLE_TIME, SETTLE_TIME), (0.0, end))
     t = np.concatenate([begin + period * np.arange(round(T / period)) for begin, T in spans])
     robots = flight.task.team.robots
     noise = Disturbances(settings.perturbations, robots, settings.seed).noise
     errors = np.array([noise.advance(period) for _ in t])
-    return np.asarray(np.mean(errors[(t > end - REST) & (t <= end)], axis=0))
+    return np.asarray(np.mean(errors[(t > end - REST_TIME) & (t <= end)], axis=0))
 
 
 def calibration_row(seed: int) -> tuple[object, ...]:

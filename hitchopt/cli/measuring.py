@@ -108,7 +108,7 @@ def _millimetres(lengths: dict[str, float]) -> dict[str, str]:
 
 def _say_markers(task: Task) -> None:
     """Report the positions of markers on every cable."""
-    from hitchopt.flights.vertices import BENT, marker_plan
+    from hitchopt.flights.vertices import ROPE_SCATTER, marker_plan
 
     markers, team = marker_plan(task), task.team
     rows: list[dict[str, object]] = []
@@ -123,7 +123,7 @@ def _say_markers(task: Task) -> None:
     ]
     parts = [table("Markers from q's end of every cable", rows)]
     parts.append(table("Standard errors [mm]", errors))
-    parts.append(f"of vertices, if markers scatter by {1e3 * BENT:g} mm about their lines")
+    parts.append(f"of vertices, if markers scatter by {1e3 * ROPE_SCATTER:g} mm about their lines")
     content = {name: _plain(value) for name, value in vars(markers).items()}
     say("\n\n".join(parts), markers=content)
 

@@ -207,7 +207,7 @@ def flight_tables(simulation: Simulation) -> str:
         "nearest drones [m]": f"{nearest['distance']:.3f}, {' and '.join(nearest['drones'])}",
         "ropes weigh [g/m]": _grams(content["density"]["simulated"]),
         "  as the plan knows": _grams(content["density"]["planned"]),
-        "ropes longer for their bends [mm]": f"≤ {1e3 * flight.longer:.1f}",
+        "ropes longer for their bends [mm]": f"≤ {1e3 * flight.extra_length:.1f}",
     }
     parts = []
     if content["clasps"]:

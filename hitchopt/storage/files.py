@@ -32,7 +32,7 @@ BackupPolicy = Literal["leave", "keep", "remove"]
 
 STAGE_PREFIX, STAGE_SUFFIX = ".hitchopt-", ".tmp"  # Prefix and suffix of staging folders
 
-Writer = Callable[[Path], None]  # Function that writes one file to a path
+Writer = Callable[[Path], object]  # Function that writes one file to a path
 
 
 def replace_files(

@@ -70,7 +70,7 @@ def square(clasp: int, degrees: float, load: float = 0.0) -> Motion:
 def unproven(
     motion: Motion,
     path: Path,
-    check: Callable[[second.Plan], Iterator[second.Row]] = second.checked,
+    check: Callable[[second.Plan], Iterator[second.Row]] = second.plan_rows,
 ) -> set[str]:
     """Return the limits that ``verify`` does not prove."""
     write_plan(path / "plan.npz", motion)

@@ -288,7 +288,7 @@ def test_both_opinions_tell_how_high_cables_cross(tmp_path: Path) -> None:
     lay = stages_of(3)[2]
     write_plan(tmp_path / "plan.npz", joined_motions([*stages_of(3)[:3]]))
     (plan,), _ = second.read(tmp_path / "plan.npz")
-    last = second.heights(plan, len(plan.h) - 1, 1)
+    last = second.crossing_heights(plan, len(plan.h) - 1, 1)
     np.testing.assert_allclose(height_gaps(lay)[:, -1, -1], last, atol=1e-9)
 
 

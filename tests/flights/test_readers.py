@@ -15,7 +15,7 @@ import writers as w
 
 import hitchopt as ho
 from hitchopt.flights.readers import table_of
-from hitchopt.flights.recordings import NOTHING
+from hitchopt.flights.recordings import NO_MARKERS
 
 Write = Callable[[Path, ho.RecordedFlight], Path]
 
@@ -53,7 +53,7 @@ def given(name: str, frames: int = 150, seen: float = 0.9) -> ho.RecordedFlight:
     flight: ho.RecordedFlight = w.sample(frames=frames, seen=seen)
     if "log" not in name:
         return flight
-    return replace(flight, markers=NOTHING, setpoints=dict(list(flight.tracks.items())[:2]))
+    return replace(flight, markers=NO_MARKERS, setpoints=dict(list(flight.tracks.items())[:2]))
 
 
 @pytest.mark.parametrize("name", FORMATS)
@@ -97,7 +97,7 @@ def clocked(scale: float = 1.0, shift: float = 0.0) -> Write:
 
     def written(path: Path, flight: ho.RecordedFlight) -> Path:
         tracks = {n: ho.Track(scale * (x.t + shift), x.positions) for n, x in flight.tracks.items()}
-        return w.write_csv(path, replace(flight, tracks=tracks, markers=NOTHING))
+        return w.write_csv(path, replace(flight, tracks=tracks, markers=NO_MARKERS))
 
     return written
 
@@ -146,7 +146,7 @@ REFUSED: dict[str, tuple[Write, str]] = {
         lambda path, flight: w.write_bag(path, replace(flight, tracks={}), bodies="pose"),
         "holds none of motion_capture_tracking_interfaces/msg/NamedPoseArray",
     ),
-    "log of version 3": (partial(w.write_usd, version=3), "is of version 3; 1 and 2 are known"),
+    "log of version 3": (partial(w.write_usd, version=3), "is of version 3; 1 and 2 are supported"),
     "log without positions": (
         partial(w.write_usd, group="stabilizer"), "logs none of stateEstimate.x, stateEstimateZ.x",
     ),
@@ -174,7 +174,7 @@ def test_other_paths_and_units_are_refused(tmp_path: Path) -> None:
         ho.read_flight(tmp_path)
     with pytest.raises(ho.InputError, match="unit = 'miles': must be one of m, cm, mm"):
         ho.read_flight(tmp_path, unit="miles")
-    with pytest.raises(ho.FileError, match="units its format fixes; leave unit= out"):
+    with pytest.raises(ho.FileError, match="a format with fixed units; leave unit= out"):
         ho.read_flight(w.write_usd(tmp_path / "logs", given("log")), unit="mm")
 
 
@@ -216,7 +216,7 @@ def test_bodies_are_means_of_subjects_while_all_markers_are_visible(tmp_path: Pa
     begin = 512 * (struct.unpack_from("<H", data, 16)[0] - 1)
     cut.write_bytes(data[: begin + 40 * 4 * 16])  # Frames of four points
     short = ho.read_flight(cut)
-    assert short.notes == ("is cut off: read to frame 40 of 50",)
+    assert short.notes == ("truncated: read to frame 40 of 50",)
     np.testing.assert_array_equal(short.tracks["cf1"].t, t[10:40])
 
 
@@ -229,10 +229,10 @@ def test_what_is_mended_is_a_note(tmp_path: Path) -> None:
     table = "t,name,x,y,z\n0,q0,1,2,3\n0.1,q0,,,\n0.2,q0,1,2,nan\n0.3,q0,4,5,6\n"
     flight = ho.read_flight(reads(table)(tmp_path / "blank", w.sample()))
     np.testing.assert_array_equal(flight.tracks["q0"].t, [0.0, 0.3])
-    assert flight.notes == ("2 of 4 rows have no position, or the same time: left out",)
+    assert flight.notes == ("2 of 4 rows omitted: no position, or a repeated time",)
     other = edited(lambda text: text.replace("Export Frame Rate,100.0", "Export Frame Rate,120.0"))
     flight = ho.read_flight(other(tmp_path / "rated", w.sample()))
-    assert flight.notes == ("times are as printed: frames at 120 Hz have others",)
+    assert flight.notes == ("times are as printed: they differ from frames at 120 Hz",)
     assert flight.tracks["cf3"].t[-1] == pytest.approx(1.49)
 
 
@@ -241,9 +241,9 @@ def test_a_cut_log_is_read_to_its_last_record(tmp_path: Path) -> None:
     for cut in (1, 4, 9, 500, 1000):
         log.write_bytes((folder / "cf3.bin").read_bytes()[:-cut])
         result = ho.read_flight(log)
-        many = len(result.tracks["log00"].t)
-        assert many == 150 if cut <= 4 else 90 < many < 150
-        note = f"log00: is cut off or damaged: read to its record at {0.01 * (many - 1):.3f} s"
+        samples = len(result.tracks["log00"].t)
+        assert samples == 150 if cut <= 4 else 90 < samples < 150
+        note = f"log00: truncated or damaged: read to the record at {0.01 * (samples - 1):.3f} s"
         assert note in result.notes
         assert result.one_clock
 

@@ -89,5 +89,5 @@ def flight_of(task: Task, hitch: Hitch, t: Array, **known: Any) -> Flight:
         parts.append(replace(part, **{name: known.pop(name) for name in names}))
     gains = PositionGains.of(hitch.team, settings)
     about: dict[str, Any] = {"touches": {}, "linking": None, "rested": np.nan, "pulled": np.nan}
-    about |= {"gains": gains, "density": 0.01, "longer": 0.0, "aside": 0.0}
+    about |= {"gains": gains, "density": 0.01, "extra_length": 0.0, "end_offset": 0.0}
     return Flight(task, settings, *parts, **{**about, "objects": {}, "error": None, **known})

@@ -288,7 +288,7 @@ def test_motors_turn_before_they_lift_and_fade_with_their_lag() -> None:
 
 def test_without_noise_the_filter_knows_a_free_drone(monkeypatch: pytest.MonkeyPatch) -> None:
     """It moves by its thrust alone, turning: nothing is left for the filter to explain."""
-    for name in ("CAPTURED", "CAPTURED_TURN", "GYRO_NOISE", "ACCELEROMETER_NOISE"):
+    for name in ("POSITION_NOISE", "ATTITUDE_NOISE", "GYRO_NOISE", "ACCELEROMETER_NOISE"):
         monkeypatch.setattr(estimators, name, 0.0)
     now = replace(bodies_at_rest(1), velocities=np.array([[0.4, -0.2, 0.1]]))
     tilted = replace(now, attitudes=rotation(np.array([[0.1, -0.1, 0.0]])))

@@ -16,7 +16,7 @@ from hitchopt.simulation.control import Disturbances
 from hitchopt.simulation.flight import ground_of
 from hitchopt.simulation.judgement import judge, simulate
 from hitchopt.simulation.report import summary
-from hitchopt.simulation.settings import ACCURATE, CALM, FAST, USUAL, Preset, Settings
+from hitchopt.simulation.settings import ACCURATE, CALM, FAST, INDOOR, Preset, Settings
 from hitchopt.simulation.task import RATE, Cargo, Task, read_task
 from hitchopt.values import Array
 
@@ -173,7 +173,7 @@ def test_moments_of_inertia_are_those_of_points_of_the_body(section: Section) ->
 def test_perturbed_objects_stay_within_their_bounds_and_tables_stand() -> None:
     objects = {f"o{i}": SolidObject(BOX, mass=0.1, at=[i, 0, 0]) for i in range(40)}
     objects["table"] = SolidObject(TABLE, at=[0, 5, 0], fixed=True)
-    found = Disturbances(USUAL, 3, 7).disturbed(objects)
+    found = Disturbances(INDOOR, 3, 7).disturbed(objects)
     away = np.array([np.linalg.norm(found[name].at - each.at) for name, each in objects.items()])
     assert away[-1] == 0.0
     assert 0.015 < np.max(away) <= 0.02
@@ -263,9 +263,9 @@ def test_objects_are_aloft_between_the_places_where_they_stand() -> None:
     poses[:, 0, 2] = heights
     borne = np.array([0.0, 0.5, 1.0, 1.0, 1.0, 1.0, 0.5, 0.0])[:, None]
     cargo = Cargo({"box": SolidObject(BOX)}, poses, borne > 0.0, borne)
-    np.testing.assert_array_equal(np.flatnonzero(cargo.aloft[:, 0]), [3, 4])
-    ends_aloft = replace(cargo, poses=poses[:5], borne=borne[:5], held=borne[:5] > 0.0)
-    np.testing.assert_array_equal(np.flatnonzero(ends_aloft.aloft[:, 0]), [3, 4])
+    np.testing.assert_array_equal(np.flatnonzero(cargo.lifted[:, 0]), [3, 4])
+    ends_aloft = replace(cargo, poses=poses[:5], load_share=borne[:5], held=borne[:5] > 0.0)
+    np.testing.assert_array_equal(np.flatnonzero(ends_aloft.lifted[:, 0]), [3, 4])
 
 
 @pytest.mark.parametrize("section", [ROUND, Section(radius=0.1)])

@@ -124,7 +124,7 @@ def test_objects_are_held_by_their_own_group() -> None:
     assert set(both.holders.values()) == {"a"}
     count = len(alone.held)
     np.testing.assert_array_equal(both.held[:count], alone.held)
-    np.testing.assert_allclose(both.borne[:count], alone.borne, atol=1e-9)
+    np.testing.assert_allclose(both.load_share[:count], alone.load_share, atol=1e-9)
     np.testing.assert_allclose(both.poses[:count], alone.poses, atol=1e-9)
 
 

@@ -42,8 +42,8 @@ def test_too_light_ropes_are_refused_with_a_density_that_works() -> None:
     for density, count in ((0.01, 1), (0.001, 2), (0.0005, 3), (0.00002, 8)):
         light = Ropes.of(team, Settings(density=density), team.cable_length, 0.5)
         assert light.preset.time_step == pytest.approx(FAST.time_step / count)
-        assert (light.finer(0.5) == 1) is (count < 8)  # at most 8
-        assert light.finer(-0.1) == 1
+        assert (light.substeps(0.5) == 1) is (count < 8)  # at most 8
+        assert light.substeps(-0.1) == 1
 
 
 @pytest.mark.parametrize(
@@ -149,7 +149,9 @@ def test_cables_that_reach_the_ground_hang_to_it_and_lie_on_it(
     assert len(lying) > 0.1 * len(cable)
     along = np.subtract(r, q)[:2] / np.hypot(*np.subtract(r, q)[:2])
     off = (cable[:, :2] - np.array(q)[:2]) @ [-along[1], along[0]]
-    assert np.max(np.abs(off)) < (shapes.FOLD + 1) * link  # to and fro beside the straight line
+    assert (
+        np.max(np.abs(off)) < (shapes.FOLD_LINKS + 1) * link
+    )  # to and fro beside the straight line
     for rising in (cable[lying[-1] :], cable[lying[0] :: -1]):  # a catenary: an even pull
         steps = np.diff(rising, axis=0)
         slopes = steps[:, 2] / np.maximum(np.hypot(*steps[:, :2].T), 1e-12)
@@ -193,14 +195,14 @@ def test_thick_cables_are_longer_by_their_bends_and_lead_legs_past_the_vertex(n:
         shapes.thickness_allowance(free, FAST.diameter, 0.03), np.zeros(n)
     )
     # A leg on the tangent at the arc's end passes the vertex at this distance, on the outside.
-    past, aside = (arc[0] * far.conjugate()).imag, shapes.legs_aside(task, diameter)[-1]
+    past, aside = (arc[0] * far.conjugate()).imag, shapes.leg_end_offsets(task, diameter)[-1]
     np.testing.assert_allclose(np.linalg.norm(aside, axis=-1), past, rtol=0.02)
     np.testing.assert_allclose(np.sum(aside * hitch.leg_directions, axis=-1), 0.0, atol=1e-12)
     outward = (hitch.vertices - np.mean(hitch.vertices, axis=0))[hitch.team.layout.anchors]
     assert np.all(np.sum(aside * outward, axis=-1) > 0.0)
     half = replace(task, tensions=0.5 * task.tensions)
-    np.testing.assert_allclose(shapes.legs_aside(half, diameter)[-1], 0.5 * aside)
-    np.testing.assert_array_equal(shapes.legs_aside(free, diameter), 0.0)
+    np.testing.assert_allclose(shapes.leg_end_offsets(half, diameter)[-1], 0.5 * aside)
+    np.testing.assert_array_equal(shapes.leg_end_offsets(free, diameter), 0.0)
 
 
 @pytest.mark.slow
@@ -217,15 +219,15 @@ def test_thick_cables_act_like_thin_ones(preset: Preset, longer: float) -> None:
     sag = (GRAVITY * flight.density / np.mean(record.tensions[rows], axis=0)[:, None]) ** 2
     found = np.sum(chords + sag * chords**3 / 24.0, axis=-1)
     np.testing.assert_allclose(found, task.team.cable_length, atol=4e-3)
-    assert flight.longer > longer  # without which they would be as much too short
+    assert flight.extra_length > longer  # without which they would be as much too short
     planned = np.linalg.norm(task.vertices[-1] - np.mean(task.vertices[-1], axis=0), axis=-1)
     outward = np.linalg.norm(vertices - np.mean(vertices, axis=0), axis=-1) - planned
     assert np.max(np.abs(outward)) < 0.01
     cables = flight.film.cables
     ends = flight.film.nodes[-1][np.column_stack([cables[:-1], cables[1:] - 1]).ravel()]
     away = ends - record.drones[-1]  # without which the vertices are 14 mm inward
-    np.testing.assert_allclose(away, shapes.legs_aside(task, preset.diameter)[-1], atol=1e-3)
-    assert flight.aside == pytest.approx(0.0068, abs=1e-4)
+    np.testing.assert_allclose(away, shapes.leg_end_offsets(task, preset.diameter)[-1], atol=1e-3)
+    assert flight.end_offset == pytest.approx(0.0068, abs=1e-4)
 
 
 @pytest.mark.slow

@@ -136,7 +136,7 @@ def weighted(friction: float = 0.0) -> tuple[Task, Recording]:
 def test_without_noise_stiffness_and_friction_are_exact(
     pair: Pair, friction: float, within: float, wind: Wind, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hitchopt.statics.calibrate.BLURRED", 1e-4)  # the law alone does not creep
+    monkeypatch.setattr("hitchopt.statics.calibrate.UNCERTAIN_RATE", 1e-4)  # no creep
     task, recording = recorded(pair, DENSITY, friction, wind)
     found = ho.calibrate(recording, task, density=DENSITY)
     assert all(one.known for one in found.stiffness)
@@ -210,7 +210,7 @@ def test_standard_errors_cover_where_a_plan_knows_the_weight(
         seen = replace(recording, drones=noisy, vertices=crossed)
         assert not ho.calibrate(seen, task, density=DENSITY).stiffness[0].known
         with monkeypatch.context() as patch:
-            patch.setattr("hitchopt.statics.calibrate.LARGEST_ERROR", np.inf)
+            patch.setattr("hitchopt.statics.calibrate.MAX_STIFFNESS_ERROR", np.inf)
             found = ho.calibrate(seen, task, density=DENSITY).stiffness[0]
         scores.append(np.log(found.value / k) * found.value / found.error)
     assert np.sqrt(np.mean(np.square(scores))) < 1.3
@@ -236,12 +236,12 @@ def test_what_a_recording_does_not_determine_is_said() -> None:
     task, recording = recorded(hitches(), 0.0)
     weightless = ho.calibrate(recording, task, density=0.0)
     assert not any(one.known for one in weightless.stiffness)
-    assert "displaced by too little" in weightless.stiffness[0].remark
+    assert "displacements of drones are too small" in weightless.stiffness[0].remark
     assert "neither determined nor stated" in weightless.friction.remark
     task, recording = recorded((hitches()[0],) * 2, DENSITY)
     still = ho.calibrate(recording, task, density=DENSITY)
     assert all(one.known for one in still.stiffness)
-    assert "slide through clasps by 0.0 cm" in still.friction.remark
+    assert "cables slide by 0.0 cm" in still.friction.remark
     task, recording = weighted()
     wound = replace(recording, integral=np.ones(6, dtype=np.bool_))
     assert "integral action" in ho.calibrate(wound, task, density=DENSITY).stiffness[0].remark
@@ -322,7 +322,7 @@ def test_flights_as_planned_have_lengths_and_no_errors(solved: Path, tmp_path: P
     assert result.exit_code == 0, result.output
     for words in (" 2.4 ", " 2.5 ", " 2.45 ", "0.0 ± 0.0 (0.0)", "not determined"):
         assert words in result.stdout
-    assert "displaced by too little" in result.stdout
+    assert "displacements of drones are too small" in result.stdout
     found = ho.calibrate(table, solved)
     np.testing.assert_allclose([one.value for one in found.lengths], [2.4, 2.5, 2.45], atol=1e-6)
     team: Any = parse_yaml(output.read_text(encoding="utf-8"))
@@ -377,13 +377,13 @@ def test_windows_count_of_which_half_was_seen(solved: Path) -> None:
     found = windows_of(seen, task, 0.5)
     np.testing.assert_allclose(found.errors[:, 1], 0.003 / np.sqrt(5.0))  # of 0.1 s each
     np.testing.assert_allclose(found.t, [0.245, 0.745, 1.245])  # of the fourth, q0 is not seen
-    np.testing.assert_array_equal(found.seen[:, 0], [True, False, True])
-    assert np.all(found.seen[:, 1:])
+    np.testing.assert_array_equal(found.visible[:, 0], [True, False, True])
+    assert np.all(found.visible[:, 1:])
     np.testing.assert_allclose(found.vertices, found.planned)
     assert found.errors[1, 0] >= 0.01 > np.max(found.errors[[0, 2]])
     np.testing.assert_allclose(found.tensions, 0.5)
     vertices[:, 1:] = np.nan  # two of three
-    assert len(windows_of(Recording(task.t, task.setpoints.positions, vertices), task, 0.5)) == 0
+    assert len(windows_of(Recording(task.t, task.setpoints.positions, vertices), task, 0.5).t) == 0
 
 
 def test_means_of_half_a_movement_are_of_all_of_it() -> None:
@@ -393,7 +393,7 @@ def test_means_of_half_a_movement_are_of_all_of_it() -> None:
     vertices = task.vertices + [0.01, 0.02, 0.0]
     vertices[moving & (np.floor(2.0 * task.t) / 2.0 + 0.2 > task.t), 1] = np.nan
     found = windows_of(replace(recording, vertices=vertices), task, 0.5)
-    assert np.all(found.seen)
+    assert np.all(found.visible)
     np.testing.assert_allclose(found.vertices - found.planned - [0.01, 0.02, 0.0], 0.0, atol=1e-9)
 
 
@@ -436,8 +436,8 @@ def test_what_is_doubtful_is_mended_with_a_note_or_refused(solved: Path, tmp_pat
         return t
 
     mended = {
-        "rows have no position": changed(rows, same, lambda k, x: None if lost[k] else x),
-        "or the same time: left out": [*rows, rows[-1]],
+        "rows omitted: no position": changed(rows, same, lambda k, x: None if lost[k] else x),
+        "or a repeated time": [*rows, rows[-1]],
         "not determined": changed(rows, lambda k, t: t + 0.003 * (k % 9)),
     }
     refused = {

@@ -18,7 +18,7 @@ from hitchopt.geometry.vectors import unit
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import CableState
-from hitchopt.statics.energy import DEAD, HitchEnergy
+from hitchopt.statics.energy import INTEGRAL_ERROR, HitchEnergy
 from hitchopt.statics.settle import Settled, conditions_of, energy_of, samples_of
 from hitchopt.statics.tolerance import Tolerance, responses, taut_times
 from hitchopt.steps.certified_motions import rest_motion
@@ -104,7 +104,7 @@ def test_forces_balance_as_another_module_computes_them(
     assert found.force_residual < 1e-8
     assert found.length_residual < 1e-9
     error = hitch.drones + offsets - found.drones
-    wound = hitch.team.integral * error / np.hypot(error, DEAD)
+    wound = hitch.team.integral * error / np.hypot(error, INTEGRAL_ERROR)
     spring = hitch.team.stiffness * error + wound
     outer = spring + forces - hitch.cable_forces
     if density == 0.0:
@@ -266,7 +266,7 @@ def test_no_rest_is_found_where_a_drone_comes_to_its_vertex() -> None:
     hitch, beyond = regular_hitch(5), np.zeros((10, 1))
     legs = hitch.drones - hitch.vertices[hitch.team.layout.anchors]
     beyond[2] = -2.0  # q1 is led through its vertex, as far again
-    with pytest.raises(ho.InfeasibleError, match="lead drones farther from vertices"):
+    with pytest.raises(ho.InfeasibleError, match="move drones away from vertices"):
         settled(hitch, stiffness=3.0, cable_density=0.01, offsets=beyond * legs)
 
 
