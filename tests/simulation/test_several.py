@@ -152,7 +152,7 @@ def test_what_knows_one_team_refuses_several(tmp_path: Path) -> None:
             call()
     with pytest.raises(UnsupportedError, match="several teams"):
         _ = plan.end
-    with pytest.raises(UnsupportedError, match="beside show"):
+    with pytest.raises(UnsupportedError, match="show flies on a clock"):
         ho.Player(show)
     result = CliRunner().invoke(main, ["statics", str(folder), "--at", "8", "--stiffness", "40"])
     assert result.exit_code == 0, result.output
