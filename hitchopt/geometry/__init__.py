@@ -1,4 +1,4 @@
-"""Convex polygons and arcs, segments and boxes, without any cable."""
+"""Convex polygons and arcs, segments and boxes: plain geometry, independent of cables."""
 
 from hitchopt.geometry.outline import ConvexArc as ConvexArc
 from hitchopt.geometry.outline import ConvexPolygon as ConvexPolygon

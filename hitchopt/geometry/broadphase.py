@@ -1,4 +1,4 @@
-"""Pairs of many boxes that come close, by a spatial index; one axis may be time."""
+"""Close pairs of many axis-aligned boxes, by a spatial index; one axis may be time."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TINY = np.finfo(np.float64).tiny
 
 @dataclass(frozen=True, eq=False)
 class Boxes:
-    """Boxes along the axes, between their corners (boxes, d) [m]."""
+    """Axis-aligned boxes with corners (boxes, d) [m]."""
 
     lower: Array
     upper: Array
@@ -30,14 +30,14 @@ class Boxes:
 
     @property
     def sizes(self) -> Array:
-        """(boxes,) [m]: half of the longest side."""
+        """(boxes,) [m]: half of the longest sides."""
         longest: Array = 0.5 * np.max(self.upper - self.lower, axis=-1, initial=0.0)
         return longest
 
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """Pairs of bodies: indices (pairs,) into the first and into the second group."""
+    """Pairs of bodies: indices (pairs,) into a first and a second group."""
 
     first: Indices
     second: Indices
@@ -51,49 +51,50 @@ class Pairs:
 
 
 def close_pairs(first: Boxes, second: Boxes | None, cutoff: float) -> Pairs:
-    """Return every pair of boxes at most ``cutoff`` [m] apart, of two groups or (i < j) of one."""
+    """Return the pairs of boxes within ``cutoff`` [m], of two groups or (i < j) of one."""
     pairs = few_close_pairs(first, second, cutoff)
     assert pairs is not None
     return pairs
 
 
 def few_close_pairs(
-    first: Boxes, second: Boxes | None, cutoff: float, most: float = np.inf
+    first: Boxes, second: Boxes | None, cutoff: float, limit: float = np.inf
 ) -> Pairs | None:
-    """Return ``close_pairs``, or None with more than ``most`` within the index's reach.
+    """Return ``close_pairs``, or None if the index finds more than ``limit`` candidates.
 
-    They are counted first: a list of all pairs of thousands of boxes is what must not happen.
+    Candidates are counted first: a list of all pairs of thousands of boxes could fill the memory.
     """
-    one, groups = second is None, _by_size(first, cutoff)
+    single, groups = second is None, _by_size(first, cutoff)
     other = first if second is None else second
-    both = (
+    group_pairs = (
         combinations_with_replacement(groups, 2)
-        if one
+        if single
         else product(groups, _by_size(other, cutoff))
     )
-    close = [(a, b, cutoff + a[1] + b[1]) for a, b in both]  # centres are no farther apart
-    if most < np.inf:
-        counted = (a.tree.count_neighbors(b.tree, reach, p=np.inf) for a, b, reach in close)
-        if sum(map(int, counted)) > most:
+    # The reach bounds the distance of the centres of close boxes.
+    candidates = [(a, b, cutoff + a.size + b.size) for a, b in group_pairs]
+    if limit < np.inf:
+        counts = (a.tree.count_neighbors(b.tree, reach, p=np.inf) for a, b, reach in candidates)
+        if sum(map(int, counts)) > limit:
             return None
     rows = []
-    for a, b, reach in close:
-        if one and a is b:
+    for a, b, reach in candidates:
+        if single and a is b:
             i, j = a.tree.query_pairs(reach, p=np.inf, output_type="ndarray").T
         else:
             table = a.tree.sparse_distance_matrix(b.tree, reach, p=np.inf, output_type="ndarray")
             i, j = table["i"], table["j"]
         rows.append((a.members[i], b.members[j]))
     i, j = (np.concatenate(each) for each in zip(*rows, strict=True))
-    if one:
+    if single:
         i, j = np.minimum(i, j), np.maximum(i, j)
     gaps = np.maximum(first.lower[i] - other.upper[j], other.lower[j] - first.upper[i])
-    near = np.sum(np.maximum(gaps, 0.0) ** 2, axis=-1) <= cutoff * cutoff
-    return Pairs(i[near], j[near])
+    is_close = np.sum(np.maximum(gaps, 0.0) ** 2, axis=-1) <= cutoff * cutoff
+    return Pairs(i[is_close], j[is_close])
 
 
 class _Group(NamedTuple):
-    """Boxes of about one size, and the largest: a few large ones must not widen all searches."""
+    """Boxes of similar sizes and their largest size: large boxes do not widen other searches."""
 
     members: Indices
     size: float
@@ -101,6 +102,7 @@ class _Group(NamedTuple):
 
 
 def _by_size(boxes: Boxes, cutoff: float) -> list[_Group]:
+    """Return the boxes grouped by size, in powers of two."""
     from scipy.spatial import cKDTree
 
     sizes, centres = boxes.sizes, 0.5 * (boxes.lower + boxes.upper)

@@ -1,9 +1,9 @@
-"""Outlines from drawings: SVG, DXF, GeoJSON, tables of coordinates; and from shapely's geometries.
+"""Outlines from SVG, DXF, GeoJSON, tables of coordinates, and geometries of shapely.
 
-A drawing that states its unit is converted to metres; other numbers are metres. What is not drawn,
-as on layers that are off, is left out. Curves are flattened to chords. Lines that meet are joined
-to closed outlines; holes are left out. Of several outlines apart from each other the convex hull is
-taken. Notes say so, with sizes.
+A drawing that states its unit is converted to metres; other numbers are metres. Invisible shapes,
+such as those on hidden layers, are ignored. Curves are flattened to chords. Lines that meet are
+joined to closed outlines, and holes are ignored. Several separate outlines are replaced by their
+convex hull. Notes list what was ignored or replaced, with sizes.
 """
 
 from __future__ import annotations
@@ -26,48 +26,48 @@ from hitchopt.storage.tables import COMMA_REMEDY, numeric_table, text_lines, wit
 from hitchopt.values import Array
 
 FLATNESS = 1e-4
-"""[m] Largest distance of a curve to its chords, of chords to the remaining corners, and of a
-convex outline to its hull."""
+"""[m] Largest distance of a curve from its chords, of an outline from its simplification, and of a
+convex outline from its hull."""
 
 CHORDS = 256
-"""Chords of a curve in SVG: they are FLATNESS off a quarter of a circle of 20 m."""
+"""Number of chords of a curve in SVG: within FLATNESS of a quarter circle of 20 m radius."""
 
 GRID = 1e-6
-"""[m] Lines are noded on this grid."""
+"""[m] Grid on which lines are noded."""
 
-MEET = 1e-3
-"""Ends of lines that are nearer than this share of a drawing, and than FLATNESS, meet."""
+JOIN_TOLERANCE = 1e-3
+"""Largest gap between ends that meet, relative to the drawing's size; at most FLATNESS."""
 
-GAP = 0.02
-"""Ends that are nearer than this share of a drawing may have been meant to meet."""
+MAX_GAP = 0.02
+"""Largest gap that may be a drawing error, relative to the drawing's size."""
 
-LARGER = 1.0 + 1e-6
-"""Ratio of areas from which on an outline without gaps is another one."""
+MIN_AREA_RATIO = 1.0 + 1e-6
+"""Smallest ratio of areas at which closing the gaps yields a different outline."""
 
-MAX_SIZE = 20_000_000
-"""Largest file [B]: a larger one is no drawing of a single part."""
+MAX_FILE_SIZE = 20_000_000
+"""[B] Largest file: a drawing of a single part is smaller."""
 
-LARGEST = 20.0
-"""[m] No outline is larger: it is one in other units."""
+MAX_EXTENT = 20.0
+"""[m] Largest outline: a larger one has other units."""
 
 INCH, PIXELS = 0.0254, 96.0
-"""[m] An inch, and pixels on it, by CSS: lengths with units in SVG are converted to pixels."""
+"""[m] One inch, and its number of pixels in CSS: lengths with units in SVG become pixels."""
 
-SAME_SIZE = 5e-4
-"""Largest share of its box that a rectangle along the axes leaves out."""
+PAGE_TOLERANCE = 5e-4
+"""Largest share of its bounding box that a page or frame leaves out."""
 
 LENGTH = re.compile(
     r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)\s*(mm|cm|in|pt|pc|px|%|)\s*", re.I
 )
 LENGTHS = ("x", "y", "width", "height", "r", "rx", "ry", "cx", "cy", "x1", "x2", "y1", "y2")
-"""Attributes of shapes in SVG that are lengths, and those that are understood."""
+"""Supported lengths in SVG, and the attributes of shapes that are lengths."""
 
 Lines = list[Array]
 
 
 @dataclass(frozen=True, eq=False)
 class Drawing:
-    """An outline, and notes on how it was taken."""
+    """An outline, and notes on how it was derived."""
 
     outline: Array  # (m, 2) [m], its first point not repeated
     notes: tuple[str, ...]
@@ -78,36 +78,36 @@ def read_drawing(path: str | Path) -> Drawing:
 
     Raises
     ------
-    FileError: the file cannot be read as what its name says.
-    InputError: there is no closed outline in it, or one larger than objects are, in other units.
-    UnsupportedError: a package for such files is not installed.
+    FileError: the file cannot be read in the format that its suffix names.
+    InputError: it has no closed outline, or one that is too large, probably in other units.
+    UnsupportedError: a package that the format needs is not installed.
     """
     path = Path(path)
-    kind = path.suffix.lower()
-    if kind not in READERS:
-        known = ", ".join(READERS)
-        raise InputError("outline", path.name, f"a drawing ({known})", "save it as one of these")
+    suffix = path.suffix.lower()
+    if suffix not in READERS:
+        suffixes = ", ".join(READERS)
+        raise InputError("outline", path.name, f"a drawing ({suffixes})", "save it as one of these")
     notes: list[str] = []
     try:
-        if path.stat().st_size > MAX_SIZE:
-            raise FileError(f"{path}: has more than {MAX_SIZE:.0e} bytes, too many for an outline")
-        lines = READERS[kind](path, notes)
+        if path.stat().st_size > MAX_FILE_SIZE:
+            raise FileError(f"{path}: has more than {MAX_FILE_SIZE:.0e} bytes, too many")
+        lines = READERS[suffix](path, notes)
     except HitchoptError:
         raise
     except FileNotFoundError:
         raise FileError(f"{path}: there is no such file; give a drawing") from None
-    except Exception as error:  # parsers raise their own kinds, and builtin ones
+    except Exception as error:  # parsers raise errors of their own, and builtin ones
         reason = str(error).splitlines()
         raise FileError(f"{path}: cannot be read: {reason[0] if reason else error!r}") from None
-    return _joined(lines, path.name, notes)
+    return _drawing_of(lines, path.name, notes)
 
 
 def drawing_of_geometry(geometry: Any) -> Drawing:
-    """Return the outline of a geometry of shapely, or of data that shapely can read."""
-    return _joined(_rings(_library("shapely.geometry").shape(geometry)), "geometry", [])
+    """Return the outline of a geometry of shapely, or of a mapping that shapely accepts."""
+    return _drawing_of(_rings(_library("shapely.geometry").shape(geometry)), "geometry", [])
 
 
-def size_in_words(points: Array) -> str:
+def format_size(points: Array) -> str:
     """Return the size of points (m, 2) [m] along the axes."""
     width, depth = np.ptp(points, axis=0)
     return f"{width:.4g} x {depth:.4g} m"
@@ -115,7 +115,7 @@ def size_in_words(points: Array) -> str:
 
 def _read_svg(path: Path, notes: list[str]) -> Lines:
     elements, root = _library("svgelements"), ElementTree.fromstring(path.read_bytes())
-    _prepare(root, path.name)
+    _normalise(root, path.name)
     sizes = [root.get(name) for name in ("width", "height")]
     stated = {size is not None and size[-2:].isalpha() for size in sizes}
     if len(stated) == 2:
@@ -136,15 +136,15 @@ def _read_svg(path: Path, notes: list[str]) -> Lines:
             ]
             if ends:  # y points down in drawings
                 line = np.concatenate(ends).astype(np.float64) * [scale, -scale]
-                drawn[_is_seen(shape)].append(line)
+                drawn[_is_visible(shape)].append(line)
     if drawn[True] and drawn[False]:
-        size = size_in_words(np.concatenate(drawn[False]))
-        notes.append(f"what has no lines, and is white or not filled, is left out: {size} in all")
+        size = format_size(np.concatenate(drawn[False]))
+        notes.append(f"invisible shapes (no lines, white or no fill) are left out: {size} in all")
     return drawn[True] or drawn[False]
 
 
-def _prepare(root: ElementTree.Element, name: str) -> None:
-    """Normalise lengths, and move elements that are drawn only by reference into defs."""
+def _normalise(root: ElementTree.Element, name: str) -> None:
+    """Normalise lengths, and move elements that are only drawn by reference into defs."""
     for parent in list(root.iter()):
         for key in LENGTHS:
             if (value := parent.get(key)) is not None:
@@ -160,21 +160,21 @@ def _prepare(root: ElementTree.Element, name: str) -> None:
                 parent[i].append(child)
 
 
-def _is_seen(shape: Any) -> bool:
-    """Return whether a shape is seen on white paper."""
+def _is_visible(shape: Any) -> bool:
+    """Return whether a shape is visible on white paper."""
     stroke, fill = shape.stroke, shape.fill
     lines = stroke is not None and stroke.value is not None and stroke.alpha > 0
     lines = lines and shape.stroke_width != 0.0
     filled = fill is not None and fill.value is not None and fill.alpha > 0
-    seen = lines or (filled and fill.hex != "#ffffff")
-    return bool(seen) and shape.values.get("opacity") not in {"0", "0.0", "0%"}
+    visible = lines or (filled and fill.hex != "#ffffff")
+    return bool(visible) and shape.values.get("opacity") not in {"0", "0.0", "0%"}
 
 
 def _read_dxf(path: Path, notes: list[str]) -> Lines:
     ezdxf, paths, units = map(_library, ("ezdxf", "ezdxf.path", "ezdxf.units"))
     try:
         drawing = ezdxf.readfile(str(path))
-    except (OSError, ValueError, ezdxf.DXFError):  # perhaps a byte order mark, or commas
+    except (OSError, ValueError, ezdxf.DXFError):  # maybe a byte order mark, or decimal commas
         text = list(text_lines(path))
         text[1::2] = map(with_decimal_point, text[1::2])  # a code and its value take a line each
         drawing = ezdxf.read(io.StringIO("\n".join(text)))
@@ -188,7 +188,7 @@ def _read_dxf(path: Path, notes: list[str]) -> Lines:
         try:
             curve = paths.make_path(entity)
         except TypeError:
-            continue  # texts, dimensions and the like have no path
+            continue  # texts and dimensions have no path
         points = np.array([[p.x, p.y] for p in curve.flattening(FLATNESS / scale)])
         if len(points) > 1:
             lines.append(scale * points)
@@ -198,19 +198,19 @@ def _read_dxf(path: Path, notes: list[str]) -> Lines:
     return lines
 
 
-def _entities(drawing: Any, layout: Any, around: str, hidden: set[str]) -> Iterator[Any]:
-    """Yield the entities of a drawing that are seen, blocks taken apart.
+def _entities(drawing: Any, layout: Any, block_layer: str, hidden: set[str]) -> Iterator[Any]:
+    """Yield the visible entities of a layout and of its blocks; dimensions and leaders stay whole.
 
-    Dimensions and leaders stay whole. In blocks layer 0 is that of the block, ``around``; names of
-    layers that are not seen are added to ``hidden``.
+    In a block, layer 0 stands for the block's own layer, ``block_layer``. Names of invisible layers
+    are added to ``hidden``.
     """
     for entity in layout:
-        layer = around if entity.dxf.layer == "0" else entity.dxf.layer
-        given = drawing.layers.get(layer) if drawing.layers.has_entry(layer) else None
+        layer = block_layer if entity.dxf.layer == "0" else entity.dxf.layer
+        style = drawing.layers.get(layer) if drawing.layers.has_entry(layer) else None
         block = entity.dxftype() == "INSERT"
-        off = given is not None and (given.is_frozen() or (given.is_off() and not block))
-        off |= given is not None and not given.dxf.plot and not block
-        if off or layer.lower() == "defpoints":
+        invisible = style is not None and (style.is_frozen() or (style.is_off() and not block))
+        invisible |= style is not None and not style.dxf.plot and not block
+        if invisible or layer.lower() == "defpoints":
             hidden.add(layer)
         elif entity.dxf.get("invisible", 0):
             continue
@@ -251,42 +251,41 @@ def _rings(geometry: Any) -> Lines:
     return [np.array(line.coords, dtype=np.float64)[:, :2]]
 
 
-def _joined(lines: Lines, name: str, notes: list[str]) -> Drawing:
-    """Return the outer outline that lines make."""
+def _drawing_of(lines: Lines, name: str, notes: list[str]) -> Drawing:
+    """Return the outer outline of lines."""
     shapely = _library("shapely")
     if not all(np.all(np.isfinite(line)) for line in lines):
         raise InputError("outline", name, "finite", "check its coordinates")
-    places = np.concatenate([np.zeros((0, 2)), *lines])
-    size = float(np.max(np.ptp(places, axis=0))) if len(places) else 0.0
-    if size > LARGEST:
-        bound = f"at most {LARGEST:g} m across, not {size:.4g} m"
+    points = np.concatenate([np.zeros((0, 2)), *lines])
+    size = float(np.max(np.ptp(points, axis=0))) if len(points) else 0.0
+    if size > MAX_EXTENT:
+        bound = f"at most {MAX_EXTENT:g} m across, not {size:.4g} m"
         remedy = "state the drawing's unit: numbers without one are metres"
         raise InputError("outline", name, bound, remedy)
     strings = [shapely.LineString(line) for line in lines if len(line) > 1]
-    crossing = (each for each in strings if each.is_closed and not each.is_simple)
-    if any(len(_faces(each)[0]) > 1 for each in crossing):
+    crossing = (line for line in strings if line.is_closed and not line.is_simple)
+    if any(len(_faces(line)[0]) > 1 for line in crossing):
         bound, remedy = "an outline that does not cross itself", "check the order of its points"
         raise InputError("outline", name, bound, remedy)
-    near = min(FLATNESS, MEET * size)
-    strings += list(_bridges(strings, near))
+    tolerance = min(FLATNESS, JOIN_TOLERANCE * size)
+    strings += list(_bridges(strings, tolerance))
     faces, ends = _faces(strings)
-    _refuse_gaps(strings, faces, ends, name, notes)
+    _check_gaps(strings, faces, ends, name, notes)
     outlines = _geometries(shapely.unary_union(faces))
     _note_holes(outlines, faces, notes)
-    whole = shapely.unary_union(outlines)
-    hull = whole.convex_hull
-    one = len(outlines) == 1
-    if not one or hull.exterior.hausdorff_distance(whole.exterior) < FLATNESS:
-        whole = hull
-    outline = np.array(whole.simplify(FLATNESS).exterior.coords, dtype=np.float64)[:-1]
-    if not one:
-        each = _sizes(outlines)
-        notes.append(f"{len(outlines)} outlines apart from each other, {each}: their convex hull")
+    outer = shapely.unary_union(outlines)
+    hull = outer.convex_hull
+    if len(outlines) > 1 or hull.exterior.hausdorff_distance(outer.exterior) < FLATNESS:
+        outer = hull
+    outline = np.array(outer.simplify(FLATNESS).exterior.coords, dtype=np.float64)[:-1]
+    if len(outlines) > 1:
+        sizes = _format_sizes(outlines)
+        notes.append(f"{len(outlines)} outlines apart from each other, {sizes}: their convex hull")
     return Drawing(outline, tuple(notes))
 
 
 def _faces(lines: Any) -> tuple[list[Any], Array]:
-    """Return the faces between lines, and the ends (k, 2) [m] at which nothing else is."""
+    """Return the faces between lines, and their free ends (k, 2) [m]."""
     shapely = _library("shapely")
     noded = shapely.unary_union(lines, grid_size=GRID)
     faces = shapely.polygonize_full([noded])[0]
@@ -297,30 +296,30 @@ def _faces(lines: Any) -> tuple[list[Any], Array]:
 
 
 def _geometries(geometry: Any) -> list[Any]:
-    """Return the lines or polygons that are a geometry, or its parts."""
+    """Return the parts of a geometry, or itself, if not empty."""
     each = getattr(geometry, "geoms", [geometry])
     return [part for part in each if not part.is_empty]
 
 
-def _bridges(strings: Sequence[Any], near: float) -> Iterator[Any]:
-    """Yield bridges from the ends of lines to lines within a distance [m]."""
+def _bridges(strings: Sequence[Any], tolerance: float) -> Iterator[Any]:
+    """Yield bridges from free ends of lines to lines within a tolerance [m]."""
     shapely = _library("shapely")
-    opened = [k for k, string in enumerate(strings) if not string.is_closed]
-    ends = [shapely.Point(strings[k].coords[i]) for k in opened for i in (0, -1)]
+    open_lines = [k for k, string in enumerate(strings) if not string.is_closed]
+    ends = [shapely.Point(strings[k].coords[i]) for k in open_lines for i in (0, -1)]
     if not ends:
         return
-    pairs = shapely.STRtree(strings).query(ends, predicate="dwithin", distance=near)
+    pairs = shapely.STRtree(strings).query(ends, predicate="dwithin", distance=tolerance)
     for end, k in pairs.T.tolist():
-        other = ends[end ^ 1] if opened[end // 2] == k else strings[k]
+        other = ends[end ^ 1] if open_lines[end // 2] == k else strings[k]
         bridge = shapely.shortest_line(ends[end], other)
-        if 0.0 < bridge.length <= near:
+        if 0.0 < bridge.length <= tolerance:
             yield bridge
 
 
-def _refuse_gaps(
+def _check_gaps(
     lines: Sequence[Any], faces: Sequence[Any], ends: Array, name: str, notes: Sequence[str]
 ) -> None:
-    """Raise InputError if lines close to no outline, or to a larger one without their gaps."""
+    """Raise InputError if there is no closed outline, or if closing gaps would enlarge it."""
     shapely = _library("shapely")
     size = float(np.max(np.ptp(shapely.get_coordinates(lines), axis=0), initial=0.0))
     pairs: list[Array] = []
@@ -329,13 +328,13 @@ def _refuse_gaps(
         other = shapely.STRtree(each).query_nearest(each, exclusive=True, all_matches=False)[1]
         mutual = [i for i in range(len(ends)) if other[other[i]] == i < other[i]]
         pairs = sorted((ends[[i, other[i]]] for i in mutual), key=_length)
-    small = [pair for pair in pairs if _length(pair) < GAP * size]
-    if faces and small:
-        closed = _faces([*lines, *map(shapely.LineString, small)])[0]
-        if shapely.unary_union(closed).area <= LARGER * shapely.unary_union(faces).area:
+    narrow = [pair for pair in pairs if _length(pair) < MAX_GAP * size]
+    if faces and narrow:
+        closed = _faces([*lines, *map(shapely.LineString, narrow)])[0]
+        if shapely.unary_union(closed).area <= MIN_AREA_RATIO * shapely.unary_union(faces).area:
             return
-        pairs = small
-    if not faces or small:
+        pairs = narrow
+    if not faces or narrow:
         each = (
             f"{1e3 * _length(p):.3g} mm at {np.mean(p, axis=0).round(4).tolist()} m" for p in pairs
         )
@@ -349,30 +348,30 @@ def _length(pair: Array) -> float:
 
 
 def _note_holes(outlines: Sequence[Any], faces: Sequence[Any], notes: list[str]) -> None:
-    """Note the largest rings within a single outline, which may be a part on a sheet of paper."""
+    """Note the largest holes of a single outline, which may be a page around the part."""
     shapely = _library("shapely")
     rings = [shapely.Polygon(ring) for face in faces for ring in face.interiors]
-    inner: list[Any] = []
+    holes: list[Any] = []
     for ring in sorted(rings, key=lambda ring: -ring.area):
-        if not any(other.contains(ring) for other in inner):
-            inner.append(ring)
-    if len(outlines) == 1 and inner:
-        box = outlines[0].area > (1.0 - SAME_SIZE) * outlines[0].envelope.area
-        question = "; if it is a page or a frame around the part, hide it" if box else ""
-        notes.append(f"left out as holes within it: {_sizes(inner)}{question}")
+        if not any(other.contains(ring) for other in holes):
+            holes.append(ring)
+    if len(outlines) == 1 and holes:
+        fills_box = outlines[0].area > (1.0 - PAGE_TOLERANCE) * outlines[0].envelope.area
+        question = "; if it is a page or a frame around the part, hide it" if fills_box else ""
+        notes.append(f"left out as holes within it: {_format_sizes(holes)}{question}")
 
 
-def _sizes(outlines: Sequence[Any]) -> str:
-    each = [size_in_words(np.array(outline.exterior.coords)) for outline in outlines[:4]]
-    return ", ".join([*each, "…"] if len(outlines) > 4 else each)
+def _format_sizes(outlines: Sequence[Any]) -> str:
+    sizes = [format_size(np.array(outline.exterior.coords)) for outline in outlines[:4]]
+    return ", ".join([*sizes, "…"] if len(outlines) > 4 else sizes)
 
 
 def _library(name: str) -> Any:
     try:
         return import_module(name)
     except ImportError as error:
-        needed = error.name or f"other libraries ({error})"
-        message = f"drawings need {needed}; pip install 'hitchopt[fit]'"
+        package = error.name or f"other libraries ({error})"
+        message = f"drawings need {package}; pip install 'hitchopt[fit]'"
         raise UnsupportedError(message) from None
 
 
@@ -384,4 +383,4 @@ READERS: dict[str, Callable[[Path, list[str]], Lines]] = {
     ".csv": _read_table,
     ".txt": _read_table,
 }
-"""Readers by the endings of files' names, which return lines (points, 2) [m] and add notes."""
+"""Readers by file suffix; each returns lines (points, 2) [m] and appends notes."""

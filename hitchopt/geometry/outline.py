@@ -1,4 +1,4 @@
-"""Outlines: convex polygons and arcs, planar points that turn right."""
+"""Outlines: convex polygons and convex arcs in the plane, clockwise."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hitchopt.errors import InputError, OneLine
 from hitchopt.values import Array, finite, integer, points, positive
 
 MIN_EXTERIOR_ANGLE = 1e-6
-"""[rad] Smallest exterior angle: the clasp at a flatter vertex would hold nothing."""
+"""[rad] Smallest exterior angle: a clasp at a flatter vertex would hold nothing."""
 
 MIN_EDGE = 1e-6
 """[m] Smallest edge: closer points count as coincident."""
@@ -23,7 +23,7 @@ MIN_EDGE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Outline(OneLine, ABC):
-    """Points joined in a row, turning right wherever one edge follows another.
+    """A sequence of points that turns right at every corner.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ class Outline(OneLine, ABC):
         if lengths[shortest] < MIN_EDGE:
             bound = f"at least {MIN_EDGE:g} m away from polygon[{(shortest + 1) % len(self)}]"
             remedy = "remove or move one of the coincident points"
-            raise self._refused(bound, remedy, shortest)
+            raise self._error(bound, remedy, shortest)
         self._check_turns()
 
     def __len__(self) -> int:
@@ -69,7 +69,7 @@ class Outline(OneLine, ABC):
 
     @property
     def corners(self) -> NDArray[np.intp]:
-        """(corners,): the points at which one edge follows another."""
+        """(corners,): indices of the points between two edges."""
         return np.arange(len(self)) if self.closed else np.arange(1, len(self) - 1)
 
     @property
@@ -85,7 +85,7 @@ class Outline(OneLine, ABC):
 
     @property
     def exterior_angles(self) -> Array:
-        """(corners,) [rad]: angle by which the outline turns right at each corner."""
+        """(corners,) [rad]: right turn of the outline at each corner."""
         edges = self.edge_vectors
         ahead, behind = edges[self.corners], edges[self.corners - 1]
         right = behind[:, 1] * ahead[:, 0] - behind[:, 0] * ahead[:, 1]
@@ -93,11 +93,11 @@ class Outline(OneLine, ABC):
         return angles
 
     def translated(self, offset: ArrayLike) -> Self:
-        """Return the outline moved by ``offset`` (2,) [m]."""
+        """Return the outline translated by ``offset`` (2,) [m]."""
         return type(self)(self.vertices + np.asarray(offset, dtype=np.float64))
 
     def rotated(self, angle: float) -> Self:
-        """Return the outline turned counter-clockwise about the origin by ``angle`` [rad]."""
+        """Return the outline rotated counter-clockwise about the origin by ``angle`` [rad]."""
         c, s = math.cos(angle), math.sin(angle)
         return type(self)(self.vertices @ np.array([[c, s], [-s, c]]))
 
@@ -107,55 +107,55 @@ class Outline(OneLine, ABC):
         return type(self)(centre + factor * (self.vertices - centre))
 
     def mirrored(self) -> Self:
-        """Return the mirror image in the y axis; the order is reversed to stay clockwise."""
+        """Return the mirror image in the y axis, in reverse order to stay clockwise."""
         return type(self)((self.vertices * [-1.0, 1.0])[::-1])
 
     def _check_turns(self) -> None:
         angles = self.exterior_angles
         if (angles < 0.0).all():
             remedy = "list its points in the reverse order"
-            raise self._refused("in clockwise order seen from above", remedy)
+            raise self._error("in clockwise order seen from above", remedy)
         flattest = int(np.argmin(angles))
         if angles[flattest] < MIN_EXTERIOR_ANGLE:
-            turned, least = np.degrees([angles[flattest], MIN_EXTERIOR_ANGLE])
-            bound = f"a convex corner (it turns right by {turned:.6g}°, not {least:.2g}° at least)"
+            turn, min_turn = np.degrees([angles[flattest], MIN_EXTERIOR_ANGLE])
+            bound = f"a convex corner (it turns right by {turn:.6g}°, not {min_turn:.2g}° at least)"
             remedy = "move the point outward, or list the points in clockwise order"
-            raise self._refused(bound, remedy, int(self.corners[flattest]))
+            raise self._error(bound, remedy, int(self.corners[flattest]))
 
-    def _refused(self, bound: str, remedy: str, point: int | None = None) -> InputError:
-        """Return the error that the points, or one of them, are not as they have to be."""
+    def _error(self, bound: str, remedy: str, point: int | None = None) -> InputError:
+        """Return an InputError about all points, or about one of them."""
         if point is None:
             return InputError("polygon", self.vertices.tolist(), bound, remedy)
         return InputError(f"polygon[{point}]", self.vertices[point].tolist(), bound, remedy)
 
 
 class ConvexArc(Outline):
-    """Points (n + 1, 2) [m], n ≥ 2, in a row, turning right less than once around in all."""
+    """An open arc of points (n + 1, 2) [m], n ≥ 2, that turns by less than a full turn in all."""
 
     closed: ClassVar[bool] = False
 
     @property
     def centroid(self) -> Array:
-        """(2,) [m]: centre of the arc's length."""
-        middles = 0.5 * (self.vertices[1:] + self.vertices[:-1])
-        centroid: Array = np.average(middles, axis=0, weights=self.edge_lengths)
+        """(2,) [m]: centroid of the arc's length."""
+        midpoints = 0.5 * (self.vertices[1:] + self.vertices[:-1])
+        centroid: Array = np.average(midpoints, axis=0, weights=self.edge_lengths)
         return centroid
 
     def _check_turns(self) -> None:
         super()._check_turns()
         total = float(np.sum(self.exterior_angles))
         if total >= 2.0 * math.pi:
-            turned = f"it turns by {math.degrees(total):.6g}°"
+            turn = f"it turns by {math.degrees(total):.6g}°"
             remedy = "open the chain, or close it and write topology: closed"
-            raise self._refused(f"an arc that turns by less than 360° in all ({turned})", remedy)
+            raise self._error(f"an arc that turns by less than 360° in all ({turn})", remedy)
 
 
 def centroids(polygons: Array) -> Array:
-    """Return the centres (…, 2) [m] of the areas of polygons (…, n, 2) [m]."""
+    """Return the centroids (…, 2) [m] of the areas of polygons (…, n, 2) [m]."""
     points = polygons - polygons[..., :1, :]
-    following = np.roll(points, -1, axis=-2)
-    cross = points[..., 0] * following[..., 1] - points[..., 1] * following[..., 0]
-    moments = np.sum((points + following) * cross[..., None], axis=-2)
+    next_points = np.roll(points, -1, axis=-2)
+    cross = points[..., 0] * next_points[..., 1] - points[..., 1] * next_points[..., 0]
+    moments = np.sum((points + next_points) * cross[..., None], axis=-2)
     centres: Array = polygons[..., 0, :] + moments / (3.0 * np.sum(cross, axis=-1))[..., None]
     return centres
 
@@ -167,7 +167,7 @@ class ConvexPolygon(Outline):
 
     @property
     def centroid(self) -> Array:
-        """(2,) [m]: centre of the polygon's area."""
+        """(2,) [m]: centroid of the polygon's area."""
         centroid: Array = centroids(self.vertices)
         return centroid
 
@@ -178,7 +178,7 @@ class ConvexPolygon(Outline):
         return -0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
     def renumbered(self, shift: int) -> ConvexPolygon:
-        """Return the same outline whose vertex 0 is this one's vertex ``shift``."""
+        """Return the same outline, starting at this one's vertex ``shift``."""
         return ConvexPolygon(np.roll(self.vertices, -shift, axis=0))
 
     def _check_turns(self) -> None:
@@ -186,13 +186,13 @@ class ConvexPolygon(Outline):
         turns = round(float(np.sum(self.exterior_angles)) / (2.0 * math.pi))
         if turns != 1:
             remedy = "list its points in clockwise order along the outline"
-            raise self._refused(f"a simple polygon (it goes {turns} times around)", remedy)
+            raise self._error(f"a simple polygon (it goes {turns} times around)", remedy)
 
 
 def regular_polygon(n: int, edge: float, angle: float = 0.0) -> ConvexPolygon:
-    """Return the regular n-gon about the origin with edges of one length [m].
+    """Return the regular n-gon about the origin with edges of length ``edge`` [m].
 
-    Vertex 0 lies in the direction ``angle``, counter-clockwise from +x [rad].
+    Vertex 0 lies at the angle ``angle``, counter-clockwise from +x [rad].
 
     Raises
     ------

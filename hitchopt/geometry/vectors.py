@@ -1,4 +1,4 @@
-"""Products, lengths and directions of many vectors, shortest connections, choices among ties."""
+"""Products, lengths and directions of vectors, shortest connections, and reproducible minima."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from numpy.typing import ArrayLike, NDArray
 from hitchopt.values import Array
 
 TIE = 1e-9
-"""Relative difference of values that tie: far above rounding, far below what matters."""
+"""Relative difference below which values tie: far above rounding, far below what matters."""
 
 GOLDEN = 0.6180339887498949
-"""Fractional part of the golden ratio: sums of a few multiples and powers do not tie again."""
+"""Fractional part of the golden ratio: sums of a few of its multiples and powers do not tie."""
 
 EAST = np.array([1.0, 0.0, 0.0])
-"""Direction that stands for that of vectors that have none."""
+"""Default direction of vectors without one."""
 
 
 def dot(a: Array, b: Array) -> Array:
@@ -35,26 +35,26 @@ def column_lengths(a: Array) -> Array:
     return lengths
 
 
-def unit(a: Array, fallback: ArrayLike = 0.0, least: ArrayLike = 0.0) -> Array:
-    """Return the directions (…, d) of vectors (…, d), or ``fallback`` where they have none.
+def unit(a: Array, fallback: ArrayLike = 0.0, min_length: ArrayLike = 0.0) -> Array:
+    """Return the directions (…, d) of vectors (…, d).
 
-    That is where they are no longer than ``least``, one or (…, 1).
+    Vectors no longer than ``min_length``, one or (…, 1), have the direction ``fallback``.
     """
     size = length(a)[..., None]
-    long = size > np.asarray(least)
-    directions: Array = np.where(long, a / np.where(long, size, 1.0), fallback)
+    is_longer = size > np.asarray(min_length)
+    directions: Array = np.where(is_longer, a / np.where(is_longer, size, 1.0), fallback)
     return directions
 
 
 def shortest_offset(differences: Array) -> Array:
-    """Return the shortest of all vectors (…, d) [m] from the second body to the first.
+    """Return the shortest vector (…, d) [m] from the second body to the first.
 
     Bodies are points or segments, given by the ``differences`` (…, 1, 2 or 4, d) [m] of their ends,
-    d = 2 or 3: all vectors between them make the hull of these, so the shortest is the hull's point
-    nearest to the origin. Bodies may touch, cross, be parallel or shrink to points.
+    d = 2 or 3. The vectors between two bodies fill the hull of these differences, so the shortest
+    is the hull's point nearest to the origin. Bodies may touch, cross, be parallel or be points.
 
-    The closest points of segments are either both inside, or one is an end: of the five candidates
-    the nearest is taken, which needs no case for parallel or zero-length segments. After C.
+    The closest points of two segments are both inside, or one of them is an end. Choosing the
+    nearest of the five candidates needs no case for parallel or zero-length segments. After C.
     Ericson, Real-Time Collision Detection (2005), section 5.1.9.
     """
     count = differences.shape[-2]
@@ -72,7 +72,7 @@ def shortest_offset(differences: Array) -> Array:
 
 
 def differences(a: Array, b: Array) -> Array:
-    """Return all differences (…, k · m, d) of ends (…, k, d) and (…, m, d), a's first end first."""
+    """Return all differences (…, k · m, d) of ends a (…, k, d) and b (…, m, d), in a's order."""
     each = a[..., :, None, :] - b[..., None, :, :]
     return each.reshape(*each.shape[:-3], a.shape[-2] * b.shape[-2], each.shape[-1])
 
@@ -81,16 +81,17 @@ def _nearest(first: Array, second: Array) -> Array:
     """Return the point nearest to the origin of the segment from ``first`` to ``second``."""
     along = first - second
     squared = dot(along, along)
-    share = dot(first, along)
-    share = np.divide(share, squared, out=np.zeros_like(share), where=squared > 0.0)
-    nearest: Array = first - np.clip(share, 0.0, 1.0)[..., None] * along
+    fraction = dot(first, along)
+    fraction = np.divide(fraction, squared, out=np.zeros_like(fraction), where=squared > 0.0)
+    nearest: Array = first - np.clip(fraction, 0.0, 1.0)[..., None] * along
     return nearest
 
 
 def _inner(w: Array, u: Array, v: Array) -> Array:
-    """Return the offset ``w + s u - t v`` of two lines' closest points where both lie inside.
+    """Return the offset ``w + s u - t v`` of the lines' closest points, or infinity.
 
-    Elsewhere infinity. ``w`` joins the segments' first ends, u and v lead from first to last.
+    It is infinite if a closest point is outside its segment. ``w`` joins the segments' first ends;
+    u and v lead from first to last ends.
     """
     uu, uv, vv = (dot(x, y) for x, y in ((u, u), (u, v), (v, v)))
     uw, vw = dot(u, w), dot(v, w)
@@ -106,10 +107,9 @@ def _inner(w: Array, u: Array, v: Array) -> Array:
 def first_smallest(values: Array, scale: Array | float) -> NDArray[np.intp]:
     """Return the indices (…) of the smallest of values (…, k), the first one in a tie.
 
-    Values tie that differ by less than rounding makes of equal ones computed of numbers of a size
-    ``scale`` (…).
+    Values tie within TIE times ``scale`` (…), the size of the numbers that enter them.
     """
     smallest = np.min(values, axis=-1, keepdims=True)
-    near = values <= smallest + TIE * np.asarray(scale)[..., None]
-    first: NDArray[np.intp] = np.argmax(near, axis=-1)
+    ties = values <= smallest + TIE * np.asarray(scale)[..., None]
+    first: NDArray[np.intp] = np.argmax(ties, axis=-1)
     return first

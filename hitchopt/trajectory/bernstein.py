@@ -1,8 +1,8 @@
 """Polynomials in Bernstein form on [0, 1], coefficients along the last axis.
 
-Why this form: a polynomial lies in the convex hull of its coefficients, and halving the interval
-brings the hull closer by a factor of four. References: R. T. Farouki, "The Bernstein polynomial
-basis: a centennial retrospective", CAGD 29 (2012).
+A polynomial lies in the convex hull of its Bernstein coefficients, and halving the interval brings
+the hull closer by a factor of four. Reference: R. T. Farouki, "The Bernstein polynomial basis: a
+centennial retrospective", CAGD 29 (2012).
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ import numpy as np
 from hitchopt.values import Array
 
 MAX_PAIRS = 2**18
-"""Maximum pairs of coefficients multiplied at a time, so that they stay within the caches."""
+"""Maximum pairs of coefficients multiplied at a time: they fit into the caches."""
 
-MOST_ALONE = 2**18
-"""Multiplications in one product of matrices: larger ones OpenBLAS shares among threads, which
+MAX_PRODUCT = 2**18
+"""Maximum multiplications in one matrix product: OpenBLAS splits larger ones between threads, which
 takes tens of times as long on a busy machine."""
 
 
@@ -43,14 +43,14 @@ def basis(x: Array, order: int) -> Array:
 
 
 def derivative_basis(x: Array, order: int, derivative: int) -> Array:
-    """Return a derivative of the basis by the local parameter at x (…), as (…, order + 1)."""
+    """Return a derivative of the basis with respect to x at x (…), as (…, order + 1)."""
     rows = _derivative(order, derivative)
     values: Array = basis(x, degree(rows)) @ rows.T
     return values
 
 
 def jet_basis(x: Array, order: int, count: int) -> Array:
-    """Return the basis and derivatives of it by the local parameter, (…, order + 1, count)."""
+    """Return the basis and its derivatives of orders 0 … count - 1 at x, (…, order + 1, count)."""
     return np.stack([derivative_basis(x, order, k) for k in range(count)], axis=-1)
 
 
@@ -62,7 +62,7 @@ def evaluate(coefficients: Array, x: Array | float) -> Array:
 
 
 def differentiate(coefficients: Array) -> Array:
-    """Return the derivative by the local parameter; a constant's is a constant zero."""
+    """Return the derivative with respect to x; that of a constant is a constant zero."""
     order = degree(coefficients)
     if order == 0:
         return np.zeros_like(coefficients)
@@ -72,42 +72,42 @@ def differentiate(coefficients: Array) -> Array:
 
 
 def elevate(coefficients: Array, order: int) -> Array:
-    """Return the polynomials written in degree ``order``, at least their own."""
+    """Return the polynomials in degree ``order``, which is at least their own."""
     if order == degree(coefficients):
         return coefficients
-    return combined(coefficients, elevation(degree(coefficients), order))
+    return transform(coefficients, elevation(degree(coefficients), order))
 
 
-def combined(numbers: Array, rows: Array) -> Array:
-    """Return combinations (…, k) of numbers (…, m), by rows (k, m), few enough in one product."""
-    flat = numbers.reshape(-1, numbers.shape[-1])
-    count = max(1, MOST_ALONE // max(1, rows.size))
+def transform(coefficients: Array, matrix: Array) -> Array:
+    """Return the products (…, k) of a matrix (k, m) and vectors (…, m), MAX_PRODUCT at a time."""
+    flat = coefficients.reshape(-1, coefficients.shape[-1])
+    count = max(1, MAX_PRODUCT // max(1, matrix.size))
     if len(flat) <= count:
-        combinations: Array = flat @ rows.T
+        products: Array = flat @ matrix.T
     else:
-        combinations = np.empty((len(flat), len(rows)))
+        products = np.empty((len(flat), len(matrix)))
         for first in range(0, len(flat), count):
             part = slice(first, first + count)
-            np.matmul(flat[part], rows.T, out=combinations[part])
-    return combinations.reshape(*numbers.shape[:-1], len(rows))
+            np.matmul(flat[part], matrix.T, out=products[part])
+    return products.reshape(*coefficients.shape[:-1], len(matrix))
 
 
 def multiply(a: Array, b: Array) -> Array:
     """Return the product, of degree deg a + deg b; leading axes broadcast."""
     if degree(a) == 0 or degree(b) == 0:
         return a * b
-    return _batched(a, b, 1)
+    return _multiply(a, b, 1)
 
 
 def dot(a: Array, b: Array) -> Array:
     """Return the scalar product of vector polynomials (…, d, degree + 1)."""
-    return _batched(a, b, 2)
+    return _multiply(a, b, 2)
 
 
-def _batched(a: Array, b: Array, axes: int) -> Array:
-    """Return the product, computed in parts of the first axis of at most MAX_PAIRS pairs.
+def _multiply(a: Array, b: Array, axes: int) -> Array:
+    """Return the product, or for two ``axes`` the scalar product, in batches of MAX_PAIRS pairs.
 
-    Both arrays have ``axes`` axes that do not broadcast, the last one of the coefficients.
+    The last ``axes`` axes of both arrays do not broadcast; the last one holds the coefficients.
     """
     m, n = a.shape[-1], b.shape[-1]
     pairs = max(a.size * n, b.size * m)
@@ -123,21 +123,21 @@ def _batched(a: Array, b: Array, axes: int) -> Array:
 
 
 def _product(a: Array, b: Array, axes: int) -> Array:
-    """Return the product, or for two ``axes`` the scalar product; if small by matrices."""
+    """Return the product as ``_multiply``; small ones are matrix products."""
     m, n = a.shape[-1], b.shape[-1]
     pairs = max(a.size * n, b.size * m) // (1 if axes == 1 else a.shape[-2])
-    if pairs * (m + n - 1) > MOST_ALONE:
+    if pairs * (m + n - 1) > MAX_PRODUCT:
         return _convolved(a, b, axes)
     each = np.einsum("...i,...j->...ij", a, b) if axes == 1 else np.swapaxes(a, -1, -2) @ b
-    product = each.reshape(-1, m * n) @ _collecting(m - 1, n - 1)
+    product = each.reshape(-1, m * n) @ _product_matrix(m - 1, n - 1)
     return product.reshape(*each.shape[:-2], m + n - 1)
 
 
 def _convolved(a: Array, b: Array, axes: int) -> Array:
-    """Return the product of many polynomials as sums over them, with their axes last."""
+    """Return the product as ``_multiply``, convolved with the axes of the polynomials last."""
     dims = max(a.ndim, b.ndim)
     x, y = (
-        np.multiply(c[(None,) * (dims - c.ndim)].T, _column(degree(c), dims), order="C")
+        np.multiply(c[(None,) * (dims - c.ndim)].T, _binomial_column(degree(c), dims), order="C")
         for c in (a, b)
     )
     if len(x) < len(y):
@@ -146,29 +146,29 @@ def _convolved(a: Array, b: Array, axes: int) -> Array:
     product = np.zeros((m + n - 1, *np.broadcast_shapes(x.shape[axes:], y.shape[axes:])))
     for j in range(n):
         product[j : j + m] += x * y[j] if axes == 1 else np.einsum("id...,d...->i...", x, y[j])
-    product /= _column(m + n - 2, dims - axes + 1)
+    product /= _binomial_column(m + n - 2, dims - axes + 1)
     return np.ascontiguousarray(product.T)
 
 
-def _column(order: int, dims: int) -> Array:
-    """Return the row ``order`` of Pascal's triangle along the first of ``dims`` axes."""
+def _binomial_column(order: int, dims: int) -> Array:
+    """Return row ``order`` of Pascal's triangle along the first of ``dims`` axes."""
     return binomials(order).reshape(-1, *(1,) * (dims - 1))
 
 
 def halve(coefficients: Array) -> tuple[Array, Array]:
     """Return the coefficients on [0, ½] and on [½, 1]."""
     left, right = _halving(degree(coefficients))
-    return combined(coefficients, left), combined(coefficients, right)
+    return transform(coefficients, left), transform(coefficients, right)
 
 
 def restrict(coefficients: Array, lower: Array | float, upper: Array | float) -> Array:
-    """Return the coefficients on [lower, upper] ⊂ [0, 1], which broadcast as in evaluate."""
+    """Return the coefficients on [lower, upper] ⊂ [0, 1]; ends broadcast as in ``evaluate``."""
     lower = np.asarray(lower, dtype=np.float64)[..., None]
     upper = np.asarray(upper, dtype=np.float64)[..., None]
     shape = np.broadcast_shapes(lower.shape[:-1], upper.shape[:-1], coefficients.shape[:-1])
     c = np.array(np.broadcast_to(coefficients, (*shape, coefficients.shape[-1])))
     order = degree(c)
-    for r in range(1, order + 1):  # de Casteljau: keep [0, upper]
+    for r in range(1, order + 1):  # de Casteljau: restrict to [0, upper]
         c[..., r:] = (1.0 - upper) * c[..., r - 1 : -1] + upper * c[..., r:]
     start = np.divide(lower, upper, out=np.zeros_like(lower * upper), where=upper > 0.0)
     for r in range(1, order + 1) if np.any(start) else ():  # then [lower / upper, 1] of that
@@ -180,7 +180,7 @@ def restrict(coefficients: Array, lower: Array | float, upper: Array | float) ->
 
 def interpolate(values: Array) -> Array:
     """Return the coefficients of the polynomials through (…, m + 1) ``values`` at ``nodes(m)``."""
-    return combined(values, _interpolation(int(values.shape[-1]) - 1))
+    return transform(values, _interpolation(int(values.shape[-1]) - 1))
 
 
 @lru_cache
@@ -193,21 +193,21 @@ def nodes(order: int) -> Array:
 
 @lru_cache
 def at_nodes(order: int, degree: int) -> Array:
-    """(order + 1, degree + 1): the basis at ``nodes(order)``, which of order 0 are the middle."""
+    """(order + 1, degree + 1): the basis at ``nodes(order)``; the middle for order 0."""
     return _frozen(basis(nodes(order), degree))
 
 
 @lru_cache
 def binomials(order: int) -> Array:
-    """(order + 1,): the row ``order`` of Pascal's triangle."""
+    """(order + 1,): row ``order`` of Pascal's triangle."""
     return _frozen(np.array([comb(order, i) for i in range(order + 1)], dtype=np.float64))
 
 
 @lru_cache
 def elevation(order: int, target: int) -> Array:
-    """(target + 1, order + 1): the matrix that writes degree ``order`` in degree ``target``."""
+    """(target + 1, order + 1): matrix that raises degree ``order`` to degree ``target``."""
     if target < order:
-        raise ValueError(f"cannot write degree {order} in the lower degree {target}")
+        raise ValueError(f"cannot elevate degree {order} to the lower degree {target}")
     matrix = np.zeros((target + 1, order + 1))
     for j in range(target + 1):
         for i in range(max(0, j - target + order), min(order, j) + 1):
@@ -217,7 +217,7 @@ def elevation(order: int, target: int) -> Array:
 
 @lru_cache
 def _derivative(order: int, derivative: int) -> Array:
-    """(order + 1, order - derivative + 1): the derivatives of the basis, by their coefficients."""
+    """(order + 1, order - derivative + 1): coefficients of the derivatives of the basis."""
     rows = np.eye(order + 1)
     for _ in range(derivative):
         rows = differentiate(rows)
@@ -225,8 +225,8 @@ def _derivative(order: int, derivative: int) -> Array:
 
 
 @lru_cache
-def _collecting(m: int, n: int) -> Array:
-    """((m + 1)(n + 1), m + n + 1): contributions of pairs of coefficients to their product's."""
+def _product_matrix(m: int, n: int) -> Array:
+    """((m + 1)(n + 1), m + n + 1): weights of pairs of coefficients in their product."""
     weights = np.zeros((m + 1, n + 1, m + n + 1))
     for i in range(m + 1):
         for j in range(n + 1):

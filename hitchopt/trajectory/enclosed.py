@@ -2,11 +2,11 @@
 
 An ``Enclosed`` value is, for many spans of time at once, a polynomial in Bernstein form and the
 radius of a ball around it. Sums, products, norms and directions are enclosed values too, rounding
-included, so a formula written once gives a bound over every span. A point is a span of no length:
-degree 0, with a ball for rounding alone. So the same formula gives values.
+included, so one formula gives a bound over every span. At a point, a span of no length, the degree
+is 0 and the ball covers rounding alone: there the same formula gives values.
 
-Roots and inverses are not polynomials. An interpolant w of 1/a of low degree is, and the
-coefficients of ``a w - 1`` bound its error everywhere; likewise ``a - v²`` for a root.
+Roots and inverses are not polynomials. They are replaced by interpolants of low degree: for w, an
+interpolant of 1/a, the coefficients of ``a w - 1`` bound the error, and ``a - v²`` for a root.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from hitchopt.trajectory import bernstein
 from hitchopt.values import Array
 
 EPS = 2.0**-46
-"""Rounding of an operation, relative to the sizes that enter it: 64 units in the last place."""
+"""Rounding of an operation relative to the sizes that enter it: 64 units in the last place."""
 
 ROOT_ORDER, INVERSE_ORDER = 6, 4
-"""Degrees of interpolants: on the spans that matter numbers vary by per cents, and they err by 1e-9
-then; an inverse enters more products than a root."""
+"""Degrees of interpolants: they err by 1e-9 where numbers vary by per cents, as on the spans that
+matter. An inverse enters more products than a root."""
 
 
 @dataclass(frozen=True, eq=False)
 class Bound:
-    """Bounds of a quantity on each of many spans, (spans,).
+    """Bounds (spans,) of a quantity on each of many spans.
 
-    The quantity comes closest to them at about x (spans,), in [0, 1] on its span.
+    The quantity is closest to its bound near the local parameter x (spans,), in [0, 1].
     """
 
     value: Array
@@ -43,7 +43,7 @@ class Bound:
 
 @dataclass(frozen=True, eq=False)
 class Interval:
-    """Intervals, with bounds from below and from above (…)."""
+    """Intervals with lower and upper ends (…)."""
 
     low: Array
     high: Array
@@ -75,7 +75,7 @@ class Enclosed:
     Attributes
     ----------
     c: (…, components, degree + 1), Bernstein coefficients.
-    r: (…), bound of the Euclidean norm of the error everywhere; infinite if there is none.
+    r: (…), bound of the Euclidean norm of the error everywhere; infinite if unbounded.
     """
 
     c: Array
@@ -85,7 +85,7 @@ class Enclosed:
 
     @classmethod
     def of(cls, value: Enclosed | ArrayLike) -> Enclosed:
-        """Return enclosed values unchanged, numbers and vectors (…, components) as constants."""
+        """Return enclosed values unchanged, and numbers or vectors (…, components) as constants."""
         if isinstance(value, Enclosed):
             return value
         numbers = np.asarray(value, dtype=np.float64)
@@ -100,9 +100,9 @@ class Enclosed:
     def size(self) -> Array:
         """(…): bound of the polynomials' norm, without the ball."""
         sizes = np.abs(self.c[..., 0, :]) if self.c.shape[-2] == 1 else column_lengths(self.c)
-        # Along the first axis this takes a tenth of the time.
-        most: Array = np.maximum.reduce(np.ascontiguousarray(sizes.T)).T
-        return most
+        # Along the first axis, this takes a tenth of the time.
+        largest: Array = np.maximum.reduce(np.ascontiguousarray(sizes.T)).T
+        return largest
 
     def __getitem__(self, component: int) -> Enclosed:
         """Return one component."""
@@ -158,98 +158,98 @@ class Enclosed:
         return Enclosed(np.sum(self.c, axis=axis - 2), r)
 
     def reduced(self, order: int) -> Enclosed:
-        """Return the value in degree ``order`` at most; the error is added to the ball."""
+        """Return the value in at most degree ``order``, with the error added to the ball."""
         if self.degree <= order:
             return self
-        nodal = bernstein.combined(self.c, bernstein.at_nodes(order, self.degree))
+        nodal = bernstein.transform(self.c, bernstein.at_nodes(order, self.degree))
         low = bernstein.interpolate(nodal)
-        lost = Enclosed(bernstein.elevate(low, self.degree) - self.c)
-        return Enclosed(low, self.r + lost.size + EPS * self.size)
+        error = Enclosed(bernstein.elevate(low, self.degree) - self.c)
+        return Enclosed(low, self.r + error.size + EPS * self.size)
 
     @property
-    def level(self) -> Enclosed:
+    def xy(self) -> Enclosed:
         """The first two components."""
         return Enclosed(self.c[..., :2, :], self.r)
 
-    def upward(self) -> Enclosed:
+    def along_z(self) -> Enclosed:
         """Return a scalar as a vector along z."""
         zero = np.zeros_like(self.c)
         return Enclosed(np.concatenate([zero, zero, self.c], axis=-2), self.r)
 
     @property
     def direction(self) -> Enclosed:
-        """Y / |y|; the zero vector and radius 1 where y may vanish."""
+        """Unit vector y / |y|; the zero vector and radius 1 where y may vanish."""
         inverse = self.norm.inverse
         unit = self * inverse
-        known = np.asarray(np.isfinite(inverse.r) & (unit.r < 1.0))
-        c = np.where(known[..., None, None], unit.c, 0.0)
-        return Enclosed(c, np.where(known, unit.r, 1.0))
+        valid = np.asarray(np.isfinite(inverse.r) & (unit.r < 1.0))
+        c = np.where(valid[..., None, None], unit.c, 0.0)
+        return Enclosed(c, np.where(valid, unit.r, 1.0))
 
     @cached_property
     def inverse(self) -> Enclosed:
         """Inverse of a positive scalar; the radius is infinite where it may not be positive."""
         order = INVERSE_ORDER if self.degree else 0
-        nodal = bernstein.combined(self.c, bernstein.at_nodes(order, self.degree))
-        known = np.min(nodal, axis=(-2, -1)) > 0.0
-        w = bernstein.interpolate(1.0 / np.where(known[..., None, None], nodal, 1.0))
+        nodal = bernstein.transform(self.c, bernstein.at_nodes(order, self.degree))
+        valid = np.min(nodal, axis=(-2, -1)) > 0.0
+        w = bernstein.interpolate(1.0 / np.where(valid[..., None, None], nodal, 1.0))
         size = np.max(np.abs(w), axis=(-2, -1))
         product = bernstein.multiply(self.c, w)
         # | w - 1/a | = | a w - 1 | / a, and 1/a <= max w / (1 - | a w - 1 |).
-        off = np.max(np.abs(product - 1.0), axis=(-2, -1)) + size * (self.r + EPS * self.size)
-        known &= off < 1.0
-        radius = np.where(known, off * size / np.where(known, 1.0 - off, 1.0), np.inf)
-        return Enclosed(np.where(known[..., None, None], w, 0.0), radius)
+        residual = np.max(np.abs(product - 1.0), axis=(-2, -1)) + size * (self.r + EPS * self.size)
+        valid &= residual < 1.0
+        radius = np.where(valid, residual * size / np.where(valid, 1.0 - residual, 1.0), np.inf)
+        return Enclosed(np.where(valid[..., None, None], w, 0.0), radius)
 
     @cached_property
     def norm(self) -> Enclosed:
-        """|y|."""
+        """Euclidean norm."""
         return self.dot(self).root
 
     @cached_property
     def root(self) -> Enclosed:
-        """The root of a scalar, 0 where it is negative."""
+        """Square root of a scalar, 0 where it is negative."""
         order = ROOT_ORDER if self.degree else 0
-        nodal = bernstein.combined(self.c, bernstein.at_nodes(order, self.degree))
+        nodal = bernstein.transform(self.c, bernstein.at_nodes(order, self.degree))
         v = bernstein.interpolate(np.sqrt(np.maximum(nodal, 0.0)))
-        high = max(self.degree, 2 * order)
-        squared = bernstein.elevate(bernstein.multiply(v, v), high)
-        residual = np.abs(bernstein.elevate(self.c, high) - squared)[..., 0, :]
-        # | √a - v | = | a - v² | / (√a + v); whatever v is, 0 <= √a <= √(|coefficients| + radius).
-        least, most = np.min(v[..., 0, :], axis=-1), np.sqrt((self.size + self.r) * (1.0 + EPS))
+        degree = max(self.degree, 2 * order)
+        squared = bernstein.elevate(bernstein.multiply(v, v), degree)
+        residual = np.abs(bernstein.elevate(self.c, degree) - squared)[..., 0, :]
+        # | √a - v | = | a - v² | / (√a + v); for any v, 0 <= √a <= √(|coefficients| + radius).
+        lower, upper = np.min(v[..., 0, :], axis=-1), np.sqrt((self.size + self.r) * (1.0 + EPS))
         error = np.max(residual, axis=-1) + EPS * self.size + self.r
-        error = np.divide(error, least, out=np.full_like(error, np.inf), where=least > 0.0)
-        # Half of that bound around its middle errs less where a is smaller than its rounding.
-        half = 0.5 * most
-        known = ~(half < error)
-        v = np.where(known[..., None, None], v, half[..., None, None])
-        error = np.where(known, error, half)
-        return Enclosed(v, error + EPS * most)
+        error = np.divide(error, lower, out=np.full_like(error, np.inf), where=lower > 0.0)
+        # Where a is smaller than its rounding, the middle of that interval errs less.
+        half = 0.5 * upper
+        valid = ~(half < error)
+        v = np.where(valid[..., None, None], v, half[..., None, None])
+        error = np.where(valid, error, half)
+        return Enclosed(v, error + EPS * upper)
 
     @property
-    def norm_above(self) -> Bound:
+    def norm_upper(self) -> Bound:
         """Upper bound of the norm: it is convex, hence largest at a coefficient."""
-        return Enclosed((column_lengths(self.c) * (1.0 + EPS))[..., None, :], self.r).above
+        return Enclosed((column_lengths(self.c) * (1.0 + EPS))[..., None, :], self.r).upper
 
     @property
-    def norm_below(self) -> Bound:
-        """Lower bound of the norm, along the direction at mid span; not negative."""
-        along = self.middle
-        size = np.sqrt(np.sum(along * along, axis=-1, keepdims=True))
-        along = np.divide(along, size, out=np.zeros_like(along), where=size > 0.0)
-        lower = self.dot(along).below
+    def norm_lower(self) -> Bound:
+        """Lower bound of the norm, at least 0: the component along the direction at mid span."""
+        direction = self.middle
+        size = np.sqrt(np.sum(direction * direction, axis=-1, keepdims=True))
+        direction = np.divide(direction, size, out=np.zeros_like(direction), where=size > 0.0)
+        lower = self.dot(direction).lower
         return Bound(np.maximum(lower.value, 0.0), lower.x)
 
     @property
-    def above(self) -> Bound:
+    def upper(self) -> Bound:
         """Upper bound of a scalar."""
         row = self.c[..., 0, :]
         index = row.argmax(axis=-1)
         return Bound(np.maximum.reduce(row, axis=-1) + self.r, index / max(1, self.degree))
 
     @property
-    def below(self) -> Bound:
+    def lower(self) -> Bound:
         """Lower bound of a scalar."""
-        upper = (-self).above
+        upper = (-self).upper
         return Bound(-upper.value, upper.x)
 
     @property
@@ -262,19 +262,19 @@ class Enclosed:
     @property
     def norm_range(self) -> Interval:
         """Interval that contains the norm."""
-        return Interval(self.norm_below.value, self.norm_above.value)
+        return Interval(self.norm_lower.value, self.norm_upper.value)
 
     @property
     def middle(self) -> Array:
         """(…, components): the polynomials at mid span."""
         if self.degree == 0:
             return self.c[..., 0]
-        here: Array = self.c @ bernstein.at_nodes(0, self.degree)[0]
-        return here
+        values: Array = self.c @ bernstein.at_nodes(0, self.degree)[0]
+        return values
 
 
 def _error(a: Enclosed, b: Enclosed) -> Array:
-    """Return the error of a product no larger than the product of norms, rounding included.
+    """Return the error of a product whose norm is at most the product of norms, rounding included.
 
     Zero times an unbounded factor is zero.
     """
@@ -286,13 +286,13 @@ def _error(a: Enclosed, b: Enclosed) -> Array:
         if math.isnan(np.add.reduce(error, axis=None)):
             error = EPS * (x * y)
             for size, radius in ((x, b.r), (y, a.r), (a.r, b.r)):
-                nothing = (np.asarray(size) == 0.0) | (radius == 0.0)
-                error = error + np.where(nothing, 0.0, size * radius)
+                is_zero = (np.asarray(size) == 0.0) | (radius == 0.0)
+                error = error + np.where(is_zero, 0.0, size * radius)
     return error
 
 
 def vector(*parts: Enclosed) -> Enclosed:
-    """Return the vector of the parts' components in a row."""
+    """Return the vector of the components of all parts, in order."""
     order = max(part.degree for part in parts)
     shape = np.broadcast_shapes(*(part.c.shape[:-2] for part in parts))
     each = [bernstein.elevate(part.c, order) for part in parts]
@@ -301,9 +301,9 @@ def vector(*parts: Enclosed) -> Enclosed:
     return Enclosed(np.concatenate(c, axis=-2), r)
 
 
-def largest_of(bounds: list[Bound], least: float = -np.inf) -> Bound:
-    """Return the largest of several bounds and of a number, span by span."""
+def largest_of(bounds: list[Bound], floor: float = -np.inf) -> Bound:
+    """Return, on each span, the largest of several bounds and of ``floor``."""
     values = np.stack([bound.value for bound in bounds])
-    first = np.argmax(values, axis=0)[None]
-    x = np.take_along_axis(np.stack([bound.x for bound in bounds]), first, axis=0)[0]
-    return Bound(np.maximum(np.max(values, axis=0), least), x)
+    index = np.argmax(values, axis=0)[None]
+    x = np.take_along_axis(np.stack([bound.x for bound in bounds]), index, axis=0)[0]
+    return Bound(np.maximum(np.max(values, axis=0), floor), x)

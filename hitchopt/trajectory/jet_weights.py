@@ -1,4 +1,4 @@
-"""Places of times in pieces, and the weights of values and derivatives there."""
+"""Local parameters of times within pieces, and weights of values and derivatives there."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ MAX_STORED_TIMES = 500
 """Maximum number of times for which the weights of jets are stored: 0.1 MB."""
 
 
-def places(breaks: Array, times: Array) -> tuple[NDArray[np.intp], Array]:
-    """Return the pieces (…) of times (…), and their places in them (…), from 0 to 1."""
+def locate(breaks: Array, times: Array) -> tuple[NDArray[np.intp], Array]:
+    """Return the pieces (…) of times (…), and the local parameters (…) in them, from 0 to 1."""
     first, last = breaks[0], breaks[-1]
     if not np.all((times >= first - 1e-9) & (times <= last + 1e-9)):
         raise InputError(
@@ -29,41 +29,33 @@ def places(breaks: Array, times: Array) -> tuple[NDArray[np.intp], Array]:
 def _weights(
     breaks: bytes, times: bytes, shape: tuple[int, ...], order: int, count: int
 ) -> tuple[NDArray[np.intp], Array, Array]:
-    """Return the weights of ``PiecewisePolynomial.jet``, which depend on breaks and times alone.
+    """Return the weights of ``PiecewisePolynomial.jet``, which only depend on breaks and times.
 
     Parameters
     ----------
-    breaks, times: memory of the arrays, which is hashable.
-    shape: of the times, (…).
+    breaks, times: bytes of the arrays, which are hashable.
+    shape: shape of the times, (…).
     order: degree of the pieces.
-    count: of derivatives.
+    count: number of derivatives, the zeroth included.
 
     Returns
     -------
-    (…), the pieces; (…, order + 1), the basis; (…, order + 1, count), it and its derivatives.
+    Pieces (…), the basis (…, order + 1), and the basis with its derivatives (…, order + 1, count).
     """
     spans = np.frombuffer(breaks)
-    piece, x = places(spans, np.frombuffer(times).reshape(shape))
+    piece, x = locate(spans, np.frombuffer(times).reshape(shape))
     weights = bernstein.jet_basis(x, order, count)
     weights /= np.diff(spans)[piece][..., None, None] ** np.arange(count)
     return piece, bernstein.basis(x, order), weights
 
 
 _stored_weights = lru_cache(maxsize=64)(_weights)
-"""``_weights`` with a cache: a search uses a few grids on all of its paths."""
+"""``_weights`` with a cache: a search evaluates all of its paths on a few grids."""
 
 
 def jet_weights(
     breaks: Array, times: Array, order: int, count: int
 ) -> tuple[NDArray[np.intp], Array, Array]:
-    """Return the pieces of times, and the weights of coefficients there, as ``_weights``.
-
-    Parameters
-    ----------
-    breaks: (pieces + 1,) [s]
-    times: (…) [s]
-    order: degree of the pieces.
-    count: of derivatives, the zeroth included.
-    """
+    """Return ``_weights`` for breaks (pieces + 1,) and times (…) [s], cached for few times."""
     weights = _stored_weights if times.size <= MAX_STORED_TIMES else _weights
     return weights(breaks.tobytes(), times.tobytes(), times.shape, order, count)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError, OneLine
 from hitchopt.trajectory import bernstein
-from hitchopt.trajectory.jet_weights import jet_weights, places
+from hitchopt.trajectory.jet_weights import jet_weights, locate
 from hitchopt.values import Array, as_array
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 MAX_STORED_SIZE = 2**16
-"""Maximum size of a derivative that is stored: 0.5 MB."""
+"""Maximum number of coefficients of a stored derivative: 0.5 MB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,7 @@ class PiecewisePolynomial(OneLine):
 
     Raises
     ------
-    InputError: shapes that do not fit, breaks that do not increase, values that are not finite.
+    InputError: mismatched shapes, breaks that do not increase, values that are not finite.
     """
 
     breaks: Array
@@ -58,8 +58,8 @@ class PiecewisePolynomial(OneLine):
             array.setflags(write=False)
             object.__setattr__(self, name, array)
 
-    def alike(self, coefficients: Array, breaks: Array | None = None) -> PiecewisePolynomial:
-        """Return other functions on the same breaks by default, without checks and copies."""
+    def replaced(self, coefficients: Array, breaks: Array | None = None) -> PiecewisePolynomial:
+        """Return the functions with other coefficients and breaks, without checks or copies."""
         function = object.__new__(PiecewisePolynomial)
         breaks = self.breaks if breaks is None else breaks
         for array in (coefficients, breaks):
@@ -75,7 +75,7 @@ class PiecewisePolynomial(OneLine):
 
     @classmethod
     def constant(cls, breaks: ArrayLike, value: ArrayLike, order: int = 0) -> PiecewisePolynomial:
-        """Return the constant ``value`` over ``breaks``, written in degree ``order``."""
+        """Return the constant ``value`` over ``breaks``, in degree ``order``."""
         times = np.asarray(breaks, dtype=np.float64)
         array = np.asarray(value, dtype=np.float64)
         shape = (len(times) - 1, *array.shape, order + 1)
@@ -83,7 +83,7 @@ class PiecewisePolynomial(OneLine):
 
     @classmethod
     def hermite(cls, breaks: ArrayLike, left: Array, right: Array) -> PiecewisePolynomial:
-        """Return the polynomials with given derivatives at both ends of every piece.
+        """Return the polynomials with prescribed derivatives at both ends of every piece.
 
         Parameters
         ----------
@@ -113,7 +113,7 @@ class PiecewisePolynomial(OneLine):
 
     @classmethod
     def from_spline(cls, spline: BSpline) -> PiecewisePolynomial:
-        """Return a spline of scipy on the span on which its basis is complete."""
+        """Return a scipy spline over the knots between which its basis is complete."""
         k = spline.k
         breaks = np.unique(spline.t[k : len(spline.t) - k])
         x = breaks[:-1, None] + np.diff(breaks)[:, None] * bernstein.nodes(k)
@@ -154,7 +154,7 @@ class PiecewisePolynomial(OneLine):
         InputError: a time outside the breaks by more than 1e-9 s, or not finite.
         """
         function = self.differentiated(derivative)
-        piece, x = self._places(t)
+        piece, x = self._locate(t)
         return bernstein.evaluate(function.coefficients[piece], x)
 
     def jet(self, t: ArrayLike, count: int) -> Array:
@@ -173,10 +173,10 @@ class PiecewisePolynomial(OneLine):
         jets[..., 0] = np.einsum("...i,...i->...", c, basis)  # to the last bit what ``at`` returns
         return jets
 
-    def _places(self, t: ArrayLike) -> tuple[NDArray[np.intp], Array]:
-        """Return the pieces (…) of times t, and their places (…, 1, …, 1) in them, from 0 to 1."""
+    def _locate(self, t: ArrayLike) -> tuple[NDArray[np.intp], Array]:
+        """Return the pieces (…) of times t, and local parameters (…, 1, …, 1) from 0 to 1."""
         times = np.asarray(t, dtype=np.float64)
-        piece, x = places(self.breaks, times)
+        piece, x = locate(self.breaks, times)
         return piece, x.reshape(*times.shape, *(1,) * len(self.shape))
 
     def differentiated(self, order: int = 1) -> PiecewisePolynomial:
@@ -190,29 +190,29 @@ class PiecewisePolynomial(OneLine):
         h = self.durations.reshape(-1, *(1,) * (lower.ndim - 1))
         slope = bernstein.differentiate(lower)
         slope /= h
-        derivative = self.alike(slope)
+        derivative = self.replaced(slope)
         if lower.size <= MAX_STORED_SIZE:
             stored[order] = derivative
         return derivative
 
     def reshaped(self, *shape: int) -> PiecewisePolynomial:
-        """Return the functions with their values in another shape."""
-        return self.alike(self.coefficients.reshape(self.pieces, *shape, self.degree + 1))
+        """Return the functions with values of another shape."""
+        return self.replaced(self.coefficients.reshape(self.pieces, *shape, self.degree + 1))
 
     def split(self, shapes: Sequence[tuple[int, ...]]) -> list[PiecewisePolynomial]:
-        """Return functions with values (m,) split into functions with values of given shapes."""
+        """Split functions with values (m,) into functions with values of these shapes."""
         parts, first, count = [], 0, self.degree + 1
         for shape in shapes:
             part = self.coefficients[:, first : first + prod(shape)]
-            parts.append(self.alike(part.reshape(self.pieces, *shape, count).copy()))
+            parts.append(self.replaced(part.reshape(self.pieces, *shape, count).copy()))
             first += prod(shape)
         return parts
 
     def elevated(self, order: int) -> PiecewisePolynomial:
-        """Return the functions written in degree ``order``."""
+        """Return the functions in degree ``order``."""
         if order == self.degree:
             return self
-        return self.alike(bernstein.elevate(self.coefficients, order))
+        return self.replaced(bernstein.elevate(self.coefficients, order))
 
     def ends(self, derivative: int = 0) -> tuple[Array, Array]:
         """Return a derivative by time at both ends of every piece, ``(pieces, *shape)`` each."""
@@ -220,17 +220,17 @@ class PiecewisePolynomial(OneLine):
         return c[..., 0], c[..., -1]
 
     def end_jet(self, count: int) -> Array:
-        """Return the value and derivatives by time at the end of all, ``(*shape, count)``."""
-        steps, scale = self.coefficients[-1][..., -count:], 1.0
+        """Return the value and derivatives by time at the last break, ``(*shape, count)``."""
+        differences, scale = self.coefficients[-1][..., -count:], 1.0
         jet = np.zeros((*self.shape, count))
-        for order in range(steps.shape[-1]):
-            jet[..., order] = scale * steps[..., -1]
-            steps = steps[..., 1:] - steps[..., :-1]
+        for order in range(differences.shape[-1]):
+            jet[..., order] = scale * differences[..., -1]
+            differences = differences[..., 1:] - differences[..., :-1]
             scale *= (self.degree - order) / (self.breaks[-1] - self.breaks[-2])
         return jet
 
     def stretched(self, factor: float) -> PiecewisePolynomial:
-        """Return the curves flown ``factor`` times as slowly from the same start."""
+        """Return the curves slowed down by ``factor``, from the same start."""
         first = self.breaks[0]
         return PiecewisePolynomial(first + factor * (self.breaks - first), self.coefficients)
 
@@ -239,10 +239,10 @@ class PiecewisePolynomial(OneLine):
         first, last, _ = pieces.indices(self.pieces)
         if last <= first:
             raise InputError("pieces", pieces, "at least one", "take a run of pieces")
-        return self.alike(self.coefficients[first:last], self.breaks[first : last + 1])
+        return self.replaced(self.coefficients[first:last], self.breaks[first : last + 1])
 
     def reversed(self) -> PiecewisePolynomial:
-        """Return the curves flown backwards over the same span of time."""
+        """Return the curves in reverse over the same span of time."""
         breaks = self.breaks[0] + (self.breaks[-1] - self.breaks[::-1])
         return PiecewisePolynomial(breaks, self.coefficients[::-1, ..., ::-1])
 
@@ -250,15 +250,15 @@ class PiecewisePolynomial(OneLine):
 _DERIVATIVES: WeakKeyDictionary[PiecewisePolynomial, dict[int, PiecewisePolynomial]] = (
     WeakKeyDictionary()
 )
-"""Derivatives of small polynomials in use, by order: several checks need the same."""
+"""Derivatives of small polynomials in use, by order, shared by several checks."""
 
 
 def joined(
-    parts: Sequence[PiecewisePolynomial], like: PiecewisePolynomial | None = None
+    parts: Sequence[PiecewisePolynomial], template: PiecewisePolynomial | None = None
 ) -> PiecewisePolynomial:
-    """Return the parts one after the other, from the first one's start, in their largest degree.
+    """Return the parts in sequence, from the start of the first, in their largest degree.
 
-    ``like`` is the result for other parts with the same breaks.
+    ``template`` is the result for other parts with the same breaks.
     """
     if len(parts) == 1:
         return parts[0]
@@ -267,56 +267,54 @@ def joined(
     if len(counts) > 1:
         each = [bernstein.elevate(c, max(counts) - 1) for c in each]
     coefficients = np.concatenate(each)
-    if like is not None:
-        return like.alike(coefficients)
+    if template is not None:
+        return template.replaced(coefficients)
     spans = [parts[0].breaks[:1]]
     for part in parts:
         spans.append(spans[-1][-1] + (part.breaks[1:] - part.breaks[0]))
     breaks = np.concatenate(spans)
     if (breaks[1:] > breaks[:-1]).all():
-        return parts[0].alike(coefficients, breaks)
+        return parts[0].replaced(coefficients, breaks)
     return PiecewisePolynomial(breaks, coefficients)  # refused: rounding swallows a piece
 
 
-SAME_BREAK = 1e-7
-"""[s] Breaks closer than this count as one. Beyond its break by so little, a piece that joins
-smoothly is off by its jump in jerk times 1e-21 s³, far below rounding."""
+BREAK_TOLERANCE = 1e-7
+"""[s] Closer breaks count as one: this far beyond its break, a smoothly joined piece is off by its
+jump in jerk times 1e-21 s³, far below rounding."""
 
 
-def merged_breaks(each: Sequence[Array]) -> Array:
-    """Return all breaks in order, without those within SAME_BREAK of an earlier array's.
+def merged_breaks(arrays: Sequence[Array]) -> Array:
+    """Return the sorted union of arrays of breaks (pieces + 1,) [s].
 
-    Parameters
-    ----------
-    each: (pieces + 1,) [s]; those of the first array are all in the result.
+    Breaks within BREAK_TOLERANCE of those of an earlier array are dropped.
     """
-    merged = np.asarray(each[0], dtype=np.float64)
-    for breaks in each[1:]:
-        at = np.searchsorted(merged, breaks)
-        before = np.abs(breaks - merged[np.maximum(at - 1, 0)])
-        after = np.abs(breaks - merged[np.minimum(at, len(merged) - 1)])
-        merged = np.union1d(merged, breaks[np.minimum(before, after) > SAME_BREAK])
+    merged = np.asarray(arrays[0], dtype=np.float64)
+    for breaks in arrays[1:]:
+        index = np.searchsorted(merged, breaks)
+        before = np.abs(breaks - merged[np.maximum(index - 1, 0)])
+        after = np.abs(breaks - merged[np.minimum(index, len(merged) - 1)])
+        merged = np.union1d(merged, breaks[np.minimum(before, after) > BREAK_TOLERANCE])
     return merged
 
 
 def on_breaks(part: PiecewisePolynomial, breaks: Array) -> PiecewisePolynomial:
-    """Return the functions on ``breaks`` (within the part's), each piece within one of the part's.
+    """Return the functions on ``breaks`` within the part's, each piece inside one of the part's.
 
-    Exact except for rounding, and within SAME_BREAK of the part's own breaks.
+    The result is exact up to rounding, except within BREAK_TOLERANCE of the part's own breaks.
     """
     middles = 0.5 * (breaks[1:] + breaks[:-1])
     piece = np.clip(np.searchsorted(part.breaks, middles, side="right") - 1, 0, part.pieces - 1)
     start, h = part.breaks[piece], part.durations[piece]
     lower = np.clip((breaks[:-1] - start) / h, 0.0, 1.0)
     upper = np.clip((breaks[1:] - start) / h, 0.0, 1.0)
-    lower[np.abs(breaks[:-1] - start) <= SAME_BREAK] = 0.0
-    upper[np.abs(breaks[1:] - part.breaks[piece + 1]) <= SAME_BREAK] = 1.0
+    lower[np.abs(breaks[:-1] - start) <= BREAK_TOLERANCE] = 0.0
+    upper[np.abs(breaks[1:] - part.breaks[piece + 1]) <= BREAK_TOLERANCE] = 1.0
     axes = (-1, *(1,) * len(part.shape))
     coefficients = part.coefficients[piece]
-    whole = (lower == 0.0) & (upper == 1.0)
-    if not np.all(whole):
-        cut = ~whole
-        coefficients[cut] = bernstein.restrict(
-            coefficients[cut], lower[cut].reshape(axes), upper[cut].reshape(axes)
+    is_whole = (lower == 0.0) & (upper == 1.0)
+    if not np.all(is_whole):
+        partial = ~is_whole
+        coefficients[partial] = bernstein.restrict(
+            coefficients[partial], lower[partial].reshape(axes), upper[partial].reshape(axes)
         )
     return PiecewisePolynomial(breaks, coefficients)

@@ -1,8 +1,8 @@
 """The smallest or largest value of a formula over continuous time, by branch and bound.
 
 A formula bounds a quantity on each of many spans of time at once; on spans of no length the bound
-is its value. Spans whose bound may still change the answer are halved until none does. The answer
-holds for all t; it does not rely on samples.
+is its value. Spans that may still change the answer are halved until none is left. The answer holds
+for all t and does not rely on samples.
 """
 
 from __future__ import annotations
@@ -23,28 +23,28 @@ from hitchopt.trajectory.enclosed import Bound
 from hitchopt.values import Array, Indices
 
 RELATIVE, ABSOLUTE = 1e-4, 2e-7
-"""Largest gap between the answer and an attained value, relative to that value and in the
-quantity's own unit; the larger of the two counts."""
+"""Largest gap between the answer and an attained value: relative to that value, and in the unit of
+the quantity. The larger one applies."""
 
 MAX_HALVINGS, MAX_SPANS = 40, 100_000
-"""Maximum number of halvings of a piece, and of halves in all (or ten per given span): beyond them
-bounds are accepted, valid but less tight."""
+"""Maximum number of halvings of a piece, and of halves in all (or ten per initial span). Beyond
+them, bounds are accepted: valid, but less tight."""
 
 BATCH = 4096
-"""Spans bounded in one call, so that a formula's arrays stay within the caches."""
+"""Number of spans bounded in one call: the arrays of a formula fit into the caches."""
 
-TIES, TIE = 9, 1e-9
-"""Digits of bounds, and share of values, within which the first one in time counts."""
+TIE_DIGITS, TIE = 9, 1e-9
+"""Digits of bounds, and relative difference of values, at which the first one in time is chosen."""
 
-CANDIDATES = 32
-"""Spans of a batch, those with the worst bounds, at a point of which the value is computed."""
+MAX_CANDIDATES = 32
+"""Number of spans of a batch, those with the worst bounds, in which a value is computed."""
 
 _ROUGH: ContextVar[bool] = ContextVar("rough", default=False)
 
 
 @contextmanager
 def rough_bounds() -> Iterator[None]:
-    """Accept bounds without tightening within the context if all of them satisfy the target."""
+    """Within the context, accept bounds that satisfy the target without tightening them."""
     token = _ROUGH.set(True)
     try:
         yield
@@ -53,14 +53,14 @@ def rough_bounds() -> Iterator[None]:
 
 
 class Spans:
-    """Spans of time within pieces, each of one item.
+    """Spans of time, each within one piece and of one item.
 
     Parameters
     ----------
-    source: object that has the polynomials.
+    source: object with the polynomials.
     breaks: (pieces + 1,) [s]
     piece, item: (spans,)
-    extent: (2, spans), start and end of each within its piece, from 0 to 1; None for whole pieces.
+    extent: (2, spans), local parameters of starts and ends, from 0 to 1; None for whole pieces.
     points: whether the spans have no length.
     """
 
@@ -83,18 +83,16 @@ class Spans:
 
     @classmethod
     def all_of(
-        cls, source: Any, breaks: Array, items: int, on: NDArray[np.bool_] | None = None
+        cls, source: Any, breaks: Array, items: int, mask: NDArray[np.bool_] | None = None
     ) -> Iterator[Self]:
         """Yield the spans of whole pieces of every item, in batches.
 
-        Parameters
-        ----------
-        on: (pieces,) or (pieces, items), mask of the spans to yield; None for all.
+        ``mask`` (pieces,) or (pieces, items) selects spans; None selects all.
         """
-        here = np.ones((len(breaks) - 1, items), dtype=np.bool_)
-        if on is not None:
-            here &= on.reshape(len(here), -1)
-        piece, item = np.nonzero(here)
+        selected = np.ones((len(breaks) - 1, items), dtype=np.bool_)
+        if mask is not None:
+            selected &= mask.reshape(len(selected), -1)
+        piece, item = np.nonzero(selected)
         yield from batches(cls(source, breaks, piece, item))
 
     def _like(self, index: Any, extent: Array | None, *, points: bool = False) -> Self:
@@ -113,15 +111,15 @@ class Spans:
         return self._like(twice, np.concatenate([[lower, middle], [middle, upper]], axis=1))
 
     def at(self, x: Array) -> Self:
-        """Return the points at x (spans,), from 0 to 1."""
-        place = self.extent[0] + x * (self.extent[1] - self.extent[0])
-        return self._like(slice(None), np.stack([place, place]), points=True)
+        """Return the points at local parameters x (spans,) of the spans, from 0 to 1."""
+        positions = self.extent[0] + x * (self.extent[1] - self.extent[0])
+        return self._like(slice(None), np.stack([positions, positions]), points=True)
 
     def times(self, x: Array) -> Array:
-        """Return the times at x (spans,) [s]."""
-        (lower, upper), begin = self.extent, self.breaks[self.piece]
-        durations = self.breaks[self.piece + 1] - begin
-        times: Array = begin + (lower + x * (upper - lower)) * durations
+        """Return the times [s] at local parameters x (spans,)."""
+        (lower, upper), starts = self.extent, self.breaks[self.piece]
+        durations = self.breaks[self.piece + 1] - starts
+        times: Array = starts + (lower + x * (upper - lower)) * durations
         return times
 
     def read(self, table: Array, item: Indices | None = None) -> Array:
@@ -147,7 +145,7 @@ class Spans:
 S = TypeVar("S", bound=Spans)
 
 Formula = Callable[[S], Bound]
-"""Bound of a quantity on spans; its value if they are points."""
+"""Bound of a quantity on spans, or its value at points."""
 
 
 @dataclass(frozen=True)
@@ -166,15 +164,15 @@ class Extremum:
 
 
 class Search(Generic[S]):
-    """Branch and bound for the largest or smallest value; spans may be added in any portions.
+    """Branch and bound for the largest or smallest value; spans are added in any order.
 
     Parameters
     ----------
     formula: computes the bounds.
     sense: ``max`` for the largest value, ``min`` for the smallest.
     target: if all values satisfy it, spans are halved until ``worst`` does too.
-    known: only worse values matter; the item is -1 if there are none.
-    relative, absolute: how close ``worst`` has to come to an attained value.
+    incumbent: only worse values are searched for; the item is -1 if there are none.
+    relative, absolute: largest gap between ``worst`` and an attained value.
     """
 
     def __init__(
@@ -183,15 +181,15 @@ class Search(Generic[S]):
         sense: str,
         *,
         target: float = math.nan,
-        known: float = math.nan,
+        incumbent: float = math.nan,
         relative: float = RELATIVE,
         absolute: float = ABSOLUTE,
     ) -> None:
         self.formula = formula
-        self.sign = 1.0 if sense == "max" else -1.0  # the largest of sign · value is searched for
+        self.sign = 1.0 if sense == "max" else -1.0  # the search maximises sign · value
         self.relative, self.absolute = relative, absolute
         self.target = np.inf if math.isnan(target) else self.sign * target
-        self.value = -np.inf if math.isnan(known) else self.sign * known
+        self.value = -np.inf if math.isnan(incumbent) else self.sign * incumbent
         self.rough = _ROUGH.get() and not math.isnan(target)
         self.item, self.time = -1, 0.0
         self.ceiling = -np.inf  # largest bound of closed spans
@@ -205,29 +203,29 @@ class Search(Generic[S]):
 
     @property
     def threshold(self) -> float:
-        """Spans bounded by this or less are closed."""
+        """Bound at or below which spans are closed."""
         if not math.isfinite(self.value):
             return self.value
         tight = self.value + max(self.absolute, self.relative * abs(self.value))
         return min(tight, self.target) if self.value <= self.target else tight
 
     def add(self, spans: S) -> None:
-        """Bound the spans once; those that may contain the worst value stay open."""
+        """Bound the spans once, and keep those open that may contain the worst value."""
         for batch in batches(spans):
-            if (left := self._left(batch, self._bounds(batch))) is not None:
-                self._open.append((*left, 0))
+            if (remaining := self._prune(batch, self._bounds(batch))) is not None:
+                self._open.append((*remaining, 0))
 
     def finish(self) -> Extremum:
-        """Halve open spans until none is left, and return the answer."""
+        """Halve open spans until all are closed, and return the answer."""
         # Deepest first: few spans are alive at a time, and the worst values come early.
         self._open.sort(key=lambda entry: float(entry[1].max()))
-        enough = max(MAX_SPANS, 10 * self.evaluated) + self.evaluated
+        budget = max(MAX_SPANS, 10 * self.evaluated) + self.evaluated
         while self._open:
             spans, bounds, depth = self._open.pop()
-            if (left := self._left(spans, bounds)) is None:
+            if (remaining := self._prune(spans, bounds)) is None:
                 continue
-            spans, bounds = left
-            if depth == MAX_HALVINGS or self.evaluated > enough:
+            spans, bounds = remaining
+            if depth == MAX_HALVINGS or self.evaluated > budget:
                 self.ceiling = max(self.ceiling, float(bounds.max()))
                 continue
             inherited = np.concatenate([bounds, bounds])
@@ -241,47 +239,45 @@ class Search(Generic[S]):
         """Return upper bounds (spans,) of sign · quantity, and record the largest value."""
         check_time()
         self.evaluated += len(batch)
-        with np.errstate(all="ignore"):  # coefficients may be anything; see nan below
+        with np.errstate(all="ignore"):  # coefficients may have any value; nan is handled below
             bound = self.formula(batch)
             bounds = _without_nan(self.sign * bound.value)
-            # Of spans that tie the first ones, so that the answer is the same everywhere.
+            # Spans that tie are taken in order: the answer is the same on every machine.
             size = np.max(np.abs(bounds), initial=0.0, where=np.isfinite(bounds)) or 1.0
-            rough = np.round(bounds / size, TIES)
-            candidates = np.sort(np.argsort(-rough, kind="stable")[:CANDIDATES])
+            rounded = np.round(bounds / size, TIE_DIGITS)
+            candidates = np.sort(np.argsort(-rounded, kind="stable")[:MAX_CANDIDATES])
             if self.item >= 0:  # no value exceeds its span's bound
                 candidates = candidates[bounds[candidates] >= self.value - TIE * abs(self.value)]
             if len(candidates):
                 points = batch.take(candidates).at(bound.x[candidates])
-                enough = self.rough and bounds.max() <= self.target
-                self._note(
-                    points,
-                    bounds[candidates]
-                    if enough
-                    else _without_nan(self.sign * self.formula(points).value),
-                )
+                if self.rough and bounds.max() <= self.target:
+                    values = bounds[candidates]
+                else:
+                    values = _without_nan(self.sign * self.formula(points).value)
+                self._record(points, values)
         return bounds
 
-    def _note(self, points: S, values: Array) -> None:
-        """Record the largest value; of values that tie, the first in time."""
-        most = float(values.max())
-        tie = TIE * abs(most) if math.isfinite(most) else 0.0
-        best = int(np.argmax(values >= most - tie))
+    def _record(self, points: S, values: Array) -> None:
+        """Record the largest value, or the first in time of values that tie."""
+        largest = float(values.max())
+        tie = TIE * abs(largest) if math.isfinite(largest) else 0.0
+        best = int(np.argmax(values >= largest - tie))
         value, time = float(values[best]), float(points.times(np.zeros(len(points)))[best])
         earlier = self.item >= 0 and value >= self.value - tie and time < self.time
         if value > self.value + tie or earlier or (self.item < 0 and np.isinf(self.value)):
             self.value, self.item, self.time = max(value, self.value), int(points.item[best]), time
 
-    def _left(self, spans: S, bounds: Array) -> tuple[S, Array] | None:
-        """Return the spans that stay open, if any, and close all others."""
-        done = bounds <= self.threshold
-        self.ceiling = max(self.ceiling, float(np.max(bounds[done], initial=-np.inf)))
-        if done.all():
+    def _prune(self, spans: S, bounds: Array) -> tuple[S, Array] | None:
+        """Close spans at the threshold, and return the remaining ones, if any."""
+        closed = bounds <= self.threshold
+        self.ceiling = max(self.ceiling, float(np.max(bounds[closed], initial=-np.inf)))
+        if closed.all():
             return None
-        return (spans.take(~done), bounds[~done]) if done.any() else (spans, bounds)
+        return (spans.take(~closed), bounds[~closed]) if closed.any() else (spans, bounds)
 
 
 def _without_nan(values: Array) -> Array:
-    """Return values with nan replaced by infinity: there the check fails."""
+    """Return values with nan replaced by infinity, which fails a check."""
     return np.where(np.isnan(values), np.inf, values)
 
 
@@ -294,7 +290,7 @@ def batches(spans: S) -> Iterator[S]:
 
 
 def worst(spans: Iterable[S], formula: Formula[S], sense: str, **options: float) -> Extremum:
-    """Return the largest (``max``) or smallest (``min``) value; ``options`` are of ``Search``."""
+    """Return the largest (``max``) or smallest (``min``) value, with options of ``Search``."""
     search: Search[S] = Search(formula, sense, **options)
     for each in spans:
         search.add(each)
