@@ -1,8 +1,8 @@
-"""Several motions side by side on one clock: the drones of all, and each with cables of its own.
+"""Several motions on one clock, combined into the motion of all their drones.
 
-A combined motion is a swarm of all drones on the breaks of all motions. What knows drones alone
-takes it as it is; what knows cables takes its ``groups`` one by one: each has its own breaks, as
-derivatives on the short pieces between the breaks of several would suffer from rounding.
+A combined motion is a swarm of all drones on the breaks of all motions. Its ``groups`` keep cables
+and their own breaks: derivatives on the short pieces between the breaks of several motions would
+suffer from rounding.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.motion.motion import JOINT, CableState, Group, Motion, Phase
 from hitchopt.motion.retiming import on_breaks_of, padded
 from hitchopt.objects import SolidObject
-from hitchopt.objects.placing import STILL
+from hitchopt.objects.placing import REST_DRIFT
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import merged_breaks
 
 NAME = re.compile(r"[^\W\d][\w-]*")
-"""Names of groups; one of a plan that flies besides is plan.group."""
+"""Valid names of groups; groups of external plans are named plan.group."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fleet(Swarm):
-    """The drones of several teams, as ``a.q0``: a swarm to all that knows no cables."""
+    """The drones of several teams as one swarm, with names such as ``a.q0``."""
 
     def __init__(self, teams: Sequence[tuple[str, Team]]) -> None:
         kinds = [
@@ -58,52 +58,52 @@ class Fleet(Swarm):
 
 @dataclass(frozen=True, eq=False)
 class CombinedMotion(Motion):
-    """Motions of several teams side by side, as the motion of all drones; see ``combined``."""
+    """The motion of all drones of several teams; see ``combined``."""
 
     parts: tuple[Group, ...] = ()
 
     @property
     def groups(self) -> tuple[Group, ...]:
-        """The motions side by side."""
+        """The combined motions."""
         return self.parts
 
     def each_group(self, change: Callable[[Motion], Motion]) -> Motion:
-        """Return the motion with a change of every group's clock applied."""
+        """Return the motion with ``change`` applied to every group."""
         groups = [replace(each, motion=change(each.motion)) for each in self.parts]
         return combined(groups, self.others)
 
     @property
     def untimed(self) -> Motion:
-        """The motion without a limit on any group's duration."""
+        """The motion without limits on the groups' durations."""
         return self.each_group(lambda own: own.untimed)
 
     def map_curves(
         self, change: Callable[[PiecewisePolynomial], PiecewisePolynomial], phases: Sequence[Phase]
     ) -> Motion:
-        """Refuse: groups have breaks of their own."""
-        raise NotImplementedError("apply it to each of groups")
+        """Raise NotImplementedError: groups have their own breaks."""
+        raise NotImplementedError("apply it to each group")
 
 
 def combined(groups: Sequence[Group], others: Sequence[Group] = ()) -> Motion:
-    """Return the motions of several groups on one clock, all at rest before and after their own.
+    """Return the motions of several groups on one clock, at rest before and after their own time.
 
-    Distances between groups are the larger ones of both groups' requirements. A group alone stays
-    what it is.
+    Distances between groups are the larger ones of both groups' requirements. A single group is
+    returned unchanged, except for ``others``.
 
     Raises
     ------
-    InputError: names that are none, or given twice.
-    UnsupportedError: among several, a hitch that changes its robots.
+    InputError: invalid or duplicate names.
+    UnsupportedError: several groups, one with a ring that changes.
     """
     names = [each.name for each in (*groups, *others)]
     for index, name in enumerate(names):
-        parts = name.split(".", 1) if index >= len(groups) else [name]
-        alone = name == "" and len(groups) == 1 and index == 0
-        if not (alone or all(map(NAME.fullmatch, parts))) or name in ("others", *names[:index]):
+        words = name.split(".", 1) if index >= len(groups) else [name]
+        unnamed = name == "" and len(groups) == 1 and index == 0
+        if not (unnamed or all(map(NAME.fullmatch, words))) or name in ("others", *names[:index]):
             bound = "a name of its own, of letters, digits, - and _"
             raise InputError("teams", name, bound, "rename it")
     for each in (*(groups if len(groups) > 1 else ()), *others):
-        each.motion.refuse_several("a plan of several teams", others=False)
+        each.motion.require_one_team("a plan of several teams", others=False)
     begin = min(float(each.motion.drones.breaks[0]) for each in groups)
     end = max(float(each.motion.drones.breaks[-1]) for each in groups)
     groups = tuple(replace(each, motion=padded(each.motion, begin, end)) for each in groups)
@@ -113,57 +113,57 @@ def combined(groups: Sequence[Group], others: Sequence[Group] = ()) -> Motion:
 
 
 def side_by_side(groups: Sequence[Group], others: Sequence[Group]) -> Motion:
-    """Return the motions of groups that cover the same time, as ``combined``, whatever names."""
+    """Return ``combined`` for groups that cover the same time, without checks of names."""
     begin, end = groups[0].motion.drones.breaks[[0, -1]].tolist()
     breaks = merged_breaks([each.motion.drones.breaks for each in groups])
-    whole = [on_breaks_of(each.motion, breaks) for each in groups]
-    degree = max(each.drones.degree for each in whole)
-    drones = np.concatenate([each.drones.elevated(degree).coefficients for each in whole], axis=1)
+    motions = [on_breaks_of(each.motion, breaks) for each in groups]
+    degree = max(each.drones.degree for each in motions)
+    drones = np.concatenate([each.drones.elevated(degree).coefficients for each in motions], axis=1)
     team = Fleet([(each.name, each.motion.team) for each in groups])
-    requirements, poses = _shared(groups, whole)
+    requirements, poses = _shared(groups, motions)
     swarm = Motion.single(
         team, requirements, PiecewisePolynomial(breaks, drones), _phases(groups, begin, end)
     )
-    own = {field.name: getattr(swarm, field.name) for field in fields(Motion)}
-    own |= {"others": tuple(others), "poses": poses}
-    return CombinedMotion(**own, parts=tuple(groups))
+    values = {field.name: getattr(swarm, field.name) for field in fields(Motion)}
+    values |= {"others": tuple(others), "poses": poses}
+    return CombinedMotion(**values, parts=tuple(groups))
 
 
 def _shared(
-    groups: Sequence[Group], whole: Sequence[Motion]
+    groups: Sequence[Group], motions: Sequence[Motion]
 ) -> tuple[Requirements, PiecewisePolynomial | None]:
-    """Return the requirements that hold between groups, with all objects, and objects' poses.
+    """Return the requirements between groups, with all objects, and the objects' poses.
 
-    An obstacle that several groups have is one; other objects of one name are named by the group.
+    Groups may share obstacles at rest. Other objects with the same name are labelled by group.
     """
-    each = [group.motion.requirements for group in groups]
-    separation = reduce(_wider, (one.separation for one in each))
-    tracking = max((one.limits.tracking or 0.0 for one in each), default=0.0) or None
-    limits: Limits = replace(each[0].limits, tracking=tracking)
-    prisms = {prism.corners.tobytes(): prism for one in each for prism in one.keep_out}
+    requirements = [group.motion.requirements for group in groups]
+    separation = reduce(_larger, (own.separation for own in requirements))
+    tracking = max((own.limits.tracking or 0.0 for own in requirements), default=0.0) or None
+    limits: Limits = replace(requirements[0].limits, tracking=tracking)
+    prisms = {prism.corners.tobytes(): prism for own in requirements for prism in own.keep_out}
     objects, poses = dict[str, SolidObject](), list[Any]()
-    degree = max(motion.object_poses.degree for motion in whole)
-    for group, motion, one in zip(groups, whole, each, strict=True):
-        for index, (name, body) in enumerate(one.objects.items()):
+    degree = max(motion.object_poses.degree for motion in motions)
+    for group, motion, own in zip(groups, motions, requirements, strict=True):
+        for index, (name, body) in enumerate(own.objects.items()):
             pose = motion.object_poses.elevated(degree).coefficients[:, index]
             key = group.label(name) if name in objects else name
-            obstacle = np.max(np.abs(pose - body.pose[:, None])) <= STILL
-            if not (obstacle and name in objects and same_object(objects[name], body)):
+            at_rest = np.max(np.abs(pose - body.pose[:, None])) <= REST_DRIFT
+            if not (at_rest and name in objects and same_object(objects[name], body)):
                 objects[key] = body
                 poses.append(pose)
-    arenas = [one.arena for one in each if one.arena is not None]
+    arenas = [own.arena for own in requirements if own.arena is not None]
     arena = None
-    if len(arenas) == len(each):  # each stays in its own
-        lower, upper = (np.array([getattr(one, k) for one in arenas]) for k in ("lower", "upper"))
+    if len(arenas) == len(requirements):  # each group stays in its own arena
+        lower, upper = (np.array([getattr(own, k) for own in arenas]) for k in ("lower", "upper"))
         arena = Arena(np.min(lower, axis=0), np.max(upper, axis=0))
-    needed = Requirements(limits, separation, arena, tuple(prisms.values()), objects)
+    merged = Requirements(limits, separation, arena, tuple(prisms.values()), objects)
     if not poses:
-        return needed, None
-    return needed, PiecewisePolynomial(whole[0].drones.breaks, np.stack(poses, axis=1))
+        return merged, None
+    return merged, PiecewisePolynomial(motions[0].drones.breaks, np.stack(poses, axis=1))
 
 
 def same_object(one: SolidObject, other: SolidObject) -> bool:
-    """Return whether two objects are the same body at the same place."""
+    """Return whether two objects are equal bodies at the same place."""
     if len(one.slabs) != len(other.slabs) or not np.array_equal(one.pose, other.pose):
         return False
     return all(
@@ -173,13 +173,13 @@ def same_object(one: SolidObject, other: SolidObject) -> bool:
     )
 
 
-def _wider(one: Separation, other: Separation) -> Separation:
-    """Return the larger ones of all distances."""
+def _larger(one: Separation, other: Separation) -> Separation:
+    """Return the larger one of each distance."""
     return Separation(**{name: max(x, getattr(other, name)) for name, x in vars(one).items()})
 
 
 def _phases(groups: Sequence[Group], begin: float, end: float) -> list[Phase]:
-    """Return the phases of all groups, ended where any of them ends, with the names of all."""
+    """Return common phases, split where a phase of any group ends, with the names of all."""
     ends = [
         np.array([begin, *(phase.end for phase in each.motion.phases[:-1]), end]) for each in groups
     ]
@@ -189,10 +189,10 @@ def _phases(groups: Sequence[Group], begin: float, end: float) -> list[Phase]:
     phases = list[Phase]()
     for start, stop in pairwise(times.tolist()):
         middle = 0.5 * (start + stop)
-        here = [next(p for p in each.motion.phases if p.end >= middle) for each in groups]
+        active = [next(p for p in each.motion.phases if p.end >= middle) for each in groups]
         name = ", ".join(
-            f"{group.name} {phase.name}" for group, phase in zip(groups, here, strict=True)
+            f"{group.name} {phase.name}" for group, phase in zip(groups, active, strict=True)
         )
-        step = max(phase.step for phase in here)
+        step = max(phase.step for phase in active)
         phases.append(Phase(name, step, start, stop, state=CableState.NONE))
     return phases

@@ -19,22 +19,25 @@ from hitchopt.objects.placing import poses_of
 from hitchopt.trajectory import PiecewisePolynomial, joined
 
 JOINT = 1e-6
-"""[s] Phases meet within this, and cables change their state within this of a break."""
+"""[s] Largest gap between phases, and between a change of the cables' state and a break."""
 
 WAIT = "wait"
-"""Name of phases in which a group rests because others fly."""
+"""Name of phases in which a group waits at rest while others fly."""
 
 
 class CableState(StrEnum):
     """State of the cables in a phase; the certificate verifies it from the polynomials.
 
-    While cables are not hitched, vertices, legs and tensions have no meaning, except that
-    vertices are where the clasps may lie while cables are being tightened. On the ground, cables
-    lie there at least in part and drones fly straight up or down; in clasping, drones of
-    neighbouring cables turn about each other. Cables that are laid are taut by themselves and move
-    without turning; where they roll, they lie across each other at some clasps, or turn there from
-    that into a clasp or back, with all vertices at rest. Lying across, they pass weight to one
-    another as a robot has joined them, or is about to leave.
+    While cables are not hitched, vertices, legs and tensions have no meaning; during tightening,
+    vertices are possible positions of the clasps.
+
+    - ``GROUND``: cables lie at least partly on the ground; drones fly straight up or down.
+    - ``CLASPING``: drones of neighbouring cables turn about each other.
+    - ``LAYING``: each cable is taut on its own and moves without turning.
+    - ``ROLLING``: pairs of cables cross without a clasp, or roll between crossing and clasp, with
+      all vertices at rest.
+    - ``LYING``: crossing cables pass weight to each other after a robot has joined, or before one
+      leaves.
     """
 
     NONE = "none"
@@ -49,7 +52,7 @@ class CableState(StrEnum):
 
 
 HITCHED_STATE = frozenset({CableState.HITCHED, CableState.ROLLING, CableState.LYING})
-"""The states in which the hitch exists: vertices, legs and tensions have a meaning."""
+"""States in which the hitch exists: vertices, legs and tensions have a meaning."""
 
 FREE_STATES = frozenset(CableState) - HITCHED_STATE - {CableState.NONE}
 """States of cables without a hitch."""
@@ -64,9 +67,9 @@ class HoldBy(StrEnum):
 
 @dataclass(frozen=True)
 class Hold:
-    """An object that a hitch holds in a phase, by its name, how, and with which cables.
+    """An object that a hitch holds in a phase: its name, the kind of hold, and the holding cables.
 
-    The certificate verifies it from the polynomials: these cables may touch it.
+    These cables may touch it. The certificate verifies the hold from the polynomials.
     """
 
     object: str
@@ -76,22 +79,22 @@ class Hold:
 
 @dataclass(frozen=True)
 class Phase(OneLine):
-    """A span of a plan's time.
+    """A time span of a plan.
 
     Attributes
     ----------
-    name: such as ``morph`` or ``hold``; a label without effect.
+    name: a label without effect, such as ``morph`` or ``hold``.
     step: index of its step in the mission.
     start, end: [s]
     remark: deviation from the request and its reason; usually empty.
-    state: of the cables.
-    tension: smallest and largest tension [N] that the step allows during its motion, None for the
-        team's. Part of the problem: the check ``tension`` requires it, and the team's tensions at
-        both ends.
-    hold: the object that the hitch holds, which its cables may touch; None without one.
-    ring: the robots that hold the edges, in order; None for all of the team, by their numbers.
-        Vertices are counted along it.
-    waiting: the robots that are not among them, each with the state of its cable.
+    state: state of the cables.
+    tension: smallest and largest tension [N] that the step allows during its motion; None for the
+        team's tensions. Part of the problem: the check ``tension`` requires this range, and the
+        team's tensions at both ends.
+    hold: the object that the hitch holds; None without one.
+    ring: robots that hold the edges, in order; None for all robots in the order of their indices.
+        Vertices are numbered along the ring.
+    waiting: the other robots, each with the state of its cable.
     """
 
     name: str
@@ -111,29 +114,29 @@ class Phase(OneLine):
         return self.state in HITCHED_STATE
 
     def retimed(self, start: float, end: float) -> Phase:
-        """Return the phase with other times [s]."""
+        """Return the phase with another start and end [s]."""
         return replace(self, start=start, end=end)
 
 
 def check_phases(phases: Sequence[Phase], start: float, end: float) -> None:
-    """Raise InputError unless phases follow one another and cover the time from start to end [s].
+    """Raise InputError unless phases are contiguous and cover the time from start to end [s].
 
     They may begin earlier and end later: a part of a motion has all phases that it overlaps.
     """
     spans = [[phase.start, phase.end] for phase in phases]
     covered = not spans or (spans[0][0] <= start + JOINT and spans[-1][1] >= end - JOINT)
-    joined_up = all(abs(b[0] - a[1]) <= JOINT for a, b in pairwise(spans))
-    if not (covered and joined_up and all(first < last for first, last in spans)):
+    contiguous = all(abs(b[0] - a[1]) <= JOINT for a, b in pairwise(spans))
+    if not (covered and contiguous and all(first < last for first, last in spans)):
         bound = f"one after the other from {start:g} to {end:g} s, each ending after it starts"
-        remedy = "give each phase the time from the end of the one before to its own end"
+        remedy = "start each phase where the previous one ends"
         raise InputError("phases", spans, bound, remedy)
 
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """A motion among several on one clock, under its team's name, which is empty if it is alone.
+    """A motion among several on one clock, with its team's name; a single motion has no name.
 
-    Of somebody else's plan, ``digest`` is that of its file, and ``plan`` its path as written.
+    For an external plan, ``digest`` is the digest of its file and ``plan`` the path as written.
     """
 
     name: str
@@ -141,52 +144,52 @@ class Group:
     digest: str = ""
     plan: str = ""
 
-    def label(self, place: str) -> str:
-        """Return the name of a drone, cable or vertex of it among all groups'."""
-        return f"{self.name}.{place}" if self.name else place
+    def label(self, name: str) -> str:
+        """Return the full name of one of its drones, cables or vertices, such as ``a.q0``."""
+        return f"{self.name}.{name}" if self.name else name
 
 
 POLYNOMIALS = ("drones", "vertices", "legs", "tensions")
-"""Fields of every motion that are polynomials."""
+"""Polynomial fields of every motion."""
 
 OPTIONAL_CURVES = ("leg_tensions", "poses", "borne", "contacts")
-"""Fields that are polynomials only if cables slide against friction or objects are held."""
+"""Polynomial fields of motions with friction at the clasps or with held objects."""
 
 SHARE_TOLERANCE = 2.0**-40
-"""Load shares this close to 0 or 1 are taken as 0 or 1: raising the degree rounds them."""
+"""Load shares this close to 0 or 1 count as 0 or 1: elevating the degree rounds them."""
 
 
 @dataclass(frozen=True, eq=False)
 class Motion(OneLine):
     """Drones, vertices, legs and tensions over time, and the requirements on them.
 
-    While no hitch exists, vertices, legs and tensions have no meaning and tensions are 0. A team of
-    single drones has none of them.
+    While no hitch exists, vertices and legs have no meaning and tensions are 0. Swarms of single
+    drones have none of them.
 
     Parameters
     ----------
-    team: the robots that fly.
+    team: the robots.
     requirements: limits, distances, and objects that the motion must respect.
-    drones: of shape (2n, 3) [m], in the order q0, r0, q1, r1, …; (N, 3) of single drones.
-    vertices: of shape (points, 3) [m]: n points of a closed hitch, n + 1 of a chain.
-    legs: of shape (n, 2) [m]: ``d_k``, ``e_k``; zero where a chain's end has none.
-    tensions: of shape (n,) [N].
-    phases: one after the other, covering all of the time.
-    assignment: which robots fly which roles, where that was chosen.
-    leg_tensions: of shape (n, 2) [N], if cables slide against friction; None if every leg pulls
-        with its cable's tension.
-    poses: of shape (objects, 5): x, y, z [m] of the objects' bases, cosine and sine of their yaws;
-        None if no object moves.
-    borne: of shape (objects,), the share of each object's weight that clasps carry, from 0 (it
-        stands) to 1; None if they carry none.
-    contacts: of shape (n, 2, 3) [m], where edge k meets and leaves the section that it is wrapped
-        around, the same point if straight; None if all edges are straight.
-    others: plans of somebody else that fly besides, at their times on this motion's clock; at rest
-        before and after. All distances to them are kept.
+    drones: shape (2n, 3) [m], in the order q0, r0, q1, r1, …; (N, 3) for single drones.
+    vertices: shape (points, 3) [m]: n points of a closed hitch, n + 1 of a chain.
+    legs: shape (n, 2) [m]: ``d_k``, ``e_k``; zero where a chain's end has no leg.
+    tensions: shape (n,) [N].
+    phases: contiguous phases that cover the motion.
+    assignment: roles of the robots, if they were chosen.
+    leg_tensions: shape (n, 2) [N], if cables slide against friction; None if every leg pulls with
+        its cable's tension.
+    poses: shape (objects, 5): x, y, z [m] of the objects' bases, cosine and sine of yaw; None if no
+        object moves.
+    borne: shape (objects,), share of each object's weight that clasps carry, from 0 (on its
+        support) to 1; None if they carry none.
+    contacts: shape (n, 2, 3) [m], first and last point at which edge k touches the section that it
+        is wrapped around, one point if straight; None if all edges are straight.
+    others: external plans on this motion's clock, at rest before and after their own time. All
+        distances to them are kept.
 
     Raises
     ------
-    InputError: shapes, breaks or phases that do not fit.
+    InputError: mismatched shapes, breaks or phases.
     """
 
     team: Team
@@ -225,12 +228,12 @@ class Motion(OneLine):
                 bound = f"of shape {shapes[name]}"
                 raise InputError(name, part.shape, bound, "one row per robot's parts")
             if part.breaks is not breaks and not np.array_equal(part.breaks, breaks):
-                raise InputError(name, "its breaks", "those of the drones", "split them alike")
+                raise InputError(name, "its breaks", "those of the drones", "split both the same")
         check_phases(self.phases, float(breaks[0]), float(breaks[-1]))
         if any((phase.state == CableState.NONE) is self.team.has_cables for phase in self.phases):
             bound = "none without cables, another state with them"
             states = [str(phase.state) for phase in self.phases]
-            raise InputError("phases.state", states, bound, "state what cables do")
+            raise InputError("phases.state", states, bound, "set the state of the cables")
         changes = [b.start for a, b in pairwise(self.phases) if a.state != b.state]
         if any(np.min(np.abs(time - breaks)) > JOINT for time in changes):
             remedy = "split the pieces there"
@@ -254,7 +257,7 @@ class Motion(OneLine):
     ) -> Motion:
         """Return the motion of drones without a hitch.
 
-        The state of its phases becomes ``none`` if there are no cables.
+        Phases of a team without cables get the state ``none``.
         """
         shapes = (team.layout.points, 3), (team.robots, 2), (team.robots,)
         vertices, legs, tensions = (
@@ -265,22 +268,22 @@ class Motion(OneLine):
         return cls(team, requirements, drones, vertices, legs, tensions, tuple(phases))
 
     @property
-    def changes(self) -> bool:
-        """Whether some of its robots are, at some time, in no ring (``motion.chapters``)."""
+    def has_ring_changes(self) -> bool:
+        """Whether robots join or leave the ring (``motion.chapters``)."""
         return any(phase.ring is not None for phase in self.phases)
 
     @property
     def groups(self) -> tuple[Group, ...]:
-        """The motions side by side; itself, unless several were combined."""
+        """The combined motions; the motion itself if it is a single one."""
         return (Group("", self),)
 
     @property
-    def flying(self) -> tuple[Group, ...]:
+    def all_groups(self) -> tuple[Group, ...]:
         """Its groups and all ``others``."""
         return self.groups + self.others
 
     def each_group(self, change: Callable[[Motion], Motion]) -> Motion:
-        """Return the motion with a change of every group's clock applied."""
+        """Return the motion with ``change`` applied to every group."""
         return change(self)
 
     @property
@@ -288,69 +291,69 @@ class Motion(OneLine):
         """Whether any of its teams has cables."""
         return any(each.motion.team.has_cables for each in self.groups)
 
-    def refuse_several(self, what: str, *, others: bool = True) -> None:
-        """Raise UnsupportedError for several groups, or others, which ``what`` does not know.
+    def require_one_team(self, feature: str, *, others: bool = True) -> None:
+        """Raise UnsupportedError for motions that a feature for one hitch does not support.
 
-        Neither does it know hitches that change their robots.
+        These are several groups, external plans if ``others``, and rings that change.
         """
-        if self.changes:
-            words = f"{what} knows hitches of the same robots all the time"
-            raise UnsupportedError(f"{words}; plan what is before or after in a file of its own")
-        flying = self.flying if others else self.groups
+        if self.has_ring_changes:
+            message = f"{feature} needs a hitch with the same robots at all times"
+            raise UnsupportedError(f"{message}; plan the part before or after in a separate file")
+        flying = self.all_groups if others else self.groups
         if len(flying) > 1:
             names = ", ".join(each.name or "the team" for each in flying)
-            words = f"{what} knows one team alone, and here fly {names}"
-            raise UnsupportedError(f"{words}; plan that team in a file of its own")
+            message = f"{feature} supports a single team, not {names}"
+            raise UnsupportedError(f"{message}; plan that team in a separate file")
 
     @property
     def duration(self) -> float:
-        """Duration of all phases together [s]."""
+        """Duration of all phases [s]."""
         return self.drones.duration
 
     @property
     def untimed(self) -> Motion:
         """The motion without a limit on its duration."""
-        needed = self.requirements.untimed
-        return self if needed is self.requirements else self.replaced(requirements=needed)
+        own, untimed = self.requirements, self.requirements.untimed
+        return self if untimed is own else self.replaced(requirements=untimed)
 
     @property
     def pulls(self) -> PiecewisePolynomial:
         """Tension of the leg at each drone, q0, r0, q1, …, of shape (2n,) [N]."""
         if self.leg_tensions is None:
-            return self.drones.alike(np.repeat(self.tensions.coefficients, 2, axis=1))
+            return self.drones.replaced(np.repeat(self.tensions.coefficients, 2, axis=1))
         return self.leg_tensions.reshaped(self.team.drones)
 
     @property
     def object_poses(self) -> PiecewisePolynomial:
-        """Poses of all objects, as ``poses``; constant if none moves."""
+        """Poses of all objects as in ``poses``; constant if none moves."""
         if self.poses is not None:
             return self.poses
         return PiecewisePolynomial.constant(self.drones.breaks, poses_of(self.requirements.objects))
 
     @property
     def object_shares(self) -> PiecewisePolynomial:
-        """Shares of objects' weights that clasps carry, as ``borne``; 0 if they carry none.
+        """Shares of objects' weights that clasps carry, as in ``borne``; 0 if they carry none.
 
-        Shares that differ from 0 or 1 by rounding alone are 0 or 1.
+        Shares within SHARE_TOLERANCE of 0 or 1 are set to 0 or 1.
         """
         if self.borne is None:
-            none = np.zeros(len(self.requirements.objects))
-            return PiecewisePolynomial.constant(self.drones.breaks, none)
+            zero = np.zeros(len(self.requirements.objects))
+            return PiecewisePolynomial.constant(self.drones.breaks, zero)
         c, nearest = self.borne.coefficients, np.round(self.borne.coefficients)
-        return self.borne.alike(np.where(np.abs(c - nearest) <= SHARE_TOLERANCE, nearest, c))
+        return self.borne.replaced(np.where(np.abs(c - nearest) <= SHARE_TOLERANCE, nearest, c))
 
     @property
     def edge_contacts(self) -> PiecewisePolynomial:
-        """Contacts of all edges, as ``contacts``; the edges' middles if all are straight."""
+        """Contacts of all edges as in ``contacts``; the edges' midpoints if all are straight."""
         if self.contacts is not None:
             return self.contacts
         c, layout = self.vertices.coefficients, self.team.layout
         middles = 0.5 * (c[:, layout.starts] + c[:, layout.ends])
-        return self.vertices.alike(np.stack([middles, middles], axis=2))
+        return self.vertices.replaced(np.stack([middles, middles], axis=2))
 
     @property
     def cable_states(self) -> frozenset[CableState]:
-        """States of the cables in the phases; without phases hitched, or none without cables."""
+        """States of the cables in all phases; without phases, ``HITCHED`` or ``NONE``."""
         if not self.phases:
             return frozenset({CableState.HITCHED if self.team.has_cables else CableState.NONE})
         return frozenset(phase.state for phase in self.phases)
@@ -361,30 +364,29 @@ class Motion(OneLine):
         return self.in_states(HITCHED_STATE)
 
     def in_states(self, states: Set[CableState]) -> NDArray[np.bool_]:
-        """Return (pieces,) whether the cables are in one of the states on each piece."""
-        here = self.cable_states
-        if here <= states or here.isdisjoint(states):
-            return np.full(self.drones.pieces, here <= states)
+        """Return whether the cables are in one of the states on each piece (pieces,)."""
+        present = self.cable_states
+        if present <= states or present.isdisjoint(states):
+            return np.full(self.drones.pieces, present <= states)
         in_phase: NDArray[np.bool_] = np.array([p.state in states for p in self.phases])
         return in_phase[self.phase_of_piece]
 
     @property
     def phase_of_piece(self) -> NDArray[np.intp]:
-        """(pieces,): index of the phase in which the middle of each piece lies."""
+        """(pieces,): index of the phase that contains the middle of each piece."""
         middles = 0.5 * (self.drones.breaks[1:] + self.drones.breaks[:-1])
         ends = np.array([phase.end for phase in self.phases[:-1]])
-        index: NDArray[np.intp] = np.searchsorted(ends, middles)
-        return index
+        return np.asarray(np.searchsorted(ends, middles))
 
     def spans(self, states: Set[CableState]) -> tuple[Motion, ...]:
-        """Return the longest runs of pieces on which the cables are in one of the states.
+        """Return the maximal runs of pieces on which the cables are in one of the states.
 
-        Each keeps its times and has the phases that it overlaps.
+        Each keeps its times and the phases that it overlaps.
         """
-        wanted = self.in_states(states)
-        if np.all(wanted):  # phases may be shorter than any piece
+        selected = self.in_states(states)
+        if np.all(selected):  # phases may be shorter than any piece
             return (self,)
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], wanted, [False]])))
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], selected, [False]])))
         breaks = self.drones.breaks
         return tuple(
             self.slice_pieces(slice(first, last), self.overlapping(breaks[first], breaks[last]))
@@ -397,7 +399,7 @@ class Motion(OneLine):
         return tuple([p for p in self.phases if p.end > start and p.start < end])
 
     def slice_pieces(self, pieces: slice, phases: Sequence[Phase]) -> Motion:
-        """Return the motion on a run of pieces, at the same times, with these phases."""
+        """Return the motion on a run of pieces, at the same times, with other phases."""
         return self.map_curves(lambda part: part.slice_pieces(pieces), phases)
 
     def map_curves(
@@ -408,7 +410,7 @@ class Motion(OneLine):
         return self.replaced(phases=tuple(phases), **parts)
 
     def replaced(self, **values: Any) -> Motion:
-        """Return the motion with other values of some fields, which must fit it.
+        """Return the motion with other values of some fields.
 
         Only phases are checked: polynomials come from motions that were checked on construction.
         """
@@ -420,13 +422,13 @@ class Motion(OneLine):
         return motion
 
     def slowed(self, factor: float) -> Motion:
-        """Return the same curves, from t = 0, and phases ``factor`` times as slow."""
+        """Return the same curves and phases, slowed down by ``factor``; the motion starts at 0."""
         phases = [p.retimed(factor * p.start, factor * p.end) for p in self.phases]
         return self.map_curves(lambda part: part.stretched(factor), phases)
 
 
 def joined_motions(motions: Sequence[Motion]) -> Motion:
-    """Return one motion of the given ones in a row, with the first one's team and requirements.
+    """Return the motions in sequence as one, with the first one's team and requirements.
 
     In each motion, objects that do not move stand where its own requirements place them.
     """
@@ -441,14 +443,14 @@ def joined_motions(motions: Sequence[Motion]) -> Motion:
     parts: dict[str, Any] = {"drones": joined([motion.drones for motion in motions])}
     for name in POLYNOMIALS[1:]:
         parts[name] = joined([getattr(motion, name) for motion in motions], parts["drones"])
-    used = {
+    curves = {
         name for motion in motions for name in OPTIONAL_CURVES if getattr(motion, name) is not None
     }
-    if "leg_tensions" in used:
+    if "leg_tensions" in curves:
         parts["leg_tensions"] = joined([motion.pulls for motion in motions]).reshaped(-1, 2)
-    if used & {"poses", "borne"}:
+    if curves & {"poses", "borne"}:
         parts["poses"] = joined([motion.object_poses for motion in motions])
         parts["borne"] = joined([motion.object_shares for motion in motions])
-    if "contacts" in used:
+    if "contacts" in curves:
         parts["contacts"] = joined([motion.edge_contacts for motion in motions])
     return motions[0].replaced(phases=phases, **parts)

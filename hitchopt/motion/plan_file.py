@@ -1,11 +1,11 @@
-"""Plan files, plan.npz: piecewise polynomials, exact to the last bit, and the request they meet.
+"""Plan files, plan.npz: piecewise polynomials, exact to the last bit, and the request they satisfy.
 
 Polynomials are stored as Bernstein coefficients (pieces, *shape, degree + 1) over common
-``breaks``, without cables the drones' alone; everything else as JSON under ``settings``. There
-``asked`` is the request, robot by robot: readers can verify that the plan's team, requirements and
-roles of robots are those requested.
+``breaks``; without cables, only those of the drones. Everything else is JSON in ``settings``. Its
+key ``asked`` is the request, robot by robot: readers can verify that team, requirements and roles
+are the requested ones.
 
-Format 1 holds the motion of one team. Format 2 holds several, and plans that fly besides, each with
+Format 1 holds the motion of one team. Format 2 holds several teams and external plans, each with
 the arrays and settings of format 1 under its name.
 """
 
@@ -42,7 +42,7 @@ from hitchopt.motion.motion import (
 )
 from hitchopt.motion.retiming import shifted
 from hitchopt.objects import Rim, Section, SolidObject
-from hitchopt.objects.placing import STILL, check_apart, poses_of
+from hitchopt.objects.placing import REST_DRIFT, check_overlaps, poses_of
 from hitchopt.storage.archive import PLAN, READ_ERRORS, read_arrays
 from hitchopt.storage.files import digest
 from hitchopt.trajectory import PiecewisePolynomial
@@ -50,76 +50,76 @@ from hitchopt.values import text
 
 Arrays = dict[str, NDArray[Any]]
 
-FORMAT, SEVERAL = "hitchopt-plan/1", "hitchopt-plan/2"
-"""Formats of one team alone, and of several groups or with plans that fly besides."""
+FORMAT_1, FORMAT_2 = "hitchopt-plan/1", "hitchopt-plan/2"
+"""Formats of a single team, and of several groups or external plans."""
 
-PER_KIND = ("mass", "max_thrust")
-"""Fields of a quadrotor, stored as arrays: (n,), one value a robot; (N,) of single drones."""
+QUADROTOR_ARRAYS = ("mass", "max_thrust")
+"""Fields of a quadrotor that are stored as arrays: (n,), one value per robot, or per drone (N,)."""
 
-PER_CONTROLLER: Mapping[str, float] = {"stiffness": math.inf, "integral": 0.0, "feed_forward": 1.0}
-"""Numbers of a quadrotor and their defaults, stored likewise if any differs, which the setting
-``control`` says. A rigid loop is an infinite stiffness, a flag 0 or 1. Named controllers are a
-setting ``controllers`` instead, one or one per kind."""
+LOOP_ARRAYS: Mapping[str, float] = {"stiffness": math.inf, "integral": 0.0, "feed_forward": 1.0}
+"""Numbers of a quadrotor's position loop with defaults, stored as arrays if any differs (setting
+``control``). Rigid loops have infinite stiffness; flags are 0 or 1. Named controllers are stored in
+the setting ``controllers``: a single one, or one per kind."""
 
-PER_ROBOT = ("cable_length", "tension")
+ROBOT_ARRAYS = ("cable_length", "tension")
 """Fields of a team that are stored as arrays (n,); the others are settings."""
 
 OTHERS = "others"
-"""Key of plans that fly besides, and the folder of their arrays."""
+"""Key of external plans, and folder of their arrays."""
 
 REMEDY = "do not edit plan files"
 
-LARGEST, MAX_DEGREE = 1e5, 60
-"""[m], [N] No coefficient of a plan is larger; sums of such numbers stay far from overflow."""
+MAX_COEFFICIENT, MAX_DEGREE = 1e5, 60
+"""[m], [N] Largest coefficient of a plan: sums of such numbers stay far from overflow."""
 
 MAX_STEPS = 2**31
 """Upper bound of a step's index, exclusive."""
 
 TOLERANCE = 1e-9
-"""Relative difference of numbers that are the same, but for turning angles into degrees."""
+"""Largest relative difference of equal numbers: conversion of angles to degrees rounds them."""
 
-AT_PLACE = 1e-6
-"""[m] Tolerance of a plan's start, and of the ends of its steps, from the request."""
+POSITION_TOLERANCE = 1e-6
+"""[m] Largest difference of a plan's start, and of the ends of its steps, from the request."""
 
-SLACK = 1e-4
-"""[N] Tolerance of a range of tensions, as in the check ``tension``."""
+TENSION_SLACK = 1e-4
+"""[N] Largest excess over a range of tensions, as in the check ``tension``."""
 
 OPTIONAL = frozenset(
     {"control", "controllers", "objects", "problem", "assignment", *OPTIONAL_CURVES}
 )
 """Settings that are left out if empty."""
 
-LATER = frozenset({"mission", "problem"})
-"""Keys of ``asked`` that files of earlier releases do not have."""
+OPTIONAL_KEYS = frozenset({"mission", "problem"})
+"""Keys of ``asked`` that files of earlier releases lack."""
 
 
 def write_plan(path: Path, motion: Motion, title: str = "", problem: str = "") -> None:
-    """Write the plan; the same plan gives the same bytes.
+    """Write a plan; the same plan gives the same bytes.
 
     Parameters
     ----------
-    path: file, replaced if there is one.
+    path: file, replaced if it exists.
     motion, title: the plan.
-    problem: the text of its problem file, if it is known.
+    problem: text of its problem file, if known.
 
     Raises
     ------
     OSError: the file cannot be written.
     """
-    alone = len(motion.flying) == 1
-    stored = _settings(motion, title, problem) if alone else _of_several(motion, title, problem)
-    arrays: Arrays = {"format": np.array(FORMAT if alone else SEVERAL)}
-    arrays["settings"] = np.array(json.dumps(stored, allow_nan=False))
+    single = len(motion.all_groups) == 1
+    settings = (_settings if single else _group_settings)(motion, title, problem)
+    arrays: Arrays = {"format": np.array(FORMAT_1 if single else FORMAT_2)}
+    arrays["settings"] = np.array(json.dumps(settings, allow_nan=False))
     for folder, groups in (("", motion.groups), (OTHERS, motion.others)):
         for each in groups:
-            own = _arrays(each.motion).items()
-            arrays |= {_path(folder, each.name, name): array for name, array in own}
+            group_arrays = _arrays(each.motion).items()
+            arrays |= {_path(folder, each.name, name): array for name, array in group_arrays}
     with path.open("wb") as file:
         np.savez(file, allow_pickle=False, **arrays)
 
 
 def _path(*names: str) -> str:
-    """Return the name of an array in the folders of a group."""
+    """Return the path of an array in an archive."""
     return "/".join(filter(None, names))
 
 
@@ -127,68 +127,66 @@ def _arrays(motion: Motion) -> Arrays:
     """Return the arrays of one team's motion."""
     team = motion.team
     columns = _columns(team)
-    names = (*PER_KIND, *(PER_CONTROLLER if _controlled(team) else ()))
+    names = (*QUADROTOR_ARRAYS, *(LOOP_ARRAYS if _has_loop_arrays(team) else ()))
     arrays: Arrays = {name: np.array(columns[name], dtype=np.float64) for name in names}
     if team.has_cables:
-        arrays |= {name: getattr(team, name) for name in PER_ROBOT}
+        arrays |= {name: getattr(team, name) for name in ROBOT_ARRAYS}
     arrays["breaks"] = motion.drones.breaks
-    further = [name for name in OPTIONAL_CURVES if getattr(motion, name) is not None]
-    for name in (*(POLYNOMIALS if team.has_cables else POLYNOMIALS[:1]), *further):
+    optional = [name for name in OPTIONAL_CURVES if getattr(motion, name) is not None]
+    for name in (*(POLYNOMIALS if team.has_cables else POLYNOMIALS[:1]), *optional):
         arrays[name] = getattr(motion, name).coefficients
     return arrays
 
 
 def _columns(team: Team) -> dict[str, list[float]]:
     """Return the numbers of all kinds of quadrotors by name, as files store them."""
-    columns = {name: [getattr(kind, name) for kind in team.quadrotor] for name in PER_KIND}
-    for name, plain in PER_CONTROLLER.items():
+    columns = {name: [getattr(kind, name) for kind in team.quadrotor] for name in QUADROTOR_ARRAYS}
+    for name, plain in LOOP_ARRAYS.items():
         values = [getattr(kind, name) for kind in team.quadrotor]
         columns[name] = [plain if each is None else float(each) for each in values]
     return columns
 
 
-def _controlled(team: Team) -> bool:
-    """Return whether any number of any kind's position loop differs from its default."""
+def _has_loop_arrays(team: Team) -> bool:
+    """Return whether any number of a position loop differs from its default."""
     columns = _columns(team)
-    return any(set(columns[name]) != {plain} for name, plain in PER_CONTROLLER.items())
+    return any(set(columns[name]) != {plain} for name, plain in LOOP_ARRAYS.items())
 
 
 def _settings(motion: Motion, title: str, problem: str) -> dict[str, Any]:
     """Return the settings of a plan file, as JSON values."""
     team, requirements = motion.team, motion.requirements
-    own = {"drones": team.drones}
+    team_values = {"drones": team.drones}
     if team.has_cables:
-        arrays = (*PER_ROBOT, "quadrotor")
+        arrays = (*ROBOT_ARRAYS, "quadrotor")
         names = (field.name for field in fields(team) if field.name not in arrays)
-        own = {name: getattr(team, name) for name in names}
-    limits, named = _limits(requirements), [_controller(kind) for kind in team.quadrotor]
-    controllers = named[:1] if all(each == named[0] for each in named) else named
+        team_values = {name: getattr(team, name) for name in names}
+    limits, per_kind = _limits(requirements), [_controller(kind) for kind in team.quadrotor]
+    controllers = per_kind[:1] if all(each == per_kind[0] for each in per_kind) else per_kind
     settings: dict[str, Any] = {
         "title": title,
-        "team": own,
+        "team": team_values,
         "limits": limits,
         "separation": requirements.separation,
         "arena": requirements.arena,
         "phases": motion.phases,
         "keep_out": requirements.keep_out,
         "asked": request_of(motion, problem),
-        "control": _controlled(team),
+        "control": _has_loop_arrays(team),
         "controllers": controllers if any(controllers) else [],
         "objects": _objects_at_first(motion),
-        **{
-            name: getattr(motion, name) is not None for name in OPTIONAL_CURVES
-        },  # arrays that are there
+        **{name: getattr(motion, name) is not None for name in OPTIONAL_CURVES},
         "problem": problem,
         "assignment": motion.assignment,
     }
-    return {key: x for key, x in _written(settings).items() if x or key not in OPTIONAL}
+    return {key: x for key, x in _as_json(settings).items() if x or key not in OPTIONAL}
 
 
-def _of_several(motion: Motion, title: str, problem: str) -> dict[str, Any]:
-    """Return the settings of format 2: those of every group, and which were asked."""
+def _group_settings(motion: Motion, title: str, problem: str) -> dict[str, Any]:
+    """Return the settings of format 2: those of every group, and the requested groups."""
     head = {"title": title} | ({"problem": problem} if problem else {})
 
-    def own(groups: Sequence[Group]) -> dict[str, Any]:
+    def by_name(groups: Sequence[Group]) -> dict[str, Any]:
         settings = {each.name: _settings(each.motion, title, problem) for each in groups}
         return {
             name: {key: x for key, x in each.items() if key not in head}
@@ -203,20 +201,20 @@ def _of_several(motion: Motion, title: str, problem: str) -> dict[str, Any]:
         }
         for each in motion.others
     }
-    teams, others = own(motion.groups), own(motion.others)
+    teams, others = by_name(motion.groups), by_name(motion.others)
     return head | {"teams": teams, OTHERS: others, "asked": {"teams": [*teams], OTHERS: asked}}
 
 
 def _limits(requirements: Requirements) -> dict[str, Any]:
-    """Return the limits, those alone as null that files of all releases have so."""
+    """Return the limits; of unset ones, only those that files of all releases store as null."""
     limits = vars(requirements.limits).items()
     return {name: limit for name, limit in limits if limit or name in ("duration", "body_rate")}
 
 
-def _written(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return values as JSON has them."""
-    plain: dict[str, Any] = json.loads(json.dumps(values, allow_nan=False, default=_plain))
-    return plain
+def _as_json(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return values as JSON stores them."""
+    result: dict[str, Any] = json.loads(json.dumps(values, allow_nan=False, default=_encode))
+    return result
 
 
 class SavedPlan(NamedTuple):
@@ -233,11 +231,10 @@ def read_plan(path: Path) -> Motion:
 
 
 def saved_others(name: str, path: Path, plan: str, at: float) -> tuple[Group, ...]:
-    """Return the groups of a plan file as others that fly from a time ``at`` [s] on.
+    """Return the groups of a plan file as external plans that start at a time ``at`` [s].
 
-    They are called ``name``, or ``name.a``, ``name.b`` of several teams; ``plan`` is the path as it
-    was written. Plans that fly beside that plan are not among them. Errors are those of
-    ``read_saved_plan``.
+    They are named ``name``, or ``name.a``, ``name.b`` for several teams; ``plan`` is the path as
+    written. External plans of that plan are left out. Errors are those of ``read_saved_plan``.
     """
     return tuple(
         Group(
@@ -251,20 +248,20 @@ def saved_others(name: str, path: Path, plan: str, at: float) -> tuple[Group, ..
 
 
 def is_of(other: Group, path: Path) -> bool:
-    """Return whether a plan file holds what flies besides, as ``saved_others`` takes it."""
+    """Return whether a plan file contains an external plan, as ``saved_others`` reads it."""
     try:
         at = float(other.motion.drones.breaks[0])
         groups = saved_others(other.name.partition(".")[0], path, other.plan, at)
         saved = next(each for each in groups if each.name == other.name)
-        here, there = _arrays(other.motion), _arrays(saved.motion)
-        own, theirs = (_settings(each.motion, "", "") for each in (other, saved))
-        _check_same("", theirs, own, "as in its plan")
+        arrays, saved_arrays = _arrays(other.motion), _arrays(saved.motion)
+        settings, saved_settings = (_settings(each.motion, "", "") for each in (other, saved))
+        _check_same("", saved_settings, settings, "as in its plan")
     except (FileError, InputError, StopIteration):
         return False
     return saved.digest == other.digest and all(
-        here[name].shape == array.shape
-        and np.allclose(here[name], array, rtol=0.0, atol=TOLERANCE, equal_nan=True)
-        for name, array in there.items()
+        arrays[name].shape == array.shape
+        and np.allclose(arrays[name], array, rtol=0.0, atol=TOLERANCE, equal_nan=True)
+        for name, array in saved_arrays.items()
     )
 
 
@@ -273,22 +270,22 @@ def read_saved_plan(path: Path) -> SavedPlan:
 
     Raises
     ------
-    FileError: it cannot be read, holds no plan, or one that differs from its request.
+    FileError: it cannot be read, is not a plan, or differs from its request.
     """
     try:
         head = read_arrays(path, ("format", "settings"))
         version, settings = str(head["format"]), json.loads(str(head["settings"]))
-        if version not in (FORMAT, SEVERAL):
-            bound = f"{FORMAT} or {SEVERAL}"
+        if version not in (FORMAT_1, FORMAT_2):
+            bound = f"{FORMAT_1} or {FORMAT_2}"
             raise InputError("format", version, bound, "use hitchopt's own files")
         if not isinstance(settings, dict):
             raise InputError("settings", settings, "a mapping", "use a plan that hitchopt wrote")
-        return _saved_plan(path, settings) if version == FORMAT else _saved_several(path, settings)
+        return _saved_plan(path, settings) if version == FORMAT_1 else _saved_groups(path, settings)
     except READ_ERRORS as error:
         reason = f"not a plan that hitchopt wrote, or a damaged one: {error or repr(error)}"
         if isinstance(error, FileNotFoundError | NotADirectoryError):
-            holds = f", {path.parent} holds no plan" if path.name == PLAN else ""
-            words = f"there is no such file{holds}; name the directory of a plan"
+            hint = f", {path.parent} holds no plan" if path.name == PLAN else ""
+            words = f"there is no such file{hint}; name the directory of a plan"
             raise FileError(f"{path}: {words}") from None
         if isinstance(error, KeyError):
             reason = f"not a plan that hitchopt wrote: {error} is missing"
@@ -302,44 +299,44 @@ def _saved_plan(path: Path, settings: dict[str, Any]) -> SavedPlan:
     """Return the contents of a file of format 1."""
     motion = _read_motion(path, settings)
     title, problem = text("title", settings["title"]), text("problem", settings.get("problem", ""))
-    here = _settings(motion, title, problem)
-    wanted, request = dict(settings["asked"]), here.pop("asked")
-    request = {key: x for key, x in request.items() if key in wanted or key not in LATER}
-    _check_same("asked", wanted, request, "as asked")
+    actual = _settings(motion, title, problem)
+    requested, request = dict(settings["asked"]), actual.pop("asked")
+    request = {key: x for key, x in request.items() if key in requested or key not in OPTIONAL_KEYS}
+    _check_same("asked", requested, request, "as requested")
     stored = {key: x for key, x in settings.items() if key != "asked"}
-    _check_same("", here, stored, "as plans are written")
+    _check_same("", actual, stored, "as plans are written")
     return SavedPlan(motion, title, problem)
 
 
-def _saved_several(path: Path, settings: dict[str, Any]) -> SavedPlan:
+def _saved_groups(path: Path, settings: dict[str, Any]) -> SavedPlan:
     """Return the contents of a file of format 2."""
     groups, others = list[Group](), list[Group]()
     for name, each in settings["teams"].items():
-        with _named(f"teams.{name}"):
+        with _error_context(f"teams.{name}"):
             motion = _read_motion(path, each, name)
             groups.append(Group(name, motion))
             end, duration = motion.duration, groups[0].motion.duration
             if abs(end - duration) > JOINT:
-                raise InputError("breaks", end, f"up to {duration:g} s, as of all teams", REMEDY)
+                raise InputError("breaks", end, f"up to {duration:g} s, as for all teams", REMEDY)
             _check_waits(motion)
     for name, each in settings[OTHERS].items():
         asked = settings["asked"][OTHERS][name]
-        with _named(f"{OTHERS}.{name}"):
+        with _error_context(f"{OTHERS}.{name}"):
             motion = _read_motion(path, each, OTHERS, name, begin=asked["at"])
-            written = (text(key, asked[key]) for key in ("digest", "plan"))
-            others.append(Group(name, motion, *written))
+            texts = (text(key, asked[key]) for key in ("digest", "plan"))
+            others.append(Group(name, motion, *texts))
     motion = combined(groups, others)
     title, problem = text("title", settings["title"]), text("problem", settings.get("problem", ""))
-    here = _of_several(motion, title, problem)
-    if len(motion.flying) == 1:
-        raise InputError("teams", [*settings["teams"]], "several, or others besides", REMEDY)
-    _check_same("", here, settings, "as plans are written")
+    actual = _group_settings(motion, title, problem)
+    if len(motion.all_groups) == 1:
+        raise InputError("teams", [*settings["teams"]], "several, or one with others", REMEDY)
+    _check_same("", actual, settings, "as plans are written")
     return SavedPlan(motion, title, problem)
 
 
 @contextmanager
-def _named(name: str) -> Iterator[None]:
-    """Give the keys of wrong values within those of a group."""
+def _error_context(name: str) -> Iterator[None]:
+    """Prefix the keys of invalid values with that of a group."""
     try:
         yield
     except InputError as error:
@@ -347,22 +344,22 @@ def _named(name: str) -> Iterator[None]:
 
 
 def _check_waits(motion: Motion) -> None:
-    """Raise InputError where anything moves in phases named WAIT."""
+    """Raise InputError if anything moves in a phase named WAIT."""
     curves = [getattr(motion, name) for name in (*POLYNOMIALS, *OPTIONAL_CURVES)]
     for index, phase in enumerate(motion.phases):
         pieces = motion.phase_of_piece == index
         for curve in filter(None, curves if phase.name == WAIT and np.any(pieces) else ()):
-            if np.max(np.ptp(curve.coefficients[pieces], axis=(0, -1)), initial=0.0) > STILL:
+            if np.max(np.ptp(curve.coefficients[pieces], axis=(0, -1)), initial=0.0) > REST_DRIFT:
                 bound = "of a phase in which nothing moves"
                 raise InputError(f"phases[{index}].name", WAIT, bound, REMEDY)
 
 
 def _read_motion(path: Path, settings: dict[str, Any], *folders: str, begin: float = 0.0) -> Motion:
-    """Return the motion of one team, whose arrays are in folders, from ``begin`` [s] on."""
-    names = ["breaks", POLYNOMIALS[0], *PER_KIND]
-    names += (*PER_ROBOT, *POLYNOMIALS[1:]) if "robots" in settings["team"] else ()
+    """Return the motion of one team, with its arrays in nested folders, from ``begin`` [s] on."""
+    names = ["breaks", POLYNOMIALS[0], *QUADROTOR_ARRAYS]
+    names += (*ROBOT_ARRAYS, *POLYNOMIALS[1:]) if "robots" in settings["team"] else ()
     names += [name for name in OPTIONAL_CURVES if settings.get(name) is True]
-    names += PER_CONTROLLER if settings.get("control") is True else ()
+    names += LOOP_ARRAYS if settings.get("control") is True else ()
     stored = read_arrays(path, [_path(*folders, name) for name in names])
     arrays = dict(zip(names, stored.values(), strict=True))
     for name, array in arrays.items():
@@ -370,8 +367,8 @@ def _read_motion(path: Path, settings: dict[str, Any], *folders: str, begin: flo
             raise InputError(name, array.dtype, "of double precision", "do not convert it")
     parts = dict[str, Any]()
     for name in (name for name in (*POLYNOMIALS, *OPTIONAL_CURVES) if name in arrays):
-        if arrays[name].size and not np.max(np.abs(arrays[name])) <= LARGEST:
-            raise InputError(name, "a coefficient", f"within ±{LARGEST:g}", REMEDY)
+        if arrays[name].size and not np.max(np.abs(arrays[name])) <= MAX_COEFFICIENT:
+            raise InputError(name, "a coefficient", f"within ±{MAX_COEFFICIENT:g}", REMEDY)
         if (degree := arrays[name].shape[-1] - 1) > MAX_DEGREE:
             raise InputError(name, f"of degree {degree}", f"at most {MAX_DEGREE}", REMEDY)
         parts[name] = PiecewisePolynomial(arrays["breaks"], arrays[name])
@@ -385,7 +382,7 @@ def _read_motion(path: Path, settings: dict[str, Any], *folders: str, begin: flo
     own, kinds = settings["team"], _kinds(arrays, settings.get("controllers", []))
     phases = _stored("phases", settings["phases"], tuple[Phase, ...])
     if "robots" in own:
-        per_robot: dict[str, Any] = {name: arrays[name] for name in PER_ROBOT}
+        per_robot: dict[str, Any] = {name: arrays[name] for name in ROBOT_ARRAYS}
         team = Team(**own, **per_robot, quadrotor=kinds)
         assignment = _stored("assignment", settings.get("assignment"), Assignment | None)
         motion = Motion(team, requirements, **parts, phases=phases, assignment=assignment)
@@ -394,9 +391,9 @@ def _read_motion(path: Path, settings: dict[str, Any], *folders: str, begin: flo
         motion = Motion.single(swarm, requirements, parts["drones"], phases)
     _check_phases(motion, begin)
     poses, objects = motion.object_poses.coefficients[0, ..., 0], requirements.objects
-    if np.max(np.abs(poses - poses_of(objects)), initial=0.0) > STILL:
+    if np.max(np.abs(poses - poses_of(objects)), initial=0.0) > REST_DRIFT:
         raise InputError("poses", poses.tolist(), "where the objects stand", REMEDY)
-    check_apart(objects)
+    check_overlaps(objects)
     return motion
 
 
@@ -414,23 +411,23 @@ def _controller(kind: Quadrotor) -> dict[str, Any] | None:
 
 
 def _kinds(arrays: Arrays, controllers: Sequence[Any]) -> list[Quadrotor]:
-    """Return the kinds of quadrotors, which check their values themselves."""
-    names = [name for name in (*PER_KIND, *PER_CONTROLLER) if name in arrays]
+    """Return the kinds of quadrotors from their stored values."""
+    names = [name for name in (*QUADROTOR_ARRAYS, *LOOP_ARRAYS) if name in arrays]
     columns: dict[str, list[Any]] = {name: arrays[name].tolist() for name in names}
-    for name in PER_CONTROLLER.keys() & columns:
-        columns[name] = [None if x == PER_CONTROLLER[name] else x for x in columns[name]]
+    for name in LOOP_ARRAYS.keys() & columns:
+        columns[name] = [None if x == LOOP_ARRAYS[name] else x for x in columns[name]]
         if name != "stiffness":
             columns[name] = [bool(x) if x in (0.0, 1.0) else x for x in columns[name]]
     rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
-    named = list(controllers) if len(controllers) > 1 else [*controllers, None][:1] * len(rows)
-    for row, each in zip(rows, named, strict=True):
+    listed = list(controllers) if len(controllers) > 1 else [*controllers, None][:1] * len(rows)
+    for row, each in zip(rows, listed, strict=True):
         if each:
-            row.update({name: None for name in PER_CONTROLLER if name in row}, **each)
+            row.update({name: None for name in LOOP_ARRAYS if name in row}, **each)
     return [Quadrotor(**row) for row in rows]
 
 
 def _stored(key: str, value: Any, kind: Any) -> Any:
-    """Return the record of a kind, or the tuple of them, in a setting; InputError if it is none."""
+    """Return a setting as a record, or a tuple of records; raise InputError if it is invalid."""
     from pydantic import TypeAdapter, ValidationError  # heavy, as of all files
 
     try:
@@ -442,9 +439,9 @@ def _stored(key: str, value: Any, kind: Any) -> Any:
 
 
 def _check_phases(motion: Motion, begin: float) -> None:
-    """Raise InputError for phases with wrong times, ranges, rings, or holds of missing objects.
+    """Raise InputError for phases with invalid times, ranges, rings, or holds of missing objects.
 
-    The motion has verified that they follow one another and cover the pieces.
+    The motion has verified that they are contiguous and cover the pieces.
     """
     spans = [[phase.start, phase.end] for phase in motion.phases]
     first, last = motion.drones.breaks[[0, -1]].tolist()
@@ -453,14 +450,14 @@ def _check_phases(motion: Motion, begin: float) -> None:
     if not spans or max(abs(spans[0][0] - first), abs(spans[-1][1] - last)) > JOINT:
         words = f"one after the other from {first:g} to {last:g} s"
         raise InputError("phases", spans, words, REMEDY)
-    if motion.changes:
+    if motion.has_ring_changes:
         check_rings(motion)
     objects, cables = motion.requirements.objects, range(motion.team.robots)
     for phase in motion.phases:
         if not 0 <= phase.step < MAX_STEPS:
             raise InputError("phases.step", phase.step, "an index of a step", REMEDY)
-        least, most = phase.tension or (1.0, 1.0)
-        if not 0.0 < least <= most < np.inf:
+        low, high = phase.tension or (1.0, 1.0)
+        if not 0.0 < low <= high < np.inf:
             words = "a smallest and a largest tension, or null"
             raise InputError("phases.tension", phase.tension, words, REMEDY)
         hold = phase.hold
@@ -470,19 +467,19 @@ def _check_phases(motion: Motion, begin: float) -> None:
 
 
 def request_of(motion: Motion, problem: str = "") -> dict[str, Any]:
-    """Return the request of a motion, in the keys of problem files, with all defaults filled in.
+    """Return the request of a motion, with the keys of problem files and all defaults.
 
-    Values of robots are in the order of the start's robots, which ``assignment`` gives roles. Of
-    the text of its ``problem`` it has the digest.
+    Robots are in the order of the start; ``assignment`` maps them to roles. The text of the
+    ``problem`` is stored as its digest.
     """
     team, first = motion.team, motion.drones.coefficients[0, ..., 0]
     requirements = replace(motion.requirements, objects=_objects_at_first(motion))
     start: dict[str, Any] = {"drones": first}
     if team.has_cables:
         assignment = motion.assignment or Assignment.fixed(team.robots)
-        role_of = np.argsort(assignment.robots).tolist()
-        back = Assignment(tuple(role_of), tuple(assignment.flipped[role] for role in role_of))
-        drones, team = back.drones(first), back.team(team)
+        roles = np.argsort(assignment.robots).tolist()
+        inverse = Assignment(tuple(roles), tuple(assignment.flipped[role] for role in roles))
+        drones, team = inverse.drones(first), inverse.team(team)
         start = {"drones": {"q": drones[0::2], "r": drones[1::2]}}
         if motion.formed[0]:
             points = len(motion.phases[0].ring or motion.team.point_names)
@@ -501,18 +498,18 @@ def request_fields(
     """Return a team, requirements, a start and a mission as plan files store them.
 
     Robots are in the order of the start, which has ``hitch``, ``drones`` or both. Steps of the
-    mission have the keys of ``mission_of`` that are known.
+    mission have some of the keys of ``mission_of``.
     """
-    own: dict[str, Any] = dict(vars(team)) if team.has_cables else {"drones": team.drones}
-    own["quadrotor"] = [_quadrotor_fields(kind) for kind in team.quadrotor]
+    team_fields: dict[str, Any] = dict(vars(team)) if team.has_cables else {"drones": team.drones}
+    team_fields["quadrotor"] = [_quadrotor_fields(kind) for kind in team.quadrotor]
     limits = _limits(requirements)
     for name in ("tilt", "body_rate"):
         angle = limits.pop(name)
         limits[f"{name}_deg"] = None if angle is None else math.degrees(angle)
-    return _written(
+    return _as_json(
         {
-            "start": start,  # compared first: roles determine the order of all else
-            "team": own,
+            "start": start,  # compared first: roles determine the order of everything else
+            "team": team_fields,
             "limits": limits,
             "separation": requirements.separation,
             "arena": requirements.arena,
@@ -525,15 +522,15 @@ def request_fields(
 
 def _quadrotor_fields(kind: Quadrotor) -> dict[str, Any]:
     """Return a kind of quadrotor as plan files store it: with a controller, or with numbers."""
-    own: dict[str, Any] = {name: getattr(kind, name) for name in PER_KIND}
+    own: dict[str, Any] = {name: getattr(kind, name) for name in QUADROTOR_ARRAYS}
     if named := _controller(kind):
         return own | named
     own |= {"stiffness": kind.stiffness, "integral": bool(kind.integral)}
     return own | {"feed_forward": kind.loop.feed_forward}
 
 
-def _plain(record: Any) -> Any:
-    """Return a record's fields, an outline's points, or an array's entries, as json takes them."""
+def _encode(record: Any) -> Any:
+    """Return a record's fields, an outline's points, or an array's entries, for ``json``."""
     if isinstance(record, ConvexPolygon):
         return record.vertices.tolist()
     if isinstance(record, Phase) and record.ring is None:
@@ -546,7 +543,7 @@ def _objects_at_first(motion: Motion) -> dict[str, SolidObject]:
     poses = motion.object_poses.coefficients[0, ..., 0]
     return {
         name: each
-        if np.max(np.abs(pose - each.pose)) <= STILL
+        if np.max(np.abs(pose - each.pose)) <= REST_DRIFT
         else replace(each, at=pose[:3], yaw=math.atan2(pose[4], pose[3]))
         for pose, (name, each) in zip(poses, motion.requirements.objects.items(), strict=True)
     }
@@ -582,62 +579,64 @@ def mission_of(motion: Motion) -> list[dict[str, Any]]:
     return results
 
 
-def check_request(wanted: Mapping[str, Any], motion: Motion) -> None:
-    """Raise InputError, by its key, if a motion differs from a problem's request.
+def check_request(request: Mapping[str, Any], motion: Motion) -> None:
+    """Raise InputError with the key if a motion differs from a problem's request.
 
-    Keys that the problem leaves open are not compared. A step may use less than the requested
-    range of tensions. Of several teams the request has every team's own by its name; there, and of
-    one team, ``others`` has each plan that flies besides by name: the time ``at`` [s] at which it
-    begins, and its ``plan`` unless left open.
+    Keys that the problem does not specify are not compared. A step may use less than the requested
+    range of tensions. For several teams, the request maps their names to their requests. ``others``
+    maps the names of external plans to their start times ``at`` [s] and, if specified, their paths
+    ``plan``.
     """
-    own = {key: value for key, value in wanted.items() if key != OTHERS}
-    if OTHERS in wanted:
-        beside = dict[str, dict[str, Any]]()
+    teams = {key: value for key, value in request.items() if key != OTHERS}
+    if OTHERS in request:
+        others = dict[str, dict[str, Any]]()
         for each in motion.others:
             name = each.name.partition(".")[0]
             facts = {"plan": each.plan, "at": float(each.motion.drones.breaks[0])}
-            keys = wanted[OTHERS].get(name, facts)
-            beside[name] = {key: fact for key, fact in facts.items() if key in keys}
-        _check_same(f"asked.{OTHERS}", wanted[OTHERS], beside, "as asked")
+            keys = request[OTHERS].get(name, facts)
+            others[name] = {key: fact for key, fact in facts.items() if key in keys}
+        _check_same(f"asked.{OTHERS}", request[OTHERS], others, "as requested")
     if len(motion.groups) == 1:
-        _check_team(own, motion)
+        _check_team(teams, motion)
         return
     names = [each.name for each in motion.groups]
-    if own.keys() != set(names):
-        raise InputError("asked", names, f"the teams {sorted(own)}", REMEDY)
+    if teams.keys() != set(names):
+        raise InputError("asked", names, f"the teams {sorted(teams)}", REMEDY)
     for each in motion.groups:
-        with _named(each.name):
-            _check_team(own[each.name], each.motion)
+        with _error_context(each.name):
+            _check_team(teams[each.name], each.motion)
 
 
-def _check_team(wanted: Mapping[str, Any], motion: Motion) -> None:
-    """Raise InputError, by its key, if one team's motion differs from its request."""
-    here = request_of(motion)
-    done, steps = here.pop("mission"), wanted["mission"]
-    del here["problem"]
-    start = {key: here["start"].get(key) for key in wanted["start"]}
-    own = {key: value for key, value in wanted.items() if key != "mission"}
-    _check_same("asked", own, here | {"start": start}, "as asked")
-    if len(steps) != len(done):
-        raise InputError("asked.mission", f"{len(done)} steps", f"{len(steps)} as asked", REMEDY)
-    pairs = zip(_steps(motion), steps, done, strict=True)
-    for i, (phases, want, have) in enumerate(pairs):
-        have["seconds"] = sum(each.end - each.start for each in phases if each.name != WAIT)
-        (least, most), used = want.get("tension") or (0.0, 0.0), have.get("tension")
-        if used is None or (least - SLACK <= used[0] and used[1] <= most + SLACK):
-            have["tension"] = want.get("tension")
-        known = {key: have.get(key) for key in want}
-        _check_same(f"asked.mission[{i}]", want, known, "as asked")
+def _check_team(request: Mapping[str, Any], motion: Motion) -> None:
+    """Raise InputError with the key if one team's motion differs from its request."""
+    actual = request_of(motion)
+    results, steps = actual.pop("mission"), request["mission"]
+    del actual["problem"]
+    start = {key: actual["start"].get(key) for key in request["start"]}
+    team_request = {key: value for key, value in request.items() if key != "mission"}
+    _check_same("asked", team_request, actual | {"start": start}, "as requested")
+    if len(steps) != len(results):
+        bound = f"{len(steps)} as requested"
+        raise InputError("asked.mission", f"{len(results)} steps", bound, REMEDY)
+    pairs = zip(_steps(motion), steps, results, strict=True)
+    for i, (phases, requested, result) in enumerate(pairs):
+        result["seconds"] = sum(each.end - each.start for each in phases if each.name != WAIT)
+        (low, high), used = requested.get("tension") or (0.0, 0.0), result.get("tension")
+        if used is None or (low - TENSION_SLACK <= used[0] and used[1] <= high + TENSION_SLACK):
+            result["tension"] = requested.get("tension")
+        compared = {key: result.get(key) for key in requested}
+        _check_same(f"asked.mission[{i}]", requested, compared, "as requested")
 
 
-def _check_same(prefix: str, request: Any, value: Any, words: str) -> None:
-    """Raise InputError, by its key, if a value differs from the request."""
-    there, here = (dict(_leaves(prefix, each)) for each in (request, value))
-    for key in there | here:
-        slack = AT_PLACE if key.startswith(("asked.start", "asked.mission")) else 0.0
-        if key not in there or key not in here or not _same(there[key], here[key], slack):
-            bound = f"{there[key]!r} {words}" if key in there else f"left out {words}"
-            raise InputError(key, here.get(key, "left out"), bound, REMEDY)
+def _check_same(prefix: str, request: Any, value: Any, suffix: str) -> None:
+    """Raise InputError with the key if a value differs from the request."""
+    requested, actual = (dict(_leaves(prefix, each)) for each in (request, value))
+    for key in requested | actual:
+        slack = POSITION_TOLERANCE if key.startswith(("asked.start", "asked.mission")) else 0.0
+        in_both = key in requested and key in actual
+        if not (in_both and _equal(requested[key], actual[key], slack)):
+            bound = f"{requested[key]!r} {suffix}" if key in requested else f"left out {suffix}"
+            raise InputError(key, actual.get(key, "left out"), bound, REMEDY)
 
 
 def _leaves(key: str, value: Any) -> Iterator[tuple[str, Any]]:
@@ -652,8 +651,8 @@ def _leaves(key: str, value: Any) -> Iterator[tuple[str, Any]]:
         yield key, value
 
 
-def _same(request: Any, value: Any, slack: float) -> bool:
-    """Return whether single values are equal; numbers within TOLERANCE and ``slack``."""
+def _equal(request: Any, value: Any, slack: float) -> bool:
+    """Return whether single values are equal, numbers within TOLERANCE and ``slack``."""
     if any(
         isinstance(each, bool) or not isinstance(each, int | float) for each in (request, value)
     ):

@@ -1,4 +1,4 @@
-"""Motions cut, joined, slowed, and flown on a clock."""
+"""Slice, join, slow down and retime motions."""
 
 from __future__ import annotations
 
@@ -11,38 +11,38 @@ from numpy.typing import NDArray
 from hitchopt.errors import InputError
 from hitchopt.motion.motion import JOINT, WAIT, CableState, Motion, Phase, joined_motions
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
-from hitchopt.trajectory.clock_phases import ClockPhases, advanced
-from hitchopt.trajectory.piecewise import SAME_BREAK, on_breaks
+from hitchopt.trajectory.clock_phases import ClockPhases, advance
+from hitchopt.trajectory.piecewise import BREAK_TOLERANCE, on_breaks
 from hitchopt.values import Array, Indices
 
-REST = 1e-6
+REST_RATE = 1e-6
 """Largest speed [m/s] and acceleration [m/s²] at rest."""
 
 
 def rest_breaks(motion: Motion) -> NDArray[np.intp]:
-    """Return the breaks, first and last included, at which no drone moves or accelerates."""
-    still = np.ones(motion.drones.pieces - 1, dtype=np.bool_)
-    for group, order in product(motion.groups, (1, 2)):  # by breaks of its own: others are near
+    """Return the indices of breaks, first and last included, at which all drones are at rest."""
+    at_rest = np.ones(motion.drones.pieces - 1, dtype=np.bool_)
+    for group, order in product(motion.groups, (1, 2)):  # on the breaks of each group
         rates = group.motion.drones.differentiated(order)
         left, right = on_breaks(rates, motion.drones.breaks).ends()
-        for here in (right[:-1], left[1:]):
-            still &= np.max(np.linalg.norm(here, axis=-1), axis=-1) <= REST
-    return np.concatenate([[0], 1 + np.flatnonzero(still), [motion.drones.pieces]])
+        for values in (right[:-1], left[1:]):
+            at_rest &= np.max(np.linalg.norm(values, axis=-1), axis=-1) <= REST_RATE
+    return np.concatenate([[0], 1 + np.flatnonzero(at_rest), [motion.drones.pieces]])
 
 
 def cut(motion: Motion, first: int, last: int) -> Motion:
-    """Return the pieces from break ``first`` to break ``last``, from t = 0 on."""
+    """Return the pieces from break ``first`` to break ``last``, starting at t = 0."""
     start, end = motion.drones.breaks[[first, last]].tolist()
     others = tuple(replace(each, motion=shifted(each.motion, -start)) for each in motion.others)
-    parted = motion.each_group(lambda own: shifted(between(own, start, end), -start))
+    parted = motion.each_group(lambda own: shifted(slice_time(own, start, end), -start))
     return parted.replaced(others=others)
 
 
-def between(motion: Motion, start: float, end: float) -> Motion:
-    """Return the motion between two times [s], at its times, at rest before and after its own."""
+def slice_time(motion: Motion, start: float, end: float) -> Motion:
+    """Return the motion between two times [s], at its times; ``padded`` outside its own time."""
     motion = padded(motion, start, end)
     inner = motion.drones.breaks
-    inner = inner[(inner > start + SAME_BREAK) & (inner < end - SAME_BREAK)]
+    inner = inner[(inner > start + BREAK_TOLERANCE) & (inner < end - BREAK_TOLERANCE)]
     breaks = np.concatenate([[start], inner, [end]])
     phases = [
         phase.retimed(max(phase.start, start), min(phase.end, end))
@@ -52,34 +52,34 @@ def between(motion: Motion, start: float, end: float) -> Motion:
 
 
 def shifted(motion: Motion, by: float) -> Motion:
-    """Return the same motion later by a time [s]."""
+    """Return the same motion, delayed by a time [s]."""
     breaks = motion.drones.breaks + by
     phases = [phase.retimed(phase.start + by, phase.end + by) for phase in motion.phases]
-    return motion.map_curves(lambda part: part.alike(part.coefficients, breaks), phases)
+    return motion.map_curves(lambda part: part.replaced(part.coefficients, breaks), phases)
 
 
 def on_breaks_of(motion: Motion, breaks: Array) -> Motion:
-    """Return the motion on other breaks, with all of its own, as ``on_breaks``."""
+    """Return the motion on other breaks that include its own, as ``on_breaks``."""
     return motion.map_curves(lambda part: on_breaks(part, breaks), motion.phases)
 
 
 def padded(motion: Motion, start: float, end: float) -> Motion:
-    """Return the motion from ``start`` to ``end`` [s], at rest before its start and after its end.
+    """Return the motion from ``start`` to ``end`` [s], at rest before and after its own time.
 
-    While it rests its phases are named WAIT and belong to its first and last step.
+    Phases at rest are named WAIT and belong to its first and last step.
     """
     first, last = motion.drones.breaks[[0, -1]].tolist()
     parts = [shifted(motion, -first)]
-    for seconds, at in ((first - start, 0), (end - last, -1)):
-        if seconds > JOINT:
-            wait = replace(motion.phases[at], name=WAIT, tension=None, remark="")
-            rest = resting(motion, seconds, wait, first=at == 0)
-            parts = [*parts, rest] if at else [rest, *parts]
+    for duration, index in ((first - start, 0), (end - last, -1)):
+        if duration > JOINT:
+            wait = replace(motion.phases[index], name=WAIT, tension=None, remark="")
+            rest = resting(motion, duration, wait, first=index == 0)
+            parts = [*parts, rest] if index else [rest, *parts]
     return motion if len(parts) == 1 else shifted(joined_motions(parts), min(start, first))
 
 
 def stretched(motion: Motion, factor: float) -> Motion:
-    """Return the same curves ``factor`` times as slow, and no limit on their duration."""
+    """Return the same curves, slowed down by ``factor``, without a limit on their duration."""
     if not 1.0 <= factor <= 100.0:
         raise InputError("stretch", factor, "from 1 to 100", "1.05 flies 5 % slower")
     if factor == 1.0:
@@ -87,43 +87,42 @@ def stretched(motion: Motion, factor: float) -> Motion:
     return motion.each_group(lambda own: own.untimed.slowed(factor))
 
 
-LONGEST, SHORTEST = 0.1, 4e-3
-"""[s] Longest piece, on which degree 7 fits the composed curve to little more than rounding; and
-distance from the clock's breaks within which the plan's are dropped, as derivatives on short pieces
-suffer from rounding."""
+MAX_PIECE, MIN_SPACING = 0.1, 4e-3
+"""[s] Longest piece: degree 7 fits the retimed curve on it to little more than rounding. Smallest
+distance of the plan's breaks from the clock's: derivatives on short pieces suffer from rounding."""
 
 ORDERS = 4
 """Number of derivatives, the zeroth included, interpolated at both ends of every piece."""
 
 
 def on_clock(motion: Motion, clock: ClockPhases) -> Motion:
-    """Return the motion flown on one clock, from t = 0, with three derivatives exact at all breaks.
+    """Return the motion on a clock, from t = 0, with three exact derivatives at all breaks.
 
-    The clock's phases are consecutive and within the motion's time.
+    The clock's phases are contiguous and within the motion's time.
     """
     return motion.each_group(lambda own: _on_clock(own, clock))
 
 
 def _on_clock(motion: Motion, clock: ClockPhases) -> Motion:
-    """Return one group's motion flown on a clock."""
+    """Return one group's motion on a clock."""
     cells, pieces = clock.cut(motion.drones.breaks)
     pieces = np.clip(pieces, 0, motion.drones.pieces - 1)
     times = np.concatenate([[0.0], np.cumsum(cells.duration)])
     rings = [motion.phases[i].ring for i in motion.phase_of_piece[pieces].tolist()]
-    seams = times[1:-1][[a != b for a, b in pairwise(rings)]]  # rows mean others from there on
+    seams = times[1:-1][[a != b for a, b in pairwise(rings)]]  # rows change their robots there
     edges = np.union1d(np.concatenate([[0.0], np.cumsum(clock.duration)]), seams)
-    breaks = _spaced(times, edges)
+    breaks = _subdivide(times, edges)
     sides = []
     for ends, inward in ((breaks[:-1], 1e-12), (breaks[1:], -1e-12)):
         cell = np.clip(np.searchsorted(times, ends + inward) - 1, 0, len(cells) - 1)
-        sides.append((pieces[cell], advanced(cells.jets[cell], ends - times[cell])))
+        sides.append((pieces[cell], advance(cells.jets[cell], ends - times[cell])))
     middles = 0.5 * (breaks[1:] + breaks[:-1])
-    index = motion.phase_of_piece[pieces[np.searchsorted(times, middles) - 1]]
-    states = np.array([phase.state for phase in motion.phases])[index]
+    phase_index = motion.phase_of_piece[pieces[np.searchsorted(times, middles) - 1]]
+    states = np.array([phase.state for phase in motion.phases])[phase_index]
     smooth = np.flatnonzero(states[1:] == states[:-1])  # else legs and tensions may jump
-    runs = pairwise(np.flatnonzero(np.diff(index, prepend=-1, append=-1)).tolist())
+    runs = pairwise(np.flatnonzero(np.diff(phase_index, prepend=-1, append=-1)).tolist())
     phases = [
-        motion.phases[index[first]].retimed(float(breaks[first]), float(breaks[last]))
+        motion.phases[phase_index[first]].retimed(float(breaks[first]), float(breaks[last]))
         for first, last in runs
     ]
 
@@ -131,26 +130,26 @@ def _on_clock(motion: Motion, clock: ClockPhases) -> Motion:
         left, right = (_jets(whole, *side) for side in sides)
         left[:3, smooth + 1] = right[:3, smooth]
         fitted = PiecewisePolynomial.hermite(breaks, left, right)
-        if whole is motion.borne:  # whose second derivatives may jump: it must not leave [0, 1]
+        if whole is motion.borne:  # its second derivatives may jump; it stays within [0, 1]
             fitted = PiecewisePolynomial(breaks, np.clip(fitted.coefficients, 0.0, 1.0))
         return fitted
 
     return motion.map_curves(part, phases)
 
 
-def _spaced(times: Array, edges: Array) -> Array:
-    """Return all edges, the times beyond SHORTEST of them, and breaks of pieces up to LONGEST."""
+def _subdivide(times: Array, edges: Array) -> Array:
+    """Return edges, and times not within MIN_SPACING of them, with pieces split at MAX_PIECE."""
     near = np.min(np.abs(times[:, None] - edges), axis=1)
-    breaks = np.union1d(edges, times[near > SHORTEST])
+    breaks = np.union1d(edges, times[near > MIN_SPACING])
     parts = [
-        np.linspace(first, last, max(1, int(np.ceil((last - first) / LONGEST))) + 1)[:-1]
+        np.linspace(first, last, max(1, int(np.ceil((last - first) / MAX_PIECE))) + 1)[:-1]
         for first, last in pairwise(breaks)
     ]
     return np.concatenate([*parts, breaks[-1:]])
 
 
 def _jets(part: PiecewisePolynomial, pieces: Indices, clock: Array) -> Array:
-    """Return derivatives by time (ORDERS, ends, *shape) where a clock has jets (ends, 4)."""
+    """Return derivatives by time (ORDERS, ends, *shape) at jets (ends, 4) of a clock."""
     c, h = part.coefficients[pieces], part.durations[pieces]
     axes = (-1, *(1,) * len(part.shape))
     x = np.clip((clock[:, 0] - part.breaks[pieces]) / h, 0.0, 1.0).reshape(axes)
@@ -163,66 +162,64 @@ def _jets(part: PiecewisePolynomial, pieces: Indices, clock: Array) -> Array:
     return np.stack([f, s * f1, s**2 * f2 + a * f1, s**3 * f3 + 3.0 * s * a * f2 + j * f1])
 
 
-def before(motion: Motion, time: float) -> Motion:
-    """Return the motion up to a time [s], exactly but for rounding."""
+def truncated(motion: Motion, time: float) -> Motion:
+    """Return the motion up to a time [s], exact up to rounding."""
 
-    def of_group(own: Motion) -> Motion:
-        breaks = own.drones.breaks
+    def of_group(group: Motion) -> Motion:
+        breaks = group.drones.breaks
         breaks = np.append(breaks[: np.searchsorted(breaks, time - 1e-9)], time)
         phases = [
             phase.retimed(phase.start, min(phase.end, time))
-            for phase in own.overlapping(breaks[0], time)
+            for phase in group.overlapping(breaks[0], time)
         ]
-        return own.map_curves(lambda part: on_breaks(part, breaks), phases)
+        return group.map_curves(lambda part: on_breaks(part, breaks), phases)
 
     return motion.each_group(of_group)
 
 
 def append_motion(first: Motion, second: Motion) -> Motion:
-    """Return two motions in a row; a phase that continues in the second one remains one phase.
-
-    Of several groups each goes on with that of its place in the second one.
-    """
-    following = iter(second.groups)
-    return first.each_group(lambda own: _appended(own, next(following).motion))
+    """Return two motions in sequence, group by group; a continued phase stays one phase."""
+    followers = iter(second.groups)
+    return first.each_group(lambda group: _appended(group, next(followers).motion))
 
 
 def _appended(first: Motion, second: Motion) -> Motion:
+    """Return two groups' motions in sequence."""
     motion = joined_motions([first, second])
     count = len(first.phases)
     last, following = motion.phases[count - 1 : count + 1]
-    one = last.retimed(last.start, following.end)
-    if following.retimed(last.start, following.end) != one:
+    merged = last.retimed(last.start, following.end)
+    if following.retimed(last.start, following.end) != merged:
         return motion
-    phases = (*motion.phases[: count - 1], one, *motion.phases[count + 1 :])
+    phases = (*motion.phases[: count - 1], merged, *motion.phases[count + 1 :])
     return motion.replaced(phases=phases)
 
 
 def resting(
     motion: Motion, seconds: float, phase: Phase | None = None, *, first: bool = False
 ) -> Motion:
-    """Return a motion at rest at another one's end, in ``phase`` or else in its last one.
+    """Return a motion at rest at another one's end, in ``phase`` or by default in its last phase.
 
-    With ``first`` it rests at the other one's start, by default in its first phase. Cables hang
-    free before and after a phase in which they are clasped.
+    With ``first``, it rests at the other one's start, by default in its first phase. Instead of
+    clasping, cables hang free.
     """
     end = (0, ..., 0) if first else (-1, ..., -1)
 
     def part(whole: PiecewisePolynomial) -> PiecewisePolynomial:
         return PiecewisePolynomial.constant([0.0, seconds], whole.coefficients[end])
 
-    def of_group(own: Motion) -> Motion:
-        here = own.phases[0 if first else -1] if phase is None else phase
-        if here.state is CableState.CLASPING:
-            here = replace(here, state=CableState.FREE)
-        return own.map_curves(part, [here.retimed(0.0, seconds)])
+    def of_group(group: Motion) -> Motion:
+        own_phase = group.phases[0 if first else -1] if phase is None else phase
+        if own_phase.state is CableState.CLASPING:
+            own_phase = replace(own_phase, state=CableState.FREE)
+        return group.map_curves(part, [own_phase.retimed(0.0, seconds)])
 
     return motion.each_group(of_group)
 
 
-def with_last_poses(past: Motion, fresh: Motion) -> Motion:
-    """Return the motion ``fresh`` with objects at rest at their last poses in ``past``."""
-    if past.poses is None:
-        return fresh
-    last = past.poses.coefficients[-1, ..., -1]
-    return fresh.replaced(poses=PiecewisePolynomial.constant(fresh.drones.breaks, last))
+def with_last_poses(previous: Motion, motion: Motion) -> Motion:
+    """Return a motion with objects at rest at their last poses in a previous motion."""
+    if previous.poses is None:
+        return motion
+    last = previous.poses.coefficients[-1, ..., -1]
+    return motion.replaced(poses=PiecewisePolynomial.constant(motion.drones.breaks, last))

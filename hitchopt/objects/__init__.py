@@ -1,4 +1,4 @@
-"""Rigid objects that a team carries or keeps off. They know no cable and no time."""
+"""Rigid objects that a team carries or avoids, independent of cables and time."""
 
 from hitchopt.objects.bodies import Clearance, Rim, Section, Slab, SolidObject
 

@@ -1,4 +1,4 @@
-"""Upright rigid bodies: convex sections seen from above, slabs between two heights, objects."""
+"""Upright rigid bodies: convex horizontal sections, slabs between two heights, and objects."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ from hitchopt.values import (
     positive,
 )
 
-STRAIGHT = 1e-9
-"""Share of an outline's size by which a point may lie inside of the convex hull of all points."""
+CONVEXITY_TOLERANCE = 1e-9
+"""Largest depth of an outline's point inside the convex hull, relative to the outline's size."""
 
 
 @dataclass(frozen=True, eq=False)
 class Section(OneLine):
-    """A convex section about its object's origin: a polygon or a circle.
+    """A convex horizontal section in its object's frame: a polygon, or a circle about the origin.
 
     Parameters
     ----------
-    outline: (m, 2) [m], in either sense; stored clockwise, without points between two others on a
-        straight line. None for a circle.
-    radius: of a circle about the origin [m]; None for a polygon.
+    outline: (m, 2) [m], in either sense; stored clockwise, without collinear points. None for a
+        circle.
+    radius: radius of a circle [m]; None for a polygon.
 
     Raises
     ------
@@ -56,119 +56,119 @@ class Section(OneLine):
 
     @property
     def core(self) -> Array:
-        """(m, 2) [m]: corners, or a circle's centre; all within ``rounding`` is the section."""
+        """(m, 2) [m]: corners, or a circle's centre. The section extends by ``rounding``."""
         return np.zeros((1, 2)) if self.outline is None else self.outline
 
     @property
     def rounding(self) -> float:
-        """Radius [m] of the discs about the core that make the section; 0 for a polygon."""
+        """Radius [m] by which the section extends beyond its core; 0 for a polygon."""
         return 0.0 if self.radius is None else self.radius
 
     @property
     def area(self) -> float:
         """Area [m²]."""
-        round_ = math.pi * self.rounding**2
-        return round_ if self.outline is None else ConvexPolygon(self.outline).area
+        disc = math.pi * self.rounding**2
+        return disc if self.outline is None else ConvexPolygon(self.outline).area
 
     @property
     def centroid(self) -> Array:
-        """(2,) [m]: centre of its area."""
+        """(2,) [m]: centroid of its area."""
         return np.zeros(2) if self.outline is None else ConvexPolygon(self.outline).centroid
 
     @property
     def circumradius(self) -> float:
-        """Radius [m] of the smallest circle about the origin around all of it."""
+        """Radius [m] of the smallest circle about the origin that contains the section."""
         return float(np.max(length(self.core))) + self.rounding
 
     @property
     def sides(self) -> Array:
-        """(m, 2, 2) [m]: the core's corners, each with the next one."""
+        """(m, 2, 2) [m]: ends of the core's sides."""
         core = self.core
         return np.stack([core, np.concatenate([core[1:], core[:1]])], axis=1)
 
     @property
-    def _outward(self) -> Array:
-        """(m, 2): unit vectors out of the sides of a polygon."""
+    def _normals(self) -> Array:
+        """(m, 2): outward unit normals of a polygon's sides."""
         edges = self.sides[:, 1] - self.sides[:, 0]  # clockwise
         return unit(np.stack([-edges[:, 1], edges[:, 0]], axis=-1))
 
     def support(self, directions: Array) -> Array:
-        """Return the largest scalar products (…) [m] of directions (…, 2) with its points."""
+        """Return the support function (…) [m]: largest products of directions (…, 2) and points."""
         reach: Array = np.max(directions @ self.core.T, axis=-1)
         return reach + self.rounding * length(directions)
 
-    def clearance(self, places: Array) -> tuple[Array, Array]:
-        """Return signed distances (…) [m] of points (…, 2), negative within, and their gradients.
+    def clearance(self, positions: Array) -> tuple[Array, Array]:
+        """Return signed distances (…) [m] of points (…, 2), negative inside, and their gradients.
 
-        These are unit vectors (…, 2) along which the distance grows.
+        Gradients are unit vectors (…, 2).
         """
         if self.outline is None:
-            return length(places) - self.rounding, unit(places, [1.0, 0.0])
-        # By coordinates, (m, …): products of many short vectors take several times as long.
-        columns, outward = _sides_of(self)
-        columns = columns.reshape(*columns.shape, *(1,) * (places.ndim - 1))
+            return length(positions) - self.rounding, unit(positions, [1.0, 0.0])
+        # Separate coordinates (m, …): products of many short vectors take several times as long.
+        columns, normals = _sides_of(self)
+        columns = columns.reshape(*columns.shape, *(1,) * (positions.ndim - 1))
         x, y, along_x, along_y, squared, out_x, out_y = columns
-        x, y = places[..., 0] - x, places[..., 1] - y
-        depths = x * out_x + y * out_y  # before each side, negative behind it
-        share = np.clip((x * along_x + y * along_y) / squared, 0.0, 1.0)
-        x, y = x - share * along_x, y - share * along_y
+        x, y = positions[..., 0] - x, positions[..., 1] - y
+        depths = x * out_x + y * out_y  # signed distances from the lines of all sides
+        fraction = np.clip((x * along_x + y * along_y) / squared, 0.0, 1.0)
+        x, y = x - fraction * along_x, y - fraction * along_y
         nearest = np.argmin(x * x + y * y, axis=0)[None]
         chosen = [np.take_along_axis(each, nearest, axis=0)[0] for each in (x, y)]
         offset = np.stack(chosen, axis=-1)
-        depth, far = np.max(depths, axis=0), length(offset)
-        inside = (depth <= 0.0) | (far == 0.0)
-        shallow = outward[np.argmax(depths, axis=0)]
-        normals = np.where(inside[..., None], shallow, unit(offset))
-        return np.where(depth <= 0.0, depth, far), normals
+        depth, gap = np.max(depths, axis=0), length(offset)
+        inside = (depth <= 0.0) | (gap == 0.0)
+        face_normals = normals[np.argmax(depths, axis=0)]
+        normals = np.where(inside[..., None], face_normals, unit(offset))
+        return np.where(depth <= 0.0, depth, gap), normals
 
-    def reach(self, places: Array, directions: Array) -> Array:
-        """Return distances (…) [m] to the edge from points (…, 2) within, along unit vectors."""
+    def reach(self, positions: Array, directions: Array) -> Array:
+        """Return distances (…) [m] from inner points (…, 2) to the boundary along unit vectors."""
         if self.outline is None:
-            along = dot(places, directions)
-            squared = self.rounding**2 - dot(places, places) + along**2
+            along = dot(positions, directions)
+            squared = self.rounding**2 - dot(positions, positions) + along**2
             return np.asarray(np.sqrt(np.maximum(squared, 0.0)) - along)
-        outward = self._outward
-        depths = dot(outward, self.outline) - places @ outward.T
-        speeds = directions @ outward.T
-        reached = np.divide(depths, speeds, out=np.full_like(speeds, np.inf), where=speeds > 0.0)
-        return np.asarray(np.min(reached, axis=-1))
+        normals = self._normals
+        depths = dot(normals, self.outline) - positions @ normals.T
+        speeds = directions @ normals.T
+        distances = np.divide(depths, speeds, out=np.full_like(speeds, np.inf), where=speeds > 0.0)
+        return np.asarray(np.min(distances, axis=-1))
 
     def segment_distance(self, first: Array, last: Array) -> Array:
-        """Return distances (…) [m] of segments between points (…, 2), zero where they meet."""
+        """Return distances (…) [m] of segments between points (…, 2), zero if they intersect."""
         ends = np.stack([first, last], axis=-2)[..., None, :, :]
-        apart = np.min(length(shortest_offset(differences(ends, self.sides))), axis=-1)
-        within = self.clearance(first)[0] <= 0.0
-        return np.where(within, 0.0, np.maximum(apart - self.rounding, 0.0))
+        gaps = np.min(length(shortest_offset(differences(ends, self.sides))), axis=-1)
+        inside = self.clearance(first)[0] <= 0.0
+        return np.where(inside, 0.0, np.maximum(gaps - self.rounding, 0.0))
 
 
 @lru_cache(maxsize=256)
 def _sides_of(section: Section) -> tuple[Array, Array]:
-    """Return the columns (7, m) of a polygon's sides, and the unit vectors (m, 2) out of them.
+    """Return columns (7, m) that describe a polygon's sides, and their outward normals (m, 2).
 
-    The columns are first corners, vectors, squared lengths, and the unit vectors.
+    The columns are first corners, vectors, squared lengths, and normals.
     """
-    along, outward = section.sides[:, 1] - section.sides[:, 0], section._outward
-    return np.column_stack([section.core, along, dot(along, along), outward]).T, outward
+    along, normals = section.sides[:, 1] - section.sides[:, 0], section._normals
+    return np.column_stack([section.core, along, dot(along, along), normals]).T, normals
 
 
 def _clockwise(outline: ArrayLike) -> Array:
-    """Return the corners of a convex outline, clockwise, beginning with its first one."""
+    """Return the corners of a convex outline clockwise, starting with its first one."""
     from scipy.spatial import ConvexHull, QhullError
 
     bound, remedy = "a list of at least 3 points [x, y]", "write [[x, y], …] in metres"
-    given = points("outline", outline, (3, 2), bound, remedy)
+    vertices = points("outline", outline, (3, 2), bound, remedy)
     try:
-        hull = ConvexHull(given)
+        hull = ConvexHull(vertices)
     except QhullError:
         bound, remedy = "an outline around an area", "give three points that are not in line"
-        raise InputError("outline", given.tolist(), bound, remedy) from None
-    depths = np.max(given @ hull.equations[:, :2].T + hull.equations[:, 2], axis=1)
+        raise InputError("outline", vertices.tolist(), bound, remedy) from None
+    depths = np.max(vertices @ hull.equations[:, :2].T + hull.equations[:, 2], axis=1)
     k = int(np.argmin(depths))
-    if depths[k] < -STRAIGHT * float(np.max(np.ptp(given, axis=0))):
+    if depths[k] < -CONVEXITY_TOLERANCE * float(np.max(np.ptp(vertices, axis=0))):
         bound = f"on the convex hull ({-depths[k]:.3g} m inside of it)"
-        remedy = f"give the hull: {given[hull.vertices[::-1]].round(4).tolist()}"
-        raise InputError(f"outline[{k}]", given[k].tolist(), bound, remedy)
-    corners = given[np.sort(hull.vertices)]
+        remedy = f"give the hull: {vertices[hull.vertices[::-1]].round(4).tolist()}"
+        raise InputError(f"outline[{k}]", vertices[k].tolist(), bound, remedy)
+    corners = vertices[np.sort(hull.vertices)]
     x, y = corners.T
     if np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) > 0.0:
         corners = np.roll(corners[::-1], 1, axis=0)
@@ -180,9 +180,9 @@ def _clockwise(outline: ArrayLike) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Clearance:
-    """Signed distances (…) [m] of points to a body, and unit vectors (…, 3) along which they grow.
+    """Signed distances (…) [m] of points from a body, and their gradients, unit vectors (…, 3).
 
-    Inside it is minus the depth below the nearest face.
+    Inside, the distance is minus the depth below the nearest face.
     """
 
     distance: Array
@@ -191,7 +191,7 @@ class Clearance:
 
 @dataclass(frozen=True, eq=False)
 class Slab:
-    """A section, seen from above, between a floor and a ceiling [m]."""
+    """A horizontal section, extruded between a floor and a ceiling [m]."""
 
     section: Section
     lower: float
@@ -199,34 +199,34 @@ class Slab:
 
     @property
     def size(self) -> float:
-        """Largest coordinate [m] of its points."""
+        """Bound of the coordinates [m] of its points."""
         return max(self.section.circumradius, abs(self.lower), abs(self.upper))
 
     def support(self, directions: Array) -> Array:
-        """Return the largest scalar products (…) [m] of directions (…, 3) with its points."""
+        """Return the support function (…) [m]: largest products of directions (…, 3) and points."""
         upward = directions[..., 2]
-        level: Array = self.section.support(directions[..., :2])
-        return level + np.maximum(self.lower * upward, self.upper * upward)
+        horizontal: Array = self.section.support(directions[..., :2])
+        return horizontal + np.maximum(self.lower * upward, self.upper * upward)
 
-    def clearance(self, places: Array) -> Clearance:
-        """Return the distances of points (…, 3) [m] and the directions out of the body."""
-        across, gradient = self.section.clearance(places[..., :2])
-        below, above = self.lower - places[..., 2], places[..., 2] - self.upper
-        deepest = np.maximum(np.maximum(across, below), above)
-        side, rise = np.maximum(across, 0.0), np.maximum(above, 0.0) - np.maximum(below, 0.0)
-        within = deepest <= 0.0
-        if np.any(within):  # the nearest of side, floor and ceiling
-            behind = np.stack([across, below, above], axis=-1)
-            nearest = first_smallest(-behind, np.max(np.abs(behind), axis=-1))
-            side = np.where(within, nearest == 0, side)
-            rise = np.where(within, np.array([0.0, -1.0, 1.0])[nearest], rise)
+    def clearance(self, positions: Array) -> Clearance:
+        """Return the signed distances of points (…, 3) [m] and their gradients."""
+        sideways, gradient = self.section.clearance(positions[..., :2])
+        below, above = self.lower - positions[..., 2], positions[..., 2] - self.upper
+        deepest = np.maximum(np.maximum(sideways, below), above)
+        side, rise = np.maximum(sideways, 0.0), np.maximum(above, 0.0) - np.maximum(below, 0.0)
+        inside = deepest <= 0.0
+        if np.any(inside):  # nearest face: side, floor or ceiling
+            depths = np.stack([sideways, below, above], axis=-1)
+            nearest = first_smallest(-depths, np.max(np.abs(depths), axis=-1))
+            side = np.where(inside, nearest == 0, side)
+            rise = np.where(inside, np.array([0.0, -1.0, 1.0])[nearest], rise)
         offset = np.concatenate([side[..., None] * gradient, rise[..., None]], axis=-1)
-        return Clearance(np.where(within, deepest, length(offset)), unit(offset))
+        return Clearance(np.where(inside, deepest, length(offset)), unit(offset))
 
 
 @dataclass(frozen=True, eq=False)
 class Rim(OneLine):
-    """A thin rim or tray that may rest on cables: its section, and height above the base [m]."""
+    """A thin rim or tray that may rest on cables: its section and its height above the base [m]."""
 
     section: Section
     height: float
@@ -238,18 +238,18 @@ class Rim(OneLine):
 
 @dataclass(frozen=True, eq=False)
 class SolidObject(OneLine):
-    """An upright rigid object; its mass is spread evenly between its two heights.
+    """An upright rigid object of uniform density.
 
     Parameters
     ----------
-    section: of its body, about its own origin.
+    section: section of its body, about its own origin.
     lower, upper: heights of the body's floor and ceiling above its base [m]
     mass: [kg]
-    friction: coefficient between it and cables, and its support.
+    friction: coefficient of friction with cables and with its support.
     at: (3,) [m], the origin of its base.
-    yaw: its heading there, counter-clockwise [rad].
-    rim: its rim, or None. That of a flat tray is its underside.
-    fixed: whether it never moves, as tables do; a fixed one may stand on anything or nothing.
+    yaw: heading, counter-clockwise [rad].
+    rim: its rim, or None. The rim of a flat tray is its underside.
+    fixed: whether it never moves, like a table; fixed objects need no support.
 
     Raises
     ------
@@ -281,18 +281,18 @@ class SolidObject(OneLine):
         check_instance("section", section, Section)
         if rim is not None:
             check_instance("rim", rim, Rim)
-        given = as_array(at)
-        if given.shape != (3,):
+        position = as_array(at)
+        if position.shape != (3,):
             raise InputError("at", at, "a point [x, y, z]", "give three numbers in metres")
-        place = np.array([coordinate(f"at[{i}]", x) for i, x in enumerate(given.tolist())])
-        place.setflags(write=False)
+        position = np.array([coordinate(f"at[{i}]", x) for i, x in enumerate(position.tolist())])
+        position.setflags(write=False)
         values = {
             "section": section,
             "lower": coordinate("lower", lower),
             "upper": coordinate("upper", upper),
             "mass": positive("mass", mass),
             "friction": nonnegative("friction", friction),
-            "at": place,
+            "at": position,
             "yaw": finite("yaw", yaw),
             "rim": rim,
             "fixed": flag("fixed", fixed),
@@ -311,7 +311,7 @@ class SolidObject(OneLine):
 
     @property
     def slabs(self) -> tuple[Slab, ...]:
-        """Its convex parts in its own frame: the body, and the rim as thin as a sheet."""
+        """Its convex parts in its own frame: the body, and the rim as a slab of no thickness."""
         body = Slab(self.section, self.lower, self.upper)
         if self.rim is None:
             return (body,)
@@ -319,30 +319,30 @@ class SolidObject(OneLine):
 
     @property
     def stem(self) -> Section | None:
-        """The section that clasps below its rim are around; None for a flat tray."""
+        """Section of the body that clasps below the rim surround; None for a flat tray."""
         flat = self.rim is not None and self.rim.height == self.lower
         return None if flat else self.section
 
     @property
     def centre_of_mass(self) -> Array:
-        """Point (3,) [m], seen from its base: centroid of the section, half of the height."""
+        """(3,) [m], in the frame of the base: centroid of the section, at half of the height."""
         return np.append(self.section.centroid, 0.5 * (self.lower + self.upper))
 
     @property
     def place(self) -> Array:
-        """(4,): x, y, z [m] of its base, and its yaw [rad]."""
+        """(4,): x, y, z [m] of its base, and yaw [rad]."""
         return np.append(self.at, self.yaw)
 
     def moved_to(self, place: Array) -> SolidObject:
-        """Return the object with its base at a place (4,), as ``place``."""
+        """Return the object with its base at a place (4,): x, y, z [m] and yaw [rad]."""
         return replace(self, at=place[:3], yaw=float(place[3]))
 
     @property
     def pose(self) -> Array:
-        """(5,): x, y, z [m] of its base, and cosine and sine of its yaw."""
+        """(5,): x, y, z [m] of its base, cosine and sine of yaw."""
         return np.array([*self.at, np.cos(self.yaw), np.sin(self.yaw)])
 
     @property
     def circumradius(self) -> float:
-        """Radius [m] of a circle about its origin around body and rim, seen from above."""
+        """Radius [m] of a vertical cylinder about its origin that contains body and rim."""
         return max(slab.section.circumradius for slab in self.slabs)
