@@ -1,13 +1,13 @@
-"""Distances between several groups of one plan, and between them and plans that fly besides.
+"""Distances between the groups of a plan, and between them and external plans.
 
-Each group keeps its own limits alone (``certify``). Across, the same distances count that its own
-drones, cables and objects keep: checks ``separation``, ``cable_clearance``, ``crossing``,
-``keep_out`` and ``object_clearance``. Two groups are compared on their common breaks, one run of
-pieces at a time on which neither ties or unties its hitch, at rest before and after their motions.
+Each group is certified alone (``certify``). Between groups, the same distances apply as within one:
+checks ``separation``, ``cable_clearance``, ``crossing``, ``keep_out`` and ``object_clearance``. Two
+groups are compared on their common breaks, in runs of pieces on which neither ties nor unties its
+hitch; they are at rest before and after their motions.
 
-A cable that hangs, or lies, stays within the upright sheet below its chord, down to where a cable
-that hung straight down from both drones would end. Such a sheet is compared from above, where it is
-its chord, and by height: bodies are apart by the larger one of the two.
+A cable that hangs or lies stays within the vertical sheet below its chord, no deeper than a cable
+that leads straight down and up again. The distance of such a sheet is the larger one of the
+horizontal distance of its chord and the difference of heights.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ import numpy as np
 from hitchopt.checks.certificate import Check
 from hitchopt.checks.clearance import CHAIN_TOLERANCE, Solid, from_above
 from hitchopt.checks.distances import (
-    TOUCHING,
+    MIN_GAP,
     Moving,
-    aside,
     nearest,
     smallest,
     taut_strips,
+    upright_distance,
 )
-from hitchopt.checks.joining import lowered_over
-from hitchopt.checks.objects import placed, seen_from
+from hitchopt.checks.joining import vertical_passes
+from hitchopt.checks.objects import in_object_frame, placed_corners
 from hitchopt.checks.rule import CheckRule, WorstCase
 from hitchopt.checks.spans import ROUNDING, cable_names, cable_parts, cached, magnitude, part_names
 from hitchopt.checks.tracking import Ellipsoid
@@ -39,7 +39,7 @@ from hitchopt.motion.combined import same_object
 from hitchopt.motion.motion import CableState, Group, Motion
 from hitchopt.motion.retiming import on_breaks_of, padded
 from hitchopt.objects import SolidObject
-from hitchopt.objects.placing import STILL
+from hitchopt.objects.placing import REST_DRIFT
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.enclosed import Enclosed
 from hitchopt.trajectory.piecewise import merged_breaks
@@ -48,7 +48,7 @@ from hitchopt.values import Array
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """Two groups on common pieces on which each has a hitch, or none; ``scale`` of separation."""
+    """Two groups on common pieces on which each has a hitch or none; ``scale`` of separation."""
 
     first: Group
     second: Group
@@ -56,7 +56,7 @@ class Run:
 
     @property
     def both(self) -> tuple[tuple[Group, Group], ...]:
-        """Each group with the other one."""
+        """Both orders of the two groups."""
         return (self.first, self.second), (self.second, self.first)
 
     @property
@@ -65,11 +65,11 @@ class Run:
         return ROUNDING * (magnitude(self.first.motion) + magnitude(self.second.motion))
 
     def moving(self, first: Bodies, second: Bodies, **options: object) -> Moving:
-        """Return the pairs of bodies of one group and of the other one."""
+        """Return the pairs of bodies of the first and the second group."""
         order = max(bernstein.degree(first.corners), bernstein.degree(second.corners))
         a, b = (bernstein.elevate(each.corners, order) for each in (first, second))
-        if first.upright or second.upright:
-            options = {"formula": aside, "tolerance": CHAIN_TOLERANCE} | options
+        if first.is_vertical or second.is_vertical:
+            options = {"formula": upright_distance, "tolerance": CHAIN_TOLERANCE} | options
         values = {"margin": self.margin, "names": (first.names, second.names)} | options
         return Moving(self.first.motion.drones.breaks, a, b, **values)  # type: ignore[arg-type]
 
@@ -80,26 +80,27 @@ class Bodies:
 
     corners: Array
     names: tuple[str, ...]
-    upright: bool = False
+    is_vertical: bool = False
 
 
 @cached
 def runs(motion: Motion) -> tuple[Run, ...]:
-    """Return the runs of all pairs of groups of which one at least is the motion's own."""
-    groups, scale = motion.flying, motion.requirements.separation.scale
-    own, found = len(motion.groups), list[Run]()
-    for i in range(own):
+    """Return the runs of all pairs of groups, at least one of them the motion's own."""
+    groups, scale = motion.all_groups, motion.requirements.separation.scale
+    count, result = len(motion.groups), list[Run]()
+    for i in range(count):
         for j in range(i + 1, len(groups)):
-            found += _runs(groups[i], groups[j], scale)
-    return tuple(found)
+            result += _runs(groups[i], groups[j], scale)
+    return tuple(result)
 
 
 def _runs(first: Group, second: Group, scale: Array) -> Iterator[Run]:
+    """Yield the runs of two groups."""
     ends = np.array([each.motion.drones.breaks[[0, -1]] for each in (first, second)])
     begin, end = float(np.min(ends)), float(np.max(ends))
-    both = [padded(each.motion, begin, end) for each in (first, second)]
-    breaks = merged_breaks([each.drones.breaks for each in both])
-    one, other = (on_breaks_of(each, breaks) for each in both)
+    motions = [padded(each.motion, begin, end) for each in (first, second)]
+    breaks = merged_breaks([each.drones.breaks for each in motions])
+    one, other = (on_breaks_of(each, breaks) for each in motions)
     taut = frozenset({CableState.LAYING})
     kinds = [each.formed + 2 * each.in_states(taut) for each in (one, other)]
     changes = np.flatnonzero(np.diff(3 * kinds[0] + kinds[1])) + 1
@@ -113,113 +114,115 @@ def _runs(first: Group, second: Group, scale: Array) -> Iterator[Run]:
 
 
 def drones_of(group: Group) -> Bodies:
-    """Return its drones."""
+    """Return the drones of a group."""
     names = tuple(map(group.label, group.motion.team.drone_names))
     return Bodies(group.motion.drones.coefficients[:, :, None], names)
 
 
 def cables_of(group: Group, *, parts: bool = False) -> Bodies | None:
-    """Return its cables, the straight ``parts`` of taut ones by their names; None without any."""
+    """Return the cables of a group, if ``parts`` with names of taut parts; None without cables."""
     motion = group.motion
     if not motion.team.has_cables:
         return None
     if motion.formed[0]:
         corners, part = cable_parts(motion)
         whole = cable_names(motion)
-        named = part_names(motion, part) if parts else [whole[k // 3] for k in part.tolist()]
-        return Bodies(corners, tuple(map(group.label, named)))
+        labels = part_names(motion, part) if parts else [whole[k // 3] for k in part.tolist()]
+        return Bodies(corners, tuple(map(group.label, labels)))
     if CableState.LAYING in motion.cable_states:
         return Bodies(taut_strips(motion), tuple(map(group.label, cable_names(motion))), True)
     q, r = motion.drones.coefficients[:, 0::2], motion.drones.coefficients[:, 1::2]
     lowest = 0.5 * (q + r)
     lowest[:, :, 2] -= 0.5 * motion.team.cable_length[:, None]
     names = tuple(map(group.label, cable_names(motion)))
-    return Bodies(np.stack([q, r, lowest], axis=2), names, upright=True)
+    return Bodies(np.stack([q, r, lowest], axis=2), names, is_vertical=True)
 
 
-def separated(run: Run) -> Iterator[Moving]:
-    """Yield the pairs of drones, every axis times the scale of separation."""
+def drone_pairs(run: Run) -> Iterator[Moving]:
+    """Yield the pairs of drones, scaled for separation."""
     bodies = (drones_of(each) for each in (run.first, run.second))
     first, second = (replace(each, corners=each.corners * run.scale[:, None]) for each in bodies)
     yield run.moving(first, second, margin=run.margin * float(np.max(run.scale)))
 
 
-def past_cables(run: Run) -> Iterator[Moving]:
-    """Yield the pairs of drones of one group and cables of the other one."""
+def drones_and_cables(run: Run) -> Iterator[Moving]:
+    """Yield the pairs of drones of one group and cables of the other."""
     for one, other in run.both:
         if (cables := cables_of(other)) is not None:
             yield run.moving(drones_of(one), cables)
 
 
-def crossings(run: Run) -> Iterator[Moving]:
+def cable_pairs(run: Run) -> Iterator[Moving]:
     """Yield the pairs of cables.
 
-    Edges on which a robot's taut cable comes straight down are no pairs with it then: they are
-    compared as it joins (``checks.joining``).
+    Edges that a robot's taut cable passes vertically are excluded meanwhile: they are compared as
+    it joins (``checks.joining``).
     """
     first, second = (cables_of(each, parts=True) for each in (run.first, run.second))
     if first is None or second is None:
         return
     one, other = run.first.motion, run.second.motion
-    counted = np.ones(first.corners.shape[:2], dtype=np.bool_)
+    active = np.ones(first.corners.shape[:2], dtype=np.bool_)
     if other.team.robots == 1 and one.formed[0]:
         part = cable_parts(one)[1]
-        for each in lowered_over(one, other):
-            counted[each.pieces, np.isin(part, 3 * each.edges + 1)] = False
-    yield run.moving(first, second, counted=None if np.all(counted) else counted)
+        for each in vertical_passes(one, other):
+            active[each.pieces, np.isin(part, 3 * each.edges + 1)] = False
+    yield run.moving(first, second, active=None if np.all(active) else active)
 
 
 def _objects(one: Group, other: Group) -> Iterator[tuple[str, SolidObject, Enclosed]]:
-    """Yield the objects of one group that are not obstacles of the other one, and their poses."""
-    shared = other.motion.requirements.objects
+    """Yield the objects of one group that are not obstacles of the other, and their poses."""
+    obstacles = other.motion.requirements.objects
     for index, (name, body) in enumerate(one.motion.requirements.objects.items()):
         pose = one.motion.object_poses.coefficients[:, index]
-        away = np.max(np.abs(pose - body.pose[:, None])) > STILL  # where the other looks for it
-        if away or name not in shared or not same_object(body, shared[name]):
+        is_moving = np.max(np.abs(pose - body.pose[:, None])) > REST_DRIFT
+        if is_moving or name not in obstacles or not same_object(body, obstacles[name]):
             yield name, body, Enclosed(pose)
 
 
-def past_objects(run: Run) -> Iterator[Moving]:
-    """Yield the pairs of drones of one group and objects of the other one."""
+def drones_and_objects(run: Run) -> Iterator[Moving]:
+    """Yield the pairs of drones of one group and objects of the other."""
     for one, other in run.both:
         drones = drones_of(one)
         for name, body, pose in _objects(other, one):
             for slab in body.slabs:
-                yield _beside(run, drones, name, Solid(slab), pose)
+                yield _pairs_with_shape(run, drones, name, Solid(slab), pose)
 
 
-def around_objects(run: Run) -> Iterator[Moving]:
-    """Yield the pairs of objects of one group, and cables and objects of the other one.
+def cables_and_objects(run: Run) -> Iterator[Moving]:
+    """Yield the pairs of objects of one group and cables or objects of the other.
 
-    Hanging cables keep off objects as seen from above.
+    For hanging cables, the distance is horizontal.
     """
     for one, other in run.both:
         for name, body, pose in _objects(other, one):
             for slab in body.slabs:
                 if (cables := cables_of(one)) is not None:
-                    if cables.upright:
+                    if cables.is_vertical:
                         cables = replace(cables, corners=cables.corners[:, :, :2])
-                    shape = from_above(slab) if cables.upright else Solid(slab)
-                    yield _beside(run, cables, name, shape, pose)
+                    shape = from_above(slab) if cables.is_vertical else Solid(slab)
+                    yield _pairs_with_shape(run, cables, name, shape, pose)
                 if one is run.first:
-                    for label, its, there in _objects(one, other):
-                        for block in its.slabs:
-                            seen = placed(there, block)
-                            bodies = Bodies(seen.c, (label,))
+                    for label, other_body, other_pose in _objects(one, other):
+                        for block in other_body.slabs:
+                            corners = placed_corners(other_pose, block)
+                            bodies = Bodies(corners.c, (label,))
                             solid = Solid(slab, block.section.rounding)
-                            yield _beside(run, bodies, name, solid, pose, float(np.max(seen.r)))
+                            yield _pairs_with_shape(
+                                run, bodies, name, solid, pose, float(np.max(corners.r))
+                            )
 
 
-def _beside(
+def _pairs_with_shape(
     run: Run, bodies: Bodies, label: str, shape: Solid, pose: Enclosed, error: float = 0.0
 ) -> Moving:
     """Return the pairs of bodies and a shape that moves with a pose."""
-    seen = seen_from(pose, Enclosed(bodies.corners))
-    margin = run.margin + ROUNDING * shape.slab.size + float(np.max(seen.r)) + error
+    local = in_object_frame(pose, Enclosed(bodies.corners))
+    margin = run.margin + ROUNDING * shape.slab.size + float(np.max(local.r)) + error
     return Moving(
         run.first.motion.drones.breaks,
-        seen.c,
-        np.zeros((len(seen.c), 1, 1, 3, 1)),
+        local.c,
+        np.zeros((len(local.c), 1, 1, 3, 1)),
         margin=margin,
         shape=shape,
         names=(bodies.names, (label,)),
@@ -227,49 +230,47 @@ def _beside(
 
 
 ACROSS: dict[str, tuple[Callable[[Run], Iterable[Moving]], Callable[[Separation], float]]] = {
-    "separation": (separated, lambda _: 1.0),
-    "cable_clearance": (past_cables, lambda s: max(s.cable, TOUCHING)),
-    "crossing": (crossings, lambda s: max(s.crossing, TOUCHING)),
-    "keep_out": (past_objects, lambda s: s.radius),
-    "object_clearance": (around_objects, lambda s: max(s.object, TOUCHING)),
+    "separation": (drone_pairs, lambda _: 1.0),
+    "cable_clearance": (drones_and_cables, lambda s: max(s.cable, MIN_GAP)),
+    "crossing": (cable_pairs, lambda s: max(s.crossing, MIN_GAP)),
+    "keep_out": (drones_and_objects, lambda s: s.radius),
+    "object_clearance": (cables_and_objects, lambda s: max(s.object, MIN_GAP)),
 }
-"""The pairs across and their distances, by the checks that they belong to."""
+"""Pairs between groups and their required distances, by check."""
 
-CLOSER: dict[str, Callable[[float], float]] = {
-    "cable_clearance": lambda most: 1.0 + most,
-    "crossing": lambda most: 2.0 * most,
-    "keep_out": lambda most: 1.0 + most,
-    "object_clearance": lambda most: 2.0 * most,
+APPROACH: dict[str, Callable[[float], float]] = {
+    "cable_clearance": lambda ratio: 1.0 + ratio,
+    "crossing": lambda ratio: 2.0 * ratio,
+    "keep_out": lambda ratio: 1.0 + ratio,
+    "object_clearance": lambda ratio: 2.0 * ratio,
 }
-"""How far bodies across come together per radius that drones are off, by the largest of 1 and γ."""
+"""Approach of two bodies per radius of tracking errors, by the larger one of 1 and γ."""
 
 
 def check_across(rule: CheckRule, motion: Motion) -> Check | None:
-    """Return the check of a rule between groups; None where nothing is compared."""
+    """Return the check of a rule between groups; None if nothing is compared."""
     if rule.name not in ACROSS:
         return None
     pairs, distance_of = ACROSS[rule.name]
     limit = distance_of(motion.requirements.separation)
-    found = nearest(lambda whole: (each for run in runs(whole) for each in pairs(run)))
-    worst = found(motion, limit)
+    evaluate = nearest(lambda whole: (each for run in runs(whole) for each in pairs(run)))
+    worst = evaluate(motion, limit)
     return None if math.isinf(worst.worst) else worst.check(rule, limit)
 
 
 def radius_across(motion: Motion, checks: Iterable[Check | None], gamma: float) -> WorstCase:
-    """Return by how much all drones may be off with every distance across kept [m]."""
-    terms, most = [WorstCase(math.inf, 0.0)], max(1.0, gamma)
+    """Return the largest tracking error with which groups keep their distances [m]."""
+    terms, ratio = [WorstCase(math.inf, 0.0)], max(1.0, gamma)
     for check in filter(None, checks):
-        if check.name in CLOSER:
-            left = max(check.bound - check.number, 0.0) / CLOSER[check.name](most)
-            terms.append(WorstCase(left, check.time, check.where))
-    least, shape = (
-        min(terms, key=lambda term: term.worst),
-        Ellipsoid(1.0 / motion.requirements.separation.scale),
-    )
+        if check.name in APPROACH:
+            slack = max(check.bound - check.number, 0.0) / APPROACH[check.name](ratio)
+            terms.append(WorstCase(slack, check.time, check.where))
+    tightest = min(terms, key=lambda term: term.worst)
+    shape = Ellipsoid(1.0 / motion.requirements.separation.scale)
     for run in runs(motion):
         moving = run.moving(drones_of(run.first), drones_of(run.second), shape=shape)
-        pair = smallest(moving, known=2.0 * least.worst)
+        pair = smallest(moving, incumbent=2.0 * tightest.worst)
         radius = max(0.5 * pair.worst, 0.0)
-        if pair.item >= 0 and radius < least.worst:
-            least = WorstCase(radius, pair.time, moving.named(pair.item))
-    return replace(least, worst=least.worst * (1.0 - ROUNDING))
+        if pair.item >= 0 and radius < tightest.worst:
+            tightest = WorstCase(radius, pair.time, moving.pair_names(pair.item))
+    return replace(tightest, worst=tightest.worst * (1.0 - ROUNDING))

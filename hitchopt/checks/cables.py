@@ -1,9 +1,9 @@
-"""Checks of the cables: ``cable_length``, ``span``, ``tension``, and friction's range of pulls.
+"""Checks of the cables: ``cable_length``, ``span``, ``tension``, and the range of friction.
 
 While clasped cables are being tightened, none may be overstretched before the hitch exists. From
-the second swap on neighbours hold each other, so a cable is not straight between its drones: their
-distance (``span``) does not suffice. Every cable must then reach around the plan's vertices, which
-are possible places of the clasps: if all cables do for some places, none is taut.
+the second swap on, neighbours hold each other, so a cable is not straight between its drones, and
+their distance (``span``) does not suffice. Every cable must then reach around the plan's vertices:
+if all cables do for some positions of the clasps, none is taut.
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ from hitchopt.checks.spans import (
 from hitchopt.hitch.forces import sag_factors
 from hitchopt.motion.loads import ranged_phases, saved_lengths, stated_tensions
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, Motion
+from hitchopt.objects.placing import REST_DRIFT
 from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
 from hitchopt.trajectory.search import worst
 from hitchopt.values import Array, Indices
@@ -46,105 +47,106 @@ Mask = NDArray[np.bool_]
 
 # Relative: 0.2 mm of a cable of 2 m, well below the length of a knot or a strain of 0.5 N
 LENGTH_LIMIT = 1e-4
-EXPORTED_LIMIT = 1e-3  # Relative: for files that store millimetres, instead of a plan's 1e-4
+EXPORTED_LIMIT = 1e-3  # Relative: for files that store millimetres
 # [N] A quarter of a thousandth of a usual tension, far below what a drone can measure
 TENSION_LIMIT = 1e-4
-SAG_SHARE = 0.2  # of the sag of a cable that is taut by itself, by which its chord may be off
+SAG_SHARE = 0.2  # largest error of the chord of a laid cable, relative to its sag
 RATIO_ORDER = 4  # degree of a weight over a tension: both hardly change on spans that matter
 LYING = frozenset({CableState.LYING})
-REST_TOLERANCE = 1e-9  # [m] Largest motion at rest
 
 
 class Cables(MotionSpans):
-    """Spans of cables; lengths are over the cable's own."""
+    """Spans of cables; lengths are relative to the cable's length."""
 
     names = staticmethod(cable_names)
 
     @cached_property
     def scale(self) -> Array:
-        """(spans, 1) [1/m] One over the cable's length."""
+        """(spans, 1) [1/m] Inverse of the cable's length."""
         return 1.0 / self.source.team.cable_length[self.item, None]
 
     def scaled(self, table: Array, item: Indices | None = None, noise: float = 0.0) -> Enclosed:
-        """Return vectors of a table, or scalars, over the cable's length."""
+        """Return vectors or scalars of a table, relative to the cable's length."""
         c = self.read(table, item)
         return Enclosed(c[:, None] if c.ndim == 2 else c, noise) * self.scale
 
     @cached_property
     def parts(self) -> list[Enclosed]:
-        """The q-leg, the r-leg and the edge, or its straight parts on both sides of an arc."""
+        """The q-leg, the r-leg, and the edge or its straight parts on both sides of an arc."""
         legs, edges = leg_vectors(self.source), bent_edges(self.source)
         straight_parts = [self.scaled(legs, 2 * self.item + end, self.noise) for end in (0, 1)]
-        straight = edges[:1] if self.source.contacts is None else edges
-        return straight_parts + [self.scaled(edge, noise=self.noise) for edge in straight]
+        straight_edges = edges[:1] if self.source.contacts is None else edges
+        return straight_parts + [self.scaled(edge, noise=self.noise) for edge in straight_edges]
 
     @cached_property
     def excess(self) -> Enclosed:
-        """Excess of the length of legs and edge over the cable's."""
+        """Excess of the length of legs and edge over the cable's length."""
         length = self.parts[0].norm + self.parts[1].norm
         for part in self.parts[2:]:
             length = length + part.norm
         if self.source.contacts is not None:
             arcs = self.read(wrapped_arcs(self.source))
             length = length + arc_lengths(arcs * self.scale[..., None])
-        saved = cached_value(self.source, saved_lengths)
-        return length - 1.0 if saved is None else length - self.scaled(saved) - 1.0
+        savings = cached_value(self.source, saved_lengths)
+        return length - 1.0 if savings is None else length - self.scaled(savings) - 1.0
 
     @cached_property
     def sag(self) -> Enclosed:
-        """Excess of spans over their chords: ``(ρ g / T)² s³ cos²α / 24`` each.
+        """Excess of the cable over its chords: ``(ρ g / T)² s³ cos²α / 24`` for each.
 
         Both straight parts of an edge sag as one.
         """
         q, r, *edges = self.parts
         edge = edges[0] if len(edges) == 1 else edges[0] + edges[1]
-        sagging = q.norm * q.level.dot(q.level) + r.norm * r.level.dot(r.level)
+        sag_sum = q.norm * q.xy.dot(q.xy) + r.norm * r.xy.dot(r.xy)
         for part in edges:
-            sagging = sagging + part.norm * edge.level.dot(edge.level)
+            sag_sum = sag_sum + part.norm * edge.xy.dot(edge.xy)
         weight, tension = self.scalars(edge_sags(self.source))
         ratio = (weight * tension.inverse).reduced(RATIO_ORDER) * (2.0 / self.scale)
-        return sagging * (ratio * ratio) * (1.0 / 24.0)
+        return sag_sum * (ratio * ratio) * (1.0 / 24.0)
 
 
 def _length_error(spans: Cables) -> Bound:
     """Return the largest of ``|leg + edge + leg - L| / L`` and of errors of the plan's legs.
 
-    Less the sag of the whole cable, ``(ρ g L / T)² / 24``, where cables pass weight to one another.
+    While cables pass weight to each other, the sag of a whole cable, ``(ρ g L / T)² / 24``, is
+    subtracted.
     """
-    heavy = spans.source.team.cable_density > 0.0
-    excess = spans.excess + spans.sag if heavy else spans.excess
+    has_weight = spans.source.team.cable_density > 0.0
+    excess = spans.excess + spans.sag if has_weight else spans.excess
     stored = spans.scaled(spans.source.legs.coefficients)
     errors = [stored[i] - spans.parts[i].norm for i in (0, 1)]
-    largest = largest_of([each.norm_above for each in (excess, *errors)])
-    lying = spans.source.in_states(LYING)[spans.piece]
-    if not np.any(lying):
+    largest = largest_of([each.norm_upper for each in (excess, *errors)])
+    lies = spans.source.in_states(LYING)[spans.piece]
+    if not np.any(lies):
         return largest
     team = spans.source.team
     sag = (sag_factors(team, team.tension) * team.cable_length**2)[spans.item]
-    return Bound(largest.value - np.where(lying, sag, 0.0), largest.x)
+    return Bound(largest.value - np.where(lies, sag, 0.0), largest.x)
 
 
 def _shortfall(spans: Cables) -> Bound:
-    """Return by how much a clasped cable is too short, over its length."""
-    return largest_of([spans.excess.above], 0.0)
+    """Return the relative length that a clasped cable lacks."""
+    return largest_of([spans.excess.upper], 0.0)
 
 
 def _span_ratio(spans: Cables) -> Bound:
     """Return the distance of a cable's drones over its length."""
     drones = spans.source.drones.coefficients
-    return spans.scaled(drones[:, 1::2] - drones[:, 0::2], noise=spans.noise).norm_above
+    return spans.scaled(drones[:, 1::2] - drones[:, 0::2], noise=spans.noise).norm_upper
 
 
 def _taut_error(spans: Cables) -> Bound:
-    """Return by how much the chord of a taut cable is off its length less its sag, over that.
+    """Return the relative error of the chord of a laid cable, beyond SAG_SHARE of its sag.
 
-    Beyond SAG_SHARE of the sag: its tension is then within an eighth of the team's.
+    The error is relative to the length with the sag at the team's tension. Within SAG_SHARE, the
+    tension is within an eighth of the team's.
     """
     team, drones = spans.source.team, spans.source.drones.coefficients
     chord = spans.scaled(drones[:, 1::2] - drones[:, 0::2], noise=spans.noise)
     sag = sag_factors(team, team.tension) * team.cable_length**2
-    longer = chord.norm * chord.level.dot(chord.level) * sag[spans.item, None]
-    error = (chord.norm + longer - 1.0).norm_above
+    sag_excess = chord.norm * chord.xy.dot(chord.xy) * sag[spans.item, None]
+    error = (chord.norm + sag_excess - 1.0).norm_upper
     return Bound(np.maximum(error.value - SAG_SHARE * sag[spans.item], 0.0), error.x)
 
 
@@ -170,8 +172,8 @@ CABLE_LENGTH = CheckRule(
     ease="length",
     exported_limit=EXPORTED_LIMIT,
 )
-"""Relative error of a cable's length; while being tightened, by how much it is too short; of cables
-that are laid, that of their chords with the sag at the team's tension, but for a fifth of that."""
+"""Relative error of a cable's length; during tightening, the missing length; of laid cables, the
+error of their chords beyond a fifth of their sag."""
 
 SPAN = CheckRule(
     "span",
@@ -182,12 +184,12 @@ SPAN = CheckRule(
     "use a longer cable, a smaller polygon, or place the drones closer together",
     ease="length",
 )
-"""The largest distance of a free cable's drones over its length: a longer one hangs."""
+"""Largest distance of a free cable's drones over its length: below 1, it hangs."""
 
 
 @cached
 def _leg_and_edge(motion: Motion) -> list[Array]:
-    """Return the pull of every drone's leg, and its cable's tension [N], without shared factors."""
+    """Return the pull of every drone's leg, and its cable's tension [N], without common zeros."""
     tension = np.repeat(motion.tensions.coefficients, 2, axis=1)
     return without_shared_zeros([motion.pulls.coefficients, tension])
 
@@ -196,56 +198,56 @@ class Slides(Drones):
     """Spans of drones whose cables slide against friction."""
 
     @cached_property
-    def held(self) -> Array:
-        """(spans,) ``e^{μ θ}``, θ the least angle by which the cable wraps its clasp."""
+    def friction_ratio(self) -> Array:
+        """(spans,) ``e^{μ θ}``, θ the smallest wrap angle of the cable at its clasp."""
         leaving, arriving = bent_edges(self.source)
         edges = np.stack([leaving, -arriving], axis=2).reshape(len(leaving), -1, *leaving.shape[2:])
-        cosine = self.along.dot(Enclosed(self.read(edges), self.noise).direction).below.value
+        cosine = self.along.dot(Enclosed(self.read(edges), self.noise).direction).lower.value
         turn = np.pi - np.arccos(np.clip(cosine - ROUNDING, -1.0, 1.0))
         return np.asarray(np.exp(self.source.team.cable_friction * turn))
 
 
-def slips(spans: Slides) -> Bound:
-    """Return the excess of a leg's pull over friction's range, relative to the tension.
+def slip(spans: Slides) -> Bound:
+    """Return the excess of a leg's pull over the range of friction, relative to the tension.
 
-    It is between ``e^{-μ θ}`` and ``e^{μ θ}`` times the edge's. A quotient of polynomials, the
-    divisor positive, lies between those of their coefficients.
+    The range is from ``e^{-μ θ}`` to ``e^{μ θ}`` times the edge's pull. A quotient of polynomials
+    with a positive divisor lies between the quotients of their coefficients.
     """
     pull, tension = same_degree(*map(spans.read, _leg_and_edge(spans.source)))
     ratios = np.divide(pull, tension, out=np.full_like(pull, np.inf), where=tension > 0.0)
-    high, low = np.max(ratios, -1) * (1.0 + ROUNDING), np.min(ratios, -1) * (1.0 - ROUNDING)
-    value = np.maximum(high - spans.held, 1.0 / spans.held - low)
+    highest, lowest = np.max(ratios, -1) * (1.0 + ROUNDING), np.min(ratios, -1) * (1.0 - ROUNDING)
+    value = np.maximum(highest - spans.friction_ratio, 1.0 / spans.friction_ratio - lowest)
     return Bound(value, np.full(len(spans), 0.5))
 
 
-def beyond_friction(motion: Motion) -> WorstCase:
-    """Return the largest excess of a leg's pull over friction's range, relative to the tension."""
-    largest = worst(Slides.of(motion), slips, "max")
+def friction_excess(motion: Motion) -> WorstCase:
+    """Return the largest excess of a leg's pull over the range of friction (``slip``)."""
+    largest = worst(Slides.of(motion), slip, "max")
     point = motion.team.layout.anchors[largest.item]
     return WorstCase(largest.worst, largest.time, (f"p{point}",))
 
 
-def _find(motion: Motion, _: float) -> WorstCase:
+def _worst_tension(motion: Motion, _: float) -> WorstCase:
     """Return the largest jump of a tension or thrust, or distance of a tension to its range [N].
 
-    While the hitch exists every cable pulls with the team's tension, or within the range that its
-    phase states, and on a ramp from 0 to the team's; legs within friction's range of it. Without a
-    hitch tensions and pulls count as 0, whatever the plan states.
+    While the hitch exists, every cable has the team's tension, or one in the range of its phase, or
+    on a ramp one from 0 to the team's. Pulls of legs are within the range of friction. Without a
+    hitch, tensions and pulls count as 0.
     """
-    cases = [_jump_of_pulls(motion), _jump_of_thrusts(motion)]
+    cases = [_pull_jump(motion), _thrust_jump(motion)]
     if np.any(motion.formed):
         ranges = np.moveaxis(stated_tensions(motion), -1, 0)
         if not np.all(motion.formed):  # ramps are next to spans without a hitch
             ranges[0] = np.where(_ramps(motion), 0.0, ranges[0])
-        cases += [_outside(motion, Cables, motion.tensions.coefficients, ranges)]
-        cases += [_off_at_ends(motion)]
+        cases += [_out_of_range(motion, Cables, motion.tensions.coefficients, ranges)]
+        cases += [_end_deviation(motion)]
         if motion.leg_tensions is not None:
             twice = np.repeat(ranges, 2, axis=2)
-            cases += [_outside(motion, Slides, motion.pulls.coefficients, twice)]
+            cases += [_out_of_range(motion, Slides, motion.pulls.coefficients, twice)]
     return max(cases, key=lambda each: each.worst)
 
 
-def _jump_of_pulls(motion: Motion) -> WorstCase:
+def _pull_jump(motion: Motion) -> WorstCase:
     """Return the largest jump of a cable's tension or of a leg's pull."""
     parts = motion.tensions.coefficients, motion.pulls.coefficients
     each = np.concatenate([part[..., [0, -1]] for part in parts], axis=1)
@@ -255,7 +257,7 @@ def _jump_of_pulls(motion: Motion) -> WorstCase:
     return worst_at_joint(np.abs(left[1:] - right[:-1]) + noise, motion.drones.breaks[1:], names)
 
 
-def _jump_of_thrusts(motion: Motion) -> WorstCase:
+def _thrust_jump(motion: Motion) -> WorstCase:
     """Return the largest jump of a drone's thrust, by its norm."""
     (left, before), (right, after) = (end_thrusts(motion, x) for x in (0.0, 1.0))
     jumps = np.linalg.norm(left[1:] - right[:-1], axis=-1) + before[1:] + after[:-1]
@@ -263,70 +265,69 @@ def _jump_of_thrusts(motion: Motion) -> WorstCase:
 
 
 def end_thrusts(motion: Motion, x: float) -> tuple[Array, Array]:
-    """Return the thrusts (pieces, 2n, 3) [N] at a share of every piece, and errors (pieces, 2n)."""
+    """Return thrusts (pieces, 2n, 3) [N] at x in [0, 1] of all pieces, and errors (pieces, 2n)."""
     shape = motion.drones.pieces, motion.team.drones
     batches = [spans.at(np.full(len(spans), x)).thrust for spans in Drones.of(motion)]
     f = np.concatenate([each.c[..., 0] for each in batches]).reshape(*shape, 3)
-    slop = [np.broadcast_to(each.r, len(each.c)) for each in batches]
-    return f, np.concatenate(slop).reshape(shape)
+    errors = [np.broadcast_to(each.r, len(each.c)) for each in batches]
+    return f, np.concatenate(errors).reshape(shape)
 
 
-def _outside(
-    motion: Motion, over: type[Cables] | type[Slides], pulls: Array, ranges: Array
+def _out_of_range(
+    motion: Motion, spans_type: type[Cables] | type[Slides], pulls: Array, ranges: Array
 ) -> WorstCase:
     """Return the distance of pulls (pieces, items, …) to ranges (2, pieces, items) [N]."""
     margin = ROUNDING * np.max(np.abs(pulls))
 
-    def beyond(spans: MotionSpans) -> Bound:
+    def excess(spans: MotionSpans) -> Bound:
         pull = Enclosed(spans.read(pulls)[:, None], margin)
-        held = spans.held if isinstance(spans, Slides) else 1.0
-        least, most = ranges[:, spans.piece, spans.item]
-        high, low = pull.above, pull.below
-        over = Bound(high.value - most * held, high.x)  # rough cables hold any number
-        return largest_of([over, Bound(least / held - low.value, low.x)], 0.0)
+        friction = spans.friction_ratio if isinstance(spans, Slides) else 1.0
+        smallest, largest = ranges[:, spans.piece, spans.item]
+        high, low = pull.upper, pull.lower
+        over = Bound(high.value - largest * friction, high.x)
+        return largest_of([over, Bound(smallest / friction - low.value, low.x)], 0.0)
 
     spans: Iterator[MotionSpans]
-    spans = over.all_of(motion, motion.drones.breaks, pulls.shape[1], motion.formed)
-    largest = worst(spans, beyond, "max")
-    where = (over.names(motion)[largest.item],) if largest.worst > 0.0 else ()
+    spans = spans_type.all_of(motion, motion.drones.breaks, pulls.shape[1], motion.formed)
+    largest = worst(spans, excess, "max")
+    where = (spans_type.names(motion)[largest.item],) if largest.worst > 0.0 else ()
     return WorstCase(largest.worst, largest.time, where)
 
 
-def _off_at_ends(motion: Motion) -> WorstCase:
-    """Return how far tensions are from the team's where phases that state a range begin or end.
+def _end_deviation(motion: Motion) -> WorstCase:
+    """Return the distance of tensions from the team's at ends of phases that state a range.
 
-    Except where an object is held before and after: the range is that of a grasp, of all its steps.
+    Ends at which an object is held before and after are excluded: all steps of a grasp share its
+    range.
     """
     index = np.concatenate([[-1], ranged_phases(motion), [-1]])
-    held = [phase.hold is not None for phase in motion.phases] or [False]
-    holding = np.pad(np.array(held)[motion.phase_of_piece], 1, mode="edge")
+    holds = [phase.hold is not None for phase in motion.phases] or [False]
+    holding = np.pad(np.array(holds)[motion.phase_of_piece], 1, mode="edge")
     c, team = motion.tensions.coefficients, motion.team.tension
-    off = np.zeros((motion.drones.pieces + 1, motion.team.robots))
+    deviation = np.zeros((motion.drones.pieces + 1, motion.team.robots))
     for end, other, shift in ((0, slice(0, -2), 0), (-1, slice(2, None), 1)):
         changes = (index[1:-1] != index[other]) & (index[1:-1] >= 0) & motion.formed
         changes &= ~(holding[1:-1] & holding[other])
         joints = np.flatnonzero(changes) + shift
-        off[joints] = np.maximum(off[joints], np.abs(c[changes][..., end] - team))
-    return worst_at_joint(off, motion.drones.breaks, Cables.names(motion))
+        deviation[joints] = np.maximum(deviation[joints], np.abs(c[changes][..., end] - team))
+    return worst_at_joint(deviation, motion.drones.breaks, Cables.names(motion))
 
 
 def _ramps(motion: Motion) -> Mask:
-    """Return (pieces, n) whether tensions rise after, or fall before, a span without a hitch.
+    """Return on which pieces tensions ramp up after, or down before, a span without a hitch.
 
-    Nothing moves on a ramp, and it ends where the team's tension is reached.
+    The mask is (pieces, n). Nothing moves on a ramp, and it ends at the team's tension.
     """
-    resting, free = motion.formed, ~motion.formed
+    resting, unhitched = motion.formed, ~motion.formed
     for part in (motion.drones, motion.vertices):
-        resting = resting & (
-            np.max(np.ptp(part.coefficients, axis=-1), axis=(1, 2)) <= REST_TOLERANCE
-        )
+        resting = resting & (np.max(np.ptp(part.coefficients, axis=-1), axis=(1, 2)) <= REST_DRIFT)
     ends = motion.tensions.coefficients[..., [0, -1]]
-    low = motion.team.tension[:, None] - ends > TENSION_LIMIT
-    ramps = np.zeros(low.shape[:2], dtype=np.bool_)
+    is_low = motion.team.tension[:, None] - ends > TENSION_LIMIT
+    ramps = np.zeros(is_low.shape[:2], dtype=np.bool_)
     for flip in (slice(None), slice(None, None, -1)):  # forward in time, and backward
-        rests, lows = resting[flip], low[flip, :, flip]
-        for first in (np.flatnonzero(rests[1:] & free[flip][:-1]) + 1).tolist():
-            run = slice(first, first + int(np.argmin(np.append(rests[first:], False))))
+        at_rest, lows = resting[flip], is_low[flip, :, flip]
+        for first in (np.flatnonzero(at_rest[1:] & unhitched[flip][:-1]) + 1).tolist():
+            run = slice(first, first + int(np.argmin(np.append(at_rest[first:], False))))
             rising = np.logical_and.accumulate(lows[run, :, 0], axis=0)
             reached = np.any(rising & ~lows[run, :, 1], axis=0)
             ramps[flip][run] |= rising & reached
@@ -334,7 +335,7 @@ def _ramps(motion: Motion) -> Mask:
 
 
 JUMPS_AND_RANGES = Evaluator(
-    _find, FREE_STATES | HITCHED_STATE, shown=(_jump_of_pulls, _jump_of_thrusts, _outside)
+    _worst_tension, FREE_STATES | HITCHED_STATE, formulas=(_pull_jump, _thrust_jump, _out_of_range)
 )
 
 TENSION = CheckRule("tension", "N", "max", TENSION_LIMIT, (JUMPS_AND_RANGES,), whole=True)

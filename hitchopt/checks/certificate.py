@@ -1,4 +1,4 @@
-"""Certificates: a list of checks, each with its worst value over all of the time."""
+"""Certificates: lists of checks, each with its worst value over all of the time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hitchopt.values import closest_word
 FORMAT = "hitchopt-certificate/1"
 
 TOLERANCE = 1e-9
-"""Relative tolerance of checks, to the limit or to the largest length that enters."""
+"""Tolerance of checks, relative to the limit or to the largest length that enters."""
 
 
 GROUPS = {
@@ -28,23 +28,23 @@ GROUPS = {
     "cables": ("legs", "cable_length", "span", "convexity", "interlacing"),
     "timing": ("continuity", "stoppable", "survivable", "duration"),
 }  # fmt: skip
-"""Checks under the headings of the certificate's table; others stand under "other"."""
+"""Checks under the headings of the certificate's table; the rest goes under "other"."""
 
-TIE = 1e-9  # smallest relative difference of utilization between checks that do not tie
-# Checks of which faster motion takes more, and how far from its limit one that binds may be: the
-# planners' margins and what the search for the worst value adds
-PACE, BINDING = (*GROUPS["motion"], "thrust", "tilt"), 0.02
-DIGITS, MAX_NAMES = 4, 2  # significant digits of values, and number of names, in a row of a table
+TIE = 1e-9  # relative difference of utilization up to which checks tie
+# Checks that faster motion utilizes more, and the largest margin of one that binds: planners keep
+# margins, and the search for the worst value adds its own
+RATE_CHECKS, BINDING = (*GROUPS["motion"], "thrust", "tilt"), 0.02
+DIGITS, MAX_NAMES = 4, 2  # significant digits of values, and number of names, in a table row
 
 
 class CertificateError(HitchoptError):
-    """A plan's certificate shows that a limit is broken."""
+    """A plan's certificate shows a violated limit."""
 
 
-def within(limit: float, sense: str, size: float = 1.0, share: float = 1.0) -> float:
-    """Return the limit with its tolerance, by the largest length that enters; 1 for no length.
+def with_tolerance(limit: float, sense: str, size: float = 1.0, share: float = 1.0) -> float:
+    """Return the limit with its tolerance, for the largest length that enters; 1 without lengths.
 
-    Searches aim at half of it, the ``share``, and leave rounding the rest.
+    Searches use a ``share`` of one half of the tolerance, and leave the rest for rounding.
     """
     slack = share * TOLERANCE * max(abs(limit), size)
     return limit - slack if sense == "min" else limit + slack
@@ -52,17 +52,17 @@ def within(limit: float, sense: str, size: float = 1.0, share: float = 1.0) -> f
 
 @dataclass(frozen=True)
 class Check(OneLine):
-    """One quantity held against its limit.
+    """A quantity and its limit.
 
     Attributes
     ----------
     name: as in the certificate's table (README).
     holds: whether ``worst`` satisfies the limit, within ``TOLERANCE``.
-    worst: bounds the quantity for all t, rounding included; None if nothing was evaluated.
+    worst: bound of the quantity for all t, rounding included; None if nothing was evaluated.
     limit: in the same unit; None if the quantity is only reported.
-    sense: ``min`` if the quantity must not fall below the limit, ``max`` if not rise above it.
+    sense: ``min`` if the limit is a lower bound, ``max`` if it is an upper bound.
     unit: such as ``m`` or ``ratio``.
-    time: [s], when the quantity is about at its worst.
+    time: [s], at which the quantity is close to its worst value.
     where: names of the drones, cables or vertices.
     method: ``continuous`` or ``sampled``.
     gamma: ratio of vertex errors to drone errors, if the quantity assumes one.
@@ -92,26 +92,26 @@ class Check(OneLine):
         size: float = 1.0,
         gamma: float | None = None,
     ) -> Check:
-        """Return the check; it holds if it is only reported, or ``within`` its limit by ``size``.
+        """Return the check; it holds without a limit, or within its tolerance for ``size``.
 
-        Infinities become the largest number and nan the worst one: files hold neither. An infinity
-        that holds is the extremum of an empty set: then there is no ``worst`` and no place.
+        Files cannot store infinities and nan: they become the largest number and the worst one. An
+        infinity that holds is the extremum of an empty set: ``worst`` is None, ``where`` is empty.
         """
         largest, limit = sys.float_info.max, None if limit is None else float(limit)
-        if worst == _nothing(sense):
+        if worst == _empty_value(sense):
             return cls(name, True, None, limit, sense, unit, float(time), (), gamma=gamma)
         outward = -largest if sense == "min" else largest
         worst = outward if math.isnan(worst) else min(max(float(worst), -largest), largest)
-        edge = outward if limit is None else within(limit, sense, size)
-        holds = bool(worst >= edge if sense == "min" else worst <= edge)
+        bound = outward if limit is None else with_tolerance(limit, sense, size)
+        holds = bool(worst >= bound if sense == "min" else worst <= bound)
         return cls(name, holds, worst, limit, sense, unit, float(time), where, gamma=gamma)
 
     @property
     def row(self) -> dict[str, str]:
-        """The row of a table by its columns' heads.
+        """The row of a table by its columns' headings.
 
-        A worst value within TOLERANCE of 0 is 0; one that breaks its limit differs from it as
-        written. A quantity without a limit has its assumption about the vertices in that column.
+        A worst value within TOLERANCE of 0 is shown as 0, and one that violates its limit with the
+        digits that distinguish it. Without a limit, its column shows the assumed gamma.
         """
         worst, limit = "–", "–" if self.gamma is None else f"γ = {self.gamma:g}"
         if self.worst is not None:
@@ -136,7 +136,7 @@ class Check(OneLine):
         return self.name, self.bound, self.number, self.sense, self.unit, self.where
 
     def violation(self, when: str, remedy: str) -> Violation:
-        """Return the check, which does not hold, as a violation."""
+        """Return a check that does not hold as a violation."""
         return Violation(*self._summary, when, remedy)
 
     @property
@@ -147,7 +147,7 @@ class Check(OneLine):
     @property
     def bound(self) -> float:
         """The worst value; an infinity that holds if nothing was evaluated."""
-        return _nothing(self.sense) if self.worst is None else self.worst
+        return _empty_value(self.sense) if self.worst is None else self.worst
 
     @property
     def utilization(self) -> float:
@@ -161,15 +161,15 @@ class Check(OneLine):
         return out * (self.bound - self.limit) / (abs(self.limit) or 1.0)
 
 
-def _nothing(sense: str) -> float:
-    """Return the extreme value of an empty set."""
+def _empty_value(sense: str) -> float:
+    """Return the extremum of an empty set."""
     return math.inf if sense == "min" else -math.inf
 
 
 def worst_of(checks: Iterable[Check | None]) -> Check | None:
-    """Return the worst of one quantity's checks over several spans of time; None if empty."""
+    """Return the worst of one quantity's checks over several time spans; None if there is none."""
     worst: Check | None = None
-    for check in filter(None, checks):  # of those that tie the first one
+    for check in filter(None, checks):  # the first one of those that tie
         tie = TIE * max(1.0, abs(worst.utilization)) if worst and worst.worst is not None else 0.0
         if worst is None or check.utilization > worst.utilization + tie:
             worst = check
@@ -178,7 +178,7 @@ def worst_of(checks: Iterable[Check | None]) -> Check | None:
 
 @dataclass(frozen=True)
 class Certificate(OneLine):
-    """All checks of one plan of a duration [s], in the order of the table."""
+    """All checks of a plan with a duration [s], in the order of the table."""
 
     duration: float
     checks: tuple[Check, ...]
@@ -206,11 +206,11 @@ class Certificate(OneLine):
 
     @property
     def binding(self) -> tuple[str, ...]:
-        """Names of the checks that bind, the closest first: the plan is as fast as they allow.
+        """Names of the checks that limit the plan's pace, the closest to its limit first.
 
-        They are those of PACE whose worst value is within 2 % of its limit.
+        They are those of RATE_CHECKS with a worst value within 2 % of the limit.
         """
-        near = [c for c in self.checks if c.name in PACE and c.utilization >= -BINDING]
+        near = [c for c in self.checks if c.name in RATE_CHECKS and c.utilization >= -BINDING]
         return tuple(check.name for check in sorted(near, key=lambda check: -check.utilization))
 
     @property

@@ -1,9 +1,9 @@
 """Checks of the clasps: ``equilibrium`` of the cables' forces, and ``convexity`` of the outline.
 
-At clasp k meet the q-leg and the edge of cable k and the r-leg and the edge of cable k-1. Cable k
-is borne by its drones with half of its legs, by clasp k with half of its q-leg and edge, by clasp
-k+1 with half of its edge and r-leg. As the parts add up to its length (check ``cable_length``),
-``d_k + l_k = L_k - e_k``: norms of legs alone determine the weights.
+The q-leg and the edge of cable k meet the r-leg and the edge of cable k-1 at clasp k. Drones carry
+half of each leg of cable k, clasp k half of its q-leg and edge, clasp k+1 half of its edge and
+r-leg. As the parts add up to the cable's length (check ``cable_length``), ``d_k + l_k = L_k -
+e_k``: the norms of legs determine the weights.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hitchopt.checks.cables import beyond_friction, slips
-from hitchopt.checks.certificate import within
-from hitchopt.checks.objects import chosen, lacking, unbalanced
+from hitchopt.checks.cables import friction_excess, slip
+from hitchopt.checks.certificate import with_tolerance
+from hitchopt.checks.objects import missing_force, select, unbalanced
 from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase
 from hitchopt.checks.spans import (
     MotionSpans,
@@ -41,59 +41,59 @@ from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
 from hitchopt.trajectory.search import Extremum, worst
 from hitchopt.values import Array, Indices
 
-BALANCE_LIMIT = 5e-3  # Relative to the tension: the vertex is then within millimetres of its place
-BACKWARD = -180.0  # [deg] The smallest angle there is; also that of an edge without direction
-TURN = 1e-6  # [deg] Rounding of the sum of all angles, which of a polygon are whole turns
-ROLLED = 175.0  # [deg] From this roll on a clasp counts as open: at 180° both cables run straight
+BALANCE_LIMIT = 5e-3  # Relative to the tension: vertices are then within millimetres
+MIN_ANGLE = -180.0  # [deg] Smallest angle, also of edges without direction
+ANGLE_ROUNDING = 1e-6  # [deg] Rounding of the sum of all angles
+OPEN_ROLL = 175.0  # [deg] Smallest roll of open clasps: at 180° both cables are straight
 OPEN_STATES = frozenset({CableState.ROLLING, CableState.LYING})
 LYING = frozenset({CableState.LYING})
 ROUGH_ORDER = 3  # degree of factors that detect open clasps, which are far from closed ones
-OWN = np.array([0, 1])  # Legs that are at the clasp: q of the cable ahead, r of that behind
+LEG_ENDS = np.array([0, 1])  # Legs at a clasp: q of the cable ahead, r of the cable behind
 
 
 def both_cables(motion: Motion) -> Indices:
-    """Return the cables at clasps (clasps, 2): the one ahead, the one behind."""
+    """Return the cables ahead of and behind clasps (clasps, 2)."""
     return np.stack([motion.team.layout.ahead, motion.team.layout.behind], axis=1)
 
 
 @cached
 def clasp_sizes(motion: Motion) -> dict[str, Array]:
-    """Return the sizes of forces at clasps, (pieces, clasps, 2, degree + 1) of both cables.
+    """Return the magnitudes of forces at clasps, for both cables (pieces, clasps, 2, degree + 1).
 
-    A factor ``x^a (1 - x)^b`` that all of them share, as where tensions rise from zero, is left
-    out: it cancels in every ratio.
+    A common factor ``x^a (1 - x)^b``, as where tensions rise from zero, is divided out: it cancels
+    in every ratio.
 
-    - ``legs``, ``edges`` [N]: their tensions; those of edges less the share of a rim;
-    - ``leg_halves``, ``edge_halves`` [N/m]: half of their weight per length;
-    - ``weights`` [N]: half of the cable's, and its share of the load;
-    - ``loads`` (pieces, clasps, 3, degree + 1) [N] of objects.
+    - ``legs``, ``edges`` [N]: tensions; those of edges without the share of a rim;
+    - ``leg_halves``, ``edge_halves`` [N/m]: half of the weight per length;
+    - ``weights`` [N]: half of the cable's weight, and half of the clasp's load;
+    - ``loads`` (pieces, clasps, 3, degree + 1) [N]: forces of objects.
     """
     team, cables, taut = motion.team, both_cables(motion), tautness(motion)
     half, loads = 0.5 * GRAVITY * team.cable_density, object_loads(motion)
-    own = 0.5 * GRAVITY * team.load[:, None] + half * team.cable_length[cables]
+    weights = 0.5 * GRAVITY * team.load[:, None] + half * team.cable_length[cables]
     tables = {
-        "legs": leg_tensions(motion)[:, 2 * cables + OWN],
+        "legs": leg_tensions(motion)[:, 2 * cables + LEG_ENDS],
         "edges": edge_tensions(motion)[:, cables],
         "leg_halves": half * taut[:, cables],
-        "edge_halves": _kept(motion, half * taut)[:, cables],
-        "weights": own[..., None] * taut[:, cables],
+        "edge_halves": _without_strut(motion, half * taut)[:, cables],
+        "weights": weights[..., None] * taut[:, cables],
         "loads": np.zeros((len(taut), len(cables), 3, 1)) if loads is None else loads,
     }
     rows = [row for table in tables.values() for row in np.moveaxis(table, 2, 0)]
-    left = iter(without_shared_zeros(rows))
-    each = {name: [next(left) for _ in range(tables[name].shape[2])] for name in tables}
-    return {name: np.stack(same_degree(*rows), axis=2) for name, rows in each.items()}
+    reduced = iter(without_shared_zeros(rows))
+    divided = {name: [next(reduced) for _ in range(tables[name].shape[2])] for name in tables}
+    return {name: np.stack(same_degree(*rows), axis=2) for name, rows in divided.items()}
 
 
 def edge_tensions(motion: Motion) -> Array:
-    """Return the pulls of edges (pieces, n, degree + 1) [N], less the share of a rim."""
-    return _kept(motion, motion.tensions.coefficients)
+    """Return the pulls of edges (pieces, n, degree + 1) [N], without the share of a rim."""
+    return _without_strut(motion, motion.tensions.coefficients)
 
 
-def _kept(motion: Motion, values: Array) -> Array:
-    """Return values of edges (pieces, n, degree + 1) less the share that rims take."""
-    taken = strut_shares(motion)
-    return values if taken is None else bernstein.multiply(1.0 - taken[:, None], values)
+def _without_strut(motion: Motion, values: Array) -> Array:
+    """Return values of edges (pieces, n, degree + 1) without the share that rims take."""
+    shares = strut_shares(motion)
+    return values if shares is None else bernstein.multiply(1.0 - shares[:, None], values)
 
 
 def clasp_names(motion: Motion) -> Sequence[str]:
@@ -102,13 +102,13 @@ def clasp_names(motion: Motion) -> Sequence[str]:
 
 
 class Clasps(MotionSpans):
-    """Spans of clasps: the forces that meet there, (spans, 2) of the cables ahead and behind."""
+    """Spans of clasps, with the forces (spans, 2) of the cables ahead and behind."""
 
     names = staticmethod(clasp_names)
 
     @cached_property
     def cables(self) -> Indices:
-        """(spans, 2) Both cables."""
+        """(spans, 2) The cables ahead and behind."""
         return both_cables(self.source)[self.item]
 
     def size(self, name: str) -> Enclosed:
@@ -121,15 +121,15 @@ class Clasps(MotionSpans):
         leaving, arriving = bent_edges(self.source)
         ahead, behind = self.cables.T
         edges = np.stack([self.read(leaving, ahead), -self.read(arriving, behind)], axis=1)
-        legs = self.read(leg_vectors(self.source), 2 * self.cables + OWN)
+        legs = self.read(leg_vectors(self.source), 2 * self.cables + LEG_ENDS)
         return Enclosed(legs, self.noise), Enclosed(edges, self.noise)
 
     @cached_property
-    def others(self) -> Enclosed:
+    def other_legs(self) -> Enclosed:
         """Lengths of the cables' other legs [m]."""
-        # A drone at a chain's end has no leg, wherever a plan has it.
+        # A drone at a chain's end has no leg, regardless of its stored vector.
         legs = leg_vectors(self.source) * self.source.team.layout.has_leg.reshape(-1, 1, 1)
-        return Enclosed(self.read(legs, 2 * self.cables + 1 - OWN), self.noise).norm
+        return Enclosed(self.read(legs, 2 * self.cables + 1 - LEG_ENDS), self.noise).norm
 
     @cached_property
     def along(self) -> tuple[Enclosed, Enclosed]:
@@ -140,17 +140,17 @@ class Clasps(MotionSpans):
     def pulls(self) -> tuple[Enclosed, Enclosed]:
         """Pulls of legs and edges along their chords [N].
 
-        An edge wrapped around an object counts whole: its cable's length less the legs.
+        An edge that is wrapped around an object sags with its whole length: the cable without legs.
         """
         (leg, edge), team = self.chords, self.source.team
         if team.cable_density == 0.0:
             return self.size("legs"), self.size("edges")
-        squared = edge.level.dot(edge.level)
+        squared = edge.xy.dot(edge.xy)
         if self.source.contacts is not None:
             whole = Enclosed(team.cable_length[self.cables][..., None, None])
-            wrapped = whole - leg.norm - self.others
+            wrapped = whole - leg.norm - self.other_legs
             squared = wrapped * wrapped
-        flat = leg.level.dot(leg.level)
+        flat = leg.xy.dot(leg.xy)
         pulled = chord_pull(self.size("legs"), self.size("leg_halves"), flat, leg[2])
         return pulled, chord_pull(self.size("edges"), self.size("edge_halves"), squared)
 
@@ -160,18 +160,18 @@ class Clasps(MotionSpans):
         return self.along[0] * self.pulls[0] + self.along[1] * self.pulls[1]
 
     @cached_property
-    def carried(self) -> Enclosed:
+    def weight(self) -> Enclosed:
         """[N] Weight of both cables on the clasp."""
-        return self.size("weights") - self.size("leg_halves") * self.others
+        return self.size("weights") - self.size("leg_halves") * self.other_legs
 
     @staticmethod
-    def weighed(motion: Motion) -> bool:
+    def has_loads(motion: Motion) -> bool:
         """Return whether clasps carry weight."""
         return any(np.any(clasp_sizes(motion)[name]) for name in ("weights", "loads"))
 
     @cached_property
-    def pressed(self) -> Enclosed:
-        """[N] The force of objects on the clasp."""
+    def object_force(self) -> Enclosed:
+        """[N] Force of objects on the clasp."""
         motion, loads = self.source, self.read(clasp_sizes(self.source)["loads"])
         mass = sum(each.mass for each in motion.requirements.objects.values() if not each.fixed)
         clasps = motion.team.layout.clasps[self.item]
@@ -182,37 +182,37 @@ class Clasps(MotionSpans):
     def residual(self) -> Enclosed:
         """``P_q q̂_k + P_k u_k + P_r r̂_{k-1} - P_{k-1} u_{k-1} - W_k ẑ`` and loads of objects."""
         force = self.forces.sum()
-        if self.weighed(self.source):
-            force = force - self.carried.sum().upward() + self.pressed
+        if self.has_loads(self.source):
+            force = force - self.weight.sum().along_z() + self.object_force
         return force
 
     @cached_property
     def contact(self) -> Enclosed:
         """Force of each cable on the other, such as ``W^k ẑ - (P_q q̂_k + P_k u_k)`` [N].
 
-        ``W^k`` is the weight on itself and half of the clasp's load.
+        ``W^k`` is the cable's own weight at the clasp plus half of the clasp's load.
         """
-        if not self.weighed(self.source):
+        if not self.has_loads(self.source):
             return -self.forces
-        pressed = Enclosed(self.pressed.c[:, None], np.asarray(self.pressed.r)[..., None])
-        return self.carried.upward() - self.forces - pressed * 0.5
+        force = Enclosed(self.object_force.c[:, None], np.asarray(self.object_force.r)[..., None])
+        return self.weight.along_z() - self.forces - force * 0.5
 
     @cached_property
     def turn(self) -> tuple[Enclosed, Enclosed, Enclosed]:
-        """Cosine of the roll, sine over the size of V, times a common positive factor; V.
+        """Cosine of the roll, sine over |V|, up to a common positive factor, and the vector V.
 
-        With V the sum of its legs' pulls, D their difference and ū = u_k + u_{k-1} cosine and sine
-        go as ``(D·ū) V² - (D·V) (ū·V)`` and ``D·(ū × V) |V|``.
+        With V the sum of the legs' pulls, D their difference and ū = u_k + u_{k-1}, cosine and sine
+        are proportional to ``(D·ū) V² - (D·V) (ū·V)`` and ``D·(ū × V) |V|``.
         """
         pulls = (self.along[0] * self.pulls[0]).reduced(ROUGH_ORDER)
-        q, r = chosen(pulls, 0), chosen(pulls, 1)
-        ahead = (chosen(self.along[1], 0) - chosen(self.along[1], 1)).reduced(ROUGH_ORDER)
-        whole, apart = q + r, q - r
-        cosine = apart.dot(ahead) * whole.dot(whole) - apart.dot(whole) * ahead.dot(whole)
-        return cosine, apart.dot(ahead.cross(whole)), whole
+        q, r = select(pulls, 0), select(pulls, 1)
+        ahead = (select(self.along[1], 0) - select(self.along[1], 1)).reduced(ROUGH_ORDER)
+        total, difference = q + r, q - r
+        cosine = difference.dot(ahead) * total.dot(total) - difference.dot(total) * ahead.dot(total)
+        return cosine, difference.dot(ahead.cross(total)), total
 
     def rolls(self) -> Array:
-        """Return the rolls (spans,) [deg] at mid span: 0 where ``q̂_k`` leans towards ``u_k``."""
+        """Return the rolls (spans,) [deg] at mid span: 0 if ``q̂_k`` leans toward ``u_k``."""
         (q, r), (u, back) = (np.moveaxis(each.middle, 1, 0) for each in self.along)
         pull, other = np.moveaxis(self.pulls[0].middle, 1, 0)
         axis = unit(pull * q + other * r)
@@ -222,92 +222,92 @@ class Clasps(MotionSpans):
         return np.asarray(np.degrees(np.arctan2(rise, run)))
 
 
-def _over(force: Enclosed, spans: Clasps) -> Bound:
-    """Return the upper bound of a force, or its size, over the smaller tension.
+def _relative(force: Enclosed, spans: Clasps) -> Bound:
+    """Return the upper bound of a scalar, or of the norm of a vector, over the smaller tension.
 
     It is infinite where a tension is not positive.
     """
     c, tensions = same_degree(force.c, spans.size("edges").c)
     sizes = c if c.shape[1] == 1 else column_lengths(c)[:, None]
-    sizes, least = sizes + np.asarray(force.r)[..., None, None], np.min(tensions, axis=1)
-    ratio = np.divide(sizes, least, out=np.full_like(sizes, np.inf), where=least > 0.0)
-    return Enclosed(ratio).above
+    sizes, smallest = sizes + np.asarray(force.r)[..., None, None], np.min(tensions, axis=1)
+    ratio = np.divide(sizes, smallest, out=np.full_like(sizes, np.inf), where=smallest > 0.0)
+    return Enclosed(ratio).upper
 
 
 def _balance(spans: Clasps) -> Bound:
-    """Return the size of the residual over the smaller tension, infinite where a clasp is open.
+    """Return the norm of the residual over the smaller tension; infinite where a clasp is open.
 
-    Where pairs roll, what bears is a matter of the angle alone, which ``turns`` follows: near 180°
-    the weights that cables leave to one another are more than their contact. Where they pass weight
-    to one another, that of both cables may be borne elsewhere.
+    Rolling pairs may be open: ``roll_changes`` follows their angles. Near 180°, the weight that
+    cables transfer to each other exceeds their contact force. While they pass weight to each other,
+    the weight of both cables may be carried elsewhere.
     """
-    residual, lifted = _over(spans.residual, spans), _lifted(spans)
-    if spans.weighed(spans.source):
-        lifted = largest_of([lifted, _rolled(spans)])
-    shut = lifted.value < 0.0
-    shut |= spans.source.in_states(OPEN_STATES)[spans.piece]
-    value, lying = residual.value, spans.source.in_states(LYING)[spans.piece]
-    if np.any(lying):
+    residual, opening = _relative(spans.residual, spans), _opening(spans)
+    if spans.has_loads(spans.source):
+        opening = largest_of([opening, _rolling(spans)])
+    closed = opening.value < 0.0
+    closed |= spans.source.in_states(OPEN_STATES)[spans.piece]
+    value, lies = residual.value, spans.source.in_states(LYING)[spans.piece]
+    if np.any(lies):
         team = spans.source.team
         weight = GRAVITY * team.cable_density * np.sum(team.cable_length[spans.cables], axis=1)
-        value = value - np.where(lying, weight / np.min(team.tension[spans.cables], axis=1), 0.0)
-    return Bound(np.where(shut, value, np.inf), np.where(shut, residual.x, lifted.x))
+        value = value - np.where(lies, weight / np.min(team.tension[spans.cables], axis=1), 0.0)
+    return Bound(np.where(closed, value, np.inf), np.where(closed, residual.x, opening.x))
 
 
-def _lifted(spans: Clasps) -> Bound:
-    """Return the largest product that is negative where a clasp bears, over the smaller tension.
+def _opening(spans: Clasps) -> Bound:
+    """Return the largest product, negative where a clasp is closed, over the smaller tension.
 
-    The clasp bears where ``C·q̂_k < 0``, ``C·u_k < 0``, ``C·r̂_{k-1} > 0`` and ``C·u_{k-1} < 0``;
-    with friction, which tilts C along the cables, where that is so of the means of each cable's
-    two. Unloaded, each is ``-2 T cos²(φ/2) cos²(ψ/2)`` of a roll ψ and an exterior angle φ: what it
-    is at ROLLED is added, so a clasp counts as open from there on.
+    A clasp is closed where ``C·q̂_k < 0``, ``C·u_k < 0``, ``C·r̂_{k-1} > 0`` and ``C·u_{k-1} < 0``.
+    Friction tilts C along the cables: with it, the mean of each cable's two products counts.
+    Without a load, each is ``-2 T cos²(φ/2) cos²(ψ/2)`` for a roll ψ and an exterior angle φ. Its
+    magnitude at OPEN_ROLL is added, so clasps count as open from there on.
     """
     legs, edges = (each.reduced(ROUGH_ORDER) for each in spans.along)
     directions = [legs, edges] if spans.source.leg_tensions is None else [(legs + edges) * 0.5]
     products = [spans.contact.reduced(ROUGH_ORDER).dot(each) for each in directions]
-    most = [np.max(each.c + np.asarray(each.r)[..., None, None], axis=1) for each in products]
-    share = math.cos(math.radians(0.5 * ROLLED)) ** 2
-    margin = 0.5 * share * (chosen(edges, 0) - chosen(edges, 1)).norm_above.value ** 2
-    largest = _over(Enclosed(np.maximum(most[0], most[-1])), spans)
+    peaks = [np.max(each.c + np.asarray(each.r)[..., None, None], axis=1) for each in products]
+    share = math.cos(math.radians(0.5 * OPEN_ROLL)) ** 2
+    margin = 0.5 * share * (select(edges, 0) - select(edges, 1)).norm_upper.value ** 2
+    largest = _relative(Enclosed(np.maximum(peaks[0], peaks[-1])), spans)
     return Bound(largest.value + margin, largest.x)
 
 
-def _rolled(spans: Clasps) -> Bound:
-    """Return a bound that is negative where a clasp has rolled by less than ROLLED, for any load.
+def _rolling(spans: Clasps) -> Bound:
+    """Return a bound that is negative where a clasp has rolled by less than OPEN_ROLL.
 
-    Legs of clasps that carry much could wind around their edges in contact.
+    It holds for any load: legs of heavily loaded clasps could wind around their edges in contact.
     """
     cosine, sine, whole = spans.turn
-    aside, least = sine.range, cosine.below
-    most = np.maximum(np.maximum(aside.low, -aside.high), 0.0) * whole.norm_below.value
-    return Bound(math.tan(math.radians(ROLLED)) * least.value - most, least.x)
+    sideways, lowest = sine.range, cosine.lower
+    margin = np.maximum(np.maximum(sideways.low, -sideways.high), 0.0) * whole.norm_lower.value
+    return Bound(math.tan(math.radians(OPEN_ROLL)) * lowest.value - margin, lowest.x)
 
 
-def turns(motion: Motion) -> tuple[Array, Array]:
-    """Return rolls at the start and their changes (clasps,) [deg], which are followed throughout.
+def roll_changes(motion: Motion) -> tuple[Array, Array]:
+    """Return rolls at the start and their continuous changes (clasps,) [deg].
 
-    Changes are nan where a piece is too long to follow a roll on it.
+    Changes are nan if a piece is too long to follow a roll on it.
     """
     first, total = np.zeros((2, len(motion.team.layout.clasps)))
     for spans in Clasps.of(motion):
         rolls = [spans.at(np.full(len(spans), x)).rolls() for x in (0.0, 0.5, 1.0)]
         cosine, sine, whole = spans.turn
-        here = np.radians(rolls[1])[:, None]
-        along = cosine * np.cos(here) + sine * whole.norm * np.sin(here)
-        followed = along.below.value > 0.0  # within a right angle of that at mid span
+        middle = np.radians(rolls[1])[:, None]
+        along = cosine * np.cos(middle) + sine * whole.norm * np.sin(middle)
+        followed = along.lower.value > 0.0  # within a right angle of that at mid span
         steps = (rolls[2] - rolls[0] + 180.0) % 360.0 - 180.0
         np.add.at(total, spans.item, np.where(followed, steps, np.nan))
-        begin = spans.piece == 0
-        first[spans.item[begin]] = rolls[0][begin]
+        at_start = spans.piece == 0
+        first[spans.item[at_start]] = rolls[0][at_start]
     return first, total
 
 
 class Corner(NamedTuple):
-    """Where the legs of two cables lie across each other beyond the edge of a robot between them.
+    """A corner that a new robot's edge cuts off: its neighbours' legs cross there.
 
-    On ``pieces`` they may touch: the ``first`` ones, from where the robot has joined until one of
-    them has rolled away, or the last ones, before it leaves. ``clasps`` are those of the robot with
-    the cables ``behind`` and ``ahead``.
+    On ``pieces`` these legs may touch: the ``first`` ones, after the robot has joined until one leg
+    has rolled away, or the last ones, before it leaves. ``clasps`` are those of the robot with the
+    cables ``behind`` and ``ahead``.
     """
 
     pieces: slice
@@ -318,7 +318,7 @@ class Corner(NamedTuple):
 
 
 def cut_corners(motion: Motion) -> tuple[Corner, ...]:
-    """Return the corners that are cut off where a ring begins or ends by passing weight."""
+    """Return the corners cut off by a robot that has joined or is about to leave."""
     lying, rolling = motion.in_states(LYING), motion.in_states(OPEN_STATES - LYING)
     if not np.any(lying):
         return ()
@@ -339,8 +339,8 @@ def _corners_cut(
         span, pieces = (
             slice(0, size) if first else slice(count - size, count) for size in (number, touching)
         )
-        rolls = turns(motion.slice_pieces(span, motion.phases))[0]
-        open_ = np.flatnonzero(np.abs(rolls) >= ROLLED).tolist()
+        rolls = roll_changes(motion.slice_pieces(span, motion.phases))[0]
+        open_ = np.flatnonzero(np.abs(rolls) >= OPEN_ROLL).tolist()
         pairs = [(j, k) for j, k in permutations(open_, 2) if layout.ahead[j] == layout.behind[k]]
         if len(open_) == 2 and len(pairs) == 1:
             ((j, k),) = pairs
@@ -350,57 +350,61 @@ def _corners_cut(
     return tuple(corners)
 
 
-def _find(motion: Motion, limit: float) -> WorstCase:
+def _worst_residual(motion: Motion, limit: float) -> WorstCase:
     """Return the largest force residual at a clasp over the smaller of its cables' tensions.
 
-    Pulls beyond friction count as unbalanced, and so do forces that an object lacks. Cables must
-    also press on each other at all times, for any weight: otherwise either may have passed through
-    the other, and the residual is infinite.
+    Pulls beyond friction and missing forces on objects count as residuals. Cables must also press
+    on each other at all times: otherwise one may have passed through the other, and the residual is
+    infinite.
     """
     names = Clasps.names(motion)
-    largest = worst(Clasps.of(motion), _balance, "max", target=within(limit, "max"))
-    words = _opened(motion, largest) if math.isinf(largest.value) else ()
+    largest = worst(Clasps.of(motion), _balance, "max", target=with_tolerance(limit, "max"))
+    words = _open_clasp(motion, largest) if math.isinf(largest.value) else ()
     where = (names[largest.item], *words)
     each = [WorstCase(largest.worst, largest.time, where), unbalanced(motion)]
     if motion.leg_tensions is not None:
-        each.append(beyond_friction(motion))
+        each.append(friction_excess(motion))
     return max(each, key=lambda case: case.worst)
 
 
-def _opened(motion: Motion, at: Extremum) -> tuple[str, ...]:
-    """Return that a clasp is open, with the roll of its pair, if its forces balance otherwise."""
+def _open_clasp(motion: Motion, at: Extremum) -> tuple[str, ...]:
+    """Return words on an open clasp with its roll, if its forces are balanced."""
     breaks = motion.drones.breaks
     piece = max(0, int(np.searchsorted(breaks, at.time)) - 1)
     share = (at.time - breaks[piece]) / motion.drones.durations[piece]
     point = Clasps(motion, breaks, np.array([piece]), np.array([at.item])).at(np.array([share]))
     with np.errstate(all="ignore"):
-        open_ = math.isfinite(_over(point.residual, point).value[0])
+        open_ = math.isfinite(_relative(point.residual, point).value[0])
         return (f"open at a roll of {point.rolls()[0]:.0f}°",) if open_ else ()
 
 
 def spare_forces(motion: Motion) -> Array:
-    """Return the loads that may be added at clasps (pieces, clasps) [N] with all forces balanced.
+    """Return the spare loads of clasps (pieces, clasps) [N], with which equilibrium still holds.
 
-    Half of a load added to a clasp enters the products of ``contact``.
+    Half of an additional load enters the products of ``contact``.
     """
-    spare = BALANCE_LIMIT - _find(motion, BALANCE_LIMIT).worst
-    spare = min(spare, -2.0 * worst(Clasps.of(motion), _lifted, "max").worst)
+    spare = BALANCE_LIMIT - _worst_residual(motion, BALANCE_LIMIT).worst
+    spare = min(spare, -2.0 * worst(Clasps.of(motion), _opening, "max").worst)
     weakest: Array = np.min(edge_tensions(motion)[:, both_cables(motion)], axis=(2, 3))
     return spare * weakest
 
 
-FORMULAS = (_balance, Clasps.residual, _lifted, _rolled, Clasps.contact, slips, lacking)
+FORMULAS = (_balance, Clasps.residual, _opening, _rolling, Clasps.contact, slip, missing_force)
 
 EQUILIBRIUM = CheckRule(
-    "equilibrium", "1", "max", BALANCE_LIMIT, (Evaluator(_find, HITCHED_STATE, shown=FORMULAS),)
+    "equilibrium",
+    "1",
+    "max",
+    BALANCE_LIMIT,
+    (Evaluator(_worst_residual, HITCHED_STATE, formulas=FORMULAS),),
 )
 
 
 @cached
 def _corners(motion: Motion) -> Array:
-    """Return the edges behind and ahead of corners, seen from above (pieces, corners, 2, 2, …).
+    """Return the horizontal edges behind and ahead of corners (pieces, corners, 2, 2, …).
 
-    In addition to its clasps a chain has a corner from its last edge to its first one reversed.
+    A chain has an additional corner between its last edge and the reversed first one.
     """
     edges, layout = edge_vectors(motion)[:, :, :2], motion.team.layout
     both = np.stack([edges[:, layout.behind], edges[:, layout.ahead]], axis=2)
@@ -418,10 +422,10 @@ class Corners(MotionSpans):
 
 
 def _exterior(spans: Corners) -> Bound:
-    """Return the angles [deg] by which the outline turns right.
+    """Return the right turns [deg] of the outline at its corners.
 
-    For a chain's ends it is the rest of a full turn. Relative to the angle at mid span the others
-    are small; beyond 180° angles start again at -180°.
+    At a chain's ends, it is the remainder of a full turn. Angles are bounded relative to that at
+    mid span; they are ambiguous beyond 180°.
     """
     edges = spans.read(_corners(spans.source))
     behind, ahead = (Enclosed(edges[:, i], spans.noise) for i in (0, 1))
@@ -429,18 +433,18 @@ def _exterior(spans: Corners) -> Bound:
     middle = np.arctan2(cross.middle, dot.middle)
     c, s, middle = np.cos(middle), np.sin(middle), middle[:, 0]
     along, across = (dot * c + cross * s).range, (cross * c - dot * s).range
-    least = np.arctan2(across.low, np.where(across.low < 0.0, along.low, along.high))
-    most = np.arctan2(across.high, np.where(across.high < 0.0, along.high, along.low))
-    known = (along.low > 0.0) & (middle + most <= np.pi)
-    added = np.where(spans.item < len(spans.source.team.layout.clasps), 0.0, 180.0)
-    return Bound(np.where(known, added + np.degrees(middle + least), BACKWARD), cross.below.x)
+    lowest = np.arctan2(across.low, np.where(across.low < 0.0, along.low, along.high))
+    highest = np.arctan2(across.high, np.where(across.high < 0.0, along.high, along.low))
+    valid = (along.low > 0.0) & (middle + highest <= np.pi)
+    offset = np.where(spans.item < len(spans.source.team.layout.clasps), 0.0, 180.0)
+    return Bound(np.where(valid, offset + np.degrees(middle + lowest), MIN_ANGLE), cross.lower.x)
 
 
-def _turns(motion: Motion, _: float) -> WorstCase:
+def _smallest_angle(motion: Motion, _: float) -> WorstCase:
     """Return the smallest exterior angle in degrees, seen from above; ``where`` names the vertex.
 
-    If negative, it is 360° less all turning at the start: of a polygon that winds around its inside
-    more than once, or of a chain, whose ends ``where`` names.
+    If the outline turns by more than 360° in all at the start, it is the negative remainder: for a
+    polygon that winds around its inside more than once, or a chain, whose ends ``where`` names.
     """
     smallest, start = worst(Corners.of(motion), _exterior, "min"), motion.vertices.breaks[0]
     layout, points = motion.team.layout, motion.team.point_names
@@ -448,10 +452,11 @@ def _turns(motion: Motion, _: float) -> WorstCase:
     where = (points[layout.clasps[smallest.item]],) if smallest.item < len(clasps) else ends
     behind, ahead = np.moveaxis(_corners(motion)[0, clasps, :, :, 0], 1, 0)
     right = behind[:, 1] * ahead[:, 0] - behind[:, 0] * ahead[:, 1]
-    room = 360.0 - float(np.sum(np.degrees(np.arctan2(right, np.sum(behind * ahead, axis=-1)))))
-    lowest = max(smallest.worst, BACKWARD)
-    if lowest > BACKWARD and room < min(lowest, -TURN):
-        return WorstCase(room, float(start), ends)
+    turns = np.arctan2(right, np.sum(behind * ahead, axis=-1))
+    remaining = 360.0 - float(np.sum(np.degrees(turns)))
+    lowest = max(smallest.worst, MIN_ANGLE)
+    if lowest > MIN_ANGLE and remaining < min(lowest, -ANGLE_ROUNDING):
+        return WorstCase(remaining, float(start), ends)
     return WorstCase(lowest, smallest.time, where)
 
 
@@ -460,6 +465,6 @@ CONVEXITY = CheckRule(
     "deg",
     "min",
     0.0,
-    (Evaluator(_turns, HITCHED_STATE, shown=(_exterior,)),),
-    "go by a polygon in between, in two morphs",
+    (Evaluator(_smallest_angle, HITCHED_STATE, formulas=(_exterior,)),),
+    "use an intermediate polygon, in two morphs",
 )

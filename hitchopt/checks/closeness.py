@@ -1,4 +1,4 @@
-"""Closest pairs of drones over time: bounds for every span of time and for the closest pairs."""
+"""Closest pairs of drones: bounds for every time span, and for the closest pairs."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from hitchopt.errors import InputError, OneLine
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
 
-# Default number of spans of time, and maximum number of pairs followed over all of it
+# Default number of time spans, and maximum number of closest pairs
 SPANS, MAX_PAIRS = 48, 12
 
 
 @dataclass(frozen=True)
 class Closest(OneLine):
-    """No separation (ratio) is smaller than ``bound`` from ``start`` to ``end`` [s].
+    """A lower bound of separation (ratio) from ``start`` to ``end`` [s].
 
-    ``bound`` holds for any pair, or for ``pair`` over the whole plan; the separation of ``pair`` is
-    about ``value`` at ``time``.
+    ``bound`` holds for all pairs in a time span, or for ``pair`` over the plan. The separation of
+    ``pair`` is close to ``value`` at ``time`` [s].
     """
 
     start: float
@@ -34,7 +34,7 @@ class Closest(OneLine):
 
 @dataclass(frozen=True)
 class Closeness(OneLine):
-    """Spans that cover all of the time, and at most MAX_PAIRS closest pairs, closest first."""
+    """Time spans that cover the plan, and up to MAX_PAIRS closest pairs, closest first."""
 
     spans: tuple[Closest, ...]
     pairs: tuple[Closest, ...]
@@ -48,13 +48,13 @@ class Closeness(OneLine):
 def closeness(motion: Motion, spans: int = SPANS) -> Closeness:
     """Return the closest pairs of drones, for all t.
 
-    Every bound holds on all of its span, rounding included, and comes within 1e-4 of an attained
-    value, relative.
+    Every bound holds on all of its span, rounding included, within 1e-4 of an attained value,
+    relative.
 
     Parameters
     ----------
-    motion: of at least two drones.
-    spans: number of equal parts of its time.
+    motion: a motion of at least two drones.
+    spans: number of equal time spans.
 
     Raises
     ------
@@ -70,9 +70,9 @@ def closeness(motion: Motion, spans: int = SPANS) -> Closeness:
     every = scaled_drones(motion, drones)
 
     def closest(moving: Moving, start: float, end: float) -> Closest:
-        least = smallest(moving)
-        first, second = moving.named(least.item)
-        return Closest(start, end, least.worst, least.value, (first, second), least.time)
+        minimum = smallest(moving)
+        first, second = moving.pair_names(minimum.item)
+        return Closest(start, end, minimum.worst, minimum.value, (first, second), minimum.time)
 
     by_span = [
         closest(every.part(*np.searchsorted(drones.breaks, (start, end)).tolist()), start, end)

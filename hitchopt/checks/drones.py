@@ -1,10 +1,10 @@
-"""Checks of every drone by itself, from ``speed`` to ``legs``, and ``vertex_speed``.
+"""Checks of single drones, from ``speed`` to ``legs``, and ``vertex_speed``.
 
 A drone of mass m needs the thrust ``f = m (a + g ẑ) - (force of its cable)``. The cable pulls along
-its leg (at a chain's end, along its edge) and leaves it half of the weight of that. A cable that
-hangs free pulls inward by ``w s / 2σ``, and the higher end carries ``w h coth(σ) / 2`` more than
+its leg (at a chain's end, along its edge), and the drone carries half of the weight of that part. A
+hanging cable pulls inward by ``w s / 2σ``, and the higher end carries ``w h coth(σ) / 2`` more than
 half of it: w its weight per length, σ its steepness (see ``hitchopt.hitch.catenary``). While a
-cable is drawn taut the one fades into the other with its tautness, a polynomial.
+cable is being tightened, these forces blend by its tautness, a polynomial.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from operator import attrgetter
 
 import numpy as np
 
-from hitchopt.checks.certificate import within
+from hitchopt.checks.certificate import with_tolerance
 from hitchopt.checks.rule import CheckRule, Evaluator, WorstOverSpans
 from hitchopt.checks.spans import (
     ROUNDING,
@@ -34,37 +34,37 @@ from hitchopt.checks.spans import (
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.catenary import level_length, pull_terms, steepness
 from hitchopt.hitch.forces import chord_pull
-from hitchopt.motion.loads import leg_tensions, lowered, tautness
+from hitchopt.motion.loads import leg_tensions, reduce_constants, tautness
 from hitchopt.motion.motion import HITCHED_STATE, CableState, Motion
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.enclosed import Bound, Enclosed, Interval, vector
 from hitchopt.trajectory.search import Extremum, Spans, worst
 from hitchopt.values import Array
 
-# Degree of the factors of a turning rate: on spans that matter they err by 1e-9
+# Degree of the factors of a turning rate: they err by 1e-9 on the spans that matter
 ORDER = 6
-# [m] Drones of a cable that may be one above the other count as this far apart seen from above: the
-# rate of their cable's pull has no bound there, and becomes almost infinite
-NEAREST = 1e-9
+# [m] Smallest horizontal distance of a cable's drones: if one may be above the other, the rate of
+# their cable's pull is unbounded, and becomes almost infinite
+MIN_SPAN = 1e-9
 
 
 @cached
 def taut_shares(motion: Motion) -> Array:
     """Return the tautness of every drone's cable (pieces, 2n, degree + 1)."""
-    return np.repeat(lowered(tautness(motion)), 2, axis=1)
+    return np.repeat(reduce_constants(tautness(motion)), 2, axis=1)
 
 
 @cached
 def tensions_of_legs(motion: Motion) -> Array:
     """Return the tension of every drone's leg at its clasp (pieces, 2n, degree + 1) [N]."""
-    return lowered(leg_tensions(motion))
+    return reduce_constants(leg_tensions(motion))
 
 
 @cached
 def edge_sags(motion: Motion) -> list[Array]:
     """Return half of the weight per length of cables [N/m] and their tension [N], (pieces, n, …).
 
-    A common factor, as where both rise from zero, is left out: it cancels in their ratio.
+    Common zeros, as where both rise from zero, are divided out: they cancel in the ratio.
     """
     return _sags(motion, tautness(motion), motion.tensions.coefficients)
 
@@ -81,19 +81,19 @@ def _sags(motion: Motion, taut: Array, tensions: Array) -> list[Array]:
 
 @cached
 def partners(motion: Motion) -> Array:
-    """Return the other drone of each drone's cable, seen from it (pieces, 2n, 3, degree + 1)."""
+    """Return offsets to the other drone of each drone's cable (pieces, 2n, 3, degree + 1) [m]."""
     c = motion.drones.coefficients
     return c[:, np.arange(c.shape[1]) ^ 1] - c
 
 
 class Drones(MotionSpans):
-    """Spans of drones: their motion, the force of their cable and the thrust that they need."""
+    """Spans of drones: their motion, the force of their cable and their thrust."""
 
-    moving = True
+    is_moving = True
 
     names = staticmethod(attrgetter("team.drone_names"))
 
-    def moved(self, order: int) -> Enclosed:
+    def motion_rate(self, order: int) -> Enclosed:
         """Return a derivative of the position by time."""
         return self.derivative(self.source.drones, order)
 
@@ -109,7 +109,7 @@ class Drones(MotionSpans):
 
     @cached_property
     def leg(self) -> Enclosed:
-        """The vector from where the cable pulls to the drone [m]."""
+        """Vector along the straight part of cable that ends at the drone [m]."""
         return Enclosed(self.read(pull_vectors(self.source)), self.noise)
 
     @cached_property
@@ -124,33 +124,33 @@ class Drones(MotionSpans):
         return (half * tension.inverse).reduced(ORDER)
 
     @cached_property
-    def level(self) -> Enclosed:
-        """[m²] The squared length of the leg as seen from above."""
-        return self.leg.level.dot(self.leg.level)
+    def span_squared(self) -> Enclosed:
+        """[m²] Squared horizontal length of the leg."""
+        return self.leg.xy.dot(self.leg.xy)
 
     @cached_property
-    def levelled(self) -> Enclosed:
-        """Pull of the leg over its tension if its ends were level."""
-        pull: Enclosed = chord_pull(1.0, self.sag, self.level)
+    def level_pull(self) -> Enclosed:
+        """Pull of the leg over its tension if its ends were at equal heights."""
+        pull: Enclosed = chord_pull(1.0, self.sag, self.span_squared)
         return pull.reduced(ORDER)
 
     @cached_property
     def pull(self) -> Enclosed:
         """[N] Pull of the leg along its chord: ``chord_pull``, with T factored out."""
         tension = self.scalar(tensions_of_legs)
-        if not self.heavy:
+        if not self.has_weight:
             return tension
-        return tension * self.levelled + self.taut_weight * self.leg[2]
+        return tension * self.level_pull + self.taut_weight * self.leg[2]
 
     @property
-    def heavy(self) -> bool:
+    def has_weight(self) -> bool:
         """Whether cables have weight."""
         return self.source.team.cable_density > 0.0
 
     @property
-    def hangs(self) -> bool:
+    def has_hanging(self) -> bool:
         """Whether any cable hangs at any time."""
-        return self.heavy and bool(np.any(taut_shares(self.source) != 1.0))
+        return self.has_weight and bool(np.any(taut_shares(self.source) != 1.0))
 
     @property
     def half(self) -> float:
@@ -169,7 +169,7 @@ class Drones(MotionSpans):
 
     @cached_property
     def partner(self) -> Enclosed:
-        """[m] The other end of the cable."""
+        """[m] Offset of the cable's other end."""
         return Enclosed(self.read(partners(self.source)), self.noise)
 
     @cached_property
@@ -181,17 +181,17 @@ class Drones(MotionSpans):
     def load(self) -> Enclosed:
         """[N] Minus the force of the cable on the drone."""
         load = self.along * self.pull
-        if self.heavy:
-            load = load + (self.leg.norm * self.taut_weight).upward()
-        if self.hangs:
+        if self.has_weight:
+            load = load + (self.leg.norm * self.taut_weight).along_z()
+        if self.has_hanging:
             inward, downward = self.pull_terms
-            load = load - _pulled(self.partner, inward, downward, self.slack_weight)
-            load = load + (self.slack_weight * self.length[:, None]).upward()
+            load = load - _hanging_force(self.partner, inward, downward, self.slack_weight)
+            load = load + (self.slack_weight * self.length[:, None]).along_z()
         return load
 
     @cached_property
     def pull_terms(self) -> tuple[Interval, Interval]:
-        """1/σ and coth σ, which fall with the σ of the cable if it hung free."""
+        """1/σ and coth σ of the cable as if hanging; both decrease with σ."""
         sigma = steepness_of(self.partner, self.length)
         low, high = pull_terms(sigma.high), pull_terms(sigma.low)
         return Interval(low[0], high[0]), Interval(low[1], high[1])
@@ -200,7 +200,9 @@ class Drones(MotionSpans):
     def thrust(self) -> Enclosed:
         """[N] f = m (a + g ẑ) - (force of the cable)."""
         hover = self.mass * GRAVITY * UPWARD
-        own = self.moved(2) * self.mass + hover if self.moving else Enclosed(hover[..., None])
+        own = Enclosed(hover[..., None])
+        if self.is_moving:
+            own = self.motion_rate(2) * self.mass + hover
         return own + self.load if self.source.team.has_cables else own
 
     @cached_property
@@ -212,64 +214,65 @@ class Drones(MotionSpans):
         along = self.along.reduced(ORDER)
         swept = (velocity * self.leg.norm.inverse).reduced(ORDER)
         turning = swept - along * along.dot(swept).reduced(ORDER)  # d/dt (y/|y|)
-        pulled = self.scalar(tensions_of_legs, 1)
-        if self.heavy:
-            gained = self.half * self.scalar(taut_shares, 1)
-            # Of h z + √(T² - h² s²): h half of the weight per length, s and z of the leg.
-            falls = gained * self.level + self.taut_weight * self.leg.level.dot(velocity.level)
-            pulled = (pulled - self.sag * falls.reduced(ORDER)) * self.levelled.inverse
-            pulled = pulled.reduced(ORDER) + gained * self.leg[2] + self.taut_weight * velocity[2]
-        slope = along * pulled + turning * self.pull
-        if self.heavy:
-            growing = along.dot(velocity)
-            slope = slope + (self.leg.norm * gained + growing * self.taut_weight).upward()
-        if self.hangs:
-            slope = slope + self._hanging_rate(gained)
+        pull_rate = self.scalar(tensions_of_legs, 1)
+        if self.has_weight:
+            growth = self.half * self.scalar(taut_shares, 1)
+            # Of h z + √(T² - h² s²): h half of the weight per length, s and z those of the leg.
+            sag_rate = growth * self.span_squared + self.taut_weight * self.leg.xy.dot(velocity.xy)
+            pull_rate = (pull_rate - self.sag * sag_rate.reduced(ORDER)) * self.level_pull.inverse
+            pull_rate = pull_rate.reduced(ORDER) + growth * self.leg[2]
+            pull_rate = pull_rate + self.taut_weight * velocity[2]
+        slope = along * pull_rate + turning * self.pull
+        if self.has_weight:
+            weight = self.leg.norm * growth + along.dot(velocity) * self.taut_weight
+            slope = slope + weight.along_z()
+        if self.has_hanging:
+            slope = slope + self._hanging_rate(growth)
         return slope
 
-    def _hanging_rate(self, gained: Enclosed) -> Enclosed:
-        """Return the derivative of the load of free cables.
+    def _hanging_rate(self, growth: Enclosed) -> Enclosed:
+        """Return the derivative of the load of hanging cables.
 
-        ``(coth σ - 1/σ) σ̇ = Λ̇/Λ - ṡ/s``, s the ends' distance as seen from above, h their height
-        difference and ``Λ² = L² - h²``; 1/σ falls by ``σ̇/σ²`` and coth σ by ``σ̇/sinh² σ``.
+        ``(coth σ - 1/σ) σ̇ = Λ̇/Λ - ṡ/s``, s the ends' horizontal distance, h their height difference
+        and ``Λ² = L² - h²``; the rates of 1/σ and coth σ are ``-σ̇/σ²`` and ``-σ̇/sinh² σ``.
         """
-        moved = Enclosed(self.read(rate(self.source, partners)), ROUNDING)
+        velocity = Enclosed(self.read(rate(self.source, partners)), ROUNDING)
         inward, downward = self.pull_terms
-        across, rise = self.partner.level, self.partner[2]
-        widening = across.dot(moved.level).range * _inverse_square(across.norm_range)
+        horizontal, rise = self.partner.xy, self.partner[2]
+        widening = horizontal.dot(velocity.xy).range * _inverse_square(horizontal.norm_range)
         heights = rise.norm_range
-        whole = (level_length(each, self.length) for each in (heights.high, heights.low))
-        lifting = (rise * moved[2]).range * _inverse_square(Interval(*whole))
+        lengths = (level_length(each, self.length) for each in (heights.high, heights.low))
+        lifting = (rise * velocity[2]).range * _inverse_square(Interval(*lengths))
         slope = Interval(downward.high - inward.high, downward.low - inward.low)  # rises with σ
         falling = (widening + lifting) * slope.inverse  # -σ̇
         change = (
             falling * Interval(inward.low**2, inward.high**2),
             falling * Interval(downward.low**2 - 1.0, downward.high**2 - 1.0),
         )
-        lost = _pulled(self.partner, inward, downward, -gained)
-        lost = lost + _pulled(moved, inward, downward, self.slack_weight)
-        lost = lost + _pulled(self.partner, *change, self.slack_weight)
-        return -lost - (gained * self.length[:, None]).upward()
+        force_rate = _hanging_force(self.partner, inward, downward, -growth)
+        force_rate = force_rate + _hanging_force(velocity, inward, downward, self.slack_weight)
+        force_rate = force_rate + _hanging_force(self.partner, *change, self.slack_weight)
+        return -force_rate - (growth * self.length[:, None]).along_z()
 
     @cached_property
     def turning(self) -> Enclosed:
-        """ω = f × ḟ / |f|² [rad/s], about the axes across the thrust."""
-        own = self.moved(3) * self.mass
-        change = own + self.load_rate if self.source.team.has_cables else own
-        f, change = self.thrust.reduced(ORDER), change.reduced(ORDER)
-        ratio = (f.cross(change).reduced(ORDER) * f.norm.inverse).reduced(ORDER)
+        """ω = f × ḟ / |f|² [rad/s], about axes perpendicular to the thrust."""
+        own = self.motion_rate(3) * self.mass
+        thrust_rate = own + self.load_rate if self.source.team.has_cables else own
+        f, thrust_rate = self.thrust.reduced(ORDER), thrust_rate.reduced(ORDER)
+        ratio = (f.cross(thrust_rate).reduced(ORDER) * f.norm.inverse).reduced(ORDER)
         return ratio * f.norm.inverse
 
 
-def _pulled(offset: Enclosed, inward: Interval, downward: Interval, w: Enclosed) -> Enclosed:
-    """Return ``w (k x, k y, l z)`` of an offset."""
-    return vector(offset.level * inward.enclosed, offset[2] * downward.enclosed) * w
+def _hanging_force(offset: Enclosed, inward: Interval, downward: Interval, w: Enclosed) -> Enclosed:
+    """Return ``w (k x, k y, l z)`` of an offset (x, y, z)."""
+    return vector(offset.xy * inward.enclosed, offset[2] * downward.enclosed) * w
 
 
 class Hovering(Drones):
-    """Spans of drones, as if they hovered at their positions."""
+    """Spans of drones that hover at their positions."""
 
-    moving = False
+    is_moving = False
 
 
 class Points(MotionSpans):
@@ -279,44 +282,45 @@ class Points(MotionSpans):
 
 
 def steepness_of(offset: Enclosed, length: Array) -> Interval:
-    """Return the steepness of hanging cables of lengths (spans,) [m], given their ends' offsets."""
-    apart, heights = offset.level.norm_range, offset[2].norm_range
+    """Return the steepness of hanging cables of lengths (spans,) [m] with offsets of their ends."""
+    widths, heights = offset.xy.norm_range, offset[2].norm_range
     tiny = 1e-6 * length
     return Interval(
-        steepness(level_length(heights.high, length) / np.maximum(apart.high, tiny)),
-        steepness(level_length(heights.low, length) / np.maximum(apart.low, tiny)),
+        steepness(level_length(heights.high, length) / np.maximum(widths.high, tiny)),
+        steepness(level_length(heights.low, length) / np.maximum(widths.low, tiny)),
     )
 
 
 def _inverse_square(size: Interval) -> Interval:
-    return Interval(*(np.maximum(end, NEAREST) ** -2 for end in (size.high, size.low)))
+    return Interval(*(np.maximum(end, MIN_SPAN) ** -2 for end in (size.high, size.low)))
 
 
 def tilt(spans: Drones) -> Bound:
     """Return the angle of the thrust from +z [deg].
 
-    It is largest where the thrust rises least, and leads aside most, or least if it leads down.
+    It is largest at the smallest vertical component, with the largest horizontal one, or with the
+    smallest if the thrust points down.
     """
-    rise, level = spans.thrust[2].below.value, spans.thrust.level
-    most = level.norm_above
-    aside = np.where(rise >= 0.0, most.value, level.norm_below.value)
-    return Bound(np.degrees(np.arctan2(aside, rise)), most.x)
+    rise, xy = spans.thrust[2].lower.value, spans.thrust.xy
+    largest = xy.norm_upper
+    horizontal = np.where(rise >= 0.0, largest.value, xy.norm_lower.value)
+    return Bound(np.degrees(np.arctan2(horizontal, rise)), largest.x)
 
 
 def turning_rate(spans: Drones) -> Bound:
     """Return the body rate about x and y [deg/s]; infinite where a thrust may vanish."""
-    rates, known = spans.turning.norm_above, np.isfinite(spans.thrust.norm.inverse.r)
-    return Bound(np.where(known, np.degrees(rates.value) * (1.0 + ROUNDING), np.inf), rates.x)
+    rates, bounded = spans.turning.norm_upper, np.isfinite(spans.thrust.norm.inverse.r)
+    return Bound(np.where(bounded, np.degrees(rates.value) * (1.0 + ROUNDING), np.inf), rates.x)
 
 
 def _norm(spans: MotionSpans, order: int) -> Bound:
     """Return the norm of a derivative of a position by time."""
     part = spans.source.vertices if isinstance(spans, Points) else spans.source.drones
-    return spans.derivative(part, order).norm_above
+    return spans.derivative(part, order).norm_upper
 
 
 def _rate_rule(name: str, unit: str, order: int, over: type[MotionSpans] = Drones) -> CheckRule:
-    """Return the rule that holds the norm of a derivative against ``Limits.with_reserve.name``."""
+    """Return the rule that compares the norm of a derivative with ``Limits.with_reserve.name``."""
     limit_of = attrgetter(f"requirements.limits.with_reserve.{name}")
     largest = WorstOverSpans(over, partial(_norm, order=order), "max", 0.0)
     states = HITCHED_STATE if over is Points else frozenset(CableState)
@@ -325,7 +329,7 @@ def _rate_rule(name: str, unit: str, order: int, over: type[MotionSpans] = Drone
     return CheckRule(name, unit, "max", limit_of, evaluators, remedy, ease="time", derivative=order)
 
 
-FASTEST = WorstOverSpans(Drones, partial(_norm, order=1), "max", 0.0)
+LARGEST_SPEED = WorstOverSpans(Drones, partial(_norm, order=1), "max", 0.0)
 
 SPEED = _rate_rule("speed", "m/s", 1)
 ACCELERATION = _rate_rule("acceleration", "m/s²", 2)
@@ -333,14 +337,14 @@ JERK = _rate_rule("jerk", "m/s³", 3)
 VERTEX_SPEED = _rate_rule("vertex_speed", "m/s", 1, Points)
 
 
-def used_thrust(spans: Drones) -> Bound:
+def thrust_share(spans: Drones) -> Bound:
     """Return the thrust over the drone's ``max_thrust``."""
-    thrust = spans.thrust.norm_above
+    thrust = spans.thrust.norm_upper
     return Bound(thrust.value / spans.source.team.max_thrust[spans.item], thrust.x)
 
 
-USED_THRUST = WorstOverSpans(
-    Drones, used_thrust, "max", item_limits=lambda motion: motion.team.max_thrust
+THRUST_SHARE = WorstOverSpans(
+    Drones, thrust_share, "max", item_limits=lambda motion: motion.team.max_thrust
 )
 
 THRUST = CheckRule(
@@ -348,7 +352,7 @@ THRUST = CheckRule(
     "N",
     "max",
     lambda motion: float(np.max(motion.team.max_thrust)),
-    (Evaluator(USED_THRUST, exported=True, shown=(Drones.thrust, Drones.load)),),
+    (Evaluator(THRUST_SHARE, exported=True, formulas=(Drones.thrust, Drones.load)),),
     "give the drone more thrust, or lower team.tension",
     "give the drone more thrust, or lower team.cable_density",
     "tension",
@@ -379,7 +383,7 @@ BODY_RATE = CheckRule(
     lambda motion: (
         None if (limit := motion.requirements.limits.body_rate) is None else math.degrees(limit)
     ),
-    (Evaluator(TURNING_RATE, shown=(Drones.turning, Drones.load_rate)),),
+    (Evaluator(TURNING_RATE, formulas=(Drones.turning, Drones.load_rate)),),
     "raise limits.body_rate_deg",
     ease="time",
     derivative=3,
@@ -396,10 +400,10 @@ class Legs(MotionSpans):
 
 
 def _length(spans: Legs) -> Bound:
-    """Return the length of ``q_k - p_k`` or ``r_k - p_{k+1}`` [m], infinite at a chain's ends."""
-    lengths = Enclosed(spans.read(leg_vectors(spans.source)), spans.noise).norm_below
-    there = spans.source.team.layout.has_leg.ravel()[spans.item]
-    return Bound(np.where(there, lengths.value, np.inf), lengths.x)
+    """Return the length of ``q_k - p_k`` or ``r_k - p_{k+1}`` [m]; infinite at a chain's ends."""
+    lengths = Enclosed(spans.read(leg_vectors(spans.source)), spans.noise).norm_lower
+    exists = spans.source.team.layout.has_leg.ravel()[spans.item]
+    return Bound(np.where(exists, lengths.value, np.inf), lengths.x)
 
 
 LEGS = CheckRule(
@@ -418,11 +422,11 @@ def largest_rate(
     part: PiecewisePolynomial,
     order: int,
     limit: float = math.nan,
-    size: Callable[[Enclosed], Bound] = lambda rate: rate.norm_above,
+    size: Callable[[Enclosed], Bound] = lambda rate: rate.norm_upper,
 ) -> Extremum:
     """Return the largest norm, or other size, of a derivative by time of points (items, d).
 
-    The bound is as tight as needed to decide whether it satisfies the limit.
+    The bound is as tight as the comparison with the limit requires.
     """
     rates, margin = derivative(part, order), derivative_margin(part, order)
 
@@ -430,9 +434,9 @@ def largest_rate(
         return size(Enclosed(spans.read(rates), margin[spans.piece, spans.item]))
 
     spans = Spans.all_of(part, part.breaks, part.shape[0])
-    return worst(spans, formula, "max", target=within(limit, "max", 0.0, 0.5))
+    return worst(spans, formula, "max", target=with_tolerance(limit, "max", 0.0, 0.5))
 
 
 def largest_at_rest(motion: Motion, quantity: Callable[[Drones], Bound]) -> float:
-    """Return the largest ``tilt`` [deg], or ``used_thrust``, of drones that hover, for all t."""
+    """Return the largest ``tilt`` [deg] or ``thrust_share`` of hovering drones, for all t."""
     return worst(Hovering.of(motion), quantity, "max").worst

@@ -1,10 +1,10 @@
-"""Robots that join a ring, or leave it: pairs across the seam of two chapters, replayed by robot.
+"""Robots that join or leave a ring: ties of cables across the seam of two chapters.
 
-At a seam every drone goes on where it was, and every pair of cables keeps its tie. The newcomer,
-taut by itself, has come straight down on two cables that lie across each other at an open vertex,
-from above both, or has come up from below both; these are its neighbours, and their pair opens for
-good. Until one of their legs has rolled away they lie across each other beyond the newcomer's edge:
-the one that was on top stays so. Leaving is the same backward.
+At a seam, positions of drones are continuous and pairs of cables keep their ties. The new robot's
+cable, taut on its own, has come straight down onto two cables that cross at an open vertex, from
+above both, or straight up from below both. These are its neighbours, and their pair is dissolved.
+Until one of their legs has rolled away, these legs cross beyond the new robot's edge, and the upper
+one stays on top. Leaving is the reverse.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from hitchopt.checks.cables import end_thrusts
 from hitchopt.checks.clasps import Corner, cut_corners
 from hitchopt.checks.distances import (
     CROSSING,
-    SIDEWAYS,
-    TOUCHING,
+    MAX_SIDEWAYS,
+    MIN_GAP,
     Flags,
     distance,
     upright_pieces,
 )
-from hitchopt.checks.linking import BEFORE, JUMP, LAID, Ties, jump_of, wrong_cables
+from hitchopt.checks.linking import MAX_JUMP, MAX_LAID_GAP, UNLINKED, Ties, jump_of, wrong_cables
 from hitchopt.checks.rule import WorstCase
 from hitchopt.checks.spans import clasped_pairs, leg_vectors, position_margin, same_degree
 from hitchopt.hitch import GRAVITY
@@ -36,15 +36,19 @@ from hitchopt.trajectory.enclosed import Enclosed
 from hitchopt.values import Array, Indices
 
 HALVINGS = 4
-"""Number of halvings of a piece, on each part of which the side of a leg is enclosed."""
+"""Number of halvings of a piece before the side of a leg is enclosed on each part."""
 
 
 @dataclass(frozen=True, eq=False)
-class Lowered:
-    """Edges of a ring at rest over, or under, which a taut cable goes straight up or down.
+class VerticalPass:
+    """A taut cable that moves vertically above or below edges of a ring at rest.
 
-    ``pieces`` are those on which it does. ``edges`` (k,) cross it, seen from above, at ``points``
-    (k, 2) [m]; it is over them by ``gaps`` (k, pieces, degree + 1) [m], normal to both chords.
+    Attributes
+    ----------
+    pieces: pieces on which it moves vertically.
+    edges: (k,), edges that cross it, seen from above.
+    points: (k, 2) [m], crossing points.
+    gaps: (k, pieces, degree + 1) [m], distances above the edges, normal to both chords.
     """
 
     pieces: slice
@@ -53,76 +57,77 @@ class Lowered:
     gaps: Array
 
 
-def lowered_over(ring: Motion, alone: Motion) -> Iterator[Lowered]:
-    """Yield how a robot's taut cable moves over or under the edges of a ring, on common pieces."""
+def vertical_passes(ring: Motion, alone: Motion) -> Iterator[VerticalPass]:
+    """Yield the vertical passes of a robot's taut cable over or under a ring, on common pieces."""
     taut = alone.in_states(frozenset({CableState.LAYING}))
     resting = np.ones(len(taut), dtype=np.bool_)
     for curve in (ring.drones, ring.vertices):
-        resting &= np.max(np.ptp(curve.coefficients, axis=-1), axis=(1, 2)) <= SIDEWAYS
-    down = taut & resting & ring.formed & upright_pieces(alone)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], down, [False]])))
+        resting &= np.max(np.ptp(curve.coefficients, axis=-1), axis=(1, 2)) <= MAX_SIDEWAYS
+    vertical = taut & resting & ring.formed & upright_pieces(alone)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], vertical, [False]])))
     for first, last in edges.reshape(-1, 2).tolist():
-        yield _lowered(ring, alone, slice(first, last))
+        yield _vertical_pass(ring, alone, slice(first, last))
 
 
-def _lowered(ring: Motion, alone: Motion, pieces: slice) -> Lowered:
+def _vertical_pass(ring: Motion, alone: Motion, pieces: slice) -> VerticalPass:
     c, layout = alone.drones.coefficients[pieces], ring.team.layout
     q, r = c[0, :, :, 0]
     points = ring.vertices.coefficients[pieces.start, ..., 0]
     a, b = points[layout.starts], points[layout.ends]
-    along, way = b - a, r - q
-    turn = way[0] * along[:, 1] - way[1] * along[:, 0]
-    apart = a - q
+    along, direction = b - a, r - q
+    turn = direction[0] * along[:, 1] - direction[1] * along[:, 0]
+    offset = a - q
     with np.errstate(all="ignore"):
-        here = (apart[:, 0] * along[:, 1] - apart[:, 1] * along[:, 0]) / turn  # share of the cable
-        there = (apart[:, 0] * way[1] - apart[:, 1] * way[0]) / turn  # share of the edge
-    crossed = np.flatnonzero((here > 0.0) & (here < 1.0) & (there > 0.0) & (there < 1.0))
-    x, y = here[crossed], there[crossed]
+        x = (offset[:, 0] * along[:, 1] - offset[:, 1] * along[:, 0]) / turn  # along the cable
+        y = (offset[:, 0] * direction[1] - offset[:, 1] * direction[0]) / turn  # along the edge
+    crossed = np.flatnonzero((x > 0.0) & (x < 1.0) & (y > 0.0) & (y < 1.0))
+    x, y = x[crossed], y[crossed]
     cable = Catenary.between(q[None], r[None], alone.team.cable_length)
     depth = np.array([float(cable.depth(2.0 * share - 1.0)[0]) for share in x])
     spans = np.linalg.norm(along[crossed], axis=1)
     half = 0.5 * GRAVITY * ring.team.cable_density / ring.team.tension[crossed]
     level = a[crossed, 2] + y * along[crossed, 2] - half * y * (1.0 - y) * spans**2
     heights = (1.0 - x)[:, None, None] * c[:, 0, 2] + x[:, None, None] * c[:, 1, 2]
-    upright = np.abs(turn[crossed]) / np.linalg.norm(np.cross(way, along[crossed]), axis=1)
+    upright = np.abs(turn[crossed]) / np.linalg.norm(np.cross(direction, along[crossed]), axis=1)
     gaps = (heights - (depth + level)[:, None, None]) * upright[:, None, None]
-    return Lowered(pieces, crossed, q[:2] + x[:, None] * way[:2], gaps)
+    return VerticalPass(pieces, crossed, q[:2] + x[:, None] * direction[:2], gaps)
 
 
 def corner_side(motion: Motion, corner: Corner) -> int:
-    """Return 1 where the leg of the cable ahead stays above that of the one behind, -1 below; or 0.
+    """Return 1 if the leg of the cable ahead stays above that of the cable behind, -1 if below.
 
-    The legs' lines have a signed distance, whose numerator is ``d · (l × m)``, d between their
-    clasps: it may change its sign by LAID at most, unless the legs are apart.
+    The signed distance of the legs' lines has the numerator ``d · (l × m)``, d between their
+    clasps. It may change its sign by up to MAX_LAID_GAP, or if the legs are apart; else return 0.
     """
     legs, vertices = leg_vectors(motion)[corner.pieces], motion.vertices.coefficients
     behind, ahead = corner.clasps
-    apart = vertices[corner.pieces, ahead] - vertices[corner.pieces, behind]
-    parts = [legs[:, 2 * corner.behind + 1], legs[:, 2 * corner.ahead], apart]
+    offset = vertices[corner.pieces, ahead] - vertices[corner.pieces, behind]
+    parts = [legs[:, 2 * corner.behind + 1], legs[:, 2 * corner.ahead], offset]
     for _ in range(HALVINGS):
         parts = [np.concatenate(bernstein.halve(part)) for part in parts]
     one, other, between = (Enclosed(part, position_margin(motion)) for part in parts)
     normal = one.cross(other)
-    volume, within = between.dot(normal), LAID * normal.norm_below.value
+    volume, tolerance = between.dot(normal), MAX_LAID_GAP * normal.norm_lower.value
     middle = volume.middle[:, 0]
     side = int(np.sign(middle[np.argmax(np.abs(middle))]))
-    leg, its, start = same_degree(*parts)
-    first, second = (np.stack(ends, axis=1) for ends in ((0.0 * leg, leg), (start, start + its)))
-    clear = distance(first, second).value >= max(CROSSING.limit_of(motion) or 0.0, TOUCHING)
+    leg, other_leg, start = same_degree(*parts)
+    ends = (0.0 * leg, leg), (start, start + other_leg)
+    first, second = (np.stack(each, axis=1) for each in ends)
+    clear = distance(first, second).value >= max(CROSSING.limit_of(motion) or 0.0, MIN_GAP)
     low = volume.range.low if side > 0 else -volume.range.high
-    return side if np.all(clear | (low >= -within)) else 0
+    return side if np.all(clear | (low >= -tolerance)) else 0
 
 
-def interlaced(chapters: Sequence[Motion]) -> WorstCase:
-    """Return how many pairs of cables, or single ones, are not in the states of their phases."""
-    wrong = sorted(dict.fromkeys(_wrong(chapters)))
+def interlacing(chapters: Sequence[Motion]) -> WorstCase:
+    """Return the number of pairs of cables, or cables, that contradict the states of phases."""
+    errors = sorted(dict.fromkeys(_errors(chapters)))
     end = float(chapters[-1].drones.breaks[-1])
-    places = tuple(dict.fromkeys(place for _, place in wrong))
-    return WorstCase(float(len(places)), wrong[0][0] if wrong else end, places)
+    places = tuple(dict.fromkeys(place for _, place in errors))
+    return WorstCase(float(len(places)), errors[0][0] if errors else end, places)
 
 
-def _wrong(chapters: Sequence[Motion]) -> Iterator[tuple[float, str]]:
-    """Yield times [s] and places at which something contradicts a phase, or a seam."""
+def _errors(chapters: Sequence[Motion]) -> Iterator[tuple[float, str]]:
+    """Yield times [s] and names of cables that contradict a phase or a seam."""
     ties, last = None, len(chapters) - 1
     rings = [chapter.groups[0].motion for chapter in chapters]
     for i, ring in enumerate(rings):
@@ -133,95 +138,95 @@ def _wrong(chapters: Sequence[Motion]) -> Iterator[tuple[float, str]]:
         for _, pair, time in wrong_cables(ring, ties, before, after):
             k, j = divmod(pair, ring.team.robots)
             yield time, f"cable {ring.team.labels[k]}, cable {ring.team.labels[j]}"
-        passing, breaks = ring.in_states(frozenset({CableState.LYING})), ring.drones.breaks
+        lying, breaks = ring.in_states(frozenset({CableState.LYING})), ring.drones.breaks
         for corner in cut_corners(ring):
-            passing[corner.pieces] &= not (i > 0 if corner.first else i < last)
-        for piece in np.flatnonzero(passing).tolist():
+            lying[corner.pieces] &= not (i > 0 if corner.first else i < last)
+        for piece in np.flatnonzero(lying).tolist():
             yield float(breaks[piece]), "ring"
-        yield from _beside(chapters[i], (i > 0, i < last))
+        yield from _waiting_errors(chapters[i], (i > 0, i < last))
         if i < last:
             time = float(ring.drones.breaks[-1])
-            ties, places = _over_seam(chapters[i], chapters[i + 1], ties)
+            ties, places = _cross_seam(chapters[i], chapters[i + 1], ties)
             yield from ((time, place) for place in places)
 
 
-def _beside(chapter: Motion, seams: tuple[bool, bool]) -> Iterator[tuple[float, str]]:
-    """Yield robots that wait otherwise than said, or whose cable meets an edge.
+def _waiting_errors(chapter: Motion, seams: tuple[bool, bool]) -> Iterator[tuple[float, str]]:
+    """Yield waiting robots that contradict their phases, or whose cables touch an edge.
 
-    It may touch edges over, or under, which it goes straight up or down next to a seam.
+    Next to a seam, a cable may touch edges that it passes vertically.
     """
     ring = chapter.groups[0].motion
-    least = max(CROSSING.limit_of(ring) or 0.0, TOUCHING)
+    min_gap = max(CROSSING.limit_of(ring) or 0.0, MIN_GAP)
     for alone in (each.motion for each in chapter.groups[1:]):
         name = f"cable {alone.team.labels[0]}"
         for _, _, time in wrong_cables(alone, Ties.at_start(alone)):
             yield time, name
-        for each in lowered_over(ring, alone):
-            away = np.where(_far_first(each), each.gaps[:, 0, 0], each.gaps[:, -1, -1])
-            side, pieces = np.sign(away), each.pieces
+        for each in vertical_passes(ring, alone):
+            far = np.where(_approaches(each), each.gaps[:, 0, 0], each.gaps[:, -1, -1])
+            side, pieces = np.sign(far), each.pieces
             low = np.min(side[:, None, None] * each.gaps, axis=(1, 2), initial=np.inf)
-            lies = (seams[0] and not pieces.start) or (
+            touches = (seams[0] and not pieces.start) or (
                 seams[1] and pieces.stop == alone.drones.pieces
             )
-            if np.any(np.abs(away) < least) or np.any(low < (-JUMP if lies else least)):
+            if np.any(np.abs(far) < min_gap) or np.any(low < (-MAX_JUMP if touches else min_gap)):
                 yield float(alone.drones.breaks[pieces.start]), name
 
 
-def _far_first(each: Lowered) -> Flags:
-    """Return (k,) whether the cable is farther from an edge at first than at last."""
+def _approaches(each: VerticalPass) -> Flags:
+    """Return whether the cable is farther from its edges at first than at last (k,)."""
     first, last = np.abs(each.gaps[:, 0, 0]), np.abs(each.gaps[:, -1, -1])
-    far: Flags = first > last
-    return far
+    return np.asarray(first > last)
 
 
-def _over_seam(here: Motion, there: Motion, ties: Ties) -> tuple[Ties, list[str]]:
-    """Return the ties of the ring after a seam, and what is wrong there."""
-    one, other = here.groups[0].motion, there.groups[0].motion
-    after, wrong = Ties.at_start(other), list[str]()
-    states = one.phases[-1].state, other.phases[0].state
-    if {*states} <= BEFORE:
+def _cross_seam(before: Motion, after: Motion, ties: Ties) -> tuple[Ties, list[str]]:
+    """Return the ties of the ring after a seam, and the names of contradictions."""
+    ring, other = before.groups[0].motion, after.groups[0].motion
+    result, errors = Ties.at_start(other), list[str]()
+    states = ring.phases[-1].state, other.phases[0].state
+    if {*states} <= UNLINKED:
         laying = [
             f"cable {each.motion.team.labels[0]}"
-            for each in (*here.groups[1:], *there.groups[1:])
-            if each.motion.phases[0 if each in there.groups else -1].state is CableState.LAYING
+            for each in (*before.groups[1:], *after.groups[1:])
+            if each.motion.phases[0 if each in after.groups else -1].state is CableState.LAYING
         ]
-        return after, laying
-    joins = len(other.team.labels) > len(one.team.labels)
-    less, more = (one, other) if joins else (other, one)
-    new = {*more.team.labels} - {*less.team.labels}
-    wanted = (CableState.ROLLING, CableState.LYING)
-    if len(new) != 1 or states != (wanted if joins else wanted[::-1]):
-        return after, [f"cable {k}" for k in {*one.team.labels} ^ {*other.team.labels}] or ["ring"]
+        return result, laying
+    joins = len(other.team.labels) > len(ring.team.labels)
+    smaller, larger = (ring, other) if joins else (other, ring)
+    new = {*larger.team.labels} - {*smaller.team.labels}
+    required = (CableState.ROLLING, CableState.LYING)
+    if len(new) != 1 or states != (required if joins else required[::-1]):
+        changed = {*ring.team.labels} ^ {*other.team.labels}
+        return result, [f"cable {k}" for k in changed] or ["ring"]
     (robot,) = new
-    at = more.team.labels.index(robot)
-    rest = (*more.team.labels[at + 1 :], *more.team.labels[:at])
-    start = less.team.labels.index(rest[0])
-    if (*less.team.labels[start:], *less.team.labels[:start]) != rest:
-        return after, [f"cable {k}" for k in rest]
+    index = larger.team.labels.index(robot)
+    rest = (*larger.team.labels[index + 1 :], *larger.team.labels[:index])
+    start = smaller.team.labels.index(rest[0])
+    if (*smaller.team.labels[start:], *smaller.team.labels[:start]) != rest:
+        return result, [f"cable {k}" for k in rest]
     behind, ahead = rest[-1], rest[0]
-    known = _by_pair(one, ties)
-    chapter = here if joins else there
+    ties_of = _by_pair(ring, ties)
+    chapter = before if joins else after
     alone = next(g.motion for g in chapter.groups[1:] if g.motion.team.labels == (robot,))
-    side = _side(less, more, alone, (behind, robot, ahead), end=joins)
-    corners = [c for c in cut_corners(more) if c.first is joins]
-    corner = corner_side(more, corners[0]) if len(corners) == 1 else 0
+    side = _joining_side(smaller, larger, alone, (behind, robot, ahead), end=joins)
+    corners = [c for c in cut_corners(larger) if c.first is joins]
+    corner = corner_side(larger, corners[0]) if len(corners) == 1 else 0
     pairs = {(behind, robot): (0, 0, side), (robot, ahead): (0, 0, -side)}
     if joins:
-        wrong += [] if side else [f"cable {robot}"]
-        wrong += [] if corner and known[behind, ahead][2] == corner else [f"cable {ahead}"]
+        errors += [] if side else [f"cable {robot}"]
+        errors += [] if corner and ties_of[behind, ahead][2] == corner else [f"cable {ahead}"]
     else:
-        wrong += [f"cable {a}" for (a, b), (*_, lies) in pairs.items() if known[a, b][2] != lies]
-        wrong += [] if side and corner else [f"cable {robot}"]
+        errors += [f"cable {a}" for (a, b), (*_, lies) in pairs.items() if ties_of[a, b][2] != lies]
+        errors += [] if side and corner else [f"cable {robot}"]
         pairs = {(behind, ahead): (0, 0, corner)}
     for k, pair in enumerate(_pairs(other)):
-        numbers = pairs.get(pair) or known.get(pair, (0, 0, 0))
-        after.numbers[k], after.senses[k], after.lying[k] = numbers
-    wrong += _moved(one, other)
-    return after, wrong
+        numbers = pairs.get(pair) or ties_of.get(pair, (0, 0, 0))
+        result.numbers[k], result.senses[k], result.lying[k] = numbers
+    errors += _displaced(ring, other)
+    return result, errors
 
 
 def _pairs(ring: Motion) -> list[tuple[int, int]]:
-    """Return the robots behind and ahead at every clasp, in the order of ties."""
+    """Return the robots behind and ahead of every clasp, in the order of ties."""
     layout, labels = ring.team.layout, ring.team.labels
     order = np.argsort(clasped_pairs(layout))
     both = zip(layout.behind[order].tolist(), layout.ahead[order].tolist(), strict=True)
@@ -229,52 +234,52 @@ def _pairs(ring: Motion) -> list[tuple[int, int]]:
 
 
 def _by_pair(ring: Motion, ties: Ties) -> dict[tuple[int, int], tuple[int, int, int]]:
-    """Return numbers, senses and what lies across, by the robots behind and ahead."""
+    """Return number, sense and ``lying`` of every tie, by the robots behind and ahead."""
     rows = zip(*(x.tolist() for x in (ties.numbers, ties.senses, ties.lying)), strict=True)
     return dict(zip(_pairs(ring), rows, strict=True))
 
 
-def _side(
-    less: Motion, more: Motion, alone: Motion, robots: tuple[int, int, int], *, end: bool
+def _joining_side(
+    smaller: Motion, larger: Motion, alone: Motion, robots: tuple[int, int, int], *, end: bool
 ) -> int:
-    """Return 1 where a robot lies on both of its neighbours at a seam, -1 under both; or 0.
+    """Return 1 if a robot lies on both of its neighbours at a seam, -1 if under both, else 0.
 
-    Its cable crosses no other edge, at the vertices that it has in the larger ring.
+    Its cable must cross no other edge, and cross these at its vertices in the larger ring.
     """
     pieces = alone.drones.pieces
     runs = [
         x
-        for x in lowered_over(less, alone)
+        for x in vertical_passes(smaller, alone)
         if (x.pieces.stop == pieces if end else not x.pieces.start)
     ]
-    labels = less.team.labels
-    wanted = {labels.index(robots[0]), labels.index(robots[2])}
-    if len(runs) != 1 or {*runs[0].edges.tolist()} != wanted:
+    labels = smaller.team.labels
+    neighbours = {labels.index(robots[0]), labels.index(robots[2])}
+    if len(runs) != 1 or {*runs[0].edges.tolist()} != neighbours:
         return 0
     (run,) = runs
     gaps = run.gaps[:, -1, -1] if end else run.gaps[:, 0, 0]
-    away = run.gaps[:, 0, 0] if end else run.gaps[:, -1, -1]
-    side = int(np.sign(away[0]))
-    at = more.team.labels.index(robots[1])
-    places = more.vertices.coefficients[0 if end else -1, :, :2, 0 if end else -1]
-    new = places[[at, (at + 1) % len(more.team.labels)]]
+    far = run.gaps[:, 0, 0] if end else run.gaps[:, -1, -1]
+    side = int(np.sign(far[0]))
+    index = larger.team.labels.index(robots[1])
+    points = larger.vertices.coefficients[0 if end else -1, :, :2, 0 if end else -1]
+    corners = points[[index, (index + 1) % len(larger.team.labels)]]
     order = [run.edges.tolist().index(labels.index(k)) for k in (robots[0], robots[2])]
-    near = np.max(np.linalg.norm(run.points[order] - new, axis=1)) <= LAID
-    close = np.max(np.abs(gaps)) <= LAID  # ``_beside`` follows who is above
-    return side if near and close and np.all(np.sign(away) == side) else 0
+    aligned = np.max(np.linalg.norm(run.points[order] - corners, axis=1)) <= MAX_LAID_GAP
+    touching = np.max(np.abs(gaps)) <= MAX_LAID_GAP  # ``_waiting_errors`` follows the sides
+    return side if aligned and touching and np.all(np.sign(far) == side) else 0
 
 
-def _moved(one: Motion, other: Motion) -> list[str]:
-    """Return the vertices of pairs in both rings that are elsewhere after a seam."""
-    places = dict[tuple[int, int], Array]()
-    for ring, index in ((one, -1), (other, 0)):
-        points = ring.vertices.coefficients[index, ..., index]
-        labels, layout = ring.team.labels, ring.team.layout
+def _displaced(ring: Motion, other: Motion) -> list[str]:
+    """Return the first vertex of a pair in both rings that jumps at a seam."""
+    points_of = dict[tuple[int, int], Array]()
+    for each, index in ((ring, -1), (other, 0)):
+        points = each.vertices.coefficients[index, ..., index]
+        labels, layout = each.team.labels, each.team.layout
         for k, a, b in zip(layout.clasps, layout.behind, layout.ahead, strict=True):
             pair = labels[a], labels[b]
-            if pair in places and np.max(np.abs(places[pair] - points[k])) > JUMP:
-                return [ring.team.point_names[k]]
-            places[pair] = points[k]
+            if pair in points_of and np.max(np.abs(points_of[pair] - points[k])) > MAX_JUMP:
+                return [each.team.point_names[k]]
+            points_of[pair] = points[k]
     return []
 
 
@@ -286,7 +291,7 @@ def jumps(motion: Motion, _: Sequence[Motion]) -> WorstCase:
 def jumps_of_thrust(motion: Motion, chapters: Sequence[Motion]) -> WorstCase:
     """Return the largest jump of a drone's thrust at a seam [N], beyond its cable's weight.
 
-    Cables that lie across each other may leave that to one another: how much is not known.
+    Crossing cables may transfer their weight to each other in unknown parts.
     """
     team, largest = motion.team, WorstCase(0.0, float(motion.drones.breaks[0]))
     if team.cable_density == 0.0:
@@ -295,7 +300,7 @@ def jumps_of_thrust(motion: Motion, chapters: Sequence[Motion]) -> WorstCase:
     for one, other in pairwise(chapters):
         sides = []
         for chapter, x in ((one, 1.0), (other, 0.0)):
-            found = dict[str, tuple[Array, float, int]]()
+            thrusts_of = dict[str, tuple[Array, float, int]]()
             for own in (each.motion for each in chapter.groups):
                 piece = slice(-1, None) if x else slice(0, 1)
                 index = own.drones.pieces - 1 if x else 0
@@ -304,11 +309,11 @@ def jumps_of_thrust(motion: Motion, chapters: Sequence[Motion]) -> WorstCase:
                 names = own.team.drone_names
                 for k, name in enumerate(names):
                     label = own.team.labels[k // 2]
-                    found[name] = thrusts[0, k], float(errors[0, k]), label
-            sides.append(found)
-        for name, (before, slop, label) in sides[0].items():
-            after, further, _ = sides[1][name]
-            jump = float(np.linalg.norm(after - before)) + slop + further - weight[label]
+                    thrusts_of[name] = thrusts[0, k], float(errors[0, k]), label
+            sides.append(thrusts_of)
+        for name, (before, error, label) in sides[0].items():
+            after, next_error, _ = sides[1][name]
+            jump = float(np.linalg.norm(after - before)) + error + next_error - weight[label]
             if jump > largest.worst:
                 largest = WorstCase(jump, float(other.drones.breaks[0]), (name,))
     return largest

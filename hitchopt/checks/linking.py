@@ -1,23 +1,23 @@
 """Checks of continuity, linking and duration: ``continuity``, ``interlacing``, ``duration``.
 
-``interlacing``: cables are in the states that phases state, from paths alone. The *crossing number*
-of two cables counts how often their chords have passed through each other, with signs. Free cables,
-on the ground or hanging, have 0. In a valid hitch, and while cables are being tightened, neighbours
-have ±1 (either sense of turning holds) and all others 0; clasping leads from the one to the other.
-An initial hitch is assumed to have been tied with every q going up first, which is 1. While it
-exists its cables cannot pass each other (checks ``equilibrium`` and ``crossing``), but their chords
-may: they are followed if cables are released later. Also, no drone may fly inside the hanging
+``interlacing``: cables are in the states of their phases, as derived from paths alone. The
+*crossing number* of two cables counts how often their chords have passed through each other, with
+signs. Free cables, on the ground or hanging, have 0. In a valid hitch, and while cables are being
+tightened, neighbours have ±1 (either sense of turning holds) and all others 0; clasping leads from
+0 to ±1. An initial hitch is assumed to have been tied with every q going up first, which is 1.
+Cables of a hitch cannot pass each other (checks ``equilibrium`` and ``crossing``), but their chords
+may: these are followed if cables are released later. Also, no drone may fly inside the hanging
 cable of another.
 
-A *chord* is the straight line between a cable's drones. Two chords meet only where the volume
-``(q_j - q_i) · ((r_i - q_i) × (r_j - q_j))`` vanishes. Time is halved until on every span of it the
-chords are certainly *apart*, or *across*: seen along one direction each crosses the other between
-its ends. Chords pass through each other only within spans across, as often, in sum, as the volume's
-sign changes; next to a span apart that sign is certain. So no root has to be found: chords that
-touch, rest in one plane at the moment of crossing, or turn back there are counted correctly.
+A *chord* is the straight line between a cable's drones. Two chords intersect only where the volume
+``(q_j - q_i) · ((r_i - q_i) × (r_j - q_j))`` vanishes. Time is halved until on every span the
+chords are certainly *apart*, or *across*: seen along some direction, each crosses the other between
+its ends. Chords pass through each other only within spans across, in total as often as the volume's
+sign changes; next to a span apart, that sign is certain. No root is computed: chords that touch,
+rest in one plane while crossing, or turn back there are counted correctly.
 
-The cable of a drone that flies through the *sheet* between a hanging cable and its chord is caught
-when both are drawn taut, although their chords need never have met.
+If a drone flies through the *sheet* between a hanging cable and its chord, its cable is caught when
+both are drawn taut, although the chords may never have intersected.
 """
 
 from __future__ import annotations
@@ -28,22 +28,21 @@ from itertools import groupby
 
 import numpy as np
 
-from hitchopt.checks.cables import LENGTH_LIMIT as SLACK
-from hitchopt.checks.cables import TENSION_LIMIT
-from hitchopt.checks.clasps import OPEN_STATES, ROLLED, turns
+from hitchopt.checks.cables import LENGTH_LIMIT, TENSION_LIMIT
+from hitchopt.checks.clasps import OPEN_ROLL, OPEN_STATES, roll_changes
 from hitchopt.checks.clearance import above_ground, cables_and_drones, chains
 from hitchopt.checks.distances import (
     CROSSING,
-    SIDEWAYS,
-    TOUCHING,
+    MAX_SIDEWAYS,
+    MIN_GAP,
     Flags,
     Moving,
     PairSpans,
     cable_ends,
-    near,
+    near_pairs,
     upright_pieces,
 )
-from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase, summed, worst_at_joint
+from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase, accumulated, worst_at_joint
 from hitchopt.checks.spans import (
     PART_NAMES,
     clasped_pairs,
@@ -67,16 +66,17 @@ from hitchopt.trajectory.enclosed import Enclosed
 from hitchopt.trajectory.search import batches
 from hitchopt.values import Array, Indices
 
-APART = 1e-6  # chords at least so far apart do not touch, drones so far from a sheet are off it [m]
-MAX_HALVINGS = 30  # spans halved so often, and still open: a chord runs into another one's end
+MIN_DISTANCE = 1e-6  # [m] of chords that do not touch, and of drones outside sheets
+MAX_HALVINGS = 30  # Spans still open after these: a chord touches another one's end
 
 
 @dataclass(frozen=True, eq=False)
 class Crossings:
-    """Crossings of the chords of pairs of cables first < second; pairs not listed have none.
+    """Crossings of the chords of pairs of cables first < second; other pairs have none.
 
     Chords passed through each other ``count`` times, with signs, the last time about ``time`` [s].
-    The count is not ``certain`` if an end ran into a chord, or if they touch at the end of time.
+    The count is not ``certain`` if an end touched a chord, or if chords touch at either end of the
+    motion.
     """
 
     first: Indices
@@ -86,79 +86,79 @@ class Crossings:
     time: Array
 
 
-def _undecided(moving: Moving, decided: Callable[[PairSpans], Flags]) -> tuple[Indices, Array]:
+def _open_pairs(moving: Moving, decided: Callable[[PairSpans], Flags]) -> tuple[Indices, Array]:
     """Return the pairs that may touch, and the times [s] near which they stay undecided.
 
-    Other spans are halved until decided, except of pairs that are undecided at mid time itself:
-    chords that overlap for a while would be halved into 2**MAX_HALVINGS spans.
+    Other spans are halved until decided, except those of pairs that are undecided at mid time:
+    chords that overlap for a while would lead to 2**MAX_HALVINGS spans.
     """
 
-    def left(spans: PairSpans) -> PairSpans:
+    def undecided(spans: PairSpans) -> PairSpans:
         flags = [np.zeros(0, np.bool_), *(decided(batch) for batch in batches(spans))]
         return spans.take(~np.concatenate(flags))
 
     items, times = [np.zeros(0, dtype=np.intp)], [np.zeros(0)]
 
-    def note(spans: PairSpans) -> None:
+    def record(spans: PairSpans) -> None:
         items.append(spans.item)
         times.append(spans.times(np.zeros(len(spans))))
 
-    for whole in near(moving, lambda: 2.0 * APART):
+    for whole in near_pairs(moving, lambda: 2.0 * MIN_DISTANCE):
         spans = whole.take(slice(0, 0 if whole.points else None))
         for _ in range(MAX_HALVINGS):
             if not len(spans):
                 break
             check_time()
-            spans = left(spans)
-            note(left(spans.at(np.full(len(spans), 0.5))))
+            spans = undecided(spans)
+            record(undecided(spans.at(np.full(len(spans), 0.5))))
             spans = spans.take(~np.isin(spans.item, items[-1])).halves()
-        note(spans)
+        record(spans)
     return np.concatenate(items), np.concatenate(times)
 
 
 def chord_crossings(drones: PiecewisePolynomial) -> Crossings:
     """Return the crossings of the chords of drones q0, r0, q1, … of shape (2n, 3) [m]."""
     moving = Moving(drones.breaks, cable_ends(drones.coefficients))
-    rows = [np.zeros((5, 0))]  # pairs, when they may have met, and the volume's sign before, after
+    events = [np.zeros((5, 0))]  # pair, start, end, sign of the volume before and after
 
     def decided(spans: PairSpans) -> Flags:
         chords = np.concatenate(spans.ends, axis=1)
-        apart, across = _apart(chords), _across(chords)
-        met = spans.take(across & ~apart)
-        if len(met) and not spans.points:
-            ends = [met.at(np.full(len(met), x)) for x in (0.0, 1.0)]
+        separated, across = _are_separated(chords), _are_crossing(chords)
+        crossing = spans.take(across & ~separated)
+        if len(crossing) and not spans.points:
+            ends = [crossing.at(np.full(len(crossing), x)) for x in (0.0, 1.0)]
             signs = [_sign(np.concatenate(each.ends, axis=1)[..., 0]) for each in ends]
-            rows.append(
-                np.stack([met.item, *(each.times(np.zeros(len(each))) for each in ends), *signs])
-            )
-        return apart | across
+            times = [each.times(np.zeros(len(each))) for each in ends]
+            events.append(np.stack([crossing.item, *times, *signs]))
+        return separated | across
 
-    open_, opened = _undecided(moving, decided)
-    item, begin, end, before, after = np.concatenate(rows, axis=1)
-    pairs, index = np.unique(np.concatenate([item, open_]).astype(np.intp), return_inverse=True)
-    here, there = index[: len(item)], index[len(item) :]
-    twice = np.bincount(here, after - before, len(pairs))
-    unsure = (before == 0) & (begin <= drones.breaks[0] + JOINT)
-    unsure |= (after == 0) & (end >= drones.breaks[-1] - JOINT)
+    open_items, open_times = _open_pairs(moving, decided)
+    item, begin, end, before, after = np.concatenate(events, axis=1)
+    items = np.concatenate([item, open_items]).astype(np.intp)
+    pairs, index = np.unique(items, return_inverse=True)
+    event_index, open_index = index[: len(item)], index[len(item) :]
+    twice = np.bincount(event_index, after - before, len(pairs))
+    ambiguous = (before == 0) & (begin <= drones.breaks[0] + JOINT)
+    ambiguous |= (after == 0) & (end >= drones.breaks[-1] - JOINT)
     certain = twice % 2 == 0
-    certain[here[unsure]] = certain[there] = False
+    certain[event_index[ambiguous]] = certain[open_index] = False
     time = np.zeros(len(pairs))
-    np.maximum.at(time, index, np.concatenate([end, opened]))
-    some = ~certain | (twice != 0)
-    first, second = np.divmod(pairs[some], moving.count)
-    return Crossings(first, second, twice[some].astype(np.intp) // 2, certain[some], time[some])
+    np.maximum.at(time, index, np.concatenate([end, open_times]))
+    reported = ~certain | (twice != 0)
+    first, second = np.divmod(pairs[reported], moving.count)
+    count = twice[reported].astype(np.intp) // 2
+    return Crossings(first, second, count, certain[reported], time[reported])
 
 
-def _apart(chords: Array) -> Flags:
-    """Return on which spans chords certainly do not touch, as seen along one direction."""
+def _are_separated(chords: Array) -> Flags:
+    """Return on which spans a plane separates two chords for certain."""
     differences = Enclosed(chords[:, [0, 0, 1, 1]]) - Enclosed(chords[:, [2, 3, 2, 3]])
     along = unit(shortest_offset(differences.middle))
-    apart: Flags = np.min(differences.dot(along[:, None]).below.value, axis=1) > APART
-    return apart
+    return np.asarray(np.min(differences.dot(along[:, None]).lower.value, axis=1) > MIN_DISTANCE)
 
 
-def _across(chords: Array) -> Flags:
-    """Return on which spans, seen along one direction, each chord crosses the other for certain."""
+def _are_crossing(chords: Array) -> Flags:
+    """Return on which spans, seen along some direction, two chords cross for certain."""
     qi, ri, qj, rj = (Enclosed(chords[:, k]) for k in range(4))
     normal = Enclosed.of(unit(np.cross((ri - qi).middle, (rj - qj).middle)))
     crossing = np.ones(len(chords), dtype=np.bool_)
@@ -170,60 +170,60 @@ def _across(chords: Array) -> Flags:
 
 
 def _sign(chords: Array) -> Array:
-    """Return the sign of the volume of chords (k, 4, 3) that are certainly apart, else 0."""
+    """Return the sign of the volume of chords (k, 4, 3) if they are certainly apart, else 0."""
     qi, ri, qj, rj = np.moveaxis(chords, 1, 0)
     normal = np.cross(ri - qi, rj - qj)
     height = np.sum((qj - qi) * normal, axis=-1)
-    sign: Array = np.sign(height) * (np.abs(height) > 0.5 * APART * np.linalg.norm(normal, axis=-1))
-    return sign
+    separated = np.abs(height) > 0.5 * MIN_DISTANCE * np.linalg.norm(normal, axis=-1)
+    return np.asarray(np.sign(height) * separated)
 
 
 def drones_inside_hanging_cables(motion: Motion) -> tuple[Indices, Indices, Array]:
-    """Return drones that may fly inside other hanging cables, these cables, and when [s]."""
+    """Return drones that may fly inside other hanging cables, these cables, and times [s]."""
     moving = cables_and_drones(motion)
-    item, time = _undecided(moving, _off)
+    item, time = _open_pairs(moving, _outside_sheet)
     pairs, first = np.unique(item, return_index=True)
     cable, drone = np.divmod(pairs, moving.count)
     return drone, cable, time[first]
 
 
-def _off(spans: PairSpans) -> Flags:
-    """Return on which spans one direction separates a drone from the sheet between q and r.
+def _outside_sheet(spans: PairSpans) -> Flags:
+    """Return on which spans a plane separates a drone from the sheet of a hanging cable.
 
-    A sheet is convex: a point on one side of all of its corners is off it.
+    The sheet is convex: a point on one side of all of its corners is outside.
     """
     ends, drone = spans.ends
-    points, off = chains(ends[:, 0], ends[:, 1], spans.lengths)
-    apart = Enclosed(drone - points)
-    # Towards the nearest side of the sheet: one of its links, or the chord.
-    ring = np.concatenate([apart.middle, apart.middle[:, :1]], axis=1)
-    offsets = shortest_offset(np.stack([ring[:, :-1], ring[:, 1:]], axis=2))
-    nearest = np.argmin(np.linalg.norm(offsets, axis=-1), axis=1)
-    edgewise = np.take_along_axis(offsets, nearest[:, None, None], axis=1)[:, 0]
+    points, tolerance = chains(ends[:, 0], ends[:, 1], spans.lengths)
+    offsets = Enclosed(drone - points)
+    # Direction of the nearest side of the sheet: one of its links, or the chord.
+    ring = np.concatenate([offsets.middle, offsets.middle[:, :1]], axis=1)
+    directions = shortest_offset(np.stack([ring[:, :-1], ring[:, 1:]], axis=2))
+    nearest = np.argmin(np.linalg.norm(directions, axis=-1), axis=1)
+    edgewise = np.take_along_axis(directions, nearest[:, None, None], axis=1)[:, 0]
     chord = ring[:, 0] - ring[:, -2]
     sideways = np.column_stack([-chord[:, 1], chord[:, 0], np.zeros(len(chord))])
     sideways *= np.sign(np.sum(sideways * ring[:, 0], axis=1))[:, None]
-    sure = np.zeros(len(spans), dtype=np.bool_)
-    for towards in (edgewise, sideways):
-        along = unit(towards)
-        least = np.min(apart.dot(along[:, None]).below.value, axis=1)
-        # The cable is off its links upward or downward only.
-        sure |= least > APART + np.abs(along[:, 2]) * np.max(off, axis=1)
-    return sure
+    outside = np.zeros(len(spans), dtype=np.bool_)
+    for direction in (edgewise, sideways):
+        along = unit(direction)
+        smallest = np.min(offsets.dot(along[:, None]).lower.value, axis=1)
+        # The cable deviates from its links only vertically.
+        outside |= smallest > MIN_DISTANCE + np.abs(along[:, 2]) * np.max(tolerance, axis=1)
+    return outside
 
 
-LAID = 0.02  # [m] Largest distance of cables that lie on one another: their sags differ
-JUMP = 1e-6  # [m], [m/s], [m/s²] Largest sum of jumps, far below what a drone can follow
-# States in which neighbours have the crossing number 0; in clasping it changes, else it is 1
-BEFORE = frozenset({CableState.GROUND, CableState.FREE})
+MAX_LAID_GAP = 0.02  # [m] Largest distance of cables that lie on each other: their sags differ
+MAX_JUMP = 1e-6  # [m], [m/s], [m/s²] Largest sum of jumps, far below what a drone can follow
+# States in which neighbours have the crossing number 0; it changes in clasping, and then is 1
+UNLINKED = frozenset({CableState.GROUND, CableState.FREE})
 LAID_STATES = OPEN_STATES | {CableState.LAYING}  # followed by half crossings
 MAX_NAMED = 12  # maximum number of pairs in ``where``
-MAX_DRIFT = 1e-3  # [m] Largest motion of the middle of two drones that turn about each other
-LAST_DRIFT = 1e-4  # [m] Largest change of legs beyond that of their sag, while they roll
-MAX_PASSED = 0.02  # [m] Largest change of legs as cables that lie across pass weight
+MAX_DRIFT = 1e-3  # [m] Largest motion of the midpoint of two drones that turn about each other
+MAX_LEG_DRIFT = 1e-4  # [m] Largest change of legs beyond that of their sag, while they roll
+MAX_LEG_CHANGE = 0.02  # [m] Largest change of legs as crossing cables pass weight to each other
 MAX_TAUT_SHARE = 0.5  # largest share of a tightening phase with cables at their full length:
 # tightening comes to rest there, which takes a few hundredths of its time
-PROBES = np.linspace(0.0, 1.0, 9)  # places on a piece, one of which shows that cables are slack
+PROBES = np.linspace(0.0, 1.0, 9)  # points of a piece, one of which shows that cables are slack
 
 
 def _largest_jump(motion: Motion, _: float) -> WorstCase:
@@ -243,7 +243,7 @@ def _largest_jump(motion: Motion, _: float) -> WorstCase:
 def jump_of(
     motion: Motion, parts: Sequence[tuple[PiecewisePolynomial, Sequence[str]]]
 ) -> WorstCase:
-    """Return the largest sum of jumps of curves on a motion's breaks, whose items have names."""
+    """Return the largest sum of jumps of curves with named items, on a motion's breaks."""
     cases = [WorstCase(0.0, float(motion.drones.breaks[0]))]
     for part, names in parts:
         for order in range(3):
@@ -251,15 +251,15 @@ def jump_of(
             left, right = rates[..., 0], rates[..., -1]
             margin = derivative_margin(part, order)
             noise = margin[1:] + margin[:-1] if order else position_margin(motion)
-            jumps = summed(length(left[1:] - right[:-1]), 1e-3 * JUMP) + noise
+            jumps = accumulated(length(left[1:] - right[:-1]), 1e-3 * MAX_JUMP) + noise
             cases.append(worst_at_joint(jumps, part.breaks[1:], names))
     return max(cases, key=lambda case: case.worst)
 
 
-JUMPS = Evaluator(_largest_jump, shown=(_largest_jump,))
+JUMPS = Evaluator(_largest_jump, formulas=(_largest_jump,))
 
-# No jumps at joints of pieces, however many there are
-CONTINUITY = CheckRule("continuity", "m", "max", JUMP, (JUMPS,), whole=True)
+# No jumps at joints of pieces
+CONTINUITY = CheckRule("continuity", "m", "max", MAX_JUMP, (JUMPS,), whole=True)
 
 
 DURATION = CheckRule(
@@ -271,105 +271,106 @@ DURATION = CheckRule(
     "raise limits.duration, or the limits of motion",
     whole=True,
 )
-"""Duration of the plan, without a margin: the difference of two stored numbers."""
+"""Duration of the plan, exact: the difference of two stored numbers."""
 
 
-def _interlaced(motion: Motion, _: float) -> WorstCase:
-    """Return the number of pairs of cables, or single cables, not in the state of their phase."""
+def _interlacing_errors(motion: Motion, _: float) -> WorstCase:
+    """Return the number of pairs of cables, or cables, that contradict the state of their phase."""
     first, index_of = dict[int, tuple[float, int]](), motion.phases.index
-    passing = [each for each in motion.phases if each.state is CableState.LYING]  # none joins here
-    alone = range(0, motion.team.robots**2, motion.team.robots + 1)
-    wrong = [*wrong_cables(motion, Ties.at_start(motion))]
-    for phase, pair, time in (*wrong, *((each, k, each.start) for each in passing for k in alone)):
+    lying = [each for each in motion.phases if each.state is CableState.LYING]  # no robot joins
+    singles = range(0, motion.team.robots**2, motion.team.robots + 1)
+    errors = [*wrong_cables(motion, Ties.at_start(motion))]
+    for phase, pair, time in (*errors, *((each, k, each.start) for each in lying for k in singles)):
         first[pair] = min(first.get(pair, (np.inf, 0)), (time, index_of(phase)))
     if not first:
         return WorstCase(0.0, float(motion.drones.breaks[-1]))
-    named = sorted(first, key=lambda pair: (first[pair], pair))[:MAX_NAMED]
-    time, index = first[named[0]]
+    pairs = sorted(first, key=lambda pair: (first[pair], pair))[:MAX_NAMED]
+    time, index = first[pairs[0]]
     where = [f"phase {index} ({motion.phases[index].name})"]
-    where += [name for pair in named for name in _names(motion.team, pair)]
+    where += [name for pair in pairs for name in _names(motion.team, pair)]
     return WorstCase(float(len(first)), time, tuple(where))
 
 
 def wrong_cables(
     motion: Motion, ties: Ties, before: CableState | None = None, after: CableState | None = None
 ) -> Iterator[tuple[Phase, int, float]]:
-    """Yield phases, their wrong cables ``i n + i`` and pairs ``i n + j``, and times [s].
+    """Yield phases, cables ``i n + i`` or pairs ``i n + j`` that contradict them, and times [s].
 
-    ``ties`` are those at the start, and become those at the end; ``before`` and ``after`` are the
-    states of cables before and after the motion, None if nothing is known of it.
+    ``ties`` are those at the start, and are updated to those at the end. ``before`` and ``after``
+    are the states of cables before and after the motion, or None.
     """
-    for phase, pairs, times in _wrong(motion, ties, before, after):
+    for phase, pairs, times in _errors(motion, ties, before, after):
         for pair, time in zip(pairs.tolist(), np.broadcast_to(times, len(pairs)), strict=True):
             yield phase, pair, float(time)
 
 
-def _wrong(
+def _errors(
     motion: Motion, ties: Ties, before: CableState | None, after: CableState | None
 ) -> Iterator[tuple[Phase, Indices, Array | float]]:
-    """Yield phases, and for each all pairs that are wrong at once."""
+    """Yield phases with their contradicting pairs and times."""
     layout, numbers = motion.team.layout, ties.numbers
     clasped = np.sort(clasped_pairs(layout))
     runs = [
         (state, list(run))
         for state, run in groupby(phase_parts(motion), lambda p: _followed(p.phase))
     ]
-    around = [before, *(state for state, _ in runs), after]
+    neighbour_states = [before, *(state for state, _ in runs), after]
     for i, (state, parts) in enumerate(runs):
-        first, last, hitched = parts[0], parts[-1], state is CableState.HITCHED
+        first, last, is_hitched = parts[0], parts[-1], state is CableState.HITCHED
         ends = [float(part.motion.drones.breaks[-1]) for part in parts]
-        required = None if state is CableState.CLASPING else int(state not in BEFORE)
+        required = None if state is CableState.CLASPING else int(state not in UNLINKED)
         if required is not None and state not in LAID_STATES:
             start = float(first.motion.drones.breaks[0])
             yield first.phase, clasped[np.abs(numbers) != required], start
-        at_last = last.pieces.stop == motion.drones.pieces
-        if hitched:
+        is_last = last.pieces.stop == motion.drones.pieces
+        if is_hitched:
             ties.senses[:] = numbers
-        if hitched and at_last:  # loaded clasps and separated parts stay linked
+        if is_hitched and is_last:  # loaded clasps and separated parts stay linked
             continue
         span = motion.slice_pieces(
             slice(first.pieces.start, last.pieces.stop), [p.phase for p in parts]
         )
         if state in LAID_STATES:
-            follow = ties.laid if state is CableState.LAYING else ties.rolled
-            wrong = follow(span, around[i], around[i + 2])
+            update = ties.lay if state is CableState.LAYING else ties.roll
+            wrong = update(span, neighbour_states[i], neighbour_states[i + 2])
             yield last.phase, clasped[wrong], ends[-1]
             for part in parts:
-                yield part.phase, _contradicted(part.motion), float(part.motion.drones.breaks[0])
+                yield part.phase, _contradictions(part.motion), float(part.motion.drones.breaks[0])
             continue
-        met = chord_crossings(span.drones)
-        pairs = pair_of(layout, met.first, met.second)
-        known = np.isin(pairs, clasped)
-        bad = ~met.certain | (~known & (met.count != 0))
-        in_part = np.searchsorted(ends[:-1], met.time - JOINT)
-        np.add.at(numbers, np.searchsorted(clasped, pairs[known]), met.count[known])
-        if at_last:
+        crossings = chord_crossings(span.drones)
+        pairs = pair_of(layout, crossings.first, crossings.second)
+        is_neighbour = np.isin(pairs, clasped)
+        invalid = ~crossings.certain | (~is_neighbour & (crossings.count != 0))
+        part_index = np.searchsorted(ends[:-1], crossings.time - JOINT)
+        ties_index = np.searchsorted(clasped, pairs[is_neighbour])
+        np.add.at(numbers, ties_index, crossings.count[is_neighbour])
+        if is_last:
             required = 0
         if required is not None:
             yield last.phase, clasped[np.abs(numbers) != required], ends[-1]
         for index, part in enumerate(parts):
-            here = bad & (in_part == index)
-            yield part.phase, pairs[here], met.time[here]
-            if hitched:
+            selected = invalid & (part_index == index)
+            yield part.phase, pairs[selected], crossings.time[selected]
+            if is_hitched:
                 continue
-            yield part.phase, _contradicted(part.motion), float(part.motion.drones.breaks[0])
-            if state is not CableState.GROUND:  # on the ground drones stay clear as seen from above
+            yield part.phase, _contradictions(part.motion), float(part.motion.drones.breaks[0])
+            if state is not CableState.GROUND:  # there, drones keep a horizontal distance
                 drone, cable, time = drones_inside_hanging_cables(part.motion)
                 yield part.phase, pair_of(layout, drone // 2, cable), time
 
 
 def _followed(phase: Phase) -> CableState:
-    """Return the state as whose phases it is followed: lying across is a part of rolling."""
+    """Return the state that a phase is followed as: lying across is a part of rolling."""
     return CableState.ROLLING if phase.state is CableState.LYING else phase.state
 
 
 @dataclass(frozen=True, eq=False)
 class Ties:
-    """Ties of neighbours, each (clasps,) in the ``order`` of pairs; they change along a plan.
+    """Ties of neighbours, updated along a plan, each (clasps,) in the ``order`` of pairs.
 
-    Crossing numbers; the sense of a clasp, 1 or -1; and ``lying``, 1 where the cable ahead lies on
-    the one behind, -1 below it, 0 where they are apart or clasped. Pairs that lie across roll by
-    half a turn in the sense of that sign, which is then their crossing number.
+    They are crossing ``numbers``, ``senses`` of clasps, 1 or -1, and ``lying``: 1 where the cable
+    ahead lies on the one behind, -1 below it, 0 where they are apart or clasped. Pairs that lie
+    across roll by half a turn in the sense of that sign, which becomes their crossing number.
     """
 
     order: Indices
@@ -379,7 +380,7 @@ class Ties:
 
     @classmethod
     def at_start(cls, motion: Motion) -> Ties:
-        """Return the ties as a plan begins.
+        """Return the ties at the start of a plan.
 
         An initial hitch is assumed to be tied with every q going up first: 1 for neighbours.
         """
@@ -387,13 +388,14 @@ class Ties:
         numbers = np.full(len(order), int(motion.formed[0]), dtype=np.intp)
         return cls(order, numbers, numbers.copy(), 0 * numbers)
 
-    def laid(self, motion: Motion, before: CableState | None, after: CableState | None) -> Flags:
-        """Return (clasps,) the pairs that are not laid, or lifted, on a run of its pieces.
+    def lay(self, motion: Motion, before: CableState | None, after: CableState | None) -> Flags:
+        """Update the ties while cables are laid or lifted, and return invalid pairs (clasps,).
 
-        Where cables go straight up or down all neighbours cross, seen from above. They come down to
-        where they roll, or rise from there; the one that is above is so all the time.
+        While cables move vertically, all neighbours cross, seen from above. They come down before
+        they roll, or rise after that, and the upper one stays above.
         """
-        upright, least = upright_pieces(motion), max(CROSSING.limit_of(motion) or 0.0, TOUCHING)
+        upright = upright_pieces(motion)
+        min_gap = max(CROSSING.limit_of(motion) or 0.0, MIN_GAP)
         ties = before is CableState.ROLLING, after is CableState.ROLLING
         wrong: Flags = (self.numbers != 0) & (not ties[0])
         wrong |= (ties[0] and not upright[0]) or (ties[1] and not upright[-1])
@@ -401,69 +403,69 @@ class Ties:
         edges = np.flatnonzero(np.diff(np.concatenate([[False], upright, [False]])))
         for start, stop in edges.reshape(-1, 2).tolist():
             gaps = height_gaps(motion.slice_pieces(slice(start, stop), motion.phases))[self.order]
-            rises, comes = ties[0] and start == 0, ties[1] and stop == len(upright)
-            there, away = gaps[:, 0, 0], gaps[:, -1, -1]
-            there, away = (there, away) if rises else (away, there)
-            over = np.sign(np.nan_to_num(away)).astype(np.intp)
-            compared = ~np.isnan(away) | (rises or comes)  # at rest apart nothing crosses
-            wrong |= compared & ~(np.abs(away) >= least)
-            floor = np.full(len(away), least)
-            if rises or comes:
-                wrong |= ~(np.abs(there) <= LAID)
-                wrong |= rises & (over != self.lying)
-                floor, signs = over * there - JUMP, signs if rises else over
+            rising, descending = ties[0] and start == 0, ties[1] and stop == len(upright)
+            contact, clearance = gaps[:, 0, 0], gaps[:, -1, -1]
+            contact, clearance = (contact, clearance) if rising else (clearance, contact)
+            over = np.sign(np.nan_to_num(clearance)).astype(np.intp)
+            compared = ~np.isnan(clearance) | rising | descending  # at rest, nothing crosses
+            wrong |= compared & ~(np.abs(clearance) >= min_gap)
+            floor = np.full(len(clearance), min_gap)
+            if rising or descending:
+                wrong |= ~(np.abs(contact) <= MAX_LAID_GAP)
+                wrong |= rising & (over != self.lying)
+                floor, signs = over * contact - MAX_JUMP, signs if rising else over
             wrong |= compared & ~(np.min(over[:, None, None] * gaps, axis=(1, 2)) >= floor)
         self.numbers[:], self.lying[:] = 0, signs
         return wrong
 
-    def rolled(self, motion: Motion, before: CableState | None, after: CableState | None) -> Flags:
-        """Return (clasps,) the pairs that roll otherwise than by half a turn in the right sense.
+    def roll(self, motion: Motion, before: CableState | None, after: CableState | None) -> Flags:
+        """Update the ties while cables roll, and return invalid pairs (clasps,).
 
-        Pairs that are open when a plan begins are assumed to lie as they roll.
+        Pairs roll by half a turn, in the sense in which they lie. Pairs that are open at the start
+        of a plan are assumed to lie as they roll.
         """
-        start, change = (each[self.order] for each in turns(motion))
-        lies, wrong = np.abs(start) >= ROLLED, np.isnan(change)
+        start, change = (each[self.order] for each in roll_changes(motion))
+        crossed, wrong = np.abs(start) >= OPEN_ROLL, np.isnan(change)
         change = np.nan_to_num(change)
         if before is None:
-            self.lying[:] = np.where(lies, np.sign(change), 0)
-        wrong |= (lies != (self.lying != 0)) | (~lies & (np.abs(self.numbers) != 1))
-        self.senses[:] = np.where(lies, self.lying, self.senses)
-        opened = -180.0 * self.senses  # roll of a pair that lies across
-        start = np.where(lies, opened + (start - opened + 180.0) % 360.0 - 180.0, start)
-        across = np.abs(start + change - opened) <= 180.0 - ROLLED
-        wrong |= ~across & (np.abs(start + change) >= ROLLED)
-        wrong |= across & (after is CableState.HITCHED)
-        self.numbers[:] = np.where(lies, self.senses, self.numbers)
-        self.lying[:] = np.where(across, self.senses, 0)
+            self.lying[:] = np.where(crossed, np.sign(change), 0)
+        wrong |= (crossed != (self.lying != 0)) | (~crossed & (np.abs(self.numbers) != 1))
+        self.senses[:] = np.where(crossed, self.lying, self.senses)
+        open_roll = -180.0 * self.senses  # roll of a pair that lies across
+        start = np.where(crossed, open_roll + (start - open_roll + 180.0) % 360.0 - 180.0, start)
+        ends_crossed = np.abs(start + change - open_roll) <= 180.0 - OPEN_ROLL
+        wrong |= ~ends_crossed & (np.abs(start + change) >= OPEN_ROLL)
+        wrong |= ends_crossed & (after is CableState.HITCHED)
+        self.numbers[:] = np.where(crossed, self.senses, self.numbers)
+        self.lying[:] = np.where(ends_crossed, self.senses, 0)
         return wrong
 
 
 def height_gaps(motion: Motion) -> Array:
-    """Return by how much the cable ahead is above the one behind (clasps, pieces, degree + 1) [m].
+    """Return the height of cables ahead above those behind (clasps, pieces, degree + 1) [m].
 
-    At the crossing of their chords, seen from above, of cables that go straight up or down; nan
-    where they do not cross.
+    Cables move vertically. Heights are those at the crossing of their chords, seen from above; nan
+    if they do not cross.
     """
     layout, c = motion.team.layout, motion.drones.coefficients
     q, r = c[0, 0::2, :, 0], c[0, 1::2, :, 0]
     cables = Catenary.between(q, r, motion.team.cable_length)
     ahead, behind = layout.ahead, layout.behind
-    u, v, apart = (
+    u, v, offset = (
         (x[:, 0], x[:, 1]) for x in ((r - q)[ahead], (r - q)[behind], (q[behind] - q[ahead]))
     )
     turn = u[0] * v[1] - u[1] * v[0]
     with np.errstate(all="ignore"):
-        shares = [(apart[0] * w[1] - apart[1] * w[0]) / turn for w in (v, u)]
-    rises = c[:, 0::2, 2] - c[:1, 0::2, 2, :1]  # (pieces, n, degree + 1)
+        fractions = [(offset[0] * w[1] - offset[1] * w[0]) / turn for w in (v, u)]
+    lifts = c[:, 0::2, 2] - c[:1, 0::2, 2, :1]  # (pieces, n, degree + 1)
     heights = []
-    for cable, share in zip((ahead, behind), shares, strict=True):
-        mu = 2.0 * np.where((share > 0.0) & (share < 1.0), share, np.nan) - 1.0
-        whole = np.full(motion.team.robots, np.nan)
-        whole[cable] = mu
-        level = (q[:, 2] + 0.5 * (1.0 + whole) * (r - q)[:, 2] - cables.depth(whole))[cable]
-        heights.append(level[:, None, None] + np.moveaxis(rises[:, cable], 1, 0))
-    difference: Array = heights[0] - heights[1]
-    return difference
+    for cable, fraction in zip((ahead, behind), fractions, strict=True):
+        mu = 2.0 * np.where((fraction > 0.0) & (fraction < 1.0), fraction, np.nan) - 1.0
+        all_mu = np.full(motion.team.robots, np.nan)
+        all_mu[cable] = mu
+        level = (q[:, 2] + 0.5 * (1.0 + all_mu) * (r - q)[:, 2] - cables.depth(all_mu))[cable]
+        heights.append(level[:, None, None] + np.moveaxis(lifts[:, cable], 1, 0))
+    return np.asarray(heights[0] - heights[1])
 
 
 def _names(team: Team, pair: int) -> list[str]:
@@ -473,62 +475,62 @@ def _names(team: Team, pair: int) -> list[str]:
     return [f"cable {team.labels[k]}" for k in sorted({*divmod(pair, layout.robots)})]
 
 
-def _contradicted(motion: Motion) -> Indices:
-    """Return the cables and pairs, in a phase of one state, that are not in it.
+def _contradictions(motion: Motion) -> Indices:
+    """Return the cables and pairs that contradict the state of a motion with a single state.
 
-    Legs and tensions are zero without a hitch. On the ground no drone moves sideways, and some
+    Legs and tensions are zero without a hitch. On the ground, drones move only vertically, and some
     cable is closer to it than a hanging cable may be. In clasping, drones at a clasp turn about a
-    point at rest, and some chords meet. While tightened, cables are slack for most of the time.
-    Cables that are laid do not turn. Where they roll, vertices and legs rest, and unequal tensions,
-    loads and objects are not allowed.
+    fixed point, and some chords cross. In tightening, cables are slack for most of the time. Laid
+    cables do not turn. In rolling, vertices and legs are at rest; unequal tensions, loads and
+    objects are not allowed.
     """
     state, n = motion.phases[0].state, motion.team.robots
-    alone = np.arange(n) * (n + 1)
+    single = np.arange(n) * (n + 1)
     parts = [motion.legs.coefficients, motion.tensions.coefficients, motion.pulls.coefficients]
     sizes = [np.max(np.abs(c), axis=(0, -1)).reshape(n, -1) for c in parts]
-    told = np.any(np.concatenate(sizes, axis=1) > 0.0, axis=1) & ~motion.formed[0]
-    wrong = [alone[told]]
+    has_values = np.any(np.concatenate(sizes, axis=1) > 0.0, axis=1) & ~motion.formed[0]
+    invalid = [single[has_values]]
     if state is CableState.GROUND:
         level = motion.drones.coefficients[:, :, :2]
-        moved = np.ptp(level, axis=(0, -1)).reshape(n, -1)
-        wrong.append(alone[np.any(moved > SIDEWAYS, axis=1)])
+        moves = np.ptp(level, axis=(0, -1)).reshape(n, -1)
+        invalid.append(single[np.any(moves > MAX_SIDEWAYS, axis=1)])
         if above_ground(motion):
-            wrong.append(alone)
+            invalid.append(single)
     elif state is CableState.CLASPING:
         layout, c = motion.team.layout, motion.drones.coefficients
-        pairs, met = clasped_pairs(layout), chord_crossings(motion.drones)
+        pairs, crossings = clasped_pairs(layout), chord_crossings(motion.drones)
         middles = 0.5 * (c[:, 2 * layout.ahead] + c[:, 2 * layout.behind + 1])
-        moved = np.max(np.ptp(middles, axis=(0, -1)), axis=-1)
-        if np.any(np.isin(met.first * n + met.second, pairs)):
-            pairs = pairs[moved > MAX_DRIFT]
-        wrong.append(pairs)
+        moves = np.max(np.ptp(middles, axis=(0, -1)), axis=-1)
+        if np.any(np.isin(crossings.first * n + crossings.second, pairs)):
+            pairs = pairs[moves > MAX_DRIFT]
+        invalid.append(pairs)
     elif state is CableState.LAYING:
         offsets = motion.drones.coefficients[:, 1::2] - motion.drones.coefficients[:, 0::2]
-        wrong.append(alone[np.max(np.ptp(offsets, axis=(0, -1)), axis=-1) > SIDEWAYS])
+        invalid.append(single[np.max(np.ptp(offsets, axis=(0, -1)), axis=-1) > MAX_SIDEWAYS])
     elif state in OPEN_STATES:
         pulled = motion.pulls.coefficients.reshape(len(motion.drones.durations), n, 2, -1)
         loaded = any(phase.hold is not None for phase in motion.phases) or np.any(motion.team.load)
-        moved = np.max(np.ptp(motion.vertices.coefficients, axis=(0, -1))) > SIDEWAYS
+        moves = np.max(np.ptp(motion.vertices.coefficients, axis=(0, -1))) > MAX_SIDEWAYS
         lying, legs = state is CableState.LYING, motion.legs.coefficients
         sags = sag_factors(motion.team, motion.team.tension)[:, None] * np.max(legs, (0, -1)) ** 3
-        drift = MAX_PASSED if lying else sags + LAST_DRIFT
-        moved |= bool(np.any(np.ptp(legs, axis=(0, -1)) > drift))
-        moved |= np.max(np.abs(pulled - motion.tensions.coefficients[:, :, None])) > TENSION_LIMIT
-        start, change = turns(motion)
-        moved |= not np.any(np.abs([start, start + change]) >= ROLLED)  # nothing opens, or is open
-        moved |= lying and bool(np.any(np.abs(change) >= 180.0 - ROLLED))
-        if moved or loaded or np.ptp(motion.team.tension) > 0.0:
-            wrong.append(alone)
+        drift = MAX_LEG_CHANGE if lying else sags + MAX_LEG_DRIFT
+        moves |= bool(np.any(np.ptp(legs, axis=(0, -1)) > drift))
+        moves |= np.max(np.abs(pulled - motion.tensions.coefficients[:, :, None])) > TENSION_LIMIT
+        start, change = roll_changes(motion)
+        moves |= not np.any(np.abs([start, start + change]) >= OPEN_ROLL)  # no open clasp
+        moves |= lying and bool(np.any(np.abs(change) >= 180.0 - OPEN_ROLL))
+        if moves or loaded or np.ptp(motion.team.tension) > 0.0:
+            invalid.append(single)
     elif state is CableState.TIGHTENING and _taut_share(motion) > MAX_TAUT_SHARE:
-        wrong.append(alone)
-    return np.unique(np.concatenate(wrong))
+        invalid.append(single)
+    return np.unique(np.concatenate(invalid))
 
 
 def _taut_share(motion: Motion) -> float:
     """Return the share of time in which cables are not provably slack around the vertices.
 
-    Lengths are weighted by tensions: their sum is least where taut cables balance, so that no
-    choice of vertices hides cables at their full length.
+    Lengths are weighted by tensions: their sum is smallest where taut cables balance, so no choice
+    of vertices hides cables at their full length.
     """
     legs, edges = (
         bernstein.evaluate(vectors[None], PROBES[:, None, None, None])
@@ -536,8 +538,8 @@ def _taut_share(motion: Motion) -> float:
     )
     sag = sag_factors(motion.team, motion.team.tension)
     lengths = sum(cable_of(each, sag) for each in (edges, legs[:, :, 0::2], legs[:, :, 1::2]))
-    weights, full = motion.team.tension, motion.team.cable_length
-    taut = np.max(1.0 - lengths @ weights / float(full @ weights), axis=0) <= SLACK
+    weights, full_lengths = motion.team.tension, motion.team.cable_length
+    taut = np.max(1.0 - lengths @ weights / float(full_lengths @ weights), axis=0) <= LENGTH_LIMIT
     return float(np.sum(motion.drones.durations[taut]) / motion.duration)
 
 
@@ -548,7 +550,7 @@ INTERLACING = CheckRule(
     lambda motion: (
         None if motion.cable_states <= {CableState.HITCHED} or motion.team.robots == 1 else 0.0
     ),
-    (Evaluator(_interlaced, FREE_STATES | HITCHED_STATE),),
+    (Evaluator(_interlacing_errors, FREE_STATES | HITCHED_STATE),),
     "place the drones so that cables need not pass each other",
     whole=True,
 )

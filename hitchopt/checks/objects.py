@@ -1,12 +1,13 @@
 """Held objects: checks ``grip`` and ``support``, and points in the frames of objects.
 
-Edge k runs straight from ``p_k`` to where it meets the object, along ``â_k``, turns there by
-``θ_k``, seen from above, and runs straight on to ``p_{k+1}``, along ``b̂_k``. It pulls with ``T_k
-(b̂_k - â_k)``, and friction bears ``μ Σ T_k θ_k``: check ``grip``.
+Edge k is straight from ``p_k`` to the object, along ``â_k``, turns there by ``θ_k``, seen from
+above, and is straight to ``p_{k+1}``, along ``b̂_k``. It pulls with ``T_k (b̂_k - â_k)``, and
+friction carries up to ``μ Σ T_k θ_k``: check ``grip``.
 
-An object with its rim on clasps: the line of weight and inertia through the centre of mass c must
-meet the clasps' plane, h below it, within their polygon. Towards edge k with the inward normal n
-that is ``n·(c - p_k) - h n·a / (g + a_z)``, a the acceleration of c: check ``support``.
+For an object with its rim on clasps, the force line of weight and inertia through the centre of
+mass c must meet the clasps' plane, h below it, within their polygon. Its distance from edge k with
+the inward normal n is ``n·(c - p_k) - h n·a / (g + a_z)``, a the acceleration of c: check
+``support``.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.checks.certificate import within
+from hitchopt.checks.certificate import with_tolerance
 from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase
 from hitchopt.checks.spans import (
     ROUNDING,
@@ -32,10 +33,10 @@ from hitchopt.checks.spans import (
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.forces import chord_pull
-from hitchopt.motion.loads import centre_path, held_pieces, lowered, rim_drop, tautness
+from hitchopt.motion.loads import centre_path, held_pieces, reduce_constants, rim_drop, tautness
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, HoldBy, Motion
 from hitchopt.objects import Section, Slab, SolidObject
-from hitchopt.objects.placing import STILL, TOUCH, in_frame, surface_below
+from hitchopt.objects.placing import CONTACT_GAP, REST_DRIFT, in_frame, surface_below
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.enclosed import Bound, Enclosed, Interval, vector
 from hitchopt.trajectory.search import worst
@@ -44,57 +45,56 @@ from hitchopt.values import Array, Indices
 Mask = NDArray[np.bool_]
 
 GRIP_LIMIT = 1.5  # Slip load over load
-CONTACT = 2e-5  # [m] Edges lie on sections, and sections behind edges, this closely
-# [m] Arcs with shorter chords, far below a circle's radius, are their chords
-MIN_CHORD = 1e-9
-# An edge runs towards the object before it, and away behind it
+WRAP_GAP = 2e-5  # [m] Largest gap or overlap of an edge and the section it is wrapped around
+MIN_CHORD = 1e-9  # [m] Arcs with shorter chords are their chords
+# An edge leads to the object before it, and away from it behind it
 SIGNS = np.array([[1.0], [-1.0]])
 
 
-def for_each(value: Enclosed) -> Enclosed:
+def add_axis(value: Enclosed) -> Enclosed:
     """Return a value (…) with a new last leading axis (…, 1)."""
     return Enclosed(value.c[..., None, :, :], np.asarray(value.r)[..., None])
 
 
-def chosen(value: Enclosed, items: int | list[int]) -> Enclosed:
+def select(value: Enclosed, items: int | list[int]) -> Enclosed:
     """Return items of the last leading axis."""
     r = np.broadcast_to(value.r, value.c.shape[:-2])
     return Enclosed(value.c[..., items, :, :], r[..., items])
 
 
-def seen_from(pose: Enclosed, points: Enclosed) -> Enclosed:
+def in_object_frame(pose: Enclosed, points: Enclosed) -> Enclosed:
     """Return points (…, 3 components) [m] in the frames of objects.
 
-    Their poses are x, y, z [m], cosine and sine of yaw, and broadcast along missing axes.
+    Poses are x, y, z [m], cosine and sine of yaw; they broadcast along missing axes.
     """
     while pose.c.ndim < points.c.ndim:
-        pose = for_each(pose)
-    away = points - Enclosed(pose.c[..., :3, :], pose.r)
-    return vector(turned_back(away.level, Enclosed(pose.c[..., 3:, :])), away[2])
+        pose = add_axis(pose)
+    offsets = points - Enclosed(pose.c[..., :3, :], pose.r)
+    return vector(rotate_back(offsets.xy, Enclosed(pose.c[..., 3:, :])), offsets[2])
 
 
-def placed(pose: Enclosed, slab: Slab) -> Enclosed:
+def placed_corners(pose: Enclosed, slab: Slab) -> Enclosed:
     """Return corners (…, 1, 2 m) [m] of the core of an object's slab, those of its floor first."""
-    core, pose = slab.section.core, for_each(for_each(pose))
+    core, pose = slab.section.core, add_axis(add_axis(pose))
     heights = np.repeat([slab.lower, slab.upper], len(core))[:, None]
-    heading = Enclosed(pose.c[..., 3:, :] * [[1.0], [-1.0]])  # that of the world, from the object
-    level = turned_back(Enclosed.of(np.tile(core, (2, 1))), heading)
-    return vector(level, Enclosed.of(heights)) + Enclosed(pose.c[..., :3, :], pose.r)
+    heading = Enclosed(pose.c[..., 3:, :] * [[1.0], [-1.0]])  # of the world, in the object's frame
+    horizontal = rotate_back(Enclosed.of(np.tile(core, (2, 1))), heading)
+    return vector(horizontal, Enclosed.of(heights)) + Enclosed(pose.c[..., :3, :], pose.r)
 
 
-def turned_back(level: Enclosed, heading: Enclosed) -> Enclosed:
-    """Return level vectors (…, 2 components) as seen from bodies with headings (…, 2 components).
+def rotate_back(vectors: Enclosed, heading: Enclosed) -> Enclosed:
+    """Return horizontal vectors (…, 2 components) in frames with headings (…, 2 components).
 
-    A heading of polynomials is no unit vector: the error is added to the ball.
+    Polynomial headings are not exact unit vectors: the error is added to the ball.
     """
-    heading = Enclosed(lowered(heading.c), heading.r)
-    seen = vector(level.dot(heading), heading.cross(level))
-    return seen.widened(heading_error(heading) * (level.size + level.r))
+    heading = Enclosed(reduce_constants(heading.c), heading.r)
+    local = vector(vectors.dot(heading), heading.cross(vectors))
+    return local.widened(heading_error(heading) * (vectors.size + vectors.r))
 
 
 def heading_error(heading: Enclosed) -> Array:
-    """Return (…) a bound of ``|h| - 1`` of headings, which is less than ``|h|² - 1``."""
-    return (heading.dot(heading) - 1.0).norm_above.value
+    """Return a bound (…) of ``|h| - 1`` for headings h, which is less than ``|h|² - 1``."""
+    return (heading.dot(heading) - 1.0).norm_upper.value
 
 
 @cached
@@ -102,30 +102,30 @@ def centres(motion: Motion) -> PiecewisePolynomial:
     """Return the paths of all objects' centres of mass (objects, 3) [m]."""
     poses, bodies = motion.object_poses, motion.requirements.objects.values()
     paths = [centre_path(poses.coefficients[:, i], body) for i, body in enumerate(bodies)]
-    return poses.alike(np.stack(paths, axis=1))
+    return poses.replaced(np.stack(paths, axis=1))
 
 
 @cached
-def moving(motion: Motion) -> Mask:
-    """Return (pieces, objects) whether objects move."""
-    found: Mask = np.any(np.ptp(motion.object_poses.coefficients, axis=-1) > STILL, axis=-1)
-    return found
+def moving_objects(motion: Motion) -> Mask:
+    """Return on which pieces objects move (pieces, objects)."""
+    mask: Mask = np.any(np.ptp(motion.object_poses.coefficients, axis=-1) > REST_DRIFT, axis=-1)
+    return mask
 
 
-def carried(motion: Motion) -> Mask:
-    """Return (pieces, objects) whether objects move or are borne."""
-    found: Mask = moving(motion) | np.any(motion.object_shares.coefficients != 0.0, axis=-1)
-    return found
+def carried_objects(motion: Motion) -> Mask:
+    """Return on which pieces objects move or clasps carry them (pieces, objects)."""
+    mask: Mask = moving_objects(motion) | np.any(motion.object_shares.coefficients != 0.0, axis=-1)
+    return mask
 
 
 class Held(MotionSpans):
     """Spans of one object."""
 
     @classmethod
-    def of_object(cls, motion: Motion, index: int, on: Mask) -> Iterator[Self]:
-        """Yield the spans of whole pieces ``on`` (pieces,) of an object."""
-        own = np.arange(len(motion.requirements.objects)) == index
-        return cls.all_of(motion, motion.drones.breaks, len(own), on[:, None] & own)
+    def of_object(cls, motion: Motion, index: int, pieces: Mask) -> Iterator[Self]:
+        """Yield the spans of an object on whole pieces, by their mask (pieces,)."""
+        is_object = np.arange(len(motion.requirements.objects)) == index
+        return cls.all_of(motion, motion.drones.breaks, len(is_object), pieces[:, None] & is_object)
 
     @cached_property
     def body(self) -> SolidObject:
@@ -138,12 +138,12 @@ class Held(MotionSpans):
         return self.read(table, np.broadcast_to(every, (len(self), len(every))))
 
     @cached_property
-    def begun(self) -> Indices:
-        """Pieces with which the objects began to be carried (spans,); the spans' own if not."""
-        on = carried(self.source)
-        since = np.where(on & np.roll(on, 1, axis=0), 0, np.arange(len(on))[:, None])
-        begun: Indices = np.maximum.accumulate(since)[self.piece, self.item]
-        return begun
+    def start_pieces(self) -> Indices:
+        """(spans,) First pieces of the current holds; the spans' own if not carried."""
+        carried = carried_objects(self.source)
+        own = np.arange(len(carried))[:, None]
+        starts = np.where(carried & np.roll(carried, 1, axis=0), 0, own)
+        return np.asarray(np.maximum.accumulate(starts)[self.piece, self.item])
 
     @cached_property
     def pose(self) -> Enclosed:
@@ -151,7 +151,7 @@ class Held(MotionSpans):
         return Enclosed(self.read(self.source.object_poses.coefficients), self.noise)
 
     @cached_property
-    def pushed(self) -> Enclosed:
+    def acceleration(self) -> Enclosed:
         """Acceleration of the centre of mass [m/s²]."""
         return self.derivative(centres(self.source), 2)
 
@@ -161,8 +161,8 @@ class Held(MotionSpans):
         return Enclosed(self.read(self.source.object_shares.coefficients)[:, None])
 
 
-def gripping(motion: Motion) -> list[tuple[int, str, Mask]]:
-    """Return index and name of every gripped object, and (pieces,) whether it is gripped."""
+def gripped_objects(motion: Motion) -> list[tuple[int, str, Mask]]:
+    """Return index and name of every gripped object, and the mask of its pieces (pieces,)."""
     names = enumerate(motion.requirements.objects)
     held = [(index, name, held_pieces(motion, name, HoldBy.GRIP)) for index, name in names]
     return [each for each in held if np.any(each[2])]
@@ -186,9 +186,9 @@ class Gripped(Held):
 
     @cached_property
     def places(self) -> Array:
-        """Places of contacts where the hold began, seen from the object (spans, n, 2, 3) [m]."""
-        poses = self.source.object_poses.coefficients[self.begun, self.item, :, 0]
-        return in_frame(poses[:, None, None], bends(self.source)[self.begun, :, 1:3, :, 0])
+        """Contacts at the start of the hold, in the object's frame (spans, n, 2, 3) [m]."""
+        poses = self.source.object_poses.coefficients[self.start_pieces, self.item, :, 0]
+        return in_frame(poses[:, None, None], bends(self.source)[self.start_pieces, :, 1:3, :, 0])
 
     @cached_property
     def chords(self) -> Enclosed:
@@ -218,35 +218,33 @@ class Gripped(Held):
             half = taut * (0.5 * GRAVITY * team.cable_density)
             edge = Enclosed(team.cable_length[:, None, None]) - self.legs.norm.sum()
             pull = chord_pull(pull, half, edge * edge)
-        return self.chords.direction * for_each(pull) * -SIGNS
+        return self.chords.direction * add_axis(pull) * -SIGNS
 
     @cached_property
     def slip_load(self) -> Array:
-        """``μ Σ T_k θ_k`` (spans,) [N], at least.
+        """Lower bound of ``μ Σ T_k θ_k`` (spans,) [N].
 
-        ``T_k`` is the least pull of cable k's legs, reduced by friction at its clasps.
+        ``T_k`` is the smallest pull of cable k's legs, reduced by friction at its clasps.
         """
         clasped = np.max(_angles(-self.legs, self.chords * SIGNS).high, axis=-1)
         pulls = np.min(self.of_items(self.source.pulls.coefficients), axis=-1)
         pulls = np.min(pulls.reshape(len(self), -1, 2), axis=-1)
         pulls = pulls * np.exp(-self.source.team.cable_friction * clasped)
-        before, behind = (chosen(self.chords, i).level for i in (0, 1))
-        slip: Array = self.body.friction * np.sum(pulls * _angles(before, behind).low, axis=-1)
-        return slip
+        before, behind = (select(self.chords, i).xy for i in (0, 1))
+        return np.asarray(self.body.friction * np.sum(pulls * _angles(before, behind).low, axis=-1))
 
     @cached_property
     def load(self) -> Array:
         """Upper bound (spans,) [N] of the carried ``m (g + a_z)`` plus the load of turning."""
-        borne = ((self.pushed[2] + GRAVITY) * self.share).above.value
-        turning = self.derivative(self.source.object_poses, 2)
-        turned = Enclosed(turning.c[:, 3:], turning.r).norm_above.value
-        load: Array = self.body.mass * (borne + turned * turning_reach(self.body))
-        return load
+        carried = ((self.acceleration[2] + GRAVITY) * self.share).upper.value
+        angular = self.derivative(self.source.object_poses, 2)
+        angular_size = Enclosed(angular.c[:, 3:], angular.r).norm_upper.value
+        return np.asarray(self.body.mass * (carried + angular_size * turning_reach(self.body)))
 
 
 def _straight_parts(corners: Enclosed) -> Enclosed:
     """Return the straight parts (…, 2) [m] of edges that bend at corners (…, 4)."""
-    return chosen(corners, [1, 3]) - chosen(corners, [0, 2])
+    return select(corners, [1, 3]) - select(corners, [0, 2])
 
 
 def _angles(a: Enclosed, b: Enclosed) -> Interval:
@@ -259,18 +257,18 @@ def _angles(a: Enclosed, b: Enclosed) -> Interval:
 def turning_reach(body: SolidObject) -> float:
     """Return the load of a turning object over its mass and angular acceleration [m]."""
     section = body.section
-    away = np.linalg.norm(section.core - section.centroid, axis=-1)
-    arm = section.rounding or float(np.min(away))
-    return (float(np.max(away)) + section.rounding) ** 2 / arm
+    distances = np.linalg.norm(section.core - section.centroid, axis=-1)
+    arm = section.rounding or float(np.min(distances))
+    return (float(np.max(distances)) + section.rounding) ** 2 / arm
 
 
 def slip_ratio(spans: Gripped) -> Bound:
-    """Return slip load over load while there is a load, else infinity.
+    """Return slip load over load, infinity without a load.
 
     It is minus infinity where edges are not wrapped around the object.
     """
-    borne = np.any(spans.share.c > 0.0, axis=(1, 2))
-    ratio = _ratio(spans.slip_load, np.where(borne, spans.load * (1.0 + ROUNDING), 0.0))
+    carried = np.any(spans.share.c > 0.0, axis=(1, 2))
+    ratio = _ratio(spans.slip_load, np.where(carried, spans.load * (1.0 + ROUNDING), 0.0))
     return Bound(np.where(_misplaced(spans), -math.inf, ratio.value), ratio.x)
 
 
@@ -291,142 +289,141 @@ def _slipping(motion: Motion, limit: float) -> WorstCase:
 
     It is minus infinity if an edge bends without a gripped object, or off the object's section.
     """
-    lost = np.any(~_straight(Enclosed(bends(motion))), axis=1)
+    unsupported = np.any(~_straight(Enclosed(bends(motion))), axis=1)
     cases = [WorstCase(math.inf, 0.0)]
-    for index, name, on in gripping(motion):
-        parts, lost = Gripped.of_object(motion, index, on), lost & ~on
-        least = worst(parts, slip_ratio, "min", target=within(limit, "min"))
-        cases.append(WorstCase(least.worst, least.time, (name,)))
-    if np.any(lost):
-        cases.append(WorstCase(-math.inf, float(motion.drones.breaks[int(np.argmax(lost))])))
+    for index, name, pieces in gripped_objects(motion):
+        parts, unsupported = Gripped.of_object(motion, index, pieces), unsupported & ~pieces
+        smallest = worst(parts, slip_ratio, "min", target=with_tolerance(limit, "min"))
+        cases.append(WorstCase(smallest.worst, smallest.time, (name,)))
+    if np.any(unsupported):
+        cases.append(WorstCase(-math.inf, float(motion.drones.breaks[int(np.argmax(unsupported))])))
     return min(cases, key=lambda each: each.worst)
 
 
-SHOWN = (slip_ratio, Gripped.slip_load, Gripped.load)
+FORMULAS = (slip_ratio, Gripped.slip_load, Gripped.load)
 
 GRIP = CheckRule(
     "grip",
     "1",
     "min",
-    lambda motion: GRIP_LIMIT if gripping(motion) or motion.contacts is not None else None,
-    (Evaluator(_slipping, HITCHED_STATE | FREE_STATES, shown=SHOWN),),
+    lambda motion: GRIP_LIMIT if gripped_objects(motion) or motion.contacts is not None else None,
+    (Evaluator(_slipping, HITCHED_STATE | FREE_STATES, formulas=FORMULAS),),
     "lower the object's mass, raise the tension, or use rougher cables",
-    whole=True,  # from where holds begin
+    whole=True,  # relative to the start of holds
 )
 
 
 def _straight(corners: Enclosed) -> Mask:
-    """Return (pieces, edges) whether contacts are one point on the line between both ends."""
-    start, first, last, end = (chosen(corners, i) for i in range(4))
-    aside = (first - start).cross(end - last).norm_above.value
-    one_point = (last - first).norm_above.value <= CONTACT
-    straight: Mask = one_point & (aside <= CONTACT * ((end - start).norm_above.value + CONTACT))
-    return straight
+    """Return whether both contacts are one point on the straight edge (pieces, edges)."""
+    start, first, last, end = (select(corners, i) for i in range(4))
+    offset = (first - start).cross(end - last).norm_upper.value
+    is_point = (last - first).norm_upper.value <= WRAP_GAP
+    return np.asarray(is_point & (offset <= WRAP_GAP * ((end - start).norm_upper.value + WRAP_GAP)))
 
 
 def _misplaced(spans: Gripped) -> Mask:
-    """Return (spans,) whether edges are not wrapped around the object.
+    """Return on which spans edges are not properly wrapped around the object (spans,).
 
-    Every edge is straight or touches the section at both contacts, which stay at the height on the
-    object at which the hold began, all of the section is on its right, and it turns to the right by
-    less than half a turn. From then on contacts do not turn about the object in the mean.
+    Every edge must be straight or touch the section at both contacts, keep all of the section on
+    its right, and turn right by less than half a turn. Contacts must stay at the height on the
+    object at which the hold began, and must not turn about the object on average.
     """
     body, section = spans.body, spans.body.section
-    seen = seen_from(spans.pose, spans.corners)
-    slack = CONTACT + np.max(seen.r, axis=-1)
-    exact = Enclosed(seen.c)
-    straight, contacts = _straight_parts(exact).level, chosen(exact, [1, 2])
+    local = in_object_frame(spans.pose, spans.corners)
+    tolerance = WRAP_GAP + np.max(local.r, axis=-1)
+    exact = Enclosed(local.c)
+    straight, contacts = _straight_parts(exact).xy, select(exact, [1, 2])
     # Contacts are at corners of a polygon, or on a circle.
-    away = for_each(contacts.level) - section.core
-    off = away.norm_above.value
+    offsets = add_axis(contacts.xy) - section.core
+    deviation = offsets.norm_upper.value
     if section.outline is None:
-        off = (away.dot(away) - section.rounding**2).norm_above.value / section.rounding
-    touching = np.all(np.min(off, axis=-1) <= slack[..., None], axis=-1)
-    # No part of the section is on the left; parts without length are not compared.
-    left = for_each(straight).cross(section.core - for_each(chosen(exact, [0, 2]).level))
-    reach = np.max((left + for_each(straight.norm) * section.rounding).above.value, axis=-1)
+        deviation = (offsets.dot(offsets) - section.rounding**2).norm_upper.value / section.rounding
+    touching = np.all(np.min(deviation, axis=-1) <= tolerance[..., None], axis=-1)
+    # No part of the section is on the left of straight parts with a length.
+    left = add_axis(straight).cross(section.core - add_axis(select(exact, [0, 2]).xy))
+    reach = np.max((left + add_axis(straight.norm) * section.rounding).upper.value, axis=-1)
     size = straight.norm_range
-    before = (reach > slack[..., None] * size.low) & (size.high > CONTACT)
-    right = chosen(straight, 1).cross(chosen(straight, 0)).range
-    along = chosen(straight, 0).dot(chosen(straight, 1)).range
-    turned = right.low < -slack * np.maximum(along.high, -along.low)
-    turned |= (along.low <= 0.0) & (right.low <= 0.0)
+    outside = (reach > tolerance[..., None] * size.low) & (size.high > WRAP_GAP)
+    right = select(straight, 1).cross(select(straight, 0)).range
+    along = select(straight, 0).dot(select(straight, 1)).range
+    reversed_turn = right.low < -tolerance * np.maximum(along.high, -along.low)
+    reversed_turn |= (along.low <= 0.0) & (right.low <= 0.0)
     heights = contacts[2].range
-    drift = (contacts[2] - spans.places[:, :, :1, 2:]).norm_above.value
-    level = drift <= slack[..., None]
-    level &= (heights.low >= body.lower) & (heights.high <= body.upper)
-    wrong = turned | np.any(before | ~level, axis=-1) | ~(_straight(exact) | touching)
-    begun, now = unit(spans.places[..., :2] - section.centroid), contacts.level - section.centroid
-    spun = Enclosed.of(begun).cross(now.direction).sum().sum() * section.circumradius
-    far = spun.norm_above.value > PLACE_TOLERANCE * 2 * begun.shape[1]
-    busy = carried(spans.source)[spans.piece, spans.item]
-    misplaced: Mask = (far & busy) | np.any(wrong, axis=1)
-    return misplaced
+    drift = (contacts[2] - spans.places[:, :, :1, 2:]).norm_upper.value
+    on_height = drift <= tolerance[..., None]
+    on_height &= (heights.low >= body.lower) & (heights.high <= body.upper)
+    invalid = reversed_turn | np.any(outside | ~on_height, axis=-1) | ~(_straight(exact) | touching)
+    initial = unit(spans.places[..., :2] - section.centroid)
+    current = contacts.xy - section.centroid
+    rotation = Enclosed.of(initial).cross(current.direction).sum().sum() * section.circumradius
+    rotated = rotation.norm_upper.value > PLACE_TOLERANCE * 2 * initial.shape[1]
+    carried = carried_objects(spans.source)[spans.piece, spans.item]
+    return np.asarray((rotated & carried) | np.any(invalid, axis=1))
 
 
 def unbalanced(motion: Motion) -> WorstCase:
-    """Return the largest force, or moment over its size, that an object lacks, over the tension."""
+    """Return the largest ``missing_force`` of all gripped objects."""
     cases = [WorstCase(0.0, 0.0)]
-    for index, name, on in gripping(motion):
-        most = worst(Gripped.of_object(motion, index, on), lacking, "max")
-        cases.append(WorstCase(most.worst, most.time, (name,)))
+    for index, name, pieces in gripped_objects(motion):
+        largest = worst(Gripped.of_object(motion, index, pieces), missing_force, "max")
+        cases.append(WorstCase(largest.worst, largest.time, (name,)))
     return max(cases, key=lambda each: each.worst)
 
 
-def lacking(spans: Gripped) -> Bound:
-    """Return an object's missing force over the least tension; infinite if nothing holds it.
+def missing_force(spans: Gripped) -> Bound:
+    """Return an object's missing force over the smallest tension; infinite without tension.
 
-    That is ``Σ P_k (b̂_k - â_k) - m (a + ν g ẑ)``, ν the carried share of its weight, and moments
-    about its centre, both reduced by friction with its support.
+    It is ``Σ P_k (b̂_k - â_k) - m (a + ν g ẑ)``, ν the carried share of its weight, or the moment
+    about its centre over its radius, both reduced by friction with its support.
     """
     body, pulls = spans.body, spans.pulls
-    force = pulls.sum().sum() - (spans.share.upward() * GRAVITY + spans.pushed) * body.mass
+    force = pulls.sum().sum() - (spans.share.along_z() * GRAVITY + spans.acceleration) * body.mass
     centre = Enclosed(spans.read(centres(spans.source).coefficients), spans.noise)
-    arms = chosen(spans.corners, [1, 2]) - for_each(for_each(centre))
-    moment = arms.cross(pulls).sum().sum().norm_above.value / body.section.circumradius
-    friction = body.friction * body.mass * GRAVITY * (1.0 - spans.share.above.value)
-    level = np.maximum(force.level.norm_above.value, moment) - friction
-    missing = np.hypot(np.maximum(level, 0.0), force[2].norm_above.value)
-    return _ratio(missing, np.min(spans.tension.below.value, axis=-1))
+    arms = select(spans.corners, [1, 2]) - add_axis(add_axis(centre))
+    moment = arms.cross(pulls).sum().sum().norm_upper.value / body.section.circumradius
+    friction = body.friction * body.mass * GRAVITY * (1.0 - spans.share.upper.value)
+    horizontal = np.maximum(force.xy.norm_upper.value, moment) - friction
+    missing = np.hypot(np.maximum(horizontal, 0.0), force[2].norm_upper.value)
+    return _ratio(missing, np.min(spans.tension.lower.value, axis=-1))
 
 
 @cached
 def wrapped_arcs(motion: Motion) -> Array:
-    """Return chords of arcs, the radius of their circle, and the length of polygons' sides.
+    """Return chords of arcs, the radius of their circle, and the length of a polygon's sides.
 
     Returns
     -------
-    (pieces, n, 5, degree + 1) [m]: a chord's coordinates, and two constants.
+    (pieces, n, 5, degree + 1) [m]: coordinates of the chord, and two constants.
     """
     contacts = motion.edge_contacts.coefficients
     rows = np.zeros((*contacts.shape[:2], 5, contacts.shape[-1]))
     rows[:, :, :3] = contacts[:, :, 1] - contacts[:, :, 0]
-    for index, name, on in gripping(motion):
+    for index, name, pieces in gripped_objects(motion):
         section = motion.requirements.objects[name].section
-        rows[on, :, 3] = section.rounding
+        rows[pieces, :, 3] = section.rounding
         if section.outline is not None:
-            poses = motion.object_poses.coefficients[on, index, :, 0]
-            seen = in_frame(poses[:, None, None], contacts[on, ..., 0])
-            rows[on, :, 4] = _sides(section, seen[..., :2])[..., None]
+            poses = motion.object_poses.coefficients[pieces, index, :, 0]
+            local = in_frame(poses[:, None, None], contacts[pieces, ..., 0])
+            rows[pieces, :, 4] = _sides(section, local[..., :2])[..., None]
     return rows
 
 
 def _sides(section: Section, contacts: Array) -> Array:
-    """Return the length (…) [m] of the outline, clockwise, between contacts (…, 2, 2) [m]."""
+    """Return the clockwise length (…) [m] of the outline between contacts (…, 2, 2) [m]."""
     core = section.core
-    ring = np.append(0.0, np.cumsum(np.linalg.norm(np.roll(core, -1, axis=0) - core, axis=-1)))
-    away = np.linalg.norm(contacts[..., None, :] - core, axis=-1)
-    first, last = np.moveaxis(np.argmin(away, axis=-1), -1, 0)
-    sides: Array = (ring[last] - ring[first]) % ring[-1]
+    lengths = np.append(0.0, np.cumsum(np.linalg.norm(np.roll(core, -1, axis=0) - core, axis=-1)))
+    distances = np.linalg.norm(contacts[..., None, :] - core, axis=-1)
+    first, last = np.moveaxis(np.argmin(distances, axis=-1), -1, 0)
+    sides: Array = (lengths[last] - lengths[first]) % lengths[-1]
     straight = np.linalg.norm(contacts[..., 1, :] - contacts[..., 0, :], axis=-1) < MIN_CHORD
     return np.where(straight, 0.0, sides)
 
 
 def arc_lengths(rows: Array) -> Enclosed:
-    """Return the lengths of arcs (…) [m], given ``wrapped_arcs`` of them (…, 5, degree + 1).
+    """Return the lengths of arcs (…) [m] from ``wrapped_arcs`` (…, 5, degree + 1).
 
-    On a circle of radius R the arc over a chord s is ``2 R asin(s / 2R)``: its tangent at the
-    middle of the range of s. Between corners of a polygon arcs are sums of its sides.
+    On a circle of radius R, the arc over a chord s is ``2 R asin(s / 2R)``, enclosed about its
+    tangent at the middle of the range of s. Between corners of a polygon, it is a sum of sides.
     """
     width, sides = 2.0 * rows[..., 3, 0], rows[..., 4, 0]
     size = np.where(width > 0.0, width, 1.0)
@@ -436,13 +433,13 @@ def arc_lengths(rows: Array) -> Enclosed:
     with np.errstate(divide="ignore", invalid="ignore"):
         slope = (1.0 - middle**2) ** -0.5
         error = 0.125 * (high - low) ** 2 * high * (1.0 - high**2) ** -1.5  # asin'' grows
-    known = (width > 0.0) & np.isfinite(error)
-    slope, arc = (np.where(known, x, 0.0)[..., None] for x in (slope, np.arcsin(middle)))
+    valid = (width > 0.0) & np.isfinite(error)
+    slope, arc = (np.where(valid, x, 0.0)[..., None] for x in (slope, np.arcsin(middle)))
     lengths = ((chord - middle[..., None]) * slope + arc) * width[..., None] + sides[..., None]
-    return lengths.widened(np.where(known, width * error, np.where(width > 0.0, np.inf, 0.0)))
+    return lengths.widened(np.where(valid, width * error, np.where(width > 0.0, np.inf, 0.0)))
 
 
-PLACE_TOLERANCE = 1e-4  # [m] of clasps that carry a rim, from their places below it
+PLACE_TOLERANCE = 1e-4  # [m] Largest drift of clasps below a rim, and mean drift of contacts
 
 
 class Resting(Held):
@@ -450,15 +447,15 @@ class Resting(Held):
 
     @cached_property
     def clasps(self) -> Enclosed:
-        """Clasps (spans, n) [m] as seen from the object."""
+        """Clasps (spans, n) [m] in the object's frame."""
         c = self.of_items(self.source.vertices.coefficients)
-        return seen_from(self.pose, Enclosed(c, self.noise))
+        return in_object_frame(self.pose, Enclosed(c, self.noise))
 
     @cached_property
     def places(self) -> Array:
-        """Places of the clasps where the hold began, seen from above (spans, n, 2) [m]."""
-        poses = self.source.object_poses.coefficients[self.begun, self.item, :, 0]
-        clasps = self.source.vertices.coefficients[self.begun, ..., 0]
+        """Horizontal positions of the clasps at the start of the hold (spans, n, 2) [m]."""
+        poses = self.source.object_poses.coefficients[self.start_pieces, self.item, :, 0]
+        clasps = self.source.vertices.coefficients[self.start_pieces, ..., 0]
         return in_frame(poses[:, None], clasps)[..., :2]
 
 
@@ -469,88 +466,88 @@ def force_line(spans: Resting) -> Bound:
     centre = body.centre_of_mass
     edges = unit(np.roll(places, -1, axis=1) - places)
     inward = np.stack([edges[..., 1], -edges[..., 0]], axis=-1)  # of clockwise edges
-    apart = np.sum(inward * (centre[:2] - places), axis=-1)
+    gaps = np.sum(inward * (centre[:2] - places), axis=-1)
     heading = Enclosed(spans.pose.c[:, 3:])
-    level = for_each(turned_back(spans.pushed.level, heading))
-    lean = level.dot(inward) * (centre[2] - body.rim.height)
-    pressing = for_each(spans.pushed[2] + GRAVITY).range
+    horizontal = add_axis(rotate_back(spans.acceleration.xy, heading))
+    shift = horizontal.dot(inward) * (centre[2] - body.rim.height)
+    weight = add_axis(spans.acceleration[2] + GRAVITY).range
     margin = (ROUNDING + heading_error(heading)) * (magnitude(spans.source) + body.circumradius)
-    least = np.where(pressing.low > 0.0, apart - (lean.range * pressing.inverse).high, -np.inf)
-    k = np.arange(len(spans)), np.argmin(least, axis=1)
-    return Bound(least[k] - margin - 2.0 * PLACE_TOLERANCE, lean.above.x[k])
+    lowest = np.where(weight.low > 0.0, gaps - (shift.range * weight.inverse).high, -np.inf)
+    k = np.arange(len(spans)), np.argmin(lowest, axis=1)
+    return Bound(lowest[k] - margin - 2.0 * PLACE_TOLERANCE, shift.upper.x[k])
 
 
 def _force_lines(motion: Motion, _: float) -> WorstCase:
-    """Return the smallest distance of a force line to the edge of its supports [m].
+    """Return the smallest distance of a force line from the edge of its supports [m].
 
-    It is minus infinity if an object moves, or is carried, and nothing holds it; if it floats, or
-    its heading is no unit vector; and if clasps of a hold are not around it, or not where they
-    support it, or it would slide off.
+    It is minus infinity if an object moves or is carried without a hold, if it floats, if its
+    heading is no unit vector, if holding clasps do not surround it or have left their positions, or
+    if it would slide.
     """
     size, begins = magnitude(motion), motion.drones.breaks
     each = [WorstCase(math.inf, 0.0, size=size)]
     for index, (name, body) in enumerate(motion.requirements.objects.items()):
         share = motion.object_shares.coefficients[:, index]
-        moves, busy = moving(motion)[:, index], carried(motion)[:, index]
-        whole = np.all(share == 1.0, axis=-1)
+        moves, carried = moving_objects(motion)[:, index], carried_objects(motion)[:, index]
+        fully = np.all(share == 1.0, axis=-1)
         resting, gripped = (held_pieces(motion, name, by) for by in (HoldBy.REST, HoldBy.GRIP))
         heading = Enclosed(motion.object_poses.coefficients[:, index, 3:])
-        lost = (moves & ~whole) | (heading_error(heading) > TOUCH)
+        invalid = (moves & ~fully) | (heading_error(heading) > CONTACT_GAP)
         if not body.fixed:
-            lost |= _floating(motion, index, name, ~whole & ~moves)
-        lost |= np.any((share < 0.0) | (share > 1.0), axis=-1)
-        lost |= busy & (~(resting | gripped) | ~motion.formed | body.fixed)
+            invalid |= _floating(motion, index, name, ~fully & ~moves)
+        invalid |= np.any((share < 0.0) | (share > 1.0), axis=-1)
+        invalid |= carried & (~(resting | gripped) | ~motion.formed | body.fixed)
         if body.rim is None or not motion.team.layout.closed:
-            lost |= resting
-        for spans in Resting.of_object(motion, index, resting & ~lost):
-            lost[spans.piece] = _misplaced_clasps(spans, busy[spans.piece])
-        parts = Resting.of_object(motion, index, resting & busy & whole & ~lost)
-        least = worst(parts, force_line, "min")
-        each.append(WorstCase(least.worst, least.time, (name,), size))
-        if np.any(lost):
-            each.append(WorstCase(-math.inf, float(begins[int(np.argmax(lost))]), (name,)))
+            invalid |= resting
+        for spans in Resting.of_object(motion, index, resting & ~invalid):
+            invalid[spans.piece] = _misplaced_clasps(spans, carried[spans.piece])
+        parts = Resting.of_object(motion, index, resting & carried & fully & ~invalid)
+        smallest = worst(parts, force_line, "min")
+        each.append(WorstCase(smallest.worst, smallest.time, (name,), size))
+        if np.any(invalid):
+            each.append(WorstCase(-math.inf, float(begins[int(np.argmax(invalid))]), (name,)))
     return min(each, key=lambda case: case.worst)
 
 
-def _floating(motion: Motion, index: int, name: str, still: Mask) -> Mask:
-    """Return (pieces,) whether an object at rest, not fully carried, has no support below."""
+def _floating(motion: Motion, index: int, name: str, at_rest: Mask) -> Mask:
+    """Return on which pieces ``at_rest`` an object has no support below (pieces,)."""
     objects = motion.requirements.objects
-    poses = np.round(motion.object_poses.coefficients[..., 0] / STILL) * STILL
-    places, which = np.unique(poses, axis=0, return_inverse=True)
-    stands = np.zeros(len(places), dtype=np.bool_)
-    for i in np.unique(which.ravel()[still]):
+    poses = np.round(motion.object_poses.coefficients[..., 0] / REST_DRIFT) * REST_DRIFT
+    places, inverse = np.unique(poses, axis=0, return_inverse=True)
+    supported = np.zeros(len(places), dtype=np.bool_)
+    for i in np.unique(inverse.ravel()[at_rest]):
         surface, _ = surface_below(objects, places[i], name, motion.requirements.floor)
         gap = float(places[i, index, 2]) + objects[name].lower - surface
-        stands[i] = abs(gap) <= TOUCH
-    return still & ~stands[which.ravel()]
+        supported[i] = abs(gap) <= CONTACT_GAP
+    return at_rest & ~supported[inverse.ravel()]
 
 
-def _misplaced_clasps(spans: Resting, busy: Mask) -> Mask:
-    """Return (spans,) whether clasps are above a rim, or not around the body as the hold began.
+def _misplaced_clasps(spans: Resting, carried: Mask) -> Mask:
+    """Return on which spans clasps are above a rim, or did not surround the body at the start.
 
-    If it is ``busy``, also whether they have left their places of the hold's beginning, are not
-    ``rim_drop`` below the rim, or it slides off.
+    If the object is ``carried`` (spans,), clasps must also keep their positions since the start of
+    the hold, ``rim_drop`` below the rim, and friction must prevent sliding.
     """
     motion, body, rim, places = spans.source, spans.body, spans.body.rim, spans.places
     assert rim is not None
-    following, to = np.roll(places, -1, axis=1), body.section.centroid - places
-    edges = following - places
-    wrong = edges[..., 1] * to[..., 0] - edges[..., 0] * to[..., 1] <= 0.0
-    wrong |= Enclosed(spans.clasps.c)[2].above.value > rim.height + PLACE_TOLERANCE
+    next_places, to_centre = np.roll(places, -1, axis=1), body.section.centroid - places
+    edges = next_places - places
+    invalid = edges[..., 1] * to_centre[..., 0] - edges[..., 0] * to_centre[..., 1] <= 0.0
+    invalid |= Enclosed(spans.clasps.c)[2].upper.value > rim.height + PLACE_TOLERANCE
     pulls = motion.tensions.coefficients[spans.piece, :, 0]
     drop = rim_drop(motion.team, body, places, pulls)[:, None]
-    whole = np.all(spans.share.c == 1.0, axis=(1, 2))[:, None]
+    fully = np.all(spans.share.c == 1.0, axis=(1, 2))[:, None]
     heights = spans.clasps[2].range
-    off = (spans.clasps.level - places).norm_above.value
-    off = np.maximum(off, rim.height - heights.low - drop)
-    off = np.maximum(off, heights.high - rim.height + np.where(whole, drop, 0.0))
-    unsupported = (off > PLACE_TOLERANCE) | (rim.section.clearance(places)[0] >= -PLACE_TOLERANCE)
+    deviation = (spans.clasps.xy - places).norm_upper.value
+    deviation = np.maximum(deviation, rim.height - heights.low - drop)
+    deviation = np.maximum(deviation, heights.high - rim.height + np.where(fully, drop, 0.0))
+    unsupported = deviation > PLACE_TOLERANCE
+    unsupported |= rim.section.clearance(places)[0] >= -PLACE_TOLERANCE
     if body.stem is not None:
-        unsupported |= body.stem.segment_distance(places, following) <= PLACE_TOLERANCE
+        unsupported |= body.stem.segment_distance(places, next_places) <= PLACE_TOLERANCE
     pushed = Enclosed(spans.of_items(motion.vertices.differentiated(2).coefficients))
-    unsupported |= pushed.level.norm_above.value > body.friction * (GRAVITY + pushed[2].below.value)
-    lost: Mask = np.any(wrong | (unsupported & busy[:, None]), axis=1)
-    return lost
+    unsupported |= pushed.xy.norm_upper.value > body.friction * (GRAVITY + pushed[2].lower.value)
+    return np.asarray(np.any(invalid | (unsupported & carried[:, None]), axis=1))
 
 
 SUPPORT = CheckRule(
@@ -558,7 +555,7 @@ SUPPORT = CheckRule(
     "m",
     "min",
     lambda motion: 0.0 if motion.requirements.objects else None,
-    (Evaluator(_force_lines, HITCHED_STATE | FREE_STATES, shown=(force_line,)),),
+    (Evaluator(_force_lines, HITCHED_STATE | FREE_STATES, formulas=(force_line,)),),
     "carry it more gently, or hold it farther out or closer below its centre of mass",
     whole=True,
 )

@@ -11,7 +11,7 @@ from hitchopt.checks import cables, clasps, clearance, distances, drones, object
 from hitchopt.checks.across import check_across, radius_across
 from hitchopt.checks.certificate import Certificate, Check, worst_of
 from hitchopt.checks.distances import GROUND
-from hitchopt.checks.joining import interlaced, jumps, jumps_of_thrust
+from hitchopt.checks.joining import interlacing, jumps, jumps_of_thrust
 from hitchopt.checks.linking import CONTINUITY, DURATION, INTERLACING
 from hitchopt.checks.rule import CheckRule, ReportRule, SpanResult
 from hitchopt.checks.spans import value_cache
@@ -47,22 +47,22 @@ RULES = (
     objects.SUPPORT,
     DURATION,
 )
-"""One rule per check; a new check is one record and one line here."""
+"""One rule per check; a new check needs one record and one line here."""
 
 REPORTS = (tracking.TRACKING_RADIUS, stops.RULE)
-"""Quantities that a certificate reports after its checks, without a limit."""
+"""Quantities that a certificate reports after its checks, usually without a limit."""
 
 MERGEABLE_REPORTS = tuple(report for report in REPORTS if not report.whole)
 """Reports of a joined motion that follow from those of its parts."""
 
-SEAMS = {"continuity": jumps, "tension": jumps_of_thrust}
-"""Worst cases where a robot joins or leaves, by the checks that they belong to."""
+SEAM_CASES = {"continuity": jumps, "tension": jumps_of_thrust}
+"""Worst cases at joints where a robot joins or leaves, by the names of checks."""
 
 RULE_OF = {rule.name: rule for rule in RULES}
 """The rules by name."""
 
 _CERTIFICATES: WeakKeyDictionary[Motion, Certificate] = WeakKeyDictionary()
-"""Certificates that this process has computed, by the very motions that they are of."""
+"""Certificates that this process has computed, by motion."""
 
 
 def certify(
@@ -74,18 +74,18 @@ def certify(
 ) -> Certificate:
     """Check a motion for all t.
 
-    No quantity passes its ``worst`` at any t; it comes within ``1e-4`` of it, relative, or ``2e-7``
-    in its unit, distances to hanging cables within millimetres. Rounding is covered by a margin. A
-    motion that is degenerate somewhere (two drones at one place, a cable without tension) fails the
-    checks concerned.
+    No quantity exceeds its ``worst`` at any t. Bounds are tight to ``1e-4``, relative, or ``2e-7``
+    in the unit of the quantity; distances to hanging cables to millimetres. Margins cover rounding.
+    A motion that is degenerate somewhere (two drones at one point, a cable without tension) fails
+    the checks concerned.
 
     Parameters
     ----------
     motion: the plan.
-    progress: called with the name of every check as it starts, and how many are done.
+    progress: called with the name of every check at its start, and the number of finished ones.
     gamma: ratio of vertex errors to drone errors, for ``tracking_radius``.
-    reports: evaluated after the checks, in addition to those with a limit. Pass MERGEABLE_REPORTS
-        if ``merged`` computes the others.
+    reports: reports to evaluate, in addition to those with a limit. Pass MERGEABLE_REPORTS if
+        ``merged`` computes the others.
 
     Raises
     ------
@@ -93,40 +93,40 @@ def certify(
     """
     check_instance("motion", motion, Motion)
     gamma = nonnegative("gamma", gamma)
-    chosen: tuple[ReportRule, ...] = sequence("reports", reports)
-    chosen = tuple(each for each in REPORTS if each in chosen or each.limit(motion) is not None)
-    if motion.changes:
-        return _remembered(motion, list(_checks_of_chapters(motion, progress, gamma, chosen)))
-    if len(motion.flying) > 1:
-        return _remembered(motion, list(_checks_of_groups(motion, progress, gamma, chosen)))
+    selected: tuple[ReportRule, ...] = sequence("reports", reports)
+    selected = tuple(each for each in REPORTS if each in selected or each.limit(motion) is not None)
+    if motion.has_ring_changes:
+        return _stored(motion, list(_checks_of_chapters(motion, progress, gamma, selected)))
+    if len(motion.all_groups) > 1:
+        return _stored(motion, list(_checks_of_groups(motion, progress, gamma, selected)))
     rules = tuple(rule for rule in RULES if rule.limit_of(motion) is not None)
-    every: tuple[CheckRule | ReportRule, ...] = (*rules, *chosen)
+    evaluated: tuple[CheckRule | ReportRule, ...] = (*rules, *selected)
     results: dict[str, Sequence[SpanResult]] = dict.fromkeys(RULE_OF, ())
     checks: list[Check | None] = []
     with value_cache():
-        for i, each in enumerate(every):
+        for i, each in enumerate(evaluated):
             if progress is not None:
-                progress(f"{each.name}, {i} of {len(every)}")
+                progress(f"{each.name}, {i} of {len(evaluated)}")
             if isinstance(each, CheckRule):
                 results[each.name] = each.span_results(motion)
                 checks.append(worst_of(span.check for span in results[each.name]))
             else:
                 checks.append(each.check(motion, results, gamma))
-    return _remembered(motion, checks)
+    return _stored(motion, checks)
 
 
 def _checks_of_chapters(
     motion: Motion,
     progress: Callable[[str], None] | None,
     gamma: float,
-    chosen: tuple[ReportRule, ...],
+    selected: tuple[ReportRule, ...],
 ) -> Iterator[Check | None]:
-    """Yield the checks of all chapters together, and of the seams between them."""
-    parts, own = chapters(motion), dict[str, list[Check]]()
-    radius = tuple(each for each in chosen if each is tracking.TRACKING_RADIUS)
+    """Yield the combined checks of all chapters and of the seams between them."""
+    parts, by_name = chapters(motion), dict[str, list[Check]]()
+    part_reports = tuple(each for each in selected if each is tracking.TRACKING_RADIUS)
     for part in parts:
-        for check in certify(part, progress, gamma, reports=radius).checks:
-            own.setdefault(check.name, []).append(check)
+        for check in certify(part, progress, gamma, reports=part_reports).checks:
+            by_name.setdefault(check.name, []).append(check)
     with value_cache():
         for rule in RULES:
             if rule is DURATION:
@@ -134,98 +134,100 @@ def _checks_of_chapters(
             elif rule is INTERLACING:
                 yield check_of(rule, motion)
             else:
-                yield worst_of([*own.get(rule.name, ()), _at_seams(rule, motion)])
-        for report in chosen:
-            known = own.get(report.name, ())
-            yield worst_of(known) if report in radius else report.check(motion, {}, gamma)
+                yield worst_of([*by_name.get(rule.name, ()), _at_seams(rule, motion)])
+        for report in selected:
+            checks = by_name.get(report.name, ())
+            yield worst_of(checks) if report in part_reports else report.check(motion, {}, gamma)
 
 
 def _at_seams(rule: CheckRule, motion: Motion) -> Check | None:
-    """Return the check of a rule at the seams of chapters; None if it is not of them."""
+    """Return the check of a rule at the seams of chapters; None if it has none."""
     limit = rule.limit_of(motion)
-    if rule.name not in SEAMS or limit is None:
+    if rule.name not in SEAM_CASES or limit is None:
         return None
-    return SEAMS[rule.name](motion, chapters(motion)).check(rule, limit)
+    return SEAM_CASES[rule.name](motion, chapters(motion)).check(rule, limit)
 
 
 def _checks_of_groups(
     motion: Motion,
     progress: Callable[[str], None] | None,
     gamma: float,
-    chosen: tuple[ReportRule, ...],
+    selected: tuple[ReportRule, ...],
 ) -> Iterator[Check | None]:
-    """Yield the checks of all groups together: the worst of each group alone, and across."""
-    radius, own = tracking.TRACKING_RADIUS, dict[str, list[Check]]()
+    """Yield the combined checks of all groups: the worst of each group, and between groups."""
+    radius, by_name = tracking.TRACKING_RADIUS, dict[str, list[Check]]()
     for group in motion.groups:
         alone = group.motion.replaced(others=())
-        tell = None if progress is None else partial(_tell, progress, group.name)
-        reports = tuple(each for each in chosen if each is radius)
-        for check in certify(alone, tell, gamma, reports=reports).checks:
-            own.setdefault(check.name, []).append(_labelled(check, group))
+        own = None if progress is None else partial(_prefixed, progress, group.name)
+        reports = tuple(each for each in selected if each is radius)
+        for check in certify(alone, own, gamma, reports=reports).checks:
+            by_name.setdefault(check.name, []).append(_label(check, group))
     across: dict[str, Check | None] = {}
     with value_cache():
         for rule in RULES:
             across[rule.name] = _across(rule, motion)
-            yield worst_of([*own.get(rule.name, ()), across[rule.name]])
-        for report in chosen:
+            yield worst_of([*by_name.get(rule.name, ()), across[rule.name]])
+        for report in selected:
             if report is radius:
-                apart = radius_across(motion, across.values(), gamma)
-                checked = apart.check(report, report.limit(motion), gamma)
-                yield worst_of([*own.get(report.name, ()), checked])
+                worst = radius_across(motion, across.values(), gamma)
+                check = worst.check(report, report.limit(motion), gamma)
+                yield worst_of([*by_name.get(report.name, ()), check])
             else:
                 yield report.check(motion, {}, gamma)
 
 
 def check_of(rule: CheckRule, motion: Motion, *, exported: bool = False) -> Check | None:
-    """Return the check of one rule of all groups together: of each alone, and across."""
-    if motion.changes and rule is INTERLACING:
-        return interlaced(chapters(motion)).check(rule, 0.0)
-    if motion.changes:
+    """Return the check of one rule for all chapters or groups, and between them."""
+    if motion.has_ring_changes and rule is INTERLACING:
+        return interlacing(chapters(motion)).check(rule, 0.0)
+    if motion.has_ring_changes:
         parts = [check_of(rule, part, exported=exported) for part in chapters(motion)]
         return worst_of([*parts, _at_seams(rule, motion)])
-    if len(motion.flying) == 1:
+    if len(motion.all_groups) == 1:
         return rule.check(motion, exported=exported)
-    own = [(rule.check(each.motion, exported=exported), each) for each in motion.groups]
-    alone = [None if check is None else _labelled(check, each) for check, each in own]
-    return worst_of([*alone, _across(rule, motion)])
+    checks = [(rule.check(each.motion, exported=exported), each) for each in motion.groups]
+    labelled = [None if check is None else _label(check, each) for check, each in checks]
+    return worst_of([*labelled, _across(rule, motion)])
 
 
 def _across(rule: CheckRule, motion: Motion) -> Check | None:
-    """Return the check of a rule between groups, or of how they come to rest at their ends."""
-    return check_across(rule, motion) if rule is not CONTINUITY else rests(motion.flying)
+    """Return the check of a rule between groups; for continuity, that of rests at their ends."""
+    if rule is CONTINUITY:
+        return rest_continuity(motion.all_groups)
+    return check_across(rule, motion)
 
 
-def rests(groups: Iterable[Group]) -> Check | None:
-    """Return the continuity of groups that stand still before and after their motions."""
+def rest_continuity(groups: Iterable[Group]) -> Check | None:
+    """Return the continuity of groups with rests before and after their motions."""
     checks = list[Check | None]()
     for group in groups:
         begin, end = group.motion.drones.breaks[[0, -1]].tolist()
-        whole = padded(group.motion.replaced(others=()), begin - 1.0, end + 1.0)
-        found = CONTINUITY.check(whole)
-        checks.append(None if found is None else _labelled(found, group))
+        motion = padded(group.motion.replaced(others=()), begin - 1.0, end + 1.0)
+        check = CONTINUITY.check(motion)
+        checks.append(None if check is None else _label(check, group))
     return worst_of(checks)
 
 
-def _tell(progress: Callable[[str], None], name: str, words: str) -> None:
-    progress(f"{name}: {words}" if name else words)
+def _prefixed(progress: Callable[[str], None], name: str, message: str) -> None:
+    progress(f"{name}: {message}" if name else message)
 
 
-def _labelled(check: Check, group: Group) -> Check:
-    """Return a group's check with its places named among those of all groups."""
+def _label(check: Check, group: Group) -> Check:
+    """Return a group's check with names of drones, cables and vertices labelled by group."""
     same = {GROUND, *group.motion.requirements.objects}
     where = tuple(place if place in same else group.label(place) for place in check.where)
     return replace(check, where=where)
 
 
 def certificate_of(motion: Motion, progress: Callable[[str], None] | None = None) -> Certificate:
-    """Return the certificate of this very motion if the process has computed it, else compute it.
+    """Return the certificate of a motion, computed only once in this process.
 
     Reports may be missing from it. ``progress`` is that of ``certify``.
     """
     return _CERTIFICATES.get(motion) or certify(motion, progress, reports=())
 
 
-def _remembered(motion: Motion, checks: Sequence[Check | None]) -> Certificate:
+def _stored(motion: Motion, checks: Sequence[Check | None]) -> Certificate:
     certificate = Certificate(motion.duration, tuple(filter(None, checks)))
     _CERTIFICATES[motion] = certificate
     return certificate
@@ -234,29 +236,29 @@ def _remembered(motion: Motion, checks: Sequence[Check | None]) -> Certificate:
 def merged(motion: Motion, parts: Sequence[Certificate]) -> Certificate:
     """Return the certificate of a joined motion from the certificates of its parts.
 
-    A bound for all of the time is the worst of the bounds for its spans: joining changes
-    coefficients by units in the last place, far less than the margins in every ``worst``. Rules
-    with ``whole`` are evaluated again; for a single part, which has no joints, only duration and
-    stops.
+    The worst of the parts' bounds is a bound of the whole: joining changes coefficients by units in
+    the last place, far less than the margins in every ``worst``. Rules with ``whole`` are evaluated
+    again; for a single part, which has no joints, only duration and stops.
 
     Parameters
     ----------
-    motion: of the parts one after the other, each from where the last one ends.
-    parts: their certificates; any check of duration in them is not used.
+    motion: the parts in sequence, each starting where the previous one ends.
+    parts: their certificates; checks of duration in them are not used.
     """
-    if motion.changes or motion.others or tracking.TRACKING_RADIUS.limit(motion) is not None:
+    limit = tracking.TRACKING_RADIUS.limit(motion)
+    if motion.has_ring_changes or motion.others or limit is not None:
         return certify(motion)  # parts are certified against wider distances
     begin = float(motion.drones.breaks[0])
-    of_parts: dict[str, list[Check]] = {rule.name: [] for rule in (*RULES, *REPORTS)}
+    by_name: dict[str, list[Check]] = {rule.name: [] for rule in (*RULES, *REPORTS)}
     for part in parts:
         for check in part.checks:
-            of_parts[check.name].append(replace(check, time=begin + check.time))
+            by_name[check.name].append(replace(check, time=begin + check.time))
         begin += part.duration
     joints, checks = len(parts) > 1, list[Check | None]()
     for rule in RULES:
-        again = rule.whole and (joints or rule is DURATION)
-        checks.append(rule.check(motion) if again else worst_of(of_parts[rule.name]))
+        evaluated = rule.whole and (joints or rule is DURATION)
+        checks.append(rule.check(motion) if evaluated else worst_of(by_name[rule.name]))
     for report in REPORTS:
-        known = worst_of(of_parts[report.name])
-        checks.append(report.check(motion, {}, GAMMA) if report.whole else known)
-    return _remembered(motion, checks)
+        worst = worst_of(by_name[report.name])
+        checks.append(report.check(motion, {}, GAMMA) if report.whole else worst)
+    return _stored(motion, checks)

@@ -8,7 +8,7 @@ from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from hitchopt.checks.certificate import Check, within, worst_of
+from hitchopt.checks.certificate import Check, with_tolerance, worst_of
 from hitchopt.checks.spans import MotionSpans
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.trajectory.enclosed import Bound
@@ -20,11 +20,11 @@ S = TypeVar("S", bound=MotionSpans)
 
 @dataclass(frozen=True)
 class WorstCase:
-    """The worst value of a quantity, which bounds it for all t, with its time and place.
+    """The worst value of a quantity, a bound for all t, with its time and location.
 
-    The quantity is about at its worst at ``time`` [s] and ``where``: the names of drones, cables or
-    vertices. ``size`` is the largest length that enters it, as in ``within``. ``limit`` replaces
-    the rule's if the worst item has a limit of its own, as drones do.
+    The quantity is close to it at ``time`` [s] and ``where``, names of drones, cables or vertices.
+    ``size`` is the largest length that enters, as in ``with_tolerance``. ``limit`` replaces the
+    rule's limit if items such as drones have their own limits.
     """
 
     worst: float
@@ -51,15 +51,15 @@ def worst_at_joint(values: Array, times: Array, names: Sequence[str]) -> WorstCa
     return WorstCase(worst, float(times[joint]), (names[int(item)],) if worst > 0.0 else ())
 
 
-def summed(jumps: Array, least: float) -> Array:
-    """Return jumps (joints, items) with the largest of every item raised to their sum.
+def accumulated(jumps: Array, rounding: float) -> Array:
+    """Return jumps (joints, items), with the largest one of every item replaced by their sum.
 
-    They add up, unless they are smaller than the ``least`` that is no rounding.
+    Jumps up to ``rounding`` are rounding and do not add up.
     """
     if jumps.size == 0:
         return jumps
     largest = np.arange(len(jumps))[:, None] == np.argmax(jumps, axis=0)
-    total = np.sum(np.where(jumps > least, jumps, 0.0), axis=0)
+    total = np.sum(np.where(jumps > rounding, jumps, 0.0), axis=0)
     return np.asarray(np.where(largest, np.maximum(total, jumps), jumps))
 
 
@@ -67,9 +67,9 @@ def summed(jumps: Array, least: float) -> Array:
 class WorstOverSpans(Generic[S]):
     """Evaluate a formula's worst value over spans of a motion.
 
-    On spans of no length the ``formula`` is the quantity's value. ``sense`` and ``size`` are as in
-    ``Check`` and ``WorstCase``. If items have limits of their own, ``item_limits`` (items,), the
-    formula is the quantity's share of them.
+    On spans of no length, the ``formula`` gives the quantity's value. ``sense`` and ``size`` are as
+    in ``Check`` and ``WorstCase``. If items have their own limits, ``item_limits`` (items,), the
+    formula gives the utilization of these.
     """
 
     spans: type[S]
@@ -82,21 +82,23 @@ class WorstOverSpans(Generic[S]):
         """Return the worst value of a motion."""
         limits = None if self.item_limits is None else self.item_limits(motion)
         size = self.size(motion) if callable(self.size) else self.size
-        aim = within(limit if limits is None else 1.0, self.sense, size, 0.5)
-        most = worst(self.spans.of(motion), self.formula, self.sense, target=aim)
-        if most.item < 0:
-            return WorstCase(most.worst, 0.0)
-        own = None if limits is None else float(limits[most.item])
-        value = most.worst * (1.0 if own is None else own)
-        return WorstCase(value, most.time, (self.spans.names(motion)[most.item],), size, own)
+        target = with_tolerance(limit if limits is None else 1.0, self.sense, size, 0.5)
+        extremum = worst(self.spans.of(motion), self.formula, self.sense, target=target)
+        if extremum.item < 0:
+            return WorstCase(extremum.worst, 0.0)
+        own = None if limits is None else float(limits[extremum.item])
+        value = extremum.worst * (1.0 if own is None else own)
+        return WorstCase(
+            value, extremum.time, (self.spans.names(motion)[extremum.item],), size, own
+        )
 
     def curve(self, motion: Motion, times: Array) -> Array:
         """Return the formula's worst value over all items at times (samples,) [s]."""
         breaks, items = motion.drones.breaks, len(self.spans.names(motion))
         piece = np.clip(np.searchsorted(breaks, times, side="right") - 1, 0, len(breaks) - 2)
         x = np.clip((times - breaks[piece]) / motion.drones.durations[piece], 0.0, 1.0)
-        every = np.tile(np.arange(items), len(times))
-        spans = self.spans(motion, breaks, np.repeat(piece, items), every)
+        index = np.tile(np.arange(items), len(times))
+        spans = self.spans(motion, breaks, np.repeat(piece, items), index)
         points = batches(spans.at(np.repeat(x, items)))
         values = np.concatenate([self.formula(batch).value for batch in points])
         extreme = np.max if self.sense == "max" else np.min
@@ -107,19 +109,19 @@ class WorstOverSpans(Generic[S]):
 class Evaluator:
     """Evaluate a check's quantity on each run of pieces with cables in some states.
 
-    ``evaluate`` takes the motion and the limit. If ``exported``, curves in exported files are held
-    against the limit as well. ``shown`` lists the code that the documentation prints, in addition
-    to a formula of ``WorstOverSpans``.
+    ``evaluate`` takes the motion and the limit. If ``exported``, curves in exported files are
+    checked as well. ``formulas`` is the code printed in the documentation, in addition to a formula
+    of ``WorstOverSpans``.
     """
 
     evaluate: Callable[[Motion, float], WorstCase]
     states: Set[CableState] = frozenset(CableState)
     exported: bool = False
-    shown: tuple[object, ...] = ()
+    formulas: tuple[object, ...] = ()
 
 
 class SpanResult(NamedTuple):
-    """The check of one span of time, in which cables are in one of ``states``."""
+    """The check of a time span in which cables are in one of ``states``."""
 
     states: Set[CableState]
     check: Check
@@ -132,16 +134,16 @@ class CheckRule:
     Attributes
     ----------
     name, unit, sense: as in ``Check``.
-    limit: the limit, or a function that returns a motion's; None if there is nothing to check.
-    evaluators: for cables in different states.
-    remedy: change to suggest to the user.
-    free_remedy: remedy while there is no hitch, if it differs.
-    ease: the kind of change that repairs try: ``time`` (slower or shorter motion), ``length`` (of
-        legs) or ``tension`` (lower, or less weight); empty for none.
-    derivative: the highest derivative of positions by time that enters the quantity; 0 for none.
-        It is undefined where the derivative below it jumps. Slower motion eases such a quantity.
+    limit: the limit, or a function of a motion that returns it; None if there is nothing to check.
+    evaluators: evaluators for cables in different states.
+    remedy: suggested change.
+    free_remedy: suggested change without a hitch, if different.
+    ease: kind of change that repairs try: ``time`` (slower or shorter motion), ``length`` (of legs)
+        or ``tension`` (lower, or less weight); empty for none.
+    derivative: highest derivative of positions by time that enters the quantity; 0 for none. The
+        quantity is undefined where the next lower derivative jumps, and decreases in slow motion.
     whole: whether a joined motion is checked as a whole, as its parts do not cover the joints.
-    exported_limit: limit for exported curves, if it differs.
+    exported_limit: limit for exported curves, if different.
     """
 
     name: str
@@ -158,29 +160,31 @@ class CheckRule:
 
     def limit_of(self, motion: Motion) -> float | None:
         """Return the limit for a motion; None if the rule does not apply to it."""
-        here = motion.cable_states
-        if all(here.isdisjoint(evaluator.states) for evaluator in self.evaluators):
+        states = motion.cable_states
+        if all(states.isdisjoint(evaluator.states) for evaluator in self.evaluators):
             return None
         return self.limit(motion) if callable(self.limit) else self.limit
 
     def check(self, motion: Motion, *, exported: bool = False) -> Check | None:
-        """Return the worst over all spans of time in which the rule applies; None if it does not.
+        """Return the worst check over all time spans in which the rule applies; None without any.
 
-        If ``exported``, the evaluators and the limit for exported curves are used.
+        If ``exported``, only the evaluators and the limit for exported curves are used.
         """
         return worst_of(result.check for result in self.span_results(motion, exported=exported))
 
     def span_results(self, motion: Motion, *, exported: bool = False) -> tuple[SpanResult, ...]:
-        """Return the check of every span of time in which the rule applies."""
-        limit, here = self.limit_of(motion), motion.cable_states
+        """Return the check of every time span in which the rule applies."""
+        limit, states = self.limit_of(motion), motion.cable_states
         if limit is None:
             return ()
         limit = self.exported_limit if exported and self.exported_limit is not None else limit
         return tuple(
             SpanResult(evaluator.states, evaluator.evaluate(span, limit).check(self, limit))
             for evaluator in self.evaluators
-            if (evaluator.exported or not exported) and not here.isdisjoint(evaluator.states)
-            for span in ((motion,) if here <= evaluator.states else motion.spans(evaluator.states))
+            if (evaluator.exported or not exported) and not states.isdisjoint(evaluator.states)
+            for span in (
+                (motion,) if states <= evaluator.states else motion.spans(evaluator.states)
+            )
         )
 
 
@@ -192,9 +196,9 @@ SpanResults = Mapping[str, Sequence[SpanResult]]
 class ReportRule:
     """A quantity that a certificate reports, from a motion, its checks' results and ``gamma``.
 
-    It has a limit only if the motion's requirements state one; that is then always checked, and
-    has remedies. With ``whole`` a joined motion is evaluated as a whole, since its parts do not
-    cover what begins in one and ends in the next; such a value assumes no ``gamma``.
+    If the motion's requirements state a limit, it is always checked, with remedies. With ``whole``,
+    a joined motion is evaluated as a whole, since processes may begin in one part and end in the
+    next; such a value assumes no ``gamma``.
     """
 
     name: str
@@ -207,6 +211,6 @@ class ReportRule:
     free_remedy: str = ""
 
     def check(self, motion: Motion, results: SpanResults, gamma: float) -> Check:
-        """Return the value as a check, which holds if it is only reported."""
-        limit, assumed = self.limit(motion), None if self.whole else gamma
-        return self.evaluate(motion, results, gamma).check(self, limit, assumed)
+        """Return the value as a check, which holds without a limit."""
+        limit, assumed_gamma = self.limit(motion), None if self.whole else gamma
+        return self.evaluate(motion, results, gamma).check(self, limit, assumed_gamma)

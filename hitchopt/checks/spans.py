@@ -1,7 +1,7 @@
-"""Spans of a plan's time, and the polynomials that checks read on them.
+"""Time spans of a plan, and the polynomials that checks read on them.
 
 A check is a formula over spans of drones, points, cables, clasps or pairs. Values that several
-formulas need are cached: of a motion within ``value_cache``, of spans as long as they are in use.
+formulas use are cached: those of a motion within ``value_cache``, those of spans with the spans.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from hitchopt.hitch.team import Layout
-from hitchopt.motion.loads import lowered
+from hitchopt.motion.loads import reduce_constants
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.enclosed import Enclosed
@@ -28,11 +28,11 @@ from hitchopt.values import Array, Indices
 ROUNDING = 2.0**-40
 """Margin of every bound, relative to the largest numbers that enter the quantity.
 
-Coefficients and breaks are exact: they are the plan. Values computed from them err by a few units
-in the last place; this leaves a factor of a thousand, also for sampling the polynomials."""
+Coefficients and breaks are exact: they define the plan. Values computed from them err by a few
+units in the last place; the margin has a reserve of a factor of a thousand, also for sampling."""
 
-LAST_PLACE = 2.0**-50  # largest relative error of a difference of two numbers
-MAX_CACHED = 8 * BATCH  # maximum spans of drones whose values on pieces are cached
+DIFFERENCE_ROUNDING = 2.0**-50  # largest relative error of a difference of two numbers
+MAX_CACHED = 8 * BATCH  # maximum number of spans of drones with cached values
 PART_NAMES = ("q-leg", "edge", "r-leg")
 UPWARD = np.array([0.0, 0.0, 1.0])
 
@@ -46,7 +46,7 @@ _CACHE: ContextVar[WeakKeyDictionary[Any, dict[Any, Any]] | None] = ContextVar(
 
 @contextmanager
 def value_cache() -> Iterator[None]:
-    """Cache values within the outermost context: they take more memory than the motion itself."""
+    """Cache values within the outermost context, as they take more memory than the motion."""
     cache = _CACHE.get()
     token = _CACHE.set(WeakKeyDictionary() if cache is None else cache)
     try:
@@ -55,28 +55,28 @@ def value_cache() -> Iterator[None]:
         _CACHE.reset(token)
 
 
-def cached_value(source: Any, value: Callable[..., T], *further: Any) -> T:
+def cached_value(source: Any, value: Callable[..., T], *args: Any) -> T:
     """Return ``value(source, *further)``, computed once within ``value_cache``.
 
     Callers must not modify it.
     """
     cache = _CACHE.get()
     if cache is None:
-        return value(source, *further)
-    values, key = cache.setdefault(source, {}), (value, *further)
+        return value(source, *args)
+    values, key = cache.setdefault(source, {}), (value, *args)
     if key not in values:
-        values[key] = value(source, *further)
+        values[key] = value(source, *args)
     return cast("T", values[key])
 
 
 def cached(value: F) -> F:
-    """Decorate a function with ``cached_value``: its first argument is the source."""
-    return cast("F", wraps(value)(lambda source, *further: cached_value(source, value, *further)))
+    """Decorate a function with ``cached_value``; its first argument is the source."""
+    return cast("F", wraps(value)(lambda source, *args: cached_value(source, value, *args)))
 
 
 @cached
 def magnitude(motion: Motion) -> float:
-    """Return the largest coordinate of the plan [m]: vertices count while they have a meaning."""
+    """Return the largest coordinate of drones, and of vertices while the hitch exists [m]."""
     parts = motion.drones.coefficients, motion.vertices.coefficients[motion.formed]
     return max(float(np.max(np.abs(c), initial=0.0)) for c in parts)
 
@@ -91,21 +91,20 @@ def derivative(part: PiecewisePolynomial, order: int) -> Array:
     """Return the coefficients (pieces, …, degree + 1) of a derivative by time."""
     if order == 0:
         return part.coefficients
-    return part.alike(derivative(part, order - 1)).differentiated(1).coefficients
+    return part.replaced(derivative(part, order - 1)).differentiated(1).coefficients
 
 
 @cached
 def derivative_margin(part: PiecewisePolynomial, order: int) -> Array:
-    """Return the margin (pieces, items) of the norm of a derivative by time.
+    """Return the rounding margin (pieces, items) of the norm of a derivative by time.
 
-    It is ``2**-50 · 2^k · N!/(N-k)! / h^k`` of the largest difference of neighbouring coefficients,
-    for the k-th of degree N on a piece of h seconds, and ``2**-40`` of the derivative itself.
+    For the k-th derivative of degree N on a piece of h seconds, it is ``2**-50 · 2^k · N!/(N-k)! /
+    h^k`` times the largest difference of adjacent coefficients, plus ``2**-40`` of the derivative.
     """
     gain = 2.0**order * perm(part.degree, order) / part.durations**order
     size = _largest(derivative(part, order))
     jumps = _largest(np.diff(part.coefficients))
-    margin: Array = (LAST_PLACE * gain)[:, None] * jumps + ROUNDING * size
-    return margin
+    return np.asarray((DIFFERENCE_ROUNDING * gain)[:, None] * jumps + ROUNDING * size)
 
 
 def _largest(coefficients: Array) -> Array:
@@ -135,16 +134,16 @@ class MotionSpans(Spans):
 
     @classmethod
     def of(cls, motion: Motion) -> Iterable[Self]:
-        """Return the spans of whole pieces of every item, in cached batches.
+        """Return the spans of whole pieces of every item, in batches.
 
-        Spans of many items are built on every call: their values would fill the memory.
+        Batches are cached, except for many items: their values would fill the memory.
         """
         if motion.drones.pieces * motion.team.drones > MAX_CACHED:
             return cls.all_of(motion, motion.drones.breaks, len(cls.names(motion)))
-        return cached_value(motion, _listed, cls)
+        return cached_value(motion, _cached_batches, cls)
 
     def scalars(self, tables: Sequence[Array]) -> list[Enclosed]:
-        """Return scalars of tables (pieces, items, degree + 1), exact as given."""
+        """Return exact scalars from tables (pieces, items, degree + 1)."""
         return [Enclosed(self.read(table)[:, None]) for table in tables]
 
     def derivative(self, part: PiecewisePolynomial, order: int) -> Enclosed:
@@ -158,9 +157,9 @@ class MotionSpans(Spans):
         return position_margin(self.source)
 
 
-def _listed(motion: Motion, over: type[MotionSpans]) -> tuple[Any, ...]:
+def _cached_batches(motion: Motion, spans_type: type[MotionSpans]) -> tuple[Any, ...]:
     """Return the spans of whole pieces of every item."""
-    return tuple(over.all_of(motion, motion.drones.breaks, len(over.names(motion))))
+    return tuple(spans_type.all_of(motion, motion.drones.breaks, len(spans_type.names(motion))))
 
 
 def cable_names(motion: Motion) -> Sequence[str]:
@@ -169,24 +168,21 @@ def cable_names(motion: Motion) -> Sequence[str]:
 
 
 def positions(motion: Motion) -> tuple[Array, Array]:
-    """Return the polynomials of the drones (pieces, 2n, 3, N+1) and points (pieces, P, 3, N+1) [m].
-
-    Both have the larger of their degrees.
-    """
+    """Return drones (pieces, 2n, 3, N+1) and points (pieces, P, 3, N+1) in a common degree [m]."""
     drones, vertices = same_degree(motion.drones.coefficients, motion.vertices.coefficients)
     return drones, vertices
 
 
 @cached
 def leg_vectors(motion: Motion) -> Array:
-    """Return (pieces, 2n, 3, N+1) [m] from its vertex to each drone q0, r0, q1, …."""
+    """Return vectors (pieces, 2n, 3, N+1) [m] from its vertex to each drone q0, r0, q1, …."""
     drones, vertices = positions(motion)
     return drones - vertices[:, motion.team.layout.anchors]
 
 
 @cached
 def pull_vectors(motion: Motion) -> Array:
-    """Return (pieces, 2n, 3, N+1) [m] to each drone along the straight piece of cable it ends."""
+    """Return vectors (pieces, 2n, 3, N+1) [m] to each drone along its straight part of cable."""
     if motion.team.layout.closed:
         return leg_vectors(motion)
     drones, vertices = positions(motion)
@@ -200,14 +196,14 @@ def edge_vectors(motion: Motion) -> Array:
 
 
 def concatenated(parts: Sequence[Array], axis: int) -> Array:
-    """Return arrays of polynomials (…, degree + 1) in a row, in the largest of their degrees."""
+    """Return concatenated polynomials (…, degree + 1), in the largest of their degrees."""
     return np.concatenate(same_degree(*parts), axis=axis)
 
 
 def bent_edges(motion: Motion) -> tuple[Array, Array]:
     """Return the straight parts of edges at ``p_k`` and at ``p_{k+1}`` (pieces, n, 3, N+1) [m].
 
-    Up to where they are wrapped around an object, or the whole edge where all are straight.
+    They end at the object that an edge is wrapped around; both are a whole edge if straight.
     """
     if motion.contacts is None:
         edges = edge_vectors(motion)
@@ -222,12 +218,12 @@ def bent_edges(motion: Motion) -> tuple[Array, Array]:
 def cable_parts(motion: Motion) -> tuple[Array, Indices]:
     """Return the cable parts as segments (pieces, bodies, 2, 3, N+1) [m], and their indices.
 
-    An edge that is wrapped around an object has three: its straight parts and the arc's chord.
+    An edge that is wrapped around an object has three: two straight parts and the arc's chord.
     """
     layout, nodes = motion.team.layout, [motion.vertices.coefficients, motion.drones.coefficients]
     if motion.contacts is None:
         return concatenated(nodes, axis=1)[:, layout.part_nodes], layout.parts
-    # All hitches that are wrapped around something are closed: contacts are nodes of their edges.
+    # Hitches that grip an object are closed: contacts are nodes of their edges.
     contacts = motion.contacts.coefficients
     first = layout.points + 2 * layout.robots + 2 * np.arange(layout.robots)[:, None]
     routes = np.hstack([layout.routes[:, :2], first, first + 1, layout.routes[:, 2:]])
@@ -238,7 +234,7 @@ def cable_parts(motion: Motion) -> tuple[Array, Indices]:
 
 
 def clasped_pairs(layout: Layout) -> Indices:
-    """Return the pairs of cables (clasps,) that hold each other: ``i * n + j`` with i < j."""
+    """Return the pairs of cables (clasps,) with a common clasp: ``i * n + j`` with i < j."""
     return pair_of(layout, layout.ahead, layout.behind)
 
 
@@ -260,31 +256,31 @@ def same_degree(*parts: Array) -> list[Array]:
 
 
 def without_shared_zeros(rows: Sequence[Array]) -> list[Array]:
-    """Return polynomials without the factor ``x^a (1 - x)^b`` that those of an item share.
+    """Return polynomials divided by the factor ``x^a (1 - x)^b`` that all those of an item share.
 
     They are (pieces, items, degree + 1) each, constants in degree 0.
     """
-    rows = [lowered(row) for row in rows]
+    rows = [reduce_constants(row) for row in rows]
     if not any(np.any(np.all([row[..., end] == 0.0 for row in rows], axis=0)) for end in (0, -1)):
         return rows
     table = _divided(_divided(np.stack(same_degree(*rows), axis=2))[..., ::-1])[..., ::-1]
-    return [lowered(table[:, :, i]) for i in range(len(rows))]
+    return [reduce_constants(table[:, :, i]) for i in range(len(rows))]
 
 
 def _divided(table: Array) -> Array:
-    """Return polynomials (pieces, items, rows, degree + 1) over the power of x that rows share."""
+    """Return polynomials (pieces, items, rows, degree + 1) divided by their common power of x."""
     order = bernstein.degree(table)
     while True:
         shared = np.all(table[..., 0] == 0.0, axis=2) & np.any(table != 0.0, axis=(2, 3))
         if order == 0 or not np.any(shared):
             return table
         steps = np.arange(1, order + 1)
-        over = bernstein.elevate(table[..., 1:] * (order / steps), order)
-        table = np.where(shared[..., None, None], over, table)
+        quotient = bernstein.elevate(table[..., 1:] * (order / steps), order)
+        table = np.where(shared[..., None, None], quotient, table)
 
 
 class PhasePart(NamedTuple):
-    """A phase, its pieces in the whole motion, and the motion on them."""
+    """A phase, its pieces in the motion, and the motion on them."""
 
     phase: Phase
     pieces: slice
@@ -292,7 +288,7 @@ class PhasePart(NamedTuple):
 
 
 def phase_parts(motion: Motion) -> Iterator[PhasePart]:
-    """Yield the phases of a motion, each piece in the phase of its middle.
+    """Yield the parts of a motion by phase; each piece belongs to the phase at its middle.
 
     Phases of blended steps end within pieces.
     """

@@ -1,14 +1,14 @@
 """Stops of the common clock, and the report ``stoppable``: the longest time to rest.
 
-With x(τ) the plan, D its derivatives by plan time and s = dτ/dt, a clock makes the acceleration
-``s² D²x + ṡ Dx`` and the jerk ``s³ D³x + 3 s ṡ D²x + s̈ Dx``: with these the formulas of the checks
-are those of the drones on that clock. Carried objects are pulled by forces that fit the plan's own
-rate: ``(s² - 1) D²x + ṡ Dx`` times their mass is unbalanced.
+With x(τ) the plan, D its derivatives by plan time and s = dτ/dt, the acceleration on a clock is
+``s² D²x + ṡ Dx`` and the jerk ``s³ D³x + 3 s ṡ D²x + s̈ Dx``: with these, the formulas of the checks
+apply to drones on that clock. Forces on carried objects match the plan's own rate: ``(s² - 1) D²x +
+ṡ Dx`` times their mass is unbalanced.
 
-A cell is a phase of constant s̈ within one piece. Where norms on whole pieces do not show that it
-keeps all limits, the formulas are enclosed on it, s and ṡ by lines over plan time, and it is halved
-until its middle breaks a limit or all of it keeps them. A stop of duration T slows the rate from 1
-to 0 by two phases of constant jerk ∓4/T², in 1/2 T of plan time.
+A cell is a phase of constant s̈ within one piece. If norms on whole pieces do not prove that it
+keeps all limits, the formulas are enclosed on it, s and ṡ by lines over plan time. It is halved
+until its middle violates a limit or all of it keeps them. A stop of duration T slows the rate from
+1 to 0 in two phases of constant jerk ∓4/T², in 1/2 T of plan time.
 """
 
 from __future__ import annotations
@@ -23,8 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.checks.clasps import spare_forces
-from hitchopt.checks.drones import Drones, Hovering, tilt, turning_rate, used_thrust
-from hitchopt.checks.objects import SUPPORT, heading_error, moving, spare_friction, turning_reach
+from hitchopt.checks.drones import Drones, Hovering, thrust_share, tilt, turning_rate
+from hitchopt.checks.objects import (
+    SUPPORT,
+    heading_error,
+    moving_objects,
+    spare_friction,
+    turning_reach,
+)
 from hitchopt.checks.rule import ReportRule, SpanResults, WorstCase
 from hitchopt.checks.spans import (
     MotionSpans,
@@ -39,29 +45,29 @@ from hitchopt.hitch import GRAVITY
 from hitchopt.motion.chapters import parts_of
 from hitchopt.motion.loads import centre_path, held_pieces, supports_of
 from hitchopt.motion.motion import HoldBy, Motion
-from hitchopt.motion.retiming import REST
+from hitchopt.motion.retiming import REST_RATE
 from hitchopt.objects import SolidObject
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.trajectory.clock_phases import ClockPhases, advanced
+from hitchopt.trajectory.clock_phases import ClockPhases, advance
 from hitchopt.trajectory.enclosed import Enclosed
 from hitchopt.values import Array, Indices
 
 Flags = NDArray[np.bool_]
 
-HALVINGS = 7  # of a cell to decide a bound; cells undecided after that count as violations
+HALVINGS = 7  # halvings of a cell to decide a bound; undecided cells count as violations
 BATCH = 20_000  # pairs of a cell and a drone that are evaluated at a time
 SLACK = 1e-9  # relative margin for the clock's rounding
-SHORTEST, SLOWEST, RUNGS = 0.1, 20.0, 19  # candidate durations of stops [s], a third apart
-SPACING = 0.1  # distance of stops [s]
+MIN_STOP, MAX_STOP, STOP_COUNT = 0.1, 20.0, 19  # candidate durations of stops [s], a third apart
+SPACING = 0.1  # spacing of stops [s]
 MAX_STARTS, MIN_STOPS = 20_000, 8  # maximum pairs of a stop and a drone; minimum stops
 
 
 def stop_phases(start: Array, duration: Array, rate: float = 1.0) -> ClockPhases:
-    """Return the phases that lead from a rate, 1 or 0, at plan times (m,) to the other one."""
+    """Return the phases from a rate, 1 or 0, at plan times (m,) to the other one."""
     start, duration = np.broadcast_arrays(np.asarray(start, float), np.asarray(duration, float))
     jerk, zero = (4.0 - 8.0 * rate) / duration**2, np.zeros_like(start)
     first = np.stack([start, zero + rate, zero, jerk], axis=-1)
-    second = advanced(first, 0.5 * duration)
+    second = advance(first, 0.5 * duration)
     second[..., 3] = -jerk
     jets = np.stack([first, second], axis=1).reshape(-1, 4)
     return ClockPhases(np.repeat(np.arange(len(start)), 2), jets, np.repeat(0.5 * duration, 2))
@@ -75,15 +81,15 @@ def rates_of(cells: ClockPhases) -> Array:
 
 
 class OnClock(MotionSpans):
-    """Spans of plan time that cells of clocks pass, one each."""
+    """Spans of plan time along cells of clocks, one each."""
 
     cells: ClockPhases
 
     @classmethod
-    def passed(
+    def of_cells(
         cls, source: Any, breaks: Array, cells: ClockPhases, piece: Indices, item: Indices
     ) -> Self:
-        """Return the spans of items (spans,) that cells within pieces (spans,) pass."""
+        """Return the spans of items (spans,) along cells within pieces (spans,)."""
         times = np.stack([cells.jets[:, 0], cells.ends[:, 0]])
         x = (times - breaks[piece]) / (breaks[piece + 1] - breaks[piece])
         extent = np.sort(np.clip(x, 0.0, 1.0), axis=0)
@@ -91,49 +97,49 @@ class OnClock(MotionSpans):
         spans.cells = cells
         return spans
 
-    def _on(self, cells: ClockPhases, index: Any = slice(None)) -> Self:
-        return self.passed(self.source, self.breaks, cells, self.piece[index], self.item[index])
+    def _on_cells(self, cells: ClockPhases, index: Any = slice(None)) -> Self:
+        return self.of_cells(self.source, self.breaks, cells, self.piece[index], self.item[index])
 
     def take(self, index: Flags | Indices | slice) -> Self:
         """Return the chosen spans."""
-        return self._on(self.cells.select(index), index)
+        return self._on_cells(self.cells.select(index), index)
 
     def halves(self) -> Self:
         """Return all first halves by time, then all second halves."""
         half, twice = 0.5 * self.cells.duration, np.tile(np.arange(len(self)), 2)
-        jets = np.concatenate([self.cells.jets, advanced(self.cells.jets, half)])
-        return self._on(ClockPhases(self.cells.owner[twice], jets, half[twice]), twice)
+        jets = np.concatenate([self.cells.jets, advance(self.cells.jets, half)])
+        return self._on_cells(ClockPhases(self.cells.owner[twice], jets, half[twice]), twice)
 
     def at(self, x: Array) -> Self:
         """Return the points at x (spans,) of their time, from 0 to 1."""
-        jets = advanced(self.cells.jets, x * self.cells.duration)
-        return self._on(ClockPhases(self.cells.owner, jets, np.zeros(len(self))))
+        jets = advance(self.cells.jets, x * self.cells.duration)
+        return self._on_cells(ClockPhases(self.cells.owner, jets, np.zeros(len(self))))
 
     @cached_property
     def clock(self) -> tuple[Enclosed, Enclosed, Enclosed]:
-        """The rate s and its derivatives by time, as lines over the plan time that is passed.
+        """The rate s and its derivatives by time, as lines over plan time.
 
-        In h seconds plan time is off its chord by time by ``h² |ṡ| / 8``, and s by ``h² |s̈| / 8``.
+        In h seconds, plan time deviates from its chord by ``h² |ṡ| / 8``, and s by ``h² |s̈| / 8``.
         """
-        begin, end, h = self.cells.jets, self.cells.ends, self.cells.duration
-        passed, off = np.abs(end[:, 0] - begin[:, 0]), h**2 / 8.0
-        bent = off * np.maximum(np.abs(begin[:, 2]), np.abs(end[:, 2]))
-        share = np.divide(bent, passed, out=np.ones_like(bent), where=bent < passed)
-        back, lines = end[:, :1] < begin[:, :1], []
-        for k, own in ((1, off * np.abs(begin[:, 3])), (2, 0.0)):
-            line = np.stack([begin[:, k], end[:, k]], axis=-1)
-            radius = own + share * np.abs(end[:, k] - begin[:, k])
-            lines.append(Enclosed(np.where(back, line[:, ::-1], line)[:, None], radius))
-        return lines[0], lines[1], Enclosed(begin[:, 3:, None])
+        start, end, h = self.cells.jets, self.cells.ends, self.cells.duration
+        along, error = np.abs(end[:, 0] - start[:, 0]), h**2 / 8.0
+        deviation = error * np.maximum(np.abs(start[:, 2]), np.abs(end[:, 2]))
+        fraction = np.divide(deviation, along, out=np.ones_like(deviation), where=deviation < along)
+        backward, lines = end[:, :1] < start[:, :1], []
+        for k, own in ((1, error * np.abs(start[:, 3])), (2, 0.0)):
+            line = np.stack([start[:, k], end[:, k]], axis=-1)
+            radius = own + fraction * np.abs(end[:, k] - start[:, k])
+            lines.append(Enclosed(np.where(backward, line[:, ::-1], line)[:, None], radius))
+        return lines[0], lines[1], Enclosed(start[:, 3:, None])
 
     def accelerated(self, v: Enclosed, a: Enclosed) -> Enclosed:
-        """Return the acceleration, given derivatives by plan time."""
+        """Return the acceleration from derivatives by plan time."""
         s, slope, _ = self.clock
         return s * s * a + slope * v
 
 
 class DronesOnClock(OnClock, Drones):
-    """Spans of drones on clocks: derivatives are by time, all else is as in the checks."""
+    """Spans of drones on clocks: derivatives are by time, the rest is as in the checks."""
 
     @cached_property
     def _moved(self) -> tuple[Enclosed, Enclosed]:
@@ -141,7 +147,7 @@ class DronesOnClock(OnClock, Drones):
         v, a, j = (self.derivative(self.source.drones, order) for order in (1, 2, 3))
         return self.accelerated(v, a), s * s * s * j + s * slope * 3.0 * a + jerk * v
 
-    def moved(self, order: int) -> Enclosed:
+    def motion_rate(self, order: int) -> Enclosed:
         """Return the acceleration or the jerk."""
         return self._moved[order - 2]
 
@@ -153,36 +159,36 @@ class DronesOnClock(OnClock, Drones):
 
 @dataclass(frozen=True, eq=False)
 class ClockLimit:
-    """Items whose limits bound a clock's rates.
+    """Limits of items that bound a clock's rates.
 
     Attributes
     ----------
-    path: of the items, on pieces of the plan [m].
+    path: paths of the items, on pieces of the plan [m].
     orders: number of its derivatives that enter.
-    over, source: the spans on which shares of limits are bounded, and their source.
-    quick: whether norms of derivatives (orders, cells, items) keep limits, given the pieces
-        (cells,) and the clock's rate and its derivatives there, (cells, 1) each.
-    used: the largest share of a limit (spans,).
+    over, source: type of the spans on which utilization is bounded, and their source.
+    norms_suffice: whether norms of derivatives (orders, cells, items) prove that limits hold, for
+        pieces (cells,) and the clock's rate and its derivatives there, (cells, 1) each.
+    utilization: largest share of a limit (spans,).
     """
 
     path: PiecewisePolynomial
     orders: int
     over: type[OnClock]
     source: Any
-    quick: Callable[..., Flags]
-    used: Callable[[Any], Array]
+    norms_suffice: Callable[..., Flags]
+    utilization: Callable[[Any], Array]
 
     @cached_property
     def sizes(self) -> Array:
-        """(orders, pieces, items): bounds of the derivatives' norms by plan time."""
+        """(orders, pieces, items): bounds of the norms of derivatives by plan time."""
         bounds = []
         for order in range(1, self.orders + 1):
             norms = column_lengths(derivative(self.path, order))
             bounds.append(np.max(norms, axis=-1) + derivative_margin(self.path, order))
         return np.stack(bounds) * (1.0 + SLACK)
 
-    def look(self, phases: ClockPhases, feasible: Flags) -> None:
-        """Set ``feasible`` (owners,) to False unless phases are shown to keep limits."""
+    def decide(self, phases: ClockPhases, feasible: Flags) -> None:
+        """Set ``feasible`` (owners,) to False unless phases provably keep the limits."""
         breaks = self.path.breaks
         cells, piece = phases.cut(breaks, 0.0)
         flown = (piece >= 0) & (piece < len(breaks) - 1)
@@ -193,27 +199,28 @@ class ClockLimit:
             row = np.arange(first, min(first + count, len(piece)))
             row = row[feasible[cells.owner[row]]]
             rates = rates_of(cells.select(row))
-            where, item = np.nonzero(~self.quick(self.sizes[:, piece[row]], piece[row], *rates))
+            sizes = self.sizes[:, piece[row]]
+            where, item = np.nonzero(~self.norms_suffice(sizes, piece[row], *rates))
             row = row[where]
-            spans = self.over.passed(self.source, breaks, cells.select(row), piece[row], item)
-            self._decide(spans, feasible, HALVINGS)
+            spans = self.over.of_cells(self.source, breaks, cells.select(row), piece[row], item)
+            self._refine(spans, feasible, HALVINGS)
 
-    def _decide(self, spans: OnClock, feasible: Flags, halvings: int) -> None:
-        """Set ``feasible`` to False where spans violate a limit, or stay undecided when halved."""
+    def _refine(self, spans: OnClock, feasible: Flags, halvings: int) -> None:
+        """Set ``feasible`` to False where spans violate a limit, or stay undecided."""
         if len(spans):
-            middle = self.used(spans.at(np.full(len(spans), 0.5)))
+            middle = self.utilization(spans.at(np.full(len(spans), 0.5)))
             feasible[spans.cells.owner[~(middle <= 1.0)]] = False
             spans = spans.take(feasible[spans.cells.owner])
         if len(spans):
-            open_ = spans.take(~(self.used(spans) * (1.0 + SLACK) <= 1.0))
+            open_ = spans.take(~(self.utilization(spans) * (1.0 + SLACK) <= 1.0))
             if halvings:
-                self._decide(open_.halves(), feasible, halvings - 1)
+                self._refine(open_.halves(), feasible, halvings - 1)
             else:
                 feasible[open_.cells.owner] = False
 
 
 class ClockLimits:
-    """The limits of a motion's parts, for clocks; ``carried`` are those of carried objects."""
+    """Limits of a motion's parts that bound clocks; ``carried`` are those of carried objects."""
 
     def __init__(self, motion: Motion) -> None:
         groups = [group.motion for group in parts_of(motion)]
@@ -224,69 +231,69 @@ class ClockLimits:
             self._drones = [_limit_of_drones(each) for each in groups]
 
     def keep(self, phases: ClockPhases, owners: int) -> Flags:
-        """Return (owners,) whether phases of each clock, with rates from -1 to 1, keep limits."""
+        """Return which clocks (owners,), with rates from -1 to 1, keep all limits."""
         feasible = np.ones(owners, dtype=np.bool_)
         with value_cache():
             for each in (*self.carried, *self._drones):
-                each.look(phases, feasible)
+                each.decide(phases, feasible)
         return feasible
 
     def carries(self, times: Array) -> Flags:
-        """Return (m,) whether an object is carried at plan times (m,) [s]."""
+        """Return whether an object is carried at plan times (m,) [s]."""
         spans = np.array([each.path.breaks[[0, -1]] for each in self.carried]).reshape(-1, 2)
-        within = (spans[:, 0] < times[:, None]) & (times[:, None] < spans[:, 1])
-        return np.asarray(np.any(within, axis=1))
+        inside = (spans[:, 0] < times[:, None]) & (times[:, None] < spans[:, 1])
+        return np.asarray(np.any(inside, axis=1))
 
 
 def _limit_of_drones(motion: Motion) -> ClockLimit:
     """Return the limits of a motion's drones."""
     limits, spare = motion.requirements.limits, _spare(motion)
-    turns = limits.body_rate
+    body_rate = limits.body_rate
 
-    def quick(sizes: Array, piece: Indices, s: Array, slope: Array, jerk: Array) -> Flags:
+    def norms_suffice(sizes: Array, piece: Indices, s: Array, slope: Array, jerk: Array) -> Flags:
         v, a, j = sizes
-        fine: Flags = s * s * a + slope * v <= np.minimum(spare[piece], limits.acceleration)
-        fine &= s * s * s * j + 3.0 * s * slope * a + jerk * v <= limits.jerk
-        return fine & (turns is None)  # no quick bound of turning is tight
+        feasible: Flags = s * s * a + slope * v <= np.minimum(spare[piece], limits.acceleration)
+        feasible &= s * s * s * j + 3.0 * s * slope * a + jerk * v <= limits.jerk
+        return feasible & (body_rate is None)  # norms do not bound turning rates tightly
 
-    def used(spans: DronesOnClock) -> Array:
+    def utilization(spans: DronesOnClock) -> Array:
         """Return the largest share of a limit (spans,), by the formulas of the checks."""
-        acceleration, jerk = (spans.moved(order).norm_above.value for order in (2, 3))
+        acceleration, jerk = (spans.motion_rate(order).norm_upper.value for order in (2, 3))
         shares = [acceleration / limits.acceleration, jerk / limits.jerk]
-        if turns is not None:
-            shares.append(turning_rate(spans).value / math.degrees(turns))
-        if turns is not None or not np.all(acceleration <= spare[spans.piece, spans.item]):
-            shares += [used_thrust(spans).value, tilt(spans).value / math.degrees(limits.tilt)]
+        if body_rate is not None:
+            shares.append(turning_rate(spans).value / math.degrees(body_rate))
+        if body_rate is not None or not np.all(acceleration <= spare[spans.piece, spans.item]):
+            shares += [thrust_share(spans).value, tilt(spans).value / math.degrees(limits.tilt)]
         return np.asarray(np.max(shares, axis=0))
 
-    return ClockLimit(motion.drones, 3, DronesOnClock, motion, quick, used)
+    return ClockLimit(motion.drones, 3, DronesOnClock, motion, norms_suffice, utilization)
 
 
 def _spare(motion: Motion) -> Array:
-    """Return (pieces, drones) [m/s²] hovering drones' spare acceleration in any direction."""
-    spare, most = np.zeros((motion.drones.pieces, motion.team.drones)), motion.team.max_thrust
+    """Return the spare acceleration of hovering drones in any direction (pieces, drones) [m/s²]."""
+    spare, max_thrust = np.zeros((motion.drones.pieces, motion.team.drones)), motion.team.max_thrust
     for spans in Hovering.of(motion):
-        left = math.degrees(motion.requirements.limits.tilt) - tilt(spans).value
-        aside = spans.thrust.norm_below.value * np.sin(np.radians(np.clip(left, -90.0, 90.0)))
-        more = most[spans.item] - spans.thrust.norm_above.value
-        spare[spans.piece, spans.item] = np.minimum(more, aside) / spans.mass[:, 0]
+        margin = math.degrees(motion.requirements.limits.tilt) - tilt(spans).value
+        sines = np.sin(np.radians(np.clip(margin, -90.0, 90.0)))
+        horizontal = spans.thrust.norm_lower.value * sines
+        thrust_margin = max_thrust[spans.item] - spans.thrust.norm_upper.value
+        spare[spans.piece, spans.item] = np.minimum(thrust_margin, horizontal) / spans.mass[:, 0]
     return spare * (1.0 - SLACK)
 
 
 def _inertia(path: PiecewisePolynomial, slack: Array) -> ClockLimit:
-    """Return the limit of additional accelerations of paths (items, 3) to (pieces, items)."""
+    """Return the limit of additional accelerations of paths (items, 3) to ``slack``."""
     slack = np.maximum(np.nan_to_num(slack), 0.0)
 
-    def quick(sizes: Array, piece: Indices, s: Array, slope: Array, _: Array) -> Flags:
-        within_slack: Flags = np.maximum(s * s, 1.0) * sizes[1] + slope * sizes[0] <= slack[piece]
-        return within_slack
+    def norms_suffice(sizes: Array, piece: Indices, s: Array, slope: Array, _: Array) -> Flags:
+        return np.asarray(np.maximum(s * s, 1.0) * sizes[1] + slope * sizes[0] <= slack[piece])
 
-    def used(spans: OnClock) -> Array:
+    def utilization(spans: OnClock) -> Array:
         v, a = (spans.derivative(path, order) for order in (1, 2))
-        added = (spans.accelerated(v, a) - a).norm_above.value
+        added = (spans.accelerated(v, a) - a).norm_upper.value
         return np.divide(added, slack[spans.piece, spans.item])
 
-    return ClockLimit(path, 2, OnClock, path, quick, used)
+    return ClockLimit(path, 2, OnClock, path, norms_suffice, utilization)
 
 
 @dataclass(frozen=True, eq=False)
@@ -295,7 +302,7 @@ class StopTable:
 
     Attributes
     ----------
-    end: plan time at which the plan ends [s].
+    end: plan time at which the plan ends at rest [s]; infinite if it does not.
     starts: (stops,) [s], increasing.
     durations: (stops,) [s]; infinite if no stop is feasible.
     """
@@ -306,92 +313,91 @@ class StopTable:
 
     @property
     def longest(self) -> tuple[Array, Array]:
-        """Longest time to rest [s] from each stretch between starts, (stops,), and its begin [s].
+        """Longest times to rest [s] from the intervals between starts, and their begins [s].
 
-        The last stretch lies between the last start and the end of the plan.
+        The last interval lies between the last start and the end of the plan.
         """
         begins = np.concatenate([[min(0.0, self.starts[0])], self.starts])
-        rests = np.append(self.starts + self.durations, self.end)
-        return np.minimum.accumulate(rests[::-1])[::-1] - begins, begins
+        rest_times = np.append(self.starts + self.durations, self.end)
+        return np.minimum.accumulate(rest_times[::-1])[::-1] - begins, begins
 
     def after(self, time: float) -> tuple[float, float]:
-        """Return start and duration [s] of the stop that is first at rest for a command at a time.
+        """Return start and duration [s] of the earliest rest for a command at a time.
 
-        If the end of the plan is sooner, the end and zero.
+        If the plan ends sooner, return its end and zero.
         """
         first = int(np.searchsorted(self.starts, time))
-        rests = self.starts[first:] + self.durations[first:]
-        if not len(rests) or np.min(rests) >= self.end:
+        rest_times = self.starts[first:] + self.durations[first:]
+        if not len(rest_times) or np.min(rest_times) >= self.end:
             return self.end, 0.0
-        best = first + int(np.argmin(rests))
+        best = first + int(np.argmin(rest_times))
         return float(self.starts[best]), float(self.durations[best])
 
 
 def stop_table(motion: Motion, limits: ClockLimits | None = None) -> StopTable:
-    """Return stops that are shown to keep all limits of a motion, SPACING [s] from each other.
+    """Return stops that provably keep all limits of a motion, SPACING [s] from each other.
 
-    Each has the shortest duration of a ladder that bisection finds; one that is over no sooner than
-    a later one is of no use. The end counts as rest only if the drones rest there. ``limits`` are
+    Each has the shortest of some candidate durations, by bisection; stops that end no sooner than a
+    later one are skipped. The end counts as rest if the drones are at rest there. ``limits`` are
     those of the motion, if known.
     """
     limits = limits or ClockLimits(motion)
     begin, end = (float(each) for each in motion.drones.breaks[[0, -1]])
-    most = max(MAX_STARTS // motion.team.drones, MIN_STOPS)
-    count = max(2, int(min(np.ceil((end - begin) / SPACING), most)) + 1)
+    max_starts = max(MAX_STARTS // motion.team.drones, MIN_STOPS)
+    count = max(2, int(min(np.ceil((end - begin) / SPACING), max_starts)) + 1)
     starts = np.linspace(begin, end, count)[:-1]
-    moving = max(np.max(np.abs(motion.drones.ends(order)[1][-1])) for order in (1, 2))
-    rest = end if moving <= REST else np.inf
-    ladder = np.geomspace(SHORTEST, SLOWEST, RUNGS)
+    rate = max(np.max(np.abs(motion.drones.ends(order)[1][-1])) for order in (1, 2))
+    rest = end if rate <= REST_RATE else np.inf
+    ladder = np.geomspace(MIN_STOP, MAX_STOP, STOP_COUNT)
     durations, low = np.full(len(starts), np.inf), np.full(len(starts), -1)
     high = np.full(len(starts), len(ladder))
     while True:
-        rests = np.append(starts + durations, rest)
-        soonest = np.minimum.accumulate(rests[::-1])[-2::-1]  # of all later ones
+        rest_times = np.append(starts + durations, rest)
+        soonest = np.minimum.accumulate(rest_times[::-1])[-2::-1]  # of all later ones
         high = np.minimum(high, np.searchsorted(ladder, soonest - starts))
-        if not len(left := np.flatnonzero(high - low > 1)):
+        if not len(undecided := np.flatnonzero(high - low > 1)):
             return StopTable(rest, starts, durations)
-        # What is carried may allow some stop and no longer one: no bisection then.
-        rung = low[left] + 1 if limits.carried else (low[left] + high[left]) // 2
-        feasible = _shown(limits, starts[left], ladder[rung])
-        durations[left[feasible]] = ladder[rung[feasible]]
-        high[left[feasible]], low[left[~feasible]] = rung[feasible], rung[~feasible]
+        # With a carried object, longer stops may be infeasible: no bisection then.
+        rung = low[undecided] + 1 if limits.carried else (low[undecided] + high[undecided]) // 2
+        feasible = _feasible_stops(limits, starts[undecided], ladder[rung])
+        durations[undecided[feasible]] = ladder[rung[feasible]]
+        high[undecided[feasible]], low[undecided[~feasible]] = rung[feasible], rung[~feasible]
 
 
-def _shown(limits: ClockLimits, starts: Array, durations: Array) -> Flags:
-    """Return (m,) whether stops keep all limits, and starts from where something is carried."""
+def _feasible_stops(limits: ClockLimits, starts: Array, durations: Array) -> Flags:
+    """Return which stops (m,) keep all limits, as do restarts with a carried object."""
     feasible = limits.keep(stop_phases(starts, durations), len(starts))
-    rests = starts + 0.5 * durations
-    left = np.flatnonzero(feasible & limits.carries(rests))
-    feasible[left] = limits.keep(stop_phases(rests[left], durations[left], 0.0), len(left))
+    rest_times = starts + 0.5 * durations
+    held = np.flatnonzero(feasible & limits.carries(rest_times))
+    feasible[held] = limits.keep(stop_phases(rest_times[held], durations[held], 0.0), len(held))
     return feasible
 
 
 def carried_paths(motion: Motion) -> Iterator[tuple[PiecewisePolynomial, Array]]:
-    """Yield paths (items, 3) [m] where an object is carried, and their slack (pieces, items)."""
+    """Yield paths (items, 3) [m] of carried objects, and their slack (pieces, items) [m/s²]."""
     breaks = motion.drones.breaks
     for index, (name, body) in enumerate(motion.requirements.objects.items()):
-        for by, parts in ((HoldBy.REST, _resting), (HoldBy.GRIP, _gripped)):
-            on = moving(motion)[:, index] & held_pieces(motion, name, by)
-            edges = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]])))
+        for by, paths_of in ((HoldBy.REST, _resting), (HoldBy.GRIP, _gripped)):
+            mask = moving_objects(motion)[:, index] & held_pieces(motion, name, by)
+            edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]])))
             for first, last in edges.reshape(-1, 2).tolist():
-                if by is HoldBy.REST and body.rim is None:  # which check support refuses
+                if by is HoldBy.REST and body.rim is None:  # violates the check ``support``
                     continue
                 phases = motion.overlapping(breaks[first], breaks[last])
-                yield parts(motion.slice_pieces(slice(first, last), phases), index, body)
+                yield paths_of(motion.slice_pieces(slice(first, last), phases), index, body)
 
 
 def _resting(motion: Motion, index: int, body: SolidObject) -> tuple[PiecewisePolynomial, Array]:
     """Return the paths of clasps below a rim and of the centre of mass, and their slack.
 
-    Clasps carry shares of the mass, and loads that the centre, being higher, moves between clasps;
-    friction carries the rim along with them; and the line of weight and inertia meets their plane
-    within their polygon.
+    Clasps carry shares of the mass, and loads that the higher centre of mass shifts between them.
+    Friction moves the rim with them. The force line meets their plane within their polygon.
     """
     assert body.rim is not None
     pose = motion.object_poses.coefficients[:, index]
     places = motion.vertices.coefficients[:, motion.team.layout.clasps]
     centre = centre_path(pose, body)[:, None]
-    points = motion.vertices.alike(concatenated([places, centre], axis=1))
+    points = motion.vertices.replaced(concatenated([places, centre], axis=1))
     height = abs(body.centre_of_mass[2] - body.rim.height)
     supports = supports_of(motion, index, body)
     shifted = height * np.linalg.norm(supports.gains, axis=-1)
@@ -410,21 +416,21 @@ def _resting(motion: Motion, index: int, body: SolidObject) -> tuple[PiecewisePo
 
 
 def _gripped(motion: Motion, index: int, body: SolidObject) -> tuple[PiecewisePolynomial, Array]:
-    """Return the paths of the centre and the heading of an object that edges grip, and their slack.
+    """Return the paths of centre and heading of a gripped object, and their slack.
 
-    Edges push it as a whole; friction bears it and turns it with them, half of it for each.
+    Edges push it as a whole. Friction carries it and turns it, one half for each.
     """
     pose = motion.object_poses.coefficients[:, index]
     heading = np.pad(pose[:, None, 3:], [(0, 0), (0, 0), (0, 1), (0, 0)])
     paths = concatenated([centre_path(pose, body)[:, None], heading], axis=1)
     forces, friction = np.min(spare_forces(motion), axis=1), 0.5 * spare_friction(motion, index)
     slack = [np.minimum(forces, friction), friction / turning_reach(body)]
-    return motion.drones.alike(paths), np.column_stack(slack) / body.mass
+    return motion.drones.replaced(paths), np.column_stack(slack) / body.mass
 
 
 def _longest_stop(motion: Motion, _: SpanResults, __: float) -> WorstCase:
-    """Return the longest time to rest [s] over all times of the command, with its time."""
-    with np.errstate(all="ignore"):  # coefficients may be anything; nan breaks a limit
+    """Return the longest time to rest [s] over all times of a command, with that time."""
+    with np.errstate(all="ignore"):  # coefficients may have any value; nan violates a limit
         longest, begins = stop_table(motion).longest
     worst = int(np.argmax(longest))
     return WorstCase(float(longest[worst]), float(begins[worst]))

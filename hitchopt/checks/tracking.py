@@ -1,13 +1,13 @@
-"""Report ``tracking_radius``: how far all drones may be off their plan with every distance kept.
+"""Report ``tracking_radius``: the largest tracking error with which all distances are kept.
 
-It is the largest r such that, with every drone within r of its plan and every vertex within γ r,
-independently of each other, and taut parts of cables straight between them, all distances keep
-their limits at all times. Two drones have half the shortest shift of their offset that makes their
-ellipsoids touch, all others the slack of checks beyond their limits over the motion of both bodies.
-A hanging cable moves by its ends and by how much deeper or shallower it hangs between them.
+It is the largest r such that all distances keep their limits at all times, with every drone within
+r of its plan and every vertex within γ r, independently of each other, and taut parts of cables
+straight between them. For two drones, it is half the shortest shift of their offset with which
+their ellipsoids touch; for other bodies, the slack of checks divided by the approach of both. A
+hanging cable moves with its ends, and its depth changes.
 
-If ``limits.tracking`` states how far they may be off, that is the limit, and the distances of
-cables and carried objects to other objects count, too.
+``limits.tracking``, if stated, is the limit; then the distances of cables and carried objects from
+other objects count, too.
 
 It follows from the bounds of the checks, which hold for all t. Only pairs of drones at different
 heights, and hanging cables, are bounded separately.
@@ -23,7 +23,7 @@ from functools import partial
 import numpy as np
 
 from hitchopt.checks.certificate import Check
-from hitchopt.checks.clearance import CABLE_CLEARANCE, drones_room, moved_by
+from hitchopt.checks.clearance import CABLE_CLEARANCE, approach_of, drone_wall_gap
 from hitchopt.checks.distances import Moving, smallest
 from hitchopt.checks.drones import Drones
 from hitchopt.checks.rule import ReportRule, SpanResult, SpanResults, WorstCase
@@ -35,49 +35,49 @@ from hitchopt.trajectory.search import worst
 from hitchopt.values import Array
 
 GAMMA = 1.0  # default ratio of vertex errors to drone errors
-HANGING = ("cable_clearance", "object_clearance")  # distances of cables that hang
-HALVINGS = 40  # of the interval in which the radius of hanging cables lies
-NEWTON = 12  # iterations for the nearest point; a normal that is off costs tightness only
+HANGING_CHECKS = ("cable_clearance", "object_clearance")  # distances of cables that hang
+HALVINGS = 40  # bisection steps for the radius of hanging cables
+NEWTON = 12  # iterations for the nearest point; an inexact normal only costs tightness
 
 
 def _radius(motion: Motion, results: SpanResults, gamma: float) -> WorstCase:
-    """Return the radius [m]; infinite if nothing keeps a distance."""
-    most, terms = max(1.0, gamma), [WorstCase(math.inf, 0.0)]
-    # How far bodies come together per radius, with a hitch and without.
-    nearer = {"cable_clearance": (1.0 + most, 2.0), "crossing": (2.0 * most, 2.0)}
-    nearer |= {"legs": (1.0 + gamma, 1.0), "arena": (most, 1.0), "keep_out": (1.0, 1.0)}
+    """Return the radius [m]; infinite if no distance is checked."""
+    ratio, terms = max(1.0, gamma), [WorstCase(math.inf, 0.0)]
+    # Approach of bodies per radius, with a hitch and without.
+    approach = {"cable_clearance": (1.0 + ratio, 2.0), "crossing": (2.0 * ratio, 2.0)}
+    approach |= {"legs": (1.0 + gamma, 1.0), "arena": (ratio, 1.0), "keep_out": (1.0, 1.0)}
     if motion.requirements.limits.tracking:
-        nearer["object_clearance"] = (most, most)
-    for name, factors in nearer.items():
+        approach["object_clearance"] = (ratio, ratio)
+    for name, factors in approach.items():
         for each in results[name]:
-            landed = name == "arena" and each.states != HITCHED_STATE
-            if not (landed or (name in HANGING and _hangs(each))):
-                left = _left(each.check) / factors[each.states != HITCHED_STATE]
-                terms.append(WorstCase(left, each.check.time, each.check.where))
-    if motion.requirements.arena is not None:  # drones that stand on its floor may
-        near = worst(Drones.of(motion), partial(drones_room, landed=False), "min")
-        where = (motion.team.drone_names[near.item],)
-        terms.append(WorstCase(max(near.worst, 0.0), near.time, where))
-    for span in motion.spans(FREE_STATES):  # half of the excess of cables over their chords
-        tightest = worst(Drones.of(span), _spare, "min")
+            on_floor = name == "arena" and each.states != HITCHED_STATE
+            if not (on_floor or (name in HANGING_CHECKS and _is_hanging(each))):
+                slack = _slack(each.check) / factors[each.states != HITCHED_STATE]
+                terms.append(WorstCase(slack, each.check.time, each.check.where))
+    if motion.requirements.arena is not None:  # without drones at rest on its floor
+        wall = worst(Drones.of(motion), partial(drone_wall_gap, on_floor=False), "min")
+        where = (motion.team.drone_names[wall.item],)
+        terms.append(WorstCase(max(wall.worst, 0.0), wall.time, where))
+    for span in motion.spans(FREE_STATES):  # half of the excess length
+        tightest = worst(Drones.of(span), _excess_length, "min")
         cable = cable_names(span)[tightest.item // 2]
         terms.append(WorstCase(max(0.5 * tightest.worst, 0.0), tightest.time, (cable,)))
-    for check, span in _while_hanging(motion, results):
-        terms.append(WorstCase(_hanging(span, check), check.time, check.where))
-    least = min(terms, key=lambda term: term.worst)
+    for check, span in _hanging_spans(motion, results):
+        terms.append(WorstCase(_hanging_radius(span, check), check.time, check.where))
+    smallest_term = min(terms, key=lambda term: term.worst)
     for each in results["separation"]:
-        least = _least_pair(motion, each.check, least)
-    return replace(least, worst=least.worst * (1.0 - ROUNDING))
+        smallest_term = _pair_radius(motion, each.check, smallest_term)
+    return replace(smallest_term, worst=smallest_term.worst * (1.0 - ROUNDING))
 
 
-def _while_hanging(motion: Motion, results: SpanResults) -> Iterator[tuple[Check, Motion]]:
-    """Yield the clearance of hanging cables with its span of time; if limited, of each phase.
+def _hanging_spans(motion: Motion, results: SpanResults) -> Iterator[tuple[Check, Motion]]:
+    """Yield the clearance of hanging cables by time span, or by phase if limited.
 
     In some phases they hang close to obstacles, in others they move farther with their ends.
     """
     limited = bool(motion.requirements.limits.tracking)
-    for name in HANGING if limited else HANGING[:1]:
-        hanging = [each for each in results[name] if _hangs(each)]
+    for name in HANGING_CHECKS if limited else HANGING_CHECKS[:1]:
+        hanging = [each for each in results[name] if _is_hanging(each)]
         spans = motion.spans(hanging[0].states) if hanging else ()
         for each, span in zip(hanging, spans, strict=True):
             if not limited or name != "cable_clearance":
@@ -88,54 +88,55 @@ def _while_hanging(motion: Motion, results: SpanResults) -> Iterator[tuple[Check
                 yield own.check, part.motion
 
 
-def _left(check: Check) -> float:
+def _slack(check: Check) -> float:
     """Return the slack of a distance beyond its limit [m]; infinite if nothing was evaluated."""
     return max(check.bound - check.number, 0.0)
 
 
-def _hangs(result: SpanResult) -> bool:
+def _is_hanging(result: SpanResult) -> bool:
     return result.states.isdisjoint(HITCHED_STATE) and result.states != {CableState.GROUND}
 
 
-def _spare(spans: Drones) -> Bound:
-    """Return by how much cables are longer than their chords [m]."""
-    chord = spans.partner.norm_above
+def _excess_length(spans: Drones) -> Bound:
+    """Return the excess length of cables over their chords [m]."""
+    chord = spans.partner.norm_upper
     return Bound(spans.length - chord.value, chord.x)
 
 
-def _hanging(span: Motion, check: Check) -> float:
+def _hanging_radius(span: Motion, check: Check) -> float:
     """Return the largest radius at which hanging cables keep their clearance [m]."""
     if check.worst is None:
         return math.inf
-    left, needed = _left(check), moved_by(span)
-    low, high = 0.0, left
+    slack, approach = _slack(check), approach_of(span)
+    low, high = 0.0, slack
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if needed(middle) <= left else (low, middle)
+        low, high = (middle, high) if approach(middle) <= slack else (low, middle)
     return low
 
 
-def _least_pair(motion: Motion, check: Check, least: WorstCase) -> WorstCase:
+def _pair_radius(motion: Motion, check: Check, term: WorstCase) -> WorstCase:
     """Return the smaller of a term and the radius at which two drones may touch.
 
-    A ratio s leaves the thinnest semi-axis times s - 1: if that suffices, no pair is evaluated.
+    For a ratio s, the smallest semi-axis times s - 1 is a lower bound: if it suffices, no pair is
+    evaluated.
     """
     separation, names = motion.requirements.separation, motion.team.drone_names
     lower = max(min(separation.radius, separation.height) * (check.bound - 1.0), 0.0)
-    if least.worst <= lower:
-        return least
+    if term.worst <= lower:
+        return term
     points, shape = motion.drones.coefficients[:, :, None], Ellipsoid(1.0 / separation.scale)
     moving = Moving.of(motion, points, shape=shape, names=(names, names))
-    pair = smallest(moving, known=2.0 * least.worst)
+    pair = smallest(moving, incumbent=2.0 * term.worst)
     radius = max(0.5 * pair.worst, lower)
-    if radius >= least.worst or pair.item < 0:
-        return replace(least, worst=min(radius, least.worst))
-    return WorstCase(radius, pair.time, moving.named(pair.item))
+    if radius >= term.worst or pair.item < 0:
+        return replace(term, worst=min(radius, term.worst))
+    return WorstCase(radius, pair.time, moving.pair_names(pair.item))
 
 
 @dataclass(frozen=True, eq=False)
 class Ellipsoid:
-    """Ellipsoid of the offsets at which two drones' ellipsoids touch: twice their semi-axes.
+    """Ellipsoid of the offsets at which two drones' ellipsoids touch, with twice their semi-axes.
 
     Its semi-axes are ``axes`` (3,) [m], the first two equal.
     """
@@ -143,15 +144,14 @@ class Ellipsoid:
     axes: Array
 
     def support(self, directions: Array) -> Array:
-        """Return how far it reaches (…) [m] along directions (…, 3)."""
-        reach: Array = np.linalg.norm(directions * self.axes, axis=-1)
-        return reach
+        """Return the support function (…) [m] along directions (…, 3)."""
+        return np.asarray(np.linalg.norm(directions * self.axes, axis=-1))
 
-    def towards(self, corners: Array) -> Array:
-        """Return the outward normals (…, 3) nearest to points (…, 1, 3); zero for points within.
+    def normals(self, corners: Array) -> Array:
+        """Return the outward normals (…, 3) nearest to points (…, 1, 3); zero for inner points.
 
-        The nearest point is ``(a² x, b² z) / (t + (a², b²))`` with t > 0 where that is on the
-        ellipsoid. Newton's method on a convex function that falls, from the left.
+        The nearest point is ``(a² x, b² z) / (t + (a², b²))``, with t > 0 such that it is on the
+        ellipsoid. Newton's method finds t from the left, on a convex decreasing function.
         """
         offsets, a, b = corners[..., 0, :], float(self.axes[0]), float(self.axes[2])
         across, upward = np.hypot(offsets[..., 0], offsets[..., 1]), np.abs(offsets[..., 2])
