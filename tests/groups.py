@@ -20,7 +20,7 @@ def moved(motion: Motion, *by: float) -> Motion:
     """Return a motion without objects elsewhere."""
     parts = {name: getattr(motion, name) for name in ("drones", "vertices")}
     offset = np.array(by)[:, None]
-    shifted = {name: part.alike(part.coefficients + offset) for name, part in parts.items()}
+    shifted = {name: part.replaced(part.coefficients + offset) for name, part in parts.items()}
     return motion.replaced(**shifted)
 
 

@@ -45,7 +45,7 @@ def _formulas(rule: CheckRule) -> str:
     for evaluator in rule.evaluators:
         if isinstance(evaluator.evaluate, WorstOverSpans):
             formulas.append(evaluator.evaluate.formula)
-        formulas += evaluator.shown
+        formulas += evaluator.formulas
     unique = [getattr(each, "func", each) for each in dict.fromkeys(formulas)]
     code = "\n\n".join(inspect.cleandoc(f"\n{inspect.getsource(each)}") for each in unique)
     return f"\n:::{{dropdown}} The formula\n```python\n{code}\n```\n:::\n" if code else ""

@@ -217,7 +217,7 @@ def abort(directory: Path, how: str | None, every: float) -> None:
     entry and slows to rest, where the entry's plan continues. Ends with 3 if there are times from
     which no abort was found.
     """
-    from hitchopt.checks.drones import largest_at_rest, tilt, used_thrust
+    from hitchopt.checks.drones import largest_at_rest, thrust_share, tilt
     from hitchopt.live.abort import abort_table, save_aborts
     from hitchopt.motion.plan_file import read_plan
 
@@ -235,7 +235,7 @@ def abort(directory: Path, how: str | None, every: float) -> None:
     say(table(f"Aborts: {how}", rows))
     thrust, angle = (
         max(largest_at_rest(group.motion, quantity) for group in motion.groups)
-        for quantity in (used_thrust, tilt)
+        for quantity in (thrust_share, tilt)
     )
     needed = f"{thrust:.1%} of a drone's thrust, {angle:.2f}°"
     say(f"hovering anywhere on the paths takes up to {needed}")

@@ -58,7 +58,7 @@ def evaluate(
 
     task = read_task(plan_path(plan).parent)
     if markers:
-        task.refuse_several("evaluate")
+        task.require_one_team("evaluate")
         _say_markers(task)
         return
     if recording is None:

@@ -46,7 +46,7 @@ from hitchopt.hitch import Team
 from hitchopt.hitch.forces import undetermined_tension
 from hitchopt.motion.combined import combined
 from hitchopt.motion.motion import JOINT, Group, Motion
-from hitchopt.motion.retiming import between, stretched
+from hitchopt.motion.retiming import slice_time, stretched
 from hitchopt.storage.files import digest, replace_files, write_strict_json
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
@@ -414,12 +414,12 @@ def verify(
         if abs(float(window.breaks[0]) - end) > JOINT:
             raise FileError(f"begins at t = {window.breaks[0]:g} s, not at {end:g} s")
         end = float(window.breaks[-1])
-        curves = frame.in_plan(window.alike(window.coefficients[:, index]))
+        curves = frame.in_plan(window.replaced(window.coefficients[:, index]))
         coefficients = np.split(curves.coefficients, firsts, axis=1)
         groups = list[Group]()
         for group, part in zip(motion.groups, coefficients, strict=True):
             planned = _plan_between(group.motion, window.breaks)
-            exported = on_breaks(curves.alike(part), planned.drones.breaks)
+            exported = on_breaks(curves.replaced(part), planned.drones.breaks)
             deviations.append(_deviations(exported, planned, group))
             groups.append(replace(group, motion=replace(planned, drones=exported)))
         whole = combined(groups, [_other_between(each, window.breaks) for each in motion.others])
@@ -450,14 +450,14 @@ def _plan_between(motion: Motion, breaks: Array) -> Motion:
 
 def _other_between(other: Group, breaks: Array) -> Group:
     """Return another plan over the span of ``breaks``."""
-    return replace(other, motion=between(other.motion, float(breaks[0]), float(breaks[-1])))
+    return replace(other, motion=slice_time(other.motion, float(breaks[0]), float(breaks[-1])))
 
 
 def _deviations(exported: PiecewisePolynomial, motion: Motion, group: Group) -> list[Deviation]:
     """Return the largest deviations of curves on a plan's breaks, in position and velocity."""
     degree, deviations = max(exported.degree, motion.drones.degree), []
     planned = bernstein.elevate(motion.drones.coefficients, degree)
-    difference = exported.alike(bernstein.elevate(exported.coefficients, degree) - planned)
+    difference = exported.replaced(bernstein.elevate(exported.coefficients, degree) - planned)
     for order, margin in enumerate((ROUNDING * float(np.max(np.abs(planned))), 0.0)):
         worst = largest_rate(difference, order)
         drone = group.label(motion.team.drone_names[worst.item])

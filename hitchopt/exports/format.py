@@ -19,7 +19,7 @@ from hitchopt.hitch import Team
 from hitchopt.hitch.flight_controller import CONTROLLERS
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import (
-    UPWARD,
+    HOVER,
     States,
     attitudes,
     iterate_states,
@@ -90,9 +90,9 @@ class Task:
         forces, force_rates = share * states.cable_forces, share * states.cable_force_rates
         gain = self.motion.team.pull_gain
         forward = states.accelerations - gain * forces / mass
-        thrusts = rotated(mass * (forward + UPWARD))
+        thrusts = rotated(mass * (forward + HOVER))
         rates = rotated(mass * states.jerks - gain * force_rates)
-        flip = FLIPPED if rotated(UPWARD)[2] < 0.0 else np.ones(3)
+        flip = FLIPPED if rotated(HOVER)[2] < 0.0 else np.ones(3)
         attitude = attitudes(thrusts * flip, rates * flip, heading * flip[2])
         return {
             "positions": frame.points(states.positions),

@@ -73,10 +73,10 @@ REMEDIES = dict.fromkeys(("separation", DISTANCE), "move them apart") | {"maxAlt
 """Remedies by check; all other checks bound rates, for which a slower flight is the remedy."""
 
 NORMS: dict[str, Callable[[Enclosed], Bound]] = {
-    "all": lambda rate: rate.norm_above,
-    "across": lambda rate: rate.level.norm_above,
-    "up": lambda rate: rate[2].above,
-    "down": lambda rate: (rate[2] * -1.0).above,
+    "all": lambda rate: rate.norm_upper,
+    "across": lambda rate: rate.xy.norm_upper,
+    "up": lambda rate: rate[2].upper,
+    "down": lambda rate: (rate[2] * -1.0).upper,
 }
 """Norms of the components of a vector to which limits apply."""
 
@@ -332,7 +332,7 @@ def _above(
     for first, last in pairwise([0, *ends.tolist(), fine.pieces]):
         if len(drones := np.flatnonzero(high[first])) > 1:
             span = fine.slice_pieces(slice(first, last))
-            yield span.alike(span.coefficients[:, drones]), drones
+            yield span.replaced(span.coefficients[:, drones]), drones
 
 
 def _violation(check: Check, *, is_default: bool) -> Finding:

@@ -229,11 +229,11 @@ class ReferenceFrame:
 
     def placed(self, part: PiecewisePolynomial) -> PiecewisePolynomial:
         """Return points (items, 3) of the plan in the file's axes [m]."""
-        return part.alike(self.rotation @ part.coefficients + self.shift[:, None])
+        return part.replaced(self.rotation @ part.coefficients + self.shift[:, None])
 
     def in_plan(self, part: PiecewisePolynomial) -> PiecewisePolynomial:
         """Return points (items, 3) of the file in the plan's axes [m]."""
-        return part.alike(self.rotation.T @ (part.coefficients - self.shift[:, None]))
+        return part.replaced(self.rotation.T @ (part.coefficients - self.shift[:, None]))
 
     def to_dict(self) -> dict[str, object]:
         """Return the frame as plain data for files."""

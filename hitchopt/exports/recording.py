@@ -24,7 +24,7 @@ from hitchopt.storage.archive import reading
 from hitchopt.storage.files import parsed_json
 from hitchopt.storage.tables import SEPARATORS, Table
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.trajectory.piecewise import SAME_BREAK, merged_breaks, on_breaks
+from hitchopt.trajectory.piecewise import BREAK_TOLERANCE, merged_breaks, on_breaks
 from hitchopt.values import Array
 
 WINDOW = 20_000  # Pieces times drones of a window: about 40 MB with bounds
@@ -114,7 +114,7 @@ class Recording:
         times = [curve.breaks for curve in curves]
         if all(np.array_equal(t, times[0]) for t in times):
             times = times[:1]
-        spans = len(np.unique(np.rint(np.concatenate(times) / SAME_BREAK))) - 1
+        spans = len(np.unique(np.rint(np.concatenate(times) / BREAK_TOLERANCE))) - 1
         if spans * len(curves) > MAX_SPANS:
             reason = f"{len(curves)} drones with {spans} spans of time are too many to be read"
             raise FileError(f"{reason}; give all drones the same times, or fewer points")

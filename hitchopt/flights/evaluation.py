@@ -216,7 +216,7 @@ def evaluate(
         task = Task.of(plan.motion)
     else:
         task = plan if isinstance(plan, Task) else read_task(path("plan", plan))
-    task.refuse_several("evaluate")
+    task.require_one_team("evaluate")
     if flight.simulated and start is None:
         start = 0.0  # The clock of a simulation is the plan's
     try:

@@ -33,14 +33,14 @@ from hitchopt.motion.motion import FREE_STATES, JOINT, CableState, Group, Motion
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.retiming import (
     append_motion,
-    before,
     on_clock,
     rest_breaks,
     resting,
+    truncated,
     with_last_poses,
 )
 from hitchopt.motion.states import final_hitch
-from hitchopt.objects.placing import STILL, in_world
+from hitchopt.objects.placing import REST_DRIFT, in_world
 from hitchopt.planners.forming.joining import landing_motion
 from hitchopt.planners.forming.stages import stage, straight_lines
 from hitchopt.steps import Release
@@ -197,7 +197,7 @@ def _clear_of_objects(motion: Motion, time: float) -> float | None:
     earlier, is_later = [rest for rest in clear if rest < time], max(clear, default=0.0) > time
     if earlier:
         poses = motion.object_poses.at(np.array([earlier[-1], time]))[:, enclosed]
-        if np.max(np.abs(poses[1] - poses[0])) <= STILL or not is_later:
+        if np.max(np.abs(poses[1] - poses[0])) <= REST_DRIFT or not is_later:
             return earlier[-1]
     return None if is_later else time
 
@@ -246,7 +246,7 @@ def until_stop(motion: Motion, time: float, *, stop: bool = True) -> StoppedPlan
         time += float(clock.duration[0])
         clock = clock.select(slice(1, None))
     if time > JOINT:
-        parts.append(before(whole, time))
+        parts.append(truncated(whole, time))
     if len(clock):
         parts.append(on_clock(whole, clock))
     motion = reduce(append_motion, parts or [resting(whole, HOLD, first=True)])
@@ -259,7 +259,7 @@ def _refusal(when: str, remedy: str = "abort earlier or later") -> InfeasibleErr
 
 def _with_landing(whole: Motion, *, untie: bool) -> Motion:
     """Return a plan at rest with a landing, after untying the hitch if ``untie`` is set."""
-    if whole.changes:
+    if whole.has_ring_changes:
         return append_motion(whole, _landing_of_chapter(whole, untie=untie))
     if not whole.phases[-1].formed:
         return _extended(whole, straight_down(whole))

@@ -100,7 +100,7 @@ class Feedback(OneLine):
         motion = getattr(plan, "motion", plan)
         if not isinstance(motion, Motion) or not motion.has_cables:
             raise InputError("plan", plan, "a Plan or Motion of a hitch", "solve or load one")
-        motion.refuse_several("feedback")
+        motion.require_one_team("feedback")
         if motion.requirements.keep_out or motion.requirements.objects:
             reason = "feedback keeps no distance to keep-outs and objects: fly without them"
             raise UnsupportedError(reason)

@@ -16,7 +16,7 @@ from itertools import pairwise
 import numpy as np
 
 from hitchopt.checks.certificate import Check
-from hitchopt.checks.drones import largest_at_rest, used_thrust
+from hitchopt.checks.drones import largest_at_rest, thrust_share
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InfeasibleError, InputError, OneLine, Progress
 from hitchopt.hitch import GRAVITY
@@ -80,7 +80,7 @@ class Reactions:
     """The reactions of one plan; motions after a loss are shared by all drones."""
 
     def __init__(self, motion: Motion) -> None:
-        motion.refuse_several("a reaction to a lost drone")
+        motion.require_one_team("a reaction to a lost drone")
         self.motion = motion
         self._motion_after = lru_cache(maxsize=256)(self._certified_motion)
 
@@ -100,7 +100,7 @@ class Reactions:
             thrust, nearest = self._check_swing(lost, states)
         else:
             thrust, nearest = 0.0, self._check_fall(descent.drones, time, start, lost)
-        thrust = max(largest_at_rest(motion, used_thrust), thrust)
+        thrust = max(largest_at_rest(motion, thrust_share), thrust)
         if thrust > 1.0:
             raise _no_reaction(time, f"{drone} on its cable takes {thrust:.0%} of a thrust")
         if nearest < 1.0:
@@ -226,7 +226,7 @@ def _with_common_descent(motion: Motion) -> Motion:
     rest = rest.map_curves(lambda part: on_breaks(part, depths.breaks), rest.phases)
     lower = depths.coefficients[:, None, None] * np.array([0.0, 0.0, -1.0])[:, None]
     drones, vertices = (
-        part.alike(part.coefficients + lower) for part in (rest.drones, rest.vertices)
+        part.replaced(part.coefficients + lower) for part in (rest.drones, rest.vertices)
     )
     return append_motion(motion, rest.replaced(drones=drones, vertices=vertices))
 

@@ -15,15 +15,15 @@ from math import comb
 
 import numpy as np
 
-from hitchopt.checks.stops import SHORTEST, SLOWEST, ClockLimits, StopTable, stop_table
+from hitchopt.checks.stops import MAX_STOP, MIN_STOP, ClockLimits, StopTable, stop_table
 from hitchopt.errors import InfeasibleError, InputError, OneLine, UnsupportedError
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.trajectory.clock_phases import ClockPhases, concatenated_clocks
+from hitchopt.trajectory.clock_phases import ClockPhases, concatenate_clocks
 from hitchopt.values import Array, finite, nonnegative
 
 SEEK_RATES = (1.0, 0.7, 0.4)  # candidate rates to seek a plan time
-DURATIONS = tuple(np.geomspace(SHORTEST, SLOWEST, 27).tolist())
+DURATIONS = tuple(np.geomspace(MIN_STOP, MAX_STOP, 27).tolist())
 """Candidate durations of a change of the rate by 1 [s]."""
 DELAYS = (0.1, 0.2, 0.4, 0.8, 1.6)  # candidate delays of a change that cannot start at once [s]
 BATCH = 24  # number of candidates that are verified together
@@ -206,7 +206,7 @@ class Player(OneLine):
         candidates.sort(key=lambda candidate: candidate[0].seconds)
         for first in range(0, len(candidates), BATCH):
             batch = candidates[first : first + BATCH]
-            clocks = concatenated_clocks([extended.clock for _, extended in batch])
+            clocks = concatenate_clocks([extended.clock for _, extended in batch])
             feasible = self._shared.limits.keep(clocks, len(batch))
             if np.any(feasible):
                 return batch[int(np.argmax(feasible))][0]

@@ -30,7 +30,7 @@ from hitchopt.hitch.model import DroneJets, FlatJets, drone_jets
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.hitch.slack_split import LIMIT_MARGIN, LegTask, split_slack
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.motion.retiming import append_motion, before, cut, resting, with_last_poses
+from hitchopt.motion.retiming import append_motion, cut, resting, truncated, with_last_poses
 from hitchopt.plan import Plan
 from hitchopt.planners.morph import jets
 from hitchopt.steps.certified_motions import infeasible_error, rest_motion
@@ -135,7 +135,7 @@ class Replanner(OneLine):
         for (key, value), kind in zip(options.items(), (Limits, Separation, Arena), strict=True):
             check_instance(key, value, kind, type(None))
         if isinstance(start, Plan):
-            start.motion.refuse_several("a replanner")
+            start.motion.require_one_team("a replanner")
             motion, goal = start.motion, start.end
         else:
             phase = Phase("hold", 0, 0.0, HOLD)
@@ -282,7 +282,7 @@ class Replanner(OneLine):
             return self.motion
         piece = max(int(np.searchsorted(breaks, at - 1e-9)) - 1, 0)
         first, last = breaks[piece : piece + 2].tolist()
-        return before(self.motion, max(at, min(first + MIN_PIECE, last)))
+        return truncated(self.motion, max(at, min(first + MIN_PIECE, last)))
 
     def _stop_at_end(self, past: Motion) -> RetargetPath:
         """Return the path from the state at the end of a motion to rest at its positions."""
@@ -410,7 +410,7 @@ class RetargetPath:
         right[1:STATE, -1] = 0.0
         curves = PiecewisePolynomial.hermite(breaks, left, right)
         pulls = np.repeat(self.team.tension[None, :, None], count, axis=0)
-        return [*curves.split([part.shape[:-1] for part in starts]), curves.alike(pulls)]
+        return [*curves.split([part.shape[:-1] for part in starts]), curves.replaced(pulls)]
 
     def excess(self, limits: Limits, t: Array, brake: float | Array, shift: float | None) -> Array:
         """Return the factor by which a motion is too fast at times (J,) [s]; at most 1 is feasible.

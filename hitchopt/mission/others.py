@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated
 
 from hitchopt.checks import certify
-from hitchopt.checks.registry import rests
+from hitchopt.checks.registry import rest_continuity
 from hitchopt.errors import InputError, OneLine
 from hitchopt.motion.combined import combined
 from hitchopt.motion.motion import Group
@@ -53,13 +53,13 @@ class Other(OneLine):
     def __post_init__(self) -> None:
         store(self, plan=str(self.plan), at=self.at)
         for each in self._groups:
-            each.motion.refuse_several("a plan beside another one", others=False)
+            each.motion.require_one_team("a plan beside another one", others=False)
         certificate = certify(combined(self._groups), reports=())
         if not certificate.certified:
             names = ", ".join(check.name for check in certificate.violated)
             bound = f"a plan whose own certificate holds, not without {names}"
             raise InputError("plan", self.plan, bound, "solve its problem again")
-        if (rest := rests(self._groups)) is not None and not rest.holds:
+        if (rest := rest_continuity(self._groups)) is not None and not rest.holds:
             names = ", ".join(rest.where)
             bound = f"a plan at rest as it begins and ends, unlike {names} at t = {rest.time:.4g} s"
             raise InputError("plan", self.plan, bound, "let it end with hold")

@@ -262,7 +262,7 @@ def _raised(motion: Motion, heights: Array) -> Motion:
         coefficients = path.elevated(degree).coefficients.copy()
         offset = PiecewisePolynomial(path.breaks[:2], heights[None]).elevated(degree)
         coefficients[..., 2, :] += offset.coefficients[0]
-        return path.alike(coefficients)
+        return path.replaced(coefficients)
 
     return motion.replaced(drones=add_heights(motion.drones), vertices=add_heights(motion.vertices))
 

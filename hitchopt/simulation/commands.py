@@ -16,7 +16,7 @@ from hitchopt.exports.options import ExportOptions
 from hitchopt.hitch import Quadrotor, Team
 from hitchopt.hitch.flight_controller import Gains
 from hitchopt.motion.motion import Motion
-from hitchopt.motion.states import UPWARD, attitudes
+from hitchopt.motion.states import HOVER, attitudes
 from hitchopt.simulation.settings import Settings
 from hitchopt.simulation.task import RATE, Task
 from hitchopt.trajectory import PiecewisePolynomial
@@ -148,6 +148,6 @@ def _body_rates(mass: Array, accelerations: Array, t: Array, *, follows: bool) -
     """
     rates = np.zeros_like(accelerations)
     if follows:
-        thrusts = mass * (accelerations + UPWARD)
+        thrusts = mass * (accelerations + HOVER)
         rates[:-1] = attitudes(thrusts, np.gradient(thrusts, t, axis=0)).body_rates[:-1]
     return rates

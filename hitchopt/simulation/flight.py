@@ -177,7 +177,7 @@ class _Run:
     def __init__(self, task: Task, settings: Settings, progress: Progress | None) -> None:
         team, preset = task.team, settings.preset
         if task.motion is not None and settings.lost is not None:
-            task.motion.refuse_several("the simulated loss of a drone")
+            task.motion.require_one_team("the simulated loss of a drone")
         self._task, self._settings, self._progress = task, settings, progress
         disturbances = control.Disturbances(settings.perturbations, team.robots, settings.seed)
         self._disturbances, parts = disturbances, task.parts

@@ -249,7 +249,7 @@ class Task:
         tied = [group for group in motion.groups if group.motion.team.has_cables]
         single = [group for group in motion.groups if not group.motion.team.has_cables]
         passing = Passing.of([*single, *motion.others], float(motion.drones.breaks[0]), t)
-        if motion.changes:
+        if motion.has_ring_changes:
             tied, parts = cls._of_rings(motion, t)
         elif len(motion.groups) == 1:
             return replace(cls._alone(motion, t), passing=passing)
@@ -270,7 +270,7 @@ class Task:
             row("vertices"),
             row("tensions"),
             row("taut"),
-            Cargo() if motion.changes else Cargo.joined(motion, tied, t),
+            Cargo() if motion.has_ring_changes else Cargo.joined(motion, tied, t),
             motion,
             parts,
             passing,
@@ -322,10 +322,10 @@ class Task:
         """Tasks of all groups; the task itself for one group."""
         return self.groups or (self,)
 
-    def refuse_several(self, what: str) -> None:
+    def require_one_team(self, what: str) -> None:
         """Raise UnsupportedError for several groups, which ``what`` does not support."""
         if self.motion is not None:
-            self.motion.refuse_several(what, others=False)
+            self.motion.require_one_team(what, others=False)
 
     def clasped(self, flags: Sequence[Array]) -> Flags:
         """Return flags (…) of every group, repeated for its clasps (…, clasps)."""

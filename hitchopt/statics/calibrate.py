@@ -256,7 +256,7 @@ def _recording_and_task(recording: Any, plan: Any, density: float | None) -> tup
     if plan is None:
         raise InputError("plan", None, "the directory of a plan", "name the plan that was flown")
     task = plan if isinstance(plan, Task) else read_task(path("plan", plan))
-    task.refuse_several("calibrate")
+    task.require_one_team("calibrate")
     if isinstance(recording, Path):
         with reading(recording, "recording"):
             recording = _aligned(read_flight(recording), task, density)

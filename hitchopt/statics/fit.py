@@ -19,7 +19,7 @@ from scipy.spatial import ConvexHull
 
 from hitchopt.errors import InfeasibleError, InputError, OneLine, Violation
 from hitchopt.geometry import ConvexPolygon
-from hitchopt.geometry.drawings import drawing_of_geometry, read_drawing, size_in_words
+from hitchopt.geometry.drawings import drawing_of_geometry, format_size, read_drawing
 from hitchopt.geometry.vectors import dot, length, unit
 from hitchopt.hitch.hitch import balanced_legs
 from hitchopt.hitch.holding import Capacity, Grip, grip_capacity, rest_capacity
@@ -223,7 +223,7 @@ def _section_of(outline: Any) -> tuple[Section, list[str]]:
     remedy = "give points in metres, a radius, or a drawing"
     corners = outline.core if isinstance(outline, Section) else outline
     corners = points("outline", corners, (3, 2), "a list of at least 3 points [x, y]", remedy)
-    notes = [f"outline: {size_in_words(corners)}, {len(corners)} corners{source}", *notes]
+    notes = [f"outline: {format_size(corners)}, {len(corners)} corners{source}", *notes]
     try:
         return Section(corners), notes
     except InputError:

@@ -198,7 +198,7 @@ def settle(plan: Plan | Motion, t: ArrayLike, **conditions: Any) -> Settled:
     """
     check_instance("plan", plan, Plan, Motion)
     motion = plan.motion if isinstance(plan, Plan) else plan
-    motion.refuse_several("settle", others=False)
+    motion.require_one_team("settle", others=False)
     resolved = conditions_of(motion.team, **conditions)
     shape, samples = samples_of(motion, t, resolved)
     size = max(1, BLOCK // motion.team.robots)

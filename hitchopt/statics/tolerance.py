@@ -188,7 +188,7 @@ def tolerance(
     """
     check_instance("plan", plan, Plan, Motion)
     motion = plan.motion if isinstance(plan, Plan) else plan
-    motion.refuse_several("tolerance", others=False)
+    motion.require_one_team("tolerance", others=False)
     sizes = {"cable": cable_error, "position": position_error, "force": force_error}
     errors = {name: ErrorSize.of(f"{name}_error", size) for name, size in sizes.items()}
     times = taut_times(motion) if t is None else np.atleast_1d(as_array(t))

@@ -19,7 +19,7 @@ from hitchopt.hitch.holding import Grip, grip_capacity, rest_capacity
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Hold, HoldBy, Motion
 from hitchopt.objects import Rim, SolidObject
-from hitchopt.objects.placing import TOUCH, footing, poses_of, stacked_on, surface_below
+from hitchopt.objects.placing import CONTACT_GAP, footing, poses_of, stacked_on, surface_below
 from hitchopt.planners.carrying.holds import GripHold, RestHold, polygon_at
 from hitchopt.planners.carrying.moves import Move
 from hitchopt.planners.carrying.planner import (
@@ -243,7 +243,7 @@ class Enclose(Step):
             below = requirements.separation.object + BELOW_RIM
             altitude = float(body.at[2]) + body.rim.height - below
         clearance, height = requirements.separation.object, altitude - requirements.floor
-        if height < clearance - TOUCH:
+        if height < clearance - CONTACT_GAP:
             name, where = f"objects.{self.object}", ("ground",)
             remedy = f"make {name} or its rim higher, or stand it on something"
             values, when = ("object_clearance", height, clearance), f"with the hitch around {name}"
@@ -538,7 +538,7 @@ class TransportObject(TensionStep):
         ]
         plan = plan_in_sequence([step.plan for step in steps], task)
         height = float(plan.after.with_objects(task.requirements).objects[self.object].at[2])
-        if abs(height - self.to[2]) > TOUCH:
+        if abs(height - self.to[2]) > CONTACT_GAP:
             key, bound = f"mission[{task.index}].{self.name}.to", "on what is below it"
             remedy = f"write {[*self.to[:2].tolist(), round(height, 9)]}"
             raise InputError(key, self.to.tolist(), f"{bound}, at {height:.6g} m", remedy)

@@ -121,7 +121,7 @@ def _separation_shortfall(check: Check, motion: Motion) -> str:
     if check.name != "separation":
         return ""
     heights = []
-    for group in motion.flying:
+    for group in motion.all_groups:
         drones = group.motion.drones
         places = drones.at(float(np.clip(check.time, *drones.breaks[[0, -1]])))
         names = map(group.label, group.motion.team.drone_names)

@@ -277,7 +277,7 @@ class RestState:
         from hitchopt.motion.chapters import with_waiting
         from hitchopt.planners.forming.joining import waiting_robot
 
-        if self.whole is None or motion.changes:
+        if self.whole is None or motion.has_ring_changes:
             return motion
         waiting = {
             robot: waiting_robot(self.part((robot,)), places, requirements)

@@ -22,7 +22,7 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from hitchopt.checks.certificate import Certificate, html_table
 from hitchopt.checks.closeness import Closeness
-from hitchopt.checks.drones import FASTEST, USED_THRUST
+from hitchopt.checks.drones import LARGEST_SPEED, THRUST_SHARE
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.geometry.vectors import unit
 from hitchopt.motion.chapters import parts_at
@@ -109,13 +109,13 @@ def panels(motion: Motion, states: States) -> tuple[Panel, ...]:
     thrust, kinds = np.zeros(len(times)), np.unique(motion.team.max_thrust)
     for group in motion.groups:
         for part, samples, _ in parts_at(group.motion, states.t):
-            used = USED_THRUST.curve(part, times[samples])
+            used = THRUST_SHARE.curve(part, times[samples])
             thrust[samples] = np.maximum(thrust[samples], used)
     forces = Panel("thrust", "largest thrust\n/ its limit", thrust, 1.0, share=True)
     if len(kinds) == 1:
         limit = float(kinds[0])
         forces = Panel("thrust", "largest\nthrust [N]", limit * thrust, limit)
-    speed = FASTEST.curve(motion, times)
+    speed = LARGEST_SPEED.curve(motion, times)
     rates = Panel("speed", "largest\nspeed [m/s]", speed, requirements.limits.speed)
     paths = [other.motion.drones for other in motion.others]
     others = [path.at(np.clip(times, *path.breaks[[0, -1]])) for path in paths]
@@ -251,7 +251,7 @@ def _draw_left(figure: Figure, motion: Motion) -> None:
 
 def _has_cables(motion: Motion) -> bool:
     """Return whether any group has cables."""
-    return any(group.motion.team.has_cables for group in motion.flying)
+    return any(group.motion.team.has_cables for group in motion.all_groups)
 
 
 def _draw_panel(axes: Axes, t: Array, panel: Panel, certificate: Certificate) -> None:

@@ -70,7 +70,7 @@ def scene_of(motion: Motion, samples: int = MAX_SAMPLES) -> Scene:
 
     ``samples`` is the maximum number of coordinates, which determines the number of times.
     """
-    teams = [group.motion.team for group in motion.flying]
+    teams = [group.motion.team for group in motion.all_groups]
     size = sum(PER_DRONE * team.drones + 3 * POINTS * team.robots for team in teams)
     count = int(np.clip(samples // size, MIN_TIMES, MAX_RATE * motion.duration + 2))
     ends = [phase.end for phase in motion.phases]
@@ -85,13 +85,13 @@ def scene_at(motion: Motion, t: Array, thickness: float = THICKNESS) -> Scene:
     """
     begin, rows, radii = motion.drones.breaks[0], list[Any](), list[float]()
     poses = [motion.object_poses.at(begin + np.minimum(t, motion.duration))]
-    for group in motion.flying:
+    for group in motion.all_groups:
         own, is_other = group.motion, group in motion.others
         states = states_at(own, np.clip(begin + t - own.drones.breaks[0], 0.0, own.duration))
         cables, radius = cable_curves(own, states, thickness)
         thrusts = np.linalg.norm(states.thrusts(own.team), axis=-1)
         rows.append((states.positions, states.quaternions, thrusts, states.cable_forces, cables))
-        radii += [radius] * (own.team.has_cables or len(motion.flying) == 1)
+        radii += [radius] * (own.team.has_cables or len(motion.all_groups) == 1)
         poses += [states.object_poses] * is_other
     pose = np.concatenate(poses, axis=1)
     half = 0.5 * np.unwrap(np.arctan2(pose[..., 4], pose[..., 3]), axis=0)[..., None]
@@ -151,8 +151,8 @@ def recorded_scene(
     indices = [np.linspace(a, b - 1, POINTS).round().astype(int) for a, b in pairwise(first)]
     curves = np.stack([nodes[in_flight][:, x] for x in indices], axis=1).astype(np.float64)
     plan = scene_at(motion, t[in_flight])
-    recorded = [x.motion.team.has_cables and x not in motion.others for x in motion.flying]
-    teams = [(group.motion.team, x) for group, x in zip(motion.flying, recorded, strict=True)]
+    recorded = [x.motion.team.has_cables and x not in motion.others for x in motion.all_groups]
+    teams = [(group.motion.team, x) for group, x in zip(motion.all_groups, recorded, strict=True)]
     drones = np.concatenate([np.full(team.drones, x) for team, x in teams])
     cables = np.concatenate([np.full(team.robots, x) for team, x in teams])
     plan.drones[:, drones] = curves[:, :, [0, -1]].reshape(len(curves), -1, 3)
@@ -173,7 +173,7 @@ class Highlight(NamedTuple):
 def highlight_of(motion: Motion, where: Sequence[str]) -> Highlight:
     """Return the indices for the names in ``where`` of a check; unknown names are ignored."""
     drones, cables, vertices, names = [], [], [], set(where)
-    for group in motion.flying:
+    for group in motion.all_groups:
         team = group.motion.team
         drones += [{group.label(f"{x[0]}-leg {x[1:]}"), group.label(x)} for x in team.drone_names]
         cables += [{group.label(f"{x}{k}") for x in CABLE_PREFIXES} for k in range(team.robots)]

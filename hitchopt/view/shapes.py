@@ -100,7 +100,7 @@ class Appearance:
         names, hollow, groups = list[str](), list[bool](), list[GroupName]()
         looks = group_colours(motion)
         bodies = list(requirements.objects.items())
-        for group in motion.flying:
+        for group in motion.all_groups:
             team, layout = group.motion.team, group.motion.team.layout
             first = len(names)
             names += map(group.label, team.drone_names)
@@ -110,7 +110,7 @@ class Appearance:
             clasps += [
                 Clasp(group.label(team.point_names[p]), vertices + p, cables + k)
                 for p, k in pairs
-                if not group.motion.changes
+                if not group.motion.has_ring_changes
             ]
             vertices, cables = vertices + layout.points, cables + team.robots
         for other in motion.others:

@@ -103,4 +103,4 @@ def slipped(motion: Motion, angle: float, sunk: float = 0.0) -> Motion:
     heading = (c[:, 0, 3] + 1j * c[:, 0, 4]) * np.exp(1j * angle * share)
     c[:, 0, 2] -= sunk * share
     c[:, 0, 3:] = np.stack([heading.real, heading.imag], axis=1)
-    return replace(motion, poses=motion.object_poses.alike(c))
+    return replace(motion, poses=motion.object_poses.replaced(c))

@@ -159,7 +159,7 @@ def test_jumps_of_objects_break_continuity() -> None:
     motion = plan("tray").motion
     poses = motion.object_poses.coefficients.copy()
     poses[-1, 0, 0] += 1e-3
-    found = check(replace(motion, poses=motion.object_poses.alike(poses)), "continuity")
+    found = check(replace(motion, poses=motion.object_poses.replaced(poses)), "continuity")
     assert (check(motion, "continuity").holds, found.holds) == (True, False)
     assert found.where == ("tray",)
     assert found.bound == pytest.approx(1e-3, abs=1e-6)

@@ -182,7 +182,7 @@ def borne_before(motion: Motion) -> Motion:
     """Return the motion in which the drum's weight is borne from the start, by nothing."""
     coefficients = motion.object_shares.coefficients.copy()
     coefficients[0, ..., -1] = 0.1
-    return replace(motion, borne=motion.object_shares.alike(coefficients))
+    return replace(motion, borne=motion.object_shares.replaced(coefficients))
 
 
 def slid(motion: Motion) -> Motion:
@@ -191,7 +191,7 @@ def slid(motion: Motion) -> Motion:
     carry = next(phase for phase in motion.phases if phase.name == "carry")
     piece = int(np.searchsorted(motion.drones.breaks, carry.end)) - 2
     coefficients[piece, :, :, 2, 1:-1] += 0.001
-    return replace(motion, contacts=motion.edge_contacts.alike(coefficients))
+    return replace(motion, contacts=motion.edge_contacts.replaced(coefficients))
 
 
 def twisted(motion: Motion, angle: float) -> Motion:
@@ -201,7 +201,7 @@ def twisted(motion: Motion, angle: float) -> Motion:
     centre = poses.coefficients[:, None, None, 0, :2]
     turn = [[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]
     contacts[..., :2, :] = centre + np.array(turn) @ (contacts[..., :2, :] - centre)
-    return replace(motion, contacts=motion.edge_contacts.alike(contacts))
+    return replace(motion, contacts=motion.edge_contacts.replaced(contacts))
 
 
 @pytest.mark.parametrize(
@@ -366,7 +366,7 @@ def wound(motion: Motion, turn: float, cut_in: float) -> Motion:
         level += np.einsum("...i,pk->p...ik", x[..., ::-1] * [-1.0, 1.0], pose[:, 4])
         up = np.full((*level.shape[:-2], 1, level.shape[-1]), 0.15)
         origin = np.expand_dims(pose[:, :3], tuple(range(1, x.ndim)))
-        return carried(motion).object_poses.alike(np.concatenate([level, up], axis=-2) + origin)
+        return carried(motion).object_poses.replaced(np.concatenate([level, up], axis=-2) + origin)
 
     return carried(motion).replaced(vertices=placed(p), contacts=placed(contacts))
 
@@ -396,7 +396,7 @@ def test_edges_without_load_are_straight(size: float, aside: float, apart: float
     off = np.stack([0.0 * along, 2e-5 * apart * along], axis=2)
     off[..., 2, :] += 2e-5 * aside
     contacts = (p + 0.5 * onward)[:, :, None] + off
-    found = check(replace(flight, contacts=flight.vertices.alike(contacts)), "grip").bound
+    found = check(replace(flight, contacts=flight.vertices.replaced(contacts)), "grip").bound
     assert (found >= 0.0) == (max(aside, apart) < 1.0)
 
 

@@ -106,7 +106,7 @@ def carried(motion: Motion, pushed: list[float]) -> Motion:
     def off(part: PiecewisePolynomial, count: int) -> PiecewisePolynomial:
         c = part.elevated(max(part.degree, 2)).coefficients.copy()
         c[:, :count, :3] += bernstein.elevate(path, c.shape[-1] - 1)
-        return part.alike(c)
+        return part.replaced(c)
 
     return flown.replaced(vertices=off(flown.vertices, 3), poses=off(flown.object_poses, 1))
 
@@ -127,7 +127,7 @@ def test_support_is_below_the_force_line(motion: Motion, pushed: list[float]) ->
 @pytest.mark.parametrize(
     ("change", "name"),
     [
-        (lambda m: replace(m, borne=m.borne.alike(0.5 * m.borne.coefficients)), "support"),
+        (lambda m: replace(m, borne=m.borne.replaced(0.5 * m.borne.coefficients)), "support"),
         (lambda m: replace(m, borne=None), "support"),
         (lambda m: replace(m, phases=tuple(replace(p, hold=None) for p in m.phases)), "support"),
         (lambda m: replace(m, poses=moved(m.object_poses, [0.2, 0, 0, 0, 0])), "support"),

@@ -28,15 +28,15 @@ UNSAMPLED = {"continuity", "tension", "duration", "interlacing"}
 def assert_sound(
     motion: Motion, count: int, gap: float, least: float, only: Set[str] = frozenset()
 ) -> None:
-    """No sample beats a bound; each is within ``gap`` of the worst, relative, or ``least``."""
+    """Assert that bounds hold for samples, within a relative ``gap`` of the worst, or ``least``."""
     checks = [row(motion, name) for name in sorted(only)] or certify(motion).checks
     breaks = motion.drones.breaks  # where it may jump
     times = np.concatenate([np.linspace(breaks[0], breaks[-1], count), breaks, breaks[1:] - 1e-12])
-    found = sampled(motion, times)
+    result = sampled(motion, times)
     counted = [check for check in checks if check.limit is not None]
-    assert {check.name for check in counted} <= set(found) | UNSAMPLED
-    for check in (each for each in counted if each.name in found):
-        name, value = check.name, found[check.name]
+    assert {check.name for check in counted} <= set(result) | UNSAMPLED
+    for check in (each for each in counted if each.name in result):
+        name, value = check.name, result[check.name]
         if math.isinf(value):  # a chain of two has no cables that could cross
             assert (check.worst, check.holds, check.where) == (None, True, ())
             continue
@@ -50,7 +50,7 @@ def assert_sound(
 
 
 class Samples:
-    """Where everything is at times: drones x, points p, and which drone hangs on a leg."""
+    """States at times: drones x, points p, and which drones have a leg."""
 
     def __init__(self, motion: Motion, times: Array) -> None:
         self.motion, self.team, self.n = motion, motion.team, motion.team.robots
@@ -75,7 +75,7 @@ class Samples:
         self.half = 0.5 * G * self.team.cable_density * self.taut
 
     def pulls(self) -> tuple[Array, Array]:
-        """What taut cables pull drones with along their chords, and the lengths of these."""
+        """Return the pulls of taut cables along their chords, and the chords' lengths."""
         other = np.stack([self.last, self.first], axis=1).ravel()
         span = self.x - self.p[:, np.where(self.legged, self.own, other)]
         half, size = np.repeat(self.half, 2, axis=1), np.linalg.norm(span, axis=-1)
@@ -83,63 +83,64 @@ class Samples:
         return ((half * span[..., 2] + root) / size)[..., None] * span, half * size
 
     def forces(self) -> Array:
-        """(times, 2n, 3) [N] what cables put on drones: taut ones, and the rest that hangs."""
+        """Return the forces of taut and hanging cables on drones (times, 2n, 3) [N]."""
         pull, weight = self.pulls()
-        found = -pull
-        found[..., 2] -= weight
+        result = -pull
+        result[..., 2] -= weight
         if self.team.cable_density:
             q, r = self.x[:, 0::2], self.x[:, 1::2]
             hanging = Catenary.between(q, r, self.team.cable_length).pull(q, r)
             rest = G * self.team.cable_density * (1.0 - self.taut)
-            found += (rest[..., None, None] * hanging).reshape(found.shape)
-        return found
+            result += (rest[..., None, None] * hanging).reshape(result.shape)
+        return result
 
 
 def thrusts(motion: Motion, times: Array) -> Array:
-    """(times, drones, 3) [N]."""
+    """Return thrusts (times, drones, 3) [N]."""
     own: Array = motion.team.mass[:, None] * (motion.drones.at(times, 2) + [0.0, 0.0, G])
     return own - Samples(motion, times).forces() if motion.team.has_cables else own
 
 
 def sampled(motion: Motion, times: Array) -> dict[str, float]:
     """Return the worst value of every quantity over ``times``; thrust as a share of the largest."""
-    x, kept = motion.drones.at(times), motion.requirements
-    found = {"separation": float(np.min(ratios(x, kept.separation)))} if x.shape[1] > 1 else {}
+    x, spec = motion.drones.at(times), motion.requirements
+    result = {"separation": float(np.min(ratios(x, spec.separation)))} if x.shape[1] > 1 else {}
     for order, name in enumerate(("speed", "acceleration", "jerk"), start=1):
-        found[name] = float(np.max(np.linalg.norm(motion.drones.at(times, order), axis=-1)))
-    if kept.arena is not None:
+        result[name] = float(np.max(np.linalg.norm(motion.drones.at(times, order), axis=-1)))
+    if spec.arena is not None:
         tied = motion.team.has_cables and bool(motion.formed.all())
         there = np.concatenate([x, sagging(Samples(motion, times))], axis=1) if tied else x
-        inside = np.minimum(there - kept.arena.lower, kept.arena.upper - there)
-        found["arena"] = float(np.min(inside))
-    if kept.keep_out:
-        found["keep_out"] = min(float(np.min(off_prism(x, prism))) for prism in kept.keep_out)
+        inside = np.minimum(there - spec.arena.lower, spec.arena.upper - there)
+        result["arena"] = float(np.min(inside))
+    if spec.keep_out:
+        result["keep_out"] = min(float(np.min(off_prism(x, prism))) for prism in spec.keep_out)
     f = thrusts(motion, times)
-    found["thrust"] = float(np.max(np.linalg.norm(f, axis=-1) / motion.team.max_thrust))
-    found["tilt"] = float(np.max(np.degrees(np.arctan2(_level(f), f[..., 2]))))
-    if kept.limits.body_rate is not None:
+    result["thrust"] = float(np.max(np.linalg.norm(f, axis=-1) / motion.team.max_thrust))
+    result["tilt"] = float(np.max(np.degrees(np.arctan2(_level(f), f[..., 2]))))
+    if spec.limits.body_rate is not None:
         h = 1e-5  # [s] between samples and those that thrusts are differentiated by
         apart = np.min(np.abs(times[:, None] - motion.drones.breaks), axis=1)
         before, after = (thrusts(motion, times[apart > 2.0 * h] + step) for step in (-h, h))
         f, rate = 0.5 * (before + after), (after - before) / (2.0 * h)
         turning = np.linalg.norm(np.cross(f, rate), axis=-1) / np.sum(f**2, axis=-1)
-        found["body_rate"] = math.degrees(float(np.max(turning)))
+        result["body_rate"] = math.degrees(float(np.max(turning)))
     if not motion.team.has_cables:
-        return found
+        return result
     s = Samples(motion, times)
     if motion.formed.all():
-        found["vertex_speed"] = float(np.max(np.linalg.norm(motion.vertices.at(times, 1), axis=-1)))
+        speeds = np.linalg.norm(motion.vertices.at(times, 1), axis=-1)
+        result["vertex_speed"] = float(np.max(speeds))
         with np.errstate(invalid="ignore"):  # at the very end of a ramp nothing pulls
-            return found | _taut_distances(s) | _shape(s) | {"equilibrium": _unbalanced(s)}
-    return found | _free_distances(s, motion.phases[0].state)
+            return result | _taut_distances(s) | _shape(s) | {"equilibrium": _unbalanced(s)}
+    return result | _free_distances(s, motion.phases[0].state)
 
 
 def ratios(x: Array, separation: Separation) -> Array:
-    """(times, pairs): separations of drones (times, N, 3), pairs as of ``np.triu_indices``."""
+    """Return separations (times, pairs) of drones (times, N, 3), ordered as ``triu_indices``."""
     i, j = np.triu_indices(x.shape[-2], 1)
     gap, r, h = x[:, i] - x[:, j], separation.radius, separation.height
-    found: Array = np.hypot(_level(gap) / (2.0 * r), gap[..., 2] / (2.0 * h))
-    return found
+    result: Array = np.hypot(_level(gap) / (2.0 * r), gap[..., 2] / (2.0 * h))
+    return result
 
 
 def _taut_distances(s: Samples) -> dict[str, float]:
@@ -168,24 +169,24 @@ def _taut_distances(s: Samples) -> dict[str, float]:
 
 
 def sagging(s: Samples, count: int = 33) -> Array:
-    """(times, 3 n count, 3): points of legs and edges, parabolas below their chords."""
+    """Return points (times, 3 n count, 3) of legs and edges, parabolas below their chords."""
     k, share = np.arange(s.n), np.linspace(0.0, 1.0, count)[:, None]
     parts = [(s.p[:, s.first], s.p[:, s.last], s.T)]
     for end, own in enumerate((s.first, s.last)):
         parts.append((s.p[:, own], s.x[:, 2 * k + end], s.P[:, 2 * k + end]))
-    found = []
+    result = []
     for a, b, pull in parts:
         with np.errstate(invalid="ignore"):  # at the very end of a ramp nothing pulls
             ratio = np.nan_to_num(s.half / pull)
         deep = ratio * np.sum((b - a) ** 2, axis=-1) / 4.0
         points = a[:, :, None] + share * (b - a)[:, :, None]
         points[..., 2] -= deep[..., None] * (4.0 * share * (1.0 - share))[:, 0]
-        found.append(points.reshape(len(points), -1, 3))
-    return np.concatenate(found, axis=1)
+        result.append(points.reshape(len(points), -1, 3))
+    return np.concatenate(result, axis=1)
 
 
 def _free_distances(s: Samples, state: CableState) -> dict[str, float]:
-    """Cables on the ground lie below their chords; neighbours that are clasped may cross."""
+    """Return distances of chords from above; clasped neighbours may cross."""
     few = s.x[:: max(1, len(s.x) // 500)]
     spans = np.linalg.norm(s.x[:, 1::2] - s.x[:, 0::2], axis=-1) / s.team.cable_length
     flat = s.x * [1.0, 1.0, 0.0]
@@ -212,7 +213,7 @@ def _free_distances(s: Samples, state: CableState) -> dict[str, float]:
 
 
 def cable_points(length: ArrayLike, drones: Array, count: int = 201) -> Array:
-    """Points (…, n, count, 3) of the hanging cables of drones (…, 2n, 3)."""
+    """Return points (…, n, count, 3) of the hanging cables of drones (…, 2n, 3)."""
     q, r = drones[..., 0::2, :], drones[..., 1::2, :]
     cables = Catenary.between(q, r, np.broadcast_to(length, q.shape[:-1]))
     mu = np.moveaxis(
@@ -225,7 +226,7 @@ def cable_points(length: ArrayLike, drones: Array, count: int = 201) -> Array:
 
 
 def _unbalanced(s: Samples) -> float:
-    """What legs, edges and weights leave at clasps, and what friction does not make of pulls."""
+    """Return residuals of legs, edges and weights at clasps, and of pulls beyond friction."""
     pull, _ = s.pulls()
     along = s.edges / np.linalg.norm(s.edges, axis=-1, keepdims=True)
     legs = np.linalg.norm(s.legs, axis=-1) * s.legged  # none at a chain's ends, right or wrong
@@ -259,7 +260,7 @@ def slides(s: Samples) -> tuple[Array, Array]:
 
 
 def _level(spans: Array) -> Array:
-    """The lengths of spans seen from above."""
+    """Return the horizontal lengths of spans."""
     return np.hypot(spans[..., 0], spans[..., 1])
 
 
@@ -269,8 +270,8 @@ def _shape(s: Samples) -> dict[str, float]:
     for span in (s.edges, s.legs[:, 0::2], s.legs[:, 1::2]):  # by how much each of them sags
         size = np.linalg.norm(span, axis=-1)
         total += (2.0 * s.half / s.T) ** 2 * size * _level(span) ** 2 / 24.0
-    told = np.max(np.abs(s.stored - legs.reshape(s.stored.shape)), axis=-1)
-    off = np.maximum(np.abs(total - s.team.cable_length), told) / s.team.cable_length
+    leg_errors = np.max(np.abs(s.stored - legs.reshape(s.stored.shape)), axis=-1)
+    off = np.maximum(np.abs(total - s.team.cable_length), leg_errors) / s.team.cable_length
     heading = np.arctan2(s.edges[..., 1], s.edges[..., 0])
     exterior = heading[:, s.clasps - 1] - heading[:, s.clasps % s.n]
     exterior = (exterior + math.pi) % (2 * math.pi) - math.pi
@@ -285,7 +286,7 @@ def _shape(s: Samples) -> dict[str, float]:
 
 
 def off_prism(x: Array, prism: Prism) -> Array:
-    """Distance of points from a prism: from its outline, and from below or above."""
+    """Return distances of points from a prism, horizontal or vertical."""
     corners = np.append(
         np.asarray(prism.polygon.vertices), np.zeros((len(prism.polygon), 1)), axis=1
     )
@@ -297,14 +298,14 @@ def off_prism(x: Array, prism: Prism) -> Array:
 
 
 def point_to_segment(x: Array, a: Array, b: Array) -> Array:
-    """Distance of points from segments: from the foot of the perpendicular, or from an end."""
+    """Return distances of points from segments."""
     along = b - a
     foot = np.clip(np.sum((x - a) * along, axis=-1) / np.sum(along**2, axis=-1), 0.0, 1.0)
     return np.asarray(np.linalg.norm(x - a - foot[..., None] * along, axis=-1))
 
 
 def segment_to_segment(a: Array, b: Array, c: Array, d: Array) -> Array:
-    """Distance of segments: by ends, and along the common normal where both feet are inside."""
+    """Return distances of segments, by ends and along the common normal."""
     best = np.minimum(
         np.minimum(point_to_segment(a, c, d), point_to_segment(b, c, d)),
         np.minimum(point_to_segment(c, a, b), point_to_segment(d, a, b)),
@@ -322,23 +323,23 @@ def segment_to_segment(a: Array, b: Array, c: Array, d: Array) -> Array:
 
 
 def tracking_radius(motion: Motion, times: Array) -> float:
-    """Return how far all may be off at ``times``, vertices no farther than drones."""
-    found, kept = sampled(motion, times), motion.requirements
-    separation = kept.separation
+    """Return the tracking radius at ``times``, with vertex errors up to drone errors."""
+    result, spec = sampled(motion, times), motion.requirements
+    separation = spec.separation
     limits = {"cable_clearance": separation.cable, "crossing": separation.crossing}
-    limits |= {"legs": kept.limits.leg, "arena": 0.0, "keep_out": separation.radius}
+    limits |= {"legs": spec.limits.leg, "arena": 0.0, "keep_out": separation.radius}
     terms = [touching(motion.drones.at(times), separation)]
     for name, limit in limits.items():
         bodies = 1.0 if name in {"arena", "keep_out"} else 2.0
-        terms.append(max(found.get(name, math.inf) - limit, 0.0) / bodies)
-    if "span" in found:
+        terms.append(max(result.get(name, math.inf) - limit, 0.0) / bodies)
+    if "span" in result:
         x, length = motion.drones.at(times), motion.team.cable_length
         terms.append(np.min(length - np.linalg.norm(x[:, 1::2] - x[:, 0::2], axis=-1)) / 2.0)
     return float(min(terms))
 
 
 def touching(x: Array, separation: Separation) -> float:
-    """Return the radius at which some two drones (times, N, 3) touch, each going its best way."""
+    """Return the smallest radius at which two drones (times, N, 3) may touch."""
     i, j = np.triu_indices(x.shape[1], 1)
     offset = (x[:, i] - x[:, j]).reshape(-1, 3)
     scale = 0.5 / np.array([separation.radius, separation.radius, separation.height])
@@ -349,8 +350,8 @@ def touching(x: Array, separation: Separation) -> float:
         for _ in range(30):  # against the gradient of the ratio at where that leads
             way = scale**2 * moved
             moved = offset - middle[:, None] * way / np.linalg.norm(way, axis=-1, keepdims=True)
-        met = np.linalg.norm(moved * scale, axis=-1) < 1.0
-        low, high = np.where(met, low, middle), np.where(met, middle, high)
+        touching = np.linalg.norm(moved * scale, axis=-1) < 1.0
+        low, high = np.where(touching, low, middle), np.where(touching, middle, high)
     inside = np.linalg.norm(offset * scale, axis=-1) <= 1.0
     return float(np.min(np.where(inside, 0.0, 0.5 * high), initial=math.inf))
 
@@ -361,7 +362,7 @@ def crossings(drones: PiecewisePolynomial, count: int = 20_001) -> dict[tuple[in
     At samples; where that changes its sign, the lines meet at shares of both chords.
     """
     t = np.linspace(drones.breaks[0], drones.breaks[-1], count)
-    ends, found = drones.at(t).reshape(count, -1, 2, 3), {}
+    ends, result = drones.at(t).reshape(count, -1, 2, 3), {}
     for i in range(ends.shape[1]):
         for j in range(i + 1, ends.shape[1]):
             (q, r), (a, b) = np.moveaxis(ends[:, [i, j]], (1, 2), (0, 1))
@@ -374,16 +375,16 @@ def crossings(drones: PiecewisePolynomial, count: int = 20_001) -> dict[tuple[in
                 for along in (b - a, r - q)
             ]
             inside = np.all([(share > 0.0) & (share < 1.0) for share in shares], axis=0)
-            found[i, j] = int(np.sum(np.sign(volume[m + 1])[inside]))
-    return found
+            result[i, j] = int(np.sum(np.sign(volume[m + 1])[inside]))
+    return result
 
 
 def in_sheets(
     drones: PiecewisePolynomial, length: Array, count: int = 20_001
 ) -> set[tuple[int, int]]:
-    """Return pairs a drone of one of which passes between the other's chord and hanging cable."""
+    """Return pairs of cables, a drone of one between chord and hanging cable of the other."""
     t = np.linspace(drones.breaks[0], drones.breaks[-1], count)
-    x, found = drones.at(t), set()
+    x, result = drones.at(t), set()
     for k in range(len(length)):
         q, along = x[:, 2 * k], x[:, 2 * k + 1] - x[:, 2 * k]
         for d in range(x.shape[1]):
@@ -397,5 +398,5 @@ def in_sheets(
             cable = Catenary.between(q[m], q[m] + along[m], np.full(len(m), length[k]))
             below = share * along[m, 2] - to[m, 2]
             if np.any((below > 0.0) & (below < cable.depth(2.0 * share - 1.0))):
-                found.add((min(d // 2, k), max(d // 2, k)))
-    return found
+                result.add((min(d // 2, k), max(d // 2, k)))
+    return result

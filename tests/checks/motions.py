@@ -26,13 +26,13 @@ ARENA = Arena([-40.0, -50.0, -1.0], [45.0, 40.0, 3.0])
 
 def row(motion: Motion, name: str) -> Check:
     """Return one check of the certificate."""
-    found = RULE_OF[name].check(motion)
-    assert found is not None
-    return found
+    result = RULE_OF[name].check(motion)
+    assert result is not None
+    return result
 
 
 def convex_polygon(n: int, rng: np.random.Generator, centre: ArrayLike = (0.0, 0.0)) -> Array:
-    """(n, 2): points of an ellipse, clockwise, with gaps that differ by up to a half."""
+    """Return points (n, 2) of an ellipse, clockwise, with gaps that differ by up to a half."""
     gaps = rng.uniform(0.8, 1.2, n)
     angles = rng.uniform(0.0, 2.0 * math.pi) - 2.0 * math.pi * np.cumsum(gaps) / np.sum(gaps)
     axes = 0.6 / math.sin(math.pi / n) * np.array([1.0, rng.uniform(0.6, 1.0)])
@@ -41,7 +41,7 @@ def convex_polygon(n: int, rng: np.random.Generator, centre: ArrayLike = (0.0, 0
 
 
 def bent(headings: ArrayLike, lengths: ArrayLike, origin: ArrayLike = (1.5, -0.7)) -> Array:
-    """(n + 1, 2): edges of these headings [deg] and lengths [m], one after the other."""
+    """Return the points (n + 1, 2) of a polyline with headings [deg] and lengths [m]."""
     angle = np.radians(np.asarray(headings, dtype=np.float64))
     steps = np.asarray(lengths)[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     points: Array = np.vstack([np.zeros(2), np.cumsum(steps, axis=0)]) + np.asarray(origin)
@@ -49,7 +49,7 @@ def bent(headings: ArrayLike, lengths: ArrayLike, origin: ArrayLike = (1.5, -0.7
 
 
 def smooth_step(s: float) -> float:
-    """From 0 to 1 with three derivatives zero at both ends."""
+    """Return a step from 0 to 1 with three zero derivatives at both ends."""
     return s**4 * (35.0 - 84.0 * s + 70.0 * s**2 - 20.0 * s**3)
 
 
@@ -64,9 +64,9 @@ def moving(
     altitude: float = 1.0,
     tension_at: Callable[[float], Array] | None = None,
     roll: ArrayLike = 0.0,
-    **kept: Any,
+    **requirements: Any,
 ) -> Motion:
-    """Hitches with outlines of times, interpolated on every piece; ``kept`` are requirements."""
+    """Return hitches with outlines as functions of time, interpolated on every piece."""
     breaks, layout = np.linspace(0.0, seconds, pieces + 1), team.layout
     times = breaks[:-1, None] + np.diff(breaks)[:, None] * bernstein.nodes(order)
     hitches = []
@@ -84,7 +84,7 @@ def moving(
 
     return Motion(
         team,
-        Requirements(**kept),
+        Requirements(**requirements),
         fitted([h.drones for h in hitches]),
         fitted([h.vertices for h in hitches]),
         fitted([h.legs for h in hitches]),
@@ -106,8 +106,8 @@ def triangle(**given: Any) -> Motion:
     return still(Team(3, [2.4, 2.5, 2.6]), TRIANGLE, [0.35, 0.5, 0.45], **given)
 
 
-def random_motion(n: int, seed: int, **kept: Any) -> Motion:
-    """Return a hitch of unequal cables whose vertices go some way to another convex polygon."""
+def random_motion(n: int, seed: int, **requirements: Any) -> Motion:
+    """Return a hitch of unequal cables whose vertices move toward another convex polygon."""
     rng = np.random.default_rng(seed)
     start = convex_polygon(n, rng, rng.uniform(-3.0, 3.0, 2))
     centre = np.mean(start, axis=0)
@@ -123,11 +123,11 @@ def random_motion(n: int, seed: int, **kept: Any) -> Motion:
     edges = np.linalg.norm(np.roll(start, -1, axis=0) - start, axis=-1)
     slack = edges * rng.uniform(0.5, 0.6, n)
     team = Team(n, edges + slack, tension=0.4)
-    return moving(team, outline_at, slack * rng.uniform(0.4, 0.6, n), altitude=1.3, **kept)
+    return moving(team, outline_at, slack * rng.uniform(0.4, 0.6, n), altitude=1.3, **requirements)
 
 
 def loaded_motion(seed: int, n: int, density: float = 0.01) -> Motion:
-    """Return a hitch of unlike drones in which all moves, tensions too, and clasps bear loads."""
+    """Return a moving hitch of different drones, with varying tensions and loads at clasps."""
     rng = np.random.default_rng(seed)
     angles = 2.0 * math.pi * (np.arange(n) + 0.15 * rng.uniform(-1.0, 1.0, n)) / n
     start = np.array([4.0, -3.0]) + np.column_stack([np.cos(angles), -np.sin(angles)])
@@ -141,7 +141,7 @@ def loaded_motion(seed: int, n: int, density: float = 0.01) -> Motion:
         quadrotor=[Quadrotor(0.13 + 0.01 * k, 3.0 - 0.1 * k) for k in range(n)],
     )
     phases = rng.uniform(0.0, 6.0, n)
-    made = moving(
+    motion = moving(
         team,
         lambda t: start + 0.06 * np.sin(t * np.array([0.8, 1.1]) + start),
         0.4 + 0.05 * rng.uniform(0.0, 1.0, n),
@@ -151,13 +151,13 @@ def loaded_motion(seed: int, n: int, density: float = 0.01) -> Motion:
         limits=Limits(body_rate=1.0),
     )
     # A range of tensions, so that cables are taut all of the time.
-    return replace(made, phases=(replace(made.phases[0], tension=(0.8, 1.0)),))
+    return replace(motion, phases=(replace(motion.phases[0], tension=(0.8, 1.0)),))
 
 
 def wild_motion(
-    rng: np.random.Generator, n: int, pieces: int, order: int, noise: float, **kept: Any
+    rng: np.random.Generator, n: int, pieces: int, order: int, noise: float, **requirements: Any
 ) -> Motion:
-    """Return polynomials that are no hitch at all, in a phase that says so."""
+    """Return random polynomials as a hitched motion."""
     breaks = np.concatenate([[0.0], np.cumsum(rng.uniform(0.1, 2.0, pieces))])
     vertices = np.column_stack([convex_polygon(n, rng, rng.uniform(-3.0, 3.0, 2)), np.ones(n)])
     drones = np.repeat(vertices, 2, axis=0) + 0.5 * rng.normal(size=(2 * n, 3))
@@ -168,7 +168,7 @@ def wild_motion(
 
     return Motion(
         Team(n, rng.uniform(2.0, 3.0, n), cable_density=0.003),
-        Requirements(**kept),
+        Requirements(**requirements),
         around(drones),
         around(vertices),
         PiecewisePolynomial(breaks, rng.uniform(0.1, 0.6, (pieces, n, 2, 4))),
@@ -178,7 +178,7 @@ def wild_motion(
 
 
 def chain_motion(team: Team, start: Array, end: Array, q_legs: ArrayLike, **given: Any) -> Motion:
-    """Return points that go straight from start to end, inner q-legs constant."""
+    """Return points that move straight from start to end, with constant inner q-legs."""
     options = {"seconds": 3.0, "pieces": 6, "altitude": 1.3} | given
     seconds = float(options["seconds"])
     return moving(
@@ -210,16 +210,16 @@ def random_chain(n: int, seed: int) -> Motion:
 
 
 def free_motion(
-    team: Team, drones: PiecewisePolynomial, *states: CableState, **kept: Any
+    team: Team, drones: PiecewisePolynomial, *states: CableState, **requirements: Any
 ) -> Motion:
-    """Phases in those states, one per piece (the last one for all that follow); else free."""
+    """Return phases in these states, one per piece (the last one for the rest); by default free."""
     last = states[-1] if states else CableState.FREE
     each = [*states, *[last] * (drones.pieces - len(states))]
     spans = zip(drones.breaks[:-1].tolist(), drones.breaks[1:].tolist(), each, strict=True)
     constant, n = PiecewisePolynomial.constant, team.robots
     return Motion(
         team,
-        Requirements(**kept),
+        Requirements(**requirements),
         drones,
         constant(drones.breaks, np.zeros((team.layout.points, 3))),
         constant(drones.breaks, np.zeros((n, 2))),
@@ -228,23 +228,23 @@ def free_motion(
     )
 
 
-def single(curves: PiecewisePolynomial, **kept: Any) -> Motion:
-    """Drones without cables on curves (N, 3)."""
+def single(curves: PiecewisePolynomial, **requirements: Any) -> Motion:
+    """Return drones without cables on curves (N, 3)."""
     phases = (Phase("fly", 0, *curves.breaks[[0, -1]].tolist()),)
-    return Motion.single(Swarm(curves.shape[0]), Requirements(**kept), curves, phases)
+    return Motion.single(Swarm(curves.shape[0]), Requirements(**requirements), curves, phases)
 
 
-def lines(*places: ArrayLike, seconds: float = 1.0, **kept: Any) -> Motion:
-    """Drones without cables along lines between places (N, 3) [m] at equal times."""
+def lines(*places: ArrayLike, seconds: float = 1.0, **requirements: Any) -> Motion:
+    """Return drones without cables along lines between positions (N, 3) [m] at equal times."""
     each = np.array(places, dtype=np.float64)
     c = np.stack([each[:-1], each[1:]], axis=-1)
-    return single(PiecewisePolynomial(np.linspace(0.0, seconds, len(each)), c), **kept)
+    return single(PiecewisePolynomial(np.linspace(0.0, seconds, len(each)), c), **requirements)
 
 
 def random_curves(
     n: int, seed: int, spread: float = 0.5, centre: ArrayLike = (5, -3, 4)
 ) -> PiecewisePolynomial:
-    """Curves (n, 3) that jump at two joints, and meet now and then."""
+    """Return curves (n, 3) that jump at two joints and touch at some times."""
     rng = np.random.default_rng(seed)
     middle = rng.uniform(-2.0, 2.0, (n, 3)) + np.asarray(centre)
     c = middle[None, :, :, None] + rng.normal(scale=spread, size=(3, n, 3, 6))
@@ -252,7 +252,7 @@ def random_curves(
 
 
 def through(times: ArrayLike, places: ArrayLike) -> PiecewisePolynomial:
-    """From rest to rest between places (J, 2n, 3) at times (J,)."""
+    """Return motions from rest to rest between positions (J, 2n, 3) at times (J,)."""
     each = np.asarray(places, dtype=np.float64)
     rest = np.zeros_like(each[:-1])
     return PiecewisePolynomial.hermite(
@@ -261,7 +261,7 @@ def through(times: ArrayLike, places: ArrayLike) -> PiecewisePolynomial:
 
 
 def random_flight(seed: int, n: int = 4, pieces: int = 3) -> tuple[Team, PiecewisePolynomial]:
-    """Robots that wander, no cable ever taut; off the origin, cables unequal."""
+    """Return wandering robots with slack, unequal cables, off the origin."""
     rng = np.random.default_rng(seed)
     topology = "closed" if n > 2 else "open"
     team = Team(n, 1.6 + 0.1 * np.arange(n), cable_density=0.01, topology=topology)
@@ -272,11 +272,11 @@ def random_flight(seed: int, n: int = 4, pieces: int = 3) -> tuple[Team, Piecewi
 
 
 def altered(motion: Motion, part: str, change: Callable[[Array], object]) -> Motion:
-    """Return the motion with one part's coefficients changed, in place or anew."""
+    """Return the motion with changed coefficients of one part."""
     given: PiecewisePolynomial = getattr(motion, part)
     c = given.coefficients.copy()
-    found = change(c)
-    new = c if found is None else np.asarray(found)
+    result = change(c)
+    new = c if result is None else np.asarray(result)
     return replace(motion, **{part: PiecewisePolynomial(given.breaks, new)})  # type: ignore[arg-type]
 
 
@@ -296,7 +296,7 @@ def added(motion: Motion, drone: int, path: Array) -> Motion:
 
 
 def outlined(motion: Motion, start: Array, end: Array) -> Motion:
-    """Return a motion at rest, its points going straight from start to end instead."""
+    """Return a motion at rest with points that move straight from start to end."""
     share = np.linspace(0.0, 1.0, 3 * motion.vertices.pieces + 1)
 
     def change(c: Array) -> None:
@@ -310,7 +310,7 @@ def outlined(motion: Motion, start: Array, end: Array) -> Motion:
 def with_parts(
     motion: Motion, change: Callable[[PiecewisePolynomial], PiecewisePolynomial]
 ) -> Motion:
-    """Return the motion, all of whose functions of time are changed alike, and its phases."""
+    """Return the motion with all functions of time changed in the same way, and its phases."""
     before, after = motion.drones.breaks[[0, -1]], change(motion.drones).breaks[[0, -1]]
     phases = [
         phase.retimed(*np.interp([phase.start, phase.end], before, after).tolist())
@@ -320,7 +320,7 @@ def with_parts(
 
 
 def cut(part: PiecewisePolynomial) -> PiecewisePolynomial:
-    """Return the same curves, every piece in two."""
+    """Return the same curves with every piece halved."""
     breaks = np.sort(np.concatenate([part.breaks, part.breaks[:-1] + 0.3 * part.durations]))
     c = part.coefficients
     both = np.stack([bernstein.restrict(c, *span) for span in ((0.0, 0.3), (0.3, 1.0))], axis=1)
@@ -328,12 +328,12 @@ def cut(part: PiecewisePolynomial) -> PiecewisePolynomial:
 
 
 def held_at(motion: Motion, breaks: list[float], order: int = 0) -> Motion:
-    """Return a motion that rests where it begins, on other breaks."""
+    """Return a motion at rest at its start, on other breaks."""
     at = PiecewisePolynomial.constant
     return with_parts(motion, lambda p: at(breaks, p.at(p.breaks[0]), order))
 
 
 def replaced(motion: Motion, **limits: float) -> Motion:
     """Return the motion with other limits."""
-    kept = motion.requirements
-    return replace(motion, requirements=replace(kept, limits=replace(kept.limits, **limits)))
+    spec = motion.requirements
+    return replace(motion, requirements=replace(spec, limits=replace(spec.limits, **limits)))

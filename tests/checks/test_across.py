@@ -23,11 +23,11 @@ SEPARATION = Separation(radius=0.11, height=0.3)
 
 
 def moved(motion: Motion, by: Array) -> Motion:
-    """Return the motion elsewhere."""
+    """Return the motion, translated."""
 
     def off(name: str) -> dict[str, object]:
         part = getattr(motion, name)
-        return {name: part.alike(part.coefficients + by[:, None])}
+        return {name: part.replaced(part.coefficients + by[:, None])}
 
     return motion.replaced(**off("drones"), **off("vertices"))
 
@@ -49,16 +49,16 @@ def middle(motion: Motion) -> Array:
 def beside(kinds: str, seed: int) -> tuple[Motion, Motion]:
     """Return two motions near each other, each taut (t), hanging (h) or of single drones (s)."""
     rng = np.random.default_rng(seed)
-    made = []
+    motions = []
     for k, kind in enumerate(kinds):
         if kind == "s":
             places = rng.uniform(-1.0, 1.0, (4, 3, 3))
             motion = lines(*places, seconds=3.0, separation=SEPARATION)
         else:
             motion = (taut if kind == "t" else hanging)(seed + 7 * k, np.zeros(3))
-        made.append(motion)
+        motions.append(motion)
     goal = np.array([4.0, -3.0, 5.0])
-    first, second = (moved(each, goal - middle(each)) for each in made)
+    first, second = (moved(each, goal - middle(each)) for each in motions)
     away = rng.uniform(-1.0, 1.0, 3) * [2.4, 2.4, 1.2]
     return first, shifted(moved(second, away), float(rng.uniform(0.0, 2.0)))
 
@@ -77,23 +77,23 @@ def bodies(motion: Motion, times: Array) -> tuple[Array, Array, bool]:
 
 
 def sampled(first: Motion, second: Motion, times: Array) -> dict[str, float]:
-    """Return the least distances across by check; hanging cables are sheets, see ``across``."""
+    """Return the smallest distances between groups by check; hanging cables are sheets."""
     (x, a, hung), (y, b, also) = (bodies(each, times) for each in (first, second))
     r = x[:, :, None] - y[:, None]
     wide, high = 2.0 * SEPARATION.radius, 2.0 * SEPARATION.height
     ratio = np.hypot(np.linalg.norm(r[..., :2], axis=-1) / wide, r[..., 2] / high)
-    found = {"separation": float(np.min(ratio))}
+    result = {"separation": float(np.min(ratio))}
     sheets = [(m.team.cable_length if m.team.robots else None) for m in (first, second)]
     points = x[:, :, None].repeat(2, 2), y[:, :, None].repeat(2, 2)
     near = [apart(points[0], None, b, sheets[1] if also else None)]
     near.append(apart(points[1], None, a, sheets[0] if hung else None))
-    found["cable_clearance"] = min(near)
-    found["crossing"] = apart(a, sheets[0] if hung else None, b, sheets[1] if also else None)
-    return found
+    result["cable_clearance"] = min(near)
+    result["crossing"] = apart(a, sheets[0] if hung else None, b, sheets[1] if also else None)
+    return result
 
 
 def apart(a: Array, long: Array | None, b: Array, wide: Array | None) -> float:
-    """Return the least distance of segments, or from above and by height if some are sheets."""
+    """Return the smallest distance of segments; of sheets, horizontal or vertical."""
     if not a.shape[1] or not b.shape[1]:
         return math.inf
     flat = np.array([1.0, 1.0, 0.0]) if long is not None or wide is not None else 1.0
@@ -120,7 +120,7 @@ def apart(a: Array, long: Array | None, b: Array, wide: Array | None) -> float:
 
 
 def across(first: Motion, second: Motion) -> Certificate:
-    """Return the certificate of both, of which the checks across are the worst by far."""
+    """Return the certificate of both, with checks between groups as the worst."""
     return certify(combined([Group("a", first), Group("b", second)]), reports=())
 
 
@@ -128,7 +128,7 @@ def across(first: Motion, second: Motion) -> Certificate:
 @pytest.mark.parametrize(
     "seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))]
 )
-def test_no_sample_beats_a_bound_across(kinds: str, seed: int) -> None:
+def test_no_sample_exceeds_a_bound_between_groups(kinds: str, seed: int) -> None:
     first, second = beside(kinds, seed)
     end = max(each.drones.breaks[-1] for each in (first, second))
     times: Array = np.unique(
@@ -136,7 +136,7 @@ def test_no_sample_beats_a_bound_across(kinds: str, seed: int) -> None:
             [np.linspace(0.0, float(end), 3001), first.drones.breaks, second.drones.breaks]
         )
     )
-    found, certificate = sampled(first, second, times), across(first, second)
+    result, certificate = sampled(first, second, times), across(first, second)
     own = {
         name: min(
             (
@@ -147,9 +147,9 @@ def test_no_sample_beats_a_bound_across(kinds: str, seed: int) -> None:
             ),
             default=math.inf,
         )
-        for name in found
+        for name in result
     }
-    for name, value in found.items():
+    for name, value in result.items():
         known = {check.name: check.bound for check in certificate.checks}.get(name, math.inf)
         least = min(value, own[name])
         if math.isinf(least):  # no cables
@@ -176,7 +176,7 @@ def test_certificates_do_not_depend_on_place_order_or_names(kinds: str) -> None:
     assert later == pytest.approx(here, rel=1e-3, abs=1e-6)
 
 
-def test_a_group_alone_is_what_it_was() -> None:
+def test_a_single_group_is_unchanged() -> None:
     motion = taut(3, np.zeros(3))
     alone = combined([Group("a", motion)])
     assert alone.drones is motion.drones
@@ -184,8 +184,8 @@ def test_a_group_alone_is_what_it_was() -> None:
     assert worst(certify(alone)) == worst(certify(motion))
 
 
-def test_somebody_elses_plan_counts_before_and_after_it_flies() -> None:
-    """A drone rests in the way before it begins, and one that ends rests there."""
+def test_external_plans_count_before_and_after_their_time() -> None:
+    """Drones rest in the way before their start, or after their end."""
     mine = lines([[0.0, 0, 1]], [[4.0, 0, 1]], seconds=4.0, separation=SEPARATION)
     there = lines([[2.0, 0, 1]], [[2.0, 5, 1]], seconds=1.0, separation=SEPARATION)
     hit = {
@@ -216,7 +216,7 @@ def test_distances_are_the_larger_ones_of_both() -> None:
 
 @pytest.mark.parametrize("moved_first", [False, True])
 def test_an_object_counts_where_it_rests_after_it_was_moved(*, moved_first: bool) -> None:
-    """The other group has it as an obstacle where it stood before."""
+    """The other group has it as an obstacle at its former position."""
     body = ho.SolidObject(ho.Section(radius=0.1), 0.0, 1.0, at=[3.0, 1.0, 0.0], mass=0.1)
     mine = lines([[0.0, 0, 0.5]], [[4.0, 0, 0.5]], seconds=4.0, separation=SEPARATION)
     theirs = lines([[3.0, 9, 0.5]], [[3.0, 8, 0.5]], seconds=4.0, separation=SEPARATION)
@@ -235,7 +235,7 @@ def test_an_object_counts_where_it_rests_after_it_was_moved(*, moved_first: bool
     assert {name[2:] for name in check.where} == {"d0", "post"} or "post" in check.where
 
 
-def test_tracking_radius_takes_half_of_what_is_left_across() -> None:
+def test_tracking_radius_is_half_of_the_slack_between_groups() -> None:
     one = lines([[0.0, 0, 1]], [[1.0, 0, 1]], separation=SEPARATION)
     other = lines([[0.0, 1, 1]], [[1.0, 1, 1]], separation=SEPARATION)
     both = certify(combined([Group("a", one), Group("b", other)]))

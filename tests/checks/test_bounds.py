@@ -50,7 +50,7 @@ PRISMS = (Prism(OUTLINE, 0.4, 1.7), Prism(OUTLINE + 3.0, -1.0, 0.2))
 
 @dataclass(frozen=True)
 class Case:
-    """A motion of a seed, samples of it, and how far bounds may lie off these: a share, or more."""
+    """A motion for a seed, its samples, and the largest gap of bounds, relative or absolute."""
 
     make: Callable[[int], Motion]
     count: int = 2001
@@ -62,7 +62,7 @@ class Case:
 
 
 def some(seed: int, least: int, most: int) -> tuple[int, int]:
-    """Return how many robots, and another seed."""
+    """Return a number of robots, and another seed."""
     rng = np.random.default_rng(seed)
     return int(rng.integers(least, most)), int(rng.integers(10_000))
 
@@ -77,7 +77,7 @@ def loaded(seed: int) -> Motion:
 
 
 def curled(_: int) -> Motion:
-    """A chain curled up nearly to a square: its end points at its first edge."""
+    """A chain curled up nearly to a square, with its end toward its first edge."""
     team = Team(4, [3.0, 2.1, 2.2, 2.4], topology="open", cable_density=0.004)
     start, end = (
         bent([100.0, 15.0, -70.0, turn], [2.0, 1.3, 1.1, last])
@@ -88,7 +88,7 @@ def curled(_: int) -> Motion:
 
 
 def wild(seed: int) -> Motion:
-    """Polynomials that are no hitch at all."""
+    """Random polynomials as a hitch."""
     rng = np.random.default_rng(seed)
     n, pieces, order = (int(rng.integers(*span)) for span in ((3, 7), (1, 4), (1, 9)))
     noise = 10.0 ** rng.uniform(-3.0, 0.5)
@@ -96,21 +96,21 @@ def wild(seed: int) -> Motion:
 
 
 def wrong_chain(seed: int) -> Motion:
-    """Drones off their places by centimetres, those at the ends included; they jump at joints."""
+    """Drones displaced by centimetres, also at the ends; they jump at joints."""
     motion = random_chain(2 + seed, seed)
     off = 0.02 * np.random.default_rng(seed).normal(size=motion.drones.coefficients.shape)
     return altered(motion, "drones", plus(..., off))
 
 
 def free(seed: int, state: CableState) -> Motion:
-    """Cables, so heavy that their pull turns thrusts, that hang free or lie on the ground."""
+    """Heavy cables that hang or lie on the ground; their pull turns thrusts."""
     team, drones = random_flight(seed)
     heavy = replace(team, cable_density=0.05)
     return free_motion(heavy, drones.stretched(20.0), state, limits=TURNING)
 
 
 def apart(seed: int, floor: float) -> Motion:
-    """Robots a long way apart, so that the ground, or the arena's floor, is what is nearest."""
+    """Robots far apart, closest to the ground or the arena's floor."""
     team, drones = random_flight(seed, n=2)
     c = drones.coefficients.copy()
     c[:, 2:, 0] += 30.0
@@ -127,14 +127,14 @@ def falling(seed: int) -> Motion:
 
 
 def inward(_: int) -> Motion:
-    """A vertex passes the straight line between its neighbours: it is no corner."""
+    """A vertex crosses the straight line between its neighbours."""
     end = SQUARE.copy()
     end[0] += 1.2 * (np.mean(SQUARE[[1, 3]], axis=0) - SQUARE[0])
     return outlined(still(Team(4, 2.9), SQUARE, [0.4] * 4), SQUARE, end)
 
 
 def slackened(_: int) -> Motion:
-    """A cable above the ground that is taut, but for two moments at which its drones are nearer."""
+    """A cable above the ground, taut except at two times."""
     wave = bernstein.interpolate(np.sin(2.0 * np.pi * bernstein.nodes(8)) ** 2)
     ends = np.array([[0, 0, 1.0], [1.195, 0, 1.0], [0, 9, 9], [1, 9, 9]])[..., None] + 0.0 * wave
     ends[0, 0] += 0.0085 * wave
@@ -144,7 +144,7 @@ def slackened(_: int) -> Motion:
 
 
 def under(_: int) -> Motion:
-    """A drone at rest below a cable that hangs deep, another one above that, not as near."""
+    """A drone at rest below a deep hanging cable, and one above it, farther away."""
     places = [[0.0, 0.0, 3.0], [1.0, 0.0, 3.0], [0.5, 0.15, 1.7], [0.5, 0.3, 3.4]]
     at_rest = PiecewisePolynomial.constant(np.linspace(0.0, 1.0, 101), places)
     motion = free_motion(Team(2, [2.8, 1.9], topology="open"), at_rest)
@@ -225,7 +225,7 @@ SLOW = pytest.mark.slow
         for seed in range(case.seeds)
     ],
 )
-def test_no_sample_beats_a_bound(name: str, seed: int) -> None:
+def test_no_sample_exceeds_a_bound(name: str, seed: int) -> None:
     case = CASES[name]
     motion = case.make(seed)
     assert_sound(motion, case.count, case.gap, case.least, case.only)
@@ -234,7 +234,7 @@ def test_no_sample_beats_a_bound(name: str, seed: int) -> None:
             assert certify(motion)[check].bound < most
 
 
-def test_who_comes_close_is_named() -> None:
+def test_close_pairs_are_named() -> None:
     assert certify(curled(0))["crossing"].where == ("edge 0", "edge 3")
     assert certify(apart(0, 0.8))["cable_clearance"].where[0] == "ground"
     assert certify(under(0))["cable_clearance"].where == ("q1", "cable 0")
@@ -244,7 +244,7 @@ def test_who_comes_close_is_named() -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_hanging_cables_are_as_far_from_their_links_as_is_said_at_most(
+def test_hanging_cables_stay_within_bounds_of_their_links(
     seed: int,
 ) -> None:
     rng = np.random.default_rng(seed)

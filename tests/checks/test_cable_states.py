@@ -28,14 +28,14 @@ def certificate_of(name: str) -> Certificate:
 
 
 def merged(motion: Motion, first: int, last: int, state: CableState) -> Motion:
-    """Phases ``first`` to ``last`` as one in some state."""
+    """Return phases ``first`` to ``last`` merged into one, in a state."""
     phases = motion.phases
     one = replace(phases[first], end=phases[last].end, state=state)
     return replace(motion, phases=(*phases[:first], one, *phases[last + 1 :]))
 
 
 def refused(motion: Motion) -> set[str]:
-    """Where ``interlacing`` fails, and that it says in which phase, and when."""
+    """Assert that ``interlacing`` fails, with phase and time."""
     check = row(motion, "interlacing")
     assert not check.holds
     first, *where = check.where
@@ -51,7 +51,7 @@ def index_of(motion: Motion, name: str) -> int:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TYING)
-def test_renaming_every_phase_changes_no_figure(name: str) -> None:
+def test_phase_names_have_no_effect(name: str) -> None:
     motion = planned(name).motion
     for names in (["take-off"], ["hold", "swap 1", "parked", "tighten"]):
         phases = [replace(p, name=names[i % len(names)]) for i, p in enumerate(motion.phases)]
@@ -79,7 +79,7 @@ def test_every_other_state_fails(name: str) -> None:
         ("swap 1", CableState.TIGHTENING),
     ],
 )
-def test_phases_do_not_swallow_their_neighbours(first: str, state: CableState) -> None:
+def test_phases_do_not_cover_their_neighbours(first: str, state: CableState) -> None:
     motion = planned("tie_carry_untie").motion
     index = index_of(motion, first)
     assert motion.phases[index_of(motion, "swap 1") + 2].name == "tighten"
@@ -87,14 +87,14 @@ def test_phases_do_not_swallow_their_neighbours(first: str, state: CableState) -
 
 
 @pytest.mark.slow
-def test_what_is_at_full_length_is_not_being_tightened() -> None:
-    """Whatever the plan says of legs and tensions, and wherever it puts the clasps."""
+def test_cables_at_full_length_are_not_being_tightened() -> None:
+    """This holds for any legs, tensions and positions of clasps."""
     motion = planned("tie_carry_untie").motion
     first, last = (index_of(motion, name) for name in ("tighten", "loosen"))
     whole = merged(motion, first, last, CableState.TIGHTENING)
-    told = altered(altered(whole, "legs", np.zeros_like), "tensions", np.zeros_like)
-    moved = altered(told, "vertices", plus((slice(None), 0, 0), 0.02))
-    for each in (whole, told, moved):
+    changed = altered(altered(whole, "legs", np.zeros_like), "tensions", np.zeros_like)
+    moved = altered(changed, "vertices", plus((slice(None), 0, 0), 0.02))
+    for each in (whole, changed, moved):
         assert refused(each) == ALL
 
 
@@ -121,7 +121,7 @@ def test_drones_with_cables_on_the_ground_do_not_fly_sideways() -> None:
     [(0.0, CableState.GROUND), (0.3, CableState.GROUND), (2.0, CableState.FREE)],
 )
 def test_cables_on_the_ground_reach_it(height: float, state: CableState) -> None:
-    """At rest: cables that come nearer to the ground than those that hang may do lie on it."""
+    """Cables at rest that are too close to the ground to hang lie on it."""
     places = np.array([[x, y, height] for y in (0.0, 1.0, 2.0) for x in (4.0, 5.0)])
     drones = through([0.0, 1.0], [places, places])
     for each in (CableState.GROUND, CableState.FREE):
@@ -129,7 +129,7 @@ def test_cables_on_the_ground_reach_it(height: float, state: CableState) -> None
 
 
 def test_a_clasp_turns_about_a_point_at_rest() -> None:
-    """Swaps whose pairs wander by two millimetres as they turn."""
+    """Swaps with pairs that drift by two millimetres as they turn."""
     motion = planned("form_triangle").motion
     pieces = np.flatnonzero(motion.phase_of_piece == index_of(motion, "swap 1"))
     layout, bump = motion.team.layout, np.zeros(motion.drones.degree + 1)
@@ -143,14 +143,14 @@ def test_a_clasp_turns_about_a_point_at_rest() -> None:
 def test_no_leg_and_no_tension_without_a_hitch(part: str) -> None:
     motion = planned("form_triangle").motion
     first = int(np.argmax(motion.phase_of_piece == index_of(motion, "tighten")))
-    told = altered(motion, part, plus((first, 1), 0.1))
-    assert refused(told) == {"cable 1"}
-    assert row(told, "interlacing").where[0].endswith("(tighten)")
+    changed = altered(motion, part, plus((first, 1), 0.1))
+    assert refused(changed) == {"cable 1"}
+    assert row(changed, "interlacing").where[0].endswith("(tighten)")
 
 
 @pytest.mark.slow
 def test_phases_may_end_within_pieces() -> None:
-    """A piece counts to the phase of its middle, as phases of blended steps end where they do."""
+    """A piece belongs to the phase of its middle: phases of blended steps end within pieces."""
     motion = planned("tie_carry_untie").motion
     phases = list(motion.phases)
     i = next(i for i, p in enumerate(phases) if p.state is phases[i + 1].state)

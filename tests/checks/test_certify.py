@@ -67,17 +67,17 @@ TABLE: dict[str, tuple[str, float | None]] = {
 """Checks in their order, with senses and limits."""
 
 
-def test_checks_have_the_order_senses_and_limits_of_the_table_and_progress_hears_of_each() -> None:
+def test_checks_follow_the_table_and_report_progress() -> None:
     tilt, turn = math.radians(44.0), math.radians(90.0)
     limits = Limits(1.1, 2.2, 3.3, tilt, 0.55, 0.16, 9.0, body_rate=turn)
-    kept = {"separation": Separation(cable=0.11, crossing=0.06), "arena": ARENA}
+    requirements = {"separation": Separation(cable=0.11, crossing=0.06), "arena": ARENA}
     wall = Prism(TRIANGLE + 20.0, 0.0, 1.0)
-    motion = random_motion(4, 2, limits=limits, keep_out=(wall,), **kept)
+    motion = random_motion(4, 2, limits=limits, keep_out=(wall,), **requirements)
     heard: list[str] = []
     certificate = certify(motion, heard.append)
     assert heard == [f"{name}, {i} of {len(TABLE)}" for i, name in enumerate(TABLE)]
-    found = {c.name: (c.sense, c.limit and round(c.limit, 9)) for c in certificate.checks}
-    assert list(found.items()) == list(TABLE.items())
+    result = {c.name: (c.sense, c.limit and round(c.limit, 9)) for c in certificate.checks}
+    assert list(result.items()) == list(TABLE.items())
     assert certificate["duration"].worst == certificate.duration == motion.duration
     fewer = [check.name for check in certify(random_motion(3, 1)).checks]
     assert set(TABLE) - set(fewer) == {"arena", "keep_out", "duration", "body_rate"}
@@ -102,7 +102,7 @@ def renumbered(motion: Motion) -> Motion:
 
 @dataclass(frozen=True)
 class Symmetry:
-    """A change of a motion, and what it makes of worst values and of numbers in names."""
+    """A change of a motion, and its effect on worst values and on numbers in names."""
 
     change: Callable[[Motion], Motion]
     factors: dict[str, float]
@@ -127,7 +127,7 @@ SYMMETRIES = {
 
 
 def free() -> Motion:
-    """Four cables that hang in the air, high enough for the ground to be far away."""
+    """Return four cables that hang far above the ground."""
     team, drones = random_flight(2, pieces=1)
     return free_motion(replace(team, cable_density=0.0), drones.stretched(20.0))
 
@@ -141,9 +141,7 @@ LOOSE = {"cable_clearance", "tracking_radius"}
 
 @pytest.mark.parametrize("name", SYMMETRIES)
 @pytest.mark.parametrize("kind", MOTIONS)
-def test_where_how_fast_and_in_which_numbers_it_flies_changes_nothing_else(
-    name: str, kind: str
-) -> None:
+def test_certificates_are_invariant_to_place_time_and_numbering(name: str, kind: str) -> None:
     symmetry, motion = SYMMETRIES[name], MOTIONS[kind]()
     n, loose = motion.team.robots, LOOSE if kind == "free" else set()
     first, second = certify(motion), certify(symmetry.change(motion))
@@ -161,20 +159,20 @@ def test_where_how_fast_and_in_which_numbers_it_flies_changes_nothing_else(
 
 
 @pytest.mark.parametrize("end", [0, -1])
-def test_weights_that_come_and_go_with_the_tension_need_the_same_length(end: int) -> None:
+def test_weights_that_ramp_with_the_tension_need_the_same_length(end: int) -> None:
     team = Team(3, [2.4, 2.5, 2.6], tension=0.5, cable_density=0.01)
     motion = still(team, TRIANGLE, [0.35, 0.5, 0.45])
     leg = (motion.drones.coefficients[:, 0] - motion.vertices.coefficients[:, 0])[end, :, end]
     longer = plus((end, 0, slice(None), end), 1e-6 * leg / np.linalg.norm(leg))  # at that end
     rise = np.array([0.0, 0.0, 0.0, 0.0, 0.5, 0.5, 0.5, 0.5])[:: 1 if end == 0 else -1]
     rising = altered(motion, "tensions", lambda c: np.broadcast_to(rise, (len(c), 3, 8)))
-    found = certify(altered(rising, "drones", longer))["cable_length"]
-    assert 1e-6 / 2.4 <= found.bound <= 1e-6 / 2.4 + 2e-7
-    assert found.where == ("cable 0",)
+    result = certify(altered(rising, "drones", longer))["cable_length"]
+    assert 1e-6 / 2.4 <= result.bound <= 1e-6 / 2.4 + 2e-7
+    assert result.where == ("cable 0",)
 
 
 def upward(seed: int) -> Motion:
-    """A short piece, far up, on which one drone moves in z only, with derivatives that grow."""
+    """Return a short piece, far up, on which one drone moves in z with growing derivatives."""
     rng = np.random.default_rng(seed)
     motion = held_at(triangle(altitude=900.0), [0.3, 0.3 + rng.uniform(1e-3, 1e-2)], 6)
     path = np.arange(7) ** 5 * rng.uniform(0.9, 1.0) * 1e-3 + rng.uniform(0.0, 1e-9, 7)
@@ -182,7 +180,7 @@ def upward(seed: int) -> Motion:
 
 
 def exact_at_end(motion: Motion, order: int) -> Fraction:
-    """The derivative in z of drone 2 at the end of its piece, in exact arithmetic."""
+    """Return the derivative in z of drone 2 at the end of its piece, exactly."""
     c = [Fraction(float(x)) for x in motion.drones.coefficients[0, 2, 2]]
     first, last = (Fraction(float(t)) for t in motion.drones.breaks)
     degree = len(c) - 1
@@ -205,8 +203,8 @@ def test_derivatives_and_thrusts_are_not_rounded_below_their_exact_values(seed: 
         assert worst == pytest.approx(float(value), rel=1e-6)
 
 
-def test_differences_that_round_to_the_same_are_not_taken_for_the_same() -> None:
-    """One at a time they are 1 - 2**-54, 1 + 2**-53 and 1, so that there is a jerk."""
+def test_differences_that_round_to_zero_are_not_zero() -> None:
+    """Coefficients are 1 - 2**-54, 1 + 2**-53 and 1, so there is a jerk."""
     first = 1.0 - 2.0**-10 - 2.0**-53
     c = np.array([-(2.0**-10) - 2.0**-54, first, *(2.0 - 2.0**-10 + np.arange(6))])
     assert np.all(np.diff(c) == 1.0)
@@ -218,7 +216,7 @@ def test_differences_that_round_to_the_same_are_not_taken_for_the_same() -> None
 
 @pytest.mark.filterwarnings("ignore::hitchopt.errors.UnitWarning")
 @pytest.mark.parametrize("far", [10.0, 1e4])
-def test_distances_give_way_by_the_stated_share_of_the_coordinates(far: float) -> None:
+def test_distances_shrink_by_the_stated_share_of_coordinates(far: float) -> None:
     motion = still(Team(3, [2.4, 2.5, 2.6]), TRIANGLE + far, [0.35, 0.5, 0.45], altitude=far)
     certificate = certify(motion)
     x, p = motion.drones.coefficients[0, :, :, 0], motion.vertices.coefficients[0, :, :, 0]
@@ -230,19 +228,19 @@ def test_distances_give_way_by_the_stated_share_of_the_coordinates(far: float) -
         assert value - certificate[name].bound == pytest.approx(margin, rel=0.05, abs=1e-14)
 
 
-def test_where_nothing_was_counted_worst_is_null() -> None:
-    """All parts of a chain of two cables share its one clasp: no two of them may cross."""
+def test_worst_is_null_without_items() -> None:
+    """All parts of a chain of two cables share its clasp: no pair is checked."""
     certificate = certify(random_chain(2, 0))
     check = certificate["crossing"]
     assert (check.worst, check.holds, check.where, check.bound) == (None, True, (), math.inf)
     text = json.dumps(certificate.to_dict(), allow_nan=False)
-    told = {entry["name"]: entry["worst"] for entry in json.loads(text)["checks"]}
-    assert [name for name, worst in told.items() if worst is None] == ["crossing"]
+    worst_values = {entry["name"]: entry["worst"] for entry in json.loads(text)["checks"]}
+    assert [name for name, worst in worst_values.items() if worst is None] == ["crossing"]
     assert certify(random_chain(3, 0))["crossing"].worst is not None
 
 
 @pytest.mark.parametrize("sense", ["min", "max"])
-def test_only_an_infinity_that_holds_is_nothing(sense: str) -> None:
+def test_only_infinities_that_hold_become_null(sense: str) -> None:
     good = math.inf if sense == "min" else -math.inf
     nothing = Check.of("x", good, 1.0, sense, "m", 2.0, ("q0",))
     assert (nothing.worst, nothing.holds, nothing.where) == (None, True, ())
@@ -272,7 +270,7 @@ def parts() -> list[Motion]:
 
 
 def of_parts(parts: list[Motion]) -> Certificate:
-    """Joined whether or not each begins where the last one ends: continuity must tell."""
+    """Parts are joined even if they do not match: continuity must fail."""
     return merged(joined_motions(parts), [certify(part) for part in parts])
 
 
@@ -280,10 +278,10 @@ def of_parts(parts: list[Motion]) -> Certificate:
     ("count", "duration", "slower"),
     [(1, None, 1.0), (4, 100.0, 1.0), (4, 0.5, 1.0), (3, None, 0.7)],
 )
-def test_merging_equals_looking_anew(
+def test_merged_certificates_equal_recomputed_ones(
     parts: list[Motion], duration: float | None, count: int, slower: float
 ) -> None:
-    """Of parts that break limits as well."""
+    """Also for parts that violate limits."""
     parts = [part.slowed(slower) for part in parts[:count]]
     whole = replaced(joined_motions(parts), duration=duration)  # type: ignore[arg-type]
     anew, ours = certify(whole), merged(whole, [certify(part) for part in parts])
@@ -299,7 +297,7 @@ def test_merging_equals_looking_anew(
         assert ours[name].time == pytest.approx(anew[name].time, abs=0.05)
 
 
-def test_a_jump_between_parts_is_found(parts: list[Motion]) -> None:
+def test_jumps_between_parts_are_detected(parts: list[Motion]) -> None:
     certificate = of_parts([parts[1], altered(parts[1], "drones", plus(..., 0.01))])
     assert not certificate["tension"].holds  # legs turn at once, and thrusts with them
     check = certificate["continuity"]
@@ -323,23 +321,23 @@ def test_a_check_holds_within_its_tolerance(
         assert (check.holds, check.worst) == (holds, worst)
 
 
-def rest(**kept: Any) -> ho.Certificate:
-    return rest_plan(HITCH, Requirements(**kept)).certificate
+def rest(**requirements: Any) -> ho.Certificate:
+    return rest_plan(HITCH, Requirements(**requirements)).certificate
 
 
-def test_limits_that_a_hitch_meets_to_the_last_digit_hold() -> None:
+def test_limits_reached_to_the_last_digit_hold() -> None:
     usual = rest()
     legs = np.linalg.norm(HITCH.drones - HITCH.vertices[TEAM.layout.anchors], axis=1)
     exact = {"leg": float(np.min(legs)), "tilt": math.radians(usual["tilt"].bound)}
     radius = 0.12 * usual["separation"].bound
-    met = rest(
+    certificate = rest(
         limits=ho.Limits(**exact),
         separation=ho.Separation(radius=radius, cable=usual["cable_clearance"].bound),
         arena=ho.Arena(np.min(HITCH.drones, axis=0), np.max(HITCH.drones, axis=0) + [0, 0, 1]),
     )
-    assert met.certified, met.violated
-    assert met["arena"].bound == pytest.approx(0.0, abs=1e-9)
-    assert met["legs"].bound < exact["leg"]  # a bound still, rounding included
+    assert certificate.certified, certificate.violated
+    assert certificate["arena"].bound == pytest.approx(0.0, abs=1e-9)
+    assert certificate["legs"].bound < exact["leg"]  # a bound still, rounding included
     for name, off in (("leg", 1e-6), ("tilt", -1e-6)):
         assert not rest(limits=ho.Limits(**{name: exact[name] * (1.0 + off)})).certified
 
@@ -351,11 +349,11 @@ def test_a_plan_whose_duration_is_its_limit_is_certified(duration: float) -> Non
     assert certificate["duration"].worst == pytest.approx(0.3, abs=1e-16)
 
 
-def passing(apart: Any, **kept: Any) -> ho.SwarmProblem:
-    """Two drones that exchange places, or that go apart."""
+def passing(apart: Any, **requirements: Any) -> ho.SwarmProblem:
+    """Return two drones that exchange places, or separate."""
     start = np.array([[0.0, 0.5, 1.0], [apart, 0.5, 1.0]])
     goal = start[::-1].copy() if apart > 1.0 else start + [[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]
-    return ho.SwarmProblem(ho.Swarm(2), start, goal, **kept)
+    return ho.SwarmProblem(ho.Swarm(2), start, goal, **requirements)
 
 
 def test_drones_may_start_on_a_wall_and_touching() -> None:

@@ -44,7 +44,7 @@ LEGS = [0.35, 0.5, 0.45]
 
 
 def placed(motion: Motion, drone: int, place: Callable[[Array, Array], Array]) -> Motion:
-    """Return the motion with one drone elsewhere, by drones (…, 2n, 3) and vertices (…, n, 3)."""
+    """Return the motion with one drone moved, by drones (…, 2n, 3) and vertices (…, n, 3)."""
     p = np.moveaxis(motion.vertices.coefficients, -1, 1)
 
     def change(c: Array) -> None:
@@ -54,18 +54,18 @@ def placed(motion: Motion, drone: int, place: Callable[[Array, Array], Array]) -
 
 
 def corners(turn: float, n: int) -> Array:
-    """A chain's points, every corner of which turns by so much [deg]; it may spiral."""
+    """Return a chain's points with equal turns [deg]; it may spiral."""
     return bent(100.0 - turn * np.arange(n), np.full(n, 1.3))
 
 
 def chain(turn: float, n: int) -> Motion:
-    """Points alone matter: drones stand where a chain that is bent less has them."""
+    """Only points matter: drones are those of a chain with smaller turns."""
     gentle = corners(20.0, n)
-    made = chain_motion(Team(n, 2.2, topology="open"), gentle, gentle, np.full(n, 0.4), order=3)
-    return outlined(made, corners(turn, n), corners(turn, n))
+    motion = chain_motion(Team(n, 2.2, topology="open"), gentle, gentle, np.full(n, 0.4), order=3)
+    return outlined(motion, corners(turn, n), corners(turn, n))
 
 
-def test_a_pass_of_a_millisecond_is_found_that_samples_at_100_hz_miss() -> None:
+def test_an_approach_of_a_millisecond_is_detected() -> None:
     motion = held_at(triangle(), [0.0, 1.0011, 1.0021, 2.0])
     drones = motion.drones.coefficients[0, :, :, 0]
     path = np.zeros((3, 3, 7))
@@ -107,7 +107,7 @@ def resting(team: Team) -> Motion:
 
 
 def weighed(**weight: Any) -> Motion:
-    """A plan without weight under a team that has it: the clasps fall, by the weight over T."""
+    """A plan without weight for a team with weight: the residual is the weight over T."""
     return replace(resting(Team(6, 2.0, tension=0.5)), team=Team(6, 2.0, tension=0.5, **weight))
 
 
@@ -176,11 +176,11 @@ FORMS: dict[str, tuple[Callable[[], Motion], str, float, bool, Set[tuple[str, ..
         lambda: altered(random_chain(3, 7), "drones", plus((slice(None), 5, 2), 0.003)),
         *("cable_length", 0.003 / random_chain(3, 7).team.cable_length[2], False, {("cable 2",)}),
     ),
-    "a chain's end that is told to hang on": (
+    "a chain's end with a stated leg": (
         lambda: altered(random_chain(4, 9), "legs", plus((slice(None), 0, 0), 0.01)),
         *("cable_length", 0.01 / random_chain(4, 9).team.cable_length[0], False, {("cable 0",)}),
     ),
-    "an r-leg told wrong": (
+    "a wrong stated r-leg": (
         lambda: altered(triangle(), "legs", plus((slice(None), 2, 1), 1e-3)),
         *("cable_length", 1e-3 / 2.6, False, {("cable 2",)}),
     ),
@@ -233,12 +233,12 @@ FORMS: dict[str, tuple[Callable[[], Motion], str, float, bool, Set[tuple[str, ..
         *("keep_out", 0.0, False, {("d0",)}),
     ),
 }
-"""How a motion is made, a check, its worst value, whether it holds, and where it may be."""
+"""A motion, a check, its worst value, whether it holds, and where it may be."""
 
 
 @pytest.mark.filterwarnings("ignore::hitchopt.errors.UnitWarning")
 @pytest.mark.parametrize("name", FORMS)
-def test_a_check_is_what_geometry_says(name: str) -> None:
+def test_checks_match_closed_forms(name: str) -> None:
     make, which, worst, holds, where = FORMS[name]
     motion = make()
     check = certify(motion)[which]
@@ -252,24 +252,24 @@ def test_a_check_is_what_geometry_says(name: str) -> None:
         assert check.limit == motion.team.max_thrust[motion.team.drone_names.index(check.where[0])]
 
 
-def test_a_clasp_that_does_not_bear_is_infinitely_far_from_balance() -> None:
-    """In balance to the last digit, but with a cable that its own clasp would have to push down."""
+def test_open_clasps_have_an_infinite_residual() -> None:
+    """Forces are balanced to the last digit, but a clasp would have to push a cable down."""
     held = still(Team(3, 2.4, tension=0.5, load=0.05), regular_polygon(3, 1.0).vertices, [0.7] * 3)
     assert certify(held)["equilibrium"].holds
 
     def exchanged(c: Array) -> None:
-        """Each cable runs nearly straight on, and nothing holds the two together."""
+        """Each cable is nearly straight, and nothing holds the two together."""
         legs = c - held.vertices.coefficients[:, [0, 1, 1, 2, 2, 0]]
         c[:, [0, 5, 2, 1, 4, 3]] += legs[:, [5, 0, 1, 2, 3, 4]] - legs[:, [0, 5, 2, 1, 4, 3]]
 
     through = altered(held, "drones", exchanged)
     assert sampled(through, np.array([0.5]))["equilibrium"] < 1e-9
-    found = certify(through)["equilibrium"]
-    assert found.bound > 1e300
-    assert not found.holds
+    result = certify(through)["equilibrium"]
+    assert result.bound > 1e300
+    assert not result.holds
 
 
-def test_rest_turns_nothing_and_free_fall_turns_without_bound() -> None:
+def test_body_rate_is_zero_at_rest_and_unbounded_in_free_fall() -> None:
     assert certify(replaced(triangle(), body_rate=1.0))["body_rate"].bound < 1e-6
     fall = [[[0.0, 0.0, 9.0 - k * 9.81 / 2.0]] for k in (0.0, 0.0, 1.0)]
     c = np.moveaxis(np.array(fall), 0, -1)[None]
@@ -303,7 +303,7 @@ def test_small_jumps_add_up_unless_they_are_rounding(jump: float, holds: bool) -
 
 
 def test_a_chain_that_curls_up_on_the_way_is_refused() -> None:
-    """Every corner turns right at all times; only their sum passes 360° at the end."""
+    """Every corner turns right at all times; only the sum exceeds 360° at the end."""
     most = []
     for last in (84.0, 96.0):
         motion = outlined(chain(84.0, 5), corners(84.0, 5), corners(last, 5))
@@ -324,7 +324,7 @@ def test_a_chain_that_curls_up_on_the_way_is_refused() -> None:
         (TRIANGLE, math.nan, "lower", "finite"),
     ],
 )
-def test_prisms_that_are_wrong(outline: Array, lower: float, key: str, words: str) -> None:
+def test_invalid_prisms_are_refused(outline: Array, lower: float, key: str, words: str) -> None:
     assert_refused(lambda: Prism(outline, lower, 1.0), key, words)
 
 
@@ -333,7 +333,7 @@ WIDE = [[0.0, -1.0], [-0.8, 0.6], [0.8, 0.6]]
 
 @pytest.mark.parametrize("density", [0.0, 0.01, 0.02])
 def test_edges_sag_toward_the_floor_and_no_clasp_is_below_it(density: float) -> None:
-    """A level edge of length s is lowest half way, by ``ρ g s² / 8 T``; walls move with a hitch."""
+    """A level edge of length s sags by ``ρ g s² / 8 T``; walls move with the hitch."""
     team, outline = Team(3, 3.0, cable_density=density, tension=0.5), np.array(WIDE)
     longest = max(np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1))
     sag = density * 9.81 * longest**2 / (8.0 * 0.5)
@@ -344,7 +344,7 @@ def test_edges_sag_toward_the_floor_and_no_clasp_is_below_it(density: float) -> 
         def room(lower: Any, upper: Any, lift: float = 0.0, here: Motion = here) -> Check:
             vertices = here.vertices.coefficients + np.array([[0.0], [0.0], [lift]])
             walled = replace(here.requirements, arena=Arena(lower, upper))
-            vertices_ = here.vertices.alike(vertices)
+            vertices_ = here.vertices.replaced(vertices)
             return row(replace(here, requirements=walled, vertices=vertices_), "arena")
 
         floor = room([-9, -9, z - 0.2], [9, 9, 9])
@@ -356,19 +356,19 @@ def test_edges_sag_toward_the_floor_and_no_clasp_is_below_it(density: float) -> 
             assert not room([-9, -9, z - 0.25], [9, 9, z + 0.25], lift).holds
 
 
-def test_what_is_below_the_ground_is_said_where_no_arena_has_a_floor() -> None:
+def test_heights_below_ground_are_reported_without_an_arena() -> None:
     motion = still(Team(3, 3.0), np.array(WIDE), [0.4] * 3)
     assert below_ground(motion) is None
     down = motion.drones.coefficients[0, 0, 2, 0] + 0.3
     parts = {
-        name: getattr(motion, name).alike(
+        name: getattr(motion, name).replaced(
             getattr(motion, name).coefficients - [[0.0], [0.0], [down]]
         )
         for name in ("drones", "vertices")
     }
-    found = below_ground(replace(motion, **parts))
-    assert found is not None
-    assert found.bound == pytest.approx(-0.3)
+    result = below_ground(replace(motion, **parts))
+    assert result is not None
+    assert result.bound == pytest.approx(-0.3)
     arena = Arena([-9, -9, -1], [9, 9, 9])
     walled = replace(motion.requirements, arena=arena)
     assert below_ground(replace(motion, requirements=walled, **parts)) is None

@@ -30,7 +30,7 @@ from hitchopt.values import Array
 
 OUTLINE = np.array([[-0.4, 0.9], [1.0, 0.9], [1.0, -0.5], [-0.4, -0.5]])
 LEGS = np.array([0.36, 0.64, 0.5, 0.5])  # q_1 and r_0 keep off each other where they pass
-KEPT = Requirements(Limits(acceleration=5.0), Separation(cable=0.05), None)
+SPEC = Requirements(Limits(acceleration=5.0), Separation(cable=0.05), None)
 
 
 def turned(motion: Motion, clasp: int, degrees: float) -> Motion:
@@ -64,7 +64,7 @@ def square(clasp: int, degrees: float, load: float = 0.0) -> Motion:
     legs = np.roll(LEGS, clasp - 1)
     team = Team(4, 2.4, load=load)
     held = still(team, OUTLINE, legs, seconds=40.0, pieces=48, order=3)
-    return turned(replace(held, requirements=KEPT), clasp, degrees)
+    return turned(replace(held, requirements=SPEC), clasp, degrees)
 
 
 def unproven(
@@ -92,7 +92,7 @@ def unproven(
 def test_a_clasp_that_rolls_open_is_refused(
     degrees: float, clasp: int, load: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """All other checks hold: without the look at contact each of these motions is believed."""
+    """All other checks hold: without the contact test, each of these motions is certified."""
     motion, holds = square(clasp, degrees, load), abs(degrees) < 175
     certificate = certify(motion)
     assert unproven(motion, tmp_path) == (set() if holds else {"contact"})
@@ -108,9 +108,9 @@ def test_a_clasp_that_rolls_open_is_refused(
         assert abs(rolled) > 165.0
         assert words == f"open at a roll of {rolled:.0f}°"
         assert f"{vertex}, {words}" in run.output
-        shut = Bound(np.array(-1.0), np.array(0.5))
-        monkeypatch.setattr(clasps, "_lifted", lambda _: shut)
-        monkeypatch.setattr(clasps, "_rolled", lambda _: shut)
+        closed = Bound(np.array(-1.0), np.array(0.5))
+        monkeypatch.setattr(clasps, "_opening", lambda _: closed)
+        monkeypatch.setattr(clasps, "_rolling", lambda _: closed)
         assert certify(motion).certified
 
 
@@ -124,8 +124,8 @@ def test_a_clasp_is_open_from_a_roll_of_175_degrees_on(
     assert row(finer, "equilibrium").holds is holds
 
 
-def test_legs_do_not_wind_around_edges_that_bear_all_along(tmp_path: Path) -> None:
-    """Where edges fall steeply a loaded clasp bears at every roll: a turn twists its cables."""
+def test_legs_do_not_wind_around_edges_in_contact(tmp_path: Path) -> None:
+    """With steep edges, a loaded clasp is closed at every roll: a turn twists its cables."""
     u, load = unit(np.array([[0.92, 0.0, -0.39], [1.0, -0.015, 0.0]])), 0.047
     tension = np.array([1.05, 1.0])
     pull = tension[0] * u[0] - tension[1] * u[1] + [0.0, 0.0, 9.81 * load]
@@ -141,10 +141,10 @@ def test_legs_do_not_wind_around_edges_that_bear_all_along(tmp_path: Path) -> No
     breaks, constant = np.linspace(0.0, 40.0, 49), PiecewisePolynomial.constant
     first, *others = (constant(breaks, part) for part in (drones, points, lengths, tension))
     phases = (Phase("hold", 0, 0.0, 40.0),)
-    held = Motion(team, KEPT, first, others[0], others[1], others[2], phases)
+    held = Motion(team, SPEC, first, others[0], others[1], others[2], phases)
     assert row(held, "equilibrium").bound < 1e-9
     motion = turned(held, 1, 360.0)
-    assert worst(clasps.Clasps.of(motion), clasps._lifted, "max").worst < 0.0
+    assert worst(clasps.Clasps.of(motion), clasps._opening, "max").worst < 0.0
     check = row(motion, "equilibrium")
     assert not check.holds
     assert check.where[1].startswith("open at a roll of")
@@ -154,7 +154,7 @@ def test_legs_do_not_wind_around_edges_that_bear_all_along(tmp_path: Path) -> No
 
 @pytest.mark.parametrize(("degrees", "clasp"), [(360.0, 1), (-360.0, 0), (720.0, 2)])
 def test_links_are_followed_through_a_hitch(degrees: float, clasp: int, tmp_path: Path) -> None:
-    """Turns of a pair while the hitch stands are missed or left over where it is let go."""
+    """Turns of a pair in a hitch are missing or left over when it is released."""
     _, stages = stages_of(4)
     there, back = (turned(stages[-1], clasp, sign * degrees) for sign in (1.0, -1.0))
     assert not wrong(*stages, there, back, *reversed_stages(stages))
@@ -168,14 +168,14 @@ def test_links_are_followed_through_a_hitch(degrees: float, clasp: int, tmp_path
 
 @pytest.mark.parametrize(("degrees", "holds"), [(140, True), (160, False), (-160, False)])
 def test_loads_open_a_clasp_sooner(degrees: float, holds: bool, tmp_path: Path) -> None:
-    """Half of the load hangs on each cable: of what bends them the contact is only a part."""
+    """Each cable carries half of the load: contact is only a part of the bending force."""
     motion = square(1, degrees, 0.03)
     assert row(motion, "equilibrium").holds is holds
     assert ("contact" in unproven(motion, tmp_path, second.taut_cables)) is not holds
 
 
-def test_parts_touch_whatever_distance_is_asked_of_them(tmp_path: Path) -> None:
-    """Legs cross in the plane of a hexagon, and a drone is on a foreign edge: both could pass."""
+def test_touching_parts_fail_for_any_required_distance(tmp_path: Path) -> None:
+    """Legs cross in the plane of a hexagon, and a drone touches a foreign edge."""
     asked = Separation(cable=0.0, crossing=0.0)
     crossed = still(Team(6, 2.0), regular_polygon(6, 0.5).vertices, 0.75, separation=asked)
     near = np.mean(crossed.vertices.coefficients[:, [2, 3]], axis=1) + [[0.0], [0.0], [5e-5]]

@@ -25,7 +25,7 @@ THIRD = MOTION.drones.breaks[PIECE] + MOTION.drones.durations[PIECE] / 3.0
 
 
 def certified(motion: Motion) -> Certificate:
-    """Return the certificate, all of whose numbers a file can hold."""
+    """Return the certificate; all of its numbers can be stored in files."""
     certificate = certify(motion)
     for check in certificate.checks:
         assert check.worst is None or math.isfinite(check.worst), check
@@ -98,7 +98,7 @@ CASES: dict[str, tuple[str, Callable[[Array], Array | None], Worst]] = {
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_what_no_planner_should_make_fails(name: str) -> None:
+def test_degenerate_motions_fail(name: str) -> None:
     part, change, worst = CASES[name]
     certificate = certified(altered(MOTION, part, change))
     for check, value in worst.items():
@@ -122,8 +122,8 @@ def test_sixty_robots_at_one_place() -> None:
     assert not certificate["cable_length"].holds
 
 
-def test_a_thrust_of_nothing_points_anywhere() -> None:
-    """In free fall without a pull there is no thrust, and so no angle that could be kept."""
+def test_zero_thrust_has_any_direction() -> None:
+    """In free fall without a pull, there is no thrust and no angle."""
     one = with_parts(MOTION, lambda p: PiecewisePolynomial(p.breaks[:2], p.coefficients[:1]))
     place = one.drones.coefficients[..., :1] * np.ones(3)
     place[0, 3, 2] += -0.5 * 9.81 * one.duration**2 * np.array([0.0, 0.0, 1.0])  # of t²

@@ -38,12 +38,12 @@ def leaned() -> Motion:
 
 
 def at(motion: Motion, count: int = 4_001) -> tuple[Array, Array, Array]:
-    """Times, pulls over tensions, and what friction makes of them at most."""
+    """Return times, ratios of pulls and tensions, and their largest ratios with friction."""
     t = np.linspace(0.0, motion.duration, count)
     return t, *slides(Samples(motion, t))
 
 
-def test_samples_never_pass_what_is_certified(leaned: Motion) -> None:
+def test_samples_never_exceed_bounds(leaned: Motion) -> None:
     assert certify(leaned).certified
     assert_sound(leaned, 4_001, 1e-3, 1e-6, FORCES)
     _, ratio, most = at(leaned)
@@ -51,19 +51,19 @@ def test_samples_never_pass_what_is_certified(leaned: Motion) -> None:
     assert np.ptp(ratio) > 0.05  # there is something to hold against it
 
 
-def test_legs_at_their_cables_tension_are_judged_as_those_that_say_nothing(leaned: Motion) -> None:
-    """Also where friction is none: then nothing else is allowed."""
+def test_legs_at_their_cables_tension_equal_unstated_ones(leaned: Motion) -> None:
+    """Also without friction: then pulls equal tensions."""
     plain = moved(0.0)
     assert plain.leg_tensions is None
     c = np.repeat(plain.tensions.coefficients[:, :, None], 2, axis=2)
-    told = replace(plain, leg_tensions=PiecewisePolynomial(plain.drones.breaks, c))
+    stated = replace(plain, leg_tensions=PiecewisePolynomial(plain.drones.breaks, c))
     for name in ("equilibrium", "thrust"):
-        assert row(told, name).worst == pytest.approx(row(plain, name).worst, rel=2e-4)
+        assert row(stated, name).worst == pytest.approx(row(plain, name).worst, rel=2e-4)
     assert not row(replace(leaned, team=team(0.0)), "equilibrium").holds
 
 
 def swung(seed: int, least: float, most: float) -> Callable[[Array], None]:
-    """Let what pulls swing between all breaks, where pieces still join."""
+    """Let pulls oscillate between breaks, with continuous joints."""
 
     def change(c: Array) -> None:
         swing = np.random.default_rng(seed).uniform(least, most, c.shape)
@@ -77,10 +77,8 @@ SWINGS = {"more": (0.9, 1.4), "less": (0.6, 1.05), "both": (0.5, 1.5)}
 
 
 @pytest.mark.parametrize("case", [0.0, 0.02, 0.05, *SWINGS])
-def test_more_than_friction_gives_is_unbalanced_by_as_much(
-    leaned: Motion, case: float | str
-) -> None:
-    """Of less friction than legs lean for, and of pulls that no leg would have."""
+def test_pulls_beyond_friction_are_residuals(leaned: Motion, case: float | str) -> None:
+    """With less friction than planned, and with infeasible pulls."""
     motion = replace(leaned, team=team(0.04 if isinstance(case, str) else case))
     if isinstance(case, str):
         finer = {part: getattr(leaned, part).elevated(7) for part in ("leg_tensions", "tensions")}
@@ -88,26 +86,24 @@ def test_more_than_friction_gives_is_unbalanced_by_as_much(
         motion = altered(motion, "leg_tensions", swung(1, *SWINGS[case]))
         motion = altered(motion, "tensions", swung(2, 0.97, 1.03))
     assert_sound(motion, 6_001, 1e-3, 1e-6, frozenset({"equilibrium"}))
-    found = row(motion, "equilibrium")
-    assert not found.holds
+    result = row(motion, "equilibrium")
+    assert not result.holds
     if case == 0.0:
         t, ratio, most = at(motion)
         beyond = np.maximum(ratio - most, 1.0 / most - ratio)
         when, drone = np.unravel_index(np.argmax(beyond), beyond.shape)
-        assert found.where == (f"p{(drone // 2 + drone % 2) % 4}",)
-        assert found.time == pytest.approx(t[when], abs=0.05)
+        assert result.where == (f"p{(drone // 2 + drone % 2) % 4}",)
+        assert result.time == pytest.approx(t[when], abs=0.05)
 
 
-def test_a_weak_edge_is_what_a_residual_is_held_against(leaned: Motion) -> None:
-    """Not the legs' pulls, which may be larger: of a cable that hardly pulls along its edge."""
+def test_residuals_are_relative_to_the_weaker_edge(leaned: Motion) -> None:
+    """Legs' pulls may be larger than that of a weak edge."""
     less = plus((slice(None), 1), -0.9 * leaned.tensions.coefficients[:, 1])
     assert_sound(altered(leaned, "tensions", less), 4_001, 1e-3, 0.0, frozenset({"equilibrium"}))
 
 
 @pytest.mark.parametrize("factor", [1.0, 2.0])
-def test_what_legs_pull_over_tensions_that_rise_from_zero_is_told_by_its_limit(
-    leaned: Motion, factor: float
-) -> None:
+def test_ratios_of_pulls_at_zero_tension_are_limits(leaned: Motion, factor: float) -> None:
     rising = np.linspace(0.0, 0.5, leaned.drones.pieces + 1)
     c = np.repeat(np.stack([rising[:-1], rising[1:]], axis=-1)[:, None], 4, axis=1)
     motion = altered(leaned, "tensions", lambda _: c)
@@ -117,23 +113,21 @@ def test_what_legs_pull_over_tensions_that_rise_from_zero_is_told_by_its_limit(
     assert row(motion, "equilibrium").bound == pytest.approx(worst, rel=2e-3)
 
 
-def test_legs_may_pull_with_what_friction_makes_of_the_range(leaned: Motion) -> None:
+def test_legs_may_pull_within_friction_of_the_range(leaned: Motion) -> None:
     _, _, most = at(leaned)
     T = np.repeat(leaned.team.tension, 2)
     for factor in (1.6, 0.6):
         changed = altered(leaned, "leg_tensions", lambda c, f=factor: f * c)  # type: ignore[misc]
         pulls = changed.pulls.at(np.linspace(0.0, leaned.duration, 4_001)).reshape(most.shape)
         worst = float(np.max(np.maximum(pulls - T * most, T / most - pulls)))
-        found = row(changed, "tension")
-        assert 0.01 < worst <= found.bound <= worst * 1.001 + 1e-6
-        assert found.where[0] in leaned.team.drone_names
+        result = row(changed, "tension")
+        assert 0.01 < worst <= result.bound <= worst * 1.001 + 1e-6
+        assert result.where[0] in leaned.team.drone_names
     assert row(replace(changed, team=team(1.0)), "tension").holds
 
 
 @pytest.mark.parametrize(("cable", "end", "point"), [(0, 0, 0), (2, 1, 3)])
-def test_at_a_chains_ends_friction_makes_nothing_of_the_tension(
-    cable: int, end: int, point: int
-) -> None:
+def test_friction_has_no_effect_at_a_chains_ends(cable: int, end: int, point: int) -> None:
     chain = Team(3, 2.4, topology="open", tension=0.5, cable_friction=0.1)
     points = [[-1.5, -0.4], [-0.6, 0.2], [0.6, 0.2], [1.5, -0.4]]
     start = ho.Hitch.spread(chain, points, altitude=1.0)
@@ -143,7 +137,7 @@ def test_at_a_chains_ends_friction_makes_nothing_of_the_tension(
     pulls = motion.leg_tensions.coefficients[:, cable, end]
     for factor in (0.0, 0.98, 1.02):
         harder = plus((slice(None), cable, end), (factor - 1.0) * pulls)
-        found = row(altered(motion, "leg_tensions", harder), "equilibrium")
-        assert not found.holds
-        assert found.worst == pytest.approx(abs(1.0 - factor), rel=1e-3)
-        assert found.where == (f"p{point}",)
+        result = row(altered(motion, "leg_tensions", harder), "equilibrium")
+        assert not result.holds
+        assert result.worst == pytest.approx(abs(1.0 - factor), rel=1e-3)
+        assert result.where == (f"p{point}",)

@@ -25,7 +25,7 @@ from hitchopt.planners.forming.stages import (
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
-KEPT = Requirements()
+SPEC = Requirements()
 POLYGONS = {
     3: (2.4, [[0.1, 0.6], [0.5, -0.3], [-0.55, -0.25]]),
     4: (2.0, [[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]]),
@@ -42,21 +42,21 @@ def hitch_of(n: int) -> Hitch:
 
 @cache
 def stages_of(n: int, sense: int = 1) -> tuple[Hitch, list[Motion]]:
-    """Two swaps, tightening, and the hitch that is held."""
+    """Return two swaps, tightening, and the held hitch."""
     hitch, settings = hitch_of(n), SwapSettings(sense=sense)
-    return hitch, forming_stages(find_prehitch(hitch, KEPT, settings), hitch, KEPT, settings)
+    return hitch, forming_stages(find_prehitch(hitch, SPEC, settings), hitch, SPEC, settings)
 
 
 def stage_of(hitch: Hitch, name: str, drones: PiecewisePolynomial, state: CableState) -> Motion:
-    """A stage whose vertices are the hitch's."""
+    """Return a stage with the hitch's vertices."""
     vertices = PiecewisePolynomial.constant(drones.breaks, hitch.vertices)
-    return stage(name, drones, hitch.team, KEPT, 0, state, vertices=vertices)
+    return stage(name, drones, hitch.team, SPEC, 0, state, vertices=vertices)
 
 
 def wrong(*motions: Motion) -> set[str]:
-    found = row(joined_motions(motions), "interlacing")
-    assert (found.worst == 0.0) is found.holds is (not found.where)
-    return {name for name in found.where if not name.startswith("phase ")}
+    result = row(joined_motions(motions), "interlacing")
+    assert (result.worst == 0.0) is result.holds is (not result.where)
+    return {name for name in result.where if not name.startswith("phase ")}
 
 
 def points(n: int) -> set[str]:
@@ -65,7 +65,7 @@ def points(n: int) -> set[str]:
 
 @pytest.mark.parametrize("n", POLYGONS)
 @pytest.mark.parametrize("sense", [1, -1])
-def test_two_swaps_hold_and_their_way_back_lets_go(n: int, sense: int) -> None:
+def test_two_swaps_tie_and_their_reverse_unties(n: int, sense: int) -> None:
     _, stages = stages_of(n, sense)
     assert not wrong(*stages)
     assert not wrong(*stages, *reversed_stages(stages))
@@ -73,15 +73,15 @@ def test_two_swaps_hold_and_their_way_back_lets_go(n: int, sense: int) -> None:
     assert wrong(*reversed_stages(stages)) == (set() if sense == 1 else points(n))
     if n in {4, 12}:  # chords are parallel there, of which samples say nothing
         return
-    met = crossings(joined_motions(stages[:3]).drones, 2_001)
+    counts = crossings(joined_motions(stages[:3]).drones, 2_001)
     neighbours = {(min(k, (k + 1) % n), max(k, (k + 1) % n)) for k in range(n)}
-    assert {pair: abs(count) for pair, count in met.items() if count} == dict.fromkeys(
+    assert {pair: abs(count) for pair, count in counts.items() if count} == dict.fromkeys(
         neighbours, 1
     )
 
 
 @pytest.mark.parametrize("n", POLYGONS)
-def test_a_hitch_that_swaps_did_not_tie_is_named_everywhere(n: int) -> None:
+def test_untied_hitches_name_all_vertices(n: int) -> None:
     """Drones turn back in the second swap, swap only once, or never."""
     hitch, stages = stages_of(n)
     back = stage_of(hitch, "swap 2", stages[0].drones.reversed(), CLASPING)
@@ -100,7 +100,7 @@ def test_a_hitch_that_swaps_did_not_tie_is_named_everywhere(n: int) -> None:
 
 @pytest.mark.parametrize("left_out", [(0,), (2,), (1, 3)])
 def test_a_vertex_left_out_is_named(left_out: tuple[int, ...]) -> None:
-    """The pair there stays where it is while all others swap; then all go to the hitch."""
+    """One pair rests while all others swap; then all move to the hitch."""
     _, stages = stages_of(5)
     pairs = [drone for k in left_out for drone in (2 * k, 2 * ((k - 1) % 5) + 1)]
     start = stages[0].drones.coefficients[0, pairs, :, :1]
@@ -114,7 +114,7 @@ def test_a_vertex_left_out_is_named(left_out: tuple[int, ...]) -> None:
 
 def test_a_vertex_turned_the_other_way_in_the_second_swap_is_named() -> None:
     hitch, stages = stages_of(5)
-    pre, senses = find_prehitch(hitch, KEPT, SwapSettings()), np.ones(5)
+    pre, senses = find_prehitch(hitch, SPEC, SwapSettings()), np.ones(5)
     senses[3] = -1.0
     turned = pre.ellipses.with_senses(senses)
     first, second, other = (
@@ -126,7 +126,7 @@ def test_a_vertex_turned_the_other_way_in_the_second_swap_is_named() -> None:
 
 
 def test_a_tangled_approach_is_named_by_its_pair() -> None:
-    """Cable 0 is carried once around through cable 2 of a square: opposite ones, no clasp."""
+    """Cable 0 is carried once through the opposite cable 2 of a square."""
     hitch, stages = stages_of(4)
     start = stages[0].drones.coefficients[0, ..., 0]
     places = [start]
@@ -139,7 +139,7 @@ def test_a_tangled_approach_is_named_by_its_pair() -> None:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_who_passes_through_whom_against_samples(seed: int) -> None:
+def test_chord_crossings_match_samples(seed: int) -> None:
     """Chords of free cables, and drones between a chord and its cable, by signs of volumes."""
     team, drones = random_flight(seed, n=5, pieces=2)
     counted = {pair for pair, count in crossings(drones).items() if count}
@@ -188,8 +188,8 @@ def test_two_chords(name: str) -> None:
 
 
 @pytest.mark.parametrize(("height", "caught"), [(0.0, True), (-1.5, False), (1.2, False)])
-def test_a_drone_that_dives_through_a_hanging_cable_is_caught(height: float, caught: bool) -> None:
-    """Between chord and cable from one side to the other, far from both; not below, nor above."""
+def test_drones_inside_hanging_cables_are_detected(height: float, caught: bool) -> None:
+    """A drone passes between chord and cable, far from both; not below or above."""
     start = np.array([[0, 0, 2], [1, 0, 2], [0.5, -1, 1.5], [0.5, -1.5, 1.5]], dtype=np.float64)
     start[2:, 2] += height
     end = start.copy()
@@ -204,8 +204,8 @@ def test_a_drone_that_dives_through_a_hanging_cable_is_caught(height: float, cau
 
 @pytest.mark.slow
 @pytest.mark.parametrize("n", POLYGONS)
-def test_tightening_beyond_the_hitch_tears_cables(n: int) -> None:
-    """They are drawn out farther than they reach, though no chord is longer than one."""
+def test_tightening_beyond_the_hitch_overstretches_cables(n: int) -> None:
+    """Cables are overstretched, although no chord is longer than a cable."""
     hitch, stages = stages_of(n)
     assert row(joined_motions(stages), "cable_length").holds
     drones = hitch.drones

@@ -15,7 +15,7 @@ from test_interlacing import stages_of as swaps_of
 import hitchopt as ho
 from hitchopt import verify as second
 from hitchopt.checks import certify
-from hitchopt.checks.clasps import turns
+from hitchopt.checks.clasps import roll_changes
 from hitchopt.checks.linking import height_gaps
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.catenary import steepness
@@ -36,32 +36,32 @@ from hitchopt.planners.forming.laying import (
 )
 from hitchopt.planners.forming.stages import reversed_stages, stage, straight_lines
 
-KEPT = Requirements()
+SPEC = Requirements()
 RINGS = {3: (1.3, 2.3), 6: (1.0, 1.9)}
 LAYING, ROLLING = CableState.LAYING, CableState.ROLLING
 
 
 @cache
 def laying_of(n: int, order: tuple[int, ...] | None = None) -> Laying:
-    """A ring off the origin, of cables of 10 g/m."""
+    """Return a ring off the origin, with cables of 10 g/m."""
     edge, length = RINGS[n]
     team = Team(n, length, tension=0.7, cable_density=0.01)
     polygon = ho.regular_polygon(n, edge, angle=0.3).vertices + [4.0, -3.0]
     levels = levels_of(team.layout, order)
     halves = Hitch.balanced(team, ho.ConvexPolygon(polygon), 1.8)
-    hitch = split_for_rolling(halves, senses_of(team.layout, levels), KEPT)
-    return find_laying(hitch, levels, KEPT)
+    hitch = split_for_rolling(halves, senses_of(team.layout, levels), SPEC)
+    return find_laying(hitch, levels, SPEC)
 
 
 @cache
 def stages_of(n: int, order: tuple[int, ...] | None = None) -> list[Motion]:
-    return laying_stages(laying_of(n, order), KEPT)
+    return laying_stages(laying_of(n, order), SPEC)
 
 
 def wrong(motions: Sequence[Motion]) -> set[str]:
-    found = row(joined_motions(motions), "interlacing")
-    assert (found.worst == 0.0) is found.holds is (not found.where)
-    return {name for name in found.where if not name.startswith("phase ")}
+    result = row(joined_motions(motions), "interlacing")
+    assert (result.worst == 0.0) is result.holds is (not result.where)
+    return {name for name in result.where if not name.startswith("phase ")}
 
 
 def clasps(n: int) -> set[str]:
@@ -69,13 +69,13 @@ def clasps(n: int) -> set[str]:
 
 
 def lowered(laying: Laying, start: np.ndarray, end: np.ndarray) -> Motion:
-    """Cables that are laid on straight lines."""
+    """Return cables that are laid along straight lines."""
     team = laying.hitch.team
-    return stage("lay", straight_lines(team, KEPT.limits, start, end), team, KEPT, 0, LAYING)
+    return stage("lay", straight_lines(team, SPEC.limits, start, end), team, SPEC, 0, LAYING)
 
 
 def rolled(laying: Laying, start: np.ndarray, end: np.ndarray) -> Motion:
-    return roll_motion(RollPath(laying.hitch, start, end), KEPT, Phase("roll", 0, 0.0, 0.0))
+    return roll_motion(RollPath(laying.hitch, start, end), SPEC, Phase("roll", 0, 0.0, 0.0))
 
 
 @pytest.mark.parametrize(("n", "order"), [(3, None), (3, (2, 0, 1)), (6, None)])
@@ -89,9 +89,9 @@ def test_laid_hitches_hold_for_all_times_and_come_apart_backwards(
 
 
 @pytest.mark.parametrize("n", RINGS)
-def test_every_roll_is_in_balance_and_opens_at_half_a_turn(n: int) -> None:
+def test_rolls_are_in_equilibrium_and_open_at_half_a_turn(n: int) -> None:
     laying = laying_of(n)
-    start, change = turns(rolled(laying, laying.path.start, laying.path.end))
+    start, change = roll_changes(rolled(laying, laying.path.start, laying.path.end))
     assert np.abs(start) == pytest.approx(180.0, abs=1e-6)
     assert change == pytest.approx(180.0 * laying.senses, abs=1e-6)
     # Both cables run straight through their vertices, but for what they sag.
@@ -113,7 +113,7 @@ def test_levels_follow_the_order_and_neighbours_differ() -> None:
 
 
 @pytest.mark.parametrize("n", RINGS)
-def test_rolling_in_the_wrong_sense_holds_nothing(n: int) -> None:
+def test_rolling_in_the_wrong_sense_is_refused(n: int) -> None:
     laying, stages = laying_of(n), stages_of(n)
     turned = rolled(laying, -laying.path.start, laying.path.end)
     assert wrong([*stages[:-1], turned]) == clasps(n)
@@ -121,13 +121,13 @@ def test_rolling_in_the_wrong_sense_holds_nothing(n: int) -> None:
     one[1] *= -1.0
     assert wrong([*stages[:-1], rolled(laying, one, laying.path.end)]) == {"p1"}
     # The right half turn, but of cables that were laid in another order.
-    other = find_laying(laying.hitch, laying.levels[::-1].copy(), KEPT)
-    assert wrong([*laying_stages(other, KEPT)[:-1], stages[-1]]) == (
+    other = find_laying(laying.hitch, laying.levels[::-1].copy(), SPEC)
+    assert wrong([*laying_stages(other, SPEC)[:-1], stages[-1]]) == (
         {f"p{k}" for k in np.flatnonzero(laying.senses != other.senses)}
     )
 
 
-def test_half_a_turn_too_little_or_too_much_holds_nothing() -> None:
+def test_half_a_turn_too_little_or_too_much_is_refused() -> None:
     laying, stages = laying_of(3), stages_of(3)
     path = laying.path
     hold = stages[-1].slice_pieces(slice(-1, None), ())
@@ -153,7 +153,7 @@ def test_half_a_turn_too_little_or_too_much_holds_nothing() -> None:
 
 
 def resting(motion: Motion, state: CableState) -> Motion:
-    """At rest at the end of a motion, in another state."""
+    """Return a rest at the end of a motion, in another state."""
     return at_rest(motion, 1.0, Phase("rest", 0, 0.0, 1.0, state=state))
 
 
@@ -162,15 +162,15 @@ def second_opinion(motions: Sequence[Motion], path: Path) -> str:
     return " ".join(str(each) for each in second.verify(path) if each.verdict != "proven")
 
 
-def test_what_was_never_tied_does_not_roll_and_what_is_tied_is_not_laid(tmp_path: Path) -> None:
+def test_untied_pairs_do_not_roll_and_tied_ones_are_not_laid(tmp_path: Path) -> None:
     laying, roll = laying_of(3), stages_of(3)[-1]
     team, closed = laying.hitch.team, laying.hitch.drones
     pairs = closed.reshape(-1, 2, 3)
     slack = np.mean(pairs, axis=1, keepdims=True) + 0.9 * (
         pairs - np.mean(pairs, axis=1, keepdims=True)
     )
-    lines = straight_lines(team, KEPT.limits, slack.reshape(-1, 3), closed)
-    pulled = stage("draw", lines, team, KEPT, 0, CableState.FREE)
+    lines = straight_lines(team, SPEC.limits, slack.reshape(-1, 3), closed)
+    pulled = stage("draw", lines, team, SPEC, 0, CableState.FREE)
     assert wrong([pulled, roll]) == clasps(3)
     hitched = resting(roll, CableState.HITCHED)
     assert wrong([pulled, resting(roll, ROLLING), hitched]) >= clasps(3)
@@ -190,7 +190,7 @@ def test_an_open_clasp_is_refused_where_pairs_do_not_roll() -> None:
     assert not row(stages_of(3)[-1].replaced(phases=(phase,)), "equilibrium").holds
 
 
-def test_who_is_above_must_have_come_from_above(tmp_path: Path) -> None:
+def test_upper_cables_come_from_above(tmp_path: Path) -> None:
     laying, (taut, slide, _, tension, roll) = laying_of(3), stages_of(3)
     # Cable 2, at the top, comes from below instead: it would pass through both others.
     below = replace(laying, levels=np.array([0, 1, -1]))
@@ -211,7 +211,7 @@ def test_who_is_above_must_have_come_from_above(tmp_path: Path) -> None:
     assert wrong([*untied, aside]) == clasps(3)
     assert "cables that lie are moved" in second_opinion([*untied, aside], tmp_path)
     # The lowest one is lifted first, through the others.
-    path = straight_lines(laying.hitch.team, KEPT.limits, laying.drones_laid, laying.drones_above)
+    path = straight_lines(laying.hitch.team, SPEC.limits, laying.drones_laid, laying.drones_above)
     down = laying.drones_laid[:2] + [0.0, 0.0, 0.9]
     up = np.concatenate([down, laying.drones_above[2:]])
     lifted = lowered(laying, laying.drones_laid, up)
@@ -220,7 +220,7 @@ def test_who_is_above_must_have_come_from_above(tmp_path: Path) -> None:
     assert "lifted through another one" in second_opinion([*untied, lifted], tmp_path)
 
 
-def test_states_are_not_believed() -> None:
+def test_stated_states_are_verified() -> None:
     taut, slide, lay, tension, roll = stages_of(3)
     free = [
         each.replaced(phases=(replace(each.phases[0], state=CableState.FREE),))
@@ -244,24 +244,24 @@ def test_states_are_not_believed() -> None:
 @pytest.mark.parametrize(
     ("share", "holds"), [(0.15, True), (-0.15, True), (0.3, False), (-0.3, False)]
 )
-def test_a_cable_that_is_laid_pulls_by_an_eighth_more_or_less(share: float, holds: bool) -> None:
-    """Its chord is off by a share of its sag; the catenary there, by its own equation."""
+def test_tensions_of_laid_cables_are_within_an_eighth(share: float, holds: bool) -> None:
+    """The error of its chord is a share of its sag; tension by the catenary equation."""
     laying = laying_of(3)
     team, pairs = laying.hitch.team, laying.drones_laid.reshape(-1, 2, 3)
     sag = sag_factors(team, team.tension) * team.cable_length**2
     chords = np.linalg.norm(pairs[:, 1] - pairs[:, 0], axis=1)
-    wanted = team.cable_length * (1.0 - (1.0 + share) * sag)
+    chord_lengths = team.cable_length * (1.0 - (1.0 + share) * sag)
     middle = np.mean(pairs, axis=1, keepdims=True)
-    laid = (middle + (wanted / chords)[:, None, None] * (pairs - middle)).reshape(-1, 3)
+    laid = (middle + (chord_lengths / chords)[:, None, None] * (pairs - middle)).reshape(-1, 3)
     up = np.array([0.0, 0.0, 0.5])
-    found = row(lowered(laying, laid + up, laid), "cable_length")
-    assert found.holds is holds
+    result = row(lowered(laying, laid + up, laid), "cable_length")
+    assert result.holds is holds
     half = team.cable_weight[0::2]  # of a cable's weight, which each of its ends carries
-    pulls = np.hypot(half / np.sinh(steepness(team.cable_length / wanted)), half)
+    pulls = np.hypot(half / np.sinh(steepness(team.cable_length / chord_lengths)), half)
     assert not holds or np.all(np.abs(pulls / team.tension - 1.0) < 0.125)
 
 
-def test_what_was_laid_is_not_untied_by_swaps_of_another_sense() -> None:
+def test_laid_hitches_are_not_untied_by_swaps_of_the_other_sense() -> None:
     laying, stages, (_, swaps) = laying_of(3), stages_of(3), swaps_of(3)
     assert wrong([*stages, *reversed_stages(swaps)]) == {
         f"p{k}" for k in np.flatnonzero(laying.senses < 0.0)
@@ -273,7 +273,7 @@ def test_what_was_laid_is_not_untied_by_swaps_of_another_sense() -> None:
     assert wrong([*again, rolled(laying, laying.path.end, opened)]) == clasps(3)
 
 
-def test_cables_stop_on_their_way_to_where_they_are_laid() -> None:
+def test_laying_may_pause() -> None:
     laying, stages = laying_of(3), stages_of(3)
     higher = laying.drones_outside + [0.0, 0.0, 0.2]
     hop = [
@@ -284,7 +284,7 @@ def test_cables_stop_on_their_way_to_where_they_are_laid() -> None:
     assert not wrong([*parts, *reversed_stages(parts)])
 
 
-def test_both_opinions_tell_how_high_cables_cross(tmp_path: Path) -> None:
+def test_certificate_and_verify_agree_on_crossing_heights(tmp_path: Path) -> None:
     lay = stages_of(3)[2]
     write_plan(tmp_path / "plan.npz", joined_motions([*stages_of(3)[:3]]))
     (plan,), _ = second.read(tmp_path / "plan.npz")

@@ -19,16 +19,16 @@ from hitchopt.checks.stops import ClockLimits, stop_table
 from hitchopt.cli import main
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import write_plan
-from hitchopt.motion.retiming import before
+from hitchopt.motion.retiming import truncated
 from hitchopt.motion.states import states_at
-from hitchopt.trajectory.clock_phases import ClockPhases, advanced
+from hitchopt.trajectory.clock_phases import ClockPhases, advance
 
 SQUARE = np.array([[-0.7, -0.7], [-0.7, 0.7], [0.7, 0.7], [0.7, -0.7]]) + [2.0, -1.0]
 
 
 @cache
 def motion_of(reserve: float = 1.0) -> Motion:
-    """A square off the origin with unequal cables and drones, reshaped and carried."""
+    """Return a square off the origin with unequal cables and drones, reshaped and carried."""
     kinds = [ho.Quadrotor(0.132 + 0.01 * k, 2.6 + 0.3 * k) for k in range(4)]
     team = ho.Team(4, [2.4, 2.5, 2.6, 2.45], quadrotor=kinds)
     start = ho.Hitch.spread(team, SQUARE)
@@ -40,10 +40,10 @@ def motion_of(reserve: float = 1.0) -> Motion:
 
 
 def stop(start: float, duration: float, sense: float = 1.0) -> ClockPhases:
-    """From the plan's rate, or back from it, to rest: by jerks of 4/T², half of the time each."""
+    """Return a clock from the plan's rate to rest, or back, with two phases of jerk 4/T²."""
     half, jerk = 0.5 * duration, 4.0 / duration**2
     first = sense * np.array([0.0, 1.0, 0.0, -jerk]) + [start, 0.0, 0.0, 0.0]
-    second = advanced(first, half)
+    second = advance(first, half)
     second[3] = sense * jerk
     return ClockPhases(np.zeros(2, dtype=np.intp), np.stack([first, second]), np.full(2, half))
 
@@ -55,7 +55,7 @@ def flown(motion: Motion, clock: ClockPhases, count: int = 200) -> dict[str, flo
     """
     limits, mass = motion.requirements.limits, motion.team.mass[:, None]
     steps = [np.linspace(0.0, duration, count) for duration in clock.duration]
-    jets = np.concatenate([advanced(*each) for each in zip(clock.jets, steps, strict=True)])
+    jets = np.concatenate([advance(*each) for each in zip(clock.jets, steps, strict=True)])
     jets = jets[(jets[:, 0] >= 0.0) & (jets[:, 0] < motion.drones.breaks[-1])]
     s, a, j = (jets[:, k, None, None] for k in (1, 2, 3))
     states = states_at(motion, jets[:, 0])
@@ -65,14 +65,14 @@ def flown(motion: Motion, clock: ClockPhases, count: int = 200) -> dict[str, flo
     thrust = mass * (acceleration + [0.0, 0.0, 9.81]) - states.cable_forces
     rate = mass * jerk - s * states.cable_force_rates
     size, level = np.linalg.norm(thrust, axis=-1), np.linalg.norm(thrust[..., :2], axis=-1)
-    found = {
+    result = {
         "acceleration": np.linalg.norm(acceleration, axis=-1) / limits.acceleration,
         "jerk": np.linalg.norm(jerk, axis=-1) / limits.jerk,
         "thrust": size / motion.team.max_thrust,
         "tilt": np.arctan2(level, thrust[..., 2]) / limits.tilt,
         "turning": np.linalg.norm(np.cross(thrust, rate), axis=-1) / size**2,
     }
-    return {name: float(np.max(values, initial=0.0)) for name, values in found.items()}
+    return {name: float(np.max(values, initial=0.0)) for name, values in result.items()}
 
 
 def freed(motion: Motion, name: str, factor: float) -> Motion:
@@ -98,17 +98,17 @@ def test_a_limit_just_below_its_largest_sample_is_refused(name: str, sense: floa
     for start, duration in zip(starts.tolist(), (0.9, 0.2, 2.0, 0.45), strict=True):
         clock = stop(start, duration, sense)
         share = flown(motion, clock, 4000)[name]
-        for factor, kept in ((share * (1.0 - 1e-8), False), (share * 1.05, True)):
-            found = ClockLimits(freed(motion, name, factor)).keep(clock, 1)
-            assert bool(found[0]) == kept
+        for factor, requirements in ((share * (1.0 - 1e-8), False), (share * 1.05, True)):
+            result = ClockLimits(freed(motion, name, factor)).keep(clock, 1)
+            assert bool(result[0]) == requirements
 
 
 def test_stops_of_the_table_keep_all_limits_and_the_report_is_the_longest_wait() -> None:
     motion = motion_of()
     table = stop_table(motion)
-    found = np.isfinite(table.durations)
-    assert np.sum(found) > 10
-    for start, duration in zip(table.starts[found], table.durations[found], strict=True):
+    result = np.isfinite(table.durations)
+    assert np.sum(result) > 10
+    for start, duration in zip(table.starts[result], table.durations[result], strict=True):
         clock = stop(start, duration)
         np.testing.assert_allclose(clock.ends[-1, :2], [start + 0.5 * duration, 0.0], atol=1e-12)
         shares = flown(motion, clock)
@@ -126,9 +126,9 @@ def test_stops_of_the_table_keep_all_limits_and_the_report_is_the_longest_wait()
 def test_stops_keep_limits_while_a_robot_joins() -> None:
     plan = planned("join_a_fourth")
     table = stop_table(plan.motion)
-    found = np.flatnonzero(np.isfinite(table.durations))
-    assert len(found) > 0.5 * len(table.starts)
-    for i in found[::20].tolist():
+    result = np.flatnonzero(np.isfinite(table.durations))
+    assert len(result) > 0.5 * len(table.starts)
+    for i in result[::20].tolist():
         shares = flown(plan.motion, stop(table.starts[i], table.durations[i]))
         del shares["turning"]
         assert max(shares.values()) <= 1.0 + 1e-9
@@ -149,24 +149,24 @@ def test_with_a_reserve_a_stop_can_begin_at_every_time(reserve: float, everywher
     assert shorter is everywhere
 
 
-def test_hovering_is_told_for_all_times(tmp_path: Path) -> None:
+def test_largest_values_at_rest_hold_for_all_times(tmp_path: Path) -> None:
     """The command abort says what it takes at most."""
     motion = motion_of()
     write_plan(tmp_path / "plan.npz", motion)
-    told = CliRunner().invoke(main, ["abort", str(tmp_path)]).output
-    found = re.search(r"up to ([\d.]+)%\sof\sa\sdrone's\sthrust,\s([\d.]+)°", told)
-    assert found
+    output = CliRunner().invoke(main, ["abort", str(tmp_path)]).output
+    result = re.search(r"up to ([\d.]+)%\sof\sa\sdrone's\sthrust,\s([\d.]+)°", output)
+    assert result
     forces = states_at(motion, np.linspace(0.0, motion.duration, 3000)).cable_forces
     static = motion.team.mass[:, None] * np.array([0.0, 0.0, 9.81]) - forces
     thrust = 100.0 * np.max(np.linalg.norm(static, axis=-1) / motion.team.max_thrust)
     level = np.linalg.norm(static[..., :2], axis=-1)
     tilt = np.degrees(np.max(np.arctan2(level, static[..., 2])))
-    assert float(found[1]) == pytest.approx(thrust, abs=0.06 + 1e-3 * thrust)
-    assert float(found[2]) == pytest.approx(tilt, abs=0.006 + 1e-3 * tilt)
+    assert float(result[1]) == pytest.approx(thrust, abs=0.06 + 1e-3 * thrust)
+    assert float(result[2]) == pytest.approx(tilt, abs=0.006 + 1e-3 * tilt)
 
 
-def test_a_plan_that_does_not_end_at_rest_says_so() -> None:
+def test_plans_that_do_not_end_at_rest_are_reported() -> None:
     motion = motion_of()
-    cut = before(motion, 0.5 * motion.phases[0].end)
+    cut = truncated(motion, 0.5 * motion.phases[0].end)
     assert np.max(np.abs(cut.drones.at(cut.duration, 1))) > 0.1
     assert certify(cut)["stoppable"].bound > 1e9

@@ -63,18 +63,18 @@ def scaled(factor: float) -> Callable[[Array], Array]:
 @pytest.mark.parametrize(
     ("change", "worst"), [(later_half, 0.6), (scaled(1e-6), 0.4), (scaled(1.001), 4e-4)]
 )
-def test_tensions_that_the_team_has_not_fail(
+def test_tensions_other_than_the_teams_fail(
     change: Callable[[Array], object], worst: float
 ) -> None:
     assert check(triangle()).holds
-    found = check(altered(triangle(), "tensions", change))
-    assert not found.holds
-    assert found.worst == pytest.approx(worst, rel=1e-5)
-    assert (found.limit, found.unit, found.sense) == (1e-4, "N", "max")
+    result = check(altered(triangle(), "tensions", change))
+    assert not result.holds
+    assert result.worst == pytest.approx(worst, rel=1e-5)
+    assert (result.limit, result.unit, result.sense) == (1e-4, "N", "max")
 
 
 @pytest.mark.parametrize("change", [later_half, scaled(1.001), scaled(0.0)])
-def test_a_plan_that_ties_and_unties_is_no_excuse(change: Callable[[Array], object]) -> None:
+def test_plans_that_tie_and_untie_are_checked_as_well(change: Callable[[Array], object]) -> None:
     assert check(tied()).holds
     assert not check(altered(tied(), "tensions", change)).holds
 
@@ -120,16 +120,16 @@ def test_a_hitch_that_forms_at_once_jumps() -> None:
 
 
 @pytest.mark.parametrize("part", ["drones", "vertices"])
-def test_a_ramp_rests(part: str) -> None:
+def test_nothing_moves_on_a_ramp(part: str) -> None:
     motion, (_, (piece, *_)) = tied(), pieces_of(tied(), "tension")
     finer = replace(motion, **{part: getattr(motion, part).elevated(7)})
-    found = check(altered(finer, part, plus((piece, ..., 4), 1e-6)))
-    assert not found.holds
-    assert found.worst == pytest.approx(0.45, abs=1e-3)
-    assert found.where == (f"cable {np.argmax(motion.team.tension)}",)
+    result = check(altered(finer, part, plus((piece, ..., 4), 1e-6)))
+    assert not result.holds
+    assert result.worst == pytest.approx(0.45, abs=1e-3)
+    assert result.where == (f"cable {np.argmax(motion.team.tension)}",)
 
 
-def test_a_ramp_is_beside_a_span_without_a_hitch() -> None:
+def test_ramps_are_next_to_spans_without_a_hitch() -> None:
     motion, (_, (piece, *_)) = tied(), pieces_of(tied(), "tension")
     alone = motion.slice_pieces(slice(piece, piece + 2), [p for p in motion.phases if p.formed])
     assert check(alone).worst == pytest.approx(0.45, abs=1e-3)
@@ -160,15 +160,13 @@ def swinging(least: float, most: float) -> Motion:
     ("least", "most", "worst"),
     [(0.3, 0.5, 0.0), (0.34, 0.4, 0.0), (0.35, 0.5, 0.01), (0.2, 0.36, 0.04), (0.35, 0.36, 0.04)],
 )
-def test_tensions_keep_to_the_range_that_their_step_states(
-    least: float, most: float, worst: float
-) -> None:
-    found = check(swinging(least, most))
-    assert found.worst == pytest.approx(worst, abs=2e-6)
-    assert found.holds == (worst == 0.0)
+def test_tensions_stay_within_the_stated_range(least: float, most: float, worst: float) -> None:
+    result = check(swinging(least, most))
+    assert result.worst == pytest.approx(worst, abs=2e-6)
+    assert result.holds == (worst == 0.0)
     if least == 0.35 and most == 0.5:
-        assert found.where == ("cable 0",)
-        assert found.time == pytest.approx(1.0, abs=0.05)
+        assert result.where == ("cable 0",)
+        assert result.time == pytest.approx(1.0, abs=0.05)
     plain = replace(swinging(least, most), phases=(Phase("morph", 0, 0.0, 2.0),))
     assert check(plain).worst == pytest.approx(0.06, abs=2e-6)
 
@@ -180,9 +178,9 @@ def test_a_stated_range_begins_and_ends_with_the_teams_tension(factor: float) ->
     assert check(motion).holds
     assert check(altered(motion, "tensions", scaled(factor))).bound > 0.3
     half = (replace(motion.phases[0], end=1.0), Phase("morph", 1, 1.0, 2.0, tension=(0.3, 0.5)))
-    found = check(replace(motion, phases=half))
-    assert found.worst == pytest.approx(0.06, abs=2e-6)
-    assert found.time == pytest.approx(1.0)
+    result = check(replace(motion, phases=half))
+    assert result.worst == pytest.approx(0.06, abs=2e-6)
+    assert result.time == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(("end", "worst"), [(1.0, 0.0), (0.6, 0.06)])
@@ -196,8 +194,8 @@ def test_a_range_does_not_hold_on_pieces_that_lie_partly_within_its_phase(
 
     motion = altered(swinging(0.3, 0.5), "tensions", once)
     phases = (replace(motion.phases[0], end=end), Phase("hold", 1, end, 2.0))
-    found = check(replace(motion, phases=phases))
-    assert found.worst == pytest.approx(worst, abs=1e-3 * worst + 1e-9)
+    result = check(replace(motion, phases=phases))
+    assert result.worst == pytest.approx(worst, abs=1e-3 * worst + 1e-9)
 
 
 def rough() -> Motion:
@@ -209,15 +207,15 @@ def rough() -> Motion:
 
 
 @pytest.mark.parametrize("part", ["tensions", "leg_tensions"])
-def test_a_jump_within_the_range_is_found(part: str) -> None:
+def test_jumps_within_the_range_are_detected(part: str) -> None:
     assert check(rough()).holds
-    found = check(altered(rough(), part, plus((1, 2, ..., 0), 0.003)))
-    assert not found.holds
-    assert found.worst == pytest.approx(0.003, rel=1e-6)
-    assert found.time == pytest.approx(1.0)
+    result = check(altered(rough(), part, plus((1, 2, ..., 0), 0.003)))
+    assert not result.holds
+    assert result.worst == pytest.approx(0.003, rel=1e-6)
+    assert result.time == pytest.approx(1.0)
 
 
-def test_a_pull_that_jumps_is_found_where_the_thrust_does_not() -> None:
+def test_jumps_of_pulls_are_detected_without_jumps_of_thrust() -> None:
     """The drone accelerates at the same time, by as much as its leg pulls harder."""
     motion = rough()
     leg = motion.drones.at(1.0)[5] - motion.vertices.at(1.0)[3]
@@ -226,18 +224,18 @@ def test_a_pull_that_jumps_is_found_where_the_thrust_does_not() -> None:
     motion = altered(motion, "drones", plus((1, 5, slice(None), 2), less))
     states = states_at(motion, [1.0 - 1e-9, 1.0])
     assert np.max(np.abs(np.diff(states.thrusts(motion.team), axis=0))) < 1e-6
-    found = check(motion)
-    assert found.worst == pytest.approx(0.003, rel=1e-6)
-    assert found.where == ("r2",)
+    result = check(motion)
+    assert result.worst == pytest.approx(0.003, rel=1e-6)
+    assert result.where == ("r2",)
 
 
-def test_thrusts_that_jump_with_accelerations_are_found() -> None:
+def test_jumps_of_thrusts_with_accelerations_are_detected() -> None:
     team = Team(4, [2.9, 2.8, 2.7, 3.0], cable_density=0.004)
     motion = moving(team, lambda t: SQUARE + 0.1 * np.sin(t), np.full(4, 0.6), order=9)
     assert check(motion).holds
     # An acceleration of 0.01 m/s² on r2 where a piece begins.
     bent = 0.01 * motion.drones.durations[0] ** 2 / 72.0
-    found = check(altered(motion, "drones", plus((3, 5, 0, 2), bent)))
-    assert found.worst == pytest.approx(0.132 * 0.01, rel=1e-3)
-    assert found.where == ("r2",)
-    assert found.time == pytest.approx(motion.drones.breaks[3])
+    result = check(altered(motion, "drones", plus((3, 5, 0, 2), bent)))
+    assert result.worst == pytest.approx(0.132 * 0.01, rel=1e-3)
+    assert result.where == ("r2",)
+    assert result.time == pytest.approx(motion.drones.breaks[3])

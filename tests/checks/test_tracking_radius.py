@@ -43,7 +43,7 @@ def crossing(seed: int) -> Motion:
     return lines(*places)
 
 
-MADE: dict[str, Callable[[], Motion]] = {
+MOTIONS: dict[str, Callable[[], Motion]] = {
     **{f"hitch {n}": partial(random_motion, n, n, arena=ARENA) for n in (3, 5, 8)},
     **{f"crossing {seed}": partial(crossing, seed) for seed in range(4)},
     "triangle": lambda: planned("triangle").motion,
@@ -52,9 +52,9 @@ MADE: dict[str, Callable[[], Motion]] = {
 }
 
 
-@pytest.mark.parametrize("name", MADE)
-def test_it_is_what_samples_leave(name: str) -> None:
-    motion = MADE[name]()
+@pytest.mark.parametrize("name", MOTIONS)
+def test_the_radius_matches_samples(name: str) -> None:
+    motion = MOTIONS[name]()
     breaks, check = motion.drones.breaks, radius_of(motion)
     least = tracking_radius(motion, np.union1d(np.linspace(breaks[0], breaks[-1], 401), breaks))
     if not certify(motion)["separation"].holds:
@@ -65,10 +65,10 @@ def test_it_is_what_samples_leave(name: str) -> None:
 
 @pytest.mark.parametrize("gamma", [0.6, 1.0, 1.8])
 @pytest.mark.parametrize("seed", range(2))
-def test_all_may_be_off_by_it_and_vertices_gamma_times_farther(seed: int, gamma: float) -> None:
+def test_distances_hold_for_errors_up_to_the_radius(seed: int, gamma: float) -> None:
     """In random directions, and all bodies toward the middle."""
     motion, rng = random_motion(4 + seed, seed, arena=ARENA), np.random.default_rng(seed)
-    radius, kept = radius_of(motion, gamma).bound, motion.requirements
+    radius, requirements = radius_of(motion, gamma).bound, motion.requirements
     times = np.linspace(0.0, motion.duration, 101)
 
     def off(part: PiecewisePolynomial, by: float, inward: bool) -> PiecewisePolynomial:
@@ -85,16 +85,16 @@ def test_all_may_be_off_by_it_and_vertices_gamma_times_farther(seed: int, gamma:
             drones=off(motion.drones, radius, i % 2 == 0),
             vertices=off(motion.vertices, gamma * radius, i % 4 == 0),
         )
-        found = sampled(moved, times)
-        assert found["separation"] >= 1.0
-        assert found["cable_clearance"] >= kept.separation.cable
-        assert found["crossing"] >= kept.separation.crossing
-        assert found["legs"] >= kept.limits.leg
-        assert found["arena"] >= 0.0
+        result = sampled(moved, times)
+        assert result["separation"] >= 1.0
+        assert result["cable_clearance"] >= requirements.separation.cable
+        assert result["crossing"] >= requirements.separation.crossing
+        assert result["legs"] >= requirements.limits.leg
+        assert result["arena"] >= 0.0
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_a_hanging_cable_stays_off_the_ground_wherever_its_ends_are(seed: int) -> None:
+def test_hanging_cables_keep_off_the_ground_for_all_errors(seed: int) -> None:
     """Whatever it is sunk by as drones come nearer to each other; and not by much less."""
     rng = np.random.default_rng(seed)
     length = rng.uniform(1.0, 2.0)
@@ -128,7 +128,7 @@ def test_drones_and_hanging_cables_may_go_toward_each_other(seed: int) -> None:
     assert 0.0 <= radius_of(motion).bound <= most * (1.0 + 1e-4)
 
 
-def test_a_larger_gamma_never_helps_and_is_stated() -> None:
+def test_larger_gammas_never_help_and_are_stated() -> None:
     motion = random_motion(4, 7)
     radii = [radius_of(motion, gamma).bound for gamma in (0.0, 0.5, 1.0, 1.5, 3.0)]
     assert radii == sorted(radii, reverse=True)
@@ -141,13 +141,13 @@ def test_a_larger_gamma_never_helps_and_is_stated() -> None:
         certify(motion, gamma=-1.0)
 
 
-def test_what_binds_is_named() -> None:
+def test_binding_distances_are_named() -> None:
     """Of a triangle at rest the legs, the walls, and with a long leg limit nothing is left."""
     outline = np.array([[0.0, -1.0], [-0.8, 0.6], [0.8, 0.6]])
     motion = still(Team(3, 3.0), outline, [0.4] * 3)
 
-    def keeping(**kept: object) -> Motion:
-        return replace(motion, requirements=Requirements(**kept))  # type: ignore[arg-type]
+    def keeping(**requirements: object) -> Motion:
+        return replace(motion, requirements=Requirements(**requirements))  # type: ignore[arg-type]
 
     short = keeping(limits=Limits(leg=0.39))
     shortest = certify(short)["legs"]
@@ -165,7 +165,7 @@ def test_what_binds_is_named() -> None:
     assert radius_of(low).bound == pytest.approx(1e-3, rel=1e-6)
 
 
-def test_the_floor_is_no_distance_for_drones_that_stand_take_off_or_land() -> None:
+def test_the_floor_is_ignored_for_standing_drones() -> None:
     """It is for those that come down to it elsewhere; walls count at all times."""
     up = np.array([[0.0, 0.0], [0.0, 0.0], [0.0, 1.0]])
     across = np.array([[0.0, 1.0], [0.0, 0.0], [1.0, 1.0]])
@@ -176,7 +176,7 @@ def test_the_floor_is_no_distance_for_drones_that_stand_take_off_or_land() -> No
         drones = PiecewisePolynomial(np.arange(4.0), c[:, None])
         lower, upper = np.array([-0.7, -2.0, 0.0]), np.array([2.0, 2.0, 3.0])
         for shift in (0.0, 0.4):
-            moved = drones.alike(drones.coefficients + shift)
+            moved = drones.replaced(drones.coefficients + shift)
             arena = Arena(lower + shift, upper + shift)
             check = radius_of(single(moved, arena=arena))
             assert check.bound == pytest.approx(left, rel=1e-6)
@@ -192,12 +192,12 @@ def apart(motion: Motion, t: Array) -> Array:
 
 
 @pytest.mark.parametrize(("n", "spans"), [(2, 7), (9, 20), (30, 5)])
-def test_no_sample_beats_a_span_or_a_pair_and_all_are_the_certificate(n: int, spans: int) -> None:
+def test_closest_pairs_bound_samples_and_match_the_certificate(n: int, spans: int) -> None:
     motion = swarm(n, n)
-    found = closeness(motion, spans)
-    assert (len(found.spans), found.spans[0].start, found.spans[-1].end) == (spans, 0.0, 2.4)
-    assert all(a.end == b.start for a, b in pairwise(found.spans))
-    for span in found.spans:  # curves may jump at the joints
+    result = closeness(motion, spans)
+    assert (len(result.spans), result.spans[0].start, result.spans[-1].end) == (spans, 0.0, 2.4)
+    assert all(a.end == b.start for a, b in pairwise(result.spans))
+    for span in result.spans:  # curves may jump at the joints
         least = np.min(apart(motion, np.linspace(span.start, span.end, 801)[1:-1]))
         assert span.bound <= least + 1e-9
         assert span.start <= span.time <= span.end
@@ -205,17 +205,17 @@ def test_no_sample_beats_a_span_or_a_pair_and_all_are_the_certificate(n: int, sp
     names = motion.team.drone_names
     pairs = [(names[i], names[j]) for i, j in zip(*np.triu_indices(n, 1), strict=True)]
     sampled = dict(zip(pairs, np.min(apart(motion, np.linspace(0.0, 2.4, 5001)), 0), strict=True))
-    for pair in found.pairs:
+    for pair in result.pairs:
         assert sampled[pair.pair] - 5e-3 <= pair.bound <= sampled[pair.pair] + 1e-9
-    bounds = [pair.bound for pair in found.pairs]
+    bounds = [pair.bound for pair in result.pairs]
     assert bounds == sorted(bounds)
     worst = certify(motion)["separation"].worst
-    for bound in (bounds[0], min(span.bound for span in found.spans)):
+    for bound in (bounds[0], min(span.bound for span in result.spans)):
         assert bound == pytest.approx(worst, rel=2e-4, abs=1e-6)
-    assert str(found).count("\n") == len(found.pairs)
-    assert ", ".join(found.pairs[0].pair) in str(found)
+    assert str(result).count("\n") == len(result.pairs)
+    assert ", ".join(result.pairs[0].pair) in str(result)
 
 
-def test_one_drone_has_no_neighbour() -> None:
+def test_a_single_drone_is_refused() -> None:
     assert_refused(lambda: closeness(swarm(1, 0)), "drones", "neighbour")
     assert_refused(lambda: closeness(swarm(2, 0), 0), "spans", "at least 1")

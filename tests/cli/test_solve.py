@@ -97,7 +97,7 @@ def test_joining_robots_are_checked_and_commands_for_one_ring_refused() -> None:
     told = run("check", "out", "--closest", code=0)
     assert told.stderr == ""  # no drone is below the ground
     assert "q3, r3" in told.stdout
-    same = "knows hitches of the same robots all the time"
+    same = "needs a hitch with the same robots at all times"
     for words, *command in (
         ("settle", "statics", "out"),
         ("tolerance", "statics", "out", "--tolerance"),

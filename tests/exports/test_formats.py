@@ -133,7 +133,7 @@ def test_a_robot_that_joins_is_exported_over_the_whole_time(name: str, tmp_path:
 
 
 def test_a_hitch_that_changes_its_robots_holds_no_tension_by_set_points(tmp_path: Path) -> None:
-    with pytest.raises(UnsupportedError, match="hold_tension=True knows hitches of the same robot"):
+    with pytest.raises(UnsupportedError, match="hold_tension=True needs a hitch with the same"):
         exported(planned("join_a_fourth").motion, "csv", tmp_path, hold_tension=True)
 
 

@@ -64,7 +64,7 @@ def test_a_motion_is_certified_once_and_another_one_again(
     solved.save(tmp_path / "plan")
     late = np.array(solved.motion.vertices.coefficients)
     late[-1, 0] += 0.01  # which no exported file shows
-    moved = solved.motion.replaced(vertices=solved.motion.vertices.alike(late))
+    moved = solved.motion.replaced(vertices=solved.motion.vertices.replaced(late))
     with pytest.raises(CertificateError, match=r"continuity|cable_length|equilibrium"):
         replace(solved, motion=moved).export("npz", tmp_path / "moved")
     read, certified = read_plan(tmp_path / "plan" / "plan.npz"), list[Motion]()

@@ -1,4 +1,4 @@
-"""Outlines from drawings: units, curves, lines that meet, and what is refused."""
+"""Outlines from drawings: units, curves, joined lines, and invalid files."""
 
 from __future__ import annotations
 
@@ -49,14 +49,14 @@ BOXES: list[tuple[str, str, float]] = [
 
 
 @pytest.mark.parametrize(("name", "text", "size"), BOXES)
-def test_boxes_have_their_size(tmp_path: Path, name: str, text: str, size: float) -> None:
-    """SVG states its unit or is in metres; tables are as other programs write them."""
+def test_boxes_keep_their_size(tmp_path: Path, name: str, text: str, size: float) -> None:
+    """SVG states its unit or is in metres; tables have the formats of other programs."""
     (tmp_path / name).write_text(text, encoding="utf-8")
-    found = size_and_area(read_drawing(tmp_path / name).outline)
-    assert found == pytest.approx((0.4 * size, 0.3 * size, 0.12 * size**2), rel=1e-4)
+    result = size_and_area(read_drawing(tmp_path / name).outline)
+    assert result == pytest.approx((0.4 * size, 0.3 * size, 0.12 * size**2), rel=1e-4)
 
 
-def test_svg_is_not_mirrored_and_curves_are_flat_to_a_tenth_of_a_millimetre(tmp_path: Path) -> None:
+def test_svg_is_not_mirrored_and_curves_are_flattened_within_0_1_mm(tmp_path: Path) -> None:
     drawing = tmp_path / "wedge.svg"
     drawing.write_text(SVG.format(size="", shape='<polygon points="0,0 4,0 0,2"/>'))
     assert sorted(read_drawing(drawing).outline.tolist()) == [[0.0, -2.0], [0.0, 0.0], [4.0, 0.0]]
@@ -97,17 +97,17 @@ def block(space: Any) -> None:
         (4, block, (0.4, 0.3, 0.12)),
     ],
 )
-def test_dxf_lines_are_joined_and_blocks_taken_apart(
+def test_dxf_lines_are_joined_and_blocks_expanded(
     tmp_path: Path, units: int, draw: Callable[[Any], object], expected: tuple[float, ...]
 ) -> None:
     drawing = import_module("ezdxf").new(units=units, setup=draw is block)
     draw(drawing.modelspace())
     drawing.saveas(tmp_path / "a.dxf")
-    found = size_and_area(read_drawing(tmp_path / "a.dxf").outline)
-    assert found == pytest.approx(expected, rel=2e-3 if draw is arcs else 1e-4)
+    result = size_and_area(read_drawing(tmp_path / "a.dxf").outline)
+    assert result == pytest.approx(expected, rel=2e-3 if draw is arcs else 1e-4)
 
 
-def test_dxf_of_other_locales_and_of_no_unit(tmp_path: Path) -> None:
+def test_dxf_with_decimal_commas_or_unknown_units(tmp_path: Path) -> None:
     path, drawing = tmp_path / "a.dxf", import_module("ezdxf").new(units=4)
     drawing.modelspace().add_lwpolyline([(0.25, 0.5), (300.75, 0.5), (300.75, 200.75)], close=True)
     drawing.saveas(path)
@@ -124,14 +124,14 @@ PART = [(60, 90), (260, 90), (260, 190), (200, 210), (60, 190)]  # 200 x 120
 HOLE = [(100, 120), (120, 120), (110, 150)]
 
 
-def test_holes_are_left_out_and_noted_with_their_sizes(tmp_path: Path) -> None:
+def test_holes_are_ignored_and_noted_with_their_sizes(tmp_path: Path) -> None:
     path = tmp_path / "a.svg"
     shape = '<rect width="4" height="2.9"/><circle cx="1" cy="1" r="0.5"/>'
     shape += '<circle cx="3" cy="1" r="0.1"/>'
     path.write_text(SVG.format(size="", shape=shape))
-    found = read_drawing(path)
-    assert size_and_area(found.outline)[:2] == pytest.approx((4.0, 2.9))
-    assert found.notes == (
+    result = read_drawing(path)
+    assert size_and_area(result.outline)[:2] == pytest.approx((4.0, 2.9))
+    assert result.notes == (
         "left out as holes within it: 1 x 1 m, 0.2 x 0.2 m; if it is a page or a frame around the "
         "part, hide it",
     )
@@ -142,7 +142,7 @@ def test_holes_are_left_out_and_noted_with_their_sizes(tmp_path: Path) -> None:
     assert note == "2 outlines apart from each other, 1 x 3 m, 0.8 x 0.8 m: their convex hull"
 
 
-UNSEEN = [
+INVISIBLE = [
     '<rect width="100%" height="100%" fill="white"/>',
     '<path d="M-9 -9h300v300h-300z" style="fill:#ffffff;stroke:none"/>',
     '<g opacity="0"><rect width="400" height="300"/></g>',
@@ -154,23 +154,23 @@ UNSEEN = [
 ]
 
 
-@pytest.mark.parametrize("unseen", UNSEEN)
-def test_svg_that_is_not_seen_is_left_out(unseen: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("invisible", INVISIBLE)
+def test_invisible_svg_shapes_are_ignored(invisible: str, tmp_path: Path) -> None:
     part = '<rect x="20" y="20" width="20 CM" height="120mm" fill="none" stroke="red"/>'
     for size in ('width="40 cm" height="30CM" ', 'width="400mm" height=" 300.0 Mm " '):
         path = tmp_path / "a.svg"
-        path.write_text(SVG.format(size=size, shape=unseen + part), encoding="utf-8-sig")
-        found = read_drawing(path)
-        wanted = np.array([0.2, 0.12]) * 3.7795275590551  # pixels in a view of millimetres
-        assert size_and_area(found.outline)[:2] == pytest.approx(tuple(wanted), rel=1e-4)
-        assert len(found.notes) == ("fill" in unseen or "opacity" in unseen)
+        path.write_text(SVG.format(size=size, shape=invisible + part), encoding="utf-8-sig")
+        result = read_drawing(path)
+        expected = np.array([0.2, 0.12]) * 3.7795275590551  # pixels in a view of millimetres
+        assert size_and_area(result.outline)[:2] == pytest.approx(tuple(expected), rel=1e-4)
+        assert len(result.notes) == ("fill" in invisible or "opacity" in invisible)
 
 
 STATES = ["off", "freeze", "plot", "entity", "block", "frozen block", "block of another layer"]
 
 
 @pytest.mark.parametrize("state", STATES)
-def test_dxf_that_is_not_seen_is_left_out(state: str, tmp_path: Path) -> None:
+def test_invisible_dxf_entities_are_ignored(state: str, tmp_path: Path) -> None:
     drawing = import_module("ezdxf").new(units=4)
     layer, space = drawing.layers.add("FRAME"), drawing.modelspace()
     space.add_lwpolyline(PART, close=True)
@@ -189,16 +189,16 @@ def test_dxf_that_is_not_seen_is_left_out(state: str, tmp_path: Path) -> None:
     else:
         (layer.freeze if state.startswith("fr") else layer.off)()
     drawing.saveas(tmp_path / "a.dxf")
-    found = read_drawing(tmp_path / "a.dxf")
-    if "another" in state:  # what is in a block on a layer that is off is seen, unless on layer 0
-        assert size_and_area(found.outline)[:2] == pytest.approx((0.5, 0.3))
+    result = read_drawing(tmp_path / "a.dxf")
+    if "another" in state:  # entities of a block on a hidden layer are visible, unless on layer 0
+        assert size_and_area(result.outline)[:2] == pytest.approx((0.5, 0.3))
         return
-    assert size_and_area(found.outline)[:2] == pytest.approx((0.2, 0.12))
-    assert ("FRAME" in "".join(found.notes)) is (state != "entity")
+    assert size_and_area(result.outline)[:2] == pytest.approx((0.2, 0.12))
+    assert ("FRAME" in "".join(result.notes)) is (state != "entity")
 
 
 def strokes(gap: float, seed: int, place: tuple[float, float]) -> list[Array]:
-    """The sides of PART as lines of any sense and order, each end off by a gap [m] at most."""
+    """Return the sides of PART in random directions and order, ends displaced by up to gap / 2."""
     chance = np.random.default_rng(seed)
     ring = np.array(PART) / 1e3 + place
     sides = np.stack([ring, np.roll(ring, -1, axis=0)], axis=1)
@@ -208,7 +208,7 @@ def strokes(gap: float, seed: int, place: tuple[float, float]) -> list[Array]:
 
 
 @pytest.mark.parametrize("gap", [0.0, 1e-15, 4e-7, 1e-6, 9e-5])
-def test_ends_that_meet_are_joined_wherever_they_are(gap: float) -> None:
+def test_nearby_ends_are_joined_at_any_position(gap: float) -> None:
     shapely = import_module("shapely")
     for seed in range(20):
         place = (0.5e-6 * seed, 1.0 - 1e-7 * seed)
@@ -216,13 +216,13 @@ def test_ends_that_meet_are_joined_wherever_they_are(gap: float) -> None:
         width, depth = np.ptp(drawing_of_geometry(lines).outline, axis=0)
         assert (width, depth) == pytest.approx((0.2, 0.12), abs=2.0 * gap + 1e-5)
     ring = np.array([*PART, PART[0]]) / 1e3
-    ring[-1] += [0.6 * gap, 0.8 * gap]  # one line that comes back to where it began
+    ring[-1] += [0.6 * gap, 0.8 * gap]  # one line that ends near its start
     assert np.ptp(drawing_of_geometry(shapely.LineString(ring)).outline, axis=0) == pytest.approx(
         (0.2, 0.12), abs=2.0 * gap + 1e-5
     )
 
 
-def test_gaps_are_named_with_place_and_size_if_they_matter() -> None:
+def test_relevant_gaps_are_reported_with_place_and_size() -> None:
     shapely, ring = import_module("shapely"), np.array([*PART, PART[0]]) / 1e3
     part, hole = shapely.LineString(ring[:-1]), shapely.Polygon(np.array(HOLE) / 1e3)
     closing = shapely.LineString([ring[-2], ring[-1] + [0.0, 0.0007]])  # 0.7 mm short of its end
@@ -235,17 +235,17 @@ def test_gaps_are_named_with_place_and_size_if_they_matter() -> None:
     inside = shapely.LineString([(0.1, 0.1), (0.2, 0.1), (0.2, 0.15), (0.1, 0.15), (0.1, 0.1007)])
     axes = [shapely.LineString([(x, 0.15), (x + 0.03, 0.15)]) for x in np.arange(0.0, 0.4, 0.033)]
     for lines in ([whole, inside], [whole, *axes], [part, shapely.LineString(ring[-2:]), *axes]):
-        found = drawing_of_geometry(shapely.GeometryCollection(lines))
-        assert np.ptp(found.outline, axis=0) == pytest.approx((0.2, 0.12), abs=1e-4)
+        result = drawing_of_geometry(shapely.GeometryCollection(lines))
+        assert np.ptp(result.outline, axis=0) == pytest.approx((0.2, 0.12), abs=1e-4)
 
 
-def test_holes_of_geometries_are_left_out() -> None:
+def test_holes_of_geometries_are_ignored() -> None:
     shapely = import_module("shapely")
     holed = shapely.box(0, 0, 0.4, 0.3).difference(shapely.box(0.1, 0.1, 0.2, 0.2))
     assert size_and_area(drawing_of_geometry(holed).outline) == pytest.approx((0.4, 0.3, 0.12))
 
 
-WRONG = {
+INVALID = {
     ho.FileError: [
         ("a.svg", "<svg", "cannot be read"),
         ("a.json", "[[0, 0, 0], [1, 0, 0], [1, 1, 0]]", "a list of points"),
@@ -275,8 +275,8 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize(("kind", "files"), WRONG.items())
-def test_what_is_no_outline_is_refused(
+@pytest.mark.parametrize(("kind", "files"), INVALID.items())
+def test_invalid_outlines_are_refused(
     tmp_path: Path, kind: type[ho.HitchoptError], files: list[tuple[str, str, str]]
 ) -> None:
     for name, text, words in files:

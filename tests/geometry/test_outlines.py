@@ -1,4 +1,4 @@
-"""Outlines: what is refused, and laws of what is derived; close pairs and points by brute force."""
+"""Outlines: invalid points and laws of derived values; close pairs and points by brute force."""
 
 import itertools
 import math
@@ -49,7 +49,7 @@ def test_moves_keep_lengths_and_angles(seed: int, n: int, angle: float, topology
 
 @given(seeds, st.integers(3, 12))
 @settings(max_examples=20)
-def test_area_and_centroid_by_counting_random_points(seed: int, n: int) -> None:
+def test_area_and_centroid_match_random_points(seed: int, n: int) -> None:
     shape = ConvexPolygon(random_outline(seed, n))
     lower, upper = shape.vertices.min(axis=0), shape.vertices.max(axis=0)
     points = np.random.default_rng(1).uniform(lower, upper, (40_000, 2))
@@ -64,7 +64,7 @@ def test_area_and_centroid_by_counting_random_points(seed: int, n: int) -> None:
 
 @given(seeds, st.integers(2, 12))
 @settings(max_examples=20)
-def test_the_centroid_is_the_mean_of_points_spread_evenly_along_the_arc(seed: int, n: int) -> None:
+def test_arc_centroids_match_evenly_spaced_points(seed: int, n: int) -> None:
     shape = random_outline(seed, n, "open")
     ends = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(shape.vertices, axis=0), axis=1)))
     along = (np.arange(20_000) + 0.5) / 20_000 * ends[-1]
@@ -72,27 +72,27 @@ def test_the_centroid_is_the_mean_of_points_spread_evenly_along_the_arc(seed: in
     np.testing.assert_allclose(shape.centroid, mean, atol=1e-6)
 
 
-def test_regular_polygon_has_its_edge_and_starts_where_told() -> None:
+def test_regular_polygons_have_their_edge_length_and_start_angle() -> None:
     shape = regular_polygon(7, 1.3, 0.4)
     np.testing.assert_allclose(shape.edge_lengths, 1.3)
     assert math.atan2(shape.vertices[0, 1], shape.vertices[0, 0]) == pytest.approx(0.4)
 
 
 @pytest.mark.parametrize("n", [3, 9])
-def test_arcs_turn_by_less_than_once_around(n: int) -> None:
-    """All n edges at equal turns: n - 1 of them."""
+def test_arcs_turn_by_less_than_a_full_turn(n: int) -> None:
+    """Turn n edges by equal angles at n - 1 corners."""
 
     def turning(turn: float) -> np.ndarray:
         headings = 0.3 - turn * np.arange(n)
         steps = np.column_stack([np.cos(headings), np.sin(headings)])
         return np.vstack([[2.0, -1.0], [2.0, -1.0] + np.cumsum(steps, axis=0)])
 
-    most = 2.0 * math.pi / (n - 1)
-    if most < math.pi:
+    limit = 2.0 * math.pi / (n - 1)
+    if limit < math.pi:
         with pytest.raises(InputError, match=r"less than 360° in all \(it turns by 36"):
-            ConvexArc(turning(most * 1.001))
-    shape = ConvexArc(turning(min(most, 3.1) * 0.999))
-    np.testing.assert_allclose(shape.exterior_angles, min(most, 3.1) * 0.999)
+            ConvexArc(turning(limit * 1.001))
+    shape = ConvexArc(turning(min(limit, 3.1) * 0.999))
+    np.testing.assert_allclose(shape.exterior_angles, min(limit, 3.1) * 0.999)
 
 
 STAR = [[math.sin(4 * math.pi * k / 5), math.cos(4 * math.pi * k / 5)] for k in range(5)]
@@ -116,43 +116,43 @@ def test_bad_outlines_are_refused(kind: type[Any], points: object, key: str, wor
 
 
 def test_vertices_are_a_read_only_copy() -> None:
-    given_points = np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0]])
-    shape = ConvexPolygon(given_points)
-    given_points[0] = 5.0
+    source = np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0]])
+    shape = ConvexPolygon(source)
+    source[0] = 5.0
     assert shape.vertices[0, 0] == 0.0
     assert not shape.vertices.flags.writeable
 
 
 def gap(a: Boxes, i: int, b: Boxes, j: int) -> float:
-    """The distance of two boxes, axis by axis."""
-    apart = np.maximum(a.lower[i] - b.upper[j], b.lower[j] - a.upper[i])
-    return float(np.linalg.norm(np.maximum(apart, 0.0)))
+    """Return the distance of two boxes, axis by axis."""
+    gaps = np.maximum(a.lower[i] - b.upper[j], b.lower[j] - a.upper[i])
+    return float(np.linalg.norm(np.maximum(gaps, 0.0)))
 
 
 def boxes(rng: np.random.Generator, count: int, scale: float) -> Boxes:
-    """Boxes of sizes from 1e-4 to 10, some of them points."""
+    """Return boxes of sizes from 1e-4 to 10, some of them points."""
     centres = rng.uniform(-scale, scale, (count, 3))
     sizes = 10.0 ** rng.uniform(-4.0, 1.0, (count, 3)) * (rng.random((count, 1)) > 0.3)
     return Boxes(centres - sizes, centres + sizes)
 
 
 @settings(max_examples=25)
-@given(seed=st.integers(0, 10_000), cutoff=st.floats(0.0, 3.0), one=st.booleans())
-def test_close_pairs_are_those_that_all_pairs_show(seed: int, cutoff: float, one: bool) -> None:
+@given(seed=st.integers(0, 10_000), cutoff=st.floats(0.0, 3.0), single=st.booleans())
+def test_close_pairs_match_brute_force(seed: int, cutoff: float, single: bool) -> None:
     rng = np.random.default_rng(seed)
     a = boxes(rng, 30, 20.0)
-    b = a if one else boxes(rng, 20, 20.0)
-    pairs = close_pairs(a, None if one else b, cutoff)
-    found = list(zip(pairs.first.tolist(), pairs.second.tolist(), strict=True))
+    b = a if single else boxes(rng, 20, 20.0)
+    pairs = close_pairs(a, None if single else b, cutoff)
+    indices = list(zip(pairs.first.tolist(), pairs.second.tolist(), strict=True))
     every = itertools.product(range(len(a)), range(len(b)))
-    expected = {(i, j) for i, j in every if (i < j or not one) and gap(a, i, b, j) <= cutoff}
-    assert len(found) == len(set(found))
-    assert set(found) == expected
+    expected = {(i, j) for i, j in every if (i < j or not single) and gap(a, i, b, j) <= cutoff}
+    assert len(indices) == len(set(indices))
+    assert set(indices) == expected
 
 
 @given(seeds, st.sampled_from([2, 3]))
 @settings(max_examples=60)
-def test_offsets_are_the_shortest_of_all_that_join_the_segments(seed: int, d: int) -> None:
+def test_shortest_offsets_match_sampled_segments(seed: int, d: int) -> None:
     a, b = np.random.default_rng(seed).normal(size=(2, 8, 2, d))
     a[0, 1] = a[0, 0]  # a point
     b[1, 1], a[1, 1] = b[1, 0], a[1, 0]  # two points
@@ -161,9 +161,9 @@ def test_offsets_are_the_shortest_of_all_that_join_the_segments(seed: int, d: in
     shares = np.linspace(0.0, 1.0, 201)[:, None]
     on_a, on_b = (x[:, :1] + shares * (x[:, 1:] - x[:, :1]) for x in (a, b))
     sampled = np.linalg.norm(on_a[:, :, None] - on_b[:, None, :], axis=-1).min(axis=(1, 2))
-    found = np.linalg.norm(shortest_offset(differences(a, b)), axis=1)
+    distances = np.linalg.norm(shortest_offset(differences(a, b)), axis=1)
     lengths = np.linalg.norm(a[:, 1] - a[:, 0], axis=1) + np.linalg.norm(b[:, 1] - b[:, 0], axis=1)
-    assert np.all(found <= sampled + 1e-12)
-    assert np.all(sampled - found <= lengths * 0.0026)
+    assert np.all(distances <= sampled + 1e-12)
+    assert np.all(sampled - distances <= lengths * 0.0026)
     reverse = shortest_offset(differences(b, a))
-    np.testing.assert_allclose(np.linalg.norm(reverse, axis=1), found, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(reverse, axis=1), distances, atol=1e-12)

@@ -1,4 +1,4 @@
-"""Motions in parts, and their states: attitudes and body rates by scipy and by differences."""
+"""Parts of motions, and states: attitudes and body rates against scipy and finite differences."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ BREAKS = np.array([0.0, 0.5, 1.25, 2.0, 3.5])
 POINTS = np.array([[0.3, 0.1], [0.6, 1.4], [1.7, 0.6]])
 
 
-def resting(formed: tuple[bool, ...]) -> Motion:
+def resting_motion(formed: tuple[bool, ...]) -> Motion:
     """Return a hitch at rest whose phases are the pieces."""
     team = Team(3, [2.4, 2.5, 2.6])
     hitch = Hitch.balanced(team, POINTS, 1.2)
@@ -47,7 +47,7 @@ def resting(formed: tuple[bool, ...]) -> Motion:
     ],
 )
 def test_spans_are_the_longest_runs(formed: tuple[bool, ...], runs: list[tuple[int, int]]) -> None:
-    motion = resting(formed)
+    motion = resting_motion(formed)
     np.testing.assert_array_equal(motion.formed, formed)
     spans = motion.spans(HITCHED_STATE)
     for span, (a, b) in zip(spans, runs, strict=True):
@@ -60,50 +60,50 @@ def test_spans_are_the_longest_runs(formed: tuple[bool, ...], runs: list[tuple[i
 
 
 def test_slowed_and_cut_motions_keep_their_phases() -> None:
-    motion = resting((True, False, True, True))
+    motion = resting_motion((True, False, True, True))
     slow = motion.slowed(1.5)
     for name in ("drones", "vertices", "legs", "tensions"):
         np.testing.assert_allclose(getattr(slow, name).breaks, 1.5 * BREAKS)
-    for phase, before in zip(slow.phases, motion.phases, strict=True):
-        assert phase == replace(before, start=1.5 * before.start, end=1.5 * before.end)
+    for phase, original in zip(slow.phases, motion.phases, strict=True):
+        assert phase == replace(original, start=1.5 * original.start, end=1.5 * original.end)
     part = cut(motion, 1, 3)
     np.testing.assert_allclose(part.drones.breaks, [0.0, 0.75, 1.5])
-    told = [(phase.name, phase.start, phase.end) for phase in part.phases]
-    assert told == [("part 1", 0.0, 0.75), ("part 2", 0.75, 1.5)]
+    actual = [(phase.name, phase.start, phase.end) for phase in part.phases]
+    assert actual == [("part 1", 0.0, 0.75), ("part 2", 0.75, 1.5)]
 
 
 @pytest.mark.parametrize(
     "spans",
     [
-        ((0.0, 3.5), (3.5, 0.0), (0.0, 3.5)),  # there, back and there again
+        ((0.0, 3.5), (3.5, 0.0), (0.0, 3.5)),  # backward in time
         ((0.0, 1.25), (2.0, 3.5)),  # a gap
-        ((0.0, 2.0), (1.25, 3.5)),  # twice
-        ((0.0, 1.25), (1.25, 1.25), (1.25, 3.5)),  # no time at all
-        ((0.5, 3.5),),  # late
-        ((0.0, 2.0),),  # over before the motion is
+        ((0.0, 2.0), (1.25, 3.5)),  # overlapping
+        ((0.0, 1.25), (1.25, 1.25), (1.25, 3.5)),  # empty
+        ((0.5, 3.5),),  # starts late
+        ((0.0, 2.0),),  # too short
         ((0.0, float("nan")), (float("nan"), 3.5)),
     ],
 )
 def test_phases_cover_the_motion_in_order(spans: tuple[tuple[float, float], ...]) -> None:
     phases = tuple(Phase("part", 0, start, end) for start, end in spans)
     with pytest.raises(InputError, match=r"phases = \[\["):
-        replace(resting((True,) * 4), phases=phases)
+        replace(resting_motion((True,) * 4), phases=phases)
     drones = PiecewisePolynomial.constant(BREAKS, np.zeros((3, 3)))
     with pytest.raises(InputError, match=r"phases = \[\["):
         Motion.single(Swarm(3), Requirements(), drones, phases)
 
 
-def test_cable_states_are_unique_and_change_at_breakpoints() -> None:
-    motion = resting((False, False, True, True))
+def test_cables_change_their_state_at_breaks() -> None:
+    motion = resting_motion((False, False, True, True))
     first, second, *others = motion.phases
     moved = (replace(first, end=0.75), replace(second, start=0.75), *others)
     assert replace(motion, phases=moved).phases == moved  # both hang free
     clasping = (replace(moved[0], state=CableState.CLASPING), *moved[1:])
     with pytest.raises(InputError, match="breaks where states change"):
         replace(motion, phases=clasping)
-    late = (first, second, replace(others[0], start=1.3), others[1])
+    shifted = (first, second, replace(others[0], start=1.3), others[1])
     with pytest.raises(InputError, match="phases"):
-        replace(motion, phases=late)
+        replace(motion, phases=shifted)
     with pytest.raises(InputError, match=r"phases\.state"):
         replace(motion, phases=(*motion.phases[:3], replace(others[1], state=CableState.NONE)))
 
@@ -117,23 +117,23 @@ def test_attitudes_match_thrust_yaw_and_body_rates(yaw: float) -> None:
     rng, h = np.random.default_rng(1), 1e-6
     thrusts, rates = rng.normal(size=(40, 3)) + [0.3, -0.2, 0.0], 3.0 * rng.normal(size=(40, 3))
     thrusts[:, 2] = np.abs(thrusts[:, 2]) + 0.2
-    found = attitudes(thrusts, rates, yaw)
-    turned = rotation_of(found.quaternions)
+    result = attitudes(thrusts, rates, yaw)
+    turned = rotation_of(result.quaternions)
     along = thrusts / np.linalg.norm(thrusts, axis=-1, keepdims=True)
     np.testing.assert_allclose(turned.apply([0.0, 0.0, 1.0]), along, atol=1e-14)
     np.testing.assert_allclose(turned.as_euler("ZYX")[:, 0], yaw, atol=1e-13)
-    assert np.all(found.quaternions[:, 0] >= 0.0) or abs(yaw) > 1.0
-    np.testing.assert_allclose(np.linalg.norm(found.quaternions, axis=-1), 1.0, rtol=1e-14)
+    assert np.all(result.quaternions[:, 0] >= 0.0) or abs(yaw) > 1.0
+    np.testing.assert_allclose(np.linalg.norm(result.quaternions, axis=-1), 1.0, rtol=1e-14)
     before, after = (
         rotation_of(attitudes(thrusts + step * rates, rates, yaw).quaternions) for step in (-h, h)
     )
     by_differences = (before.inv() * after).as_rotvec() / (2.0 * h)
-    np.testing.assert_allclose(by_differences, found.body_rates, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(by_differences, result.body_rates, rtol=1e-6, atol=1e-6)
 
 
 @pytest.mark.parametrize("stem", ["weight_hexagon", "form_hanging_to_the_floor", "join_a_fourth"])
-def test_attitudes_change_by_the_body_rates(stem: str) -> None:
-    """A morph, and hitches being formed of cables with weight: hanging, tightened, hitched."""
+def test_states_rotate_at_their_body_rates(stem: str) -> None:
+    """Check a morph, and cables with weight that hang, are tightened and hitched."""
     motion = planned(stem).motion
     breaks, h = motion.drones.breaks, 1e-6
     share = np.random.default_rng(6).uniform(0.1, 0.9, motion.drones.pieces)
@@ -155,7 +155,7 @@ def test_attitudes_change_by_the_body_rates(stem: str) -> None:
 def test_forces_on_a_hitch_and_a_robot_that_joins_it_carry_all_cables() -> None:
     motion = planned("join_a_fourth").motion
     times = np.linspace(0.0, motion.duration, 100)
-    lies = [p for p in motion.phases if p.state is CableState.LYING]  # weights pass there
+    lies = [p for p in motion.phases if p.state is CableState.LYING]  # cables pass weight
     times = times[[all(not p.start <= t <= p.end for p in lies) for t in times]]
     states = states_at(motion, times)
     weight = [0.0, 0.0, -np.sum(motion.team.cable_weight)]
@@ -174,12 +174,12 @@ def test_forces_on_a_hitch_and_a_robot_that_joins_it_carry_all_cables() -> None:
         assert whole.formed.tolist() == states_at(chapter.groups[0].motion, t).formed.tolist()
     after = states_at(motion, motion.duration + 1.0)
     np.testing.assert_allclose(after.cable_forces, states.cable_forces[-1], atol=1e-12)
-    with pytest.raises(UnsupportedError, match="going on from a plan's end knows hitches of the"):
+    with pytest.raises(UnsupportedError, match="continuing from a plan's end needs a hitch"):
         final_hitch(motion)
 
 
-def test_a_part_of_a_motion_has_the_states_of_the_whole_and_rests_at_its_end() -> None:
-    """Counted from the part's own start."""
+def test_parts_have_the_states_of_the_whole_and_ended_motions_rest() -> None:
+    """Times count from the start of the part."""
     motion = planned("weight_hexagon").motion
     start = float(motion.drones.breaks[2])
     part = motion.slice_pieces(slice(2, None), motion.overlapping(start, motion.duration))

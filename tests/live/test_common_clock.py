@@ -107,12 +107,12 @@ def test_a_fleet_flies_by_commands() -> None:
 
 
 def test_features_for_one_ring_are_refused_by_name() -> None:
-    joins, same = planned("join_a_fourth"), "knows hitches of the same robots all the time; plan"
+    joins, same = planned("join_a_fourth"), "needs a hitch with the same robots at all times; plan"
     for refused, words in (
         (lambda: Reactions(joins.motion), "a reaction to a lost drone"),
         (lambda: ho.Feedback(joins), "feedback"),
         (lambda: ho.Replanner(joins.motion.team, joins), "a replanner"),
-        (lambda: joins.end, "going on from a plan's end"),
+        (lambda: joins.end, "continuing from a plan's end"),
         (lambda: ho.combine(joins, joins), "a plan of several teams"),
     ):
         with pytest.raises(ho.UnsupportedError, match=f"{words} {same}"):

@@ -1,4 +1,4 @@
-"""Sections, slabs and how objects stand: distances against brute force, and what is refused."""
+"""Sections, slabs and placed objects: distances against brute force, and invalid values."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from hitchopt.objects import Slab
 from hitchopt.objects.placing import check_placed, surface_below
 from hitchopt.values import Array
 
-some = settings(max_examples=30)
+examples = settings(max_examples=30)
 SEEDS = st.integers(0, 10_000)
 BOX = [[-0.4, -0.3], [0.4, -0.3], [0.4, 0.3], [-0.4, 0.3]]
 
 
-def some_section(rng: np.random.Generator) -> ho.Section:
+def random_section(rng: np.random.Generator) -> ho.Section:
     if rng.random() < 0.3:
         return ho.Section(radius=float(rng.uniform(0.1, 0.5)))
     points = rng.normal(size=(12, 2)) * [0.3, 0.2] + rng.normal(size=2) * 0.2
@@ -31,19 +31,19 @@ def some_section(rng: np.random.Generator) -> ho.Section:
 
 
 def inner_points(section: ho.Section, rng: np.random.Generator, count: int) -> Array:
-    """Points of the section, its corners among them."""
+    """Return points of the section, including its corners."""
     weights = rng.dirichlet(np.full(len(section.core), 0.5), count)
     angles = rng.uniform(0.0, 2.0 * np.pi, count)
     round_ = section.rounding * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     return np.vstack([weights @ section.core + round_, section.core])
 
 
-@some
+@examples
 @given(SEEDS)
-def test_distances_are_those_of_the_nearest_point(seed: int) -> None:
-    """From points and segments outside, and from within along rays; the hull's support."""
+def test_distances_match_the_nearest_point(seed: int) -> None:
+    """Check points and segments outside, rays from inside, and the support function."""
     rng = np.random.default_rng(seed)
-    section = some_section(rng)
+    section = random_section(rng)
     points, places = inner_points(section, rng, 400), rng.normal(size=(20, 2))
     distance, normals = section.clearance(places)
     brute = np.min(np.linalg.norm(places[:, None] - points, axis=-1), axis=1)
@@ -56,41 +56,41 @@ def test_distances_are_those_of_the_nearest_point(seed: int) -> None:
     assert np.all(np.abs(section.clearance(ends)[0]) < 1e-9)
     assert np.all(section.clearance(ends + 1e-3 * normals)[0] > 0.0)
     first, last = rng.normal(size=(2, 10, 2))
-    found = section.segment_distance(first, last)
+    result = section.segment_distance(first, last)
     between = first + np.linspace(0.0, 1.0, 2001)[:, None, None] * (last - first)
     brute = np.min(np.maximum(section.clearance(between)[0], 0.0), axis=0)
-    assert np.all((found <= brute + 1e-12) & (found >= brute - 2e-3))
+    assert np.all((result <= brute + 1e-12) & (result >= brute - 2e-3))
 
 
-@some
+@examples
 @given(SEEDS)
 def test_slabs_have_signed_distances(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    slab = Slab(some_section(rng), 0.1, 0.5)
+    slab = Slab(random_section(rng), 0.1, 0.5)
     places = rng.normal(size=(30, 3))
-    found = slab.clearance(places)
-    feet = places - found.distance[:, None] * found.normals
+    result = slab.clearance(places)
+    feet = places - result.distance[:, None] * result.normals
     assert np.all(np.abs(slab.clearance(feet).distance) < 1e-9)
-    behind = slab.support(found.normals) - np.einsum("md,md->m", found.normals, places)
-    outside = found.distance > 0.0
-    np.testing.assert_allclose(found.distance[outside], -behind[outside], atol=1e-9)
+    behind = slab.support(result.normals) - np.einsum("md,md->m", result.normals, places)
+    outside = result.distance > 0.0
+    np.testing.assert_allclose(result.distance[outside], -behind[outside], atol=1e-9)
 
 
-def test_outlines_are_stored_clockwise_without_points_in_line() -> None:
-    given_ = [*BOX[:2], [0.4, 0.0], *BOX[2:]]
-    for outline in (given_, given_[::-1]):
-        found = ho.Section(outline).outline
-        assert found is not None
-        assert len(found) == 4
-        assert ho.ConvexPolygon(found).area == pytest.approx(0.48)
+def test_outlines_are_stored_clockwise_without_collinear_points() -> None:
+    corners = [*BOX[:2], [0.4, 0.0], *BOX[2:]]
+    for outline in (corners, corners[::-1]):
+        result = ho.Section(outline).outline
+        assert result is not None
+        assert len(result) == 4
+        assert ho.ConvexPolygon(result).area == pytest.approx(0.48)
 
 
-def solid(at: list[float], **others: object) -> ho.SolidObject:
-    return ho.SolidObject(ho.Section(BOX), at=at, **others)  # type: ignore[arg-type]
+def solid(at: list[float], **values: object) -> ho.SolidObject:
+    return ho.SolidObject(ho.Section(BOX), at=at, **values)  # type: ignore[arg-type]
 
 
 def test_objects_stand_on_the_ground_or_on_each_other() -> None:
-    """What stands over a box is not below it."""
+    """A shelf above a box is not its support."""
     table, shelf = (solid([1, 2, z], upper=0.5, fixed=True) for z in (0, 2))
     objects = {"table": table, "box": solid([1, 2, 0.5]), "shelf": shelf}
     check_placed(objects, 0.0)
@@ -105,8 +105,8 @@ def test_the_centre_of_mass_turns_with_its_object() -> None:
     body = ho.SolidObject(ho.Section(np.add(BOX, [0.3, 0.2])), at=[1.0, 2.0, 0.5], yaw=0.7)
     c, s = np.cos(0.7), np.sin(0.7)
     expected = [1.0 + 0.3 * c - 0.2 * s, 2.0 + 0.3 * s + 0.2 * c, 0.5 + body.centre_of_mass[2]]
-    found = centre_path(body.pose[None, :, None], body)
-    np.testing.assert_allclose(found[0, :, 0], expected)
+    result = centre_path(body.pose[None, :, None], body)
+    np.testing.assert_allclose(result[0, :, 0], expected)
 
 
 def placed(at: list[float]) -> None:
@@ -122,13 +122,13 @@ def rimmed(height: float) -> None:
 
 
 EITHER = "give either an outline or a circle's radius"
-BENT: Any = [[0, 0], [1, 0], [0.4, 0.4], [0, 1]]
+CONCAVE: Any = [[0, 0], [1, 0], [0.4, 0.4], [0, 1]]
 REFUSED: list[Refusal] = [
     (ho.Section, "outline", EITHER),
     (lambda: ho.Section(BOX, radius=0.1), "outline", EITHER),
     (lambda: ho.Section(radius=-0.1), "radius", "greater than 0"),
     (lambda: ho.Section([[0, 0], [1, 0], [2, 0]]), "outline", "not in line"),
-    (lambda: ho.Section(BENT), "outline[2]", "give the hull: [[0.0, 1.0]"),
+    (lambda: ho.Section(CONCAVE), "outline[2]", "give the hull: [[0.0, 1.0]"),
     (lambda: placed([1.0, 2.0, 0.6]), "objects.box.at", "[1.0, 2.0, 0.6]: must be such that it"),
     (lambda: placed([3.0, 2.0, 0.1]), "objects.box.at", "write [3.0, 2.0, 0.0]"),
     (lambda: placed([1.7, 2.0, 0.0]), "objects.table.at", "must be apart from objects.box"),
@@ -140,5 +140,5 @@ REFUSED: list[Refusal] = [
 
 
 @pytest.mark.parametrize("refusal", REFUSED)
-def test_wrong_sections_and_objects_are_refused(refusal: Refusal) -> None:
+def test_invalid_sections_and_objects_are_refused(refusal: Refusal) -> None:
     assert_refused(*refusal)

@@ -97,7 +97,7 @@ def test_what_has_no_cables_flies_where_it_is_planned(tmp_path: Path) -> None:
     for motion, first in ((swarm, "swarm.d0"), (tied, "show.d0")):
         task = Task.of(motion)
         own = [group for group in motion.groups if group.motion.team.has_cables]
-        names = [g.label(x) for g in motion.flying for x in g.motion.team.drone_names]
+        names = [g.label(x) for g in motion.all_groups for x in g.motion.team.drone_names]
         assert (*task.team.drone_names, *task.passing.names) == tuple(names)
         assert task.passing.names[0] == first
         assert len(task.team.drone_names) == sum(g.motion.team.drones for g in own)
@@ -148,7 +148,7 @@ def test_what_knows_one_team_refuses_several(tmp_path: Path) -> None:
         lambda: simulate(task, replace(BRIEF, feedback=True)),
         lambda: simulate(task, replace(BRIEF, lost=Loss("a.q0", 1.0))),
     ):
-        with pytest.raises(UnsupportedError, match="one team alone, and here fly a, b"):
+        with pytest.raises(UnsupportedError, match="supports a single team, not a, b"):
             call()
     with pytest.raises(UnsupportedError, match="several teams"):
         _ = plan.end

@@ -59,24 +59,24 @@ OPERATIONS: dict[str, tuple[Callable[[Pair], Array], Callable[[Pair], Array]]] =
     seed=st.integers(0, 10_000),
     ends=st.tuples(st.floats(0.0, 1.0), st.floats(0.0, 1.0)),
 )
-def test_operations_are_those_on_powers(
+def test_operations_match_the_power_basis(
     name: str, orders: tuple[int, int], seed: int, ends: tuple[float, float]
 ) -> None:
-    made, exact = OPERATIONS[name]
+    operation, exact = OPERATIONS[name]
     pair = some(orders[0], seed), some(orders[1], seed + 1), min(ends), max(ends)
-    found = made(pair)
-    np.testing.assert_allclose(bernstein.evaluate(found, X), exact(pair), atol=1e-9)
-    values = bernstein.evaluate(found, X)  # a curve stays within its coefficients
-    assert np.min(found) - 1e-12 <= np.min(values)
-    assert np.max(values) <= np.max(found) + 1e-12
+    result = operation(pair)
+    np.testing.assert_allclose(bernstein.evaluate(result, X), exact(pair), atol=1e-9)
+    values = bernstein.evaluate(result, X)  # a curve stays within its coefficients
+    assert np.min(result) - 1e-12 <= np.min(values)
+    assert np.max(values) <= np.max(result) + 1e-12
 
 
-def test_no_polynomial_is_written_in_a_lower_degree() -> None:
-    with pytest.raises(ValueError, match="cannot write degree 3 in the lower degree 2"):
+def test_elevation_to_a_lower_degree_is_refused() -> None:
+    with pytest.raises(ValueError, match="cannot elevate degree 3 to the lower degree 2"):
         bernstein.elevate(some(3, 0), 2)
 
 
-def test_restriction_takes_its_own_span_for_each() -> None:
+def test_restriction_broadcasts_over_spans() -> None:
     c = some(4, 3, 2, 3)
     lower, upper = np.array([[0.1], [0.5]]), np.array([[0.4], [1.0]])
     part = bernstein.restrict(c, lower, upper)
@@ -85,27 +85,27 @@ def test_restriction_takes_its_own_span_for_each() -> None:
         np.testing.assert_allclose(part[i], one, atol=1e-14)
 
 
-def test_shared_tables_cannot_be_spoilt() -> None:
+def test_shared_tables_are_read_only() -> None:
     for table in (bernstein.nodes(3), bernstein.binomials(3), bernstein.elevation(2, 4)):
         with pytest.raises(ValueError, match="read-only"):
             table[..., 0] = 7.0
 
 
 @pytest.mark.parametrize(
-    ("pairs", "alone"), [(None, None), (1, 2**18), (600, 2**18), (2**18, 0), (600, 0)]
+    ("pairs", "max_product"), [(None, None), (1, 2**18), (600, 2**18), (2**18, 0), (600, 0)]
 )
-def test_products_broadcast_and_may_be_made_in_batches(
-    pairs: int | None, alone: int | None, monkeypatch: pytest.MonkeyPatch
+def test_products_broadcast_and_are_computed_in_batches(
+    pairs: int | None, max_product: int | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if pairs is not None:
         monkeypatch.setattr(bernstein, "MAX_PAIRS", pairs)
-        monkeypatch.setattr(bernstein, "MOST_ALONE", alone)
+        monkeypatch.setattr(bernstein, "MAX_PRODUCT", max_product)
     rng = np.random.default_rng(2)
     a, b, v = (rng.normal(size=size) for size in ((7, 5, 3, 6), (5, 1, 4), (1, 5, 3, 4)))
     x = rng.uniform(size=(7, 5))
-    there = bernstein.evaluate(a, x[..., None])
+    values = bernstein.evaluate(a, x[..., None])
     product, inner = bernstein.multiply(a, b), bernstein.dot(a, v)
-    expected = there * bernstein.evaluate(b, x[..., None])
+    expected = values * bernstein.evaluate(b, x[..., None])
     np.testing.assert_allclose(bernstein.evaluate(product, x[..., None]), expected, atol=1e-12)
-    expected = np.sum(there * bernstein.evaluate(v, x[..., None]), axis=-1)
+    expected = np.sum(values * bernstein.evaluate(v, x[..., None]), axis=-1)
     np.testing.assert_allclose(bernstein.evaluate(inner, x), expected, atol=1e-12)

@@ -1,4 +1,4 @@
-"""The arithmetic of enclosed values: what it returns holds everywhere, and is narrow."""
+"""The arithmetic of enclosed values: enclosures hold everywhere, and are tight."""
 
 from collections.abc import Callable
 
@@ -37,7 +37,7 @@ OPERATIONS: dict[str, tuple[Formula, Callable[[Array, Array], Array]]] = {
     ),
     "cross": (lambda a, b: a.cross(b), np.cross),
     "level cross": (
-        lambda a, b: a.level.cross(b.level),
+        lambda a, b: a.xy.cross(b.xy),
         lambda a, b: a[..., :1] * b[..., 1:2] - a[..., 1:2] * b[..., :1],
     ),
     "norm": (lambda a, _: a.norm, lambda a, _: _norm(a)),
@@ -45,11 +45,11 @@ OPERATIONS: dict[str, tuple[Formula, Callable[[Array, Array], Array]]] = {
     "inverse norm": (lambda a, _: a.norm.inverse, lambda a, _: 1.0 / _norm(a)),
     "reduced": (lambda a, b: a.cross(b).reduced(4), np.cross),
     "vector": (
-        lambda a, b: vector(a[2], b.level),
+        lambda a, b: vector(a[2], b.xy),
         lambda a, b: np.concatenate([a[..., 2:], b[..., :2]], -1),
     ),
     "upward": (
-        lambda a, b: a.dot(b).upward(),
+        lambda a, b: a.dot(b).along_z(),
         lambda a, b: np.sum(a * b, -1, keepdims=True) * [0, 0, 1],
     ),
     "formula": (
@@ -60,14 +60,14 @@ OPERATIONS: dict[str, tuple[Formula, Callable[[Array, Array], Array]]] = {
 
 
 def values(c: Array) -> Array:
-    """(len(X), spans, components) of coefficients (spans, components, degree + 1)."""
+    """Return values (len(X), spans, components) of coefficients (spans, components, degree + 1)."""
     return np.stack([bernstein.evaluate(c, float(x)) for x in X])
 
 
 def balls(
     seed: int, order: int, spread: float, scale: float, noise: float
 ) -> tuple[Enclosed, Array]:
-    """Five vectors about some direction, their balls, and values somewhere in these."""
+    """Return five vectors about some direction, their balls, and values inside these."""
     rng = np.random.default_rng(seed)
     mean = rng.normal(size=(5, 3, 1))
     mean /= np.linalg.norm(mean, axis=1, keepdims=True)
@@ -89,24 +89,24 @@ drawn = given(
 @pytest.mark.parametrize("name", OPERATIONS)
 @settings(max_examples=25)
 @drawn
-def test_values_lie_in_what_encloses_them(
+def test_values_lie_in_their_enclosures(
     name: str, seed: int, order: int, spread: float, scale: float, noise: float
 ) -> None:
-    """However far the values are from the middle of their balls."""
+    """Also for values at the surface of their balls."""
     formula, exact = OPERATIONS[name]
     (a, u), (b, v) = (balls(seed + i, order, spread, scale, noise) for i in range(2))
-    found = formula(a, b)
+    result = formula(a, b)
     with np.errstate(all="ignore"):
-        there = exact(u, v)
-    off = np.linalg.norm(values(found.c) - there, axis=-1)
-    rounding = 1e-13 * np.max(np.linalg.norm(there, axis=-1), axis=0)
-    assert np.all((np.max(off, axis=0) <= found.r + rounding) | ~np.isfinite(found.r))
-    for bound, sign in ((found.norm_above, 1.0), (found.norm_below, -1.0)):
-        sizes = np.max(sign * np.linalg.norm(there, axis=-1), axis=0)
-        assert np.all((sizes <= sign * bound.value + rounding) | ~np.isfinite(found.r))
-    if there.shape[-1] == 1:
-        assert np.all((there[..., 0] <= found.above.value + rounding) | ~np.isfinite(found.r))
-        assert np.all((there[..., 0] >= found.below.value - rounding) | ~np.isfinite(found.r))
+        expected = exact(u, v)
+    off = np.linalg.norm(values(result.c) - expected, axis=-1)
+    rounding = 1e-13 * np.max(np.linalg.norm(expected, axis=-1), axis=0)
+    assert np.all((np.max(off, axis=0) <= result.r + rounding) | ~np.isfinite(result.r))
+    for bound, sign in ((result.norm_upper, 1.0), (result.norm_lower, -1.0)):
+        sizes = np.max(sign * np.linalg.norm(expected, axis=-1), axis=0)
+        assert np.all((sizes <= sign * bound.value + rounding) | ~np.isfinite(result.r))
+    if expected.shape[-1] == 1:
+        assert np.all((expected[..., 0] <= result.upper.value + rounding) | ~np.isfinite(result.r))
+        assert np.all((expected[..., 0] >= result.lower.value - rounding) | ~np.isfinite(result.r))
 
 
 @pytest.mark.parametrize("name", OPERATIONS)
@@ -132,15 +132,15 @@ def test_a_point_is_its_value_and_halving_narrows(name: str) -> None:
 
 @pytest.mark.parametrize("order", [0, 3, 8])
 @pytest.mark.parametrize("size", [0.0, 3e-21, 3e-16, 1e-12, 1e-9])
-def test_a_norm_is_no_farther_off_than_its_vectors_are_long(order: int, size: float) -> None:
-    """Vectors far smaller than their rounding, as legs of a drone that stands at its vertex."""
+def test_the_error_of_a_norm_is_at_most_the_length_of_its_vectors(order: int, size: float) -> None:
+    """Vectors may be far smaller than their rounding, as legs of a drone at its vertex."""
     y, _ = balls(5, order, 0.3, size, 0.0)
-    found = y.widened(1e-12).norm
-    assert np.all(found.r <= 0.51 * (y.size + 1e-12))
-    assert np.all(found.above.value <= 2.0 * (y.size + 1e-12))
+    result = y.widened(1e-12).norm
+    assert np.all(result.r <= 0.51 * (y.size + 1e-12))
+    assert np.all(result.upper.value <= 2.0 * (y.size + 1e-12))
 
 
-def test_what_may_vanish_has_every_direction_and_a_bounded_norm() -> None:
+def test_vectors_that_may_vanish_have_any_direction_and_a_bounded_norm() -> None:
     y = Enclosed(np.array([[[-1.0, 1.0], [0.0, 0.0], [0.0, 0.0]], [[0.0, 0.0]] * 3]))
     assert np.all(y.direction.r == 1.0)
     assert np.all(y.direction.c == 0.0)
@@ -156,23 +156,23 @@ def test_intervals_hold_products_sums_and_inverses(ends: list[float], x: float, 
     a = Interval(*(np.array([each]) for each in sorted(ends[:2])))
     b = Interval(*(np.array([each]) for each in sorted(ends[2:])))
     u, v = a.low + x * (a.high - a.low), b.low + y * (b.high - b.low)
-    for found, value in ((a * b, u * v), (a + b, u + v)):
-        assert found.low - 1e-12 <= value <= found.high + 1e-12
+    for result, value in ((a * b, u * v), (a + b, u + v)):
+        assert result.low - 1e-12 <= value <= result.high + 1e-12
     assert np.abs(a.enclosed.c[..., 0] - u) <= a.enclosed.r + 1e-12
-    far = Interval(a.low + 4.0, a.high + 4.0)
-    assert far.inverse.low - 1e-12 <= 1.0 / (u + 4.0) <= far.inverse.high + 1e-12
+    positive = Interval(a.low + 4.0, a.high + 4.0)
+    assert positive.inverse.low - 1e-12 <= 1.0 / (u + 4.0) <= positive.inverse.high + 1e-12
 
 
-def test_the_largest_of_bounds_is_told_with_its_place() -> None:
-    a = Enclosed(np.array([[[0.0, 1.0, 0.0]], [[0.0, 0.0, 9.0]]])).above
-    b = Enclosed(np.array([[[4.0, 0.0]], [[5.0, 0.0]]])).above
-    found = largest_of([a, b], 4.5)
-    assert found.value.tolist() == [4.5, 9.0]
-    assert found.x.tolist() == [0.0, 1.0]
+def test_the_largest_of_bounds_has_its_own_location() -> None:
+    a = Enclosed(np.array([[[0.0, 1.0, 0.0]], [[0.0, 0.0, 9.0]]])).upper
+    b = Enclosed(np.array([[[4.0, 0.0]], [[5.0, 0.0]]])).upper
+    result = largest_of([a, b], 4.5)
+    assert result.value.tolist() == [4.5, 9.0]
+    assert result.x.tolist() == [0.0, 1.0]
 
 
 def test_a_product_of_errors_is_enclosed() -> None:
-    """What is known to be near zero alone may be as far off as its ball reaches."""
+    """A value enclosed by a ball about zero may be as large as the ball's radius."""
     ball = Enclosed(np.zeros((1, 3, 2)), np.array([0.5]))
-    for found in (ball.dot(ball), ball * ball[0], ball[0] * ball[0]):
-        assert np.all(found.r >= 0.25)
+    for result in (ball.dot(ball), ball * ball[0], ball[0] * ball[0]):
+        assert np.all(result.r >= 0.25)

@@ -1,4 +1,4 @@
-"""Piecewise polynomials of time: derivatives, joints, and what is refused."""
+"""Piecewise polynomials of time: derivatives, joints, and invalid arguments."""
 
 import math
 from functools import partial
@@ -12,7 +12,7 @@ from scipy.interpolate import BPoly, BSpline, make_interp_spline
 
 from hitchopt.errors import InputError
 from hitchopt.trajectory import PiecewisePolynomial, joined
-from hitchopt.trajectory.piecewise import SAME_BREAK, merged_breaks, on_breaks
+from hitchopt.trajectory.piecewise import BREAK_TOLERANCE, merged_breaks, on_breaks
 
 BREAKS = np.array([0.5, 0.9, 2.0, 2.3])
 
@@ -23,7 +23,7 @@ def some(order: int = 4, seed: int = 0) -> PiecewisePolynomial:
 
 
 @pytest.mark.parametrize("order", [0, 1, 2, 4, 6])
-def test_values_and_derivatives_are_those_of_scipy(order: int) -> None:
+def test_values_and_derivatives_match_scipy(order: int) -> None:
     part = some(order)
     exact = BPoly(np.moveaxis(part.coefficients, -1, 0), part.breaks)
     t = np.array([[0.5, 0.7, 0.9], [1.7, 2.1, 2.3]])
@@ -32,8 +32,8 @@ def test_values_and_derivatives_are_those_of_scipy(order: int) -> None:
     for k in range(4):
         expected = exact.derivative(k)(t) if k <= order else np.zeros((2, 3, 2, 3))
         scale = max(scale, 1e-9 * float(np.max(np.abs(expected))))
-        for found in (part.at(t, k), jet[..., k], part.differentiated(k).at(t)):
-            np.testing.assert_allclose(found, expected, atol=scale)
+        for result in (part.at(t, k), jet[..., k], part.differentiated(k).at(t)):
+            np.testing.assert_allclose(result, expected, atol=scale)
         np.testing.assert_allclose(end[..., k], expected[-1, -1], atol=scale)
         left, right = part.ends(k)
         np.testing.assert_allclose(left[:2], expected[0, [0, 2]], atol=scale)
@@ -47,11 +47,11 @@ def test_hermite_meets_every_derivative_at_both_ends() -> None:
     part = PiecewisePolynomial.hermite(BREAKS, left, right)
     assert part.degree == 7
     for j in range(4):
-        for found, expected in zip(part.ends(j), (left[j], right[j]), strict=True):
-            np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+        for result, expected in zip(part.ends(j), (left[j], right[j]), strict=True):
+            np.testing.assert_allclose(result, expected, rtol=1e-9, atol=1e-9)
 
 
-def test_stretching_slows_down_and_turning_round_undoes_itself() -> None:
+def test_stretching_slows_down_and_reversing_twice_is_the_identity() -> None:
     part = some()
     slow = part.stretched(3.0)
     t = np.array([0.7, 1.0, 2.2])
@@ -65,7 +65,7 @@ def test_stretching_slows_down_and_turning_round_undoes_itself() -> None:
     np.testing.assert_array_equal(again.coefficients, part.coefficients)
 
 
-def test_joined_parts_follow_one_another_whatever_their_own_start() -> None:
+def test_joined_parts_follow_each_other_from_any_start() -> None:
     first, second = some(2), some(5, seed=1)
     both = joined([first, second])
     assert both.degree == 5
@@ -75,13 +75,13 @@ def test_joined_parts_follow_one_another_whatever_their_own_start() -> None:
     np.testing.assert_allclose(both.at(t), first.at(t), atol=1e-12)
     np.testing.assert_allclose(both.at(t + 1.8), second.at(t), atol=1e-10)
     other = some(3, seed=2)  # with the same breaks as the second one
-    like, found = joined([second, other]), joined([second, other], both)
-    assert found.breaks is both.breaks
-    np.testing.assert_allclose(found.breaks, like.breaks)
-    np.testing.assert_array_equal(found.coefficients, like.coefficients)
+    expected, result = joined([second, other]), joined([second, other], both)
+    assert result.breaks is both.breaks
+    np.testing.assert_allclose(result.breaks, expected.breaks)
+    np.testing.assert_array_equal(result.coefficients, expected.coefficients)
 
 
-def test_what_stays_rests_and_ends_at_rest_however_short_its_last_piece_is() -> None:
+def test_constants_end_at_rest_after_pieces_of_any_length() -> None:
     still = PiecewisePolynomial.constant([0.0, 1.0, 1.0 + 1e-6], [0.1, 0.7], order=7)
     rest = [[0.1, 0.0, 0.0], [0.7, 0.0, 0.0]]
     np.testing.assert_array_equal(still.end_jet(3), rest)
@@ -97,7 +97,7 @@ def test_values_are_split_and_reshaped() -> None:
     np.testing.assert_array_equal(rows.reshaped(-1, 1).coefficients[:, :, 0], c[:, :8])
 
 
-def test_what_is_stored_cannot_be_changed_from_outside() -> None:
+def test_stored_arrays_are_read_only_copies() -> None:
     breaks, c = BREAKS.copy(), np.zeros((3, 2))
     part = PiecewisePolynomial(breaks, c)
     breaks[0], c[0, 0] = -5.0, 7.0
@@ -107,8 +107,8 @@ def test_what_is_stored_cannot_be_changed_from_outside() -> None:
         part.coefficients[0, 0] = 1.0
 
 
-def test_what_is_no_function_is_refused() -> None:
-    """A piece that rounding swallows when it is joined is none either."""
+def test_invalid_functions_are_refused() -> None:
+    """Joining a piece so short that its breaks coincide after rounding is invalid as well."""
     long, short = (PiecewisePolynomial.constant([0.0, end], 0.0) for end in (1e9, 1e-8))
     assert_refused(lambda: joined([long, short]), "breaks", "strictly increasing")
     for breaks, c, key in (
@@ -122,7 +122,7 @@ def test_what_is_no_function_is_refused() -> None:
         assert_refused(partial(PiecewisePolynomial, np.array(breaks), c), key, "")
 
 
-def test_times_outside_are_refused_and_those_a_rounding_outside_are_the_ends() -> None:
+def test_times_outside_are_refused_except_within_rounding() -> None:
     part = some()
     for t in (0.4, 2.4, math.nan):
         for value in (part.at, lambda when: part.jet(when, 2)):
@@ -133,7 +133,7 @@ def test_times_outside_are_refused_and_those_a_rounding_outside_are_the_ends() -
 
 
 @pytest.mark.parametrize("degree", [3, 5])
-def test_splines_are_the_same_functions(degree: int) -> None:
+def test_splines_are_converted_exactly(degree: int) -> None:
     x = np.array([0.5, 0.7, 1.1, 1.9, 2.0, 2.4, 3.0])
     values = np.random.default_rng(5).normal(size=(len(x), 2, 3))
     spline = make_interp_spline(x, values, k=degree)
@@ -148,10 +148,10 @@ def test_splines_are_the_same_functions(degree: int) -> None:
 
 
 @given(st.integers(0, 50), st.lists(st.floats(0.0, 1.0), max_size=8))
-def test_the_same_values_on_finer_breaks(seed: int, shares: list[float]) -> None:
+def test_values_are_the_same_on_finer_breaks(seed: int, shares: list[float]) -> None:
     part = some(5, seed)
-    extra = part.breaks[0] + np.array(shares, dtype=np.float64) * part.duration
-    breaks = merged_breaks([part.breaks, extra])
+    added = part.breaks[0] + np.array(shares, dtype=np.float64) * part.duration
+    breaks = merged_breaks([part.breaks, added])
     assert set(part.breaks) <= set(breaks)
     finer = on_breaks(part, breaks)
     # Not at breaks, where these parts jump: a time there belongs to either side.
@@ -172,9 +172,9 @@ def test_a_span_within_the_part_and_the_same_breaks() -> None:
 
 
 @given(st.lists(st.floats(0.0, 10.0), min_size=2, max_size=9, unique=True))
-def test_breaks_close_to_the_first_ones_are_left_out(times: list[float]) -> None:
+def test_breaks_close_to_the_first_array_are_dropped(times: list[float]) -> None:
     first, other = np.array([0.0, 3.0, 10.0]), np.sort(np.array(times))
     merged = merged_breaks([first, other])
     assert np.all(np.diff(merged) > 0.0)
-    assert all(t in first or np.min(np.abs(first - t)) > SAME_BREAK for t in merged)
-    assert all(np.min(np.abs(merged - t)) <= SAME_BREAK for t in other)
+    assert all(t in first or np.min(np.abs(first - t)) > BREAK_TOLERANCE for t in merged)
+    assert all(np.min(np.abs(merged - t)) <= BREAK_TOLERANCE for t in other)

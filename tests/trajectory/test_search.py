@@ -1,4 +1,4 @@
-"""Branch and bound: the answer is beyond every sample, near to the best, and always comes."""
+"""Branch and bound: the answer bounds every sample, is close to the best, and always ends."""
 
 import math
 
@@ -30,11 +30,11 @@ def curves(seed: int, pieces: int, items: int, order: int) -> tuple[Array, Array
 
 
 def above(spans: Curves) -> Bound:
-    return spans.curve.above
+    return spans.curve.upper
 
 
 def below(spans: Curves) -> Bound:
-    return spans.curve.below
+    return spans.curve.lower
 
 
 def extreme(
@@ -42,11 +42,11 @@ def extreme(
     c: Array,
     sense: str = "min",
     formula: Formula[Curves] | None = None,
-    on: Array | None = None,
+    mask: Array | None = None,
     **options: float,
 ) -> Extremum:
     formula = formula or (below if sense == "min" else above)
-    return worst(Curves.all_of(c, breaks, c.shape[1], on), formula, sense, **options)
+    return worst(Curves.all_of(c, breaks, c.shape[1], mask), formula, sense, **options)
 
 
 @settings(max_examples=30)
@@ -55,7 +55,7 @@ def test_polynomials_against_their_stationary_points(
     seed: int, pieces: int, items: int, order: int
 ) -> None:
     breaks, c = curves(seed, pieces, items, order)
-    found = extreme(breaks, c)
+    result = extreme(breaks, c)
     best = math.inf
     for rows in c.reshape(-1, order + 1):
         powers = in_powers(rows)
@@ -63,24 +63,24 @@ def test_polynomials_against_their_stationary_points(
         real = np.real(roots[np.abs(np.imag(roots)) < 1e-7])
         inside = np.concatenate([real[(real > 0.0) & (real < 1.0)], [0.0, 1.0]])
         best = min(best, float(np.min(powers(inside))))
-    assert found.worst <= best + 1e-9
-    assert found.worst == pytest.approx(best, rel=2e-4, abs=1e-6)
+    assert result.worst <= best + 1e-9
+    assert result.worst == pytest.approx(best, rel=2e-4, abs=1e-6)
     there = []
     for piece in range(pieces):  # two of them at a joint
-        x = (found.time - breaks[piece]) / (breaks[piece + 1] - breaks[piece])
+        x = (result.time - breaks[piece]) / (breaks[piece + 1] - breaks[piece])
         if -1e-9 < x < 1.0 + 1e-9:
-            there.append(float(bernstein.evaluate(c[piece, found.item], x)))
-    assert min(abs(value - found.value) for value in there) < 1e-6
+            there.append(float(bernstein.evaluate(c[piece, result.item], x)))
+    assert min(abs(value - result.value) for value in there) < 1e-6
 
 
-def test_the_largest_is_the_smallest_of_the_negative() -> None:
+def test_maximum_is_the_negated_minimum_of_the_negative() -> None:
     breaks, c = curves(3, 3, 4, 6)
     high, low = extreme(breaks, c, "max"), extreme(breaks, -c)
     assert (high.worst, high.value, high.item) == (-low.worst, -low.value, low.item)
     assert high.time == low.time
 
 
-def test_batches_and_portions_do_not_change_the_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_batches_do_not_change_the_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     breaks, c = curves(6, 5, 40, 7)
     whole = extreme(breaks, c)
     monkeypatch.setattr(search, "BATCH", 7)
@@ -89,19 +89,19 @@ def test_batches_and_portions_do_not_change_the_answer(monkeypatch: pytest.Monke
     assert again.worst == pytest.approx(whole.worst, rel=2e-4)
 
 
-def test_chosen_spans_are_all_that_counts() -> None:
+def test_masks_select_spans() -> None:
     breaks, c = curves(7, 3, 4, 5)
-    on = np.zeros((3, 4), dtype=bool)
-    on[1, 2] = True
-    found = extreme(breaks, c, "max", on=on)
-    assert found.item == 2
-    assert breaks[1] <= found.time <= breaks[2]
-    assert found.value <= np.max(c[1, 2])
-    none = extreme(breaks, c, "max", on=~on & on)
+    mask = np.zeros((3, 4), dtype=bool)
+    mask[1, 2] = True
+    result = extreme(breaks, c, "max", mask=mask)
+    assert result.item == 2
+    assert breaks[1] <= result.time <= breaks[2]
+    assert result.value <= np.max(c[1, 2])
+    none = extreme(breaks, c, "max", mask=~mask & mask)
     assert (none.worst, none.item) == (-math.inf, -1)
 
 
-def test_a_target_that_all_keep_is_enough() -> None:
+def test_a_target_that_all_values_satisfy_is_enough() -> None:
     breaks, c = curves(8, 4, 30, 7)
     counted: list[int] = []
 
@@ -109,54 +109,54 @@ def test_a_target_that_all_keep_is_enough() -> None:
         counted.append(len(spans))
         return above(spans)
 
-    near = extreme(breaks, c, "max", formula)
-    many, high = sum(counted), float(np.max(c))
+    exact = extreme(breaks, c, "max", formula)
+    evaluations, high = sum(counted), float(np.max(c))
     counted.clear()
     rough = extreme(breaks, c, "max", formula, target=high)
-    assert sum(counted) <= many
-    assert near.worst <= rough.worst <= high
-    assert extreme(breaks, c, "max", formula, known=high).item == -1
+    assert sum(counted) <= evaluations
+    assert exact.worst <= rough.worst <= high
+    assert extreme(breaks, c, "max", formula, incumbent=high).item == -1
 
 
-def test_thousands_of_equal_curves_cost_no_more_than_a_few_halvings() -> None:
+def test_thousands_of_equal_curves_cost_few_halvings() -> None:
     c = np.broadcast_to([1.0, 0.2, 0.9, 0.1, 1.0], (10, 500, 5))
-    many: Search[Curves] = Search(below, "min")
+    minimum: Search[Curves] = Search(below, "min")
     for spans in Curves.all_of(c, np.arange(11.0), 500):
-        many.add(spans)
-    many.finish()
-    assert many.evaluated < 20 * 5000
+        minimum.add(spans)
+    minimum.finish()
+    assert minimum.evaluated < 20 * 5000
 
 
-def test_a_bound_that_never_comes_close_still_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_loose_bounds_still_end(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(search, "MAX_SPANS", 300)
     breaks, c = curves(9, 2, 3, 5)
 
     def loose(spans: Curves) -> Bound:
-        found = above(spans)
-        return found if spans.points else Bound(found.value + 7.0, found.x)
+        result = above(spans)
+        return result if spans.points else Bound(result.value + 7.0, result.x)
 
-    found = extreme(breaks, c, "max", loose)
-    assert found.worst > found.value + 6.9
+    result = extreme(breaks, c, "max", loose)
+    assert result.worst > result.value + 6.9
 
 
-def test_what_is_no_number_is_as_bad_as_can_be() -> None:
+def test_nan_is_the_worst_value() -> None:
     breaks, c = curves(10, 2, 3, 5)
     c[1, 1, 2] = math.nan
     assert extreme(breaks, c).worst == -math.inf
     assert extreme(breaks, c, "max").worst == math.inf
 
 
-def test_a_bound_is_as_close_as_the_limit_asks() -> None:
-    """1 + x on [0, 1]: within 1e-4 of it usually, closer where that decides."""
+def test_bounds_are_as_tight_as_the_limit_requires() -> None:
+    """Bound 1 + x on [0, 1] within 1e-4, and closer if that decides."""
 
     def loose(spans: Curves) -> Bound:
         c = spans.curve.c[:, 0]
         return Bound(np.min(c, axis=-1) - np.ptp(c, axis=-1), np.zeros(len(c)))
 
-    def found(target: float = math.nan) -> float:
+    def result(target: float = math.nan) -> float:
         line = np.array([0.0, 1.0]), np.array([[[1.0, 1.5, 2.0]]])
         return extreme(*line, formula=loose, target=target).worst
 
-    assert 1.0 - 1e-4 <= found() < 1.0 - 1e-9
-    assert found(1.0 - 1e-9) >= 1.0 - 1e-9
-    assert found(1.5) < 1.0  # no help where the limit is broken
+    assert 1.0 - 1e-4 <= result() < 1.0 - 1e-9
+    assert result(1.0 - 1e-9) >= 1.0 - 1e-9
+    assert result(1.5) < 1.0  # the target is violated

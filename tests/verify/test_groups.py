@@ -258,7 +258,7 @@ def test_what_is_twice_in_a_file_is_refused(tmp_path: Path) -> None:
 def test_vertices_without_a_hitch_widen_no_tolerance() -> None:
     motion = planned("form_square").motion
     far = motion.vertices.coefficients + 9e4 * ~motion.formed[:, None, None, None]
-    moved = motion.replaced(vertices=motion.vertices.alike(far))
+    moved = motion.replaced(vertices=motion.vertices.replaced(far))
     assert magnitude(moved) == magnitude(motion) < 10.0
     assert second_size(moved) == second_size(motion)
 
@@ -282,7 +282,7 @@ def test_others_are_continuous_and_at_rest_at_their_ends(
     whole = plan("beside", tmp_path)
     group, *rest = whole.others
     c = change(group.motion.drones.coefficients.copy())
-    turned = group.motion.replaced(drones=group.motion.drones.alike(c))
+    turned = group.motion.replaced(drones=group.motion.drones.replaced(c))
     path = tmp_path / "plan.npz"
     write_plan(path, whole.replaced(others=(replace(group, motion=turned), *rest)), problem="text")
     assert [check.name for check in certify(read_plan(path)).violated] == ["continuity"]

@@ -17,7 +17,7 @@ from plans import planned
 import hitchopt as ho
 from hitchopt import verify as second
 from hitchopt.checks import joining
-from hitchopt.checks.joining import interlaced, lowered_over
+from hitchopt.checks.joining import interlacing, vertical_passes
 from hitchopt.checks.registry import RULE_OF, check_of
 from hitchopt.errors import FileError
 from hitchopt.hitch import GRAVITY, Hitch
@@ -98,7 +98,7 @@ def turned(motion: Motion) -> Motion:
     c = motion.vertices.coefficients.copy()
     ring = np.array([p.ring == WITH for p in motion.phases])[motion.phase_of_piece]
     c[ring] = np.roll(c[ring], -1, axis=1)
-    told_so = motion.replaced(vertices=motion.vertices.alike(c))
+    told_so = motion.replaced(vertices=motion.vertices.replaced(c))
     return ringed(WITH, (*WITH[1:], WITH[0]))(told_so)
 
 
@@ -109,7 +109,7 @@ def edited(curve: str, change: Callable[[Motion, NDArray[np.float64]], object]) 
         own = getattr(motion, curve)
         c = own.coefficients.copy()
         change(motion, c)
-        return motion.replaced(**{curve: own.alike(c)})
+        return motion.replaced(**{curve: own.replaced(c)})
 
     return edit
 
@@ -168,7 +168,9 @@ def slid(name: str, by: float) -> Change:
             for piece, where in zip(on, (np.s_[1:], np.s_[:-1]), strict=True):
                 drones[piece, drone, :, where] += along[:, None]
                 legs[piece, 1, drone - 2, where] += sign
-        return motion.replaced(drones=motion.drones.alike(drones), legs=motion.legs.alike(legs))
+        return motion.replaced(
+            drones=motion.drones.replaced(drones), legs=motion.legs.replaced(legs)
+        )
 
     return change
 
@@ -202,7 +204,7 @@ def rolled_back(motion: Motion, c: NDArray[np.float64]) -> None:
 
 def pulled_more(motion: Motion) -> Motion:
     pulls = np.repeat(1.001 * motion.tensions.coefficients[:, :, None], 2, axis=2)
-    return motion.replaced(leg_tensions=motion.tensions.alike(pulls))
+    return motion.replaced(leg_tensions=motion.tensions.replaced(pulls))
 
 
 def teamed(**values: object) -> Change:
@@ -495,7 +497,7 @@ def test_lies_are_refused_by_both_opinions(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["it lies 5 cm above", "it lay 5 cm above"])
 def test_a_robot_that_does_not_lie_on_others_is_named_where_it_joins_or_leaves(name: str) -> None:
-    found = interlaced(chapters(LIES[name][0](honest())))
+    found = interlacing(chapters(LIES[name][0](honest())))
     joins, leaves = (float(each.drones.breaks[0]) for each in chapters(honest())[1:])
     assert found.time == pytest.approx(joins if name == "it lies 5 cm above" else leaves)
     assert "cable 3" in found.where
@@ -506,7 +508,7 @@ def test_the_truth_is_told_by_the_same_rows(name: str, tmp_path: Path) -> None:
     path = tmp_path / "plan.npz"
     write_plan(path, TRUTHS[name](honest()))
     motion = read_plan(path)
-    assert not interlaced(chapters(motion)).worst
+    assert not interlacing(chapters(motion)).worst
     limits = ["interlacing", "continuity", "story", "laid", *["crossing"] * (name == "the truth")]
     rows = [row for row in second_opinion(path, limits) if row.samples]
     assert {row.verdict for row in rows} == {"proven"}
@@ -524,10 +526,10 @@ def test_nothing_passes_weight_in_a_plan_of_the_same_robots(tmp_path: Path) -> N
 
 def test_edges_of_a_ring_that_moves_are_kept_off() -> None:
     ring, alone = (group.motion for group in chapters(honest())[0].groups)
-    assert [*lowered_over(ring, alone)]
+    assert [*vertical_passes(ring, alone)]
     away = ring.vertices.coefficients + np.linspace(0.0, 1e-3, ring.vertices.degree + 1)
-    moving = ring.replaced(vertices=ring.vertices.alike(away))
-    assert not [*lowered_over(moving, alone)]
+    moving = ring.replaced(vertices=ring.vertices.replaced(away))
+    assert not [*vertical_passes(moving, alone)]
 
 
 def test_thrusts_jump_at_seams_by_less_than_a_cable_weighs(monkeypatch: pytest.MonkeyPatch) -> None:

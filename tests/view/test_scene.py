@@ -303,7 +303,7 @@ def test_a_scene_has_what_each_group_has_alone() -> None:
     """Drones and cables of each are those of its own scene; one that waits is at its start."""
     for motion in (pair(), pair(others=True)):
         t = np.array([0.0, 0.4, 2.0])
-        scene, groups = scene_at(motion, t), motion.flying
+        scene, groups = scene_at(motion, t), motion.all_groups
         for group, drones, cables in zip(
             groups,
             np.split(scene.drones, [6], axis=1),

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from hitchopt.checks.cables import LENGTH_LIMIT
-from hitchopt.checks.clasps import ROLLED
-from hitchopt.checks.linking import LAID, MAX_PASSED
+from hitchopt.checks.clasps import OPEN_ROLL
+from hitchopt.checks.linking import MAX_LAID_GAP, MAX_LEG_CHANGE
 from hitchopt.errors import InfeasibleError, InputError, Violation, check_time
 from hitchopt.geometry import ConvexPolygon, Outline, shortest_offset
 from hitchopt.geometry.vectors import unit
@@ -31,7 +31,7 @@ from hitchopt.hitch.hitch import cable_slack
 from hitchopt.hitch.requirements import Arena, Prism, Requirements
 from hitchopt.hitch.slack_split import SPREAD_MARGIN, LegTask, reference_margin, reference_margins
 from hitchopt.hitch.team import PartTeam
-from hitchopt.motion.chapters import Waiting, with_waiting
+from hitchopt.motion.chapters import WaitingRobot, with_waiting
 from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.motion.retiming import append_motion, padded, resting
 from hitchopt.planners.forming.approach import DirectApproach, hover_altitude
@@ -219,7 +219,7 @@ class Joining:
         Cut edges sag, so that the robot's cable lies lower than its vertices and legs slope, the
         more the shorter they are. Limits apply to the roll of both pairs, which count as open only
         near 180°, to changes of vertical forces (a cable's weight), of cable lengths (its sag) and
-        of legs (MAX_PASSED), and to the height of the crossing legs at the corner.
+        of legs (MAX_LEG_CHANGE), and to the height of the crossing legs at the corner.
         """
         hitch, team, n, k = self.after, self.after.team, self.after.team.robots, self.vertex
         legs, c = laid - hitch.vertices[team.layout.anchors], np.array(self.ends)
@@ -245,9 +245,9 @@ class Joining:
         jump = np.abs(before - after - tension * along[own, 2])
         depths = [self._crossing_depth(drones) for drones in (laid, balanced)]
         ratios = (
-            LAID / np.maximum(depths, MIN_DIVISOR),
-            MAX_PASSED / np.maximum(np.abs(lengths - hitch.legs).ravel(), MIN_DIVISOR),
-            (180.0 - ROLLED) / np.maximum(roll_error, MIN_DIVISOR),
+            MAX_LAID_GAP / np.maximum(depths, MIN_DIVISOR),
+            MAX_LEG_CHANGE / np.maximum(np.abs(lengths - hitch.legs).ravel(), MIN_DIVISOR),
+            (180.0 - OPEN_ROLL) / np.maximum(roll_error, MIN_DIVISOR),
             weight / np.maximum(jump, MIN_DIVISOR),
             (LENGTH_LIMIT + sags * team.cable_length**2) / np.maximum(length_error, MIN_DIVISOR),
         )
@@ -500,10 +500,10 @@ def find_leaving(
     return max(both, key=priority).checked()
 
 
-def waiting_robot(team: Team, drones: Array, requirements: Requirements) -> Waiting:
+def waiting_robot(team: Team, drones: Array, requirements: Requirements) -> WaitingRobot:
     """Return a robot that waits with its drones (2, 3) [m] at rest, its cable hanging or lying."""
     hangs = float(np.min(drones[:, 2])) >= hover_altitude(team, drones, requirements) - MIN_FLIGHT
-    return Waiting(drones, CableState.FREE if hangs else CableState.GROUND)
+    return WaitingRobot(drones, CableState.FREE if hangs else CableState.GROUND)
 
 
 def landing_motion(
@@ -518,7 +518,7 @@ def landing_motion(
         flights[robot] = stage("land", lines, team, requirements, 0, CableState.GROUND)
     longest = max(each.duration for each in (motion, *flights.values()))
     robots = {
-        robot: Waiting(
+        robot: WaitingRobot(
             padded(each, 0.0, longest).drones,
             each.phases[0].state if each.duration > PAUSE else CableState.GROUND,
         )
@@ -548,7 +548,7 @@ class JoiningMotions:
     requirements: Requirements
     index: int
 
-    def _with_all(self, ring: Motion, own: Waiting | None = None) -> Motion:
+    def _with_all(self, ring: Motion, own: WaitingRobot | None = None) -> Motion:
         """Return the motion of a ring with all waiting robots, and the joining one if not in it."""
         waiting = {
             robot: waiting_robot(PartTeam.of(self.whole, [robot]), drones, self.requirements)
@@ -562,7 +562,7 @@ class JoiningMotions:
         """Return the robot's own motion with the open ring at rest."""
         (phase,) = own.phases
         ring = resting(self._opening, own.duration, replace(phase, state=CableState.ROLLING))
-        return self._with_all(ring, Waiting(own.drones, phase.state))
+        return self._with_all(ring, WaitingRobot(own.drones, phase.state))
 
     @cached_property
     def _opening(self) -> Motion:
@@ -706,7 +706,7 @@ def _weight_transfer(
         requirements,
         drones,
         vertices,
-        drones.alike(legs.reshape(shape)),
+        drones.replaced(legs.reshape(shape)),
         tensions,
         (phase,),
     )

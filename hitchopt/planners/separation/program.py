@@ -129,7 +129,7 @@ def _add_tethers(rows: Rows, setting: Setting, inner: Array, slack: int) -> None
     first, second, longest = setting.task.tether_arrays
     free = inner.shape[1]
     offset = (inner[first] - inner[second]) / longest[:, None, None]
-    along = unit(offset, least=1e-9)
+    along = unit(offset, min_length=1e-9)
     entries = (along * setting.trust / longest[:, None, None]).ravel()
     f = np.arange(free)
     columns = 3 * (np.stack([first, second])[..., None] * free + f)[..., None] + np.arange(3)

@@ -42,7 +42,7 @@ def in_duration(motion: Motion, duration: float) -> Motion:
     """Return the curves rescaled to start at t = 0 with a duration [s], without phases."""
     breaks = duration / motion.duration * motion.drones.breaks
     breaks[-1] = duration
-    return motion.map_curves(lambda part: part.alike(part.coefficients, breaks), ())
+    return motion.map_curves(lambda part: part.replaced(part.coefficients, breaks), ())
 
 
 def check_duration(duration: float, fastest: float, when: str = "") -> None:

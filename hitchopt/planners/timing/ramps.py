@@ -12,7 +12,7 @@ from hitchopt.hitch.requirements import Limits
 from hitchopt.planners.morph.jets import chained, divided
 from hitchopt.planners.timing.profile import LIMIT_SHARE
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.trajectory.clock_phases import advanced
+from hitchopt.trajectory.clock_phases import advance
 from hitchopt.values import Array
 
 PHASE_TOLERANCE = 1e-9
@@ -80,7 +80,7 @@ def fastest_clock(
     jets = [np.zeros(4)]
     for each, constant in zip(seconds[present], jerks[present], strict=True):
         jets[-1][3] = constant
-        jets.append(advanced(jets[-1], each))
+        jets.append(advance(jets[-1], each))
     x = np.stack(jets, axis=1)[:3]
     x[:, -1] = goal, 0.0, 0.0  # the last phase absorbs rounding
     breaks = np.append(0.0, np.cumsum(seconds[present]))
@@ -92,7 +92,11 @@ Curve = Callable[[Array, int], Array]
 
 
 def timed_curve(
-    curve: Curve, clock: PiecewisePolynomial, advance: float, limits: Limits, acceleration: float
+    curve: Curve,
+    clock: PiecewisePolynomial,
+    max_advance: float,
+    limits: Limits,
+    acceleration: float,
 ) -> PiecewisePolynomial:
     """Return drones on a curve, timed by a clock that is slowed down to their limits.
 
@@ -100,19 +104,19 @@ def timed_curve(
     ----------
     curve: in the clock's unit.
     clock: cubics from rest to rest.
-    advance: largest advance of the clock on one piece.
+    max_advance: largest advance of the clock on one piece.
     limits: of speed and jerk.
     acceleration: limit of their acceleration [m/s²].
     """
     advances = np.diff(clock.at(clock.breaks))
-    counts = np.maximum(1, np.ceil(advances / advance).astype(np.intp))
+    counts = np.maximum(1, np.ceil(advances / max_advance).astype(np.intp))
     breaks = divided(clock.breaks, counts)
     middles = 0.5 * (breaks[1:] + breaks[:-1])
     rates = np.stack([clock.differentiated(k).at(middles) for k in range(4)], axis=-1)
     ends = []
     for times in (breaks[:-1], breaks[1:]):
         # Extrapolated from the middle of the piece, since jerk jumps between phases.
-        inner = advanced(rates, times - middles)
+        inner = advance(rates, times - middles)
         outer = np.stack([curve(inner[:, 0], k) for k in range(4)], axis=-1)
         ends.append(np.moveaxis(chained(outer, inner[:, None, None, :]), -1, 0))
     left, right = ends
