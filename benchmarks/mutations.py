@@ -65,7 +65,7 @@ MUTATIONS = (
     Mutation("cables.py", "(1.0 / 24.0)", "(1.0 / 12.0)", "weight_hexagon", "a factor of the sag"),
     Mutation("cables.py", "length - self.scaled(savings)", "length + self.scaled(savings)", "carry_box", "sign of what rims save"),
     Mutation("objects.py", "width, sides = 2.0 * rows", "width, sides = 2.2 * rows", "grip_drum", "radius of arcs"),
-    Mutation("cables.py", "drones[:, 1::2] - drones[:, 0::2]", "0.9 * (drones[:, 1::2] - drones[:, 0::2])", "form_triangle", "a factor of spans"),
+    Mutation("cables.py", "drones[:, 0::2], noise=spans.noise).norm_upper", "0.9 * drones[:, 0::2] - 0.1 * drones[:, 1::2], noise=spans.noise).norm_upper", "form_triangle", "a factor of spans"),
     Mutation("clasps.py", "ahead.cross(behind)", "behind.cross(ahead)", "triangle", "sense of turning"),
     Mutation("clearance.py", "np.concatenate([above, below], axis=2)", "below", "tie_carry_untie", "lower walls missed"),
     Mutation("clearance.py", "yield pairs_with_shape(motion, points, names, name, Solid(slab), pose)", "yield from ()", "grip_drum", "bodies missed"),

@@ -64,7 +64,7 @@ def test_every_format_there_and_back(name: str, plan: Path) -> None:
 def test_an_export_that_violates_a_limit_ends_with_3(
     plan: Path, place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(exporting, "SLOWER", ())
+    monkeypatch.setattr(exporting, "RETRY_STRETCHES", ())
     export = ("export", plan, "--format", "compressed", "-o", "files")
     done = run(*export, code=3)
     assert done.stdout == ""
