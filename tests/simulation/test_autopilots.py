@@ -100,7 +100,8 @@ UNTURNED = EstimatorParameters(50.0, 50.0, 1e-3, None)
         pytest.param(FIRMWARE, 17.1, -0.97, 1.15, 0.72, marks=pytest.mark.slow),
         pytest.param(MIXED, 3.0, -0.20, 0.20, -0.24, marks=pytest.mark.slow),
         (HELD, 17.1, -0.07, 0.47, 0.035),
-        pytest.param(UNTURNED, 16.3, -0.07, 0.44, 0.003, marks=pytest.mark.slow),
+        # The velocity is the firmware's own: its filter and Lee's law, compiled into this bench
+        pytest.param(UNTURNED, 16.3, -0.048, 0.44, 0.003, marks=pytest.mark.slow),
     ],
 )
 def test_filters_take_a_level_pull_for_what_the_firmware_takes_it_for(
@@ -112,9 +113,8 @@ def test_filters_take_a_level_pull_for_what_the_firmware_takes_it_for(
     np.testing.assert_allclose(np.mean(tilts[-500:], axis=0), 17.2, atol=0.3)
     seen = np.mean(seen[-500:], axis=0)
     np.testing.assert_allclose(seen[:, 0], believed, rtol=0.1, atol=0.3)
-    # Without attitudes the firmware's offsets tell 4 to 5 cm/s, its velocity 7
-    exact = filter_ is HELD
-    np.testing.assert_allclose(seen[:, 1], velocity, rtol=0.1, atol=0.0 if exact else 0.03)
+    rounding = 0.012 if filter_ in (ONE_MARKER, MIXED) else 0.0  # of velocities in 1 cm/s
+    np.testing.assert_allclose(seen[:, 1], velocity, rtol=0.1, atol=rounding)
     off = np.mean(places[-500:, :, 0], axis=0)
     np.testing.assert_allclose(off, [free, fed], rtol=0.1, atol=0.012)
     assert known is not None
@@ -465,23 +465,29 @@ def tied() -> ho.Plan:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("filter_", "upload", "gains", "holds"),
+    ("name", "filter_", "upload", "gains", "holds"),
     [
-        (HELD, False, None, True),
-        (HELD, True, None, True),
-        (HELD, False, {}, True),
-        (ONE_MARKER, False, {}, False),
+        ("mellinger", HELD, False, None, True),
+        ("mellinger", HELD, True, None, True),
+        ("mellinger", HELD, False, {}, True),
+        ("mellinger", ONE_MARKER, False, {}, False),
+        ("lee", ONE_MARKER, False, {}, False),
     ],
 )
 def test_hitches_hold_by_the_filter_that_is_exported_and_are_lost_by_the_firmwares(
-    tied: ho.Plan, filter_: EstimatorParameters, upload: bool, gains: Any, holds: bool
+    tied: ho.Plan,
+    name: str,
+    filter_: EstimatorParameters,
+    upload: bool,
+    gains: Any,
+    holds: bool,
 ) -> None:
     flight = ho.simulate(
         tied,
         perturbed=True,
         seed=1,
         friction=0.1,  # as the firmware was flown: soft loops alone let cables slide
-        controller="mellinger",
+        controller=name,
         gains=gains,
         estimator=filter_,
         upload=upload,

@@ -240,7 +240,7 @@ def test_a_tray_is_lifted_by_its_rim_and_not_by_the_pull_test() -> None:
     (slid,) = judge(replace(flight, task=aside)).objects  # from where it was as it was lifted
     assert slid.slipped == pytest.approx(tray.slipped)
     # And if it was not to be moved:
-    none = {name: np.zeros_like(getattr(cargo, name)) for name in ("held", "borne")}
+    none = {name: np.zeros_like(getattr(cargo, name)) for name in ("held", "load_share")}
     standing = replace(cargo, **none, poses=np.repeat(cargo.poses[:1], len(cargo.poses), axis=0))
     outcome = judge(replace(flight, task=replace(flight.task, cargo=standing)))
     assert {failure.kind for failure in outcome.failures} == {"misplaced", "caught"}
