@@ -52,7 +52,7 @@ def environment(more: Sequence[str] = ()) -> str:
     return (
         f"{platform.machine()}, {os.cpu_count()} cores{_processor()}, {platform.system()}; "
         f"Python {platform.python_version()}, {versions}; "
-        f"{os.getloadavg()[0]:.1f} processes wanted a core in the minute before"
+        f"load average {os.getloadavg()[0]:.1f} before"
     )
 
 

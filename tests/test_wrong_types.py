@@ -186,11 +186,11 @@ mission: [{hold: {seconds: 1}}]
 
 # fmt: off
 UNUSUAL: list[tuple[Callable[[], object], str]] = [
-    (lambda: ho.Team(3, 2400), "cable_length: 2400 m; usual are 0.05 to 100 m; if millimetres"),
+    (lambda: ho.Team(3, 2400), "cable_length: 2400 m; usual values are 0.05 to 100 m; if millimetres"),
     (lambda: ho.Team(3, [2.4, 240, 2.4]), r"cable_length\[1\]: 240 m; .* if centimetres .* 2.4"),
     (lambda: ho.Team(3, 2.4, cable_density=5), "cable_density: 5 kg/m; .* grams per metre"),
     (lambda: ho.Team(3, 2.4, cable_friction=20), "cable_friction: 20 .* per cent were"),
-    (lambda: ho.Quadrotor(0.004, 0.06), "mass: 0.004 kg; usual are 0.005 to 100 kg"),
+    (lambda: ho.Quadrotor(0.004, 0.06), "mass: 0.004 kg; usual values are 0.005 to 100 kg"),
     (lambda: ho.Limits(speed=800), "speed: 800 m/s; .* if mm/s were meant, 0.8"),
     (lambda: ho.Limits(tilt_deg=0.785), "tilt_deg: 0.785 °; .* if radians were meant, 45"),
     (lambda: ho.Limits(body_rate=200), "body_rate: 200 rad/s; .* degrees per second"),
@@ -267,5 +267,5 @@ def test_the_command_line_warns_on_stderr_once(tmp_path: Path) -> None:
     done = CliRunner().invoke(main, ["solve", str(path), "-o", str(tmp_path / "out")])
     assert done.exit_code == 3
     warned = [line for line in done.stderr.splitlines() if line.startswith("warning: ")]
-    words = "usual are 1.1 to 90 °; if radians were meant, 45"
+    words = "usual values are 1.1 to 90 °; if radians were meant, 45"
     assert warned == [f"warning: limits.tilt_deg: 0.785 °; {words}"]

@@ -94,8 +94,8 @@ def _tables(evaluation: ho.Evaluation) -> str:
         table(f"Distances from the plan [mm], {kind} of cables and drones", rows),
         f"{evaluation.flight.source}: plan time is {fit.rate:.6g} t {fit.offset:+.3f} s, frame "
         f"{fit.frame}, drones {1e3 * fit.rms:.0f} mm from the plan (root mean square)",
-        "standard errors hold how markers scatter about the lines of cables; a marker beside its "
-        "cable is so all the flight, hence means over time are no more exact",
+        "standard errors include the scatter of markers about their cables; it is constant in a "
+        "flight, so averaging over time does not reduce it",
         "names: " + ", ".join(f"{a}={b}" for a, b in zip(fit.names, drones, strict=True)),
     ]
     return "\n\n".join(parts)

@@ -352,7 +352,10 @@ def init(
 
         text = json.dumps(problem_schema(), indent=2, ensure_ascii=False)
         Path(SCHEMA).write_text(f"{text}\n", encoding="utf-8")
-        say(f"wrote {SCHEMA}; editors read it beside the problem files that name it", file=SCHEMA)
+        say(
+            f"wrote {SCHEMA}; keep it next to your problem files: editors find it by their first line",
+            file=SCHEMA,
+        )
         return
     from hitchopt.values import closest_word
 

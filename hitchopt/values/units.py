@@ -61,7 +61,7 @@ def quantity(
             bound = f"from {minimum:g} to {maximum:g} {unit}".strip()
             raise InputError(key, value, bound, remedy(number))
         if not low <= number <= high:
-            words = f"{number:g} {unit}; usual are {low:.3g} to {high:.3g} {unit}"
+            words = f"{number:g} {unit}; usual values are {low:.3g} to {high:.3g} {unit}"
             warn_of_unit(UnitWarning(key, f"{words}; {remedy(number)}"))
         return number
 
