@@ -352,10 +352,8 @@ def init(
 
         text = json.dumps(problem_schema(), indent=2, ensure_ascii=False)
         Path(SCHEMA).write_text(f"{text}\n", encoding="utf-8")
-        say(
-            f"wrote {SCHEMA}; keep it next to your problem files: editors find it by their first line",
-            file=SCHEMA,
-        )
+        hint = "keep it next to your problem files: editors find it by their first line"
+        say(f"wrote {SCHEMA}; {hint}", file=SCHEMA)
         return
     from hitchopt.values import closest_word
 
