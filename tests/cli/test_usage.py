@@ -316,7 +316,9 @@ def test_results_are_one_json_object_and_slow_commands_report_progress() -> None
 
     solved = object_of(f"solve {TRIANGLE} -o out --rate 100")
     assert (solved["command"], solved["exit_code"], solved["directory"]) == ("solve", 0, "out")
-    assert solved["certificate"] == written("out/certificate.json")
+    certificate = written("out/certificate.json")
+    assert {*certificate.pop("tables")} == {"setpoints.csv", "vertices.csv"}
+    assert solved["certificate"] == certificate
     assert [phase["name"] for phase in solved["phases"]] == ["morph", "hold"]
     assert object_of("check out --closest")["certificate"] == solved["certificate"]
     assert {row["verdict"] for row in object_of("verify out")["verified"]} == {"proven"}
