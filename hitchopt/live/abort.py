@@ -411,7 +411,7 @@ def save_aborts(directory: Path | str, table: AbortTable) -> Path:
             for entry, name in zip(table.entries, names, strict=True):
                 file = Path(scratch) / name
                 write_plan(file, entry.motion, f"{table.how} at {entry.start:g} s")
-                archive.write(file, name)
+                archive.writestr(zipfile.ZipInfo(name), file.read_bytes())
 
     writers = {ABORTS: lambda path: write_strict_json(path, content), ABORT_PLANS: write_plans}
     return replace_files(directory, writers, tuple(writers), seal=ABORTS)

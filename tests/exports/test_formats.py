@@ -7,6 +7,7 @@ import csv
 import json
 import sqlite3
 import sys
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -173,6 +174,18 @@ def test_the_manifest_says_frame_drones_errors_and_checks(tmp_path: Path) -> Non
     assert told["drones"] == {name: name for name in hitch_plan().team.drone_names}
     assert told["position_error_m"]["worst"] == part.verdict.position.worst
     assert [c["name"] for c in told["checks"]] == [c.name for c in part.verdict.checks]
+
+
+@pytest.mark.parametrize("name", HOMES)
+def test_equal_plans_give_equal_files_at_any_time(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for day, folder in enumerate(("one", "other")):
+        now = time.struct_time((2026, 1, 1 + day, 12, 0, 0, 0, 1, 0))
+        monkeypatch.setattr(time, "localtime", lambda *_, now=now: now)
+        exported(swarm_plan(), name, tmp_path / folder)
+    one, other = (read_manifest(tmp_path / folder) for folder in ("one", "other"))
+    assert one["files"] == other["files"]
 
 
 def test_only_files_of_exports_are_replaced(tmp_path: Path) -> None:

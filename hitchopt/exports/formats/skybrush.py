@@ -23,6 +23,7 @@ The formats have no accelerations, and thus no cable forces.
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import posixpath
@@ -193,7 +194,7 @@ def write_show(path: Path, task: Task, curves: PiecewisePolynomial, plans: Seque
             ]
             head = {"version": 1, "takeoffTime": 0, "landingTime": times[-1]}
             file = f"drones/{name}/trajectory.json"
-            archive.writestr(file, json.dumps({**head, "points": rows}, allow_nan=False))
+            _add(archive, file, json.dumps({**head, "points": rows}, allow_nan=False))
             settings = {"name": name, "home": first, "landAt": last}
             settings |= {} if plan is None else {"rthPlan": plan}
             settings["trajectory"] = {"$ref": f"./{file}#"}
@@ -205,7 +206,12 @@ def write_show(path: Path, task: Task, curves: PiecewisePolynomial, plans: Seque
             "meta": {"title": task.title, **task.frame.to_dict()},
             "swarm": {"drones": drones},
         }
-        archive.writestr("show.json", json.dumps(show, allow_nan=False))
+        _add(archive, "show.json", json.dumps(show, allow_nan=False))
+
+
+def _add(archive: zipfile.ZipFile, name: str, text: str) -> None:
+    """Add a file without a time stamp, so that equal plans give equal archives."""
+    archive.writestr(zipfile.ZipInfo(name), text, zipfile.ZIP_DEFLATED)
 
 
 @dataclass(frozen=True, eq=False)
@@ -450,8 +456,9 @@ class SkybrushCsv(Format):
             archive.comment = f"frame: {task.frame.name}".encode()
             for i, name in enumerate(task.names):
                 rows = np.column_stack([milliseconds, task.frame.points(positions[:, i]) + 0.0])
-                with archive.open(f"{name}.csv", "w") as file:
-                    np.savetxt(file, rows, ROW, header=HEADER, comments="")
+                text = io.StringIO()
+                np.savetxt(text, rows, ROW, header=HEADER, comments="")
+                _add(archive, f"{name}.csv", text.getvalue())
         return FormatOutput((self.file,))
 
     def load(self, files: Sequence[Path]) -> Recording:
