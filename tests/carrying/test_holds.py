@@ -94,7 +94,7 @@ REFUSED: list[tuple[dict[str, Any], str, str]] = [
     (tray(4, 0.2, 2.2, at=0.07), "object_clearance", "stand it on something"),
     (TENSE, "tilt", "limits.tilt_deg"),
     (plans.tray(rim={"outline": [[1, 1], [2, 1], [1, 2]], "at": 0.25}), "objects.tray.rim", "rim"),
-    (plans.tray(friction=0.0), "objects.tray.friction", "takes it along"),
+    (plans.tray(friction=0.0), "objects.tray.friction", "only friction moves it along"),
     (ON_TOP, "objects.cup.at", "carry objects.cup away"),
     (EDGE, "mission[0]", "farther in"),
     (steps_of(LOW, ENCLOSED), "arena", r"at the end of step 0 \(enclose\)"),
