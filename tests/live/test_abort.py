@@ -128,6 +128,7 @@ def test_the_command_writes_a_table_that_can_be_recomputed(tmp_path: Path) -> No
     assert table["longest"] == pytest.approx(np.max(waits))
     with zipfile.ZipFile(tmp_path / "aborts.zip") as archive:
         assert archive.namelist() == [entry["plan"] for entry in table["entries"]]
+        assert {member.date_time for member in archive.infolist()} == {(1980, 1, 1, 0, 0, 0)}
         archive.extractall(tmp_path / "plans")
     for entry in table["entries"]:
         motion = read_plan(tmp_path / "plans" / entry["plan"])

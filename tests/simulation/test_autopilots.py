@@ -428,7 +428,7 @@ def hanging() -> ho.Plan:
 def test_with_one_marker_uploads_form_loosely_and_draw_tight_without_end(
     hanging: ho.Plan, name: str
 ) -> None:
-    """The filter takes the pull for no tilt: an integral that nobody bounds."""
+    """The filter believes no tilt, so that the pull acts as an unbounded integral."""
     done = ho.simulate(
         hanging,
         perturbed=True,
@@ -451,7 +451,8 @@ def test_with_one_marker_uploads_form_loosely_and_draw_tight_without_end(
     assert tension(end - 2.0) > 1.25 * tension(end - 9.0)
     seen = done.errors.offsets[(done.errors.t > end - 2.0) & (done.errors.t <= end)]
     off = np.mean(np.linalg.norm(np.nanmean(seen, axis=0), axis=-1))
-    assert off < 0.13  # the firmware: 5 to 13 cm; here PID is 3 to 5 cm off
+    # The firmware's are 5 to 13 cm off. PID's are 3 to 5 cm off here, so only bounded from above
+    assert (0.0 if name == "pid" else 0.05) < off < 0.13
 
 
 @pytest.fixture(scope="module")
