@@ -23,10 +23,6 @@ from hitchopt.hitch.slack_split import (
     LIMIT_MARGIN,
     SPREAD_MARGIN,
     LegTask,
-    least_roll,
-    reference_margin,
-    split_slack,
-    split_with_least_roll,
 )
 from hitchopt.hitch.team import Team
 from hitchopt.values import Array, as_array, check_instance
@@ -228,7 +224,7 @@ class Hitch(OneLine):
         fixed = None if roll is None else checked_roll(team, roll)
         legs = balanced_legs(team, outline)
         task = _leg_task(team, outline, legs, SPREAD_MARGIN, requirements, fixed)
-        split, rolled = split_with_least_roll(task) if fixed is None else (split_slack(task), fixed)
+        split, rolled = task.split_with_least_roll() if fixed is None else (task.split(), fixed)
         return cls(team, outline, altitude, split.q_legs[0], rolled)
 
     @classmethod
@@ -257,7 +253,7 @@ class Hitch(OneLine):
         requirements = Requirements(limits, separation, arena)
         angles = checked_roll(team, roll)
         task = _leg_task(team, outline, reference, LIMIT_MARGIN, requirements, angles)
-        split, rolled = split_with_least_roll(task)
+        split, rolled = task.split_with_least_roll()
         return cls(team, outline, altitude, split.q_legs[0], rolled)
 
     def least_rolled(self, requirements: Requirements) -> Hitch:
@@ -266,7 +262,7 @@ class Hitch(OneLine):
         There is no roll if the limits hold without it, or if no roll helps.
         """
         task = _leg_task(self.team, self.polygon, self.q_legs, LIMIT_MARGIN, requirements)
-        roll = None if reference_margin(task) >= 1.0 else least_roll(task)
+        roll = None if task.reference_margin() >= 1.0 else task.least_roll()
         return Hitch(self.team, self.polygon, self.altitude, self.q_legs, roll or 0.0)
 
     @property

@@ -26,8 +26,6 @@ from hitchopt.hitch.slack_split import (
     LIMIT_MARGIN,
     SPREAD_MARGIN,
     LegTask,
-    reference_margin,
-    split_slack,
 )
 from hitchopt.hitch.team import GRAVITY, Quadrotor
 from hitchopt.objects import Section
@@ -455,7 +453,7 @@ def rest_capacity(
     unloaded = Team(n, cable_length, tension=tension, quadrotor=kind)
     shape = polygon.vertices[None], balanced_legs(unloaded, polygon)[None]
     spread = LegTask(unloaded, requirements, *shape, limits.leg, SPREAD_MARGIN)
-    legs = split_slack(spread).q_legs
+    legs = spread.split().q_legs
 
     def worst(mass: float) -> tuple[float, str]:
         """Return the smallest margin for a mass [kg], and the name of its limit."""
@@ -471,7 +469,7 @@ def rest_capacity(
             "thrust": 1.0 - float(np.max(length(thrusts))) / kind.max_thrust,
             "tilt": 1.0 - float(np.max(tilt)) / limits.tilt,
             "legs": float(np.min(hitch.legs)) / limits.leg - 1.0,
-            "separation": reference_margin(task) - 1.0,
+            "separation": task.reference_margin() - 1.0,
             "support": support,
         }
         return min((margin, name) for name, margin in margins.items())

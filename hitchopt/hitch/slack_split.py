@@ -53,69 +53,6 @@ CROSSING_MARGIN = 1.005
 
 
 @dataclass(frozen=True, eq=False)
-class LegTask:
-    """A problem for the leg lengths of a team on J polygons: one, or the knots of a path.
-
-    Attributes
-    ----------
-    team: with the cables to be split.
-    requirements: distances, and the arena.
-    polygons: (J, points, 2) [m]
-    reference: (J, n) [m], ``d`` whose deviation is minimized.
-    shortest_leg: [m], for both legs of every cable.
-    margin: lower bound of each distance over its limit; one, or one per knot (J,).
-    roughness: [m²], weight of the fractions' second differences along the knots; 0 for none.
-    fixed: (J,), mask of knots whose legs equal the reference.
-    roll: one or (J, clasps) [rad], of the legs out of their plane; None for none.
-    """
-
-    team: Team
-    requirements: Requirements
-    polygons: Array
-    reference: Array
-    shortest_leg: float
-    margin: float | Array
-    roughness: float = 0.0
-    fixed: NDArray[np.bool_] | None = None
-    roll: Array | float | None = None
-
-    @property
-    def level(self) -> bool:
-        """Whether all legs are horizontal: without weight and roll."""
-        return not self.team.loaded and (self.roll is None or not np.any(self.roll))
-
-    @cached_property
-    def margins(self) -> Array:
-        """(3, J): margin of every knot, by kind of pair."""
-        each = np.broadcast_to(np.asarray(self.margin, dtype=np.float64), len(self.reference))
-        return np.stack([each, each, np.minimum(each, CROSSING_MARGIN)])
-
-    @cached_property
-    def largest_margin(self) -> float:
-        """The largest of all margins."""
-        return float(np.max(self.margins))
-
-    @cached_property
-    def slack(self) -> Array:
-        """(J, n) [m]: slack of each cable for its two legs."""
-        return cable_slack_of(self.team, self.team.layout.edges(self.polygons))
-
-    @cached_property
-    def bounds(self) -> tuple[Array, Array]:
-        """The smallest and largest ``d`` (J, n) with which both legs are long enough.
-
-        They are equal at the ends of a chain, where a cable has only one leg.
-        """
-        slack, layout = self.slack, self.team.layout
-        shortest = np.minimum(self.shortest_leg, 0.5 * slack)
-        lower = layout.q_legs_of(shortest, slack)
-        upper = layout.q_legs_of(slack - shortest, slack)
-        if self.fixed is not None:
-            lower[self.fixed] = upper[self.fixed] = self.reference[self.fixed]
-        return lower, upper
-
-
-@dataclass(frozen=True, eq=False)
 class LegLengths:
     """Leg lengths ``d`` (J, n) [m], their smallest margin, and ``Σ (d - reference)²`` [m²]."""
 
@@ -220,6 +157,210 @@ MAX_WEIGHT_SHIFT = 0.02
 """[m] Largest lateral shift of drones as the weight of their legs changes."""
 
 
+MAX_POLYGON_ITERATIONS, MAX_PATH_ITERATIONS = 60, 20
+"""Maximum numbers of convex programs from one initial guess, on one polygon and along a path, which
+converges within ten iterations or not at all."""
+
+MIN_GAIN = 1e-6
+"""Smallest relative improvement of merit; mirror images differ by less."""
+
+STEP_TOLERANCE, COARSE_STEP_TOLERANCE = 1e-9, 1e-5
+"""[m] Largest change of a leg in the last iteration: by default, and if the first split with the
+margin suffices, since smaller steps do not increase the margin noticeably."""
+
+ROLL_CANDIDATES = tuple(
+    math.radians(angle) for angle in (5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0)
+)
+"""[rad] Rolls in ascending order, of which the first sufficient one is refined. Simulated clasps
+hold up to 60°."""
+
+RESPLIT_CANDIDATES, RESPLIT_RATIO = (ROLL_CANDIDATES[3], ROLL_CANDIDATES[5]), 0.9
+"""[rad] Rolls at which other leg lengths are searched if no roll suffices for the reference; and
+roll at which they must suffice over the one that the reference needs."""
+
+
+@dataclass(frozen=True, eq=False)
+class LegTask:
+    """A problem for the leg lengths of a team on J polygons: one, or the knots of a path.
+
+    Attributes
+    ----------
+    team: with the cables to be split.
+    requirements: distances, and the arena.
+    polygons: (J, points, 2) [m]
+    reference: (J, n) [m], ``d`` whose deviation is minimized.
+    shortest_leg: [m], for both legs of every cable.
+    margin: lower bound of each distance over its limit; one, or one per knot (J,).
+    roughness: [m²], weight of the fractions' second differences along the knots; 0 for none.
+    fixed: (J,), mask of knots whose legs equal the reference.
+    roll: one or (J, clasps) [rad], of the legs out of their plane; None for none.
+    """
+
+    team: Team
+    requirements: Requirements
+    polygons: Array
+    reference: Array
+    shortest_leg: float
+    margin: float | Array
+    roughness: float = 0.0
+    fixed: NDArray[np.bool_] | None = None
+    roll: Array | float | None = None
+
+    @property
+    def level(self) -> bool:
+        """Whether all legs are horizontal: without weight and roll."""
+        return not self.team.loaded and (self.roll is None or not np.any(self.roll))
+
+    @cached_property
+    def margins(self) -> Array:
+        """(3, J): margin of every knot, by kind of pair."""
+        each = np.broadcast_to(np.asarray(self.margin, dtype=np.float64), len(self.reference))
+        return np.stack([each, each, np.minimum(each, CROSSING_MARGIN)])
+
+    @cached_property
+    def largest_margin(self) -> float:
+        """The largest of all margins."""
+        return float(np.max(self.margins))
+
+    @cached_property
+    def slack(self) -> Array:
+        """(J, n) [m]: slack of each cable for its two legs."""
+        return cable_slack_of(self.team, self.team.layout.edges(self.polygons))
+
+    @cached_property
+    def bounds(self) -> tuple[Array, Array]:
+        """The smallest and largest ``d`` (J, n) with which both legs are long enough.
+
+        They are equal at the ends of a chain, where a cable has only one leg.
+        """
+        slack, layout = self.slack, self.team.layout
+        shortest = np.minimum(self.shortest_leg, 0.5 * slack)
+        lower = layout.q_legs_of(shortest, slack)
+        upper = layout.q_legs_of(slack - shortest, slack)
+        if self.fixed is not None:
+            lower[self.fixed] = upper[self.fixed] = self.reference[self.fixed]
+        return lower, upper
+
+    def split(self, *, first: bool = False) -> LegLengths:
+        """Return the leg lengths nearest to the reference that keep the margin, else the best ones.
+
+        The search is local. It starts from the reference and, if that fails on a single polygon,
+        also from a few uneven splits. Its cost is linear in J·n. With ``first`` it ends at the
+        first lengths that keep the margin, which is much faster.
+        """
+        bodies = LegBodies(self, *self.bounds)
+        best = bodies.reference_kept() or bodies.refined(self.reference, first)
+        if len(self.reference) > 1 or (self._kept_by(best) and (first or best.deviation <= 1e-12)):
+            return best
+        for fractions in self._uneven_fractions:
+            split = bodies.refined(fractions * self.slack, first)
+            if self._merit(split) < (1.0 - MIN_GAIN) * self._merit(best):
+                best = split
+            if first and self._kept_by(best):
+                break
+        return best
+
+    def reference_margin(self) -> float:
+        """Return the smallest margin of the reference; infinite if all pairs are far apart."""
+        return float(np.min(self.reference_margins()))
+
+    def reference_margins(self) -> Array:
+        """Return the smallest margin (J,) of the reference on every polygon."""
+        return LegBodies(self, self.reference, self.reference).margins(self.reference)
+
+    @property
+    def _uneven_fractions(self) -> Array:
+        """Fractions (4 or 6, n): equal ones, or alternating ones from the sharpest clasp on.
+
+        Counting from there makes them independent of numbering and mirroring.
+        """
+        layout = self.team.layout
+        along = unit(layout.edges(self.polygons[0]))
+        cosines = dot(along[layout.ahead], along[layout.behind])
+        sharpest = layout.clasps[int(first_smallest(cosines, 1.0))]
+        k = np.arange(layout.robots)
+        onward = (k - sharpest) % layout.robots % 2 == 0
+        back = (sharpest - 1 - k) % layout.robots % 2 == 1
+        equal = np.ones_like(onward)
+        return np.unique(np.where([equal, ~equal, onward, ~onward, back, ~back], 0.3, 0.7), axis=0)
+
+    def _kept_by(self, split: LegLengths) -> bool:
+        return split.margin >= self.largest_margin * (1.0 - 1e-9)
+
+    def _merit(self, split: LegLengths) -> float:
+        deficit = max(0.0, self.largest_margin - split.margin)
+        penalty = PENALTY * self.team.robots * (deficit if deficit > 1e-7 else 0.0)
+        return penalty + 0.5 * split.deviation
+
+    def split_with_least_roll(self) -> tuple[LegLengths, Array | float]:
+        """Return leg lengths on one polygon and their roll [rad].
+
+        The task's initial roll, or none, applies if the limits hold with it. Otherwise the smallest
+        candidate applies that keeps the task's margin, or else the limits, with the reference
+        lengths or others; without such a candidate, the initial roll. Candidates have the sign of
+        the initial roll, positive without one.
+        """
+        initial = 0.0 if self.roll is None else self.roll
+        split = self.split()
+        if split.margin >= 1.0:
+            return split, initial
+        sign = -1.0 if np.sum(initial) < 0.0 else 1.0
+        for margin in dict.fromkeys((self.largest_margin, LIMIT_MARGIN)):
+            subtask = replace(self, margin=margin)
+            of_reference = subtask.least_roll(sign)
+            scaled = None if of_reference is None else (RESPLIT_RATIO * abs(of_reference),)
+            candidates = scaled or RESPLIT_CANDIDATES
+            of_split = subtask.least_roll(sign, lambda task: task.split().margin, candidates, 3)
+            roll = of_reference if of_split is None else of_split
+            if roll is not None:
+                return replace(subtask, roll=roll).split(), roll
+        return split, initial
+
+    def least_roll(
+        self,
+        sign: float = 1.0,
+        margin_of: Callable[[LegTask], float] = reference_margin,
+        candidates: tuple[float, ...] = ROLL_CANDIDATES,
+        bisections: int = 7,
+    ) -> float | None:
+        """Return the smallest roll [rad] of the search that keeps the task's margins, or None.
+
+        It is the first sufficient candidate, refined by bisection down to the one before. Rolls
+        with which clasps have no balance do not suffice.
+        """
+
+        def suffices(angle: float) -> bool:
+            try:
+                rolled = replace(self, roll=sign * angle)
+                return margin_of(rolled) >= self.largest_margin * (1.0 - 5e-7)
+            except InfeasibleError:
+                return False
+
+        upper = next((angle for angle in candidates if suffices(angle)), None)
+        if upper is None:
+            return None
+        lower = max((angle for angle in candidates if angle < upper), default=0.0)
+        for _ in range(bisections):
+            middle = 0.5 * (lower + upper)
+            lower, upper = (lower, middle) if suffices(middle) else (middle, upper)
+        return sign * upper
+
+    def hessian(self, size: int) -> sp.csc_array[np.float64]:
+        """Return the Hessian of half the sum of squared lengths and of the fractions' roughness."""
+        import scipy.sparse as sp
+
+        squares = np.append(np.ones(size - 2), [0.0, 0.0])
+        diagonal = sp.csc_array((squares, np.arange(size), np.arange(size + 1)), shape=(size, size))
+        J, n = self.reference.shape
+        if self.roughness == 0.0 or J < 3:
+            return diagonal
+        second = sp.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(J - 2, J))
+        fractions = sp.diags_array(1.0 / self.slack.reshape(-1))
+        bend = sp.kron(second, sp.eye_array(n)) @ fractions
+        rough = sp.block_diag([self.roughness * (bend.T @ bend), sp.csc_array((2, 2))])
+        return sp.csc_array(diagonal + rough)
+
+
 class LegBodies:
     """Nodes and pairs of a task, flat over its J polygons.
 
@@ -312,229 +453,80 @@ class LegBodies:
         np.minimum.at(smallest, self.frame, relative)
         return task.largest_margin * smallest
 
+    def program(self, d: Array) -> QuadraticProgram:
+        """Return the convex QP around ``d``; variables are d, then two slacks of the margins.
 
-def leg_program(bodies: LegBodies, d: Array) -> QuadraticProgram:
-    """Return the convex QP around ``d``; variables are d, then two slacks of the margins.
+        For a pair of bodies and any unit vector ν, the smallest ``ν·(a - b)`` over their ends is a
+        lower bound of their distance and linear in ``d``. It is exact at the current leg lengths,
+        from which ν is computed. One slack belongs to the distances of drones, the other one to
+        crossings and walls, so that infeasible crossings or walls leave the distances of drones
+        determined.
+        """
+        task, size = self.task, d.size + 2
+        (base, slope), nodes = self.lines(d), self.nodes(d)
+        middles = nodes[self.first].mean(axis=1) - nodes[self.second].mean(axis=1)
+        normal = unit(self.offsets(nodes), unit(middles, EAST[: self.dimensions]), 1e-9)
+        pair, a, b = end_combinations(self.kind, self.first, self.second)
+        kind, row = self.kind[pair], np.arange(len(pair))
+        nu, limit = normal[pair] * self.scale[kind], self.limits[kind]
+        slacks = np.where(kind == CROSSING, size - 1, size - 2)
+        # Slightly more than required, to allow for rounding.
+        required = task.margins[kind, self.frame[pair]] * (1.0 + 1e-7) * limit
+        lower = required - np.sum(nu * (base[a] - base[b]), axis=1)
+        slopes = np.sum(nu * slope[a], axis=1), -np.sum(nu * slope[b], axis=1)
+        columns = np.concatenate([self.variable[a], self.variable[b], slacks])
+        rows = Rows(size)
+        rows.add(np.tile(row, 3), columns, np.concatenate([*slopes, limit]), lower)
+        arena = task.requirements.arena
+        if arena is not None:  # every drone between its upright walls
+            base, slope = base[self.drones, :2], slope[self.drones, :2]
+            entries = np.concatenate([slope, -slope], axis=1).T.ravel()
+            beyond = np.concatenate([arena.lower[:2] - base, base - arena.upper[:2]], axis=1)
+            lower = beyond.T.ravel()
+            # Drones that slide parallel to a wall are omitted: their distance to it is constant.
+            oblique = np.abs(entries) > 1e-9
+            columns = np.tile(self.variable[self.drones], 4)[oblique]
+            row = np.arange(len(columns))
+            first = rows.add(row, columns, entries[oblique], lower[oblique])
+            rows.extend(first + row, np.full(len(row), size - 1), 1.0)
+        penalty = np.full(2, PENALTY * task.team.robots)
+        lower, upper = (
+            np.append(bound.reshape(-1), [end, end])
+            for bound, end in zip(task.bounds, (0.0, np.inf), strict=True)
+        )
+        gradient = np.append(-task.reference.reshape(-1), penalty)
+        return QuadraticProgram(task.hessian(size), gradient, *rows.compressed(), lower, upper)
 
-    For a pair of bodies and any unit vector ν, the smallest ``ν·(a - b)`` over their ends is a
-    lower bound of their distance and linear in ``d``. It is exact at the current leg lengths, from
-    which ν is computed. One slack belongs to the distances of drones, the other one to crossings
-    and walls, so that infeasible crossings or walls leave the distances of drones determined.
-    """
-    task, size = bodies.task, d.size + 2
-    (base, slope), nodes = bodies.lines(d), bodies.nodes(d)
-    middles = nodes[bodies.first].mean(axis=1) - nodes[bodies.second].mean(axis=1)
-    normal = unit(bodies.offsets(nodes), unit(middles, EAST[: bodies.dimensions]), 1e-9)
-    pair, a, b = end_combinations(bodies.kind, bodies.first, bodies.second)
-    kind, row = bodies.kind[pair], np.arange(len(pair))
-    nu, limit = normal[pair] * bodies.scale[kind], bodies.limits[kind]
-    slacks = np.where(kind == CROSSING, size - 1, size - 2)
-    # Slightly more than required, to allow for rounding.
-    required = task.margins[kind, bodies.frame[pair]] * (1.0 + 1e-7) * limit
-    lower = required - np.sum(nu * (base[a] - base[b]), axis=1)
-    slopes = np.sum(nu * slope[a], axis=1), -np.sum(nu * slope[b], axis=1)
-    columns = np.concatenate([bodies.variable[a], bodies.variable[b], slacks])
-    rows = Rows(size)
-    rows.add(np.tile(row, 3), columns, np.concatenate([*slopes, limit]), lower)
-    arena = task.requirements.arena
-    if arena is not None:  # every drone between its upright walls
-        base, slope = base[bodies.drones, :2], slope[bodies.drones, :2]
-        entries = np.concatenate([slope, -slope], axis=1).T.ravel()
-        lower = np.concatenate([arena.lower[:2] - base, base - arena.upper[:2]], axis=1).T.ravel()
-        # Drones that slide parallel to a wall are omitted: their distance to it is constant.
-        oblique = np.abs(entries) > 1e-9
-        columns = np.tile(bodies.variable[bodies.drones], 4)[oblique]
-        row = np.arange(len(columns))
-        first = rows.add(row, columns, entries[oblique], lower[oblique])
-        rows.extend(first + row, np.full(len(row), size - 1), 1.0)
-    penalty = np.full(2, PENALTY * task.team.robots)
-    lower, upper = (
-        np.append(bound.reshape(-1), [end, end])
-        for bound, end in zip(task.bounds, (0.0, np.inf), strict=True)
-    )
-    gradient = np.append(-task.reference.reshape(-1), penalty)
-    return QuadraticProgram(_hessian(task, size), gradient, *rows.compressed(), lower, upper)
+    def reference_kept(self) -> LegLengths | None:
+        """Return the reference if it keeps the margin and exactly all bounds, else None."""
+        task, arena = self.task, self.task.requirements.arena
+        start = np.clip(task.reference, *task.bounds)
+        if task.roughness > 0.0 or not np.array_equal(start, task.reference):
+            return None
+        margin, drones = float(np.min(self.margins(start))), self.nodes(start)[self.drones, :2]
+        if margin < task.largest_margin or (
+            arena and np.any((drones < arena.lower[:2]) | (drones > arena.upper[:2]))
+        ):
+            return None
+        return LegLengths(start, margin, 0.0)
 
+    def refined(self, start: Array, first: bool) -> LegLengths:
+        """Return the limit of repeated convex approximation from ``start``.
 
-def _hessian(task: LegTask, size: int) -> sp.csc_array[np.float64]:
-    """Return the Hessian of half the sum of squared lengths and of the fractions' roughness."""
-    import scipy.sparse as sp
-
-    squares = np.append(np.ones(size - 2), [0.0, 0.0])
-    diagonal = sp.csc_array((squares, np.arange(size), np.arange(size + 1)), shape=(size, size))
-    J, n = task.reference.shape
-    if task.roughness == 0.0 or J < 3:
-        return diagonal
-    second = sp.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(J - 2, J))
-    fractions = sp.diags_array(1.0 / task.slack.reshape(-1))
-    bend = sp.kron(second, sp.eye_array(n)) @ fractions
-    rough = sp.block_diag([task.roughness * (bend.T @ bend), sp.csc_array((2, 2))])
-    return sp.csc_array(diagonal + rough)
-
-
-MAX_POLYGON_ITERATIONS, MAX_PATH_ITERATIONS = 60, 20
-"""Maximum numbers of convex programs from one initial guess, on one polygon and along a path, which
-converges within ten iterations or not at all."""
-
-MIN_GAIN = 1e-6
-"""Smallest relative improvement of merit; mirror images differ by less."""
-
-STEP_TOLERANCE, COARSE_STEP_TOLERANCE = 1e-9, 1e-5
-"""[m] Largest change of a leg in the last iteration: by default, and if the first split with the
-margin suffices, since smaller steps do not increase the margin noticeably."""
-
-
-def split_slack(task: LegTask, *, first: bool = False) -> LegLengths:
-    """Return the leg lengths nearest to the reference that keep the margin, else the best ones.
-
-    The search is local. It starts from the reference and, if that fails on a single polygon, also
-    from a few uneven splits. Its cost is linear in J·n. With ``first`` it ends at the first lengths
-    that keep the margin, which is much faster.
-    """
-    bodies = LegBodies(task, *task.bounds)
-    best = _reference_kept(bodies) or _refined(bodies, task.reference, first)
-    if len(task.reference) > 1 or (_keeps(task, best) and (first or best.deviation <= 1e-12)):
-        return best
-    for fractions in _uneven_fractions(task):
-        split = _refined(bodies, fractions * task.slack, first)
-        if _merit(task, split) < (1.0 - MIN_GAIN) * _merit(task, best):
-            best = split
-        if first and _keeps(task, best):
-            break
-    return best
-
-
-def reference_margin(task: LegTask) -> float:
-    """Return the smallest margin of the reference; infinite if all pairs are far apart."""
-    return float(np.min(reference_margins(task)))
-
-
-def reference_margins(task: LegTask) -> Array:
-    """Return the smallest margin (J,) of the reference on every polygon."""
-    return LegBodies(task, task.reference, task.reference).margins(task.reference)
-
-
-def _reference_kept(bodies: LegBodies) -> LegLengths | None:
-    """Return the reference if it keeps the margin and exactly satisfies all bounds, else None."""
-    task, arena = bodies.task, bodies.task.requirements.arena
-    start = np.clip(task.reference, *task.bounds)
-    if task.roughness > 0.0 or not np.array_equal(start, task.reference):
-        return None
-    margin, drones = float(np.min(bodies.margins(start))), bodies.nodes(start)[bodies.drones, :2]
-    if margin < task.largest_margin or (
-        arena and np.any((drones < arena.lower[:2]) | (drones > arena.upper[:2]))
-    ):
-        return None
-    return LegLengths(start, margin, 0.0)
-
-
-def _uneven_fractions(task: LegTask) -> Array:
-    """Return fractions (4 or 6, n): equal ones, or alternating ones from the sharpest clasp on.
-
-    Counting from there makes them independent of numbering and mirroring.
-    """
-    layout = task.team.layout
-    along = unit(layout.edges(task.polygons[0]))
-    cosines = dot(along[layout.ahead], along[layout.behind])
-    sharpest = layout.clasps[int(first_smallest(cosines, 1.0))]
-    k = np.arange(layout.robots)
-    onward = (k - sharpest) % layout.robots % 2 == 0
-    back = (sharpest - 1 - k) % layout.robots % 2 == 1
-    equal = np.ones_like(onward)
-    return np.unique(np.where([equal, ~equal, onward, ~onward, back, ~back], 0.3, 0.7), axis=0)
-
-
-def _keeps(task: LegTask, split: LegLengths) -> bool:
-    return split.margin >= task.largest_margin * (1.0 - 1e-9)
-
-
-def _merit(task: LegTask, split: LegLengths) -> float:
-    deficit = max(0.0, task.largest_margin - split.margin)
-    return PENALTY * task.team.robots * (deficit if deficit > 1e-7 else 0.0) + 0.5 * split.deviation
-
-
-def _refined(bodies: LegBodies, start: Array, first: bool) -> LegLengths:
-    """Return the limit of repeated convex approximation from ``start``.
-
-    With ``first`` return the first iterate that keeps the margin.
-    """
-    task = bodies.task
-    d, tolerance = np.clip(start, *task.bounds), COARSE_STEP_TOLERANCE if first else STEP_TOLERANCE
-    for _ in range(MAX_POLYGON_ITERATIONS if len(d) == 1 else MAX_PATH_ITERATIONS):
-        check_time()
-        x = solve_qp(leg_program(bodies, d))
-        if x is None:
-            break
-        before, d = d, x[: d.size].reshape(d.shape)
-        if float(np.max(np.abs(d - before))) < tolerance:
-            break
-        if first and np.min(bodies.margins(d)) >= task.largest_margin * (1.0 - 1e-9):
-            break
-    margin = float(np.min(bodies.margins(d)))
-    return LegLengths(d, margin, float(np.sum((d - task.reference) ** 2)))
-
-
-ROLL_CANDIDATES = tuple(
-    math.radians(angle) for angle in (5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0)
-)
-"""[rad] Rolls in ascending order, of which the first sufficient one is refined. Simulated clasps
-hold up to 60°."""
-
-RESPLIT_CANDIDATES, RESPLIT_RATIO = (ROLL_CANDIDATES[3], ROLL_CANDIDATES[5]), 0.9
-"""[rad] Rolls at which other leg lengths are searched if no roll suffices for the reference; and
-roll at which they must suffice over the one that the reference needs."""
-
-
-def split_with_least_roll(task: LegTask) -> tuple[LegLengths, Array | float]:
-    """Return leg lengths on one polygon and their roll [rad].
-
-    The task's initial roll, or none, applies if the limits hold with it. Otherwise the smallest
-    candidate applies that keeps the task's margin, or else the limits, with the reference lengths
-    or others; without such a candidate, the initial roll. Candidates have the sign of the initial
-    roll, positive without one.
-    """
-    initial = 0.0 if task.roll is None else task.roll
-    split = split_slack(task)
-    if split.margin >= 1.0:
-        return split, initial
-    sign = -1.0 if np.sum(initial) < 0.0 else 1.0
-    for margin in dict.fromkeys((task.largest_margin, LIMIT_MARGIN)):
-        subtask = replace(task, margin=margin)
-        of_reference = least_roll(subtask, sign)
-        scaled = None if of_reference is None else (RESPLIT_RATIO * abs(of_reference),)
-        candidates = scaled or RESPLIT_CANDIDATES
-        of_split = least_roll(subtask, sign, lambda task: split_slack(task).margin, candidates, 3)
-        roll = of_reference if of_split is None else of_split
-        if roll is not None:
-            return split_slack(replace(subtask, roll=roll)), roll
-    return split, initial
-
-
-def least_roll(
-    task: LegTask,
-    sign: float = 1.0,
-    margin_of: Callable[[LegTask], float] = reference_margin,
-    candidates: tuple[float, ...] = ROLL_CANDIDATES,
-    bisections: int = 7,
-) -> float | None:
-    """Return the smallest roll [rad] of the search that keeps the task's margins, or None.
-
-    It is the first sufficient candidate, refined by bisection down to the one before. Rolls with
-    which clasps have no balance do not suffice.
-    """
-
-    def suffices(angle: float) -> bool:
-        try:
-            rolled = replace(task, roll=sign * angle)
-            return margin_of(rolled) >= task.largest_margin * (1.0 - 5e-7)
-        except InfeasibleError:
-            return False
-
-    upper = next((angle for angle in candidates if suffices(angle)), None)
-    if upper is None:
-        return None
-    lower = max((angle for angle in candidates if angle < upper), default=0.0)
-    for _ in range(bisections):
-        middle = 0.5 * (lower + upper)
-        lower, upper = (lower, middle) if suffices(middle) else (middle, upper)
-    return sign * upper
+        With ``first`` return the first iterate that keeps the margin.
+        """
+        task = self.task
+        d = np.clip(start, *task.bounds)
+        tolerance = COARSE_STEP_TOLERANCE if first else STEP_TOLERANCE
+        for _ in range(MAX_POLYGON_ITERATIONS if len(d) == 1 else MAX_PATH_ITERATIONS):
+            check_time()
+            x = solve_qp(self.program(d))
+            if x is None:
+                break
+            before, d = d, x[: d.size].reshape(d.shape)
+            if float(np.max(np.abs(d - before))) < tolerance:
+                break
+            if first and np.min(self.margins(d)) >= task.largest_margin * (1.0 - 1e-9):
+                break
+        margin = float(np.min(self.margins(d)))
+        return LegLengths(d, margin, float(np.sum((d - task.reference) ** 2)))

@@ -28,7 +28,7 @@ from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.hitch import cable_slack, checked_polygon
 from hitchopt.hitch.model import DroneJets, FlatJets, drone_jets
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
-from hitchopt.hitch.slack_split import LIMIT_MARGIN, LegTask, split_slack
+from hitchopt.hitch.slack_split import LIMIT_MARGIN, LegTask
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.retiming import append_motion, cut, resting, truncated, with_last_poses
 from hitchopt.plan import Plan
@@ -270,7 +270,7 @@ class Replanner(OneLine):
         q_legs = team.layout.q_legs_of(self._goal.fractions * slack, slack)[None]
         min_leg = LIMIT_MARGIN * need.limits.leg
         task = LegTask(team, need, outline.vertices[None], q_legs, min_leg, LIMIT_MARGIN)
-        return Hitch(team, outline, altitude, split_slack(task, first=True).q_legs[0])
+        return Hitch(team, outline, altitude, task.split(first=True).q_legs[0])
 
     def _past(self, at: float) -> Motion:
         """Return the current plan until a time, at rest after its end."""

@@ -28,8 +28,6 @@ from hitchopt.hitch.slack_split import (
     LIMIT_MARGIN,
     SPREAD_MARGIN,
     LegTask,
-    reference_margin,
-    split_slack,
 )
 from hitchopt.hitch.team import Quadrotor, Swarm, Team, kinds_of
 from hitchopt.objects import Rim, Section, SolidObject
@@ -345,7 +343,7 @@ def shortest_cable(polygon: ConvexPolygon, requirements: Requirements) -> float:
             team = Team(len(polygon), cable)
             shape = polygon.vertices[None], balanced_legs(team, polygon)[None]
             task = LegTask(team, requirements, *shape, leg, SPREAD_MARGIN)
-            margin = reference_margin(task) if balanced else split_slack(task).margin
+            margin = task.reference_margin() if balanced else task.split().margin
             if min(margin, SPREAD_MARGIN) > best + ROUNDING:
                 best, shortest = min(margin, SPREAD_MARGIN), cable
             if best >= SPREAD_MARGIN:

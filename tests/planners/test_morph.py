@@ -16,7 +16,6 @@ import hitchopt as ho
 from hitchopt.geometry import ConvexPolygon, regular_polygon
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.hitch.slack_split import reference_margin
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph.legs import leg_task_along, with_legs_clear
 from hitchopt.planners.morph.morph import StraightMorph
@@ -147,7 +146,7 @@ TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
 
 def distances_on_the_way(path: ShapePath) -> float:
     s = np.linspace(0.0, 1.0, 301)
-    return reference_margin(leg_task_along(path, FREE, s, 1.0))
+    return leg_task_along(path, FREE, s, 1.0).reference_margin()
 
 
 def test_leg_laws_keep_distances_that_linear_fractions_do_not() -> None:

@@ -29,7 +29,7 @@ from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.forces import sag_factors
 from hitchopt.hitch.hitch import cable_slack
 from hitchopt.hitch.requirements import Arena, Prism, Requirements
-from hitchopt.hitch.slack_split import SPREAD_MARGIN, LegTask, reference_margin, reference_margins
+from hitchopt.hitch.slack_split import SPREAD_MARGIN, LegTask
 from hitchopt.hitch.team import PartTeam
 from hitchopt.motion.chapters import WaitingRobot, with_waiting
 from hitchopt.motion.motion import CableState, Motion, Phase
@@ -206,7 +206,7 @@ class Joining:
             if margin >= 1.0:
                 q_legs, leg = shapes.legs[..., 0], requirements.limits.leg
                 arguments = path.team, enforced, shapes.polygons, q_legs, leg, SPREAD_MARGIN
-                margin = min(margin, reference_margin(LegTask(*arguments, roll=shapes.roll)))
+                margin = min(margin, LegTask(*arguments, roll=shapes.roll).reference_margin())
         if margin >= 1.0:
             laid = self.drones_laid
             separated = smallest_separation(laid[None], requirements.separation)
@@ -408,7 +408,7 @@ def _rest_margins(
     rolls = np.broadcast_to(roll, q_legs.shape)
     task = LegTask(team, requirements, polygons, q_legs, leg, SPREAD_MARGIN, roll=rolls)
     shortest = np.min(np.minimum(q_legs, slack - q_legs), axis=1)
-    margins: Array = np.minimum(reference_margins(task), shortest / leg)
+    margins: Array = np.minimum(task.reference_margins(), shortest / leg)
     return margins
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from hitchopt.hitch.requirements import Limits, Requirements
-from hitchopt.hitch.slack_split import LIMIT_MARGIN, LegTask, reference_margin, split_slack
+from hitchopt.hitch.slack_split import LIMIT_MARGIN, LegTask
 from hitchopt.planners.morph.jets import quintic_spline
 from hitchopt.planners.morph.path import LegLaw, ShapePath, Shapes, drones_along, shapes_along
 from hitchopt.planners.timing.profile import demands_along, flight_estimate
@@ -67,7 +67,7 @@ def _nearby_laws(path: ShapePath, requirements: Requirements, at_rest: bool) -> 
         ramp = np.minimum(np.arange(count), np.arange(count)[::-1]) / MARGIN_RAMP
         margins = SAMPLE_MARGIN + (margin - SAMPLE_MARGIN) * np.minimum(ramp, 1.0)
         task = leg_task_along(path, requirements, s, margins)
-        split = split_slack(replace(task, shortest_leg=margin * requirements.limits.leg))
+        split = replace(task, shortest_leg=margin * requirements.limits.leg).split()
         if split.margin < SAMPLE_MARGIN:
             return
         fractions = split.q_legs / task.slack
@@ -86,7 +86,7 @@ def legs_clear(path: ShapePath, requirements: Requirements) -> bool:
     if float(np.min(legs[1:-1])) < requirements.limits.leg:
         return False
     task = leg_task_of(path, requirements, shapes, SAMPLE_MARGIN)
-    return reference_margin(task) >= SAMPLE_MARGIN
+    return task.reference_margin() >= SAMPLE_MARGIN
 
 
 def leg_task_along(
@@ -128,7 +128,7 @@ def worst_point(path: ShapePath, requirements: Requirements) -> float:
     legs = shapes_along(path, s).legs[:, path.team.layout.has_leg]
     shortest = np.min(legs, axis=1) / requirements.limits.leg
     margins = [
-        reference_margin(leg_task_along(path, requirements, s[j : j + 1], SAMPLE_MARGIN))
+        leg_task_along(path, requirements, s[j : j + 1], SAMPLE_MARGIN).reference_margin()
         for j in range(len(s))
     ]
     return float(s[int(np.argmin(np.minimum(shortest, margins)))])

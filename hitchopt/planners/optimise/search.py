@@ -14,7 +14,7 @@ from hitchopt.geometry.outline import centroids
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.hitch.slack_split import LegTask, reference_margins
+from hitchopt.hitch.slack_split import LegTask
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph.legs import legs_clear
 from hitchopt.planners.morph.morph import check_shapes, exterior_angles
@@ -158,7 +158,7 @@ class OptimisedMorph:
         """Return the margins of distances at the knots (J + 1,)."""
         requirements, shapes = replace(self.requirements, arena=None), (path.polygons, path.q_legs)
         task = LegTask(path.team, requirements, *shapes, 0.0, MAX_MARGIN, roll=path.roll)
-        return reference_margins(task)
+        return task.reference_margins()
 
 
 def guesses(first: ConvexPolygon, last: ConvexPolygon, count: int) -> dict[str, Array]:
