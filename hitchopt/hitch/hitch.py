@@ -33,6 +33,9 @@ LEG_TOLERANCE, SAGGING_LEG_TOLERANCE = 1e-4, 1e-2
 """Tolerances of a prescribed leg at a chain's end, relative to its cable's length: of massless
 cables, as for cable lengths in plans, and of heavy ones, whose sag the user may have neglected."""
 
+ALTITUDE_TOLERANCE = 1e-9
+"""[m] Altitudes that differ by less are the same."""
+
 UNIT_ERROR_RATIO = 100.0
 """Edge over cable beyond which one of the two is probably in another unit."""
 
@@ -223,7 +226,7 @@ class Hitch(OneLine):
         requirements = requirements.flown_by(team).with_reserve
         fixed = None if roll is None else checked_roll(team, roll)
         legs = balanced_legs(team, outline)
-        task = _leg_task(team, outline, legs, SPREAD_MARGIN, requirements, fixed)
+        task = LegTask.at_rest(team, outline, legs, requirements, SPREAD_MARGIN, fixed)
         split, rolled = task.split_with_least_roll() if fixed is None else (task.split(), fixed)
         return cls(team, outline, altitude, split.q_legs[0], rolled)
 
@@ -252,7 +255,7 @@ class Hitch(OneLine):
         reference = team.layout.q_legs_of(np.asarray(fractions, dtype=np.float64) * slack, slack)
         requirements = Requirements(limits, separation, arena)
         angles = checked_roll(team, roll)
-        task = _leg_task(team, outline, reference, LIMIT_MARGIN, requirements, angles)
+        task = LegTask.at_rest(team, outline, reference, requirements, LIMIT_MARGIN, angles)
         split, rolled = task.split_with_least_roll()
         return cls(team, outline, altitude, split.q_legs[0], rolled)
 
@@ -261,9 +264,13 @@ class Hitch(OneLine):
 
         There is no roll if the limits hold without it, or if no roll helps.
         """
-        task = _leg_task(self.team, self.polygon, self.q_legs, LIMIT_MARGIN, requirements)
+        task = LegTask.at_rest(self.team, self.polygon, self.q_legs, requirements, LIMIT_MARGIN)
         roll = None if task.reference_margin() >= 1.0 else task.least_roll()
         return Hitch(self.team, self.polygon, self.altitude, self.q_legs, roll or 0.0)
+
+    def at_altitude(self, altitude: float) -> Hitch:
+        """Return the hitch at another altitude [m]."""
+        return Hitch(self.team, self.polygon, altitude, self.q_legs, self.roll)
 
     @property
     def slack(self) -> Array:
@@ -324,16 +331,3 @@ class Hitch(OneLine):
         """(2n, 3) [N]: force of the taut cable on each drone."""
         pulls, taut = np.repeat(self.team.tension, 2), np.ones(self.team.robots)
         return cable_forces(self.team, self.drones, self.vertices, pulls, taut)
-
-
-def _leg_task(
-    team: Team,
-    polygon: Outline,
-    reference: Array,
-    margin: float,
-    requirements: Requirements,
-    roll: Array | None = None,
-) -> LegTask:
-    shortest = requirements.limits.leg * LIMIT_MARGIN
-    one = polygon.vertices[None], reference[None]
-    return LegTask(team, requirements, *one, shortest, margin, roll=roll)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import InfeasibleError, check_time
-from hitchopt.geometry import differences, shortest_offset
+from hitchopt.geometry import Outline, differences, shortest_offset
 from hitchopt.geometry.vectors import EAST, dot, first_smallest, length, unit
 from hitchopt.hitch.forces import (
     cable_slack_of,
@@ -205,6 +205,23 @@ class LegTask:
     roughness: float = 0.0
     fixed: NDArray[np.bool_] | None = None
     roll: Array | float | None = None
+
+    @classmethod
+    def at_rest(
+        cls,
+        team: Team,
+        polygon: Outline,
+        reference: Array,
+        requirements: Requirements,
+        margin: float,
+        roll: Array | None = None,
+    ) -> LegTask:
+        """Return the task of one polygon and reference (n,), with LIMIT_MARGIN for short legs."""
+        shortest, one = (
+            LIMIT_MARGIN * requirements.limits.leg,
+            (polygon.vertices[None], reference[None]),
+        )
+        return cls(team, requirements, *one, shortest, margin, roll=roll)
 
     @property
     def level(self) -> bool:

@@ -267,9 +267,8 @@ class Replanner(OneLine):
         """Return the hitch of a goal, with the current slack split if limits allow it."""
         team, need = self.motion.team, self.requirements
         slack = cable_slack(team, outline)
-        q_legs = team.layout.q_legs_of(self._goal.fractions * slack, slack)[None]
-        min_leg = LIMIT_MARGIN * need.limits.leg
-        task = LegTask(team, need, outline.vertices[None], q_legs, min_leg, LIMIT_MARGIN)
+        q_legs = team.layout.q_legs_of(self._goal.fractions * slack, slack)
+        task = LegTask.at_rest(team, outline, q_legs, need, LIMIT_MARGIN)
         return Hitch(team, outline, altitude, task.split(first=True).q_legs[0])
 
     def _past(self, at: float) -> Motion:
