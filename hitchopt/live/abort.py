@@ -263,14 +263,13 @@ def _with_landing(whole: Motion, *, untie: bool) -> Motion:
         return append_motion(whole, _landing_of_chapter(whole, untie=untie))
     if not whole.phases[-1].formed:
         return _extended(whole, straight_down(whole))
-    need = whole.requirements
     hitch = _hitch_at_end(whole)
     state = RestState(whole.team, hitch.drones, hitch, _turning_senses(whole))
     task = StepTask(state, whole.phases[-1].step + 1, _requirements_after(whole).with_reserve)
     if untie:
         released = _extended(whole, Release().plan(task).motion)
         return _extended(released, straight_down(released))
-    return _extended(whole, _descent(hitch, task, need.floor))
+    return _extended(whole, _descent(hitch, task.requirements, task.index))
 
 
 def _landing_of_chapter(whole: Motion, *, untie: bool) -> Motion:
@@ -285,8 +284,7 @@ def _landing_of_chapter(whole: Motion, *, untie: bool) -> Motion:
         raise _refusal(reason, "choose land, hold or back")
     if formed:
         hitch = _hitch_at_end(ring)
-        state = RestState(ring.team, hitch.drones, hitch)
-        descent = _descent(hitch, StepTask(state, index, need.with_reserve), need.floor)
+        descent = _descent(hitch, need.with_reserve, index)
     else:
         descent = straight_down(ring)
     end = whole.drones.coefficients[-1, ..., -1].reshape(-1, 2, 3)
@@ -294,11 +292,10 @@ def _landing_of_chapter(whole: Motion, *, untie: bool) -> Motion:
     return landing_motion(descent, whole.team, waiting, need)
 
 
-def _descent(hitch: Hitch, task: StepTask, floor: float) -> Motion:
+def _descent(hitch: Hitch, requirements: Requirements, index: int) -> Motion:
     """Return the vertical descent of a hitch until its lowest drones are on the ground."""
-    altitude = hitch.altitude - (float(np.min(hitch.drones[:, 2])) - floor)
-    motion = vertical_motion(hitch, altitude, "land", task)
-    return motion.replaced(phases=tuple(replace(phase, remark="") for phase in motion.phases))
+    altitude = hitch.altitude - (float(np.min(hitch.drones[:, 2])) - requirements.floor)
+    return vertical_motion(hitch, altitude, requirements, Phase("land", index, 0.0, 0.0))
 
 
 def _hitch_at_end(whole: Motion) -> Hitch:

@@ -16,7 +16,7 @@ from hitchopt.checks.tracking import TRACKING_RADIUS
 from hitchopt.errors import HitchoptError, InfeasibleError, InputError, TimeLimitError, Violation
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.hitch import cable_slack
+from hitchopt.hitch.hitch import ALTITUDE_TOLERANCE, cable_slack
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.planners.morph.legs import SLIDING_TOLERANCE, legs_clear
@@ -24,7 +24,6 @@ from hitchopt.planners.morph.morph import POSITION_TOLERANCE, BlendedMorph
 from hitchopt.planners.morph.path import ShapePath
 from hitchopt.planners.timing.flight import check_duration, fly, in_duration, needed_stretch
 from hitchopt.steps.step import (
-    ALTITUDE_TOLERANCE,
     IDLE,
     RestState,
     RolledLegs,

@@ -153,9 +153,6 @@ Polygon = Annotated[Outline, Key(OUTLINE, OUTLINE_TEXT, TRIANGLE)]
 IDLE = 0.01
 """Default duration of a step without motion [s]."""
 
-ALTITUDE_TOLERANCE = 1e-9
-"""Altitudes that differ by less are the same [m]."""
-
 DECIMALS, MIN_REMAINING_SHARE = 9, 0.1
 """Decimals of numbers in edits; minimum share of a quantity that lowering leaves."""
 

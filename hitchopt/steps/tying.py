@@ -15,7 +15,6 @@ from hitchopt.hitch.team import MAX_ROBOTS, OPEN
 from hitchopt.motion.motion import CableState, Motion, Phase, joined_motions
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.steps.step import (
-    ALTITUDE_TOLERANCE,
     AUTO,
     AUTO_SECONDS,
     INDEX,
@@ -34,7 +33,7 @@ from hitchopt.steps.step import (
     WhichPoint,
     checks_relaxed_by,
 )
-from hitchopt.values import Array, Indices
+from hitchopt.values import Array
 from hitchopt.values.fields import Key, either, list_of, mapping_of, words
 from hitchopt.values.units import HEIGHT
 
@@ -121,74 +120,85 @@ class Form(Step):
         return super().resolved_for(team)
 
     def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan from free cables to a hitch."""
+        """Return the plan from free cables to a hitch.
+
+        Drones fly to where cables hang clear of each other, tie the hitch there, at the altitude
+        that hanging cables need, and lower it to its own.
+        """
+        from hitchopt.steps.certified_motions import require_certified, settling_plan
+
+        before, requirements, i = task.before, task.requirements, task.index
+        team, when = before.team, f"at the end of step {i} (form)"
+        goal: Hitch
+        site: Laying | PreHitch
         if self.by == "laying":
-            return self._plan_laying(task)
-        from hitchopt.planners.forming.stages import forming_stages
-        from hitchopt.steps import certified_motions as motions
+            goal, site = self._laying(team, requirements, when)
+        else:
+            goal, site = self._swaps(team, requirements, when)
+        tying = joined_motions(site.stages(requirements, i))
+        if not site.certain:  # no approach helps if tying is infeasible
+            require_certified(StepPlan(tying, before))
+        parts = [_approach_motion(task, site.drones_hanging), tying]
+        if site.hitch is not goal:
+            lower = Phase("lower", i, 0.0, 0.0, HIGHER)
+            parts.append(vertical_motion(site.hitch, goal.altitude, requirements, lower))
+        formed = RestState(team, goal.drones, goal, site.senses, self.swap, site.levels)
+        after = before.after_forming(formed)
+        if team.cable_friction > 0.0 and self.settle is not False:
+            seconds = None if isinstance(self.settle, str) else self.settle
+            phase, settling = Phase("settle", i, 0.0, 0.0), replace(task, before=after)
+            plan = settling_plan(settling, seconds, phase, required=seconds is not None)
+            parts.append(plan.motion)
+        return StepPlan(self.with_duration(task, joined_motions(parts)), after)
 
-        i, requirements = task.index, task.requirements
-        goal = self._goal_hitch(task.before.team, requirements)
-        motions.check_at_rest(goal, requirements, f"at the end of step {i} (form)")
-        raised, prehitch = tying_site(goal, self.swap, None, requirements)
-        if prehitch.violation > 0.0 and self.legs is None:
-            goal, raised, prehitch = self._short_legged(goal, raised, prehitch, requirements)
-        tying = joined_motions(forming_stages(prehitch, raised, requirements, self.swap, i))
-        if prehitch.violation > 0.0:  # no approach helps if tying is infeasible
-            motions.require_certified(StepPlan(tying, task.before))
-        parts = [_approach_motion(task, prehitch.drones), tying]
-        if raised is not goal:
-            parts.append(vertical_motion(raised, goal.altitude, "lower", task))
-        senses = np.sign(prehitch.ellipses.rise)
-        formed = RestState(goal.team, goal.drones, goal, senses, self.swap)
-        after = task.before.after_forming(formed)
-        return self._settled_plan(task, parts, after)
-
-    def _plan_laying(self, task: StepTask) -> StepPlan:
-        """Return the plan from free cables to a hitch by laying."""
+    def _laying(self, team: Team, requirements: Requirements, when: str) -> tuple[Hitch, Laying]:
+        """Return the goal and its laying; without ``legs`` drones are apart as pairs roll."""
         from hitchopt.planners.forming import laying
-        from hitchopt.steps import certified_motions as motions
+        from hitchopt.steps.certified_motions import check_at_rest, split_hitch
 
-        i, requirements, team = task.index, task.requirements, task.before.team
         order = None
         if not isinstance(self.order, str):
             order = [team.labels.index(k) for k in np.asarray(self.order).tolist()]
         levels = laying.levels_of(team.layout, order)
-        senses = laying.senses_of(team.layout, levels)
         if self.legs is None:
             halves = Hitch.balanced(team, self.polygon, self.altitude)
+            senses = laying.senses_of(team.layout, levels)
             goal = laying.split_for_rolling(halves, senses, requirements)
         else:
-            goal = motions.split_hitch(team, self.polygon, self.altitude, self.legs, requirements)
-        motions.check_at_rest(goal, requirements, f"at the end of step {i} (form)")
-        site = laying_site(goal, levels, requirements)
-        tying = joined_motions(laying.laying_stages(site, requirements, i))
-        motions.require_certified(StepPlan(tying, task.before))
-        parts = [_approach_motion(task, site.drones_hanging), tying]
-        if site.hitch is not goal:
-            parts.append(vertical_motion(site.hitch, goal.altitude, "lower", task))
-        formed = RestState(team, goal.drones, goal, senses, self.swap, levels)
-        return self._settled_plan(task, parts, task.before.after_forming(formed))
+            goal = split_hitch(team, self.polygon, self.altitude, self.legs, requirements)
+        check_at_rest(goal, requirements, when)
+        return goal, laying.find_laying(goal, levels, requirements).raised(requirements)
 
-    def _settled_plan(self, task: StepTask, parts: list[Motion], after: RestState) -> StepPlan:
-        """Return the plan of consecutive motions, with settling if cables have friction."""
-        from hitchopt.steps import certified_motions as motions
+    def _swaps(self, team: Team, requirements: Requirements, when: str) -> tuple[Hitch, PreHitch]:
+        """Return the goal and its pre-hitch; without ``legs`` they are spread, or else short.
 
-        if after.team.cable_friction > 0.0 and self.settle is not False:
-            seconds = None if isinstance(self.settle, str) else self.settle
-            phase, settling = Phase("settle", task.index, 0.0, 0.0), replace(task, before=after)
-            plan = motions.settling_plan(settling, seconds, phase, required=seconds is not None)
-            parts.append(plan.motion)
-        return StepPlan(self.with_duration(task, joined_motions(parts)), after)
+        Where both legs of a cable cross, the drones of long legs would collide on their way out.
+        """
+        from hitchopt.planners.forming.prehitch import find_prehitch
+        from hitchopt.steps.certified_motions import check_at_rest, rest_plan, split_hitch
 
-    def _goal_hitch(self, team: Team, requirements: Requirements) -> Hitch:
-        """Return the goal; without ``legs`` spread, with the largest feasible cable margin."""
+        if self.legs is None:
+            goal = self._spread(team, requirements)
+        else:
+            goal = split_hitch(team, self.polygon, self.altitude, self.legs, requirements)
+        check_at_rest(goal, requirements, when)
+        prehitch = find_prehitch(goal, requirements, self.swap).raised(requirements)
+        if prehitch.certain or self.legs is not None:
+            return goal, prehitch
+        options = {name: getattr(requirements, name) for name in ("limits", "separation", "arena")}
+        fractions = np.zeros(team.robots)
+        short = Hitch.nearest(team, self.polygon, self.altitude, fractions, **options)
+        if rest_plan(short, requirements).certificate.certified:
+            nearer = find_prehitch(short, requirements, self.swap).raised(requirements)
+            if nearer.certain:
+                return short, nearer
+        return goal, prehitch
+
+    def _spread(self, team: Team, requirements: Requirements) -> Hitch:
+        """Return the hitch with spread legs, with the largest feasible cable margin."""
         from hitchopt.steps.certified_motions import rest_plan, split_hitch
 
-        legs: SlackSplit = "spread" if self.legs is None else self.legs
-        spread = split_hitch(team, self.polygon, self.altitude, legs, requirements)
-        if self.legs is not None:
-            return spread
+        spread = split_hitch(team, self.polygon, self.altitude, "spread", requirements)
         cable = requirements.separation.cable
         clearance = rest_plan(spread, requirements).certificate["cable_clearance"].bound
         for margin in CABLE_MARGINS:
@@ -201,25 +211,6 @@ class Form(Step):
             if rest_plan(hitch, wider).certificate.certified:
                 return hitch
         return spread
-
-    def _short_legged(
-        self, goal: Hitch, raised: Hitch, prehitch: PreHitch, requirements: Requirements
-    ) -> tuple[Hitch, Hitch, PreHitch]:
-        """Return a goal with short q-legs, its site and pre-hitch if feasible, else the arguments.
-
-        Where both legs of a cable cross, the drones of long legs would collide on their way out.
-        """
-        from hitchopt.steps.certified_motions import rest_plan
-
-        names = ("limits", "separation", "arena")
-        options = {name: getattr(requirements, name) for name in names}
-        fractions = np.zeros(goal.team.robots)
-        short = Hitch.nearest(goal.team, self.polygon, self.altitude, fractions, **options)
-        if rest_plan(short, requirements).certificate.certified:
-            site, short_prehitch = tying_site(short, self.swap, None, requirements)
-            if short_prehitch.violation <= 0.0:
-                return short, site, short_prehitch
-        return goal, raised, prehitch
 
     def knobs(self) -> Iterator[Knob]:
         """Yield the duration, and the swap's radius if it exceeds the default."""
@@ -247,34 +238,6 @@ def _approach_motion(task: StepTask, goal: Array) -> Motion:
     raise combined_failure(errors[0], errors[1], "no other route to the pre-hitch was found")
 
 
-TIGHTENING_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
-"""Shares of the move from the pre-hitch to the hitch at which cable heights are sampled."""
-
-
-def tying_site(
-    hitch: Hitch, swap: SwapSettings, senses: Array | None, requirements: Requirements
-) -> tuple[Hitch, PreHitch]:
-    """Return the hitch raised to the altitude for tying or untying, and its pre-hitch.
-
-    ``senses`` (clasps,) are the turning senses to be reversed; None to choose them.
-    """
-    from hitchopt.planners.forming.approach import CLEARANCE, hover_altitude
-    from hitchopt.planners.forming.prehitch import find_prehitch
-
-    prehitch = find_prehitch(hitch, requirements, swap)
-    if senses is not None:
-        prehitch = replace(prehitch, ellipses=prehitch.ellipses.with_senses(senses))
-    floor, clearance = requirements.floor, CLEARANCE * requirements.separation.cable
-    tightening = (prehitch.drones + x * (hitch.drones - prehitch.drones) for x in TIGHTENING_SHARES)
-    hanging = (hover_altitude(hitch.team, drones, requirements) for drones in tightening)
-    altitude = max(hitch.altitude, floor + clearance + prehitch.depth, *hanging)
-    rise = altitude - hitch.altitude
-    if rise <= ALTITUDE_TOLERANCE:
-        return hitch, prehitch
-    raised = Hitch(hitch.team, hitch.polygon, altitude, hitch.q_legs, hitch.roll)
-    return raised, replace(prehitch, ellipses=prehitch.ellipses.raised(rise))
-
-
 def check_rollable(step: str, team: Team, requirements: Requirements) -> None:
     """Raise UnsupportedError for teams whose pairs cannot roll, or whose cables cannot be laid.
 
@@ -292,27 +255,20 @@ def check_rollable(step: str, team: Team, requirements: Requirements) -> None:
             raise UnsupportedError(f"{step}: laying and rolling do not know {reason}")
 
 
-def laying_site(hitch: Hitch, levels: Indices, requirements: Requirements) -> Laying:
-    """Return the laying of a hitch, raised to the altitude that its hanging cables need."""
-    from hitchopt.planners.forming.approach import hover_altitude
-    from hitchopt.planners.forming.laying import find_laying
-
-    site = find_laying(hitch, levels, requirements)
-    lowest = float(np.min(site.drones_hanging[:, 2]))
-    rise = hover_altitude(hitch.team, site.drones_hanging, requirements) - lowest
-    return site if rise <= ALTITUDE_TOLERANCE else site.at_altitude(hitch.altitude + rise)
+HIGHER = "hanging cables need more height over the ground than the hitch"
+"""Remark on motions of a hitch to and from the altitude at which it is tied."""
 
 
-def vertical_motion(hitch: Hitch, altitude: float, name: str, task: StepTask) -> Motion:
-    """Return the motion of a hitch straight up or down, as one phase of a step."""
+def vertical_motion(
+    hitch: Hitch, altitude: float, requirements: Requirements, phase: Phase
+) -> Motion:
+    """Return the motion of a hitch straight up or down, in a phase whose end it sets."""
     from hitchopt.planners.morph.path import RigidPath
     from hitchopt.planners.timing.flight import fly
 
-    to = np.append(hitch.polygon.centroid, altitude)
-    motion = fly(RigidPath(hitch, to, 0.0), task.requirements)
-    remark = "hanging cables need more height over the ground than the hitch"
-    phase = Phase(name, task.index, 0.0, motion.duration, remark)
-    return motion.replaced(phases=(phase,))
+    path = RigidPath(hitch, np.append(hitch.polygon.centroid, altitude), 0.0)
+    motion = fly(path, requirements)
+    return motion.replaced(phases=(replace(phase, end=motion.duration),))
 
 
 def adjusting_motions(task: StepTask, q_legs: Array) -> list[Motion]:
@@ -403,33 +359,25 @@ class Release(Step):
         """Return None: cables are free."""
 
     def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan from a hitch to free cables."""
-        from hitchopt.planners.forming.stages import forming_stages, reversed_stages
-
-        before, hitch, requirements = task.before, task.hitch, task.requirements
-        if before.levels is not None:
-            return self._plan_unlaying(task, before.levels)
-        raised, prehitch = tying_site(hitch, before.swap, before.assumed_senses, requirements)
-        parts = reversed_stages(
-            forming_stages(prehitch, raised, requirements, before.swap, task.index)
-        )
-        if raised is not hitch:
-            parts.insert(0, vertical_motion(hitch, raised.altitude, "raise", task))
-        after = replace(before, drones=prehitch.drones, hitch=None, senses=None)
-        return StepPlan(self.with_duration(task, joined_motions(parts)), after)
-
-    def _plan_unlaying(self, task: StepTask, levels: Indices) -> StepPlan:
-        """Return the plan of laying in reverse: pairs unroll, cables are lifted from the top."""
-        from hitchopt.planners.forming.laying import laying_stages, split_for_rolling
+        """Return the plan from a hitch to free cables: its tying in reverse."""
+        from hitchopt.planners.forming.laying import find_laying, split_for_rolling
+        from hitchopt.planners.forming.prehitch import find_prehitch
         from hitchopt.planners.forming.stages import reversed_stages
 
-        before, requirements = task.before, task.requirements
-        hitch = split_for_rolling(task.hitch, before.assumed_senses, requirements)
-        site = laying_site(hitch, levels, requirements)
+        before, requirements, i = task.before, task.requirements, task.index
+        hitch, senses = task.hitch, before.assumed_senses
+        site: PreHitch | Laying
+        if before.levels is None:
+            site = find_prehitch(hitch, requirements, before.swap).with_senses(senses)
+        else:
+            hitch = split_for_rolling(hitch, senses, requirements)
+            site = find_laying(hitch, before.levels, requirements)
+        site = site.raised(requirements)
         parts = adjusting_motions(task, hitch.q_legs)
         if site.hitch is not hitch:
-            parts.append(vertical_motion(hitch, site.hitch.altitude, "raise", task))
-        parts += reversed_stages(laying_stages(site, requirements, task.index))
+            higher = Phase("raise", i, 0.0, 0.0, HIGHER)
+            parts.append(vertical_motion(hitch, site.hitch.altitude, requirements, higher))
+        parts += reversed_stages(site.stages(requirements, i))
         after = replace(before, drones=site.drones_hanging, hitch=None, senses=None, levels=None)
         return StepPlan(self.with_duration(task, joined_motions(parts)), after)
 

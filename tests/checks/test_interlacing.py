@@ -16,11 +16,9 @@ from hitchopt.motion.motion import CableState, Motion, joined_motions
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.planners.forming.prehitch import find_prehitch
 from hitchopt.planners.forming.stages import (
-    forming_stages,
     reversed_stages,
     stage,
     straight_lines,
-    swap,
 )
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
@@ -44,7 +42,7 @@ def hitch_of(n: int) -> Hitch:
 def stages_of(n: int, sense: int = 1) -> tuple[Hitch, list[Motion]]:
     """Return two swaps, tightening, and the held hitch."""
     hitch, settings = hitch_of(n), SwapSettings(sense=sense)
-    return hitch, forming_stages(find_prehitch(hitch, SPEC, settings), hitch, SPEC, settings)
+    return hitch, find_prehitch(hitch, SPEC, settings).stages(SPEC)
 
 
 def stage_of(hitch: Hitch, name: str, drones: PiecewisePolynomial, state: CableState) -> Motion:
@@ -116,9 +114,9 @@ def test_a_vertex_turned_the_other_way_in_the_second_swap_is_named() -> None:
     hitch, stages = stages_of(5)
     pre, senses = find_prehitch(hitch, SPEC, SwapSettings()), np.ones(5)
     senses[3] = -1.0
-    turned = pre.ellipses.with_senses(senses)
+    turned = pre.with_senses(senses).ellipses
     first, second, other = (
-        stage_of(hitch, "swap", swap(turns, Limits(), i, None), CLASPING)
+        stage_of(hitch, "swap", turns.half_turn(Limits(), i, None), CLASPING)
         for turns, i in ((pre.ellipses, 0), (turned, 1), (turned, 0))
     )
     assert wrong(first, second, *stages[2:]) == {"p3"}

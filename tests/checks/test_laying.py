@@ -28,7 +28,6 @@ from hitchopt.planners.forming.laying import (
     Laying,
     RollPath,
     find_laying,
-    laying_stages,
     levels_of,
     roll_motion,
     senses_of,
@@ -55,7 +54,7 @@ def laying_of(n: int, order: tuple[int, ...] | None = None) -> Laying:
 
 @cache
 def stages_of(n: int, order: tuple[int, ...] | None = None) -> list[Motion]:
-    return laying_stages(laying_of(n, order), SPEC)
+    return laying_of(n, order).stages(SPEC)
 
 
 def wrong(motions: Sequence[Motion]) -> set[str]:
@@ -122,7 +121,7 @@ def test_rolling_in_the_wrong_sense_is_refused(n: int) -> None:
     assert wrong([*stages[:-1], rolled(laying, one, laying.path.end)]) == {"p1"}
     # The right half turn, but of cables that were laid in another order.
     other = find_laying(laying.hitch, laying.levels[::-1].copy(), SPEC)
-    assert wrong([*laying_stages(other, SPEC)[:-1], stages[-1]]) == (
+    assert wrong([*other.stages(SPEC)[:-1], stages[-1]]) == (
         {f"p{k}" for k in np.flatnonzero(laying.senses != other.senses)}
     )
 

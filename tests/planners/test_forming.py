@@ -17,7 +17,6 @@ from hitchopt.planners.forming import SwapSettings
 from hitchopt.planners.forming.approach import assign_robots
 from hitchopt.planners.forming.prehitch import find_prehitch
 from hitchopt.planners.forming.stages import (
-    forming_stages,
     reversed_stages,
     rise_seconds,
     straight_lines,
@@ -38,7 +37,7 @@ PENTAGON = Hitch(
 
 def stages_of(hitch: Hitch) -> list[Motion]:
     prehitch = find_prehitch(hitch, Requirements(), SwapSettings())
-    return forming_stages(prehitch, hitch, Requirements(), SwapSettings())
+    return prehitch.stages(Requirements())
 
 
 def sampled(stage: Motion) -> Array:

@@ -20,12 +20,19 @@ from scipy.spatial.distance import pdist
 from hitchopt.geometry import Outline
 from hitchopt.geometry.vectors import GOLDEN, TIE
 from hitchopt.hitch import Team
-from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.requirements import Requirements, Separation
 from hitchopt.hitch.team import Assignment
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.planners.forming.prehitch import MAX_SPAN_RATIO
-from hitchopt.planners.forming.stages import MIN_FLIGHT, PAUSE, stage, straight_lines
+from hitchopt.planners.forming.stages import (
+    GROUND_CLEARANCE,
+    MIN_FLIGHT,
+    PAUSE,
+    hover_altitude,
+    lowest_points,
+    stage,
+    straight_lines,
+)
 from hitchopt.planners.separation import SeparatedFlight, SeparationTask
 from hitchopt.planners.timing.profile import LIMIT_SHARE, usable_accelerations
 from hitchopt.trajectory import PiecewisePolynomial
@@ -33,9 +40,6 @@ from hitchopt.values import Array
 
 PAIR_SEPARATION = 1.6
 """Separation [1] of a gathered robot's two drones."""
-
-CLEARANCE = 1.1
-"""Height of hanging cables above the ground, over ``Separation.cable``."""
 
 HEIGHT_SAMPLES = 101
 """Number of times at which the cables' heights are sampled."""
@@ -143,8 +147,10 @@ class DirectApproach(Approach):
             return [*rise, self._stage("approach", pause)]
         drones = SeparatedFlight(self.problem).solve().drones
         at = np.linspace(drones.breaks[0], drones.breaks[-1], HEIGHT_SAMPLES)
-        lowest = min(float(np.min(_lowest(self.team, x, requirements.off))) for x in drones.at(at))
-        deficit = requirements.floor + CLEARANCE * requirements.separation.cable - lowest
+        lowest = min(
+            float(np.min(lowest_points(self.team, x, requirements.off))) for x in drones.at(at)
+        )
+        deficit = requirements.floor + GROUND_CLEARANCE * requirements.separation.cable - lowest
         if deficit <= 0.0:
             return [*rise, self._stage("approach", drones)]
         up = np.array([0.0, 0.0, deficit + 0.1 * requirements.separation.cable])
@@ -219,23 +225,6 @@ class GatheredApproach(Approach):
         arms *= PAIR_SEPARATION * self.requirements.separation.radius
         pairs = np.stack([centres - arms, centres + arms], axis=-2)
         return pairs.reshape(*pairs.shape[:-3], -1, 3)
-
-
-def hover_altitude(team: Team, drones: Array, requirements: Requirements) -> float:
-    """Return the lowest altitude [m] at which cables of drones over (2n, 3) [m] hang free."""
-    level = drones * np.array([1.0, 1.0, 0.0])
-    lowest = float(np.min(_lowest(team, level, requirements.off)))
-    return requirements.floor + CLEARANCE * requirements.separation.cable - lowest
-
-
-def _lowest(team: Team, drones: Array, off: float) -> Array:
-    """Return the height of every hanging cable's lowest point (n,) [m].
-
-    For a position error ``off`` [m] of drones it is reduced by the extra displacement of cables.
-    """
-    q, r = drones[0::2], drones[1::2]
-    cables = Catenary.between(q, r, team.cable_length)
-    return q[:, 2] + cables.lowest - cables.extra_displacement(off)
 
 
 def assign_robots(team: Team, drones: Array, outline: Outline, leg: float) -> Assignment:

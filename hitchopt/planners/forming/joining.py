@@ -34,7 +34,7 @@ from hitchopt.hitch.team import PartTeam
 from hitchopt.motion.chapters import WaitingRobot, with_waiting
 from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.motion.retiming import append_motion, padded, resting
-from hitchopt.planners.forming.approach import DirectApproach, hover_altitude
+from hitchopt.planners.forming.approach import DirectApproach
 from hitchopt.planners.forming.laying import (
     SHARES,
     TENSION_SECONDS,
@@ -43,7 +43,13 @@ from hitchopt.planners.forming.laying import (
     roll_motion,
 )
 from hitchopt.planners.forming.prehitch import MAX_SPAN_RATIO, MIN_SEPARATION, smallest_separation
-from hitchopt.planners.forming.stages import MIN_FLIGHT, PAUSE, stage, straight_lines
+from hitchopt.planners.forming.stages import (
+    MIN_FLIGHT,
+    PAUSE,
+    hover_altitude,
+    stage,
+    straight_lines,
+)
 from hitchopt.planners.morph.path import shapes_along
 from hitchopt.planners.separation import SeparatedFlight
 from hitchopt.trajectory import PiecewisePolynomial

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from hitchopt.errors import check_time
 from hitchopt.geometry import shortest_offset
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.catenary import Catenary
+from hitchopt.hitch.hitch import ALTITUDE_TOLERANCE
 from hitchopt.hitch.model import FlatJets
 from hitchopt.hitch.requirements import Requirements, Separation
 from hitchopt.hitch.series import JET
@@ -31,7 +32,7 @@ from hitchopt.planners.forming.prehitch import (
     SAMPLES,
     smallest_separation,
 )
-from hitchopt.planners.forming.stages import SMOOTH, stage, straight_lines
+from hitchopt.planners.forming.stages import SMOOTH, hover_altitude, stage, straight_lines
 from hitchopt.planners.morph.morph import check_loads
 from hitchopt.planners.morph.path import drones_along
 from hitchopt.planners.timing.flight import fly
@@ -126,6 +127,7 @@ class Laying:
     levels: Indices  # (n,), order of the cables, 0 the lowest
     spacing: float = 0.0  # [m], between levels
     offsets: Array | None = None  # (n, 2) [m], of the start from the edges' lines
+    certain: ClassVar[bool] = False  # samples are of drones alone
 
     @property
     def senses(self) -> Array:
@@ -165,10 +167,44 @@ class Laying:
         drones: Array = middle + share[:, None, None] * (pairs - middle)
         return np.asarray(drones.reshape(-1, 3))
 
-    def at_altitude(self, altitude: float) -> Laying:
-        """Return the laying at another altitude."""
-        own = self.hitch
-        return replace(self, hitch=Hitch(own.team, own.polygon, altitude, own.q_legs, own.roll))
+    def raised(self, requirements: Requirements) -> Laying:
+        """Return the laying at the altitude that its hanging cables need."""
+        hitch, start = self.hitch, self.drones_hanging
+        rise = hover_altitude(hitch.team, start, requirements) - float(np.min(start[:, 2]))
+        if rise <= ALTITUDE_TOLERANCE:
+            return self
+        return replace(self, hitch=hitch.at_altitude(hitch.altitude + rise))
+
+    def stages(self, requirements: Requirements, index: int = 0) -> list[Motion]:
+        """Return the motions from hanging cables outside of the edges' lines to the hitch.
+
+        Parameters
+        ----------
+        index: of the step in its mission.
+        """
+        team, hitch = self.hitch.team, self.hitch
+        limits, context = requirements.limits, (team, requirements, index)
+        roll = roll_motion(self.path, requirements, Phase("roll", index, 0.0, 0.0))
+        rest = np.array([0.0, TENSION_SECONDS])
+        curves: dict[str, Any] = {
+            "vertices": PiecewisePolynomial.constant(rest, hitch.vertices),
+            "legs": PiecewisePolynomial.constant(rest, roll.legs.coefficients[0, ..., 0]),
+            "tensions": PiecewisePolynomial(rest, (team.tension[:, None] * SMOOTH)[None]),
+        }
+        lines = (
+            ("draw taut", self.drones_hanging, self.drones_outside, CableState.FREE),
+            ("slide in", self.drones_outside, self.drones_above, CableState.LAYING),
+            ("lay", self.drones_above, self.drones_laid, CableState.LAYING),
+        )
+        drones = PiecewisePolynomial.constant(rest, self.drones_laid)
+        return [
+            *(
+                stage(name, straight_lines(team, limits, start, end), *context, state)
+                for name, start, end, state in lines
+            ),
+            stage("tension", drones, *context, CableState.ROLLING, **curves),
+            roll,
+        ]
 
 
 def split_for_rolling(hitch: Hitch, senses: Array, requirements: Requirements) -> Hitch:
@@ -239,38 +275,6 @@ def _cable_distance(layout: Layout, drones: Array) -> float:
         distances = np.linalg.norm(shortest_offset(differences), axis=-1)
         smallest = min(smallest, float(np.min(distances)))
     return smallest
-
-
-def laying_stages(laying: Laying, requirements: Requirements, index: int = 0) -> list[Motion]:
-    """Return the motions from hanging cables outside of the edges' lines to the hitch.
-
-    Parameters
-    ----------
-    index: of the step in its mission.
-    """
-    team, hitch = laying.hitch.team, laying.hitch
-    limits, context = requirements.limits, (team, requirements, index)
-    roll = roll_motion(laying.path, requirements, Phase("roll", index, 0.0, 0.0))
-    rest = np.array([0.0, TENSION_SECONDS])
-    curves: dict[str, Any] = {
-        "vertices": PiecewisePolynomial.constant(rest, hitch.vertices),
-        "legs": PiecewisePolynomial.constant(rest, roll.legs.coefficients[0, ..., 0]),
-        "tensions": PiecewisePolynomial(rest, (team.tension[:, None] * SMOOTH)[None]),
-    }
-    lines = (
-        ("draw taut", laying.drones_hanging, laying.drones_outside, CableState.FREE),
-        ("slide in", laying.drones_outside, laying.drones_above, CableState.LAYING),
-        ("lay", laying.drones_above, laying.drones_laid, CableState.LAYING),
-    )
-    drones = PiecewisePolynomial.constant(rest, laying.drones_laid)
-    return [
-        *(
-            stage(name, straight_lines(team, limits, start, end), *context, state)
-            for name, start, end, state in lines
-        ),
-        stage("tension", drones, *context, CableState.ROLLING, **curves),
-        roll,
-    ]
 
 
 def roll_motion(path: RollPath, requirements: Requirements, phase: Phase) -> Motion:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -19,8 +20,22 @@ from hitchopt.errors import check_time
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.catenary import Catenary
-from hitchopt.hitch.requirements import Requirements, Separation
+from hitchopt.hitch.hitch import ALTITUDE_TOLERANCE
+from hitchopt.hitch.requirements import Limits, Requirements, Separation
+from hitchopt.motion.motion import CableState, Motion
 from hitchopt.planners.forming import SwapSettings
+from hitchopt.planners.forming.stages import (
+    GROUND_CLEARANCE,
+    SMOOTH,
+    hover_altitude,
+    line_progress,
+    on_lines,
+    rise_seconds,
+    stage,
+)
+from hitchopt.planners.timing.profile import usable_accelerations
+from hitchopt.planners.timing.ramps import fastest_clock, timed_curve
+from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
 LEG_SHARES = (0.6, 0.5, 0.4, 0.3, 0.2, 0.1)
@@ -51,6 +66,21 @@ ANGLES = 73
 
 SAMPLES = np.linspace(0.0, 1.0, 41)
 """Sampled shares of a hanging cable's length and of straight flights."""
+
+TIGHTENING_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Shares of the move from the pre-hitch to the hitch at which cable heights are sampled."""
+
+MAX_PIECE_ANGLE = 0.3
+"""[rad] Largest angle on one polynomial of degree 7, which is within 1e-9 of the ellipse."""
+
+TURNING_SHARES = (0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85)
+"""Shares of the acceleration that are centripetal at full speed; the rest is tangential."""
+
+JERK_SHARE = 0.7
+"""Share of the jerk for the angle's own rate."""
+
+TURN_ANGLES = 25
+"""Number of angles of half a turn at which usable accelerations are computed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,9 +133,33 @@ class SwapEllipses:
         up = np.array([0.0, 0.0, by])
         return replace(self, centres=self.centres + up, ends=self.ends + up)
 
-    def with_senses(self, senses: Array) -> SwapEllipses:
-        """Return the ellipses with senses (c,): 1 if q_k goes up first, -1 if down."""
-        return replace(self, rise=np.abs(self.rise) * senses)
+    def half_turn(self, limits: Limits, first: int, seconds: float | None) -> PiecewisePolynomial:
+        """Return the drones (2n, 3) [m] on half a turn of all pairs, from rest to rest.
+
+        The turn is as fast as the limits of every drone's speed, acceleration and jerk allow.
+
+        Parameters
+        ----------
+        limits: of every drone.
+        first: 0 for the turn from θ = 0, 1 for the one from θ = π.
+        seconds: shortest duration [s], or None.
+        """
+        start = first * math.pi
+        angles = np.linspace(start, start + math.pi, TURN_ANGLES)
+        usable = float(np.min(usable_accelerations(self.team, limits, self.drones(angles))))
+        size = float(max(np.max(self.half), np.max(np.abs(self.rise))))
+
+        def turn(share: float) -> PiecewisePolynomial:
+            """Return the turn with a centripetal share of the acceleration, within all limits."""
+            speed = min(limits.speed / size, math.sqrt(share * usable / size))
+            tangential = math.sqrt(max(usable * usable - (speed * speed * size) ** 2, 1e-12)) / size
+            clock = fastest_clock(math.pi, speed, tangential, JERK_SHARE * limits.jerk / size)
+            return timed_curve(
+                lambda at, k: self.drones(start + at, k), clock, MAX_PIECE_ANGLE, limits, usable
+            )
+
+        best = min(map(turn, TURNING_SHARES), key=lambda drones: drones.duration)
+        return best.stretched(max(1.0, (seconds or 0.0) / best.duration))
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,29 +168,101 @@ class PreHitch:
 
     Attributes
     ----------
-    ellipses: of all pairs, at the altitude of the swaps.
+    hitch: to be tied, at the altitude of the swaps.
+    settings: of the swaps.
+    ellipses: of all pairs.
     share: of the hitch's legs.
     depth: largest depth of a cable below the drones' plane during the swaps [m].
     linked: whether cables cross at all clasps after the first swap.
     violation: relative violation of the requirements; none if at most zero.
     """
 
+    hitch: Hitch
+    settings: SwapSettings
     ellipses: SwapEllipses
     share: float
     depth: float
     linked: bool
     violation: float
+    levels: ClassVar[None] = None
 
     @property
-    def drones(self) -> Array:
+    def certain(self) -> bool:
+        """Whether samples violate no requirement."""
+        return self.violation <= 0.0
+
+    @property
+    def drones_hanging(self) -> Array:
         """(2n, 3) [m]: positions of the drones before and after the swaps."""
         return self.ellipses.drones(0.0)
+
+    @property
+    def senses(self) -> Array:
+        """(clasps,): 1 if q_k goes up first, -1 if down."""
+        return np.sign(self.ellipses.rise)
+
+    def raised(self, requirements: Requirements) -> PreHitch:
+        """Return the pre-hitch at the altitude that its cables need, hanging as they are tied."""
+        hitch, start = self.hitch, self.drones_hanging
+        tightening = (start + x * (hitch.drones - start) for x in TIGHTENING_SHARES)
+        hanging = (hover_altitude(hitch.team, drones, requirements) for drones in tightening)
+        clearance = GROUND_CLEARANCE * requirements.separation.cable
+        altitude = max(hitch.altitude, requirements.floor + clearance + self.depth, *hanging)
+        rise = altitude - hitch.altitude
+        if rise <= ALTITUDE_TOLERANCE:
+            return self
+        return replace(self, hitch=hitch.at_altitude(altitude), ellipses=self.ellipses.raised(rise))
+
+    def with_senses(self, senses: Array) -> PreHitch:
+        """Return the pre-hitch with turning senses (c,): 1 if q_k goes up first, -1 if down."""
+        turned = replace(self.ellipses, rise=np.abs(self.ellipses.rise) * senses)
+        return replace(self, ellipses=turned)
+
+    def stages(self, requirements: Requirements, index: int = 0) -> list[Motion]:
+        """Return two swaps, tightening and tension, which lead to the hitch.
+
+        While drones move out, clasps move on lines too. Their ends are within reach of all cables,
+        and since the lengths of routes are convex, so are the points between.
+
+        Parameters
+        ----------
+        index: of the step in its mission.
+        """
+        hitch, team, limits = self.hitch, self.hitch.team, requirements.limits
+        start, context = self.drones_hanging, (team, requirements, index)
+        # Upper bound of the drones' motion for any polygon.
+        distance = (1.0 - self.share) * float(np.max(hitch.legs))
+        progress = line_progress(team, limits, start, hitch.drones, distance)
+        clasps = on_lines(progress, clasp_points(self.ellipses, hitch), hitch.vertices)
+        swaps = [self.ellipses.half_turn(limits, k, self.settings.seconds) for k in (0, 1)]
+        rest = np.array([0.0, rise_seconds(team)])
+        drones, points, legs = (
+            PiecewisePolynomial.constant(rest, value)
+            for value in (hitch.drones, hitch.vertices, hitch.legs)
+        )
+        tensions = PiecewisePolynomial(rest, (team.tension[:, None] * SMOOTH)[None])
+        curves: dict[str, Any] = {"vertices": points, "legs": legs, "tensions": tensions}
+        outward = on_lines(progress, start, hitch.drones)
+        return [
+            *(
+                stage(
+                    f"swap {k}",
+                    turning,
+                    *context,
+                    CableState.CLASPING,
+                    vertices=PiecewisePolynomial.constant(turning.breaks, hitch.vertices),
+                )
+                for k, turning in enumerate(swaps, 1)
+            ),
+            stage("tighten", outward, *context, CableState.TIGHTENING, vertices=clasps),
+            stage("tension", drones, *context, state=CableState.HITCHED, **curves),
+        ]
 
 
 def find_prehitch(hitch: Hitch, requirements: Requirements, settings: SwapSettings) -> PreHitch:
     """Return the first pre-hitch without a violation, else the one with the smallest violation.
 
-    Its altitude is that of the hitch. Chords across the vertices are considered only if some other
+    Chords across the vertices are considered only if some other
     candidate would not link its cables.
     """
     candidates: list[PreHitch] = []
@@ -145,7 +271,7 @@ def find_prehitch(hitch: Hitch, requirements: Requirements, settings: SwapSettin
             break
         check_time()
         ellipses = _ellipses(hitch, requirements.separation, settings, share, scale, across)
-        candidate = _evaluate(ellipses, hitch, requirements, share)
+        candidate = _evaluate(ellipses, hitch, requirements, settings, share)
         if candidate.violation <= 0.0:
             return candidate
         candidates.append(candidate)
@@ -195,7 +321,11 @@ def _ellipses(
 
 
 def _evaluate(
-    ellipses: SwapEllipses, hitch: Hitch, requirements: Requirements, share: float
+    ellipses: SwapEllipses,
+    hitch: Hitch,
+    requirements: Requirements,
+    settings: SwapSettings,
+    share: float,
 ) -> PreHitch:
     """Return the pre-hitch with these ellipses, sampled over the swaps and up to the hitch."""
     drones = ellipses.drones(np.linspace(0.0, 2.0 * math.pi, ANGLES))
@@ -226,7 +356,8 @@ def _evaluate(
         start, move = drones[0], hitch.drones - drones[0]
         ratios.append(1.0 / smallest_separation(start + SAMPLES[:, None, None] * move, separation))
         ratios.append(_route_ratio(hitch.team, start, clasp_points(ellipses, hitch)))
-    return PreHitch(ellipses, share, depth, link_length >= MIN_LINK, max(ratios) - 1.0)
+    linked, violation = link_length >= MIN_LINK, max(ratios) - 1.0
+    return PreHitch(hitch, settings, ellipses, share, depth, linked, violation)
 
 
 def _link_length(ellipses: SwapEllipses) -> float:

@@ -1,4 +1,4 @@
-"""Stages of forming, two swaps, tightening and tension, and of releasing, the reverse."""
+"""Stages of forming and, in reverse, of releasing; flights of drones with hanging cables."""
 
 from __future__ import annotations
 
@@ -10,15 +10,14 @@ from typing import Any
 import numpy as np
 
 from hitchopt.checks.clearance import above_ground
-from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch import Team
+from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.motion.loads import tautness
 from hitchopt.motion.motion import CableState, Motion, Phase
-from hitchopt.planners.forming import SwapSettings
-from hitchopt.planners.forming.prehitch import PreHitch, SwapEllipses, clasp_points
 from hitchopt.planners.timing.flight import turning_stretch
 from hitchopt.planners.timing.profile import LIMIT_SHARE, usable_accelerations
-from hitchopt.planners.timing.ramps import fastest_clock, timed_curve
+from hitchopt.planners.timing.ramps import fastest_clock
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -40,52 +39,6 @@ BACKWARD |= {
     "pass weight": "pass weight back",
 }
 """Names of reversed stages of forming."""
-
-
-def forming_stages(
-    prehitch: PreHitch,
-    hitch: Hitch,
-    requirements: Requirements,
-    settings: SwapSettings,
-    index: int = 0,
-) -> list[Motion]:
-    """Return the motions from the pre-hitch to the hitch with the team's tensions.
-
-    While drones move out, clasps move on lines too. Their ends are within reach of all cables, and
-    since the lengths of routes are convex, so are the points between.
-
-    Parameters
-    ----------
-    index: of the step in its mission.
-    """
-    team, limits, context = hitch.team, requirements.limits, (hitch.team, requirements, index)
-    # Upper bound of the drones' motion for any polygon.
-    distance = (1.0 - prehitch.share) * float(np.max(hitch.legs))
-    progress = _progress(team, limits, prehitch.drones, hitch.drones, distance)
-    clasps = _on_lines(progress, clasp_points(prehitch.ellipses, hitch), hitch.vertices)
-    swaps = [swap(prehitch.ellipses, limits, first, settings.seconds) for first in (0, 1)]
-    rest = np.array([0.0, rise_seconds(team)])
-    drones, points, legs = (
-        PiecewisePolynomial.constant(rest, value)
-        for value in (hitch.drones, hitch.vertices, hitch.legs)
-    )
-    tensions = PiecewisePolynomial(rest, (team.tension[:, None] * SMOOTH)[None])
-    curves: dict[str, Any] = {"vertices": points, "legs": legs, "tensions": tensions}
-    outward = _on_lines(progress, prehitch.drones, hitch.drones)
-    return [
-        *(
-            stage(
-                f"swap {k}",
-                turning,
-                *context,
-                CableState.CLASPING,
-                vertices=PiecewisePolynomial.constant(turning.breaks, hitch.vertices),
-            )
-            for k, turning in enumerate(swaps, 1)
-        ),
-        stage("tighten", outward, *context, CableState.TIGHTENING, vertices=clasps),
-        stage("tension", drones, *context, state=CableState.HITCHED, **curves),
-    ]
 
 
 def stage(
@@ -151,19 +104,13 @@ def reversed_stages(stages: Sequence[Motion]) -> list[Motion]:
     ]
 
 
-# Flights of drones: half a turn of all pairs, and straight lines.
+# Flights on straight lines, and hovering.
 
-MAX_PIECE_ANGLE = 0.3
-"""[rad] Largest angle on one polynomial of degree 7, which is within 1e-9 of the ellipse."""
+GROUND_CLEARANCE = 1.1
+"""Height of hanging cables above the ground, over ``Separation.cable``."""
 
-TURNING_SHARES = (0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85)
-"""Shares of the acceleration that are centripetal at full speed; the rest is tangential."""
-
-JERK_SHARE = 0.7
-"""Share of the jerk for the angle's own rate."""
-
-ANGLES, LINE_SAMPLES = 25, 9
-"""Numbers of angles, and of points on a line, at which usable accelerations are computed."""
+LINE_SAMPLES = 9
+"""Number of points on a line at which usable accelerations are computed."""
 
 MIN_FLIGHT = 1e-9
 """[m] Shortest distance of a flight."""
@@ -172,44 +119,12 @@ PAUSE = 0.01
 """[s] Duration of a flight in which no drone moves."""
 
 
-def swap(
-    ellipses: SwapEllipses, limits: Limits, first: int, seconds: float | None
-) -> PiecewisePolynomial:
-    """Return the drones (2n, 3) [m] on half a turn of all pairs at once, from rest to rest.
-
-    The turn is as fast as the limits of every drone's speed, acceleration and jerk allow.
-
-    Parameters
-    ----------
-    ellipses: of all pairs.
-    limits: of every drone.
-    first: 0 for the turn from θ = 0, 1 for the one from θ = π.
-    seconds: shortest duration [s], or None.
-    """
-    start = first * math.pi
-    angles = np.linspace(start, start + math.pi, ANGLES)
-    usable = float(np.min(usable_accelerations(ellipses.team, limits, ellipses.drones(angles))))
-    size = float(max(np.max(ellipses.half), np.max(np.abs(ellipses.rise))))
-
-    def half_turn(share: float) -> PiecewisePolynomial:
-        """Return the turn with a centripetal share of the acceleration, within drones' limits."""
-        speed = min(limits.speed / size, math.sqrt(share * usable / size))
-        tangential = math.sqrt(max(usable * usable - (speed * speed * size) ** 2, 1e-12)) / size
-        clock = fastest_clock(math.pi, speed, tangential, JERK_SHARE * limits.jerk / size)
-        return timed_curve(
-            lambda at, k: ellipses.drones(start + at, k), clock, MAX_PIECE_ANGLE, limits, usable
-        )
-
-    best = min(map(half_turn, TURNING_SHARES), key=lambda drones: drones.duration)
-    return best.stretched(max(1.0, (seconds or 0.0) / best.duration))
-
-
 def straight_lines(team: Team, limits: Limits, start: Array, end: Array) -> PiecewisePolynomial:
     """Return the drones (2n, 3) [m] on straight lines, synchronized and from rest to rest."""
-    return _on_lines(_progress(team, limits, start, end), start, end)
+    return on_lines(line_progress(team, limits, start, end), start, end)
 
 
-def _progress(
+def line_progress(
     team: Team, limits: Limits, start: Array, end: Array, min_distance: float = 0.0
 ) -> PiecewisePolynomial:
     """Return the progress along straight lines, from 0 to 1.
@@ -227,7 +142,24 @@ def _progress(
     return PiecewisePolynomial(clock.breaks, np.clip(share, 0.0, 1.0))  # rounding: not below floors
 
 
-def _on_lines(progress: PiecewisePolynomial, start: Array, end: Array) -> PiecewisePolynomial:
+def on_lines(progress: PiecewisePolynomial, start: Array, end: Array) -> PiecewisePolynomial:
     """Return points (k, 3) [m] on straight lines at a progress from 0 to 1."""
     s = progress.coefficients[:, None, None, :]
     return PiecewisePolynomial(progress.breaks, start[..., None] * (1.0 - s) + end[..., None] * s)
+
+
+def hover_altitude(team: Team, drones: Array, requirements: Requirements) -> float:
+    """Return the lowest altitude [m] at which cables of drones over (2n, 3) [m] hang free."""
+    level = drones * np.array([1.0, 1.0, 0.0])
+    lowest = float(np.min(lowest_points(team, level, requirements.off)))
+    return requirements.floor + GROUND_CLEARANCE * requirements.separation.cable - lowest
+
+
+def lowest_points(team: Team, drones: Array, off: float) -> Array:
+    """Return the height of every hanging cable's lowest point (n,) [m].
+
+    For a position error ``off`` [m] of drones it is reduced by the extra displacement of cables.
+    """
+    q, r = drones[0::2], drones[1::2]
+    cables = Catenary.between(q, r, team.cable_length)
+    return q[:, 2] + cables.lowest - cables.extra_displacement(off)
