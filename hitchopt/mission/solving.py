@@ -173,12 +173,11 @@ def _start_state(
     """Return the state at the start and, if cables are free, the assignment of robots to edges."""
     team, start = problem.team, problem.start
     whole = team if problem.changes else None
-    if isinstance(start, Hitch):
-        return replace(RestState.from_hitch(start), whole=whole), None
     if isinstance(start, HitchStart):
         report("splitting the slack at the start")
-        hitch = split_hitch(team, start.polygon, start.altitude, start.legs, requirements)
-        return replace(RestState.from_hitch(hitch), whole=whole), None
+        start = split_hitch(team, start.polygon, start.altitude, start.legs, requirements)
+    if isinstance(start, Hitch):
+        return RestState(team, start.drones, start, whole=whole), None
     state = RestState(team, start.drones, whole=whole)  # with the file's order of robots
     check_start(StepTask(state, 0, requirements))
     if whole is not None:

@@ -90,7 +90,7 @@ def rest_motion(hitch: Hitch, requirements: Requirements, duration: float, phase
 def rest_plan(hitch: Hitch, requirements: Requirements) -> StepPlan:
     """Return the plan of a hitch at rest for one second."""
     motion = rest_motion(hitch, requirements, 1.0, Phase("hold", 0, 0.0, 1.0))
-    return StepPlan(motion, RestState.from_hitch(hitch))
+    return StepPlan(motion, RestState(hitch.team, hitch.drones, hitch))
 
 
 def check_at_rest(hitch: Hitch, requirements: Requirements, when: str) -> None:
@@ -313,10 +313,11 @@ def plan_blended(steps: Sequence[Any], task: StepTask) -> StepPlan:
     """
     requirements, hitches = task.requirements, [task.hitch]
     for i, step in enumerate(steps, task.index):
-        step_task = StepTask(RestState.from_hitch(hitches[-1]), i, requirements)
+        start = hitches[-1]
+        step_task = StepTask(RestState(start.team, start.drones, start), i, requirements)
         end = step.end(step_task).hitch
         step.check_end(end, step_task)
-        if np.max(np.abs(end.drones - hitches[-1].drones)) < POSITION_TOLERANCE:
+        if np.max(np.abs(end.drones - start.drones)) < POSITION_TOLERANCE:
             bound = "a step that moves something where steps are blended"
             remedy = "leave it out, or leave out blend"
             raise InputError(f"mission[{i}].{step.name}", "no motion", bound, remedy)

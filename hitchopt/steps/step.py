@@ -237,11 +237,6 @@ class RestState:
     # objects at their current places; None for those of the problem
     objects: Mapping[str, SolidObject] | None = None
 
-    @classmethod
-    def from_hitch(cls, hitch: Hitch) -> RestState:
-        """Return the state of an initial hitch."""
-        return cls(hitch.team, hitch.drones, hitch)
-
     @property
     def whole_team(self) -> Team:
         """All robots."""
