@@ -217,11 +217,8 @@ class LegTask:
         roll: Array | None = None,
     ) -> LegTask:
         """Return the task of one polygon and reference (n,), with LIMIT_MARGIN for short legs."""
-        shortest, one = (
-            LIMIT_MARGIN * requirements.limits.leg,
-            (polygon.vertices[None], reference[None]),
-        )
-        return cls(team, requirements, *one, shortest, margin, roll=roll)
+        one, shortest = (polygon.vertices[None], reference[None]), requirements.limits.leg
+        return cls(team, requirements, *one, LIMIT_MARGIN * shortest, margin, roll=roll)
 
     @property
     def level(self) -> bool:
@@ -265,7 +262,7 @@ class LegTask:
         also from a few uneven splits. Its cost is linear in J·n. With ``first`` it ends at the
         first lengths that keep the margin, which is much faster.
         """
-        bodies = LegBodies(self, *self.bounds)
+        bodies = LegBodies(self, self.bounds)
         best = bodies.reference_kept() or bodies.refined(self.reference, first)
         if len(self.reference) > 1 or (self._kept_by(best) and (first or best.deviation <= 1e-12)):
             return best
@@ -283,7 +280,7 @@ class LegTask:
 
     def reference_margins(self) -> Array:
         """Return the smallest margin (J,) of the reference on every polygon."""
-        return LegBodies(self, self.reference, self.reference).margins(self.reference)
+        return LegBodies(self, (self.reference,)).margins(self.reference)
 
     @property
     def _uneven_fractions(self) -> Array:
@@ -378,48 +375,65 @@ class LegTask:
         return sp.csc_array(diagonal + rough)
 
 
+@dataclass(frozen=True, eq=False)
 class LegBodies:
     """Nodes and pairs of a task, flat over its J polygons.
 
     Horizontal legs need two coordinates; others need three, with heights scaled by kind of pair.
     The directions of heavy legs depend on the leg lengths at which they are evaluated. Pairs that
-    are never close for lengths between ``lowest`` and ``highest`` (J, n) are omitted.
+    are never close for leg lengths between the given ones (J, n) are omitted.
     """
 
-    def __init__(self, task: LegTask, lowest: Array, highest: Array) -> None:
-        J, n = task.reference.shape
-        layout, keep = task.team.layout, task.requirements.separation
-        self.task, self._heavy = task, task.team.cable_density > 0.0
-        self.dimensions = 2 if task.level else 3
-        self._points = np.zeros((J, layout.points, self.dimensions))
-        self._points[..., :2] = task.polygons
-        self._edges = unit(layout.edges(self._points))
-        cable = np.concatenate([np.zeros(layout.points, np.intp), np.repeat(np.arange(n), 2)])
-        self.variable = (n * np.arange(J)[:, None] + cable).reshape(-1)
-        self.count = layout.points + 2 * n
-        drones = layout.points + np.arange(2 * n)
-        self.drones = (self.count * np.arange(J)[:, None] + drones).reshape(-1)
-        self.limits, self.scale = limits_of(keep), scales_of(keep)[:, : self.dimensions]
-        self._fixed = None if self._heavy else self._lines(task.reference)
+    task: LegTask
+    lengths: tuple[Array, ...]
+
+    @cached_property
+    def points(self) -> Array:
+        """(J, points, 2 or 3) [m]: of the polygons."""
+        points = np.zeros((*self.task.polygons.shape[:2], 2 if self.task.level else 3))
+        points[..., :2] = self.task.polygons
+        return points
+
+    @cached_property
+    def edges(self) -> Array:
+        """(J, n, 2 or 3): unit vectors along the edges."""
+        return unit(self.task.team.layout.edges(self.points))
+
+    @cached_property
+    def variable(self) -> Indices:
+        """(J, count): index of the leg length with which each node slides, points, then drones."""
+        J, n = self.task.reference.shape
+        cable = np.append(np.zeros(self.points.shape[1], np.intp), np.repeat(np.arange(n), 2))
+        variable: Indices = n * np.arange(J)[:, None] + cable
+        return variable
+
+    @property
+    def drones(self) -> Indices:
+        """(J·2n,): the nodes that are drones."""
+        nodes = np.arange(self.variable.size).reshape(self.variable.shape)
+        return nodes[:, self.points.shape[1] :].reshape(-1)
+
+    @cached_property
+    def pairs(self) -> tuple[Indices, Indices, Indices, Indices]:
+        """Polygon (pairs,), nodes of both bodies (pairs, 2) each, and kind (pairs,)."""
+        task, (J, count) = self.task, self.variable.shape
+        bodies, limits = Bodies.of(task.team.layout), limits_of(task.requirements.separation)
         # Distances in plan view are lower bounds.
-        ends = [self.nodes(lowest)[:, :2]]
-        if highest is not lowest:
-            ends.append(self.nodes(highest)[:, :2])
-        bodies = Bodies.of(layout)
-        swept = np.stack(ends).reshape(-1, J, self.count, 2)
-        corners = (
-            swept[:, :, bodies.nodes].transpose(0, 3, 1, 2, 4).reshape(2 * len(ends), J, -1, 2)
-        )
+        ends = np.stack([self.nodes(d)[:, :2] for d in self.lengths])
+        swept = ends.reshape(-1, J, count, 2)[:, :, bodies.nodes]
         # Pairs beyond the cutoff always have their margin.
-        cutoff = max(task.largest_margin, 1.0) * float(np.max(self.limits)) * (1.0 + 1e-9)
-        cutoff += MAX_WEIGHT_SHIFT if self._heavy else 0.0
-        boxes = np.min(corners, axis=0), np.max(corners, axis=0)
-        pairs = bodies.near(*boxes, self.limits, cutoff)
+        cutoff = max(task.largest_margin, 1.0) * float(np.max(limits)) * (1.0 + 1e-9)
+        cutoff += MAX_WEIGHT_SHIFT if task.team.cable_density > 0.0 else 0.0
+        near = bodies.near(np.min(swept, axis=(0, 3)), np.max(swept, axis=(0, 3)), limits, cutoff)
         if task.fixed is not None:  # fixed knots cannot change
-            pairs = pairs[:, ~task.fixed[pairs[0]]]
-        self.frame, i, j, self.kind = pairs
-        self.first: Indices = bodies.nodes[i] + self.count * self.frame[:, None]
-        self.second: Indices = bodies.nodes[j] + self.count * self.frame[:, None]
+            near = near[:, ~task.fixed[near[0]]]
+        frame, i, j, kind = near
+        first, second = (bodies.nodes[each] + count * frame[:, None] for each in (i, j))
+        return frame, first, second, kind
+
+    @cached_property
+    def _fixed(self) -> tuple[Array, Array] | None:
+        return None if self.task.team.cable_density > 0.0 else self._lines(self.task.reference)
 
     def lines(self, d: Array) -> tuple[Array, Array]:
         """Return base points [m] and slopes (J·count, 2 or 3) of the lines on which nodes slide.
@@ -429,11 +443,11 @@ class LegBodies:
         return self._fixed or self._lines(d)
 
     def _lines(self, d: Array) -> tuple[Array, Array]:
-        task, team, p = self.task, self.task.team, self._points
-        layout, slack, shape = team.layout, task.slack, (len(p), -1, self.dimensions)
+        task, team, p = self.task, self.task.team, self.points
+        layout, slack, shape = team.layout, task.slack, (len(p), -1, p.shape[-1])
         loads = None if task.level else clasp_loads(team, d, slack, task.roll)
-        q, r = leg_directions(self._edges, team.tension, team.topology, loads)
-        if self._heavy:
+        q, r = leg_directions(self.edges, team.tension, team.topology, loads)
+        if task.team.cable_density > 0.0:
             sag = sag_factors(team, team.tension)
             q, r = (
                 leg_vectors(np.ones_like(legs), direction, sag * legs**2)
@@ -448,26 +462,29 @@ class LegBodies:
     def nodes(self, d: Array) -> Array:
         """Return the positions (J·count, 2 or 3) [m] of the nodes."""
         base, slope = self.lines(d)
-        nodes: Array = base + slope * d.reshape(-1)[self.variable][:, None]
+        nodes: Array = base + slope * d.reshape(-1)[self.variable.reshape(-1)][:, None]
         return nodes
 
     def offsets(self, nodes: Array) -> Array:
         """Return the shortest vectors (pairs, 2 or 3) [m], heights scaled, to the first bodies."""
-        between = differences(nodes[self.first], nodes[self.second])
-        return shortest_offset(between * self.scale[self.kind][:, None])
+        _, first, second, kind = self.pairs
+        between = differences(nodes[first], nodes[second])
+        scale = scales_of(self.task.requirements.separation)[:, : nodes.shape[-1]]
+        return shortest_offset(between * scale[kind][:, None])
 
     def margins(self, d: Array) -> Array:
         """Return the smallest distance over its limit (J,), relative to the margins of the knots.
 
         Crossings at their margin do not count.
         """
-        task = self.task
-        ratios = length(self.offsets(self.nodes(d))) / self.limits[self.kind]
-        crossing_margins = task.margins[CROSSING, self.frame] * (1.0 - 1e-9)
-        inactive = (self.kind == CROSSING) & (ratios >= crossing_margins)
-        relative = np.where(inactive, np.inf, ratios) / task.margins[SEPARATION, self.frame]
+        task, (frame, _, _, kind) = self.task, self.pairs
+        limits = limits_of(task.requirements.separation)[kind]
+        ratios = length(self.offsets(self.nodes(d))) / limits
+        crossing_margins = task.margins[CROSSING, frame] * (1.0 - 1e-9)
+        inactive = (kind == CROSSING) & (ratios >= crossing_margins)
+        relative = np.where(inactive, np.inf, ratios) / task.margins[SEPARATION, frame]
         smallest = np.full(len(d), np.inf)
-        np.minimum.at(smallest, self.frame, relative)
+        np.minimum.at(smallest, frame, relative)
         return task.largest_margin * smallest
 
     def program(self, d: Array) -> QuadraticProgram:
@@ -479,19 +496,21 @@ class LegBodies:
         crossings and walls, so that infeasible crossings or walls leave the distances of drones
         determined.
         """
-        task, size = self.task, d.size + 2
-        (base, slope), nodes = self.lines(d), self.nodes(d)
-        middles = nodes[self.first].mean(axis=1) - nodes[self.second].mean(axis=1)
-        normal = unit(self.offsets(nodes), unit(middles, EAST[: self.dimensions]), 1e-9)
-        pair, a, b = end_combinations(self.kind, self.first, self.second)
-        kind, row = self.kind[pair], np.arange(len(pair))
-        nu, limit = normal[pair] * self.scale[kind], self.limits[kind]
+        task, size, variable = self.task, d.size + 2, self.variable.reshape(-1)
+        (base, slope), nodes, dimensions = self.lines(d), self.nodes(d), self.points.shape[-1]
+        frame, first, second, kind = self.pairs
+        middles = nodes[first].mean(axis=1) - nodes[second].mean(axis=1)
+        normal = unit(self.offsets(nodes), unit(middles, EAST[:dimensions]), 1e-9)
+        pair, a, b = end_combinations(kind, first, second)
+        kind, row = kind[pair], np.arange(len(pair))
+        limit = limits_of(task.requirements.separation)[kind]
+        nu = normal[pair] * scales_of(task.requirements.separation)[kind, :dimensions]
         slacks = np.where(kind == CROSSING, size - 1, size - 2)
         # Slightly more than required, to allow for rounding.
-        required = task.margins[kind, self.frame[pair]] * (1.0 + 1e-7) * limit
+        required = task.margins[kind, frame[pair]] * (1.0 + 1e-7) * limit
         lower = required - np.sum(nu * (base[a] - base[b]), axis=1)
         slopes = np.sum(nu * slope[a], axis=1), -np.sum(nu * slope[b], axis=1)
-        columns = np.concatenate([self.variable[a], self.variable[b], slacks])
+        columns = np.concatenate([variable[a], variable[b], slacks])
         rows = Rows(size)
         rows.add(np.tile(row, 3), columns, np.concatenate([*slopes, limit]), lower)
         arena = task.requirements.arena
@@ -502,10 +521,10 @@ class LegBodies:
             lower = beyond.T.ravel()
             # Drones that slide parallel to a wall are omitted: their distance to it is constant.
             oblique = np.abs(entries) > 1e-9
-            columns = np.tile(self.variable[self.drones], 4)[oblique]
+            columns = np.tile(variable[self.drones], 4)[oblique]
             row = np.arange(len(columns))
-            first = rows.add(row, columns, entries[oblique], lower[oblique])
-            rows.extend(first + row, np.full(len(row), size - 1), 1.0)
+            start = rows.add(row, columns, entries[oblique], lower[oblique])
+            rows.extend(start + row, np.full(len(row), size - 1), 1.0)
         penalty = np.full(2, PENALTY * task.team.robots)
         lower, upper = (
             np.append(bound.reshape(-1), [end, end])
