@@ -175,7 +175,8 @@ def _start_state(
     whole = team if problem.changes else None
     if isinstance(start, HitchStart):
         report("splitting the slack at the start")
-        start = split_hitch(team, start.polygon, start.altitude, start.legs, requirements)
+        hitch = split_hitch(team, start.polygon, start.altitude, start.legs, requirements)
+        return RestState(team, hitch.drones, hitch, whole=whole), None
     if isinstance(start, Hitch):
         return RestState(team, start.drones, start, whole=whole), None
     state = RestState(team, start.drones, whole=whole)  # with the file's order of robots

@@ -129,7 +129,6 @@ class Form(Step):
 
         before, requirements, i = task.before, task.requirements, task.index
         team, when = before.team, f"at the end of step {i} (form)"
-        goal: Hitch
         site: Laying | PreHitch
         if self.by == "laying":
             goal, site = self._laying(team, requirements, when)

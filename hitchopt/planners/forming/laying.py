@@ -176,12 +176,7 @@ class Laying:
         return replace(self, hitch=hitch.at_altitude(hitch.altitude + rise))
 
     def stages(self, requirements: Requirements, index: int = 0) -> list[Motion]:
-        """Return the motions from hanging cables outside of the edges' lines to the hitch.
-
-        Parameters
-        ----------
-        index: of the step in its mission.
-        """
+        """Return the motions from hanging cables to the hitch, in phases of step ``index``."""
         team, hitch = self.hitch.team, self.hitch
         limits, context = requirements.limits, (team, requirements, index)
         roll = roll_motion(self.path, requirements, Phase("roll", index, 0.0, 0.0))

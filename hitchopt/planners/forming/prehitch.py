@@ -219,14 +219,10 @@ class PreHitch:
         return replace(self, ellipses=turned)
 
     def stages(self, requirements: Requirements, index: int = 0) -> list[Motion]:
-        """Return two swaps, tightening and tension, which lead to the hitch.
+        """Return two swaps, tightening and tension, which lead to the hitch, in step ``index``.
 
         While drones move out, clasps move on lines too. Their ends are within reach of all cables,
         and since the lengths of routes are convex, so are the points between.
-
-        Parameters
-        ----------
-        index: of the step in its mission.
         """
         hitch, team, limits = self.hitch, self.hitch.team, requirements.limits
         start, context = self.drones_hanging, (team, requirements, index)
@@ -234,7 +230,13 @@ class PreHitch:
         distance = (1.0 - self.share) * float(np.max(hitch.legs))
         progress = line_progress(team, limits, start, hitch.drones, distance)
         clasps = on_lines(progress, clasp_points(self.ellipses, hitch), hitch.vertices)
-        swaps = [self.ellipses.half_turn(limits, k, self.settings.seconds) for k in (0, 1)]
+        outward, stages = on_lines(progress, start, hitch.drones), list[Motion]()
+        for k in (0, 1):
+            turn = self.ellipses.half_turn(limits, k, self.settings.seconds)
+            still = PiecewisePolynomial.constant(turn.breaks, hitch.vertices)
+            state = CableState.CLASPING
+            stages.append(stage(f"swap {k + 1}", turn, *context, state, vertices=still))
+        stages.append(stage("tighten", outward, *context, CableState.TIGHTENING, vertices=clasps))
         rest = np.array([0.0, rise_seconds(team)])
         drones, points, legs = (
             PiecewisePolynomial.constant(rest, value)
@@ -242,21 +244,7 @@ class PreHitch:
         )
         tensions = PiecewisePolynomial(rest, (team.tension[:, None] * SMOOTH)[None])
         curves: dict[str, Any] = {"vertices": points, "legs": legs, "tensions": tensions}
-        outward = on_lines(progress, start, hitch.drones)
-        return [
-            *(
-                stage(
-                    f"swap {k}",
-                    turning,
-                    *context,
-                    CableState.CLASPING,
-                    vertices=PiecewisePolynomial.constant(turning.breaks, hitch.vertices),
-                )
-                for k, turning in enumerate(swaps, 1)
-            ),
-            stage("tighten", outward, *context, CableState.TIGHTENING, vertices=clasps),
-            stage("tension", drones, *context, state=CableState.HITCHED, **curves),
-        ]
+        return [*stages, stage("tension", drones, *context, CableState.HITCHED, **curves)]
 
 
 def find_prehitch(hitch: Hitch, requirements: Requirements, settings: SwapSettings) -> PreHitch:
