@@ -33,7 +33,7 @@ from hitchopt.steps.step import (
     WhichPoint,
     checks_relaxed_by,
 )
-from hitchopt.values import Array
+from hitchopt.values import Array, Indices
 from hitchopt.values.fields import Key, either, list_of, mapping_of, words
 from hitchopt.values.units import HEIGHT
 
@@ -122,26 +122,29 @@ class Form(Step):
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan from free cables to a hitch.
 
-        Drones fly to where cables hang clear of each other, tie the hitch there, at the altitude
-        that hanging cables need, and lower it to its own.
+        Drones fly to where cables hang clear of each other and of the ground, tie the hitch there,
+        and lower it to its altitude.
         """
-        from hitchopt.steps.certified_motions import require_certified, settling_plan
+        from hitchopt.planners.forming.laying import find_laying
+        from hitchopt.steps.certified_motions import check_at_rest, require_certified, settling_plan
 
         before, requirements, i = task.before, task.requirements, task.index
-        team, when = before.team, f"at the end of step {i} (form)"
-        site: Laying | PreHitch
-        if self.by == "laying":
-            goal, site = self._laying(team, requirements, when)
+        team, levels = before.team, self._levels(before.team)
+        goal = self._goal(team, levels, requirements)
+        check_at_rest(goal, requirements, f"at the end of step {i} (form)")
+        tying: Laying | PreHitch
+        if levels is None:
+            goal, tying = self._prehitch(goal, requirements)
         else:
-            goal, site = self._swaps(team, requirements, when)
-        tying = joined_motions(site.stages(requirements, i))
-        if not site.certain:  # no approach helps if tying is infeasible
-            require_certified(StepPlan(tying, before))
-        parts = [_approach_motion(task, site.drones_hanging), tying]
-        if site.hitch is not goal:
+            tying = find_laying(goal, levels, requirements).raised(requirements)
+        tied = joined_motions(tying.stages(requirements, i))
+        if tying.doubtful:  # no approach helps if tying is infeasible
+            require_certified(StepPlan(tied, before))
+        parts = [_approach_motion(task, tying.drones_hanging), tied]
+        if tying.hitch is not goal:
             lower = Phase("lower", i, 0.0, 0.0, HIGHER)
-            parts.append(vertical_motion(site.hitch, goal.altitude, requirements, lower))
-        formed = RestState(team, goal.drones, goal, site.senses, self.swap, site.levels)
+            parts.append(vertical_motion(tying.hitch, goal.altitude, requirements, lower))
+        formed = RestState(team, goal.drones, goal, tying.senses, self.swap, levels)
         after = before.after_forming(formed)
         if team.cable_friction > 0.0 and self.settle is not False:
             seconds = None if isinstance(self.settle, str) else self.settle
@@ -150,53 +153,29 @@ class Form(Step):
             parts.append(plan.motion)
         return StepPlan(self.with_duration(task, joined_motions(parts)), after)
 
-    def _laying(self, team: Team, requirements: Requirements, when: str) -> tuple[Hitch, Laying]:
-        """Return the goal and its laying; without ``legs`` drones are apart as pairs roll."""
-        from hitchopt.planners.forming import laying
-        from hitchopt.steps.certified_motions import check_at_rest, split_hitch
+    def _levels(self, team: Team) -> Indices | None:
+        """Return the levels (n,) of cables that are laid on one another, 0 the lowest, or None."""
+        from hitchopt.planners.forming.laying import levels_of
 
-        order = None
-        if not isinstance(self.order, str):
-            order = [team.labels.index(k) for k in np.asarray(self.order).tolist()]
-        levels = laying.levels_of(team.layout, order)
-        if self.legs is None:
-            halves = Hitch.balanced(team, self.polygon, self.altitude)
-            senses = laying.senses_of(team.layout, levels)
-            goal = laying.split_for_rolling(halves, senses, requirements)
-        else:
-            goal = split_hitch(team, self.polygon, self.altitude, self.legs, requirements)
-        check_at_rest(goal, requirements, when)
-        return goal, laying.find_laying(goal, levels, requirements).raised(requirements)
+        if self.by != "laying":
+            return None
+        robots = None if isinstance(self.order, str) else np.asarray(self.order).tolist()
+        return levels_of(team.layout, robots and [team.labels.index(k) for k in robots])
 
-    def _swaps(self, team: Team, requirements: Requirements, when: str) -> tuple[Hitch, PreHitch]:
-        """Return the goal and its pre-hitch; without ``legs`` they are spread, or else short.
+    def _goal(self, team: Team, levels: Indices | None, requirements: Requirements) -> Hitch:
+        """Return the hitch.
 
-        Where both legs of a cable cross, the drones of long legs would collide on their way out.
+        Without ``legs`` drones are apart as pairs roll, if cables are laid; else legs are spread,
+        with the largest feasible cable margin.
         """
-        from hitchopt.planners.forming.prehitch import find_prehitch
-        from hitchopt.steps.certified_motions import check_at_rest, rest_plan, split_hitch
-
-        if self.legs is None:
-            goal = self._spread(team, requirements)
-        else:
-            goal = split_hitch(team, self.polygon, self.altitude, self.legs, requirements)
-        check_at_rest(goal, requirements, when)
-        prehitch = find_prehitch(goal, requirements, self.swap).raised(requirements)
-        if prehitch.certain or self.legs is not None:
-            return goal, prehitch
-        options = {name: getattr(requirements, name) for name in ("limits", "separation", "arena")}
-        fractions = np.zeros(team.robots)
-        short = Hitch.nearest(team, self.polygon, self.altitude, fractions, **options)
-        if rest_plan(short, requirements).certificate.certified:
-            nearer = find_prehitch(short, requirements, self.swap).raised(requirements)
-            if nearer.certain:
-                return short, nearer
-        return goal, prehitch
-
-    def _spread(self, team: Team, requirements: Requirements) -> Hitch:
-        """Return the hitch with spread legs, with the largest feasible cable margin."""
+        from hitchopt.planners.forming.laying import senses_of, split_for_rolling
         from hitchopt.steps.certified_motions import rest_plan, split_hitch
 
+        if self.legs is not None:
+            return split_hitch(team, self.polygon, self.altitude, self.legs, requirements)
+        if levels is not None:
+            halves = Hitch.balanced(team, self.polygon, self.altitude)
+            return split_for_rolling(halves, senses_of(team.layout, levels), requirements)
         spread = split_hitch(team, self.polygon, self.altitude, "spread", requirements)
         cable = requirements.separation.cable
         clearance = rest_plan(spread, requirements).certificate["cable_clearance"].bound
@@ -210,6 +189,26 @@ class Form(Step):
             if rest_plan(hitch, wider).certificate.certified:
                 return hitch
         return spread
+
+    def _prehitch(self, goal: Hitch, requirements: Requirements) -> tuple[Hitch, PreHitch]:
+        """Return the goal and its pre-hitch; without ``legs``, with short ones if need be.
+
+        Where both legs of a cable cross, the drones of long legs would collide on their way out.
+        """
+        from hitchopt.planners.forming.prehitch import find_prehitch
+        from hitchopt.steps.certified_motions import rest_plan
+
+        prehitch = find_prehitch(goal, requirements, self.swap).raised(requirements)
+        if not prehitch.doubtful or self.legs is not None:
+            return goal, prehitch
+        options = {name: getattr(requirements, name) for name in ("limits", "separation", "arena")}
+        fractions = np.zeros(goal.team.robots)
+        short = Hitch.nearest(goal.team, self.polygon, self.altitude, fractions, **options)
+        if rest_plan(short, requirements).certificate.certified:
+            nearer = find_prehitch(short, requirements, self.swap).raised(requirements)
+            if not nearer.doubtful:
+                return short, nearer
+        return goal, prehitch
 
     def knobs(self) -> Iterator[Knob]:
         """Yield the duration, and the swap's radius if it exceeds the default."""
@@ -365,19 +364,19 @@ class Release(Step):
 
         before, requirements, i = task.before, task.requirements, task.index
         hitch, senses = task.hitch, before.assumed_senses
-        site: PreHitch | Laying
+        tying: PreHitch | Laying
         if before.levels is None:
-            site = find_prehitch(hitch, requirements, before.swap).with_senses(senses)
+            tying = find_prehitch(hitch, requirements, before.swap).with_senses(senses)
         else:
             hitch = split_for_rolling(hitch, senses, requirements)
-            site = find_laying(hitch, before.levels, requirements)
-        site = site.raised(requirements)
+            tying = find_laying(hitch, before.levels, requirements)
+        tying = tying.raised(requirements)
         parts = adjusting_motions(task, hitch.q_legs)
-        if site.hitch is not hitch:
+        if tying.hitch is not hitch:
             higher = Phase("raise", i, 0.0, 0.0, HIGHER)
-            parts.append(vertical_motion(hitch, site.hitch.altitude, requirements, higher))
-        parts += reversed_stages(site.stages(requirements, i))
-        after = replace(before, drones=site.drones_hanging, hitch=None, senses=None, levels=None)
+            parts.append(vertical_motion(hitch, tying.hitch.altitude, requirements, higher))
+        parts += reversed_stages(tying.stages(requirements, i))
+        after = replace(before, drones=tying.drones_hanging, hitch=None, senses=None, levels=None)
         return StepPlan(self.with_duration(task, joined_motions(parts)), after)
 
 

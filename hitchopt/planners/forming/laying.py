@@ -127,7 +127,7 @@ class Laying:
     levels: Indices  # (n,), order of the cables, 0 the lowest
     spacing: float = 0.0  # [m], between levels
     offsets: Array | None = None  # (n, 2) [m], of the start from the edges' lines
-    certain: ClassVar[bool] = False  # samples are of drones alone
+    doubtful: ClassVar[bool] = True  # samples are of drones alone
 
     @property
     def senses(self) -> Array:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -81,6 +81,9 @@ JERK_SHARE = 0.7
 
 TURN_ANGLES = 25
 """Number of angles of half a turn at which usable accelerations are computed."""
+
+CLASP_SHARES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
+"""Shares of the line from pre-hitch to hitch that are candidates for the clasps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,6 +164,39 @@ class SwapEllipses:
         best = min(map(turn, TURNING_SHARES), key=lambda drones: drones.duration)
         return best.stretched(max(1.0, (seconds or 0.0) / best.duration))
 
+    @property
+    def link_length(self) -> float:
+        """Smallest length [m] of two cables beyond the crossing of their chords at a clasp.
+
+        In plan view after half a turn; negative if they do not cross.
+        """
+        layout = self.team.layout
+        drones = self.drones(math.pi)[:, :2]
+        r, q = drones[2 * layout.behind + 1], drones[2 * layout.ahead]
+        back, onward = unit(drones[2 * layout.behind] - r), unit(drones[2 * layout.ahead + 1] - q)
+        turn = back[:, 0] * onward[:, 1] - back[:, 1] * onward[:, 0]
+        offset = q - r  # = s back - t onward, at the lengths s and t beyond the crossing
+        s = offset[:, 0] * onward[:, 1] - offset[:, 1] * onward[:, 0]
+        t = offset[:, 0] * back[:, 1] - offset[:, 1] * back[:, 0]
+        parallel = np.full((2, len(turn)), -np.inf)
+        lengths = np.divide(np.stack([s, t]), turn, out=parallel, where=turn != 0.0)
+        return float(np.min(lengths, initial=np.inf))
+
+    def clasp_points(self, hitch: Hitch) -> Array:
+        """Return the points (points, 3) [m] of clasps with the shortest cable routes.
+
+        Clasps are on the lines from the ellipses' centres to the hitch's vertices; the ends of
+        chains are at their drones.
+        """
+        layout, drones = hitch.team.layout, self.drones(0.0)
+        centres = hitch.vertices.copy()
+        centres[layout.clasps] = self.centres
+        polygons = [centres + share * (hitch.vertices - centres) for share in CLASP_SHARES]
+        ends = np.flatnonzero(~layout.has_leg.ravel())
+        for points in polygons:
+            points[layout.anchors[ends]] = drones[ends]
+        return min(polygons, key=lambda points: _route_ratio(hitch.team, drones, points))
+
 
 @dataclass(frozen=True, eq=False)
 class PreHitch:
@@ -184,12 +220,11 @@ class PreHitch:
     depth: float
     linked: bool
     violation: float
-    levels: ClassVar[None] = None
 
     @property
-    def certain(self) -> bool:
-        """Whether samples violate no requirement."""
-        return self.violation <= 0.0
+    def doubtful(self) -> bool:
+        """Whether samples violate a requirement."""
+        return self.violation > 0.0
 
     @property
     def drones_hanging(self) -> Array:
@@ -229,7 +264,7 @@ class PreHitch:
         # Upper bound of the drones' motion for any polygon.
         distance = (1.0 - self.share) * float(np.max(hitch.legs))
         progress = line_progress(team, limits, start, hitch.drones, distance)
-        clasps = on_lines(progress, clasp_points(self.ellipses, hitch), hitch.vertices)
+        clasps = on_lines(progress, self.ellipses.clasp_points(hitch), hitch.vertices)
         outward, stages = on_lines(progress, start, hitch.drones), list[Motion]()
         for k in (0, 1):
             turn = self.ellipses.half_turn(limits, k, self.settings.seconds)
@@ -328,7 +363,7 @@ def _evaluate(
     depth = float(ellipses.centres[0, 2]) - float(np.min(points[..., 2])) + displacement
     # Distance from q to r along the edge: if negative, pairs would swap on the wrong side.
     opening = float(np.min(np.sum((r[0] - q[0]) * unit(layout.edges(hitch.vertices)), axis=-1)))
-    link_length, radius = _link_length(ellipses), separation.radius
+    link_length, radius = ellipses.link_length, separation.radius
     ratios = [
         float(np.max(np.linalg.norm(r - q, axis=-1) / length)) / MAX_SPAN_RATIO,
         (2.0 * MIN_SEPARATION * radius - opening + radius) / radius,
@@ -343,27 +378,9 @@ def _evaluate(
     if max(ratios) <= 1.0:
         start, move = drones[0], hitch.drones - drones[0]
         ratios.append(1.0 / smallest_separation(start + SAMPLES[:, None, None] * move, separation))
-        ratios.append(_route_ratio(hitch.team, start, clasp_points(ellipses, hitch)))
+        ratios.append(_route_ratio(hitch.team, start, ellipses.clasp_points(hitch)))
     linked, violation = link_length >= MIN_LINK, max(ratios) - 1.0
     return PreHitch(hitch, settings, ellipses, share, depth, linked, violation)
-
-
-def _link_length(ellipses: SwapEllipses) -> float:
-    """Return the smallest length [m] of two cables beyond the crossing of their chords at a clasp.
-
-    In plan view after half a turn; negative if they do not cross.
-    """
-    layout = ellipses.team.layout
-    drones = ellipses.drones(math.pi)[:, :2]
-    r, q = drones[2 * layout.behind + 1], drones[2 * layout.ahead]
-    back, onward = unit(drones[2 * layout.behind] - r), unit(drones[2 * layout.ahead + 1] - q)
-    turn = back[:, 0] * onward[:, 1] - back[:, 1] * onward[:, 0]
-    offset = q - r  # = s back - t onward, at the lengths s and t beyond the crossing
-    s = offset[:, 0] * onward[:, 1] - offset[:, 1] * onward[:, 0]
-    t = offset[:, 0] * back[:, 1] - offset[:, 1] * back[:, 0]
-    parallel = np.full((2, len(turn)), -np.inf)
-    lengths = np.divide(np.stack([s, t]), turn, out=parallel, where=turn != 0.0)
-    return float(np.min(lengths, initial=np.inf))
 
 
 def smallest_separation(drones: Array, separation: Separation) -> float:
@@ -372,26 +389,6 @@ def smallest_separation(drones: Array, separation: Separation) -> float:
 
     scaled = drones * separation.scale
     return min(float(np.min(cKDTree(points).query(points, k=[2])[0])) for points in scaled)
-
-
-CLASP_SHARES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
-"""Shares of the line from pre-hitch to hitch that are candidates for the clasps."""
-
-
-def clasp_points(ellipses: SwapEllipses, hitch: Hitch) -> Array:
-    """Return the points (points, 3) [m] of clasps with the shortest cable routes.
-
-    Clasps are on the lines from the ellipses' centres to the hitch's vertices; the ends of chains
-    are at their drones.
-    """
-    layout, drones = hitch.team.layout, ellipses.drones(0.0)
-    centres = hitch.vertices.copy()
-    centres[layout.clasps] = ellipses.centres
-    polygons = [centres + share * (hitch.vertices - centres) for share in CLASP_SHARES]
-    ends = np.flatnonzero(~layout.has_leg.ravel())
-    for points in polygons:
-        points[layout.anchors[ends]] = drones[ends]
-    return min(polygons, key=lambda points: _route_ratio(hitch.team, drones, points))
 
 
 def _route_ratio(team: Team, drones: Array, points: Array) -> float:
