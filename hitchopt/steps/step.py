@@ -247,10 +247,6 @@ class RestState:
         """Turning senses (clasps,) of the pairs; an initial hitch has ones."""
         return np.ones(len(self.team.layout.clasps)) if self.senses is None else self.senses
 
-    def after_forming(self, state: RestState) -> RestState:
-        """Return the state of a new hitch, with this state's objects and waiting robots."""
-        return replace(state, objects=self.objects, whole=self.whole, waiting=self.waiting)
-
     def part(self, ring: Sequence[int]) -> PartTeam:
         """Return the team of some robots."""
         return PartTeam.of(self.whole_team, ring)

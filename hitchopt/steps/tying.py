@@ -22,7 +22,6 @@ from hitchopt.steps.step import (
     LEGS_TEXT,
     Knob,
     Polygon,
-    RestState,
     RolledLegs,
     Seconds,
     SlackSplit,
@@ -136,16 +135,16 @@ class Form(Step):
         if levels is None:
             goal, tying = self._prehitch(goal, requirements)
         else:
-            tying = find_laying(goal, levels, requirements).raised(requirements)
+            tying = find_laying(goal, levels, requirements).clear_of_ground(requirements)
         tied = joined_motions(tying.stages(requirements, i))
         if tying.doubtful:  # no approach helps if tying is infeasible
             require_certified(StepPlan(tied, before))
         parts = [_approach_motion(task, tying.drones_hanging), tied]
         if tying.hitch is not goal:
-            lower = Phase("lower", i, 0.0, 0.0, HIGHER)
+            lower = Phase("lower", i, 0.0, 0.0, HEIGHT_REMARK)
             parts.append(vertical_motion(tying.hitch, goal.altitude, requirements, lower))
-        formed = RestState(team, goal.drones, goal, tying.senses, self.swap, levels)
-        after = before.after_forming(formed)
+        after = replace(before, hitch=goal, drones=goal.drones, senses=tying.senses)
+        after = replace(after, swap=self.swap, levels=levels)
         if team.cable_friction > 0.0 and self.settle is not False:
             seconds = None if isinstance(self.settle, str) else self.settle
             phase, settling = Phase("settle", i, 0.0, 0.0), replace(task, before=after)
@@ -198,14 +197,14 @@ class Form(Step):
         from hitchopt.planners.forming.prehitch import find_prehitch
         from hitchopt.steps.certified_motions import rest_plan
 
-        prehitch = find_prehitch(goal, requirements, self.swap).raised(requirements)
+        prehitch = find_prehitch(goal, requirements, self.swap).clear_of_ground(requirements)
         if not prehitch.doubtful or self.legs is not None:
             return goal, prehitch
         options = {name: getattr(requirements, name) for name in ("limits", "separation", "arena")}
         fractions = np.zeros(goal.team.robots)
         short = Hitch.nearest(goal.team, self.polygon, self.altitude, fractions, **options)
         if rest_plan(short, requirements).certificate.certified:
-            nearer = find_prehitch(short, requirements, self.swap).raised(requirements)
+            nearer = find_prehitch(short, requirements, self.swap).clear_of_ground(requirements)
             if not nearer.doubtful:
                 return short, nearer
         return goal, prehitch
@@ -253,7 +252,7 @@ def check_rollable(step: str, team: Team, requirements: Requirements) -> None:
             raise UnsupportedError(f"{step}: laying and rolling do not know {reason}")
 
 
-HIGHER = "hanging cables need more height over the ground than the hitch"
+HEIGHT_REMARK = "hanging cables need more height over the ground than the hitch"
 """Remark on motions of a hitch to and from the altitude at which it is tied."""
 
 
@@ -370,10 +369,10 @@ class Release(Step):
         else:
             hitch = split_for_rolling(hitch, senses, requirements)
             tying = find_laying(hitch, before.levels, requirements)
-        tying = tying.raised(requirements)
+        tying = tying.clear_of_ground(requirements)
         parts = adjusting_motions(task, hitch.q_legs)
         if tying.hitch is not hitch:
-            higher = Phase("raise", i, 0.0, 0.0, HIGHER)
+            higher = Phase("raise", i, 0.0, 0.0, HEIGHT_REMARK)
             parts.append(vertical_motion(hitch, tying.hitch.altitude, requirements, higher))
         parts += reversed_stages(tying.stages(requirements, i))
         after = replace(before, drones=tying.drones_hanging, hitch=None, senses=None, levels=None)

@@ -167,7 +167,7 @@ class Laying:
         drones: Array = middle + share[:, None, None] * (pairs - middle)
         return np.asarray(drones.reshape(-1, 3))
 
-    def raised(self, requirements: Requirements) -> Laying:
+    def clear_of_ground(self, requirements: Requirements) -> Laying:
         """Return the laying at the altitude that its hanging cables need."""
         hitch, start = self.hitch, self.drones_hanging
         rise = hover_altitude(hitch.team, start, requirements) - float(np.min(start[:, 2]))

@@ -236,7 +236,7 @@ class PreHitch:
         """(clasps,): 1 if q_k goes up first, -1 if down."""
         return np.sign(self.ellipses.rise)
 
-    def raised(self, requirements: Requirements) -> PreHitch:
+    def clear_of_ground(self, requirements: Requirements) -> PreHitch:
         """Return the pre-hitch at the altitude that its cables need, hanging as they are tied."""
         hitch, start = self.hitch, self.drones_hanging
         tightening = (start + x * (hitch.drones - start) for x in TIGHTENING_SHARES)
