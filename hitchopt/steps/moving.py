@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 
 import numpy as np
 
-from hitchopt.errors import HitchoptError, InputError
+from hitchopt.errors import InputError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import checked_polygon
@@ -112,22 +112,21 @@ class ShapeStep(HitchStep):
         lead = bool(getattr(self, "optimize", False))
         phase = Phase(self.name, task.index, 0.0, 0.0, tension=tension)
         direct = attempt(lambda: task.plan_ending(self.direct_motion(task, end), end.hitch))
-        optimised: StepPlan | HitchoptError | None = None
         optimise = partial(optimised_plan, task, end.hitch, phase, duration, lead=lead)
+        optimised = attempt(optimise) if task.optimiser and (lead or tension) else None
         if isinstance(direct, StepPlan):
-            if task.optimiser and (lead or tension):
-                optimised = attempt(optimise)
-                longest = direct.motion.duration
-                if isinstance(optimised, StepPlan) and optimised.motion.duration < longest:
-                    return optimised.with_remark("faster than the step's own route")
+            longest = direct.motion.duration
+            if isinstance(optimised, StepPlan) and optimised.motion.duration < longest:
+                return optimised.with_remark("faster than the step's own route")
             direct = attempt(partial(require_certified, direct))
             if isinstance(direct, StepPlan):
                 return direct
-        for hitch in (task.hitch, end.hitch):
-            self.check_end(hitch, task)
-        if not task.optimiser:
-            raise direct
-        optimised = optimised or attempt(optimise)
+        if not isinstance(optimised, StepPlan):  # a certified route keeps the limits at its ends
+            for hitch in (task.hitch, end.hitch):
+                self.check_end(hitch, task)
+            if not task.optimiser:
+                raise direct
+            optimised = optimised or attempt(optimise)
         if isinstance(optimised, StepPlan):
             return optimised.with_remark(DIRECT_INFEASIBLE)
         route = "other route" if duration is None else "route that is fast enough either"

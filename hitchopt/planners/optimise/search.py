@@ -146,7 +146,7 @@ class OptimisedMorph:
             if path is None:
                 continue
             visited.append(path)
-            if _estimate(path, self.requirements) > MAX_ESTIMATE_RATIO * fastest:
+            if candidates and _estimate(path, self.requirements) > MAX_ESTIMATE_RATIO * fastest:
                 continue
             motion = _refined(path, search)
             if motion is not None:
