@@ -311,22 +311,22 @@ def _step_programs(corners: Array, s: Array, length: float, unit: float) -> Arra
     The first two rows bound ṡ² at the next point. The others are the half planes of the feasible
     polygons at both ends of the step, scaled by a length of the path and a unit of ṡ² times that.
     """
-    along = np.diff(corners, axis=1)  # counter-clockwise
-    normals = np.stack([along[..., 1], -along[..., 0]], axis=-1)
-    size = np.linalg.norm(normals, axis=-1, keepdims=True)
-    normals = np.where(size > 0.0, normals / np.where(size > 0.0, size, 1.0), [0.0, 1.0])
-    bounds = np.sum(normals * corners[:, :-1], axis=-1)
-    normals = normals * [1.0, 1.0 / length]
-    size = np.linalg.norm(normals, axis=-1)
-    normals, bounds = normals / size[..., None], bounds / unit / size
-    twice, m = 2.0 * np.diff(s * length)[:, None], normals.shape[1]
+    along = np.diff(corners)  # counter-clockwise
+    normals = np.stack([along[1], -along[0]])
+    size = np.sqrt(np.sum(normals * normals, axis=0))
+    normals = np.where(size > 0.0, normals / np.where(size > 0.0, size, 1.0), [[[0.0]], [[1.0]]])
+    bounds = np.sum(normals * corners[..., :-1], axis=0)
+    normals[1] *= 1.0 / length
+    size = np.sqrt(np.sum(normals * normals, axis=0))
+    (first, second), bounds = normals / size, bounds / unit / size
+    twice, m = 2.0 * np.diff(s * length)[:, None], bounds.shape[1]
     programs = np.zeros((len(twice), 3, 2 * m + 2))
     programs[:, :2, 0] = np.append(twice, np.ones_like(twice), axis=1)
     programs[:, :2, 1] = -programs[:, :2, 0]
     start, end = programs[..., 2 : m + 2], programs[..., m + 2 :]
-    start[:, 0], start[:, 1], start[:, 2] = normals[:-1, :, 0], normals[:-1, :, 1], -bounds[:-1]
-    end[:, 0] = normals[1:, :, 0] + twice * normals[1:, :, 1]
-    end[:, 1], end[:, 2] = normals[1:, :, 1], -bounds[1:]
+    start[:, 0], start[:, 1], start[:, 2] = first[:-1], second[:-1], -bounds[:-1]
+    end[:, 0] = first[1:] + twice * second[1:]
+    end[:, 1], end[:, 2] = second[1:], -bounds[1:]
     return programs
 
 
@@ -383,7 +383,7 @@ def feasible_polygons(demands: Demands) -> tuple[Array, Array, Array]:
 
     Returns
     -------
-    corners: (J, RAYS + 1, 2), from the largest s̈ at ṡ = 0 to the smallest.
+    corners: (2, J, RAYS + 1), from the largest s̈ at ṡ = 0 to the smallest.
     acceleration, squared_speed: (J,) [1/s²], magnitudes of s̈ and of ṡ².
     """
     squared_speed = demands.speed_bound
@@ -394,7 +394,7 @@ def feasible_polygons(demands: Demands) -> tuple[Array, Array, Array]:
     x[:, [0, -1]] = 0.0
     factors, positive = demands.ray_factors(u, x), np.where(x > 0.0, x, 1.0)
     factors = np.minimum(factors, np.where(x > 0.0, squared_speed[:, None] / positive, np.inf))
-    return np.stack([factors * u, factors * x], axis=-1), acceleration, squared_speed
+    return np.stack([factors * u, factors * x]), acceleration, squared_speed
 
 
 GRID = 80
