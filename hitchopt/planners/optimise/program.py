@@ -24,13 +24,14 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from hitchopt.errors import check_time, time_left
-from hitchopt.geometry import ConvexPolygon, differences, shortest_offset
+from hitchopt.geometry import differences, shortest_offset
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.model import planar
 from hitchopt.hitch.pairs import SEPARATION, Bodies, end_combinations, limits_of
 from hitchopt.hitch.requirements import Separation
 from hitchopt.hitch.team import CLOSED, layout_of
+from hitchopt.planners.morph.morph import exterior_angles
 from hitchopt.planners.optimise.knots import (
     KnotPath,
     Search,
@@ -129,8 +130,8 @@ def build_program(path: KnotPath, search: Search, step: SolverStep) -> MorphProg
     boxes = [(inner, *variable_bounds(path, search, step.stride))]
     rows = 5 * n * (steps - 1)
     ranges = [(np.zeros(rows), np.zeros(rows))]
-    smallest = min(np.min(ConvexPolygon(path.polygons[end]).exterior_angles) for end in (0, -1))
-    min_sine = math.sin(min(MIN_ANGLE, 0.5 * float(smallest)))
+    smallest = float(np.min(exterior_angles(team.layout, path.edges[[0, -1]])))
+    min_sine = math.sin(min(MIN_ANGLE, 0.5 * smallest))
     ranges.append((np.full(rows // 5, min_sine), np.full(rows // 5, np.inf)))
     # Rows that the current path violates, as in a guess, have slacks.
     soft = []
