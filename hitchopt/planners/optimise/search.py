@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import chain
 
 import numpy as np
@@ -109,17 +110,32 @@ class OptimisedMorph:
     judge: Judge
     tension: tuple[float, float] | None = None
 
+    @cached_property
+    def margins(self) -> dict[KnotPath, Array]:
+        """Initial guesses that are hitches at all knots, and their margins of distances there."""
+        first, last = self.start.polygon, self.end.polygon
+        if not isinstance(first, ConvexPolygon) or not isinstance(last, ConvexPolygon):
+            return {}
+        named = guesses(first, last, MIN_STEPS + 1).items()
+        paths = [KnotPath.through(name, self.start, self.end, each) for name, each in named]
+        paths = [path for path in paths if _is_hitch(path)]
+        if not paths:
+            return {}
+        polygons, q_legs, rolls = (
+            [getattr(path, name) for path in paths] for name in ("polygons", "q_legs", "roll")
+        )
+        shapes = np.concatenate(polygons), np.concatenate(q_legs), 0.0, MAX_MARGIN
+        roll = None if rolls[0] is None else np.concatenate(rolls)
+        requirements = replace(self.requirements, arena=None)
+        task = LegTask(self.start.team, requirements, *shapes, roll=roll)
+        return dict(zip(paths, task.reference_margins().reshape(len(paths), -1), strict=True))
+
     @property
     def problem(self) -> list[KnotPath]:
         """Initial guesses that are hitches at all knots, if possible with MIN_GUESS_MARGIN."""
-        first, last = self.start.polygon, self.end.polygon
-        if not isinstance(first, ConvexPolygon) or not isinstance(last, ConvexPolygon):
-            return []
-        named = guesses(first, last, MIN_STEPS + 1).items()
-        paths = [KnotPath.through(name, self.start, self.end, each) for name, each in named]
-        hitches = [path for path in paths if _is_hitch(path)]
-        wide = [path for path in hitches if np.min(self._margins(path)) >= MIN_GUESS_MARGIN]
-        return wide or hitches
+        margins = self.margins
+        wide = [path for path, each in margins.items() if np.min(each) >= MIN_GUESS_MARGIN]
+        return wide or list(margins)
 
     def solve(self) -> list[Candidate]:
         """Return the motions along optimized paths, the fastest first.
@@ -132,7 +148,7 @@ class OptimisedMorph:
         fastest, paths = math.inf, self.problem
         if not paths:
             return []
-        first, last = (END_MARGIN_FACTOR * self._margins(paths[0]))[[0, -1]].tolist()
+        first, last = (END_MARGIN_FACTOR * self.margins[paths[0]])[[0, -1]].tolist()
         search = Search(self.requirements, self.judge, self.tension, (first, last))
         resampled = [path.resampled(_steps(path)) for path in reversed(paths)]
         estimates = [_estimate(path, self.requirements) for path in resampled]
@@ -153,12 +169,6 @@ class OptimisedMorph:
                 candidates.append(Candidate(path.name, motion))
                 fastest = min(fastest, motion.duration)
         return sorted(candidates, key=lambda candidate: candidate.motion.duration)
-
-    def _margins(self, path: KnotPath) -> Array:
-        """Return the margins of distances at the knots (J + 1,)."""
-        requirements, shapes = replace(self.requirements, arena=None), (path.polygons, path.q_legs)
-        task = LegTask(path.team, requirements, *shapes, 0.0, MAX_MARGIN, roll=path.roll)
-        return task.reference_margins()
 
 
 def guesses(first: ConvexPolygon, last: ConvexPolygon, count: int) -> dict[str, Array]:
