@@ -278,7 +278,7 @@ def verify(directory: Path) -> None:
 
 def _show_verified(path: Path) -> None:
     """Prove and report the limits of a plan.npz; exit with 3 unless all are proven."""
-    from hitchopt.verify import GOOD, UnreadableError, cells, verdict, verify
+    from hitchopt.verify import PASSING, UnreadableError, cells, verdict, verify
 
     rows = []
     try:
@@ -292,7 +292,7 @@ def _show_verified(path: Path) -> None:
     heads += ["verdict"] * any(row.verdict != "proven" for row in rows)
     content = [dict(zip(heads, cells(row), strict=False)) for row in rows]
     say(f"{table('Limits', content)}\n\n{verdict(rows)}", verified=[row._asdict() for row in rows])
-    if any(row.verdict not in GOOD for row in rows):
+    if any(row.verdict not in PASSING for row in rows):
         exit_infeasible()
 
 

@@ -178,10 +178,10 @@ def test_untied_pairs_do_not_roll_and_tied_ones_are_not_laid(tmp_path: Path) -> 
     assert wrong([hitched, aside]) == clasps(3)
     untied = [pulled, resting(roll, ROLLING)]
     assert wrong(untied) >= clasps(3)
-    assert "untied cables roll" in second_opinion(untied, tmp_path)
-    assert "tied cables are laid" in second_opinion([hitched, aside], tmp_path)
+    assert "unlinked cables roll" in second_opinion(untied, tmp_path)
+    assert "linked cables are laid" in second_opinion([hitched, aside], tmp_path)
     shut = [hitched, resting(roll, ROLLING)]
-    assert "no pair rolls, or lies across" in second_opinion(shut, tmp_path)
+    assert "no pair rolls or lies across" in second_opinion(shut, tmp_path)
 
 
 def test_an_open_clasp_is_refused_where_pairs_do_not_roll() -> None:
@@ -208,7 +208,7 @@ def test_upper_cables_come_from_above(tmp_path: Path) -> None:
     untied = [taut, slide, stages_of(3)[2], tension, roll, unroll, relax]
     aside = lowered(laying, laying.drones_laid, laying.drones_laid + [0.3, 0.0, 0.0])
     assert wrong([*untied, aside]) == clasps(3)
-    assert "cables that lie are moved" in second_opinion([*untied, aside], tmp_path)
+    assert "touching cables move" in second_opinion([*untied, aside], tmp_path)
     # The lowest one is lifted first, through the others.
     path = straight_lines(laying.hitch.team, SPEC.limits, laying.drones_laid, laying.drones_above)
     down = laying.drones_laid[:2] + [0.0, 0.0, 0.9]

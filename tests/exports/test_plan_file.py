@@ -37,7 +37,7 @@ from hitchopt.motion.plan_file import (
 )
 from hitchopt.plan import read_requested_plan
 from hitchopt.storage.yaml_file import parse_yaml
-from hitchopt.verify import UnreadableError, read, story
+from hitchopt.verify import UnreadableError, consistency, read
 
 TITLE = 'Ein "Dreieck", 三角 \\ \n – with everything'
 
@@ -171,7 +171,7 @@ def test_controllers_come_back_by_name_and_gains(tmp_path: Path, *, alike: bool)
     team = dataclasses.replace(motion.team, quadrotor=kinds)
     write_plan(tmp_path / "plan.npz", dataclasses.replace(motion, team=team))
     assert read_plan(tmp_path / "plan.npz").team.quadrotor == kinds
-    assert next(story(read(tmp_path / "plan.npz")[0][0])).verdict == "proven"
+    assert next(consistency(read(tmp_path / "plan.npz")[0][0])).verdict == "proven"
     changed(tmp_path / "plan.npz", "s['controllers'][0]['gains']['kp'][1] = 2.5")
     with pytest.raises(UnreadableError, match="gains"):
         read(tmp_path / "plan.npz")
@@ -406,7 +406,7 @@ def codes(path: Path) -> tuple[int, int]:
     except FileError as error:
         first, words = 2, str(error)
     try:
-        other = 0 if all(row.verdict in second.GOOD for row in second.verify(path)) else 3
+        other = 0 if all(row.verdict in second.PASSING for row in second.verify(path)) else 3
     except second.UnreadableError as error:
         other, words = 2, words + str(error)
     assert "\n" not in words

@@ -77,7 +77,7 @@ def test_distances_across_agree(name: str, tmp_path: Path) -> None:
     for p, q in combinations([*own, *others], 2):
         for one, two in ((p, q), (q, p)) if p in own else ():
             pair = second.Pair(one, two, separation, 0.0)
-            for row in (*second.across(pair), *second.beside_objects(pair)):
+            for row in (*second.between_plans(pair), *second.object_distances(pair)):
                 if row.samples:
                     found[row.name] = min(found.get(row.name, np.inf), row.worst)
     checks = {rule: check_across(RULE_OF[rule], motion) for rule in ACROSS}
@@ -251,7 +251,7 @@ def test_what_is_twice_in_a_file_is_refused(tmp_path: Path) -> None:
         file.writestr("settings.npy", file.read("settings.npy"))
     with pytest.raises(FileError):
         read_plan(path)
-    with pytest.raises(second.UnreadableError, match="something twice"):
+    with pytest.raises(second.UnreadableError, match="occurs twice"):
         second.read(path)
 
 

@@ -361,14 +361,14 @@ LIES: dict[str, tuple[Change, str, str]] = {
     "the others change places as it leaves": (told(lambda p: replace(p, ring=(1, 0, 2)) if p.ring == AFTER and p.step == 3 else p), "interlacing", "interlacing"),
     # Who waits, and how.
     "it is clasped as it waits": (waits("climb", CLASPING), REFUSED, REFUSED),
-    "it climbs on the ground": (waits("climb", GROUND), "interlacing", "story"),
+    "it climbs on the ground": (waits("climb", GROUND), "interlacing", "consistency"),
     "it hangs where it is taut": (waits("lower", FREE), "crossing", "crossing"),
     "it is taut where it hangs": (waits("approach", LAYING), "cable_length", "cable_length"),
-    "it lies on the ground where it hangs": (waits("approach", GROUND), "interlacing", "story"),
+    "it lies on the ground where it hangs": (waits("approach", GROUND), "interlacing", "consistency"),
     "it hangs as it is lifted off": (waits("raise", FREE), "crossing", "crossing"),
     "it is taut as it hangs down again": (waits("slacken", LAYING), "cable_length", "cable_length"),
     "it is taut as others form the ring": (at_first({"ring": (1, 2, 0)}, {"waiting": ((3, LAYING),)}), "interlacing", "interlacing"),
-    "it pulls as it waits": (edited("tensions", pulled), REFUSED, "story"),
+    "it pulls as it waits": (edited("tensions", pulled), REFUSED, "consistency"),
     "there is a vertex too many": (edited("vertices", more), REFUSED, REFUSED),
     "its cable is longer": (longer(1.01), "cable_length", "cable_length"),
     "its cable is shorter": (longer(0.99), "cable_length", "cable_length"),
@@ -378,7 +378,7 @@ LIES: dict[str, tuple[Change, str, str]] = {
     "they are laid": (called("climb", state=LAYING), "interlacing", "interlacing"),
     "they are clasped as they roll": (called("roll", state=CLASPING), "interlacing", "interlacing"),
     "a drone of theirs goes around within a piece": (within("climb", "drones", np.s_[2, 2, 2:-2], 2.0), "interlacing", "interlacing"),
-    "a vertex of theirs moves": (within("climb", "vertices", (0, 0, 3), 1e-3), "interlacing", "story"),
+    "a vertex of theirs moves": (within("climb", "vertices", (0, 0, 3), 1e-3), "interlacing", "consistency"),
     # Seams.
     "it jumps as it joins": (moved(("pass weight",), slice(6, 7), 1e-5), "continuity", "continuity"),
     "a drone jumps at both seams": (edited("drones", jumped), "continuity", "continuity"),
@@ -389,7 +389,7 @@ LIES: dict[str, tuple[Change, str, str]] = {
     "it is tied as it leaves": (called("pass weight back", state=ROLLING), "interlacing", "interlacing"),
     "it is tied as it lies": (called("pass weight", state=ROLLING), "interlacing", "interlacing"),
     "it stays on top without joining": (until("lower"), "interlacing", "crossing"),
-    "it lies there as the plan begins": (since("pass weight"), "interlacing", "interlacing|story"),
+    "it lies there as the plan begins": (since("pass weight"), "interlacing", "interlacing|consistency"),
     "it lies on top as the plan begins": (since("raise", 3), "interlacing", "crossing"),
     "it passes weight as the plan ends": (until("pass weight"), "interlacing", "interlacing"),
     # Who lies on whom.
@@ -411,14 +411,14 @@ LIES: dict[str, tuple[Change, str, str]] = {
     "pairs roll in the other sense": (edited("drones", rolled_over), "interlacing", "interlacing"),
     "the wrong leg rolls first": (other_leg_first, "interlacing", "interlacing"),
     # Passing weight.
-    "it passes weight as it holds": (called("hold", state=LYING), "interlacing", "interlacing|story"),
-    "cables pass weight as they are tightened": (named("tension", LYING), "interlacing", "story"),
+    "it passes weight as it holds": (called("hold", state=LYING), "interlacing", "interlacing|consistency"),
+    "cables pass weight as they are tightened": (named("tension", LYING), "interlacing", "consistency"),
     "a leg stands upright as weight passes": (edited("drones", upended), "equilibrium", "equilibrium"),
     "a leg is longer as weight passes": (moved(("pass weight",), slice(2, 3), 0.03, 0), "cable_length", "cable_length"),
     "a leg is longer as they hold": (moved(("hold",), slice(2, 3), 0.004, 0), "cable_length", "cable_length"),
     "a leg leans as they hold": (moved(("hold",), slice(2, 3), 0.05), "equilibrium", "equilibrium"),
-    "it passes weight as it climbs": (called("climb", state=LYING), "interlacing", "story"),
-    "it passes weight as it rolls": (called("roll", state=LYING), "interlacing", "story"),
+    "it passes weight as it climbs": (called("climb", state=LYING), "interlacing", "consistency"),
+    "it passes weight as it rolls": (called("roll", state=LYING), "interlacing", "consistency"),
 }  # fmt: skip
 
 LAID: dict[str, tuple[Change, str, str]] = {
@@ -427,16 +427,16 @@ LAID: dict[str, tuple[Change, str, str]] = {
     "cables that slide in are too near": (edited("drones", too_low), "crossing", "crossing|laid"),
     "a cable is laid beyond another one": (edited("drones", too_far), "interlacing", "interlacing"),
     "a cable dips through another one": (within("lay", "drones", np.s_[4:6, 2, 2:-2], -2.0), "interlacing", "laid"),
-    "a cable turns as it slides in": (within("slide in", "drones", np.s_[0, 1, 2:-2], 1e-4), "interlacing", "story"),
+    "a cable turns as it slides in": (within("slide in", "drones", np.s_[0, 1, 2:-2], 1e-4), "interlacing", "consistency"),
     "one pair rolls in the other sense": (edited("drones", rolled_back), "interlacing", "interlacing"),
     "cables are clasped as they roll": (named("roll", CLASPING), "interlacing", "interlacing"),
     "cables are tightened as they roll": (named("roll", CableState.TIGHTENING), "interlacing", "interlacing"),
-    "cables pass weight to nobody": (named("tension", LYING), "interlacing", "story"),
-    "cables roll as they hold": (named("hold", ROLLING), "interlacing", "story"),
-    "a cable slides by 3 mm as pairs roll": (slid("roll", 0.003), "interlacing", "story"),
-    "legs pull more than their cables": (pulled_more, "interlacing", "story"),
-    "pairs roll with a load": (teamed(load=np.full(3, 0.01)), "interlacing", "story"),
-    "one cable pulls more": (teamed(tension=np.array([0.7, 0.7, 0.71])), "interlacing", "story"),
+    "cables pass weight to nobody": (named("tension", LYING), "interlacing", "consistency"),
+    "cables roll as they hold": (named("hold", ROLLING), "interlacing", "consistency"),
+    "a cable slides by 3 mm as pairs roll": (slid("roll", 0.003), "interlacing", "consistency"),
+    "legs pull more than their cables": (pulled_more, "interlacing", "consistency"),
+    "pairs roll with a load": (teamed(load=np.full(3, 0.01)), "interlacing", "consistency"),
+    "one cable pulls more": (teamed(tension=np.array([0.7, 0.7, 0.71])), "interlacing", "consistency"),
 }  # fmt: skip
 """As LIES, of a triangle that is laid."""
 
@@ -458,15 +458,15 @@ def second_opinion(path: Path, limits: list[str]) -> Iterator[second.Row]:
         yield from second.interlacing(whole)
     if "continuity" in limits:
         yield from second.jumps(whole)
-    if "story" in limits:
-        yield from chain(*map(second.story, parts))
+    if "consistency" in limits:
+        yield from chain(*map(second.consistency, parts))
     if "laid" in limits:
-        rows = (second.cut_legs, second.laid_cables)
+        rows = (second.crossing_leg_heights, second.laid_cables)
         yield from chain(*(row(part) for part in parts for row in rows))
     if {"crossing", "laid"} & {*limits}:
         for chapter in whole.chapters:
             for p, q in combinations(chapter, 2):
-                yield from second.across(second.Pair(p, q, p.settings["separation"], 0.0))
+                yield from second.between_plans(second.Pair(p, q, p.settings["separation"], 0.0))
     if {"cable_length", "crossing", "equilibrium"} & {*limits}:
         for part in parts:
             yield from second.taut_cables(part) if part.n > 1 else second.laid_cables(part)
@@ -509,7 +509,13 @@ def test_the_truth_is_told_by_the_same_rows(name: str, tmp_path: Path) -> None:
     write_plan(path, TRUTHS[name](honest()))
     motion = read_plan(path)
     assert not interlacing(chapters(motion)).worst
-    limits = ["interlacing", "continuity", "story", "laid", *["crossing"] * (name == "the truth")]
+    limits = [
+        "interlacing",
+        "continuity",
+        "consistency",
+        "laid",
+        *["crossing"] * (name == "the truth"),
+    ]
     rows = [row for row in second_opinion(path, limits) if row.samples]
     assert {row.verdict for row in rows} == {"proven"}
     assert {*limits} <= {row.name for row in rows}
@@ -521,7 +527,9 @@ def test_nothing_passes_weight_in_a_plan_of_the_same_robots(tmp_path: Path) -> N
     assert not check_of(RULE_OF["interlacing"], lie).holds  # type: ignore[union-attr]
     write_plan(tmp_path / "plan.npz", lie)
     (whole,), _ = second.read(tmp_path / "plan.npz")
-    assert {row.verdict for row in second.story(whole) if row.name == "story"} == {"violated"}
+    assert {row.verdict for row in second.consistency(whole) if row.name == "consistency"} == {
+        "violated"
+    }
 
 
 def test_edges_of_a_ring_that_moves_are_kept_off() -> None:

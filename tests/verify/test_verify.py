@@ -29,7 +29,7 @@ QUICK = (
 )
 GROUPS = ("two_teams", "two_layers", "beside_a_show", "hitch_and_swarm")
 SLOW = ("carry_tray", "grip_drum", "tie_carry_untie", "roll_32_gon", "form_triangle", "open_arc")
-OWN = {"story", "strands", "contact", "enters", "rim", "ground", "laid"}
+OWN = {"consistency", "cable_loops", "contact", "penetration", "rim", "ground", "laid"}
 """Limits that the certificate counts to others, or to infinity where they are broken."""
 
 PROVEN = "proven: every limit holds at all times"
@@ -122,7 +122,7 @@ FORMULAS: dict[str, Callable[[Line, Line], Line]] = {
     "angle": second.angle,
     "turning": lambda x, y: x.cross(y) * x.dot(x).inverse(),
     "clipped": lambda x, _: second.minimum(second.maximum(x[0], 2.0), 2.1),
-    "joined": lambda x, y: second.joined(x[0] * y[1], y[2], x.norm()) * second.UP,
+    "joined": lambda x, y: second.concatenate(x[0] * y[1], y[2], x.norm()) * second.UP,
     "least": lambda x, y: second.minimum(x[0], y[1], -x[2]),
 }
 
@@ -151,13 +151,13 @@ def test_values_and_slopes_stay_within_their_bounds(formula: str, width: float) 
         i = s.item[:, 0]
         found, far = make(s.point(i), s.point(i + 4)), np.zeros(8)
         for share in np.linspace(-1.0, 1.0, 41):
-            there = s.within(float(share), 1e-9)
+            there = s.subspan(float(share), 1e-9)
             now = make(there.point(i), there.point(i + 4))
-            far = np.maximum(far, second.length(now.v - found.v))
-            assert not np.any(second.length(now.g - found.g) > found.q * (1.0 + 1e-9) + 1e-9)
-        assert not np.any(far > found.reach * (1.0 + 1e-9) + 1e-12)
+            far = np.maximum(far, second.norm(now.v - found.v))
+            assert not np.any(second.norm(now.g - found.g) > found.q * (1.0 + 1e-9) + 1e-9)
+        assert not np.any(far > found.deviation * (1.0 + 1e-9) + 1e-12)
         if width == 0.001:  # and they are of use
-            assert np.median(found.reach / np.maximum(far, 1e-9)) < 1.5
+            assert np.median(found.deviation / np.maximum(far, 1e-9)) < 1.5
 
 
 @WIDE
@@ -170,18 +170,18 @@ def test_hanging_cables_move_no_farther_than_told(
     for seed in range(2):
         s = spans(seed, width, 0.0)
         k = s.item[:, 0]
-        cable, _, far = second.hanging_links(s, k)
-        lowest, pull = second.lowest(s, k), second.hanging_pull(s, 2 * k)
-        length = sum(second.length(b.v - a.v) for a, b in pairwise(cable))
+        cable, _, far = second.catenary_links(s, k)
+        lowest, pull = second.lowest_height(s, k), second.catenary_force(s, 2 * k)
+        length = sum(second.norm(b.v - a.v) for a, b in pairwise(cable))
         assert length == pytest.approx(60.0 * np.ones(8), rel=0.01)
         for share in np.linspace(-1.0, 1.0, 5):
-            there = s.within(float(share), 1e-9)
-            for x in second.hanging_links(there, k)[0][::40]:
+            there = s.subspan(float(share), 1e-9)
+            for x in second.catenary_links(there, k)[0][::40]:
                 ways = [second.closest(x.v, x.v, a.v, b.v) for a, b in pairwise(cable)]
-                apart = np.min([second.length(way) for way in ways], axis=0)
+                apart = np.min([second.norm(way) for way in ways], axis=0)
                 assert not np.any(
-                    apart > far[:, 0] + np.max([y.reach for y in cable], axis=0) + 1e-9
+                    apart > far[:, 0] + np.max([y.deviation for y in cable], axis=0) + 1e-9
                 )
-            assert not np.any(second.lowest(there, k).v[:, 0] < lowest.low - 1e-9)
-            off = second.hanging_pull(there, 2 * k).v - pull.v
-            assert not np.any(second.length(off) > pull.reach)
+            assert not np.any(second.lowest_height(there, k).v[:, 0] < lowest.low - 1e-9)
+            off = second.catenary_force(there, 2 * k).v - pull.v
+            assert not np.any(second.norm(off) > pull.deviation)
