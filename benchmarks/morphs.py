@@ -48,23 +48,15 @@ TURN, TRAVEL = 0.3, 0.6
 
 @dataclass(frozen=True)
 class Measurements:
-    """Measurements of one process; a rival has no second solve, memory or certificate.
+    """Measurements of one process; a rival has no second solve, memory or certificate."""
 
-    Attributes
-    ----------
-    first, second, certify, write: processor times [s].
-    flight: duration of the flight [s].
-    peak: peak memory [MB].
-    remark: violations or errors.
-    """
-
-    first: float
-    second: float | None = None
-    certify: float | None = None
-    write: float | None = None
-    flight: float | None = None
-    peak: float | None = None
-    remark: str = ""
+    first: float  # processor time [s]
+    second: float | None = None  # processor time [s]
+    certify: float | None = None  # processor time [s]
+    write: float | None = None  # processor time [s]
+    flight: float | None = None  # duration of the flight [s]
+    peak: float | None = None  # peak memory [MB]
+    remark: str = ""  # violations or errors
 
 
 def clearance(n: int) -> float:

@@ -34,28 +34,18 @@ LIMITATIONS = (
 
 @dataclass(frozen=True)
 class Camera:
-    """Errors of recorded markers and bodies.
+    """Errors of recorded markers and bodies."""
 
-    Attributes
-    ----------
-    noise: standard deviation of each coordinate [m].
-    lost, gap: share of lost samples, and mean length of gaps [frames].
-    offset: distance of markers from the rope's axis [m], in a constant direction.
-    ghosts: mean number of false points per frame.
-    yaw, up, shift: recording frame: yaw [rad], vertical axis ``z`` or ``y``, offset [m].
-    start, rate: recording time at the start of the plan [s], and clock rate.
-    """
-
-    noise: float = 3e-4
-    lost: float = 0.05
-    gap: float = 3.0
-    offset: float = 0.0
-    ghosts: float = 0.2
-    yaw: float = 0.0
-    up: str = "z"
-    shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    start: float = 2.0
-    rate: float = 1.0
+    noise: float = 3e-4  # standard deviation of each coordinate [m]
+    lost: float = 0.05  # share of lost samples
+    gap: float = 3.0  # mean length of gaps [frames]
+    offset: float = 0.0  # distance of markers from the rope's axis [m], in a constant direction
+    ghosts: float = 0.2  # mean number of false points per frame
+    yaw: float = 0.0  # of the recording frame [rad]
+    up: str = "z"  # vertical axis of the recording frame, ``z`` or ``y``
+    shift: tuple[float, float, float] = (0.0, 0.0, 0.0)  # offset of the recording frame [m]
+    start: float = 2.0  # recording time at the start of the plan [s]
+    rate: float = 1.0  # of the recording clock
 
     def recorded(
         self, t: Array, drones: Array, markers: Array, seed: int, names: Sequence[str] = ()

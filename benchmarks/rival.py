@@ -28,15 +28,10 @@ LEG_STEP = BSpline(np.repeat([0.0, 1.0], 8), np.repeat([0.0, 1.0], 4), 7)
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """Solution of the rival.
+    """Solution of the rival."""
 
-    Attributes
-    ----------
-    duration: duration of the flight [s].
-    excess: largest relative excess over the limits of speed and acceleration between samples.
-    """
-
-    duration: float
+    duration: float  # duration of the flight [s]
+    # largest relative excess over the limits of speed and acceleration between samples
     excess: float
 
 

@@ -143,33 +143,24 @@ def upright_distance(spans: PairSpans) -> Bound:
 
 @dataclass(frozen=True, eq=False)
 class Moving:
-    """Moving bodies, as hulls of corners, and the pairs of them that are checked.
+    """Moving bodies, as hulls of corners, and the pairs of them that are checked."""
 
-    Attributes
-    ----------
-    breaks: (pieces + 1,) [s]
-    first: (pieces, bodies, corners, 3, degree + 1) [m]
-    second: corners of the other group; None for pairs i < j within the first group.
-    margin: rounding error, subtracted from distances [m].
-    allowed: predicate of pairs (first, second) that count; None for all.
-    shape: body from which differences of two positions keep a distance.
-    active: (pieces, bodies), pieces on which the first group counts; None for all.
-    lengths: (bodies,) [m], lengths of cables that hang between both corners of the first group.
-    names: names of the bodies of both groups, or empty; hanging cables are named last.
-    formula: bound of the distance of pairs.
-    tolerance: tightness of bounds of distances [m]; None if the limit determines it.
-    """
-
-    breaks: Array
-    first: Array
+    breaks: Array  # (pieces + 1,) [s]
+    first: Array  # (pieces, bodies, corners, 3, degree + 1) [m]
+    # corners of the other group; None for pairs i < j within the first group
     second: Array | None = None
-    margin: float = 0.0
+    margin: float = 0.0  # rounding error, subtracted from distances [m]
+    # predicate of pairs (first, second) that count; None for all
     allowed: Callable[[Indices, Indices], Flags] | None = None
-    shape: Shape = ORIGIN
+    shape: Shape = ORIGIN  # body from which differences of two positions keep a distance
+    # (pieces, bodies), pieces on which the first group counts; None for all
     active: Flags | None = None
+    # (bodies,) [m], lengths of cables that hang between both corners of the first group
     lengths: Array | None = None
+    # names of the bodies of both groups, or empty; hanging cables are named last
     names: tuple[Sequence[str], Sequence[str]] = ((), ())
-    formula: Callable[[PairSpans], Bound] = gap
+    formula: Callable[[PairSpans], Bound] = gap  # bound of the distance of pairs
+    # tightness of bounds of distances [m]; None if the limit determines it
     tolerance: float | None = None
 
     @classmethod

@@ -41,20 +41,12 @@ HALVINGS = 4
 
 @dataclass(frozen=True, eq=False)
 class VerticalPass:
-    """A taut cable that moves vertically above or below edges of a ring at rest.
+    """A taut cable that moves vertically above or below edges of a ring at rest."""
 
-    Attributes
-    ----------
-    pieces: pieces on which it moves vertically.
-    edges: (k,), edges that cross it, seen from above.
-    points: (k, 2) [m], crossing points.
-    gaps: (k, pieces, degree + 1) [m], distances above the edges, normal to both chords.
-    """
-
-    pieces: slice
-    edges: Indices
-    points: Array
-    gaps: Array
+    pieces: slice  # pieces on which it moves vertically
+    edges: Indices  # (k,), edges that cross it, seen from above
+    points: Array  # (k, 2) [m], crossing points
+    gaps: Array  # (k, pieces, degree + 1) [m], distances above the edges, normal to both chords
 
 
 def vertical_passes(ring: Motion, alone: Motion) -> Iterator[VerticalPass]:

@@ -129,34 +129,25 @@ class SpanResult(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class CheckRule:
-    """A check of the certificate, and its metadata.
+    """A check of the certificate, and its metadata."""
 
-    Attributes
-    ----------
-    name, unit, sense: as in ``Check``.
-    limit: the limit, or a function of a motion that returns it; None if there is nothing to check.
-    evaluators: evaluators for cables in different states.
-    remedy: suggested change.
-    free_remedy: suggested change without a hitch, if different.
-    ease: kind of change that repairs try: ``time`` (slower or shorter motion), ``length`` (of legs)
-        or ``tension`` (lower, or less weight); empty for none.
-    derivative: highest derivative of positions by time that enters the quantity; 0 for none. The
-        quantity is undefined where the next lower derivative jumps, and decreases in slow motion.
-    whole: whether a joined motion is checked as a whole, as its parts do not cover the joints.
-    exported_limit: limit for exported curves, if different.
-    """
-
-    name: str
-    unit: str
-    sense: str
+    name: str  # as in ``Check``
+    unit: str  # as in ``Check``
+    sense: str  # as in ``Check``
+    # the limit, or a function of a motion that returns it; None if there is nothing to check
     limit: float | Callable[[Motion], float | None]
-    evaluators: tuple[Evaluator, ...]
-    remedy: str = "this plan must not be flown; please report it"
-    free_remedy: str = ""
+    evaluators: tuple[Evaluator, ...]  # evaluators for cables in different states
+    remedy: str = "this plan must not be flown; please report it"  # suggested change
+    free_remedy: str = ""  # suggested change without a hitch, if different
+    # kind of change that repairs try: ``time`` (slower or shorter motion), ``length`` (of legs) or
+    # ``tension`` (lower, or less weight); empty for none
     ease: str = ""
+    # highest derivative of positions by time that enters the quantity; 0 for none. The quantity is
+    # undefined where the next lower derivative jumps, and decreases in slow motion.
     derivative: int = 0
+    # whether a joined motion is checked as a whole, as its parts do not cover the joints
     whole: bool = False
-    exported_limit: float | None = None
+    exported_limit: float | None = None  # limit for exported curves, if different
 
     def limit_of(self, motion: Motion) -> float | None:
         """Return the limit for a motion; None if the rule does not apply to it."""

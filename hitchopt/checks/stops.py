@@ -159,24 +159,16 @@ class DronesOnClock(OnClock, Drones):
 
 @dataclass(frozen=True, eq=False)
 class ClockLimit:
-    """Limits of items that bound a clock's rates.
+    """Limits of items that bound a clock's rates."""
 
-    Attributes
-    ----------
-    path: paths of the items, on pieces of the plan [m].
-    orders: number of its derivatives that enter.
-    over, source: type of the spans on which utilization is bounded, and their source.
-    norms_suffice: whether norms of derivatives (orders, cells, items) prove that limits hold, for
-        pieces (cells,) and the clock's rate and its derivatives there, (cells, 1) each.
-    utilization: largest share of a limit (spans,).
-    """
-
-    path: PiecewisePolynomial
-    orders: int
-    over: type[OnClock]
-    source: Any
+    path: PiecewisePolynomial  # paths of the items, on pieces of the plan [m]
+    orders: int  # number of its derivatives that enter
+    over: type[OnClock]  # type of the spans on which utilization is bounded
+    source: Any  # of the spans
+    # whether norms of derivatives (orders, cells, items) prove that limits hold, for pieces
+    # (cells,) and the clock's rate and its derivatives there, (cells, 1) each
     norms_suffice: Callable[..., Flags]
-    utilization: Callable[[Any], Array]
+    utilization: Callable[[Any], Array]  # largest share of a limit (spans,)
 
     @cached_property
     def sizes(self) -> Array:
@@ -298,18 +290,11 @@ def _inertia(path: PiecewisePolynomial, slack: Array) -> ClockLimit:
 
 @dataclass(frozen=True, eq=False)
 class StopTable:
-    """Stops that keep all limits, by the plan time at which they begin.
+    """Stops that keep all limits, by the plan time at which they begin."""
 
-    Attributes
-    ----------
-    end: plan time at which the plan ends at rest [s]; infinite if it does not.
-    starts: (stops,) [s], increasing.
-    durations: (stops,) [s]; infinite if no stop is feasible.
-    """
-
-    end: float
-    starts: Array
-    durations: Array
+    end: float  # plan time at which the plan ends at rest [s]; infinite if it does not
+    starts: Array  # (stops,) [s], increasing
+    durations: Array  # (stops,) [s]; infinite if no stop is feasible
 
     @property
     def longest(self) -> tuple[Array, Array]:

@@ -30,26 +30,17 @@ ROUNDING = 1e-6  # Tolerance of a number of time steps
 
 @dataclass(frozen=True)
 class Row:
-    """Errors of a vertex or a drone in a phase or in the whole flight.
+    """Errors of a vertex or a drone in a phase or in the whole flight."""
 
-    Attributes
-    ----------
-    name: of the vertex or drone, or ``vertices`` for all vertices.
-    phase, start, end: name of the phase, or ``all`` for the whole flight, and its times [s].
-    mean, std, max: of the distances from the plan in three dimensions [m]; nan without samples.
-    found: share of the samples in which it was measured.
-    standard_error: median standard error of the positions [m]; nan for drones.
-    """
-
-    name: str
-    phase: str
-    start: float
-    end: float
-    mean: float
-    std: float
-    max: float
-    found: float
-    standard_error: float
+    name: str  # of the vertex or drone, or ``vertices`` for all vertices
+    phase: str  # name, or ``all`` for the whole flight
+    start: float  # [s]
+    end: float  # [s]
+    mean: float  # distance from the plan in three dimensions [m]; nan without samples
+    std: float  # standard deviation of these distances [m]
+    max: float  # largest distance [m]
+    found: float  # share of the samples in which it was measured
+    standard_error: float  # median standard error of the positions [m]; nan for drones
 
 
 @dataclass(frozen=True, eq=False)

@@ -125,29 +125,18 @@ def taut_at(task: Task, t: Array, ratio: float = TAUT_RATIO) -> NDArray[np.bool_
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """Means over windows (W,) in which the plan's hitch is taut and all drones are visible.
+    """Means over windows (W,) in which the plan's hitch is taut and all drones are visible."""
 
-    Attributes
-    ----------
-    t: (W,) [s], mean time of the samples.
-    drones, vertices: (W, 2n, 3), (W, points, 3) [m]; displacements of vertices that are not visible
-        are interpolated over time.
-    visible: (W, points), vertices that are visible in half of a window.
-    errors: (W, points) [m], standard errors of the vertices.
-    positions: (W, 2n, 3) [m], planned setpoints.
-    planned: (W, points, 3) [m], planned vertices.
-    cable_forces, tensions: planned forces on drones (W, 2n, 3) and tensions (W, n) [N].
-    """
-
-    t: Array
-    drones: Array
+    t: Array  # (W,) [s], mean time of the samples
+    drones: Array  # (W, 2n, 3) [m]
+    # (W, points, 3) [m]; displacements of vertices that are not visible are interpolated over time
     vertices: Array
-    visible: NDArray[np.bool_]
-    errors: Array
-    positions: Array
-    planned: Array
-    cable_forces: Array
-    tensions: Array
+    visible: NDArray[np.bool_]  # (W, points), vertices that are visible in half of a window
+    errors: Array  # (W, points) [m], standard errors of the vertices
+    positions: Array  # (W, 2n, 3) [m], planned setpoints
+    planned: Array  # (W, points, 3) [m], planned vertices
+    cable_forces: Array  # planned forces on drones (W, 2n, 3) [N]
+    tensions: Array  # planned (W, n) [N]
 
 
 def windows_of(recording: Recording, task: Task, size: float) -> Windows:

@@ -56,20 +56,12 @@ CLASP_DISTANCE, MIN_SECTION, MARKERS = 0.05, 0.1, 3
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """Measured vertices in the plan's frame.
+    """Measured vertices in the plan's frame."""
 
-    Attributes
-    ----------
-    crossings: (times, points, 3) [m]; nan if not measured, and at the ends of a chain.
-    standard_errors: (times, points) [m]; nan where ``crossings`` are.
-    density: of every cable (n,) [kg/m], stated or fitted.
-    markers: mean number of markers of every edge in a window (n,).
-    """
-
-    crossings: Array
-    standard_errors: Array
-    density: Array
-    markers: Array
+    crossings: Array  # (times, points, 3) [m]; nan if not measured, and at the ends of a chain
+    standard_errors: Array  # (times, points) [m]; nan where ``crossings`` are
+    density: Array  # of every cable (n,) [kg/m], stated or fitted
+    markers: Array  # mean number of markers of every edge in a window (n,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,19 +294,14 @@ def clasps_of(crossings: Array, layout: Layout, diameter: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class MarkerPlan(OneLine):
-    """Marker positions on every cable, and the resulting errors of vertices.
+    """Marker positions on every cable, and the resulting errors of vertices."""
 
-    Attributes
-    ----------
-    stretches: (n, 2) [m] from q's end, section of each cable that stays on its edge while the hitch
-        is taut; if there is none, the second bound is below the first.
-    places: positions of the markers on each cable [m] from q's end.
-    standard_errors: (points, 2) [m], median and largest over time, for a scatter of ROPE_SCATTER;
-        nan at the ends of a chain, infinite without two markers on both edges.
-    """
-
+    # (n, 2) [m] from q's end, section of each cable that stays on its edge while the hitch is taut;
+    # if there is none, the second bound is below the first
     stretches: Array
-    places: tuple[Array, ...]
+    places: tuple[Array, ...]  # positions of the markers on each cable [m] from q's end
+    # (points, 2) [m], median and largest over time, for a scatter of ROPE_SCATTER; nan at the ends
+    # of a chain, infinite without two markers on both edges
     standard_errors: Array
 
 

@@ -53,20 +53,13 @@ def chord_pull(tension: Any, half: Any, level: Any = 1.0, rise: Any = None) -> A
 
 @dataclass(frozen=True, eq=False)
 class ClaspLoads:
-    """Loads of the clasps of a hitch, and roll of their legs out of the plane.
+    """Loads of the clasps of a hitch, and roll of their legs out of the plane."""
 
-    Attributes
-    ----------
-    forces: (…, clasps, 3) [N], external forces ``w_k``; a weight points down.
-    halves: (…, clasps, 2) [N], half of the weights of the legs of ``r_{k-1}`` and ``q_k``.
-    roll: (…, clasps) [rad], ``ψ_k``; positive raises ``q_k`` and lowers ``r_{k-1}``.
-    edges: (…, clasps, 2) [N], half of the weights of edges k-1 and k, which reduce their pull along
-        the chord below the tension.
-    """
-
-    forces: Array
-    halves: Array
-    roll: Array
+    forces: Array  # (…, clasps, 3) [N], external forces ``w_k``; a weight points down
+    halves: Array  # (…, clasps, 2) [N], half of the weights of the legs of ``r_{k-1}`` and ``q_k``
+    roll: Array  # (…, clasps) [rad], ``ψ_k``; positive raises ``q_k`` and lowers ``r_{k-1}``
+    # (…, clasps, 2) [N], half of the weights of edges k-1 and k, which reduce their pull along the
+    # chord below the tension
     edges: Array
 
 

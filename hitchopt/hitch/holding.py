@@ -34,15 +34,10 @@ from hitchopt.values import Array, Indices
 
 @dataclass(frozen=True, eq=False)
 class Bends:
-    """The corners of a section's core about which edges bend.
+    """The corners of a section's core about which edges bend."""
 
-    Attributes
-    ----------
-    touching: (…, n), whether an edge touches the section, and so bends.
-    corners: (…, n, 2), the first and the last corner; twice the nearest one for a straight edge.
-    """
-
-    touching: NDArray[np.bool_]
+    touching: NDArray[np.bool_]  # (…, n), whether an edge touches the section, and so bends
+    # (…, n, 2), the first and the last corner; twice the nearest one for a straight edge
     corners: Indices
 
     def differ(self, other: Bends) -> NDArray[np.bool_]:
@@ -56,27 +51,18 @@ class Bends:
 
 @dataclass(frozen=True, eq=False)
 class Wraps:
-    """Edges k from vertex k to vertex k+1, bent around a section if they touch it.
+    """Edges k from vertex k to vertex k+1, bent around a section if they touch it."""
 
-    Attributes
-    ----------
-    leaving, arriving: (…, n, 2) unit vectors ``a_k``, ``b_k`` of the edge at ``p_k`` and at
-        ``p_{k+1}``; equal if the edge is straight.
-    lengths: (…, n) [m], of cable between the clasps.
-    arcs: (…, n) [m], arc lengths on the section.
-    angles: (…, n) [rad], wrap angles ``θ_k``; 0 for a straight edge.
-    contacts: (…, n, 2, 2) [m], ends of the arc; of a straight edge twice the point nearest to the
-        section.
-    bends: the corners about which edges bend.
-    """
-
-    leaving: Array
+    leaving: Array  # (…, n, 2), unit vector ``a_k`` of the edge at ``p_k``
+    # (…, n, 2), unit vector ``b_k`` of the edge at ``p_{k+1}``; equal to ``a_k`` if the edge is
+    # straight
     arriving: Array
-    lengths: Array
-    arcs: Array
-    angles: Array
+    lengths: Array  # (…, n) [m], of cable between the clasps
+    arcs: Array  # (…, n) [m], arc lengths on the section
+    angles: Array  # (…, n) [rad], wrap angles ``θ_k``; 0 for a straight edge
+    # (…, n, 2, 2) [m], ends of the arc; of a straight edge twice the point nearest to the section
     contacts: Array
-    bends: Bends
+    bends: Bends  # the corners about which edges bend
 
     @property
     def clasp_angles(self) -> Array:

@@ -24,20 +24,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Edge:
-    """An edge of a hitch.
+    """An edge of a hitch."""
 
-    Attributes
-    ----------
-    along, cable: its direction, and its cable length [m].
-    pull, tension: along its chord, and of its cable [N].
-    sag: factor of ``forces.cable_of`` for its cable [1/m²]; None without weight.
-    """
-
-    along: Series
-    cable: Series
-    pull: Series
-    tension: Series
-    sag: Any
+    along: Series  # its direction
+    cable: Series  # its cable length [m]
+    pull: Series  # along its chord [N]
+    tension: Series  # of its cable [N]
+    sag: Any  # factor of ``forces.cable_of`` for its cable [1/m²]; None without weight
 
     @classmethod
     def of(cls, vector: Series, tension: Series, weight: Any) -> Edge:

@@ -55,16 +55,10 @@ def scales_of(separation: Separation) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Bodies:
-    """The bodies of a hitch.
+    """The bodies of a hitch."""
 
-    Attributes
-    ----------
-    layout: its indices.
-    nodes: (bodies, 2), both ends.
-    """
-
-    layout: Layout
-    nodes: Indices
+    layout: Layout  # its indices
+    nodes: Indices  # (bodies, 2), both ends
 
     @classmethod
     @lru_cache(maxsize=64)

@@ -181,29 +181,18 @@ roll at which they must suffice over the one that the reference needs."""
 
 @dataclass(frozen=True, eq=False)
 class LegTask:
-    """A problem for the leg lengths of a team on J polygons: one, or the knots of a path.
+    """A problem for the leg lengths of a team on J polygons: one, or the knots of a path."""
 
-    Attributes
-    ----------
-    team: with the cables to be split.
-    requirements: distances, and the arena.
-    polygons: (J, points, 2) [m]
-    reference: (J, n) [m], ``d`` whose deviation is minimized.
-    shortest_leg: [m], for both legs of every cable.
-    margin: lower bound of each distance over its limit; one, or one per knot (J,).
-    roughness: [m²], weight of the fractions' second differences along the knots; 0 for none.
-    fixed: (J,), mask of knots whose legs equal the reference.
-    roll: one or (J, clasps) [rad], of the legs out of their plane; None for none.
-    """
-
-    team: Team
-    requirements: Requirements
-    polygons: Array
-    reference: Array
-    shortest_leg: float
-    margin: float | Array
+    team: Team  # with the cables to be split
+    requirements: Requirements  # distances, and the arena
+    polygons: Array  # (J, points, 2) [m]
+    reference: Array  # (J, n) [m], ``d`` whose deviation is minimized
+    shortest_leg: float  # [m], for both legs of every cable
+    margin: float | Array  # lower bound of each distance over its limit; one, or one per knot (J,)
+    # [m²], weight of the fractions' second differences along the knots; 0 for none
     roughness: float = 0.0
-    fixed: NDArray[np.bool_] | None = None
+    fixed: NDArray[np.bool_] | None = None  # (J,), mask of knots whose legs equal the reference
+    # one or (J, clasps) [rad], of the legs out of their plane; None for none
     roll: Array | float | None = None
 
     @classmethod

@@ -34,32 +34,23 @@ PER_ROBOT = "one for all or one per robot"
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Indices into arrays of points, cables (or edges) and drones.
+    """Indices into arrays of points, cables (or edges) and drones."""
 
-    Attributes
-    ----------
-    robots, points: number n of cables; number of points, n or n + 1.
-    starts, ends: (n,), the points between which each edge runs.
-    clasps: (c,), the points at which two cables bend around each other: all, or all inner ones.
-    ahead, behind: (c,), the cables whose edges start and end at each clasp.
-    has_leg: (n, 2), whether q_k and r_k have a leg.
-    anchors: (2n,), the point of each drone q0, r0, q1, …: the other end of its leg, if any.
-    pulled_to: (2n,), the next point along the cable of each drone: its anchor, or without a leg the
-        other end of its edge.
-    neighbours: (n, 3), the cables k-1 … k+1; beyond a chain's ends the cable itself.
-    """
-
-    robots: int
-    points: int
-    starts: Indices
-    ends: Indices
+    robots: int  # number n of cables
+    points: int  # number of points, n or n + 1
+    starts: Indices  # (n,), the point at which each edge starts
+    ends: Indices  # (n,), the point at which each edge ends
+    # (c,), the points at which two cables bend around each other: all, or all inner ones
     clasps: Indices
-    ahead: Indices
-    behind: Indices
-    has_leg: NDArray[np.bool_]
+    ahead: Indices  # (c,), the cable whose edge starts at each clasp
+    behind: Indices  # (c,), the cable whose edge ends at each clasp
+    has_leg: NDArray[np.bool_]  # (n, 2), whether q_k and r_k have a leg
+    # (2n,), the point of each drone q0, r0, q1, …: the other end of its leg, if any
     anchors: Indices
+    # (2n,), the next point along the cable of each drone: its anchor, or without a leg the other
+    # end of its edge
     pulled_to: Indices
-    neighbours: Indices
+    neighbours: Indices  # (n, 3), the cables k-1 … k+1; beyond a chain's ends the cable itself
 
     @property
     def closed(self) -> bool:

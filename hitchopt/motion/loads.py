@@ -87,16 +87,11 @@ def reduce_constants(coefficients: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Supports:
-    """Distribution of an object's weight over the clasps below it.
+    """Distribution of an object's weight over the clasps below it."""
 
-    Attributes
-    ----------
-    shares: (…, clasps), shares of its mass.
-    gains: (…, clasps, 2) [1/m], ``G_k``: derivatives of the shares by the point at which the force
-        line meets the clasps' plane, in the object's frame.
-    """
-
-    shares: Array
+    shares: Array  # (…, clasps), shares of its mass
+    # (…, clasps, 2) [1/m], ``G_k``: derivatives of the shares by the point at which the force line
+    # meets the clasps' plane, in the object's frame
     gains: Array
 
     @classmethod

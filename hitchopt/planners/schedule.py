@@ -198,42 +198,28 @@ class Placed:
 
 @dataclass(frozen=True)
 class Blocked:
-    """The conflict of two groups without a feasible start.
+    """The conflict of two groups without a feasible start."""
 
-    Attributes
-    ----------
-    names: of both groups.
-    check, value, limit: the violated distance.
-    time: approximate time of the violation since the item's start [s].
-    place: (3,) [m], between both groups.
-    at: ``goals`` or ``starts`` if the groups are too close while they rest there, else empty.
-    """
-
-    names: tuple[str, str]
-    check: str
-    value: float
-    limit: float
-    time: float
-    place: tuple[float, ...]
-    at: str
+    names: tuple[str, str]  # of both groups
+    check: str  # of the violated distance
+    value: float  # of the violated distance
+    limit: float  # of the violated distance
+    time: float  # approximate time of the violation since the item's start [s]
+    place: tuple[float, ...]  # (3,) [m], between both groups
+    at: str  # ``goals`` or ``starts`` if the groups are too close while they rest there, else empty
 
 
 @dataclass(eq=False)
 class Schedule:
-    """Search for the starts of groups in one item of a mission.
+    """Search for the starts of groups in one item of a mission."""
 
-    Attributes
-    ----------
-    tracks: of the groups, in the order of the file; groups at rest have one sample.
-    separation: limits of distances.
-    alternative: another path of a group by index and layer (1 up, 2 down), or None.
-    tables, alternatives: caches of slacks and of other paths.
-    """
-
+    # of the groups, in the order of the file; groups at rest have one sample
     tracks: Sequence[Track]
-    separation: Separation
+    separation: Separation  # limits of distances
+    # another path of a group by index and layer (1 up, 2 down), or None
     alternative: Callable[[int, int], Track | None] = lambda *_: None
-    tables: dict[tuple[Track, Track], Array] = field(default_factory=dict)
+    tables: dict[tuple[Track, Track], Array] = field(default_factory=dict)  # cache of slacks
+    # cache of other paths
     alternatives: dict[tuple[int, int], Track | None] = field(default_factory=dict)
 
     def solve(self, fixed: Sequence[Placed], pad: float) -> list[Placed] | Blocked:

@@ -35,19 +35,12 @@ PACKET_RATES, CURVE_RATES = ("mellinger",), ("mellinger", "lee")
 
 @dataclass(frozen=True, eq=False)
 class Commands:
-    """Setpoints at some times (…); yaw is 0.
+    """Setpoints at some times (…); yaw is 0."""
 
-    Attributes
-    ----------
-    positions, velocities: (…, 2n, 3) [m], [m/s]
-    accelerations: (…, 2n, 3) [m/s²]; less F / m if the force F of cables is fed forward.
-    rates: (…, 2n, 3) [rad/s], about the bodies' axes.
-    """
-
-    positions: Array
-    velocities: Array
-    accelerations: Array
-    rates: Array
+    positions: Array  # (…, 2n, 3) [m]
+    velocities: Array  # (…, 2n, 3) [m/s]
+    accelerations: Array  # (…, 2n, 3) [m/s²]; less F / m if the force F of cables is fed forward
+    rates: Array  # (…, 2n, 3) [rad/s], about the bodies' axes
 
     def __getitem__(self, index: int) -> Commands:
         """Return the setpoints of one sample, of the last one beyond it."""

@@ -165,18 +165,12 @@ def downwash(drones: Array, thrusts: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class PositionGains:
-    """Gains of the drones' position loops.
+    """Gains of the drones' position loops."""
 
-    Attributes
-    ----------
-    stiffness, damping, integral: (2n, 3) [N/m], [N s/m], [N/(m s)]
-    feed_forward: (2n,), whether the planned cable force is fed forward.
-    """
-
-    stiffness: Array
-    damping: Array
-    integral: Array
-    feed_forward: NDArray[np.bool_]
+    stiffness: Array  # (2n, 3) [N/m]
+    damping: Array  # (2n, 3) [N s/m]
+    integral: Array  # (2n, 3) [N/(m s)]
+    feed_forward: NDArray[np.bool_]  # (2n,), whether the planned cable force is fed forward
 
     @classmethod
     def of(cls, team: Team, settings: Settings) -> PositionGains:

@@ -60,90 +60,57 @@ ROUNDING = 1e-9  # Rounding error of sums of periods [s]
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """Samples of a flight; times count from the flight's start, after settling.
+    """Samples of a flight; times count from the flight's start, after settling."""
 
-    Attributes
-    ----------
-    t: (samples,) [s], at the rate of the setpoints, rest and pull test included.
-    index: (samples,), index of the setpoint that applies from this time on.
-    drones, commanded: positions of drones and setpoints (samples, 2n, 3) [m].
-    vertices: (samples, clasps, 3) [m], nan if cables do not bear on each other.
-    bearing: contact forces (samples, clasps) [N].
-    tensions: means over each cable's length (samples, n) [N].
-    peak_tensions: largest values over length and time since the last sample (samples, n) [N].
-    thrusts: (samples, 2n) [N]
-    tilts: of the drones (samples, 2n) [rad].
-    poses: of the objects (samples, objects, 7): positions of their bases [m], and quaternions.
-    touched: whether cables touch an object (samples, objects).
-    """
-
-    t: Array
-    index: NDArray[np.intp]
-    drones: Array
-    commanded: Array
-    vertices: Array
-    bearing: Array
-    tensions: Array
+    t: Array  # (samples,) [s], at the rate of the setpoints, rest and pull test included
+    index: NDArray[np.intp]  # (samples,), index of the setpoint that applies from this time on
+    drones: Array  # positions (samples, 2n, 3) [m]
+    commanded: Array  # positions of the setpoints (samples, 2n, 3) [m]
+    vertices: Array  # (samples, clasps, 3) [m], nan if cables do not bear on each other
+    bearing: Array  # contact forces (samples, clasps) [N]
+    tensions: Array  # means over each cable's length (samples, n) [N]
+    # largest values over length and time since the last sample (samples, n) [N]
     peak_tensions: Array
-    thrusts: Array
-    tilts: Array
+    thrusts: Array  # (samples, 2n) [N]
+    tilts: Array  # of the drones (samples, 2n) [rad]
+    # of the objects (samples, objects, 7): positions of their bases [m], and quaternions
     poses: Array
-    touched: NDArray[np.bool_]
+    touched: NDArray[np.bool_]  # whether cables touch an object (samples, objects)
 
 
 @dataclass(frozen=True, eq=False)
 class Film:
-    """Shapes of the cables over time, including settling at negative times.
+    """Shapes of the cables over time, including settling at negative times."""
 
-    Attributes
-    ----------
-    t: (frames,) [s]
-    nodes: (frames, nodes, 3) [m], cable after cable, drones at their ends.
-    cables: (n + 1,), first node of each cable, and the number of nodes.
-    poses: of the objects (frames, objects, 7), as in a ``Record``.
-    """
-
-    t: Array
-    nodes: NDArray[np.float32]
-    cables: NDArray[np.intp]
-    poses: NDArray[np.float32]
+    t: Array  # (frames,) [s]
+    nodes: NDArray[np.float32]  # (frames, nodes, 3) [m], cable after cable, drones at their ends
+    cables: NDArray[np.intp]  # (n + 1,), first node of each cable, and the number of nodes
+    poses: NDArray[np.float32]  # of the objects (frames, objects, 7), as in a ``Record``
 
 
 @dataclass(frozen=True, eq=False)
 class Flight:
-    """A flight that was simulated to its end, or until the simulation became invalid.
+    """A flight that was simulated to its end, or until the simulation became invalid."""
 
-    Attributes
-    ----------
-    task, settings: of the flight.
-    record, film: samples, and shapes of the cables.
-    touches: times [s] of first forbidden contacts by pairs of names, such as ``("q0", "r2")`` or
-        ``("q0", "cable 2")``.
-    linking: linking numbers (n, n) of all pairs of cables after the rest; None if not reached.
-    rested, pulled: times [s] at which rest and pull test ended; nan if not reached.
-    gains: of the drones' position loops.
-    density: of the simulated cables [kg/m], of each (n,) for several groups.
-    extra_length: largest additional length of a rope [m], for the bends of thick ropes.
-    end_offset: largest distance of a rope's end from its drone [m], which aligns the legs of thick
-        ropes with those of thin cables.
-    objects: simulated objects by name, with perturbations.
-    error: the error that ended the flight early, or None.
-    """
-
-    task: Task
-    settings: Settings
-    record: Record
-    film: Film
+    task: Task  # of the flight
+    settings: Settings  # of the flight
+    record: Record  # samples
+    film: Film  # shapes of the cables
+    # times [s] of first forbidden contacts by pairs of names, such as ``("q0", "r2")`` or ``("q0",
+    # "cable 2")``
     touches: dict[tuple[str, str], float]
+    # linking numbers (n, n) of all pairs of cables after the rest; None if not reached
     linking: NDArray[np.int64] | None
-    rested: float
-    pulled: float
-    gains: control.PositionGains
-    density: Array | float
-    extra_length: float
+    rested: float  # time at which the rest ended [s]; nan if not reached
+    pulled: float  # time at which the pull test ended [s]; nan if not reached
+    gains: control.PositionGains  # of the drones' position loops
+    density: Array | float  # of the simulated cables [kg/m], of each (n,) for several groups
+    extra_length: float  # largest additional length of a rope [m], for the bends of thick ropes
+    # largest distance of a rope's end from its drone [m], which aligns the legs of thick ropes with
+    # those of thin cables
     end_offset: float
-    objects: dict[str, SolidObject]
-    error: InvalidRunError | None
+    objects: dict[str, SolidObject]  # simulated objects by name, with perturbations
+    error: InvalidRunError | None  # the error that ended the flight early, or None
 
     @property
     def cable_names(self) -> list[str]:

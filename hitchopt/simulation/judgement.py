@@ -67,21 +67,14 @@ class Spread:
 
 @dataclass(frozen=True, eq=False)
 class VertexErrors:
-    """Errors of the vertices while the plan has a taut hitch, until the end of the rest.
+    """Errors of the vertices while the plan has a taut hitch, until the end of the rest."""
 
-    Attributes
-    ----------
-    t, rows: times [s], and indices into the flight's record (samples,).
-    planned: planned vertices (samples, clasps, 3) [m]; nan if the group's hitch is not taut.
-    offsets: from planned vertices (samples, clasps, 3) [m]; nan if cables do not bear.
-    moving: whether the plan moves any vertex or changes any tension (samples,).
-    """
-
-    t: Array
-    rows: NDArray[np.intp]
+    t: Array  # times (samples,) [s]
+    rows: NDArray[np.intp]  # indices into the flight's record (samples,)
+    # planned vertices (samples, clasps, 3) [m]; nan if the group's hitch is not taut
     planned: Array
-    offsets: Array
-    moving: NDArray[np.bool_]
+    offsets: Array  # from planned vertices (samples, clasps, 3) [m]; nan if cables do not bear
+    moving: NDArray[np.bool_]  # whether the plan moves any vertex or changes any tension (samples,)
 
     @property
     def errors(self) -> Array:
@@ -144,52 +137,34 @@ class Failure:
 
 @dataclass(frozen=True)
 class Clasp:
-    """State of one vertex at the end of a flight.
+    """State of one vertex at the end of a flight."""
 
-    Attributes
-    ----------
-    name: p0, p1, ….
-    linking: Gauss's linking number of its two cables, ±1 for a clasp.
-    bearing, least_bearing: contact force at rest, and its smallest value for a clasp [N]; cables
-        that only cross may also be linked.
-    moved: slip along its cables in the pull test [m], the larger change of its two leg lengths,
-        which excludes drift of soft drones; nan without a pull test.
-    holds: whether it is linked once, bears and does not slip.
-    bears: whether its cables press on each other as in a clasp.
-    """
-
-    name: str
-    linking: int
-    bearing: float
+    name: str  # p0, p1, …
+    linking: int  # Gauss's linking number of its two cables, ±1 for a clasp
+    bearing: float  # contact force at rest [N]
+    # its smallest value for a clasp [N]; cables that only cross may also be linked
     least_bearing: float
+    # slip along its cables in the pull test [m], the larger change of its two leg lengths, which
+    # excludes drift of soft drones; nan without a pull test
     moved: float
-    holds: bool
-    bears: bool
+    holds: bool  # whether it is linked once, bears and does not slip
+    bears: bool  # whether its cables press on each other as in a clasp
 
 
 @dataclass(frozen=True)
 class ObjectState:
-    """State of one object at rest, and its motion while it was held.
+    """State of one object at rest, and its motion while it was held."""
 
-    Attributes
-    ----------
-    name: of the object.
-    placed: distance of its base from the plan's [m].
-    tilted, turned: angle of its axis from the vertical, and of its yaw from the plan's [°].
-    slipped: largest motion relative to the hitch while fully carried [m]; nan if never carried.
-    dropped: first time at which it was more than MAX_DROP below its plan while carried [s], or nan.
-    free: whether no cable touches it.
-    round: whether it is rotationally symmetric.
-    """
-
-    name: str
-    placed: float
-    tilted: float
-    turned: float
+    name: str  # of the object
+    placed: float  # distance of its base from the plan's [m]
+    tilted: float  # angle of its axis from the vertical [°]
+    turned: float  # angle of its yaw from the plan's [°]
+    # largest motion relative to the hitch while fully carried [m]; nan if never carried
     slipped: float
+    # first time at which it was more than MAX_DROP below its plan while carried [s], or nan
     dropped: float
-    free: bool
-    round: bool
+    free: bool  # whether no cable touches it
+    round: bool  # whether it is rotationally symmetric
 
     @property
     def well_placed(self) -> bool:
@@ -379,25 +354,17 @@ def _slipped(offsets: Array, carried: NDArray[np.bool_]) -> float:
 
 @dataclass(frozen=True)
 class LossOutcome(OneLine):
-    """Outcome for a team after the loss of a drone at a time [s].
-
-    Attributes
-    ----------
-    among, others: contacts of two survivors; contacts of survivors with cables or the lost drone.
-    peak_tension, moved: largest tension of a cable [N] and distance of a survivor from its
-        setpoint [m] since the loss.
-    hangs: mean height of the lost drone above the ground at the end [m]; about 0 if it lies.
-    linked: names of clasps whose cables are linked at the end.
-    """
+    """Outcome for a team after the loss of a drone at a time [s]."""
 
     drone: str
     time: float
-    among: tuple[tuple[str, str], ...]
-    others: tuple[tuple[str, str], ...]
-    peak_tension: float
-    moved: float
+    among: tuple[tuple[str, str], ...]  # contacts of two survivors
+    others: tuple[tuple[str, str], ...]  # contacts of survivors with cables or the lost drone
+    peak_tension: float  # largest tension of a cable since the loss [N]
+    moved: float  # largest distance of a survivor from its setpoint since the loss [m]
+    # mean height of the lost drone above the ground at the end [m]; about 0 if it lies
     hangs: float
-    linked: tuple[str, ...]
+    linked: tuple[str, ...]  # names of clasps whose cables are linked at the end
 
     @property
     def collision_free(self) -> bool:

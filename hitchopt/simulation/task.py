@@ -37,23 +37,17 @@ TIME_TOLERANCE = 1e-6  # Tolerance of sample times [s], for rounding of sums of 
 
 @dataclass(frozen=True, eq=False)
 class Cargo:
-    """Objects, and their planned poses at the samples of a task.
+    """Objects, and their planned poses at the samples of a task."""
 
-    Attributes
-    ----------
-    objects: by name.
-    poses: (samples, objects, 5): x, y, z of their bases [m], cosine and sine of their yaws.
-    held: whether the hitch holds them and its cables may touch them (samples, objects).
-    load_share: share of its weight that the hitch carries (samples, objects).
-    floor: height of the ground on which they stand [m].
-    holders: for several groups, the group whose hitch may hold each object.
-    """
-
-    objects: Mapping[str, SolidObject] = field(default_factory=dict)
+    objects: Mapping[str, SolidObject] = field(default_factory=dict)  # by name
+    # (samples, objects, 5): x, y, z of their bases [m], cosine and sine of their yaws
     poses: Array = field(default_factory=lambda: np.zeros((1, 0, 5)))
+    # whether the hitch holds them and its cables may touch them (samples, objects)
     held: Flags = field(default_factory=lambda: np.zeros((1, 0), dtype=np.bool_))
+    # share of its weight that the hitch carries (samples, objects)
     load_share: Array = field(default_factory=lambda: np.zeros((1, 0)))
-    floor: float = 0.0
+    floor: float = 0.0  # height of the ground on which they stand [m]
+    # for several groups, the group whose hitch may hold each object
     holders: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
@@ -212,33 +206,22 @@ class Task:
     """Setpoints of a flight, and the plan's hitch at their times.
 
     For several groups it holds drones, vertices and cables of all groups with cables.
-
-    Attributes
-    ----------
-    team: the team that flies.
-    t: (samples,) [s]
-    setpoints: (samples, …).
-    formed: whether the plan has a hitch (samples,), in any of several groups.
-    vertices, tensions: of the hitch (samples, points, 3) [m], (samples, n) [N]; zero without one.
-    taut: share of its clasps' loads that each cable carries (samples, n); None: all of cables under
-        tension.
-    cargo: objects.
-    motion: the plan, which feedback and gripped cables need; None for other setpoints.
-    groups: the tasks of several groups.
-    passing: drones that are not simulated.
     """
 
-    team: Team
-    t: Array
-    setpoints: Setpoints
-    formed: Flags
-    vertices: Array
-    tensions: Array
+    team: Team  # the team that flies
+    t: Array  # (samples,) [s]
+    setpoints: Setpoints  # (samples, …)
+    formed: Flags  # whether the plan has a hitch (samples,), in any of several groups
+    vertices: Array  # of the hitch (samples, points, 3) [m]; zero without one
+    tensions: Array  # (samples, n) [N]; zero without a hitch
+    # share of its clasps' loads that each cable carries (samples, n); None: all of cables under
+    # tension
     taut: Array | None = None
-    cargo: Cargo = field(default_factory=Cargo)
+    cargo: Cargo = field(default_factory=Cargo)  # objects
+    # the plan, which feedback and gripped cables need; None for other setpoints
     motion: Motion | None = None
-    groups: tuple[Task, ...] = ()
-    passing: Passing = field(default_factory=Passing)
+    groups: tuple[Task, ...] = ()  # the tasks of several groups
+    passing: Passing = field(default_factory=Passing)  # drones that are not simulated
 
     @classmethod
     def of(cls, motion: Motion) -> Task:

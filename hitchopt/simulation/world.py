@@ -76,19 +76,12 @@ MAX_STRAIN, MAX_PENETRATION = 0.02, 0.3
 
 @dataclass(frozen=True, eq=False)
 class Bodies:
-    """Drones as rigid bodies.
+    """Drones as rigid bodies."""
 
-    Attributes
-    ----------
-    positions, velocities: (2n, 3) [m], [m/s]
-    attitudes: (2n, 3, 3), their columns are the bodies' axes.
-    rates: (2n, 3) [rad/s], about the bodies' axes.
-    """
-
-    positions: Array
-    velocities: Array
-    attitudes: Array
-    rates: Array
+    positions: Array  # (2n, 3) [m]
+    velocities: Array  # (2n, 3) [m/s]
+    attitudes: Array  # (2n, 3, 3), their columns are the bodies' axes
+    rates: Array  # (2n, 3) [rad/s], about the bodies' axes
 
 
 class World:

@@ -31,18 +31,11 @@ def advance(jets: Array, dt: Array | float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class ClockPhases:
-    """Phases in which a clock has constant jerk and a rate of constant sign.
+    """Phases in which a clock has constant jerk and a rate of constant sign."""
 
-    Attributes
-    ----------
-    owner: (phases,), index of each phase's clock.
-    jets: (phases, 4), plan time τ [s] and its derivatives by time at the start of each.
-    duration: (phases,) [s]
-    """
-
-    owner: Indices
-    jets: Array
-    duration: Array
+    owner: Indices  # (phases,), index of each phase's clock
+    jets: Array  # (phases, 4), plan time τ [s] and its derivatives by time at the start of each
+    duration: Array  # (phases,) [s]
 
     def __len__(self) -> int:
         return len(self.duration)

@@ -70,15 +70,10 @@ class Interval:
 
 @dataclass(frozen=True, eq=False)
 class Enclosed:
-    """Vector polynomials on [0, 1], each enclosed by a ball.
+    """Vector polynomials on [0, 1], each enclosed by a ball."""
 
-    Attributes
-    ----------
-    c: (…, components, degree + 1), Bernstein coefficients.
-    r: (…), bound of the Euclidean norm of the error everywhere; infinite if unbounded.
-    """
-
-    c: Array
+    c: Array  # (…, components, degree + 1), Bernstein coefficients
+    # (…), bound of the Euclidean norm of the error everywhere; infinite if unbounded
     r: Array | float = 0.0
 
     __array_ufunc__ = None  # so that numpy's arrays leave sums and products to this class

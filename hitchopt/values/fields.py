@@ -59,43 +59,27 @@ EMPTY = inspect.Parameter.empty
 
 @dataclass(frozen=True, eq=False)
 class Kind:
-    """A kind of value.
+    """A kind of value."""
 
-    Attributes
-    ----------
-    forms: forms of its values, as returned by ``form_of``.
-    check: function of key and value that returns the value to store, or raises InputError.
-    schema: JSON Schema, in which kinds stand for their schemas; or a function that adds a schema
-        to definitions and returns a reference to it.
-    unit: unit of its numbers.
-    degrees: the kind with angles in degrees; None for other kinds.
-    """
-
-    forms: tuple[str, ...]
+    forms: tuple[str, ...]  # forms of its values, as returned by ``form_of``
+    # function of key and value that returns the value to store, or raises InputError
     check: Callable[[str, Any], Any]
+    # JSON Schema, in which kinds stand for their schemas; or a function that adds a schema to
+    # definitions and returns a reference to it
     schema: Any
-    unit: str = ""
-    degrees: Kind | None = None
+    unit: str = ""  # unit of its numbers
+    degrees: Kind | None = None  # the kind with angles in degrees; None for other kinds
 
 
 @dataclass(frozen=True, eq=False)
 class Key:
-    """A field and its key in files.
+    """A field and its key in files."""
 
-    Attributes
-    ----------
-    kind: kind of its values.
-    text: meaning, without the unit.
-    example: example of a value in files.
-    name: key in files, if it differs from the field's name.
-    default: default value; set by ``keys_of``, EMPTY without one.
-    """
-
-    kind: Kind
-    text: str
-    example: Any = None
-    name: str = ""
-    default: Any = EMPTY
+    kind: Kind  # kind of its values
+    text: str  # meaning, without the unit
+    example: Any = None  # example of a value in files
+    name: str = ""  # key in files, if it differs from the field's name
+    default: Any = EMPTY  # default value; set by ``keys_of``, EMPTY without one
 
     @property
     def file_kind(self) -> Kind:

@@ -272,17 +272,11 @@ that locate an event between two samples."""
 
 @dataclass(frozen=True, eq=False)
 class GripHold(Hold):
-    """A hitch that closes around an object and grips it, without roll.
-
-    Attributes
-    ----------
-    around: (n, 2) [m], clasps around the object.
-    open_fractions: (n,), slack split there.
-    """
+    """A hitch that closes around an object and grips it, without roll."""
 
     by: ClassVar[HoldBy] = HoldBy.GRIP
-    around: Array
-    open_fractions: Array
+    around: Array  # (n, 2) [m], clasps around the object
+    open_fractions: Array  # (n,), slack split there
 
     @property
     def travel(self) -> float:

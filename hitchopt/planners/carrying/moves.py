@@ -28,15 +28,10 @@ RAMP_PIECES = 10
 
 @dataclass(frozen=True)
 class SmoothLaw:
-    """A progress from 0 to 1 with a rising, a constant and a falling speed.
+    """A progress from 0 to 1 with a rising, a constant and a falling speed."""
 
-    Attributes
-    ----------
-    ramp, cruise: durations of each change of the speed, and of the constant speed [s].
-    """
-
-    ramp: float
-    cruise: float = 0.0
+    ramp: float  # duration of each change of the speed [s]
+    cruise: float = 0.0  # duration of the constant speed [s]
 
     @classmethod
     def fastest(cls, speed: float, acceleration: float, jerk: float) -> SmoothLaw:
@@ -85,27 +80,19 @@ class SmoothLaw:
 
 @dataclass(frozen=True, eq=False)
 class Move:
-    """Linear changes of state variables with one progress from 0 to 1.
+    """Linear changes of state variables with one progress from 0 to 1."""
 
-    Attributes
-    ----------
-    start, end: (4,) x, y, z [m] of the object's base and its yaw [rad], which the clasps follow.
-    tension: (2, n) [N], before and after.
-    load_share: share of the object's weight on clasps before and after.
-    law: of the progress.
-    below: depth of the clasps below the rim before and after [m]; 0 if they touch it.
-    closed: closure of a gripping hitch before and after: 0 around the object, 1 in its grip.
-    lead: friction feed-forward before and after, as a share of clasp friction: legs pull harder
-        than edges, so that clasps close; negative while they open.
-    """
-
-    start: Array
-    end: Array
-    tension: Array
-    load_share: tuple[float, float]
-    law: SmoothLaw
+    start: Array  # (4,) x, y, z [m] of the object's base and its yaw [rad], which the clasps follow
+    end: Array  # (4,) x, y, z [m] of the object's base and its yaw [rad], which the clasps follow
+    tension: Array  # (2, n) [N], before and after
+    load_share: tuple[float, float]  # share of the object's weight on clasps before and after
+    law: SmoothLaw  # of the progress
+    # depth of the clasps below the rim before and after [m]; 0 if they touch it
     below: tuple[float, float] = (0.0, 0.0)
+    # closure of a gripping hitch before and after: 0 around the object, 1 in its grip
     closed: tuple[float, float] = (1.0, 1.0)
+    # friction feed-forward before and after, as a share of clasp friction: legs pull harder than
+    # edges, so that clasps close; negative while they open
     lead: tuple[float, float] = (0.0, 0.0)
 
     @property
@@ -128,18 +115,12 @@ class Move:
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """The state of an object during a move, at times (…).
+    """The state of an object during a move, at times (…)."""
 
-    Attributes
-    ----------
-    move: the move.
-    progress, speed, acceleration: (…), progress of the move and its derivatives [1/s], [1/s²].
-    """
-
-    move: Move
-    progress: Array
-    speed: Array
-    acceleration: Array
+    move: Move  # the move
+    progress: Array  # (…), of the move
+    speed: Array  # (…) [1/s]
+    acceleration: Array  # (…) [1/s²]
 
     def between(self, before: Array | float, after: Array | float) -> Array:
         """Return interpolated values (…) or (…, k) between two values, scalars or (k,)."""

@@ -57,22 +57,13 @@ standing object over the friction with its support."""
 
 @dataclass(frozen=True, eq=False)
 class GraspState:
-    """An object that a hitch encloses or holds.
+    """An object that a hitch encloses or holds."""
 
-    Attributes
-    ----------
-    object: its name.
-    polygons: of the hitch, in the object's frame.
-    tension: (n,) [N], of cables from grasping to loosening.
-    hold: the hitch that holds it; None while it only encloses it.
-    carried: whether clasps carry its weight.
-    """
-
-    object: str
-    polygons: HoldPolygons
-    tension: Array
-    hold: Hold | None = None
-    carried: bool = False
+    object: str  # its name
+    polygons: HoldPolygons  # of the hitch, in the object's frame
+    tension: Array  # (n,) [N], of cables from grasping to loosening
+    hold: Hold | None = None  # the hitch that holds it; None while it only encloses it
+    carried: bool = False  # whether clasps carry its weight
 
 
 def one_phase(
@@ -101,18 +92,11 @@ def first_violated(motion: Motion, checks: Sequence[str]) -> Check | None:
 
 @dataclass(frozen=True, eq=False)
 class MovePlanner:
-    """A planner of moves of a hitch with the object that it holds.
+    """A planner of moves of a hitch with the object that it holds."""
 
-    Attributes
-    ----------
-    state: initial state of the grasp.
-    requirements: limits, and objects at their current positions.
-    step: index of the step in its mission.
-    """
-
-    state: GraspState
-    requirements: Requirements
-    step: int
+    state: GraspState  # initial state of the grasp
+    requirements: Requirements  # limits, and objects at their current positions
+    step: int  # index of the step in its mission
 
     @property
     def hold(self) -> Hold:

@@ -32,16 +32,10 @@ the polygon that holds it."""
 
 @dataclass(frozen=True, eq=False)
 class HoldPolygons:
-    """Clasps around an object and clasps that hold it, in its frame.
+    """Clasps around an object and clasps that hold it, in its frame."""
 
-    Attributes
-    ----------
-    around: (n, 2) [m], clear of the object.
-    closed: (n, 2) [m], below its rim, or with edges that grip it.
-    """
-
-    around: Array
-    closed: Array
+    around: Array  # (n, 2) [m], clear of the object
+    closed: Array  # (n, 2) [m], below its rim, or with edges that grip it
 
     @classmethod
     def about(
@@ -117,25 +111,15 @@ DECIMALS = 12
 
 @dataclass(frozen=True, eq=False)
 class GripTask:
-    """The problem of a grip.
+    """The problem of a grip."""
 
-    Attributes
-    ----------
-    section: to grip.
-    robots: number n.
-    cable_length, tension: of all cables [m], [N].
-    clasp_friction: friction coefficient between cables.
-    requirements: distances to be kept.
-    kind: of all quadrotors.
-    """
-
-    section: Section
-    robots: int
-    cable_length: float
-    tension: float
-    clasp_friction: float
-    requirements: Requirements
-    kind: Quadrotor
+    section: Section  # to grip
+    robots: int  # number n
+    cable_length: float  # of all cables [m]
+    tension: float  # of all cables [N]
+    clasp_friction: float  # friction coefficient between cables
+    requirements: Requirements  # distances to be kept
+    kind: Quadrotor  # of all quadrotors
 
     def grip(self, vertices: Array) -> Grip:
         """Return the grip with vertices (…, n, 2) [m]."""

@@ -50,21 +50,13 @@ DISC_SEPARATION = 1.15
 
 @dataclass(frozen=True, eq=False)
 class Approach(ABC):
-    """A planner of flights with free cables.
+    """A planner of flights with free cables."""
 
-    Attributes
-    ----------
-    team: of the drones.
-    start, goal: (2n, 3) [m]
-    requirements: enforced at all times.
-    index: of the step in its mission.
-    """
-
-    team: Team
-    start: Array
-    goal: Array
-    requirements: Requirements
-    index: int = 0
+    team: Team  # of the drones
+    start: Array  # (2n, 3) [m]
+    goal: Array  # (2n, 3) [m]
+    requirements: Requirements  # enforced at all times
+    index: int = 0  # of the step in its mission
 
     @property
     @abstractmethod

@@ -136,21 +136,14 @@ def corner_restored(polygon: Any, edge: int, robot: int) -> tuple[ConvexPolygon,
 
 @dataclass(frozen=True, eq=False)
 class Joining:
-    """A ring without a robot and with it.
+    """A ring without a robot and with it."""
 
-    Attributes
-    ----------
-    before, after: the ring without the robot, and with it.
-    vertex: index of the robot in the ring after; its edge cuts off the corner of the one before.
-    senses: (n,) of the clasps before, 1 if the cable ahead is on top, else -1.
-    side: 1 if the robot is on top of both neighbours, -1 if it is below both.
-    """
-
-    before: Hitch
-    after: Hitch
+    before: Hitch  # the ring without the robot
+    after: Hitch  # the ring with it
+    # index of the robot in the ring after; its edge cuts off the corner of the one before
     vertex: int
-    senses: Array
-    side: float
+    senses: Array  # (n,) of the clasps before, 1 if the cable ahead is on top, else -1
+    side: float  # 1 if the robot is on top of both neighbours, -1 if it is below both
 
     @property
     def robot(self) -> int:
@@ -537,22 +530,14 @@ def landing_motion(
 
 @dataclass(frozen=True, eq=False)
 class JoiningMotions:
-    """The motions of the whole team while a robot joins.
+    """The motions of the whole team while a robot joins."""
 
-    Attributes
-    ----------
-    joining: the rings.
-    whole: the team.
-    waiting: drones (2, 3) [m] of all other robots that are in neither ring, by robot.
-    requirements: enforced at all times.
-    index: of the step in its mission.
-    """
-
-    joining: Joining
-    whole: Team
+    joining: Joining  # the rings
+    whole: Team  # the team
+    # drones (2, 3) [m] of all other robots that are in neither ring, by robot
     waiting: Mapping[int, Array]
-    requirements: Requirements
-    index: int
+    requirements: Requirements  # enforced at all times
+    index: int  # of the step in its mission
 
     def _with_all(self, ring: Motion, own: WaitingRobot | None = None) -> Motion:
         """Return the motion of a ring with all waiting robots, and the joining one if not in it."""

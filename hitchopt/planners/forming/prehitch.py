@@ -97,25 +97,15 @@ class SwapEllipses:
     t along the chord, w normal to it. The axis of turning is the outward normal of the chord,
     tilted upward, so that the upper drone passes inside and the lower one outside. Otherwise, at a
     vertex with nearly collinear edges, it would fly into the loop of its neighbour's hanging cable.
-
-    Attributes
-    ----------
-    team: of the drones.
-    centres: (c, 3) [m]
-    along: (c, 3), t: horizontal unit vectors from ``r_{k-1}`` to ``q_k``.
-    upward: (c, 3), w: unit vectors normal to t, upward and tilted inward.
-    half: (c,) [m], a: half of the chord.
-    rise: (c,) [m], h: the other semi-axis, negative if q_k goes down first.
-    ends: (k, 3) [m]: drones at the ends of a chain, which do not turn.
     """
 
-    team: Team
-    centres: Array
-    along: Array
-    upward: Array
-    half: Array
-    rise: Array
-    ends: Array
+    team: Team  # of the drones
+    centres: Array  # (c, 3) [m]
+    along: Array  # (c, 3), t: horizontal unit vectors from ``r_{k-1}`` to ``q_k``
+    upward: Array  # (c, 3), w: unit vectors normal to t, upward and tilted inward
+    half: Array  # (c,) [m], a: half of the chord
+    rise: Array  # (c,) [m], h: the other semi-axis, negative if q_k goes down first
+    ends: Array  # (k, 3) [m]: drones at the ends of a chain, which do not turn
 
     def drones(self, angle: Array | float, derivative: int = 0) -> Array:
         """Return the drones (…, 2n, 3) [m] at angles θ (…), or a derivative by the angle."""
@@ -200,26 +190,15 @@ class SwapEllipses:
 
 @dataclass(frozen=True, eq=False)
 class PreHitch:
-    """A pre-hitch: drones and cables before and after the swaps.
+    """A pre-hitch: drones and cables before and after the swaps."""
 
-    Attributes
-    ----------
-    hitch: to be tied, at the altitude of the swaps.
-    settings: of the swaps.
-    ellipses: of all pairs.
-    share: of the hitch's legs.
-    depth: largest depth of a cable below the drones' plane during the swaps [m].
-    linked: whether cables cross at all clasps after the first swap.
-    violation: relative violation of the requirements; none if at most zero.
-    """
-
-    hitch: Hitch
-    settings: SwapSettings
-    ellipses: SwapEllipses
-    share: float
-    depth: float
-    linked: bool
-    violation: float
+    hitch: Hitch  # to be tied, at the altitude of the swaps
+    settings: SwapSettings  # of the swaps
+    ellipses: SwapEllipses  # of all pairs
+    share: float  # of the hitch's legs
+    depth: float  # largest depth of a cable below the drones' plane during the swaps [m]
+    linked: bool  # whether cables cross at all clasps after the first swap
+    violation: float  # relative violation of the requirements; none if at most zero
 
     @property
     def doubtful(self) -> bool:

@@ -191,38 +191,23 @@ def vertex_track(times: Array, points: Array) -> PiecewisePolynomial:
 
 @dataclass(frozen=True, eq=False)
 class ActionFlight:
-    """The flight of an action, with names of further drones that move.
+    """The flight of an action, with names of further drones that move."""
 
-    Attributes
-    ----------
-    motion: without phases; None if nothing moves.
-    turning: drones that the law moves only because of unequal tensions or weight.
-    sliding: drones that move only because the law was infeasible.
-    worst: s of the law's largest violation, or None.
-    """
-
-    motion: Motion | None
+    motion: Motion | None  # without phases; None if nothing moves
+    # drones that the law moves only because of unequal tensions or weight
     turning: tuple[str, ...] = ()
-    sliding: tuple[str, ...] = ()
-    worst: float | None = None
+    sliding: tuple[str, ...] = ()  # drones that move only because the law was infeasible
+    worst: float | None = None  # s of the law's largest violation, or None
 
 
 @dataclass(frozen=True, eq=False)
 class ActionMorph:
-    """A planner of actions, in which cables slide if a limit binds on the path.
+    """A planner of actions, in which cables slide if a limit binds on the path."""
 
-    Attributes
-    ----------
-    action: the action.
-    end: the hitch after it; its legs may differ from those of the law.
-    requirements: limits and distances.
-    duration: prescribed duration [s]; None for the fastest one.
-    """
-
-    action: Action
-    end: Hitch
-    requirements: Requirements
-    duration: float | None = None
+    action: Action  # the action
+    end: Hitch  # the hitch after it; its legs may differ from those of the law
+    requirements: Requirements  # limits and distances
+    duration: float | None = None  # prescribed duration [s]; None for the fastest one
 
     @cached_property
     def own_path(self) -> ShapePath:

@@ -46,16 +46,10 @@ PIECES_PER_INTERVAL = 2
 
 @dataclass(frozen=True, eq=False)
 class FrictionFeedforward:
-    """A motion whose legs lean against friction.
+    """A motion whose legs lean against friction."""
 
-    Attributes
-    ----------
-    motion: with ``leg_tensions`` and stretched phases.
-    lean: largest angle by which a leg leans [rad].
-    """
-
-    motion: Motion
-    lean: float
+    motion: Motion  # with ``leg_tensions`` and stretched phases
+    lean: float  # largest angle by which a leg leans [rad]
 
 
 def friction_feedforward(
@@ -260,20 +254,12 @@ def _at_clasps(layout: Layout, legs: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Clasps:
-    """The force triangles of all clasps at some times.
+    """The force triangles of all clasps at some times."""
 
-    Attributes
-    ----------
-    pull: (J, clasps) [N], magnitude of V, the pull of the edges.
-    tensions: (J, clasps, 2) [N], of the cables behind and ahead.
-    legs: (J, clasps, 2) [m], ``e_{k-1}`` and ``d_k``.
-    separation: limits of distances.
-    """
-
-    pull: Array
-    tensions: Array
-    legs: Array
-    separation: Separation
+    pull: Array  # (J, clasps) [N], magnitude of V, the pull of the edges
+    tensions: Array  # (J, clasps, 2) [N], of the cables behind and ahead
+    legs: Array  # (J, clasps, 2) [m], ``e_{k-1}`` and ``d_k``
+    separation: Separation  # limits of distances
 
     @classmethod
     def of(cls, motion: Motion, t: Array) -> _Clasps:

@@ -33,18 +33,12 @@ class StraightMorph:
 
     Leg lengths change so that distances hold at samples of the path; the certificate bounds all
     limits in continuous time.
-
-    Attributes
-    ----------
-    start, end: the hitches before and after.
-    requirements: limits and distances.
-    duration: prescribed duration [s]; None for the fastest one.
     """
 
-    start: Hitch
-    end: Hitch
-    requirements: Requirements
-    duration: float | None = None
+    start: Hitch  # the hitch before
+    end: Hitch  # the hitch after
+    requirements: Requirements  # limits and distances
+    duration: float | None = None  # prescribed duration [s]; None for the fastest one
 
     @cached_property
     def problem(self) -> ShapePath:
@@ -139,15 +133,10 @@ class BlendedMorph:
 
     Vertices, fractions and roll are natural quintic splines, the curves through the hitches that
     minimize the third derivative. Their parameter is nearly the distance of the farthest drone.
-
-    Attributes
-    ----------
-    hitches: (J,), three or more, each different from the next.
-    requirements: limits of motion.
     """
 
-    hitches: Sequence[Hitch]
-    requirements: Requirements
+    hitches: Sequence[Hitch]  # (J,), three or more, each different from the next
+    requirements: Requirements  # limits of motion
 
     @property
     def knots(self) -> Array:

@@ -49,15 +49,10 @@ class LegLaw:
 
     A constant share keeps fractions, share 0 keeps ``d``, and share 1 with length ``-e`` keeps
     ``e``.
-
-    Attributes
-    ----------
-    length: of shape (n,) over s [m].
-    share: of shape (n,) over s.
     """
 
-    length: PiecewisePolynomial
-    share: PiecewisePolynomial
+    length: PiecewisePolynomial  # of shape (n,) over s [m]
+    share: PiecewisePolynomial  # of shape (n,) over s
 
     @classmethod
     def of_fractions(cls, fractions: PiecewisePolynomial) -> LegLaw:
@@ -74,22 +69,13 @@ class LegLaw:
 
 @dataclass(frozen=True, eq=False)
 class ShapePath:
-    """A path with polynomial vertices and a leg law.
+    """A path with polynomial vertices and a leg law."""
 
-    Attributes
-    ----------
-    team: of the hitch.
-    vertices: of shape (points, 3) over s in [0, 1] [m].
-    legs: law of the q-legs, except at the ends of a chain.
-    tensions: of shape (n,) over s [N], or None for the team's.
-    roll: of shape (clasps,) over s [rad], or None for none.
-    """
-
-    team: Team
-    vertices: PiecewisePolynomial
-    legs: LegLaw
-    tensions: PiecewisePolynomial | None = None
-    roll: PiecewisePolynomial | None = None
+    team: Team  # of the hitch
+    vertices: PiecewisePolynomial  # of shape (points, 3) over s in [0, 1] [m]
+    legs: LegLaw  # law of the q-legs, except at the ends of a chain
+    tensions: PiecewisePolynomial | None = None  # of shape (n,) over s [N], or None for the team's
+    roll: PiecewisePolynomial | None = None  # of shape (clasps,) over s [rad], or None for none
 
     @classmethod
     def straight(cls, start: Hitch, end: Hitch) -> ShapePath:
@@ -150,19 +136,13 @@ def cable_along(team: Team, chords: Array, tensions: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Shapes:
-    """Shapes at J points of a path.
+    """Shapes at J points of a path."""
 
-    Attributes
-    ----------
-    polygons: (J, points, 2) [m], in plan view.
-    legs: (J, n, 2) [m], ``d`` and ``e`` as cable lengths, negative if a cable is too short, zero at
-        a chain's ends.
-    roll: (J, clasps) [rad], or None for none.
-    """
-
-    polygons: Array
+    polygons: Array  # (J, points, 2) [m], in plan view
+    # (J, n, 2) [m], ``d`` and ``e`` as cable lengths, negative if a cable is too short, zero at a
+    # chain's ends
     legs: Array
-    roll: Array | None = None
+    roll: Array | None = None  # (J, clasps) [rad], or None for none
 
     def __getitem__(self, mask: NDArray[np.bool_]) -> Shapes:
         roll = None if self.roll is None else self.roll[mask]

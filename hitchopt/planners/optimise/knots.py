@@ -35,20 +35,13 @@ class Columns:
 
     Drones and r-legs are variables too, with equality constraints to the flat outputs. Distances
     are then at most quadratic, and every row has few variables.
-
-    Attributes
-    ----------
-    vertices: (n, 2)
-    q_legs, r_legs: (n,)
-    drones: (2n, 2)
-    tensions: (n,)
     """
 
-    vertices: Indices
-    q_legs: Indices
-    r_legs: Indices
-    drones: Indices
-    tensions: Indices
+    vertices: Indices  # (n, 2)
+    q_legs: Indices  # (n,)
+    r_legs: Indices  # (n,)
+    drones: Indices  # (2n, 2)
+    tensions: Indices  # (n,)
 
     @property
     def size(self) -> int:
@@ -72,26 +65,15 @@ def columns_of(robots: int) -> Columns:
 
 @dataclass(frozen=True, eq=False)
 class KnotPath:
-    """A hitch at J + 1 knots, evenly spaced in the path's parameter.
+    """A hitch at J + 1 knots, evenly spaced in the path's parameter."""
 
-    Attributes
-    ----------
-    name: of the initial guess.
-    team: of the hitch.
-    altitude: of the hitch's plane [m].
-    polygons: (J + 1, n, 2) [m]
-    q_legs: (J + 1, n) [m]
-    tensions: (J + 1, n) [N]
-    roll: (J + 1, clasps) [rad], or None for none.
-    """
-
-    name: str
-    team: Team
-    altitude: float
-    polygons: Array
-    q_legs: Array
-    tensions: Array
-    roll: Array | None = None
+    name: str  # of the initial guess
+    team: Team  # of the hitch
+    altitude: float  # of the hitch's plane [m]
+    polygons: Array  # (J + 1, n, 2) [m]
+    q_legs: Array  # (J + 1, n) [m]
+    tensions: Array  # (J + 1, n) [N]
+    roll: Array | None = None  # (J + 1, clasps) [rad], or None for none
 
     @classmethod
     def through(cls, name: str, start: Hitch, end: Hitch, polygons: Array) -> KnotPath:
@@ -199,18 +181,12 @@ Judge = Callable[[ShapePath], Motion | None]
 
 @dataclass(frozen=True)
 class SolverStep:
-    """Parameters of a step of the optimizer.
+    """Parameters of a step of the optimizer."""
 
-    Attributes
-    ----------
-    stride: [m], trust radius of coordinates of vertices and drones.
-    parts: number of parts of every step between knots, at whose ends distances are enforced.
-    fastest: whether to minimize time instead of energy.
-    """
-
-    stride: float
+    stride: float  # [m], trust radius of coordinates of vertices and drones
+    # number of parts of every step between knots, at whose ends distances are enforced
     parts: int = 1
-    fastest: bool = False
+    fastest: bool = False  # whether to minimize time instead of energy
 
     @property
     def reach(self) -> float:
@@ -220,22 +196,13 @@ class SolverStep:
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """Constraints of all paths of one search.
+    """Constraints of all paths of one search."""
 
-    Attributes
-    ----------
-    requirements: of the problem.
-    judge: accepts or rejects paths.
-    tension: smallest and largest [N] of variable tensions, or None.
-    end_margins: margins of distances of the first and last hitch.
-    margin: enforced margin of distances at the knots.
-    """
-
-    requirements: Requirements
-    judge: Judge
-    tension: tuple[float, float] | None
-    end_margins: tuple[float, float]
-    margin: float = 1.02
+    requirements: Requirements  # of the problem
+    judge: Judge  # accepts or rejects paths
+    tension: tuple[float, float] | None  # smallest and largest [N] of variable tensions, or None
+    end_margins: tuple[float, float]  # margins of distances of the first and last hitch
+    margin: float = 1.02  # enforced margin of distances at the knots
 
     def margins(self, steps: int, indices: Array) -> Array:
         """Return the margins (K,) at fractional knot indices (K,), at most those of the ends."""

@@ -72,29 +72,23 @@ class Structure:
     Variables are ``x`` of the inner knots, a slack per soft row, and for the fastest path the time
     of every step. Parameters are the first and the last knot, the constant inputs of ``planar``, a
     scale per pair of drones, and the linear rows' entries.
-
-    Attributes
-    ----------
-    robots, steps: numbers of robots, and of steps between the knots.
-    loaded, choice: arguments of ``planar``.
-    slowness: [s/m], of vertices and of drones.
-    tensions: (n,) [N], the team's, if tensions are variable; None if they are fixed.
-    drones: variables x of the first and of the second drone of each pair; y follows x.
-    linear: number of rows, and column pointers and row numbers of their compressed columns.
-    soft: rows with a slack, among those of drones and among linear ones.
-    segments: indices of vertices' and drones' x, flat over the steps, of segments that bound the
-        time of their step; None for a path of minimum energy.
     """
 
-    robots: int
-    steps: int
-    loaded: bool
-    choice: bool
-    slowness: tuple[float, float]
+    robots: int  # number of robots
+    steps: int  # number of steps between the knots
+    loaded: bool  # argument of ``planar``
+    choice: bool  # argument of ``planar``
+    slowness: tuple[float, float]  # [s/m], of vertices and of drones
+    # (n,) [N], the team's, if tensions are variable; None if they are fixed
     tensions: tuple[float, ...] | None
+    # variables x of the first and of the second drone of each pair; y follows x
     drones: tuple[tuple[int, ...], tuple[int, ...]]
+    # number of rows, and column pointers and row numbers of their compressed columns
     linear: tuple[int, tuple[int, ...], tuple[int, ...]]
+    # rows with a slack, among those of drones and among linear ones
     soft: tuple[tuple[int, ...], tuple[int, ...]]
+    # indices of vertices' and drones' x, flat over the steps, of segments that bound the time of
+    # their step; None for a path of minimum energy
     segments: tuple[int, ...] | None
 
     @property
@@ -105,18 +99,11 @@ class Structure:
 
 @dataclass(frozen=True, eq=False)
 class MorphProgram:
-    """A program ``min f(x, p)`` over ``lbx ≤ x ≤ ubx`` and ``lbg ≤ g(x, p) ≤ ubg`` around a path.
+    """A program ``min f(x, p)`` over ``lbx ≤ x ≤ ubx`` and ``lbg ≤ g(x, p) ≤ ubg`` at a path."""
 
-    Attributes
-    ----------
-    path: the current path.
-    structure: of the expressions.
-    numbers: the initial guess ``x0``, the parameters ``p``, and all bounds.
-    """
-
-    path: KnotPath
-    structure: Structure
-    numbers: dict[str, Array]
+    path: KnotPath  # the current path
+    structure: Structure  # of the expressions
+    numbers: dict[str, Array]  # the initial guess ``x0``, the parameters ``p``, and all bounds
 
 
 def build_program(path: KnotPath, search: Search, step: SolverStep) -> MorphProgram:
@@ -281,23 +268,14 @@ BETWEEN_KNOTS_SHARE = 0.3
 
 
 class NearPairs(NamedTuple):
-    """Pairs of close bodies, each in one of K frames.
+    """Pairs of close bodies, each in one of K frames."""
 
-    Attributes
-    ----------
-    frame: (m,), index of the frame.
-    first, second: (m, 2), nodes (of 3n) at the ends of each body; a drone's are the same.
-    kind: (m,), as in ``hitch.pairs``.
-    normal: (m, 2), unit vector along the shortest offset from the second body to the first.
-    enforced: (m,) [m], enforced distance.
-    """
-
-    frame: Indices
-    first: Indices
-    second: Indices
-    kind: Indices
-    normal: Array
-    enforced: Array
+    frame: Indices  # (m,), index of the frame
+    first: Indices  # (m, 2), nodes (of 3n) at the ends of each body; a drone's are the same
+    second: Indices  # (m, 2), nodes (of 3n) at the ends of each body; a drone's are the same
+    kind: Indices  # (m,), as in ``hitch.pairs``
+    normal: Array  # (m, 2), unit vector along the shortest offset from the second body to the first
+    enforced: Array  # (m,) [m], enforced distance
 
     def select(self, mask: NDArray[np.bool_]) -> NearPairs:
         """Return the pairs of a mask (m,)."""

@@ -94,20 +94,13 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class OptimisedMorph:
-    """A planner of morphs along optimized paths; there are none for chains.
+    """A planner of morphs along optimized paths; there are none for chains."""
 
-    Attributes
-    ----------
-    start, end: hitches at one altitude that satisfy all limits.
-    requirements: limits, separation and arena.
-    judge: accepts or rejects paths; rejected ones are refined.
-    tension: smallest and largest [N] of variable tensions, or None.
-    """
-
-    start: Hitch
-    end: Hitch
-    requirements: Requirements
-    judge: Judge
+    start: Hitch  # hitch at one altitude that satisfies all limits
+    end: Hitch  # hitch at the same altitude that satisfies all limits
+    requirements: Requirements  # limits, separation and arena
+    judge: Judge  # accepts or rejects paths; rejected ones are refined
+    # smallest and largest [N] of variable tensions, or None
     tension: tuple[float, float] | None = None
 
     @cached_property

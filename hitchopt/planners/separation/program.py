@@ -268,18 +268,11 @@ point is then on an edge."""
 
 
 class Planes(NamedTuple):
-    """Separating planes of pieces of curves; lengths are in separations.
+    """Separating planes of pieces of curves; lengths are in separations."""
 
-    Attributes
-    ----------
-    sides: (m, 3): a piece, its drone, and the drone on the other side; -1 for a prism.
-    normals: (m, 3) [1/m], toward the first drone, the derivatives of gaps by its position.
-    gaps: (m, degree + 1), of the coefficients; at least 1 if they keep their distance.
-    """
-
-    sides: Indices
-    normals: Array
-    gaps: Array
+    sides: Indices  # (m, 3): a piece, its drone, and the drone on the other side; -1 for a prism
+    normals: Array  # (m, 3) [1/m], toward the first drone, the derivatives of gaps by its position
+    gaps: Array  # (m, degree + 1), of the coefficients; at least 1 if they keep their distance
 
 
 def planes_between(

@@ -75,21 +75,14 @@ class SeparationTask:
 
 @dataclass(frozen=True, eq=False)
 class SeparationResult:
-    """Curves that satisfy their task, by continuous-time bounds.
+    """Curves that satisfy their task, by continuous-time bounds."""
 
-    Attributes
-    ----------
-    drones: (N, 3) [m], from start to goal, with zero velocity and acceleration at both ends;
-        position, velocity and acceleration are continuous to 1e-9 or better.
-    closest: lower bound of the separation of any two drones (ratio).
-    bound: lower bound of the duration, from single straight flights [s].
-    remark: the priority rule of its initial guess.
-    """
-
+    # (N, 3) [m], from start to goal, with zero velocity and acceleration at both ends; position,
+    # velocity and acceleration are continuous to 1e-9 or better
     drones: PiecewisePolynomial
-    closest: float
-    bound: float
-    remark: str
+    closest: float  # lower bound of the separation of any two drones (ratio)
+    bound: float  # lower bound of the duration, from single straight flights [s]
+    remark: str  # the priority rule of its initial guess
 
 
 DEGREE = 5
@@ -107,14 +100,9 @@ WALL_MARGIN = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Pieces of the unit interval, and the splines on them.
+    """Pieces of the unit interval, and the splines on them."""
 
-    Attributes
-    ----------
-    breaks: (pieces + 1,) from 0 to 1.
-    """
-
-    breaks: Array
+    breaks: Array  # (pieces + 1,) from 0 to 1
 
     @property
     def pieces(self) -> int:
@@ -194,26 +182,16 @@ class Grid:
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """A task on a time grid.
+    """A task on a time grid."""
 
-    Attributes
-    ----------
-    task: starts, goals and requirements.
-    grid: the pieces of time.
-    nominal: (N, count, 3) [m]: coefficients of the curves from which deviations are penalized.
-    caps: (3, N): limits of the first three time derivatives of each drone.
-    bound: lower bound of the duration, from straight flights [s].
-    single_duration: estimate of the longest single flight around prisms [s].
-    size: length of the longest route [m].
-    """
-
-    task: SeparationTask
-    grid: Grid
+    task: SeparationTask  # starts, goals and requirements
+    grid: Grid  # the pieces of time
+    # (N, count, 3) [m]: coefficients of the curves from which deviations are penalized
     nominal: Array
-    caps: Array
-    bound: float
-    single_duration: float
-    size: float
+    caps: Array  # (3, N): limits of the first three time derivatives of each drone
+    bound: float  # lower bound of the duration, from straight flights [s]
+    single_duration: float  # estimate of the longest single flight around prisms [s]
+    size: float  # length of the longest route [m]
 
     @property
     def trust(self) -> float:

@@ -50,18 +50,11 @@ INTERIOR_SHARE = 0.97
 
 @dataclass(frozen=True, eq=False)
 class Clock:
-    """The path parameter s as a function of time t, through τ.
+    """The path parameter s as a function of time t, through τ."""
 
-    Attributes
-    ----------
-    knots: (K + 1,) [s], of τ, which bound the trajectory's pieces.
-    progress: s(τ), a quintic spline at rest at both ends.
-    squared_rate: x(τ), a cubic spline.
-    """
-
-    knots: Array
-    progress: BSpline
-    squared_rate: BSpline
+    knots: Array  # (K + 1,) [s], of τ, which bound the trajectory's pieces
+    progress: BSpline  # s(τ), a quintic spline at rest at both ends
+    squared_rate: BSpline  # x(τ), a cubic spline
 
     @property
     def breaks(self) -> Array:
@@ -138,20 +131,13 @@ def _spline_jet(spline: BSpline, tau: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class ClockedPath:
-    """A path by a first clock τ, at M samples.
+    """A path by a first clock τ, at M samples."""
 
-    Attributes
-    ----------
-    demands: of the path, by its own parameter.
-    first, second, third: (M, 2n, 3), the drones' derivatives by τ.
-    rate_bound: (M,), upper bound of x by the speed limits.
-    """
-
-    demands: Demands
-    first: Array
-    second: Array
-    third: Array
-    rate_bound: Array
+    demands: Demands  # of the path, by its own parameter
+    first: Array  # (M, 2n, 3), the drones' first derivative by τ
+    second: Array  # (M, 2n, 3), the second
+    third: Array  # (M, 2n, 3), the third
+    rate_bound: Array  # (M,), upper bound of x by the speed limits
 
     def ratios(self, p: Array) -> Array:
         """Return (4, M, 2n): acceleration, jerk, thrust and tilt over their limits.
@@ -185,19 +171,13 @@ class RateRows:
         pᵀ (Q - C) p + bᵀ p + c - e / x ≤ 0,   Q and C positive semidefinite, e ≥ 0.
 
     Rows are convex except those of tilt, with C, and of jerk, with e.
-
-    Attributes
-    ----------
-    Q, C: (3, 3, R, M)
-    b: (3, R, M)
-    c, e: (R, M)
     """
 
-    Q: Array
-    C: Array
-    b: Array
-    c: Array
-    e: Array
+    Q: Array  # (3, 3, R, M)
+    C: Array  # (3, 3, R, M)
+    b: Array  # (3, R, M)
+    c: Array  # (R, M)
+    e: Array  # (R, M)
 
     @classmethod
     def of(cls, path: ClockedPath, drones: Indices) -> RateRows:
@@ -299,16 +279,11 @@ CENTRING = 0.1
 
 @dataclass(frozen=True, eq=False)
 class SplineBasis:
-    """A cubic spline and its first two derivatives at M samples; each has four coefficients.
+    """A cubic spline and its first two derivatives at M samples; each has four coefficients."""
 
-    Attributes
-    ----------
-    values: (3 M, count), map from coefficients.
-    products: (4 count, 9 M), map from quadratic forms (3, 3, M) of the values to the lower band of
-        their sum as a form of the coefficients.
-    """
-
-    values: sp.csr_array[np.float64]
+    values: sp.csr_array[np.float64]  # (3 M, count), map from coefficients
+    # (4 count, 9 M), map from quadratic forms (3, 3, M) of the values to the lower band of their
+    # sum as a form of the coefficients
     products: sp.csr_array[np.float64]
 
     @classmethod
@@ -349,18 +324,11 @@ class SplineBasis:
 
 @dataclass(frozen=True, eq=False)
 class RateProgram:
-    """``min Σ w / √x`` over the coefficients of a cubic spline x, with all rows below zero.
+    """``min Σ w / √x`` over the coefficients of a cubic spline x, with all rows below zero."""
 
-    Attributes
-    ----------
-    basis: of the spline at the samples.
-    rows: at the samples.
-    weights: (M,) [s], of the duration's quadrature.
-    """
-
-    basis: SplineBasis
-    rows: RateRows
-    weights: Array
+    basis: SplineBasis  # of the spline at the samples
+    rows: RateRows  # at the samples
+    weights: Array  # (M,) [s], of the duration's quadrature
 
     def duration(self, p: Array) -> float:
         """Return Σ w / √x [s] for x and its derivatives p (3, M) at the samples."""

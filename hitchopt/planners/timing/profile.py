@@ -38,24 +38,14 @@ CHUNK = 64_000
 
 @dataclass(frozen=True, eq=False)
 class Demands:
-    """Jets along a path and the loads at rest, at J points.
+    """Jets along a path and the loads at rest, at J points."""
 
-    Attributes
-    ----------
-    drones: (J, 2n, 3, 4) [m], positions and derivatives by the path's parameter.
-    vertex_speed: (J,) [m], largest first derivative of a vertex.
-    loads: (J, 2n, 3) [N], thrusts at rest, which balance weight and cable force.
-    team: with masses and largest thrusts.
-    limits: of motion.
-    share: enforced share of the limits.
-    """
-
-    drones: Array
-    vertex_speed: Array
-    loads: Array
-    team: Team
-    limits: Limits
-    share: float = LIMIT_SHARE
+    drones: Array  # (J, 2n, 3, 4) [m], positions and derivatives by the path's parameter
+    vertex_speed: Array  # (J,) [m], largest first derivative of a vertex
+    loads: Array  # (J, 2n, 3) [N], thrusts at rest, which balance weight and cable force
+    team: Team  # with masses and largest thrusts
+    limits: Limits  # of motion
+    share: float = LIMIT_SHARE  # enforced share of the limits
 
     @classmethod
     def along(cls, path: Path, limits: Limits, s: Array) -> Demands:
@@ -243,16 +233,10 @@ def path_grid(steps: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class SpeedProfile:
-    """The fastest motion along a path without a jerk limit.
+    """The fastest motion along a path without a jerk limit."""
 
-    Attributes
-    ----------
-    s: (J,), the grid from 0 to 1.
-    speed: (J,) [1/s], ṡ on the grid; s̈ is constant between.
-    """
-
-    s: Array
-    speed: Array
+    s: Array  # (J,), the grid from 0 to 1
+    speed: Array  # (J,) [1/s], ṡ on the grid; s̈ is constant between
 
     @property
     def times(self) -> Array:
