@@ -78,7 +78,7 @@ class FlightFigures:
         """Return the figures of a flight."""
         flight, outcome = simulation.flight, simulation.outcome
         record, task = flight.record, flight.task
-        ends_formed = bool(task.formed[-1])
+        ends_formed = bool(task.states.formed[-1])
         formed = outcome.hitched if ends_formed else outcome.succeeded
         in_flight = record.t <= task.duration
         off = 100.0 * np.linalg.norm(record.drones - record.commanded, axis=-1)
@@ -94,7 +94,7 @@ class FlightFigures:
             mean_offset = np.linalg.norm(np.nanmean(offsets, axis=0), axis=-1)
             figures["vertex"] = 100.0 * np.mean(mean_offset)
             figures["drone"] = np.mean(off[rest])
-            figures["tension"] = np.mean(record.tensions[rest] / task.tensions[-1])
+            figures["tension"] = np.mean(record.tensions[rest] / task.states.tensions[-1])
         failure = outcome.failures[0].kind if outcome.failures else ""
         return cls(formed, failure, **{name: float(value) for name, value in figures.items()})
 

@@ -103,10 +103,10 @@ class Camera:
 
 def exact_markers(task: Task, t: Array, count: int = 3) -> Array:
     """Return markers (times, n count, 3) [m] on the parabolas of a plan's edges."""
-    vertices, layout = plan_at(task, t, task.vertices), task.team.layout
+    vertices, layout = plan_at(task, t, task.states.vertices), task.team.layout
     starts, edges = vertices[:, layout.starts], layout.edges(vertices)
     span = np.linalg.norm(edges[..., :2], axis=-1)
-    curvature = task.team.cable_density * 9.81 / plan_at(task, t, task.tensions)
+    curvature = task.team.cable_density * 9.81 / plan_at(task, t, task.states.tensions)
     found = []
     for place in SPACING * (np.arange(count) - 0.5 * (count - 1)):
         s = 0.5 * span + place
@@ -120,11 +120,11 @@ def rope_markers(task: Task, film: Any, t: Array, count: int = 3) -> tuple[Array
     """Return markers (times, n count, 3) on simulated ropes, and their crossings (times, n, 3)."""
     layout, lengths = task.team.layout, task.team.cable_length
     nodes = CubicSpline(film.t, film.nodes.astype(np.float64))(t)
-    formed = int(np.argmax(task.formed))
+    formed = int(np.argmax(task.states.formed))
     legs = np.linalg.norm(
-        task.setpoints.positions[:, ::2] - task.vertices[:, layout.starts], axis=-1
+        task.states.positions[:, ::2] - task.states.vertices[:, layout.starts], axis=-1
     )
-    edges = np.linalg.norm(layout.edges(task.vertices), axis=-1)
+    edges = np.linalg.norm(layout.edges(task.states.vertices), axis=-1)
     markers, middles = [], []
     for k, (a, b) in enumerate(zip(film.cables[:-1], film.cables[1:], strict=True)):
         rope, step = nodes[:, a:b], lengths[k] / (b - a - 1)

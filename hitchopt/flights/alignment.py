@@ -177,8 +177,9 @@ class _Trial:
         self._t = np.linspace(-half, half, int(2.0 * half / STEP) + 2)
         each = [track.at(self._t + o) for track, o in zip(tracks, self._origins, strict=True)]
         self._x, self._near = (np.stack(part, axis=1) for part in zip(*each, strict=True))
-        plan, self._timed = task.setpoints.positions, start is None
-        self._curves = [make_interp_spline(task.t - task.t[0], x, 1) for x in plan.swapaxes(0, 1)]
+        plan, self._timed = task.states.positions, start is None
+        t = task.states.t - task.states.t[0]
+        self._curves = [make_interp_spline(t, x, 1) for x in plan.swapaxes(0, 1)]
         for source, positions in (("plan", plan), ("recording", self._x)):
             if self._timed and np.max(np.ptp(positions, axis=0)) < MIN_MOTION:
                 remedy = "no clock can be fitted; state when the plan begins with start="

@@ -265,11 +265,11 @@ def _evaluated(
         densities = measured.density
     elif not recorded_points:
         remarks.append("no markers on the cables: only drones are compared with the plan")
-    expected = plan_at(task, t, task.vertices)
+    expected = plan_at(task, t, task.states.vertices)
     expected[~hitched] = np.nan
     contacts = None if diameter is None else clasps_of(vertices, layout, diameter)
     positions = np.stack([at(t, *each) for each in clocks], axis=1)
-    drone_positions = positions, plan_at(task, t, task.setpoints.positions)
+    drone_positions = positions, plan_at(task, t, task.states.positions)
     rest: Any = (errors, *drone_positions, densities, cloud, tuple(dict.fromkeys(remarks)))
     return Evaluation(task, flight, alignment, t, vertices, contacts, expected, *rest)
 

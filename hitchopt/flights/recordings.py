@@ -112,14 +112,14 @@ class Recording(OneLine):
 
 def plan_at(task: Task, t: ArrayLike, values: Array) -> Array:
     """Return a plan's values (samples, …) at times [s] from its start, constant beyond its ends."""
-    times = task.t[0] + np.clip(t, 0.0, task.duration)
-    curve: Array = make_interp_spline(task.t, values, k=1)(times)
+    times = task.states.t[0] + np.clip(t, 0.0, task.duration)
+    curve: Array = make_interp_spline(task.states.t, values, k=1)(times)
     return curve
 
 
 def taut_at(task: Task, t: Array, ratio: float = TAUT_RATIO) -> NDArray[np.bool_]:
     """Return whether the plan's hitch has at least a ratio of the team's tension at times."""
-    taut = np.all(task.tensions >= ratio * task.team.tension, axis=-1) & task.formed
+    taut = np.all(task.states.tensions >= ratio * task.team.tension, axis=-1) & task.states.formed
     return plan_at(task, t, taut.astype(np.float64)) > 1.0 - 1e-9
 
 
@@ -145,7 +145,7 @@ def windows_of(recording: Recording, task: Task, size: float) -> Windows:
     A window counts if every drone, and half of the vertices, are visible in half of it. Deviations
     from the plan are averaged and added to the plan's means, so that gaps do not bias a movement.
     """
-    t, setpoints, standard_errors = recording.t, task.setpoints, recording.standard_errors
+    t, standard_errors = recording.t, recording.standard_errors
     window = np.floor(t / size)
     windows, sizes = np.unique(window, return_counts=True)
     needed = max(0.5 * float(np.median(sizes)), 1.0) if len(t) else 1.0
@@ -163,8 +163,8 @@ def windows_of(recording: Recording, task: Task, size: float) -> Windows:
         counts = member @ finite
         return np.tensordot(member, off, 1) / np.maximum(counts, 1.0)[..., None], counts
 
-    drones, drone_counts = deviations(recording.drones, setpoints.positions)
-    off, counts = deviations(recording.vertices, task.vertices)
+    drones, drone_counts = deviations(recording.drones, task.states.positions)
+    off, counts = deviations(recording.vertices, task.states.vertices)
     visible = counts >= needed
     chosen = np.all(drone_counts >= needed, axis=1) & (count >= needed)
     chosen &= 2 * np.sum(visible, axis=1) >= visible.shape[1]
@@ -180,7 +180,7 @@ def windows_of(recording: Recording, task: Task, size: float) -> Windows:
             interpolated = Track(middle[known], off[known, k]).at(middle[missing])[0]
             spread = float(np.linalg.norm(np.std(off[known, k], axis=0)))
         off[missing, k], errors[missing, k] = interpolated, np.hypot(INTERPOLATION_ERROR, spread)
-    commands = (setpoints.positions, task.vertices, setpoints.cable_forces, task.tensions)
-    plan = [mean(plan_at(task, t, values)) for values in commands]
+    names = ("positions", "vertices", "cable_forces", "tensions")
+    plan = [mean(plan_at(task, t, getattr(task.states, name))) for name in names]
     values: Any = (middle, plan[0] + drones, plan[1] + off, visible, errors, *plan)
     return Windows(*(each[chosen] for each in values))

@@ -78,10 +78,10 @@ class _Edges:
     def of(cls, task: Task, t: Array, displacement: Array) -> _Edges:
         """Return the edges of a plan at times (t,), with a displacement (t, 3) [m]."""
         layout = task.team.layout
-        points = plan_at(task, t, task.vertices) + displacement[:, None]
+        points = plan_at(task, t, task.states.vertices) + displacement[:, None]
         edges = layout.edges(points)
         span = np.maximum(length(edges[..., :2]), 1e-9)
-        tensions = np.maximum(plan_at(task, t, task.tensions), 0.1 * task.team.tension)
+        tensions = np.maximum(plan_at(task, t, task.states.tensions), 0.1 * task.team.tension)
         along, slope = edges[..., :2] / span[..., None], edges[..., 2] / span
         return cls(points[:, layout.starts], along, span, slope, GRAVITY / tensions)
 
@@ -131,7 +131,7 @@ def measured_vertices(
     if density is None and team.cable_density >= MIN_DENSITY:
         density = team.cable_density
     times, frame = np.unique(cloud.t, return_inverse=True)
-    displacement = np.median(drones - plan_at(task, times, task.setpoints.positions), axis=1)
+    displacement = np.median(drones - plan_at(task, times, task.states.positions), axis=1)
     frames = max(1, round(SMOOTHING * len(times) / max(np.ptp(times), SMOOTHING)))
     displacement = uniform_filter1d(displacement, frames, axis=0, mode="nearest")
     of_drones = np.min(length(cloud.positions[:, None] - drones[frame]), axis=1) < DRONE_RADIUS
@@ -164,7 +164,7 @@ def measured_vertices(
     scatter = np.hypot(scatter, ROPE_SCATTER)
     errors = np.full(crossings.shape[:2], np.nan)
     errors[:, layout.clasps] = scatter * relative_errors(markers, ends_at_grid, sine, layout)
-    wrong = ~(errors < MAX_ERROR) | _outlying(crossings - plan_at(task, t, task.vertices))
+    wrong = ~(errors < MAX_ERROR) | _outlying(crossings - plan_at(task, t, task.states.vertices))
     crossings[wrong], errors[wrong] = np.nan, np.nan
     return Measured(crossings, errors, densities, np.mean(np.nan_to_num(markers[..., 0]), axis=0))
 
@@ -311,8 +311,8 @@ def marker_plan(task: Task) -> MarkerPlan:
     A section that never leaves the edge gets three evenly spaced markers. If a cable slides too far
     for that, markers are spaced such that three are on the edge at any time.
     """
-    layout, hitched = task.team.layout, taut_at(task, task.t - task.t[0])
-    vertices, drones = task.vertices[hitched], task.setpoints.positions[hitched]
+    layout, hitched = task.team.layout, taut_at(task, task.states.t - task.states.t[0])
+    vertices, drones = task.states.vertices[hitched], task.states.positions[hitched]
     edges, legs = layout.edges(vertices), length(drones - vertices[:, layout.anchors])[:, ::2]
     lower_ends, upper_ends = legs + CLASP_DISTANCE, legs + length(edges) - CLASP_DISTANCE
     stretches = np.column_stack([np.max(lower_ends, axis=0), np.min(upper_ends, axis=0)])

@@ -233,11 +233,10 @@ def _with_common_descent(motion: Motion) -> Motion:
 
 def reaction_task(task: Task, reaction: Reaction) -> Task:
     """Return the task of a plan with a reaction, in which survivors release tension smoothly."""
-    new = Task.of(reaction.motion)
+    new = Task.of(reaction.motion).states
     share = np.clip((new.t - reaction.start) / RELEASE_TIME, 0.0, 1.0)[:, None, None]
-    forces = new.setpoints.cable_forces * (1.0 - share**2 * (3.0 - 2.0 * share))
-    setpoints = replace(new.setpoints, cable_forces=forces)
-    return Task(task.team, task.t[0] + new.t, setpoints, new.formed, new.vertices, new.tensions)
+    forces = new.cable_forces * (1.0 - share**2 * (3.0 - 2.0 * share))
+    return Task(task.team, replace(new, t=task.states.t[0] + new.t, cable_forces=forces))
 
 
 @dataclass(frozen=True)

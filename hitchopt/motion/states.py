@@ -97,6 +97,10 @@ class States(OneLine):
     borne: Array
     masses: Array
 
+    def __getitem__(self, index: int) -> States:
+        """Return the states of one sample."""
+        return States(*(getattr(self, each.name)[index] for each in fields(self)))
+
     def thrusts(self, team: Team | Swarm) -> Array:
         """Return the thrust vectors (…, 2n, 3) [N], ``m (a + g ẑ) - cable force``."""
         return np.asarray(team.mass[:, None] * (self.accelerations + HOVER) - self.cable_forces)

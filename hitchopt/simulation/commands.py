@@ -82,9 +82,9 @@ def received(task: Task, team: Team, settings: Settings) -> Commands:
 
 def streamed(task: Task, team: Team, *, follows: bool) -> Commands:
     """Return the rounded packets of full states, with body rates if ``follows``."""
-    setpoints, mass = task.setpoints, team.mass[:, None]
+    setpoints, mass = task.states, team.mass[:, None]
     forward = setpoints.accelerations - team.pull_gain * setpoints.cable_forces / mass
-    rates = _body_rates(mass, forward, task.t, follows=follows)
+    rates = _body_rates(mass, forward, task.states.t, follows=follows)
     values = setpoints.positions, setpoints.velocities, forward, rates
     counts = (np.rint(x / QUANTUM) for x in values)
     return Commands(*(QUANTUM * np.clip(x, -MAX_COUNT, MAX_COUNT) for x in counts))

@@ -36,10 +36,10 @@ def least_bearing(task: Task) -> Array:
     """
     by_part = []
     for part in task.parts:
-        team, bearing = part.team, np.zeros((len(task.t), len(part.team.layout.clasps)))
-        taut = np.all(part.tensions > 0.0, axis=-1)
-        edges = unit(team.layout.edges(part.vertices[taut]))
-        forces = contact_forces(edges, part.tensions[taut], team.topology)
+        team, bearing = part.team, np.zeros((len(task.states.t), len(part.team.layout.clasps)))
+        taut = np.all(part.states.tensions > 0.0, axis=-1)
+        edges = unit(team.layout.edges(part.states.vertices[taut]))
+        forces = contact_forces(edges, part.states.tensions[taut], team.topology)
         bearing[taut] = MIN_BEARING_RATIO * forces
         by_part.append(bearing)
     return np.concatenate(by_part, axis=1)

@@ -20,9 +20,10 @@ from hitchopt.errors import InputError
 from hitchopt.geometry.vectors import EAST, length, unit
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.live.feedback import Feedback
+from hitchopt.motion.states import States
 from hitchopt.objects import SolidObject
 from hitchopt.simulation.settings import Perturbations, Settings
-from hitchopt.simulation.task import Setpoints, Task
+from hitchopt.simulation.task import Task
 from hitchopt.simulation.world import BODY_HALF_HEIGHT, BODY_RADIUS, Bodies, World
 from hitchopt.values import Array
 
@@ -223,7 +224,7 @@ class Pilots:
         integral = self._integral + seconds * self.gains.integral * errors
         self._integral = np.clip(integral, -self._integral_limit, self._integral_limit)
 
-    def command(self, setpoints: Setpoints, bodies: Bodies, seconds: float, pull: Array) -> None:
+    def command(self, setpoints: States, bodies: Bodies, seconds: float, pull: Array) -> None:
         """Run controllers and motors for the next ``seconds``.
 
         Bodies are measured states; ``pull`` (2n, 3) [N] is added to the desired force.
@@ -284,13 +285,11 @@ class VertexFeedback:
         if task.motion is None:
             raise InputError("feedback", True, "with a plan", "give the plan's directory")
         self._feedback = Feedback(task.motion, delay=delay, stiffness=stiffness)
-        self._start, self._delay, self._disturbances = float(task.t[0]), delay, disturbances
+        self._start, self._delay, self._disturbances = float(task.states.t[0]), delay, disturbances
         self._waiting: deque[tuple[float, Array]] = deque()
         self.offsets = self._feedback.offsets
 
-    def corrected(
-        self, setpoints: Setpoints, time: float, seconds: float, drones: Array
-    ) -> Setpoints:
+    def corrected(self, setpoints: States, time: float, seconds: float, drones: Array) -> States:
         """Return corrected setpoints at a time [s] of the flight.
 
         ``seconds`` is the time since the last call; ``drones`` are measured positions (2n, 3) [m].

@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from hitchopt.errors import InputError
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import GRAVITY
+from hitchopt.motion.states import States
 from hitchopt.objects import SolidObject
 from hitchopt.simulation import contacts, control, ropes
 from hitchopt.simulation.autopilots import PERIOD, Autopilots
 from hitchopt.simulation.commands import Commands, flown_team, received
 from hitchopt.simulation.estimator import Estimator
 from hitchopt.simulation.settings import Settings
-from hitchopt.simulation.task import RATE, Setpoints, Task
+from hitchopt.simulation.task import RATE, Task
 from hitchopt.simulation.world import (
     BODY_HALF_HEIGHT,
     Bodies,
@@ -156,20 +157,20 @@ class _Run:
         lengths = np.split(team.cable_length * disturbances.cable_scale + extra_lengths, first)
         each = list[ropes.Ropes]()
         for part, sizes in zip(parts, lengths, strict=True):
-            tension = float(max(np.max(part.team.tension), np.max(part.tensions)))
+            tension = float(max(np.max(part.team.tension), np.max(part.states.tensions)))
             each.append(ropes.Ropes.of(part.team, settings, sizes, tension))
             each[-1].check_tension(tension)
         joined, ground = ropes.Ropes.joined(each), ground_of(task)
         objects = disturbances.disturbed(task.cargo.objects)
         self._world = world = World(joined, team.mass, ground, objects, team.drone_names)
-        start = task.setpoints.positions[0] + self._end_offsets[0] + disturbances.start_offset
+        start = task.states.positions[0] + self._end_offsets[0] + disturbances.start_offset
         world.place(
             [
                 cable
                 for part, own, drones in zip(parts, each, np.split(start, 2 * first), strict=True)
                 for cable in (
-                    ropes.clasped(own, part.team.layout, drones, part.vertices[0])
-                    if part.formed[0]
+                    ropes.clasped(own, part.team.layout, drones, part.states.vertices[0])
+                    if part.states.formed[0]
                     else ropes.hanging(own, drones, ground)
                 )
             ]
@@ -217,8 +218,9 @@ class _Run:
         """Simulate the flight; raises InvalidRunError if the simulation leaves its valid range."""
         task, world = self._task, self._world
         end = task.duration
-        tied = np.concatenate([np.full(part.team.drones, part.formed[0]) for part in task.parts])
-        loose_offset = tied[:, None] * (self._drones(0) - task.setpoints.positions[0])
+        each = [np.full(part.team.drones, part.states.formed[0]) for part in task.parts]
+        tied = np.concatenate(each)
+        loose_offset = tied[:, None] * (self._drones(0) - task.states.positions[0])
         friction = world.model.flex_friction.copy()
         world.model.flex_friction[:] = 0.0  # the initial state has no history
         for time in self._times(-SETTLE_TIME, 0.0):
@@ -271,7 +273,7 @@ class _Run:
         if self._lost is not None and time >= self._lost[1]:
             pilots.stop(self._lost[0])
             substeps = LOSS_SUBSTEPS if time < self._lost[1] + LOSS_TIME else 1
-        setpoints = task.setpoints[index]
+        setpoints = task.states[index]
         setpoints = replace(setpoints, positions=setpoints.positions + offset)
         bodies, passing = self._bodies(index), task.passing.at(index)
         if self._settings.estimator is None:
@@ -295,7 +297,7 @@ class _Run:
             self._loads.apply(planned * task.load_shares(index), period)
         world.data.qfrc_applied[world.node_dofs] = control.drag(world, self._damping)
         calm_tension = MIN_CALM_TENSION * task.team.tension
-        loose = np.any(planned * task.tensions[index] < calm_tension)
+        loose = np.any(planned * task.states.tensions[index] < calm_tension)
         loose = loose or np.mean(world.tensions) < np.mean(calm_tension)  # planned or actual
         substeps = max(substeps, world.ropes.substeps(float(np.max(world.tensions))))
         world.step(self._substeps, loose=bool(loose), substeps=substeps)
@@ -313,13 +315,13 @@ class _Run:
             self._frames.append((time, *state))
 
     def _command(
-        self, time: float, index: int, setpoints: Setpoints, bodies: Bodies, added: Array
+        self, time: float, index: int, setpoints: States, bodies: Bodies, added: Array
     ) -> Array:
         """Run controllers and motors for a period; return external forces on drones (2n, 3) [N].
 
         ``added`` (2n, 3) [N] is an additional pull; setpoints are those of an index, corrected.
         """
-        pilots, period, plan = self._pilots, self._period, self._task.setpoints[index]
+        pilots, period, plan = self._pilots, self._period, self._task.states[index]
         if isinstance(pilots, control.Pilots):
             pilots.command(setpoints, bodies, period, added)
             if time >= 0.0:
@@ -345,8 +347,9 @@ class _Run:
     def _outward_pulls(self, index: int) -> Array:
         """Return planned tensions along the legs outward, level with objects (2n, 3) [N]."""
         task = self._task
-        legs = task.setpoints.positions[index] - task.vertices[index][task.team.layout.pulled_to]
-        pulls: Array = np.repeat(task.tensions[index], 2)[:, None] * unit(legs)
+        states = task.states[index]
+        legs = states.positions - states.vertices[task.team.layout.pulled_to]
+        pulls: Array = np.repeat(states.tensions, 2)[:, None] * unit(legs)
         if task.cargo.objects and np.any(task.cargo.load_share[index] > 0.0):
             pulls[:, 2] = 0.0
         return pulls
@@ -354,7 +357,7 @@ class _Run:
     def _sample(self, time: float, index: int) -> None:
         """Record the state at ``time`` [s], up to which setpoint ``index`` applied, and peaks."""
         world = self._world
-        commanded = self._task.setpoints.positions[index]
+        commanded = self._task.states.positions[index]
         touched = self._contacts.collect(self._least_bearing[index])
         if self._feedback is not None:
             commanded = commanded + self._feedback.offsets
@@ -393,7 +396,7 @@ class _Run:
 
 def ground_of(task: Task) -> float:
     """Return the height of the ground [m]: that of objects, else 0 or below the lowest drone."""
-    lowest = float(np.min(task.setpoints.positions[..., 2])) - REST_HEIGHT
+    lowest = float(np.min(task.states.positions[..., 2])) - REST_HEIGHT
     return task.cargo.floor if task.cargo.objects else min(0.0, lowest)
 
 

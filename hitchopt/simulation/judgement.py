@@ -93,12 +93,12 @@ def vertex_errors(flight: Flight) -> VertexErrors:
     The first sample is excluded, as no contact forces precede it.
     """
     task, record = flight.task, flight.record
-    taut, moves = list[Array](), np.zeros(len(task.t), np.bool_)
+    taut, moves = list[Array](), np.zeros(len(task.states.t), np.bool_)
     for part in task.parts:
-        tension, formed = part.team.tension, part.formed
-        taut.append(formed & np.all(part.tensions >= TAUT_RATIO * tension, axis=-1))
-        steps = length(np.diff(part.vertices, axis=0))
-        changes = np.abs(np.diff(part.tensions, axis=0)) / tension
+        tension, formed = part.team.tension, part.states.formed
+        taut.append(formed & np.all(part.states.tensions >= TAUT_RATIO * tension, axis=-1))
+        steps = length(np.diff(part.states.vertices, axis=0))
+        changes = np.abs(np.diff(part.states.tensions, axis=0)) / tension
         resting = np.all(np.concatenate([steps, changes], axis=-1) <= REST_TOLERANCE, axis=-1)
         moves[1:] |= ~resting & formed[1:] & formed[:-1]
     clasp_is_taut = task.clasped(taut)
@@ -107,7 +107,7 @@ def vertex_errors(flight: Flight) -> VertexErrors:
         (record.t > ROUNDING) & (record.t <= end) & clasp_is_taut[record.index].any(axis=-1)
     )
     t, index = record.t[rows], record.index[rows]
-    planned = task.vertices[index][:, task.team.layout.clasps]
+    planned = task.states.vertices[index][:, task.team.layout.clasps]
     planned = np.where(clasp_is_taut[index, :, None], planned, np.nan)
     moving = moves[index] & (t <= task.duration + ROUNDING)
     return VertexErrors(t, rows, planned, record.vertices[rows] - planned, moving)
@@ -217,7 +217,7 @@ def judge(flight: Flight) -> Outcome:
     objects: tuple[ObjectState, ...] = ()
     if lost is None:
         if flight.linking is not None:
-            clasps = _clasps(flight, flight.linking) if flight.task.formed[-1] else ()
+            clasps = _clasps(flight, flight.linking) if flight.task.states.formed[-1] else ()
             failures += _failed_links(flight, flight.linking, clasps)
         objects = object_states(flight)
         failures += [failure for each in objects for failure in _object_failures(flight, each)]
@@ -227,7 +227,7 @@ def judge(flight: Flight) -> Outcome:
 def _clasps(flight: Flight, links: NDArray[np.int64]) -> tuple[Clasp, ...]:
     """Return the state of every vertex at the end of the plan."""
     team, layout = flight.task.team, flight.task.team.layout
-    hitched = flight.task.clasped([part.formed[-1] for part in flight.task.parts])
+    hitched = flight.task.clasped([part.states.formed[-1] for part in flight.task.parts])
     legs_before, bearing = _means(flight, flight.rested)
     moved = np.max(np.abs(_means(flight, flight.pulled)[0] - legs_before), axis=-1)
     stays = (moved <= MAX_SLIP) | np.isnan(flight.pulled)  # both are nan without a pull test
@@ -260,7 +260,7 @@ def _failed_links(
     """Return failures of cables that should not be linked, and of clasps that do not hold."""
     task, layout, rested, failures = flight.task, flight.task.team.layout, flight.rested, []
     unexpected = np.triu(linking, 1)
-    hitched = task.clasped([part.formed[-1] for part in task.parts])
+    hitched = task.clasped([part.states.formed[-1] for part in task.parts])
     ahead, behind = layout.ahead[hitched], layout.behind[hitched]
     unexpected[behind, ahead] = unexpected[ahead, behind] = 0
     for i, j in np.argwhere(unexpected).tolist():
@@ -317,7 +317,7 @@ def object_states(flight: Flight) -> tuple[ObjectState, ...]:
     plan, at_end = cargo.poses[rows], t > end - AVERAGING_TIME if rested else t == end
     yaws = np.arctan2(plan[-1, :, 4], plan[-1, :, 3])
     offsets = poses[..., :3] - plan[..., :3]
-    planned = task.vertices[rows][:, task.team.layout.clasps]
+    planned = task.states.vertices[rows][:, task.team.layout.clasps]
     vertices, states = record.vertices[: len(t)] - planned, []
     groups = np.array([group_of(task.team.point_names[p]) for p in task.team.layout.clasps])
     for i in np.flatnonzero(cargo.movable):

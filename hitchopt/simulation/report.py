@@ -170,7 +170,7 @@ def drawn_flight(simulation: Simulation, motion: Motion, title: str = "") -> Fig
         end = float(scene.t[-1])
         shots = [shot for shot in choose_shots(motion) if shot.time <= end + SHOT_TOLERANCE]
         if np.isfinite(simulation.flight.pulled):
-            words = "after the pull test" if simulation.flight.task.formed[-1] else "at rest"
+            words = "after the pull test" if simulation.flight.task.states.formed[-1] else "at rest"
             shots = [*shots[: max(1, len(shots) - 1)], Shot(words, end, essential=True)]
         radius = ROPE_RADIUS * float(np.linalg.norm(np.ptp(scene.drones, axis=(0, 1))))
         thick = replace(scene, radius=float(np.clip(radius, scene.radius, MAX_ROPE_RADIUS)))
@@ -206,9 +206,11 @@ def _draw_over_time(plots: Sequence[Axes], simulation: Simulation, motion: Motio
     for k, colour in enumerate(colours):
         middle.plot(record.t, record.tensions[:, k], color=colour, lw=0.4, alpha=0.25)
         middle.plot(record.t, smooth[:, k], color=colour, lw=1.2)
-    planned = [np.where(part.formed[:, None], part.tensions, np.nan) for part in task.parts]
+    each = [part.states for part in task.parts]
+    planned = [np.where(states.formed[:, None], states.tensions, np.nan) for states in each]
     for tension in np.unique(np.concatenate(planned, axis=1).T, axis=0):
-        middle.plot(task.t - task.t[0], tension, color=style.LIMIT_COLOUR, lw=1.2, ls=style.DASHES)
+        line: dict[str, Any] = {"color": style.LIMIT_COLOUR, "lw": 1.2, "ls": style.DASHES}
+        middle.plot(each[0].t - each[0].t[0], tension, **line)
     tracking = 100.0 * np.max(tracking_errors(flight), axis=-1)
     bottom.plot(record.t[: len(tracking)], tracking, color=style.INK, lw=1.2)
     first = "vertex error," if simulation.settings.preset.exact else "vertex error ± 1 to 2 cm,"
@@ -232,7 +234,7 @@ def ending(simulation: Simulation) -> str:
         return "no two survivors touch" if loss.collision_free else "survivors TOUCH each other"
     if flight.linking is None:
         return "not simulated to its end"
-    ends, parts = [part.formed[-1] for part in flight.task.parts], list[str]()
+    ends, parts = [part.states.formed[-1] for part in flight.task.parts], list[str]()
     if any(ends):
         parts.append("every vertex holds" if simulation.outcome.hitched else "not hitched")
     if not all(ends):

@@ -259,7 +259,7 @@ def thickness_allowance(task: Task, diameter: float, segment: float) -> Array:
     longer = bend_lengths(task, diameter, segment)
     np.add.at(allowance, layout.ahead, longer)
     np.add.at(allowance, layout.behind, longer)
-    if task.formed.any():
+    if task.states.formed.any():
         leaving, arriving = (unit(each * [1.0, 1.0, 0.0]) for each in _edge_ends(task))
         turns = np.arccos(np.clip(dot(leaving, arriving), -1.0, 1.0))
         allowance += 0.5 * diameter * np.mean(turns, axis=0)
@@ -276,7 +276,7 @@ def bend_lengths(task: Task, diameter: float, segment: float) -> Array:
     time with a hitch, or with a carried object, which short ropes would grip harder.
     """
     layout = task.team.layout
-    if not task.formed.any():
+    if not task.states.formed.any():
         return np.zeros(len(layout.clasps))
     leaving, arriving = _edge_ends(task)
     cosine = dot(leaving[:, layout.ahead], arriving[:, layout.behind])
@@ -289,12 +289,12 @@ def bend_lengths(task: Task, diameter: float, segment: float) -> Array:
 def _edge_ends(task: Task) -> tuple[Array, Array]:
     """Return unit vectors (samples, n, 3) along edges at both ends, see ``bend_lengths``."""
     layout, motion = task.team.layout, task.motion
-    carrying = task.formed & np.any(task.cargo.carried, axis=-1)
+    carrying = task.states.formed & np.any(task.cargo.carried, axis=-1)
     if motion is None or motion.contacts is None or not carrying.any():
-        straight = unit(layout.edges(task.vertices[task.formed]))
+        straight = unit(layout.edges(task.states.vertices[task.states.formed]))
         return straight, straight
-    vertices = task.vertices[carrying]
-    times = np.clip(task.t[carrying], *motion.contacts.breaks[[0, -1]])
+    vertices = task.states.vertices[carrying]
+    times = np.clip(task.states.t[carrying], *motion.contacts.breaks[[0, -1]])
     first, last = np.moveaxis(motion.contacts.at(times), 2, 0)
     return unit(first - vertices[:, layout.starts]), unit(vertices[:, layout.ends] - last)
 
@@ -308,12 +308,12 @@ def leg_end_offsets(task: Task, diameter: float) -> Array:
     proportional to the tension up to the team's.
     """
     layout, team = task.team.layout, task.team
-    edges = unit(layout.edges(task.vertices))
-    along = np.stack([edges, -edges], axis=-2).reshape(task.setpoints.positions.shape)
-    legs = unit(task.setpoints.positions - task.vertices[:, layout.pulled_to])
+    edges = unit(layout.edges(task.states.vertices))
+    along = np.stack([edges, -edges], axis=-2).reshape(task.states.positions.shape)
+    legs = unit(task.states.positions - task.states.vertices[:, layout.pulled_to])
     cosine = dot(legs, along)[..., None]
     half = 0.5 * np.arccos(np.clip(cosine, -1.0, 1.0))
-    ratio = np.repeat(np.clip(task.tensions / team.tension, 0.0, 1.0), 2, axis=-1)
+    ratio = np.repeat(np.clip(task.states.tensions / team.tension, 0.0, 1.0), 2, axis=-1)
     offsets: Array = unit(cosine * legs - along) * (1.0 - 0.5 * np.sin(half)) * ratio[..., None]
     return diameter * offsets
 

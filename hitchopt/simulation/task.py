@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,7 +19,7 @@ from hitchopt.motion.combined import Fleet
 from hitchopt.motion.loads import tautness
 from hitchopt.motion.motion import Group, Motion
 from hitchopt.motion.plan_file import read_plan
-from hitchopt.motion.states import sample_times, states_at
+from hitchopt.motion.states import DRONE_FIELDS, States, sample_times, states_at
 from hitchopt.objects import SolidObject
 from hitchopt.storage.archive import PLAN
 from hitchopt.trajectory import PiecewisePolynomial
@@ -32,6 +32,7 @@ MIN_LIFT = 0.03  # Smallest height of a lifted object above its supports [m]
 FULL_SHARE = 1.0 - 1e-6  # Smallest share of its weight at which an object is fully carried
 POINT_TABLES = ("starts", "ends", "clasps", "anchors", "pulled_to")  # Of a layout
 CABLE_TABLES = ("ahead", "behind", "neighbours")
+JOINED_FIELDS = (*DRONE_FIELDS, "vertices", "vertex_velocities", "legs", "tensions")
 TIME_TOLERANCE = 1e-6  # Tolerance of sample times [s], for rounding of sums of periods
 
 
@@ -104,27 +105,6 @@ class Cargo:
             last = np.take_along_axis(heights[::order], np.maximum(rows, 0), axis=0)
             supports.append(np.where(rows >= 0, last, -np.inf)[::order])
         return ~rests & (heights > np.maximum(*supports) + MIN_LIFT)
-
-
-@dataclass(frozen=True, eq=False)
-class Setpoints:
-    """Setpoints of the drones q0, r0, q1, … at some times (…); yaw is 0.
-
-    Attributes
-    ----------
-    positions, velocities, accelerations, jerks: (…, 2n, 3) [m], [m/s], [m/s²], [m/s³]
-    cable_forces: (…, 2n, 3) [N], planned.
-    """
-
-    positions: Array
-    velocities: Array
-    accelerations: Array
-    jerks: Array
-    cable_forces: Array
-
-    def __getitem__(self, index: int) -> Setpoints:
-        """Return the setpoints of one sample."""
-        return Setpoints(*(values[index] for values in vars(self).values()))
 
 
 def group_of(name: str) -> str:
@@ -209,11 +189,7 @@ class Task:
     """
 
     team: Team  # the team that flies
-    t: Array  # (samples,) [s]
-    setpoints: Setpoints  # (samples, …)
-    formed: Flags  # whether the plan has a hitch (samples,), in any of several groups
-    vertices: Array  # of the hitch (samples, points, 3) [m]; zero without one
-    tensions: Array  # (samples, n) [N]; zero without a hitch
+    states: States  # (samples, …), objects aside; without a hitch, vertices and tensions are zero
     # share of its clasps' loads that each cable carries (samples, n); None: all of cables under
     # tension
     taut: Array | None = None
@@ -222,6 +198,12 @@ class Task:
     motion: Motion | None = None
     groups: tuple[Task, ...] = ()  # the tasks of several groups
     passing: Passing = field(default_factory=Passing)  # drones that are not simulated
+
+    def __post_init__(self) -> None:
+        states, formed = self.states, self.states.formed[:, None]
+        vertices = np.where(formed[..., None], states.vertices, 0.0)
+        tensions = np.where(formed, states.tensions, 0.0)
+        object.__setattr__(self, "states", replace(states, vertices=vertices, tensions=tensions))
 
     @classmethod
     def of(cls, motion: Motion) -> Task:
@@ -239,25 +221,18 @@ class Task:
         else:
             parts = tuple(cls._alone(group.motion, t) for group in tied)
 
-        def row(name: str) -> Array:
-            return np.concatenate([getattr(part, name) for part in parts], axis=1)
+        def joined(records: list[Any], names: Iterable[str]) -> dict[str, Any]:
+            rows = {name: [getattr(record, name) for record in records] for name in names}
+            return {name: np.concatenate(values, axis=1) for name, values in rows.items()}
 
-        columns = [vars(part.setpoints).values() for part in parts]
-        setpoints = Setpoints(*(np.concatenate(x, axis=1) for x in zip(*columns, strict=True)))
-        formed = np.any([part.formed for part in parts], axis=0)
-        return cls(
-            Crew(tied),
-            t,
-            setpoints,
-            formed,
-            row("vertices"),
-            row("tensions"),
-            row("taut"),
-            Cargo() if motion.has_ring_changes else Cargo.joined(motion, tied, t),
-            motion,
-            parts,
-            passing,
-        )
+        each = [part.states for part in parts]
+        formed = np.any([states.formed for states in each], axis=0)
+        states = replace(each[0], formed=formed, **joined(each, JOINED_FIELDS))
+        task = cls(Crew(tied), states, motion=motion, groups=parts, passing=passing)
+        if motion.has_ring_changes:
+            return task
+        cargo = Cargo.joined(motion, tied, t)
+        return replace(task, cargo=cargo, **joined(list(parts), ["taut"]))
 
     @classmethod
     def _of_rings(cls, motion: Motion, t: Array) -> tuple[list[Group], tuple[Task, ...]]:
@@ -273,32 +248,21 @@ class Task:
         for team in (group.motion.team for group in last.groups):
             rows, closed = list(team.labels), team.layout.closed
             drones = np.repeat(2 * np.array(rows), 2) + np.tile([0, 1], len(rows))
-            formed = np.asarray(states.formed & started & closed, np.bool_)
-            points = states.vertices[:, : team.layout.points]
-            vertices = np.where(formed[:, None, None], points, 0.0)
-            tensions = np.where(formed[:, None], states.tensions[:, rows], 0.0)
-            setpoints = Setpoints(*(getattr(states, x.name)[:, drones] for x in fields(Setpoints)))
-            taut = (tensions > 0.0).astype(np.float64)
-            parts.append(cls(team, t, setpoints, formed, vertices, tensions, taut, motion=motion))
+            own = replace(
+                states,
+                formed=states.formed & started & closed,
+                vertices=states.vertices[:, : team.layout.points],
+                tensions=states.tensions[:, rows],
+                **{name: getattr(states, name)[:, drones] for name in DRONE_FIELDS},
+            )
+            parts.append(cls(team, own, motion=motion))
         return list(last.groups), tuple(parts)
 
     @classmethod
     def _alone(cls, motion: Motion, t: Array) -> Task:
         """Return the task of one team at times (samples,) [s]."""
-        states = states_at(motion, t)
-        formed = np.asarray(states.formed, np.bool_)
         taut = PiecewisePolynomial(motion.drones.breaks, tautness(motion))
-        return cls(
-            motion.team,
-            t,
-            Setpoints(*(getattr(states, each.name) for each in fields(Setpoints))),
-            formed,
-            np.where(formed[:, None, None], states.vertices, 0.0),
-            np.where(formed[:, None], states.tensions, 0.0),
-            taut.at(t),
-            Cargo.of(motion, t),
-            motion,
-        )
+        return cls(motion.team, states_at(motion, t), taut.at(t), Cargo.of(motion, t), motion)
 
     @property
     def parts(self) -> tuple[Task, ...]:
@@ -319,16 +283,18 @@ class Task:
     @property
     def duration(self) -> float:
         """Time from the first setpoint to the last [s]."""
-        return float(self.t[-1] - self.t[0])
+        return float(self.states.t[-1] - self.states.t[0])
 
     def load_shares(self, index: int) -> Array:
         """Return the shares (n,) of loads that cables carry at a sample."""
-        return np.asarray(self.tensions[index] > 0.0 if self.taut is None else self.taut[index])
+        shares = self.states.tensions > 0.0 if self.taut is None else self.taut
+        return np.asarray(shares[index])
 
     def index(self, elapsed: float) -> int:
         """Return the setpoint that applies ``elapsed`` [s] after the first one."""
-        index = int(np.searchsorted(self.t, self.t[0] + elapsed + TIME_TOLERANCE, side="right")) - 1
-        return min(max(index, 0), len(self.t) - 1)
+        t = self.states.t
+        index = int(np.searchsorted(t, t[0] + elapsed + TIME_TOLERANCE, side="right")) - 1
+        return min(max(index, 0), len(t) - 1)
 
 
 def read_task(directory: Path) -> Task:

@@ -227,8 +227,8 @@ def calibrate(
     tensions = np.clip(tensions, windows.tensions / 3.0, 3.0 * windows.tensions)
     arcs = balance.energy.forces(balance.x[:, balance.energy.nodes], tensions)[1]
     visible = windows.visible[:, team.layout.starts] & windows.visible[:, team.layout.ends]
-    t, setpoints = recording.t, task.setpoints.positions
-    vertex_errors = length(recording.vertices - plan_at(task, t, task.vertices))
+    t, setpoints = recording.t, task.states.positions
+    vertex_errors = length(recording.vertices - plan_at(task, t, task.states.vertices))
     return Calibration(
         task,
         recording,
@@ -267,7 +267,7 @@ def _recording_and_task(recording: Any, plan: Any, density: float | None) -> tup
         times = f"times {t[0]:.6g} to {t[-1]:.6g} s"
         bound = f"of the plan's times, 0 to {task.duration:.6g} s"
         raise InputError("recording", times, bound, "count t in seconds from the plan's start")
-    off = length(recording.drones - plan_at(task, t, task.setpoints.positions))
+    off = length(recording.drones - plan_at(task, t, task.states.positions))
     distance = float(np.median(off[np.isfinite(off)])) if np.any(np.isfinite(off)) else 0.0
     if distance > MAX_DISTANCE:
         value = f"drones {distance:.4g} m from the plan at the median"

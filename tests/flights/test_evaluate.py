@@ -57,7 +57,7 @@ def task(name: str) -> Task:
 
 
 def drones_of(given: Task, t: Array) -> Array:
-    return plan_at(given, t, given.setpoints.positions)
+    return plan_at(given, t, given.states.positions)
 
 
 def flown(name: str, camera: Camera, seed: int = 0, off: float = 0.01) -> ho.RecordedFlight:
@@ -197,14 +197,14 @@ def test_logged_set_points_show_the_lag_of_drones() -> None:
 
 def moved(given: Task, offsets: Array) -> Task:
     """Return a task whose drones begin as those of another, and then move by (times, 2n, 3)."""
-    start = given.setpoints.positions[:1]
-    return replace(given, setpoints=replace(given.setpoints, positions=start + offsets))
+    start = given.states.positions[:1]
+    return replace(given, states=replace(given.states, positions=start + offsets))
 
 
 @cache
 def small_moves() -> tuple[Task, Array]:
     """Return a task that moves by a few centimetres, and its movements (times, 2n, 3) [m]."""
-    positions = task("triangle").setpoints.positions
+    positions = task("triangle").states.positions
     offsets = 0.25 * (positions - positions[0])
     return moved(task("triangle"), offsets), offsets
 
@@ -319,7 +319,10 @@ def test_a_stated_start_is_the_clock() -> None:
 
 
 def test_remarks_name_bare_edges() -> None:
-    cloud, p = usual().markers, plan_at(task("triangle"), np.zeros(1), task("triangle").vertices)[0]
+    cloud, p = (
+        usual().markers,
+        plan_at(task("triangle"), np.zeros(1), task("triangle").states.vertices)[0],
+    )
     bare = np.linalg.norm(cloud.positions - 0.5 * (p[0] + p[1]), axis=1) > 0.45
     few = replace(usual(), markers=Track(cloud.t[bare], cloud.positions[bare]))
     result = ho.evaluate(few, task("triangle"))
@@ -333,7 +336,7 @@ def test_recorded_vertices_are_used_while_there_is_a_hitch() -> None:
     given = Task.of(planned_problem("tie_carry_untie").motion)
     t = np.arange(0.0, given.duration, 0.02)
     flight = recorded(Camera(lost=0.0), t, drones_of(given, t))
-    places = plan_at(given, t, given.vertices) + [0.01, 0.0, 0.0]
+    places = plan_at(given, t, given.states.vertices) + [0.01, 0.0, 0.0]
     own = {f"p{k}": Track(t + Camera().start, places[:, k]) for k in range(3)}
     result = ho.evaluate(replace(flight, tracks={**flight.tracks, **own}), given)
     hitched = np.isfinite(result.planned[:, 0, 0])
@@ -356,7 +359,11 @@ def test_clasps_lie_outward_by_the_turn() -> None:
 def test_planned_markers_give_the_stated_errors() -> None:
     """Against lines through noisy markers."""
     given, t, random = task("regular"), np.array([1.0]), np.random.default_rng(0)
-    advice, p, layout = marker_plan(given), plan_at(given, t, given.vertices)[0], given.team.layout
+    advice, p, layout = (
+        marker_plan(given),
+        plan_at(given, t, given.states.vertices)[0],
+        given.team.layout,
+    )
     edges, legs = layout.edges(p), drones_of(given, t)[0] - p[layout.anchors]
     span, begins = np.linalg.norm(edges, axis=1), np.linalg.norm(legs, axis=1)[::2]
     units, lines = edges[:, :2] / span[:, None], []

@@ -205,21 +205,21 @@ def test_a_reaction_follows_the_plan_and_then_releases_tension() -> None:
     plan, found = plan_of(2.4), Reactions(plan_of(2.4).motion).plan("r2", TIME)
     task = Task.of(plan.motion)
     flown = reaction_task(task, found)
-    assert 0.0 < np.min(np.diff(flown.t)) <= np.max(np.diff(flown.t)) <= 0.011
+    assert 0.0 < np.min(np.diff(flown.states.t)) <= np.max(np.diff(flown.states.t)) <= 0.011
     assert flown.duration == pytest.approx(found.motion.duration)
-    early, places = flown.t < found.start, flown.setpoints.positions
-    before = task.setpoints.positions[: np.sum(early)]
+    early, places = flown.states.t < found.start, flown.states.positions
+    before = task.states.positions[: np.sum(early)]
     np.testing.assert_allclose(places[early], before, atol=1e-8)
     steps = np.linalg.norm(np.diff(places, axis=0), axis=-1)
-    assert np.max(steps / np.diff(flown.t)[:, None]) <= 1.0 + 1e-3
-    forces = np.linalg.norm(flown.setpoints.cable_forces, axis=-1)
+    assert np.max(steps / np.diff(flown.states.t)[:, None]) <= 1.0 + 1e-3
+    forces = np.linalg.norm(flown.states.cable_forces, axis=-1)
     np.testing.assert_allclose(forces[early], 0.5, atol=1e-3)
-    letting_go = (flown.t > found.start) & (flown.t < found.start + RELEASE_TIME)
+    letting_go = (flown.states.t > found.start) & (flown.states.t < found.start + RELEASE_TIME)
     assert np.all(np.diff(forces[letting_go], axis=0) < 0.0)
     times = found.start + np.array([0.1, 0.5, 0.9]) * RELEASE_TIME
-    there = np.interp(times, flown.t, forces[:, 0])
+    there = np.interp(times, flown.states.t, forces[:, 0])
     np.testing.assert_allclose(there + there[::-1], 0.5, atol=5e-3)  # as fast at first as at last
-    assert np.max(forces[flown.t >= found.start + RELEASE_TIME]) == 0.0
+    assert np.max(forces[flown.states.t >= found.start + RELEASE_TIME]) == 0.0
 
 
 def test_a_lost_drone_too_heavy_for_its_partner_has_no_reaction() -> None:

@@ -10,12 +10,13 @@ from numpy.typing import ArrayLike
 
 from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import Hitch, Team
+from hitchopt.motion.states import States
 from hitchopt.objects import SolidObject
 from hitchopt.simulation.control import PositionGains
 from hitchopt.simulation.flight import Film, Flight, Record
 from hitchopt.simulation.ropes import Ropes
 from hitchopt.simulation.settings import FAST, Preset, Settings
-from hitchopt.simulation.task import RATE, Setpoints, Task
+from hitchopt.simulation.task import RATE, Task
 from hitchopt.simulation.world import World
 from hitchopt.values import Array
 
@@ -38,15 +39,23 @@ def smooth(x: Array) -> Array:
     return x**4 * (35.0 - 84.0 * x + 70.0 * x**2 - 20.0 * x**3)
 
 
+def states_of(t: Array, positions: Array, **known: Array) -> States:
+    """Return states of drones at some positions; other fields are zero unless they are known."""
+    zero = dict.fromkeys((each.name for each in fields(States)), np.zeros_like(positions))
+    given: Any = {**zero, "formed": np.zeros(len(positions), dtype=np.bool_), **known}
+    return States(**given | {"t": t, "positions": positions})
+
+
 def hanging_task(team: Team, positions: Array, cable_forces: Array) -> Task:
     """Return the task of positions (samples, 2n, 3) without a hitch; derivatives by differences."""
     t = np.arange(len(positions)) / RATE
     velocities = np.gradient(positions, 1.0 / RATE, axis=0)
     accelerations = np.gradient(velocities, 1.0 / RATE, axis=0)
     jerks = np.gradient(accelerations, 1.0 / RATE, axis=0)
-    setpoints = Setpoints(positions, velocities, accelerations, jerks, cable_forces)
-    vertices, tensions = np.zeros((len(t), team.layout.points, 3)), np.zeros((len(t), team.robots))
-    return Task(team, t, setpoints, np.zeros(len(t), dtype=np.bool_), vertices, tensions)
+    given = {"velocities": velocities, "accelerations": accelerations, "jerks": jerks}
+    given |= {"cable_forces": cable_forces, "vertices": np.zeros((len(t), team.layout.points, 3))}
+    given |= {"tensions": np.zeros((len(t), team.robots))}
+    return Task(team, states_of(t, positions, **given))
 
 
 def standing(hitch: Hitch, seconds: float, *, formed: bool = True, since: int = 0) -> Task:
@@ -57,7 +66,8 @@ def standing(hitch: Hitch, seconds: float, *, formed: bool = True, since: int = 
     vertices = np.where(there[:, None, None], hitch.vertices, 0.0)
     tensions = np.where(there[:, None], hitch.team.tension, 0.0)
     given: Any = {"formed": there, "vertices": vertices, "tensions": tensions}
-    return replace(hanging_task(hitch.team, still, forces), **given)
+    task = hanging_task(hitch.team, still, forces)
+    return replace(task, states=replace(task.states, **given))
 
 
 def regular_hitch(n: int, edge: float = 1.3, **of_team: Any) -> Hitch:

@@ -322,8 +322,8 @@ def test_packets_are_rounded_and_hold_the_pull() -> None:
     sent = received(task, flown_team(task.team, settings), settings)
     for values in vars(sent).values():
         np.testing.assert_allclose(values, 1e-3 * np.rint(1e3 * values), atol=1e-12)
-    assert 0.0 < np.max(np.abs(sent.positions - task.setpoints.positions)) <= 5.0001e-4
-    pull = -task.setpoints.cable_forces / task.team.mass[:, None]
+    assert 0.0 < np.max(np.abs(sent.positions - task.states.positions)) <= 5.0001e-4
+    pull = -task.states.cable_forces / task.team.mass[:, None]
     gain = [1.2, 1.2, 1.0]  # 1 + 0.02 s times the damping of 10/s
     np.testing.assert_allclose(sent.accelerations, gain * pull, atol=1e-3)
     far = np.full((3, 6, 3), 50.0)
@@ -345,17 +345,17 @@ def test_uploads_are_offset_by_the_tension_over_the_stiffness() -> None:
     task = Task.of(plan.motion)
     settings = Settings(controller="mellinger", upload=True)
     held = received(task, flown_team(team, settings), settings)
-    offset = held.positions[0] - task.setpoints.positions[0]
+    offset = held.positions[0] - task.states.positions[0]
     gain = 1.0 + 0.02 * 1.0 / kind.mass
-    expected = -task.setpoints.cable_forces[0] * [gain, gain, 1.0] / [2.0, 2.0, 4.0]
+    expected = -task.states.cable_forces[0] * [gain, gain, 1.0] / [2.0, 2.0, 4.0]
     np.testing.assert_allclose(offset, expected, atol=1e-3)
-    assert len(held.positions) > len(task.t)
+    assert len(held.positions) > len(task.states.t)
     np.testing.assert_allclose(held[10_000].positions, held.positions[-1])
     np.testing.assert_allclose(held.velocities, 0.0, atol=0.01)
     for name in ("mellinger", "pid"):  # their integrals cannot hold the tension by offsets
         wound = replace(settings, controller=name, gains={})
         free = received(task, flown_team(team, wound), wound)
-        np.testing.assert_allclose(free.positions[0], task.setpoints.positions[0], atol=1e-3)
+        np.testing.assert_allclose(free.positions[0], task.states.positions[0], atol=1e-3)
     with pytest.raises(InputError, match="with a plan"):
         received(replace(task, motion=None), team, settings)
 

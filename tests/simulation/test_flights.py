@@ -76,12 +76,12 @@ def test_drones_carry_the_loads_and_clasps_stay_at_their_heights() -> None:
     loads, held, heights = np.array([0.01, 0.0, 0.02]), list[float](), list[Array]()
     task = standing(regular_hitch(3, load=loads, tension=0.8), 0.5)
     for share in (1.0, 0.5):  # only the share that the plan states hangs there
-        done = simulate(replace(task, taut=np.full(task.tensions.shape, share)), BRIEF)
+        done = simulate(replace(task, taut=np.full(task.states.tensions.shape, share)), BRIEF)
         assert done.outcome.failures == ()
         record, gains = done.flight.record, done.flight.gains
         rows = (record.t > 0.5) & (record.t < done.flight.rested)
         sunk = np.mean(record.commanded[rows] - record.drones[rows], axis=0)[:, 2]
-        pulls = -task.setpoints.cable_forces[0, :, 2] + gains.stiffness[:, 2] * sunk
+        pulls = -task.states.cable_forces[0, :, 2] + gains.stiffness[:, 2] * sunk
         held.append(float(np.sum(pulls)))
         heights.append(np.nanmean(done.errors.offsets[30:, :, 2], axis=0))
     assert held[0] == pytest.approx(GRAVITY * (np.sum(loads) + 3 * 0.01 * 2.3), rel=0.02)
@@ -94,10 +94,9 @@ def test_the_task_of_a_plan_is_its_states_at_100_hz(tmp_path: Path) -> None:
     plan = ho.transport(regular_hitch(3, load=0.01), to=[0.1, 0.0, 2.1])
     task = read_task(plan.save(tmp_path / "plan"))
     count = int(100 * plan.duration) + 1
-    np.testing.assert_allclose(task.t, np.append(np.arange(count) / 100, plan.duration))
-    states = plan.at(task.t)
-    places = {"vertices": task.vertices, "tensions": task.tensions, "formed": task.formed}
-    for name, values in (vars(task.setpoints) | places).items():
+    np.testing.assert_allclose(task.states.t, np.append(np.arange(count) / 100, plan.duration))
+    states = plan.at(task.states.t)
+    for name, values in vars(task.states).items():
         np.testing.assert_allclose(values, getattr(states, name))
     np.testing.assert_array_equal(task.load_shares(0), np.ones(3))
     assert [task.index(t) for t in (-1.0, 0.0, 0.0099, 0.01, 99.0)] == [0, 0, 0, 1, count]
@@ -211,7 +210,8 @@ def lifting(mass: float = MASS, by: float = 0.2) -> Task:
     held = np.tile([False, True], (len(t), 1))
     formed, tensions = np.ones(len(t), dtype=np.bool_), np.ones((len(t), 3))
     cargo = Cargo(objects, poses, held, borne, FLOOR)
-    return replace(task, formed=formed, vertices=vertices, tensions=tensions, cargo=cargo)
+    states = replace(task.states, formed=formed, vertices=vertices, tensions=tensions)
+    return replace(task, states=states, cargo=cargo)
 
 
 @pytest.mark.slow

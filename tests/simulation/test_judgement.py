@@ -129,7 +129,7 @@ def test_clasps_tell_their_movement_and_force() -> None:
 def test_errors_are_distances_where_there_is_a_hitch_until_it_has_rested() -> None:
     hitch = regular_hitch(3)
     task, late = (standing(hitch, 0.2, since=since) for since in (0, 10))
-    t = np.append(np.minimum(task.t + 0.003, 0.2), 0.9)  # the last one is after the flight
+    t = np.append(np.minimum(task.states.t + 0.003, 0.2), 0.9)  # the last one is after the flight
     found = np.repeat(hitch.vertices[None], len(t), axis=0) + [0.0, 0.03, -0.04]
     found[-2, 1] = np.nan
     errors = judgement.vertex_errors(flight_of(late, hitch, t, vertices=found))
@@ -140,17 +140,21 @@ def test_errors_are_distances_where_there_is_a_hitch_until_it_has_rested() -> No
     np.testing.assert_allclose(errors.offsets[0, :, 2], -0.04)
     assert not errors.moving.any()
     shift = np.concatenate([np.zeros(10), np.linspace(0, 0.1, 11)])
-    moving = replace(late, vertices=late.vertices + shift[:, None, None])
-    drawn = replace(late, tensions=late.tensions * (1.0 + shift[:, None]))
-    for changed in (moving, drawn):
-        again = judgement.vertex_errors(flight_of(changed, hitch, t, vertices=found))
+
+    def changed(**values: Any) -> Task:
+        return replace(late, states=replace(late.states, **values))
+
+    moving = changed(vertices=late.states.vertices + shift[:, None, None])
+    drawn = changed(tensions=late.states.tensions * (1.0 + shift[:, None]))
+    for task in (moving, drawn):
+        again = judgement.vertex_errors(flight_of(task, hitch, t, vertices=found))
         np.testing.assert_array_equal(again.moving, [False, *[True] * 10])
-    t = np.append(task.t, [0.4, 0.7, 0.9])  # rest, then the pull test
+    t = np.append(task.states.t, [0.4, 0.7, 0.9])  # rest, then the pull test
     rested = judgement.vertex_errors(flight_of(moving, hitch, t, rested=0.7))
     np.testing.assert_allclose(rested.t, t[10:-1])
     np.testing.assert_array_equal(rested.moving, [False, *[True] * 10, False, False])
-    off = task.setpoints.positions + [0.03, 0.0, 0.04]
-    flight = flight_of(standing(hitch, 0.2, formed=False), hitch, task.t, drones=off)
+    off = task.states.positions + [0.03, 0.0, 0.04]
+    flight = flight_of(standing(hitch, 0.2, formed=False), hitch, task.states.t, drones=off)
     assert judgement.vertex_errors(flight).errors.shape == (0, 3)
     np.testing.assert_allclose(judgement.tracking_errors(flight), 0.05)
 
@@ -241,9 +245,9 @@ BRIEF = Settings(perturbations=NOISY, pull_test=False, seed=40)
 @pytest.mark.slow
 def test_several_processes_give_the_runs_that_one_gives(tmp_path: Path) -> None:
     task = standing(regular_hitch(3), 0.05)
-    vertices = task.vertices.copy()
+    vertices = task.states.vertices.copy()
     vertices[4:, :, 0] += [[0.01], [0.02]]  # by its plan it should move at the end
-    task, messages = replace(task, vertices=vertices), list[str]()
+    task, messages = replace(task, states=replace(task.states, vertices=vertices)), list[str]()
     campaign = run_campaign(task, BRIEF, 2, processes=2, progress=messages.append)
     alone = simulate(task, BRIEF)
     for name, value in alone.figures.items():
@@ -267,8 +271,8 @@ def test_several_processes_give_the_runs_that_one_gives(tmp_path: Path) -> None:
 
 def test_flights_that_cannot_begin_are_failures_of_that_run(tmp_path: Path) -> None:
     free = standing(regular_hitch(3), 0.05, formed=False)
-    apart = replace(free.setpoints, positions=free.setpoints.positions * 1.6)
-    campaign = run_campaign(replace(free, setpoints=apart), BRIEF, 2, processes=1)
+    apart = replace(free.states, positions=free.states.positions * 1.6)
+    campaign = run_campaign(replace(free, states=apart), BRIEF, 2, processes=1)
     assert (campaign.successes, campaign.failures) == (0, {("start", ""): 2})
     assert campaign.to_dict()["not_simulated"] == campaign.not_simulated == 2
     save_campaign(tmp_path, campaign)

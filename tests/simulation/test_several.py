@@ -102,9 +102,9 @@ def test_what_has_no_cables_flies_where_it_is_planned(tmp_path: Path) -> None:
         assert task.passing.names[0] == first
         assert len(task.team.drone_names) == sum(g.motion.team.drones for g in own)
     task = Task.of(swarm)
-    t = task.t[[0, 100, -1]]
+    t = task.states.t[[0, 100, -1]]
     np.testing.assert_allclose(
-        np.concatenate([task.setpoints.positions, task.passing.positions], axis=1)[[0, 100, -1]],
+        np.concatenate([task.states.positions, task.passing.positions], axis=1)[[0, 100, -1]],
         swarm.drones.at(t),
         atol=1e-9,
     )

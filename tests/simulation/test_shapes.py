@@ -200,7 +200,7 @@ def test_thick_cables_are_longer_by_their_bends_and_lead_legs_past_the_vertex(n:
     np.testing.assert_allclose(np.sum(aside * hitch.leg_directions, axis=-1), 0.0, atol=1e-12)
     outward = (hitch.vertices - np.mean(hitch.vertices, axis=0))[hitch.team.layout.anchors]
     assert np.all(np.sum(aside * outward, axis=-1) > 0.0)
-    half = replace(task, tensions=0.5 * task.tensions)
+    half = replace(task, states=replace(task.states, tensions=0.5 * task.states.tensions))
     np.testing.assert_allclose(shapes.leg_end_offsets(half, diameter)[-1], 0.5 * aside)
     np.testing.assert_array_equal(shapes.leg_end_offsets(free, diameter), 0.0)
 
@@ -220,7 +220,9 @@ def test_thick_cables_act_like_thin_ones(preset: Preset, longer: float) -> None:
     found = np.sum(chords + sag * chords**3 / 24.0, axis=-1)
     np.testing.assert_allclose(found, task.team.cable_length, atol=4e-3)
     assert flight.extra_length > longer  # without which they would be as much too short
-    planned = np.linalg.norm(task.vertices[-1] - np.mean(task.vertices[-1], axis=0), axis=-1)
+    planned = np.linalg.norm(
+        task.states.vertices[-1] - np.mean(task.states.vertices[-1], axis=0), axis=-1
+    )
     outward = np.linalg.norm(vertices - np.mean(vertices, axis=0), axis=-1) - planned
     assert np.max(np.abs(outward)) < 0.01
     cables = flight.film.cables
@@ -237,7 +239,7 @@ def test_what_grips_bends_around_its_object_and_farther_at_clasps() -> None:
     task, layout = Task.of(motion), motion.team.layout
     assert motion.contacts is not None
     (carried,) = np.nonzero(task.cargo.carried.any(axis=1))
-    t = float(task.t[carried[len(carried) // 2]])
+    t = float(task.states.t[carried[len(carried) // 2]])
     vertices, drones = motion.vertices.at(t), motion.drones.at(t)
     first, last = np.moveaxis(motion.contacts.at(t), 1, 0)
     path = np.diff(np.stack([drones[0::2], vertices[layout.starts], first], axis=1), axis=1)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
-from scripted import hanging_task, world_of
+from scripted import hanging_task, states_of, world_of
 
 import hitchopt as ho
 from hitchopt.hitch import GRAVITY
@@ -21,7 +21,6 @@ from hitchopt.simulation.control import ATTITUDE_GAIN, RATE_GAIN, Disturbances, 
 from hitchopt.simulation.judgement import simulate
 from hitchopt.simulation.ropes import Ropes, clasped, hanging
 from hitchopt.simulation.settings import ACCURATE, CALM, INDOOR, Perturbations, Preset, Settings
-from hitchopt.simulation.task import Setpoints
 from hitchopt.simulation.world import BODY_HALF_HEIGHT, BODY_RADIUS, World, check_valid
 from hitchopt.values import Array
 
@@ -50,7 +49,10 @@ def pilots(lag: float = 0.0) -> tuple[control.Pilots, World]:
 def test_the_thrust_is_that_of_the_law() -> None:
     """Gravity, acceleration, springs and the integral, less the cable's force where it is known."""
     p, v, a, f = 0.05 * np.random.default_rng(3).normal(size=(4, 4, 3))
-    given, (flying, world) = Setpoints(PLACES + p, v, a, 0.0 * a, f), pilots()
+    given, (flying, world) = (
+        states_of(np.zeros(1), PLACES + p, velocities=v, accelerations=a, cable_forces=f),
+        pilots(),
+    )
     place, speed = world.drones + 0.01, 0.02 * np.ones((4, 3))
     errors, added = np.full((4, 3), 0.04), np.full((4, 3), 0.003)
     flying.integrate(errors, 0.5)
@@ -73,7 +75,7 @@ def test_thrust_follows_a_command_with_the_lag_and_within_its_limit() -> None:
 
     def command(thrust: float) -> Array:
         up = (thrust / mass - GRAVITY) * [0.0, 0.0, 1.0]
-        given = Setpoints(world.drones, zero, up, zero, zero)
+        given = states_of(np.zeros(1), world.drones, accelerations=up)
         flying.command(given, replace(world.bodies, velocities=zero), 0.03, zero)
         return flying.thrusts
 

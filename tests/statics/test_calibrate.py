@@ -6,7 +6,7 @@ They are exact without noise, honest with it.
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,8 @@ from hitchopt.flights.readers import HEADER
 from hitchopt.flights.recordings import Recording, windows_of
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY
-from hitchopt.simulation.task import Setpoints, Task, read_task
+from hitchopt.motion.states import States
+from hitchopt.simulation.task import Task, read_task
 from hitchopt.statics.calibrate import COSINES, IN_SPACE, TURNS, Estimate, friction_pulls
 from hitchopt.statics.files import team_text
 from hitchopt.statics.settle import conditions_of, energy_of
@@ -97,9 +98,10 @@ def recorded(
         rates = rates[np.clip(np.arange(len(t)), moving[0], moving[-1])]
     known = -np.repeat(team.tension, 2)[:, None] * unit(drones - points[:, layout.pulled_to])
     commanded = drones - (forces + [*wind, 0.0] - known) / K[:, None]
-    setpoints = Setpoints(commanded, 0.0 * drones, 0.0 * drones, 0.0 * drones, known)
-    formed, tensions = np.ones(len(t), dtype=np.bool_), np.tile(team.tension, (len(t), 1))
-    return Task(team, t, setpoints, formed, points, tensions), Recording(t, drones, points)
+    given: Any = dict.fromkeys((each.name for each in fields(States)), 0.0 * drones)
+    given |= {"t": t, "positions": commanded, "cable_forces": known, "vertices": points}
+    given |= {"formed": np.ones(len(t), np.bool_), "tensions": np.tile(team.tension, (len(t), 1))}
+    return Task(team, States(**given)), Recording(t, drones, points)
 
 
 def hitches(topology: str = "closed", *, outward: bool = False) -> Pair:
@@ -193,14 +195,14 @@ def test_standard_errors_cover_where_a_plan_knows_the_weight(
     hitch = ho.Hitch.balanced(ho.Team(5, 3.0, tension=tensions), corners, 1.5)
     monkeypatch.setattr("test_calibrate.K", np.full(10, k))
     (task, recording), scores = recorded((hitch, hitch), DENSITY), []
-    drones, vertices, known = recording.drones, recording.vertices, task.setpoints.cable_forces
+    drones, vertices, known = recording.drones, recording.vertices, task.states.cable_forces
     equal = -0.5 * unit(drones - vertices[:, task.team.layout.pulled_to])  # tensions, to the plan
-    weights = k * (drones - task.setpoints.positions)
+    weights = k * (drones - task.states.positions)
+    positions, tensions = drones - (known - equal) / k, np.full_like(task.states.tensions, 0.5)
     commands = replace(
-        task.setpoints, positions=drones - (known - equal) / k, cable_forces=equal + weights
+        task.states, positions=positions, cable_forces=equal + weights, tensions=tensions
     )
-    task = replace(task, team=ho.Team(5, 3.0, tension=0.5), setpoints=commands)
-    task = replace(task, tensions=np.full_like(task.tensions, 0.5))
+    task = replace(task, team=ho.Team(5, 3.0, tension=0.5), states=commands)
     inward = unit(np.mean(vertices, axis=1, keepdims=True) - vertices)
     for seed in range(6):
         rng = np.random.default_rng(seed)
@@ -253,10 +255,10 @@ def test_what_a_recording_does_not_determine_is_said() -> None:
 @pytest.mark.slow
 def test_errors_are_distances_to_the_plan_which_stands_still_before_and_after() -> None:
     task, recording = weighted()
-    places, t = task.setpoints.positions, recording.t + 0.5 / RATE
+    places, t = task.states.positions, recording.t + 0.5 / RATE
     early = np.append(t - 2.0 * t[-1], t)
     drones = np.tile(recording.drones + [0.0, 0.3, 0.4], (2, 1, 1))
-    vertices = np.tile(task.vertices[-1] + [0.02, 0.0, 0.0], (len(early), 1, 1))
+    vertices = np.tile(task.states.vertices[-1] + [0.02, 0.0, 0.0], (len(early), 1, 1))
     found = ho.calibrate(replace(recording, t=early, drones=drones, vertices=vertices), task)
     middle = np.vstack([0.5 * (places[1:] + places[:-1]), places[-1:]])
     planned = np.concatenate([np.tile(places[0], (len(t), 1, 1)), middle])
@@ -297,11 +299,11 @@ def solved(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def rows_of(task: Task) -> list[str]:
     """Return the rows of a recording in which all is as planned."""
-    places = np.concatenate([task.setpoints.positions, task.vertices], axis=1)
+    places = np.concatenate([task.states.positions, task.states.vertices], axis=1)
     names = (*task.team.drone_names, *task.team.point_names)
     return [
-        f"{float(task.t[i])!r},{name}," + ",".join(repr(float(x)) for x in place)
-        for i in range(0, len(task.t), 5)
+        f"{float(task.states.t[i])!r},{name}," + ",".join(repr(float(x)) for x in place)
+        for i in range(0, len(task.states.t), 5)
         for name, place in zip(names, places[i], strict=True)
     ]
 
@@ -352,7 +354,7 @@ def test_a_chain_ends_at_its_outer_drones(tmp_path: Path) -> None:
     task = Task.of(ho.hold(ho.Hitch.balanced(team, ARC, altitude=1.4), seconds=2.0).motion)
     rows = [row for row in rows_of(task) if ",p0," not in row and ",p3," not in row]
     found = ho.calibrate(write(tmp_path / "flight.csv", rows), task)
-    np.testing.assert_array_equal(found.recording.vertices, task.vertices[::5])
+    np.testing.assert_array_equal(found.recording.vertices, task.states.vertices[::5])
     np.testing.assert_allclose([one.value for one in found.lengths], team.cable_length, atol=1e-6)
 
 
@@ -368,12 +370,12 @@ def test_bodies_seen_at_other_times_are_interpolated_between_neighbours() -> Non
 
 def test_windows_count_of_which_half_was_seen(solved: Path) -> None:
     task = read_task(solved)
-    vertices = task.vertices.copy()
+    vertices = task.states.vertices.copy()
     vertices[55:120, 0] = np.nan  # of 50 samples 5, of the next 30 are left
-    drones = task.setpoints.positions.copy()
+    drones = task.states.positions.copy()
     drones[160:190, 1] = np.nan
     errors = np.full(vertices.shape[:2], 0.003)
-    seen = Recording(task.t, drones, vertices, standard_errors=errors)
+    seen = Recording(task.states.t, drones, vertices, standard_errors=errors)
     found = windows_of(seen, task, 0.5)
     np.testing.assert_allclose(found.errors[:, 1], 0.003 / np.sqrt(5.0))  # of 0.1 s each
     np.testing.assert_allclose(found.t, [0.245, 0.745, 1.245])  # of the fourth, q0 is not seen
@@ -383,15 +385,17 @@ def test_windows_count_of_which_half_was_seen(solved: Path) -> None:
     assert found.errors[1, 0] >= 0.01 > np.max(found.errors[[0, 2]])
     np.testing.assert_allclose(found.tensions, 0.5)
     vertices[:, 1:] = np.nan  # two of three
-    assert len(windows_of(Recording(task.t, task.setpoints.positions, vertices), task, 0.5).t) == 0
+    assert (
+        len(windows_of(Recording(task.states.t, task.states.positions, vertices), task, 0.5).t) == 0
+    )
 
 
 def test_means_of_half_a_movement_are_of_all_of_it() -> None:
     """Where a vertex is not seen it is as far off the plan as where it is."""
     task, recording = weighted()
-    moving = (task.t > HELD) & (task.t < HELD + MOVED)
-    vertices = task.vertices + [0.01, 0.02, 0.0]
-    vertices[moving & (np.floor(2.0 * task.t) / 2.0 + 0.2 > task.t), 1] = np.nan
+    moving = (task.states.t > HELD) & (task.states.t < HELD + MOVED)
+    vertices = task.states.vertices + [0.01, 0.02, 0.0]
+    vertices[moving & (np.floor(2.0 * task.states.t) / 2.0 + 0.2 > task.states.t), 1] = np.nan
     found = windows_of(replace(recording, vertices=vertices), task, 0.5)
     assert np.all(found.visible)
     np.testing.assert_allclose(found.vertices - found.planned - [0.01, 0.02, 0.0], 0.0, atol=1e-9)
@@ -467,11 +471,11 @@ def test_recordings_of_markers_are_measured_first() -> None:
     hitch = ho.Hitch.balanced(ho.Team(3, [2.4, 2.5, 2.45], tension=0.5), TRIANGLE, altitude=1.4)
     plan = ho.move_vertex(hitch, 0, by=[0.0, -0.3], duration=5.0)
     task = Task.of(plan.motion)
-    t, shares = task.t[::2], np.array([0.3, 0.5, 0.7])
-    ends = task.vertices[::2], np.roll(task.vertices[::2], -1, axis=1)
+    t, shares = task.states.t[::2], np.array([0.3, 0.5, 0.7])
+    ends = task.states.vertices[::2], np.roll(task.states.vertices[::2], -1, axis=1)
     points = ends[0][:, :, None] + shares[:, None] * (ends[1] - ends[0])[:, :, None]
     cloud = ho.Track(np.repeat(t + 40.0, 9), points.reshape(-1, 3))
-    drones = np.moveaxis(task.setpoints.positions[::2], 1, 0)
+    drones = np.moveaxis(task.states.positions[::2], 1, 0)
     tracks = {f"cf{k}": ho.Track(t + 40.0, x) for k, x in enumerate(drones)}
     flight = ho.RecordedFlight("made", tracks, cloud)
     found = ho.calibrate(flight, task)
@@ -501,7 +505,7 @@ def test_a_simulated_flight_is_calibrated_from_its_files(solved: Path) -> None:
 
 def test_a_team_of_different_kinds_lists_them(solved: Path) -> None:
     task = read_task(solved)
-    seen = Recording(task.t, task.setpoints.positions, task.vertices)
+    seen = Recording(task.states.t, task.states.positions, task.states.vertices)
     plain = ho.calibrate(seen, task, density=0.01)
     stiffness = (Estimate(4.0, 0.2), Estimate(4.0, 0.2), Estimate(np.nan, np.inf, "nothing moves"))
     text = team_text(replace(plain, stiffness=stiffness, friction=Estimate(0.123, 0.02)))
