@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
+from importlib import import_module
 from typing import Any, NamedTuple
 
 MAX_REPR, MAX_STRING, MAX_ENTRIES = 100, 30, 8
@@ -183,6 +184,17 @@ class FileError(HitchoptError):
 
 class UnsupportedError(HitchoptError):
     """A valid request that this version, or this installation, does not support."""
+
+
+def optional_module(
+    module: str, purpose: str, extra: str, kind: type[HitchoptError] = UnsupportedError
+) -> Any:
+    """Import a module of an extra; the error if it is missing begins with ``purpose``."""
+    try:
+        return import_module(module)
+    except ImportError as error:
+        reason = f"{purpose} {module.partition('.')[0]} ({error})"
+        raise kind(f"{reason}; pip install 'hitchopt[{extra}]'") from None
 
 
 @dataclass(frozen=True)

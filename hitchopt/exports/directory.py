@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hitchopt.checks.certificate import Certificate
-from hitchopt.errors import FileError, HitchoptError, InfeasibleError, UnsupportedError
+from hitchopt.errors import FileError, HitchoptError, InfeasibleError, optional_module
 from hitchopt.motion.chapters import parts_at
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import write_plan
@@ -225,11 +225,7 @@ def write_rows(
 
 def data_frame(motion: Motion, rate: float) -> DataFrame:
     """Return the rows of ``setpoints.csv`` and the name of the phase, by time, then drone."""
-    try:
-        import pandas
-    except ImportError as error:
-        message = f"data frames need pandas ({error}); pip install 'hitchopt[pandas]'"
-        raise UnsupportedError(message) from None
+    pandas = optional_module("pandas", "data frames need", "pandas")
     times, names = sample_times(motion.duration, rate), motion.team.drone_names
     values = _values(states_at(motion, times)).reshape(len(times) * len(names), -1)
     phases = [f"{phase.name} ({i})" for i, phase in enumerate(motion.phases)]
@@ -240,4 +236,5 @@ def data_frame(motion: Motion, rate: float) -> DataFrame:
     rows = {first: np.repeat(times, len(names)), drone: drones}
     numbers = dict(zip(columns, values.T, strict=True))
     phase = pandas.Categorical(current, pandas.Index(phases))
-    return pandas.DataFrame(rows | numbers | {"phase": phase})
+    frame: DataFrame = pandas.DataFrame(rows | numbers | {"phase": phase})
+    return frame

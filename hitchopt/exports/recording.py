@@ -11,14 +11,13 @@ import re
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from importlib import import_module
 from itertools import takewhile
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 
-from hitchopt.errors import FileError, UnsupportedError
+from hitchopt.errors import FileError, optional_module
 from hitchopt.exports.placing import AXES
 from hitchopt.storage.archive import reading
 from hitchopt.storage.files import parsed_json
@@ -228,13 +227,8 @@ def separator_findings(table: Table, where: str) -> list[Finding]:
     return [error("separator", where, reason)]
 
 
-def required_module(module: str) -> Any:
-    """Import an optional module; raises UnsupportedError with its package if it is missing."""
-    try:
-        return import_module(module)
-    except ImportError as exception:
-        reason = f"this format needs the package {module.partition('.')[0]} ({exception})"
-        raise UnsupportedError(f"{reason}; pip install 'hitchopt[export]'") from exception
+required_module = partial(optional_module, purpose="this format needs", extra="export")
+"""Return an optional module of a format; raises UnsupportedError if it is missing."""
 
 
 MANIFEST, MANIFEST_FORMAT = "export.json", "hitchopt-export/1"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hitchopt.errors import FileError, InputError, OneLine, UnsupportedError
+from hitchopt.errors import FileError, InputError, OneLine, optional_module
 from hitchopt.flights.alignment import Alignment, align
 from hitchopt.flights.readers import read_flight
 from hitchopt.flights.recordings import RecordedFlight, Recording, Track, plan_at, taut_at
@@ -129,12 +129,9 @@ class Evaluation(OneLine):
 
     def to_dataframe(self) -> DataFrame:
         """Return the table as a pandas data frame; UnsupportedError without pandas."""
-        try:
-            import pandas
-        except ImportError as error:
-            words = f"data frames need pandas ({error}); pip install 'hitchopt[pandas]'"
-            raise UnsupportedError(words) from error
-        return pandas.DataFrame([asdict(row) for row in self.table])
+        pandas = optional_module("pandas", "data frames need", "pandas")
+        frame: DataFrame = pandas.DataFrame([asdict(row) for row in self.table])
+        return frame
 
     def to_recording(self) -> Recording:
         """Return the recording in the plan's time and frame, for ``calibrate``."""

@@ -14,14 +14,13 @@ import zlib
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import partial, reduce
-from importlib import import_module
 from itertools import chain, islice, product, takewhile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hitchopt.errors import FileError
+from hitchopt.errors import FileError, optional_module
 from hitchopt.flights.recordings import RecordedFlight, Track
 from hitchopt.storage.archive import reading
 from hitchopt.storage.files import parsed_json
@@ -325,13 +324,8 @@ def read_vicon(paths: Sequence[Path], unit: str | None) -> RecordedFlight:
     return flight_of("Vicon CSV", samples, unit or length_unit)
 
 
-def library(module: str) -> Any:
-    """Return an optional module; FileError names the extra to install."""
-    try:
-        return import_module(module)
-    except ImportError as fault:
-        problem = f"reading it needs {module.partition('.')[0]} ({fault})"
-        raise FileError(f"{problem}; pip install 'hitchopt[logs]'") from fault
+library = partial(optional_module, purpose="reading it needs", extra="logs", kind=FileError)
+"""Return an optional module; FileError names the extra to install."""
 
 
 def read_c3d(paths: Sequence[Path], unit: str | None) -> RecordedFlight:

@@ -13,14 +13,13 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 
-from hitchopt.errors import FileError, HitchoptError, InputError, UnsupportedError
+from hitchopt.errors import FileError, HitchoptError, InputError, optional_module
 from hitchopt.storage.files import parsed_json
 from hitchopt.storage.tables import COMMA_REMEDY, numeric_table, text_lines, with_decimal_point
 from hitchopt.values import Array
@@ -366,14 +365,7 @@ def _format_sizes(outlines: Sequence[Any]) -> str:
     return ", ".join([*sizes, "…"] if len(outlines) > 4 else sizes)
 
 
-def _library(name: str) -> Any:
-    try:
-        return import_module(name)
-    except ImportError as error:
-        package = error.name or f"other libraries ({error})"
-        message = f"drawings need {package}; pip install 'hitchopt[fit]'"
-        raise UnsupportedError(message) from None
-
+_library = partial(optional_module, purpose="drawings need", extra="fit")
 
 READERS: dict[str, Callable[[Path, list[str]], Lines]] = {
     ".svg": _read_svg,

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from hitchopt.errors import InputError, UnsupportedError
+from hitchopt.errors import InputError, UnsupportedError, optional_module
 from hitchopt.exports.firmware import Parameters, describe_differences
 from hitchopt.exports.formats.crazyflie import LANDED
 from hitchopt.exports.placing import ReferenceFrame
@@ -226,11 +226,8 @@ class MavlinkOutlet(DatagramOutlet):
     controllers = ("px4",)
 
     def __init__(self, *fleet: Any) -> None:
-        try:
-            self._mavlink: Any = import_module("pymavlink.dialects.v20.common")
-        except ImportError as error:
-            reason = f"MAVLink needs the package pymavlink ({error}); pip install 'hitchopt[fly]'"
-            raise UnsupportedError(reason) from None
+        common = "pymavlink.dialects.v20.common"
+        self._mavlink: Any = optional_module(common, "MAVLink needs", "fly")
         super().__init__(*fleet)
         self._sender = self._mavlink.MAVLink(None, srcSystem=OWN_SYSTEM)
         self._start: float | None = None

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hitchopt.errors import HitchoptError, UnsupportedError
+from hitchopt.errors import HitchoptError, optional_module
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import GRAVITY
 from hitchopt.objects import Section, SolidObject
@@ -224,11 +224,7 @@ def cable_names(drones: Sequence[str]) -> list[str]:
 
 def _imported_mujoco() -> Any:
     """Return the module mujoco, without its log file of warnings."""
-    try:
-        import mujoco
-    except ImportError:
-        words = "simulating needs MuJoCo, which is not installed; pip install 'hitchopt[simulate]'"
-        raise UnsupportedError(words) from None
+    mujoco = optional_module("mujoco", "simulating needs", "simulate")
     if mujoco.get_mju_user_warning() is None:
         mujoco.set_mju_user_warning(lambda _text: None)
     return mujoco

@@ -17,7 +17,7 @@ from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hitchopt.errors import FileError, InputError, UnsupportedError
+from hitchopt.errors import FileError, InputError, optional_module
 from hitchopt.simulation.flight import Progress
 from hitchopt.storage.files import replace_files, write_strict_json
 from hitchopt.storage.yaml_file import located, parse_yaml, read_text
@@ -125,15 +125,13 @@ def load_sweep(directory: Path | str) -> pandas.DataFrame:
     FileError: there is no sweep.
     UnsupportedError: pandas is not installed.
     """
-    try:
-        import pandas
-    except ImportError:
-        raise UnsupportedError("sweeps need pandas: pip install 'hitchopt[sweep]'") from None
+    frames = optional_module("pandas", "sweeps need", "sweep")
     folder = as_path("directory", directory)
     study, rows = read_study(folder), _read_rows(folder)
-    table = pandas.DataFrame([rows[digest] for digest in study["cases"] if digest in rows])
-    if table.empty:
-        return pandas.DataFrame({"digest": []})
+    done = [rows[digest] for digest in study["cases"] if digest in rows]
+    table: pandas.DataFrame = frames.DataFrame(done or {"digest": []})
+    if not done:
+        return table
     first = ["problem", "seed", *(f"parameter.{key}" for key in study["parameters"])]
     first += ["status", "binding", "message", "duration"]
     return table.reindex(columns=[*first, *sorted(set(table.columns) - set(first))])

@@ -13,7 +13,7 @@ from hitchopt.errors import (
     InfeasibleError,
     InputError,
     TimeLimitError,
-    UnsupportedError,
+    optional_module,
 )
 from hitchopt.sweeps.study import Case
 
@@ -135,12 +135,8 @@ def run_tasks(
 @contextlib.contextmanager
 def _client(workers: int, scheduler: str | None) -> Iterator[Any]:
     """Yield a client of a scheduler's cluster, or of a temporary cluster on this machine."""
-    try:
-        import dask
-        import distributed
-    except ImportError:
-        message = "sweeps need dask.distributed: pip install 'hitchopt[sweep]'"
-        raise UnsupportedError(message) from None
+    packages = ("dask", "distributed")
+    dask, distributed = (optional_module(name, "sweeps need", "sweep") for name in packages)
     for name in ("distributed", "distributed.scheduler", "distributed.nanny", "distributed.worker"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     with dask.config.set(SETTINGS), contextlib.ExitStack() as stack:

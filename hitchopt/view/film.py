@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import interp1d
 from scipy.ndimage import gaussian_filter1d
 
-from hitchopt.errors import InputError, UnsupportedError
+from hitchopt.errors import InputError, optional_module
 from hitchopt.values import Array
 from hitchopt.view.painter import Camera, Painter, draw_painting
 from hitchopt.view.scene import Scene
@@ -40,14 +40,9 @@ def save_film(
     kind = path.suffix.lower()
     if kind not in RATES:
         raise InputError("film", str(path), "a name in .gif or .mp4", "such as flight.mp4")
-    try:
-        import imageio.v2 as imageio
-
-        if kind == ".mp4":
-            import imageio_ffmpeg  # noqa: F401
-    except ImportError as error:
-        words = f"needs {error.name}, which is not installed; pip install 'hitchopt[view]'"
-        raise UnsupportedError(f"{path}: {words}") from error
+    imageio = optional_module("imageio.v2", f"{path}: needs", "view")
+    if kind == ".mp4":
+        optional_module("imageio_ffmpeg", f"{path}: needs", "view")
     rate = RATES[kind]
     options: dict[str, Any] = {"fps": rate, "macro_block_size": 8}
     if kind == ".gif":

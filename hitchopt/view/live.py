@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from hitchopt.checks.certificate import Certificate, Check
-from hitchopt.errors import UnsupportedError
+from hitchopt.errors import optional_module
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.values import Array
 from hitchopt.view.live_scene import SWITCHES, LiveScene
@@ -52,11 +52,7 @@ def open_server(host: str = HOST, port: int = PORT) -> Any:
     Light comes from the sky, the ground and one side, without shadows: software rendering takes
     seconds to prepare viser's environment map.
     """
-    try:
-        import viser
-    except ImportError:
-        words = "the live view needs viser, which is not installed; pip install 'hitchopt[view]'"
-        raise UnsupportedError(words) from None
+    viser = optional_module("viser", "the live view needs", "view")
     server: Any = viser.ViserServer(host, port, label="hitchopt", verbose=False)
     scene, gui = server.scene, server.gui
     scene.set_up_direction("+z")
