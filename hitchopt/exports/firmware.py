@@ -158,7 +158,7 @@ def describe_differences(
     """Describe the parameters whose values differ from the expected ones; empty if none do."""
     differences = []
     for group in expected:
-        for name, value in _mapping(expected, group).items():
+        for name, value in mapping_at(expected, group).items():
             actual = value_of(group, name)
             if not (
                 isinstance(actual, int | float)
@@ -177,17 +177,18 @@ def settings_findings(
 
     Its robots must have the parameters of the manifest, or else those of the filter.
     """
-    types, roles = _mapping(settings, "robot_types"), _mapping(manifest or {}, "drones")
-    exported = _mapping(_mapping(manifest or {}, "receiver"), "parameters")
-    by_robot = {str(name): _mapping(exported, role) for role, name in roles.items()}
-    for name, robot in _mapping(settings, "robots").items():
+    types, roles = mapping_at(settings, "robot_types"), mapping_at(manifest or {}, "drones")
+    exported = mapping_at(mapping_at(manifest or {}, "receiver"), "parameters")
+    by_robot = {str(name): mapping_at(exported, role) for role, name in roles.items()}
+    for name, robot in mapping_at(settings, "robots").items():
         if not isinstance(robot, Mapping) or robot.get("enabled") is False:
             continue
-        kind = _mapping(types, str(robot.get("type")))
-        levels = [_mapping(x, "firmware_params") for x in (robot, kind, _mapping(settings, "all"))]
+        kind = mapping_at(types, str(robot.get("type")))
+        sections = (robot, kind, mapping_at(settings, "all"))
+        levels = [mapping_at(section, "firmware_params") for section in sections]
 
         def value_of(group: str, key: str, levels: list[Any] = levels) -> object:
-            values = (_mapping(level, group).get(key) for level in levels)
+            values = (mapping_at(level, group).get(key) for level in levels)
             return next((value for value in values if value is not None), None)
 
         expected = by_robot.get(str(name)) or HELD.firmware_params
@@ -196,13 +197,13 @@ def settings_findings(
             if exported:
                 level, effect = error, "fly.py refuses to arm"
             yield level("parameters", str(name), f"{differences}: {effect}")
-        marker = str(_mapping(kind, "motion_capture").get("marker"))
+        marker = str(mapping_at(kind, "motion_capture").get("marker"))
         if "single" in marker:
             effect = "has no attitude, and the filter's parameters count on one; mount four"
             yield warning("markers", str(name), f"one marker ({marker}) {effect}")
 
 
-def _mapping(values: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+def mapping_at(values: Mapping[str, Any], key: str) -> Mapping[str, Any]:
     """Return the mapping at a key, or an empty one."""
     value = values.get(key)
     return value if isinstance(value, Mapping) else {}

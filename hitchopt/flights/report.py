@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from hitchopt.errors import FileError
 from hitchopt.flights.evaluation import Evaluation
 from hitchopt.flights.vertices import through_gaps
-from hitchopt.simulation.report import number
+from hitchopt.simulation.report import write_table
 from hitchopt.storage.archive import PLAN, RECORDING
 from hitchopt.storage.files import Writer, replace_files, write_strict_json
 from hitchopt.values import Array, check_choice
@@ -78,18 +78,14 @@ def summary(evaluation: Evaluation) -> dict[str, Any]:
 
 def _write_vertices(evaluation: Evaluation, path: Path) -> None:
     """Write a row per vertex and time at which the plan's hitch is taut."""
-    heads = ["x", "y", "z", "planned_x", "planned_y", "planned_z", "error", "standard_error"]
-    parts = [evaluation.vertices, evaluation.planned]
-    parts += [each[..., None] for each in (evaluation.errors, evaluation.standard_errors)]
+    points = evaluation.task.team.layout.clasps
+    taut = np.isfinite(evaluation.planned[:, points[0], 0])
+    columns = {"x,y,z": evaluation.vertices, "planned_x,planned_y,planned_z": evaluation.planned}
+    columns |= {"error": evaluation.errors, "standard_error": evaluation.standard_errors}
     if evaluation.clasps is not None:
-        parts, heads = [*parts, evaluation.clasps], [*heads, "clasp_x", "clasp_y", "clasp_z"]
-    rows, points = np.concatenate(parts, axis=-1), evaluation.task.team.layout.clasps
-    lines = [",".join(["t", "vertex", *heads])]
-    for i in np.flatnonzero(np.isfinite(evaluation.planned[:, points[0], 0])):
-        for point in points.tolist():
-            cells = map(number, rows[i, point].tolist())
-            lines.append(",".join([number(float(evaluation.t[i])), str(point), *cells]))
-    path.write_text("\n".join([*lines, ""]), "utf-8", newline="\n")
+        columns["clasp_x,clasp_y,clasp_z"] = evaluation.clasps
+    written = {name: values[taut][:, points] for name, values in columns.items()}
+    write_table("vertex", points, evaluation.t[taut], written, path)
 
 
 def shapes(evaluation: Evaluation) -> dict[str, Array]:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.errors import InputError
+from hitchopt.errors import InputError, Progress
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import GRAVITY
 from hitchopt.motion.states import States
@@ -30,9 +29,6 @@ from hitchopt.simulation.world import (
     check_valid,
 )
 from hitchopt.values import Array
-
-Progress = Callable[[str], None]
-"""Called repeatedly with a description of the current work."""
 
 CONTROL_PERIOD = 0.005  # Period of the controller [s], rounded to a multiple of the time step
 

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
-from hitchopt.errors import OneLine
+from hitchopt.errors import OneLine, Progress
 from hitchopt.geometry.vectors import length
 from hitchopt.simulation.contacts import least_bearing
-from hitchopt.simulation.flight import Flight, Progress, fly, ground_of
+from hitchopt.simulation.flight import Flight, fly, ground_of
 from hitchopt.simulation.settings import Settings
 from hitchopt.simulation.task import Task, group_of
 from hitchopt.simulation.world import BODY_HALF_HEIGHT

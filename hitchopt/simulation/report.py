@@ -83,7 +83,7 @@ def save_simulation(
     }  # fmt: skip
     if not cargo.objects:
         del tables[OBJECTS]
-    writers: dict[str, Writer] = {name: partial(_write_table, *v) for name, v in tables.items()}
+    writers: dict[str, Writer] = {name: partial(write_table, *v) for name, v in tables.items()}
     writers[RECORDING] = lambda path: np.savez_compressed(path, **vars(flight.film))
     writers[PICTURE] = lambda path: style.save_figure(drawn_flight(simulation, motion, title), path)
     writers[SUMMARY] = lambda path: write_strict_json(path, summary(simulation))
@@ -95,7 +95,7 @@ def _cables(flight: Flight) -> Sequence[object]:
     return flight.cable_names if flight.task.groups else range(flight.task.team.robots)
 
 
-def _write_table(
+def write_table(
     kind: str, names: Iterable[object], t: Array, columns: dict[str, Any], path: Path
 ) -> None:
     """Write a table with a row per time and name."""

@@ -11,8 +11,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from hitchopt.errors import HitchoptError, InputError, UnsupportedError
-from hitchopt.simulation.flight import Progress
+from hitchopt.errors import HitchoptError, InputError, Progress, UnsupportedError
 from hitchopt.simulation.judgement import NOT_SIMULATED, START, Failure, Run, simulate
 from hitchopt.simulation.report import CAMPAIGN, OWNED, RUNS, number
 from hitchopt.simulation.settings import Settings

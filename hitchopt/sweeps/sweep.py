@@ -17,8 +17,7 @@ from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hitchopt.errors import FileError, InputError, optional_module
-from hitchopt.simulation.flight import Progress
+from hitchopt.errors import FileError, InputError, Progress, optional_module
 from hitchopt.storage.files import replace_files, write_strict_json
 from hitchopt.storage.yaml_file import located, parse_yaml, read_text
 from hitchopt.sweeps.study import Study, digest_of, study_from_dict

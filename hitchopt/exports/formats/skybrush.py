@@ -42,6 +42,7 @@ from numpy.typing import ArrayLike
 from hitchopt.checks.certificate import Check
 from hitchopt.errors import FileError, InfeasibleError, InputError, Violation
 from hitchopt.exports.exporting import EXPORT_RULES
+from hitchopt.exports.firmware import mapping_at
 from hitchopt.exports.format import Format, FormatOutput, Task
 from hitchopt.exports.placing import ReferenceFrame
 from hitchopt.exports.recording import (
@@ -251,16 +252,10 @@ def read_show(path: Path) -> Show:
             name: shared[files[name]] if name in files else _curve(f"{path}: {name}", route)
             for name, route in routes.items()
         }
-    validation = _mapping(_mapping(show, "settings"), "validation")
-    outdoors = _mapping(show, "environment").get("type") == "outdoor"
+    validation = mapping_at(mapping_at(show, "settings"), "validation")
+    outdoors = mapping_at(show, "environment").get("type") == "outdoor"
     returns = {name: each.get("rthPlan") for name, each in settings.items()}
     return Show(curves, validation, outdoors, returns)
-
-
-def _mapping(content: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-    """Return the mapping at a key, or an empty one."""
-    value = content.get(key)
-    return value if isinstance(value, dict) else {}
 
 
 def _curve(source: str, trajectory: Any) -> PiecewisePolynomial:

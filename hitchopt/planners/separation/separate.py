@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -14,7 +14,7 @@ from hitchopt.checks import Check
 from hitchopt.checks.drones import largest_rate
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.checks.spans import ROUNDING
-from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.errors import InfeasibleError, Progress, Violation
 from hitchopt.hitch import Swarm
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.separation.guesses import pushed_apart, roundabout, setting_of
@@ -31,8 +31,6 @@ from hitchopt.planners.timing.flight import turning_stretch
 from hitchopt.planners.timing.profile import LIMIT_SHARE
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, Indices
-
-Progress = Callable[[str], None]
 
 RULES = ((0.5, 1.0), (0.5, 1.5), (-0.5, 1.0), (0.5, 2.0), (0.5, 3.0))
 """Guesses in the order of the search: side of the pushes, and duration over that of the slowest
