@@ -28,11 +28,13 @@ from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.hitch import cable_slack, checked_polygon
 from hitchopt.hitch.model import DroneJets, FlatJets, drone_jets
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
+from hitchopt.hitch.series import Series
 from hitchopt.hitch.slack_split import LIMIT_MARGIN, LegTask
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.retiming import append_motion, cut, resting, truncated, with_last_poses
 from hitchopt.plan import Plan
 from hitchopt.planners.morph import jets
+from hitchopt.planners.morph.path import cable_along
 from hitchopt.steps.certified_motions import infeasible_error, rest_motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.search import rough_bounds
@@ -327,7 +329,7 @@ class MovingState:
         slack = legs[:, 0] + legs[:, 1]
         without_legs = ~np.all(layout.has_leg, axis=1) & (slack[:, 0] <= 0.0)
         slack[without_legs, 0] = 1.0  # end cables of a chain
-        fractions = jets.product(legs[:, 0], jets.reciprocal(slack))
+        fractions = (Series.of_jet(legs[:, 0]) / Series.of_jet(slack)).jet
         return cls(motion.vertices.end_jet(STATE), fractions, motion.drones.end_jet(STATE), legs)
 
     @property
@@ -386,12 +388,12 @@ class RetargetPath:
         shape = outputs[:, 3 : 3 + 3 * layout.points].reshape(len(t), layout.points, 3, JET)
         vertices = centre[:, None] + (_rotated(shape, outputs[:, -1]) if self.yaw != 0.0 else shape)
         edges = layout.edges(vertices, axis=1)
-        slack = -jets.square_root(np.sum(jets.product(edges, edges), axis=2))
+        tensions = np.zeros((len(t), team.robots, JET))
+        tensions[..., 0] = team.tension
+        slack = -cable_along(team, edges, tensions)
         slack[..., 0] += team.cable_length
         shares, slack = (np.moveaxis(x, -1, 0) for x in (jets.product(split, slack), slack))
         q_legs = np.moveaxis(layout.q_legs_of(shares, slack), 0, -1)
-        tensions = np.zeros((len(t), team.robots, JET))
-        tensions[..., 0] = team.tension
         return vertices, drone_jets(team, FlatJets(vertices, q_legs, tensions))
 
     def curves(self, breaks: Array, brake: float, shift: float) -> list[PiecewisePolynomial]:

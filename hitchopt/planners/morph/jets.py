@@ -2,47 +2,17 @@
 
 from __future__ import annotations
 
-from math import comb
-
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
+from hitchopt.hitch.series import Series
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, Indices
 
 
 def product(a: Array, b: Array) -> Array:
-    """Return the jet (…, m) of a·b by Leibniz' rule."""
-    orders = a.shape[-1]
-    out = np.empty((*np.broadcast_shapes(a.shape[:-1], b.shape[:-1]), orders))
-    for k in range(orders):
-        total = a[..., 0] * b[..., k]
-        for i in range(1, k + 1):
-            term = a[..., i] * b[..., k - i]
-            total += term if i == k else comb(k, i) * term
-        out[..., k] = total
-    return out
-
-
-def square_root(a: Array) -> Array:
-    """Return the jet (…, m) of √a for positive a, and zero derivatives where a is zero."""
-    root = np.zeros(a.shape)
-    root[..., 0] = np.sqrt(a[..., 0])
-    for k in range(1, a.shape[-1]):  # from (√a)² = a, solved for the k-th derivative
-        partial = sum(comb(k, i) * root[..., i] * root[..., k - i] for i in range(1, k))
-        difference = a[..., k] - partial
-        np.divide(difference, 2.0 * root[..., 0], out=root[..., k], where=root[..., 0] > 0.0)
-    return root
-
-
-def reciprocal(a: Array) -> Array:
-    """Return the jet (…, m) of 1/a for nonzero a."""
-    inverse = np.zeros(a.shape)
-    inverse[..., 0] = 1.0 / a[..., 0]
-    for k in range(1, a.shape[-1]):  # from a · (1/a) = 1, solved for the k-th derivative
-        partial = sum(comb(k, i) * a[..., i] * inverse[..., k - i] for i in range(1, k + 1))
-        inverse[..., k] = -partial / a[..., 0]
-    return inverse
+    """Return the jet (…, m) of a·b; both have equally many axes."""
+    return (Series.of_jet(a) * Series.of_jet(b)).jet
 
 
 def chained(outer: Array, inner: Array) -> Array:

@@ -8,10 +8,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.forces import cable_slack_of, sag_factors
-from hitchopt.hitch.model import DroneJets, FlatJets, drone_jets
-from hitchopt.hitch.series import JET
+from hitchopt.hitch import GRAVITY, Hitch, Team
+from hitchopt.hitch.forces import cable_slack_of
+from hitchopt.hitch.model import DroneJets, Edge, FlatJets, drone_jets
+from hitchopt.hitch.series import JET, Series
 from hitchopt.planners.morph import jets
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
@@ -125,13 +125,11 @@ def cable_along(team: Team, chords: Array, tensions: Array) -> Array:
 
     Tensions have jets (J, k, m) [N].
     """
-    squares = jets.product(chords, chords)
-    lengths = jets.square_root(np.sum(squares, axis=2))
-    if team.cable_density == 0.0:
-        return lengths
-    factors = sag_factors(team, 1.0) * jets.reciprocal(jets.product(tensions, tensions))
-    level = np.sum(squares[:, :, :2], axis=2)
-    return lengths + jets.product(factors, jets.product(lengths, level))
+    weight = GRAVITY * team.cable_density or None
+    with np.errstate(all="ignore"):
+        edge = Edge.of(Series.of_jet(chords), Series.of_jet(tensions[..., None, :]), weight)
+    stretched = np.any(chords[..., 0], axis=-1, keepdims=True)  # others are legs at a chain's ends
+    return np.where(stretched, edge.cable.jet[..., 0, :], 0.0)
 
 
 @dataclass(frozen=True, eq=False)
