@@ -22,9 +22,9 @@ from benchmarks.measuring import Table, parser
 
 LIMITATIONS = (
     "simulated ropes of 12 mm; one size and mass of each object; succeeded: placed within 3 cm and "
-    "5°, no drone touched anything, no cable touched what it was not holding, all free at the end; "
-    "perturbed as benchmarks flights, and mass ±10 %, friction ±20 %, objects up to 2 cm off (with "
-    "loads neither mass nor friction)"
+    "5°, no drone touched anything, no cable touched an object that it did not hold, all free at "
+    "the end; perturbed as in flights.md, and mass ±10 %, friction ±20 %, objects up to 2 cm off "
+    "(loads held: mass and friction exact)"
 )
 
 CABLES = {"tray-3": 2.2, "tray-4": 1.8, "tray-6": 1.8, "drum-3": 1.6, "box-4": 1.3}
@@ -123,12 +123,8 @@ def largest_mass(case: str) -> float:
 
 def main() -> None:
     """Print and write a row for each case."""
-    cli = parser(__doc__)
+    cli = parser(__doc__, runs=10, seed=7000, preset="accurate", processes=1)
     cli.add_argument("cases", nargs="*", help=f"{', '.join(CABLES)}; by default all")
-    cli.add_argument("--runs", type=int, default=10)
-    cli.add_argument("--seed", type=int, default=7000)
-    cli.add_argument("--preset", choices=("fast", "accurate"), default="accurate")
-    cli.add_argument("--processes", type=int, default=1)
     cli.add_argument("--loads", action="store_true", help="hold 0.8 of the largest mass")
     options = cli.parse_args()
     name = "carrying_loads" if options.loads else "carrying"
@@ -153,7 +149,3 @@ def main() -> None:
             for name in ("placed", "slipped")
         )
         table.row(case, 1e3 * mass, *success(runs), *errors)
-
-
-if __name__ == "__main__":
-    main()

@@ -8,7 +8,6 @@ Usage: python -m benchmarks controllers [--problems NAME ...] [--controllers NAM
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
@@ -21,7 +20,7 @@ from typing import Literal
 import numpy as np
 
 import hitchopt as ho
-from benchmarks.measuring import PROBLEMS, Table, parser
+from benchmarks.measuring import PROBLEMS, Table, most_common, parser
 from hitchopt.simulation.commands import flown_team
 from hitchopt.simulation.judgement import Simulation
 from hitchopt.simulation.settings import ESTIMATORS, Settings
@@ -143,11 +142,10 @@ def row(case: Case, flights: Sequence[FlightFigures]) -> tuple[object, ...]:
         values = [value for each in flights if np.isfinite(value := getattr(each, name))]
         return f"{np.mean(values):.2g}" if values else ""
 
-    first = Counter(each.failure for each in flights if each.failure)
     return (
         *case,
         f"{sum(each.formed for each in flights)} of {len(flights)}",
-        "; ".join(f"{kind}: {count}" for kind, count in first.most_common()),
+        most_common(each.failure for each in flights if each.failure),
         *map(mean, ("vertex", "drone", "tension")),
         f"{max(each.tilt for each in flights):.0f}",
         f"{max(each.off for each in flights):.1f}",
@@ -157,17 +155,13 @@ def row(case: Case, flights: Sequence[FlightFigures]) -> tuple[object, ...]:
 
 def main() -> None:
     """Print and write the table."""
-    cli = parser(__doc__)
+    cli = parser(__doc__, runs=1, seed=1000, preset="fast", processes=1)
     problems = ("retuned_triangle", "crazyflie_triangle", "form_square", "tie_carry_untie")
     cli.add_argument("--problems", nargs="*", default=problems)
     cli.add_argument("--controllers", nargs="*", choices=CONTROLLERS, default=[*CONTROLLERS])
     cli.add_argument("--filters", nargs="*", choices=ESTIMATORS, default=[*ESTIMATORS])
     cli.add_argument("--sent", nargs="*", choices=SENT, default=SENT)
-    cli.add_argument("--runs", type=int, default=1)
-    cli.add_argument("--seed", type=int, default=1000)
-    cli.add_argument("--preset", choices=("fast", "accurate"), default="fast")
     cli.add_argument("--friction", type=float)
-    cli.add_argument("--processes", type=int, default=1)
     options = cli.parse_args()
     table = Table(options.output / "controllers.md", "Flight controllers", LIMITATIONS, ("mujoco",))
     friction = "the team's" if options.friction is None else f"{options.friction:g}"
@@ -184,7 +178,3 @@ def main() -> None:
                     table.row(*row(case, list(pool.map(one, seeds))))
                 except ho.HitchoptError as error:  # such as an upload that exceeds the memory
                     table.row(*case, f"refused: {str(error).splitlines()[0]}")
-
-
-if __name__ == "__main__":
-    main()

@@ -2,7 +2,7 @@
 
 Usage: python -m benchmarks flights [--runs N] [--seed S] [--preset NAME] [--friction MU ...]
                                     [--formed N ...] [--processes P]
-                                    [--irregular SEED ... [--ways WAY ...]]
+                                    [--irregular SEED ... [--methods METHOD ...]]
 
 Plans know the friction of the ropes. Each is flown perturbed, with consecutive seeds. With
 ``--irregular`` hitches that settle after they are formed are compared with those that do not.
@@ -11,7 +11,6 @@ Plans know the friction of the ropes. Each is flown perturbed, with consecutive 
 from __future__ import annotations
 
 import tempfile
-from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -23,7 +22,7 @@ import numpy as np
 from scipy.stats import binomtest
 
 import hitchopt as ho
-from benchmarks.measuring import PROBLEMS, Table, parser
+from benchmarks.measuring import PROBLEMS, Table, most_common, parser
 from hitchopt.simulation.judgement import Run
 
 LIMITATIONS = (
@@ -86,8 +85,7 @@ def success(runs: Sequence[Run]) -> tuple[int, str, str]:
     """Return the number of flights, the number of successes, and the first failures."""
     count = sum(run.succeeded for run in runs)
     low, high = binomtest(count, len(runs)).proportion_ci(0.95, method="wilson")
-    first = Counter(run.failures[0].kind for run in runs if run.failures)
-    failures = "; ".join(f"{kind}: {times}" for kind, times in first.most_common())
+    failures = most_common(run.failures[0].kind for run in runs if run.failures)
     return len(runs), f"{count} ({low:.0%} to {high:.0%})", failures or "none"
 
 
@@ -108,7 +106,7 @@ def errors(runs: Sequence[Run]) -> tuple[str, str]:
 METHODS = {
     "settled": (0.1, "auto", False),
     "settled, then corrected": (0.1, "auto", True),
-    "left": (0.1, False, False),
+    "not settled": (0.1, False, False),
     "without friction": (0.0, False, False),
 }
 """Friction, ``settle`` of form, and whether ``ho.Feedback`` corrects."""
@@ -156,43 +154,30 @@ def resting(job: tuple[int, str]) -> tuple[object, ...]:
 
 def main() -> None:
     """Print and write the tables."""
-    cli = parser(__doc__)
-    cli.add_argument("--runs", type=int, default=10)
-    cli.add_argument("--seed", type=int, default=1000)
-    cli.add_argument("--preset", choices=("fast", "accurate"), default="fast")
+    cli = parser(__doc__, runs=10, seed=1000, preset="fast", processes=1)
     cli.add_argument("--friction", type=float, nargs="*", default=[0.1, 0.3])
     cli.add_argument("--formed", type=int, nargs="*", default=[3, 4, 6])
-    cli.add_argument("--processes", type=int, default=1)
     cli.add_argument("--irregular", type=int, nargs="*", default=[], metavar="SEED")
-    cli.add_argument("--ways", nargs="*", choices=METHODS, default=list(METHODS))
+    cli.add_argument("--methods", nargs="*", choices=METHODS, default=list(METHODS))
     options = cli.parse_args()
     table = Table(options.output / "flights.md", "Flights", LIMITATIONS, ("mujoco",))
     table.note(f"preset {options.preset}, seeds from {options.seed} on")
     if options.irregular:
         note = "Irregular hitches tied in calm (noise, gusts), accurate preset: level distances"
-        table.section(f"{note} in the last second", "seed", "n", "way", "mean [cm]", "each [cm]")
+        table.section(f"{note} in the last second", "seed", "n", "method", "mean [cm]", "each [cm]")
         with ProcessPoolExecutor(options.processes) as pool:
-            jobs = [(seed, method) for seed in options.irregular for method in options.ways]
+            jobs = [(seed, method) for seed in options.irregular for method in options.methods]
             for row in pool.map(resting, jobs):
                 table.row(*row)
         return
-    flown = partial(
-        fly,
-        runs=options.runs,
-        seed=options.seed,
-        preset=options.preset,
-        processes=options.processes,
-    )
+    settings = options.runs, options.seed, options.preset, options.processes
     table.section("The paper's experiments", "problem", "friction", *FLOWN)
     for name in EXPERIMENTS:
         for friction in options.friction:
-            runs = flown(experiment(name, friction))
+            runs = fly(experiment(name, friction), *settings)
             table.row(name, friction, *success(runs), *errors(runs))
     table.section("Regular hitches tied from the ground", "n", "friction", *FLOWN)
     for n in options.formed:
-        runs = flown(ho.solve(ho.problem_from_dict(formed_problem(n, options.friction[0]))))
+        plan = ho.solve(ho.problem_from_dict(formed_problem(n, options.friction[0])))
+        runs = fly(plan, *settings)
         table.row(n, options.friction[0], *success(runs), *errors(runs))
-
-
-if __name__ == "__main__":
-    main()

@@ -10,7 +10,6 @@ them in a given order of robots.
 from __future__ import annotations
 
 import math
-import time
 from collections import Counter
 
 import numpy as np
@@ -24,6 +23,7 @@ from benchmarks.measuring import (
     Table,
     clearance_text,
     parser,
+    timed,
 )
 
 LIMITATIONS = (
@@ -49,17 +49,10 @@ def regular(n: int, seed: int) -> tuple[object, ...]:
     """Return the row of a regular hitch that is formed from the ground."""
     clearance = min(DEFAULT_CLEARANCE, 0.9 * LEG * math.sin(2.0 * math.pi / n))
     q, r = scattered(n, np.random.default_rng(seed), 1.6)
-    start_time = time.process_time()
-    plan = ho.form(
-        ho.Team(n, CABLE),
-        q,
-        r,
-        ho.regular_polygon(n, EDGE),
-        ALTITUDE,
-        separation=ho.Separation(cable=clearance),
-    )
-    elapsed, (phase, *_) = time.process_time() - start_time, plan.motion.phases
-    return n, seed, plan.duration, phase.name, elapsed, clearance_text(clearance)
+    team, polygon = ho.Team(n, CABLE), ho.regular_polygon(n, EDGE)
+    separation = ho.Separation(cable=clearance)
+    plan, elapsed = timed(lambda: ho.form(team, q, r, polygon, ALTITUDE, separation=separation))
+    return n, seed, plan.duration, plan.motion.phases[0].name, elapsed, clearance_text(clearance)
 
 
 def irregular(rng: np.random.Generator) -> str:
@@ -84,10 +77,7 @@ def irregular(rng: np.random.Generator) -> str:
 
 def main() -> None:
     """Print and write both tables."""
-    cli = parser(__doc__)
-    cli.add_argument("--robots", type=int, nargs="*", default=[6, 12, 24, 48])
-    cli.add_argument("--random", type=int, default=60)
-    options = cli.parse_args()
+    options = parser(__doc__, robots=[6, 12, 24, 48], random=60).parse_args()
     table = Table(options.output / "forming.md", "Forming", LIMITATIONS)
     columns = ("flight [s]", "first phase", "plan [s]", CLEARANCE)
     table.section("Regular hitches from the ground", "n", "seed", *columns)
@@ -101,7 +91,3 @@ def main() -> None:
         outcomes = Counter(irregular(rng) for _ in range(options.random))
         for name, count in outcomes.most_common():
             table.row(name, count)
-
-
-if __name__ == "__main__":
-    main()

@@ -36,10 +36,7 @@ def outcome(n: int, seed: int) -> tuple[str, float, float]:
 
 def main() -> None:
     """Print and write a row for each n."""
-    cli = parser(__doc__)
-    cli.add_argument("--seeds", type=int, default=10, help="random morphs for every n")
-    cli.add_argument("--robots", type=int, nargs="*", default=[3, 4, 5, 6, 8, 10, 12])
-    options = cli.parse_args()
+    options = parser(__doc__, seeds=10, robots=[3, 4, 5, 6, 8, 10, 12]).parse_args()
     table = Table(options.output / "hard_morphs.md", "Hard morphs", LIMITATIONS)
     columns = ("n", "morphs", "solved", "ends", "failed", "seeds that failed", "median [s]")
     table.section("", *columns, "most [s]")
@@ -50,7 +47,3 @@ def main() -> None:
         failed = ", ".join(str(seed) for seed, one in enumerate(status) if one == "failed")
         counts = [status.count(name) for name in ("solved", "ends", "failed")]
         table.row(n, len(outcomes), *counts, failed, float(np.median(times)), max(times))
-
-
-if __name__ == "__main__":
-    main()

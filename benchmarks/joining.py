@@ -8,7 +8,6 @@ preset, at a friction of 0.1 that plans know.
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from typing import Any
 
@@ -16,7 +15,7 @@ import numpy as np
 
 import hitchopt as ho
 from benchmarks.flights import centimetres, success
-from benchmarks.measuring import PROBLEMS, Table, parser
+from benchmarks.measuring import PROBLEMS, Table, parser, timed
 from hitchopt.simulation.judgement import nearest
 
 LIMITATIONS = (
@@ -76,9 +75,7 @@ def mission(name: str) -> ho.Problem:
 
 def row(name: str, runs: int, seed: int) -> tuple[object, ...]:
     """Return the row of a mission."""
-    start_time = time.process_time()
-    plan = ho.solve(mission(name))
-    elapsed = time.process_time() - start_time
+    plan, elapsed = timed(lambda: ho.solve(mission(name)))
     flown = [ho.simulate(plan, perturbed=True, seed=seed + i) for i in range(runs)]
     figures = [each.run.figures for each in flown]
     return (
@@ -95,10 +92,8 @@ def row(name: str, runs: int, seed: int) -> tuple[object, ...]:
 
 def main() -> None:
     """Print and write the table."""
-    cli = parser(__doc__)
+    cli = parser(__doc__, runs=5, seed=1000)
     cli.add_argument("missions", nargs="*", choices=[*MISSIONS, []], default=[], help="or all")
-    cli.add_argument("--runs", type=int, default=5)
-    cli.add_argument("--seed", type=int, default=1000)
     options = cli.parse_args()
     table = Table(options.output / "joining.md", "Joining", LIMITATIONS, ("mujoco",))
     table.note(f"python -m benchmarks joining --runs {options.runs} --seed {options.seed}")
@@ -107,7 +102,3 @@ def main() -> None:
     table.section("", "mission", *columns, *errors)
     for name in options.missions or MISSIONS:
         table.row(*row(name, options.runs, options.seed))
-
-
-if __name__ == "__main__":
-    main()

@@ -3,12 +3,11 @@
 Usage: python -m benchmarks laying [--random N] [--flown N] [--seed S]
 
 The forms of the problem files, with cables of 10 g/m, and random irregular hitches of 3 to 6
-robots. All begin at the altitude of the hitch.
+robots, the first ``--flown`` of them flown. All begin at the altitude of the hitch.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal, NamedTuple
@@ -17,14 +16,14 @@ import numpy as np
 
 import hitchopt as ho
 from benchmarks.flights import irregular, success
-from benchmarks.measuring import PROBLEMS, Table, parser
+from benchmarks.measuring import PROBLEMS, Table, parser, timed
 from hitchopt.mission.problem import DronesStart
 from hitchopt.simulation.judgement import Run
 
 LIMITATIONS = (
     "fast preset; cables of 10 g/m, ropes of 12 mm, friction 0.1, which plans know, without "
     "settling; perturbed: noise of 1 cm and 3 cm/s, 0.05 N each of gusts and of steady wind, "
-    "downwash, cables 0.5 % off, starts 2 cm off; means are over hitches that both ways plan"
+    "downwash, cables 0.5 % off, starts 2 cm off; means are over hitches that both methods plan"
 )
 
 FORMS = ("triangle", "square", "pentagon", "hexagon", "twelve_gon")
@@ -65,12 +64,10 @@ def from_hover(problem: ho.Problem, method: Method) -> ho.Problem:
 
 def outcome(problem: ho.Problem, method: Method, seed: int | None) -> Outcome | None:
     """Return the outcome of a form step, flown if there is a ``seed``; None if infeasible."""
-    start_time = time.process_time()
     try:
-        plan = ho.solve(from_hover(problem, method))
+        plan, elapsed = timed(lambda: ho.solve(from_hover(problem, method)))
     except ho.HitchoptError:
         return None
-    elapsed = time.process_time() - start_time
     flown = None if seed is None else ho.simulate(plan, perturbed=True, seed=seed).run
     return Outcome(plan, elapsed, flown)
 
@@ -92,13 +89,9 @@ def figures(outcomes: Sequence[Outcome]) -> tuple[object, ...]:
 
 def main() -> None:
     """Print and write both tables."""
-    cli = parser(__doc__)
-    cli.add_argument("--random", type=int, default=40)
-    cli.add_argument("--flown", type=int, default=20, help="of the random ones")
-    cli.add_argument("--seed", type=int, default=1000)
-    options = cli.parse_args()
+    options = parser(__doc__, random=40, flown=20, seed=1000).parse_args()
     table = Table(options.output / "laying.md", "Laying and swaps", LIMITATIONS, ("mujoco",))
-    table.section("Problems", "problem", "way", *COLUMNS)
+    table.section("Problems", "problem", "method", *COLUMNS)
     for name in FORMS:
         problem = ho.load_problem(PROBLEMS / f"form_{name}.yaml")
         for method in METHODS:
@@ -112,11 +105,7 @@ def main() -> None:
         ]
         for i, each in enumerate(random)
     ]
-    table.section(f"{options.random} random irregular hitches", "way", "planned", *COLUMNS)
+    table.section(f"{options.random} random irregular hitches", "method", "planned", *COLUMNS)
     for method, outcomes in zip(METHODS, zip(*pairs, strict=True), strict=True):
         compared = [x for x, pair in zip(outcomes, pairs, strict=True) if x and all(pair)]
         table.row(method, sum(map(bool, outcomes)), *figures(compared))
-
-
-if __name__ == "__main__":
-    main()

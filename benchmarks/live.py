@@ -103,11 +103,7 @@ def stops(stem: str, count: int) -> tuple[object, ...]:
 
 def main() -> None:
     """Print and write the tables."""
-    cli = parser(__doc__)
-    cli.add_argument("--retargets", type=int, default=500)
-    cli.add_argument("--stops", type=int, default=100)
-    cli.add_argument("--robots", type=int, nargs="*", default=[3, 12])
-    options = cli.parse_args()
+    options = parser(__doc__, retargets=500, stops=100, robots=[3, 12]).parse_args()
     table = Table(options.output / "live.md", "Live flight", LIMITATIONS)
     columns = ("median [ms]", "p99 [ms]", "accepted", "broken when certified anew")
     table.section("Retargets", "n", "retargets", *columns)
@@ -119,7 +115,3 @@ def main() -> None:
     table.section("Stops", "plan", "longest [s]", "stoppable [s]", "found in, median [ms]")
     for stem in STOPPED:
         table.row(*stops(stem, options.stops))
-
-
-if __name__ == "__main__":
-    main()

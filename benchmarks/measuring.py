@@ -8,10 +8,12 @@ import os
 import platform
 import resource
 import time
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +21,7 @@ from numpy.typing import NDArray
 import hitchopt as ho
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 
 ROOT = Path(__file__).parents[1]
 PROBLEMS, RESULTS = ROOT / "problems", ROOT / "benchmarks" / "results"
@@ -37,12 +40,24 @@ CLEARANCE_NOTE = (
 )
 
 
-def parser(description: str | None) -> argparse.ArgumentParser:
-    """Return the parser of a benchmark, with an option for the folder of its table."""
+def parser(description: str | None, **defaults: Any) -> argparse.ArgumentParser:
+    """Return the parser of a benchmark: the folder of its table, and options with these defaults.
+
+    An option whose default is a list accepts several values.
+    """
     cli = argparse.ArgumentParser(
         description=description, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     cli.add_argument("-o", "--output", type=Path, default=RESULTS, help="folder of the table")
+    for name, default in defaults.items():
+        several = isinstance(default, list)
+        cli.add_argument(
+            f"--{name}",
+            type=type(default[0] if several else default),
+            default=default,
+            nargs="*" if several else None,
+            choices=("fast", "accurate") if name == "preset" else None,
+        )
     return cli
 
 
@@ -56,11 +71,15 @@ def environment(more: Sequence[str] = ()) -> str:
     )
 
 
-def seconds(work: Callable[[], object]) -> float:
-    """Return the processor time of a call [s]."""
+def timed(work: Callable[[], T]) -> tuple[T, float]:
+    """Return the result of a call and its processor time [s]."""
     start_time = time.process_time()
-    work()
-    return time.process_time() - start_time
+    return work(), time.process_time() - start_time
+
+
+def most_common(kinds: Iterable[str]) -> str:
+    """Return how often each kind of failure occurs, the most common first."""
+    return "; ".join(f"{kind}: {count}" for kind, count in Counter(kinds).most_common())
 
 
 def peak_memory() -> float:

@@ -6,6 +6,7 @@ Every row is measured in a process of its own. ``straight`` scales and shifts a 
 ``optimised`` turns it by 0.3 rad, or less where vertices would go farther than 0.6 m; ``half turn``
 turns it by π, for which the straight path is blocked. Second solves are the least of nine in one
 process, up to n = 12: what a program that plans again and again waits for.
+``--limit`` bounds IPOPT's processor time in the rival.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ from benchmarks.measuring import (
     clearance_text,
     parser,
     peak_memory,
-    seconds,
     slope,
+    timed,
 )
 from benchmarks.rival import RivalError, solve
 
@@ -82,12 +83,12 @@ def measure(kind: str, n: int, limit: float) -> Measurements:
         ho.forget()
         return ho.morph(start, goal, separation=separation, optimize=kind != "straight")
 
-    first = seconds(plan)
-    second = min(seconds(plan) for _ in range(9 if n <= 12 else 3 if n <= 100 else 1))
+    _, first = timed(plan)
+    second = min(timed(plan)[1] for _ in range(9 if n <= 12 else 3 if n <= 100 else 1))
     last_plan = plan()
-    certify, peak = seconds(lambda: ho.certify(last_plan.motion)), peak_memory()
+    certify, peak = timed(lambda: ho.certify(last_plan.motion))[1], peak_memory()
     with tempfile.TemporaryDirectory() as place:
-        write = seconds(lambda: last_plan.save(place))
+        write = timed(lambda: last_plan.save(place))[1]
     remark = "" if last_plan.certificate.certified else "not certified"
     return Measurements(first, second, certify, write, last_plan.duration, peak, remark)
 
@@ -114,7 +115,7 @@ def _rival(
 
 def measure_in_process(kind: str, n: int, limit: float) -> Measurements:
     """Return the measurements of a separate process."""
-    command = [sys.executable, "-m", "benchmarks.morphs", "--one", kind, str(n), str(limit)]
+    command = [sys.executable, "-m", "benchmarks", "morphs", "--one", kind, str(n), str(limit)]
     threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     process = subprocess.run(
         command, capture_output=True, text=True, check=False, env={**os.environ, **threads}
@@ -126,9 +127,8 @@ def measure_in_process(kind: str, n: int, limit: float) -> Measurements:
 
 def main() -> None:
     """Print and write the table."""
-    cli = parser(__doc__)
+    cli = parser(__doc__, limit=120.0)
     cli.add_argument("--quick", action="store_true", help="a few small ones")
-    cli.add_argument("--limit", type=float, default=120.0, help="for IPOPT in the rival [s]")
     cli.add_argument("--one", nargs=3, metavar=("KIND", "N", "LIMIT"), help="print it as JSON")
     options = cli.parse_args()
     if options.one:
@@ -164,7 +164,3 @@ def main() -> None:
         if len(times) == len(large) > 1:
             exponent = slope(list(large), times)
             table.note(f"{kind}: second solves grow as n^{exponent:.2f} from n = 6 on")
-
-
-if __name__ == "__main__":
-    main()

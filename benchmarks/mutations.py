@@ -166,7 +166,3 @@ def main() -> int:
             )
     print(f"\n{len(mutations) - missed} of {len(mutations)} are found")
     return 1 if missed else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

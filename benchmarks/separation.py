@@ -9,8 +9,8 @@ circles by IPOPT, ellipsoids and limits kept at knots alone.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -18,7 +18,7 @@ import numpy as np
 from scipy.interpolate import BSpline
 
 import hitchopt as ho
-from benchmarks.measuring import Table, parser, slope
+from benchmarks.measuring import Table, parser, slope, timed
 from hitchopt.mission.loading import any_problem_from_dict
 from hitchopt.planners.timing.ramps import fastest_ramps
 from problems.swarm import antipodal_circle, random_crowd, random_team
@@ -53,10 +53,8 @@ def bound(problem: ho.SwarmProblem) -> float:
 
 def cells(problem: ho.SwarmProblem) -> tuple[float, float, float, float, str]:
     """Return processor time, duration, its ratio to the bound, separation and certificate."""
-    start_time = time.process_time()
-    plan = ho.separate(problem)
-    elapsed, ratio = time.process_time() - start_time, plan.duration / bound(problem)
-    certificate = plan.certificate
+    plan, elapsed = timed(lambda: ho.separate(problem))
+    ratio, certificate = plan.duration / bound(problem), plan.certificate
     certified = "yes" if certificate.certified else "NO"
     return elapsed, plan.duration, ratio, certificate["separation"].worst or 0.0, certified
 
@@ -87,14 +85,7 @@ def random(table: Table) -> None:
             continue
         times.append(elapsed)
         ratios.append(ratio)
-    columns = (
-        "teams",
-        "certified",
-        "refused seeds",
-        "median [s]",
-        "most [s]",
-        "over bound, median",
-    )
+    columns = "teams", "certified", "refused seeds", "median [s]", "most [s]", "over bound, median"
     table.section("Random teams of 10 to 30 in 4 × 4 × 2 m", *columns)
     middle = float(np.median(times)), max(times), float(np.median(ratios))
     table.row(TEAMS, TEAMS - len(failed), ", ".join(failed), *middle)
@@ -112,10 +103,8 @@ def rival(table: Table) -> None:
     columns = ("N", "processor [s]", "duration [s]", "separation, 2000 samples")
     table.section("Plain casadi and IPOPT on circles", *columns)
     for n in SMALL:
-        problem = problem_of(antipodal_circle(n))
-        start_time = time.process_time()
-        duration, separation = fly(problem)
-        table.row(n, time.process_time() - start_time, duration, separation)
+        (duration, separation), elapsed = timed(partial(fly, problem_of(antipodal_circle(n))))
+        table.row(n, elapsed, duration, separation)
 
 
 def fly(problem: ho.SwarmProblem, limit: float = 120.0) -> tuple[float, float]:
@@ -180,7 +169,3 @@ def main() -> None:
     table = Table(options.output / "separation.md", "Single drones", LIMITATIONS)
     for name in options.parts or PARTS:
         PARTS[name](table)
-
-
-if __name__ == "__main__":
-    main()

@@ -28,7 +28,7 @@ from problems.random_morph import random_convex_polygon
 
 LIMITATIONS = (
     "simulated ropes of 12 mm in segments of 10 mm, without friction; one flight each; noise of "
-    "1 cm, whose mean statics are told, with the ropes' weight and effective lengths"
+    "1 cm; statics know its mean, and the weight and effective lengths of the ropes"
 )
 
 CALIBRATION_LIMITATIONS = (
@@ -162,11 +162,7 @@ def calibration_row(seed: int) -> tuple[object, ...]:
 
 def main() -> None:
     """Print and write both tables."""
-    cli = parser(__doc__)
-    cli.add_argument("--cases", type=int, default=8)
-    cli.add_argument("--first", type=int, default=0, help="seed of the first one")
-    cli.add_argument("--calibrated", type=int, default=2)
-    options = cli.parse_args()
+    options = parser(__doc__, cases=8, first=0, calibrated=2).parse_args()
     seeds = range(options.first, options.first + options.cases)
     if seeds:
         table = Table(options.output / "statics.md", "Statics", LIMITATIONS, ("mujoco",))
@@ -183,7 +179,3 @@ def main() -> None:
     table.section("", "seed", lengths, "k [N/m]", "estimated", "μ", "estimated")
     for seed in range(options.first, options.first + options.calibrated):
         table.row(*calibration_row(seed))
-
-
-if __name__ == "__main__":
-    main()

@@ -11,8 +11,9 @@ import signal
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
+from subprocess import DEVNULL
+from time import perf_counter, sleep
 from typing import Any
 
 import hitchopt as ho
@@ -43,10 +44,7 @@ def swept(plans: int, workers: int) -> float:
     times: list[float] = []
     with tempfile.TemporaryDirectory() as place:
         ho.run_sweep(
-            study(plans),
-            place,
-            workers=workers,
-            progress=lambda _: times.append(time.perf_counter()),
+            study(plans), place, workers=workers, progress=lambda _: times.append(perf_counter())
         )
     first = UNCOUNTED * workers
     return (times[-1] - times[first]) / (plans - 1 - first)
@@ -60,23 +58,13 @@ def killed(plans: int, kills: int) -> bool:
         file = place / "study.json"
         file.write_text(json.dumps(study(plans)), encoding="utf-8")
         whole = ho.run_sweep(file, place / "whole", workers=2)
-        command = [
-            sys.executable,
-            "-m",
-            "hitchopt",
-            "sweep",
-            str(file),
-            "-o",
-            str(place / "killed"),
-        ]
+        command = [sys.executable, "-m", "hitchopt", "sweep", str(file)]
+        command += ["-o", str(place / "killed")]
         for _ in range(kills):
             process = subprocess.Popen(
-                command,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                start_new_session=True,
+                command, stdout=DEVNULL, stderr=DEVNULL, start_new_session=True
             )
-            time.sleep(chance.uniform(4.0, 12.0))
+            sleep(chance.uniform(4.0, 12.0))
             process.send_signal(signal.SIGKILL)
             process.wait()
         found = ho.run_sweep(file, place / "killed", workers=2)
@@ -86,10 +74,7 @@ def killed(plans: int, kills: int) -> bool:
 
 def main() -> None:
     """Print and write the tables."""
-    cli = parser(__doc__)
-    cli.add_argument("--plans", type=int, default=400)
-    cli.add_argument("--kills", type=int, default=5)
-    options = cli.parse_args()
+    options = parser(__doc__, plans=400, kills=5).parse_args()
     table = Table(options.output / "sweeps.md", "Sweeps", LIMITATIONS, ("dask",))
     table.section("", "workers", "time of a plan [ms]", "throughput over one worker")
     one = swept(options.plans, 1)
@@ -99,7 +84,3 @@ def main() -> None:
     if options.kills:
         same = "the same" if killed(options.plans, options.kills) else "NOT the same"
         table.note(f"{options.plans} plans, killed {options.kills} times: rows are {same}")
-
-
-if __name__ == "__main__":
-    main()

@@ -90,9 +90,7 @@ def outcome(problem: ho.TeamsProblem) -> tuple[float, float, str]:
 
 def main() -> None:
     """Print and write the tables."""
-    cli = parser(__doc__)
-    cli.add_argument("--pairs", type=int, default=40, help="random pairs of teams")
-    options = cli.parse_args()
+    options = parser(__doc__, pairs=40).parse_args()
     table = Table(options.output / "teams.md", "Several teams", LIMITATIONS)
     table.section("Crossing", "task", "processor [s]", "duration [s]", "refused")
     outcome(pair(0))  # imports are not measured
@@ -104,7 +102,3 @@ def main() -> None:
     times = [one[0] for one in outcomes]
     planned = sum(not one[2] for one in outcomes)
     table.row(len(outcomes), planned, float(np.median(times)), max(times), refused)
-
-
-if __name__ == "__main__":
-    main()

@@ -114,7 +114,3 @@ def main() -> None:
     table.section("", "problem", "plan [s]", *columns)
     for stem in STEMS:
         table.row(*measure(stem))
-
-
-if __name__ == "__main__":
-    main()

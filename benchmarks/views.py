@@ -107,8 +107,4 @@ def main() -> None:
             table.row("first frame of the report, n = 12 [s]", report_frame(page, place), "")
         clock, processor = film(place)
         table.row("film over the flight's duration", clock, "2")
-        table.row("the same, processor time", processor, "")
-
-
-if __name__ == "__main__":
-    main()
+        table.row("processor time of the film over the flight's duration", processor, "")
