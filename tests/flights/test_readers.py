@@ -1,4 +1,4 @@
-"""Recordings of every format are read back, and doubtful ones are refused in a line."""
+"""Recordings of every format are read back; doubtful ones are refused in one line."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ FORMATS: dict[str, Write] = {
     "ROS 2 bag, mcap": partial(w.write_bag, kind="mcap"),
     "ROS 2 bag, tf": partial(w.write_bag, bodies="/tf"),
     "ROS 2 bag, poses": partial(w.write_bag, bodies="pose"),
-    "ROS 2 bag without stamps": partial(w.write_bag, late=0.0),
+    "ROS 2 bag without stamps": partial(w.write_bag, delay=0.0),
     "ROS 1 bag": partial(w.write_bag, kind="ros1"),
     "Crazyflie uSD log": w.write_usd,
     "Crazyflie uSD log, 1": partial(w.write_usd, version=1),
@@ -44,13 +44,13 @@ FORMATS: dict[str, Write] = {
 VARIANTS = ("Motive CSV 1.22", "Motive CSV 1.24", "ROS 2 bag, tf", "ROS 2 bag without stamps")
 
 
-def place(folder: Path, name: str) -> Path:
+def path_in(folder: Path, name: str) -> Path:
     return folder / f"take{'.bag' if 'ROS 1' in name else '.c3d' if 'C3D' in name else ''}"
 
 
-def given(name: str, frames: int = 150, seen: float = 0.9) -> ho.RecordedFlight:
-    """Return a flight as a format can hold it: logs have set points of two drones, no markers."""
-    flight: ho.RecordedFlight = w.sample(frames=frames, seen=seen)
+def flight_for(name: str, frames: int = 150, visible_share: float = 0.9) -> ho.RecordedFlight:
+    """Return a flight with what a format stores: logs have set points of two drones, no markers."""
+    flight: ho.RecordedFlight = w.sample(frames=frames, visible_share=visible_share)
     if "log" not in name:
         return flight
     return replace(flight, markers=NO_MARKERS, setpoints=dict(list(flight.tracks.items())[:2]))
@@ -58,8 +58,8 @@ def given(name: str, frames: int = 150, seen: float = 0.9) -> ho.RecordedFlight:
 
 @pytest.mark.parametrize("name", FORMATS)
 def test_recordings_are_read_back(name: str, tmp_path: Path) -> None:
-    flight = given(name)
-    result = ho.read_flight(FORMATS[name](place(tmp_path, name), flight))
+    flight = flight_for(name)
+    result = ho.read_flight(FORMATS[name](path_in(tmp_path, name), flight))
     assert name.startswith(result.source)
     assert list(result.tracks) == list(flight.tracks)
     assert result.epoch == pytest.approx(w.EPOCH if "bag" in name else 0.0, abs=1e-6)
@@ -68,80 +68,80 @@ def test_recordings_are_read_back(name: str, tmp_path: Path) -> None:
     pairs = [(x, flight.tracks[body]) for body, x in result.tracks.items()]
     pairs += [(x, flight.setpoints[body]) for body, x in result.setpoints.items()]
     clouds = [result.markers, flight.markers]
-    if name == "C3D":  # Its cloud holds all points
+    if name == "C3D":  # its cloud contains all points
         bodies = [np.column_stack([x.t, x.positions]) for x in flight.tracks.values()]
-        own = np.column_stack([clouds[1].t, clouds[1].positions])
-        rows = np.concatenate([own, *bodies])
+        cloud = np.column_stack([clouds[1].t, clouds[1].positions])
+        rows = np.concatenate([cloud, *bodies])
         rows = rows[np.argsort(rows[:, 0], kind="stable")]
         clouds[1] = ho.Track(rows[:, 0], rows[:, 1:])
     orders = [np.lexsort((*x.positions.round(4).T, x.t.round(4))) for x in clouds]
     first, second = (ho.Track(x.t[i], x.positions[i]) for x, i in zip(clouds, orders, strict=True))
-    for read, written in [*pairs, (first, second)]:
-        np.testing.assert_allclose(read.t, written.t, atol=1e-6)
-        np.testing.assert_allclose(read.positions, written.positions, atol=1e-6)
+    for actual, expected in [*pairs, (first, second)]:
+        np.testing.assert_allclose(actual.t, expected.t, atol=1e-6)
+        np.testing.assert_allclose(actual.positions, expected.positions, atol=1e-6)
 
 
-def edited(change: Callable[[str], str], write: Write = w.write_motive) -> Write:
-    """Return a writer whose text is changed."""
+def edit(change: Callable[[str], str], write: Write = w.write_motive) -> Write:
+    """Return a writer that edits the text of another."""
 
-    def written(path: Path, flight: ho.RecordedFlight) -> Path:
+    def write_changed(path: Path, flight: ho.RecordedFlight) -> Path:
         file = write(path, flight)
         file.write_text(change(file.read_text(encoding="utf-8")), encoding="utf-8")
         return file
 
-    return written
+    return write_changed
 
 
-def clocked(scale: float = 1.0, shift: float = 0.0) -> Write:
-    """Return a writer of a table whose times are in another unit, or from another origin."""
+def with_clock(scale: float = 1.0, shift: float = 0.0) -> Write:
+    """Return a writer of a table with times in another unit or from another origin."""
 
-    def written(path: Path, flight: ho.RecordedFlight) -> Path:
+    def write_changed(path: Path, flight: ho.RecordedFlight) -> Path:
         tracks = {n: ho.Track(scale * (x.t + shift), x.positions) for n, x in flight.tracks.items()}
         return w.write_csv(path, replace(flight, tracks=tracks, markers=NO_MARKERS))
 
-    return written
+    return write_changed
 
 
 def lines(text: str, *ranges: slice) -> str:
-    """Return some of the lines of a text."""
+    """Return ranges of the lines of a text."""
     return "\n".join(line for each in ranges for line in text.split("\n")[each])
 
 
-def reads(text: str) -> Write:
-    return edited(lambda _: text, w.write_csv)
+def text_file(text: str) -> Write:
+    return edit(lambda _: text, w.write_csv)
 
 
 REFUSED: dict[str, tuple[Write, str]] = {
-    "no format": (reads("hello, world\n"), "give a table of Motive with its header, of Vicon, C3D"),
-    "empty": (reads(""), "has no line of columns' names"),
-    "another table": (reads("t,drone,x,y,z\n0,q0,0,0,1\n"), "names with t, name, x, y, z"),
-    "no bodies": (reads("t,name,x,y,z\n0,marker,0,0,1\n"), "holds no position of a body"),
+    "no format": (text_file("hello, world\n"), "give a table of Motive with its header, of Vicon"),
+    "empty": (text_file(""), "has no line of columns' names"),
+    "another table": (text_file("t,drone,x,y,z\n0,q0,0,0,1\n"), "names with t, name, x, y, z"),
+    "no bodies": (text_file("t,name,x,y,z\n0,marker,0,0,1\n"), "holds no position of a body"),
     "local space": (partial(w.write_motive, space="Local"), "export it in Global space"),
     "Motive without its header": (
-        edited(lambda text: lines(text, slice(7, None))), "a table of Motive with its header",
+        edit(lambda text: lines(text, slice(7, None))), "a table of Motive with its header",
     ),
     "Motive without titles": (
-        edited(lambda text: lines(text, slice(2), slice(5, None))), "no titles above a row 'Frame'",
+        edit(lambda text: lines(text, slice(2), slice(5, None))), "no titles above a row 'Frame'",
     ),
     "Motive in leagues": (
         partial(w.write_motive, unit=("Leagues", 1e-3)), "unknown; state unit='m', 'cm' or 'mm'",
     ),
     "Motive's frames backward": (
-        edited(lambda text: lines(text, slice(-1), slice(20, 22))), "1.49 s is followed by 0.13 s",
+        edit(lambda text: lines(text, slice(-1), slice(20, 22))), "1.49 s is followed by 0.13 s",
     ),
     "Vicon without a rate": (
-        edited(lambda text: text.replace("\n100\n", "\n0\n"), w.write_vicon), "a rate of 0 Hz",
+        edit(lambda text: text.replace("\n100\n", "\n0\n"), w.write_vicon), "a rate of 0 Hz",
     ),
     "times backward": (
-        edited(lambda text: lines(text, slice(-1), slice(1, 2)), w.write_csv),
+        edit(lambda text: lines(text, slice(-1), slice(1, 2)), w.write_csv),
         "is followed by 0 s; give one flight",
     ),
     "millimetres": (
-        edited(lambda text: text.replace(",1.", ",1000."), w.write_csv),
+        edit(lambda text: text.replace(",1.", ",1000."), w.write_csv),
         "m from the origin at the median, over 50 m: millimetres? unit='mm'",
     ),
-    "milliseconds": (clocked(1e3), "step by 10 s: not in seconds; if they are milliseconds"),
-    "nanoseconds": (clocked(1e9, 1.7e9), "if they are nanoseconds, divide by 1e+09"),
+    "milliseconds": (with_clock(1e3), "step by 10 s: not in seconds; if they are milliseconds"),
+    "nanoseconds": (with_clock(1e9, 1.7e9), "if they are nanoseconds, divide by 1e+09"),
     "bag of other messages": (
         lambda path, flight: w.write_bag(path, replace(flight, tracks={}), bodies="pose"),
         "holds none of motion_capture_tracking_interfaces/msg/NamedPoseArray",
@@ -175,7 +175,7 @@ def test_other_paths_and_units_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ho.InputError, match="unit = 'miles': must be one of m, cm, mm"):
         ho.read_flight(tmp_path, unit="miles")
     with pytest.raises(ho.FileError, match="a format with fixed units; leave unit= out"):
-        ho.read_flight(w.write_usd(tmp_path / "logs", given("log")), unit="mm")
+        ho.read_flight(w.write_usd(tmp_path / "logs", flight_for("log")), unit="mm")
 
 
 @pytest.mark.parametrize(
@@ -185,24 +185,24 @@ def test_other_paths_and_units_are_refused(tmp_path: Path) -> None:
 def test_a_missing_library_is_named(
     name: str, module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = FORMATS[name](place(tmp_path, name), given(name))
+    path = FORMATS[name](path_in(tmp_path, name), flight_for(name))
     monkeypatch.setitem(__import__("sys").modules, module, None)
     with pytest.raises(ho.FileError, match=r"pip install 'hitchopt\[logs\]'"):
         ho.read_flight(path)
 
 
-@pytest.mark.parametrize(("name", "large"), [("table", 1.0), ("ROS 2 bag", 1.0), ("C3D", 1e3)])
-def test_a_stated_unit_counts(name: str, large: float, tmp_path: Path) -> None:
-    """A file that states millimetres is written by numbers 1000 times as large."""
+@pytest.mark.parametrize(("name", "factor"), [("table", 1.0), ("ROS 2 bag", 1.0), ("C3D", 1e3)])
+def test_a_stated_unit_is_applied(name: str, factor: float, tmp_path: Path) -> None:
+    """Numbers in a file in millimetres are 1000 times as large."""
     flight = w.sample()
-    result = ho.read_flight(FORMATS[name](place(tmp_path, name), flight), "ft")
+    result = ho.read_flight(FORMATS[name](path_in(tmp_path, name), flight), "ft")
     for body, track in flight.tracks.items():
-        expected = 0.3048 * large * track.positions
+        expected = 0.3048 * factor * track.positions
         np.testing.assert_allclose(result.tracks[body].positions, expected, rtol=1e-6)
 
 
-def test_bodies_are_means_of_subjects_while_all_markers_are_visible(tmp_path: Path) -> None:
-    """Of C3D and the like, which know no bodies; markers without a name are none."""
+def test_bodies_of_c3d_are_means_of_subjects(tmp_path: Path) -> None:
+    """A body exists while all markers of its subject are visible; unnamed markers are no body."""
     t = np.arange(50) / 100.0
     front, back = np.tile([[0.1, 0.0, 1.0]], (50, 1)), np.tile([[-0.1, 0.2, 1.0]], (50, 1))
     tracks = {"cf1:front": ho.Track(t, front), "cf1:back": ho.Track(t[10:], back[10:])}
@@ -212,49 +212,47 @@ def test_bodies_are_means_of_subjects_while_all_markers_are_visible(tmp_path: Pa
     np.testing.assert_allclose(result.tracks["cf1"].t, t[10:])
     np.testing.assert_allclose(result.tracks["cf1"].positions, [[0.0, 0.1, 1.0]] * 40, atol=1e-6)
     assert len(result.markers.t) == 50 + 40 + 50 + 50
-    data, cut = (tmp_path / "take.c3d").read_bytes(), tmp_path / "cut.c3d"
-    begin = 512 * (struct.unpack_from("<H", data, 16)[0] - 1)
-    cut.write_bytes(data[: begin + 40 * 4 * 16])  # Frames of four points
-    short = ho.read_flight(cut)
-    assert short.notes == ("truncated: read to frame 40 of 50",)
-    np.testing.assert_array_equal(short.tracks["cf1"].t, t[10:40])
+    data, truncated = (tmp_path / "take.c3d").read_bytes(), tmp_path / "cut.c3d"
+    data_start = 512 * (struct.unpack_from("<H", data, 16)[0] - 1)
+    truncated.write_bytes(data[: data_start + 40 * 4 * 16])  # frames of four points
+    partial_flight = ho.read_flight(truncated)
+    assert partial_flight.notes == ("truncated: read to frame 40 of 50",)
+    np.testing.assert_array_equal(partial_flight.tracks["cf1"].t, t[10:40])
 
 
-def test_what_is_mended_is_a_note(tmp_path: Path) -> None:
-    """Stamps of a date, blank cells, and Motive's times at another rate than its frames."""
-    flight = ho.read_flight(clocked(1.0, 1.7e9)(tmp_path / "dated", w.sample()))
+def test_repairs_are_notes(tmp_path: Path) -> None:
+    """Times since 1970, blank cells, and times that differ from the frame rate are noted."""
+    flight = ho.read_flight(with_clock(1.0, 1.7e9)(tmp_path / "dated", w.sample()))
     assert flight.epoch == 1.7e9
     assert "at 1700000000.000 s of the recording's clock" in flight.notes[0]
     np.testing.assert_allclose(flight.tracks["cf3"].t, w.sample().tracks["cf3"].t, atol=1e-6)
     table = "t,name,x,y,z\n0,q0,1,2,3\n0.1,q0,,,\n0.2,q0,1,2,nan\n0.3,q0,4,5,6\n"
-    flight = ho.read_flight(reads(table)(tmp_path / "blank", w.sample()))
+    flight = ho.read_flight(text_file(table)(tmp_path / "blank", w.sample()))
     np.testing.assert_array_equal(flight.tracks["q0"].t, [0.0, 0.3])
     assert flight.notes == ("2 of 4 rows omitted: no position, or a repeated time",)
-    other = edited(lambda text: text.replace("Export Frame Rate,100.0", "Export Frame Rate,120.0"))
+    other = edit(lambda text: text.replace("Export Frame Rate,100.0", "Export Frame Rate,120.0"))
     flight = ho.read_flight(other(tmp_path / "rated", w.sample()))
     assert flight.notes == ("times are as printed: they differ from frames at 120 Hz",)
     assert flight.tracks["cf3"].t[-1] == pytest.approx(1.49)
 
 
-def test_a_cut_log_is_read_to_its_last_record(tmp_path: Path) -> None:
-    folder, log = w.write_usd(tmp_path / "logs", given("log", seen=1.0)), tmp_path / "log00"
-    for cut in (1, 4, 9, 500, 1000):
-        log.write_bytes((folder / "cf3.bin").read_bytes()[:-cut])
+def test_a_truncated_log_is_read_to_its_last_record(tmp_path: Path) -> None:
+    flight, log = flight_for("log", visible_share=1.0), tmp_path / "log00"
+    folder = w.write_usd(tmp_path / "logs", flight)
+    for missing_bytes in (1, 4, 9, 500, 1000):
+        log.write_bytes((folder / "cf3.bin").read_bytes()[:-missing_bytes])
         result = ho.read_flight(log)
         samples = len(result.tracks["log00"].t)
-        assert samples == 150 if cut <= 4 else 90 < samples < 150
+        assert samples == 150 if missing_bytes <= 4 else 90 < samples < 150
         note = f"log00: truncated or damaged: read to the record at {0.01 * (samples - 1):.3f} s"
         assert note in result.notes
         assert result.one_clock
 
 
 @pytest.mark.parametrize("name", [name for name in FORMATS if name not in VARIANTS])
-def test_damaged_files_end_in_a_line(name: str, tmp_path: Path) -> None:
-    """Twenty a format: cut off, bytes changed, put in or taken out, at the head or anywhere.
-
-    A damaged file is refused with its path, or it is read if values alone were damaged.
-    """
-    whole, refused = FORMATS[name](place(tmp_path, name), given(name, frames=60)), 0
+def test_damaged_files_are_read_or_refused_in_one_line(name: str, tmp_path: Path) -> None:
+    """Twenty files of each format are truncated, or have bytes changed, inserted or deleted."""
+    whole, refused = FORMATS[name](path_in(tmp_path, name), flight_for(name, frames=60)), 0
     copy = whole.with_name(f"damaged{whole.suffix}")
     for seed in range(20):
         rng = np.random.default_rng(seed)

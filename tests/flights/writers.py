@@ -1,4 +1,4 @@
-"""Recordings written as labs' programs write them, a writer a format."""
+"""Writers of recordings in the formats of motion capture systems and flight logs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ import hitchopt as ho
 from hitchopt.flights.readers import MESSAGES, POSE
 from hitchopt.values import Array, Indices
 
-EPOCH = 1_762_186_375  # Start of bags [s]
+EPOCH = 1_762_186_375  # start of bags [s]
 
 
 def frames_of(flight: ho.RecordedFlight) -> Array:
@@ -27,24 +27,24 @@ def frames_of(flight: ho.RecordedFlight) -> Array:
 
 
 def dense(t: Array, track: ho.Track) -> Array:
-    """Return positions at times (frames, 3); nan where not seen."""
+    """Return positions (frames, 3) [m] at times; nan where not visible."""
     places = np.full((len(t), 3), np.nan)
     places[np.searchsorted(t, track.t)] = track.positions
     return places
 
 
-def columns_of(t: Array, cloud: ho.Track, broken: int = 20) -> dict[str, Array]:
-    """Return columns of unlabeled markers, which break off after so many frames."""
+def columns_of(t: Array, cloud: ho.Track, lifetime: int = 20) -> dict[str, Array]:
+    """Return columns of unlabeled markers, whose names change after ``lifetime`` frames."""
     columns: dict[str, Array] = {}
     for frame, time in enumerate(np.unique(cloud.t)):
         for k, place in enumerate(cloud.positions[cloud.t == time]):
-            name = f"{1000 + 100 * (frame // broken) + k}"
+            name = f"{1000 + 100 * (frame // lifetime) + k}"
             columns.setdefault(name, np.full((len(t), 3), np.nan))[np.searchsorted(t, time)] = place
     return columns
 
 
-def texts(values: Array, lost: str = "") -> list[str]:
-    return [lost if np.isnan(x) else f"{x:.6f}" for x in values]
+def texts(values: Array, blank: str = "") -> list[str]:
+    return [blank if np.isnan(x) else f"{x:.6f}" for x in values]
 
 
 def write_motive(
@@ -56,11 +56,13 @@ def write_motive(
     space: str = "Global",
     separator: str = ",",
 ) -> Path:
-    """Write a table of Motive: bodies with their markers, and columns that break off."""
+    """Write a table of Motive: bodies with their markers, and columns of unlabeled markers."""
     t, columns = frames_of(flight), list[tuple[str, str, str, str, Array]]()
 
-    def add(kind: str, name: str, values: Array, what: str = "Position", axes: str = "XYZ") -> None:
-        columns.extend((kind, name, what, *each) for each in zip(axes, values.T, strict=True))
+    def add(
+        kind: str, name: str, values: Array, quantity: str = "Position", axes: str = "XYZ"
+    ) -> None:
+        columns.extend((kind, name, quantity, *each) for each in zip(axes, values.T, strict=True))
 
     for name, track in flight.tracks.items():
         places = dense(t, track)
@@ -72,8 +74,8 @@ def write_motive(
     for name, places in columns_of(t, flight.markers).items():
         add("Marker", f"Unlabeled {name}", places / unit[1])
     *titles, values = zip(*columns, strict=True)
-    kinds, names, whats, axes = map(list, titles)
-    code = ["TimeCode"] if version >= "1.24" else []
+    kinds, names, quantities, axes = map(list, titles)
+    timecode = ["TimeCode"] if version >= "1.24" else []
     heads = {"Type": kinds, "Name": names, "ID": names}
     heads |= {"Parent": names} if version >= "1.25" else {}
     number = version if separator == "," else version.replace(".", ",")
@@ -81,13 +83,13 @@ def write_motive(
         ["Format Version", number, "Take Name", "Take, 1", "Export Frame Rate", f"{rate:.6f}"]
         + ["Length Units", unit[0], "Coordinate Space", space],
         [],
-        *(["", "" if version == "1.21" else x, *code, *own] for x, own in heads.items()),
-        ["", "", *code, *whats],
-        ["Frame", "Time (Seconds)", *code, *(axis.strip() for axis in axes)],
+        *(["", "" if version == "1.21" else x, *timecode, *own] for x, own in heads.items()),
+        ["", "", *timecode, *quantities],
+        ["Frame", "Time (Seconds)", *timecode, *(axis.strip() for axis in axes)],
     ]
     for time, row in zip(t, np.stack(values, axis=1), strict=True):
-        begin = [str(round((time - t[0]) * rate)), f"{int(1000 * time + 1e-6) / 1000:.6f}"]
-        cells = [*begin, *(["15:26:46:12.02"] * len(code)), *texts(row)]
+        first_cells = [str(round((time - t[0]) * rate)), f"{int(1000 * time + 1e-6) / 1000:.6f}"]
+        cells = [*first_cells, *(["15:26:46:12.02"] * len(timecode)), *texts(row)]
         rows.append(cells if separator == "," else [cell.replace(".", ",") for cell in cells])
     text = io.StringIO()
     csv.writer(text, delimiter=separator, lineterminator="\r\n").writerows(rows)
@@ -96,7 +98,7 @@ def write_motive(
 
 
 def write_vicon(path: Path, flight: ho.RecordedFlight, rate: float = 100.0) -> Path:
-    """Write sections of bodies and of markers; what is not seen is zero."""
+    """Write sections of bodies and of markers; missing values are zero."""
     t, sections = frames_of(flight), []
     bodies = {f"{name}:{name}": dense(t, track) for name, track in flight.tracks.items()}
     points = {f"*{name}": places for name, places in columns_of(t, flight.markers).items()}
@@ -115,7 +117,7 @@ def write_vicon(path: Path, flight: ho.RecordedFlight, rate: float = 100.0) -> P
 
 
 def write_c3d(path: Path, flight: ho.RecordedFlight) -> Path:
-    """Write a C3D file in millimetres, a body being one point."""
+    """Write a C3D file in millimetres, with one point for each body."""
     t, file = frames_of(flight), ezc3d.c3d()
     columns = {name: dense(t, track) for name, track in flight.tracks.items()}
     columns |= {f"*{name}": places for name, places in columns_of(t, flight.markers).items()}
@@ -129,7 +131,7 @@ def write_c3d(path: Path, flight: ho.RecordedFlight) -> Path:
 
 
 def write_csv(path: Path, flight: ho.RecordedFlight, separator: str = ",") -> Path:
-    """Write a plain table, rows by time; ``marker`` is a point without a name."""
+    """Write a plain table, sorted by time; points without a name are called ``marker``."""
     lines = []
     for name, track in [*flight.tracks.items(), ("marker", flight.markers)]:
         for t, place in zip(track.t.tolist(), track.positions.tolist(), strict=True):
@@ -145,51 +147,58 @@ def write_bag(
     flight: ho.RecordedFlight,
     kind: str = "sqlite3",
     bodies: str = "/poses",
-    late: float = 0.015,
+    delay: float = 0.015,
 ) -> Path:
     """Write a bag with ``/pointCloud`` and bodies: crazyswarm2's ``/poses``, ``/tf`` or ``pose``.
 
     ``kind`` is sqlite3 (without definitions of types, as Humble's), mcap or ros1. Every other cloud
-    arrives ``late`` [s]; messages without a stamp do not.
+    arrives after ``delay`` [s]; without a delay messages have no stamp.
     """
     ros1 = kind == "ros1"
     store = typesys.get_typestore(typesys.Stores["ROS1_NOETIC" if ros1 else "ROS2_HUMBLE"])
     for name, text in MESSAGES.items():
         store.register(typesys.get_types_from_msg(text, name))
 
-    def made(name: str, *values: Any) -> Any:
+    def ros(name: str, *values: Any) -> Any:
         return store.types[name if "/msg/" in name else f"geometry_msgs/msg/{name}"](*values)
 
     def header(t: float) -> Any:
-        nanoseconds = round(1e9 * (EPOCH + t)) if late else 0
-        stamp = made("builtin_interfaces/msg/Time", *divmod(nanoseconds, 10**9))
-        return made("std_msgs/msg/Header", *[0] * ros1, stamp, "world")
+        nanoseconds = round(1e9 * (EPOCH + t)) if delay else 0
+        stamp = ros("builtin_interfaces/msg/Time", *divmod(nanoseconds, 10**9))
+        return ros("std_msgs/msg/Header", *[0] * ros1, stamp, "world")
 
     def pose(place: Sequence[float]) -> Any:
-        return made("Pose", made("Point", *place), made("Quaternion", *[np.nan] * 4))
+        return ros("Pose", ros("Point", *place), ros("Quaternion", *[np.nan] * 4))
 
     messages: list[tuple[float, str, Any]] = []
     for t in frames_of(flight).tolist():
-        seen = [(name, x.positions[x.t == t].tolist()) for name, x in flight.tracks.items()]
-        here = [(name, place[0]) for name, place in seen if place]
+        positions = [(name, x.positions[x.t == t].tolist()) for name, x in flight.tracks.items()]
+        visible = [(name, place[0]) for name, place in positions if place]
         if bodies == "/poses":
-            named = [made(POSE, name, pose(place)) for name, place in here]
-            messages.append((t, bodies, made(f"{POSE}Array", header(t), named)))
+            named = [ros(POSE, name, pose(place)) for name, place in visible]
+            messages.append((t, bodies, ros(f"{POSE}Array", header(t), named)))
         elif bodies == "/tf":
-            turn = made("Quaternion", 0.0, 0.0, 0.0, 1.0)
-            moves = [(name, made("Transform", made("Vector3", *x), turn)) for name, x in here]
-            each = [made("TransformStamped", header(t), name, move) for name, move in moves]
-            messages.append((t, bodies, made("tf2_msgs/msg/TFMessage", each)))
+            rotation = ros("Quaternion", 0.0, 0.0, 0.0, 1.0)
+            transforms = [
+                (name, ros("Transform", ros("Vector3", *x), rotation)) for name, x in visible
+            ]
+            stamped = [
+                ros("TransformStamped", header(t), name, transform)
+                for name, transform in transforms
+            ]
+            messages.append((t, bodies, ros("tf2_msgs/msg/TFMessage", stamped)))
         else:
-            each = [(name, made("PoseStamped", header(t), pose(place))) for name, place in here]
-            messages += [(t, f"/{name}/pose", message) for name, message in each]
-    fields = [made("sensor_msgs/msg/PointField", x, 4 * i, 7, 1) for i, x in enumerate("xyz")]
+            stamped = [
+                (name, ros("PoseStamped", header(t), pose(place))) for name, place in visible
+            ]
+            messages += [(t, f"/{name}/pose", message) for name, message in stamped]
+    fields = [ros("sensor_msgs/msg/PointField", x, 4 * i, 7, 1) for i, x in enumerate("xyz")]
     for i, t in enumerate(np.unique(flight.markers.t).tolist()):
         points = flight.markers.positions[flight.markers.t == t].astype("<f4")
-        data, many = np.frombuffer(points.tobytes(), np.uint8), len(points)
-        facts = header(t), 1, many, fields, False, 12, 12 * many, data, True
-        cloud = made("sensor_msgs/msg/PointCloud2", *facts)
-        messages.append((t + late * (i % 2), "/pointCloud", cloud))
+        data, count = np.frombuffer(points.tobytes(), np.uint8), len(points)
+        arguments = header(t), 1, count, fields, False, 12, 12 * count, data, True
+        cloud = ros("sensor_msgs/msg/PointCloud2", *arguments)
+        messages.append((t + delay * (i % 2), "/pointCloud", cloud))
     writer: Any = (
         rosbag1.Writer(path)
         if ros1
@@ -201,15 +210,15 @@ def write_bag(
             name = message.__msgtype__
             if topic not in streams:
                 streams[topic] = bag.add_connection(topic, name, typestore=store)
-            written = store.serialize_ros1 if ros1 else store.serialize_cdr
-            bag.write(streams[topic], round(1e9 * (EPOCH + t)), bytes(written(message, name)))
+            serialize = store.serialize_ros1 if ros1 else store.serialize_cdr
+            bag.write(streams[topic], round(1e9 * (EPOCH + t)), bytes(serialize(message, name)))
     return path
 
 
 def write_usd(
     folder: Path, flight: ho.RecordedFlight, version: int = 2, group: str = "stateEstimateZ"
 ) -> Path:
-    """Write a log for every drone, in which other events come between positions."""
+    """Write a log for every drone, with other events between positions."""
     folder.mkdir()
     kind, scale = ("h", 1e3) if group.endswith("Z") else ("f", 1.0)
     head, ticks = ("<HI", 1e3) if version == 1 else ("<HQ", 1e6)
@@ -243,19 +252,19 @@ def write_ulog(
             messages.append((b"D", struct.pack("<HQfff", 1, round(1e6 * t), y, x, -z)))
         messages.append((b"O", struct.pack("<H", 250)))
         data = b"".join(struct.pack("<Hc", len(x), kind) + x for kind, x in messages)
-        begin = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0)
-        (folder / f"{name}.ulg").write_bytes(begin + data)
+        header = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0)
+        (folder / f"{name}.ulg").write_bytes(header + data)
     return folder
 
 
-def sample(seed: int = 0, drones: int = 4, frames: int = 150, seen: float = 0.9) -> Any:
-    """Return a flight at 100 Hz on a millimetre grid: bodies are lost at times, with markers."""
+def sample(seed: int = 0, drones: int = 4, frames: int = 150, visible_share: float = 0.9) -> Any:
+    """Return a flight at 100 Hz on a millimetre grid, with gaps in bodies, and with markers."""
     rng, t = np.random.default_rng(seed), np.arange(frames) / 100.0
     tracks, waves = {}, 0.3 * np.sin(np.outer(t, [1.0, 2.0, 3.0]))
     for k in range(drones):
-        here = (rng.random(frames) < seen) | (np.arange(frames) % (frames - 1) == 0)
+        visible = (rng.random(frames) < visible_share) | (np.arange(frames) % (frames - 1) == 0)
         places = np.round([0.7 * k - 1.0, 0.4, 1.2] + waves, 3)
-        tracks[f"cf{k + 3}"] = ho.Track(t[here], places[here])
+        tracks[f"cf{k + 3}"] = ho.Track(t[visible], places[visible])
     frame: Indices = np.repeat(np.arange(frames), rng.integers(0, 5, frames))
     points = np.round(rng.uniform(-1.0, 1.0, (len(frame), 3)), 3)
     return ho.RecordedFlight("sample", tracks, ho.Track(t[frame], points))
