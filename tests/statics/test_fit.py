@@ -1,4 +1,4 @@
-"""Fits: enclosing and holding polygons keep their clearance, refusals, files, the command."""
+"""Fits of hitches to objects: clearances, capacities, refusals, files and the command."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ def random_section(seed: int) -> ho.Section:
 
 @pytest.mark.parametrize("section", [BOX, DISC, ODD, *map(random_section, range(4))])
 @pytest.mark.parametrize("n", [3, 4, 5])
-def test_polygons_around_and_inside_keep_the_clearance(section: ho.Section, n: int) -> None:
+def test_enclosing_polygons_keep_the_clearance(section: ho.Section, n: int) -> None:
     polygon = enclosing_polygon(section, n, 0.04)
     p, u = polygon.vertices, polygon.edge_directions
     outward = np.column_stack([-u[:, 1], u[:, 0]])
     gaps = np.sum(p * outward, axis=1) - section.support(outward)
-    np.testing.assert_allclose(gaps, 0.04, atol=1e-9)  # the lines of edges
+    np.testing.assert_allclose(gaps, 0.04, atol=1e-9)  # lines through the edges
     distances = section.segment_distance(p, np.roll(p, -1, axis=0))
-    assert np.min(distances) >= 0.04 - 1e-9  # and what is between their ends
+    assert np.min(distances) >= 0.04 - 1e-9  # edges between their ends
     assert np.min(polygon.edge_lengths) >= 0.5 * np.mean(polygon.edge_lengths) - 1e-9
     assert len(polygon) == n
     assert np.min(polygon.exterior_angles) >= 0.6 * 2.0 * math.pi / n - 1e-9
@@ -56,7 +56,7 @@ def test_a_box_is_enclosed_by_a_rectangle_and_a_disc_by_regular_polygons() -> No
         enclosing_polygon(narrow, 7, 0.035)
 
 
-def test_cables_are_long_enough_for_the_polygon_from_which_they_close() -> None:
+def test_cables_are_long_enough_for_the_enclosing_polygon() -> None:
     holding = ho.fit(ho.Section(radius=0.2), 3, tension=1.0).holding
     drum = ho.SolidObject(ho.Section(radius=0.2), 0.0, 0.3, 0.03, at=[2.0, 1.0, 0.0])
     team = ho.Team(3, holding.cable_length, tension=1.0)
@@ -67,61 +67,63 @@ def test_cables_are_long_enough_for_the_polygon_from_which_they_close() -> None:
 
 
 def test_the_shortest_cable_keeps_drones_apart() -> None:
-    polygon, least = enclosing_polygon(DISC, 3, 0.035), []
+    polygon, separations = enclosing_polygon(DISC, 3, 0.035), []
     cable = shortest_cable(polygon, Requirements())
     for length in (cable - 0.01, cable):
         drones = ho.Hitch.balanced(ho.Team(3, length), polygon).drones * ho.Separation().scale
-        least.append(float(np.min(pdist(drones))))
-    assert least[0] < 1.5 <= least[1] + 1e-6
+        separations.append(float(np.min(pdist(drones))))
+    assert separations[0] < 1.5 <= separations[1] + 1e-6
 
 
-def test_what_rests_is_limited_by_clasps_thrust_and_support(
+def test_resting_loads_are_limited_by_clasps_thrust_and_support(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Carried at 1 m/s² the force line from half of the height leans by that over g."""
+    """At 1 m/s² the line of force through half of the height leans by 1/g."""
     monkeypatch.setattr("hitchopt.statics.fit.TABLE_ROBOTS", ())
 
-    def held(most: float = 5.0, height: float = 0.3) -> Holding:
-        kind = ho.Quadrotor(max_thrust=most)
+    def holding_with(max_thrust: float = 5.0, height: float = 0.3) -> Holding:
+        kind = ho.Quadrotor(max_thrust=max_thrust)
         return ho.fit(0.3, 4, cable_length=1.4, tension=1.0, quadrotor=kind, height=height).holding
 
-    weak, strong = (held(most, height=0.2).rest_capacity for most in (1.9, 5.0))
+    weak, strong = (holding_with(max_thrust, height=0.2).rest_capacity for max_thrust in (1.9, 5.0))
     assert weak.binding == "thrust"
     assert weak.mass < strong.mass < 2.0 * 4 * 1.0 * math.cos(math.pi / 4) / 9.81  # clasps close
-    rest = held().rest
+    rest = holding_with().rest
     assert isinstance(rest, ho.ConvexPolygon)
     tallest = -2.0 * float(ho.Section(rest.vertices).clearance(np.zeros(2))[0]) * 9.81
-    within, beyond = (held(height=share * tallest).rest_capacity for share in (0.99, 1.01))
-    assert within.mass > 0.0
-    assert (beyond.mass, beyond.binding) == (0.0, "support")
+    stable, unstable = (
+        holding_with(height=share * tallest).rest_capacity for share in (0.99, 1.01)
+    )
+    assert stable.mass > 0.0
+    assert (unstable.mass, unstable.binding) == (0.0, "support")
 
 
 def test_fit_of_a_cylinder() -> None:
-    found = ho.fit(0.2, 3, tension=1.3, limits=ho.Limits(tilt=math.radians(60.0)))
-    assert found.notes[0] == "outline: circle of radius 0.2 m"
-    grips = found.capacities("grip")
+    fit = ho.fit(0.2, 3, tension=1.3, limits=ho.Limits(tilt=math.radians(60.0)))
+    assert fit.notes[0] == "outline: circle of radius 0.2 m"
+    grips = fit.capacities("grip")
     best = grips[3]
     assert best.mass > 0.1
-    assert isinstance(found.holding.grip, ho.Grip)
+    assert isinstance(fit.holding.grip, ho.Grip)
     assert best.binding == "grip"
-    assert 1.5 * 9.81 * best.mass == pytest.approx(found.holding.grip.slip_load(0.5))
+    assert 1.5 * 9.81 * best.mass == pytest.approx(fit.holding.grip.slip_load(0.5))
     assert best.mass == max(each.mass for each in grips.values())
-    assert found.holding.cable_length == pytest.approx(1.6, abs=0.1)
-    found.raise_if_too_heavy(0.1)
+    assert fit.holding.cable_length == pytest.approx(1.6, abs=0.1)
+    fit.raise_if_too_heavy(0.1)
     with pytest.raises(ho.InfeasibleError, match=r"^grip: 0\.2 kg is above"):
-        found.raise_if_too_heavy(0.2)
+        fit.raise_if_too_heavy(0.2)
 
 
 @pytest.mark.slow
 def test_a_concave_outline_is_held_by_its_hull() -> None:
-    found = ho.fit([[0, 0], [0.4, 0], [0.4, 0.3], [0.2, 0.1], [0, 0.3]], 3, cable_length=1.8)
-    assert found.notes[0] == "outline: 0.4 x 0.3 m, 5 corners"
-    assert any("concave" in note for note in found.notes)
-    assert len(found.section.core) == 4
+    fit = ho.fit([[0, 0], [0.4, 0], [0.4, 0.3], [0.2, 0.1], [0, 0.3]], 3, cable_length=1.8)
+    assert fit.notes[0] == "outline: 0.4 x 0.3 m, 5 corners"
+    assert any("concave" in note for note in fit.notes)
+    assert len(fit.section.core) == 4
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    ("options", "words"),
     [
         ({"robots": 2}, "robots = 2"),
         ({"tension": -1.0}, "tension = -1"),
@@ -133,19 +135,19 @@ def test_a_concave_outline_is_held_by_its_hull() -> None:
         ({"outline": 0.01, "robots": 12, "tension": 1.0}, "no cable length"),
     ],
 )
-def test_what_is_wrong_or_cannot_be_is_refused(given: dict[str, Any], words: str) -> None:
+def test_invalid_or_infeasible_fits_are_refused(options: dict[str, Any], words: str) -> None:
     with pytest.raises((ho.InputError, ho.InfeasibleError), match=words):
-        ho.fit(**({"outline": 0.2, "robots": 3} | given))
+        ho.fit(**({"outline": 0.2, "robots": 3} | options))
 
 
-def test_the_command_writes_files_and_ends_with_3_if_the_mass_is_not_held(
+def test_the_command_writes_files_and_exits_with_3_if_the_mass_is_too_large(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("hitchopt.statics.fit.TABLE_ROBOTS", ())
     arguments = ["fit", "circle:0.2", "--robots", "3", "-o", str(tmp_path / "out"), "--mass"]
-    done = CliRunner().invoke(main, [*arguments, "0.05"])
-    assert done.exit_code == 0, done.output
-    assert "50 g are held by grip" in done.output
+    result = CliRunner().invoke(main, [*arguments, "0.05"])
+    assert result.exit_code == 0, result.output
+    assert "50 g are held by grip" in result.output
     content = json.loads((tmp_path / "out" / "fit.json").read_text())
     assert content["format"] == "hitchopt-fit/1"
     assert len(content["enclosing"]) == len(content["grip"]["polygon"]) == 3
