@@ -1,4 +1,4 @@
-"""Worlds and tasks by hand, such as of a hitch at rest; and flights in which nothing moves."""
+"""Hand-made worlds, tasks such as a hitch at rest, and flights without movement."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ def world_of(
     mass: ArrayLike = 0.13,
     objects: dict[str, SolidObject] | None = None,
 ) -> World:
-    """Return the world of straight cables of some lengths [m], 10 g/m, and objects."""
+    """Return a world of straight cables of given lengths [m] and 10 g/m, and of objects."""
     ropes = Ropes(np.array(lengths), 0.01, friction, preset)
     return World(ropes, np.broadcast_to(mass, 2 * len(lengths)), 0.0, objects or {})
 
 
-def smooth(x: Array) -> Array:
+def smooth_step(x: Array) -> Array:
     """Rise from 0 to 1, at rest up to the jerk at both ends."""
     x = np.clip(x, 0.0, 1.0)
     return x**4 * (35.0 - 84.0 * x + 70.0 * x**2 - 20.0 * x**3)
@@ -47,7 +47,7 @@ def states_of(t: Array, positions: Array, **known: Array) -> States:
 
 
 def hanging_task(team: Team, positions: Array, cable_forces: Array) -> Task:
-    """Return the task of positions (samples, 2n, 3) without a hitch; derivatives by differences."""
+    """Return the task of positions (samples, 2n, 3) [m] without a hitch."""
     t = np.arange(len(positions)) / RATE
     velocities = np.gradient(positions, 1.0 / RATE, axis=0)
     accelerations = np.gradient(velocities, 1.0 / RATE, axis=0)
@@ -58,37 +58,39 @@ def hanging_task(team: Team, positions: Array, cable_forces: Array) -> Task:
     return Task(team, states_of(t, positions, **given))
 
 
-def standing(hitch: Hitch, seconds: float, *, formed: bool = True, since: int = 0) -> Task:
-    """Return the task of a hitch at rest, ``formed`` from a sample on; or of its drones alone."""
+def resting_task(hitch: Hitch, seconds: float, *, formed: bool = True, since: int = 0) -> Task:
+    """Return the task of a hitch at rest, formed from sample ``since`` on, or of its drones."""
     count = round(seconds * RATE) + 1
-    still, forces = (np.repeat(x[None], count, axis=0) for x in (hitch.drones, hitch.cable_forces))
-    there = (np.arange(count) >= since) & formed
-    vertices = np.where(there[:, None, None], hitch.vertices, 0.0)
-    tensions = np.where(there[:, None], hitch.team.tension, 0.0)
-    given: Any = {"formed": there, "vertices": vertices, "tensions": tensions}
-    task = hanging_task(hitch.team, still, forces)
-    return replace(task, states=replace(task.states, **given))
+    positions, forces = (
+        np.repeat(x[None], count, axis=0) for x in (hitch.drones, hitch.cable_forces)
+    )
+    is_formed = (np.arange(count) >= since) & formed
+    vertices = np.where(is_formed[:, None, None], hitch.vertices, 0.0)
+    tensions = np.where(is_formed[:, None], hitch.team.tension, 0.0)
+    fields_of_states: Any = {"formed": is_formed, "vertices": vertices, "tensions": tensions}
+    task = hanging_task(hitch.team, positions, forces)
+    return replace(task, states=replace(task.states, **fields_of_states))
 
 
 def regular_hitch(n: int, edge: float = 1.3, **of_team: Any) -> Hitch:
     """Return a regular hitch with legs of 0.5 m."""
-    given = {"tension": 0.5, "cable_density": 0.01, "cable_friction": 0.1, **of_team}
-    team = Team(n, edge + 1.0, **given)
+    options = {"tension": 0.5, "cable_density": 0.01, "cable_friction": 0.1, **of_team}
+    team = Team(n, edge + 1.0, **options)
     return Hitch.balanced(team, regular_polygon(n, edge), altitude=2.0)
 
 
 def flight_of(task: Task, hitch: Hitch, t: Array, **known: Any) -> Flight:
-    """Return a flight at times ``t`` in which all stays at its place; ``known`` are other fields.
+    """Return a flight at rest at times ``t``.
 
-    They are fields of ``Record``, ``Film`` or ``Flight``.
+    ``known`` replaces fields of ``Record``, ``Film`` or ``Flight``.
     """
     n, count, settings = hitch.team.robots, len(t), known.pop("settings", Settings())
     drones = np.repeat(hitch.drones[None], count, axis=0)
-    ones, many = np.ones((count, n)), np.ones((count, 2 * n))
+    ones, drone_ones = np.ones((count, n)), np.ones((count, 2 * n))
     vertices = np.repeat(hitch.vertices[None], count, axis=0)
     no_poses, index = np.zeros((count, 0, 7)), np.array([task.index(each) for each in t])
     places, others = (t, index, drones, drones, vertices), (no_poses, no_poses[..., 0] > 0.0)
-    record = Record(*places, ones, ones, ones, many, 0.0 * many, *others)
+    record = Record(*places, ones, ones, ones, drone_ones, 0.0 * drone_ones, *others)
     share = np.linspace(0.0, 1.0, 12)[:, None]  # cables are drawn straight
     nodes = [(1.0 - share) * q + share * r for q, r in hitch.drones.reshape(n, 2, 3)]
     shapes = np.repeat(np.concatenate(nodes)[None], count, axis=0), 12 * np.arange(n + 1)
@@ -98,6 +100,6 @@ def flight_of(task: Task, hitch: Hitch, t: Array, **known: Any) -> Flight:
         names = {each.name for each in fields(part)} & known.keys()
         parts.append(replace(part, **{name: known.pop(name) for name in names}))
     gains = PositionGains.of(hitch.team, settings)
-    about: dict[str, Any] = {"touches": {}, "linking": None, "rested": np.nan, "pulled": np.nan}
-    about |= {"gains": gains, "density": 0.01, "extra_length": 0.0, "end_offset": 0.0}
-    return Flight(task, settings, *parts, **{**about, "objects": {}, "error": None, **known})
+    options: dict[str, Any] = {"touches": {}, "linking": None, "rested": np.nan, "pulled": np.nan}
+    options |= {"gains": gains, "density": 0.01, "extra_length": 0.0, "end_offset": 0.0}
+    return Flight(task, settings, *parts, **{**options, "objects": {}, "error": None, **known})

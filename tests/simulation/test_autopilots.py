@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
-from scripted import hanging_task, standing
+from scripted import hanging_task, resting_task
 
 import hitchopt as ho
 from hitchopt.errors import InputError
@@ -104,7 +104,7 @@ UNTURNED = EstimatorParameters(50.0, 50.0, 1e-3, None)
         pytest.param(UNTURNED, 16.3, -0.048, 0.44, 0.003, marks=pytest.mark.slow),
     ],
 )
-def test_filters_take_a_level_pull_for_what_the_firmware_takes_it_for(
+def test_filters_interpret_horizontal_pulls_as_the_firmware_does(
     filter_: EstimatorParameters, believed: float, velocity: float, free: float, fed: float
 ) -> None:
     loops = [FlightController.of("lee", MASS)] * 2
@@ -122,7 +122,7 @@ def test_filters_take_a_level_pull_for_what_the_firmware_takes_it_for(
 
 
 @pytest.mark.parametrize("name", ["mellinger", "lee"])
-def test_pull_gains_hold_drones_in_place_as_the_filter_believes_them(name: str) -> None:
+def test_pull_gains_compensate_the_bias_of_the_filter(name: str) -> None:
     """Without the gain, retuned drones would be 2 cm off; PX4 has another filter."""
     gains = {"kp": 36.0 * MASS, "kd": 10.0 * MASS, "ki": 0.0} if name == "mellinger" else None
     loop = FlightController.of(name, MASS, gains)
@@ -175,7 +175,7 @@ def test_integrals_bring_cascades_back() -> None:
         assert abs(places[-1, 0, 2]) < 0.25 * worst
 
 
-def test_pid_tilts_by_20_degrees_and_knows_no_pull() -> None:
+def test_pid_tilts_by_20_degrees_and_ignores_the_pull() -> None:
     loops = [FlightController.of("pid", MASS)] * 3
     pulls = [[0.44, 0.0, 0.0], [0.52, 0.0, 0.0], [0.2, 0.0, 0.0]]
     places, tilts, *_ = flown(loops, pulls, 6.0, fed=[[0.0], [0.0], [1.0]])
@@ -247,7 +247,7 @@ def test_mellingers_law_is_that_of_drone_controllers() -> None:
 
 
 @pytest.mark.parametrize("name", CONTROLLERS)
-def test_drones_are_flown_each_for_itself(name: str) -> None:
+def test_drones_are_controlled_independently(name: str) -> None:
     masses = np.array([0.05, 0.132, 0.3])
     loops = [FlightController.of(name, mass) for mass in masses.tolist()]
     random = np.random.default_rng(1)
@@ -286,8 +286,10 @@ def test_motors_turn_before_they_lift_and_fade_with_their_lag() -> None:
     assert pilots.thrusts[0] == pytest.approx(before * np.exp(-1.0))
 
 
-def test_without_noise_the_filter_knows_a_free_drone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It moves by its thrust alone, turning: nothing is left for the filter to explain."""
+def test_without_noise_the_filter_is_exact_for_a_free_drone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The drone moves by its thrust alone and turns; the filter has no residual."""
     for name in ("POSITION_NOISE", "ATTITUDE_NOISE", "GYRO_NOISE", "ACCELEROMETER_NOISE"):
         monkeypatch.setattr(estimators, name, 0.0)
     now = replace(bodies_at_rest(1), velocities=np.array([[0.4, -0.2, 0.1]]))
@@ -317,7 +319,7 @@ def test_without_noise_the_filter_knows_a_free_drone(monkeypatch: pytest.MonkeyP
 
 def test_packets_are_rounded_and_hold_the_pull() -> None:
     hitch = ho.Hitch.balanced(ho.Team(3, 2.4), ho.regular_polygon(3, 1.3), altitude=1.0)
-    task = standing(hitch, 0.1)
+    task = resting_task(hitch, 0.1)
     settings = Settings(controller="mellinger")
     sent = received(task, flown_team(task.team, settings), settings)
     for values in vars(sent).values():
@@ -360,8 +362,8 @@ def test_uploads_are_offset_by_the_tension_over_the_stiffness() -> None:
         received(replace(task, motion=None), team, settings)
 
 
-def test_lees_law_follows_the_turning_of_curves_and_not_of_packets() -> None:
-    """Only uploads hold jerks; without cables' forces bodies turn as their accelerations say."""
+def test_lees_law_feeds_forward_angular_velocity_of_uploads_only() -> None:
+    """Only uploads contain jerks; without cable forces accelerations determine the attitude."""
     hitch = ho.Hitch.balanced(ho.Team(3, 2.4), ho.regular_polygon(3, 1.3), altitude=1.4)
     task = Task.of(ho.transport(hitch, [0.6, 0.0, 1.4]).motion)
     settings = Settings(controller="lee", gains={"ki": 1e-9})
@@ -401,7 +403,7 @@ def test_gains_are_the_teams_or_the_stiffest_or_given() -> None:
         ({"controller": "lee", "upload": True, "feedback": True}, "feedback = True"),
     ],
 )
-def test_settings_that_do_not_fit_are_refused(given: dict[str, Any], told: str) -> None:
+def test_incompatible_settings_are_refused(given: dict[str, Any], told: str) -> None:
     with pytest.raises(InputError, match=told):
         settings_of("fast", perturbed=False, **given)
 
@@ -425,7 +427,7 @@ def hanging() -> ho.Plan:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["mellinger", "lee", "pid"])
-def test_with_one_marker_uploads_form_loosely_and_draw_tight_without_end(
+def test_with_one_marker_the_tension_of_uploads_grows_without_bound(
     hanging: ho.Plan, name: str
 ) -> None:
     """The filter believes no tilt, so that the pull acts as an unbounded integral."""
@@ -475,7 +477,7 @@ def tied() -> ho.Plan:
         ("lee", ONE_MARKER, False, {}, False),
     ],
 )
-def test_hitches_hold_by_the_filter_that_is_exported_and_are_lost_by_the_firmwares(
+def test_hitches_hold_with_the_exported_filter_and_are_lost_with_the_firmwares(
     tied: ho.Plan,
     name: str,
     filter_: EstimatorParameters,

@@ -1,4 +1,4 @@
-"""Simulated flights: hitches that stand, bear loads, are formed, corrected, and carry objects."""
+"""Simulated flights: hitches at rest, under load, while formed, with feedback, and with objects."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scripted import hanging_task, regular_hitch, smooth, standing, world_of
+from scripted import hanging_task, regular_hitch, resting_task, smooth_step, world_of
 
 import hitchopt as ho
 from hitchopt.hitch import GRAVITY
@@ -23,32 +23,32 @@ from hitchopt.values import Array
 BRIEF = Settings(pull_test=False)
 
 
-def test_it_holds_where_it_is_planned() -> None:
-    """Level legs would let vertices hang 9 cm deep."""
-    stood = simulate(standing(regular_hitch(3), 0.6), Settings())
-    team, record, errors = stood.flight.task.team, stood.flight.record, stood.errors
-    assert stood.outcome.hitched
-    assert (stood.outcome.failures, stood.flight.touches) == ((), {})
-    for clasp in stood.outcome.clasps:
+def test_a_hitch_holds_at_its_planned_position() -> None:
+    """With level legs vertices would sag by 9 cm."""
+    result = simulate(resting_task(regular_hitch(3), 0.6), Settings())
+    team, record, errors = result.flight.task.team, result.flight.record, result.errors
+    assert result.outcome.hitched
+    assert (result.outcome.failures, result.flight.touches) == ((), {})
+    for clasp in result.outcome.clasps:
         assert 0.0 < clasp.moved < 0.1
         # The exterior angle is 120°: two pulls of 0.5 N close the force triangle.
         assert clasp.least_bearing == pytest.approx(0.3 * 2.0 * 0.5 * np.cos(np.pi / 3.0))
         assert clasp.bearing > 3.0 * clasp.least_bearing
     edge, leg = 1.3, 0.5 * (team.cable_length[0] - 1.3)
-    level = GRAVITY * team.cable_density * leg * (leg + edge) / (2.0 * team.tension[0])
-    assert abs(np.mean(errors.offsets[30:, :, 2])) < 0.1 * level
+    sag = GRAVITY * team.cable_density * leg * (leg + edge) / (2.0 * team.tension[0])
+    assert abs(np.mean(errors.offsets[30:, :, 2])) < 0.1 * sag
     assert np.max(errors.without_sag[30:]) < 0.05
     assert not errors.moving.any()
     assert np.all(np.isfinite(errors.errors))
     # Each thrust holds its share of the weight upward and the cable's pull across.
-    at_rest = (record.t > 0.6) & (record.t < stood.flight.rested)
-    lifted = np.sum(np.mean(record.thrusts[at_rest], axis=0))
+    at_rest = (record.t > 0.6) & (record.t < result.flight.rested)
+    lift = np.sum(np.mean(record.thrusts[at_rest], axis=0))
     weight = GRAVITY * (np.sum(team.mass) + team.cable_density * np.sum(team.cable_length))
-    across = 2 * team.robots * np.mean(record.tensions[at_rest])
-    assert across == pytest.approx(2 * team.robots * team.tension[0], rel=0.05)
-    assert lifted == pytest.approx(np.hypot(weight, across), rel=0.02)
-    pulled = record.t > stood.flight.pulled - 0.3
-    assert 1.3 < np.mean(record.tensions[pulled]) / np.mean(record.tensions[at_rest]) < 1.6
+    pull = 2 * team.robots * np.mean(record.tensions[at_rest])
+    assert pull == pytest.approx(2 * team.robots * team.tension[0], rel=0.05)
+    assert lift == pytest.approx(np.hypot(weight, pull), rel=0.02)
+    in_pull_test = record.t > result.flight.pulled - 0.3
+    assert 1.3 < np.mean(record.tensions[in_pull_test]) / np.mean(record.tensions[at_rest]) < 1.6
     assert np.all(record.peak_tensions[1:] >= record.tensions[1:] - 1e-12)
 
 
@@ -56,38 +56,38 @@ def test_it_holds_where_it_is_planned() -> None:
 def test_a_chain_holds_at_its_clasps() -> None:
     team = ho.Team(3, 2.4, topology="open", tension=0.5, cable_density=0.01)
     points = [[1.0, 0.0], [1.8, 1.2], [3.2, 1.3], [4.0, 0.0]]
-    done = simulate(standing(ho.Hitch.balanced(team, points, altitude=1.6), 0.1), BRIEF)
-    assert done.outcome.failures == ()
-    assert [clasp.name for clasp in done.outcome.clasps] == ["p1", "p2"]
+    result = simulate(resting_task(ho.Hitch.balanced(team, points, altitude=1.6), 0.1), BRIEF)
+    assert result.outcome.failures == ()
+    assert [clasp.name for clasp in result.outcome.clasps] == ["p1", "p2"]
 
 
 def test_drones_that_touch_are_reported() -> None:
     hitch = regular_hitch(3)
-    moved = np.repeat(hitch.drones[None], 6, axis=0)
-    moved[:, 0] = moved[:, 5] + [0.05, 0.0, 0.0]  # q0 next to r2
+    positions = np.repeat(hitch.drones[None], 6, axis=0)
+    positions[:, 0] = positions[:, 5] + [0.05, 0.0, 0.0]  # q0 next to r2
     weight = -np.multiply.outer(np.ones((6, 1)) * hitch.team.cable_weight, [0.0, 0.0, 1.0])
-    done = simulate(hanging_task(hitch.team, moved, weight), BRIEF)
-    assert done.flight.touches["q0", "r2"] == 0.0
-    assert {failure.kind for failure in done.outcome.failures} >= {"touch"}
+    result = simulate(hanging_task(hitch.team, positions, weight), BRIEF)
+    assert result.flight.touches["q0", "r2"] == 0.0
+    assert {failure.kind for failure in result.outcome.failures} >= {"touch"}
 
 
 @pytest.mark.slow
-def test_drones_carry_the_loads_and_clasps_stay_at_their_heights() -> None:
-    loads, held, heights = np.array([0.01, 0.0, 0.02]), list[float](), list[Array]()
-    task = standing(regular_hitch(3, load=loads, tension=0.8), 0.5)
-    for share in (1.0, 0.5):  # only the share that the plan states hangs there
-        done = simulate(replace(task, taut=np.full(task.states.tensions.shape, share)), BRIEF)
-        assert done.outcome.failures == ()
-        record, gains = done.flight.record, done.flight.gains
-        rows = (record.t > 0.5) & (record.t < done.flight.rested)
-        sunk = np.mean(record.commanded[rows] - record.drones[rows], axis=0)[:, 2]
-        pulls = -task.states.cable_forces[0, :, 2] + gains.stiffness[:, 2] * sunk
-        held.append(float(np.sum(pulls)))
-        heights.append(np.nanmean(done.errors.offsets[30:, :, 2], axis=0))
-    assert held[0] == pytest.approx(GRAVITY * (np.sum(loads) + 3 * 0.01 * 2.3), rel=0.02)
-    assert np.max(np.abs(heights[0])) < 0.015  # legs that rise for no load would stand 4 cm off
-    assert held[0] - held[1] == pytest.approx(0.5 * GRAVITY * np.sum(loads), rel=0.03)
-    assert heights[1][2] > 0.02  # planned for a load that is not there
+def test_drones_carry_loads_and_vertices_keep_their_heights() -> None:
+    loads, loads_held, heights = np.array([0.01, 0.0, 0.02]), list[float](), list[Array]()
+    task = resting_task(regular_hitch(3, load=loads, tension=0.8), 0.5)
+    for share in (1.0, 0.5):  # share of the load at the vertices
+        result = simulate(replace(task, taut=np.full(task.states.tensions.shape, share)), BRIEF)
+        assert result.outcome.failures == ()
+        record, gains = result.flight.record, result.flight.gains
+        rows = (record.t > 0.5) & (record.t < result.flight.rested)
+        sink = np.mean(record.commanded[rows] - record.drones[rows], axis=0)[:, 2]
+        pulls = -task.states.cable_forces[0, :, 2] + gains.stiffness[:, 2] * sink
+        loads_held.append(float(np.sum(pulls)))
+        heights.append(np.nanmean(result.errors.offsets[30:, :, 2], axis=0))
+    assert loads_held[0] == pytest.approx(GRAVITY * (np.sum(loads) + 3 * 0.01 * 2.3), rel=0.02)
+    assert np.max(np.abs(heights[0])) < 0.015  # legs planned without load would be 4 cm off
+    assert loads_held[0] - loads_held[1] == pytest.approx(0.5 * GRAVITY * np.sum(loads), rel=0.03)
+    assert heights[1][2] > 0.02  # the plan expects twice the load
 
 
 def test_the_task_of_a_plan_is_its_states_at_100_hz(tmp_path: Path) -> None:
@@ -103,30 +103,30 @@ def test_the_task_of_a_plan_is_its_states_at_100_hz(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_planned_triangle_is_tied_and_holds_in_spite_of_disturbances() -> None:
+def test_a_planned_triangle_is_tied_and_holds_under_disturbances() -> None:
     team = ho.Team(3, 2.3, tension=0.5, cable_density=0.01, cable_friction=0.1)
     q = np.array([[-1.5, 0.9, 1.0], [0.9, 0.9, 1.0], [-0.3, -1.2, 1.0]])
     plan = ho.form(team, q, q + [0.6, 0.0, 0.0], ho.regular_polygon(3, 1.3), altitude=2.0)
-    done = ho.simulate(plan, perturbed=True, seed=5, pull_test=False)
-    assert done.outcome.failures == ()
-    assert {abs(clasp.linking) for clasp in done.outcome.clasps} == {1}
-    assert np.nanmax(done.errors.without_sag[-50:]) < 0.05
-    tensions = done.flight.record.tensions
+    result = ho.simulate(plan, perturbed=True, seed=5, pull_test=False)
+    assert result.outcome.failures == ()
+    assert {abs(clasp.linking) for clasp in result.outcome.clasps} == {1}
+    assert np.nanmax(result.errors.without_sag[-50:]) < 0.05
+    tensions = result.flight.record.tensions
     assert np.mean(tensions[:300]) < 0.4 * np.min(tensions[-50:])
 
 
 @pytest.mark.slow
-def test_measured_vertices_take_the_sag_away() -> None:
+def test_feedback_from_measured_vertices_removes_the_sag() -> None:
     start = ho.Hitch.spread(ho.Team(3, 2.4), [[0.0, -0.8], [-0.7, 0.5], [0.7, 0.5]], 1.0)
-    plan, measured = ho.hold(start, 1.5), {"vertex_noise": 0.01, "vertex_delay": 0.05}
-    done = ho.simulate(plan, feedback=True, perturbations=measured, pull_test=False)
-    assert done.run.succeeded
-    errors = done.errors.errors
+    plan, measurement = ho.hold(start, 1.5), {"vertex_noise": 0.01, "vertex_delay": 0.05}
+    result = ho.simulate(plan, feedback=True, perturbations=measurement, pull_test=False)
+    assert result.run.succeeded
+    errors = result.errors.errors
     assert np.nanmean(errors[1:5]) > 0.05  # ropes of 10 g/m that the plan does not know
     assert np.nanmean(errors[-20:]) < 0.02
-    moved = done.flight.record.commanded[-1] - plan.at(plan.duration).positions
-    assert np.all(moved[:, 2] > 0.05)  # drones are told to fly higher
-    assert np.all(np.linalg.norm(moved[:, :2], axis=-1) < 0.1)
+    corrections = result.flight.record.commanded[-1] - plan.at(plan.duration).positions
+    assert np.all(corrections[:, 2] > 0.05)  # set points are raised
+    assert np.all(np.linalg.norm(corrections[:, :2], axis=-1) < 0.1)
 
 
 TABLE = Section([[-0.4, -0.4], [0.4, -0.4], [0.4, 0.4], [-0.4, 0.4]])
@@ -162,23 +162,25 @@ def test_moments_of_inertia_are_those_of_points_of_the_body(section: Section) ->
     plane = np.stack(np.meshgrid(x, x + 0.3 * step), axis=-1).reshape(-1, 2)
     plane = plane[section.clearance(plane)[0] < 0.0]
     z = 0.1 + 0.3 * (np.arange(100) + 0.5) / 100
-    off = np.append(plane - np.mean(plane, axis=0), np.zeros((len(plane), 1)), axis=1)
-    spread = off.T @ off / len(off) + np.diag([0.0, 0.0, np.var(z)])
+    offsets = np.append(plane - np.mean(plane, axis=0), np.zeros((len(plane), 1)), axis=1)
+    spread = offsets.T @ offsets / len(offsets) + np.diag([0.0, 0.0, np.var(z)])
     expected = MASS * np.linalg.eigvalsh(np.trace(spread) * np.eye(3) - spread)
-    found = world.model.body_inertia[world.object_bodies[0]]
-    np.testing.assert_allclose(np.sort(found), expected, rtol=0.02)
+    inertia = world.model.body_inertia[world.object_bodies[0]]
+    np.testing.assert_allclose(np.sort(inertia), expected, rtol=0.02)
 
 
-def test_perturbed_objects_stay_within_their_bounds_and_tables_stand() -> None:
+def test_perturbed_objects_are_within_their_bounds_and_tables_are_fixed() -> None:
     objects = {f"o{i}": SolidObject(BOX, mass=0.1, at=[i, 0, 0]) for i in range(40)}
     objects["table"] = SolidObject(TABLE, at=[0, 5, 0], fixed=True)
-    found = Disturbances(INDOOR, 3, 7).disturbed(objects)
-    away = np.array([np.linalg.norm(found[name].at - each.at) for name, each in objects.items()])
-    assert away[-1] == 0.0
-    assert 0.015 < np.max(away) <= 0.02
-    for name, told, most in (("mass", 0.1, 0.01), ("friction", 0.5, 0.1)):
-        off = [abs(getattr(each, name) - told) for each in found.values()]
-        assert 0.8 * most < np.max(off) <= most
+    perturbed = Disturbances(INDOOR, 3, 7).disturbed(objects)
+    distances = np.array(
+        [np.linalg.norm(perturbed[name].at - each.at) for name, each in objects.items()]
+    )
+    assert distances[-1] == 0.0
+    assert 0.015 < np.max(distances) <= 0.02
+    for name, nominal, bound in (("mass", 0.1, 0.01), ("friction", 0.5, 0.1)):
+        errors = [abs(getattr(each, name) - nominal) for each in perturbed.values()]
+        assert 0.8 * bound < np.max(errors) <= bound
     calm = Disturbances(CALM, 3, 7).disturbed(objects)
     assert all(calm[name].mass == each.mass for name, each in objects.items())
 
@@ -186,17 +188,17 @@ def test_perturbed_objects_stay_within_their_bounds_and_tables_stand() -> None:
 FLOOR = -0.5  # Height of the ground [m]
 
 
-def lifting(mass: float = MASS, by: float = 0.2) -> Task:
-    """Return the task of a triangle that takes a tray by its rim off a post and lifts it."""
+def lifting_task(mass: float = MASS, height: float = 0.2) -> Task:
+    """Return the task of a triangle that lifts a tray by its rim from a post."""
     team = {"tension": 1.0, "cable_friction": 0.0, "edge": 0.45}
     empty, full = regular_hitch(3, **team), regular_hitch(3, load=MASS / 3.0, **team)
     t = np.arange(round(3.5 * RATE) + 1) / RATE
-    share = smooth((t - 1.0) / 1.0)
-    rise = 0.05 * (smooth(t) - 1.0) + by * smooth((t - 2.0) / 1.5)
-    loaded, up = share[:, None, None], (FLOOR + rise)[:, None, None] * [0.0, 0.0, 1.0]
-    positions = empty.drones + loaded * (full.drones - empty.drones) + up
-    forces = empty.cable_forces + loaded * (full.cable_forces - empty.cable_forces)
-    task, vertices = hanging_task(empty.team, positions, forces), empty.vertices + up
+    share = smooth_step((t - 1.0) / 1.0)
+    rise = 0.05 * (smooth_step(t) - 1.0) + height * smooth_step((t - 2.0) / 1.5)
+    share_by_drone, offset = share[:, None, None], (FLOOR + rise)[:, None, None] * [0.0, 0.0, 1.0]
+    positions = empty.drones + share_by_drone * (full.drones - empty.drones) + offset
+    forces = empty.cable_forces + share_by_drone * (full.cable_forces - empty.cable_forces)
+    task, vertices = hanging_task(empty.team, positions, forces), empty.vertices + offset
     x, y, z = np.mean(empty.vertices, axis=0)
     base = FLOOR + z + 0.006 - 0.2
     rim = Rim(Section(radius=0.3), 0.2)
@@ -206,43 +208,45 @@ def lifting(mass: float = MASS, by: float = 0.2) -> Task:
     }
     poses = np.zeros((len(t), 2, 5))
     poses[..., :2], poses[:, 1, 2], poses[..., 3] = [x, y], base + np.maximum(rise, 0.0), 1.0
-    borne = np.multiply.outer(share, [0.0, 1.0])
+    load_share = np.multiply.outer(share, [0.0, 1.0])
     held = np.tile([False, True], (len(t), 1))
     formed, tensions = np.ones(len(t), dtype=np.bool_), np.ones((len(t), 3))
-    cargo = Cargo(objects, poses, held, borne, FLOOR)
+    cargo = Cargo(objects, poses, held, load_share, FLOOR)
     states = replace(task.states, formed=formed, vertices=vertices, tensions=tensions)
     return replace(task, states=states, cargo=cargo)
 
 
 @pytest.mark.slow
 def test_a_tray_is_lifted_by_its_rim_and_not_by_the_pull_test() -> None:
-    lifted = simulate(lifting(), Settings())
-    flight, (tray,) = lifted.flight, lifted.outcome.objects
-    assert lifted.outcome.failures == ()
+    result = simulate(lifting_task(), Settings())
+    flight, (tray,) = result.flight, result.outcome.objects
+    assert result.outcome.failures == ()
     assert tray.well_placed
     assert ground_of(flight.task) == FLOOR
-    drawn, stood = summary(lifted)["objects"][0], flight.task.cargo.objects["tray"]
-    assert (drawn["mass"], drawn["stood_at"]) == (MASS, stood.at.tolist())
+    content, body = summary(result)["objects"][0], flight.task.cargo.objects["tray"]
+    assert (content["mass"], content["stood_at"]) == (MASS, body.at.tolist())
     assert tray.slipped < 0.02
-    assert not tray.free  # it ends on the clasps, as planned
+    assert not tray.free  # the tray ends on the clasps, as planned
     record = flight.record
     assert not record.touched[:20].any()
     assert record.touched[-1].tolist() == [False, True]
-    assert lifted.figures["placed"] == tray.placed
+    assert result.figures["placed"] == tray.placed
     first, last = np.searchsorted(record.t, [flight.rested, flight.pulled - 1e-6])
     assert abs(record.poses[first, 1, 2] - record.poses[last, 1, 2]) < 0.05
-    assert tray.round  # so that its heading is not judged
+    assert tray.round  # its heading is not checked
     assert replace(tray, turned=40.0).well_placed
     assert not replace(tray, turned=40.0, round=False).well_placed
     assert not replace(tray, tilted=6.0).well_placed
     cargo = flight.task.cargo
-    aside = replace(flight.task, cargo=replace(cargo, poses=cargo.poses + 0.01))
-    (slid,) = judge(replace(flight, task=aside)).objects  # from where it was as it was lifted
-    assert slid.slipped == pytest.approx(tray.slipped)
-    # And if it was not to be moved:
-    none = {name: np.zeros_like(getattr(cargo, name)) for name in ("held", "load_share")}
-    standing = replace(cargo, **none, poses=np.repeat(cargo.poses[:1], len(cargo.poses), axis=0))
-    outcome = judge(replace(flight, task=replace(flight.task, cargo=standing)))
+    shifted_task = replace(flight.task, cargo=replace(cargo, poses=cargo.poses + 0.01))
+    (shifted,) = judge(replace(flight, task=shifted_task)).objects
+    # Slip is relative to the pose at lift-off.
+    assert shifted.slipped == pytest.approx(tray.slipped)
+    # The plan leaves the tray at rest:
+    unheld = {name: np.zeros_like(getattr(cargo, name)) for name in ("held", "load_share")}
+    poses = np.repeat(cargo.poses[:1], len(cargo.poses), axis=0)
+    cargo_at_rest = replace(cargo, **unheld, poses=poses)
+    outcome = judge(replace(flight, task=replace(flight.task, cargo=cargo_at_rest)))
     assert {failure.kind for failure in outcome.failures} == {"misplaced", "caught"}
     assert outcome.objects[0].placed == pytest.approx(0.2, abs=0.02)
     assert np.isnan(outcome.objects[0].slipped)
@@ -250,33 +254,35 @@ def test_a_tray_is_lifted_by_its_rim_and_not_by_the_pull_test() -> None:
 
 @pytest.mark.slow
 def test_a_tray_that_is_too_heavy_is_dropped() -> None:
-    done = simulate(lifting(mass=0.6), Settings(pull_test=False))
-    found = {failure.kind: failure for failure in done.outcome.failures}
-    assert found["dropped"].where == ("tray",)
-    assert set(found["touch"].where) == {"post", "tray"}  # which it should have left
-    assert 1.5 < found["dropped"].time < 4.5
+    result = simulate(lifting_task(mass=0.6), Settings(pull_test=False))
+    failures = {failure.kind: failure for failure in result.outcome.failures}
+    assert failures["dropped"].where == ("tray",)
+    assert set(failures["touch"].where) == {"post", "tray"}  # the tray should have left the post
+    assert 1.5 < failures["dropped"].time < 4.5
 
 
-def test_objects_are_aloft_between_the_places_where_they_stand() -> None:
+def test_objects_are_aloft_between_their_supports() -> None:
     heights = np.array([0.5, 0.5, 0.52, 0.6, 0.6, 0.42, 0.4, 0.4])
     poses = np.zeros((8, 1, 5))
     poses[:, 0, 2] = heights
-    borne = np.array([0.0, 0.5, 1.0, 1.0, 1.0, 1.0, 0.5, 0.0])[:, None]
-    cargo = Cargo({"box": SolidObject(BOX)}, poses, borne > 0.0, borne)
+    load_share = np.array([0.0, 0.5, 1.0, 1.0, 1.0, 1.0, 0.5, 0.0])[:, None]
+    cargo = Cargo({"box": SolidObject(BOX)}, poses, load_share > 0.0, load_share)
     np.testing.assert_array_equal(np.flatnonzero(cargo.lifted[:, 0]), [3, 4])
-    ends_aloft = replace(cargo, poses=poses[:5], load_share=borne[:5], held=borne[:5] > 0.0)
+    ends_aloft = replace(
+        cargo, poses=poses[:5], load_share=load_share[:5], held=load_share[:5] > 0.0
+    )
     np.testing.assert_array_equal(np.flatnonzero(ends_aloft.lifted[:, 0]), [3, 4])
 
 
 @pytest.mark.parametrize("section", [ROUND, Section(radius=0.1)])
 @pytest.mark.parametrize("preset", [FAST, ACCURATE])
-def test_a_cylinder_that_was_tilted_comes_to_rest(section: Section, preset: Preset) -> None:
-    """It neither wobbles nor rolls along its edge: what turns it afterwards is friction alone."""
+def test_a_tilted_cylinder_comes_to_rest(section: Section, preset: Preset) -> None:
+    """It neither wobbles nor rolls along its edge."""
     drum = SolidObject(section, 0.0, 0.3, 0.1, 0.5)
     world = world_of(1.0, preset=preset, objects={"drum": drum})
-    away = np.zeros((world.ropes.segments[0] + 1, 3))
-    away[:, 0], away[:, 2] = np.linspace(2.0, 3.0, len(away)), 0.1
-    world.place([away])
+    cable = np.zeros((world.ropes.segments[0] + 1, 3))
+    cable[:, 0], cable[:, 2] = np.linspace(2.0, 3.0, len(cable)), 0.1
+    world.place([cable])
     joint = world.model.body_dofadr[world.object_bodies[0]]
     world.data.qvel[joint + 3 : joint + 6] = [0.6, 0.2, 1.0]
     world.step(round(1.0 / preset.time_step))

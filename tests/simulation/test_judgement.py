@@ -1,4 +1,4 @@
-"""Judged flights, made by hand and simulated: failures, errors, losses of drones, campaigns."""
+"""Evaluation of hand-made and simulated flights: failures, errors, losses, campaigns."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 from numpy.typing import NDArray
-from scripted import flight_of, regular_hitch, standing
+from scripted import flight_of, regular_hitch, resting_task
 
 import hitchopt as ho
 from hitchopt.geometry.vectors import unit
@@ -34,7 +34,7 @@ UNLINKED = 0 * NEIGHBOURS
 STRAIN = InvalidRunError("strain", "strain of 5 %", 1.25, "cable 3")
 
 
-def flown(
+def flight_with(
     linking: NDArray[np.int64] | None = NEIGHBOURS,
     moved: float = 0.02,
     lost: int | None = None,
@@ -45,9 +45,10 @@ def flown(
     drift: float = 0.0,
     **known: Any,
 ) -> Simulation:
-    """Return a flight of 2 s, rest, and pull test under which the second vertex slips along a leg.
+    """Return a flight of 2 s with rest and pull test.
 
-    It swings about its place besides, by ``swing`` to either side, and the whole hitch drifts.
+    In the pull test the second vertex slips along a leg by ``moved``, and the hitch drifts. The
+    vertex swings by ``swing`` to either side.
     """
     t = np.arange(0.0, known.pop("end", 5.0) + 0.005, 0.01)
     vertices = np.repeat(HITCH.vertices[None], len(t), axis=0)
@@ -61,22 +62,22 @@ def flown(
         each[t > 3.005] += [0.0, drift, 0.1 * drift]
     known |= {"vertices": vertices, "bearing": bearing, "linking": linking, "rested": 3.0}
     known |= {"drones": drones}
-    flight = flight_of(standing(HITCH, 2.0, formed=formed), HITCH, t, pulled=pulled, **known)
+    flight = flight_of(resting_task(HITCH, 2.0, formed=formed), HITCH, t, pulled=pulled, **known)
     return Simulation(flight, judge(flight), judgement.vertex_errors(flight))
 
 
-def linked(i: int, j: int, number: int) -> NDArray[np.int64]:
-    """Return the linking numbers of a hitch of which one pair is linked otherwise."""
+def links(i: int, j: int, number: int) -> NDArray[np.int64]:
+    """Return the linking numbers of a hitch with another number for one pair."""
     linking = NEIGHBOURS.copy()
     linking[i, j] = linking[j, i] = number
     return linking
 
 
 UNTESTED = {"pulled": float("nan")}
-UNENDED = {"linking": None, "error": STRAIN, **UNTESTED}
+INVALID = {"linking": None, "error": STRAIN, **UNTESTED}
 PAIRS = [(f"cable {i}", f"cable {j}") for i, j in ((0, 1), (0, 3), (1, 2), (2, 3))]
 TOUCH = {("q0", "cable 2"): 0.5}
-BROKEN = ("invalid", ("cable 3",), 1.25)
+STRAINED = ("invalid", ("cable 3",), 1.25)
 
 
 @pytest.mark.parametrize(
@@ -84,55 +85,56 @@ BROKEN = ("invalid", ("cable 3",), 1.25)
     [
         ({}, SUCCEEDED, [], True),
         ({"linking": -NEIGHBOURS}, SUCCEEDED, [], True),  # either sense
-        (UNTESTED, SUCCEEDED, [], True),  # no pull test was asked for
+        (UNTESTED, SUCCEEDED, [], True),  # no pull test was requested
         # 14 cm off between two instants, but rest is judged over a second
         ({"moved": 0.0, "swing": 0.07}, SUCCEEDED, [], True),
         ({"moved": 0.0, "drift": 0.3}, SUCCEEDED, [], True),  # soft drones in a gust
-        ({"linking": linked(0, 1, 0)}, FAILED, [("unlinked", ("p1",), 3.0)], False),
-        ({"linking": linked(3, 0, 0)}, FAILED, [("unlinked", ("p0",), 3.0)], False),
-        ({"linking": linked(1, 2, 2)}, FAILED, [("unlinked", ("p2",), 3.0)], False),
-        ({"linking": linked(0, 2, 1)}, FAILED, [("tangled", ("cable 0", "cable 2"), 3.0)], True),
-        ({"linking": linked(1, 3, -1)}, FAILED, [("tangled", ("cable 1", "cable 3"), 3.0)], True),
+        ({"linking": links(0, 1, 0)}, FAILED, [("unlinked", ("p1",), 3.0)], False),
+        ({"linking": links(3, 0, 0)}, FAILED, [("unlinked", ("p0",), 3.0)], False),
+        ({"linking": links(1, 2, 2)}, FAILED, [("unlinked", ("p2",), 3.0)], False),
+        ({"linking": links(0, 2, 1)}, FAILED, [("tangled", ("cable 0", "cable 2"), 3.0)], True),
+        ({"linking": links(1, 3, -1)}, FAILED, [("tangled", ("cable 1", "cable 3"), 3.0)], True),
         ({"moved": 0.13}, FAILED, [("slipped", ("p1",), 5.0)], False),
         ({"lost": 2}, FAILED, [("lost", ("p2",), 3.0)], False),
         ({"lost": 2, **UNTESTED}, FAILED, [("lost", ("p2",), 3.0)], False),
         ({"linking": UNLINKED, "formed": False}, SUCCEEDED, [], False),
         ({"formed": False}, FAILED, [("tangled", pair, 3.0) for pair in PAIRS], False),
-        (UNENDED, NOT_SIMULATED, [BROKEN], False),
-        ({"touches": TOUCH, **UNENDED}, FAILED, [("touch", *TOUCH, 0.5), BROKEN], False),
-        ({"error": STRAIN, **UNTESTED}, NOT_SIMULATED, [BROKEN], False),  # as it pulled
+        (INVALID, NOT_SIMULATED, [STRAINED], False),
+        ({"touches": TOUCH, **INVALID}, FAILED, [("touch", *TOUCH, 0.5), STRAINED], False),
+        # during the pull test
+        ({"error": STRAIN, **UNTESTED}, NOT_SIMULATED, [STRAINED], False),
     ],
 )
 def test_flights_are_judged_by_links_contact_and_pull(
     given: dict[str, Any], verdict: str, failures: list[Any], hitched: bool
 ) -> None:
-    outcome = flown(**given).outcome
-    assert [(found.kind, found.where, found.time) for found in outcome.failures] == failures
+    outcome = flight_with(**given).outcome
+    assert [(failure.kind, failure.where, failure.time) for failure in outcome.failures] == failures
     assert (outcome.verdict, outcome.hitched) == (verdict, hitched)
     assert outcome.succeeded is (verdict == SUCCEEDED)
 
 
-def test_clasps_tell_their_movement_and_force() -> None:
-    slipped, lost = flown(moved=0.13).outcome, flown(lost=2).outcome
+def test_clasps_report_movement_and_force() -> None:
+    slipped, lost = flight_with(moved=0.13).outcome, flight_with(lost=2).outcome
     assert [round(clasp.moved, 9) for clasp in slipped.clasps] == [0.0, 0.13, 0.0, 0.0]
-    assert max(clasp.moved for clasp in flown(moved=0.0, drift=0.3).outcome.clasps) < 1e-9
-    assert flown(moved=0.0, swing=0.07).outcome.clasps[1].moved < 0.04
+    assert max(clasp.moved for clasp in flight_with(moved=0.0, drift=0.3).outcome.clasps) < 1e-9
+    assert flight_with(moved=0.0, swing=0.07).outcome.clasps[1].moved < 0.04
     assert "slips 0.130 m" in slipped.failures[0].words
     assert "presses with 0.200 N, less than 0.212 N" in lost.failures[0].words
     assert [clasp.holds for clasp in lost.clasps] == [True, True, False, True]
-    assert all(np.isnan(clasp.moved) for clasp in flown(lost=2, pulled=np.nan).outcome.clasps)
-    pulling = flown(error=STRAIN, pulled=np.nan).outcome.clasps
+    assert all(np.isnan(clasp.moved) for clasp in flight_with(lost=2, pulled=np.nan).outcome.clasps)
+    pulling = flight_with(error=STRAIN, pulled=np.nan).outcome.clasps
     assert [(clasp.bears, clasp.holds) for clasp in pulling] == [(True, False)] * 4
-    assert flown(None, error=STRAIN, pulled=np.nan).outcome.clasps == ()
+    assert flight_with(None, error=STRAIN, pulled=np.nan).outcome.clasps == ()
 
 
-def test_errors_are_distances_where_there_is_a_hitch_until_it_has_rested() -> None:
+def test_errors_are_distances_while_hitched_and_at_rest() -> None:
     hitch = regular_hitch(3)
-    task, late = (standing(hitch, 0.2, since=since) for since in (0, 10))
+    task, late_task = (resting_task(hitch, 0.2, since=since) for since in (0, 10))
     t = np.append(np.minimum(task.states.t + 0.003, 0.2), 0.9)  # the last one is after the flight
-    found = np.repeat(hitch.vertices[None], len(t), axis=0) + [0.0, 0.03, -0.04]
-    found[-2, 1] = np.nan
-    errors = judgement.vertex_errors(flight_of(late, hitch, t, vertices=found))
+    vertices = np.repeat(hitch.vertices[None], len(t), axis=0) + [0.0, 0.03, -0.04]
+    vertices[-2, 1] = np.nan
+    errors = judgement.vertex_errors(flight_of(late_task, hitch, t, vertices=vertices))
     np.testing.assert_allclose(errors.t, t[10:-1])
     np.testing.assert_allclose(errors.errors[:-1], 0.05)
     np.testing.assert_array_equal(np.isnan(errors.errors[-1]), [False, True, False])
@@ -141,27 +143,27 @@ def test_errors_are_distances_where_there_is_a_hitch_until_it_has_rested() -> No
     assert not errors.moving.any()
     shift = np.concatenate([np.zeros(10), np.linspace(0, 0.1, 11)])
 
-    def changed(**values: Any) -> Task:
-        return replace(late, states=replace(late.states, **values))
+    def variant_of(**values: Any) -> Task:
+        return replace(late_task, states=replace(late_task.states, **values))
 
-    moving = changed(vertices=late.states.vertices + shift[:, None, None])
-    drawn = changed(tensions=late.states.tensions * (1.0 + shift[:, None]))
-    for task in (moving, drawn):
-        again = judgement.vertex_errors(flight_of(task, hitch, t, vertices=found))
-        np.testing.assert_array_equal(again.moving, [False, *[True] * 10])
+    moving = variant_of(vertices=late_task.states.vertices + shift[:, None, None])
+    tension_rise = variant_of(tensions=late_task.states.tensions * (1.0 + shift[:, None]))
+    for variant in (moving, tension_rise):
+        errors = judgement.vertex_errors(flight_of(variant, hitch, t, vertices=vertices))
+        np.testing.assert_array_equal(errors.moving, [False, *[True] * 10])
     t = np.append(task.states.t, [0.4, 0.7, 0.9])  # rest, then the pull test
-    rested = judgement.vertex_errors(flight_of(moving, hitch, t, rested=0.7))
-    np.testing.assert_allclose(rested.t, t[10:-1])
-    np.testing.assert_array_equal(rested.moving, [False, *[True] * 10, False, False])
-    off = task.states.positions + [0.03, 0.0, 0.04]
-    flight = flight_of(standing(hitch, 0.2, formed=False), hitch, task.states.t, drones=off)
+    at_rest = judgement.vertex_errors(flight_of(moving, hitch, t, rested=0.7))
+    np.testing.assert_allclose(at_rest.t, t[10:-1])
+    np.testing.assert_array_equal(at_rest.moving, [False, *[True] * 10, False, False])
+    drones = task.states.positions + [0.03, 0.0, 0.04]
+    flight = flight_of(resting_task(hitch, 0.2, formed=False), hitch, task.states.t, drones=drones)
     assert judgement.vertex_errors(flight).errors.shape == (0, 3)
     np.testing.assert_allclose(judgement.tracking_errors(flight), 0.05)
 
 
-def test_the_picture_tells_what_a_flight_was(tmp_path: Path) -> None:
+def test_the_title_of_a_figure_states_the_outcome(tmp_path: Path) -> None:
     motion = ho.hold(HITCH, 2.0).motion
-    figure = drawn_flight(flown(), motion, "Four ropes")
+    figure = drawn_flight(flight_with(), motion, "Four ropes")
     titles = [axes.get_title() for axes in figure.axes]
     assert titles[:2] == ["start, 0.0 s", "after the pull test, 5.0 s"]
     words = "Four ropes\n4 robots, 8 drones, 2 s, simulated: every vertex holds"
@@ -170,54 +172,54 @@ def test_the_picture_tells_what_a_flight_was(tmp_path: Path) -> None:
     assert imread(tmp_path / "flight.png").shape[:2] == (864, 1560)
     failure = Failure("dropped", ("tray",), 0.3, "tray is dropped: far below")
     for simulation, words in (
-        (flown(UNLINKED), "not hitched"),
-        (flown(None), "not simulated to its end"),
-        (flown(UNLINKED, formed=False), "untied, as planned"),
-        (flown(formed=False), "not untied"),
-        (replace(flown(), outcome=Outcome((), (failure,))), f"but {failure.words}"),
+        (flight_with(UNLINKED), "not hitched"),
+        (flight_with(None), "not simulated to its end"),
+        (flight_with(UNLINKED, formed=False), "untied, as planned"),
+        (flight_with(formed=False), "not untied"),
+        (replace(flight_with(), outcome=Outcome((), (failure,))), f"but {failure.words}"),
     ):
         assert drawn_flight(simulation, motion).get_suptitle().endswith(words)
-    brief = flown(None, end=0.0)  # without frames
+    brief = flight_with(None, end=0.0)  # no frames
     assert flight_scene(brief, motion) is None
     assert len(drawn_flight(brief, motion).axes) == 3
 
 
-def test_friction_that_is_left_at_0_is_warned_of() -> None:
-    task = standing(regular_hitch(3, cable_friction=0.0), 0.1)
+def test_zero_friction_is_warned_of() -> None:
+    task = resting_task(regular_hitch(3, cable_friction=0.0), 0.1)
     assert "friction is 0" in judgement.warnings(task, Settings())[0]
     assert judgement.warnings(task, Settings(friction=0.0)) == ()
-    assert judgement.warnings(standing(HITCH, 0.1), Settings()) == ()
+    assert judgement.warnings(resting_task(HITCH, 0.1), Settings()) == ()
 
 
-def test_a_loss_that_cannot_be_is_refused() -> None:
+def test_invalid_losses_are_refused() -> None:
     assert Loss.parsed("r2@0.5") == Loss("r2", 0.5)
-    wrong = dict.fromkeys(("q0", "q0@", "@1.0", "q0@soon", "q0@nan"), r"write q0@12\.5")
-    wrong |= {"q9@0.1": "one of q0", "q0@9.0": "before the flight ends"}
-    for text, words in wrong.items():
+    messages = dict.fromkeys(("q0", "q0@", "@1.0", "q0@soon", "q0@nan"), r"write q0@12\.5")
+    messages |= {"q9@0.1": "one of q0", "q0@9.0": "before the flight ends"}
+    for text, words in messages.items():
         with pytest.raises(ho.InputError, match=words):
-            fly(standing(regular_hitch(3), 0.5), Settings(lost=Loss.parsed(text)))
+            fly(resting_task(regular_hitch(3), 0.5), Settings(lost=Loss.parsed(text)))
 
 
 @pytest.mark.slow
 def test_a_reaction_lowers_the_tension() -> None:
-    """The lost drone falls, none of the others touch, and their cables pull less."""
+    """The lost drone falls, the others do not touch, and their tensions decrease."""
     team = ho.Team(robots=3, cable_length=2.2, tension=0.5)
     corners = [[0.0, 0.58], [0.5, -0.29], [-0.5, -0.29]]
     plan = ho.hold(ho.Hitch.spread(team, corners, altitude=1.0), 1.2)
     task = reaction_task(Task.of(plan.motion), Reactions(plan.motion).plan("r1", 0.3))
     flight = fly(task, Settings(lost=Loss("r1", 0.3)))
-    after, record = judgement.loss_outcome(flight), flight.record
-    assert after is not None
-    assert after.collision_free
-    assert after.peak_tension < 4.4  # less than any without a reaction
-    assert after.hangs < 0.1
+    outcome, record = judgement.loss_outcome(flight), flight.record
+    assert outcome is not None
+    assert outcome.collision_free
+    assert outcome.peak_tension < 4.4  # less than any without a reaction
+    assert outcome.hangs < 0.1
     assert np.max(record.thrusts[record.t > 0.5, team.drone_names.index("r1")]) < 1e-3
     assert judge(flight).failures == ()
 
 
-def test_contacts_are_those_of_survivors() -> None:
+def test_contacts_after_a_loss_are_those_of_survivors() -> None:
     hitch, loss = regular_hitch(3), Loss("q0", 0.05)
-    task, t = standing(hitch, 0.3), np.linspace(0.0, 0.3, 31)
+    task, t = resting_task(hitch, 0.3), np.linspace(0.0, 0.3, 31)
     touches = {("r0", "r1"): 0.01, ("q0", "cable 2"): 0.1, ("q1", "r2"): 0.1}
     touches |= {("q0", "r2"): 0.2, ("r1", "cable 0"): 0.2}
     drones = np.repeat(hitch.drones[None], len(t), axis=0)
@@ -234,8 +236,8 @@ def test_contacts_are_those_of_survivors() -> None:
     assert outcome.moved == pytest.approx(0.05)
     assert outcome.hangs == pytest.approx((11 * hitch.drones[0, 2] + 20 * 0.5) / 31 - 0.03)
     assert judgement.loss_outcome(flight_of(task, hitch, t)) is None
-    found = [failure.where for failure in judge(flight).failures]
-    assert found == [("r0", "r1"), ("q1", "r2"), ("q0", "r2"), ("r1", "cable 0")]
+    contacts = [failure.where for failure in judge(flight).failures]
+    assert contacts == [("r0", "r1"), ("q1", "r2"), ("q0", "r2"), ("r1", "cable 0")]
 
 
 NOISY = Perturbations(noise=0.005, start_error=0.01)
@@ -243,10 +245,10 @@ BRIEF = Settings(perturbations=NOISY, pull_test=False, seed=40)
 
 
 @pytest.mark.slow
-def test_several_processes_give_the_runs_that_one_gives(tmp_path: Path) -> None:
-    task = standing(regular_hitch(3), 0.05)
+def test_runs_do_not_depend_on_the_number_of_processes(tmp_path: Path) -> None:
+    task = resting_task(regular_hitch(3), 0.05)
     vertices = task.states.vertices.copy()
-    vertices[4:, :, 0] += [[0.01], [0.02]]  # by its plan it should move at the end
+    vertices[4:, :, 0] += [[0.01], [0.02]]  # the plan moves it at the end
     task, messages = replace(task, states=replace(task.states, vertices=vertices)), list[str]()
     campaign = run_campaign(task, BRIEF, 2, processes=2, progress=messages.append)
     alone = simulate(task, BRIEF)
@@ -261,23 +263,23 @@ def test_several_processes_give_the_runs_that_one_gives(tmp_path: Path) -> None:
     with (tmp_path / "runs.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert [(row["seed"], row["verdict"]) for row in rows] == [(s, SUCCEEDED) for s in ("40", "41")]
-    done = alone.errors
-    moves = (done.t > 0.035) & (done.t < 0.055)
+    errors = alone.errors
+    moves = (errors.t > 0.035) & (errors.t < 0.055)
     for name, chosen in (("moving", moves), ("resting", ~moves), ("vertex_error", moves | True)):
-        expected = np.mean(done.errors[chosen])
+        expected = np.mean(errors.errors[chosen])
         assert float(rows[0][f"{name}_mean"]) == pytest.approx(expected, rel=1e-5)
     assert float(rows[0]["without_sag_mean"]) < float(rows[0]["vertex_error_mean"])
 
 
-def test_flights_that_cannot_begin_are_failures_of_that_run(tmp_path: Path) -> None:
-    free = standing(regular_hitch(3), 0.05, formed=False)
+def test_infeasible_starts_are_failures_of_their_run(tmp_path: Path) -> None:
+    free = resting_task(regular_hitch(3), 0.05, formed=False)
     apart = replace(free.states, positions=free.states.positions * 1.6)
     campaign = run_campaign(replace(free, states=apart), BRIEF, 2, processes=1)
     assert (campaign.successes, campaign.failures) == (0, {("start", ""): 2})
     assert campaign.to_dict()["not_simulated"] == campaign.not_simulated == 2
     save_campaign(tmp_path, campaign)
     assert (tmp_path / "runs.csv").read_text(encoding="utf-8").count("its drones start") == 2
-    with pytest.raises(ho.InputError, match="density"):  # nobody could fly this
+    with pytest.raises(ho.InputError, match="density"):  # invalid for every run
         run_campaign(free, replace(BRIEF, density=1e-6), 2, processes=1)
     for runs, processes, name in ((0, None, "runs"), (1, 0, "processes")):
         with pytest.raises(ho.InputError, match=f"^{name} = 0"):

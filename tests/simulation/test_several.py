@@ -1,4 +1,4 @@
-"""Hitches of several groups in one world: each is judged as alone, and named by its group."""
+"""Hitches of several groups in one world: each is evaluated by itself and named by its group."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from hitchopt.view.scene import ghost_scene
 BRIEF = Settings(pull_test=False, friction=0.1)
 
 
-def waiting(robots: int, edge: float, **of_team: float) -> Motion:
+def hovering_motion(robots: int, edge: float, **of_team: float) -> Motion:
     """Return a regular hitch with legs of 0.5 m that hovers for 0.2 s."""
     own = ho.Team(robots, edge + 1.0, **of_team)  # type: ignore[arg-type]
     start = HitchStart(ho.regular_polygon(robots, edge), 2.0)
@@ -42,9 +42,9 @@ def waiting(robots: int, edge: float, **of_team: float) -> Motion:
 
 
 @pytest.mark.slow
-def test_a_group_flies_as_it_does_alone() -> None:
+def test_groups_do_not_influence_each_other() -> None:
     """The other group is 30 m away, with other cables."""
-    ring, square = waiting(3, 1.3), waiting(4, 1.1, cable_density=0.02, tension=0.6)
+    ring, square = hovering_motion(3, 1.3), hovering_motion(4, 1.1, cable_density=0.02, tension=0.6)
     far = moved(square, 30.0, 0.0, 0.0)
     both = simulate(Task.of(combined([Group("a", ring), Group("b", far)])), BRIEF)
     record, drones = both.flight.record, slice(0, 0)
@@ -83,16 +83,17 @@ def test_cables_and_drones_of_two_groups_touch() -> None:
     ropes = world_of(1.0, 1.0).ropes
     world = type(world_of(1.0))(ropes, np.full(4, 0.13), 0.0, {}, ("a.q0", "a.r0", "b.q0", "b.r0"))
     line = np.linspace(-0.5, 0.5, int(ropes.segments[0]) + 1)[:, None]
-    high = np.array([0.0, 0.0, 1.0])
+    up = np.array([0.0, 0.0, 1.0])
     for height, pairs in ((0.008, [("a.cable 0", "b.cable 0")]), (0.1, [])):
-        world.place([line * [1.0, 0.0, 0.0] + high, line * [0.0, 1.0, 0.0] + high * (1.0 + height)])
+        world.place([line * [1.0, 0.0, 0.0] + up, line * [0.0, 1.0, 0.0] + up * (1.0 + height)])
         assert touching(world) == pairs
-    there = high + [[0.5, 0.0, 0.02], [0.0, 0.5, 0.9], [0.0, 0.5, 0.9]]
-    found = touching(world, ("show.d0", "show.d1", "show.d2"), there)
-    assert found == [("a.r0", "show.d0"), ("show.d0", "a.cable 0")]  # two that pass do not count
+    positions = up + [[0.5, 0.0, 0.02], [0.0, 0.5, 0.9], [0.0, 0.5, 0.9]]
+    contacts = touching(world, ("show.d0", "show.d1", "show.d2"), positions)
+    # Contacts among drones without cables are not reported.
+    assert contacts == [("a.r0", "show.d0"), ("show.d0", "a.cable 0")]
 
 
-def test_what_has_no_cables_flies_where_it_is_planned(tmp_path: Path) -> None:
+def test_groups_without_cables_follow_their_plans(tmp_path: Path) -> None:
     swarm, tied = with_swarm(), beside_saved(tmp_path)
     for motion, first in ((swarm, "swarm.d0"), (tied, "show.d0")):
         task = Task.of(motion)
@@ -128,7 +129,7 @@ def test_objects_are_held_by_their_own_group() -> None:
     np.testing.assert_allclose(both.poses[:count], alone.poses, atol=1e-9)
 
 
-def test_what_knows_one_team_refuses_several(tmp_path: Path) -> None:
+def test_functions_of_a_single_team_refuse_several(tmp_path: Path) -> None:
     motion = planned("two_teams").motion
     plan = Plan(motion, certify(motion), "")
     folder = plan.save(tmp_path / "plan")
@@ -157,26 +158,26 @@ def test_what_knows_one_team_refuses_several(tmp_path: Path) -> None:
     result = CliRunner().invoke(main, ["statics", str(folder), "--at", "8", "--stiffness", "40"])
     assert result.exit_code == 0, result.output
     for group in motion.groups:
-        found = ho.settle(group.motion, 8.0, stiffness=40.0)
+        rest = ho.settle(group.motion, 8.0, stiffness=40.0)
         content = json.loads((folder / group.name / "statics.json").read_text())
         tensions = [cable["tension"][0] for cable in content["cables"]]
-        np.testing.assert_allclose(tensions, found.tensions, rtol=1e-9)
+        np.testing.assert_allclose(tensions, rest.tensions, rtol=1e-9)
         assert f"Team {group.name}" in result.stdout
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("given", [{}, {"controller": "mellinger"}])
-def test_two_teams_cross_in_one_hall(given: dict[str, str], tmp_path: Path) -> None:
+@pytest.mark.parametrize("options", [{}, {"controller": "mellinger"}])
+def test_two_teams_cross_in_one_hall(options: dict[str, str], tmp_path: Path) -> None:
     motion = planned("two_teams").motion
-    done = simulate(Task.of(motion), Settings(perturbations=CALM, friction=0.1, **given))  # type: ignore[arg-type]
-    assert done.outcome.hitched
-    assert done.outcome.failures == ()
-    assert {clasp.name[0] for clasp in done.outcome.clasps} == {"a", "b"}
-    assert all(0.0 < clasp.moved < 0.1 for clasp in done.outcome.clasps)
-    assert nearest(done.flight)[1] > 0.25
-    save_simulation(tmp_path, done, motion)
+    result = simulate(Task.of(motion), Settings(perturbations=CALM, friction=0.1, **options))  # type: ignore[arg-type]
+    assert result.outcome.hitched
+    assert result.outcome.failures == ()
+    assert {clasp.name[0] for clasp in result.outcome.clasps} == {"a", "b"}
+    assert all(0.0 < clasp.moved < 0.1 for clasp in result.outcome.clasps)
+    assert nearest(result.flight)[1] > 0.25
+    save_simulation(tmp_path, result, motion)
     lines = (tmp_path / "drones.csv").read_text(encoding="utf-8").splitlines()
     assert {row["drone"] for row in csv.DictReader(lines)} == set(motion.team.drone_names)
     scene = ghost_scene(tmp_path, motion)
-    reached = scene.at(motion.duration).drones
-    np.testing.assert_allclose(reached, motion.drones.at(motion.duration), atol=0.1)
+    positions = scene.at(motion.duration).drones
+    np.testing.assert_allclose(positions, motion.drones.at(motion.duration), atol=0.1)

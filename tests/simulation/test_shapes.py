@@ -9,7 +9,7 @@ import pytest
 from plans import planned
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
-from scripted import regular_hitch, standing
+from scripted import regular_hitch, resting_task
 
 import hitchopt as ho
 from hitchopt.hitch import GRAVITY
@@ -27,7 +27,7 @@ def ropes_of(team: ho.Team, **given: object) -> Ropes:
     return Ropes.of(team, Settings(**given), team.cable_length)  # type: ignore[arg-type]
 
 
-def test_too_light_ropes_are_refused_with_a_density_that_works() -> None:
+def test_too_light_ropes_are_refused_with_a_feasible_density() -> None:
     team, coarse = ho.Team(3, 2.4, cable_density=0.01), replace(FAST, time_step=0.004)
     with pytest.raises(ho.InputError, match=r"density = 0\.01: must be at least") as caught:
         ropes_of(team, preset=coarse).check_tension(0.5)
@@ -49,7 +49,7 @@ def test_too_light_ropes_are_refused_with_a_density_that_works() -> None:
 @pytest.mark.parametrize(
     ("density", "given", "expected"),
     [
-        (0.0, {}, (DENSITY, 0.3)),  # of a team without one
+        (0.0, {}, (DENSITY, 0.3)),  # default for teams without one
         (0.004, {}, (0.004, 0.3)),
         (0.004, {"density": 0.02}, (0.02, 0.3)),
         (0.004, {"friction": 0.0}, (0.004, 0.0)),
@@ -74,8 +74,8 @@ def dense(cable: Array, parts: int = 12) -> Array:
     return (cable[:-1, None] * (1.0 - share) + cable[1:, None] * share).reshape(-1, 3)
 
 
-def uneven(n: int, roll: float) -> ho.Hitch:
-    """Legs that rise, alike or one more than the other, pass each other's bends."""
+def uneven_hitch(n: int, roll: float) -> ho.Hitch:
+    """Return an irregular hitch whose legs rise, with a roll [°] of all clasps."""
     shifts = np.random.default_rng(n).uniform(-0.03, 0.03, (n, 2))
     outline = ho.regular_polygon(n, 1.3).vertices + shifts
     team = ho.Team(n, 2.2, cable_density=0.018)
@@ -86,20 +86,22 @@ CHAIN = ho.Team(3, 2.4, topology="open", cable_density=0.01)
 ARC = [[0.0, 0.0], [0.8, 1.2], [2.2, 1.3], [3.0, 0.0]]
 HITCHES = {f"regular {n}": regular_hitch(n) for n in (3, 6, 12)}
 HITCHES["chain"] = ho.Hitch.balanced(CHAIN, ARC, altitude=1.0)
-HITCHES |= {f"{n} by {roll}": uneven(n, roll) for n in (3, 12) for roll in (20.0, -30.0)}
+HITCHES |= {f"{n} by {roll}": uneven_hitch(n, roll) for n in (3, 12) for roll in (20.0, -30.0)}
 
 
 @PRESETS
 @pytest.mark.parametrize("name", HITCHES)
-def test_hitches_begin_linked_apart_and_near_their_drones(name: str, preset: Preset) -> None:
+def test_initial_cables_are_linked_separate_and_end_near_their_drones(
+    name: str, preset: Preset
+) -> None:
     hitch = HITCHES[name]
     ropes, layout = ropes_of(hitch.team, preset=preset), hitch.team.layout
     cables = shapes.clasped(ropes, layout, hitch.drones, hitch.vertices)
     assert_exact(cables, ropes)
-    wanted = np.zeros((len(cables),) * 2, dtype=int)
-    wanted[layout.behind, layout.ahead] = wanted[layout.ahead, layout.behind] = 1
+    expected = np.zeros((len(cables),) * 2, dtype=int)
+    expected[layout.behind, layout.ahead] = expected[layout.ahead, layout.behind] = 1
     linking = shapes.linking_matrix(cables)
-    np.testing.assert_array_equal(np.abs(linking), wanted)
+    np.testing.assert_array_equal(np.abs(linking), expected)
     for i, j in zip(layout.behind, layout.ahead, strict=True):
         assert np.min(cKDTree(dense(cables[i])).query(dense(cables[j]))[0]) > preset.diameter
     if name.startswith("regular"):
@@ -110,7 +112,7 @@ def test_hitches_begin_linked_apart_and_near_their_drones(name: str, preset: Pre
 
 @pytest.mark.parametrize("across", [(1.2, 0.0, 0.0), (0.3, -0.4, 0.5), (1.5, 0.9, -0.4)])
 def test_hanging_cables_end_at_their_drones(across: tuple[float, float, float]) -> None:
-    """They are as long as they are, and their slope grows evenly, as along a catenary."""
+    """Their lengths are exact, and their slope grows evenly, as along a catenary."""
     ropes = Ropes(np.array([2.0]), 0.01, 0.0, replace(ACCURATE, segment=0.002))
     q = np.array([0.4, -0.7, 3.0])
     (cable,) = shapes.hanging(ropes, np.array([q, q + across]), 0.0)
@@ -127,21 +129,21 @@ def test_hanging_cables_end_at_their_drones(across: tuple[float, float, float]) 
 @pytest.mark.parametrize(
     ("q", "r", "length"),
     [
-        ((0.0, 0.0, 1.0), (0.7, 0.3, 1.0), 3.1),  # longer than what hangs and lies straight
+        ((0.0, 0.0, 1.0), (0.7, 0.3, 1.0), 3.1),  # longer than a straight cable on the ground
         ((0.0, 0.0, 1.0), (0.7, 0.3, 0.6), 2.2),
         ((0.0, 0.0, 1.0), (-1.9, 0.3, 0.05), 2.6),
         ((0.0, 0.0, 0.1), (1.2, 0.5, 0.1), 2.0),
         ((0.0, 0.0, 0.0), (1.9, 0.0, 0.0), 2.0),  # drones that stand on the ground
     ],
 )
-def test_cables_that_reach_the_ground_hang_to_it_and_lie_on_it(
+def test_long_cables_hang_to_the_ground_and_lie_on_it(
     q: tuple[float, ...], r: tuple[float, ...], length: float, preset: Preset
 ) -> None:
     ropes = Ropes(np.array([length]), 0.01, 0.0, preset)
     (cable,) = shapes.hanging(ropes, np.array([q, r]), -0.03)
     assert_exact([cable], ropes)
     link = float(ropes.segment_lengths[0])
-    assert np.max(np.abs(cable[[0, -1]] - [q, r])) < link  # the settling draws it back
+    assert np.max(np.abs(cable[[0, -1]] - [q, r])) < link  # settling corrects it
     floor = -0.03 + 0.5 * preset.diameter
     lying = np.flatnonzero(cable[:, 2] < floor + 1e-9)
     assert np.min(cable[:, 2]) == pytest.approx(floor, abs=1e-9)
@@ -160,7 +162,7 @@ def test_cables_that_reach_the_ground_hang_to_it_and_lie_on_it(
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_random_polygons_are_linked_as_their_crossings_say(seed: int) -> None:
+def test_linking_numbers_of_random_polygons_are_those_of_their_crossings(seed: int) -> None:
     """Half the signed crossings seen from above are the same number, however one turns both."""
     random, turn = np.random.default_rng(seed), Rotation.random(random_state=seed)
     one, other = random.normal(size=(7, 3)), 0.3 + random.normal(size=(9, 3))
@@ -179,29 +181,30 @@ def test_random_polygons_are_linked_as_their_crossings_say(seed: int) -> None:
 def test_thick_cables_are_longer_by_their_bends_and_lead_legs_past_the_vertex(n: int) -> None:
     """Drawn as polygons: a circle of one diameter about the other cable, and tangents to it."""
     hitch, turn, diameter = regular_hitch(n), 2.0 * np.pi / n, 0.01
-    task = standing(hitch, 0.1)
+    task = resting_task(hitch, 0.1)
     angle = np.linspace(0.5 * turn, np.pi - 0.5 * turn, 2001) + 0.5 * np.pi
     arc = 0.5 * diameter + diameter * np.exp(1j * angle)
     far = np.exp(0.5j * turn)
     longer = np.sum(np.abs(np.diff([far, *arc, far.conjugate()]))) - 2.0
     np.testing.assert_allclose(shapes.bend_lengths(task, diameter, 0.0), longer, atol=1e-4)
-    found = shapes.thickness_allowance(task, diameter, 0.0)
-    np.testing.assert_allclose(found, 2.0 * longer, atol=2e-4)
+    allowance = shapes.thickness_allowance(task, diameter, 0.0)
+    np.testing.assert_allclose(allowance, 2.0 * longer, atol=2e-4)
     coarse = shapes.thickness_allowance(task, diameter, 0.02)
-    wanted = 2.0 * shapes.COARSENESS * 0.02**2 / diameter * np.cos(0.5 * turn)
-    np.testing.assert_allclose(coarse - found, wanted)
-    free = standing(hitch, 0.1, formed=False)
+    expected = 2.0 * shapes.COARSENESS * 0.02**2 / diameter * np.cos(0.5 * turn)
+    np.testing.assert_allclose(coarse - allowance, expected)
+    free = resting_task(hitch, 0.1, formed=False)
     np.testing.assert_array_equal(
         shapes.thickness_allowance(free, FAST.diameter, 0.03), np.zeros(n)
     )
     # A leg on the tangent at the arc's end passes the vertex at this distance, on the outside.
-    past, aside = (arc[0] * far.conjugate()).imag, shapes.leg_end_offsets(task, diameter)[-1]
-    np.testing.assert_allclose(np.linalg.norm(aside, axis=-1), past, rtol=0.02)
-    np.testing.assert_allclose(np.sum(aside * hitch.leg_directions, axis=-1), 0.0, atol=1e-12)
+    distance = (arc[0] * far.conjugate()).imag
+    offsets = shapes.leg_end_offsets(task, diameter)[-1]
+    np.testing.assert_allclose(np.linalg.norm(offsets, axis=-1), distance, rtol=0.02)
+    np.testing.assert_allclose(np.sum(offsets * hitch.leg_directions, axis=-1), 0.0, atol=1e-12)
     outward = (hitch.vertices - np.mean(hitch.vertices, axis=0))[hitch.team.layout.anchors]
-    assert np.all(np.sum(aside * outward, axis=-1) > 0.0)
+    assert np.all(np.sum(offsets * outward, axis=-1) > 0.0)
     half = replace(task, states=replace(task.states, tensions=0.5 * task.states.tensions))
-    np.testing.assert_allclose(shapes.leg_end_offsets(half, diameter)[-1], 0.5 * aside)
+    np.testing.assert_allclose(shapes.leg_end_offsets(half, diameter)[-1], 0.5 * offsets)
     np.testing.assert_array_equal(shapes.leg_end_offsets(free, diameter), 0.0)
 
 
@@ -209,7 +212,7 @@ def test_thick_cables_are_longer_by_their_bends_and_lead_legs_past_the_vertex(n:
 @pytest.mark.parametrize(("preset", "longer"), [(FAST, 0.015), (ACCURATE, 0.01)])
 def test_thick_cables_act_like_thin_ones(preset: Preset, longer: float) -> None:
     """Legs, edges and their arcs add up to the plan's length, and vertices are not drawn inward."""
-    task = standing(regular_hitch(3, cable_friction=0.0), 0.1)
+    task = resting_task(regular_hitch(3, cable_friction=0.0), 0.1)
     flight = fly(task, Settings(preset, pull_test=False))
     record, layout = flight.record, task.team.layout
     rows = (record.t > 0.1) & (record.t <= flight.rested)
@@ -217,23 +220,23 @@ def test_thick_cables_act_like_thin_ones(preset: Preset, longer: float) -> None:
     corners = drones[0::2], vertices[layout.starts], vertices[layout.ends], drones[1::2]
     chords = np.linalg.norm(np.diff(np.stack(corners, axis=1), axis=1), axis=-1)
     sag = (GRAVITY * flight.density / np.mean(record.tensions[rows], axis=0)[:, None]) ** 2
-    found = np.sum(chords + sag * chords**3 / 24.0, axis=-1)
-    np.testing.assert_allclose(found, task.team.cable_length, atol=4e-3)
-    assert flight.extra_length > longer  # without which they would be as much too short
-    planned = np.linalg.norm(
-        task.states.vertices[-1] - np.mean(task.states.vertices[-1], axis=0), axis=-1
-    )
+    lengths = np.sum(chords + sag * chords**3 / 24.0, axis=-1)
+    np.testing.assert_allclose(lengths, task.team.cable_length, atol=4e-3)
+    assert flight.extra_length > longer  # the allowance compensates the bends
+    vertices = task.states.vertices[-1]
+    planned = np.linalg.norm(vertices - np.mean(vertices, axis=0), axis=-1)
     outward = np.linalg.norm(vertices - np.mean(vertices, axis=0), axis=-1) - planned
     assert np.max(np.abs(outward)) < 0.01
     cables = flight.film.cables
     ends = flight.film.nodes[-1][np.column_stack([cables[:-1], cables[1:] - 1]).ravel()]
-    away = ends - record.drones[-1]  # without which the vertices are 14 mm inward
-    np.testing.assert_allclose(away, shapes.leg_end_offsets(task, preset.diameter)[-1], atol=1e-3)
+    end_offsets = ends - record.drones[-1]  # without offsets vertices are 14 mm inward
+    expected = shapes.leg_end_offsets(task, preset.diameter)[-1]
+    np.testing.assert_allclose(end_offsets, expected, atol=1e-3)
     assert flight.end_offset == pytest.approx(0.0068, abs=1e-4)
 
 
 @pytest.mark.slow
-def test_what_grips_bends_around_its_object_and_farther_at_clasps() -> None:
+def test_gripping_cables_are_longer_by_bends_around_objects_and_clasps() -> None:
     """Cables of a drum's grip follow the path that their thickness makes of the plan's lines."""
     motion = planned("grip_drum").motion
     task, layout = Task.of(motion), motion.team.layout
@@ -245,11 +248,11 @@ def test_what_grips_bends_around_its_object_and_farther_at_clasps() -> None:
     path = np.diff(np.stack([drones[0::2], vertices[layout.starts], first], axis=1), axis=1)
     path /= np.linalg.norm(path, axis=-1, keepdims=True)
     turn = np.arccos(np.sum(path[:, 0] * path[:, 1], axis=-1))  # from leg to edge
-    away = 0.5 * (first + last)[:, :2] - motion.object_poses.at(t)[0, :2]
+    offset = 0.5 * (first + last)[:, :2] - motion.object_poses.at(t)[0, :2]
     (drum,) = motion.requirements.objects.values()
-    wrapped = 2.0 * np.arccos(np.linalg.norm(away, axis=1) / drum.section.rounding)
-    found = shapes.thickness_allowance(task, FAST.diameter, 0.0)
-    wanted = 2.0 * FAST.diameter * (turn - np.sin(0.5 * turn)) + 0.5 * FAST.diameter * wrapped
-    np.testing.assert_allclose(found, wanted, atol=1e-3)
+    wrapped = 2.0 * np.arccos(np.linalg.norm(offset, axis=1) / drum.section.rounding)
+    allowance = shapes.thickness_allowance(task, FAST.diameter, 0.0)
+    expected = 2.0 * FAST.diameter * (turn - np.sin(0.5 * turn)) + 0.5 * FAST.diameter * wrapped
+    np.testing.assert_allclose(allowance, expected, atol=1e-3)
     straight = shapes.thickness_allowance(replace(task, motion=None), FAST.diameter, 0.0)
-    assert np.all(found > straight + 0.015)
+    assert np.all(allowance > straight + 0.015)

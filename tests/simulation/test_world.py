@@ -33,26 +33,25 @@ WOUND = ho.Quadrotor(mass=0.13, max_thrust=2.0, stiffness=4.0, integral=True)
 TEAM = ho.Team(2, 1.5, topology="open", quadrotor=[WOUND, DEAF])
 
 
-def hung(drones: Array = PLACES, **given: Any) -> World:
+def hanging_cables(drones: Array = PLACES, **given: Any) -> World:
     """Return two cables that hang between four drones."""
     world = world_of(1.5, 1.5, **given)
     world.place(hanging(world.ropes, drones, 0.0))
     return world
 
 
-def pilots(lag: float = 0.0) -> tuple[control.Pilots, World]:
+def hovering_pilots(lag: float = 0.0) -> tuple[control.Pilots, World]:
     """Return drones that hover upright with two hanging cables."""
-    world, disturbed = hung(mass=TEAM.mass), Settings(perturbations=replace(CALM, lag=lag))
+    world = hanging_cables(mass=TEAM.mass)
+    disturbed = Settings(perturbations=replace(CALM, lag=lag))
     return control.Pilots(world, TEAM, disturbed), world
 
 
 def test_the_thrust_is_that_of_the_law() -> None:
     """Gravity, acceleration, springs and the integral, less the cable's force where it is known."""
     p, v, a, f = 0.05 * np.random.default_rng(3).normal(size=(4, 4, 3))
-    given, (flying, world) = (
-        states_of(np.zeros(1), PLACES + p, velocities=v, accelerations=a, cable_forces=f),
-        pilots(),
-    )
+    given = states_of(np.zeros(1), PLACES + p, velocities=v, accelerations=a, cable_forces=f)
+    flying, world = hovering_pilots()
     place, speed = world.drones + 0.01, 0.02 * np.ones((4, 3))
     errors, added = np.full((4, 3), 0.04), np.full((4, 3), 0.003)
     flying.integrate(errors, 0.5)
@@ -70,7 +69,7 @@ def test_the_thrust_is_that_of_the_law() -> None:
 
 
 def test_thrust_follows_a_command_with_the_lag_and_within_its_limit() -> None:
-    flying, world = pilots(lag=0.03)
+    flying, world = hovering_pilots(lag=0.03)
     zero, mass = np.zeros((4, 3)), TEAM.mass[:, None]
 
     def command(thrust: float) -> Array:
@@ -122,7 +121,7 @@ def test_spread_and_memory_do_not_depend_on_the_step() -> None:
         assert correlation == pytest.approx(np.exp(-step / 0.5), abs=0.02)
 
 
-def test_a_quantity_that_is_switched_off_leaves_the_others_as_they_were() -> None:
+def test_switching_off_one_perturbation_does_not_change_the_others() -> None:
     both = Disturbances(INDOOR, 4, 11)
     windless = Disturbances(replace(INDOOR, wind=0.0, steady_wind=0.0, velocity_noise=0.0), 4, 11)
     np.testing.assert_array_equal(both.cable_scale, windless.cable_scale)
@@ -140,7 +139,7 @@ COARSE = Preset("coarse", 0.1, 0.012, 0.001)  # Ropes that meet nothing may have
 LENGTH, DENSITY = 1.1, 0.02  # Length of a cable [m], and its density [kg/m]
 
 
-def rest(settings: Settings) -> Array:
+def mean_offsets(settings: Settings) -> Array:
     """Return the mean offsets (4, 3) [m] of drones from setpoints that know no cable weight."""
     team = ho.Team(2, LENGTH, topology="open", quadrotor=ho.Quadrotor(mass=0.15))
     place = PLACES * [0.8, 1.0, 1.0] - [0.0, 0.0, 1.0]
@@ -152,17 +151,17 @@ def rest(settings: Settings) -> Array:
 
 @pytest.mark.slow
 def test_weight_and_wind_move_drones_by_their_forces_over_the_stiffness() -> None:
-    """Nothing but the setpoints is fed forward: half a rope's weight pulls each drone down."""
+    """Cable forces are not fed forward: half a rope's weight pulls each drone down."""
     windy = Settings(perturbations=Perturbations(steady_wind=0.06), stiffness=6.0, seed=3)
-    calm = rest(replace(windy, perturbations=CALM))
+    calm = mean_offsets(replace(windy, perturbations=CALM))
     np.testing.assert_allclose(calm[:, 2], -0.5 * GRAVITY * DENSITY * LENGTH / 6.0, rtol=0.02)
     force = Disturbances(windy.perturbations, 2, 3).steady_wind
-    np.testing.assert_allclose(rest(windy) - calm, np.tile(force / 6.0, (4, 1)), atol=2e-4)
+    np.testing.assert_allclose(mean_offsets(windy) - calm, np.tile(force / 6.0, (4, 1)), atol=2e-4)
 
 
 @pytest.mark.parametrize("integral", [False, True])
-def test_a_loop_that_oscillates_more_and_more_is_refused(integral: bool) -> None:
-    """The limit is that of the linear system's matrix: position, velocity, wound, then the lag."""
+def test_unstable_loops_are_refused(integral: bool) -> None:
+    """The limit is that of the linear system of position, velocity, integral and lag."""
     mass, lag = 0.132, Settings().lag
 
     def growth(stiffness: float) -> float:
@@ -201,9 +200,9 @@ def test_the_teams_stiffness_is_used_and_an_option_replaces_it(
 
 
 @pytest.mark.slow
-def test_ropes_that_become_firmer_do_not_jerk() -> None:
-    """What they have yielded under their tension is not to pull at once when steps are refined."""
-    world, peaks = hung(preset=ACCURATE), []
+def test_refined_time_steps_do_not_jerk_ropes() -> None:
+    """The stretch under tension must not act as a sudden pull when time steps are refined."""
+    world, peaks = hanging_cables(preset=ACCURATE), []
     force = np.array([[-0.5, 0.0, WEIGHT], [0.5, 0.0, WEIGHT]] * 2)
     for step in range(720):
         slowed = force - 2.0 * world.data.qvel[world.drone_dofs]
@@ -223,10 +222,10 @@ def test_ropes_that_become_firmer_do_not_jerk() -> None:
         (1e12, 0.0, 1, r"its state is no longer finite, t = 0\.250 s", "all"),
     ],
 )
-def test_what_leaves_its_range_ends_the_run_and_writes_nothing(
+def test_invalid_states_end_the_run_without_output(
     place: Path, capfd: Text, pull: float, shift: float, steps: int, words: str, where: str
 ) -> None:
-    world = hung()
+    world = hanging_cables()
     if shift:
         world.place([world.cables[0].copy(), world.cables[0] + [0.0, shift, 0.0]])
     world.data.xfrc_applied[world.drone_bodies, 2] = WEIGHT
@@ -241,7 +240,7 @@ def test_what_leaves_its_range_ends_the_run_and_writes_nothing(
 
 
 @pytest.mark.slow
-def test_a_rope_picked_up_from_the_ground_is_valid_since_its_lengths_answer_faster() -> None:
+def test_a_rope_picked_up_from_the_ground_is_valid() -> None:
     drones, lifted = np.array([[0.0, 0.0, 0.03], [0.6, 0.0, 0.03]]), []
     for loose in (False, True):
         world = world_of(1.2, preset=ACCURATE, friction=0.0)
@@ -284,17 +283,17 @@ def test_the_jet_carries_the_momentum_of_the_thrust(depth: float) -> None:
 def test_drones_and_cables_in_contact_are_reported_by_name() -> None:
     next_to, above, through = PLACES.copy(), PLACES.copy(), PLACES.copy()
     next_to[2:] = [[0.1, 0.0, 3.02], [0.1, 1.0, 3.0]]  # q1 next to q0
-    assert ("q0", "q1") in touching(hung(next_to))
+    assert ("q0", "q1") in touching(hanging_cables(next_to))
     above[2:] = [[0.0, 0.0, 3.0 + 2.1 * BODY_HALF_HEIGHT], [0.0, 1.0, 3.0]]  # no ball
-    assert ("q0", "q1") not in touching(hung(above))
-    middle = hung().cables[0]
+    assert ("q0", "q1") not in touching(hanging_cables(above))
+    middle = hanging_cables().cables[0]
     through[3] = middle[len(middle) // 2] + [0.0, 0.05, 0.0]  # r1 at the lowest point of cable 0
     through[2] = through[3] + [0.0, 1.0, 0.5]
-    assert touching(hung(through)) == [("r1", "cable 0")]
+    assert touching(hanging_cables(through)) == [("r1", "cable 0")]
 
 
 @pytest.mark.parametrize("height", [0.04, 1.0])
-def test_a_drone_that_has_landed_may_stand_on_its_own_cable(height: float) -> None:
+def test_landed_drones_may_touch_their_own_cable(height: float) -> None:
     """Its two drones are side by side, and the cable between them is folded up."""
     world = world_of(0.5, 1.5)
     count = world.ropes.segments + 1
