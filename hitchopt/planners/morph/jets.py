@@ -1,4 +1,4 @@
-"""Arithmetic of jets, values with derivatives by one parameter, and interpolation of jets."""
+"""Products, compositions and interpolation of jets: values with derivatives by one parameter."""
 
 from __future__ import annotations
 
