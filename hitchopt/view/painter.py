@@ -98,7 +98,8 @@ class Painter:
         # Offsets sort objects above their tables, and on top of cables, which are drawn thicker.
         offsets = (
             body.circumradius / 2**SUBDIVISIONS if body.fixed else -2.0 * self._width
-            for body in requirements.objects.values()
+            for motion in (scene.motion, *(other.motion for other in scene.motion.others))
+            for body in motion.requirements.objects.values()
         )
         self._objects = [
             (subdivide(solid.faces, SUBDIVISIONS), to_rgba_array(solid.colours), offset)

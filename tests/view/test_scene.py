@@ -291,10 +291,13 @@ def test_a_simulated_flight_is_filmed_from_its_directory(tmp_path: Path) -> None
 
 
 def pair(*, others: bool = False) -> Motion:
-    """Return a triangle below a square that begins a second later."""
+    """Return a triangle below a square that begins a second later; others have a pillar."""
     first = planned("triangle").motion
     second = shifted(moved(planned("square_quarter_turn").motion, 0.0, 0.0, 4.0), 1.0)
     if others:
+        pillar = ho.SolidObject(ho.Section(radius=0.1), 0.0, 1.5, at=[6.0, 0.0, 0.0], fixed=True)
+        requirements = dataclasses.replace(second.requirements, objects={"pillar": pillar})
+        second = second.replaced(requirements=requirements)
         return combined([Group("", first)], [Group("show", second, "digest")])
     return combined([Group("a", first), Group("b", second)])
 
@@ -414,5 +417,6 @@ def test_reports_and_pictures_show_all_groups(tmp_path: Path) -> None:
     data = json.loads(next(iter(re.findall(r"<script[^>]*json[^>]*>(\{.*?)</script>", text, re.S))))
     assert data["names"][-1] == "show.r3"
     assert "beside show" in data["facts"]
+    assert len(data["objects"]) == 1
     plan.view(save=tmp_path / "plan.png")
     assert (tmp_path / "plan.png").stat().st_size > 20_000
