@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 NAMES = (
+    "corpus",
     "morphs",
     "hard_morphs",
     "forming",
