@@ -55,6 +55,7 @@ BUDGET, CHUNK, DEPTH = 6_000_000, 8192, 46  # samples of a limit, samples at onc
 PASSING = {"proven", "warning"}  # the ground is unknown without an arena, hence warnings
 CROSSINGS = {"on the ground": 0, "hanging free": 0, "being tightened": 1, "hitched": 1}
 LAID, ROLLING = "being laid", "rolling"  # single taut cables; pairs between crossing and clasp
+CLASPING, TIGHTENED = "clasping", "being tightened"
 LYING, UNLINKED = "lying across", {"on the ground", "hanging free"}  # weight transfer; no links
 STATES = {*CROSSINGS, "clasping", LAID, ROLLING, LYING, "none"}
 POSITIVE = ("mass", "max_thrust", "cable_length", "tension")
@@ -354,6 +355,25 @@ class Spans:
         depth = depth * (0.5 * np.sqrt(1.0 - ratio**2))
         return [q, r, q - depth * UP, r - depth * UP]
 
+    def hull(self, k: Index, b: int = -1) -> list[Line]:
+        """Return corners of upright regions that contain cables which clasp or are tightened.
+
+        In plan view they span the hull of chord and route, over the middles of pairs that turn or
+        over the vertices, and over the vertices of the hitch before or after.
+        """
+        p, ends = self.plan, []
+        turning = p.state[self.piece] == CLASPING
+        for vertex in (p.begin[k], p.end[k]):
+            one, other = p.pairs[vertex - p.N].T
+            middle = (self.point(one) + self.point(other)) * 0.5
+            clasp = middle.where(turning) + self.point(vertex).where(~turning)
+            tied = p.tied_vertices[self.piece, vertex - p.N]
+            taut = (self.zero + tied).where(p.tied[self.piece]) + clasp.where(~p.tied[self.piece])
+            ends.append([self.local(b, clasp), self.local(b, taut)])
+        (a, c), (d, e) = ends
+        q, r = self.ends(k, b)
+        return [q, a, c, e, d, r, (q + r - UP * p.length[k]) * 0.5]
+
     def segment(self, j: Index, b: int = -1) -> list[Line]:
         """Return both ends of straight segments of taut cables in the frame of body b."""
         return [self.local(b, self.point(self.plan.segments[j, end])) for end in (0, 1)]
@@ -492,11 +512,25 @@ def distance(a: Sequence[Line], b: Sequence[Line]) -> Line:
     return minimum(*((x - y).dot(w) for x in a for y in b))
 
 
+def hull_distance(a: Sequence[Line], b: Sequence[Line]) -> Line:
+    """Return the distance of convex hulls in the plane, along that of their nearest sides."""
+    sides = [[*combinations(x if x[1:] else [*x, *x], 2)] for x in (a, b)]
+    gaps = [closest(*(y.v for y in (*p, *q))) for p, q in product(*sides)]
+    nearest = np.argmin([norm(x) for x in gaps], axis=0)
+    w = normalize(np.stack(gaps)[nearest, np.arange(len(nearest))])
+    return minimum(*((x - y).dot(w) for x in a for y in b))
+
+
 def prism_gap(a: Sequence[Line], b: Sequence[Line]) -> Line:
-    """Return horizontal distances of the first two corners, or vertical ones of all corners."""
+    """Return horizontal distances, or vertical ones of all corners.
+
+    In plan view, bodies are on their first two corners, or in the hull of all but the last of more
+    than four corners.
+    """
     z_coordinates = [[x[2] for x in corners] for corners in (a, b)]
     (low, floor), (high, top) = ([f(*z) for z in z_coordinates] for f in (minimum, maximum))
-    horizontal = distance([x[:2] for x in a[:2]], [x[:2] for x in b[:2]])
+    outlines = [[x[:2] for x in (c[:2] if len(c) < 5 else c[:-1])] for c in (a, b)]
+    horizontal = (distance if max(map(len, outlines)) < 3 else hull_distance)(*outlines)
     return maximum(horizontal, low - top, floor - high)
 
 
@@ -764,6 +798,21 @@ class Plan:
         flat = (x.reshape(m, 2 * n, 1, x.shape[-1]) for x in (pulls, legs))
         self.pulls, self.legs = (Curve(x, self.h) for x in flat)
         self.tensions = Curve(T[:, :, None], self.h)
+        # Drones that turn about each vertex; twice the same at the ends of a chain (P, 2)
+        j = np.arange(P)
+        self.pairs = np.stack([2 * j, 2 * j - 1], -1) % max(N, 1)
+        if not self.closed and n:
+            self.pairs[[0, -1]] = [[0, 0], [N - 1, N - 1]]
+        # Vertices of the hitch before or after each piece on which cables clasp (m, P, 3)
+        self.clasping = np.isin(self.state, (CLASPING, TIGHTENED))
+        self.tied, self.tied_vertices = np.zeros(m, bool), np.zeros((m, P, 3))
+        for piece in np.flatnonzero(self.clasping):
+            run = np.flatnonzero(~self.clasping)
+            before, after = run[run < piece][-1:], run[run > piece][:1]
+            for near, end in ((after, 0), (before, -1)):
+                if len(near) and self.formed[near[0]]:
+                    self.tied[piece] = True
+                    self.tied_vertices[piece] = vertices[near[0], ..., end]
         self.clasped = np.zeros((n, n), dtype=bool)  # cables that clasp each other
         self.clasped[self.clasps, self.behind] = self.clasped[self.behind, self.clasps] = True
         # Phases that state a range of tensions (m,), and the ranges (m, n, 2) [N].
@@ -1246,11 +1295,22 @@ def free_cables(p: Plan) -> Iterator[Row]:
     clasped = p.clasped[pairs] & ~np.isin(p.state, ("on the ground", "hanging free"))[:, None]
     both = p.spans(p.free[:, None] & ~clasped, np.column_stack(pairs), p.cables, p.cables)
     free, hanging = (p.spans(on, k, p.cables) for on in (p.free, p.free & ~ground))
-    lying, tightened = p.spans(p.free & ground, foreign, *ends), p.state == "being tightened"
+    lying, tightened = p.spans(p.free & ground, foreign, *ends), p.state == TIGHTENED
+    apart = p.clasping[:, None] & ~p.clasped[pairs]
+    loose = p.spans(apart, np.column_stack(pairs), p.cables, p.cables)
+    on_clasps = p.pairs[np.stack([p.begin, p.end], -1)[foreign[:, 1]] - p.N]
+    turning = np.any(on_clasps == foreign[:, :1, None], axis=(1, 2))
+    beside = p.clasping[:, None] & ~(turning & (p.state == CLASPING)[:, None])
 
     def to_cable(s: Spans, i: Index, k: Index) -> Line:
         cable, _, sag = catenary_links(s, k)
         return minimum(*(distance([s.point(i)], x) for x in pairwise(cable))) - sag - shift(s, k)
+
+    def to_hull(s: Spans, i: Index, k: Index) -> Line:
+        return prism_gap([s.point(i)], s.hull(k))
+
+    def between_hulls(s: Spans, i: Index, j: Index) -> Line:
+        return hull_distance(*([x[:2] for x in s.hull(k)[:-1]] for k in (i, j)))
 
     def to_sheet(s: Spans, i: Index, k: Index) -> Line:
         """Return distances of drones from sheets between hanging cables and their chords."""
@@ -1270,6 +1330,8 @@ def free_cables(p: Plan) -> Iterator[Row]:
     s = s.select(total.low < p.length[s.item[:, 1], 0] + 2.0 * (p.sep["cable"] + EXACT_RANGE))
     yield prove(*p.cable_limit, s, to_cable)
     yield prove("cable_loops m min", POS_TOL, s, to_sheet)
+    yield prove(*p.crossing_limit, loose, between_hulls)
+    yield prove(*p.cable_limit, p.spans(beside, foreign, *ends), to_hull)
     longer = "cable_length 1 max", 1e-4  # bound of lengths along vertices
     s = p.spans(tightened, k, p.cables)
     yield prove(*longer, s, lambda s, k: s.route_length(k) * (1.0 / p.length[k]) - 1.0)
@@ -1458,7 +1520,7 @@ def clear_objects(p: Plan, b: int) -> Iterator[Row]:
     wrapped = p.grip[b][:, None] & (p.segments[:, 3] != p.segments[:, 4])  # edges, not legs
     masks = p.formed[:, None] & ~held, held & ~wrapped
     off, holding = (p.spans(on, items, p.segment_names) for on in masks)
-    free = p.spans(p.free, range(p.n), p.cables)
+    free, clasping = (p.spans(on, range(p.n), p.cables) for on in (p.free, p.clasping))
     moving, carried = (p.spans(x[b], [0], [body.name]) for x in (p.moving, p.held))
     header = "penetration m min"
 
@@ -1467,6 +1529,11 @@ def clear_objects(p: Plan, b: int) -> Iterator[Row]:
         height = lowest_height(s, k) - p.poses.on(s, b)[2] - slab.upper - shift(s, k)
         height = height.where(p.state[s.piece] != "on the ground")
         return maximum(slab.enlarged(0.0, -BIG, BIG).gap(*s.ends(k, b)), height)
+
+    def hull_gap(s: Spans, k: Index, slab: Slab) -> Line:
+        *outline, lowest = s.hull(k, b)
+        tall = slab.enlarged(0.0, -BIG, BIG)
+        return maximum(tall.gap(*outline, outline[0]), lowest[2] - slab.upper)
 
     def arena_gap(s: Spans, _: Index, slab: Slab) -> Line:
         """Return distances to walls and ceiling; the floor is a contact."""
@@ -1482,6 +1549,7 @@ def clear_objects(p: Plan, b: int) -> Iterator[Row]:
     for slab in body.slabs:
         yield prove(*p.object_limit, off, lambda s, j, slab=slab: slab.gap(*s.segment(j, b)))
         yield prove(*p.object_limit, free, partial(hanging_gap, slab=slab))
+        yield prove(*p.object_limit, clasping, partial(hull_gap, slab=slab))
         for o, block in (ground, *p.slabs):
             if o != b:
                 gap = partial(other_gap, o=o, slab=slab, block=block)
@@ -1674,17 +1742,22 @@ Solid = tuple[Mask, Sequence[str], Callable[..., Any]]
 
 
 def solids(p: Plan) -> list[Solid]:
-    """Return masks of pieces, names and corners of drones, cable segments, sheets and strips."""
+    """Return masks of pieces, names and corners of drones and of cables.
+
+    Cables are segments, sheets if they hang, strips if they are laid, or hulls if they clasp.
+    """
     drones, laid = (p.all_pieces, p.names, lambda s, i: [s.point(i)]), p.state == LAID
-    sheets = (p.free & ~laid, p.cables, Spans.sheet), (laid, p.cables, Spans.strip)
-    return [drones, (p.formed, p.segment_names, Spans.segment), *sheets]
+    hanging = p.free & ~laid & ~p.clasping
+    sheets = (hanging, p.cables, Spans.sheet), (laid, p.cables, Spans.strip)
+    hulls = p.clasping, p.cables, Spans.hull
+    return [drones, (p.formed, p.segment_names, Spans.segment), *sheets, hulls]
 
 
 def between_plans(pair: Pair) -> Iterator[Row]:
     """Prove distances between drones and cables of two plans.
 
-    Sheets below the chords contain hanging and lying cables. Distances to sheets are horizontal or
-    vertical ones. A cable that is laid on edges or lifted from them must not pass through them.
+    Upright regions contain cables without a hitch. Distances to them are horizontal or vertical
+    ones. A cable that is laid on edges or lifted from them must not pass through them.
     """
     p, q = pair.plans
     contacts = [*laid_contacts(q).values()] if q.ring_plan is p else []
@@ -1729,12 +1802,17 @@ def object_distances(pair: Pair) -> Iterator[Row]:
 
     def gap(s: Spans, *i: Index, b: int, slab: Slab, corners: Any) -> Line:
         mine, theirs = pair.both(s)
-        return slab.gap(*(theirs.local(b, x) for x in corners(mine, i[0])[:2]))
+        points = [theirs.local(b, x) for x in corners(mine, i[0])]
+        if len(points) < 5:
+            return slab.gap(*points[:2])
+        *outline, lowest = points
+        return maximum(slab.gap(*outline, outline[0]), lowest[2] - top[b])
 
     def object_gap(s: Spans, *_: Index, b: int, slab: Slab, o: int, block: Slab) -> Line:
         mine, theirs = pair.both(s)
         return body_gap(mine, o, block, theirs, b, slab)
 
+    top = [max(slab.upper for slab in body.slabs) for body in q.bodies]
     cable_limit = pair.object_limit[0], pair.object_limit[1] + pair.tracking  # objects err too
     for b, slab, body in own_objects(q, p):
         for i, one in enumerate(solids(p)):

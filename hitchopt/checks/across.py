@@ -5,16 +5,16 @@ checks ``separation``, ``cable_clearance``, ``crossing``, ``keep_out`` and ``obj
 groups are compared on their common breaks, in runs of pieces on which neither ties nor unties its
 hitch; they are at rest before and after their motions.
 
-A cable that hangs or lies stays within the vertical sheet below its chord, no deeper than a cable
-that leads straight down and up again. The distance of such a sheet is the larger one of the
-horizontal distance of its chord and the difference of heights.
+Cables without a hitch stay within upright regions (``checks.regions``). The distance of such a
+region is the larger one of its horizontal distance and the difference of heights.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -26,19 +26,19 @@ from hitchopt.checks.distances import (
     Moving,
     nearest,
     smallest,
-    taut_strips,
     upright_distance,
 )
 from hitchopt.checks.joining import vertical_passes
 from hitchopt.checks.objects import in_object_frame, placed_corners
+from hitchopt.checks.regions import CableSheets, cable_sheets
 from hitchopt.checks.rule import CheckRule, WorstCase
 from hitchopt.checks.spans import ROUNDING, cable_names, cable_parts, cached, magnitude, part_names
 from hitchopt.checks.tracking import Ellipsoid
 from hitchopt.hitch.requirements import Separation
 from hitchopt.motion.combined import same_object
-from hitchopt.motion.motion import CableState, Group, Motion
+from hitchopt.motion.motion import CLASPED_STATES, Group, Motion
 from hitchopt.motion.retiming import on_breaks_of, padded
-from hitchopt.objects import SolidObject
+from hitchopt.objects import Slab, SolidObject
 from hitchopt.objects.placing import REST_DRIFT
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.enclosed import Enclosed
@@ -47,15 +47,32 @@ from hitchopt.values import Array
 
 
 @dataclass(frozen=True, eq=False)
+class Side:
+    """A group on a run of pieces, and the regions of its cables while it has no hitch."""
+
+    group: Group
+    sheets: CableSheets | None  # None without cables
+
+    @property
+    def motion(self) -> Motion:
+        """The group's motion."""
+        return self.group.motion
+
+    def labels(self, names: Sequence[str]) -> tuple[str, ...]:
+        """Return full names, such as ``a.q0``."""
+        return tuple(map(self.group.label, names))
+
+
+@dataclass(frozen=True, eq=False)
 class Run:
     """Two groups on common pieces on which each has a hitch or none; ``scale`` of separation."""
 
-    first: Group
-    second: Group
+    first: Side
+    second: Side
     scale: Array
 
     @property
-    def both(self) -> tuple[tuple[Group, Group], ...]:
+    def both(self) -> tuple[tuple[Side, Side], ...]:
         """Both orders of the two groups."""
         return (self.first, self.second), (self.second, self.first)
 
@@ -68,19 +85,24 @@ class Run:
         """Return the pairs of bodies of the first and the second group."""
         order = max(bernstein.degree(first.corners), bernstein.degree(second.corners))
         a, b = (bernstein.elevate(each.corners, order) for each in (first, second))
-        if first.is_vertical or second.is_vertical:
-            options = {"formula": upright_distance, "tolerance": CHAIN_TOLERANCE} | options
+        if first.outline or second.outline:
+            outlines = (first.outline or a.shape[2], second.outline or b.shape[2])
+            formula = partial(upright_distance, outlines=outlines)
+            options = {"formula": formula, "tolerance": CHAIN_TOLERANCE} | options
         values = {"margin": self.margin, "names": (first.names, second.names)} | options
         return Moving(self.first.motion.drones.breaks, a, b, **values)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True, eq=False)
 class Bodies:
-    """Bodies of a group: corners (pieces, bodies, k, 3, degree + 1) [m], names, whether upright."""
+    """Bodies of a group: corners (pieces, bodies, k, 3, degree + 1) [m], and names.
+
+    Upright regions have an ``outline``: the number of corners that span them in plan view.
+    """
 
     corners: Array
     names: tuple[str, ...]
-    is_vertical: bool = False
+    outline: int = 0
 
 
 @cached
@@ -101,41 +123,42 @@ def _runs(first: Group, second: Group, scale: Array) -> Iterator[Run]:
     motions = [padded(each.motion, begin, end) for each in (first, second)]
     breaks = merged_breaks([each.drones.breaks for each in motions])
     one, other = (on_breaks_of(each, breaks) for each in motions)
-    taut = frozenset({CableState.LAYING})
-    kinds = [each.formed + 2 * each.in_states(taut) for each in (one, other)]
+    kinds = [each.formed + 2 * each.in_states(CLASPED_STATES) for each in (one, other)]
     changes = np.flatnonzero(np.diff(3 * kinds[0] + kinds[1])) + 1
     edges = [0, *changes.tolist(), len(breaks) - 1]
+    sheets = [cable_sheets(each) if each.team.has_cables else None for each in (one, other)]
     for start, stop in pairwise(edges):
+        pieces = slice(start, stop)
         a, b = (
-            each.slice_pieces(slice(start, stop), each.overlapping(breaks[start], breaks[stop]))
-            for each in (one, other)
+            Side(
+                replace(
+                    group,
+                    motion=each.slice_pieces(pieces, each.overlapping(breaks[start], breaks[stop])),
+                ),
+                own and own.on(pieces),
+            )
+            for group, each, own in zip((first, second), (one, other), sheets, strict=True)
         )
-        yield Run(replace(first, motion=a), replace(second, motion=b), scale)
+        yield Run(a, b, scale)
 
 
-def drones_of(group: Group) -> Bodies:
+def drones_of(side: Side) -> Bodies:
     """Return the drones of a group."""
-    names = tuple(map(group.label, group.motion.team.drone_names))
-    return Bodies(group.motion.drones.coefficients[:, :, None], names)
+    names = side.labels(side.motion.team.drone_names)
+    return Bodies(side.motion.drones.coefficients[:, :, None], names)
 
 
-def cables_of(group: Group, *, parts: bool = False) -> Bodies | None:
+def cables_of(side: Side, *, parts: bool = False) -> Bodies | None:
     """Return the cables of a group, if ``parts`` with names of taut parts; None without cables."""
-    motion = group.motion
-    if not motion.team.has_cables:
+    motion, sheets = side.motion, side.sheets
+    if sheets is None:
         return None
-    if motion.formed[0]:
-        corners, part = cable_parts(motion)
-        whole = cable_names(motion)
-        labels = part_names(motion, part) if parts else [whole[k // 3] for k in part.tolist()]
-        return Bodies(corners, tuple(map(group.label, labels)))
-    if CableState.LAYING in motion.cable_states:
-        return Bodies(taut_strips(motion), tuple(map(group.label, cable_names(motion))), True)
-    q, r = motion.drones.coefficients[:, 0::2], motion.drones.coefficients[:, 1::2]
-    lowest = 0.5 * (q + r)
-    lowest[:, :, 2] -= 0.5 * motion.team.cable_length[:, None]
-    names = tuple(map(group.label, cable_names(motion)))
-    return Bodies(np.stack([q, r, lowest], axis=2), names, is_vertical=True)
+    names = cable_names(motion)
+    if not motion.formed[0]:
+        return Bodies(sheets.corners, side.labels(names), sheets.outline)
+    corners, part = cable_parts(motion)
+    own = part_names(motion, part) if parts else [names[k // 3] for k in part.tolist()]
+    return Bodies(corners, side.labels(own))
 
 
 def drone_pairs(run: Run) -> Iterator[Moving]:
@@ -170,7 +193,7 @@ def cable_pairs(run: Run) -> Iterator[Moving]:
     yield run.moving(first, second, active=None if np.all(active) else active)
 
 
-def _objects(one: Group, other: Group) -> Iterator[tuple[str, SolidObject, Enclosed]]:
+def _objects(one: Side, other: Side) -> Iterator[tuple[str, SolidObject, Enclosed]]:
     """Yield the objects of one group that are not obstacles of the other, and their poses."""
     obstacles = other.motion.requirements.objects
     for index, (name, body) in enumerate(one.motion.requirements.objects.items()):
@@ -190,18 +213,12 @@ def drones_and_objects(run: Run) -> Iterator[Moving]:
 
 
 def cables_and_objects(run: Run) -> Iterator[Moving]:
-    """Yield the pairs of objects of one group and cables or objects of the other.
-
-    For hanging cables, the distance is horizontal.
-    """
+    """Yield the pairs of objects of one group and cables or objects of the other."""
     for one, other in run.both:
         for name, body, pose in _objects(other, one):
             for slab in body.slabs:
                 if (cables := cables_of(one)) is not None:
-                    if cables.is_vertical:
-                        cables = replace(cables, corners=cables.corners[:, :, :2])
-                    shape = from_above(slab) if cables.is_vertical else Solid(slab)
-                    yield _pairs_with_shape(run, cables, name, shape, pose)
+                    yield _pairs_with_cables(run, one, cables, name, slab, pose)
                 if one is run.first:
                     for label, other_body, other_pose in _objects(one, other):
                         for block in other_body.slabs:
@@ -211,6 +228,23 @@ def cables_and_objects(run: Run) -> Iterator[Moving]:
                             yield _pairs_with_shape(
                                 run, bodies, name, solid, pose, float(np.max(corners.r))
                             )
+
+
+def _pairs_with_cables(
+    run: Run, side: Side, cables: Bodies, label: str, slab: Slab, pose: Enclosed
+) -> Moving:
+    """Return the pairs of cables and a slab that moves with a pose.
+
+    The distance of cables that hang, lie or are laid is horizontal.
+    """
+    if not cables.outline:
+        return _pairs_with_shape(run, cables, label, Solid(slab), pose)
+    if cables.outline == 2:
+        chords = replace(cables, corners=cables.corners[:, :, :2])
+        return _pairs_with_shape(run, chords, label, from_above(slab), pose)
+    assert side.sheets is not None
+    prisms = replace(cables, corners=side.sheets.prisms)
+    return _pairs_with_shape(run, prisms, label, Solid(slab, 0.0), pose)
 
 
 def _pairs_with_shape(

@@ -39,9 +39,11 @@ from hitchopt.checks.distances import (
     gap,
     nearest,
     plan_points,
+    upright_distance,
 )
 from hitchopt.checks.drones import Drones, edge_sags, leg_sags, steepness_of
 from hitchopt.checks.objects import in_object_frame, placed_corners
+from hitchopt.checks.regions import cable_sheets
 from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase, WorstOverSpans
 from hitchopt.checks.spans import (
     ROUNDING,
@@ -67,7 +69,14 @@ from hitchopt.hitch.pairs import CABLE, PAIRS, Bodies
 from hitchopt.hitch.requirements import Arena
 from hitchopt.motion.chapters import parts_of
 from hitchopt.motion.loads import held_pieces
-from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, HoldBy, Motion
+from hitchopt.motion.motion import (
+    CLASPED_STATES,
+    FREE_STATES,
+    HITCHED_STATE,
+    CableState,
+    HoldBy,
+    Motion,
+)
 from hitchopt.objects import Slab, SolidObject
 from hitchopt.objects.placing import CONTACT_GAP, REST_DRIFT, section_gap, surface_below
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
@@ -363,6 +372,36 @@ def _drones_and_hanging(motion: Motion) -> Iterator[Moving]:
         yield cables_and_ground(part.motion)
 
 
+def _drones_and_clasped(motion: Motion) -> Iterator[Moving]:
+    """Yield pairs of drones and other cables that are being clasped or tightened.
+
+    A pair of drones that turns about a clasp passes through the regions of both its cables. These
+    drones keep their distance to the cables as they hang between their drones.
+    """
+    names, sheets = (cable_names(motion), motion.team.drone_names), None
+    layout, drones = motion.team.layout, motion.drones.coefficients[:, :, None]
+    turning = np.zeros((layout.robots, 2 * layout.robots), dtype=np.bool_)
+    turning[layout.ahead, 2 * layout.behind + 1] = turning[layout.behind, 2 * layout.ahead] = True
+    for state in sorted(CLASPED_STATES & motion.cable_states):
+        sheets = sheets or cable_sheets(motion)
+        excepted = turning if state is CableState.CLASPING else np.zeros_like(turning)
+
+        def counts(k: Indices, i: Indices, excepted: Flags = excepted) -> Flags:
+            return np.asarray((i // 2 != k) & ~excepted[k, i])
+
+        pieces = motion.in_states(frozenset({state}))
+        yield Moving.of(
+            motion,
+            sheets.corners,
+            bernstein.elevate(drones, bernstein.degree(sheets.corners)),
+            allowed=counts,
+            active=np.repeat(pieces[:, None], layout.robots, axis=1),
+            names=names,
+            formula=partial(upright_distance, outlines=(sheets.outline, 1)),
+            tolerance=CHAIN_TOLERANCE,
+        )
+
+
 ON_GROUND = frozenset({CableState.GROUND})
 
 CABLE_CLEARANCE = CheckRule(
@@ -378,6 +417,12 @@ CABLE_CLEARANCE = CheckRule(
             FREE_STATES - ON_GROUND,
             exported=True,
             formulas=(chain_distance,),
+        ),
+        Evaluator(
+            nearest(_drones_and_clasped),
+            FREE_STATES | HITCHED_STATE,
+            exported=True,
+            formulas=(upright_distance,),
         ),
     ),
     "give the drones other leg lengths (of a longer cable or a smaller polygon), "
@@ -460,6 +505,19 @@ def _hanging_and_objects(motion: Motion) -> Iterator[Moving]:
                 yield pairs_with_shape(span, ends, names, name, from_above(slab), rest, **options)
 
 
+def _clasped_and_objects(motion: Motion) -> Iterator[Moving]:
+    """Yield pairs of objects and cables that are being clasped or tightened."""
+    clasped = motion.in_states(CLASPED_STATES)
+    if not np.any(clasped):
+        return
+    prisms = Enclosed(cable_sheets(motion).prisms)
+    names, active = cable_names(motion), np.repeat(clasped[:, None], motion.team.robots, axis=1)
+    for name, each, pose in _objects(motion):
+        for slab in each.slabs:
+            shape = Solid(slab, 0.0)
+            yield pairs_with_shape(motion, prisms, names, name, shape, pose, active=active)
+
+
 def beside_or_above(spans: PairSpans, top: float) -> Bound:
     """Return the distance of hanging cables from a body, horizontal or above it [m]."""
     return largest_of([gap(spans), chain_distance(spans, Ground(top))])
@@ -478,6 +536,7 @@ OBJECT_CLEARANCE = CheckRule(
         Evaluator(
             nearest(_hanging_and_objects), FREE_STATES, exported=True, formulas=(beside_or_above,)
         ),
+        Evaluator(nearest(_clasped_and_objects), FREE_STATES | HITCHED_STATE, exported=True),
     ),
     "fly higher over objects or farther from them, lift the held one higher, use shorter cables "
     "or stand it higher where the ground is near, or allow a smaller separation.object",

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from hitchopt.checks.certificate import with_tolerance
 from hitchopt.checks.clasps import cut_corners
+from hitchopt.checks.regions import cable_sheets
 from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase
 from hitchopt.checks.spans import (
     UPWARD,
@@ -35,13 +36,12 @@ from hitchopt.checks.spans import (
     phase_parts,
     position_margin,
 )
-from hitchopt.geometry import differences, shortest_offset
+from hitchopt.geometry import differences, hull_offset, shortest_offset
 from hitchopt.geometry.broadphase import Boxes, Pairs, few_close_pairs
 from hitchopt.geometry.vectors import unit
-from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.pairs import CROSSING as CROSSING_PAIR
 from hitchopt.hitch.pairs import PAIRS, Bodies
-from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, Motion
+from hitchopt.motion.motion import CLASPED_STATES, FREE_STATES, HITCHED_STATE, CableState, Motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
 from hitchopt.trajectory.search import Extremum, Search, Spans
@@ -97,6 +97,19 @@ class Ground(Shape):
         return np.asarray(UNBOUNDED * (np.abs(x) + np.abs(y) + down) + self.height * up)
 
 
+@dataclass(frozen=True)
+class Hulls(Origin):
+    """The origin, for differences in plan view of two hulls with numbers of corners."""
+
+    corners: tuple[int, int]
+
+    def normals(self, corners: Array) -> Array:
+        """Return unit vectors (…, 3) between hulls with differences (…, k · m, 3) [m]."""
+        level = corners[..., :2].reshape(*corners.shape[:-2], *self.corners, 2)
+        offsets = hull_offset(level)
+        return unit(np.concatenate([offsets, np.zeros_like(offsets[..., :1])], axis=-1))
+
+
 ORIGIN = Origin()
 PLAN_AXES = np.array([1.0, 1.0, 0.0])[:, None]
 
@@ -129,10 +142,15 @@ def gap(spans: PairSpans) -> Bound:
     return Bound(np.maximum(distances.value - spans.source.margin, 0.0), distances.x)
 
 
-def upright_distance(spans: PairSpans) -> Bound:
-    """Return the horizontal distance of bodies, or the difference of their heights if larger."""
+def upright_distance(spans: PairSpans, outlines: tuple[int, int] = (2, 2)) -> Bound:
+    """Return the horizontal distance of bodies, or the difference of their heights if larger.
+
+    In plan view, each body is in the hull of its first ``outlines`` corners.
+    """
     a, b = spans.ends
-    plan_distance = distance(*(c[:, : min(2, c.shape[1])] * PLAN_AXES for c in (a, b)))
+    first, second = (c[:, :count] * PLAN_AXES for c, count in zip((a, b), outlines, strict=True))
+    counts = first.shape[1], second.shape[1]
+    plan_distance = distance(first, second, Hulls(counts) if max(counts) > 2 else ORIGIN)
     margin = spans.source.margin
     horizontal = Bound(np.maximum(plan_distance.value - margin, 0.0), plan_distance.x)
     heights = a[:, :, None, 2] - b[:, None, :, 2]  # (spans, k, l, degree + 1)
@@ -466,24 +484,25 @@ def upright_pieces(motion: Motion) -> Flags:
     return np.asarray(np.max(np.ptp(level, axis=-1), axis=(1, 2)) <= MAX_SIDEWAYS)
 
 
-def taut_strips(motion: Motion) -> Array:
-    """Return the corners (pieces, n, 4, 3, degree + 1) [m] of strips around laid cables.
+def _clasped_cables(motion: Motion) -> Iterator[Moving]:
+    """Yield pairs of cables that share no clasp while cables are clasped or tightened."""
+    clasped = motion.in_states(CLASPED_STATES)
+    if not np.any(clasped):
+        return
+    sheets, layout, names = cable_sheets(motion), motion.team.layout, cable_names(motion)
 
-    These cables keep their shape: each is within the vertical strip from its chord down to its
-    largest sag.
-    """
-    c = motion.drones.coefficients
-    first = c[0, ..., 0].reshape(-1, 2, 3)
-    cables = Catenary.between(first[:, 0], first[:, 1], motion.team.cable_length)
-    depths = cables.depth(0.0) + 0.25 * cables.sigma**2 * np.abs(cables.rise)
-    strips = np.concatenate([cable_ends(c)] * 2, axis=2)
-    strips[:, :, 2:, 2] -= depths[:, None, None]
-    return strips
+    def unclasped(i: Indices, j: Indices) -> Flags:
+        return ~np.isin(pair_of(layout, i, j), clasped_pairs(layout))
+
+    corners, count = sheets.corners[:, :, : sheets.outline], sheets.outline
+    active = np.repeat(clasped[:, None], layout.robots, axis=1)
+    options: dict[str, Any] = {"allowed": unclasped, "active": active, "names": (names, names)}
+    yield Moving.of(motion, corners * PLAN_AXES, shape=Hulls((count, count)), **options)
 
 
 def _laid_neighbours(motion: Motion) -> Moving:
     """Return the pairs of neighbours, on pieces on which drones move horizontally."""
-    names, layout, strips = cable_names(motion), motion.team.layout, taut_strips(motion)
+    names, layout, strips = cable_names(motion), motion.team.layout, cable_sheets(motion).corners
 
     def neighbours(i: Indices, j: Indices) -> Flags:
         return np.isin(pair_of(layout, i, j), clasped_pairs(layout))
@@ -502,6 +521,7 @@ CROSSING = CheckRule(
     (
         Evaluator(nearest(_taut_parts), HITCHED_STATE, formulas=(gap,)),
         Evaluator(nearest(_hanging_cables), FREE_STATES, exported=True),
+        Evaluator(nearest(_clasped_cables), FREE_STATES | HITCHED_STATE, exported=True),
     ),
     "shorten the legs that meet (a shorter cable or a larger polygon), "
     "choose other leg lengths, or lower separation.crossing",
@@ -510,6 +530,7 @@ CROSSING = CheckRule(
 """Cable parts that share no clasp keep a distance.
 
 For hanging cables, it is the distance of their chords seen from above: in space they are no closer.
+While cables are clasped or tightened, it is the distance of the regions that contain them.
 Laid neighbours may be above each other; as they come down on each other, the check ``interlacing``
 compares them.
 """

@@ -52,7 +52,7 @@ def _radius(motion: Motion, results: SpanResults, gamma: float) -> WorstCase:
         for each in results[name]:
             on_floor = name == "arena" and each.states != HITCHED_STATE
             if not (on_floor or (name in HANGING_CHECKS and _is_hanging(each))):
-                slack = _slack(each.check) / factors[each.states != HITCHED_STATE]
+                slack = _slack(each.check) / factors[each.states <= FREE_STATES]
                 terms.append(WorstCase(slack, each.check.time, each.check.where))
     if motion.requirements.arena is not None:  # without drones at rest on its floor
         wall = worst(Drones.of(motion), partial(drone_wall_gap, on_floor=False), "min")
@@ -84,8 +84,8 @@ def _hanging_spans(motion: Motion, results: SpanResults) -> Iterator[tuple[Check
                 yield each.check, span
                 continue
             for part in phase_parts(span):
-                (own,) = CABLE_CLEARANCE.span_results(part.motion)
-                yield own.check, part.motion
+                own = filter(_is_hanging, CABLE_CLEARANCE.span_results(part.motion))
+                yield next(own).check, part.motion
 
 
 def _slack(check: Check) -> float:

@@ -71,6 +71,31 @@ def shortest_offset(differences: Array) -> Array:
     return chosen
 
 
+def hull_offset(differences: Array) -> Array:
+    """Return the shortest vector (…, 2) from the second convex hull in the plane to the first.
+
+    Hulls are given by the ``differences`` (…, k, m, 2) [m] of their corners, in any order. These
+    fill a polygon whose sides join differences from one corner of either hull. If hulls overlap,
+    the vector has no meaning.
+    """
+    k, m, d = differences.shape[-3:]
+    shape = differences.shape[:-3]
+    ends = []
+    for one, other in zip(np.triu_indices(k, 1), np.triu_indices(m, 1), strict=True):
+        own, others = differences[..., one, :, :], differences[..., other, :]
+        own, others = (
+            own.reshape(*shape, len(one) * m, d),
+            others.reshape(*shape, k * len(other), d),
+        )
+        ends.append(np.concatenate([own, others], axis=-2))
+    if k == m == 1:
+        return differences[..., 0, 0, :]
+    offsets = _nearest(*ends)
+    best = np.argmin(dot(offsets, offsets), axis=-1)
+    chosen: Array = np.take_along_axis(offsets, best[..., None, None], axis=-2)[..., 0, :]
+    return chosen
+
+
 def differences(a: Array, b: Array) -> Array:
     """Return all differences (…, k · m, d) of ends a (…, k, d) and b (…, m, d), in a's order."""
     each = a[..., :, None, :] - b[..., None, :, :]

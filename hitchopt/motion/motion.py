@@ -58,6 +58,10 @@ FREE_STATES = frozenset(CableState) - HITCHED_STATE - {CableState.NONE}
 """States of cables without a hitch."""
 
 
+CLASPED_STATES = frozenset({CableState.CLASPING, CableState.TIGHTENING})
+"""States in which neighbouring cables may hold each other although no hitch exists."""
+
+
 class HoldBy(StrEnum):
     """Kind of hold: the object's rim rests on the clasps, or cables grip its section."""
 

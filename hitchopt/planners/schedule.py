@@ -18,11 +18,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.checks.regions import cable_sheets
 from hitchopt.errors import check_time
-from hitchopt.geometry import differences, shortest_offset
+from hitchopt.geometry import differences, hull_offset, shortest_offset
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch.requirements import Separation
 from hitchopt.motion.motion import Group
+from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, Indices
 
 STEP = 0.1  # [s]
@@ -32,11 +34,11 @@ REACH = 0.25  # [m] Distance beyond a limit up to which it is computed
 
 
 class Bodies(NamedTuple):
-    """Segments with extents at sampled times."""
+    """Segments, or upright hulls of corners in plan view, with extents at sampled times."""
 
-    segments: Array  # (samples, bodies, 2, 3) [m]
+    corners: Array  # (samples, bodies, k, 3) [m]; segments end at the first and the last one
     heights: Array  # (samples, bodies, 2) [m], lowest and highest
-    radii: Array  # (bodies,) [m], about the segments
+    radii: Array  # (bodies,) [m], about the corners
     upright: NDArray[np.bool_]  # (samples,), distances in plan view, or of heights if larger
 
 
@@ -60,28 +62,31 @@ class Track:
     def drones(self) -> Bodies:
         """All drones."""
         points = self.group.motion.drones.at(self.times)
-        segments, upright = np.repeat(points[:, :, None], 2, axis=2), np.zeros(len(self), np.bool_)
-        return Bodies(segments, segments[..., 2], np.zeros(points.shape[1]), upright)
+        ends, upright = np.repeat(points[:, :, None], 2, axis=2), np.zeros(len(self), np.bool_)
+        return Bodies(ends, ends[..., 2], np.zeros(points.shape[1]), upright)
 
     @cached_property
     def cables(self) -> Bodies:
-        """Parts of taut cables, and the vertical sheets that contain hanging cables."""
+        """Parts of taut cables, and the upright regions that contain other cables."""
         motion, layout = self.group.motion, self.group.motion.team.layout
-        n, m, drones = motion.team.robots, len(self), self.drones.segments[:, :, 0]
+        n, m, drones = motion.team.robots, len(self), self.drones.corners[:, :, 0]
         if n == 0:
             empty = np.zeros((m, 0, 2, 3))
             return Bodies(empty, empty[..., 2], np.zeros(0), np.zeros(m, np.bool_))
-        segments = np.concatenate([motion.vertices.at(self.times), drones], axis=1)
-        segments, breaks = segments[:, layout.part_nodes], motion.drones.breaks
+        ends = np.concatenate([motion.vertices.at(self.times), drones], axis=1)
+        ends, breaks = ends[:, layout.part_nodes], motion.drones.breaks
         formed = motion.formed[np.searchsorted(breaks[1:-1], self.times, side="right")]
-        cable = np.arange(segments.shape[1]) % n  # hanging cables fill the array repeatedly
-        chords = drones.reshape(m, n, 2, 3)[:, cable]
-        lowest = np.mean(chords[..., 2], axis=-1) - 0.5 * motion.team.cable_length[cable]
-        segments = np.where(formed[:, None, None, None], segments, chords)
-        heights = np.sort(segments[..., 2], axis=-1)
-        lowest = np.minimum(heights[..., 0], lowest)
-        heights[..., 0] = np.where(formed[:, None], heights[..., 0], lowest)
-        return Bodies(segments, heights, np.zeros(len(cable)), ~formed)
+        cable = np.arange(ends.shape[1]) % n  # regions fill the array repeatedly
+        sheets = PiecewisePolynomial(breaks, cable_sheets(motion).corners).at(self.times)[:, cable]
+        outlines, is_taut = sheets[:, :, :-2], formed[:, None, None]
+        parts = np.repeat(ends, [outlines.shape[2] - 1, 1], axis=2)
+        heights = np.where(
+            is_taut,
+            np.sort(ends[..., 2], axis=-1),
+            np.stack([np.min(sheets[..., 2], axis=-1), np.max(sheets[..., 2], axis=-1)], axis=-1),
+        )
+        corners = np.where(is_taut[..., None], parts, outlines)
+        return Bodies(corners, heights, np.zeros(len(cable)), ~formed)
 
     @cached_property
     def objects(self) -> Bodies:
@@ -101,10 +106,10 @@ class Track:
         """Corners (samples, 3) [m] of boxes around all bodies."""
         lower, upper = np.full((len(self), 3), np.inf), np.full((len(self), 3), -np.inf)
         for each in (self.drones, self.cables, self.objects):
-            if each.segments.shape[1]:
-                ends, radii = each.segments[..., :2], each.radii[:, None]
-                low = np.min(np.min(ends, axis=2) - radii, axis=1), np.min(each.heights, (1, 2))
-                high = np.max(np.max(ends, axis=2) + radii, axis=1), np.max(each.heights, (1, 2))
+            if each.corners.shape[1]:
+                level, radii = each.corners[..., :2], each.radii[:, None]
+                low = np.min(np.min(level, axis=2) - radii, axis=1), np.min(each.heights, (1, 2))
+                high = np.max(np.max(level, axis=2) + radii, axis=1), np.max(each.heights, (1, 2))
                 lower = np.minimum(lower, np.column_stack(low))
                 upper = np.maximum(upper, np.column_stack(high))
         return lower, upper
@@ -148,7 +153,7 @@ def _slacks_by_check(
     for check, first, second, limit in _pairs(a, b, separation):
         axes = 1.0 / separation.scale if check == "separation" else np.ones(3)
         unit, slack = float(np.min(axes)), np.full(len(i), np.inf)
-        size = max(1, CHUNK // max(1, first.segments.shape[1] * second.segments.shape[1]))
+        size = max(1, CHUNK // max(1, first.corners.shape[1] * second.corners.shape[1]))
         for k in range(0, len(i), size):
             check_time()
             rows = slice(k, k + size)
@@ -166,20 +171,34 @@ def _slack(
     smallest = np.full(len(i), np.inf)
     required = limit + first.radii[:, None] + second.radii
     reach = required[..., None] * axes + REACH
-    a, b = (np.sort(each.segments[k], axis=2) for each, k in ((first, i), (second, j)))
+    boxes = [
+        np.stack([np.min(c, axis=2), np.max(c, axis=2)], axis=-1)  # (m, bodies, 3, 2)
+        for c in (first.corners[i], second.corners[j])
+    ]
     vertical = _gaps(first.heights[i], second.heights[j])
     near = vertical < reach[..., 2]
     for axis in range(2):
-        near &= _gaps(a[..., axis], b[..., axis]) < reach[..., axis]
+        near &= _gaps(boxes[0][:, :, axis], boxes[1][:, :, axis]) < reach[..., axis]
     pair, one, other = np.nonzero(near)
     upright = (first.upright[i] | second.upright[j])[pair]
-    scale = np.where(upright[:, None], [1.0, 1.0, 0.0], 1.0)[:, None] / axes
-    ends = first.segments[i[pair], one] * scale, second.segments[j[pair], other] * scale
-    slack = length(shortest_offset(differences(*ends))) - required[one, other]
+    corners = first.corners[i[pair], one], second.corners[j[pair], other]
+    ends = [each[:, [0, -1]] / axes for each in corners]
+    slack = length(shortest_offset(differences(*ends)))
+    flat = [each[upright, :, :2] for each in corners]
+    slack[upright] = plan_distance(*flat)
+    slack -= required[one, other]
     slack = np.where(upright, np.maximum(slack, vertical[near] - limit), slack)
     slack[slack * np.min(axes) > REACH] = np.inf
     np.minimum.at(smallest, pair, slack)
     return smallest
+
+
+def plan_distance(a: Array, b: Array) -> Array:
+    """Return the distances (m,) of convex hulls of corners (m, k, 2) [m]; zero if they overlap."""
+    each = a[:, :, None] - b[:, None]
+    offset = hull_offset(each)
+    along = np.min(np.einsum("mkld,md->mkl", each, offset), axis=(1, 2))
+    return np.where(along > 0.0, length(offset), 0.0)
 
 
 def _gaps(a: Array, b: Array) -> Array:
@@ -339,7 +358,7 @@ class Schedule:
             )
         ]
         _, check, value, limit = min(rows)
-        centres = [np.mean(each.drones.segments[k], axis=(0, 1)) for each, k in ((a, i), (b, j))]
+        centres = [np.mean(each.drones.corners[k], axis=(0, 1)) for each, k in ((a, i), (b, j))]
         place = tuple(np.round(0.5 * (centres[0] + centres[1]), 3).tolist())
         names = a.group.name, b.group.name
         return Blocked(names, check, value, limit, STEP * sample, place, at)

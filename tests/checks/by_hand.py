@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Set
+from itertools import combinations
 
 import numpy as np
 from motions import row
@@ -205,11 +206,55 @@ def _free_distances(s: Samples, state: CableState) -> dict[str, float]:
         held = (j - i == 1) | ((i == 0) & (j == s.n - 1) & (len(s.clasps) == s.n))
         i, j = i[~held], j[~held]
     crossing = segment_to_segment(q[:, i], r[:, i], q[:, j], r[:, j])
+    if state in {CableState.CLASPING, CableState.TIGHTENING}:
+        outlines = clasped_outlines(s, state)
+        crossing = hull_gaps(outlines[:, i], outlines[:, j])
+        top = np.max(outlines[..., 2], axis=2)
+        bottom = 0.5 * (s.x[:, 0::2, 2] + s.x[:, 1::2, 2] - s.team.cable_length)
+        level = hull_gaps(s.x[:, :, None, None], outlines[:, None])
+        up = np.maximum(s.x[:, :, None, 2] - top[:, None], bottom[:, None] - s.x[:, :, None, 2])
+        beside = np.maximum(level, up)
+        beside[:, each, each // 2] = math.inf
+        for k in s.clasps.tolist() if state is CableState.CLASPING else ():
+            m = k - 1 if k else s.n - 1  # drones that turn about the clasp
+            beside[:, 2 * k, m] = beside[:, 2 * m + 1, k] = math.inf
+        lowest = min(lowest, float(np.min(beside)))
     return {
         "cable_clearance": min(float(np.min(apart)), lowest),
         "crossing": float(np.min(crossing, initial=math.inf)),
         "span": float(np.max(spans)),
     }
+
+
+def clasped_outlines(s: Samples, state: CableState) -> Array:
+    """Return drones and clasps (times, n, 4, 3) of cables that are clasped or tightened."""
+    clasps = s.p.copy()
+    if state is CableState.CLASPING:
+        clasps[:, s.own[~s.legged]] = s.x[:, ~s.legged]
+        for k in s.clasps.tolist():
+            clasps[:, k] = 0.5 * (s.x[:, 2 * k] + s.x[:, (2 * k - 1) % (2 * s.n)])
+    ends = s.x[:, 0::2], clasps[:, s.first], clasps[:, s.last], s.x[:, 1::2]
+    return np.stack(ends, axis=2)
+
+
+def hull_gaps(a: Array, b: Array) -> Array:
+    """Return horizontal distances (…) of hulls of corners (…, k, 3); zero where they overlap."""
+    flat = [each * [1.0, 1.0, 0.0] for each in (a, b)]
+    sides = []
+    for each in flat:
+        i, j = np.triu_indices(each.shape[-2], 0)  # corners too
+        sides.append((each[..., i, :] + 1e-13, each[..., j, :]))
+    (p, q), (u, v) = ((x[..., :, None, :], y[..., :, None, :]) for x, y in sides)
+    u, v = (np.swapaxes(x, -2, -3) for x in (u, v))
+    gaps: Array = np.min(segment_to_segment(p, q, u, v), axis=(-1, -2))
+    for one, other in (flat, flat[::-1]):
+        point = other[..., :1, :]  # a hull may be inside the other one
+        for corner in combinations(range(one.shape[-2]), 3):
+            x, y, z = (one[..., [k], :] for k in corner)
+            turns = [np.cross(f - e, point - e)[..., 0, 2] for e, f in ((x, y), (y, z), (z, x))]
+            inside = np.all(np.array(turns) > 0.0, axis=0) | np.all(np.array(turns) < 0.0, axis=0)
+            gaps = np.where(inside, 0.0, gaps)
+    return gaps
 
 
 def cable_points(length: ArrayLike, drones: Array, count: int = 201) -> Array:

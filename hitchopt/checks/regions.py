@@ -1,0 +1,127 @@
+"""Where cables may be in each of their states.
+
+- Taut cables are straight between drones, contacts and vertices (``spans.cable_parts``).
+- A cable that hangs, or lies on the ground, is in the upright sheet below its chord, no deeper than
+  a cable that leads straight down and up again.
+- A laid cable is in the sheet from its chord down to its largest sag.
+- A cable that is clasped or tightened, or the reverse, is somewhere between its chord and its route
+  over the clasps, as far out as its slack allows: in the upright region below the hull of both. Its
+  clasps are near the middles of the pairs of drones that turn about each other, or near the plan's
+  vertices while drones move out, and as taut as those of the hitch before or after.
+
+At the joints of phases, the region of one state contains that of the other one or touches it along
+the whole cable, so no body passes from one side of a cable to the other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.checks.spans import cached, same_degree
+from hitchopt.hitch.catenary import Catenary
+from hitchopt.motion.motion import CLASPED_STATES, CableState, Motion
+from hitchopt.trajectory import bernstein
+from hitchopt.values import Array
+
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class CableSheets:
+    """Upright regions that contain cables without a hitch.
+
+    The first ``outline`` of the corners (pieces, n, outline + 2, 3, degree + 1) [m] span a region
+    in plan view, and its top; the last two are at its bottom.
+    """
+
+    corners: Array
+    outline: int
+    clasped: Flags  # (pieces,), whether cables are clasped or tightened
+
+    def on(self, pieces: slice) -> CableSheets:
+        """Return the regions on a run of pieces, with two corners if none is clasped."""
+        corners, clasped = self.corners[pieces], self.clasped[pieces]
+        if self.outline == 2 or np.any(clasped):
+            return CableSheets(corners, self.outline, clasped)
+        return CableSheets(corners[:, :, [0, self.outline - 1, -2, -1]], 2, clasped)
+
+    @property
+    def prisms(self) -> Array:
+        """Corners (pieces, n, 2 outline, 3, degree + 1) [m] of floor and top, as of a slab."""
+        top = self.corners[:, :, : self.outline]
+        floor = top.copy()
+        floor[..., 2, :] = self.corners[:, :, -1:, 2]
+        return np.concatenate([floor, top], axis=2)
+
+
+@cached
+def cable_sheets(motion: Motion) -> CableSheets:
+    """Return the regions that contain the cables on pieces without a hitch.
+
+    Regions on other pieces have no meaning. While any cable is clasped or tightened, an outline has
+    six corners: both drones, and two positions of both clasps.
+    """
+    c, layout = motion.drones.coefficients, motion.team.layout
+    q, r = c[:, 0::2], c[:, 1::2]
+    bottoms = np.repeat(0.5 * (q + r)[:, :, None], 2, axis=2)
+    bottoms[:, :, :, 2] -= 0.5 * motion.team.cable_length[:, None, None]
+    laid = motion.in_states(frozenset({CableState.LAYING}))
+    if np.any(laid):
+        bottoms[laid] = _below_chords(motion, laid)
+    clasped = motion.in_states(CLASPED_STATES)
+    if not np.any(clasped):
+        return CableSheets(np.concatenate([np.stack([q, r], axis=2), bottoms], axis=2), 2, clasped)
+    drones, vertices = same_degree(c, motion.vertices.coefficients)
+    turning = motion.in_states(frozenset({CableState.CLASPING}))[:, None, None, None]
+    clasps = np.where(turning, _middles(motion, drones), vertices)
+    taut = _taut_clasps(motion, clasps, clasped)
+    routes = [np.stack([x[:, layout.starts], x[:, layout.ends]], axis=2) for x in (clasps, taut)]
+    for route in routes:
+        route[~clasped] = np.stack([drones[:, 0::2], drones[:, 1::2]], axis=2)[~clasped]
+    (a, b), (first, last) = (np.moveaxis(route, 2, 0) for route in routes)
+    outline = [drones[:, 0::2], a, first, last, b, drones[:, 1::2]]
+    bottoms = bernstein.elevate(bottoms, bernstein.degree(drones))
+    corners = np.concatenate([np.stack(outline, axis=2), bottoms], axis=2)
+    return CableSheets(corners, len(outline), clasped)
+
+
+def _below_chords(motion: Motion, laid: Flags) -> Array:
+    """Return points below both ends of laid cables (laid, n, 2, 3, degree + 1), at their sag.
+
+    They keep their shape on each piece, as the check ``interlacing`` verifies.
+    """
+    ends = motion.drones.coefficients[laid]
+    ends = ends.reshape(len(ends), -1, 2, *ends.shape[2:])
+    cables = Catenary.between(ends[:, :, 0, :, 0], ends[:, :, 1, :, 0], motion.team.cable_length)
+    depths = cables.depth(0.0) + 0.25 * cables.sigma**2 * np.abs(cables.rise)
+    down = np.array([0.0, 0.0, 1.0])[:, None] * depths[..., None, None, None]
+    return np.asarray(ends - down)
+
+
+def _middles(motion: Motion, drones: Array) -> Array:
+    """Return the middles (pieces, points, 3, degree + 1) [m] of pairs; ends of chains at drones."""
+    layout = motion.team.layout
+    middles = np.zeros((len(drones), layout.points, *drones.shape[2:]))
+    pairs = drones[:, 2 * layout.ahead], drones[:, 2 * layout.behind + 1]
+    middles[:, layout.clasps] = 0.5 * (pairs[0] + pairs[1])
+    ends = np.flatnonzero(~layout.has_leg.ravel())
+    middles[:, layout.anchors[ends]] = drones[:, ends]
+    return middles
+
+
+def _taut_clasps(motion: Motion, clasps: Array, clasped: Flags) -> Array:
+    """Return the clasps (pieces, points, 3, degree + 1) [m] of the hitch before or after.
+
+    Without such a hitch, they are the given ones.
+    """
+    taut, vertices = clasps.copy(), motion.vertices.coefficients
+    edges = np.flatnonzero(np.diff(clasped, prepend=False, append=False))
+    for first, last in edges.reshape(-1, 2).tolist():
+        if first > 0 and motion.formed[first - 1]:
+            taut[first:last] = vertices[first - 1, ..., -1:]
+        elif last < len(clasped) and motion.formed[last]:
+            taut[first:last] = vertices[last, ..., :1]
+    return taut

@@ -1,0 +1,164 @@
+"""Cables are in the regions of their states, also where states change; nothing passes them."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from by_hand import cable_points, hull_gaps, point_to_segment
+from motions import row, through
+from plans import planned
+
+import hitchopt as ho
+from hitchopt import verify
+from hitchopt.checks.across import check_across
+from hitchopt.checks.regions import cable_sheets
+from hitchopt.checks.registry import RULE_OF
+from hitchopt.geometry import hull_offset
+from hitchopt.hitch.requirements import Requirements
+from hitchopt.motion.combined import combined
+from hitchopt.motion.motion import CLASPED_STATES, CableState, Group, Motion, Phase
+from hitchopt.motion.plan_file import write_plan
+from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.values import Array
+
+TYING = ("tie_carry_untie", "form_square", "lay_triangle")
+
+
+def cables(motion: Motion, t: float) -> Array:
+    """Return points (n, 201, 3) of the cables at a time: catenaries, or taut over the vertices."""
+    phase = next(p for p in motion.phases if p.end >= t)
+    x = motion.drones.at(t)
+    if phase.state not in {*CLASPED_STATES - {CableState.CLASPING}} and not phase.formed:
+        return cable_points(motion.team.cable_length, x)
+    p, layout = motion.vertices.at(t), motion.team.layout
+    route = np.stack([x[0::2], p[layout.starts], p[layout.ends], x[1::2]], axis=1)
+    share = np.linspace(0.0, 1.0, 67)[:, None]
+    parts = [a[:, None] + share * (b - a)[:, None] for a, b in zip(*route_ends(route), strict=True)]
+    return np.concatenate(parts, axis=1)
+
+
+def route_ends(route: Array) -> tuple[list[Array], list[Array]]:
+    """Return both ends of the three parts of routes (n, 4, 3)."""
+    return [route[:, i] for i in range(3)], [route[:, i + 1] for i in range(3)]
+
+
+@cache
+def hitch(name: str) -> Motion:
+    return planned(name).motion.replaced(others=())
+
+
+def passing(whole: Motion, t: float, start: Array, end: Array, seconds: float = 1.0) -> Motion:
+    """Return a hitch and a single drone that flies from start to end, in the middle at t."""
+    begin, last = whole.drones.breaks[[0, -1]].tolist()
+    inner = np.clip([t - 0.5 * seconds, t + 0.5 * seconds], begin + 1e-3, last - 1e-3)
+    places = np.array([start, start, end, end])[:, None]
+    drones = through([begin, *inner, last], places)
+    phases = [Phase("fly", 0, begin, last)]
+    single = Motion.single(ho.Swarm(1), whole.requirements, drones, phases)
+    return combined([Group("a", whole), Group("s", single)])
+
+
+@pytest.mark.parametrize("name", TYING)
+def test_no_drone_passes_from_one_side_of_a_cable_to_the_other(name: str) -> None:
+    whole, rule = hitch(name), RULE_OF["cable_clearance"]
+    for phase in whole.phases:
+        for share in (0.05, 0.5, 0.95):
+            t = phase.start + share * (phase.end - phase.start)
+            for k, points in enumerate(cables(whole, t)):
+                place, chord = points[100], points[-1] - points[0]
+                side = 0.8 * np.array([-chord[1], chord[0], 0.0]) / np.linalg.norm(chord[:2])
+                check = check_across(rule, passing(whole, t, place - side, place + side, 0.2))
+                assert check is not None
+                assert not check.holds, (phase, k)
+
+
+@pytest.mark.parametrize("name", TYING)
+def test_regions_contain_the_cables_on_both_sides_of_joints_of_phases(name: str) -> None:
+    whole = hitch(name)
+    sheets, breaks = cable_sheets(whole), whole.drones.breaks
+    corners = PiecewisePolynomial(breaks, sheets.corners)
+    for phase in whole.phases:
+        for joint, inward in ((phase.start, 1e-9), (phase.end, -1e-9)):
+            if phase.formed or not breaks[0] < joint < breaks[-1]:
+                continue
+            region = corners.at(joint + inward)
+            for near in (joint - 1e-9, joint + 1e-9):  # the cable is in either state
+                points = cables(whole, near)
+                outline = np.broadcast_to(
+                    region[:, None, : sheets.outline], (*points.shape[:2], sheets.outline, 3)
+                )
+                assert np.max(hull_gaps(points[:, :, None], outline)) < 2e-3, (phase, joint)
+                assert np.all(points[..., 2] <= np.max(region[..., 2], axis=1)[:, None] + 0.02)
+                assert np.all(points[..., 2] >= np.min(region[..., 2], axis=1)[:, None] - 0.02)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_cable_of_a_hitch_that_is_tied_is_closer_than_bounds(seed: int) -> None:
+    whole, rng = hitch("tie_carry_untie"), np.random.default_rng(seed)
+    states = [p for p in whole.phases if p.state in CLASPED_STATES]
+    phase = states[seed % len(states)]
+    t = float(rng.uniform(phase.start, phase.end))
+    centre = np.mean(whole.drones.at(t), axis=0)
+    ends = centre + rng.uniform(-1.0, 1.0, (2, 3)) * [1.6, 1.6, 0.9]
+    motion = passing(whole, t, ends[0], ends[1], seconds=4.0)
+    drone = motion.groups[1].motion
+    check = check_across(RULE_OF["cable_clearance"], motion)
+    assert check is not None
+    for time in np.linspace(phase.start, phase.end, 400):
+        points, x = cables(whole, float(time)), drone.drones.at(time)
+        gaps = point_to_segment(x[0], points[:, :-1], points[:, 1:] + 1e-12)
+        assert np.min(gaps) >= check.bound
+
+
+def refused_by_verify(motion: Motion, name: str, folder: Path) -> bool:
+    """Return whether the verifier does not prove a check of a motion."""
+    write_plan(folder / "plan.npz", motion)
+    return any(r.name == name and r.verdict == "violated" for r in verify.verify(folder))
+
+
+def test_ones_own_drones_keep_off_a_cable_that_is_tightened(tmp_path: Path) -> None:
+    whole = hitch("form_square")
+    k = next(i for i, p in enumerate(whole.phases) if p.state is CableState.TIGHTENING)
+    phase, breaks = whole.phases[k], whole.drones.breaks
+    pieces = np.flatnonzero((breaks[:-1] >= phase.start - 1e-9) & (breaks[1:] <= phase.end + 1e-9))
+    c = whole.drones.coefficients.copy()
+    middle = np.mean(whole.vertices.at(phase.start)[[0, 1]], axis=0)
+    c[pieces, 4] = middle[:, None]  # of the opposite robot, on the edge's line
+    caught = whole.replaced(drones=PiecewisePolynomial(breaks, c))
+    check = row(caught, "cable_clearance")
+    assert not check.holds
+    assert check.where == ("cable 0", "q2")
+    assert phase.start <= check.time <= phase.end
+    assert refused_by_verify(caught, "cable_clearance", tmp_path)
+
+
+@pytest.mark.parametrize("state", sorted(CLASPED_STATES))
+def test_ones_own_objects_keep_off_a_cable_that_is_tied(state: CableState, tmp_path: Path) -> None:
+    whole = hitch("form_square")
+    phase = next(p for p in whole.phases if p.state is state)
+    t = 0.5 * (phase.start + phase.end)
+    x, p = whole.drones.at(t), whole.vertices.at(t)
+    inner = 0.5 * (np.mean(p[[0, 1]], axis=0) + np.mean(x[[0, 1]], axis=0))  # between the lines
+    tall = ho.SolidObject(
+        ho.Section(radius=0.02), 0.0, float(inner[2]), at=[*inner[:2], 0.0], mass=0.1, fixed=True
+    )
+    needs = Requirements(separation=whole.requirements.separation, objects={"pole": tall})
+    blocked = whole.replaced(requirements=needs)
+    assert not row(blocked, "object_clearance").holds
+    assert refused_by_verify(blocked, "object_clearance", tmp_path)
+
+
+def test_the_offset_of_hulls_is_that_of_their_nearest_points() -> None:
+    rng = np.random.default_rng(3)
+    for k, m in ((1, 1), (1, 4), (2, 2), (6, 3), (6, 6)):
+        a = rng.normal(size=(50, k, 2))
+        b = rng.normal(size=(50, m, 2)) + [7.0, -6.0]
+        offset = hull_offset(a[:, :, None] - b[:, None])
+        flat = [np.concatenate([each, np.zeros_like(each[..., :1])], axis=-1) for each in (a, b)]
+        assert np.linalg.norm(offset, axis=-1) == pytest.approx(hull_gaps(*flat), abs=1e-9)
+        along = np.einsum("skmd,sd->skm", a[:, :, None] - b[:, None], offset)
+        squared = np.sum(offset**2, axis=-1)
+        assert np.min(along, axis=(1, 2)) == pytest.approx(squared, rel=1e-9)
