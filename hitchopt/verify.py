@@ -49,6 +49,7 @@ REST_TOL, POS_TOL, CONTACT_TOL, WRAP_TOL = 1e-9, 1e-6, 1e-4, 2e-5  # [m] of the 
 MIN_GAP = 1e-4  # [m] smallest distance of cables that cannot pass through each other
 OPEN_ROLL = 175.0  # [deg] smallest roll of an open clasp: at 180° cables run straight
 MIN_TENSION = 1e-3  # [N] smallest divisor of forces
+STEEP = 1e6  # [1/m] slope of distances to bodies above a drone, which its downwash does not meet
 EXACT_RANGE, LINKS = 0.5, 96  # of hanging cables: range of exact distances [m], links
 DEGREES = math.degrees(1.0)
 BUDGET, CHUNK, DEPTH = 6_000_000, 8192, 46  # samples of a limit, samples at once, halvings
@@ -572,6 +573,15 @@ class Slab:
         """Return a slab with a larger radius, between the given heights."""
         return Slab(None if self.round else self.core, self.radius + radius, lower, upper)
 
+    def scaled(self, by: Array) -> Slab:
+        """Return the slab in coordinates scaled by (3,), the first two alike."""
+        core = None if self.round else self.core * by[:2]
+        return Slab(core, self.radius * by[0], self.lower * by[2], self.upper * by[2])
+
+    def below(self, x: Line) -> Line:
+        """Return the distance to a point, large where the slab is above it."""
+        return maximum(self.gap(x), (-x[2] + self.lower) * STEEP)
+
     def gap(self, *points: Line) -> Line:
         """Return the distance to the convex hull of points, by its edges."""
         gaps = []
@@ -1001,6 +1011,9 @@ def drones(p: Plan) -> Iterator[Row]:
         u = s.thrust(i).unit()
         return Line(norm(u.g)[:, None], s.zero.g, u.q / s.t, s.t) * DEGREES
 
+    def over_slab(s: Spans, i: Index, b: int, slab: Slab) -> Line:
+        return slab.below(s.local(b, s.point(i)) * half)
+
     ratio = "separation ratio min", 1.0
     yield prove(*ratio, pairs, lambda s, i, j: ((s.point(i) - s.point(j)) * p.scale).norm())
     for k, header in enumerate(("speed m/s max", "acceleration m/s² max", "jerk m/s³ max"), 1):
@@ -1015,6 +1028,17 @@ def drones(p: Plan) -> Iterator[Row]:
     keep_out = "keep_out m min", sep["radius"]
     for b, slab in [*p.slabs, *p.walls]:
         yield prove(*keep_out, s, lambda s, i, b=b, slab=slab: slab.gap(s.local(b, s.point(i))))
+    half = 2.0 * p.scale
+    for b, slab in [] if p.n else p.slabs:
+        if moves(p, p.bodies[b]):
+            over = partial(over_slab, b=b, slab=slab.scaled(half))
+            yield prove("downwash ratio min", 1.0, s, over)
+
+
+def moves(p: Plan, body: Body) -> bool:
+    """Return whether the largest thrust of a drone exceeds the friction of a body that stands."""
+    grip = body.friction * body.mass * G
+    return not body.fixed and grip < float(np.max(p.max_thrust))
 
 
 def wall_gap(s: Spans, x: Sequence[Line], depth: Line | float = 0.0, radius: float = 0.0) -> Line:
@@ -1765,6 +1789,13 @@ def between_plans(pair: Pair) -> Iterator[Row]:
     def ratio(a: list[Line], b: list[Line]) -> Line:
         return ((a[0] - b[0]) * pair.scale).norm()
 
+    def below(a: list[Line], b: list[Line]) -> Line:
+        """Return the distance over half an ellipsoid, large for cables above the drone."""
+        drone, cable = (a[0], b) if len(a) == 1 else (b[0], a)
+        rise = minimum(*(x[2] for x in cable)) - drone[2]
+        scaled = distance(*([x * (2.0 * pair.scale) for x in c] for c in ([drone], cable)))
+        return maximum(scaled, rise * STEEP)
+
     def gap(s: Spans, *items: Index, of: Sequence[Solid], measure: Callable[..., Line]) -> Line:
         return measure(*(x[2](t, k) for x, t, k in zip(of, pair.both(s), items, strict=True)))
 
@@ -1777,6 +1808,8 @@ def between_plans(pair: Pair) -> Iterator[Row]:
             for run, edges, *_ in contacts:
                 s = s.select(~(run[s.piece] & np.isin(s.item[:, 0], 2 * p.n + edges)))
         yield prove(*limit, s, partial(gap, of=(one, two), measure=measure))
+        if {i, j} == {0, 1} and p.folder != q.folder:
+            yield prove("downwash ratio min", 1.0, s, partial(gap, of=(one, two), measure=below))
     for run, edges, _, height, side in contacts:
 
         def above(s: Spans, k: Index, height: Array = height, side: Array = side) -> Line:
@@ -1808,6 +1841,10 @@ def object_distances(pair: Pair) -> Iterator[Row]:
         *outline, lowest = points
         return maximum(slab.gap(*outline, outline[0]), lowest[2] - top[b])
 
+    def height_ratio(s: Spans, i: Index, _: Index, b: int, slab: Slab) -> Line:
+        mine, theirs = pair.both(s)
+        return slab.below(theirs.local(b, mine.point(i)) * (2.0 * pair.scale))
+
     def object_gap(s: Spans, *_: Index, b: int, slab: Slab, o: int, block: Slab) -> Line:
         mine, theirs = pair.both(s)
         return body_gap(mine, o, block, theirs, b, slab)
@@ -1819,6 +1856,10 @@ def object_distances(pair: Pair) -> Iterator[Row]:
             limit = cable_limit if i else ("keep_out m min", pair.sep["radius"] + pair.tracking)
             tall = slab.enlarged(0.0, -BIG, BIG) if i > 1 else slab
             yield prove(*limit, pair.items(one, body), partial(gap, b=b, slab=tall, corners=one[2]))
+        if np.any(q.moving[b]) or moves(p, q.bodies[b]):
+            drones = solids(p)[0]
+            over = partial(height_ratio, b=b, slab=slab.scaled(2.0 * pair.scale))
+            yield prove("downwash ratio min", 1.0, pair.items(drones, body), over)
         for o, block, other in own_objects(p, q):
             gaps = partial(object_gap, b=b, slab=slab, o=o, block=block)
             yield prove(*cable_limit, pair.items(other, body), gaps)

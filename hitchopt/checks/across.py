@@ -28,6 +28,7 @@ from hitchopt.checks.distances import (
     smallest,
     upright_distance,
 )
+from hitchopt.checks.downwash import below, half_axes, moves, pairs_with_slab
 from hitchopt.checks.joining import vertical_passes
 from hitchopt.checks.objects import in_object_frame, placed_corners
 from hitchopt.checks.regions import CableSheets, cable_sheets
@@ -65,11 +66,11 @@ class Side:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """Two groups on common pieces on which each has a hitch or none; ``scale`` of separation."""
+    """Two groups on common pieces on which each has a hitch or none, and their distances."""
 
     first: Side
     second: Side
-    scale: Array
+    separation: Separation
 
     @property
     def both(self) -> tuple[tuple[Side, Side], ...]:
@@ -108,15 +109,15 @@ class Bodies:
 @cached
 def runs(motion: Motion) -> tuple[Run, ...]:
     """Return the runs of all pairs of groups, at least one of them the motion's own."""
-    groups, scale = motion.all_groups, motion.requirements.separation.scale
+    groups, separation = motion.all_groups, motion.requirements.separation
     count, result = len(motion.groups), list[Run]()
     for i in range(count):
         for j in range(i + 1, len(groups)):
-            result += _runs(groups[i], groups[j], scale)
+            result += _runs(groups[i], groups[j], separation)
     return tuple(result)
 
 
-def _runs(first: Group, second: Group, scale: Array) -> Iterator[Run]:
+def _runs(first: Group, second: Group, separation: Separation) -> Iterator[Run]:
     """Yield the runs of two groups."""
     ends = np.array([each.motion.drones.breaks[[0, -1]] for each in (first, second)])
     begin, end = float(np.min(ends)), float(np.max(ends))
@@ -139,7 +140,7 @@ def _runs(first: Group, second: Group, scale: Array) -> Iterator[Run]:
             )
             for group, each, own in zip((first, second), (one, other), sheets, strict=True)
         )
-        yield Run(a, b, scale)
+        yield Run(a, b, separation)
 
 
 def drones_of(side: Side) -> Bodies:
@@ -163,9 +164,9 @@ def cables_of(side: Side, *, parts: bool = False) -> Bodies | None:
 
 def drone_pairs(run: Run) -> Iterator[Moving]:
     """Yield the pairs of drones, scaled for separation."""
-    bodies = (drones_of(each) for each in (run.first, run.second))
-    first, second = (replace(each, corners=each.corners * run.scale[:, None]) for each in bodies)
-    yield run.moving(first, second, margin=run.margin * float(np.max(run.scale)))
+    bodies, scale = (drones_of(each) for each in (run.first, run.second)), run.separation.scale
+    first, second = (replace(each, corners=each.corners * scale[:, None]) for each in bodies)
+    yield run.moving(first, second, margin=run.margin * float(np.max(scale)))
 
 
 def drones_and_cables(run: Run) -> Iterator[Moving]:
@@ -210,6 +211,43 @@ def drones_and_objects(run: Run) -> Iterator[Moving]:
         for name, body, pose in _objects(other, one):
             for slab in body.slabs:
                 yield _pairs_with_shape(run, drones, name, Solid(slab), pose)
+
+
+def drones_above_cables(run: Run) -> Iterator[Moving]:
+    """Yield the pairs of drones of one group and taut cables of the other, scaled for downwash."""
+    scale = half_axes(run.separation)
+    for one, other in run.both:
+        cables = cables_of(other, parts=True)
+        if cables is not None and not cables.outline:
+            bodies = (
+                replace(x, corners=x.corners * scale[:, None]) for x in (drones_of(one), cables)
+            )
+            margin = run.margin * float(np.max(scale))
+            yield run.moving(*bodies, margin=margin, formula=below)
+
+
+def drones_above(run: Run) -> Iterator[Moving]:
+    """Yield the pairs of drones of one group and what their downwash would move of the other.
+
+    Parts of one team, which have no names, are excepted.
+    """
+    if run.first.group.name == run.second.group.name:
+        return
+    yield from drones_above_cables(run)
+    for one, other in run.both:
+        drones = drones_of(one)
+        for name, body, pose in _objects(other, one):
+            is_carried = bool(np.max(np.ptp(pose.c, axis=(0, -1))) > REST_DRIFT)
+            for slab in body.slabs if is_carried or moves(body, one.motion.team) else ():
+                yield pairs_with_slab(
+                    drones.corners,
+                    pose,
+                    slab,
+                    run.separation,
+                    breaks=one.motion.drones.breaks,
+                    margin=run.margin,
+                    names=(drones.names, (name,)),
+                )
 
 
 def cables_and_objects(run: Run) -> Iterator[Moving]:
@@ -268,6 +306,7 @@ ACROSS: dict[str, tuple[Callable[[Run], Iterable[Moving]], Callable[[Separation]
     "cable_clearance": (drones_and_cables, lambda s: max(s.cable, MIN_GAP)),
     "crossing": (cable_pairs, lambda s: max(s.crossing, MIN_GAP)),
     "keep_out": (drones_and_objects, lambda s: s.radius),
+    "downwash": (drones_above, lambda _: 1.0),
     "object_clearance": (cables_and_objects, lambda s: max(s.object, MIN_GAP)),
 }
 """Pairs between groups and their required distances, by check."""
@@ -276,6 +315,7 @@ APPROACH: dict[str, Callable[[float], float]] = {
     "cable_clearance": lambda ratio: 1.0 + ratio,
     "crossing": lambda ratio: 2.0 * ratio,
     "keep_out": lambda ratio: 1.0 + ratio,
+    "downwash": lambda ratio: 1.0 + ratio,
     "object_clearance": lambda ratio: 2.0 * ratio,
 }
 """Approach of two bodies per radius of tracking errors, by the larger one of 1 and γ."""
@@ -295,9 +335,11 @@ def check_across(rule: CheckRule, motion: Motion) -> Check | None:
 def radius_across(motion: Motion, checks: Iterable[Check | None], gamma: float) -> WorstCase:
     """Return the largest tracking error with which groups keep their distances [m]."""
     terms, ratio = [WorstCase(math.inf, 0.0)], max(1.0, gamma)
+    smallest_axis = 0.5 / float(np.max(motion.requirements.separation.scale))  # [m]
     for check in filter(None, checks):
         if check.name in APPROACH:
             slack = max(check.bound - check.number, 0.0) / APPROACH[check.name](ratio)
+            slack *= smallest_axis if check.unit == "ratio" else 1.0
             terms.append(WorstCase(slack, check.time, check.where))
     tightest = min(terms, key=lambda term: term.worst)
     shape = Ellipsoid(1.0 / motion.requirements.separation.scale)

@@ -11,6 +11,7 @@ from hitchopt.checks import cables, clasps, clearance, distances, drones, object
 from hitchopt.checks.across import check_across, radius_across
 from hitchopt.checks.certificate import Certificate, Check, worst_of
 from hitchopt.checks.distances import GROUND
+from hitchopt.checks.downwash import DOWNWASH
 from hitchopt.checks.joining import interlacing, jumps, jumps_of_thrust
 from hitchopt.checks.linking import CONTINUITY, DURATION, INTERLACING
 from hitchopt.checks.rule import CheckRule, ReportRule, SpanResult
@@ -39,6 +40,7 @@ RULES = (
     clasps.CONVEXITY,
     clearance.ARENA,
     clearance.KEEP_OUT,
+    DOWNWASH,
     cables.TENSION,
     CONTINUITY,
     INTERLACING,

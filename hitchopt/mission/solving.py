@@ -13,6 +13,7 @@ from dataclasses import fields, is_dataclass, replace
 import numpy as np
 
 from hitchopt.checks import certify, merged
+from hitchopt.checks.downwash import moves
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import HitchoptError, InfeasibleError, Progress, TimeLimitError, Violation
 from hitchopt.hitch import GRAVITY, Hitch, Team
@@ -286,7 +287,9 @@ def _plan_separation(problem: SwarmProblem, progress: Progress | None) -> Certif
     requirements = problem.requirements.with_reserve
     prisms = [(f"prism {k}", prism) for k, prism in enumerate(requirements.keep_out)]
     for name, body in problem.objects.items():
-        prisms += [(name, _prism_around(body, slab)) for slab in body.slabs]
+        rise = requirements.separation.height - requirements.separation.radius
+        rise = rise if moves(body, problem.team) else 0.0
+        prisms += [(name, _prism_around(body, slab, rise)) for slab in body.slabs]
     names, keep_out = zip(*prisms, strict=True) if prisms else ((), ())
     task = SeparationTask(
         problem.start,
@@ -306,15 +309,19 @@ def _plan_separation(problem: SwarmProblem, progress: Progress | None) -> Certif
     return CertifiedMotion(motion, certificate)
 
 
-def _prism_around(body: SolidObject, slab: Slab) -> Prism:
-    """Return a prism that contains a slab of an object, in world coordinates."""
+def _prism_around(body: SolidObject, slab: Slab, rise: float) -> Prism:
+    """Return a prism that contains a slab of an object, in world coordinates.
+
+    Its ceiling is higher by ``rise`` [m]: drones that keep off it by ``radius`` keep the lower half
+    of their ellipsoids off the slab if ``rise`` is ``height`` less ``radius``.
+    """
     corners = slab.section.core
     if slab.section.radius is not None:
         angles = -2.0 * np.pi / CIRCLE_CORNERS * np.arange(CIRCLE_CORNERS)
         radius = slab.section.radius / np.cos(np.pi / CIRCLE_CORNERS)
         corners = radius * np.column_stack([np.cos(angles), np.sin(angles)])
     placed = in_world(body.pose, np.column_stack([corners, np.zeros(len(corners))]))
-    lower, upper = body.at[2] + slab.lower, body.at[2] + slab.upper
+    lower, upper = body.at[2] + slab.lower, body.at[2] + slab.upper + max(rise, 0.0)
     return Prism(placed[:, :2], min(lower, upper - MIN_PRISM_HEIGHT), upper)
 
 

@@ -30,6 +30,7 @@ from hitchopt.values import Array, Indices
 STEP = 0.1  # [s]
 MAX_ORDERS = 60  # maximum number of orders of priority
 CHUNK = 200_000  # pairs of bodies per chunk
+FAR = 1e6  # [m] of bodies that do not count
 REACH = 0.25  # [m] Distance beyond a limit up to which it is computed
 
 
@@ -89,6 +90,14 @@ class Track:
         return Bodies(corners, heights, np.zeros(len(cable)), ~formed)
 
     @cached_property
+    def taut(self) -> Bodies:
+        """Parts of taut cables, far away while there is no hitch."""
+        cables = self.cables
+        offset = np.where(cables.upright, FAR, 0.0)[:, None, None]
+        corners = cables.corners + offset[..., None]
+        return cables._replace(corners=corners, heights=cables.heights + offset)
+
+    @cached_property
     def objects(self) -> Bodies:
         """Cylinders around the objects that the group moves."""
         motion = self.group.motion
@@ -124,6 +133,8 @@ def _pairs(
         ("cable_clearance", "drones", "cables", separation.cable),
         ("crossing", "cables", "cables", separation.crossing),
         ("keep_out", "drones", "objects", separation.radius),
+        ("downwash", "drones", "taut", 1.0),
+        ("downwash", "drones", "objects", 1.0),
         ("object_clearance", "cables", "objects", separation.object),
         ("object_clearance", "objects", "objects", separation.object),
     ):
@@ -150,14 +161,17 @@ def _slacks_by_check(
 
     Slacks are infinite beyond REACH.
     """
+    half_axes = 0.5 / separation.scale
+    axes_of = {"separation": 2.0 * half_axes, "downwash": half_axes}
     for check, first, second, limit in _pairs(a, b, separation):
-        axes = 1.0 / separation.scale if check == "separation" else np.ones(3)
+        axes = axes_of.get(check, np.ones(3))
+        slack_of = _downwash_slack if check == "downwash" else _slack
         unit, slack = float(np.min(axes)), np.full(len(i), np.inf)
         size = max(1, CHUNK // max(1, first.corners.shape[1] * second.corners.shape[1]))
         for k in range(0, len(i), size):
             check_time()
             rows = slice(k, k + size)
-            slack[rows] = _slack(first, second, i[rows], j[rows], limit, axes)
+            slack[rows] = slack_of(first, second, i[rows], j[rows], limit, axes)
         yield check, limit, unit, slack
 
 
@@ -190,6 +204,32 @@ def _slack(
     slack = np.where(upright, np.maximum(slack, vertical[near] - limit), slack)
     slack[slack * np.min(axes) > REACH] = np.inf
     np.minimum.at(smallest, pair, slack)
+    return smallest
+
+
+def _downwash_slack(
+    drones: Bodies, others: Bodies, i: Indices, j: Indices, limit: float, axes: Array
+) -> Array:
+    """Return the slack of the ratio of drones above other bodies, as ``_slack``.
+
+    Bodies above a drone do not count; those below reach up to their highest points everywhere.
+    """
+    smallest, (across, _, upward) = np.full(len(i), np.inf), axes
+    points, hulls = drones.corners[i][:, :, :1], others.corners[j]
+    low, top = np.moveaxis(others.heights[j], -1, 0)
+    rise = points[..., 2] - top[:, None]
+    near = (rise < limit * upward + REACH) & (points[..., 2] > low[:, None])
+    lower, upper = (bound(hulls, axis=2)[..., :2] for bound in (np.min, np.max))
+    reach = limit * across + REACH + others.radii
+    for axis in range(2):
+        place = points[..., axis]
+        gap = np.maximum(lower[:, None, :, axis] - place, place - upper[:, None, :, axis])
+        near &= gap < reach
+    pair, one, other = np.nonzero(near)
+    level = plan_distance(points[pair, one, :, :2], hulls[pair, other, :, :2])
+    level = np.maximum(level - others.radii[other], 0.0)
+    ratio = np.hypot(level / across, np.maximum(rise[near], 0.0) / upward)
+    np.minimum.at(smallest, pair, ratio - limit)
     return smallest
 
 

@@ -18,12 +18,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 import hitchopt as ho
 from benchmarks.corpus import contents
 from hitchopt import verify as second
+from hitchopt.cli import main as main_command
 
 FILES = sorted((Path(__file__).parent / "stored_plans").glob("*.npz"))
+REFUSED = {
+    "through_edge": (3, "cable_clearance"),
+    "through_edge_fast": (3, "cable_clearance"),
+    "over_tray": (3, "downwash"),
+}
+"""Plans that an earlier version certified, and the exit code and the reason of their refusal."""
 FIGURES = Path(__file__).with_name("stored_plans.json")
 
 SLOW = {"joined", "rest", "grip"}  # Plans that take longer to prove than a test should
@@ -74,6 +82,16 @@ def test_stored_plans_are_proven(path: Path) -> None:
     rows = [*second.verify(path)]
     assert len(rows) > 5
     assert {row.verdict for row in rows} <= second.PASSING
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_plans_that_were_believed_are_refused_by_both_opinions(name: str, tmp_path: Path) -> None:
+    code, reason = REFUSED[name]
+    shutil.copy(Path(__file__).parent / "refused_plans" / f"{name}.npz", tmp_path / "plan.npz")
+    for command in ("check", "verify"):
+        result = CliRunner().invoke(main_command, [command, str(tmp_path)])
+        assert result.exit_code == code, (command, result.output)
+        assert reason in result.output, (command, result.output)
 
 
 def test_stored_plans_are_of_both_formats() -> None:

@@ -1,0 +1,105 @@
+"""Check ``downwash``: bodies below a drone that its downwash would move are outside its ellipsoid.
+
+Between drones, ``separation`` keeps two ellipsoids apart. The lower half of a drone's ellipsoid,
+with the semi-axes ``radius`` and ``height``, also keeps off taut cables of other teams, and off
+objects that they carry or that the drone's downwash would move. In coordinates scaled by these
+semi-axes, the smallest distance is 1.
+
+The momentum of a rotor's wake per time is its thrust (momentum theory: Leishman, Principles of
+Helicopter Aerodynamics, 2006, section 2.2), so the wake pushes a body by no more. An object that
+stands free would slide if the largest thrust exceeds its friction. Heavier and fixed ones do not
+move.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from hitchopt.checks.clearance import Solid
+from hitchopt.checks.distances import Moving, PairSpans, gap, nearest
+from hitchopt.checks.objects import in_object_frame
+from hitchopt.checks.rule import CheckRule, Evaluator
+from hitchopt.checks.spans import ROUNDING, magnitude
+from hitchopt.hitch.requirements import Separation
+from hitchopt.hitch.team import GRAVITY, Team
+from hitchopt.motion.motion import Motion
+from hitchopt.objects import Section, Slab, SolidObject
+from hitchopt.trajectory.enclosed import Bound, Enclosed
+from hitchopt.values import Array
+
+
+def half_axes(separation: Separation) -> Array:
+    """Return scale factors (3,) [1/m]: the ellipsoid of a drone has the radius 1 in these."""
+    return 2.0 * separation.scale
+
+
+def moves(body: SolidObject, team: Team) -> bool:
+    """Return whether the downwash of a team's drones would move an object that stands free."""
+    grip = body.friction * body.mass * GRAVITY
+    return not body.fixed and grip < float(np.max(team.max_thrust))
+
+
+def below(spans: PairSpans, floor: float | None = None) -> Bound:
+    """Return scaled distances of drones from bodies, infinite for those above the drones.
+
+    Bodies are the second ones of pairs, or a slab with a ``floor``.
+    """
+    drone, body = spans.ends
+    heights = body[:, :, 2] if floor is None else np.full_like(drone[:, :, 2], floor)
+    distances, rise = gap(spans), np.min(heights - drone[:, :1, 2], axis=(1, 2))
+    return Bound(np.where(rise >= spans.source.margin, np.inf, distances.value), distances.x)
+
+
+def pairs_with_slab(
+    points: Array, pose: Enclosed, slab: Slab, separation: Separation, **options: Any
+) -> Moving:
+    """Return the pairs of drones (pieces, N, 1, 3, degree + 1) [m] and a slab that moves."""
+    scale = half_axes(separation)
+    local, (across, _, upward) = in_object_frame(pose, Enclosed(points)), scale
+    section = slab.section
+    outline = None if section.outline is None else across * section.outline
+    radius = None if section.radius is None else across * section.radius
+    scaled = Slab(Section(outline, radius), upward * slab.lower, upward * slab.upper)
+    margin = options.pop("margin") + ROUNDING * slab.size + float(np.max(local.r))
+    return Moving(
+        options.pop("breaks"),
+        local.c * scale[:, None],
+        np.zeros((len(points), 1, 1, 3, 1)),
+        margin=margin * float(np.max(scale)),
+        shape=Solid(scaled),
+        formula=partial(below, floor=scaled.lower),
+        **options,
+    )
+
+
+def _drones_above_objects(motion: Motion) -> Iterator[Moving]:
+    """Yield pairs of single drones and objects that stand in their way."""
+    poses, separation = motion.object_poses.coefficients, motion.requirements.separation
+    points, names = motion.drones.coefficients[:, :, None], motion.team.drone_names
+    margin = ROUNDING * magnitude(motion)
+    for index, (name, body) in enumerate(motion.requirements.objects.items()):
+        for slab in body.slabs if moves(body, motion.team) else ():
+            options = {"margin": margin, "breaks": motion.drones.breaks, "names": (names, (name,))}
+            yield pairs_with_slab(points, Enclosed(poses[:, index]), slab, separation, **options)
+
+
+def _limit(motion: Motion) -> float | None:
+    """Return the limit, if single drones have objects in their way that they would move."""
+    objects, team = motion.requirements.objects.values(), motion.team
+    return None if team.has_cables or not any(moves(each, team) for each in objects) else 1.0
+
+
+DOWNWASH = CheckRule(
+    "downwash",
+    "ratio",
+    "min",
+    _limit,
+    (Evaluator(nearest(_drones_above_objects), exported=True, formulas=(below,)),),
+    "fly higher over what the downwash would move, or beside it, or lower separation.height",
+)
+"""Lower halves of drones' ellipsoids meet no object that they would move, and no taut cable of
+another team."""

@@ -1,0 +1,104 @@
+"""Downwash: lower halves of drones' ellipsoids meet no taut cable and nothing that they move."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from motions import lines, random_motion, row
+from plans import planned
+
+import hitchopt as ho
+from hitchopt import verify
+from hitchopt.checks import certify
+from hitchopt.checks.across import check_across
+from hitchopt.checks.registry import RULE_OF
+from hitchopt.hitch.requirements import Separation
+from hitchopt.motion.combined import combined
+from hitchopt.motion.motion import Group, Motion
+from hitchopt.motion.plan_file import write_plan
+from hitchopt.values import Array
+
+SEPARATION = Separation(radius=0.11, height=0.29)
+BOX = ho.Section([[0.0, 0.1], [0.3, 0.1], [0.3, -0.1], [0.0, -0.1]])
+TOP = 0.55  # [m]
+
+
+def hover(at: Array, **box: float | bool) -> Motion:
+    """Return a single drone that hovers beside a box, off the origin."""
+    values: dict[str, float | bool] = {"mass": 0.1, "friction": 0.5} | box
+    body = ho.SolidObject(BOX, 0.05, TOP, at=[3.0, -2.0, 0.0], **values)  # type: ignore[arg-type]
+    place = (np.array([3.15, -2.0, 0.0]) + at)[None]
+    return lines(place, place, separation=SEPARATION, objects={"box": body})
+
+
+@pytest.mark.parametrize(
+    ("at", "ratio"),
+    [
+        ([0.0, 0.0, TOP + 0.2], 0.2 / 0.29),
+        ([0.0, 0.0, TOP + 0.4], 0.4 / 0.29),
+        ([0.0, 0.1 + 0.08, TOP + 0.1], np.hypot(0.08 / 0.11, 0.1 / 0.29)),
+        ([0.0, 0.1 + 0.2, 0.3], 0.2 / 0.11),
+    ],
+)
+def test_the_ratio_is_that_of_the_nearest_point_below(at: list[float], ratio: float) -> None:
+    check = row(hover(np.array(at)), "downwash")
+    assert check.bound == pytest.approx(ratio, rel=1e-6)
+    assert check.where == ("d0", "box")
+
+
+def test_nothing_above_the_drone_counts() -> None:
+    check = row(hover(np.array([0.0, 0.0, -0.2])), "downwash")
+    assert check.worst is None
+    assert check.holds
+
+
+@pytest.mark.parametrize("box", [{"mass": 0.6}, {"friction": 3.0}, {"fixed": True}])
+def test_only_what_the_largest_thrust_would_push_along_counts(box: dict[str, float]) -> None:
+    motion = hover(np.array([0.0, 0.0, TOP + 0.2]), **box)
+    assert "downwash" not in {check.name for check in certify(motion, reports=()).checks}
+    thrust = float(motion.team.max_thrust[0])
+    body = motion.requirements.objects["box"]
+    assert body.fixed or body.mass * body.friction * 9.81 > thrust
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_sample_of_a_cable_below_a_drone_exceeds_the_bound(seed: int, tmp_path: Path) -> None:
+    rng = np.random.default_rng(seed)
+    hitch = random_motion(3 + seed % 3, seed, separation=SEPARATION)
+    centre = np.mean(hitch.vertices.coefficients, axis=(0, 1, 3))
+    places = centre + rng.uniform(-0.7, 0.7, (4, 2, 3)) + [0.0, 0.0, 0.35]
+    swarm = lines(*places, seconds=4.0, separation=SEPARATION)
+    motion = combined([Group("a", hitch), Group("s", swarm)])
+    check = check_across(RULE_OF["downwash"], motion)
+    assert check is not None
+    times = np.linspace(0.0, 4.0, 801)
+    x, p, d = hitch.drones.at(times), hitch.vertices.at(times), swarm.drones.at(times)
+    onward, share = np.roll(p, -1, axis=1), np.linspace(0.0, 1.0, 41)[:, None]
+    parts = [(x[:, 0::2], p), (p, onward), (onward, x[:, 1::2])]
+    worst = np.inf
+    for a, b in parts:
+        points = (a[:, :, None] + share * (b - a)[:, :, None]).reshape(len(times), 1, -1, 3)
+        offset = (points - d[:, :, None]) / [SEPARATION.radius] * 1.0
+        offset[..., 2] *= SEPARATION.radius / SEPARATION.height
+        ratio = np.where(offset[..., 2] <= 0.0, np.linalg.norm(offset, axis=-1), np.inf)
+        worst = min(worst, float(np.min(ratio)))
+    assert check.bound <= worst
+    write_plan(tmp_path / "plan.npz", motion)
+    rows = [each for each in verify.verify(tmp_path) if each.name == "downwash"]
+    assert (rows[0].verdict == "proven") is (check.bound >= 1.0)
+
+
+def test_planned_drones_fly_over_what_they_would_move_in_height() -> None:
+    box = ho.SolidObject(BOX, 0.0, 0.6, at=[1.0, 0.0, 0.0])
+    start, goal = np.array([[0.0, 0.0, 0.8]]), np.array([[2.2, 0.0, 0.8]])
+    plan = ho.separate(ho.SwarmProblem(ho.Swarm(1), start, goal, objects={"box": box}))
+    check = plan.certificate["downwash"]
+    assert check.holds
+    assert check.bound < 3.0  # it does not just go far around
+
+
+def test_ones_own_objects_and_cables_are_excepted() -> None:
+    names = {check.name for check in planned("carry_box").certificate.checks}
+    assert "downwash" not in names
