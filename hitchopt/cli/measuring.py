@@ -30,6 +30,13 @@ RESULTS = "evaluation"  # Default directory of the results, next to the recordin
     ),
     option("--start", "Time of the recording at which the plan begins; else fitted.", float, "S"),
     option("--unit", "Of lengths: m, cm, mm, in, ft; else as the file states, or m.", str, "UNIT"),
+    option(
+        "--topic",
+        "Topic with the drones' positions, such as '/*/pose'; else measured before estimated "
+        "before commanded ones.",
+        str,
+        "TOPIC",
+    ),
     option("--density", "Cable density, as weighed.", float, "KG/M"),
     option("--diameter", "Cable diameter: errors are then those of the clasps.", float, "M"),
     option("--window", "Time over which markers are averaged.", 0.1, "S"),

@@ -40,7 +40,7 @@ UNRECORDED = 0.15  # Distance assumed while the plan is not recorded [m]
 MIN_TIME = 2.0  # Smallest recorded time of the plan [s]; with a fitted frame also half of the plan
 MIN_MOTION = 0.05  # Smallest distance between positions of a team that moves [m]
 AMBIGUITY_RATIO = 1.25  # Largest ratio of distances of two ambiguous assignments
-MIN_LIFT = 0.05  # Smallest height difference that is fitted [m]
+LIFT_RATIO = 3.0  # Smallest height difference that is fitted, over its standard error
 EXCLUDED = 1e6  # Cost of a pair that is excluded [m²]
 
 Frame = tuple[Array, Array]
@@ -154,7 +154,9 @@ class _Trial:
         bodies = [name for name in flight.tracks if name not in task.team.point_names]
         if len(bodies) < len(drones):
             count = f"holds {len(bodies)} bodies ({', '.join(bodies) or 'none'})"
-            raise FileError(f"{count} of {len(drones)} drones; export all rigid bodies")
+            notes = [note for note in flight.notes if "topic=" in note or "omitted" in note]
+            remedy = "; ".join(["export all rigid bodies", *notes])
+            raise FileError(f"{count} of {len(drones)} drones; {remedy}")
         self._bodies, remedy = bodies, "write cf231=q0,…"
         self._allowed = np.ones((len(bodies), len(drones)), np.bool_)  # Permitted pairs
         for name, drone in requested.items():
@@ -245,7 +247,7 @@ class _Trial:
         use = visible if use is None else use
         if fit.frame == "fit" and np.any(use):
             up = min((R for R, _ in FRAMES.values()), key=lambda R: -R[2] @ fit.rotation[2])
-            frame = _fitted_frame(x[use], plan[use], up)
+            frame = _fitted_frame(x, plan, use, up)
         return frame, (x @ frame[0].T + frame[1] - plan) * use[..., None], use, plan
 
     def score(self, fit: Alignment) -> float:
@@ -354,14 +356,20 @@ def _turn(yaw: float) -> Array:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def _fitted_frame(x: Array, plan: Array, up: Array) -> Frame:
-    """Return the frame that fits points (k, 3) [m] to the plan's, after the rotation ``up``.
+def _fitted_frame(x: Array, plan: Array, use: NDArray[np.bool_], up: Array) -> Frame:
+    """Return the frame that fits positions (times, 2n, 3) [m] to the plan's, after rotation ``up``.
 
-    Heading and level shift are fitted, and the height if it differs by more than MIN_LIFT.
+    Heading and level shift are fitted where ``use`` (times, 2n) is true. So is the height if the
+    drones' median height differs by more than LIFT_RATIO of its standard errors.
     """
     a = x @ up.T
-    (u, v), (s, w) = ((y - np.mean(y, axis=0))[:, :2].T for y in (a, plan))
+    (u, v), (s, w) = ((y[use] - np.mean(y[use], axis=0))[:, :2].T for y in (a, plan))
     turn = _turn(float(np.arctan2(np.sum(u * w - v * s), np.sum(u * s + v * w))))
-    shift = np.mean(plan, axis=0) - turn @ np.mean(a, axis=0)
-    shift[2] = shift[2] if abs(shift[2]) > MIN_LIFT else 0.0
+    shift = np.mean(plan[use], axis=0) - turn @ np.mean(a[use], axis=0)
+    counts = np.sum(use, axis=0)
+    lifts = np.sum((plan - a)[..., 2] * use, axis=0)[counts > 0] / counts[counts > 0]
+    # A median of k normal values has (pi / 2)^½ the standard error of their mean
+    error = np.sqrt(0.5 * np.pi / len(lifts)) * np.std(lifts, ddof=1) if len(lifts) > 1 else np.inf
+    lift = float(np.median(lifts))
+    shift[2] = lift if abs(lift) > LIFT_RATIO * error else 0.0
     return turn @ up, shift

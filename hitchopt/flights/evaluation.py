@@ -162,6 +162,7 @@ def evaluate(
     frame: str | Path | None = None,
     start: float | None = None,
     unit: str | None = None,
+    topic: str | None = None,
     density: float | None = None,
     diameter: float | None = None,
     window: float = WINDOW,
@@ -177,6 +178,7 @@ def evaluate(
         evaluation; None: the plan's or y-up if drones are then near their plan, else fitted.
     start: time of the recording at which the plan begins [s]; None: fitted, or 0 for a simulation.
     unit: of the recording's lengths, if the file does not state it.
+    topic: topic of a bag or a log with the drones' positions; see ``read_flight``.
     density: of the cables [kg/m]; None: the plan's, or fitted if the plan models no weight.
     diameter: of the cables [m]; if given, errors are those of clasps instead of crossings.
     window: time window of the line fits [s].
@@ -199,7 +201,9 @@ def evaluate(
         names = {name: drone for name, _, drone in (pair.partition("=") for pair in pairs)}
     flight, frame_name = recording, None if frame is None else str(frame)
     if not isinstance(flight, RecordedFlight):
-        flight = read_flight(path("recording", flight), unit)
+        flight = read_flight(path("recording", flight), unit, topic)
+    elif unit is not None or topic is not None:
+        raise InputError("unit, topic", (unit, topic), "left out", "the recording is read already")
     if isinstance(plan, Plan):
         task = Task.of(plan.motion)
     else:
@@ -281,7 +285,9 @@ def _remarks(alignment: Alignment, flight: RecordedFlight) -> Iterator[str]:
     if alignment.frame == "y-up":
         yield "the recording's frame is y-up"
     if "frame" in alignment.fitted:
-        yield f"the frame is fitted: a displacement {shared}"
+        lift = 1e3 * alignment.shift[2]
+        heights = f"shifted by {lift:+.0f} mm" if lift else "as recorded"
+        yield f"the frame is fitted: a displacement {shared}; heights are {heights}"
 
 
 def _missing(measured: Measured, task: Task) -> Iterator[str]:

@@ -13,6 +13,7 @@ import struct
 import zlib
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial, reduce
 from itertools import chain, islice, product, takewhile
 from pathlib import Path
@@ -22,6 +23,15 @@ import numpy as np
 
 from hitchopt.errors import FileError, optional_module
 from hitchopt.flights.recordings import RecordedFlight, Track
+from hitchopt.flights.topics import (
+    LOG_TOPICS,
+    Topic,
+    bag_topics,
+    distinct_names,
+    log_topics,
+    taken_topics,
+)
+from hitchopt.geometry.vectors import length
 from hitchopt.storage.archive import reading
 from hitchopt.storage.files import parsed_json
 from hitchopt.storage.tables import labelled_table, text_lines
@@ -33,6 +43,8 @@ NAMES = {"meters": "m", "centimeters": "cm", "millimeters": "mm", "inches": "in"
 
 MAX_DISTANCE = 50.0  # Largest median distance from the origin of lengths in metres [m]
 MAX_STEP = 1.0  # Largest median step of times in seconds [s]
+# Smallest jump to and fro between samples [m] and its smallest speed [m/s]; largest share of these
+JUMP, JUMP_SPEED, MAX_JUMPS = 0.1, 10.0, 0.1
 CLOCKS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
 RATES = (4.0, 3000.0)  # Plausible sampling rates [Hz]
 MIN_EPOCH = 1e7  # Smallest time that counts from a date or from a computer's start [s]
@@ -48,49 +60,72 @@ MOTIVE, VICON = "Format Version", ("Segments", "Objects", "Trajectories")
 UNLABELED = ("*", "unlabel", "unidentified", "u_", MARKER)  # Prefixes of labels without a subject
 MAX_HEADER_LINES = 50  # Lines in which the titles of a Motive table are searched
 TIME_TOLERANCE = 2e-3  # Largest rounding error of the printed time of a frame [s]
+BODY_RADIUS = 0.3  # Largest distance of markers from the middle of their body [m]
+MAX_FIXED = 0.05  # Largest motion of a frame that does not move [m]
 BLANK = ' ",;\t'  # Characters of a line without content
 
 POSE = "motion_capture_tracking_interfaces/msg/NamedPose"  # Messages of crazyswarm2
 MESSAGES = {POSE: "string name\ngeometry_msgs/Pose pose\n"}
 MESSAGES[f"{POSE}Array"] = f"std_msgs/Header header\n{POSE.replace('msg/', '')}[] poses\n"
 
-# Message types with bodies, by preference, and functions that return name, header and position of
-# each body from the parts of a topic and a message; type with markers
+# Message types with positions, by preference: whether messages name the bodies, and functions that
+# return the frame of each body, its header and its position from a message
 Bodies = list[tuple[str, Any, Any]]
-BODIES: dict[str, Callable[[Sequence[str], Any], Bodies]] = {
-    f"{POSE}Array": lambda _, m: [(x.name, m.header, x.pose.position) for x in m.poses],
-    "geometry_msgs/msg/PoseStamped": lambda topic, m: [(topic[-2:][0], m.header, m.pose.position)],
-    "tf2_msgs/msg/TFMessage": lambda _, m: [
-        (x.child_frame_id, x.header, x.transform.translation) for x in m.transforms
-    ],
-}
+MESSAGE_TYPES: dict[str, tuple[bool, Callable[[Any], Bodies]]] = {
+    f"{POSE}Array": (True, lambda m: [(x.name, m.header, x.pose.position) for x in m.poses]),
+    "geometry_msgs/msg/TransformStamped": (
+        False, lambda m: [(m.child_frame_id, m.header, m.transform.translation)],
+    ),
+    "tf2_msgs/msg/TFMessage": (
+        True, lambda m: [(x.child_frame_id, x.header, x.transform.translation)
+                         for x in m.transforms],
+    ),
+    "geometry_msgs/msg/PoseStamped": (False, lambda m: [("", m.header, m.pose.position)]),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": (
+        False, lambda m: [("", m.header, m.pose.pose.position)],
+    ),
+    "nav_msgs/msg/Odometry": (
+        False, lambda m: [(m.child_frame_id, m.header, m.pose.pose.position)],
+    ),
+}  # fmt: skip
+STATIC = "/tf_static"  # Topic of frames that do not move
 CLOUD, FLOAT32 = "sensor_msgs/msg/PointCloud2", 7
 
-# Variables of a uSD log with positions and with commands, by preference, and their scales [m]
-USD_POSITIONS = {"stateEstimate": 1.0, "stateEstimateZ": 1e-3, "locSrv": 1.0}
-USD_COMMANDS = {"ctrltarget": 1.0, "ctrltargetZ": 1e-3}
+# Topic of a uSD log that repeats the last position, or zeros, until the next; scales [m], else 1
+HELD = "locSrv"
+USD_SCALES = {"ctrltargetZ": 1e-3, "stateEstimateZ": 1e-3, "stateEstimateZ.p": 1e-3}
+# Topics with the drone's positions in logs
+USD_POSITIONS = ("stateEstimate", "stateEstimateZ", "locSrv")
+ULOG_POSITIONS = ("vehicle_visual_odometry", "vehicle_local_position")
 
-ULOG_POSITIONS = ("vehicle_visual_odometry", "vehicle_local_position")  # By preference
+
+Reader = Callable[[Sequence[Path], str | None, str | None], RecordedFlight]
+"""Reader of all files of a format, in a unit, with a topic if requested."""
 
 
-def read_flight(path: Path | str, unit: str | None = None) -> RecordedFlight:
+def read_flight(
+    path: Path | str, unit: str | None = None, topic: str | None = None
+) -> RecordedFlight:
     """Return the content of a recording in a supported format.
 
     Parameters
     ----------
     path: file, or directory of a bag, a simulated flight or drones' logs.
     unit: of lengths: ``m``, ``cm``, ``mm``, ``in`` or ``ft``; None: as stated, else metres.
+    topic: topic of a bag or a log with the drones' positions, such as ``/*/pose``, where ``*``
+        stands for any text; None: measured before estimated before commanded positions.
 
     Raises
     ------
-    FileError: a missing or damaged file, an unknown format, or implausible times or positions.
+    FileError: a missing or damaged file, an unknown format, implausible times or positions, or two
+        topics of the same kind and type with positions of a body.
     InputError: an unknown unit.
     """
     path = Path(path)
     if unit is not None:
         check_choice("unit", unit, tuple(UNITS))
     with reading(path, "recording"):
-        flight = _read(path, unit)
+        flight = _read(path, unit, topic)
         if not flight.tracks:
             raise FileError("holds no position of a body; record the drones")
         for name, track in flight.tracks.items():
@@ -108,13 +143,31 @@ def read_flight(path: Path | str, unit: str | None = None) -> RecordedFlight:
         if distance > MAX_DISTANCE and unit is None:
             problem = f"positions are {distance:.4g} m from the origin at the median"
             raise FileError(f"{problem}, over {MAX_DISTANCE:g} m: millimetres? unit='mm'")
-        return flight
+        return _without_jumping_bodies(flight)
 
 
-def _read(path: Path, unit: str | None) -> RecordedFlight:
+def _without_jumping_bodies(flight: RecordedFlight) -> RecordedFlight:
+    """Return a flight without bodies that jump to and fro; FileError if none is left."""
+    tracks, notes = dict(flight.tracks), list[str]()
+    for name, track in flight.tracks.items():
+        steps, across = (length(track.positions[k:] - track.positions[:-k]) for k in (1, 2))
+        there = (steps > JUMP) & (steps > JUMP_SPEED * np.diff(track.t))
+        jumps = there[:-1] & there[1:] & (across < 0.5 * np.minimum(steps[:-1], steps[1:]))
+        if np.sum(jumps) > MAX_JUMPS * len(track.t):
+            size = f"to and fro by {np.median(steps[:-1][jumps]):.2g} m"
+            share = f"{np.sum(jumps) / len(jumps):.0%} of its samples jump {size}"
+            notes.append(f"{name} omitted: {share}, as of two sources in one")
+            del tracks[name]
+    if not tracks:
+        raise FileError("; ".join(notes))
+    return replace(flight, tracks=tracks, notes=(*flight.notes, *notes))
+
+
+def _read(path: Path, unit: str | None, topic: str | None) -> RecordedFlight:
     if not path.exists():
         raise FileError(f"{path}: there is no such file; give a recording")
     if all((path / name).is_file() for name in TABLES):
+        _refuse_topic(topic)
         return read_simulated(path)
     files = sorted(x for x in path.iterdir() if x.is_file()) if path.is_dir() else [path]
     heads = dict[Path, bytes]()
@@ -123,7 +176,7 @@ def _read(path: Path, unit: str | None) -> RecordedFlight:
             heads[file] = stream.read(64).replace(b"\0", b"")  # Zero bytes of UTF-16
     for pattern, (_, read) in FORMATS.items():
         if matching := [file for file in files if re.match(pattern, heads[file])]:
-            return read(matching, unit)
+            return read(matching, unit, topic)
     known = ", ".join(name for name, _ in FORMATS.values())
     known += f", the directory of a simulated flight, or a table with the columns {HEADER}"
     if path.is_dir():
@@ -133,13 +186,46 @@ def _read(path: Path, unit: str | None) -> RecordedFlight:
         table = labelled_table(partial(text_lines, path), HEADER.split(","), str(path))
     except FileError as error:
         raise FileError(f"{error}; give {known}") from None
+    _refuse_topic(topic)
     rows, names = table.numbers(["t", "x", "y", "z"], blanks=True), table.words("name")
     return flight_of("table", _by_name(names, rows), unit or "m")
+
+
+def _refuse_topic(topic: str | None) -> None:
+    if topic is not None:
+        raise FileError("is of a format without topics; leave topic= out")
+
+
+def _single(paths: Sequence[Path]) -> Path:
+    """Return the only file of a recording; FileError if a directory has several."""
+    if len(paths) > 1:
+        listed = ", ".join(path.name for path in paths[:5])
+        raise FileError(f"holds {len(paths)} recordings, {listed}: give one file")
+    return paths[0]
+
+
+def table_reader(read: Callable[[Path, str | None], RecordedFlight]) -> Reader:
+    """Return a reader of a format with one file per flight, and without topics."""
+
+    def read_one(paths: Sequence[Path], unit: str | None, topic: str | None) -> RecordedFlight:
+        _refuse_topic(topic)
+        return read(_single(paths), unit)
+
+    return read_one
 
 
 def _by_name(names: Sequence[str], rows: Array) -> dict[str, Array]:
     """Return the rows (m, 4) of each name, in order of first occurrence."""
     return {name: rows[np.array(names) == name] for name in dict.fromkeys(names)}
+
+
+def scale_of(unit: str) -> float:
+    """Return a unit of length [m]; FileError if it is unknown."""
+    word = unit.strip().casefold()
+    scale = UNITS.get(NAMES.get(word, word), 0.0)
+    if not scale:
+        raise FileError(f"its unit of length, {unit!r}, is unknown; state unit='m', 'cm' or 'mm'")
+    return scale
 
 
 def flight_of(
@@ -158,10 +244,7 @@ def flight_of(
     and rows that repeat a time are omitted. Raises FileError for an unknown unit or descending
     times.
     """
-    word = unit.strip().casefold()
-    scale, epoch = UNITS.get(NAMES.get(word, word), 0.0), 0.0
-    if not scale:
-        raise FileError(f"its unit of length, {unit!r}, is unknown; state unit='m', 'cm' or 'mm'")
+    scale, epoch = scale_of(unit), 0.0
     bodies = {name: samples for name, samples in rows.items() if name != MARKER and len(samples)}
     start = min((float(samples[0, 0]) for samples in bodies.values()), default=0.0)
     if one_clock and abs(start) >= MIN_EPOCH:
@@ -175,7 +258,8 @@ def flight_of(
         steps = np.diff(samples[:, 0], prepend=-np.inf)
         if np.any(steps < 0.0):
             a, b = samples[(i := int(np.argmax(steps < 0.0))) - 1 : i + 1, 0]
-            problem = f"times do not ascend: {a:.9g} s is followed by {b:.9g} s"
+            digits = next((n for n in range(9, 17) if f"{a:.{n}g}" != f"{b:.{n}g}"), 17)
+            problem = f"times do not ascend: {a:.{digits}g} s is followed by {b:.{digits}g} s"
             raise FileError(f"{problem}; give one flight, in the order in which it was recorded")
         return Track(samples[steps > 0.0, 0] - epoch, scale * samples[steps > 0.0, 1:])
 
@@ -243,15 +327,20 @@ def table_of(
 
 
 def rows_of(
-    t: Array, points: Mapping[int, Array], labels: Sequence[str], bodies: Collection[str] = ()
-) -> dict[str, Array]:
-    """Return rows (m, 4) of bodies and of MARKER, from points of ``table_of`` and their labels.
+    t: Array,
+    points: Mapping[int, Array],
+    labels: Sequence[str],
+    unit: str,
+    bodies: Collection[str] = (),
+) -> tuple[dict[str, Array], list[str]]:
+    """Return rows (m, 4) of bodies and of MARKER, and notes, from points of ``table_of``.
 
     Points that are not labelled as ``bodies`` are markers. Markers of one subject also form a body,
-    at their mean while all of them are visible.
+    at their mean while all of them are visible; those that are far from each other are bodies of
+    their own, with the names of the markers.
     """
-    rows, markers = dict[str, Array](), [np.zeros((0, 4))]
-    subjects = defaultdict[str, list[Array]](list)
+    rows, markers, notes = dict[str, Array](), [np.zeros((0, 4))], list[str]()
+    subjects = defaultdict[str, dict[str, Array]](dict)
     for k, point in points.items():
         samples = np.column_stack([t[point[:, 0].astype(np.intp)], point[:, 1:]])
         label, subject = labels[k], labels[k].partition(":")[0]
@@ -260,20 +349,30 @@ def rows_of(
         else:
             markers.append(samples)
             if subject not in bodies and not label.casefold().startswith(UNLABELED):
-                subjects[subject].append(samples)
+                subjects[subject][label] = samples
     for subject, each in subjects.items():
-        common = reduce(np.intersect1d, [point[:, 0] for point in each])
-        rows[subject] = np.mean([point[np.isin(point[:, 0], common)] for point in each], axis=0)
-    return rows | {MARKER: np.concatenate(markers)}
+        common = reduce(np.intersect1d, [samples[:, 0] for samples in each.values()])
+        group = np.stack([samples[np.isin(samples[:, 0], common)] for samples in each.values()])
+        middle = np.mean(group, axis=0)
+        distances = np.max(np.linalg.norm((group - middle)[..., 1:], axis=-1), axis=0)
+        radius = scale_of(unit) * float(np.median(distances)) if len(common) else 0.0
+        if radius > BODY_RADIUS:
+            own = {label: label.partition(":")[2] for label in each}
+            rows |= {name if name not in rows else x: each[x] for x, name in own.items()}
+            far = f"up to {radius:.2g} m from their middle"
+            notes.append(f"markers of {subject} are bodies of their own: they are {far}")
+        else:
+            rows[subject] = middle
+    return rows | {MARKER: np.concatenate(markers)}, notes
 
 
-def read_motive(paths: Sequence[Path], unit: str | None) -> RecordedFlight:
+def read_motive(path: Path, unit: str | None) -> RecordedFlight:
     """Return the flight in a table of Motive 1.21 to 1.25, by its row ``Frame`` and those above.
 
     Times follow from frame numbers, as printed times are truncated to milliseconds. Markers of
     rigid bodies are ignored: the table lists them twice, as expected and as measured.
     """
-    lines = text_lines(paths[0])
+    lines = text_lines(path)
     top = list(islice(lines, MAX_HEADER_LINES))
     separator = top[0].lstrip('"')[len(MOTIVE) :].lstrip('"')[:1] or ","
     rows = [list(map(str.strip, cells)) for cells in csv.reader(top, delimiter=separator)]
@@ -295,14 +394,16 @@ def read_motive(paths: Sequence[Path], unit: str | None) -> RecordedFlight:
     t, notes = (head[:, 0] - head[0, 0]) / hertz + head[0, 1], list[str]()
     if np.any(np.abs(t - head[:, 1]) > TIME_TOLERANCE):
         t, notes = head[:, 1], [f"times are as printed: they differ from frames at {hertz:g} Hz"]
-    samples = rows_of(t, points, [names[j] for j in columns], bodies)
     length_unit = unit or metadata.get("Length Units", "")
+    labels = [names[j] for j in columns]
+    samples, row_notes = rows_of(t, points, labels, length_unit, bodies)
+    notes += row_notes
     return flight_of(f"Motive CSV {metadata[MOTIVE]}", samples, length_unit, notes=notes)
 
 
-def read_vicon(paths: Sequence[Path], unit: str | None) -> RecordedFlight:
+def read_vicon(path: Path, unit: str | None) -> RecordedFlight:
     """Return the flight in a Vicon table with sections of bodies and of markers."""
-    samples, lines, length_unit = dict[str, Array](), text_lines(paths[0]), "m"
+    samples, lines, length_unit, notes = dict[str, Array](), text_lines(path), "m", list[str]()
     for title in (line.strip(BLANK) for line in lines):
         if title not in VICON:
             continue
@@ -316,22 +417,27 @@ def read_vicon(paths: Sequence[Path], unit: str | None) -> RecordedFlight:
         head, points = table_of(lines, separator, columns)
         points = {k: x[np.any(x[:, 1:] != 0.0, axis=1)] for k, x in points.items()}  # Gaps are 0
         labels = [next((name for name in names[j::-1] if name), "") for j in columns]
-        if title != VICON[-1]:
-            labels = [label.partition(":")[0] for label in labels]
+        if title != VICON[-1]:  # A subject, or segments of one
+            subjects = [label.partition(":")[0] for label in labels]
+            labels = [
+                subject if subjects.count(subject) == 1 else label.partition(":")[2]
+                for label, subject in zip(labels, subjects, strict=True)
+            ]
         bodies = samples if title == VICON[-1] else labels
-        samples |= rows_of(head[:, 0] / hertz, points, labels, bodies)
         length_unit = units[columns[0]] if columns else length_unit
-    return flight_of("Vicon CSV", samples, unit or length_unit)
+        rows, row_notes = rows_of(head[:, 0] / hertz, points, labels, unit or length_unit, bodies)
+        samples, notes = samples | rows, notes + row_notes
+    return flight_of("Vicon CSV", samples, unit or length_unit, notes=notes)
 
 
 library = partial(optional_module, purpose="reading it needs", extra="logs", kind=FileError)
 """Return an optional module; FileError names the extra to install."""
 
 
-def read_c3d(paths: Sequence[Path], unit: str | None) -> RecordedFlight:
+def read_c3d(path: Path, unit: str | None) -> RecordedFlight:
     """Return the flight in a C3D file, with a body per subject."""
-    with reading(paths[0], "C3D file", Exception):
-        content = library("ezc3d").c3d(str(paths[0]))
+    with reading(path, "C3D file", Exception):
+        content = library("ezc3d").c3d(str(path))
         parameters = content["parameters"]["POINT"]
         point = {name: each["value"] for name, each in parameters.items() if "value" in each}
         labels = [label for i in ("", *range(2, 99)) for label in point.get(f"LABELS{i}", ())]
@@ -341,45 +447,84 @@ def read_c3d(paths: Sequence[Path], unit: str | None) -> RecordedFlight:
             np.column_stack([np.flatnonzero(x), y[x]])
             for x, y in zip(visible.T, positions.swapaxes(0, 1), strict=True)
         ]
-        first, last = struct.unpack_from("<2H", paths[0].read_bytes(), 6)  # As stated in the file
+        first, last = struct.unpack_from("<2H", path.read_bytes(), 6)  # As stated in the file
         frames, total = len(positions), last - first + 1
         notes = [f"truncated: read to frame {frames} of {total}"] if frames < total else []
         t = np.arange(frames) / float(point["RATE"][0])
-        rows = rows_of(t, dict(enumerate(samples)), labels)
-        return flight_of("C3D", rows, unit or point["UNITS"][0], notes=notes)
+        length_unit = unit or point["UNITS"][0]
+        rows, row_notes = rows_of(t, dict(enumerate(samples)), labels, length_unit)
+        return flight_of("C3D", rows, length_unit, notes=[*notes, *row_notes])
 
 
-def read_bag(paths: Sequence[Path], unit: str | None) -> RecordedFlight:
+def read_bag(paths: Sequence[Path], unit: str | None, topic: str | None) -> RecordedFlight:
     """Return the flight in a bag of ROS 1 or 2, with or without definitions of its types."""
     highlevel, typesys = library("rosbags.highlevel"), library("rosbags.typesys")
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
     for kind, text in MESSAGES.items():
         store.register(typesys.get_types_from_msg(text, kind))
-    rows, path = defaultdict[str, list[Array]](list), paths[0]
-    path = path.parent if (path.parent / "metadata.yaml").is_file() else path
+    path, parents = paths[0].parent, dict[tuple[str, str], str]()
+    path = path if (path / "metadata.yaml").is_file() else _single(paths)
+    rows = defaultdict[tuple[str, str], list[Array]](list)  # Of frames by topic
     with (  # Exceptions of rosbags have no common base
         reading(path, "bag", Exception),
         highlevel.AnyReader([path], default_typestore=store) as bag,
     ):
-        kinds = {connection.msgtype for connection in bag.connections}
-        chosen = next((kind for kind in BODIES if kind in kinds), None)
-        if chosen is None:
-            raise FileError(f"holds none of {', '.join(BODIES)}, but {', '.join(sorted(kinds))}")
-        clouds = sorted({c.topic for c in bag.connections if c.msgtype == CLOUD})
-        used = [c for c in bag.connections if c.msgtype == chosen or c.topic in clouds[:1]]
+        kinds = {c.topic: c.msgtype for c in bag.connections if c.msgcount}
+        positions = {x: kind for x, kind in kinds.items() if kind in MESSAGE_TYPES and x != STATIC}
+        if not positions:
+            held = ", ".join(sorted(set(kinds.values())))
+            raise FileError(f"holds none of {', '.join(MESSAGE_TYPES)}, but {held}")
+        preferences = {kind: names_bodies for kind, (names_bodies, _) in MESSAGE_TYPES.items()}
+        taken, notes = taken_topics(bag_topics(positions, preferences), topic)
+        clouds = sorted(name for name, kind in kinds.items() if kind == CLOUD)
+        names = {x.name for x in taken}.union(clouds[:1])
+        used = [c for c in bag.connections if c.topic in names]
         for connection, received, data in bag.messages(used):
             message = bag.deserialize(data, connection.msgtype)
             if connection.msgtype == CLOUD:
                 each = [(MARKER, message.header, points_of(message))]
             else:
-                bodies = BODIES[chosen](connection.topic.strip("/").split("/"), message)
+                bodies = MESSAGE_TYPES[connection.msgtype][1](message)
                 each = [(name, header, np.array([[p.x, p.y, p.z]])) for name, header, p in bodies]
-            for name, header, positions in each:
+            for name, header, points in each:
                 t = 1e-9 * (10**9 * header.stamp.sec + header.stamp.nanosec or received)
-                rows[name].append(np.insert(positions, 0, t, axis=1))
-    notes = [f"markers are of {clouds[0]}, not of {', '.join(clouds[1:])}"] if clouds[1:] else []
-    merged = {name: np.concatenate(own) for name, own in rows.items()}
+                key = connection.topic, name.strip("/")
+                rows[key].append(np.insert(points, 0, t, axis=1))
+                parents[key] = header.frame_id.strip("/")
+        markers = rows.pop((clouds[0], MARKER), []) if clouds else []
+        joined = {key: np.concatenate(own) for key, own in rows.items()}
+        merged, frame_notes = _bodies_of_frames(joined, parents, taken)
+        merged |= {MARKER: np.concatenate(markers)} if markers else {}
+    notes += frame_notes
+    notes += [f"markers are of {clouds[0]}, not of {', '.join(clouds[1:])}"] if clouds[1:] else []
     return flight_of(f"ROS {'2' if bag.is2 else '1'} bag", merged, unit or "m", notes=notes)
+
+
+def _bodies_of_frames(
+    rows: Mapping[tuple[str, str], Array],
+    parents: Mapping[tuple[str, str], str],
+    topics: Sequence[Topic],
+) -> tuple[dict[str, Array], list[str]]:
+    """Return rows by body, and notes, from rows and parents of frames by topic.
+
+    Frames with a moving parent are omitted. Raises FileError if two topics have the same body.
+    """
+    bodies, owners, omitted = dict[str, Array](), dict[str, Topic](), list[str]()
+    for topic in topics:
+        frames = [frame for name, frame in rows if name == topic.name]
+        names = {frames[0]: topic.body} if len(frames) == 1 and topic.body else {}
+        for frame, name in (names or distinct_names(frames)).items():
+            parent = rows.get((topic.name, parents[topic.name, frame]))
+            if parent is not None and np.max(np.ptp(parent[:, 1:], axis=0)) > MAX_FIXED:
+                omitted.append(frame)
+                continue
+            body = name or topic.name.strip("/")
+            if body in owners:
+                both = " and ".join(sorted((owners[body].family, topic.family)))
+                raise FileError(f"{body} has positions in {both}: choose one with topic=")
+            bodies[body], owners[body] = rows[topic.name, frame], topic
+    relative = [f"{', '.join(omitted)} omitted: positions in frames that move"] if omitted else []
+    return bodies, relative
 
 
 def points_of(message: Any) -> Array:
@@ -392,41 +537,80 @@ def points_of(message: Any) -> Array:
 
 
 def read_logs(
-    source: str, read: Callable[[Path], Any], paths: Sequence[Path], unit: str | None
+    source: str,
+    read: Callable[[Path], tuple[dict[str, Array], list[str]]],
+    paths: Sequence[Path],
+    unit: str | None,
+    topic: str | None,
 ) -> RecordedFlight:
     """Return the flight in drones' logs, whose file names are the drones' names.
 
-    ``read`` returns rows of positions [m], rows of commands or None, and notes.
+    ``read`` returns rows of positions [m] by topic of LOG_TOPICS, and notes.
     """
     if unit is not None:
         raise FileError("is of a format with fixed units; leave unit= out")
-    rows, commands, notes = dict[str, Array](), dict[str, Array](), list[str]()
+    rows, commands, drones = (
+        dict[str, Array](),
+        dict[str, Array](),
+        defaultdict[str, list[str]](list),
+    )
     for path in paths:
         with reading(path, source, Exception):
-            rows[path.stem], command, file_notes = read(path)
+            logged, file_notes = read(path)
+            taken, topic_notes = taken_topics(log_topics(list(logged)), topic)
+            if len(taken) > 1:
+                both = " and ".join(each.name for each in taken)
+                raise FileError(f"has positions in {both}: choose one with topic=")
+            rows[path.stem] = logged[taken[0].name]
+            command, command_notes = _setpoints(logged, taken[0].name)
             commands |= {} if command is None else {path.stem: command}
-            notes += [f"{path.stem}: {note}" for note in file_notes]
+            for note in (*file_notes, *topic_notes, *command_notes):
+                drones[note].append(path.stem)
+    notes = [f"{', '.join(names)}: {note}" for note, names in drones.items()]
     return flight_of(source, rows, notes=notes, setpoints=commands, one_clock=len(paths) == 1)
 
 
-def read_usd(path: Path) -> tuple[Array, Array | None, list[str]]:
-    """Return positions, commands and notes of a log of a Crazyflie's uSD card."""
+def _setpoints(logged: Mapping[str, Array], taken: str) -> tuple[Array | None, list[str]]:
+    """Return a drone's set points among topics of its log, and a note if they are of its load.
+
+    Commands are the set points of the body that they are nearest to, at the median.
+    """
+    of_kind = {kind: name for name, kind in reversed(LOG_TOPICS.items()) if name in logged}
+    command, load = of_kind.get("commanded"), of_kind.get("load")
+    if command is None or load is None:
+        return logged.get(command or ""), []
+
+    def distance(topic: str) -> float:
+        t, *at = logged[topic].T
+        position = np.stack([np.interp(logged[command][:, 0], t, x) for x in at], axis=1)
+        return float(np.nanmedian(np.linalg.norm(logged[command][:, 1:] - position, axis=1)))
+
+    own, carried = distance(taken), distance(load)
+    if own <= carried:
+        return logged[command], []
+    words = f"{carried:.2f} m from {load} at the median, and {own:.2f} m from {taken}"
+    return None, [f"{command} is the target of the load, not of the drone: {words}"]
+
+
+def read_usd(path: Path) -> tuple[dict[str, Array], list[str]]:
+    """Return rows by topic, and notes, of a log of a Crazyflie's uSD card."""
     events, notes = usd_events(path.read_bytes())
-
-    def logged_rows(groups: Mapping[str, float]) -> tuple[str, Array | None]:
-        for group, event in product(groups, events):
-            axes = [f"{group}.{axis}" for axis in "xyz"]
-            if set(axes) <= set(event):
-                positions = [groups[group] * event[axis] for axis in axes]
-                return group, np.stack([event["t"], *positions], axis=1)
-        return "", None
-
-    group, rows = logged_rows(USD_POSITIONS)
-    if rows is None:
+    rows = dict[str, Array]()
+    for topic, event in product(LOG_TOPICS, events):
+        prefix = topic if topic.endswith(".p") else f"{topic}."
+        axes = [f"{prefix}{axis}" for axis in "xyz"]
+        if topic not in rows and set(axes) <= set(event):
+            positions = [USD_SCALES.get(topic, 1.0) * event[axis] for axis in axes]
+            samples = np.stack([event["t"], *positions], axis=1)
+            if topic == HELD:
+                steps = np.diff(samples[:, 1:], axis=0, prepend=0.0)
+                samples = samples[np.any(steps != 0.0, axis=1)]
+            rows |= {topic: samples} if len(samples) else {}
+    if not rows.keys() & set(USD_POSITIONS):
         available = ", ".join(sorted({name for event in events for name in event}))
         expected = ", ".join(f"{each}.x" for each in USD_POSITIONS)
         raise FileError(f"logs none of {expected}, but {available[:200]}")
-    return rows, logged_rows(USD_COMMANDS)[1], [*notes, f"positions are of {group}"]
+    return rows, notes
 
 
 def usd_events(data: bytes) -> tuple[list[dict[str, Array]], list[str]]:
@@ -465,33 +649,28 @@ def usd_events(data: bytes) -> tuple[list[dict[str, Array]], list[str]]:
     return events, [] if intact else [f"truncated or damaged: read to the record at {last:.3f} s"]
 
 
-def read_ulog(path: Path) -> tuple[Array, None, list[str]]:
-    """Return positions and notes of a PX4 ulog, converted from north, east, down.
-
-    Positions of motion capture are preferred; others count from the drone's own origin.
-    """
+def read_ulog(path: Path) -> tuple[dict[str, Array], list[str]]:
+    """Return rows by topic, and notes, of a PX4 ulog, converted from north, east, down."""
     with path.open("rb") as file:
         log = library("pyulog").ULog(file, list(ULOG_POSITIONS))
-    topics = {topic.name: topic.data for topic in log.data_list[::-1]}
-    topic = next((name for name in ULOG_POSITIONS if name in topics), None)
-    if topic is None:
+    rows = dict[str, Array]()
+    for name, values in {topic.name: topic.data for topic in log.data_list[::-1]}.items():
+        axes = "xyz" if "x" in values else [f"position[{i}]" for i in range(3)]
+        north, east, down = (values[axis].astype(np.float64) for axis in axes)
+        t = 1e-6 * values.get("timestamp_sample", values["timestamp"]).astype(np.float64)
+        rows[name] = np.stack([t, east, north, -down], axis=1)
+    if not rows:
         raise FileError(f"logs none of {', '.join(ULOG_POSITIONS)}")
-    values = topics[topic]
-    axes = "xyz" if "x" in values else [f"position[{i}]" for i in range(3)]
-    north, east, down = (values[axis].astype(np.float64) for axis in axes)
-    t = 1e-6 * values.get("timestamp_sample", values["timestamp"]).astype(np.float64)
-    own = ", from the drone's own origin" if topic != ULOG_POSITIONS[0] else ""
-    notes, lost = [f"positions are of {topic}{own}"], sum(gap.duration for gap in log.dropouts)
-    notes += [f"{1e-3 * lost:.1f} s were not logged"] * bool(lost)
-    return np.stack([t, east, north, -down], axis=1), None, notes
+    lost = sum(gap.duration for gap in log.dropouts)
+    return rows, [f"{1e-3 * lost:.1f} s were not logged"] * bool(lost)
 
 
 # Formats by their first bytes: names, and readers of all files of a format in a unit
 TEXT = rb'^(\xef\xbb\xbf|\xff\xfe|\xfe\xff)?[\s"]*'
-FORMATS: dict[bytes, tuple[str, Callable[[Sequence[Path], str | None], RecordedFlight]]] = {
-    TEXT + MOTIVE.encode(): ("a table of Motive with its header", read_motive),
-    TEXT + rb"(Segments|Objects|Trajectories)[\",;\s]": ("of Vicon", read_vicon),
-    rb"^[\x01-\x1f]P": ("C3D", read_c3d),
+FORMATS: dict[bytes, tuple[str, Reader]] = {
+    TEXT + MOTIVE.encode(): ("a table of Motive with its header", table_reader(read_motive)),
+    TEXT + rb"(Segments|Objects|Trajectories)[\",;\s]": ("of Vicon", table_reader(read_vicon)),
+    rb"^[\x01-\x1f]P": ("C3D", table_reader(read_c3d)),
     rb"^(SQLite format 3|\x89MCAP0\r\n|#ROSBAG V2\.0)": ("a ROS bag", read_bag),
     rb"^\xbc": ("Crazyflie uSD logs", partial(read_logs, "Crazyflie uSD log", read_usd)),
     rb"^ULog\x01\x12\x35": ("PX4 ulogs", partial(read_logs, "PX4 ulog", read_ulog)),

@@ -15,7 +15,7 @@ import pytest
 from click.testing import CliRunner, Result
 from plans import planned as planned_problem
 from scipy.signal import lfilter
-from writers import write_csv
+from writers import TRANSFORMS, write_bag, write_csv, write_usd
 
 import hitchopt as ho
 from benchmarks.recordings import RATE, Camera, exact_markers, plan_of
@@ -198,6 +198,64 @@ def test_logged_set_points_show_the_lag_of_drones() -> None:
     assert fallback.alignment.offset == pytest.approx(-Camera().start - 0.15, abs=5e-3)
 
 
+def slow_flight(camera: Camera, seed: int = 0) -> ho.RecordedFlight:
+    """Return a recording of drones on their plan at 20 Hz."""
+    t = np.arange(-1.0, task("triangle").duration, 0.05)
+    return drones_recording(camera, t, drones_of(task("triangle"), t), seed)
+
+
+@pytest.mark.parametrize("topic", ["/*/cmd_position", "/*/odom", "/goal_pose"])
+@pytest.mark.parametrize("bodies", [("/*/pose", "PoseStamped"), ("/tf", TRANSFORMS)])
+def test_commands_estimates_and_goals_change_no_result(
+    bodies: tuple[str, str], topic: str, tmp_path: Path
+) -> None:
+    flight, other = slow_flight(Camera(noise=5e-3)), slow_flight(replace(EXACT, start=2.003))
+    if topic == "/goal_pose":
+        other = replace(other, tracks=dict(list(other.tracks.items())[:1]))
+    others = [(topic, "nav_msgs/msg/Odometry" if "odom" in topic else "PoseStamped", other)]
+    alone = write_bag(tmp_path / "alone", flight, bodies=bodies)
+    both = write_bag(tmp_path / "both", flight, bodies=bodies, others=others)
+    first, second = (ho.evaluate(path, task("triangle")) for path in (alone, both))
+    np.testing.assert_array_equal(second.drones, first.drones)
+    assert second.alignment.names == first.alignment.names
+    (note,) = set(second.remarks) - set(first.remarks)
+    assert bodies[0] in note
+    assert topic in note
+    if topic == "/goal_pose":
+        with pytest.raises(ho.FileError, match=r"1 bodies \(goal_pose\).*, not of /"):
+            ho.evaluate(both, task("triangle"), topic=topic)
+    else:
+        chosen = ho.evaluate(both, task("triangle"), topic=topic)
+        assert np.nanmax(chosen.drone_errors) < 1e-3 < np.nanmean(first.drone_errors)
+
+
+def test_targets_of_a_load_change_no_result(tmp_path: Path) -> None:
+    """Logs hold positions and targets of the load, half a metre below the drones."""
+    flight, load = slow_flight(Camera(noise=2e-3, lost=0.0)), np.array([0.0, 0.0, -0.5])
+    below = {name: Track(x.t, x.positions + load) for name, x in flight.tracks.items()}
+    late = {name: Track(x.t, np.roll(x.positions, 5, axis=0)) for name, x in below.items()}
+    alone = write_usd(tmp_path / "alone", flight)
+    loads = {"stateEstimateZ.p": replace(flight, tracks=below)}
+    both = write_usd(tmp_path / "both", replace(flight, setpoints=late), others=loads)
+    first, second = (ho.evaluate(path, task("triangle")) for path in (alone, both))
+    np.testing.assert_array_equal(second.drones, first.drones)
+    assert second.flight.setpoints == {}
+
+
+@pytest.mark.parametrize("up", ["y", "z"])
+def test_the_height_of_a_fitted_frame_changes_no_result(up: str) -> None:
+    level = np.array([1.0, 0.5, 0.0]) if up == "z" else np.array([1.0, 0.0, 0.5])
+    vertical = np.array([0.0, 0.0, 1.0]) if up == "z" else np.array([0.0, 1.0, 0.0])
+    results = []
+    for height in (0.0, 0.039, -0.039, 1.7):
+        shift = tuple((level + height * vertical).tolist())
+        camera = Camera(yaw=0.7, up=up, shift=shift)
+        results.append(ho.evaluate(planned_flight("triangle", camera, 1), task("triangle")))
+        np.testing.assert_allclose(results[-1].vertices, results[0].vertices, atol=1e-4)
+        note = f"heights are shifted by {-1e3 * height:+.0f} mm" if height else "as recorded"
+        assert any(note in remark for remark in results[-1].remarks)
+
+
 def task_with_movement(target: Task, offsets: Array) -> Task:
     """Return a task that starts as another and moves drones by offsets (times, 2n, 3) [m]."""
     start = target.states.positions[:1]
@@ -298,6 +356,7 @@ REFUSALS: dict[str, Request] = {
     "no frame": (triangle, "triangle", {"frame": "left"}, "y-up"),
     "no window": (triangle, "triangle", {"window": 0}, "window"),
     "no diameter": (triangle, "triangle", {"diameter": -1}, "diameter"),
+    "a topic of a flight that is read": (triangle, "triangle", {"topic": "/tf"}, "read already"),
 }
 
 

@@ -31,17 +31,27 @@ FORMATS: dict[str, Write] = {
     "table with semicolons": partial(w.write_csv, separator=";"),
     "ROS 2 bag": w.write_bag,
     "ROS 2 bag, mcap": partial(w.write_bag, kind="mcap"),
-    "ROS 2 bag, tf": partial(w.write_bag, bodies="/tf"),
-    "ROS 2 bag, poses": partial(w.write_bag, bodies="pose"),
+    "ROS 2 bag, tf": partial(w.write_bag, bodies=("/tf", w.TRANSFORMS)),
+    "ROS 2 bag, poses": partial(w.write_bag, bodies=("/*/pose", "PoseStamped")),
+    "ROS 2 bag of MAVROS": partial(
+        w.write_bag, bodies=("/*/mavros/local_position/pose", "PoseStamped")
+    ),
+    "ROS 2 bag of Vicon": partial(w.write_bag, bodies=("/vicon/*/*", "TransformStamped")),
+    "ROS 2 bag of a subject": partial(w.write_bag, bodies=("/vicon/fleet/*", "TransformStamped")),
+    "ROS 2 bag of Gazebo": partial(w.write_bag, bodies=("/model/*/odometry", w.ODOMETRY)),
+    "ROS 2 bag with covariance": partial(
+        w.write_bag, bodies=("/lab/*/pose", "PoseWithCovarianceStamped")
+    ),
     "ROS 2 bag without stamps": partial(w.write_bag, delay=0.0),
     "ROS 1 bag": partial(w.write_bag, kind="ros1"),
     "Crazyflie uSD log": w.write_usd,
     "Crazyflie uSD log, 1": partial(w.write_usd, version=1),
-    "Crazyflie uSD log of floats": partial(w.write_usd, group="stateEstimate"),
+    "Crazyflie uSD log of floats": partial(w.write_usd, group="stateEstimate."),
+    "Crazyflie uSD log of motion capture": partial(w.write_usd, group="locSrv."),
     "PX4 ulog": w.write_ulog,
     "PX4 ulog of positions": partial(w.write_ulog, topic="vehicle_local_position"),
 }
-VARIANTS = ("Motive CSV 1.22", "Motive CSV 1.24", "ROS 2 bag, tf", "ROS 2 bag without stamps")
+VARIANTS = ("Motive CSV 1.22", "Motive CSV 1.24", *(x for x in FORMATS if x[:10] == "ROS 2 bag "))
 
 
 def path_in(folder: Path, name: str) -> Path:
@@ -111,6 +121,13 @@ def text_file(text: str) -> Write:
     return edit(lambda _: text, w.write_csv)
 
 
+def write_two_bags(path: Path, flight: ho.RecordedFlight) -> Path:
+    path.mkdir()
+    for name in ("a.bag", "b.bag"):
+        w.write_bag(path / name, flight, "ros1")
+    return path
+
+
 REFUSED: dict[str, tuple[Write, str]] = {
     "no format": (text_file("hello, world\n"), "give a table of Motive with its header, of Vicon"),
     "empty": (text_file(""), "has no line of columns' names"),
@@ -136,6 +153,11 @@ REFUSED: dict[str, tuple[Write, str]] = {
         edit(lambda text: lines(text, slice(-1), slice(1, 2)), w.write_csv),
         "is followed by 0 s; give one flight",
     ),
+    "dates backward by a microsecond": (
+        text_file("t,name,x,y,z\n1700000000.000019,q0,0,0,1\n1700000000.000018,q0,0,0,1\n"),
+        "1700000000.000019 s is followed by 1700000000.000018 s",
+    ),
+    "two bags in a directory": (write_two_bags, "holds 2 recordings, a.bag, b.bag: give one file"),
     "millimetres": (
         edit(lambda text: text.replace(",1.", ",1000."), w.write_csv),
         "m from the origin at the median, over 50 m: millimetres? unit='mm'",
@@ -143,12 +165,12 @@ REFUSED: dict[str, tuple[Write, str]] = {
     "milliseconds": (with_clock(1e3), "step by 10 s: not in seconds; if they are milliseconds"),
     "nanoseconds": (with_clock(1e9, 1.7e9), "if they are nanoseconds, divide by 1e+09"),
     "bag of other messages": (
-        lambda path, flight: w.write_bag(path, replace(flight, tracks={}), bodies="pose"),
+        lambda path, flight: w.write_bag(path, replace(flight, tracks={})),
         "holds none of motion_capture_tracking_interfaces/msg/NamedPoseArray",
     ),
     "log of version 3": (partial(w.write_usd, version=3), "is of version 3; 1 and 2 are supported"),
     "log without positions": (
-        partial(w.write_usd, group="stabilizer"), "logs none of stateEstimate.x, stateEstimateZ.x",
+        partial(w.write_usd, group="stabilizer."), "logs none of stateEstimate.x, stateEstimateZ.x",
     ),
     "ulog without positions": (
         partial(w.write_ulog, topic="vehicle_gps_odometry"), "logs none of vehicle_visual_odometry",
@@ -280,6 +302,189 @@ def test_damaged_files_are_read_or_refused_in_one_line(name: str, tmp_path: Path
         assert words == "" or (words.startswith(str(copy)) and "\n" not in words), words
         shutil.rmtree(copy) if copy.is_dir() else copy.unlink()
     assert refused > 1
+
+
+def moved(flight: ho.RecordedFlight, off: float = 0.6, names: int = 99) -> ho.RecordedFlight:
+    """Return the first bodies of a flight, displaced in all axes and late by 4 ms."""
+    tracks = list(flight.tracks.items())[:names]
+    return replace(flight, tracks={n: ho.Track(x.t + 0.004, x.positions + off) for n, x in tracks})
+
+
+# Topics and message types: with the drones' positions, and to be ignored
+POSES, ODOMETRY, TF = "PoseStamped", w.ODOMETRY, ("/tf", w.TRANSFORMS)
+TOPICS: dict[str, tuple[tuple[str, str], tuple[str, str]]] = {
+    "commands": (("/*/pose", POSES), ("/*/cmd_position", POSES)),
+    "commands of MAVROS": (
+        ("/*/mavros/local_position/pose", POSES), ("/*/mavros/setpoint_position/local", POSES),
+    ),
+    "estimates": (("/*/pose", POSES), ("/*/odom", ODOMETRY)),
+    "estimates of MAVROS": (
+        ("/vrpn_mocap/*/pose", POSES), ("/*/mavros/local_position/pose", POSES),
+    ),
+    "poses beside motion capture": (("/vrpn_client_node/*/pose", POSES), ("/*/pose", POSES)),
+    "poses beside crazyswarm's": (("/poses", w.POSE_ARRAY), ("/*/pose", POSES)),
+    "poses beside frames": (TF, ("/*/pose", POSES)),
+    "a goal": (TF, ("/goal_pose", POSES)),
+    "goals": (("/*/pose", POSES), ("/*/goalPose", POSES)),
+    "a load": (("/*/pose", POSES), ("/payload/pose", POSES)),
+    "filtered poses": (("/poses", w.POSE_ARRAY), ("/poses_filtered", w.POSE_ARRAY)),
+    "static frames": (TF, ("/tf_static", w.TRANSFORMS)),
+    "true positions": (("/*/ground_truth/odometry", ODOMETRY), ("/*/odometry", ODOMETRY)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", TOPICS)
+def test_topics_of_other_kinds_change_nothing(case: str, tmp_path: Path) -> None:
+    flight, (bodies, (topic, type_)) = w.sample(), TOPICS[case]
+    other = moved(flight, names=99 if "*" in topic or topic.startswith("/poses") else 1)
+    alone = ho.read_flight(w.write_bag(tmp_path / "alone", flight, bodies=bodies))
+    path = w.write_bag(tmp_path / "both", flight, bodies=bodies, others=[(topic, type_, other)])
+    both = ho.read_flight(path)
+    assert_same(both, alone)
+    assert_same(ho.read_flight(path, topic=bodies[0]), alone)
+    if topic != "/tf_static":
+        chosen = f"positions are of {bodies[0]} ("
+        assert any(note.startswith(chosen) and f"not of {topic}" in note for note in both.notes)
+        assert_same(ho.read_flight(path, topic=topic), other)
+
+
+def assert_same(a: ho.RecordedFlight, b: ho.RecordedFlight) -> None:
+    """Compare tracks, on clocks from their starts, and their names if there is more than one."""
+    assert list(a.tracks) == list(b.tracks) or len(b.tracks) == 1
+    for x, y in zip(a.tracks.values(), b.tracks.values(), strict=True):
+        np.testing.assert_allclose(x.t, y.t - y.t[0] + x.t[0], atol=1e-6)
+        np.testing.assert_allclose(x.positions, y.positions)
+
+
+@pytest.mark.parametrize(
+    ("topic", "type_"),
+    [
+        ("/*/mavros/local_position/pose", POSES),
+        ("/vicon/*/*", "TransformStamped"),
+        ("/vrpn_client_node/*/pose", POSES),
+        ("/*/odom", ODOMETRY),
+        ("/*", POSES),
+    ],
+)
+def test_names_do_not_depend_on_other_drones(topic: str, type_: str, tmp_path: Path) -> None:
+    flight = w.sample()
+    for count in (1, 2, 4):
+        tracks = dict(list(flight.tracks.items())[:count])
+        part, others = replace(flight, tracks=tracks), list[w.Stream]()
+        if count == 2:
+            others = [("/*/cmd_position", POSES, moved(part)), ("/goal_pose", POSES, moved(part))]
+        path = w.write_bag(tmp_path / f"{count}", part, bodies=(topic, type_), others=others)
+        assert list(ho.read_flight(path).tracks) == list(tracks)
+
+
+@pytest.mark.parametrize("kind", ["sqlite3", "ros1"])
+@pytest.mark.parametrize(
+    ("topics", "request_", "words"),
+    [
+        (("/*/pose", "/*/pose2"), None, "cf3 has positions in /*/pose and /*/pose2: choose one"),
+        (("/*/pose", "/*/cmd_pose"), "*pose", "cf3 has positions in /*/cmd_pose and /*/pose"),
+        (("/*/pose", "/*/cmd_pose"), "/tf", "no topic /tf, but /*/pose (measured), /*/cmd_pose"),
+    ],
+)  # fmt: skip
+def test_topics_that_no_rule_decides_are_refused(
+    kind: str, topics: tuple[str, str], request_: str | None, words: str, tmp_path: Path
+) -> None:
+    flight = w.sample()
+    others = [(topics[1], POSES, moved(flight))]
+    path = w.write_bag(
+        tmp_path / f"take{'.bag' * (kind == 'ros1')}", flight, kind, (topics[0], POSES), others
+    )
+    with pytest.raises(ho.FileError) as refusal:
+        ho.read_flight(path, topic=request_)
+    assert words in str(refusal.value)
+    assert "topic=" in str(refusal.value)
+    assert_same(ho.read_flight(path, topic=topics[0]), flight)
+    first = next(iter(flight.tracks))
+    assert list(ho.read_flight(path, topic=f"/{first}/pose").tracks) == [first]
+
+
+def test_only_bags_and_logs_have_topics(tmp_path: Path) -> None:
+    for name in ("Motive CSV 1.23", "Vicon CSV", "C3D", "table"):
+        with pytest.raises(ho.FileError, match="a format without topics; leave topic= out"):
+            ho.read_flight(FORMATS[name](path_in(tmp_path, name), w.sample()), topic="/tf")
+    logs = w.write_usd(tmp_path / "logs", flight_for("log"))
+    with pytest.raises(ho.FileError, match=r"no topic /tf, but stateEstimateZ \(estimated\)"):
+        ho.read_flight(logs, topic="/tf")
+
+
+def test_frames_that_move_are_no_frames_of_positions(tmp_path: Path) -> None:
+    """Cameras on drones have positions in the drones' frames; a fixed frame may have a parent."""
+    flight = w.sample()
+    cameras = {f"camera_of_{name}": x for name, x in flight.tracks.items()}
+    room = {"room": ho.Track(np.arange(100) / 50.0, np.full((100, 3), 0.2))}
+    parents = {f"camera_of_{name}": name for name in flight.tracks}
+    parents |= dict.fromkeys(flight.tracks, "room")
+    mounted = replace(flight, tracks={**flight.tracks, **cameras, **room})
+    path = w.write_bag(tmp_path / "bag", mounted, bodies=TF, parents=parents)
+    result = ho.read_flight(path)
+    assert set(result.tracks) == {*flight.tracks, "room"}
+    assert f"{', '.join(cameras)} omitted: positions in frames that move" in result.notes
+
+
+def test_a_body_of_two_sources_in_one_topic_is_omitted(tmp_path: Path) -> None:
+    flight = w.sample()
+    others = [(*TF, moved(flight, names=1))]
+    result = ho.read_flight(w.write_bag(tmp_path / "bag", flight, bodies=TF, others=others))
+    first, *rest = flight.tracks
+    assert set(result.tracks) == set(rest)
+    assert any(note.startswith(f"{first} omitted: ") for note in result.notes)
+    others = [(*TF, moved(flight))]
+    with pytest.raises(ho.FileError, match="jump to and fro by 1 m, as of two sources in one"):
+        ho.read_flight(w.write_bag(tmp_path / "all", flight, bodies=TF, others=others))
+
+
+@pytest.mark.parametrize("group", ["stateEstimateZ.", "stateEstimate.", "locSrv."])
+def test_targets_of_loads_are_no_set_points(group: str, tmp_path: Path) -> None:
+    """Targets belong to the drone or to its load, whichever is nearer."""
+    flight: ho.RecordedFlight = w.sample(visible_share=1.0)
+    load, near_load = moved(flight, -0.3), moved(flight, -0.28)
+    for targets, of_load in ((near_load, True), (moved(flight, 0.02), False)):
+        commanded = replace(flight, setpoints=targets.tracks)
+        folder = tmp_path / f"{of_load}"
+        w.write_usd(folder, commanded, group=group, others={"stateEstimateZ.p": load})
+        result = ho.read_flight(folder)
+        assert list(result.tracks) == list(flight.tracks)
+        for name, track in flight.tracks.items():
+            np.testing.assert_allclose(result.tracks[name].positions, track.positions, atol=1e-6)
+        assert list(result.setpoints) == ([] if of_load else list(flight.tracks))
+        noted = "ctrltargetZ is the target of the load" in str(result.notes)
+        assert noted == of_load
+        assert "stateEstimateZ.p (load)" in str(result.notes)
+
+
+def test_logs_prefer_motion_capture_to_estimates(tmp_path: Path) -> None:
+    """Held positions and those before the first one are no measurements."""
+    flight: ho.RecordedFlight = w.sample(visible_share=1.0)
+    held = {}
+    for name, track in flight.tracks.items():
+        i = np.arange(len(track.t)) // 4 * 4
+        positions = np.where(i[:, None] < 20, 0.0, track.positions[i])
+        held[name] = ho.Track(track.t, positions)
+    received = replace(flight, tracks=held)
+    folder = w.write_usd(tmp_path / "logs", moved(flight), others={"locSrv.": received})
+    result = ho.read_flight(folder)
+    for name, track in flight.tracks.items():
+        np.testing.assert_allclose(result.tracks[name].t, track.t[20::4], atol=0.005)
+        np.testing.assert_allclose(result.tracks[name].positions, track.positions[20::4], atol=1e-6)
+    assert "locSrv (measured), not of stateEstimateZ (estimated)" in result.notes[0]
+    estimates = ho.read_flight(folder, topic="stateEstimateZ")
+    assert_same(estimates, moved(flight))
+
+
+@pytest.mark.parametrize("write", [w.write_c3d, w.write_vicon])
+def test_drones_in_one_subject_are_bodies(write: Write, tmp_path: Path) -> None:
+    flight = w.sample()
+    fleet = {f"fleet:{name}": track for name, track in flight.tracks.items()}
+    result = ho.read_flight(write(tmp_path / "take.c3d", replace(flight, tracks=fleet)))
+    assert "markers of fleet are bodies" in str(result.notes) or write is w.write_vicon
+    assert list(result.tracks) == list(flight.tracks)
+    for name, track in flight.tracks.items():
+        np.testing.assert_allclose(result.tracks[name].positions, track.positions, atol=1e-6)
 
 
 def test_records_check_their_fields() -> None:

@@ -6,7 +6,7 @@ import csv
 import io
 import struct
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -100,7 +100,10 @@ def write_motive(
 def write_vicon(path: Path, flight: ho.RecordedFlight, rate: float = 100.0) -> Path:
     """Write sections of bodies and of markers; missing values are zero."""
     t, sections = frames_of(flight), []
-    bodies = {f"{name}:{name}": dense(t, track) for name, track in flight.tracks.items()}
+    bodies = {
+        name if ":" in name else f"{name}:{name}": dense(t, track)
+        for name, track in flight.tracks.items()
+    }
     points = {f"*{name}": places for name, places in columns_of(t, flight.markers).items()}
     for title, columns, angles in (("Objects", bodies, 3), ("Trajectories", points, 0)):
         axes = "RX,RY,RZ,TX,TY,TZ" if angles else "X,Y,Z"
@@ -142,17 +145,26 @@ def write_csv(path: Path, flight: ho.RecordedFlight, separator: str = ",") -> Pa
     return path
 
 
+Stream = tuple[str, str, ho.RecordedFlight]
+"""Topic with ``*`` in place of bodies' names, type of its messages, and the bodies' positions."""
+
+POSE_ARRAY, TRANSFORMS, ODOMETRY = f"{POSE}Array", "tf2_msgs/msg/TFMessage", "nav_msgs/msg/Odometry"
+
+
 def write_bag(
     path: Path,
     flight: ho.RecordedFlight,
     kind: str = "sqlite3",
-    bodies: str = "/poses",
+    bodies: tuple[str, str] = ("/poses", POSE_ARRAY),
+    others: Sequence[Stream] = (),
     delay: float = 0.015,
+    parents: Mapping[str, str] | None = None,
 ) -> Path:
-    """Write a bag with ``/pointCloud`` and bodies: crazyswarm2's ``/poses``, ``/tf`` or ``pose``.
+    """Write a bag with ``/pointCloud``, a topic and message type of ``bodies``, and others.
 
     ``kind`` is sqlite3 (without definitions of types, as Humble's), mcap or ros1. Every other cloud
-    arrives after ``delay`` [s]; without a delay messages have no stamp.
+    arrives after ``delay`` [s]; without a delay messages have no stamp. ``parents`` are frames by
+    body, else the world. Others are written first.
     """
     ros1 = kind == "ros1"
     store = typesys.get_typestore(typesys.Stores["ROS1_NOETIC" if ros1 else "ROS2_HUMBLE"])
@@ -162,36 +174,46 @@ def write_bag(
     def ros(name: str, *values: Any) -> Any:
         return store.types[name if "/msg/" in name else f"geometry_msgs/msg/{name}"](*values)
 
-    def header(t: float) -> Any:
+    def header(t: float, frame: str = "world") -> Any:
         nanoseconds = round(1e9 * (EPOCH + t)) if delay else 0
         stamp = ros("builtin_interfaces/msg/Time", *divmod(nanoseconds, 10**9))
-        return ros("std_msgs/msg/Header", *[0] * ros1, stamp, "world")
+        return ros("std_msgs/msg/Header", *[0] * ros1, stamp, frame)
 
     def pose(place: Sequence[float]) -> Any:
         return ros("Pose", ros("Point", *place), ros("Quaternion", *[np.nan] * 4))
 
-    messages: list[tuple[float, str, Any]] = []
-    for t in frames_of(flight).tolist():
-        positions = [(name, x.positions[x.t == t].tolist()) for name, x in flight.tracks.items()]
-        visible = [(name, place[0]) for name, place in positions if place]
-        if bodies == "/poses":
-            named = [ros(POSE, name, pose(place)) for name, place in visible]
-            messages.append((t, bodies, ros(f"{POSE}Array", header(t), named)))
-        elif bodies == "/tf":
+    def stamped(type_: str, t: float, name: str, place: Sequence[float]) -> Any:
+        head, uncertain = header(t, (parents or {}).get(name, "world")), np.zeros(36)
+        if type_ == "TransformStamped":
             rotation = ros("Quaternion", 0.0, 0.0, 0.0, 1.0)
-            transforms = [
-                (name, ros("Transform", ros("Vector3", *x), rotation)) for name, x in visible
+            return ros(type_, head, name, ros("Transform", ros("Vector3", *place), rotation))
+        if type_ == "PoseStamped":
+            return ros(type_, head, pose(place))
+        with_covariance = ros("PoseWithCovariance", pose(place), uncertain)
+        if type_ == "PoseWithCovarianceStamped":
+            return ros(type_, head, with_covariance)
+        twist = ros("Twist", *[ros("Vector3", 0.0, 0.0, 0.0)] * 2)
+        velocity = ros("TwistWithCovariance", twist, uncertain)
+        return ros(type_, head, f"{name}/base_link", with_covariance, velocity)
+
+    messages: list[tuple[float, str, Any]] = []
+    for topic, type_, source in [*others, (*bodies, flight)]:
+        for t in np.unique([t for x in source.tracks.values() for t in x.t.tolist()]).tolist():
+            positions = [
+                (name, x.positions[x.t == t].tolist()) for name, x in source.tracks.items()
             ]
-            stamped = [
-                ros("TransformStamped", header(t), name, transform)
-                for name, transform in transforms
-            ]
-            messages.append((t, bodies, ros("tf2_msgs/msg/TFMessage", stamped)))
-        else:
-            stamped = [
-                (name, ros("PoseStamped", header(t), pose(place))) for name, place in visible
-            ]
-            messages += [(t, f"/{name}/pose", message) for name, message in stamped]
+            visible = [(name, place[0]) for name, place in positions if place]
+            if type_ == POSE_ARRAY:
+                named = [ros(POSE, name, pose(place)) for name, place in visible]
+                messages.append((t, topic, ros(type_, header(t), named)))
+            elif type_ == TRANSFORMS:
+                each = [stamped("TransformStamped", t, name, place) for name, place in visible]
+                messages.append((t, topic, ros(type_, each)))
+            else:
+                messages += [
+                    (t, topic.replace("*", name), stamped(type_, t, name, place))
+                    for name, place in visible
+                ]
     fields = [ros("sensor_msgs/msg/PointField", x, 4 * i, 7, 1) for i, x in enumerate("xyz")]
     for i, t in enumerate(np.unique(flight.markers.t).tolist()):
         points = flight.markers.positions[flight.markers.t == t].astype("<f4")
@@ -216,23 +238,34 @@ def write_bag(
 
 
 def write_usd(
-    folder: Path, flight: ho.RecordedFlight, version: int = 2, group: str = "stateEstimateZ"
+    folder: Path,
+    flight: ho.RecordedFlight,
+    version: int = 2,
+    group: str = "stateEstimateZ.",
+    others: Mapping[str, ho.RecordedFlight] | None = None,
 ) -> Path:
-    """Write a log for every drone, with other events between positions."""
+    """Write a log for every drone, with other events between positions.
+
+    Variables are those of ``group``, of set points, and of ``others``, which have the same times.
+    """
     folder.mkdir()
-    kind, scale = ("h", 1e3) if group.endswith("Z") else ("f", 1.0)
     head, ticks = ("<HI", 1e3) if version == 1 else ("<HQ", 1e6)
     for name, track in flight.tracks.items():
-        target, variables = flight.setpoints.get(name), [f"{group}.{x}({kind})" for x in "xyz"]
-        variables += [f"ctrltargetZ.{x}(h)" for x in "xyz" if target]
+        groups = {group: track}
+        groups |= {"ctrltargetZ.": flight.setpoints[name]} if name in flight.setpoints else {}
+        groups |= {prefix: other.tracks[name] for prefix, other in (others or {}).items()}
+        kinds = ["h" if "Z." in prefix else "f" for prefix in groups]
+        variables = [f"{x}{c}({k})" for x, k in zip(groups, kinds, strict=True) for c in "xyz"]
         data = struct.pack("<BHH", 0xBC, version, 2)
         for number, names in ((0xFFFF, variables), (7, ["source(B)", "d(e)"])):
             data += struct.pack("<H", number) + b"event\0" + struct.pack("<H", len(names))
             data += b"".join(x.encode() + b"\0" for x in names)
-        for i, (t, place) in enumerate(zip(track.t, track.positions, strict=True)):
-            values = [round(x * scale) if kind == "h" else x for x in place]
-            values += [round(1e3 * x) for x in target.positions[i]] if target else []
-            types = f"{head}{3 * kind}{'hhh' if target else ''}"
+        types = head + "".join(3 * kind for kind in kinds)
+        for i, t in enumerate(track.t):
+            values: list[float] = []
+            for kind, each in zip(kinds, groups.values(), strict=True):
+                place = each.positions[i].tolist()
+                values += [round(1e3 * x) for x in place] if kind == "h" else place
             data += struct.pack(types, 0xFFFF, round(t * ticks), *values)
             data += struct.pack(f"{head}Be", 7, round(t * ticks), 3, 0.5) if i % 3 == 0 else b""
         (folder / f"{name}.bin").write_bytes(data + struct.pack("<I", zlib.crc32(data)))
