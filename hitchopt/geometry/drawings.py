@@ -46,14 +46,20 @@ MIN_AREA_RATIO = 1.0 + 1e-6
 MAX_FILE_SIZE = 20_000_000
 """[B] Largest file: a drawing of a single part is smaller."""
 
-MAX_EXTENT = 20.0
-"""[m] Largest outline: a larger one has other units."""
+MIN_EXTENT, MAX_EXTENT = 0.01, 20.0
+"""[m] Smallest and largest outline: others have other units, such as degrees or millimetres."""
 
 INCH, PIXELS = 0.0254, 96.0
 """[m] One inch, and its number of pixels in CSS: lengths with units in SVG become pixels."""
 
 PAGE_TOLERANCE = 5e-4
 """Largest share of its bounding box that a page or frame leaves out."""
+
+PIXEL_NOTE = (
+    "its size is in pixels of 1/96 inch, as in CSS; programs that write 72 px an inch, such as "
+    "Illustrator, make parts three quarters as large: check the size, or save the drawing in mm"
+)
+"""Note on drawings whose size is in pixels, which is no physical unit."""
 
 LENGTH = re.compile(
     r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)\s*(mm|cm|in|pt|pc|px|%|)\s*", re.I
@@ -115,17 +121,23 @@ def format_size(points: Array) -> str:
 def _read_svg(path: Path, notes: list[str]) -> Lines:
     elements, root = _library("svgelements"), ElementTree.fromstring(path.read_bytes())
     _normalise(root, path.name)
-    sizes = [root.get(name) for name in ("width", "height")]
-    stated = {size is not None and size[-2:].isalpha() for size in sizes}
+    units = [(root.get(name) or "")[-2:] for name in ("width", "height")]
+    stated = {unit.isalpha() for unit in units}
     if len(stated) == 2:
         bound, remedy = "a drawing with both width and height in units", "add the other one"
         raise InputError("outline", path.name, bound, remedy)
     scale = INCH / PIXELS if stated == {True} else 1.0
-    drawing = elements.SVG.parse(io.BytesIO(ElementTree.tostring(root)), reify=True)
+    if "px" in units:
+        notes.append(PIXEL_NOTE)
+    # Shapes are flattened before they are transformed: the library transforms no rectangles and
+    # ellipses that are turned, and no arcs that are skewed
+    drawing = elements.SVG.parse(io.BytesIO(ElementTree.tostring(root)), reify=False)
     drawn: dict[bool, Lines] = {True: [], False: []}
     for shape in drawing.elements(lambda each: isinstance(each, elements.Shape)):
         if shape.values.get("visibility") in {"hidden", "collapse"}:
             continue
+        m = shape.transform
+        linear, offset = np.array([[m.a, m.b], [m.c, m.d]]), np.array([m.e, m.f])
         for part in elements.Path(shape).as_subpaths():
             ends = [
                 segment.npoint(np.linspace(0.0, 1.0, CHORDS + 1)[:: CHORDS if straight else 1])
@@ -134,8 +146,8 @@ def _read_svg(path: Path, notes: list[str]) -> Lines:
                 for straight in [isinstance(segment, elements.Line)]
             ]
             if ends:  # y points down in drawings
-                line = np.concatenate(ends).astype(np.float64) * [scale, -scale]
-                drawn[_is_visible(shape)].append(line)
+                points = np.concatenate(ends).astype(np.float64) @ linear + offset
+                drawn[_is_visible(shape)].append(points * [scale, -scale])
     if drawn[True] and drawn[False]:
         size = format_size(np.concatenate(drawn[False]))
         notes.append(f"invisible shapes (no lines, white or no fill) are left out: {size} in all")
@@ -255,13 +267,19 @@ def _drawing_of(lines: Lines, name: str, notes: list[str]) -> Drawing:
     shapely = _library("shapely")
     if not all(np.all(np.isfinite(line)) for line in lines):
         raise InputError("outline", name, "finite", "check its coordinates")
-    points = np.concatenate([np.zeros((0, 2)), *lines])
-    size = float(np.max(np.ptp(points, axis=0))) if len(points) else 0.0
-    if size > MAX_EXTENT:
-        bound = f"at most {MAX_EXTENT:g} m across, not {size:.4g} m"
-        remedy = "state the drawing's unit: numbers without one are metres"
-        raise InputError("outline", name, bound, remedy)
     strings = [shapely.LineString(line) for line in lines if len(line) > 1]
+    if not strings:
+        remedy = "it has no lines: pictures and texts are no outlines; trace it"
+        raise InputError("outline", name, "a drawing with lines", "; ".join([remedy, *notes]))
+    points = np.concatenate(lines)
+    size = float(np.max(np.ptp(points, axis=0)))
+    if not MIN_EXTENT <= size <= MAX_EXTENT:
+        extreme = f"least {MIN_EXTENT:g}" if size < MIN_EXTENT else f"most {MAX_EXTENT:g}"
+        bound = f"at {extreme} m across, and not {format_size(points)}"
+        remedy = "state the drawing's unit: numbers without one are metres"
+        if size < MIN_EXTENT:
+            remedy = f"{remedy}; if these are degrees, as in GeoJSON, project them to metres"
+        raise InputError("outline", name, bound, remedy)
     crossing = (line for line in strings if line.is_closed and not line.is_simple)
     if any(len(_faces(line)[0]) > 1 for line in crossing):
         bound, remedy = "an outline that does not cross itself", "check the order of its points"

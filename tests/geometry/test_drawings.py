@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 
 import hitchopt as ho
 from hitchopt.geometry.drawings import FLATNESS, drawing_of_geometry, read_drawing
@@ -56,6 +58,14 @@ def test_boxes_keep_their_size(tmp_path: Path, name: str, text: str, size: float
     assert result == pytest.approx((0.4 * size, 0.3 * size, 0.12 * size**2), rel=1e-4)
 
 
+@pytest.mark.parametrize("unit", ["px", "mm", ""])
+def test_pixels_are_noted_as_no_physical_unit(unit: str, tmp_path: Path) -> None:
+    path, part = tmp_path / "a.svg", RECTANGLE if unit else SMALL
+    path.write_text(SVG.format(size=f'width="400{unit}" height="300{unit}" ', shape=part))
+    notes = read_drawing(path).notes
+    assert ["three quarters" in note for note in notes] == [True] * (unit == "px")
+
+
 def test_svg_is_not_mirrored_and_curves_are_flattened_within_0_1_mm(tmp_path: Path) -> None:
     drawing = tmp_path / "wedge.svg"
     drawing.write_text(SVG.format(size="", shape='<polygon points="0,0 4,0 0,2"/>'))
@@ -65,6 +75,90 @@ def test_svg_is_not_mirrored_and_curves_are_flattened_within_0_1_mm(tmp_path: Pa
     middles = 0.5 * (outline + np.roll(outline, -1, axis=0))
     away = np.hypot(*np.concatenate([outline, middles]).T)
     assert np.max(np.abs(away - 0.2)) < 2.0 * FLATNESS
+
+
+def rectangle(x: float, y: float, width: float, height: float) -> tuple[str, str]:
+    size = f'x="{x}" y="{y}" width="{width}" height="{height}"'
+    return f"<rect {size}/>", f"M{x} {y}h{width}v{height}h{-width}z"
+
+
+def rounded(x: float, y: float, width: float, height: float) -> tuple[str, str]:
+    rx, ry = 0.3 * width, 0.2 * height
+    size = f'x="{x}" y="{y}" width="{width}" height="{height}" rx="{rx}" ry="{ry}"'
+    path = f"M{x + rx} {y}h{width - 2 * rx}a{rx} {ry} 0 0 1 {rx} {ry}v{height - 2 * ry}"
+    path += f"a{rx} {ry} 0 0 1 {-rx} {ry}h{2 * rx - width}a{rx} {ry} 0 0 1 {-rx} {-ry}"
+    return f"<rect {size}/>", f"{path}v{2 * ry - height}a{rx} {ry} 0 0 1 {rx} {-ry}z"
+
+
+def oval(x: float, y: float, width: float, height: float) -> tuple[str, str]:
+    rx, ry = 0.5 * width, 0.5 * height
+    shape = f'<ellipse cx="{x}" cy="{y}" rx="{rx}" ry="{ry}"/>'
+    return shape, f"M{x - rx} {y}a{rx} {ry} 0 0 0 {width} 0a{rx} {ry} 0 0 0 {-width} 0z"
+
+
+def disc(x: float, y: float, width: float, height: float) -> tuple[str, str]:
+    width = min(width, height)
+    path = oval(x, y, width, width)[1]
+    return f'<circle cx="{x}" cy="{y}" r="{0.5 * width}"/>', path
+
+
+def kite(x: float, y: float, width: float, height: float) -> tuple[str, str]:
+    points = f"{x},{y} {x + width},{y} {x + 0.4 * width},{y + height}"
+    return f'<polygon points="{points}"/>', f"M{points}z"
+
+
+def strokes_of_kite(x: float, y: float, width: float, height: float) -> tuple[str, str]:
+    ends = f"{x + width},{y} {x + 0.4 * width},{y + height} {x},{y}"
+    line = f'<line x1="{x}" y1="{y}" x2="{x + width}" y2="{y}" stroke="red"/>'
+    return f'{line}<polyline points="{ends}"/>', f"M{x} {y}L{ends}"
+
+
+SHAPES = [rectangle, rounded, oval, disc, kite, strokes_of_kite]
+COORDINATES = st.floats(-0.8, 0.8).map(lambda x: round(x, 4))
+SIZES = st.floats(0.4, 0.8).map(lambda x: round(x, 4))
+OUTER = {
+    "": np.eye(2),
+    "rotate(30)": np.array([[0.75**0.5, -0.5], [0.5, 0.75**0.5]]),
+    "skewX(45) scale(-1 0.5)": np.array([[-1.0, 0.5], [0.0, 0.5]]),
+}
+"""Transforms of a group, and their matrices."""
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@given(
+    box=st.tuples(COORDINATES, COORDINATES, SIZES, SIZES),
+    inner=st.tuples(*6 * [COORDINATES]),
+    outer=st.sampled_from([*OUTER]),
+)
+@settings(max_examples=5)
+def test_svg_shapes_are_transformed_as_their_paths(
+    shape: Callable[..., tuple[str, str]],
+    box: tuple[float, ...],
+    inner: tuple[float, ...],
+    outer: str,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    """The transform may be the shape's own or a group's. Outlines are compared by their extents."""
+    a, b, c, d, e, f = inner
+    assume(abs(a * d - b * c) > 0.05)
+    file = tmp_path_factory.getbasetemp() / f"{shape.__name__}.svg"
+
+    def extents(text: str, matrix: Array, offset: Array) -> Array:
+        file.write_text(SVG.format(size="", shape=text))
+        moved = (read_drawing(file).outline * [1.0, -1.0]) @ matrix.T + offset
+        angles = np.linspace(0.0, 2.0 * math.pi, 33)
+        reach: Array = np.max(moved @ [np.cos(angles), np.sin(angles)], axis=0)
+        return reach
+
+    drawn, command = shape(*box)
+    transform = f'transform="matrix({a} {b} {c} {d} {e} {f})"'
+    path = f'<path d="{command}" {transform}/>'
+    group = f'<g transform="{outer}">'
+    here, linear = (np.eye(2), np.zeros(2)), OUTER[outer] @ [[a, c], [b, d]]
+    expected = extents(drawn, linear, OUTER[outer] @ [e, f])
+    for text in (drawn.replace("/>", f" {transform}/>"), f"<g {transform}>{drawn}</g>", path):
+        found = extents(f"{group}{text}</g>", *here)
+        np.testing.assert_allclose(found, expected, atol=4.0 * FLATNESS)
 
 
 def lines(space: Any) -> None:
@@ -245,6 +339,9 @@ def test_holes_of_geometries_are_ignored() -> None:
     assert size_and_area(drawing_of_geometry(holed).outline) == pytest.approx((0.4, 0.3, 0.12))
 
 
+DEGREES = [[4.3711, 51.9991], [4.3713, 51.9991], [4.3713, 51.9992], [4.3711, 51.9991]]
+ROOF = {"type": "Polygon", "coordinates": [DEGREES]}
+
 INVALID = {
     ho.FileError: [
         ("a.svg", "<svg", "cannot be read"),
@@ -259,7 +356,13 @@ INVALID = {
         ("a.csv", "0, nan\n1, 0\n1, 1", "finite"),
         ("a.csv", "0, 0\n1, 0", "closed outline"),
         ("a.csv", "0, 0\n1, 1\n1, 0\n0, 1", "cross itself"),
-        ("a.csv", "0, 0\n400, 0\n400, 300\n", "400 m; state the drawing's unit"),
+        ("a.csv", "0, 0\n400, 0\n400, 300\n", "not 400 x 300 m; state the drawing's unit"),
+        ("a.csv", "4.3711, 52\n4.3712, 52\n4.3712, 52.0001\n", "at least 0.01 m .* degrees"),
+        ("a.geojson", json.dumps(ROOF), "at least 0.01 m .* 0.0002 x 0.0001 m; .* degrees"),
+        ("a.geojson", '{"type":"FeatureCollection","features":[]}', "no lines: pictures and te"),
+        ("a.geojson", '{"type": "Point", "coordinates": [1, 2]}', "no lines"),
+        ("a.svg", SVG.format(size="", shape='<image width="4"/><text>a</text>'), "no lines"),
+        ("a.svg", SVG.format(size="", shape="<text>a</text>" + INVISIBLE[3]), "no lines"),
         ("a.svg", SVG.format(size='width="4cm" ', shape=RECTANGLE), "both"),
         *(
             (
