@@ -481,6 +481,40 @@ def test_each_limit_of_a_show(
     assert finding.message.endswith(remedies.get(key, "fly it more slowly"))
 
 
+OLDER_KEYS = {
+    "max_altitude": ("maxAltitude", 8.9),
+    "max_velocity_xy": ("maxVelocityXY", 4.9),
+    "max_velocity_z": ("maxVelocityZ", 3.9),
+    "max_velocity_z_up": ("maxVelocityZUp", 3.9),
+    "min_distance": ("minDistance", 3.1),
+}
+"""Keys of older shows, those of today, and a limit that ``two_drones`` breaks."""
+
+
+@pytest.mark.parametrize("older", OLDER_KEYS)
+def test_limits_under_older_keys_are_those_of_today(older: str, tmp_path: Path) -> None:
+    """Where a show has both, today's counts."""
+    key, limit = OLDER_KEYS[older]
+    usual = {"max_altitude": 10, "max_velocity_xy": 8, "max_velocity_z": 5, "min_distance": 2}
+
+    def found(**validation: Any) -> list[str]:
+        curves = read_show(two_drones(tmp_path / "a.skyc")).curves.items()
+        points = {
+            name: [[t, curve.at(t).tolist(), []] for t in (0.0, 2.0, 4.0)] for name, curve in curves
+        }
+        path = show_of(tmp_path / "b.skyc", usual | validation, 0.0, **points)
+        return [f.rule for f in report(path).findings if f.level == "error"]
+
+    assert found() == []
+    assert found(**{older: limit}) == [key]
+    assert found(**{older: limit, key: 2.0 if key == "minDistance" else 10.0}) == []
+    settings = [
+        str(f) for f in report(two_drones(tmp_path / "c.skyc", **{older: "x"})).findings
+        if f.rule == "settings"
+    ]
+    assert len(settings) == (key == "maxVelocityZUp")  # the only one without today's key
+
+
 @pytest.mark.parametrize("value", ["fast", -1, 0, 10**400, [], True, 4.5])
 def test_limits_of_shows_that_are_none_or_overruled(value: object, tmp_path: Path) -> None:
     found = report(two_drones(tmp_path / "show.skyc", maxVelocityZUp=value, maxVelocityZ=1))

@@ -27,6 +27,7 @@ import io
 import json
 import math
 import posixpath
+import re
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -88,6 +89,9 @@ SHOW_LIMITS = {"maxAltitude": (0, "m", ("up",))} | {
     for key, parts in (("XY", ("across",)), ("Z", ("up", "down")), ("ZUp", ("up",)))
 }
 """Limits that shows declare in addition to DISTANCE: derivative, unit, components."""
+
+WORD_START = re.compile(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
+"""Starts of words in these keys. Older shows join words by underscores: ``max_velocity_z_up``."""
 
 LAND, LEVEL = "land", "goToKeepAlt"  # Actions: descend directly, or after a horizontal flight
 SPEED_SHARE = 0.9  # Share of the speed limit for returns, whose durations are integer seconds
@@ -163,11 +167,13 @@ def _limits(show: Show) -> tuple[dict[str, float], list[Finding]]:
     limits = {LOWEST: DEFAULT_LOWEST} if show.outdoors else dict[str, float]()
     findings = list[Finding]()
     for key in (*SHOW_LIMITS, DISTANCE, LOWEST):
-        value = show.validation.get(key)
+        older = WORD_START.sub("_", key).lower()
+        written = older if key not in show.validation else key
+        value = show.validation.get(written)
         if isinstance(value, float) and (value > 0.0 or key == LOWEST) and abs(value) < math.inf:
             limits[key] = value
         elif value is not None:
-            reason = f"validation.{key} is no positive number: not checked; correct it"
+            reason = f"validation.{written} is no positive number: not checked; correct it"
             findings.append(warning("settings", "", reason))
     return limits, findings
 
