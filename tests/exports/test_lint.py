@@ -509,7 +509,8 @@ def test_limits_under_older_keys_are_those_of_today(older: str, tmp_path: Path) 
     assert found(**{older: limit}) == [key]
     assert found(**{older: limit, key: 2.0 if key == "minDistance" else 10.0}) == []
     settings = [
-        str(f) for f in report(two_drones(tmp_path / "c.skyc", **{older: "x"})).findings
+        str(f)
+        for f in report(two_drones(tmp_path / "c.skyc", **{older: "x"})).findings
         if f.rule == "settings"
     ]
     assert len(settings) == (key == "maxVelocityZUp")  # the only one without today's key
