@@ -245,7 +245,9 @@ def test_copies_warn_where_a_user_makes_them_only() -> None:
 
 
 def test_a_polygon_in_millimetres_says_so() -> None:
-    with pytest.raises(ho.InfeasibleError, match=r"if millimetres were meant, 1\.55 m"):
+    with pytest.raises(ho.InfeasibleError, match=r"if millimetres were meant, 0\.155 m"):
+        ho.Hitch.balanced(ho.Team(3, 0.24), [[1e2 * x for x in point] for point in TRIANGLE])
+    with pytest.raises(ho.InputError, match="if these are millimetres, give metres"):
         ho.Hitch.balanced(ho.Team(3, 2.4), [[1e3 * x for x in point] for point in TRIANGLE])
 
 

@@ -259,7 +259,12 @@ def jump_of(
 JUMPS = Evaluator(_largest_jump, formulas=(_largest_jump,))
 
 # No jumps at joints of pieces
-CONTINUITY = CheckRule("continuity", "m", "max", MAX_JUMP, (JUMPS,), whole=True)
+CONTINUITY = CheckRule(
+    "continuity", "m", "max", MAX_JUMP, (JUMPS,),
+    remedy="far from the origin rounding causes jumps: subtract an offset from all coordinates; "
+    "near it, please report this",
+    whole=True,
+)  # fmt: skip
 
 
 DURATION = CheckRule(

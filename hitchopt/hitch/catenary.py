@@ -218,7 +218,8 @@ def hanging_cable(first: ArrayLike, second: ArrayLike, length: float, points: in
     for name, point in (("first", first), ("second", second)):
         end = as_array(point)
         if end.shape[-1:] != (3,) or not np.all(np.abs(end) <= MAX_COORDINATE):  # nan too
-            raise InputError(name, point, "points [x, y, z]", "give three numbers in metres")
+            bound = f"points [x, y, z] within ±{MAX_COORDINATE:g} m"
+            raise InputError(name, point, bound, "give three numbers in metres")
         ends.append(end)
     try:
         a, b = np.broadcast_arrays(*ends)

@@ -27,7 +27,7 @@ from hitchopt.hitch.slack_split import (
 from hitchopt.hitch.team import Team
 from hitchopt.values import Array, as_array, check_instance
 from hitchopt.values.fields import store, suggest_keywords
-from hitchopt.values.units import HEIGHT
+from hitchopt.values.units import ALTITUDE
 
 LEG_TOLERANCE, SAGGING_LEG_TOLERANCE = 1e-4, 1e-2
 """Tolerances of a prescribed leg at a chain's end, relative to its cable's length: of massless
@@ -171,7 +171,7 @@ class Hitch(OneLine):
             raise InputError("legs", q_legs, bound, "give one per robot")
         d = checked_legs(team, d, slack)
         d.setflags(write=False)
-        height = HEIGHT.check("altitude", altitude)
+        height = ALTITUDE.check("altitude", altitude)
         angles = checked_roll(team, roll)
         values = {"team": team, "polygon": outline, "altitude": height, "q_legs": d, "roll": angles}
         store(self, **values)

@@ -132,17 +132,16 @@ class Separation(Record):
         return Separation(self.radius + off, height, cable, crossing, self.object + off)
 
 
+CORNER = points((3,), "x, y, z", largest=units.MAX_WALL)
+
+
 @documented
 @dataclass(frozen=True, eq=False)
 class Arena(OneLine):
     """The box that the drones stay in."""
 
-    lower: Annotated[
-        Array, Key(points((3,), "x, y, z"), "Corner (3,) with the least x, y, z [m]", [-4, -4, 0])
-    ]
-    upper: Annotated[
-        Array, Key(points((3,), "x, y, z"), "Corner (3,) with the greatest x, y, z [m]", [4, 4, 3])
-    ]
+    lower: Annotated[Array, Key(CORNER, "Corner (3,) with the least x, y, z [m]", [-4, -4, 0])]
+    upper: Annotated[Array, Key(CORNER, "Corner (3,) with the greatest x, y, z [m]", [4, 4, 3])]
 
     def __init__(
         self, lower: Sequence[float] | ArrayLike, upper: Sequence[float] | ArrayLike
@@ -150,7 +149,7 @@ class Arena(OneLine):
         store(self, lower=lower, upper=upper)
         for name, corner in (("lower", self.lower), ("upper", self.upper)):
             for i, number in enumerate(corner.tolist()):
-                units.HEIGHT.check(f"{name}[{i}]", number)
+                units.WALL.check(f"{name}[{i}]", number)
         if not np.all(self.lower < self.upper):
             bound = f"greater than lower {self.lower.tolist()} on every axis"
             remedy = "exchange the corners or move them apart"

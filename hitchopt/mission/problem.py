@@ -46,7 +46,7 @@ from hitchopt.values.fields import (
     store,
     strings,
 )
-from hitchopt.values.units import DURATION, HEIGHT, warn_of_unit
+from hitchopt.values.units import ALTITUDE, DURATION, warn_of_unit
 
 ROLLING = {"open_vertex", "close_vertex", "join", "withdraw", "replace"}
 """Steps in which pairs roll, as in laying."""
@@ -149,7 +149,7 @@ class HitchStart(Record):
     """A formed hitch, at rest."""
 
     polygon: Polygon
-    altitude: Annotated[float, Key(HEIGHT, "Height of the hitch's plane")] = 1.0
+    altitude: Annotated[float, Key(ALTITUDE, "Height of the hitch's plane")] = 1.0
     legs: Annotated[SlackSplit, Key(LEGS, LEGS_TEXT)] = "spread"
 
 

@@ -42,7 +42,7 @@ from hitchopt.steps.step import (
     scaled_points,
 )
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.values import Array
+from hitchopt.values import Array, bounded_points
 from hitchopt.values.fields import FLAGS, Key, either, list_of, mapping_of, points
 from hitchopt.values.units import DURATION, TENSION
 
@@ -416,18 +416,22 @@ class Adjust(ActionStep):
 MIN_GAP = 1e-3
 """Minimum time between two points [s]; less is a typing error."""
 
+MAX_TIME = 1e5
+"""Maximum time of a point [s]."""
+
 _PATH_TEXT = (
     "Points [t, x, y] [s, m, m], t from the step's start, increasing; between "
     "equal points that follow each other the vertex stands still"
 )
 
 
-_POINTS = points((None, 3), "t, x, y")
+_POINTS = points((None, 3), "t, x, y", largest=MAX_TIME)
 
 
 def _timed_path(key: str, value: object) -> Array:
     """Return points (J, 3) whose times increase, or raise InputError."""
     path: Array = _POINTS.check(key, value)
+    bounded_points(key, path[:, 1:])
     gaps = np.diff(path[:, 0], prepend=0.0)[int(path[0, 0] == 0.0) :]
     if len(gaps) == 0 or np.min(gaps) < MIN_GAP:
         bound = f"a path whose times increase from 0 on by {MIN_GAP:g} s or more, and end after it"

@@ -34,7 +34,7 @@ from hitchopt.steps.step import (
 )
 from hitchopt.values import Array, Indices
 from hitchopt.values.fields import Key, either, list_of, mapping_of, words
-from hitchopt.values.units import HEIGHT
+from hitchopt.values.units import ALTITUDE
 
 if TYPE_CHECKING:
     from hitchopt.planners.forming.laying import Laying
@@ -72,7 +72,7 @@ class Form(Step):
 
     needs_hitch: ClassVar[bool | None] = False
     polygon: Polygon
-    altitude: Annotated[float, Key(HEIGHT, "Height of the hitch's plane")] = 1.0
+    altitude: Annotated[float, Key(ALTITUDE, "Height of the hitch's plane")] = 1.0
     legs: Annotated[
         SlackSplit | None, Key(LEGS, f"{LEGS_TEXT}, at the step's end; spread without it")
     ] = None

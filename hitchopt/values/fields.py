@@ -420,6 +420,7 @@ def points(
     min_length: int = 1,
     max_length: int | None = None,
     accepted: type | tuple[()] = (),
+    largest: float = MAX_COORDINATE,
 ) -> Kind:
     """Return the kind of arrays of finite numbers [m]; in files they are nested lists.
 
@@ -428,6 +429,7 @@ def points(
     shape: shape of arrays; None for a number of entries from ``min_length`` to ``max_length``.
     entry: names of one point's numbers, such as ``x, y``.
     accepted: type of other values that are accepted as they are.
+    largest: largest coordinate [m].
     """
 
     def numbers(key: str, value: Any, shape: tuple[int | None, ...]) -> Any:
@@ -451,9 +453,9 @@ def points(
     def check(key: str, value: Any) -> Any:
         if isinstance(value, accepted):
             return value
-        return bounded_points(key, np.array(numbers(key, value, shape), dtype=np.float64))
+        return bounded_points(key, np.array(numbers(key, value, shape), dtype=np.float64), largest)
 
-    schema: Schema = {"type": "number", "minimum": -MAX_COORDINATE, "maximum": MAX_COORDINATE}
+    schema: Schema = {"type": "number", "minimum": -largest, "maximum": largest}
     for count in reversed(shape):
         lowest, highest = (min_length, max_length) if count is None else (count, count)
         size = {"minItems": lowest} | ({} if highest is None else {"maxItems": highest})

@@ -8,7 +8,7 @@ import warnings
 from dataclasses import replace
 
 from hitchopt.errors import InputError, UnitWarning
-from hitchopt.values import SCALAR, finite
+from hitchopt.values import MAX_COORDINATE, SCALAR, finite
 from hitchopt.values.fields import Kind
 
 INTERNAL_PACKAGES = frozenset({"hitchopt", "contextlib", "dataclasses"})
@@ -80,6 +80,9 @@ def quantity(
 DEGREE = math.pi / 180.0
 """One degree [rad]."""
 
+MAX_WALL = 1e5
+"""[m] Largest coordinate of an arena's walls, which may be far away."""
+
 LENGTHS = (("millimetres", 1e-3), ("centimetres", 1e-2))
 GRAMS = (("grams", 1e-3),)
 GRAMS_OF_FORCE = (("grams of force", 0.00981),)
@@ -107,7 +110,8 @@ ELLIPSOID = quantity("m", (0.01, 10.0), (TINY, 1e4), LENGTHS)
 DISTANCE = quantity("m", (0.0, 10.0), (0.0, 1e4), LENGTHS)
 LENGTH = quantity("m", UNBOUNDED)
 LENGTH_OR_ZERO = quantity("m", UNBOUNDED, (0.0, HUGE))
-HEIGHT = quantity("m", (-2e3, 2e3), (-1e5, 1e5), LENGTHS)
+ALTITUDE = quantity("m", *2 * [(-MAX_COORDINATE, MAX_COORDINATE)], LENGTHS)
+WALL = quantity("m", (-2e3, 2e3), (-MAX_WALL, MAX_WALL), LENGTHS)
 COORDINATE = quantity("m", UNBOUNDED, (-HUGE, HUGE))
 DURATION = quantity("s", (1e-3, 1e5), (TINY, 1e9), (("milliseconds", 1e-3),))
 START_TIME = quantity("s", (0.0, 1e5), (0.0, 1e9), (("milliseconds", 1e-3),))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import is_dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,10 @@ import pytest
 from plans import PROBLEMS
 
 import hitchopt as ho
+from hitchopt import verify
 from hitchopt.mission.solving import contents
 from hitchopt.steps import Step
+from hitchopt.values import MAX_COORDINATE
 
 HEXAGON = ho.regular_polygon(6, 1.3, angle=0.2).translated([1.0, 2.0])
 MOVES: tuple[Step, ...] = (
@@ -162,3 +165,37 @@ def test_requests_of_other_contents_are_told_apart() -> None:
     alike = [1, 1.0, True, "1", (1,), [1], np.float32(1.0), 0.0, -0.0, np.nextafter(1.0, 2.0)]
     alike += [array, array.reshape(3, 2), np.asfortranarray(array), ho.Release(1.0), ho.Land(1.0)]
     assert len({repr(contents(value)) for value in [*alike, *alike]}) == len(alike)
+
+
+@pytest.mark.parametrize("offset", [[30.0, -7.0], [195.0, -195.0]])
+def test_a_translated_problem_has_the_translated_plan(offset: list[float], tmp_path: Path) -> None:
+    """Its certificate has the same margins, and its file is proven by the other method too."""
+
+    def planned(offset: list[float]) -> ho.Plan:
+        hexagon, to = HEXAGON.translated(offset), np.array([0.5, 2.2, 1.5]) + [*offset, 0.0]
+        start = ho.HitchStart(hexagon, 1.2, "balanced")
+        steps = (MOVES[0], ho.Morph(hexagon.rotated(0.0), "balanced"), ho.Transport(to, yaw=0.4))
+        return ho.solve(ho.Problem(ho.Team(6, 2.0), start, steps))
+
+    plan, moved = planned([0.0, 0.0]), planned(offset)
+    assert moved.duration == pytest.approx(plan.duration, rel=1e-6)
+    for t in np.linspace(0.0, plan.duration, 9):
+        there = plan.at(t).positions + [*offset, 0.0]
+        np.testing.assert_allclose(moved.at(t).positions, there, atol=1e-6)
+    for check in plan.certificate.checks:
+        other = moved.certificate[check.name]
+        assert other.holds
+        assert other.worst == pytest.approx(check.worst, rel=1e-6, abs=1e-6)
+    moved.save(tmp_path)
+    assert {row.verdict for row in verify.verify(tmp_path)} <= verify.PASSING
+
+
+def test_problems_far_from_the_origin_are_refused_with_a_remedy() -> None:
+    for corner in ([10_000.0, 0.0], [0.0, 1.01 * MAX_COORDINATE]):
+        with pytest.raises(ho.InputError, match="subtract an offset from all coordinates"):
+            ho.HitchStart(HEXAGON.vertices + corner, 1.2, "balanced")
+    with pytest.raises(ho.InputError, match="altitude = 1000"):
+        ho.HitchStart(HEXAGON, 1000.0, "balanced")
+    path = [[900.0, *HEXAGON.vertices[0]]]  # times may be larger
+    assert ho.FollowVertex(0, np.array(path)).path.tolist() == path
+    ho.Arena([-1e3, -1e3, 0.0], [1e3, 1e3, 50.0])

@@ -68,8 +68,8 @@ ROLL_SAMPLES, SUFFICIENT_MARGIN = 13, 1.05
 """Number of sampled rolls, and margin at which the search ends."""
 
 SPACE_SIZE, LEVEL_TOLERANCE = 100.0, 0.02
-"""[m] Half the size of space without an arena, and vertical tolerance of an approaching robot
-toward the ring."""
+"""[m] Half the size of space around the goals without an arena, and vertical tolerance of an
+approaching robot toward the ring."""
 
 WAITING_DISTANCE, WAITING_STEP, MAX_WAITING_STEPS = 0.5, 0.1, 40
 """[m] Horizontal distance of a waiting robot to all others, step of the search for its position,
@@ -641,7 +641,8 @@ class JoiningMotions:
 
     def _clear_arena(self, goal: Array) -> Arena:
         """Return the part of the arena above or below the ring."""
-        arena = self.requirements.arena or Arena([-SPACE_SIZE] * 3, [SPACE_SIZE] * 3)
+        centre = np.mean(goal, axis=0)
+        arena = self.requirements.arena or Arena(centre - SPACE_SIZE, centre + SPACE_SIZE)
         lower, upper = arena.lower.copy(), arena.upper.copy()
         if self.joining.side > 0.0:
             lower[2] = float(np.min(goal[:, 2])) - LEVEL_TOLERANCE
