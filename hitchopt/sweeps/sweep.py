@@ -64,7 +64,7 @@ def run_sweep(
     ------
     InputError, FileError: the study is invalid, or the directory is not writable.
     SweepError: the scheduler was lost.
-    UnsupportedError: dask.distributed or pandas is not installed.
+    UnsupportedError: dask.distributed or pandas is not installed, or mujoco for simulated flights.
     """
     folder = as_path("directory", directory)
     if workers is not None:
@@ -80,6 +80,10 @@ def run_sweep(
     elif not isinstance(study, Study):
         raise InputError("study", study, "a Study, its keys, or a path", "see hitchopt.Study")
     cases = {case.digest: case for case in study.cases()}
+    for name in ("dask", "distributed", "pandas"):  # before anything is computed
+        optional_module(name, "sweeps need", "sweep")
+    if any(case.simulate is not None for case in cases.values()):
+        optional_module("mujoco", "simulating needs", "simulate")
     content = {
         "format": FORMAT,
         "title": study.keys.title,

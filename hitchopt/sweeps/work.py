@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import sys
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from hitchopt.errors import (
@@ -133,6 +135,20 @@ def run_tasks(
 
 
 @contextlib.contextmanager
+def _hidden_main() -> Iterator[None]:
+    """Let new processes not import the calling script, which needs no ``__name__`` guard then.
+
+    Workers run functions of this package alone.
+    """
+    main = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
+
+
+@contextlib.contextmanager
 def _client(workers: int, scheduler: str | None) -> Iterator[Any]:
     """Yield a client of a scheduler's cluster, or of a temporary cluster on this machine."""
     packages = ("dask", "distributed")
@@ -142,6 +158,7 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Any]:
     with dask.config.set(SETTINGS), contextlib.ExitStack() as stack:
         address = scheduler
         if address is None:
+            stack.enter_context(_hidden_main())
             cluster = distributed.LocalCluster(
                 n_workers=workers, threads_per_worker=1, processes=True,
                 dashboard_address="127.0.0.1:0", host="127.0.0.1",

@@ -7,6 +7,8 @@ import json
 import math
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -257,6 +259,38 @@ def test_an_unreachable_scheduler_is_refused(
     monkeypatch.setitem(SETTINGS, "distributed.comm.timeouts.connect", "0.5s")
     with pytest.raises(ho.InputError, match="start `dask scheduler`"):
         ho.run_sweep(STUDY, tmp_path, scheduler="tcp://127.0.0.1:1")
+
+
+@pytest.mark.parametrize("package", ["mujoco", "pandas", "distributed"])
+def test_missing_packages_are_reported_before_planning(
+    package: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    study = tmp_path / "study.yaml"
+    study.write_text(json.dumps({**STUDY, "simulate": {}}))
+    words = ["sweep", str(study), "-o", str(tmp_path / "out"), "--workers", "1"]
+    done = CliRunner().invoke(main, words)
+    assert (done.exit_code, f"{package} (" in done.stderr) == (3, True), done.output
+    assert (
+        f"pip install 'hitchopt[{'simulate' if package == 'mujoco' else 'sweep'}]'" in done.stderr
+    )
+    assert not (tmp_path / "out").exists()
+
+
+SCRIPT = """
+import hitchopt as ho
+print(len(ho.run_sweep({study!r}, "out", workers=2)), __name__)
+"""
+
+
+@pytest.mark.slow
+def test_a_script_needs_no_guard(tmp_path: Path) -> None:
+    (tmp_path / "study.py").write_text(SCRIPT.format(study=STUDY))
+    done = subprocess.run(
+        [sys.executable, "study.py"], cwd=tmp_path, capture_output=True, text=True, timeout=120,
+        check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout, done.stderr) == (0, "6 __main__\n", "")
 
 
 def test_a_time_limit_is_a_row() -> None:
