@@ -186,15 +186,13 @@ class UnsupportedError(HitchoptError):
     """A valid request that this version, or this installation, does not support."""
 
 
-def optional_module(
-    module: str, purpose: str, extra: str, kind: type[HitchoptError] = UnsupportedError
-) -> Any:
-    """Import a module of an extra; the error if it is missing begins with ``purpose``."""
+def optional_module(module: str, purpose: str, extra: str) -> Any:
+    """Import a module of an extra; UnsupportedError, from ``purpose`` on, if it is missing."""
     try:
         return import_module(module)
     except ImportError as error:
         reason = f"{purpose} {module.partition('.')[0]} ({error})"
-        raise kind(f"{reason}; pip install 'hitchopt[{extra}]'") from None
+        raise UnsupportedError(f"{reason}; pip install 'hitchopt[{extra}]'") from None
 
 
 @dataclass(frozen=True)

@@ -430,8 +430,8 @@ def read_vicon(path: Path, unit: str | None) -> RecordedFlight:
     return flight_of("Vicon CSV", samples, unit or length_unit, notes=notes)
 
 
-library = partial(optional_module, purpose="reading it needs", extra="logs", kind=FileError)
-"""Return an optional module; FileError names the extra to install."""
+library = partial(optional_module, purpose="reading it needs", extra="logs")
+"""Return an optional module; UnsupportedError names the extra to install."""
 
 
 def read_c3d(path: Path, unit: str | None) -> RecordedFlight:

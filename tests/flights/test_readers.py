@@ -209,7 +209,7 @@ def test_a_missing_library_is_named(
 ) -> None:
     path = FORMATS[name](path_in(tmp_path, name), flight_for(name))
     monkeypatch.setitem(__import__("sys").modules, module, None)
-    with pytest.raises(ho.FileError, match=r"pip install 'hitchopt\[logs\]'"):
+    with pytest.raises(ho.UnsupportedError, match=r"pip install 'hitchopt\[logs\]'"):
         ho.read_flight(path)
 
 
