@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import signal
 import tempfile
 from pathlib import Path
 
@@ -17,7 +18,13 @@ settings.load_profile("hitchopt")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Name the folder of shared plans; those of another package go."""
+    """Name the folder of shared plans; those of another package go.
+
+    Tests and the processes that they start rely on the usual SIGINT, which jobs in the background
+    ignore.
+    """
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     if FOLDER in os.environ:  # a worker's, from its controller
         return
     if os.environ.get("CI"):

@@ -78,13 +78,14 @@ def view(
             raise InputError("ghost", str(ghost), bound, "leave --save out: it is shown live")
         _save(save, path, recording if is_flight else None)
         return
+    from hitchopt.storage.interrupts import how_to_end
     from hitchopt.view.live import open_server, server_address
 
     content = _load_content(path)  # before a page is opened
     file = path if path.suffix in SUFFIXES else plan_path(path).with_name(PROBLEM)
     server = open_server(host, port)
     address = server_address(server)
-    say(f"the plan is at {address}; Ctrl-C ends this")
+    say(f"the plan is at {address}; {how_to_end()}")
     if browser:  # in a thread, as some browsers return late
         threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
     close = server.stop

@@ -32,6 +32,13 @@ _IMPORT_FILES, _PYDANTIC_MODULES = "<frozen importlib._bootstrap", "pydantic."
 _received: list[int] = []  # Signals handled within the outermost context
 
 
+def how_to_end() -> str:
+    """Return how a user ends a command that runs until then, as words for a message."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        return f"Ctrl-C is ignored, as in jobs in the background; `kill {os.getpid()}` ends this"
+    return "Ctrl-C ends this"
+
+
 @contextmanager
 def exit_on_signals(*, final: bool = False) -> Iterator[None]:
     """Let SIGINT and SIGTERM raise SystemExit with their exit codes within the context.

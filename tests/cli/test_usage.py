@@ -201,6 +201,16 @@ def test_signals_wait_until_pydantic_has_built_a_model() -> None:
     assert (end.value.code, len(built)) == (130, 1)
 
 
+def test_commands_say_how_they_end() -> None:
+    """Also in processes that were started with SIGINT ignored, where Ctrl-C does nothing."""
+    assert interrupts.how_to_end() == "Ctrl-C ends this"
+    usual = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        assert f"`kill {os.getpid()}` ends this" in interrupts.how_to_end()
+    finally:
+        signal.signal(signal.SIGINT, usual)
+
+
 VIOLATION = ho.Violation("speed", 2.0, 1.0, "max", "m/s", ("q1",), "at t = 3 s", "slow down")
 
 
