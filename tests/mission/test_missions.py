@@ -193,7 +193,7 @@ def test_a_translated_problem_has_the_translated_plan(offset: list[float], tmp_p
 def test_problems_far_from_the_origin_are_refused_with_a_remedy() -> None:
     for corner in ([10_000.0, 0.0], [0.0, 1.01 * MAX_COORDINATE]):
         with pytest.raises(ho.InputError, match="subtract an offset from all coordinates"):
-            ho.HitchStart(HEXAGON.vertices + corner, 1.2, "balanced")
+            ho.HitchStart(ho.ConvexPolygon(HEXAGON.vertices + corner), 1.2, "balanced")
     with pytest.raises(ho.InputError, match="altitude = 1000"):
         ho.HitchStart(HEXAGON, 1000.0, "balanced")
     path = [[900.0, *HEXAGON.vertices[0]]]  # times may be larger
