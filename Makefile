@@ -37,9 +37,10 @@ test-kernels: $(VENV)/.tested
 	OPENBLAS_CORETYPE=Haswell $(BIN)/python -m pytest -m "not slow" tests/cli/test_solve.py \
 		tests/planners/test_morph.py tests/mission/test_solving.py
 
-# The same tests as `make test`, and the lines of the package that they execute.
+# The lines of the package that neither the tests of `make test` nor any problem executes.
 coverage: $(VENV)/.tested
-	$(BIN)/python -m pytest -m "not slow" --cov=hitchopt --cov-report=term:skip-covered
+	$(BIN)/python -m pytest -m "not slow" --cov=hitchopt --cov-report=
+	$(BIN)/python -m pytest -m slow tests/cli/test_solve.py --cov=hitchopt --cov-append --cov-report=term-missing:skip-covered
 
 # Opens report and live view in a headless Chromium, which has to be there (Debian: apt-get install chromium).
 browser: $(VENV)/.browsed
