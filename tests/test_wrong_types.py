@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -112,6 +112,17 @@ GOOD: list[tuple[Callable[..., object], dict[str, Any]]] = [
     (ho.SwapSettings, {"radius": 0.15, "tilt": None, "seconds": None, "sense": 0}),
     (ho.ErrorSize, {"bound": 0.0, "deviation": 0.0}),
     (ho.Assignment, {"robots": (0, 1, 2), "flipped": (False,) * 3}),
+    (lambda flipped: ho.Assignment((0,), (flipped,)), {"flipped": False}),
+    (ho.Assignment.fixed, {"robots": 3}),
+    *((kind, {"vertices": TRIANGLE}) for kind in (ho.ConvexArc, ho.ConvexPolygon)),
+    (ho.Track, {"t": [0.0, 1.0], "positions": LOWER}),
+    (ho.read_flight, {"path": NOWHERE, "unit": None}),
+    (lambda recording: ho.evaluate(recording, PLAN), {"recording": NOWHERE}),
+    (ho.combine, {"plan": PLAN, "other": PLAN, "at": 1.0}),
+        (ho.Other, {"plan": NOWHERE}),
+    (ho.Fly, {"goal": UPPER, "duration": None}),
+    (ho.Motion, {each.name: getattr(PLAN.motion, each.name) for each in fields(PLAN.motion)}),
+    (lambda phases: replace(PLAN.motion, phases=(phases,)), {"phases": PLAN.phases[0]}),
     (ho.Section, {"outline": TRIANGLE}), (ho.Section, {"radius": 0.1}),
     (ho.Rim, {"section": SECTION, "height": 0.2}),
     (ho.SolidObject, {"section": SECTION, "lower": 0.0, "upper": 0.3, "mass": 0.1}),
@@ -138,7 +149,12 @@ GOOD: list[tuple[Callable[..., object], dict[str, Any]]] = [
 # fmt: on
 ARGUMENTS = [(function, values, name) for function, values in GOOD for name in values]
 NEVER = [object(), 1j, len]  # What no argument may be
-SYNONYMS = {"q_legs": "legs", "breaks": "coefficients", "coefficients": "breaks"}  # Other names
+SYNONYMS = {
+    "q_legs": "legs",
+    "breaks": "coefficients",
+    "coefficients": "breaks",
+    "vertices": "polygon",
+}
 
 
 class PlannedError(Exception):
@@ -245,10 +261,10 @@ def test_copies_warn_where_a_user_makes_them_only() -> None:
 
 
 def test_a_polygon_in_millimetres_says_so() -> None:
-    with pytest.raises(ho.InfeasibleError, match=r"if millimetres were meant, 0\.155 m"):
-        ho.Hitch.balanced(ho.Team(3, 0.24), [[1e2 * x for x in point] for point in TRIANGLE])
-    with pytest.raises(ho.InputError, match="if these are millimetres, give metres"):
+    with pytest.raises(ho.InfeasibleError, match=r"if millimetres were meant, 1\.55 m"):
         ho.Hitch.balanced(ho.Team(3, 2.4), [[1e3 * x for x in point] for point in TRIANGLE])
+    with pytest.raises(ho.InputError, match="if these are millimetres, give metres"):
+        ho.Hitch.balanced(ho.Team(3, 2.4), [[2e3 * x for x in point] for point in TRIANGLE])
 
 
 def test_cables_that_are_too_heavy_are_not_to_be_longer() -> None:

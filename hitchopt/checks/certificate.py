@@ -20,8 +20,8 @@ TOLERANCE = 1e-9
 
 GROUPS = {
     "distances": (
-        "separation", "cable_clearance", "crossing", "keep_out", "object_clearance", "arena",
-        "tracking_radius",
+        "separation", "cable_clearance", "crossing", "keep_out", "downwash", "object_clearance",
+        "arena", "tracking_radius",
     ),
     "motion": ("speed", "acceleration", "jerk", "vertex_speed", "body_rate"),
     "forces": ("thrust", "tilt", "equilibrium", "tension", "grip", "support"),

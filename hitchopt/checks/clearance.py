@@ -421,7 +421,6 @@ CABLE_CLEARANCE = CheckRule(
         Evaluator(
             nearest(_drones_and_clasped),
             FREE_STATES | HITCHED_STATE,
-            exported=True,
             formulas=(upright_distance,),
         ),
     ),
@@ -536,7 +535,7 @@ OBJECT_CLEARANCE = CheckRule(
         Evaluator(
             nearest(_hanging_and_objects), FREE_STATES, exported=True, formulas=(beside_or_above,)
         ),
-        Evaluator(nearest(_clasped_and_objects), FREE_STATES | HITCHED_STATE, exported=True),
+        Evaluator(nearest(_clasped_and_objects), FREE_STATES | HITCHED_STATE),
     ),
     "fly higher over objects or farther from them, lift the held one higher, use shorter cables "
     "or stand it higher where the ground is near, or allow a smaller separation.object",

@@ -521,7 +521,7 @@ CROSSING = CheckRule(
     (
         Evaluator(nearest(_taut_parts), HITCHED_STATE, formulas=(gap,)),
         Evaluator(nearest(_hanging_cables), FREE_STATES, exported=True),
-        Evaluator(nearest(_clasped_cables), FREE_STATES | HITCHED_STATE, exported=True),
+        Evaluator(nearest(_clasped_cables), FREE_STATES | HITCHED_STATE),
     ),
     "shorten the legs that meet (a shorter cable or a larger polygon), "
     "choose other leg lengths, or lower separation.crossing",

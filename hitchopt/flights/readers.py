@@ -36,6 +36,7 @@ from hitchopt.storage.archive import reading
 from hitchopt.storage.files import parsed_json
 from hitchopt.storage.tables import labelled_table, text_lines
 from hitchopt.values import Array, check_choice
+from hitchopt.values import path as checked_path
 
 # Units of length [m], and names of units in files
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
@@ -121,7 +122,7 @@ def read_flight(
         topics of the same kind and type with positions of a body.
     InputError: an unknown unit.
     """
-    path = Path(path)
+    path = checked_path("path", path)
     if unit is not None:
         check_choice("unit", unit, tuple(UNITS))
     with reading(path, "recording"):

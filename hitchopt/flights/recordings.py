@@ -12,7 +12,7 @@ from scipy.interpolate import make_interp_spline
 
 from hitchopt.errors import InputError, OneLine
 from hitchopt.simulation.task import Task
-from hitchopt.values import Array
+from hitchopt.values import Array, as_array
 
 MAX_GAP = 0.1  # Largest time to the nearest sample at which a body counts as visible [s]
 TAUT_RATIO = 0.9  # Smallest planned tension, over the team's, of a hitch that is evaluated
@@ -36,10 +36,12 @@ class Track(OneLine):
     positions: Array
 
     def __post_init__(self) -> None:
-        t, x = np.array(self.t, np.float64), np.array(self.positions, np.float64)
-        if t.ndim != 1 or x.shape != (len(t), 3) or not np.isfinite(np.column_stack([t, x])).all():
+        t, x = as_array(self.t), as_array(self.positions)
+        if t.ndim != 1 or t.size == 0 < np.size(self.t):
+            raise InputError("t", self.t, "times (m,) [s]", "give one per sample")
+        if x.shape != (len(t), 3) or not np.isfinite(np.column_stack([t, x])).all():
             bound = f"of shape (m, 3) and finite, as are its times, of shape {t.shape}"
-            raise InputError("positions", x, bound, "give a row per sample")
+            raise InputError("positions", self.positions, bound, "give a row per sample")
         if np.any(np.diff(t) < 0.0):
             raise InputError("t", t, "ascending", "sort the samples")
         for name, values in (("t", t), ("positions", x)):

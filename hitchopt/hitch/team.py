@@ -13,7 +13,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError, OneLine
 from hitchopt.hitch.flight_controller import CONTROLLERS, FlightController, Gains, stiffest_gains
-from hitchopt.values import Array, Indices, check_instance, integer, per_robot, sequence, units
+from hitchopt.values import (
+    Array,
+    Indices,
+    check_instance,
+    flag,
+    integer,
+    per_robot,
+    sequence,
+    units,
+)
 from hitchopt.values.fields import (
     FLAGS,
     Key,
@@ -595,11 +604,14 @@ class Assignment(OneLine):
         if len(self.flipped) != n:
             bound = f"{n} truth values"
             raise InputError("assignment.flipped", self.flipped, bound, "give one per role")
+        for i, each in enumerate(self.flipped):
+            flag(f"assignment.flipped[{i}]", each)
 
     @classmethod
     def fixed(cls, robots: int) -> Assignment:
         """Return the assignment of robot k to role k, unflipped."""
-        return cls(tuple(range(robots)), (False,) * robots)
+        count = integer("robots", robots, 1)
+        return cls(tuple(range(count)), (False,) * count)
 
     def to_dict(self) -> dict[str, object]:
         """Return the assignment in the form of files."""

@@ -15,6 +15,7 @@ from hitchopt.motion.combined import combined
 from hitchopt.motion.motion import Group
 from hitchopt.motion.plan_file import saved_others
 from hitchopt.storage.archive import PLAN
+from hitchopt.values import path
 from hitchopt.values.fields import Key, dict_of, documented, mapping_of, store, strings
 from hitchopt.values.units import START_TIME
 
@@ -51,7 +52,7 @@ class Other(OneLine):
     at: Annotated[float, Key(START_TIME, "When it begins on the clock of this plan")] = 0.0
 
     def __post_init__(self) -> None:
-        store(self, plan=str(self.plan), at=self.at)
+        store(self, plan=str(path("plan", self.plan)), at=self.at)
         for each in self._groups:
             each.motion.require_one_team("a plan beside another one", others=False)
         certificate = certify(combined(self._groups), reports=())

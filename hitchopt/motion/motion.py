@@ -17,6 +17,7 @@ from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Assignment
 from hitchopt.objects.placing import poses_of
 from hitchopt.trajectory import PiecewisePolynomial, joined
+from hitchopt.values import check_instance, sequence
 
 JOINT = 1e-6
 """[s] Largest gap between phases, and between a change of the cables' state and a break."""
@@ -215,6 +216,7 @@ class Motion(OneLine):
         yield f"{self.duration:.4g} s, phases: {len(self.phases)}, pieces: {self.drones.pieces}"
 
     def __post_init__(self) -> None:
+        self._check_types()
         n, objects = self.team.robots, len(self.requirements.objects)
         shapes = {
             "drones": (self.team.drones, 3),
@@ -245,6 +247,21 @@ class Motion(OneLine):
         roles = n if self.assignment is None else len(self.assignment.robots)
         if roles != n:
             raise InputError("assignment", roles, f"{n} robots", "give one per role")
+
+    def _check_types(self) -> None:
+        """Raise InputError for a field of another type."""
+        check_instance("team", self.team, Team)
+        check_instance("requirements", self.requirements, Requirements)
+        for name in POLYNOMIALS + OPTIONAL_CURVES:
+            if getattr(self, name) is not None or name in POLYNOMIALS:
+                check_instance(name, getattr(self, name), PiecewisePolynomial)
+        if self.assignment is not None:
+            check_instance("assignment", self.assignment, Assignment)
+        for name, kind in (("phases", Phase), ("others", Group)):
+            entries = sequence(name, getattr(self, name))
+            object.__setattr__(self, name, entries)
+            for i, each in enumerate(entries):
+                check_instance(f"{name}[{i}]", each, kind)
 
     @property
     def _polynomials(self) -> dict[str, PiecewisePolynomial]:

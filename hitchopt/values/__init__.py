@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 """Type of arrays of indices."""
 
-MAX_COORDINATE = 200.0
+MAX_COORDINATE = 1000.0
 """[m] Largest coordinate. Rounding makes accelerations jump in proportion to it, at this distance
 by up to 9e-7 m/s² in the problems that hitchopt comes with. The certificate allows 1e-6."""
 

@@ -194,8 +194,8 @@ def test_problems_far_from_the_origin_are_refused_with_a_remedy() -> None:
     for corner in ([10_000.0, 0.0], [0.0, 1.01 * MAX_COORDINATE]):
         with pytest.raises(ho.InputError, match="subtract an offset from all coordinates"):
             ho.HitchStart(ho.ConvexPolygon(HEXAGON.vertices + corner), 1.2, "balanced")
-    with pytest.raises(ho.InputError, match="altitude = 1000"):
-        ho.HitchStart(HEXAGON, 1000.0, "balanced")
+    with pytest.raises(ho.InputError, match="altitude = 1100"):
+        ho.HitchStart(HEXAGON, 1100.0, "balanced")
     path = [[900.0, *HEXAGON.vertices[0]]]  # times may be larger
     assert ho.FollowVertex(0, np.array(path)).path.tolist() == path
     ho.Arena([-1e3, -1e3, 0.0], [1e3, 1e3, 50.0])

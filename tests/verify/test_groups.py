@@ -83,7 +83,7 @@ def test_distances_across_agree(name: str, tmp_path: Path) -> None:
     checks = {rule: check_across(RULE_OF[rule], motion) for rule in ACROSS}
     worst = {rule: check.worst for rule, check in checks.items() if check is not None}
     assert found.keys() == worst.keys()
-    assert len(worst) == (2 if name == "swarm" else 4 if name in OBJECTS else 3)
+    assert len(worst) == (3 if name == "swarm" else 5 if name in OBJECTS else 4)
     for rule, value in worst.items():
         assert found[rule] == pytest.approx(value, rel=0.01)
 
@@ -304,7 +304,7 @@ def test_paths_that_collide_are_found(tmp_path: Path) -> None:
     write_plan(tmp_path / "plan.npz", motion)
     broken = {row.name for row in second.verify(tmp_path) if row.verdict == "violated"}
     assert broken == {check.name for check in certify(motion, reports=()).violated}
-    assert broken == {"separation", "cable_clearance", "crossing"}
+    assert broken == {"separation", "cable_clearance", "crossing", "downwash"}
 
 
 def asked_of(motion: Motion) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from hitchopt.errors import check_time
+from hitchopt.geometry import hull_offset
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.catenary import Catenary
@@ -357,9 +358,33 @@ def _evaluate(
     if max(ratios) <= 1.0:
         start, move = drones[0], hitch.drones - drones[0]
         ratios.append(1.0 / smallest_separation(start + SAMPLES[:, None, None] * move, separation))
-        ratios.append(_route_ratio(hitch.team, start, ellipses.clasp_points(hitch)))
+        clasps = ellipses.clasp_points(hitch)
+        ratios.append(_route_ratio(hitch.team, start, clasps))
+        ratios.append(CLEARANCE * separation.cable / _tightening_gap(hitch, start, clasps))
     linked, violation = link_length >= MIN_LINK, max(ratios) - 1.0
     return PreHitch(hitch, settings, ellipses, share, depth, linked, violation)
+
+
+def _tightening_gap(hitch: Hitch, start: Array, clasps: Array) -> float:
+    """Return the smallest distance [m] of drones at a clasp to the regions of its cables.
+
+    Seen from above, at samples of the move to the hitch; see ``checks.regions``.
+    """
+    layout, smallest = hitch.team.layout, np.inf
+    for share in TIGHTENING_SHARES:
+        drones = start + share * (hitch.drones - start)
+        points = clasps + share * (hitch.vertices - clasps)
+        outlines = [drones[0::2], points[layout.starts], points[layout.ends], drones[1::2]]
+        outlines += [hitch.vertices[layout.starts], hitch.vertices[layout.ends]]
+        regions = np.stack(outlines, axis=1)[..., :2]  # (n, 6, 2)
+        for drone, cable in (
+            (2 * layout.behind + 1, layout.ahead),
+            (2 * layout.ahead, layout.behind),
+        ):
+            offsets = regions[cable][:, :, None] - drones[drone][:, None, None, :2]
+            gaps = np.linalg.norm(hull_offset(offsets), axis=-1)
+            smallest = min(smallest, float(np.min(gaps, initial=np.inf)))
+    return max(smallest, 1e-9)
 
 
 def smallest_separation(drones: Array, separation: Separation) -> float:
