@@ -67,14 +67,15 @@ class Task:
         """
         return self._samples(states_at(self.motion, t))
 
+    def planned(self, t: float) -> Array:
+        """Return the drones' positions (D, 3) [m] in the plan at a time, without offsets."""
+        if self.without_offsets is None:
+            return self.motion.drones.at(t)
+        return self.without_offsets.drones.at(min(self.begins + t, self.without_offsets.duration))
+
     def heights(self, t: float) -> Array:
         """Return the drones' heights (D,) [m] above the floor at a time, without offsets."""
-        if self.without_offsets is None:
-            positions = self.motion.drones.at(t)
-        else:
-            end = self.without_offsets.duration
-            positions = self.without_offsets.drones.at(min(self.begins + t, end))
-        heights: Array = positions[:, 2] - self.motion.requirements.floor
+        heights: Array = self.planned(t)[:, 2] - self.motion.requirements.floor
         return heights
 
     def blocks(self, rows: int) -> Iterator[tuple[Array, dict[str, Array]]]:

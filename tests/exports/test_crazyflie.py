@@ -2,7 +2,8 @@
 
 The stand-in for crazyflie_py has the semantics of the firmware's high-level commander: an upload
 copies pieces into memory at once, a trajectory, also a finished one, is evaluated from there at
-every step, and takeoff, goTo and land fly a piece outside of that memory.
+every step, and takeoff, goTo and land fly a piece outside of that memory. A relative start shifts
+the trajectory to the current set point, and a broadcast one is relative whatever is requested.
 """
 
 from __future__ import annotations
@@ -39,7 +40,13 @@ from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.exports.exporting import Export
 from hitchopt.exports.formats.crazyflie import POLY
 from hitchopt.exports.lint import lint
-from hitchopt.exports.placing import Fleet, Member, placeholder_fleet, read_fleet
+from hitchopt.exports.placing import (
+    Fleet,
+    Member,
+    ReferenceFrame,
+    placeholder_fleet,
+    read_fleet,
+)
 from hitchopt.exports.recording import read_manifest
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.mission.loading import any_problem_from_dict
@@ -317,10 +324,12 @@ class Craft:
     def startTrajectory(
         self, _number: int, timescale: float = 1.0, reverse: bool = False, relative: bool = True
     ) -> None:
-        assert (timescale, reverse, relative) == (1.0, False, False)  # in the room's coordinates
-        np.testing.assert_allclose(self.rows[0, [1, 9, 17]], self.place, atol=2e-3)
-        last = self.rows[-1]
-        end = last[1:25].reshape(3, 8) @ last[0] ** np.arange(8)
+        self.show.calls.append((self.name, "startTrajectory"))
+        assert (timescale, reverse) == (1.0, False)
+        shift, last = self.place - self.rows[0, [1, 9, 17]], self.rows[-1]
+        # Hovering drones must not jump; others stand where the pilot has put them.
+        assert np.linalg.norm(shift) < (0.1 if self.state == "idle" else 2e-3)
+        end = last[1:25].reshape(3, 8) @ last[0] ** np.arange(8) + relative * shift
         self._go("flying", end.tolist(), float(np.sum(self.rows[:, 0])))
 
 
@@ -371,6 +380,8 @@ class Show:
 
         def command(*args: object, **keys: object) -> None:
             self.calls.append(("all", name))
+            if name == "startTrajectory":
+                keys["relative"] = True  # the server drops what is requested
             for craft in self.crazyfliesByName.values():
                 getattr(craft, name)(*args, **keys)
 
@@ -435,10 +446,13 @@ EXPORT_RULES: dict[str, tuple[Callable[[], Motion], list[str]]] = {
 def test_a_whole_plan_from_take_off_to_landing(
     begins: str, kind: type[Craft], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Drones on the floor are armed at last: the trajectory begins right after it."""
+    """Drones on the floor are armed at last: the trajectory begins right after it.
+
+    All end where the plan does, although they stand 3 cm beside their places in x and y.
+    """
     plan, before = EXPORT_RULES[begins]
     exported(plan(), "crazyswarm2", tmp_path)
-    show = Show(tmp_path, kind, 0.03 if before else 0.0)
+    show = Show(tmp_path, kind, 0.03)
     show.run(monkeypatch, tmp_path / "fly.py")
     for name, craft in show.crazyfliesByName.items():
         landed = [*end_of(tmp_path, name)[:2], 0.04]
@@ -447,12 +461,53 @@ def test_a_whole_plan_from_take_off_to_landing(
     first = plan().team.drone_names[0]
     calls = [call for who, call in show.calls if who == first]
     own = [*before, "uploadTrajectory"]
-    assert calls == (arming + own if before else own + arming)
-    assert [call for who, call in show.calls if who == "all"] == ["startTrajectory", "land"]
-    assert before or not arming or show.calls[-3:-1] == [(first, "arm"), ("all", "startTrajectory")]
+    assert calls == (arming + own if before else own + arming) + ["startTrajectory"]
+    assert [call for who, call in show.calls if who == "all"] == ["land"]
     note = (tmp_path / "README.txt").read_text(encoding="utf-8")
     assert note.index("goTo (absolute)") < note.index("only then upload")
     assert all(words in note for words in ("Brushless", "relative=False", "placeholders"))
+
+
+def test_a_broadcast_start_would_keep_drones_beside_their_trajectories(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The server's is relative, so the script starts each drone by itself."""
+    exported(from_the_floor(), "crazyswarm2", tmp_path)
+    script, other = tmp_path / "fly.py", tmp_path / "other.py"
+    text = script.read_text(encoding="utf-8")
+    loop = "for drone in drones.values():  # not by the broadcast, which is relative: see above\n"
+    assert loop in text
+    other.write_text(text.replace(loop, "for drone in [everyone]:\n"), encoding="utf-8")
+    for each, off in ((script, 0.0), (other, 0.05)):
+        show = Show(tmp_path, beside=0.05)
+        show.run(monkeypatch, each)
+        craft = show.crazyfliesByName["d0"]
+        np.testing.assert_allclose(craft.place[:2] - end_of(tmp_path, "d0")[:2], off, atol=1e-5)
+
+
+def test_drones_that_end_tied_land_without_the_pull(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Their set points go to the plan's places first, from up to 15 cm outside."""
+    kind = ho.Quadrotor(controller="mellinger", gains={"kp": 4.75, "kd": 1.32, "ki": 0})
+    team = ho.Team(3, 2.4, tension=0.6, quadrotor=kind)
+    hitch = ho.Hitch.balanced(team, [[0.3, 0.4], [0.8, -0.5], [-0.2, -0.5]], 1.2)
+    origin, yaw = (1.0, 0.5, 0.2), 0.4
+    motion, place = ho.hold(hitch, 0.5).motion, {"origin": origin, "yaw": yaw}
+    exported(motion, "crazyswarm2", tmp_path, hold_tension=True, **place)
+    planned_places = ReferenceFrame("enu", origin, yaw).points(hitch.drones)
+    for answer, word in (("", "idle"), ("stay", "flying")):
+        show = Show(tmp_path)
+        show.run(monkeypatch, tmp_path / "fly.py", answer=answer)
+        for name, goal in zip(NAMES, planned_places, strict=True):
+            craft = show.crazyfliesByName[name]
+            off = np.linalg.norm(craft.place[:2] - goal[:2])
+            assert craft.state == word
+            assert off == pytest.approx(0.0, abs=1e-5) if word == "idle" else 0.1 < off < 0.2
+    assert "SLACK" in (tmp_path / "README.txt").read_text(encoding="utf-8")
+    exported(hitch_plan(), "crazyswarm2", tmp_path)  # whose set points are the plan's places
+    assert "\nSLACK = {}  #" in (tmp_path / "fly.py").read_text(encoding="utf-8")
+    assert "SLACK" not in (tmp_path / "README.txt").read_text(encoding="utf-8")
 
 
 def test_set_points_that_hold_a_weight_are_above_drones_that_stand(tmp_path: Path) -> None:

@@ -307,6 +307,7 @@ def start_files(task: Task, first: Array, last: Array, duration: float) -> dict[
     place = f"This is {task.part}.\n" if task.part else ""
     hint = " (its radio addresses are placeholders: name yours in a fleet file when exporting)"
     look = pilot_checklist(cables=task.motion.has_cables)
+    slack = _slack_points(task)
     common = {"frame": task.frame.name, "duration": duration, "look": look}
     return {
         SETTINGS: settings_text(task, first),
@@ -317,6 +318,7 @@ def start_files(task: Task, first: Array, last: Array, duration: float) -> dict[
             first=json.dumps(places, indent=4),
             standing=[name for name, stands in zip(task.names, low[0], strict=True) if stands],
             landed=bool(np.all(low[1])),
+            slack=json.dumps(slack, indent=4),
             land=min(LANDED, round(float(np.min(last[:, 2])), 3) + 0.0),
             **common,
         ),
@@ -324,10 +326,27 @@ def start_files(task: Task, first: Array, last: Array, duration: float) -> dict[
             title=task.title or "A plan of hitchopt",
             place=f"\n{place}{texts['parts']}\n" if place else "",
             placeholders=hint if task.fleet.is_placeholder else "",
+            slack=texts["slack"] if slack else "",
             pull=_pull(task, texts),
             **common,
         ),
     }
+
+
+def _slack_points(task: Task) -> dict[str, list[float]]:
+    """Return the last places in the plan of drones that end tied, if offsets hold the tension.
+
+    With set points there the drones pull no longer, and distances are those of the plan.
+    """
+    if task.without_offsets is None:
+        return {}
+    ends = [
+        np.full(len(each.motion.team.drone_names), each.motion.phases[-1].formed)
+        for each in task.motion.groups
+    ]
+    places = task.frame.points(task.planned(task.motion.duration)).round(6) + 0.0
+    tied = zip(task.names, places.tolist(), np.concatenate(ends), strict=True)
+    return {name: place for name, place, is_tied in tied if is_tied}
 
 
 def parameter_notes(task: Task) -> Iterator[str]:
