@@ -378,8 +378,9 @@ def _outlet_of(
     if over == "crazyflie":
         members = (placeholder_fleet(names) if fleet is None else read_fleet(fleet, names)).members
         robots = [member.name for member in members]
+        crazyflies = CrazyflieOutlet(names, robots, frame, team_parameters(team))
         say(pilot_checklist(cables=motion.has_cables))
-        return CrazyflieOutlet(names, robots, frame, team_parameters(team))
+        return crazyflies
     own_address = address("--listen", listen)
     addresses = [address("--to", each) for each in targets]
     if not addresses:

@@ -37,8 +37,8 @@ MAX_DATAGRAM = 65536  # maximum size of a datagram [B]
 MAX_DATAGRAMS = 1000  # maximum number of datagrams read per tick, so that floods cannot block it
 OWN_SYSTEM = 245  # MAVLink system of this sender, above usual fleets and below ground stations
 HEARTBEAT_PERIOD = 1.0  # autopilots consider a sender lost after some seconds [s]
-SETPOINT_VALIDITY = 500  # validity of a Crazyflie's last setpoint after the stream ends [ms]
-LANDING_TIME = 1.0  # duration of the firmware's landing command at the end [s]
+SETPOINT_VALIDITY = 500  # validity of a Crazyflie's last setpoint, which its firmware ignores [ms]
+LANDING_TIME, LANDING_SPEED = 1.0, 0.4  # of the firmware's landing: least time [s], mean [m/s]
 
 # Commands by key; ``toggle`` is pause or resume, ``quit`` ends a flight before its start. Signals
 # add ``end``, which is land or quit
@@ -271,8 +271,13 @@ class CrazyflieOutlet:
     """A fleet of Crazyflies connected by crazyflie_py, the Python client of Crazyswarm2.
 
     The fleet's world is east-north-up. Measurements are the poses of ``/NAME/pose``, if the fleet's
-    configuration logs them. Raises UnsupportedError if drones have other parameters than the plan;
-    the server reads them when it connects.
+    configuration logs them.
+
+    Raises
+    ------
+    InputError: an unknown robot, or a turned frame: ``cmdFullState`` sends yaw as a roll.
+    UnsupportedError: crazyflie_py is missing, or drones have other parameters than the plan; the
+        server reads them when it connects.
     """
 
     controllers = ("mellinger", "lee")  # those that add streamed accelerations
@@ -284,6 +289,10 @@ class CrazyflieOutlet:
         frame: ReferenceFrame,
         parameters: Mapping[str, Parameters],
     ) -> None:
+        if frame.heading != 0.0:
+            bound = "0 with crazyflie: crazyflie_py's cmdFullState sends yaw as a roll"
+            remedy = "turn polygons and starts in the problem, or upload: hitchopt export --yaw-deg"
+            raise InputError("yaw_deg", round(math.degrees(frame.heading), 9), bound, remedy)
         try:
             rclpy, client = import_module("rclpy"), import_module("crazyflie_py")
             pose = import_module("geometry_msgs.msg").PoseStamped
@@ -299,6 +308,7 @@ class CrazyflieOutlet:
         self._set_parameters([parameters[name] for name in names], robots)
         self._spin_once = partial(rclpy.spin_once, self._node, timeout_sec=0.0)
         self._positions: dict[str, Array] = {}
+        self._heights = np.zeros(len(self._robots))  # of the last setpoints [m]
         for name, robot in zip(names, robots, strict=True):
             callback = partial(self._receive, name)
             self._node.create_subscription(pose, f"/{robot}/pose", callback, 10)
@@ -334,6 +344,7 @@ class CrazyflieOutlet:
         frame, at = self._frame, targets.setpoints
         vectors = at.velocities, targets.feed_forward
         rows = [frame.points(at.positions), *map(frame.vectors, vectors)]
+        self._heights = rows[0][:, 2]
         rates = _attitudes(targets, frame).body_rates.tolist()
         for robot, row, rate in zip(self._robots, np.stack(rows, 1).tolist(), rates, strict=True):
             robot.cmdFullState(*row, frame.heading, rate)
@@ -352,9 +363,12 @@ class CrazyflieOutlet:
                 robot.arm(True)
 
     def close(self, *, landed: bool) -> None:
-        """Return control to the drones' high-level commander, which ends a landing."""
-        for robot in self._robots:
+        """Return control to the drones' high-level commander, which lands them.
+
+        Without a command it would stop the motors of drones in the air at once.
+        """
+        for robot, height in zip(self._robots, self._heights.tolist(), strict=True):
             robot.notifySetpointsStop(SETPOINT_VALIDITY)
-        for robot in self._robots if landed else ():
-            robot.land(LANDED, LANDING_TIME)
+            if landed or height > LANDED:
+                robot.land(LANDED, max(LANDING_TIME, (height - LANDED) / LANDING_SPEED))
         self._spin_once()

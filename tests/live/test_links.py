@@ -117,22 +117,27 @@ def test_mavlink_is_understood_by_its_own_parser() -> None:
         outlet.close(landed=False)
 
 
-def test_crazyflies_receive_full_states_and_are_released(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By a stand-in for crazyflie_py's ``Crazyswarm``."""
-    flown, frame = moving(), ReferenceFrame("enu", *PLACE)
-    robots = [f"cf{i}" for i in range(6)]
-    node = Mock(crazyfliesByName={name: Mock() for name in robots})
-    team = replace(planned("triangle").motion.team, quadrotor=(RETUNED,) * 3)
-    wanted = team_parameters(team)
-    held = {f"{g}.{k}": x for g, named in wanted["q0"].items() for k, x in named.items()}
+ROBOTS = [f"cf{i}" for i in range(6)]
+FRAME = ReferenceFrame("enu", PLACE[0])
+
+
+def wanted_parameters() -> dict[str, dict[str, dict[str, float]]]:
+    return team_parameters(replace(planned("triangle").motion.team, quadrotor=(RETUNED,) * 3))
+
+
+@pytest.fixture
+def node(monkeypatch: pytest.MonkeyPatch) -> Mock:
+    """The server of crazyflie_py's ``Crazyswarm``; drones hold the wanted parameters."""
+    node = Mock(crazyfliesByName={name: Mock() for name in ROBOTS})
+    groups = wanted_parameters()["q0"].items()
+    node.held = {f"{g}.{k}": x for g, named in groups for k, x in named.items()}
     for robot in node.crazyfliesByName.values():
-        robot.getParam.side_effect = held.get
-    rows = [frame.points(flown.setpoints.positions)]
-    rows += [frame.vectors(each) for each in (flown.setpoints.velocities, flown.feed_forward)]
+        robot.getParam.side_effect = node.held.get
 
     def spin_once(spun: Mock, timeout_sec: float) -> None:
         assert (spun, timeout_sec) == (node, 0.0)
-        place = SimpleNamespace(**dict(zip("xyz", rows[0][1].tolist(), strict=True)))
+        position = FRAME.points(moving().setpoints.positions)[1].tolist()
+        place = SimpleNamespace(**dict(zip("xyz", position, strict=True)))
         heard = node.create_subscription.call_args_list[1].args[2]
         heard(SimpleNamespace(pose=SimpleNamespace(position=place)))
 
@@ -141,34 +146,60 @@ def test_crazyflies_receive_full_states_and_are_released(monkeypatch: pytest.Mon
     ros = {"rclpy": SimpleNamespace(spin_once=spin_once), "geometry_msgs.msg": poses}
     for name, module in (ros | {"crazyflie_py": client}).items():
         monkeypatch.setitem(sys.modules, name, module)
-    with monkeypatch.context() as patched:
-        patched.setitem(held, "ctrlMel.kp_xy", 0.4)
-        patched.delitem(held, "kalman.pNAcc_z")
-        words = r"cf4: kalman.pNAcc_z is missing, not 20.0, ctrlMel.kp_xy is 0.4, not 4.75(.|\n)*tw"
-        with pytest.raises(ho.UnsupportedError, match=words):
-            CrazyflieOutlet(NAMES, robots, frame, wanted)
-    assert not node.crazyfliesByName["cf4"].setParam.called
-    outlet = CrazyflieOutlet(NAMES, robots, frame, wanted)
-    for robot in node.crazyfliesByName.values():
-        assert {each.args for each in robot.setParam.call_args_list} == set(held.items())
+    return node
+
+
+def test_crazyflies_receive_full_states(node: Mock) -> None:
+    flown, robots = moving(), node.crazyfliesByName.values()
+    vectors = flown.setpoints.velocities, flown.feed_forward
+    rows = [FRAME.points(flown.setpoints.positions), *map(FRAME.vectors, vectors)]
+    outlet = CrazyflieOutlet(NAMES, ROBOTS, FRAME, wanted_parameters())
+    for robot in robots:
+        assert {each.args for each in robot.setParam.call_args_list} == set(node.held.items())
         assert not robot.arm.called
-        robot.reset_mock()
     outlet.send(flown, 1.0)
-    for i, robot in enumerate(node.crazyfliesByName.values()):
-        *vectors, yaw, omega = robot.cmdFullState.call_args.args
-        np.testing.assert_allclose(vectors, [each[i] for each in rows])
-        assert yaw == pytest.approx(PLACE[1])
+    for i, robot in enumerate(robots):
+        *found, yaw, omega = robot.cmdFullState.call_args.args
+        np.testing.assert_allclose(found, [each[i] for each in rows])
+        assert yaw == 0.0  # cmdFullState turns any other one into a roll
         assert len(omega) == 3
-        assert all(type(x) is float for part in (*vectors, omega) for x in part)
+        assert all(type(x) is float for part in (*found, omega) for x in part)
     measured = outlet.measured()
     assert set(measured) == {"r0"}
     np.testing.assert_allclose(measured["r0"], flown.setpoints.positions[1], atol=1e-12)
     outlet.arm()
-    outlet.close(landed=True)
-    ended = [call.arm(True), call.notifySetpointsStop(500), call.land(0.04, 1.0)]
-    assert node.crazyfliesByName["cf3"].mock_calls[1:] == ended
+    assert all(robot.mock_calls[-1] == call.arm(True) for robot in robots)
+
+
+@pytest.mark.parametrize("landed", [True, False])
+@pytest.mark.parametrize("height", [0.02, 0.2, 1.5])
+def test_crazyflies_land_when_the_stream_ends(node: Mock, height: float, *, landed: bool) -> None:
+    """Also after an exception, at 0.4 m/s down; those that stand before the start stay there."""
+    outlet = CrazyflieOutlet(NAMES, ROBOTS, FRAME, wanted_parameters())
+    setpoints = moving().setpoints
+    level = setpoints.positions * [1.0, 1.0, 0.0] + [0.0, 0.0, height - PLACE[0][2]]
+    outlet.send(replace(moving(), setpoints=replace(setpoints, positions=level)), 1.0)
+    robot = node.crazyfliesByName["cf3"]
+    robot.reset_mock()
+    outlet.close(landed=landed)
+    notified, *landing = robot.mock_calls
+    assert notified == call.notifySetpointsStop(500)  # the firmware may ignore these milliseconds
+    seconds = pytest.approx(max(1.0, (height - 0.04) / 0.4))
+    assert landing == ([call.land(0.04, seconds)] if landed or height > 0.04 else [])
+
+
+def test_crazyflies_that_would_fly_otherwise_are_refused(node: Mock) -> None:
+    wanted = wanted_parameters()
     with pytest.raises(ho.InputError, match="fleet = 'cf9'"):
-        CrazyflieOutlet(NAMES, ["cf9"] * 6, frame, wanted)
+        CrazyflieOutlet(NAMES, ["cf9"] * 6, FRAME, wanted)
+    with pytest.raises(ho.InputError, match=r"yaw_deg = 40.0: (.|\n)*sends yaw as a roll"):
+        CrazyflieOutlet(NAMES, ROBOTS, ReferenceFrame("enu", PLACE[0], np.radians(40.0)), wanted)
+    node.held["ctrlMel.kp_xy"] = 0.4
+    del node.held["kalman.pNAcc_z"]
+    words = r"cf4: kalman.pNAcc_z is missing, not 20.0, ctrlMel.kp_xy is 0.4, not 4.75(.|\n)*twice"
+    with pytest.raises(ho.UnsupportedError, match=words):
+        CrazyflieOutlet(NAMES, ROBOTS, FRAME, wanted)
+    assert not node.crazyfliesByName["cf4"].setParam.called
 
 
 def test_keys_are_read_until_the_terminal_goes(monkeypatch: pytest.MonkeyPatch) -> None:
