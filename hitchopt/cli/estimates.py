@@ -84,7 +84,7 @@ def statics(
         say(f"Team {group.name}\n{tables}" if group.name else tables)
         values = conditions_of(part.team, **conditions)
         for note in undetermined_tension(
-            integral=bool(np.isinf(values["integral"]).any()),
+            integral=bool(np.isinf(values["integral"][..., :2]).any()),  # level
             feed_forward=bool(values["feed_forward"].all()),
         ):
             say(f"note: {note}")

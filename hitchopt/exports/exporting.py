@@ -161,7 +161,7 @@ def _undetermined_reasons(kind: Format, motion: Motion, options: ExportOptions) 
         is_specified = options.stiffness is not None or bool(np.all(np.isfinite(team.stiffness)))
         may_integrate = kind.receiver_integral and not is_specified
         reasons += undetermined_tension(
-            integral=may_integrate or bool(np.any(np.isinf(team.integral))),
+            integral=may_integrate or bool(np.any(np.isinf(team.integral[:, :2]))),  # level
             feed_forward=has_force or options.hold_tension,
         )
     return tuple(dict.fromkeys(reasons))

@@ -13,11 +13,13 @@ import math
 from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Any
 
+import numpy as np
+
 from hitchopt.errors import InputError
 from hitchopt.exports.recording import Finding, error, warning
 from hitchopt.hitch import GRAVITY, Quadrotor, Team
 from hitchopt.hitch.estimator import HELD
-from hitchopt.hitch.flight_controller import FlightController, Gains
+from hitchopt.hitch.flight_controller import FlightController, Gains, px4_gains
 
 SETTINGS = "crazyflies.yaml"  # File of a fleet's robots and their parameters
 
@@ -132,20 +134,27 @@ def px4_parameters(team: Team) -> dict[str, dict[str, float]]:
 
     By default PX4 computes the tilt with thrust ``m g``, which is too much tilt if cables pull
     downward, and estimates the cable force as weight. Specified gains are those of PX4's velocity
-    loop and of the position loop around it.
+    loop and of the position loop around it, within the ranges that PX4 declares.
     """
     by_kind = []
     for kind in team.quadrotor:
         parameters: dict[str, float] = {"MPC_ACC_DECOUPLE": 0, "MPC_USE_HTE": 0}
         if kind.gains is not None:
-            loop = kind.loop
-            for axes, kp, kd, ki in zip(("XY", "Z"), loop.kp, loop.kd, loop.ki, strict=True):
-                parameters[f"MPC_{axes}_P"] = _rounded(kp / kd)
-                parameters[f"MPC_{axes}_VEL_P_ACC"] = _rounded(kd / kind.mass)
-                parameters[f"MPC_{axes}_VEL_I_ACC"] = _rounded(ki * kd / (kp * kind.mass))
+            gains = px4_gains(kind.loop.kp, kind.loop.kd, kind.loop.ki, kind.mass)
+            parameters |= {name: _rounded(gain) for name, gain in gains.items()}
         by_kind.append(parameters)
     per_kind = team.drones // len(by_kind)
     return {name: by_kind[i // per_kind] for i, name in enumerate(team.drone_names)}
+
+
+def px4_notes(team: Team) -> Iterator[str]:
+    """Yield a note on every kind whose stated gains PX4's ranges clip."""
+    for kind in dict.fromkeys(team.quadrotor):
+        flown = {key: getattr(kind.loop, key) for key in vars(Gains())}
+        stated = {key: getattr(kind.gains, key, None) or flown[key] for key in flown}
+        if not np.allclose([*stated.values()], [*flown.values()], rtol=1e-9):
+            gains = ", ".join(f"{key} [{x:.4g}, {z:.4g}]" for key, (x, z) in flown.items())
+            yield f"PX4 declares ranges to which team.quadrotor.gains are clipped: {gains}"
 
 
 def _rounded(value: float) -> float:

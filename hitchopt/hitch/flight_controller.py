@@ -13,7 +13,7 @@ with simulated cables.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, NamedTuple
 
@@ -125,6 +125,40 @@ STOCK: Mapping[str, _Stock] = {
 CONTROLLERS = tuple(STOCK)
 """Names of flight controllers."""
 
+PX4_RANGES: Mapping[str, Pair] = {
+    "MPC_XY_P": (0.0, 2.0),
+    "MPC_Z_P": (0.0, 1.5),
+    "MPC_XY_VEL_P_ACC": (1.2, 5.0),
+    "MPC_Z_VEL_P_ACC": (2.0, 15.0),
+    "MPC_XY_VEL_I_ACC": (0.0, 60.0),
+    "MPC_Z_VEL_I_ACC": (0.2, 3.0),
+}
+"""Smallest and largest gains that PX4 declares: [1/s] and, of integrals, [1/s²]."""
+
+
+def px4_gains(kp: Pair, kd: Pair, ki: Pair, mass: float) -> dict[str, float]:
+    """Return the gains of PX4 that are nearest to a position loop, within PX4_RANGES."""
+    gains = dict[str, float]()
+    for axes, k, c, i in zip(("XY", "Z"), kp, kd, ki, strict=True):
+        gains[f"MPC_{axes}_P"] = k / c
+        gains[f"MPC_{axes}_VEL_P_ACC"] = c / mass
+        gains[f"MPC_{axes}_VEL_I_ACC"] = i * c / (k * mass)
+    ranges = PX4_RANGES
+    return {name: min(max(x, ranges[name][0]), ranges[name][1]) for name, x in gains.items()}
+
+
+def _px4_loop(gains: Mapping[str, float], mass: float) -> Iterator[Pair]:
+    """Yield kp, kd and ki of PX4's gains, whose velocity loop follows ``P e + ė``."""
+    axes = [
+        [mass * gains[f"MPC_{axes}_{name}"] for name in ("VEL_P_ACC", "VEL_I_ACC")]
+        for axes in ("XY", "Z")
+    ]
+    (level, level_integral), (upright, upright_integral) = axes
+    p, p_upright = gains["MPC_XY_P"], gains["MPC_Z_P"]
+    yield p * level, p_upright * upright
+    yield level, upright
+    yield p * level_integral, p_upright * upright_integral
+
 
 def stiffest_gains(mass: float) -> dict[str, float]:
     """Return the stiffest stable gains of Mellinger's controller for a mass [kg]."""
@@ -167,7 +201,8 @@ class FlightController(OneLine):
     ) -> FlightController:
         """Return the named controller for a drone's mass [kg]; ``gains`` override its defaults.
 
-        Raise InputError for an unknown name, or for gains that are too stiff to fly.
+        Gains of px4 are clipped to PX4_RANGES. Raise InputError for an unknown name, or for gains
+        that are too stiff to fly.
         """
         check_choice("controller", name, CONTROLLERS)
         stock, own = STOCK[name], Gains.of(gains)
@@ -179,6 +214,8 @@ class FlightController(OneLine):
             return (size * level, size * upright) if override is None else override
 
         kp, kd, ki = gain("kp"), gain("kd"), gain("ki")
+        if name == "px4":
+            kp, kd, ki = _px4_loop(px4_gains(kp, kd, ki, mass), mass)
         if own.kp is not None and kp[0] > 1.01 * stock.stiffest * mass:
             limit = f"{stock.stiffest:g}/s² times the mass, {stock.stiffest * mass:.3g} N/m"
             remedy = f"stiffer loops of {name} oscillate"

@@ -130,6 +130,49 @@ def test_unnamed_controllers_are_left_to_the_pilot() -> None:
     assert "pNAcc_z" not in words
 
 
+RANGES = {
+    **{"MPC_XY_P": (0.0, 2.0), "MPC_XY_VEL_P_ACC": (1.2, 5.0), "MPC_XY_VEL_I_ACC": (0.0, 60.0)},
+    **{"MPC_Z_P": (0.0, 1.5), "MPC_Z_VEL_P_ACC": (2.0, 15.0), "MPC_Z_VEL_I_ACC": (0.2, 3.0)},
+}
+"""As the sources of PX4 declare them."""
+
+
+@given(
+    st.floats(0.03, 2.0),
+    *(st.tuples(st.floats(0.1, most), st.floats(0.1, most)) for most in (40, 9, 9)),
+)
+@settings(max_examples=60, deadline=None)
+def test_px4_gets_gains_within_its_ranges_and_the_loop_follows(
+    mass: float, kp: tuple[float, float], kd: tuple[float, float], ki: tuple[float, float]
+) -> None:
+    gains = {"kp": kp, "kd": kd, "ki": ki}
+    kind = ho.Quadrotor(mass, 20.0 * mass, controller="px4", gains=gains)
+    found = px4_parameters(ho.Team(3, 2.4, quadrotor=kind))["r1"]
+    for name, (least, most) in RANGES.items():
+        assert least <= found[name] <= most
+    for axes, i in (("XY", LEVEL), ("Z", UPRIGHT)):
+        p, vp, vi = (found[f"MPC_{axes}_{key}"] for key in ("P", "VEL_P_ACC", "VEL_I_ACC"))
+        loop = kind.loop.kp[i], kind.loop.kd[i], kind.loop.ki[i]
+        assert mass * np.array([p * vp, vp, vi * p]) == pytest.approx(loop, rel=1e-5)
+        stated = kp[i] / kd[i], kd[i] / mass, ki[i] * kd[i] / (kp[i] * mass)
+        keys = [f"MPC_{axes}_{key}" for key in ("P", "VEL_P_ACC", "VEL_I_ACC")]
+        assert [found[key] for key in keys] == pytest.approx(
+            [np.clip(x, *RANGES[key]) for key, x in zip(keys, stated, strict=True)], rel=1e-5
+        )
+
+
+def test_clipped_gains_of_px4_are_reported(tmp_path: Path) -> None:
+    """And an integral that is upright alone leaves the tension to the feed-forward."""
+    for kp, count in (([1.3, 1.9], 0), (4.75, 1)):
+        gains = {"kp": kp, "kd": [0.66, 1.32], "ki": [0, 0.04]}
+        plan = plan_of(ho.Quadrotor(controller="px4", gains=gains))
+        (part,) = exported(plan.motion, "mavsdk_drone_show", tmp_path)
+        clipped = [note for note in part.notes if "clipped" in note]
+        assert len(clipped) == count
+        assert all("kp [1.32, 1.98], kd [0.66, 1.32]" in note for note in clipped)
+        assert (read_manifest(tmp_path) or {})["undetermined_tension"] == []
+
+
 @pytest.mark.parametrize("gains", [None, {"kp": [0.3, 0.9], "kd": [0.4, 0.7], "ki": [0.1, 0.2]}])
 def test_px4_gets_the_gains_that_are_stated(gains: dict[str, Any] | None) -> None:
     kind = ho.Quadrotor(controller="px4", gains=gains)

@@ -32,7 +32,7 @@ import numpy as np
 
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import FileError, InfeasibleError
-from hitchopt.exports.firmware import px4_parameters
+from hitchopt.exports.firmware import px4_notes, px4_parameters
 from hitchopt.exports.format import Format, FormatOutput, Task
 from hitchopt.exports.options import ExportOptions
 from hitchopt.exports.recording import Recording, present_columns, separator_findings
@@ -99,6 +99,7 @@ class MavsdkDroneShow(Format):
             f"Drone N.csv in the plan's order: {order}{', …' if len(task.names) > 6 else ''}",
             "launch every drone at px, py of its first row: its rows are counted from there",
             "of PX4 set the parameters in export.json, and MPC_THR_HOVER, of free drones",
+            *px4_notes(task.motion.team),
         )
         return FormatOutput(files, notes, {"settings": settings, "plan_begins_s": rise.duration})
 
