@@ -260,7 +260,8 @@ class Plan(OneLine):
         UnsupportedError: a library that the format needs is not installed.
         """
         parsed = ExportOptions(text("format", format), **options)
-        return export_motion(self.motion, self.title, parsed, path("folder", folder), progress)
+        place = path("folder", folder)
+        return export_motion(self.motion, self.title, parsed, place, progress, self.problem)
 
     def compressed(self, **options: Any) -> tuple[dict[str, bytes], ...]:
         """Return the bytes of every drone's compressed trajectory for Crazyflies, by name.

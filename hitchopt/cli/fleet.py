@@ -109,7 +109,8 @@ def export(directory: Path | None, output: Path | None, yaw_deg: float, **option
         output = parent / f"{path.parent.resolve().name or 'plan'}-{parsed.format}"
     with ProgressBar("certifying") as progress:
         saved = read_saved_plan(path)
-        exports = export_motion(saved.motion, saved.title, parsed, output, progress)
+        content = saved.motion, saved.title, parsed, output, progress
+        exports = export_motion(*content, problem=saved.problem)
     entries = []
     for part in exports:
         verdict, content = part.verdict, asdict(part.verdict)

@@ -45,6 +45,7 @@ from hitchopt.exports.recording import (
 from hitchopt.hitch import Team
 from hitchopt.hitch.forces import undetermined_tension
 from hitchopt.motion.combined import combined
+from hitchopt.motion.loads import weightless_notes
 from hitchopt.motion.motion import JOINT, Group, Motion
 from hitchopt.motion.retiming import slice_time, stretched
 from hitchopt.storage.files import digest, replace_files, write_strict_json
@@ -82,6 +83,7 @@ def export_motion(
     options: ExportOptions,
     folder: Path | str,
     progress: Progress | None = None,
+    problem: str = "",
 ) -> tuple[Export, ...]:
     """Export a plan; return one export per part.
 
@@ -93,6 +95,7 @@ def export_motion(
     folder: created if it is missing. A name with the suffix of the format's only file is that of
         the file, and the manifest is written next to it.
     progress: status callback.
+    problem: text of the plan's problem file, if known.
 
     Raises
     ------
@@ -116,10 +119,13 @@ def export_motion(
     rate = kind.rate if options.rate is None else checked_rate(options.rate)
     undetermined = _undetermined_reasons(kind, motion, options)
     settings = kind.settings(motion.team, options)
-    notes = tuple(
-        f"certified beside {each.name}, which begins at t = {each.motion.drones.breaks[0]:.4g} "
-        "s of this plan: fly both on one clock"
-        for each in plan.others
+    notes = (
+        *weightless_notes(motion, problem),
+        *(
+            f"certified beside {each.name}, which begins at t = {each.motion.drones.breaks[0]:.4g} "
+            "s of this plan: fly both on one clock"
+            for each in plan.others
+        ),
     )
     content = plan, title, frame, fleet, rate, options
     task = Task(*content, undetermined=undetermined, settings=settings, notes=notes)

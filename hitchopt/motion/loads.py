@@ -1,4 +1,4 @@
-"""Stated tensions of a plan, and loads of objects on its clasps.
+"""Stated tensions of a plan, weights of cables that it omits, and loads of objects on its clasps.
 
 An object of mass m rests with its rim on all clasps of a hitch that moves with it. Clasp k carries
 the share ``μ_k`` of its mass, with ``Σ μ_k = 1`` and ``Σ μ_k p_k`` below its centre of mass. Of all
@@ -25,6 +25,7 @@ from hitchopt.hitch import GRAVITY, Team
 from hitchopt.motion.motion import JOINT, HoldBy, Motion
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import REST_DRIFT, in_frame
+from hitchopt.storage.yaml_file import parse_yaml
 from hitchopt.trajectory import bernstein
 from hitchopt.values import Array
 
@@ -55,6 +56,52 @@ def stated_tensions(motion: Motion) -> Array:
     for i in np.unique(index[index >= 0]):
         stated[index == i] = motion.phases[i].tension
     return stated
+
+
+USUAL_DENSITY = 0.01
+"""Density of a cord of 4 mm [kg/m]."""
+
+
+def weightless_notes(motion: Motion, problem: str = "") -> Iterator[str]:
+    """Yield a note for every hitch whose problem does not state the density of its cables.
+
+    It says how much lower vertices hang with USUAL_DENSITY. ``problem`` is the text of the problem
+    file; without it, a density of 0 is not stated.
+    """
+    data = parse_yaml(problem) if problem else None
+    for group in motion.groups:
+        own, key = group.motion, f"teams.{group.name}" if group.name else "team"
+        section: object = data
+        for name in key.split("."):
+            section = section.get(name) if isinstance(section, dict) else None
+        is_stated = isinstance(section, dict) and "cable_density" in section
+        if is_stated or not np.any(own.formed) or own.team.cable_density > 0.0:
+            continue
+        drop = float(np.max(sags(own, USUAL_DENSITY)))
+        cables = f"cables of {group.name}" if group.name else "cables"
+        yield (
+            f"{cables} count as weightless; at {1e3 * USUAL_DENSITY:g} g/m vertices would hang "
+            f"{100.0 * drop:.2g} cm lower: state {key}.cable_density"
+        )
+
+
+def sags(motion: Motion, density: float) -> Array:
+    """Return the depth of clasps (pieces, clasps) [m] below a hitch of weightless cables.
+
+    Pieces are those on which the hitch exists, at their starts. The weight of half of all parts
+    that end at a clasp bears on its two legs, of lengths d and e; edges stay level:
+
+        z (T_d / d + T_e / e) = ρ g (d + e + l + l') / 2,
+
+    for a regular hitch ``z = ρ g d (l + d) / 2T``.
+    """
+    team, layout, formed = motion.team, motion.team.layout, motion.formed
+    points = motion.vertices.coefficients[formed, ..., 0]
+    edges = length(layout.edges(points))
+    cables = np.stack([layout.ahead, layout.behind])  # of a clasp's q- and r-leg
+    legs = motion.legs.coefficients[formed][:, cables, [[0], [1]], 0]
+    weight = 0.5 * GRAVITY * density * np.sum(legs + edges[:, cables], axis=1)
+    return np.asarray(weight / np.sum(team.tension[cables] / legs, axis=1))
 
 
 def tautness(motion: Motion) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,41 @@ def options_of(name: str, kind: str) -> dict[str, object]:
     """Uploaded set points hold the tension where hitches are not too near to each other for it."""
     held = name in {"crazyswarm2", "compressed"} and kind == "hitch and swarm"
     return {"hold_tension": held} if held else {"rate": 20.0} if format_of(name).rate else {}
+
+
+@pytest.mark.parametrize(
+    ("densities", "keys"),
+    [
+        ({}, ["team"]),
+        ({"": 0}, []),
+        ({"": 0.004}, []),
+        ({"b": 0}, ["teams.a"]),
+        ({"a": 0.0, "b": 0.003}, []),
+        ({"c": None}, ["teams.a", "teams.b"]),
+    ],
+)
+def test_hitches_of_unstated_density_are_exported_with_their_sag(
+    densities: dict[str, float | None], keys: list[str], tmp_path: Path
+) -> None:
+    """A density of 0 that is written out counts as stated."""
+    teams, start = dict[str, dict[str, float]](), dict[str, object]()
+    for i, name in enumerate([""] if not {*densities} - {""} else ["a", "b"]):
+        teams[name] = {"robots": 3, "cable_length": 2.4, "tension": 0.6}
+        if (density := densities.get(name)) is not None:
+            teams[name]["cable_density"] = density
+        polygon = [[5.0 * i + x, y] for x, y in ((0, 0.58), (0.5, -0.29), (-0.5, -0.29))]
+        start[name] = {"hitch": {"polygon": polygon, "altitude": 1.2}}
+    hold = {"hold": {"seconds": 0.5}}
+    single = {"team": teams.get(""), "start": start.get(""), "mission": [hold]}
+    several = {"teams": teams, "start": start, "mission": [dict.fromkeys(teams, hold)]}
+    text = json.dumps(single if "" in teams else several)
+    (tmp_path / "problem.yaml").write_text(text)
+    replace(ho.solve(tmp_path / "problem.yaml"), problem=text).save(tmp_path / "plan")
+    (part,) = ho.load(tmp_path / "plan").export("csv", tmp_path / "files")
+    notes = [note for note in part.notes if "weightless" in note]
+    assert [note.partition("state ")[2] for note in notes] == [f"{x}.cable_density" for x in keys]
+    assert all("at 10 g/m vertices would hang 9.7 cm lower" in note for note in notes)
+    assert set(notes) <= set((read_manifest(tmp_path / "files") or {})["notes"])
 
 
 @pytest.mark.parametrize("kind", MOTIONS)

@@ -17,6 +17,7 @@ import hitchopt as ho
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.requirements import Requirements
+from hitchopt.motion.loads import sags
 from hitchopt.motion.motion import CableState
 from hitchopt.statics.energy import INTEGRAL_ERROR, HitchEnergy
 from hitchopt.statics.settle import Settled, conditions_of, energy_of, samples_of
@@ -133,6 +134,32 @@ def test_slopes_and_derivatives_are_those_of_the_energy() -> None:
         matrix = energy.matrix(x, energy.linear(x, friction)[0])
         change = (energy.slopes(up, friction) - energy.slopes(down, friction)).ravel() / (2.0 * h)
         np.testing.assert_allclose(matrix @ direction.ravel(), change, rtol=1e-5, atol=1e-3)
+
+
+@pytest.mark.parametrize("tension", [0.6, 1.2])
+@pytest.mark.parametrize("n", [3, 5, 0])
+def test_clasps_of_cables_planned_as_weightless_hang_lower_by_their_sags(
+    n: int, tension: float
+) -> None:
+    """Below drones with soft loops, which keep the tension; those sink by half a cable's weight."""
+    outline: Any = ho.regular_polygon(n, 1.0) if n else [[0.3, 0.8], [0.8, -0.5], [-0.4, -0.3]]
+    team = ho.Team(n or 3, 2.6, tension=tension, quadrotor=ho.Quadrotor(stiffness=0.5))
+    hitch, density = ho.Hitch.balanced(team, outline, 1.3), 0.003
+    settled = settle_hitch(hitch, cable_density=density)
+    drones, clasps = (
+        (planned - rest)[:, 2]
+        for planned, rest in (
+            (settled.planned_drones, settled.drones),
+            (settled.planned_vertices, settled.vertices),
+        )
+    )
+    np.testing.assert_allclose(drones, 0.5 * 9.81 * density * 2.6 / 0.5, rtol=1e-4)
+    (found, *_) = sags(resting_motion(hitch), density)
+    np.testing.assert_allclose(clasps - drones, found, rtol=0.003 if n else 0.02)
+    if n:
+        edge, leg = hitch.polygon.edge_lengths[0], hitch.q_legs[0]
+        regular = density * 9.81 * leg * (edge + leg) / (2.0 * tension)
+        np.testing.assert_allclose(found, regular, rtol=1e-5)
 
 
 def test_equal_errors_of_all_cables_of_a_regular_hitch() -> None:
