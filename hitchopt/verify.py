@@ -81,7 +81,7 @@ TYPES = {
     "phase": "name:text step:count remark:text start:number end:number state:text tension:+[2]? "
     "hold:hold?",
     "hold": "object:text by:text cables:count[]",
-    "named": "controller:text gains:gains?",
+    "named": "controller:text gains:gains? latency:0+*",
     "gains": "kp:+[2]? kd:+[2]? ki:0+[2]?",
     "roles": "robots:count[] flipped:flag[]",
     "body": "section:section lower:number upper:number mass:+ friction:0+ at:number[3] yaw:number "

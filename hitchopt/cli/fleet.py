@@ -109,8 +109,8 @@ def export(directory: Path | None, output: Path | None, yaw_deg: float, **option
         output = parent / f"{path.parent.resolve().name or 'plan'}-{parsed.format}"
     with ProgressBar("certifying") as progress:
         saved = read_saved_plan(path)
-        content = saved.motion, saved.title, parsed, output, progress
-        exports = export_motion(*content, problem=saved.problem)
+        motion, title, problem = saved
+        exports = export_motion(motion, title, parsed, output, progress, problem)
     entries = []
     for part in exports:
         verdict, content = part.verdict, asdict(part.verdict)
@@ -380,7 +380,7 @@ def _outlet_of(
         members = (placeholder_fleet(names) if fleet is None else read_fleet(fleet, names)).members
         robots = [member.name for member in members]
         crazyflies = CrazyflieOutlet(names, robots, frame, team_parameters(team))
-        say(pilot_checklist(cables=motion.has_cables))
+        say(pilot_checklist(motion))
         return crazyflies
     own_address = address("--listen", listen)
     addresses = [address("--to", each) for each in targets]

@@ -84,11 +84,18 @@ MAX_REASONS, MAX_POINTS = 8, 40  # Maximum numbers of limits and points of a swe
     option(
         "--estimator",
         "What it knows of its state: the truth but for --noise and --velocity-noise, or what "
-        "a Crazyflie's filter makes of motion capture (100 Hz, 10 ms late, 1 mm) and an IMU, "
+        "a Crazyflie's filter makes of motion capture (100 Hz, 1 mm, --latency) and an IMU, "
         "with the parameters that are exported, or with the firmware's own, for rigid bodies "
         "or for one marker.",
         "ideal",
         choices=("ideal", "crazyflie", "firmware", "one_marker"),
+    ),
+    option(
+        "--latency",
+        "Delay of motion capture and streamed setpoints, with such a filter; by default the "
+        "team's, or 0.01.",
+        float,
+        "SECONDS",
     ),
     option(
         "--upload",

@@ -81,6 +81,26 @@ class Gains(Record):
         return cls() if gains is None else mapping_of(Gains).check("gains", gains)
 
 
+LATENCY = 0.02
+"""[s] Longest delay of motion capture and commands at which the stiffest gains fly."""
+
+LOOP_LAG = 0.04
+"""[s] Lag of attitude loop, motors and filter, as a delay at the position loop's crossover.
+
+In the simulated bench gains scaled by 0.85, 0.7 and 0.5 sway at 33, 51 and 80 ms as the stiffest do
+at 20 ms, which makes it 0.054, 0.052 and 0.04 s."""
+
+
+def latency_scale(latency: float | None) -> float:
+    """Return the factor s of gains for a delay [s]: kp is scaled by s² and kd by s, at most 1.
+
+    These gains scale the crossover frequency of the position loop by s and keep the phase of its PD
+    part there. The phase that delay and lags take, crossover times ``latency + LOOP_LAG``, is that
+    of LATENCY for ``s = (LATENCY + LOOP_LAG) / (latency + LOOP_LAG)``.
+    """
+    return (LATENCY + LOOP_LAG) / (max(latency or 0.0, LATENCY) + LOOP_LAG)
+
+
 class _Stock(NamedTuple):
     """A firmware's default parameters."""
 
@@ -91,7 +111,8 @@ class _Stock(NamedTuple):
     measured_error: float  # [m], tracking error in flight with this stiffness:
     measured_stiffness: float  # [1/s²], horizontal kp over mass
     per_mass: bool = True
-    stiffest: float = math.inf  # [1/s²], largest horizontal kp over mass that flies
+    # [1/s²], [1/s], largest horizontal kp and its kd over mass that fly, at delays up to LATENCY
+    stiffest: Pair = (math.inf, math.inf)
     feed_forward: bool = True
     max_tilt: float = 0.5 * math.pi  # [rad]
     filtered: bool = True  # whether the Crazyflie's filter estimates its state
@@ -102,9 +123,9 @@ PID_LEVEL = 9.81 * math.radians(1.0)  # [m/s²] per degree of tilt: the loop com
 
 STOCK: Mapping[str, _Stock] = {
     "mellinger": _Stock(
-        (0.40, 1.25), (0.2, 0.4), (0.05, 0.05), (2.0, 0.4), 0.22, 0.40 / 0.132, False, 36.0
+        (0.40, 1.25), (0.2, 0.4), (0.05, 0.05), (2.0, 0.4), 0.22, 0.40 / 0.132, False, (36.0, 10.0)
     ),
-    "lee": _Stock((7.0, 7.0), (4.0, 4.0), (0.0, 0.0), UNBOUNDED, 0.35, 7.0, stiffest=14.0),
+    "lee": _Stock((7.0, 7.0), (4.0, 4.0), (0.0, 0.0), UNBOUNDED, 0.35, 7.0, stiffest=(14.0, 6.5)),
     "pid": _Stock(
         (51.0 * PID_LEVEL, 51.0 * PID_LEVEL),  # 2/s times 25° per m/s, and 1° per m
         (25.0 * PID_LEVEL, 25.0 * PID_LEVEL),
@@ -160,11 +181,13 @@ def _px4_loop(gains: Mapping[str, float], mass: float) -> Iterator[Pair]:
     yield p * level_integral, p_upright * upright_integral
 
 
-def stiffest_gains(mass: float) -> dict[str, float]:
-    """Return the stiffest stable gains of Mellinger's controller for a mass [kg]."""
-    stiffest = STOCK["mellinger"].stiffest
-    kp = float(f"{stiffest * mass:.3g}")
-    return {"kp": kp, "kd": float(f"{DAMPING_RATIO * 2.0 * math.sqrt(kp * mass):.3g}"), "ki": 0.0}
+def stiffest_gains(
+    mass: float, latency: float | None = None, name: str = "mellinger"
+) -> dict[str, float]:
+    """Return the stiffest stable gains of a controller for a mass [kg] and a delay [s]."""
+    scale, (kp, kd) = latency_scale(latency), STOCK[name].stiffest
+    gains = {"kp": scale**2 * kp * mass, "kd": scale * kd * mass, "ki": 0.0}
+    return {key: float(f"{gain:.3g}") for key, gain in gains.items()}
 
 
 @dataclass(frozen=True)
@@ -197,12 +220,16 @@ class FlightController(OneLine):
 
     @classmethod
     def of(
-        cls, name: str, mass: float, gains: Gains | Mapping[str, Any] | None = None
+        cls,
+        name: str,
+        mass: float,
+        gains: Gains | Mapping[str, Any] | None = None,
+        latency: float | None = None,
     ) -> FlightController:
         """Return the named controller for a drone's mass [kg]; ``gains`` override its defaults.
 
         Gains of px4 are clipped to PX4_RANGES. Raise InputError for an unknown name, or for gains
-        that are too stiff to fly.
+        that are too stiff to fly at a delay ``latency`` [s]; None is at most LATENCY.
         """
         check_choice("controller", name, CONTROLLERS)
         stock, own = STOCK[name], Gains.of(gains)
@@ -216,10 +243,17 @@ class FlightController(OneLine):
         kp, kd, ki = gain("kp"), gain("kd"), gain("ki")
         if name == "px4":
             kp, kd, ki = _px4_loop(px4_gains(kp, kd, ki, mass), mass)
-        if own.kp is not None and kp[0] > 1.01 * stock.stiffest * mass:
-            limit = f"{stock.stiffest:g}/s² times the mass, {stock.stiffest * mass:.3g} N/m"
-            remedy = f"stiffer loops of {name} oscillate"
-            raise InputError("gains.kp", kp[0], f"at most {limit}, level", remedy)
+        scale = latency_scale(latency)
+        checks = [("kp", kp[0], scale**2 * stock.stiffest[0])] if own.kp or latency else []
+        checks += [("kd", kd[0], scale * stock.stiffest[1])] if scale < 1.0 else []
+        for key, value, most in checks:
+            if value > 1.01 * most * mass:
+                unit = {"kp": ("/s²", "N/m"), "kd": ("/s", "N s/m")}[key]
+                when = f" at a latency of {1e3 * latency:g} ms" if latency else ""
+                bound = f"at most {most:.4g}{unit[0]} times the mass, {most * mass:.3g} {unit[1]}"
+                stiffest = f"{stiffest_gains(mass, latency, name)}".replace("'", "")
+                remedy = f"stiffer loops of {name} oscillate; gains: {stiffest} fly"
+                raise InputError(f"gains.{key}", value, f"{bound}, level{when}", remedy)
         level, upright = ((k * r if k else 0.0) for k, r in zip(ki, stock.ki_range, strict=True))
         ratio = stock.measured_stiffness * mass / kp[0]
         tracking = stock.measured_error * ratio**TRACKING_EXPONENT

@@ -226,6 +226,14 @@ class Quadrotor(OneLine):
         Gains | Mapping[str, Any] | None,
         Key(mapping_of(Gains), "Gains of the controller; null: its defaults"),
     ] = None
+    latency: Annotated[
+        float | None,
+        Key(
+            units.LATENCY,
+            "Delay of motion capture and commands, for which the controller's gains must be low "
+            "enough; null: at most 0.02",
+        ),
+    ] = None
     model: Annotated[
         str | None,
         Key(words(*MODELS), "Drone model, which provides the defaults of the other values"),
@@ -239,12 +247,13 @@ class Quadrotor(OneLine):
                 if getattr(self, each.name) == each.default and each.name in values:
                     object.__setattr__(self, each.name, values[each.name])
             if self.gains is None and self.controller == "mellinger":
-                store(self, gains=stiffest_gains(self.mass))
+                store(self, gains=stiffest_gains(self.mass, self.latency))
         check_lift(self.mass, self.max_thrust, GRAVITY)
         if self.controller is None:
-            if self.gains is not None:
-                bound, remedy = "left out without a controller", "name one, or give stiffness"
-                raise InputError("gains", self.gains, bound, remedy)
+            for name in ("gains", "latency"):
+                if (value := getattr(self, name)) is not None:
+                    bound, remedy = "left out without a controller", "name one, or give stiffness"
+                    raise InputError(name, value, bound, remedy)
             return
         for name in ("stiffness", "integral", "feed_forward"):
             if (value := getattr(self, name)) is not None:
@@ -279,7 +288,7 @@ class Quadrotor(OneLine):
 @lru_cache(maxsize=1024)
 def _loop(kind: Quadrotor) -> FlightController:
     if kind.controller is not None:
-        return FlightController.of(kind.controller, kind.mass, kind.gains)
+        return FlightController.of(kind.controller, kind.mass, kind.gains, kind.latency)
     feed_forward = kind.feed_forward is None or kind.feed_forward
     return FlightController.plain(
         kind.mass, kind.stiffness, integral=bool(kind.integral), feed_forward=feed_forward

@@ -345,8 +345,9 @@ def retuning_changes(problem: Problem) -> Iterator[Change]:
     if all(kind.loop.tracking == MIN_TRACKING for kind in controlled):
         return
     values = [
-        _quadrotor_keys(replace(kind, controller=None, gains=None))
-        | {"controller": "mellinger", "gains": stiffest_gains(kind.mass)}
+        _quadrotor_keys(replace(kind, controller=None, gains=None, latency=None))
+        | {"controller": "mellinger", "gains": stiffest_gains(kind.mass, kind.latency)}
+        | ({} if kind.latency is None else {"latency": kind.latency})
         for kind in kinds
     ]
     are_equal = all(each == values[0] for each in values)

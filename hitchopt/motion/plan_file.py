@@ -404,10 +404,11 @@ def _object(section: dict[str, Any], rim: dict[str, Any] | None, **values: Any) 
 
 
 def _controller(kind: Quadrotor) -> dict[str, Any] | None:
-    """Return a kind's controller and gains as files store them; None if it has none."""
+    """Return a kind's controller, gains and latency as files store them; None if it has none."""
     if kind.controller is None:
         return None
-    return {"controller": kind.controller, "gains": kind.gains and vars(kind.gains)}
+    named = {"controller": kind.controller, "gains": kind.gains and vars(kind.gains)}
+    return named if kind.latency is None else named | {"latency": kind.latency}
 
 
 def _kinds(arrays: Arrays, controllers: Sequence[Any]) -> list[Quadrotor]:

@@ -139,7 +139,7 @@ class Autopilots:
         phase, self._ticks = self._ticks % TICKS, self._ticks + 1
         if phase in (0, ARRIVAL):
             if estimator is not None:
-                estimator.predict(bodies) if phase == 0 else estimator.correct(bodies)
+                estimator.predict(bodies) if phase == 0 else estimator.correct()
             self._set_goals(commands, state, seconds * (ARRIVAL if phase else TICKS - ARRIVAL))
         attitudes = state.attitudes
         thrust, answer = self._attitude_loops(attitudes, rates, commands.rates, seconds)

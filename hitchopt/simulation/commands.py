@@ -14,7 +14,7 @@ from hitchopt.exports.exporting import Export, export_motion
 from hitchopt.exports.formats.crazyflie import CompressedBytes, CrazyflieFormat, Crazyswarm2
 from hitchopt.exports.options import ExportOptions
 from hitchopt.hitch import Quadrotor, Team
-from hitchopt.hitch.flight_controller import Gains
+from hitchopt.hitch.flight_controller import STOCK, Gains, latency_scale
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import HOVER, attitudes
 from hitchopt.simulation.settings import Settings
@@ -24,10 +24,6 @@ from hitchopt.values import Array
 
 # Resolution of a full-state packet [m], [m/s], [m/s²], [rad/s], and its largest 16-bit number
 QUANTUM, MAX_COUNT = 1e-3, 32767
-
-# Stiffest stable gains over the mass, [1/s²] and [1/s], which exports set unless the team names
-# this controller; other controllers have stock gains
-STIFFEST_GAINS = {"mellinger": (36.0, 10.0), "lee": (14.0, 6.5)}
 
 # Controllers that follow body rates: of a packet, and of the jerk of curves
 PACKET_RATES, CURVE_RATES = ("mellinger",), ("mellinger", "lee")
@@ -57,9 +53,10 @@ def _configured(kind: Quadrotor, settings: Settings) -> Quadrotor:
     name, gains = settings.controller or "", settings.gains
     if gains is None and kind.controller == name and settings.stiffness is None:
         return kind
-    if gains is None and name in STIFFEST_GAINS:
-        k, c = STIFFEST_GAINS[name]
-        stiffness = settings.stiffness or kind.stiffness or k * kind.mass
+    k, c = STOCK[name].stiffest
+    if gains is None and math.isfinite(k):  # other controllers have stock gains
+        scale = latency_scale(kind.latency)
+        stiffness = settings.stiffness or kind.stiffness or scale**2 * k * kind.mass
         damping = c * math.sqrt(stiffness * kind.mass / k)
         gains = Gains(kp=stiffness, kd=damping, ki=0.0)
     return Quadrotor(kind.mass, kind.max_thrust, controller=name, gains=gains)

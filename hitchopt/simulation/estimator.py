@@ -20,7 +20,7 @@ from hitchopt.simulation.world import Bodies
 from hitchopt.values import Array
 
 RATE = 100.0  # Rate of filter predictions and of motion capture [Hz]
-DELAY = 1  # Delay of motion capture in frames: 10 ms
+LATENCY = 0.01  # Delay of motion capture [s]
 
 # Standard deviations of captured positions [m] and attitudes [rad], per axis and frame; of the
 # gyroscope [rad/s] and the accelerometer [m/s²], per reading
@@ -49,15 +49,20 @@ def rotation(turn: Array) -> Array:
 class Estimator:
     """Kalman filters and sensors of all drones, initialized with the true states.
 
-    ``variances`` (2n, 9, 9) are of position, velocity and rotation errors [m], [m/s], [rad].
+    Frames arrive ``age`` readings after they are captured. ``variances`` (2n, 9, 9) are of
+    position, velocity and rotation errors [m], [m/s], [rad].
     """
 
     def __init__(
-        self, parameters: EstimatorParameters, bodies: Bodies, random: np.random.Generator
+        self,
+        parameters: EstimatorParameters,
+        bodies: Bodies,
+        random: np.random.Generator,
+        age: int = 5,
     ) -> None:
         self._random, self._last = random, bodies  # state at the last prediction
         self._gyro: list[Array] = []  # readings since then
-        self._frames: deque[tuple[Array, Array]] = deque(maxlen=DELAY + 1)
+        self._passed = deque([bodies], age + 1)  # at the last readings
         self.positions, self.attitudes = bodies.positions, bodies.attitudes
         self._velocities = np.einsum("iba,ib->ia", bodies.attitudes, bodies.velocities)
         self.variances = np.tile(np.diag(INITIAL_ERRORS**2), (len(bodies.positions), 1, 1))
@@ -76,6 +81,7 @@ class Estimator:
 
     def read(self, bodies: Bodies) -> Array:
         """Return gyroscope readings (2n, 3) [rad/s] for true states."""
+        self._passed.append(bodies)
         noise = GYRO_NOISE * self._random.standard_normal(bodies.rates.shape)
         self._gyro.append(bodies.rates + noise)
         return self._gyro[-1]
@@ -107,12 +113,12 @@ class Estimator:
         self._bound()
         self.variances[:, range(9), range(9)] += self._added
 
-    def correct(self, bodies: Bodies) -> None:
-        """Capture the bodies, and correct with the frame that arrives."""
-        noise = self._random.standard_normal((2, *bodies.positions.shape))
-        attitudes = bodies.attitudes @ rotation(ATTITUDE_NOISE * noise[1])
-        self._frames.append((bodies.positions + POSITION_NOISE * noise[0], attitudes))
-        positions, captured_attitudes = self._frames[0]
+    def correct(self) -> None:
+        """Correct with the frame that arrives."""
+        captured = self._passed[0]
+        noise = self._random.standard_normal((2, *captured.positions.shape))
+        positions = captured.positions + POSITION_NOISE * noise[0]
+        captured_attitudes = captured.attitudes @ rotation(ATTITUDE_NOISE * noise[1])
         observed, p = self._observed, self.variances
         residual = positions - self.positions
         if len(observed) > 3:

@@ -17,7 +17,7 @@ from hitchopt.objects import SolidObject
 from hitchopt.simulation import contacts, control, ropes
 from hitchopt.simulation.autopilots import PERIOD, Autopilots
 from hitchopt.simulation.commands import Commands, flown_team, received
-from hitchopt.simulation.estimator import Estimator
+from hitchopt.simulation.estimator import LATENCY, Estimator
 from hitchopt.simulation.settings import Settings
 from hitchopt.simulation.task import RATE, Task
 from hitchopt.simulation.world import (
@@ -202,10 +202,14 @@ class _Run:
             return control.Pilots(world, task.team, settings)
         teams, estimator = [flown_team(part.team, settings) for part in task.parts], None
         pairs = zip(task.parts, teams, strict=True)
+        self._command_delay = 0.0
         self._commands = [received(part, team, settings) for part, team in pairs]
         if settings.estimator is not None:
-            measuring = self._disturbances.sensor_random
-            estimator = Estimator(settings.estimator, self._bodies(0), measuring)
+            stated = [kind.latency or 0.0 for part in task.parts for kind in part.team.quadrotor]
+            latency = max(stated) or LATENCY if settings.latency is None else settings.latency
+            self._command_delay = 0.0 if settings.upload else latency
+            measuring, age = self._disturbances.sensor_random, round(latency / PERIOD)
+            estimator = Estimator(settings.estimator, self._bodies(0), measuring, age)
         loops = [kind.loop for team in teams for kind in team.quadrotor for _ in range(2)]
         max_thrust = task.team.max_thrust
         return Autopilots(loops, world.masses, world.inertia, max_thrust, settings.lag, estimator)
@@ -323,7 +327,7 @@ class _Run:
             if time >= 0.0:
                 pilots.integrate(setpoints.positions - bodies.positions, period)
             return np.zeros_like(added)
-        sample = max(0, math.floor(RATE * time + ROUNDING))
+        sample = max(0, math.floor(RATE * (time - self._command_delay) + ROUNDING))
         parts = [vars(commands[sample]).values() for commands in self._commands]
         commands = Commands(*(np.concatenate(x) for x in zip(*parts, strict=True)))
         positions = commands.positions + (setpoints.positions - plan.positions)

@@ -158,6 +158,8 @@ class Settings(OneLine):
         this controller, for others the stiffest stable ones.
     estimator: state estimator from motion capture and IMU, in place of ``noise`` and
         ``velocity_noise``; needs a controller. None: exact states with these errors.
+    latency: delay of motion capture, and of streamed setpoints, with an estimator [s]; None: that
+        of the team's drones, or 0.01.
     upload: whether drones fly exported files, which hold the tension by offsets, instead of
         streamed setpoints.
     """
@@ -175,6 +177,7 @@ class Settings(OneLine):
     gains: Gains | Mapping[str, Any] | None = None
     estimator: EstimatorParameters | None = None
     upload: bool = False
+    latency: float | None = None
 
     def __post_init__(self) -> None:
         if self.controller is not None:
@@ -184,6 +187,9 @@ class Settings(OneLine):
                 if value := getattr(self, name):
                     remedy = f"name one of {', '.join(CONTROLLERS)}"
                     raise InputError(name, value, "left out without a controller", remedy)
+        if self.latency is not None and self.estimator is None:
+            bound, remedy = "left out without an estimator", "add --estimator crazyflie"
+            raise InputError("latency", self.latency, bound, remedy)
         if self.gains is not None:
             object.__setattr__(self, "gains", Gains.of(self.gains))
         if self.upload and self.feedback:
@@ -191,7 +197,7 @@ class Settings(OneLine):
             raise InputError("feedback", True, bound, "uploaded files cannot be corrected")
         if isinstance(self.seed, bool) or self.seed < 0:
             raise InputError("seed", self.seed, "a whole number, at least 0", "0 will do")
-        _check(self, nonnegative, "friction")
+        _check(self, nonnegative, "friction", "latency")
         _check(self, positive, "density", "stiffness")
 
     @property

@@ -116,6 +116,7 @@ WALL = quantity("m", (-2e3, 2e3), (-MAX_WALL, MAX_WALL), LENGTHS)
 COORDINATE = quantity("m", UNBOUNDED, (-HUGE, HUGE))
 DURATION = quantity("s", (1e-3, 1e5), (TINY, 1e9), (("milliseconds", 1e-3),))
 START_TIME = quantity("s", (0.0, 1e5), (0.0, 1e9), (("milliseconds", 1e-3),))
+LATENCY = quantity("s", (1e-3, 1.0), (0.0, 10.0), (("milliseconds", 1e-3),))
 SHARE = quantity("", UNBOUNDED, (TINY, 1.0))
 RIGHT_ANGLE = 0.5 * math.pi
 TILT = quantity(

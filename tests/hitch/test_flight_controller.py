@@ -12,7 +12,12 @@ from hypothesis import strategies as st
 
 import hitchopt as ho
 from hitchopt.errors import InputError
-from hitchopt.hitch.flight_controller import CONTROLLERS, FlightController
+from hitchopt.hitch.flight_controller import (
+    CONTROLLERS,
+    FlightController,
+    Gains,
+    stiffest_gains,
+)
 
 RETUNED = {"kp": 4.75, "kd": 1.32, "ki": 0}
 
@@ -85,11 +90,36 @@ def test_gains_reach_their_drones_and_axes() -> None:
     assert ho.Team(3, 2.4).tracking is None
 
 
+@given(st.sampled_from(["mellinger", "lee"]), st.floats(0.03, 0.5), st.floats(0.021, 0.2))
+def test_gains_for_a_delay_are_accepted_and_stiffer_ones_refused(
+    name: str, mass: float, latency: float
+) -> None:
+    gains = stiffest_gains(mass, latency, name)
+    found = ho.Quadrotor(mass, 20.0 * mass, controller=name, gains=gains, latency=latency).loop
+    scale = 0.06 / (latency + 0.04)
+    usual = stiffest_gains(mass, None, name)
+    assert found.kp[0] == pytest.approx(scale**2 * usual["kp"], rel=0.01)
+    assert found.kd[0] == pytest.approx(scale * usual["kd"], rel=0.01)
+    for key in ("kp", "kd"):
+        stiffer = {**gains, key: 1.03 * gains[key]}
+        ho.Quadrotor(mass, 20.0 * mass, controller=name, gains={**usual, key: 0.9 * usual[key]})
+        with pytest.raises(InputError, match=rf"gains.{key} = .* latency of .*; gains: {{kp: "):
+            ho.Quadrotor(mass, 20.0 * mass, controller=name, gains=stiffer, latency=latency)
+
+
+def test_models_of_drones_have_gains_for_the_stated_delay() -> None:
+    kind = ho.Quadrotor(model="crazyflie_2.1_brushless", latency=0.04)
+    assert kind.gains == Gains.of(stiffest_gains(kind.mass, 0.04))
+    assert kind.loop.kp[0] == pytest.approx(0.5625 * 36.0 * kind.mass, rel=0.005)
+
+
 @pytest.mark.parametrize(
     ("given", "words"),
     [
         ({"controller": "melinger"}, "controller = 'melinger': must be one of mellinger, lee"),
         ({"gains": {"kp": 1.0}}, "gains = .*: must be left out without a controller"),
+        ({"latency": 0.03}, "latency = 0.03: must be left out without a controller"),
+        ({"controller": "lee", "latency": 0.08}, "gains.kp = .*at a latency of 80 ms"),
         ({"controller": "lee", "stiffness": 2.0}, "stiffness = 2.0: .* with controller lee"),
         ({"controller": "lee", "integral": False}, "integral = False: .* with controller lee"),
         ({"controller": "pid", "feed_forward": True}, "feed_forward = True: .* controller pid"),

@@ -23,11 +23,11 @@ import hitchopt as ho
 from hitchopt.errors import InputError
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.estimator import FIRMWARE, HELD, ONE_MARKER, EstimatorParameters
-from hitchopt.hitch.flight_controller import CONTROLLERS, FlightController
+from hitchopt.hitch.flight_controller import CONTROLLERS, FlightController, stiffest_gains
 from hitchopt.simulation import estimator as estimators
 from hitchopt.simulation.autopilots import PERIOD, Autopilots
 from hitchopt.simulation.commands import Commands, flown_team, received
-from hitchopt.simulation.estimator import Estimator, rotation
+from hitchopt.simulation.estimator import LATENCY, Estimator, rotation
 from hitchopt.simulation.settings import Settings, settings_of
 from hitchopt.simulation.task import Task
 from hitchopt.simulation.world import BODY_RADIUS, RADII_OF_GYRATION, Bodies
@@ -55,6 +55,7 @@ def flown(
     fed: ArrayLike = 0.0,
     mass: float = MASS,
     start: ArrayLike = 0.0,
+    latency: float = LATENCY,
 ) -> tuple[Array, Array, Array, Estimator | None]:
     """Return positions (steps, d, 3) [m] of drones to be at the origin, tilts [°], and filters.
 
@@ -65,7 +66,7 @@ def flown(
     inertia, none = inertia_of(masses), np.zeros((len(loops), 3))
     now = replace(bodies_at_rest(len(loops)), positions=none + np.array(start, dtype=np.float64))
     random = np.random.default_rng(3)
-    estimator = None if known is None else Estimator(known, now, random)
+    estimator = None if known is None else Estimator(known, now, random, round(latency / PERIOD))
     pilots = Autopilots(loops, masses, inertia, 20.0 * masses, estimator=estimator)
     rows = []
 
@@ -193,6 +194,33 @@ def test_px4_tilts_by_45_degrees_and_lifts_first() -> None:
     assert np.max(np.abs(places[:, 0, 2])) < 0.3
 
 
+@pytest.mark.parametrize(
+    ("name", "latency"),
+    [
+        ("mellinger", 0.03),
+        *(
+            pytest.param(name, x, marks=pytest.mark.slow)
+            for name in ("mellinger", "lee")
+            for x in (0.03, 0.05, 0.08)
+            if (name, x) != ("mellinger", 0.03)
+        ),
+    ],
+)
+def test_gains_scaled_for_a_delay_are_as_steady_as_the_stiffest_at_20_ms(
+    name: str, latency: float
+) -> None:
+    """The stiffest themselves swing by 15° and more at 30 ms."""
+    swings = []
+    for gains, delay in ((None, 0.02), (latency, latency), (None, latency)):
+        loop = FlightController.of(name, MASS, stiffest_gains(MASS, gains, name))
+        pulls, fed = [[PULL, 0.0, 0.0]], [[loop.pull_gain[0]]]
+        _, tilts, *_ = flown([loop], pulls, 6.0, known=HELD, fed=fed, latency=delay)
+        swings.append(float(np.ptp(tilts[-1000:])))
+    usual, scaled, stiffest = swings
+    assert scaled < 1.3 * usual + 0.2
+    assert stiffest > 3.0 * usual
+
+
 @pytest.mark.slow
 def test_the_stiffest_gains_fly_and_stiffer_ones_are_lost() -> None:
     def swaying(name: str, stiffness: float, damping: float) -> float:
@@ -301,7 +329,7 @@ def test_without_noise_the_filter_is_exact_for_a_free_drone(
             if i % 5 == 0:
                 each.predict(now)
             elif i % 5 == 2:
-                each.correct(now)
+                each.correct()
         t = PERIOD * i
         rates = np.array([[0.8 * np.cos(3.0 * t), 0.5 * np.sin(2.0 * t), 0.1]])
         turned = now.attitudes @ rotation(PERIOD * rates)

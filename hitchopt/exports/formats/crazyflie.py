@@ -52,6 +52,7 @@ from hitchopt.exports.recording import (
 )
 from hitchopt.exports.refit import Kind, Scale, best_breaks, fit_breaks, fit_pieces, round_points
 from hitchopt.hitch import Team
+from hitchopt.hitch.flight_controller import LATENCY
 from hitchopt.motion.motion import JOINT, Motion
 from hitchopt.motion.retiming import cut, rest_breaks
 from hitchopt.storage.archive import reading
@@ -290,10 +291,12 @@ def settings_text(task: Task, first: Array) -> str:
     )
 
 
-def pilot_checklist(*, cables: bool) -> str:
+def pilot_checklist(motion: Motion) -> str:
     """Return the pilot's checklist before arming."""
     texts = json.loads(_template("crazyswarm2.json"))
-    return "\n".join(texts["look"] + (texts["look_at_cables"] if cables else []))
+    look = texts["look"] + (texts["look_at_cables"] if motion.has_cables else [])
+    latency = max(kind.latency or LATENCY for kind in motion.team.quadrotor)
+    return "\n".join(look).format(latency=1e3 * max(latency, LATENCY))
 
 
 def start_files(task: Task, first: Array, last: Array, duration: float) -> dict[str, str]:
@@ -306,7 +309,7 @@ def start_files(task: Task, first: Array, last: Array, duration: float) -> dict[
     places = {n: [round(x, 6) for x in p] for n, p in zip(task.names, first.tolist(), strict=True)}
     place = f"This is {task.part}.\n" if task.part else ""
     hint = " (its radio addresses are placeholders: name yours in a fleet file when exporting)"
-    look = pilot_checklist(cables=task.motion.has_cables)
+    look = pilot_checklist(task.motion)
     slack = _slack_points(task)
     common = {"frame": task.frame.name, "duration": duration, "look": look}
     return {
