@@ -48,6 +48,7 @@ TOLERANCE, RESOLUTION = 1e-9, 1e-3  # of limits, and of worst values, relative t
 REST_TOL, POS_TOL, CONTACT_TOL, WRAP_TOL = 1e-9, 1e-6, 1e-4, 2e-5  # [m] of the file format
 MIN_GAP = 1e-4  # [m] smallest distance of cables that cannot pass through each other
 OPEN_ROLL = 175.0  # [deg] smallest roll of an open clasp: at 180° cables run straight
+PAST_ROLL = 0.286  # [deg] largest roll past 180°, where cables pull by 5e-3 of their tension
 MIN_TENSION = 1e-3  # [N] smallest divisor of forces
 STEEP = 1e9  # [1/m] slope of distances to bodies above a drone, which its downwash does not meet
 EXACT_RANGE, LINKS = 0.5, 96  # of hanging cables: range of exact distances [m], links
@@ -1281,6 +1282,24 @@ def roll_angle(s: Spans, c: Index) -> Line:
     return (angle(*components) * DEGREES).where(has_tension(s, k, j))
 
 
+def past_roll(s: Spans, c: Index, sense: Array) -> Line:
+    """Return 0 where pairs certainly do not roll past lying across; otherwise negative values.
+
+    From lying across, at -180° times its sense, a pair rolls to its clasp, and may pass it by a
+    right angle. While weight is passed, pairs lie within 5° of lying across on either side.
+    """
+    k, j, lies = s.plan.clasps[c], s.plan.behind[c], s.plan.state[s.piece] == LYING
+    q, r = (s.leg_chord(i).unit() * s.pull(i) for i in (2 * k, 2 * j + 1))
+    axis, bisector = (q + r).unit(), s.edge(k)[0].unit() + s.edge(j)[1].unit()
+    sine = axis.cross(bisector).dot(q - r) * sense[s.piece, c, None]
+    cosine = axis.dot(bisector) * axis.dot(q - r) - bisector.dot(q - r)
+    slack = cosine * np.tan(np.where(lies, 180.0 - OPEN_ROLL, PAST_ROLL) / DEGREES)[:, None]
+    side = sine + slack
+    side = side.where(~lies) + minimum(side, slack - sine).where(lies)
+    x = maximum(side, -cosine).where(has_tension(s, k, j))
+    return Line(np.minimum(x.v, 0.0), s.zero.g, np.where(x.low >= 0.0, 0.0, BIG), s.t)
+
+
 def has_tension(s: Spans, *cables: Index) -> Mask:
     """Return a mask (m,) of cables under tension, which excludes the ends of ramps."""
     weakest = minimum(*(s.plan.tensions.on(s, k) for k in cables))
@@ -1479,7 +1498,8 @@ def replay(
     ``links`` (2, c), updated from start to end, are senses of links and height orders, 1 if a cable
     lies on the one behind. ``around`` has the states before and after.
     Returns faults and, on pieces with vertical motion, the sign (m, c) of the upper cable, and the
-    smallest height of its q over the other one's, times that sign.
+    smallest height of its q over the other one's, times that sign; on pieces that roll, the sign is
+    that of the sense.
     """
     m, count, faults = len(p.h), len(p.clasps), list[Fault]()
     sign, least, (sense, order) = np.zeros((m, count)), np.full((m, count), -BIG), links
@@ -1520,11 +1540,11 @@ def replay(
         elif state == ROLLING:
             start, change, valid = roll_changes(p, run)
             opened = np.abs(start) >= OPEN_ROLL
-            order = np.where(opened, np.sign(change), 0.0) if not before else order
+            check(q, (not before) & opened, "a clasp is open at the start")
             valid &= (opened == (order != 0.0)) & (opened | linked)
             check(q, ~valid, "unlinked cables roll")
             half_crossings[i, j, run[-1] + 1] += np.where(linked, 0.0, order)
-            sense = np.where(order != 0.0, order, sense)
+            sign[run] = sense = np.where(order != 0.0, order, sense)
             roll = start + 180.0 * sense  # relative to lying across
             roll = np.where(opened, (roll + 180.0) % 360.0 - 180.0, roll) + change
             across = np.abs(roll) <= 180.0 - OPEN_ROLL
@@ -1992,7 +2012,11 @@ def link_faults(p: Plan, links: Array, loose: Mask, around: Sequence[str]) -> It
     i, j, own = np.minimum(*p.pair), np.maximum(*p.pair), links[:, *p.robots[p.pair]]
     half_crossings[i, j, 0] = own[0]
     if np.any(laid):
-        yield from replay(p, half_crossings, own[1:], around)[0]
+        faults, sense, _ = replay(p, half_crossings, own[1:], around)
+        s = p.spans(np.isin(p.state, (ROLLING, LYING)), range(len(p.clasps)), p.labels[p.V])
+        row = prove("roll 1 min", 0.0, s, partial(past_roll, sense=sense))
+        past = row.verdict != "proven", f"the pair at {row.where} rolls past lying across"
+        yield from (*faults, (row.time, *past))
     count = np.cumsum(half_crossings, axis=-1)
     own[0] = count[i, j, -1]
     links[:, *p.robots[p.pair]] = own

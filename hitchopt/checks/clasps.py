@@ -15,6 +15,7 @@ from itertools import permutations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hitchopt.checks.cables import friction_excess, slip
 from hitchopt.checks.certificate import with_tolerance
@@ -45,6 +46,11 @@ BALANCE_LIMIT = 5e-3  # Relative to the tension: vertices are then within millim
 MIN_ANGLE = -180.0  # [deg] Smallest angle, also of edges without direction
 ANGLE_ROUNDING = 1e-6  # [deg] Rounding of the sum of all angles
 OPEN_ROLL = 175.0  # [deg] Smallest roll of open clasps: at 180° both cables are straight
+MAX_PAST_ROLL = math.degrees(2.0 * math.asin(0.5 * BALANCE_LIMIT))
+"""[deg] Largest roll past lying across: cables would have to pull on each other there by
+BALANCE_LIMIT of their tension, as much as forces may be out of balance."""
+
+MAX_HALVINGS = 12  # of pieces on which rolls are not yet bounded
 OPEN_STATES = frozenset({CableState.ROLLING, CableState.LYING})
 LYING = frozenset({CableState.LYING})
 ROUGH_ORDER = 3  # degree of factors that detect open clasps, which are far from closed ones
@@ -300,6 +306,35 @@ def roll_changes(motion: Motion) -> tuple[Array, Array]:
         at_start = spans.piece == 0
         first[spans.item[at_start]] = rolls[0][at_start]
     return first, total
+
+
+def roll_past(motion: Motion, senses: Array, tolerance: float) -> NDArray[np.bool_]:
+    """Return which pairs may roll past lying across (clasps,), by more than a tolerance [deg].
+
+    A pair of the sense s, 1 or -1, rolls between its clasp, at 0, and lying across, at ``-180° s``:
+    beyond, its cables would have to pull on each other. Rolls are continuous, so it suffices that
+    each is always on the side of its sense, or within a right angle of the clasp.
+    """
+    past = np.zeros(len(senses), dtype=np.bool_)
+    for whole in Clasps.of(motion):
+        spans = whole
+        for _ in range(MAX_HALVINGS):
+            spans = spans.take(_past(spans, senses, tolerance) > 0.0)
+            if not len(spans):
+                break
+            middle = spans.at(np.full(len(spans), 0.5))
+            past[spans.item[_past(middle, senses, tolerance) > 0.0]] = True
+            spans = spans.take(~past[spans.item]).halves()
+        past[spans.item] = True
+    return past
+
+
+def _past(spans: Clasps, senses: Array, tolerance: float) -> Array:
+    """Return bounds (spans,), positive where pairs may roll past lying across."""
+    (cosine, sine, whole), angle = spans.turn, math.radians(tolerance)
+    turned = sine * whole.norm * (math.cos(angle) * senses[spans.item, None])
+    beyond = turned + cosine * math.sin(angle)
+    return np.minimum(beyond.upper.value, -cosine.lower.value)
 
 
 class Corner(NamedTuple):

@@ -29,7 +29,14 @@ from itertools import groupby
 import numpy as np
 
 from hitchopt.checks.cables import LENGTH_LIMIT, TENSION_LIMIT
-from hitchopt.checks.clasps import OPEN_ROLL, OPEN_STATES, roll_changes
+from hitchopt.checks.clasps import (
+    LYING,
+    MAX_PAST_ROLL,
+    OPEN_ROLL,
+    OPEN_STATES,
+    roll_changes,
+    roll_past,
+)
 from hitchopt.checks.clearance import above_ground, cables_and_drones, chains
 from hitchopt.checks.distances import (
     CROSSING,
@@ -336,11 +343,15 @@ def _errors(
             slice(first.pieces.start, last.pieces.stop), [p.phase for p in parts]
         )
         if state in LAID_STATES:
-            update = ties.lay if state is CableState.LAYING else ties.roll
-            wrong = update(span, neighbour_states[i], neighbour_states[i + 2])
+            around = neighbour_states[i], neighbour_states[i + 2]
+            is_laid = state is CableState.LAYING
+            wrong = ties.lay(span, *around) if is_laid else ties.roll(span, around[1])
             yield last.phase, clasped[wrong], ends[-1]
             for part in parts:
-                yield part.phase, _contradictions(part.motion), float(part.motion.drones.breaks[0])
+                start = float(part.motion.drones.breaks[0])
+                yield part.phase, _contradictions(part.motion), start
+                if part.phase.state in OPEN_STATES:
+                    yield part.phase, clasped[ties.past(part.motion)], start
             continue
         crossings = chord_crossings(span.drones)
         pairs = pair_of(layout, crossings.first, crossings.second)
@@ -423,17 +434,15 @@ class Ties:
         self.numbers[:], self.lying[:] = 0, signs
         return wrong
 
-    def roll(self, motion: Motion, before: CableState | None, after: CableState | None) -> Flags:
+    def roll(self, motion: Motion, after: CableState | None) -> Flags:
         """Update the ties while cables roll, and return invalid pairs (clasps,).
 
-        Pairs roll by half a turn, in the sense in which they lie. Pairs that are open at the start
-        of a plan are assumed to lie as they roll.
+        Pairs roll by half a turn, in the sense in which they lie. At the start of a plan, no pair
+        is open: its curves do not show which cable lies on the other.
         """
         start, change = (each[self.order] for each in roll_changes(motion))
         crossed, wrong = np.abs(start) >= OPEN_ROLL, np.isnan(change)
         change = np.nan_to_num(change)
-        if before is None:
-            self.lying[:] = np.where(crossed, np.sign(change), 0)
         wrong |= (crossed != (self.lying != 0)) | (~crossed & (np.abs(self.numbers) != 1))
         self.senses[:] = np.where(crossed, self.lying, self.senses)
         open_roll = -180.0 * self.senses  # roll of a pair that lies across
@@ -444,6 +453,19 @@ class Ties:
         self.numbers[:] = np.where(crossed, self.senses, self.numbers)
         self.lying[:] = np.where(ends_crossed, self.senses, 0)
         return wrong
+
+    def past(self, motion: Motion) -> Flags:
+        """Return pairs that roll past lying across on a motion of one state (clasps,).
+
+        While cables pass weight to each other, no pair rolls, and the weight presses on pairs that
+        lie across by more than these would have to pull.
+        """
+        senses = np.empty(len(self.order))
+        senses[self.order] = self.senses
+        if motion.cable_states <= LYING:
+            sides = (roll_past(motion, x, 180.0 - OPEN_ROLL) for x in (senses, -senses))
+            return np.any([*sides], axis=0)[self.order]
+        return roll_past(motion, senses, MAX_PAST_ROLL)[self.order]
 
 
 def height_gaps(motion: Motion) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -182,6 +183,58 @@ def test_untied_pairs_do_not_roll_and_tied_ones_are_not_laid(tmp_path: Path) -> 
     assert "linked cables are laid" in second_opinion([hitched, aside], tmp_path)
     shut = [hitched, resting(roll, ROLLING)]
     assert "no pair rolls or lies across" in second_opinion(shut, tmp_path)
+
+
+def past(n: int, pair: int, degrees: float, when: str) -> list[Motion]:
+    """Return a ring with a pair that opens, rolls past lying across by an angle, and closes."""
+    laying, stages = laying_of(n), stages_of(n)
+    shut, open_ = laying.path.end, laying.path.end.copy()
+    open_[pair] = laying.path.start[pair]
+    beyond = open_.copy()
+    beyond[pair] += np.radians(degrees) * np.sign(open_[pair])
+    turns = {
+        "open": [shut, beyond, open_, shut],
+        "hold": [shut, open_, beyond, open_, shut],
+        "close": [shut, open_, beyond, shut],
+    }[when]
+    rolls = [rolled(laying, start, end) for start, end in pairwise(turns)]
+    return [*stages, *rolls, resting(rolls[-1], CableState.HITCHED)]
+
+
+@pytest.mark.parametrize(
+    ("n", "pair", "degrees", "when"),
+    [
+        (3, 0, 60.0, "hold"),
+        (3, 1, 5.0, "open"),
+        (3, 2, 0.5, "close"),
+        pytest.param(6, 4, 20.0, "hold", marks=pytest.mark.slow),
+    ],
+)
+def test_pairs_that_lie_across_do_not_roll_on(
+    n: int, pair: int, degrees: float, when: str, tmp_path: Path
+) -> None:
+    """Their cables would pull on each other; every other check holds, at all times."""
+    motions = past(n, pair, degrees, when)
+    assert {check.name for check in certify(joined_motions(motions)).violated} == {"interlacing"}
+    assert wrong(motions) == {f"p{pair}"}
+    opinion = second_opinion(motions, tmp_path)
+    assert f"p{pair} rolls past lying across" in opinion
+    assert opinion.count("Row(") == 1
+
+
+def test_a_roll_past_lying_across_by_less_than_balance_allows_holds(tmp_path: Path) -> None:
+    motions = past(3, 1, 0.25, "hold")
+    assert not wrong(motions)
+    assert not second_opinion(motions, tmp_path)
+
+
+def test_no_pair_is_open_at_the_start(tmp_path: Path) -> None:
+    """Curves do not show which of the cables lies on the other."""
+    laying = laying_of(3)
+    for roll in (laying.path.start, laying.path.start * [0.0, 1.0, 0.0]):
+        shut = rolled(laying, roll, laying.path.end)
+        assert wrong([shut]) == {f"p{k}" for k in np.flatnonzero(roll)}
+        assert "open at the start" in second_opinion([shut], tmp_path)
 
 
 def test_an_open_clasp_is_refused_where_pairs_do_not_roll() -> None:

@@ -268,6 +268,16 @@ def until(name: str) -> Change:
     return change
 
 
+def past(name: str, drones: tuple[int, int], by: float) -> Change:
+    """Let a pair roll on from lying across, and back, within a piece of a phase: q up, r down."""
+
+    def edit(motion: Motion, c: NDArray[np.float64]) -> None:
+        on = pieces(motion, name)
+        c[on[len(on) // 2], [*drones], 2, 2:-2] += [[by], [-by]]
+
+    return edited("drones", edit)
+
+
 def upended(motion: Motion, c: NDArray[np.float64]) -> None:
     """Let the q-leg of cable 1 stand upright as weight passes."""
     on = pieces(motion, "pass weight")
@@ -390,6 +400,7 @@ LIES: dict[str, tuple[Change, str, str]] = {
     "it is tied as it lies": (called("pass weight", state=ROLLING), "interlacing", "interlacing"),
     "it stays on top without joining": (until("lower"), "interlacing", "crossing"),
     "it lies there as the plan begins": (since("pass weight"), "interlacing", "interlacing|consistency"),
+    "a pair is open as the plan begins": (since("unroll", 3), "interlacing", "interlacing"),
     "it lies on top as the plan begins": (since("raise", 3), "interlacing", "crossing"),
     "it passes weight as the plan ends": (until("pass weight"), "interlacing", "interlacing"),
     # Who lies on whom.
@@ -409,6 +420,10 @@ LIES: dict[str, tuple[Change, str, str]] = {
     "the leg below lies on top": (moved(("pass weight", "roll"), slice(0, 1), 0.15), "interlacing", "interlacing"),
     "a leg passes through the other one": (edited("drones", dipped), "interlacing", "laid"),
     "pairs roll in the other sense": (edited("drones", rolled_over), "interlacing", "interlacing"),
+    "a pair rolls past lying across as others climb": (past("climb", (0, 5), -0.01), "interlacing", "interlacing"),
+    "a pair rolls past lying across as the other one rolls": (past("roll", (0, 7), -0.02), "interlacing", "interlacing"),
+    "a pair rolls past lying across as weight passes": (past("pass weight", (0, 7), -0.1), "interlacing", "interlacing"),
+    "a pair rolls as weight passes back": (past("pass weight back", (0, 7), 0.1), "interlacing", "interlacing"),
     "the wrong leg rolls first": (other_leg_first, "interlacing", "interlacing"),
     # Passing weight.
     "it passes weight as it holds": (called("hold", state=LYING), "interlacing", "interlacing|consistency"),
@@ -445,7 +460,6 @@ TRUTHS: dict[str, Change] = {
     "phases have other names": told(lambda p: replace(p, name="fly")),
     "the ring begins at another robot": turned,
     "others were to form it at first": at_first({"ring": (3, 0, 1), "waiting": ((2, GROUND),)}),
-    "the plan begins as it unrolls": since("unroll", 3),
 }
 """What is told otherwise, and is none."""
 
