@@ -25,6 +25,7 @@ import json
 import math
 import re
 import sys
+import unicodedata
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from itertools import chain, combinations, groupby, pairwise, product, repeat
@@ -2241,8 +2242,7 @@ def read(path: Path) -> tuple[list[Plan], list[Plan]]:
     try:
         with np.load(path, allow_pickle=False) as file:
             form, s = str(file["format"]), json.loads(str(file["settings"]))
-            if len({*file}) < len([*file]):
-                raise ValueError("an array occurs twice")
+            check_members([x.orig_filename for x in file.zip.infolist()])
             if form == "hitchopt-plan/1":
                 return [Plan(file, s)], []
             if form != "hitchopt-plan/2":
@@ -2251,6 +2251,18 @@ def read(path: Path) -> tuple[list[Plan], list[Plan]]:
     except Exception as error:  # malformed files raise many kinds
         words = " ".join(f"{type(error).__name__}: {error}".split())
         raise UnreadableError(words[:300]) from error
+
+
+def check_members(names: Sequence[str]) -> None:
+    """Raise ValueError for names that some reader changes, or takes for one another."""
+    words, seen = r"\w[\w.-]*(?<!\.)/", set[str]()
+    for name in names:
+        key = unicodedata.normalize("NFKC", unicodedata.normalize("NFKC", name).casefold())
+        if not re.fullmatch(rf"({words})*\w+\.npy", name):
+            raise ValueError(f"{name!r:.60} is not the name of an array")
+        if key in seen:
+            raise ValueError(f"an array occurs twice, or is easily taken for {name!r:.60}")
+        seen.add(key)
 
 
 def plans_of_groups(file: Any, s: dict[str, Any]) -> tuple[list[Plan], list[Plan]]:

@@ -464,7 +464,7 @@ class Ties:
         senses[self.order] = self.senses
         if motion.cable_states <= LYING:
             sides = (roll_past(motion, x, 180.0 - OPEN_ROLL) for x in (senses, -senses))
-            return np.any([*sides], axis=0)[self.order]
+            return np.asarray(np.any([*sides], axis=0)[self.order])
         return roll_past(motion, senses, MAX_PAST_ROLL)[self.order]
 
 

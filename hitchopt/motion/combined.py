@@ -23,6 +23,7 @@ from hitchopt.motion.motion import JOINT, CableState, Group, Motion, Phase
 from hitchopt.motion.retiming import on_breaks_of, padded
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import REST_DRIFT
+from hitchopt.storage.archive import folded
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import merged_breaks
 
@@ -99,8 +100,9 @@ def combined(groups: Sequence[Group], others: Sequence[Group] = ()) -> Motion:
     for index, name in enumerate(names):
         words = name.split(".", 1) if index >= len(groups) else [name]
         unnamed = name == "" and len(groups) == 1 and index == 0
-        if not (unnamed or all(map(NAME.fullmatch, words))) or name in ("others", *names[:index]):
-            bound = "a name of its own, of letters, digits, - and _"
+        taken = map(folded, ("others", *names[:index]))
+        if not (unnamed or all(map(NAME.fullmatch, words))) or folded(name) in taken:
+            bound = "a name of its own, also without regard to case, of letters, digits, - and _"
             raise InputError("teams", name, bound, "rename it")
     for each in (*(groups if len(groups) > 1 else ()), *others):
         each.motion.require_one_team("a plan of several teams", others=False)

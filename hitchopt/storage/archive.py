@@ -9,7 +9,9 @@ from __future__ import annotations
 import contextlib
 import io
 import math
+import re
 import struct
+import unicodedata
 import warnings
 import zipfile
 import zlib
@@ -36,6 +38,9 @@ MAX_TOTAL_SIZE = 500_000_000  # Limit of the total size of the members that are 
 
 MAX_HEADER = 10_000  # Size limit of an array's header [B]
 
+ARRAY_NAME = re.compile(r"(?:\w(?:[\w.-]*[\w-])?/)*\w+\.npy")
+"""Names of an npz file's members: every reader and every file system takes them literally."""
+
 COMPRESSION_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 """Supported compression methods: those that numpy and Skybrush shows use."""
 
@@ -49,17 +54,43 @@ READ_ERRORS = (
 def read_arrays(path: Path, names: Sequence[str]) -> dict[str, NDArray[Any]]:
     """Return the named arrays of an npz file, read-only; others in it are ignored.
 
-    Raises FileError if an array is missing, duplicated, too large or contains objects, and others
-    of READ_ERRORS if the file is damaged or no npz file.
+    Raises FileError if an array is missing, duplicated, too large or contains objects, if other
+    readers may take a member for another one, and others of READ_ERRORS if the file is damaged or
+    no npz file.
     """
     with path.open("rb") as file, zipfile.ZipFile(file) as archive:
         listed = archive.namelist()
+        _check_names([info.orig_filename for info in archive.infolist()])
         for name in names:
             if (count := listed.count(f"{name}.npy")) != 1:
                 raise FileError(f"array {name!r} is in it {count} times, not once")
         members = {name: archive.getinfo(f"{name}.npy") for name in names}
         check_expansion(sum(info.file_size for info in members.values()), path.stat().st_size)
         return {name: _array(name, _read(archive, info)) for name, info in members.items()}
+
+
+def _check_names(names: Sequence[str]) -> None:
+    """Raise FileError for members that readers may ignore, rename, or take for one another.
+
+    Numpy drops the ending ``.npy``; other readers ignore case, or normalise Unicode and folders.
+    """
+    seen = dict[str, str]()
+    for name in names:
+        if not ARRAY_NAME.fullmatch(name):
+            raise FileError(
+                f"its member {name!r:.99} has no name of an array, such as 'a/drones.npy'"
+            )
+        key = folded(name)
+        if key in seen:
+            raise FileError(
+                f"readers may take its members {seen[key]!r} and {name!r} for one another"
+            )
+        seen[key] = name
+
+
+def folded(name: str) -> str:
+    """Return a name as readers compare it that ignore case and normalise Unicode."""
+    return unicodedata.normalize("NFKC", unicodedata.normalize("NFKC", name).casefold())
 
 
 @contextlib.contextmanager
