@@ -77,14 +77,10 @@ def _check_names(names: Sequence[str]) -> None:
     seen = dict[str, str]()
     for name in names:
         if not ARRAY_NAME.fullmatch(name):
-            raise FileError(
-                f"its member {name!r:.99} has no name of an array, such as 'a/drones.npy'"
-            )
+            raise FileError(f"its member {name!r:.99} is no array's name, such as 'a/drones.npy'")
         key = folded(name)
         if key in seen:
-            raise FileError(
-                f"readers may take its members {seen[key]!r} and {name!r} for one another"
-            )
+            raise FileError(f"readers may confuse its members {seen[key]!r:.99} and {name!r:.99}")
         seen[key] = name
 
 

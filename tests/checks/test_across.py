@@ -230,8 +230,16 @@ def test_an_object_counts_where_it_rests_after_it_was_moved(*, moved_first: bool
     both[1] = both[1].replaced(poses=there)
     if moved_first:
         both.reverse()
-    check = across(*both)["keep_out"]
+    certificate = across(*both)
+    check = certificate["keep_out"]
     assert check.bound == pytest.approx(0.3 - 0.1, abs=1e-4)  # of radius 0.1, passed 0.3 m away
+    # The drone is off toward the object, which is off as far as vertices that carry it.
+    slack = check.bound - SEPARATION.radius
+    whole = combined([Group("a", both[0]), Group("b", both[1])])
+    for gamma in (0.5, 1.0, 3.0):
+        radius = certify(whole, gamma=gamma)["tracking_radius"]
+        assert radius.worst == pytest.approx(slack / (1.0 + max(1.0, gamma)), rel=1e-6)
+        assert radius.where == check.where
     assert {name[2:] for name in check.where} == {"d0", "post"} or "post" in check.where
 
 

@@ -30,6 +30,8 @@ REFUSED = {
     "through_edge": (3, "cable_clearance"),
     "through_edge_fast": (3, "cable_clearance"),
     "over_tray": (3, "downwash"),
+    "past_open": (3, "interlacing"),
+    "twice": (2, "'a/drones'"),
 }
 """Plans that an earlier version certified, and the exit code and the reason of their refusal."""
 FIGURES = Path(__file__).with_name("stored_plans.json")

@@ -255,6 +255,58 @@ def test_what_is_twice_in_a_file_is_refused(tmp_path: Path) -> None:
         second.read(path)
 
 
+MEMBERS = [
+    "a/drones",
+    "a/drones.NPY",
+    "a/Drones.npy",
+    "A/drones.npy",
+    "a\\drones.npy",
+    "a//drones.npy",
+    "./a/drones.npy",
+    "a/./drones.npy",
+    "b/../a/drones.npy",
+    "/a/drones.npy",
+    "a./drones.npy",
+    "a/drones.npy.",
+    "a/drones.npy ",
+    "a/drones.npy.npy",
+    "a/dr\uff4fnes.npy",
+    "a/dro\u200bnes.npy",
+    "a/drones/",
+    "a/",
+    "a/drones.npy",
+]
+"""Names that numpy, or readers that ignore case or normalise names, take for ``a/drones.npy``."""
+
+
+@pytest.mark.parametrize("name", MEMBERS)
+@pytest.mark.parametrize("first", [False, True])
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+def test_members_that_readers_may_confuse_are_refused(
+    name: str, tmp_path: Path, *, first: bool
+) -> None:
+    honest, path = tmp_path / "honest.npz", tmp_path / "plan.npz"
+    write_plan(honest, plan("pillars near each other", tmp_path))
+    with zipfile.ZipFile(honest) as source, zipfile.ZipFile(path, "w") as file:
+        members = [(x.filename, source.read(x)) for x in source.infolist()]
+        other = (name, source.read("b/drones.npy"))
+        for member, data in (other, *members) if first else (*members, other):
+            file.writestr(member, data)
+    with pytest.raises(FileError, match=r"no array's name|readers may confuse"):
+        read_plan(path)
+    with pytest.raises(second.UnreadableError, match=r"not the name of an array|occurs twice"):
+        second.read(path)
+    for command in ("check", "verify"):
+        assert CliRunner().invoke(main, [command, str(tmp_path)]).exit_code == 2
+
+
+def test_names_that_differ_by_their_case_alone_are_refused() -> None:
+    one, other = pillar(1.9), pillar(5.0)
+    for names in (("a", "A"), ("a", "\uff41"), ("Others", "a")):
+        with pytest.raises(InputError, match="without regard to case"):
+            combined([Group(names[0], one), Group(names[1], other)])
+
+
 def test_vertices_without_a_hitch_widen_no_tolerance() -> None:
     motion = planned("form_square").motion
     far = motion.vertices.coefficients + 9e4 * ~motion.formed[:, None, None, None]
