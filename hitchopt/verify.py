@@ -44,6 +44,7 @@ Fault = tuple[float, bool, str]  # time [s], whether it applies, text
 Worst = tuple[float, float, str]  # value, time [s], place
 
 G, UP = 9.81, np.array([0.0, 0.0, 1.0])
+FAR = 1e3  # ratio of bodies above a drone, which its downwash does not meet
 BIG, TINY = 1e30, 1e-300
 TOLERANCE, RESOLUTION = 1e-9, 1e-3  # of limits, and of worst values, relative to limits
 REST_TOL, POS_TOL, CONTACT_TOL, WRAP_TOL = 1e-9, 1e-6, 1e-4, 2e-5  # [m] of the file format
@@ -51,7 +52,6 @@ MIN_GAP = 1e-4  # [m] smallest distance of cables that cannot pass through each 
 OPEN_ROLL = 175.0  # [deg] smallest roll of an open clasp: at 180° cables run straight
 PAST_ROLL = 0.286  # [deg] largest roll past 180°, where cables pull by 5e-3 of their tension
 MIN_TENSION = 1e-3  # [N] smallest divisor of forces
-STEEP = 1e9  # [1/m] slope of distances to bodies above a drone, which its downwash does not meet
 EXACT_RANGE, LINKS = 0.5, 96  # of hanging cables: range of exact distances [m], links
 DEGREES = math.degrees(1.0)
 BUDGET, CHUNK, DEPTH = 6_000_000, 8192, 46  # samples of a limit, samples at once, halvings
@@ -223,6 +223,12 @@ class Line:
         """Return zero outside a mask (m,)."""
         v, g = (np.where(on[:, None], x, 0.0) for x in (self.v, self.g))
         return Line(v, g, np.where(on, self.q, 0.0), self.t)
+
+    def unless(self, over: Line) -> Line:
+        """Return FAR where a scalar is positive; this scalar bounds it where that is unsure."""
+        far, low = over.v > 0.0, np.where(over.low > 0.0, FAR, np.minimum(self.low, FAR))
+        v, g = np.where(far, FAR, self.v), np.where(far, 0.0, self.g)
+        return Line(v, g, np.where(far[:, 0], (FAR - low) / self.t, self.q), self.t)
 
 
 def norm(v: Array) -> Array:
@@ -582,7 +588,7 @@ class Slab:
 
     def below(self, x: Line) -> Line:
         """Return the distance to a point, large where the slab is above it."""
-        return maximum(self.gap(x), (-x[2] + self.lower) * STEEP)
+        return self.gap(x).unless(-x[2] + self.lower)
 
     def gap(self, *points: Line) -> Line:
         """Return the distance to the convex hull of points, by its edges."""
@@ -1815,7 +1821,7 @@ def between_plans(pair: Pair) -> Iterator[Row]:
         drone, cable = (a[0], b) if len(a) == 1 else (b[0], a)
         rise = minimum(*(x[2] for x in cable)) - drone[2]
         scaled = distance(*([x * (2.0 * pair.scale) for x in c] for c in ([drone], cable)))
-        return maximum(scaled, rise * STEEP)
+        return scaled.unless(rise)
 
     def gap(s: Spans, *items: Index, of: Sequence[Solid], measure: Callable[..., Line]) -> Line:
         return measure(*(x[2](t, k) for x, t, k in zip(of, pair.both(s), items, strict=True)))

@@ -57,7 +57,8 @@ def test_it_agrees_with_the_certificate(name: str, tmp_path: Path) -> None:
         if (name, check.name) == ("join_a_fourth", "crossing"):  # boxes of tilted cables: lower
             assert check.worst < worst < 1.2 * check.worst
             continue
-        share = 0.002 if name in GROUPS else 0.02
+        jumps = check.name == "downwash"  # as a body passes the height of a drone
+        share = 0.002 if name in GROUPS and not jumps else 0.02
         assert worst == pytest.approx(check.worst, rel=share, abs=share * (check.limit or 1e-3))
     assert found.keys() <= OWN
 
