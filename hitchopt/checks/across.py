@@ -275,13 +275,13 @@ def _pairs_with_cables(
 
     The distance of cables that hang, lie or are laid is horizontal.
     """
-    if not cables.outline:
+    sheets = side.sheets
+    if sheets is None or not cables.outline:
         return _pairs_with_shape(run, cables, label, Solid(slab), pose)
     if cables.outline == 2:
         chords = replace(cables, corners=cables.corners[:, :, :2])
         return _pairs_with_shape(run, chords, label, from_above(slab), pose)
-    assert side.sheets is not None
-    prisms = replace(cables, corners=side.sheets.prisms)
+    prisms = replace(cables, corners=sheets.prisms)
     return _pairs_with_shape(run, prisms, label, Solid(slab, 0.0), pose)
 
 
