@@ -36,7 +36,7 @@ from hitchopt.checks.rule import CheckRule, WorstCase
 from hitchopt.checks.spans import ROUNDING, cable_names, cable_parts, cached, magnitude, part_names
 from hitchopt.checks.tracking import Ellipsoid
 from hitchopt.hitch.requirements import Separation
-from hitchopt.motion.combined import same_object
+from hitchopt.motion.combined import moved_objects, same_object
 from hitchopt.motion.motion import CLASPED_STATES, Group, Motion
 from hitchopt.motion.retiming import on_breaks_of, padded
 from hitchopt.objects import Slab, SolidObject
@@ -53,6 +53,7 @@ class Side:
 
     group: Group
     sheets: CableSheets | None  # None without cables
+    carried: frozenset[str]  # objects that it moves at any time
 
     @property
     def motion(self) -> Motion:
@@ -137,6 +138,7 @@ def _runs(first: Group, second: Group, separation: Separation) -> Iterator[Run]:
                     motion=each.slice_pieces(pieces, each.overlapping(breaks[start], breaks[stop])),
                 ),
                 own and own.on(pieces),
+                moved_objects(each),
             )
             for group, each, own in zip((first, second), (one, other), sheets, strict=True)
         )
@@ -237,8 +239,8 @@ def drones_above(run: Run) -> Iterator[Moving]:
     for one, other in run.both:
         drones = drones_of(one)
         for name, body, pose in _objects(other, one):
-            is_carried = bool(np.max(np.ptp(pose.c, axis=(0, -1))) > REST_DRIFT)
-            for slab in body.slabs if is_carried or moves(body, one.motion.team) else ():
+            counts = name in other.carried or moves(body, one.motion.team)
+            for slab in body.slabs if counts else ():
                 yield pairs_with_slab(
                     drones.corners,
                     pose,

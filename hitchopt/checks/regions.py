@@ -9,8 +9,8 @@
   clasps are near the middles of the pairs of drones that turn about each other, or near the plan's
   vertices while drones move out, and as taut as those of the hitch before or after.
 
-At the joints of phases, the region of one state contains that of the other one or touches it along
-the whole cable, so no body passes from one side of a cable to the other.
+At a joint of phases both regions contain the cable, and one contains the other one or both contain
+the chord, so no body passes from one side of a cable to the other.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from hitchopt.checks.spans import cached, same_degree
 from hitchopt.hitch.catenary import Catenary
+from hitchopt.hitch.team import Layout
 from hitchopt.motion.motion import CLASPED_STATES, CableState, Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.values import Array
@@ -78,14 +79,26 @@ def cable_sheets(motion: Motion) -> CableSheets:
     turning = motion.in_states(frozenset({CableState.CLASPING}))[:, None, None, None]
     clasps = np.where(turning, _middles(motion, drones), vertices)
     taut = _taut_clasps(motion, clasps, clasped)
-    routes = [np.stack([x[:, layout.starts], x[:, layout.ends]], axis=2) for x in (clasps, taut)]
-    for route in routes:
-        route[~clasped] = np.stack([drones[:, 0::2], drones[:, 1::2]], axis=2)[~clasped]
-    (a, b), (first, last) = (np.moveaxis(route, 2, 0) for route in routes)
-    outline = [drones[:, 0::2], a, first, last, b, drones[:, 1::2]]
+    outlines = clasped_outlines(layout, drones, clasps, taut)
+    chords = [drones[:, 0::2]] * 3 + [drones[:, 1::2]] * 3
+    outlines[~clasped] = np.stack(chords, axis=2)[~clasped]
     bottoms = bernstein.elevate(bottoms, bernstein.degree(drones))
-    corners = np.concatenate([np.stack(outline, axis=2), bottoms], axis=2)
-    return CableSheets(corners, len(outline), clasped)
+    corners = np.concatenate([outlines, bottoms], axis=2)
+    return CableSheets(corners, outlines.shape[2], clasped)
+
+
+def clasped_outlines(layout: Layout, drones: Array, clasps: Array, taut: Array) -> Array:
+    """Return outlines (m, n, 6, 3, …) [m] of regions of cables that are clasped or tightened.
+
+    Parameters
+    ----------
+    drones: (m, 2n, 3, …) [m], samples or coefficients.
+    clasps: (m, points, 3, …) [m], positions of the clasps.
+    taut: (m, points, 3, …) [m], clasps of the hitch before or after.
+    """
+    starts, ends = layout.starts, layout.ends
+    first = [drones[:, 0::2], clasps[:, starts], taut[:, starts]]
+    return np.stack([*first, taut[:, ends], clasps[:, ends], drones[:, 1::2]], axis=2)
 
 
 def _below_chords(motion: Motion, laid: Flags) -> Array:

@@ -96,6 +96,17 @@ def hull_offset(differences: Array) -> Array:
     return chosen
 
 
+def hull_distance(a: Array, b: Array) -> Array:
+    """Return the distances (…) of convex hulls in the plane; zero if they overlap.
+
+    Hulls are given by corners (…, k, 2) and (…, m, 2) [m], in any order.
+    """
+    each = a[..., :, None, :] - b[..., None, :, :]
+    offset = hull_offset(each)
+    along = np.min(np.einsum("...kld,...d->...kl", each, offset), axis=(-1, -2))
+    return np.where(along > 0.0, length(offset), 0.0)
+
+
 def differences(a: Array, b: Array) -> Array:
     """Return all differences (…, k · m, d) of ends a (…, k, d) and b (…, m, d), in a's order."""
     each = a[..., :, None, :] - b[..., None, :, :]

@@ -15,7 +15,7 @@ from hitchopt.hitch.requirements import Separation
 from hitchopt.mission.problem import Problem, SwarmProblem
 from hitchopt.mission.solving import solve_problem, solve_swarm
 from hitchopt.mission.teams_problem import AnyProblem, TeamsProblem
-from hitchopt.motion.combined import combined
+from hitchopt.motion.combined import combined, moved_objects
 from hitchopt.motion.motion import WAIT, Group, Motion, Phase, joined_motions
 from hitchopt.motion.retiming import cut, padded, resting, shifted
 from hitchopt.planners.schedule import STEP, Blocked, Placed, Schedule, Track
@@ -115,7 +115,7 @@ def _sampled_group(other: Group, clock: float) -> Placed:
     first, last = other.motion.drones.breaks[[0, -1]].tolist()
     start = math.floor((first - clock) / STEP + 1e-9)
     motion = padded(other.motion, min(clock + STEP * start, first), last)
-    return Placed(Track(replace(other, motion=motion), _moved_objects(motion)), start)
+    return Placed(Track(replace(other, motion=motion), moved_objects(motion)), start)
 
 
 def _plan_alone(
@@ -173,7 +173,7 @@ class _Item:
     ) -> None:
         self.index, self.row, self.timed = index, row, timed
         self.tracks = [
-            Track(Group(name, row.get(name, before[name])), _moved_objects(motion))
+            Track(Group(name, row.get(name, before[name])), moved_objects(motion))
             for name, motion in alone.items()
         ]
         self.schedule = Schedule(self.tracks, separation, self._layer)
@@ -219,13 +219,6 @@ def _merge_waits(motion: Motion) -> Motion:
         else:
             phases.append(phase)
     return motion.replaced(phases=tuple(phases))
-
-
-def _moved_objects(motion: Motion) -> frozenset[str]:
-    """Return the names of objects that a motion moves."""
-    poses = motion.object_poses.coefficients
-    moving = np.any(poses != poses[:1, ..., :1], axis=(0, 2, 3))
-    return frozenset(np.array(list(motion.requirements.objects), dtype=object)[moving].tolist())
 
 
 def _detour(motion: Motion, height: float) -> Motion | None:

@@ -164,6 +164,13 @@ def _shared(
     return merged, PiecewisePolynomial(motions[0].drones.breaks, np.stack(poses, axis=1))
 
 
+def moved_objects(motion: Motion) -> frozenset[str]:
+    """Return the names of objects that a motion moves."""
+    moves = np.ptp(motion.object_poses.coefficients, axis=(0, -1)).max(axis=-1, initial=0.0)
+    names = motion.requirements.objects
+    return frozenset(name for name, by in zip(names, moves, strict=True) if by > REST_DRIFT)
+
+
 def same_object(one: SolidObject, other: SolidObject) -> bool:
     """Return whether two objects are equal bodies at the same place."""
     if len(one.slabs) != len(other.slabs) or not np.array_equal(one.pose, other.pose):

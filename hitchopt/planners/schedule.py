@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from hitchopt.checks.regions import cable_sheets
 from hitchopt.errors import check_time
-from hitchopt.geometry import differences, hull_offset, shortest_offset
+from hitchopt.geometry import differences, hull_distance, shortest_offset
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch.requirements import Separation
 from hitchopt.motion.motion import Group
@@ -199,7 +199,7 @@ def _slack(
     ends = [each[:, [0, -1]] / axes for each in corners]
     slack = length(shortest_offset(differences(*ends)))
     flat = [each[upright, :, :2] for each in corners]
-    slack[upright] = plan_distance(*flat)
+    slack[upright] = hull_distance(*flat)
     slack -= required[one, other]
     slack = np.where(upright, np.maximum(slack, vertical[near] - limit), slack)
     slack[slack * np.min(axes) > REACH] = np.inf
@@ -226,19 +226,11 @@ def _downwash_slack(
         gap = np.maximum(lower[:, None, :, axis] - place, place - upper[:, None, :, axis])
         near &= gap < reach
     pair, one, other = np.nonzero(near)
-    level = plan_distance(points[pair, one, :, :2], hulls[pair, other, :, :2])
+    level = hull_distance(points[pair, one, :, :2], hulls[pair, other, :, :2])
     level = np.maximum(level - others.radii[other], 0.0)
     ratio = np.hypot(level / across, np.maximum(rise[near], 0.0) / upward)
     np.minimum.at(smallest, pair, ratio - limit)
     return smallest
-
-
-def plan_distance(a: Array, b: Array) -> Array:
-    """Return the distances (m,) of convex hulls of corners (m, k, 2) [m]; zero if they overlap."""
-    each = a[:, :, None] - b[:, None]
-    offset = hull_offset(each)
-    along = np.min(np.einsum("mkld,md->mkl", each, offset), axis=(1, 2))
-    return np.where(along > 0.0, length(offset), 0.0)
 
 
 def _gaps(a: Array, b: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from hitchopt.checks import certify
 from hitchopt.checks.across import check_across
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.hitch.requirements import Separation
-from hitchopt.motion.combined import combined
+from hitchopt.motion.combined import combined, moved_objects
 from hitchopt.motion.motion import Group, Motion
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.values import Array
@@ -102,3 +103,22 @@ def test_planned_drones_fly_over_what_they_would_move_in_height() -> None:
 def test_ones_own_objects_and_cables_are_excepted() -> None:
     names = {check.name for check in planned("carry_box").certificate.checks}
     assert "downwash" not in names
+
+
+def test_what_another_team_carries_counts_also_while_it_rests() -> None:
+    whole = planned("carry_box").motion
+    heavy = {
+        name: ho.SolidObject(
+            **{key: getattr(body, key) for key in vars(body) if key != "mass"}, mass=50.0
+        )
+        for name, body in whole.requirements.objects.items()
+    }
+    carrier = whole.replaced(requirements=replace(whole.requirements, objects=heavy))
+    (name,) = moved_objects(carrier)
+    index, end = list(heavy).index(name), float(whole.drones.breaks[-1])
+    top = whole.object_poses.at(end)[index, :3] + [0.0, 0.0, heavy[name].upper + 0.2]
+    drone = lines(top[None], top[None], seconds=end, separation=SEPARATION)
+    motion = combined([Group("a", carrier), Group("s", drone)])
+    check = check_across(RULE_OF["downwash"], motion)
+    assert check is not None
+    assert not check.holds

@@ -162,3 +162,23 @@ def test_the_offset_of_hulls_is_that_of_their_nearest_points() -> None:
         along = np.einsum("skmd,sd->skm", a[:, :, None] - b[:, None], offset)
         squared = np.sum(offset**2, axis=-1)
         assert np.min(along, axis=(1, 2)) == pytest.approx(squared, rel=1e-9)
+
+
+def test_stated_vertices_on_the_chords_do_not_free_the_edges(tmp_path: Path) -> None:
+    whole = hitch("tie_carry_untie")
+    phase = next(p for p in whole.phases if p.name == "loosen")
+    breaks, c = whole.drones.breaks, whole.drones.elevated(whole.vertices.degree).coefficients
+    pieces = np.flatnonzero((breaks[:-1] >= phase.start - 1e-9) & (breaks[1:] <= phase.end + 1e-9))
+    vertices, layout = whole.vertices.elevated(whole.drones.degree).coefficients.copy(), whole.team
+    middles = 0.5 * (c[pieces][:, 0::2] + c[pieces][:, 1::2])
+    vertices[pieces] = middles[..., : vertices.shape[-1]]  # cables are long enough for these
+    lying = whole.replaced(vertices=PiecewisePolynomial(breaks, vertices))
+    t = phase.start + 0.02 * (phase.end - phase.start)
+    edge = np.mean(whole.vertices.at(phase.start)[[0, 1]], axis=0)
+    chord = layout.layout.edges(whole.vertices.at(phase.start))[0]
+    side = 0.4 * np.array([-chord[1], chord[0], 0.0]) / np.linalg.norm(chord)
+    motion = passing(lying, t, edge - side, edge + side, 0.05)
+    check = check_across(RULE_OF["cable_clearance"], motion)
+    assert check is not None
+    assert not check.holds
+    assert refused_by_verify(motion, "cable_clearance", tmp_path)

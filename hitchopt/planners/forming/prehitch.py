@@ -16,8 +16,9 @@ from typing import Any
 
 import numpy as np
 
+from hitchopt.checks.regions import clasped_outlines
 from hitchopt.errors import check_time
-from hitchopt.geometry import hull_offset
+from hitchopt.geometry import hull_distance
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.catenary import Catenary
@@ -370,21 +371,14 @@ def _tightening_gap(hitch: Hitch, start: Array, clasps: Array) -> float:
 
     Seen from above, at samples of the move to the hitch; see ``checks.regions``.
     """
-    layout, smallest = hitch.team.layout, np.inf
-    for share in TIGHTENING_SHARES:
-        drones = start + share * (hitch.drones - start)
-        points = clasps + share * (hitch.vertices - clasps)
-        outlines = [drones[0::2], points[layout.starts], points[layout.ends], drones[1::2]]
-        outlines += [hitch.vertices[layout.starts], hitch.vertices[layout.ends]]
-        regions = np.stack(outlines, axis=1)[..., :2]  # (n, 6, 2)
-        for drone, cable in (
-            (2 * layout.behind + 1, layout.ahead),
-            (2 * layout.ahead, layout.behind),
-        ):
-            offsets = regions[cable][:, :, None] - drones[drone][:, None, None, :2]
-            gaps = np.linalg.norm(hull_offset(offsets), axis=-1)
-            smallest = min(smallest, float(np.min(gaps, initial=np.inf)))
-    return max(smallest, 1e-9)
+    layout, share = hitch.team.layout, np.array(TIGHTENING_SHARES)[:, None, None]
+    drones = start + share * (hitch.drones - start)
+    points = clasps + share * (hitch.vertices - clasps)
+    taut = np.broadcast_to(hitch.vertices, points.shape)
+    regions = clasped_outlines(layout, drones, points, taut)[..., :2]
+    pairs = (2 * layout.behind + 1, layout.ahead), (2 * layout.ahead, layout.behind)
+    gaps = [hull_distance(regions[:, cable], drones[:, drone, None, :2]) for drone, cable in pairs]
+    return max(float(np.min(gaps, initial=np.inf)), 1e-9)
 
 
 def smallest_separation(drones: Array, separation: Separation) -> float:
