@@ -126,9 +126,12 @@ class Track:
 
 def _pairs(
     a: Track, b: Track, separation: Separation
-) -> Iterator[tuple[str, Bodies, Bodies, float]]:
-    """Yield the checks of two tracks, with the bodies of both and the limit [m or ratio]."""
-    yield "separation", a.drones, b.drones, 1.0
+) -> Iterator[tuple[str, bool, Bodies, Bodies, float]]:
+    """Yield the checks of two tracks, with the bodies of both and the limit [m or ratio].
+
+    The second value is whether the bodies of b come first.
+    """
+    yield "separation", False, a.drones, b.drones, 1.0
     for check, one, other, limit in (
         ("cable_clearance", "drones", "cables", separation.cable),
         ("crossing", "cables", "cables", separation.crossing),
@@ -138,8 +141,9 @@ def _pairs(
         ("object_clearance", "cables", "objects", separation.object),
         ("object_clearance", "objects", "objects", separation.object),
     ):
-        for first, second in dict.fromkeys(((one, other), (other, one))):
-            yield check, getattr(a, first), getattr(b, second), limit
+        for swapped in (False, True)[: 1 + (one != other)]:
+            first, second = (b, a) if swapped else (a, b)
+            yield check, swapped, getattr(first, one), getattr(second, other), limit
 
 
 def slacks(a: Track, b: Track, separation: Separation) -> Array:
@@ -163,7 +167,8 @@ def _slacks_by_check(
     """
     half_axes = 0.5 / separation.scale
     axes_of = {"separation": 2.0 * half_axes, "downwash": half_axes}
-    for check, first, second, limit in _pairs(a, b, separation):
+    for check, swapped, first, second, limit in _pairs(a, b, separation):
+        m, n = (j, i) if swapped else (i, j)
         axes = axes_of.get(check, np.ones(3))
         slack_of = _downwash_slack if check == "downwash" else _slack
         unit, slack = float(np.min(axes)), np.full(len(i), np.inf)
@@ -171,7 +176,7 @@ def _slacks_by_check(
         for k in range(0, len(i), size):
             check_time()
             rows = slice(k, k + size)
-            slack[rows] = slack_of(first, second, i[rows], j[rows], limit, axes)
+            slack[rows] = slack_of(first, second, m[rows], n[rows], limit, axes)
         yield check, limit, unit, slack
 
 

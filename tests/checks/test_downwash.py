@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from motions import lines, random_motion, row
+from motions import TRIANGLE, lines, random_motion, row, still
 from plans import planned
 
 import hitchopt as ho
@@ -19,6 +19,8 @@ from hitchopt.hitch.requirements import Separation
 from hitchopt.motion.combined import combined, moved_objects
 from hitchopt.motion.motion import Group, Motion
 from hitchopt.motion.plan_file import write_plan
+from hitchopt.planners.schedule import Track, slacks
+from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
 SEPARATION = Separation(radius=0.11, height=0.29)
@@ -122,3 +124,23 @@ def test_what_another_team_carries_counts_also_while_it_rests() -> None:
     check = check_across(RULE_OF["downwash"], motion)
     assert check is not None
     assert not check.holds
+
+
+def test_schedules_keep_drones_off_what_is_below_them() -> None:
+    hitch = still(ho.Team(3, 2.4), TRIANGLE, [0.35, 0.5, 0.45], separation=SEPARATION)
+    edge = np.mean(hitch.vertices.at(0.0)[[0, 1]], axis=0)
+    box = hover(np.array([0.0, 0.0, 9.0]))
+    poses = np.repeat(box.object_poses.coefficients, 2, axis=-1)
+    carrier = box.replaced(poses=PiecewisePolynomial(box.drones.breaks, poses))
+    top = carrier.requirements.objects["box"].at + [0.15, 0.0, TOP]
+    for motion, owned, place in ((hitch, set[str](), edge), (carrier, {"box"}, top)):
+        group = Track(Group("a", motion), frozenset(owned))
+        for height in (0.2, 0.4, -0.7):
+            at = (place + [0.0, 0.0, height])[None]
+            drone = Track(Group("s", lines(at, at, separation=SEPARATION)))
+            slack = slacks(group, drone, SEPARATION)
+            assert slacks(drone, group, SEPARATION).T == pytest.approx(slack)
+            if height > 0.0:
+                assert slack[0, 0] == pytest.approx((height / 0.29 - 1.0) * 0.11)
+            else:
+                assert slack[0, 0] > 0.05
