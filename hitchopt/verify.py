@@ -383,6 +383,14 @@ class Spans:
         q, r = self.ends(k, b)
         return [q, a, c, e, d, r, (q + r - UP * p.length[k]) * 0.5]
 
+    def near_hulls(self, k: Index, x: Line, reach: float) -> Spans:
+        """Return the spans on which points may be within a level reach of the hulls of cables."""
+        if not len(self.x):
+            return self
+        q, *corners = (corner[:2] for corner in self.hull(k)[:-1])
+        size = np.max([(corner - q).norm().high for corner in corners], axis=0)
+        return self.select((x[:2] - q).norm().low < reach + size)
+
     def segment(self, j: Index, b: int = -1) -> list[Line]:
         """Return both ends of straight segments of taut cables in the frame of body b."""
         return [self.local(b, self.point(self.plan.segments[j, end])) for end in (0, 1)]
@@ -1381,7 +1389,9 @@ def free_cables(p: Plan) -> Iterator[Row]:
     yield prove(*p.cable_limit, s, to_cable)
     yield prove("cable_loops m min", POS_TOL, s, to_sheet)
     yield prove(*p.crossing_limit, loose, between_hulls)
-    yield prove(*p.cable_limit, p.spans(beside, foreign, *ends), to_hull)
+    s = p.spans(beside, foreign, *ends)
+    s = s.near_hulls(s.item[:, 1], s.point(s.item[:, 0]), p.cable_limit[1] + EXACT_RANGE)
+    yield prove(*p.cable_limit, s, to_hull)
     longer = "cable_length 1 max", 1e-4  # bound of lengths along vertices
     s = p.spans(tightened, k, p.cables)
     yield prove(*longer, s, lambda s, k: s.route_length(k) * (1.0 / p.length[k]) - 1.0)
@@ -1600,7 +1610,10 @@ def clear_objects(p: Plan, b: int) -> Iterator[Row]:
     for slab in body.slabs:
         yield prove(*p.object_limit, off, lambda s, j, slab=slab: slab.gap(*s.segment(j, b)))
         yield prove(*p.object_limit, free, partial(hanging_gap, slab=slab))
-        yield prove(*p.object_limit, clasping, partial(hull_gap, slab=slab))
+        reach = p.object_limit[1] + slab.radius + float(np.max(norm(slab.core))) + EXACT_RANGE
+        place = p.poses.on(clasping, b)[:3]
+        close = clasping.near_hulls(clasping.item[:, 0], place, reach)
+        yield prove(*p.object_limit, close, partial(hull_gap, slab=slab))
         for o, block in (ground, *p.slabs):
             if o != b:
                 gap = partial(other_gap, o=o, slab=slab, block=block)
