@@ -32,8 +32,8 @@ RESULTS = "evaluation"  # Default directory of the results, next to the recordin
     option("--unit", "Of lengths: m, cm, mm, in, ft; else as the file states, or m.", str, "UNIT"),
     option(
         "--topic",
-        "Topic with the drones' positions, such as '/*/pose'; else measured before estimated "
-        "before commanded ones.",
+        "Topic with the drones' positions, such as /cf1/pose, where a star stands for any text; "
+        "else measured before estimated before commanded ones.",
         str,
         "TOPIC",
     ),
