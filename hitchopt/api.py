@@ -25,7 +25,7 @@ from hitchopt.mission.repair import BUDGET, NO_CHANGE, Suggestion, find_suggesti
 from hitchopt.mission.solving import solve_problem
 from hitchopt.mission.teams import solve_any
 from hitchopt.mission.teams_problem import AnyProblem, TeamsProblem
-from hitchopt.motion.plan_file import check_request
+from hitchopt.motion.request import check_request
 from hitchopt.plan import Plan, load
 from hitchopt.steps import STEPS, Join, Replace, Settle, Step, Withdraw
 from hitchopt.steps.step import Stage

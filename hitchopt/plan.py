@@ -20,7 +20,8 @@ from hitchopt.hitch import Hitch
 from hitchopt.mission.others import NAME, named_groups
 from hitchopt.motion.combined import combined
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.motion.plan_file import SavedPlan, check_request, read_saved_plan
+from hitchopt.motion.plan_file import SavedPlan, read_saved_plan
+from hitchopt.motion.request import check_request
 from hitchopt.motion.retiming import shifted
 from hitchopt.motion.states import States, final_hitch, states_at
 from hitchopt.storage.archive import PLAN

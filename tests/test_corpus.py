@@ -80,7 +80,7 @@ def test_a_curve_that_is_left_out_equals_its_default(
     motion = planned(name).motion
     stated = {
         "leg_tensions": np.repeat(curves["team/tensions"], 2, axis=1),
-        "contacts": motion.edge_contacts.coefficients.reshape(
+        "contacts": motion.contacts.coefficients.reshape(
             len(motion.drones.breaks) - 1, 6 * motion.team.robots, -1
         ),
         "load_share": np.zeros((motion.drones.pieces, 2, 1)),

@@ -200,7 +200,7 @@ def _objects(one: Side, other: Side) -> Iterator[tuple[str, SolidObject, Enclose
     """Yield the objects of one group that are not obstacles of the other, and their poses."""
     obstacles = other.motion.requirements.objects
     for index, (name, body) in enumerate(one.motion.requirements.objects.items()):
-        pose = one.motion.object_poses.coefficients[:, index]
+        pose = one.motion.poses.coefficients[:, index]
         is_moving = np.max(np.abs(pose - body.pose[:, None])) > REST_DRIFT
         if is_moving or name not in obstacles or not same_object(body, obstacles[name]):
             yield name, body, Enclosed(pose)

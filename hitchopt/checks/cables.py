@@ -32,13 +32,13 @@ from hitchopt.checks.spans import (
     cached_value,
     leg_vectors,
     magnitude,
-    same_degree,
     without_shared_zeros,
 )
 from hitchopt.hitch.forces import sag_factors
 from hitchopt.motion.loads import ranged_phases, saved_lengths, stated_tensions
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, Motion
 from hitchopt.objects.placing import REST_DRIFT
+from hitchopt.trajectory.bernstein import same_degree
 from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
 from hitchopt.trajectory.search import worst
 from hitchopt.values import Array, Indices
@@ -75,7 +75,7 @@ class Cables(MotionSpans):
         """The q-leg, the r-leg, and the edge or its straight parts on both sides of an arc."""
         legs, edges = leg_vectors(self.source), bent_edges(self.source)
         straight_parts = [self.scaled(legs, 2 * self.item + end, self.noise) for end in (0, 1)]
-        straight_edges = edges[:1] if self.source.contacts is None else edges
+        straight_edges = edges if self.source.has_wraps else edges[:1]
         return straight_parts + [self.scaled(edge, noise=self.noise) for edge in straight_edges]
 
     @cached_property
@@ -84,7 +84,7 @@ class Cables(MotionSpans):
         length = self.parts[0].norm + self.parts[1].norm
         for part in self.parts[2:]:
             length = length + part.norm
-        if self.source.contacts is not None:
+        if self.source.has_wraps:
             arcs = self.read(wrapped_arcs(self.source))
             length = length + arc_lengths(arcs * self.scale[..., None])
         savings = cached_value(self.source, saved_lengths)
@@ -241,7 +241,7 @@ def _worst_tension(motion: Motion, _: float) -> WorstCase:
             ranges[0] = np.where(_ramps(motion), 0.0, ranges[0])
         cases += [_out_of_range(motion, Cables, motion.tensions.coefficients, ranges)]
         cases += [_end_deviation(motion)]
-        if motion.leg_tensions is not None:
+        if motion.has_friction:
             twice = np.repeat(ranges, 2, axis=2)
             cases += [_out_of_range(motion, Slides, motion.pulls.coefficients, twice)]
     return max(cases, key=lambda each: each.worst)

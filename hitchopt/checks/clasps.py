@@ -29,7 +29,6 @@ from hitchopt.checks.spans import (
     derivative_margin,
     edge_vectors,
     leg_vectors,
-    same_degree,
     without_shared_zeros,
 )
 from hitchopt.geometry.vectors import column_lengths, unit
@@ -38,6 +37,7 @@ from hitchopt.hitch.forces import chord_pull
 from hitchopt.motion.loads import leg_tensions, object_loads, strut_shares, tautness
 from hitchopt.motion.motion import HITCHED_STATE, CableState, Motion
 from hitchopt.trajectory import bernstein
+from hitchopt.trajectory.bernstein import same_degree
 from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
 from hitchopt.trajectory.search import Extremum, worst
 from hitchopt.values import Array, Indices
@@ -152,7 +152,7 @@ class Clasps(MotionSpans):
         if team.cable_density == 0.0:
             return self.size("legs"), self.size("edges")
         squared = edge.xy.dot(edge.xy)
-        if self.source.contacts is not None:
+        if self.source.has_wraps:
             whole = Enclosed(team.cable_length[self.cables][..., None, None])
             wrapped = whole - leg.norm - self.other_legs
             squared = wrapped * wrapped
@@ -269,7 +269,7 @@ def _opening(spans: Clasps) -> Bound:
     magnitude at OPEN_ROLL is added, so clasps count as open from there on.
     """
     legs, edges = (each.reduced(ROUGH_ORDER) for each in spans.along)
-    directions = [legs, edges] if spans.source.leg_tensions is None else [(legs + edges) * 0.5]
+    directions = [(legs + edges) * 0.5] if spans.source.has_friction else [legs, edges]
     products = [spans.contact.reduced(ROUGH_ORDER).dot(each) for each in directions]
     peaks = [np.max(each.c + np.asarray(each.r)[..., None, None], axis=1) for each in products]
     share = math.cos(math.radians(0.5 * OPEN_ROLL)) ** 2
@@ -397,7 +397,7 @@ def _worst_residual(motion: Motion, limit: float) -> WorstCase:
     words = _open_clasp(motion, largest) if math.isinf(largest.value) else ()
     where = (names[largest.item], *words)
     each = [WorstCase(largest.worst, largest.time, where), unbalanced(motion)]
-    if motion.leg_tensions is not None:
+    if motion.has_friction:
         each.append(friction_excess(motion))
     return max(each, key=lambda case: case.worst)
 

@@ -181,7 +181,7 @@ def _obstacles(motion: Motion) -> list[Slab]:
 
 def _objects(motion: Motion) -> Iterator[tuple[str, SolidObject, Enclosed]]:
     """Yield the names of objects, the objects, and their poses (pieces,)."""
-    poses = motion.object_poses.coefficients
+    poses = motion.poses.coefficients
     for index, (name, each) in enumerate(motion.requirements.objects.items()):
         yield name, each, Enclosed(poses[:, index])
 
@@ -193,7 +193,7 @@ def moving_object_pairs(motion: Motion) -> Iterator[Moving]:
     one of which begins or ends in contact, and in the first run the support below it at the start.
     """
     objects, floor = motion.requirements.objects, motion.requirements.floor
-    places, everything = motion.object_poses.coefficients[0, :, :, 0], [*_objects(motion)]
+    places, everything = motion.poses.coefficients[0, :, :, 0], [*_objects(motion)]
     for (name, body, pose), (label, other, other_pose) in product(
         everything, [*everything, (GROUND, None, Enclosed(np.zeros((1, 5, 1))))]
     ):

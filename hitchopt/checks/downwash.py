@@ -78,7 +78,7 @@ def pairs_with_slab(
 
 def _drones_above_objects(motion: Motion) -> Iterator[Moving]:
     """Yield pairs of single drones and objects that stand in their way."""
-    poses, separation = motion.object_poses.coefficients, motion.requirements.separation
+    poses, separation = motion.poses.coefficients, motion.requirements.separation
     points, names = motion.drones.coefficients[:, :, None], motion.team.drone_names
     margin = ROUNDING * magnitude(motion)
     for index, (name, body) in enumerate(motion.requirements.objects.items()):

@@ -27,11 +27,12 @@ from hitchopt.checks.distances import (
 )
 from hitchopt.checks.linking import MAX_JUMP, MAX_LAID_GAP, UNLINKED, Ties, jump_of, wrong_cables
 from hitchopt.checks.rule import WorstCase
-from hitchopt.checks.spans import clasped_pairs, leg_vectors, position_margin, same_degree
+from hitchopt.checks.spans import clasped_pairs, leg_vectors, position_margin
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.trajectory import bernstein
+from hitchopt.trajectory.bernstein import same_degree
 from hitchopt.trajectory.enclosed import Enclosed
 from hitchopt.values import Array, Indices
 

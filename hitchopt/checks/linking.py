@@ -239,7 +239,7 @@ def _largest_jump(motion: Motion, _: float) -> WorstCase:
     Drones and objects are compared, and vertices and legs while the hitch exists.
     """
     parts = [(motion.drones, motion.team.drone_names)]
-    if motion.poses is not None:
+    if motion.requirements.objects:
         parts.append((motion.poses, tuple(motion.requirements.objects)))
     legs = tuple(f"{name} {k}" for k in motion.team.labels for name in PART_NAMES[0::2])
     for span in motion.spans(HITCHED_STATE):

@@ -100,7 +100,7 @@ def heading_error(heading: Enclosed) -> Array:
 @cached
 def centres(motion: Motion) -> PiecewisePolynomial:
     """Return the paths of all objects' centres of mass (objects, 3) [m]."""
-    poses, bodies = motion.object_poses, motion.requirements.objects.values()
+    poses, bodies = motion.poses, motion.requirements.objects.values()
     paths = [centre_path(poses.coefficients[:, i], body) for i, body in enumerate(bodies)]
     return poses.replaced(np.stack(paths, axis=1))
 
@@ -108,13 +108,13 @@ def centres(motion: Motion) -> PiecewisePolynomial:
 @cached
 def moving_objects(motion: Motion) -> Mask:
     """Return on which pieces objects move (pieces, objects)."""
-    mask: Mask = np.any(np.ptp(motion.object_poses.coefficients, axis=-1) > REST_DRIFT, axis=-1)
+    mask: Mask = np.any(np.ptp(motion.poses.coefficients, axis=-1) > REST_DRIFT, axis=-1)
     return mask
 
 
 def carried_objects(motion: Motion) -> Mask:
     """Return on which pieces objects move or clasps carry them (pieces, objects)."""
-    mask: Mask = moving_objects(motion) | np.any(motion.object_shares.coefficients != 0.0, axis=-1)
+    mask: Mask = moving_objects(motion) | np.any(motion.load_share.coefficients != 0.0, axis=-1)
     return mask
 
 
@@ -148,7 +148,7 @@ class Held(MotionSpans):
     @cached_property
     def pose(self) -> Enclosed:
         """x, y, z [m], cosine and sine of yaw."""
-        return Enclosed(self.read(self.source.object_poses.coefficients), self.noise)
+        return Enclosed(self.read(self.source.poses.coefficients), self.noise)
 
     @cached_property
     def acceleration(self) -> Enclosed:
@@ -158,7 +158,7 @@ class Held(MotionSpans):
     @cached_property
     def share(self) -> Enclosed:
         """Share of its weight that cables carry."""
-        return Enclosed(self.read(self.source.object_shares.coefficients)[:, None])
+        return Enclosed(self.read(self.source.load_share.coefficients)[:, None])
 
 
 def gripped_objects(motion: Motion) -> list[tuple[int, str, Mask]]:
@@ -173,7 +173,7 @@ def bends(motion: Motion) -> Array:
     """Return start, both contacts and end of edges (pieces, n, 4, 3, …) [m]."""
     layout, vertices = motion.team.layout, motion.vertices.coefficients
     start, end = (vertices[:, points, None] for points in (layout.starts, layout.ends))
-    return concatenated([start, motion.edge_contacts.coefficients, end], axis=2)
+    return concatenated([start, motion.contacts.coefficients, end], axis=2)
 
 
 class Gripped(Held):
@@ -187,7 +187,7 @@ class Gripped(Held):
     @cached_property
     def places(self) -> Array:
         """Contacts at the start of the hold, in the object's frame (spans, n, 2, 3) [m]."""
-        poses = self.source.object_poses.coefficients[self.start_pieces, self.item, :, 0]
+        poses = self.source.poses.coefficients[self.start_pieces, self.item, :, 0]
         return in_frame(poses[:, None, None], bends(self.source)[self.start_pieces, :, 1:3, :, 0])
 
     @cached_property
@@ -237,7 +237,7 @@ class Gripped(Held):
     def load(self) -> Array:
         """Upper bound (spans,) [N] of the carried ``m (g + a_z)`` plus the load of turning."""
         carried = ((self.acceleration[2] + GRAVITY) * self.share).upper.value
-        angular = self.derivative(self.source.object_poses, 2)
+        angular = self.derivative(self.source.poses, 2)
         angular_size = Enclosed(angular.c[:, 3:], angular.r).norm_upper.value
         return np.asarray(self.body.mass * (carried + angular_size * turning_reach(self.body)))
 
@@ -306,7 +306,7 @@ GRIP = CheckRule(
     "grip",
     "1",
     "min",
-    lambda motion: GRIP_LIMIT if gripped_objects(motion) or motion.contacts is not None else None,
+    lambda motion: GRIP_LIMIT if gripped_objects(motion) or motion.has_wraps else None,
     (Evaluator(_slipping, HITCHED_STATE | FREE_STATES, formulas=FORMULAS),),
     "lower the object's mass, raise the tension, or use rougher cables",
     whole=True,  # relative to the start of holds
@@ -395,14 +395,14 @@ def wrapped_arcs(motion: Motion) -> Array:
     -------
     (pieces, n, 5, degree + 1) [m]: coordinates of the chord, and two constants.
     """
-    contacts = motion.edge_contacts.coefficients
+    contacts = motion.contacts.coefficients
     rows = np.zeros((*contacts.shape[:2], 5, contacts.shape[-1]))
     rows[:, :, :3] = contacts[:, :, 1] - contacts[:, :, 0]
     for index, name, pieces in gripped_objects(motion):
         section = motion.requirements.objects[name].section
         rows[pieces, :, 3] = section.rounding
         if section.outline is not None:
-            poses = motion.object_poses.coefficients[pieces, index, :, 0]
+            poses = motion.poses.coefficients[pieces, index, :, 0]
             local = in_frame(poses[:, None, None], contacts[pieces, ..., 0])
             rows[pieces, :, 4] = _sides(section, local[..., :2])[..., None]
     return rows
@@ -454,7 +454,7 @@ class Resting(Held):
     @cached_property
     def places(self) -> Array:
         """Horizontal positions of the clasps at the start of the hold (spans, n, 2) [m]."""
-        poses = self.source.object_poses.coefficients[self.start_pieces, self.item, :, 0]
+        poses = self.source.poses.coefficients[self.start_pieces, self.item, :, 0]
         clasps = self.source.vertices.coefficients[self.start_pieces, ..., 0]
         return in_frame(poses[:, None], clasps)[..., :2]
 
@@ -487,11 +487,11 @@ def _force_lines(motion: Motion, _: float) -> WorstCase:
     size, begins = magnitude(motion), motion.drones.breaks
     each = [WorstCase(math.inf, 0.0, size=size)]
     for index, (name, body) in enumerate(motion.requirements.objects.items()):
-        share = motion.object_shares.coefficients[:, index]
+        share = motion.load_share.coefficients[:, index]
         moves, carried = moving_objects(motion)[:, index], carried_objects(motion)[:, index]
         fully = np.all(share == 1.0, axis=-1)
         resting, gripped = (held_pieces(motion, name, by) for by in (HoldBy.REST, HoldBy.GRIP))
-        heading = Enclosed(motion.object_poses.coefficients[:, index, 3:])
+        heading = Enclosed(motion.poses.coefficients[:, index, 3:])
         invalid = (moves & ~fully) | (heading_error(heading) > CONTACT_GAP)
         if not body.fixed:
             invalid |= _floating(motion, index, name, ~fully & ~moves)
@@ -512,7 +512,7 @@ def _force_lines(motion: Motion, _: float) -> WorstCase:
 def _floating(motion: Motion, index: int, name: str, at_rest: Mask) -> Mask:
     """Return on which pieces ``at_rest`` an object has no support below (pieces,)."""
     objects = motion.requirements.objects
-    poses = np.round(motion.object_poses.coefficients[..., 0] / REST_DRIFT) * REST_DRIFT
+    poses = np.round(motion.poses.coefficients[..., 0] / REST_DRIFT) * REST_DRIFT
     places, inverse = np.unique(poses, axis=0, return_inverse=True)
     supported = np.zeros(len(places), dtype=np.bool_)
     for i in np.unique(inverse.ravel()[at_rest]):

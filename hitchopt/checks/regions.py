@@ -20,11 +20,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.checks.spans import cached, same_degree
+from hitchopt.checks.spans import cached
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.team import Layout
 from hitchopt.motion.motion import CLASPED_STATES, CableState, Motion
 from hitchopt.trajectory import bernstein
+from hitchopt.trajectory.bernstein import same_degree
 from hitchopt.values import Array
 
 Flags = NDArray[np.bool_]

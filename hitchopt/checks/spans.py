@@ -21,6 +21,7 @@ from hitchopt.hitch.team import Layout
 from hitchopt.motion.loads import reduce_constants
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.trajectory.bernstein import same_degree
 from hitchopt.trajectory.enclosed import Enclosed
 from hitchopt.trajectory.search import BATCH, Spans
 from hitchopt.values import Array, Indices
@@ -205,7 +206,7 @@ def bent_edges(motion: Motion) -> tuple[Array, Array]:
 
     They end at the object that an edge is wrapped around; both are a whole edge if straight.
     """
-    if motion.contacts is None:
+    if not motion.has_wraps:
         edges = edge_vectors(motion)
         return edges, edges
     layout = motion.team.layout
@@ -221,7 +222,7 @@ def cable_parts(motion: Motion) -> tuple[Array, Indices]:
     An edge that is wrapped around an object has three: two straight parts and the arc's chord.
     """
     layout, nodes = motion.team.layout, [motion.vertices.coefficients, motion.drones.coefficients]
-    if motion.contacts is None:
+    if not motion.has_wraps:
         return concatenated(nodes, axis=1)[:, layout.part_nodes], layout.parts
     # Hitches that grip an object are closed: contacts are nodes of their edges.
     contacts = motion.contacts.coefficients
@@ -247,12 +248,6 @@ def part_names(motion: Motion, parts: Indices) -> list[str]:
     """Return the names of cable parts, such as ``q-leg 2`` or ``edge 0``."""
     labels = motion.team.labels
     return [f"{PART_NAMES[part % 3]} {labels[part // 3]}" for part in parts.tolist()]
-
-
-def same_degree(*parts: Array) -> list[Array]:
-    """Return polynomials (…, degree + 1) in the largest of their degrees."""
-    order = max(bernstein.degree(part) for part in parts)
-    return [bernstein.elevate(part, order) for part in parts]
 
 
 def without_shared_zeros(rows: Sequence[Array]) -> list[Array]:

@@ -379,7 +379,7 @@ def _resting(motion: Motion, index: int, body: SolidObject) -> tuple[PiecewisePo
     Friction moves the rim with them. The force line meets their plane within their polygon.
     """
     assert body.rim is not None
-    pose = motion.object_poses.coefficients[:, index]
+    pose = motion.poses.coefficients[:, index]
     places = motion.vertices.coefficients[:, motion.team.layout.clasps]
     centre = centre_path(pose, body)[:, None]
     points = motion.vertices.replaced(concatenated([places, centre], axis=1))
@@ -405,7 +405,7 @@ def _gripped(motion: Motion, index: int, body: SolidObject) -> tuple[PiecewisePo
 
     Edges push it as a whole. Friction carries it and turns it, one half for each.
     """
-    pose = motion.object_poses.coefficients[:, index]
+    pose = motion.poses.coefficients[:, index]
     heading = np.pad(pose[:, None, 3:], [(0, 0), (0, 0), (0, 1), (0, 0)])
     paths = concatenated([centre_path(pose, body)[:, None], heading], axis=1)
     forces, friction = np.min(spare_forces(motion), axis=1), 0.5 * spare_friction(motion, index)

@@ -196,7 +196,7 @@ def _clear_of_objects(motion: Motion, time: float) -> float | None:
     clear = [rest for rest in rests if _enclosed_object(motion, rest) is None]
     earlier, is_later = [rest for rest in clear if rest < time], max(clear, default=0.0) > time
     if earlier:
-        poses = motion.object_poses.at(np.array([earlier[-1], time]))[:, enclosed]
+        poses = motion.poses.at(np.array([earlier[-1], time]))[:, enclosed]
         if np.max(np.abs(poses[1] - poses[0])) <= REST_DRIFT or not is_later:
             return earlier[-1]
     return None if is_later else time
@@ -221,7 +221,7 @@ def _enclosed_object(motion: Motion, time: float) -> int | None:
     phase = next(p for p in reversed(motion.phases) if p.start < time + JOINT)
     if not (motion.requirements.objects and phase.formed and motion.team.layout.closed):
         return None
-    vertices, poses = motion.vertices.at(time), motion.object_poses.at(time)
+    vertices, poses = motion.vertices.at(time), motion.poses.at(time)
     for index, body in enumerate(motion.requirements.objects.values()):
         height = body.upper if body.rim is None else max(body.upper, body.rim.height)
         top = in_world(poses[index], np.append(body.section.centroid, height))
@@ -327,7 +327,7 @@ def straight_down(whole: Motion) -> Motion:
 def _requirements_after(whole: Motion) -> Requirements:
     """Return a plan's requirements with the objects at their final poses."""
     need = whole.requirements
-    poses = whole.object_poses.coefficients[-1, ..., -1]
+    poses = whole.poses.coefficients[-1, ..., -1]
     objects = {
         name: replace(body, at=pose[:3], yaw=float(np.arctan2(pose[4], pose[3])))
         for pose, (name, body) in zip(poses, need.objects.items(), strict=True)

@@ -304,7 +304,7 @@ class _SharedData:
 
 def _leaning(motion: Motion) -> Array:
     """Return the spans (m, 2) [s] of pieces on which one group's legs lean and cables slide."""
-    if motion.leg_tensions is None:
+    if not motion.has_friction:
         return np.zeros((0, 2))
     breaks, pulls = motion.drones.breaks, motion.pulls.coefficients
     differences = np.ptp(pulls.reshape(len(pulls), motion.team.robots, -1), axis=-1)

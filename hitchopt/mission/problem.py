@@ -23,7 +23,7 @@ from hitchopt.hitch.requirements import (
 from hitchopt.hitch.team import MAX_DRONES, MAX_ROBOTS, QUADROTOR, PartTeam
 from hitchopt.mission.objects import OBJECTS
 from hitchopt.mission.others import OTHERS, Other
-from hitchopt.motion.plan_file import request_fields
+from hitchopt.motion.request import request_fields
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import check_placed
 from hitchopt.planners.carrying.planner import OPENING_TENSIONS

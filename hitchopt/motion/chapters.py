@@ -114,8 +114,8 @@ def check_rings(motion: Motion) -> None:
             raise InputError("phases", phase.start, bound, "split the pieces there")
     if not team.layout.closed or np.any(team.load):
         raise InputError("phases.ring", team.topology, "of closed hitches without loads", REMEDY)
-    if any(curve is not None for curve in (motion.poses, motion.borne, motion.contacts)):
-        bound = "left out where robots join or leave"
+    if motion.has_wraps or not motion.has_objects_at_rest:
+        bound = "at rest where robots join or leave"
         raise InputError("poses", "objects that move", bound, "carry with a ring of all robots")
 
 
@@ -141,14 +141,13 @@ def _take_rows(curve: PiecewisePolynomial, rows: list[int], width: int = 1) -> P
 def _ring(motion: Motion, members: tuple[int, ...]) -> Motion:
     """Return the motion of the ring alone."""
     rows = list(members)
-    leg_tensions = motion.leg_tensions
     return motion.replaced(
         team=PartTeam.of(motion.team, rows),
         drones=_take_rows(motion.drones, rows, 2),
         vertices=_take_rows(motion.vertices, list(range(len(rows)))),
         legs=_take_rows(motion.legs, rows),
         tensions=_take_rows(motion.tensions, rows),
-        leg_tensions=None if leg_tensions is None else _take_rows(leg_tensions, rows),
+        leg_tensions=_take_rows(motion.leg_tensions, rows),
         phases=tuple(replace(phase, ring=None, waiting=()) for phase in motion.phases),
         assignment=None,
         others=(),
@@ -192,9 +191,8 @@ def with_waiting(
         "vertices": _scatter(ring.vertices, list(range(len(rows))), n),
         "legs": _scatter(ring.legs, rows, n),
         "tensions": _scatter(ring.tensions, rows, n),
+        "leg_tensions": _scatter(ring.leg_tensions, rows, n),
     }
-    if ring.leg_tensions is not None:
-        curves["leg_tensions"] = _scatter(ring.leg_tensions, rows, n)
     waiting_curves = {
         robot: on_breaks(
             each.drones

@@ -19,7 +19,7 @@ import numpy as np
 from hitchopt.errors import InputError
 from hitchopt.hitch import Swarm, Team
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
-from hitchopt.motion.motion import JOINT, CableState, Group, Motion, Phase
+from hitchopt.motion.motion import JOINT, PLAIN, CableState, Group, Motion, Phase
 from hitchopt.motion.retiming import on_breaks_of, padded
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import REST_DRIFT
@@ -131,9 +131,7 @@ def side_by_side(groups: Sequence[Group], others: Sequence[Group]) -> Motion:
     return CombinedMotion(**values, parts=tuple(groups))
 
 
-def _shared(
-    groups: Sequence[Group], motions: Sequence[Motion]
-) -> tuple[Requirements, PiecewisePolynomial | None]:
+def _shared(groups: Sequence[Group], motions: Sequence[Motion]) -> tuple[Requirements, Any]:
     """Return the requirements between groups, with all objects, and the objects' poses.
 
     Groups may share obstacles at rest. Other objects with the same name are labelled by group.
@@ -144,10 +142,10 @@ def _shared(
     limits: Limits = replace(requirements[0].limits, tracking=tracking)
     prisms = {prism.corners.tobytes(): prism for own in requirements for prism in own.keep_out}
     objects, poses = dict[str, SolidObject](), list[Any]()
-    degree = max(motion.object_poses.degree for motion in motions)
+    degree = max(motion.poses.degree for motion in motions)
     for group, motion, own in zip(groups, motions, requirements, strict=True):
         for index, (name, body) in enumerate(own.objects.items()):
-            pose = motion.object_poses.elevated(degree).coefficients[:, index]
+            pose = motion.poses.elevated(degree).coefficients[:, index]
             key = group.label(name) if name in objects else name
             at_rest = np.max(np.abs(pose - body.pose[:, None])) <= REST_DRIFT
             if not (at_rest and name in objects and same_object(objects[name], body)):
@@ -160,13 +158,13 @@ def _shared(
         arena = Arena(np.min(lower, axis=0), np.max(upper, axis=0))
     merged = Requirements(limits, separation, arena, tuple(prisms.values()), objects)
     if not poses:
-        return merged, None
+        return merged, PLAIN
     return merged, PiecewisePolynomial(motions[0].drones.breaks, np.stack(poses, axis=1))
 
 
 def moved_objects(motion: Motion) -> frozenset[str]:
     """Return the names of objects that a motion moves."""
-    moves = np.ptp(motion.object_poses.coefficients, axis=(0, -1)).max(axis=-1, initial=0.0)
+    moves = np.ptp(motion.poses.coefficients, axis=(0, -1)).max(axis=-1, initial=0.0)
     names = motion.requirements.objects
     return frozenset(name for name, by in zip(names, moves, strict=True) if by > REST_DRIFT)
 

@@ -158,7 +158,7 @@ def supports_of(motion: Motion, index: int, body: SolidObject) -> Supports:
 
 def _local_vertices(motion: Motion, index: int) -> Array:
     """Return vertices (pieces, points, 2) [m] in an object's frame at the start of each piece."""
-    poses = motion.object_poses.coefficients[:, index, :, 0]
+    poses = motion.poses.coefficients[:, index, :, 0]
     return in_frame(poses[:, None], motion.vertices.coefficients[..., 0])[..., :2]
 
 
@@ -166,7 +166,7 @@ def object_loads(motion: Motion) -> Array | None:
     """Return the forces ``w_k`` (pieces, clasps, 3, …) [N] of objects on clasps; None if zero."""
     loads: list[Array] = []
     for index, body, held, share in _resting_objects(motion):
-        pose = motion.object_poses.coefficients[:, index]
+        pose = motion.poses.coefficients[:, index]
         supports = supports_of(motion, index, body)
         moving = np.any(np.ptp(pose, axis=-1) > REST_DRIFT, axis=-1)[:, None, None, None]
         accelerations = motion.vertices.differentiated(2).coefficients[:, motion.team.layout.clasps]
@@ -225,7 +225,7 @@ def _resting_objects(motion: Motion) -> Iterator[tuple[int, SolidObject, NDArray
     """Yield objects on clasps: index, object, mask of the pieces (pieces,), and load share."""
     for index, (name, body) in enumerate(motion.requirements.objects.items()):
         held = held_pieces(motion, name, HoldBy.REST)
-        load_share = np.where(held[:, None], motion.object_shares.coefficients[:, index], 0.0)
+        load_share = np.where(held[:, None], motion.load_share.coefficients[:, index], 0.0)
         if np.any(load_share):
             yield index, body, held, load_share
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence, Set
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -17,6 +18,7 @@ from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Assignment
 from hitchopt.objects.placing import poses_of
 from hitchopt.trajectory import PiecewisePolynomial, joined
+from hitchopt.trajectory.bernstein import same_degree
 from hitchopt.values import check_instance, sequence
 
 JOINT = 1e-6
@@ -154,14 +156,35 @@ class Group:
         return f"{self.name}.{name}" if self.name else name
 
 
-POLYNOMIALS = ("drones", "vertices", "legs", "tensions")
+CURVES = (
+    "drones",
+    "vertices",
+    "legs",
+    "tensions",
+    "leg_tensions",
+    "poses",
+    "load_share",
+    "contacts",
+)
 """Polynomial fields of every motion."""
 
-OPTIONAL_CURVES = ("leg_tensions", "poses", "borne", "contacts")
-"""Polynomial fields of motions with friction at the clasps or with held objects."""
+SOURCES: dict[str, frozenset[str]] = {
+    "leg_tensions": frozenset({"tensions"}),
+    "poses": frozenset({"requirements", "drones"}),
+    "load_share": frozenset({"requirements", "drones"}),
+    "contacts": frozenset({"vertices", "team"}),
+}
+"""Curves that need not be passed, and the fields from which they follow without friction, wrapped
+edges and objects that move."""
+
+PLAIN: Any = None
+"""Stands for a curve that follows from its sources (``Motion.plain_curve``)."""
+
+PLAIN_TOLERANCE = 1e-9
+"""[m], [N] Largest difference from a plain curve that counts as none."""
 
 SHARE_TOLERANCE = 2.0**-40
-"""Load shares this close to 0 or 1 count as 0 or 1: elevating the degree rounds them."""
+"""Load shares this close to 0 or 1 are set to 0 or 1: elevating the degree rounds them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,14 +204,14 @@ class Motion(OneLine):
     tensions: shape (n,) [N].
     phases: contiguous phases that cover the motion.
     assignment: roles of the robots, if they were chosen.
-    leg_tensions: shape (n, 2) [N], if cables slide against friction; None if every leg pulls with
-        its cable's tension.
-    poses: shape (objects, 5): x, y, z [m] of the objects' bases, cosine and sine of yaw; None if no
-        object moves.
-    borne: shape (objects,), share of each object's weight that clasps carry, from 0 (on its
-        support) to 1; None if they carry none.
+    leg_tensions: shape (n, 2) [N]; by default, every leg pulls with its cable's tension. They
+        differ where cables slide against friction.
+    poses: shape (objects, 5): x, y, z [m] of the objects' bases, cosine and sine of yaw; by default
+        where requirements place them.
+    load_share: shape (objects,), share of each object's weight that clasps carry, from 0 (on its
+        support, the default) to 1.
     contacts: shape (n, 2, 3) [m], first and last point at which edge k touches the section that it
-        is wrapped around, one point if straight; None if all edges are straight.
+        is wrapped around, one point if straight; by default the edges' midpoints.
     others: external plans on this motion's clock, at rest before and after their own time. All
         distances to them are kept.
 
@@ -205,10 +228,10 @@ class Motion(OneLine):
     tensions: PiecewisePolynomial
     phases: tuple[Phase, ...]
     assignment: Assignment | None = None
-    leg_tensions: PiecewisePolynomial | None = None
-    poses: PiecewisePolynomial | None = None
-    borne: PiecewisePolynomial | None = None
-    contacts: PiecewisePolynomial | None = None
+    leg_tensions: PiecewisePolynomial = PLAIN
+    poses: PiecewisePolynomial = PLAIN
+    load_share: PiecewisePolynomial = PLAIN
+    contacts: PiecewisePolynomial = PLAIN
     others: tuple[Group, ...] = ()
 
     def _parts(self) -> Iterator[str]:
@@ -225,16 +248,19 @@ class Motion(OneLine):
             "tensions": (n,),
             "leg_tensions": (n, 2),
             "poses": (objects, 5),
-            "borne": (objects,),
+            "load_share": (objects,),
             "contacts": (n, 2, 3),
         }
         breaks = self.drones.breaks
-        for name, part in self._polynomials.items():
-            if part.shape != shapes[name]:
-                bound = f"of shape {shapes[name]}"
-                raise InputError(name, part.shape, bound, "one row per robot's parts")
+        for name, shape in shapes.items():
+            if getattr(self, name) is PLAIN:
+                object.__setattr__(self, name, self.plain_curve(name))
+            part: PiecewisePolynomial = getattr(self, name)
+            if part.shape != shape:
+                raise InputError(name, part.shape, f"of shape {shape}", "one row per robot's parts")
             if part.breaks is not breaks and not np.array_equal(part.breaks, breaks):
                 raise InputError(name, "its breaks", "those of the drones", "split both the same")
+        object.__setattr__(self, "load_share", _snapped(self.load_share))
         check_phases(self.phases, float(breaks[0]), float(breaks[-1]))
         if any((phase.state == CableState.NONE) is self.team.has_cables for phase in self.phases):
             bound = "none without cables, another state with them"
@@ -252,8 +278,8 @@ class Motion(OneLine):
         """Raise InputError for a field of another type."""
         check_instance("team", self.team, Team)
         check_instance("requirements", self.requirements, Requirements)
-        for name in POLYNOMIALS + OPTIONAL_CURVES:
-            if getattr(self, name) is not None or name in POLYNOMIALS:
+        for name in CURVES:
+            if getattr(self, name) is not PLAIN or name not in SOURCES:
                 check_instance(name, getattr(self, name), PiecewisePolynomial)
         if self.assignment is not None:
             check_instance("assignment", self.assignment, Assignment)
@@ -263,10 +289,36 @@ class Motion(OneLine):
             for i, each in enumerate(entries):
                 check_instance(f"{name}[{i}]", each, kind)
 
-    @property
-    def _polynomials(self) -> dict[str, PiecewisePolynomial]:
-        own = vars(self)
-        return {name: own[name] for name in POLYNOMIALS + OPTIONAL_CURVES if own[name] is not None}
+    def plain_curve(self, name: str) -> PiecewisePolynomial:
+        """Return a curve of SOURCES as it is without friction, wrapped edges and moving objects."""
+        if name == "leg_tensions":
+            c = self.tensions.coefficients
+            return self.tensions.replaced(np.stack([c, c], axis=2))
+        if name == "contacts":
+            c, layout = self.vertices.coefficients, self.team.layout
+            middles = 0.5 * (c[:, layout.starts] + c[:, layout.ends])
+            return self.vertices.replaced(np.stack([middles, middles], axis=2))
+        objects = self.requirements.objects
+        rest = poses_of(objects) if name == "poses" else np.zeros(len(objects))
+        return PiecewisePolynomial.constant(self.drones.breaks, rest)
+
+    def _is_plain(self, name: str) -> bool:
+        """Return whether a curve of SOURCES is as without friction, wraps and moving objects."""
+        stored, plain = getattr(self, name), self.plain_curve(name)
+        if stored.shape != plain.shape:
+            return False
+        parts = same_degree(stored.coefficients, plain.coefficients)
+        return bool(np.max(np.abs(parts[0] - parts[1]), initial=0.0) <= PLAIN_TOLERANCE)
+
+    @cached_property
+    def has_friction(self) -> bool:
+        """Whether any leg pulls with another tension than its cable."""
+        return not self._is_plain("leg_tensions")
+
+    @cached_property
+    def has_wraps(self) -> bool:
+        """Whether any edge has contacts with an object; otherwise all edges are straight."""
+        return not self._is_plain("contacts")
 
     @classmethod
     def single(
@@ -308,6 +360,11 @@ class Motion(OneLine):
         return change(self)
 
     @property
+    def has_objects_at_rest(self) -> bool:
+        """Whether all objects stand where requirements place them, and cables carry none."""
+        return self._is_plain("poses") and self._is_plain("load_share")
+
+    @property
     def has_cables(self) -> bool:
         """Whether any of its teams has cables."""
         return any(each.motion.team.has_cables for each in self.groups)
@@ -340,37 +397,7 @@ class Motion(OneLine):
     @property
     def pulls(self) -> PiecewisePolynomial:
         """Tension of the leg at each drone, q0, r0, q1, …, of shape (2n,) [N]."""
-        if self.leg_tensions is None:
-            return self.drones.replaced(np.repeat(self.tensions.coefficients, 2, axis=1))
-        return self.leg_tensions.reshaped(self.team.drones)
-
-    @property
-    def object_poses(self) -> PiecewisePolynomial:
-        """Poses of all objects as in ``poses``; constant if none moves."""
-        if self.poses is not None:
-            return self.poses
-        return PiecewisePolynomial.constant(self.drones.breaks, poses_of(self.requirements.objects))
-
-    @property
-    def object_shares(self) -> PiecewisePolynomial:
-        """Shares of objects' weights that clasps carry, as in ``borne``; 0 if they carry none.
-
-        Shares within SHARE_TOLERANCE of 0 or 1 are set to 0 or 1.
-        """
-        if self.borne is None:
-            zero = np.zeros(len(self.requirements.objects))
-            return PiecewisePolynomial.constant(self.drones.breaks, zero)
-        c, nearest = self.borne.coefficients, np.round(self.borne.coefficients)
-        return self.borne.replaced(np.where(np.abs(c - nearest) <= SHARE_TOLERANCE, nearest, c))
-
-    @property
-    def edge_contacts(self) -> PiecewisePolynomial:
-        """Contacts of all edges as in ``contacts``; the edges' midpoints if all are straight."""
-        if self.contacts is not None:
-            return self.contacts
-        c, layout = self.vertices.coefficients, self.team.layout
-        middles = 0.5 * (c[:, layout.starts] + c[:, layout.ends])
-        return self.vertices.replaced(np.stack([middles, middles], axis=2))
+        return self.leg_tensions.reshaped(2 * self.team.robots)
 
     @property
     def cable_states(self) -> frozenset[CableState]:
@@ -427,16 +454,22 @@ class Motion(OneLine):
         self, change: Callable[[PiecewisePolynomial], PiecewisePolynomial], phases: Sequence[Phase]
     ) -> Motion:
         """Return the motion with ``change`` applied to every polynomial, and other phases."""
-        parts = {name: change(part) for name, part in self._polynomials.items()}
+        parts = {name: change(getattr(self, name)) for name in CURVES}
         return self.replaced(phases=tuple(phases), **parts)
 
     def replaced(self, **values: Any) -> Motion:
         """Return the motion with other values of some fields.
 
-        Only phases are checked: polynomials come from motions that were checked on construction.
+        Curves that follow from their sources alone follow from the new ones. Only phases are
+        checked: polynomials come from motions that were checked on construction.
         """
         motion, own = object.__new__(type(self)), vars(self)
         vars(motion).update({name: own[name] for name in self.__dataclass_fields__} | values)
+        for name, sources in SOURCES.items():
+            if name not in values and sources & values.keys() and self._is_plain(name):
+                vars(motion)[name] = motion.plain_curve(name)
+        if "load_share" in values:
+            vars(motion)["load_share"] = _snapped(motion.load_share)
         if "phases" in values:
             breaks = motion.drones.breaks
             check_phases(motion.phases, float(breaks[0]), float(breaks[-1]))
@@ -449,11 +482,8 @@ class Motion(OneLine):
 
 
 def joined_motions(motions: Sequence[Motion]) -> Motion:
-    """Return the motions in sequence as one, with the first one's team and requirements.
-
-    In each motion, objects that do not move stand where its own requirements place them.
-    """
-    if len(motions) == 1 and motions[0].poses is None and motions[0].borne is None:
+    """Return the motions in sequence as one, with the first one's team and requirements."""
+    if len(motions) == 1:
         return motions[0]
     ends = np.cumsum([0.0, *(motion.duration for motion in motions)]).tolist()
     phases = tuple(
@@ -462,16 +492,12 @@ def joined_motions(motions: Sequence[Motion]) -> Motion:
         for phase in motion.phases
     )
     parts: dict[str, Any] = {"drones": joined([motion.drones for motion in motions])}
-    for name in POLYNOMIALS[1:]:
+    for name in CURVES[1:]:
         parts[name] = joined([getattr(motion, name) for motion in motions], parts["drones"])
-    curves = {
-        name for motion in motions for name in OPTIONAL_CURVES if getattr(motion, name) is not None
-    }
-    if "leg_tensions" in curves:
-        parts["leg_tensions"] = joined([motion.pulls for motion in motions]).reshaped(-1, 2)
-    if curves & {"poses", "borne"}:
-        parts["poses"] = joined([motion.object_poses for motion in motions])
-        parts["borne"] = joined([motion.object_shares for motion in motions])
-    if "contacts" in curves:
-        parts["contacts"] = joined([motion.edge_contacts for motion in motions])
     return motions[0].replaced(phases=phases, **parts)
+
+
+def _snapped(share: PiecewisePolynomial) -> PiecewisePolynomial:
+    """Return load shares with those within SHARE_TOLERANCE of 0 or 1 set to 0 or 1."""
+    c, nearest = share.coefficients, np.round(share.coefficients)
+    return share.replaced(np.where(np.abs(c - nearest) <= SHARE_TOLERANCE, nearest, c))

@@ -130,7 +130,7 @@ def _on_clock(motion: Motion, clock: ClockPhases) -> Motion:
         left, right = (_jets(whole, *side) for side in sides)
         left[:3, smooth + 1] = right[:3, smooth]
         fitted = PiecewisePolynomial.hermite(breaks, left, right)
-        if whole is motion.borne:  # its second derivatives may jump; it stays within [0, 1]
+        if whole is motion.load_share:  # its second derivatives may jump; it stays within [0, 1]
             fitted = PiecewisePolynomial(breaks, np.clip(fitted.coefficients, 0.0, 1.0))
         return fitted
 
@@ -219,7 +219,5 @@ def resting(
 
 def with_last_poses(previous: Motion, motion: Motion) -> Motion:
     """Return a motion with objects at rest at their last poses in a previous motion."""
-    if previous.poses is None:
-        return motion
     last = previous.poses.coefficients[-1, ..., -1]
     return motion.replaced(poses=PiecewisePolynomial.constant(motion.drones.breaks, last))

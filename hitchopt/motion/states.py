@@ -77,7 +77,7 @@ class States(OneLine):
     legs: (…, n, 2) [m], ``d_k`` and ``e_k``.
     tensions: (…, n) [N].
     object_poses: (…, objects, 5): x, y, z [m] of their bases, cosine and sine of yaw.
-    borne: (…, objects), share of each object's weight that clasps carry.
+    load_share: (…, objects), share of each object's weight that clasps carry.
     masses: (…, 2n) [kg], of the drones.
     """
 
@@ -94,7 +94,7 @@ class States(OneLine):
     legs: Array
     tensions: Array
     object_poses: Array
-    borne: Array
+    load_share: Array
     masses: Array
 
     def __getitem__(self, index: int) -> States:
@@ -230,9 +230,9 @@ def iterate_states(motion: Motion, times: Array, block_size: int) -> Iterator[St
                 name: np.concatenate([getattr(block, name) for block in blocks], axis=1)
                 for name in DRONE_FIELDS
             }
-            for name in ("vertices", "legs", "tensions", "object_poses", "object_shares"):
+            for name in ("vertices", "legs", "tensions", "poses", "load_share"):
                 common[name] = getattr(motion, name).at(motion.drones.breaks[0] + t)
-            common["borne"], formed = common.pop("object_shares"), np.zeros(len(t), np.bool_)
+            common["object_poses"], formed = common.pop("poses"), np.zeros(len(t), np.bool_)
             yield States(t=t, formed=formed, vertex_velocities=common["vertices"], **common)
         return
     if motion.has_ring_changes:
@@ -268,8 +268,8 @@ def iterate_states(motion: Motion, times: Array, block_size: int) -> Iterator[St
             vertex_velocities=slopes[1],
             legs=motion.legs.at(plan_times),
             tensions=motion.tensions.at(plan_times),
-            object_poses=motion.object_poses.at(plan_times),
-            borne=motion.object_shares.at(plan_times),
+            object_poses=motion.poses.at(plan_times),
+            load_share=motion.load_share.at(plan_times),
             masses=np.broadcast_to(motion.team.mass, values[0].shape[:-1]),
         )
 

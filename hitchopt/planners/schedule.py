@@ -103,7 +103,7 @@ class Track:
         motion = self.group.motion
         objects = motion.requirements.objects
         own = [k for k, name in enumerate(objects) if name in self.owned]
-        at = np.repeat(motion.object_poses.at(self.times)[:, own, None, :3], 2, axis=2)
+        at = np.repeat(motion.poses.at(self.times)[:, own, None, :3], 2, axis=2)
         slabs = [list(objects.values())[k].slabs for k in own]
         ends = [[min(s.lower for s in each), max(s.upper for s in each)] for each in slabs]
         radii = [max(s.section.circumradius for s in each) for each in slabs]

@@ -290,7 +290,7 @@ def _edge_ends(task: Task) -> tuple[Array, Array]:
     """Return unit vectors (samples, n, 3) along edges at both ends, see ``bend_lengths``."""
     layout, motion = task.team.layout, task.motion
     carrying = task.states.formed & np.any(task.cargo.carried, axis=-1)
-    if motion is None or motion.contacts is None or not carrying.any():
+    if motion is None or not motion.has_wraps or not carrying.any():
         straight = unit(layout.edges(task.states.vertices[task.states.formed]))
         return straight, straight
     vertices = task.states.vertices[carrying]

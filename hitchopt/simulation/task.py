@@ -60,7 +60,7 @@ class Cargo:
             if phase.hold is not None:
                 during = (t >= phase.start) & (t <= phase.end)
                 held[during, list(objects).index(phase.hold.object)] = True
-        poses, load_share = motion.object_poses.at(t), motion.object_shares.at(t)
+        poses, load_share = motion.poses.at(t), motion.load_share.at(t)
         return cls(objects, poses, held, load_share, motion.requirements.floor)
 
     @classmethod

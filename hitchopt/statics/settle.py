@@ -224,7 +224,7 @@ def samples_of(
         spans = [f"{p.start:g} to {p.end:g} s" for p in motion.phases if p.formed]
         bound = f"within a hitch: {', '.join(spans) or 'never in this plan'}"
         raise InputError("t", float(states.t[~states.formed].flat[0]), bound, "see its phases")
-    carrying = np.any(states.borne > 0.0, axis=-1)
+    carrying = np.any(states.load_share > 0.0, axis=-1)
     if np.any(carrying):
         when = f"t = {float(states.t[carrying].flat[0]):.4g} s"
         raise UnsupportedError(f"{when}: statics do not model objects that a hitch carries")

@@ -209,7 +209,8 @@ def taut_times(motion: Motion, count: int = SAMPLES) -> Array:
     if motion.team.has_cables:
         states = states_at(motion, times)
         taut = states.formed & np.all(states.tensions >= TAUT_RATIO * motion.team.tension, axis=-1)
-        times = times[taut & ~np.any(states.borne > 0.0, axis=-1)]  # statics do not model objects
+        unloaded = ~np.any(states.load_share > 0.0, axis=-1)  # statics do not model objects
+        times = times[taut & unloaded]
     if not motion.team.has_cables or not len(times):
         raise UnsupportedError("a plan without a taut hitch has no tensions to compute ranges of")
     return times[np.unique(np.linspace(0, len(times) - 1, count).round().astype(np.intp))]

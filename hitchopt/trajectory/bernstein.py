@@ -78,6 +78,12 @@ def elevate(coefficients: Array, order: int) -> Array:
     return transform(coefficients, elevation(degree(coefficients), order))
 
 
+def same_degree(*parts: Array) -> list[Array]:
+    """Return polynomials (…, degree + 1) in the largest of their degrees."""
+    order = max(degree(part) for part in parts)
+    return [elevate(part, order) for part in parts]
+
+
 def transform(coefficients: Array, matrix: Array) -> Array:
     """Return the products (…, k) of a matrix (k, m) and vectors (…, m), MAX_PRODUCT at a time."""
     flat = coefficients.reshape(-1, coefficients.shape[-1])

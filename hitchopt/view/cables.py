@@ -96,7 +96,7 @@ def _part_curves(
     if len(samples):
         times = times[samples]
         drones, vertices = drones[samples], motion.vertices.at(times)
-        contacts = None if motion.contacts is None else motion.contacts.at(times)
+        contacts = motion.contacts.at(times) if motion.has_wraps else None
         radius = min(radius, _largest_radius(motion.team.layout, drones, vertices))
         piece = np.searchsorted(motion.drones.breaks[1:-1], times, side="right")
         senses = senses | clasp_senses(motion)

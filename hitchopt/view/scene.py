@@ -84,7 +84,7 @@ def scene_at(motion: Motion, t: Array, thickness: float = THICKNESS) -> Scene:
     ``thickness`` is the radius of a drawn cable as a share of the scene's extent.
     """
     begin, rows, radii = motion.drones.breaks[0], list[Any](), list[float]()
-    poses = [motion.object_poses.at(begin + np.minimum(t, motion.duration))]
+    poses = [motion.poses.at(begin + np.minimum(t, motion.duration))]
     for group in motion.all_groups:
         own, is_other = group.motion, group in motion.others
         states = states_at(own, np.clip(begin + t - own.drones.breaks[0], 0.0, own.duration))

@@ -98,9 +98,9 @@ def slipped(motion: Motion, angle: float, sunk: float = 0.0) -> Motion:
     It does so bit by bit, at the joints of pieces.
     """
     (carry,), begins = [p for p in motion.phases if p.name == "carry"], motion.drones.breaks[:-1]
-    c = motion.object_poses.coefficients.copy()
+    c = motion.poses.coefficients.copy()
     share = np.clip((begins - carry.start) / (carry.end - carry.start), 0.0, 1.0)[:, None]
     heading = (c[:, 0, 3] + 1j * c[:, 0, 4]) * np.exp(1j * angle * share)
     c[:, 0, 2] -= sunk * share
     c[:, 0, 3:] = np.stack([heading.real, heading.imag], axis=1)
-    return replace(motion, poses=motion.object_poses.replaced(c))
+    return replace(motion, poses=motion.poses.replaced(c))

@@ -54,7 +54,7 @@ def too_close(body: str) -> Any:
 def heights(motion: Motion, floor: float) -> Array:
     """Heights of the tray above the ground in samples in which it moves level, too."""
     t = np.linspace(0.0, motion.duration, 200_001)
-    places = motion.object_poses.at(t)[:, 0]
+    places = motion.poses.at(t)[:, 0]
     level = np.linalg.norm(np.gradient(places[:, :2], axis=0), axis=-1) > 1e-9
     return np.asarray(places[level, 2] - floor)
 

@@ -123,9 +123,9 @@ def landed(found: Abort) -> Array:
     whole = found.motion
     assert found.certificate.certified
     assert np.max(np.abs(whole.drones.at(whole.duration)[:, 2])) <= 0.2
-    left, right = whole.object_poses.ends(0)
+    left, right = whole.poses.ends(0)
     np.testing.assert_allclose(left[1:], right[:-1], rtol=0.0, atol=1e-9)
-    ends: Array = whole.object_poses.at(np.array([0.0, whole.duration]))[:, 0, :3]
+    ends: Array = whole.poses.at(np.array([0.0, whole.duration]))[:, 0, :3]
     return ends
 
 
@@ -157,9 +157,9 @@ def test_objects_left_in_the_air_are_set_down_at_their_start() -> None:
 
 def test_jumps_of_objects_break_continuity() -> None:
     motion = plan("tray").motion
-    poses = motion.object_poses.coefficients.copy()
+    poses = motion.poses.coefficients.copy()
     poses[-1, 0, 0] += 1e-3
-    found = check(replace(motion, poses=motion.object_poses.replaced(poses)), "continuity")
+    found = check(replace(motion, poses=motion.poses.replaced(poses)), "continuity")
     assert (check(motion, "continuity").holds, found.holds) == (True, False)
     assert found.where == ("tray",)
     assert found.bound == pytest.approx(1e-3, abs=1e-6)

@@ -42,7 +42,7 @@ def motion() -> Motion:
 
 def parts_of(motion: Motion, t: Array) -> tuple[Array, Array, Array]:
     """Return the straight parts (times, n, 3) of edges, and contacts (times, n, 2, 3) [m]."""
-    p, c = motion.vertices.at(t), motion.edge_contacts.at(t)
+    p, c = motion.vertices.at(t), motion.contacts.at(t)
     return c[:, :, 0] - p, np.roll(p, -1, axis=1) - c[:, :, 1], c
 
 
@@ -60,10 +60,10 @@ def test_edges_move_the_object(name: str) -> None:
     body = next(iter(motion.requirements.objects.values()))
     leaving, arriving, contacts = parts_of(motion, t)
     T = motion.tensions.at(t)[..., None]
-    poses = motion.object_poses.at(t)[:, 0]
+    poses = motion.poses.at(t)[:, 0]
     centre = poses[:, None, :3] + [0.0, 0.0, body.centre_of_mass[2]]
     force = np.sum(T * (unit(arriving) - unit(leaving)), axis=1)
-    a = motion.object_poses.differentiated(2).at(t)[:, 0, :3]
+    a = motion.poses.differentiated(2).at(t)[:, 0, :3]
     np.testing.assert_allclose(force, body.mass * (a + [0, 0, GRAVITY]), atol=1e-3)
     moment = np.cross(contacts[:, :, 1] - centre, T * unit(arriving))
     moment -= np.cross(contacts[:, :, 0] - centre, T * unit(leaving))
@@ -77,7 +77,7 @@ def test_parts_of_cables_add_up_to_their_lengths(name: str) -> None:
     t, team = np.linspace(0.0, motion.duration, 700), motion.team
     section = next(iter(motion.requirements.objects.values())).section
     leaving, arriving, contacts = parts_of(motion, t)
-    seen = in_frame(motion.object_poses.at(t)[:, None, None, 0], contacts)[..., :2]
+    seen = in_frame(motion.poses.at(t)[:, None, None, 0], contacts)[..., :2]
     across, shares = seen[:, :, 1] - seen[:, :, 0], np.linspace(0.0, 1.0, 401)
     chords = seen[:, :, 0] + shares[:, None, None, None] * across
     if section.radius is not None:
@@ -100,7 +100,7 @@ def ratios(motion: Motion, t: Array) -> Array:
     legs = motion.drones.at(t) - motion.vertices.at(t)[:, motion.team.layout.anchors]
     wrapped = np.maximum(angle(-legs[:, 0::2], leaving), angle(-legs[:, 1::2], -arriving))
     least = motion.tensions.at(t) * np.exp(-motion.team.cable_friction * wrapped)
-    a = motion.object_poses.differentiated(2).at(t)[:, 0, 2]
+    a = motion.poses.differentiated(2).at(t)[:, 0, 2]
     slip: Array = body.friction * np.sum(least * theta, axis=1)
     return slip / (body.mass * (GRAVITY + a))
 
@@ -122,7 +122,7 @@ def test_turning_faster_loads_the_grip(motion: Motion, monkeypatch: pytest.Monke
     """
     monkeypatch.setattr(objects, "_misplaced", lambda spans: np.zeros(len(spans), np.bool_))
     carry = next(p for p in motion.phases if p.name == "carry")
-    poses, breaks, pushed = motion.object_poses, motion.drones.breaks, 40.0  # rad/s²
+    poses, breaks, pushed = motion.poses, motion.drones.breaks, 40.0  # rad/s²
     inside = (breaks[:-1] >= carry.start - 1e-9) & (breaks[1:] <= carry.end + 1e-9)
     piece = int(np.argmin(np.where(inside, np.diff(breaks), np.inf)))
     turned = 0.5 * pushed * float(np.diff(breaks)[piece]) ** 2
@@ -167,7 +167,7 @@ def test_a_plan_from_the_middle_of_a_flight_is_read(motion: Motion, tmp_path: Pa
     write_plan(tmp_path / "plan.npz", cut(motion, first, motion.drones.pieces))
     found = read_plan(tmp_path / "plan.npz")
     body = found.requirements.objects["drum"]
-    np.testing.assert_allclose(body.pose, found.object_poses.at(0.0)[0], atol=1e-12)
+    np.testing.assert_allclose(body.pose, found.poses.at(0.0)[0], atol=1e-12)
     assert body.at[2] > 0.05
 
 
@@ -180,28 +180,28 @@ def held_by(motion: Motion, change: Callable[[Hold], Hold | None]) -> Motion:
 
 def borne_before(motion: Motion) -> Motion:
     """Return the motion in which the drum's weight is borne from the start, by nothing."""
-    coefficients = motion.object_shares.coefficients.copy()
+    coefficients = motion.load_share.coefficients.copy()
     coefficients[0, ..., -1] = 0.1
-    return replace(motion, borne=motion.object_shares.replaced(coefficients))
+    return replace(motion, load_share=motion.load_share.replaced(coefficients))
 
 
 def slid(motion: Motion) -> Motion:
     """Return the motion in which edges slip up and down by a millimetre on one piece."""
-    coefficients = motion.edge_contacts.coefficients.copy()
+    coefficients = motion.contacts.coefficients.copy()
     carry = next(phase for phase in motion.phases if phase.name == "carry")
     piece = int(np.searchsorted(motion.drones.breaks, carry.end)) - 2
     coefficients[piece, :, :, 2, 1:-1] += 0.001
-    return replace(motion, contacts=motion.edge_contacts.replaced(coefficients))
+    return replace(motion, contacts=motion.contacts.replaced(coefficients))
 
 
 def twisted(motion: Motion, angle: float) -> Motion:
     """Return the motion in which contacts turn about the drum: forces cancel, moments do not."""
-    contacts = motion.edge_contacts.coefficients.copy()
-    poses = motion.object_poses.elevated(contacts.shape[-1] - 1)
+    contacts = motion.contacts.coefficients.copy()
+    poses = motion.poses.elevated(contacts.shape[-1] - 1)
     centre = poses.coefficients[:, None, None, 0, :2]
     turn = [[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]
     contacts[..., :2, :] = centre + np.array(turn) @ (contacts[..., :2, :] - centre)
-    return replace(motion, contacts=motion.edge_contacts.replaced(contacts))
+    return replace(motion, contacts=motion.contacts.replaced(contacts))
 
 
 @pytest.mark.parametrize(
@@ -211,7 +211,7 @@ def twisted(motion: Motion, angle: float) -> Motion:
         (slid, "grip"),
         (lambda m: slipped(m, 0.001), "grip"),
         (lambda m: slipped(m, 0.0, 0.001), "grip"),
-        (lambda m: replace(m, poses=moved(m.object_poses, [0, 0, 0, 0.001, 0])), "support"),
+        (lambda m: replace(m, poses=moved(m.poses, [0, 0, 0, 0.001, 0])), "support"),
         (lambda m: twisted(m, 0.03), "equilibrium"),
         (lambda m: held_by(m, lambda _: None), "support"),
         (lambda m: held_by(m, lambda hold: replace(hold, by=HoldBy.REST)), "support"),
@@ -235,7 +235,7 @@ def around(motion: Motion, radius: float) -> Motion:
     made = with_body(motion, "drum", section=ho.Section(radius=radius), friction=9.0)
     x, breaks = bernstein.nodes(9), motion.drones.breaks
     t = (breaks[:-1, None] + np.diff(breaks)[:, None] * x).ravel()
-    centre, contacts = motion.object_poses.at(t)[:, 0], motion.edge_contacts.at(t)
+    centre, contacts = motion.poses.at(t)[:, 0], motion.contacts.at(t)
     away = (motion.vertices.at(t) - centre[:, None, :3]) @ [1.0, 1j, 0.0]
     turned = radius + np.sqrt(radius**2 - np.abs(away) ** 2 + 0j) * np.array([-1, 1])[:, None, None]
     first, last = radius * away / np.abs(away) ** 2 * turned
@@ -243,7 +243,7 @@ def around(motion: Motion, radius: float) -> Motion:
     contacts[..., :2] = np.stack([there.real, there.imag], -1) + centre[:, None, None, :2]
     c = np.moveaxis(contacts.reshape(-1, len(x), *contacts.shape[1:]), 1, -1)
     held = np.array([phase.hold is not None for phase in motion.phases])[motion.phase_of_piece]
-    old = bernstein.elevate(motion.edge_contacts.coefficients, 9)
+    old = bernstein.elevate(motion.contacts.coefficients, 9)
     c = np.where(held[:, None, None, None, None], bernstein.interpolate(c), old)
     return replace(made, contacts=PiecewisePolynomial(breaks, c))
 
@@ -261,7 +261,7 @@ def test_grips_open_with_little_tension(motion: Motion) -> None:
     loosen = next(p for p in motion.phases if p.name == "loosen")
     assert loosen.tension is not None
     assert loosen.tension[0] == pytest.approx(0.3, abs=1e-5)
-    section, pose = motion.requirements.objects["drum"].section, motion.object_poses.at(loosen.end)
+    section, pose = motion.requirements.objects["drum"].section, motion.poses.at(loosen.end)
     p = in_frame(pose, motion.vertices.at(loosen.end))[:, :2]
     assert np.min(section.segment_distance(p, np.roll(p, -1, axis=0))) > 0.035
 
@@ -359,14 +359,14 @@ def wound(motion: Motion, turn: float, cut_in: float) -> Motion:
     p = np.array([ends[0] - along[0], ends[1] + along[1], [0.0, -4.0 * RADIUS]])
     contacts = np.repeat(0.5 * (p + np.roll(p, -1, axis=0))[:, None], 2, axis=1)
     contacts[0] = ends
-    pose = carried(motion).object_poses.coefficients[:, 0]
+    pose = carried(motion).poses.coefficients[:, 0]
 
     def placed(x: Array) -> PiecewisePolynomial:
         level = np.einsum("...i,pk->p...ik", x, pose[:, 3])
         level += np.einsum("...i,pk->p...ik", x[..., ::-1] * [-1.0, 1.0], pose[:, 4])
         up = np.full((*level.shape[:-2], 1, level.shape[-1]), 0.15)
         origin = np.expand_dims(pose[:, :3], tuple(range(1, x.ndim)))
-        return carried(motion).object_poses.replaced(np.concatenate([level, up], axis=-2) + origin)
+        return carried(motion).poses.replaced(np.concatenate([level, up], axis=-2) + origin)
 
     return carried(motion).replaced(vertices=placed(p), contacts=placed(contacts))
 
@@ -406,7 +406,7 @@ def test_a_stop_uses_only_the_remaining_friction(motion: Motion) -> None:
     ((path, slack),) = carried_paths(flown)
     for piece, (first, last) in enumerate(pairwise(path.breaks.tolist())):
         t = np.linspace(first, last, 40)
-        a = flown.object_poses.differentiated(2).at(t)[:, 0, 2]
+        a = flown.poses.differentiated(2).at(t)[:, 0, 2]
         half = 0.5 * np.min((ratios(flown, t) / 1.5 - 1.0) * DRUM * (GRAVITY + a))
         pushed, turned = DRUM * slack[piece, :2]
         assert 0.0 < pushed <= half

@@ -127,9 +127,9 @@ def test_infeasible_holds_are_refused(problem: dict[str, Any], name: str, words:
 
 def test_bends_of_edges_below_the_ground_count() -> None:
     motion = plans.plan("drum").motion
-    lowered = motion.edge_contacts.coefficients.copy()
+    lowered = motion.contacts.coefficients.copy()
     lowered[:, 1, 0, 2] = -0.3
-    below = replace(motion, contacts=motion.edge_contacts.replaced(lowered))
+    below = replace(motion, contacts=motion.contacts.replaced(lowered))
     found = plans.check(below, "object_clearance")
     assert (found.worst, found.where) == (0.0, ("cable 1", "ground"))
 

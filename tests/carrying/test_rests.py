@@ -32,7 +32,7 @@ def motion() -> Motion:
 
 
 def accelerations(motion: Motion, t: Array) -> Array:
-    found: Array = motion.object_poses.differentiated(2).at(t)[:, 0, :3]
+    found: Array = motion.poses.differentiated(2).at(t)[:, 0, :3]
     return found
 
 
@@ -47,10 +47,10 @@ def pulls_of(motion: Motion, t: Array, directions: int = 3) -> Array:
 
 
 def test_the_tray_ends_at_its_goal(motion: Motion) -> None:
-    pose = motion.object_poses.at(motion.duration)[0]
+    pose = motion.poses.at(motion.duration)[0]
     angle = np.radians(60.0)
     np.testing.assert_allclose(pose, [*TO, np.cos(angle), np.sin(angle)], atol=1e-9)
-    assert motion.object_shares.at(motion.duration)[0] == 0.0
+    assert motion.load_share.at(motion.duration)[0] == 0.0
 
 
 def test_cables_carry_weight_and_inertia_gently(motion: Motion) -> None:
@@ -67,7 +67,7 @@ def test_cables_carry_weight_and_inertia_gently(motion: Motion) -> None:
     np.testing.assert_allclose(found[:, :2], wanted[:, :2], atol=0.01)
     extra = found[:, 2] - wanted[:, 2]  # of cables, half of the legs being on the drones
     assert np.all((extra > 0.2 * cables) & (extra < cables))
-    centre = motion.object_poses.at(t)[:, 0, :3] + [0.0, 0.0, 0.15]
+    centre = motion.poses.at(t)[:, 0, :3] + [0.0, 0.0, 0.15]
     moments = np.sum(np.cross(p - centre[:, None], on_clasps), axis=1)
     assert np.max(np.abs(moments[:, :2])) < 0.01
     level = np.max(np.linalg.norm(a[:, :2], axis=-1)) / MAX_REST_ACCELERATION
@@ -84,7 +84,7 @@ def test_legs_pass_the_rims_edge_and_pull_level_with_all_their_tension(motion: M
     t = t[np.linalg.norm(accelerations(motion, t), axis=-1) < 0.01]
     assert len(t) > 20
     np.testing.assert_allclose(pulls_of(motion, t, 2), 0.0, atol=2e-3)
-    poses, p = motion.object_poses.at(t)[:, None, 0], motion.vertices.at(t)
+    poses, p = motion.poses.at(t)[:, None, 0], motion.vertices.at(t)
     start = in_frame(poses, p[:, motion.team.layout.anchors])
     along = in_frame(poses, motion.drones.at(t)) - start
     a = np.sum(along[..., :2] ** 2, axis=-1)
@@ -108,14 +108,14 @@ def carried(motion: Motion, pushed: list[float]) -> Motion:
         c[:, :count, :3] += bernstein.elevate(path, c.shape[-1] - 1)
         return part.replaced(c)
 
-    return flown.replaced(vertices=off(flown.vertices, 3), poses=off(flown.object_poses, 1))
+    return flown.replaced(vertices=off(flown.vertices, 3), poses=off(flown.poses, 1))
 
 
 @pytest.mark.parametrize("pushed", [[0.0] * 3, [0.8, -0.4, 3.0], [-0.8, 0.4, -3.0]])
 def test_support_is_below_the_force_line(motion: Motion, pushed: list[float]) -> None:
     flown = carried(motion, pushed)
     t = np.linspace(0.0, flown.duration, 3001)
-    poses, a, p = flown.object_poses.at(t)[:, 0], accelerations(flown, t), flown.vertices.at(t)
+    poses, a, p = flown.poses.at(t)[:, 0], accelerations(flown, t), flown.vertices.at(t)
     height = (poses[:, 2] + 0.15 - p[:, 0, 2])[:, None]
     foot = poses[:, :2] - height * a[:, :2] / (GRAVITY + a[:, 2:])
     onward = (np.roll(p, -1, axis=1) - p)[..., :2]
@@ -127,15 +127,26 @@ def test_support_is_below_the_force_line(motion: Motion, pushed: list[float]) ->
 @pytest.mark.parametrize(
     ("change", "name"),
     [
-        (lambda m: replace(m, borne=m.borne.replaced(0.5 * m.borne.coefficients)), "support"),
-        (lambda m: replace(m, borne=None), "support"),
+        (
+            lambda m: replace(m, load_share=m.load_share.replaced(0.5 * m.load_share.coefficients)),
+            "support",
+        ),
+        (lambda m: replace(m, load_share=None), "support"),
         (lambda m: replace(m, phases=tuple(replace(p, hold=None) for p in m.phases)), "support"),
-        (lambda m: replace(m, poses=moved(m.object_poses, [0.2, 0, 0, 0, 0])), "support"),
-        (lambda m: replace(m, poses=moved(m.object_poses, [0, 0, 0.01, 0, 0])), "support"),
+        (lambda m: replace(m, poses=moved(m.poses, [0.2, 0, 0, 0, 0])), "support"),
+        (lambda m: replace(m, poses=moved(m.poses, [0, 0, 0.01, 0, 0])), "support"),
         (lambda m: slipped(m, 0.001), "support"),
         (lambda m: with_body(m, "tray", mass=1.1 * MASS), "equilibrium"),
     ],
-    ids=["half borne", "not borne", "not held", "elsewhere", "apart", "turned", "heavier"],
+    ids=[
+        "half borne",
+        "not borne",
+        "not held",
+        "elsewhere",
+        "apart",
+        "turned",
+        "heavier",
+    ],
 )
 def test_false_claims_are_refused(
     motion: Motion, change: Callable[[Motion], Motion], name: str

@@ -118,7 +118,7 @@ def test_what_another_team_carries_counts_also_while_it_rests() -> None:
     carrier = whole.replaced(requirements=replace(whole.requirements, objects=heavy))
     (name,) = moved_objects(carrier)
     index, end = list(heavy).index(name), float(whole.drones.breaks[-1])
-    top = whole.object_poses.at(end)[index, :3] + [0.0, 0.0, heavy[name].upper + 0.2]
+    top = whole.poses.at(end)[index, :3] + [0.0, 0.0, heavy[name].upper + 0.2]
     drone = lines(top[None], top[None], seconds=end, separation=SEPARATION)
     motion = combined([Group("a", carrier), Group("s", drone)])
     check = check_across(RULE_OF["downwash"], motion)
@@ -130,7 +130,7 @@ def test_schedules_keep_drones_off_what_is_below_them() -> None:
     hitch = still(ho.Team(3, 2.4), TRIANGLE, [0.35, 0.5, 0.45], separation=SEPARATION)
     edge = np.mean(hitch.vertices.at(0.0)[[0, 1]], axis=0)
     box = hover(np.array([0.0, 0.0, 9.0]))
-    poses = np.repeat(box.object_poses.coefficients, 2, axis=-1)
+    poses = np.repeat(box.poses.coefficients, 2, axis=-1)
     carrier = box.replaced(poses=PiecewisePolynomial(box.drones.breaks, poses))
     top = carrier.requirements.objects["box"].at + [0.15, 0.0, TOP]
     for motion, owned, place in ((hitch, set[str](), edge), (carrier, {"box"}, top)):

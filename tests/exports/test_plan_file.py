@@ -29,12 +29,8 @@ from hitchopt.cli import main
 from hitchopt.errors import FileError
 from hitchopt.mission.loading import request_in
 from hitchopt.motion.motion import Motion
-from hitchopt.motion.plan_file import (
-    check_request,
-    read_plan,
-    read_saved_plan,
-    write_plan,
-)
+from hitchopt.motion.plan_file import read_plan, read_saved_plan, write_plan
+from hitchopt.motion.request import check_request
 from hitchopt.plan import read_requested_plan
 from hitchopt.storage.yaml_file import parse_yaml
 from hitchopt.verify import UnreadableError, consistency, read

@@ -161,7 +161,7 @@ def test_objects_stay_where_they_were_carried() -> None:
     replanner = ho.Replanner(start.team, ho.Plan(motion, certify(motion)))
     answer = replanner.retarget(to=[1.5, 2.0, 1.0], at=1.0)
     assert answer.accepted, answer.reason
-    np.testing.assert_array_equal(answer.motion.object_poses.at(answer.motion.duration), carried)
+    np.testing.assert_array_equal(answer.motion.poses.at(answer.motion.duration), carried)
     answer = replanner.retarget(to=[5.6, 2.0, 1.0], at=answer.motion.duration)  # into the pole
     assert not answer.accepted
     assert "object_clearance" in answer.reason

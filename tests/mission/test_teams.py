@@ -13,7 +13,8 @@ from plans import PROBLEMS, planned
 import hitchopt as ho
 from hitchopt.mission.loading import any_problem_from_dict, request_in
 from hitchopt.motion.motion import WAIT
-from hitchopt.motion.plan_file import check_request, is_of, write_plan
+from hitchopt.motion.plan_file import is_of, write_plan
+from hitchopt.motion.request import check_request
 from hitchopt.storage.files import digest
 
 TRIANGLE = [[0, 0.75], [0.65, -0.375], [-0.65, -0.375]]

@@ -248,7 +248,7 @@ def test_gripping_cables_are_longer_by_bends_around_objects_and_clasps() -> None
     path = np.diff(np.stack([drones[0::2], vertices[layout.starts], first], axis=1), axis=1)
     path /= np.linalg.norm(path, axis=-1, keepdims=True)
     turn = np.arccos(np.sum(path[:, 0] * path[:, 1], axis=-1))  # from leg to edge
-    offset = 0.5 * (first + last)[:, :2] - motion.object_poses.at(t)[0, :2]
+    offset = 0.5 * (first + last)[:, :2] - motion.poses.at(t)[0, :2]
     (drum,) = motion.requirements.objects.values()
     wrapped = 2.0 * np.arccos(np.linalg.norm(offset, axis=1) / drum.section.rounding)
     allowance = shapes.thickness_allowance(task, FAST.diameter, 0.0)

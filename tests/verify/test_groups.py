@@ -28,7 +28,8 @@ from hitchopt.cli import main
 from hitchopt.errors import FileError, InputError
 from hitchopt.motion.combined import combined
 from hitchopt.motion.motion import Group, Motion
-from hitchopt.motion.plan_file import check_request, read_plan, request_of, write_plan
+from hitchopt.motion.plan_file import read_plan, write_plan
+from hitchopt.motion.request import check_request, request_of
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 

@@ -343,7 +343,7 @@ LIES = [
     # Carrying.
     Lie("carry", "the box floats 5 cm above its clasps", plus("poses", 0.05, (slice(None), 2, 2)), "consistency"),
     Lie("carry", "the box is heavier, asked as well", asked("objects", "box", "mass", 0.3), "equilibrium"),
-    Lie("carry", "the box bears nothing", times("borne", 0.0), "consistency"),
+    Lie("carry", "the box bears nothing", times("load_share", 0.0), "consistency"),
     Lie("carry", "nothing is held", everywhere("hold", None), "consistency"),
     Lie("carry", "it is gripped", everywhere("hold", lambda h: h and {**h, "by": "grip"}), "grip|equilibrium|consistency"),
     Lie("carry", "it is held while it is enclosed", everywhere("hold", {"object": "box", "by": "rest", "cables": [0, 1, 2, 3]}, "enclose"), "consistency"),

@@ -133,13 +133,14 @@ class Hold(ABC):
         assert phase.hold is not None
         index = list(requirements.objects).index(phase.hold.object)
         breaks = parts["pose"].breaks
-        pose, share = parts.pop("pose").coefficients, parts["borne"].coefficients
+        pose, share = parts.pop("pose").coefficients, parts["load_share"].coefficients
         poses = np.repeat(poses_of(requirements.objects)[None, :, :, None], len(pose), axis=0)
         poses = np.repeat(poses, pose.shape[-1], axis=-1)
         poses[:, index] = pose
         shares = np.zeros((len(share), len(requirements.objects), share.shape[-1]))
         shares[:, index] = np.clip(share, 0.0, 1.0)  # polynomials overshoot by 1e-6
-        parts["poses"], parts["borne"] = (PiecewisePolynomial(breaks, c) for c in (poses, shares))
+        parts |= {"poses": PiecewisePolynomial(breaks, poses)}
+        parts |= {"load_share": PiecewisePolynomial(breaks, shares)}
         phases = (phase.retimed(0.0, move.law.duration),)
         return Motion(self.team, requirements, **parts, phases=phases)
 
@@ -255,7 +256,7 @@ class RestHold(Hold):
             "legs": legs,
             "tensions": tension,
             "pose": course.pose,
-            "borne": share,
+            "load_share": share,
         }
 
 
@@ -384,7 +385,7 @@ class GripHold(Hold):
             "tensions": T,
             "contacts": in_world(pose[..., None, :], contacts),
             "pose": course.pose,
-            "borne": course.load_share,
+            "load_share": course.load_share,
         } | ({"leg_tensions": pulls} if has_lead else {})
 
     def _balanced(

@@ -74,7 +74,7 @@ def one_phase(
     hold: motions.Hold | None = None,
 ) -> Motion:
     """Return consecutive motions as one phase of a step, with all remarks."""
-    motion = joined_motions([replace(each, requirements=requirements) for each in parts])
+    motion = joined_motions([each.replaced(requirements=requirements) for each in parts])
     pulls, tension = motion.tensions.coefficients, None
     if np.any(pulls != motion.team.tension[:, None]):
         tension = float(np.min(pulls)), float(np.max(pulls))

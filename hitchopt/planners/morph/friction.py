@@ -152,8 +152,7 @@ def _feedforward_of(motion: Motion, slip: PiecewisePolynomial | None) -> Frictio
     before, after = original - clasps, balanced[..., 0] - clasps
     leans = np.arctan2(length(np.cross(before, after)), dot(before, after))
     d[:, 2 * layout.behind + 1], d[:, 2 * layout.ahead] = balanced[:, :, 0], balanced[:, :, 1]
-    leaning = replace(
-        motion,
+    leaning = motion.replaced(
         drones=_hermite(breaks, d),
         vertices=vertices,
         legs=legs,
