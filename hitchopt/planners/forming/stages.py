@@ -64,7 +64,7 @@ def stage(
     curves: polynomials of vertices, legs and tensions, if the state has them.
     """
     phase = Phase(name, index, 0.0, drones.duration, state=state)
-    motion = replace(Motion.single(team, requirements, drones, [phase]), **curves)
+    motion = Motion.single(team, requirements, drones, [phase]).replaced(**curves)
     if state is CableState.GROUND and above_ground(motion):
         motion = replace(motion, phases=(replace(phase, state=CableState.FREE),))
     limit = requirements.limits.body_rate
