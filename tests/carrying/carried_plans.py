@@ -84,7 +84,7 @@ def with_body(motion: Motion, name: str, **changes: Any) -> Motion:
     """Return the motion with another object of a name."""
     objects = dict(motion.requirements.objects)
     objects[name] = replace(objects[name], **changes)
-    return replace(motion, requirements=replace(motion.requirements, objects=objects))
+    return motion.replaced(requirements=replace(motion.requirements, objects=objects))
 
 
 def moved(part: PiecewisePolynomial | None, offset: list[float]) -> PiecewisePolynomial:

@@ -155,7 +155,8 @@ def test_files_with_false_objects_are_refused(
     write_plan(tmp_path / "plan.npz", motion)
     arrays = dict(np.load(tmp_path / "plan.npz"))
     settings = json.loads(str(arrays["settings"]))
-    {**settings["objects"], **settings["phases"][2]}[part].update(change)
+    records = settings["groups"][0]["records"]
+    {**records["requirements"]["objects"], **records["phases"][2]}[part].update(change)
     np.savez(tmp_path / "plan.npz", **arrays | {"settings": np.array(json.dumps(settings))})
     with pytest.raises(ho.FileError, match=words):
         read_plan(tmp_path / "plan.npz")

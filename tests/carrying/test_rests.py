@@ -171,7 +171,7 @@ def claimed(to: list[float], x: float, rim: ho.Rim | None, by: HoldBy = HoldBy.R
     pole = ho.SolidObject(ho.Section(radius=0.08), 0.0, 1.5, at=[x, 0.0, 0.0], rim=rim)
     held = tuple(replace(p, hold=Hold("pole", by, (0, 1, 2))) for p in flight.phases)
     requirements = replace(flight.requirements, objects={"pole": pole})
-    return replace(flight, phases=held, requirements=requirements)
+    return flight.replaced(phases=held, requirements=requirements)
 
 
 @pytest.mark.parametrize(

@@ -277,7 +277,7 @@ def altered(motion: Motion, part: str, change: Callable[[Array], object]) -> Mot
     c = given.coefficients.copy()
     result = change(c)
     new = c if result is None else np.asarray(result)
-    return replace(motion, **{part: PiecewisePolynomial(given.breaks, new)})  # type: ignore[arg-type]
+    return motion.replaced(**{part: PiecewisePolynomial(given.breaks, new)})
 
 
 def plus(where: Any, value: ArrayLike) -> Callable[[Array], None]:
@@ -324,7 +324,7 @@ def cut(part: PiecewisePolynomial) -> PiecewisePolynomial:
     breaks = np.sort(np.concatenate([part.breaks, part.breaks[:-1] + 0.3 * part.durations]))
     c = part.coefficients
     both = np.stack([bernstein.restrict(c, *span) for span in ((0.0, 0.3), (0.3, 1.0))], axis=1)
-    return PiecewisePolynomial(breaks, both.reshape(-1, *c.shape[1:]))
+    return PiecewisePolynomial(breaks, both.reshape(2 * len(c), *c.shape[1:]))
 
 
 def held_at(motion: Motion, breaks: list[float], order: int = 0) -> Motion:
@@ -336,4 +336,4 @@ def held_at(motion: Motion, breaks: list[float], order: int = 0) -> Motion:
 def replaced(motion: Motion, **limits: float) -> Motion:
     """Return the motion with other limits."""
     spec = motion.requirements
-    return replace(motion, requirements=replace(spec, limits=replace(spec.limits, **limits)))
+    return motion.replaced(requirements=replace(spec, limits=replace(spec.limits, **limits)))

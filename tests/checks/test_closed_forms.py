@@ -345,7 +345,7 @@ def test_edges_sag_toward_the_floor_and_no_clasp_is_below_it(density: float) -> 
             vertices = here.vertices.coefficients + np.array([[0.0], [0.0], [lift]])
             walled = replace(here.requirements, arena=Arena(lower, upper))
             vertices_ = here.vertices.replaced(vertices)
-            return row(replace(here, requirements=walled, vertices=vertices_), "arena")
+            return row(here.replaced(requirements=walled, vertices=vertices_), "arena")
 
         floor = room([-9, -9, z - 0.2], [9, 9, 9])
         assert floor.bound == pytest.approx(0.2 - sag, rel=1e-6)
@@ -366,10 +366,10 @@ def test_heights_below_ground_are_reported_without_an_arena() -> None:
         )
         for name in ("drones", "vertices")
     }
-    result = below_ground(replace(motion, **parts))
+    result = below_ground(motion.replaced(**parts))
     assert result is not None
     assert result.bound == pytest.approx(-0.3)
     arena = Arena([-9, -9, -1], [9, 9, 9])
     walled = replace(motion.requirements, arena=arena)
-    assert below_ground(replace(motion, requirements=walled, **parts)) is None
+    assert below_ground(motion.replaced(requirements=walled, **parts)) is None
     assert below_ground(planned("join_a_fourth").motion) is None  # it has no vertices 3 at first

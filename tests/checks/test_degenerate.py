@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -128,7 +127,7 @@ def test_zero_thrust_has_any_direction() -> None:
     place = one.drones.coefficients[..., :1] * np.ones(3)
     place[0, 3, 2] += -0.5 * 9.81 * one.duration**2 * np.array([0.0, 0.0, 1.0])  # of t²
     slack = PiecewisePolynomial.constant(one.drones.breaks, np.zeros(4))
-    falling = replace(one, tensions=slack, drones=PiecewisePolynomial(one.drones.breaks, place))
+    falling = one.replaced(tensions=slack, drones=PiecewisePolynomial(one.drones.breaks, place))
     check = certified(falling)["tilt"]
     assert check.worst == pytest.approx(180.0)
     assert check.where == ("r1",)

@@ -122,7 +122,7 @@ def test_a_hitch_that_forms_at_once_jumps() -> None:
 @pytest.mark.parametrize("part", ["drones", "vertices"])
 def test_nothing_moves_on_a_ramp(part: str) -> None:
     motion, (_, (piece, *_)) = tied(), pieces_of(tied(), "tension")
-    finer = replace(motion, **{part: getattr(motion, part).elevated(7)})
+    finer = motion.replaced(**{part: getattr(motion, part).elevated(7)})
     result = check(altered(finer, part, plus((piece, ..., 4), 1e-6)))
     assert not result.holds
     assert result.worst == pytest.approx(0.45, abs=1e-3)

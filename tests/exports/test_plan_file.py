@@ -295,6 +295,10 @@ ASKED = (
     ("speed: 0.9", "speed: 0.8", "asked.limits.speed"),
     ("[0.8, 0.9, 1.5]", "[0.8, 0.8, 1.5]", "asked.start.drones.r[2][1]"),
 )
+GONE_OBJECTS = """q["objects"] = {}
+for name in ("poses", "load_share"):
+    a[name] = a[name][:, :0]
+"""
 OTHERS = [
     ("a = r['assignment']['robots']; a[0], a[1] = a[1], a[0]", "asked.start.drones"),
     ("r['assignment']['flipped'][2] ^= True", "asked.start.drones"),
@@ -311,7 +315,7 @@ OTHERS = [
     ("q['arena']['upper'] = [4.0, 4.0, 9.0]", "arena.upper[2]"),
     ("q['objects']['table']['section']['radius'] = 0.1", "objects.table"),
     ("q['keep_out'] = [{'polygon': [[5, 5], [5, 6], [6, 6]], 'lower': 0, 'upper': 1}]", "keep_out"),
-    ("q['objects'] = {}; a['poses'] = a['poses'][:, :0]; a['load_share'] = a['load_share'][:, :0]", "objects"),
+    (GONE_OBJECTS, "objects"),
     *((f"s['problem'] = {FORM.replace(old, new)!r}", key) for old, new, key in ASKED),
     ("s['problem'] = 'team: {}'", "the problem in it differs"),
 ]  # fmt: skip

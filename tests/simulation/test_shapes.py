@@ -240,7 +240,7 @@ def test_gripping_cables_are_longer_by_bends_around_objects_and_clasps() -> None
     """Cables of a drum's grip follow the path that their thickness makes of the plan's lines."""
     motion = planned("grip_drum").motion
     task, layout = Task.of(motion), motion.team.layout
-    assert motion.contacts is not None
+    assert motion.has_wraps
     (carried,) = np.nonzero(task.cargo.carried.any(axis=1))
     t = float(task.states.t[carried[len(carried) // 2]])
     vertices, drones = motion.vertices.at(t), motion.drones.at(t)

@@ -515,5 +515,5 @@ def test_taut_times_exclude_rising_tensions() -> None:
     np.testing.assert_allclose(taut_times(motion, 5), [0.0, 0.5, 1.0, 1.5, 2.0], atol=0.02)
     assert taut_times(motion, 1).tolist() == [0.0]
     rising = PiecewisePolynomial(np.array([0.0, 2.0]), 0.5 * np.outer(np.ones(3), [0.0, 1.0])[None])
-    times = taut_times(dataclasses.replace(motion, tensions=rising), 5)
+    times = taut_times(motion.replaced(tensions=rising), 5)
     np.testing.assert_allclose(times[[0, -1]], [1.8, 2.0], atol=0.03)

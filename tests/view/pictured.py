@@ -62,4 +62,4 @@ def with_box(yaw: float = 0.7) -> ho.Motion:
     """Return a motion beside which a box stands."""
     box = ho.SolidObject(ho.Section(CORNERS), 0.0, 0.3, at=(1.5, 2.0, 0.4), yaw=yaw)
     motion = make_motion(3)
-    return replace(motion, requirements=replace(motion.requirements, objects={"box": box}))
+    return motion.replaced(requirements=replace(motion.requirements, objects={"box": box}))
