@@ -16,7 +16,8 @@ from hitchopt.errors import TimeLimitError as TimeLimitError, UnitWarning as Uni
 from hitchopt.errors import UnsupportedError as UnsupportedError, Violation as Violation
 from hitchopt.exports.lint import lint as lint
 from hitchopt.flights.alignment import Alignment as Alignment
-from hitchopt.flights.evaluation import Evaluation as Evaluation, evaluate as evaluate
+from hitchopt.flights.evaluate import evaluate as evaluate
+from hitchopt.flights.evaluation import Evaluation as Evaluation
 from hitchopt.flights.readers import read_flight as read_flight
 from hitchopt.flights.recordings import RecordedFlight as RecordedFlight, Recording as Recording
 from hitchopt.flights.recordings import Track as Track

@@ -71,7 +71,7 @@ def evaluate(
     if recording is None:
         bound = "a recording, or none with --markers"
         raise InputError("RECORDING", Missing(), bound, "name the file that was recorded")
-    from hitchopt.flights.report import save_evaluation, summary
+    from hitchopt.flights.evaluation import save_evaluation, summary
 
     with ProgressBar("reading and evaluating"):
         result = ho.evaluate(recording, task, **options)

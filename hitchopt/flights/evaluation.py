@@ -1,31 +1,45 @@
-"""Evaluation of a recorded flight: vertices and drones over time, against its plan."""
+"""The evaluation of a recorded flight: its record and table, its files and its picture."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hitchopt.errors import FileError, InputError, OneLine, optional_module
-from hitchopt.flights.alignment import Alignment, align
-from hitchopt.flights.readers import read_flight
-from hitchopt.flights.recordings import RecordedFlight, Recording, Track, plan_at, taut_at
-from hitchopt.flights.vertices import RATE, WINDOW, Measured, clasps_of, measured_vertices
+from hitchopt.flights.alignment import Alignment
+from hitchopt.flights.recordings import RecordedFlight, Recording, Track
+from hitchopt.flights.vertices import through_gaps
 from hitchopt.geometry.vectors import length
 from hitchopt.motion.motion import Motion
-from hitchopt.plan import Plan
-from hitchopt.simulation.task import Task, read_task
-from hitchopt.values import Array, finite, nonnegative, path, positive, text
+from hitchopt.simulation.task import Task
+from hitchopt.storage.archive import PLAN, RECORDING
+from hitchopt.storage.files import Writer, replace_files, write_strict_json
+from hitchopt.values import Array, check_choice, path, text
+from hitchopt.view import style
+from hitchopt.view.cables import CLASPS, POINTS
+from hitchopt.view.scene import scene_at
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
     from pandas import DataFrame
 
-MAX_WINDOW = 1.0  # Largest time window of line fits [s]
-MIN_SHARE = 0.5  # Smallest share of the time of a vertex that is measured without a remark
-ROUNDING = 1e-6  # Tolerance of a number of time steps
+FORMAT = "hitchopt-evaluation/1"
+SUMMARY, VERTICES = "evaluation.json", "vertices.csv"
+LATEX, PICTURE = "evaluation.tex", "evaluation."
+FOREIGN = (PLAN, "simulation.json")  # Files of directories with another vertices.csv
+PICTURES = ("png", "svg", "pdf")  # Picture formats
+# Files in the directory that hitchopt replaces; others are never touched
+OWNED = (SUMMARY, VERTICES, LATEX, RECORDING, *(PICTURE + kind for kind in PICTURES))
+
+# Width and height of the picture [inch], and widths of its columns
+SIZE, WIDTHS = (13.0, 6.4), (1.35, 1.0)
+MAX_NAMED, SNAPSHOT_TIME = 8, 0.05  # Most names in a legend; half width of a snapshot [s]
 
 
 @dataclass(frozen=True)
@@ -149,155 +163,169 @@ class Evaluation(OneLine):
         The picture is ``evaluation.png``, or ``svg`` or ``pdf``. Raises FileError if the directory
         cannot be written to, or holds a plan or a simulation.
         """
-        from hitchopt.flights.report import save_evaluation
-
         return save_evaluation(path("directory", directory), self, text("format", format))
 
 
-def evaluate(
-    recording: RecordedFlight | Path | str,
-    plan: Task | Plan | Path | str,
-    *,
-    names: Mapping[str, str] | str | None = None,
-    frame: str | Path | None = None,
-    start: float | None = None,
-    unit: str | None = None,
-    topic: str | None = None,
-    density: float | None = None,
-    diameter: float | None = None,
-    window: float = WINDOW,
-) -> Evaluation:
-    """Align a recorded flight with its plan, and compare vertices and drones.
+def save_evaluation(directory: Path, evaluation: Evaluation, format: str = "png") -> Path:
+    """Write all files of an evaluation, or none; return the directory.
 
-    Parameters
-    ----------
-    recording: a file or directory in a format of ``read_flight``, or a ``RecordedFlight``.
-    plan: the plan of the flight, or its directory.
-    names: drones by recorded names, such as ``cf231=q0,cf7=r0``; None: assigned by positions.
-    frame: ``plan``, ``y-up``, ``fit``, or a JSON file with rotation and shift, such as another
-        evaluation; None: the plan's or y-up if drones are then near their plan, else fitted.
-    start: time of the recording at which the plan begins [s]; None: fitted, or 0 for a simulation.
-    unit: of the recording's lengths, if the file does not state it.
-    topic: topic of a bag or a log with the drones' positions; see ``read_flight``.
-    density: of the cables [kg/m]; None: the plan's, or fitted if the plan models no weight.
-    diameter: of the cables [m]; if given, errors are those of clasps instead of crossings.
-    window: time window of the line fits [s].
-
-    Raises
-    ------
-    FileError: a recording that cannot be read, or is of another plan.
-    InputError: an argument outside its bounds.
+    Raises FileError if the directory cannot be written to, or holds a plan or a simulation, and
+    InputError for an unknown format.
     """
-    if density is not None:
-        density = nonnegative("density", density)
-    if diameter is not None:
-        diameter = positive("diameter", diameter)
-    if start is not None:
-        start = finite("start", start)
-    if positive("window", window) > MAX_WINDOW:
-        raise InputError("window", window, f"at most {MAX_WINDOW:g} s", "0.1 is usual")
-    if isinstance(names, str):
-        pairs = names.replace(" ", "").split(",")
-        names = {name: drone for name, _, drone in (pair.partition("=") for pair in pairs)}
-    flight, frame_name = recording, None if frame is None else str(frame)
-    if not isinstance(flight, RecordedFlight):
-        flight = read_flight(path("recording", flight), unit, topic)
-    elif unit is not None or topic is not None:
-        raise InputError("unit, topic", (unit, topic), "left out", "the recording is read already")
-    if isinstance(plan, Plan):
-        task = Task.of(plan.motion)
-    else:
-        task = plan if isinstance(plan, Task) else read_task(path("plan", plan))
-    task.require_one_team("evaluate")
-    if flight.simulated and start is None:
-        start = 0.0  # The clock of a simulation is the plan's
-    try:
-        alignment = align(flight, task, names=names, frame=frame_name, start=start)
-    except FileError as error:
-        source = flight.source if flight is recording else f"{recording}: {flight.source}"
-        raise FileError(f"{source}: {error}") from None
-    return _evaluated(flight, task, alignment, density, diameter, window)
+    check_choice("format", format, PICTURES)
+    for name in FOREIGN:
+        if (directory / name).exists():
+            raise FileError(f"{directory}: holds {name}; name a directory of its own for results")
+    picture = drawn_evaluation(evaluation)
+    writers: dict[str, Writer] = {
+        VERTICES: partial(_write_vertices, evaluation),
+        LATEX: lambda path: path.write_text(latex_table(evaluation), "utf-8", newline="\n"),
+        RECORDING: lambda path: np.savez_compressed(path, **shapes(evaluation)),  # type: ignore[arg-type]
+        PICTURE + format: lambda path: style.save_figure(picture, path),
+        SUMMARY: lambda path: write_strict_json(path, summary(evaluation)),
+    }
+    return replace_files(directory, writers, OWNED, seal=SUMMARY)
 
 
-def _evaluated(
-    flight: RecordedFlight,
-    task: Task,
-    alignment: Alignment,
-    density: Any,
-    diameter: Any,
-    window: float,
-) -> Evaluation:
-    """Return the evaluation of an aligned flight."""
-    team, layout, rate = task.team, task.team.layout, alignment.rate
-    tracks = [flight.tracks[name] for name in alignment.names]
-    clocks = list(zip(tracks, alignment.offsets.tolist(), strict=True))
-    ends = [rate * track.t[[0, -1]] + offset for track, offset in clocks]
-    first = np.ceil(RATE * max(0.0, np.min(ends)) - ROUNDING)
-    last = np.floor(RATE * min(task.duration, np.max(ends)) + ROUNDING)
-    t = np.arange(first, last + 1.0) / RATE + 0.0  # No negative zero
-
-    def at(times: Array, track: Track, offset: float, *, interpolated: bool = False) -> Array:
-        """Return positions of a body at plan times (times, 3) [m]; nan where it is not visible."""
-        positions, visible = track.at((times - offset) / rate)
-        return alignment.placed(np.where(visible[:, None] | interpolated, positions, np.nan))
-
-    hitched = taut_at(task, t)
-    vertices = np.full((len(t), layout.points, 3), np.nan)
-    errors = np.full(vertices.shape[:2], np.nan)
-    densities = np.full(team.robots, team.cable_density if density is None else density)
-    remarks = [*flight.notes, *_remarks(alignment, flight)]
-    times = rate * flight.markers.t + alignment.offset
-    taut = (times >= 0.0) & (times <= task.duration) & taut_at(task, times)
-    cloud = Track(times[taut], alignment.placed(flight.markers.positions[taut]))
-    recorded_points = [name for name in team.point_names if name in flight.tracks]
-    for name in recorded_points:
-        point = at(t, flight.tracks[name], alignment.offset)
-        vertices[hitched, team.point_names.index(name)] = point[hitched]
-    if not recorded_points and len(cloud.t) and np.any(hitched):
-        frames = np.unique(cloud.t)
-        drones = np.stack([at(frames, *each, interpolated=True) for each in clocks], axis=1)
-        measured = measured_vertices(task, t[hitched], cloud, drones, density, window)
-        vertices[hitched] = measured.crossings
-        errors[hitched] = np.hypot(measured.standard_errors, alignment.frame_error)
-        remarks += _missing(measured, task)
-        if not np.allclose(measured.density, densities):
-            fitted = ", ".join(f"{1e3 * x:.1f}" for x in measured.density)
-            remarks.append(f"cables' density is fitted, {fitted} g/m: weigh them for density=")
-        densities = measured.density
-    elif not recorded_points:
-        remarks.append("no markers on the cables: only drones are compared with the plan")
-    expected = plan_at(task, t, task.states.vertices)
-    expected[~hitched] = np.nan
-    contacts = None if diameter is None else clasps_of(vertices, layout, diameter)
-    positions = np.stack([at(t, *each) for each in clocks], axis=1)
-    drone_positions = positions, plan_at(task, t, task.states.positions)
-    rest: Any = (errors, *drone_positions, densities, cloud, tuple(dict.fromkeys(remarks)))
-    return Evaluation(task, flight, alignment, t, vertices, contacts, expected, *rest)
+def summary(evaluation: Evaluation) -> dict[str, Any]:
+    """Return alignment, remarks and table, ready for JSON."""
+    each = {
+        name: value.tolist() if isinstance(value, np.ndarray) else value
+        for name, value in vars(evaluation.alignment).items()
+    }
+    return {
+        "format": FORMAT,
+        "source": evaluation.flight.source,
+        "recorded": evaluation.t[[0, -1]].tolist(),
+        "alignment": {"offset": evaluation.alignment.offset, **each},
+        "errors_of": "crossings" if evaluation.clasps is None else "clasps",
+        "density": evaluation.density.tolist(),
+        "remarks": list(evaluation.remarks),
+        "table": [asdict(row) for row in evaluation.table],
+    }
 
 
-def _remarks(alignment: Alignment, flight: RecordedFlight) -> Iterator[str]:
-    """Yield remarks on clock and frame."""
-    shared = "common to all drones is absorbed"
-    if "clock" in alignment.fitted and not flight.setpoints:
-        yield f"the clock is fitted ± {1e3 * alignment.offset_error:.0f} ms; a lag {shared}"
-    if "rate" in alignment.fitted:
-        yield f"the plan advances by {alignment.rate:.5f} s per second of the recording"
-    if alignment.frame == "y-up":
-        yield "the recording's frame is y-up"
-    if "frame" in alignment.fitted:
-        lift = 1e3 * alignment.shift[2]
-        heights = f"shifted by {lift:+.0f} mm" if lift else "as recorded"
-        yield f"the frame is fitted: a displacement {shared}; heights are {heights}"
+def _write_vertices(evaluation: Evaluation, path: Path) -> None:
+    """Write a row per vertex and time at which the plan's hitch is taut."""
+    from hitchopt.simulation.report import write_table  # heavy
+
+    points = evaluation.task.team.layout.clasps
+    taut = np.isfinite(evaluation.planned[:, points[0], 0])
+    columns = {"x,y,z": evaluation.vertices, "planned_x,planned_y,planned_z": evaluation.planned}
+    columns |= {"error": evaluation.errors, "standard_error": evaluation.standard_errors}
+    if evaluation.clasps is not None:
+        columns["clasp_x,clasp_y,clasp_z"] = evaluation.clasps
+    written = {name: values[taut][:, points] for name, values in columns.items()}
+    write_table("vertex", points, evaluation.t[taut], written, path)
 
 
-def _missing(measured: Measured, task: Task) -> Iterator[str]:
-    """Yield reasons for missing vertices."""
-    layout, markers = task.team.layout, measured.markers
-    for a, point, b in zip(layout.behind, layout.clasps, layout.ahead, strict=True):
-        share = float(np.mean(np.isfinite(measured.crossings[:, point, 0])))
-        if share < MIN_SHARE:
-            visible = f"{markers[a]:.1f} markers on edge {a} and {markers[b]:.1f} on edge {b}"
-            yield (
-                f"{task.team.point_names[point]} is measured {share:.0%} of the time: on average "
-                f"{visible} are visible; two are needed, some decimetres from each other"
-            )
+def shapes(evaluation: Evaluation) -> dict[str, Array]:
+    """Return the cables over time for a ghost in the viewer.
+
+    Shapes are the plan's, displaced with the measured drones and vertices.
+    """
+    t, task, layout = evaluation.t, evaluation.task, evaluation.task.team.layout
+    scene = scene_at(evaluation.motion, np.clip(t, 0.0, task.duration))
+    displacements, ends = (
+        np.nan_to_num(through_gaps(t, off, t))
+        for off in (
+            evaluation.measured - evaluation.planned,
+            evaluation.drones - evaluation.planned_drones,
+        )
+    )
+    ends = ends.reshape(len(t), -1, 2, 3)
+    knots = np.stack([np.interp(range(4), (0, 3), one) for one in np.eye(2)], axis=1) @ ends
+    hitched = np.isfinite(evaluation.planned[..., 0]).any(axis=1)
+    at_clasps = np.stack([displacements[:, layout.starts], displacements[:, layout.ends]], axis=2)
+    knots[hitched, :, 1:3] = at_clasps[hitched]
+    shares = [np.interp(range(POINTS), (0, *CLASPS, POINTS - 1), one) for one in np.eye(4)]
+    nodes = scene.cables + np.einsum("jp,tkjx->tkpx", shares, knots)
+    return {
+        "t": t,
+        "nodes": nodes.reshape(len(t), -1, 3).astype(np.float32),
+        "cables": POINTS * np.arange(layout.robots + 1),
+        "poses": scene.objects.astype(np.float32),
+    }
+
+
+def latex_table(evaluation: Evaluation) -> str:
+    """Return the short table as a LaTeX tabular [mm], with dashes for missing values."""
+    heads = ("mean", "std.", "max.", "std. error")
+    lines = ["% Distances from the plan [mm]", r"\begin{tabular}{llrrrrr}"]
+    lines.append(" & ".join(("of", "phase", *heads, "found")) + r" \\ \hline")
+    for row in evaluation.short_table:
+        lengths = [1e3 * x for x in (row.mean, row.std, row.max, row.standard_error)]
+        cells = [f"{x:.1f}" if np.isfinite(x) else "--" for x in lengths]
+        words = row.name, row.phase.replace("_", r"\_"), *cells, f"{row.found:.2f}"
+        lines.append(" & ".join(words) + r" \\")
+    return "\n".join([*lines, r"\end{tabular}", ""])
+
+
+def drawn_evaluation(evaluation: Evaluation) -> Figure:
+    """Return the picture: errors over time with their means, and the hitch from above."""
+    from hitchopt.view.pictures import draw_phases  # heavy
+
+    figure = style.new_figure(SIZE)
+    grid = figure.add_gridspec(2, 2, width_ratios=WIDTHS, height_ratios=(1.6, 1.0))
+    top, bottom = (figure.add_subplot(grid[i, 0]) for i in range(2))
+    team, t, points = evaluation.task.team, evaluation.t, evaluation.task.team.layout.clasps
+    colours, summaries = style.cable_colours(team.robots), {}
+    for row in evaluation.short_table:
+        if row.phase == "all" and np.isfinite(row.mean):
+            summaries[row.name] = f"{1e3 * row.mean:.0f} ± {1e3 * row.std:.0f} mm"
+    for point in points.tolist():
+        colour, name = colours[point % team.robots], team.point_names[point]
+        off, error = (
+            1e3 * each[:, point] for each in (evaluation.errors, evaluation.standard_errors)
+        )
+        top.fill_between(t, off - error, off + error, color=colour, alpha=0.25, lw=0)
+        top.plot(
+            t, off, color=colour, lw=1.2, label=f"{name}: {summaries.get(name, 'not measured')}"
+        )
+    for i, name in enumerate(team.drone_names):
+        look: Any = {"ls": "-" if i % 2 == 0 else "--", "lw": 0.9, "color": colours[i // 2]}
+        bottom.plot(t, 1e3 * evaluation.drone_errors[:, i], label=name, **look)
+    kind = "crossing" if evaluation.clasps is None else "clasp"
+    for axes, words in (
+        (top, f"vertices to the plan [mm]\n({kind}s, ± standard error)"),
+        (bottom, "drones to their\nsetpoints [mm]"),
+    ):
+        axes.set(ylabel=words, xlim=(t[0], t[-1]))
+        style.from_zero(axes, 0.3)
+        if len(points) <= MAX_NAMED:
+            axes.legend(fontsize="small", ncols=4, frameon=False)
+    top.tick_params(labelbottom=False)
+    bottom.set_xlabel("t [s]")
+    start, end = float(t[0]), float(t[-1])
+    phases = [
+        each.retimed(max(each.start, start), min(each.end, end))
+        for each in evaluation.motion.overlapping(start, end)
+    ]
+    draw_phases([top, bottom], phases, end - start)
+    _draw_from_above(figure.add_subplot(grid[:, 1]), evaluation, colours)
+    words = f"vertices to the plan: {summaries.get('vertices', 'not measured')}"
+    style.headline(figure, evaluation.flight.source, words)
+    return figure
+
+
+def _draw_from_above(axes: Axes, evaluation: Evaluation, colours: Sequence[str]) -> None:
+    """Draw paths, and at the last time of a complete polygon both polygons and the markers."""
+    team, measured = evaluation.task.team, evaluation.measured
+    points, cloud = team.layout.clasps, evaluation.cloud
+    for i in range(team.drones):
+        axes.plot(*evaluation.drones[:, i, :2].T, color=colours[i // 2], lw=0.6, alpha=0.5)
+    for point in points.tolist():
+        axes.plot(*measured[:, point, :2].T, color=colours[point % team.robots], lw=0.8)
+    complete = np.flatnonzero(np.isfinite(measured[:, points, 0]).all(axis=1))
+    if len(complete):
+        i, order = complete[-1], np.append(points, points[: team.layout.closed])
+        plan, polygon = (x[i, order, :2].T for x in (evaluation.planned, measured))
+        axes.plot(*plan, "--", color=style.LIMIT_COLOUR, label="planned")
+        axes.plot(*polygon, color=style.INK, lw=1.4, label="measured")
+        near = np.abs(cloud.t - evaluation.t[i]) < SNAPSHOT_TIME
+        look: Any = {"s": 6, "color": "0.45", "zorder": 3, "label": "markers"}
+        axes.scatter(*cloud.positions[near, :2].T, **look)
+        axes.set_title(f"from above, t = {evaluation.t[i]:.2f} s", fontsize="medium")
+        axes.legend(fontsize="small", frameon=False)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set(xlabel="x [m]", ylabel="y [m]")

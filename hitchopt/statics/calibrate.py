@@ -34,7 +34,7 @@ from scipy.sparse import block_array, eye_array, kron
 from scipy.sparse.linalg import splu
 
 from hitchopt.errors import InputError, OneLine
-from hitchopt.flights.evaluation import evaluate
+from hitchopt.flights.evaluate import evaluate
 from hitchopt.flights.readers import read_flight
 from hitchopt.flights.recordings import (
     RecordedFlight,

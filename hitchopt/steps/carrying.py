@@ -21,7 +21,6 @@ from hitchopt.motion.motion import Hold, HoldBy, Motion
 from hitchopt.objects import Rim, SolidObject
 from hitchopt.objects.placing import CONTACT_GAP, footing, poses_of, stacked_on, surface_below
 from hitchopt.planners.carrying.holds import GripHold, RestHold, polygon_at
-from hitchopt.planners.carrying.moves import Move
 from hitchopt.planners.carrying.planner import (
     BELOW_RIM,
     LIFT_SPEED,
@@ -50,7 +49,10 @@ from hitchopt.steps.step import (
     StepTask,
     Yaw,
     checks_relaxed_by,
+    moves_plan,
     plan_in_sequence,
+    plan_to,
+    planner_of,
 )
 from hitchopt.values import Array
 from hitchopt.values.fields import Key, points, words
@@ -99,11 +101,6 @@ def object_of(task: StepTask, name: str) -> SolidObject:
     return body
 
 
-def planner_of(task: StepTask) -> MovePlanner:
-    """Return the planner of moves with the enclosed or held object."""
-    return MovePlanner(task.grasp, task.requirements, task.index)
-
-
 def goal_of(step: Step, requirements: Requirements, name: str) -> Array:
     """Return the place (4,) of a held object's base after a step: x, y, z [m], yaw [rad]."""
     objects = requirements.objects
@@ -118,30 +115,6 @@ def step_motion(
     """Return consecutive motions as one phase of a step, in its prescribed duration."""
     motion = one_phase(parts, task.requirements, task.index, step.name, hold)
     return step.with_duration(task, motion)
-
-
-def moves_plan(step: Step, task: StepTask, after: GraspState, moves: Sequence[Move]) -> StepPlan:
-    """Return the plan of consecutive moves to a state, in the step's prescribed duration."""
-    motion = step.with_duration(task, planner_of(task).motion(moves, step.name))
-    return plan_to(task, after, motion, moves[-1].end, moves[-1].below[1])
-
-
-def plan_to(
-    task: StepTask, after: GraspState, motion: Motion, place: Array, below: float = 0.0
-) -> StepPlan:
-    """Return the plan of a motion to a state, with the object's base at a place (4,).
-
-    The clasps end ``below`` the rim [m].
-    """
-    objects = dict(task.requirements.objects)
-    body = objects[after.object] = objects[after.object].moved_to(place)
-    hitch = task.hitch
-    if (hold := after.hold) is not None:
-        hitch = hold.hitch(body, below + float(hold.drop(after.tension, float(after.carried))))
-    drones = motion.drones.at(motion.duration)
-    return StepPlan(
-        motion, replace(task.before, drones=drones, hitch=hitch, grasp=after, objects=objects)
-    )
 
 
 def check_hold(task: StepTask, planner: MovePlanner) -> None:

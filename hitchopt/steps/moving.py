@@ -39,6 +39,8 @@ from hitchopt.steps.step import (
     WhichPoint,
     Yaw,
     checks_relaxed_by,
+    moves_plan,
+    planner_of,
     scaled_points,
 )
 from hitchopt.trajectory import PiecewisePolynomial
@@ -195,8 +197,6 @@ class Hold(HitchStep):
         from hitchopt.steps.certified_motions import hover_motion
 
         if task.before.grasp is not None and task.before.grasp.hold is not None:
-            from hitchopt.steps.carrying import moves_plan, planner_of
-
             return moves_plan(self, task, task.grasp, [planner_of(task).rest(self.seconds)])
         if task.before.open_roll is not None:
             closed = self.in_phase(task, None, task.hitch)

@@ -24,7 +24,8 @@ from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import MAX_ROBOTS, PartTeam
 from hitchopt.motion.motion import Motion, joined_motions
 from hitchopt.objects import SolidObject
-from hitchopt.planners.carrying.planner import GraspState
+from hitchopt.planners.carrying.moves import Move
+from hitchopt.planners.carrying.planner import GraspState, MovePlanner
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.values import Array, Indices, finite, per_robot
 from hitchopt.values.fields import (
@@ -342,6 +343,35 @@ def plan_in_sequence(
         motions.append(state.with_waiting(plan.motion, task.requirements))
         state = plan.after
     return StepPlan(joined_motions(motions), state)
+
+
+def planner_of(task: StepTask) -> MovePlanner:
+    """Return the planner of moves with the enclosed or held object."""
+    return MovePlanner(task.grasp, task.requirements, task.index)
+
+
+def moves_plan(step: Step, task: StepTask, after: GraspState, moves: Sequence[Move]) -> StepPlan:
+    """Return the plan of consecutive moves to a state, in the step's prescribed duration."""
+    motion = step.with_duration(task, planner_of(task).motion(moves, step.name))
+    return plan_to(task, after, motion, moves[-1].end, moves[-1].below[1])
+
+
+def plan_to(
+    task: StepTask, after: GraspState, motion: Motion, place: Array, below: float = 0.0
+) -> StepPlan:
+    """Return the plan of a motion to a state, with the object's base at a place (4,).
+
+    The clasps end ``below`` the rim [m].
+    """
+    objects = dict(task.requirements.objects)
+    body = objects[after.object] = objects[after.object].moved_to(place)
+    hitch = task.hitch
+    if (hold := after.hold) is not None:
+        hitch = hold.hitch(body, below + float(hold.drop(after.tension, float(after.carried))))
+    drones = motion.drones.at(motion.duration)
+    return StepPlan(
+        motion, replace(task.before, drones=drones, hitch=hitch, grasp=after, objects=objects)
+    )
 
 
 class Stage(StrEnum):

@@ -21,8 +21,8 @@ import hitchopt as ho
 from benchmarks.recordings import RATE, Camera, exact_markers, plan_of
 from hitchopt.cli import main
 from hitchopt.flights.alignment import align
+from hitchopt.flights.evaluation import summary
 from hitchopt.flights.recordings import Track, plan_at
-from hitchopt.flights.report import summary
 from hitchopt.flights.vertices import ROPE_SCATTER, clasps_of, marker_plan
 from hitchopt.simulation.task import Task
 from hitchopt.values import Array
