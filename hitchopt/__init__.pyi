@@ -6,7 +6,7 @@ from numpy.typing import ArrayLike
 
 from hitchopt.api import Legs as _Legs, Mission as _Mission, Required as _Required
 from hitchopt.api import export as export, repair as repair, separate as separate
-from hitchopt.api import simulate as simulate, solve as solve, suggestions as suggestions
+from hitchopt.api import solve as solve, suggestions as suggestions
 from hitchopt.checks import Certificate as Certificate, CertificateError as CertificateError
 from hitchopt.checks import Check as Check, certify as certify
 from hitchopt.checks.closeness import Closeness as Closeness
@@ -50,6 +50,7 @@ from hitchopt.motion.states import States as States
 from hitchopt.objects import Rim as Rim, Section as Section, SolidObject as SolidObject
 from hitchopt.plan import Plan as Plan, closest as closest, combine as combine, load as load
 from hitchopt.planners.forming import SwapSettings as SwapSettings
+from hitchopt.simulation.simulate import simulate as simulate
 from hitchopt.statics.calibrate import Calibration as Calibration, Estimate as Estimate
 from hitchopt.statics.calibrate import calibrate as calibrate
 from hitchopt.statics.fit import Fit as Fit, Holding as Holding, fit as fit

@@ -6,18 +6,22 @@ import click
 
 from hitchopt.cli.failures import SafeGroup
 
-# Commands and their modules, by headings of the help
+# Commands and their modules in hitchopt, by headings of the help
 COMMANDS = {
-    "Plan": {"init": "planning", "solve": "planning", "fit": "estimates"},
+    "Plan": {"init": "cli.planning", "solve": "cli.planning", "fit": "cli.estimates"},
     "Trust": {
-        "check": "planning",
-        "verify": "planning",
-        "simulate": "simulating",
-        "statics": "estimates",
+        "check": "cli.planning",
+        "verify": "cli.planning",
+        "simulate": "cli.simulating",
+        "statics": "cli.estimates",
     },
-    "Look": {"report": "pictures", "view": "pictures"},
-    "Fly": {"export": "fleet", "lint": "fleet", "abort": "fleet", "fly": "fleet"},
-    "Study": {"evaluate": "measuring", "calibrate": "estimates", "sweep": "simulating"},
+    "Look": {"report": "cli.pictures", "view": "cli.pictures"},
+    "Fly": {"export": "cli.fleet", "lint": "cli.fleet", "abort": "cli.fleet", "fly": "cli.fleet"},
+    "Study": {
+        "evaluate": "cli.measuring",
+        "calibrate": "cli.estimates",
+        "sweep": "cli.simulating",
+    },
 }
 
 

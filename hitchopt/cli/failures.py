@@ -22,7 +22,7 @@ MAX_SUMMARY = 200  # Characters of a command's summary in the help
 class SafeGroup(click.Group):
     """A group of commands that turns errors into messages and exit codes.
 
-    ``sections`` are the commands and their modules in ``hitchopt.cli``, by headings of the help.
+    ``sections`` are the commands and their modules in ``hitchopt``, by headings of the help.
     """
 
     def __init__(
@@ -39,7 +39,7 @@ class SafeGroup(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Return a command after importing its module, or all modules for an unknown name."""
         for module in {self.modules.get(cmd_name)} - {None} or {*self.modules.values()}:
-            import_module(f"hitchopt.cli.{module}")
+            import_module(f"hitchopt.{module}")
         return super().get_command(ctx, cmd_name)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

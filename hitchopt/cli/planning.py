@@ -9,6 +9,7 @@ import re
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
@@ -32,7 +33,12 @@ SEARCH_ENDED = "the search for changes ended at the time limit (--limit)"
 
 PACKAGE = Path(ho.__file__).parent
 STUDY = "study"
-KINDS = ("carry", "swarm", STUDY)  # Templates other than the default
+# Templates other than the default, in PACKAGE
+KINDS = {
+    "carry": "mission/template_carry.yaml",
+    "swarm": "mission/template_swarm.yaml",
+    STUDY: "sweeps/template_study.yaml",
+}
 # File name of the schema for editors, and the line of problem files that refers to it
 SCHEMA = "problem.schema.json"
 MODELINE = f"# yaml-language-server: $schema={SCHEMA}\n"
@@ -318,7 +324,7 @@ def example_files() -> list[Path]:
         "--kind",
         "Write a problem that carries an object, one of single drones, or a study of many plans.",
         None,
-        choices=KINDS,
+        choices=[*KINDS],
     ),
     option(
         "--drone model",
@@ -370,8 +376,8 @@ def init(
     if others:
         bound = f"left out with --{first}"
         raise InputError(f"--{others[0]}", options[others[0]], bound, "give one of the two")
-    template = f"template_{kind}.yaml" if kind else "template.yaml"
-    source = files[example] if example else PACKAGE / "mission" / template
+    template = PACKAGE / (KINDS[kind] if kind else "mission/template.yaml")
+    source = files[example] if example else template
     text, study = problem_text(source), kind == STUDY
     if model:
         from hitchopt.mission.template import for_drone
@@ -400,9 +406,8 @@ def problem_text(path: Path) -> str:
     text = path.read_text(encoding="utf-8")
     if path.stem != f"template_{STUDY}":
         return MODELINE + expand_sections(text)
-    from hitchopt.sweeps.study import SimulateKeys
-
-    return expand_sections(text, simulate=(SimulateKeys, "#  ", ()))
+    keys = import_module("hitchopt.sweeps.study").SimulateKeys
+    return expand_sections(text, simulate=(keys, "#  ", ()))
 
 
 def _write_new(name: str, text: str | None, suffixes: tuple[str, ...] = SUFFIXES) -> Path:

@@ -156,9 +156,10 @@ def _with_loss(
     directory: Path, settings: Settings, task: Task, text: str, *, react: bool
 ) -> tuple[Settings, Task]:
     """Return settings and task of a flight with the loss of a drone, and report the reaction."""
-    from hitchopt.live.lost import Reactions, reaction_task
+    from hitchopt.live.lost import Reactions
     from hitchopt.motion.plan_file import read_plan
     from hitchopt.simulation.settings import Loss
+    from hitchopt.simulation.task import reaction_task
 
     loss = Loss.parsed(text)
     settings = replace(settings, lost=loss)

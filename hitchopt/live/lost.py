@@ -26,7 +26,6 @@ from hitchopt.motion.retiming import append_motion, resting
 from hitchopt.motion.states import States, states_at
 from hitchopt.planners.forming.prehitch import smallest_separation
 from hitchopt.planners.timing.ramps import fastest_clock
-from hitchopt.simulation.task import Task
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.values import Array, nonnegative, positive
@@ -229,14 +228,6 @@ def _with_common_descent(motion: Motion) -> Motion:
         part.replaced(part.coefficients + lower) for part in (rest.drones, rest.vertices)
     )
     return append_motion(motion, rest.replaced(drones=drones, vertices=vertices))
-
-
-def reaction_task(task: Task, reaction: Reaction) -> Task:
-    """Return the task of a plan with a reaction, in which survivors release tension smoothly."""
-    new = Task.of(reaction.motion).states
-    share = np.clip((new.t - reaction.start) / RELEASE_TIME, 0.0, 1.0)[:, None, None]
-    forces = new.cable_forces * (1.0 - share**2 * (3.0 - 2.0 * share))
-    return Task(task.team, replace(new, t=task.states.t[0] + new.t, cable_forces=forces))
 
 
 @dataclass(frozen=True)

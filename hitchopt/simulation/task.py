@@ -14,6 +14,7 @@ from hitchopt.errors import UnsupportedError
 from hitchopt.exports.directory import refuse_mixture
 from hitchopt.hitch import Team
 from hitchopt.hitch.team import Layout
+from hitchopt.live.lost import RELEASE_TIME, Reaction
 from hitchopt.motion.chapters import chapters
 from hitchopt.motion.combined import Fleet
 from hitchopt.motion.loads import tautness
@@ -302,3 +303,11 @@ def read_task(directory: Path) -> Task:
     motion = read_plan(directory / PLAN)
     refuse_mixture(directory)
     return Task.of(motion)
+
+
+def reaction_task(task: Task, reaction: Reaction) -> Task:
+    """Return the task of a plan with a reaction, in which survivors release tension smoothly."""
+    new = Task.of(reaction.motion).states
+    share = np.clip((new.t - reaction.start) / RELEASE_TIME, 0.0, 1.0)[:, None, None]
+    forces = new.cable_forces * (1.0 - share**2 * (3.0 - 2.0 * share))
+    return Task(task.team, replace(new, t=task.states.t[0] + new.t, cable_forces=forces))

@@ -18,10 +18,10 @@ from hitchopt.cli import main
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.live.abort import Aborts, abort_table
-from hitchopt.live.lost import DELAY, RELEASE_TIME, Reactions, free_fall, reaction_task, survivable
+from hitchopt.live.lost import DELAY, RELEASE_TIME, Reactions, free_fall, survivable
 from hitchopt.motion.motion import CableState
 from hitchopt.motion.plan_file import read_plan
-from hitchopt.simulation.task import Task
+from hitchopt.simulation.task import Task, reaction_task
 from hitchopt.trajectory import PiecewisePolynomial
 
 UNFORMED = "untied", "swarms/head_on"

@@ -16,13 +16,13 @@ from scripted import flight_of, regular_hitch, resting_task
 
 import hitchopt as ho
 from hitchopt.geometry.vectors import unit
-from hitchopt.live.lost import Reactions, reaction_task
+from hitchopt.live.lost import Reactions
 from hitchopt.simulation import judgement
 from hitchopt.simulation.flight import fly
 from hitchopt.simulation.judgement import Failure, Outcome, Simulation, judge, simulate
 from hitchopt.simulation.report import drawn_flight, flight_scene
 from hitchopt.simulation.settings import Loss, Perturbations, Settings
-from hitchopt.simulation.task import Task
+from hitchopt.simulation.task import Task, reaction_task
 from hitchopt.simulation.world import InvalidRunError
 from hitchopt.sweeps.campaign import run_campaign, save_campaign
 from hitchopt.view.style import save_figure
