@@ -21,9 +21,9 @@ import numpy as np
 
 import hitchopt as ho
 from benchmarks.measuring import PROBLEMS, Table, most_common, parser
-from hitchopt.simulation.commands import flown_team
-from hitchopt.simulation.judgement import Simulation
-from hitchopt.simulation.settings import ESTIMATORS, Settings
+from hitchopt.lab.simulation.commands import flown_team
+from hitchopt.lab.simulation.judgement import Simulation
+from hitchopt.lab.simulation.settings import ESTIMATORS, Settings
 
 LIMITATIONS = (
     "laws and filter are written from their mathematics and agree with the Crazyflie's firmware in "

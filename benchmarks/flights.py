@@ -23,7 +23,7 @@ from scipy.stats import binomtest
 
 import hitchopt as ho
 from benchmarks.measuring import PROBLEMS, Table, most_common, parser
-from hitchopt.simulation.judgement import Run
+from hitchopt.lab.simulation.judgement import Run
 
 LIMITATIONS = (
     "cables of 10 g/m where the problem gives none, ropes of 12 mm; drones feed forward the cable "

@@ -16,7 +16,7 @@ import numpy as np
 import hitchopt as ho
 from benchmarks.flights import centimetres, success
 from benchmarks.measuring import PROBLEMS, Table, parser, timed
-from hitchopt.simulation.judgement import nearest
+from hitchopt.lab.simulation.judgement import nearest
 
 LIMITATIONS = (
     "fast preset; ropes of 10 g/m and 12 mm; the last ring is judged, others by touches; "

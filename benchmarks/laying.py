@@ -17,8 +17,8 @@ import numpy as np
 import hitchopt as ho
 from benchmarks.flights import irregular, success
 from benchmarks.measuring import PROBLEMS, Table, parser, timed
+from hitchopt.lab.simulation.judgement import Run
 from hitchopt.mission.problem import DronesStart
-from hitchopt.simulation.judgement import Run
 
 LIMITATIONS = (
     "fast preset; cables of 10 g/m, ropes of 12 mm, friction 0.1, which plans know, without "

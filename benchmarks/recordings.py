@@ -19,8 +19,8 @@ from scipy.interpolate import CubicSpline
 
 import hitchopt as ho
 from benchmarks.measuring import PROBLEMS, Array, Table, parser, timed
-from hitchopt.flights.recordings import RecordedFlight, Track, plan_at
-from hitchopt.simulation.task import Task
+from hitchopt.lab.flights.recordings import RecordedFlight, Track, plan_at
+from hitchopt.lab.simulation.task import Task
 
 RATE, EXAMPLE_RATE = 120.0, 25.0  # Of recordings, and of the one that is shipped [Hz]
 SPACING = 0.15  # Distance between the markers of an edge [m]

@@ -15,12 +15,6 @@ from hitchopt.errors import InfeasibleError as InfeasibleError, InputError as In
 from hitchopt.errors import TimeLimitError as TimeLimitError, UnitWarning as UnitWarning
 from hitchopt.errors import UnsupportedError as UnsupportedError, Violation as Violation
 from hitchopt.exports.lint import lint as lint
-from hitchopt.flights.alignment import Alignment as Alignment
-from hitchopt.flights.evaluate import evaluate as evaluate
-from hitchopt.flights.evaluation import Evaluation as Evaluation
-from hitchopt.flights.readers import read_flight as read_flight
-from hitchopt.flights.recordings import RecordedFlight as RecordedFlight, Recording as Recording
-from hitchopt.flights.recordings import Track as Track
 from hitchopt.geometry import ConvexArc as ConvexArc, ConvexPolygon as ConvexPolygon
 from hitchopt.geometry import regular_polygon as regular_polygon
 from hitchopt.hitch import Hitch as Hitch, Quadrotor as Quadrotor, Swarm as Swarm, Team as Team
@@ -32,7 +26,23 @@ from hitchopt.hitch.requirements import Arena as Arena, Limits as Limits, Prism 
 from hitchopt.hitch.requirements import Separation as Separation
 from hitchopt.hitch.holding import Capacity as Capacity
 from hitchopt.hitch.holding import Grip as Grip
-from hitchopt.live.feedback import Feedback as Feedback
+from hitchopt.lab.feedback import Feedback as Feedback
+from hitchopt.lab.flights.alignment import Alignment as Alignment
+from hitchopt.lab.flights.evaluate import evaluate as evaluate
+from hitchopt.lab.flights.evaluation import Evaluation as Evaluation
+from hitchopt.lab.flights.readers import read_flight as read_flight
+from hitchopt.lab.flights.recordings import RecordedFlight as RecordedFlight, Recording as Recording
+from hitchopt.lab.flights.recordings import Track as Track
+from hitchopt.lab.simulation.simulate import simulate as simulate
+from hitchopt.lab.statics.calibrate import Calibration as Calibration, Estimate as Estimate
+from hitchopt.lab.statics.calibrate import calibrate as calibrate
+from hitchopt.lab.statics.fit import Fit as Fit, Holding as Holding, fit as fit
+from hitchopt.lab.statics.settle import Settled as Settled, settle as settle
+from hitchopt.lab.statics.tolerance import ErrorSize as ErrorSize, Tolerance as Tolerance
+from hitchopt.lab.statics.tolerance import tolerance as tolerance
+from hitchopt.lab.sweeps.study import Study as Study
+from hitchopt.lab.sweeps.sweep import load_sweep as load_sweep, run_sweep as run_sweep
+from hitchopt.lab.sweeps.work import SweepError as SweepError
 from hitchopt.live.player import Player as Player, Setpoints as Setpoints
 from hitchopt.live.replanner import Replanner as Replanner, Retarget as Retarget
 from hitchopt.mission.loading import load_problem as load_problem, load_swarm as load_swarm
@@ -50,13 +60,6 @@ from hitchopt.motion.states import States as States
 from hitchopt.objects import Rim as Rim, Section as Section, SolidObject as SolidObject
 from hitchopt.plan import Plan as Plan, closest as closest, combine as combine, load as load
 from hitchopt.planners.forming import SwapSettings as SwapSettings
-from hitchopt.simulation.simulate import simulate as simulate
-from hitchopt.statics.calibrate import Calibration as Calibration, Estimate as Estimate
-from hitchopt.statics.calibrate import calibrate as calibrate
-from hitchopt.statics.fit import Fit as Fit, Holding as Holding, fit as fit
-from hitchopt.statics.settle import Settled as Settled, settle as settle
-from hitchopt.statics.tolerance import ErrorSize as ErrorSize, Tolerance as Tolerance
-from hitchopt.statics.tolerance import tolerance as tolerance
 from hitchopt.steps import Adjust as Adjust, Carry as Carry, CloseVertex as CloseVertex
 from hitchopt.steps import Enclose as Enclose, Join as Join, OpenVertex as OpenVertex
 from hitchopt.steps import FollowVertex as FollowVertex, Form as Form, Grasp as Grasp, Hold as Hold
@@ -65,9 +68,6 @@ from hitchopt.steps import Morph as Morph, MoveEdge as MoveEdge, MoveVertex as M
 from hitchopt.steps import Release as Release, SetDown as SetDown, Settle as Settle
 from hitchopt.steps import Replace as Replace, Transport as Transport
 from hitchopt.steps import TransportObject as TransportObject, Withdraw as Withdraw
-from hitchopt.sweeps.study import Study as Study
-from hitchopt.sweeps.sweep import load_sweep as load_sweep, run_sweep as run_sweep
-from hitchopt.sweeps.work import SweepError as SweepError
 from hitchopt.trajectory import PiecewisePolynomial as PiecewisePolynomial
 
 from hitchopt.geometry import Outline as _Outline

@@ -35,9 +35,9 @@ from hitchopt.checks.registry import REPORTS, RULES
 from hitchopt.cli import main
 from hitchopt.cli.failures import EXIT_INFEASIBLE, EXIT_USAGE
 from hitchopt.cli.planning import PACKAGE, problem_text
+from hitchopt.lab.sweeps.study import STUDY, StudyKeys
 from hitchopt.mission.loading import problem_schema
 from hitchopt.storage.interrupts import EXIT_INTERRUPTED
-from hitchopt.sweeps.study import STUDY, StudyKeys
 from hitchopt.values.fields import keys_of
 
 FENCE = re.compile(r"^( *)```([^\n]*)\n(.*?)^\1```$", re.DOTALL | re.MULTILINE)

@@ -18,7 +18,7 @@ from plans import ROOT
 import hitchopt
 from benchmarks.mutations import MUTATIONS
 from hitchopt.errors import Violation
-from hitchopt.simulation.world import InvalidRunError
+from hitchopt.lab.simulation.world import InvalidRunError
 
 PACKAGE = Path(hitchopt.__file__).parent
 TREES = {path: ast.parse(path.read_text("utf-8")) for path in sorted(PACKAGE.rglob("*.py"))}

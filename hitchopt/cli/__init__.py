@@ -8,19 +8,19 @@ from hitchopt.cli.failures import SafeGroup
 
 # Commands and their modules in hitchopt, by headings of the help
 COMMANDS = {
-    "Plan": {"init": "cli.planning", "solve": "cli.planning", "fit": "cli.estimates"},
+    "Plan": {"init": "cli.planning", "solve": "cli.planning", "fit": "lab.cli.estimates"},
     "Trust": {
         "check": "cli.planning",
         "verify": "cli.planning",
-        "simulate": "cli.simulating",
-        "statics": "cli.estimates",
+        "simulate": "lab.cli.simulating",
+        "statics": "lab.cli.estimates",
     },
     "Look": {"report": "cli.pictures", "view": "cli.pictures"},
     "Fly": {"export": "cli.fleet", "lint": "cli.fleet", "abort": "cli.fleet", "fly": "cli.fleet"},
     "Study": {
-        "evaluate": "cli.measuring",
-        "calibrate": "cli.estimates",
-        "sweep": "cli.simulating",
+        "evaluate": "lab.cli.measuring",
+        "calibrate": "lab.cli.estimates",
+        "sweep": "lab.cli.simulating",
     },
 }
 

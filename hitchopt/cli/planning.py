@@ -37,7 +37,7 @@ STUDY = "study"
 KINDS = {
     "carry": "mission/template_carry.yaml",
     "swarm": "mission/template_swarm.yaml",
-    STUDY: "sweeps/template_study.yaml",
+    STUDY: "lab/sweeps/template_study.yaml",
 }
 # File name of the schema for editors, and the line of problem files that refers to it
 SCHEMA = "problem.schema.json"
@@ -406,7 +406,7 @@ def problem_text(path: Path) -> str:
     text = path.read_text(encoding="utf-8")
     if path.stem != f"template_{STUDY}":
         return MODELINE + expand_sections(text)
-    keys = import_module("hitchopt.sweeps.study").SimulateKeys
+    keys = import_module("hitchopt.lab.sweeps.study").SimulateKeys
     return expand_sections(text, simulate=(keys, "#  ", ()))
 
 

@@ -12,9 +12,9 @@ import pytest
 from commands import run
 
 import hitchopt as ho
-from hitchopt.cli.simulating import spread_text
-from hitchopt.simulation.judgement import Spread
-from hitchopt.statics.files import statics_content
+from hitchopt.lab.cli.simulating import spread_text
+from hitchopt.lab.simulation.judgement import Spread
+from hitchopt.lab.statics.files import statics_content
 from hitchopt.storage.files import strict_json
 
 pytestmark = pytest.mark.usefixtures("place")
@@ -97,7 +97,7 @@ def test_a_campaign_reports_its_success_rate(solved: Path) -> None:
 def test_a_flight_that_fails_or_is_invalid_ends_with_3(
     solved: Path, monkeypatch: pytest.MonkeyPatch, limit: str, value: float, told: str, shown: str
 ) -> None:
-    monkeypatch.setattr(f"hitchopt.simulation.{limit}", value)
+    monkeypatch.setattr(f"hitchopt.lab.simulation.{limit}", value)
     result = run("simulate", solved, "-o", "x", code=3)
     assert re.search(told, result.stderr, re.DOTALL)
     assert shown in result.stdout

@@ -31,10 +31,10 @@ from hitchopt.cli.output import ProgressBar, certificate_table, phase_table, pro
 from hitchopt.cli.planning import MODELINE, example_files
 from hitchopt.exports.options import HOMES
 from hitchopt.hitch.team import MODELS
+from hitchopt.lab.sweeps.study import study_from_dict
 from hitchopt.mission.loading import problem_schema
 from hitchopt.storage import interrupts
 from hitchopt.storage.yaml_file import parse_yaml
-from hitchopt.sweeps.study import study_from_dict
 
 pytestmark = pytest.mark.usefixtures("place")
 

@@ -32,10 +32,10 @@ from hitchopt.exports.directory import (
     save_plan,
 )
 from hitchopt.exports.lint import lint
+from hitchopt.lab.simulation.task import read_task
 from hitchopt.motion.chapters import chapters
 from hitchopt.motion.plan_file import read_saved_plan
 from hitchopt.motion.states import sample_times
-from hitchopt.simulation.task import read_task
 from hitchopt.storage.files import Writer, replace_files
 
 OWNED = ("plan", "table", "seal", "diagnosis")

@@ -20,11 +20,11 @@ from writers import TRANSFORMS, write_bag, write_csv, write_usd
 import hitchopt as ho
 from benchmarks.recordings import RATE, Camera, exact_markers, plan_of
 from hitchopt.cli import main
-from hitchopt.flights.alignment import align
-from hitchopt.flights.evaluation import summary
-from hitchopt.flights.recordings import Track, plan_at
-from hitchopt.flights.vertices import ROPE_SCATTER, clasps_of, marker_plan
-from hitchopt.simulation.task import Task
+from hitchopt.lab.flights.alignment import align
+from hitchopt.lab.flights.evaluation import summary
+from hitchopt.lab.flights.recordings import Track, plan_at
+from hitchopt.lab.flights.vertices import ROPE_SCATTER, clasps_of, marker_plan
+from hitchopt.lab.simulation.task import Task
 from hitchopt.values import Array
 from hitchopt.view.cables import CLASPS
 from hitchopt.view.scene import ghost_scene, scene_at

@@ -14,8 +14,8 @@ import pytest
 import writers as w
 
 import hitchopt as ho
-from hitchopt.flights.readers import table_of
-from hitchopt.flights.recordings import NO_MARKERS
+from hitchopt.lab.flights.readers import table_of
+from hitchopt.lab.flights.recordings import NO_MARKERS
 
 Write = Callable[[Path, ho.RecordedFlight], Path]
 

@@ -15,7 +15,7 @@ import numpy as np
 from rosbags import rosbag1, rosbag2, typesys
 
 import hitchopt as ho
-from hitchopt.flights.readers import MESSAGES, POSE
+from hitchopt.lab.flights.readers import MESSAGES, POSE
 from hitchopt.values import Array, Indices
 
 EPOCH = 1_762_186_375  # start of bags [s]

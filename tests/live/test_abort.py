@@ -17,11 +17,11 @@ from hitchopt.checks import certify
 from hitchopt.cli import main
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.requirements import Requirements
+from hitchopt.lab.simulation.task import Task
 from hitchopt.live.abort import Aborts, abort_table
 from hitchopt.live.lost import DELAY, RELEASE_TIME, Reactions, free_fall, survivable
 from hitchopt.motion.motion import CableState
 from hitchopt.motion.plan_file import read_plan
-from hitchopt.simulation.task import Task, reaction_task
 from hitchopt.trajectory import PiecewisePolynomial
 
 UNFORMED = "untied", "swarms/head_on"
@@ -204,7 +204,7 @@ def test_a_fall_keeps_its_energy_and_ends_on_the_ground() -> None:
 def test_a_reaction_follows_the_plan_and_then_releases_tension() -> None:
     plan, found = plan_of(2.4), Reactions(plan_of(2.4).motion).plan("r2", TIME)
     task = Task.of(plan.motion)
-    flown = reaction_task(task, found)
+    flown = task.released(found.motion, found.start, RELEASE_TIME)
     assert 0.0 < np.min(np.diff(flown.states.t)) <= np.max(np.diff(flown.states.t)) <= 0.011
     assert flown.duration == pytest.approx(found.motion.duration)
     early, places = flown.states.t < found.start, flown.states.positions

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import hitchopt as ho
-from hitchopt.live.feedback import MAX_OFFSET, Cell, cells_of, vertex_responses
+from hitchopt.lab.feedback import MAX_OFFSET, Cell, cells_of, vertex_responses
 from hitchopt.values import Array
 
 STEP = 0.01

@@ -10,14 +10,14 @@ from numpy.typing import ArrayLike
 
 from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import Hitch, Team
+from hitchopt.lab.simulation.control import PositionGains
+from hitchopt.lab.simulation.flight import Film, Flight, Record
+from hitchopt.lab.simulation.ropes import Ropes
+from hitchopt.lab.simulation.settings import FAST, Preset, Settings
+from hitchopt.lab.simulation.task import RATE, Task
+from hitchopt.lab.simulation.world import World
 from hitchopt.motion.states import States
 from hitchopt.objects import SolidObject
-from hitchopt.simulation.control import PositionGains
-from hitchopt.simulation.flight import Film, Flight, Record
-from hitchopt.simulation.ropes import Ropes
-from hitchopt.simulation.settings import FAST, Preset, Settings
-from hitchopt.simulation.task import RATE, Task
-from hitchopt.simulation.world import World
 from hitchopt.values import Array
 
 

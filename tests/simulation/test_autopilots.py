@@ -24,13 +24,13 @@ from hitchopt.errors import InputError
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.estimator import FIRMWARE, HELD, ONE_MARKER, EstimatorParameters
 from hitchopt.hitch.flight_controller import CONTROLLERS, FlightController, stiffest_gains
-from hitchopt.simulation import estimator as estimators
-from hitchopt.simulation.autopilots import PERIOD, Autopilots
-from hitchopt.simulation.commands import Commands, flown_team, received
-from hitchopt.simulation.estimator import LATENCY, Estimator, rotation
-from hitchopt.simulation.settings import Settings, settings_of
-from hitchopt.simulation.task import Task
-from hitchopt.simulation.world import BODY_RADIUS, RADII_OF_GYRATION, Bodies
+from hitchopt.lab.simulation import estimator as estimators
+from hitchopt.lab.simulation.autopilots import PERIOD, Autopilots
+from hitchopt.lab.simulation.commands import Commands, flown_team, received
+from hitchopt.lab.simulation.estimator import LATENCY, Estimator, rotation
+from hitchopt.lab.simulation.settings import Settings, settings_of
+from hitchopt.lab.simulation.task import Task
+from hitchopt.lab.simulation.world import BODY_RADIUS, RADII_OF_GYRATION, Bodies
 from hitchopt.values import Array
 
 MASS, PULL = 0.132, 0.4

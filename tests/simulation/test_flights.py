@@ -11,13 +11,13 @@ from scripted import hanging_task, regular_hitch, resting_task, smooth_step, wor
 
 import hitchopt as ho
 from hitchopt.hitch import GRAVITY
+from hitchopt.lab.simulation.control import Disturbances
+from hitchopt.lab.simulation.flight import ground_of
+from hitchopt.lab.simulation.judgement import judge, simulate
+from hitchopt.lab.simulation.report import summary
+from hitchopt.lab.simulation.settings import ACCURATE, CALM, FAST, INDOOR, Preset, Settings
+from hitchopt.lab.simulation.task import RATE, Cargo, Task, read_task
 from hitchopt.objects import Rim, Section, SolidObject
-from hitchopt.simulation.control import Disturbances
-from hitchopt.simulation.flight import ground_of
-from hitchopt.simulation.judgement import judge, simulate
-from hitchopt.simulation.report import summary
-from hitchopt.simulation.settings import ACCURATE, CALM, FAST, INDOOR, Preset, Settings
-from hitchopt.simulation.task import RATE, Cargo, Task, read_task
 from hitchopt.values import Array
 
 BRIEF = Settings(pull_test=False)

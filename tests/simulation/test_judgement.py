@@ -16,15 +16,15 @@ from scripted import flight_of, regular_hitch, resting_task
 
 import hitchopt as ho
 from hitchopt.geometry.vectors import unit
-from hitchopt.live.lost import Reactions
-from hitchopt.simulation import judgement
-from hitchopt.simulation.flight import fly
-from hitchopt.simulation.judgement import Failure, Outcome, Simulation, judge, simulate
-from hitchopt.simulation.report import drawn_flight, flight_scene
-from hitchopt.simulation.settings import Loss, Perturbations, Settings
-from hitchopt.simulation.task import Task, reaction_task
-from hitchopt.simulation.world import InvalidRunError
-from hitchopt.sweeps.campaign import run_campaign, save_campaign
+from hitchopt.lab.simulation import judgement
+from hitchopt.lab.simulation.flight import fly
+from hitchopt.lab.simulation.judgement import Failure, Outcome, Simulation, judge, simulate
+from hitchopt.lab.simulation.report import drawn_flight, flight_scene
+from hitchopt.lab.simulation.settings import Loss, Perturbations, Settings
+from hitchopt.lab.simulation.task import Task
+from hitchopt.lab.simulation.world import InvalidRunError
+from hitchopt.lab.sweeps.campaign import run_campaign, save_campaign
+from hitchopt.live.lost import RELEASE_TIME, Reactions
 from hitchopt.view.style import save_figure
 
 FAILED, NOT_SIMULATED, SUCCEEDED = "failed", "not simulated", "succeeded"
@@ -206,7 +206,8 @@ def test_a_reaction_lowers_the_tension() -> None:
     team = ho.Team(robots=3, cable_length=2.2, tension=0.5)
     corners = [[0.0, 0.58], [0.5, -0.29], [-0.5, -0.29]]
     plan = ho.hold(ho.Hitch.spread(team, corners, altitude=1.0), 1.2)
-    task = reaction_task(Task.of(plan.motion), Reactions(plan.motion).plan("r1", 0.3))
+    reaction = Reactions(plan.motion).plan("r1", 0.3)
+    task = Task.of(plan.motion).released(reaction.motion, reaction.start, RELEASE_TIME)
     flight = fly(task, Settings(lost=Loss("r1", 0.3)))
     outcome, record = judgement.loss_outcome(flight), flight.record
     assert outcome is not None

@@ -19,16 +19,16 @@ import hitchopt as ho
 from hitchopt.checks import certify
 from hitchopt.cli import main
 from hitchopt.errors import UnsupportedError
+from hitchopt.lab.simulation.contacts import touching
+from hitchopt.lab.simulation.judgement import nearest, simulate
+from hitchopt.lab.simulation.report import ending, save_simulation, summary
+from hitchopt.lab.simulation.settings import CALM, Loss, Settings
+from hitchopt.lab.simulation.task import Task
 from hitchopt.live.lost import Reactions
 from hitchopt.mission.problem import HitchStart, Problem
 from hitchopt.motion.combined import combined
 from hitchopt.motion.motion import Group, Motion
 from hitchopt.plan import Plan
-from hitchopt.simulation.contacts import touching
-from hitchopt.simulation.judgement import nearest, simulate
-from hitchopt.simulation.report import ending, save_simulation, summary
-from hitchopt.simulation.settings import CALM, Loss, Settings
-from hitchopt.simulation.task import Task
 from hitchopt.view.scene import ghost_scene
 
 BRIEF = Settings(pull_test=False, friction=0.1)

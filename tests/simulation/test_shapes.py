@@ -13,11 +13,11 @@ from scripted import regular_hitch, resting_task
 
 import hitchopt as ho
 from hitchopt.hitch import GRAVITY
-from hitchopt.simulation import ropes as shapes
-from hitchopt.simulation.flight import fly
-from hitchopt.simulation.ropes import Ropes
-from hitchopt.simulation.settings import ACCURATE, DENSITY, FAST, Preset, Settings
-from hitchopt.simulation.task import Task
+from hitchopt.lab.simulation import ropes as shapes
+from hitchopt.lab.simulation.flight import fly
+from hitchopt.lab.simulation.ropes import Ropes
+from hitchopt.lab.simulation.settings import ACCURATE, DENSITY, FAST, Preset, Settings
+from hitchopt.lab.simulation.task import Task
 from hitchopt.values import Array
 
 PRESETS = pytest.mark.parametrize("preset", [FAST, ACCURATE], ids=lambda preset: preset.name)

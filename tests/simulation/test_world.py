@@ -14,14 +14,20 @@ from scripted import hanging_task, states_of, world_of
 
 import hitchopt as ho
 from hitchopt.hitch import GRAVITY
-from hitchopt.simulation import control
-from hitchopt.simulation import world as worlds
-from hitchopt.simulation.contacts import touching
-from hitchopt.simulation.control import ATTITUDE_GAIN, RATE_GAIN, Disturbances, Drift, PositionGains
-from hitchopt.simulation.judgement import simulate
-from hitchopt.simulation.ropes import Ropes, clasped, hanging
-from hitchopt.simulation.settings import ACCURATE, CALM, INDOOR, Perturbations, Preset, Settings
-from hitchopt.simulation.world import BODY_HALF_HEIGHT, BODY_RADIUS, World, check_valid
+from hitchopt.lab.simulation import control
+from hitchopt.lab.simulation import world as worlds
+from hitchopt.lab.simulation.contacts import touching
+from hitchopt.lab.simulation.control import (
+    ATTITUDE_GAIN,
+    RATE_GAIN,
+    Disturbances,
+    Drift,
+    PositionGains,
+)
+from hitchopt.lab.simulation.judgement import simulate
+from hitchopt.lab.simulation.ropes import Ropes, clasped, hanging
+from hitchopt.lab.simulation.settings import ACCURATE, CALM, INDOOR, Perturbations, Preset, Settings
+from hitchopt.lab.simulation.world import BODY_HALF_HEIGHT, BODY_RADIUS, World, check_valid
 from hitchopt.values import Array
 
 Text = pytest.CaptureFixture[str]

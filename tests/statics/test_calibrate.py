@@ -15,15 +15,15 @@ from scipy.optimize import root
 
 import hitchopt as ho
 from hitchopt.cli import main
-from hitchopt.flights.readers import HEADER
-from hitchopt.flights.recordings import Recording, windows_of
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY
+from hitchopt.lab.flights.readers import HEADER
+from hitchopt.lab.flights.recordings import Recording, windows_of
+from hitchopt.lab.simulation.task import Task, read_task
+from hitchopt.lab.statics.calibrate import COSINES, IN_SPACE, TURNS, Estimate, friction_pulls
+from hitchopt.lab.statics.files import team_text
+from hitchopt.lab.statics.settle import conditions_of, energy_of
 from hitchopt.motion.states import States
-from hitchopt.simulation.task import Task, read_task
-from hitchopt.statics.calibrate import COSINES, IN_SPACE, TURNS, Estimate, friction_pulls
-from hitchopt.statics.files import team_text
-from hitchopt.statics.settle import conditions_of, energy_of
 from hitchopt.storage.yaml_file import parse_yaml
 from hitchopt.values import Array
 
@@ -135,7 +135,7 @@ def weighted_recording(friction: float = 0.0) -> tuple[Task, Recording]:
 def test_without_noise_stiffness_and_friction_are_exact(
     pair: Pair, friction: float, tolerance: float, wind: Wind, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hitchopt.statics.calibrate.UNCERTAIN_RATE", 1e-4)  # no creep
+    monkeypatch.setattr("hitchopt.lab.statics.calibrate.UNCERTAIN_RATE", 1e-4)  # no creep
     task, recording = flight_between(pair, DENSITY, friction, wind)
     result = ho.calibrate(recording, task, density=DENSITY)
     assert all(one.known for one in result.stiffness)
@@ -212,7 +212,7 @@ def test_standard_errors_cover_plans_that_know_the_weight(
         noisy_recording = replace(recording, drones=noisy, vertices=crossings)
         assert not ho.calibrate(noisy_recording, task, density=DENSITY).stiffness[0].known
         with monkeypatch.context() as patch:
-            patch.setattr("hitchopt.statics.calibrate.MAX_STIFFNESS_ERROR", np.inf)
+            patch.setattr("hitchopt.lab.statics.calibrate.MAX_STIFFNESS_ERROR", np.inf)
             stiffness = ho.calibrate(noisy_recording, task, density=DENSITY).stiffness[0]
         scores.append(np.log(stiffness.value / k) * stiffness.value / stiffness.error)
     assert np.sqrt(np.mean(np.square(scores))) < 1.3

@@ -16,7 +16,7 @@ from scipy.spatial.distance import pdist
 import hitchopt as ho
 from hitchopt.cli import main
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.statics.fit import Holding, enclosing_polygon, shortest_cable
+from hitchopt.lab.statics.fit import Holding, enclosing_polygon, shortest_cable
 
 BOX = ho.Section([[0.2, 0.15], [0.2, -0.15], [-0.2, -0.15], [-0.2, 0.15]])
 DISC = ho.Section(radius=0.3)
@@ -79,7 +79,7 @@ def test_resting_loads_are_limited_by_clasps_thrust_and_support(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """At 1 m/s² the line of force through half of the height leans by 1/g."""
-    monkeypatch.setattr("hitchopt.statics.fit.TABLE_ROBOTS", ())
+    monkeypatch.setattr("hitchopt.lab.statics.fit.TABLE_ROBOTS", ())
 
     def holding_with(max_thrust: float = 5.0, height: float = 0.3) -> Holding:
         kind = ho.Quadrotor(max_thrust=max_thrust)
@@ -143,7 +143,7 @@ def test_invalid_or_infeasible_fits_are_refused(options: dict[str, Any], words: 
 def test_the_command_writes_files_and_exits_with_3_if_the_mass_is_too_large(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hitchopt.statics.fit.TABLE_ROBOTS", ())
+    monkeypatch.setattr("hitchopt.lab.statics.fit.TABLE_ROBOTS", ())
     arguments = ["fit", "circle:0.2", "--robots", "3", "-o", str(tmp_path / "out"), "--mass"]
     result = CliRunner().invoke(main, [*arguments, "0.05"])
     assert result.exit_code == 0, result.output

@@ -17,11 +17,11 @@ import hitchopt as ho
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.requirements import Requirements
+from hitchopt.lab.statics.energy import INTEGRAL_ERROR, HitchEnergy
+from hitchopt.lab.statics.settle import Settled, conditions_of, energy_of, samples_of
+from hitchopt.lab.statics.tolerance import Tolerance, responses, taut_times
 from hitchopt.motion.loads import sags
 from hitchopt.motion.motion import CableState
-from hitchopt.statics.energy import INTEGRAL_ERROR, HitchEnergy
-from hitchopt.statics.settle import Settled, conditions_of, energy_of, samples_of
-from hitchopt.statics.tolerance import Tolerance, responses, taut_times
 from hitchopt.steps.certified_motions import rest_motion
 from hitchopt.trajectory import PiecewisePolynomial
 from problems.random_morph import random_convex_polygon

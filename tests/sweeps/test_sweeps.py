@@ -21,8 +21,8 @@ from click.testing import CliRunner
 
 import hitchopt as ho
 from hitchopt.cli import main
-from hitchopt.sweeps.study import Case, ParameterKeys, points, study_from_dict, with_values
-from hitchopt.sweeps.sweep import (
+from hitchopt.lab.sweeps.study import Case, ParameterKeys, points, study_from_dict, with_values
+from hitchopt.lab.sweeps.sweep import (
     PICTURE,
     ROWS,
     draw_sweep,
@@ -31,7 +31,7 @@ from hitchopt.sweeps.sweep import (
     summary,
     write_row,
 )
-from hitchopt.sweeps.work import SETTINGS, compute_row
+from hitchopt.lab.sweeps.work import SETTINGS, compute_row
 from hitchopt.values.fields import mapping_of
 
 PROBLEM: dict[str, Any] = {

@@ -24,13 +24,13 @@ import hitchopt as ho
 from hitchopt.checks import certify
 from hitchopt.cli import main
 from hitchopt.hitch.holding import wraps_around
+from hitchopt.lab.simulation.ropes import linking_matrix
 from hitchopt.motion.combined import combined
 from hitchopt.motion.motion import CableState, Group, Motion
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.retiming import shifted
 from hitchopt.motion.states import states_at
 from hitchopt.objects.placing import in_world
-from hitchopt.simulation.ropes import linking_matrix
 from hitchopt.view.cables import CLASPS, POINTS, clasp_senses, wrapped_edges
 from hitchopt.view.film import frames, save_film
 from hitchopt.view.painter import (

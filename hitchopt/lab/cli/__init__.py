@@ -1,0 +1,1 @@
+"""Commands of the lab; ``hitchopt.cli`` names their modules and imports them on demand."""

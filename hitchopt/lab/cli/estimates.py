@@ -1,0 +1,288 @@
+"""The commands statics, calibrate and fit: static equilibrium, calibration and fits to objects."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import hitchopt as ho
+from hitchopt.cli.failures import exit_infeasible
+from hitchopt.cli.options import PATH, command, option, plan_path
+from hitchopt.cli.output import ProgressBar, record, say, span_text, table
+from hitchopt.errors import InputError
+
+# Default bounds of errors with --tolerance [m], for cables cut to a centimetre and motion capture
+DEFAULT_ERRORS = {"cable": "0.01", "position": "0.02"}
+ERROR_KINDS = ("cable", "position", "force")
+MAX_TIMES = 1000  # Maximum number of times
+CIRCLE = "circle:"  # Prefix of a radius in place of an outline
+
+
+@command(
+    "directory DIR",
+    option("--at times", "Time [s]; repeatable.", float, "T", multiple=True),
+    option("--samples", "Times without --at.", 25, "N"),
+    option("--stiffness", "Of the position loops; inf is rigid.", float, "N/M"),
+    option("--integral/--no-integral", "Position errors are driven to zero.", None),
+    option("--feed-forward/--no-feed-forward", "The cable force is fed forward.", None),
+    option("--cable-length", "Real lengths: one, or one per cable [m].", str, "M[,M…]"),
+    option("--density cable_density", "Real cable density.", float, "KG/M"),
+    option("--load", "Real mass at every clasp.", float, "KG"),
+    option("--axial-stiffness", "EA of the cables; 10 kN.", float, "N"),
+    option("--friction", "Real friction at the clasps, for the bands of rest.", float, "MU"),
+    option("--tolerance", "Ranges for errors: cables ±1 cm, drones ±2 cm, or as given."),
+    option("--cable-error", "Error of cable lengths: 0.01 bound, sd:0.01.", str, "M"),
+    option("--position-error", "Error of drones' positions, likewise.", str, "M"),
+    option("--force-error", "Error of the force feed-forward, likewise.", str, "N"),
+)
+def statics(
+    directory: Path, times: tuple[float, ...], samples: int, *, tolerance: bool, **options: Any
+) -> None:
+    """Compute the static equilibrium of the hitch in DIR: positions, tensions, and their ranges.
+
+    Lengths, density, friction and controllers are the plan's by default. With friction, a vertex
+    rests anywhere in its band, depending on the history of the clasps. Writes statics.json and
+    statics.png to DIR, or to DIR/TEAM for several teams. Ends with 3 if a cable is slack or a clasp
+    does not hold.
+    """
+    import numpy as np
+
+    from hitchopt.hitch.forces import undetermined_tension
+    from hitchopt.lab.statics.files import save_statics, statics_content
+    from hitchopt.lab.statics.settle import conditions_of, settle
+    from hitchopt.lab.statics.tolerance import ErrorSize, taut_times
+    from hitchopt.lab.statics.tolerance import tolerance as ranges_of
+    from hitchopt.motion.plan_file import read_plan
+
+    path = plan_path(directory)
+    conditions = {name: value for name, value in options.items() if value is not None}
+    keys = [key for kind in ERROR_KINDS if (key := f"{kind}_error") in conditions]
+    sizes = {key: conditions.pop(key) for key in keys}
+    if tolerance and not sizes:
+        sizes = {f"{kind}_error": size for kind, size in DEFAULT_ERRORS.items()}
+    errors = {key: ErrorSize.of(key, text) for key, text in sizes.items()}
+    if "cable_length" in conditions:
+        conditions["cable_length"] = _lengths(conditions["cable_length"])
+    if not 0 < max(samples, len(times)) <= MAX_TIMES or samples < 1:
+        raise InputError("samples", samples, f"from 1 to {MAX_TIMES}", "25 are usual")
+    motion, contents, loose = read_plan(path), dict[str, Any](), list[str]()
+    hitches = [group for group in motion.groups if group.motion.team.has_cables]
+    for group in hitches or motion.groups:
+        part, folder = group.motion, path.parent / group.name
+        t = list(times) if times else taut_times(part, samples)
+        with ProgressBar("settling"):
+            if errors:
+                ranges = ranges_of(part, t, **errors, **conditions)
+                settled = ranges.settled
+            else:
+                ranges, settled = None, settle(part, t, **conditions)
+            save_statics(folder, settled, ranges)
+        content = contents[group.name] = statics_content(settled, ranges)
+        tables = _statics_tables(content)
+        say(f"Team {group.name}\n{tables}" if group.name else tables)
+        values = conditions_of(part.team, **conditions)
+        for note in undetermined_tension(
+            integral=bool(np.isinf(values["integral"][..., :2]).any()),  # level
+            feed_forward=bool(values["feed_forward"].all()),
+        ):
+            say(f"note: {note}")
+        say(f"statics.json and statics.png are in {folder}")
+        loose += map(group.label, (*content["slack_cables"], *content["loose_clasps"]))
+    record(directory=str(path.parent), statics=contents.get("", contents))
+    if loose:
+        say(f"slack, or without hold: {', '.join(loose)}", err=True)
+        exit_infeasible()
+
+
+def _lengths(text: str) -> float | list[float]:
+    """Parse one length, or several separated by commas."""
+    try:
+        lengths = [float(part) for part in text.split(",")]
+    except ValueError:
+        raise InputError("cable_length", text, "numbers with commas", "2.4,2.41,2.39") from None
+    return lengths[0] if len(lengths) == 1 else lengths
+
+
+def _statics_tables(content: dict[str, Any]) -> str:
+    """Return the tables of cables and vertices, with ranges over all times."""
+    cables, vertices, t = [], [], content["t"]
+    may_be_slack = content.get("may_be_slack", ())
+    for each in content["cables"]:
+        name, slack = each["name"], "yes" if any(each["slack"]) else "no"
+        row = {"planned [N]": each["planned_tension"], "at rest [N]": each["tension"]}
+        if "smallest" in each:
+            row["range [N]"] = each["smallest"] + each["largest"]
+            slack = "may be" if slack == "no" and name in may_be_slack else slack
+        spans = {head: span_text(values) for head, values in row.items()}
+        cables.append({"cable": name, **spans, "slack": slack})
+    for each in content["vertices"]:
+        pairs = list(zip(each["planned"], each["position"], strict=True))
+        row = {"from the plan [mm]": f"{1e3 * max(math.dist(*pair) for pair in pairs):.1f}"}
+        row["lower by [mm]"] = span_text((1e3 * (p[2] - r[2]) for p, r in pairs), ".1f")
+        inner, outer = zip(*each["band"], strict=True)
+        if inner != outer:
+            ends = f"{1e3 * min(inner):+.0f} to {1e3 * max(outer):+.0f}"
+            row["band of rest, outward [mm]"] = ends
+        if "radius" in each:
+            row["range around it [mm]"] = f"±{1e3 * max(each['radius']):.1f}"
+        vertices.append({"vertex": each["name"], **row})
+    over = "smallest to largest value over the times"
+    when = f"at t = {t[0]:g} s" if len(t) == 1 else f"at {len(t)} times, {t[0]:g} to {t[-1]:g} s"
+    parts = [table(f"Cables: {over}", cables), table(f"Vertices: {over}", vertices), when]
+    return "\n\n".join(parts)
+
+
+@command(
+    "recording RECORDING",
+    option("--plan", "Plan flown; else where RECORDING lies.", PATH, "DIR"),
+    option("-o --output", "Team with the estimates (YAML).", PATH, "FILE"),
+    option("--density", "Cable density, as weighed.", float, "KG/M"),
+)
+def calibrate(
+    recording: Path, plan: Path | None, output: Path | None, density: float | None
+) -> None:
+    """Estimate cable lengths, stiffness and friction from a recorded flight.
+
+    RECORDING is a CSV file with the columns t, name, x, y, z: seconds from the plan's start, q0,
+    r0, … or p0, …, and metres; the results of `hitchopt simulate`, DIR/simulation; or any that
+    `hitchopt evaluate` reads. Estimates have standard errors; values that the recording does not
+    determine are marked. Distances to the plan are in three dimensions.
+    """
+    from hitchopt.lab.statics.files import save_team
+
+    folder = None if plan is None else plan_path(plan).parent
+    with ProgressBar("estimating"):
+        calibration = ho.calibrate(recording, folder, density=density)
+    say(
+        _calibration_tables(calibration),
+        lengths=[vars(estimate) for estimate in calibration.lengths],
+        stiffness=[vars(estimate) for estimate in calibration.stiffness],
+        friction=vars(calibration.friction),
+        notes=list(calibration.recording.notes),
+    )
+    if output is not None:
+        save_team(output, calibration)
+        say(f"the team is in {output}")
+
+
+def _calibration_tables(calibration: ho.Calibration) -> str:
+    """Return the tables of estimates and of distances to the plan."""
+    from hitchopt.lab.cli.simulating import spread_text
+    from hitchopt.lab.simulation.judgement import Spread
+
+    team = calibration.task.team
+    estimates = [
+        (f"length of cable {k} [m]", x, team.cable_length[k])
+        for k, x in enumerate(calibration.lengths)
+    ]
+    for k, estimate in enumerate(calibration.stiffness):
+        estimates.append((f"stiffness of q{k}, r{k} [N/m]", estimate, team.stiffness[2 * k, 0]))
+    estimates.append(("friction", calibration.friction, team.cable_friction))
+    rows, remarks = [], []
+    for name, estimate, planned in estimates:
+        cells = {"value": "not determined", "± error": ""}
+        if estimate.known:
+            cells = {"value": f"{estimate.value:.5g}", "± error": f"{estimate.error:.1g}"}
+        else:
+            remarks.append(f"{name}: {estimate.remark}")
+        rows.append({"quantity": name, **cells, "in the plan": float(planned)})
+    columns = [*zip(team.point_names, calibration.vertex_errors.T, strict=True)]
+    columns += zip(team.drone_names, calibration.drone_errors.T, strict=True)
+    distances = [{"of": name, "distance": spread_text(Spread.of(x))} for name, x in columns]
+    title = "Distances to the plan [cm], mean ± standard deviation (largest)"
+    remarks += [f"note: {note}" for note in calibration.recording.notes]
+    return "\n\n".join([table("Estimates", rows), *remarks, table(title, distances)]) + "\n"
+
+
+@command(
+    "outline OUTLINE",
+    option("--robots", "Number of robots.", int, "N", required=True),
+    option(
+        "-o --output",
+        "Directory for fit.json and fit.png; nothing is written without it.",
+        PATH,
+        "DIR",
+    ),
+    option("--clearance", "Of cables, while enclosing.", 0.035, "M"),
+    option("--object-height height", "Height of the object.", 0.3, "M"),
+    option("--mass", "To be held; ends with 3 if it is not.", float, "KG"),
+    option("--by", "How --mass is to be held.", "grip", choices=("grip", "rest")),
+    option("--friction", "Between cables and object.", 0.5, "FLOAT"),
+    option("--clasp-friction", "Of cables on each other.", 0.15, "FLOAT"),
+    option("--tension", "Of all cables; the largest level pull.", float, "N"),
+    option("--cable-length", "Of all cables; the shortest.", float, "M"),
+    option("--tilt-deg", "Largest tilt of drones.", 45.0, "DEG"),
+    option("--quadrotor-mass", "Of every drone.", 0.132, "KG"),
+    option("--max-thrust", "Of every drone.", 2.6, "N"),
+    type=str,
+)
+def fit(
+    outline: str,
+    robots: int,
+    output: Path | None,
+    mass: float | None,
+    by: str,
+    tilt_deg: float,
+    **options: Any,
+) -> None:
+    """Fit a hitch to OUTLINE: polygons that enclose, grip and support it, and maximum masses.
+
+    OUTLINE is a drawing (SVG, DXF, GeoJSON, CSV), points as '[[x, y], …]', or circle:RADIUS, in
+    metres unless a drawing states its unit.
+    """
+    from hitchopt.lab.statics.files import fit_as_json, save_fit
+    from hitchopt.values import positive
+
+    if mass is not None:
+        positive("mass", mass)
+    kind = ho.Quadrotor(options.pop("quadrotor_mass"), options.pop("max_thrust"))
+    limits = ho.Limits(tilt_deg=tilt_deg)
+    with ProgressBar("fitting"):
+        result = ho.fit(_outline(outline), robots, quadrotor=kind, limits=limits, **options)
+        content = fit_as_json(result)
+    notes = [f"note: {note}" for note in result.notes]
+    say("\n\n".join([*notes, *_fit_tables(content)]), fit=content)
+    if output is not None:
+        save_fit(output, result, mass, by)
+        say(f"fit.json and fit.png are in {output}", directory=str(output))
+    if mass is not None:
+        result.raise_if_too_heavy(mass, by)
+        say(f"{1e3 * mass:g} g are held by {by}")
+
+
+def _outline(text: str) -> object:
+    """Parse an outline: a radius, points, or the path of a drawing."""
+    from hitchopt.storage.files import parsed_json
+    from hitchopt.values import positive
+
+    if not text.lstrip().startswith((CIRCLE, "[")):
+        return Path(text)
+    try:
+        value = parsed_json(text.removeprefix(CIRCLE))
+    except ValueError:
+        bound = "circle:RADIUS, [[x, y], …] or a file"
+        raise InputError("OUTLINE", text, bound, "write circle:0.2") from None
+    return positive("OUTLINE", value) if text.startswith(CIRCLE) else value
+
+
+def _fit_tables(content: dict[str, Any]) -> Iterator[str]:
+    """Yield the tables of polygons and of masses."""
+    grip, rest = content["grip"] or {}, content["rest"] or {}
+    polygons = {
+        "enclosing [m]": content["enclosing"],
+        "gripping [m]": grip.get("polygon"),
+        "resting [m]": rest.get("polygon"),
+    }
+    rows = []
+    for k in range(content["robots"]):
+        vertices = {head: points[k] for head, points in polygons.items() if points}
+        rounded = {head: [round(x, 4) + 0.0 for x in point] for head, point in vertices.items()}
+        rows.append({"vertex": f"p{k}", **rounded})
+        if grip:
+            rows[k]["wrap [°]"] = grip["wraps_deg"][k]
+    yield table(f"Polygons of {content['robots']} cables of {content['cable_length']:.2f} m", rows)
+    masses = content["largest_mass"].items()
+    rows = [{"robots": n, "by": by, **row} for by, table_ in masses for n, row in table_.items()]
+    yield table("Largest mass [kg]", rows)

@@ -1,0 +1,139 @@
+"""The command evaluate: compare a recorded flight with its plan, and place markers."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import hitchopt as ho
+from hitchopt.cli.options import PATH, command, option, plan_path
+from hitchopt.cli.output import ProgressBar, say, table
+from hitchopt.errors import InputError
+
+if TYPE_CHECKING:
+    from hitchopt.lab.simulation.task import Task
+
+RESULTS = "evaluation"  # Default directory of the results, next to the recording
+
+
+@command(
+    "recording [RECORDING]",
+    option("--plan", "Plan that was flown.", PATH, "DIR", required=True),
+    option("-o --output", "Results; else `evaluation` beside RECORDING.", PATH, "OUT"),
+    option("--names", "Drones by recorded names, such as cf231=q0,cf7=r0,…", str, "NAMES"),
+    option(
+        "--frame",
+        "plan, y-up, fit, or a file such as another flight's evaluation.json.",
+        str,
+        "FRAME",
+    ),
+    option("--start", "Time of the recording at which the plan begins; else fitted.", float, "S"),
+    option("--unit", "Of lengths: m, cm, mm, in, ft; else as the file states, or m.", str, "UNIT"),
+    option(
+        "--topic",
+        "Topic with the drones' positions, such as /cf1/pose, where a star stands for any text; "
+        "else measured before estimated before commanded ones.",
+        str,
+        "TOPIC",
+    ),
+    option("--density", "Cable density, as weighed.", float, "KG/M"),
+    option("--diameter", "Cable diameter: errors are then those of the clasps.", float, "M"),
+    option("--window", "Time over which markers are averaged.", 0.1, "S"),
+    option("--format", "Of the picture.", "png", choices=("png", "svg", "pdf")),
+    option("--markers", "Say where markers go on the cables of the plan; needs no recording."),
+    required=False,
+)
+def evaluate(
+    recording: Path | None,
+    plan: Path,
+    output: Path | None,
+    format: str,
+    *,
+    markers: bool,
+    **options: Any,
+) -> None:
+    """Compare RECORDING, a flight, with the plan in --plan: vertices (from markers) and drones.
+
+    RECORDING is a table of Motive or Vicon, C3D, a ROS bag, Crazyflie uSD logs, a PX4 ulog,
+    DIR/simulation, or a CSV file with the columns t, name, x, y, z, whose rows named marker are
+    points without a name. Clock, frame and names are fitted. Writes evaluation.json, vertices.csv,
+    evaluation.tex, a picture, and recording.npz, which `hitchopt view DIR --ghost OUT` shows.
+    """
+    from hitchopt.lab.simulation.task import read_task
+    from hitchopt.values.fields import Missing
+
+    task = read_task(plan_path(plan).parent)
+    if markers:
+        task.require_one_team("evaluate")
+        _say_markers(task)
+        return
+    if recording is None:
+        bound = "a recording, or none with --markers"
+        raise InputError("RECORDING", Missing(), bound, "name the file that was recorded")
+    from hitchopt.lab.flights.evaluation import save_evaluation, summary
+
+    with ProgressBar("reading and evaluating"):
+        result = ho.evaluate(recording, task, **options)
+    folder = recording.absolute().parent / RESULTS if output is None else output
+    with ProgressBar("writing the results"):
+        save_evaluation(folder, result, format)
+    say(_tables(result), directory=str(folder), evaluation=summary(result))
+    for remark in result.remarks:
+        say(f"note: {remark}")
+    say(f"results are in {folder}")
+
+
+def _tables(evaluation: ho.Evaluation) -> str:
+    """Return the tables of errors of vertices and drones, and of the alignment."""
+    kind = "crossings" if evaluation.clasps is None else "clasps"
+    drones = evaluation.task.team.drone_names
+    rows: list[dict[str, object]] = []
+    for row in evaluation.short_table:
+        cells: dict[str, object] = {"of": row.name, "phase": row.phase}
+        if row.phase != "all":
+            cells["phase"] = f"{row.phase}, {row.start:.1f} to {row.end:.1f} s"
+        errors = {"mean": row.mean, "std": row.std, "max": row.max}
+        errors["standard error"] = row.standard_error
+        rows.append({**cells, **_millimetres(errors), "found": f"{row.found:.0%}"})
+    fit = evaluation.alignment
+    parts = [
+        table(f"Distances from the plan [mm], {kind} of cables and drones", rows),
+        f"{evaluation.flight.source}: plan time is {fit.rate:.6g} t {fit.offset:+.3f} s, frame "
+        f"{fit.frame}, drones {1e3 * fit.rms:.0f} mm from the plan (root mean square)",
+        "standard errors include the scatter of markers about their cables; it is constant in a "
+        "flight, so averaging over time does not reduce it",
+        "names: " + ", ".join(f"{a}={b}" for a, b in zip(fit.names, drones, strict=True)),
+    ]
+    return "\n\n".join(parts)
+
+
+def _millimetres(lengths: dict[str, float]) -> dict[str, str]:
+    """Return lengths [m] as text in millimetres, with a dash for nan."""
+    return {k: f"{1e3 * x:.1f}" if not math.isnan(x) else "–" for k, x in lengths.items()}
+
+
+def _say_markers(task: Task) -> None:
+    """Report the positions of markers on every cable."""
+    from hitchopt.lab.flights.vertices import ROPE_SCATTER, marker_plan
+
+    markers, team = marker_plan(task), task.team
+    rows: list[dict[str, object]] = []
+    for k, (lower, upper) in enumerate(markers.stretches.tolist()):
+        stretch = f"{lower:.2f} to {upper:.2f}" if upper > lower else "nothing"
+        positions = ", ".join(f"{position:.2f}" for position in markers.places[k])
+        rows.append({"cable": k, "stays on its edge [m]": stretch, "markers at [m]": positions})
+    errors: list[dict[str, object]] = [
+        {"vertex": team.point_names[p], **_millimetres({"median": median, "largest": largest})}
+        for p, (median, largest) in enumerate(markers.standard_errors.tolist())
+        if not math.isnan(median)
+    ]
+    parts = [table("Markers from q's end of every cable", rows)]
+    parts.append(table("Standard errors [mm]", errors))
+    parts.append(f"of vertices, if markers scatter by {1e3 * ROPE_SCATTER:g} mm about their lines")
+    content = {name: _plain(value) for name, value in vars(markers).items()}
+    say("\n\n".join(parts), markers=content)
+
+
+def _plain(value: Any) -> Any:
+    return [each.tolist() for each in value] if isinstance(value, tuple) else value.tolist()

@@ -1,0 +1,331 @@
+"""The evaluation of a recorded flight: its record and table, its files and its picture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hitchopt.errors import FileError, InputError, OneLine, optional_module
+from hitchopt.geometry.vectors import length
+from hitchopt.lab.flights.alignment import Alignment
+from hitchopt.lab.flights.recordings import RecordedFlight, Recording, Track
+from hitchopt.lab.flights.vertices import through_gaps
+from hitchopt.lab.simulation.task import Task
+from hitchopt.motion.motion import Motion
+from hitchopt.storage.archive import PLAN, RECORDING
+from hitchopt.storage.files import Writer, replace_files, write_strict_json
+from hitchopt.values import Array, check_choice, path, text
+from hitchopt.view import style
+from hitchopt.view.cables import CLASPS, POINTS
+from hitchopt.view.scene import scene_at
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from pandas import DataFrame
+
+FORMAT = "hitchopt-evaluation/1"
+SUMMARY, VERTICES = "evaluation.json", "vertices.csv"
+LATEX, PICTURE = "evaluation.tex", "evaluation."
+FOREIGN = (PLAN, "simulation.json")  # Files of directories with another vertices.csv
+PICTURES = ("png", "svg", "pdf")  # Picture formats
+# Files in the directory that hitchopt replaces; others are never touched
+OWNED = (SUMMARY, VERTICES, LATEX, RECORDING, *(PICTURE + kind for kind in PICTURES))
+
+# Width and height of the picture [inch], and widths of its columns
+SIZE, WIDTHS = (13.0, 6.4), (1.35, 1.0)
+MAX_NAMED, SNAPSHOT_TIME = 8, 0.05  # Most names in a legend; half width of a snapshot [s]
+
+
+@dataclass(frozen=True)
+class Row:
+    """Errors of a vertex or a drone in a phase or in the whole flight."""
+
+    name: str  # of the vertex or drone, or ``vertices`` for all vertices
+    phase: str  # name, or ``all`` for the whole flight
+    start: float  # [s]
+    end: float  # [s]
+    mean: float  # distance from the plan in three dimensions [m]; nan without samples
+    std: float  # standard deviation of these distances [m]
+    max: float  # largest distance [m]
+    found: float  # share of the samples in which it was measured
+    standard_error: float  # median standard error of the positions [m]; nan for drones
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation(OneLine):
+    """A recorded flight in the plan's time and frame, at 20 Hz.
+
+    Attributes
+    ----------
+    task: the plan of the flight.
+    flight: the recording.
+    alignment: clock, frame and names.
+    t: (times,) [s] from the plan's start, while the plan was recorded.
+    vertices: crossings of the cables (times, points, 3) [m]; nan if not measured.
+    clasps: contacts of cables of the stated diameter (times, points, 3) [m]; None without one.
+    planned: vertices of the plan (times, points, 3) [m]; nan while its hitch is not taut.
+    standard_errors: of the vertices (times, points) [m].
+    drones: (times, 2n, 3) [m], nan if not visible.
+    planned_drones: (times, 2n, 3) [m], planned setpoints.
+    density: of every cable (n,) [kg/m], stated, planned or fitted.
+    cloud: markers while the plan's hitch is taut.
+    remarks: fitted quantities, corrections, and reasons for missing vertices.
+    """
+
+    task: Task
+    flight: RecordedFlight
+    alignment: Alignment
+    t: Array
+    vertices: Array
+    clasps: Array | None
+    planned: Array
+    standard_errors: Array
+    drones: Array
+    planned_drones: Array
+    density: Array
+    cloud: Track
+    remarks: tuple[str, ...]
+
+    @property
+    def measured(self) -> Array:
+        """The clasps, or the crossings without a diameter (times, points, 3) [m]."""
+        return self.vertices if self.clasps is None else self.clasps
+
+    @property
+    def errors(self) -> Array:
+        """Distances of ``measured`` from the planned vertices (times, points) [m]."""
+        return length(self.measured - self.planned)
+
+    @property
+    def drone_errors(self) -> Array:
+        """Distances of the drones from their setpoints (times, 2n) [m]."""
+        return length(self.drones - self.planned_drones)
+
+    @property
+    def motion(self) -> Motion:
+        """The plan; InputError for a task without one."""
+        if self.task.motion is None:
+            raise InputError("plan", "setpoints", "a plan", "read it with read_task")
+        return self.task.motion
+
+    @property
+    def table(self) -> tuple[Row, ...]:
+        """Errors of every vertex, of all vertices and of every drone, by phase and overall."""
+        team, t, rows = self.task.team, self.t, list[Row]()
+        points, off, stated = team.layout.clasps, self.errors, self.standard_errors
+        hitched, missing = np.isfinite(self.planned[:, points[0], 0]), np.full(len(t), np.nan)
+        columns = [(team.point_names[p], hitched, off[:, p], stated[:, p]) for p in points]
+        columns.append(("vertices", hitched, off[:, points], stated[:, points]))
+        drones = zip(team.drone_names, self.drone_errors.T, strict=True)
+        columns += [(name, t >= 0.0, each, missing) for name, each in drones]
+        spans = [(phase.name, phase.start, phase.end) for phase in self.motion.phases]
+        for span in [*spans, ("all", float(t[0]), float(t[-1]))]:
+            during = (t >= span[1]) & ((t < span[2]) | (span[0] == "all"))
+            for name, mask, each, error in columns:
+                if np.any(chosen := mask & during):
+                    x, e = (y[chosen][np.isfinite(y[chosen])] for y in (each, error))
+                    values: Any = (x.mean(), x.std(), x.max()) if x.size else (np.nan,) * 3
+                    values += x.size / each[chosen].size, np.median(e) if e.size else np.nan
+                    rows.append(Row(name, *span, *map(float, values)))
+        return tuple(rows)
+
+    @property
+    def short_table(self) -> tuple[Row, ...]:
+        """The table without rows of drones in single phases."""
+        drones = self.task.team.drone_names
+        return tuple(row for row in self.table if row.phase == "all" or row.name not in drones)
+
+    def to_dataframe(self) -> DataFrame:
+        """Return the table as a pandas data frame; UnsupportedError without pandas."""
+        pandas = optional_module("pandas", "data frames need", "pandas")
+        frame: DataFrame = pandas.DataFrame([asdict(row) for row in self.table])
+        return frame
+
+    def to_recording(self) -> Recording:
+        """Return the recording in the plan's time and frame, for ``calibrate``."""
+        layout = self.task.team.layout
+        vertices = self.measured.copy()
+        ends = np.flatnonzero(~layout.has_leg.ravel())  # Drones at the ends of a chain
+        vertices[:, layout.anchors[ends]] = self.drones[:, ends]
+        fields: Any = dict(self.flight.simulated)
+        fields |= {"standard_errors": self.standard_errors, "notes": self.remarks}
+        return Recording(self.t, self.drones, vertices, **fields)
+
+    def save(self, directory: Path | str, format: str = "png") -> Path:
+        """Write table, vertices, picture and shapes to a directory; return it.
+
+        The picture is ``evaluation.png``, or ``svg`` or ``pdf``. Raises FileError if the directory
+        cannot be written to, or holds a plan or a simulation.
+        """
+        return save_evaluation(path("directory", directory), self, text("format", format))
+
+
+def save_evaluation(directory: Path, evaluation: Evaluation, format: str = "png") -> Path:
+    """Write all files of an evaluation, or none; return the directory.
+
+    Raises FileError if the directory cannot be written to, or holds a plan or a simulation, and
+    InputError for an unknown format.
+    """
+    check_choice("format", format, PICTURES)
+    for name in FOREIGN:
+        if (directory / name).exists():
+            raise FileError(f"{directory}: holds {name}; name a directory of its own for results")
+    picture = drawn_evaluation(evaluation)
+    writers: dict[str, Writer] = {
+        VERTICES: partial(_write_vertices, evaluation),
+        LATEX: lambda path: path.write_text(latex_table(evaluation), "utf-8", newline="\n"),
+        RECORDING: lambda path: np.savez_compressed(path, **shapes(evaluation)),  # type: ignore[arg-type]
+        PICTURE + format: lambda path: style.save_figure(picture, path),
+        SUMMARY: lambda path: write_strict_json(path, summary(evaluation)),
+    }
+    return replace_files(directory, writers, OWNED, seal=SUMMARY)
+
+
+def summary(evaluation: Evaluation) -> dict[str, Any]:
+    """Return alignment, remarks and table, ready for JSON."""
+    each = {
+        name: value.tolist() if isinstance(value, np.ndarray) else value
+        for name, value in vars(evaluation.alignment).items()
+    }
+    return {
+        "format": FORMAT,
+        "source": evaluation.flight.source,
+        "recorded": evaluation.t[[0, -1]].tolist(),
+        "alignment": {"offset": evaluation.alignment.offset, **each},
+        "errors_of": "crossings" if evaluation.clasps is None else "clasps",
+        "density": evaluation.density.tolist(),
+        "remarks": list(evaluation.remarks),
+        "table": [asdict(row) for row in evaluation.table],
+    }
+
+
+def _write_vertices(evaluation: Evaluation, path: Path) -> None:
+    """Write a row per vertex and time at which the plan's hitch is taut."""
+    from hitchopt.lab.simulation.report import write_table  # heavy
+
+    points = evaluation.task.team.layout.clasps
+    taut = np.isfinite(evaluation.planned[:, points[0], 0])
+    columns = {"x,y,z": evaluation.vertices, "planned_x,planned_y,planned_z": evaluation.planned}
+    columns |= {"error": evaluation.errors, "standard_error": evaluation.standard_errors}
+    if evaluation.clasps is not None:
+        columns["clasp_x,clasp_y,clasp_z"] = evaluation.clasps
+    written = {name: values[taut][:, points] for name, values in columns.items()}
+    write_table("vertex", points, evaluation.t[taut], written, path)
+
+
+def shapes(evaluation: Evaluation) -> dict[str, Array]:
+    """Return the cables over time for a ghost in the viewer.
+
+    Shapes are the plan's, displaced with the measured drones and vertices.
+    """
+    t, task, layout = evaluation.t, evaluation.task, evaluation.task.team.layout
+    scene = scene_at(evaluation.motion, np.clip(t, 0.0, task.duration))
+    displacements, ends = (
+        np.nan_to_num(through_gaps(t, off, t))
+        for off in (
+            evaluation.measured - evaluation.planned,
+            evaluation.drones - evaluation.planned_drones,
+        )
+    )
+    ends = ends.reshape(len(t), -1, 2, 3)
+    knots = np.stack([np.interp(range(4), (0, 3), one) for one in np.eye(2)], axis=1) @ ends
+    hitched = np.isfinite(evaluation.planned[..., 0]).any(axis=1)
+    at_clasps = np.stack([displacements[:, layout.starts], displacements[:, layout.ends]], axis=2)
+    knots[hitched, :, 1:3] = at_clasps[hitched]
+    shares = [np.interp(range(POINTS), (0, *CLASPS, POINTS - 1), one) for one in np.eye(4)]
+    nodes = scene.cables + np.einsum("jp,tkjx->tkpx", shares, knots)
+    return {
+        "t": t,
+        "nodes": nodes.reshape(len(t), -1, 3).astype(np.float32),
+        "cables": POINTS * np.arange(layout.robots + 1),
+        "poses": scene.objects.astype(np.float32),
+    }
+
+
+def latex_table(evaluation: Evaluation) -> str:
+    """Return the short table as a LaTeX tabular [mm], with dashes for missing values."""
+    heads = ("mean", "std.", "max.", "std. error")
+    lines = ["% Distances from the plan [mm]", r"\begin{tabular}{llrrrrr}"]
+    lines.append(" & ".join(("of", "phase", *heads, "found")) + r" \\ \hline")
+    for row in evaluation.short_table:
+        lengths = [1e3 * x for x in (row.mean, row.std, row.max, row.standard_error)]
+        cells = [f"{x:.1f}" if np.isfinite(x) else "--" for x in lengths]
+        words = row.name, row.phase.replace("_", r"\_"), *cells, f"{row.found:.2f}"
+        lines.append(" & ".join(words) + r" \\")
+    return "\n".join([*lines, r"\end{tabular}", ""])
+
+
+def drawn_evaluation(evaluation: Evaluation) -> Figure:
+    """Return the picture: errors over time with their means, and the hitch from above."""
+    from hitchopt.view.pictures import draw_phases  # heavy
+
+    figure = style.new_figure(SIZE)
+    grid = figure.add_gridspec(2, 2, width_ratios=WIDTHS, height_ratios=(1.6, 1.0))
+    top, bottom = (figure.add_subplot(grid[i, 0]) for i in range(2))
+    team, t, points = evaluation.task.team, evaluation.t, evaluation.task.team.layout.clasps
+    colours, summaries = style.cable_colours(team.robots), {}
+    for row in evaluation.short_table:
+        if row.phase == "all" and np.isfinite(row.mean):
+            summaries[row.name] = f"{1e3 * row.mean:.0f} ± {1e3 * row.std:.0f} mm"
+    for point in points.tolist():
+        colour, name = colours[point % team.robots], team.point_names[point]
+        off, error = (
+            1e3 * each[:, point] for each in (evaluation.errors, evaluation.standard_errors)
+        )
+        top.fill_between(t, off - error, off + error, color=colour, alpha=0.25, lw=0)
+        top.plot(
+            t, off, color=colour, lw=1.2, label=f"{name}: {summaries.get(name, 'not measured')}"
+        )
+    for i, name in enumerate(team.drone_names):
+        look: Any = {"ls": "-" if i % 2 == 0 else "--", "lw": 0.9, "color": colours[i // 2]}
+        bottom.plot(t, 1e3 * evaluation.drone_errors[:, i], label=name, **look)
+    kind = "crossing" if evaluation.clasps is None else "clasp"
+    for axes, words in (
+        (top, f"vertices to the plan [mm]\n({kind}s, ± standard error)"),
+        (bottom, "drones to their\nsetpoints [mm]"),
+    ):
+        axes.set(ylabel=words, xlim=(t[0], t[-1]))
+        style.from_zero(axes, 0.3)
+        if len(points) <= MAX_NAMED:
+            axes.legend(fontsize="small", ncols=4, frameon=False)
+    top.tick_params(labelbottom=False)
+    bottom.set_xlabel("t [s]")
+    start, end = float(t[0]), float(t[-1])
+    phases = [
+        each.retimed(max(each.start, start), min(each.end, end))
+        for each in evaluation.motion.overlapping(start, end)
+    ]
+    draw_phases([top, bottom], phases, end - start)
+    _draw_from_above(figure.add_subplot(grid[:, 1]), evaluation, colours)
+    words = f"vertices to the plan: {summaries.get('vertices', 'not measured')}"
+    style.headline(figure, evaluation.flight.source, words)
+    return figure
+
+
+def _draw_from_above(axes: Axes, evaluation: Evaluation, colours: Sequence[str]) -> None:
+    """Draw paths, and at the last time of a complete polygon both polygons and the markers."""
+    team, measured = evaluation.task.team, evaluation.measured
+    points, cloud = team.layout.clasps, evaluation.cloud
+    for i in range(team.drones):
+        axes.plot(*evaluation.drones[:, i, :2].T, color=colours[i // 2], lw=0.6, alpha=0.5)
+    for point in points.tolist():
+        axes.plot(*measured[:, point, :2].T, color=colours[point % team.robots], lw=0.8)
+    complete = np.flatnonzero(np.isfinite(measured[:, points, 0]).all(axis=1))
+    if len(complete):
+        i, order = complete[-1], np.append(points, points[: team.layout.closed])
+        plan, polygon = (x[i, order, :2].T for x in (evaluation.planned, measured))
+        axes.plot(*plan, "--", color=style.LIMIT_COLOUR, label="planned")
+        axes.plot(*polygon, color=style.INK, lw=1.4, label="measured")
+        near = np.abs(cloud.t - evaluation.t[i]) < SNAPSHOT_TIME
+        look: Any = {"s": 6, "color": "0.45", "zorder": 3, "label": "markers"}
+        axes.scatter(*cloud.positions[near, :2].T, **look)
+        axes.set_title(f"from above, t = {evaluation.t[i]:.2f} s", fontsize="medium")
+        axes.legend(fontsize="small", frameon=False)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set(xlabel="x [m]", ylabel="y [m]")

@@ -1,0 +1,194 @@
+"""Flight controllers by name, as drones run them: position loops, attitude loops and motors.
+
+A controller computes a desired force ``f = m (a + g ẑ) + kp e + kd ė + ∫ ki e dt`` from a setpoint.
+Gains and feed-forward are those of a ``FlightController``. Controllers differ in their use of f:
+
+**mellinger** and **lee** align the body's z axis with f and thrust by its component along it (D.
+Mellinger and V. Kumar, "Minimum snap trajectory generation and control for quadrotors", ICRA 2011;
+T. Lee, M. Leok and N. H. McClamroch, "Geometric tracking control of a quadrotor UAV on SE(3)", CDC
+2010). **pid** is the Crazyflie's cascade: its tilt is the level force over the weight, its thrust
+the upright force, regardless of the tilt. **px4** is the position law of PX4's multicopters: level
+force is reduced to the tilt limit, and the thrust is the norm of f.
+
+Attitude loops have the gains of stock Crazyflies over their moments of inertia: gains of larger
+drones are assumed to be scaled with inertia. Motors lag individually.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hitchopt.geometry.vectors import length
+from hitchopt.hitch import GRAVITY
+from hitchopt.hitch.flight_controller import FlightController
+from hitchopt.lab.simulation.commands import Commands
+from hitchopt.lab.simulation.control import ARM, MOMENT_SHARES, UP, PositionGains, desired_attitudes
+from hitchopt.lab.simulation.estimator import RATE, Estimator
+from hitchopt.lab.simulation.settings import MOTOR_LAG
+from hitchopt.lab.simulation.world import BODY_RADIUS, Bodies
+from hitchopt.values import Array
+
+PERIOD = 0.002  # Period of the attitude loops [s]
+
+# Periods between predictions of the filter, and from a prediction to the arrival of a frame;
+# position loops run after both. The delay of 8 ms, in which predicted velocities act uncorrected,
+# agrees with estimates of the firmware in a bench test
+TICKS, ARRIVAL = round(1.0 / (RATE * PERIOD)), 4
+MIN_LIFT = 0.1  # Smallest upright force over the weight in px4
+TINY = 1e-9  # Smallest divisor of level forces [N]
+MAX_SPEED = 1.1  # Largest velocity setpoint of pid for an offset, along an axis [m/s]
+
+# Signs of the moments about the body's axes by motors in an X configuration
+MOMENT_SIGNS = np.array([[-1, -1, -1], [-1, 1, 1], [1, 1, -1], [1, -1, 1]], dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class AttitudeGains:
+    """Gains of an attitude loop over the moments of inertia; pairs are tilt and yaw.
+
+    Parameters
+    ----------
+    stiffness, damping: of an angle [1/s²], of a rate [1/s].
+    lead: of an angular acceleration.
+    integral: of the integral of an angle [1/s³].
+    """
+
+    stiffness: tuple[float, float]
+    damping: tuple[float, float]
+    lead: float = 0.0
+    integral: tuple[float, float] = (0.0, 0.0)
+
+
+# Gains of the firmware over a Crazyflie's moments of inertia, 1.66e-5 and 2.93e-5 kg m²; a motor
+# has 1.9 µN per unit of its command, 3.25 cm from the axes. The rate loop of px4 is a typical one
+ATTITUDES: Mapping[str, AttitudeGains] = {
+    "mellinger": AttitudeGains((1040.0, 228.0), (149.0, 22.8), 1.49),
+    "lee": AttitudeGains((422.0, 273.0), (69.4, 68.4), 0.0, (1810.0, 1025.0)),
+    "pid": AttitudeGains((636.0, 78.0), (106.0, 13.0), 1.06, (318.0, 13.0)),
+    "px4": AttitudeGains((130.0, 28.0), (20.0, 10.0)),
+}
+
+
+def per_axis(loops: Sequence[FlightController], name: str) -> Array:
+    """Return a pair of gains of the loops (2n,), level and upright, by axis (2n, 3)."""
+    return np.array([getattr(loop, name) for loop in loops])[:, [0, 0, 1]]
+
+
+class Autopilots:
+    """Flight controllers of one kind with estimators and motors.
+
+    Attributes
+    ----------
+    gains: of the position loops.
+    """
+
+    def __init__(
+        self,
+        loops: Sequence[FlightController],
+        masses: Array,
+        inertia: Array,
+        max_thrust: Array,
+        lag: float = MOTOR_LAG,
+        estimator: Estimator | None = None,
+    ) -> None:
+        self._name, self._masses, self._inertia = loops[0].name, masses[:, None], inertia
+        self._kp, self._kd, self._ki, self._integral_limit = (
+            per_axis(loops, name) for name in ("kp", "kd", "ki", "ki_limit")
+        )
+        feed_forward = np.array([loop.feed_forward for loop in loops])
+        self.gains = PositionGains(self._kp, self._kd, self._ki, feed_forward)
+        self._feed_forward = feed_forward[:, None]
+        self._tilt = np.array([loop.max_tilt for loop in loops])[:, None]
+        gains = ATTITUDES[self._name]
+        pairs = [gains.stiffness, gains.damping, (gains.lead, 0.0), gains.integral]
+        self._attitude_gains = np.array(pairs)[:, [0, 0, 1]]
+        self._estimator, self._ticks = estimator, 0
+        self._integral = self._attitude_integral = self._force = np.zeros_like(inertia)
+        self._goal, self._thrust = np.zeros((len(loops), 3, 3)), np.zeros(len(loops))
+        self._last_error: Array | None = None
+        arms = ARM * BODY_RADIUS * MOMENT_SHARES
+        self._mixer, self._wrench = MOMENT_SIGNS / (4.0 * arms), MOMENT_SIGNS * arms
+        self._max_thrust, self._lag = 0.25 * max_thrust[:, None], lag
+        self._motors = np.tile(0.25 * GRAVITY * self._masses, 4)
+
+    @property
+    def thrusts(self) -> Array:
+        """Current thrusts (2n,) [N]."""
+        return np.asarray(np.sum(self._motors, axis=1))
+
+    @property
+    def moments(self) -> Array:
+        """Current moments (2n, 3) [N m] about the bodies' axes."""
+        return self._motors @ self._wrench
+
+    def stop(self, drone: int) -> None:
+        """Stop the motors of a drone, whose thrust fades with their lag."""
+        self._max_thrust[drone] = 0.0
+
+    def advance(self, commands: Commands, bodies: Bodies, seconds: float) -> None:
+        """Run controllers and motors for the next ``seconds``, by the received setpoints.
+
+        ``bodies`` are true states with estimators, else measured ones.
+        """
+        estimator = self._estimator
+        rates = bodies.rates if estimator is None else estimator.read(bodies)
+        state = bodies if estimator is None else estimator
+        phase, self._ticks = self._ticks % TICKS, self._ticks + 1
+        if phase in (0, ARRIVAL):
+            if estimator is not None:
+                estimator.predict(bodies) if phase == 0 else estimator.correct()
+            self._set_goals(commands, state, seconds * (ARRIVAL if phase else TICKS - ARRIVAL))
+        attitudes = state.attitudes
+        thrust, answer = self._attitude_loops(attitudes, rates, commands.rates, seconds)
+        moments = self._inertia * answer + np.cross(rates, self._inertia * rates)
+        goals = 0.25 * thrust[:, None] + moments @ self._mixer.T
+        excess = np.max(goals, axis=1, keepdims=True) - self._max_thrust
+        goals = np.clip(goals - np.maximum(excess, 0.0), 0.0, self._max_thrust)  # attitude first
+        decay = np.exp(-seconds / self._lag) if self._lag > 0.0 else 0.0
+        self._motors = goals + (self._motors - goals) * decay
+
+    def _set_goals(self, commands: Commands, state: Bodies | Estimator, seconds: float) -> None:
+        """Run the position loops, which set desired attitudes, and thrusts of cascades."""
+        weight = GRAVITY * self._masses
+        push = self._kp * (commands.positions - state.positions)
+        if self._name == "pid":
+            push = np.clip(push, -MAX_SPEED * self._kd, MAX_SPEED * self._kd)
+        integral = self._integral + seconds * self._ki / self._kp * push
+        self._integral = np.clip(integral, -self._integral_limit, self._integral_limit)
+        force = push + self._integral + weight * UP - self._kd * state.velocities
+        feed_forward = self._masses * commands.accelerations + self._kd * commands.velocities
+        force = self._force = force + self._feed_forward * feed_forward
+        level, lift = force[:, :2], force[:, 2:]
+        if self._name == "pid":
+            tilt = np.clip(level / weight, -self._tilt, self._tilt)
+            force = np.hstack([np.tan(tilt), np.ones_like(lift)])
+            self._thrust = lift[:, 0]
+        elif self._name == "px4":
+            lift = np.maximum(lift, MIN_LIFT * weight)
+            size = length(level)[:, None]
+            level = level * np.minimum(1.0, lift * np.tan(self._tilt) / np.maximum(size, TINY))
+            force = np.hstack([level, lift])
+            self._thrust = length(force)
+        self._goal = desired_attitudes(force)
+
+    def _attitude_loops(
+        self, attitudes: Array, rates: Array, desired_rates: Array, seconds: float
+    ) -> tuple[Array, Array]:
+        """Return thrusts (2n,) [N] and angular accelerations (2n, 3) of the attitude loops."""
+        relative = self._goal.transpose(0, 2, 1) @ attitudes  # R_d^T R
+        error = 0.5 * np.stack(
+            [relative[:, i, j] - relative[:, j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=-1
+        )
+        rate_error = rates - desired_rates
+        stiffness, damping, lead, integral = self._attitude_gains
+        self._attitude_integral = self._attitude_integral + seconds * integral * error
+        answer = stiffness * error + damping * rate_error + self._attitude_integral
+        if self._last_error is not None:
+            answer = answer + lead * (rate_error - self._last_error) / seconds
+        self._last_error = rate_error
+        if self._name in ("pid", "px4"):
+            return self._thrust, -answer
+        return np.einsum("ia,ia->i", self._force, attitudes[:, :, 2]), -answer

@@ -1,0 +1,143 @@
+"""Setpoints as flight controllers receive them: streamed packets, or uploaded curves."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hitchopt.errors import InfeasibleError, InputError
+from hitchopt.exports.exporting import Export, export_motion
+from hitchopt.exports.formats.crazyflie import CompressedBytes, CrazyflieFormat, Crazyswarm2
+from hitchopt.exports.options import ExportOptions
+from hitchopt.hitch import Quadrotor, Team
+from hitchopt.hitch.flight_controller import STOCK, Gains, latency_scale
+from hitchopt.lab.simulation.settings import Settings
+from hitchopt.lab.simulation.task import RATE, Task
+from hitchopt.motion.motion import Motion
+from hitchopt.motion.states import HOVER, attitudes
+from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.values import Array
+
+# Resolution of a full-state packet [m], [m/s], [m/s²], [rad/s], and its largest 16-bit number
+QUANTUM, MAX_COUNT = 1e-3, 32767
+
+# Controllers that follow body rates: of a packet, and of the jerk of curves
+PACKET_RATES, CURVE_RATES = ("mellinger",), ("mellinger", "lee")
+
+
+@dataclass(frozen=True, eq=False)
+class Commands:
+    """Setpoints at some times (…); yaw is 0."""
+
+    positions: Array  # (…, 2n, 3) [m]
+    velocities: Array  # (…, 2n, 3) [m/s]
+    accelerations: Array  # (…, 2n, 3) [m/s²]; less F / m if the force F of cables is fed forward
+    rates: Array  # (…, 2n, 3) [rad/s], about the bodies' axes
+
+    def __getitem__(self, index: int) -> Commands:
+        """Return the setpoints of one sample, of the last one beyond it."""
+        last = len(self.positions) - 1
+        return Commands(*(values[min(index, last)] for values in vars(self).values()))
+
+
+def flown_team(team: Team, settings: Settings) -> Team:
+    """Return the team with the controller and gains of the settings."""
+    return replace(team, quadrotor=tuple(_configured(kind, settings) for kind in team.quadrotor))
+
+
+def _configured(kind: Quadrotor, settings: Settings) -> Quadrotor:
+    name, gains = settings.controller or "", settings.gains
+    if gains is None and kind.controller == name and settings.stiffness is None:
+        return kind
+    k, c = STOCK[name].stiffest
+    if gains is None and math.isfinite(k):  # other controllers have stock gains
+        scale = latency_scale(kind.latency)
+        stiffness = settings.stiffness or kind.stiffness or scale**2 * k * kind.mass
+        damping = c * math.sqrt(stiffness * kind.mass / k)
+        gains = Gains(kp=stiffness, kd=damping, ki=0.0)
+    return Quadrotor(kind.mass, kind.max_thrust, controller=name, gains=gains)
+
+
+def received(task: Task, team: Team, settings: Settings) -> Commands:
+    """Return the setpoints of a task that a team's controllers receive, at RATE.
+
+    Raises
+    ------
+    InputError: an upload without a plan.
+    InfeasibleError: a plan too large for an upload.
+    """
+    if not settings.upload:
+        return streamed(task, team, follows=settings.controller in PACKET_RATES)
+    if task.motion is None:
+        raise InputError("upload", True, "with a plan", "give the plan's directory")
+    return uploaded(task.motion, team, follows=settings.controller in CURVE_RATES)
+
+
+def streamed(task: Task, team: Team, *, follows: bool) -> Commands:
+    """Return the rounded packets of full states, with body rates if ``follows``."""
+    setpoints, mass = task.states, team.mass[:, None]
+    forward = setpoints.accelerations - team.pull_gain * setpoints.cable_forces / mass
+    rates = _body_rates(mass, forward, task.states.t, follows=follows)
+    values = setpoints.positions, setpoints.velocities, forward, rates
+    counts = (np.rint(x / QUANTUM) for x in values)
+    return Commands(*(QUANTUM * np.clip(x, -MAX_COUNT, MAX_COUNT) for x in counts))
+
+
+def uploaded(motion: Motion, team: Team, *, follows: bool) -> Commands:
+    """Return setpoints as drones evaluate uploaded files.
+
+    Offsets hold the cables' tension, as controllers add no cable force to uploads. Controllers with
+    integrals would remove offsets: they fly the export for drones without a named controller.
+    """
+    hold_tension = not np.any(team.integral_gain > 0.0)
+    unnamed = tuple(Quadrotor(kind.mass, kind.max_thrust) for kind in team.quadrotor)
+    kinds = team.quadrotor if hold_tension else unnamed
+    motion = motion.replaced(team=replace(team, quadrotor=kinds))
+    refusals = []
+    for kind in (Crazyswarm2(), CompressedBytes()):  # the second one has three times the capacity
+        options = ExportOptions(kind.name, hold_tension=hold_tension)
+        try:
+            with tempfile.TemporaryDirectory() as folder:
+                parts = export_motion(motion, "", options, folder)
+                curves = [_read(kind, part, team.drone_names) for part in parts]
+            break
+        except InfeasibleError as error:
+            refusals.append(error)
+    else:
+        raise refusals[0]
+    starts = [part.begins for part in parts]
+    end = starts[-1] + max(curve.duration for curve in curves[-1])
+    t = np.arange(np.ceil(RATE * end) + 1) / RATE
+    at = np.searchsorted(starts, t + 1e-9, side="right") - 1
+    jets = np.zeros((3, len(t), team.drones, 3))
+    for i, (start, part) in enumerate(zip(starts, curves, strict=True)):
+        current = at == i
+        for d, curve in enumerate(part):
+            elapsed = t[current] - start
+            jet = curve.jet(np.minimum(elapsed, curve.duration), 3)
+            jets[:, current, d] = np.moveaxis(jet, -1, 0)
+            jets[1:, current & (t > start + curve.duration), d] = 0.0  # it hovers at the end
+    rates = _body_rates(team.mass[:, None], jets[2], t, follows=follows)
+    return Commands(jets[0], jets[1], jets[2], rates)
+
+
+def _read(kind: CrazyflieFormat, part: Export, names: Sequence[str]) -> list[PiecewisePolynomial]:
+    """Return the curves (3,) of all drones from exported files."""
+    files = [kind.file.format(name=name, frame=kind.frames[0]) for name in names]
+    return [kind.upload(part.folder / file).curve for file in files]
+
+
+def _body_rates(mass: Array, accelerations: Array, t: Array, *, follows: bool) -> Array:
+    """Return body rates (samples, 2n, 3) [rad/s] of free drones with some accelerations.
+
+    Rates are zero at the last time, whose setpoint is held.
+    """
+    rates = np.zeros_like(accelerations)
+    if follows:
+        thrusts = mass * (accelerations + HOVER)
+        rates[:-1] = attitudes(thrusts, np.gradient(thrusts, t, axis=0)).body_rates[:-1]
+    return rates

@@ -1,0 +1,208 @@
+"""Contacts at clasps, of drones and of objects, and loads that hang at clasps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from hitchopt.geometry.vectors import unit
+from hitchopt.hitch import Team
+from hitchopt.hitch.forces import contact_forces
+from hitchopt.lab.simulation.task import Cargo, Task
+from hitchopt.lab.simulation.world import BODY_HALF_HEIGHT, BODY_RADIUS, Index, World
+from hitchopt.values import Array
+
+# Smallest contact force of a clasp, over the plan's. Cables that only cross also press on each
+# other, by weight and deviations of drones, and some of them have a linking number of one
+MIN_BEARING_RATIO = 0.3
+
+SMOOTHING = 0.05  # Time constant of the transfer of a load between nodes [s]
+MIN_FORCE = 1e-9  # Smallest normal force of a contact [N]
+EXCLUDED_LENGTH = 2.0  # Section of its own cable that a drone cannot touch, over its radius
+LANDED_HEIGHT = 0.2  # Height below which a drone may touch its own cable [m]
+NO_POSITIONS = np.zeros((0, 3))
+GROUND, DRONE, CABLE, OBJECT = range(4)  # Kinds of bodies in contact
+
+
+def least_bearing(task: Task) -> Array:
+    """Return the smallest contact force of a bearing clasp (samples, clasps) [N].
+
+    It is a fraction of the contact force without friction, which is ``|T (u_{k-1} + u_k)|`` for
+    equal tensions; 0 if a cable has no tension.
+    """
+    by_part = []
+    for part in task.parts:
+        team, bearing = part.team, np.zeros((len(task.states.t), len(part.team.layout.clasps)))
+        taut = np.all(part.states.tensions > 0.0, axis=-1)
+        edges = unit(team.layout.edges(part.states.vertices[taut]))
+        forces = contact_forces(edges, part.states.tensions[taut], team.topology)
+        bearing[taut] = MIN_BEARING_RATIO * forces
+        by_part.append(bearing)
+    return np.concatenate(by_part, axis=1)
+
+
+class ClaspContacts:
+    """Contact forces between neighbouring cables and their centres, averaged over steps."""
+
+    def __init__(self, world: World, team: Team) -> None:
+        self._world, layout = world, team.layout
+        ranks = np.arange(len(layout.clasps))
+        self._clasp = np.full((team.robots, team.robots), -1)
+        self._clasp[layout.behind, layout.ahead] = ranks
+        self._clasp[layout.ahead, layout.behind] = ranks
+        self._force, self._moment, self._count = np.zeros(len(ranks)), np.zeros((len(ranks), 3)), 0
+
+    def now(self) -> tuple[Index, Index, Array]:
+        """Return contacts (c,) of the last step, their clasps (c,) and normal forces (c,) [N]."""
+        data = self._world.data
+        flexes, rows = data.contact.flex, data.contact.efc_address
+        between = np.flatnonzero(np.all(flexes >= 0, axis=1) & (rows >= 0))
+        clasp = self._clasp[flexes[between, 0], flexes[between, 1]]
+        contacts = between[clasp >= 0]
+        force = np.maximum(data.efc_force[rows[contacts]], 0.0)  # elliptic: the normal comes first
+        return contacts, clasp[clasp >= 0], force
+
+    def gather(self) -> None:
+        """Add the contacts of the last step."""
+        self._count += 1
+        if self._world.data.ncon:
+            chosen, clasp, force = self.now()
+            np.add.at(self._force, clasp, force)
+            moments = force[:, None] * self._world.data.contact.pos[chosen]
+            np.add.at(self._moment, clasp, moments)
+
+    def collect(self, minimum: Array | float = 0.0) -> tuple[Array, Array]:
+        """Return vertices and forces since the last call, and reset.
+
+        Vertices (clasps, 3) [m] are centres of the contact force; nan for forces below ``minimum``
+        (clasps,) [N]. Forces (clasps,) [N] are mean sums of normal forces.
+        """
+        forces = self._force / max(self._count, 1)
+        bears = (forces > 0.0) & (forces >= minimum)
+        vertices = np.full_like(self._moment, np.nan)
+        vertices[bears] = self._moment[bears] / self._force[bears, None]
+        self._force[:], self._moment[:], self._count = 0.0, 0.0, 0
+        return vertices, forces
+
+
+class HungLoads:
+    """Loads that hang at the clasps like rings, as additional mass of the nodes in contact.
+
+    While cables slide through a clasp, its load passes from node to node.
+    """
+
+    def __init__(self, world: World, team: Team) -> None:
+        self._world, self._mass, self._contacts = world, team.load, ClaspContacts(world, team)
+        self._cable = np.repeat(np.arange(team.robots), np.diff(world.cable_vertices))
+        self._bodies = world.model.flex_vertbodyid
+        self._empty = world.model.body_mass[self._bodies]
+        self._on_nodes = np.zeros((len(team.load), len(self._bodies)))  # shares of a load
+
+    def apply(self, shares: Array, seconds: float) -> None:
+        """Distribute the loads over the nodes at their clasps for the next ``seconds``.
+
+        ``shares`` (n,) are the fractions of its halves of loads that each cable carries. Clasps
+        without contact lose their loads.
+        """
+        data = self._world.data
+        chosen, clasp, force = self._contacts.now()
+        force = np.maximum(force, MIN_FORCE)
+        force = force / np.bincount(clasp, force, len(self._mass))[clasp]
+        node = self._world.cable_vertices[data.contact.flex[chosen]] + data.contact.elem[chosen]
+        target = np.zeros_like(self._on_nodes)
+        for end in (0, 1):  # of both elements that touch
+            np.add.at(target, (clasp[:, None], node + end), 0.25 * force[:, None])
+        decay = np.exp(-seconds / SMOOTHING)
+        self._on_nodes = decay * self._on_nodes + (1.0 - decay) * target
+        added = self._mass @ self._on_nodes * shares[self._cable]
+        self._world.model.body_mass[self._bodies] = self._empty + added
+
+
+def touching(
+    world: World, names: Sequence[str] = (), passing: Array = NO_POSITIONS
+) -> list[tuple[str, str]]:
+    """Return all pairs in contact by name: ``q0`` and ``r2``, or ``q0`` and ``cable 2``.
+
+    These contacts have no forces, so that every flight is simulated to its end. ``passing`` (m, 3)
+    [m] are drones with ``names`` that are not simulated. Drones are ellipsoids, cables points:
+    between two nodes a cable is at most 2 mm closer. Cables of different groups do collide.
+    """
+    scale = 1.0 / np.array([BODY_RADIUS, BODY_RADIUS, BODY_HALF_HEIGHT])
+    count, names = len(world.drones), [*world.drone_names, *names]
+    drones = np.concatenate([world.drones, passing]) * scale
+    nearby: Any = cKDTree(world.nodes * scale).query_ball_point(drones, 1.0)  # a list per drone
+    drone = np.repeat(np.arange(len(drones)), [len(entry) for entry in nearby])
+    node = np.array([i for entry in nearby for i in entry], dtype=np.intp)
+    cable = np.searchsorted(world.cable_vertices, node, side="right") - 1
+    index = node - world.cable_vertices[cable]
+    from_end = np.where(drone % 2 == 0, index, world.ropes.segments[cable] - index)
+    distant = from_end * world.ropes.segment_lengths[cable] > EXCLUDED_LENGTH * BODY_RADIUS
+    distant &= drones[drone, 2] / scale[2] > world.ground + LANDED_HEIGHT
+    foreign = (drone // 2 != cable) | distant  # on another cable, or far along the own one
+    pairs = np.unique(np.column_stack([drone, cable])[foreign], axis=0)
+    flexes = world.data.contact.flex
+    between = flexes[np.all(flexes >= 0, axis=1)]
+    across = between[world.groups[between[:, 0]] != world.groups[between[:, 1]]]
+    nearby = sorted(cKDTree(drones).query_pairs(2.0))  # i < j; ellipsoids
+    return [
+        *((names[i], names[j]) for i, j in nearby if i < count),
+        *((names[i], world.cable_names[k]) for i, k in pairs),
+        *((world.cable_names[i], world.cable_names[j]) for i, j in np.unique(across, axis=0)),
+    ]
+
+
+class ObjectContacts:
+    """Contacts of objects: forbidden ones, and all contacts with cables."""
+
+    def __init__(self, world: World, cargo: Cargo) -> None:
+        self._world, self._cargo, self._lifted = world, cargo, cargo.lifted
+        bodies, objects = world.model.nbody, world.object_bodies
+        counts = np.diff(world.cable_vertices)
+        self._kind, self._rank = np.full(bodies, GROUND), np.full(bodies, -1)
+        self._names = np.full(bodies, "the ground", dtype=object)
+        for kind, chosen, names in (
+            (CABLE, world.model.flex_vertbodyid, np.repeat(world.cable_names, counts)),
+            (DRONE, world.drone_bodies, world.drone_names),  # the ends of cables
+            (OBJECT, objects, cargo.names),
+        ):
+            self._kind[chosen], self._names[chosen] = kind, names
+        self._rank[objects] = np.arange(len(objects))
+        self._group = np.full(bodies, "", dtype=object)
+        self._group[world.model.flex_vertbodyid] = np.repeat(world.groups, counts)
+        self._holder = np.array([cargo.holders.get(name, "") for name in cargo.names], dtype=object)
+
+    def wrong(self, index: int) -> list[tuple[str, str]]:
+        """Return the forbidden contacts of objects at a sample of the plan, by name.
+
+        Cables may touch held objects. Lifted objects may touch nothing else, drones nothing at all.
+        """
+        item, body = self._pairs()
+        if not len(item):
+            return []
+        held, is_lifted = self._cargo.held[index], np.append(self._lifted[index], False)
+        kind, lifted = self._kind[body], is_lifted[item] | is_lifted[self._rank[body]]
+        held = held[item] & (self._holder[item] == self._group[body])
+        forbidden = np.where(kind == CABLE, ~held, (kind == DRONE) | lifted)
+        named = zip(self._names[body[forbidden]], item[forbidden], strict=True)
+        return sorted({(str(other), self._cargo.names[i]) for other, i in named})
+
+    @property
+    def cables(self) -> NDArray[np.bool_]:
+        """Whether cables touch each object (objects,)."""
+        touched = np.zeros(len(self._cargo.objects), dtype=np.bool_)
+        thing, body = self._pairs()
+        touched[thing[self._kind[body] == CABLE]] = True
+        return touched
+
+    def _pairs(self) -> tuple[Index, Index]:
+        """Return indices of objects in contact (contacts,), and the bodies that touch them."""
+        contact = self._world.data.contact
+        geoms = contact.geom[np.all(contact.geom >= 0, axis=1) & (contact.efc_address >= 0)]
+        bodies = self._world.model.geom_bodyid[geoms]
+        chosen = bodies[np.any(self._rank[bodies] >= 0, axis=1)]
+        rows, own = np.arange(len(chosen)), np.argmax(self._rank[chosen] >= 0, axis=1)
+        return self._rank[chosen[rows, own]], chosen[rows, 1 - own]

@@ -1,0 +1,309 @@
+"""Disturbances, the simplified controller with its motors, and feedback of vertices.
+
+The controller is the geometric one of T. Lee, M. Leok and N. H. McClamroch, "Geometric tracking
+control of a quadrotor UAV on SE(3)", CDC 2010, with two changes for hitches: only the planned force
+of the cable is fed forward, and the position loop is soft, as a stiff loop converts position errors
+to tension. The actual force follows the desired one with an attitude loop (about 60 ms of delay)
+and motors (first order, 20 ms).
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.errors import InputError
+from hitchopt.geometry.vectors import EAST, length, unit
+from hitchopt.hitch import GRAVITY, Team
+from hitchopt.lab.feedback import Feedback
+from hitchopt.lab.simulation.settings import Perturbations, Settings
+from hitchopt.lab.simulation.task import Task
+from hitchopt.lab.simulation.world import BODY_HALF_HEIGHT, BODY_RADIUS, Bodies, World
+from hitchopt.motion.states import States
+from hitchopt.objects import SolidObject
+from hitchopt.values import Array
+
+# Correlation times of errors of measured positions and velocities, and of gusts [s]
+NOISE_TIME, VELOCITY_NOISE_TIME, GUST_TIME = 0.3, 0.1, 1.0
+
+# Density of air [kg/m³]; drag coefficient of a cylinder across the flow at a cord's Reynolds number
+AIR_DENSITY, DRAG_COEFFICIENT = 1.2, 1.2
+
+# Half-width of a turbulent round jet per distance (Pope, Turbulent Flows, 2000, table 5.1)
+SPREADING = 0.094
+
+BLOCKED = 0.5  # Fraction of the momentum through a drone's disk that acts on the drone
+
+# Gains of the position loop of a team without stiffness [1/s²], [1/s]: 4.75 N/m at 132 g. Other
+# stiffnesses have the same damping ratio
+POSITION_GAIN, VELOCITY_GAIN = 36.0, 10.0
+
+# Integral time constant of the position loop [s]
+INTEGRAL_TIME = 2.0
+
+# Gains of the attitude loop [1/s²], [1/s], which has a delay of about 60 ms
+ATTITUDE_GAIN, RATE_GAIN = 900.0, 54.0
+
+# Lever arm of the thrust in a drone's largest roll and pitch moments, over the drone's radius
+ARM = 0.5
+MIN_FORCE = 1e-9  # Smallest divisor of thrusts [N]
+
+# Largest roll, pitch and yaw moment over the largest roll moment; drag of propellers is small
+MOMENT_SHARES = np.array([1.0, 1.0, 0.2])
+
+ROUNDING = 1e-9  # Rounding error of sums of periods [s]
+UP = np.array([0.0, 0.0, 1.0])  # Also the direction of a zero thrust
+
+
+class Drift:
+    """Ornstein-Uhlenbeck process with exact steps of any size.
+
+    Values have the standard deviation ``spread`` and the correlation ``time`` [s].
+    """
+
+    def __init__(
+        self, spread: float, time: float, shape: tuple[int, ...], random: np.random.Generator
+    ) -> None:
+        self._spread, self._correlation_time, self._random = spread, time, random
+        self.value: Array = spread * random.standard_normal(shape)
+
+    def advance(self, seconds: float) -> Array:
+        """Return the value ``seconds`` later."""
+        decay = np.exp(-seconds / self._correlation_time)
+        new = self._spread * np.sqrt(1.0 - decay**2)
+        self.value = decay * self.value + new * self._random.standard_normal(self.value.shape)
+        return self.value
+
+
+class Disturbances:
+    """Disturbances of one flight of n robots.
+
+    Every quantity has its own random stream, which does not depend on other perturbations.
+
+    Attributes
+    ----------
+    cable_scale: (n,), lengths of the cables over the team's.
+    start_offset: (2n, 3) [m], of the drones' first positions.
+    noise, velocity_noise: measurement errors of drones (2n, 3) [m], [m/s].
+    wind: gusts (2n, 3) [N].
+    steady_wind: (3,) [N], constant and level, equal for all drones.
+    sensor_random: random numbers of motion capture and IMUs.
+    """
+
+    def __init__(self, perturbations: Perturbations, robots: int, seed: int) -> None:
+        streams = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(9))
+        cables, start, noise, wind, velocity, direction, *others = streams
+        self._objects, self._vertices, self.sensor_random = others
+        sizes = self._perturbations = perturbations
+        drones = (2 * robots, 3)
+        self.cable_scale: Array = 1.0 + sizes.cable_error * cables.standard_normal(robots)
+        self.start_offset: Array = sizes.start_error * start.standard_normal(drones)
+        self.noise = Drift(sizes.noise, NOISE_TIME, drones, noise)
+        self.velocity_noise = Drift(sizes.velocity_noise, VELOCITY_NOISE_TIME, drones, velocity)
+        self.wind = Drift(sizes.wind / np.sqrt(3.0), GUST_TIME, drones, wind)
+        heading = direction.uniform(0.0, 2.0 * np.pi)
+        level = np.array([np.cos(heading), np.sin(heading), 0.0])
+        self.steady_wind: Array = sizes.steady_wind * level
+
+    def measured(self, vertices: Array) -> Array:
+        """Return vertices (clasps, 3) [m] with measurement noise."""
+        spread = self._perturbations.vertex_noise
+        return vertices + spread * self._vertices.standard_normal(vertices.shape)
+
+    def disturbed(self, objects: Mapping[str, SolidObject]) -> dict[str, SolidObject]:
+        """Return objects with random deviations; each call draws new ones."""
+        sizes = self._perturbations
+        mass, friction, r_squared = self._objects.uniform(-1.0, 1.0, (3, len(objects)))
+        heading = self._objects.uniform(0.0, 2.0 * np.pi, len(objects))
+        r = sizes.object_place * np.sqrt(np.abs(r_squared))
+        offsets = np.column_stack([r * np.cos(heading), r * np.sin(heading), 0.0 * r])
+        return {
+            name: replace(
+                each,
+                mass=each.mass * (1.0 + sizes.object_mass * mass[i]),
+                friction=each.friction * (1.0 + sizes.object_friction * friction[i]),
+                at=each.at if each.fixed else each.at + offsets[i],
+            )
+            for i, (name, each) in enumerate(objects.items())
+        }
+
+
+def drag(world: World, damping: float = 0.0) -> Array:
+    """Return the drag on the cables' inner nodes, as on cylinders (nodes, 3) [N].
+
+    ``damping`` [1/s] is an additional decay rate of velocities.
+    """
+    velocities, ropes = world.data.qvel[world.node_dofs], world.ropes
+    segments = np.repeat(ropes.segment_lengths, ropes.segments - 1)
+    density = np.repeat(np.broadcast_to(ropes.density, ropes.lengths.shape), ropes.segments - 1)
+    area, mass = ropes.preset.diameter * segments, density * segments
+    rate = 0.5 * AIR_DENSITY * DRAG_COEFFICIENT * area * length(velocities) + damping * mass
+    return np.asarray(-rate[:, None] * velocities)
+
+
+def downwash(drones: Array, thrusts: Array) -> Array:
+    """Return downwash forces on drones from drones above (2n, 3) [N].
+
+    A wake is a turbulent round jet with the momentum of the thrust. Its profile is Gaussian, with a
+    half-width that grows from half of the drone's radius by ``SPREADING`` per distance (Pope 2000,
+    section 5.1). A drone receives ``BLOCKED`` times the momentum through its disk. Drones are at
+    (2n, 3) [m], with thrusts (2n,) [N].
+    """
+    offset = drones[:, None] - drones[None]  # [below, above]
+    depth = -offset[..., 2]
+    below = depth > BODY_HALF_HEIGHT
+    half_width = 0.5 * BODY_RADIUS + SPREADING * np.where(below, depth, 0.0)
+    spread = half_width**2 / (4.0 * np.log(2.0))  # of the momentum, the square of the speed
+    level_squares = offset[..., 0] ** 2 + offset[..., 1] ** 2
+    share = 0.5 * BODY_RADIUS**2 / spread * np.exp(-0.5 * level_squares / spread)
+    push = np.where(below, BLOCKED * np.minimum(share, 1.0) * thrusts[None], 0.0)
+    return np.asarray(-np.sum(push, axis=1)[:, None] * UP)
+
+
+@dataclass(frozen=True, eq=False)
+class PositionGains:
+    """Gains of the drones' position loops."""
+
+    stiffness: Array  # (2n, 3) [N/m]
+    damping: Array  # (2n, 3) [N s/m]
+    integral: Array  # (2n, 3) [N/(m s)]
+    feed_forward: NDArray[np.bool_]  # (2n,), whether the planned cable force is fed forward
+
+    @classmethod
+    def of(cls, team: Team, settings: Settings) -> PositionGains:
+        """Return the gains of a team's drones, scaled to the settings' stiffness.
+
+        Raises InputError for an unstable loop: the characteristic polynomial of a drone's loop,
+        including lag and attitude loop, has a root with a positive real part.
+        """
+        masses = np.repeat(team.mass[:, None], 3, axis=1)
+        nominal = np.where(np.isfinite(team.stiffness), team.stiffness, POSITION_GAIN * masses)
+        stiffness = np.broadcast_to(settings.stiffness or nominal, masses.shape)
+        scale = stiffness / nominal
+        default = VELOCITY_GAIN * np.sqrt(nominal * masses / POSITION_GAIN)
+        damping = np.where(np.isfinite(team.damping), team.damping, default) * np.sqrt(scale)
+        gain, default = team.integral_gain, nominal / INTEGRAL_TIME * (team.integral > 0.0)
+        integral = np.where(np.isfinite(gain), gain, default) * scale
+        lag = [settings.lag, 1.0, RATE_GAIN, ATTITUDE_GAIN]  # highest power first
+        columns = [values.ravel() for values in (masses, damping, stiffness, integral)]
+        for mass, *gains in np.unique(columns, axis=1).T:
+            loop = np.polyadd(np.polymul(lag, [mass / ATTITUDE_GAIN, 0.0, 0.0, 0.0]), gains)
+            if np.any(np.roots(loop).real > 0.0):
+                bound = f"lower: a drone of {mass:g} kg is unstable, as its thrust lags"
+                raise InputError("stiffness", float(gains[1]), bound, "lower it")
+        return cls(stiffness, damping, integral, team.feed_forward)
+
+
+class Pilots:
+    """The drones' simplified controllers and their motors.
+
+    Attributes
+    ----------
+    thrusts, moments: current values, (2n,) [N], (2n, 3) [N m] about the bodies' axes.
+    """
+
+    def __init__(self, world: World, team: Team, settings: Settings) -> None:
+        self.gains = PositionGains.of(team, settings)
+        self._masses, self._inertia = world.masses[:, None], world.inertia
+        self._lag = settings.lag
+        self._max_thrust, self._integral_limit = np.array(team.max_thrust), team.integral
+        self._integral: Array = np.zeros((team.drones, 3))  # force of the integral action so far
+        self._state: Array | None = None
+        self.thrusts, self.moments = np.zeros(team.drones), np.zeros((team.drones, 3))
+
+    def stop(self, drone: int) -> None:
+        """Stop the motors of a drone, whose thrust fades with their lag."""
+        self._max_thrust[drone] = 0.0
+
+    def integrate(self, errors: Array, seconds: float) -> None:
+        """Integrate position errors (2n, 3) [m] over some time."""
+        integral = self._integral + seconds * self.gains.integral * errors
+        self._integral = np.clip(integral, -self._integral_limit, self._integral_limit)
+
+    def command(self, setpoints: States, bodies: Bodies, seconds: float, pull: Array) -> None:
+        """Run controllers and motors for the next ``seconds``.
+
+        Bodies are measured states; ``pull`` (2n, 3) [N] is added to the desired force.
+        """
+        masses, max_thrust, gains = self._masses, self._max_thrust, self.gains
+        error = setpoints.positions - bodies.positions
+        error_rate = setpoints.velocities - bodies.velocities
+        desired: Array = masses * (setpoints.accelerations + GRAVITY * UP)
+        desired += gains.stiffness * error + gains.damping * error_rate + self._integral
+        desired += pull - gains.feed_forward[:, None] * setpoints.cable_forces
+        attitudes, rates = bodies.attitudes, bodies.rates
+        thrust = np.einsum("ia,ia->i", desired, attitudes[:, :, 2])
+        limit = ARM * BODY_RADIUS * max_thrust[:, None] * MOMENT_SHARES
+        turning = desired, masses * setpoints.jerks, attitudes, rates, self._inertia
+        moments = np.clip(turning_moments(*turning), -limit, limit)
+        command = np.column_stack([np.clip(thrust, 0.0, max_thrust), moments])
+        decay = np.exp(-seconds / self._lag) if self._lag > 0.0 else 0.0
+        previous = command if self._state is None else self._state
+        state = self._state = command + (previous - command) * decay
+        self.thrusts, self.moments = state[:, 0], state[:, 1:]
+
+
+def turning_moments(
+    desired: Array, growth: Array, attitudes: Array, rates: Array, inertia: Array
+) -> Array:
+    """Return moments (2n, 3) [N m] about the bodies' axes that turn drones to desired thrusts.
+
+    Thrusts ``desired`` and their derivatives ``growth`` are (2n, 3) [N], [N/s]. The bodies' axes
+    are columns of attitudes (2n, 3, 3), and the axes of rates and inertia (2n, 3) [rad/s], [kg m²].
+    """
+    goals = desired_attitudes(desired)
+    size = np.maximum(length(desired), MIN_FORCE)[:, None]
+    goal_rates = np.einsum("iba,ib->ia", goals, np.cross(unit(desired, UP), growth) / size)
+    relative = np.einsum("iba,ibc->iac", goals, attitudes)  # R_d^T R
+    skew = 0.5 * (relative - relative.transpose(0, 2, 1))
+    error = np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=-1)
+    feed_forward = np.einsum("iba,ib->ia", relative, goal_rates)  # R^T R_d omega_d
+    acceleration = -ATTITUDE_GAIN * error - RATE_GAIN * (rates - feed_forward)
+    return np.asarray(inertia * acceleration + np.cross(rates, inertia * rates))
+
+
+def desired_attitudes(desired: Array) -> Array:
+    """Return attitudes (2n, 3, 3) with the third axis along the thrust and the first toward x."""
+    third = unit(desired, UP)
+    second = unit(np.cross(third, EAST))
+    return np.asarray(np.stack([np.cross(second, third), second, third], axis=-1))
+
+
+class VertexFeedback:
+    """Feedback of vertices that are measured with noise and delay.
+
+    ``stiffness`` (2n, 3) [N/m] is that of position loops, ``offsets`` (2n, 3) [m] are corrections.
+    """
+
+    def __init__(
+        self, task: Task, delay: float, disturbances: Disturbances, stiffness: Array
+    ) -> None:
+        if task.motion is None:
+            raise InputError("feedback", True, "with a plan", "give the plan's directory")
+        self._feedback = Feedback(task.motion, delay=delay, stiffness=stiffness)
+        self._start, self._delay, self._disturbances = float(task.states.t[0]), delay, disturbances
+        self._waiting: deque[tuple[float, Array]] = deque()
+        self.offsets = self._feedback.offsets
+
+    def corrected(self, setpoints: States, time: float, seconds: float, drones: Array) -> States:
+        """Return corrected setpoints at a time [s] of the flight.
+
+        ``seconds`` is the time since the last call; ``drones`` are measured positions (2n, 3) [m].
+        """
+        measured_at, vertices = None, None
+        while self._waiting and self._waiting[0][0] <= time - self._delay + ROUNDING:
+            measured_at, vertices = self._waiting.popleft()
+        measured = None if measured_at is None else self._start + measured_at
+        self._feedback.step(self._start + time, seconds, vertices, drones, measured=measured)
+        self.offsets = self._feedback.offsets
+        positions = setpoints.positions + self.offsets
+        velocities = setpoints.velocities + self._feedback.velocities
+        return replace(setpoints, positions=positions, velocities=velocities)
+
+    def observe(self, time: float, vertices: Array) -> None:
+        """Measure the vertices (clasps, 3) [m] at a time [s]."""
+        self._waiting.append((time, self._disturbances.measured(vertices)))

@@ -1,0 +1,139 @@
+"""Estimates of the drones' states: motion capture, an IMU, and the Kalman filter of Crazyflies.
+
+The filter is the nine-state error-state filter of M. W. Mueller, M. Hamer and R. D'Andrea, "Fusing
+ultra-wideband range measurements with accelerometers and rate gyroscopes for quadrocopter state
+estimation", ICRA 2015: position, velocity in the body's frame and a small rotation of the attitude.
+It predicts by the accelerometer along the body's z axis and the gyroscope alone, as a drone without
+a cable moves, and is corrected by the captured position and, of a rigid body, attitude.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from hitchopt.hitch import GRAVITY
+from hitchopt.hitch.estimator import EstimatorParameters
+from hitchopt.lab.simulation.world import Bodies
+from hitchopt.values import Array
+
+RATE = 100.0  # Rate of filter predictions and of motion capture [Hz]
+LATENCY = 0.01  # Delay of motion capture [s]
+
+# Standard deviations of captured positions [m] and attitudes [rad], per axis and frame; of the
+# gyroscope [rad/s] and the accelerometer [m/s²], per reading
+POSITION_NOISE, ATTITUDE_NOISE = 1e-3, 1e-2
+GYRO_NOISE, ACCELEROMETER_NOISE = 0.02, 0.2
+
+# The firmware's process noise of attitudes [rad/s], the rate at which process noise is added [Hz],
+# and the lower bound of variances
+TURN_NOISE, NOISE_RATE, MIN_VARIANCE = 0.1, 1000.0, 1e-6
+
+INITIAL_ERRORS = np.repeat([0.01, 0.01, 0.01], 3)  # Of a converged filter [m], [m/s], [rad]
+
+EYE = np.eye(3)
+
+
+def skew(v: Array) -> Array:
+    """Return the matrices (…, 3, 3) of cross products with vectors (…, 3)."""
+    return np.asarray(np.cross(v[..., None, :], -EYE))
+
+
+def rotation(turn: Array) -> Array:
+    """Return the matrices (…, 3, 3) of rotations by vectors (…, 3) [rad]."""
+    return np.asarray(Rotation.from_rotvec(turn).as_matrix())
+
+
+class Estimator:
+    """Kalman filters and sensors of all drones, initialized with the true states.
+
+    Frames arrive ``age`` readings after they are captured. ``variances`` (2n, 9, 9) are of
+    position, velocity and rotation errors [m], [m/s], [rad].
+    """
+
+    def __init__(
+        self,
+        parameters: EstimatorParameters,
+        bodies: Bodies,
+        random: np.random.Generator,
+        age: int = 5,
+    ) -> None:
+        self._random, self._last = random, bodies  # state at the last prediction
+        self._gyro: list[Array] = []  # readings since then
+        self._passed = deque([bodies], age + 1)  # at the last readings
+        self.positions, self.attitudes = bodies.positions, bodies.attitudes
+        self._velocities = np.einsum("iba,ib->ia", bodies.attitudes, bodies.velocities)
+        self.variances = np.tile(np.diag(INITIAL_ERRORS**2), (len(bodies.positions), 1, 1))
+        level, upright = parameters.level_noise, parameters.upright_noise
+        accelerations, dt = np.array([level, level, upright]), 1.0 / NOISE_RATE
+        added = np.concatenate([accelerations * dt**2, accelerations * dt, [TURN_NOISE * dt] * 3])
+        self._added = NOISE_RATE / RATE * added**2
+        errors = np.repeat([parameters.position_error, parameters.attitude_error or 0.0], 3)
+        self._observed = np.r_[0:3, 6:9] if parameters.attitude_error else np.r_[0:3]
+        self._errors = np.diag(errors[: len(self._observed)] ** 2)
+
+    @property
+    def velocities(self) -> Array:
+        """Velocities (2n, 3) [m/s] in the world's frame."""
+        return np.asarray(np.einsum("iab,ib->ia", self.attitudes, self._velocities))
+
+    def read(self, bodies: Bodies) -> Array:
+        """Return gyroscope readings (2n, 3) [rad/s] for true states."""
+        self._passed.append(bodies)
+        noise = GYRO_NOISE * self._random.standard_normal(bodies.rates.shape)
+        self._gyro.append(bodies.rates + noise)
+        return self._gyro[-1]
+
+    def predict(self, bodies: Bodies) -> None:
+        """Predict from the readings since the last prediction, 1 / RATE ago."""
+        dt = 1.0 / RATE
+        rates, previous = np.mean(self._gyro, axis=0), self._last
+        self._gyro, self._last = [], bodies
+        acceleration = (bodies.velocities - previous.velocities) / dt + [0.0, 0.0, GRAVITY]
+        thrust_axis = 0.5 * (bodies.attitudes + previous.attitudes)[..., 2]
+        noise = ACCELEROMETER_NOISE * self._random.standard_normal(len(acceleration))
+        specific_force = np.einsum("ia,ia->i", acceleration, thrust_axis) + noise
+        upward, v = self.attitudes[:, 2], self._velocities  # the world's z axis in the body's frame
+        turning, turn = skew(rates), self.attitudes
+        transition = np.tile(np.eye(9), (len(v), 1, 1))
+        transition[:, 0:3, 3:6] = turn * dt
+        transition[:, 0:3, 6:9] = -turn @ skew(v) * dt
+        transition[:, 3:6, 3:6] -= turning * dt
+        transition[:, 3:6, 6:9] = -GRAVITY * skew(upward) * dt
+        transition[:, 6:9, 6:9] -= turning * dt
+        force = -GRAVITY * upward
+        force[:, 2] += specific_force
+        step = dt * v + 0.5 * dt**2 * force
+        self.positions = self.positions + np.einsum("iab,ib->ia", turn, step)
+        self._velocities = v + dt * (force - np.cross(rates, v))
+        self.attitudes = turn @ rotation(dt * rates)
+        self.variances = transition @ self.variances @ transition.transpose(0, 2, 1)
+        self._bound()
+        self.variances[:, range(9), range(9)] += self._added
+
+    def correct(self) -> None:
+        """Correct with the frame that arrives."""
+        captured = self._passed[0]
+        noise = self._random.standard_normal((2, *captured.positions.shape))
+        positions = captured.positions + POSITION_NOISE * noise[0]
+        captured_attitudes = captured.attitudes @ rotation(ATTITUDE_NOISE * noise[1])
+        observed, p = self._observed, self.variances
+        residual = positions - self.positions
+        if len(observed) > 3:
+            relative = self.attitudes.transpose(0, 2, 1) @ captured_attitudes
+            residual = np.hstack([residual, Rotation.from_matrix(relative).as_rotvec()])
+        innovation = p[:, observed][:, :, observed] + self._errors
+        gain = np.linalg.solve(innovation, p[:, observed]).transpose(0, 2, 1)
+        step = np.einsum("iab,ib->ia", gain, residual)
+        self.positions = self.positions + step[:, 0:3]
+        self._velocities = self._velocities + step[:, 3:6]
+        self.attitudes = self.attitudes @ rotation(step[:, 6:9])
+        p = p - gain @ p[:, observed]
+        self.variances = 0.5 * (p + p.transpose(0, 2, 1))
+        self._bound()
+
+    def _bound(self) -> None:
+        diagonal = np.einsum("iaa->ia", self.variances)
+        np.maximum(diagonal, MIN_VARIANCE, out=diagonal)

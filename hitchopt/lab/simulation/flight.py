@@ -1,0 +1,412 @@
+"""The simulated flight and its record: settling, setpoints, rest, and a pull test."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.errors import InputError, Progress
+from hitchopt.geometry.vectors import length, unit
+from hitchopt.hitch import GRAVITY
+from hitchopt.lab.simulation import contacts, control, ropes
+from hitchopt.lab.simulation.autopilots import PERIOD, Autopilots
+from hitchopt.lab.simulation.commands import Commands, flown_team, received
+from hitchopt.lab.simulation.estimator import LATENCY, Estimator
+from hitchopt.lab.simulation.settings import Settings
+from hitchopt.lab.simulation.task import RATE, Task
+from hitchopt.lab.simulation.world import (
+    BODY_HALF_HEIGHT,
+    Bodies,
+    InvalidRunError,
+    World,
+    cable_names,
+    check_valid,
+)
+from hitchopt.motion.states import States
+from hitchopt.objects import SolidObject
+from hitchopt.values import Array
+
+CONTROL_PERIOD = 0.005  # Period of the controller [s], rounded to a multiple of the time step
+
+# Settling time before the flight [s], and its first part in which the tension grows while drones
+# move from the ends of loose cables to the first setpoint: sudden tension would tear loose clasps
+SETTLE_TIME, TIGHTENING_TIME = 2.5, 1.5
+
+SETTLE_DAMPING = 40.0  # Initial damping of cables while they settle, against whipping [1/s]
+
+MIN_CALM_TENSION = 0.25  # Smallest tension, over the team's, at which ropes do not whip
+REST_TIME = 1.0  # Rest after the flight, before it is evaluated [s]
+
+# Pull test: tension over the plan's, and duration [s]; the tension grows during its first half
+PULL_RATIO, PULL_TIME = 1.5, 2.0
+
+FRAME_PERIOD, TOUCH_PERIOD = 0.04, 0.02  # Of cable shapes and of contact searches [s]
+REPORT_PERIOD = 50  # Samples between two calls of ``progress``
+
+# Time after the loss of a drone [s], and substeps during it: fast sliding at its clasp would strain
+# ropes by more than 2 %
+LOSS_TIME, LOSS_SUBSTEPS = 2.5, 3
+
+REST_HEIGHT = BODY_HALF_HEIGHT + 0.005  # Height of the centre of a drone on the ground [m]
+ROUNDING = 1e-9  # Rounding error of sums of periods [s]
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """Samples of a flight; times count from the flight's start, after settling."""
+
+    t: Array  # (samples,) [s], at the rate of the setpoints, rest and pull test included
+    index: NDArray[np.intp]  # (samples,), index of the setpoint that applies from this time on
+    drones: Array  # positions (samples, 2n, 3) [m]
+    commanded: Array  # positions of the setpoints (samples, 2n, 3) [m]
+    vertices: Array  # (samples, clasps, 3) [m], nan if cables do not bear on each other
+    bearing: Array  # contact forces (samples, clasps) [N]
+    tensions: Array  # means over each cable's length (samples, n) [N]
+    # largest values over length and time since the last sample (samples, n) [N]
+    peak_tensions: Array
+    thrusts: Array  # (samples, 2n) [N]
+    tilts: Array  # of the drones (samples, 2n) [rad]
+    # of the objects (samples, objects, 7): positions of their bases [m], and quaternions
+    poses: Array
+    touched: NDArray[np.bool_]  # whether cables touch an object (samples, objects)
+
+
+@dataclass(frozen=True, eq=False)
+class Film:
+    """Shapes of the cables over time, including settling at negative times."""
+
+    t: Array  # (frames,) [s]
+    nodes: NDArray[np.float32]  # (frames, nodes, 3) [m], cable after cable, drones at their ends
+    cables: NDArray[np.intp]  # (n + 1,), first node of each cable, and the number of nodes
+    poses: NDArray[np.float32]  # of the objects (frames, objects, 7), as in a ``Record``
+
+
+@dataclass(frozen=True, eq=False)
+class Flight:
+    """A flight that was simulated to its end, or until the simulation became invalid."""
+
+    task: Task  # of the flight
+    settings: Settings  # of the flight
+    record: Record  # samples
+    film: Film  # shapes of the cables
+    # times [s] of first forbidden contacts by pairs of names, such as ``("q0", "r2")`` or ``("q0",
+    # "cable 2")``
+    touches: dict[tuple[str, str], float]
+    # linking numbers (n, n) of all pairs of cables after the rest; None if not reached
+    linking: NDArray[np.int64] | None
+    rested: float  # time at which the rest ended [s]; nan if not reached
+    pulled: float  # time at which the pull test ended [s]; nan if not reached
+    gains: control.PositionGains  # of the drones' position loops
+    density: Array | float  # of the simulated cables [kg/m], of each (n,) for several groups
+    extra_length: float  # largest additional length of a rope [m], for the bends of thick ropes
+    # largest distance of a rope's end from its drone [m], which aligns the legs of thick ropes with
+    # those of thin cables
+    end_offset: float
+    objects: dict[str, SolidObject]  # simulated objects by name, with perturbations
+    error: InvalidRunError | None  # the error that ended the flight early, or None
+
+    @property
+    def cable_names(self) -> list[str]:
+        """Names of cables (n,): cable 0, cable 1, …, or a.cable 0, … for several groups."""
+        return cable_names(self.task.team.drone_names)
+
+
+def fly(task: Task, settings: Settings, progress: Progress | None = None) -> Flight:
+    """Return the flight of a task's setpoints, with the error that ended it early, if any.
+
+    It begins with a hitch if the plan has one at the first setpoint, else with hanging cables.
+    Controllers receive only setpoints, including planned cable forces.
+
+    Raises
+    ------
+    InputError: a density too small for the team's tension, or an unstable position loop.
+    ShapeError: cables too short for the first setpoints.
+    UnsupportedError: mujoco is not installed, or several groups with feedback or a lost drone.
+    """
+    run = _Run(task, settings, progress)
+    try:
+        run.fly()
+    except InvalidRunError as error:
+        return run.flight(error)
+    return run.flight(None)
+
+
+class _Run:
+    """A flight in progress."""
+
+    def __init__(self, task: Task, settings: Settings, progress: Progress | None) -> None:
+        team, preset = task.team, settings.preset
+        if task.motion is not None and settings.lost is not None:
+            task.motion.require_one_team("the simulated loss of a drone")
+        self._task, self._settings, self._progress = task, settings, progress
+        disturbances = control.Disturbances(settings.perturbations, team.robots, settings.seed)
+        self._disturbances, parts = disturbances, task.parts
+        end_offsets = [ropes.leg_end_offsets(part, preset.diameter) for part in parts]
+        extra = [ropes.thickness_allowance(p, preset.diameter, preset.segment) for p in parts]
+        self._end_offsets = np.concatenate(end_offsets, axis=1)
+        self._extra_lengths = extra_lengths = np.concatenate(extra)
+        first = np.cumsum([part.team.robots for part in parts])[:-1]
+        lengths = np.split(team.cable_length * disturbances.cable_scale + extra_lengths, first)
+        each = list[ropes.Ropes]()
+        for part, sizes in zip(parts, lengths, strict=True):
+            tension = float(max(np.max(part.team.tension), np.max(part.states.tensions)))
+            each.append(ropes.Ropes.of(part.team, settings, sizes, tension))
+            each[-1].check_tension(tension)
+        joined, ground = ropes.Ropes.joined(each), ground_of(task)
+        objects = disturbances.disturbed(task.cargo.objects)
+        self._world = world = World(joined, team.mass, ground, objects, team.drone_names)
+        start = task.states.positions[0] + self._end_offsets[0] + disturbances.start_offset
+        world.place(
+            [
+                cable
+                for part, own, drones in zip(parts, each, np.split(start, 2 * first), strict=True)
+                for cable in (
+                    ropes.clasped(own, part.team.layout, drones, part.states.vertices[0])
+                    if part.states.formed[0]
+                    else ropes.hanging(own, drones, ground)
+                )
+            ]
+        )
+        self._pilots = self._controllers()
+        self._loads = contacts.HungLoads(world, team) if np.any(team.load) else None
+        self._contacts = contacts.ClaspContacts(world, team)
+        self._objects = contacts.ObjectContacts(world, task.cargo)
+        self._least_bearing = contacts.least_bearing(task)
+        loops, delay = self._pilots.gains.stiffness, settings.perturbations.vertex_delay
+        self._feedback = None
+        if settings.feedback:
+            self._feedback = control.VertexFeedback(task, delay, disturbances, loops)
+        self._lost = _lost_drone(task, settings)
+        step = joined.preset.time_step
+        period = CONTROL_PERIOD if settings.controller is None else PERIOD
+        self._substeps = max(1, round(period / step))
+        self._period = self._substeps * step
+        self._damping = 0.0
+        self._starts = world.cable_vertices[:-1] - np.arange(team.robots)  # of each cable's edges
+        self._peaks: Array = np.zeros(team.robots)
+        self._search_time = self._frame_time = -np.inf
+        self._frames: list[tuple[float, NDArray[np.float32], NDArray[np.float32]]] = []
+        self._rows: list[tuple[Any, ...]] = []
+        self._touches: dict[tuple[str, str], float] = {}
+        self._linking: NDArray[np.int64] | None = None
+        self._rested = self._pulled = float("nan")
+
+    def _controllers(self) -> control.Pilots | Autopilots:
+        """Return the drones' controllers, and store the commands of flight controllers."""
+        task, settings, world = self._task, self._settings, self._world
+        if settings.controller is None:
+            return control.Pilots(world, task.team, settings)
+        teams, estimator = [flown_team(part.team, settings) for part in task.parts], None
+        pairs = zip(task.parts, teams, strict=True)
+        self._command_delay = 0.0
+        self._commands = [received(part, team, settings) for part, team in pairs]
+        if settings.estimator is not None:
+            stated = [kind.latency or 0.0 for part in task.parts for kind in part.team.quadrotor]
+            latency = max(stated) or LATENCY if settings.latency is None else settings.latency
+            self._command_delay = 0.0 if settings.upload else latency
+            measuring, age = self._disturbances.sensor_random, round(latency / PERIOD)
+            estimator = Estimator(settings.estimator, self._bodies(0), measuring, age)
+        loops = [kind.loop for team in teams for kind in team.quadrotor for _ in range(2)]
+        max_thrust = task.team.max_thrust
+        return Autopilots(loops, world.masses, world.inertia, max_thrust, settings.lag, estimator)
+
+    def fly(self) -> None:
+        """Simulate the flight; raises InvalidRunError if the simulation leaves its valid range."""
+        task, world = self._task, self._world
+        end = task.duration
+        each = [np.full(part.team.drones, part.states.formed[0]) for part in task.parts]
+        tied = np.concatenate(each)
+        loose_offset = tied[:, None] * (self._drones(0) - task.states.positions[0])
+        friction = world.model.flex_friction.copy()
+        world.model.flex_friction[:] = 0.0  # the initial state has no history
+        for time in self._times(-SETTLE_TIME, 0.0):
+            progress = min(1.0, (time + SETTLE_TIME) / TIGHTENING_TIME)
+            share = progress**3 * (10.0 - 15.0 * progress + 6.0 * progress**2)
+            self._damping = SETTLE_DAMPING * (1.0 - share)
+            self._step(time, 0, np.where(tied, share, 1.0), (1.0 - share) * loose_offset)
+        world.model.flex_friction[:] = friction
+        self._contacts.collect()
+        self._peaks[:] = 0.0
+        self._sample(0.0, 0)
+        self._fly(0.0, end)
+        self._fly(end, end + REST_TIME)
+        self._rested = end + REST_TIME
+        self._linking = ropes.linking_matrix(world.cables)
+        if self._settings.pull_test and self._lost is None:
+            self._fly(self._rested, self._rested + PULL_TIME, PULL_RATIO)
+            self._pulled = self._rested + PULL_TIME
+
+    def _fly(self, begin: float, end: float, pull: float = 1.0) -> None:
+        """Fly between two times [s], while the tension grows to ``pull`` times its value."""
+        task, sample = self._task, math.floor(RATE * begin + ROUNDING)
+        index = task.index(begin)
+        for time in self._times(begin, end):
+            if (now := math.floor(RATE * time + ROUNDING)) != sample:
+                self._sample(time, index)
+                sample, index = now, task.index(time)
+                if self._progress is not None and sample % REPORT_PERIOD == 0:
+                    self._progress(f"flying, {time:.1f} of {end:.1f} s")
+            growth = min(1.0, 2.0 * (time - begin) / (end - begin))
+            self._step(time, index, 1.0 + (pull - 1.0) * growth)
+        self._sample(end, index)
+
+    def _times(self, begin: float, end: float) -> Array:
+        """Return the times of the commands in [begin, end)."""
+        count = max(0, round((end - begin) / self._period))
+        return begin + self._period * np.arange(count, dtype=np.float64)
+
+    def _step(
+        self, time: float, index: int, pull: Array | float, offset: Array | float = 0.0
+    ) -> None:
+        """Command the drones by a setpoint with an offset [m], and advance by one period.
+
+        ``pull`` is a factor of the plan's tension, common or by drone (2n,): less than 1 while a
+        hitch is tightened, more than 1 in the pull test, in which drones add the force.
+        """
+        world, task, period, flying = self._world, self._task, self._period, time >= 0.0
+        pull = np.broadcast_to(pull, task.team.drones)
+        disturbances, pilots, substeps = self._disturbances, self._pilots, 1
+        if self._lost is not None and time >= self._lost[1]:
+            pilots.stop(self._lost[0])
+            substeps = LOSS_SUBSTEPS if time < self._lost[1] + LOSS_TIME else 1
+        setpoints = task.states[index]
+        setpoints = replace(setpoints, positions=setpoints.positions + offset)
+        bodies, passing = self._bodies(index), task.passing.at(index)
+        if self._settings.estimator is None:
+            measured = bodies.positions + disturbances.noise.advance(period)
+            velocities = bodies.velocities + disturbances.velocity_noise.advance(period)
+            bodies = replace(bodies, positions=measured, velocities=velocities)
+        measured = bodies.positions
+        if self._feedback is not None and flying:
+            setpoints = self._feedback.corrected(setpoints, time, period, measured)
+        pulling = pilots.gains.feed_forward | (pull > 1.0)
+        added = ((pull - 1.0) * pulling)[:, None] * self._outward_pulls(index)
+        push = disturbances.wind.advance(period) + disturbances.steady_wind
+        push = push + self._command(time, index, setpoints, bodies, added)
+        if self._settings.perturbations.downwash:
+            drones = np.concatenate([world.drones, passing])
+            thrusts = np.concatenate([pilots.thrusts, GRAVITY * task.passing.masses])
+            push = push + control.downwash(drones, thrusts)[: len(push)]
+        world.push(pilots.thrusts, pilots.moments, push)
+        planned = np.minimum(pull[::2], 1.0)  # by cable
+        if self._loads is not None:
+            self._loads.apply(planned * task.load_shares(index), period)
+        world.data.qfrc_applied[world.node_dofs] = control.drag(world, self._damping)
+        calm_tension = MIN_CALM_TENSION * task.team.tension
+        loose = np.any(planned * task.states.tensions[index] < calm_tension)
+        loose = loose or np.mean(world.tensions) < np.mean(calm_tension)  # planned or actual
+        substeps = max(substeps, world.ropes.substeps(float(np.max(world.tensions))))
+        world.step(self._substeps, loose=bool(loose), substeps=substeps)
+        check_valid(world, time)
+        self._contacts.gather()
+        np.maximum(self._peaks, np.maximum.reduceat(world.tensions, self._starts), out=self._peaks)
+        if flying and time - self._search_time >= TOUCH_PERIOD - ROUNDING:
+            self._search_time = time
+            touching = contacts.touching(world, task.passing.names, passing)
+            for pair in (*touching, *self._objects.wrong(index)):
+                self._touches.setdefault(pair, time)
+        if time - self._frame_time >= FRAME_PERIOD - ROUNDING:
+            self._frame_time = time
+            state = (world.nodes.astype(np.float32), world.poses.astype(np.float32))
+            self._frames.append((time, *state))
+
+    def _command(
+        self, time: float, index: int, setpoints: States, bodies: Bodies, added: Array
+    ) -> Array:
+        """Run controllers and motors for a period; return external forces on drones (2n, 3) [N].
+
+        ``added`` (2n, 3) [N] is an additional pull; setpoints are those of an index, corrected.
+        """
+        pilots, period, plan = self._pilots, self._period, self._task.states[index]
+        if isinstance(pilots, control.Pilots):
+            pilots.command(setpoints, bodies, period, added)
+            if time >= 0.0:
+                pilots.integrate(setpoints.positions - bodies.positions, period)
+            return np.zeros_like(added)
+        sample = max(0, math.floor(RATE * (time - self._command_delay) + ROUNDING))
+        parts = [vars(commands[sample]).values() for commands in self._commands]
+        commands = Commands(*(np.concatenate(x) for x in zip(*parts, strict=True)))
+        positions = commands.positions + (setpoints.positions - plan.positions)
+        velocities = commands.velocities + (setpoints.velocities - plan.velocities)
+        commands = replace(commands, positions=positions, velocities=velocities)
+        pilots.advance(commands, bodies, period)
+        return added
+
+    def _bodies(self, index: int) -> Bodies:
+        """Return the drones' states without the end offsets of thick ropes."""
+        return replace(self._world.bodies, positions=self._drones(index))
+
+    def _drones(self, index: int) -> Array:
+        """Return positions of the drones without the end offsets of thick ropes (2n, 3) [m]."""
+        return np.asarray(self._world.drones - self._end_offsets[index])
+
+    def _outward_pulls(self, index: int) -> Array:
+        """Return planned tensions along the legs outward, level with objects (2n, 3) [N]."""
+        task = self._task
+        states = task.states[index]
+        legs = states.positions - states.vertices[task.team.layout.pulled_to]
+        pulls: Array = np.repeat(states.tensions, 2)[:, None] * unit(legs)
+        if task.cargo.objects and np.any(task.cargo.load_share[index] > 0.0):
+            pulls[:, 2] = 0.0
+        return pulls
+
+    def _sample(self, time: float, index: int) -> None:
+        """Record the state at ``time`` [s], up to which setpoint ``index`` applied, and peaks."""
+        world = self._world
+        commanded = self._task.states.positions[index]
+        touched = self._contacts.collect(self._least_bearing[index])
+        if self._feedback is not None:
+            commanded = commanded + self._feedback.offsets
+            self._feedback.observe(time, touched[0])
+        means = np.add.reduceat(world.tensions, self._starts) / world.ropes.segments
+        tilts = np.arccos(np.clip(world.bodies.attitudes[:, 2, 2], -1.0, 1.0))
+        state = (means, self._peaks.copy(), self._pilots.thrusts.copy(), tilts)
+        places = (time, self._task.index(time), self._drones(index), commanded)
+        self._rows.append((*places, *touched, *state, world.poses, self._objects.cables))
+        self._peaks[:] = 0.0
+
+    def flight(self, error: InvalidRunError | None) -> Flight:
+        """Return the simulated part of the flight."""
+        world = self._world
+        if not self._rows:  # ended while it settled
+            self._sample(0.0, 0)
+        t, nodes, poses = zip(*self._frames, strict=True) if self._frames else ((), (), ())
+        shapes = np.array(nodes, dtype=np.float32), world.cable_vertices
+        return Flight(
+            self._task,
+            self._settings,
+            Record(*(np.array(column) for column in zip(*self._rows, strict=True))),
+            Film(np.array(t), *shapes, np.array(poses, dtype=np.float32)),
+            self._touches,
+            self._linking,
+            self._rested,
+            self._pulled,
+            gains=self._pilots.gains,
+            density=world.ropes.density,
+            extra_length=float(np.max(self._extra_lengths)),
+            end_offset=float(np.max(length(self._end_offsets))),
+            objects=world.objects,
+            error=error,
+        )
+
+
+def ground_of(task: Task) -> float:
+    """Return the height of the ground [m]: that of objects, else 0 or below the lowest drone."""
+    lowest = float(np.min(task.states.positions[..., 2])) - REST_HEIGHT
+    return task.cargo.floor if task.cargo.objects else min(0.0, lowest)
+
+
+def _lost_drone(task: Task, settings: Settings) -> tuple[int, float] | None:
+    """Return the index of a lost drone and the time of its loss [s]; InputError if invalid."""
+    lost, names, end = settings.lost, task.team.drone_names, task.duration
+    if lost is None:
+        return None
+    if lost.drone not in names:
+        raise InputError("lose", lost.drone, f"one of {', '.join(names)}", "name a drone")
+    if lost.time >= end:
+        raise InputError("lose", lost.time, f"before the flight ends at {end:g} s", "lower it")
+    return names.index(lost.drone), lost.time

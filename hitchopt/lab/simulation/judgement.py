@@ -1,0 +1,505 @@
+"""Evaluation of a simulated flight: outcome, errors, objects, and the loss of a drone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
+from scipy.spatial.transform import Rotation
+
+from hitchopt.errors import OneLine, Progress
+from hitchopt.geometry.vectors import length
+from hitchopt.lab.simulation.contacts import least_bearing
+from hitchopt.lab.simulation.flight import Flight, fly, ground_of
+from hitchopt.lab.simulation.settings import Settings
+from hitchopt.lab.simulation.task import Task, group_of
+from hitchopt.lab.simulation.world import BODY_HALF_HEIGHT
+from hitchopt.values import Array
+
+# Largest step of a resting vertex between samples [m], and largest change of a steady tension, over
+# the team's
+REST_TOLERANCE = 1e-6
+
+# Smallest tension over the team's of a taut hitch; vertices of loose hitches are ill-defined
+TAUT_RATIO = 0.5
+
+ROUNDING = 1e-5  # Rounding error of sample times [s]
+MAX_SLIP = 0.10  # Largest slip of a vertex along its cables in the pull test [m]
+AVERAGING_TIME = 1.0  # Final time of rest and pull test over which values are averaged [s]
+
+# Largest distance [m] of an object from its planned position, and angle [°] from its attitude
+MAX_DISTANCE, MAX_ANGLE = 0.03, 5.0
+
+MAX_DROP = 0.05  # Largest depth of a carried object below its planned height [m]
+RELEASE_TIME = 0.2  # Final time of the rest in which no cable may touch a free object [s]
+HANG_TIME = 0.5  # Final time of a flight over which the height of a lost drone is averaged [s]
+
+# Warning about cables without friction
+NO_FRICTION = "friction is 0: at 0.1, hitches rest about 5 cm from their plans; "
+NO_FRICTION += "state team.cable_friction, or give friction="
+
+# Warning about drones that are not simulated
+NOT_FLOWN = "drones are at their setpoints, without cables; only hitches are simulated"
+
+SUCCEEDED, FAILED, NOT_SIMULATED = "succeeded", "failed", "not simulated"
+
+# Failures of the simulation itself: at its start, or by leaving its valid range
+UNSIMULATED = START, INVALID = "start", "invalid"
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Mean, standard deviation and largest value of errors; nan without errors."""
+
+    mean: float = np.nan
+    deviation: float = np.nan
+    largest: float = np.nan
+
+    @classmethod
+    def of(cls, errors: Array) -> Spread:
+        """Return the spread of finite errors."""
+        finite = errors[np.isfinite(errors)]
+        measures = (np.mean, np.std, np.max) if finite.size else ()
+        return cls(*(float(measure(finite)) for measure in measures))
+
+
+@dataclass(frozen=True, eq=False)
+class VertexErrors:
+    """Errors of the vertices while the plan has a taut hitch, until the end of the rest."""
+
+    t: Array  # times (samples,) [s]
+    rows: NDArray[np.intp]  # indices into the flight's record (samples,)
+    # planned vertices (samples, clasps, 3) [m]; nan if the group's hitch is not taut
+    planned: Array
+    offsets: Array  # from planned vertices (samples, clasps, 3) [m]; nan if cables do not bear
+    moving: NDArray[np.bool_]  # whether the plan moves any vertex or changes any tension (samples,)
+
+    @property
+    def errors(self) -> Array:
+        """Distances in three dimensions, sag included (samples, clasps) [m]."""
+        return length(self.offsets)
+
+    @property
+    def without_sag(self) -> Array:
+        """Level distances (samples, clasps) [m]."""
+        return length(self.offsets[..., :2])
+
+
+def vertex_errors(flight: Flight) -> VertexErrors:
+    """Return the errors at the samples of a flight, without the pull test.
+
+    The first sample is excluded, as no contact forces precede it.
+    """
+    task, record = flight.task, flight.record
+    taut, moves = list[Array](), np.zeros(len(task.states.t), np.bool_)
+    for part in task.parts:
+        tension, formed = part.team.tension, part.states.formed
+        taut.append(formed & np.all(part.states.tensions >= TAUT_RATIO * tension, axis=-1))
+        steps = length(np.diff(part.states.vertices, axis=0))
+        changes = np.abs(np.diff(part.states.tensions, axis=0)) / tension
+        resting = np.all(np.concatenate([steps, changes], axis=-1) <= REST_TOLERANCE, axis=-1)
+        moves[1:] |= ~resting & formed[1:] & formed[:-1]
+    clasp_is_taut = task.clasped(taut)
+    end = np.fmax(task.duration, flight.rested) + ROUNDING
+    rows = np.flatnonzero(
+        (record.t > ROUNDING) & (record.t <= end) & clasp_is_taut[record.index].any(axis=-1)
+    )
+    t, index = record.t[rows], record.index[rows]
+    planned = task.states.vertices[index][:, task.team.layout.clasps]
+    planned = np.where(clasp_is_taut[index, :, None], planned, np.nan)
+    moving = moves[index] & (t <= task.duration + ROUNDING)
+    return VertexErrors(t, rows, planned, record.vertices[rows] - planned, moving)
+
+
+def tracking_errors(flight: Flight) -> Array:
+    """Return distances of drones from their setpoints during the plan (samples, 2n) [m]."""
+    record = flight.record
+    during = record.t <= flight.task.duration + ROUNDING
+    return length(record.drones[during] - record.commanded[during])
+
+
+@dataclass(frozen=True)
+class Failure:
+    """One failure at a time [s] from the flight's start, in words; ``where`` are names.
+
+    Kinds are those of UNSIMULATED; ``touch``, ``unlinked``, ``tangled``, ``lost`` (cables that do
+    not bear on each other), ``slipped`` (in the pull test); of objects ``dropped``, ``misplaced``
+    and ``caught`` (not free at the end).
+    """
+
+    kind: str
+    where: tuple[str, ...]
+    time: float
+    words: str
+
+
+@dataclass(frozen=True)
+class Clasp:
+    """State of one vertex at the end of a flight."""
+
+    name: str  # p0, p1, …
+    linking: int  # Gauss's linking number of its two cables, ±1 for a clasp
+    bearing: float  # contact force at rest [N]
+    # its smallest value for a clasp [N]; cables that only cross may also be linked
+    least_bearing: float
+    # slip along its cables in the pull test [m], the larger change of its two leg lengths, which
+    # excludes drift of soft drones; nan without a pull test
+    moved: float
+    holds: bool  # whether it is linked once, bears and does not slip
+    bears: bool  # whether its cables press on each other as in a clasp
+
+
+@dataclass(frozen=True)
+class ObjectState:
+    """State of one object at rest, and its motion while it was held."""
+
+    name: str  # of the object
+    placed: float  # distance of its base from the plan's [m]
+    tilted: float  # angle of its axis from the vertical [°]
+    turned: float  # angle of its yaw from the plan's [°]
+    # largest motion relative to the hitch while fully carried [m]; nan if never carried
+    slipped: float
+    # first time at which it was more than MAX_DROP below its plan while carried [s], or nan
+    dropped: float
+    free: bool  # whether no cable touches it
+    round: bool  # whether it is rotationally symmetric
+
+    @property
+    def well_placed(self) -> bool:
+        """Whether position and attitude agree with the plan."""
+        turned = 0.0 if self.round else abs(self.turned)
+        return self.placed <= MAX_DISTANCE and max(self.tilted, turned) <= MAX_ANGLE
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Failures by time, movable objects, and the vertices at the end of the plan."""
+
+    clasps: tuple[Clasp, ...]
+    failures: tuple[Failure, ...]
+    objects: tuple[ObjectState, ...] = ()
+
+    @property
+    def verdict(self) -> str:
+        """SUCCEEDED, FAILED, or NOT_SIMULATED if only the simulation failed."""
+        simulated = any(failure.kind not in UNSIMULATED for failure in self.failures)
+        return FAILED if simulated else NOT_SIMULATED if self.failures else SUCCEEDED
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether there are no failures."""
+        return not self.failures
+
+    @property
+    def hitched(self) -> bool:
+        """Whether there are vertices and all of them hold."""
+        return bool(self.clasps) and all(clasp.holds for clasp in self.clasps)
+
+
+def judge(flight: Flight) -> Outcome:
+    """Return the outcome of a flight.
+
+    If the plan ends with a hitch, every vertex must hold; otherwise cables must not be linked.
+    Objects must be at their planned positions, and free unless the plan ends holding them. After
+    the loss of a drone only contacts of survivors are failures.
+    """
+    lost, names = flight.settings.lost, set(flight.task.team.drone_names)
+    failures = [
+        Failure("touch", pair, time, " touches ".join(pair))
+        for pair, time in flight.touches.items()
+        if lost is None or time < lost.time or set(pair) & (names - {lost.drone})
+    ]
+    if (error := flight.error) is not None:
+        failures.append(Failure(INVALID, (error.where,), error.time, str(error)))
+    clasps: tuple[Clasp, ...] = ()
+    objects: tuple[ObjectState, ...] = ()
+    if lost is None:
+        if flight.linking is not None:
+            clasps = _clasps(flight, flight.linking) if flight.task.states.formed[-1] else ()
+            failures += _failed_links(flight, flight.linking, clasps)
+        objects = object_states(flight)
+        failures += [failure for each in objects for failure in _object_failures(flight, each)]
+    return Outcome(clasps, tuple(sorted(failures, key=lambda failure: failure.time)), objects)
+
+
+def _clasps(flight: Flight, links: NDArray[np.int64]) -> tuple[Clasp, ...]:
+    """Return the state of every vertex at the end of the plan."""
+    team, layout = flight.task.team, flight.task.team.layout
+    hitched = flight.task.clasped([part.states.formed[-1] for part in flight.task.parts])
+    legs_before, bearing = _means(flight, flight.rested)
+    moved = np.max(np.abs(_means(flight, flight.pulled)[0] - legs_before), axis=-1)
+    stays = (moved <= MAX_SLIP) | np.isnan(flight.pulled)  # both are nan without a pull test
+    linking, least = links[layout.behind, layout.ahead], least_bearing(flight.task)[-1]
+    bears = (bearing >= least) & (least > 0.0)
+    holds = (np.abs(linking) == 1) & bears & stays & (flight.error is None)
+    names = [team.point_names[point] for point in layout.clasps]
+    columns = (column.tolist() for column in (linking, bearing, least, moved, holds, bears))
+    each = zip(names, *columns, strict=True)
+    return tuple(Clasp(*values) for values, exists in zip(each, hitched, strict=True) if exists)
+
+
+def _means(flight: Flight, end: float) -> tuple[Array, Array]:
+    """Return mean leg lengths (clasps, 2) [m] and contact forces (clasps,) [N] before ``end`` [s].
+
+    Means are over the last AVERAGING_TIME; leg lengths are nan without vertices.
+    """
+    record, layout = flight.record, flight.task.team.layout
+    chosen = (record.t > end - AVERAGING_TIME) & (record.t <= end + ROUNDING)
+    ends = record.drones[chosen][:, np.stack([2 * layout.ahead, 2 * layout.behind + 1], axis=-1)]
+    legs, bearing = length(ends - record.vertices[chosen][:, :, None]), record.bearing[chosen]
+    sums, counts = np.nansum(legs, axis=0), np.sum(np.isfinite(legs), axis=0)
+    means: Array = np.divide(sums, counts, out=np.full_like(sums, np.nan), where=counts > 0)
+    return means, np.sum(bearing, axis=0) / max(len(bearing), 1)
+
+
+def _failed_links(
+    flight: Flight, linking: NDArray[np.int64], clasps: tuple[Clasp, ...]
+) -> list[Failure]:
+    """Return failures of cables that should not be linked, and of clasps that do not hold."""
+    task, layout, rested, failures = flight.task, flight.task.team.layout, flight.rested, []
+    unexpected = np.triu(linking, 1)
+    hitched = task.clasped([part.states.formed[-1] for part in task.parts])
+    ahead, behind = layout.ahead[hitched], layout.behind[hitched]
+    unexpected[behind, ahead] = unexpected[ahead, behind] = 0
+    for i, j in np.argwhere(unexpected).tolist():
+        one, other = cables = (flight.cable_names[i], flight.cable_names[j])
+        words = f"{one} and {other} are linked {linking[i, j]} times, but should be free"
+        failures.append(Failure("tangled", cables, rested, words))
+    for each in clasps:
+        force, least, moved = f"{each.bearing:.3f} N", f"{each.least_bearing:.3f} N", each.moved
+        cases = (  # the first one is reported
+            (abs(each.linking) != 1, "unlinked", f"is linked {each.linking} times, not once"),
+            (not each.bears, "lost", f"presses with {force}, less than {least}: cables cross"),
+            (
+                moved > MAX_SLIP,
+                "slipped",
+                f"slips {moved:.3f} m, over {MAX_SLIP}, in the pull test",
+            ),
+        )
+        for kind, words in [case for wrong, *case in cases if wrong][:1]:
+            when = flight.pulled if kind == "slipped" else rested
+            failures.append(Failure(kind, (each.name,), when, f"{each.name} {words}"))
+    return failures
+
+
+def _object_failures(flight: Flight, state: ObjectState) -> list[Failure]:
+    """Return the failures of an object."""
+    cargo, ended, rested = flight.task.cargo, flight.linking is not None, flight.rested
+    held, dropped = cargo.held[-1, cargo.names.index(state.name)], bool(np.isfinite(state.dropped))
+    error = (
+        f" is {100 * state.placed:.1f} cm from its plan, tilted by {state.tilted:.1f}°, turned by "
+        f"{state.turned:.1f}°; at most {100 * MAX_DISTANCE:g} cm and {MAX_ANGLE:g}°"
+    )
+    drop = f" is dropped: more than {100 * MAX_DROP:g} cm below its planned height"
+    cases = (
+        (dropped, "dropped", state.dropped, drop),
+        (ended and not state.well_placed, "misplaced", rested, error),
+        (ended and not (state.free or held), "caught", rested, ": cables still touch it"),
+    )
+    return [
+        Failure(kind, (state.name,), when, state.name + words)
+        for wrong, kind, when, words in cases
+        if wrong
+    ]
+
+
+def object_states(flight: Flight) -> tuple[ObjectState, ...]:
+    """Return the states of all movable objects, at the end of the rest or of the record."""
+    task, record, cargo = flight.task, flight.record, flight.task.cargo
+    if not cargo.movable.any():
+        return ()
+    rested = bool(np.isfinite(flight.rested))
+    end = flight.rested if rested else record.t[-1]
+    t = record.t[record.t <= end + ROUNDING]
+    rows, poses, touched = (x[: len(t)] for x in (record.index, record.poses, record.touched))
+    plan, at_end = cargo.poses[rows], t > end - AVERAGING_TIME if rested else t == end
+    yaws = np.arctan2(plan[-1, :, 4], plan[-1, :, 3])
+    offsets = poses[..., :3] - plan[..., :3]
+    planned = task.states.vertices[rows][:, task.team.layout.clasps]
+    vertices, states = record.vertices[: len(t)] - planned, []
+    groups = np.array([group_of(task.team.point_names[p]) for p in task.team.layout.clasps])
+    for i in np.flatnonzero(cargo.movable):
+        name, carried = cargo.names[i], cargo.carried[rows, i]
+        hitch = np.mean(vertices[:, groups == cargo.holders.get(name, "")], axis=1)
+        turned = Rotation.from_quat(poses[at_end, i, 3:], scalar_first=True).mean()
+        axes = (Rotation.from_euler("z", -yaws[i]) * turned).as_matrix()
+        dropped_times = t[carried & (offsets[:, i, 2] < -MAX_DROP)]
+        states.append(
+            ObjectState(
+                name,
+                placed=float(length(np.mean(offsets[at_end, i], axis=0))),
+                tilted=float(np.degrees(np.arccos(np.clip(axes[2, 2], -1.0, 1.0)))),
+                turned=float(np.degrees(np.arctan2(axes[1, 0], axes[0, 0]))),
+                slipped=_slipped(offsets[:, i] - hitch, carried),
+                dropped=float(np.min(dropped_times)) if dropped_times.size else np.nan,
+                free=not touched[t > end - RELEASE_TIME, i].any(),
+                round=all(slab.section.radius is not None for slab in cargo.objects[name].slabs),
+            )
+        )
+    return tuple(states)
+
+
+def _slipped(offsets: Array, carried: NDArray[np.bool_]) -> float:
+    """Return the largest motion of an object relative to the hitch since it was lifted [m].
+
+    ``offsets`` (samples, 3) [m] are relative to the hitch, nan without one.
+    """
+    chosen = np.flatnonzero(carried & np.isfinite(offsets[:, 0]))
+    runs = np.split(chosen, np.flatnonzero(np.diff(np.cumsum(~carried)[chosen])) + 1)
+    slips = [float(np.max(length(offsets[run] - offsets[run[0]]))) for run in runs if len(run)]
+    return max(slips, default=np.nan)
+
+
+@dataclass(frozen=True)
+class LossOutcome(OneLine):
+    """Outcome for a team after the loss of a drone at a time [s]."""
+
+    drone: str
+    time: float
+    among: tuple[tuple[str, str], ...]  # contacts of two survivors
+    others: tuple[tuple[str, str], ...]  # contacts of survivors with cables or the lost drone
+    peak_tension: float  # largest tension of a cable since the loss [N]
+    moved: float  # largest distance of a survivor from its setpoint since the loss [m]
+    # mean height of the lost drone above the ground at the end [m]; about 0 if it lies
+    hangs: float
+    linked: tuple[str, ...]  # names of clasps whose cables are linked at the end
+
+    @property
+    def collision_free(self) -> bool:
+        """Whether no two survivors touch."""
+        return not self.among
+
+
+def loss_outcome(flight: Flight) -> LossOutcome | None:
+    """Return the outcome for a flight's team after the loss of a drone; None without one."""
+    record, team, loss = flight.record, flight.task.team, flight.settings.lost
+    if loss is None:
+        return None
+    after = record.t >= min(loss.time - 1e-9, record.t[-1])
+    survivors = np.array(team.drone_names) != loss.drone
+    names = set(team.drone_names) - {loss.drone}
+    late = [p for p, t in flight.touches.items() if t >= loss.time - 1e-9 and set(p) & names]
+    end = record.drones[record.t > record.t[-1] - HANG_TIME][:, ~survivors, 2]
+    layout, linked = team.layout, np.zeros(0, dtype=np.intp)
+    if flight.linking is not None:
+        linked = layout.clasps[np.abs(flight.linking[layout.behind, layout.ahead]) == 1]
+    return LossOutcome(
+        loss.drone,
+        loss.time,
+        tuple(pair for pair in late if set(pair) <= names),
+        tuple(pair for pair in late if not set(pair) <= names),
+        float(np.max(record.peak_tensions[after])),
+        float(np.max(length(record.drones - record.commanded)[after][:, survivors])),
+        float(np.mean(end)) - ground_of(flight.task) - BODY_HALF_HEIGHT,
+        tuple(team.point_names[point] for point in linked),
+    )
+
+
+@dataclass(frozen=True)
+class Run(OneLine):
+    """Row of a campaign for one flight: seed, verdict, failures by time, and figures by name.
+
+    A flight that failed at its start has no figures. Flights are reproducible by their seeds.
+    """
+
+    seed: int
+    verdict: str
+    failures: tuple[Failure, ...]
+    figures: dict[str, float]
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether there are no failures."""
+        return self.verdict == SUCCEEDED
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation(OneLine):
+    """A flight, its outcome, and the errors of its vertices."""
+
+    flight: Flight
+    outcome: Outcome
+    errors: VertexErrors
+
+    @property
+    def settings(self) -> Settings:
+        """Settings of the flight."""
+        return self.flight.settings
+
+    @property
+    def loss(self) -> LossOutcome | None:
+        """Outcome for the other drones after a loss; None without a loss."""
+        return loss_outcome(self.flight)
+
+    @property
+    def spreads(self) -> dict[str, Spread]:
+        """Spreads of errors of vertices, sag included, and of drones from their setpoints [m]."""
+        errors = self.errors
+        return {
+            "vertex_error": Spread.of(errors.errors),
+            "resting": Spread.of(errors.errors[~errors.moving]),
+            "moving": Spread.of(errors.errors[errors.moving]),
+            "without_sag": Spread.of(errors.without_sag),
+            "tracking": Spread.of(tracking_errors(self.flight)),
+        }
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """Figures by name, such as ``tracking_mean``; nan for missing ones.
+
+        These are the spreads, ``peak_tension`` and ``peak_thrust`` [N], ``peak_tilt`` [°], and the
+        largest ``placed`` [m], ``tilted`` [°] and ``slipped`` [m] of objects.
+        """
+        record = self.flight.record
+        spreads = self.spreads.items()
+        values = {f"{name}_{key}": v for name, spread in spreads for key, v in vars(spread).items()}
+        values["peak_tension"] = float(np.max(record.peak_tensions))
+        values["peak_thrust"] = float(np.max(record.thrusts))
+        values["peak_tilt"] = float(np.degrees(np.max(record.tilts)))
+        for name in ("placed", "tilted", "slipped"):
+            column = [np.nan, *(getattr(each, name) for each in self.outcome.objects)]
+            values[name] = float(np.fmax.reduce(column))
+        return values
+
+    @property
+    def run(self) -> Run:
+        """Row of a campaign for this flight."""
+        return Run(self.settings.seed, self.outcome.verdict, self.outcome.failures, self.figures)
+
+
+def nearest(flight: Flight) -> tuple[tuple[str, str], float, float]:
+    """Return the names of the two closest drones, their distance [m], and its time [s].
+
+    Pairs include drones that are not simulated, except pairs of these.
+    """
+    task, record = flight.task, flight.record
+    names = (*task.team.drone_names, *task.passing.names)
+    drones = np.concatenate([record.drones, task.passing.at(record.index)], axis=1)
+    pairs, distances = list[int](), list[float]()
+    count = task.team.drones
+    for row in drones:
+        between = cdist(row[:count], row)
+        np.fill_diagonal(between, np.inf)
+        pairs.append(int(np.argmin(between)))
+        distances.append(float(np.min(between)))
+    first = int(np.argmin(distances))
+    i, j = divmod(pairs[first], len(names))
+    return (names[i], names[j]), distances[first], float(record.t[first])
+
+
+def warnings(task: Task, settings: Settings) -> tuple[str, ...]:
+    """Return warnings about zero friction, and about drones that are not simulated."""
+    frictionless = any(not part.team.cable_friction for part in task.parts)
+    messages = [NO_FRICTION] if settings.friction is None and frictionless else []
+    if task.passing.names:
+        names = dict.fromkeys(map(group_of, task.passing.names))
+        messages.append(f"{', '.join(names)}: {NOT_FLOWN}")
+    return tuple(messages)
+
+
+def simulate(task: Task, settings: Settings, progress: Progress | None = None) -> Simulation:
+    """Return a simulated flight of a task; parameters and errors are those of ``fly``."""
+    flight = fly(task, settings, progress)
+    return Simulation(flight, judge(flight), vertex_errors(flight))

@@ -1,0 +1,245 @@
+"""Files of a simulated flight: a summary, tables over time, the recording and a picture."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from scipy.ndimage import uniform_filter1d
+
+from hitchopt.geometry.vectors import length
+from hitchopt.lab.simulation.flight import Flight
+from hitchopt.lab.simulation.judgement import Simulation, Spread, nearest, tracking_errors, warnings
+from hitchopt.motion.motion import Motion
+from hitchopt.storage.archive import RECORDING
+from hitchopt.storage.files import Writer, replace_files, write_strict_json
+from hitchopt.values import Array
+from hitchopt.view import style
+from hitchopt.view.painter import Shot, choose_shots, draw_storyboard
+from hitchopt.view.pictures import draw_phases
+from hitchopt.view.scene import Scene, recorded_scene
+
+FORMAT = "hitchopt-simulation/1"
+
+SUMMARY, PICTURE = "simulation.json", "simulation.png"
+VERTICES, CABLES, DRONES = "vertices.csv", "cables.csv", "drones.csv"
+OBJECTS, CAMPAIGN, RUNS = "objects.csv", "campaign.json", "runs.csv"
+
+# Names that belong to hitchopt in the directory of results; other files are never touched
+OWNED = (SUMMARY, VERTICES, CABLES, DRONES, OBJECTS, RECORDING, PICTURE, CAMPAIGN, RUNS)
+
+# Width and height [inch], and width ratios of storyboard and plots, as in a plan's summary
+SIZE, WIDTHS = (13.0, 7.2), (1.25, 1.0)
+
+MEAN_TIME = 0.2  # Averaging time of thick tension curves [s]
+MAX_LABELS = 6  # Largest number of vertices in the legend
+ROPE_RADIUS, MAX_ROPE_RADIUS = 0.005, 0.02  # Of drawn ropes, over the flight's extent; at most [m]
+SHOT_TOLERANCE = 0.1  # Largest time between a shot and its frame [s]
+
+# Kinds of failures that do not depend on the state of the hitch at the end
+OTHER_FAILURES = ("touch", "dropped", "misplaced", "caught")
+
+
+def save_simulation(
+    directory: Path | str, simulation: Simulation, motion: Motion, title: str = ""
+) -> Path:
+    """Write summary, tables, recording and picture, all of them or none; return the directory.
+
+    The picture shows the plan ``motion`` under a title. Raises FileError if writing fails.
+    """
+    flight, errors = simulation.flight, simulation.errors
+    record, team, cargo = flight.record, flight.task.team, flight.task.cargo
+    rows, t, off = errors.rows, record.t, length(record.drones - record.commanded)
+    vertices: Iterable[object] = team.layout.clasps
+    if flight.task.groups:
+        vertices = [team.point_names[point] for point in team.layout.clasps]
+    # Kind and names of the rows, their times (times,), and columns (times, names[, columns])
+    tables: dict[str, tuple[str, Iterable[object], Array, dict[str, Any]]] = {
+        VERTICES: ("vertex", vertices, errors.t, {
+            "x,y,z": record.vertices[rows],
+            "planned_x,planned_y,planned_z": errors.planned,
+            "height_error": errors.offsets[..., 2],
+            "error": errors.errors,
+            "error_without_sag": errors.without_sag,
+            "bearing": record.bearing[rows],
+        }),
+        CABLES: ("cable", _cables(flight), t, {
+            "tension": record.tensions, "peak": record.peak_tensions,
+        }),
+        DRONES: ("drone", team.drone_names, t, {
+            "x,y,z": record.drones, "error": off, "thrust": record.thrusts, "tilt": record.tilts,
+        }),
+        OBJECTS: ("object", cargo.names, t, {
+            "x,y,z,qw,qx,qy,qz": record.poses, "touched": record.touched,
+        }),
+    }  # fmt: skip
+    if not cargo.objects:
+        del tables[OBJECTS]
+    writers: dict[str, Writer] = {name: partial(write_table, *v) for name, v in tables.items()}
+    writers[RECORDING] = lambda path: np.savez_compressed(path, **vars(flight.film))
+    writers[PICTURE] = lambda path: style.save_figure(drawn_flight(simulation, motion, title), path)
+    writers[SUMMARY] = lambda path: write_strict_json(path, summary(simulation))
+    return replace_files(directory, writers, OWNED, seal=SUMMARY)
+
+
+def _cables(flight: Flight) -> Sequence[object]:
+    """Return the cables' names in files: indices, or names for several groups."""
+    return flight.cable_names if flight.task.groups else range(flight.task.team.robots)
+
+
+def write_table(
+    kind: str, names: Iterable[object], t: Array, columns: dict[str, Any], path: Path
+) -> None:
+    """Write a table with a row per time and name."""
+    values = np.concatenate([np.atleast_3d(column) for column in columns.values()], axis=-1)
+    with path.open("w", encoding="utf-8", newline="") as file:
+        table = csv.writer(file, lineterminator="\n")
+        table.writerow(["t", kind, *",".join(columns).split(",")])
+        for time, rows in zip(t.tolist(), values.tolist(), strict=True):
+            for name, row in zip(names, rows, strict=True):
+                table.writerow([number(time), str(name), *map(number, row)])
+
+
+def number(value: float, digits: int = 9) -> str:
+    """Return a number with some significant digits; an empty text for nan."""
+    return "" if math.isnan(value) else f"{value:.{digits}g}"
+
+
+def summary(simulation: Simulation) -> dict[str, Any]:
+    """Return the figures of a flight, ready for JSON."""
+    flight, outcome, errors = simulation.flight, simulation.outcome, simulation.errors
+    record, team, figures = flight.record, flight.task.team, simulation.figures
+    spreads = {name: asdict(spread) for name, spread in simulation.spreads.items()}
+    clasps = [team.point_names[p] for p in team.layout.clasps]
+    perturbed = {
+        name: {"mass": body.mass, "friction": body.friction, "stood_at": body.at.tolist()}
+        for name, body in flight.objects.items()
+    }
+    each = {name: asdict(Spread.of(errors.errors[:, c])) for c, name in enumerate(clasps)}
+    means, peaks = np.mean(record.tensions, axis=0), np.max(record.peak_tensions, axis=0)
+    tensions = zip(_cables(flight), means.tolist(), peaks.tolist(), strict=True)
+    planned = [part.team.cable_density for part in flight.task.parts for _ in part.team.tension]
+    pair, apart, when = nearest(flight)
+    return {
+        "format": FORMAT,
+        "settings": asdict(simulation.settings),
+        "warnings": list(warnings(flight.task, simulation.settings)),
+        "position_loops": {name: gains.tolist() for name, gains in vars(flight.gains).items()},
+        "compensation": {"cables_longer": flight.extra_length, "legs_aside": flight.end_offset},
+        "density": {
+            "simulated": np.asarray(flight.density).tolist(),
+            "planned": planned if flight.task.groups else planned[0],
+        },
+        "nearest": {"drones": pair, "distance": apart, "time": when},
+        "verdict": outcome.verdict,
+        "succeeded": outcome.succeeded,
+        "hitched": outcome.hitched,
+        "failures": [asdict(failure) for failure in outcome.failures],
+        "clasps": [asdict(clasp) for clasp in outcome.clasps],
+        "objects": [asdict(each) | perturbed[each.name] for each in outcome.objects],
+        "vertex_error": {
+            "all": spreads["vertex_error"],
+            "resting": spreads["resting"],
+            "moving": spreads["moving"],
+            "all_without_sag": spreads["without_sag"],
+            **each,
+        },
+        "tension": [{"cable": cable, "mean": mean, "peak": peak} for cable, mean, peak in tensions],
+        "tracking_error": spreads["tracking"],
+        "largest_thrust": figures["peak_thrust"],
+        "largest_tilt": figures["peak_tilt"],
+        "duration": flight.task.duration,
+        **({} if simulation.loss is None else {"loss": asdict(simulation.loss)}),
+    }
+
+
+def drawn_flight(simulation: Simulation, motion: Motion, title: str = "") -> Figure:
+    """Return the picture of a flight of a plan: a storyboard, and errors and tensions over time."""
+    figure = style.new_figure(SIZE)
+    grid = figure.add_gridspec(3, 2, width_ratios=WIDTHS)
+    scene = flight_scene(simulation, motion)
+    if scene is not None:  # shots of the plan up to the end, and the end
+        end = float(scene.t[-1])
+        shots = [shot for shot in choose_shots(motion) if shot.time <= end + SHOT_TOLERANCE]
+        if np.isfinite(simulation.flight.pulled):
+            words = "after the pull test" if simulation.flight.task.states.formed[-1] else "at rest"
+            shots = [*shots[: max(1, len(shots) - 1)], Shot(words, end, essential=True)]
+        radius = ROPE_RADIUS * float(np.linalg.norm(np.ptp(scene.drones, axis=(0, 1))))
+        thick = replace(scene, radius=float(np.clip(radius, scene.radius, MAX_ROPE_RADIUS)))
+        draw_storyboard(grid[:, 0], thick, shots, (scene.t, scene.drones))
+    _draw_over_time([figure.add_subplot(grid[i, 1]) for i in range(3)], simulation, motion)
+    style.headline(figure, title, f"{style.facts(motion)}, simulated: {ending(simulation)}")
+    return figure
+
+
+def flight_scene(simulation: Simulation, motion: Motion) -> Scene | None:
+    """Return the scene of a flight of a plan; None if it ended too early."""
+    film = simulation.flight.film
+    if np.sum(film.t >= 0.0) < 2:
+        return None
+    return recorded_scene(motion, film.t, film.nodes, film.cables, film.poses)
+
+
+def _draw_over_time(plots: Sequence[Axes], simulation: Simulation, motion: Motion) -> None:
+    """Draw errors of vertices, tensions and errors of drones."""
+    flight, errors = simulation.flight, simulation.errors
+    record, task = flight.record, flight.task
+    team, end = task.team, float(record.t[-1]) or 1.0
+    groups = style.group_colours(motion)[: len(motion.groups)]
+    colours = [colour for _, cables in groups for colour in cables]
+    top, middle, bottom = plots
+    for c, (point, k) in enumerate(zip(team.layout.clasps, team.layout.ahead, strict=True)):
+        values = 100.0 * errors.errors[:, c]
+        top.plot(errors.t, values, color=colours[k], lw=1.2, label=team.point_names[point])
+    if errors.t.size and len(team.layout.clasps) <= MAX_LABELS:
+        top.legend(fontsize="small", ncols=3, frameon=False)
+    samples = max(1, round(MEAN_TIME * len(record.t) / end))
+    smooth = uniform_filter1d(record.tensions, samples, axis=0)
+    for k, colour in enumerate(colours):
+        middle.plot(record.t, record.tensions[:, k], color=colour, lw=0.4, alpha=0.25)
+        middle.plot(record.t, smooth[:, k], color=colour, lw=1.2)
+    each = [part.states for part in task.parts]
+    planned = [np.where(states.formed[:, None], states.tensions, np.nan) for states in each]
+    for tension in np.unique(np.concatenate(planned, axis=1).T, axis=0):
+        line: dict[str, Any] = {"color": style.LIMIT_COLOUR, "lw": 1.2, "ls": style.DASHES}
+        middle.plot(each[0].t - each[0].t[0], tension, **line)
+    tracking = 100.0 * np.max(tracking_errors(flight), axis=-1)
+    bottom.plot(record.t[: len(tracking)], tracking, color=style.INK, lw=1.2)
+    first = "vertex error," if simulation.settings.preset.exact else "vertex error ± 1 to 2 cm,"
+    second = f"tension [N], {MEAN_TIME:g} s means\nthick, planned dashed"
+    titles = f"{first}\nsag included [cm]", second
+    for axes, words in zip(plots, (*titles, "farthest drone\nfrom setpoint [cm]"), strict=True):
+        axes.set_ylabel(words)
+        axes.set_xlim(0.0, end)
+        style.from_zero(axes, 0.3 if axes.get_legend() else 0.1)
+        axes.tick_params(labelbottom=axes is bottom)
+        if end > task.duration:
+            axes.axvspan(task.duration, end, facecolor="none", edgecolor="0.8", hatch="////", lw=0)
+    draw_phases(plots, motion.phases, end)
+    bottom.set_xlabel("t [s]; hatched: rest and pull test")
+
+
+def ending(simulation: Simulation) -> str:
+    """Return the end of a flight in words, such as a hitch that holds or is untied."""
+    flight, loss = simulation.flight, simulation.loss
+    if loss is not None:
+        return "no two survivors touch" if loss.collision_free else "survivors TOUCH each other"
+    if flight.linking is None:
+        return "not simulated to its end"
+    ends, parts = [part.states.formed[-1] for part in flight.task.parts], list[str]()
+    if any(ends):
+        parts.append("every vertex holds" if simulation.outcome.hitched else "not hitched")
+    if not all(ends):
+        tangled = any(failure.kind == "tangled" for failure in simulation.outcome.failures)
+        parts.append("not untied" if tangled else "untied, as planned")
+    words = " and ".join(parts)
+    failures = [one.words for one in simulation.outcome.failures if one.kind in OTHER_FAILURES]
+    return f"{words}, but {failures[0]}" if failures else words

@@ -1,0 +1,397 @@
+"""The simulated world in MuJoCo: colliding ropes, drones at their ends, objects and ground.
+
+A rope is a one-dimensional flex without bending stiffness and self-collision. Its nodes are bodies
+with slide joints in x, y and z, its first and last nodes are the drones (cables are attached at the
+centre of mass), and an equality constraint fixes the lengths of its edges. ``contacts`` detects
+contacts of drones with cables and with each other.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hitchopt.errors import HitchoptError, optional_module
+from hitchopt.geometry.vectors import length
+from hitchopt.hitch import GRAVITY
+from hitchopt.lab.simulation.ropes import ROUNDING, Ropes
+from hitchopt.lab.simulation.task import group_of
+from hitchopt.objects import Section, SolidObject
+from hitchopt.values import Array
+
+Index = NDArray[np.intp]
+
+# Collision groups: ropes collide with ropes and ground, drones with ground and objects, nodes of
+# ropes with objects, and objects with feet of other objects
+ROPES, GROUND, OBJECTS = 1, 2, 4
+
+# Contact stiffness; with MuJoCo's softer defaults ropes pass through each other
+CONTACT_SOLVER = 'solref="0.002 1" solimp="0.99 0.999 0.001"'
+
+# Ratio of frictional to normal stiffness with objects: at half of the grip's capacity, objects
+# creep by 7 mm/s at 1 and by 0.1 mm/s at 100
+FRICTION_STIFFNESS_RATIO = 100
+
+MIN_GROUND_FRICTION = 0.3  # Smallest friction coefficient of the ground
+BODY_RADIUS, BODY_HALF_HEIGHT = 0.07, 0.03  # Half-axes of the ellipsoid that a drone occupies [m]
+
+# Radii of gyration of a drone about its axes, over its radius: four motors on arms, and a central
+# mass
+RADII_OF_GYRATION = (0.5, 0.5, 0.65)
+
+# Slide joints in x, y and z, and the rotational inertia [kg m²] that MuJoCo requires
+SLIDES = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
+TINY_INERTIA = "1e-9 1e-9 1e-9"
+
+PREFIX = "object "  # Prefix of objects in names of bodies
+RIM_THICKNESS = 0.01  # Above the height of a rim [m]: ropes pass through thin sheets
+RIGHT_ANGLE = 1e-9  # Largest cosine of a right angle
+
+# Objects stand on balls of a radius [m] within their bottom and top, at least FEET in each ring of
+# a relative size. Without them, MuJoCo finds wrong contacts of cylinders and meshes that only
+# touch, and tilted cylinders roll along the edge of their floor forever
+FOOT, FEET, RINGS = 0.002, 8, (0.98, 0.4)
+
+# Time constant [s] and impedances of the length constraints, and smallest time constant in time
+# steps, which is used with objects, as ropes that hold them would stretch by a per cent
+EDGE_TIME, EDGE_IMPEDANCE, EDGE_STEPS = 0.002, 'solimp="0.999 0.9999 0.0005"', 2.5
+
+# Largest rotation of a link within the time constant t, as links that turn at a rate ω are strained
+# by ``(ω t)²``, and smallest time constant over the largest
+MAX_LINK_TURN, MIN_EDGE_TIME_RATIO = 0.07, 0.06
+
+# Smallest and largest ratio of time constants in successive steps of loose and of taut ropes, which
+# would jerk
+LOOSE_CHANGES, TAUT_CHANGES = (0.8, 1.05), (0.95, 1.002)
+
+# Largest strain of a segment, and largest penetration of ropes over the diameter, beyond which they
+# may pass through each other
+MAX_STRAIN, MAX_PENETRATION = 0.02, 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Bodies:
+    """Drones as rigid bodies."""
+
+    positions: Array  # (2n, 3) [m]
+    velocities: Array  # (2n, 3) [m/s]
+    attitudes: Array  # (2n, 3, 3), their columns are the bodies' axes
+    rates: Array  # (2n, 3) [rad/s], about the bodies' axes
+
+
+class World:
+    """A compiled model with its state, and indices into MuJoCo's arrays.
+
+    Ropes are straight initially: place the nodes before the first step.
+
+    Parameters
+    ----------
+    ropes: n of them.
+    masses: (2n,) [kg], of the drones q0, r0, q1, r1, ….
+    ground: height of the ground [m].
+    objects: by name, at their positions.
+
+    Attributes
+    ----------
+    model, data: MuJoCo's.
+    inertia: (2n, 3) [kg m²], about the drones' own axes.
+    node_dofs: addresses (nodes, 3) of the inner nodes of all cables in qvel.
+    drone_bodies, object_bodies: (2n,), (objects,)
+    drone_dofs: addresses (2n, 3) of the drones' velocities in qvel; those of their rates follow.
+    cable_vertices: (n + 1,), nodes of cable k including drones are flex vertices
+        ``cable_vertices[k]:cable_vertices[k + 1]``.
+    edge_cables: cable of each edge (edges,).
+    """
+
+    def __init__(
+        self,
+        ropes: Ropes,
+        masses: Array,
+        ground: float,
+        objects: dict[str, SolidObject],
+        names: Sequence[str] = (),
+    ) -> None:
+        mujoco = self._mujoco = _imported_mujoco()
+        self.ropes, self.ground, self.objects = ropes, ground, objects
+        self.masses = np.array(masses, dtype=np.float64)
+        self.inertia: Array = np.outer(masses, (BODY_RADIUS * np.array(RADII_OF_GYRATION)) ** 2)
+        count = len(ropes.lengths)
+        self.drone_names = list(names) or [f"{end}{k}" for k in range(count) for end in "qr"]
+        self.groups = np.array([group_of(name) for name in self.drone_names[::2]])
+        self.cable_names = cable_names(self.drone_names)
+        self.model = model = mujoco.MjModel.from_xml_string(_describe(self))
+        self.data = mujoco.MjData(model)
+        things = [f"{PREFIX}{name}" for name in self.objects]
+        self.drone_bodies, self.object_bodies = (
+            np.array([model.body(name).id for name in names], dtype=np.intp)
+            for names in (self.drone_names, things)
+        )
+        nodes = np.setdiff1d(model.flex_vertbodyid, self.drone_bodies)
+
+        def places(addresses: Index, bodies: Index) -> Index:
+            return np.asarray(addresses[model.body_jntadr[bodies]][:, None] + np.arange(3))
+
+        self.drone_dofs = places(model.jnt_dofadr, self.drone_bodies)
+        self.node_dofs = places(model.jnt_dofadr, nodes)
+        self._vertex_dofs = places(model.jnt_dofadr, model.flex_vertbodyid)
+        self._drone_qpos = places(model.jnt_qposadr, self.drone_bodies)
+        self._node_qpos = places(model.jnt_qposadr, nodes)
+        self._node_origins = model.body_pos[nodes]  # positions at which qpos is zero
+        self.cable_vertices: Index = np.concatenate([[0], np.cumsum(ropes.segments + 1)])
+        self.edge_cables: Index = np.repeat(np.arange(len(ropes.lengths)), ropes.segments)
+        self._last_edges: Index = self.cable_vertices[1:-1] - 1  # between cables
+        self._edge_time = self._longest_edge_time = float(model.eq_solref[0, 0])
+
+    def place(self, cables: list[Array]) -> None:
+        """Place the nodes of cables with drones at the ends, n of (segments + 1, 3) [m]."""
+        inner = np.concatenate([cable[1:-1] for cable in cables])
+        ends = np.concatenate([cable[[0, -1]] for cable in cables])
+        self.data.qpos[self._node_qpos] = inner - self._node_origins
+        self.data.qpos[self._drone_qpos] = ends
+        self._mujoco.mj_forward(self.model, self.data)
+
+    def step(self, count: int = 1, *, loose: bool = False, substeps: int = 1) -> None:
+        """Advance by ``count`` time steps of the preset, with substeps while ropes whip.
+
+        ``loose`` ropes may whip when they leave the ground or become straight. ``substeps`` is the
+        smallest number of substeps. Length constraints have a shorter time constant with substeps.
+        """
+        step, longest = self.ropes.preset.time_step, self._longest_edge_time
+        time = longest if substeps == 1 else min(longest, EDGE_STEPS * step / substeps)
+        if loose:
+            across = np.diff(self.data.qvel[self._vertex_dofs], axis=0)
+            across[self._last_edges] = 0.0
+            rate = float(np.max(length(across))) / float(np.min(self.ropes.segment_lengths))
+            time = max(min(time, MAX_LINK_TURN / max(rate, 1.0)), MIN_EDGE_TIME_RATIO * longest)
+        lower, upper = LOOSE_CHANGES if loose else TAUT_CHANGES
+        time = self._edge_time = min(max(time, lower * self._edge_time), upper * self._edge_time)
+        count_per_step = substeps
+        if time < longest:
+            count_per_step = max(count_per_step, math.ceil(EDGE_STEPS * step / time - ROUNDING))
+        self.model.opt.timestep = step / count_per_step
+        self.model.eq_solref[:, 0] = time
+        self._mujoco.mj_step(self.model, self.data, nstep=count * count_per_step)
+
+    @property
+    def nodes(self) -> Array:
+        """Positions of all nodes (nodes, 3) [m] by cable, with drones at the ends."""
+        return np.asarray(self.data.flexvert_xpos)
+
+    @property
+    def tensions(self) -> Array:
+        """Tension of every segment (edges,) [N], in the order of ``edge_cables``."""
+        return -np.asarray(self.data.efc_force[: len(self.edge_cables)])
+
+    @property
+    def cables(self) -> list[Array]:
+        """Nodes of every cable: n of (segments + 1, 3) [m]."""
+        return np.split(self.nodes, self.cable_vertices[1:-1])
+
+    @property
+    def drones(self) -> Array:
+        """Positions of the drones (2n, 3) [m]."""
+        return np.asarray(self.data.qpos[self._drone_qpos])
+
+    @property
+    def bodies(self) -> Bodies:
+        """State of the drones."""
+        moving = self.data.qvel
+        attitudes = self.data.xmat[self.drone_bodies].reshape(-1, 3, 3)
+        return Bodies(self.drones, moving[self.drone_dofs], attitudes, moving[self.drone_dofs + 3])
+
+    def push(self, thrusts: Array, moments: Array, forces: Array) -> None:
+        """Apply thrusts (2n,) and moments about the bodies' axes, and forces (2n, 3) [N]."""
+        attitudes, applied = self.bodies.attitudes, self.data.xfrc_applied
+        applied[self.drone_bodies, :3] = forces + thrusts[:, None] * attitudes[:, :, 2]
+        applied[self.drone_bodies, 3:] = np.einsum("iab,ib->ia", attitudes, moments)
+
+    @property
+    def poses(self) -> Array:
+        """Poses of the objects (objects, 7): positions of their bases [m], and quaternions."""
+        data, bodies = self.data, self.object_bodies
+        return np.concatenate([data.xpos[bodies], data.xquat[bodies]], axis=-1)
+
+
+def cable_names(drones: Sequence[str]) -> list[str]:
+    """Return the names (n,) of the cables between drones q0, r0, …: cable 0, …, or a.cable 0, …."""
+    return ["cable ".join(name.rsplit("q", 1)) for name in drones[::2]]
+
+
+def _imported_mujoco() -> Any:
+    """Return the module mujoco, without its log file of warnings."""
+    mujoco = optional_module("mujoco", "simulating needs", "simulate")
+    if mujoco.get_mju_user_warning() is None:
+        mujoco.set_mju_user_warning(lambda _text: None)
+    return mujoco
+
+
+class InvalidRunError(HitchoptError):
+    """A simulation left its valid range at a time [s].
+
+    The quantity is ``strain``, ``penetration``, ``tension`` or ``state`` (MuJoCo's own warnings).
+    """
+
+    def __init__(self, quantity: str, broken: str, time: float, where: str) -> None:
+        self.quantity, self.time, self.where = quantity, time, where
+        words = "ropes may have passed each other; take --preset accurate or a higher --density"
+        super().__init__(f"simulation: {broken}, t = {time:.3f} s: {words}")
+
+
+def check_valid(world: World, time: float) -> None:
+    """Raise InvalidRunError if the step up to a time [s] of the flight is invalid."""
+    data, ropes = world.data, world.ropes
+    if not np.all(np.isfinite(data.qpos)) or data.warning.number.any():
+        raise InvalidRunError("state", "its state is no longer finite", time, "all")
+    substeps = ropes.preset.time_step / world.model.opt.timestep
+    strains = np.abs(data.flexedge_length / world.model.flexedge_length0 - 1.0)
+    between = np.all(data.contact.flex >= 0, axis=1)
+    depths, pairs = -data.contact.dist[between], data.contact.flex[between]
+    for quantity, values, limit, unit in (
+        ("strain", strains, MAX_STRAIN, "m/m"),
+        ("tension", world.tensions, substeps**2 * ropes.largest_tension, "N"),
+        ("penetration", depths, MAX_PENETRATION * ropes.preset.diameter, "m"),
+    ):
+        if len(values) and values[worst := int(np.argmax(values))] > limit:
+            cables = (
+                pairs[worst] if quantity == "penetration" else world.edge_cables[worst : worst + 1]
+            )
+            where = " and ".join(world.cable_names[k] for k in cables)
+            excess = f"{quantity} of {values[worst]:.4g} {unit} is beyond {limit:.4g} {unit}"
+            raise InvalidRunError(quantity, f"{excess} at {where}", time, where)
+
+
+def _describe(world: World) -> str:
+    """Return the model in MuJoCo's XML, with straight ropes."""
+    ropes, ground, objects = world.ropes, world.ground, world.objects
+    bodies, flexes, equalities = "", "", ""
+    edge = min(EDGE_TIME, EDGE_STEPS * ropes.preset.time_step) if objects else EDGE_TIME
+    radius = _text(0.5 * ropes.preset.diameter)
+    # Objects collide with nodes, not edges: MuJoCo's iterative distances of capsules from convex
+    # bodies have normals that are too inaccurate for light ropes at the corners of a rim
+    ball = f'<geom size="{radius}" contype="0" conaffinity="{OBJECTS}"/>' if objects else ""
+    axes = _text([BODY_RADIUS, BODY_RADIUS, BODY_HALF_HEIGHT])
+    collision = f'contype="0" conaffinity="{GROUND | OBJECTS}"'
+    ellipsoid = f'<geom type="ellipsoid" size="{axes}" {collision}/>'
+    frictions = np.broadcast_to(ropes.friction, ropes.lengths.shape)
+    masses = ropes.density * ropes.segment_lengths
+    for k, (count, size) in enumerate(zip(ropes.segments, ropes.segment_lengths, strict=True)):
+        q, r = world.drone_names[2 * k : 2 * k + 2]
+        names = [q, *(f"c{k}_{i}" for i in range(1, count)), r]
+        for i, name in enumerate(names):
+            mass, inertia, joint, shape = masses[k], TINY_INERTIA, SLIDES, ball
+            if i in (0, count):  # a drone, and half of the last segment
+                drone, joint, shape = 2 * k + (i == count), "<freejoint/>", ellipsoid
+                mass = world.masses[drone] + 0.5 * mass
+                inertia = _text(world.inertia[drone])
+            bodies += (
+                f'<body name="{name}" pos="{_text([i * size, k, ground + 1.0])}">'
+                f'<inertial pos="0 0 0" mass="{_text(mass)}" diaginertia="{inertia}"/>'
+                f"{joint}{shape}</body>"
+            )
+        elements = " ".join(f"{i} {i + 1}" for i in range(count))
+        flexes += (
+            f'<flex name="cable{k}" dim="1" radius="{radius}" '
+            f'body="{" ".join(names)}" element="{elements}"><contact contype="{ROPES}" '
+            f'conaffinity="{ROPES | GROUND}" condim="3" '
+            f'friction="{_text(frictions[k])} 0 0" {CONTACT_SOLVER} '
+            f'selfcollide="none" margin="0"/></flex>'
+        )
+        equalities += f'<flex flex="cable{k}" solref="{edge} 1" {EDGE_IMPEDANCE}/>'
+    ground_friction = _text(max(np.max(frictions), MIN_GROUND_FRICTION))
+    meshes, things = _describe_objects(objects)
+    step, ratio = _text(ropes.preset.time_step), FRICTION_STIFFNESS_RATIO if objects else 1
+    return f"""<mujoco>
+        <option timestep="{step}" gravity="0 0 {_text(-GRAVITY)}" integrator="Euler"
+            solver="Newton" iterations="30" tolerance="1e-8" cone="elliptic" impratio="{ratio}"/>
+        <size memory="{64 + 16 * len(ropes.lengths)}M"/>
+        <asset>{meshes}</asset>
+        <worldbody>
+            <geom type="plane" size="0 0 1" pos="0 0 {_text(ground)}" contype="{GROUND}"
+                conaffinity="0" friction="{ground_friction} 0 0"/>
+            {bodies}{things}
+        </worldbody>
+        <deformable>{flexes}</deformable>
+        <equality>{equalities}</equality>
+    </mujoco>"""
+
+
+def _text(values: ArrayLike) -> str:
+    """Return numbers as text with full precision."""
+    return " ".join(f"{x:.17g}" for x in np.atleast_1d(np.asarray(values, dtype=np.float64)))
+
+
+def _describe_objects(objects: dict[str, SolidObject]) -> tuple[str, str]:
+    """Return meshes and bodies of objects in MuJoCo's XML.
+
+    An object's friction is that of all its contacts. Its mass is that of a homogeneous prism with
+    the widest of its outlines, without contacts: the mass of a tray is in its rim.
+    """
+    meshes, bodies = "", ""
+    for name, each in objects.items():
+        slabs = [(each.section, each.lower, each.upper)]
+        if each.rim is not None:
+            slabs.append((each.rim.section, each.rim.height, each.rim.height + RIM_THICKNESS))
+        contact = f'condim="3" friction="{_text(each.friction)} 0 0" {CONTACT_SOLVER} mass="0"'
+        parts = [
+            (*slab, np.zeros(2), f'contype="{OBJECTS}" priority="1" {contact}') for slab in slabs
+        ]
+        widest = max((section for section, *_ in slabs), key=lambda section: section.area)
+        shift = each.section.centroid - widest.centroid
+        mass = f'contype="0" mass="{each.mass:.17g}"'
+        parts.append((widest, each.lower, each.upper, shift, mass))
+        geoms = ""
+        for i, (section, lower, upper, offset, attributes) in enumerate(parts):
+            label = f"{PREFIX}{name} {i}"
+            mesh, shape = _shape(label, section, np.array([lower, upper]), offset)
+            meshes += mesh
+            geoms += f'<geom {shape} conaffinity="0" {attributes}/>'
+        geoms += "".join(
+            f'<geom size="{FOOT}" pos="{_text(foot)}" contype="0" '
+            f'conaffinity="{GROUND | OBJECTS}" priority="{1 if each.fixed else 2}" {contact}/>'
+            for i, slab in enumerate(slabs)
+            for foot in _feet(*slab, RINGS[: 2 - i])
+        )
+        turn = [math.cos(0.5 * each.yaw), 0.0, 0.0, math.sin(0.5 * each.yaw)]
+        bodies += (
+            f'<body name="{PREFIX}{name}" pos="{_text(each.at)}" quat="{_text(turn)}">'
+            f"{'' if each.fixed else '<freejoint/>'}{geoms}</body>"
+        )
+    return meshes, bodies
+
+
+def _shape(label: str, section: Section, heights: Array, shift: Array) -> tuple[str, str]:
+    """Return the mesh, if any, and the geom of a section's prism between two heights [m]."""
+    centre, half = [*(section.centroid + shift), np.mean(heights)], 0.5 * np.ptp(heights)
+    if section.outline is None:
+        return "", f'type="cylinder" size="{_text([section.rounding, half])}" pos="{_text(centre)}"'
+    corners, sides = section.outline, np.diff(section.outline, axis=0)
+    sizes = length(sides)
+    skew = len(corners) != 4 or not np.allclose(corners[0] + corners[2], corners[1] + corners[3])
+    if not skew and abs(sides[0] @ sides[1]) <= RIGHT_ANGLE * sizes[0] * sizes[1]:
+        # MuJoCo has closed-form contacts of boxes
+        turn = 0.5 * math.atan2(sides[0, 1], sides[0, 0])
+        box = _text([0.5 * sizes[0], 0.5 * sizes[1], half])
+        quat = _text([math.cos(turn), 0.0, 0.0, math.sin(turn)])
+        return "", f'type="box" size="{box}" pos="{_text(centre)}" quat="{quat}"'
+    layers = [np.insert(corners + shift, 2, z, axis=1) for z in heights]
+    points = _text(np.concatenate(layers).ravel())
+    return f'<mesh name="{label}" vertex="{points}"/>', f'type="mesh" mesh="{label}"'
+
+
+def _feet(section: Section, lower: float, upper: float, sizes: tuple[float, ...]) -> Array:
+    """Return centres (feet, 3) [m] of balls in rings at bottom and top, including corners."""
+    if section.outline is None:
+        angle = 2.0 * np.pi * np.arange(FEET) / FEET
+        ring = section.rounding * np.column_stack([np.cos(angle), np.sin(angle)])
+    else:
+        corners = section.outline[:, None] - section.centroid
+        count = math.ceil(FEET / len(corners))
+        share = (np.arange(count) / count)[:, None]
+        ring = (corners + share * (np.roll(corners, -1, axis=0) - corners)).reshape(-1, 2)
+    rings = np.concatenate([section.centroid + size * ring for size in sizes])
+    return np.concatenate([np.insert(rings, 2, z, axis=1) for z in (lower + FOOT, upper - FOOT)])

@@ -1,0 +1,463 @@
+"""Calibration: a team's cable lengths, stiffness and friction from a recorded flight.
+
+This is the inverse problem of ``energy``: positions are measured, forces are unknown. The mean
+position of a drone is ``x = x_set + (F + cable force)/k``, where F is its feed-forward; forces on
+clasps balance, and the known weight of the cables sets the scale. A robust least-squares problem
+has these residuals. Unknowns of every window are the tension of every cable and the friction used
+by each of its legs; common unknowns are compliances 1/k, a steady level wind and the coefficient of
+friction. The problem is solved twice: in long windows, which average the noise of positions, for
+the stiffness, and in short ones, in which cables slide, for the friction.
+
+Friction opposes the relative velocity of the cables' surfaces. Let cables a and b of a clasp slide
+toward their legs at rates v_a and v_b, and let c be the cosine between these directions at the
+contact. The ratio of the leg's to the edge's tension of a is then
+
+    log(T_leg / T_edge) = μ Θ_a (v_a - c v_b)/w,    w² = v_a² + v_b² - 2 c v_a v_b,
+
+where Θ_a is the angle by which a turns in space. This is Coulomb's law: the friction on a is
+``-μ N (v_a t_a - v_b t_b)/w`` with the normal force ``N = T Θ`` and directions t toward the legs,
+and only its component along t_a changes the tension of a. Θ and c follow from geometry: cables with
+coplanar ends turn by more than the angle in the plane, and touch where they cross.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.sparse import block_array, eye_array, kron
+from scipy.sparse.linalg import splu
+
+from hitchopt.errors import InputError, OneLine
+from hitchopt.geometry.vectors import length, unit
+from hitchopt.lab.flights.evaluate import evaluate
+from hitchopt.lab.flights.readers import read_flight
+from hitchopt.lab.flights.recordings import (
+    RecordedFlight,
+    Recording,
+    Windows,
+    plan_at,
+    taut_at,
+    windows_of,
+)
+from hitchopt.lab.simulation.judgement import TAUT_RATIO
+from hitchopt.lab.simulation.task import Task, read_task
+from hitchopt.lab.statics.energy import HitchEnergy, bends_of
+from hitchopt.lab.statics.settle import conditions_of, energy_of
+from hitchopt.storage.archive import PLAN, reading
+from hitchopt.values import Array, Indices, nonnegative, path
+
+# Windows in which stiffness, friction and sliding rates are estimated [s]. In windows of 0.5 s
+# tensions correlate with the drones' noise, and the stiffness is biased by up to 24 %
+STIFFNESS_WINDOW, FRICTION_WINDOW, RATE_WINDOW = 6.0, 0.5, 0.2
+
+ROUNDS = 3  # Solutions of the problem, each weighted by the scatter of the previous one
+MAX_EVALUATIONS = 200  # Of residuals in each solution
+
+# Smallest scatter in long and short windows, of displacements [m] and of forces over the tension,
+# and initial scatter over the smallest. Lines of thick ropes cross beside their contact: with
+# forces balanced to 0.3 % instead of 4 %, downwash would bias the stiffness by a factor of two
+LONG_SCATTER, SHORT_SCATTER, INITIAL_SCATTER = (5e-4, 4e-2), (1e-2, 3e-3), 5.0
+
+INITIAL_STIFFNESS = 5.0  # Initial guess of a stiffness that the team does not state [N/m]
+
+# Prior standard deviations: of the logarithm of a stiffness, of a steady wind's force [N], of a
+# coefficient of friction, and of fixed values
+STIFFNESS_RANGE, WIND_SCALE, FRICTION_SCALE, FIXED = 3.0, 0.2, 10.0, 1e-6
+
+# Standard deviations of the friction used by a leg that sticks, and of the logarithm of the tension
+# ratio of one that slides
+STICKING_SCATTER, SLIDING_SCATTER = 0.5, 0.01
+
+# Relative standard errors of a stiffness due to effects outside the model, such as the ropes'
+# thickness, and of a friction coefficient due to the angles below
+MODEL_ERROR, GEOMETRY_ERROR = 0.03, 0.15
+
+# Largest errors of determined quantities: of a stiffness, relative, and of a friction, absolute
+MAX_STIFFNESS_ERROR, MAX_FRICTION_ERROR = 0.25, 0.1
+
+# Turns of cables in the plane [rad], ratios of turns in space to these, and cosines between cables
+# at the contact, of simulated hitches at rest without friction (10 g/m at 0.5 N)
+TURNS = np.radians([0.0, 30.1, 44.9, 60.0, 74.5, 89.5, 119.2])
+IN_SPACE = np.array([1.52, 1.518, 1.504, 1.483, 1.438, 1.378, 1.266])
+COSINES = np.array([1.0, 0.877, 0.737, 0.559, 0.393, 0.245, -0.046])
+
+# Sliding rate below which the direction is uncertain [m/s], due to noise of positions and creeping
+# contacts: in simulations friction has a third of its full value at 2 mm/s
+UNCERTAIN_RATE = 1e-2
+
+# Smallest sliding rates of a window in which cables slide [m/s]: measured, and planned in the same
+# direction, which excludes sliding by noise
+MIN_RATE, MIN_PLANNED_RATE = 1e-2, 5e-3
+
+MIN_PART = 0.05  # Smallest length of a part that is assumed for the error of its direction [m]
+
+MAX_DISTANCE = 0.5  # Largest median distance of drones from the plan that was flown [m]
+
+MIN_LENGTH_SCATTER = 3e-4  # Smallest assumed scatter of a measured cable length [m]
+
+
+@dataclass(frozen=True)
+class Estimate(OneLine):
+    """One estimated quantity.
+
+    Attributes
+    ----------
+    value: nan if the recording does not determine it.
+    error: standard error; infinite if it is not determined.
+    remark: reason for which it is not determined, or empty.
+    """
+
+    value: float = math.nan
+    error: float = math.inf
+    remark: str = ""
+
+    @property
+    def known(self) -> bool:
+        """Whether the recording determines it."""
+        return not self.remark
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration(OneLine):
+    """Estimates from a recorded flight, and its deviations from the plan.
+
+    Attributes
+    ----------
+    task: the plan.
+    recording: the measurements.
+    density: of the cables [kg/m], as assumed.
+    lengths: of each cable [m], between its drones along the sagging parts.
+    stiffness: level stiffness of the position loops of each robot's drones [N/m].
+    friction: coefficient at the clasps.
+    vertex_errors: (samples, points) [m], distances from the plan; nan if its hitch is not taut
+        or the vertex is not visible.
+    drone_errors: (samples, 2n) [m], distances from the setpoints.
+    """
+
+    task: Task
+    recording: Recording
+    density: float
+    lengths: tuple[Estimate, ...]
+    stiffness: tuple[Estimate, ...]
+    friction: Estimate
+    vertex_errors: Array
+    drone_errors: Array
+
+
+def calibrate(
+    recording: Recording | RecordedFlight | Path | str,
+    plan: Task | Path | str | None = None,
+    *,
+    density: float | None = None,
+) -> Calibration:
+    """Estimate cable lengths, stiffness and friction from a recorded flight of a plan.
+
+    Lengths are medians over the flight, sag included. The stiffness follows from mean displacements
+    of the drones, the friction from cables that slide while drones are displaced. An estimate that
+    the recording does not determine states the reason.
+
+    Parameters
+    ----------
+    recording: file or directory in a format of ``read_flight``, a ``RecordedFlight``, or a
+        ``Recording`` of the team's drones and vertices.
+    plan: directory of the plan that was flown, or its task; None: the directory of the recording.
+    density: of the cables [kg/m]; None: that of the simulated flight, else the plan's.
+
+    Raises
+    ------
+    FileError: a recording or a plan that cannot be read, or a recording without its hitch.
+    InputError: no plan, a negative density, drones and vertices that are never visible together
+        while the plan has a hitch, or drones that are far from their plan.
+    """
+    recording, task = _recording_and_task(recording, plan, density)
+    team, windows = task.team, windows_of(recording, task, FRICTION_WINDOW)
+    if not len(windows.t):
+        bound = "of a flight with visible drones and vertices while the plan has a hitch"
+        remedy = "record the vertices too, and let t count from the plan's start"
+        raise InputError("recording", f"{len(recording.t)} samples", bound, remedy)
+    stated_density = recording.density if density is None else nonnegative("density", density)
+    rope_density = team.cable_density if stated_density is None else stated_density
+    feed_forward = team.feed_forward if recording.feed_forward is None else recording.feed_forward
+    winds = np.isinf(team.integral) if recording.integral is None else recording.integral
+    loops = {"stiffness": 1.0, "integral": False, "feed_forward": feed_forward}
+    conditions = conditions_of(team, cable_density=rope_density, **loops)
+
+    kinds = sorted(set(team.quadrotor), key=repr)
+    kind_of_drone = np.repeat([kinds.index(each) for each in team.quadrotor], 2)
+    stated = np.array([kind.loop.kp[0] for kind in kinds])
+    initial = np.where(np.isfinite(stated), stated, INITIAL_STIFFNESS)
+    expected = np.append(-np.log(initial), np.zeros(3))
+    spread = np.array([STIFFNESS_RANGE] * len(kinds) + [WIND_SCALE, WIND_SCALE, FIXED])
+    integral = "integral action returns drones to their set points, whatever their stiffness"
+    estimates = [Estimate(remark=integral)] * len(kinds)
+    long_windows = windows_of(recording, task, STIFFNESS_WINDOW)
+    if not len(long_windows.t):
+        reason = f"the plan's hitch is visible for less than {STIFFNESS_WINDOW:g} s without a gap"
+        estimates = [Estimate(remark=reason)] * len(kinds)
+    elif not np.any(winds):
+        stiffness_balance = _Balance.of(task, long_windows, conditions, kind_of_drone)
+        expected, errors, _, variance_factor = stiffness_balance.fitted(
+            expected, spread, LONG_SCATTER
+        )
+        stiffness, errors = np.exp(-expected[: len(kinds)]), errors * math.sqrt(variance_factor)
+        remedy = "displacements of drones are too small; fly a plan without the cables' weight"
+        estimates = [
+            _estimate(k, error * k, MODEL_ERROR, MAX_STIFFNESS_ERROR * k, remedy)
+            for k, error in zip(stiffness.tolist(), errors.tolist(), strict=False)
+        ]
+    determined = [one.known for one in estimates]
+    expected[: len(kinds)] = np.where(determined, expected[: len(kinds)], -np.log(stated))
+    balance, tensions = _Balance.of(task, windows, conditions, kind_of_drone), windows.tensions
+    if np.all(np.isfinite(expected)):
+        distance = balance.slide(task, recording, windows)
+        spread[:-1], spread[-1] = FIXED, FRICTION_SCALE
+        common, errors, tensions, _ = balance.fitted(expected, spread, SHORT_SCATTER)
+        remedy = f"cables slide by {100 * distance:.1f} cm in total; move vertices farther"
+        mu, error = max(float(common[-1]), 0.0), float(errors[-1])
+        friction = _estimate(mu, error, GEOMETRY_ERROR, MAX_FRICTION_ERROR, remedy)
+    else:
+        reason = "the drones' stiffness is neither determined nor stated by the plan's team"
+        friction = Estimate(remark=f"tensions are unknown: {reason}")
+    tensions = np.clip(tensions, windows.tensions / 3.0, 3.0 * windows.tensions)
+    arcs = balance.energy.forces(balance.x[:, balance.energy.nodes], tensions)[1]
+    visible = windows.visible[:, team.layout.starts] & windows.visible[:, team.layout.ends]
+    t, setpoints = recording.t, task.states.positions
+    vertex_errors = length(recording.vertices - plan_at(task, t, task.states.vertices))
+    return Calibration(
+        task,
+        recording,
+        rope_density,
+        tuple(_median(arc[use]) for arc, use in zip(arcs.T, visible.T, strict=True)),
+        tuple(estimates[kinds.index(kind)] for kind in team.quadrotor),
+        friction,
+        np.where(taut_at(task, t, TAUT_RATIO)[:, None], vertex_errors, np.nan),
+        length(recording.drones - plan_at(task, t, setpoints)),
+    )
+
+
+def _recording_and_task(recording: Any, plan: Any, density: float | None) -> tuple[Recording, Task]:
+    """Return the recording and its plan; InputError if times or positions do not match.
+
+    Recordings with the team's names on a clock from zero are used as they are; others are aligned
+    with the plan, and their vertices measured from markers.
+    """
+    if not isinstance(recording, Recording | RecordedFlight):
+        recording = path("recording", recording)
+        if (recording / PLAN).is_file():
+            remedy = "name the file that was recorded, or DIR/simulation"
+            raise InputError("recording", str(recording), "a flight, not its plan", remedy)
+        plan = Path(os.path.abspath(recording)).parent if plan is None else plan
+    if plan is None:
+        raise InputError("plan", None, "the directory of a plan", "name the plan that was flown")
+    task = plan if isinstance(plan, Task) else read_task(path("plan", plan))
+    task.require_one_team("calibrate")
+    if isinstance(recording, Path):
+        with reading(recording, "recording"):
+            recording = _aligned(read_flight(recording), task, density)
+    elif isinstance(recording, RecordedFlight):
+        recording = _aligned(recording, task, density)
+    t = recording.t
+    if not np.any((t >= 0.0) & (t <= task.duration)):
+        times = f"times {t[0]:.6g} to {t[-1]:.6g} s"
+        bound = f"of the plan's times, 0 to {task.duration:.6g} s"
+        raise InputError("recording", times, bound, "count t in seconds from the plan's start")
+    off = length(recording.drones - plan_at(task, t, task.states.positions))
+    distance = float(np.median(off[np.isfinite(off)])) if np.any(np.isfinite(off)) else 0.0
+    if distance > MAX_DISTANCE:
+        value = f"drones {distance:.4g} m from the plan at the median"
+        bound = f"within {MAX_DISTANCE:g} m of the plan that was flown"
+        remedy = "give metres, z upward, times from the plan's start, and names as in the plan"
+        raise InputError("recording", value, bound, remedy)
+    return recording, task
+
+
+def _aligned(flight: RecordedFlight, task: Task, density: float | None) -> Recording:
+    """Return the drones and vertices of a recorded flight in the plan's time and frame."""
+    team, own = task.team, set(flight.tracks)
+    named = bool(own & set(team.point_names)) or not len(flight.markers.t)
+    stated: dict[str, Any] = {}
+    if flight.one_clock and not flight.epoch and named and own & set(team.drone_names):
+        names = {name: name for name in team.drone_names}
+        stated = {"names": names, "frame": "plan", "start": 0.0}
+    return evaluate(flight, task, density=density, **stated).to_recording()
+
+
+def _estimate(value: float, error: float, model: float, limit: float, remedy: str) -> Estimate:
+    """Return an estimate with the model's relative error added; undetermined if it is too large."""
+    if error <= limit:
+        return Estimate(value, float(np.hypot(error, model * value)))
+    return Estimate(remark=f"its standard error would be {error:.2g}: {remedy}")
+
+
+def _median(values: Array) -> Estimate:
+    """Return the median of independent values and its standard error."""
+    if not len(values):
+        return Estimate(remark="its two vertices are never visible together; record both")
+    middle = float(np.median(values))
+    scatter = max(_scatter(values - middle), MIN_LENGTH_SCATTER)
+    error = np.sqrt(0.5 * np.pi / len(values)) * scatter if len(values) > 1 else np.inf
+    return Estimate(middle, float(error))
+
+
+def _scatter(residuals: Array) -> float:
+    """Return a robust estimate of the standard deviation of residuals about zero."""
+    return float(1.4826 * np.median(np.abs(residuals)))
+
+
+@dataclass(eq=False)
+class _Balance:
+    """The robust least-squares problem of force balance at measured positions.
+
+    Common unknowns are log(1/k) of every kind of drone, the wind (2) and the coefficient of
+    friction. Unknowns of a window (n, 3) are the tension of every cable and the friction used by
+    both of its legs.
+    """
+
+    energy: HitchEnergy  # of the windows; its stiffness is not used
+    x: Array  # (windows, nodes, 3) [m], measured
+    kinds: Indices  # (2n,), kind of each drone
+    relative_compliance: Array  # (2n, 3), level stiffness over that of each axis
+    force_errors: Array  # (windows, nodes) [N], due to the standard errors of the vertices
+    bends: Array  # (windows, n, 2) [rad], turns of cables at both clasps; 1 without a leg
+    pulls: Array  # (windows, n, 2), log tension ratios for a coefficient of 1; zero if sticking
+
+    @classmethod
+    def of(cls, task: Task, windows: Windows, conditions: Any, kinds: Indices) -> _Balance:
+        """Return the problem at windows, without friction."""
+        team, zero = task.team, np.zeros_like(windows.positions)
+        lengths = np.broadcast_to(team.cable_length, windows.tensions.shape)
+        errors = {"cable_length": lengths, "offsets": zero, "forces": zero}
+        energy = energy_of(team, conditions, vars(windows) | errors)
+        x = np.concatenate([windows.drones, energy.start[:, team.drones :]], axis=1)
+        chords, sizes, _ = energy.spans(x[:, energy.nodes])
+        bends = np.where(energy.exist[:, ::2], bends_of(unit(chords)), 1.0)
+        # The error of a part's direction, hence of both ends, gives a transverse force error
+        squares = np.zeros(x.shape[:2])
+        squares[:, team.drones :] = windows.errors[:, team.layout.clasps] ** 2
+        ends = squares[:, energy.nodes[:, :-1]] + squares[:, energy.nodes[:, 1:]]
+        variances = windows.tensions[..., None] ** 2 * ends / np.maximum(sizes, MIN_PART) ** 2
+        variances = np.where(energy.exist, variances, 0.0)
+        forces = np.zeros(x.shape[:2])
+        for part in (slice(None, -1), slice(1, None)):
+            np.add.at(forces.T, energy.nodes[:, part], np.moveaxis(variances, 0, 2))
+        level, rigid = team.stiffness[:, :1], np.isinf(team.stiffness)
+        relative_compliance = np.where(rigid, 1.0, level / np.where(rigid, 1.0, team.stiffness))
+        return cls(energy, x, kinds, relative_compliance, np.sqrt(forces), bends, 0.0 * bends)
+
+    def residuals(self, common: Any, own: Any, scales: Array) -> Any:
+        """Return residuals (windows, …) of drones, clasps and friction over their scatter.
+
+        The scatter (windows, nodes) is in [m] for drones and in [N] for clasps.
+        """
+        energy, many, used = self.energy, self.energy.drones, own[..., 1:]
+        at_ends = energy.forces(self.x[:, energy.nodes], own[..., 0], used)[0]
+        pulls = energy.pulls(at_ends)
+        pulls[:, :many, :2] -= common[-3:-1]
+        drones = np.exp(common[self.kinds])[:, None] * self.relative_compliance * pulls[:, :many]
+        drones = (drones + (self.x - energy.start)[:, :many]) / scales[:, :many, None]
+        ratios = used * self.bends - common[-1] * self.pulls
+        sliding = self.pulls != 0.0
+        ratios = ratios / np.where(sliding, SLIDING_SCATTER, STICKING_SCATTER * self.bends)
+        parts = drones, pulls[:, many:] / scales[:, many:, None], ratios
+        return np.concatenate([part.reshape(len(self.x), -1) for part in parts], axis=1)
+
+    def fitted(
+        self, expected: Array, spread: Array, min_scatter: tuple[float, float]
+    ) -> tuple[Array, Array, Array, float]:
+        """Return common unknowns, standard errors, tensions (windows, n) and a variance factor.
+
+        Common unknowns have priors with means ``expected`` and standard deviations ``spread``.
+        Errors assume independent windows; persistent forces, such as downwash, correlate them. The
+        factor is the number of windows that act as one.
+        """
+        planned, many, g = self.energy.reference, self.energy.drones, len(expected)
+        count, size = len(planned), 3 * planned.shape[1]
+        lower = np.array([1.0, np.median(planned)]) * min_scatter
+        scales, errors = INITIAL_SCATTER * lower, self.force_errors.copy()
+        errors[:, :many] *= np.exp(expected[self.kinds])
+        of_nodes = (np.arange(self.x.shape[1]) >= many).astype(np.intp)
+        unknown = np.append(expected, np.pad(planned[..., None], ((0, 0), (0, 0), (0, 2))))
+
+        def values(unknown: Any) -> Any:
+            own = unknown[g:].reshape(*planned.shape, 3)
+            residuals = self.residuals(unknown[:g], own, np.hypot(scales[of_nodes], errors))
+            return np.append(residuals, (unknown[:g] - expected) / spread)
+
+        # Residuals of a window depend on the common unknowns and on its own
+        each = (len(values(unknown)) - g) // count
+        own: Any = kron(eye_array(count), np.ones((each, size)))
+        blocks: Any = [[np.ones((count * each, g)), own], [eye_array(g), None]]
+        options: dict[str, Any] = {"loss": "soft_l1", "x_scale": "jac", "tr_solver": "lsmr"}
+        options |= {"max_nfev": MAX_EVALUATIONS, "jac_sparsity": block_array(blocks)}
+        for _ in range(ROUNDS):  # the scatter of the residuals weights the next round
+            solution = least_squares(values, unknown, "cs", **options)
+            unknown, residuals_by_window = solution.x, solution.fun[:-g].reshape(count, -1)
+            split = np.split(residuals_by_window, [3 * many, 3 * self.x.shape[1]], axis=1)[:2]
+            scales = np.maximum(scales * [_scatter(part) for part in split], lower)
+        J: Any = solution.jac
+        errors = np.sqrt(np.diag(splu((J.T @ J).tocsc()).solve(np.eye(len(unknown), g))))
+        off = residuals_by_window[:, : 3 * many]
+        factor = float(np.sum(np.sum(off, axis=0) ** 2) / max(float(np.sum(off**2)), 1e-300))
+        tensions = unknown[g:].reshape(*planned.shape, 3)[..., 0]
+        return unknown[:g], errors, tensions, max(factor, 1.0)
+
+    def slide(self, task: Task, recording: Recording, windows: Windows) -> float:
+        """Set ``pulls`` where the plan slides cables over each other; return the distance [m].
+
+        Sliding directions are those of short windows, as noise slides cables back and forth.
+        """
+        layout, short = task.team.layout, windows_of(recording, task, RATE_WINDOW)
+        cable, side = np.stack([layout.ahead, layout.behind], axis=-1), np.arange(2)
+        middle, turns = 0.5 * (short.t[1:] + short.t[:-1]), self.bends[:, cable, side]
+        one, other = (np.floor(t / FRICTION_WINDOW) for t in (middle, windows.t))
+        span, window = np.nonzero(one[:, None] == other)
+        visible = (short.visible[1:] & short.visible[:-1])[span][:, layout.clasps, None]
+        total = np.zeros((len(windows.t), len(layout.clasps), 1))
+        np.add.at(total, window, visible)
+
+        def rates_of(drones: Array, vertices: Array) -> Array:
+            """Return growth rates of legs (spans, clasps, 2) [m/s]."""
+            legs = length(drones - vertices[:, layout.anchors])
+            legs = legs.reshape(len(legs), -1, 2)[:, cable, side]
+            rates = np.diff(legs, axis=0) / np.diff(short.t)[:, None, None]
+            return np.where(visible, rates[span], 0.0)
+
+        def mean(values: Array) -> Array:
+            sums = np.zeros_like(turns)
+            np.add.at(sums, window, values)
+            return np.asarray(sums / np.maximum(total, 1))
+
+        rates = rates_of(short.drones, short.vertices)
+        pulls, rate = mean(friction_pulls(turns[window], rates, UNCERTAIN_RATE)), mean(rates)
+        plan_rate = mean(rates_of(short.positions, short.planned))
+        speed = _sliding(turns, rate)[1]
+        usable = (total[..., 0] > 1) & (speed > MIN_RATE)
+        usable &= _sliding(turns, plan_rate)[1] > MIN_PLANNED_RATE
+        usable &= np.sum(rate * plan_rate, axis=-1) > 0.0
+        self.pulls[:, cable, side] = np.where(usable[..., None], pulls, 0.0)
+        return float(np.sum(speed[usable]) * FRICTION_WINDOW)
+
+
+def friction_pulls(turns: Array, rates: Array, uncertain: float = 0.0) -> Array:
+    """Return logarithms of leg over edge tensions (…, 2) for a friction coefficient of 1.
+
+    Cables of a clasp turn by angles in the plane (…, 2) [rad] and slide toward their legs at rates
+    (…, 2) [m/s]. Friction is reduced below the rate ``uncertain``.
+    """
+    along, speed = _sliding(turns, rates)
+    in_space = turns * np.interp(np.mean(turns, axis=-1, keepdims=True), TURNS, IN_SPACE)
+    pulls: Array = in_space * along / np.maximum(np.hypot(speed, uncertain), 1e-12)[..., None]
+    return pulls
+
+
+def _sliding(turns: Array, rates: Array) -> tuple[Array, Array]:
+    """Return sliding rates of cables over each other: along each (…, 2), and total (…) [m/s]."""
+    cosine = np.interp(np.mean(turns, axis=-1, keepdims=True), TURNS, COSINES)
+    along = rates - cosine * rates[..., ::-1]
+    return along, np.sqrt(np.maximum(np.sum(rates * along, axis=-1), 0.0))

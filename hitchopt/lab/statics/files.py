@@ -1,0 +1,282 @@
+"""Files and pictures of hitches at rest, of calibrated teams, and of fits."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, Polygon
+from scipy.spatial import ConvexHull
+
+from hitchopt.errors import InfeasibleError
+from hitchopt.exports.directory import STATICS, STATICS_PICTURE
+from hitchopt.geometry import ConvexPolygon
+from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch.holding import Grip
+from hitchopt.lab.statics.calibrate import Calibration
+from hitchopt.lab.statics.fit import GRIP, REST, Fit
+from hitchopt.lab.statics.settle import Settled
+from hitchopt.lab.statics.tolerance import Tolerance
+from hitchopt.storage.files import replace_files, write_strict_json
+from hitchopt.view.style import (
+    COLOURS,
+    DASHES,
+    INK,
+    LIMIT_COLOUR,
+    cable_colours,
+    from_zero,
+    new_figure,
+    save_figure,
+)
+
+STATICS_FORMAT, FIT_FORMAT = "hitchopt-statics/1", "hitchopt-fit/1"
+
+# Widths and heights [inch]
+STATICS_SIZE, FIT_SIZE = (12.5, 4.8), (12.0, 5.0)
+
+# Line style of the plan, and points of a unit circle
+PLANNED: dict[str, Any] = {"color": INK, "linestyle": DASHES, "linewidth": 0.8}
+CIRCLE = np.exp(2j * np.pi * np.linspace(0.0, 1.0, 121)).view(np.float64).reshape(-1, 2)
+
+# Colours of the times at which vertices are drawn, and most cables in a legend
+TIME_COLOURS, MAX_NAMED = ("#9ecae1", "#4292c6", "#08306b"), 8
+MAX_DRAWN_RATIO = 3.0  # Largest drawn tension of a range, over the largest at rest
+
+
+def save_statics(directory: Path, settled: Settled, ranges: Tolerance | None) -> Path:
+    """Write a hitch at rest at times (S,), and its ranges if any, to a plan's directory.
+
+    Only statics.json and its picture are replaced; FileError if writing fails.
+    """
+    content = statics_content(settled, ranges)
+    writers = {
+        STATICS_PICTURE: lambda path: save_figure(draw_statics(settled, ranges), path),
+        STATICS: lambda path: write_strict_json(path, content),
+    }
+    return replace_files(directory, writers, tuple(writers), seal=STATICS)
+
+
+def statics_content(settled: Settled, ranges: Tolerance | None) -> dict[str, Any]:
+    """Return the content of statics.json: lists over the times ``t``, in SI units.
+
+    ``band`` of a vertex is the range of its outward displacement with friction; null if unbounded.
+    """
+    content: dict[str, Any] = {
+        "format": STATICS_FORMAT,
+        "t": settled.t.tolist(),
+        "slack_cables": list(settled.slack_cables),
+        "loose_clasps": list(settled.loose_clasps),
+        "force_residual": float(settled.force_residual.max()),
+        "length_residual": float(settled.length_residual.max()),
+    }
+    cables = {
+        "planned_tension": settled.planned_tensions,
+        "tension": settled.tensions,
+        "slack": settled.slack,
+    }
+    vertices = {"planned": settled.planned_vertices, "position": settled.vertices}
+    vertices["band"] = settled.band
+    drones = {"planned": settled.planned_drones, "position": settled.drones}
+    if ranges is not None:
+        content["errors"] = {name: vars(size) for name, size in ranges.errors.items()}
+        content["may_be_slack"] = list(ranges.slack_cables)
+        content["tension_remainder"] = ranges.tension_remainders.tolist()
+        content["vertex_remainder"] = ranges.vertex_remainders.tolist()
+        cables |= {"smallest": ranges.tensions[..., 0], "largest": ranges.tensions[..., 1]}
+        vertices |= {"half_widths": ranges.vertex_halves, "radius": ranges.radii}
+    team = settled.team
+    for kind, names, columns in (
+        ("cables", [f"c{k}" for k in range(team.robots)], cables),
+        ("vertices", team.point_names, vertices),
+        ("drones", team.drone_names, drones),
+    ):
+        content[kind] = [
+            {"name": name, **{key: values[:, k].tolist() for key, values in columns.items()}}
+            for k, name in enumerate(names)
+        ]
+    return content
+
+
+def draw_statics(settled: Settled, ranges: Tolerance | None) -> Figure:
+    """Return the picture: tensions over time, and vertices from above."""
+    figure = new_figure(STATICS_SIZE)
+    left, right = figure.subplots(1, 2)
+    t, layout, cables = settled.t, settled.team.layout, settled.team.robots
+    if ranges is not None:
+        low, high = np.min(ranges.tensions[..., 0], 1), np.max(ranges.tensions[..., 1], 1)
+        drawn = np.minimum(high, MAX_DRAWN_RATIO * np.max(settled.tensions))
+        beyond = f", up to {np.max(high):.3g} N" if np.any(drawn < high) else ""
+        words = f"range of any cable{beyond}"
+        left.fill_between(t, low, drawn, color="0.87", label=words, zorder=1)
+    style: dict[str, Any] = {"marker": "o" if len(t) == 1 else None, "zorder": 3}
+    for k, colour in enumerate(cable_colours(cables)):  # the first ones wider, visible below others
+        label = f"cable {k} at rest" if cables <= MAX_NAMED else ""
+        wide = 1.2 + 2.4 * (1.0 - (k + 1) / cables)
+        left.plot(t, settled.tensions[:, k], color=colour, lw=wide, label=label, **style)
+    left.plot(t, settled.planned_tensions, zorder=4, **PLANNED)[0].set_label("planned")
+    left.set(xlabel="t [s]", ylabel="tension [N]")
+    from_zero(left, 0.1 + 0.06 * min(cables, MAX_NAMED))
+    ring = np.append(np.arange(layout.points), [0] * layout.closed)
+    times = np.unique(np.linspace(0, len(t) - 1, len(TIME_COLOURS)).round().astype(np.intp))
+    lines, areas = dict[str, Any](planned=Line2D([], [], **PLANNED)), dict[str, Any]()
+    areas["drone"] = Line2D([], [], color=INK, marker="x", ls="none", ms=4)
+    for colour, i in zip(TIME_COLOURS[-len(times) :], times, strict=True):
+        path = right.plot(*settled.vertices[i, ring, :2].T, color=colour, marker=".", lw=1.8)
+        lines[f"vertices at rest, t = {t[i]:.2f} s"] = path[0]
+        right.plot(*settled.planned_vertices[i, ring, :2].T, **PLANNED)
+        right.plot(*settled.drones[i, :, :2].T, color=colour, marker="x", linestyle="none", ms=4)
+        if np.ptp(settled.band[i]) > 1e-4:  # visible [m]
+            for ends in settled.rests[i, ..., :2].swapaxes(0, 1):
+                areas["band of rest"] = right.plot(*ends.T, color=colour, lw=5.0, alpha=0.35)[0]
+        shapes = () if ranges is None else ranges.ellipsoids[i, :, :2, :2]
+        for centre, shape in zip(settled.vertices[i, :, :2], shapes, strict=False):
+            squares, directions = np.linalg.eigh(shape)
+            ellipse = centre + CIRCLE * np.sqrt(np.maximum(squares, 0.0)) @ directions.T
+            areas["range of a vertex"] = right.fill(*ellipse.T, color=colour, alpha=0.35)[0]
+    right.set_aspect("equal", adjustable="datalim")
+    right.set(xlabel="x [m]", ylabel="y [m]")
+    left.legend(loc="upper right", frameon=False, fontsize="small", ncols=2)
+    lines |= areas
+    figure.legend(lines.values(), lines, loc="outside right upper", frameon=False, fontsize="small")
+    return figure
+
+
+def save_team(path: Path, calibration: Calibration) -> None:
+    """Write the block ``team:`` with the estimates; comments state their standard errors.
+
+    Values that are not determined are the plan's.
+    """
+    path.write_text(team_text(calibration), encoding="utf-8")
+
+
+def team_text(calibration: Calibration) -> str:
+    """Return the block ``team:`` in YAML."""
+    team, friction, lengths = calibration.task.team, calibration.friction, calibration.lengths
+    names = [field.name for field in fields(Team) if field.name != "quadrotor"]
+    values = {name: _yaml(getattr(team, name)) for name in names}
+    errors = ", ".join(f"{one.error:.1g}" for one in lengths)
+    values["cable_length"] = f"{_yaml([round(one.value, 4) for one in lengths])}  # ± {errors} m"
+    values["cable_density"] = f"{_yaml(calibration.density)}  # as assumed"
+    values["cable_friction"] += "  # of the plan: not determined"
+    if friction.known:
+        values["cable_friction"] = f"{friction.value:.3f}  # ± {friction.error:.1g}"
+    lines = ["team:", *(f"  {name}: {text}" for name, text in values.items()), "  quadrotor:"]
+    for kind, stiffness in zip(team.quadrotor, calibration.stiffness, strict=True):
+        entries = {name: _yaml(value) for name, value in vars(kind).items()}
+        known = "of the plan: not determined"
+        if stiffness.known:
+            entries["stiffness"] = f"{stiffness.value:.3g}"
+            known = f"± {stiffness.error:.1g} N/m"
+        flow = ", ".join(f"{name}: {text}" for name, text in entries.items())
+        lines.append(f"    - {{{flow}}}  # stiffness {known}")
+    return "\n".join(lines) + "\n"
+
+
+def _yaml(value: object) -> str:
+    """Return a value in YAML."""
+    return json.dumps(value, default=lambda array: np.round(array, 9).tolist())
+
+
+def save_fit(directory: Path, fit: Fit, mass: float | None = None, by: str = GRIP) -> None:
+    """Write ``fit.json`` and ``fit.png`` to a directory, which is created if missing.
+
+    ``mass`` [kg] is to be held by ``grip`` or ``rest``.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    write_strict_json(directory / "fit.json", fit_as_json(fit))
+    save_figure(draw_fit(fit, mass, by), directory / "fit.png")
+
+
+def fit_as_json(fit: Fit) -> dict[str, Any]:
+    """Return the content of ``fit.json``: polygons in metres, masses with binding limits."""
+    holding, task, grip, rest = fit.holding, fit.holding.task, fit.holding.grip, fit.holding.rest
+    content: dict[str, Any] = {
+        "format": FIT_FORMAT,
+        "notes": list(fit.notes),
+        "robots": holding.robots,
+        "cable_length": holding.cable_length,
+        "tension": task.tension,
+        "clearance": task.clearance,
+        "friction": task.friction,
+        "enclosing": holding.enclosing.vertices.tolist(),
+        "grip": None,
+        "rest": None,
+        "largest_mass": {GRIP: {}, REST: {}},
+    }
+    if isinstance(grip, Grip):
+        content["grip"] = {
+            "polygon": grip.vertices[:, :2].tolist(),
+            "wraps_deg": np.degrees(grip.wraps.angles).tolist(),
+            "legs": grip.legs[:, 0].tolist(),
+            "slip_load": float(grip.slip_load(task.friction)),
+        }
+    if isinstance(rest, ConvexPolygon):
+        content["rest"] = {"polygon": rest.vertices.tolist()}
+    for by, masses in content["largest_mass"].items():
+        for n, capacity in fit.capacities(by).items():
+            masses[str(n)] = {"mass": capacity.mass, "limit": capacity.binding}
+            masses[str(n)]["suggested change"] = capacity.suggested
+    return content
+
+
+def draw_fit(fit: Fit, mass: float | None = None, by: str = GRIP) -> Figure:
+    """Return the picture: the object with the polygons that enclose it, grip it and support it.
+
+    Drones of the enclosing and supporting polygons are drawn without a load; ``mass`` [kg] is to be
+    held.
+    """
+    figure, holding, section = new_figure(FIT_SIZE), fit.holding, fit.section
+    outline = (section.core[:, None] + section.rounding * CIRCLE).reshape(-1, 2)
+    titles = [f"enclose: {holding.robots} cables of {holding.cable_length:.2f} m"]
+    for each in (GRIP, REST):
+        capacity = holding.capacity(each)
+        mass_in_words = f"at most {1e3 * capacity.mass:.0f} g" if capacity.mass > 0.0 else "nothing"
+        titles.append(f"{each}: {mass_in_words}, {capacity.binding} binds")
+        if mass is not None and each == by:
+            titles[-1] += f", {1e3 * mass:.0f} g {'' if mass <= capacity.mass else 'NOT '}held"
+    polygons = holding.enclosing, holding.grip, holding.rest
+    requirements, kind = holding.task.requirements, holding.task.kind
+    length, tension = holding.cable_length, holding.task.tension
+    team = Team(holding.robots, length, tension=tension, quadrotor=kind)
+    panels = figure.subplots(1, 3, sharex=True, sharey=True)
+    for axes, polygon, title in zip(panels, polygons, titles, strict=True):
+        axes.add_patch(Polygon(outline[ConvexHull(outline).vertices], fc="0.88", ec="0.55", lw=0.8))
+        axes.set_aspect("equal")
+        axes.set_title(title, fontsize="medium")
+        axes.set(xlabel="x [m]")
+        if isinstance(polygon, InfeasibleError):
+            continue
+        vertices = polygon.vertices[:, :2]
+        # Cables are taut around a section within the polygon
+        inside = polygon is not holding.rest
+        corners = np.vstack([vertices, outline]) if inside else vertices
+        axes.add_patch(Polygon(corners[ConvexHull(corners).vertices], fill=False, ec=COLOURS[0]))
+        axes.plot(*vertices.T, "o", color=LIMIT_COLOUR, markersize=3, zorder=3)
+        if isinstance(polygon, Grip):
+            drones = polygon.drones[..., :2]
+        else:
+            try:
+                hitch = Hitch.spread(
+                    team, polygon, limits=requirements.limits, separation=requirements.separation
+                )
+            except InfeasibleError:
+                continue
+            drones = hitch.drones.reshape(-1, 2, 3)[..., :2]
+        ends = np.stack([vertices, np.roll(vertices, -1, axis=0)], axis=1)
+        legs = np.stack([ends, drones], axis=-2).reshape(-1, 2, 2)
+        axes.plot(*legs.T, color=COLOURS[0], lw=1.2)
+        axes.plot(*drones.reshape(-1, 2).T, "o", color=COLOURS[0], markersize=4)
+        for x, y in drones.reshape(-1, 2):
+            axes.add_patch(
+                Circle((x, y), requirements.separation.radius, fill=False, ec=COLOURS[0])
+            )
+    panels[0].set_ylabel("y [m]")
+    panels[0].locator_params(nbins=5)
+    legend = "object grey, cables and drones blue, as wide as their ellipsoids, clasps red"
+    figure.suptitle(legend, fontsize="medium")
+    return figure

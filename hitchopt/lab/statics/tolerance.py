@@ -1,0 +1,265 @@
+"""Ranges of tensions and vertices for unknown errors, over a plan.
+
+Sensitivities need one linear solve with the Hessian each. At rest the gradient of the energy is
+zero for any error p, so ``H dx = -∂gradient/∂p dp``. The derivatives ``A_k`` of a tension by the
+nodes are minus those of the gradient by the length of cable k: ``dx = H⁻¹ A_k dL_k``. Sensitivities
+of outputs follow from the adjoint, ``Y = H⁻¹ B`` for derivatives B of the outputs by the nodes.
+Every output depends on every error, so that time and memory grow with n².
+
+To first order, tensions and coordinates are linear in the errors: bounds add, standard deviations
+add in squares and count three times. The remainder is estimated: the hitch settles with the errors
+that change some tension or vertex most, in both directions, and twice the largest difference to
+first order is added to every range. It is infinite if there is no rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hitchopt.errors import InfeasibleError, InputError, OneLine, UnsupportedError
+from hitchopt.geometry.vectors import length, unit
+from hitchopt.lab.statics.energy import HitchEnergy
+from hitchopt.lab.statics.settle import (
+    SAMPLED,
+    Settled,
+    conditions_of,
+    energy_of,
+    samples_of,
+    settle,
+)
+from hitchopt.motion.motion import Motion
+from hitchopt.motion.states import states_at
+from hitchopt.plan import Plan
+from hitchopt.values import Array, as_array, check_instance, nonnegative
+
+DEVIATIONS = 3.0  # Standard deviations that a range covers: 99.7 % of normal errors
+PREFIX = "sd:"  # Prefix of a standard deviation on the command line: sd:0.01
+
+# Default number of times at which ranges are computed, and candidate times for each
+SAMPLES, CANDIDATES = 25, 20
+
+TAUT_RATIO = 0.9  # Smallest tension of a taut cable, over the team's
+CORNERS = 4  # Tensions and coordinates of widest range whose worst-case errors are settled
+
+# Factor of the largest difference to first order, as errors are worst cases to first order only
+REMAINDER_FACTOR = 2.0
+
+
+@dataclass(frozen=True)
+class ErrorSize(OneLine):
+    """Size of one kind of error, equal and independent for all cables or drones.
+
+    Parameters
+    ----------
+    bound: largest error, for vectors the largest length.
+    deviation: standard deviation, for vectors per axis, in addition to the bound.
+
+    Raises
+    ------
+    InputError: a negative number.
+    """
+
+    bound: float = 0.0
+    deviation: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("bound", "deviation"):
+            object.__setattr__(self, name, nonnegative(name, getattr(self, name)))
+
+    @classmethod
+    def of(cls, key: str, given: ErrorSize | float | str) -> ErrorSize:
+        """Return the size; 0.01 and ``"0.01"`` are bounds, ``"sd:0.01"`` is a deviation.
+
+        InputError for a negative number or an invalid text.
+        """
+        if isinstance(given, ErrorSize):
+            return given
+        try:
+            size = float(given.removeprefix(PREFIX)) if isinstance(given, str) else given
+        except ValueError:
+            raise InputError(key, given, "a number, or sd:number", f"write {PREFIX}0.01") from None
+        name = "deviation" if isinstance(given, str) and given.startswith(PREFIX) else "bound"
+        return cls(**{name: nonnegative(key, size)})
+
+
+Sizes = dict[str, ErrorSize]  # By "cable", "position" and "force"
+
+
+def responses(energy: HitchEnergy, x: Array) -> Array:
+    """Return derivatives (o, 5n, 3) of tensions and points, o = n + 3 points, by the errors.
+
+    Errors are n lengths, as first components, 2n setpoints, and 2n forces on drones. Nodes x (1,
+    nodes, 3) [m] are those of one sample at rest.
+    """
+    nodes, cables = energy.nodes, np.arange(len(energy.nodes))
+    blocks, tensions, softness = energy.linear(x)
+    count = len(cables) + 3 * len(energy.points)
+    seeds = np.zeros((*x.shape, count))  # outputs by nodes
+    slopes = tensions[0].reshape(-1, 4, 3)
+    slopes[:, 1:3, 2] += 0.5 * energy.weight  # tensions are those at the edges' midpoints
+    for k in range(4):  # one by one, as the end of a chain occurs twice
+        seeds[0, nodes[:, k], :, cables] += slopes[:, k]
+    for axis in range(3):
+        seeds[0, energy.points, axis, np.arange(len(cables) + axis, count, 3)] = 1.0
+    matrix = energy.matrix(x, blocks)
+    y = energy.solved(matrix, seeds)
+    direct = seeds.reshape(-1, count) - matrix @ y.reshape(-1, count)
+    y, direct = y[0].T.swapaxes(1, 2), direct.T.reshape(count, -1, 3)
+    pulls = softness[0, :, None] * blocks[0, ..., 12]
+    cable = np.einsum("onai,nai->on", y[:, nodes], pulls.reshape(-1, 4, 3))
+    cable[cables, cables] -= softness[0]
+    force, curvature = y[:, : energy.drones], energy.springs(x)[2][0]
+    position = np.where(curvature > 0.0, curvature * force, direct[:, : energy.drones])
+    lengths = np.pad(cable[..., None], ((0, 0), (0, 0), (0, 2)))
+    return np.concatenate([lengths, position, force], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Tolerance(OneLine):
+    """Ranges at times (S,) of a plan.
+
+    Attributes
+    ----------
+    errors: sizes of errors, of ``cable``, ``position`` and ``force``.
+    settled: rest of the hitch without errors, in samples (S,).
+    tension_halves: (S, n) [N], half widths of the tensions' ranges, to first order.
+    tension_remainders: (S,) [N], additional half widths beyond first order.
+    vertex_halves: (S, points, 3) [m], half widths of the vertices' ranges, to first order.
+    vertex_remainders: (S,) [m], additional half widths beyond first order.
+    ellipsoids: (S, points, 3, 3) [m²], E: vertices stay within ``vᵀ E⁻¹ v ≤ 1``, to first order.
+    """
+
+    errors: Sizes
+    settled: Settled
+    tension_halves: Array
+    tension_remainders: Array
+    vertex_halves: Array
+    vertex_remainders: Array
+    ellipsoids: Array
+
+    @property
+    def tensions(self) -> Array:
+        """Smallest and largest tension of every cable, not below zero (S, n, 2) [N]."""
+        half = self.tension_halves + self.tension_remainders[:, None]
+        middle = self.settled.tensions
+        return np.maximum(np.stack([middle - half, middle + half], axis=-1), 0.0)
+
+    @property
+    def radii(self) -> Array:
+        """Largest distance of every vertex from its rest without errors (S, points) [m]."""
+        longest = np.sqrt(np.linalg.eigvalsh(self.ellipsoids)[..., -1])
+        return np.asarray(longest + self.vertex_remainders[:, None])
+
+    @property
+    def band(self) -> Array:
+        """Range of outward displacements of vertices, ``Settled.band`` (S, points, 2) [m]."""
+        return self.settled.band
+
+    @property
+    def slack_cables(self) -> tuple[str, ...]:
+        """Names of the cables that may be slack at some time."""
+        slack = self.settled.slack | (self.tensions[..., 0] <= 0.0)
+        return tuple(f"c{k}" for k in np.flatnonzero(slack.any(axis=0)))
+
+
+def tolerance(
+    plan: Plan | Motion,
+    t: ArrayLike | None = None,
+    *,
+    cable_error: ErrorSize | float | str = 0.0,
+    position_error: ErrorSize | float | str = 0.0,
+    force_error: ErrorSize | float | str = 0.0,
+    **conditions: Any,
+) -> Tolerance:
+    """Return the range of every tension and vertex of a plan's hitch for errors of given sizes.
+
+    Parameters
+    ----------
+    plan: with a hitch; or its motion.
+    t: (S,) [s]; by default 25 times at which its cables are taut.
+    cable_error: of every cable's length [m]. A number is a bound; ``ErrorSize(deviation=0.01)`` is
+        a standard deviation, which counts three times.
+    position_error: of every drone's setpoint, a vector [m].
+    force_error: of every drone's force feed-forward, a vector [N].
+    conditions: those of ``settle``, without samples of their own.
+
+    Raises
+    ------
+    InputError: a time without hitch, a negative size, or a wrong condition.
+    UnsupportedError: a plan without a taut hitch, or of several teams.
+    InfeasibleError: there is no rest.
+    """
+    check_instance("plan", plan, Plan, Motion)
+    motion = plan.motion if isinstance(plan, Plan) else plan
+    motion.require_one_team("tolerance", others=False)
+    sizes = {"cable": cable_error, "position": position_error, "force": force_error}
+    errors = {name: ErrorSize.of(f"{name}_error", size) for name, size in sizes.items()}
+    times = taut_times(motion) if t is None else np.atleast_1d(as_array(t))
+    if times.ndim != 1:
+        raise InputError("t", t, "one time, or a list of them", "give times [s] in one row")
+    settled = settle(motion, times, **conditions)
+    parts = [_range(motion, settled, i, errors, conditions) for i in range(len(times))]
+    return Tolerance(errors, settled, *(np.stack(values) for values in zip(*parts, strict=True)))
+
+
+def taut_times(motion: Motion, count: int = SAMPLES) -> Array:
+    """Return at most ``count`` times [s] of taut cables, including the first and the last.
+
+    Times at which tensions rise from zero or fall to zero are excluded. UnsupportedError: there are
+    no other times.
+    """
+    times = np.linspace(0.0, motion.duration, CANDIDATES * count)
+    if motion.team.has_cables:
+        states = states_at(motion, times)
+        taut = states.formed & np.all(states.tensions >= TAUT_RATIO * motion.team.tension, axis=-1)
+        unloaded = ~np.any(states.load_share > 0.0, axis=-1)  # statics do not model objects
+        times = times[taut & unloaded]
+    if not motion.team.has_cables or not len(times):
+        raise UnsupportedError("a plan without a taut hitch has no tensions to compute ranges of")
+    return times[np.unique(np.linspace(0, len(times) - 1, count).round().astype(np.intp))]
+
+
+def _range(
+    motion: Motion, settled: Settled, i: int, errors: Sizes, conditions: dict[str, Any]
+) -> tuple[Any, ...]:
+    """Return the arrays of a Tolerance at one time, in order."""
+    n, resolved = motion.team.robots, conditions_of(motion.team, **conditions)
+    energy = energy_of(motion.team, resolved, samples_of(motion, settled.t[i], resolved)[1])
+    clasps = settled.vertices[i, motion.team.layout.clasps]
+    rows = responses(energy, np.concatenate([settled.drones[i], clasps])[None])
+    sizes = np.array([[one.bound, DEVIATIONS * one.deviation] for one in errors.values()])
+    bound, three = np.repeat(sizes, [n, 2 * n, 2 * n], axis=0).T
+    spread = np.linalg.norm(rows * three[:, None], axis=(1, 2))
+    halves = length(rows) @ bound + spread
+    # The sum of ellipsoids E_j lies within (Σ √tr E_j) Σ E_j/√tr E_j, which has the least sum of
+    # squared axes among such bounds. Every bound is one ellipsoid, all deviations are another.
+    J = rows[n:].reshape(-1, 3, 5 * n, 3)
+    squares = np.einsum("pijc,pkjc->jpik", J, J)
+    spreads = np.tensordot(three**2, squares, 1)[None]
+    each = np.concatenate([bound[:, None, None, None] ** 2 * squares, spreads])
+    roots = np.sqrt(np.trace(each, axis1=-2, axis2=-1))[..., None, None]
+    shares = np.sum(roots, axis=0) / np.where(roots > 0.0, roots, np.inf)
+    ellipsoids = np.sum(shares * each, axis=0)
+    # Worst-case errors of the widest ranges
+    widest = np.append(np.argsort(-halves[:n])[:CORNERS], n + np.argsort(-halves[n:])[:CORNERS])
+    scale = np.where(spread > 0.0, spread, 1.0)[widest, None, None]
+    ends = bound[:, None] * unit(rows[widest]) + three[:, None] ** 2 * rows[widest] / scale
+    ends = np.concatenate([ends, -ends])
+    change = np.einsum("oji,sji->so", rows, ends)
+    parts = np.split(ends, [n, 3 * n], axis=1)
+    parts[0] = parts[0][..., 0]
+    deviations = {name: resolved[name] + part for name, part in zip(SAMPLED, parts, strict=True)}
+    try:
+        corners = settle(motion, settled.t[i], **(conditions | deviations | {"friction": 0.0}))
+    except InfeasibleError:  # errors are too large for first order
+        tension_remainder = vertex_remainder = np.inf
+    else:
+        tensions = np.maximum(settled.tensions[i] + change[:, :n], energy.slack_tension[0])
+        vertices = settled.vertices[i] + change[:, n:].reshape(len(change), -1, 3)
+        tension_remainder = REMAINDER_FACTOR * float(np.max(np.abs(corners.tensions - tensions)))
+        vertex_remainder = REMAINDER_FACTOR * float(np.max(length(corners.vertices - vertices)))
+    return halves[:n], tension_remainder, halves[n:].reshape(-1, 3), vertex_remainder, ellipsoids

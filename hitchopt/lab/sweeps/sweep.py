@@ -1,0 +1,289 @@
+"""Run studies: compute the missing rows, and load and summarize all rows.
+
+A study's directory holds ``rows.jsonl``, one row per line, and ``study.json`` with the digests of
+the study's cases, in order. Rows of other studies in the same directory are preserved and reused.
+Each row is appended by one write, so an interrupted run leaves at most one incomplete line, which
+is ignored.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import cycle
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hitchopt.errors import FileError, InputError, Progress, optional_module
+from hitchopt.lab.sweeps.study import Study, digest_of, study_from_dict
+from hitchopt.lab.sweeps.work import FAILED, PLANNED, Row, case_columns, compute_row, run_tasks
+from hitchopt.storage.files import replace_files, write_strict_json
+from hitchopt.storage.yaml_file import located, parse_yaml, read_text
+from hitchopt.values import integer, text
+from hitchopt.values import path as as_path
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
+
+ROWS, STUDY, PICTURE, FORMAT = "rows.jsonl", "study.json", "sweep.png", "hitchopt-sweep/1"
+
+PARAMETER = "parameter."  # Prefix of the columns of parameters
+SEAL = "sha256"  # Key of the digest of a row's other columns
+
+FIGURES = {"duration": "duration [s]", "simulate.peak_tension": "largest tension [N]"}
+"""Columns whose medians are reported, and their labels."""
+
+
+def run_sweep(
+    study: Study | Mapping[str, object] | str | Path,
+    directory: Path | str,
+    *,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    progress: Progress | None = None,
+) -> pandas.DataFrame:
+    """Compute the rows of a study that are missing in a directory; return all as ``load_sweep``.
+
+    Every case is planned and certified, then simulated if the study requests it. Every row is saved
+    at once, keyed by a digest of problem, versions and seed, so that the same call continues an
+    interrupted run.
+
+    Parameters
+    ----------
+    study: a study, its keys, or the path of its file.
+    directory: created if it is missing.
+    workers: number of processes on this machine; None for one per processor.
+    scheduler: address of a dask scheduler with workers; None for processes on this machine.
+    progress: status callback, called after every row.
+
+    Raises
+    ------
+    InputError, FileError: the study is invalid, or the directory is not writable.
+    SweepError: the scheduler was lost.
+    UnsupportedError: dask.distributed or pandas is not installed, or mujoco for simulated flights.
+    """
+    folder = as_path("directory", directory)
+    if workers is not None:
+        integer("workers", workers, 1)
+    if scheduler is not None:
+        text("scheduler", scheduler)
+    if isinstance(study, str | Path):
+        source = read_text(study)
+        with located(*source):
+            study = study_from_dict(parse_yaml(*source), Path(study).parent)
+    elif isinstance(study, Mapping):
+        study = study_from_dict(study)
+    elif not isinstance(study, Study):
+        raise InputError("study", study, "a Study, its keys, or a path", "see hitchopt.Study")
+    cases = {case.digest: case for case in study.cases()}
+    for name in ("dask", "distributed", "pandas"):  # before anything is computed
+        optional_module(name, "sweeps need", "sweep")
+    if any(case.simulate is not None for case in cases.values()):
+        optional_module("mujoco", "simulating needs", "simulate")
+    content = {
+        "format": FORMAT,
+        "title": study.keys.title,
+        "parameters": list(study.keys.parameters),
+        "cases": list(cases),
+    }
+    writers = {STUDY: lambda path: write_strict_json(path, content)}
+    replace_files(folder, writers, (STUDY,), seal=STUDY)
+    computed, refused = _read_rows(folder), 0
+    missing = {digest: case for digest, case in cases.items() if digest not in computed}
+    workers = min(workers or os.cpu_count() or 1, len(missing))
+    tasks = {digest: (case, digest) for digest, case in missing.items()}
+    with contextlib.closing(run_tasks(compute_row, tasks, workers, scheduler)) as futures:
+        for count, (digest, future) in enumerate(futures, 1 + len(cases) - len(missing)):
+            if future.status == "finished":
+                row: Row = future.result()
+            else:  # the case killed its workers, or raised another error
+                error = future.exception()
+                failure = {"status": FAILED, "message": f"{type(error).__name__}: {error}"}
+                row = case_columns(missing[digest], digest) | failure
+            write_row(folder, row)
+            refused += row["status"] != PLANNED
+            if progress is not None:
+                progress(f"{count} of {len(cases)} rows, {refused} without a plan")
+    return load_sweep(folder)
+
+
+def load_sweep(directory: Path | str) -> pandas.DataFrame:
+    """Return the rows of a sweep as a data frame, in the study's order, without missing rows.
+
+    Columns are ``problem``, ``seed``, ``parameter.KEY`` of every parameter, ``status`` (planned,
+    infeasible, time limit, failed or wrong), ``binding`` (the limit that binds), ``message``,
+    ``duration`` [s], ``check.NAME`` with the worst value of every check of the certificate,
+    ``simulate.…``, ``time.…`` (processor time [s]) and ``digest``.
+
+    Parameters
+    ----------
+    directory: the directory of ``run_sweep``.
+
+    Raises
+    ------
+    FileError: there is no sweep.
+    UnsupportedError: pandas is not installed.
+    """
+    frames = optional_module("pandas", "sweeps need", "sweep")
+    folder = as_path("directory", directory)
+    study, rows = read_study(folder), _read_rows(folder)
+    done = [rows[digest] for digest in study["cases"] if digest in rows]
+    table: pandas.DataFrame = frames.DataFrame(done or {"digest": []})
+    if not done:
+        return table
+    first = ["problem", "seed", *(f"parameter.{key}" for key in study["parameters"])]
+    first += ["status", "binding", "message", "duration"]
+    return table.reindex(columns=[*first, *sorted(set(table.columns) - set(first))])
+
+
+def read_study(directory: Path) -> dict[str, Any]:
+    """Return title, parameters and cases of a directory's study; raises FileError if invalid."""
+    path = directory / STUDY
+    try:
+        study = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise FileError(f"{path}: cannot be read ({reason}); run hitchopt sweep first") from None
+    if not isinstance(study, dict) or study.get("format") != FORMAT:
+        raise FileError(f"{path}: is not of the format {FORMAT}; run hitchopt sweep again")
+    return study
+
+
+def _read_rows(directory: Path) -> dict[str, Row]:
+    """Return the rows of a directory by digest, without incomplete lines.
+
+    Raises FileError if a row was edited.
+    """
+    path, rows = directory / ROWS, dict[str, Row]()
+    try:
+        lines = path.read_text("utf-8", "replace").splitlines() if path.exists() else []
+    except OSError as error:
+        raise FileError(f"{path}: cannot be read: {error}") from error
+    for number, line in enumerate(lines, 1):
+        with contextlib.suppress(ValueError, KeyError, TypeError):
+            row = json.loads(line)
+            rows[row["digest"]] = row
+            if row.pop(SEAL, None) != digest_of(row):
+                raise FileError(
+                    f"{path}: line {number} was edited, or is of an earlier release; delete it, "
+                    "and run the study again: it is computed anew"
+                )
+    return rows
+
+
+def write_row(directory: Path, row: Row) -> None:
+    """Append a row as one line; raises FileError if the disk is full or not writable."""
+    values = {name: _scalar(name, value) for name, value in row.items()}
+    values[SEAL] = digest_of(values)
+    line = f"\n{json.dumps(values)}\n".encode()  # the last line may be incomplete
+    try:
+        with (directory / ROWS).open("ab", buffering=0) as file:
+            if file.write(line) != len(line):
+                raise OSError(0, "the disk is full")
+    except OSError as error:
+        raise FileError(
+            f"{directory}: cannot be written: {error.strerror or error}; free space or permissions "
+            "there, then run the same study again: only what is missing is computed"
+        ) from error
+
+
+def _scalar(name: str, value: object) -> object:
+    """Return a cell's value: lists and mappings as JSON, numbers except seeds as floats."""
+    if isinstance(value, dict | list):
+        return json.dumps(value, sort_keys=True)
+    is_number = isinstance(value, int) and not isinstance(value, bool) and name != "seed"
+    return float(value) if is_number else value  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class Share:
+    """Number of rows with a property, and Wilson's interval of the rate (1927)."""
+
+    count: int
+    rows: int
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Wilson's 95 % confidence interval, which is valid for few rows too."""
+        from scipy.stats import binomtest
+
+        low, high = binomtest(self.count, self.rows).proportion_ci(0.95, method="wilson")
+        return float(low), float(high)
+
+    def __str__(self) -> str:
+        low, high = self.interval
+        return f"{self.count} of {self.rows} ({100 * low:.0f}–{100 * high:.0f} %)"
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Totals of a sweep."""
+
+    cases: int  # of the study; there may be fewer rows
+    planned: Share  # of rows with a plan
+    succeeded: Share | None  # of simulated flights, if any
+    binding: tuple[tuple[str, int], ...]  # limits that bind, or other reasons, most frequent first
+
+
+def summary(rows: pandas.DataFrame, cases: int) -> Summary:
+    """Return the totals of a sweep's rows; raises InputError if there are none."""
+    if not len(rows):
+        raise InputError("rows", 0, "at least 1", "run the sweep first")
+    planned, flights, share = rows["status"] == PLANNED, rows.get("simulate.succeeded"), None
+    if flights is not None and len(flights := flights.dropna()):
+        share = Share(int(flights.astype(bool).sum()), len(flights))
+    reasons = rows.loc[~planned, "binding"].fillna(rows.loc[~planned, "status"])
+    binding = tuple((str(name), int(count)) for name, count in reasons.value_counts().items())
+    return Summary(cases, Share(int(planned.sum()), len(rows)), share, binding)
+
+
+def outcomes(rows: pandas.DataFrame) -> list[dict[str, Any]]:
+    """Return the varying parameters and median results of every point, by column headings."""
+    keys = [x for x in rows.columns if x == "problem" or x.startswith(PARAMETER)]
+    keys = [key for key in keys if rows[key].nunique(dropna=False) > 1]
+    table = list[dict[str, Any]]()
+    for values, group in rows.groupby(keys or ["problem"], sort=False, dropna=False):
+        row = {key.removeprefix(PARAMETER): x for key, x in zip(keys, values, strict=False)}
+        refused = group[group["status"] != PLANNED]
+        row["planned"] = refused.empty
+        row |= {head: float(group[key].median()) for key, head in FIGURES.items() if key in group}
+        if len(refused):
+            row["binding"] = refused["binding"].fillna(refused["status"]).iloc[0]
+        if len(flights := group.get("simulate.succeeded", group["status"][:0]).dropna()):
+            row["flown well"] = f"{int(flights.astype(bool).sum())} of {len(flights)}"
+        table.append(row)
+    return table
+
+
+def draw_sweep(points: list[dict[str, Any]]) -> Figure | None:
+    """Plot the last figure of ``outcomes`` over the first varying parameter, if any.
+
+    Every combination of the other parameters is a curve. A point without a plan is a cross with the
+    reason.
+    """
+    from hitchopt.view import style
+    from hitchopt.view.pictures import STYLES
+
+    heads = list(points[0])
+    if not (keys := heads[: heads.index("planned")]):
+        return None
+    figure, head = style.new_figure((6.5, 4.0)), [x for x in FIGURES.values() if x in heads][-1]
+    axes = figure.add_subplot(xlabel=keys[0], ylabel=head)
+    curves = dict[str, list[dict[str, Any]]]()
+    for row in points:
+        curves.setdefault(", ".join(f"{key} {row[key]}" for key in keys[1:]), []).append(row)
+    for (label, curve), (colour, line) in zip(curves.items(), cycle(STYLES)):
+        xs = [x if isinstance(x := row[keys[0]], int | float) else str(x) for row in curve]
+        axes.plot(xs, [row[head] for row in curve], "o", ls=line, ms=4, color=colour, label=label)
+        for x, row in zip(xs, curve, strict=True):
+            if not row["planned"]:
+                axes.plot(x, 0.0, "x", color=style.LIMIT_COLOUR)
+                style.write(axes, row["binding"], (x, 0.0), (0, 6), rotation=90, va="bottom")
+    style.from_zero(axes)
+    if 1 < len(curves) <= len(STYLES):
+        axes.legend(fontsize="small", frameon=False)
+    return figure
