@@ -24,9 +24,9 @@ PACKAGE = Path(hitchopt.__file__).parent
 TREES = {path: ast.parse(path.read_text("utf-8")) for path in sorted(PACKAGE.rglob("*.py"))}
 NODES = [(path, node) for path, tree in TREES.items() for node in ast.walk(tree)]
 
-# Methods that the package itself does not call: toppra, click, pydantic and pickle do, or users
+# Methods that the package itself does not call: toppra, click and pickle do, or users
 CALLED = frozenset(
-    """compute_constraint_params convert field_title_should_be_set format_commands invoke
+    """compute_constraint_params convert format_commands invoke
     reducer_override abort displacements mirrored pause renumbered resume retarget rotated
     to_dataframe""".split()  # noqa: SIM905
 )
@@ -40,7 +40,7 @@ def test_public_names_have_words_and_others_are_refused() -> None:
         _ = hitchopt.nonsense  # type: ignore[attr-defined]
 
 
-HEAVY = ("casadi", "matplotlib", "toppra", "scipy", "pydantic", "ruamel.yaml")
+HEAVY = ("casadi", "matplotlib", "toppra", "scipy", "ruamel.yaml")
 PLANNED = """
 import sys, hitchopt as ho
 ho.morph(ho.Hitch.spread(ho.Team(robots=3, cable_length=2.4),

@@ -2,8 +2,7 @@
 
 Both raise SystemExit: click turns a KeyboardInterrupt while it parses arguments into "Aborted!" and
 exit code 1. Signals are deferred during imports, as compiled modules turn the exception into an
-ImportError or print a traceback, and within pydantic, whose compiled code panics if a callback
-raises.
+ImportError or print a traceback.
 """
 
 from __future__ import annotations
@@ -26,8 +25,8 @@ _DEFAULTS: dict[int, Callable[[int, FrameType | None], None] | signal.Handlers] 
 
 RESEND_DELAY = 0.02  # Delay before a deferred signal is sent again [s]
 
-_IMPORT_FILES, _PYDANTIC_MODULES = "<frozen importlib._bootstrap", "pydantic."
-"""Prefixes of names of files and modules within which signals are deferred."""
+_IMPORT_FILES = "<frozen importlib._bootstrap"
+"""Prefix of names of files within which signals are deferred."""
 
 _received: list[int] = []  # Signals handled within the outermost context
 
@@ -77,9 +76,7 @@ def _exit(number: int, frame: FrameType | None) -> None:
 
 def _is_deferred(frame: FrameType | None) -> bool:
     while frame is not None:
-        module = str(frame.f_globals.get("__name__"))
-        file = frame.f_code.co_filename
-        if file.startswith(_IMPORT_FILES) or module.startswith(_PYDANTIC_MODULES):
+        if frame.f_code.co_filename.startswith(_IMPORT_FILES):
             return True
         frame = frame.f_back
     return False

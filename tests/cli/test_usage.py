@@ -9,19 +9,16 @@ import re
 import signal
 import subprocess
 import sys
-import threading
 from importlib import metadata
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 import click
-import pydantic
 import pytest
 from click.testing import CliRunner
 from commands import TRIANGLE, refused, run, started, strict
 from plans import BAD, ROOT
-from pydantic_core import core_schema
 
 import hitchopt as ho
 from hitchopt.checks.certificate import GROUPS
@@ -112,7 +109,7 @@ def test_a_bad_file_in_a_process_of_its_own() -> None:
 
 
 def test_help_is_light_and_names_every_command() -> None:
-    heavy = "casadi matplotlib toppra scipy osqp numpy pydantic ruamel rich"
+    heavy = "casadi matplotlib toppra scipy osqp numpy ruamel rich"
     code = (
         "import sys\nfrom hitchopt.cli import main\n"
         "try:\n    main(['--help'])\nexcept SystemExit as end:\n    assert end.code == 0\n"
@@ -179,26 +176,6 @@ def test_signals_end_quietly_wherever_they_come(
     assert [path.name for path in place.iterdir()] == ["seen"]
     written = ".hitchopt-" in (place / "seen").read_text()
     assert written is target.endswith("write_setpoints")
-
-
-@pytest.mark.slow
-def test_signals_wait_until_pydantic_has_built_a_model() -> None:
-    built = []
-
-    class Noisy:
-        @classmethod
-        def __get_pydantic_core_schema__(cls, *_: object) -> core_schema.CoreSchema:
-            signal.raise_signal(signal.SIGINT)
-            return core_schema.any_schema()
-
-    @interrupts.exit_on_signals()
-    def build_and_wait() -> None:
-        built.append(pydantic.create_model("Model", noisy=(Noisy, ...)))
-        threading.Event().wait(10.0)
-
-    with pytest.raises(SystemExit) as end:
-        build_and_wait()
-    assert (end.value.code, len(built)) == (130, 1)
 
 
 def test_commands_say_how_they_end() -> None:

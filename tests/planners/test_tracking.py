@@ -121,8 +121,7 @@ def test_plans_keep_every_distance_with_tracking_errors(name: str, tmp_path: Pat
     with np.load(tmp_path / "plan.npz") as file:
         arrays = dict(file)
     settings = json.loads(str(arrays["settings"]))
-    for limits in (settings["limits"], settings["asked"]["limits"]):
-        limits["tracking"] = 2.0 * check.bound
+    settings["groups"][0]["records"]["requirements"]["limits"]["tracking"] = 2.0 * check.bound
     arrays["settings"] = np.array(json.dumps(settings))
     np.savez(tmp_path / "plan.npz", **arrays)
     assert not ho.load(tmp_path).certificate["tracking_radius"].holds
