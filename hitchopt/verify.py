@@ -20,7 +20,6 @@ it is limited.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import re
@@ -60,38 +59,38 @@ CROSSINGS = {"on the ground": 0, "hanging free": 0, "being tightened": 1, "hitch
 LAID, ROLLING = "being laid", "rolling"  # single taut cables; pairs between crossing and clasp
 CLASPING, TIGHTENED = "clasping", "being tightened"
 LYING, UNLINKED = "lying across", {"on the ground", "hanging free"}  # weight transfer; no links
+EARLIER_FORMATS = ("hitchopt-plan/1", "hitchopt-plan/2")
 STATES = {*CROSSINGS, "clasping", LAID, ROLLING, LYING, "none"}
-POSITIVE = ("mass", "max_thrust", "cable_length", "tension")
+SAME = 1e-9  # [m], [N] largest difference of contacts from midpoints, of pulls from tensions
 MAX_COEFFS = 61  # coefficients of a curve
 SAG_TOL = 0.02  # [m] largest gap of cables that lie on each other, due to different sags
 
-# Keys of settings and their types: * optional, ? nullable, [] list, [2] list of two.
+# Keys of settings and their types: ? nullable, [] list, [2] list of two.
 TYPES = {
-    "settings": "title:text team:any limits:limits separation:separation arena:arena? asked:any "
-    "keep_out:prism[] phases:any[] objects:any* problem:text* assignment:roles* control:flag* "
-    "controllers:named?[]* leg_tensions:flag* poses:flag* borne:flag* contacts:flag*",
-    "several": "title:text problem:text* teams:any others:any asked:groups",
-    "groups": "teams:text[] others:any",
-    "other": "plan:text at:number digest:text",
-    "team": "robots:count topology:text cable_density:0+ cable_friction:0+ load:0+[]",
-    "single": "drones:count",
+    "settings": "title:text problem:text groups:group[] others:group[]",
+    "group": "name:text plan:text digest:text records:records",
+    "records": "team:any requirements:requirements phases:phase[] assignment:roles?",
+    "requirements": "limits:limits separation:separation arena:arena? keep_out:prism[] objects:any",
+    "team": "robots:count cable_length:+[] topology:text cable_density:0+ cable_friction:0+ "
+    "tension:+[] quadrotor:kind[] load:0+[]",
+    "single": "drones:count quadrotor:kind[]",
+    "kind": "mass:+ max_thrust:+ stiffness:+? integral:flag? feed_forward:flag? controller:text? "
+    "gains:gains? latency:0+? model:text?",
+    "gains": "kp:+[2]? kd:+[2]? ki:0+[2]?",
     "limits": "speed:+ acceleration:+ jerk:+ tilt:+ body_rate:+? vertex_speed:+ leg:+ duration:+? "
-    "reserve:+ tracking:+*",
+    "reserve:+ tracking:0+?",
     "separation": "radius:+ height:+ cable:0+ crossing:0+ object:0+",
     "arena": "lower:number[3] upper:number[3]",
     "prism": "polygon:number[2][] lower:number upper:number",
-    "phase": "name:text step:count remark:text start:number end:number state:text tension:+[2]? "
-    "hold:hold?",
+    "phase": "name:text step:count start:number end:number remark:text state:text tension:+[2]? "
+    "hold:hold? ring:count[]? waiting:any[2][]",
     "hold": "object:text by:text cables:count[]",
-    "named": "controller:text gains:gains? latency:0+*",
-    "gains": "kp:+[2]? kd:+[2]? ki:0+[2]?",
     "roles": "robots:count[] flipped:flag[]",
     "body": "section:section lower:number upper:number mass:+ friction:0+ at:number[3] yaw:number "
     "rim:rim? fixed:flag",
     "section": "outline:number[2][]? radius:+?",
     "rim": "section:section height:number",
 }
-TYPES["member"] = f"{TYPES['phase']} ring:count[] waiting:any[2][]"  # as robots join or leave
 SCALARS: dict[str, Callable[[Any], bool]] = {
     "text": lambda x: type(x) is str,
     "flag": lambda x: type(x) is bool,
@@ -101,7 +100,6 @@ SCALARS: dict[str, Callable[[Any], bool]] = {
     "0+": lambda x: SCALARS["number"](x) and x >= 0,
     "any": lambda _: True,
 }
-DEFAULTS = {"stiffness": math.inf, "integral": 0.0, "feed_forward": 1.0}  # of controllers
 
 
 class Row(NamedTuple):
@@ -126,16 +124,15 @@ def check_type(key: str, x: Any, form: str) -> None:
     """Raise ValueError with the key of a setting whose value is not of a type of ``TYPES``."""
     if x is None and "?" in form:
         return
-    kind = form.rstrip("?*")
+    kind = form.rstrip("?")
     item, _, count = kind.rstrip("]").rpartition("[")
     if kind in TYPES and isinstance(x, dict):
         forms = dict(entry.split(":") for entry in TYPES[kind].split())
-        for name in forms | x:
-            child, optional = forms.get(name, ""), "*" in forms.get(name, "")
-            if child and name in x and (x[name] or not optional):
-                check_type(f"{key}.{name}", x[name], child)
-            elif name in x or not optional:
-                raise ValueError(f"{key}.{name} is missing, empty, or unknown")
+        if forms.keys() != x.keys():
+            names = ", ".join(sorted(forms.keys() ^ x.keys()))
+            raise ValueError(f"{key} lacks keys, or has unknown ones: {names:.99}")
+        for name, child in forms.items():
+            check_type(f"{key}.{name}", x[name], child)
     elif item and isinstance(x, list) and count in ("", str(len(x))):
         for i, y in enumerate(x):
             check_type(f"{key}[{i}]", y, item)
@@ -645,34 +642,27 @@ class Plan:
     is its only chapter. ``changing`` has the robots that join or leave at its start and end, or -1.
     """
 
-    def __init__(
-        self, file: Any, s: dict[str, Any], folder: str = "", at: float = 0.0, robots: Any = ()
-    ) -> None:
-        self.file, self.folder, self.settings = file, folder, s
-        self.label = folder.removeprefix("others/").replace("/", ".")
+    def __init__(self, file: Any, head: dict[str, Any], folder: str = "", robots: Any = ()) -> None:
+        self.file, self.folder, records = file, folder, head["records"]
+        self.label = f"{head['name']}." if head["name"] else ""
+        self.settings = {**records, **records["requirements"]}
         self.arrays, self.robots, self.changing = dict[str, Array](), np.array(robots), [-1, -1]
         self.start, self.stop, self.ring_plan = -math.inf, math.inf, self
-        check_type("settings", s, "settings")
-        check_type("settings.team", s["team"], "team" if "robots" in s["team"] else "single")
-        form = "member[]" if "ring" in s["phases"][0] else "phase[]"
-        check_type("settings.phases", s["phases"], form)
-        self._read(s)
-        if not robots and self.breaks[0] != at:
-            raise ValueError(f"{self.label}breaks do not start at {at:g}")
-        for text in () if robots else differences("", s["asked"], recorded_request(self)):
-            raise ValueError(f"{self.label}{text}")
-        self.chapters = [[self]] if "ring" not in self.phases[0] else chapters(self)
+        team, roles = records["team"], records["assignment"]
+        check_type("team", team, "team" if "robots" in team else "single")
+        self._read(self.settings)
+        if roles and (sorted(roles["robots"]), len(roles["flipped"])) != ([*range(self.n)], self.n):
+            raise ValueError(f"{self.label}assignment is no permutation")
+        changes = any(phase["ring"] is not None for phase in self.phases)
+        self.chapters = chapters(self) if changes else [[self]]
 
-    def _array(self, name: str, *shape: int, default: Any = None, bound: float = 1e5) -> Array:
-        """Return an array of the file, or ``default`` if the settings do not name it."""
-        if self.settings.get(name) is not True and (0 in shape or default is not None):
-            return np.zeros((*shape, 1)) if default is None else np.asarray(default)
+    def _array(self, name: str, *shape: int, bound: float = 1e5) -> Array:
+        """Return an array of the file; a polynomial if its shape has several numbers."""
         x: Array = self.file[self.folder + name]
         self.arrays[name] = x
         fits = (x.shape[:-1] if shape[1:] else x.shape) == shape and x.dtype == np.float64
-        fits &= (x.size > 0 or 0 in shape) and [*self.file].count(self.folder + name) == 1
+        fits &= x.shape[-1] > 0 and [*self.file].count(self.folder + name) == 1
         fits &= not shape[1:] or x.shape[-1] <= MAX_COEFFS
-        fits &= name not in POSITIVE or bool(np.all(x > 0.0))
         if not fits or not np.all(np.abs(x) <= bound):
             raise ValueError(f"{name} has a wrong shape, or numbers beyond their bounds")
         return x
@@ -693,7 +683,7 @@ class Plan:
     def _read(self, s: dict[str, Any]) -> None:
         team, self.breaks, self.phases = s["team"], self.file[f"{self.folder}breaks"], s["phases"]
         self.limits, self.arena, label = dict(s["limits"]), s["arena"], self.label
-        self._set_distances(s["separation"], float(self.limits.get("tracking") or 0.0))
+        self._set_distances(s["separation"], float(self.limits["tracking"] or 0.0))
         self.limits["leg"] += 2.0 * self.tracking  # vertices may be off as far as drones
         self.h, self.n = np.diff(self.breaks), int(team.get("robots", 0))
         m, n, self.closed = len(self.h), self.n, team.get("topology") == "closed"
@@ -710,13 +700,7 @@ class Plan:
         box = s["arena"] or {"lower": [0.0], "upper": [1.0]}
         if np.any(np.array(box["lower"]) >= box["upper"]):
             raise ValueError("arena has a lower bound that is not below its upper bound")
-        self.quadrotors = {key: self._array(key, n or N) for key in ("mass", "max_thrust")}
-        self.mass, self.max_thrust = (
-            np.repeat(x[:, None], 1 + (n > 0), axis=0) for x in self.quadrotors.values()
-        )
-        for key, x in DEFAULTS.items():
-            default = None if s.get("control") is True else np.full(n or N, x)
-            self.quadrotors[key] = self._array(key, n or N, default=default, bound=math.inf)
+        self._read_quadrotors(team)
         self.robots = self.robots if len(self.robots) else np.arange(n)
         self.names = [f"{label}{end}{k}" for k in self.robots for end in "qr"]
         self.names += [f"{label}d{i}" for i in range(N - 2 * n)]
@@ -747,26 +731,38 @@ class Plan:
         self.ramp = reached & self.formed
         self.vertical = np.max(np.ptp(drones[:, :, :2], axis=-1), axis=(1, 2)) <= POS_TOL
 
+    def _read_quadrotors(self, team: dict[str, Any]) -> None:
+        """Read masses and thrusts (N, 1) of drones."""
+        n, N = self.n, self.N
+        kinds = team["quadrotor"]
+        counts = [len(kinds), *(len(team[key]) for key in ("cable_length", "tension") if n)]
+        if {*counts} != {n or N} or (n and len(team["load"]) != n - 1 + self.closed):
+            raise ValueError("team has a wrong number of kinds, lengths, tensions or loads")
+        self.mass, self.max_thrust = (
+            np.repeat([[float(kind[key])] for kind in kinds], 1 + (n > 0), axis=0)
+            for key in ("mass", "max_thrust")
+        )
+
     def _check_phases(self) -> None:
         """Raise ValueError unless phases are consecutive and consistent."""
         end, before = self.breaks[0], dict[str, Any]()
-        objects, team = self.settings.get("objects", {}), self.settings["team"]
-        moving = self.settings.keys() & {"poses", "borne", "contacts"}
+        objects, team = self.settings["objects"], self.settings["team"]
+        changes = any(phase["ring"] is not None for phase in self.phases)
         for i, phase in enumerate(self.phases):
             start, state, range_, hold = (phase[x] for x in ("start", "state", "tension", "hold"))
             follows, end = abs(start - end) <= POS_TOL and start < phase["end"], phase["end"]
-            same = all(phase.get(x) == before.get(x) for x in ("state", "ring", "waiting"))
+            same = all(phase[x] == before.get(x) for x in ("state", "ring", "waiting"))
             at_break, before = same or np.min(np.abs(self.breaks - start)) <= POS_TOL, phase
-            ring, waiting = phase.get("ring"), phase.get("waiting", [])
+            ring, waiting = phase["ring"], phase["waiting"]
             complete = sorted([*(ring or ()), *(k for k, _ in waiting)]) == [*range(self.n)]
             complete &= len(ring or ()) > 2 and self.closed and not (any(team["load"]) or hold)
-            complete &= not moving and {*UNLINKED, LAID}.issuperset(x for _, x in waiting)
+            complete &= {*UNLINKED, LAID}.issuperset(x for _, x in waiting)
             known = not hold or (hold["object"] in objects and hold["by"] in ("rest", "grip"))
             known &= {*range(self.n)}.issuperset(hold["cables"] if hold else ())
             for valid, text in (
                 (follows, "does not start at the end of the previous phase"),
                 (at_break, "changes the state within a piece"),
-                (ring is None or complete, "has an invalid ring, or invalid waiting robots"),
+                (complete if changes else not waiting, "has invalid rings or waiting robots"),
                 (state in STATES and (state == "none") is (self.n == 0), f"has the state {state}"),
                 (range_ is None or range_[0] <= range_[1], "has an empty range of tensions"),
                 (known, "holds an unknown object, or with unknown cables"),
@@ -778,7 +774,7 @@ class Plan:
 
     def _read_bodies(self, m: int, n: int) -> None:
         """Read objects, masks of their holds (o, m), and of the cables that hold them (o, m, n)."""
-        self.bodies = [Body(name, o) for name, o in self.settings.get("objects", {}).items()]
+        self.bodies = [Body(name, o) for name, o in self.settings["objects"].items()]
         o, prisms = len(self.bodies), self.settings["keep_out"]
         self.slabs = [(b, slab) for b, body in enumerate(self.bodies) for slab in body.slabs]
         self.walls = [(-1, Slab(e["polygon"], None, e["lower"], e["upper"])) for e in prisms]
@@ -788,9 +784,11 @@ class Plan:
                 j = [b.name for b in self.bodies].index(hold["object"])
                 {"rest": self.rest, "grip": self.grip}[hold["by"]][j, p] = True
                 self.holding[j, p, hold["cables"]] = True
-        fixed = np.array([b.pose for b in self.bodies]).reshape(1, o, 5, 1) * np.ones((m, 1, 1, 1))
-        self.poses = Curve(self._array("poses", m, o, 5, default=fixed), self.h)
-        share = self._array("borne", m, o, default=np.zeros((m, o, 1)))
+        self.poses = Curve(self._array("poses", m, o, 5), self.h)
+        first = np.array([b.pose for b in self.bodies]).reshape(o, 5)
+        if np.any(np.abs(self.poses.c[0][0, ..., 0] - first) > REST_TOL):
+            raise ValueError(f"{self.label}an object starts at another pose")
+        share = self._array("load_share", m, o)
         share = np.where(np.abs(share - np.round(share)) <= 2.0**-40, np.round(share), share)
         self.load_share = Curve(share[:, :, None], self.h)
         self.held, self.lifted = self.rest | self.grip, np.all(share == 1.0, axis=-1).T
@@ -801,7 +799,8 @@ class Plan:
 
     def _read_cables(self, m: int, n: int, N: int, P: int) -> list[Array]:
         """Read cables; return coefficients of vertices and of contacts of edges."""
-        team = {"cable_density": 0.0, "cable_friction": 0.0, "load": 0.0, **self.settings["team"]}
+        none = {"cable_density": 0.0, "cable_friction": 0.0, "load": 0.0}
+        team = none | {"cable_length": [], "tension": []} | self.settings["team"]
         k = np.arange(n)
         self.begin, self.end, self.clasps = N + k, N + (k + 1) % max(P, 1), k[not self.closed :]
         self.behind = (self.clasps - 1) % max(n, 1)  # the other cable of a clasp
@@ -813,32 +812,19 @@ class Plan:
         self.pull_point = np.where(leg, own, own[:, ::-1]).ravel()
         self.weight, self.mu = G * float(team["cable_density"]), float(team["cable_friction"])
         self.load = (np.array(team["load"], dtype=float) * np.ones(len(self.clasps)))[:, None]
-        self.length, self.team = (self._array(x, n)[:, None] for x in ("cable_length", "tension"))
+        self.length: Array = np.array(team["cable_length"], dtype=float)[:, None]
+        self.team: Array = np.array(team["tension"], dtype=float)[:, None]
         vertices, T = self._array("vertices", m, P, 3), self._array("tensions", m, n)
-        middle = 0.5 * (vertices + np.roll(vertices, -1, 1))[:, :n]
-        middle = np.stack([middle, middle], 2)
-        contacts, both = self._array("contacts", m, n, 2, 3, default=middle), np.stack([T, T], 2)
-        pulls = self._array("leg_tensions", m, n, 2, default=both)
-        self.has_contacts, self.frictional = contacts is not middle, pulls is not both
+        middle, both = midpoints(vertices, n), np.stack([T, T], 2)
+        contacts, pulls = self._array("contacts", m, n, 2, 3), self._array("leg_tensions", m, n, 2)
+        self.has_contacts, self.frictional = differ(contacts, middle), differ(pulls, both)
+        contacts = contacts if self.has_contacts else middle
+        pulls = pulls if self.frictional else both
         legs = self._array("legs", m, n, 2)
         flat = (x.reshape(m, 2 * n, 1, x.shape[-1]) for x in (pulls, legs))
         self.pulls, self.legs = (Curve(x, self.h) for x in flat)
         self.tensions = Curve(T[:, :, None], self.h)
-        # Drones that turn about each vertex; twice the same at the ends of a chain (P, 2)
-        j = np.arange(P)
-        self.pairs = np.stack([2 * j, 2 * j - 1], -1) % max(N, 1)
-        if not self.closed and n:
-            self.pairs[[0, -1]] = [[0, 0], [N - 1, N - 1]]
-        # Vertices of the hitch before or after each piece on which cables clasp (m, P, 3)
-        self.clasping = np.isin(self.state, (CLASPING, TIGHTENED))
-        self.tied, self.tied_vertices = np.zeros(m, bool), np.zeros((m, P, 3))
-        for piece in np.flatnonzero(self.clasping):
-            run = np.flatnonzero(~self.clasping)
-            before, after = run[run < piece][-1:], run[run > piece][:1]
-            for near, end in ((after, 0), (before, -1)):
-                if len(near) and self.formed[near[0]]:
-                    self.tied[piece] = True
-                    self.tied_vertices[piece] = vertices[near[0], ..., end]
+        self._read_ties(vertices)
         self.clasped = np.zeros((n, n), dtype=bool)  # cables that clasp each other
         self.clasped[self.clasps, self.behind] = self.clasped[self.behind, self.clasps] = True
         # Phases that state a range of tensions (m,), and the ranges (m, n, 2) [N].
@@ -859,6 +845,25 @@ class Plan:
         self.segment_names = leg_names + [f"{self.label}edge {j}" for j in k] * (len(rows) - 1)
         return [vertices, contacts.reshape(m, 2 * n, 3, contacts.shape[-1])]
 
+    def _read_ties(self, vertices: Array) -> None:
+        """Read which drones turn about vertices, and vertices of the hitch before or after."""
+        (m, P), n, N = vertices.shape[:2], self.n, self.N
+        # Drones that turn about each vertex; twice the same at the ends of a chain (P, 2)
+        j = np.arange(P)
+        self.pairs = np.stack([2 * j, 2 * j - 1], -1) % max(N, 1)
+        if not self.closed and n:
+            self.pairs[[0, -1]] = [[0, 0], [N - 1, N - 1]]
+        # Vertices of the hitch before or after each piece on which cables clasp (m, P, 3)
+        self.clasping = np.isin(self.state, (CLASPING, TIGHTENED))
+        self.tied, self.tied_vertices = np.zeros(m, bool), np.zeros((m, P, 3))
+        for piece in np.flatnonzero(self.clasping):
+            run = np.flatnonzero(~self.clasping)
+            before, after = run[run < piece][-1:], run[run > piece][:1]
+            for near, end in ((after, 0), (before, -1)):
+                if len(near) and self.formed[near[0]]:
+                    self.tied[piece] = True
+                    self.tied_vertices[piece] = vertices[near[0], ..., end]
+
     def spans(self, on: Mask, items: Any, *names: Sequence[str]) -> Spans:
         """Return whole pieces with items (k,) or (k, c), for a mask (m,) or (m, k)."""
         items = np.array(items, dtype=int)
@@ -868,8 +873,22 @@ class Plan:
         return Spans(self, piece, items[k], half, half, names)
 
 
+def midpoints(vertices: Array, n: int) -> Array:
+    """Return contacts of straight edges (m, n, 2, 3, N + 1)."""
+    middle = 0.5 * (vertices + np.roll(vertices, -1, 1))[:, :n]
+    return np.stack([middle, middle], 2)
+
+
+def differ(c: Array, d: Array) -> bool:
+    """Return whether polynomials differ by more than SAME."""
+    count = max(c.shape[-1], d.shape[-1])
+    return bool(np.any(np.abs(elevate(c, count) - elevate(d, count)) > SAME))
+
+
 def chapters(p: Plan) -> list[list[Plan]]:
     """Return the plans of rings, each with those of the waiting robots."""
+    if p.has_contacts or np.any(p.active):
+        raise ValueError("objects move, or edges bend around them, while robots join or leave")
     chapters, first = list[list[Plan]](), 0
     for ring, run in groupby(p.phases[i]["ring"] for i in p.phase):
         pieces = slice(first, first := first + len([*run]))
@@ -892,19 +911,24 @@ def chapter(p: Plan, pieces: slice, robots: list[int]) -> Plan:
     """Return the plan of a ring, or of a waiting robot, on a run of pieces."""
     arrays, n = dict[str, Array](), len(robots)
     ends, vertices = [2 * k + end for k in robots for end in (0, 1)], [*range(max(n, 2))]
-    rows = {"drones": ends, "vertices": vertices}
+    rows: dict[str, Any] = {"drones": ends, "vertices": vertices}
+    rows |= dict.fromkeys(("poses", "load_share"), slice(None))
     for name, x in p.arrays.items():
-        arrays[p.folder + name] = x[robots] if x.ndim == 1 else x[pieces, rows.get(name, robots)]
+        arrays[p.folder + name] = x[pieces, rows.get(name, robots)] if x.ndim > 1 else x
     arrays[f"{p.folder}breaks"] = p.breaks[pieces.start : pieces.stop + 1]
+    arrays[f"{p.folder}contacts"] = midpoints(arrays[f"{p.folder}vertices"], n)
     clasps, topology = (n, "closed") if n > 1 else (0, "open")
-    team = {"robots": n, "topology": topology, "load": [0.0] * clasps}
+    team = p.settings["team"] | {"robots": n, "topology": topology, "load": [0.0] * clasps}
+    for key in ("cable_length", "tension", "quadrotor"):
+        team[key] = [team[key][k] for k in robots]
     phases = list[dict[str, Any]]()
     for i in dict.fromkeys(p.phase[pieces].tolist()):
-        phase = {key: x for key, x in p.phases[i].items() if key not in ("ring", "waiting")}
+        phase = p.phases[i] | {"ring": None, "waiting": []}
         waiting = dict(p.phases[i]["waiting"])
         phases.append(phase if n > 1 else phase | {"state": waiting[robots[0]], "tension": None})
-    settings = p.settings | {"team": p.settings["team"] | team, "phases": phases}
-    return Plan(arrays, settings, p.folder, robots=robots)
+    records = {key: p.settings[key] for key in ("requirements", "assignment")}
+    records |= {"team": team, "phases": phases, "assignment": None}
+    return Plan(arrays, {"name": p.label[:-1], "records": records}, p.folder, robots=robots)
 
 
 def elevate(c: Array, count: int) -> Array:
@@ -1867,7 +1891,7 @@ def object_distances(pair: Pair) -> Iterator[Row]:
     p, q = pair.plans
 
     def own_objects(p: Plan, q: Plan) -> Iterator[tuple[int, Slab, Solid]]:
-        mine, theirs = (x.settings.get("objects", {}) for x in (p, q))
+        mine, theirs = (x.settings["objects"] for x in (p, q))
         for b, slab in p.slabs:
             name = p.bodies[b].name
             if np.any(p.moving[b]) or mine[name] != theirs.get(name):
@@ -2158,7 +2182,6 @@ def object_faults(p: Plan) -> Iterator[Fault]:
             loose |= p.rest[b] & ~np.all(right & below, axis=1)
         for wrong, words in (
             (np.max(np.abs(np.array(head) - 1.0), axis=0) > POS_TOL, "has an invalid heading"),
-            (np.max(np.abs(c[0, b, :, 0] - body.pose)) > REST_TOL, "starts at another pose"),
             (busy & ~(p.held[b] & p.formed), "moves or has a load share without a hold"),
             (moving & ~lifted, "moves without a load share of 1"),
             (np.any((share < 0.0) | (share > 1.0), axis=-1), "has a load share outside 0 to 1"),
@@ -2168,81 +2191,6 @@ def object_faults(p: Plan) -> Iterator[Fault]:
             (loose, "is not inside the clasps below its rim"),
         ):
             yield float(p.breaks[np.argmax(wrong)]), bool(np.any(wrong)), f"{body.name} {words}"
-
-
-def recorded_request(p: Plan) -> dict[str, Any]:
-    """Return the request that the file's contents imply, in the order of robots."""
-    s, count = p.settings, p.n or p.N
-    given = s.get("assignment") or {"robots": [*range(count)], "flipped": [False] * count}
-    roles = [given["robots"].index(i) for i in range(count)]
-    first, team = p.points.c[0][0, ..., 0].tolist(), {**s["team"]}
-    start: dict[str, Any] = {"drones": first[: p.N]}
-    if p.n:
-        flown = [[2 * k + (end ^ given["flipped"][k]) for k in roles] for end in (0, 1)]
-        start["drones"] = {"qr"[end]: [first[i] for i in flown[end]] for end in (0, 1)}
-        team |= {"cable_length": p.length[roles, 0].tolist(), "tension": p.team[roles, 0].tolist()}
-        if p.formed[0]:
-            start["hitch"] = outline(p, 0, 0)
-    literals: dict[str, dict[float, Any]] = {"stiffness": {math.inf: None}}  # of YAML
-    literals |= {key: {0.0: False, 1.0: True} for key in ("integral", "feed_forward")}
-    named, team["quadrotor"] = s.get("controllers") or [None], []  # one for all, or one per kind
-    for k in roles:
-        own = named[k % len(named)] or {}
-        keys = [key for key in p.quadrotors if not own or key not in DEFAULTS]
-        given = {key: float(p.quadrotors[key][k]) for key in keys}
-        team["quadrotor"] += [
-            own | {key: literals.get(key, {}).get(x, x) for key, x in given.items()}
-        ]
-    limits = {**s["limits"]}
-    for key in ("tilt", "body_rate"):
-        x = limits.pop(key)
-        limits[f"{key}_deg"] = None if x is None else math.degrees(x)
-    request = {"objects": s.get("objects", {}), "start": start, "team": team, "limits": limits}
-    request |= {key: s[key] for key in ("separation", "arena", "keep_out")}
-    request["problem"] = hashlib.sha256(s.get("problem", "").encode()).hexdigest()
-    request["mission"] = [step_of(p, [*run]) for _, run in groupby(p.phases, lambda x: x["step"])]
-    older = {"problem", "mission"} - s["asked"].keys()  # files of earlier releases
-    return {key: x for key, x in request.items() if key not in older}
-
-
-def step_of(p: Plan, run: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return tensions, holds and final positions of a step from its phases."""
-    last = max(int(np.argmin(np.abs(p.breaks - run[-1]["end"]))) - 1, 0)
-    x, poses = p.points.c[0][last, ..., -1], p.poses.c[0][last, ..., -1].tolist()
-    request: dict[str, Any] = {"objects": {b.name: y for b, y in zip(p.bodies, poses, strict=True)}}
-    if not p.n:
-        return request | {"drones": x.tolist()}
-    ranges, holds = ([y[key] for y in run if y[key] is not None] for key in ("tension", "hold"))
-    whole = [min(low for low, _ in ranges), max(high for _, high in ranges)] if ranges else None
-    request |= {"tension": whole, "polygon": None, "altitude": None}
-    request["holds"] = [[*y] for y in dict.fromkeys((y["object"], y["by"]) for y in holds)]
-    request |= {key: x for key, x in run[-1].items() if key == "ring"}
-    return request | (outline(p, last, -1) if p.formed[last] else {})
-
-
-def outline(p: Plan, q: int, end: int) -> dict[str, Any]:
-    """Return the polygon and the altitude of a hitch at an end of a piece."""
-    count = len(p.phases[p.phase[q]].get("ring", range(p.V.stop)))
-    vertices = p.points.c[0][q, p.V, :, end][:count]
-    return {"polygon": vertices[:, :2].tolist(), "altitude": float(np.mean(vertices[:, 2]))}
-
-
-def differences(key: str, asked: Any, found: Any) -> Iterator[str]:
-    """Yield differences of settings by keys; positions differ by more than POS_TOL."""
-    if isinstance(asked, dict) and isinstance(found, dict):
-        for name in sorted(asked.keys() ^ found.keys()):
-            yield f"{key}.{name} is {'not ' * (name in found)}requested"[1:]
-        for name in sorted(asked.keys() & found.keys()):
-            yield from differences(f"{key}.{name}", asked[name], found[name])
-    elif isinstance(asked, list) and isinstance(found, list) and len(asked) == len(found):
-        for i, pair in enumerate(zip(asked, found, strict=True)):
-            yield from differences(f"{key}[{i}]", *pair)
-    elif SCALARS["number"](asked) and SCALARS["number"](found):
-        slack = POS_TOL if key.startswith((".start", ".mission")) else 0.0
-        if not math.isclose(asked, found, rel_tol=TOLERANCE, abs_tol=slack):
-            yield f"{key[1:]} is {found}, requested {asked}"
-    elif type(asked) is not type(found) or asked != found:
-        yield f"{key[1:]} is {found}, requested {asked}"
 
 
 def plan_rows(p: Plan) -> Iterator[Row]:
@@ -2262,52 +2210,53 @@ def read(path: Path) -> tuple[list[Plan], list[Plan]]:
         with np.load(path, allow_pickle=False) as file:
             form, s = str(file["format"]), json.loads(str(file["settings"]))
             check_members([x.orig_filename for x in file.zip.infolist()])
-            if form == "hitchopt-plan/1":
-                return [Plan(file, s)], []
-            if form != "hitchopt-plan/2":
-                raise ValueError("format is neither hitchopt-plan/1 nor hitchopt-plan/2")
+            if form in EARLIER_FORMATS:
+                raise ValueError(f"format is {form}, which the command `hitchopt verify` reads")
+            if form != "hitchopt-plan/3":
+                raise ValueError("format is not hitchopt-plan/3")
             return plans_of_groups(file, s)
     except Exception as error:  # malformed files raise many kinds
         words = " ".join(f"{type(error).__name__}: {error}".split())
         raise UnreadableError(words[:300]) from error
 
 
+def fold(name: str) -> str:
+    """Return a name as readers compare it that ignore case and normalise Unicode."""
+    return unicodedata.normalize("NFKC", unicodedata.normalize("NFKC", name).casefold())
+
+
 def check_members(names: Sequence[str]) -> None:
     """Raise ValueError for names that some reader changes, or takes for one another."""
     words, seen = r"\w[\w.-]*(?<!\.)/", set[str]()
     for name in names:
-        key = unicodedata.normalize("NFKC", unicodedata.normalize("NFKC", name).casefold())
         if not re.fullmatch(rf"({words})*\w+\.npy", name):
             raise ValueError(f"{name!r:.60} is not the name of an array")
-        if key in seen:
+        if fold(name) in seen:
             raise ValueError(f"an array occurs twice, or is easily taken for {name!r:.60}")
-        seen.add(key)
+        seen.add(fold(name))
 
 
 def plans_of_groups(file: Any, s: dict[str, Any]) -> tuple[list[Plan], list[Plan]]:
-    """Return the plans of a file of format 2."""
-    check_type("settings", s, "several")
-    teams, others, asked = s["teams"], s["others"], s["asked"]["others"]
-    names, plans = [*teams, *others], list[Plan]()
-    if s["asked"]["teams"] != [*teams] or asked.keys() != others.keys() or not teams:
-        raise ValueError("groups differ from the requested ones")
-    if len(names) < 2 or len({*names, "others"}) <= len(names):
-        raise ValueError("there are fewer than two groups, or two with the same name")
-    head = {key: s[key] for key in ("title", "problem") if key in s}
-    for name, x in (*teams.items(), *others.items()):
-        form = r"[^\W\d][\w-]*" + r"(\.[^\W\d][\w-]*)?" * (name in others)
-        known = re.fullmatch(form, name) or (name == "" and [*teams] == [""])
-        if not known or head.keys() & x.keys():
-            raise ValueError(f"{name!r:.60} is not a valid name, or has its own title")
-        folder, at = f"{name}/" if name else "", 0.0
-        if name in others:
-            check_type(f"asked.others.{name}", asked[name], "other")
-            folder, at = f"others/{name}/", asked[name]["at"]
-        plans.append(Plan(file, head | x, folder, at))
+    """Return the plans of teams and other plans."""
+    check_type("settings", s, "settings")
+    plans, seen = list[Plan](), {"others"}
+    for key in ("groups", "others"):
+        for i, head in enumerate(s[key]):
+            name, several = head["name"], len(s["groups"]) > 1 or key == "others"
+            form = r"[^\W\d][\w-]*" + r"(\.[^\W\d][\w-]*)?" * (key == "others")
+            if not (re.fullmatch(form, name) if several else name == "") or fold(name) in seen:
+                raise ValueError(f"{name!r:.60} is not a valid name of its own")
+            if key == "groups" and (head["plan"] or head["digest"]):
+                raise ValueError("a team is from another plan")
+            seen.add(fold(name))
+            plans.append(Plan(file, head, f"{key}/{i}/"))
+    teams = s["groups"]
     own = plans[: len(teams)]
     if max(abs(p.breaks[-1] - own[0].breaks[-1]) for p in own) > POS_TOL:
         raise ValueError("teams have different durations")
-    for p in own:
+    if any(p.breaks[0] != 0.0 for p in own):
+        raise ValueError("breaks do not start at 0")
+    for p in own if len(own) > 1 else ():
         curves = p.points, p.poses, p.legs, p.pulls, p.tensions, p.load_share
         for i in (i for i, phase in enumerate(p.phases) if phase["name"] == "wait"):
             if any(varies(x.c[0][p.phase == i], REST_TOL) for x in curves):

@@ -256,7 +256,7 @@ def _check_phases(motion: Motion) -> None:
     if not spans or max(abs(spans[0][0] - first), abs(spans[-1][1] - last)) > JOINT:
         words = f"one after the other from {first:g} to {last:g} s"
         raise InputError("phases", spans, words, REMEDY)
-    if motion.has_ring_changes:
+    if motion.has_ring_changes or any(phase.waiting for phase in motion.phases):
         check_rings(motion)
     objects, cables = motion.requirements.objects, range(motion.team.robots)
     for phase in motion.phases:

@@ -56,7 +56,7 @@ def decoded(kind: Any, value: Any) -> Any:
     origin, args = get_origin(kind), get_args(kind)
     known = {float: (float, int), int: (int,), str: (str,), bool: (bool,)}.get(kind)
     if known is not None and type(value) not in known:
-        raise InputError("settings", value, f"of the type {kind.__name__}", REMEDY)
+        raise InputError("", value, f"of the type {kind.__name__}", REMEDY)
     if origin in (Union, UnionType):
         if value is None and NoneType in args:
             return None
@@ -72,8 +72,13 @@ def decoded(kind: Any, value: Any) -> Any:
         kinds = decoded(tuple[Quadrotor, ...], value["quadrotor"])
         value = Swarm(value["drones"], quadrotor=kinds)
     elif (is_dataclass(kind) and kind is not ConvexPolygon) or hasattr(kind, "_fields"):
-        hints = _hints(kind)
-        value = kind(**{name: decoded(hints[name], each) for name, each in value.items()})
+        hints, values = _hints(kind), dict[str, Any]()
+        for name, each in value.items():
+            try:
+                values[name] = decoded(hints[name], each)
+            except InputError as error:
+                raise error.within(name) from error
+        value = kind(**values)
     elif isinstance(kind, type) and issubclass(kind, Enum):
         value = kind(value)
     return value

@@ -346,13 +346,12 @@ def test_the_command_line_refuses_a_lie_too(path: Path) -> None:
     "words",
     [
         "stiffness = -1.0: must be greater than 0",
-        "settings = 0.5: must be of the type bool",
-        "settings = 'x': must be of the type bool",
+        "integral = 0.5: must be of the type bool",
+        "feed_forward = 'x': must be of the type bool",
     ],
 )
 def test_damaged_controllers_are_refused(words: str, tmp_path: Path) -> None:
     name, value = words.partition(":")[0].split(" = ")
-    name = "integral" if name == "settings" else name
     write_plan(tmp_path / "plan.npz", controlled())
     changed(tmp_path / "plan.npz", f"t['quadrotor'][0][{name!r}] = {value}")
     refused(tmp_path / "plan.npz", re.escape(words))
@@ -405,6 +404,10 @@ def codes(path: Path) -> tuple[int, int]:
     return first, other
 
 
+UNREAD = {"problem", "controller", "model"}
+"""Texts of which the second reader needs nothing but that they are texts."""
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "value",
@@ -419,12 +422,12 @@ def test_both_readers_agree_on_every_edit(value: object, tmp_path: Path) -> None
     for at in entries(settings):
         edited = copy.deepcopy(settings)
         put(edited, at, value)
-        if edited != settings:
+        if edited != settings and at[-1] not in UNREAD:
             np.savez(tmp_path / "e.npz", **{**arrays, "settings": np.array(json.dumps(edited))})
             one, other = codes(tmp_path / "e.npz")
-            assert one == other, (at, value, one, other)
+            assert one == other, f"{at}, {one}, {other}"
             tried += 1
-    assert tried > 80
+    assert tried > 70
 
 
 @pytest.mark.parametrize(
@@ -444,12 +447,9 @@ def test_both_readers_agree_on_arrays_and_phases(path: Path, edit: str) -> None:
     assert codes(path) == (0, 0)
     changed(path, edit)
     one, other = codes(path)
-    expected = 0 if edit in HARMLESS else 3 if "__neg" in edit else 2
+    refuted = "__neg" in edit or edit == "p['state'] = 'hanging free'"
+    expected = 0 if "extra'] = a" in edit else 3 if refuted else 2
     assert (one, other) == (expected, expected)
-
-
-HARMLESS = {"a['extra'] = a['legs']", "p['ring'] = [0, 1, 2]"}
-"""Arrays of other names are not read."""
 
 
 def with_member(path: Path, name: str, content: bytes, compression: int) -> None:
