@@ -14,8 +14,10 @@ from plans import PROBLEMS, planned
 
 import hitchopt as ho
 from hitchopt import verify as second
+from hitchopt.errors import FileError
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.motion.plan_file import write_plan
+from hitchopt.plan import read_requested_plan
 from hitchopt.storage.yaml_file import read_yaml
 from hitchopt.trajectory import bernstein
 from hitchopt.values import Array
@@ -86,11 +88,6 @@ def both(*changes: Change) -> Change:
     return lambda settings, arrays: [change(settings, arrays) for change in changes]
 
 
-def asked(*keys: Any) -> Change:
-    """Set an entry of the settings, and of what was asked."""
-    return both(put(*keys), put("asked", *keys))
-
-
 def everywhere(key: str, value: Any, name: str = "") -> Change:
     """Set an entry of all phases, or of those with a name."""
 
@@ -112,7 +109,10 @@ def removed(key: str) -> Change:
     return lambda settings, arrays: (arrays if key in arrays else settings).pop(key)
 
 
-CURVES = ("drones", "vertices", "legs", "tensions")
+CURVES = (
+    *("drones", "vertices", "legs", "tensions"),
+    *("leg_tensions", "poses", "load_share", "contacts"),
+)
 
 
 def backwards(_: Settings, arrays: Arrays) -> None:
@@ -198,26 +198,23 @@ def left_there(settings: Settings, arrays: Arrays) -> None:
 
 
 def small_rim(settings: Settings, _: Arrays) -> None:
-    """Make the rim half as wide, as it is and as it was asked."""
-    for objects in (settings["objects"], settings["asked"]["objects"]):
-        rim = objects["box"]["rim"]["section"]
-        rim.update({key: (0.5 * np.array(x)).tolist() for key, x in rim.items() if x is not None})
+    """Make the rim half as wide."""
+    rim = settings["objects"]["box"]["rim"]["section"]
+    rim.update({key: (0.5 * np.array(x)).tolist() for key, x in rim.items() if x is not None})
 
 
 def lifted(settings: Settings, arrays: Arrays) -> None:
-    """Let the box be 5 cm higher all the time, as it is and as it was asked."""
-    asked("objects", "box", "at", lambda at: [*at[:2], at[2] + 0.05])(settings, arrays)
+    """Let the box be 5 cm higher all the time."""
+    put("objects", "box", "at", lambda at: [*at[:2], at[2] + 0.05])(settings, arrays)
     index = list(settings["objects"]).index("box")
     plus("poses", 0.05, (slice(None), index, 2))(settings, arrays)
 
 
 def pierced(settings: Settings, arrays: Arrays) -> None:
-    """Make a slim pillar of the shelf, through the rim of the box, as it is and as it was asked."""
-    for objects in (settings["objects"], settings["asked"]["objects"]):
-        outline = [[0.01, 0.01], [0.01, -0.01], [-0.01, -0.01], [-0.01, 0.01]]
-        section = {"outline": outline, "radius": None}
-        objects["shelf"] |= {"section": section, "upper": 1.0, "at": [2.42, 0.0, 0.0]}
-    settings["asked"]["mission"][0]["objects"]["shelf"] = [2.42, 0.0, 0.0, 1.0, 0.0]
+    """Make a slim pillar of the shelf, through the rim of the box."""
+    outline = [[0.01, 0.01], [0.01, -0.01], [-0.01, -0.01], [-0.01, 0.01]]
+    section = {"outline": outline, "radius": None}
+    settings["objects"]["shelf"] |= {"section": section, "upper": 1.0, "at": [2.42, 0.0, 0.0]}
     arrays["poses"] = arrays["poses"].copy()
     arrays["poses"][:, list(settings["objects"]).index("shelf"), :3] = [[2.42], [0.0], [0.0]]
 
@@ -249,60 +246,86 @@ def nearer(x: Array) -> Array:
     return x
 
 
-ASKED = ("asked", "team")
+def straight(_: Settings, arrays: Arrays) -> None:
+    """Say that no edge bends around anything."""
+    p = arrays["vertices"]
+    middles = 0.5 * (p + np.roll(p, -1, 1))
+    arrays["contacts"] = np.stack([middles, middles], axis=2)
+
+
+def with_text(old: str, new: str) -> Change:
+    """Change the problem's text."""
+
+    def change(settings: Settings, _: Arrays) -> None:
+        assert old in settings["problem"]
+        settings["problem"] = settings["problem"].replace(old, new)
+
+    return change
+
+
+def pulls(factor: float, where: Any = ...) -> Change:
+    """Multiply tensions, also of legs and of the team."""
+    own = where[1] if isinstance(where, tuple) else where
+    return both(
+        times("tensions", factor, where),
+        times("leg_tensions", factor, where),
+        times("tension", factor, own),
+    )
+
+
 LIES = [
     # Polynomials.
-    Lie("morph", "one drone flies 3 cm aside", plus("drones", 0.03, (slice(None), 0, 0)), REFUSED),
+    Lie("morph", "one drone flies 3 cm aside", plus("drones", 0.03, (slice(None), 0, 0)), "cable_length"),
     Lie("morph", "a drone makes a detour within a piece", plus("drones", 0.05, np.s_[10, 1, 2, 3]), "speed|acceleration|jerk"),
     Lie("morph", "a drone jumps by a hundredth of a millimetre", plus("drones", 1e-5, (slice(20, None), 3, 1)), "continuity"),
     Lie("morph", "a drone moves by many small jumps", edited("drones", lambda x: x + 5e-7 * np.arange(len(x))[:, None], np.s_[:, 3, 1]), "continuity"),
     Lie("morph", "a vertex makes a detour", plus("vertices", 0.05, np.s_[10, 0, 0, 3]), "cable_length"),
     Lie("morph", "vertices are lifted", plus("vertices", 0.05, (slice(None), slice(None), 2)), "cable_length"),
-    Lie("morph", "all is mirrored", both(times("drones", -1.0, np.s_[:, :, 0]), times("vertices", -1.0, np.s_[:, :, 0])), "convexity"),
+    Lie("morph", "all is mirrored", both(*(times(x, -1.0, np.s_[..., 0, :]) for x in ("drones", "vertices", "contacts"))), "convexity"),
     Lie("morph", "two vertices are exchanged", swapped("vertices", 0, 1), "cable_length"),
-    Lie("morph", "two drones are exchanged", swapped("drones", 0, 1), REFUSED),
+    Lie("morph", "two drones are exchanged", swapped("drones", 0, 1), "cable_length"),
     Lie("morph", "it is flown backwards", backwards, REFUSED),
     Lie("morph", "nothing moves", hover, REFUSED),
     Lie("morph", "a piece is written twice as long", lambda s, a: a.update(breaks=a["breaks"] + np.where(np.arange(len(a["breaks"])) > 9, 1e-3, 0)), REFUSED),
     Lie("morph", "it takes half of the time", both(times("breaks", 0.5), everywhere("start", lambda t: t / 2), everywhere("end", lambda t: t / 2)), "acceleration"),
-    Lie("morph", "it takes twice the time", both(times("breaks", 2.0), everywhere("start", lambda t: 2 * t), everywhere("end", lambda t: 2 * t)), "", "a slower flight keeps all limits; no duration was asked"),
+    Lie("morph", "it takes twice the time", both(times("breaks", 2.0), everywhere("start", lambda t: 2 * t), everywhere("end", lambda t: 2 * t)), REFUSED),
     Lie("morph", "a piece is cut in two", split, "", "the same curves in other pieces"),
     # Legs, lengths, tensions.
     Lie("morph", "legs are told 1 mm longer", plus("legs", 1e-3), "cable_length"),
     Lie("morph", "a cable is told longer", times("cable_length", 1.01, 0), REFUSED),
-    Lie("morph", "a cable is told, and asked, longer", both(times("cable_length", 1.01, 0), put(*ASKED, "cable_length", lambda x: [x[0] * 1.01, *x[1:]])), "cable_length"),
+    Lie("morph", "a cable is told, and asked, longer", times("cable_length", 1.01, 0), "cable_length"),
     Lie("morph", "tensions are told to be twice as large", times("tensions", 2.0), "tension"),
-    Lie("morph", "tensions and those asked are twice as large", both(times("tensions", 2.0), times("tension", 2.0), put(*ASKED, "tension", lambda x: [2 * t for t in x])), "", "tensions are asked then, and drones can pull so"),
+    Lie("morph", "tensions and those asked are twice as large", both(pulls(2.0), put("problem", "")), "", "tensions are asked then, and drones can pull so"),
     Lie("morph", "a team's tension is another", times("tension", 1.1), REFUSED),
-    Lie("morph", "one cable pulls harder", both(times("tensions", 1.2, (slice(None), 0)), times("tension", 1.2, 0), put(*ASKED, "tension", lambda x: [1.2 * x[0], *x[1:]])), "equilibrium"),
+    Lie("morph", "one cable pulls harder", pulls(1.2, (slice(None), 0)), "equilibrium"),
     Lie("morph", "tensions of no pull", times("tensions", 0.0), "tension"),
     Lie("morph", "a phase allows any tension", both(times("tensions", 1.5), everywhere("tension", [0.1, 9.0])), REFUSED),
     # The team.
     Lie("morph", "drones are told lighter", times("mass", 0.5), REFUSED),
-    Lie("morph", "drones are told, and asked, heavier", both(times("mass", 3.0), put(*ASKED, "quadrotor", lambda x: [{**k, "mass": 3 * k["mass"]} for k in x])), "thrust"),
-    Lie("morph", "motors are told, and asked, weaker", both(times("max_thrust", 0.5), put(*ASKED, "quadrotor", lambda x: [{**k, "max_thrust": 0.5 * k["max_thrust"]} for k in x])), "thrust"),
+    Lie("morph", "drones are told, and asked, heavier", times("mass", 3.0), "thrust"),
+    Lie("morph", "motors are told, and asked, weaker", times("max_thrust", 0.5), "thrust"),
     Lie("morph", "cables have weight", put("team", "cable_density", 0.01), REFUSED),
-    Lie("morph", "cables have weight, and were asked to", asked("team", "cable_density", 0.03), "equilibrium"),
+    Lie("morph", "cables have weight, and were asked to", put("team", "cable_density", 0.03), "equilibrium"),
     Lie("morph", "clasps carry a load", put("team", "load", [0.02] * 3), REFUSED),
-    Lie("morph", "clasps carry a load, and were asked to", asked("team", "load", [0.02] * 3), "equilibrium"),
+    Lie("morph", "clasps carry a load, and were asked to", put("team", "load", [0.02] * 3), "equilibrium"),
     Lie("morph", "friction is told higher", put("team", "cable_friction", 0.3), REFUSED),
     Lie("morph", "an open chain", put("team", "topology", "open"), REFUSED),
     # Limits and what was asked.
     Lie("morph", "a faster limit", put("limits", "speed", 9.0), REFUSED),
-    Lie("morph", "a slower limit, asked as well", asked("limits", "speed", 0.1), "speed"),
-    Lie("morph", "half of all jerk is left for stops, as asked", asked("limits", "reserve", 0.5), "jerk"),
-    Lie("morph", "less tilt, asked as well", both(put("limits", "tilt", np.radians(20.0)), put("asked", "limits", "tilt_deg", 20.0)), "tilt"),
-    Lie("morph", "a turning rate, asked as well", both(put("limits", "body_rate", np.radians(5.0)), put("asked", "limits", "body_rate_deg", 5.0)), "body_rate"),
-    Lie("morph", "longer legs, asked as well", asked("limits", "leg", 0.5), "legs"),
-    Lie("morph", "a duration, asked as well", asked("limits", "duration", 1.0), "duration"),
+    Lie("morph", "a slower limit, asked as well", put("limits", "speed", 0.1), "speed"),
+    Lie("morph", "half of all jerk is left for stops, as asked", put("limits", "reserve", 0.5), "jerk"),
+    Lie("morph", "less tilt, asked as well", put("limits", "tilt", np.radians(20.0)), "tilt"),
+    Lie("morph", "a turning rate, asked as well", put("limits", "body_rate", np.radians(5.0)), "body_rate"),
+    Lie("morph", "longer legs, asked as well", put("limits", "leg", 0.5), "legs"),
+    Lie("morph", "a duration, asked as well", put("limits", "duration", 1.0), "duration"),
     Lie("morph", "smaller drones", put("separation", "radius", 0.05), REFUSED),
-    Lie("morph", "larger drones, asked as well", asked("separation", "radius", 0.25), "separation"),
-    Lie("morph", "wider crossings, asked as well", asked("separation", "crossing", 1.5), "crossing"),
-    Lie("morph", "a lower ceiling, asked as well", asked("arena", "upper", [4, 4, 0.5]), "arena"),
+    Lie("morph", "larger drones, asked as well", put("separation", "radius", 0.25), "separation"),
+    Lie("morph", "wider crossings, asked as well", put("separation", "crossing", 1.5), "crossing"),
+    Lie("morph", "a lower ceiling, asked as well", put("arena", "upper", [4, 4, 0.5]), "arena"),
     Lie("morph", "a wall in the way that nobody asked", put("keep_out", [{"polygon": [[0, 0], [0, 1], [1, 1], [1, 0]], "lower": 0, "upper": 3}]), REFUSED),
-    Lie("morph", "a wall in the way, asked", asked("keep_out", [{"polygon": [[-1, -1], [-1, 1], [1, 1], [1, -1]], "lower": 0.0, "upper": 3.0}]), "keep_out"),
-    Lie("morph", "nothing was asked", removed("asked"), REFUSED),
-    Lie("morph", "another start was asked", put("asked", "start", "drones", "q", lambda q: [[q[0][0] + 0.1, *q[0][1:]], *q[1:]]), REFUSED),
+    Lie("morph", "a wall in the way, asked", put("keep_out", [{"polygon": [[-1, -1], [-1, 1], [1, 1], [1, -1]], "lower": 0.0, "upper": 3.0}]), "keep_out"),
+    Lie("morph", "no problem", removed("problem"), REFUSED),
+    Lie("morph", "another start was asked", with_text("altitude: 1", "altitude: 1.1"), REFUSED),
     Lie("morph", "a title", put("title", "another one"), "", "a title is a label"),
     Lie("morph", "phases have other names", everywhere("name", "fly"), "", "names of phases are labels"),
     # Phases.
@@ -323,7 +346,7 @@ LIES = [
     Lie("form", "the hitch was there at first", everywhere("state", "hitched"), "cable_length"),
     Lie("form", "the hitch is never there", stated("hitched", "being tightened"), "consistency"),
     Lie("form", "the second swap turns back", turned_back, "interlacing"),
-    Lie("form", "drones fly 1.4 m lower", both(plus("drones", -1.4, (slice(None), slice(None), 2)), plus("vertices", -1.4, (slice(None), slice(None), 2)), put("asked", "start", "drones", lambda d: {k: [[x, y, z - 1.4] for x, y, z in v] for k, v in d.items()})), "cable_clearance"),
+    Lie("form", "drones fly 1.4 m lower", both(plus("drones", -1.4, (slice(None), slice(None), 2)), plus("vertices", -1.4, (slice(None), slice(None), 2))), "cable_clearance"),
     Lie("form", "tension is there at once", at_once, "tension"),
     Lie("form", "a drone stands where its own other leg ends", in_phases("hitched", "drones", lambda x: np.stack([x[:, 0], x[:, 0] + [[0.06], [0.0], [0.0]]], axis=1), np.s_[:, :2]), "cable_clearance"),
     # Laying.
@@ -339,33 +362,33 @@ LIES = [
     # Friction.
     Lie("slid", "legs pull 10 % harder", times("leg_tensions", 1.1), "equilibrium"),
     Lie("slid", "legs pull as their cables", removed("leg_tensions"), REFUSED),
-    Lie("slid", "no friction, asked as well", asked("team", "cable_friction", 0.0), "equilibrium"),
+    Lie("slid", "no friction, asked as well", put("team", "cable_friction", 0.0), "equilibrium"),
     # Carrying.
-    Lie("carry", "the box floats 5 cm above its clasps", plus("poses", 0.05, (slice(None), 2, 2)), "consistency"),
-    Lie("carry", "the box is heavier, asked as well", asked("objects", "box", "mass", 0.3), "equilibrium"),
+    Lie("carry", "the box floats 5 cm above its clasps", plus("poses", 0.05, (slice(None), 2, 2)), REFUSED),
+    Lie("carry", "the box is heavier, asked as well", put("objects", "box", "mass", 0.3), "equilibrium"),
     Lie("carry", "the box bears nothing", times("load_share", 0.0), "consistency"),
     Lie("carry", "nothing is held", everywhere("hold", None), "consistency"),
     Lie("carry", "it is gripped", everywhere("hold", lambda h: h and {**h, "by": "grip"}), "grip|equilibrium|consistency"),
     Lie("carry", "it is held while it is enclosed", everywhere("hold", {"object": "box", "by": "rest", "cables": [0, 1, 2, 3]}, "enclose"), "consistency"),
     Lie("carry", "the box stays where it was", lambda s, a: a.update(poses=np.broadcast_to(a["poses"][:1, ..., :1], a["poses"].shape).copy()), "rim"),
-    Lie("carry", "the box turns", turning, "consistency|rim"),
+    Lie("carry", "the box turns", turning, REFUSED),
     Lie("carry", "the box turns, less than 0.1 mm a piece", slipped(2, 0.001), "rim"),
     Lie("carry", "the box is left in the air", left_there, "consistency"),
     Lie("carry", "the box is fixed", put("objects", "box", "fixed", True), REFUSED),
-    Lie("carry", "a smooth rim, asked as well", asked("objects", "box", "friction", 0.01), "rim"),
+    Lie("carry", "a smooth rim, asked as well", put("objects", "box", "friction", 0.01), "rim"),
     Lie("carry", "a smaller rim, asked as well", small_rim, "rim"),
-    Lie("carry", "a taller box, asked as well", asked("objects", "box", "upper", 0.9), "penetration|support|object_clearance|keep_out"),
-    Lie("carry", "objects farther from cables, asked as well", asked("separation", "object", 0.2), "object_clearance"),
+    Lie("carry", "a taller box, asked as well", put("objects", "box", "upper", 0.9), "penetration|support|object_clearance|keep_out"),
+    Lie("carry", "objects farther from cables, asked as well", put("separation", "object", 0.2), "object_clearance"),
     Lie("carry", "the box stands in the air at first", lifted, REFUSED),
     Lie("carry", "a pillar is through the rim at first", pierced, "penetration"),
     Lie("carry", "no objects", removed("objects"), REFUSED),
     Lie("grip", "contacts are 2 cm off", plus("contacts", 0.02, (slice(None), 0, 0, 0)), "grip"),
-    Lie("grip", "the drum is heavier, asked as well", asked("objects", "drum", "mass", 0.3), "grip"),
-    Lie("grip", "the drum is smoother, asked as well", asked("objects", "drum", "friction", 0.1), "grip"),
+    Lie("grip", "the drum is heavier, asked as well", put("objects", "drum", "mass", 0.3), "grip"),
+    Lie("grip", "the drum is smoother, asked as well", put("objects", "drum", "friction", 0.1), "grip"),
     Lie("grip", "the drum turns in its grip, less than 0.1 mm a piece", slipped(0, 0.001), "grip"),
     Lie("grip", "the drum sinks by 0.1 mm through its grip", slipped(0, 0.0, 1e-4), "grip"),
     Lie("grip", "edges run straight", removed("contacts"), REFUSED),
-    Lie("grip", "edges are said to be straight", lambda s, a: s.pop("contacts"), "cable_length|penetration|equilibrium"),
+    Lie("grip", "edges are said to be straight", straight, "cable_length|penetration|equilibrium"),
     # Single drones.
     Lie("swarm", "two drones are exchanged", swapped("drones", 0, 1), REFUSED),
     Lie("swarm", "two drones fly the same way", lambda s, a: a.update(drones=a["drones"][:, [0, 0, 2, 3, 4, 5]]), "separation"),
@@ -400,31 +423,64 @@ UNLIKE = {"team": UNLIKE_TEAM, "start": {"drones": {"q": Q, "r": R}}, "mission":
 
 
 @lru_cache
-def plan(name: str) -> ho.Plan:
-    if name == "unlike":
-        return ho.solve(problem_from_dict(UNLIKE))
-    if name not in CARRIED:
-        return planned(PLANS[name])
-    problem: Any = read_yaml(PROBLEMS / f"{CARRIED[name]}.yaml")
-    form, transport, *_ = problem["mission"]
-    x, y, _ = problem["objects"][transport["transport_object"]["object"]]["at"]
-    around = [[x - 0.8 + a, y + b] for a, b in form["form"]["polygon"]]
-    start = {"hitch": {"polygon": around, "altitude": form["form"]["altitude"]}}
-    return ho.solve(problem_from_dict({**problem, "start": start, "mission": [transport]}))
+def plan(name: str) -> tuple[ho.Plan, str]:
+    """Return a plan and the text of its problem."""
+    if name in PLANS:
+        return planned(PLANS[name]), (PROBLEMS / f"{PLANS[name]}.yaml").read_text()
+    problem: Any = UNLIKE
+    if name in CARRIED:
+        problem = read_yaml(PROBLEMS / f"{CARRIED[name]}.yaml")
+        form, transport, *_ = problem["mission"]
+        x, y, _ = problem["objects"][transport["transport_object"]["object"]]["at"]
+        around = [[x - 0.8 + a, y + b] for a, b in form["form"]["polygon"]]
+        start = {"hitch": {"polygon": around, "altitude": form["form"]["altitude"]}}
+        problem = {**problem, "start": start, "mission": [transport]}
+    return ho.solve(problem_from_dict(problem)), json.dumps(problem)
+
+
+GROUP = "groups/0/"
+OF_ROBOTS = ("cable_length", "tension")
+OF_KINDS = ("mass", "max_thrust")
+
+
+def told(lie: Lie, path: Path) -> None:
+    """Write a plan that tells a lie.
+
+    It is told of one mapping with all settings, and of arrays, among them the team's numbers.
+    """
+    motion, text = plan(lie.plan)[0].motion, plan(lie.plan)[1]
+    write_plan(path, motion, "", text)
+    with np.load(path) as file:
+        arrays = {name.removeprefix(GROUP): file[name] for name in file}
+    whole = json.loads(str(arrays.pop("settings")))
+    records = whole["groups"][0]["records"]
+    team, needs, has_cables = records["team"], records["requirements"], motion.team.has_cables
+    settings = {"problem": text, "title": "", **records, **needs}
+    arrays |= {name: np.array(team[name]) for name in OF_ROBOTS if has_cables}
+    arrays |= {name: np.array([kind[name] for kind in team["quadrotor"]]) for name in OF_KINDS}
+    lie.change(settings, arrays)
+    team |= {name: arrays.pop(name).tolist() for name in OF_ROBOTS if has_cables}
+    for name in OF_KINDS:
+        for kind, value in zip(team["quadrotor"], arrays.pop(name).tolist(), strict=True):
+            kind[name] = value
+    for part in (whole, records, needs):
+        keys = [key for key in part if key not in ("groups", "others", "requirements")]
+        for key in keys:
+            del part[key]
+        part |= {key: settings[key] for key in keys if key in settings}
+    heads = {"format": arrays.pop("format"), "settings": np.array(json.dumps(whole))}
+    np.savez(path, **heads, **{GROUP + name: array for name, array in arrays.items()})
 
 
 def verdicts(lie: Lie, path: Path) -> Iterator[tuple[str, str]]:
     """Yield limits and their verdicts of a plan that tells a lie."""
-    write_plan(path, plan(lie.plan).motion)
-    with np.load(path) as file:
-        arrays = dict(file)
-    settings = json.loads(str(arrays["settings"]))
-    lie.change(settings, arrays)
-    np.savez(path, **{**arrays, "settings": np.array(json.dumps(settings))})
+    told(lie, path)
     try:
+        if lie.found in ("", REFUSED):  # else a limit is broken, whatever was requested
+            read_requested_plan(path)
         for row in second.plan_rows(second.read(path)[0][0]):
             yield row.name, row.verdict
-    except second.UnreadableError:
+    except (second.UnreadableError, FileError):
         yield REFUSED, "violated"
 
 
@@ -440,11 +496,11 @@ def test_plans_that_tell_none_are_proven(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("lie", LIES, ids=lambda lie: f"{lie.plan}: {lie.words}")
 def test_lies_are_found(lie: Lie, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(second, "BUDGET", 300_000)
-    if lie.found not in ("", REFUSED):  # a limit, whatever was asked
-        monkeypatch.setattr(second, "differences", lambda *_: iter(()))
-    told = verdicts(lie, tmp_path / "plan.npz")
+    found = [*verdicts(lie, tmp_path / "plan.npz")]
     if lie.found:
-        assert any(name in lie.found.split("|") and verdict == "violated" for name, verdict in told)
+        assert any(
+            name in lie.found.split("|") and verdict == "violated" for name, verdict in found
+        )
     else:
         assert lie.reason
-        assert {verdict for _, verdict in told} == {"proven"}
+        assert {verdict for _, verdict in found} == {"proven"}
