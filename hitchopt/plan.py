@@ -246,8 +246,8 @@ class Plan(OneLine):
 
         Parameters
         ----------
-        format: crazyswarm2, compressed, skybrush, skybrush_csv, mavsdk_drone_show, ros2bag, csv,
-            parquet, npz, json or gltf.
+        format: crazyswarm2, compressed, skybrush, mavsdk_drone_show, ros2bag, csv, parquet
+            or gltf.
         folder: created if it is missing; only files of an earlier export are replaced.
         progress: status callback.
         options: keywords of ``ExportOptions``, all optional: frame, origin, yaw, fleet,

@@ -165,8 +165,8 @@ def test_notebooks_show_cards(plan: ho.Plan) -> None:
 
 
 def test_a_plan_is_flown_and_exported(plan: ho.Plan, tmp_path: Path) -> None:
-    (part,) = ho.export(plan, "json", tmp_path / "json", rate=10.0)
-    assert list(part.files) == ["setpoints.json"]
+    (part,) = ho.export(plan, "csv", tmp_path / "csv", rate=10.0)
+    assert list(part.files) == ["setpoints_enu.csv"]
     with pytest.raises(ho.InputError, match=r"perturbations\.gusts"):
         ho.simulate(plan, perturbations={"gusts": 1.0})
 

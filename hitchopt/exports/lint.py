@@ -207,7 +207,7 @@ def _kind(path: Path, formats: Sequence[Format]) -> Format:
         for kind in reversed(candidates):  # polynomials last, as they may have no header
             if re.match(kind.header, line):
                 return kind
-    first, columns = next(filter(None, lines), "")[:60], "duration, t,drone, idx,t,px, Time [msec]"
+    first, columns = next(filter(None, lines), "")[:60], "duration, t,drone, idx,t,px"
     reason = f"is of no known format ({columns}; apart by commas, semicolons, tabs or blanks)"
     raise FileError(f"{path}: its first line, {first!r}, {reason}")
 

@@ -13,18 +13,15 @@ HOMES = {
     "crazyswarm2": "crazyflie:Crazyswarm2",
     "compressed": "crazyflie:CompressedBytes",
     "skybrush": "skybrush:SkybrushShow",
-    "skybrush_csv": "skybrush:SkybrushCsv",
     "mavsdk_drone_show": "mavsdk:MavsdkDroneShow",
     "ros2bag": "ros2bag:Ros2Bag",
     "csv": "tables:CsvTable",
     "parquet": "tables:ParquetTable",
-    "npz": "tables:NpzTable",
-    "json": "tables:JsonTable",
     "gltf": "gltf:Gltf",
 }
 """Module and class of every format; modules are imported on demand."""
 
-ENDINGS = (".bin", ".csv", ".db3", ".glb", ".json", ".mcap", ".npz", ".parquet", ".skyc", ".zip")
+ENDINGS = (".bin", ".csv", ".db3", ".glb", ".mcap", ".parquet", ".skyc")
 STORAGES = {"mcap": ".mcap", "sqlite3": ".db3"}  # Storage formats of bags, and their suffixes
 ROS_DISTROS = {"humble": 8, "iron": 8, "jazzy": 9}  # Versions of bags' metadata; all read 8
 MAX_RATE = 10_000.0  # Maximum sampling rate [Hz]: no flight controller accepts a higher one

@@ -36,18 +36,10 @@ COMMA_REMEDY = "decimal commas need semicolons between cells, and no points in n
 def text_lines(path: Path) -> Iterator[str]:
     """Yield a file's lines without line breaks; invalid bytes become U+FFFD."""
     with path.open("rb") as file:
-        encoding = _encoding(file.read(2))
+        is_utf16 = file.read(2) in (b"\xff\xfe", b"\xfe\xff")
+    encoding = "utf-16" if is_utf16 else "utf-8-sig"
     with path.open(encoding=encoding, errors="replace") as file:
         yield from (line.rstrip("\n") for line in file)
-
-
-def decoded_lines(data: bytes) -> list[str]:
-    """Return the decoded lines of a file's bytes, as ``text_lines`` yields them."""
-    return data.decode(_encoding(data[:2]), "replace").splitlines()
-
-
-def _encoding(first_bytes: bytes) -> str:
-    return "utf-16" if first_bytes in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
 
 
 @dataclass(frozen=True, eq=False)

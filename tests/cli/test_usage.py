@@ -65,7 +65,7 @@ RATE = "error: --rate = {}: must be above 0 and at most 10000 Hz"
         ("init --example xyz", "hitchopt init --list names them"),
         ("sovle x.yaml", "error: No such command 'sovle'. Did you mean 'solve'?"),
         ("solve x.yaml --repot", "'--report'"),
-        ("export", "\nskybrush_csv       A zip of sampled positions"),
+        ("export", "\nskybrush           A Skybrush show of cubic"),
         ("export out", "error: --format = (missing): must be given with DIR"),
         ("fly out", "error: Missing option '--over'. Choose from:"),
         ("view .", "error: plan.npz: there is no such file, . holds no plan"),
@@ -366,7 +366,7 @@ def test_every_example_is_listed_and_written() -> None:
     ("words", "expected"),
     [
         ("hitchopt export out --format ", list(HOMES)),
-        ("hitchopt export out --format sky", ["skybrush", "skybrush_csv"]),
+        ("hitchopt export out --format sky", ["skybrush"]),
         ("hitchopt init --example tie_", ["tie_carry_untie"]),
         ("hitchopt sim", ["simulate"]),
     ],

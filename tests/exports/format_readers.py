@@ -137,16 +137,6 @@ def _skybrush(folder: Path, names: Sequence[str], t: Array) -> Read:
     return Read(t, np.stack(places, axis=1))
 
 
-def _skybrush_csv(folder: Path, names: Sequence[str], _: Array) -> Read:
-    with zipfile.ZipFile(folder / "show.zip") as archive:
-        assert archive.comment == b"frame: nwu"
-        assert archive.namelist() == [f"{name}.csv" for name in names]
-        texts = [archive.read(name).decode().splitlines() for name in archive.namelist()]
-    assert {text[0] for text in texts} == {"Time [msec],x [m],y [m],z [m],Red,Green,Blue"}
-    table = np.array([[[float(x) for x in row.split(",")] for row in text[1:]] for text in texts])
-    return Read(table[0, :, 0] * 1e-3, np.swapaxes(table[..., 1:4], 0, 1))
-
-
 def _mavsdk(folder: Path, names: Sequence[str], _: Array) -> Read:
     told = json.loads((folder / "export.json").read_text())
     begin, heading, tables = (
@@ -198,16 +188,9 @@ GROUPS = ("x y z", "vx vy vz", "ff_x ff_y ff_z", "qw qx qy qz", "rate_x rate_y r
 
 
 def _table(folder: Path, names: Sequence[str], _: Array) -> Read:
-    """One of csv, parquet and json."""
+    """One of csv and parquet."""
     if (path := folder / "setpoints.parquet").exists():
         rows = pq.read_table(path).to_pylist()
-    elif (path := folder / "setpoints.json").exists():
-        told = json.loads(path.read_text())
-        rows = [
-            dict(zip(("t", "drone", *told["columns"]), (sample["t"], name, *row), strict=True))
-            for sample in told["samples"]
-            for name, row in zip(told["drones"], sample["rows"], strict=True)
-        ]
     else:
         with next(folder.glob("setpoints_*.csv")).open() as file:
             rows = list(csv.DictReader(file))
@@ -217,13 +200,6 @@ def _table(folder: Path, names: Sequence[str], _: Array) -> Read:
     groups = [[[float(row[c]) for c in group.split()] for row in rows] for group in GROUPS]
     t = np.array([float(row["t"]) for row in rows[:: len(names)]])
     return Read(t, *(np.array(g).reshape(len(t), len(names), -1) for g in groups))
-
-
-def _npz(folder: Path, names: Sequence[str], _: Array) -> Read:
-    with np.load(folder / "setpoints.npz") as arrays:
-        assert arrays["drones"].tolist() == list(names)
-        groups = ("positions", "velocities", "feed_forward", "quaternions", "body_rates")
-        return Read(arrays["t"], *(arrays[name] for name in groups))
 
 
 def glb_animation(path: Path) -> dict[str, dict[str, tuple[Array, Array]]]:
@@ -265,9 +241,7 @@ READERS: dict[str, Reader] = {
     "crazyswarm2": _crazyswarm2,
     "compressed": _compressed,
     "skybrush": _skybrush,
-    "skybrush_csv": _skybrush_csv,
     "mavsdk_drone_show": _mavsdk,
     "ros2bag": _ros2bag,
-    "npz": _npz,
-    **dict.fromkeys(("csv", "parquet", "json"), _table),
+    **dict.fromkeys(("csv", "parquet"), _table),
 }

@@ -199,7 +199,7 @@ UPLOADED = "crazyswarm2", "compressed"
 def test_the_manifest_says_how_and_by_whom_a_plan_is_flown(name: str, tmp_path: Path) -> None:
     kind = ho.Quadrotor(controller="px4") if name == "mavsdk_drone_show" else RETUNED
     plan = plan_of(kind)
-    uploaded = name in (*UPLOADED, "skybrush", "skybrush_csv")
+    uploaded = name in (*UPLOADED, "skybrush")
     exported(plan.motion, name, tmp_path / "named", hold_tension=uploaded)
     exported(plan_of(ho.Quadrotor()).motion, name, tmp_path / "unnamed")
     named, unnamed = (read_manifest(tmp_path / each) or {} for each in ("named", "unnamed"))

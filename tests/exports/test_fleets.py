@@ -145,7 +145,7 @@ def test_a_group_is_exported_as_if_it_flew_alone(tmp_path: Path) -> None:
 def test_exports_of_groups_are_read_back_and_certified(tmp_path: Path) -> None:
     """Of exact samples each check is the plan's, with the names of its groups."""
     motion = two_hitches()
-    (part,) = exported(motion, "npz", tmp_path)
+    (part,) = exported(motion, "csv", tmp_path)
     planned = {check.name: check for check in certify(motion).checks}
     for check in part.verdict.checks:
         if check.name in ("separation", "speed", "thrust", "tilt", "crossing"):
@@ -196,11 +196,11 @@ def test_stretching_slows_all_groups_but_not_others(tmp_path: Path) -> None:
     with_others = beside(motion, moved(alone(motion, "triangle"), 0.0, 0.0, 50.0), 2.0)
     later = stretched(with_others, 1.5)
     assert later.others[0].motion is with_others.others[0].motion
-    (part,) = exported(with_others, "npz", tmp_path, stretch=1.5)
+    (part,) = exported(with_others, "csv", tmp_path, stretch=1.5)
     assert any("beside show, which begins at t = 2 s" in note for note in part.notes)
     near = beside(motion, alone(motion, "ring"), 0.5)
     with pytest.raises(ho.CertificateError, match="separation"):
-        exported(near, "npz", tmp_path / "near")
+        exported(near, "csv", tmp_path / "near")
 
 
 def test_addresses_are_by_names_of_groups(tmp_path: Path) -> None:
@@ -208,7 +208,7 @@ def test_addresses_are_by_names_of_groups(tmp_path: Path) -> None:
     roles = motion.team.drone_names
     members = {role: {"name": f"cf{i}", "uri": f"udp://10.0.0.{i}"} for i, role in enumerate(roles)}
     (tmp_path / "fleet.yaml").write_text(json.dumps({"drones": members}))
-    exported(motion, "npz", tmp_path / "out", fleet=tmp_path / "fleet.yaml")
+    exported(motion, "csv", tmp_path / "out", fleet=tmp_path / "fleet.yaml")
     assert read_manifest(tmp_path / "out")["drones"]["ring.d1"] == members["ring.d1"]["name"]
     assert task_of(motion).names == tuple(role.replace(".", "_") for role in roles)
 

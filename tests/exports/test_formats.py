@@ -118,7 +118,7 @@ def test_refitted_problems_lose_nothing(stem: str, name: str, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param("crazyswarm2", marks=pytest.mark.slow), "skybrush_csv", "gltf"]
+    "name", [pytest.param("crazyswarm2", marks=pytest.mark.slow), "parquet", "gltf"]
 )
 def test_a_robot_that_joins_is_exported_over_the_whole_time(name: str, tmp_path: Path) -> None:
     motion, slower = planned("join_a_fourth").motion, 1.02 if name == "crazyswarm2" else 1.0
@@ -197,13 +197,13 @@ def test_only_files_of_exports_are_replaced(tmp_path: Path) -> None:
     folder, other = tmp_path / "out", tmp_path / "other"
     exported(swarm_plan(), "csv", folder)
     (folder / "mine.txt").write_text("mine")
-    exported(swarm_plan(), "npz", folder)
-    assert sorted(p.name for p in folder.iterdir()) == ["export.json", "mine.txt", "setpoints.npz"]
+    exported(swarm_plan(), "parquet", folder)
+    assert {p.name for p in folder.iterdir()} == {"export.json", "mine.txt", "setpoints.parquet"}
     other.mkdir()
-    (other / "setpoints.npz").write_text("somebody's")
+    (other / "setpoints.parquet").write_text("somebody's")
     with pytest.raises(FileError, match="not from an export"):
-        exported(swarm_plan(), "npz", other)
-    assert (other / "setpoints.npz").read_text() == "somebody's"
+        exported(swarm_plan(), "parquet", other)
+    assert (other / "setpoints.parquet").read_text() == "somebody's"
 
 
 @pytest.mark.parametrize("frame", AXES)

@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
+from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
@@ -107,18 +109,23 @@ def test_every_format_holds_the_tension(name: str, plan: ho.Plan, tmp_path: Path
 
 
 def test_tables_feed_nothing_forward_and_hold_the_set_points(plan: ho.Plan, tmp_path: Path) -> None:
-    plan.export("npz", tmp_path, hold_tension=True, rate=50.0)
-    with np.load(tmp_path / "setpoints.npz") as arrays:
-        table = dict(arrays)
-    assert not np.any(table["cable_forces"])
-    np.testing.assert_array_equal(table["feed_forward"], table["accelerations"])
+    plan.export("parquet", tmp_path, hold_tension=True, rate=50.0)
+    table = pq.read_table(tmp_path / "setpoints.parquet")
+
+    def columns(names: str) -> NDArray[np.float64]:
+        return np.column_stack([table[name].to_numpy() for name in names.split()])
+
+    assert not np.any(columns("cable_x cable_y cable_z"))
+    accelerations = columns("ax ay az")
+    np.testing.assert_array_equal(columns("ff_x ff_y ff_z"), accelerations)
     # Attitudes point the thrust along m (a + g ẑ).
-    upward = (table["accelerations"] + [0.0, 0.0, 9.81]).reshape(-1, 3)
-    turned = Rotation.from_quat(table["quaternions"].reshape(-1, 4), scalar_first=True)
+    upward = accelerations + [0.0, 0.0, 9.81]
+    turned = Rotation.from_quat(columns("qw qx qy qz"), scalar_first=True)
     thrust = upward / np.linalg.norm(upward, axis=-1, keepdims=True)
     np.testing.assert_allclose(turned.apply([0.0, 0.0, 1.0]), thrust, atol=1e-6)
     held = held_tension(plan.motion).motion
-    np.testing.assert_allclose(table["positions"], held.drones.at(table["t"]), atol=1e-9)
+    positions = held.drones.at(columns("t")[:: held.team.drones, 0])
+    np.testing.assert_allclose(columns("x y z"), positions.reshape(-1, 3), atol=1e-9)
 
 
 UPLOADED = "crazyswarm2", "compressed"
@@ -132,8 +139,7 @@ NO_FORWARD, INTEGRAL = "without feed-forward", "an integral"
         ("csv", {"feed_forward": False}, [NO_FORWARD]),
         ("csv", {"integral": True}, [INTEGRAL]),
         *((name, {}, []) for name in ("mavsdk_drone_show", "ros2bag")),
-        *((name, {}, [NO_FORWARD]) for name in ("skybrush", "skybrush_csv")),
-        *((name, {}, [NO_FORWARD]) for name in UPLOADED),
+        *((name, {}, [NO_FORWARD]) for name in ("skybrush", *UPLOADED)),
         *((name, {"stiffness": None}, [INTEGRAL, NO_FORWARD]) for name in UPLOADED),
     ],
 )

@@ -66,7 +66,7 @@ def test_a_motion_is_certified_once_and_another_one_again(
     late[-1, 0] += 0.01  # which no exported file shows
     moved = solved.motion.replaced(vertices=solved.motion.vertices.replaced(late))
     with pytest.raises(CertificateError, match=r"continuity|cable_length|equilibrium"):
-        replace(solved, motion=moved).export("npz", tmp_path / "moved")
+        replace(solved, motion=moved).export("csv", tmp_path / "moved")
     read, certified = read_plan(tmp_path / "plan" / "plan.npz"), list[Motion]()
 
     def counting(motion: Motion, *_: object, **__: object) -> Certificate:
@@ -75,9 +75,9 @@ def test_a_motion_is_certified_once_and_another_one_again(
 
     monkeypatch.setattr(registry, "certify", counting)
     for motion in (solved.motion, read, read):
-        exported(motion, "npz", tmp_path / "files")
+        exported(motion, "csv", tmp_path / "files")
     assert certified == [read]
-    solved.export("npz", tmp_path / "files", stretch=1.1)
+    solved.export("csv", tmp_path / "files", stretch=1.1)
     assert [motion.duration for motion in certified] == [read.duration, 1.1 * read.duration]
 
 

@@ -1,4 +1,4 @@
-"""Formats skybrush and skybrush_csv: cubic Bézier curves and sampled positions for Skybrush.
+"""Format skybrush: shows of cubic Bézier curves for Skybrush.
 
 ``show.skyc`` is a zip with ``show.json`` and one ``trajectory.json`` per drone: points ``[t, [x, y,
 z], control points]`` with t in seconds from takeoff, north-west-up; the control points precede
@@ -14,16 +14,12 @@ horizontally to its target on a straight line (``goToKeepAlt``) or not at all (`
 descends. After the last entry drones land at their positions. Velocity jumps at corners;
 distances, positions and speeds are certified.
 
-``show.zip`` has one CSV file per drone for Skybrush's importers, ``Time [msec],x [m],y [m],z [m],
-Red,Green,Blue``: positions at integer milliseconds with straight lines between them.
-
 Feed-forward: autopilots of Skybrush track positions (and velocities) with their own controllers.
-The formats have no accelerations, and thus no cable forces.
+The format has no accelerations, and thus no cable forces.
 """
 
 from __future__ import annotations
 
-import io
 import json
 import math
 import posixpath
@@ -41,7 +37,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hitchopt.checks.certificate import Check
-from hitchopt.errors import FileError, InfeasibleError, InputError, Violation
+from hitchopt.errors import FileError, InfeasibleError, Violation
 from hitchopt.exports.exporting import EXPORT_RULES
 from hitchopt.exports.firmware import mapping_at
 from hitchopt.exports.format import Format, FormatOutput, Task
@@ -53,14 +49,12 @@ from hitchopt.exports.recording import (
     check_times,
     error,
     largest_jump,
-    separator_findings,
     warning,
 )
 from hitchopt.exports.refit import Kind, Scale, fit_breaks, fit_pieces, round_points
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.storage.archive import read_members, reading
 from hitchopt.storage.files import parsed_json
-from hitchopt.storage.tables import decoded_lines, labelled_table, text_lines
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.piecewise import merged_breaks
 from hitchopt.values import Array
@@ -426,62 +420,3 @@ def certify_returns(
             violations += [check.violation(*context) for check in checks if not check.holds]
     if violations:
         raise InfeasibleError(violations, "a coordinated return of the show breaks a limit")
-
-
-HEADER = "Time [msec],x [m],y [m],z [m],Red,Green,Blue"
-ROW = "%d,%.6f,%.6f,%.6f,255,255,255"
-
-
-class SkybrushCsv(Format):
-    """A zip of sampled positions, for Skybrush."""
-
-    name = "skybrush_csv"
-    file = "show.zip"
-    endings = (".zip", ".csv")
-    several = (".csv",)  # not in a zip
-    header = r"time \[msec\]"
-    frames = ("nwu",)
-    rate = 20.0
-    accuracy = 2e-3
-    feed_forward = "not in these files: they hold positions alone"
-
-    def write(self, folder: Path, task: Task) -> FormatOutput:
-        """Write the zip; raises InputError for a rate above 1000 Hz."""
-        if task.rate > 1000.0:
-            raise InputError("rate", task.rate, "at most 1000 Hz", "the format has milliseconds")
-        drones = task.motion.drones
-        samples = ceil(drones.duration * task.rate - 1e-6)
-        milliseconds = np.rint(np.arange(samples + 1) * (1e3 / task.rate))
-        positions = drones.at(np.minimum(milliseconds * 1e-3, float(drones.breaks[-1])))
-        with zipfile.ZipFile(folder / self.file, "w", zipfile.ZIP_DEFLATED) as archive:
-            archive.comment = f"frame: {task.frame.name}".encode()
-            for i, name in enumerate(task.names):
-                rows = np.column_stack([milliseconds, task.frame.points(positions[:, i]) + 0.0])
-                text = io.StringIO()
-                np.savetxt(text, rows, ROW, header=HEADER, comments="")
-                _add(archive, f"{name}.csv", text.getvalue())
-        return FormatOutput((self.file,))
-
-    def load(self, files: Sequence[Path]) -> Recording:
-        """Return straight lines between positions in a zip, or in CSV files of one drone each."""
-        path = files[0]
-        if path.suffix.lower() == ".zip":
-            with reading(path, "zip of CSV files"), zipfile.ZipFile(path) as archive:
-                members = [m for m in archive.infolist() if m.filename.lower().endswith(".csv")]
-                each = zip(members, read_members(path, archive, members), strict=True)
-                texts = [(f"{path}/{m.filename}", decoded_lines(data)) for m, data in each]
-        else:
-            with reading(path, "text file"):
-                texts = [(str(file), list(text_lines(file))) for file in files]
-        drones, columns = list[Trajectory](), HEADER.split(",")[:4]
-        for source, lines in texts:
-            table = labelled_table(lines.copy, columns, source)
-            numbers = table.numbers(columns, min_rows=2)
-            t, points, name = numbers[:, 0] * 1e-3, numbers[None, :, 1:], Path(source).stem
-            check_times(t, source)
-            with reading(path, "table of positions"):
-                curve = PiecewisePolynomial.hermite(t, points[:, :-1], points[:, 1:])
-            drones.append(Trajectory(name, curve, findings=tuple(separator_findings(table, name))))
-        if not 0 < len(drones) == len({drone.name for drone in drones}):
-            raise FileError(f"{path}: holds no CSV file, or two of one name")
-        return Recording.of_curves(drones, "nwu", 0)

@@ -1,4 +1,4 @@
-"""Formats csv, parquet, npz and json: one table for scripts, one row per sample and drone.
+"""Formats csv and parquet: one table for scripts, one row per sample and drone.
 
 Its columns are those of ``setpoints.csv``, and ``ff_*``, the feed-forward acceleration for
 controllers that add gravity, ``a_ff = a - F / m`` with the cable force F on the drone: the thrust
@@ -6,19 +6,14 @@ is ``m (a_ff + g ẑ)``; ``q*``, the corresponding attitude, from the body frame
 ``rate_*``, the angular velocity in the body frame.
 
 csv: ``setpoints_FRAME.csv``, twelve significant digits. parquet: the frame is in the metadata, a
-row group has complete samples. npz: ``t`` (S,), ``drones`` (D,), ``frame``, and an array (S, D, …)
-for every group of columns. json: ``{"format", "frame", "drones", "columns", "samples": [{"t",
-"rows": [[…] per drone]}, …]}``, one sample per line. Readers use positions, velocities and
-accelerations.
+row group has complete samples. Readers use positions, velocities and accelerations.
 """
 
 from __future__ import annotations
 
-import json
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +23,7 @@ from hitchopt.exports.directory import QUANTITIES, ROWS, write_rows
 from hitchopt.exports.format import Format, FormatOutput, Task
 from hitchopt.exports.placing import AXES
 from hitchopt.exports.recording import Recording, check_times, present_columns, required_module
-from hitchopt.storage.archive import check_expansion, read_arrays, reading
-from hitchopt.storage.files import parsed_json
+from hitchopt.storage.archive import check_expansion, reading
 from hitchopt.storage.tables import labelled_table, text_lines
 from hitchopt.values import Array
 
@@ -46,9 +40,7 @@ STATE_COLUMNS = COLUMNS[:3], COLUMNS[3:6], COLUMNS[6:9]
 """Columns of position, velocity and acceleration; the latter two are optional."""
 SMOOTH = 2  # The curves are quintics with continuous accelerations
 GROUP = 100_000  # Rows of a parquet row group, 23 MB of numbers
-MAX_TEXT = 2_000_000_000  # Size limit of a JSON document [B]
 FRAME_KEY = b"hitchopt.frame"  # Key in a parquet schema's metadata
-JSON_FORMAT = "hitchopt-setpoints/1"
 
 
 def rows_of(task: Task, rows: int) -> Iterator[tuple[Array, Array]]:
@@ -64,7 +56,7 @@ class Table(Format):
     rate = 100.0
     accuracy = 1e-3
     feed_forward = (
-        "ff_* or feed_forward = a - G F/m, the cable's force F, the drone's mass m and G, the pull "
+        "ff_* = a - G F/m, the cable's force F, the drone's mass m and G, the pull "
         "gain of a named controller, else 1: for controllers that add gravity; cable_* = F for "
         "those that take forces; a for others"
     )
@@ -158,63 +150,3 @@ class ParquetTable(Table):
             drones, *rows = file.read(columns).columns
             numbers = np.column_stack([row.to_numpy() for row in rows]).astype(np.float64)
             return _recording_of_rows(np.array(drones.to_pylist(), np.str_), numbers, frame)
-
-
-class NpzTable(Table):
-    """Arrays for numpy."""
-
-    name = "npz"
-    endings = (".npz",)
-    file = "setpoints.npz"
-
-    def _write(self, path: Path, task: Task) -> None:
-        times, blocks = zip(*task.blocks(GROUP), strict=True)
-        arrays: dict[str, Any] = {"frame": task.frame.name, "drones": task.names}
-        arrays |= {name: np.concatenate([block[name] for block in blocks]) for name in GROUPS}
-        np.savez(path, **arrays | {"t": np.concatenate(times)})
-
-    def _read(self, path: Path) -> Recording:
-        groups = tuple(GROUPS)[:3]
-        arrays = read_arrays(path, ("frame", "drones", "t", *groups))
-        names, t = tuple(map(str, arrays["drones"].ravel())), np.atleast_1d(arrays["t"])
-        for name in groups:
-            array, shape = arrays[name], (*t.shape, len(names), 3)
-            if {array.dtype.kind, t.dtype.kind} - set("iuf") or array.shape != shape:
-                raise FileError(f"array {name!r} is {array.shape}, not {shape} of numbers")
-        values = np.concatenate([arrays[name] for name in groups], axis=-1).astype(float)
-        return Recording.of_samples(names, t.astype(float), values, str(arrays["frame"]), SMOOTH)
-
-
-class JsonTable(Table):
-    """JSON text, one sample per line."""
-
-    name = "json"
-    endings = (".json",)
-    file = "setpoints.json"
-
-    def _write(self, path: Path, task: Task) -> None:
-        head = {"format": JSON_FORMAT, **task.frame.to_dict()}
-        head |= {"drones": list(task.names), "columns": list(COLUMNS)}
-        with path.open("w", encoding="utf-8", newline="\n") as file:
-            file.write(json.dumps(head, ensure_ascii=False)[:-1] + ',\n"samples": [')
-            separator = "\n"
-            for t, values in rows_of(task, ROWS):
-                for time, rows in zip(t.tolist(), values.tolist(), strict=True):
-                    file.write(separator + json.dumps({"t": time, "rows": rows}))
-                    separator = ",\n"
-            file.write("\n]}\n")
-
-    def _read(self, path: Path) -> Recording:
-        if path.stat().st_size > MAX_TEXT:
-            raise FileError(f"is larger than {MAX_TEXT} bytes")
-        content = parsed_json(path.read_bytes())
-        has_columns = content["columns"][:9] == list(COLUMNS[:9])
-        if not (has_columns and content["format"] == JSON_FORMAT and content["drones"]):
-            raise FileError(f"its format is not {JSON_FORMAT} with hitchopt's columns")
-        names, samples = tuple(map(str, content["drones"])), content["samples"]
-        values = np.array([sample["rows"] for sample in samples], dtype=np.float64)
-        if values.shape != (len(samples), len(names), len(content["columns"])):
-            raise FileError("a sample's rows are not one per drone")
-        t = np.array([sample["t"] for sample in samples], dtype=np.float64)
-        frame = str(content.get("frame"))
-        return Recording.of_samples(names, t, values[..., :9], frame, SMOOTH)
