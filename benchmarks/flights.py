@@ -23,7 +23,7 @@ from scipy.stats import binomtest
 
 import hitchopt as ho
 from benchmarks.measuring import PROBLEMS, Table, most_common, parser
-from hitchopt.lab.simulation.judgement import Run
+from hitchopt.lab.simulation.judgement import CampaignRun
 
 LIMITATIONS = (
     "cables of 10 g/m where the problem gives none, ropes of 12 mm; drones feed forward the cable "
@@ -70,18 +70,18 @@ def experiment(name: str, friction: float) -> ho.Plan:
 
 def fly(
     plan: ho.Plan, runs: int, seed: int, preset: str, processes: int, **settings: Any
-) -> list[Run]:
+) -> list[CampaignRun]:
     """Return the figures of perturbed flights of a plan with consecutive seeds."""
     with tempfile.TemporaryDirectory() as place, ProcessPoolExecutor(processes) as pool:
         one = partial(_one, plan.save(Path(place) / "plan"), preset, settings)
         return list(pool.map(one, range(seed, seed + runs)))
 
 
-def _one(place: Path, preset: str, settings: dict[str, Any], seed: int) -> Run:
+def _one(place: Path, preset: str, settings: dict[str, Any], seed: int) -> CampaignRun:
     return ho.simulate(place, preset=preset, perturbed=True, seed=seed, **settings).run  # type: ignore[arg-type]
 
 
-def success(runs: Sequence[Run]) -> tuple[int, str, str]:
+def success(runs: Sequence[CampaignRun]) -> tuple[int, str, str]:
     """Return the number of flights, the number of successes, and the first failures."""
     count = sum(run.succeeded for run in runs)
     low, high = binomtest(count, len(runs)).proportion_ci(0.95, method="wilson")
@@ -95,7 +95,7 @@ def centimetres(values: Sequence[float]) -> str:
     return f"{100.0 * np.mean(finite):.1f}" if finite else ""
 
 
-def errors(runs: Sequence[Run]) -> tuple[str, str]:
+def errors(runs: Sequence[CampaignRun]) -> tuple[str, str]:
     """Return mean vertex errors while a vertex moves, and at rest [cm]."""
     return tuple(
         centimetres([run.figures.get(f"{name}_mean", np.nan) for run in runs])

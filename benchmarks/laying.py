@@ -17,7 +17,7 @@ import numpy as np
 import hitchopt as ho
 from benchmarks.flights import irregular, success
 from benchmarks.measuring import PROBLEMS, Table, parser, timed
-from hitchopt.lab.simulation.judgement import Run
+from hitchopt.lab.simulation.judgement import CampaignRun
 from hitchopt.mission.problem import DronesStart
 
 LIMITATIONS = (
@@ -47,7 +47,7 @@ class Outcome(NamedTuple):
 
     plan: ho.Plan
     elapsed: float
-    run: Run | None
+    run: CampaignRun | None
 
 
 def from_hover(problem: ho.Problem, method: Method) -> ho.Problem:

@@ -44,7 +44,7 @@ from hitchopt.hitch.pairs import PAIRS, Bodies
 from hitchopt.motion.motion import CLASPED_STATES, FREE_STATES, HITCHED_STATE, CableState, Motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
-from hitchopt.trajectory.search import Extremum, Search, Spans
+from hitchopt.trajectory.search import BranchAndBound, Extremum, TimeSpans
 from hitchopt.values import Array, Indices
 
 # Number of pairs up to which an index costs more than it saves; pairs times pieces at a time
@@ -278,7 +278,7 @@ def _boxes(corners: Array) -> Array:
     return np.stack([each.min(axis=0), each.max(axis=0)])
 
 
-class PairSpans(Spans):
+class PairSpans(TimeSpans):
     """Spans of pairs of moving bodies."""
 
     source: Moving
@@ -351,11 +351,11 @@ def _nearest_neighbours(moving: Moving, attained: Callable[[], float]) -> Iterat
 
 
 def smallest(moving: Moving, **options: float) -> Extremum:
-    """Return the smallest distance of all pairs that count, with options of ``Search``.
+    """Return the smallest distance of all pairs that count, with options of ``BranchAndBound``.
 
     Without a pair, it is infinite and the item is -1.
     """
-    search: Search[PairSpans] = Search(moving.formula, "min", **options)
+    search: BranchAndBound[PairSpans] = BranchAndBound(moving.formula, "min", **options)
     for spans in near_pairs(moving, lambda: search.attained):
         search.add(spans)
         if search.attained <= search.absolute:  # the bodies touch: no pair is worse

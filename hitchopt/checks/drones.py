@@ -38,7 +38,7 @@ from hitchopt.motion.loads import leg_tensions, reduce_constants, tautness
 from hitchopt.motion.motion import HITCHED_STATE, CableState, Motion
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.enclosed import Bound, Enclosed, Interval, vector
-from hitchopt.trajectory.search import Extremum, Spans, worst
+from hitchopt.trajectory.search import Extremum, TimeSpans, worst
 from hitchopt.values import Array
 
 # Degree of the factors of a turning rate: they err by 1e-9 on the spans that matter
@@ -430,10 +430,10 @@ def largest_rate(
     """
     rates, margin = derivative(part, order), derivative_margin(part, order)
 
-    def formula(spans: Spans) -> Bound:
+    def formula(spans: TimeSpans) -> Bound:
         return size(Enclosed(spans.read(rates), margin[spans.piece, spans.item]))
 
-    spans = Spans.all_of(part, part.breaks, part.shape[0])
+    spans = TimeSpans.all_of(part, part.breaks, part.shape[0])
     return worst(spans, formula, "max", target=with_tolerance(limit, "max", 0.0, 0.5))
 
 

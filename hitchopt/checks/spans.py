@@ -23,7 +23,7 @@ from hitchopt.motion.motion import Motion, Phase
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.bernstein import same_degree
 from hitchopt.trajectory.enclosed import Enclosed
-from hitchopt.trajectory.search import BATCH, Spans
+from hitchopt.trajectory.search import BATCH, TimeSpans
 from hitchopt.values import Array, Indices
 
 ROUNDING = 2.0**-40
@@ -125,7 +125,7 @@ def rate(motion: Motion, table: Callable[[Motion], Array]) -> Array:
     return slope
 
 
-class MotionSpans(Spans):
+class MotionSpans(TimeSpans):
     """Spans of one kind of item of a motion."""
 
     source: Motion

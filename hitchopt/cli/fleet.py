@@ -170,8 +170,8 @@ def lint(path: Path, **limits: float | None) -> None:
 
 def _say_report(report: Report) -> None:
     """Print the figures, the findings, and their numbers."""
+    from hitchopt.exports.contents import ERROR, WARNING
     from hitchopt.exports.formats.crazyflie import BYTES
-    from hitchopt.exports.recording import ERROR, WARNING
 
     facts, flight = report.facts, report.flight
     figures: list[tuple[str, float | None, float | None]] = [
@@ -324,7 +324,7 @@ def fly(
     are certified; aborts are planned first. A lost operator or lost measurements lead to a hold,
     then to a landing. Ends with 3 unless the drones have landed.
     """
-    from hitchopt.live.fly import CommandedPlan, Flight
+    from hitchopt.live.fly import CommandedPlan, StreamedFlight
     from hitchopt.live.links import KEYS_HELP, Operator
     from hitchopt.values import positive
 
@@ -339,7 +339,7 @@ def fly(
     commanded, operator = CommandedPlan(motion, tables), Operator()
     with ThreadPoolExecutor(1) as workers, operator.attached():
         parts = commanded, outlet, operator.commands, watched, workers.submit, say
-        flight = Flight(*parts, rate=rate, patience=patience)
+        flight = StreamedFlight(*parts, rate=rate, patience=patience)
         say(f"streaming at {rate:g} Hz, at rest at the plan's start; {KEYS_HELP}, Ctrl-C land")
         with _land_on_signals(operator.add):
             due = time.monotonic()

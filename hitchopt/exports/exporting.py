@@ -30,18 +30,18 @@ from hitchopt.errors import (
     Progress,
     Violation,
 )
-from hitchopt.exports.format import Format, Task, format_of
-from hitchopt.exports.held_tension import held_tension
-from hitchopt.exports.options import ENDINGS, ExportOptions, checked_rate
-from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet, read_fleet
-from hitchopt.exports.recording import (
+from hitchopt.exports.contents import (
     MANIFEST,
     MANIFEST_FORMAT,
-    Recording,
+    FileContents,
     held_until,
     listed_names,
     read_manifest,
 )
+from hitchopt.exports.format import ExportTask, Format, format_of
+from hitchopt.exports.held_tension import held_tension
+from hitchopt.exports.options import ENDINGS, ExportOptions, checked_rate
+from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet, read_fleet
 from hitchopt.hitch import Team
 from hitchopt.hitch.forces import undetermined_tension
 from hitchopt.motion.combined import combined
@@ -128,7 +128,7 @@ def export_motion(
         ),
     )
     content = plan, title, frame, fleet, rate, options
-    task = Task(*content, undetermined=undetermined, settings=settings, notes=notes)
+    task = ExportTask(*content, undetermined=undetermined, settings=settings, notes=notes)
     _check_controllers(kind, motion, options)
     is_export = _is_file(place) and place.with_name(f"{place.name}.{MANIFEST}").exists()
     if place.exists() and not (place.is_dir() or is_export):
@@ -183,11 +183,11 @@ def _controllers(team: Team) -> list[str]:
     return sorted({name for each in team.quadrotor if (name := each.controller)})
 
 
-def _first_valid(kind: Format, task: Task, scratch: Path, say: Progress) -> list[Export]:
+def _first_valid(kind: Format, task: ExportTask, scratch: Path, say: Progress) -> list[Export]:
     """Export the plan as a whole, slower, or in parts: the first of these without violations."""
     refusals: list[InfeasibleError] = []
 
-    def candidates() -> Iterator[Sequence[Task]]:
+    def candidates() -> Iterator[Sequence[ExportTask]]:
         yield (task,)
         exceeds_memory = any(each.constraint == "memory" for each in refusals[0].violations)
         is_rounded = len(kind.bounds) > 1 and not exceeds_memory and not task.options.hold_tension
@@ -208,7 +208,7 @@ def _first_valid(kind: Format, task: Task, scratch: Path, say: Progress) -> list
 
 
 def _export_part(
-    kind: Format, task: Task, place: Path, say: Progress, refusals: list[InfeasibleError]
+    kind: Format, task: ExportTask, place: Path, say: Progress, refusals: list[InfeasibleError]
 ) -> Export:
     """Export a part with the first refit that violates no limit; else raise InfeasibleError.
 
@@ -222,10 +222,10 @@ def _export_part(
         try:
             written = kind.write(folder, replace(task, bound=bound))
             say(f"reading {kind.name} back")
-            recording = kind.read(folder, task)
+            contents = kind.read(folder, task)
             violated = {each.constraint for refusal in refusals for each in refusal.violations}
             for subset in filter(None, ([r for r in rules if r.name in violated], rules)):
-                verdict = verify(task.motion, recording, task.frame, task.names, subset)
+                verdict = verify(task.motion, contents, task.frame, task.names, subset)
                 if violations := verdict.violations(task.motion, kind.accuracy):
                     reason = "rounding or refitting costs more than the plan's margins"
                     raise InfeasibleError(violations, f"{kind.name} is not written: {reason}")
@@ -255,14 +255,14 @@ def _export_part(
     raise refusals[-1]
 
 
-def _feed_forward_entry(kind: Format, task: Task) -> str:
+def _feed_forward_entry(kind: Format, task: ExportTask) -> str:
     """Return the manifest's entry on cable forces in the files."""
     if not task.motion.has_cables:
         return NO_CABLE_FORCE
     return OFFSETS_HOLD_TENSION if task.options.hold_tension else kind.feed_forward
 
 
-def _manifest_head(kind: Format, task: Task) -> dict[str, Any]:
+def _manifest_head(kind: Format, task: ExportTask) -> dict[str, Any]:
     head = {"format": MANIFEST_FORMAT, "exported_as": kind.name, "title": task.title}
     names = _controllers(task.motion.team)
     return {**head, "flown_by": kind.flown_by, "controllers": names, **task.frame.to_dict()}
@@ -285,7 +285,7 @@ def _is_file(place: Path) -> bool:
 
 
 def _move_exports(
-    exports: Sequence[Export], place: Path, kind: Format, task: Task
+    exports: Sequence[Export], place: Path, kind: Format, task: ExportTask
 ) -> tuple[Export, ...]:
     """Move verified exports to their file or folder; several parts to subfolders."""
     first, several = exports[0], len(exports) > 1
@@ -398,25 +398,25 @@ class Verdict:
 
 def verify(
     motion: Motion,
-    recording: Recording,
+    contents: FileContents,
     frame: ReferenceFrame,
     names: Sequence[str],
     rules: Sequence[CheckRule] = EXPORT_RULES,
 ) -> Verdict:
-    """Return errors and checks of a recording of the plan ``motion``, from t = 0.
+    """Return errors and checks of files of the plan ``motion``, from t = 0.
 
-    ``frame`` is the frame of the recording, ``names`` (D,) are its names of the plan's drones, in
-    order. Raises FileError for other drones than the plan's, and if the recording is too short.
+    ``frame`` is that of the files, ``names`` (D,) are their names of the plan's drones, in
+    order. Raises FileError for other drones than the plan's, and if the files are too short.
     """
-    missing = [name for name in names if name not in recording.names]
-    if missing or len(recording.names) != len(names):
+    missing = [name for name in names if name not in contents.names]
+    if missing or len(contents.names) != len(names):
         reason = f"{missing[0]} is missing" if missing else "there are more of them"
         raise FileError(f"its drones are not those of the plan: {reason}")
-    index = [recording.names.index(name) for name in names]
+    index = [contents.names.index(name) for name in names]
     firsts = np.cumsum([len(each.motion.team.drone_names) for each in motion.groups])[:-1]
-    carried = [rule for rule in rules if rule.derivative <= recording.smooth + 1]
+    carried = [rule for rule in rules if rule.derivative <= contents.smooth + 1]
     checks, deviations, end = list[list[Check | None]](), list[list[Deviation]](), 0.0
-    for window in recording.windows():
+    for window in contents.windows():
         if abs(float(window.breaks[0]) - end) > JOINT:
             raise FileError(f"begins at t = {window.breaks[0]:g} s, not at {end:g} s")
         end = float(window.breaks[-1])
@@ -436,7 +436,7 @@ def verify(
     each = zip(*deviations, strict=True)
     position, velocity = (max(errors, key=lambda error: error.worst) for errors in each)
     worst = tuple(filter(None, map(worst_of, zip(*checks, strict=True))))
-    return Verdict(end, position, velocity, worst, NOT_CARRIED[recording.smooth])
+    return Verdict(end, position, velocity, worst, NOT_CARRIED[contents.smooth])
 
 
 def _plan_between(motion: Motion, breaks: Array) -> Motion:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from hitchopt.errors import InputError
-from hitchopt.exports.recording import Finding, error, warning
+from hitchopt.exports.contents import Finding, error, warning
 from hitchopt.hitch import GRAVITY, Quadrotor, Team
 from hitchopt.hitch.estimator import HELD
 from hitchopt.hitch.flight_controller import FlightController, Gains, px4_gains

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from hitchopt.exports.contents import FileContents
 from hitchopt.exports.firmware import refuse_controllers
 from hitchopt.exports.options import HOMES, STORAGES, ExportOptions
 from hitchopt.exports.placing import Fleet, ReferenceFrame
-from hitchopt.exports.recording import Recording
 from hitchopt.hitch import Team
 from hitchopt.hitch.flight_controller import CONTROLLERS
 from hitchopt.motion.motion import Motion
@@ -32,7 +32,7 @@ FLIPPED = np.array([1.0, -1.0, -1.0])  # Signs of axes after a rotation by 180°
 
 
 @dataclass(frozen=True, eq=False)
-class Task:
+class ExportTask:
     """A plan or a part of it, and all options of its files."""
 
     motion: Motion  # starts at t = 0
@@ -149,28 +149,28 @@ class Format(ABC):
         return {}
 
     @abstractmethod
-    def write(self, folder: Path, task: Task) -> FormatOutput:
+    def write(self, folder: Path, task: ExportTask) -> FormatOutput:
         """Write the files of a task; raises InfeasibleError if the format cannot hold the plan."""
 
     @abstractmethod
-    def load(self, files: Sequence[Path]) -> Recording:
+    def load(self, files: Sequence[Path]) -> FileContents:
         """Read files of any origin; raises FileError if they are damaged."""
 
-    def read(self, folder: Path, task: Task) -> Recording:
+    def read(self, folder: Path, task: ExportTask) -> FileContents:
         """Return the receiver's motion for a task's files.
 
         Raises InfeasibleError if other contents, such as coordinated returns, violate a limit.
         """
         return self.load([folder / name for name in self.files(task)])
 
-    def files(self, task: Task) -> tuple[str, ...]:
+    def files(self, task: ExportTask) -> tuple[str, ...]:
         """Return the names of the trajectory files of a task."""
         fields = {"frame": task.frame.name, "ending": STORAGES[task.options.storage]}
         each = enumerate(task.names, 1)
         names = (self.file.format(name=name, number=i, **fields) for i, name in each)
         return tuple(dict.fromkeys(names))
 
-    def parts(self, task: Task, share: float) -> Sequence[Task]:  # noqa: ARG002
+    def parts(self, task: ExportTask, share: float) -> Sequence[ExportTask]:  # noqa: ARG002
         """Return a task cut into parts that are flown one by one; empty if that is not possible.
 
         The refit error of parts is this share of the usual one.

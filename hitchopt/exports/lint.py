@@ -22,18 +22,13 @@ from hitchopt.checks.certificate import Check, worst_of
 from hitchopt.checks.drones import largest_rate
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import FileError, InputError
-from hitchopt.exports.directory import changed_tables
-from hitchopt.exports.firmware import SETTINGS, settings_findings
-from hitchopt.exports.format import Format, format_of
-from hitchopt.exports.formats.skybrush import DISTANCE, LOWEST, SHOW_LIMITS
-from hitchopt.exports.options import ENDINGS, HOMES
-from hitchopt.exports.recording import (
+from hitchopt.exports.contents import (
     ERROR,
     LEVELS,
     MANIFEST,
     DroneFacts,
+    FileContents,
     Finding,
-    Recording,
     error,
     largest_jump,
     listed_names,
@@ -41,6 +36,11 @@ from hitchopt.exports.recording import (
     read_manifest,
     warning,
 )
+from hitchopt.exports.directory import changed_tables
+from hitchopt.exports.firmware import SETTINGS, settings_findings
+from hitchopt.exports.format import Format, format_of
+from hitchopt.exports.formats.skybrush import DISTANCE, LOWEST, SHOW_LIMITS
+from hitchopt.exports.options import ENDINGS, HOMES
 from hitchopt.hitch import Swarm
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.motion.motion import Motion
@@ -85,7 +85,7 @@ RATES = {"speed": (1, "m/s", ("all",)), "acceleration": (2, "m/s²", ("all",))} 
 
 
 @dataclass(frozen=True)
-class Flight:
+class JointFlight:
     """Figures of the joint flight of all drones over all time."""
 
     duration: float  # [s]
@@ -107,7 +107,7 @@ class Report:
     kind: str  # name of the format
     frame: str  # enu, nwu or ned; empty if unknown
     facts: tuple[DroneFacts, ...]  # one per drone
-    flight: Flight
+    flight: JointFlight
     findings: tuple[Finding, ...]  # errors first
 
     @property
@@ -154,25 +154,25 @@ def lint(path: Path | str, rules: Rules | None = None) -> tuple[Report, ...]:
 def _report(path: Path, rules: Rules) -> Report:
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # such numbers are reported
-            kind, recording = load(path)
-            flight, findings = _joint_flight(kind, recording, rules)
+            kind, contents = load(path)
+            flight, findings = _joint_flight(kind, contents, rules)
             findings += _parameter_findings(path)
     except (FileError, InputError) as exception:
         text = str(exception)
         raise FileError(text if text.startswith(str(path)) else f"{path}: {text}") from exception
-    findings = [*recording.findings, *findings, *_manifest_findings(path, kind, recording)]
-    if missing := recording.missing_derivative:
+    findings = [*contents.findings, *findings, *_manifest_findings(path, kind, contents)]
+    if missing := contents.missing_derivative:
         is_linear = missing == "velocities"
         curves = "lines" if is_linear else "cubics through positions and velocities"
         findings.append(note(missing, "", f"none: joined by {curves}"))
-    if not recording.frame:
+    if not contents.frame:
         findings.append(note("frame", "", "the files do not state their axes; read as given"))
     findings.sort(key=lambda f: LEVELS.index(f.level))
-    return Report(path, kind.name, recording.frame, recording.facts, flight, tuple(findings))
+    return Report(path, kind.name, contents.frame, contents.facts, flight, tuple(findings))
 
 
-def load(path: Path) -> tuple[Format, Recording]:
-    """Return format and recording of a file or folder; raises FileError if no format fits."""
+def load(path: Path) -> tuple[Format, FileContents]:
+    """Return format and contents of a file or folder; raises FileError if no format fits."""
     if not path.exists():
         raise FileError(f"{path}: there is no such file or folder")
     if path.name == PLAN or (path / PLAN).is_file():
@@ -212,19 +212,21 @@ def _kind(path: Path, formats: Sequence[Format]) -> Format:
     raise FileError(f"{path}: its first line, {first!r}, {reason}")
 
 
-def _joint_flight(kind: Format, recording: Recording, rules: Rules) -> tuple[Flight, list[Finding]]:
+def _joint_flight(
+    kind: Format, contents: FileContents, rules: Rules
+) -> tuple[JointFlight, list[Finding]]:
     """Return figures of the joint flight, and findings."""
-    names, own = recording.names, recording.own
+    names, own = contents.names, contents.own
     limits, checks = rules.limits(own), dict[str, Check]()
-    jumps = [(0.0, 0, 0.0)] * (recording.smooth + 1)
-    windows = recording.windows()
+    jumps = [(0.0, 0, 0.0)] * (contents.smooth + 1)
+    windows = contents.windows()
     last = next(windows)
     first, start = last.coefficients[0, ..., 0], float(last.breaks[0])
     is_relative = len(first) > 1 and float(np.max(np.ptp(first, axis=0))) < RELATIVE_START
     reach, longest = (0.0, ""), 0.0
     for window in (last, *windows):
         reach = max(reach, _reach(window, names))
-        for check in _checks(recording, window, limits, None if is_relative else rules.separation):
+        for check in _checks(contents, window, limits, None if is_relative else rules.separation):
             checks[check.name] = worst_of([checks.get(check.name), check]) or check
         extended = window if window is last else joined([last, window])
         jumps = [max(jump, largest_jump(extended, order)) for order, jump in enumerate(jumps)]
@@ -234,7 +236,7 @@ def _joint_flight(kind: Format, recording: Recording, rules: Rules) -> tuple[Fli
     if (fastest := checks.get("speed")) is not None and fastest.bound > SPEED_OF_SOUND:
         reason = f"flies at {fastest.bound:.3g} m/s at t = {fastest.time:g} s, faster than sound"
         raise FileError(f"{fastest.where[0]} {reason}; are its times in other units?")
-    flight = Flight(
+    flight = JointFlight(
         float(last.breaks[-1]) - start,
         *(values["speed"], values["acceleration"]),
         values["separation"] if len(names) > 1 else math.inf,
@@ -247,7 +249,7 @@ def _joint_flight(kind: Format, recording: Recording, rules: Rules) -> tuple[Fli
     violated = (check for check in checks.values() if not check.holds)
     findings = [_violation(check, is_default=check.name in defaults) for check in violated]
     findings += _end_findings(last, names, jumps, rules)
-    findings += _time_findings(kind, recording, longest)
+    findings += _time_findings(kind, contents, longest)
     if reach[0] > MAX_INT16:
         reason = f"goes {reach[0]:.4g} m from the origin, and 16 bits hold {MAX_INT16} m; move it"
         findings.append(note("range", reach[1], reason))
@@ -277,19 +279,19 @@ def _reach(window: PiecewisePolynomial, names: Sequence[str]) -> tuple[float, st
 
 
 def _checks(
-    recording: Recording,
+    contents: FileContents,
     window: PiecewisePolynomial,
     limits: Mapping[str, float],
     separation: Separation | None,
 ) -> Iterator[Check]:
     """Yield the checks of a window against limits by name, in axes with z up.
 
-    Derivatives of an order above ``recording.smooth`` + 1 are not defined, and not checked.
+    Derivatives of an order above ``contents.smooth`` + 1 are not defined, and not checked.
     """
-    names, min_distance = recording.names, limits.get(DISTANCE)
+    names, min_distance = contents.names, limits.get(DISTANCE)
     for key in (key for key in RATES if key in limits):
         order, unit, components = RATES[key]
-        if order > recording.smooth + 1:
+        if order > contents.smooth + 1:
             continue
         if f"{key}Up" in limits:
             components = ("down",)
@@ -365,12 +367,12 @@ def _end_findings(
         yield warning("end", names[fastest], f"{reason}; end at rest")
 
 
-def _time_findings(kind: Format, recording: Recording, longest: float) -> Iterator[Finding]:
+def _time_findings(kind: Format, contents: FileContents, longest: float) -> Iterator[Finding]:
     """Yield findings on long times between samples [s], and on drones that end early."""
     if longest * kind.streamed > 1.01:
         reason = f"{longest:.3g} s between two setpoints; send them at {kind.streamed:g} Hz or more"
         yield (error if longest > WATCHDOG_TIME else warning)("rate", "", reason)
-    facts = sorted(recording.facts, key=lambda fact: fact.duration)
+    facts = sorted(contents.facts, key=lambda fact: fact.duration)
     if facts[0].duration < facts[-1].duration - DURATION_TOLERANCE:
         reason = f"lasts {facts[0].duration:.6g} s, another {facts[-1].duration:.6g} s"
         yield warning("duration", facts[0].name, f"{reason}; let all end together")
@@ -393,7 +395,7 @@ def _sequence_findings(names: Sequence[str], starts: Array, ends: Array) -> Iter
         yield note("sequence", "", reason)
 
 
-def _manifest_findings(path: Path, kind: Format, recording: Recording) -> Iterator[Finding]:
+def _manifest_findings(path: Path, kind: Format, contents: FileContents) -> Iterator[Finding]:
     """Yield differences from an export's manifest, and reasons why the tension is undetermined."""
     if path.is_dir():
         manifest = read_manifest(path)
@@ -415,18 +417,18 @@ def _manifest_findings(path: Path, kind: Format, recording: Recording) -> Iterat
             reason = "is not what was exported and verified; export it again, without edits"
             yield (error if file.suffix.lower() in kind.endings else note)("changed", name, reason)
     if (fleet := next(iter(files.values())).parent / SETTINGS).is_file():
-        yield from _start_findings(fleet, recording)
+        yield from _start_findings(fleet, contents)
     reasons = manifest.get("undetermined_tension")
     for reason in reasons if isinstance(reasons, list) else ():
         yield warning("tension", "", str(reason))
 
 
-def _start_findings(fleet: Path, recording: Recording) -> Iterator[Finding]:
+def _start_findings(fleet: Path, contents: FileContents) -> Iterator[Finding]:
     """Yield errors for drones whose initial positions are not below their first points."""
-    starts = next(recording.windows()).coefficients[0, :, :2, 0]
+    starts = next(contents.windows()).coefficients[0, :, :2, 0]
     content: Any = read_yaml(fleet)
     robots: Any = content.get("robots") if isinstance(content, Mapping) else None
-    for name, start in zip(recording.names, starts, strict=True):
+    for name, start in zip(contents.names, starts, strict=True):
         robot = robots.get(name) if isinstance(robots, Mapping) else None
         point = robot.get("initial_position") if isinstance(robot, Mapping) else None
         if not (

@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hitchopt.exports.recording import held_until
+from hitchopt.exports.contents import held_until
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array
 
@@ -42,7 +42,7 @@ class Scale(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Kind:
+class PieceKind:
     """The kind of pieces of a format."""
 
     degree: int
@@ -53,7 +53,7 @@ class Kind:
     scale: Scale = Scale()  # noqa: RUF009 - a tuple
 
 
-def fit_pieces(curves: PiecewisePolynomial, breaks: Array, kind: Kind) -> PiecewisePolynomial:
+def fit_pieces(curves: PiecewisePolynomial, breaks: Array, kind: PieceKind) -> PiecewisePolynomial:
     """Return the curves (D, 3), from t = 0, on pieces of a kind, constant after their end."""
     curves = held_until(curves, float(breaks[-1]))
     pieces = [_fit_piece(curves, kind, start, end)[0].T for start, end in pairwise(breaks.tolist())]
@@ -62,7 +62,7 @@ def fit_pieces(curves: PiecewisePolynomial, breaks: Array, kind: Kind) -> Piecew
 
 
 def _fit_piece(
-    curves: PiecewisePolynomial, kind: Kind, start: float, end: float
+    curves: PiecewisePolynomial, kind: PieceKind, start: float, end: float
 ) -> tuple[Array, float]:
     """Return the coefficients (N + 1, D * 3) of one piece, and its largest error over the scale."""
     h, count = end - start, kind.interpolated
@@ -93,7 +93,7 @@ def _matrices(degree: int, count: int) -> tuple[Array, Array, Array]:
 
 
 def fit_breaks(
-    curves: PiecewisePolynomial, kind: Kind, bound: float, max_pieces: float = inf
+    curves: PiecewisePolynomial, kind: PieceKind, bound: float, max_pieces: float = inf
 ) -> Array:
     """Return the breaks of pieces with errors up to ``bound``, from 0 to the end of the curves.
 
@@ -132,7 +132,7 @@ def _longest_stride(fits: Callable[[int], bool], max_stride: int, guess: int) ->
     return good
 
 
-def best_breaks(curves: PiecewisePolynomial, kind: Kind, max_pieces: int) -> Array:
+def best_breaks(curves: PiecewisePolynomial, kind: PieceKind, max_pieces: int) -> Array:
     """Return the breaks of ``max_pieces`` with the smallest error; more if MAX_ERROR needs more."""
     if len(best := fit_breaks(curves, kind, MIN_ERROR, max_pieces)) - 1 <= max_pieces:
         return best

@@ -93,7 +93,7 @@ def few_close_pairs(
     return Pairs(i[is_close], j[is_close])
 
 
-class _Group(NamedTuple):
+class _SizeClass(NamedTuple):
     """Boxes of similar sizes and their largest size: large boxes do not widen other searches."""
 
     members: Indices
@@ -101,7 +101,7 @@ class _Group(NamedTuple):
     tree: cKDTree
 
 
-def _by_size(boxes: Boxes, cutoff: float) -> list[_Group]:
+def _by_size(boxes: Boxes, cutoff: float) -> list[_SizeClass]:
     """Return the boxes grouped by size, in powers of two."""
     from scipy.spatial import cKDTree
 
@@ -109,4 +109,4 @@ def _by_size(boxes: Boxes, cutoff: float) -> list[_Group]:
     unit = max(cutoff, float(np.median(sizes)), 1e-6 * float(np.max(sizes)), TINY)
     rank = np.ceil(np.log2(np.maximum(sizes / unit, 1.0)))
     groups = [np.flatnonzero(rank == value) for value in np.unique(rank)]
-    return [_Group(each, float(np.max(sizes[each])), cKDTree(centres[each])) for each in groups]
+    return [_SizeClass(each, float(np.max(sizes[each])), cKDTree(centres[each])) for each in groups]

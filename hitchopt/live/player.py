@@ -85,7 +85,7 @@ class Player(OneLine):
         self._shared = _shared_data(motion)
         self._start, self._end = (float(b) for b in motion.drones.breaks[[0, -1]])
         self._check_time(time)
-        self._course = self._clamped(Course(float(time), _checked_rate(rate)))
+        self._profile = self._clamped(ClockProfile(float(time), _checked_rate(rate)))
         self._durations = DURATIONS
 
     def _parts(self) -> Iterator[str]:
@@ -100,22 +100,22 @@ class Player(OneLine):
     @property
     def time(self) -> float:
         """Plan time [s]."""
-        return self._course.now[0]
+        return self._profile.now[0]
 
     @property
     def clock_rate(self) -> float:
         """Rate of the plan time: 1 for the plan's own speed, negative backward."""
-        return self._course.now[1]
+        return self._profile.now[1]
 
     @property
     def resting(self) -> bool:
         """Whether the clock is at rest and not about to start."""
-        return not self._course.phases and self._course.rate == 0.0
+        return not self._profile.phases and self._profile.rate == 0.0
 
     @property
     def ahead(self) -> ClockPhases:
         """The remaining phases of the current change of the rate."""
-        return self._course.clock
+        return self._profile.clock
 
     def step(self, seconds: float) -> Setpoints:
         """Advance the time [s] and return the setpoints.
@@ -124,10 +124,10 @@ class Player(OneLine):
         ------
         InputError: the time is negative or not finite.
         """
-        self._course = self._course.after(nonnegative("seconds", seconds))
+        self._profile = self._profile.after(nonnegative("seconds", seconds))
         if not self._start <= self.time <= self._end:
-            self._course = self._clamped(Course(self.time, self.clock_rate))
-        time, rate, slope, jerk = self._course.now
+            self._profile = self._clamped(ClockProfile(self.time, self.clock_rate))
+        time, rate, slope, jerk = self._profile.now
         each = [sampler.values(time, rate, slope, jerk) for sampler in self._shared.samplers]
         return Setpoints(time, rate, *np.concatenate(each, axis=1))
 
@@ -151,11 +151,11 @@ class Player(OneLine):
             where legs lean against friction; the clock continues as before.
         """
         rate = _checked_rate(rate)
-        course = self._first_feasible(partial(_to_rate, rate), rate)
+        profile = self._first_feasible(partial(_to_rate, rate), rate)
         if rate == 0.0:
             stop = self._guaranteed_stop()
-            course = stop if course is None or stop.seconds <= course.seconds else course
-        return self._follow(course, f"a rate of {rate:g}")
+            profile = stop if profile is None or stop.seconds <= profile.seconds else profile
+        return self._follow(profile, f"a rate of {rate:g}")
 
     def back(self) -> float:
         """Fly the plan backward at full rate; return the time until that is reached [s].
@@ -180,29 +180,29 @@ class Player(OneLine):
         InfeasibleError: as rate.
         """
         self._check_time(time)
-        course = self._first_feasible(partial(_to_time, time), 0.0)
-        return self._follow(course, f"plan time {time:g} s")
+        profile = self._first_feasible(partial(_to_time, time), 0.0)
+        return self._follow(profile, f"plan time {time:g} s")
 
     def _check_time(self, time: float) -> None:
         if not self._start <= finite("time", time) <= self._end:
             raise InputError("time", time, f"within [0, {self._end:g}] s", "stay within the plan")
 
-    def _clamped(self, course: Course) -> Course:
-        """Return the course limited to the plan, at rest if it ends at the plan's start or end."""
-        time, rate = course.time, course.rate
+    def _clamped(self, profile: ClockProfile) -> ClockProfile:
+        """Return the profile limited to the plan, at rest if it ends at the plan's start or end."""
+        time, rate = profile.time, profile.rate
         excess = time - self._end if rate > 0.0 else self._start - time
         rate = 0.0 if excess > -CLOCK_TOLERANCE else rate
-        return replace(course, time=min(max(time, self._start), self._end), rate=rate)
+        return replace(profile, time=min(max(time, self._start), self._end), rate=rate)
 
-    def _first_feasible(self, change: Change, rate: float) -> Course | None:
+    def _first_feasible(self, change: Change, rate: float) -> ClockProfile | None:
         """Return the change to a rate that ends first and keeps all limits; None if none does."""
         candidates = []
         for first_part in self._first_parts(rate):
             for duration in self._durations:
-                for course in change(first_part, duration):
-                    extended = self._extended(course, rate)
+                for profile in change(first_part, duration):
+                    extended = self._extended(profile, rate)
                     if not self._shared.slides_back(extended.clock):
-                        candidates.append((course, course if abs(rate) == 1.0 else extended))
+                        candidates.append((profile, profile if abs(rate) == 1.0 else extended))
         candidates.sort(key=lambda candidate: candidate[0].seconds)
         for first in range(0, len(candidates), BATCH):
             batch = candidates[first : first + BATCH]
@@ -212,10 +212,10 @@ class Player(OneLine):
                 return batch[int(np.argmax(feasible))][0]
         return None
 
-    def _first_parts(self, rate: float) -> Iterator[Course]:
+    def _first_parts(self, rate: float) -> Iterator[ClockProfile]:
         """Yield courses before a change: none, the rest of the current change, a delay, a stop."""
-        current = self._course
-        yield Course(*current.now[:3])
+        current = self._profile
+        yield ClockProfile(*current.now[:3])
         if current.phases:
             yield current
         elif current.rate != 0.0:
@@ -223,26 +223,26 @@ class Player(OneLine):
         if rate != 1.0 and not self.resting:
             yield self._guaranteed_stop()
 
-    def _extended(self, course: Course, rate: float) -> Course:
+    def _extended(self, profile: ClockProfile, rate: float) -> ClockProfile:
         """Return a change with its continuation: to the plan's end, or a restart after a stop.
 
         A restart is needed only while an object is held. The plan's own rate needs no check.
         """
-        if not course.phases:
-            return course
+        if not profile.phases:
+            return profile
         if rate != 0.0:
-            return self._to_end(course)
-        is_loaded = self._shared.limits.carries(np.array([course.time]))[0]
-        return course.to(1.0, 2.0 * course.phases[-1][0]) if is_loaded else course
+            return self._to_end(profile)
+        is_loaded = self._shared.limits.carries(np.array([profile.time]))[0]
+        return profile.to(1.0, 2.0 * profile.phases[-1][0]) if is_loaded else profile
 
-    def _to_end(self, course: Course) -> Course:
-        """Return a course that continues at its rate to the plan's end, or back to its start."""
-        remaining = (self._end if course.rate > 0.0 else self._start) - course.time
-        return course.then(remaining / course.rate)
+    def _to_end(self, profile: ClockProfile) -> ClockProfile:
+        """Return a profile that continues at its rate to the plan's end, or back to its start."""
+        remaining = (self._end if profile.rate > 0.0 else self._start) - profile.time
+        return profile.then(remaining / profile.rate)
 
-    def _guaranteed_stop(self) -> Course:
+    def _guaranteed_stop(self) -> ClockProfile:
         """Return a stop that needs no check: one of the table, or a run to the plan's end."""
-        current = self._course
+        current = self._profile
         if current.rate == 0.0:
             return current
         if current.rate < 1.0 - CLOCK_TOLERANCE:
@@ -251,9 +251,9 @@ class Player(OneLine):
         run = current.then(start - current.time)
         return run.to(0.0, duration) if duration > 0.0 else run
 
-    def _follow(self, course: Course | None, goal: str) -> float:
-        """Follow a course from now on; return its duration [s]."""
-        if course is None:
+    def _follow(self, profile: ClockProfile | None, goal: str) -> float:
+        """Follow a profile from now on; return its duration [s]."""
+        if profile is None:
             reason = "no change of the clock was found that keeps all limits"
             if self._shared.limits.carried:
                 reason += "; a held object has inertia, stop where the plan does"
@@ -261,10 +261,10 @@ class Player(OneLine):
                 reason += "; legs lean against friction, and are not flown backward"
             remedy = "ask later, for another rate or time, or plan with limits.reserve below 1"
             raise InfeasibleError([], f"{goal} from t = {self.time:.4g} s: {reason}; {remedy}")
-        self._course = self._clamped(course)
-        if course.phases:  # a held object can start as slowly as it has stopped
-            self._durations = (*DURATIONS, 2.0 * course.phases[-1][0])
-        return course.seconds
+        self._profile = self._clamped(profile)
+        if profile.phases:  # a held object can start as slowly as it has stopped
+            self._durations = (*DURATIONS, 2.0 * profile.phases[-1][0])
+        return profile.seconds
 
 
 def _checked_rate(rate: float) -> float:
@@ -320,7 +320,7 @@ _shared_data = lru_cache(maxsize=4)(_SharedData)
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class ClockProfile:
     """A clock's phases of constant jerk, followed by a constant rate."""
 
     time: float  # plan time at the end [s]
@@ -345,15 +345,15 @@ class Course:
         rows = np.reshape(self.phases, (-1, 5))
         return ClockPhases(np.zeros(len(rows), dtype=np.intp), rows[:, 1:], rows[:, 0])
 
-    def then(self, seconds: float, jerk: float = 0.0) -> Course:
-        """Return the course with another phase of a duration [s], which is dropped if too short."""
+    def then(self, seconds: float, jerk: float = 0.0) -> ClockProfile:
+        """Return the profile with another phase of a duration [s], dropped if it is too short."""
         if seconds <= MIN_PHASE:
             return self
         start = self.time, self.rate, self.slope, jerk
-        return Course(*_advanced(start, seconds)[:3], (*self.phases, (seconds, *start)))
+        return ClockProfile(*_advanced(start, seconds)[:3], (*self.phases, (seconds, *start)))
 
-    def to(self, rate: float, duration: float) -> Course:
-        """Return the course with a change from a constant rate to another one.
+    def to(self, rate: float, duration: float) -> ClockProfile:
+        """Return the profile with a change from a constant rate to another one.
 
         Two phases change the rate in ``duration`` [s] with the smallest jerk.
         """
@@ -363,8 +363,8 @@ class Course:
         changed = self.then(0.5 * duration, jerk).then(0.5 * duration, -jerk)
         return replace(changed, rate=rate, slope=0.0)
 
-    def to_constant_rate(self, duration: float) -> Course | None:
-        """Return the course with a phase to a constant rate; None if the rate changes its sign.
+    def to_constant_rate(self, duration: float) -> ClockProfile | None:
+        """Return the profile with a phase to a constant rate; None if the rate changes its sign.
 
         The jerk is that of a change of the rate by 1 in ``duration`` [s].
         """
@@ -372,20 +372,20 @@ class Course:
         rate = self.rate + 0.5 * self.slope * abs(self.slope) / jerk
         if abs(rate) > 1.0 + CLOCK_TOLERANCE or self.rate * rate < 0.0:
             return None
-        course = self.then(abs(self.slope) / jerk, -math.copysign(jerk, self.slope))
-        return replace(course, rate=0.0 if abs(rate) <= CLOCK_TOLERANCE else rate, slope=0.0)
+        profile = self.then(abs(self.slope) / jerk, -math.copysign(jerk, self.slope))
+        return replace(profile, rate=0.0 if abs(rate) <= CLOCK_TOLERANCE else rate, slope=0.0)
 
-    def after(self, seconds: float) -> Course:
-        """Return the rest of the course after some time [s]."""
+    def after(self, seconds: float) -> ClockProfile:
+        """Return the rest of the profile after some time [s]."""
         for i, (duration, *jet) in enumerate(self.phases):
             if seconds < duration - MIN_PHASE:
                 first = duration - seconds, *_advanced(tuple(jet), seconds)
                 return replace(self, phases=(first, *self.phases[i + 1 :]))
             seconds = max(seconds - duration, 0.0)
-        return Course(self.time + seconds * self.rate, self.rate)
+        return ClockProfile(self.time + seconds * self.rate, self.rate)
 
 
-Change = Callable[[Course, float], Iterator[Course]]
+Change = Callable[[ClockProfile, float], Iterator[ClockProfile]]
 """Function that yields courses extended by a change of the rate of a duration [s]."""
 
 
@@ -396,31 +396,31 @@ def _advanced(jet: tuple[float, ...], dt: float) -> tuple[float, float, float, f
     return position, v + dt * (a + dt * j / 2.0), a + dt * j, j
 
 
-def _to_rate(rate: float, first_part: Course, duration: float) -> Iterator[Course]:
+def _to_rate(rate: float, first_part: ClockProfile, duration: float) -> Iterator[ClockProfile]:
     """Yield the change to a constant rate, with a stop where the direction reverses."""
-    course = first_part.to_constant_rate(duration)
-    if course is not None:
-        course = course.to(0.0, duration) if rate * course.rate < 0.0 else course
-        yield course.to(rate, duration)
+    profile = first_part.to_constant_rate(duration)
+    if profile is not None:
+        profile = profile.to(0.0, duration) if rate * profile.rate < 0.0 else profile
+        yield profile.to(rate, duration)
 
 
-def _to_time(goal: float, first_part: Course, duration: float) -> Iterator[Course]:
+def _to_time(goal: float, first_part: ClockProfile, duration: float) -> Iterator[ClockProfile]:
     """Yield courses that stop at a plan time: at the current rate, or after a stop at others."""
-    course = first_part.to_constant_rate(duration)
-    if course is None:
+    profile = first_part.to_constant_rate(duration)
+    if profile is None:
         return
-    if course.rate != 0.0:
-        delay = (goal - course.time) / course.rate - 0.5 * duration
+    if profile.rate != 0.0:
+        delay = (goal - profile.time) / profile.rate - 0.5 * duration
         if delay >= 0.0:
-            yield course.then(delay).to(0.0, duration)
-        course = course.to(0.0, duration)
-    change = goal - course.time
+            yield profile.then(delay).to(0.0, duration)
+        profile = profile.to(0.0, duration)
+    change = goal - profile.time
     if abs(change) <= CLOCK_TOLERANCE:
-        yield course
+        yield profile
         return
     for max_rate in SEEK_RATES:
         rate = math.copysign(min(max_rate, abs(change) / duration), change)
-        yield course.to(rate, duration).then(change / rate - duration).to(0.0, duration)
+        yield profile.to(rate, duration).then(change / rate - duration).to(0.0, duration)
 
 
 class Sampler:

@@ -32,7 +32,7 @@ NAME = re.compile(r"[^\W\d][\w-]*")
 
 
 @dataclass(frozen=True, eq=False)
-class Fleet(Swarm):
+class CombinedSwarm(Swarm):
     """The drones of several teams as one swarm, with names such as ``a.q0``."""
 
     def __init__(self, teams: Sequence[tuple[str, Team]]) -> None:
@@ -121,7 +121,7 @@ def side_by_side(groups: Sequence[Group], others: Sequence[Group]) -> Motion:
     motions = [on_breaks_of(each.motion, breaks) for each in groups]
     degree = max(each.drones.degree for each in motions)
     drones = np.concatenate([each.drones.elevated(degree).coefficients for each in motions], axis=1)
-    team = Fleet([(each.name, each.motion.team) for each in groups])
+    team = CombinedSwarm([(each.name, each.motion.team) for each in groups])
     requirements, poses = _shared(groups, motions)
     swarm = Motion.single(
         team, requirements, PiecewisePolynomial(breaks, drones), _phases(groups, begin, end)

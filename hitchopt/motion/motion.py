@@ -73,7 +73,7 @@ class HoldBy(StrEnum):
 
 
 @dataclass(frozen=True)
-class Hold:
+class PhaseHold:
     """An object that a hitch holds in a phase: its name, the kind of hold, and the holding cables.
 
     These cables may touch it. The certificate verifies the hold from the polynomials.
@@ -111,7 +111,7 @@ class Phase(OneLine):
     remark: str = ""
     state: CableState = CableState.HITCHED
     tension: tuple[float, float] | None = None
-    hold: Hold | None = None
+    hold: PhaseHold | None = None
     ring: tuple[int, ...] | None = None
     waiting: tuple[tuple[int, CableState], ...] = ()
 

@@ -17,7 +17,7 @@ from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.geometry import ConvexPolygon, Outline
 from hitchopt.hitch.holding import Grip, grip_capacity, rest_capacity
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.motion.motion import Hold, HoldBy, Motion
+from hitchopt.motion.motion import HoldBy, Motion, PhaseHold
 from hitchopt.objects import Rim, SolidObject
 from hitchopt.objects.placing import CONTACT_GAP, footing, poses_of, stacked_on, surface_below
 from hitchopt.planners.carrying.holds import GripHold, RestHold, polygon_at
@@ -110,7 +110,7 @@ def goal_of(step: Step, requirements: Requirements, name: str) -> Array:
 
 
 def step_motion(
-    step: Step, task: StepTask, parts: Sequence[Motion], hold: Hold | None = None
+    step: Step, task: StepTask, parts: Sequence[Motion], hold: PhaseHold | None = None
 ) -> Motion:
     """Return consecutive motions as one phase of a step, in its prescribed duration."""
     motion = one_phase(parts, task.requirements, task.index, step.name, hold)

@@ -52,7 +52,7 @@ def rough_bounds() -> Iterator[None]:
         _ROUGH.reset(token)
 
 
-class Spans:
+class TimeSpans:
     """Spans of time, each within one piece and of one item.
 
     Parameters
@@ -142,7 +142,7 @@ class Spans:
         return bernstein.restrict(c, lower, upper)
 
 
-S = TypeVar("S", bound=Spans)
+S = TypeVar("S", bound=TimeSpans)
 
 Formula = Callable[[S], Bound]
 """Bound of a quantity on spans, or its value at points."""
@@ -163,7 +163,7 @@ class Extremum:
     time: float
 
 
-class Search(Generic[S]):
+class BranchAndBound(Generic[S]):
     """Branch and bound for the largest or smallest value; spans are added in any order.
 
     Parameters
@@ -290,8 +290,8 @@ def batches(spans: S) -> Iterator[S]:
 
 
 def worst(spans: Iterable[S], formula: Formula[S], sense: str, **options: float) -> Extremum:
-    """Return the largest (``max``) or smallest (``min``) value, with options of ``Search``."""
-    search: Search[S] = Search(formula, sense, **options)
+    """Return the largest (``max``) or smallest (``min``) value; options of ``BranchAndBound``."""
+    search: BranchAndBound[S] = BranchAndBound(formula, sense, **options)
     for each in spans:
         search.add(each)
     return search.finish()

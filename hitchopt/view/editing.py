@@ -174,7 +174,7 @@ def new_step(problem: Problem, index: int, kind: str, height: float) -> dict[str
     return {kind: values}
 
 
-class Stage(StrEnum):
+class PlanState(StrEnum):
     """Relation of the current plan to the text."""
 
     CURRENT = "the plan of this problem"
@@ -186,7 +186,7 @@ class Stage(StrEnum):
 class Status:
     """State of planning the newest text."""
 
-    stage: Stage  # relation of the current plan to the text
+    stage: PlanState  # relation of the current plan to the text
     words: str = ""  # work in progress, or the error
     suggestions: tuple[Suggestion, ...] = ()  # verified changes that make the problem feasible
 
@@ -216,7 +216,7 @@ class Editing:
         self._on_disk = text if path.exists() else None
         self._version, self._lock, self._planning = 0, threading.RLock(), threading.Lock()
         self.problem = self._read(text)
-        self.status = Status(Stage.CURRENT)
+        self.status = Status(PlanState.CURRENT)
 
     @property
     def text(self) -> str:
@@ -327,7 +327,7 @@ class Editing:
 
     def _begin(self, problem: Problem) -> None:
         """Start planning the newest text; it waits until the planning of older ones has ended."""
-        self.problem, self.status = problem, Status(Stage.PLANNING)
+        self.problem, self.status = problem, Status(PlanState.PLANNING)
         self._version += 1
         arguments = (self._version, problem)
         self._worker = threading.Thread(target=self._plan, args=arguments, daemon=True)
@@ -343,16 +343,16 @@ class Editing:
                 planned = solve_any(problem, report)
             except InfeasibleError as error:
                 words = f"{error}\nlooking for changes that make it feasible …"
-                self._publish(version, Status(Stage.REFUSED, words))
+                self._publish(version, Status(PlanState.REFUSED, words))
                 changes = find_suggestions(problem, error, progress=lambda _: self._check(version))
                 words = str(error) if changes else f"{error}\n{NO_CHANGE}"
-                self._publish(version, Status(Stage.REFUSED, words, changes))
+                self._publish(version, Status(PlanState.REFUSED, words, changes))
             except HitchoptError as error:
-                self._publish(version, Status(Stage.REFUSED, str(error)))
+                self._publish(version, Status(PlanState.REFUSED, str(error)))
             except Exception as error:  # a bug must not end the editing
-                self._publish(version, Status(Stage.REFUSED, f"internal error: {error!r}"))
+                self._publish(version, Status(PlanState.REFUSED, f"internal error: {error!r}"))
             else:
-                self._publish(version, Status(Stage.CURRENT), planned)
+                self._publish(version, Status(PlanState.CURRENT), planned)
 
     def _check(self, version: int) -> None:
         if version != self._version:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hitchopt.values import Array
 from hitchopt.view.cables import CLASPS
 from hitchopt.view.scene import Highlight, Scene
-from hitchopt.view.shapes import SPAN, Solid, mesh, sphere_faces
+from hitchopt.view.shapes import SPAN, RigidSurface, mesh, sphere_faces
 from hitchopt.view.style import MARK_COLOUR, rgb
 
 Server = Any  # A viser server; viser is an optional dependency
@@ -182,7 +182,7 @@ class LiveScene:
         for each in self.scene.appearance.keep_outs:
             self._solid(each.name, each, opacity=0.25)
 
-    def _solid(self, name: str, solid: Solid, opacity: float | None) -> Any:
+    def _solid(self, name: str, solid: RigidSurface, opacity: float | None) -> Any:
         """Add one solid."""
         (colour,) = _as_bytes((PALE_COLOUR,) if self._ghost else solid.colours).tolist()
         return self._api.add_mesh_simple(

@@ -13,7 +13,7 @@ from hitchopt.steps import STEP_KINDS
 from hitchopt.steps.step import Edit
 from hitchopt.storage.yaml_file import Plain, flow, parse_yaml, split_key, value_at
 from hitchopt.values.fields import keys_of
-from hitchopt.view.editing import START, Editing, Handle, Stage, Status, step_key
+from hitchopt.view.editing import START, Editing, Handle, PlanState, Status, step_key
 from hitchopt.view.live import LiveView, plain_words
 from hitchopt.view.style import MARK_COLOUR
 
@@ -71,7 +71,7 @@ class EditingPanel:
 
     def _show_status(self, status: Status) -> None:
         """Show the relation of the plan to the problem, and the suggestions."""
-        self.live.note("" if status.stage is Stage.CURRENT else str(status.stage))
+        self.live.note("" if status.stage is PlanState.CURRENT else str(status.stage))
         disk = "saved" if self.editing.saved else "not saved"
         lines = [f"**{plain_words(str(status.stage))}** ({disk})"]
         if status.suggestions:

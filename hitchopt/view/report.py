@@ -28,7 +28,7 @@ from hitchopt.view import style
 from hitchopt.view.cables import CLASPS, HOOKED_STATES, POINTS
 from hitchopt.view.pictures import draw_summary, panels, sample_states
 from hitchopt.view.scene import Scene, highlight_of, scene_of
-from hitchopt.view.shapes import Solid, mesh
+from hitchopt.view.shapes import RigidSurface, mesh
 
 # File name extensions
 PAGE, PICTURES, FILMS = ".html", (".png", ".svg", ".pdf"), (".mp4", ".gif")
@@ -179,7 +179,7 @@ def _scene_data(scene: Scene) -> dict[str, Any]:
     }
 
 
-def _solid(solid: Solid) -> dict[str, Any]:
+def _solid(solid: RigidSurface) -> dict[str, Any]:
     """Return the colours of a solid, and the corners of its triangles."""
     vertices, triangles = mesh(solid.faces)
     corners = np.round(np.float64(vertices[triangles]).ravel(), 6).tolist()

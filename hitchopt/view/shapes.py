@@ -51,7 +51,7 @@ def drone_faces(radius: float, segments: int = SEGMENTS) -> tuple[Array, Array, 
     return np.concatenate(boxes), rotors, rims
 
 
-class Solid(NamedTuple):
+class RigidSurface(NamedTuple):
     """A rigid surface at one place or several."""
 
     name: str
@@ -89,8 +89,8 @@ class Appearance:
     clasps: tuple[Clasp, ...]  # empty for a hitch that changes its robots
     groups: tuple[GroupName, ...]  # empty for a single team
     ellipsoid: tuple[float, float, float]  # semi-axes of a drone's ellipsoid [m]
-    objects: tuple[Solid, ...]
-    keep_outs: tuple[Solid, ...]  # in world coordinates, as the arena
+    objects: tuple[RigidSurface, ...]
+    keep_outs: tuple[RigidSurface, ...]  # in world coordinates, as the arena
     arena: Array  # edges (12 or 0, 2, 3) [m]
 
     @classmethod
@@ -119,11 +119,11 @@ class Appearance:
         drone_shades, cable_shades = (sum(each, ()) for each in zip(*looks, strict=True))
         radius, height = requirements.separation.radius, requirements.separation.height
         objects = (
-            Solid(name, object_faces(body), (TABLE_COLOUR if body.fixed else OBJECT_COLOUR,))
+            RigidSurface(name, object_faces(body), (TABLE_COLOUR if body.fixed else OBJECT_COLOUR,))
             for name, body in bodies
         )
         keep_outs = (
-            Solid(f"keep_out {i}", slab_faces(prism.slab), (KEEP_OUT_COLOUR,))
+            RigidSurface(f"keep_out {i}", slab_faces(prism.slab), (KEEP_OUT_COLOUR,))
             for i, prism in enumerate(requirements.keep_out)
         )
         arena = np.zeros((0, 2, 3))
@@ -145,13 +145,13 @@ class Appearance:
             arena,
         )
 
-    def drone_parts(self, size: float = 1.0, segments: int = SEGMENTS) -> tuple[Solid, ...]:
+    def drone_parts(self, size: float = 1.0, segments: int = SEGMENTS) -> tuple[RigidSurface, ...]:
         """Return the parts of drones, scaled by ``size``; rotors of drones r are hollow."""
         rims, pairs = self.drone_colours, zip(self.hollow, self.drone_colours, strict=True)
         rotors = tuple(HOLLOW_COLOUR if hollow else colour for hollow, colour in pairs)
         faces = drone_faces(size * self.ellipsoid[0], segments)
         colours = (FRAME_COLOUR,) * len(rims), rotors, rims
-        return tuple(map(Solid, ("frame", "rotors", "rims"), faces, colours))
+        return tuple(map(RigidSurface, ("frame", "rotors", "rims"), faces, colours))
 
 
 def object_faces(body: SolidObject) -> Array:

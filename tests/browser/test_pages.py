@@ -20,7 +20,7 @@ import hitchopt as ho
 from hitchopt.geometry.vectors import unit
 from hitchopt.steps.certified_motions import CertifiedMotion
 from hitchopt.values import Array
-from hitchopt.view.editing import Editing, Stage
+from hitchopt.view.editing import Editing, PlanState
 from hitchopt.view.live import LiveView, open_server
 from hitchopt.view.panel import ARROW_LENGTH, EditingPanel
 from hitchopt.view.scene import Highlight
@@ -129,7 +129,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
 
 def planned(page: Any, editing: Editing) -> None:
     """Wait until the newest text is planned."""
-    waited(page, lambda: editing.status.stage is Stage.CURRENT)
+    waited(page, lambda: editing.status.stage is PlanState.CURRENT)
 
 
 @pytest.fixture(scope="module")

@@ -24,7 +24,7 @@ from hitchopt.checks.stops import carried_paths
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.holding import residual_grip
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.motion.motion import Hold, HoldBy, Motion
+from hitchopt.motion.motion import HoldBy, Motion, PhaseHold
 from hitchopt.motion.plan_file import read_plan, write_plan
 from hitchopt.motion.retiming import cut
 from hitchopt.objects.placing import in_frame
@@ -172,7 +172,7 @@ def test_a_plan_from_the_middle_of_a_flight_is_read(motion: Motion, tmp_path: Pa
     assert body.at[2] > 0.05
 
 
-def held_by(motion: Motion, change: Callable[[Hold], Hold | None]) -> Motion:
+def held_by(motion: Motion, change: Callable[[PhaseHold], PhaseHold | None]) -> Motion:
     """Return the motion whose phases claim other holds."""
     holds = [phase.hold and change(phase.hold) for phase in motion.phases]
     phases = (replace(p, hold=hold) for p, hold in zip(motion.phases, holds, strict=True))

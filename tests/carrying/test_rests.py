@@ -17,7 +17,7 @@ import hitchopt as ho
 from hitchopt.checks.registry import RULE_OF, certify, merged
 from hitchopt.hitch import GRAVITY
 from hitchopt.mission.loading import any_problem_from_dict
-from hitchopt.motion.motion import Hold, HoldBy, Motion
+from hitchopt.motion.motion import HoldBy, Motion, PhaseHold
 from hitchopt.motion.retiming import cut
 from hitchopt.objects.placing import in_frame
 from hitchopt.planners.carrying.holds import MAX_REST_ACCELERATION
@@ -169,7 +169,7 @@ def claimed(to: list[float], x: float, rim: ho.Rim | None, by: HoldBy = HoldBy.R
     start = ho.Hitch.spread(ho.Team(3, 2.4), ho.regular_polygon(3, 0.9), altitude=1.0)
     flight = ho.transport(start, to).motion
     pole = ho.SolidObject(ho.Section(radius=0.08), 0.0, 1.5, at=[x, 0.0, 0.0], rim=rim)
-    held = tuple(replace(p, hold=Hold("pole", by, (0, 1, 2))) for p in flight.phases)
+    held = tuple(replace(p, hold=PhaseHold("pole", by, (0, 1, 2))) for p in flight.phases)
     requirements = replace(flight.requirements, objects={"pole": pole})
     return flight.replaced(phases=held, requirements=requirements)
 

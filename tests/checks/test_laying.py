@@ -22,7 +22,7 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.catenary import steepness
 from hitchopt.hitch.forces import sag_factors
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.motion.motion import CableState, Hold, HoldBy, Motion, Phase, joined_motions
+from hitchopt.motion.motion import CableState, HoldBy, Motion, Phase, PhaseHold, joined_motions
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.retiming import resting as at_rest
 from hitchopt.planners.forming.laying import (
@@ -351,5 +351,5 @@ def test_loads_and_unequal_tensions_do_not_roll() -> None:
         replace(laying.hitch.team, tension=np.array([0.7, 0.7, 0.71])),
     ):
         assert "cable 0" in row(roll.replaced(team=team), "interlacing").where
-    held = replace(roll.phases[0], hold=Hold("box", HoldBy.REST, (0, 1, 2)))
+    held = replace(roll.phases[0], hold=PhaseHold("box", HoldBy.REST, (0, 1, 2)))
     assert "cable 0" in row(roll.replaced(phases=(held,)), "interlacing").where

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hitchopt.checks.certificate import Check
 from hitchopt.exports.exporting import EXPORT_RULES, Export, export_motion
-from hitchopt.exports.format import Task, format_of
+from hitchopt.exports.format import ExportTask, format_of
 from hitchopt.exports.options import ExportOptions
 from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet
 from hitchopt.hitch import Quadrotor, Swarm
@@ -95,12 +95,14 @@ def restless_plan() -> Motion:
     return Motion.single(Swarm(2), requirements, drones, (phase,))
 
 
-def task_of(motion: Motion, name: str = "csv", rate: float | None = None, **place: object) -> Task:
+def task_of(
+    motion: Motion, name: str = "csv", rate: float | None = None, **place: object
+) -> ExportTask:
     kind = format_of(name)
     options = ExportOptions(name, **place)  # type: ignore[arg-type]
     frame = ReferenceFrame(options.frame or kind.frames[0], options.origin, options.yaw)
     fleet = placeholder_fleet(motion.team.drone_names)
-    return Task(motion, "A plan", frame, fleet, rate or kind.rate, options)
+    return ExportTask(motion, "A plan", frame, fleet, rate or kind.rate, options)
 
 
 def exported(motion: Motion, name: str, folder: Path, **options: object) -> tuple[Export, ...]:

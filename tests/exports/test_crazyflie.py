@@ -37,6 +37,7 @@ from ruamel.yaml import YAML
 import hitchopt as ho
 from hitchopt.checks.registry import certificate_of
 from hitchopt.errors import InfeasibleError, InputError
+from hitchopt.exports.contents import read_manifest
 from hitchopt.exports.exporting import Export
 from hitchopt.exports.formats.crazyflie import POLY
 from hitchopt.exports.lint import lint
@@ -47,7 +48,6 @@ from hitchopt.exports.placing import (
     placeholder_fleet,
     read_fleet,
 )
-from hitchopt.exports.recording import read_manifest
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.mission.loading import any_problem_from_dict
 from hitchopt.motion.motion import CableState, Motion

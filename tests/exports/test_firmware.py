@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
 import hitchopt as ho
+from hitchopt.exports.contents import read_manifest
 from hitchopt.exports.firmware import (
     CONTROLLERS,
     SETTINGS,
@@ -24,7 +25,6 @@ from hitchopt.exports.firmware import (
     team_parameters,
 )
 from hitchopt.exports.options import HOMES
-from hitchopt.exports.recording import read_manifest
 
 LEVEL, UPRIGHT = 0, 1
 KINDS = st.builds(

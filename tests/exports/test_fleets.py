@@ -15,12 +15,12 @@ from groups import alone, beside, flown_by, hitch_and_swarm, moved, two_hitches
 
 import hitchopt as ho
 from hitchopt.checks import certify
+from hitchopt.exports.contents import read_manifest
 from hitchopt.exports.firmware import team_parameters
 from hitchopt.exports.format import format_of
 from hitchopt.exports.held_tension import held_tension
 from hitchopt.exports.lint import lint
 from hitchopt.exports.options import HOMES
-from hitchopt.exports.recording import read_manifest
 from hitchopt.motion.retiming import cut, rest_breaks, stretched
 from hitchopt.motion.states import States, states_at
 

@@ -26,12 +26,12 @@ from scipy.spatial.transform import Rotation
 
 import hitchopt as ho
 from hitchopt.errors import FileError, InfeasibleError, InputError, UnsupportedError
+from hitchopt.exports.contents import read_manifest
 from hitchopt.exports.directory import write_setpoints, write_vertices
 from hitchopt.exports.exporting import export_motion
 from hitchopt.exports.format import format_of
 from hitchopt.exports.lint import lint
 from hitchopt.exports.options import HOMES, ExportOptions
-from hitchopt.exports.recording import read_manifest
 from hitchopt.hitch import GRAVITY
 from hitchopt.mission.loading import any_problem_from_dict
 from hitchopt.motion.motion import CableState

@@ -20,7 +20,7 @@ from exported_plans import exported, swarm_plan
 from rosbags.rosbag2 import Writer
 
 from hitchopt.errors import FileError
-from hitchopt.exports import recording
+from hitchopt.exports import contents
 from hitchopt.exports.formats.crazyflie import write_poly_csv
 from hitchopt.exports.formats.ros2bag import message_types
 from hitchopt.exports.formats.skybrush import read_show
@@ -271,8 +271,8 @@ def test_any_damage_is_reported_or_refused(name: str, exports: Path, tmp_path: P
     ],
 )
 def test_unknown_files_are_refused(files: dict[str, str], told: str, tmp_path: Path) -> None:
-    for name, contents in files.items():
-        (tmp_path / name).write_text(contents)
+    for name, text_of_file in files.items():
+        (tmp_path / name).write_text(text_of_file)
     with pytest.raises(FileError, match=told):
         lint(tmp_path)
 
@@ -312,9 +312,9 @@ def test_small_files_that_unpack_to_very_much(
         assert peak < 5e6
     spans = json.dumps({"points": [[k, [0, 0, 1], []] for k in range(100)]})
     path = referring(tmp_path / "show.skyc", spans)
-    monkeypatch.setattr(recording, "MAX_SPANS", 99 * 300)
+    monkeypatch.setattr(contents, "MAX_SPANS", 99 * 300)
     assert lint(path)
-    monkeypatch.setattr(recording, "MAX_SPANS", 99 * 300 - 1)
+    monkeypatch.setattr(contents, "MAX_SPANS", 99 * 300 - 1)
     with pytest.raises(FileError, match="300 drones with 99 spans"):
         lint(path)
 
@@ -361,7 +361,7 @@ def test_each_rule_detects_its_violation(
     found = report(tmp_path, rules)
     assert said(found) == expected
     assert found.sound is ("error" not in expected)
-    monkeypatch.setattr(recording, "WINDOW", 1)  # pieces at once: nothing is lost between them
+    monkeypatch.setattr(contents, "WINDOW", 1)  # pieces at once: nothing is lost between them
     again = report(tmp_path, rules)
     assert (said(again), again.flight.jumps) == (expected, found.flight.jumps)
 

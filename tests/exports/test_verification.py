@@ -19,9 +19,9 @@ from hitchopt.checks import Certificate, certify, registry
 from hitchopt.checks.certificate import CertificateError
 from hitchopt.checks.registry import certificate_of
 from hitchopt.errors import FileError, InputError
+from hitchopt.exports.contents import FileContents, Trajectory
 from hitchopt.exports.exporting import Verdict, verify
 from hitchopt.exports.placing import AXES, ReferenceFrame
-from hitchopt.exports.recording import Recording, Trajectory
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.plan_file import read_plan
 from hitchopt.motion.states import sample_times, states_at
@@ -30,10 +30,10 @@ from hitchopt.trajectory import PiecewisePolynomial
 PLAIN = ReferenceFrame()
 
 
-def recorded(curves: PiecewisePolynomial, names: tuple[str, ...]) -> Recording:
+def recorded(curves: PiecewisePolynomial, names: tuple[str, ...]) -> FileContents:
     c = curves.coefficients
     each = [PiecewisePolynomial(curves.breaks, c[:, i]) for i in range(len(names))]
-    return Recording.of_curves(list(map(Trajectory, names, each)), "enu", 2)
+    return FileContents.of_curves(list(map(Trajectory, names, each)), "enu", 2)
 
 
 def verified(motion: Motion, curves: PiecewisePolynomial) -> Verdict:
@@ -87,7 +87,7 @@ def test_windows_of_any_size_say_the_same(monkeypatch: pytest.MonkeyPatch) -> No
     late = np.array(motion.drones.coefficients)
     late[-1, 0, 0] += 1e-3  # what is off at the end alone is found in the last window
     for size in (20_000, 1):
-        monkeypatch.setattr("hitchopt.exports.recording.WINDOW", size)
+        monkeypatch.setattr("hitchopt.exports.contents.WINDOW", size)
         found.append(verified(motion, PiecewisePolynomial(motion.drones.breaks, late)))
     one, many = found
     assert many.position.worst == pytest.approx(one.position.worst)

@@ -21,7 +21,7 @@ from hitchopt.planners.morph.legs import leg_task_along, with_legs_clear
 from hitchopt.planners.morph.morph import StraightMorph
 from hitchopt.planners.morph.path import ShapePath, shapes_along
 from hitchopt.planners.optimise import program
-from hitchopt.planners.optimise.knots import KnotPath, Search, SolverStep
+from hitchopt.planners.optimise.knots import KnotPath, SearchLimits, SolverStep
 from hitchopt.planners.optimise.program import iterates
 from hitchopt.planners.optimise.search import OptimisedMorph, guesses
 from hitchopt.planners.timing.flight import fly
@@ -74,7 +74,7 @@ def test_parts_of_steps_keep_drones_apart_between_the_knots() -> None:
     tried = guesses(PENTAGON, last, 9)
     polygons = next(tried[name] for name in tried if name.startswith("turned"))
     first = KnotPath.through("turned", *ends(Team(5, 2.6), PENTAGON, last), polygons)
-    bounds = Search(FREE, lambda _: None, None, (1.5, 1.5), 1.03)
+    bounds = SearchLimits(FREE, lambda _: None, None, (1.5, 1.5), 1.03)
 
     def apart(path: KnotPath, parts: int) -> bool:
         """Whether drones are at the ends of all parts of steps."""

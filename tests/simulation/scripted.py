@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import Hitch, Team
 from hitchopt.lab.simulation.control import PositionGains
-from hitchopt.lab.simulation.flight import Film, Flight, Record
+from hitchopt.lab.simulation.flight import Film, Flight, FlightSamples
 from hitchopt.lab.simulation.ropes import Ropes
 from hitchopt.lab.simulation.settings import FAST, Preset, Settings
 from hitchopt.lab.simulation.task import RATE, Task
@@ -82,7 +82,7 @@ def regular_hitch(n: int, edge: float = 1.3, **of_team: Any) -> Hitch:
 def flight_of(task: Task, hitch: Hitch, t: Array, **known: Any) -> Flight:
     """Return a flight at rest at times ``t``.
 
-    ``known`` replaces fields of ``Record``, ``Film`` or ``Flight``.
+    ``known`` replaces fields of ``FlightSamples``, ``Film`` or ``Flight``.
     """
     n, count, settings = hitch.team.robots, len(t), known.pop("settings", Settings())
     drones = np.repeat(hitch.drones[None], count, axis=0)
@@ -90,7 +90,7 @@ def flight_of(task: Task, hitch: Hitch, t: Array, **known: Any) -> Flight:
     vertices = np.repeat(hitch.vertices[None], count, axis=0)
     no_poses, index = np.zeros((count, 0, 7)), np.array([task.index(each) for each in t])
     places, others = (t, index, drones, drones, vertices), (no_poses, no_poses[..., 0] > 0.0)
-    record = Record(*places, ones, ones, ones, drone_ones, 0.0 * drone_ones, *others)
+    record = FlightSamples(*places, ones, ones, ones, drone_ones, 0.0 * drone_ones, *others)
     share = np.linspace(0.0, 1.0, 12)[:, None]  # cables are drawn straight
     nodes = [(1.0 - share) * q + share * r for q, r in hitch.drones.reshape(n, 2, 3)]
     shapes = np.repeat(np.concatenate(nodes)[None], count, axis=0), 12 * np.arange(n + 1)

@@ -30,7 +30,7 @@ from hitchopt.lab.simulation.commands import Commands, flown_team, received
 from hitchopt.lab.simulation.estimator import LATENCY, Estimator, rotation
 from hitchopt.lab.simulation.settings import Settings, settings_of
 from hitchopt.lab.simulation.task import Task
-from hitchopt.lab.simulation.world import BODY_RADIUS, RADII_OF_GYRATION, Bodies
+from hitchopt.lab.simulation.world import BODY_RADIUS, RADII_OF_GYRATION, RigidBodies
 from hitchopt.values import Array
 
 MASS, PULL = 0.132, 0.4
@@ -41,9 +41,9 @@ def inertia_of(masses: Array) -> Array:
     return np.outer(masses, (BODY_RADIUS * np.array(RADII_OF_GYRATION)) ** 2)
 
 
-def bodies_at_rest(count: int) -> Bodies:
+def bodies_at_rest(count: int) -> RigidBodies:
     none = np.zeros((count, 3))
-    return Bodies(none, none, np.tile(np.eye(3), (count, 1, 1)), none)
+    return RigidBodies(none, none, np.tile(np.eye(3), (count, 1, 1)), none)
 
 
 def flown(
@@ -82,7 +82,7 @@ def flown(
             turned = np.cross(now.rates, inertia * now.rates)
             rates = now.rates + STEP * (pilots.moments - turned) / inertia
             attitudes = now.attitudes @ rotation(STEP * rates)
-            now = Bodies(now.positions + STEP * velocities, velocities, attitudes, rates)
+            now = RigidBodies(now.positions + STEP * velocities, velocities, attitudes, rates)
         seen = now if estimator is None else estimator
         known_now = np.column_stack([tilt(seen.attitudes), seen.velocities[:, 0]])
         rows.append((now.positions, tilt(now.attitudes), known_now))
@@ -266,7 +266,7 @@ def test_mellingers_law_is_that_of_drone_controllers() -> None:
         commands = Commands(parts[0], parts[1], parts[2], np.zeros((1, 3)))
         turn = Rotation.from_quat(attitude).as_matrix()
         for each, torque in zip((rates, faster), torques, strict=True):
-            now = Bodies(place[None], velocity[None], turn[None], each[None])
+            now = RigidBodies(place[None], velocity[None], turn[None], each[None])
             pilots.advance(commands, now, PERIOD)
             if each is rates:
                 assert pilots.thrusts[0] == pytest.approx(thrust / given, rel=0.01)
@@ -281,13 +281,13 @@ def test_drones_are_controlled_independently(name: str) -> None:
     random = np.random.default_rng(1)
     turns = rotation(0.4 * random.standard_normal((3, 3)))
     places, speeds, rates = random.standard_normal((3, 3, 3))
-    now = Bodies(places, speeds, turns, rates)
+    now = RigidBodies(places, speeds, turns, rates)
     commands = Commands(*random.standard_normal((4, 3, 3)))
 
     def answer(chosen: slice) -> Array:
         inertia = inertia_of(masses[chosen])
         pilots = Autopilots(loops[chosen], masses[chosen], inertia, 25.0 * masses[chosen])
-        mine = Bodies(*(values[chosen] for values in vars(now).values()))
+        mine = RigidBodies(*(values[chosen] for values in vars(now).values()))
         sent = Commands(*(values[chosen] for values in vars(commands).values()))
         for _ in range(7):
             pilots.advance(sent, mine, PERIOD)
@@ -336,7 +336,7 @@ def test_without_noise_the_filter_is_exact_for_a_free_drone(
         push = (GRAVITY + np.sin(4.0 * t)) * 0.5 * (now.attitudes + turned)[:, :, 2]
         velocities = now.velocities + PERIOD * (push - [0.0, 0.0, GRAVITY])
         places = now.positions + 0.5 * PERIOD * (now.velocities + velocities)
-        now = Bodies(places, velocities, turned, rates)
+        now = RigidBodies(places, velocities, turned, rates)
     for each in known:
         late = 0.02 * np.linalg.norm(now.velocities)  # by a frame and what is not yet predicted
         assert np.linalg.norm(each.positions - now.positions) < late

@@ -10,12 +10,12 @@ from powers import in_powers
 
 from hitchopt.trajectory import bernstein, search
 from hitchopt.trajectory.enclosed import Bound, Enclosed
-from hitchopt.trajectory.search import Extremum, Formula, Search, Spans, worst
+from hitchopt.trajectory.search import BranchAndBound, Extremum, Formula, TimeSpans, worst
 
 Array = np.ndarray
 
 
-class Curves(Spans):
+class Curves(TimeSpans):
     """Spans of scalar curves (pieces, items, degree + 1)."""
 
     @property
@@ -120,7 +120,7 @@ def test_a_target_that_all_values_satisfy_is_enough() -> None:
 
 def test_thousands_of_equal_curves_cost_few_halvings() -> None:
     c = np.broadcast_to([1.0, 0.2, 0.9, 0.1, 1.0], (10, 500, 5))
-    minimum: Search[Curves] = Search(below, "min")
+    minimum: BranchAndBound[Curves] = BranchAndBound(below, "min")
     for spans in Curves.all_of(c, np.arange(11.0), 500):
         minimum.add(spans)
     minimum.finish()

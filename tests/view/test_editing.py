@@ -27,7 +27,7 @@ from hitchopt.view.editing import (
     START,
     Editing,
     Handle,
-    Stage,
+    PlanState,
     handles,
     height_after,
     new_step,
@@ -80,7 +80,7 @@ def test_a_dragged_vertex_is_planned_certified_and_saved(editing: Editing) -> No
     assert editing.saved
     editing.drag(0, "vertex 0", np.array([1.05, -0.25, 1.2]))
     assert editing.wait()
-    assert editing.status.stage is Stage.CURRENT
+    assert editing.status.stage is PlanState.CURRENT
     assert editing.planned.certificate.certified
     end = states_at(editing.planned.motion, editing.planned.motion.duration)
     np.testing.assert_allclose(end.vertices[0], [1.05, -0.25, 1.2], atol=1e-9)
@@ -100,7 +100,7 @@ def test_a_dragged_vertex_is_planned_certified_and_saved(editing: Editing) -> No
 def test_while_a_plan_is_made_the_old_one_is_called_old_and_stale_ones_go(
     editing: Editing, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    first, stages, problems = editing.planned, list[Stage](), list[ho.Problem]()
+    first, stages, problems = editing.planned, list[PlanState](), list[ho.Problem]()
     free, entered = threading.Event(), threading.Semaphore(0)
 
     def waiting(problem: ho.Problem, progress: Progress) -> CertifiedMotion:
@@ -117,13 +117,13 @@ def test_while_a_plan_is_made_the_old_one_is_called_old_and_stale_ones_go(
     assert entered.acquire(timeout=30.0)
     editing.put(Edit(SECONDS, 2.0))
     text, status, planned = editing.now()
-    assert ("2.0" in text, status.stage, planned) == (True, Stage.PLANNING, first)
+    assert ("2.0" in text, status.stage, planned) == (True, PlanState.PLANNING, first)
     free.set()
     assert editing.wait()
     assert len(problems) == 2
     duration = first.motion.duration + 1.0
     assert editing.planned.motion.duration == pytest.approx(duration, abs=1e-6)
-    assert stages.count(Stage.CURRENT) == 1
+    assert stages.count(PlanState.CURRENT) == 1
 
 
 def test_changes_are_undone_and_made_again(editing: Editing) -> None:
@@ -174,13 +174,17 @@ def test_what_binds_is_told_and_a_suggestion_can_be_taken(
         editing.put(Edit("team.cable_length", length))
         assert editing.wait()
         _, status, planned = editing.now()
-        assert (status.stage, status.suggestions, planned) == (Stage.REFUSED, (*repairs,), first)
+        assert (status.stage, status.suggestions, planned) == (
+            PlanState.REFUSED,
+            (*repairs,),
+            first,
+        )
         assert note in status.words
         names = ("team.cable_length", "", 1.6, 2.4, "m", 0.5)
         repairs.append(ho.Suggestion(ho.Change(*names, editing.problem, (edit,)), 2.0))
     editing.put(*repairs[0].change.edits)
     assert editing.wait()
-    assert editing.status.stage is Stage.CURRENT
+    assert editing.status.stage is PlanState.CURRENT
     assert editing.planned.certificate.certified
 
 

@@ -39,18 +39,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import FileError, InfeasibleError, Violation
-from hitchopt.exports.firmware import CONTROLLERS, SETTINGS, team_parameters
-from hitchopt.exports.format import Format, FormatOutput, Task
-from hitchopt.exports.options import ExportOptions
-from hitchopt.exports.placing import AXES
-from hitchopt.exports.recording import (
-    Recording,
+from hitchopt.exports.contents import (
+    FileContents,
     Trajectory,
     error,
     separator_findings,
     warning,
 )
-from hitchopt.exports.refit import Kind, Scale, best_breaks, fit_breaks, fit_pieces, round_points
+from hitchopt.exports.firmware import CONTROLLERS, SETTINGS, team_parameters
+from hitchopt.exports.format import ExportTask, Format, FormatOutput
+from hitchopt.exports.options import ExportOptions
+from hitchopt.exports.placing import AXES
+from hitchopt.exports.refit import (
+    PieceKind,
+    Scale,
+    best_breaks,
+    fit_breaks,
+    fit_pieces,
+    round_points,
+)
 from hitchopt.hitch import Team
 from hitchopt.hitch.flight_controller import LATENCY
 from hitchopt.motion.motion import JOINT, Motion
@@ -75,7 +82,7 @@ class CrazyflieFormat(Format):
         "not in these files: the on-board controller knows no cable: hold_tension is for one "
         "without an integral, or stream full states (hitchopt fly, ros2bag)"
     )
-    kind: Kind  # of the pieces
+    kind: PieceKind  # of the pieces
     smooth: int  # order of the highest continuous derivative
 
     def parameters(self, team: Team, options: ExportOptions) -> Mapping[str, Any]:
@@ -90,7 +97,7 @@ class CrazyflieFormat(Format):
     def upload(self, path: Path) -> Trajectory:
         """Read the file of one drone; raises FileError if it is damaged."""
 
-    def load(self, files: Sequence[Path]) -> Recording:
+    def load(self, files: Sequence[Path]) -> FileContents:
         """Read files, one per drone."""
         drones, findings = [self.upload(path) for path in files], []
         for drone in drones:
@@ -101,9 +108,9 @@ class CrazyflieFormat(Format):
         if len(frames) > 1:
             findings.append(error("frame", "", f"files are in {' and '.join(frames)}"))
         frame = frames[0] if len(frames) == 1 and frames[0] in AXES else ""
-        return Recording.of_curves(drones, frame, self.smooth, findings)
+        return FileContents.of_curves(drones, frame, self.smooth, findings)
 
-    def parts(self, task: Task, share: float) -> Sequence[Task]:
+    def parts(self, task: ExportTask, share: float) -> Sequence[ExportTask]:
         """Return the task cut at rests into the fewest parts that fit in memory; empty if none do.
 
         A plan is not cut if other plans fly at the same time, as they would not wait.
@@ -146,7 +153,7 @@ class CrazyflieFormat(Format):
         return InfeasibleError([violation], note)
 
 
-POLY = Kind(DEGREE, 3, 1.0 / 1024.0, max_duration=60.0, min_duration=8.0 / 1024.0)
+POLY = PieceKind(DEGREE, 3, 1.0 / 1024.0, max_duration=60.0, min_duration=8.0 / 1024.0)
 """Durations are exact in single precision; position, velocity and acceleration are continuous.
 Pieces of a millisecond would have coefficients of 1e12, with large rounding errors."""
 
@@ -180,7 +187,7 @@ class Crazyswarm2(CrazyflieFormat):
         """Return 31."""
         return MAX_PIECES
 
-    def write(self, folder: Path, task: Task) -> FormatOutput:
+    def write(self, folder: Path, task: ExportTask) -> FormatOutput:
         """Write the best fit of at most 31 pieces, within a millimetre."""
         breaks = best_breaks(task.motion.drones, POLY, MAX_PIECES)
         if len(breaks) - 1 > MAX_PIECES:
@@ -266,7 +273,7 @@ def write_poly_csv(path: Path, durations: Array, powers: Array, frame: str) -> N
     np.savetxt(path, single, "%.9g", ",", header=header, comments="", encoding="ascii")
 
 
-def settings_text(task: Task, first: Array) -> str:
+def settings_text(task: ExportTask, first: Array) -> str:
     """Return crazyflies.yaml (fileversion 3) for drones on the floor below points (D, 3) [m]."""
     fleet, defaults = task.fleet, json.loads(_template("crazyswarm2.json"))
     robots = []
@@ -299,7 +306,7 @@ def pilot_checklist(motion: Motion) -> str:
     return "\n".join(look).format(latency=1e3 * max(latency, LATENCY))
 
 
-def start_files(task: Task, first: Array, last: Array, duration: float) -> dict[str, str]:
+def start_files(task: ExportTask, first: Array, last: Array, duration: float) -> dict[str, str]:
     """Return crazyflies.yaml, fly.py and README.txt by name.
 
     Drones start on the floor below ``first`` (D, 3) [m]; the trajectories end at ``last``.
@@ -336,7 +343,7 @@ def start_files(task: Task, first: Array, last: Array, duration: float) -> dict[
     }
 
 
-def _slack_points(task: Task) -> dict[str, list[float]]:
+def _slack_points(task: ExportTask) -> dict[str, list[float]]:
     """Return the last places in the plan of drones that end tied, if offsets hold the tension.
 
     With set points there the drones pull no longer, and distances are those of the plan.
@@ -352,7 +359,7 @@ def _slack_points(task: Task) -> dict[str, list[float]]:
     return {name: place for name, place, is_tied in tied if is_tied}
 
 
-def parameter_notes(task: Task) -> Iterator[str]:
+def parameter_notes(task: ExportTask) -> Iterator[str]:
     """Yield notes on the firmware parameters, and on those of the fleet that are replaced."""
     controllers = {"ctrlMel", "ctrlLee", "posCtlPid"}
     if all(controllers & {*groups} for groups in task.settings["parameters"].values()):
@@ -389,7 +396,7 @@ def _flow(values: Mapping[str, Any]) -> str:
     return re.sub(r"([ \[]-?\d+)(e[-+]\d+)", r"\1.0\2", json.dumps(values))
 
 
-def _pull(task: Task, texts: Mapping[str, str]) -> str:
+def _pull(task: ExportTask, texts: Mapping[str, str]) -> str:
     """Return the note on cables; empty without cables."""
     if not task.motion.has_cables:
         return ""
@@ -401,7 +408,7 @@ def _template(name: str) -> str:
     return (resources.files(__package__) / name).read_text(encoding="utf-8")
 
 
-def _stacked(task: Task, points: Array, action: str) -> Iterator[str]:
+def _stacked(task: ExportTask, points: Array, action: str) -> Iterator[str]:
     """Yield a warning if drones take off or land above one another, as fly.py moves vertically."""
     width = 1.9999 * task.motion.requirements.separation.radius
     for i, point in enumerate(points[:-1, :2]):
@@ -419,7 +426,7 @@ MAX_COORDINATE = 32.767  # Maximum coordinate of a control point [m]
 HEADER_BYTES, START_BYTES = 3, 8
 END = b"\x00\x00\x00"  # Segment of zero duration
 
-SEGMENT = Kind(DEGREE, 3, MILLI, max_duration=65.535)
+SEGMENT = PieceKind(DEGREE, 3, MILLI, max_duration=65.535)
 EQUAL_ERRORS = Scale(position=2e-4, velocity=1e-2, acceleration=0.2)  # Errors of equal weight
 
 
@@ -440,7 +447,7 @@ class CompressedBytes(CrazyflieFormat):
         axes = max(1, int(np.max(np.sum(is_moving, axis=-1))))
         return (BYTES - START_BYTES - len(END)) // (HEADER_BYTES + 2 * DEGREE * axes)
 
-    def write(self, folder: Path, task: Task) -> FormatOutput:
+    def write(self, folder: Path, task: ExportTask) -> FormatOutput:
         """Write the bytes of every drone, refitted within the task's bound and rounded."""
         breaks = fit_breaks(task.motion.drones, SEGMENT, task.bound)
         fit = task.frame.placed(fit_pieces(task.motion.drones, breaks, SEGMENT))

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from hitchopt.errors import FileError
-from hitchopt.exports.format import Format, FormatOutput, Task
-from hitchopt.exports.recording import Recording
+from hitchopt.exports.contents import FileContents
+from hitchopt.exports.format import ExportTask, Format, FormatOutput
 from hitchopt.geometry.vectors import unit
 from hitchopt.motion.states import sample_times
 from hitchopt.objects import Section, Slab
@@ -29,7 +29,7 @@ from hitchopt.storage.archive import reading
 from hitchopt.storage.files import parsed_json
 from hitchopt.values import Array
 from hitchopt.view.scene import scene_at
-from hitchopt.view.shapes import Solid, mesh, slab_faces
+from hitchopt.view.shapes import RigidSurface, mesh, slab_faces
 from hitchopt.view.style import rgb
 
 FLOAT, UNSIGNED = 5126, 5125  # Types of numbers in accessors, 32 bits each
@@ -50,7 +50,7 @@ class Gltf(Format):
     feed_forward = "not in this file: an animation for viewers"
     flown_by = ""
 
-    def write(self, folder: Path, task: Task) -> FormatOutput:
+    def write(self, folder: Path, task: ExportTask) -> FormatOutput:
         """Write the plan's drones, cables and objects at the task's rate."""
         motion, frame, document = task.motion, task.frame, _Document()
         t = sample_times(motion.duration, task.rate)
@@ -73,7 +73,7 @@ class Gltf(Format):
             paths = {"translation": y_up(frame.points(positions)), "rotation": rotation}
             roots.append(document.animate(name, mesh_, times, paths))
         span = slab_faces(Slab(Section(radius=1.0), -0.5, 0.5))
-        cables = Solid("cables", span, appearance.cable_colours)
+        cables = RigidSurface("cables", span, appearance.cable_colours)
         shapes = document.meshes("cables", [cables] if scene.cables.size else [])
         labels = [
             group.label(f"cable {k}").replace(".", "_")
@@ -95,10 +95,10 @@ class Gltf(Format):
         (folder / self.file).write_bytes(document.to_bytes(roots, task.title or "plan", extras))
         return FormatOutput((self.file,))
 
-    def load(self, files: Sequence[Path]) -> Recording:
+    def load(self, files: Sequence[Path]) -> FileContents:
         """Return the lines between the positions of a scene's drones."""
         with reading(files[0], "glTF scene of drones"):
-            return Recording.of_samples(*read_drones(files[0]), "enu", 0)
+            return FileContents.of_samples(*read_drones(files[0]), "enu", 0)
 
 
 class _Document:
@@ -132,7 +132,7 @@ class _Document:
             max=array.max(axis=0).tolist(),
         )
 
-    def meshes(self, name: str, parts: Sequence[Solid]) -> list[int]:
+    def meshes(self, name: str, parts: Sequence[RigidSurface]) -> list[int]:
         """Add a body of solids with z up; return the index of a mesh for each set of colours."""
         surfaces = []
         for part in parts:

@@ -32,10 +32,10 @@ import numpy as np
 
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import FileError, InfeasibleError
+from hitchopt.exports.contents import FileContents, present_columns, separator_findings
 from hitchopt.exports.firmware import px4_notes, px4_parameters
-from hitchopt.exports.format import Format, FormatOutput, Task
+from hitchopt.exports.format import ExportTask, Format, FormatOutput
 from hitchopt.exports.options import ExportOptions
-from hitchopt.exports.recording import Recording, present_columns, separator_findings
 from hitchopt.hitch import Team
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.storage.archive import reading
@@ -82,7 +82,7 @@ class MavsdkDroneShow(Format):
         """Return the PX4 parameters of all drones, by name in the plan."""
         return {"parameters": px4_parameters(team)}
 
-    def write(self, folder: Path, task: Task) -> FormatOutput:
+    def write(self, folder: Path, task: ExportTask) -> FormatOutput:
         """Write the rows of all drones; raises InfeasibleError if they cannot take off."""
         rise = rise_of(task)
         refuse_stacks(task, rise)
@@ -103,14 +103,14 @@ class MavsdkDroneShow(Format):
         )
         return FormatOutput(files, notes, {"settings": settings, "plan_begins_s": rise.duration})
 
-    def load(self, files: Sequence[Path]) -> Recording:
+    def load(self, files: Sequence[Path]) -> FileContents:
         """Return cubics through positions and velocities, as cable forces are unknown."""
         names, tables = tuple(path.stem for path in files), read_tables(files)
-        recording = Recording.of_samples(names, tables[:, 0, 0], tables[..., 1:7], "ned", 1)
+        contents = FileContents.of_samples(names, tables[:, 0, 0], tables[..., 1:7], "ned", 1)
         each = (separator_findings(_table(path), path.stem) for path in files)
-        return replace(recording, findings=tuple(chain.from_iterable(each)))
+        return replace(contents, findings=tuple(chain.from_iterable(each)))
 
-    def read(self, folder: Path, task: Task) -> Recording:
+    def read(self, folder: Path, task: ExportTask) -> FileContents:
         """Return the receiver's motion, without cable forces in accelerations."""
         tables, rise = read_tables([folder / name for name in self.files(task)]), rise_of(task)
         rows = round(rise.duration * task.rate)
@@ -122,10 +122,10 @@ class MavsdkDroneShow(Format):
         t, values = tables[rows:, 0, 0] - rise.duration, tables[rows:, :, 1:]
         values[..., 6:] += task.samples(t)["cable_forces"] / task.motion.team.mass[:, None]
         values[t > task.motion.duration, :, 6:] = 0.0
-        return Recording.of_samples(task.names, t, values, "ned", SMOOTH)
+        return FileContents.of_samples(task.names, t, values, "ned", SMOOTH)
 
 
-def rise_of(task: Task) -> PiecewisePolynomial:
+def rise_of(task: ExportTask) -> PiecewisePolynomial:
     """Return the completed share of the rise, 0 to 1, over an integer number of rows."""
     limits = [each.motion.requirements.limits for each in task.motion.groups]
     height = float(np.max(np.abs(_ascent(task))))
@@ -146,7 +146,7 @@ def rise_of(task: Task) -> PiecewisePolynomial:
     return PiecewisePolynomial.hermite(breaks, ends[:, :-1], ends[:, 1:])
 
 
-def refuse_stacks(task: Task, rise: PiecewisePolynomial) -> None:
+def refuse_stacks(task: ExportTask, rise: PiecewisePolynomial) -> None:
     """Raise InfeasibleError if drones start above one another, and cannot rise vertically."""
     motion, up = task.motion, _ascent(task)[..., None]
     points = motion.drones.coefficients[0, ..., :1] + up * (rise.coefficients[:, None, None] - 1.0)
@@ -159,13 +159,13 @@ def refuse_stacks(task: Task, rise: PiecewisePolynomial) -> None:
         raise InfeasibleError([check.violation(when, remedy)])
 
 
-def _ascent(task: Task) -> Array:
+def _ascent(task: ExportTask) -> Array:
     """Return the displacement from the ground to the plan's first positions (D, 3) [m]."""
     heights = task.motion.drones.coefficients[0, :, 2, :1] - task.motion.requirements.floor
     return heights * [0.0, 0.0, 1.0]
 
 
-def receiver_settings(task: Task) -> dict[str, float | bool]:
+def receiver_settings(task: ExportTask) -> dict[str, float | bool]:
     """Return the settings with which all rows are flown, with velocity and acceleration."""
     altitudes = task.motion.drones.coefficients[:, :, 2] - task.motion.requirements.floor
     below = floor(min(0.0, float(np.min(altitudes)))) - THRESHOLD_MARGIN
@@ -180,7 +180,7 @@ def receiver_settings(task: Task) -> dict[str, float | bool]:
     }
 
 
-def rows_of(task: Task, rise: PiecewisePolynomial) -> Array:
+def rows_of(task: ExportTask, rise: PiecewisePolynomial) -> Array:
     """Return rows (S, D, 12) of all drones: index, time, nine setpoints and yaw in degrees."""
     count = round(rise.duration * task.rate)
     index = np.arange(count + ceil(task.motion.duration * task.rate - 1e-6) + 1)

@@ -26,11 +26,11 @@ from typing import Any
 import numpy as np
 
 from hitchopt.errors import FileError
+from hitchopt.exports.contents import FileContents, required_module
 from hitchopt.exports.firmware import SETTINGS, team_parameters
-from hitchopt.exports.format import Format, FormatOutput, Task
+from hitchopt.exports.format import ExportTask, Format, FormatOutput
 from hitchopt.exports.formats.crazyflie import parameter_notes, settings_text
 from hitchopt.exports.options import ROS_DISTROS, STORAGES, ExportOptions
-from hitchopt.exports.recording import Recording, required_module
 from hitchopt.hitch import Team
 from hitchopt.storage.archive import reading
 from hitchopt.values import Array
@@ -75,7 +75,7 @@ class Ros2Bag(Format):
             return {}
         return {"parameters": team_parameters(team, options.stiffness, options.damping)}
 
-    def write(self, folder: Path, task: Task) -> FormatOutput:
+    def write(self, folder: Path, task: ExportTask) -> FormatOutput:
         """Write the bag, and settings of Crazyflies; raises UnsupportedError without rosbags."""
         (data,), options, bags = self.files(task), task.options, required_module("rosbags.rosbag2")
         stage = folder / STEM  # rosbags creates a directory, and data with the same name
@@ -96,7 +96,7 @@ class Ros2Bag(Format):
         (folder / SETTINGS).write_text(text, encoding="utf-8", newline="\n")
         return FormatOutput((data, METADATA, SETTINGS), (*notes, *parameter_notes(task)))
 
-    def load(self, files: Sequence[Path]) -> Recording:
+    def load(self, files: Sequence[Path]) -> FileContents:
         """Return the curves of all MultiDOFJointTrajectory messages of a bag.
 
         The file is the bag's data or metadata. Raises UnsupportedError without rosbags.
@@ -128,16 +128,16 @@ class Ros2Bag(Format):
             values = np.stack(tables, axis=1)
             samples = values[..., 1:] if np.all(np.isfinite(values)) else values[..., 1:4]
             smooth = 0 if samples.shape[-1] == 3 else 2
-            return Recording.of_samples(
+            return FileContents.of_samples(
                 tuple(tables_by_name), values[:, 0, 0], samples, frame, smooth
             )
 
-    def read(self, folder: Path, task: Task) -> Recording:  # noqa: ARG002
+    def read(self, folder: Path, task: ExportTask) -> FileContents:  # noqa: ARG002
         """Return the curves of the trajectories."""
         return self.load([folder / METADATA])
 
 
-def _write_messages(bag: Any, task: Task) -> None:
+def _write_messages(bag: Any, task: ExportTask) -> None:
     store, names = message_types(), {frame: name for name, frame in FRAMES.items()}
     frame = names[task.frame.name]
 

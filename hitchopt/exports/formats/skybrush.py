@@ -38,20 +38,20 @@ from numpy.typing import ArrayLike
 
 from hitchopt.checks.certificate import Check
 from hitchopt.errors import FileError, InfeasibleError, Violation
-from hitchopt.exports.exporting import EXPORT_RULES
-from hitchopt.exports.firmware import mapping_at
-from hitchopt.exports.format import Format, FormatOutput, Task
-from hitchopt.exports.placing import ReferenceFrame
-from hitchopt.exports.recording import (
+from hitchopt.exports.contents import (
+    FileContents,
     Finding,
-    Recording,
     Trajectory,
     check_times,
     error,
     largest_jump,
     warning,
 )
-from hitchopt.exports.refit import Kind, Scale, fit_breaks, fit_pieces, round_points
+from hitchopt.exports.exporting import EXPORT_RULES
+from hitchopt.exports.firmware import mapping_at
+from hitchopt.exports.format import ExportTask, Format, FormatOutput
+from hitchopt.exports.placing import ReferenceFrame
+from hitchopt.exports.refit import PieceKind, Scale, fit_breaks, fit_pieces, round_points
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.storage.archive import read_members, reading
 from hitchopt.storage.files import parsed_json
@@ -65,7 +65,9 @@ MAX_DRONES = 20_000  # Maximum number of drones of a show
 DEGREE = 3  # Degree of the pieces
 SMOOTH = 1  # Acceleration jumps after rounding; the small jumps of velocity are in a note
 
-CUBIC = Kind(DEGREE, 2, MILLI, max_duration=1.0, min_duration=0.1, scale=Scale(1e-3, 3e-2, 0.5))
+CUBIC = PieceKind(
+    DEGREE, 2, MILLI, max_duration=1.0, min_duration=0.1, scale=Scale(1e-3, 3e-2, 0.5)
+)
 """Durations above 1 s may lose a millisecond in the server's arithmetic. A millimetre of a control
 point changes the velocity by 30 mm/s for pieces of 0.1 s, by 150 mm/s for 0.02 s."""
 
@@ -110,7 +112,7 @@ class SkybrushShow(Format):
 
     bounds = (1.0, 0.6, 1.4, 0.4, 0.2)  # long segments fit less well, but round better
 
-    def write(self, folder: Path, task: Task) -> FormatOutput:
+    def write(self, folder: Path, task: ExportTask) -> FormatOutput:
         """Write the show, refitted within the task's bound and rounded."""
         motion, plans, notes = task.motion, list[Any]([None] * len(task.names)), []
         if _has_returns(motion):
@@ -135,7 +137,7 @@ class SkybrushShow(Format):
         )
         return FormatOutput((self.file,), (*summary, *notes))
 
-    def load(self, files: Sequence[Path]) -> Recording:
+    def load(self, files: Sequence[Path]) -> FileContents:
         """Read a ``.skyc`` show."""
         show = read_show(files[0])
         limits, findings = _limits(show)
@@ -144,16 +146,16 @@ class SkybrushShow(Format):
                 reason = f"a piece lasts {shortest:.2g} s, which is rounded to none; leave it out"
                 findings.append(error("duration", name, reason))
         drones = [Trajectory(name, curve) for name, curve in show.curves.items()]
-        return Recording.of_curves(drones, "nwu", SMOOTH, findings, limits)
+        return FileContents.of_curves(drones, "nwu", SMOOTH, findings, limits)
 
-    def read(self, folder: Path, task: Task) -> Recording:
+    def read(self, folder: Path, task: ExportTask) -> FileContents:
         """Return the curves of the show as Skybrush's server stores them; certify its returns."""
         show = read_show(folder / self.file)
         drones = [Trajectory(name, stored_curve(curve)) for name, curve in show.curves.items()]
         if _has_returns(task.motion):
             curves = {drone.name: drone.curve for drone in drones}
             certify_returns(folder / self.file, show, curves, task)
-        return Recording.of_curves(drones, "nwu", SMOOTH)
+        return FileContents.of_curves(drones, "nwu", SMOOTH)
 
 
 def _limits(show: Show) -> tuple[dict[str, float], list[Finding]]:
@@ -172,7 +174,9 @@ def _limits(show: Show) -> tuple[dict[str, float], list[Finding]]:
     return limits, findings
 
 
-def write_show(path: Path, task: Task, curves: PiecewisePolynomial, plans: Sequence[Any]) -> None:
+def write_show(
+    path: Path, task: ExportTask, curves: PiecewisePolynomial, plans: Sequence[Any]
+) -> None:
     """Write a show of cubic curves (D, 3), north-west-up, with points in integer millimetres.
 
     ``plans`` has the ``rthPlan`` of every drone, or None. The plan's limits are declared.
@@ -402,7 +406,7 @@ def return_checks(
 
 
 def certify_returns(
-    path: Path, show: Show, curves: Mapping[str, PiecewisePolynomial], task: Task
+    path: Path, show: Show, curves: Mapping[str, PiecewisePolynomial], task: ExportTask
 ) -> None:
     """Certify the returns of a show, each from the stored curves at its time."""
     last, violations = -math.inf, list[Violation]()

@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import FileError
+from hitchopt.exports.contents import FileContents, check_times, present_columns, required_module
 from hitchopt.exports.directory import QUANTITIES, ROWS, write_rows
-from hitchopt.exports.format import Format, FormatOutput, Task
+from hitchopt.exports.format import ExportTask, Format, FormatOutput
 from hitchopt.exports.placing import AXES
-from hitchopt.exports.recording import Recording, check_times, present_columns, required_module
 from hitchopt.storage.archive import check_expansion, reading
 from hitchopt.storage.tables import labelled_table, text_lines
 from hitchopt.values import Array
@@ -32,7 +32,7 @@ GROUPS = QUANTITIES | {
     "quaternions": ("qw", "qx", "qy", "qz"),
     "body_rates": ("rate_x", "rate_y", "rate_z"),
 }
-"""Quantities of ``Task.samples`` and their columns."""
+"""Quantities of ``ExportTask.samples`` and their columns."""
 
 COLUMNS = tuple(name for group in GROUPS.values() for name in group)  # After t and drone
 HEADER = ",".join(("t", "drone", *COLUMNS))
@@ -43,13 +43,13 @@ GROUP = 100_000  # Rows of a parquet row group, 23 MB of numbers
 FRAME_KEY = b"hitchopt.frame"  # Key in a parquet schema's metadata
 
 
-def rows_of(task: Task, rows: int) -> Iterator[tuple[Array, Array]]:
+def rows_of(task: ExportTask, rows: int) -> Iterator[tuple[Array, Array]]:
     """Yield times (S,) [s] and values of COLUMNS (S, D, 26), in blocks of rows."""
     for t, samples in task.blocks(rows):
         yield t, np.concatenate([samples[name] for name in GROUPS], axis=-1) + 0.0  # no -0
 
 
-class Table(Format):
+class TableFormat(Format):
     """A format that samples a plan for scripts."""
 
     frames = tuple(AXES)
@@ -64,27 +64,27 @@ class Table(Format):
     dotted = True
 
     @abstractmethod
-    def _write(self, path: Path, task: Task) -> None:
+    def _write(self, path: Path, task: ExportTask) -> None:
         """Write the file."""
 
     @abstractmethod
-    def _read(self, path: Path) -> Recording:
+    def _read(self, path: Path) -> FileContents:
         """Read the file; raises FileError or others of READ_ERRORS if it is damaged."""
 
-    def write(self, folder: Path, task: Task) -> FormatOutput:
+    def write(self, folder: Path, task: ExportTask) -> FormatOutput:
         """Write the only file."""
         (name,) = self.files(task)
         self._write(folder / name, task)
         return FormatOutput((name,))
 
-    def load(self, files: Sequence[Path]) -> Recording:
+    def load(self, files: Sequence[Path]) -> FileContents:
         """Read the file."""
         with reading(files[0], f"{self.name} table of hitchopt's columns"):
             return self._read(files[0])
 
 
-def _recording_of_rows(drones: NDArray[np.str_], table: Array, frame: str) -> Recording:
-    """Return the recording of rows sorted by time, then drone: t, then vectors."""
+def _contents_of_rows(drones: NDArray[np.str_], table: Array, frame: str) -> FileContents:
+    """Return the contents of rows sorted by time, then drone: t, then vectors."""
     if not len(drones):
         raise FileError("holds no rows; it is truncated")
     t = table[:, 0]
@@ -99,10 +99,10 @@ def _recording_of_rows(drones: NDArray[np.str_], table: Array, frame: str) -> Re
         reason = "are not one per drone, in one order; sort them by time, then drone"
         raise FileError(f"{where} {reason}")
     values = table[:, 1:].reshape(*times.shape, -1)
-    return Recording.of_samples(names, times[:, 0], values, frame, SMOOTH)
+    return FileContents.of_samples(names, times[:, 0], values, frame, SMOOTH)
 
 
-class CsvTable(Table):
+class CsvTable(TableFormat):
     """A table as text, for all programs."""
 
     name = "csv"
@@ -110,24 +110,24 @@ class CsvTable(Table):
     file = "setpoints_{frame}.csv"
     header = "t,drone"
 
-    def _write(self, path: Path, task: Task) -> None:
+    def _write(self, path: Path, task: ExportTask) -> None:
         write_rows(path, HEADER, (task.names, rows_of(task, ROWS)))
 
-    def _read(self, path: Path) -> Recording:
+    def _read(self, path: Path) -> FileContents:
         table = labelled_table(lambda: text_lines(path), ("t", "drone"), str(path))
         numbers = table.numbers(["t", *present_columns(table, STATE_COLUMNS)])
         drones = np.array(table.words("drone"), np.str_)
-        return _recording_of_rows(drones, numbers, path.stem.rpartition("_")[2])
+        return _contents_of_rows(drones, numbers, path.stem.rpartition("_")[2])
 
 
-class ParquetTable(Table):
+class ParquetTable(TableFormat):
     """A table in columns, for data frames."""
 
     name = "parquet"
     endings = (".parquet",)
     file = "setpoints.parquet"
 
-    def _write(self, path: Path, task: Task) -> None:
+    def _write(self, path: Path, task: ExportTask) -> None:
         arrow, parquet = required_module("pyarrow"), required_module("pyarrow.parquet")
         names, number = arrow.array(task.names), arrow.float64()
         fields = [("t", number), ("drone", arrow.dictionary(arrow.int32(), arrow.string()))]
@@ -140,7 +140,7 @@ class ParquetTable(Table):
                 columns = [np.repeat(t, len(names)), drones, *values.reshape(-1, len(COLUMNS)).T]
                 writer.write_table(arrow.table(columns, schema=writer.schema), len(indices))
 
-    def _read(self, path: Path) -> Recording:
+    def _read(self, path: Path) -> FileContents:
         arrow, parquet = required_module("pyarrow"), required_module("pyarrow.parquet")
         with reading(path, "parquet file", arrow.ArrowException), parquet.ParquetFile(path) as file:
             check_expansion(72 * file.metadata.num_rows, path.stat().st_size)
@@ -149,4 +149,4 @@ class ParquetTable(Table):
             columns = ["drone", "t", *present_columns(schema.names, STATE_COLUMNS)]
             drones, *rows = file.read(columns).columns
             numbers = np.column_stack([row.to_numpy() for row in rows]).astype(np.float64)
-            return _recording_of_rows(np.array(drones.to_pylist(), np.str_), numbers, frame)
+            return _contents_of_rows(np.array(drones.to_pylist(), np.str_), numbers, frame)

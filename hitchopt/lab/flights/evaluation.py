@@ -43,7 +43,7 @@ MAX_NAMED, SNAPSHOT_TIME = 8, 0.05  # Most names in a legend; half width of a sn
 
 
 @dataclass(frozen=True)
-class Row:
+class ErrorRow:
     """Errors of a vertex or a drone in a phase or in the whole flight."""
 
     name: str  # of the vertex or drone, or ``vertices`` for all vertices
@@ -115,9 +115,9 @@ class Evaluation(OneLine):
         return self.task.motion
 
     @property
-    def table(self) -> tuple[Row, ...]:
+    def table(self) -> tuple[ErrorRow, ...]:
         """Errors of every vertex, of all vertices and of every drone, by phase and overall."""
-        team, t, rows = self.task.team, self.t, list[Row]()
+        team, t, rows = self.task.team, self.t, list[ErrorRow]()
         points, off, stated = team.layout.clasps, self.errors, self.standard_errors
         hitched, missing = np.isfinite(self.planned[:, points[0], 0]), np.full(len(t), np.nan)
         columns = [(team.point_names[p], hitched, off[:, p], stated[:, p]) for p in points]
@@ -132,11 +132,11 @@ class Evaluation(OneLine):
                     x, e = (y[chosen][np.isfinite(y[chosen])] for y in (each, error))
                     values: Any = (x.mean(), x.std(), x.max()) if x.size else (np.nan,) * 3
                     values += x.size / each[chosen].size, np.median(e) if e.size else np.nan
-                    rows.append(Row(name, *span, *map(float, values)))
+                    rows.append(ErrorRow(name, *span, *map(float, values)))
         return tuple(rows)
 
     @property
-    def short_table(self) -> tuple[Row, ...]:
+    def short_table(self) -> tuple[ErrorRow, ...]:
         """The table without rows of drones in single phases."""
         drones = self.task.team.drone_names
         return tuple(row for row in self.table if row.phase == "all" or row.name not in drones)

@@ -28,7 +28,7 @@ from hitchopt.lab.simulation.commands import Commands
 from hitchopt.lab.simulation.control import ARM, MOMENT_SHARES, UP, PositionGains, desired_attitudes
 from hitchopt.lab.simulation.estimator import RATE, Estimator
 from hitchopt.lab.simulation.settings import MOTOR_LAG
-from hitchopt.lab.simulation.world import BODY_RADIUS, Bodies
+from hitchopt.lab.simulation.world import BODY_RADIUS, RigidBodies
 from hitchopt.values import Array
 
 PERIOD = 0.002  # Period of the attitude loops [s]
@@ -128,7 +128,7 @@ class Autopilots:
         """Stop the motors of a drone, whose thrust fades with their lag."""
         self._max_thrust[drone] = 0.0
 
-    def advance(self, commands: Commands, bodies: Bodies, seconds: float) -> None:
+    def advance(self, commands: Commands, bodies: RigidBodies, seconds: float) -> None:
         """Run controllers and motors for the next ``seconds``, by the received setpoints.
 
         ``bodies`` are true states with estimators, else measured ones.
@@ -150,7 +150,9 @@ class Autopilots:
         decay = np.exp(-seconds / self._lag) if self._lag > 0.0 else 0.0
         self._motors = goals + (self._motors - goals) * decay
 
-    def _set_goals(self, commands: Commands, state: Bodies | Estimator, seconds: float) -> None:
+    def _set_goals(
+        self, commands: Commands, state: RigidBodies | Estimator, seconds: float
+    ) -> None:
         """Run the position loops, which set desired attitudes, and thrusts of cascades."""
         weight = GRAVITY * self._masses
         push = self._kp * (commands.positions - state.positions)

@@ -22,7 +22,7 @@ from hitchopt.hitch import GRAVITY, Team
 from hitchopt.lab.feedback import Feedback
 from hitchopt.lab.simulation.settings import Perturbations, Settings
 from hitchopt.lab.simulation.task import Task
-from hitchopt.lab.simulation.world import BODY_HALF_HEIGHT, BODY_RADIUS, Bodies, World
+from hitchopt.lab.simulation.world import BODY_HALF_HEIGHT, BODY_RADIUS, RigidBodies, World
 from hitchopt.motion.states import States
 from hitchopt.objects import SolidObject
 from hitchopt.values import Array
@@ -224,7 +224,7 @@ class Pilots:
         integral = self._integral + seconds * self.gains.integral * errors
         self._integral = np.clip(integral, -self._integral_limit, self._integral_limit)
 
-    def command(self, setpoints: States, bodies: Bodies, seconds: float, pull: Array) -> None:
+    def command(self, setpoints: States, bodies: RigidBodies, seconds: float, pull: Array) -> None:
         """Run controllers and motors for the next ``seconds``.
 
         Bodies are measured states; ``pull`` (2n, 3) [N] is added to the desired force.

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.estimator import EstimatorParameters
-from hitchopt.lab.simulation.world import Bodies
+from hitchopt.lab.simulation.world import RigidBodies
 from hitchopt.values import Array
 
 RATE = 100.0  # Rate of filter predictions and of motion capture [Hz]
@@ -56,7 +56,7 @@ class Estimator:
     def __init__(
         self,
         parameters: EstimatorParameters,
-        bodies: Bodies,
+        bodies: RigidBodies,
         random: np.random.Generator,
         age: int = 5,
     ) -> None:
@@ -79,14 +79,14 @@ class Estimator:
         """Velocities (2n, 3) [m/s] in the world's frame."""
         return np.asarray(np.einsum("iab,ib->ia", self.attitudes, self._velocities))
 
-    def read(self, bodies: Bodies) -> Array:
+    def read(self, bodies: RigidBodies) -> Array:
         """Return gyroscope readings (2n, 3) [rad/s] for true states."""
         self._passed.append(bodies)
         noise = GYRO_NOISE * self._random.standard_normal(bodies.rates.shape)
         self._gyro.append(bodies.rates + noise)
         return self._gyro[-1]
 
-    def predict(self, bodies: Bodies) -> None:
+    def predict(self, bodies: RigidBodies) -> None:
         """Predict from the readings since the last prediction, 1 / RATE ago."""
         dt = 1.0 / RATE
         rates, previous = np.mean(self._gyro, axis=0), self._last

@@ -20,8 +20,8 @@ from hitchopt.lab.simulation.settings import Settings
 from hitchopt.lab.simulation.task import RATE, Task
 from hitchopt.lab.simulation.world import (
     BODY_HALF_HEIGHT,
-    Bodies,
     InvalidRunError,
+    RigidBodies,
     World,
     cable_names,
     check_valid,
@@ -56,7 +56,7 @@ ROUNDING = 1e-9  # Rounding error of sums of periods [s]
 
 
 @dataclass(frozen=True, eq=False)
-class Record:
+class FlightSamples:
     """Samples of a flight; times count from the flight's start, after settling."""
 
     t: Array  # (samples,) [s], at the rate of the setpoints, rest and pull test included
@@ -82,7 +82,7 @@ class Film:
     t: Array  # (frames,) [s]
     nodes: NDArray[np.float32]  # (frames, nodes, 3) [m], cable after cable, drones at their ends
     cables: NDArray[np.intp]  # (n + 1,), first node of each cable, and the number of nodes
-    poses: NDArray[np.float32]  # of the objects (frames, objects, 7), as in a ``Record``
+    poses: NDArray[np.float32]  # of the objects (frames, objects, 7), as in a ``FlightSamples``
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +91,7 @@ class Flight:
 
     task: Task  # of the flight
     settings: Settings  # of the flight
-    record: Record  # samples
+    record: FlightSamples  # samples
     film: Film  # shapes of the cables
     # times [s] of first forbidden contacts by pairs of names, such as ``("q0", "r2")`` or ``("q0",
     # "cable 2")``
@@ -127,7 +127,7 @@ def fly(task: Task, settings: Settings, progress: Progress | None = None) -> Fli
     ShapeError: cables too short for the first setpoints.
     UnsupportedError: mujoco is not installed, or several groups with feedback or a lost drone.
     """
-    run = _Run(task, settings, progress)
+    run = _FlightInProgress(task, settings, progress)
     try:
         run.fly()
     except InvalidRunError as error:
@@ -135,7 +135,7 @@ def fly(task: Task, settings: Settings, progress: Progress | None = None) -> Fli
     return run.flight(None)
 
 
-class _Run:
+class _FlightInProgress:
     """A flight in progress."""
 
     def __init__(self, task: Task, settings: Settings, progress: Progress | None) -> None:
@@ -315,7 +315,7 @@ class _Run:
             self._frames.append((time, *state))
 
     def _command(
-        self, time: float, index: int, setpoints: States, bodies: Bodies, added: Array
+        self, time: float, index: int, setpoints: States, bodies: RigidBodies, added: Array
     ) -> Array:
         """Run controllers and motors for a period; return external forces on drones (2n, 3) [N].
 
@@ -336,7 +336,7 @@ class _Run:
         pilots.advance(commands, bodies, period)
         return added
 
-    def _bodies(self, index: int) -> Bodies:
+    def _bodies(self, index: int) -> RigidBodies:
         """Return the drones' states without the end offsets of thick ropes."""
         return replace(self._world.bodies, positions=self._drones(index))
 
@@ -379,7 +379,7 @@ class _Run:
         return Flight(
             self._task,
             self._settings,
-            Record(*(np.array(column) for column in zip(*self._rows, strict=True))),
+            FlightSamples(*(np.array(column) for column in zip(*self._rows, strict=True))),
             Film(np.array(t), *shapes, np.array(poses, dtype=np.float32)),
             self._touches,
             self._linking,

@@ -136,7 +136,7 @@ class Failure:
 
 
 @dataclass(frozen=True)
-class Clasp:
+class ClaspState:
     """State of one vertex at the end of a flight."""
 
     name: str  # p0, p1, …
@@ -177,7 +177,7 @@ class ObjectState:
 class Outcome:
     """Failures by time, movable objects, and the vertices at the end of the plan."""
 
-    clasps: tuple[Clasp, ...]
+    clasps: tuple[ClaspState, ...]
     failures: tuple[Failure, ...]
     objects: tuple[ObjectState, ...] = ()
 
@@ -213,7 +213,7 @@ def judge(flight: Flight) -> Outcome:
     ]
     if (error := flight.error) is not None:
         failures.append(Failure(INVALID, (error.where,), error.time, str(error)))
-    clasps: tuple[Clasp, ...] = ()
+    clasps: tuple[ClaspState, ...] = ()
     objects: tuple[ObjectState, ...] = ()
     if lost is None:
         if flight.linking is not None:
@@ -224,7 +224,7 @@ def judge(flight: Flight) -> Outcome:
     return Outcome(clasps, tuple(sorted(failures, key=lambda failure: failure.time)), objects)
 
 
-def _clasps(flight: Flight, links: NDArray[np.int64]) -> tuple[Clasp, ...]:
+def _clasps(flight: Flight, links: NDArray[np.int64]) -> tuple[ClaspState, ...]:
     """Return the state of every vertex at the end of the plan."""
     team, layout = flight.task.team, flight.task.team.layout
     hitched = flight.task.clasped([part.states.formed[-1] for part in flight.task.parts])
@@ -237,7 +237,9 @@ def _clasps(flight: Flight, links: NDArray[np.int64]) -> tuple[Clasp, ...]:
     names = [team.point_names[point] for point in layout.clasps]
     columns = (column.tolist() for column in (linking, bearing, least, moved, holds, bears))
     each = zip(names, *columns, strict=True)
-    return tuple(Clasp(*values) for values, exists in zip(each, hitched, strict=True) if exists)
+    return tuple(
+        ClaspState(*values) for values, exists in zip(each, hitched, strict=True) if exists
+    )
 
 
 def _means(flight: Flight, end: float) -> tuple[Array, Array]:
@@ -255,7 +257,7 @@ def _means(flight: Flight, end: float) -> tuple[Array, Array]:
 
 
 def _failed_links(
-    flight: Flight, linking: NDArray[np.int64], clasps: tuple[Clasp, ...]
+    flight: Flight, linking: NDArray[np.int64], clasps: tuple[ClaspState, ...]
 ) -> list[Failure]:
     """Return failures of cables that should not be linked, and of clasps that do not hold."""
     task, layout, rested, failures = flight.task, flight.task.team.layout, flight.rested, []
@@ -398,7 +400,7 @@ def loss_outcome(flight: Flight) -> LossOutcome | None:
 
 
 @dataclass(frozen=True)
-class Run(OneLine):
+class CampaignRun(OneLine):
     """Row of a campaign for one flight: seed, verdict, failures by time, and figures by name.
 
     A flight that failed at its start has no figures. Flights are reproducible by their seeds.
@@ -464,9 +466,11 @@ class Simulation(OneLine):
         return values
 
     @property
-    def run(self) -> Run:
+    def run(self) -> CampaignRun:
         """Row of a campaign for this flight."""
-        return Run(self.settings.seed, self.outcome.verdict, self.outcome.failures, self.figures)
+        return CampaignRun(
+            self.settings.seed, self.outcome.verdict, self.outcome.failures, self.figures
+        )
 
 
 def nearest(flight: Flight) -> tuple[tuple[str, str], float, float]:

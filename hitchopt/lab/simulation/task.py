@@ -15,7 +15,7 @@ from hitchopt.exports.directory import refuse_mixture
 from hitchopt.hitch import Team
 from hitchopt.hitch.team import Layout
 from hitchopt.motion.chapters import chapters
-from hitchopt.motion.combined import Fleet
+from hitchopt.motion.combined import CombinedSwarm
 from hitchopt.motion.loads import tautness
 from hitchopt.motion.motion import Group, Motion
 from hitchopt.motion.plan_file import read_plan
@@ -139,7 +139,7 @@ class Passing(NamedTuple):
         return positions
 
 
-class Crew(Fleet):
+class Crew(CombinedSwarm):
     """Several teams with cables as one, with concatenated arrays and prefixed names."""
 
     def __init__(self, groups: Sequence[Group]) -> None:

@@ -75,7 +75,7 @@ MAX_STRAIN, MAX_PENETRATION = 0.02, 0.3
 
 
 @dataclass(frozen=True, eq=False)
-class Bodies:
+class RigidBodies:
     """Drones as rigid bodies."""
 
     positions: Array  # (2n, 3) [m]
@@ -198,11 +198,13 @@ class World:
         return np.asarray(self.data.qpos[self._drone_qpos])
 
     @property
-    def bodies(self) -> Bodies:
+    def bodies(self) -> RigidBodies:
         """State of the drones."""
         moving = self.data.qvel
         attitudes = self.data.xmat[self.drone_bodies].reshape(-1, 3, 3)
-        return Bodies(self.drones, moving[self.drone_dofs], attitudes, moving[self.drone_dofs + 3])
+        return RigidBodies(
+            self.drones, moving[self.drone_dofs], attitudes, moving[self.drone_dofs + 3]
+        )
 
     def push(self, thrusts: Array, moments: Array, forces: Array) -> None:
         """Apply thrusts (2n,) and moments about the bodies' axes, and forces (2n, 3) [N]."""

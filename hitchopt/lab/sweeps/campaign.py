@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from hitchopt.errors import HitchoptError, InputError, Progress, UnsupportedError
-from hitchopt.lab.simulation.judgement import NOT_SIMULATED, START, Failure, Run, simulate
+from hitchopt.lab.simulation.judgement import NOT_SIMULATED, START, CampaignRun, Failure, simulate
 from hitchopt.lab.simulation.report import CAMPAIGN, OWNED, RUNS, number
 from hitchopt.lab.simulation.settings import Settings
 from hitchopt.lab.simulation.task import Task
@@ -27,7 +27,7 @@ class Campaign:
     """Flights of one plan under perturbations of different seeds."""
 
     settings: Settings  # of all flights, with the first seed
-    runs: tuple[Run, ...]  # by seed
+    runs: tuple[CampaignRun, ...]  # by seed
 
     @property
     def successes(self) -> int:
@@ -88,9 +88,9 @@ def run_campaign(
         integer("processes", processes, 1)
     workers = min(runs, processes or os.cpu_count() or 1)
     flights = [replace(settings, seed=settings.seed + i) for i in range(runs)]
-    completed: list[Run] = []
+    completed: list[CampaignRun] = []
     with contextlib.ExitStack() as stack:
-        results: Iterable[Run] = (run_flight(each, task) for each in flights)
+        results: Iterable[CampaignRun] = (run_flight(each, task) for each in flights)
         if workers > 1:
             tasks = {f"flight-{each.seed}": (each,) for each in flights}
             futures = run_tasks(run_flight, tasks, workers, shared=task)
@@ -104,14 +104,14 @@ def run_campaign(
     return Campaign(settings, tuple(sorted(completed, key=lambda run: run.seed)))
 
 
-def run_flight(settings: Settings, task: Task) -> Run:
+def run_flight(settings: Settings, task: Task) -> CampaignRun:
     """Return the result of one flight; a flight that cannot start is a failure, not an error."""
     try:
         return simulate(task, settings).run
     except (InputError, UnsupportedError):  # these would affect every flight
         raise
     except HitchoptError as error:
-        return Run(settings.seed, NOT_SIMULATED, (Failure(START, (), 0.0, str(error)),), {})
+        return CampaignRun(settings.seed, NOT_SIMULATED, (Failure(START, (), 0.0, str(error)),), {})
 
 
 def save_campaign(directory: Path | str, campaign: Campaign) -> Path:

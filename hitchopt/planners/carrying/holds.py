@@ -43,7 +43,7 @@ from hitchopt.motion.loads import Supports, rim_drop, rim_savings, strut_share
 from hitchopt.motion.motion import HoldBy, Motion, Phase
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import in_world, poses_of
-from hitchopt.planners.carrying.moves import Course, Move, SmoothLaw, polynomials
+from hitchopt.planners.carrying.moves import Move, MoveState, SmoothLaw, polynomials
 from hitchopt.planners.carrying.polygons import sides_of
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
@@ -74,7 +74,7 @@ def leg_chords(
 
 
 @dataclass(frozen=True, eq=False)
-class Hold(ABC):
+class HoldingHitch(ABC):
     """A hitch that holds an object, in the object's frame.
 
     Attributes
@@ -152,7 +152,7 @@ by 3 to 8 cm at the start of a carry, since drones lag and small forces move suc
 
 
 @dataclass(frozen=True, eq=False)
-class RestHold(Hold):
+class RestHold(HoldingHitch):
     """A hitch below an object whose rim rests on its clasps."""
 
     by: ClassVar[HoldBy] = HoldBy.REST
@@ -233,29 +233,29 @@ class RestHold(Hold):
 
     def curves(self, move: Move, t: Array) -> dict[str, Array]:
         """Return all curves of a move at times t (…) [s]."""
-        course, team, body, supports = move.course(t), self.team, self.body, self.supports
+        state, team, body, supports = move.state(t), self.team, self.body, self.supports
         forces = np.zeros((*t.shape, *self.clasps.shape))
         if move.lifted:
-            accelerations = course.accelerations(self.clasps) + np.array([0.0, 0.0, GRAVITY])
+            accelerations = state.accelerations(self.clasps) + np.array([0.0, 0.0, GRAVITY])
             forces = -body.mass * supports.shares[:, None] * accelerations
-            centre = course.accelerations(body.centre_of_mass[None])[..., 0, :2]
+            centre = state.accelerations(body.centre_of_mass[None])[..., 0, :2]
             forces[..., 2] += body.mass * self._mass_height * (centre @ supports.gains.T)
         else:
-            forces[..., 2] = -course.load_share[..., None] * (GRAVITY * body.mass * supports.shares)
-        tension, share = course.tension, course.load_share
+            forces[..., 2] = -state.load_share[..., None] * (GRAVITY * body.mass * supports.shares)
+        tension, share = state.tension, state.load_share
         edges, squared = length(np.roll(self.clasps, -1, axis=0) - self.clasps), share**2
         strut = squared * strut_share(team, body.mass, edges, tension)
         saved = squared[..., None, None] * rim_savings(team, body, self.closed, tension)
         drones, legs = self.drones(tension, forces, strut, saved)
-        depth = course.between(*move.below) + self.drop(tension, share)
+        depth = state.between(*move.below) + self.drop(tension, share)
         down = np.stack([0 * depth, 0 * depth, depth], axis=-1)[..., None, :]
         clasps = np.broadcast_to(self.clasps, (*t.shape, *self.clasps.shape))
         return {
-            "drones": in_world(course.pose[..., None, :], drones - down),
-            "vertices": in_world(course.pose[..., None, :], clasps - down),
+            "drones": in_world(state.pose[..., None, :], drones - down),
+            "vertices": in_world(state.pose[..., None, :], clasps - down),
             "legs": legs,
             "tensions": tension,
-            "pose": course.pose,
+            "pose": state.pose,
             "load_share": share,
         }
 
@@ -272,7 +272,7 @@ that locate an event between two samples."""
 
 
 @dataclass(frozen=True, eq=False)
-class GripHold(Hold):
+class GripHold(HoldingHitch):
     """A hitch that closes around an object and grips it, without roll."""
 
     by: ClassVar[HoldBy] = HoldBy.GRIP
@@ -350,21 +350,21 @@ class GripHold(Hold):
         the share of clasp friction, and θ the angle by which both cables turn at a clasp, the mean
         of the angles between edges and between legs.
         """
-        course, team = move.course(t), self.team
-        share, T = course.between(*move.closed), course.tension
+        state, team = move.state(t), self.team
+        share, T = state.between(*move.closed), state.tension
         pulls, has_lead = np.stack([T, T], axis=-1), move.lead != (0.0, 0.0)
         bends = self._bends(0.5 * sum(move.closed))
-        polygon, z, wraps = self._balanced(move, course, self._polygon(share), bends)
+        polygon, z, wraps = self._balanced(move, state, self._polygon(share), bends)
         leaving, arriving = straight_parts(polygon, wraps.contacts, z)
         if has_lead:
-            lead = course.between(*move.lead)
+            lead = state.between(*move.lead)
             T = T * edge_ratios(team.cable_friction * lead, wraps.clasp_angles)
         factors, edges = sag_factors(team, T), wraps.arcs + (length(leaving) + length(arriving))
         if team.cable_density > 0.0:
             spans = _span(leaving, arriving)
             if move.closed[0] != move.closed[1]:
                 before, after = (self._seam(end, bends) for end in move.closed)
-                spans = spans + course.between(before, after)
+                spans = spans + state.between(before, after)
             edges = edges + factors * spans
         slack = team.cable_length - edges
         split = self.open_fractions + share[..., None] * (self.fractions - self.open_fractions)
@@ -377,25 +377,25 @@ class GripHold(Hold):
         drones, legs = leg_chords(team, lengths, directions, factors, clasps)
         heights = np.full((*wraps.contacts.shape[:-1], 1), self.height)
         contacts = np.concatenate([wraps.contacts, heights], axis=-1)
-        pose = course.pose[..., None, :]
+        pose = state.pose[..., None, :]
         return {
             "drones": in_world(pose, drones),
             "vertices": in_world(pose, clasps),
             "legs": legs,
             "tensions": T,
             "contacts": in_world(pose[..., None, :], contacts),
-            "pose": course.pose,
-            "load_share": course.load_share,
+            "pose": state.pose,
+            "load_share": state.load_share,
         } | ({"leg_tensions": pulls} if has_lead else {})
 
     def _balanced(
-        self, move: Move, course: Course, planned: Array, bends: Bends
+        self, move: Move, state: MoveState, planned: Array, bends: Bends
     ) -> tuple[Array, Array, Wraps]:
         """Return clasps (…, n, 2) [m], their heights (…, n) [m], and edges that bear the load.
 
         While the object stands, edges bear horizontal forces in proportion to their load share.
         """
-        section, T, share = self.body.section, course.tension, course.load_share
+        section, T, share = self.body.section, state.tension, state.load_share
         polygon, z = planned, np.zeros(planned.shape[:-1])
         wraps = wraps_around(section, polygon, bends)
         if not np.any(share):
@@ -403,7 +403,7 @@ class GripHold(Hold):
         load = np.zeros((*share.shape, 3))
         load[..., 2] = GRAVITY * share
         if move.lifted:
-            load += course.accelerations(self.body.centre_of_mass[None])[..., 0, :]
+            load += state.accelerations(self.body.centre_of_mass[None])[..., 0, :]
         load, centre = self.body.mass * load, self.body.centre_of_mass[:2]
         for _ in range(MAX_NEWTON_STEPS):
             before = np.concatenate([polygon - centre, z[..., None]], axis=-1)

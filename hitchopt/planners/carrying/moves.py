@@ -108,13 +108,13 @@ class Move:
         travels = bool(np.any(self.start != self.end)) or self.below[0] != self.below[1]
         return travels and all(np.array_equal(before, after) for before, after in pairs)
 
-    def course(self, t: Array) -> Course:
-        """Return the course of the move at times t (…) [s]."""
-        return Course(self, *np.moveaxis(self.law.jet(t), -1, 0))
+    def state(self, t: Array) -> MoveState:
+        """Return the state of the move at times t (…) [s]."""
+        return MoveState(self, *np.moveaxis(self.law.jet(t), -1, 0))
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class MoveState:
     """The state of an object during a move, at times (…)."""
 
     move: Move  # the move

@@ -18,10 +18,9 @@ from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.holding import residual_grip
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.motion import motion as motions
-from hitchopt.motion.motion import Motion, Phase, joined_motions
+from hitchopt.motion.motion import Motion, Phase, PhaseHold, joined_motions
 from hitchopt.objects import SolidObject
-from hitchopt.planners.carrying.holds import GripHold, Hold
+from hitchopt.planners.carrying.holds import GripHold, HoldingHitch
 from hitchopt.planners.carrying.moves import Move, SmoothLaw
 from hitchopt.planners.carrying.polygons import HoldPolygons
 from hitchopt.values import Array
@@ -62,7 +61,7 @@ class GraspState:
     object: str  # its name
     polygons: HoldPolygons  # of the hitch, in the object's frame
     tension: Array  # (n,) [N], of cables from grasping to loosening
-    hold: Hold | None = None  # the hitch that holds it; None while it only encloses it
+    hold: HoldingHitch | None = None  # the hitch that holds it; None while it only encloses it
     carried: bool = False  # whether clasps carry its weight
 
 
@@ -71,7 +70,7 @@ def one_phase(
     requirements: Requirements,
     step: int,
     name: str,
-    hold: motions.Hold | None = None,
+    hold: PhaseHold | None = None,
 ) -> Motion:
     """Return consecutive motions as one phase of a step, with all remarks."""
     motion = joined_motions([each.replaced(requirements=requirements) for each in parts])
@@ -99,7 +98,7 @@ class MovePlanner:
     step: int  # index of the step in its mission
 
     @property
-    def hold(self) -> Hold:
+    def hold(self) -> HoldingHitch:
         """The hitch with the object."""
         assert self.state.hold is not None
         return self.state.hold
@@ -116,7 +115,7 @@ class MovePlanner:
     def motion(self, moves: Sequence[Move], name: str = "", remark: str = "") -> Motion:
         """Return the motion of consecutive moves as one phase."""
         cables = tuple(range(self.hold.team.robots))
-        hold = motions.Hold(self.state.object, self.hold.by, cables)
+        hold = PhaseHold(self.state.object, self.hold.by, cables)
         phase = Phase(name, self.step, 0.0, 1.0, remark, hold=hold)
         parts = [self.hold.motion(move, self.requirements, phase) for move in moves]
         return one_phase(parts, self.requirements, self.step, name, hold)

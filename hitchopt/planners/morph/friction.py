@@ -105,7 +105,7 @@ def settling_swings(rest: Motion, share: float) -> tuple[FrictionFeedforward, fl
     """
     start, count = float(rest.drones.breaks[0]), 2 * SWINGS + 1
     times = start + rest.duration * np.linspace(0.0, 1.0, count + 1)
-    clasps = _Clasps.of(rest, times[:1])
+    clasps = _ForceTriangles.of(rest, times[:1])
     friction = FRICTION_SHARE * min(rest.team.cable_friction, MAX_FRICTION)
     slip = friction * clasps.wrap_angles
     for _ in range(WRAP_ITERATIONS):  # legs at smaller angles wrap less
@@ -238,7 +238,7 @@ def expected_slip(motion: Motion, share: float) -> PiecewisePolynomial | None:
     if fastest <= MIN_LEG_RATE:
         return None
     both = np.sum(np.abs(rates), axis=-1, keepdims=True) + SLOW_SHARE * fastest
-    clasps = _Clasps.of(motion, t)
+    clasps = _ForceTriangles.of(motion, t)
     friction = min(motion.team.cable_friction, MAX_FRICTION)
     slip = friction * clasps.wrap_angles * rates / both
     slip *= share * clasps.feasible_share(slip)[..., None]
@@ -252,7 +252,7 @@ def _at_clasps(layout: Layout, legs: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class _Clasps:
+class _ForceTriangles:
     """The force triangles of all clasps at some times."""
 
     pull: Array  # (J, clasps) [N], magnitude of V, the pull of the edges
@@ -261,7 +261,7 @@ class _Clasps:
     separation: Separation  # limits of distances
 
     @classmethod
-    def of(cls, motion: Motion, t: Array) -> _Clasps:
+    def of(cls, motion: Motion, t: Array) -> _ForceTriangles:
         layout = motion.team.layout
         edges = layout.edges(motion.vertices.at(t))
         u = edges / length(edges)[..., None]

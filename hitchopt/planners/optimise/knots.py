@@ -195,7 +195,7 @@ class SolverStep:
 
 
 @dataclass(frozen=True, eq=False)
-class Search:
+class SearchLimits:
     """Constraints of all paths of one search."""
 
     requirements: Requirements  # of the problem
@@ -211,7 +211,7 @@ class Search:
         return np.minimum(first + out * (self.margin - first), last + back * (self.margin - last))
 
 
-def variable_bounds(path: KnotPath, search: Search, stride: float) -> tuple[Array, Array]:
+def variable_bounds(path: KnotPath, search: SearchLimits, stride: float) -> tuple[Array, Array]:
     """Return bounds of the inner knots' variables by legs, walls, stride [m] and tensions."""
     columns, table, team = path.columns, path.table[1:-1], path.team
     margins = search.margins(path.steps, np.arange(1.0, path.steps))

@@ -34,7 +34,7 @@ from hitchopt.hitch.team import CLOSED, layout_of
 from hitchopt.planners.morph.morph import exterior_angles
 from hitchopt.planners.optimise.knots import (
     KnotPath,
-    Search,
+    SearchLimits,
     SolverStep,
     columns_of,
     variable_bounds,
@@ -106,7 +106,7 @@ class MorphProgram:
     numbers: dict[str, Array]  # the initial guess ``x0``, the parameters ``p``, and all bounds
 
 
-def build_program(path: KnotPath, search: Search, step: SolverStep) -> MorphProgram:
+def build_program(path: KnotPath, search: SearchLimits, step: SolverStep) -> MorphProgram:
     """Return the program around a path, with near pairs and normals of that path."""
     columns, table, team, steps = path.columns, path.table, path.team, path.steps
     n, inner, limits = team.robots, table[1:-1].ravel(), search.requirements.limits
@@ -305,7 +305,7 @@ class SoftRows(NamedTuple):
     values: Array
 
 
-def _near_rows(path: KnotPath, search: Search, step: SolverStep) -> tuple[SoftRows, SoftRows]:
+def _near_rows(path: KnotPath, search: SearchLimits, step: SolverStep) -> tuple[SoftRows, SoftRows]:
     """Return the rows of close pairs: of drones at the knots by squares, of others by normals.
 
     Between the knots the path is the chord of two knots and a deviation, which is constant.
@@ -356,7 +356,11 @@ MIN_PROGRESS = 0.3
 
 
 def iterates(
-    path: KnotPath, search: Search, step: SolverStep, max_steps: int, progress: float = MIN_PROGRESS
+    path: KnotPath,
+    search: SearchLimits,
+    step: SolverStep,
+    max_steps: int,
+    progress: float = MIN_PROGRESS,
 ) -> Iterator[KnotPath]:
     """Yield the paths after each step of the optimizer.
 

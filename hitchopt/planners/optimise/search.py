@@ -19,7 +19,7 @@ from hitchopt.hitch.slack_split import LegTask
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph.legs import legs_clear
 from hitchopt.planners.morph.morph import check_shapes, exterior_angles
-from hitchopt.planners.optimise.knots import Judge, KnotPath, Search, SolverStep
+from hitchopt.planners.optimise.knots import Judge, KnotPath, SearchLimits, SolverStep
 from hitchopt.planners.optimise.program import iterates
 from hitchopt.planners.timing.profile import (
     LIMIT_SHARE,
@@ -142,7 +142,7 @@ class OptimisedMorph:
         if not paths:
             return []
         first, last = (END_MARGIN_FACTOR * self.margins[paths[0]])[[0, -1]].tolist()
-        search = Search(self.requirements, self.judge, self.tension, (first, last))
+        search = SearchLimits(self.requirements, self.judge, self.tension, (first, last))
         resampled = [path.resampled(_steps(path)) for path in reversed(paths)]
         estimates = [_estimate(path, self.requirements) for path in resampled]
         for k in np.argsort(estimates, kind="stable"):
@@ -244,7 +244,7 @@ def _equal(path: KnotPath, other: KnotPath) -> bool:
     return max(float(np.max(np.abs(each))) for each in differences) < PATH_TOLERANCE
 
 
-def _optimized(guess: KnotPath, search: Search, visited: list[KnotPath]) -> KnotPath | None:
+def _optimized(guess: KnotPath, search: SearchLimits, visited: list[KnotPath]) -> KnotPath | None:
     """Return the path of minimum energy near a guess; None if it reaches a visited path."""
     path: KnotPath | None = None
     for path in iterates(guess, search, INITIAL_STEP, MAX_INITIAL_STEPS):
@@ -253,7 +253,7 @@ def _optimized(guess: KnotPath, search: Search, visited: list[KnotPath]) -> Knot
     return path
 
 
-def _refined(path: KnotPath, search: Search) -> Motion | None:
+def _refined(path: KnotPath, search: SearchLimits) -> Motion | None:
     """Return the motion along a refined path of minimum energy, or along a faster one near it.
 
     Refinement enforces distances between the knots, then adds knots, up to a feasible path.
@@ -283,7 +283,7 @@ def _refined(path: KnotPath, search: Search) -> Motion | None:
     return None
 
 
-def _is_feasible(knots: KnotPath, search: Search) -> bool:
+def _is_feasible(knots: KnotPath, search: SearchLimits) -> bool:
     """Return whether a path satisfies its limits at samples, before the judge's decision."""
     path, requirements = knots.path, search.requirements
     try:

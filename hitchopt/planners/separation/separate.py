@@ -97,7 +97,7 @@ class SeparatedFlight:
         setting = self.problem
         if task.duration is not None and task.duration < setting.bound:
             raise InfeasibleError([_too_short(task, setting.bound, "no drone can be as fast")])
-        evaluations: list[Evaluation] = []
+        evaluations: list[CurveBounds] = []
         for own, guess, remark in _guesses(setting):
             report(f"guess: {remark or 'straight'}")
             evaluation = _improved(own, guess, report)
@@ -124,7 +124,7 @@ def _guesses(setting: Setting) -> Iterator[tuple[Setting, Array, str]]:
         yield own, pushed_apart(own, side), ("some leave later; " if ratio > 1.0 else "") + words
 
 
-def _improved(setting: Setting, guess: Array, report: Progress) -> Evaluation:
+def _improved(setting: Setting, guess: Array, report: Progress) -> CurveBounds:
     """Return the best curves that programs reach from a guess."""
     task, idle = setting.task, 0
     current = best = evaluate(setting, guess)
@@ -156,7 +156,7 @@ def _improved(setting: Setting, guess: Array, report: Progress) -> Evaluation:
 
 
 def _planes(
-    setting: Setting, current: Evaluation, required: Indices
+    setting: Setting, current: CurveBounds, required: Indices
 ) -> tuple[Planes, NDArray[np.bool_]]:
     """Return the planes of the next program, also of required sides, and the mask (N,) of movers.
 
@@ -181,7 +181,7 @@ def _planes(
 
 
 def _last_resort(
-    task: SeparationTask, evaluations: list[Evaluation], report: Progress
+    task: SeparationTask, evaluations: list[CurveBounds], report: Progress
 ) -> SeparationResult:
     """Return the fastest flight at the prescribed duration, or raise InfeasibleError."""
     nearest = max(evaluations, key=lambda evaluation: evaluation.closest)
@@ -219,7 +219,7 @@ REMEDY = "give more time or room, or move the drones concerned apart"
 
 
 @dataclass(frozen=True, eq=False)
-class Evaluation:
+class CurveBounds:
     """Continuous-time bounds of curves.
 
     Attributes
@@ -246,7 +246,7 @@ class Evaluation:
         return self.duration if self.clear else UNCLEAR_MERIT * (2.0 - min(self.closest, 1.0))
 
 
-def evaluate(setting: Setting, coefficients: Array) -> Evaluation:
+def evaluate(setting: Setting, coefficients: Array) -> CurveBounds:
     """Return the evaluation of curves by the certificate's continuous-time bounds."""
     task, unit = setting.task, setting.grid.curves(coefficients, 1.0)
     factors = [MIN_DURATION]
@@ -262,7 +262,7 @@ def evaluate(setting: Setting, coefficients: Array) -> Evaluation:
         if not check.holds
     )
     closest = next((check.bound for check in checks if check.name == "separation"), math.inf)
-    return Evaluation(coefficients, duration, closest, tuple(violations))
+    return CurveBounds(coefficients, duration, closest, tuple(violations))
 
 
 def _checks(task: SeparationTask, curves: PiecewisePolynomial) -> list[Check]:

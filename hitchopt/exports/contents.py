@@ -1,6 +1,6 @@
 """Contents of exported files: the drones' curves, findings and manifests.
 
-Invalid files raise FileError. A recording contains the curves of the numbers in files of any
+Invalid files raise FileError. Contents are the curves of the numbers in files of any
 origin, after rounding. They are computed in consecutive windows, to save memory in long flights.
 """
 
@@ -80,7 +80,7 @@ class Trajectory:
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class FileContents:
     """The curves of exported numbers, and findings of the reader."""
 
     names: tuple[str, ...]  # (D,) of the drones, in the file's order
@@ -101,7 +101,7 @@ class Recording:
         findings: Iterable[Finding] = (),
         own: Mapping[str, float] | None = None,
     ) -> Self:
-        """Return the recording of one curve per drone, with individual breaks.
+        """Return the contents with one curve per drone, with individual breaks.
 
         Drones hold their final positions until the end of the last one. Breaks are merged window by
         window, to save memory.
@@ -135,7 +135,7 @@ class Recording:
     def of_samples(
         cls, names: Sequence[str], t: Array, values: Array, frame: str, smooth: int
     ) -> Self:
-        """Return the recording of samples, interpolated by Hermite polynomials.
+        """Return the contents with samples, interpolated by Hermite polynomials.
 
         ``values`` (S, D, 3 m) at ``t`` (S,) [s] are positions, and optionally velocities and
         accelerations: the curves are lines, cubics or quintics. ``smooth`` is the order of the
