@@ -310,7 +310,10 @@ REMEDY = "allow more seconds (limit=), or make the problem easier or smaller"
 
 
 class TimeIsUp(BaseException):
-    """Planning is out of time; no Exception, lest code that tries alternatives catches it."""
+    """Planning is out of time.
+
+    Not an Exception: planners that try alternatives must not catch it.
+    """
 
 
 _DEADLINE: ContextVar[float] = ContextVar("deadline", default=math.inf)

@@ -14,7 +14,7 @@ from hitchopt.errors import InputError
 
 
 class NonEmptyPath(click.Path):
-    """A path that is not empty, lest an unset shell variable is the current directory."""
+    """A path that is not empty, as the value of an unset shell variable is."""
 
     def __init__(self) -> None:
         super().__init__(path_type=Path)

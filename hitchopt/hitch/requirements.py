@@ -217,7 +217,7 @@ class Requirements(OneLine):
     arena: the box that the drones stay in, or None.
     keep_out: prisms that the drones stay out of.
     objects: by name, at their initial positions; obstacles to everything that does not hold them.
-    off: position error of drones [m] that the distances include. Hanging cables can be displaced
+    position_error: of drones [m], which the distances include. Hanging cables can be displaced
         farther and need an additional margin.
     """
 
@@ -226,7 +226,7 @@ class Requirements(OneLine):
     arena: Arena | None = None
     keep_out: tuple[Prism, ...] = ()
     objects: Mapping[str, SolidObject] = field(default_factory=dict)
-    off: float = 0.0
+    position_error: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "keep_out", sequence("keep_out", self.keep_out))
@@ -254,7 +254,7 @@ class Requirements(OneLine):
             arena = Arena(lower, upper) if np.all(lower < upper) else arena
         limits = replace(limits, leg=limits.leg + 2.0 * off, tracking=0.0)
         wider = self.separation.widened(off)
-        return replace(self, limits=limits, separation=wider, arena=arena, off=off)
+        return replace(self, limits=limits, separation=wider, arena=arena, position_error=off)
 
     def flown_by(self, team: Team) -> Requirements:
         """Return the requirements that include the tracking error and tilt limit of a team.

@@ -167,8 +167,8 @@ class Player(OneLine):
         ------
         InfeasibleError: as rate.
         """
-        leaning, time = self._shared.leaning, self.time
-        until = float(np.max(leaning[leaning[:, 0] < time, 1], initial=self._start))
+        spans, time = self._shared.sliding_spans, self.time
+        until = float(np.max(spans[spans[:, 0] < time, 1], initial=self._start))
         return self.seek(until) if self._start < until < time else self.rate(-1.0)
 
     def seek(self, time: float) -> float:
@@ -257,7 +257,7 @@ class Player(OneLine):
             reason = "no change of the clock was found that keeps all limits"
             if self._shared.limits.carried:
                 reason += "; a held object has inertia, stop where the plan does"
-            if len(self._shared.leaning):
+            if len(self._shared.sliding_spans):
                 reason += "; legs lean against friction, and are not flown backward"
             remedy = "ask later, for another rate or time, or plan with limits.reserve below 1"
             raise InfeasibleError([], f"{goal} from t = {self.time:.4g} s: {reason}; {remedy}")
@@ -287,22 +287,22 @@ class _SharedData:
         return stop_table(self.motion, self.limits)
 
     @cached_property
-    def leaning(self) -> Array:
+    def sliding_spans(self) -> Array:
         """Spans (m, 2) [s] of the pieces on which legs lean and cables slide.
 
         Spans in which drones swing at fixed leg lengths may be flown backward.
         """
-        return np.concatenate([_leaning(each.motion) for each in self.motion.groups])
+        return np.concatenate([_sliding_spans(each.motion) for each in self.motion.groups])
 
     def slides_back(self, clock: ClockPhases) -> bool:
         """Return whether cables slide backward while legs lean."""
         backward = np.minimum(clock.jets[:, 1], clock.ends[:, 1]) < -CLOCK_TOLERANCE
         spans = np.sort(np.stack([clock.jets[:, 0], clock.ends[:, 0]], axis=-1)[backward], axis=-1)
-        starts, ends = self.leaning.T
+        starts, ends = self.sliding_spans.T
         return bool(np.any((ends > spans[:, :1]) & (starts < spans[:, 1:])))
 
 
-def _leaning(motion: Motion) -> Array:
+def _sliding_spans(motion: Motion) -> Array:
     """Return the spans (m, 2) [s] of pieces on which one group's legs lean and cables slide."""
     if not motion.has_friction:
         return np.zeros((0, 2))

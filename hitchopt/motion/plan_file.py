@@ -103,7 +103,7 @@ def _head(group: Group) -> dict[str, Any]:
     own = group.motion
     requirements = replace(own.requirements, objects=objects_at_first(own))
     records = encoded(Records(own.team, requirements, own.phases, own.assignment))
-    del records["requirements"]["off"]  # of planners
+    del records["requirements"]["position_error"]  # of planners
     return {"name": group.name, "plan": group.plan, "digest": group.digest, "records": records}
 
 

@@ -61,10 +61,11 @@ def request_fields(
     The start has ``hitch``, ``drones`` or both. Steps of the
     mission have some of the keys of ``mission_of``.
     """
+    required = {k: v for k, v in encoded(requirements).items() if k != "position_error"}
     return {
         "start": encoded(start),  # compared first: roles determine the order of everything else
         "team": encoded(team),
-        **{name: value for name, value in encoded(requirements).items() if name != "off"},
+        **required,
         "mission": encoded(mission),
     }
 

@@ -155,14 +155,14 @@ def hold_capacity(planner: MovePlanner, requirements: Requirements) -> tuple[str
     hold, team, body = planner.hold, planner.hold.team, planner.body
     tension, kind = float(np.min(planner.state.tension)), team.quadrotor[0]
     length, texts, max_mass = float(np.min(team.cable_length)), list[str](), np.inf
-    rim_outline, height = hold.closed, float(body.centre_of_mass[2]) - hold.height
+    rim_outline, height = hold.polygon, float(body.centre_of_mass[2]) - hold.height
     with contextlib.suppress(InfeasibleError):
         if isinstance(hold, GripHold):
-            grip = Grip.of(body.section, hold.closed, length, tension, team.cable_friction)
+            grip = Grip.of(body.section, hold.polygon, length, tension, team.cable_friction)
             max_mass = grip_capacity(grip, kind, body.friction, GRIP_LIMIT).mass
             texts = [f"a grip holds {max_mass:.2g} kg"]
             rim = replace(body, rim=Rim(body.section, body.lower))
-            rim_outline = rest_polygons(planner.state.object, rim, team.robots, planner.gap).closed
+            rim_outline = rest_polygons(planner.state.object, rim, team.robots, planner.gap).clasps
             height = float(body.centre_of_mass[2]) - body.lower
         shape = ConvexPolygon(rim_outline)
         rim_mass = rest_capacity(shape, length, tension, kind, requirements, height).mass
@@ -257,12 +257,12 @@ def _renumbered(
         angle = float(np.angle(max(products, key=abs))) - body.yaw
         c, s = math.cos(angle), math.sin(angle)
         turn = np.array([[c, s], [-s, c]])
-        polygons = HoldPolygons(polygons.around @ turn, polygons.closed @ turn)
+        polygons = HoldPolygons(polygons.around @ turn, polygons.clasps @ turn)
     around = polygon_at(body, polygons.around)
     end = around.vertices - around.centroid
     squares = [np.sum((np.roll(end, -k, axis=0) - start) ** 2) for k in range(len(end))]
     shift = int(np.argmin(squares))
-    shifted = (np.roll(each, -shift, axis=0) for each in (polygons.around, polygons.closed))
+    shifted = (np.roll(each, -shift, axis=0) for each in (polygons.around, polygons.clasps))
     return HoldPolygons(*shifted), around.renumbered(shift)
 
 
@@ -322,8 +322,8 @@ class Grasp(TensionStep):
         if body.rim is None:
             key, bound = f"objects.{self.object}.rim", "given where it is held by rest"
             raise InputError(key, None, bound, "give it a rim, or grasp it by: grip")
-        closed = task.grasp.polygons.closed
-        below, requirements = polygon_at(body, closed), requirements_near(task, self.object)
+        clasps = task.grasp.polygons.clasps
+        below, requirements = polygon_at(body, clasps), requirements_near(task, self.object)
         own = requirements.separation
         wider = {key: CLOSING_MARGIN * value for key, value in vars(own).items()}
         with_margin = replace(requirements, separation=replace(own, **wider))
@@ -333,7 +333,7 @@ class Grasp(TensionStep):
         closing = first_feasible(partial(each.plan, closing_task) for each in closings)
         hitch = closing.after.hitch
         assert hitch is not None
-        hold = RestHold(team, body, closed, body.rim.height, hitch.fractions, hitch.roll)
+        hold = RestHold(team, body, clasps, body.rim.height, hitch.fractions, hitch.roll)
         planner = planner_of(task).from_state(tension=tension, hold=hold)
         check_hold(task, planner)
         moves = [*planner.retension(team.tension, tension), planner.rim_move(planner.gap, 0.0)]
@@ -351,7 +351,7 @@ class Grasp(TensionStep):
         check_pull(float(np.max(tension)), team, task.requirements)
         height = float(body.centre_of_mass[2])
         fractions, roll = np.full(team.robots, 0.5), np.zeros(team.robots)
-        gripping = polygons.closed, height, fractions, roll
+        gripping = polygons.clasps, height, fractions, roll
         hold = GripHold(team, body, *gripping, polygons.around, task.hitch.fractions)
         planner = planner_of(task).from_state(tension=tension, hold=hold)
         check_hold(task, planner)

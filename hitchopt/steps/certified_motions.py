@@ -209,12 +209,17 @@ DIRECT_TOO_SLOW = "the step's own route takes longer"
 
 
 def optimised_plan(
-    task: StepTask, end: Hitch, phase: Phase, duration: float | None = None, *, lead: bool = False
+    task: StepTask,
+    end: Hitch,
+    phase: Phase,
+    duration: float | None = None,
+    *,
+    allow_slides: bool = False,
 ) -> StepPlan:
     """Return the fastest plan that the optimiser finds to a hitch at the same altitude.
 
-    ``phase`` has the step's name, index and range of tensions; ``lead``: also try legs that lead
-    and lag. Raises InfeasibleError if the plan takes longer than ``duration`` [s].
+    ``phase`` has the step's name, index and range of tensions; ``allow_slides``: also try
+    legs that lead and lag. Raises InfeasibleError if the plan takes longer than ``duration`` [s].
     """
     from hitchopt.planners.morph.legs import with_slides
     from hitchopt.planners.optimise.search import OptimisedMorph
@@ -228,7 +233,7 @@ def optimised_plan(
 
     def certified_motion(path: ShapePath) -> Motion | None:
         """Return a certified motion along a path, if possible with legs that lead and lag."""
-        variants = with_slides(path, requirements.limits) if lead else ()
+        variants = with_slides(path, requirements.limits) if allow_slides else ()
         for each in (*(p for p in variants if legs_clear(p, requirements)), path):
             try:
                 motion = fly(each, requirements)

@@ -111,11 +111,13 @@ class ShapeStep(HitchStep):
 
         end, duration = self.end(task), self.prescribed_duration
         tension: tuple[float, float] | None = getattr(self, "tension", None)
-        lead = bool(getattr(self, "optimize", False))
+        allow_slides = bool(getattr(self, "optimize", False))
         phase = Phase(self.name, task.index, 0.0, 0.0, tension=tension)
         direct = attempt(lambda: task.plan_ending(self.direct_motion(task, end), end.hitch))
-        optimise = partial(optimised_plan, task, end.hitch, phase, duration, lead=lead)
-        optimised = attempt(optimise) if task.optimiser and (lead or tension) else None
+        optimise = partial(
+            optimised_plan, task, end.hitch, phase, duration, allow_slides=allow_slides
+        )
+        optimised = attempt(optimise) if task.optimiser and (allow_slides or tension) else None
         if isinstance(direct, StepPlan):
             longest = direct.motion.duration
             if isinstance(optimised, StepPlan) and optimised.motion.duration < longest:

@@ -60,7 +60,7 @@ BY_TEXT = (
     "swaps: pairs of drones exchange places; laying: taut cables are laid on one another, and "
     "every pair rolls by half a turn"
 )
-ORDER_TEXT = "Order of laying, robots from bottom to top; auto: in turns"
+ORDER_TEXT = "Order of laying, robots from bottom to top; auto: alternating levels"
 
 
 @dataclass(frozen=True, eq=False)

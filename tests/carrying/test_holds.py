@@ -154,8 +154,8 @@ def test_footings_do_not_depend_on_origins(away: float) -> None:
         ({"end": np.array([1.0, 0.0, 0.0, 0.3])}, False),
         ({"tension": np.array([[1.0], [1.2]])}, False),
         ({"load_share": (0.0, 1.0)}, False),
-        ({"closed": (0.0, 1.0)}, False),
-        ({"lead": (0.0, 0.3)}, False),
+        ({"closure": (0.0, 1.0)}, False),
+        ({"friction_share": (0.0, 0.3)}, False),
     ],
 )
 def test_pieces_are_long_only_while_only_positions_change(

@@ -45,7 +45,7 @@ def test_planners_keep_wider_distances_and_drones_may_stand_on_the_floor() -> No
     limits, separation = Limits(tracking=0.05), Separation(cable=0.1, crossing=0.04, object=0.03)
     need = Requirements(limits, separation, Arena([-2, -1, 0.2], [2, 1, 3])).with_reserve
     found = need.separation
-    distances = [found.cable, found.crossing, found.object, need.limits.leg, need.off]
+    distances = [found.cable, found.crossing, found.object, need.limits.leg, need.position_error]
     np.testing.assert_allclose(distances, [0.2, 0.14, 0.08, 0.25, 0.05], atol=1e-8)
     assert need.arena is not None
     np.testing.assert_allclose(need.arena.lower, [-1.95, -0.95, 0.2], atol=1e-8)

@@ -265,7 +265,7 @@ def _polygons_for_cable(task: FitTask, enclosing: ConvexPolygon, cable: float) -
 
     def resting() -> ConvexPolygon:
         body = SolidObject(section, 0.0, task.height, rim=Rim(section, 0.0))
-        return ConvexPolygon(rest_polygons("outline", body, n, task.clearance).closed)
+        return ConvexPolygon(rest_polygons("outline", body, n, task.clearance).clasps)
 
     grip, rest = _attempt(lambda: best_grip(gripping)), _attempt(resting)
     capacities = [grip, rest]

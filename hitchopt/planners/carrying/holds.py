@@ -81,7 +81,7 @@ class HoldingHitch(ABC):
     ----------
     team: of the hitch.
     body: the object.
-    closed: (n, 2) [m], the clasps that hold it.
+    polygon: (n, 2) [m], the clasps that hold it.
     height: of the plane of contact above the object's base [m].
     fractions: (n,), slack split ``d_k / (d_k + e_k)``.
     roll: (n,) [rad], of the legs, as in ``Hitch``.
@@ -90,7 +90,7 @@ class HoldingHitch(ABC):
     by: ClassVar[HoldBy]
     team: Team
     body: SolidObject
-    closed: Array
+    polygon: Array
     height: float
     fractions: Array
     roll: Array
@@ -114,7 +114,7 @@ class HoldingHitch(ABC):
 
     def hitch(self, body: SolidObject, depth: float = 0.0) -> Hitch:
         """Return the unloaded hitch about ``body``, ``depth`` [m] below the plane of contact."""
-        polygon, altitude = polygon_at(body, self.closed), float(body.at[2]) + self.height - depth
+        polygon, altitude = polygon_at(body, self.polygon), float(body.at[2]) + self.height - depth
         q_legs = self.fractions * cable_slack(self.team, polygon)
         return Hitch(self.team, polygon, altitude, q_legs, self.roll)
 
@@ -160,12 +160,12 @@ class RestHold(HoldingHitch):
     @property
     def clasps(self) -> Array:
         """(n, 3) [m]: the clasps below the rim."""
-        return np.column_stack([self.closed, np.full(len(self.closed), self.height)])
+        return np.column_stack([self.polygon, np.full(len(self.polygon), self.height)])
 
     @property
     def supports(self) -> Supports:
         """Distribution of the object's mass over the clasps."""
-        return Supports.at(self.closed, self.body.centre_of_mass[:2])
+        return Supports.at(self.polygon, self.body.centre_of_mass[:2])
 
     @property
     def _mass_height(self) -> float:
@@ -175,14 +175,14 @@ class RestHold(HoldingHitch):
     @property
     def largest_acceleration(self) -> float:
         """Largest acceleration [m/s²] with friction and supports, at most MAX_REST_ACCELERATION."""
-        _, offsets = sides_of(self.closed - self.body.centre_of_mass[:2])
+        _, offsets = sides_of(self.polygon - self.body.centre_of_mass[:2])
         tipping = GRAVITY * float(np.min(offsets)) / max(abs(self._mass_height), 1e-9)
         sliding = self.body.friction * GRAVITY
         return min(MAX_REST_ACCELERATION, USED_SHARE * min(sliding, tipping))
 
     def drop(self, tension: Array, load_share: Array | float) -> Array:
         """Return the depth (…) [m] of vertices below the rim that bends their legs."""
-        return rim_drop(self.team, self.body, self.closed, tension, load_share)
+        return rim_drop(self.team, self.body, self.polygon, tension, load_share)
 
     def drones(
         self,
@@ -245,7 +245,7 @@ class RestHold(HoldingHitch):
         tension, share = state.tension, state.load_share
         edges, squared = length(np.roll(self.clasps, -1, axis=0) - self.clasps), share**2
         strut = squared * strut_share(team, body.mass, edges, tension)
-        saved = squared[..., None, None] * rim_savings(team, body, self.closed, tension)
+        saved = squared[..., None, None] * rim_savings(team, body, self.polygon, tension)
         drones, legs = self.drones(tension, forces, strut, saved)
         depth = state.between(*move.below) + self.drop(tension, share)
         down = np.stack([0 * depth, 0 * depth, depth], axis=-1)[..., None, :]
@@ -282,7 +282,7 @@ class GripHold(HoldingHitch):
     @property
     def travel(self) -> float:
         """Longest path [m] of a clasp from around the object to the grip."""
-        return float(np.max(length(self.closed - self.around)))
+        return float(np.max(length(self.polygon - self.around)))
 
     @cached_property
     def events(self) -> Array:
@@ -317,11 +317,11 @@ class GripHold(HoldingHitch):
     @property
     def opened(self) -> GripHold:
         """The hitch around the object."""
-        return replace(self, closed=self.around, fractions=self.open_fractions)
+        return replace(self, polygon=self.around, fractions=self.open_fractions)
 
     def _polygon(self, share: Array | float) -> Array:
         """Return the clasps (…, n, 2) [m] at shares (…) of the path to the grip."""
-        path = self.closed - self.around
+        path = self.polygon - self.around
         return np.asarray(self.around + np.asarray(share)[..., None, None] * path)
 
     def _bends(self, share: Array | float) -> Bends:
@@ -351,26 +351,26 @@ class GripHold(HoldingHitch):
         of the angles between edges and between legs.
         """
         state, team = move.state(t), self.team
-        share, T = state.between(*move.closed), state.tension
-        pulls, has_lead = np.stack([T, T], axis=-1), move.lead != (0.0, 0.0)
-        bends = self._bends(0.5 * sum(move.closed))
+        share, T = state.between(*move.closure), state.tension
+        pulls, has_feedforward = np.stack([T, T], axis=-1), move.friction_share != (0.0, 0.0)
+        bends = self._bends(0.5 * sum(move.closure))
         polygon, z, wraps = self._balanced(move, state, self._polygon(share), bends)
         leaving, arriving = straight_parts(polygon, wraps.contacts, z)
-        if has_lead:
-            lead = state.between(*move.lead)
-            T = T * edge_ratios(team.cable_friction * lead, wraps.clasp_angles)
+        if has_feedforward:
+            friction_share = state.between(*move.friction_share)
+            T = T * edge_ratios(team.cable_friction * friction_share, wraps.clasp_angles)
         factors, edges = sag_factors(team, T), wraps.arcs + (length(leaving) + length(arriving))
         if team.cable_density > 0.0:
             spans = _span(leaving, arriving)
-            if move.closed[0] != move.closed[1]:
-                before, after = (self._seam(end, bends) for end in move.closed)
+            if move.closure[0] != move.closure[1]:
+                before, after = (self._seam(end, bends) for end in move.closure)
                 spans = spans + state.between(before, after)
             edges = edges + factors * spans
         slack = team.cable_length - edges
         split = self.open_fractions + share[..., None] * (self.fractions - self.open_fractions)
         q_legs = split * slack
         loads, onward = clasp_loads(team, q_legs, slack, None), unit(arriving)
-        leg_pulls = pulls if has_lead else None
+        leg_pulls = pulls if has_feedforward else None
         directions = leg_directions(unit(leaving), T, team.topology, loads, onward, leg_pulls)
         clasps = np.concatenate([polygon, self.height + z[..., None]], axis=-1)
         lengths = np.stack([q_legs, slack - q_legs], axis=-1)
@@ -386,7 +386,7 @@ class GripHold(HoldingHitch):
             "contacts": in_world(pose[..., None, :], contacts),
             "pose": state.pose,
             "load_share": state.load_share,
-        } | ({"leg_tensions": pulls} if has_lead else {})
+        } | ({"leg_tensions": pulls} if has_feedforward else {})
 
     def _balanced(
         self, move: Move, state: MoveState, planned: Array, bends: Bends

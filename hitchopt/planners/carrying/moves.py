@@ -90,10 +90,10 @@ class Move:
     # depth of the clasps below the rim before and after [m]; 0 if they touch it
     below: tuple[float, float] = (0.0, 0.0)
     # closure of a gripping hitch before and after: 0 around the object, 1 in its grip
-    closed: tuple[float, float] = (1.0, 1.0)
+    closure: tuple[float, float] = (1.0, 1.0)
     # friction feed-forward before and after, as a share of clasp friction: legs pull harder than
     # edges, so that clasps close; negative while they open
-    lead: tuple[float, float] = (0.0, 0.0)
+    friction_share: tuple[float, float] = (0.0, 0.0)
 
     @property
     def lifted(self) -> bool:
@@ -104,7 +104,7 @@ class Move:
     def steady(self) -> bool:
         """Whether the object or the clasps move straight, with constant loads and shapes."""
         yaw = self.start[3], self.end[3]
-        pairs = self.tension, self.load_share, self.closed, self.lead, yaw
+        pairs = self.tension, self.load_share, self.closure, self.friction_share, yaw
         travels = bool(np.any(self.start != self.end)) or self.below[0] != self.below[1]
         return travels and all(np.array_equal(before, after) for before, after in pairs)
 

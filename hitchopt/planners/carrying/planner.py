@@ -45,7 +45,7 @@ OPENING_TENSIONS = (0.3, 0.6)
 """[N] Candidate tensions for opening grips. With low tensions cables hold each other less, but sag
 more. The first one is also the lowest for closing, if edges would push the object."""
 
-LEADS, LEAD_CHECKS = (0.9, 0.6, 0.3, 0.0), ("separation", "cable_length")
+FRICTION_SHARES, FEEDFORWARD_CHECKS = (0.9, 0.6, 0.3, 0.0), ("separation", "cable_length")
 """Candidate friction feed-forwards of closing and opening, as shares of clasp friction, in order of
 preference, and checks that reject them: the sag of edges jumps at other corners."""
 
@@ -209,7 +209,7 @@ class MovePlanner:
         """
         motion, moves = self._passage((self.state.tension, after), (1.0, 0.0), name)
         hold, layout, body = self.hold, self.hold.team.layout, self.body
-        last = [move for move in moves if move.closed[0] > move.closed[1]][-1]
+        last = [move for move in moves if move.closure[0] > move.closure[1]][-1]
         end = hold.curves(last, np.array([last.law.duration]))
         legs = (end["drones"] - end["vertices"][:, layout.anchors])[0, :, :2]
         pairs = np.stack([legs[2 * layout.ahead], legs[2 * layout.behind + 1]], axis=1)
@@ -225,33 +225,33 @@ class MovePlanner:
         return motion
 
     def _passage(
-        self, tension: tuple[Array, Array], closed: tuple[float, float], name: str
+        self, tension: tuple[Array, Array], closure: tuple[float, float], name: str
     ) -> tuple[Motion, list[Move]]:
         """Return the motion that closes or opens a hitch, and its moves.
 
         Tensions are so low that edges do not displace the object. ``tension`` (n,) [N] and
-        ``closed``, the closure of the hitch, are those before and after.
+        ``closure`` of the hitch are those before and after.
         """
-        hold, opens = self.hold, closed[0] > closed[1]
+        hold, opens = self.hold, closure[0] > closure[1]
         assert isinstance(hold, GripHold)
         friction, errors = bool(hold.team.cable_friction), list[InfeasibleError]()
-        tensions, leads = self._passage_tensions(hold, opens), LEADS if friction else (0.0,)
-        for between, lead in product(tensions, leads):
-            ends = (tension[0], between, closed[0]), (between, tension[1], closed[1])
+        tensions = self._passage_tensions(hold, opens)
+        for between, share in product(tensions, FRICTION_SHARES if friction else (0.0,)):
+            ends = (tension[0], between, closure[0]), (between, tension[1], closure[1])
             first, last = (
-                [self.move(LOAD_LAW, tension=(p, q), closed=(at, at))] if np.any(p != q) else []
+                [self.move(LOAD_LAW, tension=(p, q), closure=(at, at))] if np.any(p != q) else []
                 for p, q, at in ends
             )
-            remark = f"legs lean against {lead:.0%} of clasp friction" if friction else ""
+            remark = f"legs lean against {share:.0%} of clasp friction" if friction else ""
             try:
                 planner = self.from_state(tension=between)
-                passage = planner._closure_moves(hold, *closed, -lead if opens else lead)
+                passage = planner._closure_moves(hold, *closure, -share if opens else share)
                 moves = [*first, *passage, *last]
                 motion = self.motion(moves, name, remark)
             except InfeasibleError as error:  # legs cannot pull so much harder
                 errors.append(error)
                 continue
-            check = first_violated(motion, LEAD_CHECKS)
+            check = first_violated(motion, FEEDFORWARD_CHECKS)
             if check is None:
                 return motion, moves
             when = (
@@ -279,17 +279,18 @@ class MovePlanner:
         return tensions
 
     def _closure_moves(
-        self, hold: GripHold, start: float, end: float, lead: float
+        self, hold: GripHold, start: float, end: float, share: float
     ) -> Iterator[Move]:
         """Yield the moves from one closure to another, with friction feed-forward in between."""
-        if lead:
-            yield self.move(LOAD_LAW, closed=(start, start), lead=(0.0, lead))
-        shares = np.unique([start, *hold.events, end])
-        for one, other in pairwise((shares if start < end else shares[::-1]).tolist()):
+        if share:
+            yield self.move(LOAD_LAW, closure=(start, start), friction_share=(0.0, share))
+        closures = np.unique([start, *hold.events, end])
+        for one, other in pairwise((closures if start < end else closures[::-1]).tolist()):
             law = self._slow_law(hold.travel * abs(other - one))
-            yield self.within_limits(self.move(law, closed=(one, other), lead=(lead, lead)))
-        if lead:
-            yield self.move(LOAD_LAW, closed=(end, end), lead=(lead, 0.0))
+            move = self.move(law, closure=(one, other), friction_share=(share, share))
+            yield self.within_limits(move)
+        if share:
+            yield self.move(LOAD_LAW, closure=(end, end), friction_share=(share, 0.0))
 
 
 def check_pull(tension: float, team: Team, requirements: Requirements) -> None:

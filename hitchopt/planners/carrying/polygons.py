@@ -35,12 +35,12 @@ class HoldPolygons:
     """Clasps around an object and clasps that hold it, in its frame."""
 
     around: Array  # (n, 2) [m], clear of the object
-    closed: Array  # (n, 2) [m], below its rim, or with edges that grip it
+    clasps: Array  # (n, 2) [m], below its rim, or with edges that grip it
 
     @classmethod
     def about(
         cls,
-        closed: Array,
+        clasps: Array,
         centre: Array,
         sections: tuple[Section, ...],
         gap: float,
@@ -52,13 +52,13 @@ class HoldPolygons:
 
         Parameters
         ----------
-        closed: (n, 2) [m], clockwise.
+        clasps: (n, 2) [m], clockwise.
         centre: (2,) [m], inside of it.
         sections: to be enclosed.
         gap: between edges and sections [m].
         stretches: candidate aspect ratios, over the polygon's own.
         """
-        offsets = closed - centre
+        offsets = clasps - centre
         axes = np.linalg.eigh(offsets.T @ offsets)[1]
         polygons = []
         for width in np.sqrt(stretches):
@@ -67,7 +67,7 @@ class HoldPolygons:
             required = [each.support(outward) + gap - outward @ centre for each in sections]
             polygons.append(float(np.max(np.max(required, axis=0) / distances)) * stretched)
         around = min(polygons, key=lambda each: float(np.max(length(np.roll(each, -1, 0) - each))))
-        return cls(ConvexPolygon(centre + around).vertices, ConvexPolygon(closed).vertices)
+        return cls(ConvexPolygon(centre + around).vertices, ConvexPolygon(clasps).vertices)
 
 
 def sides_of(polygon: Array) -> tuple[Array, Array]:
@@ -354,12 +354,12 @@ def grip_polygons(
     friction, section = team.cable_friction, body.section
     task = GripTask(section, team.robots, cable, tension, friction, requirements, drone)
     try:
-        closed = best_grip(task).vertices
+        clasps = best_grip(task).vertices
     except InfeasibleError as error:
         words = f"around objects.{name}"
         raise InfeasibleError([replace(v, when=words) for v in error.violations]) from None
     centre, section = body.centre_of_mass[:2], body.section
-    return HoldPolygons.about(closed, centre, (section,), gap, GRIP_STRETCHES)
+    return HoldPolygons.about(clasps, centre, (section,), gap, GRIP_STRETCHES)
 
 
 # Rests.

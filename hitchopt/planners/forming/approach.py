@@ -140,14 +140,15 @@ class DirectApproach(Approach):
         drones = SeparatedFlight(self.problem).solve().drones
         at = np.linspace(drones.breaks[0], drones.breaks[-1], HEIGHT_SAMPLES)
         lowest = min(
-            float(np.min(lowest_points(self.team, x, requirements.off))) for x in drones.at(at)
+            float(np.min(lowest_points(self.team, x, requirements.position_error)))
+            for x in drones.at(at)
         )
         deficit = requirements.floor + GROUND_CLEARANCE * requirements.separation.cable - lowest
         if deficit <= 0.0:
             return [*rise, self._stage("approach", drones)]
         up = np.array([0.0, 0.0, deficit + 0.1 * requirements.separation.cable])
         higher = PiecewisePolynomial(drones.breaks, drones.coefficients + up[:, None])
-        if rise and requirements.off:  # a single climb: position errors often require it
+        if rise and requirements.position_error:  # a single climb: position errors often require it
             rise = self._line("take-off", self.start, start + up, CableState.GROUND)
         else:
             rise += self._line("climb", start, start + up)

@@ -340,7 +340,7 @@ def _evaluate(
     points = q + (0.5 * (1.0 + mu))[..., None] * (r - q)  # (samples, angles, n, 3)
     points[..., 2] -= cables.depth(mu)
     separation = requirements.separation
-    displacement = float(np.max(cables.extra_displacement(requirements.off)))
+    displacement = float(np.max(cables.extra_displacement(requirements.position_error)))
     depth = float(ellipses.centres[0, 2]) - float(np.min(points[..., 2])) + displacement
     # Distance from q to r along the edge: if negative, pairs would swap on the wrong side.
     opening = float(np.min(np.sum((r[0] - q[0]) * unit(layout.edges(hitch.vertices)), axis=-1)))

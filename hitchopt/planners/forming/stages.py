@@ -151,7 +151,7 @@ def on_lines(progress: PiecewisePolynomial, start: Array, end: Array) -> Piecewi
 def hover_altitude(team: Team, drones: Array, requirements: Requirements) -> float:
     """Return the lowest altitude [m] at which cables of drones over (2n, 3) [m] hang free."""
     level = drones * np.array([1.0, 1.0, 0.0])
-    lowest = float(np.min(lowest_points(team, level, requirements.off)))
+    lowest = float(np.min(lowest_points(team, level, requirements.position_error)))
     return requirements.floor + GROUND_CLEARANCE * requirements.separation.cable - lowest
 
 

@@ -152,14 +152,14 @@ def _feedforward_of(motion: Motion, slip: PiecewisePolynomial | None) -> Frictio
     before, after = original - clasps, balanced[..., 0] - clasps
     leans = np.arctan2(length(np.cross(before, after)), dot(before, after))
     d[:, 2 * layout.behind + 1], d[:, 2 * layout.ahead] = balanced[:, :, 0], balanced[:, :, 1]
-    leaning = motion.replaced(
+    with_feedforward = motion.replaced(
         drones=_hermite(breaks, d),
         vertices=vertices,
         legs=legs,
         tensions=tensions,
         leg_tensions=_hermite(breaks, pulls),
     )
-    return FrictionFeedforward(leaning, float(np.max(leans)))
+    return FrictionFeedforward(with_feedforward, float(np.max(leans)))
 
 
 def cables_of_legs(team: Team, chords: Array, lengths: Array, tensions: Array) -> Array | None:
