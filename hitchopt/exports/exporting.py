@@ -234,6 +234,7 @@ def _export_part(
             continue
         notes = (*written.notes, *task.notes, *task.undetermined)
         receiver = {**task.settings, **written.receiver}
+        feed_forward = OFFSETS_HOLD_TENSION if task.options.hold_tension else kind.feed_forward
         manifest = _manifest_head(kind, task) | {
             "heading_rad": task.frame.heading,
             "drones": {member.role: member.name for member in task.fleet.members},
@@ -243,7 +244,7 @@ def _export_part(
             "velocity_error_m_s": asdict(verdict.velocity),
             "checks": Certificate(verdict.duration, verdict.checks).to_dict()["checks"],
             "not_carried": verdict.not_carried,
-            "feed_forward": _feed_forward_entry(kind, task),
+            "feed_forward": feed_forward if task.motion.has_cables else NO_CABLE_FORCE,
             "undetermined_tension": list(task.undetermined),
             "notes": list(notes),
             "files": sorted(written.files),
@@ -253,13 +254,6 @@ def _export_part(
         write_strict_json(folder / MANIFEST, manifest)
         return Export(folder, written.files, verdict, notes, task.begins)
     raise refusals[-1]
-
-
-def _feed_forward_entry(kind: Format, task: ExportTask) -> str:
-    """Return the manifest's entry on cable forces in the files."""
-    if not task.motion.has_cables:
-        return NO_CABLE_FORCE
-    return OFFSETS_HOLD_TENSION if task.options.hold_tension else kind.feed_forward
 
 
 def _manifest_head(kind: Format, task: ExportTask) -> dict[str, Any]:
@@ -417,8 +411,9 @@ def verify(
     carried = [rule for rule in rules if rule.derivative <= contents.smooth + 1]
     checks, deviations, end = list[list[Check | None]](), list[list[Deviation]](), 0.0
     for window in contents.windows():
-        if abs(float(window.breaks[0]) - end) > JOINT:
-            raise FileError(f"begins at t = {window.breaks[0]:g} s, not at {end:g} s")
+        start = float(window.breaks[0])
+        if abs(start - end) > JOINT:
+            raise FileError(f"begins at t = {start:g} s, not at {end:g} s")
         end = float(window.breaks[-1])
         curves = frame.in_plan(window.replaced(window.coefficients[:, index]))
         coefficients = np.split(curves.coefficients, firsts, axis=1)
@@ -428,7 +423,8 @@ def verify(
             exported = on_breaks(curves.replaced(part), planned.drones.breaks)
             deviations.append(_deviations(exported, planned, group))
             groups.append(replace(group, motion=replace(planned, drones=exported)))
-        whole = combined(groups, [_other_between(each, window.breaks) for each in motion.others])
+        others = [replace(o, motion=slice_time(o.motion, start, end)) for o in motion.others]
+        whole = combined(groups, others)
         with value_cache():
             checks.append([check_of(rule, whole, exported=True) for rule in carried])
     if end < motion.duration - JOINT:
@@ -452,11 +448,6 @@ def _plan_between(motion: Motion, breaks: Array) -> Motion:
     phases = motion.phases[:-1] + tuple(replace(p, end=max(p.end, end)) for p in last)
     overlapping = tuple(p for p in phases if p.end > start + JOINT and p.start < end - JOINT)
     return motion.map_curves(span, overlapping)
-
-
-def _other_between(other: Group, breaks: Array) -> Group:
-    """Return another plan over the span of ``breaks``."""
-    return replace(other, motion=slice_time(other.motion, float(breaks[0]), float(breaks[-1])))
 
 
 def _deviations(exported: PiecewisePolynomial, motion: Motion, group: Group) -> list[Deviation]:

@@ -1,4 +1,4 @@
-"""The interface of formats: write plans to files, and read recordings from files."""
+"""The interface of formats: write plans to files, and read their contents."""
 
 from __future__ import annotations
 

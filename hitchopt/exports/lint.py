@@ -156,7 +156,9 @@ def _report(path: Path, rules: Rules) -> Report:
         with np.errstate(over="ignore", invalid="ignore"):  # such numbers are reported
             kind, contents = load(path)
             flight, findings = _joint_flight(kind, contents, rules)
-            findings += _parameter_findings(path)
+            settings = read_yaml(path / SETTINGS) if (path / SETTINGS).is_file() else None
+            if isinstance(settings, Mapping):
+                findings += settings_findings(settings, read_manifest(path))
     except (FileError, InputError) as exception:
         text = str(exception)
         raise FileError(text if text.startswith(str(path)) else f"{path}: {text}") from exception
@@ -438,9 +440,3 @@ def _start_findings(fleet: Path, contents: FileContents) -> Iterator[Finding]:
         elif (distance := math.dist(point[:2], start)) > START_TOLERANCE:
             reason = f"{fleet.name} places it {distance:.3g} m from below its first point, "
             yield error("start", name, f"{reason}{start[0]:.4g}, {start[1]:.4g}; correct it")
-
-
-def _parameter_findings(path: Path) -> Iterator[Finding]:
-    """Yield findings on the parameters in a folder's crazyflies.yaml."""
-    if (path / SETTINGS).is_file() and isinstance(content := read_yaml(path / SETTINGS), Mapping):
-        yield from settings_findings(content, read_manifest(path))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from hitchopt.errors import InputError, OneLine
 from hitchopt.trajectory import bernstein
@@ -154,7 +154,9 @@ class PiecewisePolynomial(OneLine):
         InputError: a time outside the breaks by more than 1e-9 s, or not finite.
         """
         function = self.differentiated(derivative)
-        piece, x = self._locate(t)
+        times = np.asarray(t, dtype=np.float64)
+        piece, x = locate(self.breaks, times)
+        x = x.reshape(*times.shape, *(1,) * len(self.shape))
         return bernstein.evaluate(function.coefficients[piece], x)
 
     def jet(self, t: ArrayLike, count: int) -> Array:
@@ -172,12 +174,6 @@ class PiecewisePolynomial(OneLine):
         basis = basis.reshape(*piece.shape, *(1,) * len(self.shape), -1)
         jets[..., 0] = np.einsum("...i,...i->...", c, basis)  # to the last bit what ``at`` returns
         return jets
-
-    def _locate(self, t: ArrayLike) -> tuple[NDArray[np.intp], Array]:
-        """Return the pieces (…) of times t, and local parameters (…, 1, …, 1) from 0 to 1."""
-        times = np.asarray(t, dtype=np.float64)
-        piece, x = locate(self.breaks, times)
-        return piece, x.reshape(*times.shape, *(1,) * len(self.shape))
 
     def differentiated(self, order: int = 1) -> PiecewisePolynomial:
         """Return the derivative of the given order by time."""

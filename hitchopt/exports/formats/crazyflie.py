@@ -318,6 +318,7 @@ def start_files(task: ExportTask, first: Array, last: Array, duration: float) ->
     hint = " (its radio addresses are placeholders: name yours in a fleet file when exporting)"
     look = pilot_checklist(task.motion)
     slack = _slack_points(task)
+    pull = "held_pull" if task.options.hold_tension else "pull"
     common = {"frame": task.frame.name, "duration": duration, "look": look}
     return {
         SETTINGS: settings_text(task, first),
@@ -337,7 +338,7 @@ def start_files(task: ExportTask, first: Array, last: Array, duration: float) ->
             place=f"\n{place}{texts['parts']}\n" if place else "",
             placeholders=hint if task.fleet.is_placeholder else "",
             slack=texts["slack"] if slack else "",
-            pull=_pull(task, texts),
+            pull=f"\n{texts[pull]}\n{texts['mind']}" if task.motion.has_cables else "",
             **common,
         ),
     }
@@ -394,13 +395,6 @@ def _merged(defaults: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[s
 def _flow(values: Mapping[str, Any]) -> str:
     """Return values in YAML flow style; numbers such as 1e-3 get a point, for YAML 1.1."""
     return re.sub(r"([ \[]-?\d+)(e[-+]\d+)", r"\1.0\2", json.dumps(values))
-
-
-def _pull(task: ExportTask, texts: Mapping[str, str]) -> str:
-    """Return the note on cables; empty without cables."""
-    if not task.motion.has_cables:
-        return ""
-    return f"\n{texts['held_pull' if task.options.hold_tension else 'pull']}\n{texts['mind']}"
 
 
 def _template(name: str) -> str:
