@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from functools import partial
 from weakref import WeakKeyDictionary
 
 from hitchopt.checks import cables, clasps, clearance, distances, drones, objects, stops, tracking
@@ -95,101 +94,105 @@ def certify(
     """
     check_instance("motion", motion, Motion)
     gamma = nonnegative("gamma", gamma)
-    selected: tuple[ReportRule, ...] = sequence("reports", reports)
-    selected = tuple(each for each in REPORTS if each in selected or each.limit(motion) is not None)
-    if motion.has_ring_changes:
-        return _stored(motion, list(_checks_of_chapters(motion, progress, gamma, selected)))
-    if len(motion.all_groups) > 1:
-        return _stored(motion, list(_checks_of_groups(motion, progress, gamma, selected)))
-    rules = tuple(rule for rule in RULES if rule.limit_of(motion) is not None)
-    evaluated: tuple[CheckRule | ReportRule, ...] = (*rules, *selected)
-    results: dict[str, Sequence[SpanResult]] = dict.fromkeys(RULE_OF, ())
-    checks: list[Check | None] = []
+    requested: tuple[ReportRule, ...] = sequence("reports", reports)
+    parts = _parts(motion)
+    alone = {
+        part: _checks_alone(part, group, progress, gamma, requested, whole=len(parts) == 1)
+        for part, group in parts.items()
+    }
     with value_cache():
-        for i, each in enumerate(evaluated):
-            if progress is not None:
-                progress(f"{each.name}, {i} of {len(evaluated)}")
-            if isinstance(each, CheckRule):
-                results[each.name] = each.span_results(motion)
-                checks.append(worst_of(span.check for span in results[each.name]))
-            else:
-                checks.append(each.check(motion, results, gamma))
+        across = {
+            chapter: {rule.name: _across(rule, chapter) for rule in RULES}
+            for chapter in _chapters(motion)
+            if len(chapter.all_groups) > 1
+        }
+        checks = list[Check | None]()
+        for rule in RULES:
+            own = [_label(alone[part].get(rule.name), group) for part, group in parts.items()]
+            checks.append(_of_parts(rule, motion, [*own, *(x[rule.name] for x in across.values())]))
+        for report in REPORTS:
+            limit = report.limit(motion)
+            if report not in requested and limit is None:
+                continue
+            if report.whole and len(parts) > 1:
+                checks.append(report.check(motion, {}, gamma))
+                continue
+            values = [_label(own[report.name], parts[part]) for part, own in alone.items()]
+            for chapter, found in across.items():
+                radius = radius_across(chapter, found.values(), gamma)
+                values.append(radius.check(report, report.limit(chapter), gamma))
+            checks.append(worst_of(values))
     return _stored(motion, checks)
 
 
-def _checks_of_chapters(
-    motion: Motion,
+def _chapters(motion: Motion) -> tuple[Motion, ...]:
+    """Return the time spans in which the same robots form the ring: usually the whole motion."""
+    return chapters(motion) if motion.has_ring_changes else (motion,)
+
+
+def _parts(motion: Motion) -> dict[Motion, Group]:
+    """Return the motions that are checked alone, one per chapter and group, with their groups."""
+    parts = dict[Motion, Group]()
+    for chapter in _chapters(motion):
+        several = len(chapter.all_groups) > 1
+        for each in chapter.groups:
+            parts[each.motion.replaced(others=()) if several else each.motion] = each
+    return parts
+
+
+def _checks_alone(
+    part: Motion,
+    group: Group,
     progress: Callable[[str], None] | None,
     gamma: float,
-    selected: tuple[ReportRule, ...],
-) -> Iterator[Check | None]:
-    """Yield the combined checks of all chapters and of the seams between them."""
-    parts, by_name = chapters(motion), dict[str, list[Check]]()
-    part_reports = tuple(each for each in selected if each is tracking.TRACKING_RADIUS)
-    for part in parts:
-        for check in certify(part, progress, gamma, reports=part_reports).checks:
-            by_name.setdefault(check.name, []).append(check)
+    requested: Sequence[ReportRule],
+    *,
+    whole: bool,
+) -> dict[str, Check | None]:
+    """Return the checks of one part by name; of reports that need the whole motion if it is it."""
+    evaluated: list[CheckRule | ReportRule] = [r for r in RULES if r.limit_of(part) is not None]
+    evaluated += [
+        each
+        for each in REPORTS
+        if (each in requested or each.limit(part) is not None) and (whole or not each.whole)
+    ]
+    results: dict[str, Sequence[SpanResult]] = dict.fromkeys(RULE_OF, ())
+    checks = dict[str, Check | None]()
     with value_cache():
-        for rule in RULES:
-            if rule is DURATION:
-                yield rule.check(motion)
-            elif rule is INTERLACING:
-                yield check_of(rule, motion)
+        for i, each in enumerate(evaluated):
+            if progress is not None:
+                label = f"{group.name}: " if group.name else ""
+                progress(f"{label}{each.name}, {i} of {len(evaluated)}")
+            if isinstance(each, CheckRule):
+                results[each.name] = each.span_results(part)
+                checks[each.name] = worst_of(span.check for span in results[each.name])
             else:
-                yield worst_of([*by_name.get(rule.name, ()), _at_seams(rule, motion)])
-        for report in selected:
-            checks = by_name.get(report.name, ())
-            yield worst_of(checks) if report in part_reports else report.check(motion, {}, gamma)
+                checks[each.name] = each.check(part, results, gamma)
+    return checks
 
 
-def _at_seams(rule: CheckRule, motion: Motion) -> Check | None:
-    """Return the check of a rule at the seams of chapters; None if it has none."""
+def _of_parts(rule: CheckRule, motion: Motion, checks: Sequence[Check | None]) -> Check | None:
+    """Return the check of a rule from those of all parts, and between the groups of chapters."""
+    if not motion.has_ring_changes:
+        return worst_of(checks)
+    if rule is DURATION:
+        return rule.check(motion)
+    if rule is INTERLACING:
+        return interlacing(chapters(motion)).check(rule, 0.0)
     limit = rule.limit_of(motion)
     if rule.name not in SEAM_CASES or limit is None:
-        return None
-    return SEAM_CASES[rule.name](motion, chapters(motion)).check(rule, limit)
-
-
-def _checks_of_groups(
-    motion: Motion,
-    progress: Callable[[str], None] | None,
-    gamma: float,
-    selected: tuple[ReportRule, ...],
-) -> Iterator[Check | None]:
-    """Yield the combined checks of all groups: the worst of each group, and between groups."""
-    radius, by_name = tracking.TRACKING_RADIUS, dict[str, list[Check]]()
-    for group in motion.groups:
-        alone = group.motion.replaced(others=())
-        own = None if progress is None else partial(_prefixed, progress, group.name)
-        reports = tuple(each for each in selected if each is radius)
-        for check in certify(alone, own, gamma, reports=reports).checks:
-            by_name.setdefault(check.name, []).append(_label(check, group))
-    across: dict[str, Check | None] = {}
-    with value_cache():
-        for rule in RULES:
-            across[rule.name] = _across(rule, motion)
-            yield worst_of([*by_name.get(rule.name, ()), across[rule.name]])
-        for report in selected:
-            if report is radius:
-                worst = radius_across(motion, across.values(), gamma)
-                check = worst.check(report, report.limit(motion), gamma)
-                yield worst_of([*by_name.get(report.name, ()), check])
-            else:
-                yield report.check(motion, {}, gamma)
+        return worst_of(checks)
+    at_seams = SEAM_CASES[rule.name](motion, chapters(motion)).check(rule, limit)
+    return worst_of([*checks, at_seams])
 
 
 def check_of(rule: CheckRule, motion: Motion, *, exported: bool = False) -> Check | None:
-    """Return the check of one rule for all chapters or groups, and between them."""
-    if motion.has_ring_changes and rule is INTERLACING:
-        return interlacing(chapters(motion)).check(rule, 0.0)
-    if motion.has_ring_changes:
-        parts = [check_of(rule, part, exported=exported) for part in chapters(motion)]
-        return worst_of([*parts, _at_seams(rule, motion)])
-    if len(motion.all_groups) == 1:
-        return rule.check(motion, exported=exported)
-    checks = [(rule.check(each.motion, exported=exported), each) for each in motion.groups]
-    labelled = [None if check is None else _label(check, each) for check, each in checks]
-    return worst_of([*labelled, _across(rule, motion)])
+    """Return the check of one rule for all parts of a motion, and between them."""
+    checks = [
+        _label(rule.check(part, exported=exported), group) for part, group in _parts(motion).items()
+    ]
+    across = [_across(rule, each) for each in _chapters(motion) if len(each.all_groups) > 1]
+    return _of_parts(rule, motion, [*checks, *across])
 
 
 def _across(rule: CheckRule, motion: Motion) -> Check | None:
@@ -205,17 +208,14 @@ def rest_continuity(groups: Iterable[Group]) -> Check | None:
     for group in groups:
         begin, end = group.motion.drones.breaks[[0, -1]].tolist()
         motion = padded(group.motion.replaced(others=()), begin - 1.0, end + 1.0)
-        check = CONTINUITY.check(motion)
-        checks.append(None if check is None else _label(check, group))
+        checks.append(_label(CONTINUITY.check(motion), group))
     return worst_of(checks)
 
 
-def _prefixed(progress: Callable[[str], None], name: str, message: str) -> None:
-    progress(f"{name}: {message}" if name else message)
-
-
-def _label(check: Check, group: Group) -> Check:
+def _label(check: Check | None, group: Group) -> Check | None:
     """Return a group's check with names of drones, cables and vertices labelled by group."""
+    if check is None:
+        return None
     same = {GROUND, *group.motion.requirements.objects}
     where = tuple(place if place in same else group.label(place) for place in check.where)
     return replace(check, where=where)
