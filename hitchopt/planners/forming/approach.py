@@ -28,10 +28,11 @@ from hitchopt.planners.forming.stages import (
     GROUND_CLEARANCE,
     MIN_FLIGHT,
     PAUSE,
+    Keyframe,
     hover_altitude,
     lowest_points,
     stage,
-    straight_lines,
+    straight_stages,
 )
 from hitchopt.planners.separation import SeparatedFlight, SeparationTask
 from hitchopt.planners.timing.profile import LIMIT_SHARE, usable_accelerations
@@ -67,19 +68,12 @@ class Approach(ABC):
     def solve(self) -> list[Motion]:
         """Return the motions of the flight, or raise InfeasibleError."""
 
-    def _stage(
-        self, name: str, drones: PiecewisePolynomial, state: CableState = CableState.FREE
-    ) -> Motion:
-        return stage(name, drones, self.team, self.requirements, self.index, state)
+    def _stage(self, name: str, drones: PiecewisePolynomial) -> Motion:
+        return stage(name, drones, self.team, self.requirements, self.index)
 
-    def _line(
-        self, name: str, start: Array, end: Array, state: CableState = CableState.FREE
-    ) -> list[Motion]:
-        """Return the motion of all drones on straight lines; no motion if start and end agree."""
-        if np.max(np.abs(end - start)) < MIN_FLIGHT:
-            return []
-        flight = straight_lines(self.team, self.requirements.limits, start, end)
-        return [self._stage(name, flight, state)]
+    def _lines(self, start: Array, *keyframes: Keyframe) -> list[Motion]:
+        """Return the motions of all drones on straight lines from a start to keyframes."""
+        return straight_stages(start, keyframes, self.team, self.requirements, self.index)
 
     def _after_take_off(self, *others: Array) -> Array:
         """Return the drones (2n, 3) [m] after a take-off, or at the start if they are high enough.
@@ -133,7 +127,7 @@ class DirectApproach(Approach):
     def solve(self) -> list[Motion]:
         """Return the motions of the flight, raised as a whole if cables come near the ground."""
         start, goal, requirements = self.problem.start, self.goal, self.requirements
-        rise = self._line("take-off", self.start, start, CableState.GROUND)
+        rise = self._lines(self.start, Keyframe("take-off", start, CableState.GROUND))
         if np.max(np.abs(goal - start)) < MIN_FLIGHT:
             pause = PiecewisePolynomial.constant([0.0, PAUSE], goal)
             return [*rise, self._stage("approach", pause)]
@@ -149,14 +143,11 @@ class DirectApproach(Approach):
         up = np.array([0.0, 0.0, deficit + 0.1 * requirements.separation.cable])
         higher = PiecewisePolynomial(drones.breaks, drones.coefficients + up[:, None])
         if rise and requirements.position_error:  # a single climb: position errors often require it
-            rise = self._line("take-off", self.start, start + up, CableState.GROUND)
+            rise = self._lines(self.start, Keyframe("take-off", start + up, CableState.GROUND))
         else:
-            rise += self._line("climb", start, start + up)
-        return [
-            *rise,
-            self._stage("approach", higher),
-            *self._line("descend", goal + up, goal),
-        ]
+            rise += self._lines(start, Keyframe("climb", start + up))
+        down = self._lines(goal + up, Keyframe("descend", goal))
+        return [*rise, self._stage("approach", higher), *down]
 
 
 class GatheredApproach(Approach):
@@ -193,12 +184,18 @@ class GatheredApproach(Approach):
         centres = np.moveaxis(flight.coefficients, -1, 1)
         drones = np.moveaxis(self._pairs(centres, last), 1, -1)
         return [
-            *self._line("take-off", self.start, start, CableState.GROUND),
-            *self._line("gather", start, gathered),
-            *self._line("turn", gathered, turned),
+            *self._lines(
+                self.start,
+                Keyframe("take-off", start, CableState.GROUND),
+                Keyframe("gather", gathered),
+                Keyframe("turn", turned),
+            ),
             self._stage("approach", PiecewisePolynomial(flight.breaks, drones)),
-            *self._line("open", self._pairs(task.goal, last), over_goal),
-            *self._line("descend", over_goal, self.goal),
+            *self._lines(
+                self._pairs(task.goal, last),
+                Keyframe("open", over_goal),
+                Keyframe("descend", self.goal),
+            ),
         ]
 
     @property

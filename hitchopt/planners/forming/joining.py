@@ -10,7 +10,7 @@ reverse.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import product, starmap
@@ -21,7 +21,7 @@ import numpy as np
 from hitchopt.checks.cables import LENGTH_LIMIT
 from hitchopt.checks.clasps import OPEN_ROLL
 from hitchopt.checks.linking import MAX_LAID_GAP, MAX_LEG_CHANGE
-from hitchopt.errors import InfeasibleError, InputError, Violation, check_time
+from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.geometry import ConvexPolygon, Outline, shortest_offset
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY, Hitch, Team
@@ -46,9 +46,12 @@ from hitchopt.planners.forming.prehitch import MAX_SPAN_RATIO, MIN_SEPARATION, s
 from hitchopt.planners.forming.stages import (
     MIN_FLIGHT,
     PAUSE,
+    Keyframe,
+    best,
     hover_altitude,
     stage,
     straight_lines,
+    straight_stages,
 )
 from hitchopt.planners.morph.path import shapes_along
 from hitchopt.planners.separation import SeparatedFlight
@@ -429,19 +432,17 @@ def _best_joining(
     Candidates are those that keep all limits at rest, where they have ``rest_margins`` (J,); if
     there are none, those with the largest margin there.
     """
-    best, largest = None, -np.inf
-    for i in np.flatnonzero(rest_margins >= min(1.0, np.max(rest_margins))).tolist():
-        check_time()
-        if rest_margins[i] <= largest:
-            continue
-        joining = candidate(i)
-        margin = joining.margin(requirements, largest)
-        if margin > largest:
-            best, largest = joining, margin
-        if largest >= SUFFICIENT_MARGIN:
-            break
-    assert best is not None
-    return best
+
+    def joinings() -> Iterator[tuple[float, Joining]]:
+        largest = -np.inf
+        for i in np.flatnonzero(rest_margins >= min(1.0, np.max(rest_margins))).tolist():
+            if rest_margins[i] > largest:
+                joining = candidate(i)
+                margin = joining.margin(requirements, largest)
+                largest = max(largest, margin)
+                yield margin, joining
+
+    return best(joinings(), SUFFICIENT_MARGIN)
 
 
 def find_leaving(
@@ -595,16 +596,15 @@ class JoiningMotions:
     def return_motions(self, start: Array) -> list[Motion]:
         """Return the motions from a waiting position (2, 3) [m] to above or below the edge."""
         goal, team = self.joining.robot_clear(self.requirements)[0], self.joining.robot_team
-        if np.max(np.abs(goal - start)) < MIN_FLIGHT:
-            return []
-        lines = straight_lines(team, self.requirements.limits, start, goal)
-        return [self._with_ring(stage("approach", lines, team, self.requirements, self.index))]
+        context = team, self.requirements, self.index
+        return [
+            *map(self._with_ring, straight_stages(start, [Keyframe("approach", goal)], *context))
+        ]
 
     def arrival_motions(self, start: Array) -> list[Motion]:
         """Return the motions from drones (2, 3) [m] to above or below the edge, cable hanging."""
         team, context = self.joining.robot_team, (self.requirements, self.index)
         goal = self.joining.robot_clear(self.requirements)[0]
-        motions, drones = list[Motion](), start
         altitude = float(hover_altitude(team, start, self.requirements))
         hovering = start.copy()
         hovering[:, 2] = np.maximum(start[:, 2], altitude)
@@ -612,17 +612,14 @@ class JoiningMotions:
         chord = np.linalg.norm(hovering[1] - hovering[0])
         spread = middle + APPROACH_SPAN_RATIO * length * (hovering - middle) / chord
         level = spread * [1.0, 1.0, 0.0] + goal * [0.0, 0.0, 1.0]
-        for name, end, state in (
-            ("take-off", hovering, CableState.GROUND),
-            ("spread", spread, CableState.FREE),
-            ("climb" if self.joining.side > 0.0 else "descend", level, CableState.FREE),
-        ):
-            if np.max(np.abs(end - drones)) >= MIN_FLIGHT:
-                lines = straight_lines(team, self.requirements.limits, drones, end)
-                motions.append(stage(name, lines, team, *context, state))
-            drones = end
-        if np.max(np.abs(drones - goal)) >= MIN_FLIGHT:
-            task = DirectApproach(team, drones, goal, *context).problem
+        keyframes = (
+            Keyframe("take-off", hovering, CableState.GROUND),
+            Keyframe("spread", spread),
+            Keyframe("climb" if self.joining.side > 0.0 else "descend", level),
+        )
+        motions = straight_stages(start, keyframes, team, *context)
+        if np.max(np.abs(level - goal)) >= MIN_FLIGHT:
+            task = DirectApproach(team, level, goal, *context).problem
             prisms = (*task.requirements.keep_out, *starmap(self._prism, self.waiting.items()))
             own = replace(task.requirements, arena=self._clear_arena(goal), keep_out=prisms)
             flight = SeparatedFlight(replace(task, requirements=own)).solve().drones
@@ -653,16 +650,10 @@ class JoiningMotions:
     def tying_motions(self) -> list[Motion]:
         """Return the motions from above or below the edge to the ring with the robot."""
         joining, context = self.joining, (self.requirements, self.index)
-        team, limits = joining.robot_team, self.requirements.limits
         hanging, taut = joining.robot_clear(self.requirements)
-        lines = (
-            ("draw taut", hanging, taut, CableState.FREE),
-            ("lower", taut, joining.robot_laid, CableState.LAYING),
-        )
-        own = (
-            stage(name, straight_lines(team, limits, start, end), team, *context, state)
-            for name, start, end, state in lines
-        )
+        lowered = Keyframe("lower", joining.robot_laid, CableState.LAYING)
+        keyframes = Keyframe("draw taut", taut), lowered
+        own = straight_stages(hanging, keyframes, joining.robot_team, *context)
         first, second = (
             roll_motion(path, self.requirements, Phase("roll", self.index, 0.0, 0.0))
             for path in joining.rolls

@@ -9,14 +9,13 @@ Each cable then lies on those below it in the order.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
-from hitchopt.errors import check_time
 from hitchopt.geometry import shortest_offset
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.catenary import Catenary
@@ -32,11 +31,16 @@ from hitchopt.planners.forming.prehitch import (
     SAMPLES,
     smallest_separation,
 )
-from hitchopt.planners.forming.stages import SMOOTH, hover_altitude, stage, straight_lines
+from hitchopt.planners.forming.stages import (
+    Keyframe,
+    best,
+    hover_altitude,
+    straight_stages,
+    tension_stage,
+)
 from hitchopt.planners.morph.morph import check_loads
 from hitchopt.planners.morph.path import drones_along
 from hitchopt.planners.timing.flight import fly
-from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, Indices
 
 SHARES = tuple(0.5 + sign * off for off in np.linspace(0.0, 0.2, 11) for sign in (1.0, -1.0))
@@ -177,27 +181,17 @@ class Laying:
 
     def stages(self, requirements: Requirements, index: int = 0) -> list[Motion]:
         """Return the motions from hanging cables to the hitch, in phases of step ``index``."""
-        team, hitch = self.hitch.team, self.hitch
-        limits, context = requirements.limits, (team, requirements, index)
+        hitch, context = self.hitch, (requirements, index)
         roll = roll_motion(self.path, requirements, Phase("roll", index, 0.0, 0.0))
-        rest = np.array([0.0, TENSION_SECONDS])
-        curves: dict[str, Any] = {
-            "vertices": PiecewisePolynomial.constant(rest, hitch.vertices),
-            "legs": PiecewisePolynomial.constant(rest, roll.legs.coefficients[0, ..., 0]),
-            "tensions": PiecewisePolynomial(rest, (team.tension[:, None] * SMOOTH)[None]),
-        }
-        lines = (
-            ("draw taut", self.drones_hanging, self.drones_outside, CableState.FREE),
-            ("slide in", self.drones_outside, self.drones_above, CableState.LAYING),
-            ("lay", self.drones_above, self.drones_laid, CableState.LAYING),
+        legs, rolling = roll.legs.coefficients[0, ..., 0], CableState.ROLLING
+        keyframes = (
+            Keyframe("draw taut", self.drones_outside),
+            Keyframe("slide in", self.drones_above, CableState.LAYING),
+            Keyframe("lay", self.drones_laid, CableState.LAYING),
         )
-        drones = PiecewisePolynomial.constant(rest, self.drones_laid)
         return [
-            *(
-                stage(name, straight_lines(team, limits, start, end), *context, state)
-                for name, start, end, state in lines
-            ),
-            stage("tension", drones, *context, CableState.ROLLING, **curves),
+            *straight_stages(self.drones_hanging, keyframes, self.hitch.team, *context),
+            tension_stage(hitch, self.drones_laid, legs, TENSION_SECONDS, *context, rolling),
             roll,
         ]
 
@@ -208,19 +202,15 @@ def split_for_rolling(hitch: Hitch, senses: Array, requirements: Requirements) -
     The search starts from the hitch's own split and continues from one half outward. If no split
     suffices, return the one with the largest separation.
     """
-    best, largest = None, -np.inf
-    for q_legs in (hitch.q_legs, *(share * hitch.slack for share in SHARES)):
-        check_time()
-        hitch = Hitch(hitch.team, hitch.polygon, hitch.altitude, q_legs, hitch.roll)
-        path = RollPath(hitch, -np.pi * senses, hitch.roll)
-        drones = path.drones(np.linspace(0.0, 1.0, ANGLES))
-        separation = smallest_separation(drones, requirements.separation)
-        if separation > largest:
-            best, largest = hitch, separation
-        if largest >= MIN_SEPARATION:
-            break
-    assert best is not None
-    return best
+
+    def candidates() -> Iterator[tuple[float, Hitch]]:
+        for q_legs in (hitch.q_legs, *(share * hitch.slack for share in SHARES)):
+            split = Hitch(hitch.team, hitch.polygon, hitch.altitude, q_legs, hitch.roll)
+            path = RollPath(split, -np.pi * senses, split.roll)
+            drones = path.drones(np.linspace(0.0, 1.0, ANGLES))
+            yield smallest_separation(drones, requirements.separation), split
+
+    return best(candidates(), MIN_SEPARATION)
 
 
 def find_laying(hitch: Hitch, levels: Indices, requirements: Requirements) -> Laying:
@@ -238,27 +228,25 @@ def find_laying(hitch: Hitch, levels: Indices, requirements: Requirements) -> La
     u = hitch.polygon.edge_directions
     outward = np.column_stack([-u[:, 1], u[:, 0]])
     step = OFFSET_STEP * float(np.mean(team.cable_length))
-    candidates = list[tuple[float, Laying]]()
-    for slant in SLANTS:
-        direction = outward + slant * u
-        for i in range(MAX_OFFSET_STEPS):
-            offsets = (i * step) * direction
-            if _cable_distance(layout, laid[:, :2] + np.repeat(offsets, 2, axis=0)) < distance:
-                continue
-            landed = replace(unplaced, offsets=offsets).drones_hanging * [1.0, 1.0, 0.0]
-            if smallest_separation(landed[None], separation) >= MIN_SEPARATION:
-                break
-        for factor in SPACINGS:
-            check_time()
-            laying = Laying(hitch, levels, factor * (sag + distance), offsets)
-            outside, above = laying.drones_outside, laying.drones_above
-            inward = outside + SAMPLES[:, None, None] * (above - outside)
-            down = above + SAMPLES[:, None, None] * (laid - above)
-            smallest = smallest_separation(np.concatenate([inward, down]), separation)
-            if smallest >= MIN_SEPARATION:
-                return laying
-            candidates.append((smallest, laying))
-    return max(candidates, key=lambda each: each[0])[1]
+
+    def candidates() -> Iterator[tuple[float, Laying]]:
+        for slant in SLANTS:
+            direction = outward + slant * u
+            for i in range(MAX_OFFSET_STEPS):
+                offsets = (i * step) * direction
+                if _cable_distance(layout, laid[:, :2] + np.repeat(offsets, 2, axis=0)) < distance:
+                    continue
+                landed = replace(unplaced, offsets=offsets).drones_hanging * [1.0, 1.0, 0.0]
+                if smallest_separation(landed[None], separation) >= MIN_SEPARATION:
+                    break
+            for factor in SPACINGS:
+                laying = Laying(hitch, levels, factor * (sag + distance), offsets)
+                outside, above = laying.drones_outside, laying.drones_above
+                inward = outside + SAMPLES[:, None, None] * (above - outside)
+                down = above + SAMPLES[:, None, None] * (laid - above)
+                yield smallest_separation(np.concatenate([inward, down]), separation), laying
+
+    return best(candidates(), MIN_SEPARATION)
 
 
 def _cable_distance(layout: Layout, drones: Array) -> float:

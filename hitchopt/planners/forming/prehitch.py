@@ -11,13 +11,12 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from hitchopt.checks.regions import clasped_outlines
-from hitchopt.errors import check_time
 from hitchopt.geometry import hull_distance
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import Hitch, Team
@@ -28,12 +27,13 @@ from hitchopt.motion.motion import CableState, Motion
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.planners.forming.stages import (
     GROUND_CLEARANCE,
-    SMOOTH,
+    best,
     hover_altitude,
     line_progress,
     on_lines,
     rise_seconds,
     stage,
+    tension_stage,
 )
 from hitchopt.planners.timing.profile import usable_accelerations
 from hitchopt.planners.timing.ramps import fastest_clock, timed_curve
@@ -153,8 +153,8 @@ class SwapEllipses:
                 lambda at, k: self.drones(start + at, k), clock, MAX_PIECE_ANGLE, limits, usable
             )
 
-        best = min(map(turn, TURNING_SHARES), key=lambda drones: drones.duration)
-        return best.stretched(max(1.0, (seconds or 0.0) / best.duration))
+        fastest = min(map(turn, TURNING_SHARES), key=lambda drones: drones.duration)
+        return fastest.stretched(max(1.0, (seconds or 0.0) / fastest.duration))
 
     @property
     def link_length(self) -> float:
@@ -253,14 +253,9 @@ class PreHitch:
             state = CableState.CLASPING
             stages.append(stage(f"swap {k + 1}", turn, *context, state, vertices=still))
         stages.append(stage("tighten", outward, *context, CableState.TIGHTENING, vertices=clasps))
-        rest = np.array([0.0, rise_seconds(team)])
-        drones, points, legs = (
-            PiecewisePolynomial.constant(rest, value)
-            for value in (hitch.drones, hitch.vertices, hitch.legs)
-        )
-        tensions = PiecewisePolynomial(rest, (team.tension[:, None] * SMOOTH)[None])
-        curves: dict[str, Any] = {"vertices": points, "legs": legs, "tensions": tensions}
-        return [*stages, stage("tension", drones, *context, CableState.HITCHED, **curves)]
+        at_rest = hitch.drones, hitch.legs, rise_seconds(team)
+        tied = tension_stage(hitch, *at_rest, requirements, index, CableState.HITCHED)
+        return [*stages, tied]
 
 
 def find_prehitch(hitch: Hitch, requirements: Requirements, settings: SwapSettings) -> PreHitch:
@@ -269,17 +264,18 @@ def find_prehitch(hitch: Hitch, requirements: Requirements, settings: SwapSettin
     Chords across the vertices are considered only if some other
     candidate would not link its cables.
     """
-    candidates: list[PreHitch] = []
-    for across, scale, share in itertools.product((False, True), SCALES, LEG_SHARES):
-        if across and all(candidate.linked for candidate in candidates):
-            break
-        check_time()
-        ellipses = _ellipses(hitch, requirements.separation, settings, share, scale, across)
-        candidate = _evaluate(ellipses, hitch, requirements, settings, share)
-        if candidate.violation <= 0.0:
-            return candidate
-        candidates.append(candidate)
-    return min(candidates, key=lambda candidate: candidate.violation)
+
+    def candidates() -> Iterator[tuple[float, PreHitch]]:
+        linked = True
+        for across, scale, share in itertools.product((False, True), SCALES, LEG_SHARES):
+            if across and linked:
+                return
+            ellipses = _ellipses(hitch, requirements.separation, settings, share, scale, across)
+            candidate = _evaluate(ellipses, hitch, requirements, settings, share)
+            linked &= candidate.linked
+            yield -candidate.violation, candidate
+
+    return best(candidates(), 0.0)
 
 
 def _ellipses(

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from hitchopt.checks.clearance import above_ground
-from hitchopt.hitch import Team
+from hitchopt.errors import check_time
+from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.motion.loads import tautness
@@ -20,6 +21,8 @@ from hitchopt.planners.timing.profile import LIMIT_SHARE, usable_accelerations
 from hitchopt.planners.timing.ramps import fastest_clock
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
+
+T = TypeVar("T")
 
 MIN_RISE_SECONDS = 1.0
 """[s] Shortest rise of the tensions, against which drones tilt."""
@@ -74,6 +77,62 @@ def stage(
     forces = (PiecewisePolynomial(drones.breaks, c) for c in (pulls, tautness(motion)))
     factor = turning_stretch(team, limit, (drones, motion.vertices, *forces))
     return motion.slowed(factor) if 1.0 < factor < math.inf else motion
+
+
+class Keyframe(NamedTuple):
+    """The end of a stage in which drones fly on straight lines, with their cables in one state."""
+
+    name: str  # of the phase
+    drones: Array  # (2n, 3) [m]
+    state: CableState = CableState.FREE
+
+
+def straight_stages(
+    start: Array, keyframes: Iterable[Keyframe], team: Team, requirements: Requirements, index: int
+) -> list[Motion]:
+    """Return the stages from a start (2n, 3) [m] to each keyframe; none where no drone moves."""
+    stages = list[Motion]()
+    for name, drones, state in keyframes:
+        if np.max(np.abs(drones - start)) >= MIN_FLIGHT:
+            lines = straight_lines(team, requirements.limits, start, drones)
+            stages.append(stage(name, lines, team, requirements, index, state))
+        start = drones
+    return stages
+
+
+def tension_stage(
+    hitch: Hitch,
+    drones: Array,
+    legs: Array,
+    seconds: float,
+    requirements: Requirements,
+    index: int,
+    state: CableState,
+) -> Motion:
+    """Return the stage in which tensions rise to those of a hitch, drones (2n, 3) [m] at rest."""
+    team, rest = hitch.team, np.array([0.0, seconds])
+    places, points, lengths = (
+        PiecewisePolynomial.constant(rest, value) for value in (drones, hitch.vertices, legs)
+    )
+    tensions = PiecewisePolynomial(rest, (team.tension[:, None] * SMOOTH)[None])
+    curves: dict[str, Any] = {"vertices": points, "legs": lengths, "tensions": tensions}
+    return stage("tension", places, team, requirements, index, state, **curves)
+
+
+def best(candidates: Iterable[tuple[float, T]], enough: float) -> T:
+    """Return the first candidate with a margin of at least ``enough``, else the one with the most.
+
+    Raises ValueError without a candidate.
+    """
+    largest, found = -math.inf, list[T]()
+    for margin, candidate in candidates:
+        check_time()
+        if margin > largest or not found:
+            largest, found = margin, [candidate]
+        if largest >= enough:
+            break
+    (one,) = found
+    return one
 
 
 def rise_seconds(team: Team) -> float:
