@@ -29,9 +29,9 @@ from hitchopt.checks.distances import (
     upright_distance,
 )
 from hitchopt.checks.downwash import below, half_axes, moves, pairs_with_slab
-from hitchopt.checks.joining import vertical_passes
 from hitchopt.checks.objects import in_object_frame, placed_corners
 from hitchopt.checks.regions import CableSheets, cable_sheets
+from hitchopt.checks.ring_change import vertical_passes
 from hitchopt.checks.rule import CheckRule, WorstCase
 from hitchopt.checks.spans import ROUNDING, cable_names, cable_parts, cached, magnitude, part_names
 from hitchopt.checks.tracking import Ellipsoid
@@ -182,7 +182,7 @@ def cable_pairs(run: Run) -> Iterator[Moving]:
     """Yield the pairs of cables.
 
     Edges that a robot's taut cable passes vertically are excluded meanwhile: they are compared as
-    it joins (``checks.joining``).
+    it joins (``checks.ring_change``).
     """
     first, second = (cables_of(each, parts=True) for each in (run.first, run.second))
     if first is None or second is None:

@@ -51,7 +51,7 @@ from hitchopt.checks.spans import (
     cable_names,
     cable_parts,
     cached,
-    concatenated,
+    joined_arrays,
     magnitude,
     part_names,
     phase_parts,
@@ -603,7 +603,7 @@ def _part_sags(motion: Motion) -> list[Array]:
     of_legs, of_edges = leg_sags(motion), edge_sags(motion)
     index = np.where(kind == 1, motion.team.drones + cable, 2 * cable + kind // 2)
     pairs = zip(of_legs, of_edges, strict=True)
-    return [concatenated(pair, axis=1)[:, index] for pair in pairs]
+    return [joined_arrays(pair, axis=1)[:, index] for pair in pairs]
 
 
 def _part_wall_gap(spans: Parts) -> Bound:

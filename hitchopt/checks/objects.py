@@ -26,7 +26,7 @@ from hitchopt.checks.spans import (
     ROUNDING,
     MotionSpans,
     cached,
-    concatenated,
+    joined_arrays,
     leg_vectors,
     magnitude,
 )
@@ -173,7 +173,7 @@ def bends(motion: Motion) -> Array:
     """Return start, both contacts and end of edges (pieces, n, 4, 3, …) [m]."""
     layout, vertices = motion.team.layout, motion.vertices.coefficients
     start, end = (vertices[:, points, None] for points in (layout.starts, layout.ends))
-    return concatenated([start, motion.contacts.coefficients, end], axis=2)
+    return joined_arrays([start, motion.contacts.coefficients, end], axis=2)
 
 
 class Gripped(Held):

@@ -11,8 +11,8 @@ from hitchopt.checks.across import check_across, radius_across
 from hitchopt.checks.certificate import Certificate, Check, worst_of
 from hitchopt.checks.distances import GROUND
 from hitchopt.checks.downwash import DOWNWASH
-from hitchopt.checks.joining import interlacing, jumps, jumps_of_thrust
 from hitchopt.checks.linking import CONTINUITY, DURATION, INTERLACING
+from hitchopt.checks.ring_change import interlacing, jumps, jumps_of_thrust
 from hitchopt.checks.rule import CheckRule, ReportRule, SpanResult
 from hitchopt.checks.spans import value_cache
 from hitchopt.checks.tracking import GAMMA

@@ -196,7 +196,7 @@ def edge_vectors(motion: Motion) -> Array:
     return motion.team.layout.edges(positions(motion)[1], axis=1)
 
 
-def concatenated(parts: Sequence[Array], axis: int) -> Array:
+def joined_arrays(parts: Sequence[Array], axis: int) -> Array:
     """Return concatenated polynomials (…, degree + 1), in the largest of their degrees."""
     return np.concatenate(same_degree(*parts), axis=axis)
 
@@ -223,7 +223,7 @@ def cable_parts(motion: Motion) -> tuple[Array, Indices]:
     """
     layout, nodes = motion.team.layout, [motion.vertices.coefficients, motion.drones.coefficients]
     if not motion.has_wraps:
-        return concatenated(nodes, axis=1)[:, layout.part_nodes], layout.parts
+        return joined_arrays(nodes, axis=1)[:, layout.part_nodes], layout.parts
     # Hitches that grip an object are closed: contacts are nodes of their edges.
     contacts = motion.contacts.coefficients
     first = layout.points + 2 * layout.robots + 2 * np.arange(layout.robots)[:, None]
@@ -231,7 +231,7 @@ def cable_parts(motion: Motion) -> tuple[Array, Indices]:
     nodes.append(contacts.reshape(len(contacts), -1, *contacts.shape[3:]))
     ends = np.stack([routes[:, :-1], routes[:, 1:]], axis=-1).reshape(-1, 2)
     part = (3 * np.arange(layout.robots)[:, None] + np.array([0, 1, 1, 1, 2])).ravel()
-    return concatenated(nodes, axis=1)[:, ends], part
+    return joined_arrays(nodes, axis=1)[:, ends], part
 
 
 def clasped_pairs(layout: Layout) -> Indices:

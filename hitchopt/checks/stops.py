@@ -34,9 +34,9 @@ from hitchopt.checks.objects import (
 from hitchopt.checks.rule import ReportRule, SpanResults, WorstCase
 from hitchopt.checks.spans import (
     MotionSpans,
-    concatenated,
     derivative,
     derivative_margin,
+    joined_arrays,
     value_cache,
 )
 from hitchopt.errors import check_time
@@ -382,7 +382,7 @@ def _resting(motion: Motion, index: int, body: SolidObject) -> tuple[PiecewisePo
     pose = motion.poses.coefficients[:, index]
     places = motion.vertices.coefficients[:, motion.team.layout.clasps]
     centre = centre_path(pose, body)[:, None]
-    points = motion.vertices.replaced(concatenated([places, centre], axis=1))
+    points = motion.vertices.replaced(joined_arrays([places, centre], axis=1))
     height = abs(body.centre_of_mass[2] - body.rim.height)
     supports = supports_of(motion, index, body)
     shifted = height * np.linalg.norm(supports.gains, axis=-1)
@@ -407,7 +407,7 @@ def _gripped(motion: Motion, index: int, body: SolidObject) -> tuple[PiecewisePo
     """
     pose = motion.poses.coefficients[:, index]
     heading = np.pad(pose[:, None, 3:], [(0, 0), (0, 0), (0, 1), (0, 0)])
-    paths = concatenated([centre_path(pose, body)[:, None], heading], axis=1)
+    paths = joined_arrays([centre_path(pose, body)[:, None], heading], axis=1)
     forces, friction = np.min(spare_forces(motion), axis=1), 0.5 * spare_friction(motion, index)
     slack = [np.minimum(forces, friction), friction / turning_reach(body)]
     return motion.drones.replaced(paths), np.column_stack(slack) / body.mass

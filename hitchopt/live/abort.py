@@ -41,7 +41,7 @@ from hitchopt.motion.retiming import (
 )
 from hitchopt.motion.states import final_hitch
 from hitchopt.objects.placing import REST_DRIFT, in_world
-from hitchopt.planners.forming.joining import landing_motion
+from hitchopt.planners.forming.ring_change import landing_motion
 from hitchopt.planners.forming.stages import stage, straight_lines
 from hitchopt.steps import Release
 from hitchopt.steps.certified_motions import infeasible_error

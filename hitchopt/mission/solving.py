@@ -21,7 +21,7 @@ from hitchopt.hitch.flight_controller import CONTROLLERS, FlightController
 from hitchopt.hitch.requirements import Prism, Requirements
 from hitchopt.hitch.team import Assignment
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem, SwarmProblem
-from hitchopt.motion.motion import Motion, Phase, joined_motions
+from hitchopt.motion.motion import Motion, Phase, concatenated
 from hitchopt.objects import Slab, SolidObject
 from hitchopt.objects.placing import in_world
 from hitchopt.steps import FollowVertex, Form, Step
@@ -131,7 +131,7 @@ def _plan_steps(problem: Problem, progress: Progress | None, *, optimiser: bool)
         plans.append(plan)
         motions.append(state.with_waiting(plan.motion, with_reserve))
         state = plan.after
-    motion = joined_motions(motions)
+    motion = concatenated(motions)
     motion = replace(motion, requirements=requirements, assignment=assignment)
     certificate = merged(motion, [plan.certificate for plan in plans])
     if not certificate.certified:

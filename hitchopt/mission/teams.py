@@ -16,7 +16,7 @@ from hitchopt.mission.problem import Problem, SwarmProblem
 from hitchopt.mission.solving import solve_problem, solve_swarm
 from hitchopt.mission.teams_problem import AnyProblem, TeamsProblem
 from hitchopt.motion.combined import combined, moved_objects
-from hitchopt.motion.motion import WAIT, Group, Motion, Phase, joined_motions
+from hitchopt.motion.motion import WAIT, Group, Motion, Phase, concatenated
 from hitchopt.motion.retiming import cut, padded, resting, shifted
 from hitchopt.planners.schedule import STEP, Blocked, Placed, Schedule, Track
 from hitchopt.steps.certified_motions import CertifiedMotion, infeasible_error
@@ -84,7 +84,7 @@ def solve_teams(
             if margin == 0.0:
                 raise
             break  # report the certificate of the smaller margin
-        groups = [Group(name, _merge_waits(joined_motions(each))) for name, each in flown.items()]
+        groups = [Group(name, _merge_waits(concatenated(each))) for name, each in flown.items()]
         motion = combined(groups, others)
         report("certifying all teams together")
         certificate = certify(motion)
@@ -133,7 +133,7 @@ def _plan_alone(
         for k, each in enumerate(problem):
             motion = solve_swarm(each, report_team).motion
             motions.append(motion.replaced(phases=tuple(replace(p, step=k) for p in motion.phases)))
-        return joined_motions(motions)
+        return concatenated(motions)
     except TimeLimitError:
         raise
     except InfeasibleError as error:
@@ -244,7 +244,7 @@ def _detour(motion: Motion, height: float) -> Motion | None:
         _raised(motion, np.full(1, height)),
         _raised(descend, height * CLIMB[::-1]),
     ]
-    return joined_motions(raised)
+    return concatenated(raised)
 
 
 def _raised(motion: Motion, heights: Array) -> Motion:

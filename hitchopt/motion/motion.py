@@ -481,7 +481,7 @@ class Motion(OneLine):
         return self.map_curves(lambda part: part.stretched(factor), phases)
 
 
-def joined_motions(motions: Sequence[Motion]) -> Motion:
+def concatenated(motions: Sequence[Motion]) -> Motion:
     """Return the motions in sequence as one, with the first one's team and requirements."""
     if len(motions) == 1:
         return motions[0]

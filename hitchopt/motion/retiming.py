@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
-from hitchopt.motion.motion import JOINT, WAIT, CableState, Motion, Phase, joined_motions
+from hitchopt.motion.motion import JOINT, WAIT, CableState, Motion, Phase, concatenated
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.clock_phases import ClockPhases, advance
 from hitchopt.trajectory.piecewise import BREAK_TOLERANCE, on_breaks
@@ -75,7 +75,7 @@ def padded(motion: Motion, start: float, end: float) -> Motion:
             wait = replace(motion.phases[index], name=WAIT, tension=None, remark="")
             rest = resting(motion, duration, wait, first=index == 0)
             parts = [*parts, rest] if index else [rest, *parts]
-    return motion if len(parts) == 1 else shifted(joined_motions(parts), min(start, first))
+    return motion if len(parts) == 1 else shifted(concatenated(parts), min(start, first))
 
 
 def stretched(motion: Motion, factor: float) -> Motion:
@@ -185,7 +185,7 @@ def append_motion(first: Motion, second: Motion) -> Motion:
 
 def _appended(first: Motion, second: Motion) -> Motion:
     """Return two groups' motions in sequence."""
-    motion = joined_motions([first, second])
+    motion = concatenated([first, second])
     count = len(first.phases)
     last, following = motion.phases[count - 1 : count + 1]
     merged = last.retimed(last.start, following.end)

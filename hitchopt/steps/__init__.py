@@ -8,9 +8,6 @@ from hitchopt.steps.carrying import Lift as Lift
 from hitchopt.steps.carrying import Loosen as Loosen
 from hitchopt.steps.carrying import SetDown as SetDown
 from hitchopt.steps.carrying import TransportObject as TransportObject
-from hitchopt.steps.joining import Join as Join
-from hitchopt.steps.joining import Replace as Replace
-from hitchopt.steps.joining import Withdraw as Withdraw
 from hitchopt.steps.moving import Adjust as Adjust
 from hitchopt.steps.moving import FollowVertex as FollowVertex
 from hitchopt.steps.moving import Hold as Hold
@@ -19,6 +16,9 @@ from hitchopt.steps.moving import MoveEdge as MoveEdge
 from hitchopt.steps.moving import MoveVertex as MoveVertex
 from hitchopt.steps.moving import Settle as Settle
 from hitchopt.steps.moving import Transport as Transport
+from hitchopt.steps.ring_change import Join as Join
+from hitchopt.steps.ring_change import Replace as Replace
+from hitchopt.steps.ring_change import Withdraw as Withdraw
 from hitchopt.steps.step import Step as Step
 from hitchopt.steps.tying import CloseVertex as CloseVertex
 from hitchopt.steps.tying import Form as Form

@@ -22,7 +22,7 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import checked_polygon, checked_roll
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import MAX_ROBOTS, PartTeam
-from hitchopt.motion.motion import Motion, joined_motions
+from hitchopt.motion.motion import Motion, concatenated
 from hitchopt.objects import SolidObject
 from hitchopt.planners.carrying.moves import Move
 from hitchopt.planners.carrying.planner import GraspState, MovePlanner
@@ -264,7 +264,7 @@ class RestState:
     def with_waiting(self, motion: Motion, requirements: Requirements) -> Motion:
         """Return a motion from this state with the waiting robots added."""
         from hitchopt.motion.chapters import with_waiting
-        from hitchopt.planners.forming.joining import waiting_robot
+        from hitchopt.planners.forming.ring_change import waiting_robot
 
         if self.whole is None or motion.has_ring_changes:
             return motion
@@ -342,7 +342,7 @@ def plan_in_sequence(
         plan = planner(task.within(state.with_objects(task.requirements), state))
         motions.append(state.with_waiting(plan.motion, task.requirements))
         state = plan.after
-    return StepPlan(joined_motions(motions), state)
+    return StepPlan(concatenated(motions), state)
 
 
 def planner_of(task: StepTask) -> MovePlanner:

@@ -12,7 +12,7 @@ from hitchopt.errors import HitchoptError, InputError, UnsupportedError
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import MAX_ROBOTS, OPEN
-from hitchopt.motion.motion import CableState, Motion, Phase, joined_motions
+from hitchopt.motion.motion import CableState, Motion, Phase, concatenated
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.steps.step import (
     AUTO,
@@ -136,7 +136,7 @@ class Form(Step):
             goal, tying = self._prehitch(goal, requirements)
         else:
             tying = find_laying(goal, levels, requirements).clear_of_ground(requirements)
-        tied = joined_motions(tying.stages(requirements, i))
+        tied = concatenated(tying.stages(requirements, i))
         if tying.doubtful:  # no approach helps if tying is infeasible
             require_certified(StepPlan(tied, before))
         parts = [_approach_motion(task, tying.drones_hanging), tied]
@@ -150,7 +150,7 @@ class Form(Step):
             phase, settling = Phase("settle", i, 0.0, 0.0), replace(task, before=after)
             plan = settling_plan(settling, seconds, phase, required=seconds is not None)
             parts.append(plan.motion)
-        return StepPlan(self.with_duration(task, joined_motions(parts)), after)
+        return StepPlan(self.with_duration(task, concatenated(parts)), after)
 
     def _levels(self, team: Team) -> Indices | None:
         """Return the levels (n,) of cables that are laid on one another, 0 the lowest, or None."""
@@ -227,7 +227,7 @@ def _approach_motion(task: StepTask, goal: Array) -> Motion:
     errors = list[HitchoptError]()
     for route in (DirectApproach(*arguments), GatheredApproach(*arguments)):
         outcome = attempt(
-            lambda route=route: require_certified(StepPlan(joined_motions(route.solve()), before))  # type: ignore[misc]
+            lambda route=route: require_certified(StepPlan(concatenated(route.solve()), before))  # type: ignore[misc]
         )
         if isinstance(outcome, StepPlan):
             return outcome.motion
@@ -378,7 +378,7 @@ class Release(Step):
             parts.append(vertical_motion(hitch, tying.hitch.altitude, requirements, higher))
         parts += reversed_stages(tying.stages(requirements, i))
         after = replace(before, drones=tying.drones_hanging, hitch=None, senses=None, levels=None)
-        return StepPlan(self.with_duration(task, joined_motions(parts)), after)
+        return StepPlan(self.with_duration(task, concatenated(parts)), after)
 
 
 @dataclass(frozen=True)
@@ -400,7 +400,7 @@ class Land(Step):
         motion = stage("land", flight, before.team, requirements, task.index, CableState.GROUND)
         after = replace(before, drones=down)
         if before.waiting:
-            from hitchopt.planners.forming.joining import landing_motion
+            from hitchopt.planners.forming.ring_change import landing_motion
 
             motion = landing_motion(motion, before.whole_team, before.waiting, requirements)
             lying = {robot: places * flat + floor for robot, places in before.waiting.items()}

@@ -36,7 +36,7 @@ import hitchopt as ho
 from hitchopt.checks import Certificate, Check, certify, merged
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Limits, Prism, Requirements, Separation
-from hitchopt.motion.motion import Motion, joined_motions
+from hitchopt.motion.motion import Motion, concatenated
 from hitchopt.steps.certified_motions import rest_plan
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
@@ -271,7 +271,7 @@ def parts() -> list[Motion]:
 
 def of_parts(parts: list[Motion]) -> Certificate:
     """Parts are joined even if they do not match: continuity must fail."""
-    return merged(joined_motions(parts), [certify(part) for part in parts])
+    return merged(concatenated(parts), [certify(part) for part in parts])
 
 
 @pytest.mark.parametrize(
@@ -283,7 +283,7 @@ def test_merged_certificates_equal_recomputed_ones(
 ) -> None:
     """Also for parts that violate limits."""
     parts = [part.slowed(slower) for part in parts[:count]]
-    whole = replaced(joined_motions(parts), duration=duration)  # type: ignore[arg-type]
+    whole = replaced(concatenated(parts), duration=duration)  # type: ignore[arg-type]
     anew, ours = certify(whole), merged(whole, [certify(part) for part in parts])
     assert ours.duration == anew.duration
     assert [c.name for c in ours.checks] == [c.name for c in anew.checks]

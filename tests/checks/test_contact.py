@@ -20,7 +20,7 @@ from hitchopt.geometry import regular_polygon
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
-from hitchopt.motion.motion import Motion, Phase, joined_motions
+from hitchopt.motion.motion import Motion, Phase, concatenated
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.planners.forming.stages import reversed_stages
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
@@ -161,8 +161,8 @@ def test_links_are_followed_through_a_hitch(degrees: float, clasp: int, tmp_path
     assert not wrong(*stages, there)  # nothing is let go: clasps that bear hold on
     flown = [*stages, there, *reversed_stages(stages)]
     assert wrong(*flown) == {f"p{clasp}"}
-    assert unproven(joined_motions(flown), tmp_path, second.interlacing) == {"interlacing"}
-    joined = joined_motions([*stages, there, back, *reversed_stages(stages)])
+    assert unproven(concatenated(flown), tmp_path, second.interlacing) == {"interlacing"}
+    joined = concatenated([*stages, there, back, *reversed_stages(stages)])
     assert not unproven(joined, tmp_path, second.interlacing)
 
 

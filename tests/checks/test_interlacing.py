@@ -12,7 +12,7 @@ from motions import altered, free_motion, random_flight, row, through
 import hitchopt as ho
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Limits, Requirements
-from hitchopt.motion.motion import CableState, Motion, joined_motions
+from hitchopt.motion.motion import CableState, Motion, concatenated
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.planners.forming.prehitch import find_prehitch
 from hitchopt.planners.forming.stages import (
@@ -52,7 +52,7 @@ def stage_of(hitch: Hitch, name: str, drones: PiecewisePolynomial, state: CableS
 
 
 def wrong(*motions: Motion) -> set[str]:
-    result = row(joined_motions(motions), "interlacing")
+    result = row(concatenated(motions), "interlacing")
     assert (result.worst == 0.0) is result.holds is (not result.where)
     return {name for name in result.where if not name.startswith("phase ")}
 
@@ -71,7 +71,7 @@ def test_two_swaps_tie_and_their_reverse_unties(n: int, sense: int) -> None:
     assert wrong(*reversed_stages(stages)) == (set() if sense == 1 else points(n))
     if n in {4, 12}:  # chords are parallel there, of which samples say nothing
         return
-    counts = crossings(joined_motions(stages[:3]).drones, 2_001)
+    counts = crossings(concatenated(stages[:3]).drones, 2_001)
     neighbours = {(min(k, (k + 1) % n), max(k, (k + 1) % n)) for k in range(n)}
     assert {pair: abs(count) for pair, count in counts.items() if count} == dict.fromkeys(
         neighbours, 1
@@ -205,14 +205,14 @@ def test_drones_inside_hanging_cables_are_detected(height: float, caught: bool) 
 def test_tightening_beyond_the_hitch_overstretches_cables(n: int) -> None:
     """Cables are overstretched, although no chord is longer than a cable."""
     hitch, stages = stages_of(n)
-    assert row(joined_motions(stages), "cable_length").holds
+    assert row(concatenated(stages), "cable_length").holds
     drones = hitch.drones
     farther = np.mean(drones, axis=0) + 1.1 * (drones - np.mean(drones, axis=0))
     out = [
         stage_of(hitch, "tighten", straight_lines(hitch.team, Limits(), first, last), TIGHTENING)
         for first, last in ((drones, farther), (farther, drones))
     ]
-    motion = joined_motions([*stages[:3], *out, stages[3]])
+    motion = concatenated([*stages[:3], *out, stages[3]])
     assert row(motion, "span").holds
     torn = row(motion, "cable_length")
     assert not torn.holds

@@ -22,7 +22,7 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.catenary import steepness
 from hitchopt.hitch.forces import sag_factors
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.motion.motion import CableState, HoldBy, Motion, Phase, PhaseHold, joined_motions
+from hitchopt.motion.motion import CableState, HoldBy, Motion, Phase, PhaseHold, concatenated
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.retiming import resting as at_rest
 from hitchopt.planners.forming.laying import (
@@ -59,7 +59,7 @@ def stages_of(n: int, order: tuple[int, ...] | None = None) -> list[Motion]:
 
 
 def wrong(motions: Sequence[Motion]) -> set[str]:
-    result = row(joined_motions(motions), "interlacing")
+    result = row(concatenated(motions), "interlacing")
     assert (result.worst == 0.0) is result.holds is (not result.where)
     return {name for name in result.where if not name.startswith("phase ")}
 
@@ -83,7 +83,7 @@ def test_laid_hitches_hold_for_all_times_and_come_apart_backwards(
     n: int, order: tuple[int, ...] | None
 ) -> None:
     stages = stages_of(n, order)
-    certificate = certify(joined_motions([*stages, *reversed_stages(stages)]))
+    certificate = certify(concatenated([*stages, *reversed_stages(stages)]))
     assert certificate.certified, certificate
     assert certificate["equilibrium"].bound < 1e-4
 
@@ -138,7 +138,7 @@ def test_half_a_turn_too_little_or_too_much_is_refused() -> None:
     assert not wrong([*stages, back])
     resting = replace(stages[-2], phases=(replace(stages[-2].phases[0], state=CableState.HITCHED),))
     assert wrong([*stages, back, resting]) == clasps(3)
-    assert not row(joined_motions([*stages, back, resting]), "equilibrium").holds
+    assert not row(concatenated([*stages, back, resting]), "equilibrium").holds
     # A pair that is open by 140 degrees alone is not lifted.
     partly = rolled(laying, path.end, path.start * [1.0, 140.0 / 180.0, 1.0])
     assert wrong([*stages, partly, *reversed_stages(stages)[1:]]) == {"p1"}
@@ -158,7 +158,7 @@ def resting(motion: Motion, state: CableState) -> Motion:
 
 
 def second_opinion(motions: Sequence[Motion], path: Path) -> str:
-    write_plan(path / "plan.npz", joined_motions(motions))
+    write_plan(path / "plan.npz", concatenated(motions))
     return " ".join(str(each) for each in second.verify(path) if each.verdict != "proven")
 
 
@@ -215,7 +215,7 @@ def test_pairs_that_lie_across_do_not_roll_on(
 ) -> None:
     """Their cables would pull on each other; every other check holds, at all times."""
     motions = past(n, pair, degrees, when)
-    assert {check.name for check in certify(joined_motions(motions)).violated} == {"interlacing"}
+    assert {check.name for check in certify(concatenated(motions)).violated} == {"interlacing"}
     assert wrong(motions) == {f"p{pair}"}
     opinion = second_opinion(motions, tmp_path)
     assert f"p{pair} rolls past lying across" in opinion
@@ -278,7 +278,7 @@ def test_stated_states_are_verified() -> None:
         each.replaced(phases=(replace(each.phases[0], state=CableState.FREE),))
         for each in (slide, lay)
     ]
-    assert not row(joined_motions([taut, *free]), "crossing").holds
+    assert not row(concatenated([taut, *free]), "crossing").holds
     phase = replace(taut.phases[0], state=LAYING)
     hanging = taut.replaced(phases=(phase,))
     assert not row(hanging, "cable_length").holds
@@ -338,7 +338,7 @@ def test_laying_may_pause() -> None:
 
 def test_certificate_and_verify_agree_on_crossing_heights(tmp_path: Path) -> None:
     lay = stages_of(3)[2]
-    write_plan(tmp_path / "plan.npz", joined_motions([*stages_of(3)[:3]]))
+    write_plan(tmp_path / "plan.npz", concatenated([*stages_of(3)[:3]]))
     (plan,), _ = second.read(tmp_path / "plan.npz")
     last = second.crossing_heights(plan, len(plan.h) - 1, 1)
     np.testing.assert_allclose(height_gaps(lay)[:, -1, -1], last, atol=1e-9)

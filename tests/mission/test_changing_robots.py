@@ -16,9 +16,9 @@ import hitchopt as ho
 from hitchopt.mission.problem import DronesStart, HitchStart
 from hitchopt.motion.chapters import chapters
 from hitchopt.motion.motion import CableState
-from hitchopt.planners.forming.joining import corner_cut, corner_restored
+from hitchopt.planners.forming.ring_change import corner_cut, corner_restored
 from hitchopt.planners.timing.ramps import MIN_PHASE, fastest_clock, fastest_ramps
-from hitchopt.steps.joining import cut_outlines
+from hitchopt.steps.ring_change import cut_outlines
 from hitchopt.steps.step import RolledLegs
 
 Q = np.array([[-0.8, 1.8, 0], [-0.8, 0.6, 0], [-0.8, -0.6, 0], [-0.8, -1.8, 0], [-2.8, -1.0, 0]])

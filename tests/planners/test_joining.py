@@ -17,8 +17,8 @@ from hitchopt.hitch.team import PartTeam
 from hitchopt.mission.loading import any_problem_from_dict
 from hitchopt.motion.chapters import chapters
 from hitchopt.motion.motion import Motion
-from hitchopt.planners.forming.joining import (
-    JoiningMotions,
+from hitchopt.planners.forming.ring_change import (
+    RingChangeMotions,
     corner_cut,
     corner_restored,
     find_joining,
@@ -136,17 +136,17 @@ def test_two_robots_that_have_left_wait_at_different_places() -> None:
     before = Hitch.balanced(PartTeam.of(whole, [0, 1, 2]), ho.regular_polygon(3, 1.4), 2.0)
     ring, outline = PartTeam.of(whole, [3, 0, 1, 2]), corner_cut(before.polygon, 0, 0.5)
     joined = find_joining(before, ring, 0, outline, np.ones(3), 1.0, kept)
-    first = JoiningMotions(joined, whole, {}, kept, 0).waiting_position()
-    second = JoiningMotions(joined, whole, {4: first}, kept, 0).waiting_position()
+    first = RingChangeMotions(joined, whole, {}, kept, 0).waiting_position()
+    second = RingChangeMotions(joined, whole, {4: first}, kept, 0).waiting_position()
     apart = np.linalg.norm((second[:, None] - first)[..., :2], axis=-1)
     assert np.min(apart) >= 0.5
     over = joined.robot_clear(kept)[0]
     upright = np.array([[4.0, 0.0, 1.0], [4.0, 0.0, 2.0]])  # one over the other
-    prism = JoiningMotions(joined, whole, {4: upright}, kept, 0)._prism(4, upright)
+    prism = RingChangeMotions(joined, whole, {4: upright}, kept, 0)._prism(4, upright)
     assert prism.lower < 0.5
     assert prism.upper > 2.0
     assert np.ptp(prism.corners, axis=0)[:2] == pytest.approx(2.0 * kept.separation.cable)
     narrow = replace(kept, arena=Arena(np.min(over, axis=0) - 0.05, np.max(over, axis=0) + 0.05))
     np.testing.assert_array_equal(
-        JoiningMotions(joined, whole, {}, narrow, 0).waiting_position(), over
+        RingChangeMotions(joined, whole, {}, narrow, 0).waiting_position(), over
     )

@@ -16,18 +16,18 @@ from plans import planned
 
 import hitchopt as ho
 from hitchopt import verify as second
-from hitchopt.checks import joining
-from hitchopt.checks.joining import interlacing, vertical_passes
+from hitchopt.checks import ring_change
 from hitchopt.checks.registry import RULE_OF, check_of
+from hitchopt.checks.ring_change import interlacing, vertical_passes
 from hitchopt.errors import FileError
 from hitchopt.hitch import GRAVITY, Hitch
 from hitchopt.hitch.team import PartTeam
 from hitchopt.motion.chapters import chapters, with_waiting
-from hitchopt.motion.motion import CableState, Motion, Phase, joined_motions
+from hitchopt.motion.motion import CableState, Motion, Phase, concatenated
 from hitchopt.motion.plan_file import read_plan, write_plan
 from hitchopt.motion.retiming import shifted
-from hitchopt.planners.forming.joining import Joining
 from hitchopt.planners.forming.laying import roll_motion
+from hitchopt.planners.forming.ring_change import RingChange
 
 Flags = NDArray[np.bool_]
 Change = Callable[[Motion], Motion]
@@ -339,7 +339,7 @@ def other_leg_first(motion: Motion) -> Motion:
     q_legs = ring.legs.coefficients[k, :, 0, 0]
     outline = ho.ConvexPolygon(points[:, :2])
     hitch = Hitch(PartTeam.of(motion.team, WITH), outline, float(points[0, 2]), q_legs, np.zeros(4))
-    both = [Joining(hitch, hitch, 0, sign * np.ones(3), 1.0).rolls for sign in (-1.0, 1.0)]
+    both = [RingChange(hitch, hitch, 0, sign * np.ones(3), 1.0).rolls for sign in (-1.0, 1.0)]
     off = [np.max(np.abs(x[0].drones(np.ones(1))[0] - c[half, ..., 0])) for x in both]
     assert min(off) < 0.01 < max(off)
     wrong = both[int(np.argmax(off))]
@@ -355,7 +355,7 @@ def other_leg_first(motion: Motion) -> Motion:
     before = motion.slice_pieces(slice(0, int(pieces[0][0])), motion.phases[: rolls[0]])
     rest = slice(int(pieces[-1][-1]) + 1, None)
     after = motion.slice_pieces(rest, motion.phases[rolls[-1] + 1 :])
-    return joined_motions([before, *parts, shifted(after, -float(after.drones.breaks[0]))])
+    return concatenated([before, *parts, shifted(after, -float(after.drones.breaks[0]))])
 
 
 LIES: dict[str, tuple[Change, str, str]] = {
@@ -557,7 +557,7 @@ def test_edges_of_a_ring_that_moves_are_kept_off() -> None:
 def test_thrusts_jump_at_seams_by_less_than_a_cable_weighs(monkeypatch: pytest.MonkeyPatch) -> None:
     motion, tension = honest(), RULE_OF["tension"]
     assert check_of(tension, motion).holds  # type: ignore[union-attr]
-    monkeypatch.setattr(joining, "GRAVITY", 0.1 * GRAVITY)  # of what cables may leave to others
+    monkeypatch.setattr(ring_change, "GRAVITY", 0.1 * GRAVITY)  # of what cables may leave to others
     found = check_of(tension, motion)
     assert found is not None
     assert 1e-3 < found.bound < np.max(motion.team.cable_weight) * 2.0

@@ -18,7 +18,7 @@ from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.holding import residual_grip
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.motion.motion import Motion, Phase, PhaseHold, joined_motions
+from hitchopt.motion.motion import Motion, Phase, PhaseHold, concatenated
 from hitchopt.objects import SolidObject
 from hitchopt.planners.carrying.holds import GripHold, HoldingHitch
 from hitchopt.planners.carrying.moves import Move, SmoothLaw
@@ -73,7 +73,7 @@ def one_phase(
     hold: PhaseHold | None = None,
 ) -> Motion:
     """Return consecutive motions as one phase of a step, with all remarks."""
-    motion = joined_motions([each.replaced(requirements=requirements) for each in parts])
+    motion = concatenated([each.replaced(requirements=requirements) for each in parts])
     pulls, tension = motion.tensions.coefficients, None
     if np.any(pulls != motion.team.tension[:, None]):
         tension = float(np.min(pulls)), float(np.max(pulls))

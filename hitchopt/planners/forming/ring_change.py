@@ -138,7 +138,7 @@ def corner_restored(polygon: Any, edge: int, robot: int) -> tuple[ConvexPolygon,
 
 
 @dataclass(frozen=True, eq=False)
-class Joining:
+class RingChange:
     """A ring without a robot and with it."""
 
     before: Hitch  # the ring without the robot
@@ -264,7 +264,7 @@ class Joining:
             heights.append(points[end, 2] + share * leg[2])
         return float(self.senses[self.corner] * (heights[0] - heights[1]))
 
-    def checked(self) -> Joining:
+    def checked(self) -> RingChange:
         """Return the joining, or raise InfeasibleError if cut edges sag too much."""
         ratio = self._sag_margin(self.drones_laid)
         if ratio < 1.0:
@@ -357,7 +357,7 @@ def find_joining(
     senses: Array,
     side: float,
     requirements: Requirements,
-) -> Joining:
+) -> RingChange:
     """Return a robot's joining with a slack split that keeps all distances.
 
     ``team`` is the ring with the robot, ``outline`` its polygon. If no split of the robot's own
@@ -379,11 +379,11 @@ def find_joining(
     ends[:, (k + 1) % n] += cut[1]
     roll = np.insert(before.roll, k, 0.0)
 
-    def candidate(i: int) -> Joining:
+    def candidate(i: int) -> RingChange:
         """Return the joining with the i-th split."""
         start = Hitch(before.team, before.polygon, before.altitude, starts[i], before.roll)
         after = Hitch(team, outline, before.altitude, ends[i], roll)
-        return Joining(start, after, vertex, senses, side)
+        return RingChange(start, after, vertex, senses, side)
 
     margins = _rest_margins(team, outline, ends, roll, requirements)
     margins = np.minimum(margins, _sliding_margins(before, starts, requirements))
@@ -425,15 +425,15 @@ def _sliding_margins(hitch: Hitch, q_legs: Array, requirements: Requirements) ->
 
 
 def _best_joining(
-    candidate: Callable[[int], Joining], rest_margins: Array, requirements: Requirements
-) -> Joining:
+    candidate: Callable[[int], RingChange], rest_margins: Array, requirements: Requirements
+) -> RingChange:
     """Return the first joining with a sufficient margin, else the one with the largest.
 
     Candidates are those that keep all limits at rest, where they have ``rest_margins`` (J,); if
     there are none, those with the largest margin there.
     """
 
-    def joinings() -> Iterator[tuple[float, Joining]]:
+    def joinings() -> Iterator[tuple[float, RingChange]]:
         largest = -np.inf
         for i in np.flatnonzero(rest_margins >= min(1.0, np.max(rest_margins))).tolist():
             if rest_margins[i] > largest:
@@ -455,7 +455,7 @@ def find_leaving(
     requirements: Requirements,
     *,
     slides: bool = True,
-) -> Joining:
+) -> RingChange:
     """Return a robot's leaving, as the reversed joining, with a slack split as in ``find_joining``.
 
     ``after`` and ``senses`` (n,) are of the ring with the robot, ``team`` and ``outline`` of the
@@ -483,15 +483,15 @@ def find_leaving(
     margins = np.where(shortest < limit, -np.inf, margins)
     starts = np.delete(starts, k, axis=1)
 
-    def candidate(i: int, corner: float) -> Joining:
+    def candidate(i: int, corner: float) -> RingChange:
         """Return the leaving with the i-th split and a sense of the restored corner."""
         senses_before = np.delete(senses, k)
         senses_before[k % team.robots] = corner
         end = Hitch(after.team, after.polygon, after.altitude, ends[i], after.roll)
         start = Hitch(team, outline, after.altitude, starts[i], np.delete(after.roll, k))
-        return Joining(start, end, k, senses_before, float(senses[k]))
+        return RingChange(start, end, k, senses_before, float(senses[k]))
 
-    def priority(joining: Joining) -> tuple[float, bool]:
+    def priority(joining: RingChange) -> tuple[float, bool]:
         """Return the margin up to the sufficient one, and whether legs are unchanged."""
         unchanged = np.array_equal(joining.after.q_legs, after.q_legs)
         return min(joining.margin(requirements), SUFFICIENT_MARGIN), unchanged
@@ -530,10 +530,10 @@ def landing_motion(
 
 
 @dataclass(frozen=True, eq=False)
-class JoiningMotions:
+class RingChangeMotions:
     """The motions of the whole team while a robot joins."""
 
-    joining: Joining  # the rings
+    joining: RingChange  # the rings
     whole: Team  # the team
     # drones (2, 3) [m] of all other robots that are in neither ring, by robot
     waiting: Mapping[int, Array]

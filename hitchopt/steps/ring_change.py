@@ -15,7 +15,7 @@ from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.geometry import ConvexPolygon, Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import cable_slack
-from hitchopt.motion.motion import joined_motions
+from hitchopt.motion.motion import concatenated
 from hitchopt.steps.moving import Adjust, Morph
 from hitchopt.steps.step import (
     INDEX,
@@ -32,7 +32,7 @@ from hitchopt.values.fields import Key
 from hitchopt.values.units import LENGTH
 
 if TYPE_CHECKING:
-    from hitchopt.planners.forming.joining import Joining
+    from hitchopt.planners.forming.ring_change import RingChange
 
 Ring = tuple[int, ...]
 
@@ -78,7 +78,7 @@ class Join(Step):
 
     def polygon_after(self, team: Team, outline: Any) -> ConvexPolygon:  # noqa: ARG002
         """Return the outline with the vertex cut off."""
-        from hitchopt.planners.forming.joining import corner_cut
+        from hitchopt.planners.forming.ring_change import corner_cut
 
         return corner_cut(outline, self.vertex, self.cut)
 
@@ -89,7 +89,7 @@ class Join(Step):
 
 def join_plan(step: Join, task: StepTask, side: float) -> StepPlan:
     """Return the plan of a robot that joins from above (``side`` 1) or from below (-1)."""
-    from hitchopt.planners.forming.joining import JoiningMotions, find_joining
+    from hitchopt.planners.forming.ring_change import RingChangeMotions, find_joining
     from hitchopt.steps.certified_motions import check_at_rest
 
     before, hitch, requirements = task.before, task.hitch, task.requirements
@@ -101,12 +101,12 @@ def join_plan(step: Join, task: StepTask, side: float) -> StepPlan:
     check_at_rest(joined.after, requirements, f"at the end of step {task.index} (join)")
     waiting = dict(before.waiting)
     start = waiting.pop(step.robot)
-    joins = JoiningMotions(joined, before.whole_team, waiting, requirements, task.index)
+    joins = RingChangeMotions(joined, before.whole_team, waiting, requirements, task.index)
     parts = [joins.opening(start), *joins.arrival_motions(start), *joins.tying_motions()]
     after = state_after_join(before, joined, waiting)
     adjusting = adjusting_motions(task, joined.before.q_legs)
     slides = [before.with_waiting(each, requirements) for each in adjusting]
-    motion = joined_motions([*slides, *parts])
+    motion = concatenated([*slides, *parts])
     return _require_certified(StepPlan(motion, after))
 
 
@@ -132,7 +132,9 @@ def _require_certified(plan: StepPlan) -> StepPlan:
     return plan
 
 
-def state_after_join(before: RestState, joined: Joining, waiting: Mapping[int, Array]) -> RestState:
+def state_after_join(
+    before: RestState, joined: RingChange, waiting: Mapping[int, Array]
+) -> RestState:
     """Return the state after a robot has joined."""
     return replace(
         before,
@@ -165,14 +167,14 @@ class Withdraw(Step):
 
     def polygon_after(self, team: Team, outline: Any) -> Outline:
         """Return the outline with the corner restored."""
-        from hitchopt.planners.forming.joining import corner_restored
+        from hitchopt.planners.forming.ring_change import corner_restored
 
         index = _ring_index("robot", self.robot, team.labels)
         return corner_restored(outline, index, self.robot)[0]
 
-    def leaving(self, task: StepTask, hitch: Hitch, *, slides: bool = True) -> Joining:
+    def leaving(self, task: StepTask, hitch: Hitch, *, slides: bool = True) -> RingChange:
         """Return the withdrawal from a hitch, to whose legs cables slide first if ``slides``."""
-        from hitchopt.planners.forming.joining import corner_restored, find_leaving
+        from hitchopt.planners.forming.ring_change import corner_restored, find_leaving
 
         before, requirements = task.before, task.requirements
         ring = before.team.labels
@@ -185,14 +187,16 @@ class Withdraw(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of the withdrawal: a join in reverse."""
-        from hitchopt.planners.forming.joining import JoiningMotions
+        from hitchopt.planners.forming.ring_change import RingChangeMotions
         from hitchopt.planners.forming.stages import reversed_stages
         from hitchopt.steps.certified_motions import check_at_rest
 
         before, requirements = task.before, task.requirements
         joined = self.leaving(task, task.hitch)
         check_at_rest(joined.before, requirements, f"at the end of step {task.index} (withdraw)")
-        joins = JoiningMotions(joined, before.whole_team, before.waiting, requirements, task.index)
+        joins = RingChangeMotions(
+            joined, before.whole_team, before.waiting, requirements, task.index
+        )
         aside = joins.waiting_position()
         parts = [joins.opening(aside), *joins.return_motions(aside), *joins.tying_motions()]
         after = replace(
@@ -206,7 +210,7 @@ class Withdraw(Step):
         )
         adjusting = adjusting_motions(task, joined.after.q_legs)
         slides = [before.with_waiting(each, requirements) for each in adjusting]
-        motion = joined_motions([*slides, *reversed_stages(parts)])
+        motion = concatenated([*slides, *reversed_stages(parts)])
         return _require_certified(StepPlan(motion, after))
 
 
