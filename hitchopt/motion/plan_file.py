@@ -226,7 +226,8 @@ def _group(key: str, head: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
         check_overlaps(objects)
     except InputError as error:
         raise error.within(f"{key}.{name}" if name else key) from error
-    return Group(name, motion, text("digest", head["digest"]), text("plan", head["plan"]))
+    origin = [text(label, head[label]) for label in ("digest", "plan")]
+    return Group(name, motion, *(origin if key == OTHERS else ()))
 
 
 def _check_groups(groups: Sequence[Group]) -> None:

@@ -90,7 +90,7 @@ def test_the_command_ends_with_3_where_a_limit_is_broken(tmp_path: Path) -> None
     with np.load(path) as file:
         arrays = dict(file)
     settings = json.loads(str(arrays["settings"]))
-    settings["limits"]["jerk"] = settings["asked"]["limits"]["jerk"] = 10.0
+    settings["groups"][0]["records"]["requirements"]["limits"]["jerk"] = 10.0
     np.savez(path, **{**arrays, "settings": np.array(json.dumps(settings))})
     run = CliRunner().invoke(main, command)
     assert run.exit_code == 3
