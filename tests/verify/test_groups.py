@@ -248,7 +248,7 @@ MEMBERS = [
     "groups/0/",
     "groups/0/drones.npy",
 ]
-"""Names that numpy, or readers that ignore case or normalise names, take for the array of drones."""
+"""Names that numpy, or readers that ignore case or normalise names, take for drones of a team."""
 
 
 @pytest.mark.parametrize("name", MEMBERS)
