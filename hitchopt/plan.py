@@ -13,9 +13,6 @@ from numpy.typing import ArrayLike
 from hitchopt.checks import Certificate, certify
 from hitchopt.checks.closeness import SPANS, Closeness, closeness
 from hitchopt.errors import FileError, InputError, OneLine, Progress, short
-from hitchopt.exports.directory import REPORT, SUMMARY, save_plan
-from hitchopt.exports.exporting import Export, export_motion
-from hitchopt.exports.options import ExportOptions
 from hitchopt.hitch import Hitch
 from hitchopt.mission.others import NAME, named_groups
 from hitchopt.motion.combined import combined
@@ -32,6 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from pandas import DataFrame
 
+    from hitchopt.exports.exporting import Export
     from hitchopt.view.live import LiveView
 
 
@@ -153,6 +151,7 @@ class Plan(OneLine):
         InputError: the rate is not positive.
         FileError: the directory is not writable.
         """
+        from hitchopt.exports.directory import REPORT, SUMMARY, save_plan
         from hitchopt.view.pictures import draw_summary
         from hitchopt.view.style import save_figure
 
@@ -183,6 +182,8 @@ class Plan(OneLine):
         ``ghost`` is the file or directory of another plan, a simulated flight or an evaluation to
         show for comparison.
         """
+        from hitchopt.exports.directory import REPORT
+
         folder = path("directory", directory)
         writers = {REPORT: lambda file: self._write_report(file, folder, ghost)}
         return replace_files(folder, writers, (REPORT,), seal=REPORT) / REPORT
@@ -260,6 +261,9 @@ class Plan(OneLine):
             the plan, or a limit is violated in the format; nothing is written.
         UnsupportedError: a library that the format needs is not installed.
         """
+        from hitchopt.exports.exporting import export_motion
+        from hitchopt.exports.options import ExportOptions
+
         parsed = ExportOptions(text("format", format), **options)
         place = path("folder", folder)
         return export_motion(self.motion, self.title, parsed, place, progress, self.problem)
