@@ -22,7 +22,6 @@ import numpy as np
 from hitchopt.checks.certificate import Check
 from hitchopt.checks.clearance import CHAIN_TOLERANCE, Solid, from_above
 from hitchopt.checks.distances import (
-    MIN_GAP,
     Moving,
     nearest,
     smallest,
@@ -35,6 +34,7 @@ from hitchopt.checks.ring_change import vertical_passes
 from hitchopt.checks.rule import CheckRule, WorstCase
 from hitchopt.checks.spans import ROUNDING, cable_names, cable_parts, cached, magnitude, part_names
 from hitchopt.checks.tracking import Ellipsoid
+from hitchopt.hitch.pairs import DISTANCES
 from hitchopt.hitch.requirements import Separation
 from hitchopt.motion.combined import moved_objects, same_object
 from hitchopt.motion.motion import CLASPED_STATES, Group, Motion
@@ -303,32 +303,22 @@ def _pairs_with_shape(
     )
 
 
-ACROSS: dict[str, tuple[Callable[[Run], Iterable[Moving]], Callable[[Separation], float]]] = {
-    "separation": (drone_pairs, lambda _: 1.0),
-    "cable_clearance": (drones_and_cables, lambda s: max(s.cable, MIN_GAP)),
-    "crossing": (cable_pairs, lambda s: max(s.crossing, MIN_GAP)),
-    "keep_out": (drones_and_objects, lambda s: s.radius),
-    "downwash": (drones_above, lambda _: 1.0),
-    "object_clearance": (cables_and_objects, lambda s: max(s.object, MIN_GAP)),
+ACROSS: dict[str, Callable[[Run], Iterable[Moving]]] = {
+    "separation": drone_pairs,
+    "cable_clearance": drones_and_cables,
+    "crossing": cable_pairs,
+    "keep_out": drones_and_objects,
+    "downwash": drones_above,
+    "object_clearance": cables_and_objects,
 }
-"""Pairs between groups and their required distances, by check."""
-
-APPROACH: dict[str, Callable[[float], float]] = {
-    "cable_clearance": lambda ratio: 1.0 + ratio,
-    "crossing": lambda ratio: 2.0 * ratio,
-    "keep_out": lambda ratio: 1.0 + ratio,
-    "downwash": lambda ratio: 1.0 + ratio,
-    "object_clearance": lambda ratio: 2.0 * ratio,
-}
-"""Approach of two bodies per radius of tracking errors, by the larger one of 1 and γ."""
+"""Pairs between groups, by check of DISTANCES."""
 
 
 def check_across(rule: CheckRule, motion: Motion) -> Check | None:
     """Return the check of a rule between groups; None if nothing is compared."""
     if rule.name not in ACROSS:
         return None
-    pairs, distance_of = ACROSS[rule.name]
-    limit = distance_of(motion.requirements.separation)
+    pairs, limit = ACROSS[rule.name], DISTANCES[rule.name].limit(motion.requirements.separation)
     evaluate = nearest(lambda whole: (each for run in runs(whole) for each in pairs(run)))
     worst = evaluate(motion, limit)
     return None if math.isinf(worst.worst) else worst.check(rule, limit)
@@ -339,8 +329,8 @@ def radius_across(motion: Motion, checks: Iterable[Check | None], gamma: float) 
     terms, ratio = [WorstCase(math.inf, 0.0)], max(1.0, gamma)
     smallest_axis = 0.5 / float(np.max(motion.requirements.separation.scale))  # [m]
     for check in filter(None, checks):
-        if check.name in APPROACH:
-            slack = max(check.bound - check.number, 0.0) / APPROACH[check.name](ratio)
+        if check.name in DISTANCES and check.name != "separation":  # drones: below, exactly
+            slack = max(check.bound - check.number, 0.0) / DISTANCES[check.name].approach(ratio)
             slack *= smallest_axis if check.unit == "ratio" else 1.0
             terms.append(WorstCase(slack, check.time, check.where))
     tightest = min(terms, key=lambda term: term.worst)

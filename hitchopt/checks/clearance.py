@@ -28,7 +28,6 @@ import numpy as np
 from hitchopt.checks.certificate import Check, with_tolerance, worst_of
 from hitchopt.checks.distances import (
     GROUND,
-    MIN_GAP,
     UNBOUNDED,
     Flags,
     Ground,
@@ -65,7 +64,7 @@ from hitchopt.hitch.catenary import (
     displacement_bound,
     level_length,
 )
-from hitchopt.hitch.pairs import CABLE, PAIRS, Bodies
+from hitchopt.hitch.pairs import CABLE, DISTANCES, Bodies
 from hitchopt.hitch.requirements import Arena
 from hitchopt.motion.chapters import parts_of
 from hitchopt.motion.loads import held_pieces
@@ -408,7 +407,7 @@ CABLE_CLEARANCE = CheckRule(
     "cable_clearance",
     "m",
     "min",
-    lambda motion: max(PAIRS[CABLE].limit(motion.requirements.separation), MIN_GAP),
+    lambda motion: DISTANCES["cable_clearance"].limit(motion.requirements.separation),
     (
         Evaluator(nearest(_drones_and_taut), HITCHED_STATE, exported=True, formulas=(gap,)),
         Evaluator(nearest(_drones_and_chords), ON_GROUND, exported=True),
@@ -527,7 +526,9 @@ OBJECT_CLEARANCE = CheckRule(
     "m",
     "min",
     lambda motion: (
-        max(motion.requirements.separation.object, MIN_GAP) if motion.requirements.objects else None
+        DISTANCES["object_clearance"].limit(motion.requirements.separation)
+        if motion.requirements.objects
+        else None
     ),
     (
         Evaluator(nearest(_taut_and_objects), HITCHED_STATE, exported=True, formulas=(gap,)),

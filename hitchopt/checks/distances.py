@@ -40,7 +40,7 @@ from hitchopt.geometry import differences, hull_offset, shortest_offset
 from hitchopt.geometry.broadphase import Boxes, Pairs, few_close_pairs
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch.pairs import CROSSING as CROSSING_PAIR
-from hitchopt.hitch.pairs import PAIRS, Bodies
+from hitchopt.hitch.pairs import DISTANCES, Bodies
 from hitchopt.motion.motion import CLASPED_STATES, FREE_STATES, HITCHED_STATE, CableState, Motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
@@ -58,9 +58,6 @@ MAX_PER_BODY, MAX_DEPTH = 12, 8
 TIE, SLACK = 1e-6, 1e-9
 # Name of the ground, and half size [m] of bodies that model unbounded ones
 GROUND, UNBOUNDED = "ground", 1e3
-# [m] Closer cables may touch, and pass through each other, regardless of limits: a hundred times
-# the largest jump at a joint
-MIN_GAP = 1e-4
 Flags = NDArray[np.bool_]
 
 
@@ -517,7 +514,7 @@ CROSSING = CheckRule(
     "crossing",
     "m",
     "min",
-    lambda motion: max(PAIRS[CROSSING_PAIR].limit(motion.requirements.separation), MIN_GAP),
+    lambda motion: DISTANCES["crossing"].limit(motion.requirements.separation),
     (
         Evaluator(nearest(_taut_parts), HITCHED_STATE, formulas=(gap,)),
         Evaluator(nearest(_hanging_cables), FREE_STATES, exported=True),

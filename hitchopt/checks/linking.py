@@ -41,7 +41,6 @@ from hitchopt.checks.clearance import above_ground, cables_and_drones, chains
 from hitchopt.checks.distances import (
     CROSSING,
     MAX_SIDEWAYS,
-    MIN_GAP,
     Flags,
     Moving,
     PairSpans,
@@ -67,6 +66,7 @@ from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.forces import cable_of, sag_factors
+from hitchopt.hitch.pairs import MIN_GAP
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, JOINT, CableState, Motion, Phase
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.enclosed import Enclosed

@@ -20,7 +20,6 @@ from hitchopt.checks.clasps import Corner, cut_corners
 from hitchopt.checks.distances import (
     CROSSING,
     MAX_SIDEWAYS,
-    MIN_GAP,
     Flags,
     distance,
     upright_pieces,
@@ -30,6 +29,7 @@ from hitchopt.checks.rule import WorstCase
 from hitchopt.checks.spans import clasped_pairs, leg_vectors, position_margin
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.catenary import Catenary
+from hitchopt.hitch.pairs import MIN_GAP
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.bernstein import same_degree

@@ -26,31 +26,77 @@ MAX_SWEPT_PAIRS = 20
 """Maximum number of close pairs per body, each counted twice, of frames processed together."""
 
 
+MIN_GAP = 1e-4
+"""[m] Closer cables may touch, and pass through each other, regardless of limits: a hundred times
+the largest jump at a joint."""
+
+
 @dataclass(frozen=True)
-class PairRule:
-    """The distance rule of a kind of pairs: check, limit [m], and weight of height differences."""
+class DistanceRule:
+    """A distance that bodies keep, within a team and between teams.
+
+    Parameters
+    ----------
+    check: name of the check.
+    kinds: kinds of bodies that keep it; ``taut`` are parts of taut cables, ``objects`` those that a
+        team moves.
+    limit: smallest distance [m], or ratio.
+    approach: approach of two bodies of different teams per radius of tracking errors, by the larger
+        one of 1 and γ.
+    """
 
     check: str
+    kinds: tuple[tuple[str, str], ...]
     limit: Callable[[Separation], float]
-    height: Callable[[Separation], float] = lambda _: 1.0
+    approach: Callable[[float], float]
 
 
-PAIRS = (
-    PairRule("separation", lambda s: 2.0 * s.radius, lambda s: s.radius / s.height),
-    PairRule("cable_clearance", lambda s: s.cable),
-    PairRule("crossing", lambda s: s.crossing),
-)
-"""The rules by kind."""
+DISTANCES = {
+    rule.check: rule
+    for rule in (
+        DistanceRule("separation", (("drones", "drones"),), lambda _: 1.0, lambda _: 2.0),
+        DistanceRule(
+            "cable_clearance",
+            (("drones", "cables"),),
+            lambda s: max(s.cable, MIN_GAP),
+            lambda ratio: 1.0 + ratio,
+        ),
+        DistanceRule(
+            "crossing",
+            (("cables", "cables"),),
+            lambda s: max(s.crossing, MIN_GAP),
+            lambda ratio: 2.0 * ratio,
+        ),
+        DistanceRule(
+            "keep_out", (("drones", "objects"),), lambda s: s.radius, lambda ratio: 1.0 + ratio
+        ),
+        DistanceRule(
+            "downwash",
+            (("drones", "taut"), ("drones", "objects")),
+            lambda _: 1.0,
+            lambda ratio: 1.0 + ratio,
+        ),
+        DistanceRule(
+            "object_clearance",
+            (("cables", "objects"), ("objects", "objects")),
+            lambda s: max(s.object, MIN_GAP),
+            lambda ratio: 2.0 * ratio,
+        ),
+    )
+}
+"""All distances, by check: checks, start times and searches read them here."""
 
 
 def limits_of(separation: Separation) -> Array:
-    """Return the smallest distances (3,) [m] by kind."""
-    return np.array([rule.limit(separation) for rule in PAIRS])
+    """Return the smallest distances (3,) [m] by kind of pairs, as planners keep them."""
+    return np.array([2.0 * separation.radius, separation.cable, separation.crossing])
 
 
 def scales_of(separation: Separation) -> Array:
-    """Return the scale factors (3, 3) of the axes in distances, by kind."""
-    return np.array([[1.0, 1.0, rule.height(separation)] for rule in PAIRS])
+    """Return the scale factors (3, 3) of the axes in distances, by kind of pairs."""
+    scales = np.ones((3, 3))
+    scales[SEPARATION, 2] = separation.radius / separation.height
+    return scales
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,6 +22,7 @@ from hitchopt.checks.regions import cable_sheets
 from hitchopt.errors import check_time
 from hitchopt.geometry import differences, hull_distance, shortest_offset
 from hitchopt.geometry.vectors import length
+from hitchopt.hitch.pairs import DISTANCES
 from hitchopt.hitch.requirements import Separation
 from hitchopt.motion.motion import Group
 from hitchopt.trajectory import PiecewisePolynomial
@@ -131,19 +132,12 @@ def _pairs(
 
     The second value is whether the bodies of b come first.
     """
-    yield "separation", False, a.drones, b.drones, 1.0
-    for check, one, other, limit in (
-        ("cable_clearance", "drones", "cables", separation.cable),
-        ("crossing", "cables", "cables", separation.crossing),
-        ("keep_out", "drones", "objects", separation.radius),
-        ("downwash", "drones", "taut", 1.0),
-        ("downwash", "drones", "objects", 1.0),
-        ("object_clearance", "cables", "objects", separation.object),
-        ("object_clearance", "objects", "objects", separation.object),
-    ):
-        for swapped in (False, True)[: 1 + (one != other)]:
-            first, second = (b, a) if swapped else (a, b)
-            yield check, swapped, getattr(first, one), getattr(second, other), limit
+    for rule in DISTANCES.values():
+        for one, other in rule.kinds:
+            for swapped in (False, True)[: 1 + (one != other)]:
+                first, second = (b, a) if swapped else (a, b)
+                bodies = getattr(first, one), getattr(second, other)
+                yield rule.check, swapped, *bodies, rule.limit(separation)
 
 
 def slacks(a: Track, b: Track, separation: Separation) -> Array:
