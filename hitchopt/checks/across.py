@@ -83,7 +83,7 @@ class Run:
         """Rounding error of differences of positions [m]."""
         return ROUNDING * (magnitude(self.first.motion) + magnitude(self.second.motion))
 
-    def moving(self, first: Bodies, second: Bodies, **options: object) -> Moving:
+    def moving(self, first: MovingBodies, second: MovingBodies, **options: object) -> Moving:
         """Return the pairs of bodies of the first and the second group."""
         order = max(bernstein.degree(first.corners), bernstein.degree(second.corners))
         a, b = (bernstein.elevate(each.corners, order) for each in (first, second))
@@ -96,7 +96,7 @@ class Run:
 
 
 @dataclass(frozen=True, eq=False)
-class Bodies:
+class MovingBodies:
     """Bodies of a group: corners (pieces, bodies, k, 3, degree + 1) [m], and names.
 
     Upright regions have an ``outline``: the number of corners that span them in plan view.
@@ -145,23 +145,23 @@ def _runs(first: Group, second: Group, separation: Separation) -> Iterator[Run]:
         yield Run(a, b, separation)
 
 
-def drones_of(side: Side) -> Bodies:
+def drones_of(side: Side) -> MovingBodies:
     """Return the drones of a group."""
     names = side.labels(side.motion.team.drone_names)
-    return Bodies(side.motion.drones.coefficients[:, :, None], names)
+    return MovingBodies(side.motion.drones.coefficients[:, :, None], names)
 
 
-def cables_of(side: Side, *, parts: bool = False) -> Bodies | None:
+def cables_of(side: Side, *, parts: bool = False) -> MovingBodies | None:
     """Return the cables of a group, if ``parts`` with names of taut parts; None without cables."""
     motion, sheets = side.motion, side.sheets
     if sheets is None:
         return None
     names = cable_names(motion)
     if not motion.formed[0]:
-        return Bodies(sheets.corners, side.labels(names), sheets.outline)
+        return MovingBodies(sheets.corners, side.labels(names), sheets.outline)
     corners, part = cable_parts(motion)
     own = part_names(motion, part) if parts else [names[k // 3] for k in part.tolist()]
-    return Bodies(corners, side.labels(own))
+    return MovingBodies(corners, side.labels(own))
 
 
 def drone_pairs(run: Run) -> Iterator[Moving]:
@@ -263,7 +263,7 @@ def cables_and_objects(run: Run) -> Iterator[Moving]:
                     for label, other_body, other_pose in _objects(one, other):
                         for block in other_body.slabs:
                             corners = placed_corners(other_pose, block)
-                            bodies = Bodies(corners.c, (label,))
+                            bodies = MovingBodies(corners.c, (label,))
                             solid = Solid(slab, block.section.rounding)
                             yield _pairs_with_shape(
                                 run, bodies, name, solid, pose, float(np.max(corners.r))
@@ -271,7 +271,7 @@ def cables_and_objects(run: Run) -> Iterator[Moving]:
 
 
 def _pairs_with_cables(
-    run: Run, side: Side, cables: Bodies, label: str, slab: Slab, pose: Enclosed
+    run: Run, side: Side, cables: MovingBodies, label: str, slab: Slab, pose: Enclosed
 ) -> Moving:
     """Return the pairs of cables and a slab that moves with a pose.
 
@@ -288,7 +288,7 @@ def _pairs_with_cables(
 
 
 def _pairs_with_shape(
-    run: Run, bodies: Bodies, label: str, shape: Solid, pose: Enclosed, error: float = 0.0
+    run: Run, bodies: MovingBodies, label: str, shape: Solid, pose: Enclosed, error: float = 0.0
 ) -> Moving:
     """Return the pairs of bodies and a shape that moves with a pose."""
     local = in_object_frame(pose, Enclosed(bodies.corners))
