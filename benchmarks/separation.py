@@ -19,7 +19,7 @@ from scipy.interpolate import BSpline
 
 import hitchopt as ho
 from benchmarks.measuring import Table, parser, slope, timed
-from hitchopt.mission.loading import any_problem_from_dict
+from hitchopt.mission.loading import any_problem_from_dict, of_kind
 from hitchopt.planners.timing.ramps import fastest_ramps
 from problems.swarm import antipodal_circle, random_crowd, random_team
 
@@ -35,23 +35,20 @@ DEGREE, POINTS, KNOTS, FIXED = 5, 14, 24, 3
 points at either end that are fixed by rest."""
 
 
-def problem_of(data: dict[str, object]) -> ho.SwarmProblem:
+def problem_of(data: dict[str, object]) -> ho.Problem:
     """Return a problem of single drones."""
-    problem = any_problem_from_dict(data)
-    if not isinstance(problem, ho.SwarmProblem):
-        raise TypeError("not a problem of single drones")
-    return problem
+    return of_kind(any_problem_from_dict(data), "swarm")
 
 
-def bound(problem: ho.SwarmProblem) -> float:
+def bound(problem: ho.Problem) -> float:
     """Return the minimum duration of the drone with the longest distance alone [s]."""
     limits = problem.limits
-    distance = np.linalg.norm(problem.goal - problem.start, axis=1)
+    distance = np.linalg.norm(problem.mission[0].goal - problem.start, axis=1)
     durations, _ = fastest_ramps(distance, limits.speed, limits.acceleration, limits.jerk)
     return float(np.max(durations))
 
 
-def cells(problem: ho.SwarmProblem) -> tuple[float, float, float, float, str]:
+def cells(problem: ho.Problem) -> tuple[float, float, float, float, str]:
     """Return processor time, duration, its ratio to the bound, separation and certificate."""
     plan, elapsed = timed(lambda: ho.separate(problem))
     ratio, certificate = plan.duration / bound(problem), plan.certificate
@@ -107,19 +104,19 @@ def rival(table: Table) -> None:
         table.row(n, elapsed, duration, separation)
 
 
-def fly(problem: ho.SwarmProblem, limit: float = 120.0) -> tuple[float, float]:
+def fly(problem: ho.Problem, limit: float = 120.0) -> tuple[float, float]:
     """Return the duration [s] of IPOPT's solution and its smallest separation, or nan.
 
     Drones are B-splines from rest to rest with free final time. The initial guess are lines that
     bulge to the right, which breaks the symmetry of circles.
     """
-    n, limits = problem.team.drones, problem.limits
+    n, limits, goal = problem.team.drones, problem.limits, problem.mission[0].goal
     spans = POINTS - DEGREE
     places = np.concatenate([np.zeros(DEGREE), np.linspace(0.0, 1.0, spans + 1), np.ones(DEGREE)])
     basis, s = BSpline(places, np.eye(POINTS), DEGREE), np.linspace(0.0, 1.0, KNOTS)
     opti = ca.Opti()
     inner, T = opti.variable(POINTS - 2 * FIXED, 3 * n), opti.variable()
-    ends = [ca.DM(np.tile(end.ravel(), (FIXED, 1))) for end in (problem.start, problem.goal)]
+    ends = [ca.DM(np.tile(end.ravel(), (FIXED, 1))) for end in (problem.start, goal)]
     control = ca.vertcat(ends[0], inner, ends[1])
     for order, limit_of_order in ((1, limits.speed), (2, limits.acceleration), (3, limits.jerk)):
         rate = ca.reshape(ca.mtimes(ca.DM(basis(s, order)), control).T, 3, n * KNOTS)
@@ -135,7 +132,7 @@ def fly(problem: ho.SwarmProblem, limit: float = 120.0) -> tuple[float, float]:
     opti.minimize(T)
     opti.set_initial(T, 1.2 * bound(problem))
     share = np.linspace(0.0, 1.0, POINTS - 2 * FIXED + 2)[1:-1, None, None]
-    line = problem.goal - problem.start
+    line = goal - problem.start
     right = np.column_stack([line[:, 1], -line[:, 0], np.zeros(n)])
     right /= np.maximum(np.linalg.norm(right, axis=1, keepdims=True), 1e-9)
     bulge = 1.2 * problem.separation.radius * n / np.pi * np.sin(np.pi * share) * right

@@ -25,7 +25,7 @@ Entry = tuple[int, float, float, ArrayLike, ArrayLike, float]
 """Robots, length of cables and edges [m], centroids at the start and the goal [m], turn [rad]."""
 
 
-def crossing(*entries: Entry, size: float) -> ho.TeamsProblem:
+def crossing(*entries: Entry, size: float) -> ho.Problem:
     """Return the problem of regular hitches that move simultaneously within ±size [m]."""
     teams, start, item = {}, {}, {}
     for name, (n, cable, edge, at, to, turn) in zip("abcdefghijkl", entries, strict=False):
@@ -35,7 +35,7 @@ def crossing(*entries: Entry, size: float) -> ho.TeamsProblem:
         start[name] = ho.HitchStart(polygon, float(z))
         item[name] = ho.Transport(np.asarray(to, dtype=float))
     arena = ho.Arena([-size, -size, 0.0], [size, size, 3.0])
-    return ho.TeamsProblem(teams, start, [item], arena=arena)
+    return ho.Problem(teams, start, [item], arena=arena)
 
 
 def places(rng: np.random.Generator, count: int, size: float, min_distance: float) -> list[Array]:
@@ -48,7 +48,7 @@ def places(rng: np.random.Generator, count: int, size: float, min_distance: floa
     return result
 
 
-def three() -> ho.TeamsProblem:
+def three() -> ho.Problem:
     """Return the problem of teams of 3, 4 and 6 robots that cross in 6 × 6 × 3 m."""
     entries: list[Entry] = [
         (3, 1.7, 0.9, [-2.0, -1.5, 1.5], [2.0, 1.5, 1.5], 0.0),
@@ -58,7 +58,7 @@ def three() -> ho.TeamsProblem:
     return crossing(*entries, size=3.0)
 
 
-def triangles(count: int = 10, seed: int = 0) -> ho.TeamsProblem:
+def triangles(count: int = 10, seed: int = 0) -> ho.Problem:
     """Return the problem of triangles on random goals in 12 × 12 × 3 m."""
     rng = np.random.default_rng(seed)
     starts, goals = (places(rng, count, 4.6, MIN_DISTANCE) for _ in range(2))
@@ -66,7 +66,7 @@ def triangles(count: int = 10, seed: int = 0) -> ho.TeamsProblem:
     return crossing(*[(3, 2.0, 1.0, a, b, 0.0) for a, b in ends], size=6.0)
 
 
-def pair(seed: int) -> ho.TeamsProblem:
+def pair(seed: int) -> ho.Problem:
     """Return the problem of two random regular hitches at different altitudes."""
     rng = np.random.default_rng(seed)
     starts, goals = (places(rng, 2, 2.6, MIN_DISTANCE) for _ in range(2))
@@ -78,7 +78,7 @@ def pair(seed: int) -> ho.TeamsProblem:
     return crossing(*entries, size=4.5)
 
 
-def outcome(problem: ho.TeamsProblem) -> tuple[float, float, str]:
+def outcome(problem: ho.Problem) -> tuple[float, float, str]:
     """Return the processor time [s], the plan's duration [s], and the reason without a plan."""
     start_time, duration, reason = time.process_time(), np.nan, ""
     try:

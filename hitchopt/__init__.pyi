@@ -50,11 +50,10 @@ from hitchopt.mission.loading import problem_from_dict as problem_from_dict
 from hitchopt.mission.loading import read_problem as read_problem
 from hitchopt.mission.others import Other as Other
 from hitchopt.mission.problem import DronesStart as DronesStart, HitchStart as HitchStart
-from hitchopt.mission.problem import Problem as Problem, SwarmProblem as SwarmProblem
+from hitchopt.mission.problem import Problem as Problem
 from hitchopt.mission.changes import Change as Change
 from hitchopt.mission.repair import Suggestion as Suggestion
 from hitchopt.mission.solving import forget as forget
-from hitchopt.mission.teams_problem import Fly as Fly, TeamsProblem as TeamsProblem
 from hitchopt.motion.motion import Motion as Motion, Phase as Phase
 from hitchopt.motion.states import States as States
 from hitchopt.objects import Rim as Rim, Section as Section, SolidObject as SolidObject
@@ -68,6 +67,7 @@ from hitchopt.steps import Morph as Morph, MoveEdge as MoveEdge, MoveVertex as M
 from hitchopt.steps import Release as Release, SetDown as SetDown, Settle as Settle
 from hitchopt.steps import Replace as Replace, Transport as Transport
 from hitchopt.steps import TransportObject as TransportObject, Withdraw as Withdraw
+from hitchopt.steps.flying import Fly as Fly
 from hitchopt.trajectory import PiecewisePolynomial as PiecewisePolynomial
 
 from hitchopt.geometry import Outline as _Outline

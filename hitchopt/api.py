@@ -11,20 +11,18 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Self, TypedDict
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypedDict
 
 from numpy.typing import ArrayLike
 
 from hitchopt.errors import InfeasibleError, InputError, Progress, time_limit
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Arena, Limits, Separation
-from hitchopt.mission.problem import DronesStart, Problem, Start, SwarmProblem
+from hitchopt.mission.problem import DronesStart, Problem, Start
 from hitchopt.mission.repair import BUDGET, NO_CHANGE, Suggestion, find_suggestions
 from hitchopt.mission.solving import solve_problem
-from hitchopt.mission.teams import solve_any
-from hitchopt.mission.teams_problem import AnyProblem, TeamsProblem
 from hitchopt.motion.request import check_request
 from hitchopt.plan import Plan, load
 from hitchopt.steps import STEPS, Join, Replace, Settle, Step, Withdraw
@@ -40,7 +38,7 @@ Legs = str | Sequence[float] | ArrayLike | Mapping[str, Any]
 
 
 def solve(
-    problem: AnyProblem | str | Path,
+    problem: Problem | str | Path,
     progress: Progress | None = None,
     *,
     limit: float | None = None,
@@ -59,16 +57,16 @@ def solve(
     InfeasibleError: the problem cannot be met; lists the limits that bind, where and when.
     TimeLimitError: no plan within ``limit``.
     """
-    task = _loaded(problem, Problem, SwarmProblem, TeamsProblem)
+    task = _loaded(problem)
     seconds = None if limit is None else positive("limit", limit)
     with time_limit(seconds, progress) as report:
-        solution = solve_any(task, report)
-    check_request(task.asked, solution.motion)
+        solution = solve_problem(task, report)
+    check_request(task.request, solution.motion)
     return Plan(solution.motion, solution.certificate, task.title)
 
 
 def separate(
-    problem: SwarmProblem | str | Path,
+    problem: Problem | str | Path,
     progress: Progress | None = None,
     *,
     limit: float | None = None,
@@ -77,7 +75,7 @@ def separate(
 
     Arguments and errors are those of ``solve``.
     """
-    return solve(_loaded(problem, SwarmProblem), progress, limit=limit)
+    return solve(_loaded(problem, "swarm"), progress, limit=limit)
 
 
 def suggestions(
@@ -95,9 +93,9 @@ def suggestions(
     budget: search time [s]; the last plan is completed.
     progress: status callback.
     """
-    task = _loaded(problem, Problem)
+    task = _loaded(problem, "hitch")
     try:
-        solve_any(task, progress)
+        solve_problem(task, progress)
     except InfeasibleError as error:
         return find_suggestions(task, error, budget, progress)
     return ()
@@ -111,7 +109,7 @@ def repair(
     The plan's title names the change; a feasible problem is planned unchanged. Arguments are those
     of ``suggestions``. Raises InfeasibleError if no change is found.
     """
-    task = _loaded(problem, Problem)
+    task = _loaded(problem, "hitch")
     try:
         return solve(task, progress)
     except InfeasibleError as error:
@@ -123,18 +121,18 @@ def repair(
     return replace(solve(change.problem, progress), title=f"{task.title} with {change}".strip())
 
 
-def _loaded(problem: Any, *kinds: type) -> Any:
-    """Return a problem of one of the kinds, loaded if it is a path."""
-    if isinstance(problem, str | Path):
-        from hitchopt.mission import loading  # heavy
+def _loaded(problem: Any, kind: Literal["hitch", "swarm"] | None = None) -> Problem:
+    """Return a problem, of a kind if specified, loaded if it is a path."""
+    from hitchopt.mission import loading  # heavy
 
-        loaders = {Problem: loading.load_problem, SwarmProblem: loading.load_swarm}
-        return (loaders[kinds[0]] if len(kinds) == 1 else loading.read_problem)(problem)
-    if not isinstance(problem, kinds):
-        names = " or ".join(f"hitchopt.{kind.__name__}" for kind in kinds)
+    if isinstance(problem, str | Path):
+        problem = loading.read_problem(problem)
+    if not isinstance(problem, Problem):
         remedy = "read one with load_problem, or convert a dict with problem_from_dict"
-        raise InputError("problem", problem, f"a path or a {names}", remedy)
-    return problem.problem if isinstance(problem, Mission) else problem
+        raise InputError("problem", problem, "a path or a hitchopt.Problem", remedy)
+    if isinstance(problem, Mission):
+        problem = problem.problem
+    return problem if kind is None else loading.of_kind(problem, kind)
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +155,9 @@ class Mission(Problem):
     @property
     def problem(self) -> Problem:
         """The problem that ``solve`` plans; raises InputError if the mission has no steps."""
-        return Problem(**vars(self))
+        return Problem(
+            **{each.name: getattr(self, each.name) for each in fields(self) if each.init}
+        )
 
     def then(self, step: Step) -> Self:
         """Return the mission with one more step; raises InputError if the step does not fit."""
@@ -249,9 +249,8 @@ def _function(kind: type[Step]) -> Callable[..., Plan]:
         try:
             solution = solve_problem(Problem(team, start, (resolved,), **specified))
         except InputError as error:
-            argument = re.sub(rf"^(start\.drones|mission\[0\]\.{kind.name})\b\.?", "", error.key)
-            name = argument or kind.name
-            raise InputError(name, error.value, error.bound, error.remedy) from None
+            nested = rf"^(start\.drones|mission\[0\]\.{kind.name})\b\.?"
+            raise error.renamed(lambda key: re.sub(nested, "", key) or kind.name) from None
         return Plan(solution.motion, solution.certificate)
 
     listed = f"{START_PARAMETERS[first[0]]}\n{parameter_docs(kind, exclude='blend')}{REQUIREMENTS}"

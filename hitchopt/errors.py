@@ -125,10 +125,13 @@ class InputError(HitchoptError, ValueError):
             text = re.sub(r"\b(None|True|False)\b", lambda word: YAML_LITERALS[word[0]], text)
         super().__init__(f"{prefix}{key} = {text}: must be {bound}; {remedy}")
 
+    def renamed(self, rename: Callable[[str], str]) -> InputError:
+        """Return the error with its key renamed by a function."""
+        return InputError(rename(self.key), self.value, self.bound, self.remedy, self.place)
+
     def within(self, parent: str) -> InputError:
         """Return the error with its key prefixed by that of the enclosing mapping ``parent``."""
-        key = _nested_key(parent, self.key)
-        return InputError(key, self.value, self.bound, self.remedy, self.place)
+        return self.renamed(lambda key: _nested_key(parent, key))
 
     def located(self, place_of: Callable[[str], Place | None]) -> InputError:
         """Return the error with the place of its key in a file."""
@@ -151,9 +154,9 @@ class JointInputError(InputError):
             lines.append(f"and {len(self.errors) - MAX_LISTED} more")
         self.args = ("\n".join(lines),)
 
-    def within(self, parent: str) -> JointInputError:
-        """Return the errors with their keys prefixed by that of the mapping ``parent``."""
-        return JointInputError([error.within(parent) for error in self.errors])
+    def renamed(self, rename: Callable[[str], str]) -> JointInputError:
+        """Return the errors with their keys renamed by a function."""
+        return JointInputError([error.renamed(rename) for error in self.errors])
 
     def located(self, place_of: Callable[[str], Place | None]) -> JointInputError:
         """Return the errors with the places of their keys in a file."""

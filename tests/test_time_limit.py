@@ -94,6 +94,6 @@ def test_suggestions_found_before_the_limit_are_kept(monkeypatch: pytest.MonkeyP
         done.append(solve_problem(*arguments, **options))
         return done[0]
 
-    monkeypatch.setattr("hitchopt.mission.repair.solve_any", until_one_does)
+    monkeypatch.setattr("hitchopt.mission.repair.solve_problem", until_one_does)
     assert len(find_suggestions(problem, refused.value, budget=60.0)) == 1
     assert late

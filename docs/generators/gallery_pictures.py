@@ -6,6 +6,7 @@ They are committed, since planning all problems takes minutes. Delete a picture 
 from __future__ import annotations
 
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from PIL import Image
 
 import hitchopt as ho
 from generators.problem_collection import SECTIONS
+from hitchopt.mission.problem import TeamMission
 from hitchopt.values import Array
 from hitchopt.view.editing import outlines
 from hitchopt.view.pictures import draw_plan_view
@@ -43,21 +45,15 @@ def draw(file: Path, *, solved: bool) -> Figure:
     return figure
 
 
-def draw_task(axes: Axes, problem: ho.Problem | ho.SwarmProblem | ho.TeamsProblem) -> None:
-    """Draw the start and all outlines or goals, the last one in colour."""
-    if isinstance(problem, ho.TeamsProblem):
-        for flights in problem.problems.values():
-            for each in (flights,) if isinstance(flights, ho.Problem) else flights:
-                draw_task(axes, each)
-    elif isinstance(problem, ho.SwarmProblem):
-        for prism in problem.keep_out:
-            axes.add_patch(Polygon(prism.polygon.vertices, fc="0.88", ec="0.4", hatch="////"))
-        lines = [[a[:2], b[:2]] for a, b in zip(problem.start, problem.goal, strict=True)]
-        axes.add_collection(LineCollection(lines, colors="0.72", linestyles="dashed"))
-        axes.plot(*problem.start[:, :2].T, "o", mfc="white", mec=COLOURS[0])
-        axes.plot(*problem.goal[:, :2].T, "o", color=COLOURS[0])
-    else:
-        draw_outlines(axes, problem)
+def draw_task(axes: Axes, problem: ho.Problem) -> None:
+    """Draw the starts and all outlines or goals of all teams, the last ones in colour."""
+    for prism in problem.keep_out:
+        axes.add_patch(Polygon(prism.polygon.vertices, fc="0.88", ec="0.4", hatch="////"))
+    for mission in problem.teams.values():
+        if mission.team.has_cables:
+            draw_outlines(axes, mission)
+        else:
+            draw_flights(axes, mission)
     if problem.arena is not None:
         (x, y), (right, back) = problem.arena.lower[:2], problem.arena.upper[:2]
         box = [(x, y), (x, back), (right, back), (right, y)]
@@ -67,22 +63,32 @@ def draw_task(axes: Axes, problem: ho.Problem | ho.SwarmProblem | ho.TeamsProble
     axes.set(xlabel="x [m]", ylabel="y [m]")
 
 
-def draw_outlines(axes: Axes, problem: ho.Problem) -> None:
+def draw_flights(axes: Axes, mission: TeamMission) -> None:
+    """Draw the places of single drones between flights, the goals in colour."""
+    places = [mission.start, *(step.goal for step in mission.steps if isinstance(step, ho.Fly))]
+    for start, goal in pairwise(places):
+        lines = [[a[:2], b[:2]] for a, b in zip(start, goal, strict=True)]
+        axes.add_collection(LineCollection(lines, colors="0.72", linestyles="dashed"))
+        axes.plot(*start[:, :2].T, "o", mfc="white", mec=COLOURS[0])
+        axes.plot(*goal[:, :2].T, "o", color=COLOURS[0])
+
+
+def draw_outlines(axes: Axes, mission: TeamMission) -> None:
     """Draw the cables at the start and the outlines of all steps, the last one in colour."""
-    polygons = [each for each in outlines(problem) if each is not None]
+    polygons = [each for each in outlines(mission) if each is not None]
     for i, each in enumerate(polygons):
         last = i == len(polygons) - 1
-        x, y = np.vstack([each.vertices, each.vertices[:1]][: 1 + problem.team.layout.closed]).T
+        x, y = np.vstack([each.vertices, each.vertices[:1]][: 1 + mission.team.layout.closed]).T
         axes.plot(x, y, color=COLOURS[0] if last else "0.62", ls="-" if last else "--", lw=2)
-    cables = starting_cables(problem)
+    cables = starting_cables(mission)
     axes.add_collection(LineCollection(list(cables), colors=INK, linewidths=0.8))
     axes.plot(*cables[:, 0].T, "o", color=INK, ms=4)
     axes.plot(*cables[:, -1].T, "s", mfc="white", mec=INK, ms=4)
 
 
-def starting_cables(problem: ho.Problem) -> Array:
+def starting_cables(mission: TeamMission) -> Array:
     """Return the cables (n, 2 or 4, 2) [m] from drone to drone; n = 0 without a feasible hitch."""
-    start, team = problem.start, problem.team
+    start, team = mission.start, mission.team
     if isinstance(start, ho.DronesStart):
         return np.stack([start.q, start.r], axis=1)[..., :2]
     try:

@@ -25,7 +25,6 @@ from hitchopt.exports.options import checked_rate
 
 if TYPE_CHECKING:
     from hitchopt.live.lost import UnsurvivableSpan
-    from hitchopt.mission.teams_problem import AnyProblem
     from hitchopt.motion.motion import Motion
 
 SUFFIXES = (".yaml", ".yml")  # Suffixes of problem files
@@ -88,11 +87,11 @@ def solve(
     folder = _output(output, file)
     if repair_to is not None:
         _write_new(str(repair_to), None)  # before the search, not after it
-    problem: AnyProblem | None = None
+    problem: ho.Problem | None = None
     try:
         text, name = read_text(file)  # once: it may be a pipe
         problem = parse_problem(text, name, file.parent)
-        has_places = not isinstance(problem, ho.TeamsProblem)  # else keys are relative to a team
+        has_places = problem.kind != "teams"  # else keys are relative to a team
         with located(text, name) if has_places else contextlib.nullcontext():
             _plan(problem, text, folder, rate, limit, report=report)
     except (InputError, FileError):
@@ -119,7 +118,7 @@ def _output(option: Path | None, file: Path) -> Path:
 
 
 def _plan(
-    problem: AnyProblem, text: str, folder: Path, rate: float, limit: float, *, report: bool
+    problem: ho.Problem, text: str, folder: Path, rate: float, limit: float, *, report: bool
 ) -> None:
     """Plan, show and write a problem."""
     from hitchopt.exports.directory import certificate_content
@@ -150,7 +149,7 @@ def _show_models(team: ho.Team) -> None:
 def _leave_diagnosis(
     folder: Path,
     error: HitchoptError,
-    problem: AnyProblem | None,
+    problem: ho.Problem | None,
     seconds: float,
     repair_to: tuple[str, Path] | None,
 ) -> NoReturn:
@@ -166,7 +165,7 @@ def _leave_diagnosis(
     report_error(error)  # first, in case the diagnosis cannot be written
     content = diagnosis_content(error)
     save_diagnosis(folder, content)  # the search may be interrupted
-    if isinstance(problem, ho.Problem) and isinstance(error, InfeasibleError):
+    if problem and problem.kind == "hitch" and isinstance(error, InfeasibleError):
         suggestions, note = _suggestions(problem, error, seconds)
         if note:
             error = InfeasibleError(error.violations, f"{error.note}\n{note}".strip())

@@ -3,18 +3,40 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from hitchopt.errors import FileError, InputError
+from hitchopt.hitch.requirements import Limits, Prism, Separation
 from hitchopt.mission.objects import with_outlines
 from hitchopt.mission.others import NAME
-from hitchopt.mission.problem import Problem, SwarmProblem
-from hitchopt.mission.teams_problem import AnyProblem, TeamsProblem, check_team_names
+from hitchopt.mission.problem import (
+    HITCH_LIMITS,
+    HITCH_SEPARATION,
+    ITEMS,
+    STARTS,
+    SWARM_TEAM,
+    TEAMS,
+    Problem,
+    check_team_names,
+)
 from hitchopt.objects import SolidObject
+from hitchopt.steps.flying import SWARM_PLACES, Fly
+from hitchopt.steps.step import TRIANGLE
 from hitchopt.storage.yaml_file import located, parse_yaml, plain, read_text, value_at
 from hitchopt.values import MAPPING, form_error, form_of
-from hitchopt.values.fields import Kind, Schema, arguments_from, dict_of, keys_of, record_schema
+from hitchopt.values.fields import (
+    Key,
+    Kind,
+    Schema,
+    arguments_from,
+    dict_of,
+    keys_of,
+    keys_schema,
+    list_of,
+    mapping_of,
+)
 from hitchopt.values.units import START_TIME
 
 FOREIGN = {
@@ -27,16 +49,97 @@ FOREIGN = {
 """Remedies for keys of the other kind of problem; True for problems of single drones."""
 
 
+MAX_PRISMS = 1000
+"""Maximum number of prisms in a file."""
+
+
+HITCH_FORM = keys_of(Problem)
+COMMON = {name: HITCH_FORM[name] for name in ("arena", "title", "objects", "others")}
+
+SWARM_FORM = {
+    "team": Key(SWARM_TEAM, "The team", {"drones": 2}, "team"),
+    "start": Key(
+        SWARM_PLACES,
+        "Where drones are at rest (N, 3) [m], [x, y, z] per drone",
+        [[-1, 0, 1], [1, 0, 1]],
+        "start",
+    ),
+    "goal": replace(
+        keys_of(Fly)["goal"], text="Where they come to rest (N, 3) [m], in the same order"
+    ),
+    "limits": replace(HITCH_FORM["limits"], kind=mapping_of(Limits, exclude=HITCH_LIMITS)),
+    "separation": replace(
+        HITCH_FORM["separation"], kind=mapping_of(Separation, exclude=HITCH_SEPARATION)
+    ),
+    "arena": HITCH_FORM["arena"],
+    "keep_out": Key(
+        list_of(mapping_of(Prism), 0, MAX_PRISMS),
+        "Prisms that the drones stay out of",
+        name="keep_out",
+        default=(),
+    ),
+    "duration": keys_of(Fly)["duration"],
+    **COMMON,
+    "objects": replace(
+        HITCH_FORM["objects"],
+        text="Obstacles, by name; they stand where they are, and drones stay off them",
+    ),
+}
+
+TEAMS_FORM = {
+    "teams": Key(
+        TEAMS,
+        "The teams by name, of robots or of single drones",
+        {name: {"robots": 3, "cable_length": 2.4} for name in "ab"},
+        "teams",
+    ),
+    "start": Key(
+        STARTS,
+        "The start of every team; of single drones their places [x, y, z] [m]",
+        {
+            name: {"hitch": {"polygon": TRIANGLE, "altitude": altitude}}
+            for name, altitude in (("a", 1.0), ("b", 2.5))
+        },
+        "start",
+    ),
+    "mission": Key(
+        ITEMS,
+        "Items, one after the other: a step, or a list of steps, of some teams",
+        [{name: {"hold": {"seconds": 1.0}} for name in "ab"}],
+        "mission",
+    ),
+    "limits": replace(HITCH_FORM["limits"], text="Limits of motion of all teams"),
+    "separation": replace(HITCH_FORM["separation"], text="Distances to keep, between teams too"),
+    **COMMON,
+}
+
+FORMS = {
+    "Problem": (HITCH_FORM, "A team of quadrotors, a cable hitch, and what to do with it."),
+    "SwarmProblem": (
+        SWARM_FORM,
+        "Single drones that trade places out of each other's downwash.",
+    ),
+    "TeamsProblem": (
+        TEAMS_FORM,
+        "Several teams in one arena: teams with a hitch, or single drones, and what each does.",
+    ),
+}
+"""Keys of files for a team with cables, for single drones and for several teams, and what their
+problems are, by their names in the schema."""
+
+
 def problem_schema() -> Schema:
     """Return the JSON Schema (draft 2020-12) of problem files of all kinds."""
     definitions = dict[str, Schema]()
-    forms = [record_schema(kind, definitions) for kind in (Problem, SwarmProblem, TeamsProblem)]
+    forms = [
+        keys_schema(name, text, keys.values(), definitions) for name, (keys, text) in FORMS.items()
+    ]
     dialect = "https://json-schema.org/draft/2020-12/schema"
     title = "hitchopt problem file"
     return {"$schema": dialect, "title": title, "anyOf": forms, "$defs": definitions}
 
 
-def read_problem(path: str | Path) -> AnyProblem:
+def read_problem(path: str | Path) -> Problem:
     """Return the problem in the YAML file at ``path``; ``-`` is standard input.
 
     Raises
@@ -48,7 +151,7 @@ def read_problem(path: str | Path) -> AnyProblem:
     return parse_problem(text, name, Path(path).parent)
 
 
-def parse_problem(text: str, name: str = "text", directory: Path = Path()) -> AnyProblem:
+def parse_problem(text: str, name: str = "text", directory: Path = Path()) -> Problem:
     """Return the problem in a YAML text; errors as ``read_problem``.
 
     ``name`` is the file's name in messages, ``directory`` that of the objects' outlines.
@@ -77,7 +180,7 @@ def request_in(text: str, objects: Mapping[str, SolidObject]) -> dict[str, Any]:
             del body["file"]
             body["outline"] = objects[name].section.core.tolist()
     start_times = START_TIMES.check("others", others or {})
-    return any_problem_from_dict(data).asked | {"others": start_times}
+    return any_problem_from_dict(data).request | {"others": start_times}
 
 
 def _start_time(key: str, value: Any) -> dict[str, float]:
@@ -92,41 +195,41 @@ START_TIMES = dict_of(Kind((MAPPING,), _start_time, {}), NAME)
 
 def load_problem(path: str | Path) -> Problem:
     """Return the problem of a hitch in the YAML file at ``path``; errors as ``read_problem``."""
-    return _hitch_problem(read_problem(path))
+    return of_kind(read_problem(path), "hitch")
 
 
-def load_swarm(path: str | Path) -> SwarmProblem:
+def load_swarm(path: str | Path) -> Problem:
     """Return the problem of single drones in a YAML file; errors as ``read_problem``."""
-    problem = read_problem(path)
-    if not isinstance(problem, SwarmProblem):
-        remedy = "use load_problem or read_problem"
-        raise InputError("team", "robots", "a team of single drones", remedy)
-    return problem
+    return of_kind(read_problem(path), "swarm")
 
 
 def problem_from_dict(data: Mapping[str, object]) -> Problem:
     """Return the problem of a hitch that ``data`` describes; errors as ``load_problem``."""
-    return _hitch_problem(any_problem_from_dict(data))
+    return of_kind(any_problem_from_dict(data), "hitch")
 
 
-def _hitch_problem(problem: AnyProblem) -> Problem:
-    if not isinstance(problem, Problem):
-        is_swarm = isinstance(problem, SwarmProblem)
-        key, value = ("team", "drones") if is_swarm else ("teams", "several")
-        remedy = "use load_swarm" if is_swarm else "use read_problem"
-        raise InputError(key, value, "a team of catenary robots", remedy)
+def of_kind(problem: Problem, kind: Literal["hitch", "swarm"]) -> Problem:
+    """Return the problem, or raise InputError if it is of another kind."""
+    if problem.kind != kind:
+        key, value, remedy = {
+            "hitch": ("team", "robots", "use load_problem or read_problem"),
+            "swarm": ("team", "drones", "use load_swarm"),
+            "teams": ("teams", "several", "use read_problem"),
+        }[problem.kind]
+        bound = "a team of catenary robots" if kind == "hitch" else "a team of single drones"
+        raise InputError(key, value, bound, remedy)
     return problem
 
 
-def any_problem_from_dict(data: Mapping[str, object], folder: Path = Path()) -> AnyProblem:
+def any_problem_from_dict(data: Mapping[str, object], folder: Path = Path()) -> Problem:
     """Return the problem that ``data`` describes with the keys of a problem file in ``folder``."""
     values: Any = plain(data)
     team = values.get("team") if isinstance(values, dict) else None
     is_swarm = isinstance(team, dict) and "drones" in team and "robots" not in team
-    record: type[Any] = SwarmProblem if is_swarm else Problem
+    form = SWARM_FORM if is_swarm else HITCH_FORM
     if isinstance(values, dict):
         if "teams" in values:
-            record = TeamsProblem
+            form = TEAMS_FORM
             check_team_names(*(values.get(key) for key in ("teams", "start", "mission")))
             if "team" in values:
                 bound, remedy = "left out beside teams", "keep one of the two"
@@ -136,10 +239,18 @@ def any_problem_from_dict(data: Mapping[str, object], folder: Path = Path()) -> 
         for other in others.values() if isinstance(others, dict) else ():
             if isinstance(other, dict) and isinstance(other.get("plan"), str) and other["plan"]:
                 other["plan"] = str(folder / other["plan"])
-    remedies = {} if record is TeamsProblem else FOREIGN[is_swarm]
-    if record is Problem and value_at(values, ("mission", 0, "form")) is not None:
+    remedies = {} if form is TEAMS_FORM else FOREIGN[is_swarm]
+    if form is HITCH_FORM and value_at(values, ("mission", 0, "form")) is not None:
         robots = value_at(values, ("team", "robots"))
         places = f"drones: {{q: [[x, y, z], …], r: [[x, y, z], …]}}}}, {robots} points each"
         remedies = remedies | {"start": f"add start: {{{places}"}
-    problem: AnyProblem = record(**arguments_from(record, "", values, remedies=remedies))
-    return problem
+    arguments = arguments_from(form, "", values, remedies=remedies)
+    if form is TEAMS_FORM:
+        arguments["team"] = arguments.pop("teams")
+    if form is SWARM_FORM:
+        arguments["mission"] = (Fly(arguments.pop("goal"), arguments.pop("duration", None)),)
+    try:
+        return Problem(**arguments)
+    except InputError as error:
+        nested = "mission[0].fly." if form is SWARM_FORM else ""
+        raise error.renamed(lambda key: key.removeprefix(nested)) from None

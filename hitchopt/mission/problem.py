@@ -1,10 +1,12 @@
-"""Problems before planning: of a hitch with its team, start and steps, or of single drones."""
+"""Problems before planning: teams with their starts, steps and requirements."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any, ClassVar
+from itertools import pairwise
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
@@ -22,22 +24,29 @@ from hitchopt.hitch.requirements import (
 )
 from hitchopt.hitch.team import MAX_DRONES, MAX_ROBOTS, QUADROTOR, PartTeam
 from hitchopt.mission.objects import OBJECTS
-from hitchopt.mission.others import OTHERS, Other
+from hitchopt.mission.others import MAX_GROUPS, NAME, OTHERS, Other
 from hitchopt.motion.request import request_fields
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import check_placed
 from hitchopt.planners.carrying.planner import OPENING_TENSIONS
 from hitchopt.steps import STEP_KINDS, STEPS, FollowVertex, Form, Step, Transport
 from hitchopt.steps.carrying import TensionStep, goal_of
+from hitchopt.steps.flying import SWARM_PLACES, Fly, check_count
 from hitchopt.steps.moving import MoveStep
 from hitchopt.steps.step import LEGS, LEGS_TEXT, TRIANGLE, Polygon, SlackSplit, Stage, slack_split
 from hitchopt.steps.tying import check_rollable
 from hitchopt.values import Array, check_instance, closest_word, sequence, text
 from hitchopt.values.fields import (
     Key,
+    Missing,
     Record,
+    by_key,
+    collect,
+    dict_of,
     documented,
+    either,
     integers,
+    join_key,
     list_of,
     mapping_of,
     one_or_each,
@@ -46,33 +55,38 @@ from hitchopt.values.fields import (
     store,
     strings,
 )
-from hitchopt.values.units import ALTITUDE, DURATION, warn_of_unit
+from hitchopt.values.units import ALTITUDE, warn_of_unit
 
 ROLLING = {"open_vertex", "close_vertex", "join", "withdraw", "replace"}
 """Steps in which pairs roll, as in laying."""
 
 
-def resolved_steps(problem: Problem, steps: tuple[Step, ...]) -> tuple[Step, ...]:
+def resolved_steps(mission: TeamMission) -> tuple[Step, ...]:
     """Return steps with their polygons as outlines and their legs as arrays.
 
     Raises InputError, with a key from ``mission`` on, for a step that does not fit the team, the
     outline, the held object or the next step.
     """
-    outline, ring = problem.start_outline, problem.team.labels
+    whole, steps, objects = mission.team, mission.steps, mission.requirements.objects
+    outline, ring = mission.start_outline, whole.labels
     resolved, stage, changes = list[Step](), _ObjectStage(), False
     reason = "start has no hitch" if outline is None else "start is a hitch"
     for i, unresolved in enumerate(steps):
         try:
-            team, ring = team_and_ring(problem.team, unresolved, ring)
-            changes |= ring != problem.team.labels
+            if isinstance(unresolved, Fly) is whole.has_cables:
+                kind, *_, bound, _ = _words(whole)
+                remedy = f"{mission.name or 'the team'} is {kind}"
+                raise InputError("", "a step", bound, remedy)
+            team, ring = team_and_ring(whole, unresolved, ring)
+            changes |= ring != whole.labels
             step = unresolved.resolved_for(team)
-            stage = stage.after(step, problem.objects)
+            stage = stage.after(step, objects)
             before, outline = outline, step.checked_polygon_after(team, outline, reason)
             if step.name in ROLLING or (isinstance(step, Form) and step.by == "laying"):
-                check_rollable(f"step {i} ({step.name})", problem.team, problem.requirements)
+                check_rollable(f"step {i} ({step.name})", whole, mission.requirements)
             if (before is None) is not (outline is None):
                 reason = f"step {i} ({step.name}) {'untied' if outline is None else 'tied'} it"
-            _check_blend(steps, i, complete=problem.complete)
+            _check_blend(steps, i, complete=mission.complete)
         except InputError as error:
             raise error.within(f"mission[{i}].{unresolved.name}") from None
         resolved.append(step)
@@ -82,6 +96,15 @@ def resolved_steps(problem: Problem, steps: tuple[Step, ...]) -> tuple[Step, ...
             key, remedy = f"mission[{i}].{step.name}.object", "carry in a mission of all robots"
             raise InputError(key, step.object, bound, remedy)
     return tuple(resolved)
+
+
+def _words(team: Team) -> tuple[str, str, str, str, str]:
+    """Return words for a kind of team, its start with an example, and its step with an example."""
+    if team.has_cables:
+        kind, start = "a team of robots", "{hitch: {polygon: [[x, y], …], altitude: 1}}"
+        return kind, "a hitch, or drones q and r", start, f"a step of {kind}", "hold: {seconds: 1}"
+    start, step = "a list of places [x, y, z], one per drone", "fly, the only step of single drones"
+    return "single drones", start, "[[x, y, z], …]", step, "fly: {goal: …}"
 
 
 def team_and_ring(whole: Team, step: Step, ring: tuple[int, ...]) -> tuple[Team, tuple[int, ...]]:
@@ -178,8 +201,8 @@ Start = HitchStart | Hitch | DronesStart
 """Start with the description of a hitch, with a hitch, or with drones on free cables."""
 
 
-MAX_TITLE, MAX_STEPS, MAX_PRISMS = 200, 1000, 1000
-"""Maximum numbers of characters of a title, and of steps and prisms in a file."""
+MAX_TITLE, MAX_STEPS = 200, 1000
+"""Maximum numbers of characters of a title, and of steps in a file."""
 
 
 def _printable(key: str, value: object) -> str:
@@ -190,6 +213,7 @@ def _printable(key: str, value: object) -> str:
     return title
 
 
+TITLE = replace(strings(MAX_TITLE), check=_printable)
 START = single_key(
     "Start",
     "Start of the plan.",
@@ -204,80 +228,39 @@ STEP = single_key(
     "one step per list entry, such as hold: {seconds: 1.0}",
 )
 
-Others = Annotated[
-    Mapping[str, Other], Key(OTHERS, "Plans that fly besides, by name, at rest before and after")
-]
-Title = Annotated[str, Key(replace(strings(MAX_TITLE), check=_printable), "Title of the plan")]
-ArenaOrNone = Annotated[Arena | None, Key(mapping_of(Arena), "The box that the drones stay in")]
 
-
-@documented
 @dataclass(frozen=True, eq=False)
-class Problem(OneLine):
-    """A team of quadrotors, a cable hitch, and what to do with it.
+class TeamMission:
+    """The start and the steps of one team, and the requirements of its plan.
 
-    Raises
-    ------
-    InputError: objects or steps that do not fit one another, the team or the outline; no step.
+    Raises InputError for what does not fit the team, with the key of a problem of this team alone.
     """
 
-    complete: ClassVar[bool] = True  # whether the mission has all of its steps
-    team: Annotated[Team, Key(mapping_of(Team), "The team", {"robots": 3, "cable_length": 2.4})]
-    start: Annotated[
-        Start, Key(START, "Start of the plan", {"hitch": {"polygon": TRIANGLE, "altitude": 1.0}})
-    ]
-    mission: Annotated[
-        tuple[Step, ...],
-        Key(
-            list_of(STEP, 1, MAX_STEPS), "Steps, one after the other", [{"hold": {"seconds": 1.0}}]
-        ),
-    ]
-    limits: Annotated[Limits, Key(mapping_of(Limits), "Limits of motion")] = field(
-        default_factory=Limits
-    )
-    separation: Annotated[Separation, Key(mapping_of(Separation), "Distances to keep")] = field(
-        default_factory=Separation
-    )
-    arena: ArenaOrNone = None
-    title: Title = ""
-    objects: Annotated[
-        Mapping[str, SolidObject], Key(OBJECTS, "Carried objects and obstacles, by name")
-    ] = field(default_factory=dict)
-    others: Others = field(default_factory=dict)
+    name: str  # empty for a team alone
+    team: Team
+    start: Any  # Start; the places (N, 3) [m] of single drones
+    steps: tuple[Step, ...]
+    requirements: Requirements  # with the objects that it carries, and obstacles
+    complete: bool = True  # whether all of its steps are known
 
     def __post_init__(self) -> None:
-        check_instance("team", self.team, Team)
-        check_instance("start", self.start, HitchStart, Hitch, DronesStart)
-        check_requirements(self)
-        store(self, title=self.title, others=self.others)
-        steps = sequence("mission", self.mission)
-        for i, step in enumerate(steps):
-            check_instance(f"mission[{i}]", step, Step)
-        if not isinstance(self.objects, Mapping):
-            remedy = "write {'box': hitchopt.SolidObject(…)}"
-            raise InputError("objects", self.objects, "a dict of objects by name", remedy)
-        for name, body in self.objects.items():
-            check_instance(f"objects.{name}", body, SolidObject)
-        object.__setattr__(self, "objects", dict(self.objects))
-        object.__setattr__(self, "start", resolved_start(self.team, self.start))
+        object.__setattr__(self, "start", resolved_start(self.name, self.team, self.start))
         if self.complete:
-            check_placed(self.objects, self.requirements.floor)
-            if not steps:
+            check_placed(self.requirements.objects, self.requirements.floor)
+            if not self.steps and self.name:
+                value = f"no step of {self.name}"
+                remedy = f"add {self.name}: {{{_words(self.team)[-1]}}}"
+                raise InputError("mission", value, "of an item at least", remedy)
+            if not self.steps:
                 bound = "a list of at least one step"
                 raise InputError("mission", [], bound, "add a morph or a hold")
-        object.__setattr__(self, "mission", resolved_steps(self, steps))
+        object.__setattr__(self, "steps", resolved_steps(self))
 
     @property
-    def requirements(self) -> Requirements:
-        """Requirements of the plan."""
-        parts = self.limits, self.separation, self.arena
-        return Requirements(*parts, objects=self.objects).flown_by(self.team)
-
-    @property
-    def asked(self) -> dict[str, Any]:
-        """The plan's request as plan files store it (``hitchopt.motion.plan_file``)."""
+    def request(self) -> dict[str, Any]:
+        """What is requested of its plan (``hitchopt.motion.request``)."""
         start: dict[str, Any] = {"drones": self.start}
-        if not isinstance(self.start, DronesStart):
+        if isinstance(self.start, HitchStart | Hitch):
             altitude = self.start.altitude
             start = {"hitch": {"polygon": self.start.polygon.vertices, "altitude": altitude}}
         return request_fields(self.team, self.requirements, start, [*_requested_steps(self)])
@@ -286,7 +269,7 @@ class Problem(OneLine):
     def rings(self) -> tuple[tuple[int, ...], ...]:
         """Robots that hold the edges after each step, in order; all robots if none changes."""
         rings, ring = list[tuple[int, ...]](), self.team.labels
-        for step in self.mission:
+        for step in self.steps:
             ring = step.ring_after(ring, self.team)
             rings.append(ring)
         return tuple(rings)
@@ -298,20 +281,20 @@ class Problem(OneLine):
 
     @property
     def start_outline(self) -> Outline | None:
-        """Outline at the start; None for free cables."""
-        return None if isinstance(self.start, DronesStart) else self.start.polygon
+        """Outline at the start; None for free cables and single drones."""
+        return self.start.polygon if isinstance(self.start, HitchStart | Hitch) else None
 
 
-def _requested_steps(problem: Problem) -> Iterator[dict[str, Any]]:
+def _requested_steps(mission: TeamMission) -> Iterator[dict[str, Any]]:
     """Yield the request of every step, as ``plan_file.mission_of``, without choices of planners.
 
     Planners choose outlines around objects, and their altitudes.
     """
-    requirements, ring = problem.requirements, problem.team.labels
-    outline, stage, hold, tension_range = problem.start_outline, _ObjectStage(), None, None
-    altitude = getattr(problem.start, "altitude", None)  # None if the planner chooses it
-    for step in problem.mission:
-        team, ring = team_and_ring(problem.team, step, ring)
+    requirements, ring = mission.requirements, mission.team.labels
+    outline, stage, hold, tension_range = mission.start_outline, _ObjectStage(), None, None
+    altitude = getattr(mission.start, "altitude", None)  # None if the planner chooses it
+    for step in mission.steps:
+        team, ring = team_and_ring(mission.team, step, ring)
         name, objects = getattr(step, "object", stage.name), {**requirements.objects}
         if isinstance(step, TensionStep):
             tensions = [team.tension, team.tension if step.tension is None else step.tension]
@@ -325,18 +308,20 @@ def _requested_steps(problem: Problem) -> Iterator[dict[str, Any]]:
         if isinstance(step, Form | Transport):
             altitude = step.altitude if isinstance(step, Form) else float(step.to[2])
         altitude = None if hasattr(step, "object") else altitude
-        request = {
+        request: dict[str, Any] = {
             "tension": getattr(step, "tension", None) if hold is None else tension_range,
             "holds": [] if hold is None else [hold],
             "objects": {key: each.pose for key, each in requirements.objects.items()},
         }
-        if outline is None:
+        if isinstance(step, Fly):
+            request = {"drones": step.goal, "objects": request["objects"]}
+        elif outline is None:
             request |= {"polygon": None, "altitude": None}
         elif stage.outline_specified and not step.blends:
             request["polygon"] = outline.vertices
         if outline is not None and altitude is not None:
             request["altitude"] = altitude
-        if problem.changes:
+        if mission.changes:
             request["ring"] = ring
         if step.prescribed_duration is not None:
             request["seconds"] = step.prescribed_duration
@@ -345,11 +330,19 @@ def _requested_steps(problem: Problem) -> Iterator[dict[str, Any]]:
         yield request
 
 
-def resolved_start(team: Team, start: Start) -> Start:
+def resolved_start(name: str, team: Team, start: Any) -> Any:
     """Return the start; a hitch's polygon becomes an outline and its legs an array.
 
-    Raises InputError, with the key of the problem file, if it does not fit the team.
+    Raises InputError, with the key of a problem of this team alone, if it does not fit the team.
     """
+    is_hitch = isinstance(start, HitchStart | Hitch | DronesStart)
+    if is_hitch is not team.has_cables or isinstance(start, Missing):
+        _, bound, example, *_ = _words(team)
+        raise InputError("start", start, bound, f"write {name or 'start'}: {example}")
+    if not team.has_cables:
+        places: Array = SWARM_PLACES.check("start", start)
+        check_count("start", places, team)
+        return places
     if isinstance(start, Hitch):
         if start.team is not team:
             raise InputError("start", "a hitch", "a hitch of the problem's team", "give its team")
@@ -360,9 +353,9 @@ def resolved_start(team: Team, start: Start) -> Start:
         except InputError as error:
             raise error.within("start.hitch") from None
         return replace(start, polygon=outline, legs=legs)
-    for name, places in vars(start).items():
+    for drones, places in vars(start).items():
         if len(places) != team.robots:
-            key, bound = f"start.drones.{name}", f"a list of {team.robots} points"
+            key, bound = f"start.drones.{drones}", f"a list of {team.robots} points"
             remedy = "add or remove points, or change team.robots"
             raise InputError(key, f"{len(places)} points", bound, remedy)
     distances = np.linalg.norm(start.q - start.r, axis=1)
@@ -394,81 +387,220 @@ class SwarmTeam:
 
 
 SWARM_TEAM = mapping_of(SwarmTeam, SwarmTeam.team)
-SWARM_PLACES = points((None, 3), "x, y, z", 1, MAX_DRONES)
 HITCH_LIMITS, HITCH_SEPARATION = ("vertex_speed", "leg"), ("cable", "crossing", "object")
 """Keys of limits and distances that do not apply to single drones."""
 
-_LIMITS = mapping_of(Limits, exclude=HITCH_LIMITS)
-_SEPARATION = mapping_of(Separation, exclude=HITCH_SEPARATION)
+
+ANY_STEP = single_key(
+    "TeamStep",
+    "One step of a team, or of single drones.",
+    STEP_KINDS | {Fly.name: Fly},
+    "one step, or a list of steps, such as hold: {seconds: 1.0}",
+)
+
+
+def check_team_names(teams: Any, start: Any, mission: Any) -> None:
+    """Raise InputError for starts and steps that are not under the name of a team."""
+    names = list(teams) if isinstance(teams, Mapping) else []
+    items = mission if isinstance(mission, list | tuple) else ()
+    sections = {"start": start} | {f"mission[{i}]": item for i, item in enumerate(items)}
+    for path, section in sections.items() if len(names) > 1 else ():
+        for name in section if isinstance(section, Mapping) else ():
+            if name not in names:
+                remedy = closest_word(name, names)
+                if name in (*STEP_KINDS, Fly.name):
+                    remedy = f"write {names[0]}: {{{name}: …}}"
+                value = "a start" if path == "start" else "a step"
+                raise InputError(join_key(path, name), value, "under the name of a team", remedy)
+
+
+TEAMS = dict_of(by_key({"robots": mapping_of(Team), "drones": SWARM_TEAM}), NAME, MAX_GROUPS)
+STARTS = dict_of(either(START, SWARM_PLACES), NAME, MAX_GROUPS)
+ITEMS = list_of(dict_of(one_or_each(ANY_STEP, 1, MAX_STEPS), NAME, MAX_GROUPS), 1, MAX_STEPS)
+"""Teams, their starts, and the items of their mission, by the names of teams."""
 
 
 @documented
 @dataclass(frozen=True, eq=False)
-class SwarmProblem(OneLine):
-    """Single drones that trade places out of each other's downwash."""
+class Problem(OneLine):
+    """Missions of a team with a hitch, of single drones, or of several teams.
 
-    team: Annotated[Swarm, Key(SWARM_TEAM, "The team", {"drones": 2})]
+    Single drones are a ``Swarm`` that starts at places (N, 3) [m] and whose steps are ``Fly``. If
+    they fly alone, ``keep_out`` has prisms that they stay out of.
+
+    Several teams are mappings by name: ``team`` has their teams, ``start`` their starts, and items
+    of ``mission`` a step, or a sequence of steps, of some of them. The steps of an item begin
+    together, or as soon after that as all keep off each other; the next item begins when all are
+    done. A team alone carries an object that a step of it names; all others are obstacles of all
+    teams.
+
+    ``teams`` has start, steps and requirements of every team by name; a single team has the name
+    ``""``.
+
+    Raises
+    ------
+    InputError: names, objects or steps that do not fit one another, a team or its outline; no step.
+    """
+
+    complete: ClassVar[bool] = True  # whether the mission has all of its steps
+    team: Annotated[Any, Key(mapping_of(Team), "The team", {"robots": 3, "cable_length": 2.4})]
     start: Annotated[
-        Array,
+        Any, Key(START, "Start of the plan", {"hitch": {"polygon": TRIANGLE, "altitude": 1.0}})
+    ]
+    mission: Annotated[
+        Any,
         Key(
-            SWARM_PLACES,
-            "Where drones are at rest (N, 3) [m], [x, y, z] per drone",
-            [[-1, 0, 1], [1, 0, 1]],
+            list_of(STEP, 1, MAX_STEPS), "Steps, one after the other", [{"hold": {"seconds": 1.0}}]
         ),
     ]
-    goal: Annotated[
-        Array,
-        Key(
-            SWARM_PLACES,
-            "Where they come to rest (N, 3) [m], in the same order",
-            [[1, 0, 1], [-1, 0, 1]],
-        ),
-    ]
-    limits: Annotated[Limits, Key(_LIMITS, "Limits of motion")] = field(default_factory=Limits)
-    separation: Annotated[Separation, Key(_SEPARATION, "Distances to keep")] = field(
+    limits: Annotated[Limits, Key(mapping_of(Limits), "Limits of motion")] = field(
+        default_factory=Limits
+    )
+    separation: Annotated[Separation, Key(mapping_of(Separation), "Distances to keep")] = field(
         default_factory=Separation
     )
-    arena: ArenaOrNone = None
-    keep_out: Annotated[
-        tuple[Prism, ...],
-        Key(list_of(mapping_of(Prism), 0, MAX_PRISMS), "Prisms that the drones stay out of"),
-    ] = ()
-    duration: Annotated[
-        float | None, Key(DURATION, "Exactly that long; without it as fast as possible")
-    ] = None
-    title: Title = ""
+    arena: Annotated[Arena | None, Key(mapping_of(Arena), "The box that the drones stay in")] = None
+    title: Annotated[str, Key(TITLE, "Title of the plan")] = ""
     objects: Annotated[
-        Mapping[str, SolidObject],
-        Key(OBJECTS, "Obstacles, by name; they stand where they are, and drones stay off them"),
+        Mapping[str, SolidObject], Key(OBJECTS, "Carried objects and obstacles, by name")
     ] = field(default_factory=dict)
-    others: Others = field(default_factory=dict)
+    others: Annotated[
+        Mapping[str, Other],
+        Key(OTHERS, "Plans that fly besides, by name, at rest before and after"),
+    ] = field(default_factory=dict)
+    keep_out: tuple[Prism, ...] = ()
+    teams: Mapping[str, TeamMission] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        store(self, keep_out=sequence("keep_out", self.keep_out))
+        check_requirements(self)
+        store(self, title=self.title, others=self.others)
+        if not isinstance(self.objects, Mapping):
+            remedy = "write {'box': hitchopt.SolidObject(…)}"
+            raise InputError("objects", self.objects, "a dict of objects by name", remedy)
+        for name, body in self.objects.items():
+            check_instance(f"objects.{name}", body, SolidObject)
+        object.__setattr__(self, "objects", dict(self.objects))
+        if isinstance(self.team, Mapping):
+            store(self, teams=self._resolved_teams())
+        else:
+            check_instance("team", self.team, Team)
+            steps = sequence("mission", self.mission)
+            for i, step in enumerate(steps):
+                check_instance(f"mission[{i}]", step, Step)
+            own = self._mission("", self.team, self.start, steps, self.objects)
+            for name, value in (("start", own.start), ("mission", own.steps), ("teams", {"": own})):
+                object.__setattr__(self, name, value)
+        if self.keep_out and self.kind != "swarm":
+            remedy = "add objects with fixed=True"
+            bound = "left out unless single drones fly alone"
+            raise InputError("keep_out", f"{len(self.keep_out)} prisms", bound, remedy)
+
+    def _mission(
+        self,
+        name: str,
+        team: Team,
+        start: object,
+        steps: tuple[Step, ...],
+        objects: Mapping[str, SolidObject],
+    ) -> TeamMission:
+        requirements = Requirements(
+            self.limits, self.separation, self.arena, self.keep_out, objects
+        ).flown_by(team)
+        return TeamMission(name, team, start, steps, requirements, self.complete)
+
+    @property
+    def kind(self) -> Literal["hitch", "swarm", "teams"]:
+        """Whether it is of one team with cables, of single drones, or of several teams."""
+        if isinstance(self.team, Mapping):
+            return "teams"
+        return "hitch" if self.team.has_cables else "swarm"
 
     @property
     def requirements(self) -> Requirements:
-        """Requirements of the plan."""
-        parts = self.limits, self.separation, self.arena, self.keep_out, self.objects
-        return Requirements(*parts).flown_by(self.team)
+        """Requirements of the plan of a single team."""
+        return self.teams[""].requirements
 
     @property
-    def asked(self) -> dict[str, Any]:
-        """The plan's request as plan files store it (``hitchopt.motion.plan_file``)."""
-        step: dict[str, Any] = {"drones": self.goal}
-        step["objects"] = {name: each.pose for name, each in self.objects.items()}
-        if self.duration is not None:
-            step["seconds"] = self.duration
-        return request_fields(self.team, self.requirements, {"drones": self.start}, [step])
+    def request(self) -> dict[str, Any]:
+        """What is requested of the plan; of several teams by name."""
+        requests = {name: each.request for name, each in self.teams.items()}
+        return requests.get("", requests)
 
-    def __post_init__(self) -> None:
-        check_instance("team", self.team, Swarm)
-        values = vars(self)
-        store(
-            self, **{key: values[key] for key in ("start", "goal", "duration", "title", "others")}
-        )
-        for name in ("start", "goal"):
-            if (count := len(getattr(self, name))) != self.team.drones:
-                words = f"{self.team.drones} points, one per drone", "change team.drones, or these"
-                raise InputError(name, f"{count} points", *words)
-        object.__setattr__(self, "keep_out", sequence("keep_out", self.keep_out))
-        check_requirements(self)
-        object.__setattr__(self, "objects", dict(self.objects))
-        check_placed(self.objects, self.requirements.floor)
+    @property
+    def items(self) -> list[dict[str, int]]:
+        """Number of steps of each team in each item of the mission.
+
+        Items of a single team are its groups of steps without a stop.
+        """
+        if self.kind == "teams":
+            return [
+                {name: 1 if isinstance(x, Step) else len(x) for name, x in item.items()}
+                for item in self.mission
+            ]
+        ends = [-1, *(k for k, step in enumerate(self.mission) if not step.blends)]
+        return [{"": last - first} for first, last in pairwise(ends)]
+
+    def _resolved_teams(self) -> dict[str, TeamMission]:
+        """Check team, start and mission of several teams; return their missions."""
+        for name, kind in (("team", TEAMS), ("start", STARTS), ("mission", ITEMS)):
+            key = "teams" if name == "team" else name
+            object.__setattr__(self, name, kind.check(key, getattr(self, name)))
+        names = list(self.team)
+        if len(names) < 2:
+            remedy = "with one team write team, and its start and steps without a name"
+            raise InputError("teams", names, "at least two teams", remedy)
+        check_team_names(self.team, self.start, self.mission)
+        for name in self.others.keys() & self.team.keys():
+            raise InputError(f"others.{name}", name, "a name that no team has", "rename it")
+        for i, item in enumerate(self.mission):
+            if not item:
+                remedy = f"write a step, such as {names[0]}: {{hold: {{seconds: 1.0}}}}"
+                raise InputError(f"mission[{i}]", {}, "steps of one team at least", remedy)
+        owners = self._owners()
+        missions = collect(lambda name: self._named_mission(name, owners), names)
+        check_placed(self.objects, missions[0].requirements.floor)
+        return dict(zip(names, missions, strict=True))
+
+    def _steps(self, name: str) -> list[tuple[str, Step, bool]]:
+        """Return the steps of a team with their keys, and whether each is the last of its item."""
+        steps = list[tuple[str, Step, bool]]()
+        for i, item in enumerate(self.mission):
+            key, own = f"mission[{i}].{name}", item.get(name, ())
+            if isinstance(own, Step):
+                steps.append((key, own, True))
+            else:
+                last = len(own) - 1
+                steps += [(f"{key}[{j}]", step, j == last) for j, step in enumerate(own)]
+        return steps
+
+    def _owners(self) -> dict[str, str]:
+        """Return the team that carries each object; obstacles have no owner."""
+        owners = dict[str, str]()
+        for name in self.team:
+            for key, step, _ in self._steps(name):
+                body = getattr(step, "object", None)
+                if body is not None and owners.setdefault(body, name) != name:
+                    bound = f"an object that {owners[body]} does not name"
+                    remedy = "let one team carry it"
+                    raise InputError(f"{key}.{step.name}.object", body, bound, remedy)
+        return owners
+
+    def _named_mission(self, name: str, owners: Mapping[str, str]) -> TeamMission:
+        """Return the mission of one of several teams."""
+        team, start, steps = self.team[name], self.start.get(name, Missing()), self._steps(name)
+        for key, step, is_last in steps:
+            if is_last and step.blends:
+                bound = "false in the last step of an item"
+                remedy = "leave it out: the next item begins when all rest"
+                raise InputError(f"{key}.{step.name}.blend", True, bound, remedy)
+        bodies = {k: body for k, body in self.objects.items() if owners.get(k, name) == name}
+
+        def with_name(key: str) -> str:
+            key = re.sub(r"^mission\[(\d+)\]", lambda match: steps[int(match[1])][0], key)
+            return re.sub(r"^start\b", f"start.{name}", re.sub(r"^team\b", f"teams.{name}", key))
+
+        try:
+            return self._mission(name, team, start, tuple(step for _, step, _ in steps), bodies)
+        except InputError as error:
+            raise error.renamed(with_name) from None

@@ -30,8 +30,7 @@ from hitchopt.mission.changes import (
     spread_changes,
 )
 from hitchopt.mission.problem import Problem
-from hitchopt.mission.solving import UNPLANNED
-from hitchopt.mission.teams import solve_any
+from hitchopt.mission.solving import UNPLANNED, solve_problem
 from hitchopt.steps.carrying import OBSTACLE_CHECKS
 from hitchopt.steps.step import Knob
 
@@ -135,7 +134,7 @@ class _Search:
         if self._progress is not None:
             self._progress(f"trying {change}")
         try:
-            plan = solve_any(change.problem, optimiser=optimiser)
+            plan = solve_problem(change.problem, optimiser=optimiser)
         except InfeasibleError as error:
             self._errors[str(change)], remaining = error, _faults(error)
             if not self._faults.keys() & remaining.keys():

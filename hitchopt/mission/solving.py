@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import math
 import pickle
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,18 +11,16 @@ from dataclasses import fields, is_dataclass, replace
 
 import numpy as np
 
-from hitchopt.checks import certify, merged
-from hitchopt.checks.downwash import moves
+from hitchopt.checks import merged
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import HitchoptError, InfeasibleError, Progress, TimeLimitError, Violation
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.flight_controller import CONTROLLERS, FlightController
-from hitchopt.hitch.requirements import Prism, Requirements
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Assignment
-from hitchopt.mission.problem import DronesStart, HitchStart, Problem, SwarmProblem
-from hitchopt.motion.motion import Motion, Phase, concatenated
-from hitchopt.objects import Slab, SolidObject
-from hitchopt.objects.placing import in_world
+from hitchopt.mission.problem import DronesStart, HitchStart, Problem, TeamMission
+from hitchopt.mission.teams import schedule_teams
+from hitchopt.motion.motion import Motion, concatenated
 from hitchopt.steps import FollowVertex, Form, Step
 from hitchopt.steps.carrying import OBSTACLE_CHECKS, TransportObject
 from hitchopt.steps.certified_motions import (
@@ -36,7 +33,6 @@ from hitchopt.steps.certified_motions import (
     split_hitch,
 )
 from hitchopt.steps.step import RestState, StepPlan, StepTask
-from hitchopt.values import Array
 
 AT_START, UNPLANNED = "at the start (t = 0)", "not looked at yet: steps "
 
@@ -93,27 +89,51 @@ def check_controllers(team: Team) -> None:
 def solve_problem(
     problem: Problem, progress: Progress | None = None, *, optimiser: bool = True
 ) -> CertifiedMotion:
-    """Return the certified plan of all steps; without ``optimiser`` on direct routes only.
+    """Return the certified plan of all teams; without ``optimiser`` on direct routes only.
 
-    ``progress`` is a status callback. Raises InfeasibleError with the violated limits, places and
-    times; HitchoptError if a planner failed on a problem that may be feasible.
+    ``progress`` is a status callback. With other plans in the air a team may wait before each step.
+
+    Raises InfeasibleError with the violated limits, places and times: a team cannot fly alone, or
+    no start time separates it from the others. Raises HitchoptError if a planner failed on a
+    problem that may be feasible.
     """
-    check_controllers(problem.team)
-    with _with_tracking_advice(problem.requirements):
-        return _plan_steps(problem, progress, optimiser=optimiser)
-
-
-def _plan_steps(problem: Problem, progress: Progress | None, *, optimiser: bool) -> CertifiedMotion:
-    """Return the certified plan of all steps."""
-    steps, requirements = problem.mission, problem.requirements
     report = progress or (lambda _: None)
+    alone = {
+        name: _plan_alone(mission, report, optimiser=optimiser)
+        for name, mission in problem.teams.items()
+    }
+    if problem.others or len(alone) > 1:
+        return schedule_teams(problem, {name: each.motion for name, each in alone.items()}, report)
+    return alone[""]
+
+
+def _plan_alone(mission: TeamMission, report: Progress, *, optimiser: bool) -> CertifiedMotion:
+    """Return the certified plan of one team alone."""
+
+    def report_team(status: str) -> None:
+        report(f"{mission.name}: {status}" if mission.name else status)
+
+    if mission.team.has_cables:
+        check_controllers(mission.team)
+    try:
+        with _with_tracking_advice(mission.requirements):
+            return _plan_steps(mission, report_team, optimiser=optimiser)
+    except TimeLimitError:
+        raise
+    except InfeasibleError as error:
+        raise error.of_group(mission.name) from None
+
+
+def _plan_steps(mission: TeamMission, report: Progress, *, optimiser: bool) -> CertifiedMotion:
+    """Return the certified plan of all steps."""
+    steps, requirements = mission.steps, mission.requirements
     with_reserve = requirements.with_reserve  # the reserve is for stops on the common clock
-    state, assignment = _start_state(problem, with_reserve, report)
+    state, assignment = _start_state(mission, with_reserve, report)
     start, plans, motions = state.hitch, list[StepPlan](), list[Motion]()
     for first, group in _groups(steps):
         report(f"planning step {first} ({group[0].name}), {first} of {len(steps)} done")
         if isinstance(group[0], Form):
-            state = state.regrouped(problem.rings[first])
+            state = state.regrouped(mission.rings[first])
         task = StepTask(state, first, state.with_objects(with_reserve), optimiser)
         try:
             plan = _plan_group(group, task, report)
@@ -122,7 +142,7 @@ def _plan_steps(problem: Problem, progress: Progress | None, *, optimiser: bool)
         except HitchoptError as error:
             if first == 0 and start is not None:
                 check_at_rest(start, with_reserve, AT_START)
-            if not isinstance(error, InfeasibleError):
+            if not (isinstance(error, InfeasibleError) and mission.team.has_cables):
                 raise
             named = _in_step(error, first, group)
             rest = [f"{i} ({step.name})" for i, step in enumerate(steps)][first + len(group) :]
@@ -138,7 +158,7 @@ def _plan_steps(problem: Problem, progress: Progress | None, *, optimiser: bool)
         if start is not None:
             check_at_rest(start, with_reserve, AT_START)
         raise _with_advice(CertifiedMotion(motion, certificate), steps)
-    if isinstance(problem.start, DronesStart):
+    if isinstance(mission.start, DronesStart):
         check_above_ground(motion)
     return CertifiedMotion(motion, certificate)
 
@@ -169,23 +189,25 @@ def contents(value: object) -> object:
 
 
 def _start_state(
-    problem: Problem, requirements: Requirements, report: Progress
+    mission: TeamMission, requirements: Requirements, report: Progress
 ) -> tuple[RestState, Assignment | None]:
     """Return the state at the start and, if cables are free, the assignment of robots to edges."""
-    team, start = problem.team, problem.start
-    whole = team if problem.changes else None
+    team, start = mission.team, mission.start
+    whole = team if mission.changes else None
     if isinstance(start, HitchStart):
         report("splitting the slack at the start")
         hitch = split_hitch(team, start.polygon, start.altitude, start.legs, requirements)
         return RestState(team, hitch.drones, hitch, whole=whole), None
     if isinstance(start, Hitch):
         return RestState(team, start.drones, start, whole=whole), None
+    if not team.has_cables:
+        return RestState(team, start), None
     state = RestState(team, start.drones, whole=whole)  # with the file's order of robots
     check_start(StepTask(state, 0, requirements))
     if whole is not None:
         return state, None
     assignment = Assignment.fixed(team.robots)
-    form = next((step for step in problem.mission if isinstance(step, Form)), None)
+    form = next((step for step in mission.steps if isinstance(step, Form)), None)
     if form is not None and form.assign == "auto":
         report("assigning robots to edges")
         from hitchopt.planners.forming.approach import assign_robots
@@ -199,6 +221,7 @@ def _plan_group(group: tuple[Step, ...], task: StepTask, report: Progress) -> St
     key = hashlib.sha256(repr(contents((group, task))).encode()).digest()
     plan = _CACHE.pop(key, None)
     if plan is None:
+        task = replace(task, progress=report)
         plan = group[0].plan(task) if len(group) == 1 else plan_blended(group, task)
         report(f"certifying step {task.index} ({group[0].name})")
         _ = plan.certificate  # stored with the plan
@@ -257,90 +280,3 @@ def _with_advice(certified: CertifiedMotion, steps: Sequence[Step]) -> Infeasibl
 
 def _remedy(violation: Violation, advice: str) -> str:
     return f"{violation.remedy}, or {advice}" if advice else violation.remedy
-
-
-LIMIT_SHARE = 1.0 - 1e-6
-"""Usable share of the limits of thrust and tilt, as a margin for rounding."""
-
-CIRCLE_CORNERS, MIN_PRISM_HEIGHT = 24, 1e-3
-"""Number of corners of the polygon around a circle; height of the prism around a rim [m]."""
-
-
-def solve_swarm(problem: SwarmProblem, progress: Progress | None = None) -> CertifiedMotion:
-    """Return the certified plan of single drones; ``progress`` is a status callback.
-
-    Raises InfeasibleError with the violated limits, places and times.
-    """
-    with _with_tracking_advice(problem.requirements):
-        return _plan_separation(problem, progress)
-
-
-def _plan_separation(problem: SwarmProblem, progress: Progress | None) -> CertifiedMotion:
-    """Return the certified plan of single drones."""
-    from hitchopt.planners.separation import SeparatedFlight, SeparationTask
-
-    duration, limit = problem.duration, problem.limits.duration
-    if limit is not None and duration is not None and duration > limit:
-        remedy = "lower duration, or raise limits.duration"
-        violation = Violation("duration", duration, limit, "max", "s", (), "as asked for", remedy)
-        raise InfeasibleError([violation])
-    requirements = problem.requirements.with_reserve
-    prisms = [(f"prism {k}", prism) for k, prism in enumerate(requirements.keep_out)]
-    for name, body in problem.objects.items():
-        rise = requirements.separation.height - requirements.separation.radius
-        rise = rise if moves(body, problem.team) else 0.0
-        prisms += [(name, _prism_around(body, slab, rise)) for slab in body.slabs]
-    names, keep_out = zip(*prisms, strict=True) if prisms else ((), ())
-    task = SeparationTask(
-        problem.start,
-        problem.goal,
-        replace(requirements, keep_out=keep_out, objects={}),
-        duration=duration,
-        acceleration=flyable_accelerations(problem),
-        names=problem.team.drone_names,
-        prisms=names,
-    )
-    separated = SeparatedFlight(task).solve(progress)
-    phase = Phase("fly", 0, 0.0, separated.drones.duration, separated.remark)
-    motion = Motion.single(problem.team, problem.requirements, separated.drones, (phase,))
-    certificate = certify(motion, progress and (lambda name: progress(f"certifying {name}")))
-    if not certificate.certified:
-        raise infeasible_error(certificate, motion)
-    return CertifiedMotion(motion, certificate)
-
-
-def _prism_around(body: SolidObject, slab: Slab, rise: float) -> Prism:
-    """Return a prism that contains a slab of an object, in world coordinates.
-
-    Its ceiling is higher by ``rise`` [m]: drones that keep off it by ``radius`` keep the lower half
-    of their ellipsoids off the slab if ``rise`` is ``height`` less ``radius``.
-    """
-    corners = slab.section.core
-    if slab.section.radius is not None:
-        angles = -2.0 * np.pi / CIRCLE_CORNERS * np.arange(CIRCLE_CORNERS)
-        radius = slab.section.radius / np.cos(np.pi / CIRCLE_CORNERS)
-        corners = radius * np.column_stack([np.cos(angles), np.sin(angles)])
-    placed = in_world(body.pose, np.column_stack([corners, np.zeros(len(corners))]))
-    lower, upper = body.at[2] + slab.lower, body.at[2] + slab.upper + max(rise, 0.0)
-    return Prism(placed[:, :2], min(lower, upper - MIN_PRISM_HEIGHT), upper)
-
-
-def flyable_accelerations(problem: SwarmProblem) -> Array:
-    """Return the accelerations (N,) [m/s²] that drones can reach in all directions.
-
-    Raises InfeasibleError for drones that cannot hover.
-    """
-    team = problem.team
-    vertical = team.max_thrust / team.mass - GRAVITY
-    heavy = np.flatnonzero(vertical <= 0.0)
-    if len(heavy):
-        weights, remedy = team.mass * GRAVITY, "give the drone more thrust, or less mass"
-        limit, names = team.max_thrust, team.drone_names
-        raise InfeasibleError(
-            Violation("thrust", weights[i], limit[i], "max", "N", (names[i],), "at rest", remedy)
-            for i in heavy
-        )
-    limits = problem.requirements.limits
-    horizontal = GRAVITY * math.sin(limits.tilt)
-    feasible = LIMIT_SHARE * np.minimum(vertical, horizontal)
-    return np.minimum(feasible, limits.with_reserve.acceleration)

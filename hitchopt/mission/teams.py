@@ -5,16 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 
 from hitchopt.checks import certify
-from hitchopt.errors import InfeasibleError, Progress, TimeLimitError, Violation
+from hitchopt.errors import InfeasibleError, Progress, Violation
 from hitchopt.hitch.requirements import Separation
-from hitchopt.mission.problem import Problem, SwarmProblem
-from hitchopt.mission.solving import solve_problem, solve_swarm
-from hitchopt.mission.teams_problem import AnyProblem, TeamsProblem
+from hitchopt.mission.problem import Problem
 from hitchopt.motion.combined import combined, moved_objects
 from hitchopt.motion.motion import WAIT, Group, Motion, Phase, concatenated
 from hitchopt.motion.retiming import cut, padded, resting, shifted
@@ -36,40 +33,23 @@ PEAK_DERIVATIVES = 35.0 / 16.0, 7.5132, 52.5
 """Maxima of the first three derivatives of CLIMB."""
 
 
-def solve_any(
-    problem: AnyProblem, progress: Progress | None = None, *, optimiser: bool = True
+def schedule_teams(
+    problem: Problem, alone: Mapping[str, Motion], report: Progress
 ) -> CertifiedMotion:
-    """Return the certified plan of any problem; arguments and errors as ``solve_problem``.
+    """Return the certified plan of all teams, and other plans, given that of each team alone.
 
-    With other plans in the air a team may wait before each step.
+    Raises InfeasibleError if no start time separates a team from the others.
     """
-    if isinstance(problem, TeamsProblem) or problem.others:
-        return solve_teams(problem, progress, optimiser=optimiser)
-    if isinstance(problem, SwarmProblem):
-        return solve_swarm(problem, progress)
-    return solve_problem(problem, progress, optimiser=optimiser)
-
-
-def solve_teams(
-    problem: AnyProblem, progress: Progress | None = None, *, optimiser: bool = True
-) -> CertifiedMotion:
-    """Return the certified plan of all teams.
-
-    Raises InfeasibleError: a team cannot fly alone, or no start time separates it from the others.
-    """
-    report = progress or (lambda _: None)
-    problems, counts = _problems_and_items(problem)
-    alone = {name: _plan_alone(name, each, report, optimiser) for name, each in problems.items()}
     requirements = combined([Group(name, each) for name, each in alone.items()]).requirements
     timed = {
         (name, k)
-        for name, each in problems.items()
-        for k, step in enumerate(each.mission if isinstance(each, Problem) else each)
-        if getattr(step, "duration", getattr(step, "prescribed_duration", None)) is not None
+        for name, mission in problem.teams.items()
+        for k, step in enumerate(mission.steps)
+        if step.prescribed_duration is not None
     }
     items = [
         _Item(index, row, before, requirements.separation, alone, timed)
-        for index, (row, before) in enumerate(_items(alone, counts))
+        for index, (row, before) in enumerate(_items(alone, problem.items))
     ]
     others = [group for name, other in problem.others.items() for group in other.groups(name)]
     for margin in MARGINS:
@@ -95,49 +75,12 @@ def solve_teams(
     return CertifiedMotion(motion, certificate)
 
 
-def _problems_and_items(
-    problem: AnyProblem,
-) -> tuple[Mapping[str, Problem | tuple[SwarmProblem, ...]], Sequence[Mapping[str, int]]]:
-    """Return the problem of each team, and the number of its steps in each item.
-
-    A single team has no name; its groups of steps without a stop are the items.
-    """
-    if isinstance(problem, TeamsProblem):
-        return problem.problems, problem.items
-    if isinstance(problem, SwarmProblem):
-        return {"": (problem,)}, [{"": 1}]
-    ends = [-1, *(k for k, step in enumerate(problem.mission) if not step.blends)]
-    return {"": problem}, [{"": last - first} for first, last in pairwise(ends)]
-
-
 def _sampled_group(other: Group, clock: float) -> Placed:
     """Return another plan's group, sampled from a time [s] of the plan on."""
     first, last = other.motion.drones.breaks[[0, -1]].tolist()
     start = math.floor((first - clock) / STEP + 1e-9)
     motion = padded(other.motion, min(clock + STEP * start, first), last)
     return Placed(Track(replace(other, motion=motion), moved_objects(motion)), start)
-
-
-def _plan_alone(
-    name: str, problem: Problem | tuple[SwarmProblem, ...], report: Progress, optimiser: bool
-) -> Motion:
-    """Return the motion of one team alone."""
-
-    def report_team(status: str) -> None:
-        report(f"{name}: {status}" if name else status)
-
-    try:
-        if isinstance(problem, Problem):
-            return solve_problem(problem, report_team, optimiser=optimiser).motion
-        motions = []
-        for k, each in enumerate(problem):
-            motion = solve_swarm(each, report_team).motion
-            motions.append(motion.replaced(phases=tuple(replace(p, step=k) for p in motion.phases)))
-        return concatenated(motions)
-    except TimeLimitError:
-        raise
-    except InfeasibleError as error:
-        raise error.of_group(name) from None
 
 
 def _items(

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from hitchopt.checks import Certificate, certify
 from hitchopt.checks.registry import MERGEABLE_REPORTS, RULES
-from hitchopt.errors import InputError, OneLine, UnitWarning
+from hitchopt.errors import InputError, OneLine, Progress, UnitWarning
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import checked_polygon, checked_roll
@@ -311,6 +311,7 @@ class StepTask:
     index: int  # index of the step in its mission
     requirements: Requirements  # requirements of the plan
     optimiser: bool = True  # whether the optimiser may be used
+    progress: Progress | None = None  # status callback
 
     @property
     def hitch(self) -> Hitch:

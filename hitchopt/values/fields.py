@@ -244,21 +244,19 @@ class Missing:
 
 
 def arguments_from(
-    record: type[Any],
+    keys: Mapping[str, Key],
     key: str,
     data: Any,
     exclude: Collection[str] = (),
     remedies: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:
-    """Return a record's arguments from a mapping; all errors are raised together.
+    """Return the values of ``keys`` by field from a mapping; all errors are raised together.
 
     Keys in ``exclude`` are unknown; ``remedies`` apply to some unknown or missing keys.
     """
     if not isinstance(data, Mapping):
         raise form_error(key or "problem", data, MAPPING)
-    fields_by_key = {
-        each.name: name for name, each in keys_of(record).items() if each.name not in exclude
-    }
+    fields_by_key = {each.name: name for name, each in keys.items() if each.name not in exclude}
     guesses = {name: closest_word(name, [*fields_by_key]) for name in data.keys() - fields_by_key}
     remedies = guesses | dict(remedies or {})
 
@@ -268,7 +266,7 @@ def arguments_from(
         if name not in fields_by_key:
             raise InputError(path, value, "a known key", remedies[name])
         field = fields_by_key[name]
-        declared = keys_of(record)[field]
+        declared = keys[field]
         misspelt = f"did you mean {name}?" in guesses.values()
         if isinstance(value, Missing) and (misspelt or declared.default is not EMPTY):
             return "", None
@@ -335,10 +333,17 @@ def record_schema(
     record: type[Any], definitions: dict[str, Schema], exclude: Collection[str] = ()
 ) -> Schema:
     """Add the schema of a record's keys to definitions; return a reference to it."""
+    name = f"Swarm{record.__name__}" if exclude else record.__name__
+    keys = [key for key in keys_of(record).values() if key.name not in exclude]
+    return keys_schema(name, record.__doc__, keys, definitions)
+
+
+def keys_schema(
+    name: str, doc: str | None, keys: Iterable[Key], definitions: dict[str, Schema]
+) -> Schema:
+    """Add the schema of a mapping with some keys to definitions; return a reference to it."""
     properties, required = dict[str, Any](), list[str]()
-    for key in keys_of(record).values():
-        if key.name in exclude:
-            continue
+    for key in keys:
         entry = resolved_schema(key.file_kind, definitions)
         if key.default is None:
             entry = {"anyOf": [entry, {"type": "null"}]}
@@ -347,8 +352,7 @@ def record_schema(
         properties[key.name] = entry | {"description": key.described(key.file_kind)}
         required += [key.name] * (key.default is EMPTY)
     options = {"required": required} if required else {}
-    name = f"Swarm{record.__name__}" if exclude else record.__name__
-    return mapping_schema(name, record.__doc__, properties, definitions, options)
+    return mapping_schema(name, doc, properties, definitions, options)
 
 
 def mapping_schema(
@@ -515,7 +519,7 @@ def mapping_of(
     def check(key: str, value: Any) -> Any:
         if isinstance(value, record):
             return value
-        arguments = arguments_from(record, key, value, exclude)
+        arguments = arguments_from(keys_of(record), key, value, exclude)
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", UnitWarning)  # already issued for the keys

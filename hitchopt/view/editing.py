@@ -22,9 +22,9 @@ from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputErro
 from hitchopt.geometry import Outline
 from hitchopt.mission.changes import with_edits_in
 from hitchopt.mission.loading import parse_problem
-from hitchopt.mission.problem import Problem, team_and_ring
+from hitchopt.mission.problem import Problem, TeamMission, team_and_ring
 from hitchopt.mission.repair import NO_CHANGE, Suggestion, find_suggestions
-from hitchopt.mission.teams import solve_any
+from hitchopt.mission.solving import solve_problem
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
 from hitchopt.steps import STEP_KINDS
@@ -111,7 +111,7 @@ def handles(problem: Problem, data: Plain, index: int, height: float) -> Iterato
     elif ("vertex" in keys or "edge" in keys) and ("to" in keys or "by" in keys):
         kind = "vertex" if "vertex" in keys else "edge"
         name = f"{kind} {keys[kind]}"
-        outline = outlines(problem)[index + 1]
+        outline = outlines(problem.teams[""])[index + 1]
         if "to" in keys:
             yield handle(name, *([("to", 0), ("to", 1)] if kind == "edge" else [("to",)]))
         elif outline is not None:
@@ -129,11 +129,11 @@ def step_key(data: Plain, index: int) -> str:
     return f"start.{name}" if index == START else f"mission[{index}].{name}"
 
 
-def outlines(problem: Problem) -> list[Outline | None]:
+def outlines(mission: TeamMission) -> list[Outline | None]:
     """Return the outlines at the start and after each step; None for free cables."""
-    polygons, ring = [problem.start_outline], problem.team.labels
-    for step in problem.mission:
-        team, ring = team_and_ring(problem.team, step, ring)
+    polygons, ring = [mission.start_outline], mission.team.labels
+    for step in mission.steps:
+        team, ring = team_and_ring(mission.team, step, ring)
         polygons.append(step.checked_polygon_after(team, polygons[-1]))
     return polygons
 
@@ -152,7 +152,7 @@ def new_step(problem: Problem, index: int, kind: str, height: float) -> dict[str
 
     ``height`` is the hitch's there [m].
     """
-    outline = outlines(problem)[index + 1]
+    outline = outlines(problem.teams[""])[index + 1]
     vertices: Any = TRIANGLE if outline is None else np.round(outline.vertices, 6).tolist()
     centre = np.mean(vertices, axis=0) if outline is None else outline.centroid
     fields = keys_of(STEP_KINDS[kind])
@@ -321,7 +321,7 @@ class Editing:
 
     def _read(self, text: str) -> Problem:
         problem = parse_problem(text, self.path.name, self.path.parent)
-        if not isinstance(problem, Problem):
+        if problem.kind != "hitch":
             raise InputError("team", "drones", "a team of catenary robots", "edit the file")
         return problem
 
@@ -340,7 +340,7 @@ class Editing:
         with self._planning, suppress(_StaleError):
             self._check(version)
             try:
-                planned = solve_any(problem, report)
+                planned = solve_problem(problem, report)
             except InfeasibleError as error:
                 words = f"{error}\nlooking for changes that make it feasible …"
                 self._publish(version, Status(PlanState.REFUSED, words))

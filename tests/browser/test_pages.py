@@ -399,7 +399,7 @@ class TestEditing:
         edited.mouse.up()
         waited(edited, lambda: panel.editing.text != TEXT)
         planned(edited, panel.editing)
-        vertices = panel.editing.problem.mission[0].polygon.vertices  # type: ignore[attr-defined]
+        vertices = panel.editing.problem.mission[0].polygon.vertices
         np.testing.assert_allclose(vertices[0], [1.05, -0.3], atol=0.02)
         assert panel.editing.planned.certificate.certified
 

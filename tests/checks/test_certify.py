@@ -349,11 +349,11 @@ def test_a_plan_whose_duration_is_its_limit_is_certified(duration: float) -> Non
     assert certificate["duration"].worst == pytest.approx(0.3, abs=1e-16)
 
 
-def passing(apart: Any, **requirements: Any) -> ho.SwarmProblem:
+def passing(apart: Any, **requirements: Any) -> ho.Problem:
     """Return two drones that exchange places, or separate."""
     start = np.array([[0.0, 0.5, 1.0], [apart, 0.5, 1.0]])
     goal = start[::-1].copy() if apart > 1.0 else start + [[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]
-    return ho.SwarmProblem(ho.Swarm(2), start, goal, **requirements)
+    return ho.Problem(ho.Swarm(2), start, [ho.Fly(goal)], **requirements)
 
 
 def test_drones_may_start_on_a_wall_and_touching() -> None:

@@ -96,7 +96,7 @@ def test_no_sample_of_a_cable_below_a_drone_exceeds_the_bound(seed: int, tmp_pat
 def test_planned_drones_fly_over_what_they_would_move_in_height() -> None:
     box = ho.SolidObject(BOX, 0.0, 0.6, at=[1.0, 0.0, 0.0])
     start, goal = np.array([[0.0, 0.0, 0.8]]), np.array([[2.2, 0.0, 0.8]])
-    plan = ho.separate(ho.SwarmProblem(ho.Swarm(1), start, goal, objects={"box": box}))
+    plan = ho.separate(ho.Problem(ho.Swarm(1), start, [ho.Fly(goal)], objects={"box": box}))
     check = plan.certificate["downwash"]
     assert check.holds
     assert check.bound < 3.0  # it does not just go far around

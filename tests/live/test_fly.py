@@ -31,7 +31,7 @@ def plan_of(what: str = "moved") -> ho.Plan:
     if what == "swarm":
         start = np.array([[1.0, 0.0, 1.0], [2.0, 0.5, 1.2]])
         goal = np.array([[2.0, 0.5, 0.0], [1.0, 0.1, 0.0]])
-        return ho.separate(ho.SwarmProblem(ho.Swarm(2), start, goal))
+        return ho.separate(ho.Problem(ho.Swarm(2), start, [ho.Fly(goal)]))
     hitch = ho.Hitch.spread(ho.Team(3, 2.4), TRIANGLE)
     mission = ho.Mission(hitch.team, hitch).move_vertex(0, by=[0.0, 0.4])
     return (mission if what == "moved" else mission.transport(to=[1.4, 2.2, 1.3], yaw=0.5)).solve()

@@ -319,10 +319,10 @@ def test_what_can_be_planned_is_read_and_valid(path: Path) -> None:
     VALIDATOR.validate(data)
     problem = read_problem(path)
     assert problem.title
-    teams = problem.teams if isinstance(problem, ho.TeamsProblem) else {"": problem.team}
     for name, team in data.get("teams", {"": data.get("team")}).items():
-        assert team.get("robots", 0) == teams[name].robots
-        assert team.get("drones", 2 * teams[name].robots) == teams[name].drones
+        read = problem.teams[name].team
+        assert team.get("robots", 0) == read.robots
+        assert team.get("drones", 2 * read.robots) == read.drones
 
 
 @pytest.mark.parametrize("path", REFUSED, ids=lambda path: path.stem)

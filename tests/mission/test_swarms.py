@@ -13,8 +13,7 @@ from problem_cases import VALIDATOR
 
 import hitchopt as ho
 from hitchopt.mission.loading import any_problem_from_dict, load_problem, load_swarm
-from hitchopt.mission.problem import SwarmProblem
-from hitchopt.mission.solving import flyable_accelerations
+from hitchopt.steps.flying import flyable_accelerations
 from hitchopt.storage.yaml_file import read_yaml
 
 SWARMS = PROBLEMS / "swarms"
@@ -38,9 +37,9 @@ def full() -> dict[str, Any]:
     }
 
 
-def swarm(data: dict[str, Any]) -> SwarmProblem:
+def swarm(data: dict[str, Any]) -> ho.Problem:
     problem = any_problem_from_dict(data)
-    assert isinstance(problem, SwarmProblem)
+    assert problem.kind == "swarm"
     return problem
 
 
@@ -101,7 +100,7 @@ def test_thrust_and_tilt_limit_what_drones_accelerate() -> None:
     data["limits"] = {"tilt_deg": 5.0, "acceleration": 20.0, "jerk": 200.0}
     del data["duration"]
     problem, tilted = swarm(data), 9.81 * math.sin(math.radians(5.0))
-    able = flyable_accelerations(problem)
+    able = flyable_accelerations(problem.team, problem.teams[""].requirements.limits)
     assert able == pytest.approx([min(11.0 - 9.81, tilted), tilted], rel=1e-5)
     certificate = ho.separate(problem).certificate
     assert certificate.certified

@@ -33,9 +33,9 @@ FILE: dict[str, Any] = {
 }
 
 
-def teams(data: dict[str, Any]) -> ho.TeamsProblem:
+def teams(data: dict[str, Any]) -> ho.Problem:
     problem = any_problem_from_dict(data)
-    assert isinstance(problem, ho.TeamsProblem)
+    assert problem.kind == "teams"
     return problem
 
 
@@ -51,16 +51,13 @@ def changed(path: tuple[str | int, ...], value: object) -> dict[str, Any]:
     return dict(data)
 
 
-def test_the_problem_of_every_team_has_its_steps_of_all_items() -> None:
+def test_every_team_has_its_steps_of_all_items() -> None:
     problem = teams(FILE)
     assert problem.items == [{"a": 1, "b": 1}, {"a": 2}, {"b": 1}]
-    a, b = problem.problems.values()
-    assert isinstance(a, ho.Problem)
-    assert [step.name for step in a.mission] == ["hold", "transport", "hold"]
-    assert isinstance(b, tuple)
-    assert [flight.duration for flight in b] == [None, 4.0]
-    np.testing.assert_array_equal(b[0].goal, b[1].start)
-    assert {name: len(request["mission"]) for name, request in problem.asked.items()} == {
+    a, b = problem.teams.values()
+    assert [step.name for step in a.steps] == ["hold", "transport", "hold"]
+    assert [flight.prescribed_duration for flight in b.steps] == [None, 4.0]
+    assert {name: len(request["mission"]) for name, request in problem.request.items()} == {
         "a": 3,
         "b": 2,
     }
@@ -72,7 +69,7 @@ def test_records_make_the_problem_of_the_file() -> None:
         ho.Fly(array([[3, 0, 2], [3, 1, 2]])),
         ho.Fly(array([[3, 0, 1], [3, 1, 1]]), duration=4),
     ]
-    problem = ho.TeamsProblem(
+    problem = ho.Problem(
         {"a": ho.Team(3, 2.3), "b": ho.Swarm(2)},
         {"a": ho.HitchStart(array(TRIANGLE), 1.5), "b": array([[3, 0, 1], [3, 1, 1]])},
         [
@@ -81,7 +78,7 @@ def test_records_make_the_problem_of_the_file() -> None:
             {"b": [fly[1]]},
         ],
     )
-    assert problem.asked == teams(FILE).asked
+    assert problem.request == teams(FILE).request
     assert problem.items == teams(FILE).items
 
 
@@ -130,7 +127,7 @@ def test_an_object_that_a_step_names_belongs_to_that_team_alone() -> None:
     box = {"circle": 0.1, "to": 0.3, "mass": 0.05}
     data["objects"] = {name: box | {"at": [0, y, 0]} for y, name in enumerate(("box", "post"))}
     data["mission"].append({"a": {"enclose": {"object": "box"}}, "c": {"hold": {"seconds": 1}}})
-    objects = {name: [*each["objects"]] for name, each in teams(data).asked.items()}
+    objects = {name: [*each["objects"]] for name, each in teams(data).request.items()}
     assert objects == {"a": ["box", "post"], "b": ["post"], "c": ["post"]}
     data["mission"].append({"c": {"enclose": {"object": "box"}}})
     with pytest.raises(ho.InputError, match="that a does not name") as caught:
@@ -192,9 +189,9 @@ def test_other_plans_are_read_beside_the_file_and_must_be_certified(tmp_path: Pa
 
 def test_two_finished_plans_on_one_clock_have_the_certificate_of_the_teams_together() -> None:
     together = planned("two_teams")
-    problems = ho.read_problem(PROBLEMS / "two_teams.yaml")
-    assert isinstance(problems, ho.TeamsProblem)
-    each = [ho.solve(one) for one in problems.problems.values() if isinstance(one, ho.Problem)]
+    problem = ho.read_problem(PROBLEMS / "two_teams.yaml")
+    parts = {key: getattr(problem, key) for key in ("limits", "separation", "arena")}
+    each = [ho.solve(ho.Problem(x.team, x.start, x.steps, **parts)) for x in problem.teams.values()]
     combined = ho.combine(each[0], each[1], at=7.0)
     for check in combined.certificate.checks:
         assert check.worst == pytest.approx(together.certificate[check.name].worst, abs=1e-6)
@@ -215,7 +212,7 @@ def test_teams_change_places_in_layers_but_for_steps_of_a_given_duration() -> No
 
     def exchanged(duration: float | None) -> ho.Plan:
         item = {name: ho.Transport(end, duration=duration) for name, end in ends.items()}
-        return ho.solve(ho.TeamsProblem(teams, start, [item]))
+        return ho.solve(ho.Problem(teams, start, [item]))
 
     names = {phase.name for each in exchanged(None).motion.groups for phase in each.motion.phases}
     assert names >= {"climb", "descend", WAIT}

@@ -247,7 +247,7 @@ def test_drones_without_conflicts_stay(monkeypatch: pytest.MonkeyPatch) -> None:
     x, y = np.meshgrid(np.arange(6) - 2.5, 8.0 + np.arange(5), indexing="ij")
     away = np.column_stack([x.ravel(), y.ravel(), np.full(30, 1.5)])
     start, goal = (np.vstack([ring[end], away]) for end in ("start", "goal"))
-    plan = ho.separate(ho.SwarmProblem(ho.Swarm(42), start, goal))
+    plan = ho.separate(ho.Problem(ho.Swarm(42), start, [ho.Fly(goal)]))
     assert plan.certificate.certified
     drones = plan.motion.drones.at(np.linspace(0.0, plan.duration, 300))
     np.testing.assert_allclose(drones[:, 12:], np.broadcast_to(away, (300, 30, 3)), atol=1e-12)

@@ -92,7 +92,7 @@ def turned() -> ho.Plan:
 def swapped() -> ho.Plan:
     places = np.array([[-1.0, 0.1, 1.0], [1.0, -0.1, 1.1], [0.0, 1.0, 1.0]])
     team = ho.Swarm(3, quadrotor=ho.Quadrotor(controller="px4"))
-    return ho.separate(ho.SwarmProblem(team, places, places[[1, 0, 2]]))
+    return ho.separate(ho.Problem(team, places, [ho.Fly(places[[1, 0, 2]])]))
 
 
 SLOW = [

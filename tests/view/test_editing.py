@@ -64,7 +64,7 @@ def test_steps_that_open_vertices_or_change_robots_have_no_handles(stem: str) ->
     )
     steps = range(len(editing.problem.mission))
     assert [bool(editing.handles(index)) for index in steps] == [True, *[False] * (len(steps) - 1)]
-    corners = [outline and len(outline.vertices) for outline in outlines(editing.problem)]
+    corners = [outline and len(outline.vertices) for outline in outlines(editing.problem.teams[""])]
     tied = [6, 6, 6, 6] if stem == "lay_hexagon" else [3, 4, 4, 3]
     assert corners[: len(tied) + 1] == [None, *tied]
     heights = [height_after(plan.motion, index) for index in range(len(tied))]
@@ -110,7 +110,7 @@ def test_while_a_plan_is_made_the_old_one_is_called_old_and_stale_ones_go(
         progress("going on")
         return solve_problem(problem, progress)
 
-    monkeypatch.setattr("hitchopt.view.editing.solve_any", waiting)
+    monkeypatch.setattr("hitchopt.view.editing.solve_problem", waiting)
     editing.listener = lambda: stages.append(editing.status.stage)
     assert [height_after(first.motion, i) for i in (START, 1)] == pytest.approx([1.2, 1.2])
     editing.put(Edit(SECONDS, 5.0))

@@ -1,0 +1,134 @@
+"""The step of single drones: to fly to places out of each other's downwash."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Annotated, ClassVar, Self
+
+import numpy as np
+
+from hitchopt.checks.downwash import moves
+from hitchopt.errors import InfeasibleError, InputError, Violation
+from hitchopt.hitch import GRAVITY, Team
+from hitchopt.hitch.requirements import Limits, Prism
+from hitchopt.hitch.team import MAX_DRONES
+from hitchopt.motion.motion import Motion, Phase
+from hitchopt.objects import Slab, SolidObject
+from hitchopt.objects.placing import in_world
+from hitchopt.steps.step import Stage, Step, StepPlan, StepTask
+from hitchopt.values import Array
+from hitchopt.values.fields import Key, documented, points
+from hitchopt.values.units import DURATION
+
+SWARM_PLACES = points((None, 3), "x, y, z", 1, MAX_DRONES)
+
+LIMIT_SHARE = 1.0 - 1e-6
+"""Usable share of the limits of thrust and tilt, as a margin for rounding."""
+
+CIRCLE_CORNERS, MIN_PRISM_HEIGHT = 24, 1e-3
+"""Number of corners of the polygon around a circle; height of the prism around a rim [m]."""
+
+
+def check_count(key: str, places: Array, team: Team) -> None:
+    """Raise InputError unless there is one place per drone."""
+    if len(places) != team.drones:
+        bound, remedy = f"{team.drones} points, one per drone", "change team.drones, or these"
+        raise InputError(key, f"{len(places)} points", bound, remedy)
+
+
+@documented
+@dataclass(frozen=True, eq=False)
+class Fly(Step):
+    """A flight of single drones beside teams with cables."""
+
+    needs_hitch: ClassVar[bool | None] = False
+    stages: ClassVar[tuple[Stage, Stage] | None] = None
+
+    goal: Annotated[
+        Array,
+        Key(
+            SWARM_PLACES,
+            "Where they come to rest (N, 3) [m], [x, y, z] per drone",
+            [[1, 0, 1], [-1, 0, 1]],
+        ),
+    ]
+    duration: Annotated[
+        float | None, Key(DURATION, "Exactly that long; without it as fast as possible")
+    ] = None
+
+    def resolved_for(self, team: Team) -> Self:
+        """Return the step; raise InputError unless there is one goal per drone."""
+        check_count("goal", self.goal, team)
+        return self
+
+    def plan(self, task: StepTask) -> StepPlan:
+        """Return the plan of the flight.
+
+        Raises InfeasibleError with the violated limits, places and times.
+        """
+        from hitchopt.planners.separation import SeparatedFlight, SeparationTask
+
+        requirements, team = task.requirements, task.before.team
+        duration, limit = self.duration, requirements.limits.duration
+        if limit is not None and duration is not None and duration > limit:
+            remedy = "lower duration, or raise limits.duration"
+            violation = Violation(
+                "duration", duration, limit, "max", "s", (), "as asked for", remedy
+            )
+            raise InfeasibleError([violation])
+        prisms = [(f"prism {k}", prism) for k, prism in enumerate(requirements.keep_out)]
+        for name, body in requirements.objects.items():
+            rise = requirements.separation.height - requirements.separation.radius
+            rise = rise if moves(body, team) else 0.0
+            prisms += [(name, _prism_around(body, slab, rise)) for slab in body.slabs]
+        names, keep_out = zip(*prisms, strict=True) if prisms else ((), ())
+        separation_task = SeparationTask(
+            task.before.drones,
+            self.goal,
+            replace(requirements, keep_out=keep_out, objects={}),
+            duration=duration,
+            acceleration=flyable_accelerations(team, requirements.limits),
+            names=team.drone_names,
+            prisms=names,
+        )
+        separated = SeparatedFlight(separation_task).solve(task.progress)
+        drones = separated.drones
+        phase = Phase(self.name, task.index, 0.0, drones.duration, separated.remark)
+        motion = Motion.single(team, requirements, drones, (phase,))
+        return StepPlan(motion, replace(task.before, drones=self.goal))
+
+
+def _prism_around(body: SolidObject, slab: Slab, rise: float) -> Prism:
+    """Return a prism that contains a slab of an object, in world coordinates.
+
+    Its ceiling is higher by ``rise`` [m]: drones that keep off it by ``radius`` keep the lower half
+    of their ellipsoids off the slab if ``rise`` is ``height`` less ``radius``.
+    """
+    corners = slab.section.core
+    if slab.section.radius is not None:
+        angles = -2.0 * np.pi / CIRCLE_CORNERS * np.arange(CIRCLE_CORNERS)
+        radius = slab.section.radius / np.cos(np.pi / CIRCLE_CORNERS)
+        corners = radius * np.column_stack([np.cos(angles), np.sin(angles)])
+    placed = in_world(body.pose, np.column_stack([corners, np.zeros(len(corners))]))
+    lower, upper = body.at[2] + slab.lower, body.at[2] + slab.upper + max(rise, 0.0)
+    return Prism(placed[:, :2], min(lower, upper - MIN_PRISM_HEIGHT), upper)
+
+
+def flyable_accelerations(team: Team, limits: Limits) -> Array:
+    """Return the accelerations (N,) [m/s²] that drones can reach in all directions.
+
+    Raises InfeasibleError for drones that cannot hover.
+    """
+    vertical = team.max_thrust / team.mass - GRAVITY
+    heavy = np.flatnonzero(vertical <= 0.0)
+    if len(heavy):
+        weights, remedy = team.mass * GRAVITY, "give the drone more thrust, or less mass"
+        limit, names = team.max_thrust, team.drone_names
+        raise InfeasibleError(
+            Violation("thrust", weights[i], limit[i], "max", "N", (names[i],), "at rest", remedy)
+            for i in heavy
+        )
+    horizontal = GRAVITY * math.sin(limits.tilt)
+    feasible = LIMIT_SHARE * np.minimum(vertical, horizontal)
+    return np.minimum(feasible, limits.with_reserve.acceleration)
