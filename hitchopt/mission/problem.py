@@ -75,7 +75,7 @@ def resolved_steps(mission: TeamMission) -> tuple[Step, ...]:
         try:
             if isinstance(unresolved, Fly) is whole.has_cables:
                 kind, *_, bound, _ = _words(whole)
-                remedy = f"{mission.name or 'the team'} is {kind}"
+                remedy = f"{mission.name or 'this'} is {kind}"
                 raise InputError("", "a step", bound, remedy)
             team, ring = team_and_ring(whole, unresolved, ring)
             changes |= ring != whole.labels

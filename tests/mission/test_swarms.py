@@ -94,6 +94,43 @@ def test_each_kind_has_its_own_loader() -> None:
         load_swarm(PROBLEMS / "triangle.yaml")
 
 
+PLACES = np.array([[-1.0, 0.0, 1.0], [1.0, 0.1, 1.0]])
+TEAM, SWARM = ho.Team(3, 2.4), ho.Swarm(2)
+HITCH = ho.HitchStart(ho.regular_polygon(3, 1.0), 1.0)
+FLY, HOLD = ho.Fly(PLACES[::-1]), ho.Hold(1.0)
+
+
+def test_single_drones_fly_one_flight_after_the_other() -> None:
+    plan = ho.solve(ho.Mission(SWARM, PLACES).then(FLY).then(ho.Fly(PLACES, duration=4.0)))
+    assert plan.certificate.certified
+    assert [(phase.name, phase.step) for phase in plan.phases] == [("fly", 0), ("fly", 1)]
+    ends = plan.at([0.0, plan.duration - 4.0, plan.duration]).positions
+    np.testing.assert_allclose(ends, [PLACES, PLACES[::-1], PLACES], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("team", "start", "mission", "key"),
+    [
+        (TEAM, HITCH, [FLY], "mission[0].fly"),
+        (SWARM, PLACES, [FLY, HOLD], "mission[1].hold"),
+        (SWARM, HITCH, [FLY], "start"),
+        (TEAM, PLACES, [HOLD], "start"),
+        (ho.Swarm(3), PLACES, [FLY], "start"),
+        (SWARM, PLACES, [FLY, ho.Fly(PLACES[:1])], "mission[1].fly.goal"),
+        (SWARM, PLACES, [], "mission"),
+        (TEAM, HITCH, [HOLD], "keep_out"),
+        ({"a": TEAM, "b": SWARM}, {"a": HITCH, "b": PLACES}, [{"a": HOLD, "b": FLY}], "keep_out"),
+    ],
+)
+def test_starts_steps_and_prisms_fit_the_kind_of_team(
+    team: Any, start: Any, mission: Any, key: str
+) -> None:
+    wall = ho.Prism([[3, 0], [3, 1], [4, 0]], lower=0.0, upper=1.0)
+    with pytest.raises(ho.InputError) as caught:
+        ho.Problem(team, start, mission, keep_out=(wall,))
+    assert caught.value.key == key
+
+
 def test_thrust_and_tilt_limit_what_drones_accelerate() -> None:
     data = full()
     data["team"]["quadrotor"] = [{"mass": 0.1, "max_thrust": thrust} for thrust in (1.1, 9.0)]
