@@ -79,8 +79,7 @@ class ObjectKeys(SectionKeys):
         try:
             return SolidObject(Section(self.outline, self.circle), **values)
         except InputError as error:
-            key = FILE_KEYS.get(error.key, error.key)
-            raise InputError(key, error.value, error.bound, error.remedy) from None
+            raise error.renamed(lambda key: FILE_KEYS.get(key, key)) from None
 
 
 FILE_KEYS = {"lower": "from", "upper": "to", "rim.height": "rim.at", "rim.section": "rim"}

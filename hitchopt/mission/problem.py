@@ -488,7 +488,8 @@ class Problem(OneLine):
             steps = sequence("mission", self.mission)
             for i, step in enumerate(steps):
                 check_instance(f"mission[{i}]", step, Step)
-            own = self._mission("", self.team, self.start, steps, self.objects)
+            requirements = self._requirements(self.team, self.objects)
+            own = TeamMission("", self.team, self.start, steps, requirements, self.complete)
             for name, value in (("start", own.start), ("mission", own.steps), ("teams", {"": own})):
                 object.__setattr__(self, name, value)
         if self.keep_out and self.kind != "swarm":
@@ -496,18 +497,9 @@ class Problem(OneLine):
             bound = "left out unless single drones fly alone"
             raise InputError("keep_out", f"{len(self.keep_out)} prisms", bound, remedy)
 
-    def _mission(
-        self,
-        name: str,
-        team: Team,
-        start: object,
-        steps: tuple[Step, ...],
-        objects: Mapping[str, SolidObject],
-    ) -> TeamMission:
-        requirements = Requirements(
-            self.limits, self.separation, self.arena, self.keep_out, objects
-        ).flown_by(team)
-        return TeamMission(name, team, start, steps, requirements, self.complete)
+    def _requirements(self, team: Team, objects: Mapping[str, SolidObject]) -> Requirements:
+        parts = self.limits, self.separation, self.arena, self.keep_out, objects
+        return Requirements(*parts).flown_by(team)
 
     @property
     def kind(self) -> Literal["hitch", "swarm", "teams"]:
@@ -595,12 +587,13 @@ class Problem(OneLine):
                 remedy = "leave it out: the next item begins when all rest"
                 raise InputError(f"{key}.{step.name}.blend", True, bound, remedy)
         bodies = {k: body for k, body in self.objects.items() if owners.get(k, name) == name}
+        requirements = self._requirements(team, bodies)
 
         def with_name(key: str) -> str:
             key = re.sub(r"^mission\[(\d+)\]", lambda match: steps[int(match[1])][0], key)
             return re.sub(r"^start\b", f"start.{name}", re.sub(r"^team\b", f"teams.{name}", key))
 
         try:
-            return self._mission(name, team, start, tuple(step for _, step, _ in steps), bodies)
+            return TeamMission(name, team, start, tuple(x for _, x, _ in steps), requirements)
         except InputError as error:
             raise error.renamed(with_name) from None
