@@ -15,7 +15,7 @@ from hitchopt.mission.problem import Problem
 from hitchopt.motion.combined import combined, moved_objects
 from hitchopt.motion.motion import WAIT, Group, Motion, Phase, concatenated
 from hitchopt.motion.retiming import cut, padded, resting, shifted
-from hitchopt.planners.schedule import STEP, Blocked, Placed, Schedule, Track
+from hitchopt.planners.schedule import STEP, Blocked, Placed, SampledPath, Schedule
 from hitchopt.steps.certified_motions import CertifiedMotion, infeasible_error
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
@@ -80,7 +80,7 @@ def _sampled_group(other: Group, clock: float) -> Placed:
     first, last = other.motion.drones.breaks[[0, -1]].tolist()
     start = math.floor((first - clock) / STEP + 1e-9)
     motion = padded(other.motion, min(clock + STEP * start, first), last)
-    return Placed(Track(replace(other, motion=motion), moved_objects(motion)), start)
+    return Placed(SampledPath(replace(other, motion=motion), moved_objects(motion)), start)
 
 
 def _items(
@@ -116,19 +116,19 @@ class _Item:
     ) -> None:
         self.index, self.row, self.timed = index, row, timed
         self.tracks = [
-            Track(Group(name, row.get(name, before[name])), moved_objects(motion))
+            SampledPath(Group(name, row.get(name, before[name])), moved_objects(motion))
             for name, motion in alone.items()
         ]
         self.schedule = Schedule(self.tracks, separation, self._layer)
 
-    def _layer(self, k: int, layer: int) -> Track | None:
+    def _layer(self, k: int, layer: int) -> SampledPath | None:
         name = self.tracks[k].group.name
         height = LAYER_HEIGHT * self.schedule.separation.height * (1.0 if layer == 1 else -1.0)
         motion = self.row.get(name)
         if motion is None or (name, motion.phases[0].step) in self.timed:
             return None  # a layer takes longer
         detour = _detour(motion, height)
-        return None if detour is None else Track(Group(name, detour), self.tracks[k].owned)
+        return None if detour is None else SampledPath(Group(name, detour), self.tracks[k].owned)
 
     def fly(
         self, flown: Mapping[str, list[Motion]], others: Sequence[Placed], margin: float

@@ -26,7 +26,7 @@ from hitchopt.objects.placing import REST_DRIFT
 POSITION_TOLERANCE = 1e-6
 """[m] Largest difference of a plan's start, and of the ends of its steps, from the request."""
 
-SLACK = {"asked.start": POSITION_TOLERANCE, "asked.mission": POSITION_TOLERANCE}
+SLACK = {"request.start": POSITION_TOLERANCE, "request.mission": POSITION_TOLERANCE}
 
 TENSION_SLACK = 1e-4
 """[N] Largest excess over a range of tensions, as in the check ``tension``."""
@@ -127,13 +127,13 @@ def check_request(request: Mapping[str, Any], motion: Motion) -> None:
             facts = {"plan": each.plan, "at": float(each.motion.drones.breaks[0])}
             keys = request["others"].get(name, facts)
             others[name] = {key: fact for key, fact in facts.items() if key in keys}
-        check_same("asked.others", request["others"], others, "as requested")
+        check_same("request.others", request["others"], others, "as requested")
     if len(motion.groups) == 1:
         _check_team(teams, motion)
         return
     names = [each.name for each in motion.groups]
     if teams.keys() != set(names):
-        raise InputError("asked", names, f"the teams {sorted(teams)}", REMEDY)
+        raise InputError("request", names, f"the teams {sorted(teams)}", REMEDY)
     for each in motion.groups:
         try:
             _check_team(teams[each.name], each.motion)
@@ -147,10 +147,10 @@ def _check_team(request: Mapping[str, Any], motion: Motion) -> None:
     results, steps = actual.pop("mission"), request["mission"]
     start = {key: actual["start"].get(key) for key in request["start"]}
     team_request = {key: value for key, value in request.items() if key != "mission"}
-    check_same("asked", team_request, actual | {"start": start}, "as requested", SLACK)
+    check_same("request", team_request, actual | {"start": start}, "as requested", SLACK)
     if len(steps) != len(results):
         bound = f"{len(steps)} as requested"
-        raise InputError("asked.mission", f"{len(results)} steps", bound, REMEDY)
+        raise InputError("request.mission", f"{len(results)} steps", bound, REMEDY)
     pairs = zip(_steps(motion), steps, results, strict=True)
     for i, (phases, requested, result) in enumerate(pairs):
         result["seconds"] = sum(each.end - each.start for each in phases if each.name != WAIT)
@@ -158,4 +158,4 @@ def _check_team(request: Mapping[str, Any], motion: Motion) -> None:
         if used is None or (low - TENSION_SLACK <= used[0] and used[1] <= high + TENSION_SLACK):
             result["tension"] = requested.get("tension")
         compared = {key: result.get(key) for key in requested}
-        check_same(f"asked.mission[{i}]", requested, compared, "as requested", SLACK)
+        check_same(f"request.mission[{i}]", requested, compared, "as requested", SLACK)

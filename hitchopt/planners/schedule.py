@@ -35,7 +35,7 @@ FAR = 1e6  # [m] of bodies that do not count
 REACH = 0.25  # [m] Distance beyond a limit up to which it is computed
 
 
-class Bodies(NamedTuple):
+class SampledBodies(NamedTuple):
     """Segments, or upright hulls of corners in plan view, with extents at sampled times."""
 
     corners: Array  # (samples, bodies, k, 3) [m]; segments end at the first and the last one
@@ -45,7 +45,7 @@ class Bodies(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Track:
+class SampledPath:
     """A group's path, sampled every STEP [s] from start to end, and the objects that it moves."""
 
     group: Group
@@ -61,20 +61,20 @@ class Track:
         return len(self.times)
 
     @cached_property
-    def drones(self) -> Bodies:
+    def drones(self) -> SampledBodies:
         """All drones."""
         points = self.group.motion.drones.at(self.times)
         ends, upright = np.repeat(points[:, :, None], 2, axis=2), np.zeros(len(self), np.bool_)
-        return Bodies(ends, ends[..., 2], np.zeros(points.shape[1]), upright)
+        return SampledBodies(ends, ends[..., 2], np.zeros(points.shape[1]), upright)
 
     @cached_property
-    def cables(self) -> Bodies:
+    def cables(self) -> SampledBodies:
         """Parts of taut cables, and the upright regions that contain other cables."""
         motion, layout = self.group.motion, self.group.motion.team.layout
         n, m, drones = motion.team.robots, len(self), self.drones.corners[:, :, 0]
         if n == 0:
             empty = np.zeros((m, 0, 2, 3))
-            return Bodies(empty, empty[..., 2], np.zeros(0), np.zeros(m, np.bool_))
+            return SampledBodies(empty, empty[..., 2], np.zeros(0), np.zeros(m, np.bool_))
         ends = np.concatenate([motion.vertices.at(self.times), drones], axis=1)
         ends, breaks = ends[:, layout.part_nodes], motion.drones.breaks
         formed = motion.formed[np.searchsorted(breaks[1:-1], self.times, side="right")]
@@ -88,10 +88,10 @@ class Track:
             np.stack([np.min(sheets[..., 2], axis=-1), np.max(sheets[..., 2], axis=-1)], axis=-1),
         )
         corners = np.where(is_taut[..., None], parts, outlines)
-        return Bodies(corners, heights, np.zeros(len(cable)), ~formed)
+        return SampledBodies(corners, heights, np.zeros(len(cable)), ~formed)
 
     @cached_property
-    def taut(self) -> Bodies:
+    def taut(self) -> SampledBodies:
         """Parts of taut cables, far away while there is no hitch."""
         cables = self.cables
         offset = np.where(cables.upright, FAR, 0.0)[:, None, None]
@@ -99,7 +99,7 @@ class Track:
         return cables._replace(corners=corners, heights=cables.heights + offset)
 
     @cached_property
-    def objects(self) -> Bodies:
+    def objects(self) -> SampledBodies:
         """Cylinders around the objects that the group moves."""
         motion = self.group.motion
         objects = motion.requirements.objects
@@ -109,7 +109,7 @@ class Track:
         ends = [[min(s.lower for s in each), max(s.upper for s in each)] for each in slabs]
         radii = [max(s.section.circumradius for s in each) for each in slabs]
         heights = at[..., 2] + np.array(ends).reshape(-1, 2)
-        return Bodies(at, heights, np.array(radii), np.ones(len(self), np.bool_))
+        return SampledBodies(at, heights, np.array(radii), np.ones(len(self), np.bool_))
 
     @cached_property
     def box(self) -> tuple[Array, Array]:
@@ -126,8 +126,8 @@ class Track:
 
 
 def _pairs(
-    a: Track, b: Track, separation: Separation
-) -> Iterator[tuple[str, bool, Bodies, Bodies, float]]:
+    a: SampledPath, b: SampledPath, separation: Separation
+) -> Iterator[tuple[str, bool, SampledBodies, SampledBodies, float]]:
     """Yield the checks of two tracks, with the bodies of both and the limit [m or ratio].
 
     The second value is whether the bodies of b come first.
@@ -140,7 +140,7 @@ def _pairs(
                 yield rule.check, swapped, *bodies, rule.limit(separation)
 
 
-def slacks(a: Track, b: Track, separation: Separation) -> Array:
+def slacks(a: SampledPath, b: SampledPath, separation: Separation) -> Array:
     """Return the smallest slack (samples of a, samples of b) [m], infinite beyond REACH."""
     separated = 2.0 * max(separation.radius, separation.height)
     reach = max(separated, separation.cable, separation.crossing, separation.object) + REACH
@@ -153,7 +153,7 @@ def slacks(a: Track, b: Track, separation: Separation) -> Array:
 
 
 def _slacks_by_check(
-    a: Track, b: Track, separation: Separation, i: Indices, j: Indices
+    a: SampledPath, b: SampledPath, separation: Separation, i: Indices, j: Indices
 ) -> Iterator[tuple[str, float, float, Array]]:
     """Yield check, limit, unit of the slack [m] and slack (m,) at samples i and j (m,).
 
@@ -175,7 +175,7 @@ def _slacks_by_check(
 
 
 def _slack(
-    first: Bodies, second: Bodies, i: Indices, j: Indices, limit: float, axes: Array
+    first: SampledBodies, second: SampledBodies, i: Indices, j: Indices, limit: float, axes: Array
 ) -> Array:
     """Return the smallest distance minus the limit at samples i and j (m,), infinite beyond REACH.
 
@@ -207,7 +207,7 @@ def _slack(
 
 
 def _downwash_slack(
-    drones: Bodies, others: Bodies, i: Indices, j: Indices, limit: float, axes: Array
+    drones: SampledBodies, others: SampledBodies, i: Indices, j: Indices, limit: float, axes: Array
 ) -> Array:
     """Return the slack of the ratio of drones above other bodies, as ``_slack``.
 
@@ -242,7 +242,7 @@ def _gaps(a: Array, b: Array) -> Array:
 class Placed:
     """A track and its start, as a sample of the common clock."""
 
-    track: Track
+    track: SampledPath
     start: int
 
 
@@ -264,13 +264,15 @@ class Schedule:
     """Search for the starts of groups in one item of a mission."""
 
     # of the groups, in the order of the file; groups at rest have one sample
-    tracks: Sequence[Track]
+    tracks: Sequence[SampledPath]
     separation: Separation  # limits of distances
     # another path of a group by index and layer (1 up, 2 down), or None
-    alternative: Callable[[int, int], Track | None] = lambda *_: None
-    tables: dict[tuple[Track, Track], Array] = field(default_factory=dict)  # cache of slacks
+    alternative: Callable[[int, int], SampledPath | None] = lambda *_: None
+    tables: dict[tuple[SampledPath, SampledPath], Array] = field(
+        default_factory=dict
+    )  # cache of slacks
     # cache of other paths
-    alternatives: dict[tuple[int, int], Track | None] = field(default_factory=dict)
+    alternatives: dict[tuple[int, int], SampledPath | None] = field(default_factory=dict)
 
     def solve(self, fixed: Sequence[Placed], pad: float) -> list[Placed] | Blocked:
         """Return the starts, in the order of the file, or the first conflict.
@@ -326,13 +328,13 @@ class Schedule:
         first = min([0, *(each.start for each in placed.values())])
         return {k: Placed(each.track, each.start - first) for k, each in placed.items()}
 
-    def _options(self, k: int, layers: int, *, earlier: bool) -> Iterator[tuple[Track, bool]]:
+    def _options(self, k: int, layers: int, *, earlier: bool) -> Iterator[tuple[SampledPath, bool]]:
         """Yield the paths of a group, and whether it starts before the groups placed already."""
         for before in (False, True)[: 1 + earlier]:
             for track in filter(None, (self._path(k, layer) for layer in range(layers))):
                 yield track, before
 
-    def _path(self, k: int, layer: int) -> Track | None:
+    def _path(self, k: int, layer: int) -> SampledPath | None:
         if layer == 0:
             return self.tracks[k]
         if (k, layer) not in self.alternatives:
@@ -340,7 +342,7 @@ class Schedule:
         return self.alternatives[k, layer]
 
     def _earliest(
-        self, track: Track, placed: Sequence[Placed], pad: float, *, earlier: bool
+        self, track: SampledPath, placed: Sequence[Placed], pad: float, *, earlier: bool
     ) -> int | Blocked:
         """Return the earliest feasible start of a track with those placed, or a conflict.
 
@@ -366,14 +368,14 @@ class Schedule:
             feasible = remaining
         return int(starts[np.argmax(feasible)])
 
-    def _table(self, a: Track, b: Track) -> Array:
+    def _table(self, a: SampledPath, b: SampledPath) -> Array:
         if (a, b) not in self.tables:
             if (b, a) in self.tables:
                 return self.tables[b, a].T
             self.tables[a, b] = slacks(a, b, self.separation)
         return self.tables[a, b]
 
-    def _blocked(self, track: Track, other: Placed, sample: int, start: int) -> Blocked:
+    def _blocked(self, track: SampledPath, other: Placed, sample: int, start: int) -> Blocked:
         """Return the smallest distance at a sample, or at rest if it is smaller there."""
         a, b = track, other.track
         i = int(np.clip(sample - start, 0, len(a) - 1))

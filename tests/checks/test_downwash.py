@@ -19,7 +19,7 @@ from hitchopt.hitch.requirements import Separation
 from hitchopt.motion.combined import combined, moved_objects
 from hitchopt.motion.motion import Group, Motion
 from hitchopt.motion.plan_file import write_plan
-from hitchopt.planners.schedule import Track, slacks
+from hitchopt.planners.schedule import SampledPath, slacks
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -134,10 +134,10 @@ def test_schedules_keep_drones_off_what_is_below_them() -> None:
     carrier = box.replaced(poses=PiecewisePolynomial(box.drones.breaks, poses))
     top = carrier.requirements.objects["box"].at + [0.15, 0.0, TOP]
     for motion, owned, place in ((hitch, set[str](), edge), (carrier, {"box"}, top)):
-        group = Track(Group("a", motion), frozenset(owned))
+        group = SampledPath(Group("a", motion), frozenset(owned))
         for height in (0.2, 0.4, -0.7):
             at = (place + [0.0, 0.0, height])[None]
-            drone = Track(Group("s", lines(at, at, separation=SEPARATION)))
+            drone = SampledPath(Group("s", lines(at, at, separation=SEPARATION)))
             slack = slacks(group, drone, SEPARATION)
             np.testing.assert_allclose(slacks(drone, group, SEPARATION).T, slack)
             if height > 0.0:

@@ -244,12 +244,12 @@ start: {hitch: {polygon: [[0, -1], [-0.4, 0.5], [0.4, 0.5]], altitude: 1.0}}
 mission:
 """
 OTHER_MISSIONS = (
-    ("[0, -0.5]", "[0, -0.51]", "asked.mission[0].polygon[0][1]"),
-    ("min: 0.3", "min: 0.4", "asked.mission[0].tension[0]"),
-    (", tension: {min: 0.3, max: 0.5}", "", "asked.mission[0].tension"),
-    ("[0.2, 0.1, 1.2]", "[0.2, 0.1, 1.3]", "asked.mission[1].altitude"),
-    ("yaw_deg: 30", "yaw_deg: 31", "asked.mission[1].polygon"),
-    ("duration: 4", "duration: 5", "asked.mission[1].seconds"),
+    ("[0, -0.5]", "[0, -0.51]", "request.mission[0].polygon[0][1]"),
+    ("min: 0.3", "min: 0.4", "request.mission[0].tension[0]"),
+    (", tension: {min: 0.3, max: 0.5}", "", "request.mission[0].tension"),
+    ("[0.2, 0.1, 1.2]", "[0.2, 0.1, 1.3]", "request.mission[1].altitude"),
+    ("yaw_deg: 30", "yaw_deg: 31", "request.mission[1].polygon"),
+    ("duration: 4", "duration: 5", "request.mission[1].seconds"),
     ("- transport: {to: [0.2, 0.1, 1.2], yaw_deg: 30, duration: 4}\n", "", "2 steps"),
 )
 """Changes of a mission, and the key by which a plan of the first one is refused."""
@@ -263,7 +263,7 @@ def test_a_plan_is_of_its_own_mission_alone() -> None:
         check_request(request_in(START + MISSION, {}), each)
     wild = dataclasses.replace(motion.phases[0], tension=(0.2, 0.5))
     wilder = dataclasses.replace(motion, phases=(wild, *motion.phases[1:]))
-    with pytest.raises(ho.InputError, match=re.escape("asked.mission[0].tension[0] = 0.2")):
+    with pytest.raises(ho.InputError, match=re.escape("request.mission[0].tension[0] = 0.2")):
         check_request(request_in(START + MISSION, {}), wilder)
     for old, new, key in OTHER_MISSIONS:
         assert old in MISSION
@@ -278,9 +278,9 @@ def test_a_plan_is_of_its_own_mission_alone() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "key"),
     [
-        ("to: [2.2, 2.4, 0.4]", "to: [2.2, 2.3, 0.4]", "asked.mission[1].objects.box[1]"),
-        ("object: box,", "object: box, yaw_deg: 9,", "asked.mission[1].objects.box[3]"),
-        ("object: box,", "object: box, by: grip,", "asked.mission[1].holds[0][1]"),
+        ("to: [2.2, 2.4, 0.4]", "to: [2.2, 2.3, 0.4]", "request.mission[1].objects.box[1]"),
+        ("object: box,", "object: box, yaw_deg: 9,", "request.mission[1].objects.box[3]"),
+        ("object: box,", "object: box, by: grip,", "request.mission[1].holds[0][1]"),
     ],
 )
 def test_objects_are_carried_as_requested(old: str, new: str, key: str) -> None:
@@ -291,19 +291,19 @@ def test_objects_are_carried_as_requested(old: str, new: str, key: str) -> None:
 
 
 ASKED = (
-    ("{mass: 0.14}", "{mass: 0.28}", "asked.team.quadrotor[1].mass"),
-    ("speed: 0.9", "speed: 0.8", "asked.limits.speed"),
-    ("[0.8, 0.9, 1.5]", "[0.8, 0.8, 1.5]", "asked.start.drones.r[2][1]"),
+    ("{mass: 0.14}", "{mass: 0.28}", "request.team.quadrotor[1].mass"),
+    ("speed: 0.9", "speed: 0.8", "request.limits.speed"),
+    ("[0.8, 0.9, 1.5]", "[0.8, 0.8, 1.5]", "request.start.drones.r[2][1]"),
 )
 GONE_OBJECTS = """q["objects"] = {}
 for name in ("poses", "load_share"):
     a[name] = a[name][:, :0]
 """
 OTHERS = [
-    ("a = r['assignment']['robots']; a[0], a[1] = a[1], a[0]", "asked.start.drones"),
-    ("r['assignment']['flipped'][2] ^= True", "asked.start.drones"),
-    ("a['drones'] = a['drones'][:, [1, 0, *range(2, 6)]]", "asked.start.drones"),
-    ("r['assignment'] = None", "asked.start.drones"),
+    ("a = r['assignment']['robots']; a[0], a[1] = a[1], a[0]", "request.start.drones"),
+    ("r['assignment']['flipped'][2] ^= True", "request.start.drones"),
+    ("a['drones'] = a['drones'][:, [1, 0, *range(2, 6)]]", "request.start.drones"),
+    ("r['assignment'] = None", "request.start.drones"),
     ("t['quadrotor'][0]['mass'] *= 0.5", "mass"),
     ("t['cable_length'][0] *= 1.01", "cable_length"),
     ("t['cable_density'] = 0.0", "cable_density"),

@@ -149,7 +149,7 @@ def test_a_team_waits_for_a_plan_that_flies_besides() -> None:
     text = (PROBLEMS / "beside_a_show.yaml").read_text()
     check_request(request_in(text, {}), plan.motion)
     for changed_text in (text.replace("at: 8", "at: 9"), text.replace("show: {", "other: {")):
-        with pytest.raises(ho.InputError, match=r"asked\.others"):
+        with pytest.raises(ho.InputError, match=r"request\.others"):
             check_request(request_in(changed_text, {}), plan.motion)
     assert [phase.name for phase in plan.phases] == ["transport", WAIT, "transport"]
     times = np.linspace(0.0, plan.duration, 1001)

@@ -358,7 +358,7 @@ def test_every_team_is_compared_with_its_own_request(tmp_path: Path) -> None:
         ({**alone, "others": {"show": {**show, "at": 2.0}, "pair": pair}}, besides),
     ]
     for wanted, flown in wrong:
-        with pytest.raises(InputError, match="asked"):
+        with pytest.raises(InputError, match="request"):
             check_request(wanted, flown)
 
 
