@@ -1,4 +1,4 @@
-"""Floor 6: the certificate, from polynomials alone: a module a family of checks, no planner."""
+"""The certificate, from polynomials alone: a module a family of checks, no planner."""
 
 from hitchopt.checks.certificate import Certificate, CertificateError, Check
 from hitchopt.checks.registry import certify, merged

@@ -1,1 +1,1 @@
-"""Floor 8: the files of a plan, written whole or not at all."""
+"""The files of a plan, written whole or not at all."""

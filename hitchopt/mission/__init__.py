@@ -1,1 +1,1 @@
-"""Floor 7: problem files, and a problem to a plan, step by step."""
+"""Problem files, and a problem to a plan, step by step."""
