@@ -5,34 +5,40 @@ checks ``separation``, ``cable_clearance``, ``crossing``, ``keep_out`` and ``obj
 groups are compared on their common breaks, in runs of pieces on which neither ties nor unties its
 hitch; they are at rest before and after their motions.
 
-Cables without a hitch stay within upright regions (``checks.regions``). The distance of such a
+Cables without a hitch stay within upright regions (``checks.bodies``). The distance of such a
 region is the larger one of its horizontal distance and the difference of heights.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
+from hitchopt.checks.bodies import (
+    Bodies,
+    CableSheets,
+    cable_sheets,
+    drones_of,
+    taut_cables,
+    taut_parts,
+)
 from hitchopt.checks.certificate import Check
-from hitchopt.checks.clearance import CHAIN_TOLERANCE, Solid, from_above
+from hitchopt.checks.clearance import Solid, from_above
 from hitchopt.checks.distances import (
     Moving,
     nearest,
     smallest,
-    upright_distance,
 )
 from hitchopt.checks.downwash import below, half_axes, moves, pairs_with_slab
 from hitchopt.checks.objects import in_object_frame, placed_corners
-from hitchopt.checks.regions import CableSheets, cable_sheets
 from hitchopt.checks.ring_change import vertical_passes
 from hitchopt.checks.rule import CheckRule, WorstCase
-from hitchopt.checks.spans import ROUNDING, cable_names, cable_parts, cached, magnitude, part_names
+from hitchopt.checks.spans import ROUNDING, cable_names, cable_parts, cached, magnitude
 from hitchopt.checks.tracking import Ellipsoid
 from hitchopt.hitch.pairs import DISTANCES
 from hitchopt.hitch.requirements import Separation
@@ -41,10 +47,8 @@ from hitchopt.motion.motion import CLASPED_STATES, Group, Motion
 from hitchopt.motion.retiming import on_breaks_of, padded
 from hitchopt.objects import Slab, SolidObject
 from hitchopt.objects.placing import REST_DRIFT
-from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.enclosed import Enclosed
 from hitchopt.trajectory.piecewise import merged_breaks
-from hitchopt.values import Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,9 +64,10 @@ class Side:
         """The group's motion."""
         return self.group.motion
 
-    def labels(self, names: Sequence[str]) -> tuple[str, ...]:
-        """Return full names, such as ``a.q0``."""
-        return tuple(map(self.group.label, names))
+    @property
+    def drones(self) -> Bodies:
+        """The group's drones."""
+        return drones_of(self.motion).labelled(self.group.label)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,28 +88,10 @@ class Run:
         """Rounding error of differences of positions [m]."""
         return ROUNDING * (magnitude(self.first.motion) + magnitude(self.second.motion))
 
-    def moving(self, first: MovingBodies, second: MovingBodies, **options: object) -> Moving:
+    def moving(self, first: Bodies, second: Bodies, **options: Any) -> Moving:
         """Return the pairs of bodies of the first and the second group."""
-        order = max(bernstein.degree(first.corners), bernstein.degree(second.corners))
-        a, b = (bernstein.elevate(each.corners, order) for each in (first, second))
-        if first.outline or second.outline:
-            outlines = (first.outline or a.shape[2], second.outline or b.shape[2])
-            formula = partial(upright_distance, outlines=outlines)
-            options = {"formula": formula, "tolerance": CHAIN_TOLERANCE} | options
-        values = {"margin": self.margin, "names": (first.names, second.names)} | options
-        return Moving(self.first.motion.drones.breaks, a, b, **values)  # type: ignore[arg-type]
-
-
-@dataclass(frozen=True, eq=False)
-class MovingBodies:
-    """Bodies of a group: corners (pieces, bodies, k, 3, degree + 1) [m], and names.
-
-    Upright regions have an ``outline``: the number of corners that span them in plan view.
-    """
-
-    corners: Array
-    names: tuple[str, ...]
-    outline: int = 0
+        options = {"margin": self.margin} | options
+        return Moving.between(self.first.motion, first, second, **options)
 
 
 @cached
@@ -145,29 +132,20 @@ def _runs(first: Group, second: Group, separation: Separation) -> Iterator[Run]:
         yield Run(a, b, separation)
 
 
-def drones_of(side: Side) -> MovingBodies:
-    """Return the drones of a group."""
-    names = side.labels(side.motion.team.drone_names)
-    return MovingBodies(side.motion.drones.coefficients[:, :, None], names)
-
-
-def cables_of(side: Side, *, parts: bool = False) -> MovingBodies | None:
+def cables_of(side: Side, *, parts: bool = False) -> Bodies | None:
     """Return the cables of a group, if ``parts`` with names of taut parts; None without cables."""
     motion, sheets = side.motion, side.sheets
     if sheets is None:
         return None
-    names = cable_names(motion)
-    if not motion.formed[0]:
-        return MovingBodies(sheets.corners, side.labels(names), sheets.outline)
-    corners, part = cable_parts(motion)
-    own = part_names(motion, part) if parts else [names[k // 3] for k in part.tolist()]
-    return MovingBodies(corners, side.labels(own))
+    if motion.formed[0]:
+        return (taut_parts if parts else taut_cables)(motion).labelled(side.group.label)
+    return Bodies(sheets.corners, cable_names(motion), sheets.outline).labelled(side.group.label)
 
 
 def drone_pairs(run: Run) -> Iterator[Moving]:
     """Yield the pairs of drones, scaled for separation."""
-    bodies, scale = (drones_of(each) for each in (run.first, run.second)), run.separation.scale
-    first, second = (replace(each, corners=each.corners * scale[:, None]) for each in bodies)
+    scale = run.separation.scale
+    first, second = (each.drones.scaled(scale) for each in (run.first, run.second))
     yield run.moving(first, second, margin=run.margin * float(np.max(scale)))
 
 
@@ -175,7 +153,7 @@ def drones_and_cables(run: Run) -> Iterator[Moving]:
     """Yield the pairs of drones of one group and cables of the other."""
     for one, other in run.both:
         if (cables := cables_of(other)) is not None:
-            yield run.moving(drones_of(one), cables)
+            yield run.moving(one.drones, cables)
 
 
 def cable_pairs(run: Run) -> Iterator[Moving]:
@@ -209,7 +187,7 @@ def _objects(one: Side, other: Side) -> Iterator[tuple[str, SolidObject, Enclose
 def drones_and_objects(run: Run) -> Iterator[Moving]:
     """Yield the pairs of drones of one group and objects of the other."""
     for one, other in run.both:
-        drones = drones_of(one)
+        drones = one.drones
         for name, body, pose in _objects(other, one):
             for slab in body.slabs:
                 yield _pairs_with_shape(run, drones, name, Solid(slab), pose)
@@ -221,10 +199,8 @@ def drones_above_cables(run: Run) -> Iterator[Moving]:
     for one, other in run.both:
         cables = cables_of(other, parts=True)
         if cables is not None and not cables.outline:
-            bodies = (
-                replace(x, corners=x.corners * scale[:, None]) for x in (drones_of(one), cables)
-            )
             margin = run.margin * float(np.max(scale))
+            bodies = one.drones.scaled(scale), cables.scaled(scale)
             yield run.moving(*bodies, margin=margin, formula=below)
 
 
@@ -237,7 +213,7 @@ def drones_above(run: Run) -> Iterator[Moving]:
         return
     yield from drones_above_cables(run)
     for one, other in run.both:
-        drones = drones_of(one)
+        drones = one.drones
         for name, body, pose in _objects(other, one):
             counts = name in other.carried or moves(body, one.motion.team)
             for slab in body.slabs if counts else ():
@@ -263,7 +239,7 @@ def cables_and_objects(run: Run) -> Iterator[Moving]:
                     for label, other_body, other_pose in _objects(one, other):
                         for block in other_body.slabs:
                             corners = placed_corners(other_pose, block)
-                            bodies = MovingBodies(corners.c, (label,))
+                            bodies = Bodies(corners.c, (label,))
                             solid = Solid(slab, block.section.rounding)
                             yield _pairs_with_shape(
                                 run, bodies, name, solid, pose, float(np.max(corners.r))
@@ -271,7 +247,7 @@ def cables_and_objects(run: Run) -> Iterator[Moving]:
 
 
 def _pairs_with_cables(
-    run: Run, side: Side, cables: MovingBodies, label: str, slab: Slab, pose: Enclosed
+    run: Run, side: Side, cables: Bodies, label: str, slab: Slab, pose: Enclosed
 ) -> Moving:
     """Return the pairs of cables and a slab that moves with a pose.
 
@@ -288,7 +264,7 @@ def _pairs_with_cables(
 
 
 def _pairs_with_shape(
-    run: Run, bodies: MovingBodies, label: str, shape: Solid, pose: Enclosed, error: float = 0.0
+    run: Run, bodies: Bodies, label: str, shape: Solid, pose: Enclosed, error: float = 0.0
 ) -> Moving:
     """Return the pairs of bodies and a shape that moves with a pose."""
     local = in_object_frame(pose, Enclosed(bodies.corners))
@@ -336,7 +312,7 @@ def radius_across(motion: Motion, checks: Iterable[Check | None], gamma: float) 
     tightest = min(terms, key=lambda term: term.worst)
     shape = Ellipsoid(1.0 / motion.requirements.separation.scale)
     for run in runs(motion):
-        moving = run.moving(drones_of(run.first), drones_of(run.second), shape=shape)
+        moving = run.moving(run.first.drones, run.second.drones, shape=shape)
         pair = smallest(moving, incumbent=2.0 * tightest.worst)
         radius = max(0.5 * pair.worst, 0.0)
         if pair.item >= 0 and radius < tightest.worst:

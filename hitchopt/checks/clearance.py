@@ -25,6 +25,7 @@ from typing import Any
 
 import numpy as np
 
+from hitchopt.checks.bodies import cable_sheets, clasped_cables, drones_of, taut_cables
 from hitchopt.checks.certificate import Check, with_tolerance, worst_of
 from hitchopt.checks.distances import (
     GROUND,
@@ -42,7 +43,6 @@ from hitchopt.checks.distances import (
 )
 from hitchopt.checks.drones import Drones, edge_sags, leg_sags, steepness_of
 from hitchopt.checks.objects import in_object_frame, placed_corners
-from hitchopt.checks.regions import cable_sheets
 from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase, WorstOverSpans
 from hitchopt.checks.spans import (
     ROUNDING,
@@ -64,7 +64,7 @@ from hitchopt.hitch.catenary import (
     displacement_bound,
     level_length,
 )
-from hitchopt.hitch.pairs import CABLE, DISTANCES, Bodies
+from hitchopt.hitch.pairs import CABLE, DISTANCES, TautBodies
 from hitchopt.hitch.requirements import Arena
 from hitchopt.motion.chapters import parts_of
 from hitchopt.motion.loads import held_pieces
@@ -78,7 +78,7 @@ from hitchopt.motion.motion import (
 )
 from hitchopt.objects import Slab, SolidObject
 from hitchopt.objects.placing import CONTACT_GAP, REST_DRIFT, section_gap, surface_below
-from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
 from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.trajectory.search import worst
@@ -341,17 +341,15 @@ def entry(spans: PairSpans) -> Bound:
 
 def _drones_and_taut(motion: Motion) -> Iterator[Moving]:
     """Yield pairs of drones and all parts of taut cables except the one that ends at the drone."""
-    (corners, part), bodies = cable_parts(motion), Bodies.of(motion.team.layout)
-    body = bodies.of_parts(part)
+    cables, table = taut_cables(motion), TautBodies.of(motion.team.layout)
+    assert cables.part is not None
+    body = table.of_parts(cables.part)
 
     def foreign(i: Indices, j: Indices) -> Flags:
-        flags: Flags = bodies.kind(i, body[j]) == CABLE
+        flags: Flags = table.kind(i, body[j]) == CABLE
         return flags
 
-    drones = motion.drones.elevated(bernstein.degree(corners)).coefficients
-    cables = cable_names(motion)
-    names = motion.team.drone_names, [cables[k] for k in part // 3]
-    yield Moving.of(motion, drones[:, :, None], corners, allowed=foreign, names=names)
+    yield Moving.between(motion, drones_of(motion), cables, allowed=foreign)
 
 
 def _drones_and_chords(motion: Motion) -> Iterator[Moving]:
@@ -377,28 +375,17 @@ def _drones_and_clasped(motion: Motion) -> Iterator[Moving]:
     A pair of drones that turns about a clasp passes through the regions of both its cables. These
     drones keep their distance to the cables as they hang between their drones.
     """
-    names, sheets = (cable_names(motion), motion.team.drone_names), None
-    layout, drones = motion.team.layout, motion.drones.coefficients[:, :, None]
+    layout = motion.team.layout
     turning = np.zeros((layout.robots, 2 * layout.robots), dtype=np.bool_)
     turning[layout.ahead, 2 * layout.behind + 1] = turning[layout.behind, 2 * layout.ahead] = True
     for state in sorted(CLASPED_STATES & motion.cable_states):
-        sheets = sheets or cable_sheets(motion)
         excepted = turning if state is CableState.CLASPING else np.zeros_like(turning)
 
         def counts(k: Indices, i: Indices, excepted: Flags = excepted) -> Flags:
             return np.asarray((i // 2 != k) & ~excepted[k, i])
 
-        pieces = motion.in_states(frozenset({state}))
-        yield Moving.of(
-            motion,
-            sheets.corners,
-            bernstein.elevate(drones, bernstein.degree(sheets.corners)),
-            allowed=counts,
-            active=np.repeat(pieces[:, None], layout.robots, axis=1),
-            names=names,
-            formula=partial(upright_distance, outlines=(sheets.outline, 1)),
-            tolerance=CHAIN_TOLERANCE,
-        )
+        regions = replace(clasped_cables(motion), pieces=motion.in_states(frozenset({state})))
+        yield Moving.between(motion, regions, drones_of(motion), allowed=counts)
 
 
 ON_GROUND = frozenset({CableState.GROUND})
@@ -434,7 +421,8 @@ CABLE_CLEARANCE = CheckRule(
 
 def _drones_and_bodies(motion: Motion) -> Iterator[Moving]:
     """Yield pairs of drones and prisms, and of drones and objects."""
-    points, names = Enclosed(motion.drones.coefficients[:, :, None]), motion.team.drone_names
+    drones = drones_of(motion)
+    points, names = Enclosed(drones.corners), drones.names
     for prism in motion.requirements.keep_out:
         yield pairs_with_shape(motion, points, names, "", Solid(prism.slab))
     for name, each, pose in _objects(motion):
@@ -458,10 +446,10 @@ def _taut_and_objects(motion: Motion) -> Iterator[Moving]:
 
     The distance is zero where a cable enters an object that it holds, or the ground.
     """
-    corners, part = cable_parts(motion)
-    cables, points = part // 3, Enclosed(corners)
-    labels = cable_names(motion)
-    names = [labels[k] for k in cables]
+    taut = taut_cables(motion)
+    assert taut.part is not None
+    part, names, points = taut.part, taut.names, Enclosed(taut.corners)
+    cables = part // 3
     # No part is lower than its ends and the bends of edges wrapped around an object.
     holding = np.array([phase.hold is not None for phase in motion.phases] + [False])
     active = np.repeat(holding[motion.phase_of_piece][:, None], len(part), axis=1)
@@ -505,11 +493,10 @@ def _hanging_and_objects(motion: Motion) -> Iterator[Moving]:
 
 def _clasped_and_objects(motion: Motion) -> Iterator[Moving]:
     """Yield pairs of objects and cables that are being clasped or tightened."""
-    clasped = motion.in_states(CLASPED_STATES)
-    if not np.any(clasped):
+    if not motion.cable_states & CLASPED_STATES:
         return
-    prisms = Enclosed(cable_sheets(motion).prisms)
-    names, active = cable_names(motion), np.repeat(clasped[:, None], motion.team.robots, axis=1)
+    sheets, names = cable_sheets(motion), cable_names(motion)
+    prisms, active = Enclosed(sheets.prisms), np.repeat(sheets.clasped[:, None], len(names), axis=1)
     for name, each, pose in _objects(motion):
         for slab in each.slabs:
             shape = Solid(slab, 0.0)

@@ -15,24 +15,22 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.checks.bodies import Bodies, clasped_cables, taut_parts
 from hitchopt.checks.certificate import with_tolerance
 from hitchopt.checks.clasps import cut_corners
-from hitchopt.checks.regions import cable_sheets
 from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase
 from hitchopt.checks.spans import (
     UPWARD,
     cable_names,
-    cable_parts,
     clasped_pairs,
     magnitude,
     pair_of,
-    part_names,
     phase_parts,
     position_margin,
 )
@@ -40,9 +38,11 @@ from hitchopt.geometry import differences, hull_offset, shortest_offset
 from hitchopt.geometry.broadphase import Boxes, Pairs, few_close_pairs
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch.pairs import CROSSING as CROSSING_PAIR
-from hitchopt.hitch.pairs import DISTANCES, Bodies
+from hitchopt.hitch.pairs import DISTANCES, TautBodies
+from hitchopt.hitch.team import Layout
 from hitchopt.motion.motion import CLASPED_STATES, FREE_STATES, HITCHED_STATE, CableState, Motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.trajectory.bernstein import same_degree
 from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
 from hitchopt.trajectory.search import BranchAndBound, Extremum, TimeSpans
 from hitchopt.values import Array, Indices
@@ -184,6 +184,34 @@ class Moving:
     ) -> Moving:
         """Return bodies on the pieces of a motion, with its rounding error."""
         return cls(motion.drones.breaks, first, second, position_margin(motion), **options)
+
+    @classmethod
+    def between(
+        cls,
+        motion: Motion,
+        first: Bodies,
+        second: Bodies | None = None,
+        *,
+        margin: float | None = None,
+        **options: Any,
+    ) -> Moving:
+        """Return the pairs of bodies of two kinds on the pieces of a motion, or of one kind.
+
+        Upright regions are compared by ``upright_distance``. The default rounding error is that of
+        the motion.
+        """
+        corners = [each.corners for each in (first, second) if each is not None]
+        a, *b = same_degree(*corners)
+        other = second or first
+        if "shape" not in options and "formula" not in options and first.outline + other.outline:
+            counts = (first.outline or a.shape[2], other.outline or corners[-1].shape[2])
+            options["formula"] = partial(upright_distance, outlines=counts)
+            options.setdefault("tolerance", UPRIGHT_TOLERANCE)
+        if first.pieces is not None and "active" not in options:
+            options["active"] = np.repeat(first.pieces[:, None], a.shape[1], axis=1)
+        values = {"names": (first.names, other.names)} | options
+        off = position_margin(motion) if margin is None else margin
+        return cls(motion.drones.breaks, a, b[0] if b else None, off, **values)
 
     def pair_names(self, item: int) -> tuple[str, ...]:
         """Return the names of a pair."""
@@ -424,16 +452,17 @@ def _taut_parts(motion: Motion) -> Iterator[Moving]:
     These include the two legs of one cable, which may cross. Legs that cross at a cut-off corner
     are excluded while they may touch.
     """
-    corners, part = cable_parts(motion)
-    bodies, names = Bodies.of(motion.team.layout), part_names(motion, part)
-    body = bodies.of_parts(part)
+    parts, table = taut_parts(motion), TautBodies.of(motion.team.layout)
+    assert parts.part is not None
+    part = parts.part
+    body = table.of_parts(part)
 
     def crossing(i: Indices, j: Indices) -> Flags:
-        flags: Flags = bodies.kind(body[i], body[j]) == CROSSING_PAIR
+        flags: Flags = table.kind(body[i], body[j]) == CROSSING_PAIR
         return flags
 
     corners_cut = cut_corners(motion)
-    active, whole = np.ones((len(corners), len(part)), dtype=np.bool_), (names, names)
+    active = np.ones((len(parts.corners), len(part)), dtype=np.bool_)
     for corner in corners_cut:
         active[corner.pieces] = False
         meeting = 3 * corner.behind + 2, 3 * corner.ahead
@@ -444,10 +473,8 @@ def _taut_parts(motion: Motion) -> Iterator[Moving]:
 
         near_corner = np.zeros_like(active)
         near_corner[corner.pieces] = True
-        yield Moving.of(motion, corners, allowed=others, active=near_corner, names=whole)
-    yield Moving.of(
-        motion, corners, allowed=crossing, active=active if corners_cut else None, names=whole
-    )
+        yield Moving.between(motion, parts, allowed=others, active=near_corner)
+    yield Moving.between(motion, parts, allowed=crossing, active=active if corners_cut else None)
 
 
 def _hanging_cables(motion: Motion) -> Iterator[Moving]:
@@ -455,17 +482,18 @@ def _hanging_cables(motion: Motion) -> Iterator[Moving]:
 
     Neighbours may touch while they are being clasped or unclasped.
     """
-    names, layout = cable_names(motion), motion.team.layout
-
-    def unclasped(i: Indices, j: Indices) -> Flags:
-        return ~np.isin(pair_of(layout, i, j), clasped_pairs(layout))
-
     for part in phase_parts(motion):
         linked = part.phase.state not in (CableState.GROUND, CableState.FREE)
-        ends, allowed = cable_ends(plan_points(part.motion)), unclasped if linked else None
-        yield Moving.of(part.motion, ends, allowed=allowed, names=(names, names))
+        chords = Bodies(cable_ends(plan_points(part.motion)), cable_names(motion))
+        allowed = partial(_unclasped, motion.team.layout) if linked else None
+        yield Moving.between(part.motion, chords, allowed=allowed)
         if part.phase.state is CableState.LAYING:
             yield _laid_neighbours(part.motion)
+
+
+def _unclasped(layout: Layout, i: Indices, j: Indices) -> Flags:
+    """Return whether pairs of cables share no clasp."""
+    return ~np.isin(pair_of(layout, i, j), clasped_pairs(layout))
 
 
 UPRIGHT_TOLERANCE = 1e-3
@@ -483,31 +511,23 @@ def upright_pieces(motion: Motion) -> Flags:
 
 def _clasped_cables(motion: Motion) -> Iterator[Moving]:
     """Yield pairs of cables that share no clasp while cables are clasped or tightened."""
-    clasped = motion.in_states(CLASPED_STATES)
-    if not np.any(clasped):
+    if not motion.cable_states & CLASPED_STATES:
         return
-    sheets, layout, names = cable_sheets(motion), motion.team.layout, cable_names(motion)
-
-    def unclasped(i: Indices, j: Indices) -> Flags:
-        return ~np.isin(pair_of(layout, i, j), clasped_pairs(layout))
-
-    corners, count = sheets.corners[:, :, : sheets.outline], sheets.outline
-    active = np.repeat(clasped[:, None], layout.robots, axis=1)
-    options: dict[str, Any] = {"allowed": unclasped, "active": active, "names": (names, names)}
-    yield Moving.of(motion, corners * PLAN_AXES, shape=Hulls((count, count)), **options)
+    regions = clasped_cables(motion)
+    count, allowed = regions.outline, partial(_unclasped, motion.team.layout)
+    flat = replace(regions, corners=regions.corners[:, :, :count] * PLAN_AXES)
+    yield Moving.between(motion, flat, allowed=allowed, shape=Hulls((count, count)))
 
 
 def _laid_neighbours(motion: Motion) -> Moving:
     """Return the pairs of neighbours, on pieces on which drones move horizontally."""
-    names, layout, strips = cable_names(motion), motion.team.layout, cable_sheets(motion).corners
+    layout = motion.team.layout
 
     def neighbours(i: Indices, j: Indices) -> Flags:
-        return np.isin(pair_of(layout, i, j), clasped_pairs(layout))
+        return ~_unclasped(layout, i, j)
 
-    active = np.repeat(~upright_pieces(motion)[:, None], layout.robots, axis=1)
-    options: dict[str, Any] = {"formula": upright_distance, "tolerance": UPRIGHT_TOLERANCE}
-    options |= {"allowed": neighbours, "active": active, "names": (names, names)}
-    return Moving.of(motion, strips, **options)
+    strips = replace(clasped_cables(motion), pieces=~upright_pieces(motion))
+    return Moving.between(motion, strips, allowed=neighbours)
 
 
 CROSSING = CheckRule(

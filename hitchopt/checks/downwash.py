@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from hitchopt.checks.bodies import drones_of
 from hitchopt.checks.clearance import Solid
 from hitchopt.checks.distances import Moving, PairSpans, gap, nearest
 from hitchopt.checks.objects import in_object_frame
@@ -79,12 +80,18 @@ def pairs_with_slab(
 def _drones_above_objects(motion: Motion) -> Iterator[Moving]:
     """Yield pairs of single drones and objects that stand in their way."""
     poses, separation = motion.poses.coefficients, motion.requirements.separation
-    points, names = motion.drones.coefficients[:, :, None], motion.team.drone_names
+    drones = drones_of(motion)
     margin = ROUNDING * magnitude(motion)
     for index, (name, body) in enumerate(motion.requirements.objects.items()):
         for slab in body.slabs if moves(body, motion.team) else ():
-            options = {"margin": margin, "breaks": motion.drones.breaks, "names": (names, (name,))}
-            yield pairs_with_slab(points, Enclosed(poses[:, index]), slab, separation, **options)
+            options = {
+                "margin": margin,
+                "breaks": motion.drones.breaks,
+                "names": (drones.names, (name,)),
+            }
+            yield pairs_with_slab(
+                drones.corners, Enclosed(poses[:, index]), slab, separation, **options
+            )
 
 
 def _limit(motion: Motion) -> float | None:

@@ -100,7 +100,7 @@ def scales_of(separation: Separation) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Bodies:
+class TautBodies:
     """The bodies of a hitch."""
 
     layout: Layout  # its indices
@@ -108,7 +108,7 @@ class Bodies:
 
     @classmethod
     @lru_cache(maxsize=64)
-    def of(cls, layout: Layout) -> Bodies:
+    def of(cls, layout: Layout) -> TautBodies:
         """Return the bodies of a hitch."""
         drones = layout.points + np.arange(2 * layout.robots)
         nodes = np.concatenate([np.column_stack([drones, drones]), layout.part_nodes])

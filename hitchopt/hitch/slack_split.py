@@ -29,7 +29,7 @@ from hitchopt.hitch.forces import (
 from hitchopt.hitch.pairs import (
     CROSSING,
     SEPARATION,
-    Bodies,
+    TautBodies,
     end_combinations,
     limits_of,
     scales_of,
@@ -406,7 +406,7 @@ class LegBodies:
     def pairs(self) -> tuple[Indices, Indices, Indices, Indices]:
         """Polygon (pairs,), nodes of both bodies (pairs, 2) each, and kind (pairs,)."""
         task, (J, count) = self.task, self.variable.shape
-        bodies, limits = Bodies.of(task.team.layout), limits_of(task.requirements.separation)
+        bodies, limits = TautBodies.of(task.team.layout), limits_of(task.requirements.separation)
         # Distances in plan view are lower bounds.
         ends = np.stack([self.nodes(d)[:, :2] for d in self.lengths])
         swept = ends.reshape(-1, J, count, 2)[:, :, bodies.nodes]

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 from hitchopt.checks.spans import positions
 from hitchopt.errors import InputError, OneLine, UnsupportedError
 from hitchopt.geometry.vectors import differences, shortest_offset
-from hitchopt.hitch.pairs import SEPARATION, Bodies, end_combinations, limits_of, scales_of
+from hitchopt.hitch.pairs import SEPARATION, TautBodies, end_combinations, limits_of, scales_of
 from hitchopt.lab.statics.settle import conditions_of, energy_of, samples_of
 from hitchopt.lab.statics.tolerance import responses
 from hitchopt.live.player import Sampler, Setpoints
@@ -336,11 +336,11 @@ def cells_of(motion: Motion, reserve: float, stiffness: Array) -> tuple[Array, l
 
 
 class _Distances:
-    """The certificate's distances while the hitch holds, of pairs as in ``Bodies``."""
+    """The certificate's distances while the hitch holds, of pairs as in ``TautBodies``."""
 
     def __init__(self, motion: Motion, reserve: float) -> None:
         layout, need = motion.team.layout, motion.requirements
-        bodies = Bodies.of(layout)
+        bodies = TautBodies.of(layout)
         i, j = np.triu_indices(len(bodies.nodes), 1)
         kind = bodies.kind(i, j)
         i, j, kind = i[kind >= 0], j[kind >= 0], kind[kind >= 0]

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.checks.regions import cable_sheets
+from hitchopt.checks.bodies import cable_sheets, drones_of, taut_parts
 from hitchopt.errors import check_time
 from hitchopt.geometry import differences, hull_distance, shortest_offset
 from hitchopt.geometry.vectors import length
@@ -63,20 +63,20 @@ class SampledPath:
     @cached_property
     def drones(self) -> SampledBodies:
         """All drones."""
-        points = self.group.motion.drones.at(self.times)
-        ends, upright = np.repeat(points[:, :, None], 2, axis=2), np.zeros(len(self), np.bool_)
+        motion, upright = self.group.motion, np.zeros(len(self), np.bool_)
+        points = PiecewisePolynomial(motion.drones.breaks, drones_of(motion).corners).at(self.times)
+        ends = np.repeat(points, 2, axis=2)
         return SampledBodies(ends, ends[..., 2], np.zeros(points.shape[1]), upright)
 
     @cached_property
     def cables(self) -> SampledBodies:
         """Parts of taut cables, and the upright regions that contain other cables."""
-        motion, layout = self.group.motion, self.group.motion.team.layout
-        n, m, drones = motion.team.robots, len(self), self.drones.corners[:, :, 0]
+        motion, n, m = self.group.motion, self.group.motion.team.robots, len(self)
         if n == 0:
             empty = np.zeros((m, 0, 2, 3))
             return SampledBodies(empty, empty[..., 2], np.zeros(0), np.zeros(m, np.bool_))
-        ends = np.concatenate([motion.vertices.at(self.times), drones], axis=1)
-        ends, breaks = ends[:, layout.part_nodes], motion.drones.breaks
+        breaks = motion.drones.breaks
+        ends = PiecewisePolynomial(breaks, taut_parts(motion).corners).at(self.times)
         formed = motion.formed[np.searchsorted(breaks[1:-1], self.times, side="right")]
         cable = np.arange(ends.shape[1]) % n  # regions fill the array repeatedly
         sheets = PiecewisePolynomial(breaks, cable_sheets(motion).corners).at(self.times)[:, cable]

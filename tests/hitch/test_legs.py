@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hitchopt import Arena, Hitch, InputError, Limits, Separation, Team
 from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import pairs as pair_table
-from hitchopt.hitch.pairs import CROSSING, SEPARATION, Bodies
+from hitchopt.hitch.pairs import CROSSING, SEPARATION, TautBodies
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import layout_of
 from hitchopt.steps.certified_motions import split_hitch
@@ -116,7 +116,7 @@ def test_an_arena_limits_legs_and_a_small_one_gives_the_largest_margin() -> None
 def test_near_pairs_are_those_of_every_frame(swept: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of drifting boxes, listed for all frames at once or by halves."""
     monkeypatch.setattr(pair_table, "MAX_SWEPT_PAIRS", swept)
-    bodies, rng = Bodies.of(layout_of(6, "closed")), np.random.default_rng(4)
+    bodies, rng = TautBodies.of(layout_of(6, "closed")), np.random.default_rng(4)
     limits = np.array([0.24, 0.0, 0.05])
     count, cutoff = len(bodies.nodes), 0.3
     drift = 0.02 * np.arange(7)[:, None, None] * rng.normal(size=(count, 2))

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hitchopt.checks.regions import clasped_outlines
+from hitchopt.checks.bodies import clasped_outlines
 from hitchopt.geometry import hull_distance
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import Hitch, Team
@@ -365,7 +365,7 @@ def _evaluate(
 def _tightening_gap(hitch: Hitch, start: Array, clasps: Array) -> float:
     """Return the smallest distance [m] of drones at a clasp to the regions of its cables.
 
-    Seen from above, at samples of the move to the hitch; see ``checks.regions``.
+    Seen from above, at samples of the move to the hitch; see ``checks.bodies``.
     """
     layout, share = hitch.team.layout, np.array(TIGHTENING_SHARES)[:, None, None]
     drones = start + share * (hitch.drones - start)

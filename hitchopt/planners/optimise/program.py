@@ -28,7 +28,7 @@ from hitchopt.geometry import differences, shortest_offset
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.model import planar
-from hitchopt.hitch.pairs import SEPARATION, Bodies, end_combinations, limits_of
+from hitchopt.hitch.pairs import SEPARATION, TautBodies, end_combinations, limits_of
 from hitchopt.hitch.requirements import Separation
 from hitchopt.hitch.team import CLOSED, layout_of
 from hitchopt.planners.morph.morph import exterior_angles
@@ -284,7 +284,7 @@ class NearPairs(NamedTuple):
 
 def _near_pairs(nodes: Array, separation: Separation, margins: Array, reach: Array) -> NearPairs:
     """Return the pairs of nodes (K, 3n, 2) [m] with distances up to margins and reach (K,) [m]."""
-    bodies, limits = Bodies.of(layout_of(nodes.shape[1] // 3, CLOSED)), limits_of(separation)
+    bodies, limits = TautBodies.of(layout_of(nodes.shape[1] // 3, CLOSED)), limits_of(separation)
     corners = nodes[:, bodies.nodes]
     cutoff = float(np.max(limits * np.max(margins)) + np.max(reach))
     frame, i, j, kind = bodies.near(corners.min(axis=2), corners.max(axis=2), limits, cutoff)

@@ -1,4 +1,6 @@
-"""Where cables may be in each of their states.
+"""Bodies of a team in each of their states: drones, and where cables may be.
+
+Checks within a team and between teams compare them (``checks.distances``).
 
 - Taut cables are straight between drones, contacts and vertices (``spans.cable_parts``).
 - A cable that hangs, or lies on the ground, is in the upright sheet below its chord, no deeper than
@@ -15,20 +17,64 @@ the chord, so no body passes from one side of a cable to the other.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.checks.spans import cached
+from hitchopt.checks.spans import cable_names, cable_parts, cached, part_names
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.team import Layout
 from hitchopt.motion.motion import CLASPED_STATES, CableState, Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.bernstein import same_degree
-from hitchopt.values import Array
+from hitchopt.values import Array, Indices
 
 Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Bodies:
+    """Bodies of one kind: hulls of corners (pieces, bodies, k, 3, degree + 1) [m], and names."""
+
+    corners: Array
+    names: Sequence[str]
+    outline: int = 0  # of upright regions: number of corners that span them in plan view
+    pieces: Flags | None = None  # (pieces,), on which they count; None for all
+    part: Indices | None = None  # (bodies,), of parts of taut cables, as in ``Layout.parts``
+
+    def labelled(self, label: Callable[[str], str]) -> Bodies:
+        """Return the bodies with full names, such as ``a.q0``."""
+        return replace(self, names=tuple(map(label, self.names)))
+
+    def scaled(self, scale: Array) -> Bodies:
+        """Return the bodies in coordinates scaled by (3,)."""
+        return replace(self, corners=self.corners * scale[:, None])
+
+
+def drones_of(motion: Motion) -> Bodies:
+    """Return all drones."""
+    return Bodies(motion.drones.coefficients[:, :, None], motion.team.drone_names)
+
+
+def taut_parts(motion: Motion) -> Bodies:
+    """Return the parts of taut cables, with names such as ``q-leg 0``."""
+    corners, part = cable_parts(motion)
+    return Bodies(corners, part_names(motion, part), part=part)
+
+
+def taut_cables(motion: Motion) -> Bodies:
+    """Return the parts of taut cables with the names of cables."""
+    corners, part = cable_parts(motion)
+    names = cable_names(motion)
+    return Bodies(corners, [names[k // 3] for k in part.tolist()], part=part)
+
+
+def clasped_cables(motion: Motion) -> Bodies:
+    """Return the regions of cables, on pieces on which they are clasped or tightened."""
+    sheets = cable_sheets(motion)
+    return Bodies(sheets.corners, cable_names(motion), sheets.outline, sheets.clasped)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from plans import planned
 import hitchopt as ho
 from hitchopt import verify
 from hitchopt.checks.across import check_across
-from hitchopt.checks.regions import cable_sheets
+from hitchopt.checks.bodies import cable_sheets
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.geometry import hull_offset
 from hitchopt.motion.combined import combined
