@@ -12,7 +12,7 @@ region is the larger one of its horizontal distance and the difference of height
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -28,14 +28,14 @@ from hitchopt.checks.bodies import (
     taut_parts,
 )
 from hitchopt.checks.certificate import Check
-from hitchopt.checks.clearance import Solid, from_above
+from hitchopt.checks.clearance import Solid, from_above, pairs_with_shape
 from hitchopt.checks.distances import (
     Moving,
     nearest,
     smallest,
 )
 from hitchopt.checks.downwash import below, half_axes, moves, pairs_with_slab
-from hitchopt.checks.objects import in_object_frame, placed_corners
+from hitchopt.checks.objects import placed_corners
 from hitchopt.checks.ring_change import vertical_passes
 from hitchopt.checks.rule import CheckRule, WorstCase
 from hitchopt.checks.spans import ROUNDING, cable_names, cable_parts, cached, magnitude
@@ -49,6 +49,7 @@ from hitchopt.objects import Slab, SolidObject
 from hitchopt.objects.placing import REST_DRIFT
 from hitchopt.trajectory.enclosed import Enclosed
 from hitchopt.trajectory.piecewise import merged_breaks
+from hitchopt.values import Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +93,19 @@ class Run:
         """Return the pairs of bodies of the first and the second group."""
         options = {"margin": self.margin} | options
         return Moving.between(self.first.motion, first, second, **options)
+
+    def around(
+        self,
+        points: Array | Enclosed,
+        names: Sequence[str],
+        label: str,
+        shape: Solid,
+        pose: Enclosed,
+    ) -> Moving:
+        """Return the pairs of bodies of one group and a shape that moves with a pose."""
+        points = points if isinstance(points, Enclosed) else Enclosed(points)
+        margin = self.margin + ROUNDING * shape.slab.size
+        return pairs_with_shape(self.first.motion, points, names, label, shape, pose, margin=margin)
 
 
 @cached
@@ -190,7 +204,7 @@ def drones_and_objects(run: Run) -> Iterator[Moving]:
         drones = one.drones
         for name, body, pose in _objects(other, one):
             for slab in body.slabs:
-                yield _pairs_with_shape(run, drones, name, Solid(slab), pose)
+                yield run.around(drones.corners, drones.names, name, Solid(slab), pose)
 
 
 def drones_above_cables(run: Run) -> Iterator[Moving]:
@@ -239,11 +253,8 @@ def cables_and_objects(run: Run) -> Iterator[Moving]:
                     for label, other_body, other_pose in _objects(one, other):
                         for block in other_body.slabs:
                             corners = placed_corners(other_pose, block)
-                            bodies = Bodies(corners.c, (label,))
                             solid = Solid(slab, block.section.rounding)
-                            yield _pairs_with_shape(
-                                run, bodies, name, solid, pose, float(np.max(corners.r))
-                            )
+                            yield run.around(corners, (label,), name, solid, pose)
 
 
 def _pairs_with_cables(
@@ -255,28 +266,11 @@ def _pairs_with_cables(
     """
     sheets = side.sheets
     if sheets is None or not cables.outline:
-        return _pairs_with_shape(run, cables, label, Solid(slab), pose)
+        return run.around(cables.corners, cables.names, label, Solid(slab), pose)
     if cables.outline == 2:
-        chords = replace(cables, corners=cables.corners[:, :, :2])
-        return _pairs_with_shape(run, chords, label, from_above(slab), pose)
-    prisms = replace(cables, corners=sheets.prisms)
-    return _pairs_with_shape(run, prisms, label, Solid(slab, 0.0), pose)
-
-
-def _pairs_with_shape(
-    run: Run, bodies: Bodies, label: str, shape: Solid, pose: Enclosed, error: float = 0.0
-) -> Moving:
-    """Return the pairs of bodies and a shape that moves with a pose."""
-    local = in_object_frame(pose, Enclosed(bodies.corners))
-    margin = run.margin + ROUNDING * shape.slab.size + float(np.max(local.r)) + error
-    return Moving(
-        run.first.motion.drones.breaks,
-        local.c,
-        np.zeros((len(local.c), 1, 1, 3, 1)),
-        margin=margin,
-        shape=shape,
-        names=(bodies.names, (label,)),
-    )
+        chords = cables.corners[:, :, :2]
+        return run.around(chords, cables.names, label, from_above(slab), pose)
+    return run.around(sheets.prisms, cables.names, label, Solid(slab, 0.0), pose)
 
 
 ACROSS: dict[str, Callable[[Run], Iterable[Moving]]] = {

@@ -158,15 +158,19 @@ def pairs_with_shape(
     label: str,
     shape: Shape,
     pose: Enclosed | None = None,
+    *,
+    margin: float | None = None,
     **further: Any,
 ) -> Moving:
     """Return the pairs of moving points and a named shape; ``further`` as in ``Moving``.
 
-    With a ``pose``, the shape is in its frame.
+    With a ``pose``, the shape is in its frame. The default rounding error ``margin`` is that of the
+    motion.
     """
     local = points if pose is None else in_object_frame(pose, points)
-    size = magnitude(motion) + sum(slab.size for slab in _obstacles(motion))
-    margin = ROUNDING * size + float(np.max(local.r))
+    if margin is None:
+        margin = ROUNDING * (magnitude(motion) + sum(slab.size for slab in _obstacles(motion)))
+    margin += float(np.max(local.r))
     breaks, nowhere = motion.drones.breaks, np.zeros((len(local.c), 1, 1, 3, 1))
     options: dict[str, Any] = {"breaks": breaks, "names": (names, (label,))} | further
     return Moving(first=local.c, second=nowhere, margin=margin, shape=shape, **options)
