@@ -207,8 +207,9 @@ class Moving:
             counts = (first.outline or a.shape[2], other.outline or corners[-1].shape[2])
             options["formula"] = partial(upright_distance, outlines=counts)
             options.setdefault("tolerance", UPRIGHT_TOLERANCE)
-        if first.pieces is not None and "active" not in options:
-            options["active"] = np.repeat(first.pieces[:, None], a.shape[1], axis=1)
+        masks = [each.pieces for each in (first, other) if each.pieces is not None]
+        if masks and "active" not in options:
+            options["active"] = np.repeat(np.all(masks, axis=0)[:, None], a.shape[1], axis=1)
         values = {"names": (first.names, other.names)} | options
         off = position_margin(motion) if margin is None else margin
         return cls(motion.drones.breaks, a, b[0] if b else None, off, **values)

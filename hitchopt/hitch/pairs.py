@@ -84,7 +84,7 @@ DISTANCES = {
         ),
     )
 }
-"""All distances, by check: checks, start times and searches read them here."""
+"""All distances, by check. Checks read limits here, start times also the kinds of bodies."""
 
 
 def limits_of(separation: Separation) -> Array:

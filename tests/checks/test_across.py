@@ -12,6 +12,9 @@ from motions import free_motion, lines, random_flight, random_motion
 
 import hitchopt as ho
 from hitchopt.checks import Certificate, certify
+from hitchopt.checks.across import ACROSS
+from hitchopt.checks.registry import RULE_OF
+from hitchopt.hitch.pairs import DISTANCES
 from hitchopt.hitch.requirements import Separation
 from hitchopt.motion.combined import combined
 from hitchopt.motion.motion import Group, Motion
@@ -254,3 +257,7 @@ def test_tracking_radius_is_half_of_the_slack_between_groups() -> None:
         for each in (one, other)
     ]
     assert not across(*strict)["tracking_radius"].holds
+
+
+def test_start_times_and_certificates_keep_the_same_distances() -> None:
+    assert ACROSS.keys() == DISTANCES.keys() <= RULE_OF.keys()
