@@ -26,7 +26,7 @@ import re
 import sys
 import unicodedata
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from functools import partial
+from functools import cached_property, partial
 from itertools import chain, combinations, groupby, pairwise, product, repeat
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -39,6 +39,7 @@ Items = NDArray[np.intp]
 Index = Items | int
 Names = Sequence[Sequence[str]]
 Mask = NDArray[np.bool_]
+Lazy = cached_property[Array]
 Fault = tuple[float, bool, str]  # time [s], whether it applies, text
 Worst = tuple[float, float, str]  # value, time [s], place
 
@@ -151,9 +152,13 @@ class Line:
 
     def __init__(self, v: Array, g: Array, q: Array, t: Array) -> None:
         self.v, self.g, self.q, self.t = v, g, q, t
-        self.rate = norm(g) + q
-        self.deviation = self.rate * t
-        self.low, self.high = v[:, 0] - self.deviation, v[:, 0] + self.deviation
+
+    size: Lazy = cached_property(lambda self: norm(self.v))
+    slope: Lazy = cached_property(lambda self: norm(self.g))
+    rate: Lazy = cached_property(lambda self: self.slope + self.q)
+    deviation: Lazy = cached_property(lambda self: self.rate * self.t)
+    low: Lazy = cached_property(lambda self: self.v[:, 0] - self.deviation)
+    high: Lazy = cached_property(lambda self: self.v[:, 0] + self.deviation)
 
     def __getitem__(self, k: int | slice) -> Line:
         k = slice(k, k + 1) if isinstance(k, int) else k
@@ -189,14 +194,14 @@ class Line:
 
     def _product(self, f: Callable[[Array, Array], Array], o: Line) -> Line:
         """``(x y)' = x' y + x y'``, with deviations of slopes and factors from midpoints."""
-        q = self.q * (norm(o.v) + o.deviation) + norm(self.g) * o.deviation
-        q = q + o.q * (norm(self.v) + self.deviation) + norm(o.g) * self.deviation
+        q = self.q * (o.size + o.deviation) + self.slope * o.deviation
+        q = q + o.q * (self.size + self.deviation) + o.slope * self.deviation
         return Line(f(self.v, o.v), f(self.g, o.v) + f(self.v, o.g), q, self.t)
 
     def norm(self) -> Line:
         """``|y|' = û·y'``; û deviates by at most ``deviation / min |y|``."""
-        n, u = norm(self.v), normalize(self.v)
-        positive, turn = n > self.deviation, norm(self.g) * self.deviation / (n - self.deviation)
+        n, u = self.size, normalize(self.v)
+        positive, turn = n > self.deviation, self.slope * self.deviation / (n - self.deviation)
         g = np.sum(u * self.g, -1, keepdims=True) * positive[:, None]
         q = np.where(positive, self.q + turn, self.rate)
         return Line(n[:, None], g, q, self.t)
@@ -208,7 +213,7 @@ class Line:
     def map(self, f: Callable[[Array], Array], df: Callable[[Array], Array]) -> Line:
         """Apply a function with a monotone derivative to a non-negative scalar."""
         slope, ends = df(self.v), df(np.stack([np.maximum(self.low, 0.0), self.high]))
-        q = np.max(np.abs(ends - slope[:, 0]), 0) * norm(self.g)
+        q = np.max(np.abs(ends - slope[:, 0]), 0) * self.slope
         q = np.max(np.abs(ends), 0) * self.q + q
         return Line(f(self.v), slope * self.g, q, self.t)
 
@@ -230,7 +235,7 @@ class Line:
 
 def norm(v: Array) -> Array:
     """Return lengths of vectors."""
-    return np.asarray(np.linalg.norm(v, axis=-1))
+    return np.abs(v[..., 0]) if v.shape[-1] == 1 else np.sqrt(np.einsum("...i,...i->...", v, v))
 
 
 def normalize(v: Array) -> Array:
@@ -288,22 +293,21 @@ class Curve:
 
     def at(self, s: Spans, i: Index, k: int = 0) -> Array:
         """Return k-th derivatives (m, d) of items i (m,) at midpoints."""
-        c, x = self.c[k][s.piece, i], s.x[:, None]
-        n = c.shape[-1] - 1
-        weights = [math.comb(n, j) * x**j * (1.0 - x) ** (n - j) for j in range(n + 1)]
-        return np.asarray(np.einsum("mdj,mj->md", c, np.hstack(weights)))
+        c = self.c[k][s.piece, i]
+        return np.asarray(np.einsum("mdj,mj->md", c, s.weights(c.shape[-1] - 1)))
 
     def on(self, s: Spans, i: Index, k: int = 0) -> Line:
         """Return k-th derivatives of items i (m,) on spans."""
         q = self.bounds[k + 2][s.piece, i] * s.t * s.moving + self.noise[k][s.piece, i] / s.t
-        return Line(self.at(s, i, k), self.at(s, i, k + 1) * np.c_[s.moving], q, s.t)
+        return Line(self.at(s, i, k), self.at(s, i, k + 1) * s.moving[:, None], q, s.t)
 
 
 class Spans:
     """Spans of time with items (m, c): piece (m,), relative midpoint x (m,) and half width w (m,).
 
-    ``names`` are lists of names for each column of items. Methods are terms of formulas, for drones
-    i, vertices j, cables k and bodies b (m,).
+    ``names`` are lists of names for each column of items; ``moving`` is 0 before and after a plan,
+    at rest, else 1. Methods are terms of formulas, for drones i, vertices j, cables k and bodies b
+    (m,).
     """
 
     def __init__(
@@ -311,9 +315,17 @@ class Spans:
     ) -> None:
         self.plan, self.piece, self.item, self.x, self.w = plan, piece, item, x, w
         self.t, self.names = np.maximum(w * plan.h[piece], 1e-12), names
-        self.moving: Array | float = 1.0  # 0 before and after a plan, at rest
+        self.moving, self._weights = 1.0 + 0.0 * x, dict[int, Array]()
         self.zero = Line(0.0 * x[:, None], 0.0 * x[:, None], 0.0 * x, self.t)
         self.time = plan.breaks[piece] + x * plan.h[piece]
+
+    def weights(self, n: int) -> Array:
+        """Return Bernstein polynomials of degree n at midpoints (m, n + 1)."""
+        if n not in self._weights:
+            x, j = self.x[:, None], np.arange(n + 1)
+            binomials = np.array([math.comb(n, k) for k in j.tolist()], dtype=float)
+            self._weights[n] = binomials * x**j * (1.0 - x) ** (n - j)
+        return self._weights[n]
 
     def select(self, k: Any) -> Spans:
         """Return selected spans."""
