@@ -343,6 +343,10 @@ def test_every_team_is_compared_with_its_own_request(tmp_path: Path) -> None:
     motion, besides = planned("two_teams").motion, beside_saved(tmp_path)
     a, b = motion.groups
     exchanged = combined([replace(b, name="a"), replace(a, name="b")])
+    needs = b.motion.requirements
+    needs = replace(needs, limits=replace(needs.limits, speed=9.0))
+    faster = b.motion.replaced(requirements=needs)
+    wider = combined([a, replace(b, motion=faster)])
     teams = {each.name: asked_of(each.motion) for each in motion.groups}
     show, pair = {"plan": "show", "at": 1.7}, {"plan": "pair", "at": -2.1}
     alone = {**asked_of(besides), "others": {"show": show, "pair": pair}}
@@ -350,6 +354,7 @@ def test_every_team_is_compared_with_its_own_request(tmp_path: Path) -> None:
     check_request(alone, besides)
     wrong: list[tuple[dict[str, Any], Motion]] = [
         (teams, exchanged),
+        (teams, wider),
         ({"a": teams["a"]}, motion),
         ({**teams, "c": teams["b"]}, motion),
         ({**teams, "others": {"show": show}}, motion),
