@@ -96,9 +96,10 @@ def certify(
     gamma = nonnegative("gamma", gamma)
     requested: tuple[ReportRule, ...] = sequence("reports", reports)
     parts = _parts(motion)
+    reported = [each for each in REPORTS if each in requested or each.limit(motion) is not None]
+    of_parts = [each for each in reported if not each.whole]
     alone = {
-        part: _checks_alone(part, group, progress, gamma, requested, whole=len(parts) == 1)
-        for part, group in parts.items()
+        part: _checks_alone(part, group, of_parts, progress, gamma) for part, group in parts.items()
     }
     with value_cache():
         across = {
@@ -110,11 +111,8 @@ def certify(
         for rule in RULES:
             own = [_label(alone[part].get(rule.name), group) for part, group in parts.items()]
             checks.append(_of_parts(rule, motion, [*own, *(x[rule.name] for x in across.values())]))
-        for report in REPORTS:
-            limit = report.limit(motion)
-            if report not in requested and limit is None:
-                continue
-            if report.whole and len(parts) > 1:
+        for report in reported:
+            if report.whole:
                 checks.append(report.check(motion, {}, gamma))
                 continue
             values = [_label(own[report.name], parts[part]) for part, own in alone.items()]
@@ -143,19 +141,13 @@ def _parts(motion: Motion) -> dict[Motion, Group]:
 def _checks_alone(
     part: Motion,
     group: Group,
+    reports: Sequence[ReportRule],
     progress: Callable[[str], None] | None,
     gamma: float,
-    requested: Sequence[ReportRule],
-    *,
-    whole: bool,
 ) -> dict[str, Check | None]:
-    """Return the checks of one part by name; of reports that need the whole motion if it is it."""
-    evaluated: list[CheckRule | ReportRule] = [r for r in RULES if r.limit_of(part) is not None]
-    evaluated += [
-        each
-        for each in REPORTS
-        if (each in requested or each.limit(part) is not None) and (whole or not each.whole)
-    ]
+    """Return the checks and reports of one part by name."""
+    rules = [rule for rule in RULES if rule.limit_of(part) is not None]
+    evaluated: tuple[CheckRule | ReportRule, ...] = (*rules, *reports)
     results: dict[str, Sequence[SpanResult]] = dict.fromkeys(RULE_OF, ())
     checks = dict[str, Check | None]()
     with value_cache():

@@ -261,3 +261,15 @@ def test_tracking_radius_is_half_of_the_slack_between_groups() -> None:
 
 def test_start_times_and_certificates_keep_the_same_distances() -> None:
     assert ACROSS.keys() == DISTANCES.keys() <= RULE_OF.keys()
+
+
+@pytest.mark.parametrize("several", [False, True])
+def test_what_flies_far_away_changes_no_check(*, several: bool) -> None:
+    """Of one team beside an external plan, and of one of two teams."""
+    one, far = taut(1, np.zeros(3)), taut(1, np.array([60.0, 0.0, 0.0]))
+    other = Group("b", far)
+    both = combined([Group("a", one), other]) if several else one.replaced(others=(other,))
+    alone, found = certify(one), certify(both)
+    for check in alone.checks:
+        bound = pytest.approx(check.bound, rel=1e-6, abs=1e-5)  # b rounds at its coordinates
+        assert found[check.name].bound == bound, check.name
