@@ -18,7 +18,7 @@ the chord, so no body passes from one side of a cable to the other.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +42,8 @@ class Bodies:
     names: Sequence[str]
     outline: int = 0  # of upright regions: number of corners that span them in plan view
     pieces: Flags | None = None  # (pieces,), on which they count; None for all
-    part: Indices | None = None  # (bodies,), of parts of taut cables, as in ``Layout.parts``
+    # (bodies,), of parts of taut cables: numbers as in ``Layout.parts``; empty for other bodies
+    part: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
     def labelled(self, label: Callable[[str], str]) -> Bodies:
         """Return the bodies with full names, such as ``a.q0``."""

@@ -346,7 +346,6 @@ def entry(spans: PairSpans) -> Bound:
 def _drones_and_taut(motion: Motion) -> Iterator[Moving]:
     """Yield pairs of drones and all parts of taut cables except the one that ends at the drone."""
     cables, table = taut_cables(motion), TautBodies.of(motion.team.layout)
-    assert cables.part is not None
     body = table.of_parts(cables.part)
 
     def foreign(i: Indices, j: Indices) -> Flags:
@@ -451,7 +450,6 @@ def _taut_and_objects(motion: Motion) -> Iterator[Moving]:
     The distance is zero where a cable enters an object that it holds, or the ground.
     """
     taut = taut_cables(motion)
-    assert taut.part is not None
     part, names, points = taut.part, taut.names, Enclosed(taut.corners)
     cables = part // 3
     # No part is lower than its ends and the bends of edges wrapped around an object.

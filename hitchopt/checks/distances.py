@@ -454,9 +454,7 @@ def _taut_parts(motion: Motion) -> Iterator[Moving]:
     are excluded while they may touch.
     """
     parts, table = taut_parts(motion), TautBodies.of(motion.team.layout)
-    assert parts.part is not None
-    part = parts.part
-    body = table.of_parts(part)
+    part, body = parts.part, table.of_parts(parts.part)
 
     def crossing(i: Indices, j: Indices) -> Flags:
         flags: Flags = table.kind(body[i], body[j]) == CROSSING_PAIR

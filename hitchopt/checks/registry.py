@@ -97,9 +97,8 @@ def certify(
     requested: tuple[ReportRule, ...] = sequence("reports", reports)
     parts = _parts(motion)
     reported = [each for each in REPORTS if each in requested or each.limit(motion) is not None]
-    of_parts = [each for each in reported if not each.whole]
     alone = {
-        part: _checks_alone(part, group, of_parts, progress, gamma) for part, group in parts.items()
+        part: _checks_alone(part, group, reported, progress, gamma) for part, group in parts.items()
     }
     with value_cache():
         across = {
@@ -113,6 +112,8 @@ def certify(
             checks.append(_of_parts(rule, motion, [*own, *(x[rule.name] for x in across.values())]))
         for report in reported:
             if report.whole:
+                if progress is not None:
+                    progress(f"{report.name}, of the whole motion")
                 checks.append(report.check(motion, {}, gamma))
                 continue
             values = [_label(own[report.name], parts[part]) for part, own in alone.items()]
@@ -145,9 +146,9 @@ def _checks_alone(
     progress: Callable[[str], None] | None,
     gamma: float,
 ) -> dict[str, Check | None]:
-    """Return the checks and reports of one part by name."""
+    """Return the checks of one part by name, and those reports that parts have."""
     rules = [rule for rule in RULES if rule.limit_of(part) is not None]
-    evaluated: tuple[CheckRule | ReportRule, ...] = (*rules, *reports)
+    evaluated: tuple[CheckRule | ReportRule, ...] = (*rules, *(x for x in reports if not x.whole))
     results: dict[str, Sequence[SpanResult]] = dict.fromkeys(RULE_OF, ())
     checks = dict[str, Check | None]()
     with value_cache():

@@ -258,7 +258,7 @@ class TeamMission:
 
     @property
     def request(self) -> dict[str, Any]:
-        """What is requested of its plan (``hitchopt.motion.request``)."""
+        """The request that its plan must satisfy (``hitchopt.motion.request``)."""
         start: dict[str, Any] = {"drones": self.start}
         if isinstance(self.start, HitchStart | Hitch):
             altitude = self.start.altitude
@@ -515,7 +515,7 @@ class Problem(OneLine):
 
     @property
     def request(self) -> dict[str, Any]:
-        """What is requested of the plan; of several teams by name."""
+        """The request that the plan must satisfy; of several teams by name."""
         requests = {name: each.request for name, each in self.teams.items()}
         return requests.get("", requests)
 

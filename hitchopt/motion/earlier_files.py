@@ -21,8 +21,12 @@ from hitchopt.storage.archive import read_arrays
 
 FORMATS = ("hitchopt-plan/1", "hitchopt-plan/2")
 
-CURVES = {"leg_tensions": "leg_tensions", "poses": "poses", "load_share": "borne"}
-CURVES |= {"contacts": "contacts"}
+CURVES = {
+    "leg_tensions": "leg_tensions",
+    "poses": "poses",
+    "load_share": "borne",
+    "contacts": "contacts",
+}
 """Curves that are stored if a setting of the same name is true, with these names."""
 
 LOOP = {"stiffness": math.inf, "integral": 0.0, "feed_forward": 1.0}
@@ -90,7 +94,7 @@ def _kinds(columns: dict[str, list[Any]], controllers: list[Any]) -> list[Quadro
         values = {name: column[i] for name, column in columns.items()}
         for name in LOOP.keys() & values:
             values[name] = None if controller or values[name] == LOOP[name] else values[name]
-            if name != "stiffness" and values[name] is not None:
+            if name != "stiffness" and values[name] in (0.0, 1.0):  # others are refused
                 values[name] = bool(values[name])
         kinds.append(Quadrotor(**values | (controller or {})))
     return kinds

@@ -178,7 +178,7 @@ SOURCES: dict[str, frozenset[str]] = {
 edges and objects that move."""
 
 PLAIN: Any = None
-"""Stands for a curve that follows from its sources (``Motion.plain_curve``)."""
+"""Stands for a curve that follows from its sources (``Motion``)."""
 
 PLAIN_TOLERANCE = 1e-9
 """[m], [N] Largest difference from a plain curve that counts as none."""
@@ -254,7 +254,7 @@ class Motion(OneLine):
         breaks = self.drones.breaks
         for name, shape in shapes.items():
             if getattr(self, name) is PLAIN:
-                object.__setattr__(self, name, self.plain_curve(name))
+                object.__setattr__(self, name, self._plain_curve(name))
             part: PiecewisePolynomial = getattr(self, name)
             if part.shape != shape:
                 raise InputError(name, part.shape, f"of shape {shape}", "one row per robot's parts")
@@ -289,7 +289,7 @@ class Motion(OneLine):
             for i, each in enumerate(entries):
                 check_instance(f"{name}[{i}]", each, kind)
 
-    def plain_curve(self, name: str) -> PiecewisePolynomial:
+    def _plain_curve(self, name: str) -> PiecewisePolynomial:
         """Return a curve of SOURCES as it is without friction, wrapped edges and moving objects."""
         if name == "leg_tensions":
             c = self.tensions.coefficients
@@ -304,7 +304,7 @@ class Motion(OneLine):
 
     def _is_plain(self, name: str) -> bool:
         """Return whether a curve of SOURCES is as without friction, wraps and moving objects."""
-        stored, plain = getattr(self, name), self.plain_curve(name)
+        stored, plain = getattr(self, name), self._plain_curve(name)
         if stored.shape != plain.shape:
             return False
         parts = same_degree(stored.coefficients, plain.coefficients)
@@ -467,7 +467,7 @@ class Motion(OneLine):
         vars(motion).update({name: own[name] for name in self.__dataclass_fields__} | values)
         for name, sources in SOURCES.items():
             if name not in values and sources & values.keys() and self._is_plain(name):
-                vars(motion)[name] = motion.plain_curve(name)
+                vars(motion)[name] = motion._plain_curve(name)
         if "load_share" in values:
             vars(motion)["load_share"] = _snapped(motion.load_share)
         if "phases" in values:

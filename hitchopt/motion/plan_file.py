@@ -165,13 +165,8 @@ def read_saved_plan(path: Path) -> SavedPlan:
         if not isinstance(settings, dict):
             raise InputError("settings", settings, "a mapping", "use a plan that hitchopt wrote")
         if version == FORMAT:
-            names = ["breaks", *CURVES]
             arrays = {
-                key: [
-                    dict(zip(names, read_arrays(path, paths).values(), strict=True))
-                    for i in range(len(settings[key]))
-                    for paths in [[f"{key}/{i}/{name}" for name in names]]
-                ]
+                key: [_read_arrays(path, f"{key}/{i}/") for i in range(len(settings[key]))]
                 for key in (GROUPS, OTHERS)
             }
         else:
@@ -197,6 +192,13 @@ def read_saved_plan(path: Path) -> SavedPlan:
             reason = f"cannot be read: {error.strerror}"
         reason = " ".join(reason.split())  # arrays are printed over several lines
         raise FileError(f"{path}: {reason}; solve the problem again") from error
+
+
+def _read_arrays(path: Path, folder: str) -> dict[str, NDArray[Any]]:
+    """Return the arrays of one team or external plan by their names."""
+    names = ["breaks", *CURVES]
+    stored = read_arrays(path, [folder + name for name in names])
+    return dict(zip(names, stored.values(), strict=True))
 
 
 def _group(key: str, head: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Group:

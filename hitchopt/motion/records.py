@@ -74,6 +74,8 @@ def decoded(kind: Any, value: Any) -> Any:
     elif (is_dataclass(kind) and kind is not ConvexPolygon) or hasattr(kind, "_fields"):
         hints, values = _hints(kind), dict[str, Any]()
         for name, each in value.items():
+            if name not in hints:
+                raise InputError(name, each, "a known key", REMEDY)
             try:
                 values[name] = decoded(hints[name], each)
             except InputError as error:

@@ -1,7 +1,7 @@
-"""What was requested of a motion: team, requirements, start, and the result of every step.
+"""Compare a motion with what was requested: team, requirements, start and results of steps.
 
-Problems state it, motions imply it, and both are compared as JSON values with the keys of problem
-files. Robots are in the order of the start.
+Problems state the request, motions imply it, and both are compared as JSON values with the keys of
+problem files. Robots are in the order of the start.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ def request_fields(
 ) -> dict[str, Any]:
     """Return a team, requirements, a start and a mission as JSON values.
 
-    The start has ``hitch``, ``drones`` or both. Steps of the
-    mission have some of the keys of ``mission_of``.
+    The start has ``hitch``, ``drones`` or both; steps of the mission have some of the keys of
+    ``mission_of``.
     """
     required = {k: v for k, v in encoded(requirements).items() if k != "position_error"}
     return {

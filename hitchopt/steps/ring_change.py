@@ -103,7 +103,7 @@ def join_plan(step: Join, task: StepTask, side: float) -> StepPlan:
     start = waiting.pop(step.robot)
     joins = RingChangeMotions(joined, before.whole_team, waiting, requirements, task.index)
     parts = [joins.opening(start), *joins.arrival_motions(start), *joins.tying_motions()]
-    after = state_after_join(before, joined, waiting)
+    after = _state_after(before, joined.after, joined.senses_after, waiting)
     adjusting = adjusting_motions(task, joined.before.q_legs)
     slides = [before.with_waiting(each, requirements) for each in adjusting]
     motion = concatenated([*slides, *parts])
@@ -132,16 +132,16 @@ def _require_certified(plan: StepPlan) -> StepPlan:
     return plan
 
 
-def state_after_join(
-    before: RestState, joined: RingChange, waiting: Mapping[int, Array]
+def _state_after(
+    before: RestState, hitch: Hitch, senses: Array, waiting: Mapping[int, Array]
 ) -> RestState:
-    """Return the state after a robot has joined."""
+    """Return the state after a robot has joined the ring or left it."""
     return replace(
         before,
-        team=joined.after.team,
-        hitch=joined.after,
-        drones=joined.after.drones,
-        senses=joined.senses_after,
+        team=hitch.team,
+        hitch=hitch,
+        drones=hitch.drones,
+        senses=senses,
         levels=None,
         waiting=waiting,
     )
@@ -199,15 +199,8 @@ class Withdraw(Step):
         )
         aside = joins.waiting_position()
         parts = [joins.opening(aside), *joins.return_motions(aside), *joins.tying_motions()]
-        after = replace(
-            before,
-            team=joined.before.team,
-            hitch=joined.before,
-            drones=joined.before.drones,
-            senses=joined.senses,
-            levels=None,
-            waiting={**before.waiting, self.robot: aside},
-        )
+        waiting = {**before.waiting, self.robot: aside}
+        after = _state_after(before, joined.before, joined.senses, waiting)
         adjusting = adjusting_motions(task, joined.after.q_legs)
         slides = [before.with_waiting(each, requirements) for each in adjusting]
         motion = concatenated([*slides, *reversed_stages(parts)])

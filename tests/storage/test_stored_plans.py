@@ -101,6 +101,19 @@ def test_plans_that_were_believed_are_refused_by_both_opinions(name: str, tmp_pa
         assert reason in result.output, (command, result.output)
 
 
+@pytest.mark.parametrize(("name", "folder"), [("single", ""), ("others", "others/single/")])
+@pytest.mark.parametrize("value", [0.5, -1.0, np.nan])
+def test_stored_switches_are_zero_or_one(
+    name: str, folder: str, value: float, tmp_path: Path
+) -> None:
+    with np.load(FILES[0].with_stem(name)) as stored:
+        arrays = dict(stored)
+    arrays[folder + "integral"][1] = value
+    np.savez(tmp_path / "plan.npz", **arrays)
+    with pytest.raises(ho.HitchoptError, match=r"integral.* must be true or false"):
+        ho.load(tmp_path)
+
+
 def test_stored_plans_are_of_both_formats() -> None:
     formats = set()
     for path in FILES:

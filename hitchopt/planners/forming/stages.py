@@ -120,7 +120,7 @@ def tension_stage(
 
 
 def best(candidates: Iterable[tuple[float, T]], enough: float) -> T:
-    """Return the first candidate with a margin of at least ``enough``, else the one with the most.
+    """Return the first candidate with a margin of at least ``enough``, else of the largest margin.
 
     Raises ValueError without a candidate.
     """
