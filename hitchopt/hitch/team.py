@@ -150,15 +150,20 @@ class Model(NamedTuple):
     max_thrust: float  # [N], of all four motors
     controller: str
     separation: tuple[float, float]  # [m], semi-axes for its size
+    cable_density: float  # [kg/m], of cables that it flies: threads, or cords
 
 
 CRAZYFLIE = (0.12, 0.30)
 
 MODELS: Mapping[str, Model] = {
-    "crazyflie_2.1": Model(0.029, 4 * 0.1125, "mellinger", CRAZYFLIE),
-    "crazyflie_2.1_upgraded": Model(0.0325, 4 * 0.1625, "mellinger", CRAZYFLIE),
-    "crazyflie_2.1_brushless": Model(0.0393, 4 * 0.2, "mellinger", CRAZYFLIE),
-    "x260_bolt": Model(0.32, 4 * 0.28 * GRAVITY, "mellinger", (0.25, 0.60)),
+    "crazyflie_2.1": Model(0.029, 4 * 0.1125, "mellinger", CRAZYFLIE, 0.001),
+    "crazyflie_2.1_upgraded": Model(0.0325, 4 * 0.1625, "mellinger", CRAZYFLIE, 0.001),
+    "crazyflie_2.1_brushless": Model(0.0393, 4 * 0.2, "mellinger", CRAZYFLIE, 0.0015),
+    # The drones of arXiv 2303.07427, section V-B: 132 g, flown by Mellinger's controller with
+    # Crazyswarm. It prints neither thrust (here twice the weight) nor size (here a Crazyflie's
+    # ellipsoid) nor the weight of its cables (here 10 g/m, a cord).
+    "paper_132g": Model(0.132, 2.6, "mellinger", CRAZYFLIE, 0.010),
+    "x260_bolt": Model(0.32, 4 * 0.28 * GRAVITY, "mellinger", (0.25, 0.60), 0.010),
 }
 """Drones by name.
 
@@ -166,7 +171,7 @@ Crazyflies have the masses and largest thrusts of the firmware's ``platform_defa
 the propellers from before 2.1+ or the thrust upgrade kit, and of ``platform_defaults_cf21bl.h``,
 with guards, a 350 mAh battery and a Lighthouse deck. The x260, 260 mm between opposite motors, is
 that of github.com/dennisss/tansa, ``config/models/x260.js``, here with a Crazyflie Bolt. All use
-Mellinger's controller with the stiffest gains.
+Mellinger's controller with the stiffest gains: 4.75 N/m and 1.32 N s/m at 132 g.
 """
 
 DEFAULT_TENSION, DEFAULT_TILT = 0.4, 0.25 * np.pi

@@ -273,7 +273,9 @@ def test_a_problem_for_drones_of_a_model_is_planned(name: str) -> None:
     told = re.search(r"cables pull ([\d.]+) N, of ([\d.]+) N held level by tilt", said)
     assert told is not None
     weight = 9.81 * team.mass[0]
-    assert [float(told[1]), float(told[2])] == pytest.approx([team.tension[0], weight], rel=2e-3)
+    assert [float(told[1]), float(told[2])] == pytest.approx(
+        [team.tension[0], weight], rel=5e-3
+    )  # three digits
     solved = run("solve", "mine.yaml", "-o", "out", code=0).stdout
     assert told[0] in solved
     assert "error: --drone" in refused("init", "--drone", name, "--example", "triangle")

@@ -106,6 +106,15 @@ def test_the_default_tension_of_a_model_is_a_share_of_its_pull(name: str) -> Non
     assert Team(3, 2.4, quadrotor=name, tension=0.07).tension.tolist() == [0.07] * 3
 
 
+def test_the_drones_of_the_paper_have_the_gains_that_fly() -> None:
+    kind = Quadrotor(model="paper_132g")
+    assert (kind.mass, kind.max_thrust, kind.tension) == (0.132, 2.6, 0.4)
+    loop = kind.loop
+    assert (loop.kp, loop.kd, loop.ki) == ((4.75, 4.75), (1.32, 1.32), (0.0, 0.0))
+    assert loop.feed_forward
+    assert loop == Quadrotor(0.132, 2.6, controller="mellinger", gains=kind.gains).loop
+
+
 def test_specified_numbers_override_the_models() -> None:
     light, kind = Quadrotor(model="crazyflie_2.1"), Quadrotor(model="crazyflie_2.1", mass=0.035)
     assert (kind.mass, kind.max_thrust, kind.controller) == (0.035, 0.45, "mellinger")
