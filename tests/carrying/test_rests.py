@@ -204,6 +204,6 @@ def test_flat_trays_are_carried_from_below_and_obstacles_are_named() -> None:
     assert end == pytest.approx([0.2, 1.8, 0.5], abs=1e-6)
     given: Any = read_yaml(PROBLEMS / "carry_tray.yaml")
     given["objects"]["pillar"]["circle"] = 0.3
-    words = r"^object_clearance: 0 m is below the limit of 0\.035 m at .*pillar"
+    words = r"^object_clearance: 0 m is below the limit of 0\.085 m at .*pillar"
     with pytest.raises(ho.InfeasibleError, match=words):
         ho.solve(any_problem_from_dict(given))

@@ -123,7 +123,7 @@ def test_unsupported_teams_are_refused() -> None:
     start = ho.Hitch.spread(ho.Team(3, 2.4), [[0.0, -0.9], [-0.72, 0.45], [0.72, 0.45]])
     with pytest.raises(ho.InputError, match="hitch"):
         ho.Replanner(start.team, ho.release(start))
-    rolled, plan = replace(start, roll=np.full(3, 0.3)), planned("form_triangle")
+    rolled, plan = replace(start, roll=np.full(3, 0.3)), planned("form_pentagon")
     for here, why in ((rolled, "legs lean, are rolled"), (plan, "there is no hitch")):
         replanner = ho.Replanner(here.team if here is rolled else plan.motion.team, here)
         for at in (0.0, 1e-7):

@@ -23,7 +23,7 @@ from hitchopt.cli import main
 from hitchopt.verify import Curve, Line, Spans
 
 QUICK = (
-    *("triangle", "open_chain", "friction", "weight_hexagon", "form_square", "lay_triangle"),
+    *("triangle", "open_chain", "friction", "weight_hexagon", "form_twelve_gon", "lay_triangle"),
     "join_a_fourth",
     "swarms/circle_6",
 )
@@ -56,6 +56,11 @@ def test_it_agrees_with_the_certificate(name: str, tmp_path: Path) -> None:
         worst = row.worst * (check.limit or 1.0) if row.unit == "share" else row.worst
         if (name, check.name) == ("join_a_fourth", "crossing"):  # boxes of tilted cables: lower
             assert check.worst < worst < 1.2 * check.worst
+            continue
+        widened = row.limit != check.limit or check.name in {"separation", "span"}
+        if plan.motion.requirements.limits.tracking and widened and row.unit != "share":
+            sign = 1.0 if check.sense == "min" else -1.0  # by errors of drones
+            assert sign * row.worst <= sign * check.worst + 1e-6
             continue
         jumps = check.name == "downwash"  # as a body passes the height of a drone
         share = 0.002 if name in GROUPS and not jumps else 0.02
