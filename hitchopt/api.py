@@ -27,6 +27,7 @@ from hitchopt.motion.request import check_request
 from hitchopt.plan import Plan, load
 from hitchopt.steps import STEPS, Join, Replace, Settle, Step, Withdraw
 from hitchopt.steps.step import Stage
+from hitchopt.storage.yaml_file import read_text
 from hitchopt.values import check_instance, path, positive, text
 from hitchopt.values.fields import EMPTY, check_keywords, keys_of, parameter_docs
 
@@ -57,12 +58,18 @@ def solve(
     InfeasibleError: the problem cannot be met; lists the limits that bind, where and when.
     TimeLimitError: no plan within ``limit``.
     """
+    source = ""
+    if isinstance(problem, str | Path):
+        from hitchopt.mission.loading import parse_problem  # heavy
+
+        source, name = read_text(problem)
+        problem = parse_problem(source, name, Path(problem).parent)
     task = _loaded(problem)
     seconds = None if limit is None else positive("limit", limit)
     with time_limit(seconds, progress) as report:
         solution = solve_problem(task, report)
     check_request(task.request, solution.motion)
-    return Plan(solution.motion, solution.certificate, task.title)
+    return Plan(solution.motion, solution.certificate, task.title, source)
 
 
 def separate(

@@ -16,6 +16,7 @@ from hitchopt.errors import FileError, InputError, OneLine, Progress, short
 from hitchopt.hitch import Hitch
 from hitchopt.mission.others import NAME, named_groups
 from hitchopt.motion.combined import combined
+from hitchopt.motion.loads import weightless_notes
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.plan_file import SavedPlan, read_saved_plan
 from hitchopt.motion.request import check_request
@@ -72,11 +73,19 @@ class Plan(OneLine):
         """
         return final_hitch(self.motion)
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes for the user: cables that count as weightless, as the problem states no density.
+
+        A plan without the text of its problem states a density by one above 0.
+        """
+        return tuple(weightless_notes(self.motion, self.problem))
+
     def _repr_html_(self) -> str:
-        """Return the summary card for notebooks: picture, phases and certificate."""
+        """Return the summary card for notebooks: picture, phases, certificate and notes."""
         from hitchopt.view.pictures import plan_card
 
-        return plan_card(self.motion, self.certificate, self.title)
+        return plan_card(self.motion, self.certificate, self.title, self.notes)
 
     def plot(self, axes: Axes | None = None) -> Axes:
         """Draw start, paths and end from above on matplotlib axes, and return the axes.

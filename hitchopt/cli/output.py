@@ -194,6 +194,13 @@ def show_plan(title: str, motion: ho.Motion, certificate: ho.Certificate) -> Non
         say(f"warning: {depth}; give an arena, whose floor is the ground", err=True)
 
 
+def show_notes(plan: ho.Plan) -> None:
+    """Report the notes on a plan, one line each."""
+    for note in plan.notes:
+        say(f"note: {note}")
+    record(notes=plan.notes)
+
+
 def phase_table(phases: Sequence[ho.Phase]) -> str:
     """Return the table of a plan's phases, with a column for remarks if there are any."""
     rows = []

@@ -19,7 +19,15 @@ import click
 import hitchopt as ho
 from hitchopt.cli.failures import exit_code, exit_infeasible, report_error
 from hitchopt.cli.options import PATH, command, completing, option, plan_path
-from hitchopt.cli.output import ProgressBar, record, say, show_plan, span_text, table
+from hitchopt.cli.output import (
+    ProgressBar,
+    record,
+    say,
+    show_notes,
+    show_plan,
+    span_text,
+    table,
+)
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, TimeLimitError
 from hitchopt.exports.options import checked_rate
 
@@ -93,7 +101,7 @@ def solve(
         problem = parse_problem(text, name, file.parent)
         has_places = problem.kind != "teams"  # else keys are relative to a team
         with located(text, name) if has_places else contextlib.nullcontext():
-            _plan(problem, text, folder, rate, limit, report=report)
+            plan = _plan(problem, text, folder, rate, limit, report=report)
     except (InputError, FileError):
         raise  # nothing was solved: DIR stays as it is
     except HitchoptError as error:
@@ -103,6 +111,7 @@ def solve(
         _leave_diagnosis(folder, error, problem if is_searched else None, seconds, edited)
     if verify:
         _show_verified(plan_path(folder))
+    show_notes(plan)
 
 
 def _output(option: Path | None, file: Path) -> Path:
@@ -119,20 +128,21 @@ def _output(option: Path | None, file: Path) -> Path:
 
 def _plan(
     problem: ho.Problem, text: str, folder: Path, rate: float, limit: float, *, report: bool
-) -> None:
-    """Plan, show and write a problem."""
+) -> ho.Plan:
+    """Plan, show and write a problem; return its plan."""
     from hitchopt.exports.directory import certificate_content
     from hitchopt.storage.archive import PLAN
 
     with ProgressBar("planning", limit) as progress:
-        plan = ho.solve(problem, progress=progress, limit=limit)
+        plan = replace(ho.solve(problem, progress=progress, limit=limit), problem=text)
     show_plan(plan.title, plan.motion, plan.certificate)
     for group in plan.motion.groups:
         _show_models(group.motion.team)
     with ProgressBar("writing") as progress:
-        replace(plan, problem=text).save(folder, rate, progress, report=report)
+        plan.save(folder, rate, progress, report=report)
     content = certificate_content(plan.motion, plan.certificate, folder / PLAN)
     say(f"certified; the plan is in {folder}", directory=str(folder), certificate=content)
+    return plan
 
 
 def _show_models(team: ho.Team) -> None:
@@ -256,6 +266,7 @@ def check(
     if changed := [*_changed_others(motion, path), *changed]:
         raise InfeasibleError((), "\n".join(changed))
     say(f"certified; recomputed from {path}")
+    show_notes(ho.Plan(motion, certificate, problem=saved.problem))
 
 
 def _changed_others(motion: Motion, path: Path) -> Iterator[str]:

@@ -154,8 +154,10 @@ def draw_summary(motion: Motion, certificate: Certificate, title: str = "") -> F
     return figure
 
 
-def plan_card(motion: Motion, certificate: Certificate, title: str) -> str:
-    """Return the HTML of a plan for notebooks: picture, phases and checks, without links."""
+def plan_card(
+    motion: Motion, certificate: Certificate, title: str, notes: Sequence[str] = ()
+) -> str:
+    """Return the HTML of a plan for notebooks: picture, phases, checks, notes, without links."""
     picture = BytesIO()
     style.save_figure(draw_summary(motion, certificate, title), picture, CARD_RESOLUTION)
     image = b64encode(picture.getvalue()).decode()
@@ -167,6 +169,7 @@ def plan_card(motion: Motion, certificate: Certificate, title: str) -> str:
         f"<p><b>{escape(title or 'Plan')}</b>: {style.facts(motion)}</p>"
         f'<img alt="the plan at a glance" src="data:image/png;base64,{image}"/>'
         f"{html_table(heads, phases)}{certificate._repr_html_()}"
+        + "".join(f"<p>{escape(note)}</p>" for note in notes)
     )
 
 

@@ -44,7 +44,7 @@ def options_of(name: str, kind: str) -> dict[str, object]:
         ({"c": None}, ["teams.a", "teams.b"]),
     ],
 )
-def test_hitches_of_unstated_density_are_exported_with_their_sag(
+def test_hitches_of_unstated_density_are_noted_with_their_sag(
     densities: dict[str, float | None], keys: list[str], tmp_path: Path
 ) -> None:
     """A density of 0 that is written out counts as stated."""
@@ -60,9 +60,15 @@ def test_hitches_of_unstated_density_are_exported_with_their_sag(
     several = {"teams": teams, "start": start, "mission": [dict.fromkeys(teams, hold)]}
     text = json.dumps(single if "" in teams else several)
     (tmp_path / "problem.yaml").write_text(text)
-    replace(ho.solve(tmp_path / "problem.yaml"), problem=text).save(tmp_path / "plan")
-    (part,) = ho.load(tmp_path / "plan").export("csv", tmp_path / "files")
+    plan = ho.solve(tmp_path / "problem.yaml")
+    plan.save(tmp_path / "plan")
+    saved = ho.load(tmp_path / "plan")
+    (part,) = saved.export("csv", tmp_path / "files")
     notes = [note for note in part.notes if "weightless" in note]
+    assert plan.notes == saved.notes == tuple(notes)
+    assert all(note in plan._repr_html_() for note in notes)
+    unknown = {each.name for each in plan.motion.groups if each.motion.team.cable_density == 0.0}
+    assert len(replace(plan, problem="").notes) == len(unknown)  # of a script, that states nothing
     assert [note.partition("state ")[2] for note in notes] == [f"{x}.cable_density" for x in keys]
     assert all("at 10 g/m vertices would hang 9.7 cm lower" in note for note in notes)
     assert set(notes) <= set((read_manifest(tmp_path / "files") or {})["notes"])
