@@ -183,9 +183,9 @@ def read_saved_plan(path: Path) -> SavedPlan:
     except READ_ERRORS as error:
         reason = f"not a plan that hitchopt wrote, or a damaged one: {error or repr(error)}"
         if isinstance(error, FileNotFoundError | NotADirectoryError):
-            hint = f", {path.parent} holds no plan" if path.name == PLAN else ""
-            words = f"there is no such file{hint}; name the directory of a plan"
-            raise FileError(f"{path}: {words}") from None
+            words = f"{path}: there is no such file" if path.name != PLAN else ""
+            words = words or f'No plan in "{path.parent}"'
+            raise FileError(f"{words}: name a directory that hitchopt solve -o wrote.") from None
         if isinstance(error, KeyError):
             reason = f"not a plan that hitchopt wrote: {error} is missing"
         elif isinstance(error, OSError) and error.strerror:
