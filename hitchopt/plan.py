@@ -252,7 +252,9 @@ class Plan(OneLine):
     ) -> tuple[Export, ...]:
         """Write the plan in a fleet's format; return one entry per part of the plan.
 
-        The files are read back and certified; an export that violates a limit is refused.
+        The files are read back and certified; an export that violates a limit is refused. Set
+        points of uploads hold the cables' tension; where the stiffness of the position loops is not
+        known, uploads are refused unless ``allow_slack`` is set.
 
         Parameters
         ----------
@@ -261,13 +263,13 @@ class Plan(OneLine):
         folder: created if it is missing; only files of an earlier export are replaced.
         progress: status callback.
         options: keywords of ``ExportOptions``, all optional: frame, origin, yaw, fleet,
-            rate, stretch, storage, ros_distro, hold_tension, stiffness and damping.
+            rate, stretch, storage, ros_distro, hold_tension, allow_slack, stiffness and damping.
 
         Raises
         ------
         InputError, FileError: an argument is invalid, or a file cannot be written.
         CertificateError, InfeasibleError: the certificate does not hold, the format cannot hold
-            the plan, or a limit is violated in the format; nothing is written.
+            the plan or its tension, or a limit is violated in the format; nothing is written.
         UnsupportedError: a library that the format needs is not installed.
         """
         from hitchopt.exports.exporting import export_motion

@@ -73,14 +73,12 @@ PORT = {"json": 14600, "mavlink": 14580}
     ),
     option(
         "--hold-tension",
-        "Move set points outward, for controllers without feed-forward of cable forces.",
+        "Move set points outward to hold the tension in other formats than uploads, too.",
     ),
-    option("--stiffness", "Of these controllers; by default the team's.", float, "N/M"),
+    option("--allow-slack", "Write uploads that cannot hold the tension all the same."),
+    option("--stiffness", "Of the drones' position loops; by default the team's.", float, "N/M"),
     option(
-        "--damping",
-        "Of these controllers; by default that of a damping ratio of 5/6.",
-        float,
-        "N·S/M",
+        "--damping", "Of these loops; by default that of a damping ratio of 5/6.", float, "N·S/M"
     ),
     required=False,
 )
@@ -111,7 +109,7 @@ def export(directory: Path | None, output: Path | None, yaw_deg: float, **option
         saved = read_saved_plan(path)
         motion, title, problem = saved
         exports = export_motion(motion, title, parsed, output, progress, problem)
-    entries = []
+    entries, said = [], set[str]()
     for part in exports:
         verdict, content = part.verdict, asdict(part.verdict)
         entry = {"folder": str(part.folder), "files": part.files, "begins": part.begins}
@@ -122,12 +120,15 @@ def export(directory: Path | None, output: Path | None, yaw_deg: float, **option
         say(
             f"at most {1e3 * position.worst:.3g} mm ({position.drone}, t = {position.time:.3f} s) "
             f"and {1e3 * velocity.worst:.3g} mm/s ({velocity.drone}, t = {velocity.time:.3f} s) "
-            f"from the plan, over all time\nnot carried: {verdict.not_carried}"
+            f"from the plan, over all time\n{verdict.not_carried}"
         )
         for note in part.notes:
-            say(f"note: {note}")
+            if note not in said:  # by an earlier part
+                say(f"note: {note}")
+        said |= {*part.notes}
         file, count = str(part.folder / part.files[0]), len(part.files)
-        say(f"certified as exported; {file if count == 1 else f'{count} files in {part.folder}'}")
+        state = "exported; cables go slack" if part.goes_slack else "certified as exported"
+        say(f"{state}; {file if count == 1 else f'{count} files in {part.folder}'}")
     record(parts=entries)
 
 

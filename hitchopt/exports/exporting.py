@@ -9,8 +9,9 @@ So every ``worst`` bounds the exported motion for all t, as in the plan's certif
 from __future__ import annotations
 
 import contextlib
+import math
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -39,11 +40,12 @@ from hitchopt.exports.contents import (
     read_manifest,
 )
 from hitchopt.exports.format import ExportTask, Format, format_of
-from hitchopt.exports.held_tension import held_tension
+from hitchopt.exports.held_tension import held_tension, is_overridden
 from hitchopt.exports.options import ENDINGS, ExportOptions, checked_rate
 from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet, read_fleet
-from hitchopt.hitch import Team
-from hitchopt.hitch.forces import undetermined_tension
+from hitchopt.hitch import Quadrotor, Team
+from hitchopt.hitch.flight_controller import STOCK, Gains, stiffest_gains
+from hitchopt.hitch.forces import INTEGRAL, SLACK, undetermined_tension
 from hitchopt.motion.combined import combined
 from hitchopt.motion.loads import weightless_notes
 from hitchopt.motion.motion import JOINT, Group, Motion
@@ -55,6 +57,9 @@ from hitchopt.values import Array
 
 RETRY_STRETCHES = (1.02, 1.05)  # Factors of durations if rounding violates a limit
 REFIT_SHARES = (1.0, 0.3)  # Candidate shares of the usual refit error, for parts
+STREAM = "Stream it: hitchopt fly, or format=ros2bag"  # Remedy if set points hold no tension
+TUNED = {name for name, stock in STOCK.items() if math.isfinite(stock.stiffest[0])}
+"""Controllers whose stiffest gains are known."""
 OFFSETS_HOLD_TENSION = (
     "none: the offsets of the set points hold the tension; nothing is to be fed forward"
 )
@@ -70,6 +75,7 @@ class Export(OneLine):
     verdict: Verdict  # errors and checks of the exported motion
     notes: tuple[str, ...]  # notes for the user
     begins: float = 0.0  # start of the part in the plan [s]
+    goes_slack: bool = False  # whether nothing holds the tension of its cables
 
     @property
     def sources(self) -> dict[str, Path]:
@@ -117,7 +123,7 @@ def export_motion(
     else:
         fleet = read_fleet(options.fleet, roles)
     rate = kind.rate if options.rate is None else checked_rate(options.rate)
-    undetermined = _undetermined_reasons(kind, motion, options)
+    _check_gains(kind, motion.team, options)
     settings = kind.settings(motion.team, options)
     notes = (
         *weightless_notes(motion, problem),
@@ -128,47 +134,151 @@ def export_motion(
         ),
     )
     content = plan, title, frame, fleet, rate, options
-    task = ExportTask(*content, undetermined=undetermined, settings=settings, notes=notes)
-    _check_controllers(kind, motion, options)
+    task = ExportTask(*content, settings=settings, notes=notes)
     is_export = _is_file(place) and place.with_name(f"{place.name}.{MANIFEST}").exists()
     if place.exists() and not (place.is_dir() or is_export):
         raise FileError(f"{place}: is there already; an export is a folder, so name another")
     certificate_of(plan, say).raise_if_violated()
-    if options.hold_tension:
-        held = held_tension(plan, options.stiffness, options.damping)
-        notes = (*task.notes, held.note)
-        task = replace(task, motion=held.motion, without_offsets=plan, notes=notes)
     with _scratch_folder(place) as scratch:
-        return _move_exports(_first_valid(kind, task, scratch, say), place, kind, task)
+        task, exports = _export_task(kind, task, scratch, say)
+        return _move_exports(exports, place, kind, task)
 
 
-def _check_controllers(kind: Format, motion: Motion, options: ExportOptions) -> None:
-    """Raise InputError if a named controller would not hold the tension, or use other gains.
-
-    Unnamed controllers are unknown; for them the manifest has warnings.
-    """
-    controllers = _controllers(motion.team)
+def _check_gains(kind: Format, team: Team, options: ExportOptions) -> None:
+    """Raise InputError for gains that a format does not use, or that a named controller has."""
+    controllers = _controllers(team)
+    is_used = options.hold_tension or kind.needs_stiffness or kind.has_gains
     for option in ("stiffness", "damping"):
-        if controllers and (value := getattr(options, option)) is not None:
+        if (value := getattr(options, option)) is None:
+            continue
+        if not is_used:
+            bound = f"left out for {kind.name} without hold_tension=True"
+            raise InputError(option, value, bound, "add hold_tension=True")
+        if controllers:
             bound = f"left out with controller {controllers[0]}, whose gains are exported"
             raise InputError(option, value, bound, "set team.quadrotor.gains")
-    tied = [name for team in _hitch_teams(motion) for name in _controllers(team)]
-    if kind.flown_by == "upload" and tied and not options.hold_tension:
-        bound = f"given for {kind.name}, which carries no cable force to controller {tied[0]}"
-        remedy = "add it, or stream: hitchopt fly, or a format that carries the force"
-        raise InputError("hold_tension", False, bound, remedy)
 
 
-def _undetermined_reasons(kind: Format, motion: Motion, options: ExportOptions) -> tuple[str, ...]:
+def _export_task(
+    kind: Format, task: ExportTask, scratch: Path, say: Progress
+) -> tuple[ExportTask, list[Export]]:
+    """Export a task; return it with its offsets, if any.
+
+    If tensions cannot be held, they are lost if ``allow_slack`` is set; else InfeasibleError is
+    raised, with a remedy.
+    """
+    needs_offsets, may_lose = _needs_offsets(kind, task), task.options.allow_slack
+    if not (reason := _slack_reason(kind, task)):
+        try:
+            held = _with_offsets(task) if needs_offsets else task
+            held = replace(held, undetermined=_undetermined_reasons(kind, held))
+            return held, _first_valid(kind, held, scratch / "held", say)
+        except InfeasibleError:
+            if not (needs_offsets and may_lose):
+                raise
+    elif not may_lose:
+        remedy = _tried_remedy(kind, task, scratch / "remedy", say)
+        message = f"{kind.name}: {reason} {remedy}, or add allow_slack=True."
+        raise InfeasibleError([], message)
+    task = replace(task, undetermined=_undetermined_reasons(kind, task))
+    return task, _first_valid(kind, task, scratch / "slack", say)
+
+
+def _needs_offsets(kind: Format, task: ExportTask) -> bool:
+    """Return whether set points have to hold the tension."""
+    is_taken = all(_takes_force(kind, team) for team in _hitch_teams(task.motion))
+    return task.options.hold_tension or (kind.needs_stiffness and not is_taken)
+
+
+def _takes_force(kind: Format, team: Team) -> bool:
+    """Return whether a format carries the cable forces, and the drones add them."""
+    return kind.flown_by != "upload" and bool(np.all(team.feed_forward))
+
+
+def _with_offsets(task: ExportTask) -> ExportTask:
+    """Return the task with set points that hold the tension."""
+    held = held_tension(task.motion, task.options.stiffness, task.options.damping)
+    notes = (*task.notes, held.note)
+    return replace(task, motion=held.motion, without_offsets=task.motion, notes=notes)
+
+
+def _is_known(team: Team, options: ExportOptions) -> bool:
+    """Return whether the stiffness of a team's position loops is known."""
+    return options.stiffness is not None or bool(np.all(np.isfinite(team.stiffness)))
+
+
+def _slack_reason(kind: Format, task: ExportTask) -> str:
+    """Return why the drones of an upload lose the tension, or an empty string."""
+    if not kind.needs_stiffness:
+        return ""
+    teams, needs_offsets = _hitch_teams(task.motion), _needs_offsets(kind, task)
+    if needs_offsets and any(map(is_overridden, teams)):
+        return INTEGRAL
+    is_known = all(_is_known(team, task.options) for team in teams)
+    return "" if is_known and not (needs_offsets and task.motion.has_ring_changes) else SLACK
+
+
+def _tried_remedy(kind: Format, task: ExportTask, scratch: Path, say: Progress) -> str:
+    """Return the first change, in words, with which the export holds the tension."""
+    for number, (words, changed) in enumerate(_remedies(kind, task)):
+        with contextlib.suppress(InfeasibleError, InputError):
+            settings = kind.settings(changed.motion.team, changed.options)
+            trial = replace(changed, settings=settings)
+            if not _slack_reason(kind, trial):
+                _export_task(kind, trial, scratch / str(number), say)
+                return words
+    return STREAM
+
+
+def _remedies(kind: Format, task: ExportTask) -> Iterator[tuple[str, ExportTask]]:
+    """Yield changes, in words, and the changed task."""
+    teams = _hitch_teams(task.motion)
+    if not any(map(_controllers, teams)) and not all(_is_known(t, task.options) for t in teams):
+        stiffness = float(f"{kind.stiffest * min(np.min(team.mass) for team in teams):.3g}")
+        options = replace(task.options, stiffness=stiffness)
+        words = f"Add stiffness={stiffness:g}, whose gains are exported"
+        if not kind.has_gains:
+            words = f"Add the stiffness of the position loops, such as stiffness={stiffness:g}"
+        yield words, replace(task, options=options)
+    if any(map(is_overridden, teams)):
+        kinds = {kind for team in teams for kind in team.quadrotor}
+        key = "gains.ki to 0" if all(kind.controller for kind in kinds) else "integral to false"
+        yield f"Set team.quadrotor.{key} and solve again", _flown_by(task, _without_integral)
+        only = next(iter(kinds))
+        if len(kinds) == 1 and only.controller in TUNED:
+            gains = stiffest_gains(only.mass, only.latency, only.controller)
+            text = f"{gains}".replace("'", "")
+            words = f"Set team.quadrotor.gains to {text} and solve again"
+            yield words, _flown_by(task, lambda kind: replace(kind, gains=gains))
+
+
+def _without_integral(kind: Quadrotor) -> Quadrotor:
+    """Return a kind of drones whose position loop has no integral."""
+    if kind.controller is None:
+        return replace(kind, integral=False)
+    return replace(kind, gains=replace(Gains.of(kind.gains), ki=0.0))
+
+
+def _flown_by(task: ExportTask, change: Callable[[Quadrotor], Quadrotor]) -> ExportTask:
+    """Return a task with other kinds of drones on its cables."""
+
+    def changed(motion: Motion) -> Motion:
+        if not motion.has_cables:
+            return motion
+        kinds = tuple(map(change, motion.team.quadrotor))
+        return motion.replaced(team=replace(motion.team, quadrotor=kinds))
+
+    return replace(task, motion=task.motion.each_group(changed))
+
+
+def _undetermined_reasons(kind: Format, task: ExportTask) -> tuple[str, ...]:
     """Return the reasons why the files leave the tension undetermined, if any."""
     reasons = list[str]()
-    for team in _hitch_teams(motion):
-        has_force = kind.flown_by != "upload" and bool(np.all(team.feed_forward))
-        is_specified = options.stiffness is not None or bool(np.all(np.isfinite(team.stiffness)))
-        may_integrate = kind.receiver_integral and not is_specified
+    for team in _hitch_teams(task.motion) if kind.flown_by else ():
+        is_trusted = not kind.needs_stiffness or _is_known(team, task.options)
         reasons += undetermined_tension(
-            integral=may_integrate or bool(np.any(np.isinf(team.integral[:, :2]))),  # level
-            feed_forward=has_force or options.hold_tension,
+            integral=bool(np.any(np.isinf(team.integral[:, :2]))),  # level
+            feed_forward=task.holds_tension or (is_trusted and _takes_force(kind, team)),
         )
     return tuple(dict.fromkeys(reasons))
 
@@ -190,7 +300,7 @@ def _first_valid(kind: Format, task: ExportTask, scratch: Path, say: Progress) -
     def candidates() -> Iterator[Sequence[ExportTask]]:
         yield (task,)
         exceeds_memory = any(each.constraint == "memory" for each in refusals[0].violations)
-        is_rounded = len(kind.bounds) > 1 and not exceeds_memory and not task.options.hold_tension
+        is_rounded = len(kind.bounds) > 1 and not exceeds_memory and not task.holds_tension
         for factor in RETRY_STRETCHES if is_rounded else ():
             slower = stretched(task.motion, factor)
             note = f"flown {factor - 1.0:.0%} slower than the plan: rounded, it would lose a limit"
@@ -216,7 +326,7 @@ def _export_part(
     """
     folder = place / f"part{task.number}"
     folder.mkdir(parents=True)
-    rules = SETPOINT_RULES if task.options.hold_tension else EXPORT_RULES
+    rules = SETPOINT_RULES if task.holds_tension else EXPORT_RULES
     for attempt, bound in enumerate(kind.bounds, 1):
         say(f"writing {kind.name}" + (f", attempt {attempt}" if attempt > 1 else ""))
         try:
@@ -227,14 +337,14 @@ def _export_part(
             for subset in filter(None, ([r for r in rules if r.name in violated], rules)):
                 verdict = verify(task.motion, contents, task.frame, task.names, subset)
                 if violations := verdict.violations(task.motion, kind.accuracy):
-                    reason = "rounding or refitting costs more than the plan's margins"
+                    reason = OFFSET_REASON if task.holds_tension else ROUNDING_REASON
                     raise InfeasibleError(violations, f"{kind.name} is not written: {reason}")
         except InfeasibleError as refusal:
             refusals.append(refusal)
             continue
         notes = (*written.notes, *task.notes, *task.undetermined)
         receiver = {**task.settings, **written.receiver}
-        feed_forward = OFFSETS_HOLD_TENSION if task.options.hold_tension else kind.feed_forward
+        feed_forward = OFFSETS_HOLD_TENSION if task.holds_tension else kind.feed_forward
         manifest = _manifest_head(kind, task) | {
             "heading_rad": task.frame.heading,
             "drones": {member.role: member.name for member in task.fleet.members},
@@ -252,7 +362,8 @@ def _export_part(
             **({"receiver": receiver} if receiver else {}),
         }
         write_strict_json(folder / MANIFEST, manifest)
-        return Export(folder, written.files, verdict, notes, task.begins)
+        goes_slack = any(SLACK in reason for reason in task.undetermined)
+        return Export(folder, written.files, verdict, notes, task.begins, goes_slack)
     raise refusals[-1]
 
 
@@ -339,12 +450,19 @@ SLOWER_REMEDY = "fly it slower with stretch=, plan below the limit, or choose an
 MARGIN_REMEDY = "plan with a wider margin there, sample at a higher rate=, or choose another format"
 """Remedies for checks of derivatives, and for other checks."""
 
-NOT_CARRIED = (
-    "acceleration, jerk, thrust and tilt: straight lines between samples, where velocity jumps",
-    "jerk: acceleration jumps between pieces; thrust and tilt are those within the pieces",
-    "a smooth jerk: it jumps between pieces",
+ROUNDING_REASON = "rounding or refitting costs more than the plan's margins"
+OFFSET_REASON = (
+    "set points outward of the drones, which hold the tension, cost more than the plan's margins: "
+    "stiffer position loops or lower tensions move them less; or stream it, or add allow_slack=True"
 )
-"""Quantities that files do not carry, by the highest continuous derivative."""
+"""Reasons for violations, without and with set points that hold the tension."""
+
+NOT_CARRIED = (
+    "Velocity is discontinuous at samples; acceleration, jerk, thrust and tilt are not certified.",
+    "Acceleration is discontinuous between pieces; thrust and tilt are those within pieces.",
+    "Jerk is discontinuous between pieces.",
+)
+"""What files do not carry, by the highest continuous derivative."""
 
 
 @dataclass(frozen=True)
@@ -364,7 +482,7 @@ class Verdict:
     position: Deviation  # [m]
     velocity: Deviation  # [m/s]
     checks: tuple[Check, ...]  # checks of quantities that the format carries
-    not_carried: str  # description of the other quantities
+    not_carried: str  # what is discontinuous, and not certified
 
     @property
     def violated(self) -> tuple[Check, ...]:

@@ -63,28 +63,30 @@ def team_parameters(
 ) -> dict[str, Parameters]:
     """Return the Crazyflie parameters of all drones of a team, by name in the plan.
 
-    Gains [N/m], [N s/m] are for drones without a named controller. Raises InputError for unstable
-    gains, and for gains that the firmware does not have.
+    Gains [N/m], [N s/m] are for drones without a named controller, which get Mellinger's. Raises
+    InputError for unstable gains, and for gains that the firmware does not have.
     """
     parameters = []
     for kind in team.quadrotor:
-        loop = kind.loop if kind.controller else _mellinger_loop(kind, stiffness, damping)
+        loop: FlightController | None = kind.loop
+        if kind.controller is None:
+            gains = _stated_gains(kind, stiffness, damping)
+            loop = None if gains is None else FlightController.of("mellinger", kind.mass, gains)
         parameters.append(firmware_parameters(kind, loop))
     per_kind = team.drones // len(parameters)
     return {name: parameters[i // per_kind] for i, name in enumerate(team.drone_names)}
 
 
-def _mellinger_loop(
-    kind: Quadrotor, stiffness: float | None, damping: float | None
-) -> FlightController | None:
-    """Return Mellinger's loop with a specified stiffness [N/m], or None without one."""
+def _stated_gains(kind: Quadrotor, stiffness: float | None, damping: float | None) -> Gains | None:
+    """Return the gains that are stated for a drone, of its controller or as a stiffness [N/m]."""
     loop = kind.loop
+    if kind.controller is not None:
+        return None if kind.gains is None else Gains.of(kind.gains)
     if stiffness is not None:
         loop = FlightController.plain(kind.mass, stiffness, integral=False, feed_forward=True)
     if not math.isfinite(loop.kp[0]):
         return None
-    gains = Gains(loop.kp, loop.kd if damping is None else damping, loop.ki)
-    return FlightController.of("mellinger", kind.mass, gains)
+    return Gains(loop.kp, loop.kd if damping is None else damping, loop.ki)
 
 
 def firmware_parameters(kind: Quadrotor, loop: FlightController | None) -> Parameters:
@@ -129,32 +131,41 @@ def firmware_parameters(kind: Quadrotor, loop: FlightController | None) -> Param
     return {key: {k: _rounded(x) for k, x in group.items()} for key, group in parameters.items()}
 
 
-def px4_parameters(team: Team) -> dict[str, dict[str, float]]:
+def px4_parameters(
+    team: Team, stiffness: float | None = None, damping: float | None = None
+) -> dict[str, dict[str, float]]:
     """Return the PX4 parameters of all drones of a team, by name in the plan.
 
     By default PX4 computes the tilt with thrust ``m g``, which is too much tilt if cables pull
-    downward, and estimates the cable force as weight. Specified gains are those of PX4's velocity
-    loop and of the position loop around it, within the ranges that PX4 declares.
+    downward, and estimates the cable force as weight. Stated gains are those of PX4's velocity loop
+    and of the position loop around it, within the ranges that PX4 declares; ``stiffness`` [N/m] and
+    ``damping`` [N s/m] are for drones without a named controller.
     """
     by_kind = []
     for kind in team.quadrotor:
         parameters: dict[str, float] = {"MPC_ACC_DECOUPLE": 0, "MPC_USE_HTE": 0}
-        if kind.gains is not None:
-            gains = px4_gains(kind.loop.kp, kind.loop.kd, kind.loop.ki, kind.mass)
+        if (stated := _stated_gains(kind, stiffness, damping)) is not None:
+            loop = FlightController.of("px4", kind.mass, stated)
+            gains = px4_gains(loop.kp, loop.kd, loop.ki, kind.mass)
             parameters |= {name: _rounded(gain) for name, gain in gains.items()}
         by_kind.append(parameters)
     per_kind = team.drones // len(by_kind)
     return {name: by_kind[i // per_kind] for i, name in enumerate(team.drone_names)}
 
 
-def px4_notes(team: Team) -> Iterator[str]:
+def px4_notes(
+    team: Team, stiffness: float | None = None, damping: float | None = None
+) -> Iterator[str]:
     """Yield a note on every kind whose stated gains PX4's ranges clip."""
     for kind in dict.fromkeys(team.quadrotor):
-        flown = {key: getattr(kind.loop, key) for key in vars(Gains())}
-        stated = {key: getattr(kind.gains, key, None) or flown[key] for key in flown}
+        if (gains := _stated_gains(kind, stiffness, damping)) is None:
+            continue
+        loop = FlightController.of("px4", kind.mass, gains)
+        flown = {key: getattr(loop, key) for key in vars(gains)}
+        stated = {key: getattr(gains, key) or flown[key] for key in flown}
         if not np.allclose([*stated.values()], [*flown.values()], rtol=1e-9):
-            gains = ", ".join(f"{key} [{x:.4g}, {z:.4g}]" for key, (x, z) in flown.items())
-            yield f"PX4 declares ranges to which team.quadrotor.gains are clipped: {gains}"
+            text = ", ".join(f"{key} [{x:.4g}, {z:.4g}]" for key, (x, z) in flown.items())
+            yield f"gains are clipped to the ranges that PX4 declares: {text}"
 
 
 def _rounded(value: float) -> float:

@@ -11,12 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from hitchopt.errors import InputError
 from hitchopt.exports.contents import FileContents
 from hitchopt.exports.firmware import refuse_controllers
 from hitchopt.exports.options import HOMES, STORAGES, ExportOptions
 from hitchopt.exports.placing import Fleet, ReferenceFrame
 from hitchopt.hitch import Team
-from hitchopt.hitch.flight_controller import CONTROLLERS
+from hitchopt.hitch.flight_controller import CONTROLLERS, STOCK
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import (
     HOVER,
@@ -26,7 +27,7 @@ from hitchopt.motion.states import (
     sample_times,
     states_at,
 )
-from hitchopt.values import Array, check_choice
+from hitchopt.values import Array, closest_word
 
 FLIPPED = np.array([1.0, -1.0, -1.0])  # Signs of axes after a rotation by 180° about x
 
@@ -49,6 +50,11 @@ class ExportTask:
     undetermined: tuple[str, ...] = ()  # reasons why the tension is undetermined
     settings: Mapping[str, Any] = field(default_factory=dict)  # of receivers, for the manifest
     notes: tuple[str, ...] = ()  # notes for the user
+
+    @property
+    def holds_tension(self) -> bool:
+        """Whether the motion has offsets to hold its tension."""
+        return self.without_offsets is not None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -87,7 +93,7 @@ class ExportTask:
     def _samples(self, states: States) -> dict[str, Array]:
         frame, mass = self.frame, self.motion.team.mass[:, None]
         rotated, heading = frame.vectors, frame.heading
-        share = 0.0 if self.options.hold_tension else 1.0
+        share = 0.0 if self.holds_tension else 1.0
         forces, force_rates = share * states.cable_forces, share * states.cable_force_rates
         gain = self.motion.team.pull_gain
         forward = states.accelerations - gain * forces / mass
@@ -131,9 +137,11 @@ class Format(ABC):
     feed_forward: str  # description of the feed-forward of cable forces
     flown_by: str = "upload"  # upload, stream (with cable forces), or empty if it is not flown
     controllers: tuple[str, ...] = CONTROLLERS  # names of controllers that can fly the files
+    needs_stiffness: bool = False  # whether tensions are lost if the stiffness is unknown
+    has_gains: bool = False  # whether gains of the position loops are exported
+    stiffest: float = STOCK["mellinger"].stiffest[0]  # stiffness of its loops over mass [1/s²]
     streamed: float = 0.0  # minimum rate of samples sent in flight [Hz]; 0 if none are
     dotted: bool = False  # whether drones of several teams may be called a.q0, not a_q0
-    receiver_integral: bool = False  # whether controllers may have an unspecified integral term
     bounds: tuple[float, ...] = (1.0,)  # candidate factors of the usual refit error
 
     def settings(self, team: Team, options: ExportOptions) -> Mapping[str, Any]:
@@ -180,7 +188,9 @@ class Format(ABC):
 
 def format_of(name: str) -> Format:
     """Return the format with a name; raises InputError if it is unknown."""
-    check_choice("format", name, [*HOMES])
+    if name not in HOMES:
+        remedy = closest_word(name, [*HOMES], "hitchopt export lists them")
+        raise InputError("format", name, f"one of {', '.join(HOMES)}", remedy)
     module, _, kind = HOMES[name].partition(":")
     instance: Format = getattr(import_module(f"hitchopt.exports.formats.{module}"), kind)()
     return instance

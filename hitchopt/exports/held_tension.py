@@ -23,6 +23,7 @@ import numpy as np
 
 from hitchopt.checks.drones import largest_rate
 from hitchopt.errors import InfeasibleError, InputError, UnsupportedError, Violation
+from hitchopt.hitch import Team
 from hitchopt.hitch.flight_controller import DAMPING_RATIO
 from hitchopt.motion.combined import combined
 from hitchopt.motion.motion import Motion
@@ -56,11 +57,19 @@ class HeldTension:
         """Note for users."""
         stiffness, damping = _range_text(self.stiffness), _range_text(self.damping)
         return (
-            f"set points are up to {100.0 * self.offset:.3g} cm off the drones' places, for "
-            f"position loops of {stiffness} N/m and {damping} N s/m that feed forward velocity, "
-            "acceleration and gravity alone; with these the drones are within "
-            f"{max(1e3 * self.error, 1e-3):.2g} mm of the plan; files last {REST_TIME:g} s longer"
+            f"set points are up to {100.0 * self.offset:.3g} cm outward of the drones to hold the "
+            f"tension, for position loops of {stiffness} N/m and {damping} N s/m; the files are "
+            f"{REST_TIME:g} s longer"
         )
+
+
+def is_overridden(team: Team) -> bool:
+    """Return whether integrals would move drones after their set points, at any tension.
+
+    The upright integral that PX4 always has is not counted: it only bears vertical forces.
+    """
+    level = np.array([True, True, False])
+    return bool(np.any((team.integral > 0.0) & (level | np.isfinite(team.integral))))
 
 
 def held_tension(
@@ -68,9 +77,9 @@ def held_tension(
 ) -> HeldTension:
     """Return set points with which controllers fly a plan without feed-forward of cable forces.
 
-    Gains [N/m], [N s/m] are the team's by default. Raises InputError if the team has none, or a
-    bounded integral, which would move drones toward their set points, and InfeasibleError if forces
-    change too fast.
+    Gains [N/m], [N s/m] are the team's by default. Raises InputError if the team has none, or an
+    integral, which would move drones toward their set points, and InfeasibleError if forces change
+    too fast.
     """
     if motion.has_ring_changes:
         motion.require_one_team("hold_tension=True")
@@ -99,8 +108,8 @@ def _group_set_points(
 ) -> HeldTension:
     """Return the set points of one group with cables."""
     team = motion.team
-    k, c, integral = team.stiffness, team.damping, team.integral
-    if np.any((integral > 0.0) & np.isfinite(integral)):
+    k, c = team.stiffness, team.damping
+    if is_overridden(team):
         bound = "0 with hold_tension=True: integrals move drones after their set points"
         remedy = "set team.quadrotor.gains.ki to 0, there and on board"
         raise InputError("gains.ki", float(np.max(team.integral_gain)), bound, remedy)

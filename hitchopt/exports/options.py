@@ -31,7 +31,7 @@ MAX_RATE = 10_000.0  # Maximum sampling rate [Hz]: no flight controller accepts 
 class ExportOptions:
     """The format of an export, and the placement and sampling of the plan.
 
-    Raises InputError for an unknown storage or release, or gains without ``hold_tension``.
+    Raises InputError for an unknown storage or release.
     """
 
     format: str
@@ -43,8 +43,9 @@ class ExportOptions:
     stretch: float = 1.0  # factor of all durations, at least 1
     storage: str = "mcap"  # storage format of a bag, mcap or sqlite3
     ros_distro: str = "humble"  # ROS 2 release of a bag: humble, iron or jazzy
-    hold_tension: bool = False  # whether set points have offsets that hold the tension
-    stiffness: float | None = None  # of controllers for the offsets [N/m]; None for the team's
+    hold_tension: bool = False  # whether set points hold the tension in other formats than uploads
+    allow_slack: bool = False  # whether uploads that cannot hold the tension are written
+    stiffness: float | None = None  # of position loops [N/m]; None for the team's
     damping: float | None = None  # [N s/m]; None for a damping ratio of 5/6
 
     def __post_init__(self) -> None:
@@ -52,10 +53,6 @@ class ExportOptions:
             if (value := getattr(self, name)) not in values:
                 remedy = f"{next(iter(values))} is usual"
                 raise InputError(name, value, " or ".join(values), remedy)
-        for name in ("stiffness", "damping"):
-            if (value := getattr(self, name)) is not None and not self.hold_tension:
-                bound = "left out without hold_tension=True"
-                raise InputError(name, value, bound, "add hold_tension=True")
 
 
 def checked_rate(rate: float) -> float:

@@ -343,19 +343,16 @@ def cable_force_rates(team: Team, values: tuple[Array, ...], rates: tuple[Array,
     return (later - earlier) / (2.0 * step)
 
 
+INTEGRAL = "Integral action overrides the planned tension: 1 cm of cable error multiplies it."
+SLACK = "Cables will go slack: this receiver takes no cable forces."
+"""What becomes of tensions that position loops do not hold."""
+
+
 def undetermined_tension(*, integral: bool, feed_forward: bool) -> tuple[str, ...]:
     """Return the reasons, in words, why a plan does not determine the tensions."""
     reasons = []
     if integral:
-        reasons.append(
-            "an integral in the position loop drives the position error to zero, whatever the "
-            "tension: the cables' lengths set it, and a centimetre changes it by a multiple; turn "
-            "it off, or measure tensions"
-        )
+        reasons.append(f"{INTEGRAL} Set ki = 0.")
     if not feed_forward:
-        reasons.append(
-            "without feed-forward of the cable force nothing keeps up the planned tension: drones "
-            "give way until cables hardly pull; export with hold_tension, which moves the "
-            "setpoints outward"
-        )
+        reasons.append(f"{SLACK} If its stiffness is known, set points hold the tension.")
     return tuple(reasons)

@@ -105,7 +105,13 @@ SYNONYMS = {
     "duration": "seconds time",
     "friction": "mu",
     "objects": "obstacles",
-    "crazyswarm2": "crazyflie crazyfly",
+    "crazyswarm2": "crazyflie crazyfly bitcraze cflib poly4d",
+    "mavsdk_drone_show": "mavsdk px4 mavlink",
+    "skybrush": "skyc ardupilot",
+    "ros2bag": "ros ros2 bag rosbag mcap db3",
+    "csv": "npz npy json txt tsv xlsx table setpoints",
+    "parquet": "pandas arrow feather polars",
+    "gltf": "glb blender three.js threejs",
 }
 """Words that users write in place of each valid word."""
 

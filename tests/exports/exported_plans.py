@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,5 +106,8 @@ def task_of(
     return ExportTask(motion, "A plan", frame, fleet, rate or kind.rate, options)
 
 
-def exported(motion: Motion, name: str, folder: Path, **options: object) -> tuple[Export, ...]:
-    return export_motion(motion, "A plan", ExportOptions(name, **options), folder)  # type: ignore[arg-type]
+def exported(motion: Motion, name: str, folder: Path, **options: Any) -> tuple[Export, ...]:
+    """Export a motion, with slack cables where nothing holds their tension."""
+    return export_motion(
+        motion, "A plan", ExportOptions(name, **{"allow_slack": True, **options}), folder
+    )

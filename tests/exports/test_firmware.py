@@ -200,7 +200,7 @@ def test_the_manifest_says_how_and_by_whom_a_plan_is_flown(name: str, tmp_path: 
     kind = ho.Quadrotor(controller="px4") if name == "mavsdk_drone_show" else RETUNED
     plan = plan_of(kind)
     uploaded = name in (*UPLOADED, "skybrush")
-    exported(plan.motion, name, tmp_path / "named", hold_tension=uploaded)
+    exported(plan.motion, name, tmp_path / "named", allow_slack=False)
     exported(plan_of(ho.Quadrotor()).motion, name, tmp_path / "unnamed")
     named, unnamed = (read_manifest(tmp_path / each) or {} for each in ("named", "unnamed"))
     flown = "upload" if uploaded else "" if name == "gltf" else "stream"
@@ -223,35 +223,34 @@ def test_a_stated_latency_is_stored_and_checked_before_arming(tmp_path: Path) ->
         plan_of(kind).save(tmp_path / "plan")
         plan = ho.load(tmp_path / "plan")
         assert plan.motion.team.quadrotor[0] == kind
-        plan.export("crazyswarm2", tmp_path / "files", hold_tension=True)
+        plan.export("crazyswarm2", tmp_path / "files")
         for name in ("README.txt", "fly.py"):
             text = (tmp_path / "files" / name).read_text(encoding="utf-8")
             assert f"poses reach drones at most {latency} ms late" in text
 
 
 REFUSED: list[tuple[str, ho.Quadrotor, dict[str, Any], str]] = [
-    ("crazyswarm2", RETUNED, {}, "hold_tension = False: must be given for crazyswarm2"),
-    ("skybrush", RETUNED, {}, "hold_tension = False"),
     (
         "compressed",
         RETUNED,
-        {"hold_tension": True, "stiffness": 2.0},
+        {"stiffness": 2.0},
         "stiffness = 2.0: must be left out with controller mellinger",
     ),
+    ("csv", ho.Quadrotor(), {"damping": 2.0}, "left out for csv without hold_tension=True"),
     (
         "crazyswarm2",
         ho.Quadrotor(controller="px4"),
-        {"hold_tension": True},
+        {},
         "team.quadrotor.controller = 'px4': must be one of pid, mellinger, lee for crazyswarm2",
     ),
     ("mavsdk_drone_show", RETUNED, {}, "controller = 'mellinger': must be one of px4 for"),
-    ("crazyswarm2", ho.Quadrotor(), {"hold_tension": True, "stiffness": 9.0}, "gains.kp = 9"),
+    ("crazyswarm2", ho.Quadrotor(), {"stiffness": 9.0}, "gains.kp = 9"),
     ("crazyswarm2", ho.Quadrotor(stiffness=9.0), {}, "gains.kp = 9"),
 ]
 
 
 @pytest.mark.parametrize(("name", "kind", "options", "words"), REFUSED)
-def test_settings_that_lose_the_tension_are_refused(
+def test_gains_and_controllers_that_a_format_cannot_have_are_refused(
     name: str, kind: ho.Quadrotor, options: dict[str, Any], words: str, tmp_path: Path
 ) -> None:
     with pytest.raises(ho.InputError) as caught:

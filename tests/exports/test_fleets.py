@@ -27,10 +27,9 @@ from hitchopt.motion.states import States, states_at
 MOTIONS = {"two hitches": two_hitches, "hitch and swarm": hitch_and_swarm}
 
 
-def options_of(name: str, kind: str) -> dict[str, object]:
+def is_held(name: str, kind: str) -> bool:
     """Uploaded set points hold the tension where hitches are not too near to each other for it."""
-    held = name in {"crazyswarm2", "compressed"} and kind == "hitch and swarm"
-    return {"hold_tension": held} if held else {"rate": 20.0} if format_of(name).rate else {}
+    return name in {"crazyswarm2", "compressed", "skybrush"} and kind == "hitch and swarm"
 
 
 @pytest.mark.parametrize(
@@ -79,7 +78,9 @@ def test_hitches_of_unstated_density_are_noted_with_their_sag(
 def test_all_drones_are_in_the_files(name: str, kind: str, tmp_path: Path) -> None:
     motion = MOTIONS[kind]()
     roles = motion.team.drone_names
-    (part,) = exported(motion, name, tmp_path, **options_of(name, kind))
+    options = {"rate": 20.0} if format_of(name).rate else {}
+    (part,) = exported(motion, name, tmp_path, **options)
+    assert part.goes_slack == (format_of(name).flown_by == "upload" and not is_held(name, kind))
     manifest = read_manifest(tmp_path)
     names = [role if format_of(name).dotted else role.replace(".", "_") for role in roles]
     assert manifest["drones"] == dict(zip(roles, names, strict=True))
@@ -87,7 +88,7 @@ def test_all_drones_are_in_the_files(name: str, kind: str, tmp_path: Path) -> No
     read = READERS[name](tmp_path, names, np.linspace(0.0, motion.duration, 60))
     slower = manifest["plan_span"][1] / motion.duration  # as rounding would break a limit
     states = states_at(motion, np.minimum(read.t / slower, motion.duration))
-    if "hold_tension" not in options_of(name, kind):
+    if not is_held(name, kind):
         east, north, up = np.moveaxis(states.positions, -1, 0)
         axes = {"enu": (east, north, up), "nwu": (north, -east, up), "ned": (north, east, -up)}
         there = np.stack(axes[format_of(name).frames[0]], axis=-1)
@@ -220,11 +221,13 @@ def test_addresses_are_by_names_of_groups(tmp_path: Path) -> None:
 
 
 def test_controllers_count_where_cables_pull(tmp_path: Path) -> None:
-    """A controller that carries no force is refused for drones of a hitch alone."""
+    """An integral, which overrides tensions, is refused for drones of a hitch alone."""
     kind = ho.Quadrotor(controller="mellinger")
-    with pytest.raises(ho.InputError, match="hold_tension"):
-        exported(flown_by(hitch_and_swarm(), triangle=kind), "compressed", tmp_path)
-    exported(flown_by(hitch_and_swarm(), ring=kind), "compressed", tmp_path)
+    motion = flown_by(hitch_and_swarm(), triangle=kind)
+    with pytest.raises(ho.InfeasibleError, match="Integral action"):
+        exported(motion, "compressed", tmp_path, allow_slack=False)
+    motion = flown_by(hitch_and_swarm(), ring=kind)
+    exported(motion, "compressed", tmp_path, allow_slack=False)
 
 
 def test_a_scene_names_the_cables_of_all_groups(tmp_path: Path) -> None:

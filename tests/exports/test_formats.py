@@ -326,8 +326,6 @@ def test_bags_are_readable_by_releases(distro: str | None, storage: str, tmp_pat
     [
         ("ros_distro", "foxy", "ros_distro = 'foxy': must be humble or iron or jazzy"),
         ("storage", "tape", "storage = 'tape': must be mcap or sqlite3"),
-        ("stiffness", 5.0, "stiffness = 5.0: must be left out without hold_tension=True"),
-        ("damping", 5.0, "damping = 5.0: must be left out without hold_tension=True"),
     ],
 )
 def test_wrong_options_are_refused(option: str, value: object, words: str) -> None:

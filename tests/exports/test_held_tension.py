@@ -128,32 +128,106 @@ def test_tables_feed_nothing_forward_and_hold_the_set_points(plan: ho.Plan, tmp_
     np.testing.assert_allclose(columns("x y z"), positions.reshape(-1, 3), atol=1e-9)
 
 
-UPLOADED = "crazyswarm2", "compressed"
-NO_FORWARD, INTEGRAL = "without feed-forward", "an integral"
+UPLOADED = "crazyswarm2", "compressed", "skybrush"
+UNKNOWN, RIGID = "mavsdk_drone_show", {"stiffness": None}
+SLACK, INTEGRAL = "Cables will go slack: this receiver takes no cable forces.", "Integral action"
+
+
+def of_kind(plan: ho.Plan, kind: ho.Quadrotor) -> ho.Plan:
+    """Return a plan with other drones."""
+    team = replace(plan.motion.team, quadrotor=(kind,) * 3)
+    return replace(plan, motion=replace(plan.motion, team=team))
 
 
 @pytest.mark.parametrize(
     ("name", "changes", "expected"),
     [
-        ("csv", {}, []),
-        ("csv", {"feed_forward": False}, [NO_FORWARD]),
+        *((name, {}, []) for name in HOMES),
+        *((name, RIGID, []) for name in ("csv", "parquet", "ros2bag", "gltf")),
+        ("csv", {"feed_forward": False}, [SLACK]),
         ("csv", {"integral": True}, [INTEGRAL]),
-        *((name, {}, []) for name in ("mavsdk_drone_show", "ros2bag")),
-        *((name, {}, [NO_FORWARD]) for name in ("skybrush", *UPLOADED)),
-        *((name, {"stiffness": None}, [INTEGRAL, NO_FORWARD]) for name in UPLOADED),
+        (UNKNOWN, {"feed_forward": False}, []),
+        *((name, RIGID, [SLACK]) for name in (*UPLOADED, UNKNOWN)),
+        *((name, {"integral": True}, [INTEGRAL, SLACK]) for name in UPLOADED),
     ],
 )
-def test_exports_and_lint_warn_where_the_tension_is_undetermined(
+def test_uploads_hold_the_tension_or_are_refused_and_notes_say_where_it_is_lost(
     name: str, changes: dict[str, Any], expected: list[str], plan: ho.Plan, tmp_path: Path
 ) -> None:
-    team = replace(plan.motion.team, quadrotor=(replace(SOFT, **changes),) * 3)
-    other = replace(plan, motion=replace(plan.motion, team=team))
-    (done,) = other.export(name, tmp_path / "files")
+    other = of_kind(plan, replace(SOFT, **changes))
+    if is_refused := bool(expected) and name in (*UPLOADED, UNKNOWN):
+        with pytest.raises(ho.InfeasibleError, match=expected[0]):
+            other.export(name, tmp_path / "files")
+        assert list(tmp_path.iterdir()) == []
+    (done,) = other.export(name, tmp_path / "files", allow_slack=is_refused)
     said = json.loads((tmp_path / "files" / "export.json").read_text())["undetermined_tension"]
     assert [reason[: len(words)] for reason, words in zip(said, expected, strict=True)] == expected
     assert set(said) <= set(done.notes)
+    assert done.goes_slack == (SLACK in expected)
     (report,) = ho.lint(tmp_path / "files")
     assert [f.message for f in report.findings if f.rule == "tension"] == said
+
+
+@pytest.mark.parametrize(
+    ("name", "stiffness"),
+    [*((name, 4.75) for name in UPLOADED), (UNKNOWN, 0.825)],
+)
+def test_the_stiffness_that_a_refusal_names_holds_the_tension(
+    name: str, stiffness: float, plan: ho.Plan, tmp_path: Path
+) -> None:
+    """The stiffest that the receiver's gains allow for the lightest drone."""
+    rigid = of_kind(plan, ho.Quadrotor())
+    with pytest.raises(ho.InfeasibleError, match=f"stiffness={stiffness}[,\\. ]"):
+        rigid.export(name, tmp_path / "files")
+    (done,) = rigid.export(name, tmp_path / "files", stiffness=stiffness)
+    assert not done.goes_slack
+    manifest = json.loads((tmp_path / "files" / "export.json").read_text())
+    assert manifest["undetermined_tension"] == []
+    gains = {
+        **dict.fromkeys(UPLOADED[:2], ("ctrlMel", "kp_xy", 4.75)),
+        UNKNOWN: ("MPC_XY_P", None, 1.5),
+    }
+    if name in gains:
+        group, key, expected = gains[name]
+        found = manifest["receiver"]["parameters"]["q1"][group]
+        assert (found[key] if key else found) == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("gains", "words"),
+    [
+        ({"kp": 4.75, "kd": 1.32, "ki": 0.05}, "Set team.quadrotor.gains.ki to 0 and solve again"),
+        (None, "Set team.quadrotor.gains to {kp: 4.75, kd: 1.32, ki: 0.0} and solve again"),
+    ],
+)
+def test_integrals_are_refused_with_gains_that_hold_the_tension(
+    gains: dict[str, Any] | None, words: str, plan: ho.Plan, tmp_path: Path
+) -> None:
+    """With the firmware's own gains set points would be a metre away, beyond the arena."""
+    walls = ho.Arena([-2.2, -2.2, 0.0], [2.2, 2.2, 3.0])
+    walled = replace(plan.motion, requirements=replace(plan.motion.requirements, arena=walls))
+    other = of_kind(replace(plan, motion=walled), ho.Quadrotor(controller="mellinger", gains=gains))
+    with pytest.raises(ho.InfeasibleError) as caught:
+        other.export("crazyswarm2", tmp_path / "files")
+    assert words in str(caught.value)
+    assert "or add allow_slack=True" in str(caught.value)
+
+
+def test_allowed_slack_is_used_only_where_tensions_cannot_be_held(
+    plan: ho.Plan, tmp_path: Path
+) -> None:
+    (held,) = plan.export("compressed", tmp_path / "held", allow_slack=True)
+    assert not held.goes_slack
+    low, high = (
+        bound(plan.motion.drones.coefficients, axis=(0, 1, 3)) for bound in (np.min, np.max)
+    )
+    walls = ho.Arena(low - 0.02, high + 0.02)  # set points are 10 cm outward
+    near = replace(plan.motion, requirements=replace(plan.motion.requirements, arena=walls))
+    with pytest.raises(ho.InfeasibleError, match="set points outward"):
+        replace(plan, motion=near).export("compressed", tmp_path / "near")
+    (lost,) = replace(plan, motion=near).export("compressed", tmp_path / "near", allow_slack=True)
+    assert lost.goes_slack
+    assert any(note.startswith(SLACK) for note in lost.notes)
 
 
 def test_set_points_that_come_too_close_are_refused(tmp_path: Path) -> None:

@@ -2,9 +2,10 @@
 
 Feed-forward: the on-board controller computes acceleration from the curve and adds gravity, so the
 cable force ``F`` cannot be included, and an integral term would move the drone to its position at
-any tension. Export with ``--hold-tension``, without an integral, or stream full states (ros2bag,
-csv) with ``a_ff = a - F / m``. The manifest has the firmware's parameters of the filter, the
-controller and its gains for every drone.
+any tension. If the controller's stiffness is known and it has no integral, set points are moved
+outward to hold the tension. Otherwise stream full states (ros2bag, csv) with ``a_ff = a - F / m``.
+The manifest has the firmware's parameters of the filter, the controller and its gains for every
+drone.
 
 **crazyswarm2**: settings of the fleet, start files, and a CSV file per drone: a header, and 33
 numbers per piece, ``duration,x^0..x^7,y^0..y^7,z^0..z^7,yaw^0..yaw^7``: ascending powers of the
@@ -77,10 +78,11 @@ class CrazyflieFormat(Format):
 
     frames = ("enu", "nwu")
     controllers = tuple(CONTROLLERS)
-    receiver_integral = True
+    needs_stiffness = True
+    has_gains = True
     feed_forward = (
-        "not in these files: the on-board controller knows no cable: hold_tension is for one "
-        "without an integral, or stream full states (hitchopt fly, ros2bag)"
+        "not in these files: the on-board controller knows no cable; set points that hold the "
+        "tension need its stiffness, without an integral, or stream full states (hitchopt fly)"
     )
     kind: PieceKind  # of the pieces
     smooth: int  # order of the highest continuous derivative
@@ -130,16 +132,15 @@ class CrazyflieFormat(Format):
             starts.append(end)
         spans, count = list(pairwise(starts)), len(starts) - 1
         reason = (
-            f"the plan is cut into {count} parts at rests, as a drone's memory or a limit asks: "
-            "fly one, goTo the point where each drone hovers, and only then upload the next (it "
-            "overwrites the memory that a finished trajectory is flown from)"
+            f"the plan is cut into {count} parts at rests, to fit a drone's memory or to keep a "
+            "limit: fly one, goTo the point where each drone hovers, and only then upload the next"
         )
         tasks = []
         for i, (first, last) in enumerate(spans if count > 1 else (), 1):
             start, end = motion.drones.breaks[[first, last]].tolist()
             part = f"part {i} of {count}, t = {start:.3f} s to {end:.3f} s of the plan"
             part_task = replace(task, motion=cut(motion, first, last), begins=start, number=i)
-            notes = (*task.notes, f"{part}: {reason}")
+            notes = (*task.notes, reason, part)
             tasks.append(replace(part_task, part=part, notes=notes))
         return tasks
 
@@ -318,7 +319,7 @@ def start_files(task: ExportTask, first: Array, last: Array, duration: float) ->
     hint = " (its radio addresses are placeholders: name yours in a fleet file when exporting)"
     look = pilot_checklist(task.motion)
     slack = _slack_points(task)
-    pull = "held_pull" if task.options.hold_tension else "pull"
+    pull = "held_pull" if task.holds_tension else "pull"
     common = {"frame": task.frame.name, "duration": duration, "look": look}
     return {
         SETTINGS: settings_text(task, first),
@@ -365,13 +366,13 @@ def parameter_notes(task: ExportTask) -> Iterator[str]:
     controllers = {"ctrlMel", "ctrlLee", "posCtlPid"}
     if all(controllers & {*groups} for groups in task.settings["parameters"].values()):
         yield (
-            "the firmware's parameters are those of team.quadrotor, with the attitude gains of a "
-            "drone of the Crazyflie's proportions and max_thrust at full command"
+            "gains, mass and thrust are exported with the filter's parameters; attitude gains "
+            "assume a drone of the Crazyflie's proportions"
         )
     else:
         yield (
-            "parameters of the firmware's filter alone are exported: for gains, mass and thrust "
-            "name team.quadrotor.controller, or state its stiffness"
+            "only the filter's parameters are exported: for gains, mass and thrust name "
+            "team.quadrotor.controller"
         )
     names = []
     for member in task.fleet.members:

@@ -75,12 +75,15 @@ class MavsdkDroneShow(Format):
         "and knows no cable; fly it with acceleration feed-forward on"
     )
     flown_by = "stream"
+    needs_stiffness = True  # by its own settings the show sends positions only
+    has_gains = True
+    stiffest = 6.25  # gains are then within PX4_RANGES
     controllers = ("px4",)
     streamed = 2.0
 
-    def parameters(self, team: Team, options: ExportOptions) -> Mapping[str, Any]:  # noqa: ARG002
+    def parameters(self, team: Team, options: ExportOptions) -> Mapping[str, Any]:
         """Return the PX4 parameters of all drones, by name in the plan."""
-        return {"parameters": px4_parameters(team)}
+        return {"parameters": px4_parameters(team, options.stiffness, options.damping)}
 
     def write(self, folder: Path, task: ExportTask) -> FormatOutput:
         """Write the rows of all drones; raises InfeasibleError if they cannot take off."""
@@ -99,7 +102,7 @@ class MavsdkDroneShow(Format):
             f"Drone N.csv in the plan's order: {order}{', …' if len(task.names) > 6 else ''}",
             "launch every drone at px, py of its first row: its rows are counted from there",
             "of PX4 set the parameters in export.json, and MPC_THR_HOVER, of free drones",
-            *px4_notes(task.motion.team),
+            *px4_notes(task.motion.team, task.options.stiffness, task.options.damping),
         )
         return FormatOutput(files, notes, {"settings": settings, "plan_begins_s": rise.duration})
 

@@ -67,6 +67,7 @@ class Ros2Bag(Format):
         "the drone's own acceleration"
     )
     flown_by = "stream"
+    has_gains = True
     streamed = 30.0
 
     def parameters(self, team: Team, options: ExportOptions) -> Mapping[str, Any]:

@@ -109,7 +109,7 @@ class SkybrushShow(Format):
         "not in this file: the autopilots track positions with controllers of their own, and the "
         "format has no accelerations"
     )
-
+    needs_stiffness = True
     bounds = (1.0, 0.6, 1.4, 0.4, 0.2)  # long segments fit less well, but round better
 
     def write(self, folder: Path, task: ExportTask) -> FormatOutput:
