@@ -114,7 +114,7 @@ def export(directory: Path | None, output: Path | None, yaw_deg: float, **option
         verdict, content = part.verdict, asdict(part.verdict)
         entry = {"folder": str(part.folder), "files": part.files, "begins": part.begins}
         entry |= {f"{name}_error": content.pop(name) for name in ("position", "velocity")}
-        entries.append({**entry, **content, "notes": part.notes})
+        entries.append({**entry, **content, "notes": part.notes, "goes_slack": part.goes_slack})
         say(certificate_table(ho.Certificate(verdict.duration, verdict.checks)))
         position, velocity = verdict.position, verdict.velocity
         say(

@@ -57,7 +57,7 @@ from hitchopt.values import Array
 
 RETRY_STRETCHES = (1.02, 1.05)  # Factors of durations if rounding violates a limit
 REFIT_SHARES = (1.0, 0.3)  # Candidate shares of the usual refit error, for parts
-STREAM = "Stream it: hitchopt fly, or format=ros2bag"  # Remedy if set points hold no tension
+STREAM = "Stream it with format=ros2bag or hitchopt fly"  # Remedy if set points hold no tension
 TUNED = {name for name, stock in STOCK.items() if math.isfinite(stock.stiffest[0])}
 """Controllers whose stiffest gains are known."""
 OFFSETS_HOLD_TENSION = (

@@ -189,7 +189,7 @@ class Format(ABC):
 def format_of(name: str) -> Format:
     """Return the format with a name; raises InputError if it is unknown."""
     if name not in HOMES:
-        remedy = closest_word(name, [*HOMES], "hitchopt export lists them")
+        remedy = closest_word(str(name), [*HOMES], "hitchopt export lists them")
         raise InputError("format", name, f"one of {', '.join(HOMES)}", remedy)
     module, _, kind = HOMES[name].partition(":")
     instance: Format = getattr(import_module(f"hitchopt.exports.formats.{module}"), kind)()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from pathlib import Path
@@ -151,8 +152,18 @@ def test_lint_reports_errors_and_foreign_files_stay(plan: Path) -> None:
         assert Path(name).read_text() == "mine"
 
 
+def test_notes_of_several_parts_are_said_once(plan: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = exporting.export_motion
+    monkeypatch.setattr(exporting, "export_motion", lambda *args: 2 * whole(*args))
+    said = run("export", plan, "--format", "csv", "-o", "files", code=0).stdout
+    assert said.count("note: cables count as weightless") == 1
+    assert said.count("certified as exported") == 2
+
+
 def test_shows_declare_limits_and_hold_the_tension(plan: Path) -> None:
-    run("export", plan, "--format", "skybrush", "--allow-slack", "-o", "files", code=0)
+    slack = ("export", plan, "--format", "skybrush", "--allow-slack", "-o", "files")
+    (part,) = json.loads(run(*slack, "--json", code=0).stdout)["parts"]
+    assert part["goes_slack"]
     said = run("lint", "files", code=0).stdout
     assert re.search(r"maxVelocityXY \[m/s\], the show's own +0\.\d+ +0\.3\n", said)
     assert re.search(r"\nspeed \[m/s\] +0\.\d+ +–\n", said)
