@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from hitchopt.errors import InputError
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import GRAVITY, Team
+from hitchopt.hitch.team import MODELS
 from hitchopt.motion.motion import JOINT, HoldBy, Motion
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import REST_DRIFT, in_frame
@@ -59,14 +60,14 @@ def stated_tensions(motion: Motion) -> Array:
 
 
 USUAL_DENSITY = 0.01
-"""Density of a cord of 4 mm [kg/m]."""
+"""Density of a cord of 4 mm [kg/m], of drones without a model."""
 
 
 def weightless_notes(motion: Motion, problem: str = "") -> Iterator[str]:
     """Yield a note for every hitch whose problem does not state the density of its cables.
 
-    It says how much lower vertices hang with USUAL_DENSITY. ``problem`` is the text of the problem
-    file; without it, a density of 0 is not stated.
+    It says how much lower vertices hang with the cables of its drones' models, or USUAL_DENSITY.
+    ``problem`` is the text of the problem file; without it, a density of 0 is not stated.
     """
     data = parse_yaml(problem) if problem else None
     for group in motion.groups:
@@ -77,10 +78,12 @@ def weightless_notes(motion: Motion, problem: str = "") -> Iterator[str]:
         is_stated = isinstance(section, dict) and "cable_density" in section
         if is_stated or not np.any(own.formed) or own.team.cable_density > 0.0:
             continue
-        drop = float(np.max(sags(own, USUAL_DENSITY)))
+        models = [MODELS[kind.model] if kind.model else None for kind in own.team.quadrotor]
+        density = max(USUAL_DENSITY if each is None else each.cable_density for each in models)
+        drop = float(np.max(sags(own, density)))
         cables = f"cables of {group.name}" if group.name else "cables"
         yield (
-            f"{cables} count as weightless; at {1e3 * USUAL_DENSITY:g} g/m vertices would hang "
+            f"{cables} count as weightless; at {1e3 * density:g} g/m vertices would hang "
             f"{100.0 * drop:.2g} cm lower: state {key}.cable_density"
         )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -71,6 +72,20 @@ def test_hitches_of_unstated_density_are_noted_with_their_sag(
     assert [note.partition("state ")[2] for note in notes] == [f"{x}.cable_density" for x in keys]
     assert all("at 10 g/m vertices would hang 9.7 cm lower" in note for note in notes)
     assert set(notes) <= set((read_manifest(tmp_path / "files") or {})["notes"])
+
+
+def test_the_sag_is_that_of_the_cables_that_a_model_flies() -> None:
+    """It is proportional to the density, here 1.5 of 10 g/m."""
+    drops = []
+    for kind in (ho.Quadrotor(), ho.Quadrotor(model="crazyflie_2.1_brushless")):
+        team = ho.Team(3, 2.4, tension=0.15, quadrotor=kind)
+        start = ho.Hitch.balanced(team, ho.regular_polygon(3, 0.6), 1.2)
+        (note,) = ho.hold(start, 0.5).notes
+        words = re.search(r"at ([\d.]+) g/m vertices would hang ([\d.]+) cm lower", note)
+        drops.append([float(x) for x in words.groups()] if words else [])
+    (density, drop), (own, own_drop) = drops
+    assert (density, own) == (10.0, 1.5)
+    assert own_drop == pytest.approx(0.15 * drop, rel=0.05)
 
 
 @pytest.mark.parametrize("kind", MOTIONS)
