@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import re
 import tempfile
@@ -351,10 +352,11 @@ def example_files() -> list[Path]:
     option(
         "--drone model",
         "Write a problem for a model of drones, such as crazyflie_2.1: lengths, distances and "
-        "tension fit.",
+        "tension fit; paper_132g.",
         str,
         "MODEL",
     ),
+    option("--robots", "Write a problem for this number of robots, 3 to 12; 3.", int, "N"),
     option(
         "--schema",
         "Write problem.schema.json, with which editors complete and check problem files.",
@@ -367,6 +369,7 @@ def init(
     example: str | None,
     model: str | None,
     kind: str | None,
+    robots: int | None,
     *,
     listing: bool,
     schema: bool,
@@ -393,27 +396,38 @@ def init(
     if example is not None and example not in files:
         remedy = closest_word(example, [*files], "hitchopt init --list names them")
         raise InputError("example", example, "an example's name", remedy)
-    options = {"example": example, "drone": model, "kind": kind}
-    first, *others = [key for key, value in options.items() if value] or [""]
-    if others:
+    options = {"example": example, "kind": kind, "drone": model, "robots": robots}
+    first, *others = [key for key, value in options.items() if value is not None] or [""]
+    if others and first != "drone":
         bound = f"left out with --{first}"
         raise InputError(f"--{others[0]}", options[others[0]], bound, "give one of the two")
     template = PACKAGE / (KINDS[kind] if kind else "mission/template.yaml")
     source = files[example] if example else template
-    text, study = problem_text(source), kind == STUDY
-    if model:
-        from hitchopt.mission.template import for_drone
+    text, study, fitted = problem_text(source), kind == STUDY, None
+    if first in ("drone", "robots"):
+        from hitchopt.mission.template import for_team
 
-        text = for_drone(text, model)
+        fitted = for_team(text, model, robots)
+        text = fitted.text
     default = example or (STUDY if study else "problem")
     path = _write_new(default if name is None else name, text)
-    if model:
+    if fitted is not None:
         _show_models(ho.load_problem(path).team)
+        lengths, tensions = _range_text(fitted.lengths, "m"), _range_text(fitted.tensions, "N")
+        say(f"cables of {lengths} and tensions of {tensions} fit {fitted.polygon}")
     say(f"wrote {path}; try: hitchopt {'sweep' if study else 'solve'} {path}", file=str(path))
     flight = source.with_suffix(".csv")
     if flight.is_file():
         copy = _write_new(str(path.with_suffix(".csv")), flight.read_text("utf-8"), (".csv",))
         say(f"wrote {copy}: a flight of it, simulated and recorded", recording=str(copy))
+
+
+def _range_text(ends: tuple[float, float], unit: str) -> str:
+    """Return a range with its unit in words."""
+    smallest, largest = (f"{end:.3g}" for end in ends)
+    return (
+        f"{smallest} {unit} or more" if math.isinf(ends[1]) else f"{smallest} to {largest} {unit}"
+    )
 
 
 def _title(path: Path) -> str:

@@ -144,13 +144,13 @@ MAX_ROBOTS = 10_000
 
 
 class Model(NamedTuple):
-    """A commercial drone."""
+    """A model of drones."""
 
     mass: float  # [kg], ready to fly
     max_thrust: float  # [N], of all four motors
     controller: str
     separation: tuple[float, float]  # [m], semi-axes for its size
-    cable_density: float  # [kg/m], of cables that it flies: threads, or cords
+    cable_density: float  # [kg/m], of cables that suit it
 
 
 CRAZYFLIE = (0.12, 0.30)

@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+import math
 import re
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
+from hitchopt.geometry import ConvexPolygon, regular_polygon
 from hitchopt.hitch import Quadrotor, Team
-from hitchopt.hitch.requirements import Limits, Separation
-from hitchopt.hitch.team import MODELS
+from hitchopt.hitch.requirements import Limits, Requirements, Separation
+from hitchopt.hitch.sizing import Range, fitting_lengths, fitting_tensions
+from hitchopt.hitch.team import MODEL_NAMES, MODELS
 from hitchopt.mission.objects import SECTION_KEYS, ObjectKeys
 from hitchopt.mission.problem import HITCH_LIMITS, HITCH_SEPARATION, SwarmTeam
-from hitchopt.storage.yaml_file import flow, parse_yaml, split_key, value_at, with_value
+from hitchopt.storage.yaml_file import flow, parse_yaml, split_key, with_value
+from hitchopt.values import Array, integer
 from hitchopt.values.fields import EMPTY, keys_of
 
 SECTIONS: dict[str, tuple[type, str, Sequence[str]]] = {
-    "team": (Team, "  #", ()),
-    "carrying_team": (Team, "  #", ("tension",)),
+    "team": (Team, "  #", ("cable_density", "tension")),
     "limits": (Limits, "#  ", ()),
     "separation": (Separation, "#  ", ()),
     "object": (ObjectKeys, "    #", (*SECTION_KEYS, "rim")),
@@ -31,28 +36,115 @@ SECTIONS: dict[str, tuple[type, str, Sequence[str]]] = {
 COLUMN, WIDTH = 26, 96
 """Column of comments, and maximum length of a line."""
 
-LENGTHS = (
-    *("team.cable_length", "arena.lower", "arena.upper", "start.drones.q", "start.drones.r"),
-    *("mission[0].form.polygon", "mission[0].form.altitude", "mission[1].morph.polygon"),
-)
-"""Keys of the template's lengths."""
+MIN_ROBOTS, MAX_ROBOTS = 3, 12
+"""Numbers of robots for which problems are written; larger teams need rolled legs."""
 
-NOMINAL_RADIUS = 0.22
-"""Radius of drones plus twice their tracking error for which the template is made [m]."""
+TYING_LEG = 3.0
+"""Shortest leg of a hitch to be tied, over the radius of drones with their tracking error. With
+shorter ones drones come too close as pairs swap or as legs are loosened."""
+
+EDGES = np.linspace(1.0, 2.0, 11) / 0.17
+"""Edges of polygons over that radius, in the order of the search: from 1 m for Crazyflies."""
+
+PULL, SPARE, HEIGHT = 0.15, 0.15, 0.62
+"""How far a vertex is pulled, over the edge; cable length beyond the shortest, and at least within
+the longest [m]; and altitude over the cable length, at which hanging cables are off the ground."""
+
+NAMES = {3: "a triangle", 4: "a square", 5: "a pentagon", 6: "a hexagon", 8: "an octagon"}
 
 
-def for_drone(text: str, name: str) -> str:
-    """Return the template adapted to a model of drones: lengths, distances and tension."""
-    kind, (radius, height) = Quadrotor(model=name), MODELS[name].separation
-    factor, data = (radius + 2.0 * (kind.loop.tracking or 0.0)) / NOMINAL_RADIUS, parse_yaml(text)
-    values = {key: np.multiply(factor, value_at(data, split_key(key))) for key in LENGTHS}
-    changed = {key: np.round(value, 2).tolist() for key, value in values.items()}
-    changed |= {"team.quadrotor": name, "team.tension": kind.tension}
-    if (radius, height) != (Separation().radius, Separation().height):
+@dataclass(frozen=True)
+class FittedProblem:
+    """The text of a problem, and what fits its hitch.
+
+    Attributes
+    ----------
+    text: of the problem file.
+    polygon: in words, such as ``a triangle with edges of 1 m``.
+    lengths: the shortest and the longest cable length that fit [m]; infinite without a longest.
+    tensions: the smallest and the largest tension that fit [N].
+    """
+
+    text: str
+    polygon: str
+    lengths: Range
+    tensions: Range
+
+
+def for_team(text: str, model: str | None = None, robots: int | None = None) -> FittedProblem:
+    """Return the template for a model of drones and a number of robots; None: those that it has.
+
+    Polygons, cables, distances, tension and starts fit the drones with their tracking errors.
+    InputError: an unknown model, or a number out of range.
+    """
+    default: Any = parse_yaml(text)
+    model = default["team"]["quadrotor"] if model is None else model
+    robots = default["team"]["robots"] if robots is None else robots
+    robots = integer("robots", robots, MIN_ROBOTS, MAX_ROBOTS)
+    kind: Quadrotor = MODEL_NAMES.check("model", model)
+    drone = MODELS[model]
+    team = Team(robots, 1.0, quadrotor=kind, cable_density=drone.cable_density)
+    separation = Separation(*drone.separation)
+    required = Requirements(separation=separation).flown_by(team).with_reserve
+    edge, polygons, lengths = next(_fitting_polygons(team, required))
+    length = round(lengths[0] + SPARE, 2)
+    sized = replace(team, cable_length=np.full(robots, length))
+    tensions = fitting_tensions(sized, polygons, required)
+    altitude, (q, r) = round(HEIGHT * length, 1), _starts(robots, length)
+    tied, pulled = (each.vertices for each in polygons)
+    reach = max(np.max(np.abs(pulled)) + 0.5 * (length - edge), np.max(np.abs(r)))
+    half, noun = math.ceil(reach + 1.0), NAMES.get(robots, f"a polygon of {robots}")
+    changed: dict[str, Any] = {
+        "title": f"Tie {noun}, pull one vertex, untie it",
+        "team.robots": robots,
+        "team.cable_length": length,
+        "team.cable_density": drone.cable_density,
+        "team.tension": kind.tension,
+        "team.quadrotor": model,
+        "arena": {"lower": [-half, -half, 0], "upper": [half, half, math.ceil(2.0 * altitude)]},
+        "start.drones.q": q.tolist(),
+        "start.drones.r": r.tolist(),
+        "mission[0].form.polygon": tied.tolist(),
+        "mission[0].form.altitude": altitude,
+        "mission[1].morph.polygon": pulled.tolist(),
+    }
+    if separation != Separation():
+        radius, height = drone.separation
         changed |= {"separation": {"radius": radius, "height": height}}
     for key, value in changed.items():
         text = with_value(text, split_key(key), value)
-    return text
+    text = re.sub(r"^(  \w+: \S+) +#", lambda line: f"{line[1]:<{COLUMN}}#", text, flags=re.M)
+    return FittedProblem(text, f"{noun} with edges of {edge:g} m", lengths, tensions)
+
+
+def _fitting_polygons(
+    team: Team, required: Requirements
+) -> Iterator[tuple[float, list[ConvexPolygon], Range]]:
+    """Yield edges [m] of regular polygons for which cables fit, the shortest first.
+
+    With each the polygon, the same with a vertex pulled outward, and the shortest and longest cable
+    length [m] of both.
+    """
+    radius, limits = required.separation.radius, required.limits
+    required = replace(required, limits=replace(limits, leg=max(limits.leg, TYING_LEG * radius)))
+    for edge in np.round(EDGES * radius, 1).tolist():
+        tied = np.round(regular_polygon(team.robots, edge, 0.5 * math.pi).vertices, 2) + 0.0
+        pulled = tied + np.outer(np.arange(len(tied)) == 0, [0.0, round(PULL * edge, 2)])
+        polygons = [ConvexPolygon(tied), ConvexPolygon(pulled)]
+        lengths = fitting_lengths(team, polygons, required)
+        if lengths is not None and lengths[1] >= lengths[0] + 2.0 * SPARE:
+            yield edge, polygons, lengths
+
+
+def _starts(robots: int, length: float) -> Array:
+    """Return starts q and r (2, n, 3) [m] on the ground, in rows, for a cable length [m]."""
+    columns = 1 if robots <= 4 else 2
+    column, row = np.divmod(np.arange(robots), -(-robots // columns))
+    places = np.zeros((2, robots, 3))
+    places[..., 0] = length * (column - 0.5 * (columns - 1)) + np.array([[-0.25], [0.25]]) * length
+    places[..., 1] = 0.5 * length * (0.5 * np.max(row) - row)
+    rounded: Array = np.round(places, 2) + 0.0
+    return rounded
 
 
 def expand_sections(text: str, **extra: tuple[type, str, Sequence[str]]) -> str:

@@ -25,13 +25,14 @@ from hitchopt.checks.certificate import GROUPS
 from hitchopt.checks.registry import REPORTS, RULES
 from hitchopt.cli.failures import SafeGroup
 from hitchopt.cli.output import ProgressBar, certificate_table, phase_table, progress_in, say, table
-from hitchopt.cli.planning import MODELINE, example_files
+from hitchopt.cli.planning import MODELINE, PACKAGE, example_files, problem_text
 from hitchopt.exports.options import HOMES
 from hitchopt.hitch.team import MODELS
 from hitchopt.lab.sweeps.study import study_from_dict
-from hitchopt.mission.loading import problem_schema
+from hitchopt.mission.loading import parse_problem, problem_schema
+from hitchopt.mission.template import for_team
 from hitchopt.storage import interrupts
-from hitchopt.storage.yaml_file import parse_yaml
+from hitchopt.storage.yaml_file import parse_yaml, with_value
 
 pytestmark = pytest.mark.usefixtures("place")
 
@@ -71,6 +72,9 @@ RATE = "error: --rate = {}: must be above 0 and at most 10000 Hz"
         ("view .", 'error: No plan in ".": name a directory that hitchopt solve -o wrote.'),
         ("fit none.svg --robots 3", "error: none.svg: there is no such file"),
         ("init --drone crazyfly", "error: --drone = 'crazyfly': must be one of"),
+        *((f"init --robots {n}", f"error: --robots = {n}: must be at ") for n in (0, 2, 13)),
+        ("init --robots 4 --kind carry", "error: --robots = 4: must be left out with --kind"),
+        ("init --drone x260_bolt --example triangle", "error: --drone = 'x260_bolt': must be left"),
         ("fit circle:-1 --robots 3", "error: OUTLINE = -1.0: must be greater than 0"),
         (f"{SOLVE} --repair-to {TRIANGLE}", "triangle.yaml: exists already; give another name"),
         (f"calibrate {ROOT}/problems/show", "must be a flight, not its plan; name the file"),
@@ -261,20 +265,55 @@ def test_init_writes_a_problem_that_loads_and_never_overwrites(place: Path) -> N
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("place")
-@pytest.mark.parametrize("name", MODELS)
-def test_a_problem_for_drones_of_a_model_is_planned(name: str) -> None:
-    said = run("init", "mine", "--drone", name, code=0).stdout
+@pytest.mark.parametrize(("name", "robots"), [*zip(MODELS, (3, 6, 4, 5, 8), strict=True)])
+def test_a_problem_for_drones_of_a_model_is_planned(name: str, robots: int) -> None:
+    said = run("init", "mine", "--drone", name, "--robots", str(robots), code=0).stdout
     team = ho.load_problem("mine.yaml").team
-    assert team.quadrotor == ho.Team(3, 2.4, quadrotor=name).quadrotor
+    assert (team.robots, team.cable_density) == (robots, MODELS[name].cable_density)
+    assert team.quadrotor == ho.Team(robots, 2.4, quadrotor=name).quadrotor
     told = re.search(r"cables pull ([\d.]+) N, of ([\d.]+) N held level by tilt", said)
     assert told is not None
     weight = 9.81 * team.mass[0]
-    assert [float(told[1]), float(told[2])] == pytest.approx(
-        [team.tension[0], weight], rel=5e-3
-    )  # three digits
-    solved = run("solve", "mine.yaml", "-o", "out", code=0).stdout
-    assert told[0] in solved
-    assert "error: --drone" in refused("init", "--drone", name, "--example", "triangle")
+    pulls = [team.tension[0], weight]
+    assert [float(told[1]), float(told[2])] == pytest.approx(pulls, rel=5e-3)  # three digits
+    done = run("solve", "mine.yaml", "-o", "out", code=0)
+    assert told[0] in done.stdout
+    assert "warning" not in done.stderr
+
+
+RANGE = re.compile(
+    r"cables of ([\d.]+) (?:to ([\d.]+) )?m.* and tensions of ([\d.]+) to ([\d.]+) N"
+)
+
+
+@pytest.mark.slow
+def test_cable_lengths_and_tensions_that_fit_are_planned(place: Path) -> None:
+    """At both ends of their ranges; the written ones are within."""
+    said = run("init", "mine", "--robots", "6", code=0).stdout
+    told = RANGE.search(said)
+    assert told is not None
+    shortest, longest, *pulls = (float(each or "inf") for each in told.groups())
+    text, team = (place / "mine.yaml").read_text("utf-8"), ho.load_problem("mine.yaml").team
+    assert shortest <= team.cable_length[0] <= longest
+    assert pulls[0] <= team.tension[0] <= pulls[1]
+    longest = min(longest, shortest + 1.0)
+    ends = [("cable_length", x) for x in (shortest, longest)] + [("tension", x) for x in pulls]
+    for key, value in ends:
+        plan = ho.solve(parse_problem(with_value(text, ("team", key), value)))
+        assert plan.certificate.certified, (key, value)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("place")
+def test_init_fits_any_number_of_robots_to_models() -> None:
+    template = problem_text(PACKAGE / "mission" / "template.yaml")
+    assert for_team(template).text == template  # which is written for its own drones
+    for name, robots in zip((*MODELS, *MODELS), range(3, 13), strict=True):
+        fitted = for_team(template, name, robots)
+        team = parse_problem(fitted.text).team
+        assert team.quadrotor == (ho.Quadrotor(model=name),) * robots
+        assert fitted.lengths[0] < team.cable_length[0] < fitted.lengths[1], (name, robots)
+        assert fitted.tensions[0] <= team.tension[0] <= fitted.tensions[1], (name, robots)
 
 
 def test_a_reader_that_has_left_changes_nothing(place: Path) -> None:

@@ -16,6 +16,7 @@ from scipy.spatial.distance import pdist
 import hitchopt as ho
 from hitchopt.cli import main
 from hitchopt.hitch.requirements import Requirements
+from hitchopt.hitch.sizing import fitting_lengths, fitting_tensions
 from hitchopt.lab.statics.fit import Holding, enclosing_polygon, shortest_cable
 
 BOX = ho.Section([[0.2, 0.15], [0.2, -0.15], [-0.2, -0.15], [-0.2, 0.15]])
@@ -73,6 +74,52 @@ def test_the_shortest_cable_keeps_drones_apart() -> None:
         drones = ho.Hitch.balanced(ho.Team(3, length), polygon).drones * ho.Separation().scale
         separations.append(float(np.min(pdist(drones))))
     assert separations[0] < 1.5 <= separations[1] + 1e-6
+
+
+def clearances(hitch: ho.Hitch) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Return the distances [m] of drones to all straight cable parts but their own legs."""
+    nodes, parts = np.vstack([hitch.vertices, hitch.drones]), hitch.team.layout.part_nodes
+    drones = len(hitch.vertices) + np.arange(hitch.team.drones)
+    base, along = nodes[parts[:, 0]], np.diff(nodes[parts], axis=1)[:, 0]
+    offset = nodes[drones][:, None] - base
+    share = np.clip(np.sum(offset * along, axis=-1) / np.sum(along**2, axis=-1), 0.0, 1.0)
+    distances = np.linalg.norm(offset - share[..., None] * along, axis=-1)
+    own = np.any(parts[None] == drones[:, None, None], axis=-1)
+    return np.where(own, np.inf, distances)
+
+
+@pytest.mark.parametrize("n", [3, 5, 8])
+def test_lengths_and_tensions_that_fit_keep_all_distances(n: int) -> None:
+    """At the ends of their ranges, and no longer beyond them; of light cables and of heavy ones."""
+    polygon, requirements = ho.regular_polygon(n, 1.3), Requirements(ho.Limits(leg=0.3))
+    for density in (0.0, 0.01):
+        team = ho.Team(n, 2.0, cable_density=density, tension=0.5)
+        shortest, longest = fitting_lengths(team, [polygon], requirements) or (0.0, 0.0)
+
+        def keeps(cable: float, tension: float, density: float = density) -> bool:
+            try:
+                sized = ho.Team(n, cable, cable_density=density, tension=tension)
+                hitch = ho.Hitch.balanced(sized, polygon)
+            except ho.InfeasibleError:
+                return False
+            apart = np.min(pdist(hitch.drones * ho.Separation().scale)) >= 1.0
+            clear = np.min(clearances(hitch)) >= ho.Separation().cable
+            return bool(np.min(hitch.q_legs) >= 0.3 and apart and clear)
+
+        assert keeps(shortest, 0.5)
+        assert not keeps(shortest - 0.1, 0.5)
+        if math.isfinite(longest):
+            assert keeps(longest, 0.5)
+            assert not keeps(longest + 0.1, 0.5)
+        assert math.isfinite(longest) == (n == 8)
+        sized = ho.Team(n, shortest + 0.1, cable_density=density)
+        weakest, largest = fitting_tensions(sized, [polygon], requirements)
+        assert largest == pytest.approx(9.81 * 0.132)
+        if density:
+            assert keeps(shortest + 0.1, weakest)
+            assert not keeps(shortest + 0.1, 0.4 * weakest)
+        else:
+            assert weakest == 0.0
 
 
 def test_resting_loads_are_limited_by_clasps_thrust_and_support(
