@@ -65,8 +65,7 @@ def solve(
         source, name = read_text(problem)
         problem = parse_problem(source, name, Path(problem).parent)
     task = _loaded(problem)
-    seconds = None if limit is None else positive("limit", limit)
-    with time_limit(seconds, progress) as report:
+    with time_limit(_seconds(limit), progress) as report:
         solution = solve_problem(task, report)
     check_request(task.request, solution.motion)
     return Plan(solution.motion, solution.certificate, task.title, source)
@@ -128,6 +127,11 @@ def repair(
     return replace(solve(change.problem, progress), title=f"{task.title} with {change}".strip())
 
 
+def _seconds(limit: Any) -> float | None:
+    """Return a time limit [s], None for none; raise InputError if it is not positive."""
+    return None if limit is None else positive("limit", limit)
+
+
 def _loaded(problem: Any, kind: Literal["hitch", "swarm"] | None = None) -> Problem:
     """Return a problem, of a kind if specified, loaded if it is a path."""
     from hitchopt.mission import loading  # heavy
@@ -177,11 +181,12 @@ class Mission(Problem):
 
 
 class Required(TypedDict, total=False):
-    """Keywords of every step function: requirements of the plan."""
+    """Keywords of every step function: requirements of the plan, and the time limit."""
 
     limits: Limits | None
     separation: Separation | None
     arena: Arena | None
+    limit: float | None
 
 
 START_PARAMETERS = {
@@ -193,11 +198,13 @@ START_PARAMETERS = {
 
 REQUIREMENTS = """
 limits, separation, arena: requirements of the plan; defaults as in a problem file.
+limit: time limit [s]; None for none.
 
 Raises
 ------
 InputError: an argument is invalid.
 InfeasibleError: the step cannot be planned; lists the limits that bind, where and when.
+TimeLimitError: no plan within ``limit``.
 """
 
 
@@ -240,6 +247,7 @@ def _function(kind: type[Step]) -> Callable[..., Plan]:
         check_keywords(kind.name, [*arguments], kwargs)
         bound = inspect.signature(function).bind(*args, **kwargs).arguments
         requirements = {name: bound.pop(name, None) for name in Required.__annotations__}
+        limit = _seconds(requirements.pop("limit"))
         start: Start
         if kind.needs_hitch is False:
             team, start = bound.pop("team"), DronesStart(bound.pop("q"), bound.pop("r"))
@@ -254,11 +262,10 @@ def _function(kind: type[Step]) -> Callable[..., Plan]:
         resolved.checked_polygon_after(team, start.polygon if isinstance(start, Hitch) else None)
         specified: dict[str, Any] = {k: v for k, v in requirements.items() if v is not None}
         try:
-            solution = solve_problem(Problem(team, start, (resolved,), **specified))
+            return solve(Problem(team, start, (resolved,), **specified), limit=limit)
         except InputError as error:
             nested = rf"^(start\.drones|mission\[0\]\.{kind.name})\b\.?"
             raise error.renamed(lambda key: re.sub(nested, "", key) or kind.name) from None
-        return Plan(solution.motion, solution.certificate)
 
     listed = f"{START_PARAMETERS[first[0]]}\n{parameter_docs(kind, exclude='blend')}{REQUIREMENTS}"
     doc = _docstring(kind, "Return the certified plan of this single step", listed)

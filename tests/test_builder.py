@@ -53,7 +53,7 @@ def test_methods_and_functions_have_the_arguments_of_their_records() -> None:
         values = [field.default for field in given if field.default is not dataclasses.MISSING]
         listed = stub(owner)[kind.name].args
         function = getattr(ho.Mission if owner else ho, kind.name)
-        kept = [] if owner else ["limits", "separation", "arena"]
+        kept = [] if owner else ["limits", "separation", "arena", "limit"]
         assert [argument.arg for argument in listed.args] == names
         assert list(inspect.signature(function).parameters) == names + kept
         assert function.__name__ == kind.name

@@ -11,6 +11,7 @@ from plans import PROBLEMS, planned
 
 import hitchopt as ho
 from hitchopt import errors as limits
+from hitchopt.api import STEP_FUNCTIONS
 from hitchopt.errors import Progress, TimeIsUp, check_time, time_left, time_limit
 from hitchopt.mission.repair import find_suggestions
 from hitchopt.mission.solving import solve_problem
@@ -72,6 +73,37 @@ def test_every_kind_of_problem_is_given_up(clock: Clock, name: str, seconds: flo
     assert seconds < clock.now < 2.0 * seconds + 10.0
 
 
+TRIANGLE = [[0.0, 0.6], [0.5, -0.3], [-0.5, -0.3]]
+PULLED = [[0.0, 0.7], [0.5, -0.3], [-0.5, -0.3]]
+START = ho.Hitch.spread(ho.Team(3, 2.4, cable_density=0.005, tension=0.5), TRIANGLE, 1.5)
+Q, R = ([[x, y, 1.6] for y in (1.2, 0.0, -1.2)] for x in (-0.6, 0.6))
+ARGUMENTS: dict[str, dict[str, Any]] = {
+    "morph": {"polygon": PULLED},
+    "hold": {"seconds": 1.0},
+    "move_vertex": {"vertex": 0, "to": PULLED[0]},
+    "move_edge": {"edge": 0, "by": [0.0, 0.05]},
+    "adjust": {"legs": "balanced"},
+    "follow_vertex": {"vertex": 0, "path": [[0.0, 0.0, 0.6], [5.0, 0.0, 0.7]]},
+    "transport": {"to": [0.2, 0.1, 1.5]},
+    "form": {"polygon": TRIANGLE, "altitude": 1.2},
+    "open_vertex": {"vertex": 0},
+    "release": {},
+    "land": {},
+}
+
+
+@pytest.mark.parametrize("kind", STEP_FUNCTIONS, ids=lambda kind: kind.name)
+def test_every_step_function_is_given_up(clock: Clock, kind: type[ho.Hold]) -> None:
+    start = {"team": START.team, "q": Q, "r": R} if kind.needs_hitch is False else {"start": START}
+    arguments = {**start, **ARGUMENTS[kind.name]}
+    with pytest.raises(ho.TimeLimitError, match=r"limit of 1\.5 s"):
+        getattr(ho, kind.name)(**arguments, limit=1.5)
+    assert clock.now < 10.0
+    for wrong in (0, -1.0, math.nan, "1"):
+        with pytest.raises(ho.InputError, match=r"^limit = "):
+            getattr(ho, kind.name)(**arguments, limit=wrong)
+
+
 def test_a_plan_in_time_is_the_plan_without_a_limit() -> None:
     path = PROBLEMS / "straight_way_shut.yaml"
     plans = planned("straight_way_shut"), ho.solve(path, limit=1e6)
@@ -79,6 +111,11 @@ def test_a_plan_in_time_is_the_plan_without_a_limit() -> None:
     np.testing.assert_allclose(a, b, rtol=0.0, atol=1e-9)
     with pytest.raises(ho.InputError, match="limit = 0"):
         ho.solve(path, limit=0)
+    a, b = (
+        ho.transport(START, [0.2, 0.1, 1.5], limit=limit).motion.drones.coefficients
+        for limit in (None, 1e6)
+    )
+    np.testing.assert_array_equal(a, b)
 
 
 def test_suggestions_found_before_the_limit_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -69,7 +69,7 @@ def steps() -> Iterator[tuple[Callable[..., object], dict[str, Any]]]:
             free = kind.needs_hitch is False
             start = {"team": TEAM, "q": Q, "r": R} if free else {"start": START}
             alone = {name: value for name, value in given.items() if name != "blend"}
-            yield getattr(ho, kind.name), {**start, **alone, **REST}
+            yield getattr(ho, kind.name), {**start, **alone, **REST, "limit": None}
         yield getattr(BEGUN.get(kind.name, ho.Mission(TEAM, START)), kind.name), given
 
 
