@@ -11,8 +11,9 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hitchopt.errors import InputError, OneLine
+from hitchopt.errors import InputError
 from hitchopt.values import Array, finite, integer, points, positive
+from hitchopt.values.by_value import ByValue
 
 MIN_EXTERIOR_ANGLE = 1e-6
 """[rad] Smallest exterior angle: a clasp at a flatter vertex would hold nothing."""
@@ -22,7 +23,7 @@ MIN_EDGE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Outline(OneLine, ABC):
+class Outline(ByValue, ABC):
     """A sequence of points that turns right at every corner.
 
     Parameters

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hitchopt.errors import InfeasibleError, InputError, OneLine, Violation, short
+from hitchopt.errors import InfeasibleError, InputError, Violation, short
 from hitchopt.geometry import ConvexArc, ConvexPolygon, Outline
 from hitchopt.hitch.forces import (
     cable_forces,
@@ -26,6 +26,7 @@ from hitchopt.hitch.slack_split import (
 )
 from hitchopt.hitch.team import Team
 from hitchopt.values import Array, as_array, check_instance
+from hitchopt.values.by_value import ByValue
 from hitchopt.values.fields import store, suggest_keywords
 from hitchopt.values.units import ALTITUDE
 
@@ -125,7 +126,7 @@ def _refusal(value: float, limit: float, sense: str, where: str, remedy: str) ->
 
 
 @dataclass(frozen=True, eq=False)
-class Hitch(OneLine):
+class Hitch(ByValue):
     """A hitch in static equilibrium, with all vertices in a horizontal plane.
 
     It is closed or an open chain. Legs rise out of the plane at clasps that carry weight; with roll

@@ -15,6 +15,7 @@ from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch.team import Team
 from hitchopt.objects import Clearance, Section, Slab, SolidObject
 from hitchopt.values import Array, check_instance, sequence, units
+from hitchopt.values.by_value import ByValue
 from hitchopt.values.fields import (
     InDegrees,
     Key,
@@ -137,7 +138,7 @@ CORNER = points((3,), "x, y, z", largest=units.MAX_WALL)
 
 @documented
 @dataclass(frozen=True, eq=False)
-class Arena(OneLine):
+class Arena(ByValue):
     """The box that the drones stay in."""
 
     lower: Annotated[Array, Key(CORNER, "Corner (3,) with the least x, y, z [m]", [-4, -4, 0])]
@@ -158,7 +159,7 @@ class Arena(OneLine):
 
 @documented
 @dataclass(frozen=True, eq=False)
-class Prism(OneLine):
+class Prism(ByValue):
     """An upright prism that the drones stay out of, by at least ``Separation.radius``."""
 
     polygon: Annotated[
@@ -207,7 +208,7 @@ def check_requirements(record: Any) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class Requirements(OneLine):
+class Requirements(ByValue):
     """All constraints of a plan at every time.
 
     Parameters

@@ -23,6 +23,7 @@ from hitchopt.values import (
     sequence,
     units,
 )
+from hitchopt.values.by_value import ByValue
 from hitchopt.values.fields import (
     FLAGS,
     Key,
@@ -337,7 +338,7 @@ def _loads(load: float | Sequence[float] | ArrayLike, clasps: int) -> NDArray[np
 
 @documented
 @dataclass(frozen=True, eq=False)
-class Team(OneLine):
+class Team(ByValue):
     """n catenary robots: two quadrotors each, on the ends of one cable.
 
     Raises

@@ -10,12 +10,13 @@ from typing import Annotated
 
 from hitchopt.checks import certify
 from hitchopt.checks.registry import rest_continuity
-from hitchopt.errors import InputError, OneLine
+from hitchopt.errors import InputError
 from hitchopt.motion.combined import combined
 from hitchopt.motion.motion import Group
 from hitchopt.motion.plan_file import saved_others
 from hitchopt.storage.archive import PLAN
 from hitchopt.values import path
+from hitchopt.values.by_value import ByValue
 from hitchopt.values.fields import Key, dict_of, documented, mapping_of, store, strings
 from hitchopt.values.units import START_TIME
 
@@ -33,7 +34,7 @@ def named_groups(name: str, groups: Sequence[Group]) -> list[Group]:
 
 @documented
 @dataclass(frozen=True, eq=False)
-class Other(OneLine):
+class Other(ByValue):
     """A plan of somebody else that flies besides, at rest before and after.
 
     It is read and certified when the record is made.

@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
-from hitchopt.errors import InputError, OneLine, UnitWarning
+from hitchopt.errors import InputError, UnitWarning
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Swarm, Team
 from hitchopt.hitch.hitch import UNIT_ERROR_RATIO, checked_polygon
@@ -36,6 +36,7 @@ from hitchopt.steps.moving import MoveStep
 from hitchopt.steps.step import LEGS, LEGS_TEXT, TRIANGLE, Polygon, SlackSplit, Stage, slack_split
 from hitchopt.steps.tying import check_rollable
 from hitchopt.values import Array, check_instance, closest_word, sequence, text
+from hitchopt.values.by_value import ByValue
 from hitchopt.values.fields import (
     Key,
     Missing,
@@ -422,7 +423,7 @@ ITEMS = list_of(dict_of(one_or_each(ANY_STEP, 1, MAX_STEPS), NAME, MAX_GROUPS), 
 
 @documented
 @dataclass(frozen=True, eq=False)
-class Problem(OneLine):
+class Problem(ByValue):
     """Missions of a team with a hitch, of single drones, or of several teams.
 
     Single drones are a ``Swarm`` that starts at places (N, 3) [m] and whose steps are ``Fly``. If

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hitchopt.errors import InputError, OneLine
+from hitchopt.errors import InputError
 from hitchopt.geometry import ConvexPolygon, differences, shortest_offset
 from hitchopt.geometry.vectors import dot, first_smallest, length, unit
 from hitchopt.values import (
@@ -23,13 +23,14 @@ from hitchopt.values import (
     points,
     positive,
 )
+from hitchopt.values.by_value import ByValue
 
 CONVEXITY_TOLERANCE = 1e-9
 """Largest depth of an outline's point inside the convex hull, relative to the outline's size."""
 
 
 @dataclass(frozen=True, eq=False)
-class Section(OneLine):
+class Section(ByValue):
     """A convex horizontal section in its object's frame: a polygon, or a circle about the origin.
 
     Parameters
@@ -105,7 +106,7 @@ class Section(OneLine):
         if self.outline is None:
             return length(positions) - self.rounding, unit(positions, [1.0, 0.0])
         # Separate coordinates (m, …): products of many short vectors take several times as long.
-        columns, normals = _sides_of(self)
+        columns, normals = self._columns
         columns = columns.reshape(*columns.shape, *(1,) * (positions.ndim - 1))
         x, y, along_x, along_y, squared, out_x, out_y = columns
         x, y = positions[..., 0] - x, positions[..., 1] - y
@@ -133,22 +134,21 @@ class Section(OneLine):
         distances = np.divide(depths, speeds, out=np.full_like(speeds, np.inf), where=speeds > 0.0)
         return np.asarray(np.min(distances, axis=-1))
 
+    @cached_property
+    def _columns(self) -> tuple[Array, Array]:
+        """Columns (7, m) that describe a polygon's sides, and their outward normals (m, 2).
+
+        The columns are first corners, vectors, squared lengths, and normals.
+        """
+        along, normals = self.sides[:, 1] - self.sides[:, 0], self._normals
+        return np.column_stack([self.core, along, dot(along, along), normals]).T, normals
+
     def segment_distance(self, first: Array, last: Array) -> Array:
         """Return distances (…) [m] of segments between points (…, 2), zero if they intersect."""
         ends = np.stack([first, last], axis=-2)[..., None, :, :]
         gaps = np.min(length(shortest_offset(differences(ends, self.sides))), axis=-1)
         inside = self.clearance(first)[0] <= 0.0
         return np.where(inside, 0.0, np.maximum(gaps - self.rounding, 0.0))
-
-
-@lru_cache(maxsize=256)
-def _sides_of(section: Section) -> tuple[Array, Array]:
-    """Return columns (7, m) that describe a polygon's sides, and their outward normals (m, 2).
-
-    The columns are first corners, vectors, squared lengths, and normals.
-    """
-    along, normals = section.sides[:, 1] - section.sides[:, 0], section._normals
-    return np.column_stack([section.core, along, dot(along, along), normals]).T, normals
 
 
 def _clockwise(outline: ArrayLike) -> Array:
@@ -225,7 +225,7 @@ class Slab:
 
 
 @dataclass(frozen=True, eq=False)
-class Rim(OneLine):
+class Rim(ByValue):
     """A thin rim or tray that may rest on cables: its section and its height above the base [m]."""
 
     section: Section
@@ -237,7 +237,7 @@ class Rim(OneLine):
 
 
 @dataclass(frozen=True, eq=False)
-class SolidObject(OneLine):
+class SolidObject(ByValue):
     """An upright rigid object of uniform density.
 
     Parameters

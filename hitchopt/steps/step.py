@@ -28,6 +28,7 @@ from hitchopt.planners.carrying.moves import Move
 from hitchopt.planners.carrying.planner import GraspState, MovePlanner
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.values import Array, Indices, finite, per_robot
+from hitchopt.values.by_value import ByValue
 from hitchopt.values.fields import (
     FLAGS,
     Key,
@@ -67,7 +68,7 @@ SPLIT = either(words("balanced", "spread"), list_of(LENGTH_OR_ZERO, 2, MAX_ROBOT
 
 
 @dataclass(frozen=True, eq=False)
-class RolledLegs:
+class RolledLegs(ByValue):
     """Legs that are rolled out of their plane."""
 
     sharing: Annotated[Literal["balanced", "spread"] | Array, Key(SPLIT, SPLIT_TEXT)] = "spread"

@@ -28,7 +28,6 @@ from hitchopt.errors import (
     FileError,
     InputError,
     JointInputError,
-    OneLine,
     UnitWarning,
     joint_error,
 )
@@ -48,6 +47,7 @@ from hitchopt.values import (
     integer,
     text,
 )
+from hitchopt.values.by_value import ByValue
 
 T = TypeVar("T")
 P = ParamSpec("P")
@@ -146,7 +146,7 @@ def store(record: object, **values: Any) -> None:
         object.__setattr__(record, name, stored)
 
 
-class Record(OneLine):
+class Record(ByValue):
     """A frozen record that checks its fields."""
 
     def __post_init__(self) -> None:
