@@ -115,7 +115,13 @@ class Mission(_Mission):
     def adjust(
         self, legs: _Legs = "balanced", duration: _Seconds = None, blend: bool = False
     ) -> Self: ...
-    def follow_vertex(self, vertex: int, path: ArrayLike, legs: _Legs | None = None) -> Self: ...
+    def follow_vertex(
+        self,
+        vertex: int,
+        path: ArrayLike,
+        legs: _Legs | None = None,
+        speed: float | None = None,
+    ) -> Self: ...
     def transport(self, to: ArrayLike, yaw: float = 0.0, duration: _Seconds = None) -> Self: ...
     def settle(self, seconds: float | Literal["auto"] = "auto") -> Self: ...
     def form(
@@ -196,6 +202,7 @@ def follow_vertex(
     vertex: int,
     path: ArrayLike,
     legs: _Legs | None = None,
+    speed: float | None = None,
     **required: Unpack[_Required],
 ) -> Plan: ...
 def transport(

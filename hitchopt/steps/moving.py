@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 
 import numpy as np
 
-from hitchopt.errors import InputError
+from hitchopt.checks.drones import VERTEX_SPEED
+from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import checked_polygon
@@ -40,13 +41,14 @@ from hitchopt.steps.step import (
     Yaw,
     checks_relaxed_by,
     moves_plan,
+    plan_in_sequence,
     planner_of,
     scaled_points,
 )
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, bounded_points
 from hitchopt.values.fields import FLAGS, Key, either, list_of, mapping_of, points
-from hitchopt.values.units import DURATION, TENSION
+from hitchopt.values.units import DURATION, SPEED, TENSION
 
 if TYPE_CHECKING:
     from hitchopt.planners.morph.actions import Action, ActionFlight
@@ -421,17 +423,35 @@ MIN_GAP = 1e-3
 MAX_TIME = 1e5
 """Maximum time of a point [s]."""
 
+MIN_STRETCH = 1e-3
+"""Minimum distance of two points without times [m]; a smooth path cannot turn within less."""
+
+RIGHT_ANGLE = 1e-9
+"""Products of two stretches of a path up to this size are those of right angles [m²]."""
+
 _PATH_TEXT = (
     "Points [t, x, y] [s, m, m], t from the step's start, increasing; between "
-    "equal points that follow each other the vertex stands still"
+    "equal points that follow each other the vertex stands still; with a speed also points [x, y]"
 )
 
+_SPEED_TEXT = (
+    "Largest speed of the vertex, which it keeps on its path through points [x, y]; null: "
+    "limits.vertex_speed"
+)
 
 _POINTS = points((None, 3), "t, x, y", largest=MAX_TIME)
+_PLACES = points((None, 2), "x, y")
 
 
-def _timed_path(key: str, value: object) -> Array:
-    """Return points (J, 3) whose times increase, or raise InputError."""
+def _vertex_path(key: str, value: object) -> Array:
+    """Return points (J, 3) whose times increase, or places (J, 2); or raise InputError."""
+    rows = value.tolist() if isinstance(value, np.ndarray) else value
+    if isinstance(rows, list | tuple) and rows and np.shape(rows[0]) == (2,):
+        places: Array = _PLACES.check(key, value)
+        if np.min(np.linalg.norm(np.diff(places, axis=0), axis=1), initial=np.inf) < MIN_STRETCH:
+            bound = f"points [x, y] at least {MIN_STRETCH:g} m apart"
+            raise InputError(key, places.tolist(), bound, "remove repeated points")
+        return places
     path: Array = _POINTS.check(key, value)
     bounded_points(key, path[:, 1:])
     gaps = np.diff(path[:, 0], prepend=0.0)[int(path[0, 0] == 0.0) :]
@@ -441,38 +461,91 @@ def _timed_path(key: str, value: object) -> Array:
     return path
 
 
-_PATH = replace(_POINTS, check=_timed_path)
+_PATH = replace(_POINTS, check=_vertex_path, schema={"anyOf": [_POINTS, _PLACES]})
 
 
 @dataclass(frozen=True, eq=False)
 class FollowVertex(ActionStep):
-    """One vertex follows timed points; it meets them at their times, at rest before and after."""
+    """One vertex follows points, at rest before and after.
+
+    It meets timed points at their times. With a speed, points need no times: it moves at this speed
+    on a smooth path through them. It stops at points where it turns by more than a right angle, and
+    is slower where a drone's limit binds.
+    """
 
     blendable: ClassVar[bool] = False
     action_fields: ClassVar[tuple[str, ...]] = ("vertex", "path")
     vertex: WhichPoint
     path: Annotated[Array, Key(_PATH, _PATH_TEXT, [[1.0, 0.0, -0.9]])]
     legs: LegsAtEnd = None
+    speed: Annotated[float | None, Key(SPEED, _SPEED_TEXT)] = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.is_timed and self.speed is None:
+            bound = "points [t, x, y], or points [x, y] with a speed"
+            raise InputError("path", self.path.tolist(), bound, "add times, or the step's speed")
 
     @property
-    def duration(self) -> float:
-        """Time of the last point [s]."""
-        return float(self.path[-1, 0])
+    def is_timed(self) -> bool:
+        """Whether its points have times."""
+        return int(self.path.shape[1]) == 3
+
+    @property
+    def duration(self) -> float | None:
+        """Time of the last point [s]; None without times."""
+        return float(self.path[-1, 0]) if self.is_timed else None
 
     def polygon_after(self, team: Team, outline: Outline) -> Outline:
         """Return the outline with the vertex at the last point."""
         points = outline.vertices.copy()
-        points[_checked_index("vertex", self.vertex, len(points))] = self.path[-1, 1:]
+        points[_checked_index("vertex", self.vertex, len(points))] = self.path[-1, -2:]
         return _convex(team, points, "path", self.path)
+
+    def plan(self, task: StepTask) -> StepPlan:
+        """Return the plan of the step, from stop to stop."""
+        *first, last = self._stretches(task.hitch.polygon.vertices[self.vertex])
+        steps = [*(replace(self, path=path, legs=None) for path in first), replace(self, path=last)]
+        if not first:
+            return super().plan(task)
+        return plan_in_sequence([step.plan for step in steps], task)
+
+    def _stretches(self, start: Array) -> list[Array]:
+        """Return the points from one stop of a path without times to the next one."""
+        if self.is_timed:
+            return [self.path]
+        places = np.vstack([start, self.path])
+        along = np.diff(places, axis=0)
+        back = np.sum(along[1:] * along[:-1], axis=1) < -RIGHT_ANGLE
+        return np.split(self.path, np.flatnonzero(back) + 1)
 
     def fly(self, task: StepTask) -> StepPlan:
         """Return the plan along the points; the optimiser has no other route."""
         end = self.end(task)
         self.check_end(end.hitch, task)
-        return task.plan_ending(self.direct_motion(task, end), end.hitch)
+        if self.speed is None:
+            return task.plan_ending(self.direct_motion(task, end), end.hitch)
+        limits, when = task.requirements.limits, f"in step {task.index} ({self.name})"
+        if self.speed > limits.vertex_speed:
+            values = self.speed, limits.vertex_speed, "max", "m/s", (f"p{self.vertex}",), when
+            remedy = "lower the step's speed, or raise limits.vertex_speed"
+            raise InfeasibleError([Violation("vertex_speed", *values, remedy)])
+        slow = replace(task.requirements, limits=replace(limits, vertex_speed=self.speed))
+        motion = self.direct_motion(task.within(slow, task.before), end)
+        check = VERTEX_SPEED.check(motion)
+        if check is not None and not check.holds:  # of points with times
+            remedy = "give the points more time or none, or raise the step's speed"
+            raise InfeasibleError([check.violation(f"at t = {check.time:.4g} s, {when}", remedy)])
+        return task.plan_ending(motion.replaced(requirements=task.requirements), end.hitch)
 
     def knobs(self) -> Iterator[Knob]:
-        """Yield the times of the points, to be scaled up or down."""
+        """Yield the speed, and the times of points, to be scaled up or down."""
+        if self.speed is not None:
+            covers = frozenset({PLAN_DURATION, *({"vertex_speed"} if self.is_timed else ())})
+            yield Knob("speed", self.speed, "m/s", covers=covers)
+            yield Knob("speed", self.speed, "m/s", sign=-1, covers=frozenset({"vertex_speed"}))
+        if not self.is_timed:
+            return
 
         def scale_times(factor: float) -> Edits:
             times = scaled_points(self.path[:, 0], factor, np.zeros(1))
@@ -485,8 +558,8 @@ class FollowVertex(ActionStep):
 
     def scaled(self, factor: float, centre: Array) -> tuple[Edits, Array]:
         """Return the edit that scales its points about ``centre``."""
-        points = scaled_points(self.path[:, 1:], factor, centre)
-        return (Edit("path", np.column_stack([self.path[:, 0], points]).tolist()),), centre
+        points = scaled_points(self.path[:, -2:], factor, centre)
+        return (Edit("path", np.column_stack([self.path[:, :-2], points]).tolist()),), centre
 
 
 @dataclass(frozen=True, eq=False)

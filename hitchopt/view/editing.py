@@ -107,7 +107,8 @@ def handles(problem: Problem, data: Plain, index: int, height: float) -> Iterato
         altitude = (((*step, "altitude"), 2),) if has_altitude else ()
         yield replace(hitch, numbers=(*hitch.numbers, *altitude))
     elif "path" in keys:
-        yield from (handle(f"point {j}", ("path", j), first=1) for j in range(len(keys["path"])))
+        for j, row in enumerate(keys["path"]):  # [t, x, y] or [x, y]
+            yield handle(f"point {j}", ("path", j), first=len(row) - 2)
     elif ("vertex" in keys or "edge" in keys) and ("to" in keys or "by" in keys):
         kind = "vertex" if "vertex" in keys else "edge"
         name = f"{kind} {keys[kind]}"

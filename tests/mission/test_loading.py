@@ -396,6 +396,32 @@ def test_templates_show_every_key_with_its_default(kind: str, team: str) -> None
     assert plain(read) == plain(unchanged)
 
 
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"path": [[2.0, 0.3], [2.05, 0.35]], "speed": 0.05}, ""),
+        ({"path": [[3.0, 2.0, 0.3]], "speed": 0.2}, ""),
+        ({"path": [[3.0, 2.0, 0.3]], "speed": None}, ""),
+        ({"path": [[2.0, 0.3]]}, "mission[0].follow_vertex.path = [[2.0, 0.3]]: must be points"),
+        ({"path": [[2.0, 0.3], [1.0, 2.0, 0.4]], "speed": 0.1}, "follow_vertex.path[1] = "),
+        ({"path": [[2.0, 0.3]], "speed": 0.0}, "follow_vertex.speed = 0"),
+    ],
+)
+def test_a_vertex_follows_points_with_times_or_at_a_speed(
+    keys: dict[str, Any], message: str
+) -> None:
+    data = {**triangle(), "mission": [{"follow_vertex": {"vertex": 0, **keys}}]}
+    if message:
+        with pytest.raises(InputError) as caught:
+            problem_from_dict(data)
+        assert message in str(caught.value)
+        return
+    (step,) = problem_from_dict(data).mission
+    assert step.speed == keys["speed"]
+    np.testing.assert_array_equal(step.path, keys["path"])
+    VALIDATOR.validate(data)
+
+
 def test_files_are_read_without_solvers() -> None:
     """Errors of a file are reported before any planner is imported."""
     script = (

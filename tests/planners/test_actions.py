@@ -113,6 +113,8 @@ THERE_AND_BACK: dict[str, Callable[[ho.Hitch, int], ho.Plan]] = {
     "adjust": lambda h, sign: ho.adjust(h, "balanced" if sign > 0 else uneven(5).q_legs),
     "follow_vertex": lambda h, sign: ho.follow_vertex(
         h, 0, [[2.0, *(h.vertices[0, :2] - [0.1 * sign, 0.05 * sign])]]),
+    "follow_vertex at a speed": lambda h, sign: ho.follow_vertex(
+        h, 0, [h.vertices[0, :2] - [0.1 * sign, 0.05 * sign]], speed=0.1),
     "transport": lambda h, sign: ho.transport(
         h, [3.4, -1.2, 1.6] if sign > 0 else [*uneven(5).polygon.centroid, 1.3], yaw=1.1 * sign),
 }
@@ -192,6 +194,53 @@ def test_points_are_reached_at_their_times_and_pauses_are_at_rest() -> None:
     assert np.max(np.abs(plan.at(2.0).velocities)) > 0.01  # passed, not stopped at
     others = np.delete(plan.at(np.linspace(0.0, 9.0, 200)).vertices, K, axis=1)
     np.testing.assert_allclose(others, np.broadcast_to(others[0], others.shape), atol=1e-12)
+
+
+CORNERS = [HERE + by for by in ([0.0, 0.06], [0.08, 0.06], [0.08, -0.05])]
+
+
+@pytest.mark.parametrize("speed", [0.02, 0.1])
+@pytest.mark.parametrize("points", [[HERE + [0.12, 0.05]], CORNERS, [HERE, CORNERS[1], HERE]])
+def test_a_vertex_keeps_its_speed_on_its_path_through_points(
+    points: list[np.ndarray[Any, Any]], speed: float
+) -> None:
+    plan = ho.follow_vertex(START, K, points, speed=speed)
+    times = np.linspace(0.0, plan.duration, 3001)
+    places = plan.at(times).vertices[:, K, :2]
+    for point in points:
+        assert np.min(np.linalg.norm(places - point, axis=1)) < 1.1e-3 * plan.duration * speed
+    np.testing.assert_allclose(places[-1], points[-1], atol=1e-9)
+    speeds = np.linalg.norm(plan.motion.vertices.at(times, 1)[:, K], axis=-1)
+    assert np.max(speeds) <= speed
+    stops = np.array([0.0, *(phase.end for phase in plan.phases)])
+    assert len(stops) == 2 + (points[-1] is HERE)  # it also stops where it turns back
+    np.testing.assert_allclose(plan.at(stops).velocities, 0.0, atol=1e-9)
+    ramp = 0.4  # [s] to this speed and back, within the limits of drones
+    moving = np.min(np.abs(times[:, None] - stops), axis=1) > ramp
+    assert np.min(speeds[moving]) > 0.95 * speed
+    others = np.delete(plan.at(times).vertices, K, axis=1)
+    np.testing.assert_allclose(others, np.broadcast_to(others[0], others.shape), atol=1e-12)
+
+
+def test_a_speed_limits_points_with_times_and_is_limited_itself() -> None:
+    path, peak = [[4.0, *(HERE + [0.1, 0.0])]], 15.0 / 8.0 * 0.1 / 4.0
+    plans = [ho.follow_vertex(START, K, path, speed=speed) for speed in (None, 1.01 * peak)]
+    a, b = (plan.motion.vertices.coefficients for plan in plans)
+    np.testing.assert_array_equal(a, b)
+    with pytest.raises(ho.InfeasibleError, match="give the points more time or none") as caught:
+        ho.follow_vertex(START, K, path, speed=0.99 * peak)
+    (fast,) = caught.value.violations
+    assert (fast.constraint, fast.where) == ("vertex_speed", (f"p{K}",))
+    assert fast.value == pytest.approx(peak, rel=1e-4)
+    with pytest.raises(ho.InfeasibleError, match=r"0\.3 m/s is above the limit of 0\.2 m/s at p3"):
+        ho.follow_vertex(START, K, CORNERS, speed=0.3, limits=ho.Limits(vertex_speed=0.2))
+    for points, words in (
+        ([CORNERS[0]], "add times, or the step's speed"),
+        ([CORNERS[0], CORNERS[0]], "remove repeated points"),
+    ):
+        speed = 0.1 if len(points) > 1 else None
+        with pytest.raises(ho.InputError, match=rf"^path = .*{words}"):
+            ho.follow_vertex(START, K, points, speed=speed)
 
 
 def test_infeasible_points_are_refused_by_name() -> None:

@@ -129,25 +129,31 @@ def adjust(start: Hitch, polygon: Outline) -> Action:
 
 
 def follow_vertex(start: Hitch, polygon: Outline, vertex: int, points: Array) -> Action:
-    """Return the action that moves a vertex through timed points, with the law of move_vertex.
+    """Return the action that moves a vertex through points, with the law of move_vertex.
 
     Parameters
     ----------
     start: the hitch before.
     polygon: the outline after.
     vertex: index of the vertex.
-    points: (J, 3), rows ``t, x, y`` [s, m, m]; t increases from 0 or later.
+    points: (J, 3), rows ``t, x, y`` [s, m, m], t increasing from 0 or later; or (J, 2) [m], rows
+        ``x, y``, which are not timed. The first of those may be the vertex's own place.
 
     Raises
     ------
     InfeasibleError: a point at t = 0 that differs from the vertex.
     """
-    origin = start.vertices[vertex, :2]
+    origin, action = start.vertices[vertex, :2], move_vertex(start, polygon, vertex)
+    first = points[0, -2:]
+    distance = float(np.linalg.norm(first - origin))
+    if points.shape[1] == 2:
+        ahead = points[1:] if distance <= START_TOLERANCE else points
+        path = _smooth_track(np.vstack([origin, ahead])) if len(ahead) else None
+        return replace(action, track=path and _of_all_vertices(start, vertex, path))
     if points[0, 0] == 0.0:
-        distance, first = float(np.linalg.norm(points[0, 1:] - origin)), points[0, 1:].tolist()
         if distance > START_TOLERANCE:
             where, place = (f"p{vertex}",), origin.round(9).tolist()
-            remedy = f"the path begins at t = 0 at {first}, the vertex is at {place}: "
+            remedy = f"the path begins at t = 0 at {first.tolist()}, the vertex is at {place}: "
             remedy += "begin there, or later"
             violation = Violation(
                 "continuity", distance, START_TOLERANCE, "max", "m", where, "at t = 0", remedy
@@ -155,13 +161,32 @@ def follow_vertex(start: Hitch, polygon: Outline, vertex: int, points: Array) ->
             raise InfeasibleError([violation])
         points = points[1:]
     times = np.append(0.0, points[:, 0])
-    track = vertex_track(times, np.vstack([origin, points[:, 1:]]))
+    track, seconds = vertex_track(times, np.vstack([origin, points[:, 1:]])), float(times[-1])
+    path = track.replaced(track.coefficients, times / seconds)
+    return replace(action, track=_of_all_vertices(start, vertex, path), seconds=seconds)
+
+
+def _of_all_vertices(start: Hitch, vertex: int, track: PiecewisePolynomial) -> PiecewisePolynomial:
+    """Return the path (points, 3) [m] on which one vertex follows a track (2,), others rest."""
     constants = np.repeat(start.vertices[None, ..., None], track.pieces, axis=0)
     coefficients = np.repeat(constants, track.degree + 1, axis=-1)
     coefficients[:, vertex, :2] = track.coefficients
-    seconds = float(times[-1])
-    path = PiecewisePolynomial(times / seconds, coefficients)
-    return replace(move_vertex(start, polygon, vertex), track=path, seconds=seconds)
+    return PiecewisePolynomial(track.breaks, coefficients)
+
+
+def _smooth_track(points: Array) -> PiecewisePolynomial:
+    """Return the spline through points (J, d) [m] over s, a piece per stretch; straight at ends."""
+    lengths = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+    s = lengths / lengths[-1]
+    return PiecewisePolynomial(s, _through(s, points, (2, 3)))
+
+
+def _through(s: Array, points: Array, zero_orders: tuple[int, int]) -> Array:
+    """Return the coefficients (J - 1, d, 6) of a quintic spline through points (J, d) at s (J,)."""
+    spline = quintic_spline(s - s[0], points, zero_orders)
+    coefficients = PiecewisePolynomial.from_spline(spline).coefficients.copy()
+    coefficients[..., 0], coefficients[..., -1] = points[:-1], points[1:]
+    return coefficients
 
 
 def vertex_track(times: Array, points: Array) -> PiecewisePolynomial:
@@ -181,11 +206,8 @@ def vertex_track(times: Array, points: Array) -> PiecewisePolynomial:
         if resting[first]:
             coefficients[span] = points[span, :, None]
             continue
-        knots = times[first : last + 1]
-        spline = quintic_spline(knots - knots[0], points[first : last + 1], (1, 2))
-        coefficients[span] = PiecewisePolynomial.from_spline(spline).coefficients
-        coefficients[span, :, 0] = points[first:last]
-        coefficients[span, :, -1] = points[first + 1 : last + 1]
+        knots = slice(first, last + 1)
+        coefficients[span] = _through(times[knots], points[knots], (1, 2))
     return PiecewisePolynomial(times, coefficients)
 
 
@@ -235,7 +257,7 @@ class ActionMorph:
         action, seconds = self.action, self.action.seconds
         team, s = action.start.team, np.linspace(0.0, 1.0, PATH_SAMPLES)
         distance = np.max(np.abs(self.end.drones - action.start.drones))
-        if seconds is None and distance < POSITION_TOLERANCE:
+        if action.track is None and distance < POSITION_TOLERANCE:
             return ActionFlight(None)
         path = self.problem
         if seconds is None:

@@ -51,8 +51,8 @@ def quintic_spline(s: Array, values: Array, zero_orders: tuple[int, int]) -> BSp
 
     Parameters
     ----------
-    zero_orders: orders of the two derivatives that vanish at both ends: (1, 2) at rest, (3, 4) for
-        a natural spline.
+    zero_orders: orders of the two derivatives that vanish at both ends: (1, 2) at rest, (2, 3)
+        straight, (3, 4) for a natural spline.
     """
     zero = np.zeros(values.shape[1:])
     ends = [(order, zero) for order in zero_orders]  # the stubs allow one condition per end
