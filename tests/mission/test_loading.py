@@ -378,7 +378,7 @@ def test_models_of_drones_are_named_in_files() -> None:
 def test_templates_show_every_key_with_its_default(kind: str, team: str) -> None:
     """Uncommented, their sections are read, and change nothing."""
     text = problem_text(TEMPLATE.with_stem(f"template{kind}"))
-    text = re.sub(r"\n  quadrotor: \w+ .*", "", text)  # the model, instead of its numbers
+    text = re.sub(r"\n  quadrotor: \S+ .*", "", text)  # the model, instead of its numbers
     uncommented = re.sub(
         r"^( *)# ?(?=( *)\w+:(  |$))|^( *)# ?(?=( *)\w+: \S+ +# )", r"\1\4", text, flags=re.M
     )
