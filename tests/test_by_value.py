@@ -54,7 +54,8 @@ def examples() -> list[Any]:
         ho.Problem(swarm, [[0, 0, 1], [1, 0, 1]], [ho.Fly(np.array([[0, 1, 1], [1, 1, 1]]))]),
         *(ho.SwapSettings(0.2), RolledLegs("spread", np.array([0.1, 0.2, 0.1]))),
         *(ho.Assignment((1, 0), (True, False)), ho.Quadrotor(0.1, 2.0), ho.Gains(kp=(1.0, 2.0))),
-        *map(example_of, (*STEPS, ho.Fly)),
+        *(map(example_of, STEPS)),
+        example_of(ho.Fly),
     ]
 
 
