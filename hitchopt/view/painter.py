@@ -39,11 +39,13 @@ MIN_ROTOR_CORNERS, SUBDIVISIONS = 4, 3
 LIGHT, MIN_BRIGHTNESS = unit(np.array([-0.35, -0.55, 1.0])), 0.62
 # Maximum number of panels that are large enough to read; number up to which another picture fits
 MAX_PANELS, FEW_PANELS = 9, 3
+MOTION_PANELS = 5  # Number of panels up to which moments of motions are added
 # Factor of the reduction of corners, by maximum number of robots
 CORNER_STEPS = {12: 1, 30: 2, 100: 4, math.inf: 8}
 # Minimum travel of some drone between two panels [m], and travel [m] that is added to the rank of
 # essential moments
 MIN_TRAVEL, PRIORITY_TRAVEL = 1e-3, 1e6
+TINY_STEP = 1e-9  # Least path between two samples [m], so that path lengths increase
 AZIMUTH, ELEVATION = -115.0, 38.0  # Direction of the camera [deg]
 # Radius of a drawn cable as a share of the extent, large enough to show clasps in small panels;
 # margin, and minimum radius of a drone, as shares of a panel's height
@@ -202,6 +204,38 @@ def choose_shots(motion: Motion) -> tuple[Shot, ...]:
     rank = travel[moved] + np.where([shots[i].essential for i in moved], PRIORITY_TRAVEL, 0.0)
     rank[-1] = np.inf
     return tuple(shots[i] for i in np.sort(moved[np.argsort(-rank, kind="stable")[:MAX_PANELS]]))
+
+
+def shots_in_motion(motion: Motion, count: int = MOTION_PANELS) -> tuple[Shot, ...]:
+    """Return the shots of a plan and, if they are fewer than ``count``, moments of its motions.
+
+    These divide the longest paths between two shots into equal parts.
+    """
+    shots, travel = choose_shots(motion), _travel(motion)
+    times = np.linspace(0.0, motion.duration, len(travel))
+    reached = np.interp([shot.time for shot in shots], times, travel)
+    parts = np.ones(len(shots) - 1, dtype=np.intp)
+    lengths = np.diff(reached)
+    while np.sum(parts) < count - 1 and np.max(lengths / parts, initial=0.0) > MIN_TRAVEL:
+        parts[np.argmax(lengths / parts)] += 1
+    paths = zip(reached, lengths, parts, strict=False)
+    inner = [begin + size * np.arange(1, n) / n for begin, size, n in paths]
+    moments = np.interp(np.concatenate([*inner, []]), travel, times)
+    added = [Shot(_phase_at(motion, time), time) for time in moments.tolist()]
+    return tuple(sorted([*shots, *added], key=lambda shot: shot.time))
+
+
+def _travel(motion: Motion) -> Array:
+    """Return the increasing path lengths [m] of the fastest drones at even times (samples,)."""
+    times = np.linspace(0.0, motion.duration, PATH_SAMPLES)
+    places = motion.drones.at(motion.drones.breaks[0] + times)
+    steps = np.max(np.linalg.norm(np.diff(places, axis=0), axis=-1), axis=-1)
+    return np.concatenate([[0.0], np.cumsum(steps + TINY_STEP)])
+
+
+def _phase_at(motion: Motion, time: float) -> str:
+    """Return the name of the phase at a time [s]."""
+    return next((phase.name for phase in motion.phases if time <= phase.end), "end")
 
 
 def _passages(motion: Motion, shots: Sequence[Shot]) -> list[Shot]:

@@ -21,7 +21,8 @@ from pictured import made_certificate, make_motion
 import hitchopt as ho
 from hitchopt.checks.closeness import closeness
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.view.painter import MAX_PANELS, choose_shots
+from hitchopt.motion.retiming import resting
+from hitchopt.view.painter import MAX_PANELS, MIN_TRAVEL, choose_shots, shots_in_motion
 from hitchopt.view.pictures import (
     draw_closeness,
     draw_plan_view,
@@ -190,6 +191,23 @@ def test_a_storyboard_has_the_moments_that_matter() -> None:
     times = [shot.time for shot in choose_shots(many)]
     assert times == sorted(times)
     assert (len(times), times[0], times[-1] >= 2.2 - 1e-9) == (MAX_PANELS, 0.0, True)
+    assert shots_in_motion(many) == choose_shots(many)
+
+
+def test_a_storyboard_of_few_moments_divides_the_paths_between_them() -> None:
+    motion = make_motion(3)
+    (start, end), shots = choose_shots(motion), shots_in_motion(motion, 5)
+    assert (shots[0], shots[-1]) == (start, end)
+    assert {shot.words for shot in shots[1:-1]} == {"morph"}
+    times = [shot.time for shot in shots]
+    places = motion.drones.at(motion.drones.breaks[0] + np.linspace(0.0, times[-1], 2001))
+    steps = np.max(np.linalg.norm(np.diff(places, axis=0), axis=-1), axis=-1)
+    middles = np.linspace(0.0, times[-1], 4001)[1::2]
+    paths = np.histogram(middles, times, weights=steps)[0]
+    np.testing.assert_allclose(paths, np.sum(steps) / 4, rtol=0.03)
+    assert paths[0] > MIN_TRAVEL
+    still = resting(motion, 3.0)
+    assert shots_in_motion(still) == choose_shots(still) == (start,)
 
 
 @pytest.mark.parametrize("n", [1, 5, 40])

@@ -23,7 +23,7 @@ from hitchopt.storage.archive import RECORDING
 from hitchopt.storage.files import Writer, replace_files, write_strict_json
 from hitchopt.values import Array
 from hitchopt.view import style
-from hitchopt.view.painter import Shot, choose_shots, draw_storyboard
+from hitchopt.view.painter import MAX_PANELS, Shot, draw_storyboard, shots_in_motion
 from hitchopt.view.pictures import draw_phases
 from hitchopt.view.scene import Scene, recorded_scene
 
@@ -168,10 +168,10 @@ def drawn_flight(simulation: Simulation, motion: Motion, title: str = "") -> Fig
     scene = flight_scene(simulation, motion)
     if scene is not None:  # shots of the plan up to the end, and the end
         end = float(scene.t[-1])
-        shots = [shot for shot in choose_shots(motion) if shot.time <= end + SHOT_TOLERANCE]
+        shots = [shot for shot in shots_in_motion(motion) if shot.time <= end + SHOT_TOLERANCE]
         if np.isfinite(simulation.flight.pulled):
             words = "after the pull test" if simulation.flight.task.states.formed[-1] else "at rest"
-            shots = [*shots[: max(1, len(shots) - 1)], Shot(words, end, essential=True)]
+            shots = [*shots[: MAX_PANELS - 1], Shot(words, end, essential=True)]
         radius = ROPE_RADIUS * float(np.linalg.norm(np.ptp(scene.drones, axis=(0, 1))))
         thick = replace(scene, radius=float(np.clip(radius, scene.radius, MAX_ROPE_RADIUS)))
         draw_storyboard(grid[:, 0], thick, shots, (scene.t, scene.drones))
