@@ -71,7 +71,7 @@ def evaluate(
     if recording is None:
         bound = "a recording, or none with --markers"
         raise InputError("RECORDING", Missing(), bound, "name the file that was recorded")
-    from hitchopt.lab.flights.evaluation import save_evaluation, summary
+    from hitchopt.lab.flights.evaluation import LATEX, save_evaluation, summary
 
     with ProgressBar("reading and evaluating"):
         result = ho.evaluate(recording, task, **options)
@@ -81,7 +81,7 @@ def evaluate(
     say(_tables(result), directory=str(folder), evaluation=summary(result))
     for remark in result.remarks:
         say(f"note: {remark}")
-    say(f"results are in {folder}")
+    say(f"results are in {folder}; {LATEX} is the table in LaTeX")
 
 
 def _tables(evaluation: ho.Evaluation) -> str:
