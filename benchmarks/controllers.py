@@ -73,7 +73,7 @@ class FlightFigures:
     ratio: float = np.nan  # least separation in flight
 
     @classmethod
-    def of(cls, simulation: Simulation, separation: ho.Separation) -> FlightFigures:
+    def of(cls, simulation: Simulation) -> FlightFigures:
         """Return the figures of a flight."""
         flight, outcome = simulation.flight, simulation.outcome
         record, task = flight.record, flight.task
@@ -81,12 +81,8 @@ class FlightFigures:
         formed = outcome.hitched if ends_formed else outcome.succeeded
         in_flight = record.t <= task.duration
         off = 100.0 * np.linalg.norm(record.drones - record.commanded, axis=-1)
-        semi_axes = [separation.radius, separation.radius, separation.height]
-        places = record.drones[in_flight] / (2.0 * np.array(semi_axes))
-        first, second = np.triu_indices(places.shape[1], 1)
-        ratios = np.linalg.norm(places[:, first] - places[:, second], axis=-1)
         figures = {"tilt": simulation.figures["peak_tilt"], "off": np.max(off[in_flight])}
-        figures["ratio"] = np.min(ratios)
+        figures["ratio"] = simulation.figures["separation"]
         if formed and ends_formed:
             rest = (record.t > task.duration) & (record.t <= flight.rested)
             offsets = simulation.errors.offsets[simulation.errors.t > task.duration]
@@ -130,9 +126,7 @@ def fly(
         estimator=estimator,
         upload=sent == "uploaded",
     )
-    motion = simulation.flight.task.motion
-    separation = ho.Separation() if motion is None else motion.requirements.separation
-    return FlightFigures.of(simulation, separation)
+    return FlightFigures.of(simulation)
 
 
 def row(case: Case, flights: Sequence[FlightFigures]) -> tuple[object, ...]:

@@ -32,6 +32,8 @@ LIMITATIONS = (
     "of steady wind, downwash, cables 0.5 % off, starts 2 cm off; a touch of any drone fails"
 )
 
+DENSITY = 0.01  # Of ropes of plans with weightless cables [kg/m]
+
 EXPERIMENTS = (
     "paper_experiment_1",
     "paper_experiment_2",
@@ -72,6 +74,8 @@ def fly(
     plan: ho.Plan, runs: int, seed: int, preset: str, processes: int, **settings: Any
 ) -> list[CampaignRun]:
     """Return the figures of perturbed flights of a plan with consecutive seeds."""
+    if not plan.motion.team.cable_density:
+        settings["density"] = DENSITY
     with tempfile.TemporaryDirectory() as place, ProcessPoolExecutor(processes) as pool:
         one = partial(_one, plan.save(Path(place) / "plan"), preset, settings)
         return list(pool.map(one, range(seed, seed + runs)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +49,12 @@ def test_one_flight_reports_that_it_holds_and_writes_files(solved: Path) -> None
     result = run("simulate", solved, code=0)
     for words in (
         "every vertex holds; results are in",
-        "the fast preset is 1 to 2 cm off; take the accurate one",
+        "preset fast: links of 30 mm catch at clasps, .* with --preset accurate, links of 10 mm",
+        r"p0( +\d\.\d){3}\n",
+        r"all, at rest( +\d\.\d){3}\n",
+        r"least separation of drones \[ellipsoids\] +\d\.\d\d, [qr]\d and [qr]\d\n",
+        r"tension over planned +[01]\.\d\d ± 0\.\d\d \([01]\.\d\d\)\n",
+        r"flown by +ideal\n",
         r"p0 +-?1 +0\.\d+ +0\.15 .*yes +yes",
         r"position loops \[N/m\] +4.75\n",
         r"ropes weigh \[g/m\] +10\n +as the plan knows +10\n",
@@ -65,7 +71,12 @@ def test_one_flight_reports_that_it_holds_and_writes_files(solved: Path) -> None
     assert re.search(rf"drones to their setpoints \[cm\] +{re.escape(tracked)}", result.stdout)
     assert spread_text(Spread.of(np.array([0.01, 0.03, np.nan]))) == "2.0 ± 1.0 (3.0)"
     size = 1e3 * summary["compensation"]["cables_longer"]
-    assert re.search(rf"ropes longer for their bends \[mm\] +≤ {size:.1f}", result.stdout)
+    assert re.search(rf"extra rope for bends \[mm\] +≤ {size:.1f}", result.stdout)
+    *_, last = result.stdout.splitlines()
+    line = shlex.split(last.removeprefix("for the table in LaTeX: hitchopt "))
+    assert "evaluation.tex is the table in LaTeX" in run(*line, code=0).stdout
+    table = (solved / "evaluation" / "evaluation.tex").read_text(encoding="utf-8")
+    assert re.search(r"^p0 & all( & \d+\.\d){3} &", table, re.MULTILINE)
     run("check", solved, code=0)  # the plan's own files are as they were
 
 

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
-from scripted import hanging_task, resting_task
+from scripted import hanging_task, regular_hitch, resting_task
 
 import hitchopt as ho
 from hitchopt.errors import InputError
@@ -26,8 +26,9 @@ from hitchopt.hitch.estimator import FIRMWARE, HELD, ONE_MARKER, EstimatorParame
 from hitchopt.hitch.flight_controller import CONTROLLERS, FlightController, stiffest_gains
 from hitchopt.lab.simulation import estimator as estimators
 from hitchopt.lab.simulation.autopilots import PERIOD, Autopilots
-from hitchopt.lab.simulation.commands import Commands, flown_team, received
+from hitchopt.lab.simulation.commands import Commands, flown_team, received, resolved
 from hitchopt.lab.simulation.estimator import LATENCY, Estimator, rotation
+from hitchopt.lab.simulation.flight import fly
 from hitchopt.lab.simulation.settings import Settings, settings_of
 from hitchopt.lab.simulation.task import Task
 from hitchopt.lab.simulation.world import BODY_RADIUS, RADII_OF_GYRATION, RigidBodies
@@ -427,13 +428,83 @@ def test_gains_are_the_teams_or_the_stiffest_or_given() -> None:
         ({"upload": True}, "upload = True: must be left out without a controller"),
         ({"estimator": "crazyflie"}, "estimator = .*left out without a controller"),
         ({"gains": {"kp": 1.0}}, "gains = .*left out without a controller"),
+        ({"controller": "ideal", "upload": True}, "upload = True: must be left out without"),
         ({"controller": "pid", "estimator": "best"}, "estimator = 'best': must be one of ideal"),
         ({"controller": "lee", "upload": True, "feedback": True}, "feedback = True"),
+        ({"latency": 0.02}, "latency = 0.02: must be left out without an estimator"),
+        ({"controller": "lee", "latency": 0.02}, "left out without an estimator"),
     ],
 )
 def test_incompatible_settings_are_refused(given: dict[str, Any], told: str) -> None:
+    task = resting_task(regular_hitch(3), 0.1)
     with pytest.raises(InputError, match=told):
-        settings_of("fast", perturbed=False, **given)
+        resolved(task, settings_of("fast", perturbed=False, **given))
+
+
+STIFF = stiffest_gains(MASS)
+
+
+def still_task(kind: ho.Quadrotor, seconds: float = 0.1) -> Task:
+    """Return the task of a triangle at rest that is planned without tracking errors."""
+    motion = ho.hold(regular_hitch(3), seconds).motion
+    return Task.of(motion.replaced(team=replace(motion.team, quadrotor=(kind,) * 3)))
+
+
+@pytest.mark.parametrize(
+    ("kinds", "given", "expected"),
+    [
+        ({}, {}, ("ideal", None, False)),
+        ({"stiffness": 3.0, "integral": True}, {}, ("ideal", None, False)),
+        ({"controller": "mellinger", "gains": STIFF}, {}, ("mellinger", HELD, True)),
+        ({"model": "crazyflie_2.1_brushless"}, {}, ("mellinger", HELD, True)),
+        ({"controller": "lee"}, {}, ("lee", HELD, True)),
+        # Their integrals would remove offsets; PX4 has another filter
+        ({"controller": "mellinger"}, {}, ("mellinger", HELD, False)),
+        ({"controller": "pid"}, {}, ("pid", HELD, False)),
+        ({"controller": "px4"}, {}, ("px4", None, False)),
+        ({"controller": "mellinger"}, {"gains": {"ki": 0.0}}, ("mellinger", HELD, True)),
+        ({"controller": "lee"}, {"upload": False}, ("lee", HELD, False)),
+        ({"controller": "pid"}, {"upload": True}, ("pid", HELD, True)),
+        ({"controller": "lee"}, {"feedback": True}, ("lee", HELD, False)),
+        ({"controller": "lee"}, {"estimator": "ideal"}, ("lee", None, True)),
+        ({"controller": "lee"}, {"estimator": "one_marker"}, ("lee", ONE_MARKER, True)),
+        # A controller that is given replaces all of this
+        ({"controller": "lee"}, {"controller": "lee"}, ("lee", None, False)),
+        ({"controller": "lee"}, {"controller": "ideal"}, ("ideal", None, False)),
+        ({}, {"controller": "pid", "estimator": "crazyflie"}, ("pid", HELD, False)),
+    ],
+)
+def test_settings_follow_from_the_controller_that_the_plan_names(
+    kinds: dict[str, Any], given: dict[str, Any], expected: tuple[object, ...]
+) -> None:
+    task = still_task(ho.Quadrotor(**kinds))
+    settings = resolved(task, settings_of("fast", perturbed=False, **given))
+    assert (settings.controller, settings.estimator, settings.upload) == expected
+    assert resolved(task, settings) == settings
+    without_plan = resolved(replace(task, motion=None), Settings())
+    assert (without_plan.controller, without_plan.upload) == (settings.controller, False) or given
+
+
+def test_drones_with_several_controllers_fly_the_ideal_one() -> None:
+    kinds = [ho.Quadrotor(controller="lee"), ho.Quadrotor(controller="lee"), ho.Quadrotor()]
+    task = resting_task(regular_hitch(3, quadrotor=kinds), 0.1)
+    assert resolved(task, Settings()).controller == "ideal"
+    assert resolved(task, Settings(controller="lee")).controller == "lee"
+
+
+def test_plans_that_exceed_the_memory_are_streamed_unless_uploads_are_requested(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def refused(*_: object, **__: object) -> None:
+        raise ho.InfeasibleError([], "4096 bytes are too few")
+
+    monkeypatch.setattr("hitchopt.lab.simulation.commands.uploaded", refused)
+    monkeypatch.setattr("hitchopt.lab.simulation.world.MAX_STRAIN", -1.0)  # it ends at once
+    task = still_task(ho.Quadrotor(controller="lee"), 0.05)
+    flight = fly(task, Settings(pull_test=False))
+    assert (flight.settings.controller, flight.settings.upload) == ("lee", False)
+    with pytest.raises(ho.InfeasibleError, match="too few"):
+        fly(task, Settings(upload=True))
 
 
 def test_motors_of_named_controllers_lag_more() -> None:

@@ -119,7 +119,9 @@ def test_a_planned_triangle_is_tied_and_holds_under_disturbances() -> None:
 def test_feedback_from_measured_vertices_removes_the_sag() -> None:
     start = ho.Hitch.spread(ho.Team(3, 2.4), [[0.0, -0.8], [-0.7, 0.5], [0.7, 0.5]], 1.0)
     plan, measurement = ho.hold(start, 1.5), {"vertex_noise": 0.01, "vertex_delay": 0.05}
-    result = ho.simulate(plan, feedback=True, perturbations=measurement, pull_test=False)
+    result = ho.simulate(
+        plan, feedback=True, density=0.01, perturbations=measurement, pull_test=False
+    )
     assert result.run.succeeded
     errors = result.errors.errors
     assert np.nanmean(errors[1:5]) > 0.05  # ropes of 10 g/m that the plan does not know

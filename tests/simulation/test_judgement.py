@@ -19,7 +19,8 @@ from hitchopt.geometry.vectors import unit
 from hitchopt.lab.simulation import judgement
 from hitchopt.lab.simulation.flight import fly
 from hitchopt.lab.simulation.judgement import Failure, Outcome, Simulation, judge, simulate
-from hitchopt.lab.simulation.report import drawn_flight, flight_scene
+from hitchopt.lab.simulation.report import drawn_flight, flight_scene, summary
+from hitchopt.lab.simulation.ropes import simulated_density
 from hitchopt.lab.simulation.settings import Loss, Perturbations, Settings
 from hitchopt.lab.simulation.task import Task
 from hitchopt.lab.simulation.world import InvalidRunError
@@ -184,11 +185,46 @@ def test_the_title_of_a_figure_states_the_outcome(tmp_path: Path) -> None:
     assert len(drawn_flight(brief, motion).axes) == 3
 
 
-def test_zero_friction_is_warned_of() -> None:
+def test_what_the_plan_leaves_open_is_warned_of() -> None:
     task = resting_task(regular_hitch(3, cable_friction=0.0), 0.1)
     assert "friction is 0" in judgement.warnings(task, Settings())[0]
     assert judgement.warnings(task, Settings(friction=0.0)) == ()
     assert judgement.warnings(resting_task(HITCH, 0.1), Settings()) == ()
+    task = resting_task(regular_hitch(3, cable_density=0.0), 0.1)
+    (words,) = judgement.warnings(task, Settings())
+    density = 1e3 * simulated_density(task.team, Settings(), 0.5)
+    assert f"fly as ropes of {density:.2g} g/m, the lightest that fast holds" in words
+    assert judgement.warnings(task, Settings(density=0.01)) == ()
+    kinds = [ho.Quadrotor(controller=name) for name in ("lee", "pid", None)]
+    task = resting_task(regular_hitch(3, quadrotor=kinds), 0.1)
+    (words,) = judgement.warnings(task, Settings())
+    assert words.startswith("lee, none, pid: controllers fly as one, the ideal one")
+    assert judgement.warnings(task, Settings(controller="lee")) == ()
+
+
+def test_separation_and_tension_are_measured_before_the_pull_test() -> None:
+    motion = ho.hold(HITCH, 2.0).motion
+    separation = ho.Separation(radius=0.1, height=0.4)
+    motion = motion.replaced(requirements=replace(motion.requirements, separation=separation))
+    task = replace(Task.of(motion), taut=None)
+    t = np.arange(0.0, 5.005, 0.01)
+    drones = np.repeat(HITCH.drones[None], len(t), axis=0)
+    drones[120, 3] = drones[120, 0] + [0.3, -0.4, 1.0]
+    drones[450, 5] = drones[450, 0] + [0.1, 0.0, 0.0]  # in the pull test
+    tensions = np.repeat([[0.4, 0.5, 0.6, 0.5]], len(t), axis=0)
+    tensions[t > 3.005] *= 1.5
+    options = {"drones": drones, "tensions": tensions, "rested": 3.0, "pulled": 5.0}
+    flight = flight_of(task, HITCH, t, linking=NEIGHBOURS, **options)
+    found = judgement.closest(flight, separation.scale)
+    assert found.drones == ("q0", "r1")
+    assert found.time == pytest.approx(1.2)
+    assert found.distance == pytest.approx(np.sqrt((0.5 / 0.2) ** 2 + (1.0 / 0.8) ** 2))
+    simulation = Simulation(flight, judge(flight), judgement.vertex_errors(flight))
+    content = summary(simulation)
+    assert content["separation"]["distance"] == simulation.figures["separation"] == found.distance
+    ratios = [each["over_planned"] for each in content["tension"]]
+    np.testing.assert_allclose(ratios, [0.8, 1.0, 1.2, 1.0])  # of 0.5 N
+    assert content["tension_ratio"]["largest"] == pytest.approx(1.2)
 
 
 def test_invalid_losses_are_refused() -> None:

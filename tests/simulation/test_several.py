@@ -20,7 +20,7 @@ from hitchopt.checks import certify
 from hitchopt.cli import main
 from hitchopt.errors import UnsupportedError
 from hitchopt.lab.simulation.contacts import touching
-from hitchopt.lab.simulation.judgement import nearest, simulate
+from hitchopt.lab.simulation.judgement import closest, simulate
 from hitchopt.lab.simulation.report import ending, save_simulation, summary
 from hitchopt.lab.simulation.settings import CALM, Loss, Settings
 from hitchopt.lab.simulation.task import Task
@@ -64,7 +64,7 @@ def test_groups_do_not_influence_each_other() -> None:
             assert one.least_bearing == pytest.approx(other.least_bearing, rel=1e-9)
     assert both.outcome.succeeded
     assert ending(both) == "every vertex holds"
-    (first, second), apart, time = nearest(both.flight)
+    (first, second), apart, time = closest(both.flight)
     least = [np.min(pdist(row)) for row in record.drones]
     assert (apart, time) == (min(least), record.t[np.argmin(least)])
     names = both.flight.task.team.drone_names
@@ -174,7 +174,7 @@ def test_two_teams_cross_in_one_hall(options: dict[str, str], tmp_path: Path) ->
     assert result.outcome.failures == ()
     assert {clasp.name[0] for clasp in result.outcome.clasps} == {"a", "b"}
     assert all(0.0 < clasp.moved < 0.1 for clasp in result.outcome.clasps)
-    assert nearest(result.flight)[1] > 0.25
+    assert closest(result.flight).distance > 0.25
     save_simulation(tmp_path, result, motion)
     lines = (tmp_path / "drones.csv").read_text(encoding="utf-8").splitlines()
     assert {row["drone"] for row in csv.DictReader(lines)} == set(motion.team.drone_names)

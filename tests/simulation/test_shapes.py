@@ -16,7 +16,7 @@ from hitchopt.hitch import GRAVITY
 from hitchopt.lab.simulation import ropes as shapes
 from hitchopt.lab.simulation.flight import fly
 from hitchopt.lab.simulation.ropes import Ropes
-from hitchopt.lab.simulation.settings import ACCURATE, DENSITY, FAST, Preset, Settings
+from hitchopt.lab.simulation.settings import ACCURATE, FAST, Preset, Settings
 from hitchopt.lab.simulation.task import Task
 from hitchopt.values import Array
 
@@ -49,7 +49,6 @@ def test_too_light_ropes_are_refused_with_a_feasible_density() -> None:
 @pytest.mark.parametrize(
     ("density", "given", "expected"),
     [
-        (0.0, {}, (DENSITY, 0.3)),  # default for teams without one
         (0.004, {}, (0.004, 0.3)),
         (0.004, {"density": 0.02}, (0.02, 0.3)),
         (0.004, {"friction": 0.0}, (0.004, 0.0)),
@@ -60,6 +59,25 @@ def test_density_and_friction_are_those_given_or_the_teams(
 ) -> None:
     ropes = ropes_of(ho.Team(3, 2.4, cable_density=density, cable_friction=0.3), **given)
     assert (ropes.density, ropes.friction) == expected
+
+
+@PRESETS
+@pytest.mark.parametrize("tension", [0.12, 0.6])
+def test_ropes_of_weightless_cables_are_the_lightest_for_the_time_step(
+    preset: Preset, tension: float
+) -> None:
+    team = ho.Team(3, [1.7, 2.43, 2.0], tension=tension)
+    ropes = [Ropes.of(team, Settings(preset=preset), s * team.cable_length) for s in (0.98, 1.02)]
+    densities = {float(each.density) for each in ropes}
+    assert len(densities) == 1  # whatever the errors of their lengths
+    (density,) = densities
+    for scale, count in ((1.0, 1), (0.85, 2)):
+        given = Settings(preset=preset, density=scale * density)
+        for size in (0.98, 1.02):
+            light = Ropes.of(team, given, size * team.cable_length, tension)
+            assert light.preset.time_step == pytest.approx(preset.time_step / count)
+    stronger = Ropes.of(team, Settings(preset=preset), team.cable_length, 2.0 * tension)
+    assert stronger.density == pytest.approx(2.0 * density, rel=0.1)  # in two digits
 
 
 def assert_exact(cables: list[Array], ropes: Ropes) -> None:

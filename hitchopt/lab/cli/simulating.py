@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,8 @@ from hitchopt.cli.output import ProgressBar, quantities, say, span_text, table
 from hitchopt.errors import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from hitchopt.lab.simulation.judgement import Simulation, Spread
     from hitchopt.lab.simulation.settings import Settings
     from hitchopt.lab.simulation.task import Task
@@ -21,15 +24,13 @@ if TYPE_CHECKING:
     from hitchopt.lab.sweeps.sweep import Summary
 
 RESULTS = "simulation"  # Default directory of the results, in DIR
-# Message instead of vertex errors in flights of the fast preset
-INEXACT = "the fast preset is 1 to 2 cm off; take the accurate one"
 OBJECT_COLUMNS = ("name", "placed", "tilted", "turned", "slipped", "free")
-# Figures that only exact presets have, and their labels
+# Errors of all vertices, and their labels
 ERRORS = {
-    "vertex_error": "vertices, sag included [cm]",
-    "resting": "  while the plan stands still",
-    "moving": "  while it moves",
-    "without_sag": "vertices without sag (level part) [cm]",
+    "vertex_error": "all",
+    "resting": "all, at rest",
+    "moving": "all, moving",
+    "without_sag": "all, without sag",
 }
 MAX_REASONS, MAX_POINTS = 8, 40  # Maximum numbers of limits and points of a sweep that are listed
 
@@ -39,7 +40,8 @@ MAX_REASONS, MAX_POINTS = 8, 40  # Maximum numbers of limits and points of a swe
     option("-o --output", "Results; else DIR/simulation.", PATH, "OUT"),
     option(
         "--preset",
-        "Whether it holds; or with correct friction, five times slower.",
+        "Links of 30 mm, to see whether it holds; or of 10 mm, five times slower, with correct "
+        "friction, to measure vertices.",
         "fast",
         choices=("fast", "accurate"),
     ),
@@ -53,59 +55,62 @@ MAX_REASONS, MAX_POINTS = 8, 40  # Maximum numbers of limits and points of a swe
         " or as given. The team's cable friction always acts.",
     ),
     option("--noise", "Error of measured positions per axis [m].", float, "M"),
-    option("--velocity-noise", "Of velocities, per axis [m/s].", float, "M/S"),
+    option("--velocity-noise", "Error of velocities per axis [m/s].", float, "M/S"),
     option("--wind", "Force of gusts on every drone [N].", float, "N"),
     option("--steady-wind", "Constant level force on drones [N].", float, "N"),
     option("--lag", "Time constant of the thrust [s].", float, "S"),
-    option("--vertex-noise", "Of measured vertices, per axis [m].", float, "M"),
+    option("--vertex-noise", "Error of measured vertices per axis [m].", float, "M"),
     option("--vertex-delay", "Age of measured vertices [s].", float, "S"),
     option("--cable-error", "Relative error of cable lengths.", float, "X"),
     option("--start-error", "Error of starts per axis [m].", float, "M"),
     option("--downwash/--no-downwash", "Whether drones push down those below them.", None),
     option("--object-mass", "Largest error of objects' masses.", float, "X"),
-    option("--object-friction", "Of their friction, relative.", float, "X"),
-    option("--object-place", "Of where they stand [m].", float, "M"),
+    option("--object-friction", "Largest error of objects' friction, relative.", float, "X"),
+    option("--object-place", "Largest error of objects' places [m].", float, "M"),
+    option("--stiffness", "Position-loop stiffness (default: the team's).", float, "N/M"),
+    option("--friction", "Cable friction (default: the team's).", float, "MU"),
     option(
-        "--stiffness",
-        "Of position loops; by default the team's, as the following two.",
+        "--density",
+        "Cable density (default: the team's; for weightless cables the lightest that holds).",
         float,
-        "N/M",
+        "KG/M",
     ),
-    option("--friction", "Cable friction.", float, "MU"),
-    option("--density", "Cable density.", float, "KG/M"),
     option(
         "--controller",
-        "Flight controller: mellinger, lee, pid or px4, at its own rates, with motors that "
-        "lag 30 ms; its gains are the team's where it names this controller, else the "
-        "stiffest that fly. By default a quick one, which is none of these.",
+        "mellinger, lee, pid, px4 or ideal, a simplified one (default: the controller of the "
+        "team's drones, with its filter and exported files). Gains are the team's if it names "
+        "this controller, else the stiffest that fly.",
         str,
         "NAME",
     ),
     option(
         "--estimator",
-        "What it knows of its state: the truth but for --noise and --velocity-noise, or what "
-        "a Crazyflie's filter makes of motion capture (100 Hz, 1 mm, --latency) and an IMU, "
-        "with the parameters that are exported, or with the firmware's own, for rigid bodies "
-        "or for one marker.",
-        "ideal",
+        "State estimator: exact states but for --noise and --velocity-noise; a Crazyflie's "
+        "filter on motion capture (100 Hz, 1 mm, --latency) and an IMU, as exports set it; or "
+        "with the firmware's parameters for rigid bodies or for one marker (default: crazyflie "
+        "for a Crazyflie's controller of the team, else ideal).",
+        str,
         choices=("ideal", "crazyflie", "firmware", "one_marker"),
     ),
     option(
         "--latency",
-        "Delay of motion capture and streamed setpoints, with such a filter; by default the "
-        "team's, or 0.01.",
+        "Delay of motion capture and streamed setpoints, with such a filter (default: the "
+        "team's, or 0.01).",
         float,
         "SECONDS",
     ),
     option(
-        "--upload",
-        "It flies exported files, which hold the tension by offsets if it has no integral.",
+        "--upload/--stream",
+        "Fly exported files, which hold the tension by offsets if the controller has no "
+        "integral, or streamed setpoints (default: files if the team's controller holds the "
+        "tension with them).",
+        None,
     ),
     option("--feedback", "Correct setpoints by measured vertices, as ho.Feedback does."),
     option(
         "--lose", "Stop its motors then, such as q0@12.5; the others react.", str, "DRONE@SECONDS"
     ),
-    option("--reaction/--no-reaction", "Or they fly on as if nothing had happened.", True),
+    option("--reaction/--no-reaction", "Whether the others react to a loss, or ignore it.", True),
 )
 def simulate(
     directory: Path,
@@ -119,12 +124,12 @@ def simulate(
 ) -> None:
     """Simulate the plan in DIR with ropes and drones (needs mujoco).
 
-    Drones follow the plan's setpoints at 100 Hz, including cable forces, without feedback of
-    vertices unless --feedback is set. Vertex errors are distances in three dimensions, including
-    sag. A single flight ends with 3 if drones touch, a vertex does not hold, an object is touched,
-    dropped or not placed within 3 cm and 5°, or the simulation leaves its valid range; with --lose,
-    if a survivor touches anything or there is no reaction. A campaign (--runs) ends with 0 and
-    reports the success rate.
+    Flies what the plan states: its cables, its drones, and their controller with the filter and
+    the files that are exported for it. Options change one of these each. Vertex errors are
+    distances in three dimensions, including sag. A single flight ends with 3 if drones touch, a
+    vertex does not hold, an object is touched, dropped or not placed within 3 cm and 5°, or the
+    simulation leaves its valid range; with --lose, if a survivor touches anything or there is no
+    reaction. A campaign (--runs) ends with 0 and reports the success rate.
     """
     from hitchopt.lab.simulation.judgement import warnings
     from hitchopt.lab.simulation.settings import settings_of
@@ -188,6 +193,9 @@ def _simulate_one(task: Task, settings: Settings, folder: Path, directory: Path)
         save_simulation(folder, simulation, saved.motion, saved.title)
     message = f"{flight_tables(simulation)}\n\n{ending(simulation)}; results are in {folder}"
     say(message, directory=str(folder), simulation=summary(simulation))
+    if simulation.errors.t.size and not task.groups:
+        command = shlex.join(["hitchopt", "evaluate", str(folder), "--plan", str(directory)])
+        say(f"for the table in LaTeX: {command}")
     for failure in simulation.outcome.failures:
         status = NOT_SIMULATED if failure.kind in UNSIMULATED else FAILED
         say(f"{status}: t = {failure.time:.2f} s, {failure.words}", err=True)
@@ -200,25 +208,26 @@ def flight_tables(simulation: Simulation) -> str:
     from hitchopt.lab.simulation.report import summary
 
     content, figures, flight = summary(simulation), simulation.figures, simulation.flight
-    exact, nearest = simulation.settings.preset.exact, content["nearest"]
-    spreads = simulation.spreads
-    rows: dict[str, object] = {}
-    if exact:
-        rows |= {label: spread_text(spreads[name]) for name, label in ERRORS.items()}
-    rows |= {
+    spreads, nearest, separation = simulation.spreads, content["nearest"], content["separation"]
+    rows: dict[str, object] = {
+        "least separation of drones [ellipsoids]": _of_pair(separation, ".2f"),
+        "nearest drones [m]": _of_pair(nearest, ".3f"),
         "drones to their setpoints [cm]": spread_text(spreads["tracking"]),
+        "tension over planned": spread_text(spreads["tension_ratio"], 1.0, ".2f"),
         "largest tension [N]": figures["peak_tension"],
         "largest thrust [N]": figures["peak_thrust"],
         "largest tilt [°]": figures["peak_tilt"],
+        "flown by": _flown_by(simulation.settings),
         "stiffness of position loops [N/m]": span_text(flight.gains.stiffness.ravel(), ".3g"),
-        "nearest drones [m]": f"{nearest['distance']:.3f}, {' and '.join(nearest['drones'])}",
         "ropes weigh [g/m]": _grams(content["density"]["simulated"]),
         "  as the plan knows": _grams(content["density"]["planned"]),
-        "ropes longer for their bends [mm]": f"≤ {1e3 * flight.extra_length:.1f}",
+        "extra rope for bends [mm]": f"≤ {1e3 * flight.extra_length:.1f}",
     }
     parts = []
     if content["clasps"]:
         parts.append(table("Vertices after the flight [N, m]", map(dict, content["clasps"])))
+    if simulation.errors.t.size:
+        parts.append(_vertex_table(content["vertex_error"], simulation))
     if loss := content.get("loss"):
         loss |= {name: [" and ".join(x) for x in loss[name]] for name in ("among", "others")}
         parts.append(quantities("Loss of a drone [s, N, m]", loss))
@@ -226,7 +235,51 @@ def flight_tables(simulation: Simulation) -> str:
         objects = [{key: each[key] for key in OBJECT_COLUMNS} for each in content["objects"]]
         parts.append(table("Objects, to the plan's, and while carried [m, °]", objects))
     parts.append(quantities("Flight, errors as mean ± deviation (largest)", rows))
-    return "\n\n".join(parts if exact else [*parts, f"vertex errors: {INEXACT}"])
+    return "\n\n".join([*parts, *_inexact(simulation.settings)])
+
+
+def _vertex_table(errors: Mapping[str, Mapping[str, float]], simulation: Simulation) -> str:
+    """Return the table of errors of every vertex and of all."""
+    team = simulation.flight.task.team
+    names = [team.point_names[point] for point in team.layout.clasps]
+    each = {name: errors[name] for name in names}
+    each |= {label: vars(simulation.spreads[name]) for name, label in ERRORS.items()}
+    rows = [{"vertex": name} | _centimetres(values) for name, values in each.items()]
+    return table("Vertices to the plan, sag included [cm]", rows)
+
+
+def _centimetres(lengths: Mapping[str, float]) -> dict[str, str]:
+    """Return lengths [m] in centimetres as text, with a dash for nan."""
+    return {k: "–" if math.isnan(x) else f"{100.0 * x:.1f}" for k, x in lengths.items()}
+
+
+def _inexact(settings: Settings) -> list[str]:
+    """Return the line that says that a preset's links are too long to measure vertices, if so."""
+    from hitchopt.lab.simulation.settings import ACCURATE
+
+    preset = settings.preset
+    line = (
+        f"preset {preset.name}: links of {1e3 * preset.segment:g} mm catch at clasps, vertices are "
+        f"1 to 2 cm off; measure them with preset={ACCURATE.name}, links of "
+        f"{1e3 * ACCURATE.segment:g} mm"
+    )
+    return [] if preset.exact else [line]
+
+
+def _flown_by(settings: Settings) -> str:
+    """Return controller, estimator and setpoints of a flight in words."""
+    from hitchopt.lab.simulation.settings import ESTIMATORS, IDEAL
+
+    if settings.controller == IDEAL:
+        return IDEAL
+    known = [name for name, each in ESTIMATORS.items() if each == (settings.estimator or IDEAL)]
+    sent = "exported files" if settings.upload else "streamed setpoints"
+    return f"{settings.controller}, estimator {known[0] if known else 'of its own'}, {sent}"
+
+
+def _of_pair(closest: Mapping[str, Any], digits: str) -> str:
+    """Return the distance and the names of the two closest drones."""
+    return f"{closest['distance']:{digits}}, {' and '.join(closest['drones'])}"
 
 
 def _grams(densities: float | list[float]) -> float | str:
@@ -236,20 +289,21 @@ def _grams(densities: float | list[float]) -> float | str:
     return span_text((1e3 * x for x in densities), ".4g")
 
 
-def spread_text(spread: Spread) -> str:
-    """Return mean, deviation and largest value of errors in centimetres, as text."""
+def spread_text(spread: Spread, unit: float = 0.01, digits: str = ".1f") -> str:
+    """Return mean, deviation and largest value as text, of errors in centimetres."""
     if not math.isfinite(spread.mean):
         return "none"
-    return f"{100 * spread.mean:.1f} ± {100 * spread.deviation:.1f} ({100 * spread.largest:.1f})"
+    mean, deviation, largest = (f"{x / unit:{digits}}" for x in vars(spread).values())
+    return f"{mean} ± {deviation} ({largest})"
 
 
 def _campaign_tables(campaign: Campaign) -> str:
     """Return a campaign's success rate, and tables of figures and first failures."""
     (low, high), runs = campaign.interval, campaign.runs
-    exact, not_simulated, rows = campaign.settings.preset.exact, campaign.not_simulated, []
+    not_simulated, rows = campaign.not_simulated, []
     for name in max((run.figures for run in runs), key=len):  # flights that fail to start have none
         values = [x for run in runs if math.isfinite(x := run.figures.get(name, math.nan))]
-        if values and (exact or not name.startswith(tuple(ERRORS))):
+        if values:
             row = {"mean": sum(values) / len(values), "largest": max(values)}
             rows.append({"figure": name.replace("_", " "), **row})
     parts = [
@@ -259,7 +313,7 @@ def _campaign_tables(campaign: Campaign) -> str:
     ]
     if not_simulated:
         parts.append(f"{not_simulated} could not be simulated and count as not succeeded")
-    parts += [] if exact else [f"vertices: {INEXACT}"]
+    parts += [f"flown by: {_flown_by(campaign.settings)}", *_inexact(campaign.settings)]
     parts.append(table("All flights [m, N, °]", rows))
     if campaign.failures:
         parts.append(table("First failures", campaign.to_dict()["first_failures"]))

@@ -14,8 +14,9 @@ from hitchopt.exports.exporting import Export, export_motion
 from hitchopt.exports.formats.crazyflie import CompressedBytes, CrazyflieFormat, Crazyswarm2
 from hitchopt.exports.options import ExportOptions
 from hitchopt.hitch import Quadrotor, Team
+from hitchopt.hitch.estimator import HELD
 from hitchopt.hitch.flight_controller import STOCK, Gains, latency_scale
-from hitchopt.lab.simulation.settings import Settings
+from hitchopt.lab.simulation.settings import IDEAL, Settings
 from hitchopt.lab.simulation.task import RATE, Task
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import HOVER, attitudes
@@ -42,6 +43,46 @@ class Commands:
         """Return the setpoints of one sample, of the last one beyond it."""
         last = len(self.positions) - 1
         return Commands(*(values[min(index, last)] for values in vars(self).values()))
+
+
+def resolved(task: Task, settings: Settings) -> Settings:
+    """Return settings that state controller, estimator and upload: those of a task if left out.
+
+    Exact states are None in these. Raise InputError for settings of a flight controller without
+    one, or a latency without an estimator.
+    """
+    estimator, upload = settings.estimator, settings.upload
+    if settings.controller is None:
+        name = _planned_controller(task)
+        settings = replace(settings, controller=name)
+        if name != IDEAL:
+            if estimator is None and STOCK[name].filtered:
+                estimator = HELD
+            if upload is None:
+                upload = _offsets_hold_tension(task, settings)
+    estimator = None if estimator == IDEAL else estimator
+    if settings.latency is not None and estimator is None:
+        bound, remedy = "left out without an estimator", "add estimator='crazyflie'"
+        raise InputError("latency", settings.latency, bound, remedy)
+    return replace(settings, estimator=estimator, upload=bool(upload))
+
+
+def named_controllers(task: Task) -> set[str | None]:
+    """Return the names of the controllers of a task's drones, with None for drones without one."""
+    return {kind.controller for part in task.parts for kind in part.team.quadrotor}
+
+
+def _planned_controller(task: Task) -> str:
+    names = named_controllers(task)
+    return (names.pop() if len(names) == 1 else None) or IDEAL
+
+
+def _offsets_hold_tension(task: Task, settings: Settings) -> bool:
+    """Return whether exported files of a task would hold the tension by offsets."""
+    if task.motion is None or task.motion.has_ring_changes or settings.feedback:
+        return False
+    teams = (flown_team(part.team, settings) for part in task.parts)
+    return not any(np.any(team.integral_gain > 0.0) for team in teams)
 
 
 def flown_team(team: Team, settings: Settings) -> Team:

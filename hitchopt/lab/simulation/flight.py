@@ -9,14 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.errors import InputError, Progress
+from hitchopt.errors import InfeasibleError, InputError, Progress
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import GRAVITY
+from hitchopt.hitch.estimator import EstimatorParameters
 from hitchopt.lab.simulation import contacts, control, ropes
 from hitchopt.lab.simulation.autopilots import PERIOD, Autopilots
-from hitchopt.lab.simulation.commands import Commands, flown_team, received
+from hitchopt.lab.simulation.commands import Commands, flown_team, received, resolved
 from hitchopt.lab.simulation.estimator import LATENCY, Estimator
-from hitchopt.lab.simulation.settings import Settings
+from hitchopt.lab.simulation.settings import IDEAL, Settings
 from hitchopt.lab.simulation.task import RATE, Task
 from hitchopt.lab.simulation.world import (
     BODY_HALF_HEIGHT,
@@ -90,7 +91,7 @@ class Flight:
     """A flight that was simulated to its end, or until the simulation became invalid."""
 
     task: Task  # of the flight
-    settings: Settings  # of the flight
+    settings: Settings  # of the flight, with what they leave to the plan
     record: FlightSamples  # samples
     film: Film  # shapes of the cables
     # times [s] of first forbidden contacts by pairs of names, such as ``("q0", "r2")`` or ``("q0",
@@ -140,6 +141,7 @@ class _FlightInProgress:
 
     def __init__(self, task: Task, settings: Settings, progress: Progress | None) -> None:
         team, preset = task.team, settings.preset
+        self._may_stream, settings = settings.upload is None, resolved(task, settings)
         if task.motion is not None and settings.lost is not None:
             task.motion.require_one_team("the simulated loss of a drone")
         self._task, self._settings, self._progress = task, settings, progress
@@ -153,7 +155,7 @@ class _FlightInProgress:
         lengths = np.split(team.cable_length * disturbances.cable_scale + extra_lengths, first)
         each = list[ropes.Ropes]()
         for part, sizes in zip(parts, lengths, strict=True):
-            tension = float(max(np.max(part.team.tension), np.max(part.states.tensions)))
+            tension = ropes.largest_tension(part)
             each.append(ropes.Ropes.of(part.team, settings, sizes, tension))
             each[-1].check_tension(tension)
         joined, ground = ropes.Ropes.joined(each), ground_of(task)
@@ -182,7 +184,7 @@ class _FlightInProgress:
             self._feedback = control.VertexFeedback(task, delay, disturbances, loops)
         self._lost = _lost_drone(task, settings)
         step = joined.preset.time_step
-        period = CONTROL_PERIOD if settings.controller is None else PERIOD
+        period = CONTROL_PERIOD if settings.controller == IDEAL else PERIOD
         self._substeps = max(1, round(period / step))
         self._period = self._substeps * step
         self._damping = 0.0
@@ -198,13 +200,19 @@ class _FlightInProgress:
     def _controllers(self) -> control.Pilots | Autopilots:
         """Return the drones' controllers, and store the commands of flight controllers."""
         task, settings, world = self._task, self._settings, self._world
-        if settings.controller is None:
+        if settings.controller == IDEAL:
             return control.Pilots(world, task.team, settings)
         teams, estimator = [flown_team(part.team, settings) for part in task.parts], None
-        pairs = zip(task.parts, teams, strict=True)
+        pairs = [*zip(task.parts, teams, strict=True)]
         self._command_delay = 0.0
-        self._commands = [received(part, team, settings) for part, team in pairs]
-        if settings.estimator is not None:
+        try:
+            self._commands = [received(part, team, settings) for part, team in pairs]
+        except InfeasibleError:
+            if not self._may_stream:
+                raise
+            settings = self._settings = replace(settings, upload=False)
+            self._commands = [received(part, team, settings) for part, team in pairs]
+        if isinstance(settings.estimator, EstimatorParameters):
             stated = [kind.latency or 0.0 for part in task.parts for kind in part.team.quadrotor]
             latency = max(stated) or LATENCY if settings.latency is None else settings.latency
             self._command_delay = 0.0 if settings.upload else latency

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from hitchopt.errors import OneLine, Progress
 from hitchopt.geometry.vectors import length
+from hitchopt.hitch.requirements import Separation
+from hitchopt.lab.simulation.commands import named_controllers
 from hitchopt.lab.simulation.contacts import least_bearing
 from hitchopt.lab.simulation.flight import Flight, fly, ground_of
+from hitchopt.lab.simulation.ropes import largest_tension, simulated_density
 from hitchopt.lab.simulation.settings import Settings
 from hitchopt.lab.simulation.task import Task, group_of
 from hitchopt.lab.simulation.world import BODY_HALF_HEIGHT
@@ -39,6 +43,15 @@ HANG_TIME = 0.5  # Final time of a flight over which the height of a lost drone 
 # Warning about cables without friction
 NO_FRICTION = "friction is 0: at 0.1, hitches rest about 5 cm from their plans; "
 NO_FRICTION += "state team.cable_friction, or give friction="
+
+# Warning about cables without weight, with the density of their ropes [g/m] and the preset
+WEIGHTLESS = (
+    "cables count as weightless: they fly as ropes of {:.2g} g/m, the lightest that {} holds; "
+    "state team.cable_density, or give density="
+)
+
+# Warning about drones with different controllers
+SEVERAL = "controllers fly as one, the ideal one; controller= names another"
 
 # Warning about drones that are not simulated
 NOT_FLOWN = "drones are at their setpoints, without cables; only hitches are simulated"
@@ -111,6 +124,14 @@ def vertex_errors(flight: Flight) -> VertexErrors:
     planned = np.where(clasp_is_taut[index, :, None], planned, np.nan)
     moving = moves[index] & (t <= task.duration + ROUNDING)
     return VertexErrors(t, rows, planned, record.vertices[rows] - planned, moving)
+
+
+def tension_ratios(flight: Flight, rows: NDArray[np.int64]) -> Array:
+    """Return tensions over the planned ones at rows of the record (rows, n), nan while slack."""
+    task, index = flight.task, flight.record.index[rows]
+    planned = task.states.tensions[index]
+    planned = np.where(planned >= TAUT_RATIO * task.team.tension, planned, np.nan)
+    return np.asarray(flight.record.tensions[rows] / planned)
 
 
 def tracking_errors(flight: Flight) -> Array:
@@ -437,7 +458,10 @@ class Simulation(OneLine):
 
     @property
     def spreads(self) -> dict[str, Spread]:
-        """Spreads of errors of vertices, sag included, and of drones from their setpoints [m]."""
+        """Spreads of errors of vertices, sag included, and of drones from their setpoints [m].
+
+        ``tension_ratio`` is that of tensions over the planned ones while the hitch is taut.
+        """
         errors = self.errors
         return {
             "vertex_error": Spread.of(errors.errors),
@@ -445,18 +469,21 @@ class Simulation(OneLine):
             "moving": Spread.of(errors.errors[errors.moving]),
             "without_sag": Spread.of(errors.without_sag),
             "tracking": Spread.of(tracking_errors(self.flight)),
+            "tension_ratio": Spread.of(tension_ratios(self.flight, self.errors.rows)),
         }
 
     @property
     def figures(self) -> dict[str, float]:
         """Figures by name, such as ``tracking_mean``; nan for missing ones.
 
-        These are the spreads, ``peak_tension`` and ``peak_thrust`` [N], ``peak_tilt`` [°], and the
-        largest ``placed`` [m], ``tilted`` [°] and ``slipped`` [m] of objects.
+        These are the spreads, the least ``separation`` of drones, ``peak_tension`` and
+        ``peak_thrust`` [N], ``peak_tilt`` [°], and the largest ``placed`` [m], ``tilted`` [°] and
+        ``slipped`` [m] of objects.
         """
         record = self.flight.record
         spreads = self.spreads.items()
         values = {f"{name}_{key}": v for name, spread in spreads for key, v in vars(spread).items()}
+        values["separation"] = closest(self.flight, separation_of(self.flight).scale).distance
         values["peak_tension"] = float(np.max(record.peak_tensions))
         values["peak_thrust"] = float(np.max(record.thrusts))
         values["peak_tilt"] = float(np.degrees(np.max(record.tilts)))
@@ -473,14 +500,30 @@ class Simulation(OneLine):
         )
 
 
-def nearest(flight: Flight) -> tuple[tuple[str, str], float, float]:
-    """Return the names of the two closest drones, their distance [m], and its time [s].
+class Closest(NamedTuple):
+    """The two closest drones by name, their distance, and its time [s]."""
+
+    drones: tuple[str, str]
+    distance: float
+    time: float
+
+
+def separation_of(flight: Flight) -> Separation:
+    """Return the separation that a plan keeps; the default for other setpoints."""
+    motion = flight.task.motion
+    return Separation() if motion is None else motion.requirements.separation
+
+
+def closest(flight: Flight, scale: ArrayLike = 1.0) -> Closest:
+    """Return the closest drones before the pull test, in distances with a ``scale`` (3,) of axes.
 
     Pairs include drones that are not simulated, except pairs of these.
     """
     task, record = flight.task, flight.record
     names = (*task.team.drone_names, *task.passing.names)
-    drones = np.concatenate([record.drones, task.passing.at(record.index)], axis=1)
+    during = record.t <= np.fmax(task.duration, flight.rested) + ROUNDING
+    passing = task.passing.at(record.index[during])
+    drones = np.concatenate([record.drones[during], passing], axis=1) * np.asarray(scale)
     pairs, distances = list[int](), list[float]()
     count = task.team.drones
     for row in drones:
@@ -490,13 +533,21 @@ def nearest(flight: Flight) -> tuple[tuple[str, str], float, float]:
         distances.append(float(np.min(between)))
     first = int(np.argmin(distances))
     i, j = divmod(pairs[first], len(names))
-    return (names[i], names[j]), distances[first], float(record.t[first])
+    return Closest((names[i], names[j]), distances[first], float(record.t[first]))
 
 
 def warnings(task: Task, settings: Settings) -> tuple[str, ...]:
-    """Return warnings about zero friction, and about drones that are not simulated."""
+    """Return warnings about quantities that the plan leaves open, and drones not simulated."""
     frictionless = any(not part.team.cable_friction for part in task.parts)
     messages = [NO_FRICTION] if settings.friction is None and frictionless else []
+    weightless = [part for part in task.parts if not part.team.cable_density]
+    if weightless and settings.density is None:
+        each = (simulated_density(x.team, settings, largest_tension(x)) for x in weightless)
+        density = max(each)
+        messages.append(WEIGHTLESS.format(1e3 * density, settings.preset.name))
+    controllers = sorted(name or "none" for name in named_controllers(task))
+    if settings.controller is None and len(controllers) > 1:
+        messages.append(f"{', '.join(controllers)}: {SEVERAL}")
     if task.passing.names:
         names = dict.fromkeys(map(group_of, task.passing.names))
         messages.append(f"{', '.join(names)}: {NOT_FLOWN}")

@@ -17,7 +17,15 @@ from scipy.ndimage import uniform_filter1d
 
 from hitchopt.geometry.vectors import length
 from hitchopt.lab.simulation.flight import Flight
-from hitchopt.lab.simulation.judgement import Simulation, Spread, nearest, tracking_errors, warnings
+from hitchopt.lab.simulation.judgement import (
+    Simulation,
+    Spread,
+    closest,
+    separation_of,
+    tension_ratios,
+    tracking_errors,
+    warnings,
+)
 from hitchopt.motion.motion import Motion
 from hitchopt.storage.archive import RECORDING
 from hitchopt.storage.files import Writer, replace_files, write_strict_json
@@ -125,9 +133,9 @@ def summary(simulation: Simulation) -> dict[str, Any]:
     }
     each = {name: asdict(Spread.of(errors.errors[:, c])) for c, name in enumerate(clasps)}
     means, peaks = np.mean(record.tensions, axis=0), np.max(record.peak_tensions, axis=0)
-    tensions = zip(_cables(flight), means.tolist(), peaks.tolist(), strict=True)
+    ratios = [Spread.of(each).mean for each in tension_ratios(flight, errors.rows).T]
+    tensions = zip(_cables(flight), means.tolist(), peaks.tolist(), ratios, strict=True)
     planned = [part.team.cable_density for part in flight.task.parts for _ in part.team.tension]
-    pair, apart, when = nearest(flight)
     return {
         "format": FORMAT,
         "settings": asdict(simulation.settings),
@@ -138,7 +146,8 @@ def summary(simulation: Simulation) -> dict[str, Any]:
             "simulated": np.asarray(flight.density).tolist(),
             "planned": planned if flight.task.groups else planned[0],
         },
-        "nearest": {"drones": pair, "distance": apart, "time": when},
+        "nearest": closest(flight)._asdict(),
+        "separation": closest(flight, separation_of(flight).scale)._asdict(),
         "verdict": outcome.verdict,
         "succeeded": outcome.succeeded,
         "hitched": outcome.hitched,
@@ -152,7 +161,11 @@ def summary(simulation: Simulation) -> dict[str, Any]:
             "all_without_sag": spreads["without_sag"],
             **each,
         },
-        "tension": [{"cable": cable, "mean": mean, "peak": peak} for cable, mean, peak in tensions],
+        "tension": [
+            dict(zip(("cable", "mean", "peak", "over_planned"), each, strict=True))
+            for each in tensions
+        ],
+        "tension_ratio": spreads["tension_ratio"],
         "tracking_error": spreads["tracking"],
         "largest_thrust": figures["peak_thrust"],
         "largest_tilt": figures["peak_tilt"],

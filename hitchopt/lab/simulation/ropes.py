@@ -16,7 +16,7 @@ from hitchopt.geometry.vectors import EAST, dot, length, unit
 from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import hanging_cable
 from hitchopt.hitch.team import Layout
-from hitchopt.lab.simulation.settings import DENSITY, Preset, Settings
+from hitchopt.lab.simulation.settings import Preset, Settings
 from hitchopt.lab.simulation.task import Task
 from hitchopt.values import Array
 
@@ -75,9 +75,10 @@ class Ropes:
     def of(cls, team: Team, settings: Settings, lengths: Array, tension: float = 0.0) -> Ropes:
         """Return ropes of some lengths (n,) [m]; settings override density and friction of a team.
 
-        Time steps are smaller than the preset's for light ropes under a ``tension`` [N].
+        Time steps are smaller than the preset's for light ropes under a ``tension`` [N]. Ropes of
+        cables without weight are the lightest ones for it.
         """
-        density = settings.density or team.cable_density or DENSITY
+        density = simulated_density(team, settings, tension)
         friction = team.cable_friction if settings.friction is None else settings.friction
         ropes = cls(lengths, density, friction, settings.preset)
         step = settings.preset.time_step / ropes.substeps(tension)
@@ -129,6 +130,28 @@ class Ropes:
             needed_density = self.density * needed / self.largest_tension
             bound = f"at least {needed_density:.3g} kg/m to bear {needed:.3g} N"
             raise InputError("density", self.density, bound, "simulate heavier cables (--density)")
+
+
+def largest_tension(task: Task) -> float:
+    """Return the largest tension of a team's cables and of their plan [N]."""
+    return float(max(np.max(task.team.tension), np.max(task.states.tensions)))
+
+
+def simulated_density(team: Team, settings: Settings, tension: float = 0.0) -> float:
+    """Return the density of ropes [kg/m]: the settings', the team's, or the lightest possible.
+
+    The lightest ropes bear the team's or a larger ``tension`` [N] with the preset's time step;
+    lighter ones whip while they are loose. Their density is rounded up to two digits.
+    """
+    if density := settings.density or team.cable_density:
+        return density
+    preset = settings.preset
+    # The shortest segments of cables of about these lengths, as their number is even
+    segment = preset.segment / (1.0 + 2.0 * preset.segment / float(np.min(team.cable_length)))
+    wave = COURANT * segment / preset.time_step
+    needed = TENSION_RESERVE * max(tension, float(np.max(team.tension))) / wave**2
+    digit = 10.0 ** (math.floor(math.log10(needed)) - 1)
+    return float(f"{math.ceil(needed / digit) * digit:.2g}")
 
 
 def clasped(ropes: Ropes, layout: Layout, drones: Array, vertices: Array) -> list[Array]:

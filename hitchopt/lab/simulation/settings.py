@@ -17,7 +17,7 @@ MAX_DEVIATIONS = {"cable_error": 0.1, "object_mass": 0.9, "object_friction": 0.9
 
 SHORT_LAG, MOTOR_LAG = 0.02, 0.03  # Time constants of the motors' thrust [s]
 
-DENSITY = 0.01  # Cable density of a team without weight [kg/m]: a cord of 4 mm
+IDEAL = "ideal"  # Name of the simplified controller, and of exact states in place of a filter
 
 
 def _check(record: object, checked: Callable[[str, object], float], *names: str) -> None:
@@ -50,7 +50,7 @@ class Preset:
         return self.segment <= ACCURATE.segment
 
 
-# FAST shows whether a hitch holds, but its bends are too coarse for exact friction
+# FAST shows whether a hitch holds, but its links catch at clasps
 FAST = Preset("fast", 0.030, 0.012, 0.001)
 ACCURATE = Preset("accurate", 0.010, 0.012, 0.0004)
 PRESETS = {preset.name: preset for preset in (FAST, ACCURATE)}
@@ -66,7 +66,7 @@ class Perturbations(OneLine):
     velocity_noise: standard deviation per axis of the error of the measured velocities [m/s].
     wind: root mean square of the gust force on a drone [N].
     steady_wind: constant level force on every drone, in one random direction [N].
-    lag: time constant of the motors' thrust [s]; None: MOTOR_LAG of a named controller, else
+    lag: time constant of the motors' thrust [s]; None: MOTOR_LAG of a flight controller, else
         SHORT_LAG, to which the attitude loop adds another 60 ms.
     cable_error: standard deviation of the cable lengths, relative.
     start_error: standard deviation per axis of the drones' start positions [m].
@@ -138,30 +138,34 @@ class Loss(OneLine):
 
 @dataclass(frozen=True)
 class Settings(OneLine):
-    """Settings of one simulated flight.
+    """Settings of one simulated flight; None is what the plan states.
 
     Parameters
     ----------
     preset: resolution of the ropes.
     perturbations: disturbances.
     seed: seed of all random numbers.
-    friction: coefficient at the clasps that replaces the team's; None: the team's.
-    density: cable density that replaces the team's [kg/m]; None: the team's, or DENSITY for cables
-        without weight. It is unknown to the drones.
+    friction: coefficient at the clasps; None: the team's.
+    density: cable density [kg/m]; None: the team's, or for cables without weight that of the
+        lightest ropes that the preset holds. It is unknown to the drones.
     stiffness: of the drones' position loops [N/m]; None: the team's, or 36/s² times their masses
         for rigid drones.
     pull_test: whether the flight ends with a pull test of the hitch, if no drone is lost.
     lost: loss of a drone; None: no loss.
     feedback: whether setpoints are corrected by measured vertices, as ``Feedback`` does.
-    controller: ``mellinger``, ``lee``, ``pid`` or ``px4``; None: a simplified one.
+    controller: ``mellinger``, ``lee``, ``pid`` or ``px4``, or ``ideal``: a simplified one. None:
+        that of the team's drones, with the filter and the setpoints of exports to it; ``ideal`` if
+        they name none, or several.
     gains: of its position loops, a ``Gains`` or a mapping; None: those of the team's drones with
         this controller, for others the stiffest stable ones.
     estimator: state estimator from motion capture and IMU, in place of ``noise`` and
-        ``velocity_noise``; needs a controller. None: exact states with these errors.
+        ``velocity_noise``; ``ideal``: exact states with these errors. None: ``ideal`` if a
+        controller is given or has another filter, else the Crazyflie's as exports set it.
     latency: delay of motion capture, and of streamed setpoints, with an estimator [s]; None: that
         of the team's drones, or 0.01.
-    upload: whether drones fly exported files, which hold the tension by offsets, instead of
-        streamed setpoints.
+    upload: whether drones fly exported files, which hold the tension by offsets, or streamed
+        setpoints. None: streamed if a controller is given, cannot hold the tension, or has no
+        memory for the plan.
     """
 
     preset: Preset = FAST
@@ -175,21 +179,18 @@ class Settings(OneLine):
     feedback: bool = False
     controller: str | None = None
     gains: Gains | Mapping[str, Any] | None = None
-    estimator: EstimatorParameters | None = None
-    upload: bool = False
+    estimator: EstimatorParameters | str | None = None
+    upload: bool | None = None
     latency: float | None = None
 
     def __post_init__(self) -> None:
         if self.controller is not None:
-            check_choice("controller", self.controller, CONTROLLERS)
-        else:
+            check_choice("controller", self.controller, (*CONTROLLERS, IDEAL))
+        if self.controller == IDEAL:
             for name in ("gains", "estimator", "upload"):
-                if value := getattr(self, name):
+                if (value := getattr(self, name)) and value != IDEAL:
                     remedy = f"name one of {', '.join(CONTROLLERS)}"
                     raise InputError(name, value, "left out without a controller", remedy)
-        if self.latency is not None and self.estimator is None:
-            bound, remedy = "left out without an estimator", "add --estimator crazyflie"
-            raise InputError("latency", self.latency, bound, remedy)
         if self.gains is not None:
             object.__setattr__(self, "gains", Gains.of(self.gains))
         if self.upload and self.feedback:
@@ -203,12 +204,12 @@ class Settings(OneLine):
     @property
     def lag(self) -> float:
         """Time constant of the motors' thrust [s]."""
-        usual = SHORT_LAG if self.controller is None else MOTOR_LAG
+        usual = MOTOR_LAG if self.controller in CONTROLLERS else SHORT_LAG
         return usual if self.perturbations.lag is None else self.perturbations.lag
 
 
-ESTIMATORS: Mapping[str, EstimatorParameters | None] = {
-    "ideal": None, "crazyflie": HELD, "firmware": FIRMWARE, "one_marker": ONE_MARKER
+ESTIMATORS: Mapping[str, EstimatorParameters | str] = {
+    IDEAL: IDEAL, "crazyflie": HELD, "firmware": FIRMWARE, "one_marker": ONE_MARKER
 }  # fmt: skip
 """Estimators by name: exact states, the exported parameters, and the firmware's defaults with a
 rigid body or with one marker."""
@@ -223,7 +224,7 @@ def settings_of(preset: str, *, perturbed: bool, **given: Any) -> Settings:
     usual = INDOOR if perturbed else CALM
     stated = {name: value for name, value in given.items() if value is not None}
     changes = {name: stated.pop(name) for name in vars(usual) if name in stated}
-    if isinstance(named := stated.get("estimator"), str):
-        check_choice("estimator", named, tuple(ESTIMATORS))
-        stated["estimator"] = ESTIMATORS[named]
+    if isinstance(name := stated.get("estimator"), str):
+        check_choice("estimator", name, tuple(ESTIMATORS))
+        stated["estimator"] = ESTIMATORS[name]
     return Settings(preset=PRESETS[preset], perturbations=replace(usual, **changes), **stated)

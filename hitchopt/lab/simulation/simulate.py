@@ -23,20 +23,23 @@ def simulate(
     progress: Progress | None = None,
     **settings: Any,
 ) -> Simulation:
-    """Fly a plan's setpoints with simulated ropes in MuJoCo; return the flight with its results.
+    """Fly a plan with simulated ropes in MuJoCo; return the flight with its results.
+
+    The flight has what the plan states: cables, drones, and their controller with the filter and
+    files that are exported for it, unless settings replace them.
 
     Parameters
     ----------
     plan: a plan with cables, or the directory of a saved one. The hitches of several teams fly in
         one world; single drones and drones of other plans follow their setpoints exactly.
-    preset: ``fast``: tests whether the hitch holds; ``accurate``: with correct friction, five times
-        slower.
+    preset: ``fast``: links of 30 mm, which show whether the hitch holds; ``accurate``: of 10 mm,
+        five times slower, with correct friction, to measure vertices.
     perturbed: whether to add the usual disturbances of an indoor flight.
     perturbations: fields of ``Perturbations`` with other values, such as ``wind`` [N].
     progress: status callback.
     settings: further fields of ``Settings``: ``seed``, ``friction``, ``density``, ``stiffness``,
-        ``pull_test``, ``feedback``; ``controller`` by name, with ``gains``, ``upload`` and an
-        ``estimator``: ``ideal``, ``crazyflie``, ``firmware``, ``one_marker``.
+        ``pull_test``, ``feedback``; ``controller`` by name or ``ideal``, ``gains``, ``upload`` and
+        an ``estimator``: ``ideal``, ``crazyflie``, ``firmware``, ``one_marker``.
 
     Raises
     ------

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from hitchopt.errors import HitchoptError, InputError, Progress, UnsupportedError
+from hitchopt.lab.simulation.commands import resolved
 from hitchopt.lab.simulation.judgement import NOT_SIMULATED, START, CampaignRun, Failure, simulate
 from hitchopt.lab.simulation.report import CAMPAIGN, OWNED, RUNS, number
 from hitchopt.lab.simulation.settings import Settings
@@ -101,7 +102,7 @@ def run_campaign(
             if progress is not None:
                 succeeded = sum(run.succeeded for run in completed)
                 progress(f"{len(completed)} of {runs} flown, {succeeded} succeeded")
-    return Campaign(settings, tuple(sorted(completed, key=lambda run: run.seed)))
+    return Campaign(resolved(task, settings), tuple(sorted(completed, key=lambda run: run.seed)))
 
 
 def run_flight(settings: Settings, task: Task) -> CampaignRun:
