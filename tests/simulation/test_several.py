@@ -22,6 +22,7 @@ from hitchopt.errors import UnsupportedError
 from hitchopt.lab.simulation.contacts import touching
 from hitchopt.lab.simulation.judgement import closest, simulate
 from hitchopt.lab.simulation.report import ending, save_simulation, summary
+from hitchopt.lab.simulation.ropes import simulated_density
 from hitchopt.lab.simulation.settings import CALM, Loss, Settings
 from hitchopt.lab.simulation.task import Task
 from hitchopt.live.lost import Reactions
@@ -72,7 +73,7 @@ def test_groups_do_not_influence_each_other() -> None:
     assert np.linalg.norm(row[names.index(first)] - row[names.index(second)]) == apart
     content = summary(both)
     assert content["density"] == {
-        "simulated": [0.01] * 3 + [0.02] * 4,
+        "simulated": [simulated_density(ring.team, BRIEF)] * 3 + [0.02] * 4,
         "planned": [0] * 3 + [0.02] * 4,
     }
     assert [each["cable"] for each in content["tension"]][2:4] == ["a.cable 2", "b.cable 0"]

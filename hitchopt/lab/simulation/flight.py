@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.errors import InfeasibleError, InputError, Progress
+from hitchopt.errors import InfeasibleError, InputError, Progress, UnsupportedError
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.estimator import EstimatorParameters
@@ -207,7 +207,7 @@ class _FlightInProgress:
         self._command_delay = 0.0
         try:
             self._commands = [received(part, team, settings) for part, team in pairs]
-        except InfeasibleError:
+        except (InfeasibleError, UnsupportedError):
             if not self._may_stream:
                 raise
             settings = self._settings = replace(settings, upload=False)

@@ -191,6 +191,8 @@ class Settings(OneLine):
                 if (value := getattr(self, name)) and value != IDEAL:
                     remedy = f"name one of {', '.join(CONTROLLERS)}"
                     raise InputError(name, value, "left out without a controller", remedy)
+        if isinstance(self.estimator, str):
+            check_choice("estimator", self.estimator, (IDEAL,))
         if self.gains is not None:
             object.__setattr__(self, "gains", Gains.of(self.gains))
         if self.upload and self.feedback:
