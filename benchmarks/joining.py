@@ -16,7 +16,7 @@ import numpy as np
 import hitchopt as ho
 from benchmarks.flights import centimetres, success
 from benchmarks.measuring import PROBLEMS, Table, parser, timed
-from hitchopt.lab.simulation.judgement import nearest
+from hitchopt.lab.simulation.judgement import closest
 
 LIMITATIONS = (
     "fast preset; ropes of 10 g/m and 12 mm; the last ring is judged, others by touches; "
@@ -86,7 +86,7 @@ def row(name: str, runs: int, seed: int) -> tuple[object, ...]:
         centimetres([each["resting_mean"] for each in figures]),
         centimetres([max(each["resting_largest"] for each in figures)]),
         max(each["peak_tension"] for each in figures),
-        min(nearest(each.flight)[1] for each in flown),
+        min(closest(each.flight).distance for each in flown),
     )
 
 
