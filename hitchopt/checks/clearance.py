@@ -29,6 +29,7 @@ from hitchopt.checks.bodies import cable_sheets, clasped_cables, drones_of, taut
 from hitchopt.checks.certificate import Check, with_tolerance, worst_of
 from hitchopt.checks.distances import (
     GROUND,
+    OTHER_LEGS,
     UNBOUNDED,
     Flags,
     Ground,
@@ -37,6 +38,7 @@ from hitchopt.checks.distances import (
     Shape,
     cable_ends,
     gap,
+    leg_remedy,
     nearest,
     plan_points,
     upright_distance,
@@ -413,11 +415,11 @@ CABLE_CLEARANCE = CheckRule(
             formulas=(upright_distance,),
         ),
     ),
-    "give the drones other leg lengths (of a longer cable or a smaller polygon), "
-    "or a smaller separation.cable",
+    f"{OTHER_LEGS}, or a smaller separation.cable",
     "place the robots farther apart, use longer cables or more height, "
     "or allow a smaller separation.cable",
     "length",
+    remedy_at=partial(leg_remedy, distance="separation.cable"),
 )
 """Distance of cables from other drones and the ground; horizontal while they lie on it."""
 

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.checks.bodies import Bodies, clasped_cables, taut_parts
-from hitchopt.checks.certificate import with_tolerance
+from hitchopt.checks.certificate import Check, with_tolerance
 from hitchopt.checks.clasps import cut_corners
 from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase
 from hitchopt.checks.spans import (
@@ -411,6 +411,60 @@ def nearest(cases: Callable[[Motion], Iterable[Moving]]) -> Callable[[Motion, fl
     return evaluate
 
 
+LONGER_LEGS, LARGER_POLYGON, OTHER_LEGS = (
+    "use a longer cable or a smaller polygon",
+    "a larger polygon",
+    "give the drones other leg lengths, by another length of the cable or size of the polygon",
+)
+"""Changes that separate a drone from another one, or from a cable, of one hitch."""
+
+PARALLEL = 0.02
+"""Largest component along an edge, of the difference of unit vectors along the legs beyond it, up
+to which both legs are parallel: lengths of cables then have no effect on their distance."""
+
+
+def leg_remedy(motion: Motion, check: Check, distance: str) -> str:
+    """Return what separates two drones, or a drone and a cable, of one hitch; empty for others.
+
+    ``distance`` is the key of the limit. A leg continues the next edge of the polygon. With
+    exterior angle τ at both ends of an edge e and a cable of length L, the drones of that cable are
+    ``e (1 + cos τ) - L cos τ`` apart: always farther on a larger polygon; on a shorter cable where
+    their legs converge (τ < 90°: polygons of five vertices or more), on a longer one where they
+    diverge (triangles). From the edges that meet at its vertex, and from the other drone there, a
+    drone is the farther the longer the legs are.
+    """
+    change = _leg_change(motion, check)
+    return change and f"{change}, or allow a smaller {distance}"
+
+
+def _leg_change(motion: Motion, check: Check) -> str:
+    """Return the change of a cable's length, or of the polygon, that increases a distance."""
+    layout, names = motion.team.layout, (motion.team.drone_names, cable_names(motion))
+    drones, cables = ([each.index(x) for x in check.where if x in each] for each in names)
+    if len(check.where) != 2 or len(drones) + len(cables) != 2 or not drones:
+        return ""
+    first, k = drones[0], drones[0] // 2
+    other = cables[0] if cables else drones[1] // 2
+    if other != k:
+        ends = layout.starts[other], layout.ends[other]
+        met = ends if cables else (layout.anchors[drones[1]],)
+        return LONGER_LEGS if layout.anchors[first] in met else OTHER_LEGS
+    if not np.all(layout.has_leg[k]):
+        return OTHER_LEGS
+    time = float(np.clip(check.time, *motion.drones.breaks[[0, -1]]))
+    places, points = motion.drones.at(time), motion.vertices.at(time)
+    q, r, start, end = places[2 * k], places[2 * k + 1], *points[[layout.starts[k], layout.ends[k]]]
+    if cables:
+        leg = [end, r] if first % 2 == 0 else [start, q]
+        to_edge, to_leg = (shortest_offset(places[first] - x) for x in ([start, end], leg))
+        if np.linalg.norm(to_edge) <= np.linalg.norm(to_leg):
+            return LONGER_LEGS
+    spread = float((unit(r - end) - unit(q - start)) @ unit(end - start))
+    if abs(spread) <= PARALLEL:
+        return f"use {LARGER_POLYGON}"
+    return f"use a {'shorter' if spread < 0.0 else 'longer'} cable or {LARGER_POLYGON}"
+
+
 def scaled_drones(motion: Motion, drones: PiecewisePolynomial) -> Moving:
     """Return all pairs of drones, scaled by ``Separation.scale``: ratios are distances."""
     scale, names = motion.requirements.separation.scale, motion.team.drone_names
@@ -427,11 +481,11 @@ SEPARATION = CheckRule(
     "min",
     lambda motion: 1.0 if motion.team.drones > 1 else None,
     (Evaluator(_DRONE_DISTANCE, exported=True, formulas=(gap, distance)),),
-    "give the drones other leg lengths (of a longer cable or a smaller polygon), "
-    "or a smaller separation.radius",
+    f"{OTHER_LEGS}, or a smaller separation.radius",
     "place the drones farther apart, use longer cables or a larger polygon, "
     "or allow a smaller separation.radius",
     "length",
+    remedy_at=partial(leg_remedy, distance="separation.radius"),
 )
 """The ellipsoids of drones do not intersect."""
 

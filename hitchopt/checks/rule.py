@@ -148,6 +148,8 @@ class CheckRule:
     # whether a joined motion is checked as a whole, as its parts do not cover the joints
     whole: bool = False
     exported_limit: float | None = None  # limit for exported curves, if different
+    # suggested change at a violated check of a hitch, if its geometry decides; empty for ``remedy``
+    remedy_at: Callable[[Motion, Check], str] = lambda _motion, _check: ""
 
     def limit_of(self, motion: Motion) -> float | None:
         """Return the limit for a motion; None if the rule does not apply to it."""

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from hitchopt.checks import Certificate, Check
 from hitchopt.checks.registry import RULE_OF
+from hitchopt.checks.rule import CheckRule
 from hitchopt.checks.tracking import TRACKING_RADIUS
 from hitchopt.errors import HitchoptError, InfeasibleError, InputError, TimeLimitError, Violation
 from hitchopt.geometry import Outline
@@ -109,7 +110,10 @@ def infeasible_error(certificate: Certificate, motion: Motion, when: str = "") -
             time_and_step = f"at t = {check.time:.4g} s{step}"
         rule = RULE_OF.get(check.name, TRACKING_RADIUS)
         is_free = phases and not any(phase.formed for phase in phases)
-        remedy = (is_free and rule.free_remedy) or rule.remedy
+        remedy = rule.free_remedy if is_free else ""
+        if not is_free and isinstance(rule, CheckRule):
+            remedy = rule.remedy_at(motion, check)
+        remedy = remedy or rule.remedy
         remedy = _separation_shortfall(check, motion) + remedy
         violations.append(check.violation(time_and_step, remedy))
     return InfeasibleError(violations)

@@ -33,10 +33,13 @@ from refusals import assert_refused
 from hitchopt.checks import certify
 from hitchopt.checks.certificate import Check
 from hitchopt.checks.clearance import below_ground
+from hitchopt.checks.distances import leg_remedy
 from hitchopt.geometry import regular_polygon
+from hitchopt.geometry.vectors import shortest_offset
 from hitchopt.hitch import Hitch, Quadrotor, Team
-from hitchopt.hitch.requirements import Arena, Prism
+from hitchopt.hitch.requirements import Arena, Prism, Requirements
 from hitchopt.motion.motion import Motion
+from hitchopt.steps.certified_motions import rest_plan
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -373,3 +376,35 @@ def test_heights_below_ground_are_reported_without_an_arena() -> None:
     walled = replace(motion.requirements, arena=arena)
     assert below_ground(motion.replaced(requirements=walled, **parts)) is None
     assert below_ground(planned("join_a_fourth").motion) is None  # it has no vertices 3 at first
+
+
+@pytest.mark.parametrize(
+    ("robots", "edge", "length"),
+    [(3, 0.8, 1.3), (4, 0.9, 1.7), (7, 0.9, 1.5), (7, 0.9, 1.95)],
+    ids=["diverging", "parallel", "converging", "near_the_tip"],
+)
+@pytest.mark.parametrize("pair", [("q1", "r1"), ("q1", "r0"), ("q1", "cable 1"), ("q1", "cable 0")])
+def test_remedies_of_legs_increase_the_distance(
+    robots: int, edge: float, length: float, pair: tuple[str, str]
+) -> None:
+    """Each suggested change, alone, moves the two apart; the opposite one does not."""
+
+    def distance(edge: float, length: float) -> float:
+        hitch = Hitch.balanced(Team(robots, length), regular_polygon(robots, edge), 1.0)
+        drones, points = hitch.drones, hitch.vertices
+        if pair[1].startswith("r"):
+            return float(np.linalg.norm(drones[2] - drones[2 * int(pair[1][1]) + 1]))
+        k = int(pair[1][-1])  # parts of the cable that do not end at q1
+        end = points[(k + 1) % robots]
+        parts = np.stack([points[k], end]), np.stack([end, drones[2 * k + 1]])
+        return float(min(np.linalg.norm(shortest_offset(drones[2] - part)) for part in parts))
+
+    hitch = Hitch.balanced(Team(robots, length), regular_polygon(robots, edge), 1.0)
+    motion = rest_plan(hitch, Requirements()).motion
+    remedy = leg_remedy(motion, Check.of("separation", 0.5, 1.0, "min", "ratio", 0.0, pair), "d")
+    now, step = distance(edge, length), 1e-3
+    words = {"longer cable": (0.0, 1), "shorter cable": (0.0, -1), "larger": (1, 0.0)}
+    words["smaller polygon"] = (-1, 0.0)
+    for word, (wider, longer) in words.items():
+        change = distance(edge * (1.0 + step * wider), length * (1.0 + step * longer)) - now
+        assert (word in remedy) == (change > 1e-6), (word, remedy, change)
