@@ -257,6 +257,10 @@ class TimeLimitError(InfeasibleError):
     """Planning reached its time limit; feasibility is undecided."""
 
 
+EXCHANGED = ", or are x and y exchanged?"
+"""End of a remedy if exchanged coordinates would be valid."""
+
+
 def broken_limit(
     name: str, value: float, limit: float, sense: str, unit: str, where: Sequence[str]
 ) -> str:

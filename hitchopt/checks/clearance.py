@@ -58,6 +58,7 @@ from hitchopt.checks.spans import (
     phase_parts,
     position_margin,
 )
+from hitchopt.errors import EXCHANGED
 from hitchopt.geometry.vectors import dot, unit
 from hitchopt.hitch.catenary import (
     SERIES_LIMIT,
@@ -632,6 +633,22 @@ def _object_wall_gap(motion: Motion, _: float) -> WorstCase:
     return min(cases, key=lambda each: each.worst)
 
 
+ARENA_REMEDY = "enlarge the arena, or keep the hitch farther from its walls"
+
+
+def _arena_remedy(motion: Motion, _check: Check) -> str:
+    """Return the suggested change, and whether drones were inside with x and y exchanged."""
+    arena = motion.requirements.arena
+    assert arena is not None
+    places = motion.drones.at(motion.drones.breaks)[..., :2]
+
+    def are_inside(level: Array) -> bool:
+        return bool(np.all((level >= arena.lower[:2]) & (level <= arena.upper[:2])))
+
+    exchanged = not are_inside(places) and are_inside(places[..., ::-1])
+    return ARENA_REMEDY + EXCHANGED * exchanged
+
+
 ARENA = CheckRule(
     "arena",
     "m",
@@ -642,7 +659,8 @@ ARENA = CheckRule(
         Evaluator(WorstOverSpans(Parts, _part_wall_gap, "min", magnitude), HITCHED_STATE),
         Evaluator(_object_wall_gap, HITCHED_STATE),
     ),
-    "enlarge the arena, or keep the hitch farther from its walls",
+    ARENA_REMEDY,
+    remedy_at=_arena_remedy,
     exported_limit=EXPORTED_LIMIT,
 )
 """Drones, taut cables and held objects stay in the arena; ``cable_clearance`` and

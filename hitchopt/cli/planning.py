@@ -66,9 +66,8 @@ MODELINE = f"# yaml-language-server: $schema={SCHEMA}\n"
         "If there is no plan, search for the smallest change that helps.",
         True,
     ),
-    option(
-        "--repair-to", "Write FILE with the first change that helps to this file.", PATH, "FILE"
-    ),
+    option("--repair-to", "Write FILE with a change that helps to this file.", PATH, "FILE"),
+    option("--take", "Number of the change that --repair-to writes.", 1, "N"),
     option("--limit", "Time limit, searches included.", 600.0, "SECONDS"),
 )
 def solve(
@@ -77,6 +76,7 @@ def solve(
     rate: float,
     limit: float,
     repair_to: Path | None,
+    take: int,
     *,
     report: bool,
     verify: bool,
@@ -87,10 +87,14 @@ def solve(
     FILE may be - for standard input. If there is no plan, DIR/previous has the last certified plan.
     """
     from hitchopt.mission.loading import parse_problem
+    from hitchopt.mission.repair import MAX_SUGGESTIONS
     from hitchopt.storage.yaml_file import located, read_text
-    from hitchopt.values import positive
+    from hitchopt.values import integer, positive
 
     checked_rate(rate)
+    integer("take", take, 1, MAX_SUGGESTIONS)
+    if take > 1 and repair_to is None:
+        raise InputError("take", take, "used with --repair-to", "name a file to write")
     positive("limit", limit)
     end = time.monotonic() + limit
     folder = _output(output, file)
@@ -108,7 +112,7 @@ def solve(
     except HitchoptError as error:
         is_searched = repair and not isinstance(error, TimeLimitError)
         seconds = max(end - time.monotonic(), MIN_SEARCH_TIME)
-        edited = None if repair_to is None else (text, repair_to)
+        edited = None if repair_to is None else (text, repair_to, take)
         _leave_diagnosis(folder, error, problem if is_searched else None, seconds, edited)
     if verify:
         _show_verified(plan_path(folder))
@@ -162,13 +166,13 @@ def _leave_diagnosis(
     error: HitchoptError,
     problem: ho.Problem | None,
     seconds: float,
-    repair_to: tuple[str, Path] | None,
+    repair_to: tuple[str, Path, int] | None,
 ) -> NoReturn:
     """Report and save the diagnosis of an error, and exit with its code.
 
     If there is a problem, changes that make it feasible are searched for in the remaining time
-    ``seconds`` [s]. The problem's text with the first change is written to a file: ``repair_to`` is
-    the text and the file.
+    ``seconds`` [s]. The problem's text with one change is written to a file: ``repair_to`` is the
+    text, the file and the number of the change.
     """
     from hitchopt.exports.directory import DIAGNOSIS, diagnosis_content, save_diagnosis
     from hitchopt.storage.files import PREVIOUS
@@ -183,17 +187,26 @@ def _leave_diagnosis(
         content = diagnosis_content(error, [each.to_dict() for each in suggestions])
         save_diagnosis(folder, content)
         if repair_to and suggestions:
-            from hitchopt.mission.changes import with_edits_in
-
-            text = with_edits_in(repair_to[0], suggestions[0].change.edits)
-            file = _write_new(str(repair_to[1]), text)
-            say(f"wrote {file}, with the first change", err=True, file=str(file))
+            _write_changed(*repair_to, suggestions)
     message = f"no plan; the diagnosis is in {folder / DIAGNOSIS}"
     if (previous := folder / PREVIOUS).is_dir():
         record(previous=str(previous))
         message += f"; the last certified plan is in {previous}"
     say(message, err=True, directory=str(folder), diagnosis=content)
     click.get_current_context().exit(exit_code(error))
+
+
+def _write_changed(text: str, path: Path, take: int, suggestions: Sequence[ho.Suggestion]) -> None:
+    """Write a problem's text with the suggestion of a number, from 1 on, if there is one."""
+    from hitchopt.mission.changes import with_edits_in
+
+    if take > len(suggestions):
+        say(f"{path} is not written: there is no suggestion {take} (--take)", err=True)
+        return
+    changed = with_edits_in(text, suggestions[take - 1].change.edits)
+    file = _write_new(str(path), changed)
+    ordinal = ("first", "second", "third")[take - 1]
+    say(f"wrote {file}, with the {ordinal} change", err=True, file=str(file))
 
 
 def _suggestions(

@@ -11,7 +11,7 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hitchopt.errors import InputError
+from hitchopt.errors import EXCHANGED, InputError
 from hitchopt.values import Array, finite, integer, points, positive
 from hitchopt.values.by_value import ByValue
 
@@ -114,7 +114,7 @@ class Outline(ByValue, ABC):
     def _check_turns(self) -> None:
         angles = self.exterior_angles
         if (angles < 0.0).all():
-            remedy = "list its points in the reverse order"
+            remedy = f"list its points in the reverse order{EXCHANGED}"
             raise self._error("in clockwise order seen from above", remedy)
         flattest = int(np.argmin(angles))
         if angles[flattest] < MIN_EXTERIOR_ANGLE:

@@ -55,7 +55,11 @@ def checked_polygon(team: Team, polygon: Outline | ArrayLike) -> Outline:
     elif len(polygon) != points:
         count = "one per robot" if closed else "one more than robots"
         value, bound = f"{len(polygon)} points", f"a list of {points} points, {count}"
-        remedy = "add or remove points, or change team.robots"
+        excess = abs(len(polygon) - points)
+        amount = {1: "one", 2: "two", 3: "three"}.get(excess, str(excess))
+        many = "many" if len(polygon) > points else "few"
+        remedy = f"{value} for {team.robots} robots: {amount} too {many}; "
+        remedy += f"{'remove' if many == 'many' else 'add'} points, or change team.robots"
     if bound:
         raise InputError("polygon", value, bound, remedy)
     return polygon

@@ -31,6 +31,7 @@ from hitchopt.steps.step import (
     Edits,
     Knob,
     RolledLegs,
+    altitude_knobs,
     checks_relaxed_by,
     scaled_outline_edit,
     scaled_points,
@@ -52,6 +53,7 @@ class Change(OneLine):
     key, words: path of the quantity in the problem file; its description if the path is not enough.
     old, new, unit: old and new value [unit]; the unit is ``times`` for a factor, empty for words.
     relative: signed size of the change relative to the quantity; 0 for words.
+    is_factor: whether the quantity is positive, so that sizes are compared as factors.
     problem, edits: problem with the change; edits of the problem's file.
     before: change that is made before it; ``edits`` then has the edits of both.
     covers: constraints that a larger change may repair.
@@ -67,6 +69,7 @@ class Change(OneLine):
     edits: Edits
     before: Change | None = None
     covers: frozenset[str] = frozenset()
+    is_factor: bool = True
 
     def __str__(self) -> str:
         return f"{self.before} and {self._words}" if self.before else self._words
@@ -95,12 +98,12 @@ class Change(OneLine):
 
     @property
     def size(self) -> float:
-        """Size of the largest of all changes."""
-        return max(abs(each.relative) for each in self.together())
+        """Size of the largest of all changes, comparable between quantities (``size_of``)."""
+        return max(size_of(each.relative, is_factor=each.is_factor) for each in self.together())
 
     def to_dict(self) -> dict[str, object]:
         """Return the change as plain values, for JSON."""
-        hidden = {"problem", "words", "before", "covers"}
+        hidden = {"problem", "words", "before", "covers", "is_factor"}
         plain = {k: v for k, v in vars(self).items() if k not in hidden}
         plain["edits"] = [vars(edit) for edit in self.edits]
         return plain | ({"before": self.before.to_dict()} if self.before else {})
@@ -117,6 +120,14 @@ class Change(OneLine):
         return f"{change} ({words}{share} %)"
 
 
+def size_of(relative: float, *, is_factor: bool) -> float:
+    """Return the size of a relative change, ``|log(new / old)|`` of factors.
+
+    Half as much and twice as much are changes of the same size.
+    """
+    return abs(math.log1p(relative)) if is_factor else abs(relative)
+
+
 def change_of(problem: Problem, knob: Knob, size: float) -> Change | None:
     """Return a change of a relative size, rounded away from the old value; None if invalid."""
     extent = knob.extent or knob.old
@@ -131,7 +142,8 @@ def change_of(problem: Problem, knob: Knob, size: float) -> Change | None:
     except InputError:
         return None
     quantity = knob.key, knob.words, knob.old, new, knob.unit
-    return Change(*quantity, (new - knob.old) / extent, changed, edits, covers=knob.covers)
+    relative, is_factor = (new - knob.old) / extent, knob.extent is None
+    return Change(*quantity, relative, changed, edits, covers=knob.covers, is_factor=is_factor)
 
 
 def with_edits(problem: Problem, edits: Edits) -> Problem:
@@ -256,8 +268,10 @@ def knobs_of(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob
 
 
 def _start_knobs(problem: Problem) -> Iterator[Knob]:
-    """Yield the knobs of drones that start on free cables: distances of robots and of pairs."""
+    """Yield the knobs of the start: a hitch's altitude, or distances of robots and of pairs."""
     start = problem.start
+    if isinstance(start, HitchStart):
+        yield from altitude_knobs("start.hitch.altitude", start.altitude)
     if not isinstance(start, DronesStart):
         return
     middles, arms = 0.5 * (start.q + start.r)[:, :2], 0.5 * (start.r - start.q)[:, :2]
@@ -359,11 +373,15 @@ def retuning_changes(problem: Problem) -> Iterator[Change]:
 
 
 def scaled_outlines(problem: Problem, factor: float) -> Edits:
-    """Return the edits that scale all outlines about their centroids, and points accordingly."""
+    """Return the edits that scale all outlines about one point, the centroid of the first.
+
+    The hitch keeps its goals: after a transport, the point is the goal.
+    """
     centre, edits = np.zeros(2), list[Edit]()
     if isinstance(problem.start, HitchStart):
         centre = problem.start.polygon.centroid
-        edits.append(scaled_outline_edit("start.hitch.polygon", problem.start.polygon, factor))
+        outline = problem.start.polygon
+        edits.append(scaled_outline_edit("start.hitch.polygon", outline, factor, centre))
     for i, step in enumerate(problem.mission):
         step_edits, centre = step.scaled(factor, centre)
         edits += _in_step(problem, i, step_edits)

@@ -27,8 +27,10 @@ from hitchopt.mission.changes import (
     detour_changes,
     knobs_of,
     retuning_changes,
+    size_of,
     spread_changes,
 )
+from hitchopt.mission.fitted import fitted_sizes
 from hitchopt.mission.problem import Problem
 from hitchopt.mission.solving import UNPLANNED, solve_problem
 from hitchopt.steps.carrying import OBSTACLE_CHECKS
@@ -43,8 +45,8 @@ NO_CHANGE = "no change was found that makes it feasible"
 SIZES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.5, 3.0, 6.0)
 """Relative sizes of changes; each is tried for all knobs before the next one."""
 
-LOWERING_SIZES = (*(size for size in SIZES if size < 1.0), 0.9, 0.95)
-"""Relative sizes of changes that lower a quantity towards zero."""
+LOWERING_SIZES = tuple(size / (1.0 + size) for size in (*SIZES, 9.0))
+"""Relative sizes of changes that lower a quantity towards zero, by the same factors."""
 
 RESOLUTION = 0.005
 """Tolerance of the bisection, relative to the new value."""
@@ -180,6 +182,9 @@ class _Search:
             changes += retuning_changes(problem)
         verdicts = map(self._verdict_of, changes)
         suggestions = [each for each in verdicts if isinstance(each, Suggestion)]
+        suggestions += self._fitted(knobs)
+        done = {(each.change.key, each.change.relative > 0.0) for each in suggestions}
+        sufficient = [knob for knob in sufficient if (knob.key, knob.sign > 0) not in done]
         suggestions += _smallest_changes(problem, sufficient, self._verdict_of)
         if broken <= OBSTACLE_CHECKS and max_changes and len(suggestions) < MAX_SUGGESTIONS:
             verdicts = map(self._verdict_of, detour_changes(problem, error.violations))
@@ -190,6 +195,32 @@ class _Search:
         if not suggestions and max_changes > (0 if changed else 1):
             suggestions = self._combinations(knobs)
         return tuple(sorted(suggestions, key=lambda s: s.change.size)[:MAX_SUGGESTIONS])
+
+    def _fitted(self, knobs: Sequence[Knob]) -> list[Suggestion]:
+        """Return suggestions of cable lengths and tensions that statics suggest.
+
+        Changes that repair a part are combined with others, if no single one suffices.
+        """
+        suggestions, partial_changes = list[Suggestion](), list[Change]()
+        useful = [knob for knob in knobs if knob.covers & self._broken]
+        for knob, size in fitted_sizes(self._problem, useful):
+            change = change_of(self._problem, knob, size)
+            if change is None or change.key in {each.change.key for each in suggestions}:
+                continue
+            verdict = self._partial_verdict(knob.covers & self._broken, change)
+            if not isinstance(verdict, Suggestion):
+                continue
+            if str(change) in self._errors:
+                partial_changes.append(change)
+            else:
+                task = self._problem, knob, 0.0, size, verdict, self._verdict_of
+                suggestions.append(_bisect(*task))
+        if suggestions or self._max_changes <= (0 if self._already_changed else 1):
+            return suggestions
+        for change in partial_changes:
+            if completed := self._completions(change):
+                return completed
+        return []
 
     def _combinations(self, knobs: Sequence[Knob]) -> list[Suggestion]:
         """Return suggestions of combined changes, starting with changes that repair most."""
@@ -240,10 +271,13 @@ def _smallest_changes(
     """
     suggestions, closed, failed = list[Suggestion](), set[int](), [x.min_size for x in knobs]
     sizes = [(i, size) for i, knob in enumerate(knobs) for size in _sizes(knob)]
-    trials = [(0.0 if size == knobs[i].min_size else size, i, size) for i, size in sizes]
+    trials = [
+        (0.0 if size == knobs[i].min_size else _factor(knobs[i], size), i, size)
+        for i, size in sizes
+    ]
     last = 0.0
     for rank, i, size in sorted(trials):
-        smallest = min((abs(s.change.relative) for s in suggestions), default=math.inf)
+        smallest = min((s.change.size for s in suggestions), default=math.inf)
         if rank > last and (len(suggestions) >= count or last >= MAX_SIZE_RATIO * smallest):
             break
         last, knob = rank, knobs[i]
@@ -260,6 +294,11 @@ def _smallest_changes(
             closed.add(i)
         failed[i] = size
     return suggestions
+
+
+def _factor(knob: Knob, size: float) -> float:
+    """Return the size of a knob's change as changes are compared."""
+    return size_of(knob.sign * size, is_factor=knob.extent is None)
 
 
 def _sizes(knob: Knob) -> list[float]:

@@ -207,14 +207,28 @@ class Knob:
         return (Edit(self.key, value),) if self.make_edits is None else self.make_edits(value)
 
 
+ALTITUDE_CHECKS = frozenset(
+    {"arena", "cable_clearance", "keep_out", "object_clearance", "downwash"}
+)
+"""Constraints that another altitude may repair."""
+
+
+def altitude_knobs(key: str, altitude: float) -> Iterator[Knob]:
+    """Yield the knobs that raise and lower an altitude [m]."""
+    if altitude > 0.0:
+        knob = Knob(key, altitude, "m", covers=ALTITUDE_CHECKS)
+        yield knob
+        yield replace(knob, sign=-1)
+
+
 def scaled_points(points: Array, factor: float, centre: Array) -> Array:
     """Return points (…, 2) [m] scaled about ``centre``."""
     return np.round(centre + factor * (points - centre), DECIMALS)
 
 
-def scaled_outline_edit(key: str, outline: Outline, factor: float) -> Edit:
-    """Return the edit that scales an outline about its centroid."""
-    return Edit(key, scaled_points(outline.vertices, factor, outline.centroid).tolist())
+def scaled_outline_edit(key: str, outline: Outline, factor: float, centre: Array) -> Edit:
+    """Return the edit that scales an outline about ``centre``."""
+    return Edit(key, scaled_points(outline.vertices, factor, centre).tolist())
 
 
 @dataclass(frozen=True, eq=False)
@@ -485,12 +499,11 @@ class Step(Record, ABC):
             yield Knob(self.time_key, seconds, "s", sign=-1, covers=covers)
 
     def scaled(self, factor: float, centre: Array) -> tuple[Edits, Array]:
-        """Return the edits that scale its geometry, and the outline's centre after the step.
+        """Return the edits that scale its geometry about ``centre``, and that of later steps.
 
-        Points are scaled about ``centre`` (2,) [m], the outline's centre before the step; polygons
-        about their own centroid.
+        Centres are (2,) [m]: one point until the hitch is carried elsewhere or formed anew.
         """
         polygon: Outline | None = vars(self).get("polygon")
         if polygon is None:
             return (), centre
-        return (scaled_outline_edit("polygon", polygon, factor),), polygon.centroid
+        return (scaled_outline_edit("polygon", polygon, factor, centre),), centre

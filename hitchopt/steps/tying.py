@@ -20,6 +20,7 @@ from hitchopt.steps.step import (
     INDEX,
     LEGS,
     LEGS_TEXT,
+    Edits,
     Knob,
     Polygon,
     RolledLegs,
@@ -30,7 +31,9 @@ from hitchopt.steps.step import (
     StepPlan,
     StepTask,
     WhichPoint,
+    altitude_knobs,
     checks_relaxed_by,
+    scaled_outline_edit,
 )
 from hitchopt.values import Array, Indices
 from hitchopt.values.fields import Key, either, list_of, mapping_of, words
@@ -209,9 +212,15 @@ class Form(Step):
                 return short, nearer
         return goal, prehitch
 
+    def scaled(self, factor: float, centre: Array) -> tuple[Edits, Array]:
+        """Return the edit that scales its polygon about the centroid, the centre of later steps."""
+        centre = self.polygon.centroid
+        return (scaled_outline_edit("polygon", self.polygon, factor, centre),), centre
+
     def knobs(self) -> Iterator[Knob]:
-        """Yield the duration, and the swap's radius if it exceeds the default."""
+        """Yield the duration, the altitude, and the swap's radius if it exceeds the default."""
         yield from super().knobs()
+        yield from altitude_knobs("altitude", self.altitude)
         if self.swap.radius > SwapSettings.radius:
             covers = checks_relaxed_by("length") | {"interlacing", "arena", "crossing"}
             yield Knob("swap.radius", self.swap.radius, "m", sign=-1, covers=covers)

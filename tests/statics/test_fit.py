@@ -17,7 +17,8 @@ import hitchopt as ho
 from hitchopt.cli import main
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.sizing import fitting_lengths, fitting_tensions
-from hitchopt.lab.statics.fit import Holding, enclosing_polygon, shortest_cable
+from hitchopt.lab.statics.fit import Holding
+from hitchopt.planners.fitting import enclosing_polygon, shortest_cable
 
 BOX = ho.Section([[0.2, 0.15], [0.2, -0.15], [-0.2, -0.15], [-0.2, 0.15]])
 DISC = ho.Section(radius=0.3)
@@ -69,7 +70,7 @@ def test_cables_are_long_enough_for_the_enclosing_polygon() -> None:
 
 def test_the_shortest_cable_keeps_drones_apart() -> None:
     polygon, separations = enclosing_polygon(DISC, 3, 0.035), []
-    cable = shortest_cable(polygon, Requirements())
+    cable = shortest_cable([polygon], Requirements())
     for length in (cable - 0.01, cable):
         drones = ho.Hitch.balanced(ho.Team(3, length), polygon).drones * ho.Separation().scale
         separations.append(float(np.min(pdist(drones))))

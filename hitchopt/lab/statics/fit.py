@@ -7,7 +7,6 @@ the separation of the drones.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -20,42 +19,22 @@ from scipy.spatial import ConvexHull
 from hitchopt.errors import InfeasibleError, InputError, OneLine, Violation
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.geometry.drawings import drawing_of_geometry, format_size, read_drawing
-from hitchopt.geometry.vectors import dot, length, unit
-from hitchopt.hitch.hitch import balanced_legs
 from hitchopt.hitch.holding import Capacity, Grip, grip_capacity, rest_capacity
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
-from hitchopt.hitch.slack_split import (
-    LIMIT_MARGIN,
-    SPREAD_MARGIN,
-    LegTask,
-)
-from hitchopt.hitch.team import Quadrotor, Swarm, Team, kinds_of
+from hitchopt.hitch.team import Quadrotor, Swarm, kinds_of
 from hitchopt.objects import Rim, Section, SolidObject
 from hitchopt.planners.carrying.polygons import (
-    EDGE_MARGIN,
-    GRIP_STRETCHES,
     GripTask,
-    HoldPolygons,
     best_grip,
     rest_polygons,
 )
+from hitchopt.planners.fitting import enclosing_polygon, grip_and_cable, shortest_cable
 from hitchopt.values import integer, nonnegative, points, positive
 
 GRIP, REST = "grip", "rest"
 SAFETY = 1.5  # Smallest ratio of slip load to load
 MAX_ROBOTS = 24  # Limited by memory for pairs of parts of a grip
 TABLE_ROBOTS = (3, 4, 5, 6)  # Numbers of robots that are compared with the requested one
-
-# Candidate polygons: directions of stretch besides those of the section's sides, rotations within a
-# period of symmetry, and aspect ratios over the section's own
-AXES, ROTATIONS, ASPECT_RATIOS = 24, 16, np.geomspace(0.25, 4.0, 41)
-
-MIN_TURN, MIN_EDGE = 0.6, 0.5  # Smallest exterior angle and smallest edge, over their means
-ROUNDING = 1e-9  # Tolerance within which lengths or margins are equal
-
-# Step of cable lengths [m], stride of candidates with unbalanced legs, and largest length beyond
-# the one that legs need [m]
-CENTIMETRE, STRIDE, MAX_EXTRA_LENGTH = 0.01, 20, 1.0
 
 
 @dataclass(frozen=True)
@@ -235,7 +214,7 @@ def _section_of(outline: Any) -> tuple[Section, list[str]]:
 def _holding(task: FitTask, robots: int) -> Holding:
     """Return the polygons for a number of robots; InfeasibleError if none encloses the object."""
     enclosing = enclosing_polygon(task.section, robots, task.clearance)
-    cable = task.cable_length or shortest_cable(enclosing, task.requirements)
+    cable = task.cable_length or shortest_cable([enclosing], task.requirements)
     max_edge = cable - 2.0 * task.requirements.limits.leg
     k = int(np.argmax(enclosing.edge_lengths))
     longest = float(enclosing.edge_lengths[k])
@@ -243,31 +222,31 @@ def _holding(task: FitTask, robots: int) -> Holding:
         remedy = f"use cables of {longest + cable - max_edge:.3g} m or more, or more robots"
         violation = Violation("legs", longest, max_edge, "max", "m", (f"edge {k}",), "", remedy)
         raise InfeasibleError([violation], "the enclosing polygon does not fit the cables")
-    holding = _polygons_for_cable(task, enclosing, cable)
-    if task.cable_length is None and isinstance(holding.grip, Grip):
-        # ``enclose`` adds a margin for errors of the object's pose around the closed grip
-        sections, gap = (task.section,), task.clearance + EDGE_MARGIN
-        closed, centre = holding.grip.vertices, task.section.centroid
-        enclosure = HoldPolygons.about(closed, centre, sections, gap, GRIP_STRETCHES).around
-        needed = _attempt(lambda: shortest_cable(ConvexPolygon(enclosure), task.requirements))
-        if isinstance(needed, float) and needed > cable:
-            longer = _polygons_for_cable(task, enclosing, needed)
-            return longer if isinstance(longer.grip, Grip) else holding
-    return holding
+    friction, requirements = task.clasp_friction, task.requirements
+    request = GripTask(task.section, robots, cable, task.tension, friction, requirements, task.kind)
+
+    def grip() -> tuple[Grip, float]:
+        if task.cable_length is None:
+            return grip_and_cable(request, task.clearance)
+        return best_grip(request), cable
+
+    gripping = _attempt(grip)
+    if isinstance(gripping, InfeasibleError):
+        return _with_capacities(task, enclosing, cable, gripping)
+    return _with_capacities(task, enclosing, gripping[1], gripping[0])
 
 
-def _polygons_for_cable(task: FitTask, enclosing: ConvexPolygon, cable: float) -> Holding:
-    """Return the polygons for a cable length [m]."""
+def _with_capacities(
+    task: FitTask, enclosing: ConvexPolygon, cable: float, grip: Grip | InfeasibleError
+) -> Holding:
+    """Return the polygons for a cable length [m] with the largest masses that they hold."""
     n, section, requirements = len(enclosing), task.section, task.requirements
-    gripping = GripTask(
-        section, n, cable, task.tension, task.clasp_friction, requirements, task.kind
-    )
 
     def resting() -> ConvexPolygon:
         body = SolidObject(section, 0.0, task.height, rim=Rim(section, 0.0))
         return ConvexPolygon(rest_polygons("outline", body, n, task.clearance).clasps)
 
-    grip, rest = _attempt(lambda: best_grip(gripping)), _attempt(resting)
+    rest = _attempt(resting)
     capacities = [grip, rest]
     if isinstance(grip, Grip):
         capacities[0] = grip_capacity(grip, task.kind, task.friction, SAFETY)
@@ -289,67 +268,3 @@ def _attempt(search: Callable[[], Any]) -> Any:
         return search()
     except InfeasibleError as error:
         return error
-
-
-def enclosing_polygon(section: Section, n: int, clearance: float) -> ConvexPolygon:
-    """Return an n-gon of short edges of similar lengths at a distance [m] from a section.
-
-    Candidates have the edge directions of regular polygons, rotated and stretched in proportion to
-    the section's widths. The one with the least sum of squared edge lengths is taken.
-    InfeasibleError: all have flat corners or short edges, as around a narrow section.
-    """
-    sides = np.roll(section.core, -1, axis=0) - section.core
-    angles = np.append(math.pi * np.arange(AXES) / AXES, np.arctan2(sides[:, 1], sides[:, 0]))
-    c, s = np.cos(angles), np.sin(angles)
-    axes = np.stack([c, s, -s, c], axis=-1).reshape(-1, 2, 2)
-    widths = 0.5 * (section.support(axes) + section.support(-axes)) + clearance
-    ratios = np.column_stack([np.sqrt(ASPECT_RATIOS), 1.0 / np.sqrt(ASPECT_RATIOS)])
-    turns = 2.0 * math.pi / n * (np.arange(ROTATIONS)[:, None] / ROTATIONS - np.arange(n))
-    regular = np.stack([np.cos(turns), np.sin(turns)], axis=-1)
-    shapes = np.einsum("aj,kj,tnj,aji->aktni", widths, ratios, regular, axes).reshape(-1, n, 2)
-    edges = unit(np.roll(shapes, -1, axis=-2) - shapes)
-    outward = np.stack([-edges[..., 1], edges[..., 0]], axis=-1)
-    distances = section.support(outward) + clearance
-    pairs = np.stack([np.roll(outward, 1, axis=-2), outward], axis=-2)
-    reaches = np.stack([np.roll(distances, 1, axis=-1), distances], axis=-1)
-    corners = np.linalg.solve(pairs, reaches[..., None])[..., 0]
-    onward = np.roll(corners, -1, axis=-2) - corners
-    previous, sizes = np.roll(onward, 1, axis=-2), length(onward)
-    right = previous[..., 1] * onward[..., 0] - previous[..., 0] * onward[..., 1]
-    turned = np.arctan2(right, dot(previous, onward))
-    feasible = np.isclose(np.sum(turned, axis=-1), 2.0 * math.pi)
-    feasible &= np.all(turned >= MIN_TURN * 2.0 * math.pi / n, axis=-1)
-    feasible &= np.min(sizes, axis=-1) >= MIN_EDGE * np.mean(sizes, axis=-1)
-    feasible &= np.all(dot(onward, edges) > 0.0, axis=-1)
-    if not np.any(feasible):
-        violation = Violation("convexity", n, n - 1, "max", "edges", (), "", "use fewer robots")
-        raise InfeasibleError([violation], "the section is too narrow for so many edges around it")
-    squares = np.where(feasible, np.sum(onward**2, axis=(-2, -1)), np.inf)
-    return ConvexPolygon(corners[np.argmax(squares <= (1.0 + ROUNDING) * np.min(squares))])
-
-
-def shortest_cable(polygon: ConvexPolygon, requirements: Requirements) -> float:
-    """Return the shortest cable length [m], in centimetres, with well separated balanced legs.
-
-    If there is none, return the length with the largest margin over all slack splits.
-    InfeasibleError: no length up to MAX_EXTRA_LENGTH keeps the separation of the drones.
-    """
-    longest, leg = float(np.max(polygon.edge_lengths)), requirements.limits.leg
-    first = math.ceil((longest + 2.0 * LIMIT_MARGIN * leg) / CENTIMETRE)
-    lengths = np.arange(first, first + round(MAX_EXTRA_LENGTH / CENTIMETRE)) / 100.0
-    for cables, balanced in ((lengths, True), (lengths[::STRIDE], False)):
-        best, shortest = 0.0, 0.0
-        for cable in cables.tolist():
-            team = Team(len(polygon), cable)
-            shape = polygon.vertices[None], balanced_legs(team, polygon)[None]
-            task = LegTask(team, requirements, *shape, leg, SPREAD_MARGIN)
-            margin = task.reference_margin() if balanced else task.split().margin
-            if min(margin, SPREAD_MARGIN) > best + ROUNDING:
-                best, shortest = min(margin, SPREAD_MARGIN), cable
-            if best >= SPREAD_MARGIN:
-                break
-        if best >= LIMIT_MARGIN:
-            return shortest
-    remedy = f"{'use fewer robots, or ' if len(polygon) > 3 else ''}change the clearance"
-    violation = Violation("separation", best, LIMIT_MARGIN, "min", "ratio", (), "", remedy)
-    raise InfeasibleError([violation], "no cable length separates the drones around the object")

@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.errors import EXCHANGED, InfeasibleError, Violation
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.hitch import cable_slack
@@ -154,7 +154,8 @@ def follow_vertex(start: Hitch, polygon: Outline, vertex: int, points: Array) ->
         if distance > START_TOLERANCE:
             where, place = (f"p{vertex}",), origin.round(9).tolist()
             remedy = f"the path begins at t = 0 at {first.tolist()}, the vertex is at {place}: "
-            remedy += "begin there, or later"
+            exchanged = float(np.linalg.norm(first[::-1] - origin)) <= START_TOLERANCE
+            remedy += f"begin there, or later{EXCHANGED if exchanged else ''}"
             violation = Violation(
                 "continuity", distance, START_TOLERANCE, "max", "m", where, "at t = 0", remedy
             )

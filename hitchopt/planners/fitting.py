@@ -1,0 +1,177 @@
+"""Polygons and cable lengths that fit objects and outlines, by statics alone.
+
+The enclosing polygon has short edges of similar lengths at the clearance from the outline. Cables
+are the shortest that keep the separation of the drones.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.geometry import ConvexPolygon, Outline
+from hitchopt.geometry.vectors import dot, length, unit
+from hitchopt.hitch.forces import cable_slack_of
+from hitchopt.hitch.holding import Grip
+from hitchopt.hitch.requirements import Requirements
+from hitchopt.hitch.slack_split import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
+from hitchopt.hitch.team import Team
+from hitchopt.objects import Section
+from hitchopt.planners.carrying.polygons import (
+    EDGE_MARGIN,
+    GRIP_STRETCHES,
+    GripTask,
+    HoldPolygons,
+    best_grip,
+)
+
+AXES, ROTATIONS, ASPECT_RATIOS = 24, 16, np.geomspace(0.25, 4.0, 41)
+"""Candidates of enclosing polygons: directions of stretch besides those of the section's sides,
+rotations within a period of symmetry, and aspect ratios over the section's own."""
+
+MIN_TURN, MIN_EDGE = 0.6, 0.5
+"""Smallest exterior angle and smallest edge, over their means."""
+
+ROUNDING = 1e-9
+"""Tolerance within which lengths or margins are equal."""
+
+CENTIMETRE, STRIDE, MAX_EXTRA_LENGTH = 0.01, 20, 1.0
+"""Step of cable lengths [m], stride of candidates with unbalanced legs, and largest length beyond
+the one that legs need [m]."""
+
+
+def enclosing_polygon(section: Section, n: int, clearance: float) -> ConvexPolygon:
+    """Return an n-gon of short edges of similar lengths at a distance [m] from a section.
+
+    Candidates have the edge directions of regular polygons, rotated and stretched in proportion to
+    the section's widths. The one with the least sum of squared edge lengths is taken.
+    InfeasibleError: all have flat corners or short edges, as around a narrow section.
+    """
+    sides = np.roll(section.core, -1, axis=0) - section.core
+    angles = np.append(math.pi * np.arange(AXES) / AXES, np.arctan2(sides[:, 1], sides[:, 0]))
+    c, s = np.cos(angles), np.sin(angles)
+    axes = np.stack([c, s, -s, c], axis=-1).reshape(-1, 2, 2)
+    widths = 0.5 * (section.support(axes) + section.support(-axes)) + clearance
+    ratios = np.column_stack([np.sqrt(ASPECT_RATIOS), 1.0 / np.sqrt(ASPECT_RATIOS)])
+    turns = 2.0 * math.pi / n * (np.arange(ROTATIONS)[:, None] / ROTATIONS - np.arange(n))
+    regular = np.stack([np.cos(turns), np.sin(turns)], axis=-1)
+    shapes = np.einsum("aj,kj,tnj,aji->aktni", widths, ratios, regular, axes).reshape(-1, n, 2)
+    edges = unit(np.roll(shapes, -1, axis=-2) - shapes)
+    outward = np.stack([-edges[..., 1], edges[..., 0]], axis=-1)
+    distances = section.support(outward) + clearance
+    pairs = np.stack([np.roll(outward, 1, axis=-2), outward], axis=-2)
+    reaches = np.stack([np.roll(distances, 1, axis=-1), distances], axis=-1)
+    corners = np.linalg.solve(pairs, reaches[..., None])[..., 0]
+    onward = np.roll(corners, -1, axis=-2) - corners
+    previous, sizes = np.roll(onward, 1, axis=-2), length(onward)
+    right = previous[..., 1] * onward[..., 0] - previous[..., 0] * onward[..., 1]
+    turned = np.arctan2(right, dot(previous, onward))
+    feasible = np.isclose(np.sum(turned, axis=-1), 2.0 * math.pi)
+    feasible &= np.all(turned >= MIN_TURN * 2.0 * math.pi / n, axis=-1)
+    feasible &= np.min(sizes, axis=-1) >= MIN_EDGE * np.mean(sizes, axis=-1)
+    feasible &= np.all(dot(onward, edges) > 0.0, axis=-1)
+    if not np.any(feasible):
+        violation = Violation("convexity", n, n - 1, "max", "edges", (), "", "use fewer robots")
+        raise InfeasibleError([violation], "the section is too narrow for so many edges around it")
+    squares = np.where(feasible, np.sum(onward**2, axis=(-2, -1)), np.inf)
+    return ConvexPolygon(corners[np.argmax(squares <= (1.0 + ROUNDING) * np.min(squares))])
+
+
+def shortest_cable(
+    polygons: Sequence[Outline], requirements: Requirements, team: Team | None = None
+) -> float:
+    """Return the shortest cable length [m], in centimetres, with well separated balanced legs.
+
+    They are separated on all polygons, of the same number of robots. If there is no such length,
+    return the one with the largest margin over all slack splits. By default, cables are weightless
+    and drones carry no load; otherwise those of a ``team``, of which the longest cable is meant.
+    InfeasibleError: no length up to MAX_EXTRA_LENGTH keeps the separation of the drones.
+    """
+    for balanced in (True, False):
+        best, shortest = 0.0, 0.0
+        for cable, margin in _margins(polygons, requirements, team, balanced=balanced):
+            if margin > best + ROUNDING:
+                best, shortest = margin, cable
+            if best >= SPREAD_MARGIN:
+                break
+        if best >= LIMIT_MARGIN:
+            return shortest
+    remedy = f"{'use fewer robots, or ' if len(polygons[0]) > 3 else ''}change the clearance"
+    violation = Violation("separation", best, LIMIT_MARGIN, "min", "ratio", (), "", remedy)
+    raise InfeasibleError([violation], "no cable length separates the drones around the object")
+
+
+def separating_cables(
+    polygons: Sequence[Outline], requirements: Requirements, team: Team
+) -> list[float]:
+    """Return cable lengths [m] with separated legs on all polygons, as of ``shortest_cable``.
+
+    They are the shortest and longest whose balanced legs keep the limits, and the shortest whose
+    legs are well separated; of all slack splits if balanced legs never suffice.
+    """
+    lengths: list[float] = []
+    for balanced in (True, False):
+        pairs = list(_margins(polygons, requirements, team, balanced=balanced))
+        feasible = [pair for pair in pairs if pair[1] >= LIMIT_MARGIN]
+        if feasible:
+            best = max(feasible, key=lambda pair: (round(pair[1], 9), -pair[0]))
+            lengths = [feasible[0][0], best[0], feasible[-1][0]]
+            break
+    return list(dict.fromkeys(lengths))
+
+
+def _margins(
+    polygons: Sequence[Outline],
+    requirements: Requirements,
+    team: Team | None,
+    *,
+    balanced: bool,
+) -> Iterator[tuple[float, float]]:
+    """Yield cable lengths [m] with the smallest margin of legs, of at most SPREAD_MARGIN.
+
+    Legs are balanced, or else those of the best slack split.
+    """
+    team, leg = team or Team(len(polygons[0]), 1.0), requirements.limits.leg
+    ratios = team.cable_length / np.max(team.cable_length)
+    vertices = np.stack([each.vertices for each in polygons])
+    needed = np.max(np.stack([each.edge_lengths for each in polygons]) / ratios)
+    first = math.ceil((float(needed) + 2.0 * LIMIT_MARGIN * leg) / CENTIMETRE)
+    lengths = np.arange(first, first + round(MAX_EXTRA_LENGTH / CENTIMETRE)) / 100.0
+    for cable in lengths[:: 1 if balanced else STRIDE].tolist():
+        cut = replace(team, cable_length=cable * ratios)
+        slack = cable_slack_of(cut, cut.layout.edges(vertices))
+        if np.min(slack) <= 0.0:  # heavy cables sag
+            continue
+        legs = cut.layout.q_legs_of(0.5 * slack, slack)
+        task = LegTask(cut, requirements, vertices, legs, leg, SPREAD_MARGIN)
+        if balanced:
+            margin = task.reference_margin()
+        else:  # one by one, as a path of polygons is split from its reference only
+            parts = (slice(j, j + 1) for j in range(len(legs)))
+            each = (replace(task, polygons=vertices[j], reference=legs[j]) for j in parts)
+            margin = min(one.split().margin for one in each)
+        yield cable, min(margin, SPREAD_MARGIN)
+
+
+def grip_and_cable(task: GripTask, clearance: float) -> tuple[Grip, float]:
+    """Return the grip with the largest slip load, and its cable length [m].
+
+    It is that of the task, or longer if the polygon needs it that encloses the section with a
+    ``clearance`` [m] before the grip closes. InfeasibleError: the search failed.
+    """
+    grip = best_grip(task)
+    # ``enclose`` adds a margin for errors of the object's pose around the closed grip
+    sections, gap = (task.section,), clearance + EDGE_MARGIN
+    centre = task.section.centroid
+    around = HoldPolygons.about(grip.vertices, centre, sections, gap, GRIP_STRETCHES).around
+    try:
+        needed = shortest_cable([ConvexPolygon(around)], task.requirements)
+        if needed > task.cable_length:
+            return best_grip(replace(task, cable_length=needed)), needed
+    except InfeasibleError:  # the shorter cable grips, but may not enclose
+        pass
+    return grip, task.cable_length
