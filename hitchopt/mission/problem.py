@@ -13,7 +13,7 @@ import numpy as np
 from hitchopt.errors import InputError, UnitWarning
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Swarm, Team
-from hitchopt.hitch.hitch import UNIT_ERROR_RATIO, checked_polygon
+from hitchopt.hitch.hitch import UNIT_ERROR_RATIO, checked_polygon, count_remedy
 from hitchopt.hitch.requirements import (
     Arena,
     Limits,
@@ -357,8 +357,9 @@ def resolved_start(name: str, team: Team, start: Any) -> Any:
     for drones, places in vars(start).items():
         if len(places) != team.robots:
             key, bound = f"start.drones.{drones}", f"a list of {team.robots} points"
-            remedy = "add or remove points, or change team.robots"
-            raise InputError(key, f"{len(places)} points", bound, remedy)
+            remedy = count_remedy(len(places), team.robots)
+            value = f"{len(places)} points for {team.robots} robots"
+            raise InputError(key, value, bound, remedy)
     distances = np.linalg.norm(start.q - start.r, axis=1)
     k = int(np.argmax(distances / team.cable_length))
     if distances[k] > UNIT_ERROR_RATIO * team.cable_length[k]:

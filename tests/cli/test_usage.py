@@ -77,6 +77,8 @@ RATE = "error: --rate = {}: must be above 0 and at most 10000 Hz"
         ("init --drone x260_bolt --example triangle", "error: --drone = 'x260_bolt': must be left"),
         ("fit circle:-1 --robots 3", "error: OUTLINE = -1.0: must be greater than 0"),
         (f"{SOLVE} --repair-to {TRIANGLE}", "triangle.yaml: exists already; give another name"),
+        (f"{SOLVE} --take 4 --repair-to own", "error: --take = 4: must be"),
+        (f"{SOLVE} --take 2", "error: --take = 2: must be used with --repair-to"),
         (f"calibrate {ROOT}/problems/show", "must be a flight, not its plan; name the file"),
         (
             f"sweep {TRIANGLE}",

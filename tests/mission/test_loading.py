@@ -117,6 +117,8 @@ PLACES: dict[str, Any] = {
     "r": [[0, 2, 2], [1, 2, 2], [2, 2, 2]],
 }
 
+SQUARE = [[-0.5, -0.5], [-0.5, 0.5], [0.5, 0.5], [0.5, -0.5]]
+CORNERS = [[0, 0.7], [0.6, -0.35], [-0.6, -0.35]]
 STAY = {"hold": {"seconds": 1}}
 
 
@@ -138,7 +140,15 @@ def drones(**places: Any) -> dict[str, Any]:
             r"must be given; add start: \{drones: \{q: \[.*\}\}, 3 points each",
         ),
         ({"mission": [{"enclose": {"object": "box"}}]}, "one of objects: there are none; add it"),
-        (drones(q=PLACES["q"][:2]), r"start\.drones\.q = '2 points'"),
+        (drones(q=PLACES["q"][:2]), r"start\.drones\.q = '2 points for 3 robots'.* one too few"),
+        (
+            {"start": {"hitch": {"polygon": SQUARE, "altitude": 1}}},
+            r"polygon = '4 points for 3 robots': .* one too many: remove points",
+        ),
+        (
+            {"start": {"hitch": {"polygon": [p[::-1] for p in CORNERS], "altitude": 1}}},
+            r"in clockwise order .*, or are x and y exchanged\?",
+        ),
         (drones(r=[[1e9, 0, 1], *PLACES["r"][1:]]), r"start\.drones\.r\[0\] = .* finite and with"),
         (drones(r=[[1, 0], *PLACES["r"][1:]]), r"drones\.r\[0\] = .* must be a point \[x, y, z\]"),
     ],

@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import fields
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,8 +18,9 @@ from problem_cases import hitch_start, triangle
 import hitchopt as ho
 from hitchopt.hitch.team import Assignment
 from hitchopt.mission.changes import change_of, knobs_of, scaled_outlines, team_edit, with_edits
+from hitchopt.mission.fitted import fitting_cables
 from hitchopt.mission.loading import problem_from_dict
-from hitchopt.mission.solving import contents
+from hitchopt.mission.solving import contents, solve_problem
 from hitchopt.steps.step import Edit
 from hitchopt.storage.yaml_file import read_yaml, split_key
 
@@ -66,7 +68,7 @@ def test_every_suggestion_plans_when_written_into_the_file(stem: str) -> None:
     suggestions = suggested(stem)
     assert suggestions[0].change.key == SMALLEST[stem]
     assert 1 <= len(suggestions) <= 3
-    sizes = [abs(suggestion.change.relative) for suggestion in suggestions]
+    sizes = [suggestion.change.size for suggestion in suggestions]
     assert sizes == sorted(sizes)
     for suggestion in suggestions:
         assert_as_suggested(read_yaml(CASES[stem]), suggestion)
@@ -77,6 +79,101 @@ def assert_as_suggested(data: Any, suggestion: ho.Suggestion) -> ho.Plan:
     assert plan.certificate.certified
     assert plan.duration == pytest.approx(suggestion.duration, rel=1e-6)
     return plan
+
+
+BEGINNERS = read_yaml(Path(__file__).with_name("beginners.yaml"))
+"""Problems by name, with the kinds of their faults."""
+
+QUICK = {
+    "cables_of_lead",
+    "pull_too_strong_for_a_small_drone",
+    "robots_start_too_close",
+    "transport_into_the_ceiling",
+}
+"""Those that take about a second."""
+
+
+@pytest.mark.parametrize(
+    "name",
+    [x if x in QUICK else pytest.param(x, marks=pytest.mark.slow) for x in BEGINNERS],
+)
+def test_faults_of_beginners_are_repaired(name: str) -> None:
+    suggestions = ho.suggestions(problem_from_dict(BEGINNERS[name]["problem"]), PATIENCE)
+    assert suggestions, BEGINNERS[name]["faults"]
+    assert_as_suggested(BEGINNERS[name]["problem"], suggestions[0])
+
+
+HEPTAGON = [
+    [[1.45, -0.014], [1.097, -0.85], [-0.619, -1.175], [-1.326, -0.526], [-1.413, 0.293]]
+    + [[-0.148, 1.292], [1.125, 0.82]],
+    [[1.386, 0.215], [0.786, -1.272], [-0.122, -1.531], [-1.282, -0.618], [-1.232, 0.73]]
+    + [[-0.024, 1.536], [0.648, 1.362]],
+]
+CRATE = {
+    "outline": [[-0.175, -0.125], [-0.175, 0.125], [0.175, 0.125], [0.175, -0.125]],
+    **{"to": 0.2, "mass": 0.06, "at": [1.2, 0.4, 0]},
+}
+
+
+@pytest.mark.slow
+def test_statics_suggest_the_cables_of_polygons_and_grips() -> None:
+    """Lengths for which the heptagon is planned, and those of ``fit`` for the crate."""
+    start = {"hitch": {"polygon": HEPTAGON[0], "altitude": 1.5, "legs": "spread"}}
+    heptagon: dict[str, Any] = {
+        "team": {"robots": 7, "cable_length": 4.0},
+        "start": start,
+        "mission": [{"morph": {"polygon": HEPTAGON[1]}}],
+    }
+    lengths = fitting_cables(problem_from_dict(heptagon))
+    assert min(lengths) < 2.35 < max(lengths) < 4.0
+    with pytest.raises(ho.InfeasibleError) as raised:
+        solve_problem(problem_from_dict(heptagon), optimiser=False)
+    assert "use a shorter cable or a larger polygon" in raised.value.violations[0].remedy
+    heptagon["team"]["cable_length"] = lengths[1]
+    assert solve_problem(problem_from_dict(heptagon), optimiser=False).certificate.certified
+
+
+@pytest.mark.slow
+def test_a_crate_gets_the_cable_that_grips_it_and_the_tension_that_carries_it() -> None:
+    data = small(
+        team={"robots": 4, "cable_length": 2.0},
+        objects={"crate": CRATE},
+        start={"hitch": {"polygon": [[-0.3, -0.3], [-0.3, 0.3], [0.3, 0.3], [0.3, -0.3]]}},
+        mission=[{"transport_object": {"object": "crate", "to": [0, 1.5, 0]}}],
+    )
+    data["start"]["hitch"]["altitude"] = 1.2
+    suggestion = ho.suggestions(problem_from_dict(data), PATIENCE)[0]
+    keys = {each.key: each.new for each in suggestion.change.together()}
+    assert set(keys) == {"team.cable_length", "team.tension"}
+    outline = CRATE["outline"]
+    assert keys["team.cable_length"] == ho.fit(outline, 4, height=0.2).holding.cable_length
+    assert_as_suggested(data, suggestion)
+
+
+def test_sizes_are_compared_as_factors() -> None:
+    problem = problem_from_dict(small(arena=ARENA))
+    tension = [x for x in knobs_of(problem, ()) if x.key == "team.tension"]
+    lower, higher = sorted(tension, key=lambda knob: knob.sign)
+    half, double = change_of(problem, lower, 0.5), change_of(problem, higher, 1.0)
+    assert half is not None
+    assert double is not None
+    assert half.size == pytest.approx(double.size)
+    assert half.size == pytest.approx(math.log(2.0))
+    (wall,) = (x for x in knobs_of(problem, ()) if x.key == "arena.upper[0]")
+    moved = change_of(problem, wall, 0.5)  # a position, not a factor
+    assert moved is not None
+    assert moved.size == pytest.approx(0.5)
+
+
+def test_outlines_are_scaled_about_one_point() -> None:
+    """Distances of polygons scale with them."""
+    shifted = (EDGE.vertices + [0.6, -0.2]).tolist()
+    problem = problem_from_dict(small(mission=[{"morph": {"polygon": shifted}}]))
+    first, second = outlines(problem)
+    scaled = outlines(with_edits(problem, scaled_outlines(problem, 0.8)))
+    between = second.vertices - first.vertices[0]
+    after = scaled[1].vertices - scaled[0].vertices[0]
+    np.testing.assert_allclose(after, 0.8 * between, atol=1e-8)
 
 
 EDGE = ho.regular_polygon(3, 1.2)
