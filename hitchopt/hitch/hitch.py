@@ -54,20 +54,20 @@ def checked_polygon(team: Team, polygon: Outline | ArrayLike) -> Outline:
         remedy = "give its points as such, or change team.topology"
     elif len(polygon) != points:
         count = "one per robot" if closed else "one more than robots"
-        value = f"{len(polygon)} points for {team.robots} robots"
-        bound = f"a list of {points} points, {count}"
-        remedy = count_remedy(len(polygon), points)
+        value, bound = f"{len(polygon)} points", f"a list of {points} points, {count}"
+        remedy = count_remedy(len(polygon), points, team.robots)
     if bound:
         raise InputError("polygon", value, bound, remedy)
     return polygon
 
 
-def count_remedy(given: int, needed: int) -> str:
+def count_remedy(given: int, needed: int, robots: int) -> str:
     """Return what to do about a number of points that does not fit the robots."""
     excess = abs(given - needed)
     amount = {1: "one", 2: "two", 3: "three"}.get(excess, str(excess))
     many, change = ("many", "remove") if given > needed else ("few", "add")
-    return f"{amount} too {many}: {change} points, or change team.robots"
+    counts = f"{given} points for {robots} robots, {amount} too {many}"
+    return f"{counts}: {change} points, or change team.robots"
 
 
 def cable_slack(team: Team, polygon: Outline) -> Array:

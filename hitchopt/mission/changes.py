@@ -222,7 +222,7 @@ DISTANCE_CHECKS = frozenset({"crossing", "cable_clearance", "separation", "track
 """Constraints that more distance repairs."""
 
 LOAD_CHECKS, GRIP_CHECKS = frozenset({"load"}), frozenset({"grip"})
-"""Constraints that a higher tension repairs, and that lighter or rougher objects repair."""
+"""Constraints that a higher tension repairs, and that lighter or rougher objects repair as well."""
 
 MAX_FRICTION, MAX_TILT_DEG, LOAD_SHARE = 1.0, 80.0, 0.95
 """Maximum coefficient of friction and maximum tilt [deg] of suggestions; first mass to try, as a
@@ -304,7 +304,8 @@ def _team_knobs(problem: Problem, violations: Sequence[Violation]) -> Iterator[K
     yield replace(polygons, sign=-1, covers=covers)
     yield polygons
     yield replace(tension, sign=-1, covers=FORCE_CHECKS)
-    yield replace(tension, covers=LOAD_CHECKS, min_size=_min_size(violations, "load"))
+    holding = LOAD_CHECKS | GRIP_CHECKS
+    yield replace(tension, covers=holding, min_size=_min_size(violations, "load"))
     if np.any(problem.team.load > 0.0):
         covers = LOAD_CHECKS | FORCE_CHECKS | DISTANCE_CHECKS
         yield replace(_team_values(problem, "load", "kg"), sign=-1, covers=covers)

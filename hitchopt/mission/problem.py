@@ -357,9 +357,8 @@ def resolved_start(name: str, team: Team, start: Any) -> Any:
     for drones, places in vars(start).items():
         if len(places) != team.robots:
             key, bound = f"start.drones.{drones}", f"a list of {team.robots} points"
-            remedy = count_remedy(len(places), team.robots)
-            value = f"{len(places)} points for {team.robots} robots"
-            raise InputError(key, value, bound, remedy)
+            remedy = count_remedy(len(places), team.robots, team.robots)
+            raise InputError(key, f"{len(places)} points", bound, remedy)
     distances = np.linalg.norm(start.q - start.r, axis=1)
     k = int(np.argmax(distances / team.cable_length))
     if distances[k] > UNIT_ERROR_RATIO * team.cable_length[k]:

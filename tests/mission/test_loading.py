@@ -140,10 +140,13 @@ def drones(**places: Any) -> dict[str, Any]:
             r"must be given; add start: \{drones: \{q: \[.*\}\}, 3 points each",
         ),
         ({"mission": [{"enclose": {"object": "box"}}]}, "one of objects: there are none; add it"),
-        (drones(q=PLACES["q"][:2]), r"start\.drones\.q = '2 points for 3 robots'.* one too few"),
+        (
+            drones(q=PLACES["q"][:2]),
+            r"start\.drones\.q = '2 points'.* 2 points for 3 robots, one too few",
+        ),
         (
             {"start": {"hitch": {"polygon": SQUARE, "altitude": 1}}},
-            r"polygon = '4 points for 3 robots': .* one too many: remove points",
+            r"polygon = '4 points'.* 4 points for 3 robots, one too many: remove points",
         ),
         (
             {"start": {"hitch": {"polygon": [p[::-1] for p in CORNERS], "altitude": 1}}},
