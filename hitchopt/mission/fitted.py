@@ -42,14 +42,17 @@ def fitted_sizes(problem: Problem, knobs: Sequence[Knob]) -> Iterator[tuple[Knob
         fitted += [("team.cable_length", value / longest) for value in fitting_cables(problem)]
     for key, ratio in sorted(fitted, key=lambda each: size_of(each[1] - 1.0, is_factor=True)):
         sign = 1 if ratio > 1.0 else -1
-        yield from ((x, abs(ratio - 1.0)) for x in knobs if (x.key, x.sign) == (key, sign))
+        size = abs(ratio - 1.0)
+        yield from (
+            (x, size) for x in knobs if (x.key, x.sign) == (key, sign) and size >= x.min_size
+        )
 
 
 def fitting_cables(problem: Problem) -> list[float]:
     """Return lengths of the longest cable [m] that fit the problem's polygons and held objects.
 
     Legs are separated on all polygons of the file, those on the straight path between them and
-    those around objects. Lengths for grips of objects come first.
+    those below rims. For objects to be gripped, only the lengths that grip them are returned.
     """
     mission, team = problem.teams[""], problem.team
     requirements, outline = mission.requirements.with_reserve, mission.start_outline
@@ -68,7 +71,7 @@ def fitting_cables(problem: Problem) -> list[float]:
             found = _cables_around(problem, name)
             outlines += found[0]
             lengths += found[1]
-    if outlines:
+    if outlines and not lengths:
         lengths += separating_cables(outlines, requirements, team)
     return lengths
 
