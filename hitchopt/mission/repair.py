@@ -48,6 +48,9 @@ SIZES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.5, 3.0, 6.0)
 LOWERING_SIZES = tuple(size / (1.0 + size) for size in (*SIZES, 9.0))
 """Relative sizes of changes that lower a quantity towards zero, by the same factors."""
 
+SIZE_DECIMALS = 6
+"""Decimals within which sizes tie."""
+
 RESOLUTION = 0.005
 """Tolerance of the bisection, relative to the new value."""
 
@@ -194,7 +197,9 @@ class _Search:
             suggestions = _smallest_changes(problem, sufficient, evaluate)
         if not suggestions and max_changes > (0 if changed else 1):
             suggestions = self._combinations(knobs)
-        return tuple(sorted(suggestions, key=lambda s: s.change.size)[:MAX_SUGGESTIONS])
+        return tuple(
+            sorted(suggestions, key=lambda s: round(s.change.size, SIZE_DECIMALS))[:MAX_SUGGESTIONS]
+        )
 
     def _fitted(self, knobs: Sequence[Knob]) -> list[Suggestion]:
         """Return suggestions of cable lengths and tensions that statics suggest.

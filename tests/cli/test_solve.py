@@ -153,12 +153,13 @@ def test_a_refusal_suggests_changes(place: Path) -> None:
     run("solve", "mended.yaml", "--rate", "5", code=0)
     assert "wrote own.yaml" in run("solve", CLOSE, "--repair-to", "own", code=3).stderr
     assert (place / "own.yaml").read_text() == text
-    told = run("solve", CLOSE, "--repair-to", "two.yaml", "--take", "2", code=3).stderr
-    assert "wrote two.yaml, with the second change" in told
+    stderr = run("solve", CLOSE, "--repair-to", "two.yaml", "--take", "2", code=3).stderr
+    assert "wrote two.yaml, with the second change" in stderr
     (edit,) = found["suggestions"][1]["edits"]
-    assert read_yaml(place / "two.yaml")["start"]["hitch"]["polygon"] == edit["value"]
-    told = run("solve", CLOSE, "--repair-to", "three.yaml", "--take", "3", code=3).stderr
-    assert "three.yaml is not written: there is no suggestion 3 (--take)" in told
+    second: Any = read_yaml(place / "two.yaml")
+    assert second["start"]["hitch"]["polygon"] == edit["value"]
+    stderr = run("solve", CLOSE, "--repair-to", "three.yaml", "--take", "3", code=3).stderr
+    assert "three.yaml is not written: there is no suggestion 3 (--take)" in stderr
     assert not (place / "three.yaml").exists()
     path = CLOSE.with_name("points_begin_elsewhere.yaml")  # nothing mends it
     told = run("solve", path, "-o", "out", code=3).stderr.splitlines()
