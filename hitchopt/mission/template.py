@@ -14,10 +14,10 @@ import numpy as np
 from hitchopt.geometry import ConvexPolygon, regular_polygon
 from hitchopt.hitch import Quadrotor, Team
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
-from hitchopt.hitch.sizing import Range, fitting_lengths, fitting_tensions
 from hitchopt.hitch.team import MODEL_NAMES, MODELS
 from hitchopt.mission.objects import SECTION_KEYS, ObjectKeys
 from hitchopt.mission.problem import HITCH_LIMITS, HITCH_SEPARATION, SwarmTeam
+from hitchopt.planners.fitting import Range, fitting_lengths, fitting_tensions
 from hitchopt.storage.yaml_file import flow, parse_yaml, split_key, with_value
 from hitchopt.values import Array, integer
 from hitchopt.values.fields import EMPTY, keys_of
@@ -89,7 +89,7 @@ def for_team(text: str, model: str | None = None, robots: int | None = None) -> 
     edge, polygons, lengths = next(_fitting_polygons(team, required))
     length = round(lengths[0] + SPARE, 2)
     sized = replace(team, cable_length=np.full(robots, length))
-    tensions = fitting_tensions(sized, polygons, required)
+    tensions = fitting_tensions(polygons, required, sized)
     altitude, (q, r) = round(HEIGHT * length, 1), _starts(robots, length)
     tied, pulled = (each.vertices for each in polygons)
     reach = max(np.max(np.abs(pulled)) + 0.5 * (length - edge), np.max(np.abs(r)))
@@ -131,7 +131,7 @@ def _fitting_polygons(
         tied = np.round(regular_polygon(team.robots, edge, 0.5 * math.pi).vertices, 2) + 0.0
         pulled = tied + np.outer(np.arange(len(tied)) == 0, [0.0, round(PULL * edge, 2)])
         polygons = [ConvexPolygon(tied), ConvexPolygon(pulled)]
-        lengths = fitting_lengths(team, polygons, required)
+        lengths = fitting_lengths(polygons, required, team)
         if lengths is not None and lengths[1] >= lengths[0] + 2.0 * SPARE:
             yield edge, polygons, lengths
 

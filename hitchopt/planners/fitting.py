@@ -1,4 +1,4 @@
-"""Polygons and cable lengths that fit objects and outlines, by statics alone.
+"""Polygons, cable lengths and tensions that fit objects, outlines and drones, by statics alone.
 
 The enclosing polygon has short edges of similar lengths at the clearance from the outline. Cables
 are the shortest that keep the separation of the drones.
@@ -28,6 +28,7 @@ from hitchopt.planners.carrying.polygons import (
     HoldPolygons,
     best_grip,
 )
+from hitchopt.values import Array
 
 AXES, ROTATIONS, ASPECT_RATIOS = 24, 16, np.geomspace(0.25, 4.0, 41)
 """Candidates of enclosing polygons: directions of stretch besides those of the section's sides,
@@ -39,9 +40,16 @@ MIN_TURN, MIN_EDGE = 0.6, 0.5
 ROUNDING = 1e-9
 """Tolerance within which lengths or margins are equal."""
 
-CENTIMETRE, STRIDE, MAX_EXTRA_LENGTH = 0.01, 20, 1.0
-"""Step of cable lengths [m], stride of candidates with unbalanced legs, and largest length beyond
-the one that legs need [m]."""
+CENTIMETRE, STRIDE, RANGE_STRIDE, MAX_EXTRA_LENGTH = 0.01, 20, 5, 1.0
+"""Step of cable lengths [m], strides of candidates with unbalanced legs and of ranges, and largest
+length beyond the one that legs need [m]."""
+
+WEIGHT_SAFETY, MAX_TENSION_RATIO, TENSIONS = 2.0, 30.0, 60
+"""Smallest tension over the one from which on heavy cables balance; largest over smallest tension
+of the search, and their number."""
+
+Range = tuple[float, float]
+"""Smallest and largest value."""
 
 
 def enclosing_polygon(section: Section, n: int, clearance: float) -> ConvexPolygon:
@@ -124,37 +132,86 @@ def separating_cables(
     return list(dict.fromkeys(lengths))
 
 
+def fitting_lengths(
+    polygons: Sequence[Outline], requirements: Requirements, team: Team
+) -> Range | None:
+    """Return the shortest and longest cable length [m] whose balanced legs keep all distances.
+
+    They do so on all polygons, and at all lengths between, in steps of 5 cm. The longest is
+    infinite if none up to MAX_EXTRA_LENGTH beyond the one that legs need is too long. None if no
+    length fits.
+    """
+    first = last = 0.0
+    for cable, margin in _margins(polygons, requirements, team, stride=RANGE_STRIDE):
+        if margin >= LIMIT_MARGIN:
+            first, last = first or cable, cable
+        elif first:
+            return first, last
+    return (first, math.inf) if first else None
+
+
+def fitting_tensions(polygons: Sequence[Outline], requirements: Requirements, team: Team) -> Range:
+    """Return the smallest and largest tension [N] at which drones and cables hold hitches.
+
+    The largest is the level pull of the weakest drones. The smallest is WEIGHT_SAFETY times the one
+    from which on heavy cables with balanced legs keep all distances on all polygons; zero without
+    weight. Tensions of the team do not matter.
+    """
+    smallest = largest = min(x.level_pull(requirements.limits.tilt)[0] for x in team.quadrotor)
+    if team.cable_density == 0.0:
+        return 0.0, largest
+    vertices = np.stack([each.vertices for each in polygons])
+    for tension in np.geomspace(largest, largest / MAX_TENSION_RATIO, TENSIONS).tolist():
+        stretched = replace(team, tension=np.full(team.robots, tension))
+        if _margin(stretched, vertices, requirements) < LIMIT_MARGIN:
+            break
+        smallest = tension
+    return min(WEIGHT_SAFETY * smallest, largest), largest
+
+
 def _margins(
     polygons: Sequence[Outline],
     requirements: Requirements,
     team: Team | None,
     *,
-    balanced: bool,
+    balanced: bool = True,
+    stride: int = 1,
 ) -> Iterator[tuple[float, float]]:
-    """Yield cable lengths [m] with the smallest margin of legs, of at most SPREAD_MARGIN.
-
-    Legs are balanced, or else those of the best slack split.
-    """
+    """Yield cable lengths [m] with the margins of their legs (``_margin``)."""
     team, leg = team or Team(len(polygons[0]), 1.0), requirements.limits.leg
     ratios = team.cable_length / np.max(team.cable_length)
     vertices = np.stack([each.vertices for each in polygons])
     needed = np.max(np.stack([each.edge_lengths for each in polygons]) / ratios)
     first = math.ceil((float(needed) + 2.0 * LIMIT_MARGIN * leg) / CENTIMETRE)
     lengths = np.arange(first, first + round(MAX_EXTRA_LENGTH / CENTIMETRE)) / 100.0
-    for cable in lengths[:: 1 if balanced else STRIDE].tolist():
+    for cable in lengths[:: stride if balanced else STRIDE].tolist():
         cut = replace(team, cable_length=cable * ratios)
-        slack = cable_slack_of(cut, cut.layout.edges(vertices))
-        if np.min(slack) <= 0.0:  # heavy cables sag
-            continue
-        legs = cut.layout.q_legs_of(0.5 * slack, slack)
-        task = LegTask(cut, requirements, vertices, legs, leg, SPREAD_MARGIN)
+        yield cable, _margin(cut, vertices, requirements, balanced=balanced)
+
+
+def _margin(
+    team: Team, vertices: Array, requirements: Requirements, *, balanced: bool = True
+) -> float:
+    """Return the smallest margin of legs on polygons (..., n, 2) [m], of at most SPREAD_MARGIN.
+
+    Legs are balanced, or else those of the best slack split. The margin is negative where cables
+    are too short, or clasps have no balance.
+    """
+    slack, leg = cable_slack_of(team, team.layout.edges(vertices)), requirements.limits.leg
+    if np.min(slack) <= 0.0:  # heavy cables sag
+        return -1.0
+    legs = team.layout.q_legs_of(0.5 * slack, slack)
+    task = LegTask(team, requirements, vertices, legs, leg, SPREAD_MARGIN)
+    try:
         if balanced:
             margin = task.reference_margin()
         else:  # one by one, as a path of polygons is split from its reference only
             parts = (slice(j, j + 1) for j in range(len(legs)))
             each = (replace(task, polygons=vertices[j], reference=legs[j]) for j in parts)
             margin = min(one.split().margin for one in each)
-        yield cable, min(margin, SPREAD_MARGIN)
+    except InfeasibleError:
+        return -1.0
+    return min(margin, SPREAD_MARGIN)
 
 
 def grip_and_cable(task: GripTask, clearance: float) -> tuple[Grip, float]:

@@ -16,9 +16,13 @@ from scipy.spatial.distance import pdist
 import hitchopt as ho
 from hitchopt.cli import main
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.hitch.sizing import fitting_lengths, fitting_tensions
 from hitchopt.lab.statics.fit import Holding
-from hitchopt.planners.fitting import enclosing_polygon, shortest_cable
+from hitchopt.planners.fitting import (
+    enclosing_polygon,
+    fitting_lengths,
+    fitting_tensions,
+    shortest_cable,
+)
 
 BOX = ho.Section([[0.2, 0.15], [0.2, -0.15], [-0.2, -0.15], [-0.2, 0.15]])
 DISC = ho.Section(radius=0.3)
@@ -95,7 +99,7 @@ def test_lengths_and_tensions_that_fit_keep_all_distances(n: int) -> None:
     polygon, requirements = ho.regular_polygon(n, 1.3), Requirements(ho.Limits(leg=0.3))
     for density in (0.0, 0.01):
         team = ho.Team(n, 2.0, cable_density=density, tension=0.5)
-        shortest, longest = fitting_lengths(team, [polygon], requirements) or (0.0, 0.0)
+        shortest, longest = fitting_lengths([polygon], requirements, team) or (0.0, 0.0)
 
         def keeps(cable: float, tension: float, density: float = density) -> bool:
             try:
@@ -114,7 +118,7 @@ def test_lengths_and_tensions_that_fit_keep_all_distances(n: int) -> None:
             assert not keeps(longest + 0.1, 0.5)
         assert math.isfinite(longest) == (n == 8)
         sized = ho.Team(n, shortest + 0.1, cable_density=density)
-        weakest, largest = fitting_tensions(sized, [polygon], requirements)
+        weakest, largest = fitting_tensions([polygon], requirements, sized)
         assert largest == pytest.approx(9.81 * 0.132)
         if density:
             assert keeps(shortest + 0.1, weakest)
