@@ -32,7 +32,7 @@ from hitchopt.lab.flights.evaluate import evaluate as evaluate
 from hitchopt.lab.flights.evaluation import Evaluation as Evaluation
 from hitchopt.lab.flights.readers import read_flight as read_flight
 from hitchopt.lab.flights.recordings import RecordedFlight as RecordedFlight, Recording as Recording
-from hitchopt.lab.flights.recordings import Track as Track
+from hitchopt.lab.flights.recordings import Signal as Signal, Track as Track
 from hitchopt.lab.simulation.simulate import simulate as simulate
 from hitchopt.lab.statics.calibrate import Calibration as Calibration, Estimate as Estimate
 from hitchopt.lab.statics.calibrate import calibrate as calibrate

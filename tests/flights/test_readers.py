@@ -505,3 +505,95 @@ def test_blank_cells_of_wide_tables_are_missing() -> None:
     head, points = table_of(rows, ";", [2])
     np.testing.assert_array_equal(head, [[0.0, 1.0], [1.0, np.nan], [2.0, 4.0]])
     np.testing.assert_array_equal(points[0], [[2.0, 5.5, 6.0, 7.0]])
+
+
+ON_BOARD = ("estimated_position", "motors")  # Quantities of crazyswarm's logs
+RICH: dict[str, tuple[Write, tuple[str, ...], float]] = {
+    "crazyswarm": (
+        w.write_crazyswarm,
+        ("attitude", "commanded_velocity", "commanded_acceleration", *ON_BOARD), 5e-3,
+    ),
+    "crazyswarm2": (
+        partial(w.write_crazyswarm, kind="sqlite3"),
+        ("attitude", "commanded_velocity", "commanded_acceleration", *ON_BOARD), 5e-3,
+    ),
+    "uSD": (w.write_rich_usd, tuple(w.USD_VARIABLES), 1e-6),
+    "uSD, on clocks of their own": (
+        partial(w.write_rich_usd, clocks=(0.0, 7.3, 210.5)), tuple(w.USD_VARIABLES), 5e-3,
+    ),
+    "ulog": (
+        w.write_rich_ulog,
+        tuple(x for x in w.rich_sample(1).signals["cf3"] if x not in ("commanded_yaw", "thrust")),
+        1e-6,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", RICH)
+def test_every_quantity_is_read_back(case: str, tmp_path: Path) -> None:
+    """Quantities of logs that are stamped by other clocks are on the flight's clock."""
+    write, quantities, tolerance = RICH[case]
+    flight = w.rich_sample()
+    result = ho.read_flight(write(tmp_path / ("b.bag" if case == "crazyswarm" else "b"), flight))
+    assert set(result.tracks) == set(flight.tracks)
+    assert set(result.loads) == ({"load"} if case != "ulog" else set())
+    for name, track in flight.tracks.items():
+        np.testing.assert_allclose(result.tracks[name].positions, track.positions, atol=1e-6)
+        start = result.tracks[name].t[0]
+        assert set(result.signals[name]) == set(quantities)
+        pairs = [(result, dict(result.signals[name])), (flight, dict(flight.signals[name]))]
+        for each, own in pairs:
+            own["commanded_position"] = ho.Signal(
+                each.setpoints[name].t, each.setpoints[name].positions
+            )
+        (_, signals), (_, expected) = pairs
+        for quantity, signal in signals.items():
+            t = signal.t - start
+            inside = (t >= 0.0) & (t <= track.t[-1])
+            assert np.mean(inside) > 0.99
+            at, values = expected[quantity].at(t[inside]), signal.values[inside]
+            if "attitude" in quantity:  # q and -q are one attitude
+                at = at * np.sign(np.sum(at * values, axis=1, keepdims=True))
+            np.testing.assert_allclose(values, at, atol=tolerance, err_msg=quantity)
+    if "load" in result.loads:
+        load, start = result.loads["load"], result.tracks["cf3"].t[0]
+        at = flight.loads["load"].at(load.t - start)[0]
+        np.testing.assert_allclose(load.positions, at, atol=tolerance)
+
+
+def test_the_contents_of_a_recording_are_listed(tmp_path: Path) -> None:
+    flight = w.rich_sample()
+    result = ho.read_flight(w.write_crazyswarm(tmp_path / "b.bag", flight))
+    contents = result.contents
+    assert set(contents) == {*flight.tracks, "load"}
+    assert contents["cf3"]["position"]["topic"] == "/tf"
+    assert contents["cf3"]["motors"]["topic"] == "/*/pwm"
+    assert contents["cf3"]["commanded_velocity"]["topic"] == "/*/cmd_full_state"
+    assert contents["cf3"]["position"]["rate"] == pytest.approx(100.0, rel=1e-3)
+    assert contents["cf3"]["position"]["largest_gap"] == pytest.approx(0.01, abs=1e-6)
+    shifts = [w.EPOCH - 100.0 * (k + 1) for k in range(3)]
+    assert list(result.clock_shifts.values()) == pytest.approx(shifts, abs=5e-3)
+
+
+def test_positions_and_yaws_are_commands(tmp_path: Path) -> None:
+    """Commands of crazyswarm's type Position have a yaw and no velocity; one marker no attitude."""
+    flight = w.rich_sample(1)
+    own = {"commanded_yaw": flight.signals["cf3"]["commanded_yaw"]}
+    plain = replace(flight, signals={"cf3": own}, loads={})
+    result = ho.read_flight(w.write_crazyswarm(tmp_path / "b.bag", plain))
+    assert set(result.signals["cf3"]) == {"commanded_yaw"}
+    yaw = result.signals["cf3"]["commanded_yaw"].values
+    np.testing.assert_allclose(yaw, own["commanded_yaw"].values, atol=1e-6)
+    places = flight.setpoints["cf3"].positions
+    np.testing.assert_allclose(result.setpoints["cf3"].positions, places, atol=1e-6)
+
+
+def test_clocks_that_nothing_ties_stay_apart(tmp_path: Path) -> None:
+    """Without a load each log has its clock; without positions logs are as late as they arrive."""
+    flight = w.rich_sample()
+    logs = w.write_rich_usd(tmp_path / "logs", replace(flight, loads={}), (0.0, 7.3, 210.5))
+    assert not ho.read_flight(logs).one_clock
+    own = {"cf3": {"motors": flight.signals["cf3"]["motors"]}}
+    bag = ho.read_flight(w.write_crazyswarm(tmp_path / "b.bag", replace(flight, signals=own)))
+    assert bag.clock_shifts["cf3"] == pytest.approx(w.EPOCH - 100.0 + 1.65, abs=0.01)
+    assert any("smallest delay of arrival" in note for note in bag.notes)

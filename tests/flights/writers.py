@@ -13,9 +13,10 @@ from typing import Any
 import ezc3d
 import numpy as np
 from rosbags import rosbag1, rosbag2, typesys
+from scipy.spatial.transform import Rotation
 
 import hitchopt as ho
-from hitchopt.lab.flights.readers import MESSAGES, POSE
+from hitchopt.lab.flights.messages import CRAZYFLIES, MESSAGES, POSE
 from hitchopt.values import Array, Indices
 
 EPOCH = 1_762_186_375  # start of bags [s]
@@ -221,18 +222,25 @@ def write_bag(
         arguments = header(t), 1, count, fields, False, 12, 12 * count, data, True
         cloud = ros("sensor_msgs/msg/PointCloud2", *arguments)
         messages.append((t + delay * (i % 2), "/pointCloud", cloud))
+    return write_messages(path, messages, kind, store)
+
+
+def write_messages(
+    path: Path, messages: Sequence[tuple[float, str, Any]], kind: str, store: Any
+) -> Path:
+    """Write messages with their times of arrival [s] from the start and their topics."""
     writer: Any = (
         rosbag1.Writer(path)
-        if ros1
+        if kind == "ros1"
         else rosbag2.Writer(path, version=8, storage_plugin=rosbag2.StoragePlugin[kind.upper()])
     )
+    serialize = store.serialize_ros1 if kind == "ros1" else store.serialize_cdr
     with writer as bag:
         streams: dict[str, Any] = {}
         for t, topic, message in sorted(messages, key=lambda each: each[0]):
             name = message.__msgtype__
             if topic not in streams:
                 streams[topic] = bag.add_connection(topic, name, typestore=store)
-            serialize = store.serialize_ros1 if ros1 else store.serialize_cdr
             bag.write(streams[topic], round(1e9 * (EPOCH + t)), bytes(serialize(message, name)))
     return path
 
@@ -301,3 +309,203 @@ def sample(seed: int = 0, drones: int = 4, frames: int = 150, visible_share: flo
     frame: Indices = np.repeat(np.arange(frames), rng.integers(0, 5, frames))
     points = np.round(rng.uniform(-1.0, 1.0, (len(frame), 3)), 3)
     return ho.RecordedFlight("sample", tracks, ho.Track(t[frame], points))
+
+
+def rich_sample(drones: int = 3, seconds: float = 8.0, rate: float = 100.0) -> ho.RecordedFlight:
+    """Return a flight with every quantity that logs and bags hold, and a load that moves."""
+    t = np.arange(0.0, seconds, 1.0 / rate)
+    rise = np.clip((t - 1.0) / 2.0, 0.0, 1.0)
+    wave = np.stack([0.3 * np.sin(t), 0.2 * np.cos(1.3 * t), rise], axis=1)
+    tracks, setpoints, signals = {}, {}, {}
+    for k in range(drones):
+        name, angles = f"cf{k + 3}", np.stack([0.1 * np.sin(t + k), 0.2 * np.cos(t), 0.3 * t], 1)
+        attitude = Rotation.from_euler("xyz", angles).as_quat()
+        tracks[name] = ho.Track(t, wave + [0.8 * k, 0.1, 0.05])
+        setpoints[name] = ho.Track(t, wave + [0.8 * k, 0.0, 0.0])
+        values = {
+            "attitude": attitude,
+            "estimated_position": tracks[name].positions + 0.002,
+            "estimated_velocity": np.gradient(wave, t, axis=0),
+            "estimated_attitude": Rotation.from_euler("xyz", angles + 0.02).as_quat(),
+            "commanded_velocity": np.gradient(wave, t, axis=0),
+            "commanded_acceleration": 0.1 * wave,
+            "commanded_yaw": angles[:, 2:],
+            "rates": np.gradient(angles, t, axis=0),
+            "specific_force": wave + [0.0, 0.0, 9.81],
+            "motors": np.stack([0.5 + 0.01 * (k + i) + 0.1 * rise for i in range(4)], axis=1),
+            "thrust": 0.3 + 0.01 * rise[:, None],
+        }
+        signals[name] = {quantity: ho.Signal(t, each) for quantity, each in values.items()}
+    loads = {"load": ho.Track(t, wave + [0.4, 0.3, 0.0])}
+    return ho.RecordedFlight("sample", tracks, setpoints=setpoints, signals=signals, loads=loads)
+
+
+LOGS: Any = (("pos", "estimated_position", 1.0), ("pwm", "motors", 65535.0))
+
+
+def write_crazyswarm(
+    path: Path, flight: ho.RecordedFlight, kind: str = "ros1", delay: float = 1.65
+) -> Path:
+    """Write a bag of crazyswarm or, for sqlite3, crazyswarm2, with what ``flight`` holds.
+
+    Logs of position and motors are stamped by a clock of each drone and arrive after ``delay`` [s].
+    Commands are full states if there are commanded velocities.
+    """
+    ros1 = kind == "ros1"
+    store = typesys.get_typestore(typesys.Stores["ROS1_NOETIC" if ros1 else "ROS2_HUMBLE"])
+    package, log = ("crazyswarm", "GenericLogData") if ros1 else (CRAZYFLIES[-1], "LogDataGeneric")
+    texts_of = {name.rpartition("/")[2]: text for name, text in MESSAGES.items()}
+    texts_of["GenericLogData"] = "std_msgs/Header header\nfloat64[] values\n"
+    types = {f"{package}/msg/{name}": texts_of[name] for name in ("Position", "FullState", log)}
+    types[TRANSFORMS] = "geometry_msgs/TransformStamped[] transforms\n"
+    for name in types.keys() - store.types.keys():
+        store.register(typesys.get_types_from_msg(types[name], name))
+
+    def ros(name: str, *values: Any) -> Any:
+        return store.types[name if "/msg/" in name else f"geometry_msgs/msg/{name}"](*values)
+
+    def header(t: float) -> Any:
+        stamp = ros("builtin_interfaces/msg/Time", *divmod(round(1e9 * t), 10**9))
+        return ros("std_msgs/msg/Header", *[0] * ros1, stamp, "world")
+
+    def commands(name: str, track: ho.Track, own: Mapping[str, ho.Signal]) -> Any:
+        yaw = own["commanded_yaw"].at(track.t)[:, 0] if "commanded_yaw" in own else 0.0 * track.t
+        for i, (t, place) in enumerate(
+            zip(track.t.tolist(), track.positions.tolist(), strict=True)
+        ):
+            values: Any = (*place, float(yaw[i]))
+            topic, type_ = f"/{name}/cmd_position", "Position"
+            if "commanded_velocity" in own:
+                moving = [own[f"commanded_{x}"].values[i] for x in ("velocity", "acceleration")]
+                velocity, acceleration = (ros("Vector3", *x.tolist()) for x in moving)
+                pose = ros("Pose", ros("Point", *place), ros("Quaternion", 0.0, 0.0, 0.0, 1.0))
+                rest = ros("Vector3", 0.0, 0.0, 0.0)
+                values = pose, ros("Twist", velocity, rest), acceleration
+                topic, type_ = f"/{name}/cmd_full_state", "FullState"
+            yield t, topic, ros(f"{package}/msg/{type_}", header(EPOCH + t), *values)
+
+    messages = list[tuple[float, str, Any]]()
+    for k, (name, track) in enumerate(flight.tracks.items()):
+        own, boot = flight.signals.get(name, {}), 100.0 * (k + 1)
+        turned = own["attitude"].at(track.t) if "attitude" in own else [(0.0, 0.0, 0.0, 1.0)] * 9999
+        for t, place, turn in zip(track.t.tolist(), track.positions.tolist(), turned, strict=False):
+            pose = ros("Transform", ros("Vector3", *place), ros("Quaternion", *map(float, turn)))
+            stamped = ros("TransformStamped", header(EPOCH + t), name, pose)
+            messages.append((t, "/tf", ros(TRANSFORMS, [stamped])))
+        for topic, quantity, scale in LOGS:
+            for t, values in _samples(own.get(quantity)):
+                stamp = header(boot + t) if ros1 else header(EPOCH + t + delay)
+                clock = [] if ros1 else [round(1e3 * (boot + t))]
+                numbers: Any = np.array(values, np.float64 if ros1 else np.float32) * scale
+                message = ros(f"{package}/msg/{log}", stamp, *clock, numbers)
+                messages.append((t + delay + 0.02 * np.sin(t) ** 2, f"/{name}/{topic}", message))
+        if name in flight.setpoints:
+            messages += commands(name, flight.setpoints[name], own)
+    for name, track in flight.loads.items():
+        for t, place in _samples(ho.Signal(track.t, track.positions)):
+            pose = ros("Pose", ros("Point", *place), ros("Quaternion", 0.0, 0.0, 0.0, 1.0))
+            messages.append((t, f"/{name}/pose", ros("PoseStamped", header(EPOCH + t), pose)))
+    return write_messages(path, messages, kind, store)
+
+
+def _samples(signal: ho.Signal | None) -> Any:
+    return zip(signal.t.tolist(), signal.values.tolist(), strict=True) if signal else ()
+
+
+# Variables of uSD logs by quantity, with their unit
+USD_VARIABLES = {
+    "estimated_velocity": ("stateEstimate.v{}", "xyz", 1.0),
+    "estimated_attitude": ("stateEstimate.q{}", "xyzw", 1.0),
+    "commanded_velocity": ("ctrltarget.v{}", "xyz", 1.0),
+    "commanded_acceleration": ("ctrltarget.a{}", "xyz", 1.0),
+    "commanded_yaw": ("ctrltarget.{}", ["yaw"], np.pi / 180.0),
+    "rates": ("gyro.{}", "xyz", np.pi / 180.0),
+    "specific_force": ("acc.{}", "xyz", 9.81),
+    "motors": ("pwm.m{}_pwm", "1234", 1.0 / 65535.0),
+    "thrust": ("ctrlLeeP.thrust{}", ["SI"], 1.0),
+}
+
+
+def write_rich_usd(
+    folder: Path, flight: ho.RecordedFlight, clocks: Sequence[float] = (), drop: str = ""
+) -> Path:
+    """Write logs of drones with what ``flight`` holds, on clocks that differ by seconds.
+
+    ``drop`` is a prefix of variables that are not logged.
+    """
+    folder.mkdir()
+    for k, (name, track) in enumerate(flight.tracks.items()):
+        columns = {f"stateEstimate.{x}": track.positions[:, i] for i, x in enumerate("xyz")}
+        if name in flight.setpoints:
+            places = flight.setpoints[name].positions
+            columns |= {f"ctrltarget.{x}": places[:, i] for i, x in enumerate("xyz")}
+        for quantity, (text, parts, unit) in USD_VARIABLES.items():
+            if quantity in flight.signals.get(name, {}):
+                values = flight.signals[name][quantity].values / unit
+                columns |= {text.format(x): values[:, i] for i, x in enumerate(parts)}
+        for load in flight.loads.values():
+            places = load.positions / 1e-3
+            columns |= {f"stateEstimateZ.p{x}": places[:, i] for i, x in enumerate("xyz")}
+        names = [x for x in columns if not drop or not x.startswith(drop)]
+        data = struct.pack("<BHHH", 0xBC, 2, 1, 0xFFFF) + b"event\0"
+        data += struct.pack("<H", len(names)) + b"".join(f"{x}(f)".encode() + b"\0" for x in names)
+        clock = clocks[k] if clocks else 0.0
+        for i, t in enumerate(track.t.tolist()):
+            row = [float(columns[x][i]) for x in names]
+            data += struct.pack(f"<HQ{len(names)}f", 0xFFFF, round(1e6 * (t + clock)), *row)
+        (folder / f"{name}.bin").write_bytes(data + struct.pack("<I", zlib.crc32(data)))
+    return folder
+
+
+def write_rich_ulog(folder: Path, flight: ho.RecordedFlight) -> Path:
+    """Write ulogs of drones: positions, velocities, attitudes, sensors, commands and motors."""
+    folder.mkdir()
+    to_ned = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    to_frd = np.diag([1.0, -1.0, -1.0])
+
+    def quaternions(signal: ho.Signal) -> Array:
+        turned = to_ned @ Rotation.from_quat(signal.values).as_matrix() @ to_frd
+        x, y, z, w = Rotation.from_matrix(turned).as_quat().T
+        return np.stack([w, x, y, z], axis=1)
+
+    for name, track in flight.tracks.items():
+        own = {quantity: each.values for quantity, each in flight.signals[name].items()}
+        q = {x: quaternions(flight.signals[name][x]) for x in ("attitude", "estimated_attitude")}
+        place = track.positions @ to_ned
+        topics: dict[str, tuple[str, Array]] = {
+            "vehicle_visual_odometry": (
+                "float[3] position;float[4] q;", np.hstack([place, q["attitude"]]),
+            ),
+            "vehicle_local_position": (
+                "float x;float y;float z;float vx;float vy;float vz;",
+                np.hstack(
+                    [own["estimated_position"] @ to_ned, own["estimated_velocity"] @ to_ned]
+                ),
+            ),
+            "vehicle_attitude": ("float[4] q;", q["estimated_attitude"]),
+            "sensor_combined": (
+                "float[3] gyro_rad;float[3] accelerometer_m_s2;",
+                np.hstack([own["rates"] @ to_frd, own["specific_force"] @ to_frd]),
+            ),
+            "trajectory_setpoint": (
+                "float[3] position;float[3] velocity;float[3] acceleration;",
+                np.hstack(
+                    [flight.setpoints[name].positions @ to_ned]
+                    + [own[f"commanded_{x}"] @ to_ned for x in ("velocity", "acceleration")]
+                ),
+            ),
+            "actuator_motors": ("float[4] control;", own["motors"]),
+        }  # fmt: skip
+        messages = [(b"B", bytes(40))]
+        for topic, (fields, _) in topics.items():
+            messages.append((b"F", f"{topic}:uint64_t timestamp;{fields}".encode()))
+        for number, topic in enumerate(topics):
+            messages.append((b"A", struct.pack("<BH", 0, number) + topic.encode()))
+        for i, t in enumerate(track.t.tolist()):
+            for number, (_, values) in enumerate(topics.values()):
+                row = struct.pack(f"<HQ{values.shape[1]}f", number, round(1e6 * t), *values[i])
+                messages.append((b"D", row))
+        data = b"".join(struct.pack("<Hc", len(x), kind) + x for kind, x in messages)
+        header = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0)
+        (folder / f"{name}.ulg").write_bytes(header + data)
+    return folder

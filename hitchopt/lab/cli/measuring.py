@@ -1,4 +1,4 @@
-"""The command evaluate: compare a recorded flight with its plan, and place markers."""
+"""The command evaluate: list a recorded flight, compare it with its plan, and place markers."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ RESULTS = "evaluation"  # Default directory of the results, next to the recordin
 
 @command(
     "recording [RECORDING]",
-    option("--plan", "Plan that was flown.", PATH, "DIR", required=True),
+    option("--plan", "Plan that was flown; without it the recording is listed.", PATH, "DIR"),
     option("-o --output", "Results; else `evaluation` beside RECORDING.", PATH, "OUT"),
     option("--names", "Drones by recorded names, such as cf231=q0,cf7=r0,…", str, "NAMES"),
     option(
@@ -46,7 +46,7 @@ RESULTS = "evaluation"  # Default directory of the results, next to the recordin
 )
 def evaluate(
     recording: Path | None,
-    plan: Path,
+    plan: Path | None,
     output: Path | None,
     format: str,
     *,
@@ -55,6 +55,7 @@ def evaluate(
 ) -> None:
     """Compare RECORDING, a flight, with the plan in --plan: vertices (from markers) and drones.
 
+    Without a plan, what RECORDING holds is listed: bodies, quantities, topics, rates and gaps.
     RECORDING is a table of Motive or Vicon, C3D, a ROS bag, Crazyflie uSD logs, a PX4 ulog,
     DIR/simulation, or a CSV file with the columns t, name, x, y, z, whose rows named marker are
     points without a name. Clock, frame and names are fitted. Writes evaluation.json, vertices.csv,
@@ -63,14 +64,22 @@ def evaluate(
     from hitchopt.lab.simulation.task import read_task
     from hitchopt.values.fields import Missing
 
-    task = read_task(plan_path(plan).parent)
+    task = None if plan is None else read_task(plan_path(plan).parent)
     if markers:
+        if task is None:
+            remedy = "name the directory of the plan"
+            raise InputError("plan", None, "given with markers=True", remedy)
         task.require_one_team("evaluate")
         _say_markers(task)
         return
     if recording is None:
         bound = "a recording, or none with --markers"
         raise InputError("RECORDING", Missing(), bound, "name the file that was recorded")
+    if task is None:
+        with ProgressBar("reading"):
+            flight = ho.read_flight(recording, options["unit"], options["topic"])
+        _say_contents(flight)
+        return
     from hitchopt.lab.flights.evaluation import LATEX, save_evaluation, summary
 
     with ProgressBar("reading and evaluating"):
@@ -106,6 +115,42 @@ def _tables(evaluation: ho.Evaluation) -> str:
         "names: " + ", ".join(f"{a}={b}" for a, b in zip(fit.names, drones, strict=True)),
     ]
     return "\n\n".join(parts)
+
+
+def _say_contents(flight: ho.RecordedFlight) -> None:
+    """Report bodies and quantities of a recording, with topics, rates and gaps."""
+    contents = flight.contents
+    rows: list[dict[str, object]] = [
+        {
+            "body": f"{body} (load)" if body in flight.loads and body != "load" else body,
+            "quantity": quantity.replace("_", " "),
+            "of": each["topic"],
+            "samples": each["samples"],
+            "rate [Hz]": f"{each['rate']:.0f}",
+            "largest gap [s]": f"{each['largest_gap']:.2f}",
+            "from [s]": f"{each['start']:.2f}",
+            "to [s]": f"{each['end']:.2f}",
+        }
+        for body, quantities in contents.items()
+        for quantity, each in quantities.items()
+    ]
+    clock = "one clock" if flight.one_clock else "a clock of its own for each body"
+    if flight.clock_shifts:
+        words = ", ".join(f"{name} {shift:+.3f} s" for name, shift in flight.clock_shifts.items())
+        clock += f", to which clocks of their own are shifted: {words}"
+    points = f"{len(flight.markers.t)} points without a name"
+    say(
+        "\n\n".join([table(flight.source, rows), f"{clock}; {points}"]),
+        source=flight.source,
+        bodies=contents,
+        one_clock=flight.one_clock,
+        epoch=flight.epoch,
+        clock_shifts=dict(flight.clock_shifts),
+        markers=len(flight.markers.t),
+        notes=list(flight.notes),
+    )
+    for note in flight.notes:
+        say(f"note: {note}")
 
 
 def _millimetres(lengths: dict[str, float]) -> dict[str, str]:

@@ -169,8 +169,9 @@ class _Trial:
             b, i = bodies.index(name), drones.index(drone)
             self._allowed[b], self._allowed[:, i] = False, False
             self._allowed[b, i] = True
-        # Logged setpoints have no lag
-        logged = flight.setpoints if set(bodies) <= set(flight.setpoints) else flight.tracks
+        # Setpoints that all drones logged have no lag
+        has_logged = set(bodies) <= set(flight.setpoints) and not flight.as_sent
+        logged = flight.setpoints if has_logged else flight.tracks
         tracks = [logged[name] for name in bodies]
         ends = np.array([track.t[[0, -1]] for track in tracks])
         if flight.one_clock:

@@ -147,7 +147,7 @@ def _evaluated(
 def _remarks(alignment: Alignment, flight: RecordedFlight) -> Iterator[str]:
     """Yield remarks on clock and frame."""
     shared = "common to all drones is absorbed"
-    if "clock" in alignment.fitted and not flight.setpoints:
+    if "clock" in alignment.fitted and (flight.as_sent or not flight.setpoints):
         yield f"the clock is fitted ± {1e3 * alignment.offset_error:.0f} ms; a lag {shared}"
     if "rate" in alignment.fitted:
         yield f"the plan advances by {alignment.rate:.5f} s per second of the recording"

@@ -10,27 +10,26 @@ from __future__ import annotations
 import csv
 import re
 import struct
-import zlib
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial, reduce
-from itertools import chain, islice, product, takewhile
+from itertools import chain, islice, takewhile
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from hitchopt.errors import FileError, optional_module
+from hitchopt.errors import FileError
 from hitchopt.geometry.vectors import length
-from hitchopt.lab.flights.recordings import RecordedFlight, Track
-from hitchopt.lab.flights.topics import (
-    LOG_TOPICS,
-    Topic,
-    bag_topics,
-    distinct_names,
-    log_topics,
-    taken_topics,
+from hitchopt.lab.flights.bags import read_bag, single_file
+from hitchopt.lab.flights.logs import read_logs, read_ulog, read_usd
+from hitchopt.lab.flights.recordings import (
+    MARKER,
+    UNITS,
+    RecordedFlight,
+    flight_of,
+    library,
+    scale_of,
 )
 from hitchopt.storage.archive import reading
 from hitchopt.storage.files import parsed_json
@@ -38,21 +37,16 @@ from hitchopt.storage.tables import labelled_table, text_lines
 from hitchopt.values import Array, check_choice
 from hitchopt.values import path as checked_path
 
-# Units of length [m], and names of units in files
-UNITS = {"m": 1.0, "cm": 0.01, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
-NAMES = {"meters": "m", "centimeters": "cm", "millimeters": "mm", "inches": "in", "feet": "ft"}
-
 MAX_DISTANCE = 50.0  # Largest median distance from the origin of lengths in metres [m]
 MAX_STEP = 1.0  # Largest median step of times in seconds [s]
 # Smallest jump to and fro between samples [m] and its smallest speed [m/s]; largest share of these
 JUMP, JUMP_SPEED, MAX_JUMPS = 0.1, 10.0, 0.1
 CLOCKS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
 RATES = (4.0, 3000.0)  # Plausible sampling rates [Hz]
-MIN_EPOCH = 1e7  # Smallest time that counts from a date or from a computer's start [s]
 
 # Required columns of a plain table, in any order: time [s], the name of a body (q0, r0, …, a vertex
 # p0, …, or any name) or MARKER for an unlabeled point, and its position [m]
-HEADER, MARKER = "t,name,x,y,z", "marker"
+HEADER = "t,name,x,y,z"
 
 # Files of a simulated flight; columns of names in its tables, and prefixes of the names
 TABLES, SUMMARY = {"vertices.csv": ("vertex", "p"), "drones.csv": ("drone", "")}, "simulation.json"
@@ -62,42 +56,7 @@ UNLABELED = ("*", "unlabel", "unidentified", "u_", MARKER)  # Prefixes of labels
 MAX_HEADER_LINES = 50  # Lines in which the titles of a Motive table are searched
 TIME_TOLERANCE = 2e-3  # Largest rounding error of the printed time of a frame [s]
 BODY_RADIUS = 0.3  # Largest distance of markers from the middle of their body [m]
-MAX_FIXED = 0.05  # Largest motion of a frame that does not move [m]
 BLANK = ' ",;\t'  # Characters of a line without content
-
-POSE = "motion_capture_tracking_interfaces/msg/NamedPose"  # Messages of crazyswarm2
-MESSAGES = {POSE: "string name\ngeometry_msgs/Pose pose\n"}
-MESSAGES[f"{POSE}Array"] = f"std_msgs/Header header\n{POSE.replace('msg/', '')}[] poses\n"
-
-# Message types with positions, by preference: whether messages name the bodies, and functions that
-# return the frame of each body, its header and its position from a message
-Bodies = list[tuple[str, Any, Any]]
-MESSAGE_TYPES: dict[str, tuple[bool, Callable[[Any], Bodies]]] = {
-    f"{POSE}Array": (True, lambda m: [(x.name, m.header, x.pose.position) for x in m.poses]),
-    "geometry_msgs/msg/TransformStamped": (
-        False, lambda m: [(m.child_frame_id, m.header, m.transform.translation)],
-    ),
-    "tf2_msgs/msg/TFMessage": (
-        True, lambda m: [(x.child_frame_id, x.header, x.transform.translation)
-                         for x in m.transforms],
-    ),
-    "geometry_msgs/msg/PoseStamped": (False, lambda m: [("", m.header, m.pose.position)]),
-    "geometry_msgs/msg/PoseWithCovarianceStamped": (
-        False, lambda m: [("", m.header, m.pose.pose.position)],
-    ),
-    "nav_msgs/msg/Odometry": (
-        False, lambda m: [(m.child_frame_id, m.header, m.pose.pose.position)],
-    ),
-}  # fmt: skip
-STATIC = "/tf_static"  # Topic of frames that do not move
-CLOUD, FLOAT32 = "sensor_msgs/msg/PointCloud2", 7
-
-# Topic of a uSD log that repeats the last position, or zeros, until the next; scales [m], else 1
-HELD = "locSrv"
-USD_SCALES = {"ctrltargetZ": 1e-3, "stateEstimateZ": 1e-3, "stateEstimateZ.p": 1e-3}
-# Topics with the drone's positions in logs
-USD_POSITIONS = ("stateEstimate", "stateEstimateZ", "locSrv")
-ULOG_POSITIONS = ("vehicle_visual_odometry", "vehicle_local_position")
 
 
 Reader = Callable[[Sequence[Path], str | None, str | None], RecordedFlight]
@@ -197,20 +156,12 @@ def _refuse_topic(topic: str | None) -> None:
         raise FileError("is of a format without topics; leave topic= out")
 
 
-def _single(paths: Sequence[Path]) -> Path:
-    """Return the only file of a recording; FileError if a directory has several."""
-    if len(paths) > 1:
-        listed = ", ".join(path.name for path in paths[:5])
-        raise FileError(f"holds {len(paths)} recordings, {listed}: give one file")
-    return paths[0]
-
-
 def table_reader(read: Callable[[Path, str | None], RecordedFlight]) -> Reader:
     """Return a reader of a format with one file per flight, and without topics."""
 
     def read_one(paths: Sequence[Path], unit: str | None, topic: str | None) -> RecordedFlight:
         _refuse_topic(topic)
-        return read(_single(paths), unit)
+        return read(single_file(paths), unit)
 
     return read_one
 
@@ -218,69 +169,6 @@ def table_reader(read: Callable[[Path, str | None], RecordedFlight]) -> Reader:
 def _by_name(names: Sequence[str], rows: Array) -> dict[str, Array]:
     """Return the rows (m, 4) of each name, in order of first occurrence."""
     return {name: rows[np.array(names) == name] for name in dict.fromkeys(names)}
-
-
-def scale_of(unit: str) -> float:
-    """Return a unit of length [m]; FileError if it is unknown."""
-    word = unit.strip().casefold()
-    scale = UNITS.get(NAMES.get(word, word), 0.0)
-    if not scale:
-        raise FileError(f"its unit of length, {unit!r}, is unknown; state unit='m', 'cm' or 'mm'")
-    return scale
-
-
-def flight_of(
-    source: str,
-    rows: Mapping[str, Array],
-    unit: str = "m",
-    *,
-    notes: Sequence[str] = (),
-    setpoints: Mapping[str, Array] | None = None,
-    one_clock: bool = True,
-    simulated: Mapping[str, Any] | None = None,
-) -> RecordedFlight:
-    """Return a flight from rows (time [s], x, y, z [unit]) (m, 4) of every body, and of MARKER.
-
-    ``setpoints`` are rows too; for other arguments see ``RecordedFlight``. Rows without a position
-    and rows that repeat a time are omitted. Raises FileError for an unknown unit or descending
-    times.
-    """
-    scale, epoch = scale_of(unit), 0.0
-    bodies = {name: samples for name, samples in rows.items() if name != MARKER and len(samples)}
-    start = min((float(samples[0, 0]) for samples in bodies.values()), default=0.0)
-    if one_clock and abs(start) >= MIN_EPOCH:
-        epoch, clock = start, f"at {start:.3f} s of the recording's clock"
-        notes = [*notes, f"times count from the first position, {clock}"]
-
-    def track(samples: Array) -> Track:
-        if not np.isfinite(samples[:, 0]).all():
-            raise FileError("a time is not finite; leave out rows without a time")
-        samples = samples[np.isfinite(samples).all(axis=1)]
-        steps = np.diff(samples[:, 0], prepend=-np.inf)
-        if np.any(steps < 0.0):
-            a, b = samples[(i := int(np.argmax(steps < 0.0))) - 1 : i + 1, 0]
-            digits = next((n for n in range(9, 17) if f"{a:.{n}g}" != f"{b:.{n}g}"), 17)
-            problem = f"times do not ascend: {a:.{digits}g} s is followed by {b:.{digits}g} s"
-            raise FileError(f"{problem}; give one flight, in the order in which it was recorded")
-        return Track(samples[steps > 0.0, 0] - epoch, scale * samples[steps > 0.0, 1:])
-
-    tracks = {name: track(samples) for name, samples in bodies.items()}
-    count = sum(map(len, bodies.values()))
-    if omitted := count - sum(len(one.t) for one in tracks.values()):
-        notes = [*notes, f"{omitted} of {count} rows omitted: no position, or a repeated time"]
-    cloud = rows.get(MARKER, np.zeros((0, 4)))
-    cloud = cloud[np.isfinite(cloud).all(axis=1)]
-    cloud = cloud[np.argsort(cloud[:, 0], kind="stable")]
-    return RecordedFlight(
-        source,
-        {name: one for name, one in tracks.items() if len(one.t)},
-        Track(cloud[:, 0] - epoch, scale * cloud[:, 1:]),
-        {name: track(samples) for name, samples in (setpoints or {}).items()},
-        epoch,
-        one_clock,
-        tuple(notes),
-        simulated or {},
-    )
 
 
 def read_simulated(path: Path) -> RecordedFlight:
@@ -431,10 +319,6 @@ def read_vicon(path: Path, unit: str | None) -> RecordedFlight:
     return flight_of("Vicon CSV", samples, unit or length_unit, notes=notes)
 
 
-library = partial(optional_module, purpose="reading it needs", extra="logs")
-"""Return an optional module; UnsupportedError names the extra to install."""
-
-
 def read_c3d(path: Path, unit: str | None) -> RecordedFlight:
     """Return the flight in a C3D file, with a body per subject."""
     with reading(path, "C3D file", Exception):
@@ -455,215 +339,6 @@ def read_c3d(path: Path, unit: str | None) -> RecordedFlight:
         length_unit = unit or point["UNITS"][0]
         rows, row_notes = rows_of(t, dict(enumerate(samples)), labels, length_unit)
         return flight_of("C3D", rows, length_unit, notes=[*notes, *row_notes])
-
-
-def read_bag(paths: Sequence[Path], unit: str | None, topic: str | None) -> RecordedFlight:
-    """Return the flight in a bag of ROS 1 or 2, with or without definitions of its types."""
-    highlevel, typesys = library("rosbags.highlevel"), library("rosbags.typesys")
-    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-    for kind, text in MESSAGES.items():
-        store.register(typesys.get_types_from_msg(text, kind))
-    path, parents = paths[0].parent, dict[tuple[str, str], str]()
-    path = path if (path / "metadata.yaml").is_file() else _single(paths)
-    rows = defaultdict[tuple[str, str], list[Array]](list)  # Of frames by topic
-    with (  # Exceptions of rosbags have no common base
-        reading(path, "bag", Exception),
-        highlevel.AnyReader([path], default_typestore=store) as bag,
-    ):
-        kinds = {c.topic: c.msgtype for c in bag.connections if c.msgcount}
-        positions = {x: kind for x, kind in kinds.items() if kind in MESSAGE_TYPES and x != STATIC}
-        if not positions:
-            held = ", ".join(sorted(set(kinds.values())))
-            raise FileError(f"holds none of {', '.join(MESSAGE_TYPES)}, but {held}")
-        preferences = {kind: names_bodies for kind, (names_bodies, _) in MESSAGE_TYPES.items()}
-        taken, notes = taken_topics(bag_topics(positions, preferences), topic)
-        clouds = sorted(name for name, kind in kinds.items() if kind == CLOUD)
-        names = {x.name for x in taken}.union(clouds[:1])
-        used = [c for c in bag.connections if c.topic in names]
-        for connection, received, data in bag.messages(used):
-            message = bag.deserialize(data, connection.msgtype)
-            if connection.msgtype == CLOUD:
-                each = [(MARKER, message.header, points_of(message))]
-            else:
-                bodies = MESSAGE_TYPES[connection.msgtype][1](message)
-                each = [(name, header, np.array([[p.x, p.y, p.z]])) for name, header, p in bodies]
-            for name, header, points in each:
-                t = 1e-9 * (10**9 * header.stamp.sec + header.stamp.nanosec or received)
-                key = connection.topic, name.strip("/")
-                rows[key].append(np.insert(points, 0, t, axis=1))
-                parents[key] = header.frame_id.strip("/")
-        markers = rows.pop((clouds[0], MARKER), []) if clouds else []
-        joined = {key: np.concatenate(own) for key, own in rows.items()}
-        merged, frame_notes = _bodies_of_frames(joined, parents, taken)
-        merged |= {MARKER: np.concatenate(markers)} if markers else {}
-    notes += frame_notes
-    notes += [f"markers are of {clouds[0]}, not of {', '.join(clouds[1:])}"] if clouds[1:] else []
-    return flight_of(f"ROS {'2' if bag.is2 else '1'} bag", merged, unit or "m", notes=notes)
-
-
-def _bodies_of_frames(
-    rows: Mapping[tuple[str, str], Array],
-    parents: Mapping[tuple[str, str], str],
-    topics: Sequence[Topic],
-) -> tuple[dict[str, Array], list[str]]:
-    """Return rows by body, and notes, from rows and parents of frames by topic.
-
-    Frames with a moving parent are omitted. Raises FileError if two topics have the same body.
-    """
-    bodies, owners, omitted = dict[str, Array](), dict[str, Topic](), list[str]()
-    for topic in topics:
-        frames = [frame for name, frame in rows if name == topic.name]
-        names = {frames[0]: topic.body} if len(frames) == 1 and topic.body else {}
-        for frame, name in (names or distinct_names(frames)).items():
-            parent = rows.get((topic.name, parents[topic.name, frame]))
-            if parent is not None and np.max(np.ptp(parent[:, 1:], axis=0)) > MAX_FIXED:
-                omitted.append(frame)
-                continue
-            body = name or topic.name.strip("/")
-            if body in owners:
-                both = " and ".join(sorted((owners[body].family, topic.family)))
-                raise FileError(f"{body} has positions in {both}: choose one with topic=")
-            bodies[body], owners[body] = rows[topic.name, frame], topic
-    relative = [f"{', '.join(omitted)} omitted: positions in frames that move"] if omitted else []
-    return bodies, relative
-
-
-def points_of(message: Any) -> Array:
-    """Return the points (k, 3) of a cloud of float32."""
-    offsets = {field.name: field.offset for field in message.fields if field.datatype == FLOAT32}
-    layout: Any = {"names": list("xyz"), "formats": ["<f4"] * 3}
-    layout |= {"offsets": [offsets[axis] for axis in "xyz"], "itemsize": message.point_step}
-    cloud: Any = np.frombuffer(bytes(message.data), layout, message.width * message.height)
-    return np.stack([cloud[axis].astype(np.float64) for axis in "xyz"], axis=1)
-
-
-def read_logs(
-    source: str,
-    read: Callable[[Path], tuple[dict[str, Array], list[str]]],
-    paths: Sequence[Path],
-    unit: str | None,
-    topic: str | None,
-) -> RecordedFlight:
-    """Return the flight in drones' logs, whose file names are the drones' names.
-
-    ``read`` returns rows of positions [m] by topic of LOG_TOPICS, and notes.
-    """
-    if unit is not None:
-        raise FileError("is of a format with fixed units; leave unit= out")
-    rows, commands, drones = (
-        dict[str, Array](),
-        dict[str, Array](),
-        defaultdict[str, list[str]](list),
-    )
-    for path in paths:
-        with reading(path, source, Exception):
-            logged, file_notes = read(path)
-            taken, topic_notes = taken_topics(log_topics(list(logged)), topic)
-            if len(taken) > 1:
-                both = " and ".join(each.name for each in taken)
-                raise FileError(f"has positions in {both}: choose one with topic=")
-            rows[path.stem] = logged[taken[0].name]
-            command, command_notes = _setpoints(logged, taken[0].name)
-            commands |= {} if command is None else {path.stem: command}
-            for note in (*file_notes, *topic_notes, *command_notes):
-                drones[note].append(path.stem)
-    notes = [f"{', '.join(names)}: {note}" for note, names in drones.items()]
-    return flight_of(source, rows, notes=notes, setpoints=commands, one_clock=len(paths) == 1)
-
-
-def _setpoints(logged: Mapping[str, Array], taken: str) -> tuple[Array | None, list[str]]:
-    """Return a drone's set points among topics of its log, and a note if they are of its load.
-
-    Commands are the set points of the body that they are nearest to, at the median.
-    """
-    of_kind = {kind: name for name, kind in reversed(LOG_TOPICS.items()) if name in logged}
-    command, load = of_kind.get("commanded"), of_kind.get("load")
-    if command is None or load is None:
-        return logged.get(command or ""), []
-
-    def distance(topic: str) -> float:
-        t, *at = logged[topic].T
-        position = np.stack([np.interp(logged[command][:, 0], t, x) for x in at], axis=1)
-        return float(np.nanmedian(np.linalg.norm(logged[command][:, 1:] - position, axis=1)))
-
-    own, carried = distance(taken), distance(load)
-    if own <= carried:
-        return logged[command], []
-    words = f"{carried:.2f} m from {load} at the median, and {own:.2f} m from {taken}"
-    return None, [f"{command} is the target of the load, not of the drone: {words}"]
-
-
-def read_usd(path: Path) -> tuple[dict[str, Array], list[str]]:
-    """Return rows by topic, and notes, of a log of a Crazyflie's uSD card."""
-    events, notes = usd_events(path.read_bytes())
-    rows = dict[str, Array]()
-    for topic, event in product(LOG_TOPICS, events):
-        prefix = topic if topic.endswith(".p") else f"{topic}."
-        axes = [f"{prefix}{axis}" for axis in "xyz"]
-        if topic not in rows and set(axes) <= set(event):
-            positions = [USD_SCALES.get(topic, 1.0) * event[axis] for axis in axes]
-            samples = np.stack([event["t"], *positions], axis=1)
-            if topic == HELD:
-                steps = np.diff(samples[:, 1:], axis=0, prepend=0.0)
-                samples = samples[np.any(steps != 0.0, axis=1)]
-            rows |= {topic: samples} if len(samples) else {}
-    if not rows.keys() & set(USD_POSITIONS):
-        available = ", ".join(sorted({name for event in events for name in event}))
-        expected = ", ".join(f"{each}.x" for each in USD_POSITIONS)
-        raise FileError(f"logs none of {expected}, but {available[:200]}")
-    return rows, notes
-
-
-def usd_events(data: bytes) -> tuple[list[dict[str, Array]], list[str]]:
-    """Return the variables of every event type, including ``t`` [s], and notes on damage.
-
-    The header lists event types, each with a number and variables ``group.name(type)``. Records of
-    events and a checksum follow.
-    """
-    version, event_types = struct.unpack_from("<HH", data, 1)
-    if version not in {1, 2}:
-        raise FileError(f"is of version {version}; 1 and 2 are supported")
-    offset, kinds = 5, dict[int, Any]()
-    for _ in range(event_types):
-        number, offset = struct.unpack_from("<H", data, offset)[0], data.index(0, offset + 2) + 1
-        (count,) = struct.unpack_from("<H", data, offset)
-        offset, fields = offset + 2, list[tuple[str, str]]()
-        for _ in range(count):
-            end = data.index(0, offset)
-            text, offset = data[offset:end].decode("ascii"), end + 1
-            fields.append((text[:-3], f"<{text[-2]}"))
-        kinds[number] = np.dtype([("", "<H"), ("t", "<I" if version == 1 else "<Q"), *fields])
-    intact = len(data) >= offset + 4 and zlib.crc32(data[:-4]) == struct.unpack("<I", data[-4:])[0]
-    end, records = len(data) - 4 * intact, defaultdict[int, bytearray](bytearray)
-    while offset + 2 <= end:
-        (number,) = struct.unpack_from("<H", data, offset)
-        if number not in kinds or offset + (size := kinds[number].itemsize) > end:
-            break
-        records[number] += data[offset : offset + size]
-        offset += size
-    events, tick = list[dict[str, Array]](), 1e-3 if version == 1 else 1e-6
-    for number, record in records.items():
-        values: Any = np.frombuffer(record, kinds[number])
-        events.append({name: values[name].astype(np.float64) for name in values.dtype.names})
-        events[-1]["t"] *= tick
-    last = max((event["t"][-1] for event in events), default=0.0)
-    return events, [] if intact else [f"truncated or damaged: read to the record at {last:.3f} s"]
-
-
-def read_ulog(path: Path) -> tuple[dict[str, Array], list[str]]:
-    """Return rows by topic, and notes, of a PX4 ulog, converted from north, east, down."""
-    with path.open("rb") as file:
-        log = library("pyulog").ULog(file, list(ULOG_POSITIONS))
-    rows = dict[str, Array]()
-    for name, values in {topic.name: topic.data for topic in log.data_list[::-1]}.items():
-        axes = "xyz" if "x" in values else [f"position[{i}]" for i in range(3)]
-        north, east, down = (values[axis].astype(np.float64) for axis in axes)
-        t = 1e-6 * values.get("timestamp_sample", values["timestamp"]).astype(np.float64)
-        rows[name] = np.stack([t, east, north, -down], axis=1)
-    if not rows:
-        raise FileError(f"logs none of {', '.join(ULOG_POSITIONS)}")
-    lost = sum(gap.duration for gap in log.dropouts)
-    return rows, [f"{1e-3 * lost:.1f} s were not logged"] * bool(lost)
 
 
 # Formats by their first bytes: names, and readers of all files of a format in a unit

@@ -2,17 +2,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import make_interp_spline
 
-from hitchopt.errors import InputError, OneLine
+from hitchopt.errors import FileError, InputError, OneLine, optional_module
 from hitchopt.lab.simulation.task import Task
 from hitchopt.values import Array, as_array
+
+# Units of length [m], and names of units in files
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
+NAMES = {"meters": "m", "centimeters": "cm", "millimeters": "mm", "inches": "in", "feet": "ft"}
+
+MIN_EPOCH = 1e7  # Smallest time that counts from a date or from a computer's start [s]
+MARKER = "marker"  # Name of the rows of unlabeled points
+
+# Quantities of a body, besides its measured position, with their units; those with True are in the
+# file's unit of length. Attitudes are quaternions x, y, z, w, from the body (x forward, z up) to
+# the world; rates and specific forces are in the body's frame; motors are shares of full power
+QUANTITIES: dict[str, tuple[str, bool]] = {
+    "velocity": ("m/s", True),
+    "attitude": ("1", False),
+    "estimated_position": ("m", True),
+    "estimated_velocity": ("m/s", True),
+    "estimated_attitude": ("1", False),
+    "commanded_position": ("m", True),
+    "commanded_velocity": ("m/s", True),
+    "commanded_acceleration": ("m/s²", True),
+    "commanded_attitude": ("1", False),
+    "commanded_yaw": ("rad", False),
+    "rates": ("rad/s", False),
+    "specific_force": ("m/s²", False),
+    "motors": ("1", False),
+    "thrust": ("N", False),
+}
+
+library = partial(optional_module, purpose="reading it needs", extra="logs")
+"""Return an optional module; UnsupportedError names the extra to install."""
 
 MAX_GAP = 0.1  # Largest time to the nearest sample at which a body counts as visible [s]
 TAUT_RATIO = 0.9  # Smallest planned tension, over the team's, of a hitch that is evaluated
@@ -20,6 +51,28 @@ TAUT_RATIO = 0.9  # Smallest planned tension, over the team's, of a hitch that i
 # Standard error of a vertex that is interpolated across a window, added to its standard deviation
 # [m], and time between samples with independent errors [s]
 INTERPOLATION_ERROR, CORRELATION_TIME = 1e-2, 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Signal(OneLine):
+    """Samples of one of QUANTITIES.
+
+    Attributes
+    ----------
+    t: (m,) [s], ascending.
+    values: (m, k), finite, in the unit of the quantity.
+    """
+
+    t: Array
+    values: Array
+
+    def __post_init__(self) -> None:
+        _check_samples(self, "values", None)
+
+    def at(self, t: Array) -> Array:
+        """Return interpolated values (times, k); quaternions are interpolated linearly."""
+        columns = [np.interp(t, self.t, each) for each in self.values.T]
+        return np.stack(columns, axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,17 +89,7 @@ class Track(OneLine):
     positions: Array
 
     def __post_init__(self) -> None:
-        t, x = as_array(self.t), as_array(self.positions)
-        if t.ndim != 1 or t.size == 0 < np.size(self.t):
-            raise InputError("t", self.t, "times (m,) [s]", "give one per sample")
-        if x.shape != (len(t), 3) or not np.isfinite(np.column_stack([t, x])).all():
-            bound = f"of shape (m, 3) and finite, as are its times, of shape {t.shape}"
-            raise InputError("positions", self.positions, bound, "give a row per sample")
-        if np.any(np.diff(t) < 0.0):
-            raise InputError("t", t, "ascending", "sort the samples")
-        for name, values in (("t", t), ("positions", x)):
-            values.setflags(write=False)
-            object.__setattr__(self, name, values)
+        _check_samples(self, "positions", 3)
 
     def at(self, t: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Return interpolated positions (times, 3) [m], and whether the body is visible then."""
@@ -55,6 +98,24 @@ class Track(OneLine):
         gaps = np.abs(self.t[np.clip([i - 1, i], 0, len(self.t) - 1)] - t).min(axis=0)
         step = np.median(np.diff(self.t)) if len(self.t) > 1 else 0.0
         return x, gaps < max(MAX_GAP, step)
+
+
+def _check_samples(record: Signal | Track, name: str, width: int | None) -> None:
+    """Check times (m,) and the rows (m, width) of a field, and make them read-only."""
+    values = getattr(record, name)
+    t, x = as_array(record.t), as_array(values)
+    if t.ndim != 1 or t.size == 0 < np.size(record.t):
+        raise InputError("t", record.t, "times (m,) [s]", "give one per sample")
+    columns = x.shape[1] if width is None and x.ndim == 2 else width
+    if x.shape != (len(t), columns) or not np.isfinite(np.column_stack([t, x])).all():
+        shape = "m, 3" if width else "m, k"
+        bound = f"of shape ({shape}) and finite, as are its times, of shape {t.shape}"
+        raise InputError(name, values, bound, "give a row per sample")
+    if np.any(np.diff(t) < 0.0):
+        raise InputError("t", t, "ascending", "sort the samples")
+    for field_name, array in (("t", t), (name, x)):
+        array.setflags(write=False)
+        object.__setattr__(record, field_name, array)
 
 
 NO_MARKERS = Track(np.zeros(0), np.zeros((0, 3)))
@@ -70,6 +131,12 @@ class RecordedFlight(OneLine):
     tracks: bodies by their names in the file: drones, and vertices if the file has them.
     markers: unlabeled points, on the clock of ``tracks``.
     setpoints: commanded positions by name, on the clock of the track of that name.
+    signals: other quantities by body, then by name, see QUANTITIES, on the same clock.
+    loads: bodies that are no drones, on the clock of ``tracks``.
+    sources: topics by body, then by quantity, ``position`` being that of tracks and loads.
+    clock_shifts: time of this flight minus that of the body's own clock [s], of bodies whose
+        samples were recorded on clocks of their own, and are on one here.
+    as_sent: whether set points were recorded where they were sent, not logged by the drones.
     epoch: time of the recording's clock at which ``t`` is 0 [s]; 0 if times are as recorded.
     one_clock: whether all tracks share one clock; otherwise each track has its own origin.
     notes: corrections and omissions, a sentence each.
@@ -81,10 +148,131 @@ class RecordedFlight(OneLine):
     tracks: Mapping[str, Track]
     markers: Track = NO_MARKERS
     setpoints: Mapping[str, Track] = field(default_factory=dict)
+    signals: Mapping[str, Mapping[str, Signal]] = field(default_factory=dict)
+    loads: Mapping[str, Track] = field(default_factory=dict)
+    sources: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    clock_shifts: Mapping[str, float] = field(default_factory=dict)
+    as_sent: bool = False
     epoch: float = 0.0
     one_clock: bool = True
     notes: tuple[str, ...] = ()
     simulated: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def contents(self) -> dict[str, dict[str, dict[str, Any]]]:
+        """What is recorded, by body and quantity: topic, samples, rate [Hz], largest gap [s]."""
+        bodies = dict[str, dict[str, dict[str, Any]]]()
+        for tracks, quantity in (
+            (self.tracks, "position"),
+            (self.loads, "position"),
+            (self.setpoints, "commanded_position"),
+        ):
+            for name, track in tracks.items():
+                bodies.setdefault(name, {})[quantity] = self._samples(name, quantity, track.t)
+        for name, signals in self.signals.items():
+            for quantity, signal in signals.items():
+                bodies.setdefault(name, {})[quantity] = self._samples(name, quantity, signal.t)
+        return bodies
+
+    def _samples(self, body: str, quantity: str, t: Array) -> dict[str, Any]:
+        steps = np.diff(t)
+        step = float(np.median(steps)) if len(steps) else 0.0
+        return {
+            "topic": self.sources.get(body, {}).get(quantity, self.source),
+            "unit": QUANTITIES[quantity][0] if quantity in QUANTITIES else "m",
+            "samples": len(t),
+            "rate": 1.0 / step if step > 0.0 else 0.0,
+            "largest_gap": float(steps.max()) if len(steps) else 0.0,
+            "start": float(t[0]),
+            "end": float(t[-1]),
+        }
+
+
+def scale_of(unit: str) -> float:
+    """Return a unit of length [m]; FileError if it is unknown."""
+    word = unit.strip().casefold()
+    scale = UNITS.get(NAMES.get(word, word), 0.0)
+    if not scale:
+        raise FileError(f"its unit of length, {unit!r}, is unknown; state unit='m', 'cm' or 'mm'")
+    return scale
+
+
+def flight_of(
+    source: str,
+    rows: Mapping[str, Array],
+    unit: str = "m",
+    *,
+    notes: Sequence[str] = (),
+    setpoints: Mapping[str, Array] | None = None,
+    signals: Mapping[str, Mapping[str, Array]] | None = None,
+    loads: Mapping[str, Array] | None = None,
+    **fields: Any,
+) -> RecordedFlight:
+    """Return a flight from rows (time [s], x, y, z [unit]) (m, 4) of every body, and of MARKER.
+
+    ``setpoints``, ``signals`` and ``loads`` are rows too, in any order; ``fields`` are others of
+    ``RecordedFlight``. Rows without a value and rows that repeat a time are omitted. Raises
+    FileError for an unknown unit or descending times.
+    """
+    scale, epoch = scale_of(unit), 0.0
+    bodies = {name: samples for name, samples in rows.items() if name != MARKER and len(samples)}
+    start = min((float(samples[0, 0]) for samples in bodies.values()), default=0.0)
+    if fields.get("one_clock", True) and abs(start) >= MIN_EPOCH:
+        epoch, clock = start, f"at {start:.3f} s of the recording's clock"
+        notes = [*notes, f"times count from the first position, {clock}"]
+
+    def track(samples: Array) -> Track:
+        if not np.isfinite(samples[:, 0]).all():
+            raise FileError("a time is not finite; leave out rows without a time")
+        samples = samples[np.isfinite(samples).all(axis=1)]
+        steps = np.diff(samples[:, 0], prepend=-np.inf)
+        if np.any(steps < 0.0):
+            a, b = samples[(i := int(np.argmax(steps < 0.0))) - 1 : i + 1, 0]
+            digits = next((n for n in range(9, 17) if f"{a:.{n}g}" != f"{b:.{n}g}"), 17)
+            problem = f"times do not ascend: {a:.{digits}g} s is followed by {b:.{digits}g} s"
+            raise FileError(f"{problem}; give one flight, in the order in which it was recorded")
+        return Track(samples[steps > 0.0, 0] - epoch, scale * samples[steps > 0.0, 1:])
+
+    tracks = {name: track(samples) for name, samples in bodies.items()}
+    count = sum(map(len, bodies.values()))
+    if omitted := count - sum(len(one.t) for one in tracks.values()):
+        notes = [*notes, f"{omitted} of {count} rows omitted: no position, or a repeated time"]
+    cloud = rows.get(MARKER, np.zeros((0, 4)))
+    cloud = cloud[np.isfinite(cloud).all(axis=1)]
+    cloud = cloud[np.argsort(cloud[:, 0], kind="stable")]
+
+    def sorted_rows(samples: Array) -> Array:
+        samples = samples[np.isfinite(samples).all(axis=1)]
+        samples = samples[np.argsort(samples[:, 0], kind="stable")]
+        return samples[np.diff(samples[:, 0], prepend=-np.inf) > 0.0]
+
+    def signal(quantity: str, samples: Array) -> Signal:
+        factor = scale if QUANTITIES[quantity][1] else 1.0
+        return Signal(samples[:, 0] - epoch, factor * samples[:, 1:])
+
+    sampled = {
+        name: {x: y for x, each in own.items() if len((y := signal(x, sorted_rows(each))).t)}
+        for name, own in (signals or {}).items()
+    }
+    return RecordedFlight(
+        source,
+        {name: one for name, one in tracks.items() if len(one.t)},
+        Track(cloud[:, 0] - epoch, scale * cloud[:, 1:]),
+        {
+            name: track(ordered)
+            for name, samples in (setpoints or {}).items()
+            if len(ordered := sorted_rows(samples))
+        },
+        {name: own for name, own in sampled.items() if own},
+        {
+            name: track(ordered)
+            for name, samples in (loads or {}).items()
+            if len(ordered := sorted_rows(samples))
+        },
+        epoch=epoch,
+        notes=tuple(notes),
+        **fields,
+    )
 
 
 @dataclass(frozen=True, eq=False)

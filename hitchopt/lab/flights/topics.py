@@ -1,14 +1,15 @@
 """Topics of a recording: what they hold, whose they are, and which is taken for the drones.
 
-A topic is a stream of positions: of a bag, or a group of variables of a log. Its kind follows from
+A topic is a stream of samples: of a bag, or a group of variables of a log. Its kind follows from
 the words of its name, else of its type: measured, estimated, commanded, or of a load. The drones'
 positions are of one kind: measured before estimated before commanded, and of a load only on
 request. Among topics of a kind those that name a motion capture system come first, then message
-types in the order of the reader.
+types in the order of the reader. Other quantities are those of the first topic of their kind.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -16,8 +17,13 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
 from hitchopt.errors import FileError
+from hitchopt.hitch import GRAVITY
+from hitchopt.lab.flights.recordings import QUANTITIES
 
-KINDS = ("measured", "estimated", "commanded", "load")  # By preference
+DEGREE, PWM = math.pi / 180.0, 1.0 / 65535.0  # Units of logs: of angles [rad], of full power
+
+LOAD = "load"
+KINDS = ("measured", "estimated", "commanded", LOAD)  # By preference
 
 # Words of topics, else of message types, by kind; the first kind that matches counts. A topic
 # without such a word is measured
@@ -29,7 +35,7 @@ WORDS: dict[str, frozenset[str]] = {
         "load": "load payload",
         "measured": "mocap capture vicon vrpn optitrack natnet qualisys motive truth groundtruth",
         "estimated": "odom odometry covariance estimate estimated estimates estimator ekf kalman "
-        "filter filtered fused local onboard state vio slam",
+        "filter filtered fused local log onboard state vio slam",
     }.items()
 }
 # Words of parts of topics that name no body
@@ -48,13 +54,83 @@ LOG_TOPICS = {
     "stateEstimateZ.p": "load",
     "vehicle_visual_odometry": "measured",  # Motion capture, as PX4 received it
     "vehicle_local_position": "estimated",
+    "trajectory_setpoint": "commanded",
+}
+
+# Quantities of logs whose topics name them, by the topic's last part: quantity, number of values,
+# and their unit
+LOGGED: dict[str, tuple[str, int, float]] = {
+    "pos": ("position", 3, 1.0),
+    "position": ("position", 3, 1.0),
+    "pose": ("position", 3, 1.0),
+    "vel": ("velocity", 3, 1.0),
+    "quat": ("attitude", 4, 1.0),
+    "gyro": ("rates", 3, DEGREE),
+    "acc": ("specific_force", 3, GRAVITY),
+    "pwm": ("motors", 4, PWM),
+    "motor": ("motors", 4, PWM),
+    "motors": ("motors", 4, PWM),
+}
+
+# Variables of uSD logs by quantity, with their unit; of each quantity the first that is logged
+USD_QUANTITIES: dict[str, tuple[tuple[str, float], ...]] = {
+    "attitude": (("locSrv.qx qy qz qw", 1.0),),
+    "estimated_velocity": (
+        ("stateEstimate.vx vy vz", 1.0),
+        ("stateEstimateZ.vx vy vz", 1e-3),
+    ),
+    "estimated_attitude": (
+        ("stateEstimate.qx qy qz qw", 1.0),
+        ("ctrlLeeP.rpyx rpyy rpyz", 1.0),
+        ("ctrlLee.rpyx rpyy rpyz", 1.0),
+        ("stateEstimate.roll pitch yaw", DEGREE),
+    ),
+    "commanded_velocity": (("ctrltarget.vx vy vz", 1.0), ("ctrltargetZ.vx vy vz", 1e-3)),
+    "commanded_acceleration": (("ctrltarget.ax ay az", 1.0), ("ctrltargetZ.ax ay az", 1e-3)),
+    "commanded_yaw": (("ctrltarget.yaw", DEGREE),),
+    "rates": (("gyro.x y z", DEGREE),),
+    "specific_force": (("acc.x y z", GRAVITY),),
+    "motors": (
+        ("pwm.m1_pwm m2_pwm m3_pwm m4_pwm", PWM),
+        ("motor.m1 m2 m3 m4", PWM),
+        ("pwm.m1 m2 m3 m4", PWM),
+    ),
+    "thrust": (
+        ("ctrlLeeP.thrustSI", 1.0),
+        ("ctrlLee.thrustSI", 1.0),
+        ("ctrlLeeP.ux uy uz", 1.0),
+        ("ctrlLee.ux uy uz", 1.0),
+    ),
+}
+FLIPPED = "stateEstimate.pitch"  # Has the opposite sign of the attitude's
+
+# Topics of ulogs by quantity, with their variables, in the axes north, east, down or, with "body",
+# forward, right, down; "attitude" and "plain" are quaternions w, x, y, z, and numbers without axes
+ULOG_QUANTITIES: dict[str, tuple[str, str, str]] = {
+    "attitude": ("vehicle_visual_odometry", "q[0] q[1] q[2] q[3]", "attitude"),
+    "estimated_velocity": ("vehicle_local_position", "vx vy vz", "world"),
+    "estimated_attitude": ("vehicle_attitude", "q[0] q[1] q[2] q[3]", "attitude"),
+    "rates": ("sensor_combined", "gyro_rad[0] gyro_rad[1] gyro_rad[2]", "body"),
+    "specific_force": (
+        "sensor_combined",
+        "accelerometer_m_s2[0] accelerometer_m_s2[1] accelerometer_m_s2[2]",
+        "body",
+    ),
+    "commanded_position": ("trajectory_setpoint", "position[0] position[1] position[2]", "world"),
+    "commanded_velocity": ("trajectory_setpoint", "velocity[0] velocity[1] velocity[2]", "world"),
+    "commanded_acceleration": (
+        "trajectory_setpoint",
+        "acceleration[0] acceleration[1] acceleration[2]",
+        "world",
+    ),
+    "motors": ("actuator_motors", "control[0] control[1] control[2] control[3]", "plain"),
 }
 MAX_LISTED = 5  # Most topics that a message lists
 
 
 @dataclass(frozen=True)
 class Topic:
-    """A stream of positions of one kind."""
+    """A stream of samples of one kind."""
 
     name: str
     family: str  # name with * in place of the body's name
@@ -85,6 +161,31 @@ def log_topics(names: Sequence[str]) -> list[Topic]:
     """Return the topics of a drone's log."""
     order = list(LOG_TOPICS)
     return [Topic(name, name, "", LOG_TOPICS[name], order.index(name)) for name in names]
+
+
+def quantity_name(kind: str, part: str) -> str:
+    """Return the name in QUANTITIES of a part of a topic's samples; empty if it has none.
+
+    Positions of measured topics are tracks, and have the name ``position``.
+    """
+    if part in {"rates", "specific_force", "motors", "thrust"}:
+        return part
+    name = part if kind in {KINDS[0], LOAD} else f"{kind}_{part}"
+    return name if name in QUANTITIES or name == "position" else ""
+
+
+def logged_quantity(topic: str, count: int) -> tuple[str, float]:
+    """Return the quantity of a log's values, and their unit, by the topic's last part.
+
+    The quantity is empty if the part is none of LOGGED, or has another number of values.
+    """
+    quantity, expected, scale = LOGGED.get(topic.rpartition("/")[2].casefold(), ("", 0, 1.0))
+    return (quantity, scale) if count == expected else ("", 1.0)
+
+
+def is_load(body: str) -> bool:
+    """Return whether the name of a body says that it is a load."""
+    return bool(_words(body) & WORDS[LOAD])
 
 
 def taken_topics(topics: Sequence[Topic], request: str | None) -> tuple[list[Topic], list[str]]:

@@ -1,0 +1,318 @@
+"""Readers of drones' logs: Crazyflies' uSD cards, and PX4.
+
+Drones log one file each, on a clock that starts at boot. A load that all of them log ties the
+clocks together; without one, each track has its own clock.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from hitchopt.errors import FileError
+from hitchopt.geometry.vectors import length
+from hitchopt.lab.flights.clocks import fitted_shift
+from hitchopt.lab.flights.recordings import QUANTITIES, RecordedFlight, flight_of, library
+from hitchopt.lab.flights.topics import (
+    FLIPPED,
+    LOAD,
+    LOG_TOPICS,
+    ULOG_QUANTITIES,
+    USD_QUANTITIES,
+    log_topics,
+    quantity_name,
+    taken_topics,
+)
+from hitchopt.storage.archive import reading
+from hitchopt.values import Array
+
+# Topic of a uSD log that repeats the last position, or zeros, until the next; scales [m], else 1
+HELD = "locSrv"
+USD_SCALES = {"ctrltargetZ": 1e-3, "stateEstimateZ": 1e-3, "stateEstimateZ.p": 1e-3}
+# Topics with the drone's positions in logs
+USD_POSITIONS = ("stateEstimate", "stateEstimateZ", "locSrv")
+ULOG_POSITIONS = ("vehicle_visual_odometry", "vehicle_local_position")
+TIE_SPAN = 5.0  # Largest difference between the starts of two logs of a flight [s]
+
+# North, east, down to x east, y north, z up; forward, right, down to forward, left, up
+WORLD = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+BODY = np.diag([1.0, -1.0, -1.0])
+
+
+@dataclass
+class Log:
+    """Content of one drone's log: rows of positions by topic, of quantities, and sources."""
+
+    positions: dict[str, Array]
+    quantities: dict[str, Array] = field(default_factory=dict)
+    sources: dict[str, str] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+
+def read_logs(
+    source: str,
+    read: Callable[[Path], Log],
+    paths: Sequence[Path],
+    unit: str | None,
+    topic: str | None,
+) -> RecordedFlight:
+    """Return the flight in drones' logs, whose file names are the drones' names."""
+    if unit is not None:
+        raise FileError("is of a format with fixed units; leave unit= out")
+    drones, by_note = dict[str, _Drone](), defaultdict[str, list[str]](list)
+    for path in paths:
+        with reading(path, source, Exception):
+            drones[path.stem] = drone = _Drone.of(read(path), topic)
+        for note in drone.notes:
+            by_note[note].append(path.stem)
+    notes = [f"{', '.join(names)}: {note}" for note, names in by_note.items()]
+    loads = {name: drone.load for name, drone in drones.items() if drone.load is not None}
+    shifts, tie_notes = _tied({name: drone.track for name, drone in drones.items()}, loads)
+    sources = {name: drone.sources for name, drone in drones.items()}
+    carriers = list(loads) if len(loads) > 1 and not shifts else list(loads)[:1]
+    load_names = {name: f"{LOAD} of {name}" if carriers[1:] else LOAD for name in carriers}
+    sources |= {load: drones[name].load_sources for name, load in load_names.items()}
+
+    def shifted(samples: Array, name: str) -> Array:
+        return samples + np.eye(1, samples.shape[1]) * shifts.get(name, 0.0)
+
+    signals = {
+        name: {quantity: shifted(samples, name) for quantity, samples in drone.signals.items()}
+        for name, drone in drones.items()
+    }
+    signals |= {load: drones[name].targets for name, load in load_names.items()}
+    commands = {name: x.command for name, x in drones.items() if x.command is not None}
+    return flight_of(
+        source,
+        {name: shifted(drone.track, name) for name, drone in drones.items()},
+        notes=[*notes, *tie_notes],
+        setpoints={name: shifted(samples, name) for name, samples in commands.items()},
+        signals=signals,
+        loads={load: loads[name] for name, load in load_names.items()},
+        sources=sources,
+        clock_shifts=shifts,
+        one_clock=len(paths) == 1 or bool(shifts),
+    )
+
+
+@dataclass
+class _Drone:
+    """Rows of one drone, by its own clock: its track, commands, and those of its load."""
+
+    track: Array
+    command: Array | None
+    load: Array | None
+    signals: dict[str, Array]
+    targets: dict[str, Array]  # Commands that are of the load
+    sources: dict[str, str]
+    load_sources: dict[str, str]
+    notes: list[str]
+
+    @classmethod
+    def of(cls, log: Log, request: str | None) -> _Drone:
+        """Return what a log holds, with the drone's positions from the requested topic, if any."""
+        topics = sorted(log_topics(list(log.positions)), key=lambda x: x.preference)
+        taken, notes = taken_topics(topics, request)
+        if len(taken) > 1:
+            both = " and ".join(each.name for each in taken)
+            raise FileError(f"has positions in {both}: choose one with topic=")
+        kind, track = taken[0].kind, log.positions[taken[0].name]
+        signals, sources = dict(log.quantities), {"position": taken[0].name, **log.sources}
+        others = {x.kind: x for x in topics[::-1] if x.kind != kind}
+        load = others.pop(LOAD, None)
+        for each in others.values():
+            quantity = quantity_name(each.kind, "position")
+            if quantity in QUANTITIES:  # Measured positions are not, if others are requested
+                signals[quantity], sources[quantity] = log.positions[each.name], each.name
+        command, command_notes = _setpoints(log.positions, taken[0].name)
+        targets, load_sources = dict[str, Array](), dict[str, str]()
+        if load is not None:
+            load_sources["position"] = load.name
+        if command_notes:
+            names = [quantity for quantity in signals if quantity.startswith("commanded_")]
+            targets = {quantity: signals.pop(quantity) for quantity in names}
+            load_sources |= {quantity: sources.pop(quantity) for quantity in names}
+        signals.pop("commanded_position", None)  # Is among the set points
+        return cls(
+            track,
+            command,
+            None if load is None else log.positions[load.name],
+            signals,
+            targets,
+            sources,
+            load_sources,
+            [*log.notes, *notes, *command_notes],
+        )
+
+
+def _tied(
+    rows: Mapping[str, Array], loads: Mapping[str, Array]
+) -> tuple[dict[str, float], list[str]]:
+    """Return the shifts of all drones' clocks to the first one's [s], and a note.
+
+    The load that all drones log ties them; no shift is returned if it is not one load, or moves too
+    little.
+    """
+    if len(rows) < 2 or set(rows) != set(loads):
+        return {}, []
+    first, *others = rows
+    shifts, worst = {first: 0.0}, 0.0
+    for name in others:
+        start = float(loads[first][0, 0] - loads[name][0, 0])
+        fitted = fitted_shift(loads[name], loads[first], (start - TIE_SPAN, start + TIE_SPAN))
+        if fitted is None:
+            return {}, []
+        shifts[name], worst = fitted[0], max(worst, fitted[1])
+    words = "the load, logged by all, ties their clocks, and then agrees to"
+    return shifts, [f"{', '.join(rows)}: {words} {1e3 * worst:.1f} mm"]
+
+
+def _setpoints(logged: Mapping[str, Array], taken: str) -> tuple[Array | None, list[str]]:
+    """Return a drone's set points among topics of its log, and a note if they are of its load.
+
+    Commands are the set points of the body that they are nearest to, at the median.
+    """
+    of_kind = {kind: name for name, kind in reversed(LOG_TOPICS.items()) if name in logged}
+    command, load = of_kind.get("commanded"), of_kind.get("load")
+    if command is None or load is None:
+        return logged.get(command or ""), []
+
+    def distance(topic: str) -> float:
+        t, *at = logged[topic].T
+        position = np.stack([np.interp(logged[command][:, 0], t, x) for x in at], axis=1)
+        return float(np.nanmedian(np.linalg.norm(logged[command][:, 1:] - position, axis=1)))
+
+    own, carried = distance(taken), distance(load)
+    if own <= carried:
+        return logged[command], []
+    words = f"{carried:.2f} m from {load} at the median, and {own:.2f} m from {taken}"
+    return None, [f"{command} is the target of the load, not of the drone: {words}"]
+
+
+def read_usd(path: Path) -> Log:
+    """Return the content of a log of a Crazyflie's uSD card."""
+    events, notes = usd_events(path.read_bytes())
+    rows, quantities, sources = dict[str, Array](), dict[str, Array](), dict[str, str]()
+    for topic, event in product(LOG_TOPICS, events):
+        prefix = topic if topic.endswith(".p") else f"{topic}."
+        axes = [f"{prefix}{axis}" for axis in "xyz"]
+        if topic not in rows and set(axes) <= set(event):
+            positions = [USD_SCALES.get(topic, 1.0) * event[axis] for axis in axes]
+            samples = np.stack([event["t"], *positions], axis=1)
+            if topic == HELD:
+                steps = np.diff(samples[:, 1:], axis=0, prepend=0.0)
+                samples = samples[np.any(steps != 0.0, axis=1)]
+            rows |= {topic: samples} if len(samples) else {}
+    if not rows.keys() & set(USD_POSITIONS):
+        available = ", ".join(sorted({name for event in events for name in event}))
+        expected = ", ".join(f"{each}.x" for each in USD_POSITIONS)
+        raise FileError(f"logs none of {expected}, but {available[:200]}")
+    for quantity, options in USD_QUANTITIES.items():
+        for (variables, scale), event in product(options, events):
+            group, _, parts = variables.partition(".")
+            names = [f"{group}.{part}" for part in parts.split()]
+            if quantity not in quantities and set(names) <= set(event):
+                signs = [-scale if name == FLIPPED else scale for name in names]
+                values = np.stack([event[name] for name in names], axis=1) * signs
+                values = _usd_values(quantity, values)
+                quantities[quantity] = np.column_stack([event["t"], values])
+                sources[quantity] = f"{group}.{parts.split()[0]}"
+    return Log(rows, quantities, sources, notes)
+
+
+def _usd_values(quantity: str, values: Array) -> Array:
+    """Return roll, pitch and yaw [rad] as quaternions, and a vector of thrust as its norm."""
+    if quantity.endswith("attitude") and values.shape[1] == 3:
+        finite = np.isfinite(values).all(axis=1)
+        turned: Array = np.full((len(values), 4), np.nan)
+        turned[finite] = Rotation.from_euler("xyz", values[finite]).as_quat()
+        return turned
+    if quantity == "thrust" and values.shape[1] == 3:
+        return length(values)[:, None]
+    return values
+
+
+def usd_events(data: bytes) -> tuple[list[dict[str, Array]], list[str]]:
+    """Return the variables of every event type, including ``t`` [s], and notes on damage.
+
+    The header lists event types, each with a number and variables ``group.name(type)``. Records of
+    events and a checksum follow.
+    """
+    version, event_types = struct.unpack_from("<HH", data, 1)
+    if version not in {1, 2}:
+        raise FileError(f"is of version {version}; 1 and 2 are supported")
+    offset, kinds = 5, dict[int, Any]()
+    for _ in range(event_types):
+        number, offset = struct.unpack_from("<H", data, offset)[0], data.index(0, offset + 2) + 1
+        (count,) = struct.unpack_from("<H", data, offset)
+        offset, fields = offset + 2, list[tuple[str, str]]()
+        for _ in range(count):
+            end = data.index(0, offset)
+            text, offset = data[offset:end].decode("ascii"), end + 1
+            fields.append((text[:-3], f"<{text[-2]}"))
+        kinds[number] = np.dtype([("", "<H"), ("t", "<I" if version == 1 else "<Q"), *fields])
+    intact = len(data) >= offset + 4 and zlib.crc32(data[:-4]) == struct.unpack("<I", data[-4:])[0]
+    end, records = len(data) - 4 * intact, defaultdict[int, bytearray](bytearray)
+    while offset + 2 <= end:
+        (number,) = struct.unpack_from("<H", data, offset)
+        if number not in kinds or offset + (size := kinds[number].itemsize) > end:
+            break
+        records[number] += data[offset : offset + size]
+        offset += size
+    events, tick = list[dict[str, Array]](), 1e-3 if version == 1 else 1e-6
+    for number, record in records.items():
+        values: Any = np.frombuffer(record, kinds[number])
+        events.append({name: values[name].astype(np.float64) for name in values.dtype.names})
+        events[-1]["t"] *= tick
+    last = max((event["t"][-1] for event in events), default=0.0)
+    return events, [] if intact else [f"truncated or damaged: read to the record at {last:.3f} s"]
+
+
+def read_ulog(path: Path) -> Log:
+    """Return the content of a PX4 ulog, converted from north, east, down."""
+    names = list(dict.fromkeys([*ULOG_POSITIONS, *(x for x, _, _ in ULOG_QUANTITIES.values())]))
+    with path.open("rb") as file:
+        log = library("pyulog").ULog(file, names)
+    topics = {topic.name: topic.data for topic in log.data_list[::-1]}
+    rows = dict[str, Array]()
+    quantities, sources = dict[str, Array](), dict[str, str]()
+    for name in [name for name in topics if name in ULOG_POSITIONS]:
+        axes = list("xyz") if "x" in topics[name] else [f"position[{i}]" for i in range(3)]
+        rows[name] = _ulog_rows(topics[name], axes, "world")
+    if not rows:
+        raise FileError(f"logs none of {', '.join(ULOG_POSITIONS)}")
+    for quantity, (name, variables, frame) in ULOG_QUANTITIES.items():
+        if set(variables.split()) <= set(topics.get(name, ())):
+            quantities[quantity] = _ulog_rows(topics[name], variables.split(), frame)
+            sources[quantity] = name
+    commands = quantities.pop("commanded_position", None)
+    if commands is not None:
+        rows["trajectory_setpoint"] = commands
+        sources.pop("commanded_position")
+    lost = sum(gap.duration for gap in log.dropouts)
+    return Log(rows, quantities, sources, [f"{1e-3 * lost:.1f} s were not logged"] * bool(lost))
+
+
+def _ulog_rows(topic: Mapping[str, Any], variables: Sequence[str], frame: str) -> Array:
+    """Return rows of time and values, in the axes of this package."""
+    values = np.stack([topic[name].astype(np.float64) for name in variables], axis=1)
+    if frame == "world":
+        values = values @ WORLD.T
+    elif frame == "body":
+        values = values @ BODY.T
+    elif frame == "attitude":
+        finite = np.isfinite(values).all(axis=1) & np.any(values != 0.0, axis=1)
+        attitudes = Rotation.from_quat(values[finite][:, [1, 2, 3, 0]]).as_matrix()
+        values[finite] = Rotation.from_matrix(WORLD @ attitudes @ BODY).as_quat()
+        values[~finite] = np.nan
+    t = 1e-6 * topic.get("timestamp_sample", topic["timestamp"]).astype(np.float64)
+    return np.column_stack([t, values])
