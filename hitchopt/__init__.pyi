@@ -30,6 +30,9 @@ from hitchopt.lab.feedback import Feedback as Feedback
 from hitchopt.lab.flights.alignment import Alignment as Alignment
 from hitchopt.lab.flights.evaluate import evaluate as evaluate
 from hitchopt.lab.flights.evaluation import Evaluation as Evaluation
+from hitchopt.lab.flights.hover import DroneHover as DroneHover
+from hitchopt.lab.flights.hover import HoverCalibration as HoverCalibration
+from hitchopt.lab.flights.hover import calibrate_hover as calibrate_hover
 from hitchopt.lab.flights.readers import read_flight as read_flight
 from hitchopt.lab.flights.recordings import RecordedFlight as RecordedFlight, Recording as Recording
 from hitchopt.lab.flights.recordings import Signal as Signal, Track as Track

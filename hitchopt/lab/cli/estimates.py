@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -135,26 +135,53 @@ def _statics_tables(content: dict[str, Any]) -> str:
 
 
 @command(
-    "recording RECORDING",
-    option("--plan", "Plan flown; else where RECORDING lies.", PATH, "DIR"),
-    option("-o --output", "Team with the estimates (YAML).", PATH, "FILE"),
+    "recordings RECORDING...",
+    option("--plan", "Plan flown; else where RECORDING lies, or none for hovers.", PATH, "DIR"),
+    option("-o --output", "Team, or drones of hovers, with the estimates (YAML).", PATH, "FILE"),
     option("--density", "Cable density, as weighed.", float, "KG/M"),
+    option("--mass", "Of every drone in hovers.", float, "KG"),
+    option("--kp", "Level gain of the position loop, in hovers.", float, "N/M"),
+    option("--kd", "Its damping, in hovers.", float, "N S/M"),
+    option("--names", "Drones by recorded names in hovers, such as cf2=q0,cf7=r0.", str, "NAMES"),
+    nargs=-1,
+    required=True,
 )
 def calibrate(
-    recording: Path, plan: Path | None, output: Path | None, density: float | None
+    recordings: tuple[Path, ...],
+    plan: Path | None,
+    output: Path | None,
+    density: float | None,
+    **hover: Any,
 ) -> None:
-    """Estimate cable lengths, stiffness and friction from a recorded flight.
+    """Estimate a team's cables and friction from a flight of a plan, or drones from hovers.
 
     RECORDING is a CSV file with the columns t, name, x, y, z: seconds from the plan's start, q0,
     r0, … or p0, …, and metres; the results of `hitchopt simulate`, DIR/simulation; or any that
     `hitchopt evaluate` reads. Estimates have standard errors; values that the recording does not
     determine are marked. Distances to the plan are in three dimensions.
+
+    Without a plan, recordings are hovers: for each drone the trim, its tilt at rest, thrust factor
+    (with --mass), lag of moving commands, and tracking error, as `team.quadrotor` takes them.
     """
     from hitchopt.lab.statics.files import save_team
+    from hitchopt.storage.archive import PLAN
 
+    first = recordings[0]
+    if plan is None and not any((x / PLAN).is_file() for x in (first, first.absolute().parent)):
+        if density is not None:
+            remedy = "hovers do not determine cables; give a plan, or leave it out"
+            raise InputError("density", density, "given with plan=", remedy)
+        _calibrate_hover(recordings, output, hover)
+        return
+    if given := [key for key, value in hover.items() if value is not None]:
+        remedy = "leave it out, or put the hover into a directory without a plan"
+        raise InputError(given[0], hover[given[0]], "given for hovers, without a plan", remedy)
+    if len(recordings) > 1:
+        remedy = "calibrate flights of a plan one by one"
+        raise InputError("recordings", len(recordings), "one, with a plan", remedy)
     folder = None if plan is None else plan_path(plan).parent
     with ProgressBar("estimating"):
-        calibration = ho.calibrate(recording, folder, density=density)
+        calibration = ho.calibrate(first, folder, density=density)
     say(
         _calibration_tables(calibration),
         lengths=[vars(estimate) for estimate in calibration.lengths],
@@ -165,6 +192,53 @@ def calibrate(
     if output is not None:
         save_team(output, calibration)
         say(f"the team is in {output}")
+
+
+def _calibrate_hover(
+    recordings: tuple[Path, ...], output: Path | None, options: dict[str, Any]
+) -> None:
+    """Report the calibration of single drones from hovers, and write it."""
+    with ProgressBar("reading"):
+        calibration = ho.calibrate_hover(recordings, **options)
+    rows: list[dict[str, object]] = []
+    for name, drone in calibration.drones.items():
+        cells: dict[str, object] = {
+            "drone": name,
+            "trim [cm]": _cells(100.0 * x for x in drone.trim),
+        }
+        cells["±"] = _cells([100.0 * drone.trim_error])
+        cells["tilt [°]"] = _cells([drone.tilt_deg])
+        cells["by tilt [cm]"] = _cells(100.0 * x for x in drone.expected_trim)
+        cells["settled [s]"] = _cells([drone.settled])
+        cells["spread [cm]"] = _cells([100.0 * drone.spread])
+        cells["thrust factor"] = _cells([drone.thrust_factor], ".3f")
+        cells["lag [s]"] = _cells([drone.lag], ".2f")
+        cells["tracking [cm]"] = _cells(100.0 * x for x in drone.tracking.values())
+        rows.append(cells)
+    drones = calibration.drones.values()
+    sentences = [f"{drone.sentence}." for drone in drones]
+    known = dict.fromkeys(drone.set_point for drone in drones if drone.set_point)
+    points = {x: ", ".join(each.name for each in drones if each.set_point == x) for x in known}
+    sentences += [f"The set point of {names} is {place}." for place, names in points.items()]
+    sentences += dict.fromkeys(f"{x}." for each in drones if each.set_point for x in each.remarks)
+    content = {name: drone.to_dict() for name, drone in calibration.drones.items()}
+    say(
+        "\n\n".join([table("Drones at rest", rows), "\n".join(sentences)]),
+        drones=content,
+        notes=list(calibration.notes),
+    )
+    for note in calibration.notes:
+        say(f"note: {note}")
+    if output is not None:
+        calibration.save(output)
+        say(f"quadrotors by drone are in {output}")
+
+
+def _cells(values: Iterable[float], digits: str = ".1f") -> str:
+    """Return numbers as text, or a dash if they are not known."""
+    numbers = list(values)
+    known = numbers and not any(map(math.isnan, numbers))
+    return ", ".join(f"{x + 0.0:{digits}}" for x in numbers) if known else "–"
 
 
 def _calibration_tables(calibration: ho.Calibration) -> str:
