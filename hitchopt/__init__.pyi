@@ -35,6 +35,8 @@ from hitchopt.lab.flights.hover import HoverCalibration as HoverCalibration
 from hitchopt.lab.flights.hover import calibrate_hover as calibrate_hover
 from hitchopt.lab.flights.readers import read_flight as read_flight
 from hitchopt.lab.flights.recordings import RecordedFlight as RecordedFlight, Recording as Recording
+from hitchopt.lab.flights.replay import ReplayedFilter as ReplayedFilter
+from hitchopt.lab.flights.replay import replay_filters as replay_filters
 from hitchopt.lab.flights.recordings import Signal as Signal, Track as Track
 from hitchopt.lab.simulation.simulate import simulate as simulate
 from hitchopt.lab.statics.calibrate import Calibration as Calibration, Estimate as Estimate

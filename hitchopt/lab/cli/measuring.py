@@ -41,6 +41,7 @@ RESULTS = "evaluation"  # Default directory of the results, next to the recordin
     option("--diameter", "Cable diameter: errors are then those of the clasps.", float, "M"),
     option("--window", "Time over which markers are averaged.", 0.1, "S"),
     option("--format", "Of the picture.", "png", choices=("png", "svg", "pdf")),
+    option("--filter filters", "Replay attitude filters on the recorded sensors; needs no plan."),
     option("--markers", "Say where markers go on the cables of the plan; needs no recording."),
     required=False,
 )
@@ -50,12 +51,14 @@ def evaluate(
     output: Path | None,
     format: str,
     *,
+    filters: bool,
     markers: bool,
     **options: Any,
 ) -> None:
     """Compare RECORDING, a flight, with the plan in --plan: vertices (from markers) and drones.
 
     Without a plan, what RECORDING holds is listed: bodies, quantities, topics, rates and gaps.
+    With --filter the firmware's and the exported attitude filters are run on its sensors.
     RECORDING is a table of Motive or Vicon, C3D, a ROS bag, Crazyflie uSD logs, a PX4 ulog,
     DIR/simulation, or a CSV file with the columns t, name, x, y, z, whose rows named marker are
     points without a name. Clock, frame and names are fitted. Writes evaluation.json, vertices.csv,
@@ -75,10 +78,13 @@ def evaluate(
     if recording is None:
         bound = "a recording, or none with --markers"
         raise InputError("RECORDING", Missing(), bound, "name the file that was recorded")
-    if task is None:
+    if filters or task is None:
         with ProgressBar("reading"):
             flight = ho.read_flight(recording, options["unit"], options["topic"])
-        _say_contents(flight)
+        if filters:
+            _say_filters(flight)
+        else:
+            _say_contents(flight)
         return
     from hitchopt.lab.flights.evaluation import LATEX, save_evaluation, summary
 
@@ -151,6 +157,27 @@ def _say_contents(flight: ho.RecordedFlight) -> None:
     )
     for note in flight.notes:
         say(f"note: {note}")
+
+
+def _say_filters(flight: ho.RecordedFlight) -> None:
+    """Report the errors of replayed filters."""
+    with ProgressBar("replaying filters"):
+        replays = ho.replay_filters(flight)
+    rows: list[dict[str, object]] = []
+    for each in replays:
+        errors = {"to the logged": each.logged_rms_deg, "to the captured": each.captured_rms_deg}
+        cells = {f"{name} attitude, rms [°]": x for name, x in errors.items()}
+        texts = {name: "–" if math.isnan(x) else f"{x:.2f}" for name, x in cells.items()}
+        share = f"{100.0 * each.pull_seen:.0f}"
+        rows.append({"drone": each.drone, "filter": each.filter, **texts, "pull seen [%]": share})
+    remarks = dict.fromkeys(each.remark for each in replays if each.remark)
+    if not flight.loads:
+        remarks["no load is recorded: the pull is a steady one"] = None
+    content = [
+        {name: None if x != x else x for name, x in vars(each).items()}  # noqa: PLR0124, nan
+        for each in replays
+    ]
+    say("\n".join([table("Replayed filters", rows), "", *remarks]).rstrip(), filters=content)
 
 
 def _millimetres(lengths: dict[str, float]) -> dict[str, str]:

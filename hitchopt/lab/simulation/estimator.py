@@ -10,14 +10,17 @@ a cable moves, and is corrected by the captured position and, of a rigid body, a
 from __future__ import annotations
 
 from collections import deque
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.estimator import EstimatorParameters
-from hitchopt.lab.simulation.world import RigidBodies
 from hitchopt.values import Array
+
+if TYPE_CHECKING:
+    from hitchopt.lab.simulation.world import RigidBodies
 
 RATE = 100.0  # Rate of filter predictions and of motion capture [Hz]
 LATENCY = 0.01  # Delay of motion capture [s]
@@ -46,11 +49,79 @@ def rotation(turn: Array) -> Array:
     return np.asarray(Rotation.from_rotvec(turn).as_matrix())
 
 
-class Estimator:
+class Filter:
+    """Kalman filters of several drones, from initial states in the world's frame.
+
+    ``variances`` (k, 9, 9) are of position, velocity and rotation errors [m], [m/s], [rad].
+    """
+
+    def __init__(
+        self, parameters: EstimatorParameters, positions: Array, velocities: Array, attitudes: Array
+    ) -> None:
+        self.positions, self.attitudes = positions, attitudes
+        self._velocities = np.einsum("iba,ib->ia", attitudes, velocities)
+        self.variances = np.tile(np.diag(INITIAL_ERRORS**2), (len(positions), 1, 1))
+        level, upright = parameters.level_noise, parameters.upright_noise
+        accelerations, dt = np.array([level, level, upright]), 1.0 / NOISE_RATE
+        added = np.concatenate([accelerations * dt**2, accelerations * dt, [TURN_NOISE * dt] * 3])
+        self._added = NOISE_RATE * added**2  # Per second
+        errors = np.repeat([parameters.position_error, parameters.attitude_error or 0.0], 3)
+        self._observed = np.r_[0:3, 6:9] if parameters.attitude_error else np.r_[0:3]
+        self._errors = np.diag(errors[: len(self._observed)] ** 2)
+
+    @property
+    def velocities(self) -> Array:
+        """Velocities (k, 3) [m/s] in the world's frame."""
+        return np.asarray(np.einsum("iab,ib->ia", self.attitudes, self._velocities))
+
+    def advance(self, rates: Array, specific_forces: Array, dt: float) -> None:
+        """Predict over a time [s] from mean rates (k, 3) [rad/s] and forces along z (k,) [m/s²]."""
+        upward, v = self.attitudes[:, 2], self._velocities  # the world's z axis in the body's frame
+        turning, turn = skew(rates), self.attitudes
+        transition = np.tile(np.eye(9), (len(v), 1, 1))
+        transition[:, 0:3, 3:6] = turn * dt
+        transition[:, 0:3, 6:9] = -turn @ skew(v) * dt
+        transition[:, 3:6, 3:6] -= turning * dt
+        transition[:, 3:6, 6:9] = -GRAVITY * skew(upward) * dt
+        transition[:, 6:9, 6:9] -= turning * dt
+        force = -GRAVITY * upward
+        force[:, 2] += specific_forces
+        step = dt * v + 0.5 * dt**2 * force
+        self.positions = self.positions + np.einsum("iab,ib->ia", turn, step)
+        self._velocities = v + dt * (force - np.cross(rates, v))
+        self.attitudes = turn @ rotation(dt * rates)
+        self.variances = transition @ self.variances @ transition.transpose(0, 2, 1)
+        self._bound()
+        self.variances[:, range(9), range(9)] += dt * self._added
+
+    def observe(self, positions: Array, attitudes: Array | None = None) -> None:
+        """Correct with captured positions (k, 3) [m] and attitudes (k, 3, 3), if these are used."""
+        observed, p = self._observed, self.variances
+        residual = positions - self.positions
+        if len(observed) > 3:
+            if attitudes is None:
+                raise ValueError("the filter needs captured attitudes")
+            relative = self.attitudes.transpose(0, 2, 1) @ attitudes
+            residual = np.hstack([residual, Rotation.from_matrix(relative).as_rotvec()])
+        innovation = p[:, observed][:, :, observed] + self._errors
+        gain = np.linalg.solve(innovation, p[:, observed]).transpose(0, 2, 1)
+        step = np.einsum("iab,ib->ia", gain, residual)
+        self.positions = self.positions + step[:, 0:3]
+        self._velocities = self._velocities + step[:, 3:6]
+        self.attitudes = self.attitudes @ rotation(step[:, 6:9])
+        p = p - gain @ p[:, observed]
+        self.variances = 0.5 * (p + p.transpose(0, 2, 1))
+        self._bound()
+
+    def _bound(self) -> None:
+        diagonal = np.einsum("iaa->ia", self.variances)
+        np.maximum(diagonal, MIN_VARIANCE, out=diagonal)
+
+
+class Estimator(Filter):
     """Kalman filters and sensors of all drones, initialized with the true states.
 
-    Frames arrive ``age`` readings after they are captured. ``variances`` (2n, 9, 9) are of
-    position, velocity and rotation errors [m], [m/s], [rad].
+    Frames arrive ``age`` readings after they are captured.
     """
 
     def __init__(
@@ -60,24 +131,10 @@ class Estimator:
         random: np.random.Generator,
         age: int = 5,
     ) -> None:
+        super().__init__(parameters, bodies.positions, bodies.velocities, bodies.attitudes)
         self._random, self._last = random, bodies  # state at the last prediction
         self._gyro: list[Array] = []  # readings since then
         self._passed = deque([bodies], age + 1)  # at the last readings
-        self.positions, self.attitudes = bodies.positions, bodies.attitudes
-        self._velocities = np.einsum("iba,ib->ia", bodies.attitudes, bodies.velocities)
-        self.variances = np.tile(np.diag(INITIAL_ERRORS**2), (len(bodies.positions), 1, 1))
-        level, upright = parameters.level_noise, parameters.upright_noise
-        accelerations, dt = np.array([level, level, upright]), 1.0 / NOISE_RATE
-        added = np.concatenate([accelerations * dt**2, accelerations * dt, [TURN_NOISE * dt] * 3])
-        self._added = NOISE_RATE / RATE * added**2
-        errors = np.repeat([parameters.position_error, parameters.attitude_error or 0.0], 3)
-        self._observed = np.r_[0:3, 6:9] if parameters.attitude_error else np.r_[0:3]
-        self._errors = np.diag(errors[: len(self._observed)] ** 2)
-
-    @property
-    def velocities(self) -> Array:
-        """Velocities (2n, 3) [m/s] in the world's frame."""
-        return np.asarray(np.einsum("iab,ib->ia", self.attitudes, self._velocities))
 
     def read(self, bodies: RigidBodies) -> Array:
         """Return gyroscope readings (2n, 3) [rad/s] for true states."""
@@ -94,46 +151,14 @@ class Estimator:
         acceleration = (bodies.velocities - previous.velocities) / dt + [0.0, 0.0, GRAVITY]
         thrust_axis = 0.5 * (bodies.attitudes + previous.attitudes)[..., 2]
         noise = ACCELEROMETER_NOISE * self._random.standard_normal(len(acceleration))
-        specific_force = np.einsum("ia,ia->i", acceleration, thrust_axis) + noise
-        upward, v = self.attitudes[:, 2], self._velocities  # the world's z axis in the body's frame
-        turning, turn = skew(rates), self.attitudes
-        transition = np.tile(np.eye(9), (len(v), 1, 1))
-        transition[:, 0:3, 3:6] = turn * dt
-        transition[:, 0:3, 6:9] = -turn @ skew(v) * dt
-        transition[:, 3:6, 3:6] -= turning * dt
-        transition[:, 3:6, 6:9] = -GRAVITY * skew(upward) * dt
-        transition[:, 6:9, 6:9] -= turning * dt
-        force = -GRAVITY * upward
-        force[:, 2] += specific_force
-        step = dt * v + 0.5 * dt**2 * force
-        self.positions = self.positions + np.einsum("iab,ib->ia", turn, step)
-        self._velocities = v + dt * (force - np.cross(rates, v))
-        self.attitudes = turn @ rotation(dt * rates)
-        self.variances = transition @ self.variances @ transition.transpose(0, 2, 1)
-        self._bound()
-        self.variances[:, range(9), range(9)] += self._added
+        specific_forces = np.einsum("ia,ia->i", acceleration, thrust_axis) + noise
+        self.advance(rates, specific_forces, dt)
 
     def correct(self) -> None:
         """Correct with the frame that arrives."""
         captured = self._passed[0]
         noise = self._random.standard_normal((2, *captured.positions.shape))
-        positions = captured.positions + POSITION_NOISE * noise[0]
-        captured_attitudes = captured.attitudes @ rotation(ATTITUDE_NOISE * noise[1])
-        observed, p = self._observed, self.variances
-        residual = positions - self.positions
-        if len(observed) > 3:
-            relative = self.attitudes.transpose(0, 2, 1) @ captured_attitudes
-            residual = np.hstack([residual, Rotation.from_matrix(relative).as_rotvec()])
-        innovation = p[:, observed][:, :, observed] + self._errors
-        gain = np.linalg.solve(innovation, p[:, observed]).transpose(0, 2, 1)
-        step = np.einsum("iab,ib->ia", gain, residual)
-        self.positions = self.positions + step[:, 0:3]
-        self._velocities = self._velocities + step[:, 3:6]
-        self.attitudes = self.attitudes @ rotation(step[:, 6:9])
-        p = p - gain @ p[:, observed]
-        self.variances = 0.5 * (p + p.transpose(0, 2, 1))
-        self._bound()
-
-    def _bound(self) -> None:
-        diagonal = np.einsum("iaa->ia", self.variances)
-        np.maximum(diagonal, MIN_VARIANCE, out=diagonal)
+        self.observe(
+            captured.positions + POSITION_NOISE * noise[0],
+            captured.attitudes @ rotation(ATTITUDE_NOISE * noise[1]),
+        )

@@ -1,0 +1,288 @@
+"""Replay of attitude filters on recorded flights.
+
+A filter is fed with the recorded gyroscope, accelerometer and positions, and never with the logged
+attitude, which it is compared with. How much of a cable's pull it sees follows from a second run in
+which the drone leans against a small additional pull: the share of that lean that it believes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+from scipy.spatial.transform import Rotation
+
+from hitchopt.errors import FileError, OneLine
+from hitchopt.geometry.vectors import length
+from hitchopt.hitch import GRAVITY
+from hitchopt.hitch.estimator import FIRMWARE, HELD, ONE_MARKER, EstimatorParameters
+from hitchopt.lab.flights.readers import read_flight
+from hitchopt.lab.flights.recordings import RecordedFlight
+from hitchopt.lab.simulation.estimator import Filter, rotation
+from hitchopt.values import Array
+from hitchopt.values import path as checked_path
+
+RATE = 100.0  # Of samples that are compared over all bodies [Hz]
+SMOOTHING = 0.06  # Standard deviation of the smoothing before derivatives [s]
+SETTLING, END = 1.0, 0.3  # Time after the start, and before the end, that is not compared [s]
+# Shifts of the gyroscope's samples to those of the logged attitude that are tried [s]
+DELAYS = np.arange(-5e-3, 30e-3, 5e-4)
+LEAN = 0.01  # Mean additional lean [rad]
+STEADY_START = 1.0  # Start of the additional pull of a drone without a load [s]
+
+FILTERS: Mapping[str, EstimatorParameters] = {
+    "stock, one marker": ONE_MARKER,
+    "stock, rigid body": FIRMWARE,
+    "exported": HELD,
+}
+
+
+@dataclass(frozen=True)
+class ReplayedFilter(OneLine):
+    """A filter replayed on a drone's record; nan where it is not determined.
+
+    Attributes
+    ----------
+    drone, filter: names.
+    logged_rms_deg: root mean square tilt error from the attitude that the drone logged [deg].
+    captured_rms_deg: the same from the captured attitude [deg].
+    pull_seen: share of the cable's pull that it sees.
+    seconds: time that is compared [s].
+    remark: reason for which it was not replayed, or empty.
+    """
+
+    drone: str
+    filter: str
+    logged_rms_deg: float = math.nan
+    captured_rms_deg: float = math.nan
+    pull_seen: float = math.nan
+    seconds: float = 0.0
+    remark: str = ""
+
+
+def replay_filters(
+    recording: RecordedFlight | Path | str,
+    filters: Mapping[str, EstimatorParameters] | None = None,
+) -> tuple[ReplayedFilter, ...]:
+    """Replay filters on all drones of a recorded flight with gyroscopes.
+
+    The pull is that of the recorded load, else a steady one. Without a logged accelerometer the
+    force along the body's z axis follows from the velocity.
+
+    Parameters
+    ----------
+    recording: a file or directory in a format of ``read_flight``, or a ``RecordedFlight``.
+    filters: parameters by name; None: the firmware's for one marker and for rigid bodies, and
+        those that exports set. Filters of rigid bodies need captured attitudes.
+
+    Raises
+    ------
+    FileError: a recording that cannot be read, or without gyroscopes and attitudes.
+    """
+    flight = recording
+    if not isinstance(flight, RecordedFlight):
+        flight = read_flight(checked_path("recording", flight))
+    series = {name: x for name in flight.tracks if (x := Series.of(flight, name)) is not None}
+    if not series:
+        held = sorted({quantity for own in flight.signals.values() for quantity in own})
+        problem = f"holds {', '.join(held) or 'positions only'}: filters need rates and attitudes"
+        raise FileError(f"{flight.source}: {problem}; log gyro and stateEstimate")
+    return tuple(
+        one.replayed(name, label, parameters)
+        for name, one in series.items()
+        for label, parameters in (FILTERS if filters is None else filters).items()
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """A drone's record at the times of its positions.
+
+    Attributes
+    ----------
+    t: (m,) [s].
+    positions, velocities: (m, 3) [m], [m/s].
+    rates: (m, 3) [rad/s], shifted to the times of the logged attitude.
+    force: (m,) [m/s²], specific force along the body's z axis.
+    logged, captured: attitudes (m, 3, 3); None if not recorded.
+    pull: (m, 3) [m/s²], acceleration by the load's cable up to a factor; None without a load.
+    """
+
+    t: Array
+    positions: Array
+    velocities: Array
+    rates: Array
+    force: Array
+    logged: Array | None
+    captured: Array | None
+    pull: Array | None
+
+    @classmethod
+    def of(cls, flight: RecordedFlight, name: str) -> Series | None:
+        """Return a drone's record; None without rates or an attitude."""
+        own, track = flight.signals.get(name, {}), flight.tracks[name]
+        known = [own[x] for x in ("estimated_attitude", "attitude") if x in own]
+        if "rates" not in own or not known:
+            return None
+        start = max([track.t[0], own["rates"].t[0], *(x.t[0] for x in known)])
+        end = min([track.t[-1], own["rates"].t[-1], *(x.t[-1] for x in known)])
+        inside = (track.t >= start) & (track.t <= end)
+        t, positions = track.t[inside], track.positions[inside]
+        if len(t) < 2.0 * RATE * SETTLING:
+            return None
+        logged, captured = (
+            attitudes_at(own[x].t, own[x].values, t) if x in own else None
+            for x in ("estimated_attitude", "attitude")
+        )
+        attitudes = logged if logged is not None else captured
+        if attitudes is None:
+            return None
+        delay = gyro_delay(t, attitudes, own["rates"].at)
+        velocities = derivative(t, positions, 0.5 * SMOOTHING)
+        if "estimated_velocity" in own:
+            velocities = own["estimated_velocity"].at(t)
+        if "specific_force" in own:
+            force = own["specific_force"].at(t)[:, 2]
+        else:
+            acceleration = derivative(t, velocities, 0.5 * SMOOTHING) + [0.0, 0.0, GRAVITY]
+            force = np.einsum("ia,ia->i", acceleration, attitudes[..., 2])
+        pull = None
+        if len(flight.loads) == 1 and flight.one_clock:
+            pulls = cable_pulls(flight, t)
+            pull = pulls[list(flight.tracks).index(name)]
+        rates = own["rates"].at(t - delay)
+        return cls(t, positions, velocities, rates, force, logged, captured, pull)
+
+    @property
+    def known(self) -> Array:
+        """Captured attitudes, else logged ones (m, 3, 3)."""
+        attitudes = self.captured if self.captured is not None else self.logged
+        if attitudes is None:
+            raise ValueError("a series has an attitude")
+        return attitudes
+
+    @property
+    def used(self) -> NDArray[np.bool_]:
+        """Whether samples (m,) are compared."""
+        return np.asarray((self.t > self.t[0] + SETTLING) & (self.t < self.t[-1] - END))
+
+    def replayed(self, drone: str, label: str, parameters: EstimatorParameters) -> ReplayedFilter:
+        """Return the errors of a filter, and the share of the pull that it sees."""
+        leaning, rates = self._leaning()
+        true = np.stack([self.known, leaning])
+        believed = self._run(parameters, np.stack([self.rates, rates]), true)[:, self.used]
+        share = _share(*(x[1] - x[0] for x in (believed[..., 2], true[:, self.used][..., 2])))
+        if parameters.attitude_error and self.captured is None:
+            remark = "no captured attitude is recorded: its error is unknown"
+            return ReplayedFilter(drone, label, pull_seen=share, remark=remark)
+        errors = [
+            math.nan if x is None else math.degrees(_rms(_tilts(believed[0], x[self.used])))
+            for x in (self.logged, self.captured)
+        ]
+        t = self.t[self.used]
+        return ReplayedFilter(drone, label, errors[0], errors[1], share, float(t[-1] - t[0]))
+
+    def believed(self, parameters: EstimatorParameters) -> Array:
+        """Return the attitudes (m, 3, 3) that a filter believes."""
+        return np.asarray(self._run(parameters, self.rates[None], self.known[None])[0])
+
+    def _run(self, parameters: EstimatorParameters, rates: Array, captured: Array) -> Array:
+        """Return attitudes (runs, m, 3, 3) that filters believe.
+
+        ``rates`` are (runs, m, 3), and captured attitudes, the first of which are known to the
+        filters, (runs, m, 3, 3).
+        """
+        each, first = np.ones((len(rates), 1)), captured[:, 0]
+        filters = Filter(parameters, each * self.positions[0], each * self.velocities[0], first)
+        middle = 0.5 * (rates[:, 1:] + rates[:, :-1])
+        attitudes = np.empty_like(captured)
+        attitudes[:, 0] = first
+        for i, dt in enumerate(np.diff(self.t).tolist(), 1):
+            filters.advance(middle[:, i - 1], each[:, 0] * self.force[i], dt)
+            filters.observe(each * self.positions[i], captured[:, i])
+            attitudes[:, i] = filters.attitudes
+        return attitudes
+
+    def _leaning(self) -> tuple[Array, Array]:
+        """Return attitudes and rates with an additional lean against a pull."""
+        pull = self.pull
+        if pull is None:
+            steady = (self.t > self.t[0] + STEADY_START).astype(np.float64)
+            ramp = gaussian_filter1d(steady, SMOOTHING * RATE)
+            pull = ramp[:, None] * np.array([1.0, 0.0, 0.0])
+        level = np.stack([-pull[:, 1], pull[:, 0], 0.0 * pull[:, 0]], axis=1)
+        turn = -LEAN / max(_rms(length(level)), 1e-9) * level
+        turning = np.einsum("iba,ib->ia", self.known, derivative(self.t, turn, 0.5 * SMOOTHING))
+        return rotation(turn) @ self.known, self.rates + turning
+
+
+def _share(believed: Array, true: Array) -> float:
+    """Return the share of level changes (m, 3) of the thrust axis that is believed."""
+    size = float(np.sum(true[:, :2] ** 2))
+    return float(np.sum(believed[:, :2] * true[:, :2])) / max(size, 1e-12)
+
+
+def attitudes_at(t: Array, quaternions: Array, times: Array) -> Array:
+    """Return attitudes (times, 3, 3) between quaternions (m, 4) at times (m,)."""
+    signs = np.cumprod(np.where(np.sum(quaternions[1:] * quaternions[:-1], axis=1) < 0, -1.0, 1.0))
+    smooth = quaternions * np.append(1.0, signs)[:, None]
+    values = np.stack([np.interp(times, t, x) for x in smooth.T], axis=1)
+    return np.asarray(Rotation.from_quat(values).as_matrix())
+
+
+def gyro_delay(t: Array, attitudes: Array, rates_at: Any) -> float:
+    """Return the time by which a logged attitude (m, 3, 3) trails the gyroscope [s]."""
+    steps = np.diff(t)
+    relative = attitudes[:-1].transpose(0, 2, 1) @ attitudes[1:]
+    turning = Rotation.from_matrix(relative).as_rotvec() / steps[:, None]
+    middle = 0.5 * (t[1:] + t[:-1])
+    squares = [
+        np.mean(np.minimum(np.sum((rates_at(middle - d) - turning)[:, :2] ** 2, axis=1), 1.0))
+        for d in DELAYS.tolist()
+    ]
+    return float(DELAYS[int(np.argmin(squares))])
+
+
+def cable_pulls(flight: RecordedFlight, t: Array, load: float = 1.0) -> Array:
+    """Return the forces (drones, times, 3) [N] of straight cables to a load [kg] at a point.
+
+    The drones' tensions carry the load's weight and acceleration, with least squares.
+    """
+    place = next(iter(flight.loads.values())).at(t)[0]
+    carried = load * (smoothed(t, place, order=2) + [0.0, 0.0, GRAVITY])
+    drones = np.stack([track.at(t)[0] for track in flight.tracks.values()])
+    drones = np.stack([smoothed(t, x) for x in drones])
+    off = smoothed(t, place) - drones
+    units = off / np.linalg.norm(off, axis=-1, keepdims=True)  # From drones to the load
+    tensions = np.einsum("tda,ta->td", np.linalg.pinv(-units.transpose(1, 2, 0)), carried)
+    return np.asarray(tensions.T[..., None] * units)
+
+
+def smoothed(t: Array, values: Array, time: float = SMOOTHING, order: int = 0) -> Array:
+    """Return values (m, k), or a derivative of them, smoothed over a time [s]."""
+    grid = np.arange(t[0], t[-1], 1.0 / RATE)
+    even = np.stack([np.interp(grid, t, x) for x in values.T], axis=1)
+    even = gaussian_filter1d(even, time * RATE, axis=0, mode="nearest")
+    for _ in range(order):
+        even = np.gradient(even, 1.0 / RATE, axis=0)
+    return np.stack([np.interp(t, grid, x) for x in even.T], axis=1)
+
+
+def derivative(t: Array, values: Array, time: float = SMOOTHING) -> Array:
+    """Return derivatives (m, k) of values that are smoothed over a time [s]."""
+    return smoothed(t, values, time, order=1)
+
+
+def _tilts(a: Array, b: Array) -> Array:
+    """Return the angles (m,) [rad] between the z axes of attitudes (m, 3, 3)."""
+    return np.asarray(np.linalg.norm(np.cross(a[..., 2], b[..., 2]), axis=-1))
+
+
+def _rms(values: Array) -> float:
+    return math.sqrt(float(np.mean(values**2)))
