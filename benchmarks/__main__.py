@@ -19,6 +19,7 @@ NAMES = (
     "laying",
     "joining",
     "recordings",
+    "real",
     "statics",
     "live",
     "views",

@@ -265,6 +265,22 @@ def calibrate_hover(
     return HoverCalibration(drones, notes)
 
 
+def predicted_motion(
+    flight: RecordedFlight, name: str, trim: Sequence[float], gains: Mapping[str, float]
+) -> tuple[Array, Array, Array] | None:
+    """Return measured, commanded and predicted places (times, 2) [m] under moving commands.
+
+    ``gains`` are the mass, kp and kd; None if no command of the drone moves.
+    """
+    hover = _Hover(flight, name)
+    part = hover.moving_part(gains)
+    if part is None or hover.commands is None:
+        return None
+    base, effects = hover.loop(part, gains)
+    predicted = base + np.tensordot(np.asarray(trim), effects, 1)
+    return hover.x[part, :2], hover.commands.at(hover.t[part])[0][:, :2], predicted
+
+
 @dataclass(frozen=True)
 class _Rest:
     """A settled part: its times, trims in the world and the body's frame, and their error."""
@@ -371,39 +387,54 @@ class _Hover:
                     mean_error(off, np.sum(mask) / RATE),
                 )
 
-    def response(self, label: str, gains: Mapping[str, float]) -> Iterator[_Rest]:
-        """Yield the trim that fits the response of the position loop to moving commands.
-
-        ``gains`` are the mass, kp and kd. The place follows from ``kp (command - trim - place) +
-        kd (commanded velocity - velocity)``, plus the mass times commanded accelerations.
-        """
+    def moving_part(self, gains: Mapping[str, float]) -> slice | None:
+        """Return the samples of the longest flight under moving commands; None without gains."""
         if self.commands is None or not {"mass", "kp", "kd"} <= set(gains):
-            return
-        mass, kp, kd = gains["mass"], gains["kp"], gains["kd"]
+            return None
         ends = self.commands.t[[0, -1]]
         mask = (self.t >= ends[0]) & (self.t <= ends[1]) & self.flying & self.visible
         start, end = max(_runs(mask), key=lambda run: run[1] - run[0], default=(0, 0))
         speed = length(_velocity(self.t, self.commands.at(self.t)[0])[start:end, :2])
-        if np.sum(speed > MAX_COMMAND_SPEED) < MIN_MOVING * RATE:
-            return
-        t, x = self.t[start:end], self.x[start:end, :2]
+        is_moving = np.sum(speed > MAX_COMMAND_SPEED) >= MIN_MOVING * RATE
+        return slice(start, end) if is_moving else None
+
+    def loop(self, part: slice, gains: Mapping[str, float]) -> tuple[Array, Array]:
+        """Return the places (times, 2) [m] of the position loop without a trim, from its gains.
+
+        Also returns the effects (2, times, 2) of a trim of 1 m along the body's x and y. The place
+        follows from ``kp (command - trim - place) + kd (commanded velocity - velocity)``, plus the
+        mass times commanded accelerations.
+        """
+        if self.commands is None:
+            raise ValueError("a loop follows commands")
+        mass, kp, kd = gains["mass"], gains["kp"], gains["kd"]
+        t = self.t[part]
         force = kp * self.commands.at(t)[0][:, :2]
         for quantity, gain in (("velocity", kd), ("acceleration", mass)):
             if quantity in self.moving:
                 force = force + gain * self.moving[quantity].at(t)[:, :2]
-        c, s = np.cos(self.yaw[start:end]), np.sin(self.yaw[start:end])
+        c, s = np.cos(self.yaw[part]), np.sin(self.yaw[part])
         pulls = -kp * np.stack([np.stack([c, s], axis=1), np.stack([-s, c], axis=1)])
-        first = np.concatenate([x[0], self.velocity[start, :2]])
-        base = loop_response(force, first, mass, kp, kd)
+        first = np.concatenate([self.x[part.start, :2], self.velocity[part.start, :2]])
         effects = [loop_response(pull, np.zeros(4), mass, kp, kd) for pull in pulls]
-        columns = np.stack([effect.ravel() for effect in effects], axis=1)
+        return loop_response(force, first, mass, kp, kd), np.stack(effects)
+
+    def response(self, label: str, gains: Mapping[str, float]) -> Iterator[_Rest]:
+        """Yield the trim that fits the response of the position loop to moving commands."""
+        part = self.moving_part(gains)
+        if part is None:
+            return
+        base, effects = self.loop(part, gains)
+        x = self.x[part, :2]
+        columns = effects.reshape(2, -1).T
         body: Array = np.linalg.lstsq(columns, (x - base).ravel(), rcond=None)[0].astype(np.float64)
         residual = x - base - (columns @ body).reshape(x.shape)
-        mask[:], mask[start:end] = False, True
+        mask = np.zeros(len(self.t), np.bool_)
+        mask[part] = True
         yaw = float(np.angle(np.mean(np.exp(1j * self.yaw[mask]))))
         world = np.array([math.cos(yaw) * body[0] - math.sin(yaw) * body[1],
                           math.sin(yaw) * body[0] + math.cos(yaw) * body[1]])  # fmt: skip
-        error = math.hypot(mean_error(residual, len(t) / RATE), MOTION_ERROR)
+        error = math.hypot(mean_error(residual, len(x) / RATE), MOTION_ERROR)
         yield _Rest(label, IN_MOTION, mask, world, body, yaw, error)
 
     def tilt(self, rest: _Rest) -> Array:

@@ -1,0 +1,388 @@
+"""Models against public flights of drones with cables that others recorded.
+
+Usage: python -m benchmarks real --flights DIR [--fit DIR] [--json FILE] [-o FOLDER]
+
+DIR holds recordings, in any folders: bags of hovers and of commanded flights of tied drones, and
+folders of uSD logs of drones with one load. Each flight is predicted from other flights: those of
+``--fit``, by default all others of DIR. Every figure has its standard error over the series.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import hitchopt as ho
+from benchmarks.measuring import Array, Table, parser
+from hitchopt.hitch import GRAVITY
+from hitchopt.hitch.estimator import HELD, ONE_MARKER
+from hitchopt.lab.flights.hover import predicted_motion
+from hitchopt.lab.flights.replay import RATE, SETTLING, Series, cable_pulls, smoothed
+
+# Tied drones: mass [kg], and level gains of their file [N/m], [N s/m]. Drones with a load, whose
+# logs hold a thrust in newtons or a vector of it: masses [kg]; mass of the load [kg]
+HITCH = {"mass": 0.11, "kp": 1.0, "kd": 1.0}
+MASSES, LOAD = {"ctrlLeeP.thrustSI": 0.0345, "ctrlLeeP.ux": 0.0356}, 0.01
+TAUT = 0.5  # Smallest tension over its median at which a cable's length is measured
+
+LIMITATIONS = (
+    "public recordings; masses and gains as their sources state them; straight cables and a load at "
+    "a point; positions of drones with a load are those that they estimated"
+)
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure, its standard error, and the number of series it is of; nan without one."""
+
+    value: float
+    standard_error: float
+    n: int
+
+    @classmethod
+    def mean(cls, values: Sequence[float]) -> Figure:
+        """Return the mean of independent values."""
+        x = np.array(values, np.float64)
+        if not len(x):
+            return cls(math.nan, math.nan, 0)
+        error = float(np.std(x, ddof=1)) / math.sqrt(len(x)) if len(x) > 1 else math.nan
+        return cls(float(np.mean(x)), error, len(x))
+
+    @classmethod
+    def rms(cls, values: Sequence[float]) -> Figure:
+        """Return the root mean square of independent values."""
+        squares = cls.mean([x**2 for x in values])
+        rms = math.sqrt(squares.value) if squares.n else math.nan
+        return cls(rms, squares.standard_error / (2.0 * rms) if rms else math.nan, squares.n)
+
+    def scaled(self, factor: float) -> Figure:
+        """Return the figure in another unit."""
+        return Figure(factor * self.value, factor * self.standard_error, self.n)
+
+    def __str__(self) -> str:
+        return f"{self.value:.3g} ± {self.standard_error:.1g}" if self.n else "–"
+
+    @staticmethod
+    def plain(*figures: Figure) -> dict[str, Any]:
+        """Return one figure, or the values of several, for JSON."""
+
+        def known(x: float) -> float | None:
+            return x if math.isfinite(x) else None
+
+        columns = [(known(x.value), known(x.standard_error)) for x in figures]
+        values, errors = ([*column] for column in zip(*columns, strict=True))
+        if len(figures) == 1:
+            return {"value": values[0], "standard_error": errors[0], "n": figures[0].n}
+        return {"value": values, "standard_error": errors, "n": figures[0].n}
+
+
+@dataclass(frozen=True)
+class LoadSeries:
+    """Figures of a drone that carries a load, in one flight."""
+
+    flight: str
+    drone: str  # name and kind of log, so that it is the same drone in other flights
+    filter_rms_deg: float
+    true_tilt_deg: float  # distance of the logged attitude from the one by forces
+    logged_gain: float  # of the logged tilt on acceleration, and its share of the pull
+    logged_share: float
+    replayed_share: float
+    exported_share: float
+    length: float  # of the cable [m]
+    commanded: float  # mean thrust [N]
+    static: float  # mean thrust by statics [N]
+    drag: float  # [N s/m]; nan without an accelerometer
+
+
+def flights_in(folder: Path) -> dict[str, ho.RecordedFlight]:
+    """Return the flights in a folder by their paths in it; what cannot be read is reported."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    logs = {path.parent for path in files if path.read_bytes()[:1] == b"\xbc"}
+    bags = {path for path in files if path.suffix == ".bag"}
+    bags |= {path.parent for path in files if path.name == "metadata.yaml"}
+    flights = dict[str, ho.RecordedFlight]()
+    for path in sorted(logs | bags):
+        name = str(path.relative_to(folder)) if path != folder else path.name
+        try:
+            flights[name] = ho.read_flight(path)
+        except ho.HitchoptError as error:
+            print(f"- not read: {error}", flush=True)
+    return flights
+
+
+def load_series(name: str, flight: ho.RecordedFlight) -> Iterator[LoadSeries]:
+    """Yield the figures of the drones that carry one load."""
+    if len(flight.loads) != 1 or not flight.one_clock:
+        return
+    load = next(iter(flight.loads.values()))
+    for i, (drone, track) in enumerate(flight.tracks.items()):
+        series, own = Series.of(flight, drone), flight.signals[drone]
+        if series is None or series.logged is None or "thrust" not in own:
+            continue
+        kind = flight.sources[drone]["thrust"]
+        mass = MASSES.get(kind, next(iter(MASSES.values())))
+        t, used = series.t, series.used
+        pull = cable_pulls(flight, t, LOAD)[i] / mass
+        acceleration = smoothed(t, track.at(t)[0], order=2)
+        lift = acceleration + [0.0, 0.0, GRAVITY] - pull
+        stock = series.believed(ONE_MARKER)
+        axes = [x[..., 2] for x in (stock, series.logged)]
+        true = lift / np.linalg.norm(lift, axis=1, keepdims=True)
+        errors = [
+            math.degrees(math.sqrt(np.mean(np.sum(np.cross(a, b)[used] ** 2, axis=1))))
+            for a, b in ((axes[0], axes[1]), (axes[1], true))
+        ]
+        shares = [_gain_and_share(t, x, lift, acceleration, pull, used) for x in axes[::-1]]
+        replayed = series.replayed(drone, "exported", HELD).pull_seen
+        tension = np.linalg.norm(pull, axis=1)
+        taut = used & (tension > TAUT * np.median(tension))
+        lengths = np.linalg.norm(load.at(t)[0] - track.at(t)[0], axis=1)
+        thrusts = own["thrust"].at(t)[used, 0]
+        yield LoadSeries(
+            name,
+            f"{drone.partition('_')[0]}, {kind}",
+            errors[0],
+            errors[1],
+            shares[0][0],
+            shares[0][1],
+            shares[1][1],
+            replayed,
+            float(np.median(lengths[taut])),
+            float(np.mean(thrusts)),
+            mass * float(np.mean(np.linalg.norm(lift, axis=1)[used])),
+            _drag(flight, drone, series, pull, mass),
+        )
+
+
+def _gain_and_share(
+    t: Array, axis: Array, lift: Array, acceleration: Array, pull: Array, used: Any
+) -> tuple[float, float]:
+    """Return the gains of a believed thrust axis (times, 3) on acceleration and on the pull.
+
+    Both are fitted to the level part, with a constant tilt along each axis.
+    """
+    believed = smoothed(t, axis[:, :2] / axis[:, 2:]) * lift[:, 2:]
+    one, none = np.ones(int(np.sum(used))), np.zeros(int(np.sum(used)))
+    columns = [
+        np.stack([acceleration[used, j], -pull[used, j], *((one, none)[:: 1 - 2 * j])], axis=1)
+        for j in range(2)
+    ]
+    values = np.concatenate([believed[used, 0], believed[used, 1]])
+    fit = np.linalg.lstsq(np.concatenate(columns), values, rcond=None)[0]
+    return float(fit[0]), float(fit[1])
+
+
+def _drag(
+    flight: ho.RecordedFlight, drone: str, series: Series, pull: Array, mass: float
+) -> float:
+    """Return the rotor drag [N s/m]: the level specific force of the body over its velocity."""
+    own, logged = flight.signals[drone], series.logged
+    if "specific_force" not in own or logged is None:
+        return math.nan
+    t, used = series.t, series.used
+    force = smoothed(t, own["specific_force"].at(t))[used]
+    velocity = smoothed(t, series.velocities)
+    parts = [np.einsum("iba,ib->ia", logged, x)[used] for x in (velocity, pull)]
+    one, none = np.ones(len(force)), np.zeros(len(force))
+    columns = [
+        np.stack([parts[0][:, j], parts[1][:, j], *((one, none)[:: 1 - 2 * j])], axis=1)
+        for j in range(2)
+    ]
+    values = np.concatenate([force[:, 0], force[:, 1]])
+    return -mass * float(np.linalg.lstsq(np.concatenate(columns), values, rcond=None)[0][0])
+
+
+def predicted_by_others(
+    series: Sequence[LoadSeries],
+    fits: Sequence[LoadSeries],
+    quantity: Callable[[LoadSeries], float],
+) -> list[tuple[LoadSeries, float]]:
+    """Return series with the mean of a quantity over other flights of the same drone; nan: none."""
+    by_drone = defaultdict[str, list[LoadSeries]](list)
+    for each in fits:
+        by_drone[each.drone].append(each)
+    pairs = list[tuple[LoadSeries, float]]()
+    for each in series:
+        values = [quantity(x) for x in by_drone[each.drone] if x.flight != each.flight]
+        pairs.append((each, float(np.mean(values)) if values else math.nan))
+    return pairs
+
+
+@dataclass(frozen=True)
+class Trims:
+    """Distances [m] of tied drones from where their set points, and the model, put them."""
+
+    rest_before: list[float]  # along each axis, at rest
+    rest_after: list[float]
+    motion_before: list[float]  # root mean squares in motion, level
+    motion_after: list[float]
+
+    @classmethod
+    def of(cls, flights: dict[str, ho.RecordedFlight], fits: dict[str, ho.RecordedFlight]) -> Trims:
+        """Return the distances, with trims of other flights."""
+        result = cls([], [], [], [])
+        for name, flight in flights.items():
+            others = [other for key, other in fits.items() if other is not flight and key != name]
+            trims = [fitted for other in others for fitted in [_trims(other, HITCH)] if fitted]
+            at_rest = _trims(flight, {})
+            for drone in flight.tracks:
+                known = [each[drone].trim for each in trims if drone in each]
+                if not known:
+                    continue
+                trim = np.mean(known, axis=0)
+                if drone in at_rest:
+                    own = np.array(at_rest[drone].trim)
+                    result.rest_before.extend(own.tolist())
+                    result.rest_after.extend((own - trim).tolist())
+                motion = predicted_motion(flight, drone, trim.tolist(), HITCH)
+                if motion is not None:
+                    measured, commanded, predicted = motion
+                    for off, values in (
+                        (measured - commanded, result.motion_before),
+                        (measured - predicted, result.motion_after),
+                    ):
+                        values.append(math.sqrt(float(np.mean(np.sum(off**2, axis=1)))))
+        return result
+
+
+def _trims(flight: ho.RecordedFlight, gains: dict[str, float]) -> dict[str, ho.DroneHover]:
+    """Return the drones of a flight whose trims are known."""
+    try:
+        drones = ho.calibrate_hover(flight, **gains).drones  # type: ignore[arg-type]
+    except ho.HitchoptError:
+        return {}
+    return {name: drone for name, drone in drones.items() if math.isfinite(drone.trim[0])}
+
+
+def main() -> None:
+    """Print and write the table."""
+    cli = parser(__doc__)
+    cli.add_argument("--flights", type=Path, required=True, help="folder of the flights")
+    cli.add_argument("--fit", type=Path, help="folder of the flights to fit on")
+    cli.add_argument("--json", type=Path, help="file for the figures")
+    options = cli.parse_args()
+    flights = flights_in(options.flights)
+    if not flights:
+        cli.error(f"--flights: {options.flights} holds no bag and no uSD log")
+    others = flights_in(options.fit) if options.fit else flights
+    series = [x for name, flight in flights.items() for x in load_series(name, flight)]
+    fits = series
+    if options.fit:
+        fits = [x for name, flight in others.items() for x in load_series(f"fit {name}", flight)]
+    tied, tied_fits = (
+        {name: flight for name, flight in each.items() if not flight.loads}
+        for each in (flights, others)
+    )
+    if options.fit:
+        tied_fits = {f"fit {name}": flight for name, flight in tied_fits.items()}
+    figures = write_table(options.output, options.flights, series, fits, Trims.of(tied, tied_fits))
+    if options.json is not None:
+        options.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+
+
+def write_table(
+    output: Path, folder: Path, series: list[LoadSeries], fits: list[LoadSeries], trims: Trims
+) -> dict[str, Any]:
+    """Print and write the table; return the figures for JSON."""
+    lengths = predicted_by_others(series, fits, lambda x: x.length)
+    factors = predicted_by_others(series, fits, lambda x: x.commanded / x.static)
+    unknown = sum(math.isnan(factor) for _, factor in factors)
+    errors = [
+        x.commanded / (x.static * (1.0 if math.isnan(factor) else factor)) - 1.0
+        for x, factor in factors
+    ]
+    plain = [x.commanded / x.static - 1.0 for x in series]
+    off = [x.length - length for x, length in lengths if not math.isnan(length)]
+    filters = Figure.rms([x.filter_rms_deg for x in series])
+    seen = Figure.mean([x.logged_share for x in series])
+    length_error, thrust = Figure.rms(off).scaled(1e3), Figure.rms(errors)
+    rest = [Figure.rms(x).scaled(100.0) for x in (trims.rest_before, trims.rest_after)]
+    motion = [Figure.rms(x).scaled(100.0) for x in (trims.motion_before, trims.motion_after)]
+    drags = [x.drag for x in series if not math.isnan(x.drag)]
+    table = Table(output / "real.md", "What real flights say", LIMITATIONS)
+    table.section("", "quantity", "series", "without", "with the model")
+    rows: list[tuple[str, int, object, object]] = [
+        (
+            "attitude that the drone believed [°]: its distance from the true one, by forces, and "
+            "from our filter fed with gyroscope and accelerometer, rms",
+            filters.n,
+            Figure.rms([x.true_tilt_deg for x in series]),
+            filters,
+        ),
+        (
+            "share of a cable's pull that is seen [%]: by the drone, and by our filter",
+            seen.n,
+            seen.scaled(100.0),
+            Figure.mean([x.replayed_share for x in series]).scaled(100.0),
+        ),
+        (
+            "the same with the exported parameters and captured attitudes [%], replayed",
+            len(series),
+            "",
+            Figure.mean([x.exported_share for x in series]).scaled(100.0),
+        ),
+        (
+            "gain of the believed tilt on acceleration",
+            len(series),
+            "",
+            Figure.mean([x.logged_gain for x in series]),
+        ),
+        (
+            f"thrust command over statics [%], rms; with factors per drone of other flights "
+            f"({unknown} series without one)",
+            thrust.n,
+            Figure.rms(plain).scaled(100.0),
+            thrust.scaled(100.0),
+        ),
+        (
+            "cable lengths by other flights [mm], rms",
+            length_error.n,
+            "",
+            length_error,
+        ),
+        ("rotor drag [N s/m], not modelled", len(drags), Figure.mean(drags), ""),
+        (
+            "tied drones at rest [cm], rms per axis: from their set points, and with the trim of "
+            "the other flight",
+            rest[0].n // 2,
+            *rest,
+        ),
+        (
+            "tied drones in motion [cm], level rms: from their set points, and from the position "
+            "loop with the trim of the other flight",
+            motion[0].n,
+            *motion,
+        ),
+    ]
+    for row in rows:
+        table.row(*row)
+    table.section("Flights", "flight", "drone", "filter [°]", "pull seen [%]", "cable [m]",
+                  "thrust / statics")  # fmt: skip
+    for x in series:
+        cells = f"{x.length:.4f}", f"{x.commanded / x.static:.3f}"
+        share = f"{100.0 * x.logged_share:.0f}"
+        table.row(x.flight, x.drone, f"{x.filter_rms_deg:.2f}", share, *cells)
+    table.note(
+        f"standard errors are over the series; filters are compared from {SETTLING:g} s on, "
+        f"at about {RATE:g} Hz",
+    )
+    return {
+        "filter_rms_deg": Figure.plain(filters),
+        "cable_length_rms_mm": Figure.plain(length_error),
+        "thrust_error": Figure.plain(thrust),
+        "thrust_without_factors": {"n": unknown},
+        "pull_seen": Figure.plain(seen),
+        "trim_rest_cm": Figure.plain(*rest),
+        "trim_moving_cm": Figure.plain(*motion),
+    }
+
+
+if __name__ == "__main__":
+    main()
