@@ -33,8 +33,8 @@ MASSES, LOAD = {"ctrlLeeP.thrustSI": 0.0345, "ctrlLeeP.ux": 0.0356}, 0.01
 TAUT = 0.5  # Smallest tension over its median at which a cable's length is measured
 
 LIMITATIONS = (
-    "public recordings; masses and gains as their sources state them; straight cables and a load at "
-    "a point; positions of drones with a load are those that they estimated"
+    "public recordings; masses and gains as their sources state them; straight cables, a load at a "
+    "point; positions of drones with a load are those that they estimated"
 )
 
 
@@ -87,7 +87,7 @@ class Figure:
 class LoadSeries:
     """Figures of a drone that carries a load, in one flight."""
 
-    flight: str
+    flight: Path
     drone: str  # name and kind of log, so that it is the same drone in other flights
     filter_rms_deg: float
     true_tilt_deg: float  # distance of the logged attitude from the one by forces
@@ -101,23 +101,27 @@ class LoadSeries:
     drag: float  # [N s/m]; nan without an accelerometer
 
 
-def flights_in(folder: Path) -> dict[str, ho.RecordedFlight]:
-    """Return the flights in a folder by their paths in it; what cannot be read is reported."""
-    files = sorted(path for path in folder.rglob("*") if path.is_file())
-    logs = {path.parent for path in files if path.read_bytes()[:1] == b"\xbc"}
+def flights_in(folder: Path) -> dict[Path, ho.RecordedFlight]:
+    """Return the flights in a folder by their paths; what cannot be read is reported."""
+    files = sorted(path for path in folder.resolve().rglob("*") if path.is_file())
+    logs = {path.parent for path in files if _first_byte(path) == b"\xbc"}
     bags = {path for path in files if path.suffix == ".bag"}
     bags |= {path.parent for path in files if path.name == "metadata.yaml"}
-    flights = dict[str, ho.RecordedFlight]()
+    flights = dict[Path, ho.RecordedFlight]()
     for path in sorted(logs | bags):
-        name = str(path.relative_to(folder)) if path != folder else path.name
         try:
-            flights[name] = ho.read_flight(path)
+            flights[path] = ho.read_flight(path)
         except ho.HitchoptError as error:
             print(f"- not read: {error}", flush=True)
     return flights
 
 
-def load_series(name: str, flight: ho.RecordedFlight) -> Iterator[LoadSeries]:
+def _first_byte(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return file.read(1)
+
+
+def load_series(path: Path, flight: ho.RecordedFlight) -> Iterator[LoadSeries]:
     """Yield the figures of the drones that carry one load."""
     if len(flight.loads) != 1 or not flight.one_clock:
         return
@@ -146,7 +150,7 @@ def load_series(name: str, flight: ho.RecordedFlight) -> Iterator[LoadSeries]:
         lengths = np.linalg.norm(load.at(t)[0] - track.at(t)[0], axis=1)
         thrusts = own["thrust"].at(t)[used, 0]
         yield LoadSeries(
-            name,
+            path,
             f"{drone.partition('_')[0]}, {kind}",
             errors[0],
             errors[1],
@@ -179,9 +183,7 @@ def _gain_and_share(
     return float(fit[0]), float(fit[1])
 
 
-def _drag(
-    flight: ho.RecordedFlight, drone: str, series: Series, pull: Array, mass: float
-) -> float:
+def _drag(flight: ho.RecordedFlight, drone: str, series: Series, pull: Array, mass: float) -> float:
     """Return the rotor drag [N s/m]: the level specific force of the body over its velocity."""
     own, logged = flight.signals[drone], series.logged
     if "specific_force" not in own or logged is None:
@@ -225,11 +227,13 @@ class Trims:
     motion_after: list[float]
 
     @classmethod
-    def of(cls, flights: dict[str, ho.RecordedFlight], fits: dict[str, ho.RecordedFlight]) -> Trims:
+    def of(
+        cls, flights: dict[Path, ho.RecordedFlight], fits: dict[Path, ho.RecordedFlight]
+    ) -> Trims:
         """Return the distances, with trims of other flights."""
         result = cls([], [], [], [])
-        for name, flight in flights.items():
-            others = [other for key, other in fits.items() if other is not flight and key != name]
+        for path, flight in flights.items():
+            others = [other for key, other in fits.items() if key != path]
             trims = [fitted for other in others for fitted in [_trims(other, HITCH)] if fitted]
             at_rest = _trims(flight, {})
             for drone in flight.tracks:
@@ -271,24 +275,22 @@ def main() -> None:
     flights = flights_in(options.flights)
     if not flights:
         cli.error(f"--flights: {options.flights} holds no bag and no uSD log")
-    others = flights_in(options.fit) if options.fit else flights
-    series = [x for name, flight in flights.items() for x in load_series(name, flight)]
+    others = flights if options.fit is None else flights_in(options.fit)
+    series = [x for path, flight in flights.items() for x in load_series(path, flight)]
     fits = series
-    if options.fit:
-        fits = [x for name, flight in others.items() for x in load_series(f"fit {name}", flight)]
+    if options.fit is not None:
+        fits = [x for path, flight in others.items() for x in load_series(path, flight)]
     tied, tied_fits = (
-        {name: flight for name, flight in each.items() if not flight.loads}
+        {path: flight for path, flight in each.items() if not flight.loads}
         for each in (flights, others)
     )
-    if options.fit:
-        tied_fits = {f"fit {name}": flight for name, flight in tied_fits.items()}
-    figures = write_table(options.output, options.flights, series, fits, Trims.of(tied, tied_fits))
+    figures = write_table(options.output, series, fits, Trims.of(tied, tied_fits))
     if options.json is not None:
         options.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
 
 
 def write_table(
-    output: Path, folder: Path, series: list[LoadSeries], fits: list[LoadSeries], trims: Trims
+    output: Path, series: list[LoadSeries], fits: list[LoadSeries], trims: Trims
 ) -> dict[str, Any]:
     """Print and write the table; return the figures for JSON."""
     lengths = predicted_by_others(series, fits, lambda x: x.length)
@@ -302,6 +304,7 @@ def write_table(
     off = [x.length - length for x, length in lengths if not math.isnan(length)]
     filters = Figure.rms([x.filter_rms_deg for x in series])
     seen = Figure.mean([x.logged_share for x in series])
+    replayed = Figure.mean([x.replayed_share for x in series])
     length_error, thrust = Figure.rms(off).scaled(1e3), Figure.rms(errors)
     rest = [Figure.rms(x).scaled(100.0) for x in (trims.rest_before, trims.rest_after)]
     motion = [Figure.rms(x).scaled(100.0) for x in (trims.motion_before, trims.motion_after)]
@@ -320,7 +323,7 @@ def write_table(
             "share of a cable's pull that is seen [%]: by the drone, and by our filter",
             seen.n,
             seen.scaled(100.0),
-            Figure.mean([x.replayed_share for x in series]).scaled(100.0),
+            replayed.scaled(100.0),
         ),
         (
             "the same with the exported parameters and captured attitudes [%], replayed",
@@ -352,13 +355,15 @@ def write_table(
             "tied drones at rest [cm], rms per axis: from their set points, and with the trim of "
             "the other flight",
             rest[0].n // 2,
-            *rest,
+            rest[0],
+            rest[1],
         ),
         (
             "tied drones in motion [cm], level rms: from their set points, and from the position "
             "loop with the trim of the other flight",
             motion[0].n,
-            *motion,
+            motion[0],
+            motion[1],
         ),
     ]
     for row in rows:
@@ -368,7 +373,7 @@ def write_table(
     for x in series:
         cells = f"{x.length:.4f}", f"{x.commanded / x.static:.3f}"
         share = f"{100.0 * x.logged_share:.0f}"
-        table.row(x.flight, x.drone, f"{x.filter_rms_deg:.2f}", share, *cells)
+        table.row(x.flight.name, x.drone, f"{x.filter_rms_deg:.2f}", share, *cells)
     table.note(
         f"standard errors are over the series; filters are compared from {SETTLING:g} s on, "
         f"at about {RATE:g} Hz",
@@ -379,6 +384,7 @@ def write_table(
         "thrust_error": Figure.plain(thrust),
         "thrust_without_factors": {"n": unknown},
         "pull_seen": Figure.plain(seen),
+        "pull_seen_replayed": Figure.plain(replayed),
         "trim_rest_cm": Figure.plain(*rest),
         "trim_moving_cm": Figure.plain(*motion),
     }
