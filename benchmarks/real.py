@@ -23,7 +23,7 @@ import hitchopt as ho
 from benchmarks.measuring import Array, Table, parser
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.estimator import HELD, ONE_MARKER
-from hitchopt.lab.flights.hover import predicted_motion
+from hitchopt.lab.flights.hover import HoverSeries
 from hitchopt.lab.flights.replay import RATE, SETTLING, Series, cable_pulls, smoothed
 
 # Tied drones: mass [kg], and level gains of their file [N/m], [N s/m]. Drones with a load, whose
@@ -245,14 +245,17 @@ class Trims:
                     own = np.array(at_rest[drone].trim)
                     result.rest_before.extend(own.tolist())
                     result.rest_after.extend((own - trim).tolist())
-                motion = predicted_motion(flight, drone, trim.tolist(), HITCH)
-                if motion is not None:
-                    measured, commanded, predicted = motion
-                    for off, values in (
-                        (measured - commanded, result.motion_before),
-                        (measured - predicted, result.motion_after),
+                hover = HoverSeries(flight, drone)
+                part = hover.moving_part(HITCH)
+                if part is not None and hover.commands is not None:
+                    measured = hover.x[part, :2]
+                    commanded = hover.commands.at(hover.t[part])[0][:, :2]
+                    for places, values in (
+                        (commanded, result.motion_before),
+                        (hover.predicted(part, trim, HITCH), result.motion_after),
                     ):
-                        values.append(math.sqrt(float(np.mean(np.sum(off**2, axis=1)))))
+                        off = np.sum((measured - places) ** 2, axis=1)
+                        values.append(math.sqrt(float(np.mean(off))))
         return result
 
 

@@ -242,7 +242,7 @@ def calibrate_hover(
     drones = dict[str, DroneHover]()
     for name in dict.fromkeys(name for flight in flights for name in flight.tracks):
         hovers = [
-            (label, _Hover(flight, name))
+            (label, HoverSeries(flight, name))
             for label, flight in zip(labels, flights, strict=True)
             if name in flight.tracks
         ]
@@ -265,22 +265,6 @@ def calibrate_hover(
     return HoverCalibration(drones, notes)
 
 
-def predicted_motion(
-    flight: RecordedFlight, name: str, trim: Sequence[float], gains: Mapping[str, float]
-) -> tuple[Array, Array, Array] | None:
-    """Return measured, commanded and predicted places (times, 2) [m] under moving commands.
-
-    ``gains`` are the mass, kp and kd; None if no command of the drone moves.
-    """
-    hover = _Hover(flight, name)
-    part = hover.moving_part(gains)
-    if part is None or hover.commands is None:
-        return None
-    base, effects = hover.loop(part, gains)
-    predicted = base + np.tensordot(np.asarray(trim), effects, 1)
-    return hover.x[part, :2], hover.commands.at(hover.t[part])[0][:, :2], predicted
-
-
 @dataclass(frozen=True)
 class _Rest:
     """A settled part: its times, trims in the world and the body's frame, and their error."""
@@ -294,8 +278,15 @@ class _Rest:
     error: float  # [m]
 
 
-class _Hover:
-    """A drone in a recording, sampled at RATE."""
+class HoverSeries:
+    """A drone in a recording, sampled at RATE.
+
+    Attributes
+    ----------
+    t: (times,) [s].
+    x, velocity: (times, 3) [m], [m/s].
+    commands: set points, if there are any.
+    """
 
     def __init__(self, flight: RecordedFlight, name: str) -> None:
         track, own = flight.tracks[name], flight.signals.get(name, {})
@@ -398,43 +389,39 @@ class _Hover:
         is_moving = np.sum(speed > MAX_COMMAND_SPEED) >= MIN_MOVING * RATE
         return slice(start, end) if is_moving else None
 
-    def loop(self, part: slice, gains: Mapping[str, float]) -> tuple[Array, Array]:
-        """Return the places (times, 2) [m] of the position loop without a trim, from its gains.
+    def predicted(self, part: slice, trim: Array, gains: Mapping[str, float]) -> Array:
+        """Return the places (times, 2) [m] of the position loop with a trim (2,) [m].
 
-        Also returns the effects (2, times, 2) of a trim of 1 m along the body's x and y. The place
-        follows from ``kp (command - trim - place) + kd (commanded velocity - velocity)``, plus the
-        mass times commanded accelerations.
+        They follow from ``kp (command - trim - place) + kd (commanded velocity - velocity)``, plus
+        the mass times commanded accelerations.
         """
         if self.commands is None:
             raise ValueError("a loop follows commands")
         mass, kp, kd = gains["mass"], gains["kp"], gains["kd"]
         t = self.t[part]
-        force = kp * self.commands.at(t)[0][:, :2]
+        force = kp * (self.commands.at(t)[0][:, :2] - self.in_world(trim)[part])
         for quantity, gain in (("velocity", kd), ("acceleration", mass)):
             if quantity in self.moving:
                 force = force + gain * self.moving[quantity].at(t)[:, :2]
-        c, s = np.cos(self.yaw[part]), np.sin(self.yaw[part])
-        pulls = -kp * np.stack([np.stack([c, s], axis=1), np.stack([-s, c], axis=1)])
         first = np.concatenate([self.x[part.start, :2], self.velocity[part.start, :2]])
-        effects = [loop_response(pull, np.zeros(4), mass, kp, kd) for pull in pulls]
-        return loop_response(force, first, mass, kp, kd), np.stack(effects)
+        return loop_response(force, first, mass, kp, kd)
 
     def response(self, label: str, gains: Mapping[str, float]) -> Iterator[_Rest]:
         """Yield the trim that fits the response of the position loop to moving commands."""
         part = self.moving_part(gains)
         if part is None:
             return
-        base, effects = self.loop(part, gains)
-        x = self.x[part, :2]
-        columns = effects.reshape(2, -1).T
-        body: Array = np.linalg.lstsq(columns, (x - base).ravel(), rcond=None)[0].astype(np.float64)
-        residual = x - base - (columns @ body).reshape(x.shape)
+        x, trims = self.x[part, :2], (np.zeros(2), *np.eye(2))
+        base, *shifted = (self.predicted(part, trim, gains) for trim in trims)
+        effects = np.stack([(each - base).ravel() for each in shifted], axis=1)  # They add up
+        body: Array = np.linalg.lstsq(effects, (x - base).ravel(), rcond=None)[0].astype(np.float64)
+        residual = x - self.predicted(part, body, gains)
         mask = np.zeros(len(self.t), np.bool_)
         mask[part] = True
         yaw = float(np.angle(np.mean(np.exp(1j * self.yaw[mask]))))
         world = np.array([math.cos(yaw) * body[0] - math.sin(yaw) * body[1],
                           math.sin(yaw) * body[0] + math.cos(yaw) * body[1]])  # fmt: skip
-        error = math.hypot(mean_error(residual, len(x) / RATE), MOTION_ERROR)
+        error = math.hypot(mean_error(residual, len(residual) / RATE), MOTION_ERROR)
         yield _Rest(label, IN_MOTION, mask, world, body, yaw, error)
 
     def tilt(self, rest: _Rest) -> Array:
@@ -506,7 +493,7 @@ class _Hover:
 
 
 def _drone(
-    name: str, hovers: Sequence[tuple[str, _Hover]], known: Mapping[str, float]
+    name: str, hovers: Sequence[tuple[str, HoverSeries]], known: Mapping[str, float]
 ) -> DroneHover:
     """Return what hovers tell of a drone, without the trims that all drones' tilts lead to expect.
 
@@ -579,7 +566,7 @@ def _drone(
     )
 
 
-def _mean_tilt(weights: Sequence[tuple[_Hover, _Rest]]) -> Array:
+def _mean_tilt(weights: Sequence[tuple[HoverSeries, _Rest]]) -> Array:
     """Return the mean tilt (2,) over settled parts, by their times; nan if none is known."""
     tilts = np.stack([hover.tilt(rest) for hover, rest in weights])
     sizes = np.array([float(np.sum(rest.mask)) for _, rest in weights])
@@ -621,7 +608,7 @@ def _ratio(a: _Rest, b: _Rest, frame: str) -> float:
 
 
 def _thrust_factor(
-    weights: Sequence[tuple[_Hover, _Rest]], mass: float | None
+    weights: Sequence[tuple[HoverSeries, _Rest]], mass: float | None
 ) -> tuple[float, float]:
     """Return the commanded thrust at rest over the weight, and its standard error."""
     thrusts, times = list[Array](), 0.0
