@@ -14,8 +14,10 @@ import pytest
 import writers as w
 
 import hitchopt as ho
+from hitchopt.lab.flights.logs import decompressed
 from hitchopt.lab.flights.readers import table_of
 from hitchopt.lab.flights.recordings import NO_MARKERS
+from hitchopt.values import Array
 
 Write = Callable[[Path, ho.RecordedFlight], Path]
 
@@ -597,3 +599,24 @@ def test_clocks_that_nothing_ties_stay_apart(tmp_path: Path) -> None:
     bag = ho.read_flight(w.write_crazyswarm(tmp_path / "b.bag", replace(flight, signals=own)))
     assert bag.clock_shifts["cf3"] == pytest.approx(w.EPOCH - 100.0 + 1.65, abs=0.01)
     assert any("smallest delay of arrival" in note for note in bag.notes)
+
+
+def compressed(quaternion: Array) -> int:
+    """Return a quaternion as the firmware sends it: the three smallest components in 30 bits."""
+    largest = int(np.argmax(np.abs(quaternion)))
+    word, positive = largest, np.sign(quaternion[largest]) * quaternion
+    for i in range(4):
+        if i != largest:
+            size = int(511 * abs(positive[i]) / np.sqrt(0.5) + 0.5)
+            word = word << 10 | int(positive[i] < 0.0) << 9 | size
+    return word
+
+
+def test_compressed_attitudes_are_read() -> None:
+    """Nine bits of each component leave an error of a quarter of a degree at most."""
+    rng = np.random.default_rng(3)
+    quaternions = rng.standard_normal((200, 4))
+    quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
+    result = decompressed(np.array([compressed(q) for q in quaternions], np.float64))
+    errors = 1.0 - np.abs(np.sum(result * quaternions, axis=1))
+    assert np.degrees(2.0 * np.arccos(1.0 - np.max(errors))) < 0.25

@@ -6,6 +6,7 @@ clocks together; without one, each track has its own clock.
 
 from __future__ import annotations
 
+import math
 import struct
 import zlib
 from collections import defaultdict
@@ -230,7 +231,12 @@ def read_usd(path: Path) -> Log:
 
 
 def _usd_values(quantity: str, values: Array) -> Array:
-    """Return roll, pitch and yaw [rad] as quaternions, and a vector of thrust as its norm."""
+    """Return compressed quaternions, or roll, pitch and yaw [rad], as quaternions.
+
+    A vector of thrust becomes its norm.
+    """
+    if quantity.endswith("attitude") and values.shape[1] == 1:
+        return decompressed(values[:, 0])
     if quantity.endswith("attitude") and values.shape[1] == 3:
         finite = np.isfinite(values).all(axis=1)
         turned: Array = np.full((len(values), 4), np.nan)
@@ -239,6 +245,24 @@ def _usd_values(quantity: str, values: Array) -> Array:
     if quantity == "thrust" and values.shape[1] == 3:
         return length(values)[:, None]
     return values
+
+
+def decompressed(words: Array) -> Array:
+    """Return quaternions (m, 4) from 32 bits each, as the Crazyflie's firmware compresses them.
+
+    The first two bits are the index of the largest component, which is positive; each other one has
+    a sign and nine bits of its size over the square root of one half.
+    """
+    bits = words.astype(np.int64)
+    largest, quaternions = bits >> 30, np.zeros((len(bits), 4))
+    for i in (3, 2, 1, 0):
+        stored = largest != i
+        sizes = math.sqrt(0.5) / 511.0 * (bits & 511) * np.where(bits & 512, -1.0, 1.0)
+        quaternions[stored, i] = sizes[stored]
+        bits = np.where(stored, bits >> 10, bits)
+    rest = np.sqrt(np.maximum(1.0 - np.sum(quaternions**2, axis=1), 0.0))
+    quaternions[np.arange(len(bits)), largest] = rest
+    return quaternions
 
 
 def usd_events(data: bytes) -> tuple[list[dict[str, Array]], list[str]]:

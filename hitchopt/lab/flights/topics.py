@@ -81,6 +81,7 @@ USD_QUANTITIES: dict[str, tuple[tuple[str, float], ...]] = {
     ),
     "estimated_attitude": (
         ("stateEstimate.qx qy qz qw", 1.0),
+        ("stateEstimateZ.quat", 1.0),  # Compressed into 32 bits
         ("ctrlLeeP.rpyx rpyy rpyz", 1.0),
         ("ctrlLee.rpyx rpyy rpyz", 1.0),
         ("stateEstimate.roll pitch yaw", DEGREE),
