@@ -126,7 +126,7 @@ class Feedback(OneLine):
     def reset(self) -> None:
         """Discard all measurements and corrections."""
         clasps = len(self.motion.team.layout.clasps)
-        self._error, self._speed, self._integral = np.zeros((3, clasps, 3))
+        self._error, self._lead, self._integral = np.zeros((3, clasps, 3))
         self._age = np.full(clasps, math.inf)  # of the last measurements [s]
         self._offsets, self._velocities = np.zeros((2, self.motion.team.drones, 3))
         self._last_cell: Cell | None = None  # of the last step
@@ -191,7 +191,10 @@ class Feedback(OneLine):
         """Filter the errors of the measured vertices at a plan time."""
         if self._cell(time) is None:
             return
-        planned, self._speed, *_ = self._vertices.values(min(max(time, 0.0), self._end))
+        time = min(max(time, 0.0), self._end)
+        planned, speed, *_ = self._vertices.values(time)
+        later = self._vertices.values(min(time + LEAD, self._tied_until(time)))[0]
+        self._lead = shorter(LEAD * speed, later - planned)
         error = planned - vertices
         valid = (error * error) @ ONES <= MAX_VERTEX_ERROR**2  # false for nan
         weight = np.where(self._age > MAX_AGE, 1.0, -np.expm1(self._age / -SMOOTHING))
@@ -200,16 +203,16 @@ class Feedback(OneLine):
 
     def _correction(self, seconds: float, *, integrate: bool) -> Array:
         """Return the desired displacement of vertices (clasps, 3) [m], and advance the integral."""
-        error, speed = self._error, self._speed
+        error, lead = self._error, self._lead
         recent = self._age <= MAX_AGE
         if not recent.all():
-            error, speed = recent[:, None] * error, recent[:, None] * speed
+            error, lead = recent[:, None] * error, recent[:, None] * lead
             self._integral[~recent] *= math.exp(-seconds / FADING)
         if integrate:
             self._integral += INTEGRAL * seconds * error
         bounded = np.maximum(self._integral, -MAX_VERTEX_ERROR)
         self._integral = np.minimum(bounded, MAX_VERTEX_ERROR)
-        correction: Array = PROPORTIONAL * error + self._integral + LEAD * speed
+        correction: Array = PROPORTIONAL * error + self._integral + lead
         return correction
 
     def _update_offsets(self, cell: Cell | None, correction: Array, seconds: float) -> None:
@@ -231,6 +234,10 @@ class Feedback(OneLine):
         self._velocities = (offsets - self._offsets) / seconds
         self._offsets, self._last_cell = offsets, cell
 
+    def _tied_until(self, time: float) -> float:
+        """Return the end of the hitch's span [s], or ``time`` without a hitch."""
+        return next((end for start, end in self._spans if start <= time <= end), time)
+
     def _authority(self, time: float) -> float:
         """Return the weight of the corrections, from 0 without a hitch to 1."""
         for start, end in self._spans:
@@ -239,6 +246,15 @@ class Feedback(OneLine):
                 fade_out = 1.0 if end >= self._end else (end - time) / RAMP
                 return min(1.0, fade_in, fade_out)
         return 0.0
+
+
+def shorter(one: Array, other: Array) -> Array:
+    """Return the shorter vector of each row (k, 3).
+
+    As lead of a vertex that slows down it is the way to its later place, which ends where it stops.
+    """
+    is_shorter = (one * one) @ ONES <= (other * other) @ ONES
+    return np.where(is_shorter[:, None], one, other)
 
 
 def _checked_array(key: str, values: object, shape: tuple[int, ...]) -> Array:

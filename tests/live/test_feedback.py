@@ -68,6 +68,24 @@ def test_setpoints_lead_vertices_that_move_as_planned() -> None:
     assert forward @ led @ speeds > 0.0
 
 
+def test_setpoints_do_not_lead_beyond_the_place_where_a_vertex_stops() -> None:
+    """It moves by 0.3 m in 1.5 s, as setpoints do with a lag of 0.4 s."""
+    move = ho.MoveVertex(0, by=np.array([0.0, 0.3]), duration=1.5)
+    plan = ho.solve(ho.Problem(START.team, START, (move, ho.Hold(2.0))))
+    times = (np.arange(50) + 0.5) / 50 * plan.duration
+    responses = vertex_responses(plan.motion, times, 36.0 * plan.motion.team.mass)
+    feedback, seen, places = ho.Feedback(plan, delay=0.0), plan.at(0.0).vertices, list[float]()
+    for i in range(int(plan.duration / STEP)):
+        time = i * STEP
+        forward = responses[min(int(time / plan.duration * 50), 49)][0]
+        led = plan.at(time).vertices + (forward @ feedback.offsets.ravel()).reshape(-1, 3)
+        seen = seen + STEP / 0.4 * (led - seen)
+        feedback.step(time, STEP, seen)
+        places.append(seen[0, 1] - 1.3)
+    assert abs(places[-1]) < 0.002
+    assert max(places) < 0.013  # a lead by the speed alone overshoots by twice that
+
+
 def test_missing_or_false_measurements_let_corrections_fade() -> None:
     plan, feedback = plan_of(), ho.Feedback(plan_of(), delay=0.0)
     sizes, there = list[float](), plan.at(0.0).vertices
