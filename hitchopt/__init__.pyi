@@ -97,6 +97,7 @@ class Mission(_Mission):
         blend: bool = False,
         optimize: bool = False,
         tension: tuple[float, float] | None = None,
+        settle: _Settle = "auto",
     ) -> Self: ...
     def hold(self, seconds: float) -> Self: ...
     def move_vertex(
@@ -107,6 +108,7 @@ class Mission(_Mission):
         legs: _Legs | None = None,
         duration: _Seconds = None,
         blend: bool = False,
+        settle: _Settle = "auto",
     ) -> Self: ...
     def move_edge(
         self,
@@ -116,9 +118,14 @@ class Mission(_Mission):
         legs: _Legs | None = None,
         duration: _Seconds = None,
         blend: bool = False,
+        settle: _Settle = "auto",
     ) -> Self: ...
     def adjust(
-        self, legs: _Legs = "balanced", duration: _Seconds = None, blend: bool = False
+        self,
+        legs: _Legs = "balanced",
+        duration: _Seconds = None,
+        blend: bool = False,
+        settle: _Settle = "auto",
     ) -> Self: ...
     def follow_vertex(
         self,
@@ -126,6 +133,7 @@ class Mission(_Mission):
         path: ArrayLike,
         legs: _Legs | None = None,
         speed: float | None = None,
+        settle: _Settle = "auto",
     ) -> Self: ...
     def transport(self, to: ArrayLike, yaw: float = 0.0, duration: _Seconds = None) -> Self: ...
     def settle(self, seconds: float | Literal["auto"] = "auto") -> Self: ...
@@ -178,6 +186,7 @@ def morph(
     duration: _Seconds = None,
     optimize: bool = False,
     tension: tuple[float, float] | None = None,
+    settle: _Settle = "auto",
     **required: Unpack[_Required],
 ) -> Plan: ...
 def hold(start: Hitch, seconds: float, **required: Unpack[_Required]) -> Plan: ...
@@ -188,6 +197,7 @@ def move_vertex(
     by: ArrayLike | None = None,
     legs: _Legs | None = None,
     duration: _Seconds = None,
+    settle: _Settle = "auto",
     **required: Unpack[_Required],
 ) -> Plan: ...
 def move_edge(
@@ -197,10 +207,15 @@ def move_edge(
     by: ArrayLike | None = None,
     legs: _Legs | None = None,
     duration: _Seconds = None,
+    settle: _Settle = "auto",
     **required: Unpack[_Required],
 ) -> Plan: ...
 def adjust(
-    start: Hitch, legs: _Legs = "balanced", duration: _Seconds = None, **required: Unpack[_Required]
+    start: Hitch,
+    legs: _Legs = "balanced",
+    duration: _Seconds = None,
+    settle: _Settle = "auto",
+    **required: Unpack[_Required],
 ) -> Plan: ...
 def follow_vertex(
     start: Hitch,
@@ -208,6 +223,7 @@ def follow_vertex(
     path: ArrayLike,
     legs: _Legs | None = None,
     speed: float | None = None,
+    settle: _Settle = "auto",
     **required: Unpack[_Required],
 ) -> Plan: ...
 def transport(

@@ -23,7 +23,7 @@ def moved_vertex_plan(friction: float) -> ho.Plan:
     team |= {"cable_density": 0.01, "cable_friction": friction}
     polygon = ho.regular_polygon(3, 1.3).vertices.tolist()
     hitch = {"polygon": polygon, "altitude": 1.0, "legs": "balanced"}
-    step = {"vertex": 0, "by": [0.4, 0.0], "duration": 8.0}
+    step = {"vertex": 0, "by": [0.4, 0.0], "duration": 8.0, "settle": False}
     mission = {"start": {"hitch": hitch}, "mission": [{"move_vertex": step}]}
     return ho.solve(ho.problem_from_dict({"team": team, **mission}))
 

@@ -160,6 +160,9 @@ def _check_blend(steps: tuple[Step, ...], i: int, *, complete: bool) -> None:
         names = ", ".join(kind.name for kind in STEPS if kind.blendable)
         remedy = f"leave it out: only {names} go on into one another"
         raise InputError("blend", True, f"false before a {following[0].name}", remedy)
+    if step.blends and isinstance(step.settling, float):
+        bound = "left out: steps settle where they stop"
+        raise InputError("settle", step.settling, bound, "leave out settle or blend")
     is_blended = step.blends or (i > 0 and steps[i - 1].blends)
     for key in ("optimize", "tension", "duration") if is_blended else ():
         if vars(step).get(key):

@@ -31,6 +31,7 @@ from hitchopt.steps.certified_motions import (
     infeasible_error,
     plan_blended,
     split_hitch,
+    with_settling,
 )
 from hitchopt.steps.step import RestState, StepPlan, StepTask
 
@@ -223,6 +224,7 @@ def _plan_group(group: tuple[Step, ...], task: StepTask, report: Progress) -> St
     if plan is None:
         task = replace(task, progress=report)
         plan = group[0].plan(task) if len(group) == 1 else plan_blended(group, task)
+        plan = with_settling(plan, task, group[-1].settling)
         report(f"certifying step {task.index} ({group[0].name})")
         _ = plan.certificate  # stored with the plan
     else:

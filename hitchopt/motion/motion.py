@@ -27,6 +27,9 @@ JOINT = 1e-6
 WAIT = "wait"
 """Name of phases in which a group waits at rest while others fly."""
 
+SETTLE = "settle"
+"""Name of phases in which drones swing to remove friction hysteresis, at the end of a step."""
+
 
 class CableState(StrEnum):
     """State of the cables in a phase; the certificate verifies it from the polynomials.

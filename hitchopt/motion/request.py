@@ -18,7 +18,7 @@ from hitchopt.errors import InputError
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Assignment
-from hitchopt.motion.motion import WAIT, Motion, Phase
+from hitchopt.motion.motion import SETTLE, WAIT, Motion, Phase
 from hitchopt.motion.records import REMEDY, check_same, encoded
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import REST_DRIFT
@@ -153,7 +153,9 @@ def _check_team(request: Mapping[str, Any], motion: Motion) -> None:
         raise InputError("request.mission", f"{len(results)} steps", bound, REMEDY)
     pairs = zip(_steps(motion), steps, results, strict=True)
     for i, (phases, requested, result) in enumerate(pairs):
-        result["seconds"] = sum(each.end - each.start for each in phases if each.name != WAIT)
+        flown = [each for each in phases if each.name != WAIT]
+        own = [each for each in flown if each.name != SETTLE] or flown  # a step's end, or a step
+        result["seconds"] = sum(each.end - each.start for each in own)
         (low, high), used = requested.get("tension") or (0.0, 0.0), result.get("tension")
         if used is None or (low - TENSION_SLACK <= used[0] and used[1] <= high + TENSION_SLACK):
             result["tension"] = requested.get("tension")

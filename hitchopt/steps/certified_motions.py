@@ -19,7 +19,7 @@ from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import ALTITUDE_TOLERANCE, cable_slack
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.motion.motion import CableState, Motion, Phase
+from hitchopt.motion.motion import SETTLE, CableState, Motion, Phase, concatenated
 from hitchopt.planners.morph.legs import SLIDING_TOLERANCE, legs_clear
 from hitchopt.planners.morph.morph import POSITION_TOLERANCE, BlendedMorph
 from hitchopt.planners.morph.path import ShapePath
@@ -285,6 +285,9 @@ FULL_SHARE, MAX_SLOWDOWN = 0.99, 1.5
 """Share of the friction that counts as all of it; maximum ratio of a step's duration with friction
 feed-forward to that without."""
 
+MIN_SLIDE = 1e-3
+"""Change of leg lengths below which a step ends without settling [m]."""
+
 NOT_COMPENSATED = "clasp friction is not compensated: limits bind"
 
 
@@ -342,6 +345,27 @@ def plan_blended(steps: Sequence[Any], task: StepTask) -> StepPlan:
     return with_friction_feedforward(plan, timed=False)
 
 
+def with_settling(plan: StepPlan, task: StepTask, settle: float | str | bool) -> StepPlan:
+    """Return the plan with swings at its end that remove the hysteresis of cables that slid.
+
+    ``settle`` is ``Step.settling`` of its last step. Limits that bind leave automatic swings out;
+    swings of a prescribed duration [s] raise InfeasibleError then.
+    """
+    hitch, tied = plan.after.hitch, task.before.hitch is None
+    if settle is False or hitch is None or hitch.team.cable_friction == 0.0:
+        return plan
+    if not tied and np.max(np.ptp(plan.motion.legs.coefficients, axis=(0, -1))) < MIN_SLIDE:
+        return plan
+    seconds = settle if isinstance(settle, float) else None
+    settling = settling_plan(
+        task.within(task.requirements, plan.after),
+        seconds,
+        Phase(SETTLE, plan.motion.phases[-1].step, 0.0, 0.0),
+        required=seconds is not None,
+    )
+    return replace(plan, motion=concatenated([plan.motion, settling.motion]))
+
+
 def settling_plan(
     task: StepTask, duration: float | None, phase: Phase, *, required: bool = True
 ) -> StepPlan:
@@ -353,7 +377,7 @@ def settling_plan(
     from hitchopt.planners.morph.friction import SWING, SWINGS, settling_swings
 
     hitch, requirements, plan = task.hitch, task.requirements, None
-    rest_duration = SWING * (SWINGS + 0.5) if duration is None else duration
+    rest_duration = SWINGS * SWING if duration is None else duration
     rest = rest_motion(hitch, requirements, rest_duration, phase)
     for share in FRICTION_SHARES:
         settling = settling_swings(rest, share)

@@ -18,6 +18,7 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import checked_polygon
 from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.steps.step import (
+    AUTO,
     AUTO_SECONDS,
     IDLE,
     LEGS,
@@ -32,6 +33,7 @@ from hitchopt.steps.step import (
     LegsAtEnd,
     Polygon,
     Seconds,
+    SettleAtEnd,
     SlackSplit,
     Stage,
     Step,
@@ -226,12 +228,8 @@ class Settle(Step):
     time_key: ClassVar[str] = "seconds"
     seconds: Annotated[
         float | Literal["auto"],
-        Key(
-            AUTO_SECONDS,
-            "How long; auto: eight swings of two seconds, slower where limits need that",
-            17,
-        ),
-    ] = "auto"
+        Key(AUTO_SECONDS, "How long; auto: four swings, slower where limits need that", 5),
+    ] = AUTO
 
     def resolved_for(self, team: Team) -> Self:
         """Return the step, or raise InputError for a team whose cables have no friction."""
@@ -282,6 +280,7 @@ class Morph(ShapeStep):
     tension: Annotated[
         tuple[float, float] | None, Key(TENSION_RANGE, "Range of tensions meanwhile")
     ] = None
+    settle: SettleAtEnd = AUTO
 
     def resolved_for(self, team: Team) -> Self:
         """Return the step for a team; raise InputError if the team's tensions exceed its range."""
@@ -380,6 +379,7 @@ class MoveVertex(MoveStep):
     legs: LegsAtEnd = None
     duration: Seconds = None
     blend: Blend = False
+    settle: SettleAtEnd = AUTO
 
     def moved_points(self, team: Team, count: int) -> list[int]:  # noqa: ARG002
         """Return the index of the vertex."""
@@ -400,6 +400,7 @@ class MoveEdge(MoveStep):
     legs: LegsAtEnd = None
     duration: Seconds = None
     blend: Blend = False
+    settle: SettleAtEnd = AUTO
 
     def moved_points(self, team: Team, count: int) -> list[int]:
         """Return the indices of the edge's ends."""
@@ -415,6 +416,7 @@ class Adjust(ActionStep):
     legs: Annotated[SlackSplit, Key(LEGS, LEGS_TEXT, "balanced")] = "balanced"
     duration: Seconds = None
     blend: Blend = False
+    settle: SettleAtEnd = AUTO
 
 
 MIN_GAP = 1e-3
@@ -479,6 +481,7 @@ class FollowVertex(ActionStep):
     path: Annotated[Array, Key(_PATH, _PATH_TEXT, [[1.0, 0.0, -0.9]])]
     legs: LegsAtEnd = None
     speed: Annotated[float | None, Key(SPEED, _SPEED_TEXT)] = None
+    settle: SettleAtEnd = AUTO
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -137,11 +137,18 @@ def _turn_angle(key: str, value: object) -> float:
 _LIMIT = MAX_TURNS * 2.0 * math.pi
 TURN = replace(quantity("rad", (-_LIMIT, _LIMIT), (-_LIMIT, _LIMIT)), check=_turn_angle)
 AUTO_SECONDS = either(words(AUTO), DURATION)
+SETTLE_TEXT = (
+    "Where cables have friction and slid, duration of the swings that end the step, as by settle, "
+    "in addition to its duration; auto: as far as limits allow; or false"
+)
 
 Seconds = Annotated[
     float | None, Key(DURATION, "Exactly that long; without it as fast as the limits allow")
 ]
 Blend = Annotated[bool, Key(FLAGS, "Go on into the next step without a stop")]
+SettleAtEnd = Annotated[
+    float | Literal["auto", False], Key(either(AUTO_SECONDS, words(False)), SETTLE_TEXT)
+]
 LegsAtEnd = Annotated[SlackSplit | None, Key(LEGS, f"{LEGS_TEXT}, at the step's end")]
 WhichPoint = Annotated[int, Key(INDEX, "Which, from 0", 0)]
 ObjectOf = Annotated[str, Key(OBJECT_NAME, "Name of the object", "box")]
@@ -426,6 +433,11 @@ class Step(Record, ABC):
     def blends(self) -> bool:
         """Whether it continues into the next step without a stop."""
         return bool(getattr(self, "blend", False))
+
+    @property
+    def settling(self) -> float | Literal["auto", False]:
+        """Duration of the swings at its end [s], ``auto``, or False for none."""
+        return getattr(self, "settle", False)
 
     def ring_after(self, ring: tuple[int, ...], team: Team) -> tuple[int, ...]:  # noqa: ARG002
         """Return the robots that hold the edges after the step, in order.

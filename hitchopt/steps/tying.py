@@ -16,7 +16,6 @@ from hitchopt.motion.motion import CableState, Motion, Phase, concatenated
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.steps.step import (
     AUTO,
-    AUTO_SECONDS,
     INDEX,
     LEGS,
     LEGS_TEXT,
@@ -25,6 +24,7 @@ from hitchopt.steps.step import (
     Polygon,
     RolledLegs,
     Seconds,
+    SettleAtEnd,
     SlackSplit,
     Stage,
     Step,
@@ -53,12 +53,6 @@ CABLE_MARGINS = (1.5, 1.25)
 ASSIGN_TEXT = (
     "auto: which robot takes which edge, and which end is its q, is chosen; fixed: in order"
 )
-SETTLE_TEXT = (
-    "Where cables have friction, duration of swinging at the end, as by settle; "
-    "auto: as far as limits allow; or false"
-)
-
-
 BY_TEXT = (
     "swaps: pairs of drones exchange places; laying: taut cables are laid on one another, and "
     "every pair rolls by half a turn"
@@ -83,9 +77,7 @@ class Form(Step):
     swap: Annotated[SwapSettings, Key(mapping_of(SwapSettings), "How drones turn in pairs")] = (
         field(default_factory=SwapSettings)
     )
-    settle: Annotated[
-        float | Literal["auto", False], Key(either(AUTO_SECONDS, words(False)), SETTLE_TEXT)
-    ] = AUTO
+    settle: SettleAtEnd = AUTO
     by: Annotated[Literal["swaps", "laying"], Key(words("swaps", "laying"), BY_TEXT)] = "swaps"
     order: Annotated[
         Array | Literal["auto"],
@@ -128,7 +120,7 @@ class Form(Step):
         and lower it to its altitude.
         """
         from hitchopt.planners.forming.laying import find_laying
-        from hitchopt.steps.certified_motions import check_at_rest, require_certified, settling_plan
+        from hitchopt.steps.certified_motions import check_at_rest, require_certified
 
         before, requirements, i = task.before, task.requirements, task.index
         team, levels = before.team, self._levels(before.team)
@@ -148,11 +140,6 @@ class Form(Step):
             parts.append(vertical_motion(tying.hitch, goal.altitude, requirements, lower))
         after = replace(before, hitch=goal, drones=goal.drones, senses=tying.senses)
         after = replace(after, swap=self.swap, levels=levels)
-        if team.cable_friction > 0.0 and self.settle is not False:
-            seconds = None if isinstance(self.settle, str) else self.settle
-            phase, settling = Phase("settle", i, 0.0, 0.0), replace(task, before=after)
-            plan = settling_plan(settling, seconds, phase, required=seconds is not None)
-            parts.append(plan.motion)
         return StepPlan(self.with_duration(task, concatenated(parts)), after)
 
     def _levels(self, team: Team) -> Indices | None:

@@ -45,7 +45,7 @@ def aborts_of(name: str) -> Aborts:
         team = ho.Team(4, 2.2, cable_friction=0.1)
         start = ho.Hitch.balanced(team, ho.regular_polygon(4, 1.0), 1.5)
         slow = ho.Limits(speed=0.06)
-        return Aborts(ho.move_vertex(start, 0, by=[0.1, 0.1], limits=slow).motion)
+        return Aborts(ho.move_vertex(start, 0, by=[0.1, 0.1], settle=False, limits=slow).motion)
     return Aborts(planned(name).motion)
 
 
