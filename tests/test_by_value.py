@@ -166,9 +166,10 @@ def test_zeros_of_both_signs_are_equal() -> None:
 
 RESULTS = frozenset(
     (
-        *("Alignment", "Calibration", "Change", "Evaluation", "Fit", "Grip", "Holding", "Motion"),
+        *("Alignment", "Calibration", "Change", "Evaluation", "Fit", "Grip", "Holding"),
+        *("HoverCalibration", "Motion"),
         *("PiecewisePolynomial", "Plan", "RecordedFlight", "Recording", "Retarget", "Setpoints"),
-        *("Settled", "States", "Study", "Suggestion", "Tolerance", "Track"),
+        *("Settled", "Signal", "States", "Study", "Suggestion", "Tolerance", "Track"),
     )
 )
 """Public records that compare by identity: plans and what is computed or measured."""

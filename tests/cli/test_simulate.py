@@ -191,12 +191,12 @@ def test_statics_agrees_with_the_python_interface(
 
 def test_slack_cables_end_with_3_and_integrals_are_warned_of(settling: Path) -> None:
     result = run("statics", settling, "--no-feed-forward", "--cable-length", "2.6", code=3)
-    assert "note: without feed-forward of the cable force" in result.stdout
+    assert "note: Cables will go slack" in result.stdout
     assert "slack, or without hold: c0, c1, c2, p0, p1, p2" in result.stderr
     assert read(settling / "statics.json")["slack_cables"] == ["c0", "c1", "c2"]
     options = ["--at", "0", "--integral", "--tolerance", "--axial-stiffness", "100"]
     result = run("statics", settling, *options, code=0)
-    assert "note: an integral in the position loop" in result.stdout
+    assert "note: Integral action overrides the planned tension" in result.stdout
     assert result.stdout.count("may be") == 3
 
 
