@@ -18,7 +18,7 @@ from hitchopt.errors import InputError
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Assignment
-from hitchopt.motion.motion import SETTLE, WAIT, Motion, Phase
+from hitchopt.motion.motion import JOINT, SETTLE, WAIT, Motion, Phase
 from hitchopt.motion.records import REMEDY, check_same, encoded
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import REST_DRIFT
@@ -141,6 +141,13 @@ def check_request(request: Mapping[str, Any], motion: Motion) -> None:
             raise error.within(each.name) from error
 
 
+def _moves_vertices(motion: Motion, phase: Phase) -> bool:
+    breaks = motion.vertices.breaks
+    middles = 0.5 * (breaks[:-1] + breaks[1:])
+    points = motion.vertices.coefficients[(middles > phase.start) & (middles < phase.end)]
+    return bool(np.any(np.ptp(points, axis=(0, -1)) > JOINT))
+
+
 def _check_team(request: Mapping[str, Any], motion: Motion) -> None:
     """Raise InputError with the key if one team's motion differs from its request."""
     actual = request_of(motion)
@@ -154,7 +161,8 @@ def _check_team(request: Mapping[str, Any], motion: Motion) -> None:
     pairs = zip(_steps(motion), steps, results, strict=True)
     for i, (phases, requested, result) in enumerate(pairs):
         flown = [each for each in phases if each.name != WAIT]
-        own = [each for each in flown if each.name != SETTLE] or flown  # a step's end, or a step
+        # A step's end, or a step; swings move no vertex
+        own = [x for x in flown if x.name != SETTLE or _moves_vertices(motion, x)] or flown
         result["seconds"] = sum(each.end - each.start for each in own)
         (low, high), used = requested.get("tension") or (0.0, 0.0), result.get("tension")
         if used is None or (low - TENSION_SLACK <= used[0] and used[1] <= high + TENSION_SLACK):

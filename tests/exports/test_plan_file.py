@@ -265,6 +265,14 @@ def test_a_plan_is_of_its_own_mission_alone() -> None:
     wilder = dataclasses.replace(motion, phases=(wild, *motion.phases[1:]))
     with pytest.raises(ho.InputError, match=re.escape("request.mission[0].tension[0] = 0.2")):
         check_request(request_in(START + MISSION, {}), wilder)
+    moving = motion.phases[1]  # only swings that move no vertex are not counted
+    split = float(motion.drones.breaks[np.searchsorted(motion.drones.breaks, moving.start + 1.0)])
+    cut = dataclasses.replace(moving, end=split)
+    swings = dataclasses.replace(moving, start=split, name="settle")
+    longer = dataclasses.replace(motion, phases=(motion.phases[0], cut, swings))
+    shorter = START + MISSION.replace("duration: 4", f"duration: {split - moving.start}")
+    with pytest.raises(ho.InputError, match=re.escape("request.mission[1].seconds = 4")):
+        check_request(request_in(shorter, {}), longer)
     for old, new, key in OTHER_MISSIONS:
         assert old in MISSION
         used = pulled if old == "min: 0.3" else motion.phases
