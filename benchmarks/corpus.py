@@ -216,6 +216,9 @@ def data_differences(key: str, a: Any, b: Any) -> Iterator[Difference]:
 
 def curve_differences(a: Curves, b: Curves) -> Iterator[Difference]:
     """Yield the differences of curves by names; one that is left out equals its default."""
+    if bool(a) != bool(b):
+        yield "curves: of one plan alone", np.inf
+        return
     for name in sorted(a | b):
         x = a[name] if name in a else default(name, a, b[name])
         y = b[name] if name in b else default(name, b, a[name])
