@@ -19,7 +19,7 @@ from hitchopt.geometry import ConvexArc as ConvexArc, ConvexPolygon as ConvexPol
 from hitchopt.geometry import regular_polygon as regular_polygon
 from hitchopt.hitch import Hitch as Hitch, Quadrotor as Quadrotor, Swarm as Swarm, Team as Team
 from hitchopt.hitch.flight_controller import FlightController as FlightController
-from hitchopt.hitch.flight_controller import Gains as Gains
+from hitchopt.hitch.flight_controller import Gains as Gains, Tube as Tube
 from hitchopt.hitch.team import Assignment as Assignment
 from hitchopt.hitch.catenary import hanging_cable as hanging_cable
 from hitchopt.hitch.requirements import Arena as Arena, Limits as Limits, Prism as Prism

@@ -66,7 +66,7 @@ SAME = 1e-9  # [m], [N] largest difference of contacts from midpoints, of pulls 
 MAX_COEFFS = 61  # coefficients of a curve
 SAG_TOL = 0.02  # [m] largest gap of cables that lie on each other, due to different sags
 
-# Keys of settings and their types: ? nullable, [] list, [2] list of two.
+# Keys of settings and their types: ? nullable, [] list, [2] list of two; keys with * may be absent.
 TYPES = {
     "settings": "title:text problem:text groups:group[] others:group[]",
     "group": "name:text plan:text digest:text records:records",
@@ -76,10 +76,11 @@ TYPES = {
     "tension:+[] quadrotor:kind[] load:0+[]",
     "single": "drones:count quadrotor:kind[]",
     "kind": "mass:+ max_thrust:+ stiffness:+? integral:flag? feed_forward:flag? controller:text? "
-    "gains:gains? latency:0+? model:text?",
+    "gains:gains? latency:0+? model:text? trim*:number[2] thrust_factor*:+ tracking*:tube",
+    "tube": "level:0+ height:0+",
     "gains": "kp:+[2]? kd:+[2]? ki:0+[2]?",
     "limits": "speed:+ acceleration:+ jerk:+ tilt:+ body_rate:+? vertex_speed:+ leg:+ duration:+? "
-    "reserve:+ tracking:0+?",
+    "reserve:+ tracking:tube?",
     "separation": "radius:+ height:+ cable:0+ crossing:0+ object:0+",
     "arena": "lower:number[3] upper:number[3]",
     "prism": "polygon:number[2][] lower:number upper:number",
@@ -99,6 +100,7 @@ SCALARS: dict[str, Callable[[Any], bool]] = {
     "number": lambda x: type(x) in (int, float) and abs(x) < BIG,
     "+": lambda x: SCALARS["number"](x) and x > 0,
     "0+": lambda x: SCALARS["number"](x) and x >= 0,
+    "tube": lambda x: SCALARS["number"](x) and x >= 0,
     "any": lambda _: True,
 }
 
@@ -129,6 +131,8 @@ def check_type(key: str, x: Any, form: str) -> None:
     item, _, count = kind.rstrip("]").rpartition("[")
     if kind in TYPES and isinstance(x, dict):
         forms = dict(entry.split(":") for entry in TYPES[kind].split())
+        absent = {name for name in forms if name[-1] == "*" and name[:-1] not in x}
+        forms = {name.strip("*"): form for name, form in forms.items() if name not in absent}
         if forms.keys() != x.keys():
             names = ", ".join(sorted(forms.keys() ^ x.keys()))
             raise ValueError(f"{key} lacks keys, or has unknown ones: {names:.99}")
@@ -225,6 +229,11 @@ class Line:
         """Return zero outside a mask (m,)."""
         v, g = (np.where(on[:, None], x, 0.0) for x in (self.v, self.g))
         return Line(v, g, np.where(on, self.q, 0.0), self.t)
+
+    def flat(self, ratio: float) -> Line:
+        """Return points with heights divided by a ratio of at least 1."""
+        by = np.array([1.0, 1.0, 1.0 / ratio])
+        return self if ratio == 1.0 else Line(self.v * by, self.g * by, self.q, self.t)
 
     def unless(self, over: Line) -> Line:
         """Return FAR where a scalar is positive; this scalar bounds it where that is unsure."""
@@ -532,8 +541,9 @@ def closest(a: Array, b: Array, c: Array, d: Array) -> Array:
     return w + share(j * uv - uw, uu)[:, None] * u - j[:, None] * v
 
 
-def distance(a: Sequence[Line], b: Sequence[Line]) -> Line:
-    """Return the distance of points or segments."""
+def distance(a: Sequence[Line], b: Sequence[Line], ratio: float = 1.0) -> Line:
+    """Return the distance of points or segments, heights divided by a ratio."""
+    a, b = ([x.flat(ratio) for x in corners] for corners in (a, b))
     w = normalize(closest(a[0].v, a[-1].v, b[0].v, b[-1].v))
     return minimum(*((x - y).dot(w) for x in a for y in b))
 
@@ -547,13 +557,13 @@ def hull_distance(a: Sequence[Line], b: Sequence[Line]) -> Line:
     return minimum(*((x - y).dot(w) for x in a for y in b))
 
 
-def prism_gap(a: Sequence[Line], b: Sequence[Line]) -> Line:
-    """Return horizontal distances, or vertical ones of all corners.
+def prism_gap(a: Sequence[Line], b: Sequence[Line], ratio: float = 1.0) -> Line:
+    """Return horizontal distances, or vertical ones of all corners, divided by a ratio.
 
     In plan view, bodies are on their first two corners, or in the hull of all but the last of more
     than four corners.
     """
-    z_coordinates = [[x[2] for x in corners] for corners in (a, b)]
+    z_coordinates = [[x.flat(ratio)[2] for x in corners] for corners in (a, b)]
     (low, floor), (high, top) = ([f(*z) for z in z_coordinates] for f in (minimum, maximum))
     outlines = [[x[:2] for x in (c[:2] if len(c) < 5 else c[:-1])] for c in (a, b)]
     horizontal = (distance if max(map(len, outlines)) < 3 else hull_distance)(*outlines)
@@ -607,8 +617,14 @@ class Slab:
         """Return the distance to a point, large where the slab is above it."""
         return self.gap(x).unless(-x[2] + self.lower)
 
-    def gap(self, *points: Line) -> Line:
-        """Return the distance to the convex hull of points, by its edges."""
+    def gap(self, *points: Line, ratio: float = 1.0) -> Line:
+        """Return the distance to the convex hull of points, by its edges.
+
+        Heights are divided by a ratio.
+        """
+        if ratio != 1.0:
+            flat = self.scaled(np.array([1.0, 1.0, 1.0 / ratio]))
+            return flat.gap(*(x.flat(ratio) for x in points))
         gaps = []
         for a, b in pairwise(points if points[1:] else points * 2):
             low, high = np.zeros((len(a.v), 1)), np.ones((len(a.v), 1))
@@ -640,6 +656,15 @@ class Body:
         self.slabs = [slab for slab in (self.stem, self.rim) if slab]
         self.pose = np.array([*o["at"], math.cos(o["yaw"]), math.sin(o["yaw"])])
         self.centre = np.append(self.stem.centroid, 0.5 * (self.stem.lower + self.stem.upper))
+
+
+def tube_of(tracking: Any) -> tuple[float, float]:
+    """Return level and upright tracking errors [m] of a limit."""
+    if not isinstance(tracking, dict):
+        tracking = {"level": tracking or 0.0, "height": tracking or 0.0}
+    if tracking["height"] > 0.0 == tracking["level"]:
+        raise ValueError("limits.tracking has a height without a level")
+    return float(tracking["level"]), float(tracking["height"])
 
 
 class Plan:
@@ -679,12 +704,18 @@ class Plan:
             raise ValueError(f"{name} has a wrong shape, or numbers beyond their bounds")
         return x
 
-    def _set_distances(self, separation: dict[str, float], error: float) -> None:
-        """Set minimum distances, larger by the effect of tracking errors [m]."""
-        self.sep, self.tracking = dict(separation), error
+    def _set_distances(self, separation: dict[str, float], tube: tuple[float, float]) -> None:
+        """Set minimum distances, larger by the effect of tracking errors, level and upright [m].
+
+        Where heights are divided by ``ratio`` of the errors, errors are within a ball, and no
+        distance is longer.
+        """
+        self.sep, self.tube, (error, height) = dict(separation), tube, tube
+        self.tracking, self.ratio = error, max(1.0, height / error) if error else 1.0
         # Ellipsoid that contains the sum of an ellipsoid and a ball, with the smallest radius
-        wide, high = self.sep["radius"], self.sep["height"]
-        self.sep["height"] = math.sqrt((high**2 + wide * error) * (1.0 + error / wide))
+        wide, high = self.sep["radius"], self.sep["height"] / self.ratio
+        high = math.sqrt((high**2 + wide * error) * (1.0 + error / wide))
+        self.sep["height"] = high * self.ratio
         for key, factor in (("radius", 1.0), ("cable", 2.0), ("crossing", 2.0), ("object", 1.0)):
             self.sep[key] += factor * error
         self.scale = 0.5 / np.array([self.sep["radius"], self.sep["radius"], self.sep["height"]])
@@ -695,7 +726,7 @@ class Plan:
     def _read(self, s: dict[str, Any]) -> None:
         team, self.breaks, self.phases = s["team"], self.file[f"{self.folder}breaks"], s["phases"]
         self.limits, self.arena, label = dict(s["limits"]), s["arena"], self.label
-        self._set_distances(s["separation"], float(self.limits["tracking"] or 0.0))
+        self._set_distances(s["separation"], tube_of(self.limits["tracking"]))
         self.limits["leg"] += 2.0 * self.tracking  # vertices may be off as far as drones
         self.h, self.n = np.diff(self.breaks), int(team.get("robots", 0))
         m, n, self.closed = len(self.h), self.n, team.get("topology") == "closed"
@@ -747,11 +778,12 @@ class Plan:
         """Read masses and thrusts (N, 1) of drones."""
         n, N = self.n, self.N
         kinds = team["quadrotor"]
-        counts = [len(kinds), *(len(team[key]) for key in ("cable_length", "tension") if n)]
+        counts = [len(team[key]) for key in ("cable_length", "tension") if n]
+        counts += [(n or N) if len(kinds) == N else len(kinds)]  # of drones, or of robots
         if {*counts} != {n or N} or (n and len(team["load"]) != n - 1 + self.closed):
             raise ValueError("team has a wrong number of kinds, lengths, tensions or loads")
         self.mass, self.max_thrust = (
-            np.repeat([[float(kind[key])] for kind in kinds], 1 + (n > 0), axis=0)
+            np.repeat([[float(kind[key])] for kind in kinds], N // len(kinds), axis=0)
             for key in ("mass", "max_thrust")
         )
 
@@ -932,7 +964,8 @@ def chapter(p: Plan, pieces: slice, robots: list[int]) -> Plan:
     clasps, topology = (n, "closed") if n > 1 else (0, "open")
     team = p.settings["team"] | {"robots": n, "topology": topology, "load": [0.0] * clasps}
     for key in ("cable_length", "tension", "quadrotor"):
-        team[key] = [team[key][k] for k in robots]
+        by_drone = key == "quadrotor" and len(team[key]) == p.N
+        team[key] = [team[key][k] for k in (ends if by_drone else robots)]
     phases = list[dict[str, Any]]()
     for i in dict.fromkeys(p.phase[pieces].tolist()):
         phase = p.phases[i] | {"ring": None, "waiting": []}
@@ -1027,16 +1060,18 @@ def shift(s: Spans, k: Index) -> Line:
 
     They move by ``√(1 + ¼) r`` and by the effect of σ: ``(coth σ - 1/σ) σ' = (ln √(L² - h²) / s)'``
     s and h within 2 r. Slopes of depths over L are at most ¼, and ``(1/eσ + e^-σ) / 2`` for σ > 1.
+    Errors of h are larger by the ratio, by which heights are divided; σ only moves points upright.
     """
-    L, r = s.plan.length[k, 0], 2.0 * s.plan.tracking
+    L, r, ratio = s.plan.length[k, 0], 2.0 * s.plan.tracking, s.plan.ratio
+    up = r * ratio
 
     def bound(low: Array, high: Array, h: Array) -> Array:
-        whole, flat = (np.sqrt(L**2 - x**2) for x in (h, h + r))
+        whole, flat = (np.sqrt(L**2 - x**2) for x in (h, h + up))
         g = catenary_sigma(flat / (high + r))
         change = np.log(low / (low - r) * whole / flat) / (1.0 / np.tanh(g) - 1.0 / g)
         wide = np.maximum(g, 1.0)
         slope = L * np.minimum(0.25, 0.5 * (np.exp(-1.0) / wide + np.exp(-wide)))
-        return np.asarray((slope + 0.25 * (h + r)) * change + 0.06 * r)
+        return np.asarray((slope + 0.25 * (h + up)) * change / ratio + 0.06 * r)
 
     if not r:
         return s.zero
@@ -1063,6 +1098,9 @@ def drones(p: Plan) -> Iterator[Row]:
         u = s.thrust(i).unit()
         return Line(norm(u.g)[:, None], s.zero.g, u.q / s.t, s.t) * DEGREES
 
+    def to_slab(s: Spans, i: Index, b: int, slab: Slab) -> Line:
+        return slab.gap(s.local(b, s.point(i)), ratio=p.ratio)
+
     def over_slab(s: Spans, i: Index, b: int, slab: Slab) -> Line:
         return slab.below(s.local(b, s.point(i)) * half)
 
@@ -1079,7 +1117,8 @@ def drones(p: Plan) -> Iterator[Row]:
     yield prove(p.arena_row, 0.0, s, lambda s, i: wall_gap(s, [s.point(i)]))
     keep_out = "keep_out m min", sep["radius"]
     for b, slab in [*p.slabs, *p.walls]:
-        yield prove(*keep_out, s, lambda s, i, b=b, slab=slab: slab.gap(s.local(b, s.point(i))))
+        gap = partial(to_slab, b=b, slab=slab)
+        yield prove(*keep_out, s, gap)
     half = 2.0 * p.scale
     for b, slab in [] if p.n else p.slabs:
         if moves(p, p.bodies[b]):
@@ -1099,7 +1138,8 @@ def wall_gap(s: Spans, x: Sequence[Line], depth: Line | float = 0.0, radius: flo
     lower, upper = np.array(arena["lower"]), np.array(arena["upper"])
     error = s.plan.tracking  # except for the floor, on which drones stand
     gaps = [(each - lower)[k] - radius - error for each in x for k in range(2)]
-    gaps += [(-each + upper)[k] - radius * (k < 2) - error for each in x for k in range(3)]
+    gaps += [(-each + upper)[k] - radius - error for each in x for k in range(2)]
+    gaps += [(-each + upper)[2] - error * s.plan.ratio for each in x]
     return minimum(*gaps, *(each[2] - lower[2] - depth for each in x))
 
 
@@ -1146,11 +1186,12 @@ def taut_cables(p: Plan) -> Iterator[Row]:
     for j in np.split(np.arange(len(p.segments)), [int(np.sum(p.leg))]):
         yield prove(p.arena_row, 0.0, p.spans(on, j, names), partial(arena_gap, leg=not j[0]))
     s = p.spans(on, foreign, p.names, names)
-    yield prove(*p.cable_limit, s, lambda s, i, j: distance([s.point(i)], s.segment(j)))
-    yield prove(*p.crossing_limit, pairs, lambda s, i, j: distance(s.segment(i), s.segment(j)))
+    near = partial(distance, ratio=p.ratio)
+    yield prove(*p.cable_limit, s, lambda s, i, j: near([s.point(i)], s.segment(j)))
+    yield prove(*p.crossing_limit, pairs, lambda s, i, j: near(s.segment(i), s.segment(j)))
     speed = "vertex_speed m/s max", lim["vertex_speed"]
     yield prove(*speed, vertices, lambda s, i: s.point(i, 1).norm())
-    yield prove("legs m min", lim["leg"], legs, lambda s, i: s.leg(i).norm())
+    yield prove("legs m min", lim["leg"], legs, lambda s, i: s.leg(i).flat(p.ratio).norm())
     yield prove("cable_length 1 max", 1e-4, cables, length_error)
     yield prove("equilibrium 1 max", 5e-3, clasps, force_residual)
     closed = clasps.select(p.state[clasps.piece] == "hitched")
@@ -1398,10 +1439,22 @@ def free_cables(p: Plan) -> Iterator[Row]:
 
     def to_cable(s: Spans, i: Index, k: Index) -> Line:
         cable, _, sag = catenary_links(s, k)
-        return minimum(*(distance([s.point(i)], x) for x in pairwise(cable))) - sag - shift(s, k)
+        gaps = (distance([s.point(i)], x, p.ratio) for x in pairwise(cable))
+        return minimum(*gaps) - sag - shift(s, k)
+
+    def above_floor(s: Spans, k: Index) -> Line:
+        return (lowest_height(s, k) - p.floor) * (1.0 / p.ratio) - shift(s, k)
 
     def to_hull(s: Spans, i: Index, k: Index) -> Line:
-        return prism_gap([s.point(i)], s.hull(k))
+        return prism_gap([s.point(i)], s.hull(k), p.ratio)
+
+    def chord_share(s: Spans, k: Index) -> Line:
+        """Return chords, longer by errors of both ends, over lengths."""
+        chord = s.q_to_r(k)
+        if p.ratio == 1.0:
+            return (chord.norm() + error) * (1.0 / p.length[k])
+        level, height = chord[:2].norm() + error, chord[2].norm() + error * p.ratio
+        return concatenate(level, height).norm() * (1.0 / p.length[k])
 
     def between_hulls(s: Spans, i: Index, j: Index) -> Line:
         return hull_distance(*([x[:2] for x in s.hull(k)[:-1]] for k in (i, j)))
@@ -1414,14 +1467,15 @@ def free_cables(p: Plan) -> Iterator[Row]:
         return minimum(*(prism_gap([s.point(i)], [*top, *bottom]) for top, bottom in links))
 
     span, error, chord = ("span 1 max", 1.0), 2.0 * p.tracking, Spans.level_chord
-    yield prove(*span, free, lambda s, k: (s.q_to_r(k).norm() + error) * (1.0 / p.length[k]))
+    yield prove(*span, free, chord_share)
     yield prove(*p.crossing_limit, both, lambda s, i, j: distance(chord(s, i), chord(s, j)))
     yield prove(*p.cable_limit, lying, lambda s, i, k: distance([s.point(i)[:2]], chord(s, k)))
-    yield prove(*p.cable_limit, hanging, lambda s, k: lowest_height(s, k) - p.floor - shift(s, k))
+    yield prove(*p.cable_limit, hanging, above_floor)
     # Distances of a point of a cable to both ends sum to at most its length
     s = p.spans(p.free & ~ground, foreign, *ends)
     total = sum(((s.point(s.item[:, 0]) - x).norm() for x in s.ends(s.item[:, 1])), s.zero)
-    s = s.select(total.low < p.length[s.item[:, 1], 0] + 2.0 * (p.sep["cable"] + EXACT_RANGE))
+    reach = (p.sep["cable"] + EXACT_RANGE) * p.ratio
+    s = s.select(total.low < p.length[s.item[:, 1], 0] + 2.0 * reach)
     yield prove(*p.cable_limit, s, to_cable)
     yield prove("cable_loops m min", POS_TOL, s, to_sheet)
     yield prove(*p.crossing_limit, loose, between_hulls)
@@ -1450,7 +1504,9 @@ def laid_cables(p: Plan) -> Iterator[Row]:
         """Return the horizontal distance, or the height of one cable over the other."""
         tops = [maximum(*(x[2] for x in s.ends(i))) for i in (j, k)]
         heights = lowest_height(s, k) - tops[0], lowest_height(s, j) - tops[1]
-        return maximum(distance(s.level_chord(k), s.level_chord(j)), *heights)
+        return maximum(
+            distance(s.level_chord(k), s.level_chord(j)), *(x * (1.0 / p.ratio) for x in heights)
+        )
 
     yield prove("cable_length 1 max", 1e-4, s, length_error)
     pairs = p.spans(laid & ~p.vertical, p.pair[::-1].T, p.cables, p.cables)
@@ -1623,14 +1679,16 @@ def clear_objects(p: Plan, b: int) -> Iterator[Row]:
 
     def hanging_gap(s: Spans, k: Index, slab: Slab) -> Line:
         """Return heights of hanging cables above the body, or horizontal distances of chords."""
-        height = lowest_height(s, k) - p.poses.on(s, b)[2] - slab.upper - shift(s, k)
+        height = (lowest_height(s, k) - p.poses.on(s, b)[2] - slab.upper) * (1.0 / p.ratio)
+        height = height - shift(s, k)
         height = height.where(p.state[s.piece] != "on the ground")
         return maximum(slab.enlarged(0.0, -BIG, BIG).gap(*s.ends(k, b)), height)
 
     def hull_gap(s: Spans, k: Index, slab: Slab) -> Line:
         *outline, lowest = s.hull(k, b)
         tall = slab.enlarged(0.0, -BIG, BIG)
-        return maximum(tall.gap(*outline, outline[0]), lowest[2] - slab.upper)
+        height = (lowest[2] - slab.upper) * (1.0 / p.ratio)
+        return maximum(tall.gap(*outline, outline[0]), height)
 
     def arena_gap(s: Spans, _: Index, slab: Slab) -> Line:
         """Return distances to walls and ceiling; the floor is a contact."""
@@ -1640,11 +1698,12 @@ def clear_objects(p: Plan, b: int) -> Iterator[Row]:
     def other_gap(s: Spans, _: Index, o: int, slab: Slab, block: Slab) -> Line:
         height = s.local(o, s.world(b, UP * slab.lower))[2] - block.upper
         touching = ((height + 2.0 * POS_TOL) * 1e6).where(allowed[s.piece, o])
-        return maximum(body_gap(s, b, slab, s, o, block), touching)
+        return maximum(body_gap(s, b, slab, s, o, block, p.ratio), touching)
 
     ground = -1, Slab(None, BIG, -BIG, p.floor)
     for slab in body.slabs:
-        yield prove(*p.object_limit, off, lambda s, j, slab=slab: slab.gap(*s.segment(j, b)))
+        near = partial(slab.gap, ratio=p.ratio)
+        yield prove(*p.object_limit, off, lambda s, j, near=near: near(*s.segment(j, b)))
         yield prove(*p.object_limit, free, partial(hanging_gap, slab=slab))
         reach = p.object_limit[1] + slab.radius + float(np.max(norm(slab.core))) + EXACT_RANGE
         place = p.poses.on(clasping, b)[:3]
@@ -1674,11 +1733,16 @@ def clear_objects(p: Plan, b: int) -> Iterator[Row]:
     yield prove(header, -WRAP_TOL, s, lambda s, i: s.point(i)[2] - p.floor)
 
 
-def body_gap(s: Spans, b: int, slab: Slab, t: Spans, o: int, block: Slab) -> Line:
-    """Return the distance of a slab of body b of spans s to a block of body o of spans t."""
+def body_gap(
+    s: Spans, b: int, slab: Slab, t: Spans, o: int, block: Slab, ratio: float = 1.0
+) -> Line:
+    """Return the distance of a slab of body b of spans s to a block of body o of spans t.
+
+    Heights are divided by a ratio.
+    """
     ring = [t.local(o, s.world(b, np.append(x, slab.lower))) for x in (*slab.core, slab.core[0])]
     lower = block.lower - slab.upper + slab.lower
-    return block.enlarged(slab.radius, lower, block.upper).gap(*ring)
+    return block.enlarged(slab.radius, lower, block.upper).gap(*ring, ratio=ratio)
 
 
 def allowed_contacts(p: Plan, b: int) -> Mask:
@@ -1811,12 +1875,14 @@ class Pair(Plan):
     Items of its spans are pairs of items. Minimum distances are the largest of all teams.
     """
 
-    def __init__(self, p: Plan, q: Plan, separation: dict[str, float], error: float) -> None:
+    def __init__(
+        self, p: Plan, q: Plan, separation: dict[str, float], tube: tuple[float, float]
+    ) -> None:
         self.plans, self.size = (p, q), max(p.size, q.size)
         breaks = np.concatenate([p.breaks, q.breaks])
         self.breaks = np.unique(breaks.clip(max(p.start, q.start), min(p.stop, q.stop)))
         self.h = np.diff(self.breaks)
-        self._set_distances(separation, error)
+        self._set_distances(separation, tube)
 
     def pieces(self, time: Array) -> Iterator[Items]:
         """Yield pieces of each plan at times (m,), the first or last one beyond its duration."""
@@ -1869,17 +1935,18 @@ def between_plans(pair: Pair) -> Iterator[Row]:
         """Return the distance over half an ellipsoid, large for cables above the drone."""
         drone, cable = (a[0], b) if len(a) == 1 else (b[0], a)
         rise = minimum(*(x[2] for x in cable)) - drone[2]
-        scaled = distance(*([x * (2.0 * pair.scale) for x in c] for c in ([drone], cable)))
+        one, other = ([x * (2.0 * pair.scale) for x in c] for c in ([drone], cable))
+        scaled = distance(one, other)
         return scaled.unless(rise)
 
     def gap(s: Spans, *items: Index, of: Sequence[Solid], measure: Callable[..., Line]) -> Line:
         return measure(*(x[2](t, k) for x, t, k in zip(of, pair.both(s), items, strict=True)))
 
     for (i, one), (j, two) in product(*(enumerate(solids(p)) for p in pair.plans)):
-        measure: Callable[..., Line] = prism_gap if max(i, j) > 1 else distance
+        measure = partial(prism_gap if max(i, j) > 1 else distance, ratio=pair.ratio)
         limit, s = pair.cable_limit if 0 in (i, j) else pair.crossing_limit, pair.items(one, two)
         if i == j == 0:
-            measure, limit = ratio, ("separation ratio min", 1.0)
+            measure, limit = partial(ratio), ("separation ratio min", 1.0)
         if (i, j) == (1, 3):
             for run, edges, *_ in contacts:
                 s = s.select(~(run[s.piece] & np.isin(s.item[:, 0], 2 * p.n + edges)))
@@ -1913,9 +1980,10 @@ def object_distances(pair: Pair) -> Iterator[Row]:
         mine, theirs = pair.both(s)
         points = [theirs.local(b, x) for x in corners(mine, i[0])]
         if len(points) < 5:
-            return slab.gap(*points[:2])
+            return slab.gap(*points[:2], ratio=pair.ratio)
         *outline, lowest = points
-        return maximum(slab.gap(*outline, outline[0]), lowest[2] - top[b])
+        height = (lowest[2] - top[b]) * (1.0 / pair.ratio)
+        return maximum(slab.gap(*outline, outline[0], ratio=pair.ratio), height)
 
     def height_ratio(s: Spans, i: Index, _: Index, b: int, slab: Slab) -> Line:
         mine, theirs = pair.both(s)
@@ -1923,7 +1991,7 @@ def object_distances(pair: Pair) -> Iterator[Row]:
 
     def object_gap(s: Spans, *_: Index, b: int, slab: Slab, o: int, block: Slab) -> Line:
         mine, theirs = pair.both(s)
-        return body_gap(mine, o, block, theirs, b, slab)
+        return body_gap(mine, o, block, theirs, b, slab, pair.ratio)
 
     top = [max(slab.upper for slab in body.slabs) for body in q.bodies]
     cable_limit = pair.object_limit[0], pair.object_limit[1] + pair.tracking  # objects err too
@@ -2285,7 +2353,8 @@ def verify(path: str | Path) -> Iterator[Row]:
         rests = (row for p in (*own, *others) for row in jumps(p, rests=True))
         rows += (row for row in rests if row.name == "continuity")
     parts, besides = ([x for p in plans for x in chain(*p.chapters)] for plans in (own, others))
-    keys, off = own[0].settings["separation"], max(p.tracking for p in own)
+    keys = own[0].settings["separation"]
+    off = max(p.tube[0] for p in own), max(p.tube[1] for p in own)
     wide = {key: max(p.settings["separation"][key] for p in own) for key in keys}
     for p, q in combinations([*parts, *besides], 2):
         if p in parts and max(p.start, q.start) < min(p.stop, q.stop):

@@ -39,7 +39,7 @@ from hitchopt.checks.objects import placed_corners
 from hitchopt.checks.ring_change import vertical_passes
 from hitchopt.checks.rule import CheckRule, WorstCase
 from hitchopt.checks.spans import ROUNDING, cable_names, cable_parts, cached, magnitude
-from hitchopt.checks.tracking import Ellipsoid
+from hitchopt.checks.tracking import Ellipsoid, ellipsoid_axes
 from hitchopt.hitch.pairs import DISTANCES
 from hitchopt.hitch.requirements import Separation
 from hitchopt.motion.combined import moved_objects, same_object
@@ -289,7 +289,9 @@ def check_across(rule: CheckRule, motion: Motion) -> Check | None:
     if rule.name not in ACROSS:
         return None
     pairs, limit = ACROSS[rule.name], DISTANCES[rule.name].limit(motion.requirements.separation)
-    evaluate = nearest(lambda whole: (each for run in runs(whole) for each in pairs(run)))
+    evaluate = nearest(
+        lambda whole: (each for run in runs(whole) for each in pairs(run)), scaled=rule.unit != "m"
+    )
     worst = evaluate(motion, limit)
     return None if math.isinf(worst.worst) else worst.check(rule, limit)
 
@@ -297,16 +299,17 @@ def check_across(rule: CheckRule, motion: Motion) -> Check | None:
 def radius_across(motion: Motion, checks: Iterable[Check | None], gamma: float) -> WorstCase:
     """Return the largest tracking error with which groups keep their distances [m]."""
     terms, ratio = [WorstCase(math.inf, 0.0)], max(1.0, gamma)
-    smallest_axis = 0.5 / float(np.max(motion.requirements.separation.scale))  # [m]
+    axes, height_ratio = ellipsoid_axes(motion.requirements), motion.requirements.height_ratio
+    smallest_axis = 0.5 * float(np.min(axes))  # [m]
     for check in filter(None, checks):
         if check.name in DISTANCES and check.name != "separation":  # drones: below, exactly
             slack = max(check.bound - check.number, 0.0) / DISTANCES[check.name].approach(ratio)
             slack *= smallest_axis if check.unit == "ratio" else 1.0
             terms.append(WorstCase(slack, check.time, check.where))
     tightest = min(terms, key=lambda term: term.worst)
-    shape = Ellipsoid(1.0 / motion.requirements.separation.scale)
     for run in runs(motion):
-        moving = run.moving(run.first.drones, run.second.drones, shape=shape)
+        moving = run.moving(run.first.drones, run.second.drones).flattened(height_ratio)
+        moving = replace(moving, shape=Ellipsoid(axes))
         pair = smallest(moving, incumbent=2.0 * tightest.worst)
         radius = max(0.5 * pair.worst, 0.0)
         if pair.item >= 0 and radius < tightest.worst:

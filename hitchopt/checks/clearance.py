@@ -113,6 +113,11 @@ class Solid(Shape):
             reach = reach + self.rounding * np.linalg.norm(directions[..., :2], axis=-1)
         return reach
 
+    def flattened(self, ratio: float) -> Solid:
+        """Return the slab with heights divided by a ratio."""
+        lower, upper = self.slab.lower / ratio, self.slab.upper / ratio
+        return replace(self, slab=replace(self.slab, lower=lower, upper=upper))
+
     def normals(self, corners: Array) -> Array:
         """Return outward normals (…, 3) nearest to bodies with corners (…, 1, 2 or 2 m, 3)."""
         if self.rounding is not None:
@@ -309,6 +314,9 @@ def chain_distance(spans: PairSpans, shape: Shape | None = None) -> Bound:
     (ends, point), shape = spans.ends, shape or spans.source.shape
     points, errors = chains(ends[:, 0], ends[:, 1], spans.lengths)
     offsets = points - point  # (spans, links + 1, 3, degree + 1)
+    if (ratio := spans.source.height_ratio) != 1.0:
+        offsets[:, :, 2] /= ratio
+        shape = shape.flattened(ratio)
     middle = Enclosed(offsets).middle
     along = shape.normals(np.stack([middle[:, :-1], middle[:, 1:]], axis=2))
     first, last = (np.einsum("sld,sldi->sli", along, c) for c in (offsets[:, :-1], offsets[:, 1:]))
@@ -325,13 +333,17 @@ def above_ground(motion: Motion) -> bool:
 
 
 def approach_of(motion: Motion) -> Callable[[float], float]:
-    """Return the approach of drones and hanging cables [m] as a function of tracking errors [m]."""
+    """Return the approach of drones and hanging cables [m] as a function of tracking errors [m].
+
+    Heights are divided by ``Requirements.height_ratio``.
+    """
     ends, L = cable_ends(split_long_pieces(motion.drones).coefficients), motion.team.cable_length
     offset = Enclosed(ends[:, :, 1] - ends[:, :, 0])
     across, height = offset.xy.norm_range, offset[2].norm_upper.value
+    ratio = motion.requirements.height_ratio
 
     def approach(radius: float) -> float:
-        shift = displacement_bound((across.low, across.high), height, L, radius)
+        shift = displacement_bound((across.low, across.high), height, L, radius, ratio)
         return radius + float(np.max(shift))
 
     return approach
@@ -563,6 +575,7 @@ def _wall_gap(spans: MotionSpans, x: Array, lowered: Array | float, reach: float
     above[..., 2, :] -= np.asarray(lowered)[..., None]
     for wall in (above, below):
         wall[..., :2, :] -= reach
+        wall[..., 2, :] /= spans.source.requirements.height_ratio
     inside = np.concatenate([above, below], axis=2).reshape(len(x), -1, x.shape[-1])
     size = magnitude(spans.source) + float(np.max(np.abs([arena.lower, arena.upper])))
     return Enclosed(np.min(inside, axis=1, keepdims=True), ROUNDING * size).lower

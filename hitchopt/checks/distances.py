@@ -72,6 +72,10 @@ class Shape(Protocol):
         """Return the support function (…) [m] along directions (…, 3)."""
         return np.zeros(directions.shape[:-1])
 
+    def flattened(self, ratio: float) -> Shape:  # noqa: ARG002
+        """Return the body with heights divided by a ratio; by default, no height matters."""
+        return self
+
 
 class Origin(Shape):
     """The origin: distances of bodies are those of their Minkowski difference from it."""
@@ -92,6 +96,10 @@ class Ground(Shape):
         x, y, z = np.moveaxis(directions, -1, 0)
         down, up = np.maximum(-z, 0.0), np.maximum(z, 0.0)
         return np.asarray(UNBOUNDED * (np.abs(x) + np.abs(y) + down) + self.height * up)
+
+    def flattened(self, ratio: float) -> Ground:
+        """Return the half-space with heights divided by a ratio."""
+        return Ground(self.height / ratio)
 
 
 @dataclass(frozen=True)
@@ -177,6 +185,8 @@ class Moving:
     formula: Callable[[PairSpans], Bound] = gap  # bound of the distance of pairs
     # tightness of bounds of distances [m]; None if the limit determines it
     tolerance: float | None = None
+    # by which the formula divides heights of hanging cables and their shape; see ``flattened``
+    height_ratio: float = 1.0
 
     @classmethod
     def of(
@@ -213,6 +223,18 @@ class Moving:
         values = {"names": (first.names, other.names)} | options
         off = position_margin(motion) if margin is None else margin
         return cls(motion.drones.breaks, a, b[0] if b else None, off, **values)
+
+    def flattened(self, ratio: float) -> Moving:
+        """Return the bodies with heights divided by a ratio.
+
+        Corners of hanging cables are not changed: their shape follows from these and their lengths.
+        """
+        if ratio == 1.0 or self.lengths is not None:
+            return self if ratio == 1.0 else replace(self, height_ratio=ratio)
+        scale = np.array([1.0, 1.0, 1.0 / ratio])[:, None]
+        second = None if self.second is None else self.second * scale
+        shape = self.shape.flattened(ratio)
+        return replace(self, first=self.first * scale, second=second, shape=shape)
 
     def pair_names(self, item: int) -> tuple[str, ...]:
         """Return the names of a pair."""
@@ -255,12 +277,17 @@ class Moving:
             # No cable hangs deeper than one that leads straight down and up again.
             ends = np.sum(np.min((self.first - drift)[:, :, :, 2], axis=-1), axis=-1)
             own[0, 2] = np.minimum(own[0, 2], 0.5 * (ends - self.lengths))
-        return own, own if self.second is None else _boxes(self.second - drift)
+        both = own, own if self.second is None else _boxes(self.second - drift)
+        if self.height_ratio != 1.0:
+            for each in both[: 1 + (self.second is not None)]:
+                each[:, 2] /= self.height_ratio
+        return both
 
     @property
     def extent(self) -> Array:
         """Lower and upper corner (2, 3) [m] of the shape's bounding box."""
-        return np.stack([-self.shape.support(-np.eye(3)), self.shape.support(np.eye(3))])
+        shape = self.shape.flattened(self.height_ratio)
+        return np.stack([-shape.support(-np.eye(3)), shape.support(np.eye(3))])
 
     def gaps(self, pairs: Pairs) -> Array:
         """Return lower bounds (pieces, pairs) [m] of distances, from the boxes of pairs."""
@@ -389,13 +416,19 @@ def smallest(moving: Moving, **options: float) -> Extremum:
     return search.finish()
 
 
-def nearest(cases: Callable[[Motion], Iterable[Moving]]) -> Callable[[Motion, float], WorstCase]:
-    """Return a function that evaluates the smallest distance over several cases of bodies."""
+def nearest(
+    cases: Callable[[Motion], Iterable[Moving]], *, scaled: bool = False
+) -> Callable[[Motion, float], WorstCase]:
+    """Return a function that evaluates the smallest distance over several cases of bodies.
+
+    Heights are divided by ``Requirements.height_ratio``, except in ``scaled`` coordinates.
+    """
 
     def evaluate(motion: Motion, limit: float) -> WorstCase:
         size = magnitude(motion)
         target, best = with_tolerance(limit, "min", size, 0.5), WorstCase(math.inf, 0.0, size=size)
-        for moving in cases(motion):
+        ratio = 1.0 if scaled else motion.requirements.height_ratio
+        for moving in (each.flattened(ratio) for each in cases(motion)):
             tolerance = moving.tolerance
             if tolerance is None:
                 pair = smallest(moving, target=target, incumbent=best.worst)
@@ -473,7 +506,7 @@ def scaled_drones(motion: Motion, drones: PiecewisePolynomial) -> Moving:
     return Moving(drones.breaks, points, margin=margin, names=(names, names))
 
 
-_DRONE_DISTANCE = nearest(lambda motion: [scaled_drones(motion, motion.drones)])
+_DRONE_DISTANCE = nearest(lambda motion: [scaled_drones(motion, motion.drones)], scaled=True)
 
 SEPARATION = CheckRule(
     "separation",

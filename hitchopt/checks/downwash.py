@@ -105,7 +105,7 @@ DOWNWASH = CheckRule(
     "ratio",
     "min",
     _limit,
-    (Evaluator(nearest(_drones_above_objects), exported=True, formulas=(below,)),),
+    (Evaluator(nearest(_drones_above_objects, scaled=True), exported=True, formulas=(below,)),),
     "fly higher over what the downwash would move, or beside it, or lower separation.height",
 )
 """Lower halves of drones' ellipsoids meet no object that they would move, and no taut cable of

@@ -400,8 +400,14 @@ class Legs(MotionSpans):
 
 
 def _length(spans: Legs) -> Bound:
-    """Return the length of ``q_k - p_k`` or ``r_k - p_{k+1}`` [m]; infinite at a chain's ends."""
-    lengths = Enclosed(spans.read(leg_vectors(spans.source)), spans.noise).norm_lower
+    """Return the length of ``q_k - p_k`` or ``r_k - p_{k+1}`` [m]; infinite at a chain's ends.
+
+    Heights are divided by ``Requirements.height_ratio``.
+    """
+    legs, ratio = spans.read(leg_vectors(spans.source)), spans.source.requirements.height_ratio
+    if ratio != 1.0:
+        legs = legs * np.array([1.0, 1.0, 1.0 / ratio])[:, None]
+    lengths = Enclosed(legs, spans.noise).norm_lower
     exists = spans.source.team.layout.has_leg.ravel()[spans.item]
     return Bound(np.where(exists, lengths.value, np.inf), lengths.x)
 

@@ -118,7 +118,11 @@ def certify(
                 continue
             values = [_label(own[report.name], parts[part]) for part, own in alone.items()]
             for chapter, found in across.items():
-                radius = radius_across(chapter, found.values(), gamma)
+                flat = tracking.flattened(chapter)
+                between = (
+                    found if flat is chapter else {x: _across(RULE_OF[x], flat) for x in found}
+                )
+                radius = radius_across(flat, between.values(), gamma)
                 values.append(radius.check(report, report.limit(chapter), gamma))
             checks.append(worst_of(values))
     return _stored(motion, checks)

@@ -6,6 +6,10 @@ straight between them. For two drones, it is half the shortest shift of their of
 their ellipsoids touch; for other bodies, the slack of checks divided by the approach of both. A
 hanging cable moves with its ends, and its depth changes.
 
+If ``limits.tracking`` has a larger height than level, errors are within an ellipsoid with radius r
+and the same ratio of height and radius. Heights are divided by this ratio in all distances. That
+makes the ellipsoid a ball and lengthens no distance, so all of the above applies.
+
 ``limits.tracking``, if stated, is the limit; then the distances of cables and carried objects from
 other objects count, too.
 
@@ -23,12 +27,20 @@ from functools import partial
 import numpy as np
 
 from hitchopt.checks.certificate import Check
-from hitchopt.checks.clearance import CABLE_CLEARANCE, approach_of, drone_wall_gap
-from hitchopt.checks.distances import Moving, smallest
-from hitchopt.checks.drones import Drones
+from hitchopt.checks.clearance import (
+    ARENA,
+    CABLE_CLEARANCE,
+    KEEP_OUT,
+    OBJECT_CLEARANCE,
+    approach_of,
+    drone_wall_gap,
+)
+from hitchopt.checks.distances import CROSSING, Moving, Shape, smallest
+from hitchopt.checks.drones import LEGS, Drones
 from hitchopt.checks.rule import ReportRule, SpanResult, SpanResults, WorstCase
 from hitchopt.checks.spans import ROUNDING, cable_names, phase_parts
 from hitchopt.geometry.vectors import unit
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, Motion
 from hitchopt.trajectory.enclosed import Bound
 from hitchopt.trajectory.search import worst
@@ -36,17 +48,31 @@ from hitchopt.values import Array
 
 GAMMA = 1.0  # default ratio of vertex errors to drone errors
 HANGING_CHECKS = ("cable_clearance", "object_clearance")  # distances of cables that hang
+RULES = (CABLE_CLEARANCE, CROSSING, LEGS, ARENA, KEEP_OUT, OBJECT_CLEARANCE)  # of distances
 HALVINGS = 40  # bisection steps for the radius of hanging cables
 NEWTON = 12  # iterations for the nearest point; an inexact normal only costs tightness
 
 
+def flattened(motion: Motion) -> Motion:
+    """Return the motion with requirements whose heights the stated tracking errors divide."""
+    requirements = motion.requirements
+    if (ratio := requirements.limits.tube.ratio) == requirements.height_ratio:
+        return motion
+    return motion.replaced(requirements=replace(requirements, height_ratio=ratio))
+
+
 def _radius(motion: Motion, results: SpanResults, gamma: float) -> WorstCase:
     """Return the radius [m]; infinite if no distance is checked."""
+    if (flat := flattened(motion)) is not motion:
+        again = {
+            rule.name: rule.span_results(flat) for rule in RULES if rule.limit_of(flat) is not None
+        }
+        motion, results = flat, {**results, **again}
     ratio, terms = max(1.0, gamma), [WorstCase(math.inf, 0.0)]
     # Approach of bodies per radius, with a hitch and without.
     approach = {"cable_clearance": (1.0 + ratio, 2.0), "crossing": (2.0 * ratio, 2.0)}
     approach |= {"legs": (1.0 + gamma, 1.0), "arena": (ratio, 1.0), "keep_out": (1.0, 1.0)}
-    if motion.requirements.limits.tracking:
+    if motion.requirements.limits.tube.level:
         approach["object_clearance"] = (ratio, ratio)
     for name, factors in approach.items():
         for each in results[name]:
@@ -58,8 +84,8 @@ def _radius(motion: Motion, results: SpanResults, gamma: float) -> WorstCase:
         wall = worst(Drones.of(motion), partial(drone_wall_gap, on_floor=False), "min")
         where = (motion.team.drone_names[wall.item],)
         terms.append(WorstCase(max(wall.worst, 0.0), wall.time, where))
-    for span in motion.spans(FREE_STATES):  # half of the excess length
-        tightest = worst(Drones.of(span), _excess_length, "min")
+    for span in motion.spans(FREE_STATES):
+        tightest = worst(Drones.of(span), _excess, "min")
         cable = cable_names(span)[tightest.item // 2]
         terms.append(WorstCase(max(0.5 * tightest.worst, 0.0), tightest.time, (cable,)))
     for check, span in _hanging_spans(motion, results):
@@ -75,7 +101,7 @@ def _hanging_spans(motion: Motion, results: SpanResults) -> Iterator[tuple[Check
 
     In some phases they hang close to obstacles, in others they move farther with their ends.
     """
-    limited = bool(motion.requirements.limits.tracking)
+    limited = bool(motion.requirements.limits.tube.level)
     for name in HANGING_CHECKS if limited else HANGING_CHECKS[:1]:
         hanging = [each for each in results[name] if _is_hanging(each)]
         spans = motion.spans(hanging[0].states) if hanging else ()
@@ -97,10 +123,20 @@ def _is_hanging(result: SpanResult) -> bool:
     return result.states.isdisjoint(HITCHED_STATE) and result.states != {CableState.GROUND}
 
 
-def _excess_length(spans: Drones) -> Bound:
-    """Return the excess length of cables over their chords [m]."""
-    chord = spans.partner.norm_upper
-    return Bound(spans.length - chord.value, chord.x)
+def _excess(spans: Drones) -> Bound:
+    """Return twice the radius [m] at which chords may be as long as cables: the excess length.
+
+    If errors are larger upright, chords grow by 2r horizontally and by ``2r ratio`` upright.
+    """
+    chord, ratio = spans.partner.norm_upper, spans.source.requirements.height_ratio
+    excess = spans.length - chord.value
+    if ratio == 1.0:
+        return Bound(excess, chord.x)
+    across, height = spans.partner.xy.norm_upper.value, spans.partner[2].norm_upper.value
+    a, b = 1.0 + ratio**2, across + ratio * height
+    c = np.maximum(spans.length**2 - across**2 - height**2, 0.0)
+    by_axes = c / (b + np.sqrt(b * b + a * c))
+    return Bound(np.maximum(by_axes, excess / ratio), chord.x)
 
 
 def _hanging_radius(span: Motion, check: Check) -> float:
@@ -121,12 +157,13 @@ def _pair_radius(motion: Motion, check: Check, term: WorstCase) -> WorstCase:
     For a ratio s, the smallest semi-axis times s - 1 is a lower bound: if it suffices, no pair is
     evaluated.
     """
-    separation, names = motion.requirements.separation, motion.team.drone_names
-    lower = max(min(separation.radius, separation.height) * (check.bound - 1.0), 0.0)
+    axes, names = ellipsoid_axes(motion.requirements), motion.team.drone_names
+    lower = max(0.5 * float(np.min(axes)) * (check.bound - 1.0), 0.0)
     if term.worst <= lower:
         return term
-    points, shape = motion.drones.coefficients[:, :, None], Ellipsoid(1.0 / separation.scale)
-    moving = Moving.of(motion, points, shape=shape, names=(names, names))
+    points = motion.drones.coefficients[:, :, None]
+    moving = Moving.of(motion, points, names=(names, names))
+    moving = replace(moving.flattened(motion.requirements.height_ratio), shape=Ellipsoid(axes))
     pair = smallest(moving, incumbent=2.0 * term.worst)
     radius = max(0.5 * pair.worst, lower)
     if radius >= term.worst or pair.item < 0:
@@ -134,8 +171,14 @@ def _pair_radius(motion: Motion, check: Check, term: WorstCase) -> WorstCase:
     return WorstCase(radius, pair.time, moving.pair_names(pair.item))
 
 
+def ellipsoid_axes(requirements: Requirements) -> Array:
+    """Return twice the semi-axes (3,) [m] of drones' ellipsoids, heights divided by their ratio."""
+    axes: Array = 1.0 / requirements.separation.scale
+    return axes * [1.0, 1.0, 1.0 / requirements.height_ratio]
+
+
 @dataclass(frozen=True, eq=False)
-class Ellipsoid:
+class Ellipsoid(Shape):
     """Ellipsoid of the offsets at which two drones' ellipsoids touch, with twice their semi-axes.
 
     Its semi-axes are ``axes`` (3,) [m], the first two equal.
@@ -169,7 +212,7 @@ TRACKING_RADIUS = ReportRule(
     "m",
     "min",
     _radius,
-    limit=lambda motion: motion.requirements.limits.tracking or None,
+    limit=lambda motion: motion.requirements.limits.tube.level or None,
     remedy="give cables or polygons more room, stiffer gains, or lower limits.tracking",
     free_remedy="place the robots farther apart, give stiffer gains, or lower limits.tracking",
 )

@@ -152,8 +152,9 @@ def _plan(
 
 def _show_models(team: ho.Team) -> None:
     """Report the models of a team's drones, and the tensions of their cables."""
-    for kind in sorted({kind for kind in team.quadrotor if kind.model}, key=repr):
-        robots = [each == kind for each in team.quadrotor]
+    kinds = [kind.uncalibrated for kind in team.kinds]
+    for kind in sorted({kind for kind in kinds if kind.model}, key=repr):
+        robots = sorted({i // 2 for i, each in enumerate(kinds) if each == kind})
         pulls = span_text(team.tension[robots], ".3g") if team.has_cables else ""
         limit, binding = kind.usual_pull
         cables = f"; cables pull {pulls} N, of {limit:.3g} N held level by {binding}"

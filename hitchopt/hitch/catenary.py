@@ -73,7 +73,11 @@ the point's shares of their horizontal and vertical motion differ by up to one h
 
 
 def displacement_bound(
-    across: tuple[Array, Array], rise: Array, length: ArrayLike, radius: float
+    across: tuple[Array, Array],
+    rise: Array,
+    length: ArrayLike,
+    radius: float,
+    height_ratio: float = 1.0,
 ) -> Array:
     """Return upper bounds (…) [m] of displacements of cable points if ends move by a radius [m].
 
@@ -82,12 +86,16 @@ def displacement_bound(
     unit. This change follows from ``(coth σ - 1/σ) dσ = d ln(Λ/s)``, where s and h change by at
     most 2r. The bound is infinite for cables that may be nearly taut.
 
+    With a ``height_ratio``, ends move that many times farther upright, and heights of displacements
+    are divided by it. A change of σ moves points upright.
+
     Parameters
     ----------
     across: smallest and largest s (…) [m].
     rise: largest |h| (…) [m].
     """
-    closer, higher, L = across[0] - 2.0 * radius, rise + 2.0 * radius, np.asarray(length)
+    closer, L = across[0] - 2.0 * radius, np.asarray(length)
+    higher = rise + 2.0 * radius * height_ratio
     unbounded = (closer <= 0.0) | (higher >= L)
     low, closer = np.where(unbounded, 1.0, across[0]), np.where(unbounded, 1.0, closer)
     higher = np.where(unbounded, 0.0, higher)
@@ -97,7 +105,7 @@ def displacement_bound(
     ratio = ratio + np.log(level_length(np.minimum(rise, higher), L) / level_length(higher, L))
     flattest = np.maximum(flattest, SERIES_LIMIT)
     sigma_change = ratio / (1.0 / np.tanh(flattest) - 1.0 / flattest)
-    rate = L * depth_rate(flattest) + 0.25 * higher
+    rate = (L * depth_rate(flattest) + 0.25 * higher) / height_ratio
     bound: Array = np.where(unbounded, np.inf, SHIFT_RATIO * radius + rate * sigma_change)
     return bound
 
@@ -141,12 +149,16 @@ class Catenary:
             self.sigma > SERIES_LIMIT, np.clip(mu, -1.0, 1.0), 2.0 * np.asarray(share) - 1.0
         )
 
-    def extra_displacement(self, off: float) -> Array:
-        """Return bounds (…) [m] of displacements of points beyond ``off``, that of both ends."""
+    def extra_displacement(self, off: float, height_ratio: float = 1.0) -> Array:
+        """Return bounds (…) [m] of displacements of points beyond ``off``, that of both ends.
+
+        ``height_ratio`` is that of ``displacement_bound``.
+        """
         if not off:
             return np.zeros(self.across.shape)
         across = self.across, self.across
-        return displacement_bound(across, np.abs(self.rise), self.length, off) - off
+        rise = np.abs(self.rise)
+        return displacement_bound(across, rise, self.length, off, height_ratio) - off
 
     @property
     def lowest(self) -> Array:

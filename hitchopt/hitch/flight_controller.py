@@ -13,13 +13,21 @@ with simulated cables.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, NamedTuple
 
 from hitchopt.errors import InputError, OneLine
 from hitchopt.values import check_choice, form_of, units
-from hitchopt.values.fields import Key, Kind, Record, documented, mapping_of, one_or_each
+from hitchopt.values.fields import (
+    Key,
+    Kind,
+    Record,
+    documented,
+    either,
+    mapping_of,
+    one_or_each,
+)
 
 Pair = tuple[float, float]
 """One horizontal value (x and y) and one vertical value (z)."""
@@ -39,6 +47,10 @@ PULL_TIME = 0.02
 A drone of 132 g under 0.4 N appears to move against the pull at 6 cm/s: 5 to 7, depending on the
 time from predictions to frames."""
 
+RECORDED_TUBE = (0.08, 0.20)
+"""[m] Level and height of the tube that recorded drones reached: with full setpoints at rest, and
+before their thrust was calibrated."""
+
 TRACKING_EXPONENT = 0.6
 """Exponent of tracking error by stiffness: 22, 11 and 5 cm at 3.0, 10.2 and 36/s²."""
 
@@ -57,6 +69,68 @@ def _pair(quantity: Kind) -> Kind:
 
     return replace(both, check=check)
 
+
+@documented
+@dataclass(frozen=True)
+class Tube(Record):
+    """Tracking errors of a drone: it is within an ellipsoid about its planned place.
+
+    The ellipsoid has the semi-axes ``level``, horizontally, and ``height``. A height below the
+    level counts as the level: the ellipsoid is then a ball.
+
+    Raises
+    ------
+    InputError: a number out of its range, or a height with a level of zero.
+    """
+
+    level: Annotated[float, Key(units.DISTANCE, "Largest horizontal error")]
+    height: Annotated[float, Key(units.DISTANCE, "Largest vertical error")]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.height > 0.0 and self.level == 0.0:
+            bound = f"greater than 0 with a height of {self.height:g} m"
+            raise InputError("level", self.level, bound, "give a horizontal error, too")
+
+    @classmethod
+    def of(cls, tracking: float | Tube | None) -> Tube:
+        """Return the tube of a tracking error: a ball for a number, nothing for None."""
+        if isinstance(tracking, Tube):
+            return tracking
+        return cls(tracking or 0.0, tracking or 0.0)
+
+    @classmethod
+    def enclosing(cls, tubes: Iterable[Tube]) -> Tube | None:
+        """Return the smallest tube that contains all of some tubes; None without any."""
+        sizes = [(tube.level, tube.height) for tube in tubes]
+        return cls(*map(max, zip(*sizes, strict=True))) if sizes else None
+
+    @property
+    def ratio(self) -> float:
+        """Height over level, at least 1.
+
+        Where heights are divided by it, the tube is a ball, and no distance is longer: if distances
+        are kept there despite errors within the ball, they are kept despite errors in the tube.
+        """
+        return max(1.0, self.height / self.level) if self.level else 1.0
+
+    @property
+    def largest(self) -> float:
+        """Largest error in any direction [m]."""
+        return max(self.level, self.height)
+
+    @property
+    def tracking(self) -> float | Tube:
+        """The tracking error as in files: a number for a ball, else the tube."""
+        return self.level if self.height == self.level else self
+
+    def __str__(self) -> str:
+        size = f"{self.level:.3g} m"
+        return size if self.height == self.level else f"{size} level, {self.height:.3g} m upright"
+
+
+TRACKING = either(units.DISTANCE, mapping_of(Tube))
+"""Tracking errors in files: a number, or level and height."""
 
 GAIN = float | Pair | None
 

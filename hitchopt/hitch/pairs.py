@@ -14,7 +14,7 @@ import numpy as np
 
 from hitchopt.geometry.broadphase import Boxes, few_close_pairs
 from hitchopt.geometry.vectors import dot
-from hitchopt.hitch.requirements import Separation
+from hitchopt.hitch.requirements import Requirements, Separation
 from hitchopt.hitch.team import Layout
 from hitchopt.values import Array, Indices
 
@@ -92,9 +92,10 @@ def limits_of(separation: Separation) -> Array:
     return np.array([2.0 * separation.radius, separation.cable, separation.crossing])
 
 
-def scales_of(separation: Separation) -> Array:
+def scales_of(requirements: Requirements) -> Array:
     """Return the scale factors (3, 3) of the axes in distances, by kind of pairs."""
-    scales = np.ones((3, 3))
+    scales, separation = np.ones((3, 3)), requirements.separation
+    scales[:, 2] = 1.0 / requirements.height_ratio
     scales[SEPARATION, 2] = separation.radius / separation.height
     return scales
 

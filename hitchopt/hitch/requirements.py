@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from hitchopt.errors import InputError, OneLine
 from hitchopt.geometry import ConvexPolygon
+from hitchopt.hitch.flight_controller import TRACKING, Tube
 from hitchopt.hitch.team import Team
 from hitchopt.objects import Clearance, Section, Slab, SolidObject
 from hitchopt.values import Array, check_instance, sequence, units
@@ -73,11 +74,11 @@ class Limits(OneLine):
         ),
     ] = 1.0
     tracking: Annotated[
-        float | None,
+        float | Tube | None,
         Key(
-            units.DISTANCE,
-            "How far all drones may be off at once, every distance kept; null: as far as the "
-            "team's named flight controllers need",
+            TRACKING,
+            "How far all drones may be off at once, every distance kept, a number, or level and "
+            "height; null: as far as the team's calibrated drones or named flight controllers need",
         ),
     ] = None
     tilt_deg: InitVar[float | None] = field(default=InDegrees("tilt"), kw_only=True)
@@ -85,6 +86,11 @@ class Limits(OneLine):
 
     def __post_init__(self, tilt_deg: float | None, body_rate_deg: float | None) -> None:
         store_with_degrees(self, tilt=tilt_deg, body_rate=body_rate_deg)
+
+    @property
+    def tube(self) -> Tube:
+        """The tracking error; zero if it is not limited."""
+        return Tube.of(self.tracking)
 
     @property
     def with_reserve(self) -> Limits:
@@ -121,14 +127,16 @@ class Separation(Record):
         across, upward = 0.5 / self.radius, 0.5 / self.height
         return np.array([across, across, upward])
 
-    def widened(self, off: float) -> Separation:
+    def widened(self, off: float, ratio: float = 1.0) -> Separation:
         """Return distances that ensure these if drones and vertices have errors of up to ``off``.
 
-        The ellipsoid contains the Minkowski sum of this one and a ball of radius ``off`` [m]. Its
-        squared semi-axes are a² (1 + off/radius) + off² (1 + radius/off), so that its radius is
-        radius + off.
+        The ellipsoid contains the Minkowski sum of this one and an ellipsoid with semi-axes ``off``
+        and ``ratio`` times as much upright [m]. Its squared semi-axes are a² (1 + off/radius) +
+        b² (1 + radius/off) for semi-axes a and b, so that its radius is radius + off. Other
+        distances are between points whose heights are divided by ``ratio``.
         """
-        height = math.sqrt((self.height**2 + self.radius * off) * (1.0 + off / self.radius))
+        height = self.height / ratio
+        height = math.sqrt((height**2 + self.radius * off) * (1.0 + off / self.radius)) * ratio
         cable, crossing = self.cable + 2.0 * off, self.crossing + 2.0 * off
         return Separation(self.radius + off, height, cable, crossing, self.object + off)
 
@@ -220,6 +228,8 @@ class Requirements(ByValue):
     objects: by name, at their initial positions; obstacles to everything that does not hold them.
     position_error: of drones [m], which the distances include. Hanging cables can be displaced
         farther and need an additional margin.
+    height_ratio: that of ``Tube``, by which heights are divided in distances and legs: errors are
+        this many times larger upright.
     """
 
     limits: Limits = field(default_factory=Limits)
@@ -228,6 +238,7 @@ class Requirements(ByValue):
     keep_out: tuple[Prism, ...] = ()
     objects: Mapping[str, SolidObject] = field(default_factory=dict)
     position_error: float = 0.0
+    height_ratio: float = 1.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "keep_out", sequence("keep_out", self.keep_out))
@@ -245,22 +256,30 @@ class Requirements(ByValue):
 
         The arena's floor does not move, since drones stand there.
         """
-        limits, off = self.limits.with_reserve, ROUNDING_FACTOR * (self.limits.tracking or 0.0)
+        limits, tube = self.limits.with_reserve, self.limits.tube
+        off, ratio = ROUNDING_FACTOR * tube.level, tube.ratio
         if not off:
             return self if limits is self.limits else replace(self, limits=limits)
         arena = self.arena
         if arena is not None:
-            inward = np.array([off, off, 0.0])
-            lower, upper = arena.lower + inward, arena.upper - off
+            inward, down = np.array([off, off, 0.0]), np.array([off, off, off * ratio])
+            lower, upper = arena.lower + inward, arena.upper - down
             arena = Arena(lower, upper) if np.all(lower < upper) else arena
         limits = replace(limits, leg=limits.leg + 2.0 * off, tracking=0.0)
-        wider = self.separation.widened(off)
-        return replace(self, limits=limits, separation=wider, arena=arena, position_error=off)
+        wider = self.separation.widened(off, ratio)
+        return replace(
+            self,
+            limits=limits,
+            separation=wider,
+            arena=arena,
+            position_error=off,
+            height_ratio=ratio,
+        )
 
     def flown_by(self, team: Team) -> Requirements:
-        """Return the requirements that include the tracking error and tilt limit of a team.
+        """Return the requirements that include the tracking errors and tilt limit of a team.
 
-        A specified ``tracking`` takes precedence over that of the flight controllers.
+        A specified ``tracking`` takes precedence over that of the drones.
         """
         limits, tilt = self.limits, float(np.min(team.max_tilt))
         off = team.tracking if limits.tracking is None else limits.tracking

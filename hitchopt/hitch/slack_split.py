@@ -458,7 +458,7 @@ class LegBodies:
         """Return the shortest vectors (pairs, 2 or 3) [m], heights scaled, to the first bodies."""
         _, first, second, kind = self.pairs
         between = differences(nodes[first], nodes[second])
-        scale = scales_of(self.task.requirements.separation)[:, : nodes.shape[-1]]
+        scale = scales_of(self.task.requirements)[:, : nodes.shape[-1]]
         return shortest_offset(between * scale[kind][:, None])
 
     def margins(self, d: Array) -> Array:
@@ -493,7 +493,7 @@ class LegBodies:
         pair, a, b = end_combinations(kind, first, second)
         kind, row = kind[pair], np.arange(len(pair))
         limit = limits_of(task.requirements.separation)[kind]
-        nu = normal[pair] * scales_of(task.requirements.separation)[kind, :dimensions]
+        nu = normal[pair] * scales_of(task.requirements)[kind, :dimensions]
         slacks = np.where(kind == CROSSING, size - 1, size - 2)
         # Slightly more than required, to allow for rounding.
         required = task.margins[kind, frame[pair]] * (1.0 + 1e-7) * limit

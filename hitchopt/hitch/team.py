@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
@@ -12,10 +13,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError, OneLine
-from hitchopt.hitch.flight_controller import CONTROLLERS, FlightController, Gains, stiffest_gains
+from hitchopt.hitch.flight_controller import (
+    CONTROLLERS,
+    TRACKING,
+    FlightController,
+    Gains,
+    Pair,
+    Tube,
+    stiffest_gains,
+)
 from hitchopt.values import (
+    LIST,
+    MAPPING,
     Array,
     Indices,
+    bounded_points,
     check_instance,
     flag,
     integer,
@@ -27,11 +39,19 @@ from hitchopt.values.by_value import ByValue
 from hitchopt.values.fields import (
     FLAGS,
     Key,
+    Kind,
+    Schema,
+    collect,
     documented,
     either,
     integers,
+    join_key,
+    list_of,
     mapping_of,
+    mapping_schema,
     one_or_each,
+    points,
+    record_schema,
     store,
     words,
 )
@@ -182,12 +202,27 @@ TENSION_RATIO = 0.31
 """Default tension of a model over its largest horizontal pull: 0.4 N at 132 g, as without one."""
 
 
+MAX_TRIM = 2.0
+"""[m] Largest coordinate of a trim."""
+
+
+def _trim(key: str, value: Any) -> Pair:
+    """Return a trim [m] as two numbers; InputError for other values."""
+    x, y = bounded_points(key, points((2,), "x, y").check(key, value), MAX_TRIM).tolist()
+    return x, y
+
+
+TRIM = Kind((LIST,), _trim, points((2,), "x, y", largest=MAX_TRIM).schema, "m")
+"""Trims in files: [x, y]."""
+
+
 @documented
 @dataclass(frozen=True)
 class Quadrotor(OneLine):
     """One kind of quadrotor.
 
-    A ``model`` provides the values that are not specified.
+    A ``model`` provides the values that are not specified. ``trim``, ``thrust_factor`` and
+    ``tracking`` are measured on single drones, usually by ``hitchopt calibrate``.
 
     Raises
     ------
@@ -244,12 +279,31 @@ class Quadrotor(OneLine):
         str | None,
         Key(words(*MODELS), "Drone model, which provides the defaults of the other values"),
     ] = None
+    trim: Annotated[
+        Pair | None,
+        Key(
+            TRIM,
+            "Setpoint minus place at rest, [x, y] in the body's frame at yaw 0, as of a rigid body "
+            "that is defined tilted; null: none",
+        ),
+    ] = None
+    thrust_factor: Annotated[
+        float | None,
+        Key(units.THRUST_FACTOR, "Commanded thrust over the thrust that it causes; null: 1"),
+    ] = None
+    tracking: Annotated[
+        float | Tube | None,
+        Key(
+            TRACKING,
+            "Largest tracking error, a number, or level and height; null: the controller's",
+        ),
+    ] = None
 
     def __post_init__(self) -> None:
         store(self, **vars(self))
         if self.model is not None:
             values = MODELS[self.model]._asdict()
-            for each in fields(self)[:-1]:
+            for each in fields(self):
                 if getattr(self, each.name) == each.default and each.name in values:
                     object.__setattr__(self, each.name, values[each.name])
             if self.gains is None and self.controller == "mellinger":
@@ -272,6 +326,17 @@ class Quadrotor(OneLine):
         """The position loop: that of the controller, or one with the specified numbers."""
         return _loop(self)
 
+    @property
+    def tube(self) -> Tube | None:
+        """Its tracking errors; None without a controller's name and measurements."""
+        error = self.loop.tracking if self.tracking is None else self.tracking
+        return None if error is None else Tube.of(error)
+
+    @property
+    def uncalibrated(self) -> Quadrotor:
+        """The kind without what is measured on single drones."""
+        return replace(self, trim=None, thrust_factor=None, tracking=None)
+
     def level_pull(self, tilt: float) -> tuple[float, str]:
         """Return the largest horizontal pull [N] at rest within a tilt [rad], and the limit."""
         weight = GRAVITY * self.mass
@@ -291,6 +356,10 @@ class Quadrotor(OneLine):
         return self.level_pull(min(DEFAULT_TILT, self.loop.max_tilt))
 
 
+MEASURED = ("trim", "thrust_factor", "tracking")
+"""Fields that are measured on single drones; plan files leave them out where they are None."""
+
+
 @lru_cache(maxsize=1024)
 def _loop(kind: Quadrotor) -> FlightController:
     if kind.controller is not None:
@@ -306,21 +375,80 @@ MODEL_NAMES = words(**{name: Quadrotor(model=name) for name in MODELS})
 QUADROTOR = either(MODEL_NAMES, mapping_of(Quadrotor))
 """Kinds of quadrotors in files: the name of a model, or numbers."""
 
+DRONE_NAME = r"[qrd](0|[1-9][0-9]*)"
+"""Pattern of drones' names within a team."""
+
+
+def _by_drone(key: str, value: Any) -> Quadrotor | dict[str, Quadrotor]:
+    """Return the kind of a mapping, or the kinds of the drones that are its keys.
+
+    Its other keys are common to all drones; their kind is that of the empty name.
+    """
+    kind_of = mapping_of(Quadrotor).check
+    named = [name for name in value if re.fullmatch(DRONE_NAME, str(name))]
+    if not named:
+        kind: Quadrotor = kind_of(key, value)
+        return kind
+    common = {name: each for name, each in value.items() if name not in named}
+
+    def own_kind(name: str) -> tuple[str, Quadrotor]:
+        own = {"model": value[name]} if isinstance(value[name], str) else value[name]
+        return name, kind_of(
+            join_key(key, name), common | {**own} if isinstance(own, Mapping) else own
+        )
+
+    return {"": kind_of(key, common), **dict(collect(own_kind, named))}
+
+
+def _by_drone_schema(definitions: dict[str, Schema]) -> Schema:
+    """Add the schema of kinds by drone to definitions; return a reference to it."""
+    kind = record_schema(Quadrotor, definitions)
+    own = {"anyOf": [kind, MODEL_NAMES.schema]}
+    text, keys = "Quadrotors by drone; other keys are common.", definitions["Quadrotor"]
+    options = {"patternProperties": {f"^{DRONE_NAME}$": own}}
+    return mapping_schema("Quadrotors", text, keys["properties"], definitions, options)
+
+
+def quadrotors(min_length: int, max_length: int) -> Kind:
+    """Return the kind of a team's quadrotors: one for all, a list, or a mapping by drone."""
+
+    def check(key: str, value: Any) -> Quadrotor | dict[str, Quadrotor]:
+        return value if isinstance(value, Quadrotor) else _by_drone(key, value)
+
+    by_drone = Kind((MAPPING,), check, _by_drone_schema)
+    return either(MODEL_NAMES, by_drone, list_of(QUADROTOR, min_length, max_length))
+
+
 QuadrotorOrName = Quadrotor | str
+Quadrotors = QuadrotorOrName | Sequence[QuadrotorOrName] | Mapping[str, Any]
+"""Kinds of a team: one for all, one per robot or drone, or a mapping by names of drones."""
 
 
 def kinds_of(
-    quadrotor: QuadrotorOrName | Sequence[QuadrotorOrName] | None, count: int, owner: str
+    quadrotor: Quadrotors | None, count: int, owner: str, names: Sequence[str] = ()
 ) -> tuple[Quadrotor, ...]:
-    """Return one kind per owner from one for all, one per owner, or None for the default kind."""
-    kind = Quadrotor() if quadrotor is None else quadrotor
+    """Return one kind per owner, or one per drone if those of an owner differ.
+
+    ``quadrotor`` is one for all, one per owner or drone, a mapping by the ``names`` of drones, or
+    None for the default kind.
+    """
+    kind: Any = Quadrotor() if quadrotor is None else quadrotor
+    if isinstance(kind, Mapping):
+        kind = kind if "" in kind else _by_drone("quadrotor", kind)
+    if isinstance(kind, Mapping):
+        for name in sorted(kind.keys() - {"", *names}):
+            known = ", ".join([*names[:4], *(["…"] if len(names) > 4 else [])])
+            raise InputError(f"quadrotor.{name}", kind[name], f"of {known}", "name a drone")
+        kind = [kind.get(name, kind[""]) for name in names]
     one = isinstance(kind, QuadrotorOrName)
     kinds = [*((kind,) * count if one else sequence("quadrotor", kind))]
     for k, each in enumerate(kinds):
         key = "quadrotor" if one else f"quadrotor[{k}]"
         kinds[k] = MODEL_NAMES.check(key, each) if isinstance(each, str) else each
         check_instance(f"quadrotor[{k}]", kinds[k], Quadrotor)
-    if len(kinds) != count:
+    if len(kinds) == len(names) == 2 * count and kinds[::2] == kinds[1::2]:
+        kinds = kinds[::2]
+    if len(kinds) not in (count, len(names) or count):
         bound = f"one kind, or a list of {count}"
         raise InputError("quadrotor", len(kinds), bound, f"give one per {owner}")
     return tuple(kinds)
@@ -368,8 +496,9 @@ class Team(ByValue):
     quadrotor: Annotated[
         tuple[Quadrotor, ...],
         Key(
-            one_or_each(QUADROTOR, 2, MAX_ROBOTS),
-            "Kind of quadrotor or name of a model, one for all or one per robot; stored as kinds "
+            quadrotors(2, 2 * MAX_ROBOTS),
+            "Kind of quadrotor or name of a model: one for all, one per robot or drone, or a "
+            "mapping of drones such as q0 to their own values beside common ones; stored as kinds "
             "of all; null: the default kind",
         ),
     ] = field(repr=False)
@@ -392,15 +521,16 @@ class Team(ByValue):
         cable_density: float = 0.0,
         cable_friction: float = 0.0,
         tension: float | Sequence[float] | ArrayLike | None = None,
-        quadrotor: QuadrotorOrName | Sequence[QuadrotorOrName] | None = None,
+        quadrotor: Quadrotors | None = None,
         load: float | Sequence[float] | ArrayLike = 0.0,
     ) -> None:
         store(self, topology=topology, cable_density=cable_density, cable_friction=cable_friction)
         n = integer("robots", robots, 3 if topology == CLOSED else self.min_open_robots, MAX_ROBOTS)
         length = per_robot("cable_length", cable_length, n, units.CABLE_LENGTH.check)
-        kinds = kinds_of(quadrotor, n, "robot")
-        tensions = [kind.tension for kind in kinds] if tension is None else tension
-        pull = per_robot("tension", tensions, n, units.TENSION.check)
+        kinds = kinds_of(quadrotor, n, "robot", _names("qr", range(n)))
+        if tension is None:
+            tension = np.min(np.reshape([kind.tension for kind in kinds], (n, -1)), axis=1)
+        pull = per_robot("tension", tension, n, units.TENSION.check)
         values = {"robots": n, "cable_length": length, "tension": pull, "quadrotor": kinds}
         values |= {"load": _loads(load, len(layout_of(n, topology).clasps))}
         for name, value in values.items():
@@ -472,10 +602,27 @@ class Team(ByValue):
         return self._of_loops("max_tilt")
 
     @property
-    def tracking(self) -> float | None:
-        """Largest tracking error [m] of the named controllers; None without one."""
-        errors = [loop.tracking for kind in self.quadrotor if (loop := kind.loop).name]
-        return max((error for error in errors if error is not None), default=None)
+    def kinds(self) -> tuple[Quadrotor, ...]:
+        """(2n,): kind of each drone, in the order q0, r0, q1, r1, …."""
+        per_kind = self.drones // len(self.quadrotor)
+        return tuple(kind for kind in self.quadrotor for _ in range(per_kind))
+
+    @property
+    def tracking(self) -> float | Tube | None:
+        """Largest tracking errors of drones; None without named controllers and measurements."""
+        tubes = [tube for kind in self.quadrotor if (tube := kind.tube) is not None]
+        tube = Tube.enclosing(tubes)
+        return None if tube is None else tube.tracking
+
+    @property
+    def trim(self) -> NDArray[np.float64]:
+        """(2n, 2) [m]: setpoint minus place at rest of each drone at yaw 0."""
+        return np.array([kind.trim or (0.0, 0.0) for kind in self.kinds])
+
+    @property
+    def thrust_factor(self) -> NDArray[np.float64]:
+        """(2n,): commanded thrust of each drone over the thrust that it causes."""
+        return np.array([kind.thrust_factor or 1.0 for kind in self.kinds])
 
     def _per_axis(self, name: str) -> NDArray[np.float64]:
         """Return a horizontal and vertical pair of the position loops as (2n, 3)."""
@@ -487,7 +634,7 @@ class Team(ByValue):
         return np.repeat(values, self.drones // len(values), axis=0)
 
     def _per_drone(self, name: str) -> NDArray[np.float64]:
-        """Return one value per drone; both drones of a robot are of its kind."""
+        """Return one value per drone."""
         values = np.array([getattr(kind, name) for kind in self.quadrotor], dtype=np.float64)
         return np.repeat(values, self.drones // len(values))
 
@@ -546,7 +693,7 @@ class PartTeam(Team):
             cable_density=whole.cable_density,
             cable_friction=whole.cable_friction,
             tension=whole.tension[order],
-            quadrotor=[whole.quadrotor[k] for k in order],
+            quadrotor=[kind for k in order for kind in whole.kinds[2 * k : 2 * k + 2]],
             members=[whole.labels[k] for k in order],
         )
 
@@ -567,15 +714,13 @@ class Swarm(Team):
     Arrays over robots are empty. Raises InputError for an invalid count.
     """
 
-    def __init__(
-        self, drones: int, *, quadrotor: QuadrotorOrName | Sequence[QuadrotorOrName] | None = None
-    ) -> None:
-        integer("drones", drones, 1, MAX_DRONES)
+    def __init__(self, drones: int, *, quadrotor: Quadrotors | None = None) -> None:
+        count = integer("drones", drones, 1, MAX_DRONES)
         empty = np.zeros(0)
         empty.setflags(write=False)
         values: dict[str, object] = dict.fromkeys(("cable_length", "tension", "load"), empty)
         values |= {"robots": 0, "topology": CLOSED, "cable_density": 0.0, "cable_friction": 0.0}
-        values |= {"quadrotor": kinds_of(quadrotor, int(drones), "drone")}
+        values |= {"quadrotor": kinds_of(quadrotor, count, "drone", _names("d", range(count)))}
         for name, value in values.items():
             object.__setattr__(self, name, value)
 
@@ -633,13 +778,15 @@ class Assignment(OneLine):
         return {"robots": list(self.robots), "flipped": list(self.flipped)}
 
     def team(self, team: Team) -> Team:
-        """Return the team with its robots in the order of roles."""
-        order = list(self.robots)
+        """Return the team with robots in the order of roles, and drones exchanged where flipped."""
+        order, kinds = list(self.robots), list[Quadrotor]()
+        for i, flipped in zip(order, self.flipped, strict=True):
+            kinds += team.kinds[2 * i : 2 * i + 2][:: -1 if flipped else 1]
         return replace(
             team,
             cable_length=team.cable_length[order],
             tension=team.tension[order],
-            quadrotor=tuple(team.quadrotor[i] for i in order),
+            quadrotor=tuple(kinds),
         )
 
     def drones(self, drones: Array) -> Array:

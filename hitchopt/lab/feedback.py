@@ -365,7 +365,7 @@ class _Distances:
         first = np.concatenate([bodies.nodes[i], ends[0]])
         second = np.concatenate([bodies.nodes[j], ends[1]])
         self._scale = np.ones((len(first), 3))
-        self._scale[: len(kind)] = scales_of(need.separation)[kind]
+        self._scale[: len(kind)] = scales_of(need)[kind]
         kinds = np.append(kind, np.full(len(legs), SEPARATION))
         self._limit = np.append(
             limits_of(need.separation)[kind], np.full(len(legs), need.limits.leg)

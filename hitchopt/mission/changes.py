@@ -18,7 +18,7 @@ from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InfeasibleError, InputError, OneLine, Violation
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import Quadrotor
-from hitchopt.hitch.flight_controller import MIN_TRACKING, stiffest_gains
+from hitchopt.hitch.flight_controller import MIN_TRACKING, Tube, stiffest_gains
 from hitchopt.hitch.requirements import Limits
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem
 from hitchopt.objects import SolidObject
@@ -317,7 +317,9 @@ def _team_knobs(problem: Problem, violations: Sequence[Violation]) -> Iterator[K
 def _team_values(problem: Problem, name: str, unit: str) -> Knob:
     """Return the knob of the team's values: their common value, or a factor of all."""
     team = problem.team
-    values: Array = team.max_thrust[::2] if name == "max_thrust" else getattr(team, name)
+    values: Array = getattr(team, name)
+    if name == "max_thrust":
+        values = np.array([kind.max_thrust for kind in team.quadrotor])
     are_equal = bool(np.ptp(values) == 0.0)
     ratios = np.ones(len(values)) if are_equal else values
     old, words = (float(values[0]), "") if are_equal else (1.0, f"every {name}")
@@ -346,12 +348,16 @@ def _quadrotor_keys(kind: Quadrotor) -> dict[str, Any]:
     if kind.gains is not None:
         gains = {key: pair for key, pair in vars(kind.gains).items() if pair is not None}
         values["gains"] = {key: list(pair) for key, pair in gains.items()}
+    if kind.trim is not None:
+        values["trim"] = list(kind.trim)
+    if isinstance(kind.tracking, Tube):
+        values["tracking"] = vars(kind.tracking)
     return values
 
 
 def retuning_changes(problem: Problem) -> Iterator[Change]:
     """Yield changes to the smallest tracking error, and to the stiffest gains of controllers."""
-    if (error := problem.limits.tracking) is not None and error > MIN_TRACKING:
+    if (error := problem.limits.tube.largest) > MIN_TRACKING:
         edits = (Edit("limits.tracking", MIN_TRACKING),)
         relative, changed = MIN_TRACKING / error - 1.0, with_edits(problem, edits)
         yield Change("limits.tracking", "", error, MIN_TRACKING, "m", relative, changed, edits)

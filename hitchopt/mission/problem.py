@@ -22,7 +22,7 @@ from hitchopt.hitch.requirements import (
     Separation,
     check_requirements,
 )
-from hitchopt.hitch.team import MAX_DRONES, MAX_ROBOTS, QUADROTOR, PartTeam
+from hitchopt.hitch.team import MAX_DRONES, MAX_ROBOTS, PartTeam, quadrotors
 from hitchopt.mission.objects import OBJECTS
 from hitchopt.mission.others import MAX_GROUPS, NAME, OTHERS, Other
 from hitchopt.motion.request import request_fields
@@ -379,9 +379,9 @@ class SwarmTeam:
     quadrotor: Annotated[
         Any,
         Key(
-            one_or_each(QUADROTOR, 1, MAX_DRONES),
-            "Kind of quadrotor or name of a model, one for all or one per drone; null: the default "
-            "kind",
+            quadrotors(1, MAX_DRONES),
+            "Kind of quadrotor or name of a model, one for all or one per drone, or a mapping of "
+            "drones such as d0 to their own values beside common ones; null: the default kind",
         ),
     ] = None
 

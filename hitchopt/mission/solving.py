@@ -52,9 +52,9 @@ def _with_tracking_advice(requirements: Requirements) -> Iterator[None]:
     except TimeLimitError:
         raise
     except InfeasibleError as error:
-        if not (off := requirements.limits.tracking):
+        if not (tube := requirements.limits.tube).level:
             raise
-        advice = f"let drones be off by less: limits.tracking of {off:.3g} m widens this distance"
+        advice = f"let drones be off by less: limits.tracking of {tube} widens this distance"
         violations = [
             replace(each, remedy=_remedy(each, advice)) if each.constraint in WIDENED else each
             for each in error.violations

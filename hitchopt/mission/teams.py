@@ -54,7 +54,7 @@ def schedule_teams(
     others = [group for name, other in problem.others.items() for group in other.groups(name)]
     for margin in MARGINS:
         report("finding when each team begins")
-        tracking_margin = margin + 2.0 * (requirements.limits.tracking or 0.0)
+        tracking_margin = margin + 2.0 * requirements.limits.tube.largest
         flown, clock = {name: list[Motion]() for name in alone}, 0.0
         try:
             for item in items:

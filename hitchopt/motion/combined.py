@@ -18,6 +18,7 @@ import numpy as np
 
 from hitchopt.errors import InputError
 from hitchopt.hitch import Swarm, Team
+from hitchopt.hitch.flight_controller import Tube
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.motion.motion import JOINT, PLAIN, CableState, Group, Motion, Phase
 from hitchopt.motion.retiming import on_breaks_of, padded
@@ -36,12 +37,7 @@ class CombinedSwarm(Swarm):
     """The drones of several teams as one swarm, with names such as ``a.q0``."""
 
     def __init__(self, teams: Sequence[tuple[str, Team]]) -> None:
-        kinds = [
-            kind
-            for _, team in teams
-            for kind in team.quadrotor
-            for _ in range(team.drones // len(team.quadrotor))
-        ]
+        kinds = [kind for _, team in teams for kind in team.kinds]
         names = tuple(
             f"{name}.{drone}" if name else drone
             for name, team in teams
@@ -138,7 +134,8 @@ def _shared(groups: Sequence[Group], motions: Sequence[Motion]) -> tuple[Require
     """
     requirements = [group.motion.requirements for group in groups]
     separation = reduce(_larger, (own.separation for own in requirements))
-    tracking = max((own.limits.tracking or 0.0 for own in requirements), default=0.0) or None
+    tube = Tube.enclosing(own.limits.tube for own in requirements)
+    tracking = tube.tracking if tube and tube.level else None
     limits: Limits = replace(requirements[0].limits, tracking=tracking)
     prisms = {prism.corners.tobytes(): prism for own in requirements for prism in own.keep_out}
     objects, poses = dict[str, SolidObject](), list[Any]()

@@ -26,7 +26,7 @@ from hitchopt.motion.chapters import check_rings
 from hitchopt.motion.combined import combined
 from hitchopt.motion.earlier_files import converted
 from hitchopt.motion.motion import CURVES, JOINT, WAIT, Group, Motion, Phase
-from hitchopt.motion.records import REMEDY, check_same, decoded, encoded
+from hitchopt.motion.records import PLANNER_ONLY, REMEDY, check_same, decoded, encoded
 from hitchopt.motion.request import objects_at_first
 from hitchopt.motion.retiming import shifted
 from hitchopt.objects.placing import REST_DRIFT, check_overlaps, poses_of
@@ -103,7 +103,8 @@ def _head(group: Group) -> dict[str, Any]:
     own = group.motion
     requirements = replace(own.requirements, objects=objects_at_first(own))
     records = encoded(Records(own.team, requirements, own.phases, own.assignment))
-    del records["requirements"]["position_error"]  # of planners
+    for name in PLANNER_ONLY:
+        del records["requirements"][name]
     return {"name": group.name, "plan": group.plan, "digest": group.digest, "records": records}
 
 

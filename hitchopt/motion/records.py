@@ -18,9 +18,12 @@ import numpy as np
 from hitchopt.errors import InputError
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Swarm, Team
-from hitchopt.hitch.team import Quadrotor
+from hitchopt.hitch.team import MEASURED, Quadrotor
 
 REMEDY = "do not edit plan files"
+
+PLANNER_ONLY = ("position_error", "height_ratio")
+"""Fields of requirements that planners set, which plan files do not have."""
 
 TOLERANCE = 1e-9
 """Largest relative difference of equal numbers: conversion of angles to degrees rounds them."""
@@ -33,7 +36,11 @@ def encoded(value: Any) -> Any:
     if isinstance(value, Swarm):
         value = {"drones": value.drones, "quadrotor": value.quadrotor}
     elif is_dataclass(value):
-        value = {each.name: getattr(value, each.name) for each in fields(value)}
+        values = {each.name: getattr(value, each.name) for each in fields(value)}
+        if isinstance(value, Quadrotor):
+            absent = [name for name in MEASURED if values[name] is None]
+            values = {name: each for name, each in values.items() if name not in absent}
+        value = values
     elif isinstance(value, tuple) and hasattr(value, "_asdict"):
         value = value._asdict()
     if isinstance(value, Mapping):
@@ -62,7 +69,12 @@ def decoded(kind: Any, value: Any) -> Any:
             return None
         form: Any = tuple if isinstance(value, list) else type(value)
         arms = [each for each in args if each is not NoneType and get_origin(each) is not Mapping]
-        value = decoded(next((each for each in arms if get_origin(each) is form), arms[0]), value)
+        fitting = [
+            each
+            for each in arms
+            if get_origin(each) is form or (form is dict and is_dataclass(each))
+        ]
+        value = decoded((fitting or arms)[0], value)
     elif origin is tuple:
         kinds = args[:1] * len(value) if args[1:] == (...,) else args
         value = tuple(decoded(*each) for each in zip(kinds, value, strict=True))

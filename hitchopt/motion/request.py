@@ -19,7 +19,7 @@ from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Assignment
 from hitchopt.motion.motion import JOINT, SETTLE, WAIT, Motion, Phase
-from hitchopt.motion.records import REMEDY, check_same, encoded
+from hitchopt.motion.records import PLANNER_ONLY, REMEDY, check_same, encoded
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import REST_DRIFT
 
@@ -61,7 +61,7 @@ def request_fields(
     The start has ``hitch``, ``drones`` or both; steps of the mission have some of the keys of
     ``mission_of``.
     """
-    required = {k: v for k, v in encoded(requirements).items() if k != "position_error"}
+    required = {k: v for k, v in encoded(requirements).items() if k not in PLANNER_ONLY}
     return {
         "start": encoded(start),  # compared first: roles determine the order of everything else
         "team": encoded(team),

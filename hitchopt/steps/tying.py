@@ -242,8 +242,8 @@ def check_rollable(step: str, team: Team, requirements: Requirements) -> None:
          "the pull of a taut cable follows"),
         (np.ptp(team.tension) > 0.0, "unequal tensions: give one team.tension"),
         (np.any(team.load), "loads on clasps, which do not roll: leave out team.load"),
-        (requirements.limits.tracking, "limits.tracking, which taut cables alone do not allow: set "
-         "limits.tracking: 0 (left out, it follows from the controller), and a larger "
+        (requirements.limits.tube.level, "limits.tracking, which taut cables alone do not allow: "
+         "set limits.tracking: 0 (left out, it follows from the controller), and a larger "
          "separation.radius for the drones' errors"),
     ):  # fmt: skip
         if unsupported:

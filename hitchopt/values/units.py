@@ -118,6 +118,7 @@ DURATION = quantity("s", (1e-3, 1e5), (TINY, 1e9), (("milliseconds", 1e-3),))
 START_TIME = quantity("s", (0.0, 1e5), (0.0, 1e9), (("milliseconds", 1e-3),))
 LATENCY = quantity("s", (1e-3, 1.0), (0.0, 10.0), (("milliseconds", 1e-3),))
 SHARE = quantity("", UNBOUNDED, (TINY, 1.0))
+THRUST_FACTOR = quantity("", (0.5, 2.0), (0.1, 10.0), (("per cent", 1e-2),))
 RIGHT_ANGLE = 0.5 * math.pi
 TILT = quantity(
     "rad", (1.1 * DEGREE, RIGHT_ANGLE), (TINY, RIGHT_ANGLE), (("degrees", DEGREE),), RIGHT_ANGLE

@@ -63,12 +63,20 @@ def test_the_radius_matches_samples(name: str) -> None:
         assert 0.95 * least - 1e-6 <= check.bound <= least * (1.0 + 1e-4)
 
 
+def with_tracking(motion: Motion, tracking: float | ho.Tube | None) -> Motion:
+    limits = replace(motion.requirements.limits, tracking=tracking)
+    return replace(motion, requirements=replace(motion.requirements, limits=limits))
+
+
+@pytest.mark.parametrize("ratio", [1.0, 2.5])
 @pytest.mark.parametrize("gamma", [0.6, 1.0, 1.8])
 @pytest.mark.parametrize("seed", range(2))
-def test_distances_hold_for_errors_up_to_the_radius(seed: int, gamma: float) -> None:
+def test_distances_hold_for_errors_up_to_the_radius(seed: int, gamma: float, ratio: float) -> None:
     """In random directions, and all bodies toward the middle."""
     motion, rng = random_motion(4 + seed, seed, arena=ARENA), np.random.default_rng(seed)
+    motion = with_tracking(motion, ho.Tube(0.02, 0.02 * ratio))
     radius, requirements = radius_of(motion, gamma).bound, motion.requirements
+    assert radius > 1e-3
     times = np.linspace(0.0, motion.duration, 101)
 
     def off(part: PiecewisePolynomial, by: float, inward: bool) -> PiecewisePolynomial:
@@ -76,7 +84,7 @@ def test_distances_hold_for_errors_up_to_the_radius(seed: int, gamma: float) -> 
         way = rng.normal(size=c.shape[1:3])
         if inward:
             way = np.mean(c, axis=(0, 1, 3)) - np.mean(c, axis=(0, 3)) + 0.1 * way
-        way *= by / np.linalg.norm(way, axis=-1, keepdims=True)
+        way *= by / np.linalg.norm(way / [1.0, 1.0, ratio], axis=-1, keepdims=True)
         return PiecewisePolynomial(part.breaks, c + way[..., None])
 
     for i in range(12):
@@ -93,8 +101,41 @@ def test_distances_hold_for_errors_up_to_the_radius(seed: int, gamma: float) -> 
         assert result["arena"] >= 0.0
 
 
+LAW_MOTIONS: dict[str, Callable[[], Motion]] = {
+    "hitch": lambda: random_motion(4, 3, arena=ARENA),
+    "crossing": lambda: crossing(2),
+    "free": lambda: free_motion(*random_flight(5, n=3, pieces=1)),
+    "formed": lambda: planned("form_triangle").motion,
+}
+
+
+@pytest.mark.parametrize("name", LAW_MOTIONS)
+def test_tubes_of_equal_axes_are_numbers_and_higher_ones_never_help(name: str) -> None:
+    motion = LAW_MOTIONS[name]()
+    number, ball = (certify(with_tracking(motion, x)) for x in (0.02, ho.Tube(0.02, 0.02)))
+    assert number.to_dict() == ball.to_dict()
+    low = certify(with_tracking(motion, ho.Tube(0.02, 0.001)))
+    assert low.to_dict() == number.to_dict()
+    radii = [
+        radius_of(with_tracking(motion, ho.Tube(0.02, 0.02 * ratio))).bound
+        for ratio in (1.0, 1.2, 2.0, 5.0)
+    ]
+    assert radii == sorted(radii, reverse=True)
+
+
+def test_upright_errors_do_not_bring_level_neighbours_nearer() -> None:
+    places = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]])
+    beside, above = lines(places, places), lines(places[:, ::-1], places[:, ::-1])
+    for tube, moved in ((ho.Tube(0.08, 0.2), 1.0), (ho.Tube(0.08, 0.4), 1.0)):
+        radius = radius_of(with_tracking(beside, tube)).bound
+        assert radius == pytest.approx(0.5 * (moved - 0.24), rel=1e-3)
+        radius = radius_of(with_tracking(above, tube)).bound
+        assert radius == pytest.approx(0.5 * (moved - 0.6) * tube.level / tube.height, rel=1e-3)
+
+
+@pytest.mark.parametrize("ratio", [1.0, 2.5])
 @pytest.mark.parametrize("seed", range(12))
-def test_hanging_cables_keep_off_the_ground_for_all_errors(seed: int) -> None:
+def test_hanging_cables_keep_off_the_ground_for_all_errors(seed: int, ratio: float) -> None:
     """Whatever it is sunk by as drones come nearer to each other; and not by much less."""
     rng = np.random.default_rng(seed)
     length = rng.uniform(1.0, 2.0)
@@ -106,17 +147,18 @@ def test_hanging_cables_keep_off_the_ground_for_all_errors(seed: int) -> None:
         low: Array = np.min(cable_points([length], ends)[..., 2], axis=(-1, -2))
         return low
 
-    floor = float(lowest(np.stack([q, r]))) - 0.10 - 0.05
+    floor = float(lowest(np.stack([q, r]))) - 0.10 * ratio - 0.05
     ends = np.stack([q, r, q + [0.0, 9.0, 5.0], r + [0.0, 9.0, 5.0]])  # another one far away
     drones, team = PiecewisePolynomial.constant([0.0, 1.0], ends), Team(2, length, topology="open")
     arena = Arena([-50.0, -50.0, floor], [50.0, 50.0, 50.0])
-    radius = radius_of(free_motion(team, drones, arena=arena)).bound
+    tube = ho.Tube(0.02, 0.02 * ratio)
+    radius = radius_of(with_tracking(free_motion(team, drones, arena=arena), tube)).bound
     shifts = rng.normal(size=(400, 2, 3)) - [0.0, 0.0, 2.0]
     shifts[:200, 0] += way / np.linalg.norm(way)
     shifts[:200, 1] -= way / np.linalg.norm(way)
-    shifts *= radius / np.linalg.norm(shifts, axis=-1, keepdims=True)
+    shifts *= radius / np.linalg.norm(shifts / [1.0, 1.0, ratio], axis=-1, keepdims=True)
     assert np.min(lowest(np.stack([q, r]) + shifts)) >= floor + 0.10
-    assert radius > 0.002
+    assert radius > 0.002 / ratio
 
 
 @pytest.mark.parametrize("seed", range(3))

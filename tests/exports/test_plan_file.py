@@ -160,6 +160,34 @@ def test_a_plan_is_restored_bit_by_bit_with_its_request(
     assert bits(read_plan(tmp_path / "packed.npz")) == bits(motion)
 
 
+def test_calibrated_drones_and_tubes_come_back_and_others_are_written_as_before(
+    tmp_path: Path,
+) -> None:
+    motion, path = hitch_plan(), tmp_path / "plan.npz"
+    kind = motion.team.quadrotor[0]
+    tube, trim = ho.Tube(0.08, 0.2), (0.1, -0.02)
+    own = dataclasses.replace(kind, trim=trim, thrust_factor=1.1, tracking=tube)
+    team = dataclasses.replace(motion.team, quadrotor=(own, *motion.team.kinds[1:]))
+    need = motion.requirements
+    for tracking in (tube, 0.05):
+        limits = dataclasses.replace(need.limits, tracking=tracking)
+        requirements = dataclasses.replace(need, limits=limits)
+        write_plan(path, dataclasses.replace(motion, team=team, requirements=requirements))
+        found = read_plan(path)
+        assert found.team.kinds == team.kinds
+        assert found.requirements.limits.tracking == tracking
+        assert next(consistency(read(path)[0][0])).verdict == "proven"
+    changed(path, "t['quadrotor'][0]['tracking'] = {'level': 0.0, 'height': 0.1}")
+    refused(path, "tracking.level")
+    changed(path, "t['quadrotor'][0]['tracking'] = {'level': -0.1, 'height': 0.1}")
+    with pytest.raises(UnreadableError, match="tracking"):
+        read(path)
+    write_plan(path, motion)
+    settings = json.loads(str(np.load(path)["settings"]))
+    kinds = settings["groups"][0]["records"]["team"]["quadrotor"]
+    assert all(each.keys().isdisjoint({"trim", "thrust_factor", "tracking"}) for each in kinds)
+
+
 @pytest.mark.parametrize("alike", [True, False])
 def test_controllers_come_back_by_name_and_gains(tmp_path: Path, *, alike: bool) -> None:
     motion = hitch_plan()

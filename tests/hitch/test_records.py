@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from refusals import Refusal, assert_refused
 
+import hitchopt as ho
 from hitchopt import Arena, ConvexPolygon, Hitch, InfeasibleError, Limits, Separation, SwapSettings
-from hitchopt.hitch.team import MODELS, Assignment, Quadrotor, Swarm, Team
+from hitchopt.hitch.team import MODELS, Assignment, PartTeam, Quadrotor, Swarm, Team
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
 HILL = [[-0.6, -0.3], [0.5, 0.5], [1.7, -0.3]]
@@ -128,3 +129,47 @@ def test_specified_numbers_override_the_models() -> None:
     assert weak.tension[0] == pytest.approx(
         0.31 * math.sqrt(0.35**2 - (0.035 * 9.81) ** 2), rel=0.1
     )
+
+
+def by_drone(**own: Any) -> Team:
+    return Team(3, 2.4, quadrotor={"mass": 0.1, **own})
+
+
+def test_quadrotors_by_drone_have_common_keys_and_their_own() -> None:
+    team = by_drone(q0={"trim": [0.1, -0.2]}, r2={"mass": 0.2, "thrust_factor": 1.1})
+    np.testing.assert_allclose(team.mass, [0.1] * 5 + [0.2])
+    np.testing.assert_allclose(team.trim[:2], [[0.1, -0.2], [0.0, 0.0]])
+    np.testing.assert_allclose(team.thrust_factor, [1.0] * 5 + [1.1])
+    assert len(by_drone().quadrotor) == 3
+    assert by_drone(q1={}).quadrotor == by_drone().quadrotor  # equal kinds are those of robots
+    named = Team(3, 2.4, quadrotor={"model": "crazyflie_2.1", "r0": {"trim": [0, 0.1]}})
+    assert named.kinds[1].model == "crazyflie_2.1"
+    assert Team(3, 2.4, quadrotor=team.quadrotor).quadrotor == team.quadrotor
+    swarm = ho.Swarm(3, quadrotor={"d1": {"trim": [0.1, 0.0]}})
+    np.testing.assert_allclose(swarm.trim[:, 0], [0.0, 0.1, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("kinds", "message"),
+    [
+        ({"q3": {}}, r"quadrotor\.q3 .*name a drone"),
+        ({"d0": {}}, r"quadrotor\.d0 .*name a drone"),
+        ({"q0": {"trm": [0, 0]}}, r"quadrotor\.q0\.trm.*did you mean trim"),
+        ({"q0": {"trim": [0.1]}}, r"quadrotor\.q0\.trim"),
+        ({"q0": {"trim": [30, 0]}}, r"quadrotor\.q0\.trim.*within ±2"),
+        ({"q0": 3}, r"quadrotor\.q0 = 3: must be a mapping"),
+        ({"q0": {"tracking": {"level": 0, "height": 0.2}}}, r"q0\.tracking\.level.*greater than 0"),
+        ({"q0": {"thrust_factor": 0}}, r"q0\.thrust_factor.*greater than 0"),
+    ],
+)
+def test_wrong_quadrotors_by_drone_are_refused(kinds: Any, message: str) -> None:
+    with pytest.raises(ho.InputError, match=message):
+        Team(3, 2.4, quadrotor=kinds)
+
+
+def test_drones_keep_their_own_kinds_in_other_roles() -> None:
+    team = by_drone(q0={"trim": [0.1, 0.0]}, r1={"trim": [0.2, 0.0]}, q2={"trim": [0.3, 0.0]})
+    roles = ho.Assignment((2, 0, 1), (True, False, True)).team(team)
+    np.testing.assert_allclose(roles.trim[:, 0], [0.0, 0.3, 0.1, 0.0, 0.2, 0.0])
+    part = PartTeam.of(team, [1])
+    np.testing.assert_allclose(part.trim[:, 0], [0.0, 0.2])

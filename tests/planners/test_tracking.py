@@ -25,20 +25,28 @@ from hitchopt.verify import verify
 RETUNED = ho.Quadrotor(controller="mellinger", gains={"kp": 4.75, "kd": 1.32, "ki": 0})
 
 
-@given(st.floats(0.05, 0.4), st.floats(0.05, 0.6), st.floats(0.001, 0.4), st.integers(0, 999))
-def test_widened_ellipsoids_contain_the_sum_with_a_ball(
-    radius: float, height: float, off: float, seed: int
+@given(
+    st.floats(0.05, 0.4),
+    st.floats(0.05, 0.6),
+    st.floats(0.001, 0.4),
+    st.sampled_from([1.0, 1.5, 4.0]),
+    st.integers(0, 999),
+)
+def test_widened_ellipsoids_contain_the_sum_with_the_tube(
+    radius: float, height: float, off: float, ratio: float, seed: int
 ) -> None:
-    """The widened ellipsoid supports the sum of ellipsoid and ball in all directions."""
-    axes, wider = np.array([radius, radius, height]), Separation(radius, height).widened(off)
+    """The widened ellipsoid supports the sum of ellipsoid and tube in all directions."""
+    axes = np.array([radius, radius, height])
+    wider = Separation(radius, height).widened(off, ratio)
     n = np.random.default_rng(seed).normal(size=(50, 3))
     n /= np.linalg.norm(n, axis=1, keepdims=True)
-    reach = np.linalg.norm(n * axes, axis=1) + off
+    reach = np.linalg.norm(n * axes, axis=1) + off * np.linalg.norm(n * [1, 1, ratio], axis=1)
     assert np.all(
         np.linalg.norm(n * [wider.radius, wider.radius, wider.height], axis=1) >= reach - 1e-12
     )
     assert wider.radius == pytest.approx(radius + off)
-    assert wider.height <= height * np.sqrt(1.0 + off / radius) + np.sqrt(off * (radius + off))
+    bound = height * np.sqrt(1.0 + off / radius) + ratio * np.sqrt(off * (radius + off))
+    assert wider.height <= bound * (1.0 + 1e-12)
 
 
 def test_planners_keep_wider_distances_and_drones_may_stand_on_the_floor() -> None:
@@ -68,6 +76,38 @@ def test_controllers_define_tracking_and_tilt_unless_the_problem_does() -> None:
         team = ho.Team(3, 2.4, quadrotor=kind)
         need = ho.Problem(team, start, (ho.Hold(1.0),), Limits(**stated)).requirements
         assert (need.limits.tracking, round(math.degrees(need.limits.tilt), 9)) == (off, tilt)
+
+
+def test_tubes_of_problem_and_drones_take_precedence() -> None:
+    start, wide = ho.HitchStart(ho.regular_polygon(3, 1.0), 1.0), ho.Tube(0.08, 0.2)
+    calibrated = {"controller": "mellinger", "gains": RETUNED.gains, "r1": {"tracking": vars(wide)}}
+    for kinds, stated, off in (
+        (RETUNED, wide, wide),
+        (calibrated, None, wide),
+        (calibrated, 0.03, 0.03),
+        ({"q0": {"tracking": 0.3}, "r2": {"tracking": vars(wide)}}, None, 0.3),
+        (RETUNED, ho.Tube(0.07, 0.07), ho.Tube(0.07, 0.07)),
+    ):
+        problem = ho.Problem(
+            ho.Team(3, 2.4, quadrotor=kinds), start, (ho.Hold(1.0),), Limits(tracking=stated)
+        )
+        assert problem.requirements.limits.tracking == off, kinds
+
+
+def test_planners_divide_heights_where_errors_are_larger_upright() -> None:
+    limits, separation = Limits(tracking=ho.Tube(0.08, 0.2)), Separation(0.12, 0.3)
+    need = Requirements(limits, separation, Arena([-2, -1, 0.2], [2, 1, 3])).with_reserve
+    found = need.separation
+    distances = [found.radius, found.height, found.cable, need.limits.leg, need.height_ratio]
+    np.testing.assert_allclose(distances, [0.2, 0.5, 0.26, 0.31, 2.5], atol=1e-8)
+    assert need.arena is not None
+    np.testing.assert_allclose(need.arena.upper, [1.92, 0.92, 2.8], atol=1e-8)
+    as_number = Requirements(Limits(tracking=ho.Tube(0.05, 0.05)), separation).with_reserve
+    number = Requirements(Limits(tracking=0.05), separation).with_reserve
+    assert vars(as_number.separation) == vars(number.separation)
+    assert (as_number.position_error, as_number.height_ratio) == (number.position_error, 1.0)
+    low = Requirements(Limits(tracking=ho.Tube(0.05, 0.01)), separation).with_reserve
+    assert vars(low.separation) == vars(number.separation)  # a height below the level counts as it
 
 
 def test_spread_legs_include_the_tracking_error() -> None:
@@ -121,11 +161,13 @@ def test_plans_keep_every_distance_with_tracking_errors(name: str, tmp_path: Pat
     with np.load(tmp_path / "plan.npz") as file:
         arrays = dict(file)
     settings = json.loads(str(arrays["settings"]))
-    settings["groups"][0]["records"]["requirements"]["limits"]["tracking"] = 2.0 * check.bound
-    arrays["settings"] = np.array(json.dumps(settings))
-    np.savez(tmp_path / "plan.npz", **arrays)
-    assert not ho.load(tmp_path).certificate["tracking_radius"].holds
-    assert {row.verdict for row in verify(tmp_path)} != {"proven"}
+    limits = settings["groups"][0]["records"]["requirements"]["limits"]
+    for wider in (2.0 * check.bound, {"level": 1.5 * check.bound, "height": 4.0 * check.bound}):
+        limits["tracking"] = wider
+        arrays["settings"] = np.array(json.dumps(settings))
+        np.savez(tmp_path / "plan.npz", **arrays)
+        assert not ho.load(tmp_path).certificate["tracking_radius"].holds
+        assert {row.verdict for row in verify(tmp_path)} != {"proven"}
 
 
 def test_a_specified_tracking_that_is_too_large_is_suggested_as_that_of_retuned_drones() -> None:

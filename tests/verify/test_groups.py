@@ -72,7 +72,7 @@ def test_distances_across_agree(name: str, tmp_path: Path) -> None:
     separation = vars(motion.requirements.separation)
     for p, q in combinations([*own, *others], 2):
         for one, two in ((p, q), (q, p)) if p in own else ():
-            pair = second.Pair(one, two, separation, 0.0)
+            pair = second.Pair(one, two, separation, (0.0, 0.0))
             for row in (*second.between_plans(pair), *second.object_distances(pair)):
                 if row.samples:
                     found[row.name] = min(found.get(row.name, np.inf), row.worst)

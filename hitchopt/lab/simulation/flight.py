@@ -218,7 +218,7 @@ class _FlightInProgress:
             self._command_delay = 0.0 if settings.upload else latency
             measuring, age = self._disturbances.sensor_random, round(latency / PERIOD)
             estimator = Estimator(settings.estimator, self._bodies(0), measuring, age)
-        loops = [kind.loop for team in teams for kind in team.quadrotor for _ in range(2)]
+        loops = [kind.loop for team in teams for kind in team.kinds]
         max_thrust = task.team.max_thrust
         return Autopilots(loops, world.masses, world.inertia, max_thrust, settings.lag, estimator)
 

@@ -188,8 +188,9 @@ def calibrate(
     loops = {"stiffness": 1.0, "integral": False, "feed_forward": feed_forward}
     conditions = conditions_of(team, cable_density=rope_density, **loops)
 
-    kinds = sorted(set(team.quadrotor), key=repr)
-    kind_of_drone = np.repeat([kinds.index(each) for each in team.quadrotor], 2)
+    kind_of_each = [kind.uncalibrated for kind in team.kinds]
+    kinds = sorted(set(kind_of_each), key=repr)
+    kind_of_drone = np.array([kinds.index(each) for each in kind_of_each])
     stated = np.array([kind.loop.kp[0] for kind in kinds])
     initial = np.where(np.isfinite(stated), stated, INITIAL_STIFFNESS)
     expected = np.append(-np.log(initial), np.zeros(3))
@@ -234,7 +235,7 @@ def calibrate(
         recording,
         rope_density,
         tuple(_median(arc[use]) for arc, use in zip(arcs.T, visible.T, strict=True)),
-        tuple(estimates[kinds.index(kind)] for kind in team.quadrotor),
+        tuple(estimates[kinds.index(kind.uncalibrated)] for kind in team.quadrotor),
         friction,
         np.where(taut_at(task, t, TAUT_RATIO)[:, None], vertex_errors, np.nan),
         length(recording.drones - plan_at(task, t, setpoints)),

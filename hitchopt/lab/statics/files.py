@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -179,7 +179,11 @@ def team_text(calibration: Calibration) -> str:
 
 def _yaml(value: object) -> str:
     """Return a value in YAML."""
-    return json.dumps(value, default=lambda array: np.round(array, 9).tolist())
+
+    def plain(value: Any) -> Any:
+        return vars(value) if is_dataclass(value) else np.round(value, 9).tolist()
+
+    return json.dumps(value, default=plain)
 
 
 def save_fit(directory: Path, fit: Fit, mass: float | None = None, by: str = GRIP) -> None:

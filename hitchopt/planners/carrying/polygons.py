@@ -345,11 +345,12 @@ def grip_polygons(
     InputError: cables or drones that differ.
     InfeasibleError: the search of a grip failed.
     """
-    for key, values in (("cable_length", team.cable_length), ("quadrotor", team.quadrotor)):
+    kinds = [kind.uncalibrated for kind in team.quadrotor]
+    for key, values in (("cable_length", team.cable_length), ("quadrotor", kinds)):
         if len(set(values)) > 1:
             bound = "equal for all robots if they grip an object"
             raise InputError(f"team.{key}", list(values), bound, "use one kind")
-    drone, cable = team.quadrotor[0], float(team.cable_length[0])
+    drone, cable = kinds[0], float(team.cable_length[0])
     tension = SEARCH_TENSION_RATIO * drone.level_pull(requirements.limits.tilt)[0]
     friction, section = team.cable_friction, body.section
     task = GripTask(section, team.robots, cable, tension, friction, requirements, drone)

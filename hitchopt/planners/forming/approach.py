@@ -25,10 +25,10 @@ from hitchopt.hitch.team import Assignment
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.planners.forming.prehitch import MAX_SPAN_RATIO
 from hitchopt.planners.forming.stages import (
-    GROUND_CLEARANCE,
     MIN_FLIGHT,
     PAUSE,
     Keyframe,
+    ground_clearance,
     hover_altitude,
     lowest_points,
     stage,
@@ -134,10 +134,9 @@ class DirectApproach(Approach):
         drones = SeparatedFlight(self.problem).solve().drones
         at = np.linspace(drones.breaks[0], drones.breaks[-1], HEIGHT_SAMPLES)
         lowest = min(
-            float(np.min(lowest_points(self.team, x, requirements.position_error)))
-            for x in drones.at(at)
+            float(np.min(lowest_points(self.team, x, requirements))) for x in drones.at(at)
         )
-        deficit = requirements.floor + GROUND_CLEARANCE * requirements.separation.cable - lowest
+        deficit = requirements.floor + ground_clearance(requirements) - lowest
         if deficit <= 0.0:
             return [*rise, self._stage("approach", drones)]
         up = np.array([0.0, 0.0, deficit + 0.1 * requirements.separation.cable])

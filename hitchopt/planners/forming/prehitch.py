@@ -26,8 +26,8 @@ from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.planners.forming.stages import (
-    GROUND_CLEARANCE,
     best,
+    ground_clearance,
     hover_altitude,
     line_progress,
     on_lines,
@@ -222,7 +222,7 @@ class PreHitch:
         hitch, start = self.hitch, self.drones_hanging
         tightening = (start + x * (hitch.drones - start) for x in TIGHTENING_SHARES)
         hanging = (hover_altitude(hitch.team, drones, requirements) for drones in tightening)
-        clearance = GROUND_CLEARANCE * requirements.separation.cable
+        clearance = ground_clearance(requirements)
         altitude = max(hitch.altitude, requirements.floor + clearance + self.depth, *hanging)
         rise = altitude - hitch.altitude
         if rise <= ALTITUDE_TOLERANCE:
@@ -336,8 +336,9 @@ def _evaluate(
     points = q + (0.5 * (1.0 + mu))[..., None] * (r - q)  # (samples, angles, n, 3)
     points[..., 2] -= cables.depth(mu)
     separation = requirements.separation
-    displacement = float(np.max(cables.extra_displacement(requirements.position_error)))
-    depth = float(ellipses.centres[0, 2]) - float(np.min(points[..., 2])) + displacement
+    off, ratio = requirements.position_error, requirements.height_ratio
+    displacement = float(np.max(cables.extra_displacement(off, ratio)))
+    depth = float(ellipses.centres[0, 2]) - float(np.min(points[..., 2])) + ratio * displacement
     # Distance from q to r along the edge: if negative, pairs would swap on the wrong side.
     opening = float(np.min(np.sum((r[0] - q[0]) * unit(layout.edges(hitch.vertices)), axis=-1)))
     link_length, radius = ellipses.link_length, separation.radius
@@ -349,7 +350,8 @@ def _evaluate(
     ]
     if separation.cable > 0.0:
         pairs = (q[:, layout.ahead], layout.behind), (r[:, layout.behind], layout.ahead)
-        offsets = [points[:, :, cable] - drone for drone, cable in pairs]
+        scale = np.array([1.0, 1.0, 1.0 / ratio])
+        offsets = [(points[:, :, cable] - drone) * scale for drone, cable in pairs]
         clearance = float(np.min(np.linalg.norm(offsets, axis=-1), initial=np.inf))
         ratios.append(CLEARANCE * (separation.cable + displacement) / max(clearance, 1e-9))
     if max(ratios) <= 1.0:

@@ -210,15 +210,21 @@ def on_lines(progress: PiecewisePolynomial, start: Array, end: Array) -> Piecewi
 def hover_altitude(team: Team, drones: Array, requirements: Requirements) -> float:
     """Return the lowest altitude [m] at which cables of drones over (2n, 3) [m] hang free."""
     level = drones * np.array([1.0, 1.0, 0.0])
-    lowest = float(np.min(lowest_points(team, level, requirements.position_error)))
-    return requirements.floor + GROUND_CLEARANCE * requirements.separation.cable - lowest
+    lowest = float(np.min(lowest_points(team, level, requirements)))
+    return requirements.floor + ground_clearance(requirements) - lowest
 
 
-def lowest_points(team: Team, drones: Array, off: float) -> Array:
+def ground_clearance(requirements: Requirements) -> float:
+    """Return the height [m] of hanging cables above the ground that flights keep."""
+    return GROUND_CLEARANCE * requirements.separation.cable * requirements.height_ratio
+
+
+def lowest_points(team: Team, drones: Array, requirements: Requirements) -> Array:
     """Return the height of every hanging cable's lowest point (n,) [m].
 
-    For a position error ``off`` [m] of drones it is reduced by the extra displacement of cables.
+    For position errors of drones it is reduced by the extra displacement of cables.
     """
     q, r = drones[0::2], drones[1::2]
     cables = Catenary.between(q, r, team.cable_length)
-    return q[:, 2] + cables.lowest - cables.extra_displacement(off)
+    off, ratio = requirements.position_error, requirements.height_ratio
+    return q[:, 2] + cables.lowest - ratio * cables.extra_displacement(off, ratio)
