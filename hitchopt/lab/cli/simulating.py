@@ -106,6 +106,14 @@ MAX_REASONS, MAX_POINTS = 8, 40  # Maximum numbers of limits and points of a swe
         "tension with them).",
         None,
     ),
+    option("--rotor-drag", "Drag of drones over their speed.", float, "N·S/M"),
+    option(
+        "--as-calibrated",
+        "Trims, thrust factors and rotor drag (0.012 N s/m) of drones in FILE, which hitchopt "
+        "calibrate writes, whatever the plan knows of them.",
+        PATH,
+        "FILE",
+    ),
     option("--feedback", "Correct setpoints by measured vertices, as ho.Feedback does."),
     option(
         "--lose", "Stop its motors then, such as q0@12.5; the others react.", str, "DRONE@SECONDS"
@@ -118,6 +126,7 @@ def simulate(
     runs: int | None,
     processes: int | None,
     lose: str | None,
+    as_calibrated: Path | None,
     *,
     reaction: bool,
     **options: Any,
@@ -131,6 +140,7 @@ def simulate(
     simulation leaves its valid range; with --lose, if a survivor touches anything or there is no
     reaction. A campaign (--runs) ends with 0 and reports the success rate.
     """
+    from hitchopt.lab.simulation.calibrated import read_calibrated
     from hitchopt.lab.simulation.judgement import warnings
     from hitchopt.lab.simulation.settings import settings_of
     from hitchopt.lab.simulation.task import read_task
@@ -139,6 +149,8 @@ def simulate(
     directory = plan_path(directory).parent
     if lose is not None and runs is not None:
         raise InputError("lose", lose, "of a single flight", "leave out --runs")
+    if as_calibrated is not None:
+        options["as_calibrated"] = read_calibrated(as_calibrated)
     settings = settings_of(**options)
     with ProgressBar("reading the plan"):
         task = read_task(directory)

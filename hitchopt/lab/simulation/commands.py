@@ -136,7 +136,7 @@ def uploaded(motion: Motion, team: Team, *, follows: bool) -> Commands:
     """
     hold_tension = not np.any(team.integral_gain > 0.0)
     unnamed = tuple(Quadrotor(kind.mass, kind.max_thrust) for kind in team.quadrotor)
-    kinds = team.quadrotor if hold_tension else unnamed
+    kinds = tuple(kind.uncalibrated for kind in team.quadrotor) if hold_tension else unnamed
     motion = motion.replaced(team=replace(team, quadrotor=kinds))
     refusals = []
     for kind in (Crazyswarm2(), CompressedBytes()):  # the second one has three times the capacity

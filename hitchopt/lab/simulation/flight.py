@@ -15,6 +15,7 @@ from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.estimator import EstimatorParameters
 from hitchopt.lab.simulation import contacts, control, ropes
 from hitchopt.lab.simulation.autopilots import PERIOD, Autopilots
+from hitchopt.lab.simulation.calibrated import FlownDrones
 from hitchopt.lab.simulation.commands import Commands, flown_team, received, resolved
 from hitchopt.lab.simulation.estimator import LATENCY, Estimator
 from hitchopt.lab.simulation.settings import IDEAL, Settings
@@ -173,7 +174,9 @@ class _FlightInProgress:
                 )
             ]
         )
+        self._drone_models = FlownDrones.nominal(team.drones)
         self._pilots = self._controllers()
+        self._drone_models = FlownDrones.of(task, settings, self._pilots.gains.stiffness)
         self._loads = contacts.HungLoads(world, team) if np.any(team.load) else None
         self._contacts = contacts.ClaspContacts(world, team)
         self._objects = contacts.ObjectContacts(world, task.cargo)
@@ -282,7 +285,8 @@ class _FlightInProgress:
             pilots.stop(self._lost[0])
             substeps = LOSS_SUBSTEPS if time < self._lost[1] + LOSS_TIME else 1
         setpoints = task.states[index]
-        setpoints = replace(setpoints, positions=setpoints.positions + offset)
+        drones = self._drone_models
+        setpoints = replace(setpoints, positions=setpoints.positions + offset + drones.trims)
         bodies, passing = self._bodies(index), task.passing.at(index)
         if self._settings.estimator is None:
             measured = bodies.positions + disturbances.noise.advance(period)
@@ -294,12 +298,13 @@ class _FlightInProgress:
         pulling = pilots.gains.feed_forward | (pull > 1.0)
         added = ((pull - 1.0) * pulling)[:, None] * self._outward_pulls(index)
         push = disturbances.wind.advance(period) + disturbances.steady_wind
+        push = push - drones.drag * world.bodies.velocities
         push = push + self._command(time, index, setpoints, bodies, added)
         if self._settings.perturbations.downwash:
-            drones = np.concatenate([world.drones, passing])
+            below = np.concatenate([world.drones, passing])
             thrusts = np.concatenate([pilots.thrusts, GRAVITY * task.passing.masses])
-            push = push + control.downwash(drones, thrusts)[: len(push)]
-        world.push(pilots.thrusts, pilots.moments, push)
+            push = push + control.downwash(below, thrusts)[: len(push)]
+        world.push(*drones.actual(pilots.thrusts, pilots.moments), push)
         planned = np.minimum(pull[::2], 1.0)  # by cable
         if self._loads is not None:
             self._loads.apply(planned * task.load_shares(index), period)
@@ -345,8 +350,9 @@ class _FlightInProgress:
         return added
 
     def _bodies(self, index: int) -> RigidBodies:
-        """Return the drones' states without the end offsets of thick ropes."""
-        return replace(self._world.bodies, positions=self._drones(index))
+        """Return the drones' states as they know them, without the end offsets of thick ropes."""
+        bodies = replace(self._world.bodies, positions=self._drones(index))
+        return self._drone_models.measured(bodies)
 
     def _drones(self, index: int) -> Array:
         """Return positions of the drones without the end offsets of thick ropes (2n, 3) [m]."""

@@ -74,6 +74,7 @@ class Perturbations(OneLine):
     vertex_noise: standard deviation per axis of measured vertices, independent at every
         measurement [m]; vertices are only measured for ``feedback``.
     vertex_delay: age of the measured vertices when they arrive [s].
+    rotor_drag: drag of drones over their speed [N s/m]; None: 0.012 of calibrated drones, else 0.
     object_mass, object_friction: largest deviations of objects' masses and friction, relative.
     object_place: largest distance of movable objects from their planned positions [m].
     """
@@ -91,6 +92,7 @@ class Perturbations(OneLine):
     object_mass: float = 0.0
     object_friction: float = 0.0
     object_place: float = 0.0
+    rotor_drag: float | None = None
 
     def __post_init__(self) -> None:
         _check(self, nonnegative, *(name for name in vars(self) if name != "downwash"))
@@ -166,6 +168,8 @@ class Settings(OneLine):
     upload: whether drones fly exported files, which hold the tension by offsets, or streamed
         setpoints. None: streamed if a controller is given, cannot hold the tension, or has no
         memory for the plan.
+    as_calibrated: what was measured on drones that fly, a mapping of their names as in
+        ``team.quadrotor``, whatever the plan knows of them; None: what the plan states.
     """
 
     preset: Preset = FAST
@@ -182,6 +186,7 @@ class Settings(OneLine):
     estimator: EstimatorParameters | str | None = None
     upload: bool | None = None
     latency: float | None = None
+    as_calibrated: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
         if self.controller is not None:

@@ -1,0 +1,94 @@
+"""Drones as calibrated: tilts that explain trims, thrust factors, and names."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from plans import planned
+
+import hitchopt as ho
+from hitchopt.hitch import GRAVITY
+from hitchopt.lab.simulation.calibrated import ROTOR_DRAG, FlownDrones, flown_kinds, read_calibrated
+from hitchopt.lab.simulation.judgement import simulate
+from hitchopt.lab.simulation.settings import Perturbations, Settings
+from hitchopt.lab.simulation.task import Task
+from hitchopt.lab.simulation.world import RigidBodies
+
+OFF: dict[str, Any] = {
+    "q0": {"trim": [0.1, 0.0], "thrust_factor": 1.1},
+    "r1": {"trim": [-0.03, 0.08]},
+}
+
+
+def task() -> Task:
+    return Task.of(planned("form_triangle").motion)
+
+
+def drones(**given: Any) -> FlownDrones:
+    stiffness = np.full((6, 3), 4.75)
+    return FlownDrones.of(task(), Settings(as_calibrated=OFF, **given), stiffness)
+
+
+def test_tilts_explain_trims() -> None:
+    """A level force k · trim leans the thrust that the controller wants as far as its frame."""
+    found, mass = drones(), task().team.mass
+    bodies = RigidBodies(*np.zeros((2, 6, 3)), np.tile(np.eye(3), (6, 1, 1)), np.ones((6, 3)))
+    measured = found.measured(bodies)
+    for i, trim in ((0, [0.1, 0.0]), (3, [-0.03, 0.08]), (1, [0.0, 0.0])):
+        wanted = np.array([*(4.75 * np.array(trim)), mass[i] * GRAVITY])
+        axis = wanted / np.linalg.norm(wanted)
+        np.testing.assert_allclose(measured.attitudes[i, :, 2], axis, atol=1e-12)
+    moments = np.random.default_rng(0).normal(size=(6, 3))
+    thrusts, turned = found.actual(np.ones(6), moments)
+    np.testing.assert_allclose(thrusts, [1.0 / 1.1, 1.0, 1.0, 1.0, 1.0, 1.0])
+    np.testing.assert_allclose(  # power is the same in both frames
+        np.sum(turned * bodies.rates, axis=1), np.sum(moments * measured.rates, axis=1)
+    )
+    assert (found.drag, drones(perturbations=Perturbations(rotor_drag=0.0)).drag) == (
+        ROTOR_DRAG,
+        0.0,
+    )
+
+
+def test_plans_add_the_trims_that_they_know() -> None:
+    plain = task()
+    known = replace(plain, team=ho.Team(3, 2.4, quadrotor=OFF))
+    stiffness = np.full((6, 3), 4.75)
+    found = FlownDrones.of(known, Settings(), stiffness)
+    np.testing.assert_allclose(found.trims[0], [0.1, 0.0, 0.0])
+    np.testing.assert_allclose(found.turns, drones().turns)
+    assert not np.any(drones().trims)  # known to nobody
+    nominal = FlownDrones.of(plain, Settings(), stiffness)
+    assert vars(nominal).keys() == vars(FlownDrones.nominal(6)).keys()
+    assert all(np.array_equal(x, vars(nominal)[k]) for k, x in vars(FlownDrones.nominal(6)).items())
+
+
+def test_names_of_calibrated_drones_are_those_of_the_team(tmp_path: Path) -> None:
+    with pytest.raises(ho.InputError, match=r"as_calibrated\.quadrotor\.q9 .*name a drone"):
+        flown_kinds(task(), Settings(as_calibrated={"q9": {"trim": [0, 0]}}))
+    text = "quadrotor: {q0: {trim: [0.1, 0.0], thrust_factor: 1.1}, r1: {trim: [-0.03, 0.08]}}\n"
+    for prefix in ("", "team: {robots: 3, cable_length: 2, "):
+        (tmp_path / "drones.yaml").write_text(prefix + text.strip() + "}" * bool(prefix) + "\n")
+        assert read_calibrated(tmp_path / "drones.yaml") == OFF
+    (tmp_path / "drones.yaml").write_text("[1, 2]\n")
+    with pytest.raises(ho.FileError, match="holds no drones"):
+        read_calibrated(tmp_path / "drones.yaml")
+
+
+@pytest.mark.slow
+def test_drones_hover_beside_their_places_by_their_trims_unless_the_plan_knows_them() -> None:
+    plain = task()
+    known = replace(plain, team=ho.Team(3, 2.4, quadrotor=OFF))
+    settings = Settings(controller="mellinger", pull_test=False)
+    for each, setup, left in (
+        (plain, replace(settings, as_calibrated=OFF), 1.0),
+        (known, settings, 0.0),
+    ):
+        record = simulate(each, setup).flight.record
+        off = (record.drones - record.commanded)[100, :, :2]  # still hovering
+        np.testing.assert_allclose(off[0], [-0.1 * left, 0.0], atol=0.03)
+        np.testing.assert_allclose(off[3], [0.03 * left, -0.08 * left], atol=0.03)
