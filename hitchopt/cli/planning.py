@@ -136,6 +136,7 @@ def _plan(
 ) -> ho.Plan:
     """Plan, show and write a problem; return its plan."""
     from hitchopt.exports.directory import certificate_content
+    from hitchopt.exports.exporting import tracking_notes
     from hitchopt.storage.archive import PLAN
 
     with ProgressBar("planning", limit) as progress:
@@ -143,6 +144,8 @@ def _plan(
     show_plan(plan.title, plan.motion, plan.certificate)
     for group in plan.motion.groups:
         _show_models(group.motion.team)
+    for note in tracking_notes(plan.motion):
+        say(f"note: {note}")
     with ProgressBar("writing") as progress:
         plan.save(folder, rate, progress, report=report)
     content = certificate_content(plan.motion, plan.certificate, folder / PLAN)

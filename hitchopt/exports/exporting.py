@@ -44,7 +44,13 @@ from hitchopt.exports.held_tension import held_tension, is_overridden
 from hitchopt.exports.options import ENDINGS, ExportOptions, checked_rate
 from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet, read_fleet
 from hitchopt.hitch import Quadrotor, Team
-from hitchopt.hitch.flight_controller import STOCK, Gains, stiffest_gains
+from hitchopt.hitch.flight_controller import (
+    RECORDED_TUBE,
+    STOCK,
+    Gains,
+    Tube,
+    stiffest_gains,
+)
 from hitchopt.hitch.forces import INTEGRAL, SLACK, undetermined_tension
 from hitchopt.motion.combined import combined
 from hitchopt.motion.loads import weightless_notes
@@ -127,6 +133,8 @@ def export_motion(
     settings = kind.settings(motion.team, options)
     notes = (
         *weightless_notes(motion, problem),
+        *tracking_notes(motion),
+        *_trim_notes(kind, motion),
         *(
             f"certified beside {each.name}, which begins at t = {each.motion.drones.breaks[0]:.4g} "
             "s of this plan: fly both on one clock"
@@ -134,7 +142,7 @@ def export_motion(
         ),
     )
     content = plan, title, frame, fleet, rate, options
-    task = ExportTask(*content, settings=settings, notes=notes)
+    task = ExportTask(*content, settings=settings, notes=notes, has_trims=kind.has_heading)
     is_export = _is_file(place) and place.with_name(f"{place.name}.{MANIFEST}").exists()
     if place.exists() and not (place.is_dir() or is_export):
         raise FileError(f"{place}: is there already; an export is a folder, so name another")
@@ -142,6 +150,44 @@ def export_motion(
     with _scratch_folder(place) as scratch:
         task, exports = _export_task(kind, task, scratch, say)
         return _move_exports(exports, place, kind, task)
+
+
+def tracking_notes(motion: Motion) -> Iterator[str]:
+    """Yield a note if distances allow for the errors that simulated controllers have."""
+    for group in motion.groups:
+        tube, team = group.motion.requirements.limits.tube, group.motion.team
+        if team.tracking is None or Tube.of(team.tracking) != tube:
+            continue
+        if any(kind.controller and kind.tracking is None for kind in team.quadrotor):
+            yield (
+                f"distances allow for tracking errors of {tube}, as simulated; recorded drones "
+                f"reached {Tube(*RECORDED_TUBE)}: limits.tracking or calibrated drones set it"
+            )
+            return
+
+
+def _trailing_note(motion: Motion) -> str:
+    """Return the note that drones which receive positions alone trail them."""
+    team, speed = motion.team, largest_rate(motion.drones, 1).worst
+    size = f"at up to {speed:.2g} m/s"
+    if np.all(np.isfinite(team.stiffness)):
+        lag = float(np.max(team.damping[:, 0] / team.stiffness[:, 0]))
+        size = f"up to {speed * lag:.2g} m at {speed:.2g} m/s"
+    return (
+        f"the files hold positions alone: drones trail them by v kd/kp, {size}; widen "
+        "limits.tracking by as much, or send velocities, too"
+    )
+
+
+def _trim_notes(kind: Format, motion: Motion) -> Iterator[str]:
+    """Yield a note on trims of drones, which turn with their heading."""
+    if (largest := float(np.max(np.linalg.norm(motion.team.trim, axis=1)))) == 0.0:
+        return
+    size = f"trims of drones, up to {100.0 * largest:.3g} cm,"
+    if kind.has_heading and kind.flown_by:
+        yield f"setpoints include {size} at the heading of the files: keep it in flight"
+    elif kind.flown_by:
+        yield f"{size} are not included: {kind.name} has no heading, with which they turn"
 
 
 def _check_gains(kind: Format, team: Team, options: ExportOptions) -> None:
@@ -335,7 +381,8 @@ def _export_part(
             contents = kind.read(folder, task)
             violated = {each.constraint for refusal in refusals for each in refusal.violations}
             for subset in filter(None, ([r for r in rules if r.name in violated], rules)):
-                verdict = verify(task.motion, contents, task.frame, task.names, subset)
+                where = task.frame, task.names
+                verdict = verify(task.motion, contents, *where, subset, task.trims)
                 if violations := verdict.violations(task.motion, kind.accuracy):
                     reason = OFFSET_REASON if task.holds_tension else ROUNDING_REASON
                     raise InfeasibleError(violations, f"{kind.name} is not written: {reason}")
@@ -343,6 +390,8 @@ def _export_part(
             refusals.append(refusal)
             continue
         notes = (*written.notes, *task.notes, *task.undetermined)
+        if contents.smooth == 0 and kind.flown_by:
+            notes = (*notes, _trailing_note(task.motion))
         receiver = {**task.settings, **written.receiver}
         feed_forward = OFFSETS_HOLD_TENSION if task.holds_tension else kind.feed_forward
         manifest = _manifest_head(kind, task) | {
@@ -514,11 +563,13 @@ def verify(
     frame: ReferenceFrame,
     names: Sequence[str],
     rules: Sequence[CheckRule] = EXPORT_RULES,
+    trims: Array | float = 0.0,
 ) -> Verdict:
     """Return errors and checks of files of the plan ``motion``, from t = 0.
 
     ``frame`` is that of the files, ``names`` (D,) are their names of the plan's drones, in
-    order. Raises FileError for other drones than the plan's, and if the files are too short.
+    order. Setpoints are off the places by ``trims`` (D, 3) [m] in the plan. Raises FileError for
+    other drones than the plan's, and if the files are too short.
     """
     missing = [name for name in names if name not in contents.names]
     if missing or len(contents.names) != len(names):
@@ -534,7 +585,8 @@ def verify(
             raise FileError(f"begins at t = {start:g} s, not at {end:g} s")
         end = float(window.breaks[-1])
         curves = frame.in_plan(window.replaced(window.coefficients[:, index]))
-        coefficients = np.split(curves.coefficients, firsts, axis=1)
+        places = curves.coefficients - np.asarray(trims)[..., None]
+        coefficients = np.split(places, firsts, axis=1)
         groups = list[Group]()
         for group, part in zip(motion.groups, coefficients, strict=True):
             planned = _plan_between(group.motion, window.breaks)

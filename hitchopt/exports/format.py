@@ -27,6 +27,7 @@ from hitchopt.motion.states import (
     sample_times,
     states_at,
 )
+from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, closest_word
 
 FLIPPED = np.array([1.0, -1.0, -1.0])  # Signs of axes after a rotation by 180° about x
@@ -50,6 +51,17 @@ class ExportTask:
     undetermined: tuple[str, ...] = ()  # reasons why the tension is undetermined
     settings: Mapping[str, Any] = field(default_factory=dict)  # of receivers, for the manifest
     notes: tuple[str, ...] = ()  # notes for the user
+    has_trims: bool = True  # whether setpoints include trims, which turn with the heading
+
+    @property
+    def trims(self) -> Array:
+        """Setpoints minus planned places (D, 3) [m] in the plan, in which drones' yaw is 0."""
+        trims: Array = np.insert(self.motion.team.trim, 2, 0.0, axis=1)
+        return trims if self.has_trims else 0.0 * trims
+
+    def placed(self, part: PiecewisePolynomial) -> PiecewisePolynomial:
+        """Return curves (D, 3) of drones [m] as setpoints in the files' frame."""
+        return self.frame.placed(part.replaced(part.coefficients + self.trims[..., None]))
 
     @property
     def holds_tension(self) -> bool:
@@ -102,7 +114,7 @@ class ExportTask:
         flip = FLIPPED if rotated(HOVER)[2] < 0.0 else np.ones(3)
         attitude = attitudes(thrusts * flip, rates * flip, heading * flip[2])
         return {
-            "positions": frame.points(states.positions),
+            "positions": frame.points(states.positions + self.trims),
             "velocities": rotated(states.velocities),
             "accelerations": rotated(states.accelerations),
             "jerks": rotated(states.jerks),
@@ -142,6 +154,7 @@ class Format(ABC):
     stiffest: float = STOCK["mellinger"].stiffest[0]  # stiffness of its loops over mass [1/s²]
     streamed: float = 0.0  # minimum rate of samples sent in flight [Hz]; 0 if none are
     dotted: bool = False  # whether drones of several teams may be called a.q0, not a_q0
+    has_heading: bool = True  # whether files determine the drones' heading
     bounds: tuple[float, ...] = (1.0,)  # candidate factors of the usual refit error
 
     def settings(self, team: Team, options: ExportOptions) -> Mapping[str, Any]:

@@ -166,7 +166,8 @@ def _report(path: Path, rules: Rules) -> Report:
     if missing := contents.missing_derivative:
         is_linear = missing == "velocities"
         curves = "lines" if is_linear else "cubics through positions and velocities"
-        findings.append(note(missing, "", f"none: joined by {curves}"))
+        trailing = f"; drones trail them by v kd/kp, v up to {flight.speed:.2g} m/s" * is_linear
+        findings.append(note(missing, "", f"none: joined by {curves}{trailing}"))
     if not contents.frame:
         findings.append(note("frame", "", "the files do not state their axes; read as given"))
     findings.sort(key=lambda f: LEVELS.index(f.level))

@@ -21,11 +21,13 @@ from hitchopt.checks.registry import certificate_of
 from hitchopt.errors import FileError, InputError
 from hitchopt.exports.contents import FileContents, Trajectory
 from hitchopt.exports.exporting import Verdict, verify
+from hitchopt.exports.lint import load
 from hitchopt.exports.placing import AXES, ReferenceFrame
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.plan_file import read_plan
 from hitchopt.motion.states import sample_times, states_at
 from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.values import Array
 
 PLAIN = ReferenceFrame()
 
@@ -217,3 +219,26 @@ def test_states_are_those_of_the_polynomials() -> None:
         np.testing.assert_array_equal(getattr(later, name)[1], getattr(end, name))
     for rate in (later.velocities, later.accelerations, later.jerks):
         assert np.any(rate[0]) > np.any(rate[1])
+
+
+@pytest.mark.parametrize("name", ["csv", "crazyswarm2", "compressed", "skybrush"])
+def test_setpoints_include_trims_that_turn_with_the_heading(name: str, tmp_path: Path) -> None:
+    """Shows have no heading. Files are held against the planned places."""
+    plan, trim = swarm_plan(), np.array([0.1, -0.03])
+    kinds = [replace(kind, trim=tuple(trim)) for kind in plan.team.kinds[:1]]
+    team = ho.Swarm(3, quadrotor=[*kinds, *plan.team.kinds[1:]])
+    for yaw in (0.0, 0.5 * np.pi):
+        places: list[Array] = []
+        for number, motion in enumerate((plan, replace(plan, team=team))):
+            (part,) = exported(motion, name, tmp_path / f"{yaw:.0f}{number}", yaw=yaw)
+            assert part.verdict.position.worst < 0.005
+            kind, contents = load(part.folder)
+            first = next(contents.windows()).coefficients[0, :, :, 0]
+            places.append(first[[contents.names.index(x) for x in plan.team.drone_names]])
+            trimmed = any("trims of drones" in note for note in part.notes)
+            assert trimmed == bool(number)
+        frame = ReferenceFrame(contents.frame or "enu", yaw=yaw)
+        expected = np.zeros((3, 3))
+        if kind.has_heading:
+            expected[0] = frame.vectors(np.append(trim, 0.0))
+        np.testing.assert_allclose(places[1] - places[0], expected, atol=3e-3)

@@ -195,7 +195,7 @@ class Crazyswarm2(CrazyflieFormat):
             raise self.refusal(task.motion)
         if len(breaks) <= MIN_ROWS:
             breaks = np.array([0.0, POLY.quantum * (breaks[-1] // (2 * POLY.quantum)), breaks[-1]])
-        curves = task.frame.placed(fit_pieces(task.motion.drones, breaks, POLY))
+        curves = task.placed(fit_pieces(task.motion.drones, breaks, POLY))
         powers = np.zeros((curves.pieces, len(task.names), 4, DEGREE + 1))
         powers[:, :, :3] = to_powers(curves)
         powers[:, :, 3, 0] = task.frame.heading
@@ -356,7 +356,8 @@ def _slack_points(task: ExportTask) -> dict[str, list[float]]:
         np.full(len(each.motion.team.drone_names), each.motion.phases[-1].formed)
         for each in task.motion.groups
     ]
-    places = task.frame.points(task.planned(task.motion.duration)).round(6) + 0.0
+    setpoints = task.planned(task.motion.duration) + task.trims
+    places = task.frame.points(setpoints).round(6) + 0.0
     tied = zip(task.names, places.tolist(), np.concatenate(ends), strict=True)
     return {name: place for name, place, is_tied in tied if is_tied}
 
@@ -445,7 +446,7 @@ class CompressedBytes(CrazyflieFormat):
     def write(self, folder: Path, task: ExportTask) -> FormatOutput:
         """Write the bytes of every drone, refitted within the task's bound and rounded."""
         breaks = fit_breaks(task.motion.drones, SEGMENT, task.bound)
-        fit = task.frame.placed(fit_pieces(task.motion.drones, breaks, SEGMENT))
+        fit = task.placed(fit_pieces(task.motion.drones, breaks, SEGMENT))
         curves = round_points(fit, MILLI, EQUAL_ERRORS)
         durations = np.rint(np.diff(breaks) / MILLI).astype(np.int64)
         points = np.rint(curves.coefficients / MILLI).astype(np.int64)

@@ -103,6 +103,7 @@ class SkybrushShow(Format):
     name = "skybrush"
     file = "show.skyc"
     endings = (".skyc",)
+    has_heading = False
     frames = ("nwu",)
     accuracy = 2e-3
     feed_forward = (
