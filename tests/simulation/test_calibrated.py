@@ -36,7 +36,8 @@ def drones(**given: Any) -> FlownDrones:
 def test_tilts_explain_trims() -> None:
     """A level force k · trim leans the thrust that the controller wants as far as its frame."""
     found, mass = drones(), task().team.mass
-    bodies = RigidBodies(*np.zeros((2, 6, 3)), np.tile(np.eye(3), (6, 1, 1)), np.ones((6, 3)))
+    still, upright = np.zeros((6, 3)), np.tile(np.eye(3), (6, 1, 1))
+    bodies = RigidBodies(still, still, upright, np.ones((6, 3)))
     measured = found.measured(bodies)
     for i, trim in ((0, [0.1, 0.0]), (3, [-0.03, 0.08]), (1, [0.0, 0.0])):
         wanted = np.array([*(4.75 * np.array(trim)), mass[i] * GRAVITY])

@@ -480,7 +480,9 @@ def second_opinion(path: Path, limits: list[str]) -> Iterator[second.Row]:
     if {"crossing", "laid"} & {*limits}:
         for chapter in whole.chapters:
             for p, q in combinations(chapter, 2):
-                yield from second.between_plans(second.Pair(p, q, p.settings["separation"], (0.0, 0.0)))
+                yield from second.between_plans(
+                    second.Pair(p, q, p.settings["separation"], (0.0, 0.0))
+                )
     if {"cable_length", "crossing", "equilibrium"} & {*limits}:
         for part in parts:
             yield from second.taut_cables(part) if part.n > 1 else second.laid_cables(part)
