@@ -46,9 +46,9 @@ shorter ones drones come too close as pairs swap or as legs are loosened."""
 EDGES = np.linspace(1.0, 2.0, 11) / 0.17
 """Edges of polygons over that radius, in the order of the search: from 1 m for Crazyflies."""
 
-PULL, SPARE, HEIGHT = 0.15, 0.15, 0.62
-"""How far a vertex is pulled, over the edge; cable length beyond the shortest, and at least within
-the longest [m]; and altitude over the cable length, at which hanging cables are off the ground."""
+PULL, SPARE, ROUND, HEIGHT = 0.15, 0.15, 0.05, 0.62
+"""How far a vertex is pulled, over the edge; cable length beyond the shortest, at least within the
+longest, and its step [m]; altitude over cable length, at which hanging cables clear the ground."""
 
 NAMES = {3: "a triangle", 4: "a square", 5: "a pentagon", 6: "a hexagon", 8: "an octagon"}
 
@@ -87,7 +87,7 @@ def for_team(text: str, model: str | None = None, robots: int | None = None) -> 
     separation = Separation(*drone.separation)
     required = Requirements(separation=separation).flown_by(team).with_reserve
     edge, polygons, lengths = next(_fitting_polygons(team, required))
-    length = round(lengths[0] + SPARE, 2)
+    length = round(ROUND * math.ceil((lengths[0] + SPARE) / ROUND), 2)
     sized = replace(team, cable_length=np.full(robots, length))
     tensions = fitting_tensions(polygons, required, sized)
     altitude, (q, r) = round(HEIGHT * length, 1), _starts(robots, length)

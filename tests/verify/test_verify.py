@@ -60,7 +60,7 @@ def test_it_agrees_with_the_certificate(name: str, tmp_path: Path) -> None:
         widened = row.limit != check.limit or check.name in {"separation", "span"}
         if plan.motion.requirements.limits.tracking and widened and row.unit != "share":
             sign = 1.0 if check.sense == "min" else -1.0  # by errors of drones
-            assert sign * row.worst <= sign * check.worst + 1e-6
+            assert sign * row.worst <= sign * check.worst + 0.02 * abs(check.worst)
             continue
         jumps = check.name == "downwash"  # as a body passes the height of a drone
         share = 0.002 if name in GROUPS and not jumps else 0.02
