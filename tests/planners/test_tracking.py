@@ -310,8 +310,12 @@ def test_infeasible_tracking_is_refused_and_stiffer_gains_are_suggested(
 def test_objects_count_toward_a_specified_limit() -> None:
     """Cables and a held object reduce the tracking radius by their own clearance."""
     motion = planned("carry_tray").motion
-    need, bounds = motion.requirements, []
-    for limits in (need.limits, replace(need.limits, tracking=0.01)):
+    alone = certify(motion)
+    near = alone["object_clearance"].bound - 0.5 * alone["tracking_radius"].bound
+    separation = replace(motion.requirements.separation, object=near)  # nearer than drones
+    need, bounds = replace(motion.requirements, separation=separation), []
+    for off in (None, 0.01):
+        limits = replace(need.limits, tracking=off)
         found = certify(replace(motion, requirements=replace(need, limits=limits)))
         bounds.append(found["tracking_radius"].bound)
     left = found["object_clearance"].bound - need.separation.object
