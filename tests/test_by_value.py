@@ -46,7 +46,8 @@ def examples() -> list[Any]:
     return [
         *(team, ho.Team(3, 2.0, topology="open"), swarm, PartTeam.of(team, [2, 0, 1])),
         *(start, ho.ConvexPolygon(TRIANGLE), ho.ConvexArc(ARC)),
-        *(limits, ho.Separation(0.2), arena, prism, Requirements(keep_out=(prism,), **required)),
+        *(limits, ho.Tube(0.08, 0.2), ho.Separation(0.2), arena, prism),
+        Requirements(keep_out=(prism,), **required),
         *(rim, box, box.section, ho.Section(radius=0.2)),
         *(ho.HitchStart(ho.ConvexPolygon(TRIANGLE), 1.2, [0.3, 0.4, 0.5]), ho.DronesStart(Q, R)),  # type: ignore[arg-type]
         ho.Problem(start.team, start, steps, title="Two steps", **required),
