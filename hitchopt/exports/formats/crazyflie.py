@@ -148,7 +148,7 @@ class CrazyflieFormat(Format):
         """Return the error that a motion does not fit in memory."""
         pieces = len(fit_breaks(motion.drones, self.kind, 1.0)) - 1.0
         when, limit = f"in {motion.duration:.4g} s", float(self.max_pieces(motion.drones))
-        remedy = "let the plan rest now and then, where it can be cut"
+        remedy = "add steps such as hold: {seconds: 3}, at which the plan can be cut"
         note = "compressed holds three times as much as crazyswarm2; or stream it: format=ros2bag"
         violation = Violation("memory", pieces, limit, "max", "pieces", (), when, remedy)
         return InfeasibleError([violation], note)
