@@ -24,7 +24,14 @@ from benchmarks.measuring import Array, Table, parser
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.estimator import HELD, ONE_MARKER
 from hitchopt.lab.flights.hover import HoverSeries
-from hitchopt.lab.flights.replay import RATE, SETTLING, Series, cable_pulls, smoothed
+from hitchopt.lab.flights.replay import (
+    RATE,
+    SETTLING,
+    Series,
+    cable_pulls,
+    smoothed,
+    tilt_rms_deg,
+)
 
 # Tied drones: mass [kg], and level gains of their file [N/m], [N s/m]. Drones with a load, whose
 # logs hold a thrust in newtons or a vector of it: masses [kg]; mass of the load [kg]
@@ -139,10 +146,8 @@ def load_series(path: Path, flight: ho.RecordedFlight) -> Iterator[LoadSeries]:
         stock = series.believed(ONE_MARKER)
         axes = [x[..., 2] for x in (stock, series.logged)]
         true = lift / np.linalg.norm(lift, axis=1, keepdims=True)
-        errors = [
-            math.degrees(math.sqrt(np.mean(np.sum(np.cross(a, b)[used] ** 2, axis=1))))
-            for a, b in ((axes[0], axes[1]), (axes[1], true))
-        ]
+        pairs = (axes[0], axes[1]), (axes[1], true)
+        errors = [tilt_rms_deg(a[used], b[used]) for a, b in pairs]
         shares = [_gain_and_share(t, x, lift, acceleration, pull, used) for x in axes[::-1]]
         replayed = series.replayed(drone, "exported", HELD).pull_seen
         tension = np.linalg.norm(pull, axis=1)
@@ -173,14 +178,19 @@ def _gain_and_share(
     Both are fitted to the level part, with a constant tilt along each axis.
     """
     believed = smoothed(t, axis[:, :2] / axis[:, 2:]) * lift[:, 2:]
-    one, none = np.ones(int(np.sum(used))), np.zeros(int(np.sum(used)))
-    columns = [
-        np.stack([acceleration[used, j], -pull[used, j], *((one, none)[:: 1 - 2 * j])], axis=1)
-        for j in range(2)
-    ]
-    values = np.concatenate([believed[used, 0], believed[used, 1]])
-    fit = np.linalg.lstsq(np.concatenate(columns), values, rcond=None)[0]
-    return float(fit[0]), float(fit[1])
+    gain, share = _level_fit(*(x[used] for x in (believed, acceleration, -pull)))
+    return gain, share
+
+
+def _level_fit(values: Array, *parts: Array) -> list[float]:
+    """Return the coefficients of parts (m, 2 or 3) in the level part of values.
+
+    Fitted with a constant along each axis, by least squares.
+    """
+    columns = [np.concatenate([x[:, 0], x[:, 1]]) for x in (values, *parts)]
+    constants = np.repeat(np.eye(2), len(values), axis=0)
+    fit = np.linalg.lstsq(np.column_stack([*columns[1:], constants]), columns[0], rcond=None)[0]
+    return [float(x) for x in fit[: len(parts)]]
 
 
 def _drag(flight: ho.RecordedFlight, drone: str, series: Series, pull: Array, mass: float) -> float:
@@ -192,13 +202,7 @@ def _drag(flight: ho.RecordedFlight, drone: str, series: Series, pull: Array, ma
     force = smoothed(t, own["specific_force"].at(t))[used]
     velocity = smoothed(t, series.velocities)
     parts = [np.einsum("iba,ib->ia", logged, x)[used] for x in (velocity, pull)]
-    one, none = np.ones(len(force)), np.zeros(len(force))
-    columns = [
-        np.stack([parts[0][:, j], parts[1][:, j], *((one, none)[:: 1 - 2 * j])], axis=1)
-        for j in range(2)
-    ]
-    values = np.concatenate([force[:, 0], force[:, 1]])
-    return -mass * float(np.linalg.lstsq(np.concatenate(columns), values, rcond=None)[0][0])
+    return -mass * _level_fit(force, *parts)[0]
 
 
 def predicted_by_others(

@@ -511,7 +511,7 @@ NOT_CARRIED = (
     "Acceleration is discontinuous between pieces; thrust and tilt are those within pieces.",
     "Jerk is discontinuous between pieces.",
 )
-"""What files do not carry, by the highest continuous derivative."""
+"""Sentences on what is discontinuous in files, by the highest continuous derivative."""
 
 
 @dataclass(frozen=True)

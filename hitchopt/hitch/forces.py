@@ -345,7 +345,7 @@ def cable_force_rates(team: Team, values: tuple[Array, ...], rates: tuple[Array,
 
 INTEGRAL = "Integral action overrides the planned tension: 1 cm of cable error multiplies it."
 SLACK = "Cables will go slack: this receiver takes no cable forces."
-"""What becomes of tensions that position loops do not hold."""
+"""Sentences on tensions that position loops do not hold."""
 
 
 def undetermined_tension(*, integral: bool, feed_forward: bool) -> tuple[str, ...]:

@@ -7,13 +7,16 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import writers as w
 from click.testing import CliRunner
 from load_flights import carried
+from scipy.spatial.transform import Rotation
 
 import hitchopt as ho
 from hitchopt.cli import main
+from hitchopt.lab.flights.replay import tilt_rms_deg
 
 
 def by_name(replays: tuple[ho.ReplayedFilter, ...]) -> dict[tuple[str, str], ho.ReplayedFilter]:
@@ -75,6 +78,14 @@ def test_a_steady_pull_is_unseen_by_one_marker() -> None:
     replays = by_name(ho.replay_filters(replace(carried(9.0), loads={})))
     assert abs(replays["cf0", "stock, one marker"].pull_seen) < 0.3
     assert replays["cf0", "exported"].pull_seen == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize("degrees", [0.0, 1e-6, 3.0, 60.0, 90.0, 150.0, 180.0])
+def test_tilts_are_angles_of_any_size(degrees: float) -> None:
+    angle = math.radians(degrees)
+    one = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8]])
+    other = Rotation.from_rotvec([0.0, angle, 0.0]).apply(one)
+    assert tilt_rms_deg(one, other) == pytest.approx(degrees, rel=1e-9, abs=1e-12)
 
 
 def test_recordings_without_sensors_are_refused(tmp_path: Path) -> None:

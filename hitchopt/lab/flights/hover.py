@@ -9,7 +9,6 @@ Position-only commands trail by the speed times ``kd/kp``.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -27,6 +26,7 @@ from hitchopt.geometry.vectors import length
 from hitchopt.hitch import GRAVITY
 from hitchopt.lab.flights.readers import read_flight
 from hitchopt.lab.flights.recordings import RecordedFlight, Signal
+from hitchopt.storage.yaml_file import flow
 from hitchopt.values import Array, positive
 from hitchopt.values import path as checked_path
 
@@ -58,7 +58,7 @@ DIRECTIONS = ("+x", "+x +y", "+y", "-x +y", "-x", "-x -y", "-y", "+x -y")
 
 @dataclass(frozen=True)
 class DroneHover(OneLine):
-    """What hovers tell of a drone; nan where it is not determined.
+    """Findings about one drone in hovers; nan where they are not determined.
 
     Attributes
     ----------
@@ -177,8 +177,8 @@ class HoverCalibration(OneLine):
     def text(self) -> str:
         """The block ``quadrotor:`` in YAML, with each drone's sentence as a comment."""
         kinds = self.quadrotor.items()
-        lines = [f"  # {self.drones[n].sentence}\n  {n}: {json.dumps(kind)}" for n, kind in kinds]
-        return "\n".join(["quadrotor:", *lines, ""]).replace('"', "")
+        lines = [f"  # {self.drones[n].sentence}\n  {flow({n: kind})[1:-1]}" for n, kind in kinds]
+        return "\n".join(["quadrotor:", *lines, ""])
 
     def save(self, path: Path | str) -> None:
         """Write ``text`` to a file."""

@@ -38,7 +38,7 @@ MESSAGES = {
 }
 
 Samples = list[tuple[str, Any, dict[str, Array]]]
-"""Of each body in messages: its frame, the header, and quantities (messages, k)."""
+"""Frame, header and quantities (messages, k) of each body in messages."""
 
 
 def _xyz(v: Any) -> Array:

@@ -19,7 +19,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 from hitchopt.errors import FileError, OneLine
-from hitchopt.geometry.vectors import length
+from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.estimator import FIRMWARE, HELD, ONE_MARKER, EstimatorParameters
 from hitchopt.lab.flights.readers import read_flight
@@ -182,7 +182,7 @@ class Series:
             remark = "no captured attitude is recorded: its error is unknown"
             return ReplayedFilter(drone, label, pull_seen=share, remark=remark)
         errors = [
-            math.nan if x is None else math.degrees(_rms(_tilts(believed[0], x[self.used])))
+            math.nan if x is None else tilt_rms_deg(believed[0, ..., 2], x[self.used][..., 2])
             for x in (self.logged, self.captured)
         ]
         t = self.t[self.used]
@@ -279,9 +279,9 @@ def derivative(t: Array, values: Array, time: float = SMOOTHING) -> Array:
     return smoothed(t, values, time, order=1)
 
 
-def _tilts(a: Array, b: Array) -> Array:
-    """Return the angles (m,) [rad] between the z axes of attitudes (m, 3, 3)."""
-    return np.asarray(np.linalg.norm(np.cross(a[..., 2], b[..., 2]), axis=-1))
+def tilt_rms_deg(a: Array, b: Array) -> float:
+    """Return the root mean square angle [deg] between axes (m, 3) of unit length."""
+    return math.degrees(_rms(np.arctan2(length(np.cross(a, b)), dot(a, b))))
 
 
 def _rms(values: Array) -> float:
