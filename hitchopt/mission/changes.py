@@ -286,17 +286,25 @@ def _start_knobs(problem: Problem) -> Iterator[Knob]:
             edits.append(Edit(f"start.drones.{name}", places.tolist()))
         return tuple(edits)
 
-    key, span = "start.drones", frozenset({"span"})
+    key, span = "start.drones", frozenset({"span"}) | _hanging_checks(problem)
     robots, pairs = "robots from their middle", "two drones of a robot"
     yield Knob(key, 1.0, "times", lambda factor: scale(factor, 1.0), 1, DISTANCE_CHECKS, robots)
-    yield Knob(key, 1.0, "times", lambda factor: scale(1.0, factor), -1, span, pairs)
+    arms_only = partial(scale, 1.0)
+    yield Knob(key, 1.0, "times", arms_only, 1, DISTANCE_CHECKS, pairs)
+    yield Knob(key, 1.0, "times", arms_only, -1, span, pairs)
+
+
+def _hanging_checks(problem: Problem) -> frozenset[str]:
+    """Return the constraints of cables that hang between drones at the start, if shallow."""
+    hangs = isinstance(problem.start, DronesStart) and np.any(problem.team.cable_density > 0.0)
+    return FORCE_CHECKS if hangs else frozenset()
 
 
 def _team_knobs(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:
     """Yield the knobs of cables, outlines and forces."""
     tension = _team_values(problem, "tension", "N")
     length = replace(_team_values(problem, "cable_length", "m"), words="all cables")
-    yield replace(length, covers=SPACE_CHECKS)
+    yield replace(length, covers=SPACE_CHECKS | _hanging_checks(problem))
     yield replace(length, sign=-1, covers=DISTANCE_CHECKS | {"arena"})
     scale = partial(scaled_outlines, problem)
     polygons = Knob("polygon", 1.0, "times", scale, 1, DISTANCE_CHECKS, "scale of all polygons")

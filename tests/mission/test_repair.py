@@ -103,6 +103,21 @@ def test_faults_of_beginners_are_repaired(name: str) -> None:
     assert_as_suggested(BEGINNERS[name]["problem"], suggestions[0])
 
 
+def test_shallow_cables_at_the_start_are_lengthened_or_their_drones_moved_together() -> None:
+    """Cables nearly as long as the distance of their drones pull more than drones can."""
+    q = [[-0.45, 1.2, 0], [-0.45, 0, 0], [-0.45, -1.2, 0]]
+    data = {
+        "team": {"robots": 3, "cable_length": 0.9002, "cable_density": 0.02},
+        "start": {"drones": {"q": q, "r": [[-x, y, z] for x, y, z in q]}},
+        "mission": [{"hold": {"seconds": 1}}],
+    }
+    suggestions = ho.suggestions(problem_from_dict(data), PATIENCE)
+    keys = [each.change.key for each in suggestions]
+    assert {"team.cable_length", "start.drones"} <= set(keys)
+    for each in suggestions:
+        assert_as_suggested(data, each)
+
+
 HEPTAGON = [
     [[1.45, -0.014], [1.097, -0.85], [-0.619, -1.175], [-1.326, -0.526], [-1.413, 0.293]]
     + [[-0.148, 1.292], [1.125, 0.82]],
