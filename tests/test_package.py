@@ -10,6 +10,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -21,8 +22,6 @@ from hitchopt.errors import Violation
 from hitchopt.lab.simulation.world import InvalidRunError
 
 PACKAGE = Path(hitchopt.__file__).parent
-TREES = {path: ast.parse(path.read_text("utf-8")) for path in sorted(PACKAGE.rglob("*.py"))}
-NODES = [(path, node) for path, tree in TREES.items() for node in ast.walk(tree)]
 
 # Methods that the package itself does not call: toppra, click and pickle do, or users
 CALLED = frozenset(
@@ -31,6 +30,12 @@ CALLED = frozenset(
     to_dataframe""".split()  # noqa: SIM905
 )
 CLASS_NAME = r"(?:[\w.]+:)?[A-Z]\w*"  # Strings that name a class, with or without its module
+
+
+@cache
+def trees() -> dict[Path, ast.Module]:
+    """Return the syntax trees of all files of the package."""
+    return {path: ast.parse(path.read_text("utf-8")) for path in sorted(PACKAGE.rglob("*.py"))}
 
 
 def test_public_names_have_words_and_others_are_refused() -> None:
@@ -72,11 +77,11 @@ def test_imports_load_nothing_heavy_and_users_get_toppra_whole(code: str, printe
 
 def test_modules_import_one_another_in_no_circle() -> None:
     """Late imports and those of type checkers count: they say that a boundary is wrong."""
-    trees = {
+    modules = {
         ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): tree
-        for path, tree in TREES.items()
+        for path, tree in trees().items()
     }
-    arrows = {name: _imported(tree, set(trees)) - {name} for name, tree in trees.items()}
+    arrows = {name: _imported(tree, set(modules)) - {name} for name, tree in modules.items()}
     while leaves := {name for name, ahead in arrows.items() if not ahead & arrows.keys()}:
         arrows = {name: ahead for name, ahead in arrows.items() if name not in leaves}
     assert sorted(arrows) == []
@@ -109,14 +114,15 @@ def defined(tree: ast.Module) -> Iterator[tuple[ast.AST, str]]:
 
 def test_nothing_public_is_unused_by_the_package() -> None:
     """What only tests or benchmarks use belongs there; strings such as ``module:Class`` count."""
-    read = [node for _, node in NODES if isinstance(getattr(node, "ctx", None), ast.Load)]
+    nodes = [node for tree in trees().values() for node in ast.walk(tree)]
+    read = [node for node in nodes if isinstance(getattr(node, "ctx", None), ast.Load)]
     known = {node.id for node in read if isinstance(node, ast.Name)} | CALLED
     known |= {node.attr for node in read if isinstance(node, ast.Attribute)} | {*hitchopt.__all__}
-    texts = (str(node.value) for _, node in NODES if isinstance(node, ast.Constant))
+    texts = (str(node.value) for node in nodes if isinstance(node, ast.Constant))
     known |= {text.rpartition(":")[2] for text in texts if re.fullmatch(CLASS_NAME, text)}
     unused = [
         f"{path.relative_to(ROOT)}:{getattr(node, 'lineno', 1)}: {name}"
-        for path, tree in TREES.items()
+        for path, tree in trees().items()
         for node, name in defined(tree)
         if name not in known and not name.startswith("_")
     ]

@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import trimesh
 from exported_plans import Array, exported, hitch_plan, swarm_plan, task_of
 from format_readers import READERS, bag_messages, glb_animation, vector
 from matplotlib.colors import to_rgb
@@ -355,6 +354,8 @@ def srgb_to_linear(colour: str) -> list[float]:
 @pytest.mark.parametrize("stem", ["", pytest.param("carry_tray", marks=pytest.mark.slow)])
 def test_nodes_of_a_scene_are_where_the_plan_has_them(stem: str, tmp_path: Path) -> None:
     """Loaded by trimesh; spans of a cable lead from drone to drone and turn smoothly."""
+    import trimesh
+
     motion = planned(stem).motion if stem else hitch_plan()
     exported(motion, "gltf", tmp_path)
     graph = trimesh.load_scene(tmp_path / "plan.glb").graph

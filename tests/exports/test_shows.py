@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +20,6 @@ from hitchopt.exports.formats.mavsdk import ARMING_TIME, read_tables
 from hitchopt.exports.formats.skybrush import read_show, storage_scale, stored_curve, write_show
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial
-
-MOTIONS = pytest.mark.parametrize("motion", [hitch_plan(), swarm_plan()], ids=["hitch", "swarm"])
 
 
 def files_of(folder: Path) -> dict[str, Any]:
@@ -88,8 +86,9 @@ def place(entry: dict[str, Any], landing: float, start: Array, t: float) -> Arra
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("motion", [swarm_plan(), crossing()], ids=["swarm", "crossing"])
-def test_returns_keep_drones_apart(motion: Motion, tmp_path: Path) -> None:
+@pytest.mark.parametrize("made", [swarm_plan, crossing])
+def test_returns_keep_drones_apart(made: Callable[[], Motion], tmp_path: Path) -> None:
+    motion = made()
     exported(motion, "skybrush", tmp_path)
     plans = [drone["rthPlan"] for drone in settings_of(files_of(tmp_path))]
     times = [[entry["time"] for entry in plan["entries"]] for plan in plans]
@@ -179,11 +178,12 @@ def ned(v: Array) -> Array:
     return np.stack([v[..., 1], v[..., 0], -v[..., 2]], axis=-1)
 
 
-@MOTIONS
+@pytest.mark.parametrize("made", [hitch_plan, swarm_plan])
 def test_drones_rise_from_the_ground_and_all_of_the_plan_is_flown(
-    motion: Motion, tmp_path: Path
+    made: Callable[[], Motion], tmp_path: Path
 ) -> None:
     """With the settings that are stated; by its own the player sends no row of these plans."""
+    motion = made()
     (part,) = exported(motion, "mavsdk_drone_show", tmp_path)
     stated = json.loads((tmp_path / "export.json").read_text())["receiver"]
     begin, settings = stated["plan_begins_s"], stated["settings"]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -102,9 +104,11 @@ def uneven_hitch(n: int, roll: float) -> ho.Hitch:
 
 CHAIN = ho.Team(3, 2.4, topology="open", cable_density=0.01)
 ARC = [[0.0, 0.0], [0.8, 1.2], [2.2, 1.3], [3.0, 0.0]]
-HITCHES = {f"regular {n}": regular_hitch(n) for n in (3, 6, 12)}
-HITCHES["chain"] = ho.Hitch.balanced(CHAIN, ARC, altitude=1.0)
-HITCHES |= {f"{n} by {roll}": uneven_hitch(n, roll) for n in (3, 12) for roll in (20.0, -30.0)}
+HITCHES: dict[str, Callable[[], ho.Hitch]] = {
+    **{f"regular {n}": partial(regular_hitch, n) for n in (3, 6, 12)},
+    "chain": partial(ho.Hitch.balanced, CHAIN, ARC, altitude=1.0),
+    **{f"{n} by {x}": partial(uneven_hitch, n, x) for n in (3, 12) for x in (20.0, -30.0)},
+}
 
 
 @PRESETS
@@ -112,7 +116,7 @@ HITCHES |= {f"{n} by {roll}": uneven_hitch(n, roll) for n in (3, 12) for roll in
 def test_initial_cables_are_linked_separate_and_end_near_their_drones(
     name: str, preset: Preset
 ) -> None:
-    hitch = HITCHES[name]
+    hitch = HITCHES[name]()
     ropes, layout = ropes_of(hitch.team, preset=preset), hitch.team.layout
     cables = shapes.clasped(ropes, layout, hitch.drones, hitch.vertices)
     assert_exact(cables, ropes)

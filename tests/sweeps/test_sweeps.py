@@ -11,11 +11,9 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import distributed
 import numpy as np
-import pandas
 import pytest
 from click.testing import CliRunner
 
@@ -33,6 +31,10 @@ from hitchopt.lab.sweeps.sweep import (
 )
 from hitchopt.lab.sweeps.work import SETTINGS, compute_row
 from hitchopt.values.fields import mapping_of
+
+if TYPE_CHECKING:
+    import distributed
+    import pandas
 
 PROBLEM: dict[str, Any] = {
     "team": {"robots": 3, "cable_length": 2.4},
@@ -149,6 +151,8 @@ def fixed(rows: pandas.DataFrame) -> pandas.DataFrame:
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[distributed.LocalCluster]:
+    import distributed
+
     given = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
     with distributed.LocalCluster(**given) as cluster:
         yield cluster
@@ -175,6 +179,8 @@ def swept(
 
 @pytest.mark.slow
 def test_workers_that_are_killed_lose_no_row(swept: tuple[Path, pandas.DataFrame]) -> None:
+    import pandas
+
     place, rows = swept
     assert list(rows["parameter.team.tension"]) == [0.3, 0.3, 0.5, 0.5, 2.5, 2.5]
     assert list(rows["status"]) == ["planned"] * 4 + ["infeasible"] * 2
@@ -190,6 +196,8 @@ def test_workers_that_are_killed_lose_no_row(swept: tuple[Path, pandas.DataFrame
 def test_only_lost_rows_are_computed_again(
     swept: tuple[Path, pandas.DataFrame], cluster: distributed.LocalCluster, tmp_path: Path
 ) -> None:
+    import pandas
+
     place, rows = swept
     (tmp_path / "study.json").write_bytes((place / "study.json").read_bytes())
     lines = (place / ROWS).read_bytes()
