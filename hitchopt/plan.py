@@ -148,11 +148,13 @@ class Plan(OneLine):
         progress: Progress | None = None,
         *,
         report: bool = False,
+        picture: bool = True,
     ) -> Path:
-        """Write plan, setpoints at ``rate`` [Hz], certificate and picture; return the directory.
+        """Write plan, setpoints at ``rate`` [Hz] and certificate, then draw; return the directory.
 
         With ``report``, ``report.html`` is written as well. Either all files are written or none,
-        even if the process is killed; only files with these names are replaced.
+        even if the process is killed; only files with these names are replaced. ``summary.png``
+        follows, unless ``picture`` is False.
 
         Raises
         ------
@@ -160,21 +162,36 @@ class Plan(OneLine):
         InputError: the rate is not positive.
         FileError: the directory is not writable.
         """
-        from hitchopt.exports.directory import REPORT, SUMMARY, save_plan
-        from hitchopt.view.pictures import draw_summary
-        from hitchopt.view.style import save_figure
+        from hitchopt.exports.directory import REPORT, save_plan
 
         motion, folder = self.motion, path("directory", directory)
+        is_drawn = flag("picture", picture)
 
         def report_share(fraction: float) -> None:
             if progress is not None:
                 progress(f"writing setpoints, {fraction:.0%}")
 
         content = motion, self.certificate, self.title
-        pictures = {SUMMARY: lambda file: save_figure(draw_summary(*content), file)}
-        if flag("report", report):
-            pictures[REPORT] = lambda file: self._write_report(file, file.parent)
-        return save_plan(folder, *content, rate, pictures, report_share, self.problem)
+        pages = {REPORT: lambda file: self._write_report(file, file.parent)}
+        pages = pages if flag("report", report) else {}
+        save_plan(folder, *content, rate, pages, report_share, self.problem)
+        if is_drawn:
+            self.draw(folder)
+        return folder
+
+    def draw(self, directory: Path | str) -> Path:
+        """Draw ``summary.png`` into the directory where the plan is saved; return its path.
+
+        Raises FileError if another plan is there, or the directory is not writable.
+        """
+        from hitchopt.exports.directory import save_picture
+        from hitchopt.view.pictures import draw_summary
+        from hitchopt.view.style import save_figure
+
+        def write(file: Path) -> None:
+            save_figure(draw_summary(self.motion, self.certificate, self.title), file)
+
+        return save_picture(path("directory", directory), self.certificate, write)
 
     def _write_report(self, file: Path, directory: Path, ghost: Path | str | None = None) -> None:
         """Write the report, with the digests of the plan's files in ``directory``."""

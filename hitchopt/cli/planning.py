@@ -22,6 +22,7 @@ from hitchopt.cli.failures import exit_code, exit_infeasible, report_error
 from hitchopt.cli.options import PATH, command, completing, option, plan_path
 from hitchopt.cli.output import (
     ProgressBar,
+    output,
     record,
     say,
     show_notes,
@@ -60,6 +61,7 @@ MODELINE = f"# yaml-language-server: $schema={SCHEMA}\n"
     ),
     option("--rate", "Setpoints per second and drone.", 100.0, "HZ"),
     option("--report", "Write DIR/report.html as well."),
+    option("--no-picture", "Do not draw DIR/summary.png; -q does not either."),
     option("--verify", "Prove the plan's limits by another method as well."),
     option(
         "--repair/--no-repair",
@@ -79,6 +81,7 @@ def solve(
     take: int,
     *,
     report: bool,
+    no_picture: bool,
     verify: bool,
     repair: bool,
 ) -> None:
@@ -117,6 +120,19 @@ def solve(
     if verify:
         _show_verified(plan_path(folder))
     show_notes(plan)
+    if not no_picture:
+        _draw(plan, folder)
+
+
+def _draw(plan: ho.Plan, folder: Path) -> None:
+    """Draw the picture of a plan that is stored, unless ``--quiet``; a failure is a warning."""
+    if output().quiet:
+        return
+    try:
+        with ProgressBar("drawing"):
+            plan.draw(folder)
+    except FileError as error:
+        say(f"warning: {error}", err=True)
 
 
 def _output(option: Path | None, file: Path) -> Path:
@@ -147,7 +163,7 @@ def _plan(
     for note in tracking_notes(plan.motion):
         say(f"note: {note}")
     with ProgressBar("writing") as progress:
-        plan.save(folder, rate, progress, report=report)
+        plan.save(folder, rate, progress, report=report, picture=False)
     content = certificate_content(plan.motion, plan.certificate, folder / PLAN)
     say(f"certified; the plan is in {folder}", directory=str(folder), certificate=content)
     return plan

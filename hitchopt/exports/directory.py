@@ -19,7 +19,14 @@ from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.states import States, iterate_states, sample_times, states_at
 from hitchopt.storage.archive import PLAN
-from hitchopt.storage.files import Writer, digest, parsed_json, replace_files, write_strict_json
+from hitchopt.storage.files import (
+    Writer,
+    digest,
+    parsed_json,
+    replace_files,
+    strict_json,
+    write_strict_json,
+)
 from hitchopt.values import Array
 
 SETPOINTS, VERTICES = "setpoints.csv", "vertices.csv"
@@ -46,20 +53,20 @@ def save_plan(
     certificate: Certificate,
     title: str = "",
     rate: float = 100.0,
-    pictures: Mapping[str, Writer] | None = None,
+    pages: Mapping[str, Writer] | None = None,
     progress: Progress | None = None,
     problem: str = "",
 ) -> Path:
     """Write the files of a certified plan atomically; return the directory.
 
-    Tables are sampled at ``rate`` [Hz]; ``pictures`` are writers of further files of OWNED;
+    Tables are sampled at ``rate`` [Hz]; ``pages`` are writers of further files of OWNED;
     ``progress`` is called with the fraction of setpoints written.
     """
     certificate.raise_if_violated()
     writers: dict[str, Writer] = {
         PLAN: lambda path: write_plan(path, motion, title, problem),
         SETPOINTS: lambda path: write_setpoints(path, motion, rate, progress),
-        **(pictures or {}),
+        **(pages or {}),
     }
     if motion.has_cables:
         writers[VERTICES] = lambda path: write_vertices(path, motion, rate)
@@ -78,6 +85,22 @@ def certificate_content(motion: Motion, certificate: Certificate, plan: Path) ->
     """Return the content of ``certificate.json`` for the motion in a plan file."""
     assigned = {} if motion.assignment is None else {"assignment": motion.assignment.to_dict()}
     return {**certificate.to_dict(), **assigned, "plan": digest(plan)}
+
+
+def save_picture(directory: Path, certificate: Certificate, write: Writer) -> Path:
+    """Write ``summary.png`` next to the plan of a certificate; return its path.
+
+    Raises FileError if another plan, or none, is in the directory by the time it is drawn.
+    """
+    expected = parsed_json(strict_json(certificate.to_dict()))
+
+    def check() -> None:
+        path = directory / CERTIFICATE
+        content = parsed_json(path.read_bytes()) if path.is_file() else {}
+        if any(content.get(key) != value for key, value in expected.items()):
+            raise FileError(f"{directory / SUMMARY}: is not written: the plan there is another one")
+
+    return replace_files(directory, {SUMMARY: write}, (SUMMARY,), SUMMARY, check=check) / SUMMARY
 
 
 def changed_tables(directory: Path) -> list[str]:

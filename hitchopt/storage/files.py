@@ -41,6 +41,7 @@ def replace_files(
     owned: Collection[str],
     seal: str,
     previous: BackupPolicy = "leave",
+    check: Callable[[], object] = lambda: None,
 ) -> Path:
     """Write the named files into a directory, and remove the other files of ``owned``.
 
@@ -51,6 +52,8 @@ def replace_files(
     owned: names that may be replaced and removed, those of ``writers`` among them.
     seal: the name among ``owned`` that marks a complete set.
     previous: backup policy for the last sealed set.
+    check: called once the files are complete and no other process replaces files in the directory;
+        it raises an error to leave the directory as it is.
 
     Returns the directory as passed. Raises FileError if it is no directory or not writable; then
     nothing in it has changed, or the seal is missing.
@@ -76,6 +79,7 @@ def replace_files(
                 _sync(stage / name)
             _sync(stage)
             with _directory_lock(target.parent):
+                check()
                 _exchange(target, stage, set(writers), set(owned), seal, previous)
     except OSError as error:
         file = f" ({Path(error.filename).name})" if isinstance(error.filename, str) else ""

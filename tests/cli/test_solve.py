@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from baseline import SWARMS, differences
 from commands import TRIANGLE, refused, run
+from matplotlib.figure import Figure
 from plans import GOOD, INFEASIBLE, ROOT, header, planned
 
 import hitchopt as ho
@@ -178,6 +179,58 @@ def test_interrupts_are_quiet_and_leave_the_diagnosis(monkeypatch: pytest.Monkey
     monkeypatch.setattr("hitchopt.solve", interrupted)
     assert run("solve", TRIANGLE, "-o", "other", code=130).output == ""
     assert not Path("other").exists()
+
+
+DRAW = "hitchopt.view.pictures.draw_summary"
+
+
+def test_a_plan_is_printed_and_stored_before_it_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    def solved(
+        *options: str, drawing: type[BaseException] | None = None, code: int = 0
+    ) -> tuple[set[str], str]:
+        """Return the files that are left and the output; drawing may end with an exception."""
+
+        def draw(*_: object) -> None:
+            assert Path("out/certificate.json").is_file()
+            assert not Path("out/summary.png").exists()  # the previous plan's picture
+            raise drawing or AssertionError
+
+        with monkeypatch.context() as patch:
+            if drawing is not None:
+                patch.setattr(DRAW, draw)
+            result = run("solve", TRIANGLE, "-o", "out", "--rate", "5", *options, code=code)
+        return {path.name for path in Path("out").iterdir()}, result.output
+
+    plan = {"plan.npz", "setpoints.csv", "vertices.csv", "certificate.json"}
+    names, told = solved()
+    assert names == {*plan, "summary.png"}
+    assert solved(drawing=KeyboardInterrupt, code=130) == (plan, told)
+    run("check", "out", code=0)
+    assert solved() == ({*plan, "summary.png"}, told)
+    warning = "warning: out: cannot be written: None; free space there, or name another directory\n"
+    assert solved(drawing=OSError) == (plan, told + warning.replace("None", ""))
+    assert solved("--no-picture", drawing=AssertionError) == (plan, told)
+    assert solved("-q", drawing=AssertionError) == (plan, "")
+
+
+def test_a_picture_goes_to_its_own_plan_only(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first, second = planned("triangle"), planned("pentagon")
+    first.save("out", rate=5.0, picture=False)
+
+    def draw(*_: object) -> Figure:
+        patch.undo()
+        second.save("out", rate=5.0)  # another process is faster
+        return Figure()
+
+    with monkeypatch.context() as patch:
+        patch.setattr(DRAW, draw)
+        with pytest.raises(ho.FileError, match=r"summary\.png: is not written: the plan there is"):
+            first.draw("out")
+    picture = (place / "out" / "summary.png").read_bytes()
+    assert second.draw("out").read_bytes() == picture
+    with pytest.raises(ho.FileError, match="is not written"):
+        first.draw("nowhere")
+    assert {path.name for path in place.iterdir()} == {"out"}
 
 
 @pytest.mark.slow

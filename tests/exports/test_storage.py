@@ -169,9 +169,9 @@ def save(directory: Path, title: str = "", **more: Any) -> Path:
 
 def test_a_certified_plan_leaves_its_files_and_others_are_refused(tmp_path: Path) -> None:
     motion, done = hitch_plan(), list[float]()
-    pictures = {"summary.png": text("PNG")}
-    out = save(tmp_path / "out", "Drei", pictures=pictures, progress=done.append)
-    assert names(out) == {*FILES, "summary.png"}
+    pages = {"report.html": text("<html>")}
+    out = save(tmp_path / "out", "Drei", pages=pages, progress=done.append)
+    assert names(out) == {*FILES, "report.html"}
     assert (done[-1], read_saved_plan(out / "plan.npz").title) == (1.0, "Drei")
     samples = len(sample_times(motion.duration, 5.0))
     for name, rows in (("setpoints.csv", 6), ("vertices.csv", 3)):
