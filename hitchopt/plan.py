@@ -219,6 +219,7 @@ class Plan(OneLine):
         save: Path | str | None = None,
         *,
         ghost: Path | str | None = None,
+        width: float | None = None,
         host: str = "127.0.0.1",
         port: int = 8080,
         browser: bool = True,
@@ -234,6 +235,8 @@ class Plan(OneLine):
             summary; .mp4 and .gif a film in real time.
         ghost: file or directory of another plan, a simulated flight or an evaluation to show for
             comparison.
+        width: of a saved picture [inch], a figure for a paper with text of 8 pt; by default it is
+            one for screens.
         host, port: address to listen on; if the port is in use, the next free one.
         browser: whether to open the browser.
         progress: status callback for films.
@@ -250,7 +253,7 @@ class Plan(OneLine):
             from hitchopt.view.report import save_view
 
             content = self.motion, self.certificate, self.title, self.problem
-            save_view(path("save", save), *content, progress)
+            save_view(path("save", save), *content, progress, width)
             return None
         import webbrowser
 
@@ -314,7 +317,12 @@ class Plan(OneLine):
             )
 
 
-def closest(plan: Plan, spans: int = SPANS, picture: Path | str | None = None) -> Closeness:
+def closest(
+    plan: Plan,
+    spans: int = SPANS,
+    picture: Path | str | None = None,
+    width: float | None = None,
+) -> Closeness:
     """Return the closest pairs of drones over time, with bounds that hold for all t.
 
     Parameters
@@ -322,6 +330,7 @@ def closest(plan: Plan, spans: int = SPANS, picture: Path | str | None = None) -
     plan: a plan of at least two drones.
     spans: number of time intervals of equal length; the closest pair of each is returned.
     picture: file to draw the result to (.png, .svg or .pdf), or None.
+    width: of the picture [inch], then a figure for a paper with text of 8 pt.
     """
     check_instance("plan", plan, Plan)
     pairs = closeness(plan.motion, integer("spans", spans, 1))
@@ -331,7 +340,7 @@ def closest(plan: Plan, spans: int = SPANS, picture: Path | str | None = None) -
         from hitchopt.view.style import save_figure
 
         try:
-            save_figure(draw_closeness(plan.motion, pairs), picture)
+            save_figure(draw_closeness(plan.motion, pairs, width), picture)
         except OSError as error:
             raise FileError(f"{picture}: cannot be written: {error.strerror}") from error
     return pairs

@@ -56,6 +56,12 @@ def option(
     return click.Option(names.split(), **settings, **more)
 
 
+def width_option(of: str) -> click.Option:
+    """Return the option for the width of a figure for a paper."""
+    words = f"Width of {of} for a paper; all text is then 8 pt."
+    return option("--width", words, float, "INCHES")
+
+
 def command(
     argument: str, *options: click.Option, **more: Any
 ) -> Callable[[Callable[..., None]], click.Command]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import hitchopt as ho
-from hitchopt.cli.options import PATH, command, option, plan_path
+from hitchopt.cli.options import PATH, command, option, plan_path, width_option
 from hitchopt.cli.output import ProgressBar, say
 from hitchopt.cli.planning import SUFFIXES
 from hitchopt.errors import FileError, HitchoptError, InputError
@@ -48,12 +48,20 @@ def report(directory: Path, ghost: Path | None) -> None:
         PATH,
         "PATH",
     ),
+    width_option("a saved picture"),
     option("--host", "Address to listen on; by default this machine.", "127.0.0.1", "TEXT"),
     option("--port", "Port to listen on, or the next free one.", 8080, "INTEGER"),
     option("--browser/--no-browser", "Whether to open the browser.", True),
 )
 def view(
-    path: Path, save: Path | None, ghost: Path | None, host: str, port: int, *, browser: bool
+    path: Path,
+    save: Path | None,
+    ghost: Path | None,
+    width: float | None,
+    host: str,
+    port: int,
+    *,
+    browser: bool,
 ) -> None:
     """Show and edit the plan in DIR live in the browser; Ctrl-C ends it (needs viser).
 
@@ -76,7 +84,7 @@ def view(
         if ghost is not None:
             bound = "no ghost where a plan is written to a file"
             raise InputError("ghost", str(ghost), bound, "leave --save out: it is shown live")
-        _save(save, path, recording if is_flight else None)
+        _save(save, path, recording if is_flight else None, width)
         return
     from hitchopt.storage.interrupts import how_to_end
     from hitchopt.view.live import open_server, server_address
@@ -96,7 +104,7 @@ def view(
         close()
 
 
-def _save(file: Path, path: Path, recording: Path | None) -> None:
+def _save(file: Path, path: Path, recording: Path | None, width: float | None) -> None:
     """Write a plan as a page, picture or film, or the film of a simulated flight of it."""
     from hitchopt.view.film import save_film
     from hitchopt.view.report import save_view
@@ -105,7 +113,8 @@ def _save(file: Path, path: Path, recording: Path | None) -> None:
     motion, certificate, title, text = _load_content(path)
     with ProgressBar("certifying and drawing") as progress:
         if recording is None:
-            save_view(file, motion, certificate or ho.certify(motion), title, text, progress)
+            proven = certificate or ho.certify(motion)
+            save_view(file, motion, proven, title, text, progress, width)
         else:
             scene, title = ghost_scene(recording, motion), f"{title} (flown)".strip()
             save_film(file, scene, title, lambda x: progress(f"drawing the film, {x:.0%}"))

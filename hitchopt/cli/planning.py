@@ -19,7 +19,7 @@ import click
 
 import hitchopt as ho
 from hitchopt.cli.failures import exit_code, exit_infeasible, report_error
-from hitchopt.cli.options import PATH, command, completing, option, plan_path
+from hitchopt.cli.options import PATH, command, completing, option, plan_path, width_option
 from hitchopt.cli.output import (
     ProgressBar,
     output,
@@ -253,6 +253,7 @@ def _suggestions(
     "directory DIR",
     option("--closest", "Report the closest pairs of drones over time."),
     option("--picture", "Draw the same to a .png, .svg or .pdf file.", PATH, "FILE"),
+    width_option("the picture"),
     option(
         "--gamma",
         "For tracking_radius: how many times farther than drones vertices may be.",
@@ -265,7 +266,13 @@ def _suggestions(
     ),
 )
 def check(
-    directory: Path, picture: Path | None, gamma: float, *, closest: bool, survivable: bool
+    directory: Path,
+    picture: Path | None,
+    width: float | None,
+    gamma: float,
+    *,
+    closest: bool,
+    survivable: bool,
 ) -> None:
     """Recompute the certificate of the plan in DIR, or of a plan.npz, from its polynomials only."""
     from hitchopt.exports.directory import certificate_content, changed_tables
@@ -290,7 +297,7 @@ def check(
         say(f"{span.drone}, {span.start:.4g} s to {span.end:.4g} s: {span.reason}")
     if closest or picture is not None:
         with ProgressBar("finding the closest neighbours"):
-            neighbours = ho.closest(ho.Plan(motion, certificate), picture=picture)
+            neighbours = ho.closest(ho.Plan(motion, certificate), picture=picture, width=width)
         say(f"Closest neighbours\n{neighbours}\n", closest=str(neighbours).splitlines())
         if picture is not None:
             say(f"the closest neighbours over time are drawn in {picture}")

@@ -15,6 +15,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
 from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpecBase, SubplotSpec
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon, Rectangle
 from matplotlib.patheffects import withStroke
@@ -49,24 +50,28 @@ CARD_RESOLUTION = 65  # Resolution of a notebook's picture [dots per inch]: 850 
 POINTS, SAMPLES = 150_000, (60, 600)
 FORBIDDEN: Any = {"facecolor": "none", "edgecolor": "0.8", "hatch": "////", "linewidth": 0}
 
-# Width of a curve, height of a line of small text, and approximate height of a plot [points]
-CURVE_WIDTH, LINE_HEIGHT, PLOT_HEIGHT = 1.4, 11.0, 110.0
+CURVE_WIDTH, LINE_HEIGHT = 1.4, 11.0  # Width of a curve, and height of a line of text [points]
 # Maximum worst value that is drawn: larger ones mean that nothing was counted or bounded
 MAX_DRAWN = 1e9
-# Width of a character of a phase's name, and of a line at 45°, as shares of the axes' width
-CHARACTER_WIDTH, SLANTED_WIDTH = 0.013, 0.038
+# Width of a character of a phase's name, and of a line at 45° [points]
+CHARACTER_WIDTH, SLANTED_WIDTH = 4.3, 12.4
 MAX_CHARACTERS = 18  # Maximum number of characters of a slanted line
 # Figure of the closest neighbours: width and height [inch], number of points of a curve, and the
 # maximum of the separation's axis
 CLOSE_SIZE, CLOSE_SAMPLES, CLOSE_TOP = (10.0, 4.8), 800, 4.0
 START_COLOUR = "0.62"
 
+# On a page of a paper, one below the other: most height of the plan [inch] and its share of the
+# width, and heights of a plot, and of phases' names and legend together
+PAGE_PLAN, PAGE_SHARE, PAGE_PLOT, PAGE_LEGEND = 4.5, 0.9, 1.0, 1.5
+
 # Maximum number of vertices or single drones with names, since more would hide the drawing; and
-# distance of a vertex from its name [points]
-MAX_NAMED, NAME_DISTANCE = 30, 18.0
+# distance of a vertex from its name [points], also on a page
+MAX_NAMED, NAME_DISTANCE, PAGE_DISTANCE = 30, 18.0, 9.0
+PAGE_HEIGHT = 190.0  # Height of axes [points] below which names are close
 LINE_STYLES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1)))
 # Colours and line styles of pairs, the closest first; they also differ in grey
-STYLES = tuple(zip((*COLOURS, "#6a4c93", "0.45"), LINE_STYLES, strict=True))
+STYLES = tuple(zip(COLOURS, LINE_STYLES, strict=False))
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,20 +131,30 @@ def panels(motion: Motion, states: States) -> tuple[Panel, ...]:
     return (Panel("separation", "smallest\nseparation [–]", ratios, 1.0), rates, forces)
 
 
-def draw_summary(motion: Motion, certificate: Certificate, title: str = "") -> Figure:
+def draw_summary(
+    motion: Motion, certificate: Certificate, title: str = "", width: float | None = None
+) -> Figure:
     """Return the summary: a storyboard or a view from above, and limited quantities over time.
 
-    The certificate's worst values are marked.
+    The certificate's worst values are marked. With a ``width`` [inch] it is a figure for a paper:
+    all parts are below each other, and it has no headline.
     """
-    figure = style.new_figure(SIZE, None)  # automatic layout takes as long as drawing
     states = sample_states(motion)
     quantities = panels(motion, states)
-    _draw_left(figure, motion)
-    grid = figure.add_gridspec(len(quantities), 1, **PLOT_EDGES)
-    axes = [figure.add_subplot(grid[row]) for row in range(len(quantities))]
+    rows = len(quantities)
+    if width is None:
+        figure = style.new_figure(SIZE, None)  # automatic layout takes as long as drawing
+        grid: GridSpecBase = figure.add_gridspec(rows, 1, **PLOT_EDGES)
+        _draw_plan(figure, motion)
+    else:
+        heights = min(PAGE_SHARE * width, PAGE_PLAN), PAGE_PLOT * rows
+        figure = style.page_figure(width, sum(heights) + PAGE_LEGEND)
+        parts = figure.add_gridspec(2, 1, height_ratios=heights)
+        grid = parts[1].subgridspec(rows, 1)
+        _draw_plan(figure, motion, parts[0])
+    axes = [figure.add_subplot(grid[row]) for row in range(rows)]
     for each, panel in zip(axes, quantities, strict=True):
         _draw_panel(each, states.t, panel, certificate)
-        each.yaxis.set_label_coords(LABEL_AT, 0.5)
         each.tick_params(labelbottom=each is axes[-1])
     draw_phases(axes, motion.phases, motion.duration)
     axes[-1].set_xlabel("t [s]")
@@ -149,8 +164,17 @@ def draw_summary(motion: Motion, certificate: Certificate, title: str = "") -> F
         _worst_marker(),
         Patch(label="forbidden", **FORBIDDEN),
     ]
-    style.legend_below(axes[-1], handles, 0.32, 2)
-    style.headline(figure, title, f"{style.facts(motion)}; {style.verdict(certificate)}")
+    if width is None:
+        for each in axes:
+            each.yaxis.set_label_coords(LABEL_AT, 0.5)
+        style.legend_below(axes[-1], handles, 0.32, 2)
+        style.headline(figure, title, f"{style.facts(motion)}; {style.verdict(certificate)}")
+        return figure
+    figure.align_ylabels(axes)
+    for legend in filter(None, [each.get_legend() for each in figure.axes]):
+        handles = [*filter(None, legend.legend_handles), *handles]
+        legend.remove()
+    style.legend_on_page(figure, handles)
     return figure
 
 
@@ -189,7 +213,10 @@ def draw_phases(axes: Sequence[Axes], phases: Sequence[Phase], duration: float) 
     Names of short phases are slanted: if they overlap, those of longer phases are written; long
     lines are cut at the start. ``duration`` is the plan's [s].
     """
-    level = all(p.end - p.start > CHARACTER_WIDTH * (len(p.name) + 1) * duration for p in phases)
+    figure: Any = axes[0].figure
+    per_point = duration / (72.0 * figure.get_size_inches()[0] * axes[0].get_position().width)
+    character, slanted = CHARACTER_WIDTH * per_point, SLANTED_WIDTH * per_point
+    level = all(p.end - p.start > character * (len(p.name) + 1) for p in phases)
     positions: list[float] = []
     for i, phase in enumerate(phases):
         for each in axes if i else ():
@@ -205,15 +232,20 @@ def draw_phases(axes: Sequence[Axes], phases: Sequence[Phase], duration: float) 
         if not level:
             names, cut = phase.name.split(", "), slice(-MAX_CHARACTERS, None)
             lines = [x if len(x) <= MAX_CHARACTERS else f"…{x[cut]}" for x in names]
-        middle, width = 0.5 * (phase.start + phase.end), SLANTED_WIDTH * len(lines) * duration
+        middle, width = 0.5 * (phase.start + phase.end), slanted * len(lines)
         if level or all(abs(middle - other) > width for other in positions):
             positions.append(middle)
             write(axes[0], "\n".join(lines), (middle, 1.0), (0, 4), **look)
 
 
-def draw_closeness(motion: Motion, closest: Closeness) -> Figure:
-    """Return the picture of the spans' bounds as steps and the closest pairs as curves."""
+def draw_closeness(motion: Motion, closest: Closeness, width: float | None = None) -> Figure:
+    """Return the picture of the spans' bounds as steps and the closest pairs as curves.
+
+    With a ``width`` [inch] it is a figure for a paper.
+    """
     figure = style.new_figure(CLOSE_SIZE)
+    if width is not None:
+        figure = style.page_figure(width, style.PAGE_SHARE * width)
     axes = figure.add_subplot()
     edges = [span.start for span in closest.spans] + [closest.spans[-1].end]
     bounds = np.array([span.bound for span in closest.spans])
@@ -232,16 +264,23 @@ def draw_closeness(motion: Motion, closest: Closeness) -> Figure:
     top = float(min(CLOSE_TOP, 1.35 * max(1.0, float(np.max(bounds)))))
     axes.set(xlim=(edges[0], edges[-1]), ylim=(0.0, top))
     axes.set(xlabel="t [s]", ylabel="separation [–]")
-    axes.set_title("The closest neighbours over time", fontsize="medium")
-    figure.legend(loc="outside right upper", frameon=False, fontsize="small")
+    if width is None:
+        axes.set_title("The closest neighbours over time", fontsize="medium")
+        figure.legend(loc="outside right upper", frameon=False, fontsize="small")
+    else:
+        style.legend_on_page(figure, axes.get_legend_handles_labels()[0])
     return figure
 
 
-def _draw_left(figure: Figure, motion: Motion) -> None:
-    """Draw the storyboard; with few moments also, and without cables only, the plan from above."""
+def _draw_plan(figure: Figure, motion: Motion, place: SubplotSpec | None = None) -> None:
+    """Draw the storyboard; with few moments also, and without cables only, the plan from above.
+
+    The place is on the left by default.
+    """
     shots = painter.choose_shots(motion) if _has_cables(motion) else ()
-    margins = STORYBOARD_EDGES if len(shots) > painter.FEW_PANELS else PLAN_EDGES
-    place = figure.add_gridspec(1, 1, **margins)[0]
+    if place is None:
+        margins = STORYBOARD_EDGES if len(shots) > painter.FEW_PANELS else PLAN_EDGES
+        place = figure.add_gridspec(1, 1, **margins)[0]
     if not shots:
         draw_plan_view(figure.add_subplot(place), motion)
     elif len(shots) > painter.FEW_PANELS:
@@ -273,7 +312,7 @@ def _draw_panel(axes: Axes, t: Array, panel: Panel, certificate: Certificate) ->
         mark.set(data=([time], [value]), clip_on=False, zorder=5)
         axes.add_line(mark)
         # A shift keeps the worst value's label off the limit's.
-        gap = (value - panel.limit) / top * PLOT_HEIGHT
+        gap = (value - panel.limit) / top * _height(axes)
         direction = gap or (1.0 if is_minimum else -1.0)
         shift = math.copysign(max(LINE_HEIGHT - abs(gap), 0.0), direction)
         _label(axes, f"worst {value:.4g}", value, INK, shift)
@@ -282,8 +321,14 @@ def _draw_panel(axes: Axes, t: Array, panel: Panel, certificate: Certificate) ->
     axes.set_axisbelow(True)
 
 
+def _height(axes: Axes) -> float:
+    """Return the height of axes [points]."""
+    figure: Any = axes.figure
+    return float(72.0 * figure.get_size_inches()[1] * axes.get_position().height)
+
+
 def _worst_marker() -> Line2D:
-    line = style.marker("D", "white", INK, "worst for all t, from the certificate")
+    line = style.marker("D", "white", INK, "certified worst for all t")
     line.set_markeredgewidth(CURVE_WIDTH)
     return line
 
@@ -313,7 +358,7 @@ def draw_plan_view(axes: Axes, motion: Motion, gap: float = 0.1) -> None:
         style.marker("o", "white", START_COLOUR, "start", 9.0 if cables else 4.5),
     ]
     fill = "white" if cables else INK
-    handles.append(style.marker("o", fill, INK, "end, as wide as its ellipsoid", 9.0))
+    handles.append(style.marker("o", fill, INK, "end, with its ellipsoid", 9.0))
     if cables:
         draw_lines(axes, ends.cables[0, ..., :2], START_COLOUR, 1.0, 2, linestyles="--")
         camera, step = (
@@ -377,6 +422,7 @@ def _write_names(axes: Axes, motion: Motion, ends: Array) -> None:
     look: Any = {"va": "center", "zorder": 6}
     look["path_effects"] = [withStroke(linewidth=2.0, foreground="white")]
     places = motion.vertices.at(motion.vertices.breaks[-1])[: len(names), :2]
-    offsets = NAME_DISTANCE * unit(np.mean(places, axis=0) - places)
+    is_page = _height(axes) < PAGE_HEIGHT
+    offsets = (PAGE_DISTANCE if is_page else NAME_DISTANCE) * unit(np.mean(places, axis=0) - places)
     for name, place, offset in zip(names, places, offsets, strict=True):
         write(axes, name, place, offset, **look)

@@ -47,14 +47,18 @@ def save_view(
     title: str = "",
     problem: str = "",
     progress: Progress | None = None,
+    width: float | None = None,
 ) -> None:
     """Write a plan as a page, a picture or a film, according to the file name's extension.
 
-    ``problem`` is the text of its file; ``progress`` receives the finished share of a film. Raises
+    ``problem`` is the text of its file; ``progress`` receives the finished share of a film;
+    ``width`` [inch] makes a picture a figure for a paper. Raises
     InputError for another extension, UnsupportedError for a missing package, and FileError if the
     file cannot be written.
     """
     kind = path.suffix.lower()
+    if width is not None and kind in (PAGE, *FILMS):
+        raise InputError("width", width, "of a picture", f"save {', '.join(PICTURES)}")
     if kind in FILMS:
         from hitchopt.view.film import save_film
 
@@ -68,7 +72,7 @@ def save_view(
         if kind == PAGE:
             write_report(draft, motion, certificate, title, problem, path.parent)
         else:
-            style.save_figure(draw_summary(motion, certificate, title), draft)
+            style.save_figure(draw_summary(motion, certificate, title, width), draft)
 
 
 def write_report(

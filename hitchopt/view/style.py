@@ -26,9 +26,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
-# Colours of cables and drones. The first three also differ in grey (luminance 20, 45 and 70 %); the
-# last one, of 45 %, is only used between the first and the third
-COLOURS = ("#0b3c5d", "#2a8c82", "#e0a526", "#c8414f")
+# Colours of cables and drones: eight that stay apart also without red or green cones, and each of
+# which differs from the next in grey
+COLOURS = (
+    "#0b3c5d", "#2a8c82", "#e0a526", "#c8414f", "#6fb7e9", "#7b4fb5", "#e48fb5", "#7d4e24",
+)  # fmt: skip
 # Colours of fixed objects, of carried objects, and of keep-outs
 TABLE_COLOUR, OBJECT_COLOUR, KEEP_OUT_COLOUR = "#d3d8dd", "#e8d3a8", "#b3261e"
 OTHERS_COLOUR = "#969ca2"  # Colour of other plans' drones and cables
@@ -45,17 +47,19 @@ UNDATED_METADATA: dict[str, dict[str, str | None]] = {
 # Resolution of pictures [dots per inch], and level of zlib: files are 5 to 12 % larger than with
 # level 6, in half to two thirds of the time
 RESOLUTION, COMPRESSION = 120, 1
+# Of figures of a given width, for papers: size of all text [points], resolution [dots per inch],
+# smallest and largest width [inch], height of a single plot over its width
+PAGE_TEXT, PAGE_RESOLUTION, PAGE_WIDTHS, PAGE_SHARE = 8.0, 300, (2.5, 20.0), 0.7
+# Width of a letter over its size, and of an entry of a legend without its text [points]
+LETTER_WIDTH, HANDLE_WIDTH = 0.5, 26.0
 HEADLINE_LENGTH = 98  # Maximum length of a headline: phases' names are on its right
 
 
 def cable_colours(n: int) -> tuple[str, ...]:
-    """Return colours for n cables that differ from both neighbours'.
-
-    If possible the last cable has its own colour, as it may replace another one.
-    """
-    index = [k % 3 for k in range(n)]
-    if n % 3 and n > 3:
-        index[-1] = 3
+    """Return colours for n cables that differ from both neighbours', and up to eight from all."""
+    index = [k % len(COLOURS) for k in range(n)]
+    if n > 1 and index[-1] == 0:
+        index[-1] = len(COLOURS) // 2
     return tuple(COLOURS[i] for i in index)
 
 
@@ -115,15 +119,48 @@ def verdict(certificate: Certificate) -> str:
 
 
 def new_figure(
-    size: tuple[float, float], layout: Literal["constrained"] | None = "constrained"
+    size: tuple[float, float],
+    layout: Literal["constrained"] | None = "constrained",
+    resolution: int = RESOLUTION,
 ) -> Figure:
-    """Return an empty figure of a size [inch], without pyplot."""
+    """Return an empty figure of a size [inch] and a resolution [dots per inch], without pyplot."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=size, dpi=RESOLUTION, layout=layout)
+    figure = Figure(figsize=size, dpi=resolution, layout=layout)
     FigureCanvasAgg(figure)
     return figure
+
+
+def page_figure(width: float, height: float) -> Figure:
+    """Return an empty figure for a page, of a size [inch].
+
+    Raises InputError if the width is not within PAGE_WIDTHS.
+    """
+    if not PAGE_WIDTHS[0] <= width <= PAGE_WIDTHS[1]:
+        bound = "from {:g} to {:g} inches".format(*PAGE_WIDTHS)
+        raise InputError("width", width, bound, "a column of two is 3.5 wide, a page 7")
+    return new_figure((width, height), resolution=PAGE_RESOLUTION)
+
+
+def legend_on_page(figure: Figure, handles: Sequence[Artist]) -> None:
+    """Draw a legend below a figure for a page, and write all its text in PAGE_TEXT."""
+    longest = max(len(str(handle.get_label())) for handle in handles)
+    entry = LETTER_WIDTH * PAGE_TEXT * longest + HANDLE_WIDTH
+    columns = max(1, int(72.0 * figure.get_size_inches()[0] / entry))
+    look: Any = {"loc": "outside lower center", "frameon": False, "handlelength": 1.6}
+    figure.legend(handles=handles, ncols=columns, columnspacing=1.0, fontsize=PAGE_TEXT, **look)
+    set_page_text(figure)
+
+
+def set_page_text(figure: Figure) -> None:
+    """Write all text of a figure for a page in PAGE_TEXT."""
+    from matplotlib.text import Text
+
+    for axes in figure.axes:
+        axes.tick_params(labelsize=PAGE_TEXT)
+    for text in figure.findobj(Text):
+        text.set_fontsize(PAGE_TEXT)
 
 
 def headline(figure: Figure, title: str, words: str) -> None:
@@ -134,11 +171,12 @@ def headline(figure: Figure, title: str, words: str) -> None:
     figure.suptitle(f"{name}\n{words}".strip(), **look)
 
 
-def save_figure(figure: Figure, file: Path | str | IO[bytes], dpi: int = RESOLUTION) -> None:
+def save_figure(figure: Figure, file: Path | str | IO[bytes], dpi: int | None = None) -> None:
     """Write a figure as PNG, SVG or PDF, according to the file name's extension.
 
-    Its bytes depend on its content only. Raises InputError for another extension, and OSError if
-    the file cannot be written.
+    Its bytes depend on its content only; ``dpi`` is the figure's by default. Fonts in PDF are
+    TrueType, which publishers take. Raises InputError for another extension, and OSError if the
+    file cannot be written.
     """
     from matplotlib import rc_context
 
@@ -148,10 +186,10 @@ def save_figure(figure: Figure, file: Path | str | IO[bytes], dpi: int = RESOLUT
         raise InputError("picture", str(file), "a name in .png, .svg or .pdf", "such as plan.png")
     if kind in UNDATED_METADATA:
         options = {"format": kind, "metadata": UNDATED_METADATA[kind]}
-    with warnings.catch_warnings(), rc_context({"svg.hashsalt": "hitchopt"}):
+    with warnings.catch_warnings(), rc_context({"svg.hashsalt": "hitchopt", "pdf.fonttype": 42}):
         # Characters that the font lacks are drawn as boxes.
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
-        figure.savefig(file, dpi=dpi, **options)
+        figure.savefig(file, dpi=dpi or "figure", **options)
 
 
 @contextmanager

@@ -98,6 +98,8 @@ def test_an_unknown_weight_is_fitted() -> None:
     assert result.density == pytest.approx(target.team.cable_density, rel=0.02)
     assert np.nanmax(result.errors) < 3e-4
     assert any("weigh them" in remark for remark in result.remarks)
+    assert result.sag == "the plan ignores the cables' weight: their sag is in these errors"
+    assert "g/m is planned, and not in these errors" in ho.evaluate(flight, target).sag
     assert np.nanmax(ho.evaluate(flight, weightless, density=0.006).errors) < 1e-4
 
 
@@ -449,7 +451,18 @@ def run(*arguments: str) -> Result:
 def test_commands_and_files_agree_with_the_evaluation(place: Path) -> None:
     plan("triangle").save(place / "plan")
     write_csv(place / "flight.csv", triangle())
-    call = run("evaluate", "flight.csv", "--plan", "plan", "--diameter", "0.01", "--format", "svg")
+    call = run(
+        "evaluate",
+        "flight.csv",
+        "--plan",
+        "plan",
+        "--diameter",
+        "0.01",
+        "--format",
+        "svg",
+        "--width",
+        "3.5",
+    )
     assert call.exit_code == 0, call.output
     assert "p2" in call.stdout
     assert "the clock is fitted" in call.stdout
@@ -467,6 +480,7 @@ def test_commands_and_files_agree_with_the_evaluation(place: Path) -> None:
     ends = [np.array([float(first[f"{a}{c}"]) for c in "xyz"]) for a in ("clasp_", "planned_")]
     assert float(first["error"]) == pytest.approx(np.linalg.norm(ends[0] - ends[1]))
     assert len(result.to_dataframe()) == len(content["table"])
+    assert 'width="252pt"' in (out / "evaluation.svg").read_text()
     cells = f"{1e3 * row['mean']:.1f} & {1e3 * row['std']:.1f}"
     assert cells in (out / "evaluation.tex").read_text()
     ghost, clean = (

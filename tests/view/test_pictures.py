@@ -184,6 +184,33 @@ def test_nothing_written_overlaps_or_is_clipped(n: int, gap: float) -> None:
         assert shared is None or min(shared.size) < 2.0, (a, b)
 
 
+@pytest.mark.parametrize("width", [3.5, 7.0])
+def test_figures_for_papers_have_8_point_text_within_their_width(
+    width: float, tmp_path: Path
+) -> None:
+    motion, others = make_motion(4), swarm(9)
+    figures = [
+        draw_summary(motion, made_certificate(), "A title", width),
+        draw_summary(others, made_certificate(), width=width),
+        draw_closeness(others, closeness(others, 6), width),
+    ]
+    for figure in figures:
+        assert figure.get_size_inches()[0] == width
+        for text, box in visible_texts(figure):
+            assert -1.0 <= box.x0 < box.x1 <= figure.bbox.x1 + 1.0, text
+        assert {text.get_fontsize() for text in figure.findobj(Text) if text.get_text()} == {8.0}
+        save_figure(figure, tmp_path / "figure.pdf")
+        content = (tmp_path / "figure.pdf").read_bytes()
+        assert b"/CIDFontType2" in content  # TrueType, as publishers ask for
+        assert b"/Type3" not in content
+        save_figure(figure, tmp_path / "figure.png")
+        assert imread(tmp_path / "figure.png").shape[1] == round(300 * width)
+    assert "A title" not in words(figures[0])
+    for wrong in (0.5, float("nan"), 40.0):
+        with pytest.raises(ho.InputError, match=r"width = .* from 2\.5 to 20 inches; .* 3\.5 wide"):
+            draw_closeness(others, closeness(others, 6), wrong)
+
+
 def test_the_png_is_written_whatever_the_title(tmp_path: Path) -> None:
     path, arguments = tmp_path / "summary.png", (make_motion(3), made_certificate())
     title = "三角 $x_ \\frac{ %s \n second line"

@@ -6,7 +6,6 @@ import dataclasses
 import json
 import re
 import sys
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +43,7 @@ from hitchopt.view.painter import (
 from hitchopt.view.pictures import draw_summary, panels, plot_from_above, sample_states
 from hitchopt.view.scene import Scene, ghost_scene, highlight_of, scene_at, scene_of
 from hitchopt.view.shapes import object_faces, subdivide
-from hitchopt.view.style import OTHERS_COLOUR, cable_colours, new_figure
+from hitchopt.view.style import OTHERS_COLOUR, cable_colours, new_figure, rgb
 
 
 @pytest.fixture(scope="module")
@@ -333,11 +332,30 @@ def test_groups_differ_by_colour_and_name() -> None:
     assert set(beside.cable_colours[3:]) == {OTHERS_COLOUR}
 
 
-@pytest.mark.parametrize("n", range(2, 13))
-def test_neighbours_differ_by_colour(n: int) -> None:
+@pytest.mark.parametrize("n", [*range(2, 13), 17, 33])
+def test_neighbours_differ_by_colour_and_grey(n: int) -> None:
     colours = cable_colours(n)
-    assert all(a != b for a, b in pairwise((*colours, colours[0])))
-    assert colours.count(colours[-1]) == 1 or n % 3 == 0  # the last one replaces another
+    grey = (rgb(colours, linear=True) @ [0.2126, 0.7152, 0.0722]) ** (1.0 / 2.4)
+    assert len(set(colours[:8])) == min(n, 8)
+    assert np.min(np.abs(grey - np.roll(grey, -1))) > 0.09
+
+
+# Linear colours as seen without red and without green cones (Machado et al. 2009)
+DICHROMATS = (
+    [[0.1523, 1.0526, -0.2049], [0.1145, 0.7863, 0.0992], [-0.0039, -0.0481, 1.0520]],
+    [[0.3673, 0.8606, -0.2280], [0.2801, 0.6725, 0.0474], [-0.0118, 0.0429, 0.9689]],
+)
+# OKLab: cone responses of linear colours, and coordinates of their cube roots
+CONES = np.array([[0.4122, 0.5363, 0.0514], [0.2119, 0.6807, 0.1074], [0.0883, 0.2817, 0.6300]])
+OKLAB = np.array([[0.2105, 0.7936, -0.0041], [1.9780, -2.4286, 0.4506], [0.0259, 0.7828, -0.8087]])
+
+
+@pytest.mark.parametrize(("seen", "apart"), [(np.eye(3), 0.14), *((x, 0.06) for x in DICHROMATS)])
+def test_eight_colours_stay_apart(seen: object, apart: float) -> None:
+    linear = np.clip(rgb(cable_colours(8), linear=True) @ np.array(seen).T, 0.0, 1.0)
+    places = np.cbrt(linear @ CONES.T) @ OKLAB.T
+    distances = np.linalg.norm(places[:, None] - places, axis=-1)
+    assert np.min(distances[np.triu_indices(8, 1)]) > apart
 
 
 def test_names_of_checks_are_found_in_their_group() -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import hitchopt as ho
 from hitchopt.cli.failures import exit_infeasible
-from hitchopt.cli.options import PATH, command, option, plan_path
+from hitchopt.cli.options import PATH, command, option, plan_path, width_option
 from hitchopt.cli.output import ProgressBar, record, say, span_text, table
 from hitchopt.errors import InputError
 
@@ -36,9 +36,16 @@ CIRCLE = "circle:"  # Prefix of a radius in place of an outline
     option("--cable-error", "Error of cable lengths: 0.01 bound, sd:0.01.", str, "M"),
     option("--position-error", "Error of drones' positions, likewise.", str, "M"),
     option("--force-error", "Error of the force feed-forward, likewise.", str, "N"),
+    width_option("the picture"),
 )
 def statics(
-    directory: Path, times: tuple[float, ...], samples: int, *, tolerance: bool, **options: Any
+    directory: Path,
+    times: tuple[float, ...],
+    samples: int,
+    width: float | None,
+    *,
+    tolerance: bool,
+    **options: Any,
 ) -> None:
     """Compute the static equilibrium of the hitch in DIR: positions, tensions, and their ranges.
 
@@ -78,7 +85,7 @@ def statics(
                 settled = ranges.settled
             else:
                 ranges, settled = None, settle(part, t, **conditions)
-            save_statics(folder, settled, ranges)
+            save_statics(folder, settled, ranges, width)
         content = contents[group.name] = statics_content(settled, ranges)
         tables = _statics_tables(content)
         say(f"Team {group.name}\n{tables}" if group.name else tables)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import hitchopt as ho
-from hitchopt.cli.options import PATH, command, option, plan_path
+from hitchopt.cli.options import PATH, command, option, plan_path, width_option
 from hitchopt.cli.output import ProgressBar, say, table
 from hitchopt.errors import InputError
 
@@ -41,6 +41,7 @@ RESULTS = "evaluation"  # Default directory of the results, next to the recordin
     option("--diameter", "Cable diameter: errors are then those of the clasps.", float, "M"),
     option("--window", "Time over which markers are averaged.", 0.1, "S"),
     option("--format", "Of the picture.", "png", choices=("png", "svg", "pdf")),
+    width_option("the picture"),
     option("--filter filters", "Replay attitude filters on the recorded sensors; needs no plan."),
     option("--markers", "Say where markers go on the cables of the plan; needs no recording."),
     required=False,
@@ -50,6 +51,7 @@ def evaluate(
     plan: Path | None,
     output: Path | None,
     format: str,
+    width: float | None,
     *,
     filters: bool,
     markers: bool,
@@ -92,7 +94,7 @@ def evaluate(
         result = ho.evaluate(recording, task, **options)
     folder = recording.absolute().parent / RESULTS if output is None else output
     with ProgressBar("writing the results"):
-        save_evaluation(folder, result, format)
+        save_evaluation(folder, result, format, width)
     say(_tables(result), directory=str(folder), evaluation=summary(result))
     for remark in result.remarks:
         say(f"note: {remark}")
@@ -114,6 +116,7 @@ def _tables(evaluation: ho.Evaluation) -> str:
     fit = evaluation.alignment
     parts = [
         table(f"Distances from the plan [mm], {kind} of cables and drones", rows),
+        evaluation.sag,
         f"{evaluation.flight.source}: plan time is {fit.rate:.6g} t {fit.offset:+.3f} s, frame "
         f"{fit.frame}, drones {1e3 * fit.rms:.0f} mm from the plan (root mean square)",
         "standard errors include the scatter of markers about their cables; it is constant in a "

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import hitchopt as ho
 from hitchopt.cli.failures import exit_infeasible
-from hitchopt.cli.options import PATH, command, option, plan_path
+from hitchopt.cli.options import PATH, command, option, plan_path, width_option
 from hitchopt.cli.output import ProgressBar, quantities, say, span_text, table
 from hitchopt.errors import InputError
 
@@ -337,8 +337,15 @@ def _campaign_tables(campaign: Campaign) -> str:
     option("-o --output", "Results; else ./ and the stem.", PATH, "DIR"),
     option("--workers", "Processes; by default all processors.", int, "N"),
     option("--scheduler", "A dask scheduler, such as tcp://host:8786.", str, "ADDRESS"),
+    width_option("the picture"),
 )
-def sweep(study: Path, output: Path | None, workers: int | None, scheduler: str | None) -> None:
+def sweep(
+    study: Path,
+    output: Path | None,
+    workers: int | None,
+    scheduler: str | None,
+    width: float | None,
+) -> None:
     """Plan or simulate every case of STUDY.yaml (needs dask.distributed).
 
     Every result is saved at once as a line of DIR/rows.jsonl. The same command continues an
@@ -355,7 +362,7 @@ def sweep(study: Path, output: Path | None, workers: int | None, scheduler: str 
     rows = ho.load_sweep(folder)
     sweep, points = summary(rows, len(read_study(folder)["cases"])), outcomes(rows)
     say(_sweep_tables(sweep, points), directory=str(folder), summary=asdict(sweep), points=points)
-    if (figure := draw_sweep(points)) is not None:
+    if (figure := draw_sweep(points, width)) is not None:
         with atomic_write(folder / PICTURE) as path:
             save_figure(figure, path)
         say(f"drawn in {folder / PICTURE}")

@@ -39,6 +39,8 @@ OWNED = (SUMMARY, VERTICES, LATEX, RECORDING, *(PICTURE + kind for kind in PICTU
 
 # Width and height of the picture [inch], and widths of its columns
 SIZE, WIDTHS = (13.0, 6.4), (1.35, 1.0)
+# Heights of the parts on a page, as shares of its width, and of the legend [inch]
+PAGE_SHARES, PAGE_LEGEND = (0.6, 0.5, 0.8), 0.9
 MAX_NAMED, SNAPSHOT_TIME = 8, 0.05  # Most names in a legend; half width of a snapshot [s]
 
 
@@ -103,6 +105,14 @@ class Evaluation(OneLine):
         return length(self.measured - self.planned)
 
     @property
+    def sag(self) -> str:
+        """Whether the cables' sag is in the errors of vertices, in words."""
+        if self.task.team.cable_density > 0.0:
+            weight = f"{1e3 * self.task.team.cable_density:g} g/m"
+            return f"the sag of cables of {weight} is planned, and not in these errors"
+        return "the plan ignores the cables' weight: their sag is in these errors"
+
+    @property
     def drone_errors(self) -> Array:
         """Distances of the drones from their setpoints (times, 2n) [m]."""
         return length(self.drones - self.planned_drones)
@@ -157,16 +167,19 @@ class Evaluation(OneLine):
         fields |= {"standard_errors": self.standard_errors, "notes": self.remarks}
         return Recording(self.t, self.drones, vertices, **fields)
 
-    def save(self, directory: Path | str, format: str = "png") -> Path:
+    def save(self, directory: Path | str, format: str = "png", width: float | None = None) -> Path:
         """Write table, vertices, picture and shapes to a directory; return it.
 
-        The picture is ``evaluation.png``, or ``svg`` or ``pdf``. Raises FileError if the directory
+        The picture is ``evaluation.png``, or ``svg`` or ``pdf``; with a ``width`` [inch] it is a
+        figure for a paper with text of 8 pt. Raises FileError if the directory
         cannot be written to, or holds a plan or a simulation.
         """
-        return save_evaluation(path("directory", directory), self, text("format", format))
+        return save_evaluation(path("directory", directory), self, text("format", format), width)
 
 
-def save_evaluation(directory: Path, evaluation: Evaluation, format: str = "png") -> Path:
+def save_evaluation(
+    directory: Path, evaluation: Evaluation, format: str = "png", width: float | None = None
+) -> Path:
     """Write all files of an evaluation, or none; return the directory.
 
     Raises FileError if the directory cannot be written to, or holds a plan or a simulation, and
@@ -176,7 +189,7 @@ def save_evaluation(directory: Path, evaluation: Evaluation, format: str = "png"
     for name in FOREIGN:
         if (directory / name).exists():
             raise FileError(f"{directory}: holds {name}; name a directory of its own for results")
-    picture = drawn_evaluation(evaluation)
+    picture = drawn_evaluation(evaluation, width)
     writers: dict[str, Writer] = {
         VERTICES: partial(_write_vertices, evaluation),
         LATEX: lambda path: path.write_text(latex_table(evaluation), "utf-8", newline="\n"),
@@ -199,6 +212,7 @@ def summary(evaluation: Evaluation) -> dict[str, Any]:
         "recorded": evaluation.t[[0, -1]].tolist(),
         "alignment": {"offset": evaluation.alignment.offset, **each},
         "errors_of": "crossings" if evaluation.clasps is None else "clasps",
+        "sag": evaluation.sag,
         "density": evaluation.density.tolist(),
         "remarks": list(evaluation.remarks),
         "table": [asdict(row) for row in evaluation.table],
@@ -251,7 +265,7 @@ def shapes(evaluation: Evaluation) -> dict[str, Array]:
 def latex_table(evaluation: Evaluation) -> str:
     """Return the short table as a LaTeX tabular [mm], with dashes for missing values."""
     heads = ("mean", "std.", "max.", "std. error")
-    lines = ["% Distances from the plan [mm]", r"\begin{tabular}{llrrrrr}"]
+    lines = [f"% Distances from the plan [mm]; {evaluation.sag}", r"\begin{tabular}{llrrrrr}"]
     lines.append(" & ".join(("of", "phase", *heads, "found")) + r" \\ \hline")
     for row in evaluation.short_table:
         lengths = [1e3 * x for x in (row.mean, row.std, row.max, row.standard_error)]
@@ -261,13 +275,22 @@ def latex_table(evaluation: Evaluation) -> str:
     return "\n".join([*lines, r"\end{tabular}", ""])
 
 
-def drawn_evaluation(evaluation: Evaluation) -> Figure:
-    """Return the picture: errors over time with their means, and the hitch from above."""
+def drawn_evaluation(evaluation: Evaluation, width: float | None = None) -> Figure:
+    """Return the picture: errors over time with their means, and the hitch from above.
+
+    With a ``width`` [inch] it is a figure for a paper, without a headline.
+    """
     from hitchopt.view.pictures import draw_phases  # heavy
 
-    figure = style.new_figure(SIZE)
-    grid = figure.add_gridspec(2, 2, width_ratios=WIDTHS, height_ratios=(1.6, 1.0))
-    top, bottom = (figure.add_subplot(grid[i, 0]) for i in range(2))
+    if width is None:
+        figure = style.new_figure(SIZE)
+        grid = figure.add_gridspec(2, 2, width_ratios=WIDTHS, height_ratios=(1.6, 1.0))
+        over_time, above = (grid[0, 0], grid[1, 0]), grid[:, 1]
+    else:
+        figure = style.page_figure(width, sum(PAGE_SHARES) * width + PAGE_LEGEND)
+        grid = figure.add_gridspec(3, 1, height_ratios=PAGE_SHARES)
+        over_time, above = (grid[0], grid[1]), grid[2]
+    top, bottom = (figure.add_subplot(place) for place in over_time)
     team, t, points = evaluation.task.team, evaluation.t, evaluation.task.team.layout.clasps
     colours, summaries = style.cable_colours(team.robots), {}
     for row in evaluation.short_table:
@@ -292,7 +315,7 @@ def drawn_evaluation(evaluation: Evaluation) -> Figure:
     ):
         axes.set(ylabel=words, xlim=(t[0], t[-1]))
         style.from_zero(axes, 0.3)
-        if len(points) <= MAX_NAMED:
+        if len(points) <= MAX_NAMED and width is None:
             axes.legend(fontsize="small", ncols=4, frameon=False)
     top.tick_params(labelbottom=False)
     bottom.set_xlabel("t [s]")
@@ -302,9 +325,16 @@ def drawn_evaluation(evaluation: Evaluation) -> Figure:
         for each in evaluation.motion.overlapping(start, end)
     ]
     draw_phases([top, bottom], phases, end - start)
-    _draw_from_above(figure.add_subplot(grid[:, 1]), evaluation, colours)
-    words = f"vertices to the plan: {summaries.get('vertices', 'not measured')}"
-    style.headline(figure, evaluation.flight.source, words)
+    last = figure.add_subplot(above)
+    _draw_from_above(last, evaluation, colours)
+    if width is None:
+        last.legend(fontsize="small", frameon=False)
+        words = f"vertices to the plan: {summaries.get('vertices', 'not measured')}"
+        style.headline(figure, evaluation.flight.source, words)
+    else:
+        named = [top, bottom, last] if len(points) <= MAX_NAMED else [last]
+        handles = [handle for each in named for handle in each.get_legend_handles_labels()[0]]
+        style.legend_on_page(figure, handles)
     return figure
 
 
@@ -326,6 +356,5 @@ def _draw_from_above(axes: Axes, evaluation: Evaluation, colours: Sequence[str])
         look: Any = {"s": 6, "color": "0.45", "zorder": 3, "label": "markers"}
         axes.scatter(*cloud.positions[near, :2].T, **look)
         axes.set_title(f"from above, t = {evaluation.t[i]:.2f} s", fontsize="medium")
-        axes.legend(fontsize="small", frameon=False)
     axes.set_aspect("equal", adjustable="datalim")
     axes.set(xlabel="x [m]", ylabel="y [m]")

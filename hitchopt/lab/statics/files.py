@@ -28,16 +28,19 @@ from hitchopt.view.style import (
     DASHES,
     INK,
     LIMIT_COLOUR,
+    PAGE_SHARE,
     cable_colours,
     from_zero,
+    legend_on_page,
     new_figure,
+    page_figure,
     save_figure,
 )
 
 STATICS_FORMAT, FIT_FORMAT = "hitchopt-statics/1", "hitchopt-fit/1"
 
-# Widths and heights [inch]
-STATICS_SIZE, FIT_SIZE = (12.5, 4.8), (12.0, 5.0)
+# Widths and heights [inch], and height of a legend on a page
+STATICS_SIZE, FIT_SIZE, PAGE_LEGEND = (12.5, 4.8), (12.0, 5.0), 1.0
 
 # Line style of the plan, and points of a unit circle
 PLANNED: dict[str, Any] = {"color": INK, "linestyle": DASHES, "linewidth": 0.8}
@@ -48,14 +51,17 @@ TIME_COLOURS, MAX_NAMED = ("#9ecae1", "#4292c6", "#08306b"), 8
 MAX_DRAWN_RATIO = 3.0  # Largest drawn tension of a range, over the largest at rest
 
 
-def save_statics(directory: Path, settled: Settled, ranges: Tolerance | None) -> Path:
+def save_statics(
+    directory: Path, settled: Settled, ranges: Tolerance | None, width: float | None = None
+) -> Path:
     """Write a hitch at rest at times (S,), and its ranges if any, to a plan's directory.
 
-    Only statics.json and its picture are replaced; FileError if writing fails.
+    With a ``width`` [inch] the picture is a figure for a paper. Only statics.json and its picture
+    are replaced; FileError if writing fails.
     """
     content = statics_content(settled, ranges)
     writers = {
-        STATICS_PICTURE: lambda path: save_figure(draw_statics(settled, ranges), path),
+        STATICS_PICTURE: lambda path: save_figure(draw_statics(settled, ranges, width), path),
         STATICS: lambda path: write_strict_json(path, content),
     }
     return replace_files(directory, writers, tuple(writers), seal=STATICS)
@@ -102,16 +108,23 @@ def statics_content(settled: Settled, ranges: Tolerance | None) -> dict[str, Any
     return content
 
 
-def draw_statics(settled: Settled, ranges: Tolerance | None) -> Figure:
-    """Return the picture: tensions over time, and vertices from above."""
-    figure = new_figure(STATICS_SIZE)
-    left, right = figure.subplots(1, 2)
+def draw_statics(settled: Settled, ranges: Tolerance | None, width: float | None = None) -> Figure:
+    """Return the picture: tensions over time, and vertices from above.
+
+    With a ``width`` [inch] it is a figure for a paper.
+    """
+    if width is None:
+        figure = new_figure(STATICS_SIZE)
+        left, right = figure.subplots(1, 2)
+    else:
+        figure = page_figure(width, 2.0 * PAGE_SHARE * width + PAGE_LEGEND)
+        left, right = figure.subplots(2, 1)
     t, layout, cables = settled.t, settled.team.layout, settled.team.robots
     if ranges is not None:
         low, high = np.min(ranges.tensions[..., 0], 1), np.max(ranges.tensions[..., 1], 1)
         drawn = np.minimum(high, MAX_DRAWN_RATIO * np.max(settled.tensions))
         beyond = f", up to {np.max(high):.3g} N" if np.any(drawn < high) else ""
-        words = f"range of any cable{beyond}"
+        words = f"range{beyond}"
         left.fill_between(t, low, drawn, color="0.87", label=words, zorder=1)
     style: dict[str, Any] = {"marker": "o" if len(t) == 1 else None, "zorder": 3}
     for k, colour in enumerate(cable_colours(cables)):  # the first ones wider, visible below others
@@ -127,7 +140,7 @@ def draw_statics(settled: Settled, ranges: Tolerance | None) -> Figure:
     areas["drone"] = Line2D([], [], color=INK, marker="x", ls="none", ms=4)
     for colour, i in zip(TIME_COLOURS[-len(times) :], times, strict=True):
         path = right.plot(*settled.vertices[i, ring, :2].T, color=colour, marker=".", lw=1.8)
-        lines[f"vertices at rest, t = {t[i]:.2f} s"] = path[0]
+        lines[f"vertices, t = {t[i]:.2f} s"] = path[0]
         right.plot(*settled.planned_vertices[i, ring, :2].T, **PLANNED)
         right.plot(*settled.drones[i, :, :2].T, color=colour, marker="x", linestyle="none", ms=4)
         if np.ptp(settled.band[i]) > 1e-4:  # visible [m]
@@ -140,8 +153,15 @@ def draw_statics(settled: Settled, ranges: Tolerance | None) -> Figure:
             areas["range of a vertex"] = right.fill(*ellipse.T, color=colour, alpha=0.35)[0]
     right.set_aspect("equal", adjustable="datalim")
     right.set(xlabel="x [m]", ylabel="y [m]")
-    left.legend(loc="upper right", frameon=False, fontsize="small", ncols=2)
     lines |= areas
+    if width is not None:
+        curves, labels = left.get_legend_handles_labels()
+        entries = dict(zip([*labels, *lines], [*curves, *lines.values()], strict=True))
+        for label, handle in entries.items():
+            handle.set_label(label)
+        legend_on_page(figure, list(entries.values()))
+        return figure
+    left.legend(loc="upper right", frameon=False, fontsize="small", ncols=2)
     figure.legend(lines.values(), lines, loc="outside right upper", frameon=False, fontsize="small")
     return figure
 

@@ -259,11 +259,11 @@ def outcomes(rows: pandas.DataFrame) -> list[dict[str, Any]]:
     return table
 
 
-def draw_sweep(points: list[dict[str, Any]]) -> Figure | None:
+def draw_sweep(points: list[dict[str, Any]], width: float | None = None) -> Figure | None:
     """Plot the last figure of ``outcomes`` over the first varying parameter, if any.
 
     Every combination of the other parameters is a curve. A point without a plan is a cross with the
-    reason.
+    reason. With a ``width`` [inch] it is a figure for a paper.
     """
     from hitchopt.view import style
     from hitchopt.view.pictures import STYLES
@@ -272,6 +272,8 @@ def draw_sweep(points: list[dict[str, Any]]) -> Figure | None:
     if not (keys := heads[: heads.index("planned")]):
         return None
     figure, head = style.new_figure((6.5, 4.0)), [x for x in FIGURES.values() if x in heads][-1]
+    if width is not None:
+        figure = style.page_figure(width, style.PAGE_SHARE * width)
     axes = figure.add_subplot(xlabel=keys[0], ylabel=head)
     curves = dict[str, list[dict[str, Any]]]()
     for row in points:
@@ -286,4 +288,6 @@ def draw_sweep(points: list[dict[str, Any]]) -> Figure | None:
     style.from_zero(axes)
     if 1 < len(curves) <= len(STYLES):
         axes.legend(fontsize="small", frameon=False)
+    if width is not None:
+        style.set_page_text(figure)
     return figure
