@@ -1443,7 +1443,9 @@ def free_cables(p: Plan) -> Iterator[Row]:
         return minimum(*gaps) - sag - shift(s, k)
 
     def above_floor(s: Spans, k: Index) -> Line:
-        return (lowest_height(s, k) - p.floor) * (1.0 / p.ratio) - shift(s, k)
+        """Return heights over the floor, of which only errors are larger by the ratio."""
+        more: float = (p.ratio - 1.0) * p.settings["separation"]["cable"]
+        return (lowest_height(s, k) - p.floor + more) * (1.0 / p.ratio) - shift(s, k)
 
     def to_hull(s: Spans, i: Index, k: Index) -> Line:
         return prism_gap([s.point(i)], s.hull(k), p.ratio)

@@ -303,8 +303,14 @@ def cables_and_drones(motion: Motion) -> Moving:
 
 
 def cables_and_ground(motion: Motion) -> Moving:
-    """Return the pairs of hanging cables and the ground."""
-    cables, ground = cables_and_drones(motion), Ground(motion.requirements.floor)
+    """Return the pairs of hanging cables and the ground.
+
+    The ground is lowered so that cables at ``Requirements.ground_clearance`` keep the limit where
+    heights are divided by ``height_ratio``: that division lengthens their distances only.
+    """
+    need = motion.requirements
+    lowered = need.height_ratio * need.separation.cable - need.ground_clearance
+    cables, ground = cables_and_drones(motion), Ground(need.floor - lowered)
     nowhere, names = np.zeros((len(cables.first), 1, 1, 3, 1)), (cables.names[0], (GROUND,))
     return replace(cables, second=nowhere, names=names, allowed=None, shape=ground)
 

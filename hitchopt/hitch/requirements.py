@@ -251,6 +251,15 @@ class Requirements(ByValue):
         return 0.0 if self.arena is None else float(self.arena.lower[2])
 
     @property
+    def ground_clearance(self) -> float:
+        """Smallest height [m] of hanging cables above the ground.
+
+        It is ``separation.cable``, of which only the included errors are ``height_ratio`` larger.
+        """
+        errors = 2.0 * self.position_error
+        return self.separation.cable + (self.height_ratio - 1.0) * errors
+
+    @property
     def with_reserve(self) -> Requirements:
         """Requirements enforced by planners: limits with reserve, distances wider by ``tracking``.
 

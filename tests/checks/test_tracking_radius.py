@@ -136,7 +136,10 @@ def test_upright_errors_do_not_bring_level_neighbours_nearer() -> None:
 @pytest.mark.parametrize("ratio", [1.0, 2.5])
 @pytest.mark.parametrize("seed", range(12))
 def test_hanging_cables_keep_off_the_ground_for_all_errors(seed: int, ratio: float) -> None:
-    """Whatever it is sunk by as drones come nearer to each other; and not by much less."""
+    """Whatever it is sunk by as drones come nearer to each other; and not by much less.
+
+    Its limit is not larger where errors are larger upright.
+    """
     rng = np.random.default_rng(seed)
     length = rng.uniform(1.0, 2.0)
     way = rng.uniform(-1.0, 1.0, 3) * [1.0, 1.0, 0.4]
@@ -147,7 +150,7 @@ def test_hanging_cables_keep_off_the_ground_for_all_errors(seed: int, ratio: flo
         low: Array = np.min(cable_points([length], ends)[..., 2], axis=(-1, -2))
         return low
 
-    floor = float(lowest(np.stack([q, r]))) - 0.10 * ratio - 0.05
+    floor = float(lowest(np.stack([q, r]))) - 0.10 - 0.05
     ends = np.stack([q, r, q + [0.0, 9.0, 5.0], r + [0.0, 9.0, 5.0]])  # another one far away
     drones, team = PiecewisePolynomial.constant([0.0, 1.0], ends), Team(2, length, topology="open")
     arena = Arena([-50.0, -50.0, floor], [50.0, 50.0, 50.0])

@@ -166,7 +166,7 @@ def reversed_stages(stages: Sequence[Motion]) -> list[Motion]:
 # Flights on straight lines, and hovering.
 
 GROUND_CLEARANCE = 1.1
-"""Height of hanging cables above the ground, over ``Separation.cable``."""
+"""Height of hanging cables above the ground, over ``Requirements.ground_clearance``."""
 
 LINE_SAMPLES = 9
 """Number of points on a line at which usable accelerations are computed."""
@@ -216,7 +216,7 @@ def hover_altitude(team: Team, drones: Array, requirements: Requirements) -> flo
 
 def ground_clearance(requirements: Requirements) -> float:
     """Return the height [m] of hanging cables above the ground that flights keep."""
-    return GROUND_CLEARANCE * requirements.separation.cable * requirements.height_ratio
+    return GROUND_CLEARANCE * requirements.ground_clearance
 
 
 def lowest_points(team: Team, drones: Array, requirements: Requirements) -> Array:
