@@ -27,7 +27,7 @@ import hitchopt as ho
 from hitchopt.checks import Check, certify
 from hitchopt.checks.closeness import closeness
 from hitchopt.hitch import Team
-from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
+from hitchopt.hitch.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
@@ -131,6 +131,14 @@ def test_upright_errors_do_not_bring_level_neighbours_nearer() -> None:
         assert radius == pytest.approx(0.5 * (moved - 0.24), rel=1e-3)
         radius = radius_of(with_tracking(above, tube)).bound
         assert radius == pytest.approx(0.5 * (moved - 0.6) * tube.level / tube.height, rel=1e-3)
+
+
+@pytest.mark.parametrize("ratio", [1.0, 2.5])
+def test_upright_errors_bring_drones_nearer_to_what_is_below(ratio: float) -> None:
+    prism = Prism([[-1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [1.0, -1.0]], 0.0, 1.0)
+    above = lines([[0.0, 0.0, 1.9]], [[0.1, 0.0, 1.9]], keep_out=(prism,))
+    radius = radius_of(with_tracking(above, ho.Tube(0.08, 0.08 * ratio))).bound
+    assert radius == pytest.approx(0.9 / ratio - 0.12, rel=1e-4)
 
 
 @pytest.mark.parametrize("ratio", [1.0, 2.5])

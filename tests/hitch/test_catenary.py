@@ -107,12 +107,12 @@ def test_the_shape_changes_by_at_most_a_quarter_per_steepness() -> None:
     assert np.min(share) > 0.5
 
 
-@given(SPANS, st.floats(0.001, 0.2), st.integers(0, 2**32 - 1))
+@given(SPANS, st.floats(0.001, 0.2), st.sampled_from([1.0, 2.5]), st.integers(0, 2**32 - 1))
 @settings(max_examples=100)
 def test_points_move_with_both_ends_by_no_more_than_the_bound(
-    case: tuple[float, float, float], off: float, seed: int
+    case: tuple[float, float, float], off: float, ratio: float, seed: int
 ) -> None:
-    c, rng = cable(case), np.random.default_rng(seed)
+    c, rng, flat = cable(case), np.random.default_rng(seed), np.array([1.0, 1.0, 1.0 / ratio])
     mu = np.linspace(-1.0, 1.0, 101)[:, None]
 
     def points(first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -121,12 +121,21 @@ def test_points_move_with_both_ends_by_no_more_than_the_bound(
             first, second, c.length).depth(mu[:, 0])])  # fmt: skip
 
     ends = np.array([[0.0, 0.0, 0.0], [float(c.across), 0.0, float(c.rise)]])
-    bound = float(displacement_bound((c.across, c.across), np.abs(c.rise), c.length, off))
+    span = (c.across, c.across), np.abs(c.rise), c.length
+    bound = float(displacement_bound(*span, off, ratio))
     ways = rng.normal(size=(20, 2, 3))
     ways[0] = [[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]  # toward each other
-    for way in off * ways / np.linalg.norm(ways, axis=-1, keepdims=True):
-        moved = points(*(ends + way)) - points(*ends)
+    for way in off * ways / np.linalg.norm(ways * flat, axis=-1, keepdims=True):
+        moved = (points(*(ends + way)) - points(*ends)) * flat
         assert np.max(np.linalg.norm(moved, axis=-1)) <= bound * (1.0 + 1e-9)
-    smaller = displacement_bound((c.across, c.across), np.abs(c.rise), c.length, 0.5 * off)
+    smaller = displacement_bound(*span, 0.5 * off, ratio)
     assert smaller <= 0.5 * bound * (1.0 + 1e-9)
-    assert c.extra_displacement(0.0) == 0.0
+    assert c.extra_displacement(0.0, ratio) == 0.0
+
+
+def test_cables_that_upright_errors_may_straighten_have_no_bound() -> None:
+    steep = Catenary.spanning(0.2, 0.9, 1.0)
+    bounds = [float(steep.extra_displacement(0.01, ratio)) for ratio in (1.0, 2.0, 4.9, 5.0, 6.0)]
+    assert np.isfinite(bounds[0])
+    assert bounds == sorted(bounds)
+    assert bounds[3:] == [np.inf, np.inf]  # chords as long as the cable
