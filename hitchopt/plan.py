@@ -283,7 +283,8 @@ class Plan(OneLine):
         folder: created if it is missing; only files of an earlier export are replaced.
         progress: status callback.
         options: keywords of ``ExportOptions``, all optional: frame, origin, yaw, fleet,
-            rate, stretch, storage, ros_distro, hold_tension, allow_slack, stiffness and damping.
+            rate, stretch, storage, ros_distro, hold_tension, allow_slack, positions_only,
+            stiffness and damping.
 
         Raises
         ------

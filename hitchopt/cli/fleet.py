@@ -76,6 +76,10 @@ PORT = {"json": 14600, "mavlink": 14580}
         "Move set points outward to hold the tension in other formats than uploads, too.",
     ),
     option("--allow-slack", "Write uploads that cannot hold the tension all the same."),
+    option(
+        "--positions-only",
+        "Allow for drones that follow positions alone, and trail them by v kd/kp.",
+    ),
     option("--stiffness", "Of the drones' position loops; by default the team's.", float, "N/M"),
     option(
         "--damping", "Of these loops; by default that of a damping ratio of 5/6.", float, "N·S/M"

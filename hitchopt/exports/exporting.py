@@ -20,9 +20,10 @@ import numpy as np
 
 from hitchopt.checks.certificate import Certificate, Check, worst_of
 from hitchopt.checks.drones import largest_rate
-from hitchopt.checks.registry import RULE_OF, RULES, certificate_of, check_of
+from hitchopt.checks.registry import RULE_OF, RULES, certificate_of, certify, check_of
 from hitchopt.checks.rule import CheckRule
 from hitchopt.checks.spans import ROUNDING, value_cache
+from hitchopt.checks.tracking import TRACKING_RADIUS
 from hitchopt.errors import (
     FileError,
     InfeasibleError,
@@ -40,7 +41,7 @@ from hitchopt.exports.contents import (
     read_manifest,
 )
 from hitchopt.exports.format import ExportTask, Format, format_of
-from hitchopt.exports.held_tension import held_tension, is_overridden
+from hitchopt.exports.held_tension import held_tension, is_overridden, loop_gains, trailing_times
 from hitchopt.exports.options import ENDINGS, ExportOptions, checked_rate
 from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet, read_fleet
 from hitchopt.hitch import Quadrotor, Team
@@ -63,6 +64,7 @@ from hitchopt.values import Array
 
 RETRY_STRETCHES = (1.02, 1.05)  # Factors of durations if rounding violates a limit
 REFIT_SHARES = (1.0, 0.3)  # Candidate shares of the usual refit error, for parts
+STRETCH_FACTORS, MAX_STRETCH = (1.0, 1.25, 1.5), 20.0  # Stretches that are tried, and the largest
 STREAM = "Stream it with format=ros2bag or hitchopt fly"  # Remedy if set points hold no tension
 TUNED = {name for name, stock in STOCK.items() if math.isfinite(stock.stiffest[0])}
 """Controllers whose stiffest gains are known."""
@@ -135,6 +137,7 @@ def export_motion(
         *weightless_notes(motion, problem),
         *tracking_notes(motion),
         *_trim_notes(kind, motion),
+        *_velocity_notes(kind, plan, options),
         *(
             f"certified beside {each.name}, which begins at t = {each.motion.drones.breaks[0]:.4g} "
             "s of this plan: fly both on one clock"
@@ -166,17 +169,88 @@ def tracking_notes(motion: Motion) -> Iterator[str]:
             return
 
 
-def _trailing_note(motion: Motion) -> str:
-    """Return the note that drones which receive positions alone trail them."""
-    team, speed = motion.team, largest_rate(motion.drones, 1).worst
+def _velocity_notes(kind: Format, motion: Motion, options: ExportOptions) -> Iterator[str]:
+    """Yield a note if settings of receivers decide whether they follow velocities."""
+    if options.positions_only or not kind.velocity_settings:
+        return
+    speed = largest_rate(motion.drones, 1).worst
     size = f"at up to {speed:.2g} m/s"
-    if np.all(np.isfinite(team.stiffness)):
-        lag = float(np.max(team.damping[:, 0] / team.stiffness[:, 0]))
-        size = f"up to {speed * lag:.2g} m at {speed:.2g} m/s"
-    return (
-        f"the files hold positions alone: drones trail them by v kd/kp, {size}; widen "
-        "limits.tracking by as much, or send velocities, too"
+    if all(_is_known(each.motion.team, options) for each in motion.groups):
+        size = f"up to {speed * max(_lags(motion, options)):.2g} m at {speed:.2g} m/s"
+    yield (
+        f"velocities follow from the curves with {kind.velocity_settings}; without them drones "
+        f"trail positions by v kd/kp, {size}: positions_only=True allows for it"
     )
+
+
+def _lags(motion: Motion, options: ExportOptions) -> tuple[float, float]:
+    """Return the largest ``trailing_times`` [s] of a motion's drones, level and upright.
+
+    Raises InputError if gains of a team are not known.
+    """
+    teams, given = (
+        [each.motion.team for each in motion.groups],
+        (options.stiffness, options.damping),
+    )
+    lags = [
+        np.max(
+            trailing_times(*loop_gains(x, *given, "positions_only=True"), x.mass[:, None]), axis=0
+        )
+        for x in teams
+    ]
+    level, _, upright = np.max(lags, axis=0).tolist()
+    return level, upright
+
+
+def _allowing_for_trailing(kind: Format, task: ExportTask) -> ExportTask:
+    """Return the task with the check of distances of drones that follow positions alone.
+
+    They trail by v kd/kp at a steady speed v, and by ``trailing_times`` at most. That and the
+    format's error add to the plan's tracking errors. InfeasibleError if distances do not allow for
+    it, with a remedy.
+    """
+    if not task.options.positions_only:
+        return task
+    planned, lags = task.without_offsets or task.motion, _lags(task.motion, task.options)
+    speed = largest_rate(task.motion.drones, 1).worst
+
+    def check_at(stretch: float) -> tuple[Tube, Check]:
+        """Return the largest errors of any group and the check, flown slower by a factor."""
+        more = [kind.accuracy + speed * lag / stretch for lag in lags]
+        tubes = list[Tube]()
+
+        def widened(motion: Motion) -> Motion:
+            limits = motion.requirements.limits
+            tubes.append(Tube(limits.tube.level + more[0], limits.tube.height + more[1]))
+            wider = replace(limits, tracking=tubes[-1])
+            return motion.replaced(requirements=replace(motion.requirements, limits=wider))
+
+        check = certify(planned.each_group(widened))[TRACKING_RADIUS.name]
+        return Tube.enclosing(tubes) or Tube(0.0, 0.0), check
+
+    tube, check = check_at(1.0)
+    size = f"trail them by v kd/kp, up to {speed * max(lags):.2g} m at {speed:.2g} m/s"
+    if check.holds:
+        note = f"distances allow for drones that follow positions alone and {size}"
+        return replace(task, trailing=check, notes=(*task.notes, note))
+    room = check.bound - tube.level + speed * lags[0]  # for trailing, of errors level
+    first = math.ceil(101.0 * speed * lags[0] / room) / 100.0 if room > 0.0 else math.inf
+    remedy = f"Plan with a lower limits.speed or limits.tracking: {_rounded_up(tube)}"
+    for factor in STRETCH_FACTORS:
+        if first * factor <= MAX_STRETCH and check_at(first * factor)[1].holds:
+            remedy = f"Add stretch={task.options.stretch * first * factor:.4g}"
+            break
+    message = (
+        f"{kind.name}: drones that follow positions alone {size}, and distances do not allow for "
+        f"it. {remedy}, or fly full setpoints, which do not trail: leave out positions_only."
+    )
+    raise InfeasibleError([check.violation("", TRAILING_REMEDY)], message)
+
+
+def _rounded_up(tube: Tube) -> str:
+    """Return a tube as in files, rounded up to centimetres."""
+    level, height = (math.ceil(100.0 * x) / 100.0 for x in (tube.level, tube.height))
+    return f"{{level: {level:g}, height: {height:g}}}" if height > level else f"{level:g}"
 
 
 def _trim_notes(kind: Format, motion: Motion) -> Iterator[str]:
@@ -192,8 +266,11 @@ def _trim_notes(kind: Format, motion: Motion) -> Iterator[str]:
 
 def _check_gains(kind: Format, team: Team, options: ExportOptions) -> None:
     """Raise InputError for gains that a format does not use, or that a named controller has."""
-    controllers = _controllers(team)
-    is_used = options.hold_tension or kind.needs_stiffness or kind.has_gains
+    if options.positions_only and not kind.flown_by:
+        bound = f"left out for {kind.name}"
+        raise InputError("positions_only", True, bound, "its files are not flown")
+    controllers, is_used = _controllers(team), kind.needs_stiffness or kind.has_gains
+    is_used |= options.hold_tension or options.positions_only
     for option in ("stiffness", "damping"):
         if (value := getattr(options, option)) is None:
             continue
@@ -217,6 +294,7 @@ def _export_task(
     if not (reason := _slack_reason(kind, task)):
         try:
             held = _with_offsets(task) if needs_offsets else task
+            held = _allowing_for_trailing(kind, held)
             held = replace(held, undetermined=_undetermined_reasons(kind, held))
             return held, _first_valid(kind, held, scratch / "held", say)
         except InfeasibleError:
@@ -226,19 +304,26 @@ def _export_task(
         remedy = _tried_remedy(kind, task, scratch / "remedy", say)
         message = f"{kind.name}: {reason} {remedy}, or add allow_slack=True."
         raise InfeasibleError([], message)
+    task = _allowing_for_trailing(kind, task)
     task = replace(task, undetermined=_undetermined_reasons(kind, task))
     return task, _first_valid(kind, task, scratch / "slack", say)
 
 
 def _needs_offsets(kind: Format, task: ExportTask) -> bool:
     """Return whether set points have to hold the tension."""
-    is_taken = all(_takes_force(kind, team) for team in _hitch_teams(task.motion))
-    return task.options.hold_tension or (kind.needs_stiffness and not is_taken)
+    is_taken = all(_takes_force(kind, task, team) for team in _hitch_teams(task.motion))
+    return task.options.hold_tension or (_needs_stiffness(kind, task) and not is_taken)
 
 
-def _takes_force(kind: Format, team: Team) -> bool:
-    """Return whether a format carries the cable forces, and the drones add them."""
-    return kind.flown_by != "upload" and bool(np.all(team.feed_forward))
+def _needs_stiffness(kind: Format, task: ExportTask) -> bool:
+    """Return whether tensions are lost if the stiffness of position loops is not known."""
+    return kind.needs_stiffness or task.options.positions_only
+
+
+def _takes_force(kind: Format, task: ExportTask, team: Team) -> bool:
+    """Return whether receivers get the cable forces, and the drones add them."""
+    is_sent = kind.flown_by != "upload" and not task.options.positions_only
+    return is_sent and bool(np.all(team.feed_forward))
 
 
 def _with_offsets(task: ExportTask) -> ExportTask:
@@ -255,7 +340,7 @@ def _is_known(team: Team, options: ExportOptions) -> bool:
 
 def _slack_reason(kind: Format, task: ExportTask) -> str:
     """Return why the drones of an upload lose the tension, or an empty string."""
-    if not kind.needs_stiffness:
+    if not _needs_stiffness(kind, task):
         return ""
     teams, needs_offsets = _hitch_teams(task.motion), _needs_offsets(kind, task)
     if needs_offsets and any(map(is_overridden, teams)):
@@ -321,10 +406,10 @@ def _undetermined_reasons(kind: Format, task: ExportTask) -> tuple[str, ...]:
     """Return the reasons why the files leave the tension undetermined, if any."""
     reasons = list[str]()
     for team in _hitch_teams(task.motion) if kind.flown_by else ():
-        is_trusted = not kind.needs_stiffness or _is_known(team, task.options)
+        is_trusted = not _needs_stiffness(kind, task) or _is_known(team, task.options)
         reasons += undetermined_tension(
             integral=bool(np.any(np.isinf(team.integral[:, :2]))),  # level
-            feed_forward=task.holds_tension or (is_trusted and _takes_force(kind, team)),
+            feed_forward=task.holds_tension or (is_trusted and _takes_force(kind, task, team)),
         )
     return tuple(dict.fromkeys(reasons))
 
@@ -390,8 +475,8 @@ def _export_part(
             refusals.append(refusal)
             continue
         notes = (*written.notes, *task.notes, *task.undetermined)
-        if contents.smooth == 0 and kind.flown_by:
-            notes = (*notes, _trailing_note(task.motion))
+        if task.trailing is not None:
+            verdict = replace(verdict, checks=(*verdict.checks, task.trailing))
         receiver = {**task.settings, **written.receiver}
         feed_forward = OFFSETS_HOLD_TENSION if task.holds_tension else kind.feed_forward
         manifest = _manifest_head(kind, task) | {
@@ -497,7 +582,8 @@ cables break or go slack; otherwise the plan's certificate applies."""
 
 SLOWER_REMEDY = "fly it slower with stretch=, plan below the limit, or choose another format"
 MARGIN_REMEDY = "plan with a wider margin there, sample at a higher rate=, or choose another format"
-"""Remedies for checks of derivatives, and for other checks."""
+TRAILING_REMEDY = "fly it slower, give cables or polygons more room, or fly full setpoints"
+"""Remedies for checks of derivatives, for other checks, and for drones that trail positions."""
 
 ROUNDING_REASON = "rounding or refitting costs more than the plan's margins"
 OFFSET_REASON = (

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from hitchopt.checks.certificate import Check
 from hitchopt.errors import InputError
 from hitchopt.exports.contents import FileContents
 from hitchopt.exports.firmware import refuse_controllers
@@ -48,6 +49,7 @@ class ExportTask:
     part: str = ""  # description of the part; empty for the whole plan
     without_offsets: Motion | None = None  # the plan, if the motion has offsets to hold its tension
     bound: float = 1.0  # factor of the usual refit error
+    trailing: Check | None = None  # of the distances of drones that trail positions alone
     undetermined: tuple[str, ...] = ()  # reasons why the tension is undetermined
     settings: Mapping[str, Any] = field(default_factory=dict)  # of receivers, for the manifest
     notes: tuple[str, ...] = ()  # notes for the user
@@ -155,6 +157,8 @@ class Format(ABC):
     streamed: float = 0.0  # minimum rate of samples sent in flight [Hz]; 0 if none are
     dotted: bool = False  # whether drones of several teams may be called a.q0, not a_q0
     has_heading: bool = True  # whether files determine the drones' heading
+    # receivers' settings by which they follow velocities, if these are not in the files
+    velocity_settings: str = ""
     bounds: tuple[float, ...] = (1.0,)  # candidate factors of the usual refit error
 
     def settings(self, team: Team, options: ExportOptions) -> Mapping[str, Any]:

@@ -103,27 +103,57 @@ def held_tension(
     return HeldTension(combined(groups, motion.others), k, c, offset, error)
 
 
+def loop_gains(
+    team: Team, stiffness: float | None, damping: float | None, option: str
+) -> tuple[Array, Array]:
+    """Return stiffness [N/m] and damping [N s/m] (drones, 3) of position loops.
+
+    They are the team's unless given. Raises InputError if an ``option`` needs them, and the team
+    has none.
+    """
+    k, c = team.stiffness, team.damping
+    if stiffness is not None:
+        k = np.full_like(k, positive("stiffness", stiffness))
+        c = 2.0 * DAMPING_RATIO * np.sqrt(k * team.mass[:, None])
+    if not np.all(np.isfinite(k)):
+        bound = f"the position loop's [N/m], with {option}"
+        remedy = "give stiffness=, or team.quadrotor.stiffness in the problem"
+        raise InputError("stiffness", None, bound, remedy)
+    if damping is not None:
+        c = np.full_like(k, positive("damping", damping))
+    return k, c
+
+
+def trailing_times(stiffness: Array, damping: Array, mass: Array) -> Array:
+    """Return the largest errors (…) [s], over the speed, of drones that follow positions alone.
+
+    Their errors obey ``m ë + c ė + k e = m s̈ + c ṡ``. At a steady speed e = c/k ṡ. In any motion
+    it is at most the largest ``|ṡ|`` times the integral of ``|g|``, where g is the decay of an
+    error of 1 from rest. Beyond c/k this integral has twice the negative parts of g, which loops
+    with a damping ratio ζ below 1 have: with ω² = k/m, its roots decay by ``a = ζ ω`` and turn by
+    ``w = √(ω² - a²)``, and ``∫ g`` from its n-th root on is ``± exp(-a t) / ω``.
+    """
+    omega, decay = np.sqrt(stiffness / mass), 0.5 * damping / mass
+    overshoots = decay < omega
+    turn = np.sqrt(np.where(overshoots, omega**2 - decay**2, 1.0))
+    first = (0.5 * np.pi + np.arctan2(decay, turn)) / turn
+    parts = np.exp(-decay * first) / (omega * -np.expm1(-decay * np.pi / turn))
+    times: Array = damping / stiffness + np.where(overshoots, 2.0 * parts, 0.0)
+    return times
+
+
 def _group_set_points(
     motion: Motion, stiffness: float | None, damping: float | None
 ) -> HeldTension:
     """Return the set points of one group with cables."""
     team = motion.team
-    k, c = team.stiffness, team.damping
     if is_overridden(team):
         bound = "0 with hold_tension=True: integrals move drones after their set points"
         remedy = "set team.quadrotor.gains.ki to 0, there and on board"
         raise InputError("gains.ki", float(np.max(team.integral_gain)), bound, remedy)
+    k, c = loop_gains(team, stiffness, damping, "hold_tension=True")
     masses = team.mass[:, None]
-    if stiffness is not None:
-        k = np.full_like(k, positive("stiffness", stiffness))
-        c = 2.0 * DAMPING_RATIO * np.sqrt(k * masses)
-    if not np.all(np.isfinite(k)):
-        bound = "the position loop's [N/m], with hold_tension=True"
-        remedy = "give stiffness=, or team.quadrotor.stiffness in the problem"
-        raise InputError("stiffness", None, bound, remedy)
     critical = 2.0 * np.sqrt(k * masses)
-    if damping is not None:
-        c = np.full_like(k, positive("damping", damping))
     # The largest error over the largest residual: the integral of the absolute impulse response.
     ratio = min(float(np.min(c / critical)), 1.0 - 1e-9)
     gain = float(1.0 / np.tanh(0.5 * np.pi * ratio / np.sqrt(1.0 - ratio * ratio)))

@@ -62,6 +62,7 @@ RELATIVE_START = 1e-3  # Maximum distance of starts in relative trajectories [m]
 JOINT_TOLERANCE = 1e-2  # Maximum gap between parts of one drone's flight [m]
 START_TOLERANCE = 0.1  # Maximum horizontal distance of a drone from its first point [m]
 MIN_PIECE = 1e-9  # Minimum duration of a piece [s]: rates of shorter ones overflow
+TRAILING = "drones trail positions by v kd/kp"  # Lag without velocities, by gains of their loops
 DEFAULT_LIMITS = (("speed", "Velocity", 3.0), ("acceleration", "Acceleration", 10.0))
 """Name of a limit, part of its keys in shows, and default [m/s], [m/s²]."""
 
@@ -166,8 +167,11 @@ def _report(path: Path, rules: Rules) -> Report:
     if missing := contents.missing_derivative:
         is_linear = missing == "velocities"
         curves = "lines" if is_linear else "cubics through positions and velocities"
-        trailing = f"; drones trail them by v kd/kp, v up to {flight.speed:.2g} m/s" * is_linear
+        trailing = f"; {TRAILING}, v up to {flight.speed:.2g} m/s" * is_linear
         findings.append(note(missing, "", f"none: joined by {curves}{trailing}"))
+    if kind.velocity_settings:
+        reason = f"follow from the curves with {kind.velocity_settings}; without them {TRAILING}"
+        findings.append(note("velocities", "", f"{reason}, v up to {flight.speed:.2g} m/s"))
     if not contents.frame:
         findings.append(note("frame", "", "the files do not state their axes; read as given"))
     findings.sort(key=lambda f: LEVELS.index(f.level))

@@ -45,6 +45,7 @@ class ExportOptions:
     ros_distro: str = "humble"  # ROS 2 release of a bag: humble, iron or jazzy
     hold_tension: bool = False  # whether set points hold the tension in other formats than uploads
     allow_slack: bool = False  # whether uploads that cannot hold the tension are written
+    positions_only: bool = False  # whether receivers follow positions alone, and trail them
     stiffness: float | None = None  # of position loops [N/m]; None for the team's
     damping: float | None = None  # [N s/m]; None for a damping ratio of 5/6
 

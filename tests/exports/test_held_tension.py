@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import hitchopt as ho
-from hitchopt.exports.held_tension import HeldTension, held_tension
+from hitchopt.exports.held_tension import HeldTension, held_tension, trailing_times
 from hitchopt.exports.options import HOMES
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
@@ -32,11 +32,14 @@ def plan() -> ho.Plan:
     return ho.morph(start, wider, limits=ho.Limits(speed=0.6))
 
 
-def flown(motion: Motion, held: HeldTension, t: np.ndarray) -> np.ndarray:
+def flown(
+    motion: Motion, held: HeldTension, t: np.ndarray, positions_only: bool = False
+) -> np.ndarray:
     """Where drones fly by the set points, with the plan's cable forces: m ẍ, integrated.
 
     What a filter takes for a velocity is a force of the controller, as if cables pulled more.
     """
+    sent = 0.0 if positions_only else 1.0
     mass = motion.team.mass
     m, c, k = mass[:, None], held.damping, held.stiffness
     count = motion.team.drones
@@ -46,7 +49,7 @@ def flown(motion: Motion, held: HeldTension, t: np.ndarray) -> np.ndarray:
         at = min(now, held.motion.duration)
         s, ds, dds = (held.motion.drones.at(at, order) for order in range(3))
         pull = motion.team.pull_gain * states_at(motion, at).cable_forces
-        force = m * dds + c * (ds - v) + k * (s - x) + pull
+        force = sent * (m * dds + c * ds) - c * v + k * (s - x) + pull
         return np.concatenate([v.ravel(), (force / m).ravel()])
 
     begin = np.concatenate([motion.drones.at(0.0).ravel(), np.zeros(3 * count)])
@@ -238,3 +241,68 @@ def test_set_points_that_come_too_close_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ho.InfeasibleError, match="arena"):
         plan.export("csv", tmp_path / "files", hold_tension=True)
     assert not (tmp_path / "files").exists()
+
+
+def test_positions_alone_are_certified_for_drones_that_trail_them(
+    plan: ho.Plan, tmp_path: Path
+) -> None:
+    """Without velocities and forces drones are off by less than what is certified."""
+    (done,) = plan.export("csv", tmp_path, positions_only=True, damping=1.0)
+    check, held = done.verdict.checks[-1], held_tension(plan.motion, None, 1.0)
+    t = np.linspace(0.0, plan.duration, 60)
+    speed = float(np.max(np.linalg.norm(held.motion.drones.at(t, 1), axis=-1)))
+    assert check.name == "tracking_radius"
+    assert speed / 4.75 < check.number < 1.5 * speed / 4.75
+    assert check.bound == plan.certificate["tracking_radius"].bound
+    assert any("trail them by v kd/kp, up to 0.17 m" in note for note in done.notes)
+    said = json.loads((tmp_path / "export.json").read_text())["checks"][-1]
+    assert (said["name"], said["limit"]) == (check.name, check.limit)
+    away = flown(plan.motion, held, t, positions_only=True) - plan.at(t).positions
+    largest = np.max(np.linalg.norm(away, axis=-1))
+    assert 0.5 * check.number < largest < check.number
+
+
+def test_positions_alone_are_refused_where_distances_do_not_allow_for_the_lag(
+    plan: ho.Plan, tmp_path: Path
+) -> None:
+    """The stretch that a refusal names suffices, and a smaller one does not."""
+    limits, radius = plan.motion.requirements.limits, plan.certificate["tracking_radius"].bound
+
+    def export(tracking: float | ho.Tube, **options: Any) -> None:
+        wider = replace(limits, tracking=tracking)
+        need = replace(plan.motion.requirements, limits=wider)
+        tight = replace(plan, motion=replace(plan.motion, requirements=need))
+        tight.export("skybrush", tmp_path, positions_only=True, **options)
+
+    def refusal(tracking: float | ho.Tube, **options: Any) -> str:
+        with pytest.raises(ho.InfeasibleError) as caught:
+            export(tracking, **options)
+        assert [each.constraint for each in caught.value.violations] == ["tracking_radius"]
+        return str(caught.value)
+
+    for tube in (0.12, ho.Tube(0.05, 0.1)):
+        factor = float(refusal(tube).split("Add stretch=")[1].split(",")[0])
+        assert 1.02 < factor < 3.0
+        export(tube, stretch=factor)
+        refusal(tube, stretch=1.0 + 0.8 * (factor - 1.0))
+    assert "limits.tracking: 0.4, or fly full setpoints" in refusal(radius - 2e-3)
+    refusal(0.12, allow_slack=True)
+    with pytest.raises(ho.InputError, match="left out for gltf"):
+        plan.export("gltf", tmp_path, positions_only=True)
+    with pytest.raises(ho.InfeasibleError, match=r"such as stiffness=4\.75"):
+        of_kind(plan, ho.Quadrotor()).export("csv", tmp_path, positions_only=True)
+
+
+@pytest.mark.parametrize("ratio", [0.2, 0.44, 0.63, 5.0 / 6.0, 0.999, 1.0, 2.0])
+def test_trailing_times_are_the_largest_errors_at_any_speed_up_to_one(ratio: float) -> None:
+    """Attained by speeds of ±1 that turn whenever the decay of an error changes its sign."""
+    k, m = 4.75, 0.132
+    c = 2.0 * ratio * np.sqrt(k * m)
+    t = np.linspace(0.0, 120.0 * m / c, 200_001)
+    a = np.array([[0.0, 1.0], [-k / m, -c / m]])
+    values, vectors = np.linalg.eig(a + 1e-9 * np.array([[0.0, 0.0], [1.0, 0.0]]))
+    decay = (vectors[0] * np.linalg.solve(vectors, [1.0, 0.0]) @ np.exp(values[:, None] * t)).real
+    expected = np.trapezoid(np.abs(decay), t)
+    found = trailing_times(np.array(k), np.array(c), np.array(m))
+    assert found == pytest.approx(expected, rel=1e-3)
+    assert found >= c / k

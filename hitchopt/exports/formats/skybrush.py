@@ -14,8 +14,8 @@ horizontally to its target on a straight line (``goToKeepAlt``) or not at all (`
 descends. After the last entry drones land at their positions. Velocity jumps at corners;
 distances, positions and speeds are certified.
 
-Feed-forward: autopilots of Skybrush track positions (and velocities) with their own controllers.
-The format has no accelerations, and thus no cable forces.
+Feed-forward: autopilots of Skybrush track positions with their own controllers, and velocities of
+the cubics by default. The format has no accelerations, and thus no cable forces.
 """
 
 from __future__ import annotations
@@ -104,6 +104,7 @@ class SkybrushShow(Format):
     file = "show.skyc"
     endings = (".skyc",)
     has_heading = False
+    velocity_settings = "SHOW_CTRL_MODE 1 and SHOW_VEL_FF_GAIN 1, the defaults of ArduPilot's shows"
     frames = ("nwu",)
     accuracy = 2e-3
     feed_forward = (
