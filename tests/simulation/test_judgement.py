@@ -22,10 +22,11 @@ from hitchopt.lab.simulation.judgement import Failure, Outcome, Simulation, judg
 from hitchopt.lab.simulation.report import drawn_flight, flight_scene, summary
 from hitchopt.lab.simulation.ropes import simulated_density
 from hitchopt.lab.simulation.settings import Loss, Perturbations, Settings
-from hitchopt.lab.simulation.task import Task
+from hitchopt.lab.simulation.task import Cargo, Task
 from hitchopt.lab.simulation.world import InvalidRunError
 from hitchopt.lab.sweeps.campaign import run_campaign, save_campaign
 from hitchopt.live.lost import RELEASE_TIME, Reactions
+from hitchopt.objects import Section, SolidObject
 from hitchopt.view.style import save_figure
 
 FAILED, NOT_SIMULATED, SUCCEEDED = "failed", "not simulated", "succeeded"
@@ -321,3 +322,54 @@ def test_infeasible_starts_are_failures_of_their_run(tmp_path: Path) -> None:
     for runs, processes, name in ((0, None, "runs"), (1, 0, "processes")):
         with pytest.raises(ho.InputError, match=f"^{name} = 0"):
             run_campaign(free, BRIEF, runs, processes)
+
+
+def placed_with(tracking: float | ho.Tube | None, off: list[float], *, held: bool) -> Outcome:
+    """Judge a flight whose box stands or hangs beside its plan, in which drones may be off."""
+    simulation, count = flight_with(), 501
+    task, (x, y) = simulation.flight.task, np.mean(HITCH.vertices[:, :2], axis=0)
+    box = SolidObject(Section(radius=0.1), 0.0, 0.3, 0.1, at=[x, y, 1.0])
+    samples = len(task.states.t)
+    planned = np.tile([x, y, 1.0, 1.0, 0.0], (samples, 1, 1))
+    share, is_held = np.full((samples, 1), float(held)), np.full((samples, 1), held)
+    cargo = Cargo({"box": box}, planned, is_held, share)
+    motion = ho.hold(HITCH, 1.0).motion
+    limits = replace(motion.requirements.limits, tracking=tracking)
+    motion = replace(motion, requirements=replace(motion.requirements, limits=limits))
+    poses = np.tile([x, y, 1.0, 1.0, 0.0, 0.0, 0.0], (count, 1, 1))
+    poses[:, 0, :3] += off
+    record = replace(
+        simulation.flight.record, poses=poses, touched=np.full((count, 1), held, dtype=np.bool_)
+    )
+    task = replace(task, cargo=cargo, motion=motion)
+    return judge(replace(simulation.flight, task=task, record=record))
+
+
+@pytest.mark.parametrize(
+    ("tracking", "off", "held", "kinds"),
+    [
+        (None, [0.029, 0.0, 0.0], False, []),
+        (None, [0.031, 0.0, 0.0], False, ["misplaced"]),
+        (None, [0.0, 0.0, -0.06], True, ["dropped", "misplaced"]),
+        (0.05, [0.06, 0.05, 0.0], False, []),
+        (0.05, [0.06, 0.06, 0.0], False, ["misplaced"]),
+        (ho.Tube(0.08, 0.2), [0.0, 0.109, 0.0], False, []),
+        (ho.Tube(0.08, 0.2), [0.0, 0.111, 0.0], False, ["misplaced"]),
+        # What stands is at its height, whatever errors drones have upright
+        (ho.Tube(0.08, 0.2), [0.0, 0.0, 0.031], False, ["misplaced"]),
+        (ho.Tube(0.08, 0.2), [0.0, 0.1, 0.03], False, ["misplaced"]),
+        (ho.Tube(0.08, 0.2), [0.1, 0.0, -0.22], True, []),
+        (ho.Tube(0.08, 0.2), [0.0, 0.0, -0.24], True, ["misplaced"]),
+        (ho.Tube(0.08, 0.2), [0.0, 0.0, -0.26], True, ["dropped", "misplaced"]),
+    ],
+)
+def test_objects_are_placed_up_to_the_tracking_errors_of_the_plan(
+    tracking: float | ho.Tube | None, off: list[float], held: bool, kinds: list[str]
+) -> None:
+    outcome = placed_with(tracking, off, held=held)
+    assert sorted(failure.kind for failure in outcome.failures) == kinds
+    (box,) = outcome.objects
+    assert box.placed == pytest.approx(float(np.linalg.norm(off)))
+    assert box.well_placed is ("misplaced" not in kinds)
+    for failure in outcome.failures:
+        assert ("tracking errors" in failure.words) is (tracking is not None)

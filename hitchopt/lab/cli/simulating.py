@@ -136,9 +136,10 @@ def simulate(
     Flies what the plan states: its cables, its drones, and their controller with the filter and
     the files that are exported for it. Options change one of these each. Vertex errors are
     distances in three dimensions, including sag. A single flight ends with 3 if drones touch, a
-    vertex does not hold, an object is touched, dropped or not placed within 3 cm and 5°, or the
-    simulation leaves its valid range; with --lose, if a survivor touches anything or there is no
-    reaction. A campaign (--runs) ends with 0 and reports the success rate.
+    vertex does not hold, an object is touched, dropped or not placed within 3 cm and 5° beyond
+    the plan's tracking errors, or the simulation leaves its valid range; with --lose, if a survivor
+    touches anything or there is no reaction. A campaign (--runs) ends with 0 and reports the
+    success rate.
     """
     from hitchopt.lab.simulation.calibrated import read_calibrated
     from hitchopt.lab.simulation.judgement import warnings

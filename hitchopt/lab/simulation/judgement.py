@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from hitchopt.errors import OneLine, Progress
 from hitchopt.geometry.vectors import length
+from hitchopt.hitch.flight_controller import Tube
 from hitchopt.hitch.requirements import Separation
 from hitchopt.lab.simulation.commands import named_controllers
 from hitchopt.lab.simulation.contacts import least_bearing
@@ -33,10 +34,12 @@ ROUNDING = 1e-5  # Rounding error of sample times [s]
 MAX_SLIP = 0.10  # Largest slip of a vertex along its cables in the pull test [m]
 AVERAGING_TIME = 1.0  # Final time of rest and pull test over which values are averaged [s]
 
-# Largest distance [m] of an object from its planned position, and angle [°] from its attitude
+# Largest distance [m] of an object from its planned position, beyond the tracking errors of the
+# plan, and largest angle [°] from its attitude
 MAX_DISTANCE, MAX_ANGLE = 0.03, 5.0
 
-MAX_DROP = 0.05  # Largest depth of a carried object below its planned height [m]
+# Largest depth of a carried object below its planned height, beyond the tracking errors [m]
+MAX_DROP = 0.05
 RELEASE_TIME = 0.2  # Final time of the rest in which no cable may touch a free object [s]
 HANG_TIME = 0.5  # Final time of a flight over which the height of a lost drone is averaged [s]
 
@@ -178,6 +181,7 @@ class ObjectState:
 
     name: str  # of the object
     placed: float  # distance of its base from the plan's [m]
+    beyond: float  # distance of its base from where the plan's tracking errors may take it [m]
     tilted: float  # angle of its axis from the vertical [°]
     turned: float  # angle of its yaw from the plan's [°]
     # largest motion relative to the hitch while fully carried [m]; nan if never carried
@@ -191,7 +195,7 @@ class ObjectState:
     def well_placed(self) -> bool:
         """Whether position and attitude agree with the plan."""
         turned = 0.0 if self.round else abs(self.turned)
-        return self.placed <= MAX_DISTANCE and max(self.tilted, turned) <= MAX_ANGLE
+        return self.beyond <= MAX_DISTANCE and max(self.tilted, turned) <= MAX_ANGLE
 
 
 @dataclass(frozen=True)
@@ -316,6 +320,8 @@ def _object_failures(flight: Flight, state: ObjectState) -> list[Failure]:
         f"{state.turned:.1f}°; at most {100 * MAX_DISTANCE:g} cm and {MAX_ANGLE:g}°"
     )
     drop = f" is dropped: more than {100 * MAX_DROP:g} cm below its planned height"
+    if (tube := _tube_of(flight)).level:
+        error, drop = (f"{words}, beyond tracking errors of {tube}" for words in (error, drop))
     cases = (
         (dropped, "dropped", state.dropped, drop),
         (ended and not state.well_placed, "misplaced", rested, error),
@@ -328,6 +334,19 @@ def _object_failures(flight: Flight, state: ObjectState) -> list[Failure]:
     ]
 
 
+def _tube_of(flight: Flight) -> Tube:
+    """Return the largest tracking errors of any group that the plan allows for.
+
+    Distances of a carried object are certified for errors of its place as large as those of the
+    drones (see ``hitchopt.checks.tracking``): a ring of displaced drones stands beside its plan,
+    and so does what it sets down.
+    """
+    motion = flight.task.motion
+    groups = () if motion is None else motion.groups
+    tubes = [each.motion.requirements.limits.tube for each in groups]
+    return Tube.enclosing(tubes) or Tube.of(None)
+
+
 def object_states(flight: Flight) -> tuple[ObjectState, ...]:
     """Return the states of all movable objects, at the end of the rest or of the record."""
     task, record, cargo = flight.task, flight.record, flight.task.cargo
@@ -338,7 +357,7 @@ def object_states(flight: Flight) -> tuple[ObjectState, ...]:
     t = record.t[record.t <= end + ROUNDING]
     rows, poses, touched = (x[: len(t)] for x in (record.index, record.poses, record.touched))
     plan, at_end = cargo.poses[rows], t > end - AVERAGING_TIME if rested else t == end
-    yaws = np.arctan2(plan[-1, :, 4], plan[-1, :, 3])
+    yaws, tube = np.arctan2(plan[-1, :, 4], plan[-1, :, 3]), _tube_of(flight)
     offsets = poses[..., :3] - plan[..., :3]
     planned = task.states.vertices[rows][:, task.team.layout.clasps]
     vertices, states = record.vertices[: len(t)] - planned, []
@@ -348,11 +367,16 @@ def object_states(flight: Flight) -> tuple[ObjectState, ...]:
         hitch = np.mean(vertices[:, groups == cargo.holders.get(name, "")], axis=1)
         turned = Rotation.from_quat(poses[at_end, i, 3:], scalar_first=True).mean()
         axes = (Rotation.from_euler("z", -yaws[i]) * turned).as_matrix()
-        dropped_times = t[carried & (offsets[:, i, 2] < -MAX_DROP)]
+        dropped_times = t[carried & (offsets[:, i, 2] < -MAX_DROP - tube.largest)]
+        off = np.mean(offsets[at_end, i], axis=0)
+        # Errors upright do not move what stands.
+        allowed = tube.level, tube.largest if cargo.held[rows[-1], i] else 0.0
+        excess = np.maximum([length(off[:2]) - allowed[0], abs(off[2]) - allowed[1]], 0.0)
         states.append(
             ObjectState(
                 name,
-                placed=float(length(np.mean(offsets[at_end, i], axis=0))),
+                placed=float(length(off)),
+                beyond=float(length(excess)),
                 tilted=float(np.degrees(np.arccos(np.clip(axes[2, 2], -1.0, 1.0)))),
                 turned=float(np.degrees(np.arctan2(axes[1, 0], axes[0, 0]))),
                 slipped=_slipped(offsets[:, i] - hitch, carried),
