@@ -259,6 +259,18 @@ def test_tracking_radius_is_half_of_the_slack_between_groups() -> None:
     assert not across(*strict)["tracking_radius"].holds
 
 
+@pytest.mark.parametrize("ratio", [1.0, 2.5])
+def test_upright_errors_bring_groups_nearer_that_are_above_each_other(ratio: float) -> None:
+    low, high = (lines([[0.0, 0, z]], [[1.0, 0, z]], separation=SEPARATION) for z in (1.0, 2.0))
+    limits = replace(low.requirements.limits, tracking=ho.Tube(0.01, 0.01 * ratio))
+    both = [
+        each.replaced(requirements=replace(each.requirements, limits=limits))
+        for each in (low, high)
+    ]
+    radius = certify(combined([Group("a", both[0]), Group("b", both[1])]))["tracking_radius"]
+    assert radius.bound == pytest.approx(0.5 * (1.0 - 0.6) / ratio, rel=1e-4)
+
+
 def test_start_times_and_certificates_keep_the_same_distances() -> None:
     assert ACROSS.keys() == DISTANCES.keys() <= RULE_OF.keys()
 

@@ -34,6 +34,8 @@ from hitchopt.checks import certify
 from hitchopt.checks.certificate import Check
 from hitchopt.checks.clearance import below_ground
 from hitchopt.checks.distances import leg_remedy
+from hitchopt.checks.registry import RULE_OF
+from hitchopt.errors import EXCHANGED
 from hitchopt.geometry import ConvexPolygon, regular_polygon
 from hitchopt.geometry.vectors import shortest_offset
 from hitchopt.hitch import Hitch, Quadrotor, Team
@@ -409,3 +411,17 @@ def test_remedies_of_legs_increase_the_distance(
     for word, (wider, longer) in words.items():
         change = distance(edge * (1.0 + step * wider), length * (1.0 + step * longer)) - now
         assert (word in remedy) == (change > 1e-6), (word, remedy, change)
+
+
+@pytest.mark.parametrize(
+    ("places", "is_noted"),
+    [([[3, 0, 1], [2, 1, 1]], True), ([[3, 0, 1], [2, 2, 1]], False), ([[0, 5, 1]] * 2, False)],
+)
+def test_drones_outside_an_arena_may_have_x_and_y_exchanged(
+    places: list[list[float]], is_noted: bool
+) -> None:
+    """If all of them are inside with both exchanged."""
+    motion = lines(places, places, arena=Arena([-1.5, -4.0, 0.0], [1.5, 4.0, 3.0]))
+    check = certify(motion)["arena"]
+    assert not check.holds
+    assert RULE_OF["arena"].remedy_at(motion, check).endswith(EXCHANGED) is is_noted

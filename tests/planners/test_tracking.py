@@ -256,6 +256,25 @@ def test_plans_keep_every_distance_with_tracking_errors(name: str, tmp_path: Pat
         assert {row.verdict for row in verify(tmp_path)} != {"proven"}
 
 
+def test_certificate_and_verify_agree_on_the_largest_tube(tmp_path: Path) -> None:
+    """Drones fly 0.9 m over a prism, which upright errors bring nearer."""
+    prism = ho.Prism([[-2.0, -2.0], [-2.0, 2.0], [2.0, 2.0], [2.0, -2.0]], 0.0, 1.0)
+    places = np.array([[-0.5, 0.0, 1.9], [0.5, 0.0, 1.9]])
+    steps = [ho.Fly(places + [0.0, 0.3, 0.0])]
+    ho.separate(ho.Problem(ho.Swarm(2), places, steps, keep_out=(prism,))).save(tmp_path)
+    with np.load(tmp_path / "plan.npz") as file:
+        arrays = dict(file)
+    settings = json.loads(str(arrays["settings"]))
+    limits = settings["groups"][0]["records"]["requirements"]["limits"]
+    largest = 0.9 / 3.0 - 0.12
+    for share, holds in ((0.99, True), (1.01, False)):
+        limits["tracking"] = {"level": share * largest, "height": 3.0 * share * largest}
+        arrays["settings"] = np.array(json.dumps(settings))
+        np.savez(tmp_path / "plan.npz", **arrays)
+        assert ho.load(tmp_path).certificate["tracking_radius"].holds is holds
+        assert ({row.verdict for row in verify(tmp_path)} <= {"proven", "warning"}) is holds
+
+
 def test_a_specified_tracking_that_is_too_large_is_suggested_as_that_of_retuned_drones() -> None:
     problem: Any = ho.read_problem(PROBLEMS / "form_triangle.yaml")
     wide = replace(problem, limits=replace(problem.limits, tracking=0.5))
