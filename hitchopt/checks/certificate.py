@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from html import escape
 from typing import Any
 
@@ -178,10 +179,23 @@ def worst_of(checks: Iterable[Check | None]) -> Check | None:
 
 @dataclass(frozen=True)
 class Certificate(OneLine):
-    """All checks of a plan with a duration [s], in the order of the table."""
+    """All checks of a plan with a duration [s], in the order of the table.
+
+    ``limited`` are those that decide; ``reports`` returns the others, which always hold.
+    """
 
     duration: float
-    checks: tuple[Check, ...]
+    limited: tuple[Check, ...]
+    reports: Callable[[], Iterable[Check]] = field(default=tuple, compare=False, repr=False)
+
+    @cached_property
+    def checks(self) -> tuple[Check, ...]:
+        """All checks; reports are evaluated at the first access."""
+        return (*self.limited, *self.reports())
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Let certificates be pickled, with their reports."""
+        return Certificate, (self.duration, self.checks)
 
     def _repr_html_(self) -> str:
         """Return HTML for notebooks: the verdict, and the checks with their worst values."""
@@ -210,25 +224,26 @@ class Certificate(OneLine):
 
         They are those of RATE_CHECKS with a worst value within 2 % of the limit.
         """
-        near = [c for c in self.checks if c.name in RATE_CHECKS and c.utilization >= -BINDING]
+        near = [c for c in self.limited if c.name in RATE_CHECKS and c.utilization >= -BINDING]
         return tuple(check.name for check in sorted(near, key=lambda check: -check.utilization))
 
     @property
     def certified(self) -> bool:
         """Whether every check holds."""
-        return all(check.holds for check in self.checks)
+        return all(check.holds for check in self.limited)
 
     @property
     def violated(self) -> tuple[Check, ...]:
         """The checks that do not hold."""
-        return tuple(check for check in self.checks if not check.holds)
+        return tuple(check for check in self.limited if not check.holds)
 
     def __getitem__(self, name: str) -> Check:
         """Return the check of that name, or raise KeyError."""
-        by_name = {check.name: check for check in self.checks}
-        if name not in by_name:
-            raise KeyError(f"no check {name!r}; {closest_word(str(name), [*by_name])}")
-        return by_name[name]
+        for checks in (self.limited, self.checks):
+            if named := [check for check in checks if check.name == name]:
+                return named[0]
+        names = [check.name for check in self.checks]
+        raise KeyError(f"no check {name!r}; {closest_word(str(name), names)}")
 
     def raise_if_violated(self) -> None:
         """Raise CertificateError naming every check that does not hold."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from weakref import WeakKeyDictionary
 
@@ -84,9 +85,10 @@ def certify(
     ----------
     motion: the plan.
     progress: called with the name of every check at its start, and the number of finished ones.
+        With it, reports are evaluated at once, otherwise when they are first read.
     gamma: ratio of vertex errors to drone errors, for ``tracking_radius``.
-    reports: reports to evaluate, in addition to those with a limit. Pass MERGEABLE_REPORTS if
-        ``merged`` computes the others.
+    reports: reports of the certificate, in addition to those with a limit. Pass MERGEABLE_REPORTS
+        if ``merged`` computes the others.
 
     Raises
     ------
@@ -95,11 +97,27 @@ def certify(
     check_instance("motion", motion, Motion)
     gamma = nonnegative("gamma", gamma)
     requested: tuple[ReportRule, ...] = sequence("reports", reports)
-    parts = _parts(motion)
-    reported = [each for each in REPORTS if each in requested or each.limit(motion) is not None]
-    alone = {
-        part: _checks_alone(part, group, reported, progress, gamma) for part, group in parts.items()
+    limited = [each for each in REPORTS if each.limit(motion) is not None]
+    unlimited = [each for each in REPORTS if each in requested and each not in limited]
+    mergeable = [each for each in (*limited, *unlimited) if not each.whole]
+    parts, results = _parts(motion), dict[Motion, dict[str, Sequence[SpanResult]]]()
+    evaluated: dict[Motion, list[CheckRule | ReportRule]] = {
+        part: [*(rule for rule in RULES if rule.limit_of(part) is not None), *mergeable]
+        for part in parts
     }
+
+    def tell(part: Motion, each: CheckRule | ReportRule) -> None:
+        if progress is not None:
+            label = f"{parts[part].name}: " if parts[part].name else ""
+            progress(f"{label}{each.name}, {evaluated[part].index(each)} of {len(evaluated[part])}")
+
+    for part, each in evaluated.items():
+        results[part] = dict.fromkeys(RULE_OF, ())
+        with value_cache():
+            for rule in each:
+                if isinstance(rule, CheckRule):
+                    tell(part, rule)
+                    results[part][rule.name] = rule.span_results(part)
     with value_cache():
         across = {
             chapter: {rule.name: _across(rule, chapter) for rule in RULES}
@@ -108,24 +126,35 @@ def certify(
         }
         checks = list[Check | None]()
         for rule in RULES:
-            own = [_label(alone[part].get(rule.name), group) for part, group in parts.items()]
+            own = [
+                _label(worst_of(span.check for span in results[part][rule.name]), group)
+                for part, group in parts.items()
+            ]
             checks.append(_of_parts(rule, motion, [*own, *(x[rule.name] for x in across.values())]))
-        for report in reported:
-            if report.whole:
-                if progress is not None:
-                    progress(f"{report.name}, of the whole motion")
-                checks.append(report.check(motion, {}, gamma))
-                continue
-            values = [_label(own[report.name], parts[part]) for part, own in alone.items()]
-            for chapter, found in across.items():
+
+    def reported(report: ReportRule) -> Check | None:
+        """Return the check of a report."""
+        if report.whole:
+            if progress is not None:
+                progress(f"{report.name}, of the whole motion")
+            return report.check(motion, {}, gamma)
+        values = list[Check | None]()
+        with value_cache():
+            for part, group in parts.items():
+                tell(part, report)
+                values.append(_label(report.check(part, results[part], gamma), group))
+            for chapter, own in across.items():
                 flat = tracking.flattened(chapter)
-                between = (
-                    found if flat is chapter else {x: _across(RULE_OF[x], flat) for x in found}
-                )
+                between = own if flat is chapter else {x: _across(RULE_OF[x], flat) for x in own}
                 radius = radius_across(flat, between.values(), gamma)
                 values.append(radius.check(report, report.limit(chapter), gamma))
-            checks.append(worst_of(values))
-    return _stored(motion, checks)
+        return worst_of(values)
+
+    checks += map(reported, limited)
+    certificate = _stored(motion, checks, lambda: map(reported, unlimited))
+    if progress is not None:
+        _ = certificate.checks
+    return certificate
 
 
 def _chapters(motion: Motion) -> tuple[Motion, ...]:
@@ -141,31 +170,6 @@ def _parts(motion: Motion) -> dict[Motion, Group]:
         for each in chapter.groups:
             parts[each.motion.replaced(others=()) if several else each.motion] = each
     return parts
-
-
-def _checks_alone(
-    part: Motion,
-    group: Group,
-    reports: Sequence[ReportRule],
-    progress: Callable[[str], None] | None,
-    gamma: float,
-) -> dict[str, Check | None]:
-    """Return the checks of one part by name, and those reports that parts have."""
-    rules = [rule for rule in RULES if rule.limit_of(part) is not None]
-    evaluated: tuple[CheckRule | ReportRule, ...] = (*rules, *(x for x in reports if not x.whole))
-    results: dict[str, Sequence[SpanResult]] = dict.fromkeys(RULE_OF, ())
-    checks = dict[str, Check | None]()
-    with value_cache():
-        for i, each in enumerate(evaluated):
-            if progress is not None:
-                label = f"{group.name}: " if group.name else ""
-                progress(f"{label}{each.name}, {i} of {len(evaluated)}")
-            if isinstance(each, CheckRule):
-                results[each.name] = each.span_results(part)
-                checks[each.name] = worst_of(span.check for span in results[each.name])
-            else:
-                checks[each.name] = each.check(part, results, gamma)
-    return checks
 
 
 def _of_parts(rule: CheckRule, motion: Motion, checks: Sequence[Check | None]) -> Check | None:
@@ -226,10 +230,13 @@ def certificate_of(motion: Motion, progress: Callable[[str], None] | None = None
     return _CERTIFICATES.get(motion) or certify(motion, progress, reports=())
 
 
-def _stored(motion: Motion, checks: Sequence[Check | None]) -> Certificate:
-    certificate = Certificate(motion.duration, tuple(filter(None, checks)))
-    _CERTIFICATES[motion] = certificate
-    return certificate
+def _stored(
+    motion: Motion, checks: Sequence[Check | None], reports: Callable[[], Iterable[Check | None]]
+) -> Certificate:
+    """Return the certificate, which is stored without reports: these refer to the motion."""
+    stored = Certificate(motion.duration, tuple(filter(None, checks)))
+    _CERTIFICATES[motion] = stored
+    return replace(stored, reports=lambda: filter(None, reports()))
 
 
 def merged(motion: Motion, parts: Sequence[Certificate]) -> Certificate:
@@ -247,17 +254,29 @@ def merged(motion: Motion, parts: Sequence[Certificate]) -> Certificate:
     limit = tracking.TRACKING_RADIUS.limit(motion)
     if motion.has_ring_changes or motion.others or limit is not None:
         return certify(motion)  # parts are certified against wider distances
-    begin = float(motion.drones.breaks[0])
-    by_name: dict[str, list[Check]] = {rule.name: [] for rule in (*RULES, *REPORTS)}
-    for part in parts:
-        for check in part.checks:
-            by_name[check.name].append(replace(check, time=begin + check.time))
-        begin += part.duration
+    by_name = _by_name(motion, parts, [part.limited for part in parts])
     joints, checks = len(parts) > 1, list[Check | None]()
     for rule in RULES:
         evaluated = rule.whole and (joints or rule is DURATION)
         checks.append(rule.check(motion) if evaluated else worst_of(by_name[rule.name]))
-    for report in REPORTS:
-        worst = worst_of(by_name[report.name])
-        checks.append(report.check(motion, {}, GAMMA) if report.whole else worst)
-    return _stored(motion, checks)
+
+    def reported() -> Iterator[Check | None]:
+        """Yield the checks of all reports."""
+        by_name = _by_name(motion, parts, [part.checks for part in parts])
+        for report in REPORTS:
+            worst = worst_of(by_name[report.name])
+            yield report.check(motion, {}, GAMMA) if report.whole else worst
+
+    return _stored(motion, checks, reported)
+
+
+def _by_name(
+    motion: Motion, parts: Sequence[Certificate], checks: Sequence[Sequence[Check]]
+) -> dict[str, list[Check]]:
+    """Return checks of the parts of a joined motion by name, with times of that motion."""
+    begin, by_name = float(motion.drones.breaks[0]), defaultdict[str, list[Check]](list)
+    for part, own in zip(parts, checks, strict=True):
+        for check in own:
+            by_name[check.name].append(replace(check, time=begin + check.time))
+        begin += part.duration
+    return by_name

@@ -289,7 +289,7 @@ def check(
 
         with ProgressBar("planning reactions") as progress:
             share, unsurvivable = survivable_share(motion, progress=progress)
-        certificate = replace(certificate, checks=(*certificate.checks, share))
+        certificate = ho.Certificate(certificate.duration, (*certificate.checks, share))
         record(without_reaction=[asdict(span) for span in unsurvivable])
     show_plan(saved.title, motion, certificate)
     record(certificate=certificate_content(motion, certificate, path))

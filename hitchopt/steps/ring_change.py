@@ -122,7 +122,7 @@ def _require_certified(plan: StepPlan) -> StepPlan:
 
     violated = [check for check in plan.certificate.violated if check.name != INTERLACING.name]
     if violated:
-        certificate = replace(plan.certificate, checks=tuple(violated))
+        certificate = replace(plan.certificate, limited=tuple(violated))
         error = infeasible_error(certificate, plan.motion)
         sagging = {"cable_length", "equilibrium", "tension"}  # where cables lie on one another
         raise InfeasibleError(
