@@ -8,11 +8,13 @@ and what they print follows, unless nothing is shown.
 
 from __future__ import annotations
 
+import ast
 import io
 import re
+import runpy
 import shlex
 import signal
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import redirect_stdout
 from itertools import zip_longest
 from pathlib import Path
@@ -27,6 +29,7 @@ from generators.gallery_page import program, python, write_gallery
 from generators.page_pictures import KINDS, SCREENSHOTS, screenshot
 from generators.problem_collection import GALLERY, PICTURES, SECTIONS, Section, caption
 from generators.schema_page import write_schema_page
+from generators.script_page import SCRIPTS, write_script_page
 from plans import PROBLEMS, ROOT
 from ruamel.yaml import YAML
 
@@ -302,6 +305,50 @@ def test_the_gallery_s_programs_state_the_problems_of_its_files(
         exec(statement, names)
         assert python(names["problem"]) == python(ho.read_problem(file.relative_to(PROBLEMS)))
         assert file.stem in rest
+
+
+# Scripts that take longer than some two seconds, which only the documentation executes
+LONG_SCRIPTS = {
+    "carry_a_tray",
+    "experiment_2",
+    "over_a_wall",
+    "repair",
+    "simulate",
+    "tie_and_untie",
+}
+
+
+def test_scripts_are_short_and_assert_what_they_print() -> None:
+    assert len(SCRIPTS) == 15
+    assert {file.stem for file in SCRIPTS} >= LONG_SCRIPTS
+    page = write_script_page()
+    for file in SCRIPTS:
+        text = text_of(file)
+        assert len(text.splitlines()) <= 45, file
+        assert f"%script {file.stem}\n" in page
+        tree = ast.parse(text)
+        assert (ast.get_docstring(tree) or "").count(".") == 1, file  # one idea, one sentence
+        calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
+        printed = [x for x in calls if isinstance(x.func, ast.Name) and x.func.id == "print"]
+        asserted = _names(node for node in ast.walk(tree) if isinstance(node, ast.Assert))
+        assert printed, file
+        for call in printed:
+            assert _names([call]) & asserted - {"ho", "np"}, f"{file}: {ast.unparse(call)}"
+
+
+def _names(nodes: Iterable[ast.AST]) -> set[str]:
+    found = (each for node in nodes for each in ast.walk(node))
+    return {each.id for each in found if isinstance(each, ast.Name)}
+
+
+@pytest.mark.parametrize("name", [x.stem for x in SCRIPTS if x.stem not in LONG_SCRIPTS])
+def test_scripts_run(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (file,) = (each for each in SCRIPTS if each.stem == name)
+    stream = io.StringIO()
+    with redirect_stdout(stream):
+        runpy.run_path(str(file), run_name="__main__")
+    assert stream.getvalue()
 
 
 def test_texts_are_compared_by_their_digits() -> None:

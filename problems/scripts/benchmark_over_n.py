@@ -1,0 +1,33 @@
+"""Time the planning and certifying of morphs over the number of robots, and draw it."""
+
+import time
+
+import matplotlib.pyplot as plt
+
+import hitchopt as ho
+
+
+def seconds(n: int) -> float:
+    """Return the processor time [s] to plan and certify a shift of a regular n-gon."""
+    polygon = ho.regular_polygon(n, 1.3)
+    team, separation = ho.Team(n, cable_length=2.1), ho.Separation(cable=0.03)
+    start = ho.Hitch.balanced(team, polygon)
+    ho.forget()  # else the second plan is read from the cache
+    begin = time.process_time()
+    plan = ho.morph(start, polygon.scaled(0.95), separation=separation)
+    spent = time.process_time() - begin
+    plan.certificate.raise_if_violated()
+    return spent
+
+
+seconds(3)  # the first plan of a process loads libraries
+sizes = [3, 4, 6, 8]
+times = [seconds(n) for n in sizes]
+
+figure, axes = plt.subplots(figsize=(3.5, 2.5), layout="constrained")
+axes.plot(sizes, times, "o-")
+axes.set(xlabel="robots", ylabel="processor time [s]", ylim=(0, None))
+figure.savefig("benchmark.pdf")
+for n, spent in zip(sizes, times, strict=True):
+    print(f"{n} robots: {spent:.2f} s")
+    assert 0.0 < spent < 60.0

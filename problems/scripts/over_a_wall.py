@@ -1,0 +1,36 @@
+"""Carry a crate over a wall: find how high it has to be lifted."""
+
+import hitchopt as ho
+
+crate = ho.SolidObject(
+    ho.Section([[-0.07, -0.07], [-0.07, 0.07], [0.07, 0.07], [0.07, -0.07]]), upper=0.3, mass=0.2,
+    at=[1.2, 0, 0], rim=ho.Rim(ho.Section(radius=0.3), height=0.25),
+)  # fmt: skip
+brick = ho.Section([[-0.05, 0.6], [0.05, 0.6], [0.05, -0.6], [-0.05, -0.6]])
+wall = ho.SolidObject(brick, upper=0.6, at=[3.4, 0, 0], fixed=True)
+team = ho.Team(robots=3, cable_length=2.2, cable_density=0.01, tension=1.0)
+start = ho.Hitch.spread(team, [[0.4, 0], [-0.2, -0.35], [-0.2, 0.35]], altitude=1.0)
+mission = ho.Mission(team, start, objects={"crate": crate, "wall": wall})
+
+
+def lifted(height: float) -> ho.Plan | None:
+    """Return the plan with a lift of a height [m], or None if the wall is in the way."""
+    try:
+        return mission.transport_object("crate", to=[5.5, 0, 0], lift=height).solve()
+    except ho.InfeasibleError as error:
+        binding = error.violations[0].constraint
+        print(f"lift {height} m: no plan, by {binding}")
+        assert binding == "object_clearance"
+        return None
+
+
+plans = {height: lifted(height) for height in (0.3, 0.7)}
+plan = plans[0.7]
+assert plans[0.3] is None
+assert plan is not None
+plan.save("crate")
+gap = plan.certificate["object_clearance"].worst
+print(f"lift 0.7 m: {plan.duration:.1f} s, everything keeps {gap:.3f} m from the wall")
+assert plan.certificate.certified
+assert gap >= 0.035 - 1e-9
+assert plan.duration > 10.0
