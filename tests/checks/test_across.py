@@ -195,17 +195,19 @@ def test_external_plans_count_before_and_after_their_time() -> None:
         at: combined([Group("", mine)], [Group("show", shifted(there, at), "abc")])
         for at in (0.0, 6.0)
     }
-    assert certify(hit[0.0])["separation"].holds
-    check = certify(hit[6.0])["separation"]
+    assert certify(hit[0.0], reports=())["separation"].holds
+    check = certify(hit[6.0], reports=())["separation"]
     assert not check.holds
     assert check.time == pytest.approx(2.0, abs=1e-3)
     assert check.where == ("d0", "show.d0")
     back = lines([[2.0, 5, 1]], [[2.0, 0, 1]], seconds=1.0, separation=SEPARATION)
-    assert not certify(combined([Group("", mine)], [Group("show", back)]))["separation"].holds
+    assert not certify(combined([Group("", mine)], [Group("show", back)]), reports=())[
+        "separation"
+    ].holds
     after = combined(
         [Group("", mine)], [Group("show", shifted(moved(back, np.array([2.0, 0, 0])), 9.0))]
     )
-    assert certify(after)["separation"].time == pytest.approx(
+    assert certify(after, reports=())["separation"].time == pytest.approx(
         10.0, abs=1e-3
     )  # mine rests at its end
 

@@ -26,13 +26,13 @@ from motions import (
     random_curves,
     random_flight,
     random_motion,
+    row,
     single,
     still,
     triangle,
     wild_motion,
 )
 
-from hitchopt.checks import certify
 from hitchopt.checks.clearance import chains
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import Team
@@ -231,16 +231,16 @@ def test_no_sample_exceeds_a_bound(name: str, seed: int) -> None:
     assert_sound(motion, case.count, case.gap, case.least, case.only)
     if name in {"hitch", "loaded hitch", "chain"}:
         for check, most in HELD.items():
-            assert certify(motion)[check].bound < most
+            assert row(motion, check).bound < most
 
 
 def test_close_pairs_are_named() -> None:
-    assert certify(curled(0))["crossing"].where == ("edge 0", "edge 3")
-    assert certify(apart(0, 0.8))["cable_clearance"].where[0] == "ground"
-    assert certify(under(0))["cable_clearance"].where == ("q1", "cable 0")
-    check = certify(inward(0))["convexity"]
+    assert row(curled(0), "crossing").where == ("edge 0", "edge 3")
+    assert row(apart(0, 0.8), "cable_clearance").where[0] == "ground"
+    assert row(under(0), "cable_clearance").where == ("q1", "cable 0")
+    check = row(inward(0), "convexity")
     assert (check.where, check.bound < -10.0) == (("p0",), True)
-    assert not certify(wrong_chain(0))["cable_length"].holds
+    assert not row(wrong_chain(0), "cable_length").holds
 
 
 @pytest.mark.parametrize("seed", range(4))

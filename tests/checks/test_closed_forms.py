@@ -30,7 +30,6 @@ from motions import (
 from plans import planned
 from refusals import assert_refused
 
-from hitchopt.checks import certify
 from hitchopt.checks.certificate import Check
 from hitchopt.checks.clearance import below_ground
 from hitchopt.checks.distances import leg_remedy
@@ -78,8 +77,8 @@ def test_an_approach_of_a_millisecond_is_detected() -> None:
     darting = added(motion, 0, path)
     at_100_hz = sampled(darting, np.linspace(0.0, 2.0, 201))["separation"]
     in_between = sampled(darting, np.linspace(1.0011, 1.0021, 4001))["separation"]
-    check = certify(darting)["separation"]
-    assert certify(motion)["separation"].worst == pytest.approx(at_100_hz, rel=1e-3)
+    check = row(darting, "separation")
+    assert row(motion, "separation").worst == pytest.approx(at_100_hz, rel=1e-3)
     assert in_between < 0.3 * at_100_hz
     assert in_between >= check.bound >= 0.99 * in_between
     assert check.where == ("q0", "r1")
@@ -247,7 +246,7 @@ FORMS: dict[str, tuple[Callable[[], Motion], str, Worst, bool, Set[tuple[str, ..
 def test_checks_match_closed_forms(name: str) -> None:
     make, which, worst, holds, where = FORMS[name]
     motion = make()
-    check, worst = certify(motion)[which], worst(motion) if callable(worst) else worst
+    check, worst = row(motion, which), worst(motion) if callable(worst) else worst
     rel = {"convexity": 1e-4, "keep_out": 1e-3}.get(
         which, 2e-5 if "off its point" in name else 1e-6
     )
@@ -261,7 +260,7 @@ def test_checks_match_closed_forms(name: str) -> None:
 def test_open_clasps_have_an_infinite_residual() -> None:
     """Forces are balanced to the last digit, but a clasp would have to push a cable down."""
     held = still(Team(3, 2.4, tension=0.5, load=0.05), regular_polygon(3, 1.0).vertices, [0.7] * 3)
-    assert certify(held)["equilibrium"].holds
+    assert row(held, "equilibrium").holds
 
     def exchanged(c: Array) -> None:
         """Each cable is nearly straight, and nothing holds the two together."""
@@ -270,18 +269,18 @@ def test_open_clasps_have_an_infinite_residual() -> None:
 
     through = altered(held, "drones", exchanged)
     assert sampled(through, np.array([0.5]))["equilibrium"] < 1e-9
-    result = certify(through)["equilibrium"]
+    result = row(through, "equilibrium")
     assert result.bound > 1e300
     assert not result.holds
 
 
 def test_body_rate_is_zero_at_rest_and_unbounded_in_free_fall() -> None:
-    assert certify(replaced(triangle(), body_rate=1.0))["body_rate"].bound < 1e-6
+    assert row(replaced(triangle(), body_rate=1.0), "body_rate").bound < 1e-6
     fall = [[[0.0, 0.0, 9.0 - k * 9.81 / 2.0]] for k in (0.0, 0.0, 1.0)]
     c = np.moveaxis(np.array(fall), 0, -1)[None]
     dropped = replaced(lines([[0, 0, 9]], [[0, 0, 9]]), body_rate=1.0)
     dropped = replace(dropped, drones=PiecewisePolynomial(dropped.drones.breaks, c))
-    assert not certify(dropped)["body_rate"].holds
+    assert not row(dropped, "body_rate").holds
 
 
 @pytest.mark.parametrize(("power", "jump"), [(0, 2e-3), (1, 3e-3), (2, 4e-3)])
@@ -290,11 +289,11 @@ def test_jumps_of_position_velocity_and_acceleration(power: int, jump: float) ->
     path = np.zeros((2, 3, 3))
     # On the second piece: jump · (t - 0.5)^power / power!, as Bernstein coefficients.
     path[1, 1] = [[1.0, 1.0, 1.0], [0.0, 0.75, 1.5], [0.0, 0.0, 1.125]][power]
-    check = certify(added(motion, 1, jump * path))["continuity"]
-    assert certify(motion)["continuity"].bound < 1e-10
+    check = row(added(motion, 1, jump * path), "continuity")
+    assert row(motion, "continuity").bound < 1e-10
     assert check.worst == pytest.approx(jump, rel=1e-6)
     assert (check.time, check.where, check.holds) == (0.5, ("r0",), False)
-    whole = certify(held_at(triangle(), [0.0, 1.0]))["continuity"]  # a single piece: no joint
+    whole = row(held_at(triangle(), [0.0, 1.0]), "continuity")  # a single piece: no joint
     assert (whole.worst, whole.holds) == (0.0, True)
 
 
@@ -303,7 +302,7 @@ def test_small_jumps_add_up_unless_they_are_rounding(jump: float, holds: bool) -
     motion = held_at(triangle(), np.linspace(0.0, 1.0, 201).tolist())
     path = np.zeros((200, 3, 1))
     path[:, 1, 0] = jump * np.arange(200)
-    check = certify(added(motion, 1, path))["continuity"]
+    check = row(added(motion, 1, path), "continuity")
     assert (check.holds, check.where) == (holds, ("r0",))
     assert check.worst == pytest.approx(jump if holds else 199.0 * jump, abs=1e-11, rel=1e-3)
 
@@ -313,7 +312,7 @@ def test_a_chain_that_curls_up_on_the_way_is_refused() -> None:
     most = []
     for last in (84.0, 96.0):
         motion = outlined(chain(84.0, 5), corners(84.0, 5), corners(last, 5))
-        check = certify(motion)["convexity"]
+        check = row(motion, "convexity")
         value = sampled(motion, np.linspace(0.0, motion.duration, 999))["convexity"]
         assert check.bound <= value
         assert value == pytest.approx(360.0 - 4 * last)

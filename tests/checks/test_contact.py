@@ -94,7 +94,7 @@ def test_a_clasp_that_rolls_open_is_refused(
 ) -> None:
     """All other checks hold: without the contact test, each of these motions is certified."""
     motion, holds = square(clasp, degrees, load), abs(degrees) < 175
-    certificate = certify(motion)
+    certificate = certify(motion, reports=())
     assert unproven(motion, tmp_path) == (set() if holds else {"contact"})
     run = CliRunner().invoke(main, ["check", str(tmp_path)])
     assert run.exit_code == (0 if holds else 3)
@@ -111,7 +111,7 @@ def test_a_clasp_that_rolls_open_is_refused(
         closed = Bound(np.array(-1.0), np.array(0.5))
         monkeypatch.setattr(clasps, "_opening", lambda _: closed)
         monkeypatch.setattr(clasps, "_rolling", lambda _: closed)
-        assert certify(motion).certified
+        assert certify(motion, reports=()).certified
 
 
 @pytest.mark.parametrize(("roll", "holds"), [(174.9, True), (-174.9, True), (175.1, False)])
