@@ -421,6 +421,6 @@ def test_drones_outside_an_arena_may_have_x_and_y_exchanged(
 ) -> None:
     """If all of them are inside with both exchanged."""
     motion = lines(places, places, arena=Arena([-1.5, -4.0, 0.0], [1.5, 4.0, 3.0]))
-    check = certify(motion)["arena"]
+    check = row(motion, "arena")
     assert not check.holds
     assert RULE_OF["arena"].remedy_at(motion, check).endswith(EXCHANGED) is is_noted
