@@ -188,16 +188,10 @@ def _lags(motion: Motion, options: ExportOptions) -> tuple[float, float]:
 
     Raises InputError if gains of a team are not known.
     """
-    teams, given = (
-        [each.motion.team for each in motion.groups],
-        (options.stiffness, options.damping),
-    )
-    lags = [
-        np.max(
-            trailing_times(*loop_gains(x, *given, "positions_only=True"), x.mass[:, None]), axis=0
-        )
-        for x in teams
-    ]
+    lags = list[Array]()
+    for team in (each.motion.team for each in motion.groups):
+        gains = loop_gains(team, options.stiffness, options.damping, "positions_only=True")
+        lags.append(np.max(trailing_times(*gains, team.mass[:, None]), axis=0))
     level, _, upright = np.max(lags, axis=0).tolist()
     return level, upright
 

@@ -524,7 +524,6 @@ class Simulation(OneLine):
             self.settings.seed, self.outcome.verdict, self.outcome.failures, self.figures
         )
 
-
     def save(self, directory: Path | str) -> Path:
         """Write the files of ``hitchopt simulate`` to a directory; return it.
 
