@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import factorial, isfinite, prod
-from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -16,10 +15,6 @@ from hitchopt.errors import InputError, OneLine
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.jet_weights import jet_weights, locate
 from hitchopt.values import Array, as_array
-
-if TYPE_CHECKING:
-    from scipy.interpolate import BSpline
-
 
 MAX_STORED_SIZE = 2**16
 """Maximum number of coefficients of a stored derivative: 0.5 MB."""
@@ -110,14 +105,6 @@ class PiecewisePolynomial(OneLine):
                     bernstein.binomials(i)[j] * differences[j] for j in range(i + 1)
                 )
         return cls(times, coefficients)
-
-    @classmethod
-    def from_spline(cls, spline: BSpline) -> PiecewisePolynomial:
-        """Return a scipy spline over the knots between which its basis is complete."""
-        k = spline.k
-        breaks = np.unique(spline.t[k : len(spline.t) - k])
-        x = breaks[:-1, None] + np.diff(breaks)[:, None] * bernstein.nodes(k)
-        return cls(breaks, bernstein.interpolate(np.moveaxis(spline(x), 1, -1)))
 
     @property
     def pieces(self) -> int:

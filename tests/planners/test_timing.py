@@ -123,11 +123,11 @@ def test_derivatives_of_rows_by_differences(seed: int) -> None:
     rows = RateRows.of(path, np.broadcast_to(np.arange(6), (4, 4, 6)))
     p = np.vstack([rng.uniform(0.3, 2.0, 4), rng.normal(size=(2, 4))])
     weights = rng.uniform(0.0, 1.0, rows.c.shape)
-    gradients, curvature = rows.gradients(p), rows.curvature(p, weights)
+    (_, gradients), curvature = rows.at(p), rows.curvature(p, weights)
     for i, shift in enumerate(step * np.eye(3)[:, :, None]):
-        difference = (rows.values(p + shift) - rows.values(p - shift)) / (2.0 * step)
+        after, before = rows.at(p + shift), rows.at(p - shift)
+        difference, change = ((x - y) / (2.0 * step) for x, y in zip(after, before, strict=True))
         np.testing.assert_allclose(gradients[i], difference, rtol=1e-5, atol=1e-6)
-        change = (rows.gradients(p + shift) - rows.gradients(p - shift)) / (2.0 * step)
         bent = np.einsum("rm,irm->im", weights, change)
         np.testing.assert_allclose(curvature[i], bent, rtol=1e-5, atol=1e-5)
     convex = rows.curvature(p, weights, convex=True)  # what is left out bends the other way

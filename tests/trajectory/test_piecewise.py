@@ -5,14 +5,15 @@ from functools import partial
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from refusals import assert_refused
-from scipy.interpolate import BPoly, BSpline, make_interp_spline
+from scipy.interpolate import BPoly, make_interp_spline
 
 from hitchopt.errors import InputError
 from hitchopt.trajectory import PiecewisePolynomial, joined
 from hitchopt.trajectory.piecewise import BREAK_TOLERANCE, merged_breaks, on_breaks
+from hitchopt.trajectory.splines import bspline, evenly_interpolated, interpolated
 
 BREAKS = np.array([0.5, 0.9, 2.0, 2.3])
 
@@ -132,19 +133,28 @@ def test_times_outside_are_refused_except_within_rounding() -> None:
         np.testing.assert_allclose(part.at(t), part.at(end))
 
 
-@pytest.mark.parametrize("degree", [3, 5])
-def test_splines_are_converted_exactly(degree: int) -> None:
-    x = np.array([0.5, 0.7, 1.1, 1.9, 2.0, 2.4, 3.0])
-    values = np.random.default_rng(5).normal(size=(len(x), 2, 3))
-    spline = make_interp_spline(x, values, k=degree)
-    part = PiecewisePolynomial.from_spline(spline)
-    assert (part.degree, part.shape) == (degree, (2, 3))
-    np.testing.assert_array_equal(part.breaks, np.unique(spline.t))
-    t = np.linspace(0.5, 3.0, 50)
-    for order in range(3):
-        np.testing.assert_allclose(part.at(t, order), spline(t, order), rtol=1e-9, atol=1e-9)
-    inner = BSpline(np.arange(10.0), np.eye(6), 3)  # its basis is complete from 3 to 6 only
-    np.testing.assert_array_equal(PiecewisePolynomial.from_spline(inner).breaks, [3, 4, 5, 6])
+@given(st.integers(0, 10**6), st.integers(3, 30), st.sampled_from([3, 5, 7]))
+@settings(max_examples=60)
+def test_splines_are_those_of_scipy(seed: int, count: int, degree: int) -> None:
+    rng, count = np.random.default_rng(seed), max(count, degree + 1)
+    s, values = np.cumsum(rng.uniform(0.1, 1.0, count)), rng.normal(size=(count, 2, 3))
+    zero, t = np.zeros((2, 3)), np.linspace(s[0], s[-1], 50)
+    for orders in ((), (1, 2), (2, 3), (3, 4)) if degree == 5 else ((),):
+        ends = ([(order, zero) for order in orders],) * 2 if orders else None
+        theirs = make_interp_spline(s, values, k=degree, bc_type=ends)  # type: ignore[arg-type]
+        through = interpolated(s, values, degree, orders)
+        for own in (through, bspline(theirs.t, theirs.c, degree)):
+            assert (own.degree, own.shape) == (degree, (2, 3))
+            np.testing.assert_array_equal(own.breaks, np.unique(theirs.t))
+            for order in range(4):
+                size = 1e-9 * np.max(np.abs(theirs(t, order)))
+                np.testing.assert_allclose(own.at(t, order), theirs(t, order), rtol=0.0, atol=size)
+        if not orders:
+            even, at = evenly_interpolated(values, degree), np.linspace(0.0, 1.0, count)
+            known = interpolated(at, values, degree)
+            np.testing.assert_allclose(even.coefficients, known.coefficients, rtol=0.0, atol=1e-9)
+    inner = bspline(np.arange(10.0), np.eye(6), 3)  # its basis is complete from 3 to 6 only
+    np.testing.assert_array_equal(inner.breaks, [3, 4, 5, 6])
 
 
 @given(st.integers(0, 50), st.lists(st.floats(0.0, 1.0), max_size=8))

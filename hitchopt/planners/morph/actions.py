@@ -18,7 +18,7 @@ from hitchopt.hitch import Hitch
 from hitchopt.hitch.hitch import cable_slack
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion
-from hitchopt.planners.morph.jets import polynomials_through, quintic_spline
+from hitchopt.planners.morph.jets import polynomials_through
 from hitchopt.planners.morph.legs import PATH_SAMPLES, with_legs_clear, worst_point
 from hitchopt.planners.morph.morph import MIN_LEG, POSITION_TOLERANCE, check_loads, check_shapes
 from hitchopt.planners.morph.path import (
@@ -37,6 +37,7 @@ from hitchopt.planners.timing.flight import (
     in_duration,
 )
 from hitchopt.trajectory import PiecewisePolynomial, joined
+from hitchopt.trajectory.splines import interpolated
 from hitchopt.values import Array
 
 UNIT_BREAKS = np.array([0.0, 1.0])
@@ -184,8 +185,7 @@ def _smooth_track(points: Array) -> PiecewisePolynomial:
 
 def _through(s: Array, points: Array, zero_orders: tuple[int, int]) -> Array:
     """Return the coefficients (J - 1, d, 6) of a quintic spline through points (J, d) at s (J,)."""
-    spline = quintic_spline(s - s[0], points, zero_orders)
-    coefficients = PiecewisePolynomial.from_spline(spline).coefficients.copy()
+    coefficients = interpolated(s - s[0], points, zero_orders=zero_orders).coefficients.copy()
     coefficients[..., 0], coefficients[..., -1] = points[:-1], points[1:]
     return coefficients
 

@@ -20,7 +20,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.interpolate import BSpline
 
 from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch import GRAVITY, Team
@@ -35,6 +34,7 @@ from hitchopt.planners.morph.path import cable_along
 from hitchopt.planners.timing.flight import needed_stretch
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import on_breaks
+from hitchopt.trajectory.splines import bspline, interpolated
 from hitchopt.values import Array
 
 MIN_LEAN = math.radians(0.5)
@@ -120,8 +120,7 @@ def settling_swings(rest: Motion, share: float) -> tuple[FrictionFeedforward, fl
     shares = share * np.min(clasps.feasible_share(slips), axis=0)
     extremes = np.zeros((count + 1, *slips.shape[1:]))
     extremes[1:-1] = shares[:, None] * slips
-    curve = jets.quintic_spline(times, extremes, (1, 2))
-    swings = _feedforward_of(rest, PiecewisePolynomial.from_spline(curve))
+    swings = _feedforward_of(rest, interpolated(times, extremes, zero_orders=(1, 2)))
     if swings is None or swings.lean < MIN_LEAN:
         return None
     return swings, float(np.min(shares))
@@ -249,7 +248,7 @@ def expected_slip(motion: Motion, share: float) -> PiecewisePolynomial | None:
     slip = friction * clasps.wrap_angles * rates / both
     slip *= share * clasps.feasible_share(slip)[..., None]
     slip[:ZERO_COEFFICIENTS] = slip[-ZERO_COEFFICIENTS:] = 0.0
-    return PiecewisePolynomial.from_spline(BSpline(start + knots, slip, DEGREE))
+    return bspline(start + knots, slip, DEGREE)
 
 
 def _at_clasps(layout: Layout, legs: Array) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.interpolate import BSpline, make_interp_spline
 
 from hitchopt.hitch.series import Series
 from hitchopt.trajectory import PiecewisePolynomial
@@ -44,16 +43,3 @@ def divided(breaks: Array, counts: Indices) -> Array:
     each = zip(breaks[:-1], breaks[1:], counts, strict=True)
     inner = [np.linspace(first, last, count, endpoint=False) for first, last, count in each]
     return np.append(np.concatenate(inner), breaks[-1])
-
-
-def quintic_spline(s: Array, values: Array, zero_orders: tuple[int, int]) -> BSpline:
-    """Return the quintic spline through values (J, *shape) at s (J,).
-
-    Parameters
-    ----------
-    zero_orders: orders of the two derivatives that vanish at both ends: (1, 2) at rest, (2, 3)
-        straight, (3, 4) for a natural spline.
-    """
-    zero = np.zeros(values.shape[1:])
-    ends = [(order, zero) for order in zero_orders]  # the stubs allow one condition per end
-    return make_interp_spline(s, values, k=5, bc_type=(ends, ends))  # type: ignore[arg-type]

@@ -6,15 +6,14 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.hitch.slack_split import LIMIT_MARGIN, LegTask
-from hitchopt.planners.morph.jets import quintic_spline
 from hitchopt.planners.morph.path import LegLaw, ShapePath, Shapes, drones_along, shapes_along
 from hitchopt.planners.timing.profile import demands_along, flight_estimate
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.piecewise import on_breaks
+from hitchopt.trajectory.splines import interpolated
 from hitchopt.values import Array
 
 PATH_SAMPLES = 65
@@ -71,10 +70,8 @@ def _nearby_laws(path: ShapePath, requirements: Requirements, at_rest: bool) -> 
         if split.margin < SAMPLE_MARGIN:
             return
         fractions = split.q_legs / task.slack
-        clamped = quintic_spline(s, fractions, (1, 2)) if at_rest else None
-        spline = clamped or make_interp_spline(s, fractions, k=5)
-        law = LegLaw.of_fractions(PiecewisePolynomial.from_spline(spline))
-        yield replace(path, legs=law)
+        spline = interpolated(s, fractions, zero_orders=(1, 2) if at_rest else ())
+        yield replace(path, legs=LegLaw.of_fractions(spline))
 
 
 def legs_clear(path: ShapePath, requirements: Requirements) -> bool:

@@ -15,12 +15,11 @@ from hitchopt.hitch import Hitch
 from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.hitch.team import Layout
 from hitchopt.motion.motion import Motion
-from hitchopt.planners.morph.jets import quintic_spline
 from hitchopt.planners.morph.legs import with_legs_clear
 from hitchopt.planners.morph.path import LegLaw, Path, ShapePath, drones_along, shapes_along
 from hitchopt.planners.timing.flight import GRID, fly
 from hitchopt.planners.timing.profile import check_hover, demands_along, path_grid
-from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.trajectory.splines import interpolated
 from hitchopt.values import Array
 
 POSITION_TOLERANCE = 1e-9
@@ -154,7 +153,7 @@ class BlendedMorph:
         Raises InfeasibleError as for a straight morph, or if the path has a point of zero speed.
         """
         vertices, fractions, roll = (
-            PiecewisePolynomial.from_spline(quintic_spline(self.knots, np.stack(values), (3, 4)))
+            interpolated(self.knots, np.stack(values), zero_orders=(3, 4))
             for values in zip(
                 *((h.vertices, h.fractions, h.roll) for h in self.hitches), strict=True
             )

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.forces import (
@@ -22,6 +21,7 @@ from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph.path import LegLaw, ShapePath, shapes_of
 from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.trajectory.splines import evenly_interpolated
 from hitchopt.values import Array, Indices
 
 SPLINE_DEGREE = 5
@@ -158,8 +158,7 @@ class KnotPath:
 
 def _knot_spline(values: Array) -> PiecewisePolynomial:
     """Return the spline through values (J + 1, *shape) at evenly spaced s in [0, 1]."""
-    s = np.linspace(0.0, 1.0, len(values))
-    return PiecewisePolynomial.from_spline(make_interp_spline(s, values, k=SPLINE_DEGREE))
+    return evenly_interpolated(values, SPLINE_DEGREE)
 
 
 KNOT_MARGIN = 5e-3

@@ -7,11 +7,11 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import BSpline
 
 from hitchopt.errors import InputError
 from hitchopt.hitch.requirements import Arena, Requirements
 from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.trajectory.splines import bspline, extraction
 from hitchopt.values import Array, Indices, positive
 
 
@@ -119,11 +119,15 @@ class Grid:
         """The coefficients that are not fixed at the ends."""
         return slice(END_COUNT, self.count - END_COUNT)
 
+    @property
+    def knots(self) -> Array:
+        """(count + DEGREE + 1,): knots of the clamped splines."""
+        return np.pad(self.breaks, DEGREE, mode="edge")
+
     @cached_property
-    def splines(self) -> BSpline:
-        """The basis functions, each a clamped spline."""
-        ends = np.ones(DEGREE)
-        return BSpline(np.concatenate([0.0 * ends, self.breaks, ends]), np.eye(self.count), DEGREE)
+    def splines(self) -> PiecewisePolynomial:
+        """The basis functions (count,)."""
+        return bspline(self.knots, np.eye(self.count), DEGREE)
 
     @cached_property
     def extraction(self) -> Array:
@@ -131,14 +135,11 @@ class Grid:
 
         Piece m depends on the spline's coefficients m … m + DEGREE.
         """
-        each = PiecewisePolynomial.from_spline(self.splines)
-        index = np.arange(self.pieces)[:, None] + np.arange(DEGREE + 1)
-        local: Array = np.take_along_axis(each.coefficients, index[..., None], axis=1)
-        return np.swapaxes(local, 1, 2)
+        return extraction(self.knots, DEGREE)[2]
 
     def sampled(self, s: Array, derivative: int = 0) -> Array:
         """Return the basis functions (*s.shape, count), or their derivatives, at s."""
-        return self.splines(np.clip(s, 0.0, 1.0), derivative)
+        return self.splines.at(np.clip(s, 0.0, 1.0), derivative)
 
     def fitting(self, s: Array, smoothing_time: float = 0.0) -> Array:
         """Return the linear map of values at s to the free coefficients of the least-squares fit.
@@ -166,7 +167,11 @@ class Grid:
 
         A derivative is in the convex hull of its coefficients.
         """
-        return [self.splines.derivative(k).c[: self.count - k] for k in (1, 2, 3)]
+        rates, knots = [np.eye(self.count)], self.knots
+        for k in (1, 2, 3):
+            spans = knots[DEGREE + 1 : DEGREE + 1 + self.count - k] - knots[k : self.count]
+            rates.append((DEGREE + 1 - k) * np.diff(rates[-1], axis=0) / spans[:, None])
+        return rates[1:]
 
     def pieces_of(self, coefficients: Array) -> Array:
         """Return Bernstein coefficients (pieces, N, 3, DEGREE + 1) of splines (N, count, 3)."""

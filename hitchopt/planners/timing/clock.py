@@ -18,15 +18,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.polynomial.legendre import leggauss
-from scipy.interpolate import BSpline, make_interp_spline
 from scipy.linalg.lapack import dpbtrf, dpbtrs
 
 from hitchopt.errors import check_time
 from hitchopt.geometry.vectors import dot, length
-from hitchopt.planners.morph.jets import chained, chained_rates, quintic_spline
+from hitchopt.planners.morph.jets import chained, chained_rates
 from hitchopt.planners.timing.profile import LIMIT_SHARE, Demands, SpeedProfile, TimingError
+from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.trajectory.splines import bspline, extraction, interpolated, knots_through
 from hitchopt.values import Array, Indices
 
 DemandsAt = Callable[[Array], Demands]
@@ -47,30 +47,40 @@ LIMIT_TOLERANCE = 0.2 * (1.0 - LIMIT_SHARE)
 INTERIOR_SHARE = 0.97
 """Squared rate of the initial guess over a feasible one, so that it is strictly feasible."""
 
+NODES, WEIGHTS = leggauss(SAMPLES)
+"""Gauss nodes in [-1, 1] of the samples in a piece, and their weights."""
+
+TIME_NODES, TIME_WEIGHTS = leggauss(8)
+"""The same of the integrals of time over pieces."""
+
+
+def _inside(knots: Array, nodes: Array) -> Array:
+    """Return the places (K · m,) of nodes (m,) in [-1, 1] within all pieces between knots."""
+    half = 0.5 * (knots[1:] - knots[:-1])[:, None]
+    return (knots[:-1, None] + half * (1.0 + nodes)).ravel()
+
 
 @dataclass(frozen=True, eq=False)
 class Clock:
     """The path parameter s as a function of time t, through τ."""
 
     knots: Array  # (K + 1,) [s], of τ, which bound the trajectory's pieces
-    progress: BSpline  # s(τ), a quintic spline at rest at both ends
-    squared_rate: BSpline  # x(τ), a cubic spline
+    progress: PiecewisePolynomial  # s(τ), a quintic spline at rest at both ends
+    squared_rate: PiecewisePolynomial  # x(τ), a cubic spline
 
     @property
     def breaks(self) -> Array:
         """(K + 1,) [s]: t at the knots."""
-        nodes, weights = leggauss(8)
-        h = np.diff(self.knots)
-        tau = self.knots[:-1, None] + 0.5 * h[:, None] * (1.0 + nodes)
-        steps = 0.5 * h * (1.0 / np.sqrt(self.squared_rate(tau)) @ weights)
-        return np.append(0.0, np.cumsum(steps))
+        rate = self.squared_rate.at(_inside(self.knots, TIME_NODES)).reshape(-1, len(TIME_NODES))
+        steps = 0.5 * (self.knots[1:] - self.knots[:-1]) * (rate**-0.5 @ TIME_WEIGHTS)
+        return np.append(0.0, steps.cumsum())
 
     def jets(self) -> Array:
         """Return (K + 1, 4): s and its derivatives by t at the knots."""
-        x, x1, x2 = (self.squared_rate(self.knots, order) for order in range(3))
+        x, x1, x2 = self.squared_rate.jet(self.knots, 3).T
         root = np.sqrt(x)
         by_t = np.stack([np.zeros_like(x), root, 0.5 * x1, 0.5 * x2 * root], axis=-1)  # of τ
-        return chained(_spline_jet(self.progress, self.knots), by_t)
+        return chained(self.progress.jet(self.knots, 4), by_t)
 
 
 def first_clock(profile: SpeedProfile, ramp: float, knots: Array) -> Clock:
@@ -80,8 +90,8 @@ def first_clock(profile: SpeedProfile, ramp: float, knots: Array) -> Clock:
     """
     at_knots = profile.mean(knots, ramp)
     at_knots[0], at_knots[-1] = 0.0, 1.0
-    progress = quintic_spline(knots, at_knots, (1, 2))
-    return Clock(knots, progress, make_interp_spline(knots, np.ones(len(knots)), k=3))
+    progress = interpolated(knots, at_knots, zero_orders=(1, 2))
+    return Clock(knots, progress, PiecewisePolynomial.constant(knots, 1.0))
 
 
 def jerk_limited(clock: Clock, demands_at: DemandsAt) -> Clock:
@@ -91,27 +101,26 @@ def jerk_limited(clock: Clock, demands_at: DemandsAt) -> Clock:
     ------
     TimingError: no constant rate satisfies the limits at the samples.
     """
-    nodes, weights = leggauss(SAMPLES)
-    half = 0.5 * np.diff(clock.knots)[:, None]
-    tau = (clock.knots[:-1, None] + half * (1.0 + nodes)).ravel()
-    progress, spline = _spline_jet(clock.progress, tau), clock.squared_rate
-    demands = demands_at(np.clip(progress[:, 0], 0.0, 1.0))
+    tau = _inside(clock.knots, NODES)
+    weights = (0.5 * (clock.knots[1:] - clock.knots[:-1])[:, None] * WEIGHTS).ravel()
+    progress, basis = clock.progress.jet(tau, 4), SplineBasis.of(clock.knots, tau)
+    demands = demands_at(progress[:, 0].clip(0.0, 1.0))
     rates = chained_rates(demands.drones, progress[:, None, None, :])
     bound = demands.speed_bound / np.maximum(progress[:, 1], 1e-12) ** 2
-    path, basis = ClockedPath(demands, *rates, bound), SplineBasis.of(spline, tau)
+    path = ClockedPath(demands, *rates, bound)
     guess = np.full(basis.count, _feasible_rate(path))
-    ratios = -path.ratios(basis.at(spline.c))
+    ratios = -path.ratios(basis.at(np.ones(basis.count)))
     count = min(INITIAL_ROWS, ratios.shape[-1])
-    drones = np.argpartition(ratios, count - 1, axis=-1)[..., :count]
+    drones = ratios.argpartition(count - 1, axis=-1)[..., :count]
     for _ in range(MAX_ROW_ROUNDS):
-        program = RateProgram(basis, RateRows.of(path, drones), (half * weights).ravel())
+        program = RateProgram(basis, RateRows.of(path, drones), weights)
         rate = fastest_rate(program, guess)
         ratios = path.ratios(basis.at(rate))
-        if np.max(ratios) <= LIMIT_SHARE + LIMIT_TOLERANCE:
+        if ratios.max() <= LIMIT_SHARE + LIMIT_TOLERANCE:
             break
-        drones = np.concatenate([drones, np.argmax(ratios, axis=-1)[..., None]], axis=-1)
+        drones = np.concatenate([drones, ratios.argmax(axis=-1)[..., None]], axis=-1)
     # The caller stretches the flight to limits that are still violated.
-    return Clock(clock.knots, clock.progress, BSpline(spline.t, rate, DEGREE))
+    return Clock(clock.knots, clock.progress, bspline(basis.knots, rate, DEGREE))
 
 
 def _feasible_rate(path: ClockedPath) -> float:
@@ -123,10 +132,6 @@ def _feasible_rate(path: ClockedPath) -> float:
             return INTERIOR_SHARE * rate
         rate *= 0.8
     raise TimingError("no constant speed along the path keeps the limits")
-
-
-def _spline_jet(spline: BSpline, tau: Array) -> Array:
-    return np.stack([spline(tau, order) for order in range(4)], axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +178,7 @@ class RateRows:
     Rows are convex except those of tilt, with C, and of jerk, with e.
     """
 
-    Q: Array  # (3, 3, R, M)
+    forms: Array  # (3, 3, R, M), Q - C
     C: Array  # (3, 3, R, M)
     b: Array  # (3, R, M)
     c: Array  # (R, M)
@@ -213,20 +218,17 @@ class RateRows:
             (_square(F), matrix, _double(F, thrust), dot(thrust, thrust) - share, zero),
             (_square(G), _square(rise), _double(G, pull) - _double(rise, lift), tilt, zero),
         )
-        parts = (np.concatenate(part, axis=1) for part in zip(*rows, strict=True))
-        return cls(*(np.ascontiguousarray(part.T) for part in parts))
+        parts = (np.concatenate(part, axis=1).T for part in zip(*rows, strict=True))
+        Q, C, b, c, e = (np.ascontiguousarray(part) for part in parts)
+        return cls(Q - C, C, b, c, e)
 
-    def values(self, p: Array) -> Array:
-        """Return the rows' left sides (R, M) for p (3, M)."""
-        along = np.einsum("ijrm,jm->irm", self.Q - self.C, p) + self.b
-        values: Array = np.einsum("irm,im->rm", along, p) + self.c - self.e / p[0]
-        return values
-
-    def gradients(self, p: Array) -> Array:
-        """Return the rows' derivatives by p (3, R, M)."""
-        gradients: Array = 2.0 * np.einsum("ijrm,jm->irm", self.Q - self.C, p) + self.b
-        gradients[0] += self.e / p[0] ** 2
-        return gradients
+    def at(self, p: Array) -> tuple[Array, Array]:
+        """Return the rows' left sides (R, M) and their derivatives by p (3, R, M) for p (3, M)."""
+        along, e = np.add.reduce(self.forms * p[:, None], axis=1), self.e / p[0]
+        values = np.add.reduce((along + self.b) * p[:, None], axis=0) + self.c - e
+        gradients = 2.0 * along + self.b
+        gradients[0] += e / p[0]
+        return values, gradients
 
     def curvature(self, p: Array, weights: Array, *, convex: bool = False) -> Array:
         """Return the weighted sum (3, 3, M) of second derivatives, weights (R, M).
@@ -235,10 +237,10 @@ class RateRows:
         ----------
         convex: whether to omit the concave parts.
         """
-        forms = self.Q if convex else self.Q - self.C
-        total: Array = 2.0 * np.einsum("rm,ijrm->ijm", weights, forms)
+        forms = self.forms + self.C if convex else self.forms
+        total: Array = 2.0 * np.add.reduce(forms * weights, axis=2)
         if not convex:
-            total[0, 0] -= 2.0 * np.sum(weights * self.e, axis=0) / p[0] ** 3
+            total[0, 0] -= 2.0 * np.add.reduce(weights * self.e, axis=0) / p[0] ** 3
         return total
 
 
@@ -249,7 +251,7 @@ def _square(A: Array) -> Array:
 
 def _double(A: Array, load: Array) -> Array:
     """Return 2 Aᵀ load for A (…, d, 3) and loads (…, d)."""
-    double: Array = 2.0 * np.einsum("...ij,...i->...j", A, load)
+    double: Array = 2.0 * (load[..., None, :] @ A)[..., 0, :]
     return double
 
 
@@ -281,45 +283,49 @@ CENTRING = 0.1
 class SplineBasis:
     """A cubic spline and its first two derivatives at M samples; each has four coefficients."""
 
-    values: sp.csr_array[np.float64]  # (3 M, count), map from coefficients
-    # (4 count, 9 M), map from quadratic forms (3, 3, M) of the values to the lower band of their
-    # sum as a form of the coefficients
-    products: sp.csr_array[np.float64]
+    knots: Array  # (count + DEGREE + 1,), of the spline
+    columns: Indices  # (4, M), coefficients at each sample
+    local: Array  # (3, 4, M), value and derivatives of their B-splines
+    pairs: Array  # (9, 10, M), products of these, of the lower triangle of pairs of coefficients
+    band: Indices  # (10, M), index of such pairs in a lower band (4, count)
 
     @classmethod
-    def of(cls, spline: BSpline, at: Array) -> SplineBasis:
-        """Return the basis of a spline at samples (M,) inside of it."""
-        count, m = len(spline.c), np.arange(len(at))
-        first = np.clip(np.searchsorted(spline.t, at, side="right") - 1, DEGREE, count - 1) - DEGREE
-        columns = first + np.arange(DEGREE + 1)[:, None]  # (4, M)
-        basis = BSpline(spline.t, np.eye(count), DEGREE)
-        local = np.stack([basis(at, order)[m, columns] for order in range(3)])  # (3, 4, M)
-        rows = np.broadcast_to(np.arange(3)[:, None, None] * len(m) + m, local.shape)
-        indices = rows.ravel(), np.broadcast_to(columns, local.shape).ravel()
-        values = sp.csr_array((local.ravel(), indices), shape=(3 * len(m), count))
+    def of(cls, places: Array, at: Array) -> SplineBasis:
+        """Return the basis of a spline through values at places (K + 1,), at samples (M,)."""
+        knots = knots_through(places, DEGREE)
+        breaks, columns, maps = extraction(knots, DEGREE)
+        piece = breaks[1:-1].searchsorted(at, side="right")
+        h = breaks[piece + 1] - breaks[piece]
+        jets = bernstein.jet_basis((at - breaks[piece]) / h, DEGREE, 3)
+        jets /= h[:, None, None] ** np.arange(3)
+        local = np.ascontiguousarray((jets.swapaxes(1, 2) @ maps[piece]).transpose(1, 2, 0))
+        index = np.ascontiguousarray(columns[piece].T)
         i, j = np.tril_indices(DEGREE + 1)
-        pairs = local[:, None, i] * local[None, :, j]  # (3, 3, 10, M)
-        band = np.broadcast_to((i - j)[:, None] * count + columns[j], pairs.shape)
-        forms = np.broadcast_to(np.arange(9 * len(m)).reshape(3, 3, 1, -1), pairs.shape)
-        indices, shape = (band.ravel(), forms.ravel()), ((DEGREE + 1) * count, 9 * len(m))
-        return cls(values, sp.csr_array((pairs.ravel(), indices), shape=shape))
+        pairs = (local[:, None, i] * local[None, :, j]).reshape(9, len(i), -1)
+        count = len(knots) - DEGREE - 1
+        return cls(knots, index, local, pairs, (i - j)[:, None] * count + index[j])
 
     @property
     def count(self) -> int:
         """Number of coefficients."""
-        return int(self.values.shape[1])
+        return len(self.knots) - DEGREE - 1
 
     def at(self, coefficients: Array) -> Array:
         """Return value and derivatives (3, M)."""
-        return np.asarray(self.values @ coefficients).reshape(3, -1)
+        values: Array = np.add.reduce(self.local * coefficients[self.columns], axis=1)
+        return values
 
     def transposed(self, gradient: Array) -> Array:
         """Return the gradient by coefficients (count,) from that by the values (3, M)."""
-        return np.asarray(self.values.T @ gradient.ravel())
+        shares = np.add.reduce(self.local * gradient[:, None], axis=0)
+        total = np.bincount(self.columns.ravel(), shares.ravel(), self.count)
+        return np.asarray(total, dtype=np.float64)
 
     def banded(self, forms: Array) -> Array:
         """Return the lower band (4, count) of the sum of quadratic forms (3, 3, M) of values."""
-        return np.asarray(self.products @ forms.ravel()).reshape(DEGREE + 1, self.count)
+        shares = np.add.reduce(self.pairs * forms.reshape(9, 1, -1), axis=0)
+        band = np.bincount(self.band.ravel(), shares.ravel(), (DEGREE + 1) * self.count)
+        return np.asarray(band, dtype=np.float64).reshape(DEGREE + 1, -1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -334,13 +340,17 @@ class RateProgram:
         """Return Σ w / √x [s] for x and its derivatives p (3, M) at the samples."""
         return float(self.weights @ (1.0 / np.sqrt(p[0])))
 
-    def slack(self, coefficients: Array) -> Array | None:
-        """Return the slack (R · M + count,) of rows and coefficients; None if one is negative."""
+    def at(self, coefficients: Array) -> tuple[Array, Array, Array] | None:
+        """Return p (3, M), the rows' derivatives by it, and the slack of rows and coefficients.
+
+        The slack is (R · M + count,); the result is None if one is negative.
+        """
         p, own = self.basis.at(coefficients), coefficients - MIN_COEFFICIENT
-        if own.min() <= 0.0 or p[0].min() <= 0.0:
+        if np.minimum.reduce(own) <= 0.0 or np.minimum.reduce(p[0]) <= 0.0:
             return None
-        slack = np.append(-self.rows.values(p).ravel(), own)
-        return slack if slack.min() > 0.0 else None
+        values, gradients = self.rows.at(p)
+        slack = np.concatenate([-values.ravel(), own])
+        return (p, gradients, slack) if np.minimum.reduce(slack) > 0.0 else None
 
 
 def fastest_rate(program: RateProgram, guess: Array) -> Array:
@@ -350,35 +360,34 @@ def fastest_rate(program: RateProgram, guess: Array) -> Array:
     is linear in the number of rows. All iterates are strictly feasible, and the last one is
     returned. A guess that is not strictly feasible is returned unchanged.
     """
-    slack = program.slack(guess)
-    if slack is None:
+    point = program.at(guess)
+    if point is None:
         return guess
-    c, basis, shape = guess, program.basis, program.rows.c.shape
-    dual = CENTRING * program.duration(basis.at(c)) / len(slack) / slack
+    c, basis, shape, size = guess, program.basis, program.rows.c.shape, program.rows.c.size
+    p, gradients, slack = point
+    dual = CENTRING * program.duration(p) / len(slack) / slack
     for _ in range(MAX_NEWTON_STEPS):
         check_time()
-        p, gap = basis.at(c), float(dual @ slack)
-        tolerance = GAP_TOLERANCE * program.duration(p)
-        gradients = program.rows.gradients(p)
+        gap, tolerance = float(dual @ slack), GAP_TOLERANCE * program.duration(p)
         residual, factor = _newton(program, p, gradients, dual, slack)
-        if factor is None or (gap < tolerance and np.abs(residual).max() < tolerance):
+        if factor is None or (gap < tolerance and np.maximum.reduce(np.abs(residual)) < tolerance):
             break
         # Toward equal products of slacks and duals.
         change = max(CENTRING * gap, 0.1 * tolerance) / len(slack) / slack - dual
-        of_rows = change[: program.rows.c.size].reshape(shape)
-        right = change[program.rows.c.size :] - residual
-        right = right - basis.transposed(np.einsum("rm,irm->im", of_rows, gradients))
+        of_rows = np.add.reduce(change[:size].reshape(shape) * gradients, axis=1)
+        right = change[size:] - residual - basis.transposed(of_rows)
         dc: Array = dpbtrs(factor, right, lower=True)[0]
-        dslack = np.append(-np.einsum("irm,im->rm", gradients, basis.at(dc)).ravel(), dc)
+        drows = np.add.reduce(gradients * basis.at(dc)[:, None], axis=0)
+        dslack = np.concatenate([-drows.ravel(), dc])
         ddual = change - dual / slack * dslack
         share = _step_share(slack, dslack)
-        remaining, smallest = program.slack(c + share * dc), MIN_SLACK_SHARE * slack
-        while remaining is None or (remaining < smallest).any():
+        point, smallest = program.at(c + share * dc), MIN_SLACK_SHARE * slack
+        while point is None or np.logical_or.reduce(point[2] < smallest):
             share *= BACKTRACK_FACTOR
             if share < MIN_STEP_SHARE:
                 return c
-            remaining = program.slack(c + share * dc)
-        c, slack = c + share * dc, remaining
+            point = program.at(c + share * dc)
+        c, (p, gradients, slack) = c + share * dc, point
         dual = dual + _step_share(dual, ddual) * ddual
     return c
 
@@ -391,11 +400,11 @@ def _newton(
     An indefinite matrix is replaced by one of the rows' convex parts; the factor may be None.
     """
     rows, shape, size = program.rows, program.rows.c.shape, program.rows.c.size
-    own, stiffness = (each[:size].reshape(shape) for each in (dual, dual / slack))
-    gradient = np.einsum("rm,irm->im", own, gradients)
+    own, stiffness = dual[:size].reshape(shape), (dual[:size] / slack[:size]).reshape(shape)
+    gradient = np.add.reduce(own * gradients, axis=1)
     gradient[0] -= 0.5 * program.weights * p[0] ** -1.5
     residual = program.basis.transposed(gradient) - dual[size:]
-    forms = np.einsum("irm,jrm->ijm", stiffness * gradients, gradients)
+    forms = np.add.reduce((stiffness * gradients)[:, None] * gradients, axis=2)
     forms[0, 0] += 0.75 * program.weights * p[0] ** -2.5
     for convex in (False, True):
         band = program.basis.banded(forms + rows.curvature(p, own, convex=convex))
@@ -408,5 +417,5 @@ def _newton(
 
 def _step_share(values: Array, steps: Array) -> float:
     """Return the share of steps, at most 1, that keeps positive values positive."""
-    fastest = float((steps / values).min())
+    fastest = float(np.minimum.reduce(steps / values))
     return min(1.0, BOUNDARY_SHARE / -fastest) if fastest < 0.0 else 1.0

@@ -14,7 +14,6 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import PPoly
 from toppra.solverwrapper.cy_seidel_solverwrapper import solve_lp2d
 
 from hitchopt.errors import HitchoptError, InfeasibleError, Violation
@@ -24,7 +23,7 @@ from hitchopt.hitch.forces import hanging_forces
 from hitchopt.hitch.model import drone_jets
 from hitchopt.hitch.requirements import Limits
 from hitchopt.planners.morph.path import Path
-from hitchopt.values import Array
+from hitchopt.values import Array, Indices
 
 LIMIT_SHARE = 0.999
 """Share of the limits at samples, with a reserve for the times between."""
@@ -238,11 +237,11 @@ class SpeedProfile:
     s: Array  # (J,), the grid from 0 to 1
     speed: Array  # (J,) [1/s], ṡ on the grid; s̈ is constant between
 
-    @property
+    @cached_property
     def times(self) -> Array:
         """(J,) [s]: times of the grid points."""
-        steps = 2.0 * np.diff(self.s) / (self.speed[1:] + self.speed[:-1])
-        return np.append(0.0, np.cumsum(steps))
+        steps = 2.0 * (self.s[1:] - self.s[:-1]) / (self.speed[1:] + self.speed[:-1])
+        return np.concatenate([[0.0], steps.cumsum()])
 
     @property
     def duration(self) -> float:
@@ -250,23 +249,32 @@ class SpeedProfile:
         return float(self.times[-1])
 
     @cached_property
-    def progress(self) -> PPoly:
-        """S as a function of time [s], a quadratic on each step."""
-        steps = np.diff(self.times)
-        quadratics = np.stack([0.5 * np.diff(self.speed) / steps, self.speed[:-1], self.s[:-1]])
-        return PPoly(quadratics, self.times)
+    def _rates(self) -> Array:
+        """(J - 1,) [1/s²]: s̈ on each step."""
+        rates: Array = (self.speed[1:] - self.speed[:-1]) / (self.times[1:] - self.times[:-1])
+        return rates
+
+    def _steps(self, t: Array) -> Indices:
+        """Return the steps at t (…) [s], the first or the last one outside."""
+        return self.times[1:-1].searchsorted(t, side="right")
 
     def acceleration(self, t: Array) -> Array:
         """Return s̈ at t (…) [s], zero before and after [1/s²]."""
         inside = (t >= 0.0) & (t <= self.duration)
-        return np.where(inside, self.progress(np.clip(t, 0.0, self.duration), 2), 0.0)
+        return np.where(inside, self._rates[self._steps(t)], 0.0)
 
     def mean(self, t: Array, width: float) -> Array:
         """Return the mean of s over the ``width`` [s] before t (…); s is 0 before and 1 after."""
-        integral, end = self.progress.antiderivative(), self.duration
-        upper, lower = (
-            integral(np.clip(x, 0.0, end)) + np.maximum(x - end, 0.0) for x in (t, t - width)
-        )
+        x = np.stack([t, t - width])
+        inner = x.clip(0.0, self.duration)
+        # The integrals of s up to the grid points, and from these to x.
+        steps, rates = self.times[1:] - self.times[:-1], self._rates
+        parts = self.s[:-1], self.speed[:-1] / 2.0, rates / 6.0
+        whole = steps * (parts[0] + steps * (parts[1] + steps * parts[2]))
+        k = self._steps(inner)
+        dt, (s, half, sixth) = inner - self.times[k], (part[k] for part in parts)
+        before = (whole.cumsum() - whole)[k]
+        upper, lower = before + dt * (s + dt * (half + dt * sixth)) + (x - inner).clip(0.0)
         mean: Array = (upper - lower) / width
         return mean
 
@@ -323,21 +331,22 @@ def _fastest_squares(programs: Array) -> Array:
     steps = len(programs)
     lower, upper = np.array([-VARIABLE_BOUND, 0.0]), np.array([VARIABLE_BOUND, VARIABLE_BOUND])
     objective, active = np.array([-ACCELERATION_WEIGHT, 1.0, 0.0]), np.arange(2)
-    bounds = [0.0] * (steps + 1)
+    bounds = np.zeros(steps + 1)
     for i in reversed(range(steps)):
         a, b, c = programs[i]
         c[0] = -bounds[i + 1]
-        solved, _, best, binding = solve_lp2d(objective, a, b, c, lower, upper, active)
+        solved, _, best, active[:] = solve_lp2d(objective, a, b, c, lower, upper, active)
         if not solved:
             return np.full(steps + 1, np.nan)
-        bounds[i], active = float(best[1]), np.array(binding, dtype=active.dtype)
+        bounds[i] = best[1]
     a, b, c = programs[:, 0], programs[:, 1], programs[:, 2]
     positive = np.where(a > 0.0, a, 1.0)
     limits, slopes = np.where(a > 0.0, -c / positive, np.inf), np.where(a > 0.0, b / positive, 0.0)
-    twice, squares = a[:, 0].tolist(), [0.0] * (steps + 1)
-    for i, (limit, slope) in enumerate(zip(limits, slopes, strict=True)):
-        after = squares[i] + twice[i] * float((limit - slope * squares[i]).min())
-        squares[i + 1] = min(bounds[i + 1], max(after - ROUNDING_MARGIN, 0.9999 * after, 0.0))
+    twice, squares, smallest = a[:, 0].tolist(), [0.0], np.minimum.reduce
+    for i, bound in enumerate(bounds[1:].tolist()):
+        after = squares[i] + twice[i] * smallest(limits[i] - slopes[i] * squares[i])
+        least = after - ROUNDING_MARGIN if after > 1e4 * ROUNDING_MARGIN else 0.9999 * after
+        squares += [0.0 if least < 0.0 else least if least < bound else bound]
     return np.array(squares)
 
 
