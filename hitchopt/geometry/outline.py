@@ -6,6 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar, Self
 
 import numpy as np
@@ -57,10 +58,11 @@ class Outline(ByValue, ABC):
     def __iter__(self) -> Iterator[Array]:
         return iter(self.vertices)
 
-    @property
+    @cached_property
     def edge_vectors(self) -> Array:
-        """(edges, 2) [m]: ``p_{k+1} - p_k``."""
-        edges: Array = np.roll(self.vertices, -1, axis=0) - self.vertices
+        """(edges, 2) [m]: ``p_{k+1} - p_k``, read-only."""
+        edges: Array = np.concatenate([self.vertices[1:], self.vertices[:1]]) - self.vertices
+        edges.setflags(write=False)
         return edges if self.closed else edges[:-1]
 
     @property
@@ -73,10 +75,11 @@ class Outline(ByValue, ABC):
         """(corners,): indices of the points between two edges."""
         return np.arange(len(self)) if self.closed else np.arange(1, len(self) - 1)
 
-    @property
+    @cached_property
     def edge_lengths(self) -> Array:
-        """(edges,) [m]: ``l_k``."""
+        """(edges,) [m]: ``l_k``, read-only."""
         lengths: Array = np.hypot(*self.edge_vectors.T)
+        lengths.setflags(write=False)
         return lengths
 
     @property

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -132,6 +133,11 @@ def _refusal(value: float, limit: float, sense: str, where: str, remedy: str) ->
     """Return the error for a leg [m] beyond its limit."""
     violation = Violation("legs", float(value), float(limit), sense, "m", (where,), "", remedy)
     return InfeasibleError([violation])
+
+
+def _frozen(array: Array) -> Array:
+    array.setflags(write=False)
+    return array
 
 
 @dataclass(frozen=True, eq=False)
@@ -282,17 +288,17 @@ class Hitch(ByValue):
         """Return the hitch at another altitude [m]."""
         return Hitch(self.team, self.polygon, altitude, self.q_legs, self.roll)
 
-    @property
+    @cached_property
     def slack(self) -> Array:
         """(n,) [m]: slack of cable k for its two legs, ``L_k - l_k``, as cable length."""
-        return cable_slack(self.team, self.polygon)
+        return _frozen(cable_slack(self.team, self.polygon))
 
     @property
     def r_legs(self) -> Array:
         """(n,) [m]: cable length ``e_k`` from vertex k+1 to drone r_k; 0 at a chain's end."""
         return self.team.layout.legs_of(self.q_legs, self.slack)[:, 1]
 
-    @property
+    @cached_property
     def legs(self) -> Array:
         """(n, 2) [m]: distances of q_k and r_k from their vertices, ``d_k`` and ``e_k``.
 
@@ -302,17 +308,19 @@ class Hitch(ByValue):
         steep = np.stack(self._directions, axis=1)[..., 2]
         factors = sag_factors(self.team, self.team.tension)[:, None]
         chords: Array = lengths * shortening(factors * lengths**2 * (1.0 - steep**2))
-        return chords
+        return _frozen(chords)
 
     @property
     def fractions(self) -> Array:
         """(n,): slack split ``d_k / (d_k + e_k)``."""
         return self.q_legs / self.slack
 
-    @property
+    @cached_property
     def vertices(self) -> Array:
         """(points, 3) [m]: n of a closed hitch, n + 1 of a chain."""
-        return np.column_stack([self.polygon.vertices, np.full(len(self.polygon), self.altitude)])
+        vertices = np.full((len(self.polygon), 3), self.altitude)
+        vertices[:, :2] = self.polygon.vertices
+        return _frozen(vertices)
 
     @property
     def leg_directions(self) -> Array:
@@ -322,19 +330,19 @@ class Hitch(ByValue):
         """
         return np.stack(self._directions, axis=1).reshape(-1, 3)
 
-    @property
+    @cached_property
     def _directions(self) -> tuple[Array, Array]:
         team, u = self.team, self.polygon.edge_directions
         loads = clasp_loads(team, self.q_legs, self.slack, self.roll)
-        along = np.column_stack([u, np.zeros(len(u))])
+        along = np.zeros((len(u), 3))
+        along[:, :2] = u
         return leg_directions(along, team.tension, team.topology, loads)
 
-    @property
+    @cached_property
     def drones(self) -> Array:
         """(2n, 3) [m]: ``q_k = p_k + d_k q̂_k`` and ``r_k = p_{k+1} + e_k r̂_k``."""
         anchors = self.vertices[self.team.layout.anchors]
-        drones: Array = anchors + self.legs.reshape(-1, 1) * self.leg_directions
-        return drones
+        return _frozen(anchors + self.legs.reshape(-1, 1) * self.leg_directions)
 
     @property
     def cable_forces(self) -> Array:

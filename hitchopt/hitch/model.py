@@ -35,20 +35,29 @@ class Edge:
     @classmethod
     def of(cls, vector: Series, tension: Series, weight: Any) -> Edge:
         """Return the edge along a vector; ``weight`` is that of cables [N/m], None for none."""
-        size = vector.dot(vector).root
-        along = vector / size
-        if weight is None:
-            return cls(along, size, tension, tension, None)
-        sag = tension.constant(weight * weight / 24.0) / (tension * tension)
-        level = vector.row(0, 1)
-        cable = size + size * sag * level.dot(level)
-        pull = chord_pull(tension, cable * (0.5 * weight))
-        return cls(along, cable, pull, tension, sag)
+        cable, size, sag = cable_of_span(vector, tension, weight)
+        pull = tension if weight is None else chord_pull(tension, cable * (0.5 * weight))
+        return cls(vector / size, cable, pull, tension, sag)
 
     def select(self, index: Indices) -> Edge:
         """Return the edges at some indices."""
-        parts: dict[str, Any] = vars(self)
-        return Edge(**{name: part and part.select(index) for name, part in parts.items()})
+        tension = self.tension.select(index)
+        pull = tension if self.pull is self.tension else self.pull.select(index)
+        sag = None if self.sag is None else self.sag.select(index)
+        return Edge(self.along.select(index), self.cable.select(index), pull, tension, sag)
+
+
+def cable_of_span(vector: Series, tension: Series, weight: Any) -> tuple[Series, Series, Any]:
+    """Return cable length and chord [m] of a span, and its factor of ``forces.cable_of``.
+
+    ``weight`` is that of cables [N/m]; None for none, as is then the factor.
+    """
+    size = vector.dot(vector).root
+    if weight is None:
+        return size, size, None
+    sag = tension.constant(weight * weight / 24.0) / (tension * tension)
+    level = vector.row(0, 1)
+    return size + size * sag * level.dot(level), size, sag
 
 
 def clasp_legs(
@@ -123,38 +132,51 @@ class FlatJets:
 class DroneJets:
     """Drones, forces and legs for flat outputs, at the same J values of the parameter.
 
-    Positions (J, 2n, 3, 4) [m], in the order q0, r0, q1, …; forces of cables on drones and thrusts
-    (J, 2n, 3) [N], with the parameter select as time; legs (J, n, 2, 4) [m], distances of drones
-    from their vertices.
+    Positions (J, 2n, 3, 4) [m], in the order q0, r0, q1, …; legs (J, n, 2, 4) [m], distances of
+    drones from their vertices.
     """
 
+    team: Team
+    flat: FlatJets
     positions: Array
-    cable_forces: Array
-    thrusts: Array
     legs: Array
+
+    @property
+    def cable_forces(self) -> Array:
+        """(J, 2n, 3) [N]: forces of cables on drones."""
+        pulls, taut = self.flat.tensions[..., 0].repeat(2, axis=1), np.ones(self.team.robots)
+        points = self.flat.vertices[..., 0]
+        return cable_forces(self.team, self.positions[..., 0], points, pulls, taut)
+
+    @property
+    def thrusts(self) -> Array:
+        """(J, 2n, 3) [N]: thrusts with the parameter as time."""
+        accelerations = self.positions[..., 2] + [0.0, 0.0, GRAVITY]
+        thrusts: Array = self.team.mass[:, None] * accelerations - self.cable_forces
+        return thrusts
 
 
 def drone_jets(team: Team, flat: FlatJets) -> DroneJets:
-    """Return drones, forces and thrusts for flat outputs; the cost is linear in J·n.
+    """Return drones and legs for flat outputs; the cost is linear in J·n.
 
     If all tensions are equal, legs continue the neighbouring edges (the paper's class), unless
     clasps carry weight or legs are rolled. Values are nan where tensions cannot carry the loads.
     """
-    steady = not np.any(flat.tensions[..., 1:])
-    equal = steady and bool(np.all(flat.tensions[..., 0] == flat.tensions[0, 0, 0]))
+    steady = not flat.tensions[..., 1:].any()
+    equal = steady and bool((flat.tensions[..., 0] == flat.tensions[0, 0, 0]).all())
     step, count = max(1, CLASPS_PER_CHUNK // team.robots), len(flat.vertices)
     if count <= step:
-        return _drone_jets(team, flat, equal)
+        return DroneJets(team, flat, *_drone_jets(team, flat, equal))
     chunks = [flat[first : first + step] for first in range(0, count, step)]
-    parts = [vars(_drone_jets(team, chunk, equal)) for chunk in chunks]
-    return DroneJets(*(np.concatenate([part[name] for part in parts]) for name in parts[0]))
+    parts = zip(*(_drone_jets(team, chunk, equal) for chunk in chunks), strict=True)
+    return DroneJets(team, flat, *map(np.concatenate, parts))
 
 
-def _drone_jets(team: Team, flat: FlatJets, equal: bool) -> DroneJets:
-    """Return drones, forces and thrusts of flat outputs; ``equal`` if all tensions are."""
+def _drone_jets(team: Team, flat: FlatJets, equal: bool) -> tuple[Array, Array]:
+    """Return positions and legs of ``DroneJets``; ``equal`` if all tensions are."""
     layout = team.layout
     weight = GRAVITY * team.cable_density if team.cable_density > 0.0 else None
-    load = np.outer([0.0, 0.0, -GRAVITY], team.load)[:, None] if np.any(team.load) else None
+    load = np.outer([0.0, 0.0, -GRAVITY], team.load)[:, None] if team.load.any() else None
     d = _scalars(flat.q_legs)
     with np.errstate(all="ignore"):  # edges of zero length have no direction
         vertices = Series.of_jet(flat.vertices)
@@ -175,10 +197,7 @@ def _drone_jets(team: Team, flat: FlatJets, equal: bool) -> DroneJets:
         for end, drones in enumerate((2 * layout.behind + 1, 2 * layout.ahead)):
             positions[:, drones] += (legs[end] * directions[end]).jet
             distances[:, drones] = legs[end].jet[..., 0, :]
-        pulls, taut = np.repeat(flat.tensions[..., 0], 2, axis=1), np.ones(team.robots)
-        forces = cable_forces(team, positions[..., 0], flat.vertices[..., 0], pulls, taut)
-    thrusts = team.mass[:, None] * (positions[..., 2] + [0.0, 0.0, GRAVITY]) - forces
-    return DroneJets(positions, forces, thrusts, distances.reshape(len(positions), -1, 2, JET))
+    return positions, distances.reshape(len(positions), -1, 2, JET)
 
 
 def _scalars(jets: Array) -> Series:

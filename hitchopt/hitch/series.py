@@ -1,12 +1,12 @@
 """Truncated Taylor series in one parameter, over numpy arrays or casadi expressions.
 
-The first axis of a coefficient holds the components of a vector; a scalar has one. The higher
-coefficients of constants are the number 0, whose products are skipped.
+The first axis of a coefficient holds the components of a vector; a scalar has one. A coefficient
+that is zero everywhere, such as the higher ones of constants, may be None.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from math import factorial
 from typing import Any
 
@@ -22,7 +22,7 @@ JET = ORDER + 1
 
 UP = [0.0, 0.0, 1.0]
 
-Bilinear = Callable[[Any, Any], Any]
+FACTORIALS = [float(factorial(k)) for k in range(JET)]
 
 
 class Series:
@@ -31,28 +31,31 @@ class Series:
     __array_ufunc__ = None  # numpy arrays defer sums and products to this class
 
     def __init__(self, coefficients: Sequence[Any]) -> None:
-        self.coefficients = list(coefficients)
+        self.coefficients = coefficients
 
     @classmethod
     def of_vectors(cls, vectors: Array) -> Series:
         """Return the series of order zero of vectors (…, rows)."""
-        return cls([np.moveaxis(vectors, -1, 0)])
+        return cls([vectors.transpose(-1, *range(vectors.ndim - 1))])
 
     @classmethod
     def of_jet(cls, jet: Array) -> Series:
         """Return the series, with coefficients (rows, …), of jets (…, rows, JET) of derivatives."""
         columns = jet.transpose(-1, -2, *range(jet.ndim - 2))
-        return cls([column / factorial(k) for k, column in enumerate(columns)])
+        return cls([column / FACTORIALS[k] for k, column in enumerate(columns)])
 
     def constant(self, value: Any) -> Series:
         """Return a constant as a series with equally many coefficients."""
-        return Series([value, *(0.0 for _ in self.coefficients[1:])])
+        return Series([value, *[None] * (len(self.coefficients) - 1)])
 
     @property
     def jet(self) -> Array:
         """(…, rows, JET): value and derivatives of a series over arrays."""
-        columns = np.stack([factorial(k) * c for k, c in enumerate(self.coefficients)])
-        return columns.transpose(*range(2, columns.ndim), 1, 0)
+        jet = np.zeros((*self.value.shape, len(self.coefficients)))
+        for k, c in enumerate(self.coefficients):
+            if c is not None:
+                jet[..., k] = FACTORIALS[k] * c
+        return jet.transpose(*range(1, jet.ndim - 1), 0, -1)
 
     @property
     def value(self) -> Any:
@@ -61,34 +64,41 @@ class Series:
 
     def row(self, *rows: int) -> Series:
         """Return the rows of a vector at some indices."""
-        return self._each(lambda c: c[list(rows)])
+        index = list(rows)
+        return Series([None if c is None else c[index] for c in self.coefficients])
 
     def select(self, index: Indices) -> Series:
         """Return the items at some indices of the last axis of arrays."""
-        return self._each(lambda c: c.take(index, -1))
+        return Series([None if c is None else c[..., index] for c in self.coefficients])
 
     @property
     def upward(self) -> Series:
         """A vector along z whose z component is this scalar."""
-        return self._each(lambda c: np.concatenate([0 * c, 0 * c, c]) if _is_array(c) else c * UP)
-
-    def _each(self, change: Callable[[Any], Any]) -> Series:
-        return Series([c if isinstance(c, float) else change(c) for c in self.coefficients])
+        up = np.array(UP).reshape(-1, *[1] * (self.value.ndim - 1)) if _is_array(self.value) else UP
+        return Series([None if c is None else c * up for c in self.coefficients])
 
     def __add__(self, other: Series) -> Series:
         pairs = zip(self.coefficients, other.coefficients, strict=True)
-        return Series([_sum([a, b]) for a, b in pairs])
+        return Series([b if a is None else a if b is None else a + b for a, b in pairs])
 
     def __sub__(self, other: Series) -> Series:
-        return self + -other
+        pairs = zip(self.coefficients, other.coefficients, strict=True)
+        return Series([a if b is None else -b if a is None else a - b for a, b in pairs])
 
     def __neg__(self) -> Series:
-        return Series([-c for c in self.coefficients])
+        return Series([None if c is None else -c for c in self.coefficients])
 
     def __mul__(self, other: Series | float) -> Series:
+        """Return the product of components, by Leibniz' rule; scalars multiply all of a vector."""
         if not isinstance(other, Series):
-            return self._each(lambda c: other * c)
-        return _convolved(self, other, lambda a, b: a * b)
+            return Series([None if c is None else other * c for c in self.coefficients])
+        x, y = self.coefficients, other.coefficients
+        product: list[Any] = [None] * len(x)
+        for k in range(len(product)):
+            for a, b in zip(x[: k + 1], y[k::-1], strict=True):
+                if a is not None and b is not None:
+                    product[k] = a * b if product[k] is None else product[k] + a * b
+        return Series(product)
 
     __rmul__ = __mul__
 
@@ -97,20 +107,22 @@ class Series:
         b, quotient = divisor.coefficients, list[Any]()
         inverse = 1.0 / b[0]
         for k, a in enumerate(self.coefficients):
-            partial = _sum([_times(quotient[i], b[k - i]) for i in range(k)])
-            quotient.append(_times(_sum([a, -partial]), inverse))
+            rest = _remainder(a, quotient, b[k:0:-1])
+            quotient = [*quotient, None if rest is None else rest * inverse]
         return Series(quotient)
 
     def __rsub__(self, value: float) -> Series:
-        return Series([value - self.value, *(-c for c in self.coefficients[1:])])
+        return self.constant(value) - self
 
     def dot(self, other: Series) -> Series:
         """Return the scalar product of vectors."""
-        return _convolved(self, other, _dot)
+        return Series([None if c is None else _total(c) for c in (self * other).coefficients])
 
     def cross(self, other: Series) -> Series:
         """Return the vector product."""
-        return _convolved(self, other, _cross)
+        ahead, behind = (1, 2, 0), (2, 0, 1)
+        forward = self.row(*ahead) * other.row(*behind)
+        return forward - self.row(*behind) * other.row(*ahead)
 
     @property
     def root(self) -> Series:
@@ -118,9 +130,9 @@ class Series:
         value = self.value
         root = [np.sqrt(value) if _is_array(value) else value.sqrt()]
         inverse = 0.5 / root[0]
-        for k, c in enumerate(self.coefficients[1:], start=1):
-            partial = _sum([_times(root[i], root[k - i]) for i in range(1, k)])
-            root.append(_times(_sum([c, -partial]), inverse))
+        for c in self.coefficients[1:]:
+            rest = _remainder(c, root[1:], root[:0:-1])
+            root = [*root, None if rest is None else rest * inverse]
         return Series(root)
 
     @property
@@ -137,44 +149,29 @@ class Series:
         c = [np.cos(angle) if numbers else angle.cos()]
         s = [np.sin(angle) if numbers else angle.sin()]
         for k in range(1, len(psi)):
-            rates = [i / k * psi[i] for i in range(1, k + 1)]
-            c.append(-_sum([_times(rate, s[k - i]) for i, rate in enumerate(rates, start=1)]))
-            s.append(_sum([_times(rate, c[k - i]) for i, rate in enumerate(rates, start=1)]))
+            rates = [None if psi[i] is None else i / k * psi[i] for i in range(1, k + 1)]
+            opposite = [None if x is None else -x for x in c[::-1]]
+            c, s = (
+                [*c, _remainder(None, rates, s[::-1])],
+                [*s, _remainder(None, rates, opposite)],
+            )
         return Series(c), Series(s)
 
 
-def _convolved(a: Series, b: Series, product: Bilinear) -> Series:
-    """Return the series of a bilinear product, by Leibniz' rule."""
-    x, y = a.coefficients, b.coefficients
-    return Series(
-        [_sum([_times(x[i], y[k - i], product) for i in range(k + 1)]) for k in range(len(x))]
-    )
-
-
-def _is_zero(value: Any) -> bool:
-    return isinstance(value, float) and value == 0.0
-
-
-def _times(a: Any, b: Any, product: Bilinear = lambda a, b: a * b) -> Any:
-    return 0.0 if _is_zero(a) or _is_zero(b) else product(a, b)
-
-
-def _sum(terms: list[Any]) -> Any:
-    terms = [term for term in terms if not _is_zero(term)]
-    return sum(terms[1:], terms[0]) if terms else 0.0
+def _remainder(a: Any, x: Sequence[Any], y: Sequence[Any]) -> Any:
+    """Return a minus the products of pairs of x and y."""
+    for b, c in zip(x, y, strict=True):
+        if b is not None and c is not None:
+            a = -(b * c) if a is None else a - b * c
+    return a
 
 
 def _is_array(value: Any) -> bool:
     return isinstance(value, np.ndarray)
 
 
-def _dot(a: Any, b: Any) -> Any:
-    product = a * b
-    if _is_array(product):
-        return np.add.reduce(product, axis=0, keepdims=True)
-    return sum((product[i] for i in range(1, product.size1())), product[0])
-
-
-def _cross(a: Any, b: Any) -> Any:
-    ahead, behind = [1, 2, 0], [2, 0, 1]
-    return a[ahead] * b[behind] - a[behind] * b[ahead]
+def _total(vector: Any) -> Any:
+    """Return the sum of a vector's components, as a scalar of one row."""
+    if isinstance(vector, np.ndarray):
+        return np.add.reduce(vector, axis=0, keepdims=True)
+    return sum((vector[i] for i in range(1, vector.size1())), vector[0])

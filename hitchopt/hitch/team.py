@@ -111,7 +111,7 @@ class Layout:
 
     def edges(self, points: Array, axis: int = -2) -> Array:
         """Return the edge vectors: points (…, points, d) to (…, n, d), along ``axis``."""
-        return np.take(points, self.ends, axis) - np.take(points, self.starts, axis)
+        return points.take(self.ends, axis) - points.take(self.starts, axis)
 
     def legs_of(self, q_legs: Array, slack: Array) -> Array:
         """Return both legs (…, n, 2) [m] from q-legs and slacks (…, n); zero if there is no leg."""
@@ -120,9 +120,16 @@ class Layout:
 
     def q_legs_of(self, q_legs: Array, slack: Array) -> Array:
         """Return q-legs (…, n) [m] with the only possible ones at a chain's ends."""
+        if self.closed:
+            return q_legs
         with_r = np.where(self.has_leg[:, 0], q_legs, 0.0)
         exact: Array = np.where(self.has_leg[:, 1], with_r, slack)
         return exact
+
+    def q_leg_jets(self, q_legs: Array, slack: Array) -> Array:
+        """Return jets (…, n, m) of q-legs, as ``q_legs_of``."""
+        jets: Array = self.q_legs_of(q_legs.swapaxes(-1, -2), slack.swapaxes(-1, -2))
+        return jets.swapaxes(-1, -2)
 
 
 @lru_cache(maxsize=64)

@@ -392,8 +392,7 @@ class RetargetPath:
         tensions[..., 0] = team.tension
         slack = -cable_along(team, edges, tensions)
         slack[..., 0] += team.cable_length
-        shares, slack = (np.moveaxis(x, -1, 0) for x in (jets.product(split, slack), slack))
-        q_legs = np.moveaxis(layout.q_legs_of(shares, slack), 0, -1)
+        q_legs = layout.q_leg_jets(jets.product(split, slack), slack)
         return vertices, drone_jets(team, FlatJets(vertices, q_legs, tensions))
 
     def curves(self, breaks: Array, brake: float, shift: float) -> list[PiecewisePolynomial]:
@@ -422,9 +421,10 @@ class RetargetPath:
         points, drones = self.jets(t, brake, shift)
         rates = np.einsum("jdxk,jdxk->kjd", drones.positions, drones.positions).max(axis=2) ** 0.5
         vertex_speed = np.linalg.norm(points[..., 1], axis=2).max(axis=1)
-        horizontal = np.hypot(drones.thrusts[..., 0], drones.thrusts[..., 1])
-        thrust = np.hypot(horizontal, drones.thrusts[..., 2]) / self.team.max_thrust
-        tilt = np.arctan2(horizontal, drones.thrusts[..., 2])
+        thrusts = drones.thrusts
+        horizontal, upward = np.hypot(thrusts[..., 0], thrusts[..., 1]), thrusts[..., 2]
+        thrust = np.hypot(horizontal, upward) / self.team.max_thrust
+        tilt = np.arctan2(horizontal, upward)
         ratios = [
             rates[1] / limits.speed,
             vertex_speed / limits.vertex_speed,

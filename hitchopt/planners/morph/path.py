@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.forces import cable_slack_of
-from hitchopt.hitch.model import DroneJets, Edge, FlatJets, drone_jets
+from hitchopt.hitch.model import DroneJets, FlatJets, cable_of_span, drone_jets
 from hitchopt.hitch.series import JET, Series
 from hitchopt.planners.morph import jets
 from hitchopt.trajectory import PiecewisePolynomial
@@ -100,9 +100,8 @@ class ShapePath:
         edges = self.team.layout.edges(vertices, axis=1)
         slack = -cable_along(self.team, edges, tensions)
         slack[..., 0] += self.team.cable_length
-        by_law, orders = self.legs.q_legs(s, slack), np.moveaxis(slack, -1, 0)
-        q_legs = self.team.layout.q_legs_of(np.moveaxis(by_law, -1, 0), orders)
-        return FlatJets(vertices, np.moveaxis(q_legs, 0, -1), tensions, roll)
+        q_legs = self.team.layout.q_leg_jets(self.legs.q_legs(s, slack), slack)
+        return FlatJets(vertices, q_legs, tensions, roll)
 
 
 def roll_between(
@@ -127,9 +126,10 @@ def cable_along(team: Team, chords: Array, tensions: Array) -> Array:
     """
     weight = GRAVITY * team.cable_density or None
     with np.errstate(all="ignore"):
-        edge = Edge.of(Series.of_jet(chords), Series.of_jet(tensions[..., None, :]), weight)
-    stretched = np.any(chords[..., 0], axis=-1, keepdims=True)  # others are legs at a chain's ends
-    return np.where(stretched, edge.cable.jet[..., 0, :], 0.0)
+        spans = Series.of_jet(chords), Series.of_jet(tensions[..., None, :])
+        cable = cable_of_span(*spans, weight)[0].jet[..., 0, :]
+    stretched = chords[..., 0].any(axis=-1, keepdims=True)  # others are legs at a chain's ends
+    return np.where(stretched, cable, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
