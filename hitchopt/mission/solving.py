@@ -8,6 +8,8 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass, replace
+from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -176,17 +178,29 @@ def forget() -> None:
     _CACHE.clear()
 
 
-def contents(value: object) -> object:
+def contents(value: Any) -> object:
     """Return the contents of a request in built-in types; their repr is equal only if they are."""
-    if isinstance(value, np.ndarray):
+    kind: Any = type(value)
+    if kind in _SIMPLE:
+        return value
+    if kind is np.ndarray:
         return value.dtype.str, value.shape, value.strides, value.tobytes()
-    if is_dataclass(value):
-        return type(value), [contents(getattr(value, each.name)) for each in fields(value)]
+    if names := _field_names(kind):
+        return kind, [contents(getattr(value, name)) for name in names]
     if isinstance(value, Mapping):
         return [(key, contents(each)) for key, each in value.items()]
     if isinstance(value, (tuple, list)):
-        return type(value), [contents(each) for each in value]
-    return value if isinstance(value, (str, int, float, type(None))) else pickle.dumps(value)
+        return kind, [contents(each) for each in value]
+    return value if isinstance(value, (str, int, float)) else pickle.dumps(value)
+
+
+_SIMPLE = {str, int, float, bool, type(None)}
+
+
+@cache
+def _field_names(kind: type[Any]) -> tuple[str, ...]:
+    """Return the names of the fields of a record."""
+    return tuple(each.name for each in fields(kind)) if is_dataclass(kind) else ()
 
 
 def _start_state(

@@ -101,11 +101,17 @@ def decoded(kind: Any, value: Any) -> Any:
 def check_same(
     prefix: str, request: Any, value: Any, suffix: str, slack: Mapping[str, float] | None = None
 ) -> None:
-    """Raise InputError with the key if JSON values differ from the requested ones.
+    """Raise InputError with the key if JSON values or records differ from the requested ones.
 
     Numbers are equal within TOLERANCE, and within ``slack`` where keys begin so.
     """
-    requested, actual = (dict(_leaves(prefix, each)) for each in (request, value))
+    if isinstance(request, dict) and isinstance(value, dict):  # most are exactly equal
+        absent = object()
+        different = [
+            key for key in request | value if request.get(key, absent) != value.get(key, absent)
+        ]
+        request, value = ({k: x[k] for k in different if k in x} for x in (request, value))
+    requested, actual = (dict(_leaves(prefix, encoded(each))) for each in (request, value))
     for key in requested | actual:
         allowed = max([by for name, by in (slack or {}).items() if key.startswith(name)] or [0.0])
         in_both = key in requested and key in actual

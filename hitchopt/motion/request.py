@@ -1,14 +1,14 @@
 """Compare a motion with what was requested: team, requirements, start and results of steps.
 
-Problems state the request, motions imply it, and both are compared as JSON values with the keys of
-problem files. Robots are in the order of the start.
+Problems state the request, motions imply it, and both are compared with the keys of problem files.
+Robots are in the order of the start.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from itertools import groupby
 from typing import Any
 
@@ -56,16 +56,16 @@ def request_fields(
     start: Mapping[str, Any],
     mission: Sequence[Mapping[str, Any]],
 ) -> dict[str, Any]:
-    """Return a team, requirements, a start and a mission as JSON values.
+    """Return a team and requirements as records, a start and a mission as JSON values.
 
     The start has ``hitch``, ``drones`` or both; steps of the mission have some of the keys of
     ``mission_of``.
     """
-    required = {k: v for k, v in encoded(requirements).items() if k not in PLANNER_ONLY}
+    names = (each.name for each in fields(requirements) if each.name not in PLANNER_ONLY)
     return {
         "start": encoded(start),  # compared first: roles determine the order of everything else
-        "team": encoded(team),
-        **required,
+        "team": team,
+        **{name: getattr(requirements, name) for name in names},
         "mission": encoded(mission),
     }
 

@@ -217,11 +217,11 @@ def test_requests_are_in_the_order_of_the_start(formed: Path) -> None:
     motion = read_plan(formed)
     assert motion.assignment is not None
     request, robots = request_of(motion), motion.assignment.robots
-    masses = [kind["mass"] for kind in request["team"]["quadrotor"]]
+    masses = [kind.mass for kind in request["team"].quadrotor]
     assert masses == [0.132, 0.14, 0.15]
     assert [kind.mass for kind in motion.team.quadrotor] == [masses[i] for i in robots]
     assert request["start"]["drones"]["q"][1] == pytest.approx([-1.2, -0.6, 1.5])
-    assert request["limits"]["tilt"] == pytest.approx(np.radians(45.0))
+    assert request["limits"].tilt == pytest.approx(np.radians(45.0))
 
 
 ARRAYS = ("format", "settings", *(GROUP + name for name in ("breaks", *CURVES)))
