@@ -29,8 +29,8 @@ from hitchopt.steps.step import RolledLegs
 INTRODUCTION = """# Gallery of problems
 
 All problem files of the repository. Each has a page with its YAML and the equivalent Python, to read and download.
-Pictures show the plan from above: the start dashed and grey, the end and the drones' paths in colours; circles
-are the drones' downwash ellipsoids.
+Pictures are moments of the plan, with the drones' paths since the one before; single drones are seen from above, with circles
+for their downwash ellipsoids.
 """
 
 UNSOLVED = """These files are well-formed, but no plan meets their limits: `hitchopt solve` ends with
@@ -125,7 +125,7 @@ def _example(section: Section, file: Path) -> str:
     page, path = section.page(file), file.relative_to(PROBLEMS).as_posix()
     up, title, lasts = "../" * (len(page.parents) + 1), _title(file), entry(file, "# Lasts", "")
     pictures = {
-        "From above": section.picture(file),
+        "Moments of the plan" if section.solved else "The request": section.picture(file),
         "Film": PROBLEMS / f"pictures/{file.stem}.webp",
     }
     pictures |= {words: screenshot(file.stem, kind) for kind, words in KINDS.items()}
@@ -163,7 +163,7 @@ def _section(section: Section) -> list[str]:
     cards = [
         f":::{{grid-item-card}} {_title(file)}\n"
         f":img-top: {section.picture(file).relative_to(GALLERY).as_posix()}\n"
-        f":img-alt: {_title(file)}, from above\n:link-type: doc\n"
+        f":img-alt: {_title(file)}\n:link-type: doc\n"
         f":link: {section.page(file).with_suffix('').as_posix()}\n:::"
         for file in section.files
     ]

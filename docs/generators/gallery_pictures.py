@@ -21,27 +21,47 @@ from generators.problem_collection import SECTIONS
 from hitchopt.mission.problem import TeamMission
 from hitchopt.values import Array
 from hitchopt.view.editing import outlines
+from hitchopt.view.painter import draw_plan_storyboard, shots_in_motion
 from hitchopt.view.pictures import draw_plan_view
 from hitchopt.view.style import COLOURS, INK, new_figure, save_figure
 
 SIZE = (4.2, 4.2)
 """Width and height [inch]."""
 
+EDGES = {"left": 0.01, "right": 0.99, "bottom": 0.01, "top": 0.94}
+"""Edges of storyboards, as shares of the figure."""
+
 PALETTE = 64
 """Number of colours: line drawings need few, and files shrink to a third."""
 
 
+PANELS = 4
+"""Number of panels of a storyboard, which a card of the gallery shows some 200 pixels wide."""
+
+
 def draw(file: Path, *, solved: bool) -> Figure:
-    """Return the picture of a problem: its plan from above, or its task if it has no plan."""
+    """Return the picture of a problem.
+
+    Plans of hitches are storyboards, those of single drones are seen from above. A problem without
+    a plan is drawn as its task.
+    """
+    plan = ho.solve(file) if solved else None
+    if plan is not None and plan.motion.has_cables:
+        figure = new_figure(SIZE, None)
+        shots = shots_in_motion(plan.motion, PANELS)
+        chosen = np.unique(np.linspace(0, len(shots) - 1, PANELS).round().astype(int))
+        place = figure.add_gridspec(1, 1, **EDGES)[0]
+        draw_plan_storyboard(place, plan.motion, [shots[i] for i in chosen])
+        return figure
     figure = new_figure(SIZE)
     axes = figure.add_subplot()
-    if solved:
-        draw_plan_view(axes, ho.solve(file).motion)
+    if plan is not None:
+        draw_plan_view(axes, plan.motion)
         if legend := axes.get_legend():
             legend.remove()
     else:
         draw_task(axes, ho.read_problem(file))
-        figure.draw_without_rendering()  # sets the limits of equal axes, and their labels
+    axes.set_axis_off()
     return figure
 
 

@@ -14,6 +14,10 @@ from generators.problem_collection import ROOT
 
 SITE = ROOT / "docs" / "_build" / "html"
 
+SCROLLING = """[...document.querySelectorAll('.bd-article pre')]
+    .filter((block) => block.scrollWidth > block.clientWidth + 1).length"""
+"""Number of blocks of code that are wider than their place, as JavaScript."""
+
 PHONE = (390, 844)
 """Width and height of a small screen [pixels]."""
 
@@ -26,6 +30,9 @@ SEARCHES = {
     "takeoff": "how_to/faq",
     "obstacle": "how_to/get_past_an_obstacle",
     "battery": "tutorials/change_a_battery",
+    "thread": "how_to/describe_your_drones",
+    "delay": "how_to/before_you_fly",
+    "trim": "how_to/calibrate",
     "cite": "reference/cite",
 }
 """Searches, and pages that must be among the first MAX_RESULTS results."""
@@ -53,6 +60,8 @@ def main() -> int:
             page.goto(f"{address}/{name}")
             excess = page.evaluate("document.documentElement.scrollWidth - window.innerWidth")
             faults += [f"{name}: {excess} pixels wider than a phone"] if excess > 0 else []
+            scrolls = page.evaluate(SCROLLING)
+            faults += [f"{name}: {scrolls} blocks of code scroll"] if scrolls else []
         for words, target in SEARCHES.items():
             if target not in (pages := results(page, address, words)):
                 faults.append(f"a search for {words!r} lists {', '.join(pages)}")

@@ -31,6 +31,7 @@ GROUPS = {
 }  # fmt: skip
 """Checks under the headings of the certificate's table; the rest goes under "other"."""
 
+ERRORS = ("cable_length", "equilibrium", "tension")  # checks of errors, titled as such in tables
 TIE = 1e-9  # relative difference of utilization up to which checks tie
 # Checks that faster motion utilizes more, and the largest margin of one that binds: planners keep
 # margins, and the search for the worst value adds its own
@@ -108,6 +109,11 @@ class Check(OneLine):
         return cls(name, holds, worst, limit, sense, unit, float(time), where, gamma=gamma)
 
     @property
+    def title(self) -> str:
+        """The name in tables, which says whether the quantity is an error."""
+        return f"{self.name} error" if self.name in ERRORS else self.name
+
+    @property
     def row(self) -> dict[str, str]:
         """The row of a table by its columns' headings.
 
@@ -124,7 +130,7 @@ class Check(OneLine):
         more = len(self.where) - MAX_NAMES
         timed = self.worst is not None and math.isfinite(self.time)
         return {
-            "check": self.name,
+            "check": self.title,
             "worst": worst,
             "limit": limit,
             "unit": "" if self.unit == "1" else self.unit,

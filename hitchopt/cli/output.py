@@ -222,7 +222,7 @@ def certificate_table(certificate: ho.Certificate) -> str:
     for heading, checks in certificate.groups.items():
         rows.append({"check": f"{heading}:"})
         for check in checks:
-            rows.append({**check.row, "check": f" {check.name}"})
+            rows.append({**check.row, "check": f" {check.title}"})
             rows[-1] |= {} if certificate.certified else {"holds": check.holds}
     text = table("Certificate", rows)
     if not (certificate.certified and certificate.binding):

@@ -100,6 +100,7 @@ def write_report(
     checks = certificate.to_dict()["checks"]
     for check in checks:
         check["concerned"] = highlight_of(motion, check["where"])._asdict()
+    groups = certificate.groups.items()
     data = {
         "title": name,
         "facts": style.facts(motion),
@@ -108,6 +109,8 @@ def write_report(
         "arrays": entries,
         "plots": list(plots_of(motion, certificate)),
         "checks": checks,
+        "groups": {title: [[x.name, x.title] for x in group] for title, group in groups},
+        "opens": _first_hitch(motion),
         "problem": problem,
         "origin": _versions_and_digests(problem, directory or path.parent),
         **_scene_data(scene),
@@ -126,6 +129,16 @@ def write_report(
     pieces = (page / "report.html").read_text("utf-8").split("%")
     pieces[1::2] = [parts[piece] for piece in pieces[1::2]]
     path.write_text("".join(pieces), encoding="utf-8")
+
+
+def _first_hitch(motion: Motion) -> float:
+    """Return the time [s] at which a hitch first stands, 0 without one."""
+    begins = motion.drones.breaks[0]
+    parts = [
+        x.motion for x in motion.groups if x.motion.team.has_cables and np.any(x.motion.formed)
+    ]
+    starts = [part.drones.breaks[np.argmax(part.formed)] - begins for part in parts]
+    return float(max(0.0, min(starts, default=0.0)))
 
 
 def pack_samples(arrays: Mapping[str, Array]) -> tuple[list[dict[str, Any]], str]:

@@ -151,6 +151,9 @@ def test_samples_are_the_plan_s_and_numbers_the_certificate_s(tmp_path: Path, n:
     assert data["checks"][0]["concerned"]["drones"] == [0, 3]
     checks = [{k: v for k, v in each.items() if k != "concerned"} for each in data["checks"]]
     assert checks == certificate.to_dict()["checks"]
+    listed = [name for group in data["groups"].values() for name, _ in group]
+    assert sorted(listed) == sorted(check["name"] for check in checks)
+    assert data["opens"] == 0.0  # the hitch stands from the beginning
     for plot, name in zip(data["plots"], ("separation", "speed", "thrust"), strict=False):
         assert plot["worst"] == {"time": certificate[name].time, "value": certificate[name].worst}
 

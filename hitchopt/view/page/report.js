@@ -36,7 +36,7 @@ class Page {
     for (const [name, value] of data.origin) addRow(byId("origin").querySelector("table"), [[name], [value]]);
     const request = new URLSearchParams(location.hash.slice(1));
     if (request.has("view")) this.stage.view(request.get("view"));
-    this.seek(Number(request.get("t")) || 0);
+    this.seek(Number(request.get("t") ?? data.opens) || 0);
     if (request.has("check")) this.showCheck(data.checks.findIndex(({ name }) => name === request.get("check")));
   }
 
@@ -77,13 +77,20 @@ class Page {
     const titles = element("tr");
     for (const [text, style] of [["check"], ["worst", "n"], ["limit", "n"], ["where"], [""]]) titles.append(element("th", text, style));
     head.append(titles);
-    this.checks = this.data.checks.map((check, i) => {
+    this.checks = [];
+    const add = (i, title) => {
+      const check = this.data.checks[i];
       const unit = ["1", ""].includes(check.unit) ? "" : ` ${check.unit}`, sign = check.sense === "min" ? "≥" : "≤";
       const limit = check.limit === null ? "–" : `${sign} ${significant(check.limit)}`, where = check.where.slice(0, 3).map(unbroken).join(", ") + (check.where.length > 3 ? " …" : "");
-      const row = addRow(body, [[check.name], [significant(check.worst) + unit, "n"], [limit, "n"], [where], [check.holds ? "✓" : "NO", check.holds ? "yes" : "no"]], () => this.showCheck(i));
+      const row = addRow(body, [[title], [significant(check.worst) + unit, "n"], [limit, "n"], [where], [check.holds ? "✓" : "NO", check.holds ? "yes" : "no"]], () => this.showCheck(i));
       row.dataset.check = check.name;
-      return row;
-    });
+      this.checks[i] = row;
+    };
+    for (const [heading, names] of Object.entries(this.data.groups)) {
+      const row = body.appendChild(element("tr", "", "group"));
+      row.append(Object.assign(element("td", heading), { colSpan: 5 }));
+      for (const [name, title] of names) add(this.data.checks.findIndex((check) => check.name === name), title);
+    }
     table.append(head, body);
   }
 
