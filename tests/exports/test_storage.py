@@ -177,7 +177,7 @@ def test_a_certified_plan_leaves_its_files_and_others_are_refused(tmp_path: Path
     for name, rows in (("setpoints.csv", 6), ("vertices.csv", 3)):
         assert (out / name).read_text().count("\n") == 1 + rows * samples
     low = Check.of("legs", 0.1, 0.15, "min", "m", 1.25, ("q2",))
-    failing = with_changes(certificate_of(motion), checks=(low,))
+    failing = with_changes(certificate_of(motion), limited=(low,))
     with pytest.raises(CertificateError, match="legs"):
         save_plan(tmp_path / "other", motion, failing)
     assert names(tmp_path) == {"out"}
