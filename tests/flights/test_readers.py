@@ -577,6 +577,15 @@ def test_the_contents_of_a_recording_are_listed(tmp_path: Path) -> None:
     assert list(result.clock_shifts.values()) == pytest.approx(shifts, abs=5e-3)
 
 
+def test_clocks_that_are_minutes_apart_are_set_by_positions(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also if the clock of the recording begins at a boot, as those of logs do."""
+    monkeypatch.setattr(w, "EPOCH", 450.0)
+    result = ho.read_flight(w.write_crazyswarm(tmp_path / "b.bag", w.rich_sample()))
+    assert list(result.clock_shifts.values()) == pytest.approx([350.0, 250.0, 150.0], abs=5e-3)
+
+
 def test_positions_and_yaws_are_commands(tmp_path: Path) -> None:
     """Commands of crazyswarm's type Position have a yaw and no velocity; one marker no attitude."""
     flight = w.rich_sample(1)

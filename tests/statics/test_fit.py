@@ -121,7 +121,7 @@ def test_lengths_and_tensions_that_fit_keep_all_distances(n: int) -> None:
         weakest, largest = fitting_tensions([polygon], requirements, sized)
         assert largest == pytest.approx(9.81 * 0.132)
         if density:
-            assert keeps(shortest + 0.1, weakest)
+            assert keeps(shortest + 0.1, 0.5 * weakest)  # with a factor of two for safety
             assert not keeps(shortest + 0.1, 0.4 * weakest)
         else:
             assert weakest == 0.0
