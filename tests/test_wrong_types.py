@@ -145,7 +145,7 @@ GOOD: list[tuple[Callable[..., object], dict[str, Any]]] = [
     (PLAN.report, {"directory": NOWHERE}), (PLAN.view, {"save": NOWHERE}),
     (PLAN.abort, {"t": AFTER, "how": "hold"}),
     (lambda ghost: PLAN.view(ghost=ghost, browser=False), {"ghost": NOWHERE}),
-    (lambda report: PLAN.save("out", report=report), {"report": False}),
+    (lambda report: PLAN.save("out", report=report, picture=False), {"report": False}),
     (lambda reports: ho.certify(PLAN.motion, reports=reports), {"reports": "speed"}),
 ]
 # fmt: on

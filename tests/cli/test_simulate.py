@@ -29,7 +29,7 @@ def solved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     team = ho.Team(3, 2.4, tension=0.5, cable_density=0.01, cable_friction=0.1)
     hitch = ho.Hitch.balanced(team, ho.regular_polygon(3, 1.3), altitude=1.4)
     place = tmp_path_factory.mktemp("plan") / "out"
-    return ho.hold(hitch, seconds=0.1).save(place)
+    return ho.hold(hitch, seconds=0.1).save(place, picture=False)
 
 
 @pytest.fixture
@@ -37,7 +37,7 @@ def settling(place: Path) -> Path:
     """Return the plan of a regular triangle, at rest for a second."""
     team = ho.Team(3, 2.4, tension=0.5, quadrotor=ho.Quadrotor(stiffness=4.75))
     hitch = ho.Hitch.balanced(team, ho.regular_polygon(3, 1.3), altitude=1.4)
-    return ho.hold(hitch, seconds=1.0).save(place / "out")
+    return ho.hold(hitch, seconds=1.0).save(place / "out", picture=False)
 
 
 def read(path: Path) -> Any:
@@ -203,7 +203,7 @@ def test_slack_cables_end_with_3_and_integrals_are_warned_of(settling: Path) -> 
 def test_solve_replaces_earlier_statics(settling: Path) -> None:
     run("statics", settling, "--at", "0", code=0)
     (settling / "mine.txt").write_text("mine")
-    ho.load(settling).save(settling)
+    ho.load(settling).save(settling, picture=False)
     names = {path.name for path in settling.iterdir()}
     assert "mine.txt" in names
     assert not names & {"statics.json", "statics.png"}

@@ -81,11 +81,12 @@ def test_a_swarm_is_solved_and_looked_at_closely(place: Path) -> None:
 def test_check_repeats_the_certificate_from_the_plan_alone(place: Path) -> None:
     text = TRIANGLE.read_text(encoding="utf-8")
     weightless = re.sub(r"\n +cable_density:.*", "", text)
+    fast = "--rate", "5", "--no-picture"
     for i, weight in enumerate(["0.0", "0.003"]):  # a choice
         stated = weightless.replace("team:\n", f"team:\n  cable_density: {weight}\n", 1)
-        said = run("solve", "-", "-o", f"stated{i}", "--rate", "5", given=stated, code=0).stdout
+        said = run("solve", "-", "-o", f"stated{i}", *fast, given=stated, code=0).stdout
         assert said.splitlines()[-1] == f"certified; the plan is in stated{i}"
-    solved = run("solve", "-", "-o", "out", "--rate", "5", given=weightless, code=0)
+    solved = run("solve", "-", "-o", "out", *fast, given=weightless, code=0)
     first = solved.stdout
     Path("mine.npz").write_bytes(Path("out/plan.npz").read_bytes())
     for name in ("setpoints.csv", "certificate.json", "vertices.csv"):
@@ -109,7 +110,7 @@ def test_check_repeats_the_certificate_from_the_plan_alone(place: Path) -> None:
 
 
 def test_joining_robots_are_checked_and_commands_for_one_ring_refused() -> None:
-    planned("join_a_fourth").save("out", rate=5.0)
+    planned("join_a_fourth").save("out", rate=5.0, picture=False)
     told = run("check", "out", "--closest", code=0)
     assert told.stderr == ""  # no drone is below the ground
     assert "q3, r3" in told.stdout
@@ -151,7 +152,7 @@ def test_a_refusal_suggests_changes(place: Path) -> None:
     assert "0.141 m apart, 0.0986 m too close: " in result.stderr  # 0.1 m times the root of 2
     text = CLOSE.read_text().replace("cable_length: 1.2", f"cable_length: {best['new']}")
     (place / "mended.yaml").write_text(text)
-    run("solve", "mended.yaml", "--rate", "5", code=0)
+    run("solve", "mended.yaml", "--rate", "5", "--no-picture", code=0)
     assert "wrote own.yaml" in run("solve", CLOSE, "--repair-to", "own", code=3).stderr
     assert (place / "own.yaml").read_text() == text
     stderr = run("solve", CLOSE, "--repair-to", "two.yaml", "--take", "2", code=3).stderr

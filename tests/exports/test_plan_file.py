@@ -80,7 +80,9 @@ def formed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A formed hitch of unlike robots, saved by the command line with its problem's text."""
     folder = tmp_path_factory.mktemp("formed")
     (folder / "tied.yaml").write_text(FORM)
-    done = CliRunner().invoke(main, ["solve", str(folder / "tied.yaml"), "-o", str(folder / "out")])
+    done = CliRunner().invoke(
+        main, ["solve", str(folder / "tied.yaml"), "-o", str(folder / "out"), "-q"]
+    )
     assert done.exit_code == 0, done.output
     return folder / "out" / "plan.npz"
 
@@ -207,7 +209,7 @@ def test_plans_made_in_python_and_their_aborts_are_read_again(tmp_path: Path) ->
     start = ho.Hitch.spread(ho.Team(3, 2.4), [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]], altitude=1.0)
     plan = ho.morph(start, [[0, -0.5], [-0.4, 0.5], [0.4, 0.5]])
     for i, each in enumerate((plan, plan.abort(1.0))):
-        each.save(tmp_path / str(i))
+        each.save(tmp_path / str(i), picture=False)
         assert ho.load(tmp_path / str(i)).certificate.certified
     hitch = request_of(plan.motion)["start"]["hitch"]
     assert [*hitch["polygon"][0], hitch["altitude"]] == pytest.approx([0.0, -1.0, 1.0])

@@ -230,7 +230,7 @@ def test_invalid_arguments_and_missing_libraries_are_refused() -> None:
 
 
 def test_the_command_streams_the_start_and_ends_without_an_operator(tmp_path: Path) -> None:
-    planned("triangle").save(tmp_path / "plan")
+    planned("triangle").save(tmp_path / "plan", picture=False)
     runner = CliRunner()
     with receivers(1) as ([receiver], [(host, port)]):
         options = ["--over", "json", "--to", f"{host}:{port}", "--patience", "0.1"]
@@ -255,7 +255,9 @@ def test_controllers_that_are_not_streamed_to_are_refused(
     over: str, name: str, known: str, tmp_path: Path
 ) -> None:
     team = ho.Team(3, 3.4, tension=0.2, quadrotor=ho.Quadrotor(controller=name))
-    ho.hold(ho.Hitch.balanced(team, ho.regular_polygon(3, 1.2), 1.5), 0.5).save(tmp_path / "plan")
+    ho.hold(ho.Hitch.balanced(team, ho.regular_polygon(3, 1.2), 1.5), 0.5).save(
+        tmp_path / "plan", picture=False
+    )
     done = CliRunner().invoke(main, ["fly", str(tmp_path / "plan"), "--over", over])
     assert done.exit_code == 2, done.output
     words = f"team.quadrotor.controller = '{name}': must be one of {known} for --over {over}"

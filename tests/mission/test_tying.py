@@ -47,7 +47,7 @@ def test_a_whole_mission_is_one_plan_with_one_certificate() -> None:
 
 def test_a_saved_plan_tells_its_roles_and_vertices_while_it_is_tied(tmp_path: Path) -> None:
     plan = planned("tie_carry_untie")
-    plan.save(tmp_path, rate=10.0)
+    plan.save(tmp_path, rate=10.0, picture=False)
     roles, rows = plan.motion.assignment, (tmp_path / "vertices.csv").read_text().splitlines()[1:]
     assert roles is not None
     expected = {"robots": list(roles.robots), "flipped": list(roles.flipped)}

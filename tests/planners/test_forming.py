@@ -125,7 +125,7 @@ def test_long_edges_go_to_long_cables() -> None:
     assert found.team(team).cable_length[1] == 1.5  # the only edge that it can hold
 
 
-@pytest.mark.parametrize("length", [1.8, 2.2])
+@pytest.mark.parametrize("length", [1.8, pytest.param(2.2, marks=pytest.mark.slow)])
 def test_crossing_legs_end_before_they_would_cross(length: float) -> None:
     """Drones of a small hexagon's long legs would meet on the path from the pre-hitch."""
     angles = np.radians([0.0, -60.0, -120.0, -180.0, -240.0, -300.0])

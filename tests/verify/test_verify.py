@@ -37,7 +37,7 @@ PROVEN = "proven: every limit holds at all times"
 
 def saved(name: str, folder: Path) -> ho.Plan:
     plan = planned(name)
-    plan.save(folder, rate=10.0)
+    plan.save(folder, rate=10.0, picture=False)
     return plan
 
 
@@ -108,7 +108,9 @@ def test_the_command_ends_with_3_where_a_limit_is_broken(tmp_path: Path) -> None
 @pytest.mark.slow
 def test_solve_verifies_where_asked(tmp_path: Path) -> None:
     problem = str(PROBLEMS / "triangle.yaml")
-    run = CliRunner().invoke(main, ["solve", problem, "-o", str(tmp_path / "out"), "--verify"])
+    run = CliRunner().invoke(
+        main, ["solve", problem, "-o", str(tmp_path / "out"), "--verify", "--no-picture"]
+    )
     assert run.exit_code == 0, run.output
     assert PROVEN in run.output
 
