@@ -1,4 +1,4 @@
-"""Facts of each check from the registry, as tables for the documentation."""
+"""Facts of each check from the registry, as tables for the documentation; a page of formulas."""
 
 from __future__ import annotations
 
@@ -12,10 +12,26 @@ from hitchopt.motion.motion import CableState
 SENSES = {"min": "must not fall below the limit", "max": "must not rise above the limit"}
 
 
+FORMULAS = """# Formulas of the checks
+
+The code that computes the quantities of {doc}`the certificate </explanation/certificate>`, over `Enclosed` values: polynomials with
+the radius of a ball around them. On spans of length 0 it gives the quantity's value.
+"""
+
+
 def write_check_facts() -> dict[str, str]:
     """Return a table for each check and each report, by name."""
-    facts = {rule.name: _table(_facts_of_check(rule)) + _formulas(rule) for rule in RULES}
+    facts = {rule.name: _table(_facts_of_check(rule)) for rule in RULES}
     return facts | {rule.name: _table(_facts_of_report(rule)) for rule in REPORTS}
+
+
+def write_formulas() -> str:
+    """Return the page with the code of all checks' formulas."""
+    return FORMULAS + "".join(
+        f"\n(formula-{rule.name})=\n## `{rule.name}`\n\n```python\n{code}\n```\n"
+        for rule in RULES
+        if (code := _formulas(rule))
+    )
 
 
 def _facts_of_check(rule: CheckRule) -> dict[str, str]:
@@ -24,12 +40,14 @@ def _facts_of_check(rule: CheckRule) -> dict[str, str]:
     exported = any(evaluator.exported for evaluator in rule.evaluators)
     limit = "" if rule.exported_limit is None else f", against {rule.exported_limit:g}"
     free_remedy = rule.free_remedy if rule.free_remedy != rule.remedy else ""
+    formula = {"formula": f"{{ref}}`in the code <formula-{rule.name}>`"} if _formulas(rule) else {}
     return {
         "`worst`": f"{_unit(rule.unit)}; {SENSES[rule.sense]}",
         "limit": "set by the problem" if callable(rule.limit) else f"{rule.limit:g}",
         "while cables are": "in any state" if states == set(CableState) else names,
         "checked in exports": f"yes{limit}" if exported else "no",
         "what helps": rule.remedy + (f"; while cables hang: {free_remedy}" if free_remedy else ""),
+        **formula,
     }
 
 
@@ -40,15 +58,14 @@ def _facts_of_report(rule: ReportRule) -> dict[str, str]:
 
 
 def _formulas(rule: CheckRule) -> str:
-    """Return the code of a check's distinct formulas in a dropdown."""
+    """Return the code of a check's distinct formulas; empty without one."""
     formulas: list[Any] = []
     for evaluator in rule.evaluators:
         if isinstance(evaluator.evaluate, WorstOverSpans):
             formulas.append(evaluator.evaluate.formula)
         formulas += evaluator.formulas
     unique = [getattr(each, "func", each) for each in dict.fromkeys(formulas)]
-    code = "\n\n".join(inspect.cleandoc(f"\n{inspect.getsource(each)}") for each in unique)
-    return f"\n:::{{dropdown}} The formula\n```python\n{code}\n```\n:::\n" if code else ""
+    return "\n\n".join(inspect.cleandoc(f"\n{inspect.getsource(each)}") for each in unique)
 
 
 def _table(rows: dict[str, str]) -> str:
