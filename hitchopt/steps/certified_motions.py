@@ -210,6 +210,7 @@ def _nearest(
 
 DIRECT_INFEASIBLE = "the step's own route is infeasible"
 DIRECT_TOO_SLOW = "the step's own route takes longer"
+FASTER = "faster than the step's own route"
 
 
 def optimised_plan(
@@ -218,18 +219,25 @@ def optimised_plan(
     phase: Phase,
     duration: float | None = None,
     *,
+    straight: ShapePath | None = None,
     allow_slides: bool = False,
 ) -> StepPlan:
     """Return the fastest plan that the optimiser finds to a hitch at the same altitude.
 
-    ``phase`` has the step's name, index and range of tensions; ``allow_slides``: also try
-    legs that lead and lag. Raises InfeasibleError if the plan takes longer than ``duration`` [s].
+    Raises InfeasibleError if the plan takes longer than ``duration`` [s].
+
+    Parameters
+    ----------
+    phase: with the step's name, index and range of tensions.
+    duration: prescribed duration [s], or None.
+    straight: the step's own path, which is a candidate if it is feasible; None if it is not.
+    allow_slides: also try legs that lead and lag.
     """
     from hitchopt.planners.morph.legs import with_slides
     from hitchopt.planners.optimise.search import OptimisedMorph
 
     start, requirements = task.hitch, task.requirements
-    certified: dict[Motion, StepPlan] = {}
+    certified: dict[Motion, tuple[ShapePath, StepPlan]] = {}
 
     def plan_of(motion: Motion) -> StepPlan:
         phases = (replace(phase, end=motion.duration),)
@@ -247,18 +255,24 @@ def optimised_plan(
                 continue
             plan = plan_of(motion)
             if plan.certificate.certified:
-                certified[motion] = plan
+                certified[motion] = each, plan
                 return motion
         return None
 
-    candidates = OptimisedMorph(start, end, requirements, certified_motion, phase.tension).solve()
+    morph = OptimisedMorph(start, end, requirements, certified_motion, phase.tension, straight)
+    candidates = morph.solve()
     if not candidates:
         raise HitchoptError("no route was found")
-    best, remark = candidates[0].motion, f"on an optimised route, first guess {candidates[0].name}"
-    if duration is None:
-        return certified[best].with_remark(remark)
-    check_duration(duration, best.duration)
-    return require_certified(plan_of(in_duration(best, duration)).with_remark(remark))
+    best, name = candidates[0].motion, candidates[0].name
+    path, plan = certified[best]
+    if duration is not None:
+        check_duration(duration, best.duration)
+        plan = require_certified(plan_of(in_duration(best, duration)))
+    if path is straight:
+        return plan
+    route = f"on an optimised route, first guess {name}" if name else "legs lead and lag"
+    is_feasible = any(not candidate.name for candidate in candidates)
+    return plan.with_remark(f"{route}; {FASTER if is_feasible else DIRECT_INFEASIBLE}")
 
 
 def combined_failure(direct: HitchoptError, other: HitchoptError, note: str) -> HitchoptError:

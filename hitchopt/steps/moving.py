@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 import numpy as np
 
 from hitchopt.checks.drones import VERTEX_SPEED
-from hitchopt.errors import InfeasibleError, InputError, Violation
+from hitchopt.errors import HitchoptError, InfeasibleError, InputError, Violation
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import checked_polygon
@@ -105,38 +105,43 @@ class ShapeStep(HitchStep):
 
     def fly(self, task: StepTask) -> StepPlan:
         """Return the direct plan, or an optimised one if it is needed or requested."""
+        from hitchopt.planners.morph.morph import POSITION_TOLERANCE, StraightMorph
         from hitchopt.steps.certified_motions import (
-            DIRECT_INFEASIBLE,
             attempt,
             combined_failure,
             optimised_plan,
             require_certified,
         )
 
-        end, duration = self.end(task), self.prescribed_duration
+        start, end, duration = task.hitch, self.end(task), self.prescribed_duration
         tension: tuple[float, float] | None = getattr(self, "tension", None)
         allow_slides = bool(getattr(self, "optimize", False))
         phase = Phase(self.name, task.index, 0.0, 0.0, tension=tension)
-        direct = attempt(lambda: task.plan_ending(self.direct_motion(task, end), end.hitch))
         optimise = partial(
             optimised_plan, task, end.hitch, phase, duration, allow_slides=allow_slides
         )
-        optimised = attempt(optimise) if task.optimiser and (allow_slides or tension) else None
+        optimised: StepPlan | HitchoptError | None = None
+        moves = np.max(np.abs(end.hitch.drones - start.drones)) >= POSITION_TOLERANCE
+        if task.optimiser and moves and duration is None and (allow_slides or tension):
+            try:
+                straight = StraightMorph(start, end.hitch, task.requirements).problem
+            except InfeasibleError:
+                straight = None
+            optimised = attempt(partial(optimise, straight=straight))
+            if isinstance(optimised, StepPlan):
+                return optimised
+        direct = attempt(
+            lambda: require_certified(task.plan_ending(self.direct_motion(task, end), end.hitch))
+        )
         if isinstance(direct, StepPlan):
-            longest = direct.motion.duration
-            if isinstance(optimised, StepPlan) and optimised.motion.duration < longest:
-                return optimised.with_remark("faster than the step's own route")
-            direct = attempt(partial(require_certified, direct))
-            if isinstance(direct, StepPlan):
-                return direct
-        if not isinstance(optimised, StepPlan):  # a certified route keeps the limits at its ends
-            for hitch in (task.hitch, end.hitch):
-                self.check_end(hitch, task)
-            if not task.optimiser:
-                raise direct
-            optimised = optimised or attempt(optimise)
+            return direct
+        for hitch in (start, end.hitch):
+            self.check_end(hitch, task)
+        if not task.optimiser:
+            raise direct
+        optimised = optimised or attempt(optimise)
         if isinstance(optimised, StepPlan):
-            return optimised.with_remark(DIRECT_INFEASIBLE)
+            return optimised
         route = "other route" if duration is None else "route that is fast enough either"
         raise combined_failure(direct, optimised, f"the optimiser found no {route}")
 

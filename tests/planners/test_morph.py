@@ -20,7 +20,7 @@ from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph.legs import leg_task_along, with_legs_clear
 from hitchopt.planners.morph.morph import StraightMorph
 from hitchopt.planners.morph.path import ShapePath, shapes_along
-from hitchopt.planners.optimise import program
+from hitchopt.planners.optimise import program, search
 from hitchopt.planners.optimise.knots import KnotPath, SearchLimits, SolverStep
 from hitchopt.planners.optimise.program import iterates
 from hitchopt.planners.optimise.search import OptimisedMorph, guesses
@@ -197,3 +197,38 @@ def test_too_little_thrust_at_rest_is_refused_before_timing(thrust: float) -> No
     with pytest.raises(ho.InfeasibleError, match="thrust") as caught:
         morph.solve()
     assert caught.value.violations[0].value == pytest.approx(needed, rel=1e-9)
+
+
+def stretched(robots: int) -> tuple[Hitch, ConvexPolygon, ho.Separation]:
+    """Return a regular polygon with long legs, whose drones are close, and a stretched goal."""
+    polygon = regular_polygon(robots, 1.6 * np.sin(np.pi / robots))
+    goal = ConvexPolygon(polygon.vertices * [1.15, 0.9] + [0.2, 0.1])
+    separation = ho.Separation(cable=0.15 * np.sin(2.0 * np.pi / robots))
+    return Hitch.spread(Team(robots, 2.0), polygon, 1.5, separation=separation), goal, separation
+
+
+def test_what_cannot_be_faster_is_not_searched(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No guess of a stretched 12-gon is nearly as fast as straight lines."""
+    start, goal, separation = stretched(12)
+    straight = ho.morph(start, goal, separation=separation)
+    monkeypatch.setattr(program, "solve_program", None)
+    optimised = ho.morph(start, goal, separation=separation, optimize=True)
+    assert optimised.duration <= straight.duration
+
+
+def test_the_optimizer_ends_at_the_limit_of_its_effort(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For a morph with legs as long as edges, whose programs never have a feasible path."""
+    solve, sizes = program.solve_program, list[tuple[int, float]]()
+
+    def counted(task: program.MorphProgram) -> program.ProgramResult:
+        result = solve(task)
+        sizes.append((result.iterations, task.size))
+        return result
+
+    monkeypatch.setattr(program, "solve_program", counted)
+    monkeypatch.setattr(search, "MAX_ITERATIONS", 100)
+    start, end = ends(Team(4, 4.0), SQUARE, SQUARE.rotated(0.5))
+    assert OptimisedMorph(start, end, FREE, lambda _: None).solve() == []
+    spent = [iterations * size for iterations, size in sizes]
+    limit = 100.0 * 4 * 7  # robots and inner knots
+    assert sum(spent[:-1]) <= limit < 2.0 * sum(spent)

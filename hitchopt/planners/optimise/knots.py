@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -90,6 +90,11 @@ class KnotPath:
     def steps(self) -> int:
         """Number J of steps between the knots."""
         return len(self.polygons) - 1
+
+    @property
+    def size(self) -> int:
+        """Number of robots times that of inner knots."""
+        return self.team.robots * (self.steps - 1)
 
     @property
     def edges(self) -> Array:
@@ -193,6 +198,29 @@ class SolverStep:
         return 1.5 * self.stride
 
 
+TYPICAL_ITERATIONS = 20
+"""Iterations that a program is expected to take."""
+
+
+@dataclass(eq=False)
+class Effort:
+    """Effort of the optimizer, which does not depend on the machine's speed, and its limit.
+
+    It is the sum of iterations times sizes of programs; its unit takes about 0.1 ms.
+    """
+
+    limit: float = math.inf  # beyond which no program starts
+    spent: float = 0.0  # so far
+
+    def allows(self, size: float) -> bool:
+        """Return whether a program of a size may start."""
+        return self.spent + TYPICAL_ITERATIONS * size <= self.limit
+
+    def spend(self, iterations: int, size: float) -> None:
+        """Add the iterations of a program of a size."""
+        self.spent += iterations * size
+
+
 @dataclass(frozen=True, eq=False)
 class SearchLimits:
     """Constraints of all paths of one search."""
@@ -202,6 +230,7 @@ class SearchLimits:
     tension: tuple[float, float] | None  # smallest and largest [N] of variable tensions, or None
     end_margins: tuple[float, float]  # margins of distances of the first and last hitch
     margin: float = 1.02  # enforced margin of distances at the knots
+    effort: Effort = field(default_factory=Effort)  # of all programs of the search
 
     def margins(self, steps: int, indices: Array) -> Array:
         """Return the margins (K,) at fractional knot indices (K,), at most those of the ends."""

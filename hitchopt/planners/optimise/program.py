@@ -65,6 +65,10 @@ MAX_ITERATIONS, MAX_FASTEST_ITERATIONS = 100, 40
 if the limits of all drones bind at once, not at all."""
 
 
+ROW_COST = 0.02
+"""Cost of a row in an iteration over that of a robot at a knot, by regression."""
+
+
 @dataclass(frozen=True)
 class Structure:
     """The structure of a program's expressions; all other numbers are parameters.
@@ -104,6 +108,11 @@ class MorphProgram:
     path: KnotPath  # the current path
     structure: Structure  # of the expressions
     numbers: dict[str, Array]  # the initial guess ``x0``, the parameters ``p``, and all bounds
+
+    @property
+    def size(self) -> float:
+        """Cost of an iteration, in that of a robot at a knot without near pairs."""
+        return self.path.size + ROW_COST * len(self.numbers["lbg"])
 
 
 def build_program(path: KnotPath, search: SearchLimits, step: SolverStep) -> MorphProgram:
@@ -365,10 +374,15 @@ def iterates(
     """Yield the paths after each step of the optimizer.
 
     Every step has rows and normals of the pairs that are close on the current path. The iterator
-    ends if a step fails, or moves vertices by less than ``progress`` times its stride.
+    ends if a step fails, or moves vertices by less than ``progress`` times its stride, or if the
+    search has spent its effort.
     """
     for _ in range(max_steps):
-        moved = solve_program(build_program(path, search, step))
+        program = build_program(path, search, step)
+        if not search.effort.allows(program.size):
+            return
+        moved, iterations = solve_program(program)
+        search.effort.spend(iterations, program.size)
         if moved is None:
             return
         distance = float(np.max(np.abs(moved.polygons - path.polygons)))
@@ -403,8 +417,15 @@ def solver_of(structure: Structure, seconds: float = math.inf) -> ca.Function:
     )
 
 
-def solve_program(program: MorphProgram) -> KnotPath | None:
-    """Return IPOPT's path, or None if it does not converge.
+class ProgramResult(NamedTuple):
+    """Result of a program."""
+
+    path: KnotPath | None  # the path, or None if IPOPT did not converge
+    iterations: int  # number of iterations
+
+
+def solve_program(program: MorphProgram) -> ProgramResult:
+    """Solve a program with IPOPT.
 
     The solver's status is not trusted otherwise: distances are recomputed. Solvers are cached by
     structure, except those with a time limit.
@@ -415,13 +436,13 @@ def solve_program(program: MorphProgram) -> KnotPath | None:
     with deferred_signals():
         solution = solver(**program.numbers)
     check_time()  # an interrupted solve has no solution
-    x = np.asarray(solution["x"], dtype=np.float64).reshape(-1)
-    if not solver.stats()["success"] or not np.all(np.isfinite(x)):
-        return None
+    x, stats = np.asarray(solution["x"], dtype=np.float64).reshape(-1), solver.stats()
+    if not stats["success"] or not np.all(np.isfinite(x)):
+        return ProgramResult(None, stats["iter_count"])
     table = program.path.table.copy()
     inner = table[1:-1]
     inner[:] = x[: inner.size].reshape(inner.shape)
-    return program.path.with_table(table)
+    return ProgramResult(program.path.with_table(table), stats["iter_count"])
 
 
 @contextmanager

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import chain
 
 import numpy as np
@@ -19,7 +18,8 @@ from hitchopt.hitch.slack_split import LegTask
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph.legs import legs_clear
 from hitchopt.planners.morph.morph import check_shapes, exterior_angles
-from hitchopt.planners.optimise.knots import Judge, KnotPath, SearchLimits, SolverStep
+from hitchopt.planners.morph.path import ShapePath
+from hitchopt.planners.optimise.knots import Effort, Judge, KnotPath, SearchLimits, SolverStep
 from hitchopt.planners.optimise.program import iterates
 from hitchopt.planners.timing.profile import (
     LIMIT_SHARE,
@@ -28,6 +28,7 @@ from hitchopt.planners.timing.profile import (
     flight_estimate,
     rest_ratios,
 )
+from hitchopt.planners.timing.ramps import fastest_ramps
 from hitchopt.values import Array
 
 REFINEMENTS = ((1, 1.03), (2, 1.05))
@@ -59,6 +60,18 @@ MAX_GUESS_RATIO, MAX_ESTIMATE_RATIO = 1.3, 1.1
 """Largest estimated durations, over the fastest path so far, of guesses that are optimized, and of
 optimized paths that are refined."""
 
+MIN_GAIN = 0.01
+"""Smallest gain over the fastest path so far, as a share of its duration, for which guesses are
+tried."""
+
+MAX_ITERATIONS = 800
+"""Limit of the effort if the straight path is infeasible, in iterations of a program of the size of
+the largest guess. Successful searches of 3 to 24 robots took up to 570."""
+
+MIN_EFFORT, EFFORT_PER_ROBOT = 2e4, 300.0
+"""Limit of the effort if the straight path is feasible, which is about ten times that of planning
+it, or about 2 s if that is more."""
+
 MIN_GUESS_MARGIN = 0.3
 """Smallest margin of distances of a preferred guess."""
 
@@ -86,7 +99,7 @@ MIN_OTHER_TURN = 0.75 * math.pi
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A motion that the judge accepted, and the name of its guess."""
+    """A motion that the judge accepted, and the name of its guess; "" for the straight path."""
 
     name: str
     motion: Motion
@@ -94,7 +107,11 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class OptimisedMorph:
-    """A planner of morphs along optimized paths; there are none for chains."""
+    """A planner of morphs along optimized paths; there are none for chains.
+
+    If the straight path is feasible, it is the first candidate, and the search is limited to what
+    can be faster.
+    """
 
     start: Hitch  # hitch at one altitude that satisfies all limits
     end: Hitch  # hitch at the same altitude that satisfies all limits
@@ -102,15 +119,32 @@ class OptimisedMorph:
     judge: Judge  # accepts or rejects paths; rejected ones are refined
     # smallest and largest [N] of variable tensions, or None
     tension: tuple[float, float] | None = None
+    straight: ShapePath | None = None  # path with straight vertices; None if it is infeasible
 
-    @cached_property
-    def margins(self) -> dict[KnotPath, Array]:
-        """Initial guesses that are hitches at all knots, and their margins of distances there."""
+    @property
+    def min_duration(self) -> float:
+        """Lower bound of the duration [s]: that of each drone and vertex alone, on a line."""
+        limits = self.requirements.limits
+        drones = length(self.end.drones - self.start.drones)
+        durations, _ = fastest_ramps(drones, limits.speed, limits.acceleration, limits.jerk)
+        vertices = length(self.end.vertices - self.start.vertices) / limits.vertex_speed
+        return float(max(np.max(durations), np.max(vertices)))
+
+    def margins(self, *, straight: bool = True) -> dict[KnotPath, Array]:
+        """Return initial guesses that are hitches at all knots, and their margins of distances.
+
+        Each differs from all others, and without ``straight`` from the straight path.
+        """
         first, last = self.start.polygon, self.end.polygon
         if not isinstance(first, ConvexPolygon) or not isinstance(last, ConvexPolygon):
             return {}
-        named = guesses(first, last, MIN_STEPS + 1).items()
-        paths = [KnotPath.through(name, self.start, self.end, each) for name, each in named]
+        named = guesses(first, last, MIN_STEPS + 1)
+        line, distinct = named["straight"], dict[str, Array]()
+        for name, each in reversed(named.items()):
+            others = [*distinct.values()] if straight else [line, *distinct.values()]
+            if not any(np.max(np.abs(each - other)) < PATH_TOLERANCE for other in others):
+                distinct[name] = each
+        paths = [KnotPath.through(name, self.start, self.end, p) for name, p in distinct.items()]
         paths = [path for path in paths if _is_hitch(path)]
         if not paths:
             return {}
@@ -123,44 +157,56 @@ class OptimisedMorph:
         task = LegTask(self.start.team, requirements, *shapes, roll=roll)
         return dict(zip(paths, task.reference_margins().reshape(len(paths), -1), strict=True))
 
-    @property
-    def problem(self) -> list[KnotPath]:
-        """Initial guesses that are hitches at all knots, if possible with MIN_GUESS_MARGIN."""
-        margins = self.margins
-        wide = [path for path, each in margins.items() if np.min(each) >= MIN_GUESS_MARGIN]
-        return wide or list(margins)
-
     def solve(self) -> list[Candidate]:
-        """Return the motions along optimized paths, the fastest first.
+        """Return the motions along feasible paths, the fastest first.
 
         Guesses are optimized in the order of their estimated durations; on ties, turning edges
-        precede turning polygons. Guesses and optimized paths that equal earlier ones are skipped.
+        precede turning polygons. Optimized paths that equal earlier ones are skipped, and the
+        search ends if no path can be faster by MIN_GAIN.
         """
-        candidates: list[Candidate] = []
-        visited: list[KnotPath] = []
-        fastest, paths = math.inf, self.problem
+        motion = None if self.straight is None else _judged(self.straight, self.judge)
+        candidates = [] if motion is None else [Candidate("", motion)]
+        fastest = math.inf if motion is None else motion.duration
+        min_duration = self.min_duration
+        if min_duration > (1.0 - MIN_GAIN) * fastest:
+            return candidates
+        # Tensions may vary on the straight path too.
+        margins = self.margins(straight=motion is None or self.tension is not None)
+        paths = [path for path, each in margins.items() if np.min(each) >= MIN_GUESS_MARGIN]
+        if motion is None:
+            paths = paths or list(margins)
         if not paths:
-            return []
-        first, last = (END_MARGIN_FACTOR * self.margins[paths[0]])[[0, -1]].tolist()
-        search = SearchLimits(self.requirements, self.judge, self.tension, (first, last))
-        resampled = [path.resampled(_steps(path)) for path in reversed(paths)]
-        estimates = [_estimate(path, self.requirements) for path in resampled]
+            return candidates
+        first, last = (END_MARGIN_FACTOR * margins[paths[0]])[[0, -1]].tolist()
+        paths = [path.resampled(_steps(path)) for path in paths]
+        if motion is None:
+            effort = Effort(MAX_ITERATIONS * max(path.size for path in paths))
+        else:
+            effort = Effort(max(MIN_EFFORT, EFFORT_PER_ROBOT * self.start.team.robots))
+        search = SearchLimits(
+            self.requirements, self.judge, self.tension, (first, last), effort=effort
+        )
+        visited: list[KnotPath] = []
+        estimates = np.zeros(len(paths))
+        if len(paths) > 1 or candidates:
+            estimates = np.array([_estimate(path, self.requirements) for path in paths])
         for k in np.argsort(estimates, kind="stable"):
             if estimates[k] > MAX_GUESS_RATIO * fastest:
                 break
-            if any(_equal(resampled[k], other) for other in visited):
-                continue
-            path = _optimized(resampled[k], search, visited)
-            visited.append(resampled[k])
+            path = _optimized(paths[k], search, visited)
+            visited.append(paths[k])
             if path is None:
                 continue
             visited.append(path)
             if candidates and _estimate(path, self.requirements) > MAX_ESTIMATE_RATIO * fastest:
                 continue
             motion = _refined(path, search)
-            if motion is not None:
-                candidates.append(Candidate(path.name, motion))
-                fastest = min(fastest, motion.duration)
+            if motion is None:
+                continue
+            candidates.append(Candidate(path.name, motion))
+            fastest = min(fastest, motion.duration)
+            if min_duration > (1.0 - MIN_GAIN) * fastest:
+                break
         return sorted(candidates, key=lambda candidate: candidate.motion.duration)
 
 
@@ -272,15 +318,21 @@ def _refined(path: KnotPath, search: SearchLimits) -> Motion | None:
         fastest = replace(step, fastest=True)
         faster = iterates(path, refined, fastest, MAX_FASTEST_STEPS, MIN_REFINED_PROGRESS)
         choices = [*(each for each in faster if _is_feasible(each, search)), path]
-        best = min(choices, key=lambda each: _estimate(each, search.requirements))
-        for choice in dict.fromkeys([best, path]):
-            try:
-                motion = search.judge(choice.path)
-            except (InfeasibleError, TimingError):
-                continue
+        if len(choices) > 1:
+            choices.sort(key=lambda each: _estimate(each, search.requirements))
+        for choice in dict.fromkeys([choices[0], path]):
+            motion = _judged(choice.path, search.judge)
             if motion is not None:
                 return motion
     return None
+
+
+def _judged(path: ShapePath, judge: Judge) -> Motion | None:
+    """Return the motion along a path, or None if the judge or its timing rejects it."""
+    try:
+        return judge(path)
+    except (InfeasibleError, TimingError):
+        return None
 
 
 def _is_feasible(knots: KnotPath, search: SearchLimits) -> bool:
