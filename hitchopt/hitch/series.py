@@ -51,7 +51,7 @@ class Series:
     @property
     def jet(self) -> Array:
         """(…, rows, JET): value and derivatives of a series over arrays."""
-        jet = np.zeros((*self.value.shape, len(self.coefficients)))
+        jet = np.zeros((*self.value.shape, len(self.coefficients)), self.value.dtype)
         for k, c in enumerate(self.coefficients):
             if c is not None:
                 jet[..., k] = FACTORIALS[k] * c
@@ -116,7 +116,9 @@ class Series:
 
     def dot(self, other: Series) -> Series:
         """Return the scalar product of vectors."""
-        return Series([None if c is None else _total(c) for c in (self * other).coefficients])
+        total = np.add.reduce if _is_array(self.value) else _total
+        product = (self * other).coefficients
+        return Series([None if c is None else total(c, axis=0, keepdims=True) for c in product])
 
     def cross(self, other: Series) -> Series:
         """Return the vector product."""
@@ -170,8 +172,6 @@ def _is_array(value: Any) -> bool:
     return isinstance(value, np.ndarray)
 
 
-def _total(vector: Any) -> Any:
-    """Return the sum of a vector's components, as a scalar of one row."""
-    if isinstance(vector, np.ndarray):
-        return np.add.reduce(vector, axis=0, keepdims=True)
+def _total(vector: Any, **_: Any) -> Any:
+    """Return the sum of the components of a casadi vector."""
     return sum((vector[i] for i in range(1, vector.size1())), vector[0])

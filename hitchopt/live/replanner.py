@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike
 from hitchopt.checks import Certificate, certify
 from hitchopt.errors import InfeasibleError, InputError, OneLine, UnsupportedError
 from hitchopt.geometry import Outline
+from hitchopt.geometry.vectors import column_lengths, length
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.hitch import cable_slack, checked_polygon
 from hitchopt.hitch.model import DroneJets, FlatJets, drone_jets
@@ -361,15 +362,17 @@ class RetargetPath:
         return cls(team, state, vertices, end.fractions, angle)
 
     @cached_property
-    def _ends(self) -> tuple[Array, Array]:
-        """Mean point, relative shape, fractions and angle: (m, 3) at the start, (m,) at the end."""
+    def _ends(self) -> Array:
+        """(m, 4): mean point, relative shape, fractions and angle: start with rates, and end."""
         centre, goal = self.state.vertices.mean(axis=0), self.end.mean(axis=0)
         shape = (self.state.vertices - centre).reshape(-1, STATE)
         c, s = math.cos(self.yaw), math.sin(self.yaw)
         back = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        first = (centre, shape, self.state.fractions, np.zeros((1, STATE)))
-        last = (goal, ((self.end - goal) @ back).ravel(), self.fractions, [self.yaw])
-        return np.concatenate(first), np.concatenate(last)
+        ends = np.zeros((len(shape) + len(self.fractions) + 4, STATE + 1))
+        ends[:-1, :STATE] = np.concatenate([centre, shape, self.state.fractions])
+        last = goal, ((self.end - goal) @ back).ravel(), self.fractions, [self.yaw]
+        ends[:, STATE] = np.concatenate(last)
+        return ends
 
     def jets(self, t: Array, brake: float | Array, shift: float | None) -> tuple[Array, DroneJets]:
         """Return the jets of vertices (J, points, 3, 4) and of drones at times t (J,) [s].
@@ -378,12 +381,7 @@ class RetargetPath:
         brake alone.
         """
         team, layout = self.team, self.team.layout
-        start, goal = self._ends
-        duration = np.broadcast_to(brake, t.shape)
-        rest = np.stack([np.ones(len(t)), 0.5 * duration, duration**2 / 12.0], axis=1) @ start.T
-        outputs = _to_rest(start, rest, duration, t)
-        if shift is not None:
-            outputs += _to_rest(np.zeros(start.shape), goal - rest, np.full(len(t), shift), t)
+        outputs = self._ends @ _weights(t, brake, shift)
         centre, split = outputs[:, :3], outputs[:, 3 + 3 * layout.points : -1]
         shape = outputs[:, 3 : 3 + 3 * layout.points].reshape(len(t), layout.points, 3, JET)
         vertices = centre[:, None] + (_rotated(shape, outputs[:, -1]) if self.yaw != 0.0 else shape)
@@ -419,8 +417,8 @@ class RetargetPath:
         At t = 0 only the jerk counts, because the state is fixed.
         """
         points, drones = self.jets(t, brake, shift)
-        rates = np.einsum("jdxk,jdxk->kjd", drones.positions, drones.positions).max(axis=2) ** 0.5
-        vertex_speed = np.linalg.norm(points[..., 1], axis=2).max(axis=1)
+        rates = np.maximum.reduce(column_lengths(drones.positions), axis=1).T
+        vertex_speed = np.maximum.reduce(length(points[..., 1]), axis=1)
         thrusts = drones.thrusts
         horizontal, upward = np.hypot(thrusts[..., 0], thrusts[..., 1]), thrusts[..., 2]
         thrust = np.hypot(horizontal, upward) / self.team.max_thrust
@@ -429,12 +427,12 @@ class RetargetPath:
             rates[1] / limits.speed,
             vertex_speed / limits.vertex_speed,
             np.sqrt(rates[2] / limits.acceleration),
-            np.sqrt(thrust.max(axis=1)),
-            np.sqrt(tilt.max(axis=1) / limits.tilt),
+            np.sqrt(np.maximum.reduce(thrust, axis=1)),
+            np.sqrt(np.maximum.reduce(tilt, axis=1) / limits.tilt),
         ]
-        factor = np.maximum(np.max(ratios, axis=0) * (t > 0.0), np.cbrt(rates[3] / limits.jerk))
-        result: Array = np.nan_to_num(factor, nan=math.inf, posinf=math.inf)
-        return result
+        moving = np.maximum.reduce(ratios) * (t > 0.0)
+        factor = np.maximum(moving, np.cbrt(rates[3] / limits.jerk))
+        return np.where(np.isnan(factor), math.inf, factor)
 
     def brake(self, limits: Limits) -> float | None:
         """Return the first duration [s] of a brake that keeps the limits at samples, or None."""
@@ -461,30 +459,43 @@ class RetargetPath:
         return None
 
 
-def _to_rest(start: Array, rest: Array, duration: Array, t: Array) -> Array:
-    """Return the jets (J, m, 4) of quintics from a state (m, 3) to rest at positions (J, m).
+def _weights(t: Array, brake: float | Array, shift: float | None) -> Array:
+    """Return the weights (J, 4, 4) of a state's three columns and of a goal in the outputs' jets.
 
-    Each time t (J,) has a quintic of its own, of a duration (J,) [s].
+    The brake is the quintic from a state to rest at a free position, of minimum jerk; the shift is
+    the one from rest there to rest at the goal.
     """
-    (p, v, a), h = start.T, duration[:, None]
-    inner = p + h / 5.0 * v, p + h * (0.4 * v + h / 20.0 * a)
-    curves = np.stack(np.broadcast_arrays(p, *inner, rest, rest, rest), axis=-1)
-    weights = bernstein.jet_basis(np.minimum(t / duration, 1.0), 5, JET)
-    weights[t >= duration, :, 1:] = 0.0
-    result: Array = curves @ (weights / h[..., None] ** np.arange(JET))
-    return result
+    weights, h = np.zeros((len(t), JET, JET)), np.asarray(brake).reshape(-1, 1)
+    _, first, second, *last = _quintics(t, h[:, 0])
+    at_rest = last[0] + last[1] + last[2]
+    weights[:, 0, 0] = 1.0
+    weights[:, 1] = h * (0.2 * first + 0.4 * second + 0.5 * at_rest)
+    weights[:, 2] = h**2 * (0.05 * second + at_rest / 12.0)
+    if shift is not None:
+        last = _quintics(t, np.array([shift]))[3:]
+        at_goal = last[0] + last[1] + last[2]
+        weights[:, 0] -= at_goal
+        weights[:, 1] -= 0.5 * h * at_goal
+        weights[:, 2] -= h**2 / 12.0 * at_goal
+        weights[:, 3] = at_goal
+    return weights
+
+
+def _quintics(t: Array, duration: Array) -> Array:
+    """Return the jets (6, J, 4) of the Bernstein polynomials over durations, constant after."""
+    weights = bernstein.jet_basis(np.minimum(t / duration, 1.0), 5, JET).transpose(1, 0, 2)
+    weights = weights / duration[:, None] ** np.arange(JET)
+    weights[:, t >= duration, 1:] = 0.0
+    return weights
 
 
 def _rotated(shape: Array, angle: Array) -> Array:
     """Return the jets of shapes (J, points, 3, 4) rotated by angles with jets (J, 4)."""
-    c, s = np.cos(angle[:, 0]), np.sin(angle[:, 0])
-    outer = np.stack([[c, -s, -c, s], [s, c, -s, -c]])  # derivatives of cosine and sine
-    rotation = jets.chained(np.moveaxis(outer, 2, 0), angle[:, None])
-    # (J, points, 2, 2, 4): cosine and sine times x and y.
-    parts = jets.product(rotation[:, None, :, None], shape[:, :, None, :2])
+    outer = np.exp(1.0j * angle[:, :1]) * 1.0j ** np.arange(JET)
+    level = shape[:, :, 0] + 1.0j * shape[:, :, 1]
+    level = jets.product(jets.chained(outer, angle)[:, None], level)
     rotated = shape.copy()
-    rotated[:, :, 0] = parts[:, :, 0, 0] - parts[:, :, 1, 1]
-    rotated[:, :, 1] = parts[:, :, 1, 0] + parts[:, :, 0, 1]
+    rotated[:, :, 0], rotated[:, :, 1] = level.real, level.imag
     return rotated
 
 

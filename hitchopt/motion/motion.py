@@ -125,7 +125,7 @@ class Phase(OneLine):
 
     def retimed(self, start: float, end: float) -> Phase:
         """Return the phase with another start and end [s]."""
-        return replace(self, start=start, end=end)
+        return Phase(**(vars(self) | {"start": start, "end": end}))
 
 
 def check_phases(phases: Sequence[Phase], start: float, end: float) -> None:

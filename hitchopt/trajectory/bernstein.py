@@ -51,7 +51,8 @@ def derivative_basis(x: Array, order: int, derivative: int) -> Array:
 
 def jet_basis(x: Array, order: int, count: int) -> Array:
     """Return the basis and its derivatives of orders 0 … count - 1 at x, (…, order + 1, count)."""
-    return np.stack([derivative_basis(x, order, k) for k in range(count)], axis=-1)
+    values: Array = basis(x, order) @ _jets(order, count)
+    return values.reshape(*values.shape[:-1], order + 1, count)
 
 
 def evaluate(coefficients: Array, x: Array | float) -> Array:
@@ -227,6 +228,13 @@ def _derivative(order: int, derivative: int) -> Array:
     for _ in range(derivative):
         rows = differentiate(rows)
     return _frozen(rows)
+
+
+@lru_cache
+def _jets(order: int, count: int) -> Array:
+    """(order + 1, (order + 1) count): coefficients of ``jet_basis``, all in degree ``order``."""
+    derivatives = [elevate(_derivative(order, k), order) for k in range(count)]
+    return _frozen(np.stack(derivatives, axis=-1).swapaxes(0, 1).reshape(order + 1, -1))
 
 
 @lru_cache

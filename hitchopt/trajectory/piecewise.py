@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from math import factorial, isfinite, prod
 from weakref import WeakKeyDictionary
 
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from hitchopt.errors import InputError, OneLine
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.jet_weights import jet_weights, locate
-from hitchopt.values import Array, as_array
+from hitchopt.values import Array, Indices, as_array
 
 MAX_STORED_SIZE = 2**16
 """Maximum number of coefficients of a stored derivative: 0.5 MB."""
@@ -285,19 +285,31 @@ def on_breaks(part: PiecewisePolynomial, breaks: Array) -> PiecewisePolynomial:
 
     The result is exact up to rounding, except within BREAK_TOLERANCE of the part's own breaks.
     """
-    middles = 0.5 * (breaks[1:] + breaks[:-1])
-    piece = np.clip(np.searchsorted(part.breaks, middles, side="right") - 1, 0, part.pieces - 1)
-    start, h = part.breaks[piece], part.durations[piece]
-    lower = np.clip((breaks[:-1] - start) / h, 0.0, 1.0)
-    upper = np.clip((breaks[1:] - start) / h, 0.0, 1.0)
-    lower[np.abs(breaks[:-1] - start) <= BREAK_TOLERANCE] = 0.0
-    upper[np.abs(breaks[1:] - part.breaks[piece + 1]) <= BREAK_TOLERANCE] = 1.0
-    axes = (-1, *(1,) * len(part.shape))
+    piece, partial, lower, upper = _cells(part.breaks.tobytes(), breaks.tobytes())
     coefficients = part.coefficients[piece]
-    is_whole = (lower == 0.0) & (upper == 1.0)
-    if not np.all(is_whole):
-        partial = ~is_whole
+    if partial.size and part.degree:
+        axes = (-1, *(1,) * len(part.shape))
         coefficients[partial] = bernstein.restrict(
-            coefficients[partial], lower[partial].reshape(axes), upper[partial].reshape(axes)
+            coefficients[partial], lower.reshape(axes), upper.reshape(axes)
         )
-    return PiecewisePolynomial(breaks, coefficients)
+    return part.replaced(coefficients, breaks)
+
+
+@lru_cache(maxsize=32)
+def _cells(own: bytes, breaks: bytes) -> tuple[Indices, Indices, Array, Array]:
+    """Return the pieces of ``on_breaks``, and those that are partial, with their ends in [0, 1].
+
+    Arguments are bytes of arrays, which are hashable: all curves of a motion have the same breaks.
+    """
+    outer, inner = np.frombuffer(own), np.frombuffer(breaks)
+    if not (inner[1:] > inner[:-1]).all():
+        raise InputError("breaks", inner, "finite and strictly increasing", "sort the times")
+    middles = 0.5 * (inner[1:] + inner[:-1])
+    piece = outer[1:-1].searchsorted(middles, side="right")
+    start, end = outer[piece], outer[piece + 1]
+    lower = ((inner[:-1] - start) / (end - start)).clip(0.0, 1.0)
+    upper = ((inner[1:] - start) / (end - start)).clip(0.0, 1.0)
+    lower[np.abs(inner[:-1] - start) <= BREAK_TOLERANCE] = 0.0
+    upper[np.abs(inner[1:] - end) <= BREAK_TOLERANCE] = 1.0
+    (partial,) = ((lower > 0.0) | (upper < 1.0)).nonzero()
+    return piece, partial, lower[partial], upper[partial]

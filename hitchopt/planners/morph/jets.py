@@ -22,7 +22,11 @@ def chained(outer: Array, inner: Array) -> Array:
     outer: (…, 4), derivatives of f at g(t).
     inner: (…, 4), derivatives of g at t.
     """
-    return np.stack(np.broadcast_arrays(outer[..., 0], *chained_rates(outer, inner)), axis=-1)
+    first, second, third = chained_rates(outer, inner)
+    jets = np.empty((*third.shape, 4), third.dtype)
+    for k, each in enumerate((outer[..., 0], first, second, third)):
+        jets[..., k] = each
+    return jets
 
 
 def chained_rates(outer: Array, inner: Array) -> tuple[Array, Array, Array]:
