@@ -9,6 +9,7 @@ Every answer is timed with its certificate, and every hundredth whole plan is ce
 from __future__ import annotations
 
 import time
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -24,12 +25,16 @@ CHAIN = 20
 STOPPED = ("triangle", "move_edge", "hexagon", "tie_carry_untie", "swarms/head_on")
 
 
-def hitch(n: int) -> ho.Hitch:
+LOADED = {"load": 0.008, "cable_density": 0.005}
+"""Loads at the clasps [kg] and weight of cables [kg/m] of the loaded teams."""
+
+
+def hitch(n: int, **team: Any) -> ho.Hitch:
     """Return the initial hitch."""
     length, radius = (2.4, 0.75) if n == 3 else (2.0, 0.65 / np.sin(np.pi / n))
     angles = -2.0 * np.pi * np.arange(n) / n
     polygon = radius * np.column_stack([np.cos(angles), np.sin(angles)])
-    return ho.Hitch.spread(ho.Team(robots=n, cable_length=length), polygon, altitude=1.0)
+    return ho.Hitch.spread(ho.Team(robots=n, cable_length=length, **team), polygon, altitude=1.0)
 
 
 def goal(rng: np.random.Generator, first: ho.Hitch, now: ho.Hitch) -> dict[str, Any]:
@@ -48,9 +53,9 @@ def goal(rng: np.random.Generator, first: ho.Hitch, now: ho.Hitch) -> dict[str, 
     return {"to": place, "yaw": float(rng.uniform(-2.0, 2.0))}
 
 
-def retargets(n: int, count: int) -> tuple[object, ...]:
+def retargets(n: int, count: int, **team: Any) -> tuple[object, ...]:
     """Return the row of a team: latency [ms], answers, and plans that fail a new certificate."""
-    rng, first = np.random.default_rng(n), hitch(n)
+    rng, first = np.random.default_rng(n), hitch(n, **team)
     times: list[float] = []
     accepted = checked = broken = 0
     for i in range(count):
@@ -70,7 +75,8 @@ def retargets(n: int, count: int) -> tuple[object, ...]:
                 checked += 1
                 broken += not answer.plan.certificate.certified
     middle, high = np.quantile(times, [0.5, 0.99]).tolist()
-    return n, len(times), middle, high, accepted, f"{broken} of {checked}"
+    kind = "loaded" if team else "weightless"
+    return n, kind, len(times), middle, high, accepted, f"{broken} of {checked}"
 
 
 def corrections(n: int, count: int = 3000) -> tuple[object, ...]:
@@ -106,9 +112,9 @@ def main() -> None:
     options = parser(__doc__, retargets=500, stops=100, robots=[3, 12]).parse_args()
     table = Table(options.output / "live.md", "Live flight", LIMITATIONS)
     columns = ("median [ms]", "p99 [ms]", "accepted", "broken when certified anew")
-    table.section("Retargets", "n", "retargets", *columns)
-    for n in options.robots:
-        table.row(*retargets(n, options.retargets))
+    table.section("Retargets", "n", "cables", "retargets", *columns)
+    for n, team in product(options.robots, ({}, LOADED)):
+        table.row(*retargets(n, options.retargets, **team))
     table.section("Corrections", "n", "median [ms]", "p99 [ms]")
     for n in options.robots:
         table.row(*corrections(n))

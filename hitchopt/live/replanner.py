@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hitchopt.checks import Certificate, certify
-from hitchopt.errors import InfeasibleError, InputError, OneLine, UnsupportedError
+from hitchopt.errors import InfeasibleError, InputError, OneLine
 from hitchopt.geometry import Outline
 from hitchopt.geometry.vectors import column_lengths, length
 from hitchopt.hitch import GRAVITY, Hitch, Team
@@ -35,6 +35,7 @@ from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.retiming import append_motion, cut, resting, truncated, with_last_poses
 from hitchopt.plan import Plan
 from hitchopt.planners.morph import jets
+from hitchopt.planners.morph.friction import cables_of_legs
 from hitchopt.planners.morph.path import cable_along
 from hitchopt.steps.certified_motions import infeasible_error, rest_motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
@@ -112,7 +113,7 @@ class Replanner(OneLine):
 
     Parameters
     ----------
-    team: with massless cables and no loads at the clasps.
+    team: of the hitch.
     start: the hitch at t = 0, or a plan in flight.
     limits, separation, arena: requirements of the plans; None for the plan's, or the defaults.
 
@@ -120,7 +121,7 @@ class Replanner(OneLine):
     ------
     InputError: the start is of another team, or ends without a hitch.
     InfeasibleError: the start violates a limit at rest.
-    UnsupportedError: cables have weight, or clasps carry loads.
+    UnsupportedError: robots join or leave the hitch, or several teams fly.
     """
 
     def __init__(
@@ -146,8 +147,6 @@ class Replanner(OneLine):
         own = motion.team
         if own.drone_names != team.drone_names or np.any(own.cable_length != team.cable_length):
             raise InputError("start", start, "of the same team", "give the team of the start")
-        if team.cable_density > 0.0 or np.any(team.load):
-            raise UnsupportedError("steering plans cables without weight and clasps without load")
         specified = {key: value for key, value in options.items() if value is not None}
         self.requirements = replace(motion.requirements, **specified)
         self.motion, self._goal = replace(motion, requirements=self.requirements), goal
@@ -326,12 +325,19 @@ class MovingState:
     @classmethod
     def at_end(cls, motion: Motion) -> MovingState:
         """Return the state at the end of a motion."""
-        legs, layout = motion.legs.end_jet(STATE), motion.team.layout
-        slack = legs[:, 0] + legs[:, 1]
+        team, layout = motion.team, motion.team.layout
+        drones, vertices, legs, tensions = (
+            part.end_jet(STATE)
+            for part in (motion.drones, motion.vertices, motion.legs, motion.tensions)
+        )
+        chords = drones - vertices[layout.anchors]
+        cables = cables_of_legs(team, chords[None], legs[None], tensions[None])
+        d, e = (legs if cables is None else cables[0]).swapaxes(0, 1)
+        slack = d + e
         without_legs = ~np.all(layout.has_leg, axis=1) & (slack[:, 0] <= 0.0)
         slack[without_legs, 0] = 1.0  # end cables of a chain
-        fractions = (Series.of_jet(legs[:, 0]) / Series.of_jet(slack)).jet
-        return cls(motion.vertices.end_jet(STATE), fractions, motion.drones.end_jet(STATE), legs)
+        fractions = (Series.of_jet(d) / Series.of_jet(slack)).jet
+        return cls(vertices, fractions, drones, legs)
 
     @property
     def moves(self) -> bool:
@@ -466,8 +472,8 @@ def _weights(t: Array, brake: float | Array, shift: float | None) -> Array:
     the one from rest there to rest at the goal.
     """
     weights, h = np.zeros((len(t), JET, JET)), np.asarray(brake).reshape(-1, 1)
-    _, first, second, *last = _quintics(t, h[:, 0])
-    at_rest = last[0] + last[1] + last[2]
+    _, first, second, *resting = _quintics(t, h[:, 0])
+    at_rest = resting[0] + resting[1] + resting[2]
     weights[:, 0, 0] = 1.0
     weights[:, 1] = h * (0.2 * first + 0.4 * second + 0.5 * at_rest)
     weights[:, 2] = h**2 * (0.05 * second + at_rest / 12.0)
