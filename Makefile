@@ -2,6 +2,9 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
+# Threads of OpenBLAS only wait for small matrices; the command line sets the same.
+export OPENBLAS_NUM_THREADS ?= 1
+
 .PHONY: demo film coverage test test-slow test-all test-kernels browser lint docs site gallery screenshots package test-3.11 test-3.12 test-3.13 test-lowest clean
 
 # Plans a real problem and says where to look.

@@ -1,5 +1,6 @@
 """What holds for all tests: no memory of plans, and property tests that depend on no clock."""
 
+import gc
 import os
 import shutil
 import signal
@@ -37,6 +38,11 @@ def pytest_configure(config: pytest.Config) -> None:
         if other != here:
             shutil.rmtree(other, ignore_errors=True)
     os.environ[FOLDER] = str(here)
+
+
+def pytest_collection_finish() -> None:
+    """Leave what was imported and collected out of garbage collections from here on."""
+    gc.freeze()
 
 
 @pytest.fixture(autouse=True)

@@ -248,7 +248,7 @@ def test_the_height_of_a_fitted_frame_changes_no_result(up: str) -> None:
     level = np.array([1.0, 0.5, 0.0]) if up == "z" else np.array([1.0, 0.0, 0.5])
     vertical = np.array([0.0, 0.0, 1.0]) if up == "z" else np.array([0.0, 1.0, 0.0])
     results = []
-    for height in (0.0, 0.039, -0.039, 1.7):
+    for height in (0.0, -0.039, 1.7):
         shift = tuple((level + height * vertical).tolist())
         camera = Camera(yaw=0.7, up=up, shift=shift)
         results.append(ho.evaluate(planned_flight("triangle", camera, 1), task("triangle")))

@@ -498,9 +498,10 @@ def test_lies_are_refused_by_both_opinions(name: str, tmp_path: Path) -> None:
             read_plan(path)
     else:
         motion = read_plan(path)
-        check = check_of(RULE_OF[first], motion)
-        assert check is not None
-        assert not check.holds
+        if first == "interlacing" and motion.has_ring_changes:  # all that its rule counts then
+            assert interlacing(chapters(motion)).worst
+        else:
+            assert not check_of(RULE_OF[first], motion).holds  # type: ignore[union-attr]
     if other == REFUSED:
         with pytest.raises(second.UnreadableError):
             second.read(path)
@@ -513,7 +514,9 @@ def test_lies_are_refused_by_both_opinions(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["it lies 5 cm above", "it lay 5 cm above"])
 def test_a_robot_that_does_not_lie_on_others_is_named_where_it_joins_or_leaves(name: str) -> None:
-    found = interlacing(chapters(LIES[name][0](honest())))
+    found = check_of(RULE_OF["interlacing"], LIES[name][0](honest()))
+    assert found is not None
+    assert not found.holds
     joins, leaves = (float(each.drones.breaks[0]) for each in chapters(honest())[1:])
     assert found.time == pytest.approx(joins if name == "it lies 5 cm above" else leaves)
     assert "cable 3" in found.where
