@@ -158,7 +158,7 @@ def test_a_data_frame_holds_the_rows_of_setpoints_csv(
 def test_notebooks_show_cards(plan: ho.Plan) -> None:
     card = plan._repr_html_()
     held = "<b>Two &lt;steps&gt;</b>: 3 robots", 'src="data:image/png;base64,', "<td>morph</td>"
-    names = [f"<td>{check.name}</td>" for check in plan.certificate.checks]
+    names = [f"<td>{check.title}</td>" for check in plan.certificate.checks]
     for words in (*held, plan.certificate._repr_html_(), "certified for all t", *names):
         assert words in card
     assert "http" not in card
