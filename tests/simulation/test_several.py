@@ -21,7 +21,7 @@ from hitchopt.cli import main
 from hitchopt.errors import UnsupportedError
 from hitchopt.lab.simulation.contacts import touching
 from hitchopt.lab.simulation.judgement import closest, simulate
-from hitchopt.lab.simulation.report import ending, summary
+from hitchopt.lab.simulation.report import ending, save_simulation, summary
 from hitchopt.lab.simulation.ropes import simulated_density
 from hitchopt.lab.simulation.settings import CALM, Loss, Settings
 from hitchopt.lab.simulation.task import Task
@@ -176,7 +176,7 @@ def test_two_teams_cross_in_one_hall(options: dict[str, str], tmp_path: Path) ->
     assert {clasp.name[0] for clasp in result.outcome.clasps} == {"a", "b"}
     assert all(0.0 < clasp.moved < 0.1 for clasp in result.outcome.clasps)
     assert closest(result.flight).distance > 0.25
-    assert result.save(tmp_path) == tmp_path
+    assert save_simulation(tmp_path, result, motion) == tmp_path
     lines = (tmp_path / "drones.csv").read_text(encoding="utf-8").splitlines()
     assert {row["drone"] for row in csv.DictReader(lines)} == set(motion.team.drone_names)
     scene = ghost_scene(tmp_path, motion)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
-from hitchopt.errors import InputError, OneLine, Progress
+from hitchopt.errors import OneLine, Progress
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch.flight_controller import Tube
 from hitchopt.hitch.requirements import Separation
@@ -22,7 +21,7 @@ from hitchopt.lab.simulation.ropes import largest_tension, simulated_density
 from hitchopt.lab.simulation.settings import Settings
 from hitchopt.lab.simulation.task import Task, group_of
 from hitchopt.lab.simulation.world import BODY_HALF_HEIGHT
-from hitchopt.values import Array, path
+from hitchopt.values import Array
 
 # Largest step of a resting vertex between samples [m], and largest change of a steady tension, over
 # the team's
@@ -523,18 +522,6 @@ class Simulation(OneLine):
         return CampaignRun(
             self.settings.seed, self.outcome.verdict, self.outcome.failures, self.figures
         )
-
-    def save(self, directory: Path | str) -> Path:
-        """Write the files of ``hitchopt simulate`` to a directory; return it.
-
-        Raises InputError for a flight of setpoints without a plan, and FileError if the directory
-        cannot be written.
-        """
-        from hitchopt.lab.simulation.report import save_simulation  # heavy
-
-        if (motion := self.flight.task.motion) is None:
-            raise InputError("flight", "of setpoints", "that of a plan", "simulate a plan")
-        return save_simulation(path("directory", directory), self, motion)
 
 
 class Closest(NamedTuple):
