@@ -32,6 +32,7 @@ from hitchopt.view.pictures import (
     panels,
     sample_states,
 )
+from hitchopt.view.report import save_view
 from hitchopt.view.style import new_figure, save_figure
 
 PRISM = ho.Prism([[4.0, 1.0], [4.0, 2.0], [5.0, 1.5]], 0.0, 1.0)
@@ -206,6 +207,10 @@ def test_figures_for_papers_have_8_point_text_within_their_width(
         save_figure(figure, tmp_path / "figure.png")
         assert imread(tmp_path / "figure.png").shape[1] == round(300 * width)
     assert "A title" not in words(figures[0])
+    save_view(tmp_path / "plan.svg", motion, made_certificate(), width=width)
+    assert f'width="{72.0 * width:g}pt"' in (tmp_path / "plan.svg").read_text("utf-8")
+    with pytest.raises(ho.InputError, match=r"width = .* must be of a picture; save \.png"):
+        save_view(tmp_path / "plan.html", motion, made_certificate(), width=width)
     for wrong in (0.5, float("nan"), 40.0):
         with pytest.raises(ho.InputError, match=r"width = .* from 2\.5 to 20 inches; .* 3\.5 wide"):
             draw_closeness(others, closeness(others, 6), wrong)
