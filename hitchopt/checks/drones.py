@@ -329,8 +329,6 @@ def _rate_rule(name: str, unit: str, order: int, over: type[MotionSpans] = Drone
     return CheckRule(name, unit, "max", limit_of, evaluators, remedy, ease="time", derivative=order)
 
 
-LARGEST_SPEED = WorstOverSpans(Drones, partial(_norm, order=1), "max", 0.0)
-
 SPEED = _rate_rule("speed", "m/s", 1)
 ACCELERATION = _rate_rule("acceleration", "m/s²", 2)
 JERK = _rate_rule("jerk", "m/s³", 3)

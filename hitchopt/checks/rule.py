@@ -12,7 +12,7 @@ from hitchopt.checks.certificate import Check, with_tolerance, worst_of
 from hitchopt.checks.spans import MotionSpans
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.trajectory.enclosed import Bound
-from hitchopt.trajectory.search import batches, worst
+from hitchopt.trajectory.search import worst
 from hitchopt.values import Array
 
 S = TypeVar("S", bound=MotionSpans)
@@ -91,18 +91,6 @@ class WorstOverSpans(Generic[S]):
         return WorstCase(
             value, extremum.time, (self.spans.names(motion)[extremum.item],), size, own
         )
-
-    def curve(self, motion: Motion, times: Array) -> Array:
-        """Return the formula's worst value over all items at times (samples,) [s]."""
-        breaks, items = motion.drones.breaks, len(self.spans.names(motion))
-        piece = np.clip(np.searchsorted(breaks, times, side="right") - 1, 0, len(breaks) - 2)
-        x = np.clip((times - breaks[piece]) / motion.drones.durations[piece], 0.0, 1.0)
-        index = np.tile(np.arange(items), len(times))
-        spans = self.spans(motion, breaks, np.repeat(piece, items), index)
-        points = batches(spans.at(np.repeat(x, items)))
-        values = np.concatenate([self.formula(batch).value for batch in points])
-        extreme = np.max if self.sense == "max" else np.min
-        return np.asarray(extreme(values.reshape(-1, items), axis=1))
 
 
 @dataclass(frozen=True, eq=False)

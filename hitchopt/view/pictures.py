@@ -23,10 +23,8 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from hitchopt.checks.certificate import Certificate, html_table
 from hitchopt.checks.closeness import Closeness
-from hitchopt.checks.drones import LARGEST_SPEED, THRUST_SHARE
 from hitchopt.checks.registry import RULE_OF
-from hitchopt.geometry.vectors import unit
-from hitchopt.motion.chapters import parts_at
+from hitchopt.geometry.vectors import length, unit
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.states import States, states_at
 from hitchopt.values import Array
@@ -110,17 +108,14 @@ def panels(motion: Motion, states: States) -> tuple[Panel, ...]:
 
     Thrust is a share of its limit if limits differ.
     """
-    times, requirements = states.t + motion.drones.breaks[0], motion.requirements
-    thrust, kinds = np.zeros(len(times)), np.unique(motion.team.max_thrust)
-    for group in motion.groups:
-        for part, samples, _ in parts_at(group.motion, states.t):
-            used = THRUST_SHARE.curve(part, times[samples])
-            thrust[samples] = np.maximum(thrust[samples], used)
+    times, requirements, team = states.t + motion.drones.breaks[0], motion.requirements, motion.team
+    kinds = np.unique(team.max_thrust)
+    thrust = np.max(length(states.thrusts(team)) / team.max_thrust, axis=-1)
     forces = Panel("thrust", "largest thrust\n/ its limit", thrust, 1.0, share=True)
     if len(kinds) == 1:
         limit = float(kinds[0])
         forces = Panel("thrust", "largest\nthrust [N]", limit * thrust, limit)
-    speed = LARGEST_SPEED.curve(motion, times)
+    speed = np.max(length(states.velocities), axis=-1)
     rates = Panel("speed", "largest\nspeed [m/s]", speed, requirements.limits.speed)
     paths = [other.motion.drones for other in motion.others]
     others = [path.at(np.clip(times, *path.breaks[[0, -1]])) for path in paths]
