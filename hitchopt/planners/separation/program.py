@@ -47,6 +47,7 @@ def moved_curves(
     duration: float,
     planes: Planes,
     moving: NDArray[np.bool_],
+    damping: float,
 ) -> Array:
     """Return the curves (N, count, 3) [m] after one program around the current ones.
 
@@ -55,18 +56,19 @@ def moved_curves(
     duration: [s], to which the limits apply.
     planes: between pieces of curves, and to prisms.
     moving: (N,), mask of drones that may move.
+    damping: weight of squared changes.
 
     Raises
     ------
     ProgramError: no finite point was returned.
     """
-    program, free = build_program(setting, coefficients, duration, planes), setting.grid.free
+    free = setting.grid.free
+    program = build_program(setting, coefficients, duration, planes, damping)
     mask = np.ones(len(program.q), dtype=np.bool_)
     if not np.all(moving):
         program, mask = _reduced(program, np.repeat(moving, 3 * (free.stop - free.start)))
-    iterations = CROWD_ITERATIONS if len(moving) >= CROWD_SIZE else MAX_ITERATIONS
     x = np.zeros(len(mask))
-    x[mask] = solve_program(program, iterations)
+    x[mask] = solve_program(program)
     moved = coefficients.copy()
     inner = moved[:, free]
     inner += setting.trust * np.clip(x[: inner.size].reshape(inner.shape), -1.0, 1.0)
@@ -89,7 +91,7 @@ def _reduced(
 
 
 def build_program(
-    setting: Setting, coefficients: Array, duration: float, planes: Planes
+    setting: Setting, coefficients: Array, duration: float, planes: Planes, damping: float
 ) -> QuadraticProgram:
     """Return the program around the current curves; parameters are those of ``moved_curves``."""
     n, tethers, trust = setting.task.drones, len(setting.task.tethers), setting.trust
@@ -107,6 +109,7 @@ def build_program(
     _add_tethers(rows, setting, inner, inner.size + n)
     _add_planes(rows, setting, planes, inner.size + n + tethers)
     hessian, gradient = _objective(setting, coefficients)
+    hessian = hessian + damping * sp.eye_array(inner.size)
     weights = np.append(np.full(n, LIMIT_PENALTY / n), np.full(slacks - n, PLANE_PENALTY))
     P = sp.csc_array(sp.block_diag([hessian, sp.diags_array(weights)]))
     return QuadraticProgram(P, np.append(gradient, np.zeros(slacks)), *rows.compressed())
@@ -204,12 +207,18 @@ def _add_limits(
                 rows.extend(top + every, slack + every // len(matrix), -float(order))
 
 
-SOLVER_TOLERANCE = 1e-4
+SOLVER_TOLERANCE = 1e-3
 """Absolute and relative tolerance of OSQP, for rows that are scaled to about one."""
 
-MAX_ITERATIONS, CROWD_SIZE, CROWD_ITERATIONS = 700, 64, 150
-"""Maximum iterations of OSQP, number of drones that count as a crowd, and its maximum iterations.
-The last iterate is used; later programs correct its residuals."""
+NEAR_RANGE, ADDED_RANGE = 0.1, 0.05
+"""Distances to their bounds below which rows are enforced at first, where all changes are zero, and
+below which they are added together with violated rows."""
+
+CHUNK, INITIAL_STEP = 100, 0.1
+"""Iterations of OSQP before all rows are checked, and its first step size ρ."""
+
+MAX_ITERATIONS = 1500
+"""Maximum iterations of OSQP. The last iterate is used; later programs correct its residuals."""
 
 MIN_TIME_LIMIT = 1e-3
 """[s] Smallest time limit for OSQP, in which zero means no limit."""
@@ -219,8 +228,11 @@ class ProgramError(Exception):
     """No finite point was returned by OSQP."""
 
 
-def solve_program(program: QuadraticProgram, iterations: int = MAX_ITERATIONS) -> Array:
+def solve_program(program: QuadraticProgram) -> Array:
     """Return OSQP's solution (variables,) of a program, whose bounds on variables are rows.
+
+    Only rows near their bounds are enforced at first; others are added when they are violated, and
+    the iteration continues.
 
     Raises
     ------
@@ -228,29 +240,42 @@ def solve_program(program: QuadraticProgram, iterations: int = MAX_ITERATIONS) -
     """
     import osqp
 
-    remaining = time_left()
-    solver = osqp.OSQP(algebra="builtin")
-    solver.setup(
-        sp.csc_matrix(sp.triu(program.P)),
-        program.q,
-        sp.csc_matrix(program.A),
-        program.lower,
-        program.upper,
-        eps_abs=SOLVER_TOLERANCE,
-        eps_rel=SOLVER_TOLERANCE,
-        max_iter=iterations,
-        polishing=False,
-        verbose=False,
-        **({"time_limit": max(remaining, MIN_TIME_LIMIT)} if math.isfinite(remaining) else {}),
-    )
-    result = solver.solve(raise_error=False)
-    if result.info.status_val == osqp.SolverStatus.OSQP_SIGINT:
-        raise KeyboardInterrupt  # OSQP catches the signal
-    check_time()  # an interrupted solve has no solution
-    x = np.asarray(result.x, dtype=np.float64)
-    if x.shape != program.q.shape or not np.all(np.isfinite(x)):
-        raise ProgramError(str(result.info.status))
+    matrix, lower, upper = sp.csr_array(program.A), program.lower, program.upper
+    hessian = sp.csc_matrix(sp.triu(program.P))
+    enforced = np.minimum(-lower, upper) < NEAR_RANGE
+    x, dual, step = np.zeros(len(program.q)), np.zeros(len(lower)), INITIAL_STEP
+    solver = None
+    for _ in range(MAX_ITERATIONS // CHUNK):
+        if solver is None:
+            rows = np.flatnonzero(enforced)
+            constraints = sp.csc_matrix(matrix[rows]), lower[rows], upper[rows]
+            solver = osqp.OSQP(algebra="builtin")
+            solver.setup(hessian, program.q, *constraints, rho=step, **_settings())
+            solver.warm_start(x=x, y=dual[rows])
+        result = solver.solve(raise_error=False)
+        if result.info.status_val == osqp.SolverStatus.OSQP_SIGINT:
+            raise KeyboardInterrupt  # OSQP catches the signal
+        check_time()  # an interrupted solve has no solution
+        x = np.asarray(result.x, dtype=np.float64)
+        if x.shape != program.q.shape or not np.all(np.isfinite(x)):
+            raise ProgramError(str(result.info.status))
+        values = matrix @ x
+        excess = np.maximum(lower - values, values - upper)
+        added = ~enforced & (excess > -ADDED_RANGE)
+        if np.any(excess[added] > SOLVER_TOLERANCE):
+            dual[rows], step, solver = result.y, result.info.rho_estimate, None
+            enforced |= added
+        elif result.info.status_val == osqp.SolverStatus.OSQP_SOLVED:
+            break
     return x
+
+
+def _settings() -> dict[str, float | bool]:
+    """Return the settings of OSQP for the next iterations."""
+    remaining = time_left()
+    limit = {"time_limit": max(remaining, MIN_TIME_LIMIT)} if math.isfinite(remaining) else {}
+    tolerance = {"eps_abs": SOLVER_TOLERANCE, "eps_rel": SOLVER_TOLERANCE}
+    return {**tolerance, "max_iter": CHUNK, "polishing": False, "verbose": False, **limit}
 
 
 LEVEL_TOLERANCE = 1e-6

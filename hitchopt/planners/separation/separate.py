@@ -46,14 +46,18 @@ MIN_DURATION_RATIO = 1.03
 """Smallest target duration over that of single flights; splines cannot be faster."""
 
 GOOD_RATIO, FAIR_RATIO = 1.05, 1.15
-"""Durations over that of single flights at which the search ends, and at which it ends after one
-round without improvement."""
+"""Durations over that of single flights at which the search ends, and at which it ends after
+MAX_IDLE_ROUNDS_FAIR without improvement."""
 
-MIN_GAIN = 0.04
+MIN_GAIN = 0.02
 """Smallest relative improvement."""
 
-MAX_IDLE_ROUNDS, MAX_IDLE_ROUNDS_UNCLEAR = 3, 6
-"""Maximum number of consecutive rounds without improvement of clear curves, and of others."""
+DAMPING, DAMPING_FACTOR = 1e-4, 10.0
+"""Weight of squared changes in a program, as in Levenberg and Marquardt's method, and its increase
+after every round without improvement."""
+
+MAX_IDLE_ROUNDS_FAIR, MAX_IDLE_ROUNDS, MAX_IDLE_ROUNDS_UNCLEAR = 2, 3, 6
+"""Maximum number of consecutive rounds without improvement: of fair, clear and other curves."""
 
 UNCLEAR_MERIT = 1e9
 """Merit of curves that violate a limit at any speed, per missing separation."""
@@ -137,7 +141,8 @@ def _improved(setting: Setting, guess: Array, report: Progress) -> CurveBounds:
         target = SPEEDUP * current.duration if current.clear else current.duration
         duration = max(target, task.duration or MIN_DURATION_RATIO * setting.single_duration)
         try:
-            moved = moved_curves(setting, current.coefficients, duration, planes, moving)
+            damping = DAMPING * DAMPING_FACTOR**idle
+            moved = moved_curves(setting, current.coefficients, duration, planes, moving, damping)
         except ProgramError:
             break
         current, before = evaluate(setting, moved), best
@@ -150,7 +155,7 @@ def _improved(setting: Setting, guess: Array, report: Progress) -> CurveBounds:
             continue
         good = best.duration <= (task.duration or GOOD_RATIO * setting.single_duration)
         fair = best.duration <= (task.duration or FAIR_RATIO * setting.single_duration)
-        if good or (fair and current.clear and idle):
+        if good or (fair and current.clear and idle >= MAX_IDLE_ROUNDS_FAIR):
             break
     return best
 
