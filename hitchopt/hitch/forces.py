@@ -221,9 +221,15 @@ def leg_directions(
     u, v = edges[..., here, :], (edges if arriving is None else arriving)[..., before, :]
     own = [T[..., before], T[..., here]]
     sides = own if loads is None else [chord_pull(own[i], loads.edges[..., i]) for i in range(2)]
-    pulled = sides[0][..., None] * v - sides[1][..., None] * u
     if leg_pulls is not None:
         own = [leg_pulls[..., before, 1], leg_pulls[..., here, 0]]
+    q, r = -edges, edges.copy()
+    equal = planar & (own[0] == own[1])[..., None]
+    if equal.all():  # exact
+        r[..., before, :], q[..., here, :] = -u, v
+        return q, r
+
+    pulled = sides[0][..., None] * v - sides[1][..., None] * u
 
     def check(size: Array, behind: Array, ahead: Array) -> None:
         a = (size**2 + ahead**2 - behind**2) / (2.0 * size)
@@ -248,8 +254,6 @@ def leg_directions(
             halves,
             check,
         )
-    equal = planar & (own[0] == own[1])[..., None]  # exact there
-    q, r = -edges, edges.copy()
     r[..., before, :] = np.where(equal, -u, np.moveaxis(directions[0].value, 0, -1))
     q[..., here, :] = np.where(equal, v, np.moveaxis(directions[1].value, 0, -1))
     return q, r

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hitchopt.geometry.broadphase import Boxes, few_close_pairs
-from hitchopt.geometry.vectors import dot
 from hitchopt.hitch.requirements import Requirements, Separation
 from hitchopt.hitch.team import Layout
 from hitchopt.values import Array, Indices
@@ -21,6 +21,9 @@ from hitchopt.values import Array, Indices
 SEPARATION, CABLE, CROSSING = 0, 1, 2
 """Kinds of pairs: drone and drone, drone and cable, cable and cable."""
 
+
+MAX_DIRECT_BODIES = 64
+"""Maximum number of bodies all of whose pairs are compared, without a spatial index."""
 
 MAX_SWEPT_PAIRS = 20
 """Maximum number of close pairs per body, each counted twice, of frames processed together."""
@@ -147,22 +150,47 @@ class TautBodies:
         limits: (3,) [m], distances by kind; kinds with limit zero are omitted.
         cutoff: largest distance of close boxes [m].
         """
-        swept, frames = Boxes(np.min(lowest, axis=0), np.max(highest, axis=0)), len(lowest)
-        limit = MAX_SWEPT_PAIRS * len(self.nodes) if frames > 1 else np.inf
-        pairs = few_close_pairs(swept, None, cutoff, limit)
-        if pairs is None:  # too many: half of the frames have fewer
-            half = frames // 2
-            parts = slice(half), slice(half, None)
-            first, last = (self.near(lowest[p], highest[p], limits, cutoff) for p in parts)
-            last[0] += half
-            return np.concatenate([first, last], axis=1)
-        kind = self.kind(pairs.first, pairs.second)
-        limited = (kind >= 0) & (limits[kind] > 0.0)
-        i, j, kind = pairs.first[limited], pairs.second[limited], kind[limited]
-        gaps = np.maximum(lowest[:, i] - highest[:, j], lowest[:, j] - highest[:, i])
-        gaps = np.maximum(gaps, 0.0)
-        frame, pair = np.nonzero(dot(gaps, gaps) <= cutoff * cutoff)
-        return np.stack([frame, i[pair], j[pair], kind[pair]])
+        swept, frames = Boxes(lowest.min(axis=0), highest.max(axis=0)), len(lowest)
+        if len(self.nodes) <= MAX_DIRECT_BODIES:
+            i, j, kind = self._all_pairs
+            limited = limits[kind] > 0.0
+            if frames > 1:
+                limited &= _are_close(swept.lower, swept.upper, i, j, cutoff)
+        else:
+            limit = MAX_SWEPT_PAIRS * len(self.nodes) if frames > 1 else np.inf
+            pairs = few_close_pairs(swept, None, cutoff, limit)
+            if pairs is None:  # too many: half of the frames have fewer
+                half = frames // 2
+                parts = slice(half), slice(half, None)
+                first, last = (self.near(lowest[p], highest[p], limits, cutoff) for p in parts)
+                last[0] += half
+                return np.concatenate([first, last], axis=1)
+            i, j, kind = pairs.first, pairs.second, self.kind(pairs.first, pairs.second)
+            limited = (kind >= 0) & (limits[kind] > 0.0)
+        i, j, kind = i[limited], j[limited], kind[limited]
+        frame, pair = _are_close(lowest, highest, i, j, cutoff).nonzero()
+        near = np.empty((4, len(frame)), dtype=np.intp)
+        near[0], near[1], near[2], near[3] = frame, i[pair], j[pair], kind[pair]
+        return near
+
+    @cached_property
+    def _all_pairs(self) -> tuple[Indices, Indices, Indices]:
+        """Both bodies and the kind of all pairs that may not touch."""
+        i, j = np.triu_indices(len(self.nodes), 1)
+        kind = self.kind(i, j)
+        return i[kind >= 0], j[kind >= 0], kind[kind >= 0]
+
+
+def _are_close(
+    lowest: Array, highest: Array, i: Indices, j: Indices, cutoff: float
+) -> NDArray[np.bool_]:
+    """Return whether boxes i and j (pairs,) with corners (…, bodies, 2) are within ``cutoff``."""
+    gaps = np.maximum(
+        lowest[..., i, :] - highest[..., j, :], lowest[..., j, :] - highest[..., i, :]
+    )
+    x, y = np.maximum(gaps[..., 0], 0.0), np.maximum(gaps[..., 1], 0.0)
+    close: NDArray[np.bool_] = x * x + y * y <= cutoff * cutoff
+    return close
 
 
 def end_combinations(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from math import factorial, isfinite, prod
+from math import comb, factorial, isfinite, prod
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -90,21 +90,12 @@ class PiecewisePolynomial(OneLine):
         Piecewise polynomials of degree 2m - 1.
         """
         times = np.asarray(breaks, dtype=np.float64)
-        m = len(left)
-        order = 2 * m - 1
-        h = np.diff(times).reshape(-1, *(1,) * (left.ndim - 2))
-        coefficients = np.empty((*left.shape[1:], order + 1))
-        # The j-th forward difference at an end is the j-th derivative times h^j (N-j)!/N!.
-        for end, sign, data in ((0, 1, left), (order, -1, right)):
-            differences = [
-                data[j] * (sign * h) ** j * (factorial(order - j) / factorial(order))
-                for j in range(m)
-            ]
-            for i in range(m):
-                coefficients[..., end + sign * i] = sum(
-                    bernstein.binomials(i)[j] * differences[j] for j in range(i + 1)
-                )
-        return cls(times, coefficients)
+        m, shape = len(left), left.shape[1:]
+        h = (times[1:] - times[:-1]).reshape(-1, *(1,) * (left.ndim - 2))
+        scaled = np.empty((*shape, 2 * m))
+        for j in range(m):
+            scaled[..., j], scaled[..., m + j] = left[j] * h**j, right[j] * h**j
+        return cls(times, bernstein.transform(scaled, _hermite_map(m)))
 
     @property
     def pieces(self) -> int:
@@ -259,6 +250,19 @@ def joined(
     if (breaks[1:] > breaks[:-1]).all():
         return parts[0].replaced(coefficients, breaks)
     return PiecewisePolynomial(breaks, coefficients)  # refused: rounding swallows a piece
+
+
+@lru_cache
+def _hermite_map(m: int) -> Array:
+    """(2m, 2m): map from derivatives 0 … m - 1 at 0 and at 1 to Bernstein coefficients."""
+    order, rows = 2 * m - 1, np.zeros((2 * m, 2 * m))
+    for i in range(m):
+        for j in range(i + 1):
+            # The j-th forward difference at an end is the j-th derivative times (N-j)!/N!.
+            weight = comb(i, j) * factorial(order - j) / factorial(order)
+            rows[i, j], rows[order - i, m + j] = weight, (-1.0) ** j * weight
+    rows.setflags(write=False)
+    return rows
 
 
 BREAK_TOLERANCE = 1e-7

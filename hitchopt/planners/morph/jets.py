@@ -38,7 +38,7 @@ def chained_rates(outer: Array, inner: Array) -> tuple[Array, Array, Array]:
 
 def polynomials_through(breaks: Array, jets: Array) -> PiecewisePolynomial:
     """Return the polynomials with jets (J, *shape, m) at breaks (J,), of degree 2m - 1."""
-    orders = np.moveaxis(jets, -1, 0)
+    orders = jets.transpose(-1, *range(jets.ndim - 1))
     return PiecewisePolynomial.hermite(breaks, orders[:, :-1], orders[:, 1:])
 
 

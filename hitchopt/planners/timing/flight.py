@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 
 from hitchopt.errors import InfeasibleError, Violation
-from hitchopt.geometry.vectors import dot, length
+from hitchopt.geometry.vectors import column_lengths, dot, length
 from hitchopt.hitch import Team
 from hitchopt.hitch.forces import cable_force_rates, cable_forces, cable_of, sag_factors
 from hitchopt.hitch.requirements import Requirements
@@ -112,29 +112,36 @@ def _motion(path: Path, requirements: Requirements, clock: Clock) -> Motion:
     breaks, progress = clock.breaks, clock.jets()
     s = np.clip(progress[:, 0], 0.0, 1.0)
     s[0], s[-1] = 0.0, 1.0
-    *parts, tensions = path_jets(path, s)
-
-    def timed(jets: Array) -> PiecewisePolynomial:
-        """Return the polynomials for jets by s (J, *shape, 4)."""
-        inner = progress.reshape(len(s), *(1,) * (jets.ndim - 2), 4)
-        return polynomials_through(breaks, chained(jets, inner))
-
-    is_constant = not np.any(tensions[..., 1:]) and np.all(tensions == tensions[0])
-    constant = PiecewisePolynomial.constant(breaks, tensions[0, :, 0])
-    drones, vertices, legs = map(timed, parts)
-    curve = constant if is_constant else timed(tensions)
-    return Motion(path.team, requirements, drones, vertices, legs, curve, phases=())
+    parts = path_jets(path, s)
+    rows = np.concatenate([part.reshape(len(s), -1, 4) for part in parts], axis=1)
+    curves = polynomials_through(breaks, chained(rows, progress[:, None]))
+    drones, vertices, legs, tensions = curves.split([part.shape[1:-1] for part in parts])
+    values = parts[-1]
+    if not values[..., 1:].any() and (values == values[0]).all():
+        tensions = PiecewisePolynomial.constant(breaks, values[0, :, 0])
+    return Motion(path.team, requirements, drones, vertices, legs, tensions, phases=())
 
 
 def cable_error(motion: Motion) -> float:
     """Return the largest relative error of a cable's length at samples."""
-    team, inner, breaks = motion.team, (np.arange(5) + 0.5) / 5, motion.drones.breaks
-    times = np.append(breaks[:-1, None] + np.diff(breaks)[:, None] * inner, breaks)
-    p, sag = motion.vertices.at(times), sag_factors(team, motion.tensions.at(times))
-    legs = motion.drones.at(times) - p[:, team.layout.anchors]
-    spans = (legs[:, 0::2], team.layout.edges(p), legs[:, 1::2])
-    cables = np.sum([cable_of(span, sag) for span in spans], axis=0)
-    return float(np.max(np.abs(cables / team.cable_length - 1.0)))
+    team = motion.team
+    drones, p, tensions = map(_sampled, (motion.drones, motion.vertices, motion.tensions))
+    sag, legs = sag_factors(team, tensions), drones - p[:, team.layout.anchors]
+    cables: Array = cable_of(legs[:, 0::2], sag) + cable_of(legs[:, 1::2], sag)
+    cables += cable_of(team.layout.edges(p), sag)
+    return float(np.abs(cables / team.cable_length - 1.0).max())
+
+
+CABLE_SAMPLES = np.array([0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0])
+"""Local parameters in pieces at which lengths of cables are computed."""
+
+
+def _sampled(part: PiecewisePolynomial) -> Array:
+    """Return the values (pieces · samples, *shape) at CABLE_SAMPLES."""
+    c = part.coefficients
+    values = c @ bernstein.basis(CABLE_SAMPLES, c.shape[-1] - 1).T
+    order = 0, values.ndim - 1, *range(1, values.ndim - 1)
+    return values.transpose(order).reshape(-1, *part.shape)
 
 
 MAX_PIECE_SHARE = 1.0 / 12.0
@@ -247,14 +254,13 @@ def _force_stretches(motion: Motion) -> Array:
     team, limits, drones = motion.team, motion.requirements.limits, motion.drones
     forces = np.zeros((drones.pieces + 1, team.drones, 3))
     if team.has_cables:
-        drones_at, vertices, pulls = (
-            part.at(drones.breaks) for part in (drones, motion.vertices, motion.pulls)
-        )
-        forces = cable_forces(team, drones_at, vertices, pulls, np.ones((len(forces), team.robots)))
+        curves = (part.coefficients for part in (drones, motion.vertices, motion.pulls))
+        places, vertices, pulls = (np.concatenate([c[..., 0], c[-1:, ..., -1]]) for c in curves)
+        forces = cable_forces(team, places, vertices, pulls, np.ones((len(forces), team.robots)))
     spare = np.maximum(spare_accelerations(team, limits, loads_at_rest(team, forces)), 1e-9)
     c = bernstein.differentiate(bernstein.differentiate(drones.coefficients))
-    rates = np.max(np.linalg.norm(c, axis=-2), axis=-1) / drones.durations[:, None] ** 2
-    stretches: Array = np.sqrt(np.max(rates / np.minimum(spare[1:], spare[:-1]), axis=1))
+    rates = column_lengths(c).max(axis=-1) / drones.durations[:, None] ** 2
+    stretches: Array = np.sqrt((rates / np.minimum(spare[1:], spare[:-1])).max(axis=1))
     return stretches
 
 
@@ -316,7 +322,9 @@ def _on_spans(part: PiecewisePolynomial, pieces: Indices, order: int = 0) -> Arr
     They are coefficients on the spans of pieces; values and higher degrees are sampled instead.
     """
     c = part.coefficients[pieces]
-    coefficients = np.moveaxis(c @ _span_rows(bernstein.degree(c), order).T, -1, 1)
+    coefficients = c @ _span_rows(bernstein.degree(c), order).T
+    axes = 0, coefficients.ndim - 1, *range(1, coefficients.ndim - 1)
+    coefficients = coefficients.transpose(axes)
     h = part.durations[pieces].reshape(-1, *(1,) * (coefficients.ndim - 1))
     values: Array = (coefficients / h**order).reshape(-1, *part.shape)
     return values
