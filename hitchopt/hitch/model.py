@@ -7,6 +7,7 @@ only. Legs are cable lengths; drones are nearer to their vertices if cables sag.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -122,6 +123,19 @@ class FlatJets:
     q_legs: Array
     tensions: Array
     roll: Array | None = None
+
+    @classmethod
+    def concatenated(cls, parts: Sequence[FlatJets]) -> FlatJets:
+        """Return all values of several flat outputs of one team, part after part."""
+        vertices, q_legs, tensions = (
+            np.concatenate([getattr(part, name) for part in parts])
+            for name in ("vertices", "q_legs", "tensions")
+        )
+        if all(part.roll is None for part in parts):
+            return cls(vertices, q_legs, tensions)
+        shape = next(part.roll.shape for part in parts if part.roll is not None)
+        rolls = [np.zeros(shape) if part.roll is None else part.roll for part in parts]
+        return cls(vertices, q_legs, tensions, np.concatenate(rolls))
 
     def __getitem__(self, index: slice) -> FlatJets:
         roll = None if self.roll is None else self.roll[index]

@@ -10,7 +10,7 @@ import numpy as np
 from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.hitch.slack_split import LIMIT_MARGIN, LegTask
 from hitchopt.planners.morph.path import LegLaw, ShapePath, Shapes, drones_along, shapes_along
-from hitchopt.planners.timing.profile import demands_along, flight_estimate
+from hitchopt.planners.timing.profile import demands_along, flight_estimate, flight_estimates
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.trajectory.splines import interpolated
@@ -152,10 +152,11 @@ def with_slides(path: ShapePath, limits: Limits) -> Iterator[ShapePath]:
     if path.legs.length.pieces > 1:
         return
     slopes = _slopes(path, limits)
-    candidates = (_with_slide(path, share * slopes) for share in SHARES)
-    best = min(candidates, key=lambda each: flight_estimate(each, limits))
-    if flight_estimate(best, limits) < MAX_DURATION_RATIO * flight_estimate(path, limits):
-        yield best
+    candidates = [_with_slide(path, share * slopes) for share in SHARES]
+    estimates = flight_estimates(candidates, limits)
+    shortest = min(estimates)
+    if shortest < MAX_DURATION_RATIO * flight_estimate(path, limits):
+        yield candidates[estimates.index(shortest)]
 
 
 def _slopes(path: ShapePath, limits: Limits) -> Array:

@@ -26,6 +26,7 @@ from hitchopt.planners.timing.profile import (
     TimingError,
     demands_along,
     flight_estimate,
+    flight_estimates,
     rest_ratios,
 )
 from hitchopt.planners.timing.ramps import fastest_ramps
@@ -189,7 +190,8 @@ class OptimisedMorph:
         visited: list[KnotPath] = []
         estimates = np.zeros(len(paths))
         if len(paths) > 1 or candidates:
-            estimates = np.array([_estimate(path, self.requirements) for path in paths])
+            smooth = [path.path for path in paths]
+            estimates = np.array(flight_estimates(smooth, self.requirements.limits))
         for k in np.argsort(estimates, kind="stable"):
             if estimates[k] > MAX_GUESS_RATIO * fastest:
                 break

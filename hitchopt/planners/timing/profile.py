@@ -20,7 +20,7 @@ from hitchopt.errors import HitchoptError, InfeasibleError, Violation
 from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.forces import hanging_forces
-from hitchopt.hitch.model import drone_jets
+from hitchopt.hitch.model import FlatJets, drone_jets
 from hitchopt.hitch.requirements import Limits
 from hitchopt.planners.morph.path import Path
 from hitchopt.values import Array, Indices
@@ -49,11 +49,20 @@ class Demands:
     @classmethod
     def along(cls, path: Path, limits: Limits, s: Array) -> Demands:
         """Return the demands of a path at its points s (J,)."""
-        flat = path.flat(s)
-        drones = drone_jets(path.team, flat)
-        vertex_speed = np.max(length(flat.vertices[..., 1]), axis=1)
-        loads = loads_at_rest(path.team, drones.cable_forces)
-        return cls(drones.positions, vertex_speed, loads, path.team, limits)
+        return cls.of(path.team, path.flat(s), limits)
+
+    @classmethod
+    def of(cls, team: Team, flat: FlatJets, limits: Limits) -> Demands:
+        """Return the demands of flat outputs at J points."""
+        drones = drone_jets(team, flat)
+        vertex_speed = length(flat.vertices[..., 1]).max(axis=1)
+        loads = loads_at_rest(team, drones.cable_forces)
+        return cls(drones.positions, vertex_speed, loads, team, limits)
+
+    def at(self, points: slice) -> Demands:
+        """Return the demands at some of the points."""
+        parts = self.drones[points], self.vertex_speed[points], self.loads[points]
+        return Demands(*parts, self.team, self.limits, self.share)
 
     @property
     def speed_bound(self) -> Array:
@@ -279,14 +288,18 @@ class SpeedProfile:
         return mean
 
 
-def fastest_profile(s: Array, demands: Demands) -> SpeedProfile:
+def fastest_profile(
+    s: Array, demands: Demands, polygons: tuple[Array, Array, Array] | None = None
+) -> SpeedProfile:
     """Return the time-optimal profile from rest to rest on the grid s (J,), from 0 to 1.
+
+    ``polygons`` are the ``feasible_polygons``, if they are known.
 
     Raises
     ------
     TimingError: none exists, for instance because rest violates a limit.
     """
-    corners, acceleration, squared_speed = feasible_polygons(demands)
+    corners, acceleration, squared_speed = polygons or feasible_polygons(demands)
     # toppra's bounds and tolerances are absolute. A length of the path and a unit of time scale
     # both s̈ and ṡ² to order 1, whether limited by acceleration or by speed.
     length = float(np.clip(np.median(acceleration / squared_speed), 1e-2, 1e9))
@@ -410,9 +423,27 @@ def flight_estimate(path: Path, limits: Limits) -> float:
 
     Most flights are longer, by up to a tenth of the ramp.
     """
-    demands = demands_along(path, limits)
-    try:
-        profile = fastest_profile(path_grid(GRID), demands)
-    except TimingError:
-        return math.inf
-    return profile.duration + RAMP_SHARE * acceleration_ramp(profile, demands)
+    return _estimates(demands_along(path, limits))[0]
+
+
+def flight_estimates(paths: Sequence[Path], limits: Limits) -> list[float]:
+    """Return the ``flight_estimate`` of each of several paths of one team, evaluated together."""
+    flat = FlatJets.concatenated([path.flat(path_grid(GRID)) for path in paths])
+    return _estimates(Demands.of(paths[0].team, flat, limits))
+
+
+def _estimates(demands: Demands) -> list[float]:
+    """Return the estimates of paths whose demands on the grid follow each other."""
+    s, estimates = path_grid(GRID), list[float]()
+    corners, *sizes = feasible_polygons(demands)
+    for first in range(0, len(demands.loads), len(s)):
+        points = slice(first, first + len(s))
+        own = demands.at(points)
+        try:
+            polygons = corners[:, points], sizes[0][points], sizes[1][points]
+            profile = fastest_profile(s, own, polygons)
+        except TimingError:
+            estimates.append(math.inf)
+            continue
+        estimates.append(profile.duration + RAMP_SHARE * acceleration_ramp(profile, own))
+    return estimates
