@@ -139,9 +139,13 @@ CABLE_SAMPLES = np.array([0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0])
 def _sampled(part: PiecewisePolynomial) -> Array:
     """Return the values (pieces · samples, *shape) at CABLE_SAMPLES."""
     c = part.coefficients
-    values = c @ bernstein.basis(CABLE_SAMPLES, c.shape[-1] - 1).T
-    order = 0, values.ndim - 1, *range(1, values.ndim - 1)
-    return values.transpose(order).reshape(-1, *part.shape)
+    values = bernstein.transform(c, bernstein.basis(CABLE_SAMPLES, c.shape[-1] - 1))
+    return _by_piece(values).reshape(-1, *part.shape)
+
+
+def _by_piece(values: Array) -> Array:
+    """Return values (pieces, *shape, samples) as (pieces, samples, *shape)."""
+    return values.transpose(0, -1, *range(1, values.ndim - 1))
 
 
 MAX_PIECE_SHARE = 1.0 / 12.0
@@ -322,9 +326,7 @@ def _on_spans(part: PiecewisePolynomial, pieces: Indices, order: int = 0) -> Arr
     They are coefficients on the spans of pieces; values and higher degrees are sampled instead.
     """
     c = part.coefficients[pieces]
-    coefficients = c @ _span_rows(bernstein.degree(c), order).T
-    axes = 0, coefficients.ndim - 1, *range(1, coefficients.ndim - 1)
-    coefficients = coefficients.transpose(axes)
+    coefficients = _by_piece(bernstein.transform(c, _span_rows(bernstein.degree(c), order)))
     h = part.durations[pieces].reshape(-1, *(1,) * (coefficients.ndim - 1))
     values: Array = (coefficients / h**order).reshape(-1, *part.shape)
     return values
