@@ -112,9 +112,12 @@ def test_an_arena_limits_legs_and_a_small_one_gives_the_largest_margin() -> None
     assert margin(hitch) >= 0.9
 
 
-@pytest.mark.parametrize("swept", [0, 20])
-def test_near_pairs_are_those_of_every_frame(swept: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of drifting boxes, listed for all frames at once or by halves."""
+@pytest.mark.parametrize(("direct", "swept"), [(64, 20), (0, 20), (0, 0)])
+def test_near_pairs_are_those_of_every_frame(
+    direct: int, swept: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of drifting boxes, without an index, or listed for all frames at once or by halves."""
+    monkeypatch.setattr(pair_table, "MAX_DIRECT_BODIES", direct)
     monkeypatch.setattr(pair_table, "MAX_SWEPT_PAIRS", swept)
     bodies, rng = TautBodies.of(layout_of(6, "closed")), np.random.default_rng(4)
     limits = np.array([0.24, 0.0, 0.05])

@@ -20,7 +20,13 @@ from hitchopt.mission.loading import read_problem
 from hitchopt.planners.morph.path import ShapePath
 from hitchopt.planners.timing.clock import ClockedPath, RateRows
 from hitchopt.planners.timing.flight import GRID, fly, needed_stretch, turning_stretch
-from hitchopt.planners.timing.profile import Demands, fastest_profile, flight_estimate, path_grid
+from hitchopt.planners.timing.profile import (
+    Demands,
+    fastest_profile,
+    flight_estimate,
+    flight_estimates,
+    path_grid,
+)
 from hitchopt.planners.timing.ramps import fastest_clock, fastest_ramps
 from hitchopt.trajectory import PiecewisePolynomial
 from problems.random_morph import random_convex_polygon
@@ -93,8 +99,13 @@ def test_flights_take_a_little_longer_than_their_estimates(seed: int) -> None:
         path = ShapePath.straight(*ends(3 + seed, seed, limits))
         duration = fly(path, Requirements(limits)).duration
         assert 0.995 * duration - 0.05 < flight_estimate(path, limits) < duration
+        tensions = PiecewisePolynomial.constant([0.0, 1.0], 0.6 * np.ones(path.team.robots))
+        slow = replace(path, tensions=tensions)
+        both = [flight_estimate(each, limits) for each in (path, slow)]
+        assert flight_estimates([path, slow], limits) == pytest.approx(both, rel=1e-9)
     limits = Limits(tilt=math.radians(10.0))
     assert flight_estimate(path, limits) == math.inf
+    assert flight_estimates([path, path], limits) == [math.inf, math.inf]
     with pytest.raises(ho.HitchoptError):
         fly(path, Requirements(limits))
 
